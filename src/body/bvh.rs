@@ -1,0 +1,1 @@
+//! BVH files as data: hierarchy and motion, no unit and no up axis.

@@ -1,0 +1,167 @@
+//! Forward kinematics in global rotations, and its Jacobian by pushing tangents forward.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::joints::{BODY_JOINTS, JOINTS, Joint};
+use super::skeleton::{SHAPE_COEFFICIENTS, Skeleton};
+
+/// Where every joint is, and how it is turned.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Posture {
+    /// `world_from_joint` rotations.
+    pub rotations: [Matrix3<f64>; JOINTS],
+    /// Joint centres in the world, metres.
+    pub positions: [Vector3<f64>; JOINTS],
+}
+
+/// G_j = G_parent R_j and P_j = P_parent + G_parent o_j.
+///
+/// `root_rotation` is `world_from_pelvis`, `root_position` the pelvis in the world, `local` the
+/// 21 rotations `parent_from_joint` in joint order.
+pub fn forward(
+    skeleton: &Skeleton,
+    root_rotation: &Matrix3<f64>,
+    root_position: &Vector3<f64>,
+    local: &[Matrix3<f64>; BODY_JOINTS],
+) -> Posture {
+    let mut posture =
+        Posture { rotations: [*root_rotation; JOINTS], positions: [*root_position; JOINTS] };
+    for joint in &Joint::ALL[1..] {
+        if let Some(parent) = joint.parent().map(Joint::index) {
+            let (j, parent_rotation) = (joint.index(), posture.rotations[parent]);
+            posture.rotations[j] = parent_rotation * local[j - 1];
+            posture.positions[j] =
+                posture.positions[parent] + parent_rotation * skeleton.offset(*joint);
+        }
+    }
+    posture
+}
+
+/// Tangents of a posture by `columns` parameters. Row-major, `3 * JOINTS` rows each.
+#[derive(Clone, Debug)]
+pub struct Tangents {
+    columns: usize,
+    /// Left (world-frame) angular tangents, rows 3 j to 3 j + 2 for joint j.
+    turn: Vec<f64>,
+    /// Derivatives of the joint centres, same rows.
+    shift: Vec<f64>,
+}
+
+impl Tangents {
+    /// All zero.
+    pub fn zeros(columns: usize) -> Self {
+        let size = 3 * JOINTS * columns;
+        Self { columns, turn: vec![0.0; size], shift: vec![0.0; size] }
+    }
+
+    /// How many parameters there are.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// The derivative of a point of `joint` that sits at `arm` = G_j offset from its centre,
+    /// as 3 rows written to `out` (row-major, `3 * columns`): dP_j + w_j x arm.
+    pub fn point(&self, joint: Joint, arm: &Vector3<f64>, out: &mut [f64]) {
+        let (n, rows) = (self.columns, joint.index() * 3 * self.columns);
+        let turn = &self.turn[rows..rows + 3 * n];
+        let shift = &self.shift[rows..rows + 3 * n];
+        add_moved(shift, turn, arm, n, &mut out[..3 * n]);
+    }
+
+    /// The world-frame angular tangent of `joint` by parameter `column`.
+    pub fn turn_of(&self, joint: Joint, column: usize) -> Vector3<f64> {
+        let at = joint.index() * 3 * self.columns + column;
+        Vector3::new(self.turn[at], self.turn[at + self.columns], self.turn[at + 2 * self.columns])
+    }
+}
+
+/// out = shift + turn x arm, for 3 x n blocks.
+fn add_moved(shift: &[f64], turn: &[f64], arm: &Vector3<f64>, n: usize, out: &mut [f64]) {
+    let (wx, rest) = turn.split_at(n);
+    let (wy, wz) = rest.split_at(n);
+    let (sx, rest) = shift.split_at(n);
+    let (sy, sz) = rest.split_at(n);
+    let (ox, rest) = out.split_at_mut(n);
+    let (oy, oz) = rest.split_at_mut(n);
+    for c in 0..n {
+        ox[c] = sx[c] + wy[c] * arm.z - wz[c] * arm.y;
+        oy[c] = sy[c] + wz[c] * arm.x - wx[c] * arm.z;
+        oz[c] = sz[c] + wx[c] * arm.y - wy[c] * arm.x;
+    }
+}
+
+/// Fills `tangents` for joints 1 to 21, from what it holds for the pelvis (see
+/// [`Tangents::set_root`]) and from the local tangents.
+///
+/// `local` is row-major, `3 * BODY_JOINTS` rows of `local_columns`: right tangents of each local
+/// rotation by the first `local_columns` parameters. `shape_column`, if given, is where the ten
+/// columns of the shape begin.
+///
+/// w_j = w_parent + G_j d_j and dP_j = dP_parent + w_parent x (G_parent o_j).
+pub fn push_forward(
+    skeleton: &Skeleton,
+    posture: &Posture,
+    local: &[f64],
+    local_columns: usize,
+    shape_column: Option<usize>,
+    tangents: &mut Tangents,
+) {
+    let n = tangents.columns;
+    for joint in &Joint::ALL[1..] {
+        let Some(parent) = joint.parent().map(Joint::index) else { continue };
+        let (j, block) = (joint.index(), 3 * n);
+        let (done, here) = tangents.turn.split_at_mut(j * block);
+        let parent_turn = &done[parent * block..(parent + 1) * block];
+        here[..block].copy_from_slice(parent_turn);
+        let rows = &local[(j - 1) * 3 * local_columns..j * 3 * local_columns];
+        add_rotated(&posture.rotations[j], rows, local_columns, n, &mut here[..block]);
+
+        let parent_rotation = &posture.rotations[parent];
+        let arm = parent_rotation * skeleton.offset(*joint);
+        let (done, here) = tangents.shift.split_at_mut(j * block);
+        add_moved(&done[parent * block..(parent + 1) * block], parent_turn, &arm, n, here);
+        if let Some(first) = shape_column {
+            let by_shape = skeleton.offset_by_shape(*joint);
+            for (k, offset) in by_shape.iter().enumerate().take(SHAPE_COEFFICIENTS) {
+                let moved = parent_rotation * offset;
+                for row in 0..3 {
+                    here[row * n + first + k] += moved[row];
+                }
+            }
+        }
+    }
+}
+
+/// turn (3 x n) += G rows (3 x m), in the first m columns.
+fn add_rotated(g: &Matrix3<f64>, rows: &[f64], m: usize, n: usize, turn: &mut [f64]) {
+    let (x, rest) = rows.split_at(m);
+    let (y, z) = rest.split_at(m);
+    for row in 0..3 {
+        let (gx, gy, gz) = (g[(row, 0)], g[(row, 1)], g[(row, 2)]);
+        for (c, out) in turn[row * n..row * n + m].iter_mut().enumerate() {
+            *out += gx * x[c] + gy * y[c] + gz * z[c];
+        }
+    }
+}
+
+impl Tangents {
+    /// Sets the pelvis: `turn` (world-frame) in the three columns from `turn_column`, and
+    /// `shift` times the identity in the three columns from `shift_column`; the rest zero.
+    pub fn set_root(
+        &mut self,
+        turn: &Matrix3<f64>,
+        turn_column: usize,
+        shift: f64,
+        shift_column: usize,
+    ) {
+        let n = self.columns;
+        self.turn[..3 * n].fill(0.0);
+        self.shift[..3 * n].fill(0.0);
+        for row in 0..3 {
+            for column in 0..3 {
+                self.turn[row * n + turn_column + column] = turn[(row, column)];
+            }
+            self.shift[row * n + shift_column + row] = shift;
+        }
+    }
+}

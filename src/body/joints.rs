@@ -1,0 +1,142 @@
+//! The 22 joints, in the order of the SMPL-X body.
+
+/// Joints, the pelvis included.
+pub const JOINTS: usize = 22;
+/// Joints whose local rotation the manifold gives: all but the pelvis.
+pub const BODY_JOINTS: usize = JOINTS - 1;
+
+/// A joint of the body. The discriminant is its index everywhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[allow(missing_docs)]
+#[repr(usize)]
+pub enum Joint {
+    Pelvis,
+    LHip,
+    RHip,
+    Spine1,
+    LKnee,
+    RKnee,
+    Spine2,
+    LAnkle,
+    RAnkle,
+    Spine3,
+    LFoot,
+    RFoot,
+    Neck,
+    LCollar,
+    RCollar,
+    Head,
+    LShoulder,
+    RShoulder,
+    LElbow,
+    RElbow,
+    LWrist,
+    RWrist,
+}
+
+use Joint::*;
+
+impl Joint {
+    /// Every joint, parents before children.
+    pub const ALL: [Self; JOINTS] = [
+        Pelvis, LHip, RHip, Spine1, LKnee, RKnee, Spine2, LAnkle, RAnkle, Spine3, LFoot, RFoot,
+        Neck, LCollar, RCollar, Head, LShoulder, RShoulder, LElbow, RElbow, LWrist, RWrist,
+    ];
+
+    /// The index, 0 for the pelvis.
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+
+    /// The parent; `None` for the pelvis.
+    pub const fn parent(self) -> Option<Self> {
+        Some(match self {
+            Pelvis => return None,
+            LHip | RHip | Spine1 => Pelvis,
+            LKnee => LHip,
+            RKnee => RHip,
+            Spine2 => Spine1,
+            LAnkle => LKnee,
+            RAnkle => RKnee,
+            Spine3 => Spine2,
+            LFoot => LAnkle,
+            RFoot => RAnkle,
+            Neck | LCollar | RCollar => Spine3,
+            Head => Neck,
+            LShoulder => LCollar,
+            RShoulder => RCollar,
+            LElbow => LShoulder,
+            RElbow => RShoulder,
+            LWrist => LElbow,
+            RWrist => RElbow,
+        })
+    }
+
+    /// The same joint on the other side; itself on the midline.
+    pub const fn mirrored(self) -> Self {
+        match self {
+            LHip => RHip,
+            RHip => LHip,
+            LKnee => RKnee,
+            RKnee => LKnee,
+            LAnkle => RAnkle,
+            RAnkle => LAnkle,
+            LFoot => RFoot,
+            RFoot => LFoot,
+            LCollar => RCollar,
+            RCollar => LCollar,
+            LShoulder => RShoulder,
+            RShoulder => LShoulder,
+            LElbow => RElbow,
+            RElbow => LElbow,
+            LWrist => RWrist,
+            RWrist => LWrist,
+            Pelvis | Spine1 | Spine2 | Spine3 | Neck | Head => self,
+        }
+    }
+
+    /// Lower-case name: `pelvis`, `l_hip`, ...
+    pub const fn name(self) -> &'static str {
+        match self {
+            Pelvis => "pelvis",
+            LHip => "l_hip",
+            RHip => "r_hip",
+            Spine1 => "spine1",
+            LKnee => "l_knee",
+            RKnee => "r_knee",
+            Spine2 => "spine2",
+            LAnkle => "l_ankle",
+            RAnkle => "r_ankle",
+            Spine3 => "spine3",
+            LFoot => "l_foot",
+            RFoot => "r_foot",
+            Neck => "neck",
+            LCollar => "l_collar",
+            RCollar => "r_collar",
+            Head => "head",
+            LShoulder => "l_shoulder",
+            RShoulder => "r_shoulder",
+            LElbow => "l_elbow",
+            RElbow => "r_elbow",
+            LWrist => "l_wrist",
+            RWrist => "r_wrist",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parents_come_first_and_mirrors_are_an_involution() {
+        for (index, joint) in Joint::ALL.into_iter().enumerate() {
+            assert_eq!(joint.index(), index);
+            assert_eq!(joint.mirrored().mirrored(), joint);
+            assert_eq!(joint.parent().map(Joint::mirrored), joint.mirrored().parent());
+            if let Some(parent) = joint.parent() {
+                assert!(parent < joint);
+            }
+        }
+    }
+}

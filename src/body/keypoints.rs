@@ -1,0 +1,130 @@
+//! Where detectors' points sit on the body, and how much each counts in the fit.
+//!
+//! Each point is an offset in the frame of one joint, scaled by the shape as its part of the
+//! body is. Detectors mark what annotators saw, not joint centres: their hips lie higher and
+//! wider than the hip joints and their necks differ between data sets, so such points carry an
+//! offset of their own and a small weight \[Pavlakos 2019, sec. 3.2\].
+
+use nalgebra::Vector3;
+
+use super::joints::Joint;
+use super::skeleton::{Part, SHAPE_COEFFICIENTS, Shape, ShapeCoefficient};
+use crate::detect::{Keypoint, KeypointFormat};
+
+/// Where a detector's point sits on the body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Attachment {
+    /// The joint that carries the point.
+    pub joint: Joint,
+    /// Weight of the point in the fit; 0 where it is not fitted.
+    pub weight: f64,
+    template: Vector3<f64>,
+    part: Part,
+}
+
+impl Attachment {
+    /// Where `keypoint` sits.
+    pub fn of(keypoint: Keypoint) -> Self {
+        let (joint, template, part, weight) = table(keypoint);
+        Self { joint, weight, template: Vector3::from(template), part }
+    }
+
+    /// Offset from the joint's centre in the joint's frame, for a body of that shape, metres.
+    pub fn offset(&self, shape: &Shape) -> Vector3<f64> {
+        self.part.scaled(&self.template, shape)
+    }
+
+    /// Derivative of [`Attachment::offset`] by each shape coefficient.
+    pub fn offset_by_shape(&self) -> [Vector3<f64>; SHAPE_COEFFICIENTS] {
+        ShapeCoefficient::ALL.map(|by| self.part.derivative(&self.template, by))
+    }
+}
+
+/// A detector's point that is fitted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BodyPoint {
+    /// Index in the detector's format.
+    pub index: usize,
+    /// Which point it is.
+    pub keypoint: Keypoint,
+    /// Where it sits.
+    pub attachment: Attachment,
+}
+
+/// The points of `format` that have a weight, in the order of the format.
+pub fn fitted_points(format: KeypointFormat) -> Vec<BodyPoint> {
+    format
+        .keypoints()
+        .iter()
+        .enumerate()
+        .map(|(index, &keypoint)| BodyPoint {
+            index,
+            keypoint,
+            attachment: Attachment::of(keypoint),
+        })
+        .filter(|point| point.attachment.weight > 0.0)
+        .collect()
+}
+
+/// Joint, offset (left side and midline, metres, template shape), part, weight.
+fn table(keypoint: Keypoint) -> (Joint, [f64; 3], Part, f64) {
+    use Keypoint as K;
+    let (joint, [x, y, z], part, weight) = match keypoint {
+        K::Nose => (Joint::Head, [0.0, 0.020, 0.110], Part::Head, 1.0),
+        K::LEye | K::REye => (Joint::Head, [0.032, 0.055, 0.088], Part::Head, 1.0),
+        K::LEar | K::REar => (Joint::Head, [0.072, 0.035, 0.010], Part::Head, 1.0),
+        K::HeadTop => (Joint::Head, [0.0, 0.165, 0.020], Part::Head, 0.5),
+        K::Neck => (Joint::Spine3, [0.0, 0.145, 0.010], Part::Trunk, 0.0),
+        K::UpperNeck => (Joint::Neck, [0.0, 0.040, 0.010], Part::Trunk, 0.0),
+        K::MidHip => (Joint::Pelvis, [0.0, -0.060, 0.010], Part::Hip, 0.0),
+        K::LShoulder | K::RShoulder => (Joint::LShoulder, [0.0, 0.0, 0.0], Part::UpperArm, 1.0),
+        K::LElbow | K::RElbow => (Joint::LElbow, [0.0, 0.0, 0.0], Part::UpperArm, 1.0),
+        K::LWrist | K::RWrist => (Joint::LWrist, [0.0, 0.0, 0.0], Part::Forearm, 1.0),
+        K::LHip | K::RHip => (Joint::Pelvis, [0.100, -0.060, 0.010], Part::Hip, 0.3),
+        K::LKnee | K::RKnee => (Joint::LKnee, [0.0, 0.0, 0.010], Part::Thigh, 1.0),
+        K::LAnkle | K::RAnkle => (Joint::LAnkle, [0.0, 0.0, 0.0], Part::Shank, 1.0),
+        K::LBigToe | K::RBigToe => (Joint::LFoot, [-0.015, -0.010, 0.070], Part::Foot, 1.0),
+        K::LSmallToe | K::RSmallToe => (Joint::LFoot, [0.050, -0.012, 0.030], Part::Foot, 1.0),
+        K::LHeel | K::RHeel => (Joint::LAnkle, [0.0, -0.050, -0.055], Part::Foot, 1.0),
+    };
+    match keypoint {
+        K::REye
+        | K::REar
+        | K::RShoulder
+        | K::RElbow
+        | K::RWrist
+        | K::RHip
+        | K::RKnee
+        | K::RAnkle
+        | K::RBigToe
+        | K::RSmallToe
+        | K::RHeel => (joint.mirrored(), [-x, y, z], part, weight),
+        _ => (joint, [x, y, z], part, weight),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_format_has_both_sides_of_each_limb() {
+        for format in KeypointFormat::ALL {
+            let points = fitted_points(format);
+            for keypoint in [Keypoint::LWrist, Keypoint::RWrist, Keypoint::LAnkle, Keypoint::RAnkle]
+            {
+                assert!(points.iter().any(|p| p.keypoint == keypoint), "{}", format.name());
+            }
+        }
+    }
+
+    #[test]
+    fn left_and_right_mirror_each_other() {
+        for (l, r) in [(Keypoint::LHip, Keypoint::RHip), (Keypoint::LBigToe, Keypoint::RBigToe)] {
+            let (l, r) = (Attachment::of(l), Attachment::of(r));
+            let (a, b) = (l.offset(&Shape::default()), r.offset(&Shape::default()));
+            assert_eq!(l.joint.mirrored(), r.joint);
+            assert_eq!((-a.x, a.y, a.z), (b.x, b.y, b.z));
+        }
+    }
+}

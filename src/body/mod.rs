@@ -1,0 +1,14 @@
+//! The body: a skeleton with shape, its forward kinematics, and where detectors' points sit on it.
+//!
+//! Rest pose: T-pose, y up, +z forward, +x the subject's left, metres.
+
+pub mod bvh;
+mod forward;
+mod joints;
+mod keypoints;
+mod skeleton;
+
+pub use forward::{Posture, Tangents, forward, push_forward};
+pub use joints::{BODY_JOINTS, JOINTS, Joint};
+pub use keypoints::{Attachment, BodyPoint, fitted_points};
+pub use skeleton::{SHAPE_COEFFICIENTS, Shape, ShapeCoefficient, Skeleton};

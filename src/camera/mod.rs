@@ -1,0 +1,1 @@
+//! Cameras: projection, distortion, rigs, triangulation.

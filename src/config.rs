@@ -1,0 +1,1 @@
+//! The configuration file: every module's `Config` in one tree.

@@ -1,0 +1,1 @@
+//! The window problem: reprojection, robust loss, prior.

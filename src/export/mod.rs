@@ -1,0 +1,1 @@
+//! Poses for other tools, and the report.

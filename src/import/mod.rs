@@ -1,0 +1,1 @@
+//! Detections and calibrations of other tools.

@@ -1,0 +1,3 @@
+//! The `bundlemocap` command.
+
+fn main() {}

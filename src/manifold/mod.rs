@@ -1,0 +1,1 @@
+//! The pose manifold: decoder, weights, interpolation.

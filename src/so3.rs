@@ -1,0 +1,143 @@
+//! Rotations: exponential, logarithm, their Jacobians, and spherical interpolation.
+//!
+//! A rotation is a `Matrix3`. A tangent is a rotation vector in radians. "Right" tangents are
+//! expressed in the rotated (body) frame, R exp(d); "left" ones in the outer frame, exp(d) R.
+//! Formulas: \[Sola 2018\], eq. 143 to 146.
+
+use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
+
+/// Below this angle (radians) series replace the closed forms.
+const SMALL_ANGLE: f64 = 1e-5;
+
+/// The matrix \[v\]x with \[v\]x w = v x w.
+pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
+    v.cross_matrix()
+}
+
+/// Rodrigues' formula: the rotation by |v| radians about v.
+pub fn exp(v: &Vector3<f64>) -> Matrix3<f64> {
+    Rotation3::new(*v).into_inner()
+}
+
+/// The rotation vector of R, of length at most pi. At exactly pi one of the two is returned.
+pub fn log(r: &Matrix3<f64>) -> Vector3<f64> {
+    quaternion(r).scaled_axis()
+}
+
+/// The unit quaternion of R, with a real part that is not negative.
+pub fn quaternion(r: &Matrix3<f64>) -> UnitQuaternion<f64> {
+    let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*r));
+    if q.w < 0.0 { UnitQuaternion::new_unchecked(-q.into_inner()) } else { q }
+}
+
+/// The rotation of a quaternion x, y, z, w, which is normalised; `None` if its length is zero
+/// or not finite.
+pub fn rotation_from_xyzw(xyzw: [f64; 4]) -> Option<Matrix3<f64>> {
+    let [x, y, z, w] = xyzw;
+    UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-12)
+        .filter(|q| q.coords.iter().all(|c| c.is_finite()))
+        .map(|q| q.to_rotation_matrix().into_inner())
+}
+
+/// The quaternion of R as x, y, z, w with w >= 0.
+pub fn xyzw_from_rotation(r: &Matrix3<f64>) -> [f64; 4] {
+    let q = quaternion(r);
+    [q.i, q.j, q.k, q.w]
+}
+
+/// Whether R is a rotation to within `tolerance` in each entry of R^T R, and right-handed.
+pub fn is_rotation(r: &Matrix3<f64>, tolerance: f64) -> bool {
+    (r.transpose() * r - Matrix3::identity()).amax() <= tolerance && r.determinant() > 0.0
+}
+
+/// The left Jacobian: exp(v + d) = exp(Jl(v) d) exp(v) to first order in d. 3x3.
+pub fn left_jacobian(v: &Vector3<f64>) -> Matrix3<f64> {
+    let angle = v.norm();
+    let v_hat = hat(v);
+    if angle < SMALL_ANGLE {
+        return Matrix3::identity() + v_hat * 0.5;
+    }
+    let a2 = angle * angle;
+    Matrix3::identity()
+        + v_hat * ((1.0 - angle.cos()) / a2)
+        + v_hat * v_hat * ((angle - angle.sin()) / (a2 * angle))
+}
+
+/// The right Jacobian: exp(v + d) = exp(v) exp(Jr(v) d) to first order in d. 3x3.
+pub fn right_jacobian(v: &Vector3<f64>) -> Matrix3<f64> {
+    left_jacobian(&-v)
+}
+
+/// The inverse of [`right_jacobian`]: log(exp(v) exp(d)) = v + Jr^-1(v) d. 3x3.
+/// Singular at |v| = 2 pi, which a logarithm never reaches.
+pub fn right_jacobian_inverse(v: &Vector3<f64>) -> Matrix3<f64> {
+    let angle = v.norm();
+    let v_hat = hat(v);
+    if angle < SMALL_ANGLE {
+        return Matrix3::identity() + v_hat * 0.5;
+    }
+    let half = 0.5 * angle;
+    let second = (1.0 - half * half.cos() / half.sin()) / (angle * angle);
+    Matrix3::identity() + v_hat * 0.5 + v_hat * v_hat * second
+}
+
+/// The shortest path from `a` (s = 0) to `b` (s = 1): a exp(s log(a^T b)).
+pub fn slerp(a: &Matrix3<f64>, b: &Matrix3<f64>, s: f64) -> Matrix3<f64> {
+    a * exp(&(log(&(a.transpose() * b)) * s))
+}
+
+/// How [`slerp`] turns when `b` turns: w_t = J w_b, both left (outer-frame) tangents. 3x3.
+pub fn slerp_jacobian(a: &Matrix3<f64>, b: &Matrix3<f64>, s: f64) -> Matrix3<f64> {
+    let relative = log(&(a.transpose() * b));
+    let at = a * exp(&(relative * s));
+    at * right_jacobian(&(relative * s)) * right_jacobian_inverse(&relative) * b.transpose() * s
+}
+
+/// The angle between two rotations, radians in \[0, pi\].
+pub fn angle_between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
+    log(&(a.transpose() * b)).norm()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample() -> [Vector3<f64>; 5] {
+        [
+            Vector3::new(0.3, -0.7, 1.1),
+            Vector3::new(1e-7, 2e-7, -1e-7),
+            Vector3::new(0.0, 0.0, 0.0),
+            Vector3::new(2.0, 2.0, 1.2),
+            Vector3::new(0.0, std::f64::consts::PI - 1e-6, 0.0),
+        ]
+    }
+
+    #[test]
+    fn logarithm_inverts_exponential_up_to_pi() {
+        for v in sample() {
+            assert!((log(&exp(&v)) - v).norm() < 1e-7, "{v}");
+        }
+        let half_turn = exp(&Vector3::new(0.0, std::f64::consts::PI, 0.0));
+        assert!((exp(&log(&half_turn)) - half_turn).amax() < 1e-9);
+    }
+
+    #[test]
+    fn slerp_meets_both_ends_and_halves_the_angle() {
+        let (a, b) = (exp(&sample()[0]), exp(&sample()[3]));
+        assert!((slerp(&a, &b, 0.0) - a).amax() < 1e-12);
+        assert!((slerp(&a, &b, 1.0) - b).amax() < 1e-9);
+        let middle = slerp(&a, &b, 0.5);
+        assert!((angle_between(&a, &middle) - angle_between(&middle, &b)).abs() < 1e-9);
+    }
+
+    #[test]
+    fn quaternions_round_trip() {
+        for v in sample() {
+            let r = exp(&v);
+            let back = rotation_from_xyzw(xyzw_from_rotation(&r)).unwrap();
+            assert!((back - r).amax() < 1e-12);
+        }
+        assert!(rotation_from_xyzw([0.0; 4]).is_none());
+        assert!(rotation_from_xyzw([f64::NAN, 0.0, 0.0, 1.0]).is_none());
+    }
+}

@@ -1,0 +1,1 @@
+//! The sans-IO machine: window assembly, acquisition, tracking.

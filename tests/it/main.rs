@@ -1,0 +1,15 @@
+//! Integration tests, one binary.
+
+mod camera;
+mod cli;
+mod export;
+mod import;
+mod jacobians;
+mod layers;
+mod manifold;
+mod messages;
+mod recording;
+mod solve;
+mod synth;
+mod track;
+mod train;
