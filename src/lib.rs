@@ -7,8 +7,8 @@
 //! |---|---|---|
 //! | 0 | [`time`], [`so3`], [`detect`] | time stamps, rotations, what a 2D detector says |
 //! | 1 | [`body`], [`camera`], [`solve`] | skeleton and keypoints; cameras and triangulation; optimisers that know no bodies |
-//! | 2 | [`manifold`], [`msg`] | pose decoder and interpolation; wire types |
-//! | 3 | [`cost`] | the window problem: reprojection, robust loss, prior |
+//! | 2 | [`manifold`] | pose decoder, weights, interpolation |
+//! | 3 | [`cost`], [`msg`] | the window problem: reprojection, robust loss, prior; wire types |
 //! | 4 | [`track`] | the sans-IO machine: window assembly, acquisition, tracking |
 //! | 5 | [`bus`], [`record`], [`import`], [`export`], [`train`], [`synth`], [`eval`] | the edges |
 //! | 6 | [`config`], [`cli`] | composition |

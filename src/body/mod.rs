@@ -6,9 +6,11 @@ pub mod bvh;
 mod forward;
 mod joints;
 mod keypoints;
+mod pose;
 mod skeleton;
 
 pub use forward::{Posture, Tangents, forward, push_forward};
 pub use joints::{BODY_JOINTS, JOINTS, Joint};
 pub use keypoints::{Attachment, BodyPoint, fitted_points};
+pub use pose::{Pose, StampedPose, TrackingState};
 pub use skeleton::{SHAPE_COEFFICIENTS, Shape, ShapeCoefficient, Skeleton};
