@@ -1,5 +1,7 @@
 //! Lens distortion in normalised coordinates.
 
+use std::f64::consts::TAU;
+
 use nalgebra::{Matrix2, Vector2};
 
 use super::CameraError;
@@ -8,6 +10,8 @@ use super::CameraError;
 const SCAN_RADIUS: f64 = 10.0;
 /// Steps of the scan for the first fold.
 const SCAN_STEPS: usize = 2000;
+/// Directions looked at in each step (tangential distortion is not the same in all).
+const SCAN_DIRECTIONS: usize = 16;
 /// Undistortion stops below this step, normalised units (1e-9 pixels at most).
 const TOLERANCE: f64 = 1e-13;
 /// Undistortion fails above this error, normalised units.
@@ -78,8 +82,9 @@ impl Lens {
         *self == Self::IDEAL
     }
 
-    /// The normalised radius up to which the radial part grows with the radius, so that the
-    /// model is one-to-one; infinite if it does not fold within 84 degrees of the axis.
+    /// The normalised radius up to which the model is one-to-one: its radial part grows with the
+    /// radius, and the determinant of its Jacobian is positive in every direction looked at.
+    /// Infinite if it does not fold within 84 degrees of the axis.
     pub fn limit(&self) -> f64 {
         let step = SCAN_RADIUS / SCAN_STEPS as f64;
         let fold = (1..=SCAN_STEPS).find(|&i| !self.grows_at(i as f64 * step));
@@ -92,13 +97,21 @@ impl Lens {
         good
     }
 
-    /// Whether the radial part is positive and increasing at radius `r`.
+    /// Whether the radial part is positive and increasing, and nothing is mirrored, at radius `r`.
     fn grows_at(&self, r: f64) -> bool {
         match self {
             Self::BrownConrady(k) => {
                 let (g, by_r2) = brown_radial(k, r * r);
                 let below = 1.0 + r * r * (k[5] + r * r * (k[6] + r * r * k[7]));
-                below > 0.0 && g > 0.0 && g + 2.0 * r * r * by_r2 > 0.0
+                let upright = |i: usize| {
+                    let (sin, cos) = (i as f64 * TAU / SCAN_DIRECTIONS as f64).sin_cos();
+                    self.distort_with_jacobian(&Vector2::new(r * cos, r * sin)).1.determinant()
+                        > 0.0
+                };
+                below > 0.0
+                    && g > 0.0
+                    && g + 2.0 * r * r * by_r2 > 0.0
+                    && (0..SCAN_DIRECTIONS).all(upright)
             }
             Self::Fisheye(k) => fisheye_angle(k, r.atan()).1 > 0.0,
         }
