@@ -1,0 +1,1 @@
+//! `Rig` to and from [`crate::camera::Rig`].
