@@ -1,3 +1,7 @@
 //! The `bundlemocap` command.
 
-fn main() {}
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    bundlemocap::cli::main()
+}

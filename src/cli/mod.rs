@@ -1,1 +1,81 @@
 //! The command line, one file a subcommand.
+//!
+//! Results go to standard output, progress and warnings to standard error. A failure is one line
+//! on standard error, `error: ...`, and an exit code of its own (see `--help`).
+
+mod completions;
+mod export;
+mod failure;
+mod figures;
+mod hold_out;
+mod import;
+mod info;
+mod input;
+mod output;
+mod reference;
+mod run;
+mod solve;
+mod synth;
+mod terminal;
+mod train;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use failure::{EXIT_CODES, Exit, Failure};
+
+/// Smooth 3D poses from the 2D keypoints of calibrated cameras.
+#[derive(Debug, Parser)]
+#[command(name = "bundlemocap", version, after_help = EXIT_CODES, max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Solve(solve::Arguments),
+    Import(import::Arguments),
+    Info(info::Arguments),
+    Synth(synth::Arguments),
+    Train(train::Arguments),
+    Export(export::Arguments),
+    Completions(completions::Arguments),
+}
+
+/// Parses the arguments of the process, runs the command, and says how it went.
+pub fn main() -> ExitCode {
+    let result = match Arguments::parse().command {
+        Command::Solve(arguments) => solve::run(&arguments),
+        Command::Import(arguments) => import::run(&arguments),
+        Command::Info(arguments) => info::run(&arguments),
+        Command::Synth(arguments) => synth::run(&arguments),
+        Command::Train(arguments) => train::run(&arguments),
+        Command::Export(arguments) => export::run(&arguments),
+        Command::Completions(arguments) => completions::run(&arguments),
+    };
+    let exit = result.unwrap_or_else(|failure: Failure| {
+        terminal::complain("error", &failure.line());
+        failure.exit
+    });
+    ExitCode::from(exit as u8)
+}
+
+/// How a command ends when it does not fail.
+type Ended = Result<Exit, Failure>;
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_arguments_are_sound_and_every_command_has_examples() {
+        let command = super::Arguments::command();
+        command.clone().debug_assert();
+        for command in command.get_subcommands() {
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            assert!(help.contains("Example"), "{}", command.get_name());
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! How a command ends: exit codes, and the one line that explains a failure.
+
+use std::path::Path;
+
+use crate::camera::CameraError;
+use crate::config::ConfigError;
+use crate::eval::TrcError;
+use crate::manifold::WeightsError;
+use crate::record::RecordError;
+
+/// Exit codes. The numbers are part of the interface: they are never given another meaning.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(super) enum Exit {
+    Done = 0,
+    /// Something that the user cannot have caused by input, such as a full disk.
+    Unexpected = 1,
+    /// Wrong arguments; clap uses the same number.
+    Usage = 2,
+    Unreadable = 3,
+    Malformed = 4,
+    NobodyFound = 5,
+    InPart = 6,
+    NoDetections = 7,
+    CameraMismatch = 8,
+    BadCalibration = 9,
+    KeypointFormat = 10,
+    Weights = 11,
+    NotOurs = 12,
+}
+
+/// The codes as shown in `--help`.
+pub(super) const EXIT_CODES: &str = "\
+Exit codes:
+   0  done
+   1  unexpected: the output cannot be written, or a fault of this program
+   2  wrong arguments
+   3  an input is missing or cannot be read
+   4  an input is malformed
+   5  nobody was found: no performer seen by two cameras
+   6  done in part: lost windows, or a damaged recording
+   7  a folder without detections
+   8  a camera without calibration, or a calibration without camera
+   9  a calibration that cannot be used
+  10  an unknown keypoint format, or one that does not fit the data
+  11  weights of another shape or version
+  12  a recording without our channels";
+
+/// Why a command failed.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Failure {
+    pub(super) exit: Exit,
+    pub(super) message: String,
+}
+
+impl Failure {
+    pub(super) fn new(exit: Exit, message: impl Into<String>) -> Self {
+        Self { exit, message: message.into() }
+    }
+
+    /// A file that cannot be written.
+    pub(super) fn write(path: &Path, source: &std::io::Error) -> Self {
+        let path = path.display();
+        let fix = "check that the folder exists, is writable and has room";
+        Self::new(Exit::Unexpected, format!("cannot write {path}: {source}; {fix}"))
+    }
+
+    /// Weights that cannot be used.
+    pub(super) fn weights(path: &Path, source: &WeightsError) -> Self {
+        Self::new(Exit::Weights, format!("{}: {source}", path.display()))
+    }
+
+    /// The message in one line.
+    pub(super) fn line(&self) -> String {
+        self.message.split('\n').map(str::trim).filter(|s| !s.is_empty()).collect::<Vec<_>>().join(" ")
+    }
+}
+
+impl From<RecordError> for Failure {
+    fn from(error: RecordError) -> Self {
+        let exit = match &error {
+            RecordError::Read { .. } => Exit::Unreadable,
+            RecordError::NotMcap { .. } => Exit::Malformed,
+            RecordError::NoChannels { .. } => Exit::NotOurs,
+            RecordError::BeforeEpoch { .. } => Exit::Malformed,
+            RecordError::Write { .. } => Exit::Unexpected,
+        };
+        let fix = if exit == Exit::Unreadable { "; check the path and its permissions" } else { "" };
+        Self::new(exit, format!("{error}{fix}"))
+    }
+}
+
+impl From<ConfigError> for Failure {
+    fn from(error: ConfigError) -> Self {
+        let exit = match &error {
+            ConfigError::Unreadable { .. } => Exit::Unreadable,
+            ConfigError::Malformed { .. } | ConfigError::OutOfRange { .. } => Exit::Malformed,
+        };
+        Self::new(exit, error.to_string())
+    }
+}
+
+impl From<CameraError> for Failure {
+    fn from(error: CameraError) -> Self {
+        Self::new(Exit::BadCalibration, error.to_string())
+    }
+}
+
+impl From<TrcError> for Failure {
+    fn from(error: TrcError) -> Self {
+        match &error {
+            TrcError::Unreadable { .. } => {
+                Self::new(Exit::Unreadable, format!("{error}; check the path"))
+            }
+            _ => Self::new(Exit::Malformed, error.to_string()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn help_lists_every_code() {
+        for code in 0..=Exit::NotOurs as u8 {
+            assert!(EXIT_CODES.contains(&format!("\n  {code:>2}  ")), "{code}");
+        }
+    }
+
+    #[test]
+    fn messages_become_one_line() {
+        assert_eq!(Failure::new(Exit::Usage, "a\n  b\n\nc").line(), "a b c");
+    }
+}

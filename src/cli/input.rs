@@ -1,0 +1,191 @@
+//! A recording that is to be solved: its cameras, its rate of progress, its detections.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::failure::{Exit, Failure};
+use crate::body::{Posture, Skeleton};
+use crate::camera::{Camera, Rig};
+use crate::detect::Detections;
+use crate::record::{Message, Reader, Report, summary};
+use crate::time::Timestamp;
+
+/// A recording with keypoints and a rig that fit each other.
+pub(super) struct Recording {
+    pub(super) path: PathBuf,
+    /// All cameras of the recording.
+    pub(super) rig: Arc<Rig>,
+    /// Messages in it, as far as its index tells.
+    pub(super) messages: u64,
+    /// Name of the keypoint format.
+    pub(super) format: String,
+}
+
+/// What a message of a recording means here.
+pub(super) enum Item {
+    /// What a camera saw; the index is that of the camera in the chosen rig.
+    Detections(Detections),
+    /// The true posture at a time.
+    Truth(Timestamp, Box<Posture>),
+}
+
+impl Recording {
+    /// Opens a recording and checks that its cameras fit its rig.
+    pub(super) fn open(path: &Path) -> Result<Self, Failure> {
+        let info = summary(path)?;
+        if info.cameras.is_empty() {
+            let fix = "give a recording from `bundlemocap import` or `bundlemocap synth`";
+            return Err(Failure::new(
+                Exit::NotOurs,
+                format!("{} holds no keypoints; {fix}", path.display()),
+            ));
+        }
+        let rig = Arc::new(first_rig(path)?);
+        let messages = info.topics.values().map(|topic| topic.count).sum();
+        let format = info.cameras.values().map(|camera| camera.format.clone()).next();
+        let format = format.unwrap_or_default();
+        let recording = Self { path: path.to_owned(), rig, messages, format };
+        recording.check_cameras(&info.cameras.into_keys().collect())?;
+        Ok(recording)
+    }
+
+    /// Every camera with keypoints must be in the rig.
+    fn check_cameras(&self, seen: &BTreeSet<String>) -> Result<(), Failure> {
+        let missing: Vec<&str> =
+            seen.iter().filter(|name| self.rig.index_of(name).is_none()).map(String::as_str).collect();
+        if missing.is_empty() {
+            return Ok(());
+        }
+        let message = format!(
+            "{}: no calibration for camera {}; add it to the calibration and import again",
+            self.path.display(),
+            missing.join(", ")
+        );
+        Err(Failure::new(Exit::CameraMismatch, message))
+    }
+
+    /// The name in the rig of the camera that the user means: the same name, else the only one
+    /// that differs in case, in `_`, `-` or blanks, or in leading zeros alone.
+    pub(super) fn camera(&self, name: &str) -> Result<&Camera, Failure> {
+        let cameras = &self.rig.cameras;
+        let alike = || cameras.iter().filter(|camera| plain(&camera.name) == plain(name));
+        let found = cameras.iter().find(|camera| camera.name == name).or_else(|| {
+            let mut alike = alike();
+            alike.next().filter(|_| alike.next().is_none())
+        });
+        found.ok_or_else(|| {
+            let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
+            let message = format!(
+                "{} has no camera {name:?}; it has {}",
+                self.path.display(),
+                names.join(", ")
+            );
+            Failure::new(Exit::CameraMismatch, message)
+        })
+    }
+
+    /// The rig of `only` those cameras (all if empty) but the one held out.
+    pub(super) fn chosen(
+        &self,
+        only: &[String],
+        held_out: Option<&Camera>,
+    ) -> Result<Rig, Failure> {
+        let mut wanted = Vec::new();
+        for name in only {
+            wanted.push(self.camera(name)?.name.as_str());
+        }
+        let chosen = self.rig.cameras.iter().filter(|camera| {
+            (wanted.is_empty() || wanted.contains(&camera.name.as_str()))
+                && held_out.is_none_or(|held_out| held_out.name != camera.name)
+        });
+        Rig::new(self.rig.version, chosen.cloned().collect()).map_err(|error| {
+            let message = format!("{}: {error}", self.path.display());
+            Failure::new(Exit::BadCalibration, message)
+        })
+    }
+
+    /// Streams the recording: every detection of a camera of `rig`, and the truth if there is
+    /// some. Says what was lost of the file.
+    pub(super) fn stream(
+        &self,
+        rig: &Rig,
+        mut each_message: impl FnMut(),
+        mut take: impl FnMut(Item) -> Result<(), Failure>,
+    ) -> Result<Report, Failure> {
+        let mut reader = Reader::open(&self.path)?;
+        let mut true_body = Skeleton::default();
+        while let Some(entry) = reader.next() {
+            let entry = entry?;
+            each_message();
+            match entry.message {
+                Message::Keypoints(frame) => {
+                    let Some(camera) = rig.index_of(&frame.camera) else { continue };
+                    match frame.to_core(|_| Some(camera)) {
+                        Ok(detections) => take(Item::Detections(detections))?,
+                        Err(error) => reader.reject(&entry.topic, &error),
+                    }
+                }
+                Message::TruthSkeleton(skeleton) => match skeleton.to_core() {
+                    Ok(skeleton) => true_body = skeleton,
+                    Err(error) => reader.reject(&entry.topic, &error),
+                },
+                Message::TruthPose(pose) => match pose.to_core() {
+                    Ok(pose) => {
+                        let posture = Box::new(pose.pose.posture(&true_body));
+                        take(Item::Truth(pose.capture, posture))?;
+                    }
+                    Err(error) => reader.reject(&entry.topic, &error),
+                },
+                _ => {}
+            }
+        }
+        Ok(reader.report().clone())
+    }
+}
+
+/// The first rig of a recording. It need not come before the first keypoints.
+fn first_rig(path: &Path) -> Result<Rig, Failure> {
+    for entry in Reader::open(path)? {
+        if let Message::Rig(rig) = entry?.message {
+            return rig.to_core().map_err(|error| {
+                let message = format!("{}: {error}; import it again", path.display());
+                Failure::new(Exit::BadCalibration, message)
+            });
+        }
+    }
+    let fix = "import it again with --calibration";
+    Err(Failure::new(Exit::NotOurs, format!("{} holds no calibrated rig; {fix}", path.display())))
+}
+
+/// A name without what differs between tools: case, separators, leading zeros of numbers.
+fn plain(name: &str) -> String {
+    let mut plain = String::new();
+    let mut digits = String::new();
+    for c in name.chars().chain(['\0']) {
+        if c.is_ascii_digit() {
+            digits.push(c);
+            continue;
+        }
+        if !digits.is_empty() {
+            let number = digits.trim_start_matches('0');
+            plain.push_str(if number.is_empty() { "0" } else { number });
+            digits.clear();
+        }
+        plain.extend(c.to_lowercase().filter(|c| c.is_alphanumeric()));
+    }
+    plain
+}
+
+#[cfg(test)]
+mod tests {
+    use super::plain;
+
+    #[test]
+    fn names_match_across_tools() {
+        assert_eq!(plain("cam01"), plain("cam_1"));
+        assert_eq!(plain("Cam 01"), plain("cam-01"));
+        assert_ne!(plain("cam01"), plain("cam10"));
+        assert_ne!(plain("cam0"), plain("cam"));
+    }
+}
