@@ -1,0 +1,169 @@
+//! `bundlemocap import`
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+
+use super::Ended;
+use super::failure::{Exit, Failure};
+use super::terminal::{progress, say, table};
+use crate::camera::Rig;
+use crate::import::{
+    CameraReport, ImportError, MatchedBy, OpenposeFolder, Up, keypoint_format, read_calibration,
+};
+use crate::msg::Topics;
+use crate::record::{Provenance, Writer};
+use crate::time::Timestamp;
+
+/// Turn other tools' detections and calibration into a recording.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  bundlemocap import openpose demo/pose --calibration demo/Calib_qualisys.toml \\
+      --fps 60 --format body_25b --out demo.mcap")]
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    source: Source,
+}
+
+#[derive(Debug, Subcommand)]
+enum Source {
+    Openpose(Openpose),
+}
+
+/// A folder with one subfolder of OpenPose JSON files per camera.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Capture time is the frame number in the file name over --fps. Subfolders are matched to calibrated
+cameras by name, then by order; the match is printed.
+
+Example:
+  bundlemocap import openpose demo/pose --calibration demo/Calib_qualisys.toml \\
+      --fps 60 --format body_25b --out demo.mcap")]
+struct Openpose {
+    /// The folder of folders.
+    folder: PathBuf,
+    /// Pose2Sim or aniposelib TOML, or Qualisys .qca.txt.
+    #[arg(long)]
+    calibration: PathBuf,
+    /// Frames a second of the cameras.
+    #[arg(long)]
+    fps: f64,
+    /// Keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133.
+    #[arg(long)]
+    format: String,
+    /// The recording to write.
+    #[arg(long)]
+    out: PathBuf,
+    /// The axis of the calibration's world that points up: y or z.
+    #[arg(long, default_value = "z", value_parser = up)]
+    up: Up,
+}
+
+fn up(name: &str) -> Result<Up, String> {
+    Up::from_name(name).ok_or_else(|| "use y or z".to_owned())
+}
+
+impl From<ImportError> for Failure {
+    fn from(error: ImportError) -> Self {
+        use ImportError as E;
+        let exit = match &error {
+            E::Read { .. } => Exit::Unreadable,
+            E::Camera { .. } => Exit::BadCalibration,
+            E::NoCameraFolders { .. } | E::EmptyCameraFolder { .. } => Exit::NoDetections,
+            E::CameraWithoutCalibration { .. } | E::CalibrationWithoutCamera { .. } => {
+                Exit::CameraMismatch
+            }
+            E::PointCount { .. } | E::UnknownFormat { .. } => Exit::KeypointFormat,
+            E::FrameRate { .. } => Exit::Usage,
+            _ => Exit::Malformed,
+        };
+        Self::new(exit, error.to_string())
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    match &arguments.source {
+        Source::Openpose(openpose) => run_openpose(openpose),
+    }
+}
+
+fn run_openpose(arguments: &Openpose) -> Ended {
+    let format = keypoint_format(&arguments.format)?;
+    let rig = read_calibration(&arguments.calibration, arguments.up)?;
+    let mut folder = OpenposeFolder::open(&arguments.folder, &rig, arguments.fps, format)?;
+    say(&table(&matches(&folder, &rig)));
+
+    let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance(arguments))?;
+    let bar = progress(folder.file_count(), "files");
+    let mut has_rig = false;
+    while let Some(detections) = folder.next() {
+        let detections = detections?;
+        if !has_rig {
+            writer.rig(&rig, detections.capture)?;
+            has_rig = true;
+        }
+        let camera = &rig.cameras[detections.camera];
+        writer.keypoints(&detections, &camera.name, [camera.width, camera.height])?;
+        bar.inc(1);
+    }
+    if !has_rig {
+        writer.rig(&rig, Timestamp::default())?;
+    }
+    writer.finish()?;
+    bar.finish_and_clear();
+    for (camera, report) in rig.cameras.iter().zip(folder.reports()) {
+        say(&format!("{}: {}", camera.name, found(report)));
+    }
+    if folder.frame_counts_differ() {
+        say("the cameras have different numbers of frames; missing ones are bridged");
+    }
+    say(&format!("{}: {} files", arguments.out.display(), folder.file_count()));
+    Ok(Exit::Done)
+}
+
+fn matches(folder: &OpenposeFolder, rig: &Rig) -> Vec<(String, String)> {
+    let rows = folder.matches().iter().map(|pair| {
+        let name = pair.folder.file_name().unwrap_or_default().to_string_lossy();
+        let by = match pair.by {
+            MatchedBy::Name => "by name",
+            MatchedBy::Order => "by order",
+        };
+        (name.into_owned(), format!("-> {} ({by})", rig.cameras[pair.camera].name))
+    });
+    rows.collect()
+}
+
+/// What was found, and what was tolerated.
+fn found(report: &CameraReport) -> String {
+    let mut text = format!(
+        "{} files, frames {} to {}, {} people, {} points",
+        report.files, report.first_frame, report.last_frame, report.people, report.points
+    );
+    let oddities = [
+        (report.gaps, "frame numbers without a file"),
+        (report.empty_files, "empty files"),
+        (report.frames_without_people, "frames without people"),
+        (report.people_without_points, "people without points left out"),
+        (report.non_finite_points, "points without a number left out"),
+        (report.clamped_confidences, "confidences above 1 set to 1"),
+    ];
+    for (count, what) in oddities.into_iter().filter(|(count, _)| *count > 0) {
+        text += &format!("; {count} {what}");
+    }
+    text
+}
+
+/// Where the recording comes from, without folders that say where somebody keeps files.
+fn provenance(arguments: &Openpose) -> Provenance {
+    let last = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let command = format!(
+        "bundlemocap import openpose {} --calibration {} --fps {} --format {}",
+        last(&arguments.folder),
+        last(&arguments.calibration),
+        arguments.fps,
+        arguments.format
+    );
+    Provenance { more: BTreeMap::from([("command".to_owned(), command)]), ..Provenance::default() }
+}

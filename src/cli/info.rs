@@ -1,0 +1,88 @@
+//! `bundlemocap info`
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde_json::{Value, json};
+
+use super::Ended;
+use super::failure::{Exit, Failure};
+use super::figures::losses;
+use super::terminal::{say, table};
+use crate::record::{Info, METADATA, scan, summary};
+
+/// Show what a recording holds.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bundlemocap info balancing.mcap
+  bundlemocap info balancing.mcap --check       read all of it, and say where it is damaged
+  bundlemocap info out/poses.mcap --json")]
+pub(super) struct Arguments {
+    /// An MCAP recording of ours.
+    file: PathBuf,
+    /// Read the whole file, not the index at its end alone.
+    #[arg(long)]
+    check: bool,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let info = if arguments.check { scan(&arguments.file) } else { summary(&arguments.file) }?;
+    if arguments.json {
+        let text = serde_json::to_string_pretty(&object(&info));
+        say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
+    } else {
+        say(&table(&rows(&info)));
+    }
+    Ok(if info.report.is_clean() { Exit::Done } else { Exit::InPart })
+}
+
+fn rows(info: &Info) -> Vec<(String, String)> {
+    let mut rows = Vec::new();
+    let mut row = |name: String, value: String| rows.push((name, value));
+    row("length".into(), format!("{:.3} s", info.seconds()));
+    row("size".into(), format!("{} bytes", info.bytes));
+    let cameras = if info.rig.is_empty() { "none".to_owned() } else { info.rig.join(", ") };
+    row("calibrated cameras".into(), cameras);
+    for (name, camera) in &info.cameras {
+        let [width, height] = camera.image_size;
+        row(format!("camera {name}"), format!("{}, {width} x {height}", camera.format));
+    }
+    for (topic, held) in &info.topics {
+        let rate = held.rate.map_or_else(String::new, |rate| format!(", {rate:.1} a second"));
+        row(topic.clone(), format!("{} x {}{rate}", held.count, held.schema));
+    }
+    for (key, value) in info.metadata.get(METADATA).into_iter().flatten() {
+        if key != "config" && !value.is_empty() {
+            row(key.clone(), value.clone());
+        }
+    }
+    for lost in losses(&info.report) {
+        row("damage".into(), lost);
+    }
+    rows
+}
+
+fn object(info: &Info) -> Value {
+    let topics = info.topics.iter().map(|(topic, held)| {
+        let value = json!({ "schema": held.schema, "count": held.count, "rate_hz": held.rate });
+        (topic.clone(), value)
+    });
+    let cameras = info.cameras.iter().map(|(name, camera)| {
+        let value = json!({ "format": camera.format, "image_size": camera.image_size });
+        (name.clone(), value)
+    });
+    json!({
+        "seconds": info.seconds(),
+        "bytes": info.bytes,
+        "rig": info.rig,
+        "cameras": cameras.collect::<serde_json::Map<_, _>>(),
+        "topics": topics.collect::<serde_json::Map<_, _>>(),
+        "metadata": info.metadata.get(METADATA),
+        "damage": losses(&info.report),
+        "checked": info.scanned,
+    })
+}

@@ -1,0 +1,151 @@
+//! `bundlemocap synth`
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use super::Ended;
+use super::failure::{Exit, Failure};
+use super::terminal::{progress, say};
+use crate::body::{Shape, Skeleton};
+use crate::import::keypoint_format;
+use crate::msg::Topics;
+use crate::record::{Provenance, Writer};
+use crate::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+
+/// Radius of the ring on which the cameras stand, and their height, metres.
+const RING: [f64; 2] = [4.0, 1.6];
+
+/// Make a synthetic recording with a known truth.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bundlemocap synth --out walk.mcap
+  bundlemocap synth --out long.mcap --seconds 60 --fps 120 --cameras 6 --seed 7
+  bundlemocap synth --out exact.mcap --noise none --format halpe_26")]
+pub(super) struct Arguments {
+    /// The recording to write.
+    #[arg(long)]
+    out: PathBuf,
+    /// Length, seconds.
+    #[arg(long, default_value_t = 4.0)]
+    seconds: f64,
+    /// Frames a second of every camera.
+    #[arg(long, default_value_t = 60.0)]
+    fps: f64,
+    /// How many cameras stand around the performer, 2 to 64.
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=64))]
+    cameras: u8,
+    /// Of all that is random.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// How the detectors err.
+    #[arg(long, value_enum, default_value_t = NoiseName::Studio)]
+    noise: NoiseName,
+    /// Keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133.
+    #[arg(long, default_value = "body_25")]
+    format: String,
+    /// Share of a frame over which the cameras' shutters are spread; 0 is genlock.
+    #[arg(long, default_value_t = 0.0)]
+    stagger: f64,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum NoiseName {
+    /// Exact projections.
+    None,
+    /// Jitter alone.
+    Jitter,
+    /// As detectors err in a studio: jitter, gaps, outliers, swapped sides, bystanders.
+    Studio,
+}
+
+impl NoiseName {
+    fn noise(self) -> Noise {
+        match self {
+            Self::None => Noise::none(),
+            Self::Jitter => Noise::jitter_only(),
+            Self::Studio => Noise::default(),
+        }
+    }
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Jitter => "jitter",
+            Self::Studio => "studio",
+        }
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let frames = frame_count(arguments)?;
+    let format = keypoint_format(&arguments.format)?;
+    let rig = ring_rig(usize::from(arguments.cameras), RING[0], RING[1])?;
+    let skeleton = Skeleton::new(Shape::default());
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
+    recording.fps = arguments.fps;
+    recording.frames = frames;
+    recording.format = format;
+    recording.noise = arguments.noise.noise();
+    recording.stagger = arguments.stagger;
+    recording.seed = arguments.seed;
+
+    let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance(arguments))?;
+    let start = recording.start;
+    writer.rig(&recording.rig, start)?;
+    writer.truth_skeleton(&recording.skeleton, start)?;
+    let bar = progress(frames, "frames");
+    let cameras = recording.rig.cameras.len();
+    let mut truth = recording.poses();
+    for (index, detections) in recording.detections().enumerate() {
+        if index % cameras == 0
+            && let Some(pose) = truth.next()
+        {
+            writer.truth_pose(&pose, &recording.skeleton)?;
+            bar.inc(1);
+        }
+        let camera = &recording.rig.cameras[detections.camera];
+        writer.keypoints(&detections, &camera.name, [camera.width, camera.height])?;
+    }
+    writer.finish()?;
+    bar.finish_and_clear();
+    say(&format!("{}: {frames} frames of {cameras} cameras", arguments.out.display()));
+    Ok(Exit::Done)
+}
+
+fn frame_count(arguments: &Arguments) -> Result<u64, Failure> {
+    let wrong = |option: &str, value: f64, allowed: &str| {
+        Failure::new(Exit::Usage, format!("{option} is {value}, but must be {allowed}"))
+    };
+    let Arguments { fps, seconds, stagger, .. } = *arguments;
+    if !(fps.is_finite() && fps > 0.0 && fps <= 10_000.0) {
+        return Err(wrong("--fps", fps, "above 0 and at most 10000"));
+    }
+    if !(0.0..1.0).contains(&stagger) {
+        return Err(wrong("--stagger", stagger, "0 or more and below 1"));
+    }
+    let frames = (seconds * fps).round();
+    if !(1.0..=1e8).contains(&frames) {
+        return Err(wrong("--seconds", seconds, "at least a frame and at most 1e8 frames"));
+    }
+    Ok(frames as u64)
+}
+
+/// The arguments, so that the recording can be made again.
+fn provenance(arguments: &Arguments) -> Provenance {
+    let command = format!(
+        "bundlemocap synth --seconds {} --fps {} --cameras {} --seed {} --noise {} --format {} \
+         --stagger {}",
+        arguments.seconds,
+        arguments.fps,
+        arguments.cameras,
+        arguments.seed,
+        arguments.noise.name(),
+        arguments.format,
+        arguments.stagger
+    );
+    Provenance { more: BTreeMap::from([("command".to_owned(), command)]), ..Provenance::default() }
+}
