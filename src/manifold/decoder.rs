@@ -98,6 +98,9 @@ impl Decoder {
     /// [`Jacobians::local_tangents`].
     pub fn tangents(&self, work: &mut Jacobians) {
         let columns = work.batch * LATENT;
+        if columns == 0 {
+            return;
+        }
         for (n, layer) in self.layers.iter().enumerate() {
             let out = &mut work.next_tangents[..layer.outputs * columns];
             if n == 0 {

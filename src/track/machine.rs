@@ -310,7 +310,9 @@ impl Track {
         self.hold(window.start, end);
         self.event(EventKind::NobodyFound, end, None, "no person seen by two cameras".to_owned());
         self.close(end + self.tolerance());
-        self.start = self.intake.first().map(|first| first.max(end));
+        // The grid of pose times goes on, but for a gap in the stream, which is skipped.
+        let goes_on = |first: &Timestamp| *first <= end + span;
+        self.start = self.intake.first().map(|first| if goes_on(&first) { end } else { first });
         self.window += 1;
     }
 
