@@ -175,7 +175,10 @@ mod tests {
     #[test]
     fn errors_name_file_line_and_key() {
         let unknown = parse("[track]\nwindow_frames = 10\nwindow_size = 3\n").unwrap_err();
-        assert!(unknown.contains("my.toml, line 3") && unknown.contains("window_size"), "{unknown}");
+        assert!(
+            unknown.contains("my.toml, line 3") && unknown.contains("window_size"),
+            "{unknown}"
+        );
         let kind = parse("[track]\nwindow_frames = \"ten\"\n").unwrap_err();
         assert!(kind.contains("line 2"), "{kind}");
         let zero = parse("[track]\nwindow_frames = 0\n").unwrap_err();

@@ -9,7 +9,9 @@ use super::terminal::say;
 
 /// Print a completion script for a shell.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  bundlemocap completions bash > ~/.local/share/bash-completion/completions/bundlemocap")]
+#[command(
+    after_help = "Example:\n  bundlemocap completions bash > ~/.local/share/bash-completion/completions/bundlemocap"
+)]
 pub(super) struct Arguments {
     /// Which shell.
     shell: Shell,

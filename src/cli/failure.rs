@@ -72,7 +72,12 @@ impl Failure {
 
     /// The message in one line.
     pub(super) fn line(&self) -> String {
-        self.message.split('\n').map(str::trim).filter(|s| !s.is_empty()).collect::<Vec<_>>().join(" ")
+        self.message
+            .split('\n')
+            .map(str::trim)
+            .filter(|s| !s.is_empty())
+            .collect::<Vec<_>>()
+            .join(" ")
     }
 }
 
@@ -85,7 +90,8 @@ impl From<RecordError> for Failure {
             RecordError::BeforeEpoch { .. } => Exit::Malformed,
             RecordError::Write { .. } => Exit::Unexpected,
         };
-        let fix = if exit == Exit::Unreadable { "; check the path and its permissions" } else { "" };
+        let fix =
+            if exit == Exit::Unreadable { "; check the path and its permissions" } else { "" };
         Self::new(exit, format!("{error}{fix}"))
     }
 }

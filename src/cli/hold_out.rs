@@ -154,7 +154,8 @@ mod tests {
     #[test]
     fn poses_are_interpolated_between_tracked_ones_only() {
         use TrackingState::{Lost, Tracking};
-        let poses = [stamped(10, 1.0, Tracking), stamped(20, 2.0, Tracking), stamped(30, 9.0, Lost)];
+        let poses =
+            [stamped(10, 1.0, Tracking), stamped(20, 2.0, Tracking), stamped(30, 9.0, Lost)];
         let x = |ns| pose_at(&poses, Timestamp::from_ns(ns)).map(|pose| pose.root_position.x);
         assert_eq!([x(9), x(10), x(15), x(20)], [None, Some(1.0), Some(1.5), Some(2.0)]);
         assert_eq!([x(25), x(30), x(31)], [None; 3]);

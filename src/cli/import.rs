@@ -92,7 +92,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 fn run_openpose(arguments: &Openpose) -> Ended {
     let format = keypoint_format(&arguments.format)?;
     let rig = read_calibration(&arguments.calibration, arguments.up)?;
-    let mut folder = OpenposeFolder::open(&arguments.folder, &rig, arguments.fps, format)?;
+    let mut folder = OpenposeFolder::open(&arguments.folder, &rig, format, arguments.fps)?;
     say(&table(&matches(&folder, &rig)));
 
     let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance(arguments))?;

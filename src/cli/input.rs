@@ -52,8 +52,11 @@ impl Recording {
 
     /// Every camera with keypoints must be in the rig.
     fn check_cameras(&self, seen: &BTreeSet<String>) -> Result<(), Failure> {
-        let missing: Vec<&str> =
-            seen.iter().filter(|name| self.rig.index_of(name).is_none()).map(String::as_str).collect();
+        let missing: Vec<&str> = seen
+            .iter()
+            .filter(|name| self.rig.index_of(name).is_none())
+            .map(String::as_str)
+            .collect();
         if missing.is_empty() {
             return Ok(());
         }

@@ -5,8 +5,8 @@ use serde::Serialize;
 
 use super::hold_out::pose_at;
 use crate::body::{Attachment, Skeleton, StampedPose};
-use crate::eval::{Trc, distance_to_reference};
 use crate::detect::Keypoint;
+use crate::eval::{Trc, distance_to_reference};
 use crate::time::Timestamp;
 
 /// When a camera took a frame of some number: the recording's clock by frame.

@@ -15,12 +15,12 @@ pub(super) const CONFIDENT: f64 = 0.3;
 
 /// A window as the report shows it.
 pub(super) struct WindowSummary {
+    pub(super) start: Timestamp,
     pub(super) end: Timestamp,
     pub(super) latent_norm: f64,
     pub(super) iterations: usize,
+    pub(super) cost: f64,
     pub(super) lost: bool,
-    pub(super) observations: usize,
-    pub(super) median_error_px: Option<f64>,
     pub(super) solve_ms: f64,
 }
 
@@ -71,21 +71,19 @@ impl Run {
     }
 
     fn keep_window(&mut self, report: &WindowReport) {
-        let confident = || report.residuals.iter().filter(|r| r.confidence > CONFIDENT);
-        let errors: Vec<f64> = confident().map(|residual| residual.error_px).collect();
         if report.lost.is_none() {
-            for residual in confident() {
+            for residual in report.residuals.iter().filter(|r| r.confidence > CONFIDENT) {
                 let error = (residual.capture, residual.error_px as f32);
                 self.errors_px[residual.camera].push(error);
             }
         }
         self.windows.push(WindowSummary {
+            start: report.start,
             end: report.end,
             latent_norm: report.latent_norm,
             iterations: report.summary.iterations,
+            cost: report.summary.final_cost,
             lost: report.lost.is_some(),
-            observations: report.residuals.len(),
-            median_error_px: crate::eval::statistics::median(&errors),
             solve_ms: self.last_solve_ms,
         });
     }

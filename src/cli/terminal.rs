@@ -43,6 +43,9 @@ mod tests {
     #[test]
     fn values_stand_in_one_column() {
         let row = |a: &str, b: &str| (a.to_owned(), b.to_owned());
-        assert_eq!(table(&[row("a", "1"), row("long", "2"), row("", "3")]), "a     1\nlong  2\n      3");
+        assert_eq!(
+            table(&[row("a", "1"), row("long", "2"), row("", "3")]),
+            "a     1\nlong  2\n      3"
+        );
     }
 }

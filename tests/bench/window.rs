@@ -24,7 +24,9 @@ struct Case {
 
 fn keyframe(step: f64) -> Keyframe {
     Keyframe {
-        z: std::array::from_fn(|i| (0.8 + 0.1 * step) * ((i + 1) as f64 * (0.7 + 0.05 * step)).sin()),
+        z: std::array::from_fn(|i| {
+            (0.8 + 0.1 * step) * ((i + 1) as f64 * (0.7 + 0.05 * step)).sin()
+        }),
         root_rotation: bundlemocap::so3::exp(&Vector3::new(0.0, 0.2 * step, 0.05 * step)),
         root_position: Vector3::new(0.2 * step, 1.0, 0.05 * step),
     }
@@ -48,7 +50,8 @@ fn case() -> Case {
                     let Some(pixel) = view.project(&world) else { continue };
                     count += 1.0;
                     let size = if (count as usize).is_multiple_of(23) { 90.0 } else { 4.0 };
-                    let pixel = pixel + Vector2::new((count * 1.3).sin(), (count * 2.1).cos()) * size;
+                    let pixel =
+                        pixel + Vector2::new((count * 1.3).sin(), (count * 2.1).cos()) * size;
                     seen.push(Observation { point, camera, pixel, confidence: 0.8 });
                 }
             }
@@ -60,8 +63,12 @@ fn case() -> Case {
 
 impl Case {
     fn problem<'a>(&'a self, work: &'a mut Workspace) -> PathProblem<'a> {
-        let scene =
-            Scene { decoder: &self.decoder, rig: &self.rig, points: &self.points, config: &self.config };
+        let scene = Scene {
+            decoder: &self.decoder,
+            rig: &self.rig,
+            points: &self.points,
+            config: &self.config,
+        };
         let knot = |frame, free| Knot {
             capture: Timestamp::of_frame(frame, 60.0),
             keyframe: self.from.clone(),

@@ -77,7 +77,13 @@ fn stream(frames: usize) -> Vec<Detections> {
                     Some(Detection { pixel, confidence: 0.9 });
             }
             let (frame_number, people) = (i as u64, vec![person]);
-            all.push(Detections { camera, frame: frame_number, capture: frame(i), format: FORMAT, people });
+            all.push(Detections {
+                camera,
+                frame: frame_number,
+                capture: frame(i),
+                format: FORMAT,
+                people,
+            });
         }
     }
     all
@@ -167,7 +173,8 @@ fn an_absence_is_flagged_and_the_performer_is_found_again() {
     let run = run(config(), frames);
     assert!(run.events[&EventKind::Lost] >= 1);
     assert_eq!(run.events[&EventKind::Acquired], 2);
-    let state = |i: usize| run.poses.iter().find(|p| (p.capture - frame(i)).abs() < 10).unwrap().state;
+    let state =
+        |i: usize| run.poses.iter().find(|p| (p.capture - frame(i)).abs() < 10).unwrap().state;
     assert_eq!(state(39), TrackingState::Tracking);
     assert_eq!(state(60), TrackingState::Lost);
     assert_eq!(state(90), TrackingState::Tracking);

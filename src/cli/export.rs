@@ -1,0 +1,95 @@
+//! `bundlemocap export`
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use clap::Args;
+
+use super::Ended;
+use super::failure::{Exit, Failure};
+use super::figures::{frame_rate, losses};
+use super::output::strip;
+use super::terminal::{complain, say};
+use crate::body::{Skeleton, StampedPose};
+use crate::export::write_bvh;
+use crate::record::{Message, Reader};
+
+/// Write the poses of a solved recording for other tools.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bundlemocap export out/poses.mcap --bvh take1.bvh
+  bundlemocap export out/poses.mcap --picture take1.svg --figures 7")]
+#[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
+pub(super) struct Arguments {
+    /// The poses.mcap of a solve.
+    file: PathBuf,
+    /// Biovision hierarchy: centimetres, y up, +z forward at rest.
+    #[arg(long, value_name = "BVH", group = "what")]
+    bvh: Option<PathBuf>,
+    /// A strip of stick figures.
+    #[arg(long, value_name = "SVG", group = "what")]
+    picture: Option<PathBuf>,
+    /// How many figures the picture shows.
+    #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..))]
+    figures: u8,
+    /// Export the true poses of a synthetic recording instead.
+    #[arg(long)]
+    truth: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let (skeleton, poses, damage) = read(arguments)?;
+    let fps = frame_rate(&poses).unwrap_or(60.0);
+    if let Some(path) = &arguments.bvh {
+        write_bvh(path, &skeleton, fps, poses.iter().map(|pose| &pose.pose))?;
+        say(&format!("{}: {} frames at {fps:.2} Hz", path.display(), poses.len()));
+    }
+    if let (Some(path), Some(first)) = (&arguments.picture, poses.first()) {
+        let postures: Vec<_> = (poses.iter())
+            .map(|pose| (pose.capture.seconds_since(first.capture), pose.pose.posture(&skeleton)))
+            .collect();
+        let svg = strip(&postures, usize::from(arguments.figures));
+        std::fs::write(path, svg).map_err(|error| Failure::write(path, &error))?;
+        say(&format!("{}: {} figures", path.display(), arguments.figures));
+    }
+    if damage.is_empty() {
+        return Ok(Exit::Done);
+    }
+    complain("warning", &format!("{}: {}", arguments.file.display(), damage.join("; ")));
+    Ok(Exit::InPart)
+}
+
+/// The body, its poses in order, and what was lost of the file.
+fn read(arguments: &Arguments) -> Result<(Arc<Skeleton>, Vec<StampedPose>, Vec<String>), Failure> {
+    let mut reader = Reader::open(&arguments.file)?;
+    let (mut skeleton, mut poses) = (None, Vec::new());
+    while let Some(entry) = reader.next() {
+        let entry = entry?;
+        let result = match (entry.message, arguments.truth) {
+            (Message::Skeleton(wire), false) | (Message::TruthSkeleton(wire), true) => {
+                wire.to_core().map(|body| skeleton = Some(Arc::new(body)))
+            }
+            (Message::Pose(wire), false) | (Message::TruthPose(wire), true) => {
+                wire.to_core().map(|pose| poses.push(pose))
+            }
+            _ => Ok(()),
+        };
+        if let Err(error) = result {
+            reader.reject(&entry.topic, &error);
+        }
+    }
+    let damage = losses(reader.report());
+    match skeleton.filter(|_| !poses.is_empty()) {
+        Some(skeleton) => Ok((skeleton, poses, damage)),
+        None => {
+            let fix = if arguments.truth {
+                "only recordings from `bundlemocap synth` hold a truth"
+            } else {
+                "solve it first, and give the poses.mcap of `bundlemocap solve`"
+            };
+            let message = format!("{} holds no poses; {fix}", arguments.file.display());
+            Err(Failure::new(Exit::NotOurs, message))
+        }
+    }
+}

@@ -1,0 +1,266 @@
+//! `bundlemocap solve`
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use clap::{Args, ValueEnum};
+use indicatif::ProgressBar;
+
+use super::Ended;
+use super::failure::{Exit, Failure};
+use super::figures::{Figures, Measured, frame_rate};
+use super::hold_out;
+use super::input::{Item, Recording};
+use super::output::{self, OutputFolder, PoseFile};
+use super::reference::{self, FrameClock};
+use super::run::{Driver, Run};
+use super::terminal::{complain, progress, say, table};
+use crate::body::Posture;
+use crate::camera::Rig;
+use crate::config::Config;
+use crate::eval::Trc;
+use crate::manifold::{Decoder, Interpolation};
+use crate::record::{Provenance, Report};
+use crate::solve::Method;
+use crate::time::Timestamp;
+use crate::track::{EventKind, Input, Solver};
+
+/// Solve a recording: 2D keypoints in, smooth 3D poses out.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Writes to the folder DIR: poses.mcap (skeleton, rig, poses, keyframes, events), poses.bvh
+(centimetres, y up) and report.html. The recording is streamed; the poses are kept in memory for
+the BVH and the report, about 2 kB a frame.
+
+Exit code 6 means that windows are lost or that the recording is damaged: what could be solved is
+there, what could not is flagged.
+
+Examples:
+  bundlemocap solve recordings/walk.mcap --out out
+  bundlemocap solve balancing.mcap --out out --json
+  bundlemocap solve balancing.mcap --out out --hold-out cam01
+  bundlemocap solve balancing.mcap --out out --reference pose2sim.trc
+  bundlemocap solve balancing.mcap --out out --cameras cam01,cam02,cam04 --method lbfgs")]
+pub(super) struct Arguments {
+    /// An MCAP recording with keypoints and a calibrated rig.
+    file: PathBuf,
+    /// The folder to write to; it is made if it is not there.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Settings; config/default.toml lists them all.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Weights of a manifold, from `bundlemocap train`; the embedded ones if not given.
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+    /// Use these cameras only, by name.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    cameras: Vec<String>,
+    /// Do not solve with this camera; report the error in it.
+    #[arg(long, value_name = "CAMERA")]
+    hold_out: Option<String>,
+    /// Report the distance to these marker positions (y up, frames as in the recording).
+    #[arg(long, value_name = "TRC")]
+    reference: Option<PathBuf>,
+    /// Frames a second of the cameras; found from the recording if not given.
+    #[arg(long, value_name = "HZ")]
+    fps: Option<f64>,
+    /// How latent codes run between keyframes.
+    #[arg(long, value_enum)]
+    interpolation: Option<InterpolationName>,
+    /// The optimiser of the windows.
+    #[arg(long, value_enum)]
+    method: Option<MethodName>,
+    /// Print one JSON object, not the table.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum InterpolationName {
+    Slerp,
+    Lerp,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum MethodName {
+    Lm,
+    Lbfgs,
+}
+
+/// What streaming a recording through the machine gave.
+struct Solved {
+    run: Run,
+    truth: Vec<(Timestamp, Box<Posture>)>,
+    clock: Option<FrameClock>,
+    report: Report,
+    elapsed: Duration,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let config = settings(arguments)?;
+    let decoder = decoder(arguments.weights.as_deref())?;
+    let trc = arguments.reference.as_deref().map(Trc::read).transpose()?;
+    let recording = Recording::open(&arguments.file)?;
+    let held_out = arguments.hold_out.as_deref().map(|name| recording.camera(name)).transpose()?;
+    let rig = Arc::new(recording.chosen(&arguments.cameras, held_out)?);
+
+    let folder = OutputFolder::make(&arguments.out)?;
+    let provenance = Provenance {
+        config: config.to_toml(),
+        weights: format!("{:016x}", decoder.fingerprint()),
+        ..Provenance::default()
+    };
+    let mut file = PoseFile::create(&folder.file("poses.mcap"), &recording.rig, &rig, &provenance)?;
+    let bar = progress(recording.messages, "messages");
+    let solved = solve(&recording, &rig, &config, decoder, &mut file, &bar)?;
+    let Some(skeleton) = solved.run.skeleton.clone().filter(|_| solved.run.found_somebody()) else {
+        return Err(nobody(&recording, &rig, &solved));
+    };
+
+    let hold_out = held_out.map(|camera| {
+        hold_out::measure(&recording, camera, &skeleton, &solved.run.poses, || bar.tick())
+    });
+    let reference = trc
+        .zip(solved.clock)
+        .and_then(|(trc, clock)| reference::compare(&trc, clock, &skeleton, &solved.run.poses));
+    let figures = Figures::new(Measured {
+        recording: &arguments.file,
+        run: &solved.run,
+        rig: &rig,
+        skeleton: &skeleton,
+        truth: &solved.truth,
+        hold_out: hold_out.transpose()?,
+        reference,
+        report: &solved.report,
+        elapsed: solved.elapsed,
+    });
+    let fps = frame_rate(&solved.run.poses).unwrap_or(60.0);
+    output::bvh(&folder.file("poses.bvh"), &solved.run, &skeleton, fps)?;
+    output::report(&folder.file("report.html"), &solved.run, &rig, &skeleton, &figures)?;
+    file.finish()?;
+    bar.finish_and_clear();
+    tell(arguments, &figures)?;
+    Ok(ended(arguments, &figures))
+}
+
+fn settings(arguments: &Arguments) -> Result<Config, Failure> {
+    let mut config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
+    if let Some(fps) = arguments.fps {
+        if !(fps.is_finite() && fps > 0.0) {
+            let message = format!("--fps is {fps}, but must be a number above 0, such as 60");
+            return Err(Failure::new(Exit::Usage, message));
+        }
+        config.track.frame_rate_hz = fps;
+    }
+    match arguments.interpolation {
+        Some(InterpolationName::Slerp) => config.track.cost.interpolation = Interpolation::Slerp,
+        Some(InterpolationName::Lerp) => config.track.cost.interpolation = Interpolation::Lerp,
+        None => {}
+    }
+    match arguments.method {
+        Some(MethodName::Lm) => config.track.method = Method::LevenbergMarquardt,
+        Some(MethodName::Lbfgs) => config.track.method = Method::Lbfgs,
+        None => {}
+    }
+    Ok(config)
+}
+
+fn decoder(weights: Option<&Path>) -> Result<Decoder, Failure> {
+    let Some(path) = weights else {
+        return Decoder::embedded()
+            .map_err(|error| Failure::weights(Path::new("the embedded weights"), &error));
+    };
+    let bytes = std::fs::read(path).map_err(|error| {
+        let message =
+            format!("cannot read the weights {}: {error}; check the path", path.display());
+        Failure::new(Exit::Unreadable, message)
+    })?;
+    Decoder::from_bytes(&bytes).map_err(|error| Failure::weights(path, &error))
+}
+
+fn solve(
+    recording: &Recording,
+    rig: &Arc<Rig>,
+    config: &Config,
+    decoder: Decoder,
+    file: &mut PoseFile,
+    bar: &ProgressBar,
+) -> Result<Solved, Failure> {
+    let begin = Instant::now();
+    let solver = Solver::new(decoder, config.track);
+    let mut driver =
+        Driver::new(config.track, Arc::clone(rig), solver, |output| file.write(output));
+    let (mut truth, mut clock) = (Vec::new(), None);
+    let report = recording.stream(
+        rig,
+        || bar.inc(1),
+        |item| match item {
+            Item::Detections(detections) => {
+                let (frame, capture) = (detections.frame, detections.capture);
+                if detections.camera == 0 {
+                    clock.get_or_insert(FrameClock { frame, capture });
+                }
+                driver.feed(Input::Detections(detections))
+            }
+            Item::Truth(at, posture) => {
+                truth.push((at, posture));
+                Ok(())
+            }
+        },
+    )?;
+    driver.feed(Input::End)?;
+    Ok(Solved { run: driver.run, truth, clock, report, elapsed: begin.elapsed() })
+}
+
+fn nobody(recording: &Recording, rig: &Rig, solved: &Solved) -> Failure {
+    let unusable = solved.run.count(EventKind::Unusable);
+    let of_another =
+        if unusable > 0 { format!(", {unusable} frames could not be used") } else { String::new() };
+    let message = format!(
+        "{}: nobody was found: no performer is seen by two of the {} cameras at once \
+         ({} windows tried{of_another}); check the calibration, the keypoint format ({}) and that \
+         the cameras share a clock",
+        recording.path.display(),
+        rig.cameras.len(),
+        solved.run.count(EventKind::NobodyFound) + solved.run.lost() as u64,
+        recording.format,
+    );
+    Failure::new(Exit::NobodyFound, message)
+}
+
+fn tell(arguments: &Arguments, figures: &Figures) -> Result<(), Failure> {
+    if arguments.json {
+        let text = serde_json::to_string_pretty(figures);
+        say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
+        return Ok(());
+    }
+    let mut rows = figures.rows();
+    let out = arguments.out.join("");
+    rows.push((
+        "written to".into(),
+        format!("{}: poses.mcap, poses.bvh, report.html", out.display()),
+    ));
+    say(&table(&rows));
+    Ok(())
+}
+
+/// Done, or done in part with a line that says so.
+fn ended(arguments: &Arguments, figures: &Figures) -> Exit {
+    let without = figures.windows_without_performer;
+    if figures.lost == 0 && without == 0 && figures.damage.is_empty() {
+        return Exit::Done;
+    }
+    let all = figures.windows as u64 + without;
+    let solved = figures.windows - figures.lost;
+    let message = format!(
+        "{}: {solved} of {all} windows solved, {} lost, {without} without a performer; {} parts of \
+         the recording damaged",
+        arguments.file.display(),
+        figures.lost,
+        figures.damage.len()
+    );
+    complain("warning", &message);
+    Exit::InPart
+}

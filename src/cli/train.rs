@@ -1,0 +1,151 @@
+//! `bundlemocap train`
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::Ended;
+use super::failure::{Exit, Failure};
+use super::terminal::{progress, say};
+use crate::train::{Figures, Options, TrainError, evaluate, run as train};
+
+/// Train a pose manifold on a folder of BVH clips, or evaluate one.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+The clips are those of the CMU motion capture database, with either of its two BVH skeletons; a
+clip NN_MM.bvh is of subject NN. Training is seeded: the same data, options and build give the same
+file.
+
+Examples:
+  bundlemocap train motions/ --out weights.safetensors --test-subjects 07,10
+  bundlemocap train motions/ --evaluate weights.safetensors --test-subjects 07,10")]
+pub(super) struct Arguments {
+    /// Folder of BVH clips; subfolders are read too.
+    motions: PathBuf,
+    /// The weights file to write.
+    #[arg(long, value_name = "FILE", required_unless_present = "evaluate")]
+    out: Option<PathBuf>,
+    /// Train nothing: report the error of these weights.
+    #[arg(long, value_name = "FILE", conflicts_with = "out")]
+    evaluate: Option<PathBuf>,
+    /// Subjects that are not trained on, and whose error is reported.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    test_subjects: Vec<String>,
+    /// Of everything random.
+    #[arg(long, default_value_t = Options::default().seed)]
+    seed: u64,
+    /// Steps of the optimiser.
+    #[arg(long, default_value_t = Options::default().steps)]
+    steps: usize,
+    /// Samples per step.
+    #[arg(long, default_value_t = Options::default().batch)]
+    batch: usize,
+    /// Hidden units per layer of the decoder.
+    #[arg(long, default_value_t = Options::default().hidden)]
+    hidden: usize,
+    /// Hidden units per layer of the encoder.
+    #[arg(long, default_value_t = Options::default().encoder_hidden)]
+    encoder_hidden: usize,
+    /// Hidden layers of each network.
+    #[arg(long, default_value_t = Options::default().layers)]
+    layers: usize,
+    /// Greatest learning rate.
+    #[arg(long, default_value_t = Options::default().learning_rate)]
+    learning_rate: f32,
+    /// Share by which weights shrink per step and unit of learning rate.
+    #[arg(long, default_value_t = Options::default().weight_decay)]
+    weight_decay: f32,
+    /// Weight of the divergence from a standard normal, per nat.
+    #[arg(long, default_value_t = Options::default().kl)]
+    kl: f32,
+    /// Weight of joint centres, per metre; that of rotations is 1 per radian.
+    #[arg(long, default_value_t = Options::default().position)]
+    position: f32,
+    /// Weight of the poses between two codes, against that of the poses themselves.
+    #[arg(long, default_value_t = Options::default().between)]
+    between: f32,
+    /// Share of samples whose legs come from another clip.
+    #[arg(long, default_value_t = Options::default().mix)]
+    mix: f64,
+    /// Threads, 1 to 4; the result does not depend on it.
+    #[arg(long, default_value_t = Options::default().threads)]
+    threads: usize,
+}
+
+impl From<TrainError> for Failure {
+    fn from(error: TrainError) -> Self {
+        let exit = match &error {
+            TrainError::Read { .. } => Exit::Unreadable,
+            TrainError::NoClips { .. } => Exit::NoDetections,
+            TrainError::Bvh { .. } | TrainError::Joint { .. } => Exit::Malformed,
+            TrainError::Subject { .. }
+            | TrainError::NothingLeft { .. }
+            | TrainError::Option { .. } => Exit::Usage,
+            TrainError::Weights { .. } => Exit::Weights,
+            TrainError::Write { .. } | TrainError::Diverged { .. } => Exit::Unexpected,
+        };
+        Self::new(exit, error.to_string())
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    if let Some(weights) = &arguments.evaluate {
+        say_figures(&evaluate(weights, &arguments.motions, &arguments.test_subjects)?);
+        return Ok(Exit::Done);
+    }
+    let options = options(arguments);
+    let bar = progress(options.steps as u64, "steps");
+    let report = train(&options, &mut |at| {
+        bar.set_position(at.step as u64);
+        bar.set_message(format!("loss {:.4}", at.loss));
+    })?;
+    bar.finish_and_clear();
+    let (clips, frames) = (report.clips, report.frames);
+    let seconds = report.duration.as_secs_f64();
+    say(&format!("trained on {clips} clips, {frames} frames, in {seconds:.0} s"));
+    say(&format!("{}: {} numbers", options.out.display(), report.parameters));
+    say_figures(&report.held_out);
+    say(&format!("to repeat it: {}", report.command));
+    Ok(Exit::Done)
+}
+
+fn options(arguments: &Arguments) -> Options {
+    Options {
+        motions: arguments.motions.clone(),
+        out: arguments.out.clone().unwrap_or_default(),
+        test_subjects: arguments.test_subjects.clone(),
+        seed: arguments.seed,
+        steps: arguments.steps,
+        batch: arguments.batch,
+        hidden: arguments.hidden,
+        encoder_hidden: arguments.encoder_hidden,
+        layers: arguments.layers,
+        learning_rate: arguments.learning_rate,
+        weight_decay: arguments.weight_decay,
+        kl: arguments.kl,
+        position: arguments.position,
+        between: arguments.between,
+        mix: arguments.mix,
+        threads: arguments.threads,
+    }
+}
+
+/// A line for each subject.
+fn say_figures(rows: &[Figures]) {
+    if rows.is_empty() {
+        return;
+    }
+    say("held out     frames  rotation   joints  between  true slerp  |z|^2/32");
+    for row in rows {
+        say(&format!(
+            "{:<12}{:>7}{:>6.2} deg{:>6.2} mm{:>6.2} mm{:>9.2} mm{:>10.3}",
+            row.subject,
+            row.frames,
+            row.rotation_deg,
+            row.joint_mm,
+            row.between_mm,
+            row.true_slerp_mm,
+            row.latent_square
+        ));
+    }
+}
