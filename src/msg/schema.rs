@@ -2,7 +2,7 @@
 
 use prost::{Message, Name};
 
-use super::{DecodeError, Event, KeypointFrame, Keyframe, Pose, Rig, Skeleton, Status};
+use super::{DecodeError, Event, Keyframe, KeypointFrame, Pose, Rig, Skeleton, Status};
 
 /// How payloads are encoded, in MCAP's words.
 pub const ENCODING: &str = "protobuf";

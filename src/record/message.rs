@@ -5,7 +5,7 @@ use std::sync::Arc;
 use prost::Name;
 
 use crate::msg::{
-    DecodeError, ENCODING, Event, KeypointFrame, Keyframe, Pose, Rig, Skeleton, Status, decode,
+    DecodeError, ENCODING, Event, Keyframe, KeypointFrame, Pose, Rig, Skeleton, Status, decode,
     is_truth,
 };
 use crate::time::Timestamp;

@@ -14,7 +14,7 @@ use crate::body::{self, StampedPose};
 use crate::camera;
 use crate::detect::Detections;
 use crate::msg::{
-    ENCODING, Event, KeypointFrame, Keyframe, Pose, Rig, SCHEMA_ENCODING, Schema, Skeleton,
+    ENCODING, Event, Keyframe, KeypointFrame, Pose, Rig, SCHEMA_ENCODING, Schema, Skeleton,
     StampedKeyframe, Status, Topics,
 };
 use crate::time::Timestamp;
