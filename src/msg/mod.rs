@@ -4,13 +4,13 @@
 //! fail, and `to_core`, which checks everything that came from outside: lengths, finite numbers,
 //! quaternions, names. Nothing from the wire panics.
 
-mod camera;
 mod check;
 mod event;
 mod generated;
 mod keyframe;
 mod keypoints;
 mod pose;
+mod rig;
 mod schema;
 mod skeleton;
 mod topic;

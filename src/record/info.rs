@@ -153,7 +153,7 @@ fn first_messages(mut info: Info, mut reader: Reader) -> Result<Info, RecordErro
 pub fn scan(path: impl AsRef<Path>) -> Result<Info, RecordError> {
     let mut reader = Reader::open(path)?;
     let (mut first, mut topics) = (Info::default(), BTreeMap::new());
-    while let Some(entry) = reader.next() {
+    for entry in reader.by_ref() {
         let Entry { topic, log_time, message } = entry?;
         first.note(&message);
         let (count, span) = topics.entry(topic).or_insert((0, [log_time; 2]));

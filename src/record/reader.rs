@@ -39,11 +39,16 @@ impl Reader {
         }
         let scan = Scan::new(file).map_err(&read)?;
         let reader = Self { path: path.to_owned(), scan, done: false };
-        match &reader.scan.tail {
-            Ok(Some(_)) => reader.require_channels()?,
-            _ => {}
+        if reader.index_tells_all() {
+            reader.require_channels()?;
         }
         Ok(reader)
+    }
+
+    /// Whether the index describes channels and schemas, so that nothing is left to learn.
+    fn index_tells_all(&self) -> bool {
+        let Ok(Some(tail)) = &self.scan.tail else { return false };
+        !tail.channels.is_empty() && tail.channels.values().all(|c| !c.schema.is_empty())
     }
 
     /// Fails if every channel known so far is somebody else's.

@@ -8,7 +8,7 @@ use mcap::records::{Metadata, Record, op};
 
 use super::RECORD_LIMIT;
 use super::chunk::unpack;
-use super::error::Report;
+use super::error::{Damage, Report};
 use super::message::Channel;
 use super::tail::{RECORD_HEAD, Tail, read_metadata, read_tail};
 
@@ -25,13 +25,15 @@ pub(super) struct Scan {
     size: u64,
     /// Where the next record begins.
     offset: u64,
+    /// Whether the data have ended and the (damaged) index follows.
+    past_data: bool,
     done: bool,
     /// Opcode, length and body of the record at hand.
     record: Vec<u8>,
     pending: VecDeque<RawMessage>,
     schemas: BTreeMap<u16, String>,
     /// The index; the error says why there is none.
-    pub tail: Result<Option<Tail>, String>,
+    pub tail: Result<Option<Tail>, Damage>,
     pub channels: BTreeMap<u16, Channel>,
     pub metadata: BTreeMap<String, BTreeMap<String, String>>,
     pub report: Report,
@@ -47,6 +49,7 @@ impl Scan {
             file,
             size,
             offset: mcap::MAGIC.len() as u64,
+            past_data: false,
             done: false,
             record: Vec::new(),
             pending: VecDeque::new(),
@@ -111,9 +114,15 @@ impl Scan {
         }
         match opcode {
             op::DATA_END if self.tail.is_ok() => self.done = true,
-            op::FOOTER => return self.finish(length),
-            op::CHUNK | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::METADATA => {
-                return self.take(opcode, length);
+            op::DATA_END => {
+                self.past_data = true;
+                self.skip(length)?;
+            }
+            op::FOOTER => self.finish(),
+            op::CHUNK | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::METADATA
+                if !self.past_data =>
+            {
+                self.take(opcode, length)?;
             }
             _ => self.skip(length)?,
         }
@@ -129,9 +138,12 @@ impl Scan {
         if opcode != op::CHUNK && tail.chunk_starts.binary_search(&self.offset).is_ok() {
             return Some(format!("opcode {opcode:#04x} where the index has a chunk"));
         }
-        let next_chunk = tail.chunk_after(self.offset).unwrap_or(u64::MAX);
+        let next_chunk = tail.chunk_after(self.offset);
+        if matches!(opcode, op::DATA_END | op::FOOTER) && next_chunk.is_some() {
+            return Some(format!("opcode {opcode:#04x} where the index has more chunks to come"));
+        }
         let end = self.offset.saturating_add(RECORD_HEAD).saturating_add(length);
-        (length > left || end > next_chunk)
+        (length > left || next_chunk.is_some_and(|next| end > next))
             .then(|| format!("a record of {length} bytes does not fit here"))
     }
 
@@ -165,15 +177,12 @@ impl Scan {
         self.cut("the file ends inside a record")
     }
 
-    /// The footer, which is reached only when the index is not good.
-    fn finish(&mut self, length: u64) -> io::Result<()> {
-        if let Err(reason) = &self.tail {
-            self.report.damaged(self.offset, reason);
-        } else if self.size > self.offset + RECORD_HEAD + length + mcap::MAGIC.len() as u64 {
-            self.report.damaged(self.offset, "a footer in the middle of the file");
+    /// The footer, which is reached only when the index or the end of the data is not good.
+    fn finish(&mut self) {
+        if let Err(damage) = &self.tail {
+            self.report.damage.push(damage.clone());
         }
         self.done = true;
-        Ok(())
     }
 
     fn take(&mut self, opcode: u8, length: u64) -> io::Result<()> {
@@ -208,13 +217,7 @@ impl Scan {
                     self.schemas.insert(header.id, header.name);
                 }
                 Record::Channel(channel) => {
-                    let schema = self.schemas.get(&channel.schema_id).cloned();
-                    let ours = Channel::new(
-                        &channel.topic,
-                        schema.unwrap_or_default(),
-                        &channel.message_encoding,
-                    );
-                    self.channels.entry(channel.id).or_insert(ours);
+                    self.learn(&channel);
                 }
                 Record::Message { header, data } => self.pending.push_back(RawMessage {
                     channel: header.channel_id,
@@ -224,6 +227,17 @@ impl Scan {
                 Record::Metadata(metadata) => self.keep_metadata(metadata),
                 _ => {}
             }
+        }
+    }
+
+    /// A channel; what the data say goes before what the index says, unless the schema was lost.
+    fn learn(&mut self, channel: &mcap::records::Channel) {
+        let schema = self.schemas.get(&channel.schema_id).cloned();
+        let known = schema.is_some() || channel.schema_id == 0;
+        if known || !self.channels.contains_key(&channel.id) {
+            let encoding = &channel.message_encoding;
+            let ours = Channel::new(&channel.topic, schema.unwrap_or_default(), encoding);
+            self.channels.insert(channel.id, ours);
         }
     }
 

@@ -9,6 +9,7 @@ use mcap::sans_io::linear_reader::LinearReader;
 
 use super::RECORD_LIMIT;
 use super::chunk::{drive, options};
+use super::error::Damage;
 use super::message::Channel;
 
 /// Opcode and length of a record.
@@ -64,28 +65,36 @@ impl Tail {
 pub(super) fn read_tail(
     file: &mut (impl Read + Seek),
     size: u64,
-) -> io::Result<Result<Option<Tail>, String>> {
+) -> io::Result<Result<Option<Tail>, Damage>> {
+    let damage = |offset, reason: &str| Ok(Err(Damage { offset, reason: reason.to_owned() }));
     let Some(footer_at) = size.checked_sub(FOOTER) else {
-        return Ok(Err("the file ends too early".into()));
+        return damage(size, "the file ends too early");
     };
     let footer = read_at(file, footer_at, FOOTER)?;
-    let (head, magic) = footer.split_at(footer.len() - mcap::MAGIC.len());
-    if magic != mcap::MAGIC || head[0] != op::FOOTER {
-        return Ok(Err("the file does not end as a finished recording does".into()));
-    }
-    let start = match mcap::parse_record(op::FOOTER, &head[RECORD_HEAD as usize..]) {
-        Ok(Record::Footer(footer)) => footer.summary_start,
-        _ => return Ok(Err("the footer cannot be read".into())),
+    let Some((head, magic)) = footer.split_at_checked((FOOTER as usize) - mcap::MAGIC.len()) else {
+        return damage(footer_at, "the file became shorter");
     };
+    if magic != mcap::MAGIC || head[0] != op::FOOTER {
+        return damage(footer_at, "the file does not end as a finished recording does");
+    }
+    let Ok(Record::Footer(footer)) = mcap::parse_record(head[0], &head[RECORD_HEAD as usize..])
+    else {
+        return damage(footer_at, "the footer cannot be read");
+    };
+    let start = footer.summary_start;
     if start == 0 {
         return Ok(Ok(None));
     }
-    let from = start.saturating_sub(DATA_END);
-    if start > footer_at || from == 0 || size - from > RECORD_LIMIT as u64 {
-        return Ok(Err(format!("the footer puts the index at byte {start}, where it cannot be")));
+    if start <= DATA_END || start > footer_at || size - start > RECORD_LIMIT as u64 {
+        let reason = format!("the footer puts the index at byte {start}, where it cannot be");
+        return damage(footer_at, &reason);
     }
+    let from = start - DATA_END;
     let bytes = read_at(file, from, size - from)?;
-    Ok(parse(&bytes).map(Some).map_err(|error| format!("the index is damaged: {error}")))
+    Ok(parse(&bytes).map(Some).map_err(|error| Damage {
+        offset: start,
+        reason: format!("the index is damaged: {error}"),
+    }))
 }
 
 /// The index in `bytes`: the record that ends the data, the summary, footer and magic.

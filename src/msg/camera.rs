@@ -1,1 +1,0 @@
-//! `Rig` to and from [`crate::camera::Rig`].
