@@ -36,7 +36,7 @@ pub struct MotionStyle {
 
 impl Default for MotionStyle {
     fn default() -> Self {
-        Self { step_length: 0.72, step_time: 0.55, radius: 1.3, arm_swing: 0.42, liveliness: 1.0 }
+        Self { step_length: 0.67, step_time: 0.55, radius: 1.3, arm_swing: 0.42, liveliness: 1.0 }
     }
 }
 
@@ -109,7 +109,7 @@ impl Motion {
             gait.along[2] += 0.5 * advance * smoothstep(0.25 + 0.5 * x);
             gait.lift[foot] += 0.09 * self.leg.length() * bump(swing);
             let size = if halved { 0.5 } else { 1.0 };
-            gait.roll[foot][0] += 0.75 * size * bump((x + 0.6) / 1.2);
+            gait.roll[foot][0] += 0.85 * size * bump((x + 0.6) / 1.2);
             gait.roll[foot][1] += 0.32 * size * bump((x - 0.55) / 0.75);
             let towards_stance = if foot == 0 { -1.0 } else { 1.0 };
             gait.sway += towards_stance * 0.03 * bump((x + 0.4) / 1.8);
@@ -141,7 +141,7 @@ impl Motion {
     fn place_pelvis(&self, gait: &Gait, acts: &Acts, pose: &mut Pose) {
         let leg = self.leg.length();
         let (ground, yaw) = self.on_path(gait.along[2], gait.sway + 0.02 * acts.wave);
-        let bob = leg * (0.017 * acts.walk + 0.070 * gait.stride * gait.stride);
+        let bob = leg * (0.012 * acts.walk + 0.057 * gait.stride * gait.stride);
         let drop = 0.42 * leg * self.style.liveliness * acts.squat;
         let facing = about_y(yaw);
         let back = facing * Vector3::z() * (0.12 * leg * acts.squat - 0.03 * acts.reach);
