@@ -329,4 +329,35 @@ mod tests {
         let absent = Trc::read(Path::new("no/such.trc")).unwrap_err().to_string();
         assert!(absent.contains("no/such.trc"), "{absent}");
     }
+
+    #[test]
+    fn real_files_are_read() {
+        let data = std::env::var("BUNDLEMOCAP_DATA")
+            .unwrap_or(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared").into());
+        let folder = Path::new(&data).join("recordings/pose2sim/balancing/pose-3d");
+        let read = |end: &str| {
+            let name = format!("S00_P00_T01_BalancingTrial_0-100{end}.trc");
+            Trc::read(&folder.join(name))
+        };
+        let (raw, smooth, augmented) =
+            match (read(""), read("_filt_butterworth"), read("_filt_butterworth_LSTM")) {
+                (Err(TrcError::Unreadable { .. }), ..) => {
+                    return println!("skipped: {} is not there", folder.display());
+                }
+                (raw, smooth, augmented) => (raw.unwrap(), smooth.unwrap(), augmented.unwrap()),
+            };
+        assert_eq!((raw.rows.len(), raw.first_frame, raw.names.len()), (100, 0, 21));
+        assert_eq!((augmented.rows.len(), augmented.names.len()), (100, 64));
+        for keypoint in COMPARED {
+            assert_eq!(raw.column_of(keypoint), augmented.column_of(keypoint));
+        }
+        let estimate = |frame: u64, keypoint| {
+            let row = raw.rows.get(frame as usize)?;
+            row.points[raw.column_of(keypoint)?]
+        };
+        let distance = distance_to_reference(&smooth, estimate).unwrap();
+        assert_eq!((distance.frames, distance.per_keypoint_mm.len()), (100, 12));
+        println!("raw to Butterworth {:.2} mm", distance.mean_mm);
+        assert!((1.0..30.0).contains(&distance.mean_mm), "{}", distance.mean_mm);
+    }
 }

@@ -133,12 +133,12 @@ impl Figure {
         let place = |p: &Vector2<f64>| ((p.x + shift) * METRE, -p.y * METRE);
         for stroke in &self.strokes {
             let ((x1, y1), (x2, y2)) = (place(&stroke.from), place(&stroke.to));
-            // A pale rim under each line shows which one is in front.
-            for (colour, extra) in [("#fff", 3.0), (stroke.colour, 0.0)] {
+            // A pale rim along each line shows which one is in front.
+            for (colour, extra, cap) in [("#fff", 4.0, "butt"), (stroke.colour, 0.0, "round")] {
                 let _ = writeln!(
                     svg,
                     "<path d=\"M{x1:.1} {y1:.1}L{x2:.1} {y2:.1}\" stroke=\"{colour}\" \
-                     stroke-width=\"{:.1}\" stroke-linecap=\"round\"/>",
+                     stroke-width=\"{:.1}\" stroke-linecap=\"{cap}\"/>",
                     stroke.width * METRE + extra
                 );
             }

@@ -89,8 +89,11 @@ impl Scale {
     fn y_ticks(&self) -> Vec<f64> {
         if self.log {
             let decades = self.y.0.round() as i32..=self.y.1.round() as i32;
-            let every = (decades.clone().count() as i32 / 6).max(1) as usize;
-            return decades.step_by(every).map(|decade| 10f64.powi(decade)).collect();
+            let count = decades.clone().count();
+            let within: &[f64] = if count <= 3 { &[1.0, 2.0, 5.0] } else { &[1.0] };
+            let mark = |decade| within.iter().map(move |unit| unit * 10f64.powi(decade));
+            let marks = decades.step_by(count.div_ceil(7)).flat_map(mark);
+            return marks.filter(|mark| mark.log10() <= self.y.1 + 1e-9).collect();
         }
         ticks(self.y)
     }
@@ -107,21 +110,17 @@ fn widen((low, high): (f64, f64)) -> (f64, f64) {
     if high > low { (low, high) } else { (low - 0.5, high + 0.5) }
 }
 
-/// 1, 2 or 5 times a power of ten, for about five marks.
+/// 1, 2 or 5 times a power of ten, for about six marks.
 fn tick_step(low: f64, high: f64) -> f64 {
-    let rough = ((high - low) / 5.0).max(1e-9);
+    let rough = ((high - low) / 6.0).max(1e-9);
     let power = 10f64.powf(rough.log10().floor());
-    let unit = rough / power;
-    power
-        * if unit <= 1.0 {
-            1.0
-        } else if unit <= 2.0 {
-            2.0
-        } else if unit <= 5.0 {
-            5.0
-        } else {
-            10.0
-        }
+    let unit = match rough / power {
+        u if u <= 1.4 => 1.0,
+        u if u <= 3.0 => 2.0,
+        u if u <= 7.0 => 5.0,
+        _ => 10.0,
+    };
+    power * unit
 }
 
 fn ticks((low, high): (f64, f64)) -> Vec<f64> {
@@ -293,7 +292,7 @@ mod tests {
     fn ticks_are_round_and_inside() {
         let text = |low, high| ticks((low, high)).into_iter().map(tick_text).collect::<Vec<_>>();
         assert_eq!(text(0.0, 1.0), ["0", "0.2", "0.4", "0.6", "0.8", "1"]);
-        assert_eq!(text(-3.0, 12.0), ["0", "5", "10"]);
+        assert_eq!(text(-3.0, 12.0), ["-2", "0", "2", "4", "6", "8", "10", "12"]);
         assert_eq!(text(0.0, 0.02), ["0", "0.005", "0.01", "0.015", "0.02"]);
         assert_eq!(tick_text(1e7), "1e7");
     }

@@ -124,8 +124,11 @@ fn html(data: &ReportData) -> String {
     page += "</dl>\n";
     for picture in &data.pictures {
         let title = escape(&picture.title);
-        let _ =
-            writeln!(page, "<section class=\"picture\"><h3>{title}</h3>{}</section>", picture.svg);
+        let _ = writeln!(
+            page,
+            "<section class=\"picture\"><h3>{title}</h3><div class=\"scroll\">{}</div></section>",
+            picture.svg
+        );
     }
     page += "<div class=\"plots\">\n";
     for plot in plots(data).iter().filter(|plot| !plot.series.is_empty()) {

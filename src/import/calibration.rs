@@ -93,6 +93,7 @@ fn rig_from_text(text: &str, up: Up) -> Result<Rig, Fault> {
 
 /// One table of a Pose2Sim or aniposelib file.
 #[derive(Deserialize)]
+#[serde(rename = "camera")]
 struct CameraTable {
     name: Option<String>,
     size: [f64; 2],

@@ -10,11 +10,13 @@ use crate::detect::{Detection, KeypointFormat, Person};
 
 /// The part of the file that is used.
 #[derive(Deserialize)]
+#[serde(rename = "frame")]
 struct FrameFile {
     people: Option<Vec<RawPerson>>,
 }
 
 #[derive(Deserialize)]
+#[serde(rename = "person")]
 struct RawPerson {
     /// \[-1\] where the detector does not track.
     #[serde(default)]

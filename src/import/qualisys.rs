@@ -4,6 +4,11 @@
 //! axes in the world, with y up and z backwards (OpenCV's y and z are the opposite).
 //! `intrinsic` holds lengths in pixels times 64, the centre measured from the sensor's corner,
 //! and distortion coefficients, which have no unit.
+//!
+//! Differs: Pose2Sim divides the distortion coefficients by 64 as well, so its TOML files have
+//! next to none. Here they are used as they stand. The detections of Pose2Sim's demo set cannot
+//! tell: robust triangulation of 12 limb joints leaves (median, mean) 13.93, 14.87 px either way
+//! in its balancing take; 9.04, 9.62 px as they stand and 8.91, 9.64 px divided in the static one.
 
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};

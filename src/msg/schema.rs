@@ -32,6 +32,11 @@ schema!(Skeleton, "skeleton");
 schema!(Event, "event");
 schema!(Status, "status");
 
+/// The message as bytes; the same message gives the same bytes.
+pub fn encode(message: &impl Schema) -> Vec<u8> {
+    message.encode_to_vec()
+}
+
 /// The message in `bytes`; fields that this version does not know are skipped.
 ///
 /// # Errors

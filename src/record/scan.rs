@@ -201,6 +201,10 @@ impl Scan {
         };
         match result {
             Ok(records) => self.accept(records),
+            // Its length may be wrong too; the index is surer.
+            Err(error) if opcode == op::CHUNK && matches!(self.tail, Ok(Some(_))) => {
+                return self.resume(format!("chunk skipped: {error}"));
+            }
             Err(error) if opcode == op::CHUNK => {
                 self.report.damaged(self.offset, format!("chunk skipped: {error}"));
             }

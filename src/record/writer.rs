@@ -15,7 +15,7 @@ use crate::camera;
 use crate::detect::Detections;
 use crate::msg::{
     ENCODING, Event, Keyframe, KeypointFrame, Pose, Rig, SCHEMA_ENCODING, Schema, Skeleton,
-    StampedKeyframe, Status, Topics,
+    StampedKeyframe, Status, Topics, encode,
 };
 use crate::time::Timestamp;
 
@@ -197,7 +197,7 @@ impl Writer {
         let (channel_id, sequence) = (channel.id, channel.sequence);
         channel.sequence = sequence.wrapping_add(1);
         let header = MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
-        self.mcap.write_to_known_channel(&header, &message.encode_to_vec())
+        self.mcap.write_to_known_channel(&header, &encode(message))
     }
 
     fn open_channel<T: Schema>(&mut self, topic: &str) -> Result<u16, McapError> {

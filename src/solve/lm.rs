@@ -30,7 +30,7 @@ impl Default for LevenbergMarquardt {
     fn default() -> Self {
         Self {
             initial_damping: 1e-3,
-            change_threshold: 1e-5,
+            change_threshold: 1e-4,
             gradient_threshold: 1e-6,
             hessian: Vec::new(),
             gradient: DVector::zeros(0),

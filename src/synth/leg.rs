@@ -68,7 +68,7 @@ impl Leg {
 
     /// Of the pelvis, with the knees a little bent.
     pub(super) fn standing_height(&self) -> f64 {
-        0.972 * self.length() - self.ball.y - self.hip.y
+        0.988 * self.length() - self.ball.y - self.hip.y
     }
 
     /// Places one leg of `pose`, whose pelvis is placed: the foot stands with its ankle over

@@ -36,7 +36,7 @@ pub struct MotionStyle {
 
 impl Default for MotionStyle {
     fn default() -> Self {
-        Self { step_length: 0.72, step_time: 0.55, radius: 1.3, arm_swing: 0.42, liveliness: 1.0 }
+        Self { step_length: 0.67, step_time: 0.55, radius: 1.3, arm_swing: 0.42, liveliness: 1.0 }
     }
 }
 
@@ -63,6 +63,7 @@ struct Gait {
 
 /// How far into its liveliest parts the motion is, each in \[0, 1\].
 struct Acts {
+    walk: f64,
     squat: f64,
     reach: f64,
     wave: f64,
@@ -108,7 +109,7 @@ impl Motion {
             gait.along[2] += 0.5 * advance * smoothstep(0.25 + 0.5 * x);
             gait.lift[foot] += 0.09 * self.leg.length() * bump(swing);
             let size = if halved { 0.5 } else { 1.0 };
-            gait.roll[foot][0] += 0.75 * size * bump((x + 0.6) / 1.2);
+            gait.roll[foot][0] += 0.85 * size * bump((x + 0.6) / 1.2);
             gait.roll[foot][1] += 0.32 * size * bump((x - 0.55) / 0.75);
             let towards_stance = if foot == 0 { -1.0 } else { 1.0 };
             gait.sway += towards_stance * 0.03 * bump((x + 0.4) / 1.8);
@@ -120,7 +121,9 @@ impl Motion {
     fn acts(&self, seconds: f64) -> Acts {
         let t = seconds.rem_euclid(CYCLE);
         let wave = plateau(t, 9.6, 12.7, 0.9);
+        let steps_end = FIRST_STEP + STEPS as f64 * self.style.step_time;
         Acts {
+            walk: plateau(t, FIRST_STEP - 0.4, steps_end + 0.2, 0.7),
             squat: bump((t - 5.8) / 2.0),
             reach: plateau(t, 7.6, 9.9, 0.9),
             wave,
@@ -138,7 +141,7 @@ impl Motion {
     fn place_pelvis(&self, gait: &Gait, acts: &Acts, pose: &mut Pose) {
         let leg = self.leg.length();
         let (ground, yaw) = self.on_path(gait.along[2], gait.sway + 0.02 * acts.wave);
-        let bob = 0.070 * leg * gait.stride * gait.stride;
+        let bob = leg * (0.012 * acts.walk + 0.057 * gait.stride * gait.stride);
         let drop = 0.42 * leg * self.style.liveliness * acts.squat;
         let facing = about_y(yaw);
         let back = facing * Vector3::z() * (0.12 * leg * acts.squat - 0.03 * acts.reach);

@@ -287,7 +287,7 @@ impl Track {
         skeleton: Arc<Skeleton>,
         pose: Box<Pose>,
     ) {
-        self.hold(window.start, at + -1);
+        self.hold(window.start, at + -self.tolerance());
         self.close(at + self.tolerance());
         if self.skeleton.is_none() {
             self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
@@ -366,10 +366,10 @@ impl Track {
     /// Repeats the last pose, flagged lost, at the nominal times after `start` up to `end`.
     fn hold(&mut self, start: Timestamp, end: Timestamp) {
         let Some(held) = self.held.clone() else { return };
-        for capture in self.pose_times(Window { start, end }) {
-            if capture > start && capture <= end {
-                self.give(capture, held.pose.clone(), TrackingState::Lost);
-            }
+        let Some(period) = self.period else { return };
+        let times = (1..).map(|i| start + (f64::from(i) * period).round() as i64);
+        for capture in times.take_while(|time| *time <= end) {
+            self.give(capture, held.pose.clone(), TrackingState::Lost);
         }
     }
 }

@@ -5,8 +5,8 @@ use bundlemocap::camera::{self, Camera, Lens};
 use bundlemocap::detect::{Detection, Detections, KeypointFormat, Person};
 use bundlemocap::manifold;
 use bundlemocap::msg::{
-    CameraCounters, DecodeError, Event, KeypointFrame, Keyframe, Pose, Publication, Rig, Schema,
-    Skeleton, StampedKeyframe, Status, WindowCounters, decode,
+    CameraCounters, DecodeError, Event, Keyframe, KeypointFrame, Pose, Publication, Rig, Schema,
+    Skeleton, StampedKeyframe, Status, WindowCounters, decode, encode,
 };
 use bundlemocap::so3;
 use bundlemocap::time::Timestamp;
@@ -115,7 +115,7 @@ fn published_pose() -> Pose {
 }
 
 fn through_bytes<T: Schema>(message: &T) -> T {
-    decode(&message.encode_to_vec()).unwrap()
+    decode(&encode(message)).unwrap()
 }
 
 #[test]
@@ -167,7 +167,7 @@ fn a_keyframe_and_a_skeleton_round_trip() {
 
 /// Bytes as lines of hexadecimal digits.
 fn hex(message: &impl Schema) -> String {
-    let digits: Vec<String> = message.encode_to_vec().iter().map(|b| format!("{b:02x}")).collect();
+    let digits: Vec<String> = encode(message).iter().map(|b| format!("{b:02x}")).collect();
     digits.chunks(32).map(|line| line.concat() + "\n").collect()
 }
 
@@ -186,13 +186,13 @@ fn the_encoding_is_what_it_was() {
 
 #[test]
 fn fields_of_a_later_version_are_skipped() {
-    fn check<T: Schema + PartialEq>(message: &T) {
+    fn check<T: Schema + PartialEq + std::fmt::Debug>(message: &T) {
         // Field 1000 as a varint, field 1001 as five bytes, field 1002 as four.
         const LATER: &[u8] = &[
             0xc0, 0x3e, 0x96, 0x01, 0xca, 0x3e, 0x05, b'l', b'a', b't', b'e', b'r', 0xd5, 0x3e, 1,
             2, 3, 4,
         ];
-        let bytes = [LATER, &message.encode_to_vec(), LATER].concat();
+        let bytes = [LATER, &encode(message), LATER].concat();
         assert_eq!(decode::<T>(&bytes).unwrap(), *message, "{}", T::NAME);
     }
     check(&keypoints());
@@ -207,7 +207,8 @@ fn fields_of_a_later_version_are_skipped() {
 /// Decodes `bytes` as every message; says how many conversions succeeded.
 fn decode_as_everything(bytes: &[u8]) -> usize {
     let mut sound = 0;
-    sound += usize::from(decode(bytes).is_ok_and(|m: KeypointFrame| m.to_core(|_| Some(0)).is_ok()));
+    sound +=
+        usize::from(decode(bytes).is_ok_and(|m: KeypointFrame| m.to_core(|_| Some(0)).is_ok()));
     sound += usize::from(decode(bytes).is_ok_and(|m: Rig| m.to_core().is_ok()));
     sound += usize::from(
         decode(bytes).is_ok_and(|m: Pose| m.joint_positions().is_ok() && m.to_core().is_ok()),
@@ -222,13 +223,13 @@ fn decode_as_everything(bytes: &[u8]) -> usize {
 fn no_bytes_panic() {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let sound: Vec<Vec<u8>> = vec![
-        keypoints().encode_to_vec(),
-        Rig::from_core(&rig()).encode_to_vec(),
-        published_pose().encode_to_vec(),
-        Keyframe::from_core(&keyframe()).encode_to_vec(),
-        Skeleton::from_core(&skeleton()).encode_to_vec(),
-        event().encode_to_vec(),
-        status().encode_to_vec(),
+        encode(&keypoints()),
+        encode(&Rig::from_core(&rig())),
+        encode(&published_pose()),
+        encode(&Keyframe::from_core(&keyframe())),
+        encode(&Skeleton::from_core(&skeleton())),
+        encode(&event()),
+        encode(&status()),
     ];
     let (mut accepted, mut refused) = (0, 0);
     for round in 0..4000 {
@@ -244,7 +245,9 @@ fn no_bytes_panic() {
                 let at = rng.random_range(0..bytes.len());
                 bytes[at] = rng.random();
             }
-            bytes.truncate(rng.random_range(bytes.len() / 2..=bytes.len()));
+            if round % 4 == 3 {
+                bytes.truncate(rng.random_range(bytes.len() / 2..=bytes.len()));
+            }
         }
         match decode_as_everything(&bytes) {
             0 => refused += 1,
@@ -296,7 +299,26 @@ fn what_makes_no_sense_is_refused_by_message_and_field() {
         Event { kind: String::new(), ..event() }.validated().unwrap_err().to_string(),
         decode::<Pose>(&[0x0a]).unwrap_err().to_string(),
     ];
-    insta::assert_snapshot!(messages.join("\n"), @"");
+    insta::assert_snapshot!(messages.join("\n"), @r#"
+    KeypointFrame.camera: camera "top" is not in the rig, add its calibration
+    KeypointFrame.format: unknown keypoint format "body_26", use one of body_25, body_25b, coco_17, halpe_26, coco_wholebody_133
+    KeypointFrame.people.points: 50 entries, expected 51
+    KeypointFrame.people.points: entry 1 is not a finite number
+    KeypointFrame.people.points: point 0 has confidence -0.5
+    Pose.root_rotation: quaternion 0 has no direction
+    Pose.local_rotations: quaternion 2 has no direction
+    Pose.root_position_m: entry 1 is not a finite number
+    Pose.state: unknown state 0
+    Skeleton.joint_names: joint 3 is "chest", not spine1
+    Skeleton.parents: r_hip has parent 9
+    Skeleton.rest_offsets_m: l_hip is 10.000 mm from where the shape puts it: written for another template
+    Rig.cameras: a rig needs at least two cameras, this one has 1; add calibrated cameras
+    Rig.cameras.lens_coefficients: a Brown-Conrady lens has 4, 5 or 8 coefficients, not 3
+    Rig.cameras.lens: camera right has the unknown lens 9
+    Rig.cameras: camera right: the intrinsic matrix is singular or no pinhole matrix (fx 0, fy 910, determinant 0); it must be [fx s cx; 0 fy cy; 0 0 1] with positive fx and fy in pixels
+    Event.kind: is empty
+    Pose: not a message of this schema: failed to decode Protobuf message: Pose.capture_time_ns: invalid wire type: LengthDelimited (expected Varint)
+    "#);
 }
 
 #[test]
