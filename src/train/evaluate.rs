@@ -186,7 +186,8 @@ pub fn prior_outside(model: &Model, clips: &[Clip], seed: u64) -> f64 {
     }
     let mut codes = vec![[0.0; LATENT]; DRAWS];
     fill_normal(codes.as_flattened_mut(), &mut ChaCha8Rng::seed_from_u64(seed));
-    let outside = decode(model, &codes).iter().map(|locals| {
+    let poses = decode(model, &codes);
+    let outside = poses.iter().map(|locals| {
         let beyond = angles(locals).into_iter().zip(limits);
         beyond.filter(|(angle, limit)| angle > &(limit + TOLERANCE)).count()
     });

@@ -110,9 +110,15 @@ impl Mlp {
         }
     }
 
-    /// From the derivatives by the output to those by the input, adding those by the parameters
-    /// to `gradient`. Overwrites hidden derivatives.
-    pub fn backward(&self, parameters: &[f32], tape: &mut Tape, gradient: &mut [f32]) {
+    /// From the derivatives by the output to those by the parameters, added to `gradient`, and,
+    /// if `to_input`, to those by the input. Overwrites hidden derivatives.
+    pub fn backward(
+        &self,
+        parameters: &[f32],
+        tape: &mut Tape,
+        gradient: &mut [f32],
+        to_input: bool,
+    ) {
         let rows = tape.rows;
         for (index, layer) in self.layers.iter().enumerate().rev() {
             let (before, after) = tape.deltas.split_at_mut(index + 1);
@@ -128,6 +134,9 @@ impl Mlp {
                 1.0,
                 &mut matrix_mut(by_weight, layer.outputs, layer.inputs),
             );
+            if index == 0 && !to_input {
+                continue;
+            }
             let weight = &parameters[layer.weight.clone()];
             multiply(
                 &matrix(delta, rows, layer.outputs),
@@ -309,7 +318,7 @@ mod tests {
         mlp.forward(&parameters, &mut tape);
         tape.output_and_delta().1.copy_from_slice(&weight);
         let mut gradient = vec![0.0; mlp.end()];
-        mlp.backward(&parameters, &mut tape, &mut gradient);
+        mlp.backward(&parameters, &mut tape, &mut gradient, true);
 
         let step = 1e-2;
         let check = |analytic: f32, high: f64, low: f64| {

@@ -265,9 +265,9 @@ impl Part {
         self.codes();
         model.decoder.forward(&model.parameters, &mut self.decoder);
         self.compare(weights, tree);
-        model.decoder.backward(&model.parameters, &mut self.decoder, &mut self.gradient);
+        model.decoder.backward(&model.parameters, &mut self.decoder, &mut self.gradient, true);
         self.codes_backward(weights.divergence);
-        model.encoder.backward(&model.parameters, &mut self.encoder, &mut self.gradient);
+        model.encoder.backward(&model.parameters, &mut self.encoder, &mut self.gradient, false);
     }
 
     /// From the encoder's output to the decoder's input.
