@@ -1,8 +1,12 @@
 //! Held-out figures of a model, by subject.
 
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
 use super::corpus::{Clip, POSE, PoseVector};
 use super::latent::{CODE, Slerp};
 use super::loss::{Locals, Tree, locals_of};
+use super::mlp::fill_normal;
 use super::model::Model;
 use crate::body::{BODY_JOINTS, JOINTS, Skeleton};
 use crate::manifold::LATENT;
@@ -10,6 +14,11 @@ use crate::so3;
 
 /// Frames between the two poses whose codes are interpolated.
 pub const SPAN: usize = 10;
+
+/// Codes drawn for [`prior_outside`].
+const DRAWS: usize = 2000;
+/// What a joint may turn beyond the greatest angle seen, radians.
+const TOLERANCE: f64 = 0.087;
 
 /// Poses go through the networks in groups of this many.
 const GROUP: usize = 512;
@@ -153,6 +162,41 @@ fn joint_distance(tree: &Tree, a: &Locals, b: &Locals) -> f64 {
     let (a, b) = (tree.place(a), tree.place(b));
     let distances = a.positions.iter().zip(&b.positions).map(|(a, b)| f64::from((a - b).norm()));
     distances.sum::<f64>() / JOINTS as f64
+}
+
+/// Mean of |z|^2 / 32 over the codes of all frames.
+pub fn latent_square(model: &Model, clips: &[Clip]) -> f64 {
+    let (mut sum, mut count) = (0.0, 0);
+    for clip in clips {
+        let codes = encode(model, &clip.poses);
+        sum += codes.as_flattened().iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>();
+        count += codes.len() * LATENT;
+    }
+    sum / count.max(1) as f64
+}
+
+/// Share of the joint rotations decoded from codes drawn from N(0, I) that turn further from the
+/// rest pose than the same joint ever does in `clips`, by more than 5 degrees.
+pub fn prior_outside(model: &Model, clips: &[Clip], seed: u64) -> f64 {
+    let mut limits = [0.0f64; BODY_JOINTS];
+    for pose in clips.iter().flat_map(|clip| &clip.poses) {
+        for (limit, angle) in limits.iter_mut().zip(angles(&locals_of(pose))) {
+            *limit = limit.max(angle);
+        }
+    }
+    let mut codes = vec![[0.0; LATENT]; DRAWS];
+    fill_normal(codes.as_flattened_mut(), &mut ChaCha8Rng::seed_from_u64(seed));
+    let poses = decode(model, &codes);
+    let outside = poses.iter().map(|locals| {
+        let beyond = angles(locals).into_iter().zip(limits);
+        beyond.filter(|(angle, limit)| angle > &(limit + TOLERANCE)).count()
+    });
+    outside.sum::<usize>() as f64 / (DRAWS * BODY_JOINTS) as f64
+}
+
+/// The angle of each rotation, radians: cos = (trace - 1) / 2.
+fn angles(locals: &Locals) -> [f64; BODY_JOINTS] {
+    locals.map(|local| (0.5 * (f64::from(local.trace()) - 1.0)).clamp(-1.0, 1.0).acos())
 }
 
 /// Means of the codes of poses.

@@ -151,6 +151,9 @@ pub struct Progress {
 pub struct Report {
     /// Held-out figures by subject, then `all`; empty without test subjects.
     pub held_out: Vec<Figures>,
+    /// Share of joint rotations decoded from codes of N(0, I) that turn further than that joint
+    /// ever does in the clips trained on.
+    pub prior_outside: f64,
     /// Frames trained on.
     pub frames: usize,
     /// Clips trained on.
@@ -177,6 +180,7 @@ pub fn run(options: &Options, progress: &mut dyn FnMut(Progress)) -> Result<Repo
     file::write(&options.out, &model, &metadata(options, &training, &held_out, &command))?;
     Ok(Report {
         held_out,
+        prior_outside: evaluate::prior_outside(&model, &training, options.seed),
         frames: training.iter().map(|clip| clip.poses.len()).sum(),
         clips: training.len(),
         parameters: model.parameters.len(),
@@ -277,6 +281,10 @@ fn fit(
         }
     }
     model.fold(optimiser.averaged(), &whitening);
+    let square = evaluate::latent_square(&model, clips);
+    if square > 0.0 {
+        model.stretch(square.sqrt().recip() as f32);
+    }
     Ok(model)
 }
 

@@ -17,6 +17,12 @@ use crate::manifold::LATENT;
 /// order and training gives the same bytes on any number of threads.
 const PARTS: usize = 4;
 
+/// What the last layer's first weights are multiplied by where they give means of codes, so that
+/// these begin at about unit variance.
+const FIRST_SPREAD: f32 = 7.0;
+/// First log variance of codes.
+const FIRST_LOG_VARIANCE: f32 = -4.0;
+
 /// The two networks, over one vector of parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
@@ -43,6 +49,26 @@ impl Model {
         self.decoder.initialise(&mut self.parameters, rng);
         if let Some(last) = self.decoder.layers().last() {
             self.parameters[last.bias.clone()].copy_from_slice(mean);
+        }
+        if let Some(last) = self.encoder.layers().last() {
+            let means = last.weight.start..last.weight.start + LATENT * last.inputs;
+            self.parameters[means].iter_mut().for_each(|weight| *weight *= FIRST_SPREAD);
+            self.parameters[last.bias.clone()][LATENT..].fill(FIRST_LOG_VARIANCE);
+        }
+    }
+
+    /// Makes all codes `factor` times as long: the encoder's means and deviations grow, and the
+    /// decoder's first layer shrinks. Slerp and lerp commute with it, so nothing else changes.
+    pub fn stretch(&mut self, factor: f32) {
+        if let Some(last) = self.encoder.layers().last() {
+            let means = last.weight.start..last.weight.start + LATENT * last.inputs;
+            self.parameters[means].iter_mut().for_each(|weight| *weight *= factor);
+            let (means, log_variances) = self.parameters[last.bias.clone()].split_at_mut(LATENT);
+            means.iter_mut().for_each(|bias| *bias *= factor);
+            log_variances.iter_mut().for_each(|bias| *bias += 2.0 * factor.ln());
+        }
+        if let Some(first) = self.decoder.layers().first() {
+            self.parameters[first.weight.clone()].iter_mut().for_each(|weight| *weight /= factor);
         }
     }
 
@@ -239,9 +265,9 @@ impl Part {
         self.codes();
         model.decoder.forward(&model.parameters, &mut self.decoder);
         self.compare(weights, tree);
-        model.decoder.backward(&model.parameters, &mut self.decoder, &mut self.gradient);
+        model.decoder.backward(&model.parameters, &mut self.decoder, &mut self.gradient, true);
         self.codes_backward(weights.divergence);
-        model.encoder.backward(&model.parameters, &mut self.encoder, &mut self.gradient);
+        model.encoder.backward(&model.parameters, &mut self.encoder, &mut self.gradient, false);
     }
 
     /// From the encoder's output to the decoder's input.
