@@ -1,7 +1,6 @@
 //! `bundlemocap export`
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use clap::Args;
 
@@ -39,7 +38,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let (skeleton, poses, damage) = read(arguments)?;
+    let Solved { skeleton, poses, damage } = read(arguments)?;
     let fps = frame_rate(&poses).unwrap_or(60.0);
     if let Some(path) = &arguments.bvh {
         write_bvh(path, &skeleton, fps, poses.iter().map(|pose| &pose.pose))?;
@@ -60,15 +59,23 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     Ok(Exit::InPart)
 }
 
-/// The body, its poses in order, and what was lost of the file.
-fn read(arguments: &Arguments) -> Result<(Arc<Skeleton>, Vec<StampedPose>, Vec<String>), Failure> {
+/// What a solved recording holds.
+struct Solved {
+    skeleton: Skeleton,
+    /// In order of capture time.
+    poses: Vec<StampedPose>,
+    /// What was lost of the file.
+    damage: Vec<String>,
+}
+
+fn read(arguments: &Arguments) -> Result<Solved, Failure> {
     let mut reader = Reader::open(&arguments.file)?;
     let (mut skeleton, mut poses) = (None, Vec::new());
     while let Some(entry) = reader.next() {
         let entry = entry?;
         let result = match (entry.message, arguments.truth) {
             (Message::Skeleton(wire), false) | (Message::TruthSkeleton(wire), true) => {
-                wire.to_core().map(|body| skeleton = Some(Arc::new(body)))
+                wire.to_core().map(|body| skeleton = Some(body))
             }
             (Message::Pose(wire), false) | (Message::TruthPose(wire), true) => {
                 wire.to_core().map(|pose| poses.push(pose))
@@ -81,7 +88,7 @@ fn read(arguments: &Arguments) -> Result<(Arc<Skeleton>, Vec<StampedPose>, Vec<S
     }
     let damage = losses(reader.report());
     match skeleton.filter(|_| !poses.is_empty()) {
-        Some(skeleton) => Ok((skeleton, poses, damage)),
+        Some(skeleton) => Ok(Solved { skeleton, poses, damage }),
         None => {
             let fix = if arguments.truth {
                 "only recordings from `bundlemocap synth` hold a truth"

@@ -48,7 +48,7 @@ struct Openpose {
     #[arg(long)]
     calibration: PathBuf,
     /// Frames a second of the cameras.
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     fps: f64,
     /// Keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133.
     #[arg(long)]
@@ -98,7 +98,7 @@ fn run_openpose(arguments: &Openpose) -> Ended {
     let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance(arguments))?;
     let bar = progress(folder.file_count(), "files");
     let mut has_rig = false;
-    while let Some(detections) = folder.next() {
+    for detections in folder.by_ref() {
         let detections = detections?;
         if !has_rig {
             writer.rig(&rig, detections.capture)?;

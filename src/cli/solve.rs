@@ -64,7 +64,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "TRC")]
     reference: Option<PathBuf>,
     /// Frames a second of the cameras; found from the recording if not given.
-    #[arg(long, value_name = "HZ")]
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     fps: Option<f64>,
     /// How latent codes run between keyframes.
     #[arg(long, value_enum)]

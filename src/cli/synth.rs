@@ -29,10 +29,10 @@ pub(super) struct Arguments {
     #[arg(long)]
     out: PathBuf,
     /// Length, seconds.
-    #[arg(long, default_value_t = 4.0)]
+    #[arg(long, default_value_t = 4.0, allow_negative_numbers = true)]
     seconds: f64,
     /// Frames a second of every camera.
-    #[arg(long, default_value_t = 60.0)]
+    #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
     fps: f64,
     /// How many cameras stand around the performer, 2 to 64.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=64))]

@@ -1,1 +1,416 @@
+//! The built program: a round trip, and every bad input ends in one line and a code of its own.
 
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use bundlemocap::body::Skeleton;
+use bundlemocap::msg::Topics;
+use bundlemocap::record::{Message, Provenance, Reader, Writer};
+use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+use bundlemocap::time::Timestamp;
+use serde_json::Value;
+use tempfile::TempDir;
+
+const UNREADABLE: i32 = 3;
+const MALFORMED: i32 = 4;
+const NOBODY_FOUND: i32 = 5;
+const IN_PART: i32 = 6;
+const NO_DETECTIONS: i32 = 7;
+const CAMERA_MISMATCH: i32 = 8;
+const BAD_CALIBRATION: i32 = 9;
+const KEYPOINT_FORMAT: i32 = 10;
+const WEIGHTS: i32 = 11;
+const NOT_OURS: i32 = 12;
+
+/// A folder of its own, in which the program runs.
+struct Place(TempDir);
+
+impl Place {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn write(&self, name: &str, text: impl AsRef<[u8]>) -> PathBuf {
+        let path = self.path(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(&path, text).unwrap();
+        path
+    }
+
+    fn run(&self, command: &str) -> Output {
+        Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
+            .args(command.split_whitespace())
+            .current_dir(self.0.path())
+            .output()
+            .unwrap()
+    }
+
+    /// Runs and expects success; what was printed.
+    fn done(&self, command: &str) -> String {
+        let output = self.run(command);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{command}: {errors}");
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    /// Runs and expects that code, one line of error that holds all of `evidence`, and no output.
+    fn fails(&self, code: i32, command: &str, evidence: &[&str]) {
+        let output = self.run(command);
+        let errors = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{command}: {errors}");
+        assert_eq!(errors.lines().count(), 1, "{command}: {errors}");
+        assert!(errors.starts_with("error: "), "{command}: {errors}");
+        for part in evidence {
+            assert!(errors.contains(part), "{command}: {part:?} is not in: {errors}");
+        }
+        assert!(!self.path("out").exists(), "{command}: a folder is left behind");
+        assert!(!self.path("out.mcap").exists(), "{command}: a recording is left behind");
+        let left = files(self.0.path()).into_iter().filter(|path| is_temporary(path)).count();
+        assert_eq!(left, 0, "{command}: a temporary file is left behind");
+    }
+}
+
+fn files(folder: &Path) -> Vec<PathBuf> {
+    fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect()
+}
+
+fn is_temporary(path: &Path) -> bool {
+    path.file_name().unwrap().to_string_lossy().starts_with('.')
+}
+
+/// A calibration of cameras of those names, `width` pixels of focal length.
+fn calibration(names: &[&str], focal: f64) -> String {
+    let camera = |(index, name): (usize, &&str)| {
+        format!(
+            "[{name}]\nname = \"{name}\"\nsize = [640.0, 480.0]\n\
+             matrix = [[{focal:?}, 0.0, 320.0], [0.0, {focal:?}, 240.0], [0.0, 0.0, 1.0]]\n\
+             distortions = [0.0, 0.0, 0.0, 0.0]\nrotation = [1.57, 0.0, 0.0]\n\
+             translation = [{index}.0, 1.0, 4.0]\nfisheye = false\n\n"
+        )
+    };
+    names.iter().enumerate().map(camera).collect()
+}
+
+/// A Qualisys calibration of two cameras, the second with that corner in its rotation.
+fn qualisys(r33: f64) -> String {
+    let camera = |serial: &str, r33: f64| {
+        format!(
+            "<camera active=\"1\" serial=\"{serial}\" viewrotation=\"0\">\
+             <fov_video left=\"0\" top=\"0\" right=\"639\" bottom=\"479\"/>\
+             <transform r11=\"1\" r12=\"0\" r13=\"0\" r21=\"0\" r22=\"1\" r23=\"0\" r31=\"0\" \
+             r32=\"0\" r33=\"{r33}\" x=\"0\" y=\"0\" z=\"0\"/>\
+             <intrinsic focalLengthU=\"64000\" focalLengthV=\"64000\" centerPointU=\"20480\" \
+             centerPointV=\"15360\" skew=\"0\" radialDistortion1=\"0\" radialDistortion2=\"0\" \
+             radialDistortion3=\"0\" tangentalDistortion1=\"0\" tangentalDistortion2=\"0\"/>\
+             </camera>"
+        )
+    };
+    format!("<c><cameras>{}{}</cameras></c>", camera("a", 1.0), camera("b", r33))
+}
+
+/// One frame of two cameras, of people with that many numbers each.
+fn detections(place: &Place, cameras: &[&str], numbers: usize) {
+    let points = vec!["1.0"; numbers].join(",");
+    let people = match numbers {
+        0 => String::new(),
+        _ => format!("{{\"person_id\":[-1],\"pose_keypoints_2d\":[{points}]}}"),
+    };
+    for camera in cameras {
+        for frame in 0..20 {
+            let text = format!("{{\"version\":1.3,\"people\":[{people}]}}");
+            place.write(&format!("pose/{camera}_json/{camera}.{frame:04}.json"), text);
+        }
+    }
+}
+
+const IMPORT: &str = "import openpose pose --calibration calib.toml --fps 60 --out out.mcap";
+
+/// A recording of the synthetic walk; detections pass through `keep` first.
+fn walk(
+    path: &Path,
+    frames: u64,
+    mut keep: impl FnMut(&mut bundlemocap::detect::Detections) -> bool,
+) {
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
+    recording.frames = frames;
+    recording.noise = Noise::jitter_only();
+    let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
+    writer.rig(&recording.rig, Timestamp::default()).unwrap();
+    for mut detections in recording.detections() {
+        if keep(&mut detections) {
+            let camera = &recording.rig.cameras[detections.camera];
+            writer.keypoints(&detections, &camera.name, [camera.width, camera.height]).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn a_synthetic_walk_is_solved_and_exported() {
+    let place = Place::new();
+    place.done("synth --out walk.mcap --seconds 2 --noise jitter");
+    let info: Value = serde_json::from_str(&place.done("info walk.mcap --json")).unwrap();
+    assert_eq!(info["rig"].as_array().unwrap().len(), 4);
+    assert_eq!(info["cameras"]["cam02"]["format"], "body_25");
+
+    let figures = place.done("solve walk.mcap --out out --json --hold-out cam_3");
+    let figures: Value = serde_json::from_str(&figures).unwrap();
+    assert_eq!(figures["frames"], 120);
+    assert_eq!((&figures["windows"], &figures["lost"]), (&12.into(), &0.into()));
+    assert_eq!(figures["reprojection"]["cameras"].as_object().unwrap().len(), 3);
+    assert_eq!(figures["hold_out"]["camera"], "cam03");
+    assert!(figures["hold_out"]["median_px"].as_f64().unwrap() < 30.0, "{figures}");
+    assert!(figures["truth"]["mpjpe_mm"].as_f64().unwrap() < 60.0, "{figures}");
+    assert!(figures["solve_ms"]["p50"].as_f64().unwrap() > 0.0);
+    for name in ["poses.mcap", "poses.bvh", "report.html"] {
+        assert!(fs::metadata(place.path("out").join(name)).unwrap().len() > 1000, "{name}");
+    }
+
+    place.done("export out/poses.mcap --bvh again.bvh --picture strip.svg");
+    let again = fs::read_to_string(place.path("again.bvh")).unwrap();
+    let bvh = fs::read_to_string(place.path("out/poses.bvh")).unwrap();
+    assert_eq!(again.lines().count(), bvh.lines().count());
+    assert!(fs::read_to_string(place.path("strip.svg")).unwrap().starts_with("<svg"));
+}
+
+#[test]
+fn poses_carry_what_made_them() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 30, |_| true);
+    place.run("solve walk.mcap --out out");
+    let mut reader = Reader::open(place.path("out/poses.mcap")).unwrap();
+    let mut kinds = [0; 4];
+    for entry in reader.by_ref() {
+        match entry.unwrap().message {
+            Message::Skeleton(_) => kinds[0] += 1,
+            Message::Rig(_) => kinds[1] += 1,
+            Message::Pose(_) => kinds[2] += 1,
+            Message::Keyframe(_) => kinds[3] += 1,
+            _ => {}
+        }
+    }
+    assert!(kinds[0] == 1 && kinds[1] == 1 && kinds[2] >= 30 && kinds[3] >= 3, "{kinds:?}");
+    let ours = &reader.metadata()["bundlemocap"];
+    assert!(ours["config"].contains("window_frames = 10"));
+    assert_eq!((ours["version"].as_str(), ours["weights"].len()), (env!("CARGO_PKG_VERSION"), 16));
+}
+
+#[test]
+fn the_same_recording_gives_the_same_bytes() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 40, |_| true);
+    let bytes = ["a", "b"].map(|out| {
+        place.run(&format!("solve walk.mcap --out {out}"));
+        ["poses.mcap", "poses.bvh"].map(|name| fs::read(place.path(out).join(name)).unwrap())
+    });
+    assert!(bytes[0] == bytes[1]);
+}
+
+#[test]
+fn a_cut_recording_gives_what_is_left_of_it() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 240, |_| true);
+    let whole = fs::read(place.path("walk.mcap")).unwrap();
+    place.write("cut.mcap", &whole[..whole.len() / 2]);
+    let output = place.run("solve cut.mcap --out out --json");
+    assert_eq!(output.status.code(), Some(IN_PART), "{}", String::from_utf8_lossy(&output.stderr));
+    let figures: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let frames = figures["frames"].as_u64().unwrap();
+    assert!((20..240).contains(&frames), "{frames}");
+    assert!(figures["damage"][0].as_str().unwrap().contains("damaged at byte"));
+    assert!(place.path("out/poses.bvh").exists());
+}
+
+#[test]
+fn windows_that_cannot_be_solved_are_counted_and_the_rest_is_given() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 150, |detections| {
+        if (60..90).contains(&detections.frame) {
+            detections.people.clear();
+        }
+        true
+    });
+    let output = place.run("solve walk.mcap --out out --json");
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(IN_PART), "{errors}");
+    assert!(errors.starts_with("warning: walk.mcap: ") && errors.lines().count() == 1, "{errors}");
+    let figures: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let count = |name: &str| figures[name].as_u64().unwrap();
+    assert!(count("lost") + count("windows_without_performer") >= 2, "{figures}");
+    let good = count("frames") - count("frames_lost");
+    assert!((90..=125).contains(&good), "{good} frames");
+}
+
+#[test]
+fn files_that_are_missing_or_something_else() {
+    let place = Place::new();
+    place.fails(UNREADABLE, "solve no.mcap --out out", &["no.mcap", "check the path"]);
+    place.fails(UNREADABLE, "info no.mcap", &["no.mcap"]);
+    place.fails(UNREADABLE, "export no.mcap --bvh out.bvh", &["no.mcap"]);
+    place.write("empty.mcap", "");
+    place.fails(MALFORMED, "solve empty.mcap --out out", &["empty.mcap", "it is empty"]);
+    place.write("text.mcap", "a text file, no recording");
+    place.fails(MALFORMED, "solve text.mcap --out out", &["text.mcap", "bundlemocap import"]);
+    fs::create_dir(place.path("folder.mcap")).unwrap();
+    place.fails(UNREADABLE, "solve folder.mcap --out out", &["folder.mcap"]);
+    let usage = place.run("solve");
+    assert_eq!(usage.status.code(), Some(2));
+}
+
+#[test]
+fn recordings_without_our_channels() {
+    let place = Place::new();
+    let mut foreign =
+        mcap::Writer::new(fs::File::create(place.path("foreign.mcap")).unwrap()).unwrap();
+    let channel = foreign.add_channel(0, "/tf", "json", &Default::default()).unwrap();
+    let header = mcap::records::MessageHeader {
+        channel_id: channel,
+        sequence: 0,
+        log_time: 1,
+        publish_time: 1,
+    };
+    foreign.write_to_known_channel(&header, b"{}").unwrap();
+    foreign.finish().unwrap();
+    place.fails(NOT_OURS, "solve foreign.mcap --out out", &["foreign.mcap", "/tf", "import"]);
+
+    let path = place.path("rigless.mcap");
+    walk(&path, 10, |_| true);
+    let provenance = Provenance::default();
+    let mut rigless = Writer::create(&path, Topics::default(), &provenance).unwrap();
+    let frame = bundlemocap::msg::KeypointFrame {
+        camera: "cam01".into(),
+        format: "body_25".into(),
+        ..Default::default()
+    };
+    rigless.write("mocap/stage/camera/cam01/keypoints", Timestamp::default(), &frame).unwrap();
+    rigless.finish().unwrap();
+    place.fails(NOT_OURS, "solve rigless.mcap --out out", &["rigless.mcap", "--calibration"]);
+
+    walk(&place.path("walk.mcap"), 30, |_| true);
+    place.fails(NOT_OURS, "export walk.mcap --bvh out.bvh", &["walk.mcap", "bundlemocap solve"]);
+    place.run("solve walk.mcap --out solved");
+    place.fails(NOT_OURS, "solve solved/poses.mcap --out out", &["poses.mcap", "keypoints"]);
+}
+
+#[test]
+fn folders_that_cannot_be_imported() {
+    let place = Place::new();
+    place.write("calib.toml", calibration(&["cam1", "cam2"], 600.0));
+    let import = format!("{IMPORT} --format body_25");
+    place.fails(UNREADABLE, &import, &["pose"]);
+    fs::create_dir(place.path("pose")).unwrap();
+    place.fails(NO_DETECTIONS, &import, &["pose", ".json"]);
+    detections(&place, &["cam1", "cam2", "cam3"], 75);
+    place.fails(CAMERA_MISMATCH, &import, &["cam3", "calibrate the camera"]);
+    place.write("calib.toml", calibration(&["cam1", "cam2", "cam3", "cam4"], 600.0));
+    place.fails(CAMERA_MISMATCH, &import, &["cam4", "remove it from the calibration"]);
+    place.write("calib.toml", calibration(&["cam1", "cam2", "cam3"], 600.0));
+    let text = place.write("pose/cam2_json/cam2.0003.json", "{\"people\": 3}");
+    place.fails(MALFORMED, &import, &["cam2.0003.json", "pose_keypoints_2d"]);
+    fs::write(&text, "not json").unwrap();
+    place.fails(MALFORMED, &import, &["cam2.0003.json"]);
+}
+
+#[test]
+fn calibrations_that_cannot_be_used() {
+    let place = Place::new();
+    detections(&place, &["cam1", "cam2"], 75);
+    let import = format!("{IMPORT} --format body_25");
+    place.fails(UNREADABLE, &import, &["calib.toml"]);
+    place.write("calib.toml", "[cam1]\nname = 3\n");
+    place.fails(MALFORMED, &import, &["calib.toml"]);
+    place.write("calib.toml", calibration(&["cam1", "cam2"], 0.0));
+    place.fails(BAD_CALIBRATION, &import, &["calib.toml", "cam1", "singular", "positive fx"]);
+    place.write("calib.toml", qualisys(0.5));
+    place.fails(BAD_CALIBRATION, &import, &["calib.toml", "camera b", "no rotation", "check"]);
+    place.write("calib.toml", calibration(&["cam1"], 600.0));
+    place.fails(BAD_CALIBRATION, &import, &["calib.toml", "at least two cameras"]);
+    walk(&place.path("walk.mcap"), 10, |_| true);
+    let one = "solve walk.mcap --out out --cameras cam01";
+    place.fails(BAD_CALIBRATION, one, &["walk.mcap", "at least two cameras"]);
+    let another = "solve walk.mcap --out out --hold-out cam9";
+    place.fails(CAMERA_MISMATCH, another, &["walk.mcap", "cam9", "cam04"]);
+}
+
+#[test]
+fn keypoints_of_another_format() {
+    let place = Place::new();
+    place.write("calib.toml", calibration(&["cam1", "cam2"], 600.0));
+    detections(&place, &["cam1", "cam2"], 75);
+    place.fails(KEYPOINT_FORMAT, &format!("{IMPORT} --format body_26"), &["body_26", "halpe_26"]);
+    let coco = format!("{IMPORT} --format coco_17");
+    place.fails(KEYPOINT_FORMAT, &coco, &["cam1.0000.json", "75 numbers", "body_25"]);
+    place.fails(KEYPOINT_FORMAT, "synth --out out.mcap --format what", &["what", "body_25"]);
+}
+
+#[test]
+fn a_recording_in_which_nobody_is_seen_by_two_cameras() {
+    let place = Place::new();
+    place.write("calib.toml", calibration(&["cam1", "cam2"], 600.0));
+    detections(&place, &["cam1", "cam2"], 0);
+    place.done(&format!("{} --format body_25", IMPORT.replace("out.mcap", "nobody.mcap")));
+    let evidence = ["nobody.mcap", "nobody was found", "check the calibration"];
+    place.fails(NOBODY_FOUND, "solve nobody.mcap --out out", &evidence);
+
+    walk(&place.path("one.mcap"), 60, |detections| {
+        if detections.camera > 0 {
+            detections.people.clear();
+        }
+        true
+    });
+    place.fails(NOBODY_FOUND, "solve one.mcap --out out", &["one.mcap", "two of the 4 cameras"]);
+}
+
+#[test]
+fn weights_and_settings_that_cannot_be_used() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 10, |_| true);
+    let solve = "solve walk.mcap --out out";
+    let weights = format!("{solve} --weights w.safetensors");
+    place.fails(UNREADABLE, &weights, &["w.safetensors"]);
+    place.write("w.safetensors", "these are no weights");
+    place.fails(WEIGHTS, &weights, &["w.safetensors", "safetensors file"]);
+    let mut header =
+        br#"{"__metadata__":{"format":"bundlemocap-manifold","version":"0"}}"#.to_vec();
+    header.resize(header.len().next_multiple_of(8), b' ');
+    let file = [&(header.len() as u64).to_le_bytes()[..], &header].concat();
+    place.write("w.safetensors", file);
+    place.fails(WEIGHTS, &weights, &["w.safetensors", "version", "bundlemocap train"]);
+
+    let config = format!("{solve} --config c.toml");
+    place.fails(UNREADABLE, &config, &["c.toml"]);
+    place.write("c.toml", "[track]\nwindow = 3\n");
+    place.fails(MALFORMED, &config, &["c.toml, line 2", "window"]);
+    let reference = format!("{solve} --reference r.trc");
+    place.fails(UNREADABLE, &reference, &["r.trc"]);
+    place.write("r.trc", "hello");
+    place.fails(MALFORMED, &reference, &["r.trc", "PathFileType"]);
+    place.fails(2, &format!("{solve} --fps -3"), &["--fps is -3"]);
+}
+
+#[test]
+fn outputs_that_cannot_be_written() {
+    let place = Place::new();
+    place.fails(1, "synth --out nowhere/walk.mcap", &["nowhere/walk.mcap", "folder exists"]);
+    walk(&place.path("walk.mcap"), 10, |_| true);
+    place.write("file", "in the way");
+    place.fails(1, "solve walk.mcap --out file/out", &["file/out"]);
+}
+
+#[test]
+fn motions_that_cannot_be_trained_on() {
+    let place = Place::new();
+    place.fails(UNREADABLE, "train motions --out w.safetensors", &["motions"]);
+    fs::create_dir(place.path("motions")).unwrap();
+    place.fails(NO_DETECTIONS, "train motions --out w.safetensors", &["motions", ".bvh"]);
+    place.write("motions/a.bvh", "no BVH");
+    place.fails(MALFORMED, "train motions --out w.safetensors", &["a.bvh"]);
+}
