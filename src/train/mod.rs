@@ -1,1 +1,412 @@
-//! Training the pose manifold.
+//! Training the pose manifold: a variational auto-encoder of local rotations
+//! \[Kingma 2014, Pavlakos 2019, sec. 3.3\].
+//!
+//! The loss has four parts: rotations and joint centres of poses decoded from sampled codes; the
+//! same of poses decoded from decode(slerp(encode(a), encode(b), s)) against the true pose
+//! between, since that is what the solver relies on; and the divergence of the codes from
+//! N(0, I). Samples are mirrored, and some join one clip's legs with another's upper body, so
+//! that few clips cover many poses. Everything is seeded: the same data, options and build give
+//! the same bytes on any number of threads.
+
+mod corpus;
+mod evaluate;
+mod file;
+mod latent;
+mod loss;
+mod mlp;
+mod model;
+mod optimiser;
+mod rotation;
+mod sampler;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+pub use corpus::{Clip, POSE, PoseVector, mirrored, pose_vector, read_folder};
+pub use evaluate::{Figures, SPAN};
+pub use model::Losses;
+
+use crate::body::bvh::BvhError;
+use loss::Weights;
+use model::{Batch, LossWeights, Model, Whitening};
+use optimiser::Optimiser;
+use sampler::Sampler;
+
+/// Steps from one [`Progress`] to the next.
+const REPORT_EVERY: usize = 50;
+
+/// Why training or evaluation did not happen.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum TrainError {
+    #[error("{}: cannot be read: {source}; check the path and its permissions", path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{}: cannot be written: {source}; check that its folder exists", path.display())]
+    Write { path: PathBuf, source: std::io::Error },
+    #[error("{}: holds no .bvh file; name a folder of motion clips", path.display())]
+    NoClips { path: PathBuf },
+    #[error("{}: {source}", path.display())]
+    Bvh { path: PathBuf, source: BvhError },
+    #[error(
+        "{}: has no joint `{joint}`; its skeleton is neither of the two CMU skeletons (roots \
+         `hip` and `Hips`) that can be read",
+        path.display()
+    )]
+    Joint { path: PathBuf, joint: String },
+    #[error("no clip of subject `{subject}`; the clips' subjects are {known}")]
+    Subject { subject: String, known: String },
+    #[error("no clip to train on is longer than {frames} frames; leave out fewer subjects")]
+    NothingLeft { frames: usize },
+    #[error("option `{option}` is {found}; it must be {allowed}")]
+    Option { option: &'static str, found: String, allowed: &'static str },
+    #[error("the loss is no longer finite at step {step}; lower the learning rate")]
+    Diverged { step: usize },
+    #[error("{}: {problem}; it is no weights file that this version can use", path.display())]
+    Weights { path: PathBuf, problem: String },
+}
+
+/// What to train on, and how. The defaults made the weights that ship.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// Folder of BVH clips; subfolders are read too.
+    pub motions: PathBuf,
+    /// Where the weights go.
+    pub out: PathBuf,
+    /// Subjects never trained on, whose error is reported.
+    pub test_subjects: Vec<String>,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Steps of the optimiser.
+    pub steps: usize,
+    /// Samples per step; a sample is two poses of a clip and one between.
+    pub batch: usize,
+    /// Hidden units per layer of the decoder.
+    pub hidden: usize,
+    /// Hidden units per layer of the encoder.
+    pub encoder_hidden: usize,
+    /// Hidden layers of each network.
+    pub layers: usize,
+    /// Greatest learning rate.
+    pub learning_rate: f32,
+    /// Share by which weights shrink per step and unit of learning rate.
+    pub weight_decay: f32,
+    /// Weight of the divergence from N(0, I), per nat.
+    pub kl: f32,
+    /// Weight of joint centres, per metre; that of rotations is 1 per radian.
+    pub position: f32,
+    /// Weight of the poses between, against that of the poses themselves.
+    pub between: f32,
+    /// Share of samples whose legs come from another clip.
+    pub mix: f64,
+    /// Threads, 1 to 4. Does not change the result.
+    pub threads: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            motions: PathBuf::from("motions"),
+            out: PathBuf::from("weights.safetensors"),
+            test_subjects: Vec::new(),
+            seed: 1,
+            steps: 20_000,
+            batch: 512,
+            hidden: 384,
+            encoder_hidden: 512,
+            layers: 2,
+            learning_rate: 1e-3,
+            weight_decay: 0.01,
+            kl: 3e-4,
+            position: 10.0,
+            between: 1.0,
+            mix: 0.3,
+            threads: std::thread::available_parallelism().map_or(1, usize::from).min(4),
+        }
+    }
+}
+
+/// How far training is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Steps taken.
+    pub step: usize,
+    /// Steps in all.
+    pub steps: usize,
+    /// Mean losses since the last report.
+    pub losses: Losses,
+    /// Their weighted sum.
+    pub loss: f32,
+    /// Steps per second since the start.
+    pub steps_per_second: f64,
+    /// Time left at that pace.
+    pub eta: Duration,
+}
+
+/// What came of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Report {
+    /// Held-out figures by subject, then `all`; empty without test subjects.
+    pub held_out: Vec<Figures>,
+    /// Share of joint rotations decoded from codes of N(0, I) that turn further than that joint
+    /// ever does in the clips trained on.
+    pub prior_outside: f64,
+    /// Frames trained on.
+    pub frames: usize,
+    /// Clips trained on.
+    pub clips: usize,
+    /// How many numbers were trained.
+    pub parameters: usize,
+    /// The command that repeats it.
+    pub command: String,
+    /// How long it took.
+    pub duration: Duration,
+}
+
+/// Trains, writes the weights and reports the error on the test subjects. `progress` is called
+/// every 50 steps and after the last.
+pub fn run(options: &Options, progress: &mut dyn FnMut(Progress)) -> Result<Report, TrainError> {
+    check(options)?;
+    let start = Instant::now();
+    let clips = read_folder(&options.motions)?;
+    let (held_out, training) = split(clips, &options.test_subjects)?;
+    let model = fit(options, &training, progress)?;
+    let held_out =
+        if held_out.is_empty() { Vec::new() } else { evaluate::figures(&model, &held_out) };
+    let command = command(options);
+    file::write(&options.out, &model, &metadata(options, &training, &held_out, &command))?;
+    Ok(Report {
+        held_out,
+        prior_outside: evaluate::prior_outside(&model, &training, options.seed),
+        frames: training.iter().map(|clip| clip.poses.len()).sum(),
+        clips: training.len(),
+        parameters: model.parameters.len(),
+        command,
+        duration: start.elapsed(),
+    })
+}
+
+/// Figures of a weights file on `subjects` of a folder, by subject, then `all`.
+pub fn evaluate(
+    weights: &Path,
+    motions: &Path,
+    subjects: &[String],
+) -> Result<Vec<Figures>, TrainError> {
+    let model = file::read(weights)?;
+    let (chosen, rest) = split(read_folder(motions)?, subjects)?;
+    Ok(evaluate::figures(&model, if subjects.is_empty() { &rest } else { &chosen }))
+}
+
+/// The clips of `subjects`, and the others.
+fn split(clips: Vec<Clip>, subjects: &[String]) -> Result<(Vec<Clip>, Vec<Clip>), TrainError> {
+    for subject in subjects {
+        if !clips.iter().any(|clip| clip.subject == *subject) {
+            let mut known: Vec<&str> = clips.iter().map(|clip| clip.subject.as_str()).collect();
+            known.dedup();
+            let known = known.join(", ");
+            return Err(TrainError::Subject { subject: subject.clone(), known });
+        }
+    }
+    Ok(clips.into_iter().partition(|clip| subjects.contains(&clip.subject)))
+}
+
+fn check(options: &Options) -> Result<(), TrainError> {
+    let counts = [
+        ("steps", options.steps, 1, 10_000_000),
+        ("batch", options.batch, 1, 65_536),
+        ("hidden", options.hidden, 8, 4096),
+        ("encoder_hidden", options.encoder_hidden, 8, 4096),
+        ("layers", options.layers, 1, 8),
+        ("threads", options.threads, 1, 1024),
+    ];
+    for (option, found, low, high) in counts {
+        if !(low..=high).contains(&found) {
+            let found = found.to_string();
+            let allowed = "a positive number of a sensible size";
+            return Err(TrainError::Option { option, found, allowed });
+        }
+    }
+    let weights = [
+        ("learning_rate", options.learning_rate),
+        ("weight_decay", options.weight_decay),
+        ("kl", options.kl),
+        ("position", options.position),
+        ("between", options.between),
+    ];
+    for (option, found) in weights {
+        if !(found.is_finite() && found >= 0.0) {
+            let found = found.to_string();
+            return Err(TrainError::Option { option, found, allowed: "0 or more" });
+        }
+    }
+    if !(0.0..=1.0).contains(&options.mix) {
+        let found = options.mix.to_string();
+        return Err(TrainError::Option { option: "mix", found, allowed: "from 0 to 1" });
+    }
+    Ok(())
+}
+
+/// The training loop.
+fn fit(
+    options: &Options,
+    clips: &[Clip],
+    progress: &mut dyn FnMut(Progress),
+) -> Result<Model, TrainError> {
+    let draws = sampler_config(options);
+    let sampler = Sampler::new(clips, draws)
+        .ok_or(TrainError::NothingLeft { frames: draws.span.max(draws.spans.1) })?;
+    let (mean, deviation) = sampler::statistics(clips);
+    let whitening = Whitening::new(mean, deviation);
+    let weights = loss_weights(options);
+    let mut model = Model::new(
+        &vec![options.encoder_hidden; options.layers],
+        &vec![options.hidden; options.layers],
+    );
+    model.initialise(&mean, &mut ChaCha8Rng::seed_from_u64(options.seed));
+    let mut optimiser = Optimiser::new(optimiser_config(options), &model.parameters);
+    let mut batch = Batch::new(&model, options.batch, weights, whitening.clone(), options.threads);
+    let mut gradient = vec![0.0; model.parameters.len()];
+    let mut reporter = Reporter::new(options.steps, weights);
+    for step in 1..=options.steps {
+        let losses = batch.gradient(&model, &sampler, (options.seed, step), &mut gradient);
+        optimiser.step(&mut model.parameters, &gradient);
+        if let Some(report) = reporter.add(step, &losses) {
+            if !report.loss.is_finite() {
+                return Err(TrainError::Diverged { step });
+            }
+            progress(report);
+        }
+    }
+    model.fold(optimiser.averaged(), &whitening);
+    let square = evaluate::latent_square(&model, clips);
+    if square > 0.0 {
+        model.stretch(square.sqrt().recip() as f32);
+    }
+    Ok(model)
+}
+
+fn sampler_config(options: &Options) -> sampler::Config {
+    sampler::Config {
+        mix: options.mix,
+        mirror: 0.5,
+        span: SPAN,
+        spans: (5, 15),
+        other_spans: 0.3,
+        balance: 0.6,
+    }
+}
+
+fn loss_weights(options: &Options) -> LossWeights {
+    let pose = Weights { rotation: 1.0, position: options.position };
+    let between = Weights {
+        rotation: options.between * pose.rotation,
+        position: options.between * pose.position,
+    };
+    LossWeights { pose, between, divergence: options.kl }
+}
+
+fn optimiser_config(options: &Options) -> optimiser::Config {
+    optimiser::Config {
+        learning_rate: options.learning_rate,
+        warm_up: (options.steps / 20).min(500),
+        steps: options.steps,
+        longest_gradient: 1.0,
+        weight_decay: options.weight_decay,
+        averaging: 0.999,
+    }
+}
+
+/// Gathers losses between reports.
+struct Reporter {
+    start: Instant,
+    steps: usize,
+    weights: LossWeights,
+    sum: Losses,
+    count: usize,
+}
+
+impl Reporter {
+    fn new(steps: usize, weights: LossWeights) -> Self {
+        Self { start: Instant::now(), steps, weights, sum: Losses::default(), count: 0 }
+    }
+
+    fn add(&mut self, step: usize, losses: &Losses) -> Option<Progress> {
+        self.sum.add(losses, 1.0);
+        self.count += 1;
+        if !step.is_multiple_of(REPORT_EVERY) && step != self.steps {
+            return None;
+        }
+        let mut mean = Losses::default();
+        mean.add(&self.sum, 1.0 / self.count as f32);
+        (self.sum, self.count) = (Losses::default(), 0);
+        let pace = step as f64 / self.start.elapsed().as_secs_f64().max(1e-6);
+        Some(Progress {
+            step,
+            steps: self.steps,
+            losses: mean,
+            loss: mean.total(&self.weights),
+            steps_per_second: pace,
+            eta: Duration::from_secs_f64((self.steps - step) as f64 / pace),
+        })
+    }
+}
+
+/// The command line that repeats a run: folder and file by their last names, and the options
+/// that are not the default.
+fn command(options: &Options) -> String {
+    let last = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let default = Options::default();
+    let mut command = format!("bundlemocap train {}/", last(&options.motions));
+    if !options.test_subjects.is_empty() {
+        command += &format!(" --test-subjects {}", options.test_subjects.join(","));
+    }
+    command += &format!(" --out {}", last(&options.out));
+    let settings = |o: &Options| {
+        [
+            ("seed", o.seed.to_string()),
+            ("steps", o.steps.to_string()),
+            ("batch", o.batch.to_string()),
+            ("hidden", o.hidden.to_string()),
+            ("encoder-hidden", o.encoder_hidden.to_string()),
+            ("layers", o.layers.to_string()),
+            ("learning-rate", o.learning_rate.to_string()),
+            ("weight-decay", o.weight_decay.to_string()),
+            ("kl", o.kl.to_string()),
+            ("position", o.position.to_string()),
+            ("between", o.between.to_string()),
+            ("mix", o.mix.to_string()),
+        ]
+    };
+    for ((name, value), (_, usual)) in settings(options).into_iter().zip(settings(&default)) {
+        if value != usual {
+            command += &format!(" --{name} {value}");
+        }
+    }
+    command
+}
+
+fn metadata(
+    options: &Options,
+    training: &[Clip],
+    held_out: &[Figures],
+    command: &str,
+) -> BTreeMap<&'static str, String> {
+    let mut subjects: Vec<&str> = training.iter().map(|clip| clip.subject.as_str()).collect();
+    subjects.dedup();
+    let mut metadata = BTreeMap::from([
+        ("seed", options.seed.to_string()),
+        ("command", command.to_owned()),
+        ("subjects", subjects.join(",")),
+        ("test_subjects", options.test_subjects.join(",")),
+    ]);
+    if let Some(all) = held_out.last() {
+        metadata.insert("held_out_rotation_deg", format!("{:.3}", all.rotation_deg));
+        metadata.insert("held_out_joint_mm", format!("{:.2}", all.joint_mm));
+        metadata.insert("held_out_between_mm", format!("{:.2}", all.between_mm));
+        metadata.insert("held_out_latent_square", format!("{:.3}", all.latent_square));
+    }
+    metadata
+}
