@@ -9,7 +9,7 @@ use super::corpus::{POSE, PoseVector};
 use super::latent::{self, CODE, Slerp};
 use super::loss::{Tree, Weights, pose_loss};
 use super::mlp::{Mlp, Tape, fill_normal};
-use super::sampler::Sampler;
+use super::sampler::{BETWEEN, Sampler};
 use crate::body::Skeleton;
 use crate::manifold::LATENT;
 
@@ -213,8 +213,8 @@ impl Batch {
     }
 }
 
-/// A part of a batch: `rows` samples. Tapes hold 2 `rows` rows: in the encoder the first poses,
-/// then the second; in the decoder the sampled codes of the first, then the codes between.
+/// A part of a batch: `rows` samples. The encoder's tape holds the first poses, then the second;
+/// the decoder's the sampled codes of the first, then the codes between of each sample in turn.
 struct Part {
     rows: usize,
     encoder: Tape,
@@ -232,11 +232,11 @@ impl Part {
         Self {
             rows,
             encoder: model.encoder.tape(2 * rows),
-            decoder: model.decoder.tape(2 * rows),
-            truth: vec![0.0; 2 * rows * POSE],
+            decoder: model.decoder.tape((1 + BETWEEN) * rows),
+            truth: vec![0.0; (1 + BETWEEN) * rows * POSE],
             noise: vec![0.0; rows * LATENT],
-            places: vec![0.0; rows],
-            slerps: Vec::with_capacity(rows),
+            places: vec![0.0; BETWEEN * rows],
+            slerps: Vec::with_capacity(BETWEEN * rows),
             gradient: vec![0.0; model.parameters.len()],
             losses: Losses::default(),
         }
@@ -250,9 +250,12 @@ impl Part {
             let sample = sampler.draw(rng);
             whitening.write(&sample.a, &mut first[at.clone()]);
             whitening.write(&sample.b, &mut second[at.clone()]);
-            pose[at.clone()].copy_from_slice(&sample.a);
-            between[at].copy_from_slice(&sample.between);
-            self.places[row] = sample.s;
+            pose[at].copy_from_slice(&sample.a);
+            for (index, (pose, place)) in sample.between.iter().enumerate() {
+                let row = row * BETWEEN + index;
+                between[row * POSE..(row + 1) * POSE].copy_from_slice(pose);
+                self.places[row] = *place;
+            }
         }
         fill_normal(&mut self.noise, rng);
     }
@@ -278,20 +281,27 @@ impl Part {
         for row in 0..self.rows {
             let (code, at) = (row * CODE, row * LATENT..(row + 1) * LATENT);
             let (a, b) = (&first[code..code + CODE], &second[code..code + CODE]);
-            latent::sample(a, &self.noise[at.clone()], &mut sampled[at.clone()]);
-            let slerp = Slerp::new(&a[..LATENT], &b[..LATENT], self.places[row]);
-            slerp.mix(&a[..LATENT], &b[..LATENT], &mut between[at]);
-            self.slerps.push(slerp);
+            latent::sample(a, &self.noise[at.clone()], &mut sampled[at]);
+            let (a, b) = (&a[..LATENT], &b[..LATENT]);
+            for row in row * BETWEEN..(row + 1) * BETWEEN {
+                let slerp = Slerp::new(a, b, self.places[row]);
+                slerp.mix(a, b, &mut between[row * LATENT..(row + 1) * LATENT]);
+                self.slerps.push(slerp);
+            }
         }
     }
 
     /// Losses of the decoder's output, and their derivatives by it.
     fn compare(&mut self, weights: &LossWeights, tree: &Tree) {
-        let share = 1.0 / (self.rows * PARTS) as f32;
+        let all = 1.0 / (self.rows * PARTS) as f32;
         let (decoded, by_decoded) = self.decoder.output_and_delta();
-        for row in 0..2 * self.rows {
+        for row in 0..(1 + BETWEEN) * self.rows {
             let at = row * POSE..(row + 1) * POSE;
-            let of = if row < self.rows { weights.pose } else { weights.between };
+            let (of, share) = if row < self.rows {
+                (weights.pose, all)
+            } else {
+                (weights.between, all / BETWEEN as f32)
+            };
             let scaled = Weights { rotation: of.rotation * share, position: of.position * share };
             let (truth, by) = (&self.truth[at.clone()], &mut by_decoded[at.clone()]);
             let distances = pose_loss(tree, scaled, &decoded[at], truth, by);
@@ -318,11 +328,106 @@ impl Part {
             let (code, at) = (row * CODE..(row + 1) * CODE, row * LATENT..(row + 1) * LATENT);
             let (a, b) = (&first[code.clone()], &second[code.clone()]);
             let (by_a, by_b) = (&mut by_first[code.clone()], &mut by_second[code]);
-            latent::sample_backward(a, &self.noise[at.clone()], &by_sampled[at.clone()], by_a);
-            self.slerps[row].backward(a, b, &by_between[at], by_a, by_b);
+            latent::sample_backward(a, &self.noise[at.clone()], &by_sampled[at], by_a);
+            for row in row * BETWEEN..(row + 1) * BETWEEN {
+                let by = &by_between[row * LATENT..(row + 1) * LATENT];
+                self.slerps[row].backward(a, b, by, by_a, by_b);
+            }
             let weight = share * divergence;
             let nats = latent::divergence(a, weight, by_a) + latent::divergence(b, weight, by_b);
             self.losses.divergence += share * nats;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::super::corpus::{Clip, pose_vector};
+    use super::super::sampler::{Config, statistics};
+    use super::*;
+    use crate::so3;
+
+    const WEIGHTS: LossWeights = LossWeights {
+        pose: Weights { rotation: 1.0, position: 10.0 },
+        between: Weights { rotation: 2.0, position: 20.0 },
+        divergence: 1e-2,
+    };
+
+    fn clip() -> Clip {
+        let turn = |frame: usize, joint: usize| {
+            let phase = 0.2 * frame as f64 + joint as f64;
+            so3::exp(&Vector3::new(0.5 * phase.sin(), 0.3 * (1.3 * phase).cos(), 0.1))
+        };
+        let pose = |frame| pose_vector(&std::array::from_fn(|joint| turn(frame, joint)));
+        Clip { name: "01_01".into(), subject: "01".into(), poses: (0..60).map(pose).collect() }
+    }
+
+    fn small(clips: &[Clip]) -> (Model, Whitening) {
+        let (mean, deviation) = statistics(clips);
+        let mut model = Model::new(&[16, 12], &[12, 16]);
+        model.initialise(&mean, &mut ChaCha8Rng::seed_from_u64(1));
+        (model, Whitening::new(mean, deviation))
+    }
+
+    #[test]
+    fn the_gradient_of_a_batch_agrees_with_central_differences() {
+        let clips = [clip()];
+        let (model, whitening) = small(&clips);
+        let config = Config {
+            mix: 0.5,
+            mirror: 0.5,
+            span: 10,
+            spans: (5, 15),
+            other_spans: 0.5,
+            balance: 0.5,
+        };
+        let sampler = Sampler::new(&clips, config).unwrap();
+        let mut batch = Batch::new(&model, 32, WEIGHTS, whitening, 2);
+        let mut gradient = vec![0.0; model.parameters.len()];
+        batch.gradient(&model, &sampler, (7, 1), &mut gradient);
+        for seed in 0..8 {
+            let mut direction = vec![0.0; gradient.len()];
+            fill_normal(&mut direction, &mut ChaCha8Rng::seed_from_u64(seed));
+            let analytic: f64 =
+                direction.iter().zip(&gradient).map(|(d, g)| f64::from(*d) * f64::from(*g)).sum();
+            let mut loss = |step: f32| {
+                let mut moved = model.clone();
+                moved.parameters.iter_mut().zip(&direction).for_each(|(p, d)| *p += step * d);
+                let mut unused = vec![0.0; gradient.len()];
+                let losses = batch.gradient(&moved, &sampler, (7, 1), &mut unused);
+                f64::from(losses.total(&WEIGHTS))
+            };
+            let numeric = (loss(1e-3) - loss(-1e-3)) / 2e-3;
+            let error = (analytic - numeric).abs();
+            assert!(error < 2e-3 + 5e-3 * numeric.abs(), "{analytic} {numeric}");
+        }
+    }
+
+    #[test]
+    fn stretching_changes_the_codes_and_not_the_poses() {
+        let clips = [clip()];
+        let (model, whitening) = small(&clips);
+        let mut plain = model.clone();
+        plain.fold(&model.parameters, &whitening);
+        let mut stretched = plain.clone();
+        stretched.stretch(3.0);
+        let decoded = |model: &Model| {
+            let mut encoder = model.encoder.tape(8);
+            encoder.input_mut().copy_from_slice(clips[0].poses[..8].as_flattened());
+            model.encoder.forward(&model.parameters, &mut encoder);
+            let mut decoder = model.decoder.tape(8);
+            for (z, code) in
+                decoder.input_mut().chunks_mut(LATENT).zip(encoder.output().chunks(CODE))
+            {
+                z.copy_from_slice(&code[..LATENT]);
+            }
+            model.decoder.forward(&model.parameters, &mut decoder);
+            (encoder.output()[0], decoder.output().to_vec())
+        };
+        let ((z, pose), (long_z, same)) = (decoded(&plain), decoded(&stretched));
+        assert!((long_z - 3.0 * z).abs() < 1e-4 * long_z.abs());
+        assert!(pose.iter().zip(&same).all(|(a, b)| (a - b).abs() < 1e-5));
     }
 }

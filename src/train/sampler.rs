@@ -23,17 +23,18 @@ pub struct Config {
     pub balance: f64,
 }
 
-/// Two poses, and the true one at `s` of the way.
+/// True poses between the two of a sample.
+pub const BETWEEN: usize = 2;
+
+/// Two poses, and true ones between.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// Pose at the start.
     pub a: PoseVector,
     /// Pose at the end.
     pub b: PoseVector,
-    /// Pose between.
-    pub between: PoseVector,
-    /// Where between, in (0, 1).
-    pub s: f64,
+    /// Poses between, and where, in (0, 1).
+    pub between: [(PoseVector, f64); BETWEEN],
 }
 
 /// Clips to draw from, by subject.
@@ -82,22 +83,31 @@ impl<'a> Sampler<'a> {
         } else {
             config.span
         };
-        let step = rng.random_range(1..span);
-        let mut poses = self.three(span, step, rng);
+        let mut steps = [span; BETWEEN + 2];
+        steps[0] = 0;
+        steps[1..=BETWEEN].fill_with(|| rng.random_range(1..span));
+        let mut poses = self.poses(steps, rng);
         if rng.random_bool(config.mix) {
-            let legs = self.three(span, step, rng);
+            let legs = self.poses(steps, rng);
             poses.iter_mut().zip(&legs).for_each(|(pose, legs)| copy_legs(legs, pose));
         }
-        let [a, b, between] = poses;
-        Sample { a, b, between, s: step as f64 / span as f64 }
+        let place = |index: usize| steps[index] as f64 / span as f64;
+        Sample {
+            a: poses[0],
+            b: poses[BETWEEN + 1],
+            between: std::array::from_fn(|index| (poses[index + 1], place(index + 1))),
+        }
     }
 
-    /// Poses of one clip: the first, `span` later, and `step` later; mirrored or not.
-    fn three(&self, span: usize, step: usize, rng: &mut ChaCha8Rng) -> [PoseVector; 3] {
-        let (clip, last) = (self.clip(rng), rng.random_bool(self.config.mirror));
+    /// Poses of one clip so many frames after a first one; mirrored or not.
+    fn poses<const N: usize>(&self, steps: [usize; N], rng: &mut ChaCha8Rng) -> [PoseVector; N] {
+        let (clip, mirror) = (self.clip(rng), rng.random_bool(self.config.mirror));
+        let span = steps.into_iter().max().unwrap_or(0);
         let first = rng.random_range(0..clip.poses.len() - span);
-        [first, first + span, first + step]
-            .map(|frame| if last { mirrored(&clip.poses[frame]) } else { clip.poses[frame] })
+        steps.map(|step| {
+            let pose = &clip.poses[first + step];
+            if mirror { mirrored(pose) } else { *pose }
+        })
     }
 
     /// A clip: first its subject, then in proportion to its frames.
