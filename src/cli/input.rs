@@ -35,11 +35,7 @@ impl Recording {
     pub(super) fn open(path: &Path) -> Result<Self, Failure> {
         let info = summary(path)?;
         if info.cameras.is_empty() {
-            let fix = "give a recording from `bundlemocap import` or `bundlemocap synth`";
-            return Err(Failure::new(
-                Exit::NotOurs,
-                format!("{} holds no keypoints; {fix}", path.display()),
-            ));
+            return Err(without_keypoints(path, info.topics.keys().map(String::as_str)));
         }
         let rig = Arc::new(first_rig(path)?);
         let messages = info.topics.values().map(|topic| topic.count).sum();
@@ -145,6 +141,18 @@ impl Recording {
         }
         Ok(reader.report().clone())
     }
+}
+
+fn without_keypoints<'a>(path: &Path, topics: impl Iterator<Item = &'a str>) -> Failure {
+    const SHOWN: usize = 8;
+    let topics: Vec<&str> = topics.take(SHOWN).collect();
+    let held = if topics.is_empty() { "nothing".to_owned() } else { topics.join(", ") };
+    let message = format!(
+        "{} holds no keypoints but {held}; give a recording from `bundlemocap import` or \
+         `bundlemocap synth`",
+        path.display()
+    );
+    Failure::new(Exit::NotOurs, message)
 }
 
 /// The first rig of a recording. It need not come before the first keypoints.
