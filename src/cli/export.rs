@@ -7,10 +7,10 @@ use clap::Args;
 use super::Ended;
 use super::failure::{Exit, Failure};
 use super::figures::{frame_rate, losses};
-use super::output::strip;
+use super::kept::KeptPose;
+use super::output::{bvh, strip, text};
 use super::terminal::{complain, say};
-use crate::body::{Skeleton, StampedPose};
-use crate::export::write_bvh;
+use crate::body::Skeleton;
 use crate::record::{Message, Reader};
 
 /// Write the poses of a solved recording for other tools.
@@ -41,15 +41,11 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let Solved { skeleton, poses, damage } = read(arguments)?;
     let fps = frame_rate(&poses).unwrap_or(60.0);
     if let Some(path) = &arguments.bvh {
-        write_bvh(path, &skeleton, fps, poses.iter().map(|pose| &pose.pose))?;
+        bvh(path, &poses, &skeleton, fps)?;
         say(&format!("{}: {} frames at {fps:.2} Hz", path.display(), poses.len()));
     }
-    if let (Some(path), Some(first)) = (&arguments.picture, poses.first()) {
-        let postures: Vec<_> = (poses.iter())
-            .map(|pose| (pose.capture.seconds_since(first.capture), pose.pose.posture(&skeleton)))
-            .collect();
-        let svg = strip(&postures, usize::from(arguments.figures));
-        std::fs::write(path, svg).map_err(|error| Failure::write(path, &error))?;
+    if let Some(path) = &arguments.picture {
+        text(path, &strip(&poses, &skeleton, usize::from(arguments.figures)))?;
         say(&format!("{}: {} figures", path.display(), arguments.figures));
     }
     if damage.is_empty() {
@@ -63,7 +59,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 struct Solved {
     skeleton: Skeleton,
     /// In order of capture time.
-    poses: Vec<StampedPose>,
+    poses: Vec<KeptPose>,
     /// What was lost of the file.
     damage: Vec<String>,
 }
@@ -78,7 +74,7 @@ fn read(arguments: &Arguments) -> Result<Solved, Failure> {
                 wire.to_core().map(|body| skeleton = Some(body))
             }
             (Message::Pose(wire), false) | (Message::TruthPose(wire), true) => {
-                wire.to_core().map(|pose| poses.push(pose))
+                wire.to_core().map(|pose| poses.push(KeptPose::from(&pose)))
             }
             _ => Ok(()),
         };

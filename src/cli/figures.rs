@@ -6,9 +6,10 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::hold_out::HoldOut;
+use super::kept::KeptPose;
 use super::reference::Reference;
-use super::run::Run;
-use crate::body::{Posture, Skeleton, StampedPose, TrackingState};
+use super::run::{CameraErrors, Run};
+use crate::body::{Posture, Skeleton, TrackingState};
 use crate::camera::Rig;
 use crate::eval::statistics::{median, percentiles};
 use crate::eval::{PoseErrors, mean_acceleration, pose_errors};
@@ -80,13 +81,20 @@ impl From<PoseErrors> for Truth {
     }
 }
 
+/// The truth that a synthetic recording carries; no poses in others.
+#[derive(Clone, Debug, Default)]
+pub(super) struct True {
+    pub(super) body: Skeleton,
+    pub(super) poses: Vec<KeptPose>,
+}
+
 /// What the figures are made of.
 pub(super) struct Measured<'a> {
     pub(super) recording: &'a std::path::Path,
     pub(super) run: &'a Run,
     pub(super) rig: &'a Rig,
     pub(super) skeleton: &'a Skeleton,
-    pub(super) truth: &'a [(Timestamp, Box<Posture>)],
+    pub(super) truth: &'a True,
     pub(super) hold_out: Option<HoldOut>,
     pub(super) reference: Option<Reference>,
     pub(super) report: &'a Report,
@@ -99,7 +107,7 @@ impl Figures {
         let Measured { run, rig, skeleton, .. } = &measured;
         let fps = frame_rate(&run.poses);
         let solve_ms: Vec<f64> = run.windows.iter().map(|window| window.solve_ms).collect();
-        let is_lost = |pose: &&StampedPose| pose.state == TrackingState::Lost;
+        let is_lost = |pose: &&KeptPose| pose.state == TrackingState::Lost;
         Self {
             version: env!("CARGO_PKG_VERSION"),
             recording: measured.recording.display().to_string(),
@@ -121,90 +129,128 @@ impl Figures {
         }
     }
 
-    /// Rows of a name and a value, for people.
-    pub(super) fn rows(&self) -> Vec<(String, String)> {
-        let mut rows = Vec::new();
-        let mut row = |name: &str, value: String| rows.push((name.to_owned(), value));
-        row("frames", with_part(self.frames, self.frames_lost, "flagged lost"));
-        row("windows", with_part(self.windows, self.lost, "lost"));
-        if self.windows_without_performer > 0 {
-            row("windows without a performer", self.windows_without_performer.to_string());
-        }
-        row("reprojection, median", px(self.reprojection.median_px));
-        for (camera, error) in &self.reprojection.cameras {
-            row(&format!("  {camera}"), px(*error));
-        }
+    /// The few that matter most, as name and value.
+    pub(super) fn headline(&self) -> Vec<(String, String)> {
+        let mut facts = vec![
+            ("frames".to_owned(), self.frames.to_string()),
+            ("lost windows".to_owned(), format!("{} of {}", self.lost, self.windows)),
+            ("reprojection, median".to_owned(), px(self.reprojection.median_px)),
+            ("joint acceleration".to_owned(), unit(self.mean_acceleration_m_s2, 1, "m/s²")),
+        ];
+        let mut fact = |name: &str, value: String| facts.push((name.to_owned(), value));
         if let Some(held) = &self.hold_out {
-            row(
-                &format!("hold-out {}, median", held.camera),
-                format!("{} ({} points, {} frames)", px(held.median_px), held.points, held.frames),
-            );
+            fact(&format!("hold-out {}", held.camera), px(held.median_px));
         }
-        row("mean joint acceleration", unit(self.mean_acceleration_m_s2, 2, "m/s^2"));
         if let Some(truth) = &self.truth {
-            let (all, relative) = (truth.mpjpe_mm, truth.mpjpe_root_relative_mm);
-            row("truth: MPJPE", format!("{all:.1} mm ({relative:.1} mm root-relative)"));
-            row("truth: RMSE", format!("{:.1} mm", truth.rmse_mm));
-            row("truth: MAE", format!("{:.2} deg (root {:.2})", truth.mae_deg, truth.root_deg));
-            let (three, seven) = (truth.pck3_percent, truth.pck7_percent);
-            row("truth: PCK 3 cm, 7 cm", format!("{three:.1} %, {seven:.1} %"));
+            fact("MPJPE", format!("{:.1} mm", truth.mpjpe_mm));
         }
         if let Some(reference) = &self.reference {
-            let frames = reference.frames;
-            row("reference: mean", format!("{:.1} mm ({frames} frames)", reference.mean_mm));
-            if let (Some(mm), Some(frame)) =
-                (reference.worst_mid_hip_mm, reference.worst_mid_hip_frame)
-            {
-                row("reference: worst mid-hip", format!("{mm:.1} mm (frame {frame})"));
-            }
+            fact("from the reference", format!("{:.1} mm", reference.mean_mm));
         }
+        if let Some(SolveTime { p50, .. }) = self.solve_ms {
+            fact("window solve, median", format!("{p50:.1} ms"));
+        }
+        facts
+    }
+
+    /// Rows of a name and a value, for people.
+    pub(super) fn rows(&self) -> Vec<(String, String)> {
+        let mut rows = Rows::default();
+        rows.add("frames", with_part(self.frames, self.frames_lost, "flagged lost"));
+        rows.add("windows", with_part(self.windows, self.lost, "lost"));
+        if self.windows_without_performer > 0 {
+            let windows = self.windows_without_performer.to_string();
+            rows.add("windows without a performer", windows);
+        }
+        rows.add("reprojection, median", px(self.reprojection.median_px));
+        for (camera, error) in &self.reprojection.cameras {
+            rows.add(&format!("  {camera}"), px(*error));
+        }
+        self.hold_out.iter().for_each(|held| rows.add_hold_out(held));
+        rows.add("mean joint acceleration", unit(self.mean_acceleration_m_s2, 2, "m/s²"));
+        self.truth.iter().for_each(|truth| rows.add_truth(truth));
+        self.reference.iter().for_each(|reference| rows.add_reference(reference));
         if let Some(SolveTime { p50, p99 }) = self.solve_ms {
-            row("solve time, p50, p99", format!("{p50:.1} ms, {p99:.1} ms a window"));
+            rows.add("solve time, p50, p99", format!("{p50:.1} ms, {p99:.1} ms a window"));
         }
-        row("speed", format!("{:.0} frames/s", self.frames_per_second));
-        let happened: Vec<String> = (self.events.iter().filter(|(_, count)| **count > 0))
-            .map(|(kind, count)| format!("{kind} {count}"))
-            .collect();
-        row("events", if happened.is_empty() { "none".to_owned() } else { happened.join(", ") });
+        rows.add("speed", format!("{:.0} frames/s", self.frames_per_second));
+        rows.add("events", self.events_in_words());
         for damage in &self.damage {
-            row("damage", damage.clone());
+            rows.add("damage", damage.clone());
         }
-        rows
+        rows.0
+    }
+
+    fn events_in_words(&self) -> String {
+        let happened = self.events.iter().filter(|(_, count)| **count > 0);
+        let happened: Vec<String> =
+            happened.map(|(kind, count)| format!("{kind} {count}")).collect();
+        if happened.is_empty() { "none".to_owned() } else { happened.join(", ") }
+    }
+}
+
+/// Rows of a table being made.
+#[derive(Default)]
+struct Rows(Vec<(String, String)>);
+
+impl Rows {
+    fn add(&mut self, name: &str, value: String) {
+        self.0.push((name.to_owned(), value));
+    }
+
+    fn add_hold_out(&mut self, held: &HoldOut) {
+        let HoldOut { camera, median_px, points, frames, .. } = held;
+        let value = format!("{} ({points} points, {frames} frames)", px(*median_px));
+        self.add(&format!("hold-out {camera}, median"), value);
+    }
+
+    fn add_truth(&mut self, truth: &Truth) {
+        let (all, relative) = (truth.mpjpe_mm, truth.mpjpe_root_relative_mm);
+        self.add("truth: MPJPE", format!("{all:.1} mm ({relative:.1} mm root-relative)"));
+        self.add("truth: RMSE", format!("{:.1} mm", truth.rmse_mm));
+        self.add("truth: MAE", format!("{:.2}° (root {:.2}°)", truth.mae_deg, truth.root_deg));
+        let (three, seven) = (truth.pck3_percent, truth.pck7_percent);
+        self.add("truth: PCK 3 cm, 7 cm", format!("{three:.1} %, {seven:.1} %"));
+    }
+
+    fn add_reference(&mut self, reference: &Reference) {
+        let Reference { frames, mean_mm, worst_mid_hip_mm, worst_mid_hip_frame } = reference;
+        self.add("reference: mean", format!("{mean_mm:.1} mm ({frames} frames)"));
+        if let (Some(mm), Some(frame)) = (worst_mid_hip_mm, worst_mid_hip_frame) {
+            self.add("reference: worst mid-hip", format!("{mm:.1} mm (frame {frame})"));
+        }
     }
 }
 
 impl Reprojection {
     fn new(run: &Run, rig: &Rig) -> Self {
-        let values = |errors: &[(Timestamp, f32)]| -> Vec<f64> {
-            errors.iter().map(|(_, error)| f64::from(*error)).collect()
+        let values = |errors: &CameraErrors| -> Vec<f64> {
+            errors.all.iter().map(|&error| f64::from(error)).collect()
         };
-        let of_camera = |(camera, errors): (&crate::camera::Camera, &Vec<(Timestamp, f32)>)| {
-            (camera.name.clone(), median(&values(errors)))
-        };
-        Self {
-            median_px: median(&values(&run.errors_px.concat())),
-            cameras: rig.cameras.iter().zip(&run.errors_px).map(of_camera).collect(),
-        }
+        let all: Vec<f64> = run.errors_px.iter().flat_map(values).collect();
+        let cameras = rig.cameras.iter().zip(&run.errors_px);
+        let cameras =
+            cameras.map(|(camera, errors)| (camera.name.clone(), median(&values(errors))));
+        Self { median_px: median(&all), cameras: cameras.collect() }
     }
 }
 
 /// Poses a second, from the median distance in time; `None` for fewer than two.
-pub(super) fn frame_rate(poses: &[StampedPose]) -> Option<f64> {
+pub(super) fn frame_rate(poses: &[KeptPose]) -> Option<f64> {
     let periods: Vec<f64> =
         poses.windows(2).map(|pair| (pair[1].capture - pair[0].capture) as f64).collect();
     median(&periods).filter(|period| *period > 0.0).map(|period| 1e9 / period)
 }
 
 /// Mean joint acceleration over the runs of tracked poses without gaps, weighted by length.
-fn acceleration(poses: &[StampedPose], skeleton: &Skeleton, fps: f64) -> Option<f64> {
+fn acceleration(poses: &[KeptPose], skeleton: &Skeleton, fps: f64) -> Option<f64> {
     let longest = (1.5e9 / fps) as i64;
-    let together = |a: &StampedPose, b: &StampedPose| {
-        let tracked = [a, b].iter().all(|pose| pose.state == TrackingState::Tracking);
-        tracked && b.capture - a.capture < longest
+    let together = |a: &KeptPose, b: &KeptPose| {
+        a.is_tracked() && b.is_tracked() && b.capture - a.capture < longest
     };
     let (mut sum, mut count) = (0.0, 0.0);
     for run in poses.chunk_by(together).filter(|run| run.len() > 2) {
-        let postures: Vec<Posture> = run.iter().map(|pose| pose.pose.posture(skeleton)).collect();
+        let postures: Vec<Posture> = run.iter().map(|pose| pose.pose().posture(skeleton)).collect();
         if let Some(mean) = mean_acceleration(&postures, fps) {
             sum += mean * (run.len() - 2) as f64;
             count += (run.len() - 2) as f64;
@@ -213,23 +259,19 @@ fn acceleration(poses: &[StampedPose], skeleton: &Skeleton, fps: f64) -> Option<
     (count > 0.0).then(|| sum / count)
 }
 
-/// Errors of the tracked poses that have a true posture within a tenth of a frame.
-fn truth(
-    poses: &[StampedPose],
-    skeleton: &Skeleton,
-    truth: &[(Timestamp, Box<Posture>)],
-    fps: f64,
-) -> Option<Truth> {
+/// Errors of the tracked poses that have a true pose within a tenth of a frame.
+fn truth(poses: &[KeptPose], skeleton: &Skeleton, truth: &True, fps: f64) -> Option<Truth> {
     let tolerance = (0.1e9 / fps) as i64;
-    let estimates: Vec<(Posture, &Posture)> = (poses.iter())
-        .filter(|pose| pose.state == TrackingState::Tracking)
-        .filter_map(|pose| {
-            let next = truth.partition_point(|(at, _)| *at + tolerance < pose.capture);
-            let (at, posture) = truth.get(next)?;
-            (*at - pose.capture <= tolerance).then(|| (pose.pose.posture(skeleton), &**posture))
-        })
-        .collect();
-    pose_errors(estimates.iter().map(|(estimate, truth)| (estimate, *truth))).map(Truth::from)
+    let true_pose_at = |at: Timestamp| {
+        let next = truth.poses.partition_point(|pose| pose.capture + tolerance < at);
+        truth.poses.get(next).filter(|pose| pose.capture - at <= tolerance)
+    };
+    let pairs = poses.iter().filter(|pose| pose.is_tracked()).filter_map(|pose| {
+        let true_posture = true_pose_at(pose.capture)?.pose().posture(&truth.body);
+        Some((pose.pose().posture(skeleton), true_posture))
+    });
+    let pairs: Vec<(Posture, Posture)> = pairs.collect();
+    pose_errors(pairs.iter().map(|(estimate, truth)| (estimate, truth))).map(Truth::from)
 }
 
 /// What was lost of a recording, a line each.

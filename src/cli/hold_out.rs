@@ -4,15 +4,14 @@
 //! camera the pose at its capture time is projected, the detected person that is nearest to it
 //! is taken, and the distances of the limbs' points are gathered.
 
-use std::sync::Arc;
-
 use nalgebra::Vector2;
 use serde::Serialize;
 
 use super::failure::Failure;
 use super::input::{Item, Recording};
+use super::kept::KeptPose;
 use super::run::CONFIDENT;
-use crate::body::{Attachment, Pose, Skeleton, StampedPose, TrackingState};
+use crate::body::{Attachment, Pose, Skeleton};
 use crate::camera::{Camera, Rig};
 use crate::detect::{Detections, KeypointFormat, Person};
 use crate::eval::statistics::median;
@@ -43,9 +42,8 @@ pub(super) struct HoldOut {
 pub(super) fn measure(
     recording: &Recording,
     camera: &Camera,
-    skeleton: &Arc<Skeleton>,
-    poses: &[StampedPose],
-    mut each_message: impl FnMut(),
+    skeleton: &Skeleton,
+    poses: &[KeptPose],
 ) -> Result<HoldOut, Failure> {
     // A rig has two cameras at least; only the first is looked at.
     let other = recording.rig.cameras.iter().find(|other| other.name != camera.name);
@@ -53,21 +51,25 @@ pub(super) fn measure(
     let rig = Rig::new(recording.rig.version, cameras)?;
     let mut errors = Vec::new();
     let (mut frames, mut without) = (0, 0);
-    recording.stream(&rig, &mut each_message, |item| {
-        let Item::Detections(detections) = item else { return Ok(()) };
-        if detections.camera != 0 {
-            return Ok(());
-        }
-        let Some(pose) = pose_at(poses, detections.capture) else { return Ok(()) };
-        match distances(camera, skeleton, &pose, &detections) {
-            Some(found) => {
-                frames += 1;
-                errors.extend(found);
+    recording.stream(
+        &rig,
+        || {},
+        |item| {
+            let Item::Detections(detections) = item else { return Ok(()) };
+            if detections.camera != 0 {
+                return Ok(());
             }
-            None => without += usize::from(!detections.people.is_empty()),
-        }
-        Ok(())
-    })?;
+            let Some(pose) = pose_at(poses, detections.capture) else { return Ok(()) };
+            match distances(camera, skeleton, &pose, &detections) {
+                Some(found) => {
+                    frames += 1;
+                    errors.extend(found);
+                }
+                None => without += usize::from(!detections.people.is_empty()),
+            }
+            Ok(())
+        },
+    )?;
     Ok(HoldOut {
         camera: camera.name.clone(),
         median_px: median(&errors),
@@ -79,16 +81,16 @@ pub(super) fn measure(
 
 /// The pose at a time between two that are tracked: slerp of the rotations, lerp of the
 /// position. `None` outside, and where one of the two is flagged.
-pub(super) fn pose_at(poses: &[StampedPose], at: Timestamp) -> Option<Pose> {
-    let usable = |pose: &&StampedPose| pose.state == TrackingState::Tracking;
+pub(super) fn pose_at(poses: &[KeptPose], at: Timestamp) -> Option<Pose> {
+    let usable = |pose: &&KeptPose| pose.is_tracked();
     let next = poses.partition_point(|pose| pose.capture < at);
     let after = poses.get(next).filter(usable)?;
     if after.capture == at {
-        return Some(after.pose.clone());
+        return Some(after.pose());
     }
     let before = poses.get(next.checked_sub(1)?).filter(usable)?;
     let s = (at - before.capture) as f64 / (after.capture - before.capture) as f64;
-    let (a, b) = (&before.pose, &after.pose);
+    let (a, b) = (before.pose(), after.pose());
     Some(Pose {
         root_rotation: so3::slerp(&a.root_rotation, &b.root_rotation, s),
         root_position: a.root_position.lerp(&b.root_position, s),
@@ -142,20 +144,20 @@ fn height(pixels: impl Iterator<Item = Vector2<f64>>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::{StampedPose, TrackingState};
 
-    fn stamped(ns: i64, x: f64, state: TrackingState) -> StampedPose {
+    fn kept(ns: i64, x: f64, state: TrackingState) -> KeptPose {
         let mut pose = Pose::rest();
         pose.root_position.x = x;
         let capture = Timestamp::from_ns(ns);
         let (window, rig_version, provisional, revision) = (0, 1, false, 0);
-        StampedPose { capture, pose, state, window, rig_version, provisional, revision }
+        (&StampedPose { capture, pose, state, window, rig_version, provisional, revision }).into()
     }
 
     #[test]
     fn poses_are_interpolated_between_tracked_ones_only() {
         use TrackingState::{Lost, Tracking};
-        let poses =
-            [stamped(10, 1.0, Tracking), stamped(20, 2.0, Tracking), stamped(30, 9.0, Lost)];
+        let poses = [kept(10, 1.0, Tracking), kept(20, 2.0, Tracking), kept(30, 9.0, Lost)];
         let x = |ns| pose_at(&poses, Timestamp::from_ns(ns)).map(|pose| pose.root_position.x);
         assert_eq!([x(9), x(10), x(15), x(20)], [None, Some(1.0), Some(1.5), Some(2.0)]);
         assert_eq!([x(25), x(30), x(31)], [None; 3]);

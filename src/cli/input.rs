@@ -5,11 +5,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::failure::{Exit, Failure};
-use crate::body::{Posture, Skeleton};
+use crate::body::{Skeleton, StampedPose};
 use crate::camera::{Camera, Rig};
 use crate::detect::Detections;
 use crate::record::{Message, Reader, Report, summary};
-use crate::time::Timestamp;
 
 /// A recording with keypoints and a rig that fit each other.
 pub(super) struct Recording {
@@ -26,8 +25,10 @@ pub(super) struct Recording {
 pub(super) enum Item {
     /// What a camera saw; the index is that of the camera in the chosen rig.
     Detections(Detections),
-    /// The true posture at a time.
-    Truth(Timestamp, Box<Posture>),
+    /// The true body; comes before the true poses.
+    TrueBody(Box<Skeleton>),
+    /// A true pose.
+    TruePose(Box<StampedPose>),
 }
 
 impl Recording {
@@ -113,7 +114,6 @@ impl Recording {
         mut take: impl FnMut(Item) -> Result<(), Failure>,
     ) -> Result<Report, Failure> {
         let mut reader = Reader::open(&self.path)?;
-        let mut true_body = Skeleton::default();
         while let Some(entry) = reader.next() {
             let entry = entry?;
             each_message();
@@ -126,14 +126,11 @@ impl Recording {
                     }
                 }
                 Message::TruthSkeleton(skeleton) => match skeleton.to_core() {
-                    Ok(skeleton) => true_body = skeleton,
+                    Ok(skeleton) => take(Item::TrueBody(Box::new(skeleton)))?,
                     Err(error) => reader.reject(&entry.topic, &error),
                 },
                 Message::TruthPose(pose) => match pose.to_core() {
-                    Ok(pose) => {
-                        let posture = Box::new(pose.pose.posture(&true_body));
-                        take(Item::Truth(pose.capture, posture))?;
-                    }
+                    Ok(pose) => take(Item::TruePose(Box::new(pose)))?,
                     Err(error) => reader.reject(&entry.topic, &error),
                 },
                 _ => {}

@@ -11,6 +11,7 @@ mod hold_out;
 mod import;
 mod info;
 mod input;
+mod kept;
 mod output;
 mod reference;
 mod run;

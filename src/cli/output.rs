@@ -2,18 +2,19 @@
 //!
 //! All three are made beside their places and renamed, so that a failure leaves none in part.
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::failure::{Exit, Failure};
 use super::figures::Figures;
+use super::kept::KeptPose;
 use super::run::{Run, WindowSummary};
 use crate::body::{Joint, Posture, Skeleton};
 use crate::camera::Rig;
-use crate::eval::statistics::percentiles;
 use crate::export::{
-    AngleTrack, CameraErrors, ExportError, Picture, ReportData, StickFigures, WindowRow,
-    flexion_deg, stick_figures, write_bvh, write_report,
+    AngleTrack, BvhWriter, CameraErrors, ExportError, Picture, ReportData, StickFigures, Table,
+    WindowRow, flexion_deg, stick_figures, write_report,
 };
 use crate::msg::{StampedKeyframe, Topics};
 use crate::record::{Provenance, Writer};
@@ -133,9 +134,35 @@ impl PoseFile {
     }
 }
 
-/// Writes poses.bvh.
-pub(super) fn bvh(path: &Path, run: &Run, skeleton: &Skeleton, fps: f64) -> Result<(), Failure> {
-    Ok(write_bvh(path, skeleton, fps, run.poses.iter().map(|pose| &pose.pose))?)
+/// Writes poses as BVH.
+pub(super) fn bvh(
+    path: &Path,
+    poses: &[KeptPose],
+    skeleton: &Skeleton,
+    fps: f64,
+) -> Result<(), Failure> {
+    let mut writer = BvhWriter::create(path, skeleton, fps)?;
+    for pose in poses {
+        writer.write(&pose.pose())?;
+    }
+    Ok(writer.finish()?)
+}
+
+/// Writes a text; the file appears whole or not at all.
+pub(super) fn text(path: &Path, text: &str) -> Result<(), Failure> {
+    let failed = |error: std::io::Error| Failure::write(path, &error);
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".bundlemocap-").suffix(".part");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    let mut file = builder.tempfile_in(folder.unwrap_or_else(|| Path::new("."))).map_err(failed)?;
+    file.write_all(text.as_bytes()).map_err(failed)?;
+    file.persist(path).map_err(|error| failed(error.error))?;
+    Ok(())
 }
 
 /// Writes report.html.
@@ -147,60 +174,61 @@ pub(super) fn report(
     figures: &Figures,
 ) -> Result<(), Failure> {
     let start = run.poses.first().map_or_else(Timestamp::default, |pose| pose.capture);
-    let postures: Vec<(f64, Posture)> = (run.poses.iter())
-        .map(|pose| (pose.capture.seconds_since(start), pose.pose.posture(skeleton)))
-        .collect();
     let recording = Path::new(&figures.recording).file_name().unwrap_or_default();
     let data = ReportData {
         title: recording.to_string_lossy().into_owned(),
         subtitle: format!("Solved by bundlemocap {}", figures.version),
-        facts: figures.rows(),
-        tables: Vec::new(),
-        pictures: vec![Picture { title: "Poses".into(), svg: strip(&postures, FIGURES) }],
+        facts: figures.headline(),
+        tables: vec![Table {
+            title: "Figures".into(),
+            header: vec!["figure".into(), "value".into()],
+            rows: figures.rows().into_iter().map(|(name, value)| vec![name, value]).collect(),
+        }],
+        pictures: vec![Picture {
+            title: "Poses".into(),
+            svg: strip(&run.poses, skeleton, FIGURES),
+        }],
         cameras: camera_errors(run, rig, start),
-        angles: BENT.into_iter().map(|joint| angle(joint, &postures)).collect(),
+        angles: angles(&run.poses, skeleton, start),
         windows: run.windows.iter().map(|window| row(window, start)).collect(),
     };
     Ok(write_report(path, &data)?)
 }
 
 /// Stick figures at `count` times, evenly spread.
-pub(super) fn strip(postures: &[(f64, Posture)], count: usize) -> String {
-    let last = postures.len().saturating_sub(1);
-    let chosen: Vec<usize> = (0..count.min(postures.len()))
-        .map(|i| i * last / (count.min(postures.len()) - 1).max(1))
+pub(super) fn strip(poses: &[KeptPose], skeleton: &Skeleton, count: usize) -> String {
+    let (last, count) = (poses.len().saturating_sub(1), count.min(poses.len()));
+    let chosen = (0..count).map(|i| &poses[i * last / (count - 1).max(1)]);
+    let start = poses.first().map_or_else(Timestamp::default, |pose| pose.capture);
+    let figures: Vec<(Posture, String)> = chosen
+        .map(|pose| {
+            let caption = format!("{:.2} s", pose.capture.seconds_since(start));
+            (pose.pose().posture(skeleton), caption)
+        })
         .collect();
-    let captions: Vec<String> =
-        chosen.iter().map(|&index| format!("{:.2} s", postures[index].0)).collect();
-    let figures = chosen.iter().zip(&captions);
-    let figures = figures.map(|(&index, caption)| (&postures[index].1, caption.as_str()));
+    let figures = figures.iter().map(|(posture, caption)| (posture, caption.as_str()));
     stick_figures(figures, &StickFigures::default())
 }
 
-/// Quartiles by frame.
 fn camera_errors(run: &Run, rig: &Rig, start: Timestamp) -> Vec<CameraErrors> {
-    let by_frame = |errors: &[(Timestamp, f32)]| {
-        let frames = errors.chunk_by(|a, b| a.0 == b.0).filter_map(|frame| {
-            let values: Vec<f64> = frame.iter().map(|(_, error)| f64::from(*error)).collect();
-            let seconds = frame.first()?.0.seconds_since(start);
-            Some((seconds, percentiles(&values, [25.0, 50.0, 75.0])?))
-        });
-        frames.collect()
-    };
-    (rig.cameras.iter().zip(&run.errors_px))
-        .map(|(camera, errors)| CameraErrors {
-            name: camera.name.clone(),
-            frames: by_frame(errors),
-        })
-        .collect()
+    let cameras = rig.cameras.iter().zip(&run.errors_px).map(|(camera, errors)| {
+        let frames = errors.frames.iter();
+        let frames = frames.map(|(at, q)| (at.seconds_since(start), q.map(f64::from)));
+        CameraErrors { name: camera.name.clone(), frames: frames.collect() }
+    });
+    cameras.collect()
 }
 
-fn angle(joint: Joint, postures: &[(f64, Posture)]) -> AngleTrack {
-    let degrees = postures
-        .iter()
-        .filter_map(|(seconds, posture)| Some((*seconds, flexion_deg(posture, joint)?)))
-        .collect();
-    AngleTrack { joint, degrees }
+fn angles(poses: &[KeptPose], skeleton: &Skeleton, start: Timestamp) -> Vec<AngleTrack> {
+    let mut tracks = BENT.map(|joint| AngleTrack { joint, degrees: Vec::new() });
+    for pose in poses {
+        let seconds = pose.capture.seconds_since(start);
+        let posture = pose.pose().posture(skeleton);
+        for track in &mut tracks {
+            track.degrees.extend(flexion_deg(&posture, track.joint).map(|deg| (seconds, deg)));
+        }
+    }
+    tracks.into()
 }
 
 fn row(window: &WindowSummary, start: Timestamp) -> WindowRow {

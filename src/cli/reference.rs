@@ -4,7 +4,8 @@ use nalgebra::Vector3;
 use serde::Serialize;
 
 use super::hold_out::pose_at;
-use crate::body::{Attachment, Skeleton, StampedPose};
+use super::kept::KeptPose;
+use crate::body::{Attachment, Posture, Skeleton};
 use crate::detect::Keypoint;
 use crate::eval::{Trc, distance_to_reference};
 use crate::time::Timestamp;
@@ -44,14 +45,14 @@ pub(super) fn compare(
     trc: &Trc,
     clock: FrameClock,
     skeleton: &Skeleton,
-    poses: &[StampedPose],
+    poses: &[KeptPose],
 ) -> Option<Reference> {
     let tolerance = (0.25e9 / trc.frame_rate) as i64;
     let near = |at: Timestamp| {
         let next = poses.partition_point(|pose| pose.capture + tolerance < at);
         poses.get(next).map(|pose| pose.capture).filter(|&capture| capture - at <= tolerance)
     };
-    let mut last: Option<(u64, Option<crate::body::Posture>)> = None;
+    let mut last: Option<(u64, Option<Posture>)> = None;
     let position = |frame: u64, keypoint: Keypoint| -> Option<Vector3<f64>> {
         if last.as_ref().is_none_or(|(known, _)| *known != frame) {
             let at = clock.time_of(frame, trc.frame_rate);

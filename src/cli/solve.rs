@@ -9,29 +9,28 @@ use indicatif::ProgressBar;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::figures::{Figures, Measured, frame_rate};
+use super::figures::{Figures, Measured, True, frame_rate};
 use super::hold_out;
 use super::input::{Item, Recording};
 use super::output::{self, OutputFolder, PoseFile};
 use super::reference::{self, FrameClock};
 use super::run::{Driver, Run};
 use super::terminal::{complain, progress, say, table};
-use crate::body::Posture;
-use crate::camera::Rig;
+use crate::body::Skeleton;
+use crate::camera::{Camera, Rig};
 use crate::config::Config;
 use crate::eval::Trc;
 use crate::manifold::{Decoder, Interpolation};
 use crate::record::{Provenance, Report};
 use crate::solve::Method;
-use crate::time::Timestamp;
 use crate::track::{EventKind, Input, Solver};
 
 /// Solve a recording: 2D keypoints in, smooth 3D poses out.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Writes to the folder DIR: poses.mcap (skeleton, rig, poses, keyframes, events), poses.bvh
-(centimetres, y up) and report.html. The recording is streamed; the poses are kept in memory for
-the BVH and the report, about 2 kB a frame.
+(centimetres, y up) and report.html. The recording is streamed; poses and errors are kept
+in memory for the BVH and the report, less than 1 kB a frame.
 
 Exit code 6 means that windows are lost or that the recording is damaged: what could be solved is
 there, what could not is flagged.
@@ -92,7 +91,7 @@ enum MethodName {
 /// What streaming a recording through the machine gave.
 struct Solved {
     run: Run,
-    truth: Vec<(Timestamp, Box<Posture>)>,
+    truth: True,
     clock: Option<FrameClock>,
     report: Report,
     elapsed: Duration,
@@ -118,31 +117,42 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let Some(skeleton) = solved.run.skeleton.clone().filter(|_| solved.run.found_somebody()) else {
         return Err(nobody(&recording, &rig, &solved));
     };
+    let figures = measure(&recording, &rig, &skeleton, &solved, held_out, trc.as_ref())?;
 
-    let hold_out = held_out.map(|camera| {
-        hold_out::measure(&recording, camera, &skeleton, &solved.run.poses, || bar.tick())
-    });
-    let reference = trc
-        .zip(solved.clock)
-        .and_then(|(trc, clock)| reference::compare(&trc, clock, &skeleton, &solved.run.poses));
-    let figures = Figures::new(Measured {
-        recording: &arguments.file,
-        run: &solved.run,
-        rig: &rig,
-        skeleton: &skeleton,
-        truth: &solved.truth,
-        hold_out: hold_out.transpose()?,
-        reference,
-        report: &solved.report,
-        elapsed: solved.elapsed,
-    });
     let fps = frame_rate(&solved.run.poses).unwrap_or(60.0);
-    output::bvh(&folder.file("poses.bvh"), &solved.run, &skeleton, fps)?;
+    output::bvh(&folder.file("poses.bvh"), &solved.run.poses, &skeleton, fps)?;
     output::report(&folder.file("report.html"), &solved.run, &rig, &skeleton, &figures)?;
     file.finish()?;
     bar.finish_and_clear();
     tell(arguments, &figures)?;
     Ok(ended(arguments, &figures))
+}
+
+fn measure(
+    recording: &Recording,
+    rig: &Rig,
+    skeleton: &Skeleton,
+    solved: &Solved,
+    held_out: Option<&Camera>,
+    trc: Option<&Trc>,
+) -> Result<Figures, Failure> {
+    let poses = &solved.run.poses;
+    let hold_out =
+        held_out.map(|camera| hold_out::measure(recording, camera, skeleton, poses)).transpose()?;
+    let reference = trc
+        .zip(solved.clock)
+        .and_then(|(trc, clock)| reference::compare(trc, clock, skeleton, poses));
+    Ok(Figures::new(Measured {
+        recording: &recording.path,
+        run: &solved.run,
+        rig,
+        skeleton,
+        truth: &solved.truth,
+        hold_out,
+        reference,
+        report: &solved.report,
+        elapsed: solved.elapsed,
+    }))
 }
 
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
@@ -192,7 +202,7 @@ fn solve(
     let solver = Solver::new(decoder, config.track);
     let mut driver =
         Driver::new(config.track, Arc::clone(rig), solver, |output| file.write(output));
-    let (mut truth, mut clock) = (Vec::new(), None);
+    let (mut truth, mut clock) = (True::default(), None);
     let report = recording.stream(
         rig,
         || bar.inc(1),
@@ -204,8 +214,12 @@ fn solve(
                 }
                 driver.feed(Input::Detections(detections))
             }
-            Item::Truth(at, posture) => {
-                truth.push((at, posture));
+            Item::TrueBody(body) => {
+                truth.body = *body;
+                Ok(())
+            }
+            Item::TruePose(pose) => {
+                truth.poses.push(pose.as_ref().into());
                 Ok(())
             }
         },
@@ -249,18 +263,22 @@ fn tell(arguments: &Arguments, figures: &Figures) -> Result<(), Failure> {
 /// Done, or done in part with a line that says so.
 fn ended(arguments: &Arguments, figures: &Figures) -> Exit {
     let without = figures.windows_without_performer;
-    if figures.lost == 0 && without == 0 && figures.damage.is_empty() {
+    let mut parts = Vec::new();
+    if figures.lost > 0 || without > 0 {
+        let all = figures.windows as u64 + without;
+        let solved = figures.windows - figures.lost;
+        let lost = figures.lost;
+        parts.push(format!(
+            "{solved} of {all} windows solved, {lost} lost, {without} without a performer"
+        ));
+    }
+    parts.extend(figures.damage.first().cloned());
+    if figures.damage.len() > 1 {
+        parts.push(format!("{} more losses", figures.damage.len() - 1));
+    }
+    if parts.is_empty() {
         return Exit::Done;
     }
-    let all = figures.windows as u64 + without;
-    let solved = figures.windows - figures.lost;
-    let message = format!(
-        "{}: {solved} of {all} windows solved, {} lost, {without} without a performer; {} parts of \
-         the recording damaged",
-        arguments.file.display(),
-        figures.lost,
-        figures.damage.len()
-    );
-    complain("warning", &message);
+    complain("warning", &format!("{}: {}", arguments.file.display(), parts.join("; ")));
     Exit::InPart
 }
