@@ -77,22 +77,22 @@ pub fn fitted_points(format: KeypointFormat) -> Vec<BodyPoint> {
 fn table(keypoint: Keypoint) -> (Joint, [f64; 3], Part, f64) {
     use Keypoint as K;
     let (joint, [x, y, z], part, weight) = match keypoint {
-        K::Nose => (Joint::Head, [0.0, 0.020, 0.110], Part::Head, 1.0),
+        K::Nose => (Joint::Head, [0.0, 0.030, 0.112], Part::Head, 1.0),
         K::LEye | K::REye => (Joint::Head, [0.032, 0.055, 0.088], Part::Head, 1.0),
         K::LEar | K::REar => (Joint::Head, [0.072, 0.035, 0.010], Part::Head, 1.0),
-        K::HeadTop => (Joint::Head, [0.0, 0.165, 0.020], Part::Head, 0.5),
+        K::HeadTop => (Joint::Head, [0.0, 0.168, 0.040], Part::Head, 0.5),
         K::Neck => (Joint::Spine3, [0.0, 0.145, 0.010], Part::Trunk, 0.0),
         K::UpperNeck => (Joint::Neck, [0.0, 0.040, 0.010], Part::Trunk, 0.0),
         K::MidHip => (Joint::Pelvis, [0.0, -0.060, 0.010], Part::Hip, 0.0),
         K::LShoulder | K::RShoulder => (Joint::LShoulder, [0.0, 0.0, 0.0], Part::UpperArm, 1.0),
         K::LElbow | K::RElbow => (Joint::LElbow, [0.0, 0.0, 0.0], Part::UpperArm, 1.0),
         K::LWrist | K::RWrist => (Joint::LWrist, [0.0, 0.0, 0.0], Part::Forearm, 1.0),
-        K::LHip | K::RHip => (Joint::Pelvis, [0.100, -0.060, 0.010], Part::Hip, 0.3),
+        K::LHip | K::RHip => (Joint::Pelvis, [0.100, -0.062, 0.012], Part::Hip, 0.6),
         K::LKnee | K::RKnee => (Joint::LKnee, [0.0, 0.0, 0.010], Part::Thigh, 1.0),
         K::LAnkle | K::RAnkle => (Joint::LAnkle, [0.0, 0.0, 0.0], Part::Shank, 1.0),
-        K::LBigToe | K::RBigToe => (Joint::LFoot, [-0.015, -0.010, 0.070], Part::Foot, 1.0),
-        K::LSmallToe | K::RSmallToe => (Joint::LFoot, [0.050, -0.012, 0.030], Part::Foot, 1.0),
-        K::LHeel | K::RHeel => (Joint::LAnkle, [0.0, -0.050, -0.055], Part::Foot, 1.0),
+        K::LBigToe | K::RBigToe => (Joint::LFoot, [-0.004, -0.011, 0.061], Part::Foot, 1.0),
+        K::LSmallToe | K::RSmallToe => (Joint::LFoot, [0.034, -0.016, 0.018], Part::Foot, 1.0),
+        K::LHeel | K::RHeel => (Joint::LAnkle, [0.0, -0.046, -0.040], Part::Foot, 1.0),
     };
     match keypoint {
         K::REye

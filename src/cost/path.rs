@@ -122,6 +122,11 @@ impl<'a> PathProblem<'a> {
         }
     }
 
+    /// Changes the scale of the loss, pixels.
+    pub fn set_scale(&mut self, scale_px: f64) {
+        self.loss = GemanMcClure::new(scale_px);
+    }
+
     /// The unknowns to start from.
     pub fn start(&self) -> Vec<f64> {
         let mut x = Vec::with_capacity(self.dimension());

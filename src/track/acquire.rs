@@ -47,7 +47,7 @@ impl Candidate {
     }
 
     /// How well `points` project onto this person: the median error as a part of the person's
-    /// height, and the summed confidence of the points within `gate`.
+    /// height, and how many points are within `gate`, times the person's height in pixels.
     fn agreement(
         &self,
         rig: &Rig,
@@ -56,12 +56,12 @@ impl Candidate {
     ) -> Option<(f64, f64)> {
         let (mut errors, mut support) = (Vec::new(), 0.0);
         for (seen, point) in self.seen.iter().zip(points) {
-            let (Some((pixel, confidence)), Some(point)) = (seen, point) else { continue };
+            let (Some((pixel, _)), Some(point)) = (seen, point) else { continue };
             let error = rig.cameras[self.camera]
                 .project(point)
                 .map_or(f64::INFINITY, |projected| (projected - pixel).norm() / self.extent);
             if error <= gate {
-                support += confidence;
+                support += self.extent;
             }
             errors.push(error);
         }
@@ -72,8 +72,9 @@ impl Candidate {
 /// The best-supported person in a frame set, seen by at least two cameras.
 ///
 /// Every pair of detections in two views proposes points in space; a proposal is scored by the
-/// confidence of the points that agree, over all views, each view with the detection that agrees
-/// best.
+/// number of points that agree, over all views, each view with the detection that agrees best
+/// and weighted by its height in pixels: cameras are pointed at the performer, who fills the
+/// image, and bystanders are small. Confidence says little here, since it differs between people.
 pub(super) fn sight(
     frames: &[&Detections],
     rig: &Rig,

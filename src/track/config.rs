@@ -19,6 +19,10 @@ pub struct Config {
     pub shape_windows: usize,
     /// Iterations of a window's solve.
     pub iterations: usize,
+    /// Iterations before those with a looser loss. Differs: the paper has none.
+    pub loose_iterations: usize,
+    /// How many times looser.
+    pub loose_scale: f64,
     /// Iterations of each stage of the acquisition.
     pub acquisition_iterations: usize,
     /// The optimiser of the windows.
@@ -57,6 +61,8 @@ impl Default for Config {
             deadline_frames: 5,
             shape_windows: 3,
             iterations: 30,
+            loose_iterations: 3,
+            loose_scale: 3.0,
             acquisition_iterations: 30,
             method: Method::LevenbergMarquardt,
             cost: cost::Config::default(),
@@ -72,7 +78,7 @@ impl Default for Gate {
             agree: 0.06,
             follow: 0.20,
             lost_residual: 0.08,
-            lost_latent: 12.0,
+            lost_latent: 20.0,
             lost_observations: 12.0,
         }
     }

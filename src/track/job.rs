@@ -272,6 +272,10 @@ impl Solver {
                 x = candidate;
             }
         }
+        // A fast limb can be further from the last keyframe than the loss reaches.
+        problem.set_scale(scene.config.scale_px * self.config.loose_scale);
+        self.optimiser.minimise(&mut problem, &mut x, self.config.loose_iterations);
+        problem.set_scale(scene.config.scale_px);
         let summary = self.optimiser.minimise(&mut problem, &mut x, self.config.iterations);
         let (keyframes, _) = problem.solution(&x);
         let keyframe = keyframes.into_iter().next_back().unwrap_or_else(|| from.clone());

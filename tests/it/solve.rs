@@ -225,3 +225,33 @@ fn a_window_of_exact_observations_is_recovered() {
     }
     assert_eq!(keyframes[1].z.len(), LATENT);
 }
+
+/// Each of these products takes a packing buffer inside `matrixmultiply` and frees it: three
+/// layers of values twice, two of tangents, and a Gram matrix for each of ten moments.
+const PRODUCTS: u64 = 3 + 3 + 2 + 10;
+
+#[test]
+fn a_warm_window_allocates_nothing_but_the_products_own_buffers() {
+    let mut case = Case::new(2);
+    case.disturb();
+    let config = cost::Config::default();
+    let mut work = Workspace::default();
+    let knots = case.knots(&[false, true], &case.truth[0]);
+    let mut problem = PathProblem::new(
+        case.scene(&config),
+        knots,
+        &case.skeleton,
+        false,
+        &case.moments,
+        &mut work,
+    );
+    let x = problem.start();
+    let (mut gradient, mut hessian) = (vec![0.0; x.len()], vec![0.0; x.len() * x.len()]);
+    problem.linearise(&x, &mut gradient, &mut hessian);
+    let counted = allocation_counter::measure(|| {
+        problem.linearise(&x, &mut gradient, &mut hessian);
+        problem.cost(&x);
+    });
+    assert!(counted.count_total <= PRODUCTS, "{counted:?}");
+    assert_eq!(counted.bytes_current, 0, "{counted:?}");
+}
