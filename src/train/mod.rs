@@ -16,6 +16,7 @@ mod loss;
 mod mlp;
 mod model;
 mod optimiser;
+mod restyle;
 mod rotation;
 mod sampler;
 
@@ -102,6 +103,8 @@ pub struct Options {
     pub between: f32,
     /// Share of samples whose legs come from another clip.
     pub mix: f64,
+    /// Share of samples that are moved about another clip's mean pose.
+    pub restyle: f64,
     /// Threads, 1 to 4. Does not change the result.
     pub threads: usize,
 }
@@ -124,6 +127,7 @@ impl Default for Options {
             position: 10.0,
             between: 1.0,
             mix: 0.3,
+            restyle: 0.3,
             threads: std::thread::available_parallelism().map_or(1, usize::from).min(4),
         }
     }
@@ -242,9 +246,11 @@ fn check(options: &Options) -> Result<(), TrainError> {
             return Err(TrainError::Option { option, found, allowed: "0 or more" });
         }
     }
-    if !(0.0..=1.0).contains(&options.mix) {
-        let found = options.mix.to_string();
-        return Err(TrainError::Option { option: "mix", found, allowed: "from 0 to 1" });
+    for (option, found) in [("mix", options.mix), ("restyle", options.restyle)] {
+        if !(0.0..=1.0).contains(&found) {
+            let found = found.to_string();
+            return Err(TrainError::Option { option, found, allowed: "from 0 to 1" });
+        }
     }
     Ok(())
 }
@@ -292,9 +298,11 @@ fn sampler_config(options: &Options) -> sampler::Config {
     sampler::Config {
         mix: options.mix,
         mirror: 0.5,
+        restyle: options.restyle,
+        gains: (0.8, 1.25),
         span: SPAN,
-        spans: (5, 15),
-        other_spans: 0.3,
+        spans: (5, 16),
+        other_spans: 0.5,
         balance: 0.6,
     }
 }
@@ -378,6 +386,7 @@ fn command(options: &Options) -> String {
             ("position", o.position.to_string()),
             ("between", o.between.to_string()),
             ("mix", o.mix.to_string()),
+            ("restyle", o.restyle.to_string()),
         ]
     };
     for ((name, value), (_, usual)) in settings(options).into_iter().zip(settings(&default)) {
