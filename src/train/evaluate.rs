@@ -3,7 +3,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::corpus::{Clip, POSE, PoseVector};
+use super::corpus::{Clip, POSE, PoseVector, subjects};
 use super::latent::{CODE, Slerp};
 use super::loss::{Locals, Tree, locals_of};
 use super::mlp::fill_normal;
@@ -48,12 +48,9 @@ pub struct Figures {
 /// Figures of every subject in `clips`, in order, then of all together.
 pub fn figures(model: &Model, clips: &[Clip]) -> Vec<Figures> {
     let tree = Tree::new(&Skeleton::default());
-    let mut names: Vec<&str> = clips.iter().map(|clip| clip.subject.as_str()).collect();
-    names.sort_unstable();
-    names.dedup();
     let mut all = Sums::default();
     let mut rows = Vec::new();
-    for name in names {
+    for name in subjects(clips) {
         let mut sums = Sums::default();
         for clip in clips.iter().filter(|clip| clip.subject == name) {
             add_clip(model, &tree, clip, &mut sums);

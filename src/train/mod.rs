@@ -150,9 +150,7 @@ pub fn evaluate(
 fn split(clips: Vec<Clip>, subjects: &[String]) -> Result<(Vec<Clip>, Vec<Clip>), TrainError> {
     for subject in subjects {
         if !clips.iter().any(|clip| clip.subject == *subject) {
-            let mut known: Vec<&str> = clips.iter().map(|clip| clip.subject.as_str()).collect();
-            known.dedup();
-            let known = known.join(", ");
+            let known = corpus::subjects(&clips).join(", ");
             return Err(TrainError::Subject { subject: subject.clone(), known });
         }
     }
@@ -239,12 +237,10 @@ fn metadata(
     held_out: &[Figures],
     command: &str,
 ) -> BTreeMap<&'static str, String> {
-    let mut subjects: Vec<&str> = training.iter().map(|clip| clip.subject.as_str()).collect();
-    subjects.dedup();
     let mut metadata = BTreeMap::from([
         ("seed", options.seed.to_string()),
         ("command", command.to_owned()),
-        ("subjects", subjects.join(",")),
+        ("subjects", corpus::subjects(training).join(",")),
         ("test_subjects", options.test_subjects.join(",")),
     ]);
     if let Some(all) = held_out.last() {
