@@ -62,6 +62,36 @@ pub fn figures(model: &Model, clips: &[Clip]) -> Vec<Figures> {
     rows
 }
 
+/// The figures as lines of text, with a heading.
+pub fn table(figures: &[Figures]) -> String {
+    let mut text = format!(
+        "{:<8} {:>7} {:>12} {:>10} {:>11} {:>14} {:>9} {:>13}\n",
+        "subject",
+        "frames",
+        "rotation deg",
+        "joints mm",
+        "between mm",
+        "true slerp mm",
+        "|z|^2/32",
+        "std of z",
+    );
+    for row in figures {
+        text += &format!(
+            "{:<8} {:>7} {:>12.2} {:>10.2} {:>11.2} {:>14.2} {:>9.2} {:>5.2} to {:>4.2}\n",
+            row.subject,
+            row.frames,
+            row.rotation_deg,
+            row.joint_mm,
+            row.between_mm,
+            row.true_slerp_mm,
+            row.latent_square,
+            row.latent_spread.0,
+            row.latent_spread.1,
+        );
+    }
+    text
+}
+
 #[derive(Clone, Default)]
 struct Sums {
     frames: usize,
