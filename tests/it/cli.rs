@@ -414,3 +414,44 @@ fn motions_that_cannot_be_trained_on() {
     place.write("motions/a.bvh", "no BVH");
     place.fails(MALFORMED, "train motions --out w.safetensors", &["a.bvh"]);
 }
+
+/// The folder of the real recordings, where there is one.
+fn real_set() -> Option<PathBuf> {
+    let data = std::env::var_os("BUNDLEMOCAP_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
+    let set = data.join("recordings/pose2sim");
+    if set.is_dir() {
+        return Some(set.canonicalize().unwrap());
+    }
+    println!("skipped: {} is not there; set BUNDLEMOCAP_DATA", set.display());
+    None
+}
+
+#[test]
+fn the_real_recording_is_solved_as_well_as_we_say() {
+    let Some(set) = real_set() else { return };
+    let place = Place::new();
+    let import = format!(
+        "import openpose {0}/balancing/pose --calibration {0}/calibration/Calib_qualisys.toml \
+         --fps 60 --format body_25b --out balancing.mcap",
+        set.display()
+    );
+    assert!(place.done(&import).contains("cam01_json  -> cam_01 (by name)"));
+    let reference = files(&set.join("balancing/pose-3d"))
+        .into_iter()
+        .find(|path| path.to_string_lossy().ends_with("butterworth.trc"))
+        .unwrap();
+    let solve =
+        format!("solve balancing.mcap --out out --json --reference {}", reference.display());
+    let figures: Value = serde_json::from_str(&place.done(&solve)).unwrap();
+    let at_most = |pointer: &str, limit: f64| {
+        let value = figures.pointer(pointer).and_then(Value::as_f64).unwrap();
+        assert!(value <= limit, "{pointer} is {value}, above {limit}");
+    };
+    assert_eq!((&figures["frames"], &figures["frames_lost"]), (&100.into(), &0.into()));
+    assert_eq!(figures["reference"]["frames"], 100);
+    at_most("/reprojection/median_px", 15.0);
+    at_most("/reference/mean_mm", 36.0);
+    at_most("/reference/worst_mid_hip_mm", 100.0);
+    at_most("/mean_acceleration_m_s2", 8.0);
+}
