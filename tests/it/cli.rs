@@ -341,6 +341,37 @@ fn calibrations_that_cannot_be_used() {
 }
 
 #[test]
+fn recordings_whose_cameras_do_not_fit_the_rig() {
+    let place = Place::new();
+    walk(&place.path("silent.mcap"), 20, |detections| detections.camera != 2);
+    let evidence = ["silent.mcap", "cam03 has no keypoints", "--cameras"];
+    place.fails(CAMERA_MISMATCH, "solve silent.mcap --out out", &evidence);
+    place.done("solve silent.mcap --out three --cameras cam1,cam2,cam4");
+
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let write = |name: &str, camera: &str, image_width: u32| {
+        let provenance = Provenance::default();
+        let mut writer = Writer::create(place.path(name), Topics::default(), &provenance).unwrap();
+        writer.rig(&rig, Timestamp::default()).unwrap();
+        let frame = bundlemocap::msg::KeypointFrame {
+            camera: camera.into(),
+            image_width,
+            image_height: 1024,
+            format: "body_25".into(),
+            ..Default::default()
+        };
+        let topic = Topics::default().keypoints(camera);
+        writer.write(&topic, Timestamp::default(), &frame).unwrap();
+        writer.finish().unwrap();
+    };
+    write("foreign.mcap", "cam09", 1280);
+    place.fails(CAMERA_MISMATCH, "solve foreign.mcap --out out", &["foreign.mcap", "cam09"]);
+    write("small.mcap", "cam01", 640);
+    let evidence = ["small.mcap", "cam01", "1280 x 1024", "640 x 1024"];
+    place.fails(BAD_CALIBRATION, "solve small.mcap --out out", &evidence);
+}
+
+#[test]
 fn keypoints_of_another_format() {
     let place = Place::new();
     place.write("calib.toml", calibration(&["cam1", "cam2"], 600.0));
