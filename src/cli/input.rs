@@ -1,6 +1,6 @@
 //! A recording that is to be solved: its cameras, its rate of progress, its detections.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use super::failure::{Exit, Failure};
 use crate::body::{Skeleton, StampedPose};
 use crate::camera::{Camera, Rig};
 use crate::detect::Detections;
-use crate::record::{Message, Reader, Report, summary};
+use crate::record::{CameraInfo, Message, Reader, Report, summary};
 
 /// A recording with keypoints and a rig that fit each other.
 pub(super) struct Recording {
@@ -19,6 +19,8 @@ pub(super) struct Recording {
     pub(super) messages: u64,
     /// Name of the keypoint format.
     pub(super) format: String,
+    /// Calibrated cameras of a whole file that have no keypoints.
+    silent: Vec<String>,
 }
 
 /// What a message of a recording means here.
@@ -42,27 +44,34 @@ impl Recording {
         let messages = info.topics.values().map(|topic| topic.count).sum();
         let format = info.cameras.values().map(|camera| camera.format.clone()).next();
         let format = format.unwrap_or_default();
-        let recording = Self { path: path.to_owned(), rig, messages, format };
-        recording.check_cameras(&info.cameras.into_keys().collect())?;
+        let names = rig.cameras.iter().map(|camera| camera.name.clone());
+        let is_silent = |name: &String| info.report.is_clean() && !info.cameras.contains_key(name);
+        let silent = names.filter(is_silent).collect();
+        let recording = Self { path: path.to_owned(), rig, messages, format, silent };
+        recording.check_cameras(&info.cameras)?;
         Ok(recording)
     }
 
-    /// Every camera with keypoints must be in the rig.
-    fn check_cameras(&self, seen: &BTreeSet<String>) -> Result<(), Failure> {
-        let missing: Vec<&str> = seen
-            .iter()
-            .filter(|name| self.rig.index_of(name).is_none())
-            .map(String::as_str)
-            .collect();
-        if missing.is_empty() {
-            return Ok(());
+    /// Every camera with keypoints must be in the rig, with images of the calibrated size.
+    fn check_cameras(&self, seen: &BTreeMap<String, CameraInfo>) -> Result<(), Failure> {
+        let path = self.path.display();
+        for (name, info) in seen {
+            let Some(index) = self.rig.index_of(name) else {
+                let fix = "add it to the calibration and import again";
+                let message = format!("{path}: no calibration for camera {name}; {fix}");
+                return Err(Failure::new(Exit::CameraMismatch, message));
+            };
+            let camera = &self.rig.cameras[index];
+            let ([width, height], (w, h)) = (info.image_size, (camera.width, camera.height));
+            if width > 0 && height > 0 && (width, height) != (w, h) {
+                let message = format!(
+                    "{path}: camera {name} was calibrated with images of {w} x {h}, its keypoints \
+                     are of images of {width} x {height}; calibrate at the size that is detected in"
+                );
+                return Err(Failure::new(Exit::BadCalibration, message));
+            }
         }
-        let message = format!(
-            "{}: no calibration for camera {}; add it to the calibration and import again",
-            self.path.display(),
-            missing.join(", ")
-        );
-        Err(Failure::new(Exit::CameraMismatch, message))
+        Ok(())
     }
 
     /// The name in the rig of the camera that the user means: the same name, else the only one
@@ -99,10 +108,19 @@ impl Recording {
             (wanted.is_empty() || wanted.contains(&camera.name.as_str()))
                 && held_out.is_none_or(|held_out| held_out.name != camera.name)
         });
-        Rig::new(self.rig.version, chosen.cloned().collect()).map_err(|error| {
+        let rig = Rig::new(self.rig.version, chosen.cloned().collect()).map_err(|error| {
             let message = format!("{}: {error}", self.path.display());
             Failure::new(Exit::BadCalibration, message)
-        })
+        })?;
+        match self.silent.iter().find(|name| rig.index_of(name).is_some()) {
+            None => Ok(rig),
+            Some(name) => {
+                let fix = "record them, or name the other cameras with --cameras";
+                let path = self.path.display();
+                let message = format!("{path}: camera {name} has no keypoints; {fix}");
+                Err(Failure::new(Exit::CameraMismatch, message))
+            }
+        }
     }
 
     /// Streams the recording: every detection of a camera of `rig`, and the truth if there is

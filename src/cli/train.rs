@@ -67,6 +67,9 @@ pub(super) struct Arguments {
     /// Share of samples whose legs come from another clip.
     #[arg(long, default_value_t = Options::default().mix)]
     mix: f64,
+    /// Share of samples that are moved about another clip's mean pose.
+    #[arg(long, default_value_t = Options::default().restyle)]
+    restyle: f64,
     /// Threads, 1 to 4; the result does not depend on it.
     #[arg(long, default_value_t = Options::default().threads)]
     threads: usize,
@@ -126,6 +129,7 @@ fn options(arguments: &Arguments) -> Options {
         position: arguments.position,
         between: arguments.between,
         mix: arguments.mix,
+        restyle: arguments.restyle,
         threads: arguments.threads,
     }
 }

@@ -204,7 +204,7 @@ fn cubic_minimum(p: &Trial, q: &Trial, low: f64, high: f64) -> f64 {
     let d1 = p.slope + q.slope - 3.0 * (p.cost - q.cost) / (p.step - q.step);
     let square = d1 * d1 - p.slope * q.slope;
     let middle = 0.5 * (low + high);
-    if !(square >= 0.0) {
+    if square.is_nan() || square < 0.0 {
         return middle;
     }
     let d2 = square.sqrt();

@@ -19,7 +19,7 @@ pub type PoseVector = [f32; POSE];
 /// Frames a second of all clips.
 pub const FPS: f64 = 60.0;
 
-/// A motion clip at [`FPS`].
+/// A motion clip at 60 frames a second.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
     /// Name of the file.
@@ -116,6 +116,14 @@ fn subject_of(name: &str) -> String {
     let head = name.split('_').next().unwrap_or_default();
     let number = !head.is_empty() && head.bytes().all(|byte| byte.is_ascii_digit());
     if number { head.to_owned() } else { "act".to_owned() }
+}
+
+/// The subjects of clips, sorted, each once.
+pub fn subjects<'a>(clips: impl IntoIterator<Item = &'a Clip>) -> Vec<&'a str> {
+    let mut names: Vec<&str> = clips.into_iter().map(|clip| clip.subject.as_str()).collect();
+    names.sort_unstable();
+    names.dedup();
+    names
 }
 
 /// How a file's skeleton turns into ours.

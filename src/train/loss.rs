@@ -118,30 +118,49 @@ pub fn pose_loss(
     let true_locals = locals_of(truth);
     let (placed, true_placed) = (tree.place(&locals), tree.place(&true_locals));
 
-    let mut distances = Distances::default();
     let mut by_locals = [Matrix3::zeros(); BODY_JOINTS];
-    for joint in 0..BODY_JOINTS {
-        let difference = (locals[joint] - true_locals[joint]) * std::f32::consts::FRAC_1_SQRT_2;
-        let root = (difference.norm_squared() + ROTATION_EDGE * ROTATION_EDGE).sqrt();
-        let share = 1.0 / BODY_JOINTS as f32;
-        distances.rotation += share * (root - ROTATION_EDGE);
-        let slope = weights.rotation * share * std::f32::consts::FRAC_1_SQRT_2 / root;
-        by_locals[joint] = difference * slope;
-    }
     let mut by_positions = [Vector3::zeros(); JOINTS];
-    for joint in 0..JOINTS {
-        let difference = placed.positions[joint] - true_placed.positions[joint];
-        let root = (difference.norm_squared() + POSITION_EDGE * POSITION_EDGE).sqrt();
-        let share = 1.0 / JOINTS as f32;
-        distances.position += share * (root - POSITION_EDGE);
-        by_positions[joint] = difference * (weights.position * share / root);
-    }
+    let distances = Distances {
+        rotation: rotation_part(weights.rotation, &locals, &true_locals, &mut by_locals),
+        position: position_part(weights.position, &placed, &true_placed, &mut by_positions),
+    };
     tree.place_backward(&locals, &placed, &by_positions, &mut by_locals);
     by_decoded[..POSE].fill(0.0);
     for (joint, (tape, by)) in tapes.iter().zip(&by_locals).enumerate() {
         from_six_backward(tape, by, &mut by_decoded[6 * joint..6 * joint + 6]);
     }
     distances
+}
+
+/// The mean distance of rotations, and `weight` times its derivative by them.
+fn rotation_part(weight: f32, locals: &Locals, truth: &Locals, by_locals: &mut Locals) -> f32 {
+    let share = 1.0 / BODY_JOINTS as f32;
+    let mut sum = 0.0;
+    for ((local, truth), by) in locals.iter().zip(truth).zip(by_locals) {
+        let difference = (local - truth) * std::f32::consts::FRAC_1_SQRT_2;
+        let root = (difference.norm_squared() + ROTATION_EDGE * ROTATION_EDGE).sqrt();
+        sum += share * (root - ROTATION_EDGE);
+        *by = difference * (weight * share * std::f32::consts::FRAC_1_SQRT_2 / root);
+    }
+    sum
+}
+
+/// The mean distance of joint centres, and `weight` times its derivative by them.
+fn position_part(
+    weight: f32,
+    placed: &Placed,
+    truth: &Placed,
+    by_positions: &mut [Vector3<f32>; JOINTS],
+) -> f32 {
+    let share = 1.0 / JOINTS as f32;
+    let mut sum = 0.0;
+    for ((position, truth), by) in placed.positions.iter().zip(&truth.positions).zip(by_positions) {
+        let difference = position - truth;
+        let root = (difference.norm_squared() + POSITION_EDGE * POSITION_EDGE).sqrt();
+        sum += share * (root - POSITION_EDGE);
+        *by = difference * (weight * share / root);
+    }
+    sum
 }
 
 #[cfg(test)]

@@ -378,6 +378,8 @@ mod tests {
         let config = Config {
             mix: 0.5,
             mirror: 0.5,
+            restyle: 0.5,
+            gains: (0.8, 1.2),
             span: 10,
             spans: (5, 15),
             other_spans: 0.5,

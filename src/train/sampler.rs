@@ -3,7 +3,8 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::corpus::{Clip, POSE, PoseVector, mirrored};
+use super::corpus::{Clip, POSE, PoseVector, mirrored, subjects};
+use super::restyle::{MeanPose, mean_pose, restyled};
 use crate::body::Joint;
 
 /// How samples are drawn.
@@ -13,6 +14,10 @@ pub struct Config {
     pub mix: f64,
     /// Share of samples seen in a mirror.
     pub mirror: f64,
+    /// Share of samples that are moved about another clip's mean pose.
+    pub restyle: f64,
+    /// Least and greatest gain of those.
+    pub gains: (f64, f64),
     /// Frames between the two poses in most samples.
     pub span: usize,
     /// Shortest and longest span in the others.
@@ -46,7 +51,7 @@ pub struct Sampler<'a> {
 struct Subject<'a> {
     /// Sum of the probabilities up to and with this one.
     cumulative: f64,
-    clips: Vec<&'a Clip>,
+    clips: Vec<(&'a Clip, MeanPose)>,
     frames: usize,
 }
 
@@ -55,14 +60,12 @@ impl<'a> Sampler<'a> {
     pub fn new(clips: &'a [Clip], config: Config) -> Option<Self> {
         let longest = config.span.max(config.spans.1);
         let usable = || clips.iter().filter(|clip| clip.poses.len() > longest);
-        let mut names: Vec<&str> = usable().map(|clip| clip.subject.as_str()).collect();
-        names.sort_unstable();
-        names.dedup();
-        let mut subjects: Vec<Subject> = names
+        let mut subjects: Vec<Subject> = subjects(usable())
             .into_iter()
             .map(|name| {
-                let clips: Vec<&Clip> = usable().filter(|clip| clip.subject == name).collect();
-                let frames = clips.iter().map(|clip| clip.poses.len()).sum();
+                let own = usable().filter(|clip| clip.subject == name);
+                let clips: Vec<_> = own.map(|clip| (clip, mean_pose(clip))).collect();
+                let frames = clips.iter().map(|(clip, _)| clip.poses.len()).sum();
                 Subject { cumulative: (frames as f64).powf(config.balance), clips, frames }
             })
             .collect();
@@ -99,30 +102,37 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Poses of one clip so many frames after a first one; mirrored or not.
+    /// Poses of one clip so many frames after a first one; restyled or not, mirrored or not.
     fn poses<const N: usize>(&self, steps: [usize; N], rng: &mut ChaCha8Rng) -> [PoseVector; N] {
-        let (clip, mirror) = (self.clip(rng), rng.random_bool(self.config.mirror));
+        let (clip, from) = self.clip(rng);
         let span = steps.into_iter().max().unwrap_or(0);
         let first = rng.random_range(0..clip.poses.len() - span);
-        steps.map(|step| {
-            let pose = &clip.poses[first + step];
-            if mirror { mirrored(pose) } else { *pose }
-        })
+        let mut poses = steps.map(|step| clip.poses[first + step]);
+        if rng.random_bool(self.config.restyle) {
+            let (_, to) = self.clip(rng);
+            let gain = rng.random_range(self.config.gains.0..=self.config.gains.1);
+            poses.iter_mut().for_each(|pose| *pose = restyled(pose, from, to, gain));
+        }
+        if rng.random_bool(self.config.mirror) {
+            poses.iter_mut().for_each(|pose| *pose = mirrored(pose));
+        }
+        poses
     }
 
     /// A clip: first its subject, then in proportion to its frames.
-    fn clip(&self, rng: &mut ChaCha8Rng) -> &'a Clip {
+    fn clip(&self, rng: &mut ChaCha8Rng) -> &(&'a Clip, MeanPose) {
         let at: f64 = rng.random();
         let index = self.subjects.partition_point(|subject| subject.cumulative < at);
         let subject = &self.subjects[index.min(self.subjects.len() - 1)];
         let mut frame = rng.random_range(0..subject.frames);
         for clip in &subject.clips {
-            if frame < clip.poses.len() {
+            let length = clip.0.poses.len();
+            if frame < length {
                 return clip;
             }
-            frame -= clip.poses.len();
+            frame -= length;
         }
-        subject.clips[0]
+        &subject.clips[0]
     }
 }
 

@@ -341,6 +341,37 @@ fn calibrations_that_cannot_be_used() {
 }
 
 #[test]
+fn recordings_whose_cameras_do_not_fit_the_rig() {
+    let place = Place::new();
+    walk(&place.path("silent.mcap"), 20, |detections| detections.camera != 2);
+    let evidence = ["silent.mcap", "cam03 has no keypoints", "--cameras"];
+    place.fails(CAMERA_MISMATCH, "solve silent.mcap --out out", &evidence);
+    place.done("solve silent.mcap --out three --cameras cam1,cam2,cam4");
+
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let write = |name: &str, camera: &str, image_width: u32| {
+        let provenance = Provenance::default();
+        let mut writer = Writer::create(place.path(name), Topics::default(), &provenance).unwrap();
+        writer.rig(&rig, Timestamp::default()).unwrap();
+        let frame = bundlemocap::msg::KeypointFrame {
+            camera: camera.into(),
+            image_width,
+            image_height: 1024,
+            format: "body_25".into(),
+            ..Default::default()
+        };
+        let topic = Topics::default().keypoints(camera);
+        writer.write(&topic, Timestamp::default(), &frame).unwrap();
+        writer.finish().unwrap();
+    };
+    write("foreign.mcap", "cam09", 1280);
+    place.fails(CAMERA_MISMATCH, "solve foreign.mcap --out out", &["foreign.mcap", "cam09"]);
+    write("small.mcap", "cam01", 640);
+    let evidence = ["small.mcap", "cam01", "1280 x 1024", "640 x 1024"];
+    place.fails(BAD_CALIBRATION, "solve small.mcap --out out", &evidence);
+}
+
+#[test]
 fn keypoints_of_another_format() {
     let place = Place::new();
     place.write("calib.toml", calibration(&["cam1", "cam2"], 600.0));
@@ -413,4 +444,45 @@ fn motions_that_cannot_be_trained_on() {
     place.fails(NO_DETECTIONS, "train motions --out w.safetensors", &["motions", ".bvh"]);
     place.write("motions/a.bvh", "no BVH");
     place.fails(MALFORMED, "train motions --out w.safetensors", &["a.bvh"]);
+}
+
+/// The folder of the real recordings, where there is one.
+fn real_set() -> Option<PathBuf> {
+    let data = std::env::var_os("BUNDLEMOCAP_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
+    let set = data.join("recordings/pose2sim");
+    if set.is_dir() {
+        return Some(set.canonicalize().unwrap());
+    }
+    println!("skipped: {} is not there; set BUNDLEMOCAP_DATA", set.display());
+    None
+}
+
+#[test]
+fn the_real_recording_is_solved_as_well_as_we_say() {
+    let Some(set) = real_set() else { return };
+    let place = Place::new();
+    let import = format!(
+        "import openpose {0}/balancing/pose --calibration {0}/calibration/Calib_qualisys.toml \
+         --fps 60 --format body_25b --out balancing.mcap",
+        set.display()
+    );
+    assert!(place.done(&import).contains("cam01_json  -> cam_01 (by name)"));
+    let reference = files(&set.join("balancing/pose-3d"))
+        .into_iter()
+        .find(|path| path.to_string_lossy().ends_with("butterworth.trc"))
+        .unwrap();
+    let solve =
+        format!("solve balancing.mcap --out out --json --reference {}", reference.display());
+    let figures: Value = serde_json::from_str(&place.done(&solve)).unwrap();
+    let at_most = |pointer: &str, limit: f64| {
+        let value = figures.pointer(pointer).and_then(Value::as_f64).unwrap();
+        assert!(value <= limit, "{pointer} is {value}, above {limit}");
+    };
+    assert_eq!((&figures["frames"], &figures["frames_lost"]), (&100.into(), &0.into()));
+    assert_eq!(figures["reference"]["frames"], 100);
+    at_most("/reprojection/median_px", 15.0);
+    at_most("/reference/mean_mm", 36.0);
+    at_most("/reference/worst_mid_hip_mm", 100.0);
+    at_most("/mean_acceleration_m_s2", 8.0);
 }

@@ -136,7 +136,7 @@ fn order_within_a_window_does_not_matter_and_is_counted() {
     }
     let shuffled = run(config(), frames);
     assert_eq!(ordered.poses, shuffled.poses);
-    assert!(ordered.events.get(&EventKind::OutOfOrder).is_none());
+    assert!(!ordered.events.contains_key(&EventKind::OutOfOrder));
     assert!(shuffled.events[&EventKind::OutOfOrder] >= 50);
 }
 
