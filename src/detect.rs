@@ -101,6 +101,7 @@ impl KeypointFormat {
     }
 
     /// How many points a person has in this format.
+    #[allow(clippy::len_without_is_empty)] // A format always has points.
     pub const fn len(self) -> usize {
         match self {
             Self::CocoWholebody133 => 133,

@@ -5,7 +5,7 @@
 //!
 //! | rank | module | holds |
 //! |---|---|---|
-//! | 0 | [`time`], [`so3`], [`detect`] | time stamps, rotations, what a 2D detector says |
+//! | 0 | [`time`], [`so3`], [`gemm`], [`detect`] | time stamps, rotations, dense products, what a 2D detector says |
 //! | 1 | [`body`], [`camera`], [`solve`] | skeleton and keypoints; cameras and triangulation; optimisers that know no bodies |
 //! | 2 | [`manifold`] | pose decoder, weights, interpolation |
 //! | 3 | [`cost`], [`msg`] | the window problem: reprojection, robust loss, prior; wire types |
@@ -29,6 +29,7 @@ pub mod cost;
 pub mod detect;
 pub mod eval;
 pub mod export;
+pub mod gemm;
 pub mod import;
 pub mod manifold;
 pub mod msg;

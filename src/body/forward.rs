@@ -91,7 +91,7 @@ fn add_moved(shift: &[f64], turn: &[f64], arm: &Vector3<f64>, n: usize, out: &mu
 }
 
 /// Fills `tangents` for joints 1 to 21, from what it holds for the pelvis (see
-/// [`Tangents::set_root`]) and from the local tangents.
+/// [`Tangents::set_root_turn`]) and from the local tangents.
 ///
 /// `local` is row-major, `3 * BODY_JOINTS` rows of `local_columns`: right tangents of each local
 /// rotation by the first `local_columns` parameters. `shape_column`, if given, is where the ten
@@ -145,23 +145,26 @@ fn add_rotated(g: &Matrix3<f64>, rows: &[f64], m: usize, n: usize, turn: &mut [f
 }
 
 impl Tangents {
-    /// Sets the pelvis: `turn` (world-frame) in the three columns from `turn_column`, and
-    /// `shift` times the identity in the three columns from `shift_column`; the rest zero.
-    pub fn set_root(
-        &mut self,
-        turn: &Matrix3<f64>,
-        turn_column: usize,
-        shift: f64,
-        shift_column: usize,
-    ) {
+    /// Sets the pelvis' tangents to zero.
+    pub fn clear_root(&mut self) {
         let n = self.columns;
         self.turn[..3 * n].fill(0.0);
         self.shift[..3 * n].fill(0.0);
+    }
+
+    /// The pelvis turns by `turn` (world-frame, 3x3) with the three parameters from `column` on.
+    pub fn set_root_turn(&mut self, column: usize, turn: &Matrix3<f64>) {
         for row in 0..3 {
-            for column in 0..3 {
-                self.turn[row * n + turn_column + column] = turn[(row, column)];
+            for k in 0..3 {
+                self.turn[row * self.columns + column + k] = turn[(row, k)];
             }
-            self.shift[row * n + shift_column + row] = shift;
+        }
+    }
+
+    /// The pelvis moves by `scale` times the three parameters from `column` on.
+    pub fn set_root_shift(&mut self, column: usize, scale: f64) {
+        for row in 0..3 {
+            self.shift[row * self.columns + column + row] = scale;
         }
     }
 }

@@ -7,6 +7,7 @@
 
 use nalgebra::Vector3;
 
+use super::forward::Posture;
 use super::joints::Joint;
 use super::skeleton::{Part, SHAPE_COEFFICIENTS, Shape, ShapeCoefficient};
 use crate::detect::{Keypoint, KeypointFormat};
@@ -32,6 +33,12 @@ impl Attachment {
     /// Offset from the joint's centre in the joint's frame, for a body of that shape, metres.
     pub fn offset(&self, shape: &Shape) -> Vector3<f64> {
         self.part.scaled(&self.template, shape)
+    }
+
+    /// Where the point is in the world, metres.
+    pub fn position(&self, posture: &Posture, shape: &Shape) -> Vector3<f64> {
+        let joint = self.joint.index();
+        posture.positions[joint] + posture.rotations[joint] * self.offset(shape)
     }
 
     /// Derivative of [`Attachment::offset`] by each shape coefficient.

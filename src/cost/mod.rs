@@ -1,1 +1,19 @@
 //! The window problem: reprojection, robust loss, prior.
+//!
+//! \[Albanis 2023, eq. 2 to 6\], over a path x(t) = (z(t), R(t), p(t)) through latent keyframes:
+//!
+//! cost = 1/2 sum over observations of w rho(|pixel(t) - detected|^2) + 1/2 prior sum of |z_k|^2
+//!
+//! with rho the Geman-McClure loss and w the detector's confidence times the point's weight. The
+//! path is evaluated at each observation's own capture time. Differs: the paper evaluates it at
+//! the frames of genlocked cameras.
+
+mod config;
+mod observation;
+mod path;
+mod robust;
+
+pub use config::Config;
+pub use observation::{Moment, Observation};
+pub use path::{Knot, PathProblem, Scene, Workspace};
+pub use robust::GemanMcClure;

@@ -1,6 +1,14 @@
 //! The pose manifold: decoder, weights, interpolation.
 
+mod decoder;
+mod interpolate;
+mod weights;
+
 use nalgebra::{Matrix3, Vector3};
+
+pub use decoder::{Decoder, Jacobians};
+pub use interpolate::{Interpolation, LatentTangent};
+pub use weights::WeightsError;
 
 /// Numbers in a latent code.
 pub const LATENT: usize = 32;
@@ -17,4 +25,9 @@ pub struct Keyframe {
     pub root_rotation: Matrix3<f64>,
     /// The pelvis in the world, metres.
     pub root_position: Vector3<f64>,
+}
+
+/// The Euclidean length of a latent code.
+pub fn norm(z: &Latent) -> f64 {
+    z.iter().map(|v| v * v).sum::<f64>().sqrt()
 }

@@ -1,1 +1,58 @@
-//! Optimisers that know no bodies.
+//! Optimisers that know no bodies: they minimise a [`Problem`] over a vector of numbers.
+//!
+//! [`LevenbergMarquardt`] uses normal equations whose robust weights the problem renews at each
+//! linearisation (IRLS); [`Lbfgs`] uses gradients alone. Both stop with a [`Termination`] that
+//! holds what was measured.
+
+mod lbfgs;
+mod lm;
+mod termination;
+
+use serde::{Deserialize, Serialize};
+
+pub use lbfgs::Lbfgs;
+pub use lm::LevenbergMarquardt;
+pub use termination::{Summary, Termination};
+
+/// A cost of `dimension` unknowns.
+pub trait Problem {
+    /// How many unknowns there are.
+    fn dimension(&self) -> usize;
+
+    /// The cost at `x`.
+    fn cost(&mut self, x: &[f64]) -> f64;
+
+    /// The cost at `x`; its gradient goes to `gradient`, a Gauss-Newton approximation of its
+    /// Hessian (row-major, dimension squared) to `hessian`. Both are overwritten.
+    fn linearise(&mut self, x: &[f64], gradient: &mut [f64], hessian: &mut [f64]) -> f64;
+
+    /// The cost at `x`, with its gradient alone.
+    fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64;
+}
+
+/// Which optimiser to use.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// Levenberg-Marquardt with IRLS.
+    #[default]
+    LevenbergMarquardt,
+    /// L-BFGS with a strong Wolfe line search, as in the paper.
+    Lbfgs,
+}
+
+/// Something that minimises problems. It keeps its memory between calls.
+pub trait Optimiser: Send {
+    /// Minimises from `x`, in place, in at most `iterations` iterations.
+    fn minimise(&mut self, problem: &mut dyn Problem, x: &mut [f64], iterations: usize) -> Summary;
+}
+
+impl Method {
+    /// An optimiser of that kind with its default settings.
+    pub fn optimiser(self) -> Box<dyn Optimiser> {
+        match self {
+            Self::LevenbergMarquardt => Box::new(LevenbergMarquardt::default()),
+            Self::Lbfgs => Box::new(Lbfgs::default()),
+        }
+    }
+}

@@ -1,1 +1,32 @@
 //! Synthetic recordings with a known truth.
+//!
+//! A [`Motion`] (or any function from seconds to a pose) is seen by the cameras of a rig, whose
+//! detectors err as real ones do ([`Noise`]). Everything follows from a seed, and nothing
+//! depends on the order in which frames are asked for.
+//!
+//! ```
+//! use bundlemocap::body::Skeleton;
+//! use bundlemocap::synth::{Motion, MotionStyle, Recording, ring_rig};
+//!
+//! let skeleton = Skeleton::default();
+//! let motion = Motion::new(&skeleton, MotionStyle::default());
+//! let rig = ring_rig(4, 4.0, 1.6)?;
+//! let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
+//! recording.frames = 10;
+//! assert_eq!(recording.detections().count(), 40);
+//! assert_eq!(recording.poses().count(), 10);
+//! # Ok::<(), bundlemocap::camera::CameraError>(())
+//! ```
+
+mod curves;
+mod detector;
+mod leg;
+mod motion;
+mod random;
+mod recording;
+mod ring;
+
+pub use detector::{Noise, position};
+pub use motion::{Motion, MotionStyle};
+pub use recording::{Recording, through};
+pub use ring::ring_rig;

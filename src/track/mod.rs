@@ -1,1 +1,23 @@
-//! The sans-IO machine: window assembly, acquisition, tracking.
+//! Tracking one performer: a machine that does no I/O.
+//!
+//! The contract: give inputs to [`Track::handle`], then call [`Track::poll`] until it is empty.
+//! The machine reads no clock, file or socket. Solving is I/O too: [`Output::Solve`] holds a
+//! [`Job`], which [`Solver::solve`] answers, on any thread, and the answer comes back as
+//! [`Input::Solved`]. The same inputs in the same order give the same outputs, to the byte.
+//!
+//! A window is `window_frames` nominal frame periods long and closes when every camera's
+//! watermark (the latest capture time it has shown) has passed its end, or when the newest capture
+//! time or tick is `deadline_frames` past it. At most one job is out at a time.
+
+mod acquire;
+mod association;
+mod config;
+mod event;
+mod intake;
+mod job;
+mod machine;
+
+pub use config::{Config, Gate};
+pub use event::{Event, EventKind};
+pub use job::{Job, Outcome, Residual, Solution, Solver, Task, Tracked};
+pub use machine::{Input, KeyframeAt, Output, Track, WindowReport};

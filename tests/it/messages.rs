@@ -1,1 +1,333 @@
+//! Wire types: round trips, byte goldens, unknown fields, hostile bytes.
 
+use bundlemocap::body::{self, BODY_JOINTS, Shape, StampedPose, TrackingState};
+use bundlemocap::camera::{self, Camera, Lens};
+use bundlemocap::detect::{Detection, Detections, KeypointFormat, Person};
+use bundlemocap::manifold;
+use bundlemocap::msg::{
+    CameraCounters, DecodeError, Event, Keyframe, KeypointFrame, Pose, Publication, Rig, Schema,
+    Skeleton, StampedKeyframe, Status, WindowCounters, decode, encode,
+};
+use bundlemocap::so3;
+use bundlemocap::time::Timestamp;
+use nalgebra::{Matrix3, Point2, Vector3};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+pub fn detections() -> Detections {
+    let point = |i: usize| {
+        (i % 5 != 3).then(|| Detection {
+            pixel: Point2::new(100.0 + i as f64, 200.5 - i as f64),
+            confidence: 0.25 + i as f64 / 64.0,
+        })
+    };
+    let person =
+        |id, missing: usize| Person { id, points: (missing..missing + 17).map(point).collect() };
+    Detections {
+        camera: 1,
+        frame: 7,
+        capture: Timestamp::from_ns(1_234_567_890),
+        format: KeypointFormat::Coco17,
+        people: vec![person(Some(-3), 0), person(None, 2)],
+    }
+}
+
+pub fn rig() -> camera::Rig {
+    let matrix = Matrix3::new(900.0, 0.5, 640.0, 0.0, 910.0, 360.0, 0.0, 0.0, 1.0);
+    let camera = |name: &str, lens, turn: f64| {
+        let rotation = so3::exp(&Vector3::new(0.1, turn, -0.2));
+        let translation = Vector3::new(0.5, -1.0, 4.0);
+        Camera::new(name, [1280, 720], &matrix, lens, rotation, translation).unwrap()
+    };
+    let lens = Lens::brown_conrady(&[-0.1, 0.02, 0.001, -0.002, 0.003]).unwrap();
+    let fisheye = Lens::fisheye(&[0.01, -0.02, 0.03, -0.04]).unwrap();
+    camera::Rig::new(3, vec![camera("left", lens, 0.4), camera("right", fisheye, -2.9)]).unwrap()
+}
+
+pub fn skeleton() -> body::Skeleton {
+    body::Skeleton::new(Shape(std::array::from_fn(|i| 0.5 - 0.1 * i as f64)))
+}
+
+pub fn stamped_pose(window: u64) -> StampedPose {
+    let turn = |i: usize| so3::exp(&Vector3::new(0.02 * i as f64, -0.5, 0.03 * window as f64));
+    StampedPose {
+        capture: Timestamp::from_ns(5_000_000_000 + 100_000_000 * window as i64),
+        pose: body::Pose {
+            root_rotation: turn(40),
+            root_position: Vector3::new(0.25, 0.9, -1.5),
+            local: std::array::from_fn::<_, BODY_JOINTS, _>(turn),
+        },
+        state: TrackingState::Coasting,
+        window,
+        rig_version: 3,
+        provisional: true,
+        revision: 2,
+    }
+}
+
+pub fn keyframe() -> StampedKeyframe {
+    StampedKeyframe {
+        capture: Timestamp::from_ns(8_000_000_000),
+        window: 12,
+        keyframe: manifold::Keyframe {
+            z: std::array::from_fn(|i| (i as f64 - 16.0) / 8.0),
+            root_rotation: so3::exp(&Vector3::new(0.0, 3.0, 0.5)),
+            root_position: Vector3::new(1.0, 0.875, -0.5),
+        },
+        shape: *skeleton().shape(),
+    }
+}
+
+pub fn event() -> Event {
+    Event {
+        capture_time_ns: 17,
+        kind: "late".into(),
+        camera: Some("left".into()),
+        window: Some(0),
+        count: 2,
+        detail: "31 ms after the deadline".into(),
+    }
+}
+
+fn status() -> Status {
+    let camera = CameraCounters {
+        camera: "left".into(),
+        used: 100,
+        late: 1,
+        duplicate: 2,
+        out_of_order: 3,
+        missing: 4,
+    };
+    Status {
+        capture_time_ns: 9_000_000_000,
+        cameras: vec![camera],
+        windows: Some(WindowCounters { tracked: 10, coasted: 1, lost: 2, incomplete: 3 }),
+    }
+}
+
+fn keypoints() -> KeypointFrame {
+    KeypointFrame::from_core(&detections(), "right", [1280, 720])
+}
+
+fn published_pose() -> Pose {
+    let publication = Publication { publish: Timestamp::from_ns(-1), latency_ns: 250_000_000 };
+    Pose::from_core(&stamped_pose(4), &skeleton(), Some(publication))
+}
+
+fn through_bytes<T: Schema>(message: &T) -> T {
+    decode(&encode(message)).unwrap()
+}
+
+#[test]
+fn keypoints_round_trip() {
+    let frame = through_bytes(&keypoints());
+    let index_of = |name: &str| rig().index_of(name);
+    assert_eq!(frame.to_core(index_of).unwrap(), detections());
+    assert_eq!((frame.image_width, frame.image_height), (1280, 720));
+}
+
+#[test]
+fn a_rig_round_trips() {
+    let (back, rig) = (through_bytes(&Rig::from_core(&rig())).to_core().unwrap(), rig());
+    assert_eq!((back.version, back.cameras.len()), (rig.version, 2));
+    for (a, b) in back.cameras.iter().zip(&rig.cameras) {
+        assert_eq!((&a.name, a.matrix(), a.lens()), (&b.name, b.matrix(), b.lens()));
+        assert_eq!((a.width, a.height, a.translation), (b.width, b.height, b.translation));
+        assert!((a.rotation - b.rotation).amax() < 1e-14);
+    }
+}
+
+#[test]
+fn a_pose_round_trips_and_carries_its_joints() {
+    let (wire, pose) = (through_bytes(&published_pose()), stamped_pose(4));
+    let back = wire.to_core().unwrap();
+    for (a, b) in back.pose.local.iter().zip(&pose.pose.local) {
+        assert!((a - b).amax() < 1e-6);
+    }
+    assert!((back.pose.root_rotation - pose.pose.root_rotation).amax() < 1e-14);
+    let stamps = StampedPose { pose: pose.pose.clone(), ..back.clone() };
+    assert_eq!(stamps, pose);
+    assert_eq!(back.pose.root_position, pose.pose.root_position);
+    let joints = pose.pose.posture(&skeleton()).positions;
+    for (a, b) in wire.joint_positions().unwrap().iter().zip(joints) {
+        assert!((a - b).norm() < 1e-6);
+    }
+    assert_eq!((wire.publish_time_ns, wire.declared_latency_ns), (Some(-1), 250_000_000));
+}
+
+#[test]
+fn a_keyframe_and_a_skeleton_round_trip() {
+    let back = through_bytes(&Keyframe::from_core(&keyframe())).to_core().unwrap();
+    assert_eq!((back.keyframe.z, back.shape), (keyframe().keyframe.z, keyframe().shape));
+    assert_eq!((back.capture, back.window), (keyframe().capture, keyframe().window));
+    let turned = back.keyframe.root_rotation - keyframe().keyframe.root_rotation;
+    assert!(turned.amax() < 1e-14);
+    assert_eq!(through_bytes(&Skeleton::from_core(&skeleton())).to_core().unwrap(), skeleton());
+}
+
+/// Bytes as lines of hexadecimal digits.
+fn hex(message: &impl Schema) -> String {
+    let digits: Vec<String> = encode(message).iter().map(|b| format!("{b:02x}")).collect();
+    digits.chunks(32).map(|line| line.concat() + "\n").collect()
+}
+
+#[test]
+fn the_encoding_is_what_it_was() {
+    insta::with_settings!({ snapshot_path => "../golden", prepend_module_to_snapshot => false }, {
+        insta::assert_snapshot!("keypoint_frame", hex(&keypoints()));
+        insta::assert_snapshot!("rig", hex(&Rig::from_core(&rig())));
+        insta::assert_snapshot!("pose", hex(&published_pose()));
+        insta::assert_snapshot!("keyframe", hex(&Keyframe::from_core(&keyframe())));
+        insta::assert_snapshot!("skeleton", hex(&Skeleton::from_core(&skeleton())));
+        insta::assert_snapshot!("event", hex(&event()));
+        insta::assert_snapshot!("status", hex(&status()));
+    });
+}
+
+#[test]
+fn fields_of_a_later_version_are_skipped() {
+    fn check<T: Schema + PartialEq + std::fmt::Debug>(message: &T) {
+        // Field 1000 as a varint, field 1001 as five bytes, field 1002 as four.
+        const LATER: &[u8] = &[
+            0xc0, 0x3e, 0x96, 0x01, 0xca, 0x3e, 0x05, b'l', b'a', b't', b'e', b'r', 0xd5, 0x3e, 1,
+            2, 3, 4,
+        ];
+        let bytes = [LATER, &encode(message), LATER].concat();
+        assert_eq!(decode::<T>(&bytes).unwrap(), *message, "{}", T::NAME);
+    }
+    check(&keypoints());
+    check(&Rig::from_core(&rig()));
+    check(&published_pose());
+    check(&Keyframe::from_core(&keyframe()));
+    check(&Skeleton::from_core(&skeleton()));
+    check(&event());
+    check(&status());
+}
+
+/// Decodes `bytes` as every message; says how many conversions succeeded.
+fn decode_as_everything(bytes: &[u8]) -> usize {
+    let mut sound = 0;
+    sound +=
+        usize::from(decode(bytes).is_ok_and(|m: KeypointFrame| m.to_core(|_| Some(0)).is_ok()));
+    sound += usize::from(decode(bytes).is_ok_and(|m: Rig| m.to_core().is_ok()));
+    sound += usize::from(
+        decode(bytes).is_ok_and(|m: Pose| m.joint_positions().is_ok() && m.to_core().is_ok()),
+    );
+    sound += usize::from(decode(bytes).is_ok_and(|m: Keyframe| m.to_core().is_ok()));
+    sound += usize::from(decode(bytes).is_ok_and(|m: Skeleton| m.to_core().is_ok()));
+    sound += usize::from(decode(bytes).is_ok_and(|m: Event| m.validated().is_ok()));
+    sound + usize::from(decode::<Status>(bytes).is_ok())
+}
+
+#[test]
+fn no_bytes_panic() {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let sound: Vec<Vec<u8>> = vec![
+        encode(&keypoints()),
+        encode(&Rig::from_core(&rig())),
+        encode(&published_pose()),
+        encode(&Keyframe::from_core(&keyframe())),
+        encode(&Skeleton::from_core(&skeleton())),
+        encode(&event()),
+        encode(&status()),
+    ];
+    let (mut accepted, mut refused) = (0, 0);
+    for round in 0..4000 {
+        let mut bytes = if round % 4 == 0 {
+            vec![0; rng.random_range(0..200)]
+        } else {
+            sound[round % sound.len()].clone()
+        };
+        if round % 4 == 0 {
+            rng.fill_bytes(&mut bytes);
+        } else {
+            for _ in 0..rng.random_range(1..4) {
+                let at = rng.random_range(0..bytes.len());
+                bytes[at] = rng.random();
+            }
+            if round % 4 == 3 {
+                bytes.truncate(rng.random_range(bytes.len() / 2..=bytes.len()));
+            }
+        }
+        match decode_as_everything(&bytes) {
+            0 => refused += 1,
+            _ => accepted += 1,
+        }
+    }
+    assert!(accepted > 100 && refused > 100, "{accepted} accepted, {refused} refused");
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_by_message_and_field() {
+    let frame = |change: fn(&mut KeypointFrame)| {
+        let mut frame = keypoints();
+        change(&mut frame);
+        frame.to_core(|name| rig().index_of(name)).unwrap_err().to_string()
+    };
+    let pose = |change: fn(&mut Pose)| {
+        let mut pose = published_pose();
+        change(&mut pose);
+        pose.to_core().unwrap_err().to_string()
+    };
+    let skeleton = |change: fn(&mut Skeleton)| {
+        let mut wire = Skeleton::from_core(&skeleton());
+        change(&mut wire);
+        wire.to_core().unwrap_err().to_string()
+    };
+    let rig_without = |change: fn(&mut Rig)| {
+        let mut wire = Rig::from_core(&rig());
+        change(&mut wire);
+        wire.to_core().unwrap_err().to_string()
+    };
+    let messages = [
+        frame(|f| f.camera = "top".into()),
+        frame(|f| f.format = "body_26".into()),
+        frame(|f| f.people[0].points.truncate(50)),
+        frame(|f| f.people[1].points[1] = f32::NAN),
+        frame(|f| f.people[0].points[2] = -0.5),
+        pose(|p| p.root_rotation = vec![0.0; 4]),
+        pose(|p| p.local_rotations[8..12].fill(0.0)),
+        pose(|p| p.root_position_m[1] = f64::INFINITY),
+        pose(|p| p.state = 0),
+        skeleton(|s| s.joint_names[3] = "chest".into()),
+        skeleton(|s| s.parents[2] = 9),
+        skeleton(|s| s.rest_offsets_m[4] += 0.01),
+        rig_without(|r| r.cameras.truncate(1)),
+        rig_without(|r| r.cameras[0].lens_coefficients.truncate(3)),
+        rig_without(|r| r.cameras[1].lens = 9),
+        rig_without(|r| r.cameras[1].focal_px[0] = 0.0),
+        Event { kind: String::new(), ..event() }.validated().unwrap_err().to_string(),
+        decode::<Pose>(&[0x0a]).unwrap_err().to_string(),
+    ];
+    insta::assert_snapshot!(messages.join("\n"), @r#"
+    KeypointFrame.camera: camera "top" is not in the rig, add its calibration
+    KeypointFrame.format: unknown keypoint format "body_26", use one of body_25, body_25b, coco_17, halpe_26, coco_wholebody_133
+    KeypointFrame.people.points: 50 entries, expected 51
+    KeypointFrame.people.points: entry 1 is not a finite number
+    KeypointFrame.people.points: point 0 has confidence -0.5
+    Pose.root_rotation: quaternion 0 has no direction
+    Pose.local_rotations: quaternion 2 has no direction
+    Pose.root_position_m: entry 1 is not a finite number
+    Pose.state: unknown state 0
+    Skeleton.joint_names: joint 3 is "chest", not spine1
+    Skeleton.parents: r_hip has parent 9
+    Skeleton.rest_offsets_m: l_hip is 10.000 mm from where the shape puts it: written for another template
+    Rig.cameras: a rig needs at least two cameras, this one has 1; add calibrated cameras
+    Rig.cameras.lens_coefficients: a Brown-Conrady lens has 4, 5 or 8 coefficients, not 3
+    Rig.cameras.lens: camera right has the unknown lens 9
+    Rig.cameras: camera right: the intrinsic matrix is singular or no pinhole matrix (fx 0, fy 910, determinant 0); it must be [fx s cx; 0 fy cy; 0 0 1] with positive fx and fy in pixels
+    Event.kind: is empty
+    Pose: not a message of this schema: failed to decode Protobuf message: Pose.capture_time_ns: invalid wire type: LengthDelimited (expected Varint)
+    "#);
+}
+
+#[test]
+fn a_missing_point_may_hold_anything_and_scores_above_one_are_clamped() {
+    let mut frame = keypoints();
+    frame.people[0].points[..6].copy_from_slice(&[f32::NAN, f32::NAN, 0.0, 1.0, 2.0, 7.5]);
+    let people = frame.to_core(|_| Some(0)).unwrap().people;
+    assert_eq!(people[0].points[0], None);
+    assert_eq!(people[0].points[1].unwrap().confidence, 1.0);
+    let unknown = frame.to_core(|_| None).unwrap_err();
+    assert_eq!(unknown, DecodeError::UnknownCamera { name: "right".into() });
+}

@@ -1,1 +1,227 @@
+//! The window problem: its derivatives, its two optimisers, and exact recovery.
 
+use bundlemocap::body::{BodyPoint, Posture, Shape, Skeleton, fitted_points};
+use bundlemocap::camera::{Camera, Lens, Rig};
+use bundlemocap::cost::{self, Knot, Moment, Observation, PathProblem, Scene, Workspace};
+use bundlemocap::detect::KeypointFormat;
+use bundlemocap::manifold::{Decoder, Interpolation, Keyframe, LATENT};
+use bundlemocap::so3;
+use bundlemocap::solve::{Method, Problem};
+use bundlemocap::time::Timestamp;
+use nalgebra::{DMatrix, Matrix3, Vector2, Vector3};
+
+use crate::jacobians::{assert_jacobian, numeric_jacobian};
+
+/// Four cameras on a ring of 4 m, 1.5 m high, that look at the middle.
+pub fn ring() -> Rig {
+    let camera = |i: usize| {
+        let angle = i as f64 * std::f64::consts::FRAC_PI_2 + 0.4;
+        let centre = Vector3::new(4.0 * angle.sin(), 1.5, 4.0 * angle.cos());
+        let forward = (Vector3::new(0.0, 0.9, 0.0) - centre).normalize();
+        let right = forward.cross(&Vector3::y()).normalize();
+        let rows = [right.transpose(), forward.cross(&right).transpose(), forward.transpose()];
+        let rotation = Matrix3::from_rows(&rows);
+        Camera::new(
+            format!("cam{i}"),
+            [1280, 1024],
+            &Matrix3::new(1100.0, 0.0, 640.0, 0.0, 1100.0, 512.0, 0.0, 0.0, 1.0),
+            Lens::brown_conrady(&[-0.05, 0.01, 1e-4, -2e-4]).unwrap(),
+            rotation,
+            -(rotation * centre),
+        )
+        .unwrap()
+    };
+    Rig::new(1, (0..4).map(camera).collect()).unwrap()
+}
+
+pub fn keyframe(seed: f64) -> Keyframe {
+    let wave = |i: usize| ((i as f64 + 1.0) * seed).sin();
+    Keyframe {
+        z: std::array::from_fn(|i| 0.8 * wave(i)),
+        root_rotation: so3::exp(&Vector3::new(0.1 * wave(1), 1.5 * seed, 0.1 * wave(2))),
+        root_position: Vector3::new(0.3 * wave(3), 1.0, 0.3 * wave(4)),
+    }
+}
+
+pub fn frame(i: usize) -> Timestamp {
+    Timestamp::of_frame(i as u64, 60.0)
+}
+
+/// Exact observations of a posture, all confident.
+pub fn observe(
+    rig: &Rig,
+    points: &[BodyPoint],
+    posture: &Posture,
+    shape: &Shape,
+) -> Vec<Observation> {
+    let seen = |camera: usize, point: usize| {
+        let world = points[point].attachment.position(posture, shape);
+        let pixel = rig.cameras[camera].project(&world)?;
+        Some(Observation { point, camera, pixel, confidence: 1.0 })
+    };
+    (0..rig.cameras.len())
+        .flat_map(|camera| (0..points.len()).filter_map(move |point| seen(camera, point)))
+        .collect()
+}
+
+struct Case {
+    decoder: Decoder,
+    rig: Rig,
+    points: Vec<BodyPoint>,
+    skeleton: Skeleton,
+    truth: Vec<Keyframe>,
+    moments: Vec<Moment>,
+}
+
+impl Case {
+    /// Keyframes ten frames apart with exact observations of every frame.
+    fn new(keyframes: usize) -> Self {
+        let decoder = Decoder::embedded().unwrap();
+        let skeleton = Skeleton::new(Shape(std::array::from_fn(|i| 0.5 * (i as f64).cos())));
+        let (rig, points) = (ring(), fitted_points(KeypointFormat::Body25));
+        let truth: Vec<_> = (0..keyframes).map(|k| keyframe(0.7 + 0.02 * k as f64)).collect();
+        let moments = (1..=10 * (keyframes - 1).max(1))
+            .map(|i| {
+                let (k, s) = ((i - 1) / 10, ((i - 1) % 10 + 1) as f64 / 10.0);
+                let next = &truth[(k + 1).min(keyframes - 1)];
+                let at = Interpolation::Slerp.keyframe(&truth[k.min(keyframes - 1)], next, s);
+                let posture = decoder.pose(&at).posture(&skeleton);
+                Moment::new(frame(i), observe(&rig, &points, &posture, skeleton.shape()))
+            })
+            .collect();
+        Self { decoder, rig, points, skeleton, truth, moments }
+    }
+
+    fn disturb(&mut self) {
+        let mut n = 0.0_f64;
+        for moment in &mut self.moments {
+            let moved = moment.observations().iter().map(|seen| {
+                n += 1.0;
+                let outlier = if (n as usize).is_multiple_of(17) { 80.0 } else { 4.0 };
+                let pixel = seen.pixel + Vector2::new((n * 1.3).sin(), (n * 2.1).cos()) * outlier;
+                Observation { pixel, confidence: 0.6 + 0.3 * (n * 0.7).sin(), ..*seen }
+            });
+            *moment = Moment::new(moment.capture, moved.collect());
+        }
+    }
+
+    fn scene<'a>(&'a self, config: &'a cost::Config) -> Scene<'a> {
+        Scene { decoder: &self.decoder, rig: &self.rig, points: &self.points, config }
+    }
+
+    fn knots(&self, free: &[bool], start: &Keyframe) -> Vec<Knot> {
+        let value = |k: usize| if free[k] { start.clone() } else { self.truth[k].clone() };
+        (0..free.len())
+            .map(|k| Knot { capture: frame(10 * k), keyframe: value(k), free: free[k] })
+            .collect()
+    }
+}
+
+#[test]
+fn gradients_of_every_kind_of_path_match_central_differences() {
+    let mut case = Case::new(3);
+    case.disturb();
+    let config = cost::Config { prior: 5.0, ..cost::Config::default() };
+    let kinds: [(&[bool], bool); 4] = [
+        (&[true], true),
+        (&[false, true], false),
+        (&[true, true], false),
+        (&[true, true, true], true),
+    ];
+    for (free, shape) in kinds {
+        let mut work = Workspace::default();
+        let moments = &case.moments[..(10 * (free.len() - 1)).max(1)];
+        let knots = case.knots(free, &keyframe(0.73));
+        let mut problem =
+            PathProblem::new(case.scene(&config), knots, &case.skeleton, shape, moments, &mut work);
+        let x: Vec<f64> =
+            problem.start().iter().enumerate().map(|(i, v)| v + 0.05 * (i as f64).sin()).collect();
+        let mut gradient = vec![0.0; x.len()];
+        let cost = problem.gradient(&x, &mut gradient);
+        assert!((problem.cost(&x) - cost).abs() < 1e-9 * cost);
+        let problem = std::cell::RefCell::new(problem);
+        let numeric = numeric_jacobian(&x, 1e-5, |x| vec![problem.borrow_mut().cost(x)]);
+        assert_jacobian(&DMatrix::from_row_slice(1, x.len(), &gradient), &numeric, 2e-5);
+    }
+}
+
+#[test]
+fn the_hessian_is_exact_where_residuals_vanish() {
+    let case = Case::new(2);
+    let config = cost::Config { prior: 0.0, ..cost::Config::default() };
+    let mut work = Workspace::default();
+    let knots = case.knots(&[false, true], &case.truth[1]);
+    let mut problem = PathProblem::new(
+        case.scene(&config),
+        knots,
+        &case.skeleton,
+        false,
+        &case.moments,
+        &mut work,
+    );
+    let x = problem.start();
+    let (mut gradient, mut hessian) = (vec![0.0; x.len()], vec![0.0; x.len() * x.len()]);
+    problem.linearise(&x, &mut gradient, &mut hessian);
+    let problem = std::cell::RefCell::new(problem);
+    let numeric = numeric_jacobian(&x, 1e-5, |x| {
+        let mut gradient = vec![0.0; x.len()];
+        problem.borrow_mut().gradient(x, &mut gradient);
+        gradient
+    });
+    assert_jacobian(&DMatrix::from_row_slice(x.len(), x.len(), &hessian), &numeric, 1e-4);
+}
+
+#[test]
+fn both_optimisers_reach_the_same_minimum() {
+    let mut case = Case::new(2);
+    case.disturb();
+    let config = cost::Config::default();
+    let minimum = |method: Method| {
+        let mut work = Workspace::default();
+        let knots = case.knots(&[false, true], &case.truth[0]);
+        let mut problem = PathProblem::new(
+            case.scene(&config),
+            knots,
+            &case.skeleton,
+            false,
+            &case.moments,
+            &mut work,
+        );
+        let mut x = problem.start();
+        let summary = method.optimiser().minimise(&mut problem, &mut x, 500);
+        let (keyframes, _) = problem.solution(&x);
+        (summary, keyframes[1].clone())
+    };
+    let (lm, a) = minimum(Method::LevenbergMarquardt);
+    let (lbfgs, b) = minimum(Method::Lbfgs);
+    assert!(lm.final_cost < 0.9 * lm.initial_cost);
+    let difference = (lm.final_cost - lbfgs.final_cost).abs() / lm.final_cost;
+    assert!(difference < 1e-4, "{lm:?} {lbfgs:?}");
+    let position = (a.root_position - b.root_position).norm();
+    assert!(position < 1e-3, "{position}");
+}
+
+#[test]
+fn a_window_of_exact_observations_is_recovered() {
+    let case = Case::new(2);
+    let config = cost::Config { prior: 1e-3, ..cost::Config::default() };
+    let mut work = Workspace::default();
+    let knots = case.knots(&[false, true], &case.truth[0]);
+    let mut problem = PathProblem::new(
+        case.scene(&config),
+        knots,
+        &case.skeleton,
+        false,
+        &case.moments,
+        &mut work,
+    );
+    let mut x = problem.start();
+    Method::LevenbergMarquardt.optimiser().minimise(&mut problem, &mut x, 100);
+    let (keyframes, _) = problem.solution(&x);
+    let (found, truth) = (case.decoder.pose(&keyframes[1]), case.decoder.pose(&case.truth[1]));
+    let (a, b) = (found.posture(&case.skeleton), truth.posture(&case.skeleton));
+    for j in 0..a.positions.len() {
+        assert!((a.positions[j] - b.positions[j]).norm() < 1e-3);
+    }
+    assert_eq!(keyframes[1].z.len(), LATENT);
+}

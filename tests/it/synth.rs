@@ -1,1 +1,214 @@
+//! The procedural motion and the recordings made of it.
 
+use std::collections::HashMap;
+
+use bundlemocap::body::{Joint, Pose, Shape, Skeleton};
+use bundlemocap::detect::{Detections, Keypoint, KeypointFormat, Person};
+use bundlemocap::so3;
+use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, position, ring_rig, through};
+use nalgebra::Vector3;
+
+const SOLE: [Keypoint; 6] = [
+    Keypoint::LBigToe,
+    Keypoint::RBigToe,
+    Keypoint::LSmallToe,
+    Keypoint::RSmallToe,
+    Keypoint::LHeel,
+    Keypoint::RHeel,
+];
+
+fn point(skeleton: &Skeleton, pose: &Pose, keypoint: Keypoint) -> Vector3<f64> {
+    position(keypoint, skeleton, &pose.posture(skeleton))
+}
+
+fn shapes() -> [Skeleton; 3] {
+    [Shape::default(), Shape([1.5; 10]), Shape([-1.0; 10])].map(Skeleton::new)
+}
+
+#[test]
+fn the_lower_foot_stays_on_the_floor() {
+    for skeleton in shapes() {
+        let motion = Motion::new(&skeleton, MotionStyle::default());
+        let (mut lowest, mut highest) = (f64::MAX, f64::MIN);
+        for frame in 0..1600 {
+            let pose = motion.pose(f64::from(frame) / 60.0);
+            let low = SOLE.map(|k| point(&skeleton, &pose, k).y).into_iter().fold(9.0, f64::min);
+            lowest = lowest.min(low);
+            highest = highest.max(low);
+        }
+        assert!(lowest > -0.03 && highest < 0.04, "{lowest} {highest}");
+    }
+}
+
+#[test]
+fn the_motion_is_smooth_and_lively() {
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let rate = 240.0;
+    let at = |frame: i32| motion.pose(f64::from(frame) / rate).posture(&skeleton).positions;
+    let (mut largest_change, mut sum, mut count) = (0.0f64, 0.0, 0.0);
+    let mut last = None;
+    for frame in 0..(26 * 240) {
+        let (a, b, c) = (at(frame), at(frame + 1), at(frame + 2));
+        let acceleration =
+            Joint::ALL.map(|j| (a[j as usize] - b[j as usize] * 2.0 + c[j as usize]) * rate * rate);
+        for (j, now) in acceleration.iter().enumerate() {
+            let before = last.map_or(*now, |last: [Vector3<f64>; 22]| last[j]);
+            largest_change = largest_change.max((now - before).norm());
+            sum += now.norm();
+            count += 1.0;
+        }
+        last = Some(acceleration);
+    }
+    assert!((0.5..6.0).contains(&(sum / count)), "mean acceleration {}", sum / count);
+    // An acceleration that jumps changes by its whole size, some 30 m/s^2, in one step of 4 ms.
+    assert!(largest_change < 10.0, "{largest_change}");
+}
+
+#[test]
+fn planted_feet_do_not_slide() {
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let heel = |t: f64| point(&skeleton, &motion.pose(t), Keypoint::LHeel);
+    // Standing, squatting, reaching and waving: both feet are planted.
+    for (from, to) in [(-0.3, -0.1), (6.0, 12.9)] {
+        assert!((heel(from) - heel(to)).norm() < 0.01);
+    }
+    let pelvis = |t: f64| motion.pose(t).root_position;
+    assert!(pelvis(6.8).y < pelvis(5.7).y - 0.25, "the squat goes down");
+    assert!((pelvis(2.0) - pelvis(1.0)).norm() > 0.8, "the walk gets on");
+}
+
+#[test]
+fn rotations_are_rotations() {
+    let motion = Motion::new(&Skeleton::default(), MotionStyle::default());
+    for frame in 0..400 {
+        let pose = motion.pose(f64::from(frame) / 30.0);
+        assert!(so3::is_rotation(&pose.root_rotation, 1e-9));
+        assert!(pose.local.iter().all(|r| so3::is_rotation(r, 1e-9)));
+    }
+}
+
+type Walk = Recording<Box<dyn Fn(f64) -> Pose>>;
+
+fn walk(noise: Noise) -> Walk {
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let pose: Box<dyn Fn(f64) -> Pose> = Box::new(move |seconds| motion.pose(seconds));
+    Recording { noise, frames: 780, ..Recording::new(rig, skeleton, pose) }
+}
+
+/// The true pixels of a frame of a recording at 60 fps.
+fn truth(recording: &Walk, frame: &Detections) -> Vec<Option<nalgebra::Vector2<f64>>> {
+    let pose = (recording.motion)(frame.capture.ns() as f64 * 1e-9);
+    let posture = pose.posture(&recording.skeleton);
+    let camera = &recording.rig.cameras[frame.camera];
+    let of = |&k: &Keypoint| camera.project(&position(k, &recording.skeleton, &posture));
+    recording.format.keypoints().iter().map(of).collect()
+}
+
+/// Errors of the person nearest to the truth, with index and confidence.
+fn errors(recording: &Walk, frame: &Detections) -> Vec<(usize, f64, f64)> {
+    let truth = truth(recording, frame);
+    let of = |person: &Person| -> Vec<(usize, f64, f64)> {
+        (truth.iter().zip(&person.points).enumerate())
+            .filter_map(|(i, (t, p))| t.zip(*p).map(|(t, p)| (i, t, p)))
+            .map(|(i, t, p)| (i, (t - p.pixel.coords).norm(), p.confidence))
+            .collect()
+    };
+    let cost = |e: &Vec<(usize, f64, f64)>| e.iter().map(|e| e.1).sum::<f64>() / e.len() as f64;
+    let people = frame.people.iter().map(of).filter(|e| !e.is_empty());
+    people.min_by(|a, b| cost(a).total_cmp(&cost(b))).unwrap_or_default()
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+#[test]
+fn without_noise_every_view_is_exact_and_nearly_whole() {
+    let recording = walk(Noise::none());
+    let (mut seen, mut all) = (0, 0);
+    for frame in recording.detections() {
+        assert_eq!(frame.people.len(), 1);
+        let errors = errors(&recording, &frame);
+        assert!(errors.iter().all(|&(_, error, confidence)| error < 1e-9 && confidence == 1.0));
+        seen += errors.len();
+        all += recording.format.keypoints().len();
+    }
+    assert!(seen as f64 > 0.97 * all as f64, "{seen} of {all} points are in the image");
+}
+
+#[test]
+fn frames_come_in_capture_order_and_fit_the_truth_poses() {
+    let mut recording = walk(Noise::default());
+    (recording.frames, recording.stagger, recording.format) = (50, 0.8, KeypointFormat::Halpe26);
+    let frames: Vec<Detections> = recording.detections().collect();
+    assert_eq!(frames.len(), 200);
+    assert!(frames.is_sorted_by_key(|f| (f.capture, f.camera)));
+    assert!(frames.iter().flat_map(|f| &f.people).all(|p| p.points.len() == 26));
+    let poses: Vec<_> = recording.poses().collect();
+    let of_first: Vec<_> = frames.iter().filter(|f| f.camera == 0).map(|f| f.capture).collect();
+    assert_eq!(poses.iter().map(|p| p.capture).collect::<Vec<_>>(), of_first);
+}
+
+#[test]
+fn a_seed_gives_the_same_recording_in_any_order() {
+    let mut long = walk(Noise::default());
+    long.frames = 90;
+    let mut short = walk(Noise::default());
+    short.frames = 60;
+    let tail: Vec<Detections> = long.detections().take(240).collect();
+    assert_eq!(tail, short.detections().collect::<Vec<_>>());
+    short.seed += 1;
+    assert_ne!(tail, short.detections().collect::<Vec<_>>());
+}
+
+#[test]
+fn the_studio_has_every_kind_of_trouble_in_measure() {
+    let recording = walk(Noise::default());
+    let (mut blank, mut several, mut points, mut frames) = (0usize, 0usize, 0usize, 0usize);
+    let (mut sure, mut unsure, mut wrist) = (Vec::new(), Vec::new(), Vec::new());
+    let mut gross = HashMap::new();
+    for frame in recording.detections() {
+        frames += 1;
+        blank += usize::from(frame.people.is_empty());
+        several += usize::from(frame.people.len() > 1);
+        for (index, error, confidence) in errors(&recording, &frame) {
+            points += 1;
+            if confidence > 0.9 { &mut sure } else { &mut unsure }.push(error);
+            if recording.format.keypoints()[index] == Keypoint::LWrist {
+                wrist.push(error);
+            }
+            if error > 40.0 {
+                *gross.entry(frame.camera).or_insert(0) += 1;
+            }
+        }
+    }
+    let share = |n: usize| n as f64 / frames as f64;
+    assert!(blank > 0 && share(blank) < 0.02, "{}", share(blank));
+    assert!(several > 0 && share(several) < 0.15, "{}", share(several));
+    assert!(points as f64 > 0.90 * (frames * 25) as f64 && points < frames * 25);
+    assert!(gross.len() >= 2 && gross.values().sum::<usize>() < points / 50, "{gross:?}");
+    let (sure, unsure, wrist) = (median(sure), median(unsure), median(wrist));
+    println!("sure {sure:.2} unsure {unsure:.2} wrist {wrist:.2} gross {gross:?}");
+    assert!(unsure > 1.3 * sure, "confidence tells: {sure} {unsure}");
+    // A person is some 480 px tall: 0.6 % along each axis, whose median length is 1.18 of it.
+    assert!((3.0..6.5).contains(&wrist), "{wrist}");
+}
+
+#[test]
+fn a_path_through_poses_meets_them() {
+    let motion = Motion::new(&Skeleton::default(), MotionStyle::default());
+    let poses: Vec<Pose> = (0..20).map(|f| motion.pose(f64::from(f) / 60.0)).collect();
+    let path = through(poses.clone(), 60.0);
+    assert_eq!(path(0.0), poses[0]);
+    assert_eq!(path(7.0 / 60.0), poses[7]);
+    assert_eq!(path(9.0), poses[19]);
+    let between = path(7.5 / 60.0);
+    let middle = poses[7].root_position.lerp(&poses[8].root_position, 0.5);
+    assert!((between.root_position - middle).norm() < 1e-9);
+    assert_eq!(through(Vec::new(), 60.0)(1.0), Pose::rest());
+}

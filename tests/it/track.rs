@@ -1,1 +1,205 @@
+//! The tracking machine, driven by streams whose truth is known.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use bundlemocap::body::{Shape, Skeleton, StampedPose, TrackingState, fitted_points};
+use bundlemocap::detect::{Detection, Detections, KeypointFormat, Person};
+use bundlemocap::manifold::{Decoder, Interpolation, Keyframe};
+use bundlemocap::so3;
+use bundlemocap::track::{Config, EventKind, Input, Output, Solver, Track, WindowReport};
+use nalgebra::Point2;
+
+use crate::solve::{frame, keyframe, observe, ring};
+
+const FORMAT: KeypointFormat = KeypointFormat::Body25;
+
+/// Everything that a machine put out.
+#[derive(Default)]
+struct Run {
+    poses: Vec<StampedPose>,
+    windows: Vec<WindowReport>,
+    events: BTreeMap<EventKind, u64>,
+    skeleton: Option<Arc<Skeleton>>,
+}
+
+fn config() -> Config {
+    let mut config = Config::default();
+    config.cost.prior = 1e-4;
+    config.cost.shape_prior = 1e-4;
+    config.iterations = 200;
+    config.acquisition_iterations = 300;
+    config
+}
+
+fn run(config: Config, frames: impl IntoIterator<Item = Detections>) -> Run {
+    let mut track = Track::new(config, Arc::new(ring()));
+    let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
+    let mut run = Run::default();
+    for input in frames.into_iter().map(Input::Detections).chain([Input::End]) {
+        track.handle(input);
+        while let Some(output) = track.poll() {
+            match output {
+                Output::Solve(job) => track.handle(Input::Solved(solver.solve(&job))),
+                Output::Pose(pose) => run.poses.push(*pose),
+                Output::Window(window) => run.windows.push(*window),
+                Output::Event(event) => *run.events.entry(event.kind).or_default() += event.count,
+                Output::Skeleton(skeleton) => run.skeleton = Some(skeleton),
+                Output::Keyframe(_) => {}
+            }
+        }
+    }
+    run
+}
+
+fn truth_shape() -> Shape {
+    Shape(std::array::from_fn(|i| 0.6 * (i as f64 * 1.7).sin()))
+}
+
+fn truth(i: usize) -> Keyframe {
+    let at = |k: usize| keyframe(0.7 + 0.02 * k as f64);
+    Interpolation::Slerp.keyframe(&at(i / 10), &at(i / 10 + 1), (i % 10) as f64 / 10.0)
+}
+
+/// Exact detections of a motion on the manifold, from all cameras, in order.
+fn stream(frames: usize) -> Vec<Detections> {
+    let (rig, points, decoder) = (ring(), fitted_points(FORMAT), Decoder::embedded().unwrap());
+    let skeleton = Skeleton::new(truth_shape());
+    let mut all = Vec::new();
+    for i in 0..frames {
+        let posture = decoder.pose(&truth(i)).posture(&skeleton);
+        let seen = observe(&rig, &points, &posture, skeleton.shape());
+        for camera in 0..rig.cameras.len() {
+            let mut person = Person { id: None, points: vec![None; FORMAT.len()] };
+            for observation in seen.iter().filter(|o| o.camera == camera) {
+                let pixel = Point2::from(observation.pixel);
+                person.points[points[observation.point].index] =
+                    Some(Detection { pixel, confidence: 0.9 });
+            }
+            let (frame_number, people) = (i as u64, vec![person]);
+            all.push(Detections { camera, frame: frame_number, capture: frame(i), format: FORMAT, people });
+        }
+    }
+    all
+}
+
+/// Largest joint error in metres and largest local rotation error in radians, against the truth.
+fn worst_errors(run: &Run) -> (f64, f64) {
+    let decoder = Decoder::embedded().unwrap();
+    let truth_skeleton = Skeleton::new(truth_shape());
+    let skeleton = run.skeleton.as_ref().unwrap();
+    let (mut metres, mut radians) = (0.0_f64, 0.0_f64);
+    for pose in &run.poses {
+        let i = (pose.capture.ns() as f64 * 60e-9).round() as usize;
+        let expected = decoder.pose(&truth(i));
+        let (a, b) = (pose.pose.posture(skeleton), expected.posture(&truth_skeleton));
+        for j in 0..a.positions.len() {
+            metres = metres.max((a.positions[j] - b.positions[j]).norm());
+        }
+        for (a, b) in pose.pose.local.iter().zip(&expected.local) {
+            radians = radians.max(so3::angle_between(a, b));
+        }
+    }
+    (metres, radians)
+}
+
+#[test]
+fn a_perfect_recording_of_a_manifold_motion_is_recovered() {
+    let run = run(config(), stream(41));
+    assert_eq!(run.poses.len(), 41);
+    assert!(run.poses.iter().all(|pose| pose.state == TrackingState::Tracking));
+    let (metres, radians) = worst_errors(&run);
+    assert!(metres < 1e-3, "{metres} m");
+    assert!(radians.to_degrees() < 0.5, "{} degrees", radians.to_degrees());
+}
+
+#[test]
+fn the_last_short_window_is_solved_too() {
+    let run = run(config(), stream(37));
+    assert_eq!(run.poses.len(), 37);
+    assert_eq!(run.windows.len(), 4);
+    assert_eq!(run.poses.last().unwrap().capture, frame(36));
+}
+
+#[test]
+fn order_within_a_window_does_not_matter_and_is_counted() {
+    let ordered = run(config(), stream(31));
+    let mut frames = stream(31);
+    for group in frames.chunks_mut(8) {
+        group.reverse();
+    }
+    let shuffled = run(config(), frames);
+    assert_eq!(ordered.poses, shuffled.poses);
+    assert!(ordered.events.get(&EventKind::OutOfOrder).is_none());
+    assert!(shuffled.events[&EventKind::OutOfOrder] >= 50);
+}
+
+#[test]
+fn late_duplicate_and_missing_frames_are_counted() {
+    let mut frames = stream(61);
+    let late = frames.remove(4 * 12);
+    frames.push(late);
+    frames.insert(9, frames[8].clone());
+    let lost = frames.iter().position(|f| f.camera == 2 && f.frame == 45).unwrap();
+    frames.remove(lost);
+    let run = run(config(), frames);
+    assert_eq!(run.events[&EventKind::Late], 1);
+    assert_eq!(run.events[&EventKind::Duplicate], 1);
+    assert_eq!(run.events[&EventKind::Missing], 2);
+    assert_eq!(run.poses.len(), 61);
+}
+
+#[test]
+fn a_silent_camera_is_waited_for_only_so_long() {
+    let frames = stream(61).into_iter().filter(|f| f.camera != 3 || f.frame < 20);
+    let run = run(config(), frames);
+    assert!(run.events[&EventKind::Deadline] >= 2);
+    assert_eq!(run.poses.len(), 61);
+    assert!(run.poses.iter().all(|pose| pose.state == TrackingState::Tracking));
+}
+
+#[test]
+fn an_absence_is_flagged_and_the_performer_is_found_again() {
+    let mut frames = stream(121);
+    for frame in frames.iter_mut().filter(|f| (40..71).contains(&f.frame)) {
+        frame.people.clear();
+    }
+    let run = run(config(), frames);
+    assert!(run.events[&EventKind::Lost] >= 1);
+    assert_eq!(run.events[&EventKind::Acquired], 2);
+    let state = |i: usize| run.poses.iter().find(|p| (p.capture - frame(i)).abs() < 10).unwrap().state;
+    assert_eq!(state(39), TrackingState::Tracking);
+    assert_eq!(state(60), TrackingState::Lost);
+    assert_eq!(state(90), TrackingState::Tracking);
+    let mut times: Vec<_> = run.poses.iter().map(|pose| pose.capture).collect();
+    times.dedup();
+    assert_eq!(times.len(), run.poses.len(), "one pose a frame");
+    assert!(times.is_sorted());
+}
+
+#[test]
+fn nobody_at_all_gives_no_pose_and_says_so() {
+    let mut frames = stream(41);
+    frames.iter_mut().for_each(|frame| frame.people.clear());
+    let run = run(config(), frames);
+    assert!(run.poses.is_empty());
+    assert!(run.events[&EventKind::NobodyFound] >= 1);
+}
+
+#[test]
+fn a_bystander_in_some_views_is_not_followed() {
+    let clean = run(config(), stream(41));
+    let mut frames = stream(41);
+    for frame in frames.iter_mut().filter(|f| f.camera < 2) {
+        let mut bystander = frame.people[0].clone();
+        for point in bystander.points.iter_mut().flatten() {
+            point.pixel = Point2::new(0.5 * point.pixel.x + 60.0, 0.5 * point.pixel.y + 30.0);
+        }
+        frame.people.insert(0, bystander);
+    }
+    let crowded = run(config(), frames);
+    for (a, b) in clean.poses.iter().zip(&crowded.poses) {
+        assert!((a.pose.root_position - b.pose.root_position).norm() < 5e-3);
+    }
+    assert_eq!(clean.poses.len(), crowded.poses.len());
+}

@@ -1,0 +1,35 @@
+//! Compiles `schemas/*.proto`: Rust types, and one descriptor file per schema for recordings.
+
+use std::error::Error;
+use std::path::{Path, PathBuf};
+
+use prost_build::Config;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    println!("cargo:rerun-if-changed=schemas");
+    println!("cargo:rerun-if-changed=build.rs");
+    let out = PathBuf::from(std::env::var("OUT_DIR")?);
+    let mut protos: Vec<PathBuf> = std::fs::read_dir("schemas")?
+        .map(|entry| Ok(entry?.path()))
+        .collect::<Result<_, std::io::Error>>()?;
+    protos.retain(|path| path.extension().is_some_and(|extension| extension == "proto"));
+    protos.sort();
+    for proto in &protos {
+        write_descriptor(proto, &out)?;
+    }
+    let all = protox::compile(&protos, ["schemas"])?;
+    Config::new().enable_type_names().compile_fds(all)?;
+    Ok(())
+}
+
+/// Writes the `FileDescriptorSet` of one schema, without comments, to `{name}.fds`.
+fn write_descriptor(proto: &Path, out: &Path) -> Result<(), Box<dyn Error>> {
+    let set = protox::Compiler::new(["schemas"])?
+        .include_source_info(false)
+        .include_imports(true)
+        .open_file(proto)?
+        .encode_file_descriptor_set();
+    let name = proto.file_stem().ok_or("a schema without a name")?;
+    std::fs::write(out.join(name).with_extension("fds"), set)?;
+    Ok(())
+}

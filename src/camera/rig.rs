@@ -1,0 +1,36 @@
+//! The cameras of one calibration.
+
+use super::{Camera, CameraError};
+
+/// Cameras that share a world.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Rig {
+    /// Of the calibration; a new calibration has a larger one.
+    pub version: u64,
+    /// At least two, with names of their own. Other parts speak of a camera by its index here.
+    pub cameras: Vec<Camera>,
+}
+
+impl Rig {
+    /// Checks that there are at least two cameras and that no name is there twice.
+    ///
+    /// # Errors
+    /// [`CameraError::TooFewCameras`] or [`CameraError::DuplicateName`].
+    pub fn new(version: u64, cameras: Vec<Camera>) -> Result<Self, CameraError> {
+        if cameras.len() < 2 {
+            return Err(CameraError::TooFewCameras { found: cameras.len() });
+        }
+        for (i, camera) in cameras.iter().enumerate() {
+            if cameras[..i].iter().any(|other| other.name == camera.name) {
+                return Err(CameraError::DuplicateName { name: camera.name.clone() });
+            }
+        }
+        Ok(Self { version, cameras })
+    }
+
+    /// The index of the camera of that name.
+    pub fn index_of(&self, name: &str) -> Option<usize> {
+        self.cameras.iter().position(|camera| camera.name == name)
+    }
+}

@@ -1,0 +1,30 @@
+//! Weights of the cost.
+
+use serde::{Deserialize, Serialize};
+
+use crate::manifold::Interpolation;
+
+/// Weights of the cost. The defaults come from the sweep in DESIGN.md.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Scale s of the Geman-McClure loss, pixels: an error of s counts a quarter of its square.
+    pub scale_px: f64,
+    /// Weight of |z|^2 of each keyframe, square pixels.
+    pub prior: f64,
+    /// Weight of the squared shape coefficients, square pixels, while the shape is free.
+    pub shape_prior: f64,
+    /// How latent codes run between keyframes.
+    pub interpolation: Interpolation,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            scale_px: 30.0,
+            prior: 30.0,
+            shape_prior: 300.0,
+            interpolation: Interpolation::Slerp,
+        }
+    }
+}

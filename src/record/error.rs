@@ -1,0 +1,128 @@
+//! What can go wrong with a recording, and what a damaged one lost.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Why a recording cannot be read or written at all.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// The file cannot be opened or read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// The file cannot be written.
+    #[error("cannot write {}: {source}; check that the folder exists and has room", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// The file is something else.
+    #[error("{} is not an MCAP recording: {found}; make one with `bundlemocap import`", path.display())]
+    NotMcap {
+        /// The file.
+        path: PathBuf,
+        /// What it begins with.
+        found: String,
+    },
+    /// The file is a recording of something else.
+    #[error(
+        "{} holds no messages of bundlemocap.v1, but {}; make a recording of keypoints with \
+         `bundlemocap import`",
+        path.display(),
+        topic_list(topics)
+    )]
+    NoChannels {
+        /// The file.
+        path: PathBuf,
+        /// Topic and schema of what it holds.
+        topics: Vec<String>,
+    },
+    /// MCAP's log times are not negative.
+    #[error("cannot record on {topic}: capture time {ns} ns is before the epoch; shift the epoch")]
+    BeforeEpoch {
+        /// The topic.
+        topic: String,
+        /// The capture time.
+        ns: i64,
+    },
+}
+
+fn topic_list(topics: &[String]) -> String {
+    const SHOWN: usize = 12;
+    match topics.len() {
+        0 => "no topics".to_owned(),
+        n if n > SHOWN => format!("{} and {} more", topics[..SHOWN].join(", "), n - SHOWN),
+        _ => topics.join(", "),
+    }
+}
+
+impl RecordError {
+    pub(super) fn read(path: &Path) -> impl Fn(io::Error) -> Self + '_ {
+        move |source| Self::Read { path: path.to_owned(), source }
+    }
+
+    pub(super) fn write(path: &Path) -> impl Fn(io::Error) -> Self + '_ {
+        move |source| Self::Write { path: path.to_owned(), source }
+    }
+}
+
+/// A part of a file that cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Damage {
+    /// Where the record that cannot be used begins, bytes from the start of the file.
+    pub offset: u64,
+    /// What is wrong there.
+    pub reason: String,
+}
+
+impl std::fmt::Display for Damage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "damaged at byte {}: {}", self.offset, self.reason)
+    }
+}
+
+/// Messages of one topic that could not be used.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Undecodable {
+    /// How many.
+    pub count: u64,
+    /// What was wrong with the first.
+    pub first: String,
+}
+
+/// What a reading lost.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Report {
+    /// In the order of the file.
+    pub damage: Vec<Damage>,
+    /// By topic.
+    pub undecodable: BTreeMap<String, Undecodable>,
+}
+
+impl Report {
+    /// Whether nothing was lost.
+    pub fn is_clean(&self) -> bool {
+        self.damage.is_empty() && self.undecodable.is_empty()
+    }
+
+    /// Counts a message of `topic` that could not be used.
+    pub fn reject(&mut self, topic: &str, reason: &dyn std::fmt::Display) {
+        if let Some(undecodable) = self.undecodable.get_mut(topic) {
+            undecodable.count += 1;
+            return;
+        }
+        let first = Undecodable { count: 1, first: reason.to_string() };
+        self.undecodable.insert(topic.to_owned(), first);
+    }
+
+    pub(super) fn damaged(&mut self, offset: u64, reason: impl ToString) {
+        self.damage.push(Damage { offset, reason: reason.to_string() });
+    }
+}

@@ -1,0 +1,79 @@
+//! Settings of the tracking machine.
+
+use serde::{Deserialize, Serialize};
+
+use crate::cost;
+use crate::solve::Method;
+
+/// Settings of the tracking machine.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Frames of the cameras a second; 0 finds it from the first frames.
+    pub frame_rate_hz: f64,
+    /// Nominal frames in a window: one keyframe is solved for each window.
+    pub window_frames: usize,
+    /// How many nominal frames a window waits for a camera that is behind the others.
+    pub deadline_frames: usize,
+    /// How many windows are gathered before the first solve; the shape comes from them.
+    pub shape_windows: usize,
+    /// Iterations of a window's solve.
+    pub iterations: usize,
+    /// Iterations of each stage of the acquisition.
+    pub acquisition_iterations: usize,
+    /// The optimiser of the windows.
+    pub method: Method,
+    /// Weights of the cost.
+    pub cost: cost::Config,
+    /// Detections below this confidence are not used.
+    pub min_confidence: f64,
+    /// Who is the performer, and when is the performer lost.
+    pub gate: Gate,
+}
+
+/// Gates of association and of the verdict on a window. Lengths in the image are parts of the
+/// performer's height in that image, so that they hold at any distance and resolution.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Gate {
+    /// A triangulated point agrees with a view within this part of the person's height.
+    pub agree: f64,
+    /// A detected person is the performer when half of its points lie within this of where the
+    /// performer was expected.
+    pub follow: f64,
+    /// A window is lost when the median residual exceeds this.
+    pub lost_residual: f64,
+    /// A window is lost when |z| exceeds this.
+    pub lost_latent: f64,
+    /// A window is lost when fewer observations a frame than this are left.
+    pub lost_observations: f64,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            frame_rate_hz: 0.0,
+            window_frames: 10,
+            deadline_frames: 5,
+            shape_windows: 3,
+            iterations: 30,
+            acquisition_iterations: 30,
+            method: Method::LevenbergMarquardt,
+            cost: cost::Config::default(),
+            min_confidence: 0.1,
+            gate: Gate::default(),
+        }
+    }
+}
+
+impl Default for Gate {
+    fn default() -> Self {
+        Self {
+            agree: 0.06,
+            follow: 0.20,
+            lost_residual: 0.08,
+            lost_latent: 12.0,
+            lost_observations: 12.0,
+        }
+    }
+}

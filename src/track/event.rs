@@ -1,0 +1,73 @@
+//! What went wrong with the input or with a window: counted, never silent.
+
+use crate::time::Timestamp;
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum EventKind {
+    /// Detections came after their window was closed; they are not used.
+    Late,
+    /// A frame came twice; the second is not used.
+    Duplicate,
+    /// A frame came after a later one of its camera; it is used.
+    OutOfOrder,
+    /// Frames are missing in a camera's count.
+    Missing,
+    /// Detections of a camera that the rig does not have, or of another keypoint format.
+    Unusable,
+    /// A window closed without having waited for a camera.
+    Deadline,
+    /// The performer was found.
+    Acquired,
+    /// Nobody was found in a window while searching.
+    NobodyFound,
+    /// A window fitted badly; its poses are flagged and the performer is searched anew.
+    Lost,
+}
+
+impl EventKind {
+    /// Every kind.
+    pub const ALL: [Self; 9] = [
+        Self::Late,
+        Self::Duplicate,
+        Self::OutOfOrder,
+        Self::Missing,
+        Self::Unusable,
+        Self::Deadline,
+        Self::Acquired,
+        Self::NobodyFound,
+        Self::Lost,
+    ];
+
+    /// A lower-case name, as used on the wire.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Late => "late",
+            Self::Duplicate => "duplicate",
+            Self::OutOfOrder => "out_of_order",
+            Self::Missing => "missing",
+            Self::Unusable => "unusable",
+            Self::Deadline => "deadline",
+            Self::Acquired => "acquired",
+            Self::NobodyFound => "nobody_found",
+            Self::Lost => "lost",
+        }
+    }
+}
+
+/// Something that happened, with its evidence.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Event {
+    /// The capture time it is about.
+    pub capture: Timestamp,
+    /// What happened.
+    pub kind: EventKind,
+    /// Index of the camera, where one is to blame.
+    pub camera: Option<usize>,
+    /// The window, where one is concerned.
+    pub window: Option<u64>,
+    /// How often; frames for `Missing`.
+    pub count: u64,
+    /// The measured values and thresholds.
+    pub detail: String,
+}

@@ -1,0 +1,168 @@
+//! Detections between arrival and use: ordered by capture time, each frame once.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::event::{Event, EventKind};
+use crate::detect::{Detections, KeypointFormat};
+use crate::time::Timestamp;
+
+/// Frames of a camera that are looked at to find its rate.
+const RATE_FRAMES: usize = 5;
+/// Rates that cameras have; a measured one this close to one of them is taken for it.
+const COMMON_RATES_HZ: [f64; 11] =
+    [24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 90.0, 100.0, 120.0, 200.0, 240.0];
+const SAME_RATE: f64 = 2e-3;
+
+/// What one camera has shown.
+#[derive(Clone, Copy, Debug, Default)]
+struct Seen {
+    watermark: Option<Timestamp>,
+    last_used: Option<u64>,
+}
+
+/// The buffer, and what each camera has shown.
+#[derive(Clone, Debug)]
+pub(super) struct Intake {
+    frames: BTreeMap<(Timestamp, usize, u64), Arc<Detections>>,
+    cameras: Vec<Seen>,
+    format: Option<KeypointFormat>,
+    /// Frames up to here are no longer used.
+    closed: Option<Timestamp>,
+}
+
+impl Intake {
+    pub(super) fn new(cameras: usize) -> Self {
+        Self {
+            frames: BTreeMap::new(),
+            cameras: vec![Seen::default(); cameras],
+            format: None,
+            closed: None,
+        }
+    }
+
+    /// Takes a frame in; an event if there is something to say about it.
+    pub(super) fn add(&mut self, frame: Detections) -> Option<Event> {
+        let event = |kind, detail: String| {
+            Some(Event {
+                capture: frame.capture,
+                kind,
+                camera: Some(frame.camera),
+                window: None,
+                count: 1,
+                detail,
+            })
+        };
+        let format = *self.format.get_or_insert(frame.format);
+        if format != frame.format {
+            let detail = format!("{} in a stream of {}", frame.format.name(), format.name());
+            return event(EventKind::Unusable, detail);
+        }
+        let Some(seen) = self.cameras.get_mut(frame.camera) else {
+            return event(EventKind::Unusable, format!("the rig has no camera {}", frame.camera));
+        };
+        if self.closed.is_some_and(|closed| frame.capture <= closed) {
+            return event(
+                EventKind::Late,
+                format!("frame {} after its window closed", frame.frame),
+            );
+        }
+        let key = (frame.capture, frame.camera, frame.frame);
+        let twin = (frame.capture, frame.camera, 0)..=(frame.capture, frame.camera, u64::MAX);
+        if self.frames.range(twin).next().is_some() {
+            return event(EventKind::Duplicate, format!("frame {} came twice", frame.frame));
+        }
+        let watermark =
+            seen.watermark.replace(seen.watermark.unwrap_or(frame.capture).max(frame.capture));
+        let found = match watermark {
+            Some(watermark) if frame.capture < watermark => {
+                let behind = watermark - frame.capture;
+                event(EventKind::OutOfOrder, format!("{:.1} ms behind", behind as f64 * 1e-6))
+            }
+            _ => None,
+        };
+        self.frames.insert(key, Arc::new(frame));
+        found
+    }
+
+    /// The order of the points, once something came.
+    pub(super) fn format(&self) -> Option<KeypointFormat> {
+        self.format
+    }
+
+    /// The earliest frame in the buffer.
+    pub(super) fn first(&self) -> Option<Timestamp> {
+        self.frames.keys().next().map(|(capture, _, _)| *capture)
+    }
+
+    /// The latest frame in the buffer.
+    pub(super) fn last(&self) -> Option<Timestamp> {
+        self.frames.keys().next_back().map(|(capture, _, _)| *capture)
+    }
+
+    /// The latest capture time that any camera has shown.
+    pub(super) fn newest(&self) -> Option<Timestamp> {
+        self.cameras.iter().filter_map(|seen| seen.watermark).max()
+    }
+
+    /// Cameras that have not shown a frame at or after `time`.
+    pub(super) fn behind(&self, time: Timestamp) -> impl Iterator<Item = usize> {
+        let is_behind = move |seen: &Seen| seen.watermark.is_none_or(|mark| mark < time);
+        (0..).zip(&self.cameras).filter(move |(_, seen)| is_behind(seen)).map(|(camera, _)| camera)
+    }
+
+    /// The nominal frame period, ns, of the fastest camera that has shown enough frames.
+    pub(super) fn frame_period(&self) -> Option<f64> {
+        let of_camera = |camera: usize| {
+            let mine: Vec<_> = self.frames.keys().filter(|(_, c, _)| *c == camera).collect();
+            let (first, last) = (mine.first()?, mine.last()?);
+            let frames = last.2.checked_sub(first.2).filter(|frames| *frames > 0)?;
+            (mine.len() >= RATE_FRAMES).then(|| (last.0 - first.0) as f64 / frames as f64)
+        };
+        (0..self.cameras.len()).filter_map(of_camera).min_by(f64::total_cmp).map(|period| {
+            let rate = 1e9 / period;
+            let common = COMMON_RATES_HZ.into_iter().find(|c| (rate / c - 1.0).abs() < SAME_RATE);
+            1e9 / common.unwrap_or(rate)
+        })
+    }
+
+    /// Frames up to `end`, in order; they stay in the buffer.
+    pub(super) fn up_to(&self, end: Timestamp) -> Vec<Arc<Detections>> {
+        self.frames
+            .range(..=(end, usize::MAX, u64::MAX))
+            .map(|(_, frame)| Arc::clone(frame))
+            .collect()
+    }
+
+    /// Closes the time up to `end`: drops its frames, refuses later ones, and says which frames
+    /// each camera's count is missing.
+    pub(super) fn close(&mut self, end: Timestamp) -> Vec<Event> {
+        self.closed = Some(end);
+        let rest = self.frames.split_off(&(end + 1, 0, 0));
+        let used = std::mem::replace(&mut self.frames, rest);
+        let mut missing = Vec::new();
+        for (camera, seen) in self.cameras.iter_mut().enumerate() {
+            let mut numbers: Vec<u64> = used
+                .keys()
+                .filter(|(_, c, _)| *c == camera)
+                .map(|(_, _, number)| *number)
+                .collect();
+            numbers.sort_unstable();
+            let Some((&first, &last)) = numbers.first().zip(numbers.last()) else { continue };
+            let from = seen.last_used.map_or(first, |last| last + 1).min(first);
+            let count = (last - from + 1).saturating_sub(numbers.len() as u64);
+            seen.last_used = Some(last);
+            if count > 0 {
+                missing.push(Event {
+                    capture: end,
+                    kind: EventKind::Missing,
+                    camera: Some(camera),
+                    window: None,
+                    count,
+                    detail: format!("of frames {from} to {last}"),
+                });
+            }
+        }
+        missing
+    }
+}
