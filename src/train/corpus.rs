@@ -118,6 +118,14 @@ fn subject_of(name: &str) -> String {
     if number { head.to_owned() } else { "act".to_owned() }
 }
 
+/// The subjects of clips, sorted, each once.
+pub fn subjects<'a>(clips: impl IntoIterator<Item = &'a Clip>) -> Vec<&'a str> {
+    let mut names: Vec<&str> = clips.into_iter().map(|clip| clip.subject.as_str()).collect();
+    names.sort_unstable();
+    names.dedup();
+    names
+}
+
 /// How a file's skeleton turns into ours.
 struct Retarget {
     joints: [usize; JOINTS],

@@ -3,7 +3,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::corpus::{Clip, POSE, PoseVector};
+use super::corpus::{Clip, POSE, PoseVector, subjects};
 use super::latent::{CODE, Slerp};
 use super::loss::{Locals, Tree, locals_of};
 use super::mlp::fill_normal;
@@ -48,12 +48,9 @@ pub struct Figures {
 /// Figures of every subject in `clips`, in order, then of all together.
 pub fn figures(model: &Model, clips: &[Clip]) -> Vec<Figures> {
     let tree = Tree::new(&Skeleton::default());
-    let mut names: Vec<&str> = clips.iter().map(|clip| clip.subject.as_str()).collect();
-    names.sort_unstable();
-    names.dedup();
     let mut all = Sums::default();
     let mut rows = Vec::new();
-    for name in names {
+    for name in subjects(clips) {
         let mut sums = Sums::default();
         for clip in clips.iter().filter(|clip| clip.subject == name) {
             add_clip(model, &tree, clip, &mut sums);
@@ -63,6 +60,36 @@ pub fn figures(model: &Model, clips: &[Clip]) -> Vec<Figures> {
     }
     rows.push(all.figures("all"));
     rows
+}
+
+/// The figures as lines of text, with a heading.
+pub fn table(figures: &[Figures]) -> String {
+    let mut text = format!(
+        "{:<8} {:>7} {:>12} {:>10} {:>11} {:>14} {:>9} {:>13}\n",
+        "subject",
+        "frames",
+        "rotation deg",
+        "joints mm",
+        "between mm",
+        "true slerp mm",
+        "|z|^2/32",
+        "std of z",
+    );
+    for row in figures {
+        text += &format!(
+            "{:<8} {:>7} {:>12.2} {:>10.2} {:>11.2} {:>14.2} {:>9.2} {:>5.2} to {:>4.2}\n",
+            row.subject,
+            row.frames,
+            row.rotation_deg,
+            row.joint_mm,
+            row.between_mm,
+            row.true_slerp_mm,
+            row.latent_square,
+            row.latent_spread.0,
+            row.latent_spread.1,
+        );
+    }
+    text
 }
 
 #[derive(Clone, Default)]

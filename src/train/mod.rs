@@ -4,9 +4,12 @@
 //! The loss has four parts: rotations and joint centres of poses decoded from sampled codes; the
 //! same of poses decoded from decode(slerp(encode(a), encode(b), s)) against the true pose
 //! between, since that is what the solver relies on; and the divergence of the codes from
-//! N(0, I). Samples are mirrored, and some join one clip's legs with another's upper body, so
-//! that few clips cover many poses. Everything is seeded: the same data, options and build give
-//! the same bytes on any number of threads.
+//! N(0, I). Few clips have to cover many people: samples are mirrored, some join one clip's legs
+//! with another's upper body, and some move about another clip's mean pose. At the end all codes
+//! are stretched to a mean square of 1 over the clips.
+//!
+//! Everything is seeded: the same data, options and build give the same bytes on any number of
+//! threads, on processors with the same vector instructions.
 
 mod corpus;
 mod evaluate;
@@ -16,6 +19,7 @@ mod loss;
 mod mlp;
 mod model;
 mod optimiser;
+mod options;
 mod restyle;
 mod rotation;
 mod sampler;
@@ -28,13 +32,14 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 pub use corpus::{Clip, POSE, PoseVector, mirrored, pose_vector, read_folder};
-pub use evaluate::{Figures, SPAN};
+pub use evaluate::{Figures, SPAN, table};
 pub use model::Losses;
+pub use options::Options;
 
 use crate::body::bvh::BvhError;
-use loss::Weights;
 use model::{Batch, LossWeights, Model, Whitening};
 use optimiser::Optimiser;
+use options::{check, command, loss_weights, optimiser_config, sampler_config};
 use sampler::Sampler;
 
 /// Steps from one [`Progress`] to the next.
@@ -68,69 +73,6 @@ pub enum TrainError {
     Diverged { step: usize },
     #[error("{}: {problem}; it is no weights file that this version can use", path.display())]
     Weights { path: PathBuf, problem: String },
-}
-
-/// What to train on, and how. The defaults made the weights that ship.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Options {
-    /// Folder of BVH clips; subfolders are read too.
-    pub motions: PathBuf,
-    /// Where the weights go.
-    pub out: PathBuf,
-    /// Subjects never trained on, whose error is reported.
-    pub test_subjects: Vec<String>,
-    /// Seed of everything random.
-    pub seed: u64,
-    /// Steps of the optimiser.
-    pub steps: usize,
-    /// Samples per step; a sample is two poses of a clip and one between.
-    pub batch: usize,
-    /// Hidden units per layer of the decoder.
-    pub hidden: usize,
-    /// Hidden units per layer of the encoder.
-    pub encoder_hidden: usize,
-    /// Hidden layers of each network.
-    pub layers: usize,
-    /// Greatest learning rate.
-    pub learning_rate: f32,
-    /// Share by which weights shrink per step and unit of learning rate.
-    pub weight_decay: f32,
-    /// Weight of the divergence from N(0, I), per nat.
-    pub kl: f32,
-    /// Weight of joint centres, per metre; that of rotations is 1 per radian.
-    pub position: f32,
-    /// Weight of the poses between, against that of the poses themselves.
-    pub between: f32,
-    /// Share of samples whose legs come from another clip.
-    pub mix: f64,
-    /// Share of samples that are moved about another clip's mean pose.
-    pub restyle: f64,
-    /// Threads, 1 to 4. Does not change the result.
-    pub threads: usize,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            motions: PathBuf::from("motions"),
-            out: PathBuf::from("weights.safetensors"),
-            test_subjects: Vec::new(),
-            seed: 1,
-            steps: 20_000,
-            batch: 512,
-            hidden: 384,
-            encoder_hidden: 512,
-            layers: 2,
-            learning_rate: 1e-3,
-            weight_decay: 0.01,
-            kl: 3e-4,
-            position: 10.0,
-            between: 1.0,
-            mix: 0.3,
-            restyle: 0.3,
-            threads: std::thread::available_parallelism().map_or(1, usize::from).min(4),
-        }
-    }
 }
 
 /// How far training is.
@@ -208,51 +150,11 @@ pub fn evaluate(
 fn split(clips: Vec<Clip>, subjects: &[String]) -> Result<(Vec<Clip>, Vec<Clip>), TrainError> {
     for subject in subjects {
         if !clips.iter().any(|clip| clip.subject == *subject) {
-            let mut known: Vec<&str> = clips.iter().map(|clip| clip.subject.as_str()).collect();
-            known.dedup();
-            let known = known.join(", ");
+            let known = corpus::subjects(&clips).join(", ");
             return Err(TrainError::Subject { subject: subject.clone(), known });
         }
     }
     Ok(clips.into_iter().partition(|clip| subjects.contains(&clip.subject)))
-}
-
-fn check(options: &Options) -> Result<(), TrainError> {
-    let counts = [
-        ("steps", options.steps, 1, 10_000_000),
-        ("batch", options.batch, 1, 65_536),
-        ("hidden", options.hidden, 8, 4096),
-        ("encoder_hidden", options.encoder_hidden, 8, 4096),
-        ("layers", options.layers, 1, 8),
-        ("threads", options.threads, 1, 1024),
-    ];
-    for (option, found, low, high) in counts {
-        if !(low..=high).contains(&found) {
-            let found = found.to_string();
-            let allowed = "a positive number of a sensible size";
-            return Err(TrainError::Option { option, found, allowed });
-        }
-    }
-    let weights = [
-        ("learning_rate", options.learning_rate),
-        ("weight_decay", options.weight_decay),
-        ("kl", options.kl),
-        ("position", options.position),
-        ("between", options.between),
-    ];
-    for (option, found) in weights {
-        if !(found.is_finite() && found >= 0.0) {
-            let found = found.to_string();
-            return Err(TrainError::Option { option, found, allowed: "0 or more" });
-        }
-    }
-    for (option, found) in [("mix", options.mix), ("restyle", options.restyle)] {
-        if !(0.0..=1.0).contains(&found) {
-            let found = found.to_string();
-            return Err(TrainError::Option { option, found, allowed: "from 0 to 1" });
-        }
-    }
-    Ok(())
 }
 
 /// The training loop.
@@ -294,39 +196,6 @@ fn fit(
     Ok(model)
 }
 
-fn sampler_config(options: &Options) -> sampler::Config {
-    sampler::Config {
-        mix: options.mix,
-        mirror: 0.5,
-        restyle: options.restyle,
-        gains: (0.8, 1.25),
-        span: SPAN,
-        spans: (5, 16),
-        other_spans: 0.5,
-        balance: 0.6,
-    }
-}
-
-fn loss_weights(options: &Options) -> LossWeights {
-    let pose = Weights { rotation: 1.0, position: options.position };
-    let between = Weights {
-        rotation: options.between * pose.rotation,
-        position: options.between * pose.position,
-    };
-    LossWeights { pose, between, divergence: options.kl }
-}
-
-fn optimiser_config(options: &Options) -> optimiser::Config {
-    optimiser::Config {
-        learning_rate: options.learning_rate,
-        warm_up: (options.steps / 20).min(500),
-        steps: options.steps,
-        longest_gradient: 1.0,
-        weight_decay: options.weight_decay,
-        averaging: 0.999,
-    }
-}
-
 /// Gathers losses between reports.
 struct Reporter {
     start: Instant,
@@ -362,53 +231,16 @@ impl Reporter {
     }
 }
 
-/// The command line that repeats a run: folder and file by their last names, and the options
-/// that are not the default.
-fn command(options: &Options) -> String {
-    let last = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let default = Options::default();
-    let mut command = format!("bundlemocap train {}/", last(&options.motions));
-    if !options.test_subjects.is_empty() {
-        command += &format!(" --test-subjects {}", options.test_subjects.join(","));
-    }
-    command += &format!(" --out {}", last(&options.out));
-    let settings = |o: &Options| {
-        [
-            ("seed", o.seed.to_string()),
-            ("steps", o.steps.to_string()),
-            ("batch", o.batch.to_string()),
-            ("hidden", o.hidden.to_string()),
-            ("encoder-hidden", o.encoder_hidden.to_string()),
-            ("layers", o.layers.to_string()),
-            ("learning-rate", o.learning_rate.to_string()),
-            ("weight-decay", o.weight_decay.to_string()),
-            ("kl", o.kl.to_string()),
-            ("position", o.position.to_string()),
-            ("between", o.between.to_string()),
-            ("mix", o.mix.to_string()),
-            ("restyle", o.restyle.to_string()),
-        ]
-    };
-    for ((name, value), (_, usual)) in settings(options).into_iter().zip(settings(&default)) {
-        if value != usual {
-            command += &format!(" --{name} {value}");
-        }
-    }
-    command
-}
-
 fn metadata(
     options: &Options,
     training: &[Clip],
     held_out: &[Figures],
     command: &str,
 ) -> BTreeMap<&'static str, String> {
-    let mut subjects: Vec<&str> = training.iter().map(|clip| clip.subject.as_str()).collect();
-    subjects.dedup();
     let mut metadata = BTreeMap::from([
         ("seed", options.seed.to_string()),
         ("command", command.to_owned()),
-        ("subjects", subjects.join(",")),
+        ("subjects", corpus::subjects(training).join(",")),
         ("test_subjects", options.test_subjects.join(",")),
     ]);
     if let Some(all) = held_out.last() {

@@ -3,7 +3,7 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::corpus::{Clip, POSE, PoseVector, mirrored};
+use super::corpus::{Clip, POSE, PoseVector, mirrored, subjects};
 use super::restyle::{MeanPose, mean_pose, restyled};
 use crate::body::Joint;
 
@@ -60,10 +60,7 @@ impl<'a> Sampler<'a> {
     pub fn new(clips: &'a [Clip], config: Config) -> Option<Self> {
         let longest = config.span.max(config.spans.1);
         let usable = || clips.iter().filter(|clip| clip.poses.len() > longest);
-        let mut names: Vec<&str> = usable().map(|clip| clip.subject.as_str()).collect();
-        names.sort_unstable();
-        names.dedup();
-        let mut subjects: Vec<Subject> = names
+        let mut subjects: Vec<Subject> = subjects(usable())
             .into_iter()
             .map(|name| {
                 let own = usable().filter(|clip| clip.subject == name);

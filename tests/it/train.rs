@@ -159,6 +159,10 @@ fn the_loss_falls_and_the_same_seed_gives_the_same_bytes() {
         assert!((written.joint_mm - trained.joint_mm).abs() < 1e-3);
     }
     assert_eq!(again.last().unwrap().subject, "all");
+    let lines = bundlemocap::train::table(&again);
+    assert_eq!(lines.lines().count(), 3);
+    let row: Vec<&str> = lines.lines().nth(1).unwrap().split_whitespace().take(2).collect();
+    assert_eq!(row, ["02", "80"]);
 }
 
 #[test]
