@@ -15,6 +15,7 @@ mod corpus;
 mod evaluate;
 mod file;
 mod latent;
+mod limits;
 mod loss;
 mod mlp;
 mod model;
@@ -37,6 +38,7 @@ pub use model::Losses;
 pub use options::Options;
 
 use crate::body::bvh::BvhError;
+use limits::Limits;
 use model::{Batch, LossWeights, Model, Whitening};
 use optimiser::Optimiser;
 use options::{check, command, loss_weights, optimiser_config, sampler_config};
@@ -175,7 +177,9 @@ fn fit(
     );
     model.initialise(&mean, &mut ChaCha8Rng::seed_from_u64(options.seed));
     let mut optimiser = Optimiser::new(optimiser_config(options), &model.parameters);
-    let mut batch = Batch::new(&model, options.batch, weights, whitening.clone(), options.threads);
+    let limits = Limits::new(clips);
+    let mut batch =
+        Batch::new(&model, options.batch, weights, whitening.clone(), limits, options.threads);
     let mut gradient = vec![0.0; model.parameters.len()];
     let mut reporter = Reporter::new(options.steps, weights);
     for step in 1..=options.steps {

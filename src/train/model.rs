@@ -7,6 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::corpus::{POSE, PoseVector};
 use super::latent::{self, CODE, Slerp};
+use super::limits::{Limits, draw_codes};
 use super::loss::{Tree, Weights, pose_loss};
 use super::mlp::{Mlp, Tape, fill_normal};
 use super::sampler::{BETWEEN, Sampler};
@@ -120,6 +121,8 @@ pub struct LossWeights {
     pub between: Weights,
     /// Per nat of the divergence from N(0, I).
     pub divergence: f32,
+    /// Of codes about the origin whose joints turn further than they were seen to.
+    pub limits: f32,
 }
 
 /// Mean losses of a batch, unweighted.
@@ -135,6 +138,8 @@ pub struct Losses {
     pub between_position: f32,
     /// Divergence from N(0, I), nats.
     pub divergence: f32,
+    /// How far joints of codes about the origin are past their limits, standard deviations.
+    pub limits: f32,
 }
 
 impl Losses {
@@ -145,6 +150,7 @@ impl Losses {
         self.between_rotation += scale * other.between_rotation;
         self.between_position += scale * other.between_position;
         self.divergence += scale * other.divergence;
+        self.limits += scale * other.limits;
     }
 
     /// The weighted sum.
@@ -154,6 +160,7 @@ impl Losses {
             + weights.between.rotation * self.between_rotation
             + weights.between.position * self.between_position
             + weights.divergence * self.divergence
+            + weights.limits * self.limits
     }
 }
 
@@ -163,6 +170,7 @@ pub struct Batch {
     weights: LossWeights,
     whitening: Whitening,
     tree: Tree,
+    limits: Limits,
     threads: usize,
 }
 
@@ -173,12 +181,13 @@ impl Batch {
         size: usize,
         weights: LossWeights,
         whitening: Whitening,
+        limits: Limits,
         threads: usize,
     ) -> Self {
         let rows = size.div_ceil(PARTS).max(1);
         let tree = Tree::new(&Skeleton::default());
         let parts = (0..PARTS).map(|_| Part::new(model, rows)).collect();
-        Self { parts, weights, whitening, tree, threads: threads.clamp(1, PARTS) }
+        Self { parts, weights, whitening, tree, limits, threads: threads.clamp(1, PARTS) }
     }
 
     /// Draws batch number `step` and writes the gradient of the mean loss.
@@ -190,7 +199,8 @@ impl Batch {
         gradient: &mut [f32],
     ) -> Losses {
         let per_thread = PARTS.div_ceil(self.threads);
-        let (weights, whitening, tree) = (&self.weights, &self.whitening, &self.tree);
+        let (weights, whitening) = (&self.weights, &self.whitening);
+        let (tree, limits) = (&self.tree, &self.limits);
         thread::scope(|scope| {
             for (group, parts) in self.parts.chunks_mut(per_thread).enumerate() {
                 scope.spawn(move || {
@@ -198,7 +208,7 @@ impl Batch {
                         let mut rng = ChaCha8Rng::seed_from_u64(seed);
                         rng.set_stream((step * PARTS + group * per_thread + index) as u64);
                         part.draw(sampler, whitening, &mut rng);
-                        part.run(model, weights, tree);
+                        part.run(model, weights, tree, limits);
                     }
                 });
             }
@@ -214,13 +224,15 @@ impl Batch {
 }
 
 /// A part of a batch: `rows` samples. The encoder's tape holds the first poses, then the second;
-/// the decoder's the sampled codes of the first, then the codes between of each sample in turn.
+/// the decoder's the sampled codes of the first, then the codes between of each sample in turn,
+/// then free codes about the origin.
 struct Part {
     rows: usize,
     encoder: Tape,
     decoder: Tape,
     truth: Vec<f32>,
     noise: Vec<f32>,
+    free: Vec<f32>,
     places: Vec<f64>,
     slerps: Vec<Slerp>,
     gradient: Vec<f32>,
@@ -232,9 +244,10 @@ impl Part {
         Self {
             rows,
             encoder: model.encoder.tape(2 * rows),
-            decoder: model.decoder.tape((1 + BETWEEN) * rows),
+            decoder: model.decoder.tape((2 + BETWEEN) * rows),
             truth: vec![0.0; (1 + BETWEEN) * rows * POSE],
             noise: vec![0.0; rows * LATENT],
+            free: vec![0.0; rows * LATENT],
             places: vec![0.0; BETWEEN * rows],
             slerps: Vec::with_capacity(BETWEEN * rows),
             gradient: vec![0.0; model.parameters.len()],
@@ -258,16 +271,18 @@ impl Part {
             }
         }
         fill_normal(&mut self.noise, rng);
+        draw_codes(&mut self.free, rng);
     }
 
     /// Gradient and losses of what was drawn, each divided by the rows of the whole batch.
-    fn run(&mut self, model: &Model, weights: &LossWeights, tree: &Tree) {
+    fn run(&mut self, model: &Model, weights: &LossWeights, tree: &Tree, limits: &Limits) {
         self.gradient.fill(0.0);
         self.losses = Losses::default();
         model.encoder.forward(&model.parameters, &mut self.encoder);
         self.codes();
         model.decoder.forward(&model.parameters, &mut self.decoder);
         self.compare(weights, tree);
+        self.limit(weights.limits, limits);
         model.decoder.backward(&model.parameters, &mut self.decoder, &mut self.gradient, true);
         self.codes_backward(weights.divergence);
         model.encoder.backward(&model.parameters, &mut self.encoder, &mut self.gradient, false);
@@ -276,7 +291,9 @@ impl Part {
     /// From the encoder's output to the decoder's input.
     fn codes(&mut self) {
         let (first, second) = self.encoder.output().split_at(self.rows * CODE);
-        let (sampled, between) = self.decoder.input_mut().split_at_mut(self.rows * LATENT);
+        let (sampled, rest) = self.decoder.input_mut().split_at_mut(self.rows * LATENT);
+        let (between, free) = rest.split_at_mut(BETWEEN * self.rows * LATENT);
+        free.copy_from_slice(&self.free);
         self.slerps.clear();
         for row in 0..self.rows {
             let (code, at) = (row * CODE, row * LATENT..(row + 1) * LATENT);
@@ -312,6 +329,18 @@ impl Part {
             };
             *rotation += share * distances.rotation;
             *position += share * distances.position;
+        }
+    }
+
+    /// Loss of the free codes' joints past their limits, and its derivatives.
+    fn limit(&mut self, weight: f32, limits: &Limits) {
+        let share = 1.0 / (self.rows * PARTS) as f32;
+        let first = (1 + BETWEEN) * self.rows * POSE;
+        let (decoded, by_decoded) = self.decoder.output_and_delta();
+        by_decoded[first..].fill(0.0);
+        let poses = decoded[first..].chunks_exact(POSE);
+        for (pose, by_pose) in poses.zip(by_decoded[first..].chunks_exact_mut(POSE)) {
+            self.losses.limits += share * limits.cost(weight * share, pose, by_pose);
         }
     }
 
@@ -353,6 +382,7 @@ mod tests {
         pose: Weights { rotation: 1.0, position: 10.0 },
         between: Weights { rotation: 2.0, position: 20.0 },
         divergence: 1e-2,
+        limits: 0.1,
     };
 
     fn clip() -> Clip {
@@ -386,7 +416,7 @@ mod tests {
             balance: 0.5,
         };
         let sampler = Sampler::new(&clips, config).unwrap();
-        let mut batch = Batch::new(&model, 32, WEIGHTS, whitening, 2);
+        let mut batch = Batch::new(&model, 32, WEIGHTS, whitening, Limits::new(&clips), 2);
         let mut gradient = vec![0.0; model.parameters.len()];
         batch.gradient(&model, &sampler, (7, 1), &mut gradient);
         for seed in 0..8 {

@@ -34,6 +34,8 @@ pub struct Options {
     pub weight_decay: f32,
     /// Weight of the divergence from N(0, I), per nat.
     pub kl: f32,
+    /// Weight of joints that turn too far in poses of codes about the origin.
+    pub limits: f32,
     /// Weight of joint centres, per metre; that of rotations is 1 per radian.
     pub position: f32,
     /// Weight of the poses between, against that of the poses themselves.
@@ -61,6 +63,7 @@ impl Default for Options {
             learning_rate: 3e-3,
             weight_decay: 0.01,
             kl: 3e-3,
+            limits: 1.0,
             position: 20.0,
             between: 3.0,
             mix: 0.4,
@@ -91,6 +94,7 @@ pub fn check(options: &Options) -> Result<(), TrainError> {
         ("learning_rate", options.learning_rate),
         ("weight_decay", options.weight_decay),
         ("kl", options.kl),
+        ("limits", options.limits),
         ("position", options.position),
         ("between", options.between),
     ];
@@ -130,7 +134,7 @@ pub fn loss_weights(options: &Options) -> LossWeights {
         rotation: options.between * pose.rotation,
         position: options.between * pose.position,
     };
-    LossWeights { pose, between, divergence: options.kl }
+    LossWeights { pose, between, divergence: options.kl, limits: options.limits }
 }
 
 /// How steps are taken.
@@ -166,6 +170,7 @@ pub fn command(options: &Options) -> String {
             ("learning-rate", o.learning_rate.to_string()),
             ("weight-decay", o.weight_decay.to_string()),
             ("kl", o.kl.to_string()),
+            ("limits", o.limits.to_string()),
             ("position", o.position.to_string()),
             ("between", o.between.to_string()),
             ("mix", o.mix.to_string()),
