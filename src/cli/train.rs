@@ -58,6 +58,9 @@ pub(super) struct Arguments {
     /// Weight of the divergence from a standard normal, per nat.
     #[arg(long, default_value_t = Options::default().kl)]
     kl: f32,
+    /// Weight of joints that turn too far in poses of codes about the origin
+    #[arg(long, default_value_t = Options::default().limits)]
+    limits: f32,
     /// Weight of joint centres, per metre; that of rotations is 1 per radian.
     #[arg(long, default_value_t = Options::default().position)]
     position: f32,
@@ -126,6 +129,7 @@ fn options(arguments: &Arguments) -> Options {
         learning_rate: arguments.learning_rate,
         weight_decay: arguments.weight_decay,
         kl: arguments.kl,
+        limits: arguments.limits,
         position: arguments.position,
         between: arguments.between,
         mix: arguments.mix,
