@@ -62,7 +62,7 @@ impl Default for Options {
             layers: 2,
             learning_rate: 3e-3,
             weight_decay: 0.01,
-            kl: 3e-3,
+            kl: 1e-2,
             limits: 1.0,
             position: 20.0,
             between: 3.0,
