@@ -19,7 +19,7 @@ pub type PoseVector = [f32; POSE];
 /// Frames a second of all clips.
 pub const FPS: f64 = 60.0;
 
-/// A motion clip at [`FPS`].
+/// A motion clip at 60 frames a second.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
     /// Name of the file.
