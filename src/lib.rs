@@ -19,6 +19,26 @@
 //! # Sources
 //! - \[Albanis 2023\] Albanis, Zioulis, Kolomvatsos. BundleMoCap: Efficient, Robust and Smooth
 //!   Motion Capture from Sparse Multiview Videos. CVMP 2023.
+//! - \[Bell 1990\] Bell, Pedersen, Brand. A comparison of the accuracy of several hip center
+//!   location prediction methods. Journal of Biomechanics 23(6).
+//! - \[de Leva 1996\] de Leva. Adjustments to Zatsiorsky-Seluyanov's segment inertia parameters.
+//!   Journal of Biomechanics 29(9).
+//! - \[Gordon 2014\] Gordon et al. 2012 Anthropometric Survey of U.S. Army Personnel: Methods and
+//!   Summary Statistics. Natick/TR-15/007.
+//! - \[Hyndman 1996\] Hyndman, Fan. Sample quantiles in statistical packages. The American
+//!   Statistician 50(4).
+//! - \[Kingma 2014\] Kingma, Welling. Auto-encoding variational Bayes. ICLR 2014.
+//! - \[Loshchilov 2019\] Loshchilov, Hutter. Decoupled weight decay regularization. ICLR 2019.
+//! - \[Nielsen 1999\] Nielsen. Damping parameter in Marquardt's method. IMM-REP-1999-05, DTU.
+//! - \[Nocedal 2006\] Nocedal, Wright. Numerical Optimization, 2nd edition. Springer.
+//! - \[Okabe 2008\] Okabe, Ito. Color universal design. University of Tokyo.
+//! - \[Pavlakos 2019\] Pavlakos et al. Expressive body capture: 3D hands, face, and body from a
+//!   single image. CVPR 2019.
+//! - \[Sola 2018\] Sola, Deray, Atchuthan. A micro Lie theory for state estimation in robotics.
+//!   arXiv:1812.01537.
+//! - \[Winter 2009\] Winter. Biomechanics and Motor Control of Human Movement, 4th edition. Wiley.
+//! - \[Zhou 2019\] Zhou, Barnes, Lu, Yang, Li. On the continuity of rotation representations in
+//!   neural networks. CVPR 2019.
 
 pub mod body;
 pub mod bus;
