@@ -22,7 +22,7 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             scale_px: 30.0,
-            prior: 30.0,
+            prior: 100.0,
             shape_prior: 300.0,
             interpolation: Interpolation::Slerp,
         }
