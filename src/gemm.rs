@@ -1,45 +1,70 @@
-//! Dense products on row-major slices, by `matrixmultiply` through nalgebra's views.
+//! Dense products on row-major slices, by `faer` on one thread. They allocate nothing.
 
-use nalgebra::{DMatrixView, DMatrixViewMut, RealField};
+use faer::linalg::matmul::matmul;
+use faer::traits::ComplexField;
+use faer::{MatMut, MatRef, Par};
 
-/// out (m x n) = a (m x k) b (k x n) + `keep` out.
-pub fn product<T: RealField + Copy>(
+/// Whether a product replaces what is there or is added to it.
+pub use faer::Accum;
+
+/// out (m x n) = or += a (m x k) b (k x n).
+pub fn product<T: ComplexField>(
     [m, k, n]: [usize; 3],
     a: &[T],
     b: &[T],
-    keep: T,
+    accum: Accum,
     out: &mut [T],
 ) {
-    // A row-major matrix is its transpose in nalgebra's column-major order: out^T = b^T a^T.
-    let a = DMatrixView::from_slice(&a[..m * k], k, m);
-    let b = DMatrixView::from_slice(&b[..k * n], n, k);
-    DMatrixViewMut::from_slice(&mut out[..m * n], n, m).gemm(T::one(), &b, &a, keep);
+    multiply(matrix(a, m, k), matrix(b, k, n), accum, out);
 }
 
-/// out (n x n) += a^T a, with a of `rows` x n.
-pub fn add_gram<T: RealField + Copy>(rows: usize, n: usize, a: &[T], out: &mut [T]) {
-    let transposed = DMatrixView::from_slice(&a[..rows * n], n, rows);
-    let upright = DMatrixView::from_slice_with_strides(&a[..rows * n], rows, n, n, 1);
-    DMatrixViewMut::from_slice(&mut out[..n * n], n, n).gemm(
-        T::one(),
-        &transposed,
-        &upright,
-        T::one(),
-    );
+/// out (m x n) = or += a (m x k) b^T, with b of n x k.
+pub fn product_with_transpose<T: ComplexField>(
+    [m, k, n]: [usize; 3],
+    a: &[T],
+    b: &[T],
+    accum: Accum,
+    out: &mut [T],
+) {
+    multiply(matrix(a, m, k), matrix(b, n, k).transpose(), accum, out);
+}
+
+/// out (m x n) = or += a^T b, with a of k x m and b of k x n.
+pub fn product_of_transpose<T: ComplexField>(
+    [m, k, n]: [usize; 3],
+    a: &[T],
+    b: &[T],
+    accum: Accum,
+    out: &mut [T],
+) {
+    multiply(matrix(a, k, m).transpose(), matrix(b, k, n), accum, out);
+}
+
+fn matrix<T>(data: &[T], rows: usize, columns: usize) -> MatRef<'_, T> {
+    MatRef::from_row_major_slice(&data[..rows * columns], rows, columns)
+}
+
+fn multiply<T: ComplexField>(a: MatRef<T>, b: MatRef<T>, accum: Accum, out: &mut [T]) {
+    let (m, n) = (a.nrows(), b.ncols());
+    let out = MatMut::from_row_major_slice_mut(&mut out[..m * n], m, n);
+    matmul(out, accum, a, b, T::one_impl(), Par::Seq);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    const A: [f64; 6] = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+
     #[test]
     fn products_match_hand_computed_ones() {
-        let a = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
         let mut out = [1.0; 4];
-        product([2, 3, 2], &a, &[1.0, 0.0, 0.0, 1.0, 1.0, 1.0], 1.0, &mut out);
+        product([2, 3, 2], &A, &[1.0, 0.0, 0.0, 1.0, 1.0, 1.0], Accum::Add, &mut out);
         assert_eq!(out, [5.0, 6.0, 11.0, 12.0]);
+        product_with_transpose([2, 3, 2], &A, &A, Accum::Replace, &mut out);
+        assert_eq!(out, [14.0, 32.0, 32.0, 77.0]);
         let mut gram = [0.0; 9];
-        add_gram(2, 3, &a, &mut gram);
+        product_of_transpose([3, 2, 3], &A, &A, Accum::Replace, &mut gram);
         assert_eq!(gram, [17.0, 22.0, 27.0, 22.0, 29.0, 36.0, 27.0, 36.0, 45.0]);
     }
 }

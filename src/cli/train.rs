@@ -58,7 +58,7 @@ pub(super) struct Arguments {
     /// Weight of the divergence from a standard normal, per nat.
     #[arg(long, default_value_t = Options::default().kl)]
     kl: f32,
-    /// Weight of joints that turn too far in poses of codes about the origin
+    /// Weight of joints that turn too far in poses of codes about the origin.
     #[arg(long, default_value_t = Options::default().limits)]
     limits: f32,
     /// Weight of joint centres, per metre; that of rotations is 1 per radian.

@@ -17,7 +17,7 @@ use crate::body::{
     push_forward,
 };
 use crate::camera::Rig;
-use crate::gemm;
+use crate::gemm::{self, Accum};
 use crate::manifold::{Decoder, Interpolation, Jacobians, Keyframe, LATENT, Latent};
 use crate::so3;
 use crate::solve::Problem;
@@ -417,9 +417,15 @@ impl<'a> PathProblem<'a> {
             Wanted::Cost => return,
             Wanted::Gradient(gradient) => gradient,
             Wanted::NormalEquations(gradient, hessian) => {
-                work.gram.clear();
                 work.gram.resize(n * n, 0.0);
-                gemm::add_gram(work.rows.len() / n, n, &work.rows, &mut work.gram);
+                let sizes = [n, work.rows.len() / n, n];
+                gemm::product_of_transpose(
+                    sizes,
+                    &work.rows,
+                    &work.rows,
+                    Accum::Replace,
+                    &mut work.gram,
+                );
                 let total = gradient.len();
                 for (row, &i) in work.gram.chunks_exact(n).zip(&work.columns) {
                     for (value, &j) in row.iter().zip(&work.columns) {

@@ -87,7 +87,7 @@ impl Decoder {
                 row.iter_mut().zip(&layer.bias).for_each(|(o, &b)| *o = f64::from(b));
             }
             let sizes = [batch, layer.inputs, layer.outputs];
-            gemm::product(sizes, input, &self.wide[n], 1.0, output);
+            gemm::product(sizes, input, &self.wide[n], gemm::Accum::Add, output);
             if n + 1 < self.layers.len() {
                 silu(output, &mut work.slopes[n][..batch * layer.outputs]);
             }
@@ -111,7 +111,7 @@ impl Decoder {
                 }
             } else {
                 let sizes = [layer.outputs, layer.inputs, columns];
-                gemm::product(sizes, &layer.weight, &work.tangents, 0.0, out);
+                gemm::product(sizes, &layer.weight, &work.tangents, gemm::Accum::Replace, out);
             }
             if n + 1 < self.layers.len() {
                 for (unit, row) in out.chunks_exact_mut(columns).enumerate() {

@@ -5,9 +5,10 @@
 
 use std::ops::Range;
 
-use nalgebra::{DMatrixView, DMatrixViewMut, Dyn};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+
+use crate::gemm::{self, Accum};
 
 /// One linear layer: where its parameters are.
 #[derive(Clone, Debug, PartialEq)]
@@ -98,12 +99,8 @@ impl Mlp {
                 row.copy_from_slice(&parameters[layer.bias.clone()]);
             }
             let weight = &parameters[layer.weight.clone()];
-            multiply(
-                &matrix(&before[index], rows, layer.inputs),
-                &transposed(weight, layer.outputs, layer.inputs),
-                1.0,
-                &mut matrix_mut(out, rows, layer.outputs),
-            );
+            let sizes = [rows, layer.inputs, layer.outputs];
+            gemm::product_with_transpose(sizes, &before[index], weight, Accum::Add, out);
             if let Some(slopes) = tape.slopes.get_mut(index) {
                 silu(out, slopes);
             }
@@ -128,22 +125,14 @@ impl Mlp {
             }
             add_row_sums(delta, &mut gradient[layer.bias.clone()]);
             let by_weight = &mut gradient[layer.weight.clone()];
-            multiply(
-                &transposed(delta, rows, layer.outputs),
-                &matrix(&tape.values[index], rows, layer.inputs),
-                1.0,
-                &mut matrix_mut(by_weight, layer.outputs, layer.inputs),
-            );
+            let sizes = [layer.outputs, rows, layer.inputs];
+            gemm::product_of_transpose(sizes, delta, &tape.values[index], Accum::Add, by_weight);
             if index == 0 && !to_input {
                 continue;
             }
             let weight = &parameters[layer.weight.clone()];
-            multiply(
-                &matrix(delta, rows, layer.outputs),
-                &matrix(weight, layer.outputs, layer.inputs),
-                0.0,
-                &mut matrix_mut(inner, rows, layer.inputs),
-            );
+            let sizes = [rows, layer.outputs, layer.inputs];
+            gemm::product(sizes, delta, weight, Accum::Replace, inner);
         }
     }
 }
@@ -169,40 +158,6 @@ impl Tape {
     pub fn input_delta(&self) -> &[f32] {
         &self.deltas[0]
     }
-}
-
-type View<'a> = DMatrixView<'a, f32, Dyn, Dyn>;
-type ViewMut<'a> = DMatrixViewMut<'a, f32, Dyn, Dyn>;
-
-/// Where a side is this short, nalgebra 0.35 leaves matrixmultiply for a path of its own that
-/// writes outside row-major views; such products are done here.
-const SHORT: usize = 5;
-
-/// c = a b + beta c, with beta 0 or 1.
-fn multiply(a: &View, b: &View, beta: f32, c: &mut ViewMut) {
-    if a.nrows().min(a.ncols()).min(b.ncols()) > SHORT {
-        return c.gemm(1.0, a, b, beta);
-    }
-    for row in 0..a.nrows() {
-        for column in 0..b.ncols() {
-            let sum: f32 = (0..a.ncols()).map(|k| a[(row, k)] * b[(k, column)]).sum();
-            let before = if beta == 0.0 { 0.0 } else { c[(row, column)] };
-            c[(row, column)] = before + sum;
-        }
-    }
-}
-
-fn matrix(data: &[f32], rows: usize, columns: usize) -> View<'_> {
-    View::from_slice_with_strides(data, rows, columns, columns, 1)
-}
-
-/// The transpose of a row-major matrix of `rows` x `columns`.
-fn transposed(data: &[f32], rows: usize, columns: usize) -> View<'_> {
-    View::from_slice_with_strides(data, columns, rows, 1, columns)
-}
-
-fn matrix_mut(data: &mut [f32], rows: usize, columns: usize) -> ViewMut<'_> {
-    ViewMut::from_slice_with_strides_mut(data, rows, columns, columns, 1)
 }
 
 fn add_row_sums(rows: &[f32], sums: &mut [f32]) {

@@ -226,12 +226,8 @@ fn a_window_of_exact_observations_is_recovered() {
     assert_eq!(keyframes[1].z.len(), LATENT);
 }
 
-/// Each of these products takes a packing buffer inside `matrixmultiply` and frees it: three
-/// layers of values twice, two of tangents, and a Gram matrix for each of ten moments.
-const PRODUCTS: u64 = 3 + 3 + 2 + 10;
-
 #[test]
-fn a_warm_window_allocates_nothing_but_the_products_own_buffers() {
+fn a_warm_window_allocates_nothing() {
     let mut case = Case::new(2);
     case.disturb();
     let config = cost::Config::default();
@@ -252,6 +248,5 @@ fn a_warm_window_allocates_nothing_but_the_products_own_buffers() {
         problem.linearise(&x, &mut gradient, &mut hessian);
         problem.cost(&x);
     });
-    assert!(counted.count_total <= PRODUCTS, "{counted:?}");
-    assert_eq!(counted.bytes_current, 0, "{counted:?}");
+    assert_eq!(counted.count_total, 0, "{counted:?}");
 }
