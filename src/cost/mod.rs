@@ -8,12 +8,15 @@
 //! path is evaluated at each observation's own capture time. Differs: the paper evaluates it at
 //! the frames of genlocked cameras.
 
+mod blocks;
 mod config;
 mod observation;
 mod path;
 mod robust;
+mod unknowns;
 
 pub use config::Config;
 pub use observation::{Moment, Observation};
-pub use path::{Knot, PathProblem, Scene, Workspace};
+pub use path::{PathProblem, Scene, Workspace};
 pub use robust::GemanMcClure;
+pub use unknowns::Knot;

@@ -1,30 +1,25 @@
 //! The cost of a path through keyframes, with its gradient and Gauss-Newton Hessian.
 //!
-//! Unknowns, in this order: for each free keyframe its code (32), a rotation vector w (3) with
-//! R = exp(w) R_initial, and its position (3); then the shape (10), where it is free.
-//!
 //! All views of a point at one moment share the point's Jacobian: their 2D terms are first
 //! summed to a 3x3 matrix in the world, of which a triangular root then scales three rows. So
 //! the normal equations cost no more for eight cameras than for two.
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::blocks::{root_of, spread, spread_identity};
 use super::config::Config;
 use super::observation::{Moment, Observation};
 use super::robust::GemanMcClure;
+use super::unknowns::{KEYFRAME, Knot, Place, Unknowns};
 use crate::body::{
-    BODY_JOINTS, BodyPoint, Posture, SHAPE_COEFFICIENTS, Shape, Skeleton, Tangents, forward,
-    push_forward,
+    BODY_JOINTS, BodyPoint, Posture, SHAPE_COEFFICIENTS, Skeleton, Tangents, forward, push_forward,
 };
 use crate::camera::Rig;
 use crate::gemm::{self, Accum};
 use crate::manifold::{Decoder, Interpolation, Jacobians, Keyframe, LATENT, Latent};
 use crate::so3;
 use crate::solve::Problem;
-use crate::time::Timestamp;
 
-/// Unknowns of one keyframe.
-const KEYFRAME: usize = LATENT + 6;
 const LOCAL_ROWS: usize = 3 * BODY_JOINTS;
 
 /// What a cost needs besides the unknowns.
@@ -38,17 +33,6 @@ pub struct Scene<'a> {
     pub points: &'a [BodyPoint],
     /// Weights.
     pub config: &'a Config,
-}
-
-/// A keyframe of the path.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Knot {
-    /// Where on the time axis.
-    pub capture: Timestamp,
-    /// Its value, or the value to start from.
-    pub keyframe: Keyframe,
-    /// Whether it is solved for.
-    pub free: bool,
 }
 
 /// Memory that problems use in turn; grows to the largest and stays.
@@ -75,11 +59,7 @@ pub struct PathProblem<'a> {
     scene: Scene<'a>,
     moments: &'a [Moment],
     work: &'a mut Workspace,
-    initial: Vec<Knot>,
-    keyframes: Vec<Keyframe>,
-    turns: Vec<Vector3<f64>>,
-    skeleton: Skeleton,
-    shape_is_free: bool,
+    unknowns: Unknowns,
     loss: GemanMcClure,
 }
 
@@ -88,14 +68,6 @@ enum Wanted<'o> {
     Cost,
     Gradient(&'o mut [f64]),
     NormalEquations(&'o mut [f64], &'o mut [f64]),
-}
-
-/// The two keyframes about a moment and how far it is between them.
-#[derive(Clone, Copy)]
-struct Place {
-    from: usize,
-    to: usize,
-    s: f64,
 }
 
 impl<'a> PathProblem<'a> {
@@ -110,12 +82,8 @@ impl<'a> PathProblem<'a> {
         work: &'a mut Workspace,
     ) -> Self {
         Self {
-            keyframes: knots.iter().map(|knot| knot.keyframe.clone()).collect(),
-            turns: vec![Vector3::zeros(); knots.len()],
+            unknowns: Unknowns::new(knots, skeleton, shape_is_free),
             loss: GemanMcClure::new(scene.config.scale_px),
-            initial: knots,
-            skeleton: skeleton.clone(),
-            shape_is_free,
             scene,
             moments,
             work,
@@ -129,66 +97,18 @@ impl<'a> PathProblem<'a> {
 
     /// The unknowns to start from.
     pub fn start(&self) -> Vec<f64> {
-        let mut x = Vec::with_capacity(self.dimension());
-        for knot in self.initial.iter().filter(|knot| knot.free) {
-            x.extend_from_slice(&knot.keyframe.z);
-            x.extend_from_slice(&[0.0; 3]);
-            x.extend_from_slice(knot.keyframe.root_position.as_slice());
-        }
-        if self.shape_is_free {
-            x.extend_from_slice(&self.skeleton.shape().0);
-        }
-        x
+        self.unknowns.start()
     }
 
-    /// The unknowns to start from, with `keyframe` in place of the last knot's.
+    /// The unknowns to start from, with `keyframe` in place of the last knot's, which is free.
     pub fn start_at(&self, keyframe: &Keyframe) -> Vec<f64> {
-        let mut x = self.start();
-        let at = x.len() - if self.shape_is_free { SHAPE_COEFFICIENTS } else { 0 } - KEYFRAME;
-        let initial = &self.initial[self.initial.len() - 1].keyframe.root_rotation;
-        let turn = so3::log(&(keyframe.root_rotation * initial.transpose()));
-        x[at..at + LATENT].copy_from_slice(&keyframe.z);
-        x[at + LATENT..at + LATENT + 3].copy_from_slice(turn.as_slice());
-        x[at + LATENT + 3..at + KEYFRAME].copy_from_slice(keyframe.root_position.as_slice());
-        x
+        self.unknowns.start_at(keyframe)
     }
 
     /// The keyframes and the body that `x` stands for.
     pub fn solution(mut self, x: &[f64]) -> (Vec<Keyframe>, Skeleton) {
-        self.take(x);
-        (self.keyframes, self.skeleton)
-    }
-
-    fn free_knots(&self) -> usize {
-        self.initial.iter().filter(|knot| knot.free).count()
-    }
-
-    fn take(&mut self, x: &[f64]) {
-        let mut rest = x;
-        for (k, knot) in self.initial.iter().enumerate().filter(|(_, knot)| knot.free) {
-            let (mine, others) = rest.split_at(KEYFRAME);
-            rest = others;
-            let keyframe = &mut self.keyframes[k];
-            keyframe.z.copy_from_slice(&mine[..LATENT]);
-            self.turns[k] = Vector3::from_column_slice(&mine[LATENT..LATENT + 3]);
-            keyframe.root_rotation = so3::exp(&self.turns[k]) * knot.keyframe.root_rotation;
-            keyframe.root_position = Vector3::from_column_slice(&mine[LATENT + 3..]);
-        }
-        if self.shape_is_free {
-            let mut shape = Shape::default();
-            shape.0.copy_from_slice(rest);
-            self.skeleton = Skeleton::new(shape);
-        }
-    }
-
-    fn place(&self, capture: Timestamp) -> Place {
-        let last = self.initial.len() - 1;
-        if last == 0 {
-            return Place { from: 0, to: 0, s: 1.0 };
-        }
-        let to = self.initial[1..last].iter().take_while(|knot| knot.capture < capture).count() + 1;
-        let (t0, t1) = (self.initial[to - 1].capture, self.initial[to].capture);
-        Place { from: to - 1, to, s: (capture - t0) as f64 / (t1 - t0).max(1) as f64 }
+        self.unknowns.take(x);
+        (self.unknowns.keyframes, self.unknowns.skeleton)
     }
 
     fn interpolation(&self) -> Interpolation {
@@ -196,16 +116,17 @@ impl<'a> PathProblem<'a> {
     }
 
     fn evaluate(&mut self, x: &[f64], mut wanted: Wanted) -> f64 {
-        self.take(x);
+        self.unknowns.take(x);
         self.decode(!matches!(wanted, Wanted::Cost));
         let mut cost = self.prior(x, &mut wanted);
         for m in 0..self.moments.len() {
-            let place = self.place(self.moments[m].capture);
-            let (from, to) = (&self.keyframes[place.from], &self.keyframes[place.to]);
+            let place = self.unknowns.place(self.moments[m].capture);
+            let (from, to) =
+                (&self.unknowns.keyframes[place.from], &self.unknowns.keyframes[place.to]);
             let rotation = so3::slerp(&from.root_rotation, &to.root_rotation, place.s);
             let position = from.root_position.lerp(&to.root_position, place.s);
             let local = self.work.jacobians.rotations(m);
-            let posture = forward(&self.skeleton, &rotation, &position, &local);
+            let posture = forward(&self.unknowns.skeleton, &rotation, &position, &local);
             if !matches!(wanted, Wanted::Cost) {
                 self.push_tangents(m, place, &posture);
             }
@@ -219,8 +140,8 @@ impl<'a> PathProblem<'a> {
     fn decode(&mut self, tangents: bool) {
         self.work.codes.clear();
         for moment in self.moments {
-            let Place { from, to, s } = self.place(moment.capture);
-            let (z0, z1) = (&self.keyframes[from].z, &self.keyframes[to].z);
+            let Place { from, to, s } = self.unknowns.place(moment.capture);
+            let (z0, z1) = (&self.unknowns.keyframes[from].z, &self.unknowns.keyframes[to].z);
             let code = if from == to { *z1 } else { self.interpolation().latent(z0, z1, s) };
             self.work.codes.push(code);
         }
@@ -233,7 +154,7 @@ impl<'a> PathProblem<'a> {
     /// 1/2 prior |z|^2 of each free keyframe and 1/2 shape prior |shape|^2.
     fn prior(&self, x: &[f64], wanted: &mut Wanted) -> f64 {
         let n = x.len();
-        let shape_at = self.free_knots() * KEYFRAME;
+        let shape_at = self.unknowns.shape_at();
         let weight = |i: usize| match i {
             i if i >= shape_at => self.scene.config.shape_prior,
             i if i % KEYFRAME < LATENT => self.scene.config.prior,
@@ -259,10 +180,11 @@ impl<'a> PathProblem<'a> {
     fn push_tangents(&mut self, m: usize, place: Place, posture: &Posture) {
         let ends = [(place.to, place.from, place.s), (place.from, place.to, 1.0 - place.s)];
         let ends = if place.from == place.to { &ends[..1] } else { &ends[..] };
-        let free = || ends.iter().filter(|(k, _, _)| self.initial[*k].free);
+        let free = || ends.iter().filter(|(k, _, _)| self.unknowns.is_free(*k));
         let codes = free().count() * LATENT;
         let roots = free().count() * 6;
-        let total = codes + roots + if self.shape_is_free { SHAPE_COEFFICIENTS } else { 0 };
+        let total =
+            codes + roots + if self.unknowns.shape_is_free { SHAPE_COEFFICIENTS } else { 0 };
 
         let interpolation = self.interpolation();
         let work = &mut *self.work;
@@ -277,18 +199,18 @@ impl<'a> PathProblem<'a> {
         tangents.clear_root();
         work.columns.clear();
         for (block, &(k, other, s)) in
-            ends.iter().filter(|(k, _, _)| self.initial[*k].free).enumerate()
+            ends.iter().filter(|(k, _, _)| self.unknowns.is_free(*k)).enumerate()
         {
-            let first = self.initial[..k].iter().filter(|knot| knot.free).count() * KEYFRAME;
+            let first = self.unknowns.first_of(k);
             work.columns.extend(first..first + LATENT);
-            let turn = so3::left_jacobian(&self.turns[k]);
+            let turn = so3::left_jacobian(&self.unknowns.turns[k]);
             let column = codes + 6 * block;
             if k == other {
                 spread_identity(&work.by_code, block, codes, &mut work.by_unknowns);
                 tangents.set_root_turn(column, &turn);
                 tangents.set_root_shift(column + 3, 1.0);
             } else {
-                let (near, far) = (&self.keyframes[k], &self.keyframes[other]);
+                let (near, far) = (&self.unknowns.keyframes[k], &self.unknowns.keyframes[other]);
                 let by = interpolation.tangent(&far.z, &near.z, s);
                 spread(&work.by_code, &by, block, codes, &mut work.by_unknowns);
                 let along = so3::slerp_jacobian(&far.root_rotation, &near.root_rotation, s);
@@ -296,15 +218,15 @@ impl<'a> PathProblem<'a> {
                 tangents.set_root_shift(column + 3, s);
             }
         }
-        for &(k, _, _) in ends.iter().filter(|(k, _, _)| self.initial[*k].free) {
-            let first = self.initial[..k].iter().filter(|knot| knot.free).count() * KEYFRAME;
+        for &(k, _, _) in ends.iter().filter(|(k, _, _)| self.unknowns.is_free(*k)) {
+            let first = self.unknowns.first_of(k);
             work.columns.extend(first + LATENT..first + KEYFRAME);
         }
-        let shape_at = self.initial.iter().filter(|knot| knot.free).count() * KEYFRAME;
+        let shape_at = self.unknowns.shape_at();
         work.columns.extend(shape_at..shape_at + total - codes - roots);
-        let shape_column = self.shape_is_free.then_some(codes + roots);
+        let shape_column = self.unknowns.shape_is_free.then_some(codes + roots);
         push_forward(
-            &self.skeleton,
+            &self.unknowns.skeleton,
             posture,
             &work.by_unknowns,
             codes,
@@ -326,7 +248,7 @@ impl<'a> PathProblem<'a> {
             let point = &self.scene.points[views[0].point];
             let joint = point.attachment.joint;
             let rotation = &posture.rotations[joint.index()];
-            let arm = rotation * point.attachment.offset(self.skeleton.shape());
+            let arm = rotation * point.attachment.offset(self.unknowns.skeleton.shape());
             let position = posture.positions[joint.index()] + arm;
             let weight = point.attachment.weight;
             if matches!(wanted, Wanted::Cost) {
@@ -382,7 +304,7 @@ impl<'a> PathProblem<'a> {
         work.point_rows.resize(3 * n, 0.0);
         let Some(tangents) = &work.tangents else { return };
         tangents.point(point.attachment.joint, arm, &mut work.point_rows);
-        if self.shape_is_free {
+        if self.unknowns.shape_is_free {
             let first = n - SHAPE_COEFFICIENTS;
             for (k, offset) in point.attachment.offset_by_shape().iter().enumerate() {
                 let moved = rotation * offset;
@@ -443,7 +365,7 @@ impl<'a> PathProblem<'a> {
 
 impl Problem for PathProblem<'_> {
     fn dimension(&self) -> usize {
-        self.free_knots() * KEYFRAME + if self.shape_is_free { SHAPE_COEFFICIENTS } else { 0 }
+        self.unknowns.count()
     }
 
     fn cost(&mut self, x: &[f64]) -> f64 {
@@ -457,46 +379,4 @@ impl Problem for PathProblem<'_> {
     fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64 {
         self.evaluate(x, Wanted::Gradient(gradient))
     }
-}
-
-/// Copies a 63 x 32 block to block column `block` of a matrix with `columns` columns.
-fn spread_identity(by_code: &[f64], block: usize, columns: usize, out: &mut [f64]) {
-    for (row, out) in by_code.chunks_exact(LATENT).zip(out.chunks_exact_mut(columns)) {
-        out[block * LATENT..(block + 1) * LATENT].copy_from_slice(row);
-    }
-}
-
-/// by_code (scale I + across along^T), to block column `block`.
-fn spread(
-    by_code: &[f64],
-    by: &crate::manifold::LatentTangent,
-    block: usize,
-    columns: usize,
-    out: &mut [f64],
-) {
-    for (row, out) in by_code.chunks_exact(LATENT).zip(out.chunks_exact_mut(columns)) {
-        let across: f64 = row.iter().zip(&by.across).map(|(a, b)| a * b).sum();
-        let out = &mut out[block * LATENT..(block + 1) * LATENT];
-        for ((out, value), along) in out.iter_mut().zip(row).zip(&by.along) {
-            *out = by.scale * value + across * along;
-        }
-    }
-}
-
-/// A lower triangular L with L L^T = A, for A positive semidefinite: a pivot that vanishes, as
-/// along the ray of a point that one camera sees, gives a zero column.
-fn root_of(a: &Matrix3<f64>) -> Matrix3<f64> {
-    let floor = 1e-12 * a.trace();
-    let mut rest = *a;
-    let mut root = Matrix3::zeros();
-    for column in 0..3 {
-        let pivot = rest[(column, column)];
-        if pivot > floor {
-            let mut l = rest.column(column) / pivot.sqrt();
-            l.rows_mut(0, column).fill(0.0);
-            rest -= l * l.transpose();
-            root.set_column(column, &l);
-        }
-    }
-    root
 }

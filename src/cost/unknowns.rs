@@ -1,0 +1,133 @@
+//! What a path is solved for.
+//!
+//! In this order: for each free keyframe its code (32), a rotation vector w (3) with
+//! R = exp(w) R_initial, and its position (3); then the shape (10), where it is free.
+
+use nalgebra::Vector3;
+
+use crate::body::{SHAPE_COEFFICIENTS, Shape, Skeleton};
+use crate::manifold::{Keyframe, LATENT};
+use crate::so3;
+use crate::time::Timestamp;
+
+/// Unknowns of one keyframe.
+pub(super) const KEYFRAME: usize = LATENT + 6;
+
+/// A keyframe of the path.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Knot {
+    /// Where on the time axis.
+    pub capture: Timestamp,
+    /// Its value, or the value to start from.
+    pub keyframe: Keyframe,
+    /// Whether it is solved for.
+    pub free: bool,
+}
+
+/// The keyframes and the body that the unknowns stand for.
+#[derive(Clone, Debug)]
+pub(super) struct Unknowns {
+    initial: Vec<Knot>,
+    pub(super) keyframes: Vec<Keyframe>,
+    /// The rotation vector of each keyframe; zero where it is fixed.
+    pub(super) turns: Vec<Vector3<f64>>,
+    pub(super) skeleton: Skeleton,
+    pub(super) shape_is_free: bool,
+}
+
+/// The two keyframes about a moment and how far it is between them.
+#[derive(Clone, Copy)]
+pub(super) struct Place {
+    pub(super) from: usize,
+    pub(super) to: usize,
+    pub(super) s: f64,
+}
+
+impl Unknowns {
+    pub(super) fn new(knots: Vec<Knot>, skeleton: &Skeleton, shape_is_free: bool) -> Self {
+        Self {
+            keyframes: knots.iter().map(|knot| knot.keyframe.clone()).collect(),
+            turns: vec![Vector3::zeros(); knots.len()],
+            initial: knots,
+            skeleton: skeleton.clone(),
+            shape_is_free,
+        }
+    }
+
+    /// How many there are.
+    pub(super) fn count(&self) -> usize {
+        self.shape_at() + if self.shape_is_free { SHAPE_COEFFICIENTS } else { 0 }
+    }
+
+    /// Whether a keyframe is solved for.
+    pub(super) fn is_free(&self, keyframe: usize) -> bool {
+        self.initial[keyframe].free
+    }
+
+    /// Where the unknowns of a free keyframe begin.
+    pub(super) fn first_of(&self, keyframe: usize) -> usize {
+        self.initial[..keyframe].iter().filter(|knot| knot.free).count() * KEYFRAME
+    }
+
+    /// Where the shape begins.
+    pub(super) fn shape_at(&self) -> usize {
+        self.first_of(self.initial.len())
+    }
+
+    /// The unknowns to start from.
+    pub(super) fn start(&self) -> Vec<f64> {
+        let mut x = Vec::with_capacity(self.count());
+        for knot in self.initial.iter().filter(|knot| knot.free) {
+            x.extend_from_slice(&knot.keyframe.z);
+            x.extend_from_slice(&[0.0; 3]);
+            x.extend_from_slice(knot.keyframe.root_position.as_slice());
+        }
+        if self.shape_is_free {
+            x.extend_from_slice(&self.skeleton.shape().0);
+        }
+        x
+    }
+
+    /// The unknowns to start from, with `keyframe` in place of the last knot's, which is free.
+    pub(super) fn start_at(&self, keyframe: &Keyframe) -> Vec<f64> {
+        let mut x = self.start();
+        let last = self.initial.len() - 1;
+        let at = self.first_of(last);
+        let initial = &self.initial[last].keyframe.root_rotation;
+        let turn = so3::log(&(keyframe.root_rotation * initial.transpose()));
+        x[at..at + LATENT].copy_from_slice(&keyframe.z);
+        x[at + LATENT..at + LATENT + 3].copy_from_slice(turn.as_slice());
+        x[at + LATENT + 3..at + KEYFRAME].copy_from_slice(keyframe.root_position.as_slice());
+        x
+    }
+
+    /// Moves the keyframes and the shape to where `x` says.
+    pub(super) fn take(&mut self, x: &[f64]) {
+        let mut rest = x;
+        for (k, knot) in self.initial.iter().enumerate().filter(|(_, knot)| knot.free) {
+            let (mine, others) = rest.split_at(KEYFRAME);
+            rest = others;
+            let keyframe = &mut self.keyframes[k];
+            keyframe.z.copy_from_slice(&mine[..LATENT]);
+            self.turns[k] = Vector3::from_column_slice(&mine[LATENT..LATENT + 3]);
+            keyframe.root_rotation = so3::exp(&self.turns[k]) * knot.keyframe.root_rotation;
+            keyframe.root_position = Vector3::from_column_slice(&mine[LATENT + 3..]);
+        }
+        if self.shape_is_free {
+            let mut shape = Shape::default();
+            shape.0.copy_from_slice(rest);
+            self.skeleton = Skeleton::new(shape);
+        }
+    }
+
+    /// Where on the path a capture time is.
+    pub(super) fn place(&self, capture: Timestamp) -> Place {
+        let last = self.initial.len() - 1;
+        if last == 0 {
+            return Place { from: 0, to: 0, s: 1.0 };
+        }
+        let to = self.initial[1..last].iter().take_while(|knot| knot.capture < capture).count() + 1;
+        let (t0, t1) = (self.initial[to - 1].capture, self.initial[to].capture);
+        Place { from: to - 1, to, s: (capture - t0) as f64 / (t1 - t0).max(1) as f64 }
+    }
+}
