@@ -8,6 +8,9 @@ use crate::detect::{Detection, Detections, KeypointFormat, Person};
 use crate::time::Timestamp;
 
 const POINTS: Field = field("KeypointFrame", "people.points");
+const CAPTURE: Field = field("KeypointFrame", "capture_time_ns");
+/// Later stamps are no times: the year 2116 of the Unix epoch.
+const LATEST_NS: i64 = i64::MAX / 2;
 
 impl KeypointFrame {
     /// What `camera` (its name) saw in an image of `image_size` pixels, width and height.
@@ -27,14 +30,18 @@ impl KeypointFrame {
     /// The detections; `index_of` maps a camera's name to its index in the rig.
     ///
     /// # Errors
-    /// A camera or format that is not known, points that do not fit the format, numbers that
-    /// are not finite, negative confidences.
+    /// A camera or format that is not known, a capture time before the epoch or beyond reason,
+    /// points that do not fit the format, numbers that are not finite, negative confidences.
     pub fn to_core(
         &self,
         index_of: impl FnOnce(&str) -> Option<usize>,
     ) -> Result<Detections, DecodeError> {
         let camera = index_of(&self.camera)
             .ok_or_else(|| DecodeError::UnknownCamera { name: self.camera.clone() })?;
+        if !(0..=LATEST_NS).contains(&self.capture_time_ns) {
+            let reason = format!("{} is not from 0 to {LATEST_NS}", self.capture_time_ns);
+            return Err(CAPTURE.invalid(reason));
+        }
         let format = self.keypoint_format()?;
         let people = self.people.iter().map(|person| person.to_core(format));
         Ok(Detections {

@@ -42,6 +42,11 @@ impl Default for LevenbergMarquardt {
 }
 
 impl LevenbergMarquardt {
+    /// Stops when an accepted step lowers the cost by less than this part of it.
+    pub fn new(change_threshold: f64) -> Self {
+        Self { change_threshold, ..Self::default() }
+    }
+
     fn reserve(&mut self, n: usize) {
         if self.trial.len() != n {
             self.hessian = vec![0.0; n * n];

@@ -48,11 +48,12 @@ pub trait Optimiser: Send {
 }
 
 impl Method {
-    /// An optimiser of that kind with its default settings.
-    pub fn optimiser(self) -> Box<dyn Optimiser> {
+    /// An optimiser of that kind that stops when a step lowers the cost by less than
+    /// `change_threshold` of it.
+    pub fn optimiser(self, change_threshold: f64) -> Box<dyn Optimiser> {
         match self {
-            Self::LevenbergMarquardt => Box::new(LevenbergMarquardt::default()),
-            Self::Lbfgs => Box::new(Lbfgs::default()),
+            Self::LevenbergMarquardt => Box::new(LevenbergMarquardt::new(change_threshold)),
+            Self::Lbfgs => Box::new(Lbfgs { change_threshold, ..Lbfgs::default() }),
         }
     }
 }

@@ -25,6 +25,8 @@ pub struct Config {
     pub loose_scale: f64,
     /// Iterations of each stage of the acquisition.
     pub acquisition_iterations: usize,
+    /// An optimiser stops when a step lowers the cost by less than this part of it.
+    pub change_threshold: f64,
     /// The optimiser of the windows.
     pub method: Method,
     /// Weights of the cost.
@@ -64,6 +66,7 @@ impl Default for Config {
             loose_iterations: 3,
             loose_scale: 3.0,
             acquisition_iterations: 30,
+            change_threshold: 1e-4,
             method: Method::LevenbergMarquardt,
             cost: cost::Config::default(),
             min_confidence: 0.1,

@@ -10,9 +10,31 @@ use crate::time::Timestamp;
 /// Frames of a camera that are looked at to find its rate.
 const RATE_FRAMES: usize = 5;
 /// Rates that cameras have; a measured one this close to one of them is taken for it.
-const COMMON_RATES_HZ: [f64; 11] =
-    [24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 90.0, 100.0, 120.0, 200.0, 240.0];
-const SAME_RATE: f64 = 2e-3;
+const COMMON_RATES_HZ: [f64; 14] = [
+    24e3 / 1001.0,
+    24.0,
+    25.0,
+    30e3 / 1001.0,
+    30.0,
+    48.0,
+    50.0,
+    60e3 / 1001.0,
+    60.0,
+    90.0,
+    100.0,
+    120.0,
+    200.0,
+    240.0,
+];
+const SAME_RATE: f64 = 3e-4;
+/// Rates that a measured one is held within.
+const RATES_HZ: std::ops::RangeInclusive<f64> = 1.0..=1000.0;
+/// A frame counter is believed when its period is this close to the usual step in time.
+const SAME_STEP: f64 = 0.2;
+/// A capture time this far past all others (ns) is believed only once a second one is near it.
+const MAX_JUMP: i64 = 5_000_000_000;
+/// More frames missing at once than this is a counter that jumped.
+const MAX_MISSING: u64 = 1_000_000;
 
 /// What one camera has shown.
 #[derive(Clone, Copy, Debug, Default)]
@@ -29,6 +51,8 @@ pub(super) struct Intake {
     format: Option<KeypointFormat>,
     /// Frames up to here are no longer used.
     closed: Option<Timestamp>,
+    /// A capture time far past all others, not believed yet.
+    stray: Option<Timestamp>,
 }
 
 impl Intake {
@@ -38,6 +62,7 @@ impl Intake {
             cameras: vec![Seen::default(); cameras],
             format: None,
             closed: None,
+            stray: None,
         }
     }
 
@@ -58,15 +83,24 @@ impl Intake {
             let detail = format!("{} in a stream of {}", frame.format.name(), format.name());
             return event(EventKind::Unusable, detail);
         }
-        let Some(seen) = self.cameras.get_mut(frame.camera) else {
+        if frame.camera >= self.cameras.len() {
             return event(EventKind::Unusable, format!("the rig has no camera {}", frame.camera));
-        };
+        }
         if self.closed.is_some_and(|closed| frame.capture <= closed) {
             return event(
                 EventKind::Late,
                 format!("frame {} after its window closed", frame.frame),
             );
         }
+        let newest = self.cameras.iter().filter_map(|seen| seen.watermark).max();
+        if let Some(newest) = newest.filter(|newest| frame.capture - *newest > MAX_JUMP) {
+            let last = self.stray.replace(frame.capture);
+            if last.is_none_or(|last| (frame.capture - last).abs() > MAX_JUMP) {
+                let ahead = (frame.capture - newest) as f64 * 1e-9;
+                return event(EventKind::Unusable, format!("{ahead:.1} s ahead of all others"));
+            }
+        }
+        let seen = &mut self.cameras[frame.camera];
         let key = (frame.capture, frame.camera, frame.frame);
         let twin = (frame.capture, frame.camera, 0)..=(frame.capture, frame.camera, u64::MAX);
         if self.frames.range(twin).next().is_some() {
@@ -113,17 +147,27 @@ impl Intake {
 
     /// The nominal frame period, ns, of the fastest camera that has shown enough frames.
     pub(super) fn frame_period(&self) -> Option<f64> {
-        let of_camera = |camera: usize| {
-            let mine: Vec<_> = self.frames.keys().filter(|(_, c, _)| *c == camera).collect();
-            let (first, last) = (mine.first()?, mine.last()?);
-            let frames = last.2.checked_sub(first.2).filter(|frames| *frames > 0)?;
-            (mine.len() >= RATE_FRAMES).then(|| (last.0 - first.0) as f64 / frames as f64)
-        };
-        (0..self.cameras.len()).filter_map(of_camera).min_by(f64::total_cmp).map(|period| {
-            let rate = 1e9 / period;
+        let periods = (0..self.cameras.len()).filter_map(|camera| self.period_of(camera));
+        periods.min_by(f64::total_cmp).map(|period| {
+            let rate = (1e9 / period).clamp(*RATES_HZ.start(), *RATES_HZ.end());
             let common = COMMON_RATES_HZ.into_iter().find(|c| (rate / c - 1.0).abs() < SAME_RATE);
             1e9 / common.unwrap_or(rate)
         })
+    }
+
+    /// The usual step between a camera's capture times; from its counter, where that agrees,
+    /// since it bridges lost frames and averages jitter.
+    fn period_of(&self, camera: usize) -> Option<f64> {
+        let mine: Vec<_> = self.frames.keys().filter(|(_, c, _)| *c == camera).collect();
+        let (first, last) = (mine.first()?, mine.last()?);
+        let mut steps: Vec<f64> = mine.windows(2).map(|p| (p[1].0 - p[0].0) as f64).collect();
+        if mine.len() < RATE_FRAMES {
+            return None;
+        }
+        let step = super::association::median(&mut steps);
+        let counted = last.2.checked_sub(first.2).filter(|count| *count > 0);
+        let by_counter = counted.map(|count| (last.0 - first.0) as f64 / count as f64);
+        Some(by_counter.filter(|p| (p / step - 1.0).abs() < SAME_STEP).unwrap_or(step))
     }
 
     /// Frames up to `end`, in order; they stay in the buffer.
@@ -149,10 +193,10 @@ impl Intake {
                 .collect();
             numbers.sort_unstable();
             let Some((&first, &last)) = numbers.first().zip(numbers.last()) else { continue };
-            let from = seen.last_used.map_or(first, |last| last + 1).min(first);
-            let count = (last - from + 1).saturating_sub(numbers.len() as u64);
+            let from = seen.last_used.map_or(first, |last| last.saturating_add(1)).min(first);
+            let count = (last - from).saturating_add(1).saturating_sub(numbers.len() as u64);
             seen.last_used = Some(last);
-            if count > 0 {
+            if (1..=MAX_MISSING).contains(&count) {
                 missing.push(Event {
                     capture: end,
                     kind: EventKind::Missing,

@@ -13,6 +13,9 @@ use crate::manifold::{Decoder, Keyframe};
 use crate::solve::{Optimiser, Problem, Summary};
 use crate::time::Timestamp;
 
+/// A view counts when it shows this many points a frame.
+const MIN_VIEW: usize = 4;
+
 /// What is to be solved.
 #[derive(Clone, Debug)]
 pub struct Job {
@@ -127,7 +130,7 @@ pub struct Solver {
 impl Solver {
     /// A solver on that manifold.
     pub fn new(decoder: Decoder, config: Config) -> Self {
-        let optimiser = config.method.optimiser();
+        let optimiser = config.method.optimiser(config.change_threshold);
         Self { decoder, config, optimiser, work: Workspace::default() }
     }
 
@@ -228,7 +231,9 @@ impl Solver {
             }));
         }
         let first = knots[0].keyframe.clone();
-        let mut problem = PathProblem::new(scene, knots, &rough, true, &moments, &mut self.work);
+        let solved = knots.last().map_or(at, |knot| knot.capture);
+        let known: Vec<Moment> = moments.into_iter().filter(|m| m.capture <= solved).collect();
+        let mut problem = PathProblem::new(scene, knots, &rough, true, &known, &mut self.work);
         let mut x = problem.start();
         self.optimiser.minimise(&mut problem, &mut x, self.config.acquisition_iterations);
         let (keyframes, skeleton) = problem.solution(&x);
@@ -300,6 +305,14 @@ impl Solver {
                 gate.lost_observations
             ));
         }
+        let views = (0..job.rig.cameras.len())
+            .filter(|&camera| {
+                residuals.iter().filter(|r| r.camera == camera).count() >= MIN_VIEW * frames
+            })
+            .count();
+        if views < 2 {
+            return Some(format!("{views} cameras see the performer, 2 are needed"));
+        }
         let median_error =
             median(&mut residuals.iter().map(|r| r.error_relative).collect::<Vec<_>>());
         if median_error > gate.lost_residual {
@@ -365,13 +378,20 @@ fn residuals(
     all
 }
 
-/// Groups frames into sets of one time: each starts with the first frame not in a set yet.
-fn frame_sets(
-    frames: &[Arc<Detections>],
-    half_frame: i64,
-) -> impl Iterator<Item = (Timestamp, Vec<&Detections>)> {
-    frames.chunk_by(move |a, b| b.capture - a.capture < half_frame).filter_map(|set| {
-        let first = set.first()?;
-        Some((first.capture, set.iter().map(|frame| &**frame).collect()))
-    })
+/// Groups frames into sets of one time: each set holds frames of different cameras at most
+/// `half_frame` after its first.
+fn frame_sets(frames: &[Arc<Detections>], half_frame: i64) -> Vec<(Timestamp, Vec<&Detections>)> {
+    let mut sets: Vec<(Timestamp, Vec<&Detections>)> = Vec::new();
+    for frame in frames {
+        match sets.last_mut() {
+            Some((first, set))
+                if frame.capture - *first <= half_frame
+                    && set.iter().all(|other| other.camera != frame.camera) =>
+            {
+                set.push(frame);
+            }
+            _ => sets.push((frame.capture, vec![frame])),
+        }
+    }
+    sets
 }

@@ -96,6 +96,8 @@ pub struct Track {
     intake: Intake,
     phase: Phase,
     skeleton: Option<Arc<Skeleton>>,
+    /// Whether a window was ever solved well with that body.
+    is_proven: bool,
     /// Start of the open window.
     start: Option<Timestamp>,
     /// Nominal frame period, ns.
@@ -119,6 +121,7 @@ impl Track {
             rig,
             phase: Phase::Searching,
             skeleton: None,
+            is_proven: false,
             start: None,
             period,
             now: None,
@@ -180,6 +183,12 @@ impl Track {
             self.start = Some(start);
             self.send(Window { start, end });
         }
+    }
+
+    /// Length of a window, ns.
+    fn span(&self) -> i64 {
+        let period = self.period.unwrap_or(1e9 / 60.0);
+        (self.config.window_frames.max(1) as f64 * period).round() as i64
     }
 
     /// How far past a window's end a frame still belongs to it, ns.
@@ -288,6 +297,12 @@ impl Track {
         pose: Box<Pose>,
     ) {
         self.hold(window.start, at + -self.tolerance());
+        if self.skeleton.is_none() && !self.ended && at > window.start + self.span() {
+            // Too few frames are left for the shape: gather anew from here.
+            self.close(at + -self.tolerance());
+            self.start = Some(at);
+            return;
+        }
         self.close(at + self.tolerance());
         if self.skeleton.is_none() {
             self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
@@ -304,9 +319,9 @@ impl Track {
 
     /// Goes on searching one window later.
     fn nobody_found(&mut self, window: Window) {
-        let period = self.period.unwrap_or(1e9 / 60.0);
-        let span = (self.config.window_frames.max(1) as f64 * period).round() as i64;
+        let span = self.span();
         let end = window.end.min(window.start + span);
+        let end = self.intake.last().filter(|_| self.ended).map_or(end, |last| end.min(last));
         self.hold(window.start, end);
         self.event(EventKind::NobodyFound, end, None, "no person seen by two cameras".to_owned());
         self.close(end + self.tolerance());
@@ -345,6 +360,11 @@ impl Track {
         if let (Phase::Tracking { from, .. }, false) = (previous, is_lost) {
             self.phase = Phase::Tracking { from: keyframe, before: Some(from) };
         }
+        self.is_proven |= !is_lost;
+        if !self.is_proven {
+            // The body was found together with a pose that was wrong at once.
+            self.skeleton = None;
+        }
         self.start = Some(window.end);
         self.window += 1;
     }
@@ -367,8 +387,9 @@ impl Track {
     fn hold(&mut self, start: Timestamp, end: Timestamp) {
         let Some(held) = self.held.clone() else { return };
         let Some(period) = self.period else { return };
-        let times = (1..).map(|i| start + (f64::from(i) * period).round() as i64);
-        for capture in times.take_while(|time| *time <= end) {
+        let count = ((end - start) as f64 / period).floor() as u64;
+        for frame in 1..=count {
+            let capture = start + (frame as f64 * period).round() as i64;
             self.give(capture, held.pose.clone(), TrackingState::Lost);
         }
     }

@@ -82,7 +82,7 @@ impl Case {
 fn window(c: &mut Criterion) {
     let case = case();
     for (name, method) in [("lm", Method::LevenbergMarquardt), ("lbfgs", Method::Lbfgs)] {
-        let (mut optimiser, mut work) = (method.optimiser(), Workspace::default());
+        let (mut optimiser, mut work) = (method.optimiser(1e-4), Workspace::default());
         c.bench_function(&format!("window solve, {name}"), |b| {
             b.iter(|| {
                 let mut problem = case.problem(&mut work);

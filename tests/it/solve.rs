@@ -34,10 +34,11 @@ pub fn ring() -> Rig {
     Rig::new(1, (0..4).map(camera).collect()).unwrap()
 }
 
-pub fn keyframe(seed: f64) -> Keyframe {
+/// A made-up keyframe; `size` scales its code.
+pub fn keyframe(seed: f64, size: f64) -> Keyframe {
     let wave = |i: usize| ((i as f64 + 1.0) * seed).sin();
     Keyframe {
-        z: std::array::from_fn(|i| 0.8 * wave(i)),
+        z: std::array::from_fn(|i| size * wave(i)),
         root_rotation: so3::exp(&Vector3::new(0.1 * wave(1), 1.5 * seed, 0.1 * wave(2))),
         root_position: Vector3::new(0.3 * wave(3), 1.0, 0.3 * wave(4)),
     }
@@ -79,7 +80,7 @@ impl Case {
         let decoder = Decoder::embedded().unwrap();
         let skeleton = Skeleton::new(Shape(std::array::from_fn(|i| 0.5 * (i as f64).cos())));
         let (rig, points) = (ring(), fitted_points(KeypointFormat::Body25));
-        let truth: Vec<_> = (0..keyframes).map(|k| keyframe(0.7 + 0.02 * k as f64)).collect();
+        let truth: Vec<_> = (0..keyframes).map(|k| keyframe(0.7 + 0.02 * k as f64, 0.8)).collect();
         let moments = (1..=10 * (keyframes - 1).max(1))
             .map(|i| {
                 let (k, s) = ((i - 1) / 10, ((i - 1) % 10 + 1) as f64 / 10.0);
@@ -131,7 +132,7 @@ fn gradients_of_every_kind_of_path_match_central_differences() {
     for (free, shape) in kinds {
         let mut work = Workspace::default();
         let moments = &case.moments[..(10 * (free.len() - 1)).max(1)];
-        let knots = case.knots(free, &keyframe(0.73));
+        let knots = case.knots(free, &keyframe(0.73, 0.8));
         let mut problem =
             PathProblem::new(case.scene(&config), knots, &case.skeleton, shape, moments, &mut work);
         let x: Vec<f64> =
@@ -188,7 +189,7 @@ fn both_optimisers_reach_the_same_minimum() {
             &mut work,
         );
         let mut x = problem.start();
-        let summary = method.optimiser().minimise(&mut problem, &mut x, 500);
+        let summary = method.optimiser(1e-9).minimise(&mut problem, &mut x, 500);
         let (keyframes, _) = problem.solution(&x);
         (summary, keyframes[1].clone())
     };
@@ -216,7 +217,7 @@ fn a_window_of_exact_observations_is_recovered() {
         &mut work,
     );
     let mut x = problem.start();
-    Method::LevenbergMarquardt.optimiser().minimise(&mut problem, &mut x, 100);
+    Method::LevenbergMarquardt.optimiser(1e-9).minimise(&mut problem, &mut x, 100);
     let (keyframes, _) = problem.solution(&x);
     let (found, truth) = (case.decoder.pose(&keyframes[1]), case.decoder.pose(&case.truth[1]));
     let (a, b) = (found.posture(&case.skeleton), truth.posture(&case.skeleton));
