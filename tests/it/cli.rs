@@ -371,6 +371,52 @@ fn recordings_whose_cameras_do_not_fit_the_rig() {
     place.fails(BAD_CALIBRATION, "solve small.mcap --out out", &evidence);
 }
 
+/// A recording of one message of the rig and one of keypoints, sound or not.
+fn one_frame(
+    path: &Path,
+    rig: &bundlemocap::msg::Rig,
+    keypoints: &bundlemocap::msg::KeypointFrame,
+) {
+    let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
+    let (topics, at) = (Topics::default(), Timestamp::default());
+    writer.write(&topics.rig(), at, rig).unwrap();
+    writer.write(&topics.keypoints("cam01"), at, keypoints).unwrap();
+    writer.finish().unwrap();
+}
+
+#[test]
+fn recordings_whose_rig_or_keypoints_are_refused() {
+    use bundlemocap::msg::{DetectedPerson, KeypointFrame, Rig};
+    let place = Place::new();
+    let rig = || Rig::from_core(&ring_rig(4, 4.0, 1.6).unwrap());
+    let keypoints = |format: &str, numbers: usize| KeypointFrame {
+        camera: "cam01".into(),
+        image_width: 1280,
+        image_height: 1024,
+        format: format.into(),
+        people: vec![DetectedPerson { points: vec![1.0; numbers], ..Default::default() }],
+        ..Default::default()
+    };
+    let refused = |code: i32, rig: Rig, keypoints: KeypointFrame, evidence: &[&str]| {
+        one_frame(&place.path("bad.mcap"), &rig, &keypoints);
+        place.fails(code, "solve bad.mcap --out out", &[&["bad.mcap"], evidence].concat());
+    };
+    let mut singular = rig();
+    singular.cameras[1].focal_px = vec![0.0, 600.0];
+    refused(BAD_CALIBRATION, singular, keypoints("body_25", 75), &["/rig", "cam02", "singular"]);
+    let mut no_rotation = rig();
+    no_rotation.cameras[2].camera_from_world_rotation = vec![0.0; 4];
+    let evidence = ["/rig", "rotation", "no direction", "calibration"];
+    refused(BAD_CALIBRATION, no_rotation, keypoints("body_25", 75), &evidence);
+    let mut alone = rig();
+    alone.cameras.truncate(1);
+    refused(BAD_CALIBRATION, alone, keypoints("body_25", 75), &["at least two cameras"]);
+    let evidence = ["cam01/keypoints", "body_26", "halpe_26"];
+    refused(KEYPOINT_FORMAT, rig(), keypoints("body_26", 75), &evidence);
+    let evidence = ["cam01/keypoints", "51 entries, expected 75", "--format"];
+    refused(KEYPOINT_FORMAT, rig(), keypoints("body_25", 51), &evidence);
+}
+
 #[test]
 fn keypoints_of_another_format() {
     let place = Place::new();
