@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
 
 use super::Ended;
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, Failure, frame_rate_option};
 use super::figures::{Figures, Measured, True, frame_rate};
 use super::hold_out;
 use super::input::{Item, Recording};
@@ -62,7 +62,7 @@ pub(super) struct Arguments {
     /// Report the distance to these marker positions (y up, frames as in the recording).
     #[arg(long, value_name = "TRC")]
     reference: Option<PathBuf>,
-    /// Frames a second of the cameras; found from the recording if not given.
+    /// Frames a second of the cameras, 1 to 1000; found from the recording if not given.
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     fps: Option<f64>,
     /// How latent codes run between keyframes.
@@ -158,11 +158,7 @@ fn measure(
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     let mut config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
     if let Some(fps) = arguments.fps {
-        if !(fps.is_finite() && fps > 0.0) {
-            let message = format!("--fps is {fps}, but must be a number above 0, such as 60");
-            return Err(Failure::new(Exit::Usage, message));
-        }
-        config.track.frame_rate_hz = fps;
+        config.track.frame_rate_hz = frame_rate_option(fps)?;
     }
     match arguments.interpolation {
         Some(InterpolationName::Slerp) => config.track.cost.interpolation = Interpolation::Slerp,

@@ -470,7 +470,16 @@ fn weights_and_settings_that_cannot_be_used() {
     place.fails(UNREADABLE, &reference, &["r.trc"]);
     place.write("r.trc", "hello");
     place.fails(MALFORMED, &reference, &["r.trc", "PathFileType"]);
-    place.fails(2, &format!("{solve} --fps -3"), &["--fps is -3"]);
+    place.write("c.toml", "[track]\nwindow_frames = 100000\n");
+    place.fails(MALFORMED, &config, &["c.toml", "track.window_frames is 100000", "1 to 1000"]);
+    place.write("c.toml", "[track]\nframe_rate_hz = 1e9\n");
+    place.fails(MALFORMED, &config, &["c.toml", "track.frame_rate_hz is 1000000000", "1 to 1000"]);
+    for fps in ["-3", "0", "1001", "NaN", "inf"] {
+        let evidence = [&format!("--fps is {fps}"), "1 to 1000"];
+        place.fails(2, &format!("{solve} --fps {fps}"), &evidence);
+        let import = IMPORT.replace("--fps 60", &format!("--fps {fps}"));
+        place.fails(2, &format!("{import} --format body_25"), &evidence);
+    }
 }
 
 #[test]
