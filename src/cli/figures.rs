@@ -85,6 +85,7 @@ impl From<PoseErrors> for Truth {
 #[derive(Clone, Debug, Default)]
 pub(super) struct True {
     pub(super) body: Skeleton,
+    /// In order of capture time.
     pub(super) poses: Vec<KeptPose>,
 }
 

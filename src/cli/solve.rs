@@ -221,23 +221,37 @@ fn solve(
         },
     )?;
     driver.feed(Input::End)?;
+    truth.poses.sort_by_key(|pose| pose.capture);
     Ok(Solved { run: driver.run, truth, clock, report, elapsed: begin.elapsed() })
 }
 
 fn nobody(recording: &Recording, rig: &Rig, solved: &Solved) -> Failure {
-    let unusable = solved.run.count(EventKind::Unusable);
+    let run = &solved.run;
+    let unusable = run.count(EventKind::Unusable);
     let of_another =
         if unusable > 0 { format!(", {unusable} frames could not be used") } else { String::new() };
     let message = format!(
         "{}: nobody was found: no performer is seen by two of the {} cameras at once \
-         ({} windows tried{of_another}); check the calibration, the keypoint format ({}) and that \
-         the cameras share a clock",
+         ({} windows tried{of_another}{}); check the calibration, the keypoint format ({}) and \
+         that the cameras share a clock",
         recording.path.display(),
         rig.cameras.len(),
-        solved.run.count(EventKind::NobodyFound) + solved.run.lost() as u64,
+        run.count(EventKind::NobodyFound) + run.lost() as u64,
+        out_of_time(run.count(EventKind::Late), run.count(EventKind::Duplicate)),
         recording.format,
     );
     Failure::new(Exit::NobodyFound, message)
+}
+
+/// What a recording that is not sorted by capture time loses.
+fn out_of_time(late: u64, duplicate: u64) -> String {
+    if late == 0 && duplicate == 0 {
+        return String::new();
+    }
+    format!(
+        ", {late} frames came late and {duplicate} twice and were left out: is the recording \
+         sorted by capture time?"
+    )
 }
 
 fn tell(arguments: &Arguments, figures: &Figures) -> Result<(), Failure> {

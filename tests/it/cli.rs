@@ -447,6 +447,29 @@ fn a_recording_in_which_nobody_is_seen_by_two_cameras() {
 }
 
 #[test]
+fn a_recording_that_is_not_sorted_says_how_many_frames_came_late() {
+    let place = Place::new();
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let path = place.path("unsorted.mcap");
+    let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
+    writer.rig(&rig, Timestamp::default()).unwrap();
+    let mut all = Vec::new();
+    walk(&place.path("walk.mcap"), 120, |detections| {
+        all.push(detections.clone());
+        true
+    });
+    // One camera after the other: all but the first come after their windows are closed.
+    all.sort_by_key(|detections| detections.camera);
+    for detections in &all {
+        let camera = &rig.cameras[detections.camera];
+        writer.keypoints(detections, &camera.name, [camera.width, camera.height]).unwrap();
+    }
+    writer.finish().unwrap();
+    let evidence = ["unsorted.mcap", "nobody was found", "frames came late", "sorted by capture"];
+    place.fails(NOBODY_FOUND, "solve unsorted.mcap --out out", &evidence);
+}
+
+#[test]
 fn weights_and_settings_that_cannot_be_used() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 10, |_| true);
