@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Ended;
+use super::bvh;
 use super::failure::{Exit, Failure};
 use super::figures::{frame_rate, losses};
 use super::kept::KeptPose;
-use super::output::{bvh, strip, text};
+use super::output::{strip, text};
 use super::terminal::{complain, say};
 use crate::body::Skeleton;
 use crate::record::{Message, Reader};
@@ -41,8 +42,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let Solved { skeleton, poses, damage } = read(arguments)?;
     let fps = frame_rate(&poses).unwrap_or(60.0);
     if let Some(path) = &arguments.bvh {
-        bvh(path, &poses, &skeleton, fps)?;
-        say(&format!("{}: {} frames at {fps:.2} Hz", path.display(), poses.len()));
+        let frames = bvh::write(path, &poses, &skeleton, fps)?;
+        say(&format!("{}: {frames} frames at {fps:.2} Hz", path.display()));
     }
     if let Some(path) = &arguments.picture {
         text(path, &strip(&poses, &skeleton, usize::from(arguments.figures)))?;

@@ -8,6 +8,7 @@ use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
 
 use super::Ended;
+use super::bvh;
 use super::failure::{Exit, Failure, frame_rate_option};
 use super::figures::{Figures, Measured, True, frame_rate};
 use super::hold_out;
@@ -120,7 +121,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let figures = measure(&recording, &rig, &skeleton, &solved, held_out, trc.as_ref())?;
 
     let fps = frame_rate(&solved.run.poses).unwrap_or(60.0);
-    output::bvh(&folder.file("poses.bvh"), &solved.run.poses, &skeleton, fps)?;
+    bvh::write(&folder.file("poses.bvh"), &solved.run.poses, &skeleton, fps)?;
     output::report(&folder.file("report.html"), &solved.run, &rig, &skeleton, &figures)?;
     file.finish()?;
     bar.finish_and_clear();
