@@ -174,6 +174,11 @@ fn a_synthetic_walk_is_solved_and_exported() {
         assert!(fs::metadata(place.path("out").join(name)).unwrap().len() > 1000, "{name}");
     }
 
+    let table = place.done("solve walk.mcap --out out --hold-out cam03");
+    for row in ["hold-out cam03, median", "frames without the performer"] {
+        assert!(table.contains(row), "{table}");
+    }
+
     place.done("export out/poses.mcap --bvh again.bvh --picture strip.svg");
     let again = fs::read_to_string(place.path("again.bvh")).unwrap();
     let bvh = fs::read_to_string(place.path("out/poses.bvh")).unwrap();
