@@ -1,5 +1,6 @@
 //! The configuration file: every module's `Config` in one tree.
 
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -89,35 +90,57 @@ impl Config {
 
     /// The first number out of range: its key, its value and what is allowed.
     fn out_of_range(&self) -> Option<(&'static str, f64, &'static str)> {
-        let track = &self.track;
-        let at_least_one = [
-            ("track.window_frames", track.window_frames),
-            ("track.shape_windows", track.shape_windows),
-            ("track.iterations", track.iterations),
-            ("track.acquisition_iterations", track.acquisition_iterations),
-        ];
-        let positive = [
-            ("track.cost.scale_px", track.cost.scale_px),
-            ("track.gate.agree", track.gate.agree),
-            ("track.gate.follow", track.gate.follow),
-            ("track.gate.lost_residual", track.gate.lost_residual),
-            ("track.gate.lost_latent", track.gate.lost_latent),
-        ];
-        let not_negative = [
-            ("track.frame_rate_hz", track.frame_rate_hz),
-            ("track.cost.prior", track.cost.prior),
-            ("track.cost.shape_prior", track.cost.shape_prior),
-            ("track.min_confidence", track.min_confidence),
-            ("track.gate.lost_observations", track.gate.lost_observations),
-        ];
-        let counts = at_least_one.into_iter().filter(|(_, value)| *value < 1);
-        let counts = counts.map(|(key, value)| (key, value as f64, "at least 1"));
-        let positive = positive.into_iter().filter(|(_, v)| !(v.is_finite() && *v > 0.0));
-        let positive = positive.map(|(key, value)| (key, value, "a number above 0"));
-        let not_negative = not_negative.into_iter().filter(|(_, v)| !(v.is_finite() && *v >= 0.0));
-        let not_negative = not_negative.map(|(key, value)| (key, value, "0 or a number above"));
-        counts.chain(positive).chain(not_negative).next()
+        let rate = self.track.frame_rate_hz;
+        if rate != 0.0 && !is_frame_rate(rate) {
+            return Some(("track.frame_rate_hz", rate, "0 (find it) or 1 to 1000"));
+        }
+        let mut limits = self.counts().into_iter().chain(self.weights());
+        let (key, value, _, allowed) =
+            limits.find(|(_, value, range, _)| !range.contains(value))?;
+        Some((key, value, allowed))
     }
+
+    fn counts(&self) -> [Limit; 6] {
+        let track = &self.track;
+        let count =
+            |key, value: usize, most: f64, allowed| (key, value as f64, 1.0..=most, allowed);
+        let or_none = |key, value: usize| (key, value as f64, 0.0..=1e3, "0 to 1000");
+        [
+            count("track.window_frames", track.window_frames, 1e3, "1 to 1000"),
+            or_none("track.deadline_frames", track.deadline_frames),
+            count("track.shape_windows", track.shape_windows, 1e2, "1 to 100"),
+            count("track.iterations", track.iterations, 1e3, "1 to 1000"),
+            or_none("track.loose_iterations", track.loose_iterations),
+            count("track.acquisition_iterations", track.acquisition_iterations, 1e3, "1 to 1000"),
+        ]
+    }
+
+    fn weights(&self) -> [Limit; 11] {
+        let track::Config { cost, gate, loose_scale, min_confidence, .. } = self.track;
+        let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
+        let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
+        [
+            ("track.loose_scale", loose_scale, 1.0..=f64::MAX, "1 or a number above"),
+            ("track.min_confidence", min_confidence, 0.0..=1.0, "0 to 1"),
+            above_0("track.cost.scale_px", cost.scale_px),
+            from_0("track.change_threshold", self.track.change_threshold),
+            from_0("track.cost.prior", cost.prior),
+            from_0("track.cost.shape_prior", cost.shape_prior),
+            above_0("track.gate.agree", gate.agree),
+            above_0("track.gate.follow", gate.follow),
+            above_0("track.gate.lost_residual", gate.lost_residual),
+            above_0("track.gate.lost_latent", gate.lost_latent),
+            from_0("track.gate.lost_observations", gate.lost_observations),
+        ]
+    }
+}
+
+/// A key, its value, the range that is allowed, and the range in words.
+type Limit = (&'static str, f64, RangeInclusive<f64>, &'static str);
+
+/// Whether cameras may take that many frames a second: 1 to 1000.
+pub fn is_frame_rate(hz: f64) -> bool {
+    (1.0..=1000.0).contains(&hz)
 }
 
 /// The number of the line, from 1, that holds a byte.
@@ -186,5 +209,36 @@ mod tests {
         let negative = parse("[track.cost]\nscale_px = -1.0\n").unwrap_err();
         assert!(negative.contains("track.cost.scale_px is -1"), "{negative}");
         assert!(!kind.contains('\n') && !unknown.contains('\n'));
+    }
+
+    #[test]
+    fn numbers_out_of_range_are_named_with_what_is_allowed() {
+        let refused = |table: &str, key: &str, value: &str, allowed: &str| {
+            let error = parse(&format!("[{table}]\n{key} = {value}\n")).unwrap_err();
+            assert!(error.contains(&format!("{table}.{key} is ")), "{error}");
+            assert!(error.ends_with(&format!("but must be {allowed}")), "{error}");
+        };
+        for value in ["0.5", "1001.0", "-60.0", "inf", "nan"] {
+            refused("track", "frame_rate_hz", value, "0 (find it) or 1 to 1000");
+        }
+        refused("track", "window_frames", "1001", "1 to 1000");
+        refused("track", "deadline_frames", "1001", "0 to 1000");
+        refused("track", "shape_windows", "0", "1 to 100");
+        refused("track", "shape_windows", "101", "1 to 100");
+        refused("track", "iterations", "0", "1 to 1000");
+        refused("track", "iterations", "1000000", "1 to 1000");
+        refused("track", "loose_iterations", "1001", "0 to 1000");
+        refused("track", "acquisition_iterations", "0", "1 to 1000");
+        refused("track", "loose_scale", "0.99", "1 or a number above");
+        refused("track", "min_confidence", "1.5", "0 to 1");
+        refused("track.cost", "scale_px", "0.0", "a number above 0");
+        refused("track.cost", "prior", "-1.0", "0 or a number above");
+        refused("track.cost", "shape_prior", "inf", "0 or a number above");
+        refused("track.gate", "follow", "nan", "a number above 0");
+        refused("track.gate", "lost_observations", "-1.0", "0 or a number above");
+        for rate in ["0.0", "1.0", "59.94", "1000.0"] {
+            parse(&format!("[track]\nframe_rate_hz = {rate}\n")).unwrap();
+        }
+        parse("[track.cost]\nprior = 0.0\nshape_prior = 0.0\n").unwrap();
     }
 }

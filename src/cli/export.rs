@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Ended;
+use super::bvh;
 use super::failure::{Exit, Failure};
 use super::figures::{frame_rate, losses};
 use super::kept::KeptPose;
-use super::output::{bvh, strip, text};
+use super::output::{strip, text};
 use super::terminal::{complain, say};
 use crate::body::Skeleton;
 use crate::record::{Message, Reader};
@@ -41,8 +42,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let Solved { skeleton, poses, damage } = read(arguments)?;
     let fps = frame_rate(&poses).unwrap_or(60.0);
     if let Some(path) = &arguments.bvh {
-        bvh(path, &poses, &skeleton, fps)?;
-        say(&format!("{}: {} frames at {fps:.2} Hz", path.display(), poses.len()));
+        let frames = bvh::write(path, &poses, &skeleton, fps)?;
+        say(&format!("{}: {frames} frames at {fps:.2} Hz", path.display()));
     }
     if let Some(path) = &arguments.picture {
         text(path, &strip(&poses, &skeleton, usize::from(arguments.figures)))?;
@@ -58,7 +59,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 /// What a solved recording holds.
 struct Solved {
     skeleton: Skeleton,
-    /// In order of capture time.
+    /// In order of capture time, one for each.
     poses: Vec<KeptPose>,
     /// What was lost of the file.
     damage: Vec<String>,
@@ -83,6 +84,7 @@ fn read(arguments: &Arguments) -> Result<Solved, Failure> {
         }
     }
     let damage = losses(reader.report());
+    in_order(&mut poses);
     match skeleton.filter(|_| !poses.is_empty()) {
         Some(skeleton) => Ok(Solved { skeleton, poses, damage }),
         None => {
@@ -94,5 +96,42 @@ fn read(arguments: &Arguments) -> Result<Solved, Failure> {
             let message = format!("{} holds no poses; {fix}", arguments.file.display());
             Err(Failure::new(Exit::NotOurs, message))
         }
+    }
+}
+
+/// Sorts by capture time; of poses of the same time, the one that was written last stays.
+fn in_order(poses: &mut Vec<KeptPose>) {
+    poses.sort_by_key(|pose| pose.capture);
+    poses.dedup_by(|later, kept| {
+        let anew = later.capture == kept.capture;
+        if anew {
+            std::mem::swap(later, kept);
+        }
+        anew
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::body::{Pose, StampedPose, TrackingState};
+    use crate::time::Timestamp;
+
+    #[test]
+    fn poses_are_put_in_order_and_the_newest_of_a_time_stays() {
+        let kept = |(ns, x): (i64, f64)| {
+            let mut pose = Pose::rest();
+            pose.root_position.x = x;
+            let (capture, state) = (Timestamp::from_ns(ns), TrackingState::Tracking);
+            let (window, rig_version, provisional, revision) = (0, 1, false, 0);
+            let stamped =
+                StampedPose { capture, pose, state, window, rig_version, provisional, revision };
+            KeptPose::from(&stamped)
+        };
+        let mut poses: Vec<KeptPose> =
+            [(30, 1.0), (10, 2.0), (20, 3.0), (10, 4.0), (10, 5.0)].map(kept).into();
+        in_order(&mut poses);
+        let left = poses.iter().map(|pose| (pose.capture.ns(), pose.pose().root_position.x));
+        assert_eq!(left.collect::<Vec<_>>(), [(10, 5.0), (20, 3.0), (30, 1.0)]);
     }
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::camera::CameraError;
-use crate::config::ConfigError;
+use crate::config::{ConfigError, is_frame_rate};
 use crate::eval::TrcError;
 use crate::manifold::WeightsError;
 use crate::record::RecordError;
@@ -45,6 +45,15 @@ Exit codes:
   10  an unknown keypoint format, or one that does not fit the data
   11  weights of another shape or version
   12  a recording without our channels";
+
+/// The value of `--fps`, if it can be one.
+pub(super) fn frame_rate_option(fps: f64) -> Result<f64, Failure> {
+    if is_frame_rate(fps) {
+        return Ok(fps);
+    }
+    let message = format!("--fps is {fps}, but must be 1 to 1000, such as 60");
+    Err(Failure::new(Exit::Usage, message))
+}
 
 /// Why a command failed.
 #[derive(Clone, Debug, PartialEq)]

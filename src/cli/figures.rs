@@ -85,6 +85,7 @@ impl From<PoseErrors> for Truth {
 #[derive(Clone, Debug, Default)]
 pub(super) struct True {
     pub(super) body: Skeleton,
+    /// In order of capture time.
     pub(super) poses: Vec<KeptPose>,
 }
 
@@ -202,6 +203,8 @@ impl Rows {
         let HoldOut { camera, median_px, points, frames, .. } = held;
         let value = format!("{} ({points} points, {frames} frames)", px(*median_px));
         self.add(&format!("hold-out {camera}, median"), value);
+        let without = held.frames_without_performer;
+        self.add("  frames without the performer", without.to_string());
     }
 
     fn add_truth(&mut self, truth: &Truth) {
@@ -249,11 +252,18 @@ fn acceleration(poses: &[KeptPose], skeleton: &Skeleton, fps: f64) -> Option<f64
         a.is_tracked() && b.is_tracked() && b.capture - a.capture < longest
     };
     let (mut sum, mut count) = (0.0, 0.0);
-    for run in poses.chunk_by(together).filter(|run| run.len() > 2) {
-        let postures: Vec<Posture> = run.iter().map(|pose| pose.pose().posture(skeleton)).collect();
-        if let Some(mean) = mean_acceleration(&postures, fps) {
-            sum += mean * (run.len() - 2) as f64;
-            count += (run.len() - 2) as f64;
+    for run in poses.chunk_by(together) {
+        // Three postures are held at a time.
+        let mut triple: Vec<Posture> = Vec::with_capacity(3);
+        for pose in run {
+            if triple.len() == 3 {
+                triple.remove(0);
+            }
+            triple.push(pose.pose().posture(skeleton));
+            if let Some(mean) = mean_acceleration(&triple, fps) {
+                sum += mean;
+                count += 1.0;
+            }
         }
     }
     (count > 0.0).then(|| sum / count)
@@ -270,8 +280,7 @@ fn truth(poses: &[KeptPose], skeleton: &Skeleton, truth: &True, fps: f64) -> Opt
         let true_posture = true_pose_at(pose.capture)?.pose().posture(&truth.body);
         Some((pose.pose().posture(skeleton), true_posture))
     });
-    let pairs: Vec<(Posture, Posture)> = pairs.collect();
-    pose_errors(pairs.iter().map(|(estimate, truth)| (estimate, truth))).map(Truth::from)
+    pose_errors(pairs).map(Truth::from)
 }
 
 /// What was lost of a recording, a line each.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use super::Ended;
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, Failure, frame_rate_option};
 use super::terminal::{progress, say, table};
 use crate::camera::Rig;
 use crate::import::{
@@ -47,7 +47,7 @@ struct Openpose {
     /// Pose2Sim or aniposelib TOML, or Qualisys .qca.txt.
     #[arg(long)]
     calibration: PathBuf,
-    /// Frames a second of the cameras.
+    /// Frames a second of the cameras, 1 to 1000.
     #[arg(long, allow_negative_numbers = true)]
     fps: f64,
     /// Keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133.
@@ -90,9 +90,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 }
 
 fn run_openpose(arguments: &Openpose) -> Ended {
+    let fps = frame_rate_option(arguments.fps)?;
     let format = keypoint_format(&arguments.format)?;
     let rig = read_calibration(&arguments.calibration, arguments.up)?;
-    let mut folder = OpenposeFolder::open(&arguments.folder, &rig, format, arguments.fps)?;
+    let mut folder = OpenposeFolder::open(&arguments.folder, &rig, format, fps)?;
     say(&table(&matches(&folder, &rig)));
 
     let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance(arguments))?;

@@ -4,11 +4,14 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use prost::Name;
+
 use super::failure::{Exit, Failure};
 use crate::body::{Skeleton, StampedPose};
 use crate::camera::{Camera, Rig};
 use crate::detect::Detections;
-use crate::record::{CameraInfo, Message, Reader, Report, summary};
+use crate::msg;
+use crate::record::{CameraInfo, Info, Message, Reader, Report, summary};
 
 /// A recording with keypoints and a rig that fit each other.
 pub(super) struct Recording {
@@ -38,9 +41,9 @@ impl Recording {
     pub(super) fn open(path: &Path) -> Result<Self, Failure> {
         let info = summary(path)?;
         if info.cameras.is_empty() {
-            return Err(without_keypoints(path, info.topics.keys().map(String::as_str)));
+            return Err(without_keypoints(path, &info));
         }
-        let rig = Arc::new(first_rig(path)?);
+        let rig = Arc::new(first_rig(path, &info)?);
         let messages = info.topics.values().map(|topic| topic.count).sum();
         let format = info.cameras.values().map(|camera| camera.format.clone()).next();
         let format = format.unwrap_or_default();
@@ -158,9 +161,15 @@ impl Recording {
     }
 }
 
-fn without_keypoints<'a>(path: &Path, topics: impl Iterator<Item = &'a str>) -> Failure {
+/// Why a recording in which no camera has keypoints cannot be solved.
+fn without_keypoints(path: &Path, info: &Info) -> Failure {
     const SHOWN: usize = 8;
-    let topics: Vec<&str> = topics.take(SHOWN).collect();
+    if let Some((topic, reason)) = refused::<msg::KeypointFrame>(info) {
+        let fix = "import it again with the --format that the keypoints are in";
+        let message = format!("{}: {topic}: {reason}; {fix}", path.display());
+        return Failure::new(Exit::KeypointFormat, message);
+    }
+    let topics: Vec<&str> = info.topics.keys().map(String::as_str).take(SHOWN).collect();
     let held = if topics.is_empty() { "nothing".to_owned() } else { topics.join(", ") };
     let message = format!(
         "{} holds no keypoints but {held}; give a recording from `bundlemocap import` or \
@@ -171,17 +180,32 @@ fn without_keypoints<'a>(path: &Path, topics: impl Iterator<Item = &'a str>) -> 
 }
 
 /// The first rig of a recording. It need not come before the first keypoints.
-fn first_rig(path: &Path) -> Result<Rig, Failure> {
+fn first_rig(path: &Path, info: &Info) -> Result<Rig, Failure> {
+    let bad = |reason: &str| {
+        let fix = "correct the calibration and import it again";
+        Failure::new(Exit::BadCalibration, format!("{}: {reason}; {fix}", path.display()))
+    };
     for entry in Reader::open(path)? {
         if let Message::Rig(rig) = entry?.message {
-            return rig.to_core().map_err(|error| {
-                let message = format!("{}: {error}; import it again", path.display());
-                Failure::new(Exit::BadCalibration, message)
-            });
+            return rig.to_core().map_err(|error| bad(&error.to_string()));
         }
     }
-    let fix = "import it again with --calibration";
-    Err(Failure::new(Exit::NotOurs, format!("{} holds no calibrated rig; {fix}", path.display())))
+    Err(refused::<msg::Rig>(info).map_or_else(
+        || {
+            let fix = "import it again with --calibration";
+            let message = format!("{} holds no calibrated rig; {fix}", path.display());
+            Failure::new(Exit::NotOurs, message)
+        },
+        |(topic, reason)| bad(&format!("{topic}: {reason}")),
+    ))
+}
+
+/// The first topic of a schema with messages that could not be used, and why the first could not.
+fn refused<T: Name>(info: &Info) -> Option<(&str, &str)> {
+    let schema = T::full_name();
+    let of_schema = |topic: &&String| info.topics.get(*topic).is_some_and(|t| t.schema == schema);
+    let topic = info.report.undecodable.keys().find(of_schema)?;
+    Some((topic, &info.report.undecodable[topic].first))
 }
 
 /// A name without what differs between tools: case, separators, leading zeros of numbers.

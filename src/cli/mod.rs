@@ -3,6 +3,7 @@
 //! Results go to standard output, progress and warnings to standard error. A failure is one line
 //! on standard error, `error: ...`, and an exit code of its own (see `--help`).
 
+mod bvh;
 mod completions;
 mod export;
 mod failure;

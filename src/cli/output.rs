@@ -13,8 +13,8 @@ use super::run::{Run, WindowSummary};
 use crate::body::{Joint, Posture, Skeleton};
 use crate::camera::Rig;
 use crate::export::{
-    AngleTrack, BvhWriter, CameraErrors, ExportError, Picture, ReportData, StickFigures, Table,
-    WindowRow, flexion_deg, stick_figures, write_report,
+    AngleTrack, CameraErrors, ExportError, Picture, ReportData, StickFigures, Table, WindowRow,
+    flexion_deg, stick_figures, write_report,
 };
 use crate::msg::{StampedKeyframe, Topics};
 use crate::record::{Provenance, Writer};
@@ -132,20 +132,6 @@ impl PoseFile {
     pub(super) fn finish(self) -> Result<(), Failure> {
         Ok(self.writer.finish()?)
     }
-}
-
-/// Writes poses as BVH.
-pub(super) fn bvh(
-    path: &Path,
-    poses: &[KeptPose],
-    skeleton: &Skeleton,
-    fps: f64,
-) -> Result<(), Failure> {
-    let mut writer = BvhWriter::create(path, skeleton, fps)?;
-    for pose in poses {
-        writer.write(&pose.pose())?;
-    }
-    Ok(writer.finish()?)
 }
 
 /// Writes a text; the file appears whole or not at all.

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::Ended;
-use super::failure::{Exit, Failure};
+use super::failure::{Exit, Failure, frame_rate_option};
 use super::terminal::{progress, say};
 use crate::body::{Shape, Skeleton};
 use crate::import::keypoint_format;
@@ -31,7 +31,7 @@ pub(super) struct Arguments {
     /// Length, seconds.
     #[arg(long, default_value_t = 4.0, allow_negative_numbers = true)]
     seconds: f64,
-    /// Frames a second of every camera.
+    /// Frames a second of every camera, 1 to 1000.
     #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
     fps: f64,
     /// How many cameras stand around the performer, 2 to 64.
@@ -120,10 +120,8 @@ fn frame_count(arguments: &Arguments) -> Result<u64, Failure> {
     let wrong = |option: &str, value: f64, allowed: &str| {
         Failure::new(Exit::Usage, format!("{option} is {value}, but must be {allowed}"))
     };
-    let Arguments { fps, seconds, stagger, .. } = *arguments;
-    if !(fps.is_finite() && fps > 0.0 && fps <= 10_000.0) {
-        return Err(wrong("--fps", fps, "above 0 and at most 10000"));
-    }
+    let Arguments { seconds, stagger, .. } = *arguments;
+    let fps = frame_rate_option(arguments.fps)?;
     if !(0.0..1.0).contains(&stagger) {
         return Err(wrong("--stagger", stagger, "0 or more and below 1"));
     }

@@ -1,5 +1,7 @@
 //! How far solved poses are from the truth, in the measures of \[Albanis 2023, sec. 4\].
 
+use std::borrow::Borrow;
+
 use nalgebra::{Matrix3, Vector3};
 
 use crate::body::{JOINTS, Joint, Posture};
@@ -33,12 +35,12 @@ pub struct PoseErrors {
 
 /// Compares postures with the true ones of the same times, given as (estimate, truth).
 /// `None` without any.
-pub fn pose_errors<'a>(
-    pairs: impl IntoIterator<Item = (&'a Posture, &'a Posture)>,
+pub fn pose_errors<P: Borrow<Posture>>(
+    pairs: impl IntoIterator<Item = (P, P)>,
 ) -> Option<PoseErrors> {
     let mut sums = Sums::default();
     for (estimate, truth) in pairs {
-        sums.add(estimate, truth);
+        sums.add(estimate.borrow(), truth.borrow());
     }
     (sums.frames > 0).then(|| sums.errors())
 }
@@ -189,6 +191,6 @@ mod tests {
         close(acceleration_error(&falling, &falling, 50.0).unwrap(), 0.0);
         close(acceleration_error(&falling, &still, 50.0).unwrap(), 9.81);
         assert_eq!(mean_acceleration(&falling[..2], 50.0), None);
-        assert!(pose_errors([]).is_none());
+        assert!(pose_errors::<&Posture>([]).is_none());
     }
 }

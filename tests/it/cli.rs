@@ -174,6 +174,11 @@ fn a_synthetic_walk_is_solved_and_exported() {
         assert!(fs::metadata(place.path("out").join(name)).unwrap().len() > 1000, "{name}");
     }
 
+    let table = place.done("solve walk.mcap --out out --hold-out cam03");
+    for row in ["hold-out cam03, median", "frames without the performer"] {
+        assert!(table.contains(row), "{table}");
+    }
+
     place.done("export out/poses.mcap --bvh again.bvh --picture strip.svg");
     let again = fs::read_to_string(place.path("again.bvh")).unwrap();
     let bvh = fs::read_to_string(place.path("out/poses.bvh")).unwrap();
@@ -371,6 +376,52 @@ fn recordings_whose_cameras_do_not_fit_the_rig() {
     place.fails(BAD_CALIBRATION, "solve small.mcap --out out", &evidence);
 }
 
+/// A recording of one message of the rig and one of keypoints, sound or not.
+fn one_frame(
+    path: &Path,
+    rig: &bundlemocap::msg::Rig,
+    keypoints: &bundlemocap::msg::KeypointFrame,
+) {
+    let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
+    let (topics, at) = (Topics::default(), Timestamp::default());
+    writer.write(&topics.rig(), at, rig).unwrap();
+    writer.write(&topics.keypoints("cam01"), at, keypoints).unwrap();
+    writer.finish().unwrap();
+}
+
+#[test]
+fn recordings_whose_rig_or_keypoints_are_refused() {
+    use bundlemocap::msg::{DetectedPerson, KeypointFrame, Rig};
+    let place = Place::new();
+    let rig = || Rig::from_core(&ring_rig(4, 4.0, 1.6).unwrap());
+    let keypoints = |format: &str, numbers: usize| KeypointFrame {
+        camera: "cam01".into(),
+        image_width: 1280,
+        image_height: 1024,
+        format: format.into(),
+        people: vec![DetectedPerson { points: vec![1.0; numbers], ..Default::default() }],
+        ..Default::default()
+    };
+    let refused = |code: i32, rig: Rig, keypoints: KeypointFrame, evidence: &[&str]| {
+        one_frame(&place.path("bad.mcap"), &rig, &keypoints);
+        place.fails(code, "solve bad.mcap --out out", &[&["bad.mcap"], evidence].concat());
+    };
+    let mut singular = rig();
+    singular.cameras[1].focal_px = vec![0.0, 600.0];
+    refused(BAD_CALIBRATION, singular, keypoints("body_25", 75), &["/rig", "cam02", "singular"]);
+    let mut no_rotation = rig();
+    no_rotation.cameras[2].camera_from_world_rotation = vec![0.0; 4];
+    let evidence = ["/rig", "rotation", "no direction", "calibration"];
+    refused(BAD_CALIBRATION, no_rotation, keypoints("body_25", 75), &evidence);
+    let mut alone = rig();
+    alone.cameras.truncate(1);
+    refused(BAD_CALIBRATION, alone, keypoints("body_25", 75), &["at least two cameras"]);
+    let evidence = ["cam01/keypoints", "body_26", "halpe_26"];
+    refused(KEYPOINT_FORMAT, rig(), keypoints("body_26", 75), &evidence);
+    let evidence = ["cam01/keypoints", "51 entries, expected 75", "--format"];
+    refused(KEYPOINT_FORMAT, rig(), keypoints("body_25", 51), &evidence);
+}
+
 #[test]
 fn keypoints_of_another_format() {
     let place = Place::new();
@@ -401,6 +452,31 @@ fn a_recording_in_which_nobody_is_seen_by_two_cameras() {
 }
 
 #[test]
+fn a_recording_that_is_not_sorted_says_how_many_frames_came_late() {
+    let place = Place::new();
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let path = place.path("unsorted.mcap");
+    let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
+    writer.rig(&rig, Timestamp::default()).unwrap();
+    let mut all = Vec::new();
+    walk(&place.path("walk.mcap"), 120, |detections| {
+        all.push(detections.clone());
+        true
+    });
+    // One camera after the other, the first for longer: the others come after their windows are
+    // closed.
+    all.retain(|detections| detections.camera == 0 || detections.frame < 60);
+    all.sort_by_key(|detections| detections.camera);
+    for detections in &all {
+        let camera = &rig.cameras[detections.camera];
+        writer.keypoints(detections, &camera.name, [camera.width, camera.height]).unwrap();
+    }
+    writer.finish().unwrap();
+    let evidence = ["unsorted.mcap", "nobody was found", "frames came late", "sorted by capture"];
+    place.fails(NOBODY_FOUND, "solve unsorted.mcap --out out", &evidence);
+}
+
+#[test]
 fn weights_and_settings_that_cannot_be_used() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 10, |_| true);
@@ -424,7 +500,16 @@ fn weights_and_settings_that_cannot_be_used() {
     place.fails(UNREADABLE, &reference, &["r.trc"]);
     place.write("r.trc", "hello");
     place.fails(MALFORMED, &reference, &["r.trc", "PathFileType"]);
-    place.fails(2, &format!("{solve} --fps -3"), &["--fps is -3"]);
+    place.write("c.toml", "[track]\nwindow_frames = 100000\n");
+    place.fails(MALFORMED, &config, &["c.toml", "track.window_frames is 100000", "1 to 1000"]);
+    place.write("c.toml", "[track]\nframe_rate_hz = 1e9\n");
+    place.fails(MALFORMED, &config, &["c.toml", "track.frame_rate_hz is 1000000000", "1 to 1000"]);
+    for fps in ["-3", "0", "1001", "NaN", "inf"] {
+        let evidence = [&format!("--fps is {fps}"), "1 to 1000"];
+        place.fails(2, &format!("{solve} --fps {fps}"), &evidence);
+        let import = IMPORT.replace("--fps 60", &format!("--fps {fps}"));
+        place.fails(2, &format!("{import} --format body_25"), &evidence);
+    }
 }
 
 #[test]
