@@ -31,7 +31,7 @@ use crate::track::{EventKind, Input, Solver};
 #[command(after_help = "\
 Writes to the folder DIR: poses.mcap (skeleton, rig, poses, keyframes, events), poses.bvh
 (centimetres, y up) and report.html. The recording is streamed; poses and errors are kept
-in memory for the BVH and the report, some kB a frame: about 80 MB in all for five minutes of four
+in memory for the BVH and the report, 3.5 kB a frame: about 80 MB in all for five minutes of four
 cameras at 60 fps.
 
 Exit code 6 means that windows are lost or that the recording is damaged: what could be solved is
