@@ -10,7 +10,7 @@
 //! | 2 | [`manifold`] | pose decoder, weights, interpolation |
 //! | 3 | [`cost`], [`msg`] | the window problem: reprojection, robust loss, prior; wire types |
 //! | 4 | [`track`] | the sans-IO machine: window assembly, acquisition, tracking |
-//! | 5 | [`bus`], [`record`], [`import`], [`export`], [`train`], [`synth`], [`eval`] | the edges |
+//! | 5 | [`record`], [`import`], [`export`], [`train`], [`synth`], [`eval`] | the edges |
 //! | 6 | [`config`], [`cli`] | composition |
 //!
 //! Conventions: world right-handed, metres, y up. `a_from_b` maps coordinates of frame b to
@@ -41,7 +41,6 @@
 //!   neural networks. CVPR 2019.
 
 pub mod body;
-pub mod bus;
 pub mod camera;
 pub mod cli;
 pub mod config;
