@@ -49,13 +49,7 @@ impl Optimiser for Lbfgs {
         let n = x.len();
         let mut gradient = vec![0.0; n];
         let mut cost = problem.gradient(x, &mut gradient);
-        let mut summary = Summary {
-            initial_cost: cost,
-            final_cost: cost,
-            iterations: 0,
-            evaluations: 1,
-            termination: Termination::IterationLimit { iterations },
-        };
+        let mut summary = Summary::at_start(cost, iterations);
         if !cost.is_finite() {
             return Summary { termination: Termination::NotFinite, ..summary };
         }

@@ -91,13 +91,7 @@ impl Optimiser for LevenbergMarquardt {
             problem.linearise(x, this.gradient.as_mut_slice(), &mut this.hessian)
         };
         let mut cost = linearise(self, problem, x);
-        let mut summary = Summary {
-            initial_cost: cost,
-            final_cost: cost,
-            iterations: 0,
-            evaluations: 1,
-            termination: Termination::IterationLimit { iterations },
-        };
+        let mut summary = Summary::at_start(cost, iterations);
         if !cost.is_finite() {
             return Summary { termination: Termination::NotFinite, ..summary };
         }

@@ -58,3 +58,16 @@ pub struct Summary {
     /// Why it stopped.
     pub termination: Termination,
 }
+
+impl Summary {
+    /// After the first evaluation, with a budget of `iterations`.
+    pub(super) const fn at_start(cost: f64, iterations: usize) -> Self {
+        Self {
+            initial_cost: cost,
+            final_cost: cost,
+            iterations: 0,
+            evaluations: 1,
+            termination: Termination::IterationLimit { iterations },
+        }
+    }
+}

@@ -167,8 +167,7 @@ impl Solver {
     ) -> Outcome {
         for (at, set) in frame_sets(&job.frames, half_frame) {
             let Some(sighting) = sight(&set, &job.rig, points, &self.config) else { continue };
-            let scene =
-                Scene { decoder: &self.decoder, rig: &job.rig, points, config: &self.config.cost };
+            let scene = scene(&self.decoder, &self.config, &job.rig, points);
             let template = known.map_or_else(Skeleton::default, |skeleton| (**skeleton).clone());
             let found = fit(
                 &sighting,
@@ -206,8 +205,7 @@ impl Solver {
         let frames = job.frames.iter().filter(|frame| frame.capture >= at);
         let moments = self.follow(frames, points, &job.rig, &keyframe, &rough);
         let last = moments.last().map_or(at, |moment| moment.capture);
-        let scene =
-            Scene { decoder: &self.decoder, rig: &job.rig, points, config: &self.config.cost };
+        let scene = scene(&self.decoder, &self.config, &job.rig, points);
         let mut knots = vec![Knot { capture: at, keyframe, free: true }];
         for window in 1..=self.config.shape_windows as i64 {
             let (start, end) = (at + span * (window - 1), at + span * window);
@@ -261,8 +259,7 @@ impl Solver {
         skeleton: &Skeleton,
     ) -> Tracked {
         let moments = self.follow(job.frames.iter(), points, &job.rig, from, skeleton);
-        let scene =
-            Scene { decoder: &self.decoder, rig: &job.rig, points, config: &self.config.cost };
+        let scene = scene(&self.decoder, &self.config, &job.rig, points);
         let fixed = Knot { capture: job.start, keyframe: from.clone(), free: false };
         let start = Knot { capture: job.end, keyframe: from.clone(), free: true };
         let knots = vec![fixed, start];
@@ -325,6 +322,15 @@ impl Solver {
         (latent > gate.lost_latent)
             .then(|| format!("latent norm is {latent:.1}, above {}", gate.lost_latent))
     }
+}
+
+fn scene<'a>(
+    decoder: &'a Decoder,
+    config: &'a Config,
+    rig: &'a Rig,
+    points: &'a [BodyPoint],
+) -> Scene<'a> {
+    Scene { decoder, rig, points, config: &config.cost }
 }
 
 /// Where the points of a keyframe's pose are in each camera.

@@ -14,6 +14,9 @@ use crate::manifold::Keyframe;
 use crate::solve::Summary;
 use crate::time::Timestamp;
 
+/// Frame period of a recording that is too short to show it, ns: 60 frames a second.
+const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
+
 /// What the machine is told.
 #[derive(Clone, Debug)]
 pub enum Input {
@@ -160,7 +163,7 @@ impl Track {
         let Some(start) = self.start.or_else(|| self.intake.first()) else { return };
         let Some(period) = self.period.or_else(|| self.intake.frame_period()).or_else(|| {
             // A recording shorter than the frames that show the rate.
-            self.ended.then_some(1e9 / 60.0)
+            self.ended.then_some(FALLBACK_PERIOD)
         }) else {
             return;
         };
@@ -185,9 +188,14 @@ impl Track {
         }
     }
 
+    /// Nominal frame period, ns.
+    fn nominal_period(&self) -> f64 {
+        self.period.unwrap_or(FALLBACK_PERIOD)
+    }
+
     /// Length of a window, ns.
     fn span(&self) -> i64 {
-        let period = self.period.unwrap_or(1e9 / 60.0);
+        let period = self.nominal_period();
         (self.config.window_frames.max(1) as f64 * period).round() as i64
     }
 
@@ -268,7 +276,7 @@ impl Track {
 
     /// Nominal frame times after the window's start, up to its end.
     fn pose_times(&self, window: Window) -> Vec<Timestamp> {
-        let period = self.period.unwrap_or(1e9 / 60.0);
+        let period = self.nominal_period();
         let frames = ((window.end - window.start) as f64 / period).round() as usize;
         (1..=frames.max(1))
             .map(|i| window.start + (i as f64 * period).round() as i64)

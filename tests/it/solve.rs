@@ -110,6 +110,17 @@ impl Case {
         Scene { decoder: &self.decoder, rig: &self.rig, points: &self.points, config }
     }
 
+    /// The first window's problem, from the true first keyframe and from `start` for the second.
+    fn window<'a>(
+        &'a self,
+        config: &'a cost::Config,
+        start: &Keyframe,
+        work: &'a mut Workspace,
+    ) -> PathProblem<'a> {
+        let knots = self.knots(&[false, true], start);
+        PathProblem::new(self.scene(config), knots, &self.skeleton, false, &self.moments, work)
+    }
+
     fn knots(&self, free: &[bool], start: &Keyframe) -> Vec<Knot> {
         let value = |k: usize| if free[k] { start.clone() } else { self.truth[k].clone() };
         (0..free.len())
@@ -151,15 +162,7 @@ fn the_hessian_is_exact_where_residuals_vanish() {
     let case = Case::new(2);
     let config = cost::Config { prior: 0.0, ..cost::Config::default() };
     let mut work = Workspace::default();
-    let knots = case.knots(&[false, true], &case.truth[1]);
-    let mut problem = PathProblem::new(
-        case.scene(&config),
-        knots,
-        &case.skeleton,
-        false,
-        &case.moments,
-        &mut work,
-    );
+    let mut problem = case.window(&config, &case.truth[1], &mut work);
     let x = problem.start();
     let (mut gradient, mut hessian) = (vec![0.0; x.len()], vec![0.0; x.len() * x.len()]);
     problem.linearise(&x, &mut gradient, &mut hessian);
@@ -179,15 +182,7 @@ fn both_optimisers_reach_the_same_minimum() {
     let config = cost::Config::default();
     let minimum = |method: Method| {
         let mut work = Workspace::default();
-        let knots = case.knots(&[false, true], &case.truth[0]);
-        let mut problem = PathProblem::new(
-            case.scene(&config),
-            knots,
-            &case.skeleton,
-            false,
-            &case.moments,
-            &mut work,
-        );
+        let mut problem = case.window(&config, &case.truth[0], &mut work);
         let mut x = problem.start();
         let summary = method.optimiser(1e-9).minimise(&mut problem, &mut x, 500);
         let (keyframes, _) = problem.solution(&x);
@@ -207,15 +202,7 @@ fn a_window_of_exact_observations_is_recovered() {
     let case = Case::new(2);
     let config = cost::Config { prior: 1e-3, ..cost::Config::default() };
     let mut work = Workspace::default();
-    let knots = case.knots(&[false, true], &case.truth[0]);
-    let mut problem = PathProblem::new(
-        case.scene(&config),
-        knots,
-        &case.skeleton,
-        false,
-        &case.moments,
-        &mut work,
-    );
+    let mut problem = case.window(&config, &case.truth[0], &mut work);
     let mut x = problem.start();
     Method::LevenbergMarquardt.optimiser(1e-9).minimise(&mut problem, &mut x, 100);
     let (keyframes, _) = problem.solution(&x);
@@ -233,15 +220,7 @@ fn a_warm_window_is_solved_without_allocating() {
     case.disturb();
     let config = cost::Config::default();
     let mut work = Workspace::default();
-    let knots = case.knots(&[false, true], &case.truth[0]);
-    let mut problem = PathProblem::new(
-        case.scene(&config),
-        knots,
-        &case.skeleton,
-        false,
-        &case.moments,
-        &mut work,
-    );
+    let mut problem = case.window(&config, &case.truth[0], &mut work);
     let mut optimiser = Method::LevenbergMarquardt.optimiser(1e-4);
     let start = problem.start();
     let mut x = start.clone();
