@@ -1,10 +1,10 @@
 //! Our own T-pose template and the ten shape coefficients that move its joints.
 //!
 //! The template is a mean adult, halfway between the sexes, of stature 1.72 m. Joint-to-joint
-//! lengths of thigh, shank, upper arm, forearm and trunk are rounded from \[de Leva 1996, tables 2 to 4\];
-//! heights, foot length and head from \[Winter 2009, fig. 4.1\]; the hip centres sit at 0.36
-//! of the pelvic width from the midline \[Bell 1990\]; breadths from \[Gordon 2014\]. The spine
-//! is divided so that its joints lie near L4, T12 and T9.
+//! lengths of thigh, shank, upper arm, forearm and trunk are rounded from \[de Leva 1996, tables 2
+//! to 4\]; heights, foot length and head from \[Winter 2009, fig. 4.1\]; the hip centres sit at
+//! 0.36 of the pelvic width from the midline \[Bell 1990\]; breadths from \[Gordon 2014\]. The
+//! spine is divided so that its joints lie near L4, T12 and T9.
 //!
 //! A coefficient of 1 is one standard deviation in adults, both sexes together, rounded from
 //! the coefficients of variation in \[Gordon 2014\]; that of a segment is what is left of its
