@@ -130,8 +130,12 @@ fn ticks((low, high): (f64, f64)) -> Vec<f64> {
     (first..=last).map(|i| i as f64 * step).collect()
 }
 
+/// A number short enough for the margin: thousands from 10,000 on as k.
 fn tick_text(value: f64) -> String {
     let size = value.abs();
+    if (1e4..1e6).contains(&size) {
+        return format!("{}k", tick_text(value / 1e3));
+    }
     if size != 0.0 && !(1e-3..1e6).contains(&size) {
         return format!("{value:.0e}");
     }
@@ -295,6 +299,7 @@ mod tests {
         assert_eq!(text(-3.0, 12.0), ["-2", "0", "2", "4", "6", "8", "10", "12"]);
         assert_eq!(text(0.0, 0.02), ["0", "0.005", "0.01", "0.015", "0.02"]);
         assert_eq!(tick_text(1e7), "1e7");
+        assert_eq!((tick_text(20_000.0), tick_text(9_000.0)), ("20k".into(), "9000".into()));
     }
 
     #[test]
