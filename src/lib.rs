@@ -10,8 +10,8 @@
 //! | 2 | [`manifold`] | pose decoder, weights, interpolation |
 //! | 3 | [`cost`], [`msg`] | the window problem: reprojection, robust loss, prior; wire types |
 //! | 4 | [`track`] | the sans-IO machine: window assembly, acquisition, tracking |
-//! | 5 | [`record`], [`import`], [`export`], [`train`], [`synth`], [`eval`] | the edges |
-//! | 6 | [`config`], [`cli`] | composition |
+//! | 5 | [`bus`], [`record`], [`import`], [`export`], [`retarget`], [`train`], [`synth`], [`eval`] | the edges |
+//! | 6 | [`node`], [`config`], [`cli`] | the live node; composition |
 //!
 //! Conventions: world right-handed, metres, y up. `a_from_b` maps coordinates of frame b to
 //! frame a. Angles in radians. Missing is `Option`, never NaN or confidence 0.
@@ -41,6 +41,7 @@
 //!   neural networks. CVPR 2019.
 
 pub mod body;
+pub mod bus;
 pub mod camera;
 pub mod cli;
 pub mod config;
@@ -52,7 +53,9 @@ pub mod gemm;
 pub mod import;
 pub mod manifold;
 pub mod msg;
+pub mod node;
 pub mod record;
+pub mod retarget;
 pub mod so3;
 pub mod solve;
 pub mod synth;

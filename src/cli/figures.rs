@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use super::driver::{CameraErrors, Run};
 use super::hold_out::HoldOut;
 use super::kept::KeptPose;
 use super::reference::Reference;
-use super::run::{CameraErrors, Run};
 use crate::body::{Posture, Skeleton, TrackingState};
 use crate::camera::Rig;
 use crate::eval::statistics::{median, percentiles};

@@ -7,10 +7,10 @@
 use nalgebra::Vector2;
 use serde::Serialize;
 
+use super::driver::CONFIDENT;
 use super::failure::Failure;
 use super::input::{Item, Recording};
 use super::kept::KeptPose;
-use super::run::CONFIDENT;
 use crate::body::{Attachment, Pose, Skeleton};
 use crate::camera::{Camera, Rig};
 use crate::detect::{Detections, KeypointFormat, Person};

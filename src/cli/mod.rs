@@ -5,6 +5,7 @@
 
 mod bvh;
 mod completions;
+mod driver;
 mod export;
 mod failure;
 mod figures;
@@ -15,7 +16,6 @@ mod input;
 mod kept;
 mod output;
 mod reference;
-mod run;
 mod solve;
 mod synth;
 mod terminal;

@@ -6,10 +6,10 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::driver::{Run, WindowSummary};
 use super::failure::{Exit, Failure};
 use super::figures::Figures;
 use super::kept::KeptPose;
-use super::run::{Run, WindowSummary};
 use crate::body::{Joint, Posture, Skeleton};
 use crate::camera::Rig;
 use crate::export::{

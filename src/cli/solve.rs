@@ -9,13 +9,13 @@ use indicatif::ProgressBar;
 
 use super::Ended;
 use super::bvh;
+use super::driver::{Driver, Run};
 use super::failure::{Exit, Failure, frame_rate_option};
 use super::figures::{Figures, Measured, True, frame_rate};
 use super::hold_out;
 use super::input::{Item, Recording};
 use super::output::{self, OutputFolder, PoseFile};
 use super::reference::{self, FrameClock};
-use super::run::{Driver, Run};
 use super::terminal::{complain, progress, say, table};
 use crate::body::Skeleton;
 use crate::camera::{Camera, Rig};

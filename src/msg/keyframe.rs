@@ -35,6 +35,7 @@ impl Keyframe {
             root_rotation: so3::xyzw_from_rotation(&keyframe.root_rotation).to_vec(),
             root_position_m: keyframe.root_position.iter().copied().collect(),
             shape: stamped.shape.0.to_vec(),
+            ..Self::default()
         }
     }
 

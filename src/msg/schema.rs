@@ -2,7 +2,7 @@
 
 use prost::{Message, Name};
 
-use super::{DecodeError, Event, Keyframe, KeypointFrame, Pose, Rig, Skeleton, Status};
+use super::{DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, Rig, Skeleton, Status};
 
 /// How payloads are encoded, in MCAP's words.
 pub const ENCODING: &str = "protobuf";
@@ -31,6 +31,7 @@ schema!(Keyframe, "keyframe");
 schema!(Skeleton, "skeleton");
 schema!(Event, "event");
 schema!(Status, "status");
+schema!(Journal, "journal");
 
 /// The message as bytes; the same message gives the same bytes.
 pub fn encode(message: &impl Schema) -> Vec<u8> {

@@ -31,6 +31,26 @@ impl Topics {
         format!("mocap/{}/actor/{}/pose", self.stage, self.actor)
     }
 
+    /// Of provisional [`Pose`](super::Pose)s, of the open window.
+    pub fn live(&self) -> String {
+        format!("mocap/{}/actor/{}/pose/live", self.stage, self.actor)
+    }
+
+    /// Of poses on another skeleton.
+    pub fn retargeted(&self, name: &str) -> String {
+        format!("mocap/{}/actor/{}/retargeted/{name}", self.stage, self.actor)
+    }
+
+    /// Of [`Journal`](super::Journal).
+    pub fn journal(&self) -> String {
+        format!("mocap/{}/actor/{}/journal", self.stage, self.actor)
+    }
+
+    /// Everything of the stage, as a pattern.
+    pub fn all(&self) -> String {
+        format!("mocap/{}/**", self.stage)
+    }
+
     /// Of [`Keyframe`](super::Keyframe).
     pub fn keyframe(&self) -> String {
         format!("mocap/{}/actor/{}/keyframe", self.stage, self.actor)

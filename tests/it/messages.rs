@@ -97,11 +97,19 @@ fn status() -> Status {
         duplicate: 2,
         out_of_order: 3,
         missing: 4,
+        ..CameraCounters::default()
     };
     Status {
         capture_time_ns: 9_000_000_000,
         cameras: vec![camera],
-        windows: Some(WindowCounters { tracked: 10, coasted: 1, lost: 2, incomplete: 3 }),
+        windows: Some(WindowCounters {
+            tracked: 10,
+            coasted: 1,
+            lost: 2,
+            incomplete: 3,
+            ..WindowCounters::default()
+        }),
+        ..Status::default()
     }
 }
 

@@ -1,0 +1,1 @@
+//! The live node: messages in, poses at a fixed latency out.

@@ -1,0 +1,1 @@
+//! Poses of our body on another skeleton.
