@@ -336,7 +336,12 @@ impl Track {
             Some(last) if self.ended && last <= start + self.tolerance() && !searching => {
                 return None;
             }
-            Some(last) if self.ended && !searching => end.min(last),
+            // The last frame's nominal time, or its own if it is far from that.
+            Some(last) if self.ended && !searching => {
+                let nominal = grid.time(grid.nearest(last));
+                let is_near = (nominal - last).abs() <= self.tolerance();
+                end.min(if is_near { nominal } else { last })
+            }
             _ => end,
         };
         Some(Window { start, end })
