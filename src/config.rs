@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::track;
+use crate::{bus, track};
 
 /// All settings. `config/default.toml` holds the defaults with a comment each.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -14,6 +14,8 @@ use crate::track;
 pub struct Config {
     /// Of the tracking machine and of what it solves.
     pub track: track::Config,
+    /// How the live node and the tools beside it exchange messages.
+    pub bus: bus::Config,
 }
 
 /// The defaults as a file with comments.
