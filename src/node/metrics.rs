@@ -264,7 +264,12 @@ impl Sheet<'_> {
     fn counters(&mut self, name: &str, help: &str, rows: &Rows) -> fmt::Result {
         let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Counter)?;
         for (labels, value) in rows {
-            metric.encode_family(labels)?.encode_counter::<NoExemplar, f64, f64>(value, None)?;
+            match labels.is_empty() {
+                true => metric.encode_counter::<NoExemplar, f64, f64>(value, None)?,
+                false => metric
+                    .encode_family(labels)?
+                    .encode_counter::<NoExemplar, f64, f64>(value, None)?,
+            }
         }
         Ok(())
     }
@@ -272,7 +277,10 @@ impl Sheet<'_> {
     fn gauges(&mut self, name: &str, help: &str, rows: &Rows) -> fmt::Result {
         let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Gauge)?;
         for (labels, value) in rows {
-            metric.encode_family(labels)?.encode_gauge(value)?;
+            match labels.is_empty() {
+                true => metric.encode_gauge(value)?,
+                false => metric.encode_family(labels)?.encode_gauge(value)?,
+            }
         }
         Ok(())
     }
@@ -281,13 +289,13 @@ impl Sheet<'_> {
     fn histogram(&mut self, name: &str, help: &str, bins: (&[u32], &[u64])) -> fmt::Result {
         let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Histogram)?;
         let (ends, counts) = bins;
-        let upper = ends.iter().map(|us| f64::from(*us) * 1e-6).chain([f64::MAX]);
+        let upper = ends.iter().map(|us| f64::from(*us) / 1e6).chain([f64::MAX]);
         let buckets: Vec<(f64, u64)> = upper.zip(counts.iter().copied()).collect();
-        let last = ends.last().map_or(0.0, |us| f64::from(*us) * 1e-6);
+        let last = ends.last().map_or(0.0, |us| f64::from(*us) / 1e6);
         let lower = std::iter::once(0.0).chain(buckets.iter().map(|(end, _)| *end));
         let sum = (buckets.iter().zip(lower))
             .map(|((end, count), start)| 0.5 * (start + end.min(last)) * *count as f64)
-            .sum();
+            .fold(0.0, |sum, part| sum + part);
         metric.encode_histogram::<NoExemplar>(sum, counts.iter().sum(), &buckets, None)
     }
 }
