@@ -16,6 +16,7 @@ mod input;
 mod kept;
 mod output;
 mod reference;
+mod run;
 mod solve;
 mod synth;
 mod terminal;
@@ -38,6 +39,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Solve(solve::Arguments),
+    Run(run::Arguments),
     Import(import::Arguments),
     Info(info::Arguments),
     Synth(synth::Arguments),
@@ -50,6 +52,7 @@ enum Command {
 pub fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Solve(arguments) => solve::run(&arguments),
+        Command::Run(arguments) => run::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Synth(arguments) => synth::run(&arguments),
