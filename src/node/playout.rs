@@ -1,7 +1,6 @@
 //! Publishes poses at their due times: a heap by due time, and the thread that watches the clock.
 //!
-//! The thread sleeps until shortly before the next due time, and spins for what is left. A sleep
-//! overshoots by the kernel's timer slack, about 60 us; the head start takes that in.
+//! The thread sleeps until shortly before the next due time, and spins for what is left.
 
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
@@ -12,11 +11,9 @@ use crossbeam_channel::Sender;
 
 use super::core::Publication;
 use super::outlet::Outlet;
-use super::wall::WallClock;
+use super::wall::{HEAD_START, WallClock};
 use crate::time::Timestamp;
 
-/// How long before a due time the thread wakes; it spins at most for that long.
-const HEAD_START: Duration = Duration::from_micros(100);
 /// How long deviations are gathered, nanoseconds.
 const BATCH_NS: i64 = 1_000_000_000;
 /// Deviations in a batch at most; a node that is behind gives them in parts.
@@ -190,7 +187,7 @@ impl Playout {
             waiting = match pause.map(|pause| pause.saturating_sub(HEAD_START)) {
                 Some(Duration::ZERO) => {
                     drop(waiting);
-                    spin(clock, due.unwrap_or(now));
+                    clock.wait_until(due.unwrap_or(now));
                     self.lock()
                 }
                 sleep => self.sleep(waiting, clock, sleep, deviations.full_at()),
@@ -218,13 +215,6 @@ impl Playout {
 
     fn lock(&self) -> MutexGuard<'_, Waiting> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// Until then, which is less than [`HEAD_START`] away.
-fn spin(clock: WallClock, until: Timestamp) {
-    while clock.now() < until {
-        std::hint::spin_loop();
     }
 }
 

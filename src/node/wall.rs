@@ -4,6 +4,10 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::time::Timestamp;
 
+/// How long before a time a sleep should end: it overshoots by the kernel's timer slack, 50 us and
+/// a little.
+pub(super) const HEAD_START: Duration = Duration::from_micros(100);
+
 /// Reads nanoseconds since 1970; a step of the system's clock after the start does not move it.
 #[derive(Clone, Copy, Debug)]
 pub struct WallClock {
@@ -21,6 +25,17 @@ impl WallClock {
     /// The time.
     pub fn now(&self) -> Timestamp {
         self.at_start + saturating_ns(self.start.elapsed())
+    }
+
+    /// Waits until then: sleeps, and spins for what a sleep cannot hit.
+    pub fn wait_until(&self, then: Timestamp) {
+        let sleep = self.until(then).saturating_sub(HEAD_START);
+        if !sleep.is_zero() {
+            std::thread::sleep(sleep);
+        }
+        while self.now() < then {
+            std::hint::spin_loop();
+        }
     }
 
     /// How long it is until then; zero if it has passed.
