@@ -109,7 +109,7 @@ impl Config {
     }
 
     fn counts(&self) -> [Limit; 10] {
-        let Self { track, node } = self;
+        let Self { track, node, .. } = self;
         let count =
             |key, value: usize, most: f64, allowed| (key, value as f64, 1.0..=most, allowed);
         let or_none = |key, value: usize| (key, value as f64, 0.0..=1e3, "0 to 1000");

@@ -177,7 +177,7 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     Ok(config)
 }
 
-fn decoder(weights: Option<&Path>) -> Result<Decoder, Failure> {
+pub(super) fn decoder(weights: Option<&Path>) -> Result<Decoder, Failure> {
     let Some(path) = weights else {
         return Decoder::embedded()
             .map_err(|error| Failure::weights(Path::new("the embedded weights"), &error));
