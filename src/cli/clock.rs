@@ -33,6 +33,7 @@ impl Stop {
     }
 
     /// Wishes for an end.
+    #[cfg(test)]
     pub(super) fn stop(&self) {
         self.0.store(true, Ordering::Release);
     }

@@ -212,3 +212,112 @@ fn time_of_day(time: Timestamp) -> String {
     let (hours, minutes, seconds) = (ms / 3_600_000, ms / 60_000 % 60, ms / 1000 % 60);
     format!("{hours:02}:{minutes:02}:{seconds:02}.{:03}", ms % 1000)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::body::{Pose as BodyPose, Skeleton, StampedPose, TrackingState};
+    use crate::bus::{Bus, Memory};
+    use crate::msg::{Event, KeypointFrame, Pose, Publication, Schema, encode, media_type};
+
+    const CAPTURE: Timestamp = Timestamp::from_ns(1_000_000_000);
+
+    fn pose() -> Pose {
+        let stamped = StampedPose {
+            capture: CAPTURE,
+            pose: BodyPose::rest(),
+            state: TrackingState::Coasting,
+            window: 7,
+            rig_version: 1,
+            provisional: false,
+            revision: 0,
+        };
+        let publish = CAPTURE + 250_400_000;
+        let publication = Publication { publish, latency_ns: 250_000_000 };
+        Pose::from_core(&stamped, &Skeleton::default(), Some(publication))
+    }
+
+    fn received(topic: &str, encoding: &str, payload: Vec<u8>) -> Received {
+        let (topic, encoding) = (topic.into(), encoding.into());
+        let sample = crate::bus::Sample { topic, capture: CAPTURE, encoding, payload };
+        Received { sample, arrival: CAPTURE + 251_000_000 }
+    }
+
+    fn of<T: Schema>(topic: &str, message: &T) -> Received {
+        received(topic, &media_type(&T::full_name()), encode(message))
+    }
+
+    #[test]
+    fn a_pose_is_printed_with_its_latencies() {
+        let said = line(&of(&Topics::default().pose(), &pose()));
+        for part in [
+            "00:00:01.251 stage/actor/actor/pose",
+            "window 7, coasting",
+            "latency 251.0 ms",
+            "declared 250.0 ms, sent +0.40 ms off it",
+        ] {
+            assert!(said.contains(part), "{part:?} is not in {said}");
+        }
+        let object = json_line(&of(&Topics::default().pose(), &pose()));
+        assert_eq!(object["message"]["publish_time_ns"], 1_250_400_000);
+        assert_eq!(object["message"]["local_rotations"].as_array().map(Vec::len), Some(84));
+        assert_eq!(object["message"]["state"], "coasting");
+    }
+
+    #[test]
+    fn what_cannot_be_decoded_is_shown_as_such() {
+        let topics = Topics::default();
+        let mut frame = KeypointFrame { format: "body_25".into(), ..KeypointFrame::default() };
+        let good = line(&of(&topics.keypoints("a"), &frame));
+        assert!(good.contains("frame 0, 0 people in body_25"), "{good}");
+        frame.format = "body\n99".into();
+        let unknown = of(&topics.keypoints("a"), &frame);
+        let said = line(&unknown);
+        assert!(said.contains("UNDECODABLE") && said.contains("99"), "{said}");
+        assert!(!said.contains('\n') && said.ends_with(" B"), "{said}");
+        assert!(json_line(&unknown)["undecodable"].is_string());
+        let garbage = line(&received(&topics.pose(), "", vec![0xff; 9]));
+        assert!(garbage.contains("UNDECODABLE") && garbage.contains("9 B"), "{garbage}");
+        let foreign = line(&received("mocap/stage/gain", "text/plain", b"3".to_vec()));
+        assert!(foreign.ends_with("stage/gain  encoding text/plain  1 B"), "{foreign}");
+    }
+
+    #[test]
+    fn it_ends_after_the_count_and_when_nobody_reads() {
+        let (bus, topics) = (Memory::new(), Topics::default());
+        let inbox = Inbox::open(&bus, &topics.all()).unwrap();
+        let publisher = bus.publisher(&topics.events()).unwrap();
+        let event = Event { kind: "late".into(), count: 2, ..Event::default() };
+        for _ in 0..5 {
+            publisher.put(CAPTURE, "", &encode(&event)).unwrap();
+        }
+        let mut lines = Vec::new();
+        echo(&inbox, Form::Line, 2, &Stop::default(), |line| {
+            lines.push(line.to_owned());
+            true
+        });
+        assert_eq!(lines.len(), 2);
+        assert!(lines[0].contains("stage/events  late x 2"), "{lines:?}");
+        let mut tries = 0;
+        echo(&inbox, Form::Json, u64::MAX, &Stop::default(), |_| {
+            tries += 1;
+            tries < 2
+        });
+        assert_eq!(tries, 2);
+        let stop = Stop::default();
+        stop.stop();
+        echo(&inbox, Form::Line, u64::MAX, &stop, |_| unreachable!());
+    }
+
+    #[test]
+    fn rates_are_per_topic() {
+        let mut rates = Rates::default();
+        for _ in 0..30 {
+            rates.count(&received("mocap/stage/events", "", vec![0; 100]));
+        }
+        let text = rates.text(0.5, false);
+        assert!(text.contains("60.0 a second") && text.contains("6.0 kB/s"), "{text}");
+        assert_eq!(Rates::default().text(1.0, false), "nothing");
+        assert_eq!(Rates::default().text(1.0, true), "{}");
+    }
+}

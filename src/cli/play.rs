@@ -88,8 +88,12 @@ struct Network {
 impl Network {
     fn disturbance(&self) -> Result<Disturbance, Failure> {
         let Self { drop, late, late_ms, duplicate, reorder, seed } = *self;
-        let shares =
-            [("--drop", drop), ("--late", late), ("--duplicate", duplicate), ("--reorder", reorder)];
+        let shares = [
+            ("--drop", drop),
+            ("--late", late),
+            ("--duplicate", duplicate),
+            ("--reorder", reorder),
+        ];
         for (option, share) in shares {
             in_range(option, share, 0.0..=1.0, "0 to 1")?;
         }

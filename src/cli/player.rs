@@ -144,3 +144,163 @@ impl<'a> Player<'a> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+    use std::sync::{Arc, Mutex};
+
+    use super::*;
+    use crate::bus::{Guard, Memory, Sample};
+    use crate::cli::take::tests::{PERIOD, START, file, of};
+    use crate::msg::decode;
+
+    /// Stands at the time that was waited for last, and ends after a number of waits.
+    struct Manual {
+        now: Cell<Timestamp>,
+        waits: Cell<u64>,
+    }
+
+    impl Clock for Manual {
+        fn now(&self) -> Timestamp {
+            self.now.get()
+        }
+
+        fn wait_until(&self, time: Timestamp) -> bool {
+            self.now.set(self.now.get().max(time));
+            self.waits.set(self.waits.get().saturating_sub(1));
+            self.waits.get() > 0
+        }
+    }
+
+    const NOW: Timestamp = Timestamp::from_ns(1_000_000_000_000);
+
+    fn how() -> Playing {
+        Playing {
+            start: NOW + 500,
+            speed: 1.0,
+            keep_times: false,
+            repeat: false,
+            rig: true,
+            disturbance: Disturbance::default(),
+        }
+    }
+
+    fn heard(bus: &Memory) -> (Arc<Mutex<Vec<Sample>>>, Box<dyn Guard>) {
+        let samples = Arc::new(Mutex::new(Vec::new()));
+        let sink = Arc::clone(&samples);
+        let guard = bus.subscribe("mocap/**", Box::new(move |s| sink.lock().unwrap().push(s)));
+        (samples, guard.unwrap())
+    }
+
+    /// What arrives when a take is played, and the report.
+    fn played(take: &Take, how: &Playing, waits: u64) -> (Vec<Sample>, Sent) {
+        let bus = Memory::new();
+        let (samples, _guard) = heard(&bus);
+        let clock = Manual { now: Cell::new(NOW), waits: Cell::new(waits) };
+        let sent = play(take, how, &bus, &Topics::default(), &clock, |_| {}).unwrap();
+        let samples = samples.lock().unwrap().clone();
+        (samples, sent)
+    }
+
+    fn frame(sample: &Sample) -> KeypointFrame {
+        decode(&sample.payload).unwrap()
+    }
+
+    #[test]
+    fn the_rig_goes_first_then_frames_of_all_cameras_by_capture_time() {
+        // The file holds one camera after the other.
+        let take = of(&file(&[("b", &[0, 2, 4]), ("a", &[1, 3, 5])]), &[]);
+        let (samples, sent) = played(&take, &how(), u64::MAX);
+        assert_eq!(&*samples[0].topic, "mocap/stage/rig");
+        let frames: Vec<KeypointFrame> = samples[1..].iter().map(frame).collect();
+        let cameras: Vec<&str> = frames.iter().map(|f| f.camera.as_str()).collect();
+        assert_eq!(cameras, ["b", "a", "b", "a", "b", "a"]);
+        let start = how().start.ns();
+        let times: Vec<i64> = frames.iter().map(|f| (f.capture_time_ns - start) / PERIOD).collect();
+        assert_eq!(times, [0, 1, 2, 3, 4, 5]);
+        for (sample, frame) in samples[1..].iter().zip(&frames) {
+            assert_eq!(sample.capture.ns(), frame.capture_time_ns);
+            assert_eq!(*sample.topic, Topics::default().keypoints(&frame.camera));
+            assert_eq!(&*sample.encoding, "application/protobuf;bundlemocap.v1.KeypointFrame");
+        }
+        assert_eq!((sent.frames, sent.rigs, sent.worst_late_ns), (vec![3, 3], 1, 0));
+        assert_eq!(sent.lasted_ns, 5 * PERIOD);
+    }
+
+    #[test]
+    fn kept_times_leave_every_byte() {
+        let path = file(&[("a", &[0, 1, 2])]);
+        let how = Playing { keep_times: true, speed: 4.0, rig: false, ..how() };
+        let (samples, sent) = played(&of(&path, &[]), &how, u64::MAX);
+        let mut reader = crate::record::Reader::open(path.1).unwrap();
+        let mut recorded = Vec::new();
+        while let Some(raw) = reader.next_raw() {
+            recorded.push(raw.unwrap());
+        }
+        recorded.retain(|raw| raw.topic.ends_with("keypoints"));
+        assert_eq!(samples.len(), 3);
+        for (sample, raw) in samples.iter().zip(recorded) {
+            assert_eq!((&sample.payload, sample.capture), (&raw.payload, raw.publish_time));
+        }
+        assert_eq!((sent.rigs, sent.lasted_ns), (0, 2 * PERIOD / 4));
+    }
+
+    #[test]
+    fn speed_scales_the_distance_of_captures() {
+        let take = of(&file(&[("a", &[0, 1, 3])]), &[]);
+        let (samples, _) = played(&take, &Playing { speed: 0.5, ..how() }, u64::MAX);
+        let times = samples[1..].iter().map(|s| (s.capture - how().start) / PERIOD);
+        assert_eq!(times.collect::<Vec<_>>(), [0, 2, 6]);
+    }
+
+    #[test]
+    fn a_loop_goes_on_in_time_and_in_frame_numbers() {
+        let take = of(&file(&[("a", &[0, 1, 2])]), &[]);
+        let (samples, sent) = played(&take, &Playing { repeat: true, ..how() }, 9);
+        assert_eq!(sent.frames, [8]);
+        let frames: Vec<KeypointFrame> = samples[1..].iter().map(frame).collect();
+        let first = frames[0].frame;
+        for (index, frame) in frames.iter().enumerate() {
+            assert_eq!(frame.frame, first + index as u64);
+            assert_eq!(frame.capture_time_ns, how().start.ns() + index as i64 * PERIOD);
+        }
+    }
+
+    #[test]
+    fn a_camera_alone_keeps_its_place_in_time() {
+        let path = file(&[("a", &[0, 2]), ("b", &[1, 3])]);
+        let (samples, _) = played(&of(&path, &["b"]), &how(), u64::MAX);
+        let times = samples[1..].iter().map(|s| (s.capture - how().start) / PERIOD);
+        assert_eq!(times.collect::<Vec<_>>(), [1, 3]);
+        let error = Take::read(&path.1, &["c".to_owned()]).unwrap_err().line();
+        assert!(error.contains("\"c\"") && error.contains("a, b"), "{error}");
+    }
+
+    #[test]
+    fn frames_out_of_order_stay_so_unless_the_clock_was_another() {
+        let take = of(&file(&[("a", &[0, 2, 1, 3])]), &[]);
+        let (samples, _) = played(&take, &how(), u64::MAX);
+        let times = |samples: &[Sample]| -> Vec<i64> {
+            samples[1..].iter().map(|s| (s.capture - how().start) / PERIOD).collect()
+        };
+        assert_eq!(times(&samples), [0, 2, 1, 3]);
+        assert!(START > 0);
+        let hour = 3600 * 1_000_000_000 / PERIOD;
+        let take = of(&file(&[("a", &[0, hour, 1, 2])]), &[]);
+        let (samples, _) = played(&take, &how(), u64::MAX);
+        assert_eq!(times(&samples), [0, 1, 2, hour]);
+    }
+
+    #[test]
+    fn a_bad_network_is_counted() {
+        let all: Vec<i64> = (0..200).collect();
+        let take = of(&file(&[("a", &all)]), &[]);
+        let disturbance = Disturbance { drop: 0.3, duplicate: 0.3, ..Disturbance::default() };
+        let (samples, sent) = played(&take, &Playing { disturbance, ..how() }, u64::MAX);
+        let Disturbed { dropped, duplicated, .. } = sent.disturbed;
+        assert!(dropped > 20 && duplicated > 20);
+        assert_eq!(sent.all(), 200 - dropped + duplicated);
+        assert_eq!(samples.len() as u64, 1 + sent.all());
+    }
+}

@@ -164,3 +164,92 @@ fn rows(path: &Path, recorded: &Recorded, elapsed: Duration) -> Vec<(String, Str
     let file = (path.display().to_string(), progress(recorded, elapsed));
     topics.chain([file]).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::{Bus, Memory};
+    use crate::msg::{Event, Topics, encode, media_type};
+    use crate::record::{Message, Reader};
+
+    fn event(count: u64) -> Event {
+        Event { kind: "late".into(), count, ..Event::default() }
+    }
+
+    fn set() -> Stop {
+        let stop = Stop::default();
+        stop.stop();
+        stop
+    }
+
+    fn writer(path: &Path) -> Writer {
+        Writer::live(path, Topics::default(), &Provenance::default()).unwrap()
+    }
+
+    #[test]
+    fn everything_on_the_bus_is_kept_byte_for_byte() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("take.mcap");
+        let (bus, topics) = (Memory::new(), Topics::default());
+        let inbox = Inbox::open(&bus, &topics.all()).unwrap();
+        let put = |topic: &str, encoding: &str, payload: &[u8]| {
+            let publisher = bus.publisher(topic).unwrap();
+            publisher.put(Timestamp::from_ns(70), encoding, payload).unwrap();
+        };
+        let typed = media_type("bundlemocap.v1.Event");
+        put(&topics.events(), &typed, &encode(&event(1)));
+        put(&topics.events(), "", &encode(&event(2)));
+        put(&topics.events(), &typed, b"\xff\xff");
+        put("mocap/stage/mixer/gain", "application/json", b"{}");
+        put("mocap/other/rig", "", b"not of this stage");
+
+        let recorded = record(inbox, writer(&path), &set(), |_| {}).unwrap();
+        assert_eq!((recorded.messages, recorded.dropped, recorded.topics.len()), (4, 0, 2));
+        let mut reader = Reader::open(&path).unwrap();
+        let mut raw = Vec::new();
+        while let Some(entry) = reader.next_raw() {
+            raw.push(entry.unwrap());
+        }
+        let payloads: Vec<&[u8]> = raw.iter().map(|entry| entry.payload.as_slice()).collect();
+        assert_eq!(payloads, [&encode(&event(1))[..], &encode(&event(2)), b"\xff\xff", b"{}"]);
+        let schemas: Vec<&str> = raw.iter().map(|entry| &*entry.schema).collect();
+        assert_eq!(schemas[2..], ["bundlemocap.v1.Event", ""]);
+        assert_eq!(&*raw[3].encoding, "application/json");
+        assert!(raw.iter().all(|entry| entry.publish_time.ns() == 70));
+        assert!(raw.iter().all(|entry| entry.log_time.ns() > 1_600_000_000_000_000_000));
+
+        let mut reader = Reader::open(&path).unwrap();
+        let messages: Vec<Message> = reader.by_ref().map(|entry| entry.unwrap().message).collect();
+        assert_eq!(messages[..2], [1, 2].map(|count| Message::Event(event(count))));
+        assert_eq!(reader.report().undecodable[&topics.events()].count, 1);
+        assert!(!folder.path().join("take.mcap.part").exists());
+    }
+
+    #[test]
+    fn what_does_not_fit_the_queue_is_counted() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("take.mcap");
+        let (bus, topics) = (Memory::new(), Topics::default());
+        let by_count = Inbox::of_size(&bus, &topics.all(), 3, usize::MAX).unwrap();
+        let by_bytes = Inbox::of_size(&bus, &topics.all(), 100, 25).unwrap();
+        let publisher = bus.publisher(&topics.events()).unwrap();
+        for _ in 0..10 {
+            publisher.put(Timestamp::default(), "", &[0; 10]).unwrap();
+        }
+        let recorded = record(by_count, writer(&path), &set(), |_| {}).unwrap();
+        assert_eq!((recorded.messages, recorded.dropped), (3, 7));
+        let recorded = record(by_bytes, writer(&path), &set(), |_| {}).unwrap();
+        assert_eq!((recorded.messages, recorded.bytes, recorded.dropped), (2, 20, 8));
+    }
+
+    #[test]
+    fn a_recording_that_was_cut_short_is_not_written_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("take.mcap");
+        std::fs::write(folder.path().join("take.mcap.part"), "precious").unwrap();
+        let live = Writer::live(&path, Topics::default(), &Provenance::default());
+        let error = Failure::from(live.err().unwrap()).line();
+        assert!(error.contains("take.mcap.part") && error.contains("rename"), "{error}");
+        assert_eq!(std::fs::read(folder.path().join("take.mcap.part")).unwrap(), b"precious");
+    }
+}

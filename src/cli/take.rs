@@ -249,3 +249,74 @@ impl CameraFrames {
         }
     }
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use std::path::PathBuf;
+
+    use super::*;
+    use crate::detect::{Detections, KeypointFormat};
+    use crate::msg::Topics;
+    use crate::record::{Provenance, Writer};
+    use crate::synth::ring_rig;
+
+    /// Capture time of frame 0, ns.
+    pub(in crate::cli) const START: i64 = 7_000_000_000;
+    /// Frame period, ns.
+    pub(in crate::cli) const PERIOD: i64 = 10_000_000;
+
+    /// A recording of a rig and empty frames of cameras, captured at those periods, in that order.
+    pub(in crate::cli) fn file(cameras: &[(&str, &[i64])]) -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("take.mcap");
+        let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
+        writer.rig(&ring_rig(2, 4.0, 1.6).unwrap(), Timestamp::from_ns(START)).unwrap();
+        for (camera, (name, periods)) in cameras.iter().enumerate() {
+            for (frame, period) in periods.iter().enumerate() {
+                let detections = Detections {
+                    camera,
+                    frame: 100 + frame as u64,
+                    capture: Timestamp::from_ns(START + period * PERIOD),
+                    format: KeypointFormat::Body25,
+                    people: Vec::new(),
+                };
+                writer.keypoints(&detections, name, [640, 480]).unwrap();
+            }
+        }
+        writer.finish().unwrap();
+        (folder, path)
+    }
+
+    pub(in crate::cli) fn of(file: &(tempfile::TempDir, PathBuf), only: &[&str]) -> Take {
+        let only: Vec<String> = only.iter().map(|name| (*name).to_owned()).collect();
+        Take::read(&file.1, &only).unwrap()
+    }
+
+    #[test]
+    fn a_later_calibration_is_sent_before_the_frame_that_it_comes_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("two.mcap");
+        let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
+        let mut frame = Detections {
+            camera: 0,
+            frame: 0,
+            capture: Timestamp::from_ns(START),
+            format: KeypointFormat::Body25,
+            people: Vec::new(),
+        };
+        for version in 0..2 {
+            let mut rig = ring_rig(2, 4.0, 1.6).unwrap();
+            rig.version = version;
+            writer.rig(&rig, frame.capture).unwrap();
+            writer.keypoints(&frame, "a", [640, 480]).unwrap();
+            frame.capture = frame.capture + PERIOD;
+        }
+        writer.finish().unwrap();
+        let round =
+            of(&(folder, path), &[]).round(0, &Disturbance::default(), &mut Disturbed::default());
+        let what: Vec<What> = round.iter().map(|due| due.what).collect();
+        let frame = |frame| What::Frame { camera: 0, frame, round: 0 };
+        assert_eq!(what, [frame(0), What::Rig(1), frame(1)]);
+        assert_eq!(round.iter().map(|due| due.at).collect::<Vec<_>>(), [0, PERIOD, PERIOD]);
+    }
+}

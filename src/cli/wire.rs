@@ -5,7 +5,7 @@ use serde_json::{Map, Value, json};
 use crate::msg::journal_entry::Input;
 use crate::msg::{
     CameraCounters, Event, Journal, JournalEntry, Keyframe, KeypointFrame, LensKind, Pose, Rig,
-    Skeleton, Status, TrackingState,
+    Status, TrackingState,
 };
 use crate::record::Message;
 use crate::time::Timestamp;
@@ -172,7 +172,8 @@ fn journal(journal: &Journal) -> String {
     for entry in &journal.entries {
         *counts.entry(input_name(entry)).or_default() += 1;
     }
-    let counts: Vec<String> = counts.iter().map(|(name, count)| format!("{count} {name}")).collect();
+    let counts: Vec<String> =
+        counts.iter().map(|(name, count)| format!("{count} {name}")).collect();
     format!("number {}: {}", journal.sequence, counts.join(", "))
 }
 

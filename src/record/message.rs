@@ -159,9 +159,9 @@ impl Message {
                 })?;
                 if truth { Self::TruthPose(pose) } else { Self::Pose(pose) }
             }
-            Kind::Keyframe => Self::Keyframe(checked(data, |keyframe: &Keyframe| {
-                keyframe.to_core().map(drop)
-            })?),
+            Kind::Keyframe => {
+                Self::Keyframe(checked(data, |keyframe: &Keyframe| keyframe.to_core().map(drop))?)
+            }
             Kind::Skeleton => {
                 let skeleton = checked(data, |skeleton: &Skeleton| skeleton.to_core().map(drop))?;
                 if truth { Self::TruthSkeleton(skeleton) } else { Self::Skeleton(skeleton) }

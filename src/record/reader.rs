@@ -130,11 +130,7 @@ impl Reader {
     /// The end: a whole file without anything of ours is an error.
     fn end(&mut self) -> Option<RecordError> {
         self.done = true;
-        if self.scan.report.damage.is_empty() {
-            self.require_channels().err()
-        } else {
-            None
-        }
+        if self.scan.report.damage.is_empty() { self.require_channels().err() } else { None }
     }
 }
 

@@ -244,9 +244,8 @@ impl Writer {
         times: [u64; 2],
         payload: &[u8],
     ) -> Result<(), McapError> {
-        let of_kind = |channel: &&mut OpenChannel| {
-            channel.schema == schema && channel.encoding == encoding
-        };
+        let of_kind =
+            |channel: &&mut OpenChannel| channel.schema == schema && channel.encoding == encoding;
         let open = self.channels.get_mut(topic);
         let (channel_id, sequence) = match open.and_then(|open| open.iter_mut().find(of_kind)) {
             Some(channel) => {

@@ -4,7 +4,8 @@ use super::random::Draws;
 
 /// Sets these draws apart from others of the same seed.
 const STREAM: u64 = 0x6469_7374_7572_6264;
-const [DROP, LATE, DUPLICATE, REORDER, DELAY]: [u64; 5] = [1, 2, 3, 4, 5];
+/// What the draw of a delay is for.
+const DELAY: u64 = 16;
 
 /// Shares of the frames that something happens to, each 0 to 1. At most one thing happens to a
 /// frame.
@@ -46,6 +47,15 @@ pub struct Disturbed {
     pub reordered: u64,
 }
 
+/// What happens to a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fate {
+    Drop = 1,
+    Late,
+    Duplicate,
+    Reorder,
+}
+
 impl Disturbance {
     /// When each frame of one camera is sent, in that order. `due_ns` are the times at which the
     /// frames would be sent undisturbed, ascending; `stream` sets cameras and rounds apart.
@@ -56,18 +66,18 @@ impl Disturbance {
             let mut send = |due_ns, order| sent.push((due_ns, order, frame));
             let (order, behind) = (2 * frame as u64, 2 * frame as u64 + 3);
             match self.fate(stream, frame as u64) {
-                Some(DROP) => counts.dropped += 1,
-                Some(LATE) => {
+                Some(Fate::Drop) => counts.dropped += 1,
+                Some(Fate::Late) => {
                     counts.late += 1;
                     let part = self.draws(stream).uniform(DELAY, frame as u64);
                     send(due.saturating_add((part * self.late_ns as f64) as i64), order);
                 }
-                Some(DUPLICATE) => {
+                Some(Fate::Duplicate) => {
                     counts.duplicated += 1;
                     send(due, order);
                     send(next.unwrap_or(due), behind);
                 }
-                Some(REORDER) if next.is_some() => {
+                Some(Fate::Reorder) if next.is_some() => {
                     counts.reordered += 1;
                     send(next.unwrap_or(due), behind);
                 }
@@ -83,15 +93,15 @@ impl Disturbance {
     }
 
     /// What happens to a frame, if anything does.
-    fn fate(&self, stream: u64, frame: u64) -> Option<u64> {
+    fn fate(&self, stream: u64, frame: u64) -> Option<Fate> {
         let draws = self.draws(stream);
         let shares = [
-            (DROP, self.drop),
-            (LATE, self.late),
-            (DUPLICATE, self.duplicate),
-            (REORDER, self.reorder),
+            (Fate::Drop, self.drop),
+            (Fate::Late, self.late),
+            (Fate::Duplicate, self.duplicate),
+            (Fate::Reorder, self.reorder),
         ];
-        let happens = |(what, share): &(u64, f64)| draws.uniform(*what, frame) < *share;
+        let happens = |(what, share): &(Fate, f64)| draws.uniform(*what as u64, frame) < *share;
         shares.into_iter().find(happens).map(|(what, _)| what)
     }
 }
@@ -133,7 +143,8 @@ mod tests {
             apply(Disturbance { late: 0.2, late_ns: 35, ..Disturbance::default() }, 0);
         assert_eq!(sent.len(), 1000);
         assert!(sent.is_sorted_by_key(|&(_, due)| due));
-        let delays: Vec<i64> = sent.iter().map(|&(frame, due)| due - frame as i64 * PERIOD).collect();
+        let delays: Vec<i64> =
+            sent.iter().map(|&(frame, due)| due - frame as i64 * PERIOD).collect();
         assert!(delays.iter().all(|delay| (0..35).contains(delay)));
         let late = delays.iter().filter(|&&delay| delay > 0).count() as u64;
         assert!(late > 100 && late <= counts.late, "{late} of {counts:?}");
