@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::{node, track};
+use crate::{bus, node, track};
 
 /// All settings. `config/default.toml` holds the defaults with a comment each.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -16,6 +16,8 @@ pub struct Config {
     pub track: track::Config,
     /// Of the live node.
     pub node: node::Config,
+    /// How the live node and the tools beside it exchange messages.
+    pub bus: bus::Config,
 }
 
 /// The defaults as a file with comments.
@@ -107,7 +109,7 @@ impl Config {
     }
 
     fn counts(&self) -> [Limit; 7] {
-        let Self { track, node } = self;
+        let Self { track, node, .. } = self;
         let count =
             |key, value: usize, most: f64, allowed| (key, value as f64, 1.0..=most, allowed);
         let or_none = |key, value: usize| (key, value as f64, 0.0..=1e3, "0 to 1000");

@@ -66,19 +66,19 @@ pub(super) struct Arguments {
 #[command(next_help_heading = "Bad network")]
 struct Network {
     /// Share of frames that are lost, 0 to 1.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
     drop: f64,
     /// Share of frames that are delayed.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
     late: f64,
     /// Longest delay, milliseconds, 0 to 60000.
-    #[arg(long, value_name = "MS", default_value_t = 80.0)]
+    #[arg(long, value_name = "MS", default_value_t = 80.0, allow_negative_numbers = true)]
     late_ms: f64,
     /// Share of frames that are sent twice.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
     duplicate: f64,
     /// Share of frames that are sent after the camera's next one.
-    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
     reorder: f64,
     /// What happens to which frame follows from it.
     #[arg(long, default_value_t = 1)]

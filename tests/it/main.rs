@@ -1,5 +1,6 @@
 //! Integration tests, one binary.
 
+mod bus;
 mod camera;
 mod cli;
 mod export;
@@ -11,5 +12,6 @@ mod messages;
 mod recording;
 mod solve;
 mod synth;
+mod tools;
 mod track;
 mod train;
