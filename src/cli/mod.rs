@@ -7,6 +7,7 @@ mod bus;
 mod bvh;
 mod clock;
 mod completions;
+mod decode;
 mod driver;
 mod echo;
 mod export;
@@ -55,6 +56,7 @@ enum Command {
     Play(play::Arguments),
     Echo(echo::Arguments),
     Record(record::Arguments),
+    Decode(decode::Arguments),
     Completions(completions::Arguments),
 }
 
@@ -70,6 +72,7 @@ pub fn main() -> ExitCode {
         Command::Play(arguments) => play::run(&arguments),
         Command::Echo(arguments) => echo::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
+        Command::Decode(arguments) => decode::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
     };
     let exit = result.unwrap_or_else(|failure: Failure| {

@@ -12,7 +12,7 @@ use bundlemocap::detect::{Detection, Detections, KeypointFormat, Person};
 use bundlemocap::manifold::{Decoder, Interpolation, Keyframe};
 use bundlemocap::so3;
 use bundlemocap::track::{
-    Config, EventKind, Input, Job, Outcome, Output, Solver, Task, Track, WindowReport,
+    Config, Effort, EventKind, Input, Job, Outcome, Output, Solver, Task, Track, WindowReport,
 };
 use nalgebra::Point2;
 
@@ -134,6 +134,7 @@ fn windows_follow_a_manifold_motion_exactly() {
             let seen = |i| observe(&rig, &points, &posture(i), skeleton.shape());
             let time = |i: u64| frame((10 * window + i) as usize);
             let job = Job {
+                number: window,
                 window,
                 start: time(0),
                 end: time(10),
@@ -144,10 +145,13 @@ fn windows_follow_a_manifold_motion_exactly() {
                     .collect(),
                 format: FORMAT,
                 rig: Arc::clone(&rig),
+                half_frame: 8_333_333,
+                effort: Effort::full(&config()),
                 task: Task::Track {
                     from: Box::new(from),
                     before: None,
                     skeleton: Arc::clone(&skeleton),
+                    coasted: 0,
                 },
             };
             let Outcome::Tracked(tracked) = solver.solve(&job).outcome else { panic!("no window") };
