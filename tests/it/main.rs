@@ -12,5 +12,6 @@ mod messages;
 mod recording;
 mod solve;
 mod synth;
+mod tools;
 mod track;
 mod train;
