@@ -28,6 +28,7 @@ mod play;
 mod player;
 mod record;
 mod reference;
+mod replay;
 mod run;
 mod solve;
 mod synth;
@@ -63,6 +64,7 @@ enum Command {
     Play(play::Arguments),
     Echo(echo::Arguments),
     Record(record::Arguments),
+    Replay(replay::Arguments),
     Decode(decode::Arguments),
     Completions(completions::Arguments),
 }
@@ -81,6 +83,7 @@ pub fn main() -> ExitCode {
         Command::Play(arguments) => play::run(&arguments),
         Command::Echo(arguments) => echo::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
+        Command::Replay(arguments) => replay::run(&arguments),
         Command::Decode(arguments) => decode::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
     };

@@ -11,6 +11,8 @@ pub const SCHEMA_ENCODING: &str = "protobuf";
 
 /// A message of ours that has a topic.
 pub trait Schema: Message + Name + Default {
+    /// Its name with that of its package.
+    const FULL_NAME: &'static str;
     /// The schema's serialised `FileDescriptorSet`, as MCAP wants it.
     const DESCRIPTOR: &'static [u8];
 }
@@ -18,13 +20,14 @@ pub trait Schema: Message + Name + Default {
 macro_rules! schemas {
     ($($message:ident: $file:literal,)*) => {
         $(impl Schema for $message {
+            const FULL_NAME: &'static str = concat!("bundlemocap.v1.", stringify!($message));
             const DESCRIPTOR: &'static [u8] =
                 include_bytes!(concat!(env!("OUT_DIR"), "/", $file, ".fds"));
         })*
 
         /// Full name and descriptor of every schema.
         const SCHEMAS: &[(&str, &[u8])] =
-            &[$((concat!("bundlemocap.v1.", stringify!($message)), $message::DESCRIPTOR),)*];
+            &[$(($message::FULL_NAME, $message::DESCRIPTOR),)*];
     };
 }
 

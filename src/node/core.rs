@@ -156,7 +156,12 @@ impl Core {
     pub fn handle(&mut self, now: Timestamp, input: Input) {
         self.now = self.now.max(now);
         let (settings, rig) = (&self.settings, self.rig_at_start.as_deref());
+        let is_idle = self.journal.count == 0;
         self.journal.note(self.now, &input, || journal::start(settings, rig));
+        if is_idle && self.journal.count > 0 {
+            // From here on a replay goes the same way.
+            self.next_second = Some(self.now + SECOND);
+        }
         let is_last = matches!(input, Input::End);
         self.tell(track::Input::Tick(self.clock.capture_time(self.now)));
         match input {
@@ -280,7 +285,7 @@ impl Core {
         self.outputs.push_back(Output::Publish(Publication {
             topic: topic.into(),
             capture,
-            schema: T::NAME,
+            schema: T::FULL_NAME,
             payload: encode(message),
             due,
         }));
