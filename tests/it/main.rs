@@ -9,6 +9,7 @@ mod jacobians;
 mod layers;
 mod manifold;
 mod messages;
+mod python;
 mod recording;
 mod solve;
 mod synth;
