@@ -10,6 +10,7 @@ mod generated;
 mod keyframe;
 mod keypoints;
 mod pose;
+mod retargeted;
 mod rig;
 mod schema;
 mod skeleton;

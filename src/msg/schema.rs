@@ -2,7 +2,9 @@
 
 use prost::{Message, Name};
 
-use super::{DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, Rig, Skeleton, Status};
+use super::{
+    DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Skeleton, Status,
+};
 
 /// How payloads are encoded, in MCAP's words.
 pub const ENCODING: &str = "protobuf";
@@ -32,6 +34,7 @@ schema!(Skeleton, "skeleton");
 schema!(Event, "event");
 schema!(Status, "status");
 schema!(Journal, "journal");
+schema!(RetargetedPose, "retargeted_pose");
 
 /// The message as bytes; the same message gives the same bytes.
 pub fn encode(message: &impl Schema) -> Vec<u8> {

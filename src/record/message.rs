@@ -5,8 +5,8 @@ use std::sync::Arc;
 use prost::Name;
 
 use crate::msg::{
-    DecodeError, ENCODING, Event, Keyframe, KeypointFrame, Pose, Rig, Skeleton, Status, decode,
-    is_truth,
+    DecodeError, ENCODING, Event, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Skeleton,
+    Status, decode, is_truth,
 };
 use crate::time::Timestamp;
 
@@ -39,6 +39,8 @@ pub enum Message {
     Event(Event),
     /// Counters.
     Status(Status),
+    /// A pose on another skeleton.
+    Retargeted(RetargetedPose),
     /// The true pose, in synthetic recordings.
     TruthPose(Pose),
     /// The true body, in synthetic recordings.
@@ -62,6 +64,7 @@ pub(super) enum Kind {
     Skeleton,
     Event,
     Status,
+    Retargeted,
 }
 
 impl Kind {
@@ -74,6 +77,7 @@ impl Kind {
             Skeleton::NAME => Self::Skeleton,
             Event::NAME => Self::Event,
             Status::NAME => Self::Status,
+            RetargetedPose::NAME => Self::Retargeted,
             _ => return None,
         })
     }
@@ -121,6 +125,9 @@ impl Channel {
             }
             Kind::Event => Message::Event(decode::<Event>(&data)?.validated()?),
             Kind::Status => Message::Status(decode(&data)?),
+            Kind::Retargeted => {
+                Message::Retargeted(decode::<RetargetedPose>(&data)?.validated()?)
+            }
         })
     }
 }
