@@ -3,7 +3,8 @@
 use prost::{Message, Name};
 
 use super::{
-    DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Skeleton, Status,
+    DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Skeleton,
+    Status,
 };
 
 /// How payloads are encoded, in MCAP's words.

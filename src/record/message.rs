@@ -125,9 +125,7 @@ impl Channel {
             }
             Kind::Event => Message::Event(decode::<Event>(&data)?.validated()?),
             Kind::Status => Message::Status(decode(&data)?),
-            Kind::Retargeted => {
-                Message::Retargeted(decode::<RetargetedPose>(&data)?.validated()?)
-            }
+            Kind::Retargeted => Message::Retargeted(decode::<RetargetedPose>(&data)?.validated()?),
         })
     }
 }

@@ -49,7 +49,13 @@ impl Bones<'_> {
     fn align(&self, index: usize, joint: Joint, before: &Matrix3<f64>) -> Matrix3<f64> {
         use Joint as J;
         match joint {
-            J::LHip | J::RHip | J::LKnee | J::RKnee | J::LShoulder | J::RShoulder | J::LElbow
+            J::LHip
+            | J::RHip
+            | J::LKnee
+            | J::RKnee
+            | J::LShoulder
+            | J::RShoulder
+            | J::LElbow
             | J::RElbow => self.lay(index, joint, before),
             J::LAnkle | J::RAnkle => self.foot(index, joint, before),
             J::LFoot | J::RFoot | J::LWrist | J::RWrist => *before,

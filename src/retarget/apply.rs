@@ -60,7 +60,8 @@ impl Retarget {
     pub fn new(target: Target, map: &Map) -> Result<Self, RetargetError> {
         let mapping = Mapping::new(&target, map)?;
         let leg = target.leg_length(&mapping);
-        let shape = |what: &str| RetargetError::Shape { target: target.path.clone(), what: what.into() };
+        let shape =
+            |what: &str| RetargetError::Shape { target: target.path.clone(), what: what.into() };
         if !(leg.is_finite() && leg > 1e-6) {
             return Err(shape("its legs have no length"));
         }
@@ -122,14 +123,19 @@ impl Retarget {
         let ours = -0.5 * (skeleton.offset(Joint::LFoot).y + skeleton.offset(Joint::RFoot).y);
         let theirs = [Joint::LAnkle, Joint::RAnkle].map(|ankle| {
             let joint = self.mapping.joint(ankle)?;
-            let toes = self.mapping.joint(if ankle == Joint::LAnkle { Joint::LFoot } else { Joint::RFoot });
+            let toes = self.mapping.joint(if ankle == Joint::LAnkle {
+                Joint::LFoot
+            } else {
+                Joint::RFoot
+            });
             Some(-(align[joint] * self.target.bone(joint, toes)?).y)
         });
         let theirs: Vec<f64> = theirs.into_iter().flatten().collect();
         let mean = theirs.iter().sum::<f64>() / theirs.len() as f64;
         let theirs = if theirs.is_empty() { scale * ours } else { mean };
         let rest = |joint| self.mapping.joint(joint).map(|t| *self.target.rest(t));
-        let middle = [Joint::LHip, Joint::RHip].into_iter().filter_map(rest).sum::<Vector3<f64>>() / 2.0;
+        let middle =
+            [Joint::LHip, Joint::RHip].into_iter().filter_map(rest).sum::<Vector3<f64>>() / 2.0;
         let hip_joints = align[self.hips] * (middle - self.target.rest(self.hips));
         Ok(Fitted { skeleton: skeleton.clone(), align, scale, ankles: [ours, theirs], hip_joints })
     }

@@ -31,7 +31,7 @@ pub struct Mapping {
 }
 
 /// Ours and the one of ours that it must be below.
-const BELOW: [(Joint, Joint); 14] = [
+const BELOW: [(Joint, Joint); 19] = [
     (Joint::LHip, Joint::Pelvis),
     (Joint::RHip, Joint::Pelvis),
     (Joint::LKnee, Joint::LHip),
@@ -42,6 +42,11 @@ const BELOW: [(Joint, Joint); 14] = [
     (Joint::RFoot, Joint::RAnkle),
     (Joint::LShoulder, Joint::Pelvis),
     (Joint::RShoulder, Joint::Pelvis),
+    (Joint::Spine3, Joint::Pelvis),
+    (Joint::LShoulder, Joint::Spine3),
+    (Joint::RShoulder, Joint::Spine3),
+    (Joint::LShoulder, Joint::LCollar),
+    (Joint::RShoulder, Joint::RCollar),
     (Joint::LElbow, Joint::LShoulder),
     (Joint::RElbow, Joint::RShoulder),
     (Joint::LWrist, Joint::LElbow),
@@ -65,7 +70,8 @@ impl Mapping {
         check_complete(target, &joints)?;
         let follow = vec![Follow::Parent; target.joints().len()];
         let mut mapping = Self { joints, follow };
-        mapping.check_below(target, &BELOW)?;
+        mapping.check_once(target)?;
+        mapping.check_below(target)?;
         mapping.share(target, map, &named)?;
         mapping.check_once(target)?;
         Ok(mapping)
@@ -100,18 +106,11 @@ impl Mapping {
         text
     }
 
-    fn check_below(
-        &self,
-        target: &Target,
-        pairs: &[(Joint, Joint)],
-    ) -> Result<(), RetargetError> {
-        for &(ours, parent_ours) in pairs {
+    fn check_below(&self, target: &Target) -> Result<(), RetargetError> {
+        for (ours, parent_ours) in BELOW {
             let (Some(child), Some(parent)) = (self.joint(ours), self.joint(parent_ours)) else {
                 continue;
             };
-            if child == parent {
-                return Err(twice(target, child, parent_ours, ours));
-            }
             if !target.is_below(child, parent) {
                 return Err(not_below(target, (child, ours), (parent, parent_ours)));
             }
@@ -146,9 +145,12 @@ impl Mapping {
         }
         let Some(hips) = self.joint(Joint::Pelvis) else { return Ok(()) };
         target.upwards(hips).skip(1).for_each(|above| self.follow[above] = Follow::World);
-        let left_out = |joint: Joint| map.joints.iter().any(|(ours, to)| *ours == joint && to.is_none());
+        let left_out =
+            |joint: Joint| map.joints.iter().any(|(ours, to)| *ours == joint && to.is_none());
         let chest = self.chest(target, hips, named[Joint::Spine3.index()]);
-        use Joint::{Head, LCollar, LShoulder, Neck, Pelvis, RCollar, RShoulder, Spine1, Spine2, Spine3};
+        use Joint::{
+            Head, LCollar, LShoulder, Neck, Pelvis, RCollar, RShoulder, Spine1, Spine2, Spine3,
+        };
         let trunk = chain(target, hips, chest);
         self.chain(target, &trunk[1..], &[Pelvis, Spine1, Spine2, Spine3], named)?;
         let top = self.joint(Head).or(self.joint(Neck));

@@ -41,8 +41,8 @@ impl Target {
     pub fn read(path: &Path, map: &Map) -> Result<Self, RetargetError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| RetargetError::Read { path: path.into(), source })?;
-        let bvh = Bvh::parse(&text)
-            .map_err(|source| RetargetError::Bvh { path: path.into(), source })?;
+        let bvh =
+            Bvh::parse(&text).map_err(|source| RetargetError::Bvh { path: path.into(), source })?;
         Ok(Self::new(bvh, path, map))
     }
 
@@ -175,7 +175,8 @@ impl Target {
     pub(super) fn facing(&self, mapping: &Mapping) -> Result<Matrix3<f64>, RetargetError> {
         let at = |joint| mapping.joint(joint).map_or(Vector3::zeros(), |t| self.rest[t]);
         let middle = |joint: Joint| 0.5 * (at(joint) + at(joint.mirrored()));
-        let shape = |what: &str| RetargetError::Shape { target: self.path.clone(), what: what.into() };
+        let shape =
+            |what: &str| RetargetError::Shape { target: self.path.clone(), what: what.into() };
         let up = (middle(Joint::LShoulder) - middle(Joint::LHip)).try_normalize(1e-6);
         let up = snapped(up.ok_or_else(|| shape("its shoulders are where its hips are"))?);
         let across = at(Joint::LHip) - at(Joint::RHip);

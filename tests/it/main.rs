@@ -9,6 +9,7 @@ mod layers;
 mod manifold;
 mod messages;
 mod recording;
+mod retarget;
 mod solve;
 mod synth;
 mod track;
