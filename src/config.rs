@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::track;
+use crate::{bus, node, track};
 
 /// All settings. `config/default.toml` holds the defaults with a comment each.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -14,6 +14,10 @@ use crate::track;
 pub struct Config {
     /// Of the tracking machine and of what it solves.
     pub track: track::Config,
+    /// Of the live node.
+    pub node: node::Config,
+    /// How the live node and the tools beside it exchange messages.
+    pub bus: bus::Config,
 }
 
 /// The defaults as a file with comments.
@@ -94,14 +98,18 @@ impl Config {
         if rate != 0.0 && !is_frame_rate(rate) {
             return Some(("track.frame_rate_hz", rate, "0 (find it) or 1 to 1000"));
         }
+        let rate = self.node.output_rate_hz;
+        if rate != 0.0 && !is_frame_rate(rate) {
+            return Some(("node.output_rate_hz", rate, "0 (the cameras') or 1 to 1000"));
+        }
         let mut limits = self.counts().into_iter().chain(self.weights());
         let (key, value, _, allowed) =
             limits.find(|(_, value, range, _)| !range.contains(value))?;
         Some((key, value, allowed))
     }
 
-    fn counts(&self) -> [Limit; 6] {
-        let track = &self.track;
+    fn counts(&self) -> [Limit; 7] {
+        let Self { track, node, .. } = self;
         let count =
             |key, value: usize, most: f64, allowed| (key, value as f64, 1.0..=most, allowed);
         let or_none = |key, value: usize| (key, value as f64, 0.0..=1e3, "0 to 1000");
@@ -112,10 +120,11 @@ impl Config {
             count("track.iterations", track.iterations, 1e3, "1 to 1000"),
             or_none("track.loose_iterations", track.loose_iterations),
             count("track.acquisition_iterations", track.acquisition_iterations, 1e3, "1 to 1000"),
+            ("node.queue", node.queue as f64, 16.0..=1e6, "16 to 1000000"),
         ]
     }
 
-    fn weights(&self) -> [Limit; 11] {
+    fn weights(&self) -> [Limit; 12] {
         let track::Config { cost, gate, loose_scale, min_confidence, .. } = self.track;
         let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
         let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
@@ -131,6 +140,7 @@ impl Config {
             above_0("track.gate.lost_residual", gate.lost_residual),
             above_0("track.gate.lost_latent", gate.lost_latent),
             from_0("track.gate.lost_observations", gate.lost_observations),
+            ("node.latency_ms", self.node.latency_ms, 0.0..=6e4, "0 (find it) to 60000"),
         ]
     }
 }
@@ -235,6 +245,9 @@ mod tests {
         refused("track.cost", "prior", "-1.0", "0 or a number above");
         refused("track.cost", "shape_prior", "inf", "0 or a number above");
         refused("track.gate", "follow", "nan", "a number above 0");
+        refused("node", "queue", "15", "16 to 1000000");
+        refused("node", "latency_ms", "-1.0", "0 (find it) to 60000");
+        refused("node", "output_rate_hz", "0.5", "0 (the cameras') or 1 to 1000");
         refused("track.gate", "lost_observations", "-1.0", "0 or a number above");
         for rate in ["0.0", "1.0", "59.94", "1000.0"] {
             parse(&format!("[track]\nframe_rate_hz = {rate}\n")).unwrap();

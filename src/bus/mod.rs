@@ -7,12 +7,27 @@
 //! too.
 //!
 //! Topics and patterns are made of parts between slashes; in a pattern, `*` stands for one part and
-//! `**` for any number of them.
+//! `**` for any number of them, none too. What a name may hold is the same on every bus
+//! ([`check_topic`], [`check_pattern`]).
+//!
+//! What all of them promise: payload, capture time and encoding arrive unchanged; samples of one
+//! publisher arrive in order; a late joiner gets the latest samples of states, first and in order,
+//! and none of streams. What they cannot is said at each.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::time::Timestamp;
+
+mod config;
+mod memory;
+mod name;
+mod zenoh;
+
+pub use config::{Config, Iceoryx2Config, Kind, ZenohConfig, ZenohMode, open_client, open_node};
+pub use memory::Memory;
+pub use name::{check_pattern, check_topic, matches};
+pub use zenoh::Zenoh;
 
 /// What travels on the bus.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -116,4 +131,59 @@ pub enum BusError {
         /// What is wrong with it.
         reason: String,
     },
+    /// An address to listen on that somebody has.
+    #[error(
+        "cannot listen on {endpoint}: address in use; another node runs there, or choose another \
+         with [bus.zenoh] listen"
+    )]
+    InUse {
+        /// As configured.
+        endpoint: String,
+    },
+    /// Addresses of which none answers.
+    #[error(
+        "nothing answers at {endpoints}; is `bundlemocap run` up? [bus.zenoh] connect says where \
+         it is"
+    )]
+    NobodyAnswers {
+        /// As tried, with commas between.
+        endpoints: String,
+    },
+    /// A setting that the transport does not take.
+    #[error("[bus] {key} = {value}: {reason}")]
+    Setting {
+        /// The key, such as `zenoh.listen`.
+        key: &'static str,
+        /// As configured.
+        value: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A payload above what the bus carries.
+    #[error("{topic}: a payload of {bytes} bytes; this bus carries at most {most}")]
+    TooLarge {
+        /// Where it was to go.
+        topic: String,
+        /// Its size.
+        bytes: usize,
+        /// The limit.
+        most: usize,
+    },
+    /// The transport was closed.
+    #[error("the bus is closed")]
+    Closed,
+    /// The transport failed.
+    #[error("{what}: {reason}")]
+    Transport {
+        /// What was tried.
+        what: String,
+        /// The transport's words.
+        reason: String,
+    },
+}
+
+impl BusError {
+    fn transport(what: impl Into<String>, reason: impl std::fmt::Display) -> Self {
+        Self::Transport { what: what.into(), reason: reason.to_string() }
+    }
 }

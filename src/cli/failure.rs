@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::bus::BusError;
 use crate::camera::CameraError;
 use crate::config::{ConfigError, is_frame_rate};
 use crate::eval::TrcError;
@@ -27,6 +28,7 @@ pub(super) enum Exit {
     KeypointFormat = 10,
     Weights = 11,
     NotOurs = 12,
+    Bus = 13,
 }
 
 /// The codes as shown in `--help`.
@@ -44,7 +46,8 @@ Exit codes:
    9  a calibration that cannot be used
   10  an unknown keypoint format, or one that does not fit the data
   11  weights of another shape or version
-  12  a recording without our channels";
+  12  a recording without our channels
+  13  the bus cannot be opened or reached";
 
 /// The value of `--fps`, if it can be one.
 pub(super) fn frame_rate_option(fps: f64) -> Result<f64, Failure> {
@@ -97,11 +100,22 @@ impl From<RecordError> for Failure {
             RecordError::NotMcap { .. } => Exit::Malformed,
             RecordError::NoChannels { .. } => Exit::NotOurs,
             RecordError::BeforeEpoch { .. } => Exit::Malformed,
-            RecordError::Write { .. } => Exit::Unexpected,
+            RecordError::Write { .. } | RecordError::LeftOver { .. } => Exit::Unexpected,
         };
         let fix =
             if exit == Exit::Unreadable { "; check the path and its permissions" } else { "" };
         Self::new(exit, format!("{error}{fix}"))
+    }
+}
+
+impl From<BusError> for Failure {
+    fn from(error: BusError) -> Self {
+        let exit = match &error {
+            BusError::Name { .. } => Exit::Usage,
+            BusError::Setting { .. } => Exit::Malformed,
+            _ => Exit::Bus,
+        };
+        Self::new(exit, error.to_string())
     }
 }
 
@@ -138,7 +152,7 @@ mod tests {
 
     #[test]
     fn help_lists_every_code() {
-        for code in 0..=Exit::NotOurs as u8 {
+        for code in 0..=Exit::Bus as u8 {
             assert!(EXIT_CODES.contains(&format!("\n  {code:>2}  ")), "{code}");
         }
     }

@@ -3,23 +3,32 @@
 //! Results go to standard output, progress and warnings to standard error. A failure is one line
 //! on standard error, `error: ...`, and an exit code of its own (see `--help`).
 
+mod bus;
 mod bvh;
+mod clock;
 mod completions;
 mod driver;
+mod echo;
 mod export;
 mod failure;
 mod figures;
 mod hold_out;
 mod import;
+mod inbox;
 mod info;
 mod input;
 mod kept;
 mod output;
+mod play;
+mod player;
+mod record;
 mod reference;
 mod solve;
 mod synth;
+mod take;
 mod terminal;
 mod train;
+mod wire;
 
 use std::process::ExitCode;
 
@@ -43,6 +52,9 @@ enum Command {
     Synth(synth::Arguments),
     Train(train::Arguments),
     Export(export::Arguments),
+    Play(play::Arguments),
+    Echo(echo::Arguments),
+    Record(record::Arguments),
     Completions(completions::Arguments),
 }
 
@@ -55,6 +67,9 @@ pub fn main() -> ExitCode {
         Command::Synth(arguments) => synth::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
+        Command::Play(arguments) => play::run(&arguments),
+        Command::Echo(arguments) => echo::run(&arguments),
+        Command::Record(arguments) => record::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
     };
     let exit = result.unwrap_or_else(|failure: Failure| {

@@ -1,5 +1,6 @@
 //! Integration tests, one binary.
 
+mod bus;
 mod camera;
 mod cli;
 mod export;
@@ -12,5 +13,6 @@ mod recording;
 mod retarget;
 mod solve;
 mod synth;
+mod tools;
 mod track;
 mod train;
