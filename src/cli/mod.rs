@@ -23,6 +23,8 @@ mod play;
 mod player;
 mod record;
 mod reference;
+mod retarget;
+mod retarget_live;
 mod solve;
 mod synth;
 mod take;
@@ -55,6 +57,7 @@ enum Command {
     Play(play::Arguments),
     Echo(echo::Arguments),
     Record(record::Arguments),
+    Retarget(retarget::Arguments),
     Completions(completions::Arguments),
 }
 
@@ -70,6 +73,7 @@ pub fn main() -> ExitCode {
         Command::Play(arguments) => play::run(&arguments),
         Command::Echo(arguments) => echo::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
+        Command::Retarget(arguments) => retarget::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
     };
     let exit = result.unwrap_or_else(|failure: Failure| {

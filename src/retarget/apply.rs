@@ -121,23 +121,24 @@ impl Retarget {
         let align = alignments(&self.target, &self.mapping, skeleton)?;
         let scale = self.scale(skeleton);
         let ours = -0.5 * (skeleton.offset(Joint::LFoot).y + skeleton.offset(Joint::RFoot).y);
-        let theirs = [Joint::LAnkle, Joint::RAnkle].map(|ankle| {
-            let joint = self.mapping.joint(ankle)?;
-            let toes = self.mapping.joint(if ankle == Joint::LAnkle {
-                Joint::LFoot
-            } else {
-                Joint::RFoot
-            });
-            Some(-(align[joint] * self.target.bone(joint, toes)?).y)
-        });
-        let theirs: Vec<f64> = theirs.into_iter().flatten().collect();
-        let mean = theirs.iter().sum::<f64>() / theirs.len() as f64;
-        let theirs = if theirs.is_empty() { scale * ours } else { mean };
+        let theirs = self.ankle_height(&align).unwrap_or(scale * ours);
         let rest = |joint| self.mapping.joint(joint).map(|t| *self.target.rest(t));
         let middle =
             [Joint::LHip, Joint::RHip].into_iter().filter_map(rest).sum::<Vector3<f64>>() / 2.0;
         let hip_joints = align[self.hips] * (middle - self.target.rest(self.hips));
         Ok(Fitted { skeleton: skeleton.clone(), align, scale, ankles: [ours, theirs], hip_joints })
+    }
+
+    /// Mean height of the target's ankles over its toes, metres.
+    fn ankle_height(&self, align: &[Matrix3<f64>]) -> Option<f64> {
+        let feet = [(Joint::LAnkle, Joint::LFoot), (Joint::RAnkle, Joint::RFoot)];
+        let heights = feet.map(|(ankle, toes)| {
+            let ankle = self.mapping.joint(ankle)?;
+            Some(-(align[ankle] * self.target.bone(ankle, self.mapping.joint(toes))?).y)
+        });
+        let heights: Vec<f64> = heights.into_iter().flatten().collect();
+        let count = heights.len();
+        (count > 0).then(|| heights.iter().sum::<f64>() / count as f64)
     }
 
     fn figure(&self, fitted: &Fitted, posture: &Posture) -> Figure {

@@ -87,33 +87,41 @@ impl Map {
             let reason = error.message().replace('\n', " ");
             RetargetError::Map { path: path.into(), line, reason }
         })?;
-        let wrong = |key: &str, value: String, allowed| RetargetError::Value {
-            path: path.into(),
-            key: key.into(),
-            value,
-            allowed,
-        };
-        let sound = |value: f64| value.is_finite() && value > 0.0;
-        if let Some(scale) = file.scale.filter(|&scale| !sound(scale)) {
-            return Err(wrong("scale", scale.to_string(), "a number above 0"));
+        if let Some(scale) = file.scale.filter(|&scale| !is_positive(scale)) {
+            return Err(wrong(path, "scale", scale.to_string(), "a number above 0"));
         }
-        let allowed = "m, dm, cm, mm, inch, foot, or a number of metres above 0";
-        let unit = match file.unit {
-            None => None,
-            Some(Unit::Metres(metres)) if sound(metres) => Some(metres),
-            Some(Unit::Metres(metres)) => return Err(wrong("unit", metres.to_string(), allowed)),
-            Some(Unit::Name(name)) => {
-                let metres = UNITS.iter().find(|(known, _)| *known == name).map(|unit| unit.1);
-                Some(metres.ok_or_else(|| wrong("unit", format!("{name:?}"), allowed))?)
-            }
-        };
         let joints = file.joints.into_iter().map(|(key, value)| match ours(&key) {
             Some(joint) => Ok((joint, Some(value).filter(|value| !value.is_empty()))),
             None => Err(RetargetError::OurJoint { path: path.into(), key, ours: our_names() }),
         });
-        let joints = joints.collect::<Result<_, _>>()?;
-        Ok(Self { path: path.into(), scale: file.scale, unit, up: file.up, joints })
+        Ok(Self {
+            joints: joints.collect::<Result<_, _>>()?,
+            unit: file.unit.map(|unit| metres(unit, path)).transpose()?,
+            path: path.into(),
+            scale: file.scale,
+            up: file.up,
+        })
     }
+}
+
+fn is_positive(value: f64) -> bool {
+    value.is_finite() && value > 0.0
+}
+
+fn metres(unit: Unit, path: &Path) -> Result<f64, RetargetError> {
+    let (metres, said) = match unit {
+        Unit::Metres(metres) => (Some(metres).filter(|m| is_positive(*m)), metres.to_string()),
+        Unit::Name(name) => {
+            let known = UNITS.iter().find(|(known, _)| *known == name);
+            (known.map(|(_, metres)| *metres), format!("{name:?}"))
+        }
+    };
+    let allowed = "m, dm, cm, mm, inch, foot, or a number of metres above 0";
+    metres.ok_or_else(|| wrong(path, "unit", said, allowed))
+}
+
+fn wrong(path: &Path, key: &str, value: String, allowed: &'static str) -> RetargetError {
+    RetargetError::Value { path: path.into(), key: key.into(), value, allowed }
 }
 
 /// The joint called `l_knee` or `left_knee`.

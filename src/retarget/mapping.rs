@@ -30,6 +30,9 @@ pub struct Mapping {
     pub(super) follow: Vec<Follow>,
 }
 
+/// The target's joints that the user names, by our index.
+type Named = [Option<usize>; JOINTS];
+
 /// Ours and the one of ours that it must be below.
 const BELOW: [(Joint, Joint); 19] = [
     (Joint::LHip, Joint::Pelvis),
@@ -132,44 +135,46 @@ impl Mapping {
     }
 
     /// Fills in what each joint follows.
-    fn share(
-        &mut self,
-        target: &Target,
-        map: &Map,
-        named: &[Option<usize>; JOINTS],
-    ) -> Result<(), RetargetError> {
+    fn share(&mut self, target: &Target, map: &Map, named: &Named) -> Result<(), RetargetError> {
+        use Joint::{LCollar, LShoulder, Pelvis, RCollar, RShoulder, Spine1, Spine2, Spine3};
         for joint in Joint::ALL {
             if let Some(theirs) = self.joint(joint) {
                 self.follow[theirs] = Follow::Ours(joint, joint, 0.0);
             }
         }
-        let Some(hips) = self.joint(Joint::Pelvis) else { return Ok(()) };
+        let Some(hips) = self.joint(Pelvis) else { return Ok(()) };
         target.upwards(hips).skip(1).for_each(|above| self.follow[above] = Follow::World);
-        let left_out =
-            |joint: Joint| map.joints.iter().any(|(ours, to)| *ours == joint && to.is_none());
-        let chest = self.chest(target, hips, named[Joint::Spine3.index()]);
-        use Joint::{
-            Head, LCollar, LShoulder, Neck, Pelvis, RCollar, RShoulder, Spine1, Spine2, Spine3,
-        };
+        let chest = self.chest(target, hips, named[Spine3.index()]);
         let trunk = chain(target, hips, chest);
-        self.chain(target, &trunk[1..], &[Pelvis, Spine1, Spine2, Spine3], named)?;
-        let top = self.joint(Head).or(self.joint(Neck));
-        if let Some(top) = top.filter(|top| *top != chest && target.is_below(*top, chest)) {
-            let ours: &[Joint] = match self.joint(Head) {
-                Some(_) => &[Spine3, Neck, Head],
-                None => &[Spine3, Neck],
-            };
-            self.joints[Neck.index()] = named[Neck.index()];
-            self.chain(target, &chain(target, chest, top)[1..], ours, named)?;
-        } else if let Some(top) = top {
-            return Err(not_below(target, (top, Head), (chest, Spine3)));
-        }
+        self.spread(target, &trunk[1..], &[Pelvis, Spine1, Spine2, Spine3], named)?;
+        self.share_neck(target, chest, named)?;
         for (collar, shoulder) in [(LCollar, LShoulder), (RCollar, RShoulder)] {
-            let Some(arm) = self.joint(shoulder).filter(|_| !left_out(collar)) else { continue };
+            let none = map.joints.iter().any(|(ours, to)| *ours == collar && to.is_none());
+            let Some(arm) = self.joint(shoulder).filter(|_| !none) else { continue };
             let whole = chain(target, chest, arm);
-            self.chain(target, &whole[1..whole.len().max(2) - 1], &[Spine3, collar], named)?;
+            let between = &whole[1..whole.len().max(2) - 1];
+            self.spread(target, between, &[Spine3, collar], named)?;
         }
         Ok(())
+    }
+
+    fn share_neck(
+        &mut self,
+        target: &Target,
+        chest: usize,
+        named: &Named,
+    ) -> Result<(), RetargetError> {
+        use Joint::{Head, Neck, Spine3};
+        let (top, ours): (_, &[Joint]) = match (self.joint(Head), self.joint(Neck)) {
+            (Some(head), _) => ((head, Head), &[Spine3, Neck, Head]),
+            (None, Some(neck)) => ((neck, Neck), &[Spine3, Neck]),
+            (None, None) => return Ok(()),
+        };
+        if top.0 == chest || !target.is_below(top.0, chest) {
+            return Err(not_below(target, top, (chest, Spine3)));
+        }
+        self.joints[Neck.index()] = None;
+        self.spread(target, &chain(target, chest, top.0)[1..], ours, named)
     }
 
     /// Where the ways to both arms and the head part.
@@ -184,31 +189,15 @@ impl Mapping {
     }
 
     /// Spreads `ours`, from the joint before the chain to its last one, over a chain.
-    fn chain(
+    fn spread(
         &mut self,
         target: &Target,
         chain: &[usize],
         ours: &[Joint],
-        named: &[Option<usize>; JOINTS],
+        named: &Named,
     ) -> Result<(), RetargetError> {
+        let fixed = self.fixed(target, chain, ours, named)?;
         let last = ours.len() - 1;
-        // Places in the chain, from 1, and in ours; 0 is the joint before both.
-        let mut fixed = vec![(0, 0)];
-        for (place, joint) in ours.iter().enumerate().skip(1) {
-            let Some(theirs) = named[joint.index()] else { continue };
-            match chain.iter().position(|&at| at == theirs) {
-                Some(at) if at + 1 > fixed[fixed.len() - 1].0 => fixed.push((at + 1, place)),
-                _ => {
-                    let before = fixed[fixed.len() - 1];
-                    let parent = if before.0 == 0 { ours[0] } else { ours[before.1] };
-                    let above = self.joint(parent).unwrap_or(theirs);
-                    return Err(not_below(target, (theirs, *joint), (above, parent)));
-                }
-            }
-        }
-        if fixed[fixed.len() - 1].0 < chain.len() {
-            fixed.push((chain.len(), last));
-        }
         for (index, &theirs) in chain.iter().enumerate() {
             let at = place_of(index + 1, &fixed);
             let (from, share) = (at.floor() as usize, at.fract());
@@ -221,6 +210,33 @@ impl Mapping {
             self.joints[joint.index()] = near.map(|index| chain[index]);
         }
         Ok(())
+    }
+
+    /// Places in a chain, from 1, that have a place in ours; 0 is the joint before both.
+    fn fixed(
+        &self,
+        target: &Target,
+        chain: &[usize],
+        ours: &[Joint],
+        named: &Named,
+    ) -> Result<Vec<(usize, usize)>, RetargetError> {
+        let mut fixed = vec![(0, 0)];
+        let mut before = (0, 0);
+        for (place, &joint) in ours.iter().enumerate().skip(1) {
+            let Some(theirs) = named[joint.index()] else { continue };
+            let at = chain.iter().position(|&at| at == theirs).map(|at| at + 1);
+            let Some(at) = at.filter(|at| *at > before.0) else {
+                let parent = ours[before.1];
+                let above = self.joint(parent).unwrap_or(theirs);
+                return Err(not_below(target, (theirs, joint), (above, parent)));
+            };
+            before = (at, place);
+            fixed.push(before);
+        }
+        if before.0 < chain.len() {
+            fixed.push((chain.len(), ours.len() - 1));
+        }
+        Ok(fixed)
     }
 }
 

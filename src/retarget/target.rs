@@ -61,20 +61,25 @@ impl Target {
             bvh,
         };
         target.place();
-        let chosen = |joint: Joint| {
-            let said = map.joints.iter().find(|(ours, _)| *ours == joint);
-            match said {
-                Some((_, name)) => name.as_ref().and_then(|name| target.bvh.joint(name)),
-                None => target.guessed[joint.index()],
-            }
-        };
-        let leg = [Joint::LHip, Joint::LKnee, Joint::LAnkle].map(chosen);
-        target.unit = map.unit.unwrap_or_else(|| guess_unit(target.path_length(&leg)));
+        target.unit = map.unit.unwrap_or_else(|| guess_unit(target.left_leg(map)));
         target.offsets.iter_mut().for_each(|offset| *offset *= target.unit);
         target.place();
         target
     }
 
+    /// Length of the left leg, before there is a mapping.
+    fn left_leg(&self, map: &Map) -> Option<f64> {
+        let leg = [Joint::LHip, Joint::LKnee, Joint::LAnkle].map(|joint| {
+            let named = map.joints.iter().find(|(ours, _)| *ours == joint);
+            match named {
+                Some((_, name)) => self.bvh.joint(name.as_deref()?),
+                None => self.guessed[joint.index()],
+            }
+        });
+        self.path_length(&leg)
+    }
+
+    /// Positions from offsets.
     fn place(&mut self) {
         let mut rest: Vec<Vector3<f64>> = Vec::with_capacity(self.offsets.len());
         for (joint, offset) in self.joints().iter().zip(&self.offsets) {

@@ -1,13 +1,23 @@
 //! Our poses on other skeletons: ours again, CMU's, and synthetic ones of each naming convention.
 
 use std::fmt::Write as _;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use bundlemocap::body::bvh::Bvh;
-use bundlemocap::body::{JOINTS, Joint, Pose, Posture, Shape, Skeleton};
+use bundlemocap::body::{
+    JOINTS, Joint, Pose, Posture, Shape, Skeleton, StampedPose, TrackingState,
+};
+use bundlemocap::bus::{Bus, Sample, Zenoh, ZenohConfig};
 use bundlemocap::export::{HierarchyWriter, StickFigures, stick_figures, write_bvh};
+use bundlemocap::msg::{self, Topics, encode};
+use bundlemocap::record::{Provenance, Writer};
 use bundlemocap::retarget::{Channels, Convention, Figure, Map, Retarget, Target};
 use bundlemocap::synth::{Motion, MotionStyle};
+use bundlemocap::time::Timestamp;
+use bundlemocap::train::read_folder;
 use nalgebra::{Matrix3, Vector3};
 
 const ZYX: &str = "Zrotation Yrotation Xrotation";
@@ -165,16 +175,30 @@ fn at(retarget: &Retarget, figure: &Figure, joint: Joint) -> Option<Vector3<f64>
 }
 
 /// The largest angle between a limb of the target and ours, degrees; the largest difference in the
-/// height of the lower ball of the foot, metres.
+/// height of the lower ball of the foot, metres. Set BUNDLEMOCAP_KEEP_FIGURES to a folder to keep a
+/// picture of each target and look at it.
 struct Worst {
     limbs: f64,
     floor: f64,
 }
 
 fn compare(name: &str, retarget: &mut Retarget, skeleton: &Skeleton) -> Worst {
+    compare_poses(name, retarget, skeleton, &poses(skeleton))
+}
+
+fn compare_poses(
+    name: &str,
+    retarget: &mut Retarget,
+    skeleton: &Skeleton,
+    poses: &[Pose],
+) -> Worst {
+    if let Some(folder) = std::env::var_os("BUNDLEMOCAP_KEEP_FIGURES") {
+        let file = Path::new(&folder).join(format!("{name}.svg"));
+        std::fs::write(file, picture(name, retarget, skeleton, poses)).unwrap();
+    }
     let mut worst = Worst { limbs: 0.0, floor: 0.0 };
-    for pose in poses(skeleton) {
-        let (figure, ours) = (retarget.apply(&pose, skeleton).unwrap(), pose.posture(skeleton));
+    for pose in poses {
+        let (figure, ours) = (retarget.apply(pose, skeleton).unwrap(), pose.posture(skeleton));
         for (from, to) in LIMBS {
             let theirs = at(retarget, &figure, to).zip(at(retarget, &figure, from));
             let bone = ours.positions[to.index()] - ours.positions[from.index()];
@@ -573,6 +597,165 @@ fn hinge_knees_keep_to_their_axis_and_what_is_below_points_right_again() {
     }
 }
 
+fn run(folder: &Path, line: &str) -> Output {
+    let program = Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
+        .args(line.split_whitespace())
+        .current_dir(folder)
+        .output();
+    program.unwrap()
+}
+
+/// A solved recording of the body's poses at 30 Hz, the eleventh to the thirteenth missing.
+fn recording(path: &Path, skeleton: &Skeleton, poses: &[Pose]) {
+    let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
+    writer.skeleton(skeleton, Timestamp::default()).unwrap();
+    for (index, pose) in poses.iter().enumerate().filter(|(index, _)| !(10..13).contains(index)) {
+        writer.pose(&stamped(index, pose), skeleton).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+fn stamped(index: usize, pose: &Pose) -> StampedPose {
+    StampedPose {
+        capture: Timestamp::from_ns(index as i64 * 33_333_333),
+        pose: pose.clone(),
+        state: TrackingState::Tracking,
+        window: 0,
+        rig_version: 1,
+        provisional: false,
+        revision: 0,
+    }
+}
+
+#[test]
+fn the_program_puts_a_recording_on_a_skeleton() {
+    let folder = tempfile::tempdir().unwrap();
+    let (skeleton, at) = (shaped(), |name: &str| folder.path().join(name));
+    let poses = poses(&skeleton);
+    recording(&at("poses.mcap"), &skeleton, &poses);
+    std::fs::write(at("robot.bvh"), bvh_text(&mixamo(), ZYX)).unwrap();
+    let output = run(folder.path(), "retarget --skeleton robot.bvh --from poses.mcap --out a.bvh");
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    assert_eq!(errors.lines().count(), 1, "{errors}");
+    let start = "robot.bvh: Mixamo names, 27 joints, unit 0.01 m: pelvis -> mixamorig:Hips, ";
+    assert!(errors.starts_with(start), "{errors}");
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.starts_with("a.bvh: 390 frames at 30.00 Hz"), "{said}");
+    let back = Bvh::parse(&std::fs::read_to_string(at("a.bvh")).unwrap()).unwrap();
+    assert_eq!(back.frames(), 390);
+    let mut retarget = retarget(&bvh_text(&mixamo(), ZYX), "");
+    for (frame, shown) in [(5, 5), (11, 9), (12, 9), (200, 200)] {
+        let figure = retarget.apply(&poses[shown], &skeleton).unwrap();
+        for (at, (_, position)) in figure.positions.iter().zip(back.posture(frame).unwrap()) {
+            assert!((at - position * 0.01).norm() < 1e-5, "frame {frame}");
+        }
+    }
+}
+
+#[test]
+fn what_the_program_cannot_use_ends_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+    write("robot.bvh", &bvh_text(&mixamo(), ZYX));
+    write("cut.bvh", &bvh_text(&mixamo(), ZYX)[..300]);
+    write("bad.toml", "[joints]\nl_knee = \"Knee\"\n");
+    recording(&folder.path().join("empty.mcap"), &Skeleton::default(), &[]);
+    let fails = |code: i32, line: &str, evidence: &str| {
+        let output = run(folder.path(), &format!("retarget --out a.bvh {line}"));
+        let errors = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{line}: {errors}");
+        let last = errors.lines().last().unwrap();
+        assert!(last.starts_with("error: ") && last.contains(evidence), "{line}: {errors}");
+        assert!(!folder.path().join("a.bvh").exists());
+    };
+    fails(3, "--from empty.mcap --skeleton absent.bvh", "absent.bvh");
+    fails(4, "--from empty.mcap --skeleton cut.bvh", "cut.bvh: ");
+    fails(4, "--from empty.mcap --skeleton robot.bvh --map bad.toml", "bad.toml: joints.l_knee");
+    fails(3, "--from empty.mcap --skeleton robot.bvh --map absent.toml", "absent.toml");
+    fails(3, "--from absent.mcap --skeleton robot.bvh", "absent.mcap");
+    fails(12, "--from empty.mcap --skeleton robot.bvh", "holds no poses");
+    fails(2, "--skeleton robot.bvh --name a/b", "--name");
+}
+
+/// A child that does not outlive the test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn live_poses_come_back_on_the_other_skeleton_and_are_written_at_the_end() {
+    let listen = vec!["tcp/127.0.0.1:0".into()];
+    let bus = Zenoh::open_node(&ZenohConfig { listen, ..ZenohConfig::default() }).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("my robot.bvh"), bvh_text(&unity(), ZYX)).unwrap();
+    let (skeleton, topics) = (Skeleton::default(), Topics::default());
+    let (sender, came) = crossbeam_channel::unbounded();
+    let sink = Box::new(move |sample: Sample| drop(sender.send(sample)));
+    let _guard = bus.subscribe(&topics.retargeted("my_robot"), sink).unwrap();
+    let put = |topic: &str, capture: Timestamp, payload: &[u8]| {
+        bus.publisher(topic).unwrap().put(capture, "", payload).unwrap();
+    };
+    // Kept for late joiners while its publisher lives.
+    let body = bus.publisher(&topics.skeleton()).unwrap();
+    let wire = encode(&msg::Skeleton::from_core(&skeleton));
+    body.put(Timestamp::default(), "", &wire).unwrap();
+
+    let mut command = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
+    command.args(["retarget", "--skeleton", "my robot.bvh", "--out", "take.bvh", "--connect"]);
+    command.arg(&bus.listens_on()[0]).current_dir(folder.path());
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut child = Running(child);
+    let mut errors = BufReader::new(child.0.stderr.take().unwrap());
+    let mut line = String::new();
+    errors.read_line(&mut line).unwrap();
+    assert!(line.contains("retargeted/my_robot; Ctrl-C ends it"), "{line}");
+    // The body may come a moment after the first pose: that one is given until it is answered.
+    let poses = poses(&skeleton);
+    let payload = |index: usize| {
+        encode(&msg::Pose::from_core(&stamped(index, &poses[index]), &skeleton, None))
+    };
+    let begin = Instant::now();
+    let first = loop {
+        put(&topics.pose(), Timestamp::default(), &payload(0));
+        if let Ok(sample) = came.recv_timeout(Duration::from_millis(200)) {
+            break sample;
+        }
+        assert!(begin.elapsed() < Duration::from_secs(60), "no pose came back");
+    };
+    let mut retarget = retarget(&bvh_text(&unity(), ZYX), "");
+    let expected = |retarget: &mut Retarget, index: usize| {
+        let wire = msg::Pose::from_core(&stamped(index, &poses[index]), &skeleton, None);
+        let figure = retarget.apply(&wire.to_core().unwrap().pose, &skeleton).unwrap();
+        encode(&figure.message(&wire, retarget.target()))
+    };
+    assert!(first.payload == expected(&mut retarget, 0));
+    for index in 1..30 {
+        put(&topics.pose(), stamped(index, &poses[index]).capture, &payload(index));
+    }
+    // Streams may lose a sample: the last one is given until it is answered.
+    let mut last = first;
+    while last.capture != stamped(29, &poses[29]).capture {
+        assert!(begin.elapsed() < Duration::from_secs(120), "the last pose did not come back");
+        match came.recv_timeout(Duration::from_millis(200)) {
+            Ok(sample) => last = sample,
+            Err(_) => put(&topics.pose(), Timestamp::default(), &payload(29)),
+        }
+    }
+    assert!(last.payload == expected(&mut retarget, 29));
+    let pid = child.0.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    assert_eq!(child.0.wait().unwrap().code(), Some(0));
+    let text = std::fs::read_to_string(folder.path().join("take.bvh")).unwrap();
+    let back = Bvh::parse(&text).unwrap();
+    assert!(back.frames() == 30 && (back.frame_time() - 1.0 / 30.0).abs() < 1e-6);
+}
+
 /// The motion clips, if the data is at hand.
 fn corpus() -> Option<PathBuf> {
     let root = std::env::var_os("BUNDLEMOCAP_DATA")
@@ -601,39 +784,51 @@ fn limbs_point_where_ours_point_on_the_skeletons_of_cmu() {
     }
 }
 
-/// Set BUNDLEMOCAP_KEEP_FIGURES to a folder to keep pictures of each target and look at them.
 #[test]
-fn pictures_of_the_targets_can_be_kept() {
-    let Some(keep) = std::env::var_os("BUNDLEMOCAP_KEEP_FIGURES").map(PathBuf::from) else {
-        return;
-    };
-    let mut files = vec![("mixamo", bvh_text(&mixamo(), ZYX)), ("unity", bvh_text(&unity(), ZYX))];
-    if let Some(folder) = corpus() {
-        let read = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap();
-        files.push(("cmu", read("act_train_walking_24.bvh")));
-        files.push(("daz", read("07_01.bvh")));
-    }
-    let skeleton = Skeleton::default();
-    for (name, text) in files {
-        let mut retarget = retarget(&text, "");
-        let mut postures: Vec<(Posture, String)> = Vec::new();
-        for (index, pose) in poses(&skeleton).iter().enumerate().filter(|(i, _)| i % 50 == 8) {
-            let figure = retarget.apply(pose, &skeleton).unwrap();
-            let mut theirs = pose.posture(&skeleton);
-            postures.push((theirs.clone(), format!("ours {index}")));
-            for joint in Joint::ALL {
-                match retarget.mapping().joint(joint) {
-                    Some(t) => theirs.positions[joint.index()] = figure.positions[t],
-                    None => {
-                        let parent = joint.parent().map_or(0, Joint::index);
-                        theirs.positions[joint.index()] = theirs.positions[parent];
-                    }
-                }
-            }
-            postures.push((theirs, name.to_owned()));
+fn a_captured_walk_lands_on_every_skeleton() {
+    let Some(corpus) = corpus() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let file = "act_train_walking_24.bvh";
+    std::fs::copy(corpus.join(file), folder.path().join(file)).unwrap();
+    let clip = read_folder(folder.path()).unwrap().remove(0);
+    let poses = clip.poses.iter().map(|numbers| {
+        let mut pose = Pose::rest();
+        pose.root_position.y = 0.95;
+        for (local, six) in pose.local.iter_mut().zip(numbers.chunks_exact(6)) {
+            let [a, b] = [0, 3].map(|at| Vector3::from_fn(|row, _| f64::from(six[at + row])));
+            *local = Matrix3::from_columns(&[a, b, a.cross(&b)]);
         }
-        let drawn = postures.iter().map(|(posture, caption)| (posture, caption.as_str()));
-        let svg = stick_figures(drawn, &StickFigures::default());
-        std::fs::write(keep.join(format!("{name}.svg")), svg).unwrap();
+        pose
+    });
+    let poses: Vec<Pose> = poses.collect();
+    let skeleton = Skeleton::default();
+    let read = |name: &str| std::fs::read_to_string(corpus.join(name)).unwrap();
+    let targets = [
+        ("walk on CMU", read(file)),
+        ("walk on Daz", read("07_01.bvh")),
+        ("walk on Mixamo", bvh_text(&mixamo(), ZYX)),
+        ("walk on Unity", bvh_text(&unity(), ZYX)),
+    ];
+    for (name, text) in targets {
+        let worst = compare_poses(name, &mut retarget(&text, ""), &skeleton, &poses);
+        assert!(worst.limbs < 1.0 && worst.floor < 0.05, "{} {}", worst.limbs, worst.floor);
     }
+}
+
+/// Draws ours and the target side by side.
+fn picture(name: &str, retarget: &mut Retarget, skeleton: &Skeleton, poses: &[Pose]) -> String {
+    let mut postures: Vec<(Posture, String)> = Vec::new();
+    for (index, pose) in poses.iter().enumerate().filter(|(i, _)| i % 50 == 8) {
+        let figure = retarget.apply(pose, skeleton).unwrap();
+        let mut theirs = pose.posture(skeleton);
+        postures.push((theirs.clone(), format!("ours {index}")));
+        for joint in Joint::ALL {
+            let parent = joint.parent().map_or(0, Joint::index);
+            let place = at(retarget, &figure, joint).unwrap_or(theirs.positions[parent]);
+            theirs.positions[joint.index()] = place;
+        }
+        postures.push((theirs, name.to_owned()));
+    }
+    let drawn = postures.iter().map(|(posture, caption)| (posture, caption.as_str()));
+    stick_figures(drawn, &StickFigures::default())
 }
