@@ -350,6 +350,10 @@ fn what_makes_no_sense_is_refused_by_message_and_field() {
     Rig.cameras.lens: camera right has the unknown lens 9
     Rig.cameras: camera right: the intrinsic matrix is singular or no pinhole matrix (fx 0, fy 910, determinant 0); it must be [fx s cx; 0 fy cy; 0 0 1] with positive fx and fy in pixels
     Event.kind: is empty
+    RetargetedPose.state: unknown state 7
+    RetargetedPose.hips: 2 is none of the 2 joints
+    RetargetedPose.local_rotations: 7 entries, expected 8
+    RetargetedPose.local_rotations: quaternion 0 has no direction
     Pose: not a message of this schema: failed to decode Protobuf message: Pose.capture_time_ns: invalid wire type: LengthDelimited (expected Varint)
     "#);
 }

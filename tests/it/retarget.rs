@@ -115,7 +115,7 @@ fn left_to_right(name: &str) -> Option<String> {
 
 /// Mixamo's names in an A-pose, arms 45 degrees down, centimetres, with fingers and toe ends.
 fn mixamo() -> Vec<Row> {
-    let rows = symmetric(
+    symmetric(
         &[
             (0, "mixamorig:Hips", [0.0, 98.0, 1.0]),
             (1, "mixamorig:Spine", [0.0, 10.0, -1.2]),
@@ -136,8 +136,7 @@ fn mixamo() -> Vec<Row> {
             (5, "mixamorig:LeftToe_End", [0.0, 0.0, 8.6]),
         ],
         left_to_right,
-    );
-    rows
+    )
 }
 
 /// Unity's humanoid in a T-pose, metres, looking along -z.
@@ -566,12 +565,32 @@ fn what_is_wrong_with_a_map_or_a_skeleton_is_said_with_the_key_and_the_fix() {
         wrong("[joints]\nl_knee = \"mixamorig:RightLeg\""),
         wrong("[joints]\nl_wrist = \"mixamorig:LeftForeArm\""),
         wrong("[joints]\nspine2 = \"mixamorig:Spine2\"\nspine1 = \"mixamorig:Spine2\""),
-        wrong("[joints]\nspine3 = \"mixamorig:LeftLeg\""),
-        wrong("[joints]\nr_foot = \"mixamorig:LeftToeBase\""),
+        wrong("[joints]\nspine3 = \"mixamorig:HeadTop_End\""),
+        wrong("[joints]\nspine1 = \"mixamorig:Spine1\"\nspine2 = \"mixamorig:Spine\""),
+        wrong("[joints]\nspine1 = \"mixamorig:LeftHandIndex1\""),
+        wrong("[joints]\nr_foot = \"mixamorig:LeftToe_End\""),
         legless.split("; the skeleton").next().unwrap().to_owned(),
         try_retarget(&bvh_text(&flat, ZYX), "").unwrap_err(),
     ];
-    insta::assert_snapshot!(messages.join("\n"), @"");
+    insta::assert_snapshot!(messages.join("\n"), @r#"
+    map.toml, line 2: unknown field `scael`, expected one of `scale`, `unit`, `up`, `joints`; a map has `scale`, `unit`, `up` and a table [joints]
+    map.toml, line 2: invalid type: integer `3`, expected a string; a map has `scale`, `unit`, `up` and a table [joints]
+    map.toml: scale is -1, but must be a number above 0
+    map.toml: unit is "parsec", but must be m, dm, cm, mm, inch, foot, or a number of metres above 0
+    map.toml: unit is 0, but must be m, dm, cm, mm, inch, foot, or a number of metres above 0
+    map.toml, line 1: unknown variant `x`, expected `y` or `z`; a map has `scale`, `unit`, `up` and a table [joints]
+    map.toml: joints.kneecap is no joint of ours; use one of pelvis, l_hip, r_hip, spine1, l_knee, r_knee, spine2, l_ankle, r_ankle, spine3, l_foot, r_foot, neck, l_collar, r_collar, head, l_shoulder, r_shoulder, l_elbow, r_elbow, l_wrist, r_wrist
+    map.toml: joints.l_knee = "LeftKnee", but target.bvh has no such joint; it has mixamorig:Hips, ...
+    target.bvh: mixamorig:RightLeg stands for both l_knee and r_knee; name another one with --map
+    target.bvh: mixamorig:LeftForeArm stands for both l_elbow and l_wrist; name another one with --map
+    target.bvh: mixamorig:Spine2 stands for both spine1 and spine2; name another one with --map
+    target.bvh: mixamorig:LeftArm (l_shoulder) must be below mixamorig:HeadTop_End (spine3) in the hierarchy; name other joints with --map
+    target.bvh: mixamorig:Spine (spine2) must be below mixamorig:Spine1 (spine1) in the hierarchy; name other joints with --map
+    target.bvh: mixamorig:LeftHandIndex1 (spine1) must be below mixamorig:Hips (pelvis) in the hierarchy; name other joints with --map
+    target.bvh: mixamorig:LeftToe_End (r_foot) must be below mixamorig:RightFoot (r_ankle) in the hierarchy; name other joints with --map
+    target.bvh: no joint found for l_knee, r_knee; name them in a file for --map, such as [joints] l_knee = "..."
+    target.bvh: its legs have no length; the skeleton cannot be used
+    "#);
 }
 
 #[test]
@@ -735,8 +754,8 @@ fn live_poses_come_back_on_the_other_skeleton_and_are_written_at_the_end() {
         encode(&figure.message(&wire, retarget.target()))
     };
     assert!(first.payload == expected(&mut retarget, 0));
-    for index in 1..30 {
-        put(&topics.pose(), stamped(index, &poses[index]).capture, &payload(index));
+    for (index, pose) in poses.iter().enumerate().take(30).skip(1) {
+        put(&topics.pose(), stamped(index, pose).capture, &payload(index));
     }
     // Streams may lose a sample: the last one is given until it is answered.
     let mut last = first;
