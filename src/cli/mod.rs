@@ -3,10 +3,15 @@
 //! Results go to standard output, progress and warnings to standard error. A failure is one line
 //! on standard error, `error: ...`, and an exit code of its own (see `--help`).
 
+mod bench;
+mod bench_cameras;
+mod bench_figures;
+mod bench_node;
 mod bus;
 mod bvh;
 mod clock;
 mod completions;
+mod decode;
 mod driver;
 mod echo;
 mod export;
@@ -25,6 +30,7 @@ mod record;
 mod reference;
 mod retarget;
 mod retarget_live;
+mod run;
 mod solve;
 mod synth;
 mod take;
@@ -49,6 +55,8 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Solve(solve::Arguments),
+    Run(run::Arguments),
+    Bench(bench::Arguments),
     Import(import::Arguments),
     Info(info::Arguments),
     Synth(synth::Arguments),
@@ -58,6 +66,7 @@ enum Command {
     Echo(echo::Arguments),
     Record(record::Arguments),
     Retarget(retarget::Arguments),
+    Decode(decode::Arguments),
     Completions(completions::Arguments),
 }
 
@@ -65,6 +74,8 @@ enum Command {
 pub fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Solve(arguments) => solve::run(&arguments),
+        Command::Run(arguments) => run::run(&arguments),
+        Command::Bench(arguments) => bench::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Synth(arguments) => synth::run(&arguments),
@@ -74,6 +85,7 @@ pub fn main() -> ExitCode {
         Command::Echo(arguments) => echo::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Retarget(arguments) => retarget::run(&arguments),
+        Command::Decode(arguments) => decode::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
     };
     let exit = result.unwrap_or_else(|failure: Failure| {

@@ -113,7 +113,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         weights: format!("{:016x}", decoder.fingerprint()),
         ..Provenance::default()
     };
-    let mut file = PoseFile::create(&folder.file("poses.mcap"), &recording.rig, &rig, &provenance)?;
+    let interpolation = config.track.cost.interpolation;
+    let path = folder.file("poses.mcap");
+    let mut file = PoseFile::create(&path, &recording.rig, &rig, &provenance, interpolation)?;
     let bar = progress(recording.messages, "messages");
     let solved = solve(&recording, &rig, &config, decoder, &mut file, &bar)?;
     let Some(skeleton) = solved.run.skeleton.clone().filter(|_| solved.run.found_somebody()) else {
@@ -175,7 +177,8 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     Ok(config)
 }
 
-fn decoder(weights: Option<&Path>) -> Result<Decoder, Failure> {
+/// The decoder of a weights file, or the embedded one.
+pub(super) fn decoder(weights: Option<&Path>) -> Result<Decoder, Failure> {
     let Some(path) = weights else {
         return Decoder::embedded()
             .map_err(|error| Failure::weights(Path::new("the embedded weights"), &error));

@@ -9,6 +9,7 @@ mod event;
 mod generated;
 mod keyframe;
 mod keypoints;
+mod path;
 mod pose;
 mod retargeted;
 mod rig;

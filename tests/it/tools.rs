@@ -97,6 +97,7 @@ fn walk(path: &Path) {
     let motion = Motion::new(&skeleton, MotionStyle::default());
     let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
     recording.frames = FRAMES;
+    recording.start = Timestamp::from_ns(1_000_000_000);
     let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
     writer.rig(&recording.rig, Timestamp::default()).unwrap();
     let mut all: Vec<_> = recording.detections().collect();
@@ -148,7 +149,7 @@ fn what_is_played_is_recorded_byte_for_byte() {
     walk(&place.path("walk.mcap"));
     let recorder = place.recorder("take.mcap");
     let said = place.done("play walk.mcap --keep-times --speed 0.5");
-    assert!(said.contains("cam0") && said.contains("30 frames"), "{said}");
+    assert!(said.contains("cam01") && said.contains("30 frames"), "{said}");
     wait_for_messages(&place.path("take.mcap.part"), 1 + CAMERAS * FRAMES as usize);
     let said = recorder.interrupt();
     assert!(said.contains("91 messages"), "{said}");
@@ -205,9 +206,12 @@ fn echo_prints_states_to_late_joiners() {
     let rig = msg::Rig::from_core(&ring_rig(CAMERAS, 4.0, 1.6).unwrap());
     publisher.put(Timestamp::from_ns(5), &media_type("bundlemocap.v1.Rig"), &encode(&rig)).unwrap();
     let said = place.done("echo rig --count 1");
-    assert!(said.contains("stage/rig") && said.contains("3 cameras: cam0, cam1, cam2"), "{said}");
+    assert!(
+        said.contains("stage/rig") && said.contains("3 cameras: cam01, cam02, cam03"),
+        "{said}"
+    );
     let object: Value = serde_json::from_str(&place.done("echo rig --count 1 --json")).unwrap();
-    assert_eq!(object["message"]["cameras"][2]["name"], "cam2");
+    assert_eq!(object["message"]["cameras"][2]["name"], "cam03");
     assert_eq!(object["bytes"], encode(&rig).len());
 }
 
@@ -235,7 +239,7 @@ fn bad_arguments_and_a_bus_without_a_node_are_told_in_a_line() {
     fails(&run("play walk.mcap --speed 0"), 2, "--speed is 0");
     fails(&run("play walk.mcap --drop 1.5"), 2, "--drop is 1.5");
     fails(&run("play walk.mcap --late-ms -1"), 2, "--late-ms is -1");
-    fails(&run("play walk.mcap --camera cam9"), 8, "cam0, cam1, cam2");
+    fails(&run("play walk.mcap --camera cam9"), 8, "cam01, cam02, cam03");
     fails(&run("play nothing.mcap"), 3, "nothing.mcap");
     fails(&run("echo all --stage a/b"), 2, "--stage is \"a/b\"");
 }
