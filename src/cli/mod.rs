@@ -29,6 +29,8 @@ mod player;
 mod record;
 mod reference;
 mod replay;
+mod retarget;
+mod retarget_live;
 mod run;
 mod solve;
 mod synth;
@@ -65,6 +67,7 @@ enum Command {
     Echo(echo::Arguments),
     Record(record::Arguments),
     Replay(replay::Arguments),
+    Retarget(retarget::Arguments),
     Decode(decode::Arguments),
     Completions(completions::Arguments),
 }
@@ -84,6 +87,7 @@ pub fn main() -> ExitCode {
         Command::Echo(arguments) => echo::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
+        Command::Retarget(arguments) => retarget::run(&arguments),
         Command::Decode(arguments) => decode::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
     };

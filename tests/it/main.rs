@@ -11,6 +11,7 @@ mod manifold;
 mod messages;
 mod python;
 mod recording;
+mod retarget;
 mod solve;
 mod synth;
 mod tools;
