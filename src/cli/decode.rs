@@ -54,7 +54,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let weights = fingerprint(&decoder);
     let provenance = Provenance { weights: weights.clone(), ..Provenance::default() };
     let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance)?;
-    let (mut performers, mut decoded) = (BTreeMap::<Arc<str>, Performer>::new(), Decoded::default());
+    let (mut performers, mut decoded) =
+        (BTreeMap::<Arc<str>, Performer>::new(), Decoded::default());
     while let Some(entry) = reader.next() {
         let entry = entry?;
         let Message::Keyframe(wire) = entry.message else { continue };
