@@ -3,6 +3,10 @@
 //! Results go to standard output, progress and warnings to standard error. A failure is one line
 //! on standard error, `error: ...`, and an exit code of its own (see `--help`).
 
+mod bench;
+mod bench_cameras;
+mod bench_figures;
+mod bench_node;
 mod bus;
 mod bvh;
 mod clock;
@@ -24,6 +28,7 @@ mod play;
 mod player;
 mod record;
 mod reference;
+mod run;
 mod solve;
 mod synth;
 mod take;
@@ -48,6 +53,8 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Solve(solve::Arguments),
+    Run(run::Arguments),
+    Bench(bench::Arguments),
     Import(import::Arguments),
     Info(info::Arguments),
     Synth(synth::Arguments),
@@ -64,6 +71,8 @@ enum Command {
 pub fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Solve(arguments) => solve::run(&arguments),
+        Command::Run(arguments) => run::run(&arguments),
+        Command::Bench(arguments) => bench::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Synth(arguments) => synth::run(&arguments),

@@ -15,7 +15,7 @@ use crate::record::{Provenance, Writer};
 use crate::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
 /// Radius of the ring on which the cameras stand, and their height, metres.
-const RING: [f64; 2] = [4.0, 1.6];
+pub(super) const RING: [f64; 2] = [4.0, 1.6];
 
 /// Make a synthetic recording with a known truth.
 #[derive(Debug, Args)]
@@ -52,7 +52,7 @@ pub(super) struct Arguments {
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum NoiseName {
+pub(super) enum NoiseName {
     /// Exact projections.
     None,
     /// Jitter alone.
@@ -62,7 +62,7 @@ enum NoiseName {
 }
 
 impl NoiseName {
-    fn noise(self) -> Noise {
+    pub(super) fn noise(self) -> Noise {
         match self {
             Self::None => Noise::none(),
             Self::Jitter => Noise::jitter_only(),
@@ -70,7 +70,7 @@ impl NoiseName {
         }
     }
 
-    const fn name(self) -> &'static str {
+    pub(super) const fn name(self) -> &'static str {
         match self {
             Self::None => "none",
             Self::Jitter => "jitter",

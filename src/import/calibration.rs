@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use nalgebra::{Matrix3, Vector3};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::folders::natural_key;
 use super::{ImportError, qualisys};
@@ -14,7 +14,8 @@ use crate::so3;
 ///
 /// From a z-up world we take x = y', y = z', z = x' (a cyclic permutation, which keeps the
 /// ground on the ground and the hands right): the axes Pose2Sim writes to TRC files.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Up {
     /// The calibration's world is ours already.
     Y,

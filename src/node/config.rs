@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::import::Up;
+
 /// Settings of the live node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -12,6 +14,8 @@ pub struct Config {
     pub actor: String,
     /// Calibration file, read at the start and whenever it changes; empty: from the bus.
     pub rig: String,
+    /// The axis of that file's world that points up.
+    pub rig_up: Up,
     /// Declared latency: a pose of capture time t goes out at t plus this, milliseconds; 0 finds
     /// it from the first windows.
     pub latency_ms: f64,
@@ -31,6 +35,7 @@ impl Default for Config {
             stage: "stage".into(),
             actor: "actor".into(),
             rig: String::new(),
+            rig_up: Up::default(),
             latency_ms: 0.0,
             output_rate_hz: 0.0,
             live: true,

@@ -62,11 +62,12 @@ impl Track {
         let end = self.intake.last().filter(|_| self.ended).map_or(end, |last| end.min(last));
         self.hold(window.start, end);
         self.event(EventKind::NobodyFound, end, None, "no person seen by two cameras".to_owned());
+        let saw_nothing = self.intake.first().is_none_or(|first| first > end + span);
         self.close(end + self.tolerance());
         // The grid of pose times goes on, but for a gap in the stream, which is skipped.
-        match self.intake.first() {
-            Some(first) if first <= end + span => self.start = Some(end),
-            first => self.begin_at(first),
+        match saw_nothing {
+            true => self.begin_at(self.intake.first()),
+            false => self.start = Some(end),
         }
         self.window += 1;
     }

@@ -39,6 +39,7 @@ const MAX_MISSING: u64 = 1_000_000;
 /// What one camera has shown.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
+    format: Option<KeypointFormat>,
     watermark: Option<Timestamp>,
     last_used: Option<u64>,
     used: u64,
@@ -79,13 +80,13 @@ impl Intake {
                 detail,
             })
         };
-        let format = *self.format.get_or_insert(frame.format);
+        if frame.camera >= self.cameras.len() {
+            return event(EventKind::Unusable, format!("the rig has no camera {}", frame.camera));
+        }
+        let format = self.vote(frame.camera, frame.format);
         if format != frame.format {
             let detail = format!("{} in a stream of {}", frame.format.name(), format.name());
             return event(EventKind::Unusable, detail);
-        }
-        if frame.camera >= self.cameras.len() {
-            return event(EventKind::Unusable, format!("the rig has no camera {}", frame.camera));
         }
         if self.closed.is_some_and(|closed| frame.capture <= closed) {
             return event(
@@ -118,6 +119,20 @@ impl Intake {
         };
         self.frames.insert(key, Arc::new(frame));
         found
+    }
+
+    /// The format in use after `camera` spoke for `format`: the first one, until more cameras speak
+    /// for another.
+    fn vote(&mut self, camera: usize, format: KeypointFormat) -> KeypointFormat {
+        self.cameras[camera].format = Some(format);
+        let votes = |format| self.cameras.iter().filter(|c| c.format == Some(format)).count();
+        let in_use = self.format.unwrap_or(format);
+        let new = if votes(format) > votes(in_use) { format } else { in_use };
+        if new != in_use {
+            self.frames.retain(|_, frame| frame.format == new);
+        }
+        self.format = Some(new);
+        new
     }
 
     /// The order of the points, once something came.

@@ -25,8 +25,11 @@ const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
 pub enum Input {
     /// A camera's detections.
     Detections(Detections),
-    /// A calibration of the same cameras, to use from the next window on.
+    /// A new calibration: of the same cameras, it is used from the next window on; of others, the
+    /// machine starts anew with it.
     Rig(Arc<Rig>),
+    /// The capture clock jumped: forget all frames, search anew; the body stays known.
+    Restart,
     /// How much to do from the next job on.
     Effort(Effort),
     /// The latency to keep, of a live machine.
@@ -211,19 +214,13 @@ impl Track {
         self
     }
 
-    /// The same for a performer whose body is known.
-    #[must_use]
-    pub fn of(mut self, skeleton: Arc<Skeleton>) -> Self {
-        (self.skeleton, self.is_proven) = (Some(skeleton), true);
-        self
-    }
-
     /// Takes an input in.
     pub fn handle(&mut self, input: Input) {
         match input {
             Input::Detections(frame) => self.add(frame),
             Input::Tick(now) => self.now = self.now.max(Some(now)),
-            Input::Rig(rig) => self.next_rig = Some(rig),
+            Input::Rig(rig) => self.calibrate(rig),
+            Input::Restart => self.restart(),
             Input::Effort(effort) => self.effort = effort,
             Input::Latency(latency) => self.latency = Some(latency),
             Input::End => self.ended = true,
@@ -267,6 +264,11 @@ impl Track {
         (self.config.window_frames.max(1) as f64 * period).round() as i64
     }
 
+    /// Nominal frame period, ns; a usual one until the cameras' is known.
+    pub fn frame_period(&self) -> f64 {
+        self.nominal_period()
+    }
+
     /// The times of poses, once a performer was found.
     pub fn output_grid(&self) -> Option<Grid> {
         let frames = self.frames?;
@@ -297,6 +299,30 @@ impl Track {
         if is_of_use && self.waiting.returned(camera) {
             self.event(EventKind::Returned, capture, Some(camera), "waited for again".to_owned());
         }
+    }
+
+    fn calibrate(&mut self, rig: Arc<Rig>) {
+        let names = |rig: &Rig| rig.cameras.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
+        if names(&rig) == names(&self.rig) {
+            self.next_rig = Some(rig);
+            return;
+        }
+        self.rig = rig;
+        self.restart();
+    }
+
+    /// As new, but for the body, the numbers of windows and jobs, and the latency.
+    fn restart(&mut self) {
+        let fresh = Self::new(self.config, Arc::clone(&self.rig));
+        let old = std::mem::replace(self, fresh);
+        self.live = old.live;
+        self.skeleton = old.skeleton.filter(|_| old.is_proven);
+        self.is_proven = old.is_proven;
+        (self.effort, self.latency) = (old.effort, old.latency);
+        (self.jobs, self.window) = (old.jobs, old.window + 1);
+        (self.next_rig, self.outputs) = (old.next_rig, old.outputs);
+        self.playout.carried = old.playout.carried;
+        self.playout.missed = old.playout.missed;
     }
 
     /// Sends the open window's job once it is complete, or that of a provisional fit.
@@ -336,7 +362,12 @@ impl Track {
             Some(last) if self.ended && last <= start + self.tolerance() && !searching => {
                 return None;
             }
-            Some(last) if self.ended && !searching => end.min(last),
+            // The last frame's nominal time, or its own if it is far from that.
+            Some(last) if self.ended && !searching => {
+                let nominal = grid.time(grid.nearest(last));
+                let is_near = (nominal - last).abs() <= self.tolerance();
+                end.min(if is_near { nominal } else { last })
+            }
             _ => end,
         };
         Some(Window { start, end })

@@ -1,0 +1,240 @@
+//! `bundlemocap run`
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use clap::{Args, ValueEnum};
+use crossbeam_channel::{Receiver, after, bounded, never, select};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::iterator::{Handle, Signals};
+
+use super::Ended;
+use super::failure::{Exit, Failure};
+use super::solve::decoder;
+use crate::bus::{self, Kind};
+use crate::config::Config;
+use crate::msg::Status;
+use crate::node::{Core, Node, NodeError, Running, Settings, log};
+use crate::track::Solver;
+
+/// Run the live node: keypoints from the bus in, poses at a fixed latency out.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Runs until Ctrl-C or SIGTERM, publishes what is left and ends; a second signal ends it at once.
+What happens is logged on standard error, a line each. The environment variable BUNDLEMOCAP_LOG
+says how much: a level (error, warn, info, debug, off) or a filter such as warn,zenoh=info.
+
+Examples:
+  bundlemocap run
+  bundlemocap run studio.toml --rig Calib_qualisys.toml --prometheus 127.0.0.1:9464
+  bundlemocap run --listen tcp/0.0.0.0:7447 --latency 220
+  bundlemocap run --bus iceoryx2 --seconds 60")]
+pub(super) struct Arguments {
+    /// Settings; config/default.toml lists them all.
+    config: Option<PathBuf>,
+    /// The bus, instead of the configured one.
+    #[arg(long, value_enum)]
+    bus: Option<BusName>,
+    /// Calibration file, instead of the configured one; without any, it comes from the bus.
+    #[arg(long, value_name = "FILE")]
+    rig: Option<PathBuf>,
+    /// Weights of a manifold, from `bundlemocap train`; the embedded ones if not given.
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+    /// Declared latency, milliseconds, instead of the configured one; 0 finds it.
+    #[arg(long, value_name = "MS", allow_negative_numbers = true)]
+    latency: Option<f64>,
+    /// Where others on the network reach the node, instead of the configured addresses.
+    #[arg(long, value_name = "ENDPOINT")]
+    listen: Vec<String>,
+    /// Address of a Prometheus endpoint, such as 127.0.0.1:9464.
+    #[arg(long, value_name = "ADDRESS")]
+    prometheus: Option<String>,
+    /// End after so many seconds.
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    seconds: Option<f64>,
+}
+
+/// A bus between processes.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(super) enum BusName {
+    /// A network.
+    Zenoh,
+    /// The shared memory of this host.
+    Iceoryx2,
+}
+
+impl BusName {
+    pub(super) const fn kind(self) -> Kind {
+        match self {
+            Self::Zenoh => Kind::Zenoh,
+            Self::Iceoryx2 => Kind::Iceoryx2,
+        }
+    }
+}
+
+impl From<NodeError> for Failure {
+    fn from(error: NodeError) -> Self {
+        let exit = match error {
+            NodeError::Bus(error) => return error.into(),
+            NodeError::Rig(error) => return error.into(),
+            NodeError::Prometheus { .. } | NodeError::Log { .. } => Exit::Usage,
+            NodeError::Thread(_) | NodeError::Fault { .. } => Exit::Unexpected,
+        };
+        Self::new(exit, error.to_string())
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let config = settings(arguments)?;
+    let seconds = run_time(arguments.seconds)?;
+    let decoder = decoder(arguments.weights.as_deref())?;
+    let weights = format!("{:016x}", decoder.fingerprint());
+    let _log = log::start()?;
+    // Before anything is opened, so that a signal never leaves something half open.
+    let (signals, _watch) = watch_signals()?;
+
+    let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
+    let solver = Solver::new(decoder, config.track);
+    let core = Core::new(Settings {
+        track: config.track,
+        node: config.node.clone(),
+        toml: config.to_toml(),
+        weights,
+    });
+    let running = Node::start(bus, core, solver, &config.node)?;
+    say_hello(&config, &running);
+    let why = wait(&signals, running.over(), seconds);
+    tracing::info!("ending: {why}");
+    let status = running.stop()?;
+    say_goodbye(status.as_ref());
+    Ok(Exit::Done)
+}
+
+/// The settings, with what the arguments put in their place.
+fn settings(arguments: &Arguments) -> Result<Config, Failure> {
+    let mut config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
+    if let Some(bus) = arguments.bus {
+        config.bus.kind = bus.kind();
+    }
+    if let Some(rig) = &arguments.rig {
+        config.node.rig = rig.display().to_string();
+    }
+    if let Some(latency) = arguments.latency {
+        config.node.latency_ms = latency;
+    }
+    if !arguments.listen.is_empty() {
+        config.bus.zenoh.listen.clone_from(&arguments.listen);
+    }
+    if let Some(prometheus) = &arguments.prometheus {
+        config.node.prometheus.clone_from(prometheus);
+    }
+    // What the arguments say is checked as a file's settings are.
+    Config::parse(&config.to_toml(), Path::new("the settings")).map_err(|error| {
+        let message = error.to_string();
+        match arguments.latency {
+            Some(_) if message.contains("latency_ms") => Failure::new(Exit::Usage, message),
+            _ => error.into(),
+        }
+    })
+}
+
+fn run_time(seconds: Option<f64>) -> Result<Option<Duration>, Failure> {
+    let wrong = |seconds: f64| {
+        let message = format!("--seconds is {seconds}, but must be 0 to 1e8");
+        Failure::new(Exit::Usage, message)
+    };
+    match seconds {
+        Some(seconds) if !(0.0..=1e8).contains(&seconds) => Err(wrong(seconds)),
+        seconds => Ok(seconds.map(Duration::from_secs_f64)),
+    }
+}
+
+/// Signals as they come; the second one ends the process as if nobody watched.
+pub(super) fn watch_signals() -> Result<(Receiver<&'static str>, Watch), Failure> {
+    let refused = |error: std::io::Error| {
+        Failure::new(Exit::Unexpected, format!("cannot watch for signals: {error}"))
+    };
+    let seen = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        // In this order: the first signal finds the flag down, and raises it.
+        signal_hook::flag::register_conditional_default(signal, Arc::clone(&seen))
+            .map_err(refused)?;
+        signal_hook::flag::register(signal, Arc::clone(&seen)).map_err(refused)?;
+    }
+    let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(refused)?;
+    let handle = signals.handle();
+    let (sender, receiver) = bounded(1);
+    std::thread::Builder::new()
+        .name("signals".into())
+        .spawn(move || {
+            for signal in signals.forever() {
+                let name = if signal == SIGINT { "SIGINT" } else { "SIGTERM" };
+                let _ = sender.try_send(name);
+            }
+        })
+        .map_err(refused)?;
+    Ok((receiver, Watch(handle)))
+}
+
+/// Ends the thread that watches for signals when it is dropped.
+pub(super) struct Watch(Handle);
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        self.0.close();
+    }
+}
+
+/// Why the node should end now.
+fn wait(
+    signals: &Receiver<&'static str>,
+    over: &Receiver<()>,
+    seconds: Option<Duration>,
+) -> &'static str {
+    let time = seconds.map_or_else(never, after);
+    select! {
+        recv(signals) -> name => name.unwrap_or("nobody watches for signals"),
+        recv(over) -> _ => "the node stopped by itself",
+        recv(time) -> _ => "the time is over",
+    }
+}
+
+fn say_hello(config: &Config, running: &Running) {
+    let where_to = match config.bus.kind {
+        Kind::Zenoh => {
+            let zenoh = &config.bus.zenoh;
+            let mode = format!("{:?}", zenoh.mode).to_lowercase();
+            let to = |what: &str, list: &[String]| match list {
+                [] => String::new(),
+                list => format!(", {what} {}", list.join(" ")),
+            };
+            format!("zenoh {mode}{}{}", to("on", &zenoh.listen), to("to", &zenoh.connect))
+        }
+        Kind::Iceoryx2 => format!("iceoryx2, prefix {:?}", config.bus.iceoryx2.prefix),
+    };
+    let node = &config.node;
+    tracing::info!(stage = node.stage, actor = node.actor, "listening: {where_to}");
+    match node.rig.as_str() {
+        "" => tracing::info!("waiting for the calibration on mocap/{}/rig", node.stage),
+        path => tracing::info!("calibration from {path}"),
+    }
+    if let Some(address) = running.prometheus() {
+        tracing::info!("metrics on http://{address}/metrics");
+    }
+}
+
+fn say_goodbye(status: Option<&Status>) {
+    let Some(status) = status else { return };
+    let playout = status.playout.clone().unwrap_or_default();
+    tracing::info!(
+        poses = playout.published,
+        coasted = playout.coasted,
+        missed = playout.missed,
+        live = playout.live,
+        dropped = status.queue_dropped,
+        "ended"
+    );
+}
