@@ -1,4 +1,4 @@
-//! Rotations: exponential, logarithm, their Jacobians, and spherical interpolation.
+//! Rotations: exponential, logarithm, their Jacobians, spherical interpolation, Euler angles.
 //!
 //! A rotation is a `Matrix3`. A tangent is a rotation vector in radians. "Right" tangents are
 //! expressed in the rotated (body) frame, R exp(d); "left" ones in the outer frame, exp(d) R.
@@ -119,6 +119,46 @@ pub fn angle_between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
     log(&(a.transpose() * b)).norm()
 }
 
+/// Below this cosine of b, a and c of [`angles`] turn about the same axis.
+const GIMBAL: f64 = 1e-6;
+
+/// The rotation by `angle` radians about axis 0, 1 or 2.
+pub fn about(axis: usize, angle: f64) -> Matrix3<f64> {
+    Rotation3::from_axis_angle(&Vector3::ith_axis(axis), angle).into_inner()
+}
+
+/// The angles a, b, c of R = R_i(a) R_j(b) R_k(c), radians, about three different axes, that lie
+/// nearest to `last`: of the two solutions, and with whole turns added. Where b is a quarter turn
+/// only the sum or difference of a and c is known: c is kept.
+pub fn angles(r: &Matrix3<f64>, axes: [usize; 3], last: [f64; 3]) -> [f64; 3] {
+    use std::f64::consts::PI;
+    let [i, j, k] = axes;
+    let sign = if (i + 1) % 3 == j { 1.0 } else { -1.0 };
+    let cosine = r[(i, i)].hypot(r[(i, j)]);
+    let b = (sign * r[(i, k)]).atan2(cosine);
+    let first = if cosine < GIMBAL {
+        let (p, q) = ((i + 1) % 3, (i + 2) % 3);
+        let outer = r * (about(j, b) * about(k, last[2])).transpose();
+        [outer[(q, p)].atan2(outer[(p, p)]), b, last[2]]
+    } else {
+        let a = (-sign * r[(j, k)]).atan2(r[(k, k)]);
+        [a, b, (-sign * r[(i, j)]).atan2(r[(i, i)])]
+    };
+    let second = [first[0] + PI, PI - first[1], first[2] + PI];
+    let [first, second] = [first, second].map(|angles| nearest_turns(angles, last));
+    if apart(&first, &last) <= apart(&second, &last) { first } else { second }
+}
+
+/// Adds whole turns to each angle so that it lies within half a turn of `last`.
+pub fn nearest_turns<const N: usize>(angles: [f64; N], last: [f64; N]) -> [f64; N] {
+    use std::f64::consts::TAU;
+    std::array::from_fn(|i| angles[i] + TAU * ((last[i] - angles[i]) / TAU).round())
+}
+
+fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -178,6 +218,31 @@ mod tests {
             assert!((settled - rotation).amax() < 1e-12);
             let xyzw = settled_xyzw(&settled);
             assert_eq!(rotation_from_xyzw(xyzw), Some(settled), "{vector}");
+        }
+    }
+
+    #[test]
+    fn angles_give_the_rotation_back_and_carry_on_in_every_order() {
+        use std::f64::consts::FRAC_PI_2;
+        // A knee that bends past a quarter turn, a root that turns for ever, and both at once.
+        let paths: [fn(f64) -> [f64; 3]; 3] = [
+            |t| [0.02, 2.5 * t.sin().abs(), -0.01],
+            |t| [0.1 * t, 0.3, 3.0 * t],
+            |t| [t, FRAC_PI_2, 0.4 * t],
+        ];
+        for order in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
+            let compose =
+                |[a, b, c]: [f64; 3]| about(order[0], a) * about(order[1], b) * about(order[2], c);
+            for path in paths {
+                let mut last = path(0.0);
+                for frame in 0..2000 {
+                    let truth = compose(path(f64::from(frame) * 0.01));
+                    let found = angles(&truth, order, last);
+                    assert!((compose(found) - truth).amax() < 1e-6, "{order:?}, frame {frame}");
+                    assert!(apart(&found, &last) < 0.15, "{order:?}, frame {frame}: {found:?}");
+                    last = found;
+                }
+            }
         }
     }
 }

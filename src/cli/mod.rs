@@ -28,6 +28,8 @@ mod play;
 mod player;
 mod record;
 mod reference;
+mod retarget;
+mod retarget_live;
 mod run;
 mod solve;
 mod synth;
@@ -64,6 +66,7 @@ enum Command {
     Echo(echo::Arguments),
     Record(record::Arguments),
     Decode(decode::Arguments),
+    Retarget(retarget::Arguments),
     Completions(completions::Arguments),
 }
 
@@ -82,6 +85,7 @@ pub fn main() -> ExitCode {
         Command::Echo(arguments) => echo::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Decode(arguments) => decode::run(&arguments),
+        Command::Retarget(arguments) => retarget::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
     };
     let exit = result.unwrap_or_else(|failure: Failure| {

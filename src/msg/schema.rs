@@ -2,7 +2,10 @@
 
 use prost::{Message, Name};
 
-use super::{DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, Rig, Skeleton, Status};
+use super::{
+    DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Skeleton,
+    Status,
+};
 
 /// How payloads are encoded, in MCAP's words.
 pub const ENCODING: &str = "protobuf";
@@ -37,6 +40,7 @@ schemas! {
     Event: "event",
     Status: "status",
     Journal: "journal",
+    RetargetedPose: "retargeted_pose",
 }
 
 /// What stands before the schema in the encoding of a payload on the bus.
@@ -69,6 +73,7 @@ pub fn schema_of(topic: &str, encoding: &str) -> Option<&'static str> {
 fn schema_of_topic(topic: &str) -> Option<&'static str> {
     let mut parts = topic.strip_prefix("mocap/")?.rsplit('/');
     Some(match (parts.next()?, parts.next()?) {
+        (_, "retargeted") => "bundlemocap.v1.RetargetedPose",
         ("keypoints", _) => "bundlemocap.v1.KeypointFrame",
         ("rig", _) => "bundlemocap.v1.Rig",
         ("pose" | "truth", _) | ("live", "pose") => "bundlemocap.v1.Pose",

@@ -10,6 +10,7 @@ mod layers;
 mod manifold;
 mod messages;
 mod recording;
+mod retarget;
 mod solve;
 mod synth;
 mod tools;
