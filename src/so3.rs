@@ -45,6 +45,27 @@ pub fn xyzw_from_rotation(r: &Matrix3<f64>) -> [f64; 4] {
     [q.i, q.j, q.k, q.w]
 }
 
+/// As [`xyzw_from_rotation`], but rounded to 2^-44, so that the rotation of this quaternion has the
+/// same quaternion again, bit for bit: a rotation that was sent as a quaternion is the one that
+/// came. The first of w, x, y, z that is large is not rounded but follows from the unit length.
+pub fn settled_xyzw(r: &Matrix3<f64>) -> [f64; 4] {
+    const STEPS: f64 = (1_u64 << 44) as f64;
+    /// One component of a unit quaternion is at least 0.5.
+    const LARGE: f64 = 0.4;
+    let xyzw = xyzw_from_rotation(r);
+    let mut rounded = xyzw.map(|component| (component * STEPS).round() / STEPS);
+    if let Some(large) = [3, 0, 1, 2].into_iter().find(|&i| rounded[i].abs() >= LARGE) {
+        let others: f64 = (0..4).filter(|&i| i != large).map(|i| rounded[i] * rounded[i]).sum();
+        rounded[large] = (1.0 - others).sqrt().copysign(xyzw[large]);
+    }
+    rounded
+}
+
+/// The rotation nearest to R that [`settled_xyzw`] keeps; R itself if it is no rotation.
+pub fn settled(r: &Matrix3<f64>) -> Matrix3<f64> {
+    rotation_from_xyzw(settled_xyzw(r)).unwrap_or(*r)
+}
+
 /// Whether R is a rotation to within `tolerance` in each entry of R^T R, and right-handed.
 pub fn is_rotation(r: &Matrix3<f64>, tolerance: f64) -> bool {
     (r.transpose() * r - Matrix3::identity()).amax() <= tolerance && r.determinant() > 0.0
@@ -179,6 +200,25 @@ mod tests {
         }
         assert!(rotation_from_xyzw([0.0; 4]).is_none());
         assert!(rotation_from_xyzw([f64::NAN, 0.0, 0.0, 1.0]).is_none());
+    }
+
+    #[test]
+    fn a_settled_rotation_survives_its_quaternion_bit_for_bit() {
+        let turn = |n: u32, k: f64| ((f64::from(n) * k).fract() - 0.5) * 7.0;
+        let random = (0..20_000).map(|n| {
+            Vector3::new(turn(n, 0.754_877_666), turn(n, 0.569_840_29), turn(n, 0.414_213_56))
+        });
+        let quarters = (0..64).map(|n: u32| {
+            let part = |shift: u32| f64::from((n >> shift) & 3) * std::f64::consts::FRAC_PI_2;
+            Vector3::new(part(0), part(2), part(4))
+        });
+        for vector in random.chain(quarters) {
+            let rotation = exp(&vector);
+            let settled = settled(&rotation);
+            assert!((settled - rotation).amax() < 1e-12);
+            let xyzw = settled_xyzw(&settled);
+            assert_eq!(rotation_from_xyzw(xyzw), Some(settled), "{vector}");
+        }
     }
 
     #[test]

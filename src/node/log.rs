@@ -167,7 +167,7 @@ fn spoken(kind: &str) -> String {
 fn line(kind: &str, camera: Option<&str>, window: Option<u64>, text: &str) {
     let good = matches!(
         kind,
-        "acquired" | "entered" | "exited" | "left" | "recovered" | "returned" | "rig" | "started"
+        "acquired" | "left" | "returned" | "calibrated" | "latency"
     );
     if good {
         tracing::info!(camera, window, "{text}");
