@@ -267,7 +267,7 @@ impl Sheet<'_> {
             match labels.is_empty() {
                 true => metric.encode_counter::<NoExemplar, f64, f64>(value, None)?,
                 false => metric
-                    .encode_family(labels)?
+                    .encode_family(&escaped(labels))?
                     .encode_counter::<NoExemplar, f64, f64>(value, None)?,
             }
         }
@@ -279,7 +279,7 @@ impl Sheet<'_> {
         for (labels, value) in rows {
             match labels.is_empty() {
                 true => metric.encode_gauge(value)?,
-                false => metric.encode_family(labels)?.encode_gauge(value)?,
+                false => metric.encode_family(&escaped(labels))?.encode_gauge(value)?,
             }
         }
         Ok(())
@@ -298,6 +298,14 @@ impl Sheet<'_> {
             .fold(0.0, |sum, part| sum + part);
         metric.encode_histogram::<NoExemplar>(sum, counts.iter().sum(), &buckets, None)
     }
+}
+
+/// The encoder writes values as they are; names of cameras may hold anything.
+fn escaped<'a>(labels: &[(&'a str, &str)]) -> Vec<(&'a str, String)> {
+    let escape = |value: &str| {
+        value.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n").replace('\r', " ")
+    };
+    labels.iter().map(|(name, value)| (*name, escape(value))).collect()
 }
 
 /// Labels of exemplars, of which there are none.

@@ -8,6 +8,7 @@ mod jacobians;
 mod layers;
 mod manifold;
 mod messages;
+mod node;
 mod recording;
 mod solve;
 mod synth;
