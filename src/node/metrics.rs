@@ -164,7 +164,7 @@ impl Sheet<'_> {
     fn status(&mut self, status: &Status) -> fmt::Result {
         let state = ("state", status.performer.as_str());
         self.gauges("bundlemocap_performer", "State of the performer", &[(vec![state], 1.0)])?;
-        let latency = status.declared_latency_ns as f64 * 1e-9;
+        let latency = status.declared_latency_ns as f64 / 1e9;
         self.gauge("bundlemocap_declared_latency_seconds", "Declared and kept", latency)?;
         let help = "Messages dropped by the full queue";
         self.counter("bundlemocap_queue_dropped", help, status.queue_dropped)?;
@@ -221,7 +221,7 @@ impl Sheet<'_> {
         let help = "Median of the last windows";
         self.gauge("bundlemocap_window_iterations", help, windows.iterations)?;
         let quantiles = [("0.5", windows.solve_p50_ms), ("0.99", windows.solve_p99_ms)];
-        let rows = quantiles.map(|(quantile, ms)| (vec![("quantile", quantile)], ms * 1e-3));
+        let rows = quantiles.map(|(quantile, ms)| (vec![("quantile", quantile)], ms / 1e3));
         self.gauges("bundlemocap_window_solve_seconds", "Time of a window's solve", &rows)
     }
 
