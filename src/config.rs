@@ -108,7 +108,7 @@ impl Config {
         Some((key, value, allowed))
     }
 
-    fn counts(&self) -> [Limit; 7] {
+    fn counts(&self) -> [Limit; 10] {
         let Self { track, node, .. } = self;
         let count =
             |key, value: usize, most: f64, allowed| (key, value as f64, 1.0..=most, allowed);
@@ -120,6 +120,9 @@ impl Config {
             count("track.iterations", track.iterations, 1e3, "1 to 1000"),
             or_none("track.loose_iterations", track.loose_iterations),
             count("track.acquisition_iterations", track.acquisition_iterations, 1e3, "1 to 1000"),
+            or_none("track.live_iterations", track.live_iterations),
+            or_none("track.coast_windows", track.coast_windows),
+            count("track.grace_windows", track.grace_windows, 1e3, "1 to 1000"),
             ("node.queue", node.queue as f64, 16.0..=1e6, "16 to 1000000"),
         ]
     }
@@ -239,6 +242,9 @@ mod tests {
         refused("track", "iterations", "1000000", "1 to 1000");
         refused("track", "loose_iterations", "1001", "0 to 1000");
         refused("track", "acquisition_iterations", "0", "1 to 1000");
+        refused("track", "live_iterations", "1001", "0 to 1000");
+        refused("track", "coast_windows", "1001", "0 to 1000");
+        refused("track", "grace_windows", "0", "1 to 1000");
         refused("track", "loose_scale", "0.99", "1 or a number above");
         refused("track", "min_confidence", "1.5", "0 to 1");
         refused("track.cost", "scale_px", "0.0", "a number above 0");

@@ -49,6 +49,39 @@ impl Sub for Timestamp {
     }
 }
 
+/// The times `origin + round(k * period_ns)` for whole k.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grid {
+    /// The time of k = 0.
+    pub origin: Timestamp,
+    /// Nanoseconds from one to the next, above 0.
+    pub period_ns: f64,
+}
+
+impl Grid {
+    /// The time of `k`.
+    pub fn time(&self, k: i64) -> Timestamp {
+        self.origin + (k as f64 * self.period_ns).round() as i64
+    }
+
+    /// The last k whose time is not after `time`.
+    pub fn at_or_before(&self, time: Timestamp) -> i64 {
+        let near = ((time - self.origin) as f64 / self.period_ns).floor() as i64;
+        (near - 1..=near + 1).rev().find(|&k| self.time(k) <= time).unwrap_or(near - 1)
+    }
+
+    /// The k whose time is nearest.
+    pub fn nearest(&self, time: Timestamp) -> i64 {
+        ((time - self.origin) as f64 / self.period_ns).round() as i64
+    }
+
+    /// The times after `start`, up to `end`.
+    pub fn between(&self, start: Timestamp, end: Timestamp) -> impl Iterator<Item = Timestamp> {
+        let grid = *self;
+        (grid.at_or_before(start) + 1..=grid.at_or_before(end)).map(move |k| grid.time(k))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -66,5 +99,20 @@ mod tests {
         assert_eq!(far + 1, far);
         assert_eq!(far - Timestamp::from_ns(-1), i64::MAX);
         assert_eq!(Timestamp::from_ns(500_000_000).seconds_since(Timestamp::default()), 0.5);
+    }
+
+    #[test]
+    fn every_time_belongs_to_one_window_only() {
+        let grid = Grid { origin: Timestamp::from_ns(-7), period_ns: 1e9 / 60.0 };
+        let borders: Vec<Timestamp> = (-3..40).map(|k| grid.time(10 * k)).collect();
+        let mut times = Vec::new();
+        for pair in borders.windows(2) {
+            let inside: Vec<_> = grid.between(pair[0], pair[1]).collect();
+            assert_eq!(inside.len(), 10);
+            assert_eq!(inside.last(), Some(&pair[1]));
+            times.extend(inside);
+        }
+        assert!(times.is_sorted() && times.windows(2).all(|pair| pair[0] < pair[1]));
+        assert_eq!(grid.nearest(grid.time(17) + 3), 17);
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Bus, BusError, Zenoh};
+use super::{Bus, BusError, Iceoryx2, Zenoh};
 
 /// Which bus, and the settings of each.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -86,7 +86,7 @@ impl Default for Iceoryx2Config {
 pub fn open_node(config: &Config) -> Result<Box<dyn Bus>, BusError> {
     match config.kind {
         Kind::Zenoh => Ok(Box::new(Zenoh::open_node(&config.zenoh)?)),
-        Kind::Iceoryx2 => Err(BusError::Closed),
+        Kind::Iceoryx2 => Ok(Box::new(Iceoryx2::open(&config.iceoryx2)?)),
     }
 }
 
@@ -98,6 +98,6 @@ pub fn open_node(config: &Config) -> Result<Box<dyn Bus>, BusError> {
 pub fn open_client(config: &Config) -> Result<Box<dyn Bus>, BusError> {
     match config.kind {
         Kind::Zenoh => Ok(Box::new(Zenoh::open_client(&config.zenoh)?)),
-        Kind::Iceoryx2 => Err(BusError::Closed),
+        Kind::Iceoryx2 => Ok(Box::new(Iceoryx2::open(&config.iceoryx2)?)),
     }
 }

@@ -59,17 +59,20 @@ impl Memory {
 
     /// Gives a sample to all who subscribed to its topic, and keeps it for late joiners if the
     /// topic is a state.
-    pub(super) fn publish(&self, sample: Sample) {
-        {
-            let mut state = self.lock();
-            state.keep(&sample);
-            state.send(&sample);
-        }
+    pub(super) fn publish(&self, sample: &Sample) {
+        self.enqueue(sample);
         self.deliver();
     }
 
+    /// The first half of [`Memory::publish`]: no sink is called yet.
+    pub(super) fn enqueue(&self, sample: &Sample) {
+        let mut state = self.lock();
+        state.keep(sample);
+        state.send(sample);
+    }
+
     /// Delivers what is due, unless another call is at it.
-    fn deliver(&self) {
+    pub(super) fn deliver(&self) {
         let Some(_turn) = Turn::take(self) else { return };
         loop {
             let mut state = self.lock();
@@ -139,7 +142,7 @@ struct MemoryPublisher {
 
 impl Publisher for MemoryPublisher {
     fn put(&self, capture: Timestamp, encoding: &str, payload: &[u8]) -> Result<(), BusError> {
-        self.bus.publish(Sample {
+        self.bus.publish(&Sample {
             topic: self.topic.clone(),
             capture,
             encoding: encoding.into(),

@@ -20,13 +20,17 @@ use std::time::Duration;
 use crate::time::Timestamp;
 
 mod config;
+mod iceoryx2;
 mod memory;
 mod name;
+mod replay;
 mod zenoh;
 
 pub use config::{Config, Iceoryx2Config, Kind, ZenohConfig, ZenohMode, open_client, open_node};
+pub use iceoryx2::Iceoryx2;
 pub use memory::Memory;
 pub use name::{check_pattern, check_topic, matches};
+pub use replay::Replay;
 pub use zenoh::Zenoh;
 
 /// What travels on the bus.

@@ -11,7 +11,7 @@ use crate::camera::Rig;
 use crate::eval::statistics::percentiles;
 use crate::time::Timestamp;
 use crate::track::{
-    Config, Event, EventKind, Input, Output, Residual, Solver, Task, Track, WindowReport,
+    Config, Event, EventKind, Input, Output, Residual, Solver, Task, Track, Verdict, WindowReport,
 };
 
 /// Detected points of at most this confidence are left out of reported errors.
@@ -108,16 +108,16 @@ impl Run {
     }
 
     fn keep_window(&mut self, report: &WindowReport) {
-        if report.lost.is_none() {
+        if report.verdict == Verdict::Tracked {
             self.keep_errors(report);
         }
         self.windows.push(WindowSummary {
             start: report.start,
             end: report.end,
             latent_norm: report.latent_norm,
-            iterations: report.summary.iterations,
-            cost: report.summary.final_cost,
-            lost: report.lost.is_some(),
+            iterations: report.summary.map_or(0, |summary| summary.iterations),
+            cost: report.summary.map_or(f64::NAN, |summary| summary.final_cost),
+            lost: report.verdict != Verdict::Tracked,
             solve_ms: self.last_solve_ms,
         });
     }

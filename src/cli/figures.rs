@@ -108,7 +108,7 @@ impl Figures {
         let Measured { run, rig, skeleton, .. } = &measured;
         let fps = frame_rate(&run.poses);
         let solve_ms: Vec<f64> = run.windows.iter().map(|window| window.solve_ms).collect();
-        let is_lost = |pose: &&KeptPose| pose.state == TrackingState::Lost;
+        let is_lost = |pose: &&KeptPose| pose.state != TrackingState::Tracking;
         Self {
             version: env!("CARGO_PKG_VERSION"),
             recording: measured.recording.display().to_string(),
@@ -157,7 +157,7 @@ impl Figures {
     /// Rows of a name and a value, for people.
     pub(super) fn rows(&self) -> Vec<(String, String)> {
         let mut rows = Rows::default();
-        rows.add("frames", with_part(self.frames, self.frames_lost, "flagged lost"));
+        rows.add("frames", with_part(self.frames, self.frames_lost, "flagged"));
         rows.add("windows", with_part(self.windows, self.lost, "lost"));
         if self.windows_without_performer > 0 {
             let windows = self.windows_without_performer.to_string();

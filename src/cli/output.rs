@@ -16,6 +16,7 @@ use crate::export::{
     AngleTrack, CameraErrors, ExportError, Picture, ReportData, StickFigures, Table, WindowRow,
     flexion_deg, stick_figures, write_report,
 };
+use crate::manifold::Interpolation;
 use crate::msg::{StampedKeyframe, Topics};
 use crate::record::{Provenance, Writer};
 use crate::time::Timestamp;
@@ -66,6 +67,8 @@ pub(super) struct PoseFile {
     cameras: Vec<String>,
     skeleton: Option<Arc<Skeleton>>,
     has_rig: bool,
+    interpolation: Interpolation,
+    weights: String,
 }
 
 impl PoseFile {
@@ -75,8 +78,11 @@ impl PoseFile {
         rig: &Arc<Rig>,
         solved: &Rig,
         provenance: &Provenance,
+        interpolation: Interpolation,
     ) -> Result<Self, Failure> {
         Ok(Self {
+            interpolation,
+            weights: provenance.weights.clone(),
             writer: Writer::create(path, Topics::default(), provenance)?,
             rig: Arc::clone(rig),
             cameras: solved.cameras.iter().map(|camera| camera.name.clone()).collect(),
@@ -109,9 +115,15 @@ impl PoseFile {
         let Some(skeleton) = &self.skeleton else { return Ok(()) };
         let stamped = StampedKeyframe {
             capture: at.capture,
+            start: at.start,
             window: at.window,
             keyframe: at.keyframe.clone(),
             shape: *skeleton.shape(),
+            interpolation: self.interpolation,
+            weights: self.weights.clone(),
+            grid: at.grid,
+            state: at.state,
+            rig_version: at.rig_version,
         };
         Ok(self.writer.keyframe(&stamped)?)
     }

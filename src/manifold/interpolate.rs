@@ -42,6 +42,19 @@ pub struct LatentTangent {
 }
 
 impl Interpolation {
+    /// A lower-case name, as used on the wire.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Slerp => "slerp",
+            Self::Lerp => "lerp",
+        }
+    }
+
+    /// The one with that name.
+    pub fn named(name: &str) -> Option<Self> {
+        [Self::Slerp, Self::Lerp].into_iter().find(|one| one.name() == name)
+    }
+
     /// The code at `s`, 0 at `z0` and 1 at `z1`. Values outside go on along the path.
     pub fn latent(self, z0: &Latent, z1: &Latent, s: f64) -> Latent {
         let (w0, w1) = match self.angle(z0, z1) {

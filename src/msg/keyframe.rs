@@ -2,26 +2,39 @@
 
 use super::check::{Field, field};
 use super::{DecodeError, Keyframe};
-use crate::body::{SHAPE_COEFFICIENTS, Shape};
-use crate::manifold::{self, LATENT};
+use crate::body::{SHAPE_COEFFICIENTS, Shape, TrackingState};
+use crate::manifold::{self, Interpolation, LATENT};
 use crate::so3;
-use crate::time::Timestamp;
+use crate::time::{Grid, Timestamp};
 
 const fn at(name: &'static str) -> Field {
     field("Keyframe", name)
 }
 
-/// A keyframe at the end of a window: all that is needed to go on from there.
+/// A keyframe at the end of a window: all that is needed to go on from there, and with the one
+/// before it to decode the poses between.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StampedKeyframe {
     /// The end of the window.
     pub capture: Timestamp,
+    /// The keyframe that the path comes from; its own time where a path begins.
+    pub start: Timestamp,
     /// Number of the window, from 0.
     pub window: u64,
     /// Latent code and root.
     pub keyframe: manifold::Keyframe,
     /// The shape that it was solved with.
     pub shape: Shape,
+    /// How the latent code runs from the keyframe before.
+    pub interpolation: Interpolation,
+    /// Fingerprint of the decoder's weights, hexadecimal.
+    pub weights: String,
+    /// The times of poses.
+    pub grid: Grid,
+    /// How far the poses since `start` can be trusted.
+    pub state: TrackingState,
+    /// Version of the rig that it was solved with.
+    pub rig_version: u64,
 }
 
 impl Keyframe {
@@ -35,7 +48,13 @@ impl Keyframe {
             root_rotation: so3::xyzw_from_rotation(&keyframe.root_rotation).to_vec(),
             root_position_m: keyframe.root_position.iter().copied().collect(),
             shape: stamped.shape.0.to_vec(),
-            ..Self::default()
+            start_time_ns: stamped.start.ns(),
+            interpolation: stamped.interpolation.name().to_owned(),
+            weights: stamped.weights.clone(),
+            grid_origin_ns: stamped.grid.origin.ns(),
+            grid_period_ns: stamped.grid.period_ns,
+            state: super::pose::wire_state(stamped.state).into(),
+            calibration_version: stamped.rig_version,
         }
     }
 
@@ -53,6 +72,32 @@ impl Keyframe {
                 root_position: at("root_position_m").vector(&self.root_position_m)?,
             },
             shape: Shape(at("shape").numbers::<SHAPE_COEFFICIENTS, _>(&self.shape)?),
+            start: self.start()?,
+            interpolation: Interpolation::named(&self.interpolation).ok_or_else(|| {
+                let name = &self.interpolation;
+                at("interpolation").invalid(format!("{name:?} is not slerp or lerp"))
+            })?,
+            weights: self.weights.clone(),
+            grid: self.grid()?,
+            state: super::pose::core_state(self.state)
+                .ok_or_else(|| at("state").invalid(format!("unknown state {}", self.state)))?,
+            rig_version: self.calibration_version,
         })
+    }
+
+    fn start(&self) -> Result<Timestamp, DecodeError> {
+        match self.start_time_ns <= self.capture_time_ns {
+            true => Ok(Timestamp::from_ns(self.start_time_ns)),
+            false => Err(at("start_time_ns").invalid("is after capture_time_ns")),
+        }
+    }
+
+    /// The grid; at most 10,000 poses a second, lest a window has more than anybody can decode.
+    fn grid(&self) -> Result<Grid, DecodeError> {
+        let period_ns = self.grid_period_ns;
+        if !(1e5..=1e18).contains(&period_ns) {
+            return Err(at("grid_period_ns").invalid(format!("is {period_ns}, below 1e5 or huge")));
+        }
+        Ok(Grid { origin: Timestamp::from_ns(self.grid_origin_ns), period_ns })
     }
 }

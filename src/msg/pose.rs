@@ -77,18 +77,21 @@ impl Pose {
     }
 
     fn tracking_state(&self) -> Result<TrackingState, DecodeError> {
-        match WireState::try_from(self.state) {
-            Ok(WireState::Tracking) => Ok(TrackingState::Tracking),
-            Ok(WireState::Coasting) => Ok(TrackingState::Coasting),
-            Ok(WireState::Lost) => Ok(TrackingState::Lost),
-            Ok(WireState::Unspecified) | Err(_) => {
-                Err(at("state").invalid(format!("unknown state {}", self.state)))
-            }
-        }
+        let unknown = || at("state").invalid(format!("unknown state {}", self.state));
+        core_state(self.state).ok_or_else(unknown)
     }
 }
 
-fn wire_state(state: TrackingState) -> WireState {
+pub(super) fn core_state(state: i32) -> Option<TrackingState> {
+    match WireState::try_from(state).ok()? {
+        WireState::Tracking => Some(TrackingState::Tracking),
+        WireState::Coasting => Some(TrackingState::Coasting),
+        WireState::Lost => Some(TrackingState::Lost),
+        WireState::Unspecified => None,
+    }
+}
+
+pub(super) fn wire_state(state: TrackingState) -> WireState {
     match state {
         TrackingState::Tracking => WireState::Tracking,
         TrackingState::Coasting => WireState::Coasting,

@@ -4,12 +4,20 @@
 //! ([`Intake`]), the machine's thread gives messages, answers and time to the core and does what it
 //! wants, one worker solves, and one timer publishes the poses that are due ([`Schedule`]).
 
+mod answers;
 mod board;
+mod cameras;
+mod clock;
 mod config;
 mod core;
 mod error;
+mod events;
+mod governor;
+mod journal;
+mod latency;
 pub mod log;
 mod machine;
+mod messages;
 pub mod metrics;
 mod outlet;
 mod playout;
@@ -17,11 +25,13 @@ mod process;
 mod queue;
 mod rig_file;
 mod run;
+mod status;
 mod wall;
 
 pub use config::Config;
 pub use core::{Core, Input, Output, Publication, Settings};
 pub use error::NodeError;
+pub use journal::{hash, platform};
 pub use playout::{Deviations, Schedule};
 pub use process::Usage;
 pub use queue::{Intake, Message};

@@ -23,6 +23,12 @@ pub struct Config {
     pub loose_iterations: usize,
     /// How many times looser.
     pub loose_scale: f64,
+    /// Most iterations of a provisional fit of the open window.
+    pub live_iterations: usize,
+    /// How many windows the motion is carried on for while too little is seen of the performer.
+    pub coast_windows: usize,
+    /// After how many windows that closed without it a camera is no longer waited for.
+    pub grace_windows: usize,
     /// Iterations of each stage of the acquisition.
     pub acquisition_iterations: usize,
     /// An optimiser stops when a step lowers the cost by less than this part of it.
@@ -65,6 +71,9 @@ impl Default for Config {
             iterations: 30,
             loose_iterations: 3,
             loose_scale: 3.0,
+            live_iterations: 3,
+            coast_windows: 3,
+            grace_windows: 3,
             acquisition_iterations: 30,
             change_threshold: 1e-4,
             method: Method::LevenbergMarquardt,

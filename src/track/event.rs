@@ -23,11 +23,37 @@ pub enum EventKind {
     NobodyFound,
     /// A window fitted badly; its poses are flagged and the performer is searched anew.
     Lost,
+    /// Too little was seen of the performer in a window; the motion was carried on.
+    Coasted,
+    /// The performer was not seen for too long and is searched anew.
+    Left,
+    /// A camera is no longer waited for.
+    Silent,
+    /// A camera that was silent is waited for again.
+    Returned,
+    /// A pose was due before its window was solved; one carried on took its place.
+    Overdue,
+    /// A new calibration is in use.
+    Calibrated,
+    /// The latency is declared, or cannot be kept.
+    Latency,
+    /// The solver does less, or more again.
+    Effort,
+    /// A camera's clock is off from the others', or back.
+    ClockOffset,
+    /// Capture times that jumped; the frames are not used.
+    ClockJump,
+    /// More people in a frame than are looked at.
+    Crowd,
+    /// Two publishers seem to use one camera's name.
+    Conflict,
+    /// Messages that the full queue dropped.
+    Dropped,
 }
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 22] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -37,6 +63,19 @@ impl EventKind {
         Self::Acquired,
         Self::NobodyFound,
         Self::Lost,
+        Self::Coasted,
+        Self::Left,
+        Self::Silent,
+        Self::Returned,
+        Self::Overdue,
+        Self::Calibrated,
+        Self::Latency,
+        Self::Effort,
+        Self::ClockOffset,
+        Self::ClockJump,
+        Self::Crowd,
+        Self::Conflict,
+        Self::Dropped,
     ];
 
     /// A lower-case name, as used on the wire.
@@ -51,6 +90,19 @@ impl EventKind {
             Self::Acquired => "acquired",
             Self::NobodyFound => "nobody_found",
             Self::Lost => "lost",
+            Self::Coasted => "coasted",
+            Self::Left => "left",
+            Self::Silent => "silent",
+            Self::Returned => "returned",
+            Self::Overdue => "overdue",
+            Self::Calibrated => "calibrated",
+            Self::Latency => "latency",
+            Self::Effort => "effort",
+            Self::ClockOffset => "clock_offset",
+            Self::ClockJump => "clock_jump",
+            Self::Crowd => "crowd",
+            Self::Conflict => "conflict",
+            Self::Dropped => "dropped",
         }
     }
 }

@@ -39,8 +39,10 @@ const MAX_MISSING: u64 = 1_000_000;
 /// What one camera has shown.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
+    format: Option<KeypointFormat>,
     watermark: Option<Timestamp>,
     last_used: Option<u64>,
+    used: u64,
 }
 
 /// The buffer, and what each camera has shown.
@@ -78,13 +80,13 @@ impl Intake {
                 detail,
             })
         };
-        let format = *self.format.get_or_insert(frame.format);
+        if frame.camera >= self.cameras.len() {
+            return event(EventKind::Unusable, format!("the rig has no camera {}", frame.camera));
+        }
+        let format = self.vote(frame.camera, frame.format);
         if format != frame.format {
             let detail = format!("{} in a stream of {}", frame.format.name(), format.name());
             return event(EventKind::Unusable, detail);
-        }
-        if frame.camera >= self.cameras.len() {
-            return event(EventKind::Unusable, format!("the rig has no camera {}", frame.camera));
         }
         if self.closed.is_some_and(|closed| frame.capture <= closed) {
             return event(
@@ -117,6 +119,20 @@ impl Intake {
         };
         self.frames.insert(key, Arc::new(frame));
         found
+    }
+
+    /// The format in use after `camera` spoke for `format`: the first one, until more cameras speak
+    /// for another.
+    fn vote(&mut self, camera: usize, format: KeypointFormat) -> KeypointFormat {
+        self.cameras[camera].format = Some(format);
+        let votes = |format| self.cameras.iter().filter(|c| c.format == Some(format)).count();
+        let in_use = self.format.unwrap_or(format);
+        let new = if votes(format) > votes(in_use) { format } else { in_use };
+        if new != in_use {
+            self.frames.retain(|_, frame| frame.format == new);
+        }
+        self.format = Some(new);
+        new
     }
 
     /// The order of the points, once something came.
@@ -178,10 +194,30 @@ impl Intake {
             .collect()
     }
 
+    /// The latest capture time that a camera has shown.
+    pub(super) fn watermark(&self, camera: usize) -> Option<Timestamp> {
+        self.cameras.get(camera)?.watermark
+    }
+
+    /// Frames of that camera that went into windows.
+    pub(super) fn used(&self, camera: usize) -> u64 {
+        self.cameras.get(camera).map_or(0, |seen| seen.used)
+    }
+
+    /// Whether anybody is in the frames of the buffer.
+    pub(super) fn shows_somebody(&self) -> bool {
+        self.frames.values().any(|frame| !frame.people.is_empty())
+    }
+
+    /// Refuses frames up to `end` from now on.
+    pub(super) fn refuse(&mut self, end: Timestamp) {
+        self.closed = self.closed.max(Some(end));
+    }
+
     /// Closes the time up to `end`: drops its frames, refuses later ones, and says which frames
     /// each camera's count is missing.
     pub(super) fn close(&mut self, end: Timestamp) -> Vec<Event> {
-        self.closed = Some(end);
+        self.refuse(end);
         let rest = self.frames.split_off(&(end + 1, 0, 0));
         let used = std::mem::replace(&mut self.frames, rest);
         let mut missing = Vec::new();
@@ -192,6 +228,7 @@ impl Intake {
                 .map(|(_, _, number)| *number)
                 .collect();
             numbers.sort_unstable();
+            seen.used += numbers.len() as u64;
             let Some((&first, &last)) = numbers.first().zip(numbers.last()) else { continue };
             let from = seen.last_used.map_or(first, |last| last.saturating_add(1)).min(first);
             let count = (last - from).saturating_add(1).saturating_sub(numbers.len() as u64);

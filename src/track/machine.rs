@@ -4,15 +4,18 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::config::Config;
+use super::effort::Effort;
 use super::event::{Event, EventKind};
 use super::intake::Intake;
-use super::job::{Job, Outcome, Residual, Solution, Task, Tracked};
-use crate::body::{Pose, Skeleton, StampedPose, TrackingState};
+use super::job::{Job, Residual, Solution, Task, Verdict};
+use super::playout::{Latency, Live, MARGIN, Playout};
+use super::waiting::Waiting;
+use crate::body::{Skeleton, StampedPose, TrackingState};
 use crate::camera::Rig;
 use crate::detect::Detections;
 use crate::manifold::Keyframe;
 use crate::solve::Summary;
-use crate::time::Timestamp;
+use crate::time::{Grid, Timestamp};
 
 /// Frame period of a recording that is too short to show it, ns: 60 frames a second.
 const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
@@ -22,6 +25,15 @@ const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
 pub enum Input {
     /// A camera's detections.
     Detections(Detections),
+    /// A new calibration: of the same cameras, it is used from the next window on; of others, the
+    /// machine starts anew with it.
+    Rig(Arc<Rig>),
+    /// The capture clock jumped: forget all frames, search anew; the body stays known.
+    Restart,
+    /// How much to do from the next job on.
+    Effort(Effort),
+    /// The latency to keep, of a live machine.
+    Latency(Latency),
     /// The answer to the job that is out.
     Solved(Solution),
     /// The capture clock has reached this time.
@@ -52,10 +64,18 @@ pub enum Output {
 pub struct KeyframeAt {
     /// Its capture time.
     pub capture: Timestamp,
+    /// The keyframe that the path comes from; its own time where a path begins.
+    pub start: Timestamp,
     /// The window that it ends.
     pub window: u64,
     /// Its value.
     pub keyframe: Keyframe,
+    /// The times of poses.
+    pub grid: Grid,
+    /// What the poses since `start` are worth.
+    pub state: TrackingState,
+    /// Version of the rig that it was solved with.
+    pub rig_version: u64,
 }
 
 /// How a window went.
@@ -67,87 +87,147 @@ pub struct WindowReport {
     pub start: Timestamp,
     /// ... up to this one.
     pub end: Timestamp,
-    /// What the optimiser did.
-    pub summary: Summary,
+    /// What the optimiser did, if the window was solved.
+    pub summary: Option<Summary>,
     /// Euclidean length of the keyframe's latent code.
     pub latent_norm: f64,
     /// Where each observation ended up.
     pub residuals: Vec<Residual>,
-    /// Why the window is lost, if it is.
-    pub lost: Option<String>,
+    /// What it is worth.
+    pub verdict: Verdict,
 }
 
 /// What is known of the performer.
-#[derive(Clone, Debug)]
-enum Phase {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Performer {
+    /// Nobody is seen.
     Searching,
-    Tracking { from: Box<Keyframe>, before: Option<Box<Keyframe>> },
+    /// Somebody is seen; frames are gathered or looked through.
+    Acquiring,
+    /// Followed.
+    Tracking,
+    /// Carried on without enough detections.
+    Coasting,
+    /// Known, but not seen.
+    Lost,
 }
 
-/// The window that is open, or whose job is out.
+impl Performer {
+    /// A lower-case name, as used on the wire.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Searching => "searching",
+            Self::Acquiring => "acquiring",
+            Self::Tracking => "tracking",
+            Self::Coasting => "coasting",
+            Self::Lost => "lost",
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+pub(super) enum Phase {
+    Searching,
+    Tracking { from: Box<Keyframe>, before: Option<Box<Keyframe>>, coasted: usize },
+}
+
+/// A window that is open.
 #[derive(Clone, Copy, Debug)]
-struct Window {
-    start: Timestamp,
-    end: Timestamp,
+pub(super) struct Window {
+    pub(super) start: Timestamp,
+    pub(super) end: Timestamp,
+}
+
+/// The job that is out.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Out {
+    pub(super) number: u64,
+    pub(super) window: Window,
 }
 
 /// The machine of one performer.
 #[derive(Clone, Debug)]
 pub struct Track {
-    config: Config,
-    rig: Arc<Rig>,
-    intake: Intake,
-    phase: Phase,
-    skeleton: Option<Arc<Skeleton>>,
+    pub(super) config: Config,
+    pub(super) live: Option<Live>,
+    pub(super) rig: Arc<Rig>,
+    next_rig: Option<Arc<Rig>>,
+    pub(super) effort: Effort,
+    pub(super) latency: Option<Latency>,
+    pub(super) intake: Intake,
+    waiting: Waiting,
+    pub(super) phase: Phase,
+    pub(super) skeleton: Option<Arc<Skeleton>>,
     /// Whether a window was ever solved well with that body.
-    is_proven: bool,
+    pub(super) is_proven: bool,
     /// Start of the open window.
-    start: Option<Timestamp>,
+    pub(super) start: Option<Timestamp>,
     /// Nominal frame period, ns.
-    period: Option<f64>,
-    now: Option<Timestamp>,
-    ended: bool,
-    out: Option<Window>,
-    window: u64,
-    /// The last pose given, to hold while the performer is lost.
-    held: Option<StampedPose>,
-    outputs: VecDeque<Output>,
+    pub(super) period: Option<f64>,
+    /// Nominal frame times; windows begin and end on it.
+    pub(super) frames: Option<Grid>,
+    pub(super) now: Option<Timestamp>,
+    pub(super) ended: bool,
+    pub(super) out: Option<Out>,
+    jobs: u64,
+    pub(super) window: u64,
+    /// The last provisional keyframe of the open window.
+    pub(super) newest: Option<(Timestamp, Box<Keyframe>)>,
+    pub(super) playout: Playout,
+    pub(super) outputs: VecDeque<Output>,
 }
 
 impl Track {
-    /// A machine for those cameras.
+    /// A machine for those cameras that solves a recording.
     pub fn new(config: Config, rig: Arc<Rig>) -> Self {
-        let period = (config.frame_rate_hz > 0.0).then(|| 1e9 / config.frame_rate_hz);
+        let cameras = rig.cameras.len();
         Self {
-            intake: Intake::new(rig.cameras.len()),
-            config,
+            live: None,
             rig,
+            next_rig: None,
+            effort: Effort::full(&config),
+            latency: None,
+            intake: Intake::new(cameras),
+            waiting: Waiting::new(cameras, config.grace_windows),
             phase: Phase::Searching,
             skeleton: None,
             is_proven: false,
             start: None,
-            period,
+            period: (config.frame_rate_hz > 0.0).then(|| 1e9 / config.frame_rate_hz),
+            config,
+            frames: None,
             now: None,
             ended: false,
             out: None,
+            jobs: 0,
             window: 0,
-            held: None,
+            newest: None,
+            playout: Playout::default(),
             outputs: VecDeque::new(),
         }
+    }
+
+    /// The same for a live node: poses wait for a latency, and there is one whenever one is due.
+    #[must_use]
+    pub fn live(mut self, live: Live) -> Self {
+        self.live = Some(live);
+        self
     }
 
     /// Takes an input in.
     pub fn handle(&mut self, input: Input) {
         match input {
-            Input::Detections(frame) => {
-                let event = self.intake.add(frame);
-                self.outputs.extend(event.map(Output::Event));
-            }
+            Input::Detections(frame) => self.add(frame),
             Input::Tick(now) => self.now = self.now.max(Some(now)),
+            Input::Rig(rig) => self.calibrate(rig),
+            Input::Restart => self.restart(),
+            Input::Effort(effort) => self.effort = effort,
+            Input::Latency(latency) => self.latency = Some(latency),
             Input::End => self.ended = true,
             Input::Solved(solution) => self.take(solution),
         }
         self.advance();
+        self.play();
     }
 
     /// The next output, if there is one.
@@ -155,37 +235,142 @@ impl Track {
         self.outputs.pop_front()
     }
 
-    /// Sends the open window's job, once it is complete.
+    /// When a live machine wants a tick, if no other input comes before.
+    pub fn wake(&self) -> Option<Timestamp> {
+        let due = self.due().map(|due| due + -MARGIN);
+        let end = self.start.filter(|_| self.out.is_none()).map(|start| start + self.span());
+        due.into_iter().chain(end.map(|end| end + self.grace())).min()
+    }
+
+    /// What is known of the performer.
+    pub fn performer(&self) -> Performer {
+        match &self.phase {
+            Phase::Tracking { coasted: 0, .. } => Performer::Tracking,
+            Phase::Tracking { .. } => Performer::Coasting,
+            Phase::Searching if self.intake.shows_somebody() => Performer::Acquiring,
+            Phase::Searching if self.skeleton.is_some() => Performer::Lost,
+            Phase::Searching => Performer::Searching,
+        }
+    }
+
+    /// The body, once it is known.
+    pub fn skeleton(&self) -> Option<&Arc<Skeleton>> {
+        self.skeleton.as_ref()
+    }
+
+    /// Length of a window, ns; by a usual frame rate until the cameras' is known.
+    pub fn span(&self) -> i64 {
+        let period = self.nominal_period();
+        (self.config.window_frames.max(1) as f64 * period).round() as i64
+    }
+
+    /// Nominal frame period, ns; a usual one until the cameras' is known.
+    pub fn frame_period(&self) -> f64 {
+        self.nominal_period()
+    }
+
+    /// The times of poses, once a performer was found.
+    pub fn output_grid(&self) -> Option<Grid> {
+        let frames = self.frames?;
+        let rate = self.live.map_or(0.0, |live| live.output_rate_hz);
+        Some(if rate > 0.0 { Grid { period_ns: 1e9 / rate, ..frames } } else { frames })
+    }
+
+    /// Frames of that camera that went into windows.
+    pub fn used(&self, camera: usize) -> u64 {
+        self.intake.used(camera)
+    }
+
+    /// Whether windows wait for that camera.
+    pub fn is_waited_for(&self, camera: usize) -> bool {
+        self.waiting.is_waited_for(camera)
+    }
+
+    /// Poses that were carried on since nothing else was there, and poses solved too late.
+    pub fn carried_and_missed(&self) -> (u64, u64) {
+        (self.playout.carried, self.playout.missed)
+    }
+
+    fn add(&mut self, frame: Detections) {
+        let (camera, capture) = (frame.camera, frame.capture);
+        let event = self.intake.add(frame);
+        let is_of_use = event.as_ref().is_none_or(|event| event.kind == EventKind::OutOfOrder);
+        self.outputs.extend(event.map(Output::Event));
+        if is_of_use && self.waiting.returned(camera) {
+            self.event(EventKind::Returned, capture, Some(camera), "waited for again".to_owned());
+        }
+    }
+
+    fn calibrate(&mut self, rig: Arc<Rig>) {
+        let names = |rig: &Rig| rig.cameras.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
+        if names(&rig) == names(&self.rig) {
+            self.next_rig = Some(rig);
+            return;
+        }
+        self.rig = rig;
+        self.restart();
+    }
+
+    /// As new, but for the body, the numbers of windows and jobs, and the latency.
+    fn restart(&mut self) {
+        let fresh = Self::new(self.config, Arc::clone(&self.rig));
+        let old = std::mem::replace(self, fresh);
+        self.live = old.live;
+        self.skeleton = old.skeleton.filter(|_| old.is_proven);
+        self.is_proven = old.is_proven;
+        (self.effort, self.latency) = (old.effort, old.latency);
+        (self.jobs, self.window) = (old.jobs, old.window + 1);
+        (self.next_rig, self.outputs) = (old.next_rig, old.outputs);
+        self.playout.carried = old.playout.carried;
+        self.playout.missed = old.playout.missed;
+    }
+
+    /// Sends the open window's job once it is complete, or that of a provisional fit.
     fn advance(&mut self) {
         if self.out.is_some() {
             return;
         }
-        let Some(start) = self.start.or_else(|| self.intake.first()) else { return };
-        let Some(period) = self.period.or_else(|| self.intake.frame_period()).or_else(|| {
-            // A recording shorter than the frames that show the rate.
-            self.ended.then_some(FALLBACK_PERIOD)
-        }) else {
-            return;
-        };
+        let Some(window) = self.open_window() else { return };
+        if self.is_complete(window.end) {
+            self.start = Some(window.start);
+            self.send(window);
+        } else {
+            self.send_live(window);
+        }
+    }
+
+    /// The window that is gathered, and its frame grid.
+    fn open_window(&mut self) -> Option<Window> {
+        let start = self.start.or_else(|| self.intake.first())?;
+        let period = self.period.or_else(|| self.intake.frame_period());
+        // A recording shorter than the frames that show the rate.
+        let period = period.or_else(|| self.ended.then_some(FALLBACK_PERIOD))?;
         self.period = Some(period);
+        if self.start.is_none() || self.frames.is_none() {
+            self.frames = Some(Grid { origin: start, period_ns: period });
+        }
+        let grid = self.frames?;
         let searching = matches!(self.phase, Phase::Searching);
         let windows = match searching && self.skeleton.is_none() {
             true => self.config.shape_windows.max(1),
             false => 1,
         };
-        let frames = self.config.window_frames.max(1) * windows;
-        let end = start + (frames as f64 * period).round() as i64;
-        let last = self.intake.last();
-        let end = match last {
-            None => return,
-            Some(last) if self.ended && last <= start + self.tolerance() && !searching => return,
-            Some(last) if self.ended && !searching => end.min(last),
+        let frames = (self.config.window_frames.max(1) * windows) as i64;
+        let end = grid.time(grid.nearest(start) + frames);
+        let end = match self.intake.last() {
+            None if self.ended || self.live.is_none() => return None,
+            Some(last) if self.ended && last <= start + self.tolerance() && !searching => {
+                return None;
+            }
+            // The last frame's nominal time, or its own if it is far from that.
+            Some(last) if self.ended && !searching => {
+                let nominal = grid.time(grid.nearest(last));
+                let is_near = (nominal - last).abs() <= self.tolerance();
+                end.min(if is_near { nominal } else { last })
+            }
             _ => end,
         };
-        if self.is_complete(end) {
-            self.start = Some(start);
-            self.send(Window { start, end });
-        }
+        Some(Window { start, end })
     }
 
     /// Nominal frame period, ns.
@@ -193,35 +378,51 @@ impl Track {
         self.period.unwrap_or(FALLBACK_PERIOD)
     }
 
-    /// Length of a window, ns.
-    fn span(&self) -> i64 {
-        let period = self.nominal_period();
-        (self.config.window_frames.max(1) as f64 * period).round() as i64
-    }
-
     /// How far past a window's end a frame still belongs to it, ns.
-    fn tolerance(&self) -> i64 {
+    pub(super) fn tolerance(&self) -> i64 {
         self.period.map_or(0, |period| (period / 4.0) as i64)
     }
 
+    /// How long past its end a window stays open for cameras that are behind, ns.
+    fn grace(&self) -> i64 {
+        let asked = (self.config.deadline_frames as f64 * self.nominal_period()) as i64;
+        let Some(latency) = self.latency else { return asked };
+        // The window's first pose is one output period after its start.
+        let output = self.output_grid().map_or(0.0, |grid| grid.period_ns) as i64;
+        let left = latency.declared_ns - self.span() + output - latency.reserve_ns;
+        asked.min(left.max(0))
+    }
+
     fn is_complete(&mut self, end: Timestamp) -> bool {
-        let waiting: Vec<usize> = self.intake.behind(end + -self.tolerance()).collect();
-        if self.ended || waiting.is_empty() {
-            return true;
+        let border = end + -self.tolerance();
+        let behind: Vec<usize> = self.intake.behind(border).collect();
+        let waited_for = behind.iter().any(|&camera| self.waiting.is_waited_for(camera));
+        let is_overdue = self.intake.newest().max(self.now) >= Some(end + self.grace());
+        if !(self.ended || (!waited_for && self.waiting.any()) || is_overdue) {
+            return false;
         }
-        let grace = self.config.deadline_frames as f64 * self.period.unwrap_or(0.0);
-        let overdue = self.intake.newest().max(self.now) >= Some(end + grace as i64);
-        if overdue {
-            for camera in waiting {
-                let detail =
-                    format!("not waited for more than {} frames", self.config.deadline_frames);
+        if !self.ended {
+            self.close_without(&behind, end);
+        }
+        true
+    }
+
+    /// Says which cameras a window did not wait for, and gives up those that stay away.
+    fn close_without(&mut self, behind: &[usize], end: Timestamp) {
+        for &camera in behind {
+            if self.waiting.is_waited_for(camera) {
+                let detail = format!("not waited for more than {} ms", self.grace() / 1_000_000);
                 self.event(EventKind::Deadline, end, Some(camera), detail);
             }
         }
-        overdue
+        for camera in self.waiting.closed_without(behind) {
+            let windows = self.config.grace_windows.max(1);
+            let detail = format!("nothing in {windows} windows, no longer waited for");
+            self.event(EventKind::Silent, end, Some(camera), detail);
+        }
     }
 
-    fn event(
+    pub(super) fn event(
         &mut self,
         kind: EventKind,
         capture: Timestamp,
@@ -240,165 +441,77 @@ impl Track {
     }
 
     fn send(&mut self, window: Window) {
-        let Some(format) = self.intake.format() else { return };
-        let frames = self.intake.up_to(window.end + self.tolerance());
+        if let Some(rig) = self.next_rig.take() {
+            let detail = format!("calibration {} from here on", rig.version);
+            self.rig = rig;
+            self.event(EventKind::Calibrated, window.start, None, detail);
+        }
         let task = match &self.phase {
-            Phase::Searching => Task::Acquire {
-                skeleton: self.skeleton.clone(),
-                half_frame: (self.period.unwrap_or(0.0) / 2.0) as i64,
-            },
-            Phase::Tracking { from, before } => {
+            Phase::Searching => Task::Acquire { skeleton: self.skeleton.clone() },
+            Phase::Tracking { from, before, coasted } => {
                 let Some(skeleton) = self.skeleton.clone() else { return };
-                Task::Track { from: from.clone(), before: before.clone(), skeleton }
+                self.intake.refuse(window.end + self.tolerance());
+                let (from, before, coasted) = (from.clone(), before.clone(), *coasted);
+                Task::Track { from, before, skeleton, coasted }
             }
         };
-        if matches!(task, Task::Track { .. }) {
-            self.close(window.end + self.tolerance());
+        self.send_job(window, task);
+    }
+
+    /// Sends a fit of the open window up to its newest frame set, if that is a new one.
+    fn send_live(&mut self, window: Window) {
+        let Phase::Tracking { from, before, coasted: 0 } = &self.phase else { return };
+        let Some(skeleton) = self.skeleton.clone() else { return };
+        if self.effort.live_iterations == 0 || !self.live.is_some_and(|live| live.provisional) {
+            return;
         }
-        self.out = Some(window);
+        let (Some(grid), Some(reach)) = (self.frames, self.reach()) else { return };
+        let k = grid.at_or_before(reach + self.tolerance());
+        let end = grid.time(k);
+        let last = self.newest.as_ref().map_or(window.start, |(at, _)| *at);
+        let from_start = k - grid.nearest(window.start);
+        if end <= last || end >= window.end || from_start % self.effort.stride.max(1) as i64 != 0 {
+            return;
+        }
+        let (from, before, last) = (from.clone(), before.clone(), self.newest.clone());
+        let task = Task::Live { from, before, last, skeleton };
+        self.send_job(Window { start: window.start, end }, task);
+    }
+
+    /// How far the frame sets are complete: all cameras that are waited for have come so far, or
+    /// one is a frame further.
+    fn reach(&self) -> Option<Timestamp> {
+        let cameras = (0..self.rig.cameras.len()).filter(|&c| self.waiting.is_waited_for(c));
+        let complete = cameras.map(|camera| self.intake.watermark(camera)).min().flatten();
+        let moved_on = self.intake.newest().map(|at| at + -(self.nominal_period() as i64));
+        complete.max(moved_on)
+    }
+
+    fn send_job(&mut self, window: Window, task: Task) {
+        let Some(format) = self.intake.format() else { return };
+        let number = self.jobs;
+        self.jobs += 1;
+        self.out = Some(Out { number, window });
+        let output_grid = self.output_grid();
         self.outputs.push_back(Output::Solve(Box::new(Job {
+            number,
             window: self.window,
             start: window.start,
             end: window.end,
-            pose_times: self.pose_times(window),
-            frames,
+            pose_times: output_grid
+                .map_or_else(Vec::new, |grid| grid.between(window.start, window.end).collect()),
+            frames: self.intake.up_to(window.end + self.tolerance()),
             format,
             rig: Arc::clone(&self.rig),
+            half_frame: (self.period.unwrap_or(0.0) / 2.0) as i64,
+            effort: self.effort,
             task,
         })));
     }
 
-    fn close(&mut self, end: Timestamp) {
+    pub(super) fn close(&mut self, end: Timestamp) {
         for event in self.intake.close(end) {
             self.outputs.push_back(Output::Event(Event { window: Some(self.window), ..event }));
-        }
-    }
-
-    /// Nominal frame times after the window's start, up to its end.
-    fn pose_times(&self, window: Window) -> Vec<Timestamp> {
-        let period = self.nominal_period();
-        let frames = ((window.end - window.start) as f64 / period).round() as usize;
-        (1..=frames.max(1))
-            .map(|i| window.start + (i as f64 * period).round() as i64)
-            .map(|time| time.min(window.end))
-            .collect()
-    }
-
-    fn take(&mut self, solution: Solution) {
-        let Some(window) = self.out.filter(|_| solution.window == self.window) else { return };
-        self.out = None;
-        match solution.outcome {
-            Outcome::Acquired { at, keyframe, skeleton, pose } => {
-                self.acquired(window, at, keyframe, skeleton, pose);
-            }
-            Outcome::NobodyFound => self.nobody_found(window),
-            Outcome::Tracked(tracked) => self.tracked(window, *tracked),
-        }
-    }
-
-    fn acquired(
-        &mut self,
-        window: Window,
-        at: Timestamp,
-        keyframe: Box<Keyframe>,
-        skeleton: Arc<Skeleton>,
-        pose: Box<Pose>,
-    ) {
-        self.hold(window.start, at + -self.tolerance());
-        if self.skeleton.is_none() && !self.ended && at > window.start + self.span() {
-            // Too few frames are left for the shape: gather anew from here.
-            self.close(at + -self.tolerance());
-            self.start = Some(at);
-            return;
-        }
-        self.close(at + self.tolerance());
-        if self.skeleton.is_none() {
-            self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
-        }
-        self.event(EventKind::Acquired, at, None, "performer found".to_owned());
-        self.skeleton = Some(skeleton);
-        self.start = Some(at);
-        self.give(at, *pose, TrackingState::Tracking);
-        let capture = at;
-        let at = KeyframeAt { capture, window: self.window, keyframe: (*keyframe).clone() };
-        self.outputs.push_back(Output::Keyframe(Box::new(at)));
-        self.phase = Phase::Tracking { from: keyframe, before: None };
-    }
-
-    /// Goes on searching one window later.
-    fn nobody_found(&mut self, window: Window) {
-        let span = self.span();
-        let end = window.end.min(window.start + span);
-        let end = self.intake.last().filter(|_| self.ended).map_or(end, |last| end.min(last));
-        self.hold(window.start, end);
-        self.event(EventKind::NobodyFound, end, None, "no person seen by two cameras".to_owned());
-        self.close(end + self.tolerance());
-        // The grid of pose times goes on, but for a gap in the stream, which is skipped.
-        let goes_on = |first: &Timestamp| *first <= end + span;
-        self.start = self.intake.first().map(|first| if goes_on(&first) { end } else { first });
-        self.window += 1;
-    }
-
-    fn tracked(&mut self, window: Window, tracked: Tracked) {
-        let is_lost = tracked.lost.is_some();
-        let state = if is_lost { TrackingState::Lost } else { TrackingState::Tracking };
-        let times = self.pose_times(window);
-        for (capture, pose) in times.into_iter().zip(tracked.poses) {
-            self.give(capture, pose, state);
-        }
-        if let Some(reason) = &tracked.lost {
-            self.event(EventKind::Lost, window.end, None, reason.clone());
-        }
-        let keyframe = Box::new(tracked.keyframe);
-        self.outputs.push_back(Output::Keyframe(Box::new(KeyframeAt {
-            capture: window.end,
-            window: self.window,
-            keyframe: (*keyframe).clone(),
-        })));
-        self.outputs.push_back(Output::Window(Box::new(WindowReport {
-            window: self.window,
-            start: window.start,
-            end: window.end,
-            summary: tracked.summary,
-            latent_norm: crate::manifold::norm(&keyframe.z),
-            residuals: tracked.residuals,
-            lost: tracked.lost,
-        })));
-        let previous = std::mem::replace(&mut self.phase, Phase::Searching);
-        if let (Phase::Tracking { from, .. }, false) = (previous, is_lost) {
-            self.phase = Phase::Tracking { from: keyframe, before: Some(from) };
-        }
-        self.is_proven |= !is_lost;
-        if !self.is_proven {
-            // The body was found together with a pose that was wrong at once.
-            self.skeleton = None;
-        }
-        self.start = Some(window.end);
-        self.window += 1;
-    }
-
-    fn give(&mut self, capture: Timestamp, pose: Pose, state: TrackingState) {
-        let stamped = StampedPose {
-            capture,
-            pose,
-            state,
-            window: self.window,
-            rig_version: self.rig.version,
-            provisional: false,
-            revision: 0,
-        };
-        self.held = Some(stamped.clone());
-        self.outputs.push_back(Output::Pose(Box::new(stamped)));
-    }
-
-    /// Repeats the last pose, flagged lost, at the nominal times after `start` up to `end`.
-    fn hold(&mut self, start: Timestamp, end: Timestamp) {
-        let Some(held) = self.held.clone() else { return };
-        let Some(period) = self.period else { return };
-        let count = ((end - start) as f64 / period).floor() as u64;
-        for frame in 1..=count {
-            let capture = start + (frame as f64 * period).round() as i64;
-            self.give(capture, held.pose.clone(), TrackingState::Lost);
         }
     }
 }

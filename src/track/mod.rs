@@ -10,14 +10,22 @@
 //! time or tick is `deadline_frames` past it. At most one job is out at a time.
 
 mod acquire;
+mod answer;
 mod association;
 mod config;
+mod effort;
 mod event;
 mod intake;
 mod job;
 mod machine;
+mod playout;
+mod solver;
+mod waiting;
 
 pub use config::{Config, Gate};
+pub use effort::Effort;
 pub use event::{Event, EventKind};
-pub use job::{Job, Outcome, Residual, Solution, Solver, Task, Tracked};
-pub use machine::{Input, KeyframeAt, Output, Track, WindowReport};
+pub use job::{Job, LiveFit, Outcome, Residual, Solution, Task, Tracked, Verdict};
+pub use machine::{Input, KeyframeAt, Output, Performer, Track, WindowReport};
+pub use playout::{Latency, Live};
+pub use solver::Solver;

@@ -9,7 +9,7 @@ use bundlemocap::msg::{
     Skeleton, StampedKeyframe, Status, WindowCounters, decode, encode,
 };
 use bundlemocap::so3;
-use bundlemocap::time::Timestamp;
+use bundlemocap::time::{Grid, Timestamp};
 use nalgebra::{Matrix3, Point2, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -75,6 +75,12 @@ pub fn keyframe() -> StampedKeyframe {
             root_position: Vector3::new(1.0, 0.875, -0.5),
         },
         shape: *skeleton().shape(),
+        start: Timestamp::from_ns(7_833_333_333),
+        interpolation: manifold::Interpolation::Slerp,
+        weights: "0123456789abcdef".into(),
+        grid: Grid { origin: Timestamp::from_ns(3_000_000_000), period_ns: 1e9 / 60.0 },
+        state: TrackingState::Tracking,
+        rig_version: 3,
     }
 }
 

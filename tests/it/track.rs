@@ -12,7 +12,7 @@ use bundlemocap::detect::{Detection, Detections, KeypointFormat, Person};
 use bundlemocap::manifold::{Decoder, Interpolation, Keyframe};
 use bundlemocap::so3;
 use bundlemocap::track::{
-    Config, EventKind, Input, Job, Outcome, Output, Solver, Task, Track, WindowReport,
+    Config, Effort, EventKind, Input, Job, Outcome, Output, Solver, Task, Track, WindowReport,
 };
 use nalgebra::Point2;
 
@@ -134,6 +134,7 @@ fn windows_follow_a_manifold_motion_exactly() {
             let seen = |i| observe(&rig, &points, &posture(i), skeleton.shape());
             let time = |i: u64| frame((10 * window + i) as usize);
             let job = Job {
+                number: window,
                 window,
                 start: time(0),
                 end: time(10),
@@ -144,10 +145,13 @@ fn windows_follow_a_manifold_motion_exactly() {
                     .collect(),
                 format: FORMAT,
                 rig: Arc::clone(&rig),
+                half_frame: 8_333_333,
+                effort: Effort::full(&config()),
                 task: Task::Track {
                     from: Box::new(from),
                     before: None,
                     skeleton: Arc::clone(&skeleton),
+                    coasted: 0,
                 },
             };
             let Outcome::Tracked(tracked) = solver.solve(&job).outcome else { panic!("no window") };
@@ -223,19 +227,24 @@ fn a_silent_camera_is_waited_for_only_so_long() {
 }
 
 #[test]
-fn an_absence_is_flagged_and_the_performer_is_found_again() {
+fn an_absence_is_coasted_then_flagged_and_the_performer_is_found_again() {
     let mut frames = stream(121);
-    for frame in frames.iter_mut().filter(|f| (40..71).contains(&f.frame)) {
+    for frame in frames.iter_mut().filter(|f| (40..92).contains(&f.frame)) {
         frame.people.clear();
     }
     let run = run(config(), frames);
-    assert!(run.events[&EventKind::Lost] >= 1);
+    assert_eq!(run.events[&EventKind::Coasted], 3);
+    assert_eq!(run.events[&EventKind::Left], 1);
     assert_eq!(run.events[&EventKind::Acquired], 2);
     let state =
         |i: usize| run.poses.iter().find(|p| (p.capture - frame(i)).abs() < 10).unwrap().state;
     assert_eq!(state(39), TrackingState::Tracking);
-    assert_eq!(state(60), TrackingState::Lost);
-    assert_eq!(state(90), TrackingState::Tracking);
+    assert_eq!(state(41), TrackingState::Coasting);
+    assert_eq!(state(70), TrackingState::Coasting);
+    assert_eq!(state(71), TrackingState::Lost);
+    assert_eq!(state(91), TrackingState::Lost);
+    // From the very frame of the return on.
+    assert!((92..121).all(|i| state(i) == TrackingState::Tracking));
     let mut times: Vec<_> = run.poses.iter().map(|pose| pose.capture).collect();
     times.dedup();
     assert_eq!(times.len(), run.poses.len(), "one pose a frame");
@@ -320,8 +329,22 @@ fn a_performer_that_only_one_camera_sees_is_not_tracked() {
         frame.people.clear();
     }
     let run = run(config(), frames);
-    assert!(run.events[&EventKind::Lost] >= 1);
-    assert_eq!(run.poses.last().unwrap().state, TrackingState::Lost);
+    assert_eq!(run.events[&EventKind::Coasted], 3);
+    assert_eq!(run.poses.last().unwrap().state, TrackingState::Coasting);
+}
+
+#[test]
+fn a_short_absence_is_coasted_over() {
+    let mut frames = stream(81);
+    for frame in frames.iter_mut().filter(|f| (31..51).contains(&f.frame)) {
+        frame.people.clear();
+    }
+    let run = run(config(), frames);
+    assert_eq!(run.events[&EventKind::Coasted], 2);
+    assert_eq!(run.events[&EventKind::Acquired], 1, "no new search");
+    let coasting = |pose: &&StampedPose| pose.state == TrackingState::Coasting;
+    assert_eq!(run.poses.iter().filter(coasting).count(), 20);
+    assert_eq!(run.poses.last().unwrap().state, TrackingState::Tracking);
 }
 
 #[test]

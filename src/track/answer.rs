@@ -1,0 +1,252 @@
+//! What the machine does with the answer to a job.
+
+use std::sync::Arc;
+
+use super::event::EventKind;
+use super::job::{LiveFit, Outcome, Solution, Tracked, Verdict};
+use super::machine::{KeyframeAt, Out, Output, Phase, Track, Window, WindowReport};
+use crate::body::{Pose, Skeleton, StampedPose, TrackingState};
+use crate::manifold::Keyframe;
+use crate::time::{Grid, Timestamp};
+
+/// A live machine that is this far behind, ns, does not make up for the poses between.
+const MAX_CATCH_UP: i64 = 1_000_000_000;
+
+impl Track {
+    pub(super) fn take(&mut self, solution: Solution) {
+        let Some(Out { window, .. }) = self.out.filter(|out| out.number == solution.number) else {
+            return;
+        };
+        self.out = None;
+        match solution.outcome {
+            Outcome::Acquired { at, keyframe, skeleton, pose } => {
+                self.acquired(window, at, keyframe, skeleton, *pose);
+            }
+            Outcome::NobodyFound => self.nobody_found(window),
+            Outcome::Tracked(tracked) => self.tracked(window, *tracked),
+            Outcome::Live(fit) => self.fitted(window.end, *fit),
+        }
+    }
+
+    fn acquired(
+        &mut self,
+        window: Window,
+        at: Timestamp,
+        keyframe: Box<Keyframe>,
+        skeleton: Arc<Skeleton>,
+        pose: Pose,
+    ) {
+        self.hold(window.start, at + -self.tolerance());
+        if self.skeleton.is_none() && !self.ended && at > window.start + self.span() {
+            // Too few frames are left for the shape: gather anew from here.
+            self.close(at + -self.tolerance());
+            self.begin_at(Some(at));
+            return;
+        }
+        self.close(at + self.tolerance());
+        if self.skeleton.is_none() {
+            self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
+        }
+        self.event(EventKind::Acquired, at, None, "performer found".to_owned());
+        self.skeleton = Some(skeleton);
+        self.begin_at(Some(at));
+        self.keyframe(at, at, &keyframe, TrackingState::Tracking);
+        self.give(at, &pose, TrackingState::Tracking);
+        self.phase = Phase::Tracking { from: keyframe, before: None, coasted: 0 };
+    }
+
+    /// Goes on searching one window later.
+    fn nobody_found(&mut self, window: Window) {
+        let span = self.span();
+        let end = window.end.min(window.start + span);
+        let end = self.intake.last().filter(|_| self.ended).map_or(end, |last| end.min(last));
+        self.hold(window.start, end);
+        self.event(EventKind::NobodyFound, end, None, "no person seen by two cameras".to_owned());
+        let saw_nothing = self.intake.first().is_none_or(|first| first > end + span);
+        self.close(end + self.tolerance());
+        // The grid of pose times goes on, but for a gap in the stream, which is skipped.
+        match saw_nothing {
+            true => self.begin_at(self.intake.first()),
+            false => self.start = Some(end),
+        }
+        self.window += 1;
+    }
+
+    fn tracked(&mut self, window: Window, tracked: Tracked) {
+        self.close(window.end + self.tolerance());
+        let state = match &tracked.verdict {
+            Verdict::Tracked => TrackingState::Tracking,
+            Verdict::Coasted(_) => TrackingState::Coasting,
+            Verdict::Lost(_) => TrackingState::Lost,
+        };
+        let times: Vec<Timestamp> =
+            self.output_grid().iter().flat_map(|g| g.between(window.start, window.end)).collect();
+        if let Some(pose) = tracked.poses.last().filter(|_| state == TrackingState::Tracking) {
+            self.give_live(window.end, pose, state);
+        }
+        for (capture, pose) in times.into_iter().zip(&tracked.poses) {
+            self.give(capture, pose, state);
+        }
+        self.keyframe(window.start, window.end, &tracked.keyframe, state);
+        self.say(window.end, &tracked.verdict);
+        self.outputs.push_back(Output::Window(Box::new(WindowReport {
+            window: self.window,
+            start: window.start,
+            end: window.end,
+            summary: tracked.summary,
+            latent_norm: crate::manifold::norm(&tracked.keyframe.z),
+            residuals: tracked.residuals,
+            verdict: tracked.verdict,
+        })));
+        self.go_on(Box::new(tracked.keyframe), state);
+        self.newest = None;
+        self.start = Some(window.end);
+        self.window += 1;
+    }
+
+    /// Says why a window is not tracked.
+    fn say(&mut self, at: Timestamp, verdict: &Verdict) {
+        let hidden = matches!(&self.phase, Phase::Tracking { coasted, .. } if *coasted > 0);
+        match verdict {
+            Verdict::Tracked => {}
+            Verdict::Coasted(why) => self.event(EventKind::Coasted, at, None, why.clone()),
+            Verdict::Lost(why) => {
+                let kind = if hidden { EventKind::Left } else { EventKind::Lost };
+                self.event(kind, at, None, why.clone());
+            }
+        }
+    }
+
+    /// The phase after a window in that state.
+    fn go_on(&mut self, keyframe: Box<Keyframe>, state: TrackingState) {
+        let previous = std::mem::replace(&mut self.phase, Phase::Searching);
+        let Phase::Tracking { from, coasted, .. } = previous else { return };
+        let before = Some(from);
+        match state {
+            TrackingState::Tracking => {
+                self.is_proven = true;
+                self.phase = Phase::Tracking { from: keyframe, before, coasted: 0 };
+            }
+            TrackingState::Coasting => {
+                let coasted = coasted + 1;
+                self.phase = Phase::Tracking { from: keyframe, before: None, coasted };
+            }
+            TrackingState::Lost => {}
+        }
+        if !self.is_proven {
+            // The body was found together with a pose that was wrong at once.
+            (self.skeleton, self.phase) = (None, Phase::Searching);
+        }
+    }
+
+    /// A fit of the open window.
+    fn fitted(&mut self, at: Timestamp, fit: LiveFit) {
+        let state = if fit.hidden { TrackingState::Coasting } else { TrackingState::Tracking };
+        self.give_live(at, &fit.pose, state);
+        self.newest = Some((at, Box::new(fit.keyframe)));
+    }
+
+    /// Windows begin there from now on, or with the next frame that comes.
+    fn begin_at(&mut self, start: Option<Timestamp>) {
+        self.start = start;
+        self.newest = None;
+        if let (Some(origin), Some(period_ns)) = (start, self.period) {
+            self.frames = Some(Grid { origin, period_ns });
+        }
+    }
+
+    fn keyframe(
+        &mut self,
+        start: Timestamp,
+        capture: Timestamp,
+        value: &Keyframe,
+        state: TrackingState,
+    ) {
+        let Some(grid) = self.output_grid() else { return };
+        self.outputs.push_back(Output::Keyframe(Box::new(KeyframeAt {
+            capture,
+            start,
+            window: self.window,
+            keyframe: value.clone(),
+            grid,
+            state,
+            rig_version: self.rig.version,
+        })));
+    }
+
+    /// Gives a final pose out; live, if it is not due already.
+    fn give(&mut self, capture: Timestamp, pose: &Pose, state: TrackingState) {
+        self.playout.know(capture, pose);
+        if self.live.is_some() {
+            let Some(latency) = self.latency else { return };
+            let is_due = self.now.is_some_and(|now| now > capture + latency.declared_ns);
+            let is_given = self.playout.given.is_some_and(|given| given >= capture);
+            if is_due || is_given {
+                self.playout.missed += u64::from(self.playout.given.is_some());
+                return;
+            }
+        }
+        self.publish(capture, pose.clone(), state, false);
+    }
+
+    fn give_live(&mut self, capture: Timestamp, pose: &Pose, state: TrackingState) {
+        if self.live.is_some_and(|live| live.provisional) {
+            self.playout.know_live(capture, pose);
+            self.publish(capture, pose.clone(), state, true);
+        }
+    }
+
+    fn publish(&mut self, capture: Timestamp, pose: Pose, state: TrackingState, provisional: bool) {
+        if !provisional {
+            self.playout.given = Some(capture);
+        }
+        let supersedes = !provisional && self.live.is_some_and(|live| live.provisional);
+        self.outputs.push_back(Output::Pose(Box::new(StampedPose {
+            capture,
+            pose,
+            state,
+            window: self.window,
+            rig_version: self.rig.version,
+            provisional,
+            revision: u32::from(supersedes),
+        })));
+    }
+
+    /// Repeats the last pose, flagged lost, at the times of poses after `start` up to `end`.
+    fn hold(&mut self, start: Timestamp, end: Timestamp) {
+        let (Some(held), Some(grid)) = (self.playout.last().cloned(), self.output_grid()) else {
+            return;
+        };
+        for capture in grid.between(start, end) {
+            self.give(capture, &held, TrackingState::Lost);
+        }
+    }
+
+    /// When the next pose is due, on the capture clock; `None` while nothing is in motion.
+    pub(super) fn due(&self) -> Option<Timestamp> {
+        let next = self.start.and(self.playout.next(&self.output_grid()?))?;
+        Some(next + self.latency?.declared_ns)
+    }
+
+    /// Live: carries the motion on where a pose is due that has not been solved.
+    pub(super) fn play(&mut self) {
+        let (Some(now), Some(latency)) = (self.now, self.latency) else { return };
+        while let Some(due) = self.due().filter(|due| *due <= now + super::playout::MARGIN) {
+            let capture = due + -latency.declared_ns;
+            if now - due > MAX_CATCH_UP {
+                self.event(EventKind::Overdue, capture, None, "too far behind, skipped".to_owned());
+                self.playout.given = Some(now + -latency.declared_ns);
+                return;
+            }
+            let Some(pose) = self.playout.carry_on(capture) else { return };
+            let state = match self.phase {
+                Phase::Searching => TrackingState::Lost,
+                Phase::Tracking { .. } => TrackingState::Coasting,
+            };
+            self.playout.carried += 1;
+            let detail = "not solved when due, carried on".to_owned();
+            self.event(EventKind::Overdue, capture, None, detail);
+            self.publish(capture, pose, state, false);
+        }
+    }
+}

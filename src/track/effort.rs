@@ -1,0 +1,48 @@
+//! How much the solver does.
+
+use super::config::Config;
+
+/// How much the solver does for a window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Effort {
+    /// Most iterations of a window.
+    pub iterations: usize,
+    /// Iterations before those with a looser loss.
+    pub loose_iterations: usize,
+    /// Most iterations of a fit of the open window; 0: it is not fitted.
+    pub live_iterations: usize,
+    /// One frame of a camera in this many is used.
+    pub stride: usize,
+}
+
+impl Effort {
+    /// The number of steps by which effort can be lowered.
+    pub const LEVELS: u32 = 6;
+
+    /// All that the settings ask for.
+    pub fn full(config: &Config) -> Self {
+        Self {
+            iterations: config.iterations,
+            loose_iterations: config.loose_iterations,
+            live_iterations: config.live_iterations,
+            stride: 1,
+        }
+    }
+
+    /// Less with each level: first fewer iterations, then longer strides through the frames. The
+    /// keyframes stay where they are, so that the latency does not grow.
+    pub fn at(level: u32, config: &Config) -> Self {
+        let full = Self::full(config);
+        let part = |count: usize, of: usize| (count / of).max(1).min(count);
+        let (iterations, live_iterations, stride) = match level {
+            0 => (full.iterations, full.live_iterations, 1),
+            1 => (part(full.iterations, 3), part(full.live_iterations, 2), 1),
+            2 => (part(full.iterations, 8), part(full.live_iterations, 4), 1),
+            3 => (part(full.iterations, 8), part(full.live_iterations, 4), 2),
+            4 => (part(full.iterations, 8), 0, 3),
+            _ => (part(full.iterations, 15), 0, 5),
+        };
+        let loose_iterations = if level == 0 { full.loose_iterations } else { 0 };
+        Self { iterations, loose_iterations, live_iterations, stride }
+    }
+}
