@@ -11,6 +11,8 @@ pub const SCHEMA_ENCODING: &str = "protobuf";
 
 /// A message of ours that has a topic.
 pub trait Schema: Message + Name + Default {
+    /// The schema's name with its package.
+    const FULL_NAME: &'static str;
     /// The schema's serialised `FileDescriptorSet`, as MCAP wants it.
     const DESCRIPTOR: &'static [u8];
 }
@@ -18,6 +20,7 @@ pub trait Schema: Message + Name + Default {
 macro_rules! schema {
     ($message:ty, $file:literal) => {
         impl Schema for $message {
+            const FULL_NAME: &'static str = concat!("bundlemocap.v1.", stringify!($message));
             const DESCRIPTOR: &'static [u8] =
                 include_bytes!(concat!(env!("OUT_DIR"), "/", $file, ".fds"));
         }

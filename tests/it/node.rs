@@ -7,7 +7,7 @@ use bundlemocap::body::Skeleton;
 use bundlemocap::bus::{Bus, Guard, Memory, Publisher};
 use bundlemocap::detect::Detections;
 use bundlemocap::manifold::Decoder;
-use bundlemocap::msg::{self, Event, KeypointFrame, Pose, Schema, Status, Topics, decode, encode};
+use bundlemocap::msg::{self, Event, KeypointFrame, Pose, Status, Topics, decode, encode};
 use bundlemocap::node::{Config, Core, Node, NodeError, Running, Settings, WallClock};
 use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 use bundlemocap::time::Timestamp;
@@ -122,7 +122,7 @@ impl Studio {
         self.clock.wait_until(capture);
         for (camera, publisher) in self.publishers.iter().enumerate() {
             let bytes = encode(&self.message(camera));
-            publisher.put(capture, KeypointFrame::full_name_encoding(), &bytes).unwrap();
+            publisher.put(capture, "application/protobuf;bundlemocap.v1.KeypointFrame", &bytes).unwrap();
         }
         self.frame += 1;
     }
@@ -149,17 +149,6 @@ impl Studio {
             heard.events,
             heard.status
         )
-    }
-}
-
-/// How a message of ours is encoded, on the bus.
-trait FullNameEncoding {
-    fn full_name_encoding() -> &'static str;
-}
-
-impl FullNameEncoding for KeypointFrame {
-    fn full_name_encoding() -> &'static str {
-        "application/protobuf;bundlemocap.v1.KeypointFrame"
     }
 }
 
