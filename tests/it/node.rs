@@ -1,5 +1,8 @@
 //! The live node with its threads, on the bus inside this process.
 
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -7,7 +10,10 @@ use bundlemocap::body::Skeleton;
 use bundlemocap::bus::{Bus, Guard, Memory, Publisher};
 use bundlemocap::detect::Detections;
 use bundlemocap::manifold::Decoder;
-use bundlemocap::msg::{self, Event, KeypointFrame, Pose, Status, Topics, decode, encode};
+use bundlemocap::msg::journal_entry::Input as JournalInput;
+use bundlemocap::msg::{
+    self, Event, Journal, JournalEntry, KeypointFrame, Pose, Status, Topics, decode, encode,
+};
 use bundlemocap::node::{Config, Core, Node, NodeError, Running, Settings, WallClock};
 use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 use bundlemocap::time::Timestamp;
@@ -24,6 +30,7 @@ struct Heard {
     live: Vec<Pose>,
     status: Option<Status>,
     events: Vec<Event>,
+    journal: Vec<JournalEntry>,
 }
 
 /// A node on a bus, cameras, and somebody who listens.
@@ -97,6 +104,9 @@ impl Studio {
         on(self.topics.pose(), |heard, bytes| heard.poses.push(decode(bytes).unwrap()));
         on(self.topics.live(), |heard, bytes| heard.live.push(decode(bytes).unwrap()));
         on(self.topics.events(), |heard, bytes| heard.events.push(decode(bytes).unwrap()));
+        on(self.topics.journal(), |heard, bytes| {
+            heard.journal.extend(decode::<Journal>(bytes).unwrap().entries);
+        });
         on(self.topics.status(), |heard, bytes| heard.status = Some(decode(bytes).unwrap()));
         self
     }
@@ -185,7 +195,10 @@ fn poses_leave_evenly_spaced_at_one_latency_and_live_ones_before() {
     assert!(playout.published as usize <= after_the_end, "{playout:?}");
     assert_eq!(playout.missed, 0, "{playout:?}");
     assert_eq!(status.queue_dropped, 0);
-    assert_eq!(heard.status.as_ref().map(|s| s.inputs), Some(status.inputs));
+    assert_eq!(heard.status.as_ref(), Some(&status), "the last one is on the bus, too");
+    assert_eq!(heard.journal.len() as u64, status.inputs);
+    let ends = heard.journal.iter().filter(|entry| entry.input == Some(JournalInput::End(true)));
+    assert_eq!(ends.count(), 1);
 }
 
 /// Messages that cannot be used, with a word for each.
@@ -240,12 +253,12 @@ fn bad_messages_are_counted_and_the_poses_go_on() {
     });
     let status = node.stop().unwrap().expect("a last status");
     let heard = studio.heard.lock().unwrap();
-    let evidence: u64 = (heard.events.iter())
-        .filter(|event| !event.detail.is_empty() || event.camera.is_some())
-        .map(|event| event.count)
-        .sum();
-    assert!(evidence >= bad.len() as u64, "{:?}", heard.events);
-    assert!(status.events.iter().map(|event| event.count).sum::<u64>() >= bad.len() as u64);
+    let refused = |kind: &str| kind == "unusable" || kind == "clock_jump";
+    let told = heard.events.iter().filter(|event| refused(&event.kind));
+    assert!(told.clone().all(|event| !event.detail.is_empty()), "{:?}", heard.events);
+    assert_eq!(told.map(|event| event.count).sum::<u64>(), bad.len() as u64, "{:?}", heard.events);
+    let counted = status.events.iter().filter(|event| refused(&event.kind));
+    assert_eq!(counted.map(|event| event.count).sum::<u64>(), bad.len() as u64);
     let period = (1e9 / FPS) as i64;
     assert!(steps(&heard.poses).iter().all(|step| (step - period).abs() <= 2));
     let tracked = msg::TrackingState::Tracking as i32;
@@ -273,7 +286,8 @@ fn a_full_queue_drops_the_oldest_and_says_how_many() {
 #[test]
 fn a_node_without_input_says_how_it_is_and_ends() {
     let studio = Studio { detections: Vec::new(), ..Studio::new() };
-    let node = start_node(&studio.bus, &Config::default()).unwrap();
+    let config = Config { prometheus: "127.0.0.1:0".into(), ..Config::default() };
+    let node = start_node(&studio.bus, &config).unwrap();
     let begin = Instant::now();
     while node.status().is_none() {
         assert!(begin.elapsed() < LONG);
@@ -283,6 +297,12 @@ fn a_node_without_input_says_how_it_is_and_ends() {
     let rig = studio.bus.query(&studio.topics.rig(), LONG).unwrap();
     assert_eq!(rig.len(), 1, "the node answers with the rig");
     assert_eq!(node.publish_failures(), 0);
+    let mut metrics = TcpStream::connect(node.prometheus().unwrap()).unwrap();
+    write!(metrics, "GET /metrics HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").unwrap();
+    let mut text = String::new();
+    metrics.read_to_string(&mut text).unwrap();
+    assert!(text.contains("bundlemocap_performer{state=\"searching\"} 1"), "{text}");
+    assert!(text.contains("bundlemocap_camera_waited_for{camera=\"cam03\"}"), "{text}");
     node.stop().unwrap();
     assert_eq!(studio.poses(), 0);
 }
@@ -290,7 +310,7 @@ fn a_node_without_input_says_how_it_is_and_ends() {
 #[test]
 fn what_the_node_cannot_start_with_is_named() {
     let bus = Memory::new();
-    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let prometheus = taken.local_addr().unwrap().to_string();
     let error = |config: Config| start_node(&bus, &config).err().unwrap().to_string();
     let message = error(Config { prometheus: prometheus.clone(), ..Config::default() });
@@ -299,4 +319,35 @@ fn what_the_node_cannot_start_with_is_named() {
     assert!(message.contains("/nowhere/rig.toml"), "{message}");
     let message = error(Config { stage: "a/*".into(), ..Config::default() });
     assert!(message.contains("a/*"), "{message}");
+}
+
+/// Exit code, standard output, standard error.
+fn program(arguments: &[&str]) -> (Option<i32>, String, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_bundlemocap")).args(arguments).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (output.status.code(), text(output.stdout), text(output.stderr))
+}
+
+#[test]
+fn ports_in_use_are_named_by_run() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port().to_string();
+    let (code, _, error) = program(&["run", "--listen", &format!("tcp/127.0.0.1:{port}")]);
+    assert_eq!(code, Some(13), "{error}");
+    assert!(error.lines().last().unwrap().contains(&port), "{error}");
+    let free = ["run", "--listen", "tcp/127.0.0.1:0", "--prometheus"];
+    let (code, _, error) = program(&[&free[..], &[&format!("127.0.0.1:{port}")]].concat());
+    assert_eq!(code, Some(2), "{error}");
+    assert!(error.lines().last().unwrap().contains(&port), "{error}");
+}
+
+#[test]
+fn the_bench_runs_a_node_and_ends_it() {
+    let arguments = "bench latency --seconds 4 --noise jitter --json";
+    let (code, text, error) = program(&arguments.split(' ').collect::<Vec<_>>());
+    assert_eq!(code, Some(0), "{error}");
+    let figures: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert!(figures["poses"]["published"].as_u64().unwrap() > 0, "{text}");
+    assert!(figures["declared_latency_ms"].as_f64().unwrap() > 0.0, "{text}");
+    assert!(figures["cpu_percent"].as_f64().is_some(), "{text}");
 }
