@@ -28,7 +28,7 @@ struct Notes {
     poses: Vec<Arrival>,
     live: Vec<Arrival>,
     status: Option<Status>,
-    events: BTreeMap<String, u64>,
+    events: Vec<Event>,
 }
 
 impl Heard {
@@ -54,9 +54,7 @@ impl Heard {
                 notes.status = decode(&sample.payload).ok().or(notes.status.take());
             })?,
             on(topics.events(), |notes, sample, _| {
-                if let Ok(event) = decode::<Event>(&sample.payload) {
-                    *notes.events.entry(event.kind).or_default() += event.count;
-                }
+                notes.events.extend(decode::<Event>(&sample.payload));
             })?,
         ])
     }
@@ -171,8 +169,12 @@ pub(super) fn figures(
     let effort = status.effort.unwrap_or_default();
     let first = notes.poses.first();
     let deviation = |a: &Arrival| ((a.at - a.capture - a.latency_ns) as f64 * 1e-6).abs();
-    let mut events = notes.events.clone();
-    events.extend(status.events.into_iter().map(|event| (event.kind, event.count)));
+    let mut events = BTreeMap::new();
+    // That the cameras are silent after their last frame is no news.
+    let end = sent.last().map_or(0, |last| last.0.ns());
+    for event in notes.events.iter().filter(|event| event.capture_time_ns <= end) {
+        *events.entry(event.kind.clone()).or_default() += event.count;
+    }
     let windows = status.windows.unwrap_or_default();
     Figures {
         acquisition_s: first

@@ -118,6 +118,7 @@ pub struct Core {
     journal: Journal,
     next_second: Option<Timestamp>,
     wake: Option<Timestamp>,
+    ended: bool,
 }
 
 const SECOND: i64 = 1_000_000_000;
@@ -149,6 +150,7 @@ impl Core {
             journal: Journal::default(),
             next_second: None,
             wake: None,
+            ended: false,
         }
     }
 
@@ -162,7 +164,9 @@ impl Core {
             // From here on a replay goes the same way.
             self.next_second = Some(self.now + SECOND);
         }
-        let is_last = matches!(input, Input::End);
+        // What comes after the end, such as the last answer, belongs into the journal, too.
+        self.ended |= matches!(input, Input::End);
+        let is_last = self.ended;
         self.tell(track::Input::Tick(self.clock.capture_time(self.now)));
         match input {
             Input::Message { topic, payload } => self.message(&topic, &payload),

@@ -165,10 +165,7 @@ fn spoken(kind: &str) -> String {
 
 /// What is as it should be is information; everything else is a warning.
 fn line(kind: &str, camera: Option<&str>, window: Option<u64>, text: &str) {
-    let good = matches!(
-        kind,
-        "acquired" | "left" | "returned" | "calibrated" | "latency"
-    );
+    let good = matches!(kind, "acquired" | "left" | "returned" | "calibrated" | "latency");
     if good {
         tracing::info!(camera, window, "{text}");
     } else {

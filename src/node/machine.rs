@@ -15,7 +15,7 @@ use super::playout::Playout;
 use super::queue::{Intake, Message};
 use super::wall::WallClock;
 use crate::bus::Sample;
-use crate::msg::{Event, Rig, decode};
+use crate::msg::{Event, Rig, Schema, Status, decode};
 use crate::time::Timestamp;
 use crate::track::{Job, Solution};
 
@@ -160,7 +160,7 @@ impl Machine {
             self.board.set_rig(Sample {
                 topic: self.rig_topic.as_str().into(),
                 capture: Timestamp::default(),
-                encoding: outlet::encoding("bundlemocap.v1.Rig").into(),
+                encoding: outlet::encoding(Rig::FULL_NAME).into(),
                 payload: payload.into(),
             });
         }
@@ -203,13 +203,13 @@ impl Machine {
     /// Logs events, and keeps the status and the rig.
     fn look_at(&mut self, publication: &Publication, now: Timestamp) {
         match publication.schema {
-            "bundlemocap.v1.Event" => {
+            Event::FULL_NAME => {
                 if let Ok(event) = decode::<Event>(&publication.payload) {
                     self.progress.events.tell(now, &event);
                 }
             }
-            "bundlemocap.v1.Status" => self.board.set_status(&publication.payload),
-            "bundlemocap.v1.Rig" => self.offer_rig(&publication.payload),
+            Status::FULL_NAME => self.board.set_status(&publication.payload),
+            Rig::FULL_NAME => self.offer_rig(&publication.payload),
             _ => {}
         }
     }

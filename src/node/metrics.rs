@@ -164,7 +164,7 @@ impl Sheet<'_> {
     fn status(&mut self, status: &Status) -> fmt::Result {
         let state = ("state", status.performer.as_str());
         self.gauges("bundlemocap_performer", "State of the performer", &[(vec![state], 1.0)])?;
-        let latency = status.declared_latency_ns as f64 * 1e-9;
+        let latency = status.declared_latency_ns as f64 / 1e9;
         self.gauge("bundlemocap_declared_latency_seconds", "Declared and kept", latency)?;
         let help = "Messages dropped by the full queue";
         self.counter("bundlemocap_queue_dropped", help, status.queue_dropped)?;
@@ -221,7 +221,7 @@ impl Sheet<'_> {
         let help = "Median of the last windows";
         self.gauge("bundlemocap_window_iterations", help, windows.iterations)?;
         let quantiles = [("0.5", windows.solve_p50_ms), ("0.99", windows.solve_p99_ms)];
-        let rows = quantiles.map(|(quantile, ms)| (vec![("quantile", quantile)], ms * 1e-3));
+        let rows = quantiles.map(|(quantile, ms)| (vec![("quantile", quantile)], ms / 1e3));
         self.gauges("bundlemocap_window_solve_seconds", "Time of a window's solve", &rows)
     }
 
@@ -267,7 +267,7 @@ impl Sheet<'_> {
             match labels.is_empty() {
                 true => metric.encode_counter::<NoExemplar, f64, f64>(value, None)?,
                 false => metric
-                    .encode_family(labels)?
+                    .encode_family(&escaped(labels))?
                     .encode_counter::<NoExemplar, f64, f64>(value, None)?,
             }
         }
@@ -279,7 +279,7 @@ impl Sheet<'_> {
         for (labels, value) in rows {
             match labels.is_empty() {
                 true => metric.encode_gauge(value)?,
-                false => metric.encode_family(labels)?.encode_gauge(value)?,
+                false => metric.encode_family(&escaped(labels))?.encode_gauge(value)?,
             }
         }
         Ok(())
@@ -298,6 +298,14 @@ impl Sheet<'_> {
             .fold(0.0, |sum, part| sum + part);
         metric.encode_histogram::<NoExemplar>(sum, counts.iter().sum(), &buckets, None)
     }
+}
+
+/// The encoder writes values as they are; names of cameras may hold anything.
+fn escaped<'a>(labels: &[(&'a str, &str)]) -> Vec<(&'a str, String)> {
+    let escape = |value: &str| {
+        value.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n").replace('\r', " ")
+    };
+    labels.iter().map(|(name, value)| (*name, escape(value))).collect()
 }
 
 /// Labels of exemplars, of which there are none.

@@ -19,7 +19,7 @@ use super::queue::{Intake, Message};
 use super::rig_file::RigFile;
 use super::wall::{WallClock, saturating_ns};
 use crate::bus::{Bus, Guard};
-use crate::msg::{Status, Topics};
+use crate::msg::{Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, Topics};
 use crate::track::{Job, Solver};
 
 /// How often the calibration file is looked at.
@@ -175,12 +175,12 @@ fn thread(name: &str) -> Builder {
 fn machine_outlet(bus: &Arc<dyn Bus>, topics: &Topics, board: &Board) -> Result<Outlet, NodeError> {
     let mut outlet = Outlet::new(Arc::clone(bus), board.failures());
     let all = [
-        (topics.live(), "bundlemocap.v1.Pose"),
-        (topics.keyframe(), "bundlemocap.v1.Keyframe"),
-        (topics.skeleton(), "bundlemocap.v1.Skeleton"),
-        (topics.events(), "bundlemocap.v1.Event"),
-        (topics.status(), "bundlemocap.v1.Status"),
-        (topics.journal(), "bundlemocap.v1.Journal"),
+        (topics.live(), Pose::FULL_NAME),
+        (topics.keyframe(), Keyframe::FULL_NAME),
+        (topics.skeleton(), Skeleton::FULL_NAME),
+        (topics.events(), Event::FULL_NAME),
+        (topics.status(), Status::FULL_NAME),
+        (topics.journal(), Journal::FULL_NAME),
     ];
     for (topic, schema) in all {
         outlet.open(&topic, schema)?;
@@ -198,7 +198,7 @@ fn start_playout(
     threads: &mut Vec<(&'static str, JoinHandle<()>)>,
 ) -> Result<Receiver<Vec<i32>>, NodeError> {
     let mut outlet = Outlet::new(Arc::clone(bus), board.failures());
-    outlet.open(&topics.pose(), "bundlemocap.v1.Pose")?;
+    outlet.open(&topics.pose(), Pose::FULL_NAME)?;
     let (sender, played) = bounded(BATCHES);
     let playout = Arc::clone(playout);
     let work = move || playout.run(clock, outlet, &sender);

@@ -9,6 +9,7 @@ mod jacobians;
 mod layers;
 mod manifold;
 mod messages;
+mod node;
 mod python;
 mod recording;
 mod retarget;

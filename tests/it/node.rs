@@ -1,0 +1,355 @@
+//! The live node with its threads, on the bus inside this process.
+
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::process::Command;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use bundlemocap::body::Skeleton;
+use bundlemocap::bus::{Bus, Guard, Memory, Publisher};
+use bundlemocap::detect::Detections;
+use bundlemocap::manifold::Decoder;
+use bundlemocap::msg::journal_entry::Input as JournalInput;
+use bundlemocap::msg::{
+    self, Event, Journal, JournalEntry, KeypointFrame, Pose, Status, Topics, decode, encode,
+};
+use bundlemocap::node::{Config, Core, Node, NodeError, Running, Settings, WallClock};
+use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+use bundlemocap::time::Timestamp;
+use bundlemocap::track::{self, Solver};
+
+const FPS: f64 = 60.0;
+/// For what takes a moment; only a test that fails waits that long.
+const LONG: Duration = Duration::from_secs(60);
+
+/// Everything that came from the node.
+#[derive(Default)]
+struct Heard {
+    poses: Vec<Pose>,
+    live: Vec<Pose>,
+    status: Option<Status>,
+    events: Vec<Event>,
+    journal: Vec<JournalEntry>,
+}
+
+/// A node on a bus, cameras, and somebody who listens.
+struct Studio {
+    bus: Memory,
+    topics: Topics,
+    heard: Arc<Mutex<Heard>>,
+    clock: WallClock,
+    detections: Vec<Vec<Detections>>,
+    publishers: Vec<Box<dyn Publisher>>,
+    names: Vec<String>,
+    start: Timestamp,
+    frame: u64,
+    _guards: Vec<Box<dyn Guard>>,
+}
+
+fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
+    let track = track::Config::default();
+    let decoder = Decoder::embedded().unwrap();
+    let settings = Settings {
+        track,
+        node: config.clone(),
+        toml: String::new(),
+        weights: format!("{:016x}", decoder.fingerprint()),
+    };
+    let core = Core::new(settings);
+    Node::start(Arc::new(bus.clone()), core, Solver::new(decoder, track), config)
+}
+
+impl Studio {
+    /// Four cameras around the procedural motion; the rig is on the bus.
+    fn new() -> Self {
+        let bus = Memory::new();
+        let topics = Topics::default();
+        let skeleton = Skeleton::default();
+        let motion = Motion::new(&skeleton, MotionStyle::default());
+        let rig = ring_rig(4, 4.0, 1.6).unwrap();
+        let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
+        recording.frames = 1200;
+        recording.noise = Noise::jitter_only();
+        let all: Vec<Detections> = recording.detections().collect();
+        let names: Vec<String> = recording.rig.cameras.iter().map(|c| c.name.clone()).collect();
+        let clock = WallClock::start();
+        let studio = Self {
+            detections: all.chunks(4).map(<[Detections]>::to_vec).collect(),
+            publishers: (names.iter())
+                .map(|name| bus.publisher(&topics.keypoints(name)).unwrap())
+                .collect(),
+            heard: Arc::default(),
+            start: clock.now(),
+            frame: 0,
+            _guards: Vec::new(),
+            names,
+            bus,
+            topics,
+            clock,
+        };
+        let rig = encode(&msg::Rig::from_core(&recording.rig));
+        studio.put(&studio.topics.rig(), &rig);
+        studio.listening()
+    }
+
+    fn listening(mut self) -> Self {
+        let mut on = |topic: String, note: fn(&mut Heard, &[u8])| {
+            let heard = Arc::clone(&self.heard);
+            let sink = move |sample: bundlemocap::bus::Sample| {
+                note(&mut heard.lock().unwrap(), &sample.payload);
+            };
+            self._guards.push(self.bus.subscribe(&topic, Box::new(sink)).unwrap());
+        };
+        on(self.topics.pose(), |heard, bytes| heard.poses.push(decode(bytes).unwrap()));
+        on(self.topics.live(), |heard, bytes| heard.live.push(decode(bytes).unwrap()));
+        on(self.topics.events(), |heard, bytes| heard.events.push(decode(bytes).unwrap()));
+        on(self.topics.journal(), |heard, bytes| {
+            heard.journal.extend(decode::<Journal>(bytes).unwrap().entries);
+        });
+        on(self.topics.status(), |heard, bytes| heard.status = Some(decode(bytes).unwrap()));
+        self
+    }
+
+    fn put(&self, topic: &str, payload: &[u8]) {
+        let publisher = self.bus.publisher(topic).unwrap();
+        publisher.put(self.clock.now(), "", payload).unwrap();
+    }
+
+    /// The next message of a camera.
+    fn message(&self, camera: usize) -> KeypointFrame {
+        let capture = self.start + Timestamp::of_frame(self.frame, FPS).ns();
+        let last = self.detections.len() as u64 - 1;
+        let at = self.frame % (2 * last);
+        let detections = &self.detections[at.min(2 * last - at) as usize][camera];
+        let seen = KeypointFrame::from_core(detections, &self.names[camera], [1280, 1024]);
+        KeypointFrame { frame: self.frame, capture_time_ns: capture.ns(), ..seen }
+    }
+
+    /// The cameras send a frame at its time.
+    fn send_frame(&mut self) {
+        let capture = self.start + Timestamp::of_frame(self.frame, FPS).ns();
+        self.clock.wait_until(capture);
+        for (camera, publisher) in self.publishers.iter().enumerate() {
+            let bytes = encode(&self.message(camera));
+            publisher
+                .put(capture, "application/protobuf;bundlemocap.v1.KeypointFrame", &bytes)
+                .unwrap();
+        }
+        self.frame += 1;
+    }
+
+    /// The cameras send until what was heard is as wanted.
+    fn play_until(&mut self, what: &str, wanted: impl Fn(&Heard) -> bool) {
+        let begin = Instant::now();
+        while !wanted(&self.heard.lock().unwrap()) {
+            assert!(begin.elapsed() < LONG, "never: {what}; {}", self.summary());
+            self.send_frame();
+        }
+    }
+
+    fn poses(&self) -> usize {
+        self.heard.lock().unwrap().poses.len()
+    }
+
+    fn summary(&self) -> String {
+        let heard = self.heard.lock().unwrap();
+        format!(
+            "{} poses, {} live, events {:?}, status {:?}",
+            heard.poses.len(),
+            heard.live.len(),
+            heard.events,
+            heard.status
+        )
+    }
+}
+
+fn steps(poses: &[Pose]) -> Vec<i64> {
+    poses.windows(2).map(|pair| pair[1].capture_time_ns - pair[0].capture_time_ns).collect()
+}
+
+#[test]
+fn poses_leave_evenly_spaced_at_one_latency_and_live_ones_before() {
+    let mut studio = Studio::new();
+    let node = start_node(&studio.bus, &Config::default()).unwrap();
+    studio.play_until("90 poses", |heard| heard.poses.len() >= 90);
+    let status = node.stop().unwrap().expect("a last status");
+    let after_the_end = studio.poses();
+    let heard = studio.heard.lock().unwrap();
+
+    let latency = heard.poses[0].declared_latency_ns;
+    assert!(latency > 150_000_000, "shorter than a window: {latency} ns");
+    for pose in &heard.poses {
+        assert_eq!(pose.declared_latency_ns, latency);
+        let left = pose.publish_time_ns.unwrap() - pose.capture_time_ns;
+        assert_eq!(left, latency as i64);
+        assert!(!pose.provisional);
+        pose.to_core().unwrap();
+    }
+    let period = (1e9 / FPS) as i64;
+    let uneven: Vec<i64> =
+        steps(&heard.poses).into_iter().filter(|step| (step - period).abs() > 2).collect();
+    assert!(uneven.is_empty(), "{uneven:?} ns");
+
+    assert!(!heard.live.is_empty() && heard.live.iter().all(|pose| pose.provisional));
+    assert!(heard.live[0].capture_time_ns < heard.poses.last().unwrap().capture_time_ns);
+    let playout = status.playout.unwrap();
+    assert!(playout.published as usize <= after_the_end, "{playout:?}");
+    assert_eq!(playout.missed, 0, "{playout:?}");
+    assert_eq!(status.queue_dropped, 0);
+    assert_eq!(heard.status.as_ref(), Some(&status), "the last one is on the bus, too");
+    assert_eq!(heard.journal.len() as u64, status.inputs);
+    let ends = heard.journal.iter().filter(|entry| entry.input == Some(JournalInput::End(true)));
+    assert_eq!(ends.count(), 1);
+}
+
+/// Messages that cannot be used, with a word for each.
+fn bad_messages(studio: &Studio) -> Vec<(&'static str, String, Vec<u8>)> {
+    let good = studio.message(0);
+    let hour = 3_600_000_000_000;
+    let first = studio.topics.keypoints("cam01");
+    let change = |change: fn(&mut KeypointFrame)| {
+        let mut message = good.clone();
+        change(&mut message);
+        encode(&message)
+    };
+    let jump = |ns: i64| {
+        encode(&KeypointFrame { capture_time_ns: good.capture_time_ns + ns, ..good.clone() })
+    };
+    let crowd = KeypointFrame { people: vec![Default::default(); 1_000_000], ..good.clone() };
+    vec![
+        ("garbage", first.clone(), vec![0xff; 300]),
+        ("empty", first.clone(), Vec::new()),
+        ("NaN", first.clone(), change(|m| m.people[0].points[0] = f32::NAN)),
+        ("infinite", first.clone(), change(|m| m.people[0].points[1] = f32::INFINITY)),
+        ("another format", first.clone(), change(|m| m.format = "coco_17".into())),
+        (
+            "unknown camera",
+            studio.topics.keypoints("nobody"),
+            change(|m| m.camera = "nobody".into()),
+        ),
+        ("a crowd", first.clone(), encode(&crowd)),
+        ("five megabytes", first.clone(), vec![0x0a; 5_000_000]),
+        ("another schema", first.clone(), encode(&Status::default())),
+        ("an hour ahead", first.clone(), jump(hour)),
+        ("an hour back", first.clone(), jump(-hour)),
+        ("before all time", first.clone(), jump(i64::MIN / 2)),
+        ("no rig", studio.topics.rig(), vec![0xff; 50]),
+        ("an empty rig", studio.topics.rig(), Vec::new()),
+    ]
+}
+
+#[test]
+fn bad_messages_are_counted_and_the_poses_go_on() {
+    let mut studio = Studio::new();
+    let node = start_node(&studio.bus, &Config::default()).unwrap();
+    studio.play_until("a pose", |heard| !heard.poses.is_empty());
+    let bad = bad_messages(&studio);
+    for (_, topic, payload) in &bad {
+        studio.put(topic, payload);
+        studio.send_frame();
+    }
+    let after = studio.message(0).capture_time_ns;
+    studio.play_until("poses after the bad messages", |heard| {
+        heard.poses.last().is_some_and(|pose| pose.capture_time_ns > after + 200_000_000)
+    });
+    let status = node.stop().unwrap().expect("a last status");
+    let heard = studio.heard.lock().unwrap();
+    let refused = |kind: &str| kind == "unusable" || kind == "clock_jump";
+    let told = heard.events.iter().filter(|event| refused(&event.kind));
+    assert!(told.clone().all(|event| !event.detail.is_empty()), "{:?}", heard.events);
+    assert_eq!(told.map(|event| event.count).sum::<u64>(), bad.len() as u64, "{:?}", heard.events);
+    let counted = status.events.iter().filter(|event| refused(&event.kind));
+    assert_eq!(counted.map(|event| event.count).sum::<u64>(), bad.len() as u64);
+    let period = (1e9 / FPS) as i64;
+    assert!(steps(&heard.poses).iter().all(|step| (step - period).abs() <= 2));
+    let tracked = msg::TrackingState::Tracking as i32;
+    let last = heard.poses.iter().rev().take(6);
+    assert!(last.clone().any(|pose| pose.state == tracked), "{:?}", heard.events);
+}
+
+#[test]
+fn a_full_queue_drops_the_oldest_and_says_how_many() {
+    let mut studio = Studio::new();
+    let config = Config { queue: 16, ..Config::default() };
+    let node = start_node(&studio.bus, &config).unwrap();
+    let begin = Instant::now();
+    let dropped = |heard: &Heard| heard.status.as_ref().is_some_and(|s| s.queue_dropped > 0);
+    while !dropped(&studio.heard.lock().unwrap()) {
+        assert!(begin.elapsed() < LONG, "{}", studio.summary());
+        let flood = encode(&studio.message(0));
+        (0..2000).for_each(|_| studio.publishers[0].put(studio.start, "", &flood).unwrap());
+        studio.send_frame();
+    }
+    let status = node.stop().unwrap().expect("a last status");
+    assert!(status.queue_dropped > 0);
+}
+
+#[test]
+fn a_node_without_input_says_how_it_is_and_ends() {
+    let studio = Studio { detections: Vec::new(), ..Studio::new() };
+    let config = Config { prometheus: "127.0.0.1:0".into(), ..Config::default() };
+    let node = start_node(&studio.bus, &config).unwrap();
+    let begin = Instant::now();
+    while node.status().is_none() {
+        assert!(begin.elapsed() < LONG);
+        std::thread::yield_now();
+    }
+    assert!(node.over().try_recv().is_err_and(|error| error.is_empty()), "it runs");
+    let rig = studio.bus.query(&studio.topics.rig(), LONG).unwrap();
+    assert_eq!(rig.len(), 1, "the node answers with the rig");
+    assert_eq!(node.publish_failures(), 0);
+    let mut metrics = TcpStream::connect(node.prometheus().unwrap()).unwrap();
+    write!(metrics, "GET /metrics HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").unwrap();
+    let mut text = String::new();
+    metrics.read_to_string(&mut text).unwrap();
+    assert!(text.contains("bundlemocap_performer{state=\"searching\"} 1"), "{text}");
+    assert!(text.contains("bundlemocap_camera_waited_for{camera=\"cam03\"}"), "{text}");
+    node.stop().unwrap();
+    assert_eq!(studio.poses(), 0);
+}
+
+#[test]
+fn what_the_node_cannot_start_with_is_named() {
+    let bus = Memory::new();
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let prometheus = taken.local_addr().unwrap().to_string();
+    let error = |config: Config| start_node(&bus, &config).err().unwrap().to_string();
+    let message = error(Config { prometheus: prometheus.clone(), ..Config::default() });
+    assert!(message.contains(&prometheus), "{message}");
+    let message = error(Config { rig: "/nowhere/rig.toml".into(), ..Config::default() });
+    assert!(message.contains("/nowhere/rig.toml"), "{message}");
+    let message = error(Config { stage: "a/*".into(), ..Config::default() });
+    assert!(message.contains("a/*"), "{message}");
+}
+
+/// Exit code, standard output, standard error.
+fn program(arguments: &[&str]) -> (Option<i32>, String, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_bundlemocap")).args(arguments).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (output.status.code(), text(output.stdout), text(output.stderr))
+}
+
+#[test]
+fn ports_in_use_are_named_by_run() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port().to_string();
+    let (code, _, error) = program(&["run", "--listen", &format!("tcp/127.0.0.1:{port}")]);
+    assert_eq!(code, Some(13), "{error}");
+    assert!(error.lines().last().unwrap().contains(&port), "{error}");
+    let free = ["run", "--listen", "tcp/127.0.0.1:0", "--prometheus"];
+    let (code, _, error) = program(&[&free[..], &[&format!("127.0.0.1:{port}")]].concat());
+    assert_eq!(code, Some(2), "{error}");
+    assert!(error.lines().last().unwrap().contains(&port), "{error}");
+}
+
+#[test]
+fn the_bench_runs_a_node_and_ends_it() {
+    let arguments = "bench latency --seconds 4 --noise jitter --json";
+    let (code, text, error) = program(&arguments.split(' ').collect::<Vec<_>>());
+    assert_eq!(code, Some(0), "{error}");
+    let figures: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert!(figures["poses"]["published"].as_u64().unwrap() > 0, "{text}");
+    assert!(figures["declared_latency_ms"].as_f64().unwrap() > 0.0, "{text}");
+    assert!(figures["cpu_percent"].as_f64().is_some(), "{text}");
+}
