@@ -172,6 +172,11 @@ impl Clock {
         Arrival::Jumped(by)
     }
 
+    /// Whether the capture clock is known: something came.
+    pub(super) fn is_known(&self) -> bool {
+        self.base.is_some()
+    }
+
     /// The capture clock at a time of the node's; the node's own until something came.
     pub(super) fn capture_time(&self, node: Timestamp) -> Timestamp {
         node + -self.base.unwrap_or(0)

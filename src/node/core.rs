@@ -167,7 +167,9 @@ impl Core {
         // What comes after the end, such as the last answer, belongs into the journal, too.
         self.ended |= matches!(input, Input::End);
         let is_last = self.ended;
-        self.tell(track::Input::Tick(self.clock.capture_time(self.now)));
+        if self.clock.is_known() {
+            self.tell(track::Input::Tick(self.clock.capture_time(self.now)));
+        }
         match input {
             Input::Message { topic, payload } => self.message(&topic, &payload),
             Input::RigFile(bytes) => self.rig_file(bytes),

@@ -7,6 +7,7 @@ mod export;
 mod import;
 mod jacobians;
 mod layers;
+mod live;
 mod manifold;
 mod messages;
 mod node;

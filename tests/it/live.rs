@@ -1,0 +1,597 @@
+//! The node's core in simulated time: cameras, a network, a solver and a clock that are all made up,
+//! so that every case is the same each time and none takes longer than its computing.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use bundlemocap::body::Skeleton;
+use bundlemocap::camera::Rig;
+use bundlemocap::config::Config;
+use bundlemocap::detect::Detections;
+use bundlemocap::manifold::Decoder;
+use bundlemocap::msg::{
+    self, Event, KeypointFrame, Pose, Schema, Status, Topics, TrackingState, decode, encode,
+};
+use bundlemocap::node::{Core, Input, Output, Recorded, Settings, replay};
+use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+use bundlemocap::time::Timestamp;
+use bundlemocap::track::{Job, Solution, Solver, Task};
+
+const MS: i64 = 1_000_000;
+const SECOND: i64 = 1000 * MS;
+/// When the cameras begin, on the node's clock.
+const START: i64 = 1_700_000_000 * SECOND;
+/// From the exposure to the arrival.
+const NETWORK: i64 = 3 * MS;
+
+/// A message under way.
+#[derive(Clone, Debug)]
+struct Sent {
+    arrival: Timestamp,
+    topic: String,
+    payload: Vec<u8>,
+}
+
+/// Everything that came out, with the time at which it left.
+#[derive(Default)]
+struct Heard {
+    messages: Vec<Recorded>,
+}
+
+impl Heard {
+    fn of<T: Schema>(&self, topic: &str) -> Vec<(Timestamp, T)> {
+        let of_topic = self.messages.iter().filter(|message| *message.topic == *topic);
+        of_topic.map(|message| (message.time, decode(&message.payload).unwrap())).collect()
+    }
+
+    fn poses(&self) -> Vec<(Timestamp, Pose)> {
+        self.of(&Topics::default().pose())
+    }
+
+    fn live(&self) -> Vec<(Timestamp, Pose)> {
+        self.of(&Topics::default().live())
+    }
+
+    fn status(&self) -> Status {
+        self.of(&Topics::default().status()).pop().unwrap().1
+    }
+
+    fn events(&self) -> BTreeMap<String, u64> {
+        self.status().events.into_iter().map(|e| (e.kind, e.count)).collect()
+    }
+
+    fn details(&self, kind: &str) -> Vec<String> {
+        let events = self.of::<Event>(&Topics::default().events()).into_iter();
+        events.filter(|(_, e)| e.kind == kind).map(|(_, e)| e.detail).collect()
+    }
+}
+
+/// A node in simulated time.
+struct World {
+    core: Core,
+    solver: Solver,
+    now: Timestamp,
+    wake: Option<Timestamp>,
+    /// The answer that is being worked out, and when it is there.
+    answer: Option<(Timestamp, Solution, i64)>,
+    /// How long the solver takes for a job.
+    took: Box<dyn Fn(&Job) -> i64>,
+    heard: Heard,
+}
+
+fn settings(config: &Config, decoder: &Decoder) -> Settings {
+    Settings {
+        track: config.track,
+        node: config.node.clone(),
+        toml: config.to_toml(),
+        weights: format!("{:016x}", decoder.fingerprint()),
+    }
+}
+
+impl World {
+    fn new(config: &Config) -> Self {
+        let decoder = Decoder::embedded().unwrap();
+        Self {
+            core: Core::new(settings(config, &decoder)),
+            solver: Solver::new(decoder, config.track),
+            now: Timestamp::from_ns(START - SECOND),
+            wake: None,
+            answer: None,
+            took: Box::new(|job| match job.task {
+                Task::Acquire { .. } => 40 * MS,
+                Task::Track { .. } => 5 * MS,
+                Task::Live { .. } => MS,
+            }),
+            heard: Heard::default(),
+        }
+    }
+
+    /// Plays messages, in order of arrival, and goes on for a while after the last.
+    fn play(&mut self, mut sent: Vec<Sent>, until: Timestamp) {
+        sent.sort_by_key(|message| message.arrival);
+        let mut sent = sent.into_iter().peekable();
+        loop {
+            let arrival = sent.peek().map(|message| message.arrival);
+            let answer = self.answer.as_ref().map(|(at, ..)| *at);
+            let next = [arrival, answer, self.wake].into_iter().flatten().min();
+            let Some(next) = next.filter(|next| *next <= until) else { break };
+            self.now = self.now.max(next);
+            let input = if answer == Some(next) {
+                let (_, solution, took_ns) = self.answer.take().unwrap();
+                Input::Solved { solution: Box::new(solution), took_ns: took_ns as u64 }
+            } else if arrival == Some(next) {
+                let message = sent.next().unwrap();
+                Input::Message { topic: message.topic.into(), payload: message.payload }
+            } else {
+                self.wake = None;
+                Input::Tick
+            };
+            self.tell(input);
+        }
+        self.now = until;
+    }
+
+    fn tell(&mut self, input: Input) {
+        self.core.handle(self.now, input);
+        while let Some(output) = self.core.poll() {
+            match output {
+                Output::Wake(at) => self.wake = Some(at.max(self.now + 1)),
+                Output::Solve(job) => {
+                    assert!(self.answer.is_none(), "two jobs at once");
+                    let took = (self.took)(&job);
+                    self.answer = Some((self.now + took, self.solver.solve(&job), took));
+                }
+                Output::Publish(publication) => self.heard.messages.push(Recorded {
+                    time: publication.due.unwrap_or(self.now),
+                    capture: publication.capture,
+                    topic: publication.topic,
+                    schema: publication.schema.into(),
+                    payload: publication.payload,
+                }),
+            }
+        }
+    }
+
+    fn end(&mut self) {
+        self.tell(Input::End);
+        while let Some((at, solution, took_ns)) = self.answer.take() {
+            self.now = self.now.max(at);
+            self.tell(Input::Solved { solution: Box::new(solution), took_ns: took_ns as u64 });
+        }
+    }
+}
+
+/// Cameras around the procedural motion.
+struct Studio {
+    rig: Rig,
+    frames: Vec<Detections>,
+}
+
+impl Studio {
+    fn new(cameras: usize, frames: u64) -> Self {
+        let skeleton = Skeleton::default();
+        let motion = Motion::new(&skeleton, MotionStyle::default());
+        let rig = ring_rig(cameras, 4.0, 1.6).unwrap();
+        let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
+        recording.frames = frames;
+        recording.noise = Noise::jitter_only();
+        recording.start = Timestamp::from_ns(START);
+        let frames = recording.detections().collect();
+        Self { rig: recording.rig, frames }
+    }
+
+    fn rig(&self) -> Sent {
+        let payload = encode(&msg::Rig::from_core(&self.rig));
+        let arrival = Timestamp::from_ns(START - SECOND / 2);
+        Sent { arrival, topic: Topics::default().rig(), payload }
+    }
+
+    fn message(&self, frame: &Detections) -> Sent {
+        let camera = &self.rig.cameras[frame.camera];
+        let message = KeypointFrame::from_core(frame, &camera.name, [camera.width, camera.height]);
+        Sent {
+            arrival: frame.capture + NETWORK,
+            topic: Topics::default().keypoints(&camera.name),
+            payload: encode(&message),
+        }
+    }
+
+    /// The rig, and every frame on its way.
+    fn messages(&self) -> Vec<Sent> {
+        let frames = self.frames.iter().map(|frame| self.message(frame));
+        std::iter::once(self.rig()).chain(frames).collect()
+    }
+}
+
+fn at(seconds: f64) -> Timestamp {
+    Timestamp::from_ns(START + (seconds * 1e9) as i64)
+}
+
+/// A world after those messages.
+fn after(messages: Vec<Sent>, seconds: f64) -> World {
+    let mut world = World::new(&Config::default());
+    world.play(messages, at(seconds));
+    world
+}
+
+/// Every pose is out at its capture time plus one latency, on an even grid.
+fn assert_on_time(heard: &Heard) {
+    let poses = heard.poses();
+    assert!(poses.len() > 60, "{} poses", poses.len());
+    let latency = poses[0].1.declared_latency_ns as i64;
+    for (time, pose) in &poses {
+        assert_eq!(*time - Timestamp::from_ns(pose.capture_time_ns), latency);
+        assert_eq!(pose.publish_time_ns, Some(time.ns()));
+        assert_eq!(pose.declared_latency_ns as i64, latency);
+    }
+    for pair in poses.windows(2) {
+        let step = pair[1].1.capture_time_ns - pair[0].1.capture_time_ns;
+        assert!((step - 16_666_667).abs() <= 1, "a step of {step} ns");
+    }
+}
+
+#[test]
+fn poses_leave_at_one_latency_and_provisional_ones_at_once() {
+    let world = after(Studio::new(4, 240).messages(), 4.0);
+    let heard = &world.heard;
+    assert_on_time(heard);
+    // Window 166.7 ms, solve at least 8, network 3.
+    assert_eq!(heard.poses()[0].1.declared_latency_ns, 178 * MS as u64);
+    let last = heard.poses().pop().unwrap().1;
+    assert!(last.capture_time_ns >= START + 3_600 * MS, "{}", last.capture_time_ns);
+    assert!(heard.poses().iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
+    // The first ones still wait for the windows that were gathered for the shape.
+    let mut live = heard.live();
+    live.retain(|(time, _)| *time > heard.poses()[0].0);
+    assert!(live.len() > 160, "{} provisional poses", live.len());
+    for (time, pose) in &live {
+        let waited = *time - Timestamp::from_ns(pose.capture_time_ns) - NETWORK;
+        // One millisecond for the fit; five where it had to wait for a window's solve.
+        assert!((0..=6 * MS).contains(&waited), "{waited} ns");
+        assert!(pose.provisional && pose.revision == 0);
+    }
+    assert!(heard.poses().iter().all(|(_, pose)| !pose.provisional && pose.revision == 1));
+    assert_eq!(heard.status().performer, "tracking");
+    let playout = heard.status().playout.unwrap();
+    assert_eq!((playout.coasted, playout.missed), (0, 0));
+}
+
+#[test]
+fn the_same_inputs_give_the_same_bytes() {
+    let mut messages = Studio::new(4, 150).messages();
+    for index in (40..messages.len()).step_by(17) {
+        messages[index].arrival = messages[index].arrival + 90 * MS;
+        let twin = messages[index].clone();
+        messages.push(twin);
+    }
+    let mut world = World::new(&Config::default());
+    world.play(messages.clone(), at(3.0));
+    world.end();
+    let mut recorded = world.heard.messages;
+    recorded.extend(messages.into_iter().map(|sent| Recorded {
+        time: sent.arrival,
+        capture: Timestamp::default(),
+        topic: sent.topic.into(),
+        schema: "".into(),
+        payload: sent.payload,
+    }));
+    let decoder = Decoder::embedded().unwrap();
+    let replayed = replay(&recorded, &Topics::default(), |start| {
+        let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
+        let solver = Solver::new(decoder.clone(), config.track);
+        Ok::<_, bundlemocap::node::ReplayError>((settings(&config, &decoder), solver))
+    })
+    .unwrap();
+    assert!(replayed.is_whole);
+    assert!(replayed.topics.len() >= 7, "{:?}", replayed.topics.keys());
+    for (topic, compared) in &replayed.topics {
+        assert_eq!((compared.recorded, compared.differs_at), (compared.replayed, None), "{topic}");
+    }
+    // And it is not that everything agrees with everything.
+    let journal = Topics::default().journal();
+    recorded.retain(|message| *message.topic != *journal || message.time < at(2.5));
+    let pose = recorded.iter_mut().find(|message| *message.topic == *Topics::default().pose());
+    *pose.unwrap().payload.last_mut().unwrap() ^= 1;
+    let replayed = replay(&recorded, &Topics::default(), |start| {
+        let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
+        let solver = Solver::new(decoder.clone(), config.track);
+        Ok::<_, bundlemocap::node::ReplayError>((settings(&config, &decoder), solver))
+    })
+    .unwrap();
+    assert!(!replayed.is_whole);
+    let differing: Vec<_> =
+        replayed.topics.iter().filter(|(_, topic)| !topic.agrees()).map(|(name, _)| name).collect();
+    assert_eq!(differing, [&Topics::default().pose()]);
+}
+
+#[test]
+fn a_silent_camera_is_given_up_and_taken_back_while_poses_go_on() {
+    let studio = Studio::new(4, 360);
+    let is_silent =
+        |sent: &Sent| sent.topic.contains("cam03") && (at(2.0)..at(4.0)).contains(&sent.arrival);
+    let messages = studio.messages().into_iter().filter(|sent| !is_silent(sent)).collect();
+    let world = after(messages, 6.0);
+    assert_on_time(&world.heard);
+    assert!(world.heard.poses().iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
+    let events = world.heard.events();
+    assert_eq!((events["silent"], events["returned"], events["deadline"]), (1, 1, 3));
+    assert!(!events.contains_key("overdue"), "{events:?}");
+    let counters = &world.heard.status().cameras;
+    assert!(counters.iter().all(|camera| camera.waited_for));
+    assert_eq!(counters[2].missing, 120);
+}
+
+#[test]
+fn overload_costs_effort_and_never_latency() {
+    let studio = Studio::new(4, 1200);
+    let mut world = World::new(&Config::default());
+    // From the fourth second on each iteration takes 4 ms, of all frames; later it is as before.
+    let slow = |job: &Job| (at(4.0)..at(8.0)).contains(&job.end);
+    world.took = Box::new(move |job| {
+        let Task::Track { .. } = job.task else { return MS };
+        let iterations = job.effort.iterations.min(12) as i64;
+        match slow(job) {
+            true => iterations * 4 * MS / job.effort.stride as i64,
+            false => 3 * MS,
+        }
+    });
+    world.play(studio.messages(), at(20.0));
+    assert_on_time(&world.heard);
+    let steps = world.heard.details("effort");
+    assert!(steps[0].starts_with("level 1: 10 iterations, stride 1"), "{steps:?}");
+    let effort = world.heard.status().effort.unwrap();
+    assert!(effort.raised >= 2, "{steps:?}");
+    assert!(effort.level < effort.raised as u32, "it is given back: {steps:?}");
+    let playout = world.heard.status().playout.unwrap();
+    let coasting = |(_, pose): &&(Timestamp, Pose)| pose.state() == TrackingState::Coasting;
+    let coasted = world.heard.poses().iter().filter(coasting).count() as u64;
+    assert_eq!(playout.coasted, coasted);
+    assert!(coasted <= 60, "{coasted} of 1100 carried on");
+}
+
+#[test]
+fn a_solver_that_hangs_does_not_stop_the_poses() {
+    let studio = Studio::new(4, 300);
+    let mut world = World::new(&Config::default());
+    world.took = Box::new(|job| if job.window == 12 { 900 * MS } else { 3 * MS });
+    world.play(studio.messages(), at(5.0));
+    assert_on_time(&world.heard);
+    let states: Vec<TrackingState> =
+        world.heard.poses().iter().map(|(_, pose)| pose.state()).collect();
+    assert!(states.contains(&TrackingState::Coasting));
+    assert_eq!(states.last(), Some(&TrackingState::Tracking), "it goes on");
+    assert!(world.heard.events()["overdue"] > 30);
+}
+
+#[test]
+fn the_output_may_have_another_rate() {
+    let mut config = Config::default();
+    config.node.output_rate_hz = 90.0;
+    let mut world = World::new(&config);
+    world.play(Studio::new(4, 240).messages(), at(4.0));
+    let poses = world.heard.poses();
+    assert!(poses.len() > 240, "{}", poses.len());
+    for pair in poses.windows(2) {
+        let step = pair[1].1.capture_time_ns - pair[0].1.capture_time_ns;
+        assert!((step - 11_111_111).abs() <= 1, "{step}");
+    }
+    assert!(poses.iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
+}
+
+#[test]
+fn a_new_calibration_is_used_from_a_window_on() {
+    let studio = Studio::new(4, 300);
+    let mut messages = studio.messages();
+    let mut rig = msg::Rig::from_core(&studio.rig);
+    rig.version = 7;
+    let (topic, arrival) = (Topics::default().rig(), at(2.51));
+    messages.push(Sent { arrival, topic: topic.clone(), payload: encode(&rig) });
+    // Once more, and one that is none.
+    messages.push(Sent { arrival: at(3.0), topic: topic.clone(), payload: encode(&rig) });
+    messages.push(Sent { arrival: at(3.1), topic, payload: vec![0xff; 9] });
+    let world = after(messages, 5.0);
+    assert_on_time(&world.heard);
+    let poses = world.heard.poses();
+    let first = poses.iter().position(|(_, pose)| pose.calibration_version == 7).unwrap();
+    assert_eq!(poses[first - 1].1.window + 1, poses[first].1.window, "at a window's edge");
+    assert!(poses[first..].iter().all(|(_, pose)| pose.calibration_version == 7));
+    assert!((poses[first].1.capture_time_ns - arrival.ns()).abs() < 340 * MS);
+    let events = world.heard.events();
+    assert_eq!((events["calibrated"], events["unusable"]), (2, 1));
+}
+
+#[test]
+fn states_follow_the_performer() {
+    let studio = Studio::new(4, 600);
+    let mut frames = studio.frames.clone();
+    for frame in &mut frames {
+        if (180..300).contains(&frame.frame) || frame.frame < 66 {
+            frame.people.clear();
+        }
+    }
+    let mut messages: Vec<Sent> = frames.iter().map(|frame| studio.message(frame)).collect();
+    messages.push(studio.rig());
+    let world = after(messages, 10.0);
+    assert_on_time(&world.heard);
+    let mut states: Vec<String> =
+        (world.heard.of::<Status>(&Topics::default().status()).into_iter())
+            .map(|(_, status)| status.performer)
+            .collect();
+    states.dedup();
+    assert_eq!(states, ["searching", "acquiring", "tracking", "coasting", "lost", "tracking"]);
+    let events = world.heard.events();
+    assert_eq!((events["acquired"], events["left"], events["coasted"]), (2, 1, 3));
+    let state = |seconds: f64| {
+        let capture = at(seconds).ns();
+        let poses = world.heard.poses();
+        let pose = poses.into_iter().find(|(_, pose)| pose.capture_time_ns >= capture);
+        pose.unwrap().1.state()
+    };
+    assert_eq!(state(3.1), TrackingState::Coasting);
+    assert_eq!(state(4.0), TrackingState::Lost);
+    // Frame 300 shows the performer again: 5.0 s, and there it is tracked.
+    assert_eq!(state(4.97), TrackingState::Lost);
+    assert_eq!(state(5.0), TrackingState::Tracking);
+}
+
+#[test]
+fn one_bad_camera_never_stops_the_others() {
+    let studio = Studio::new(4, 360);
+    let hour = 3600 * SECOND;
+    let bad = |index: usize, frame: &Detections| -> Vec<u8> {
+        let camera = &studio.rig.cameras[frame.camera];
+        let mut message =
+            KeypointFrame::from_core(frame, &camera.name, [camera.width, camera.height]);
+        match index % 8 {
+            0 => return vec![0xff; 40],
+            1 => message.people[0].points[3] = f32::NAN,
+            2 => message.people[0].points[4] = f32::INFINITY,
+            3 => message.capture_time_ns += hour,
+            4 => message.capture_time_ns -= hour,
+            5 => message.format = "my_format".into(),
+            6 => message.camera = "somebody".into(),
+            _ => message.people = vec![msg::DetectedPerson::default(); 1_000_000],
+        }
+        encode(&message)
+    };
+    let mut messages = vec![studio.rig()];
+    let mut spoiled = 0;
+    for frame in &studio.frames {
+        let mut sent = studio.message(frame);
+        if frame.camera == 1 && frame.frame >= 100 && spoiled < 80 {
+            sent.payload = bad(spoiled, frame);
+            spoiled += 1;
+        }
+        messages.push(sent);
+    }
+    messages.push(Sent {
+        arrival: at(2.0),
+        topic: Topics::default().keypoints("nobody"),
+        payload: messages[9].payload.clone(),
+    });
+    messages.push(Sent { arrival: at(2.0), topic: "mocap/stage/x".into(), payload: vec![1] });
+    let world = after(messages, 6.0);
+    assert_on_time(&world.heard);
+    assert!(world.heard.poses().iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
+    let (events, status) = (world.heard.events(), world.heard.status());
+    assert_eq!(events["clock_jump"], 20, "{events:?}");
+    assert_eq!(events["unusable"], 61, "{events:?}");
+    assert_eq!(status.cameras[1].unusable, 80);
+    assert_eq!(status.cameras.iter().map(|camera| camera.unusable).sum::<u64>(), 80);
+    let why = world.heard.details("unusable");
+    for word in ["not a finite number", "my_format", "not the camera of its topic", "bytes"] {
+        assert!(why.iter().any(|detail| detail.contains(word)), "{word}: {why:?}");
+    }
+}
+
+#[test]
+fn a_clock_that_jumps_for_all_is_a_new_one() {
+    let studio = Studio::new(4, 480);
+    let mut messages = vec![studio.rig()];
+    for frame in &studio.frames {
+        let arrival = frame.capture + NETWORK;
+        let mut jumped = frame.clone();
+        if frame.frame >= 240 {
+            jumped.capture = frame.capture + -3600 * SECOND;
+        }
+        messages.push(Sent { arrival, ..studio.message(&jumped) });
+    }
+    let world = after(messages, 8.0);
+    let poses = world.heard.poses();
+    let after_jump: Vec<_> =
+        poses.iter().filter(|(_, pose)| pose.capture_time_ns < START).collect();
+    assert!(after_jump.len() > 120, "{} poses after the jump", after_jump.len());
+    // Nobody shares that clock: the latency counts from the fastest arrival.
+    for (time, pose) in &after_jump {
+        let latency = *time - Timestamp::from_ns(pose.capture_time_ns) - 3600 * SECOND;
+        assert_eq!(latency, pose.declared_latency_ns as i64 + NETWORK);
+    }
+    assert!(world.heard.events()["clock_jump"] >= 4);
+}
+
+#[test]
+fn a_camera_whose_clock_is_off_raises_an_alarm() {
+    let studio = Studio::new(4, 360);
+    let mut messages = studio.messages();
+    for message in messages.iter_mut().filter(|m| m.topic.contains("cam02")) {
+        message.arrival = message.arrival + 6 * MS;
+    }
+    let world = after(messages, 6.0);
+    let events = world.heard.details("clock_offset");
+    assert_eq!(events.len(), 1, "{events:?}");
+    assert!(events[0].starts_with("+6.0 ms off from the other cameras, limit 4.2"), "{events:?}");
+    let status = world.heard.status();
+    assert!((status.cameras[1].offset_s - 0.009).abs() < 1e-4, "{}", status.cameras[1].offset_s);
+    assert!((status.cameras[0].rate_hz - 60.0).abs() < 2.0, "{}", status.cameras[0].rate_hz);
+}
+
+#[test]
+fn two_publishers_of_one_camera_are_told() {
+    let studio = Studio::new(4, 240);
+    let mut messages = studio.messages();
+    for frame in studio.frames.iter().filter(|f| f.camera == 0 && f.frame > 60) {
+        let mut other = frame.clone();
+        (other.frame, other.capture) = (frame.frame + 5000, frame.capture + 4 * MS);
+        messages.push(studio.message(&other));
+    }
+    let world = after(messages, 4.0);
+    assert_on_time(&world.heard);
+    let details = world.heard.details("conflict");
+    assert!(!details.is_empty() && details[0].contains("a second publisher?"), "{details:?}");
+}
+
+#[test]
+fn nothing_grows_with_time() {
+    let studio = Studio::new(4, 60);
+    let mut world = World::new(&Config::default());
+    // The same second of frames over and over, with new times.
+    let round = |number: i64| -> Vec<Sent> {
+        let frames = studio.frames.iter().map(|frame| {
+            let mut frame = frame.clone();
+            frame.capture = frame.capture + number * SECOND;
+            frame.frame += 60 * number as u64;
+            studio.message(&frame)
+        });
+        let rig = (number == 0).then(|| studio.rig());
+        rig.into_iter().chain(frames).collect()
+    };
+    let mut play = |rounds: std::ops::Range<i64>| {
+        for number in rounds {
+            let messages = round(number);
+            world.play(messages, at(number as f64 + 1.0));
+            world.heard.messages = Vec::new();
+        }
+    };
+    play(0..20);
+    let grown = allocation_counter::measure(|| play(20..40)).bytes_current;
+    assert!(grown < 20_000, "{grown} bytes more after 20 seconds");
+}
+
+#[test]
+fn keyframes_hold_all_that_poses_are_made_of() {
+    let world = after(Studio::new(4, 200).messages(), 4.0);
+    let keyframes = world.heard.of::<msg::Keyframe>(&Topics::default().keyframe());
+    assert!(keyframes.len() > 10);
+    let size = keyframes.iter().map(|(_, keyframe)| encode(keyframe).len()).max().unwrap();
+    assert!(size < 600, "{size} bytes");
+    let decoder = Arc::new(Decoder::embedded().unwrap());
+    let poses: BTreeMap<i64, Pose> =
+        world.heard.poses().into_iter().map(|(_, pose)| (pose.capture_time_ns, pose)).collect();
+    let mut compared = 0;
+    for pair in keyframes.windows(2) {
+        let [from, to] = [&pair[0].1, &pair[1].1].map(|keyframe| keyframe.to_core().unwrap());
+        let skeleton = Skeleton::new(to.shape);
+        for capture in to.grid.between(to.start, to.capture) {
+            let Some(published) = poses.get(&capture.ns()) else { continue };
+            let s = (capture - to.start) as f64 / (to.capture - to.start) as f64;
+            let keyframe = to.interpolation.keyframe(&from.keyframe, &to.keyframe, s);
+            let positions = decoder.pose(&keyframe).posture(&skeleton).positions;
+            let told = published.joint_positions().unwrap();
+            for (a, b) in positions.iter().zip(&told) {
+                assert!((a - b).norm() < 1e-6);
+            }
+            compared += 1;
+        }
+    }
+    assert!(compared > 100, "{compared}");
+}
