@@ -74,6 +74,8 @@ fn read(arguments: &Arguments) -> Result<Solved, Failure> {
             (Message::Skeleton(wire), false) | (Message::TruthSkeleton(wire), true) => {
                 wire.to_core().map(|body| skeleton = Some(body))
             }
+            // Of a live recording: final poses supersede them.
+            (Message::Pose(wire), false) if wire.provisional => Ok(()),
             (Message::Pose(wire), false) | (Message::TruthPose(wire), true) => {
                 wire.to_core().map(|pose| poses.push(KeptPose::from(&pose)))
             }

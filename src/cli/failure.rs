@@ -100,7 +100,7 @@ impl From<RecordError> for Failure {
             RecordError::NotMcap { .. } => Exit::Malformed,
             RecordError::NoChannels { .. } => Exit::NotOurs,
             RecordError::BeforeEpoch { .. } => Exit::Malformed,
-            RecordError::Write { .. } => Exit::Unexpected,
+            RecordError::Write { .. } | RecordError::LeftOver { .. } => Exit::Unexpected,
         };
         let fix =
             if exit == Exit::Unreadable { "; check the path and its permissions" } else { "" };

@@ -7,24 +7,34 @@ mod bench;
 mod bench_cameras;
 mod bench_figures;
 mod bench_node;
+mod bus;
 mod bvh;
+mod clock;
 mod completions;
+mod decode;
 mod driver;
+mod echo;
 mod export;
 mod failure;
 mod figures;
 mod hold_out;
 mod import;
+mod inbox;
 mod info;
 mod input;
 mod kept;
 mod output;
+mod play;
+mod player;
+mod record;
 mod reference;
 mod run;
 mod solve;
 mod synth;
+mod take;
 mod terminal;
 mod train;
+mod wire;
 
 use std::process::ExitCode;
 
@@ -50,6 +60,10 @@ enum Command {
     Synth(synth::Arguments),
     Train(train::Arguments),
     Export(export::Arguments),
+    Play(play::Arguments),
+    Echo(echo::Arguments),
+    Record(record::Arguments),
+    Decode(decode::Arguments),
     Completions(completions::Arguments),
 }
 
@@ -64,6 +78,10 @@ pub fn main() -> ExitCode {
         Command::Synth(arguments) => synth::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
+        Command::Play(arguments) => play::run(&arguments),
+        Command::Echo(arguments) => echo::run(&arguments),
+        Command::Record(arguments) => record::run(&arguments),
+        Command::Decode(arguments) => decode::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
     };
     let exit = result.unwrap_or_else(|failure: Failure| {

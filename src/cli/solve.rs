@@ -177,6 +177,7 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     Ok(config)
 }
 
+/// The decoder of a weights file, or the embedded one.
 pub(super) fn decoder(weights: Option<&Path>) -> Result<Decoder, Failure> {
     let Some(path) = weights else {
         return Decoder::embedded()

@@ -7,12 +7,22 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 /// Prints to standard output.
 pub(super) fn say(text: &str) {
-    let _ = writeln!(std::io::stdout().lock(), "{text}");
+    let _ = tell(text);
+}
+
+/// Prints to standard output; false if nobody reads it any more.
+pub(super) fn tell(text: &str) -> bool {
+    writeln!(std::io::stdout().lock(), "{text}").is_ok()
 }
 
 /// Prints one line to standard error.
 pub(super) fn complain(kind: &str, text: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{kind}: {text}");
+}
+
+/// Prints one line to standard error.
+pub(super) fn note(text: &str) {
+    let _ = writeln!(std::io::stderr().lock(), "{text}");
 }
 
 /// Rows of a name and a value, the values in one column.
@@ -30,6 +40,17 @@ pub(super) fn progress(total: u64, unit: &str) -> ProgressBar {
     let template = format!("{{bar:32}} {{pos}}/{{len}} {unit} {{msg}} {{eta}} left");
     let bar = ProgressBar::new(total);
     if let Ok(style) = ProgressStyle::with_template(&template) {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(250));
+    bar
+}
+
+/// A line on standard error that says how far something without an end is, hidden when that is not
+/// a terminal.
+pub(super) fn ticker() -> ProgressBar {
+    let bar = ProgressBar::new_spinner();
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
         bar.set_style(style);
     }
     bar.enable_steady_tick(Duration::from_millis(250));

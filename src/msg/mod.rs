@@ -9,6 +9,7 @@ mod event;
 mod generated;
 mod keyframe;
 mod keypoints;
+mod path;
 mod pose;
 mod rig;
 mod schema;
@@ -18,7 +19,9 @@ mod topic;
 pub use generated::*;
 pub use keyframe::StampedKeyframe;
 pub use pose::Publication;
-pub use schema::{ENCODING, SCHEMA_ENCODING, Schema, decode, encode};
+pub use schema::{
+    ENCODING, SCHEMA_ENCODING, Schema, decode, descriptor, encode, media_type, schema_of,
+};
 pub use topic::{Topics, is_truth};
 
 /// Why a message cannot be used.

@@ -44,6 +44,16 @@ pub enum RecordError {
         /// Topic and schema of what it holds.
         topics: Vec<String>,
     },
+    /// A live recording that was cut short is where a new one would be written.
+    #[error(
+        "{} is there, from a recording that was not finished; `bundlemocap info` reads it; rename \
+         it to keep it, or remove it",
+        part.display()
+    )]
+    LeftOver {
+        /// The file.
+        part: PathBuf,
+    },
     /// MCAP's log times are not negative.
     #[error("cannot record on {topic}: capture time {ns} ns is before the epoch; shift the epoch")]
     BeforeEpoch {

@@ -59,7 +59,7 @@ impl Info {
 
     fn of(reader: &Reader) -> Self {
         let topics = reader.channels().map(|channel| {
-            let schema = channel.schema.clone();
+            let schema = channel.schema.to_string();
             (channel.topic.to_string(), TopicInfo { schema, ..TopicInfo::default() })
         });
         Self {

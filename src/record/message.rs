@@ -5,8 +5,8 @@ use std::sync::Arc;
 use prost::Name;
 
 use crate::msg::{
-    DecodeError, ENCODING, Event, Keyframe, KeypointFrame, Pose, Rig, Skeleton, Status, decode,
-    is_truth,
+    DecodeError, ENCODING, Event, Journal, Keyframe, KeypointFrame, Pose, Rig, Skeleton, Status,
+    decode, is_truth,
 };
 use crate::time::Timestamp;
 
@@ -15,10 +15,28 @@ use crate::time::Timestamp;
 pub struct Entry {
     /// Where it was published.
     pub topic: Arc<str>,
-    /// The time it is filed under; ours are capture times.
+    /// The time it is filed under: the capture time in files that were made offline, the arrival
+    /// on the node's clock in live ones.
     pub log_time: Timestamp,
     /// What it says.
     pub message: Message,
+}
+
+/// A message of a recording as its bytes are.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RawEntry {
+    /// Where it was published.
+    pub topic: Arc<str>,
+    /// Full name of its schema; empty if it has none.
+    pub schema: Arc<str>,
+    /// How the payload is encoded, in MCAP's words; `protobuf` for ours.
+    pub encoding: Arc<str>,
+    /// The time it is filed under, as in [`Entry`].
+    pub log_time: Timestamp,
+    /// The capture time in our files.
+    pub publish_time: Timestamp,
+    /// The bytes.
+    pub payload: Vec<u8>,
 }
 
 /// What a message says. Each of ours is known to be sound: its `to_core` succeeds (that of
@@ -39,6 +57,8 @@ pub enum Message {
     Event(Event),
     /// Counters.
     Status(Status),
+    /// What the node's machine was told.
+    Journal(Journal),
     /// The true pose, in synthetic recordings.
     TruthPose(Pose),
     /// The true body, in synthetic recordings.
@@ -62,6 +82,7 @@ pub(super) enum Kind {
     Skeleton,
     Event,
     Status,
+    Journal,
 }
 
 impl Kind {
@@ -74,6 +95,7 @@ impl Kind {
             Skeleton::NAME => Self::Skeleton,
             Event::NAME => Self::Event,
             Status::NAME => Self::Status,
+            Journal::NAME => Self::Journal,
             _ => return None,
         })
     }
@@ -83,44 +105,70 @@ impl Kind {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Channel {
     pub topic: Arc<str>,
-    pub schema: String,
+    pub schema: Arc<str>,
+    pub encoding: Arc<str>,
     /// `None`: not ours.
     pub kind: Option<Kind>,
 }
 
 impl Channel {
-    pub fn new(topic: &str, schema: String, encoding: &str) -> Self {
-        let kind = Kind::of_schema(&schema).filter(|_| encoding == ENCODING);
-        Self { topic: topic.into(), schema, kind }
+    pub fn new(topic: &str, schema: &str, encoding: &str) -> Self {
+        let kind = Kind::of_schema(schema).filter(|_| encoding == ENCODING);
+        Self { topic: topic.into(), schema: schema.into(), encoding: encoding.into(), kind }
+    }
+}
+
+impl RawEntry {
+    /// What the message says, checked.
+    ///
+    /// # Errors
+    /// A payload that is not sound.
+    pub fn message(&self) -> Result<Message, DecodeError> {
+        Message::decode(&self.topic, &self.schema, &self.encoding, &self.payload)
+    }
+}
+
+impl Message {
+    /// The message in `data`, checked; `schema` is its full name, `encoding` in MCAP's words, and
+    /// the topic tells truth from the rest.
+    ///
+    /// # Errors
+    /// A payload that is not sound.
+    pub fn decode(
+        topic: &str,
+        schema: &str,
+        encoding: &str,
+        data: &[u8],
+    ) -> Result<Self, DecodeError> {
+        match Kind::of_schema(schema).filter(|_| encoding == ENCODING) {
+            Some(kind) => Self::of_kind(kind, is_truth(topic), data),
+            None => Ok(Self::Other { schema: schema.to_owned(), data: data.to_owned() }),
+        }
     }
 
-    /// The message in `data`, checked.
-    pub fn decode(&self, data: Vec<u8>) -> Result<Message, DecodeError> {
-        let Some(kind) = self.kind else {
-            return Ok(Message::Other { schema: self.schema.clone(), data });
-        };
-        let truth = is_truth(&self.topic);
+    fn of_kind(kind: Kind, truth: bool, data: &[u8]) -> Result<Self, DecodeError> {
         Ok(match kind {
-            Kind::Keypoints => Message::Keypoints(checked(&data, |frame: &KeypointFrame| {
+            Kind::Keypoints => Self::Keypoints(checked(data, |frame: &KeypointFrame| {
                 frame.to_core(|_| Some(0)).map(drop)
             })?),
-            Kind::Rig => Message::Rig(checked(&data, |rig: &Rig| rig.to_core().map(drop))?),
+            Kind::Rig => Self::Rig(checked(data, |rig: &Rig| rig.to_core().map(drop))?),
             Kind::Pose => {
-                let pose = checked(&data, |pose: &Pose| {
+                let pose = checked(data, |pose: &Pose| {
                     pose.joint_positions()?;
                     pose.to_core().map(drop)
                 })?;
-                if truth { Message::TruthPose(pose) } else { Message::Pose(pose) }
+                if truth { Self::TruthPose(pose) } else { Self::Pose(pose) }
             }
-            Kind::Keyframe => Message::Keyframe(checked(&data, |keyframe: &Keyframe| {
-                keyframe.to_core().map(drop)
-            })?),
+            Kind::Keyframe => {
+                Self::Keyframe(checked(data, |keyframe: &Keyframe| keyframe.to_core().map(drop))?)
+            }
             Kind::Skeleton => {
-                let skeleton = checked(&data, |skeleton: &Skeleton| skeleton.to_core().map(drop))?;
-                if truth { Message::TruthSkeleton(skeleton) } else { Message::Skeleton(skeleton) }
+                let skeleton = checked(data, |skeleton: &Skeleton| skeleton.to_core().map(drop))?;
+                if truth { Self::TruthSkeleton(skeleton) } else { Self::Skeleton(skeleton) }
             }
-            Kind::Event => Message::Event(decode::<Event>(&data)?.validated()?),
-            Kind::Status => Message::Status(decode(&data)?),
+            Kind::Event => Self::Event(decode::<Event>(data)?.validated()?),
+            Kind::Status => Self::Status(decode(data)?),
+            Kind::Journal => Self::Journal(decode(data)?),
         })
     }
 }

@@ -1,7 +1,8 @@
 //! Recordings: MCAP files in and out.
 //!
 //! [`Writer`] writes to a temporary file beside the target and renames it in `finish`. The same
-//! input gives the same bytes: log times are capture times, nothing asks a clock.
+//! input gives the same bytes: log times are capture times, nothing asks a clock. A live recording
+//! ([`Writer::live`]) is written to `FILE.part` instead, which outlives a crash.
 //!
 //! [`Reader`] streams: it holds one chunk (at most 64 MiB) and the index at the end of the file.
 //! Damage never ends a reading early where more can be had:
@@ -19,11 +20,12 @@ mod message;
 mod reader;
 mod scan;
 mod tail;
+mod target;
 mod writer;
 
 pub use error::{Damage, RecordError, Report, Undecodable};
 pub use info::{CameraInfo, Info, TopicInfo, scan, summary};
-pub use message::{Entry, Message};
+pub use message::{Entry, Message, RawEntry};
 pub use reader::Reader;
 pub use writer::{Provenance, Writer};
 

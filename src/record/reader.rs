@@ -6,7 +6,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::error::{RecordError, Report};
-use super::message::{Channel, Entry};
+use super::message::{Channel, Entry, RawEntry};
 use super::scan::{RawMessage, Scan};
 use crate::time::Timestamp;
 
@@ -56,7 +56,7 @@ impl Reader {
         if self.channels().any(|channel| channel.kind.is_some()) {
             return Ok(());
         }
-        let topics = self.channels().map(|channel| match channel.schema.as_str() {
+        let topics = self.channels().map(|channel| match &*channel.schema {
             "" => channel.topic.to_string(),
             schema => format!("{} ({schema})", channel.topic),
         });
@@ -87,50 +87,19 @@ impl Reader {
         &self.scan
     }
 
-    /// The message, or `None` if it had to be rejected.
-    fn decode(&mut self, raw: RawMessage) -> Option<Entry> {
-        let Some(channel) = self.scan.channels.get(&raw.channel) else {
-            let topic = format!("channel {}", raw.channel);
-            self.scan.report.reject(&topic, &"its description was lost");
-            return None;
-        };
-        match channel.decode(raw.data) {
-            Ok(message) => Some(Entry {
-                topic: channel.topic.clone(),
-                log_time: Timestamp::from_ns(i64::try_from(raw.log_time).unwrap_or(i64::MAX)),
-                message,
-            }),
-            Err(error) => {
-                let topic = channel.topic.clone();
-                self.scan.report.reject(&topic, &error);
-                None
-            }
-        }
-    }
-
-    /// The end: a whole file without anything of ours is an error.
-    fn end(&mut self) -> Option<Result<Entry, RecordError>> {
-        self.done = true;
-        if self.scan.report.damage.is_empty() {
-            self.require_channels().err().map(Err)
-        } else {
-            None
-        }
-    }
-}
-
-impl Iterator for Reader {
-    type Item = Result<Entry, RecordError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
+    /// The next message as its bytes are, sound or not, in the order of the file.
+    ///
+    /// # Errors
+    /// As the iterator.
+    pub fn next_raw(&mut self) -> Option<Result<RawEntry, RecordError>> {
         while !self.done {
             match self.scan.next_message() {
                 Ok(Some(raw)) => {
-                    if let Some(entry) = self.decode(raw) {
+                    if let Some(entry) = self.described(raw) {
                         return Some(Ok(entry));
                     }
                 }
-                Ok(None) => return self.end(),
+                Ok(None) => return self.end().map(Err),
                 Err(source) => {
                     self.done = true;
                     return Some(Err(RecordError::Read { path: self.path.clone(), source }));
@@ -138,5 +107,49 @@ impl Iterator for Reader {
             }
         }
         None
+    }
+
+    /// The message with what its channel says, or `None` if the channel was lost.
+    fn described(&mut self, raw: RawMessage) -> Option<RawEntry> {
+        let Some(channel) = self.scan.channels.get(&raw.channel) else {
+            let topic = format!("channel {}", raw.channel);
+            self.scan.report.reject(&topic, &"its description was lost");
+            return None;
+        };
+        let time = |ns| Timestamp::from_ns(i64::try_from(ns).unwrap_or(i64::MAX));
+        Some(RawEntry {
+            topic: channel.topic.clone(),
+            schema: channel.schema.clone(),
+            encoding: channel.encoding.clone(),
+            log_time: time(raw.log_time),
+            publish_time: time(raw.publish_time),
+            payload: raw.data,
+        })
+    }
+
+    /// The end: a whole file without anything of ours is an error.
+    fn end(&mut self) -> Option<RecordError> {
+        self.done = true;
+        if self.scan.report.damage.is_empty() { self.require_channels().err() } else { None }
+    }
+}
+
+impl Iterator for Reader {
+    type Item = Result<Entry, RecordError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            let raw = match self.next_raw()? {
+                Ok(raw) => raw,
+                Err(error) => return Some(Err(error)),
+            };
+            match raw.message() {
+                Ok(message) => {
+                    let RawEntry { topic, log_time, .. } = raw;
+                    return Some(Ok(Entry { topic, log_time, message }));
+                }
+                Err(error) => self.scan.report.reject(&raw.topic, &error),
+            }
+        }
     }
 }

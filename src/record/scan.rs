@@ -16,6 +16,7 @@ use super::tail::{RECORD_HEAD, Tail, read_metadata, read_tail};
 pub(super) struct RawMessage {
     pub channel: u16,
     pub log_time: u64,
+    pub publish_time: u64,
     pub data: Vec<u8>,
 }
 
@@ -226,6 +227,7 @@ impl Scan {
                 Record::Message { header, data } => self.pending.push_back(RawMessage {
                     channel: header.channel_id,
                     log_time: header.log_time,
+                    publish_time: header.publish_time,
                     data: data.into_owned(),
                 }),
                 Record::Metadata(metadata) => self.keep_metadata(metadata),
@@ -240,7 +242,7 @@ impl Scan {
         let known = schema.is_some() || channel.schema_id == 0;
         if known || !self.channels.contains_key(&channel.id) {
             let encoding = &channel.message_encoding;
-            let ours = Channel::new(&channel.topic, schema.unwrap_or_default(), encoding);
+            let ours = Channel::new(&channel.topic, &schema.unwrap_or_default(), encoding);
             self.channels.insert(channel.id, ours);
         }
     }

@@ -48,7 +48,7 @@ impl Tail {
             }
             Record::Channel(channel) => {
                 let schema = schemas.get(&channel.schema_id).cloned().unwrap_or_default();
-                let ours = Channel::new(&channel.topic, schema, &channel.message_encoding);
+                let ours = Channel::new(&channel.topic, &schema, &channel.message_encoding);
                 self.channels.insert(channel.id, ours);
             }
             Record::Statistics(statistics) => self.statistics = Some(statistics),

@@ -1,21 +1,22 @@
 //! Writing a recording.
 
 use std::collections::BTreeMap;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions};
-use tempfile::NamedTempFile;
 
 use super::METADATA;
 use super::error::RecordError;
+use super::message::RawEntry;
+use super::target::{Target, part_of};
 use crate::body::{self, StampedPose};
 use crate::camera;
 use crate::detect::Detections;
 use crate::msg::{
     ENCODING, Event, Keyframe, KeypointFrame, Pose, Rig, SCHEMA_ENCODING, Schema, Skeleton,
-    StampedKeyframe, Status, Topics, encode,
+    StampedKeyframe, Status, Topics, descriptor, encode,
 };
 use crate::time::Timestamp;
 
@@ -48,15 +49,18 @@ impl Provenance {
 struct OpenChannel {
     id: u16,
     sequence: u32,
+    schema: String,
+    encoding: String,
 }
 
 /// A recording that is being written: beside its target, until [`Writer::finish`] renames it.
-/// Dropped before that, it leaves nothing.
+/// Dropped before that, it leaves nothing; a live one leaves the part that was written.
 pub struct Writer {
     path: PathBuf,
     topics: Topics,
-    channels: BTreeMap<String, OpenChannel>,
-    mcap: mcap::Writer<BufWriter<NamedTempFile>>,
+    /// By topic; nearly always one.
+    channels: BTreeMap<String, Vec<OpenChannel>>,
+    mcap: mcap::Writer<BufWriter<Target>>,
 }
 
 impl Writer {
@@ -70,8 +74,37 @@ impl Writer {
         provenance: &Provenance,
     ) -> Result<Self, RecordError> {
         let path = path.as_ref();
+        let target = Target::temporary(path).map_err(RecordError::write(path))?;
+        Self::start(path, target, topics, provenance)
+    }
+
+    /// Starts a live recording that will be at `path`. Until it is finished it is at `path` with
+    /// `.part` after it, where it can be read up to the last [`Writer::flush`] even when this
+    /// process was killed.
+    ///
+    /// # Errors
+    /// When the folder is not there or not writable, or when such a part is there already.
+    pub fn live(
+        path: impl AsRef<Path>,
+        topics: Topics,
+        provenance: &Provenance,
+    ) -> Result<Self, RecordError> {
+        let path = path.as_ref();
+        let target = Target::part(path).map_err(|source| match source.kind() {
+            io::ErrorKind::AlreadyExists => RecordError::LeftOver { part: part_of(path) },
+            _ => RecordError::write(path)(source),
+        })?;
+        Self::start(path, target, topics, provenance)
+    }
+
+    fn start(
+        path: &Path,
+        target: Target,
+        topics: Topics,
+        provenance: &Provenance,
+    ) -> Result<Self, RecordError> {
         let start = || -> Result<_, McapError> {
-            let mut mcap = options().create(BufWriter::new(temporary_beside(path)?))?;
+            let mut mcap = options().create(BufWriter::new(target))?;
             mcap.write_metadata(&provenance.record())?;
             Ok(mcap)
         };
@@ -185,24 +218,70 @@ impl Writer {
     ) -> Result<(), RecordError> {
         let log_time = u64::try_from(at.ns())
             .map_err(|_| RecordError::BeforeEpoch { topic: topic.to_owned(), ns: at.ns() })?;
-        self.log(topic, log_time, message).map_err(|error| write_error(&self.path, error))
+        let times = [log_time; 2];
+        self.log(topic, &T::full_name(), ENCODING, times, &encode(message))
+            .map_err(|error| write_error(&self.path, error))
     }
 
-    fn log<T: Schema>(&mut self, topic: &str, log_time: u64, message: &T) -> Result<(), McapError> {
-        if !self.channels.contains_key(topic) {
-            let id = self.open_channel::<T>(topic)?;
-            self.channels.insert(topic.to_owned(), OpenChannel { id, sequence: 0 });
-        }
-        let Some(channel) = self.channels.get_mut(topic) else { return Ok(()) };
-        let (channel_id, sequence) = (channel.id, channel.sequence);
-        channel.sequence = sequence.wrapping_add(1);
-        let header = MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
-        self.mcap.write_to_known_channel(&header, &encode(message))
+    /// A message as its bytes are. With the schema's descriptor if it is ours, else without a
+    /// schema. Times before the epoch are filed at the epoch.
+    ///
+    /// # Errors
+    /// When the disk does not take it.
+    pub fn write_raw(&mut self, entry: &RawEntry) -> Result<(), RecordError> {
+        let times = [entry.log_time, entry.publish_time];
+        let times = times.map(|time| u64::try_from(time.ns()).unwrap_or(0));
+        self.log(&entry.topic, &entry.schema, &entry.encoding, times, &entry.payload)
+            .map_err(|error| write_error(&self.path, error))
     }
 
-    fn open_channel<T: Schema>(&mut self, topic: &str) -> Result<u16, McapError> {
-        let schema = self.mcap.add_schema(&T::full_name(), SCHEMA_ENCODING, T::DESCRIPTOR)?;
-        self.mcap.add_channel(schema, topic, ENCODING, &BTreeMap::new())
+    /// `times`: log and publish time.
+    fn log(
+        &mut self,
+        topic: &str,
+        schema: &str,
+        encoding: &str,
+        times: [u64; 2],
+        payload: &[u8],
+    ) -> Result<(), McapError> {
+        let of_kind =
+            |channel: &&mut OpenChannel| channel.schema == schema && channel.encoding == encoding;
+        let open = self.channels.get_mut(topic);
+        let (channel_id, sequence) = match open.and_then(|open| open.iter_mut().find(of_kind)) {
+            Some(channel) => {
+                channel.sequence = channel.sequence.wrapping_add(1);
+                (channel.id, channel.sequence)
+            }
+            None => (self.open_channel(topic, schema, encoding)?, 0),
+        };
+        let [log_time, publish_time] = times;
+        let header = MessageHeader { channel_id, sequence, log_time, publish_time };
+        self.mcap.write_to_known_channel(&header, payload)
+    }
+
+    fn open_channel(
+        &mut self,
+        topic: &str,
+        schema: &str,
+        encoding: &str,
+    ) -> Result<u16, McapError> {
+        let schema_id = match descriptor(schema) {
+            Some(descriptor) => self.mcap.add_schema(schema, SCHEMA_ENCODING, descriptor)?,
+            None => 0,
+        };
+        let id = self.mcap.add_channel(schema_id, topic, encoding, &BTreeMap::new())?;
+        let (schema, encoding) = (schema.to_owned(), encoding.to_owned());
+        let open = self.channels.entry(topic.to_owned()).or_default();
+        open.push(OpenChannel { id, sequence: 0, schema, encoding });
+        Ok(id)
+    }
+
+    /// Closes the open chunk and gives everything to the system, so that it outlives this process.
+    ///
+    /// # Errors
+    /// When the disk does not take it.
+    pub fn flush(&mut self) -> Result<(), RecordError> {
+        self.mcap.flush().map_err(|error| write_error(&self.path, error))
     }
 
     /// Completes the recording and puts it in its place.
@@ -212,12 +291,9 @@ impl Writer {
     pub fn finish(mut self) -> Result<(), RecordError> {
         let write = RecordError::write(&self.path);
         self.mcap.finish().map_err(|error| write_error(&self.path, error))?;
-        let mut file = self.mcap.into_inner();
-        file.flush().map_err(&write)?;
+        let file = self.mcap.into_inner();
         let file = file.into_inner().map_err(|error| write(error.into_error()))?;
-        file.as_file().sync_all().map_err(&write)?;
-        file.persist(&self.path).map_err(|error| write(error.error))?;
-        Ok(())
+        file.persist(&self.path).map_err(&write)
     }
 }
 
@@ -230,22 +306,6 @@ fn options() -> WriteOptions {
         .chunk_size(Some(CHUNK_BYTES))
         .profile("")
         .library("bundlemocap")
-}
-
-/// A temporary file in the folder of `path`, readable as any new file is.
-fn temporary_beside(path: &Path) -> io::Result<NamedTempFile> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".bundlemocap-").suffix(".mcap.part");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
-    }
-    builder.tempfile_in(folder)
 }
 
 fn write_error(path: &Path, error: McapError) -> RecordError {

@@ -20,6 +20,7 @@
 
 mod curves;
 mod detector;
+mod disturb;
 mod leg;
 mod motion;
 mod random;
@@ -27,6 +28,7 @@ mod recording;
 mod ring;
 
 pub use detector::{Noise, position};
+pub use disturb::{Disturbance, Disturbed, Sending};
 pub use motion::{Motion, MotionStyle};
 pub use recording::{Recording, through};
 pub use ring::ring_rig;

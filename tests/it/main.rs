@@ -13,5 +13,6 @@ mod node;
 mod recording;
 mod solve;
 mod synth;
+mod tools;
 mod track;
 mod train;

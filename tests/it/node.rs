@@ -132,7 +132,9 @@ impl Studio {
         self.clock.wait_until(capture);
         for (camera, publisher) in self.publishers.iter().enumerate() {
             let bytes = encode(&self.message(camera));
-            publisher.put(capture, "application/protobuf;bundlemocap.v1.KeypointFrame", &bytes).unwrap();
+            publisher
+                .put(capture, "application/protobuf;bundlemocap.v1.KeypointFrame", &bytes)
+                .unwrap();
         }
         self.frame += 1;
     }

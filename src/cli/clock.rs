@@ -1,0 +1,95 @@
+//! The wall clock, and the wish to stop.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use signal_hook::consts::{SIGINT, SIGTERM};
+
+use super::failure::{Exit, Failure};
+use crate::time::Timestamp;
+
+/// A wish to stop is seen within this time.
+pub(super) const ATTENTION: Duration = Duration::from_millis(20);
+
+/// Whether the user wants an end; clones are the same wish.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Stop(Arc<AtomicBool>);
+
+impl Stop {
+    /// Set by SIGINT and SIGTERM; a second signal ends the process at once.
+    pub(super) fn on_signals() -> Result<Self, Failure> {
+        let stop = Self::default();
+        for signal in [SIGINT, SIGTERM] {
+            let flag = || Arc::clone(&stop.0);
+            signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, flag())
+                .and_then(|_| signal_hook::flag::register(signal, flag()))
+                .map_err(|error| {
+                    let message = format!("cannot listen for signals: {error}");
+                    Failure::new(Exit::Unexpected, message)
+                })?;
+        }
+        Ok(stop)
+    }
+
+    /// Wishes for an end.
+    #[cfg(test)]
+    pub(super) fn stop(&self) {
+        self.0.store(true, Ordering::Release);
+    }
+
+    /// Whether an end is wished for.
+    pub(super) fn is_set(&self) -> bool {
+        self.0.load(Ordering::Acquire)
+    }
+}
+
+/// A clock to play by.
+pub(super) trait Clock {
+    /// Nanoseconds since 1970.
+    fn now(&self) -> Timestamp;
+
+    /// Waits until that time; false if an end is wished for before.
+    fn wait_until(&self, time: Timestamp) -> bool;
+}
+
+/// The wall clock when this was made, and steady from there on.
+pub(super) struct SteadyClock {
+    wall: Timestamp,
+    steady: Instant,
+    stop: Stop,
+}
+
+impl SteadyClock {
+    pub(super) fn new(stop: Stop) -> Self {
+        Self { wall: wall_clock(), steady: Instant::now(), stop }
+    }
+}
+
+impl Clock for SteadyClock {
+    fn now(&self) -> Timestamp {
+        let elapsed = self.steady.elapsed().as_nanos();
+        self.wall + i64::try_from(elapsed).unwrap_or(i64::MAX)
+    }
+
+    fn wait_until(&self, time: Timestamp) -> bool {
+        loop {
+            let left = time - self.now();
+            if self.stop.is_set() {
+                return false;
+            }
+            match u64::try_from(left) {
+                Ok(left) if left > 0 => {
+                    std::thread::sleep(Duration::from_nanos(left).min(ATTENTION));
+                }
+                _ => return true,
+            }
+        }
+    }
+}
+
+/// The wall clock, nanoseconds since 1970.
+pub(super) fn wall_clock() -> Timestamp {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    Timestamp::from_ns(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
+}

@@ -1,0 +1,170 @@
+//! `bundlemocap decode`
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use clap::Args;
+
+use super::Ended;
+use super::failure::{Exit, Failure};
+use super::figures::losses;
+use super::solve::decoder;
+use super::terminal::{complain, say};
+use crate::body::Skeleton;
+use crate::manifold::Decoder;
+use crate::msg::{self, StampedKeyframe, Topics};
+use crate::record::{Message, Provenance, Reader, Writer};
+
+/// Decode the poses of a recording from its keyframes alone.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+A keyframe, about 40 numbers a window, holds all that is needed: with the one before it and the
+weights of the manifold it gives every pose of the window, as the solver gave them.
+
+Exit code 6 means that a keyframe is missing, so that the poses after it are missing too, or that the
+recording is damaged.
+
+Examples:
+  bundlemocap decode take1.mcap --out poses.mcap
+  bundlemocap decode out/poses.mcap --out again.mcap --weights my.safetensors")]
+pub(super) struct Arguments {
+    /// A recording with keyframes: of `bundlemocap record` or `solve`.
+    file: PathBuf,
+    /// The recording to write: skeleton and poses.
+    #[arg(long, value_name = "MCAP")]
+    out: PathBuf,
+    /// Weights of the manifold that was solved with; the embedded ones if not given.
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+}
+
+/// What was decoded.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Decoded {
+    keyframes: u64,
+    poses: u64,
+    /// Windows whose first keyframe is missing.
+    cut_off: u64,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let decoder = decoder(arguments.weights.as_deref())?;
+    let mut reader = Reader::open(&arguments.file)?;
+    let weights = fingerprint(&decoder);
+    let provenance = Provenance { weights: weights.clone(), ..Provenance::default() };
+    let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance)?;
+    let (mut performers, mut decoded) =
+        (BTreeMap::<Arc<str>, Performer>::new(), Decoded::default());
+    while let Some(entry) = reader.next() {
+        let entry = entry?;
+        let Message::Keyframe(wire) = entry.message else { continue };
+        let keyframe = match wire.to_core() {
+            Ok(keyframe) => keyframe,
+            Err(error) => {
+                reader.reject(&entry.topic, &error);
+                continue;
+            }
+        };
+        if keyframe.weights != weights {
+            return Err(other_weights(&arguments.file, &keyframe, &weights));
+        }
+        let performer = performers.entry(entry.topic.clone()).or_default();
+        performer.decode(&entry.topic, keyframe, &decoder, &mut writer, &mut decoded)?;
+    }
+    let lost = losses(reader.report());
+    if decoded.keyframes == 0 {
+        return Err(without_keyframes(&arguments.file, &lost));
+    }
+    writer.finish()?;
+    let Decoded { keyframes, poses, cut_off } = decoded;
+    say(&format!("{}: {poses} poses from {keyframes} keyframes", arguments.out.display()));
+    let cut_off = (cut_off > 0).then(|| format!("{cut_off} windows have no keyframe before them"));
+    let wrong: Vec<String> = lost.into_iter().chain(cut_off).collect();
+    if wrong.is_empty() {
+        return Ok(Exit::Done);
+    }
+    complain("warning", &format!("{}: {}", arguments.file.display(), wrong.join("; ")));
+    Ok(Exit::InPart)
+}
+
+/// Weights as keyframes name them.
+fn fingerprint(decoder: &Decoder) -> String {
+    format!("{:016x}", decoder.fingerprint())
+}
+
+fn other_weights(path: &Path, keyframe: &StampedKeyframe, ours: &str) -> Failure {
+    let message = format!(
+        "{}: keyframe of window {} was solved with the weights {}, these are {ours}; give the file \
+         with --weights",
+        path.display(),
+        keyframe.window,
+        keyframe.weights
+    );
+    Failure::new(Exit::Weights, message)
+}
+
+fn without_keyframes(path: &Path, lost: &[String]) -> Failure {
+    let fix = "give a recording of `bundlemocap record` or the poses.mcap of `solve`";
+    let lost = if lost.is_empty() { String::new() } else { format!(" ({})", lost.join("; ")) };
+    let message = format!("{} holds no keyframes that can be used{lost}; {fix}", path.display());
+    Failure::new(Exit::NotOurs, message)
+}
+
+/// The keyframes of one performer so far.
+#[derive(Default)]
+struct Performer {
+    last: Option<StampedKeyframe>,
+    skeleton: Option<Skeleton>,
+}
+
+impl Performer {
+    fn decode(
+        &mut self,
+        topic: &str,
+        keyframe: StampedKeyframe,
+        decoder: &Decoder,
+        writer: &mut Writer,
+        decoded: &mut Decoded,
+    ) -> Result<(), Failure> {
+        if self.last.as_ref() == Some(&keyframe) {
+            // A late joiner was given it a second time.
+            return Ok(());
+        }
+        decoded.keyframes += 1;
+        let poses = keyframe.poses(self.last.as_ref(), decoder);
+        let skeleton = match self.skeleton.take().filter(|one| *one.shape() == keyframe.shape) {
+            Some(skeleton) => skeleton,
+            None => {
+                let skeleton = Skeleton::new(keyframe.shape);
+                let wire = msg::Skeleton::from_core(&skeleton);
+                writer.write(&skeleton_topic(topic), keyframe.capture, &wire)?;
+                skeleton
+            }
+        };
+        match poses {
+            Some(poses) => {
+                let topic = pose_topic(topic);
+                for pose in &poses {
+                    let wire = msg::Pose::from_core(pose, &skeleton, None);
+                    writer.write(&topic, pose.capture, &wire)?;
+                }
+                decoded.poses += poses.len() as u64;
+            }
+            None => decoded.cut_off += 1,
+        }
+        (self.skeleton, self.last) = (Some(skeleton), Some(keyframe));
+        Ok(())
+    }
+}
+
+/// Where the poses of those keyframes go.
+fn pose_topic(keyframes: &str) -> String {
+    format!("{}/pose", keyframes.strip_suffix("/keyframe").unwrap_or(keyframes))
+}
+
+/// Where the body of those keyframes goes.
+fn skeleton_topic(keyframes: &str) -> String {
+    let stage = keyframes.split_once("/actor/").map_or(keyframes, |(stage, _)| stage);
+    format!("{stage}/skeleton")
+}

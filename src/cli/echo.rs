@@ -1,0 +1,323 @@
+//! `bundlemocap echo`
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use clap::{Args, ValueEnum};
+use serde_json::{Map, Value, json};
+
+use super::Ended;
+use super::bus::{BusArguments, open, topics};
+use super::clock::{ATTENTION, Stop};
+use super::failure::Exit;
+use super::inbox::{Inbox, Received};
+use super::terminal::{complain, tell};
+use super::wire;
+use crate::msg::{DecodeError, ENCODING, Topics, schema_of};
+use crate::record::Message;
+use crate::time::Timestamp;
+
+/// Print what is on the bus, one line a message.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+A line begins with the time of arrival (UTC) and the topic. Latency is arrival minus capture time, by
+the clock of this machine; of a pose also what the node declared and by how much it kept to it.
+
+Examples:
+  bundlemocap echo poses
+  bundlemocap echo status --count 1
+  bundlemocap echo all --hz
+  bundlemocap echo keyframes --json | jq .message.z
+  bundlemocap echo keypoints --connect tcp/192.168.1.10:7447")]
+pub(super) struct Arguments {
+    /// What to print.
+    #[arg(value_enum)]
+    what: What,
+    /// One JSON object a line, with all fields.
+    #[arg(long)]
+    json: bool,
+    /// End after that many lines.
+    #[arg(long, value_name = "N")]
+    count: Option<u64>,
+    /// Print messages and bytes a second of each topic instead, every second.
+    #[arg(long)]
+    hz: bool,
+    #[command(flatten)]
+    bus: BusArguments,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum What {
+    /// Final poses, at the declared latency.
+    Poses,
+    /// Provisional poses of the open window.
+    Live,
+    /// 2D keypoints of every camera.
+    Keypoints,
+    /// The node's counters.
+    Status,
+    /// What happened to input and windows.
+    Events,
+    /// The solved keyframes.
+    Keyframes,
+    /// The calibration.
+    Rig,
+    /// The body.
+    Skeleton,
+    /// What the node's machine was told.
+    Journal,
+    /// Everything of the stage.
+    All,
+}
+
+impl What {
+    fn pattern(self, topics: &Topics) -> String {
+        match self {
+            Self::Poses => topics.pose(),
+            Self::Live => topics.live(),
+            Self::Keypoints => topics.keypoints("*"),
+            Self::Status => topics.status(),
+            Self::Events => topics.events(),
+            Self::Keyframes => topics.keyframe(),
+            Self::Rig => topics.rig(),
+            Self::Skeleton => topics.skeleton(),
+            Self::Journal => topics.journal(),
+            Self::All => topics.all(),
+        }
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let config = arguments.bus.settings()?;
+    let bus = open(&config)?;
+    let stop = Stop::on_signals()?;
+    let inbox = Inbox::open(&*bus, &arguments.what.pattern(&topics(&config)))?;
+    let form = match (arguments.hz, arguments.json) {
+        (true, json) => Form::Rates { json },
+        (false, true) => Form::Json,
+        (false, false) => Form::Line,
+    };
+    echo(&inbox, form, arguments.count.unwrap_or(u64::MAX), &stop, tell);
+    if inbox.dropped() > 0 {
+        let fix = "the terminal is too slow; print less";
+        complain("warning", &format!("{} messages were not printed: {fix}", inbox.dropped()));
+    }
+    Ok(Exit::Done)
+}
+
+/// How messages are printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Form {
+    Line,
+    Json,
+    Rates { json: bool },
+}
+
+/// Prints until `count` lines are printed, `stop` is set, or `print` returns false.
+fn echo(inbox: &Inbox, form: Form, count: u64, stop: &Stop, mut print: impl FnMut(&str) -> bool) {
+    let (mut printed, mut rates, mut since) = (0, Rates::default(), Instant::now());
+    while printed < count && !stop.is_set() {
+        let received = inbox.next(ATTENTION);
+        let line = match (form, received) {
+            (Form::Line, Some(received)) => line(&received),
+            (Form::Json, Some(received)) => json_line(&received).to_string(),
+            (Form::Rates { json }, received) => {
+                received.iter().for_each(|received| rates.count(received));
+                if since.elapsed() < Duration::from_secs(1) {
+                    continue;
+                }
+                let seconds = since.elapsed().as_secs_f64();
+                since = Instant::now();
+                std::mem::take(&mut rates).text(seconds, json)
+            }
+            (_, None) => continue,
+        };
+        if !print(&line) {
+            return;
+        }
+        printed += 1;
+    }
+}
+
+/// Messages and bytes by topic.
+#[derive(Default)]
+struct Rates(BTreeMap<Arc<str>, [u64; 2]>);
+
+impl Rates {
+    fn count(&mut self, received: &Received) {
+        let [messages, bytes] = self.0.entry(received.sample.topic.clone()).or_default();
+        *messages += 1;
+        *bytes += received.sample.payload.len() as u64;
+    }
+
+    fn text(self, seconds: f64, json: bool) -> String {
+        let rates = self.0.iter().map(|(topic, [messages, bytes])| {
+            (topic, *messages as f64 / seconds, *bytes as f64 / seconds)
+        });
+        if json {
+            let topics = rates.map(|(topic, messages, bytes)| {
+                (topic.to_string(), json!({ "messages_hz": messages, "bytes_hz": bytes }))
+            });
+            return Value::Object(topics.collect::<Map<_, _>>()).to_string();
+        }
+        let lines = rates.map(|(topic, messages, bytes)| {
+            format!("{messages:8.1} a second  {:9.1} kB/s  {topic}", bytes * 1e-3)
+        });
+        let text = lines.collect::<Vec<_>>().join("\n");
+        if text.is_empty() { "nothing".to_owned() } else { text }
+    }
+}
+
+fn decoded(received: &Received) -> Result<Message, DecodeError> {
+    let sample = &received.sample;
+    match schema_of(&sample.topic, &sample.encoding) {
+        Some(schema) => Message::decode(&sample.topic, schema, ENCODING, &sample.payload),
+        None => Message::decode(&sample.topic, "", &sample.encoding, &[]),
+    }
+}
+
+fn line(received: &Received) -> String {
+    let sample = &received.sample;
+    let topic = sample.topic.strip_prefix("mocap/").unwrap_or(&sample.topic);
+    let said = match decoded(received) {
+        Ok(message) => wire::text(&message, received.arrival).unwrap_or_else(|| {
+            let encoding = if sample.encoding.is_empty() { "unknown" } else { &*sample.encoding };
+            format!("encoding {encoding}")
+        }),
+        Err(error) => format!("UNDECODABLE: {error}"),
+    };
+    let [time, bytes] = [time_of_day(received.arrival), sample.payload.len().to_string()];
+    format!("{time} {topic}  {said}  {bytes} B").replace(char::is_control, " ")
+}
+
+fn json_line(received: &Received) -> Value {
+    let Received { sample, arrival } = received;
+    let mut object = Map::new();
+    object.insert("topic".into(), json!(&*sample.topic));
+    object.insert("encoding".into(), json!(&*sample.encoding));
+    object.insert("arrival_time_ns".into(), json!(arrival.ns()));
+    object.insert("bus_capture_time_ns".into(), json!(sample.capture.ns()));
+    object.insert("bytes".into(), json!(sample.payload.len()));
+    match decoded(received) {
+        Ok(message) => object.insert("message".into(), wire::json(&message)),
+        Err(error) => object.insert("undecodable".into(), json!(error.to_string())),
+    };
+    Value::Object(object)
+}
+
+/// Hours, minutes, seconds and milliseconds of the day, UTC.
+fn time_of_day(time: Timestamp) -> String {
+    let ms = time.ns().rem_euclid(86_400_000_000_000) / 1_000_000;
+    let (hours, minutes, seconds) = (ms / 3_600_000, ms / 60_000 % 60, ms / 1000 % 60);
+    format!("{hours:02}:{minutes:02}:{seconds:02}.{:03}", ms % 1000)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::body::{Pose as BodyPose, Skeleton, StampedPose, TrackingState};
+    use crate::bus::{Bus, Memory};
+    use crate::msg::{Event, KeypointFrame, Pose, Publication, Schema, encode, media_type};
+
+    const CAPTURE: Timestamp = Timestamp::from_ns(1_000_000_000);
+
+    fn pose() -> Pose {
+        let stamped = StampedPose {
+            capture: CAPTURE,
+            pose: BodyPose::rest(),
+            state: TrackingState::Coasting,
+            window: 7,
+            rig_version: 1,
+            provisional: false,
+            revision: 0,
+        };
+        let publish = CAPTURE + 250_400_000;
+        let publication = Publication { publish, latency_ns: 250_000_000 };
+        Pose::from_core(&stamped, &Skeleton::default(), Some(publication))
+    }
+
+    fn received(topic: &str, encoding: &str, payload: Vec<u8>) -> Received {
+        let (topic, encoding) = (topic.into(), encoding.into());
+        let sample = crate::bus::Sample { topic, capture: CAPTURE, encoding, payload };
+        Received { sample, arrival: CAPTURE + 251_000_000 }
+    }
+
+    fn of<T: Schema>(topic: &str, message: &T) -> Received {
+        received(topic, &media_type(&T::full_name()), encode(message))
+    }
+
+    #[test]
+    fn a_pose_is_printed_with_its_latencies() {
+        let said = line(&of(&Topics::default().pose(), &pose()));
+        for part in [
+            "00:00:01.251 stage/actor/actor/pose",
+            "window 7, coasting",
+            "latency 251.0 ms",
+            "declared 250.0 ms, sent +0.40 ms off it",
+        ] {
+            assert!(said.contains(part), "{part:?} is not in {said}");
+        }
+        let object = json_line(&of(&Topics::default().pose(), &pose()));
+        assert_eq!(object["message"]["publish_time_ns"], 1_250_400_000);
+        assert_eq!(object["message"]["local_rotations"].as_array().map(Vec::len), Some(84));
+        assert_eq!(object["message"]["state"], "coasting");
+    }
+
+    #[test]
+    fn what_cannot_be_decoded_is_shown_as_such() {
+        let topics = Topics::default();
+        let mut frame = KeypointFrame { format: "body_25".into(), ..KeypointFrame::default() };
+        let good = line(&of(&topics.keypoints("a"), &frame));
+        assert!(good.contains("frame 0, 0 people in body_25"), "{good}");
+        frame.format = "body\n99".into();
+        let unknown = of(&topics.keypoints("a"), &frame);
+        let said = line(&unknown);
+        assert!(said.contains("UNDECODABLE") && said.contains("99"), "{said}");
+        assert!(!said.contains('\n') && said.ends_with(" B"), "{said}");
+        assert!(json_line(&unknown)["undecodable"].is_string());
+        let garbage = line(&received(&topics.pose(), "", vec![0xff; 9]));
+        assert!(garbage.contains("UNDECODABLE") && garbage.contains("9 B"), "{garbage}");
+        let foreign = line(&received("mocap/stage/gain", "text/plain", b"3".to_vec()));
+        assert!(foreign.ends_with("stage/gain  encoding text/plain  1 B"), "{foreign}");
+    }
+
+    #[test]
+    fn it_ends_after_the_count_and_when_nobody_reads() {
+        let (bus, topics) = (Memory::new(), Topics::default());
+        let inbox = Inbox::open(&bus, &topics.all()).unwrap();
+        let publisher = bus.publisher(&topics.events()).unwrap();
+        let event = Event { kind: "late".into(), count: 2, ..Event::default() };
+        for _ in 0..5 {
+            publisher.put(CAPTURE, "", &encode(&event)).unwrap();
+        }
+        let mut lines = Vec::new();
+        echo(&inbox, Form::Line, 2, &Stop::default(), |line| {
+            lines.push(line.to_owned());
+            true
+        });
+        assert_eq!(lines.len(), 2);
+        assert!(lines[0].contains("stage/events  late x 2"), "{lines:?}");
+        let mut tries = 0;
+        echo(&inbox, Form::Json, u64::MAX, &Stop::default(), |_| {
+            tries += 1;
+            tries < 2
+        });
+        assert_eq!(tries, 2);
+        let stop = Stop::default();
+        stop.stop();
+        echo(&inbox, Form::Line, u64::MAX, &stop, |_| unreachable!());
+    }
+
+    #[test]
+    fn rates_are_per_topic() {
+        let mut rates = Rates::default();
+        for _ in 0..30 {
+            rates.count(&received("mocap/stage/events", "", vec![0; 100]));
+        }
+        let text = rates.text(0.5, false);
+        assert!(text.contains("60.0 a second") && text.contains("6.0 kB/s"), "{text}");
+        assert_eq!(Rates::default().text(1.0, false), "nothing");
+        assert_eq!(Rates::default().text(1.0, true), "{}");
+    }
+}

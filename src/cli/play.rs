@@ -1,0 +1,189 @@
+//! `bundlemocap play`
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Args;
+
+use super::Ended;
+use super::bus::{BusArguments, open, topics};
+use super::clock::{Clock, SteadyClock, Stop};
+use super::failure::{Exit, Failure};
+use super::player::{Playing, Sent, play};
+use super::take::Take;
+use super::terminal::{progress, say, table, ticker};
+use crate::synth::Disturbance;
+use crate::time::Timestamp;
+
+/// Time between opening the bus and the first frame, so that everybody knows of everybody.
+const LEAD: Duration = Duration::from_millis(500);
+
+/// Play a recording onto the bus, as its cameras would.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+The calibration goes first, then every frame at its time. Capture times are stamped anew, so that a
+node sees cameras on its own clock: the first frame is captured when it is sent, the others as far
+apart as in the recording, divided by the speed. What a node made of the recording, and truth, is
+not played. All frames are kept in memory, about 1 kB each.
+
+To play each camera from a process or a machine of its own, give all of them the same --start-at.
+
+Examples:
+  bundlemocap play recordings/walk.mcap
+  bundlemocap play recordings/walk.mcap --loop --speed 0.5
+  bundlemocap play walk.mcap --connect tcp/192.168.1.10:7447 --camera cam0 --start-at 1795252800
+  bundlemocap play walk.mcap --drop 0.02 --late 0.02 --duplicate 0.02 --reorder 0.02 --seed 1")]
+pub(super) struct Arguments {
+    /// An MCAP recording with keypoints.
+    file: PathBuf,
+    /// Seconds of the recording in a second, 0.01 to 100.
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
+    speed: f64,
+    /// Begin again at the end; capture times and frame numbers go on.
+    #[arg(long = "loop", conflicts_with = "keep_times")]
+    repeat: bool,
+    /// Send payloads as they were recorded, with their capture times.
+    #[arg(long)]
+    keep_times: bool,
+    /// Do not send the calibration.
+    #[arg(long)]
+    only_keypoints: bool,
+    /// Play this camera only; may be given more than once.
+    #[arg(long, value_name = "NAME")]
+    camera: Vec<String>,
+    /// Send the recording's first frame at this time, seconds since 1970; else half a second from
+    /// now.
+    #[arg(long, value_name = "SECONDS")]
+    start_at: Option<f64>,
+    #[command(flatten)]
+    network: Network,
+    #[command(flatten)]
+    bus: BusArguments,
+}
+
+/// What happens to frames on their way.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Bad network")]
+struct Network {
+    /// Share of frames that are lost, 0 to 1.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
+    drop: f64,
+    /// Share of frames that are delayed.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
+    late: f64,
+    /// Longest delay, milliseconds, 0 to 60000.
+    #[arg(long, value_name = "MS", default_value_t = 80.0, allow_negative_numbers = true)]
+    late_ms: f64,
+    /// Share of frames that are sent twice.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
+    duplicate: f64,
+    /// Share of frames that are sent after the camera's next one.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
+    reorder: f64,
+    /// What happens to which frame follows from it.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+impl Network {
+    fn disturbance(&self) -> Result<Disturbance, Failure> {
+        let Self { drop, late, late_ms, duplicate, reorder, seed } = *self;
+        let shares = [
+            ("--drop", drop),
+            ("--late", late),
+            ("--duplicate", duplicate),
+            ("--reorder", reorder),
+        ];
+        for (option, share) in shares {
+            in_range(option, share, 0.0..=1.0, "0 to 1")?;
+        }
+        in_range("--late-ms", late_ms, 0.0..=6e4, "0 to 60000")?;
+        Ok(Disturbance { drop, late, duplicate, reorder, late_ns: (late_ms * 1e6) as i64, seed })
+    }
+}
+
+fn in_range(
+    option: &str,
+    value: f64,
+    range: std::ops::RangeInclusive<f64>,
+    allowed: &str,
+) -> Result<(), Failure> {
+    if range.contains(&value) {
+        return Ok(());
+    }
+    Err(Failure::new(Exit::Usage, format!("{option} is {value}, but must be {allowed}")))
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    in_range("--speed", arguments.speed, 0.01..=100.0, "0.01 to 100")?;
+    let disturbance = arguments.network.disturbance()?;
+    let config = arguments.bus.settings()?;
+    let take = Take::read(&arguments.file, &arguments.camera)?;
+    let bus = open(&config)?;
+    let clock = SteadyClock::new(Stop::on_signals()?);
+    let how = Playing {
+        start: start(arguments, &clock)?,
+        speed: arguments.speed,
+        keep_times: arguments.keep_times,
+        repeat: arguments.repeat,
+        rig: !arguments.only_keypoints,
+        disturbance,
+    };
+    let bar = match how.repeat {
+        true => ticker(),
+        false => progress(take.frames() as u64, "frames"),
+    };
+    let sent = play(&take, &how, &*bus, &topics(&config), &clock, |sent| {
+        bar.set_position(sent.all());
+        if how.repeat && sent.all().is_multiple_of(100) {
+            bar.set_message(format!("{} frames", sent.all()));
+        }
+    })?;
+    bar.finish_and_clear();
+    say(&table(&rows(&take, &sent)));
+    Ok(Exit::Done)
+}
+
+/// When the first frame is sent.
+fn start(arguments: &Arguments, clock: &dyn Clock) -> Result<Timestamp, Failure> {
+    let Some(seconds) = arguments.start_at else {
+        return Ok(clock.now() + LEAD.as_nanos() as i64);
+    };
+    let start = Timestamp::from_ns((seconds * 1e9).round() as i64);
+    let ahead = start.seconds_since(clock.now());
+    if !(0.0..=86_400.0).contains(&ahead) {
+        let message = format!(
+            "--start-at is {ahead:.3} s from now, but must be from now to a day ahead, in seconds \
+             since 1970"
+        );
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    Ok(start)
+}
+
+fn rows(take: &Take, sent: &Sent) -> Vec<(String, String)> {
+    let mut rows = Vec::new();
+    let mut row = |name: &str, value: String| rows.push((name.to_owned(), value));
+    for (camera, frames) in take.cameras.iter().zip(&sent.frames) {
+        row(&format!("camera {}", camera.name), format!("{frames} frames"));
+    }
+    row("calibrations", sent.rigs.to_string());
+    let seconds = sent.lasted_ns as f64 * 1e-9;
+    if seconds > 0.0 {
+        let rate = sent.all() as f64 / seconds;
+        let kilobytes = sent.bytes as f64 / seconds * 1e-3;
+        row("rate", format!("{rate:.1} messages, {kilobytes:.0} kB a second for {seconds:.1} s"));
+    }
+    let done = sent.disturbed;
+    let disturbed = [
+        ("lost", done.dropped),
+        ("delayed", done.late),
+        ("sent twice", done.duplicated),
+        ("sent after the next", done.reordered),
+    ];
+    for (what, count) in disturbed.into_iter().filter(|(_, count)| *count > 0) {
+        row(what, format!("{count} frames, on purpose"));
+    }
+    row("sent late by at most", format!("{:.2} ms", sent.worst_late_ns as f64 * 1e-6));
+    rows
+}

@@ -1,0 +1,87 @@
+//! Where a recording is while it is being written.
+
+use std::fs::File;
+use std::io::{self, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use tempfile::NamedTempFile;
+
+/// The file before it is in its place.
+#[derive(Debug)]
+pub(super) enum Target {
+    /// Gone if it is not put in its place.
+    Temporary(NamedTempFile),
+    /// Stays if it is not put in its place, under this name.
+    Part(File, PathBuf),
+}
+
+impl Target {
+    /// A temporary file in the folder of `path`, readable as any new file is.
+    pub fn temporary(path: &Path) -> io::Result<Self> {
+        let folder = match path.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder,
+            _ => Path::new("."),
+        };
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".bundlemocap-").suffix(".mcap.part");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            builder.permissions(std::fs::Permissions::from_mode(0o666));
+        }
+        builder.tempfile_in(folder).map(Self::Temporary)
+    }
+
+    /// `path` with `.part` after it; fails if that is there already.
+    pub fn part(path: &Path) -> io::Result<Self> {
+        let part = part_of(path);
+        let file = File::options().write(true).create_new(true).open(&part)?;
+        Ok(Self::Part(file, part))
+    }
+
+    /// Puts the file, all of it on the disk, in its place.
+    pub fn persist(self, path: &Path) -> io::Result<()> {
+        match self {
+            Self::Temporary(file) => {
+                file.as_file().sync_all()?;
+                file.persist(path).map(drop).map_err(|error| error.error)
+            }
+            Self::Part(file, part) => {
+                file.sync_all()?;
+                std::fs::rename(part, path)
+            }
+        }
+    }
+}
+
+/// What a live recording is called until it is whole.
+pub(super) fn part_of(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".part");
+    name.into()
+}
+
+impl Write for Target {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::Temporary(file) => file.write(bytes),
+            Self::Part(file, _) => file.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self {
+            Self::Temporary(file) => file.flush(),
+            Self::Part(file, _) => file.flush(),
+        }
+    }
+}
+
+impl Seek for Target {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match self {
+            Self::Temporary(file) => file.seek(to),
+            Self::Part(file, _) => file.seek(to),
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! The tools on the bus: the built program, beside a router that stands for the node.
+
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use bundlemocap::body::Skeleton;
+use bundlemocap::bus::{Bus, Zenoh, ZenohConfig};
+use bundlemocap::msg::{self, Topics, encode, media_type};
+use bundlemocap::record::{Provenance, RawEntry, Reader, Writer};
+use bundlemocap::synth::{Motion, MotionStyle, Recording, ring_rig};
+use bundlemocap::time::Timestamp;
+use serde_json::Value;
+use tempfile::TempDir;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_bundlemocap");
+const PATIENCE: Duration = Duration::from_secs(60);
+const CAMERAS: usize = 3;
+const FRAMES: u64 = 30;
+
+fn router() -> Zenoh {
+    let listen = vec!["tcp/127.0.0.1:0".into()];
+    Zenoh::open_node(&ZenohConfig { listen, ..ZenohConfig::default() }).unwrap()
+}
+
+/// A folder and the arguments that lead to the router.
+struct Place {
+    folder: TempDir,
+    router: Zenoh,
+}
+
+impl Place {
+    fn new() -> Self {
+        Self { folder: tempfile::tempdir().unwrap(), router: router() }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn command(&self, line: &str) -> Command {
+        let mut command = Command::new(PROGRAM);
+        command.args(line.split_whitespace()).current_dir(self.folder.path());
+        command.arg("--connect").arg(&self.router.listens_on()[0]);
+        command
+    }
+
+    fn done(&self, line: &str) -> String {
+        let output = self.command(line).output().unwrap();
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{line}: {errors}");
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    /// `record` with its first line of standard error read: it listens.
+    fn recorder(&self, name: &str) -> Running {
+        let mut command = self.command(&format!("record {name}"));
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        let mut errors = BufReader::new(child.stderr.take().unwrap());
+        errors.read_line(&mut line).unwrap();
+        assert!(line.starts_with("recording mocap/stage/** to"), "{line}");
+        Running(child, errors)
+    }
+}
+
+/// A child that does not outlive the test.
+struct Running(Child, BufReader<std::process::ChildStderr>);
+
+impl Running {
+    /// Sends SIGINT and waits; what was printed.
+    fn interrupt(mut self) -> String {
+        let pid = self.0.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+        let mut printed = String::new();
+        self.0.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
+        let mut errors = String::new();
+        self.1.read_to_string(&mut errors).unwrap();
+        assert_eq!(self.0.wait().unwrap().code(), Some(0), "{errors}");
+        printed
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The synthetic walk, camera after camera as importers write it.
+fn walk(path: &Path) {
+    let rig = ring_rig(CAMERAS, 4.0, 1.6).unwrap();
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
+    recording.frames = FRAMES;
+    recording.start = Timestamp::from_ns(1_000_000_000);
+    let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
+    writer.rig(&recording.rig, Timestamp::default()).unwrap();
+    let mut all: Vec<_> = recording.detections().collect();
+    all.sort_by_key(|detections| detections.camera);
+    for detections in all {
+        let camera = &recording.rig.cameras[detections.camera];
+        writer.keypoints(&detections, &camera.name, [camera.width, camera.height]).unwrap();
+    }
+    for pose in recording.poses().take(3) {
+        writer.pose(&pose, &recording.skeleton).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+fn raw(path: &Path) -> (Vec<RawEntry>, usize) {
+    let Ok(mut reader) = Reader::open(path) else { return (Vec::new(), 0) };
+    let mut entries = Vec::new();
+    while let Some(entry) = reader.next_raw() {
+        match entry {
+            Ok(entry) => entries.push(entry),
+            // Of a file that is still empty.
+            Err(_) => break,
+        }
+    }
+    (entries, reader.report().damage.len())
+}
+
+/// Payloads by topic, in order.
+fn payloads(path: &Path) -> BTreeMap<String, Vec<Vec<u8>>> {
+    let mut topics = BTreeMap::<_, Vec<_>>::new();
+    for entry in raw(path).0 {
+        topics.entry(entry.topic.to_string()).or_default().push(entry.payload);
+    }
+    topics
+}
+
+/// Waits until a recording that is being written holds that many messages.
+fn wait_for_messages(part: &Path, count: usize) {
+    let begin = Instant::now();
+    while raw(part).0.len() < count {
+        assert!(begin.elapsed() < PATIENCE, "{} of {count} messages", raw(part).0.len());
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+#[test]
+fn what_is_played_is_recorded_byte_for_byte() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"));
+    let recorder = place.recorder("take.mcap");
+    let said = place.done("play walk.mcap --keep-times --speed 0.5");
+    assert!(said.contains("cam01") && said.contains("30 frames"), "{said}");
+    wait_for_messages(&place.path("take.mcap.part"), 1 + CAMERAS * FRAMES as usize);
+    let said = recorder.interrupt();
+    assert!(said.contains("91 messages"), "{said}");
+    assert!(!place.path("take.mcap.part").exists());
+
+    let mut expected = payloads(&place.path("walk.mcap"));
+    expected.remove(&Topics::default().pose());
+    assert_eq!(expected.len(), 1 + CAMERAS);
+    assert!(payloads(&place.path("take.mcap")) == expected);
+    let (entries, damage) = raw(&place.path("take.mcap"));
+    assert_eq!(damage, 0);
+    assert!(entries.iter().all(|entry| entry.schema.starts_with("bundlemocap.v1.")));
+    let keypoints = entries.iter().filter(|entry| entry.topic.ends_with("keypoints"));
+    for entry in keypoints {
+        let frame: msg::KeypointFrame = msg::decode(&entry.payload).unwrap();
+        assert_eq!(frame.capture_time_ns, entry.publish_time.ns());
+        assert!(entry.log_time > entry.publish_time);
+    }
+    let again = place.command("record take.mcap").output().unwrap();
+    fails(&again, 2, "--overwrite");
+}
+
+#[test]
+fn a_recording_outlives_a_kill() {
+    let place = Place::new();
+    let topics = Topics::default();
+    let mut recorder = place.recorder("take.mcap");
+    let publisher = place.router.publisher(&topics.events()).unwrap();
+    let encoding = media_type("bundlemocap.v1.Event");
+    for count in 1..=40 {
+        let event = msg::Event { kind: "late".into(), count, ..msg::Event::default() };
+        publisher.put(Timestamp::from_ns(5), &encoding, &encode(&event)).unwrap();
+    }
+    let part = place.path("take.mcap.part");
+    wait_for_messages(&part, 40);
+    recorder.0.kill().unwrap();
+    recorder.0.wait().unwrap();
+
+    assert!(!place.path("take.mcap").exists());
+    let (entries, damage) = raw(&part);
+    assert_eq!(damage, 1);
+    let counts = entries.iter().map(|entry| match entry.message().unwrap() {
+        bundlemocap::record::Message::Event(event) => event.count,
+        other => panic!("{other:?}"),
+    });
+    assert_eq!(counts.collect::<Vec<_>>(), (1..=40).collect::<Vec<_>>());
+    fails(&place.command("record take.mcap").output().unwrap(), 1, "take.mcap.part");
+}
+
+#[test]
+fn echo_prints_states_to_late_joiners() {
+    let place = Place::new();
+    let publisher = place.router.publisher(&Topics::default().rig()).unwrap();
+    let rig = msg::Rig::from_core(&ring_rig(CAMERAS, 4.0, 1.6).unwrap());
+    publisher.put(Timestamp::from_ns(5), &media_type("bundlemocap.v1.Rig"), &encode(&rig)).unwrap();
+    let said = place.done("echo rig --count 1");
+    assert!(
+        said.contains("stage/rig") && said.contains("3 cameras: cam01, cam02, cam03"),
+        "{said}"
+    );
+    let object: Value = serde_json::from_str(&place.done("echo rig --count 1 --json")).unwrap();
+    assert_eq!(object["message"]["cameras"][2]["name"], "cam03");
+    assert_eq!(object["bytes"], encode(&rig).len());
+}
+
+fn fails(output: &Output, code: i32, evidence: &str) {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{errors}");
+    assert_eq!(errors.lines().count(), 1, "{errors}");
+    assert!(errors.starts_with("error: ") && errors.contains(evidence), "{errors}");
+}
+
+#[test]
+fn bad_arguments_and_a_bus_without_a_node_are_told_in_a_line() {
+    let folder = tempfile::tempdir().unwrap();
+    walk(&folder.path().join("walk.mcap"));
+    let run = |line: &str| {
+        let mut command = Command::new(PROGRAM);
+        command.args(line.split_whitespace()).current_dir(folder.path()).output().unwrap()
+    };
+    // Nobody listens on a port that was free a moment ago.
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    for line in ["play walk.mcap", "echo all", "record take.mcap"] {
+        fails(&run(&format!("{line} --connect tcp/127.0.0.1:{port}")), 13, "nothing answers");
+    }
+    assert!(!folder.path().join("take.mcap.part").exists());
+    fails(&run("play walk.mcap --speed 0"), 2, "--speed is 0");
+    fails(&run("play walk.mcap --drop 1.5"), 2, "--drop is 1.5");
+    fails(&run("play walk.mcap --late-ms -1"), 2, "--late-ms is -1");
+    fails(&run("play walk.mcap --camera cam9"), 8, "cam01, cam02, cam03");
+    fails(&run("play nothing.mcap"), 3, "nothing.mcap");
+    fails(&run("echo all --stage a/b"), 2, "--stage is \"a/b\"");
+}
