@@ -1,4 +1,4 @@
-//! Rotations: exponential, logarithm, their Jacobians, and spherical interpolation.
+//! Rotations: exponential, logarithm, their Jacobians, spherical interpolation, Euler angles.
 //!
 //! A rotation is a `Matrix3`. A tangent is a rotation vector in radians. "Right" tangents are
 //! expressed in the rotated (body) frame, R exp(d); "left" ones in the outer frame, exp(d) R.
@@ -43,6 +43,27 @@ pub fn rotation_from_xyzw(xyzw: [f64; 4]) -> Option<Matrix3<f64>> {
 pub fn xyzw_from_rotation(r: &Matrix3<f64>) -> [f64; 4] {
     let q = quaternion(r);
     [q.i, q.j, q.k, q.w]
+}
+
+/// As [`xyzw_from_rotation`], but rounded to 2^-44, so that the rotation of this quaternion has the
+/// same quaternion again, bit for bit: a rotation that was sent as a quaternion is the one that
+/// came. The first of w, x, y, z that is large is not rounded but follows from the unit length.
+pub fn settled_xyzw(r: &Matrix3<f64>) -> [f64; 4] {
+    const STEPS: f64 = (1_u64 << 44) as f64;
+    /// One component of a unit quaternion is at least 0.5.
+    const LARGE: f64 = 0.4;
+    let xyzw = xyzw_from_rotation(r);
+    let mut rounded = xyzw.map(|component| (component * STEPS).round() / STEPS);
+    if let Some(large) = [3, 0, 1, 2].into_iter().find(|&i| rounded[i].abs() >= LARGE) {
+        let others: f64 = (0..4).filter(|&i| i != large).map(|i| rounded[i] * rounded[i]).sum();
+        rounded[large] = (1.0 - others).sqrt().copysign(xyzw[large]);
+    }
+    rounded
+}
+
+/// The rotation nearest to R that [`settled_xyzw`] keeps; R itself if it is no rotation.
+pub fn settled(r: &Matrix3<f64>) -> Matrix3<f64> {
+    rotation_from_xyzw(settled_xyzw(r)).unwrap_or(*r)
 }
 
 /// Whether R is a rotation to within `tolerance` in each entry of R^T R, and right-handed.
@@ -98,6 +119,46 @@ pub fn angle_between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
     log(&(a.transpose() * b)).norm()
 }
 
+/// Below this cosine of b, a and c of [`angles`] turn about the same axis.
+const GIMBAL: f64 = 1e-6;
+
+/// The rotation by `angle` radians about axis 0, 1 or 2.
+pub fn about(axis: usize, angle: f64) -> Matrix3<f64> {
+    Rotation3::from_axis_angle(&Vector3::ith_axis(axis), angle).into_inner()
+}
+
+/// The angles a, b, c of R = R_i(a) R_j(b) R_k(c), radians, about three different axes, that lie
+/// nearest to `last`: of the two solutions, and with whole turns added. Where b is a quarter turn
+/// only the sum or difference of a and c is known: c is kept.
+pub fn angles(r: &Matrix3<f64>, axes: [usize; 3], last: [f64; 3]) -> [f64; 3] {
+    use std::f64::consts::PI;
+    let [i, j, k] = axes;
+    let sign = if (i + 1) % 3 == j { 1.0 } else { -1.0 };
+    let cosine = r[(i, i)].hypot(r[(i, j)]);
+    let b = (sign * r[(i, k)]).atan2(cosine);
+    let first = if cosine < GIMBAL {
+        let (p, q) = ((i + 1) % 3, (i + 2) % 3);
+        let outer = r * (about(j, b) * about(k, last[2])).transpose();
+        [outer[(q, p)].atan2(outer[(p, p)]), b, last[2]]
+    } else {
+        let a = (-sign * r[(j, k)]).atan2(r[(k, k)]);
+        [a, b, (-sign * r[(i, j)]).atan2(r[(i, i)])]
+    };
+    let second = [first[0] + PI, PI - first[1], first[2] + PI];
+    let [first, second] = [first, second].map(|angles| nearest_turns(angles, last));
+    if apart(&first, &last) <= apart(&second, &last) { first } else { second }
+}
+
+/// Adds whole turns to each angle so that it lies within half a turn of `last`.
+pub fn nearest_turns<const N: usize>(angles: [f64; N], last: [f64; N]) -> [f64; N] {
+    use std::f64::consts::TAU;
+    std::array::from_fn(|i| angles[i] + TAU * ((last[i] - angles[i]) / TAU).round())
+}
+
+fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -139,5 +200,49 @@ mod tests {
         }
         assert!(rotation_from_xyzw([0.0; 4]).is_none());
         assert!(rotation_from_xyzw([f64::NAN, 0.0, 0.0, 1.0]).is_none());
+    }
+
+    #[test]
+    fn a_settled_rotation_survives_its_quaternion_bit_for_bit() {
+        let turn = |n: u32, k: f64| ((f64::from(n) * k).fract() - 0.5) * 7.0;
+        let random = (0..20_000).map(|n| {
+            Vector3::new(turn(n, 0.754_877_666), turn(n, 0.569_840_29), turn(n, 0.414_213_56))
+        });
+        let quarters = (0..64).map(|n: u32| {
+            let part = |shift: u32| f64::from((n >> shift) & 3) * std::f64::consts::FRAC_PI_2;
+            Vector3::new(part(0), part(2), part(4))
+        });
+        for vector in random.chain(quarters) {
+            let rotation = exp(&vector);
+            let settled = settled(&rotation);
+            assert!((settled - rotation).amax() < 1e-12);
+            let xyzw = settled_xyzw(&settled);
+            assert_eq!(rotation_from_xyzw(xyzw), Some(settled), "{vector}");
+        }
+    }
+
+    #[test]
+    fn angles_give_the_rotation_back_and_carry_on_in_every_order() {
+        use std::f64::consts::FRAC_PI_2;
+        // A knee that bends past a quarter turn, a root that turns for ever, and both at once.
+        let paths: [fn(f64) -> [f64; 3]; 3] = [
+            |t| [0.02, 2.5 * t.sin().abs(), -0.01],
+            |t| [0.1 * t, 0.3, 3.0 * t],
+            |t| [t, FRAC_PI_2, 0.4 * t],
+        ];
+        for order in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
+            let compose =
+                |[a, b, c]: [f64; 3]| about(order[0], a) * about(order[1], b) * about(order[2], c);
+            for path in paths {
+                let mut last = path(0.0);
+                for frame in 0..2000 {
+                    let truth = compose(path(f64::from(frame) * 0.01));
+                    let found = angles(&truth, order, last);
+                    assert!((compose(found) - truth).amax() < 1e-6, "{order:?}, frame {frame}");
+                    assert!(apart(&found, &last) < 0.15, "{order:?}, frame {frame}: {found:?}");
+                    last = found;
+                }
+            }
+        }
     }
 }

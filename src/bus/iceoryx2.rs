@@ -107,12 +107,14 @@ struct Inner {
 struct Shared {
     notifier: Notifier<Shm>,
     publishers: Mutex<Vec<Weak<Outlet>>>,
-    subscribers: Mutex<[Option<Subscriber<Shm, [u8], ()>>; CLASSES.len()]>,
+    subscribers: Mutex<[Option<Inlet>; CLASSES.len()]>,
     /// Distributes to the sinks of this process, and remembers for those that join late.
     local: Memory,
     stop: AtomicBool,
     node: Node<Shm>,
 }
+
+type Inlet = Subscriber<Shm, [u8], ()>;
 
 struct Outlet {
     class: usize,

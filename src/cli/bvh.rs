@@ -13,9 +13,7 @@ const MOST_FILL_S: f64 = 600.0;
 /// Most frames that are filled in a file: that time at the highest frame rate.
 const MOST_FILL: f64 = 600_000.0;
 
-/// Writes poses, which are in order of capture time, as BVH; the number of frames. Over a gap
-/// the last pose before it is repeated, for ten minutes in all; a note on standard error says
-/// when that was not enough.
+/// Writes poses, which are in order of capture time, as BVH; the number of frames. See [`fill`].
 pub(super) fn write(
     path: &Path,
     poses: &[KeptPose],
@@ -23,15 +21,28 @@ pub(super) fn write(
     fps: f64,
 ) -> Result<usize, Failure> {
     let mut writer = BvhWriter::create(path, skeleton, fps)?;
+    let frames = fill(path, poses, fps, |pose| Ok(writer.write(&pose.pose())?))?;
+    writer.finish()?;
+    Ok(frames)
+}
+
+/// Gives poses, which are in order of capture time, to `write` one period apart; the number of
+/// frames. Over a gap the last pose before it is repeated, for ten minutes in all; a note on
+/// standard error, which names `path`, says when that was not enough.
+pub(super) fn fill(
+    path: &Path,
+    poses: &[KeptPose],
+    fps: f64,
+    mut write: impl FnMut(&KeptPose) -> Result<(), Failure>,
+) -> Result<usize, Failure> {
     let (repeats, missing) = repeats(poses.iter().map(|pose| pose.capture.ns()), fps);
     let mut frames = 0;
     for (pose, times) in poses.iter().zip(repeats) {
         for _ in 0..=times {
-            writer.write(&pose.pose())?;
+            write(pose)?;
         }
         frames += 1 + times;
     }
-    writer.finish()?;
     if missing > 0.0 {
         let seconds = missing / fps;
         let text = format!(

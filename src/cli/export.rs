@@ -1,6 +1,6 @@
 //! `bundlemocap export`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -39,7 +39,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let Solved { skeleton, poses, damage } = read(arguments)?;
+    let Solved { skeleton, poses, damage } = read(&arguments.file, arguments.truth)?;
     let fps = frame_rate(&poses).unwrap_or(60.0);
     if let Some(path) = &arguments.bvh {
         let frames = bvh::write(path, &poses, &skeleton, fps)?;
@@ -57,20 +57,21 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 }
 
 /// What a solved recording holds.
-struct Solved {
-    skeleton: Skeleton,
+pub(super) struct Solved {
+    pub(super) skeleton: Skeleton,
     /// In order of capture time, one for each.
-    poses: Vec<KeptPose>,
+    pub(super) poses: Vec<KeptPose>,
     /// What was lost of the file.
-    damage: Vec<String>,
+    pub(super) damage: Vec<String>,
 }
 
-fn read(arguments: &Arguments) -> Result<Solved, Failure> {
-    let mut reader = Reader::open(&arguments.file)?;
+/// The poses of a solved recording, or the true ones of a synthetic recording.
+pub(super) fn read(file: &Path, truth: bool) -> Result<Solved, Failure> {
+    let mut reader = Reader::open(file)?;
     let (mut skeleton, mut poses) = (None, Vec::new());
     while let Some(entry) = reader.next() {
         let entry = entry?;
-        let result = match (entry.message, arguments.truth) {
+        let result = match (entry.message, truth) {
             (Message::Skeleton(wire), false) | (Message::TruthSkeleton(wire), true) => {
                 wire.to_core().map(|body| skeleton = Some(body))
             }
@@ -90,19 +91,19 @@ fn read(arguments: &Arguments) -> Result<Solved, Failure> {
     match skeleton.filter(|_| !poses.is_empty()) {
         Some(skeleton) => Ok(Solved { skeleton, poses, damage }),
         None => {
-            let fix = if arguments.truth {
+            let fix = if truth {
                 "only recordings from `bundlemocap synth` hold a truth"
             } else {
                 "solve it first, and give the poses.mcap of `bundlemocap solve`"
             };
-            let message = format!("{} holds no poses; {fix}", arguments.file.display());
+            let message = format!("{} holds no poses; {fix}", file.display());
             Err(Failure::new(Exit::NotOurs, message))
         }
     }
 }
 
 /// Sorts by capture time; of poses of the same time, the one that was written last stays.
-fn in_order(poses: &mut Vec<KeptPose>) {
+pub(super) fn in_order(poses: &mut Vec<KeptPose>) {
     poses.sort_by_key(|pose| pose.capture);
     poses.dedup_by(|later, kept| {
         let anew = later.capture == kept.capture;

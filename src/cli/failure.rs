@@ -29,6 +29,7 @@ pub(super) enum Exit {
     Weights = 11,
     NotOurs = 12,
     Bus = 13,
+    Differs = 14,
 }
 
 /// The codes as shown in `--help`.
@@ -47,7 +48,8 @@ Exit codes:
   10  an unknown keypoint format, or one that does not fit the data
   11  weights of another shape or version
   12  a recording without our channels
-  13  the bus cannot be opened or reached";
+  13  the bus cannot be opened or reached
+  14  a replay that differs from its recording";
 
 /// The value of `--fps`, if it can be one.
 pub(super) fn frame_rate_option(fps: f64) -> Result<f64, Failure> {
@@ -152,7 +154,7 @@ mod tests {
 
     #[test]
     fn help_lists_every_code() {
-        for code in 0..=Exit::Bus as u8 {
+        for code in 0..=Exit::Differs as u8 {
             assert!(EXIT_CODES.contains(&format!("\n  {code:>2}  ")), "{code}");
         }
     }

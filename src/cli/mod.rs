@@ -28,6 +28,9 @@ mod play;
 mod player;
 mod record;
 mod reference;
+mod replay;
+mod retarget;
+mod retarget_live;
 mod run;
 mod solve;
 mod synth;
@@ -52,36 +55,40 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Solve(solve::Arguments),
     Run(run::Arguments),
+    Play(play::Arguments),
+    Echo(echo::Arguments),
+    Record(record::Arguments),
+    Replay(replay::Arguments),
+    Decode(decode::Arguments),
+    Retarget(retarget::Arguments),
     Bench(bench::Arguments),
+    Solve(solve::Arguments),
     Import(import::Arguments),
     Info(info::Arguments),
     Synth(synth::Arguments),
     Train(train::Arguments),
     Export(export::Arguments),
-    Play(play::Arguments),
-    Echo(echo::Arguments),
-    Record(record::Arguments),
-    Decode(decode::Arguments),
     Completions(completions::Arguments),
 }
 
 /// Parses the arguments of the process, runs the command, and says how it went.
 pub fn main() -> ExitCode {
     let result = match Arguments::parse().command {
-        Command::Solve(arguments) => solve::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
+        Command::Play(arguments) => play::run(&arguments),
+        Command::Echo(arguments) => echo::run(&arguments),
+        Command::Record(arguments) => record::run(&arguments),
+        Command::Replay(arguments) => replay::run(&arguments),
+        Command::Decode(arguments) => decode::run(&arguments),
+        Command::Retarget(arguments) => retarget::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
+        Command::Solve(arguments) => solve::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Synth(arguments) => synth::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
-        Command::Play(arguments) => play::run(&arguments),
-        Command::Echo(arguments) => echo::run(&arguments),
-        Command::Record(arguments) => record::run(&arguments),
-        Command::Decode(arguments) => decode::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
     };
     let exit = result.unwrap_or_else(|failure: Failure| {

@@ -4,8 +4,8 @@ use serde_json::{Map, Value, json};
 
 use crate::msg::journal_entry::Input;
 use crate::msg::{
-    CameraCounters, Event, Journal, JournalEntry, Keyframe, KeypointFrame, LensKind, Pose, Rig,
-    Status, TrackingState,
+    CameraCounters, Event, Journal, JournalEntry, Keyframe, KeypointFrame, LensKind, Pose,
+    RetargetedPose, Rig, Status, TrackingState,
 };
 use crate::record::Message;
 use crate::time::Timestamp;
@@ -26,6 +26,7 @@ pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {
         Message::Event(event) => self::event(event),
         Message::Status(status) => self::status(status),
         Message::Journal(journal) => self::journal(journal),
+        Message::Retargeted(pose) => retargeted(pose, arrival),
         Message::Other { .. } => return None,
     })
 }
@@ -52,6 +53,15 @@ pub(super) fn json(message: &Message) -> Value {
             "detail": event.detail,
         }),
         Message::Status(status) => status_json(status),
+        Message::Retargeted(pose) => json!({
+            "capture_time_ns": pose.capture_time_ns,
+            "publish_time_ns": pose.publish_time_ns,
+            "state": state(pose.state),
+            "hips": pose.hips,
+            "hips_position_m": pose.hips_position_m,
+            "local_rotations": pose.local_rotations,
+            "joint_names": pose.joint_names,
+        }),
         Message::Journal(journal) => json!({
             "sequence": journal.sequence,
             "entries": journal.entries.iter().map(entry_json).collect::<Vec<_>>(),
@@ -113,6 +123,13 @@ fn pose(pose: &Pose, arrival: Timestamp) -> String {
     let (window, state) = (pose.window, state(pose.state));
     let latency = latency(pose.capture_time_ns, arrival);
     format!("{kind}window {window}, {state}, root {root} m, {latency}{kept}")
+}
+
+fn retargeted(pose: &RetargetedPose, arrival: Timestamp) -> String {
+    let (joints, state) = (pose.joint_names.len(), state(pose.state));
+    let hips = list(&pose.hips_position_m, 3);
+    let latency = latency(pose.capture_time_ns, arrival);
+    format!("{joints} joints, {state}, hips {hips} m, {latency}")
 }
 
 fn keyframe(keyframe: &Keyframe, arrival: Timestamp) -> String {

@@ -2,6 +2,7 @@
 
 mod bvh;
 mod figures;
+mod motion_file;
 mod new_file;
 mod plot;
 mod report;
@@ -10,6 +11,7 @@ use std::path::PathBuf;
 
 pub use bvh::{BvhWriter, write_bvh};
 pub use figures::{StickFigures, stick_figures};
+pub use motion_file::HierarchyWriter;
 pub use report::{
     AngleTrack, CameraErrors, Picture, ReportData, Table, WindowRow, flexion_deg, write_report,
 };

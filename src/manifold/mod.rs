@@ -10,6 +10,8 @@ pub use decoder::{Decoder, Jacobians};
 pub use interpolate::{Interpolation, LatentTangent};
 pub use weights::WeightsError;
 
+use crate::so3;
+
 /// Numbers in a latent code.
 pub const LATENT: usize = 32;
 
@@ -25,6 +27,14 @@ pub struct Keyframe {
     pub root_rotation: Matrix3<f64>,
     /// The pelvis in the world, metres.
     pub root_position: Vector3<f64>,
+}
+
+impl Keyframe {
+    /// The nearest keyframe that can be sent as a message bit for bit, so that whoever receives it
+    /// decodes the same poses; see [`so3::settled`].
+    pub fn settled(self) -> Self {
+        Self { root_rotation: so3::settled(&self.root_rotation), ..self }
+    }
 }
 
 /// The Euclidean length of a latent code.

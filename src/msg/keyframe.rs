@@ -38,14 +38,15 @@ pub struct StampedKeyframe {
 }
 
 impl Keyframe {
-    /// The keyframe, in full precision.
+    /// The keyframe, in full precision; of a [settled](manifold::Keyframe::settled) one, bit for
+    /// bit.
     pub fn from_core(stamped: &StampedKeyframe) -> Self {
         let keyframe = &stamped.keyframe;
         Self {
             capture_time_ns: stamped.capture.ns(),
             window: stamped.window,
             z: keyframe.z.to_vec(),
-            root_rotation: so3::xyzw_from_rotation(&keyframe.root_rotation).to_vec(),
+            root_rotation: so3::settled_xyzw(&keyframe.root_rotation).to_vec(),
             root_position_m: keyframe.root_position.iter().copied().collect(),
             shape: stamped.shape.0.to_vec(),
             start_time_ns: stamped.start.ns(),

@@ -11,6 +11,7 @@ mod keyframe;
 mod keypoints;
 mod path;
 mod pose;
+mod retargeted;
 mod rig;
 mod schema;
 mod skeleton;

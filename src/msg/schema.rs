@@ -2,7 +2,10 @@
 
 use prost::{Message, Name};
 
-use super::{DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, Rig, Skeleton, Status};
+use super::{
+    DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Skeleton,
+    Status,
+};
 
 /// How payloads are encoded, in MCAP's words.
 pub const ENCODING: &str = "protobuf";
@@ -11,7 +14,7 @@ pub const SCHEMA_ENCODING: &str = "protobuf";
 
 /// A message of ours that has a topic.
 pub trait Schema: Message + Name + Default {
-    /// The schema's name with its package.
+    /// Its name with that of its package.
     const FULL_NAME: &'static str;
     /// The schema's serialised `FileDescriptorSet`, as MCAP wants it.
     const DESCRIPTOR: &'static [u8];
@@ -27,7 +30,7 @@ macro_rules! schemas {
 
         /// Full name and descriptor of every schema.
         const SCHEMAS: &[(&str, &[u8])] =
-            &[$((concat!("bundlemocap.v1.", stringify!($message)), $message::DESCRIPTOR),)*];
+            &[$(($message::FULL_NAME, $message::DESCRIPTOR),)*];
     };
 }
 
@@ -40,6 +43,7 @@ schemas! {
     Event: "event",
     Status: "status",
     Journal: "journal",
+    RetargetedPose: "retargeted_pose",
 }
 
 /// What stands before the schema in the encoding of a payload on the bus.
@@ -72,6 +76,7 @@ pub fn schema_of(topic: &str, encoding: &str) -> Option<&'static str> {
 fn schema_of_topic(topic: &str) -> Option<&'static str> {
     let mut parts = topic.strip_prefix("mocap/")?.rsplit('/');
     Some(match (parts.next()?, parts.next()?) {
+        (_, "retargeted") => "bundlemocap.v1.RetargetedPose",
         ("keypoints", _) => "bundlemocap.v1.KeypointFrame",
         ("rig", _) => "bundlemocap.v1.Rig",
         ("pose" | "truth", _) | ("live", "pose") => "bundlemocap.v1.Pose",

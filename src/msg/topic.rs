@@ -36,7 +36,7 @@ impl Topics {
         format!("mocap/{}/actor/{}/pose/live", self.stage, self.actor)
     }
 
-    /// Of poses on another skeleton.
+    /// Of [`RetargetedPose`](super::RetargetedPose), on the skeleton of that name.
     pub fn retargeted(&self, name: &str) -> String {
         format!("mocap/{}/actor/{}/retargeted/{name}", self.stage, self.actor)
     }

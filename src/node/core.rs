@@ -158,7 +158,12 @@ impl Core {
     pub fn handle(&mut self, now: Timestamp, input: Input) {
         self.now = self.now.max(now);
         let (settings, rig) = (&self.settings, self.rig_at_start.as_deref());
+        let is_idle = self.journal.count == 0;
         self.journal.note(self.now, &input, || journal::start(settings, rig));
+        if is_idle && self.journal.count > 0 {
+            // From here on a replay goes the same way.
+            self.next_second = Some(self.now + SECOND);
+        }
         // What comes after the end, such as the last answer, belongs into the journal, too.
         self.ended |= matches!(input, Input::End);
         let is_last = self.ended;

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use prost::Name;
 
 use crate::msg::{
-    DecodeError, ENCODING, Event, Journal, Keyframe, KeypointFrame, Pose, Rig, Skeleton, Status,
-    decode, is_truth,
+    DecodeError, ENCODING, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig,
+    Skeleton, Status, decode, is_truth,
 };
 use crate::time::Timestamp;
 
@@ -59,6 +59,8 @@ pub enum Message {
     Status(Status),
     /// What the node's machine was told.
     Journal(Journal),
+    /// A pose on another skeleton.
+    Retargeted(RetargetedPose),
     /// The true pose, in synthetic recordings.
     TruthPose(Pose),
     /// The true body, in synthetic recordings.
@@ -83,6 +85,7 @@ pub(super) enum Kind {
     Event,
     Status,
     Journal,
+    Retargeted,
 }
 
 impl Kind {
@@ -96,6 +99,7 @@ impl Kind {
             Event::NAME => Self::Event,
             Status::NAME => Self::Status,
             Journal::NAME => Self::Journal,
+            RetargetedPose::NAME => Self::Retargeted,
             _ => return None,
         })
     }
@@ -169,6 +173,7 @@ impl Message {
             Kind::Event => Self::Event(decode::<Event>(data)?.validated()?),
             Kind::Status => Self::Status(decode(data)?),
             Kind::Journal => Self::Journal(decode(data)?),
+            Kind::Retargeted => Self::Retargeted(decode::<RetargetedPose>(data)?.validated()?),
         })
     }
 }

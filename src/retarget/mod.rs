@@ -1,1 +1,87 @@
-//! Poses of our body on another skeleton.
+//! Poses of our body on another skeleton, given by the hierarchy of a BVH file.
+//!
+//! [`Target`] is that skeleton, [`Map`] what the user says about it, [`Mapping`] which of its
+//! joints follows which of ours, and [`Retarget`] applies it to poses:
+//!
+//! - Global rotations: G_t = G_j A_t. The alignment A_t takes the target's zero pose (T, A, or with
+//!   axes of its own) to our T-pose. For limbs it is the smallest further turn, from the
+//!   alignment of the bone before, that lays the target's bone on ours: limbs then point where ours
+//!   point, in every pose. Trunk, shoulders and head keep the target's own rest posture, and feet
+//!   their slope, since these differ between bodies without a movement.
+//! - Spine and neck: chains of any length; see [`Mapping`].
+//! - Position: the middle of the hip joints moves by the ratio s of the leg lengths (hip, knee,
+//!   ankle), and in height about the ankles, y' = s (y - a) + a', where a and a' are the heights of
+//!   the ankles over the balls of the feet: feet that meet our floor meet the target's.
+//!
+//! Our world is y up, and the target's rest pose may face anywhere: its left and right hips tell.
+//!
+//! ```
+//! use bundlemocap::body::{Pose, Skeleton, bvh::Bvh};
+//! use bundlemocap::retarget::{Map, Retarget, Target};
+//! # let folder = tempfile::tempdir()?;
+//! # let path = folder.path().join("target.bvh");
+//! # bundlemocap::export::write_bvh(&path, &Skeleton::default(), 60.0, [])?;
+//! let target = Target::read(&path, &Map::default())?;
+//! let retarget = Retarget::new(target, &Map::default())?;
+//! let figure = retarget.apply(&Pose::rest(), &Skeleton::default());
+//! assert_eq!(figure.positions.len(), 22);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod align;
+mod apply;
+mod channels;
+mod map;
+mod mapping;
+mod names;
+mod target;
+
+use std::path::PathBuf;
+
+pub use apply::{Figure, Retarget};
+pub use channels::Channels;
+pub use map::{Map, Up};
+pub use mapping::Mapping;
+pub use names::Convention;
+pub use target::Target;
+
+use crate::body::bvh::BvhError;
+
+/// Why poses cannot be put on a skeleton.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+#[allow(missing_docs)]
+pub enum RetargetError {
+    #[error("cannot read {path}: {source}; check the path")]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{path}: {source}")]
+    Bvh { path: PathBuf, source: BvhError },
+    #[error("{path}, line {line}: {reason}; a map has `scale`, `unit`, `up` and a table [joints]")]
+    Map { path: PathBuf, line: usize, reason: String },
+    #[error("{path}: {key} is {value}, but must be {allowed}")]
+    Value { path: PathBuf, key: String, value: String, allowed: &'static str },
+    #[error("{path}: joints.{key} is no joint of ours; use one of {ours}")]
+    OurJoint { path: PathBuf, key: String, ours: String },
+    #[error("{path}: joints.{key} = {value:?}, but {target} has no such joint; it has {theirs}")]
+    TheirJoint { path: PathBuf, key: String, value: String, target: PathBuf, theirs: String },
+    #[error(
+        "{target}: no joint found for {missing}; name them in a file for --map, such as \
+         [joints] {example} = \"...\"; the skeleton has {theirs}"
+    )]
+    Missing { target: PathBuf, missing: String, example: &'static str, theirs: String },
+    #[error("{target}: {joint} stands for both {first} and {second}; name another one with --map")]
+    Twice { target: PathBuf, joint: String, first: &'static str, second: &'static str },
+    #[error(
+        "{target}: {child} ({ours}) must be below {parent} ({parent_ours}) in the hierarchy; name \
+         other joints with --map"
+    )]
+    NotBelow {
+        target: PathBuf,
+        child: String,
+        ours: &'static str,
+        parent: String,
+        parent_ours: &'static str,
+    },
+    #[error("{target}: {what}; the skeleton cannot be used")]
+    Shape { target: PathBuf, what: String },
+}

@@ -82,6 +82,7 @@ impl Solver {
                     (keyframe, Arc::new(skeleton))
                 }
             };
+            let keyframe = keyframe.settled();
             let pose = Box::new(self.decoder.pose(&keyframe));
             return Outcome::Acquired { at, keyframe: Box::new(keyframe), skeleton, pose };
         }
@@ -183,7 +184,7 @@ impl Solver {
         problem.set_scale(scene.config.scale_px);
         let summary = self.optimiser.minimise(&mut problem, &mut x, job.effort.iterations);
         let (keyframes, _) = problem.solution(&x);
-        let keyframe = keyframes.into_iter().next_back().unwrap_or_else(|| from.clone());
+        let keyframe = keyframes.into_iter().next_back().unwrap_or_else(|| from.clone()).settled();
         let at = |capture| self.pose_at(job, from, &keyframe, capture);
         let residuals = residuals(&moments, points, &job.rig, skeleton, at);
         let poses = job.pose_times.iter().map(|&capture| at(capture)).collect();
@@ -215,7 +216,8 @@ impl Solver {
         let keyframe = match before.filter(|_| coasted == 0) {
             Some(before) => interpolation.keyframe(before, from, 1.0 + CARRY_ON),
             None => from.clone(),
-        };
+        }
+        .settled();
         let at = |&capture| self.pose_at(job, from, &keyframe, capture);
         let poses = job.pose_times.iter().map(at).collect();
         let residuals = Vec::new();

@@ -5,8 +5,8 @@ use bundlemocap::camera::{self, Camera, Lens};
 use bundlemocap::detect::{Detection, Detections, KeypointFormat, Person};
 use bundlemocap::manifold;
 use bundlemocap::msg::{
-    CameraCounters, DecodeError, Event, Keyframe, KeypointFrame, Pose, Publication, Rig, Schema,
-    Skeleton, StampedKeyframe, Status, WindowCounters, decode, encode,
+    CameraCounters, DecodeError, Event, Keyframe, KeypointFrame, Pose, Publication, RetargetedPose,
+    Rig, Schema, Skeleton, StampedKeyframe, Status, WindowCounters, decode, encode,
 };
 use bundlemocap::so3;
 use bundlemocap::time::{Grid, Timestamp};
@@ -119,6 +119,18 @@ fn status() -> Status {
     }
 }
 
+pub fn retargeted() -> RetargetedPose {
+    RetargetedPose {
+        capture_time_ns: 5_000_000_000,
+        publish_time_ns: Some(5_250_000_000),
+        state: published_pose().state,
+        hips: 1,
+        hips_position_m: vec![0.25, 0.9, -1.5],
+        local_rotations: vec![0.0, 0.0, 0.0, 1.0, 0.5, -0.5, 0.5, 0.5],
+        joint_names: vec!["Armature".into(), "Hips".into()],
+    }
+}
+
 fn keypoints() -> KeypointFrame {
     KeypointFrame::from_core(&detections(), "right", [1280, 720])
 }
@@ -195,6 +207,7 @@ fn the_encoding_is_what_it_was() {
         insta::assert_snapshot!("skeleton", hex(&Skeleton::from_core(&skeleton())));
         insta::assert_snapshot!("event", hex(&event()));
         insta::assert_snapshot!("status", hex(&status()));
+        insta::assert_snapshot!("retargeted_pose", hex(&retargeted()));
     });
 }
 
@@ -216,6 +229,7 @@ fn fields_of_a_later_version_are_skipped() {
     check(&Skeleton::from_core(&skeleton()));
     check(&event());
     check(&status());
+    check(&retargeted());
 }
 
 /// Decodes `bytes` as every message; says how many conversions succeeded.
@@ -230,6 +244,7 @@ fn decode_as_everything(bytes: &[u8]) -> usize {
     sound += usize::from(decode(bytes).is_ok_and(|m: Keyframe| m.to_core().is_ok()));
     sound += usize::from(decode(bytes).is_ok_and(|m: Skeleton| m.to_core().is_ok()));
     sound += usize::from(decode(bytes).is_ok_and(|m: Event| m.validated().is_ok()));
+    sound += usize::from(decode(bytes).is_ok_and(|m: RetargetedPose| m.validated().is_ok()));
     sound + usize::from(decode::<Status>(bytes).is_ok())
 }
 
@@ -244,6 +259,7 @@ fn no_bytes_panic() {
         encode(&Skeleton::from_core(&skeleton())),
         encode(&event()),
         encode(&status()),
+        encode(&retargeted()),
     ];
     let (mut accepted, mut refused) = (0, 0);
     for round in 0..4000 {
@@ -293,6 +309,11 @@ fn what_makes_no_sense_is_refused_by_message_and_field() {
         change(&mut wire);
         wire.to_core().unwrap_err().to_string()
     };
+    let retargeted = |change: fn(&mut RetargetedPose)| {
+        let mut wire = retargeted();
+        change(&mut wire);
+        wire.validated().unwrap_err().to_string()
+    };
     let messages = [
         frame(|f| f.camera = "top".into()),
         frame(|f| f.format = "body_26".into()),
@@ -311,6 +332,10 @@ fn what_makes_no_sense_is_refused_by_message_and_field() {
         rig_without(|r| r.cameras[1].lens = 9),
         rig_without(|r| r.cameras[1].focal_px[0] = 0.0),
         Event { kind: String::new(), ..event() }.validated().unwrap_err().to_string(),
+        retargeted(|p| p.state = 7),
+        retargeted(|p| p.hips = 2),
+        retargeted(|p| p.local_rotations.truncate(7)),
+        retargeted(|p| p.local_rotations[..4].fill(0.0)),
         decode::<Pose>(&[0x0a]).unwrap_err().to_string(),
     ];
     insta::assert_snapshot!(messages.join("\n"), @r#"
@@ -331,6 +356,10 @@ fn what_makes_no_sense_is_refused_by_message_and_field() {
     Rig.cameras.lens: camera right has the unknown lens 9
     Rig.cameras: camera right: the intrinsic matrix is singular or no pinhole matrix (fx 0, fy 910, determinant 0); it must be [fx s cx; 0 fy cy; 0 0 1] with positive fx and fy in pixels
     Event.kind: is empty
+    RetargetedPose.state: unknown state 7
+    RetargetedPose.hips: 2 is none of the 2 joints
+    RetargetedPose.local_rotations: 7 entries, expected 8
+    RetargetedPose.local_rotations: quaternion 0 has no direction
     Pose: not a message of this schema: failed to decode Protobuf message: Pose.capture_time_ns: invalid wire type: LengthDelimited (expected Varint)
     "#);
 }

@@ -243,3 +243,41 @@ fn bad_arguments_and_a_bus_without_a_node_are_told_in_a_line() {
     fails(&run("play nothing.mcap"), 3, "nothing.mcap");
     fails(&run("echo all --stage a/b"), 2, "--stage is \"a/b\"");
 }
+
+/// Pose messages by capture time.
+fn poses(path: &Path) -> BTreeMap<i64, msg::Pose> {
+    let entries = raw(path).0.into_iter().filter(|entry| entry.topic.ends_with("/pose"));
+    let poses = entries.map(|entry| msg::decode::<msg::Pose>(&entry.payload).unwrap());
+    poses.map(|pose| (pose.capture_time_ns, pose)).collect()
+}
+
+#[test]
+fn keyframes_alone_give_the_poses_that_were_solved() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
+    let run = |line: &str| {
+        let mut command = Command::new(PROGRAM);
+        command.args(line.split_whitespace()).current_dir(folder.path()).output().unwrap()
+    };
+    assert!(run(&format!("solve {} --out out", walk.display())).status.success());
+    // Nothing but keyframes is left.
+    let mut keyframes =
+        Writer::create(at("keyframes.mcap"), Topics::default(), &Provenance::default()).unwrap();
+    let (entries, _) = raw(&at("out/poses.mcap"));
+    for entry in entries.iter().filter(|entry| entry.topic.ends_with("keyframe")) {
+        keyframes.write_raw(entry).unwrap();
+    }
+    keyframes.finish().unwrap();
+    let output = run("decode keyframes.mcap --out again.mcap");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+
+    let (solved, again) = (poses(&at("out/poses.mcap")), poses(&at("again.mcap")));
+    assert!(solved.len() > 200);
+    let mut different = 0;
+    for (time, pose) in &solved {
+        different += usize::from(pose != &again[time]);
+    }
+    assert_eq!(different, 0, "of {}", solved.len());
+    assert_eq!(again.len(), solved.len());
+}

@@ -1,0 +1,108 @@
+#!/usr/bin/env python3
+"""A camera node: publishes the 2D keypoints that a detector finds.
+
+Put `CameraNode` behind a detector of your own:
+
+    session = mocap.open_session()
+    camera = CameraNode(session, "cam_1", size=(1920, 1080), format="body_25")
+    camera.publish(people, capture_time_ns)      # for every image, also when nobody is seen
+
+As a program it stands in for detectors: it takes the keypoints of a recording and publishes them
+in real time, as if they were taken now, with the recording's calibration:
+
+    pip install eclipse-zenoh protobuf grpcio-tools mcap zstandard lz4
+    python generate.py
+    python camera_node.py ../../recordings/walk.mcap
+"""
+
+import argparse
+import time
+
+import mocap
+from keypoint_frame_pb2 import KeypointFrame
+from rig_pb2 import Rig
+
+
+class CameraNode:
+    """One camera. `name` is the one in the calibration, `size` that of the image in pixels,
+    `format` the order of the points: body_25, body_25b, coco_17, halpe_26 or
+    coco_wholebody_133."""
+
+    def __init__(self, session, name, size, format, stage="stage"):
+        self._name, self._size, self._format, self._frame = name, size, format, 0
+        self._stream = mocap.Stream(session, f"mocap/{stage}/camera/{name}/keypoints")
+
+    def publish(self, people, capture_time_ns):
+        """`people` holds for each person the points in the order of the format: x and y in pixels
+        and a confidence, which is 0 where the point is missing. `capture_time_ns` is the middle
+        of the exposure on a clock that all cameras share (PTP), not the time of detection."""
+        frame = KeypointFrame(
+            camera=self._name,
+            frame=self._frame,
+            capture_time_ns=capture_time_ns,
+            image_width=self._size[0],
+            image_height=self._size[1],
+            format=self._format,
+        )
+        for points in people:
+            frame.people.add().points.extend(number for point in points for number in point)
+        self._frame += 1
+        self._stream.put(frame, capture_time_ns)
+
+
+def triples(numbers):
+    return list(zip(numbers[0::3], numbers[1::3], numbers[2::3]))
+
+
+def recorded(path):
+    """The calibration of a recording, or None, and its keypoint frames by capture time."""
+    from mcap.reader import make_reader
+
+    rig, frames = None, []
+    with open(path, "rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            if "truth" in channel.topic:
+                continue
+            if schema.name == "bundlemocap.v1.Rig":
+                rig = Rig.FromString(message.data)
+            elif schema.name == "bundlemocap.v1.KeypointFrame":
+                frames.append(KeypointFrame.FromString(message.data))
+    return rig, sorted(frames, key=lambda frame: frame.capture_time_ns)
+
+
+def play(session, path, names, stage, seconds):
+    rig, frames = recorded(path)
+    frames = [frame for frame in frames if not names or frame.camera in names]
+    if not frames:
+        raise SystemExit(f"{path}: no keypoints of the cameras asked for")
+    start = time.time_ns() + 200_000_000
+    if rig is not None:
+        state = mocap.State(session, f"mocap/{stage}/rig")
+        state.put(rig, start)
+    cameras = {}
+    for frame in frames:
+        offset = frame.capture_time_ns - frames[0].capture_time_ns
+        if seconds is not None and offset >= seconds * 1e9:
+            break
+        if frame.camera not in cameras:
+            size = (frame.image_width, frame.image_height)
+            cameras[frame.camera] = CameraNode(session, frame.camera, size, frame.format, stage)
+        time.sleep(max(0, start + offset - time.time_ns()) * 1e-9)
+        people = [triples(person.points) for person in frame.people]
+        cameras[frame.camera].publish(people, start + offset)
+
+
+def main():
+    parser = argparse.ArgumentParser(description="publishes the keypoints of a recording")
+    parser.add_argument("recording", help="an MCAP file")
+    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="where the node listens")
+    parser.add_argument("--camera", action="append", help="only this one; may be repeated")
+    parser.add_argument("--stage", default="stage", help="second part of the topics")
+    parser.add_argument("--seconds", type=float, help="stop after so much of the recording")
+    args = parser.parse_args()
+    with mocap.open_session(args.connect) as session:
+        play(session, args.recording, args.camera, args.stage, args.seconds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,25 @@
+#!/usr/bin/env python3
+"""Compiles ../*.proto to Python, into the folder `generated` beside this file or the one given.
+
+    pip install grpcio-tools
+    python generate.py [FOLDER]
+"""
+
+import pathlib
+import sys
+
+from grpc_tools import protoc
+
+HERE = pathlib.Path(__file__).resolve().parent
+
+
+def main() -> int:
+    folder = pathlib.Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "generated"
+    folder.mkdir(parents=True, exist_ok=True)
+    schemas = HERE.parent
+    files = sorted(str(path) for path in schemas.glob("*.proto"))
+    return protoc.main(["protoc", f"-I{schemas}", f"--python_out={folder}", *files])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,93 @@
+#!/usr/bin/env python3
+"""A retargeting node: receives skeleton and poses, and gives each pose to a function.
+
+    pip install eclipse-zenoh protobuf grpcio-tools
+    python generate.py
+    python retarget_node.py --csv poses.csv
+
+As a program it writes one line a pose: capture time, state, latency, the pelvis in the world
+(metres), and a quaternion x, y, z, w for each joint: world_from_pelvis, then parent_from_joint.
+To drive a character, call `receive` with a function of your own.
+"""
+
+import argparse
+import csv
+import queue
+import sys
+
+import mocap
+from pose_pb2 import Pose, TrackingState
+from skeleton_pb2 import Skeleton
+
+
+def rotations(skeleton, pose):
+    """Quaternion x, y, z, w of each joint by name: the root in the world, others in their
+    parent."""
+    numbers = [*pose.root_rotation, *pose.local_rotations]
+    return {
+        name: tuple(numbers[4 * joint : 4 * joint + 4])
+        for joint, name in enumerate(skeleton.joint_names)
+    }
+
+
+def receive(session, handle, stage="stage", actor="actor", poses=None):
+    """Calls `handle(skeleton, pose)` on this thread for each pose, or for so many of them. Poses
+    before the first skeleton are left out."""
+    inbox = queue.Queue()
+    pose_topic = f"mocap/{stage}/actor/{actor}/pose"
+    subscribers = [
+        mocap.subscribe_state(session, f"mocap/{stage}/skeleton", Skeleton, inbox.put),
+        mocap.subscribe_stream(session, pose_topic, Pose, inbox.put),
+    ]
+    skeleton = None
+    while poses is None or poses > 0:
+        message = inbox.get()
+        if isinstance(message, Skeleton):
+            skeleton = message
+        elif skeleton is not None:
+            handle(skeleton, message)
+            poses = None if poses is None else poses - 1
+    for subscriber in subscribers:
+        subscriber.undeclare()
+
+
+class CsvWriter:
+    """Writes poses as lines."""
+
+    def __init__(self, file):
+        self._file, self._writer, self._names = file, csv.writer(file), None
+
+    def __call__(self, skeleton, pose):
+        if self._names is None:
+            self._names = list(skeleton.joint_names)
+            columns = [f"{name}.{axis}" for name in self._names for axis in "xyzw"]
+            head = ["capture_time_ns", "state", "latency_ms", "root_x", "root_y", "root_z"]
+            self._writer.writerow(head + columns)
+        state = TrackingState.Name(pose.state).removeprefix("TRACKING_STATE_").lower()
+        latency_ms = (pose.publish_time_ns - pose.capture_time_ns) * 1e-6
+        by_name = rotations(skeleton, pose)
+        line = [pose.capture_time_ns, state, f"{latency_ms:.3f}"]
+        line += [f"{number:.6f}" for number in pose.root_position_m]
+        line += [f"{number:.6f}" for name in self._names for number in by_name[name]]
+        self._writer.writerow(line)
+        self._file.flush()
+
+
+def main():
+    parser = argparse.ArgumentParser(description="writes poses as lines of numbers")
+    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="where the node listens")
+    parser.add_argument("--csv", help="the file to write; without it, standard output")
+    parser.add_argument("--stage", default="stage", help="second part of the topics")
+    parser.add_argument("--actor", default="actor", help="the performer's part of the topics")
+    parser.add_argument("--poses", type=int, help="stop after so many")
+    args = parser.parse_args()
+    file = open(args.csv, "w", newline="") if args.csv else sys.stdout
+    with file, mocap.open_session(args.connect) as session:
+        receive(session, CsvWriter(file), args.stage, args.actor, args.poses)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except KeyboardInterrupt:
+        pass

@@ -1,0 +1,155 @@
+//! `bundlemocap retarget`
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use super::Ended;
+use super::bus::{BusArguments, check_name, open, topics};
+use super::bvh::fill;
+use super::clock::Stop;
+use super::export::{Solved, in_order, read};
+use super::failure::{Exit, Failure};
+use super::figures::frame_rate;
+use super::kept::KeptPose;
+use super::retarget_live::{Live, Served};
+use super::terminal::{complain, note, say};
+use crate::body::Skeleton;
+use crate::export::HierarchyWriter;
+use crate::retarget::{Channels, Convention, Map, Retarget, RetargetError, Target};
+
+/// Put poses on another skeleton, live or from a recording.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+The skeleton is the hierarchy of a BVH file; its frames are not used. Names of Mixamo, CMU,
+MotionBuilder, Unity, Daz, Unreal, Biped and our own are known; others are named in a TOML file:
+
+  scale = 1.05                 of the movement; else the ratio of the leg lengths
+  unit = \"cm\"                  of the file: m, dm, cm, mm, inch, foot, or metres; else guessed
+  up = \"z\"                     of the file's world, y or z; else as the zero pose stands
+  [joints]
+  left_knee = \"LeftLeg\"        ours = theirs; \"\" for none
+
+Live, poses go out on mocap/STAGE/actor/ACTOR/retargeted/NAME until Ctrl-C or SIGTERM. With --out
+they are kept until then, 90 MB for an hour at 60 Hz.
+
+Examples:
+  bundlemocap retarget --skeleton robot.bvh
+  bundlemocap retarget --skeleton robot.bvh --map robot.toml --name robot --out take1.bvh
+  bundlemocap retarget --skeleton robot.bvh --from out/poses.mcap --out take1.bvh")]
+pub(super) struct Arguments {
+    /// A BVH file with the skeleton.
+    #[arg(long, value_name = "BVH")]
+    skeleton: PathBuf,
+    /// What the file's joints are, in TOML.
+    #[arg(long, value_name = "TOML")]
+    map: Option<PathBuf>,
+    /// The last part of the topic; the skeleton's file name if not given.
+    #[arg(long)]
+    name: Option<String>,
+    /// The BVH file to write.
+    #[arg(long, value_name = "BVH")]
+    out: Option<PathBuf>,
+    /// A solved recording instead of the bus.
+    #[arg(long, value_name = "MCAP", requires = "out")]
+    from: Option<PathBuf>,
+    #[command(flatten)]
+    bus: BusArguments,
+}
+
+impl From<RetargetError> for Failure {
+    fn from(error: RetargetError) -> Self {
+        let exit = match &error {
+            RetargetError::Read { .. } => Exit::Unreadable,
+            _ => Exit::Malformed,
+        };
+        Self::new(exit, error.to_string())
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let map = arguments.map.as_deref().map(Map::read).transpose()?.unwrap_or_default();
+    let target = Target::read(&arguments.skeleton, &map)?;
+    let mut retarget = Retarget::new(target, &map)?;
+    match (&arguments.from, &arguments.out) {
+        (Some(from), Some(out)) => {
+            note(&summary(&arguments.skeleton, &retarget));
+            offline(&mut retarget, from, out)
+        }
+        _ => live(&mut retarget, arguments),
+    }
+}
+
+/// One line: how the skeleton is understood.
+fn summary(path: &Path, retarget: &Retarget) -> String {
+    let target = retarget.target();
+    let convention = target.convention().map_or("unknown", Convention::name);
+    let (joints, unit) = (target.joints().len(), target.unit());
+    let mapping = retarget.mapping().summary(target);
+    format!("{}: {convention} names, {joints} joints, unit {unit} m: {mapping}", path.display())
+}
+
+fn offline(retarget: &mut Retarget, from: &Path, out: &Path) -> Ended {
+    let Solved { skeleton, poses, damage } = read(from, false)?;
+    write(retarget, &skeleton, &poses, out)?;
+    if damage.is_empty() {
+        return Ok(Exit::Done);
+    }
+    complain("warning", &format!("{}: {}", from.display(), damage.join("; ")));
+    Ok(Exit::InPart)
+}
+
+/// Writes poses, which are in order, on the target.
+fn write(
+    retarget: &mut Retarget,
+    skeleton: &Skeleton,
+    poses: &[KeptPose],
+    out: &Path,
+) -> Result<(), Failure> {
+    let fps = frame_rate(poses).unwrap_or(60.0);
+    let mut writer = HierarchyWriter::create(out, retarget.target().bvh(), fps)?;
+    let mut channels = Channels::default();
+    let frames = fill(out, poses, fps, |pose| {
+        let figure = retarget.apply(&pose.pose(), skeleton)?;
+        Ok(writer.write(&channels.values(retarget, &figure))?)
+    })?;
+    writer.finish()?;
+    let scale = retarget.scale(skeleton);
+    say(&format!("{}: {frames} frames at {fps:.2} Hz, scale {scale:.3}", out.display()));
+    Ok(())
+}
+
+fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
+    let name = match &arguments.name {
+        Some(name) => name.clone(),
+        None => name_of(&arguments.skeleton),
+    };
+    check_name("--name", &name)?;
+    let config = arguments.bus.settings()?;
+    let topics = topics(&config);
+    let bus = open(&config)?;
+    let stop = Stop::on_signals()?;
+    let live = Live::open(&*bus, &topics, &name)?;
+    note(&format!("{} to {}; Ctrl-C ends it", topics.pose(), topics.retargeted(&name)));
+    note(&summary(&arguments.skeleton, retarget));
+    let served = live.serve(retarget, arguments.out.is_some(), &stop)?;
+    say(&served.to_string());
+    let Served { skeleton, mut poses, .. } = served;
+    let Some(out) = &arguments.out else { return Ok(Exit::Done) };
+    in_order(&mut poses);
+    match skeleton.filter(|_| !poses.is_empty()) {
+        Some(skeleton) => write(retarget, &skeleton, &poses, out).map(|()| Exit::Done),
+        None => {
+            let fix = "check --stage, --actor and that the node runs";
+            complain("warning", &format!("{} is not written: no poses came; {fix}", out.display()));
+            Ok(Exit::InPart)
+        }
+    }
+}
+
+/// The file's name without its ending, as a part of a topic.
+fn name_of(path: &Path) -> String {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let fine = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+    stem.chars().map(|c| if fine(c) { c } else { '_' }).collect()
+}

@@ -1,0 +1,236 @@
+//! Poses from the bus, on another skeleton, back onto the bus.
+
+use std::fmt;
+use std::time::Duration;
+
+use prost::Name;
+
+use super::clock::{ATTENTION, Stop};
+use super::failure::Failure;
+use super::inbox::{Inbox, Received};
+use super::kept::KeptPose;
+use super::terminal::complain;
+use crate::body::Skeleton;
+use crate::bus::{Bus, BusError, Publisher};
+use crate::msg::{
+    self, DecodeError, Pose, RetargetedPose, Schema, Topics, decode, encode, media_type, schema_of,
+};
+use crate::retarget::Retarget;
+use crate::time::Timestamp;
+
+/// Subscriptions to poses and to the body that they are of, and where poses go.
+pub(super) struct Live {
+    skeletons: Inbox,
+    poses: Inbox,
+    publisher: Box<dyn Publisher>,
+}
+
+/// What was done.
+#[derive(Debug, Default)]
+pub(super) struct Served {
+    /// The body, as it was last.
+    pub(super) skeleton: Option<Skeleton>,
+    /// The poses that were put on the target, as they came, if they were to be kept.
+    pub(super) poses: Vec<KeptPose>,
+    /// Poses that went out.
+    pub(super) published: u64,
+    /// Poses that came before the body was known.
+    pub(super) early: u64,
+    /// Messages that make no sense.
+    pub(super) unusable: u64,
+    /// Messages that came while too many waited.
+    pub(super) dropped: u64,
+}
+
+impl fmt::Display for Served {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { published, early, unusable, dropped, .. } = self;
+        write!(to, "{published} poses retargeted")?;
+        let rest = [
+            (early, "came before the skeleton"),
+            (unusable, "messages could not be used"),
+            (dropped, "messages were dropped, this machine is too slow"),
+        ];
+        for (count, what) in rest.iter().filter(|(count, _)| **count > 0) {
+            write!(to, ", {count} {what}")?;
+        }
+        Ok(())
+    }
+}
+
+impl Live {
+    /// Subscribes; the body first, so that it is known when poses come.
+    pub(super) fn open(bus: &dyn Bus, topics: &Topics, name: &str) -> Result<Self, BusError> {
+        Ok(Self {
+            publisher: bus.publisher(&topics.retargeted(name))?,
+            skeletons: Inbox::open(bus, &topics.skeleton())?,
+            poses: Inbox::open(bus, &topics.pose())?,
+        })
+    }
+
+    /// Puts poses on the target until `stop` is set, then those that still wait.
+    pub(super) fn serve(
+        mut self,
+        retarget: &mut Retarget,
+        keep: bool,
+        stop: &Stop,
+    ) -> Result<Served, Failure> {
+        let mut served = Served::default();
+        loop {
+            if stop.is_set() {
+                self.skeletons.close();
+                self.poses.close();
+            }
+            let received = self.poses.next(ATTENTION);
+            while let Some(received) = self.skeletons.next(Duration::ZERO) {
+                let skeleton = wire::<msg::Skeleton>(&received).and_then(|wire| wire.to_core());
+                served.skeleton = served.usable(skeleton).or(served.skeleton.take());
+            }
+            match received {
+                Some(received) => self.put(&received, retarget, keep, &mut served)?,
+                None if stop.is_set() => break,
+                None => {}
+            }
+        }
+        served.dropped = self.poses.dropped() + self.skeletons.dropped();
+        Ok(served)
+    }
+
+    fn put(
+        &self,
+        received: &Received,
+        retarget: &mut Retarget,
+        keep: bool,
+        served: &mut Served,
+    ) -> Result<(), Failure> {
+        let pose = wire::<Pose>(received).and_then(|wire| Ok((wire.to_core()?, wire)));
+        let Some((stamped, wire)) = served.usable(pose) else { return Ok(()) };
+        let Some(skeleton) = &served.skeleton else {
+            served.early += 1;
+            return Ok(());
+        };
+        let figure = retarget.apply(&stamped.pose, skeleton)?;
+        let message = figure.message(&wire, retarget.target());
+        let encoding = media_type(&RetargetedPose::full_name());
+        let capture = Timestamp::from_ns(wire.capture_time_ns);
+        self.publisher.put(capture, &encoding, &encode(&message))?;
+        served.published += 1;
+        if keep {
+            served.poses.push(KeptPose::from(&stamped));
+        }
+        Ok(())
+    }
+}
+
+impl Served {
+    /// What is there, or a count; the first of them is said.
+    fn usable<T>(&mut self, result: Result<T, DecodeError>) -> Option<T> {
+        match result {
+            Ok(value) => Some(value),
+            Err(error) => {
+                if self.unusable == 0 {
+                    complain("warning", &format!("a message cannot be used: {error}"));
+                }
+                self.unusable += 1;
+                None
+            }
+        }
+    }
+}
+
+/// The message, if it is of that schema.
+fn wire<T: Schema>(received: &Received) -> Result<T, DecodeError> {
+    let sample = &received.sample;
+    if schema_of(&sample.topic, &sample.encoding) != Some(T::full_name().as_str()) {
+        return Err(DecodeError::Invalid {
+            message: T::NAME,
+            field: "encoding",
+            reason: format!("{:?} on {} is another schema's", sample.encoding, sample.topic),
+        });
+    }
+    decode(&sample.payload)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::{Arc, Mutex};
+
+    use super::*;
+    use crate::body::bvh::Bvh;
+    use crate::body::{self, StampedPose, TrackingState};
+    use crate::bus::{Memory, Sample};
+    use crate::retarget::{Map, Target};
+
+    fn ours() -> Retarget {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ours.bvh");
+        crate::export::write_bvh(&path, &Skeleton::default(), 60.0, []).unwrap();
+        let bvh = Bvh::parse(&std::fs::read_to_string(path).unwrap()).unwrap();
+        let map = Map::default();
+        Retarget::new(Target::new(bvh, Path::new("ours.bvh"), &map), &map).unwrap()
+    }
+
+    fn pose(x: f64) -> Pose {
+        let mut pose = body::Pose::rest();
+        pose.root_position.x = x;
+        let stamped = StampedPose {
+            capture: Timestamp::from_ns((x * 1e9) as i64),
+            pose,
+            state: TrackingState::Coasting,
+            window: 0,
+            rig_version: 1,
+            provisional: false,
+            revision: 0,
+        };
+        Pose::from_core(&stamped, &Skeleton::default(), None)
+    }
+
+    #[test]
+    fn poses_go_out_on_the_target_once_the_body_is_known() {
+        let (bus, topics, stop) = (Memory::new(), Topics::default(), Stop::default());
+        let live = Live::open(&bus, &topics, "robot").unwrap();
+        let came: Arc<Mutex<Vec<Sample>>> = Arc::default();
+        let sink = Arc::clone(&came);
+        let guard = bus.subscribe(
+            "mocap/stage/actor/actor/retargeted/robot",
+            Box::new(move |sample| sink.lock().unwrap().push(sample)),
+        );
+        let put = |topic: &str, encoding: &str, payload: &[u8]| {
+            let publisher = bus.publisher(topic).unwrap();
+            publisher.put(Timestamp::from_ns(70), encoding, payload).unwrap();
+        };
+        let skeleton = encode(&msg::Skeleton::from_core(&Skeleton::default()));
+        put(&topics.skeleton(), "", &skeleton);
+        put(&topics.pose(), "", &encode(&pose(1.0)));
+        put(&topics.pose(), "application/json", b"{}");
+        put(&topics.pose(), "", b"\xff\xff");
+        put(&topics.pose(), &media_type("bundlemocap.v1.Pose"), &encode(&pose(2.0)));
+        put(&topics.live(), "", &encode(&pose(3.0)));
+        stop.stop();
+        let served = live.serve(&mut ours(), true, &stop).unwrap();
+        assert_eq!((served.published, served.unusable, served.early), (2, 2, 0));
+        assert_eq!(served.to_string(), "2 poses retargeted, 2 messages could not be used");
+        assert_eq!(served.poses.len(), 2);
+        let came = came.lock().unwrap();
+        assert_eq!(came.len(), 2);
+        assert_eq!(&*came[1].encoding, "application/protobuf;bundlemocap.v1.RetargetedPose");
+        assert_eq!(came[1].capture, Timestamp::from_ns(2_000_000_000));
+        let wire: RetargetedPose = decode(&came[1].payload).unwrap();
+        let wire = wire.validated().unwrap();
+        assert_eq!((wire.joint_names.len(), wire.state), (22, pose(2.0).state));
+        assert!((wire.hips_position_m[0] - 2.0).abs() < 1e-9);
+        drop(guard);
+    }
+
+    #[test]
+    fn poses_of_an_unknown_body_are_counted() {
+        let (bus, topics, stop) = (Memory::new(), Topics::default(), Stop::default());
+        let live = Live::open(&bus, &topics, "robot").unwrap();
+        let publisher = bus.publisher(&topics.pose()).unwrap();
+        publisher.put(Timestamp::from_ns(1), "", &encode(&pose(1.0))).unwrap();
+        stop.stop();
+        let served = live.serve(&mut ours(), true, &stop).unwrap();
+        assert_eq!((served.published, served.early, served.poses.len()), (0, 1, 0));
+    }
+}

@@ -1,0 +1,227 @@
+//! A pose of ours on the target.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::align::alignments;
+use super::channels::reachable;
+use super::mapping::Follow;
+use super::{Map, Mapping, RetargetError, Target, Up};
+use crate::body::{Joint, Pose, Posture, Skeleton};
+use crate::msg::{self, RetargetedPose};
+use crate::so3;
+
+/// Puts poses on a target.
+#[derive(Clone, Debug)]
+pub struct Retarget {
+    target: Target,
+    mapping: Mapping,
+    hips: usize,
+    /// The joint whose position channels move the body.
+    mover: Option<usize>,
+    /// `ours_from_file`: turns the file's world so that y is up.
+    world: Matrix3<f64>,
+    /// Said by the user.
+    scale: Option<f64>,
+    leg: f64,
+    fitted: Option<Fitted>,
+}
+
+/// What follows from the shape of the body that poses are of.
+#[derive(Clone, Debug)]
+struct Fitted {
+    skeleton: Skeleton,
+    /// A_t.
+    align: Vec<Matrix3<f64>>,
+    scale: f64,
+    /// Height of our ankles and of the target's over the balls of the feet, metres.
+    ankles: [f64; 2],
+    /// From the target's hips to the middle of its hip joints at rest, turned as ours, metres.
+    hip_joints: Vector3<f64>,
+}
+
+/// The target in a pose; our world, y up, metres.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Figure {
+    /// `parent_from_joint` of each joint of the target; `world_from_joint` of the first.
+    pub locals: Vec<Matrix3<f64>>,
+    /// `world_from_joint` rotations.
+    pub rotations: Vec<Matrix3<f64>>,
+    /// Joint centres.
+    pub positions: Vec<Vector3<f64>>,
+    /// Index of the joint that stands for our pelvis.
+    pub hips: usize,
+}
+
+impl Retarget {
+    /// Maps our joints to the target's.
+    ///
+    /// # Errors
+    /// See [`Mapping::new`]; also a target whose hips or legs have no extent.
+    pub fn new(target: Target, map: &Map) -> Result<Self, RetargetError> {
+        let mapping = Mapping::new(&target, map)?;
+        let leg = target.leg_length(&mapping);
+        let shape =
+            |what: &str| RetargetError::Shape { target: target.path.clone(), what: what.into() };
+        if !(leg.is_finite() && leg > 1e-6) {
+            return Err(shape("its legs have no length"));
+        }
+        let Some(hips) = mapping.joint(Joint::Pelvis) else {
+            return Err(shape("it has no hips"));
+        };
+        let up = target.facing(&mapping)?.transpose() * Vector3::y();
+        let up = target.up.unwrap_or(if up.z > 0.94 { Up::Z } else { Up::Y });
+        let world = match up {
+            Up::Y => Matrix3::identity(),
+            Up::Z => Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0),
+        };
+        let mover = target.mover(hips);
+        Ok(Self { target, mapping, hips, mover, world, scale: map.scale, leg, fitted: None })
+    }
+
+    /// The target.
+    pub fn target(&self) -> &Target {
+        &self.target
+    }
+
+    /// Which joint follows which.
+    pub fn mapping(&self) -> &Mapping {
+        &self.mapping
+    }
+
+    /// Movement of the target over that of a body of ours.
+    pub fn scale(&self, skeleton: &Skeleton) -> f64 {
+        self.scale.unwrap_or(self.leg / leg_length(skeleton))
+    }
+
+    /// `ours_from_file` of the file's world.
+    pub(super) fn world(&self) -> &Matrix3<f64> {
+        &self.world
+    }
+
+    pub(super) fn mover(&self) -> Option<usize> {
+        self.mover
+    }
+
+    /// The target in a pose of a body of that shape.
+    ///
+    /// # Errors
+    /// A target whose rest pose has no facing; [`Retarget::new`] has seen to that.
+    pub fn apply(&mut self, pose: &Pose, skeleton: &Skeleton) -> Result<Figure, RetargetError> {
+        let known = self.fitted.take().filter(|fitted| fitted.skeleton == *skeleton);
+        let fitted = match known {
+            Some(fitted) => fitted,
+            None => self.fit(skeleton)?,
+        };
+        let figure = self.figure(&fitted, &pose.posture(skeleton));
+        self.fitted = Some(fitted);
+        Ok(figure)
+    }
+
+    fn fit(&self, skeleton: &Skeleton) -> Result<Fitted, RetargetError> {
+        let align = alignments(&self.target, &self.mapping, skeleton)?;
+        let scale = self.scale(skeleton);
+        let ours = -0.5 * (skeleton.offset(Joint::LFoot).y + skeleton.offset(Joint::RFoot).y);
+        let theirs = self.ankle_height(&align).unwrap_or(scale * ours);
+        let rest = |joint| self.mapping.joint(joint).map(|t| *self.target.rest(t));
+        let middle =
+            [Joint::LHip, Joint::RHip].into_iter().filter_map(rest).sum::<Vector3<f64>>() / 2.0;
+        let hip_joints = align[self.hips] * (middle - self.target.rest(self.hips));
+        Ok(Fitted { skeleton: skeleton.clone(), align, scale, ankles: [ours, theirs], hip_joints })
+    }
+
+    /// Mean height of the target's ankles over its toes, metres.
+    fn ankle_height(&self, align: &[Matrix3<f64>]) -> Option<f64> {
+        let feet = [(Joint::LAnkle, Joint::LFoot), (Joint::RAnkle, Joint::RFoot)];
+        let heights = feet.map(|(ankle, toes)| {
+            let ankle = self.mapping.joint(ankle)?;
+            Some(-(align[ankle] * self.target.bone(ankle, self.mapping.joint(toes))?).y)
+        });
+        let heights: Vec<f64> = heights.into_iter().flatten().collect();
+        let count = heights.len();
+        (count > 0).then(|| heights.iter().sum::<f64>() / count as f64)
+    }
+
+    fn figure(&self, fitted: &Fitted, posture: &Posture) -> Figure {
+        let count = self.target.joints().len();
+        let mut figure = Figure {
+            locals: Vec::with_capacity(count),
+            rotations: Vec::with_capacity(count),
+            positions: Vec::with_capacity(count),
+            hips: self.hips,
+        };
+        let hips = self.hips_position(fitted, posture);
+        for (index, joint) in self.target.joints().iter().enumerate() {
+            let parent = joint.parent.map(|parent| figure.rotations[parent]);
+            // The file's own world is the parent of its first joint.
+            let outer = parent.unwrap_or(self.world);
+            let wanted = match self.mapping.follow[index] {
+                Follow::World => self.world,
+                Follow::Parent => outer,
+                Follow::Ours(from, to, share) => {
+                    turned(posture, from, to, share) * fitted.align[index]
+                }
+            };
+            let in_file = reachable(&joint.channels, &(outer.transpose() * wanted));
+            let rotation = outer * in_file;
+            figure.locals.push(if parent.is_some() { in_file } else { rotation });
+            figure.rotations.push(rotation);
+            figure.positions.push(self.position(index, &figure, &hips));
+        }
+        figure
+    }
+
+    /// Where the target's hips are to be.
+    fn hips_position(&self, fitted: &Fitted, posture: &Posture) -> Vector3<f64> {
+        let at = |joint: Joint| posture.positions[joint.index()];
+        let mut middle = 0.5 * (at(Joint::LHip) + at(Joint::RHip)) * fitted.scale;
+        middle.y += fitted.ankles[1] - fitted.scale * fitted.ankles[0];
+        middle - posture.rotations[Joint::Pelvis.index()] * fitted.hip_joints
+    }
+
+    /// Where a joint is, given the joints before it and where the hips are to be.
+    fn position(&self, index: usize, figure: &Figure, hips: &Vector3<f64>) -> Vector3<f64> {
+        let rest = self.target.rest(index);
+        match (self.mapping.follow[index], self.mover) {
+            _ if index == self.hips && self.mover.is_some() => *hips,
+            // Between the joint that moves and the hips, or above it.
+            (Follow::World, Some(mover)) if self.target.is_below(index, mover) => {
+                hips - self.world * (self.target.rest(self.hips) - rest)
+            }
+            (Follow::World, _) => self.world * rest,
+            _ => match self.target.joints()[index].parent {
+                Some(parent) => {
+                    figure.positions[parent] + figure.rotations[parent] * self.target.offset(index)
+                }
+                None => self.world * rest,
+            },
+        }
+    }
+}
+
+/// Our global rotation, on the way from one joint's to another's.
+fn turned(posture: &Posture, from: Joint, to: Joint, share: f64) -> Matrix3<f64> {
+    let at = |joint: Joint| &posture.rotations[joint.index()];
+    if from == to || share == 0.0 { *at(from) } else { so3::slerp(at(from), at(to), share) }
+}
+
+/// Mean length of our legs, hip to knee to ankle, metres.
+fn leg_length(skeleton: &Skeleton) -> f64 {
+    let legs = [Joint::LKnee, Joint::LAnkle, Joint::RKnee, Joint::RAnkle];
+    0.5 * legs.iter().map(|&joint| skeleton.offset(joint).norm()).sum::<f64>()
+}
+
+impl Figure {
+    /// As a message: what it is of is copied from the pose that it was made of.
+    pub fn message(&self, pose: &msg::Pose, target: &Target) -> RetargetedPose {
+        let xyzw = |rotation| so3::xyzw_from_rotation(rotation).map(|component| component as f32);
+        RetargetedPose {
+            capture_time_ns: pose.capture_time_ns,
+            publish_time_ns: pose.publish_time_ns,
+            state: pose.state,
+            hips: self.hips as u32,
+            hips_position_m: self.positions[self.hips].iter().copied().collect(),
+            local_rotations: self.locals.iter().flat_map(xyzw).collect(),
+            joint_names: target.joints().iter().map(|joint| joint.name.clone()).collect(),
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! What the user says about a target: a TOML file.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::RetargetError;
+use crate::body::Joint;
+
+/// Which axis of the file's world points up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Up {
+    /// +y, facing +z.
+    Y,
+    /// +z, facing -y.
+    Z,
+}
+
+/// A map file:
+///
+/// ```toml
+/// scale = 1.05       # of the movement, target over ours; else the ratio of the leg lengths
+/// unit = "cm"        # of the file: m, dm, cm, mm, inch, foot, or metres as a number; else guessed
+/// up = "z"           # of the file's world, y or z; else as the zero pose stands
+/// [joints]
+/// left_knee = "LeftLeg"
+/// head = ""          # nothing stands for it
+/// ```
+///
+/// Joints are ours, `l_knee` or `left_knee`. What it does not name is guessed.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Map {
+    /// Where it was read, for errors.
+    pub path: PathBuf,
+    /// Movement of the target over ours.
+    pub scale: Option<f64>,
+    /// Metres in a unit of the file.
+    pub unit: Option<f64>,
+    /// Up in the file's world.
+    pub up: Option<Up>,
+    /// Our joint and the target's; `None`: nothing stands for it.
+    pub joints: Vec<(Joint, Option<String>)>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    scale: Option<f64>,
+    unit: Option<Unit>,
+    up: Option<Up>,
+    #[serde(default)]
+    joints: BTreeMap<String, String>,
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Unit {
+    Metres(f64),
+    Name(String),
+}
+
+/// Units by name, in metres.
+pub(super) const UNITS: [(&str, f64); 6] =
+    [("m", 1.0), ("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("inch", 0.0254), ("foot", 0.3048)];
+
+impl Map {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// A file that cannot be read; see [`Map::parse`].
+    pub fn read(path: &Path) -> Result<Self, RetargetError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| RetargetError::Read { path: path.into(), source })?;
+        Self::parse(&text, path)
+    }
+
+    /// Reads the text of a file; `path` is named in errors.
+    ///
+    /// # Errors
+    /// No TOML, unknown keys, values out of range, joints that are not ours.
+    pub fn parse(text: &str, path: &Path) -> Result<Self, RetargetError> {
+        let file: File = toml::from_str(text).map_err(|error| {
+            let before = error.span().map_or("", |span| text.get(..span.start).unwrap_or(text));
+            let line = 1 + before.matches('\n').count();
+            let reason = error.message().replace('\n', " ");
+            RetargetError::Map { path: path.into(), line, reason }
+        })?;
+        if let Some(scale) = file.scale.filter(|&scale| !is_positive(scale)) {
+            return Err(wrong(path, "scale", scale.to_string(), "a number above 0"));
+        }
+        let joints = file.joints.into_iter().map(|(key, value)| match ours(&key) {
+            Some(joint) => Ok((joint, Some(value).filter(|value| !value.is_empty()))),
+            None => Err(RetargetError::OurJoint { path: path.into(), key, ours: our_names() }),
+        });
+        Ok(Self {
+            joints: joints.collect::<Result<_, _>>()?,
+            unit: file.unit.map(|unit| metres(unit, path)).transpose()?,
+            path: path.into(),
+            scale: file.scale,
+            up: file.up,
+        })
+    }
+}
+
+fn is_positive(value: f64) -> bool {
+    value.is_finite() && value > 0.0
+}
+
+fn metres(unit: Unit, path: &Path) -> Result<f64, RetargetError> {
+    let (metres, said) = match unit {
+        Unit::Metres(metres) => (Some(metres).filter(|m| is_positive(*m)), metres.to_string()),
+        Unit::Name(name) => {
+            let known = UNITS.iter().find(|(known, _)| *known == name);
+            (known.map(|(_, metres)| *metres), format!("{name:?}"))
+        }
+    };
+    let allowed = "m, dm, cm, mm, inch, foot, or a number of metres above 0";
+    metres.ok_or_else(|| wrong(path, "unit", said, allowed))
+}
+
+fn wrong(path: &Path, key: &str, value: String, allowed: &'static str) -> RetargetError {
+    RetargetError::Value { path: path.into(), key: key.into(), value, allowed }
+}
+
+/// The joint called `l_knee` or `left_knee`.
+fn ours(key: &str) -> Option<Joint> {
+    let short = match (key.strip_prefix("left_"), key.strip_prefix("right_")) {
+        (Some(rest), _) => format!("l_{rest}"),
+        (_, Some(rest)) => format!("r_{rest}"),
+        _ => key.to_owned(),
+    };
+    Joint::ALL.into_iter().find(|joint| joint.name() == short)
+}
+
+fn our_names() -> String {
+    Joint::ALL.map(Joint::name).join(", ")
+}

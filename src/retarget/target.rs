@@ -1,0 +1,231 @@
+//! The skeleton of a BVH file, in metres, standing as our rest pose stands.
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::map::{Map, UNITS, Up};
+use super::names::{self, Convention};
+use super::{Mapping, RetargetError};
+use crate::body::bvh::{Bvh, BvhJoint, Channel};
+use crate::body::{JOINTS, Joint};
+
+/// Length of a leg, hip to knee to ankle, that units are guessed by, metres.
+const LEG: f64 = 0.83;
+/// A unit beside those with names: that of the CMU database's skeletons, 1 / 0.45 inches.
+const CMU_UNIT: f64 = 0.056_444;
+/// How far a rest pose may lean from an axis and still stand along it, cosine of 20 degrees.
+const UPRIGHT: f64 = 0.94;
+
+/// The skeleton that poses are put on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Target {
+    /// Where it was read, for errors.
+    pub(super) path: PathBuf,
+    bvh: Bvh,
+    guessed: [Option<usize>; JOINTS],
+    convention: Option<Convention>,
+    unit: f64,
+    pub(super) up: Option<Up>,
+    /// Offsets from the parent at zero rotation, metres.
+    offsets: Vec<Vector3<f64>>,
+    /// Positions at zero rotation, metres.
+    rest: Vec<Vector3<f64>>,
+}
+
+impl Target {
+    /// Reads a BVH file; its frames are not used. The map may say the unit.
+    ///
+    /// # Errors
+    /// A file that cannot be read or is no BVH.
+    pub fn read(path: &Path, map: &Map) -> Result<Self, RetargetError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| RetargetError::Read { path: path.into(), source })?;
+        let bvh =
+            Bvh::parse(&text).map_err(|source| RetargetError::Bvh { path: path.into(), source })?;
+        Ok(Self::new(bvh, path, map))
+    }
+
+    /// The skeleton of a file; `path` is named in errors.
+    pub fn new(bvh: Bvh, path: &Path, map: &Map) -> Self {
+        let names: Vec<&str> = bvh.joints().iter().map(|joint| joint.name.as_str()).collect();
+        let (guessed, convention) = names::guess(&names);
+        let mut target = Self {
+            path: path.into(),
+            guessed,
+            convention,
+            unit: 1.0,
+            up: map.up,
+            offsets: bvh.joints().iter().map(|joint| joint.offset).collect(),
+            rest: Vec::new(),
+            bvh,
+        };
+        target.place();
+        target.unit = map.unit.unwrap_or_else(|| guess_unit(target.left_leg(map)));
+        target.offsets.iter_mut().for_each(|offset| *offset *= target.unit);
+        target.place();
+        target
+    }
+
+    /// Length of the left leg, before there is a mapping.
+    fn left_leg(&self, map: &Map) -> Option<f64> {
+        let leg = [Joint::LHip, Joint::LKnee, Joint::LAnkle].map(|joint| {
+            let named = map.joints.iter().find(|(ours, _)| *ours == joint);
+            match named {
+                Some((_, name)) => self.bvh.joint(name.as_deref()?),
+                None => self.guessed[joint.index()],
+            }
+        });
+        self.path_length(&leg)
+    }
+
+    /// Positions from offsets.
+    fn place(&mut self) {
+        let mut rest: Vec<Vector3<f64>> = Vec::with_capacity(self.offsets.len());
+        for (joint, offset) in self.joints().iter().zip(&self.offsets) {
+            rest.push(joint.parent.map_or(Vector3::zeros(), |parent| rest[parent]) + offset);
+        }
+        self.rest = rest;
+    }
+
+    /// The file.
+    pub fn bvh(&self) -> &Bvh {
+        &self.bvh
+    }
+
+    /// Its joints, parents before children.
+    pub fn joints(&self) -> &[BvhJoint] {
+        self.bvh.joints()
+    }
+
+    /// How its joints are named, if that is known.
+    pub fn convention(&self) -> Option<Convention> {
+        self.convention
+    }
+
+    /// Metres in a unit of the file.
+    pub fn unit(&self) -> f64 {
+        self.unit
+    }
+
+    pub(super) fn guessed(&self) -> [Option<usize>; JOINTS] {
+        self.guessed
+    }
+
+    pub(super) fn name(&self, joint: usize) -> &str {
+        &self.joints()[joint].name
+    }
+
+    /// The names of all joints, for errors.
+    pub(super) fn names(&self) -> String {
+        self.joints().iter().map(|joint| joint.name.as_str()).collect::<Vec<_>>().join(", ")
+    }
+
+    /// Offset from the parent at zero rotation, metres.
+    pub(super) fn offset(&self, joint: usize) -> &Vector3<f64> {
+        &self.offsets[joint]
+    }
+
+    /// Position at zero rotation, metres.
+    pub(super) fn rest(&self, joint: usize) -> &Vector3<f64> {
+        &self.rest[joint]
+    }
+
+    /// From a joint to `end`, else to its first child or its end site; metres at zero rotation.
+    pub(super) fn bone(&self, joint: usize, end: Option<usize>) -> Option<Vector3<f64>> {
+        let child = || self.joints().iter().position(|other| other.parent == Some(joint));
+        let site = || self.joints()[joint].end.map(|end| end * self.unit);
+        match end.or_else(child) {
+            Some(end) => Some(self.rest[end] - self.rest[joint]),
+            None => site(),
+        }
+        .filter(|bone| bone.norm() > 1e-6)
+    }
+
+    /// Whether a joint is below another one, or is it.
+    pub(super) fn is_below(&self, joint: usize, above: usize) -> bool {
+        self.upwards(joint).any(|at| at == above)
+    }
+
+    /// A joint, its parent, and so on to the root.
+    pub(super) fn upwards(&self, joint: usize) -> impl Iterator<Item = usize> {
+        std::iter::successors(Some(joint), |&at| self.joints()[at].parent)
+    }
+
+    /// Length of the way along joints that are there.
+    fn path_length(&self, joints: &[Option<usize>]) -> Option<f64> {
+        let pairs = joints.windows(2);
+        pairs.map(|pair| Some((self.rest[pair[1]?] - self.rest[pair[0]?]).norm())).sum()
+    }
+
+    /// Mean length of the legs, hip to knee to ankle, metres.
+    pub(super) fn leg_length(&self, mapping: &Mapping) -> f64 {
+        let leg = |joints: [Joint; 3]| self.path_length(&joints.map(|joint| mapping.joint(joint)));
+        let left = [Joint::LHip, Joint::LKnee, Joint::LAnkle];
+        let sides = [left, left.map(Joint::mirrored)].map(|side| leg(side).unwrap_or(0.0));
+        0.5 * (sides[0] + sides[1])
+    }
+
+    /// Which joint's position channels move the body: the hips, else one above them.
+    pub(super) fn mover(&self, hips: usize) -> Option<usize> {
+        let moves = |&joint: &usize| {
+            let channels = self.joints()[joint].channels.iter();
+            channels.filter(|channel| matches!(channel, Channel::Position(_))).count() == 3
+        };
+        self.upwards(hips).find(moves)
+    }
+
+    /// F = `ours_from_target` at rest: the target's left goes to +x and its up to +y. A rest pose
+    /// that stands along axes of the file to within 20 degrees is taken to stand along them.
+    pub(super) fn facing(&self, mapping: &Mapping) -> Result<Matrix3<f64>, RetargetError> {
+        let at = |joint| mapping.joint(joint).map_or(Vector3::zeros(), |t| self.rest[t]);
+        let middle = |joint: Joint| 0.5 * (at(joint) + at(joint.mirrored()));
+        let shape =
+            |what: &str| RetargetError::Shape { target: self.path.clone(), what: what.into() };
+        let up = (middle(Joint::LShoulder) - middle(Joint::LHip)).try_normalize(1e-6);
+        let up = snapped(up.ok_or_else(|| shape("its shoulders are where its hips are"))?);
+        let across = at(Joint::LHip) - at(Joint::RHip);
+        let left = (across - up * up.dot(&across)).try_normalize(1e-6);
+        let left = snapped(left.ok_or_else(|| shape("its left hip is where its right hip is"))?);
+        let left = (left - up * up.dot(&left)).normalize();
+        Ok(Matrix3::from_columns(&[left, up, left.cross(&up)]).transpose())
+    }
+}
+
+/// The nearest axis, if it is near.
+fn snapped(direction: Vector3<f64>) -> Vector3<f64> {
+    let axis = direction.iamax();
+    if direction[axis].abs() < UPRIGHT {
+        return direction;
+    }
+    Vector3::ith(axis, direction[axis].signum())
+}
+
+/// The unit in which a leg comes nearest to an adult's, by ratio; metres.
+fn guess_unit(leg: Option<f64>) -> f64 {
+    let Some(leg) = leg.filter(|leg| *leg > 0.0) else { return 0.01 };
+    let off = |unit: &f64| (leg * unit / LEG).ln().abs();
+    let units = UNITS.iter().map(|unit| unit.1).chain([CMU_UNIT]);
+    units.min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0.01)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_are_guessed_by_the_leg() {
+        let guesses = [(0.9, 1.0), (78.0, 0.01), (860.0, 0.001), (33.0, 0.0254), (14.8, CMU_UNIT)];
+        for (leg, unit) in guesses {
+            assert_eq!(guess_unit(Some(leg)), unit, "{leg}");
+        }
+        assert_eq!((guess_unit(None), guess_unit(Some(0.0))), (0.01, 0.01));
+    }
+
+    #[test]
+    fn directions_near_an_axis_are_that_axis() {
+        assert_eq!(snapped(Vector3::new(0.05, -0.99, 0.1)), -Vector3::y());
+        let between = Vector3::new(0.6, 0.8, 0.0);
+        assert_eq!(snapped(between), between);
+    }
+}

@@ -1,0 +1,151 @@
+//! The Python nodes of `schemas/python` against our bus.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::mpsc::channel;
+
+use bundlemocap::bus::{Bus, Sample, Zenoh, ZenohConfig};
+use bundlemocap::msg::{self, KeypointFrame, Pose, Rig, Skeleton, TrackingState};
+use bundlemocap::time::Timestamp;
+
+fn scripts() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/python")
+}
+
+/// Compiles the schemas into a folder; `None`, with the reason on the screen, without Python.
+fn generated() -> Option<tempfile::TempDir> {
+    let packages = "import zenoh, google.protobuf, grpc_tools, mcap, zstandard";
+    match Command::new("python3").args(["-c", packages]).output() {
+        Ok(output) if output.status.success() => {}
+        Ok(_) => {
+            println!(
+                "skipped: pip install eclipse-zenoh protobuf grpcio-tools mcap zstandard lz4 first"
+            );
+            return None;
+        }
+        Err(_) => {
+            println!("skipped: python3 is not installed");
+            return None;
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let output = python(folder.path(), "generate.py").arg(folder.path()).output().unwrap();
+    check(&output);
+    Some(folder)
+}
+
+fn python(generated: &Path, script: &str) -> Command {
+    let mut command = Command::new("python3");
+    command.arg(scripts().join(script)).env("PYTHONPATH", generated);
+    command.env("PYTHONDONTWRITEBYTECODE", "1");
+    command
+}
+
+fn check(output: &Output) {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+fn node() -> (Zenoh, String) {
+    let listen = vec!["tcp/127.0.0.1:0".into()];
+    let node = Zenoh::open_node(&ZenohConfig { listen, ..ZenohConfig::default() }).unwrap();
+    let at = node.listens_on().remove(0);
+    (node, at)
+}
+
+#[test]
+fn a_camera_in_python_is_heard() {
+    let Some(generated) = generated() else { return };
+    let (node, at) = node();
+    let (sender, samples) = channel::<Sample>();
+    let sink = Box::new(move |sample| sender.send(sample).unwrap());
+    let guard = node.subscribe("mocap/take/**", sink).unwrap();
+    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
+    let output = python(generated.path(), "camera_node.py")
+        .arg(recording)
+        .args(["--connect", &at, "--stage", "take", "--seconds", "0.5"])
+        .output()
+        .unwrap();
+    check(&output);
+    drop(guard);
+
+    let (rigs, frames): (Vec<_>, Vec<_>) =
+        samples.try_iter().partition(|sample| &*sample.topic == "mocap/take/rig");
+    let [rig] = &rigs[..] else { panic!("{} rigs", rigs.len()) };
+    assert_eq!(&*rig.encoding, "application/protobuf;bundlemocap.v1.Rig");
+    let rig: Rig = msg::decode(&rig.payload).unwrap();
+    let cameras = rig.to_core().unwrap().cameras.len();
+
+    // On a busy machine a few frames may be dropped.
+    assert!(frames.len() > cameras * 15 && frames.len() <= cameras * 31, "{}", frames.len());
+    let mut last = vec![None; cameras];
+    for sample in &frames {
+        assert_eq!(&*sample.encoding, "application/protobuf;bundlemocap.v1.KeypointFrame");
+        let frame: KeypointFrame = msg::decode(&sample.payload).unwrap();
+        assert_eq!(msg::encode(&frame), sample.payload, "another encoding of the same");
+        assert_eq!(*sample.topic, format!("mocap/take/camera/{}/keypoints", frame.camera));
+        assert_eq!(sample.capture.ns(), frame.capture_time_ns);
+        let camera = rig.cameras.iter().position(|camera| camera.name == frame.camera).unwrap();
+        let now = Some((frame.frame, frame.capture_time_ns));
+        assert!(last[camera] < now, "{:?} then {now:?}", last[camera]);
+        last[camera] = now;
+        let points = frame.keypoint_format().unwrap().len();
+        assert!(frame.people.iter().all(|person| person.points.len() == 3 * points));
+    }
+}
+
+/// Ended when it goes out of scope.
+struct Ended(Child);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn a_subscriber_in_python_gets_skeleton_and_poses() {
+    let Some(generated) = generated() else { return };
+    let (node, at) = node();
+    let skeleton = Skeleton {
+        joint_names: vec!["pelvis".into(), "spine".into()],
+        parents: vec![-1, 0],
+        ..Skeleton::default()
+    };
+    // Once, before anybody listens.
+    let publisher = node.publisher("mocap/take/skeleton").unwrap();
+    let encoding = |name: &str| format!("application/protobuf;bundlemocap.v1.{name}");
+    publisher.put(Timestamp::default(), &encoding("Skeleton"), &msg::encode(&skeleton)).unwrap();
+
+    let child = python(generated.path(), "retarget_node.py")
+        .args(["--connect", &at, "--stage", "take", "--actor", "anna", "--poses", "2"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
+    let mut child = Ended(child.unwrap());
+    let poses = node.publisher("mocap/take/actor/anna/pose").unwrap();
+    let pose = Pose {
+        capture_time_ns: 1_000_000_000,
+        publish_time_ns: Some(1_250_000_000),
+        state: TrackingState::Tracking.into(),
+        root_position_m: vec![0.5, 1.0, -2.0],
+        root_rotation: vec![0.0, 0.0, 0.0, 1.0],
+        local_rotations: vec![0.6, 0.0, 0.0, 0.8],
+        ..Pose::default()
+    };
+    let payload = msg::encode(&pose);
+    for _ in 0..3000 {
+        poses.put(Timestamp::from_ns(1_000_000_000), &encoding("Pose"), &payload).unwrap();
+        if child.0.try_wait().unwrap().is_some() {
+            break;
+        }
+        std::thread::park_timeout(std::time::Duration::from_millis(10));
+    }
+    let said = std::io::read_to_string(child.0.stdout.take().unwrap()).unwrap();
+    let errors = std::io::read_to_string(child.0.stderr.take().unwrap()).unwrap();
+    let line = "1000000000,tracking,250.000,0.500000,1.000000,-2.000000,0.000000,0.000000,\
+                0.000000,1.000000,0.600000,0.000000,0.000000,0.800000\r\n";
+    let head = "capture_time_ns,state,latency_ms,root_x,root_y,root_z,pelvis.x,pelvis.y,pelvis.z,\
+                pelvis.w,spine.x,spine.y,spine.z,spine.w\r\n";
+    assert_eq!(said, format!("{head}{line}{line}"), "{errors}");
+}
