@@ -193,7 +193,7 @@ fn poses_leave_evenly_spaced_at_one_latency_and_live_ones_before() {
 
     assert!(!heard.live.is_empty() && heard.live.iter().all(|pose| pose.provisional));
     assert!(heard.live[0].capture_time_ns < heard.poses.last().unwrap().capture_time_ns);
-    let playout = status.playout.unwrap();
+    let playout = status.playout.clone().unwrap();
     assert!(playout.published as usize <= after_the_end, "{playout:?}");
     assert_eq!(playout.missed, 0, "{playout:?}");
     assert_eq!(status.queue_dropped, 0);
