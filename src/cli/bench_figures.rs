@@ -111,9 +111,12 @@ pub(super) struct Figures {
     pub(super) arrival_deviation_ms: Option<Spread>,
     /// The same as the node measures it when it publishes: upper ends of the histogram's bins.
     pub(super) publish_deviation_ms: Option<Spread>,
-    /// From the last camera's message to the live pose, milliseconds.
+    /// From the last camera's message to the live pose, after the acquisition, milliseconds.
     pub(super) live_ms: Option<Spread>,
     pub(super) live_poses: usize,
+    /// Processes that wanted a core, on average over a minute; above the number of cores the node
+    /// waited for others.
+    pub(super) machine_load: Option<f64>,
     /// Of one core.
     pub(super) cpu_percent: Option<f64>,
     pub(super) memory: Option<Memory>,
@@ -185,8 +188,9 @@ pub(super) fn figures(
         poses: poses(&notes.poses, sent, &load),
         arrival_deviation_ms: spread(notes.poses.iter().map(deviation)),
         publish_deviation_ms: of_bins(&playout.deviation_bins_us, &playout.deviation_counts),
-        live_ms: spread(live(&notes.live, sent)),
+        live_ms: spread(live(&notes.live, first.map(|pose| pose.at), sent)),
         live_poses: notes.live.len(),
+        machine_load: machine_load(),
         cpu_percent: cpu_percent(usage),
         memory: memory(usage),
         solve_ms: (windows.tracked > 0).then_some([windows.solve_p50_ms, windows.solve_p99_ms]),
@@ -217,12 +221,22 @@ fn poses(all: &[Arrival], sent: &[(Timestamp, Timestamp)], load: &Load) -> Poses
     }
 }
 
-/// Of each live pose, milliseconds since the last message of its frame set.
-fn live(all: &[Arrival], sent: &[(Timestamp, Timestamp)]) -> impl Iterator<Item = f64> {
-    all.iter().filter_map(|pose| {
+/// Of each live pose after the acquisition, milliseconds since the last message of its frame set.
+fn live(
+    all: &[Arrival],
+    from: Option<Timestamp>,
+    sent: &[(Timestamp, Timestamp)],
+) -> impl Iterator<Item = f64> {
+    all.iter().filter(move |pose| from.is_some_and(|from| pose.at >= from)).filter_map(|pose| {
         let frame = sent.binary_search_by_key(&pose.capture, |sent| sent.0).ok()?;
         Some((pose.at - sent[frame].1) as f64 * 1e-6)
     })
+}
+
+/// Processes that wanted a core in the last minute, on average, as Linux tells it.
+fn machine_load() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/loadavg").ok()?;
+    text.split_whitespace().next()?.parse().ok()
 }
 
 fn spread(values: impl Iterator<Item = f64>) -> Option<Spread> {
@@ -324,6 +338,7 @@ impl Figures {
             row("publishing from it, by the node", spread(self.publish_deviation_ms)),
             row("live pose after last message", spread(self.live_ms)),
             row("live poses", self.live_poses.to_string()),
+            row("load of the machine", number(self.machine_load, "processes")),
             row("cpu of the node", number(self.cpu_percent, "% of one core")),
             row("memory of the node", self.memory.map_or_else(none, Memory::text)),
             row(

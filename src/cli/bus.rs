@@ -31,21 +31,28 @@ pub(super) struct BusArguments {
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum BusName {
+pub(super) enum BusName {
     /// A network.
     Zenoh,
     /// The shared memory of this host.
     Iceoryx2,
 }
 
+impl BusName {
+    pub(super) const fn kind(self) -> Kind {
+        match self {
+            Self::Zenoh => Kind::Zenoh,
+            Self::Iceoryx2 => Kind::Iceoryx2,
+        }
+    }
+}
+
 impl BusArguments {
     /// The settings, with what the arguments put in their place.
     pub(super) fn settings(&self) -> Result<Config, Failure> {
         let mut config = self.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
-        match self.bus {
-            Some(BusName::Zenoh) => config.bus.kind = Kind::Zenoh,
-            Some(BusName::Iceoryx2) => config.bus.kind = Kind::Iceoryx2,
-            None => {}
+        if let Some(bus) = self.bus {
+            config.bus.kind = bus.kind();
         }
         if !self.connect.is_empty() {
             config.bus.zenoh.connect.clone_from(&self.connect);

@@ -5,12 +5,13 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use crossbeam_channel::{Receiver, after, bounded, never, select};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::{Handle, Signals};
 
 use super::Ended;
+use super::bus::BusName;
 use super::failure::{Exit, Failure};
 use super::solve::decoder;
 use crate::bus::{self, Kind};
@@ -55,24 +56,6 @@ pub(super) struct Arguments {
     /// End after so many seconds.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     seconds: Option<f64>,
-}
-
-/// A bus between processes.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(super) enum BusName {
-    /// A network.
-    Zenoh,
-    /// The shared memory of this host.
-    Iceoryx2,
-}
-
-impl BusName {
-    pub(super) const fn kind(self) -> Kind {
-        match self {
-            Self::Zenoh => Kind::Zenoh,
-            Self::Iceoryx2 => Kind::Iceoryx2,
-        }
-    }
 }
 
 impl From<NodeError> for Failure {

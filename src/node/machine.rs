@@ -10,12 +10,12 @@ use super::board::Board;
 use super::core::{Core, Input, Output, Publication};
 use super::error::NodeError;
 use super::log::EventLog;
-use super::outlet::{self, Outlet};
+use super::outlet::Outlet;
 use super::playout::Playout;
 use super::queue::{Intake, Message};
 use super::wall::WallClock;
 use crate::bus::Sample;
-use crate::msg::{Event, Rig, Schema, Status, decode};
+use crate::msg::{Event, Rig, Schema, Status, decode, media_type};
 use crate::time::Timestamp;
 use crate::track::{Job, Solution};
 
@@ -160,7 +160,7 @@ impl Machine {
             self.board.set_rig(Sample {
                 topic: self.rig_topic.as_str().into(),
                 capture: Timestamp::default(),
-                encoding: outlet::encoding(Rig::FULL_NAME).into(),
+                encoding: media_type(Rig::FULL_NAME).into(),
                 payload: payload.into(),
             });
         }

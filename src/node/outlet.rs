@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::core::Publication;
 use crate::bus::{Bus, BusError, Publisher};
+use crate::msg::media_type;
 use crate::time::Timestamp;
 
 /// How long a topic that could not be opened is left alone, and how long failures are gathered into
@@ -40,7 +41,8 @@ impl Outlet {
     /// # Errors
     /// When the bus does not take the topic.
     pub(super) fn open(&mut self, topic: &str, schema: &str) -> Result<(), BusError> {
-        let line = Line::Open { publisher: self.bus.publisher(topic)?, encoding: encoding(schema) };
+        let line =
+            Line::Open { publisher: self.bus.publisher(topic)?, encoding: media_type(schema) };
         self.lines.insert(topic.into(), line);
         Ok(())
     }
@@ -87,11 +89,6 @@ impl Outlet {
         tracing::warn!(topic, messages = self.unsaid, "cannot publish: {error}");
         self.unsaid = 0;
     }
-}
-
-/// The encoding of a message of that schema.
-pub(super) fn encoding(schema: &str) -> String {
-    format!("application/protobuf;{schema}")
 }
 
 #[cfg(test)]
