@@ -20,6 +20,7 @@ use std::time::Duration;
 use crate::time::Timestamp;
 
 mod config;
+mod frame;
 mod iceoryx2;
 mod memory;
 mod name;

@@ -7,7 +7,8 @@
 //! | late joiners | nothing | the last samples, from the publisher's cache |
 //!
 //! States are not sent with congestion control *block*: one stalled receiver would hold up the
-//! node, and with it everybody's poses, for seconds. They carry sequence numbers, gaps are seen
+//! node, and with it everybody's poses, for seconds. (With *drop*, a stopped receiver was measured to
+//! cost one put 20 ms, and the others nothing.) They carry sequence numbers, gaps are seen
 //! (at the latest by a heartbeat) and filled from the cache.
 //!
 //! On the wire a sample is a zenoh sample: payload, encoding, and as attachment the capture time,
