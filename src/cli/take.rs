@@ -261,7 +261,7 @@ pub(super) mod tests {
     use crate::synth::ring_rig;
 
     /// Capture time of frame 0, ns.
-    pub(in crate::cli) const START: i64 = 7_000_000_000;
+    const START: i64 = 7_000_000_000;
     /// Frame period, ns.
     pub(in crate::cli) const PERIOD: i64 = 10_000_000;
 

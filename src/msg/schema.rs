@@ -119,6 +119,7 @@ mod tests {
             Event::full_name(),
             Status::full_name(),
             Journal::full_name(),
+            RetargetedPose::full_name(),
         ];
         assert_eq!(names.collect::<Vec<_>>(), ours);
         assert_eq!(descriptor(&Pose::full_name()), Some(Pose::DESCRIPTOR));
@@ -137,7 +138,7 @@ mod tests {
         assert_eq!(of(&topics.truth_skeleton(), ""), Some(Skeleton::full_name()));
         assert_eq!(of(&topics.rig(), "application/json"), None);
         assert_eq!(of(&topics.rig(), "application/protobuf;others.Rig"), None);
-        assert_eq!(of(&topics.retargeted("robot"), ""), None);
+        assert_eq!(of(&topics.retargeted("robot"), ""), Some(RetargetedPose::full_name()));
         assert_eq!(of("rig", ""), None);
     }
 }

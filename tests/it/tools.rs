@@ -272,6 +272,12 @@ fn keyframes_alone_give_the_poses_that_were_solved() {
     let output = run("decode keyframes.mcap --out again.mcap");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 
+    let other = keyframes_of_other_weights(&entries);
+    std::fs::write(at("other.mcap"), other).unwrap();
+    fails(&run("decode other.mcap --out no.mcap"), 11, "--weights");
+    fails(&run("decode again.mcap --out no.mcap"), 12, "no keyframes");
+    assert!(!at("no.mcap").exists());
+
     let (solved, again) = (poses(&at("out/poses.mcap")), poses(&at("again.mcap")));
     assert!(solved.len() > 200);
     let mut different = 0;
@@ -280,4 +286,17 @@ fn keyframes_alone_give_the_poses_that_were_solved() {
     }
     assert_eq!(different, 0, "of {}", solved.len());
     assert_eq!(again.len(), solved.len());
+}
+
+/// A recording of the first keyframe, as if solved with other weights.
+fn keyframes_of_other_weights(entries: &[RawEntry]) -> Vec<u8> {
+    let first = entries.iter().find(|entry| entry.topic.ends_with("keyframe")).unwrap();
+    let mut keyframe: msg::Keyframe = msg::decode(&first.payload).unwrap();
+    keyframe.weights = "0123456789abcdef".into();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("other.mcap");
+    let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
+    writer.write_raw(&RawEntry { payload: encode(&keyframe), ..first.clone() }).unwrap();
+    writer.finish().unwrap();
+    std::fs::read(path).unwrap()
 }
