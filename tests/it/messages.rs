@@ -187,7 +187,9 @@ fn a_keyframe_and_a_skeleton_round_trip() {
     assert_eq!((back.keyframe.z, back.shape), (keyframe().keyframe.z, keyframe().shape));
     assert_eq!((back.capture, back.window), (keyframe().capture, keyframe().window));
     let turned = back.keyframe.root_rotation - keyframe().keyframe.root_rotation;
-    assert!(turned.amax() < 1e-14);
+    assert!(turned.amax() < 1e-12);
+    let settled = back.keyframe.clone().settled();
+    assert_eq!(settled, back.keyframe);
     assert_eq!(through_bytes(&Skeleton::from_core(&skeleton())).to_core().unwrap(), skeleton());
 }
 
@@ -356,6 +358,10 @@ fn what_makes_no_sense_is_refused_by_message_and_field() {
     Rig.cameras.lens: camera right has the unknown lens 9
     Rig.cameras: camera right: the intrinsic matrix is singular or no pinhole matrix (fx 0, fy 910, determinant 0); it must be [fx s cx; 0 fy cy; 0 0 1] with positive fx and fy in pixels
     Event.kind: is empty
+    RetargetedPose.state: unknown state 7
+    RetargetedPose.hips: 2 is none of the 2 joints
+    RetargetedPose.local_rotations: 7 entries, expected 8
+    RetargetedPose.local_rotations: quaternion 0 has no direction
     Pose: not a message of this schema: failed to decode Protobuf message: Pose.capture_time_ns: invalid wire type: LengthDelimited (expected Varint)
     "#);
 }
