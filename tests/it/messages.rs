@@ -187,7 +187,9 @@ fn a_keyframe_and_a_skeleton_round_trip() {
     assert_eq!((back.keyframe.z, back.shape), (keyframe().keyframe.z, keyframe().shape));
     assert_eq!((back.capture, back.window), (keyframe().capture, keyframe().window));
     let turned = back.keyframe.root_rotation - keyframe().keyframe.root_rotation;
-    assert!(turned.amax() < 1e-14);
+    assert!(turned.amax() < 1e-12);
+    let settled = back.keyframe.clone().settled();
+    assert_eq!(settled, back.keyframe);
     assert_eq!(through_bytes(&Skeleton::from_core(&skeleton())).to_core().unwrap(), skeleton());
 }
 
