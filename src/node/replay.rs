@@ -4,7 +4,7 @@
 //! found by topic and hash. Jobs are solved when the journal says that their answer came, so the
 //! same outputs must follow, byte for byte, on a machine of the same instruction set.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use super::core::{Core, Input, Output, Settings};
@@ -89,7 +89,7 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    fn of(recorded: &[&[u8]], replayed: &[Vec<u8>]) -> Self {
+    fn of(recorded: &[&[u8]], replayed: &[&[u8]]) -> Self {
         let pairs = || recorded.iter().zip(replayed);
         Self {
             recorded: recorded.len(),
@@ -259,17 +259,15 @@ fn compare(
         true => decode::<Status>(&message.payload).is_ok_and(|status| status.inputs == 0),
         false => message.time < begin,
     };
-    let mut by_topic: BTreeMap<&str, (VecDeque<&[u8]>, Vec<Vec<u8>>)> = BTreeMap::new();
+    let mut by_topic: BTreeMap<&str, [Vec<&[u8]>; 2]> = BTreeMap::new();
     for message in replayed.iter().filter(|message| *message.topic != *topics.rig()) {
-        by_topic.entry(&message.topic).or_default().1.push(message.payload.clone());
+        by_topic.entry(&message.topic).or_default()[1].push(&message.payload);
     }
     for message in recorded.iter().filter(|message| !is_early(message)) {
-        if let Some((messages, _)) = by_topic.get_mut(&*message.topic) {
-            messages.push_back(&message.payload);
+        if let Some([messages, _]) = by_topic.get_mut(&*message.topic) {
+            messages.push(&message.payload);
         }
     }
-    let compared = by_topic.into_iter().map(|(topic, (mut recorded, replayed))| {
-        (topic.to_owned(), Comparison::of(recorded.make_contiguous(), &replayed))
-    });
-    compared.collect()
+    let compare = |[recorded, replayed]: [Vec<&[u8]>; 2]| Comparison::of(&recorded, &replayed);
+    by_topic.into_iter().map(|(topic, sides)| (topic.to_owned(), compare(sides))).collect()
 }

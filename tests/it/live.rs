@@ -427,7 +427,8 @@ fn states_follow_the_performer() {
         let pose = poses.into_iter().find(|(_, pose)| pose.capture_time_ns >= capture);
         pose.unwrap().1.state()
     };
-    assert_eq!(state(3.1), TrackingState::Coasting);
+    // The window in which the performer goes is fitted to what is left.
+    assert_eq!(state(3.3), TrackingState::Coasting);
     assert_eq!(state(4.0), TrackingState::Lost);
     // Frame 300 shows the performer again: 5.0 s, and there it is tracked.
     assert_eq!(state(4.97), TrackingState::Lost);
