@@ -17,7 +17,7 @@ use super::solve::decoder;
 use crate::bus::{self, Kind};
 use crate::config::Config;
 use crate::msg::Status;
-use crate::node::{Core, Node, NodeError, Running, Settings, log};
+use crate::node::{Core, Node, NodeError, Running, Settings, SolverCore, log};
 use crate::track::Solver;
 
 /// Run the live node: keypoints from the bus in, poses at a fixed latency out.
@@ -79,6 +79,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     // Before anything is opened, so that a signal never leaves something half open.
     let (signals, _watch) = watch_signals()?;
 
+    // Before the bus starts its threads, so that they keep off it, too.
+    let solver_core = config.node.solver_core.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
     let solver = Solver::new(decoder, config.track);
     let core = Core::new(Settings {
@@ -87,7 +89,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         toml: config.to_toml(),
         weights,
     });
-    let running = Node::start(bus, core, solver, &config.node)?;
+    let running = Node::start(bus, core, solver, &config.node, solver_core)?;
     say_hello(&config, &running);
     let why = wait(&signals, running.over(), seconds);
     tracing::info!("ending: {why}");

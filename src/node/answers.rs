@@ -27,9 +27,11 @@ impl Core {
 
     /// Declares the latency, and judges the effort, after a window was solved.
     fn settle(&mut self) {
-        let Some(span) = self.track.as_ref().map(track::Track::span) else { return };
+        let Some(track) = &self.track else { return };
+        let period = track.output_grid().map_or(0, |grid| grid.period_ns as i64);
+        let wait = track.span() - period;
         let delay = self.clock.delay_p999();
-        if let Some((latency, why)) = self.latency.solved(self.took_ns, span, delay) {
+        if let Some((latency, why)) = self.latency.solved(self.took_ns, wait, delay) {
             self.tell(track::Input::Latency(latency));
             self.event(EventKind::Latency, None, why);
             return;

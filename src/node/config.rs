@@ -23,6 +23,8 @@ pub struct Config {
     pub output_rate_hz: f64,
     /// Whether provisional poses of the open window are solved and published.
     pub live: bool,
+    /// Whether the solver has a processor core of its own, so that poses leave on time.
+    pub solver_core: bool,
     /// Messages that wait for the machine at most; beyond, the oldest are dropped.
     pub queue: usize,
     /// Address of a Prometheus endpoint, such as 127.0.0.1:9464; empty: none.
@@ -39,6 +41,7 @@ impl Default for Config {
             latency_ms: 0.0,
             output_rate_hz: 0.0,
             live: true,
+            solver_core: true,
             queue: 4096,
             prometheus: String::new(),
         }

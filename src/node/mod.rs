@@ -10,6 +10,7 @@ mod cameras;
 mod clock;
 mod config;
 mod core;
+mod cores;
 mod error;
 mod events;
 mod governor;
@@ -31,6 +32,7 @@ mod wall;
 
 pub use config::Config;
 pub use core::{Core, Input, Output, Publication, Settings};
+pub use cores::SolverCore;
 pub use error::NodeError;
 pub use journal::{hash, platform};
 pub use playout::{Deviations, Schedule};

@@ -94,7 +94,7 @@ impl Comparison {
         Self {
             recorded: recorded.len(),
             replayed: replayed.len(),
-            equal: pairs().filter(|(a, b)| *a == b).count(),
+            equal: pairs().filter(|(a, b)| a == b).count(),
             differs_at: pairs().position(|(a, b)| a != b),
         }
     }

@@ -10,6 +10,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded, never};
 use super::board::Board;
 use super::config::Config;
 use super::core::Core;
+use super::cores::SolverCore;
 use super::error::NodeError;
 use super::machine::{Answer, Inbox, Machine, Progress};
 use super::metrics::Endpoint;
@@ -45,7 +46,8 @@ pub struct Running {
 }
 
 impl Node {
-    /// Starts the threads and listens to the bus. `config` is that of the core.
+    /// Starts the threads and listens to the bus. `config` is that of the core; the solver moves to
+    /// `solver_core` if there is one.
     ///
     /// # Errors
     /// A bus that does not take the topics, a calibration file that cannot be used, an address
@@ -55,6 +57,7 @@ impl Node {
         core: Core,
         solver: Solver,
         config: &Config,
+        solver_core: Option<SolverCore>,
     ) -> Result<Running, NodeError> {
         let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
         let (clock, board) = (WallClock::start(), Arc::<Board>::default());
@@ -72,7 +75,7 @@ impl Node {
         };
         let playout = Arc::<Playout>::default();
         let played = start_playout(&bus, &topics, clock, &playout, &board, &mut threads)?;
-        let (jobs, answers) = start_solver(solver, &mut threads)?;
+        let (jobs, answers) = start_solver(solver, solver_core, &mut threads)?;
 
         let (stop, stopped) = bounded(1);
         let machine = Machine {
@@ -209,11 +212,15 @@ fn start_playout(
 /// The thread that solves one job at a time.
 fn start_solver(
     mut solver: Solver,
+    core: Option<SolverCore>,
     threads: &mut Vec<(&'static str, JoinHandle<()>)>,
 ) -> Result<(Sender<Box<Job>>, Receiver<Answer>), NodeError> {
     let (jobs, work) = bounded::<Box<Job>>(1);
     let (sender, answers) = bounded(1);
     let solve = move || {
+        if let Some(core) = core {
+            core.enter();
+        }
         for job in work {
             let begin = Instant::now();
             let solution = Box::new(solver.solve(&job));

@@ -81,10 +81,9 @@ impl Track {
         };
         let times: Vec<Timestamp> =
             self.output_grid().iter().flat_map(|g| g.between(window.start, window.end)).collect();
-        // Unless it is a window of a backlog, this is the newest pose.
-        let is_newest = self.intake.newest().is_none_or(|at| at - window.end < self.span() / 2);
-        let is_newest = is_newest && state == TrackingState::Tracking;
-        if let Some(pose) = tracked.poses.last().filter(|_| is_newest) {
+        let is_given = self.newest.as_ref().is_some_and(|(at, _)| *at == window.end);
+        let is_wanted = state == TrackingState::Tracking && self.is_newest(window.end) && !is_given;
+        if let Some(pose) = tracked.poses.last().filter(|_| is_wanted) {
             self.give_live(window.end, pose, state);
         }
         for (capture, pose) in times.into_iter().zip(&tracked.poses) {

@@ -69,6 +69,8 @@ pub enum Task {
         from: Box<Keyframe>,
         /// The keyframe one window earlier, to extrapolate from.
         before: Option<Box<Keyframe>>,
+        /// The provisional keyframe at its end, to start from.
+        live: Option<Box<Keyframe>>,
         /// The body.
         skeleton: Arc<Skeleton>,
         /// Windows in a row, before this one, in which too little was seen.

@@ -169,6 +169,8 @@ pub struct Track {
     pub(super) now: Option<Timestamp>,
     pub(super) ended: bool,
     pub(super) out: Option<Out>,
+    /// Whether the open window is complete and its last provisional fit is out.
+    is_closing: bool,
     jobs: u64,
     pub(super) window: u64,
     /// The last provisional keyframe of the open window.
@@ -199,6 +201,7 @@ impl Track {
             now: None,
             ended: false,
             out: None,
+            is_closing: false,
             jobs: 0,
             window: 0,
             newest: None,
@@ -331,12 +334,23 @@ impl Track {
             return;
         }
         let Some(window) = self.open_window() else { return };
-        if self.is_complete(window.end) {
-            self.start = Some(window.start);
-            self.send(window);
-        } else {
-            self.send_live(window);
+        if !self.is_closing && !self.is_complete(window.end) {
+            if let Some(end) = self.reach() {
+                self.send_live(window, end);
+            }
+            return;
         }
+        self.start = Some(window.start);
+        // The newest pose first: the window's own solve takes longer.
+        self.is_closing = self.is_newest(window.end) && self.send_live(window, window.end);
+        if !self.is_closing {
+            self.send(window);
+        }
+    }
+
+    /// Whether the cameras are not much further: the window is none of a backlog.
+    pub(super) fn is_newest(&self, end: Timestamp) -> bool {
+        self.intake.newest().is_none_or(|at| at - end < self.span() / 2)
     }
 
     /// The window that is gathered, and its frame grid.
@@ -452,30 +466,34 @@ impl Track {
                 let Some(skeleton) = self.skeleton.clone() else { return };
                 self.intake.refuse(window.end + self.tolerance());
                 let (from, before, coasted) = (from.clone(), before.clone(), *coasted);
-                Task::Track { from, before, skeleton, coasted }
+                let live = self.newest.clone().filter(|(at, _)| *at == window.end);
+                let live = live.map(|(_, keyframe)| keyframe);
+                Task::Track { from, before, live, skeleton, coasted }
             }
         };
         self.send_job(window, task);
     }
 
-    /// Sends a fit of the open window up to its newest frame set, if that is a new one.
-    fn send_live(&mut self, window: Window) {
-        let Phase::Tracking { from, before, coasted: 0 } = &self.phase else { return };
-        let Some(skeleton) = self.skeleton.clone() else { return };
+    /// Sends a fit of the window up to the last frame set that is complete at `reach`, if that is a
+    /// new one; whether it did.
+    fn send_live(&mut self, window: Window, reach: Timestamp) -> bool {
+        let Phase::Tracking { from, before, coasted: 0 } = &self.phase else { return false };
+        let (Some(skeleton), Some(grid)) = (self.skeleton.clone(), self.frames) else {
+            return false;
+        };
         if self.effort.live_iterations == 0 || !self.live.is_some_and(|live| live.provisional) {
-            return;
+            return false;
         }
-        let (Some(grid), Some(reach)) = (self.frames, self.reach()) else { return };
         let k = grid.at_or_before(reach + self.tolerance());
-        let end = grid.time(k);
+        let end = grid.time(k).min(window.end);
         let last = self.newest.as_ref().map_or(window.start, |(at, _)| *at);
         let from_start = k - grid.nearest(window.start);
-        if end <= last || end >= window.end || from_start % self.effort.stride.max(1) as i64 != 0 {
-            return;
+        if end <= last || from_start % self.effort.stride.max(1) as i64 != 0 {
+            return false;
         }
         let (from, before, last) = (from.clone(), before.clone(), self.newest.clone());
         let task = Task::Live { from, before, last, skeleton };
-        self.send_job(Window { start: window.start, end }, task);
+        self.send_job(Window { start: window.start, end }, task)
     }
 
     /// How far the frame sets are complete: all cameras that are waited for have come so far, or
@@ -487,8 +505,9 @@ impl Track {
         complete.max(moved_on)
     }
 
-    fn send_job(&mut self, window: Window, task: Task) {
-        let Some(format) = self.intake.format() else { return };
+    /// Whether a job went out: there must have been a frame, ever.
+    fn send_job(&mut self, window: Window, task: Task) -> bool {
+        let Some(format) = self.intake.format() else { return false };
         let number = self.jobs;
         self.jobs += 1;
         self.out = Some(Out { number, window });
@@ -507,6 +526,7 @@ impl Track {
             effort: self.effort,
             task,
         })));
+        true
     }
 
     pub(super) fn close(&mut self, end: Timestamp) {

@@ -19,6 +19,17 @@ const MIN_VIEW: usize = 4;
 /// How far the last motion is carried on when the performer is hidden, in windows; then it stands.
 const CARRY_ON: f64 = 0.5;
 
+/// What a window's solve can start from.
+#[derive(Clone, Copy)]
+struct Starts<'a> {
+    /// The keyframe at its start.
+    from: &'a Keyframe,
+    /// The one a window earlier.
+    before: Option<&'a Keyframe>,
+    /// A provisional one at its end.
+    live: Option<&'a Keyframe>,
+}
+
 /// Solves jobs. Pure but for its memory: the same job always gives the same solution.
 pub struct Solver {
     decoder: Decoder,
@@ -44,8 +55,9 @@ impl Solver {
         let points = fitted_points(job.format);
         let outcome = match &job.task {
             Task::Acquire { skeleton } => self.acquire(job, &points, skeleton.as_ref()),
-            Task::Track { from, before, skeleton, coasted } => {
-                self.track(job, &points, from, before.as_deref(), skeleton, *coasted)
+            Task::Track { from, before, live, skeleton, coasted } => {
+                let starts = Starts { from, before: before.as_deref(), live: live.as_deref() };
+                self.track(job, &points, starts, skeleton, *coasted)
             }
             Task::Live { from, before, last, skeleton } => {
                 self.live(job, &points, from, before.as_deref(), last.as_ref(), skeleton)
@@ -151,8 +163,7 @@ impl Solver {
         &mut self,
         job: &Job,
         points: &[BodyPoint],
-        from: &Keyframe,
-        before: Option<&Keyframe>,
+        Starts { from, before, live }: Starts,
         skeleton: &Arc<Skeleton>,
         coasted: usize,
     ) -> Outcome {
@@ -169,19 +180,21 @@ impl Solver {
         let knots = vec![fixed, start];
         let mut problem = PathProblem::new(scene, knots, skeleton, false, &moments, &mut self.work);
         let mut x = problem.start();
-        if let Some(before) = before {
-            let interpolation = self.config.cost.interpolation;
-            let onward = interpolation.keyframe(before, from, 2.0);
-            let mut candidate = problem.start_at(&onward);
-            candidate[..from.z.len()].copy_from_slice(&from.z);
+        let interpolation = self.config.cost.interpolation;
+        let onward = before
+            .map(|before| Keyframe { z: from.z, ..interpolation.keyframe(before, from, 2.0) });
+        for start in onward.iter().chain(live) {
+            let candidate = problem.start_at(start);
             if problem.cost(&candidate) < problem.cost(&x) {
                 x = candidate;
             }
         }
-        // A fast limb can be further from the last keyframe than the loss reaches.
-        problem.set_scale(scene.config.scale_px * self.config.loose_scale);
-        self.optimiser.minimise(&mut problem, &mut x, job.effort.loose_iterations);
-        problem.set_scale(scene.config.scale_px);
+        if live.is_none() {
+            // A fast limb can be further from the last keyframe than the loss reaches.
+            problem.set_scale(scene.config.scale_px * self.config.loose_scale);
+            self.optimiser.minimise(&mut problem, &mut x, job.effort.loose_iterations);
+            problem.set_scale(scene.config.scale_px);
+        }
         let summary = self.optimiser.minimise(&mut problem, &mut x, job.effort.iterations);
         let (keyframes, _) = problem.solution(&x);
         let keyframe = keyframes.into_iter().next_back().unwrap_or_else(|| from.clone()).settled();

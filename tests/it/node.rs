@@ -57,7 +57,7 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
         weights: format!("{:016x}", decoder.fingerprint()),
     };
     let core = Core::new(settings);
-    Node::start(Arc::new(bus.clone()), core, Solver::new(decoder, track), config)
+    Node::start(Arc::new(bus.clone()), core, Solver::new(decoder, track), config, None)
 }
 
 impl Studio {

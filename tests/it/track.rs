@@ -150,6 +150,7 @@ fn windows_follow_a_manifold_motion_exactly() {
                 task: Task::Track {
                     from: Box::new(from),
                     before: None,
+                    live: None,
                     skeleton: Arc::clone(&skeleton),
                     coasted: 0,
                 },
