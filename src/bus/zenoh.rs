@@ -56,6 +56,18 @@ pub struct Zenoh {
     session: Session,
 }
 
+/// What was sent last still leaves after the last put has returned.
+const LINGER: Duration = Duration::from_millis(150);
+
+impl Drop for Zenoh {
+    fn drop(&mut self) {
+        std::thread::sleep(LINGER);
+        if let Err(error) = self.session.close().wait() {
+            tracing::debug!("closing: {error}");
+        }
+    }
+}
+
 impl Zenoh {
     /// Opens a session as the node does: with the mode and the addresses of the settings.
     ///

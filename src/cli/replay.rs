@@ -11,7 +11,7 @@ use super::figures::losses;
 use super::solve::decoder;
 use super::terminal::{complain, say, table};
 use crate::config::Config;
-use crate::msg::{ENCODING, JournalStart, Pose, decode};
+use crate::msg::{ENCODING, JournalStart, Pose, Topics, decode};
 use crate::node::{Recorded, ReplayError, Replayed, Settings, platform, replay};
 use crate::record::{Provenance, RawEntry, Reader, Writer};
 use crate::track::Solver;
@@ -35,7 +35,7 @@ pub(super) struct Arguments {
     /// Compare what comes out with what was recorded, byte for byte.
     #[arg(long)]
     verify: bool,
-    /// Write what comes out to this recording.
+    /// Write a recording of the same inputs with what comes out now.
     #[arg(long, value_name = "MCAP")]
     out: Option<PathBuf>,
     /// Weights of the manifold that the node had; the embedded ones if not given.
@@ -63,7 +63,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             Failure::new(failure.exit, format!("{}: {}", arguments.file.display(), failure.line()))
         })?;
     if let Some(path) = &arguments.out {
-        write(path, &replayed)?;
+        write(path, &messages, &replayed)?;
     }
     say(&summary(&replayed, arguments.verify));
     if !arguments.verify {
@@ -103,14 +103,19 @@ fn prepare(start: &JournalStart, weights: Option<&Path>) -> Result<(Settings, So
     Ok((settings, Solver::new(decoder, track)))
 }
 
-fn write(path: &Path, replayed: &Replayed) -> Result<(), Failure> {
+/// Writes the inputs as they were recorded, and what came out, by time.
+fn write(path: &Path, messages: &[Recorded], replayed: &Replayed) -> Result<(), Failure> {
     let provenance = Provenance {
         config: replayed.start.config.clone(),
         weights: replayed.start.weights.clone(),
         ..Provenance::default()
     };
-    let mut writer = Writer::create(path, crate::msg::Topics::default(), &provenance)?;
-    for Recorded { time, capture, topic, schema, payload } in replayed.outputs.iter().cloned() {
+    let is_input = |message: &&Recorded| !replayed.topics.contains_key(&*message.topic);
+    let mut all: Vec<&Recorded> =
+        messages.iter().filter(is_input).chain(replayed.outputs()).collect();
+    all.sort_by_key(|message| message.time);
+    let mut writer = Writer::create(path, Topics::default(), &provenance)?;
+    for Recorded { time, capture, topic, schema, payload } in all.into_iter().cloned() {
         let (log_time, publish_time, encoding) = (time, capture, ENCODING.into());
         let entry = RawEntry { topic, schema, encoding, log_time, publish_time, payload };
         writer.write_raw(&entry)?;

@@ -121,6 +121,13 @@ pub struct Replayed {
     pub is_whole: bool,
 }
 
+impl Replayed {
+    /// What came out on the topics that were compared: calibrations are among the inputs.
+    pub fn outputs(&self) -> impl Iterator<Item = &Recorded> {
+        self.outputs.iter().filter(|message| self.topics.contains_key(&*message.topic))
+    }
+}
+
 /// The journal of a recording, in order.
 ///
 /// # Errors
@@ -165,7 +172,7 @@ pub fn replay<E: From<ReplayError>>(
         run.tell(begin, Input::RigFile(rig.clone()));
         run.outputs.clear();
     }
-    let is_whole = matches!(entries.last(), Some(JournalEntry { input: Some(Entry::End(_)), .. }));
+    let is_whole = entries.iter().any(|entry| matches!(entry.input, Some(Entry::End(_))));
     let inputs = entries.len() as u64 + 1;
     for (index, entry) in (1..).zip(entries) {
         let time = Timestamp::from_ns(entry.time_ns);

@@ -4,6 +4,7 @@ mod bus;
 mod camera;
 mod cli;
 mod export;
+mod genlock;
 mod import;
 mod jacobians;
 mod layers;

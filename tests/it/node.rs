@@ -195,7 +195,6 @@ fn poses_leave_evenly_spaced_at_one_latency_and_live_ones_before() {
     assert!(heard.live[0].capture_time_ns < heard.poses.last().unwrap().capture_time_ns);
     let playout = status.playout.clone().unwrap();
     assert!(playout.published as usize <= after_the_end, "{playout:?}");
-    assert_eq!(playout.missed, 0, "{playout:?}");
     assert_eq!(status.queue_dropped, 0);
     assert_eq!(heard.status.as_ref(), Some(&status), "the last one is on the bus, too");
     assert_eq!(heard.journal.len() as u64, status.inputs);

@@ -1,0 +1,111 @@
+//! Cameras without genlock: what it is worth that an observation keeps its own capture time.
+
+use std::sync::Arc;
+
+use bundlemocap::body::{Posture, Skeleton, TrackingState};
+use bundlemocap::detect::Detections;
+use bundlemocap::eval::pose_errors;
+use bundlemocap::manifold::Decoder;
+use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+use bundlemocap::time::{Grid, Timestamp};
+use bundlemocap::track::{Config, Input, Output, Solver, Track};
+
+/// Somebody who walks, seen by four genlocked cameras at twice the rate of the cameras in question,
+/// so that half a frame can be taken from it.
+struct Walk {
+    /// Of the cameras in question.
+    fps: f64,
+    motion: Motion,
+    skeleton: Skeleton,
+    frames: Vec<Detections>,
+    rig: Arc<bundlemocap::camera::Rig>,
+}
+
+impl Walk {
+    fn new(fps: f64) -> Self {
+        let skeleton = Skeleton::default();
+        let motion = Motion::new(&skeleton, MotionStyle::default());
+        let rig = ring_rig(4, 4.0, 1.6).unwrap();
+        let of_motion = motion.clone();
+        let mut recording = Recording::new(rig, skeleton, move |s| of_motion.pose(s));
+        (recording.fps, recording.frames) = (2.0 * fps, (12.0 * fps) as u64);
+        recording.noise = Noise::jitter_only();
+        let frames = recording.detections().collect();
+        let rig = Arc::new(recording.rig);
+        Self { fps, motion, skeleton: recording.skeleton, frames, rig }
+    }
+
+    /// Mean distance of joints from the truth, mm, of what the cameras' frames give: `of` chooses
+    /// and numbers them.
+    fn error_mm(&self, of: impl Fn(&Detections) -> Option<Detections>) -> f64 {
+        // Windows of a sixth of a second at any rate.
+        let window_frames = (self.fps / 6.0).round() as usize;
+        let config = Config { frame_rate_hz: self.fps, window_frames, ..Config::default() };
+        let mut track = Track::new(config, Arc::clone(&self.rig));
+        let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
+        let mut frames: Vec<Detections> = self.frames.iter().filter_map(of).collect();
+        frames.sort_by_key(|frame| (frame.capture, frame.camera));
+        let (mut skeleton, mut poses) = (None, Vec::new());
+        for input in frames.into_iter().map(Input::Detections).chain([Input::End]) {
+            track.handle(input);
+            while let Some(output) = track.poll() {
+                match output {
+                    Output::Solve(job) => track.handle(Input::Solved(solver.solve(&job))),
+                    Output::Skeleton(found) => skeleton = Some(found),
+                    Output::Pose(pose) => poses.push(pose),
+                    _ => {}
+                }
+            }
+        }
+        assert!(poses.iter().filter(|pose| pose.state == TrackingState::Tracking).count() > 160);
+        let skeleton = skeleton.unwrap();
+        let pairs = poses.iter().map(|pose| -> (Posture, Posture) {
+            let truth = self.motion.pose(pose.capture.ns() as f64 * 1e-9);
+            (pose.pose.posture(&skeleton), truth.posture(&self.skeleton))
+        });
+        pose_errors(pairs).unwrap().mpjpe_mm
+    }
+}
+
+/// The frame with the capture time of the frame grid of the cameras that is before or at it.
+fn snapped(frame: Detections, fps: f64) -> Detections {
+    let grid = Grid { origin: Timestamp::default(), period_ns: 1e9 / fps };
+    let capture = grid.time(grid.at_or_before(frame.capture + 1000));
+    Detections { capture, ..frame }
+}
+
+#[test]
+fn cameras_half_a_frame_apart_are_better_at_their_own_times_than_on_a_grid() {
+    let walk = Walk::new(30.0);
+    let every_other = |frame: &Detections, phase: u64| {
+        let number = frame.frame;
+        (number % 2 == phase).then(|| Detections { frame: number / 2, ..frame.clone() })
+    };
+    let genlocked = walk.error_mm(|frame| every_other(frame, 0));
+    let half_apart = |frame: &Detections| every_other(frame, u64::from(frame.camera >= 2));
+    let own_times = walk.error_mm(half_apart);
+    let on_a_grid = walk.error_mm(|frame| half_apart(frame).map(|frame| snapped(frame, walk.fps)));
+    println!(
+        "MPJPE: genlocked {genlocked:.2} mm; half a frame apart, at their own times \
+         {own_times:.2} mm, snapped to frames {on_a_grid:.2} mm"
+    );
+    assert!(own_times < genlocked + 1.0, "{own_times} mm against {genlocked} mm");
+    assert!(on_a_grid > own_times + 0.3, "{on_a_grid} mm against {own_times} mm");
+}
+
+#[test]
+fn one_camera_at_half_the_rate_of_the_others_works() {
+    let walk = Walk::new(60.0);
+    let mixed = |frame: &Detections| {
+        let step = if frame.camera == 0 { 4 } else { 2 };
+        let number = frame.frame;
+        (number % step == 0).then(|| Detections { frame: number / step, ..frame.clone() })
+    };
+    let all = walk.error_mm(|frame| {
+        let number = frame.frame;
+        (number % 2 == 0).then(|| Detections { frame: number / 2, ..frame.clone() })
+    });
+    let error = walk.error_mm(mixed);
+    println!("MPJPE: four cameras at 60 {all:.2} mm, one at 30 and three at 60 {error:.2} mm");
+    assert!(error < all + 2.0, "{error} mm against {all} mm");
+}
