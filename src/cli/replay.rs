@@ -19,8 +19,8 @@ use crate::track::Solver;
 /// Run the node's machine again on what it was told in a recording.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The recording must hold all that the node was told: begin to record it before the cameras play. Its
-journal says in what order, at what times and with what iteration counts; the settings are in it
+The recording must hold all that the node was told since it started: begin to record before the
+cameras play, and restart the node for another take. Its journal says in what order, at what times and with what iteration counts; the settings are in it
 too. The same build on the same kind of processor gives the same bytes. The recording is held in
 memory.
 
@@ -130,6 +130,10 @@ fn summary(replayed: &Replayed, with_recorded: bool) -> String {
         let mut text = format!("{} replayed", compared.replayed);
         if with_recorded {
             text += &match compared.differs_at {
+                None if compared.unrecorded() > 0 => {
+                    let lost = compared.unrecorded();
+                    format!(", {} recorded, equal; {lost} not recorded", compared.recorded)
+                }
                 None => format!(", {} recorded, equal", compared.recorded),
                 Some(at) => format!(", {} recorded, number {at} differs", compared.recorded),
             };

@@ -38,17 +38,20 @@ pub(super) struct Served {
     pub(super) early: u64,
     /// Messages that make no sense.
     pub(super) unusable: u64,
+    /// Poses that the bus did not take; they are kept for the file all the same.
+    pub(super) unsent: u64,
     /// Messages that came while too many waited.
     pub(super) dropped: u64,
 }
 
 impl fmt::Display for Served {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { published, early, unusable, dropped, .. } = self;
+        let Self { published, early, unusable, unsent, dropped, .. } = self;
         write!(to, "{published} poses retargeted")?;
         let rest = [
             (early, "came before the skeleton"),
             (unusable, "messages could not be used"),
+            (unsent, "could not be published"),
             (dropped, "messages were dropped, this machine is too slow"),
         ];
         for (count, what) in rest.iter().filter(|(count, _)| **count > 0) {
@@ -113,8 +116,16 @@ impl Live {
         let message = figure.message(&wire, retarget.target());
         let encoding = media_type(&RetargetedPose::full_name());
         let capture = Timestamp::from_ns(wire.capture_time_ns);
-        self.publisher.put(capture, &encoding, &encode(&message))?;
-        served.published += 1;
+        match self.publisher.put(capture, &encoding, &encode(&message)) {
+            Ok(()) => served.published += 1,
+            // What was received is still kept for the file.
+            Err(error) => {
+                if served.unsent == 0 {
+                    complain("warning", &format!("a pose is not published: {error}"));
+                }
+                served.unsent += 1;
+            }
+        }
         if keep {
             served.poses.push(KeptPose::from(&stamped));
         }

@@ -11,6 +11,9 @@ const fn at(name: &'static str) -> Field {
     field("Keyframe", name)
 }
 
+/// Poses of one window, at most.
+const MOST_POSES: f64 = 1e5;
+
 /// A keyframe at the end of a window: all that is needed to go on from there, and with the one
 /// before it to decode the poses between.
 #[derive(Clone, Debug, PartialEq)]
@@ -93,11 +96,13 @@ impl Keyframe {
         }
     }
 
-    /// The grid; at most 10,000 poses a second, lest a window has more than anybody can decode.
+    /// The grid; a window with more poses than anybody can decode is refused.
     fn grid(&self) -> Result<Grid, DecodeError> {
         let period_ns = self.grid_period_ns;
-        if !(1e5..=1e18).contains(&period_ns) {
-            return Err(at("grid_period_ns").invalid(format!("is {period_ns}, below 1e5 or huge")));
+        let span = self.capture_time_ns.saturating_sub(self.start_time_ns) as f64;
+        if !(1e5..=1e18).contains(&period_ns) || span / period_ns > MOST_POSES {
+            let reason = format!("is {period_ns}, which is no period of a window of {span} ns");
+            return Err(at("grid_period_ns").invalid(reason));
         }
         Ok(Grid { origin: Timestamp::from_ns(self.grid_origin_ns), period_ns })
     }

@@ -46,6 +46,19 @@ impl Topics {
         format!("mocap/{}/actor/{}/journal", self.stage, self.actor)
     }
 
+    /// All that a node publishes of its own.
+    pub fn outputs(&self) -> [String; 7] {
+        [
+            self.pose(),
+            self.live(),
+            self.keyframe(),
+            self.skeleton(),
+            self.events(),
+            self.status(),
+            self.journal(),
+        ]
+    }
+
     /// Everything of the stage, as a pattern.
     pub fn all(&self) -> String {
         format!("mocap/{}/**", self.stage)

@@ -30,7 +30,7 @@ impl Core {
         let Some(track) = &self.track else { return };
         let period = track.output_grid().map_or(0, |grid| grid.period_ns as i64);
         let wait = track.span() - period;
-        let delay = self.clock.delay_p999();
+        let delay = if self.latency.declared_ns().is_none() { self.clock.delay_p999() } else { 0 };
         if let Some((latency, why)) = self.latency.solved(self.took_ns, wait, delay) {
             self.tell(track::Input::Latency(latency));
             self.event(EventKind::Latency, None, why);

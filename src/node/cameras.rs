@@ -74,6 +74,9 @@ impl Camera {
 
     /// A second has passed.
     pub(super) fn second(&mut self, passed_ns: i64) {
+        if self.last.is_none() {
+            return;
+        }
         let rate = self.recent as f64 * SECOND / passed_ns.max(1) as f64;
         let last = self.rate.unwrap_or(rate);
         self.rate = Some(last + RATE_WEIGHT * (rate - last));

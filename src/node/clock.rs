@@ -195,6 +195,13 @@ impl Clock {
         sorted.get(index.saturating_sub(1)).copied().unwrap_or(0).max(0)
     }
 
+    /// How long after its capture a frame of the slowest camera comes at least, ns.
+    pub(super) fn usual_delay(&self) -> i64 {
+        let last = |camera: &Camera| camera.smallest.back().map(|(_, offset)| *offset);
+        let slowest = self.cameras.iter().filter_map(last).max();
+        slowest.map_or(0, |offset| (offset - self.base.unwrap_or(0)).max(0))
+    }
+
     /// Offset of a camera's clock from the node's, seconds, and drift, parts in a million.
     pub(super) fn offset(&self, camera: usize, now: Timestamp) -> Option<(f64, f64)> {
         let (offset, drift) = self.cameras.get(camera)?.line(now)?;

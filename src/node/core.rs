@@ -161,8 +161,7 @@ impl Core {
         let is_idle = self.journal.count == 0;
         self.journal.note(self.now, &input, || journal::start(settings, rig));
         if is_idle && self.journal.count > 0 {
-            // From here on a replay goes the same way.
-            self.next_second = Some(self.now + SECOND);
+            self.begin_anew();
         }
         // What comes after the end, such as the last answer, belongs into the journal, too.
         self.ended |= matches!(input, Input::End);
@@ -241,6 +240,17 @@ impl Core {
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
         self.track = Some(Track::new(self.settings.track, rig).live(live));
         self.event(EventKind::Calibrated, None, detail);
+    }
+
+    /// From here on a replay goes the same way: it knows only the calibration from a file.
+    fn begin_anew(&mut self) {
+        self.next_second = Some(self.now + SECOND);
+        let Some(rig) = self.rig_at_start.clone() else { return };
+        (self.calibration, self.track) = (None, None);
+        (self.cameras, self.events) = (Vec::new(), Events::default());
+        let outputs = self.outputs.len();
+        self.calibrate(&rig);
+        self.outputs.truncate(outputs);
     }
 
     fn dropped(&mut self, count: u64) {
@@ -367,7 +377,9 @@ impl Core {
 
     fn wake(&mut self) {
         let track = self.track.as_ref().and_then(Track::wake);
-        let next = track.map(|capture| self.clock.node_time(capture)).into_iter();
+        // One that is past waits for something else than time.
+        let next = track.map(|capture| self.clock.node_time(capture)).filter(|at| *at > self.now);
+        let next = next.into_iter();
         let Some(at) = next.chain(self.next_second).min() else { return };
         if self.wake != Some(at) {
             self.wake = Some(at);

@@ -9,6 +9,9 @@ use crate::track::EventKind;
 /// Events of one kind and camera that are published one by one in a second; more are put together.
 const SINGLE: u64 = 8;
 
+/// Bundles of a second; beyond, cameras of all names share one for each kind.
+const MOST_BUNDLES: usize = 256;
+
 /// What is put together of one kind and camera.
 #[derive(Clone, Debug, Default)]
 struct Bundle {
@@ -38,7 +41,8 @@ impl Events {
     /// Counts an event; gives it back if it is to be published now.
     pub(super) fn add(&mut self, event: Named) -> Option<msg::Event> {
         *self.counts.entry(event.kind).or_default() += event.count;
-        let bundle = self.bundles.entry((event.kind, event.camera.clone())).or_default();
+        let camera = event.camera.clone().filter(|_| self.bundles.len() < MOST_BUNDLES);
+        let bundle = self.bundles.entry((event.kind, camera)).or_default();
         let message = msg::Event {
             capture_time_ns: event.capture.ns(),
             kind: event.kind.name().to_owned(),

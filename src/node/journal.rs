@@ -63,7 +63,8 @@ impl Journal {
             Input::Message { topic, payload } => Entry::Message(JournalMessage {
                 topic: topic.to_string(),
                 hash: hash(payload),
-                payload: None,
+                // A recorder that comes later gets the latest calibration only.
+                payload: topic.ends_with("/rig").then(|| payload.clone()),
             }),
             Input::RigFile(payload) => Entry::Message(JournalMessage {
                 topic: String::new(),

@@ -93,7 +93,8 @@ impl Core {
             Arrival::Usual => {}
             Arrival::Jumped(by_ns) => {
                 let by = by_ns as f64 * 1e-9;
-                let detail = format!("frame {} is {by:.1} s older than it should be", frame.frame);
+                let (by, than) = if by < 0.0 { (-by, "ahead of") } else { (by, "behind") };
+                let detail = format!("frame {} is {by:.1} s {than} the clock", frame.frame);
                 return self.event(EventKind::ClockJump, Some(&name), detail);
             }
             Arrival::NewClock => {
@@ -109,6 +110,7 @@ impl Core {
         if self.arrivals.len() > MOST_ARRIVALS {
             self.arrivals.pop_front();
         }
+        self.tell(track::Input::Delay(self.clock.usual_delay()));
         self.tell(track::Input::Detections(frame));
     }
 }

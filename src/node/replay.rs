@@ -44,7 +44,10 @@ pub enum ReplayError {
         topic: String,
     },
     /// The beginning is not there.
-    #[error("the journal begins with number {first}; start `bundlemocap record` before `play`")]
+    #[error(
+        "the journal begins with number {first}; start `bundlemocap record` before the cameras, and \
+         restart the node for another take"
+    )]
     Begun {
         /// Number of its first message.
         first: u64,
@@ -82,27 +85,42 @@ pub struct Comparison {
     pub recorded: usize,
     /// Messages that came out.
     pub replayed: usize,
-    /// Those with the same bytes at the same place.
+    /// Those with the same bytes, in the same order.
     pub equal: usize,
-    /// The first place where bytes differ.
+    /// The place of the first recorded message that did not come out.
     pub differs_at: Option<usize>,
 }
 
 impl Comparison {
+    /// Every recorded message must come out, in order; a recording may have lost some of those that
+    /// do, and go on after its journal.
     fn of(recorded: &[&[u8]], replayed: &[&[u8]]) -> Self {
-        let pairs = || recorded.iter().zip(replayed);
-        Self {
-            recorded: recorded.len(),
-            replayed: replayed.len(),
-            equal: pairs().filter(|(a, b)| a == b).count(),
-            differs_at: pairs().position(|(a, b)| a != b),
+        let (mut rest, mut equal) = (replayed, 0);
+        let mut differs_at = None;
+        for (place, message) in recorded.iter().enumerate() {
+            match rest.iter().position(|other| other == message) {
+                Some(at) => {
+                    rest = &rest[at + 1..];
+                    equal += 1;
+                }
+                None if rest.is_empty() && !replayed.is_empty() => break,
+                None => {
+                    differs_at = Some(place);
+                    break;
+                }
+            }
         }
+        Self { recorded: recorded.len(), replayed: replayed.len(), equal, differs_at }
     }
 
-    /// Whether nothing differs; one of the two may be shorter at its end, where the recording or the
-    /// journal stopped.
+    /// Whether nothing differs.
     pub fn agrees(&self) -> bool {
         self.differs_at.is_none()
+    }
+
+    /// Messages that came out and that the recording lost.
+    pub fn unrecorded(&self) -> usize {
+        self.replayed - self.equal
     }
 }
 
@@ -222,7 +240,10 @@ impl<'a> Run<'a> {
 
     fn message(&self, index: u64, message: JournalMessage) -> Result<Input, ReplayError> {
         if let Some(payload) = message.payload {
-            return Ok(Input::RigFile(payload));
+            return Ok(match message.topic.as_str() {
+                "" => Input::RigFile(payload),
+                topic => Input::Message { topic: topic.into(), payload },
+            });
         }
         let key = (message.topic.as_str(), message.hash);
         match self.by_hash.get(&key) {
@@ -270,10 +291,10 @@ fn compare(
     for message in replayed.iter().filter(|message| *message.topic != *topics.rig()) {
         by_topic.entry(&message.topic).or_default()[1].push(&message.payload);
     }
-    for message in recorded.iter().filter(|message| !is_early(message)) {
-        if let Some([messages, _]) = by_topic.get_mut(&*message.topic) {
-            messages.push(&message.payload);
-        }
+    let ours = topics.outputs();
+    let of_ours = |message: &&Recorded| ours.iter().any(|topic| **topic == *message.topic);
+    for message in recorded.iter().filter(of_ours).filter(|message| !is_early(message)) {
+        by_topic.entry(&message.topic).or_default()[0].push(&message.payload);
     }
     let compare = |[recorded, replayed]: [Vec<&[u8]>; 2]| Comparison::of(&recorded, &replayed);
     by_topic.into_iter().map(|(topic, sides)| (topic.to_owned(), compare(sides))).collect()

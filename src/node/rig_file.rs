@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::SystemTime;
 
+use super::journal::hash;
 use crate::import::{ImportError, Up, read_calibration};
 use crate::msg::{Rig, encode};
 
@@ -62,15 +63,14 @@ impl RigFile {
 
     fn read(&self) -> Result<Rig, ImportError> {
         let mut rig = Rig { version: 0, ..Rig::from_core(&read_calibration(&self.path, self.up)?) };
-        rig.version = hash(&encode(&rig));
+        rig.version = version(&encode(&rig));
         Ok(rig)
     }
 }
 
-/// FNV-1a folded to 32 bits, never 0, so that every language's numbers hold it.
-fn hash(bytes: &[u8]) -> u64 {
-    let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
-    let hash = bytes.iter().fold(0xcbf2_9ce4_8422_2325, step);
+/// A hash of 32 bits, never 0, so that every language's numbers hold it.
+fn version(bytes: &[u8]) -> u64 {
+    let hash = hash(bytes);
     ((hash >> 32) ^ (hash & 0xffff_ffff)).max(1)
 }
 

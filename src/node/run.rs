@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded, never};
+use crossbeam_channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bounded, never};
 
 use super::board::Board;
 use super::config::Config;
@@ -245,16 +245,21 @@ fn watch_rig(
     let (sender, rigs) = bounded(1);
     let _ = sender.try_send(first);
     let work = move || {
+        let mut unsent = None;
         while looking.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
             let path = file.path().display().to_string();
             match file.changed() {
                 Ok(None) => {}
                 Ok(Some(rig)) => {
                     tracing::info!(path, "the calibration has changed");
-                    // A machine that is busy for longer is told at the next change.
-                    let _ = sender.send_timeout(rig, LOOK);
+                    unsent = Some(rig);
                 }
                 Err(error) => tracing::warn!("the calibration before is kept: {error}"),
+            }
+            if let Some(rig) = unsent.take()
+                && let Err(SendTimeoutError::Timeout(rig)) = sender.send_timeout(rig, LOOK)
+            {
+                unsent = Some(rig);
             }
         }
     };

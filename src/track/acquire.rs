@@ -15,6 +15,8 @@ use crate::time::Timestamp;
 
 /// A person needs this many points to be looked at.
 const MIN_POINTS: usize = 6;
+/// People of a view that are tried.
+const MOST_PEOPLE: usize = 8;
 /// Hips to shoulders of a person, metres; outside, the views do not belong together.
 const TRUNK_LENGTH: std::ops::Range<f64> = 0.25..0.85;
 /// How much looser the loss is in the first stage, and how much stronger the prior.
@@ -81,11 +83,8 @@ pub(super) fn sight(
     points: &[BodyPoint],
     config: &Config,
 ) -> Option<Sighting> {
-    let candidates: Vec<Candidate> = frames
-        .iter()
-        .flat_map(|frame| frame.people.iter().map(|person| (frame.camera, person)))
-        .filter_map(|(camera, person)| Candidate::of(camera, person, points, config))
-        .collect();
+    let candidates: Vec<Candidate> =
+        frames.iter().flat_map(|frame| largest(frame, points, config)).collect();
     let mut best: Option<Sighting> = None;
     for (i, a) in candidates.iter().enumerate() {
         for b in &candidates[i + 1..] {
@@ -102,6 +101,18 @@ pub(super) fn sight(
         }
     }
     best
+}
+
+/// The largest people of a frame; every pair in two views is tried, so more would take too long.
+fn largest(frame: &Detections, points: &[BodyPoint], config: &Config) -> Vec<Candidate> {
+    let people = frame.people.iter();
+    let mut found: Vec<Candidate> =
+        people.filter_map(|person| Candidate::of(frame.camera, person, points, config)).collect();
+    if found.len() > MOST_PEOPLE {
+        found.sort_by(|a, b| b.extent.total_cmp(&a.extent));
+        found.truncate(MOST_PEOPLE);
+    }
+    found
 }
 
 /// Gathers the views that agree with a proposal, and triangulates from all of them.

@@ -52,6 +52,7 @@ impl Track {
         self.begin_at(Some(at));
         self.keyframe(at, at, &keyframe, TrackingState::Tracking);
         self.give(at, &pose, TrackingState::Tracking);
+        self.playout.begin_anew();
         self.phase = Phase::Tracking { from: keyframe, before: None, coasted: 0 };
     }
 
@@ -149,7 +150,7 @@ impl Track {
     }
 
     /// Windows begin there from now on, or with the next frame that comes.
-    fn begin_at(&mut self, start: Option<Timestamp>) {
+    pub(super) fn begin_at(&mut self, start: Option<Timestamp>) {
         self.start = start;
         self.newest = None;
         if let (Some(origin), Some(period_ns)) = (start, self.period) {
@@ -182,7 +183,8 @@ impl Track {
         if self.live.is_some() {
             let Some(latency) = self.latency else { return };
             let is_due = self.now.is_some_and(|now| now > capture + latency.declared_ns);
-            let is_given = self.playout.given.is_some_and(|given| given >= capture);
+            let grid = self.output_grid();
+            let is_given = grid.is_some_and(|grid| self.playout.is_given(capture, &grid));
             if is_due || is_given {
                 self.playout.missed += u64::from(self.playout.given.is_some());
                 return;
@@ -202,7 +204,7 @@ impl Track {
         if !provisional {
             self.playout.given = Some(capture);
         }
-        let supersedes = !provisional && self.live.is_some_and(|live| live.provisional);
+        let supersedes = !provisional && self.playout.supersedes(capture);
         self.outputs.push_back(Output::Pose(Box::new(StampedPose {
             capture,
             pose,
@@ -236,8 +238,15 @@ impl Track {
         while let Some(due) = self.due().filter(|due| *due <= now + super::playout::MARGIN) {
             let capture = due + -latency.declared_ns;
             if now - due > MAX_CATCH_UP {
-                self.event(EventKind::Overdue, capture, None, "too far behind, skipped".to_owned());
-                self.playout.given = Some(now + -latency.declared_ns);
+                let until = now + -latency.declared_ns;
+                let grid = self.output_grid();
+                let skipped =
+                    grid.map_or(1, |g| g.at_or_before(until) - g.at_or_before(capture) + 1);
+                let skipped = skipped.max(1) as u64;
+                let detail = "too far behind, skipped".to_owned();
+                self.event_of(EventKind::Overdue, capture, None, skipped, detail);
+                self.playout.missed += skipped;
+                self.playout.given = Some(until);
                 return;
             }
             let Some(pose) = self.playout.carry_on(capture) else { return };

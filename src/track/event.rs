@@ -35,7 +35,7 @@ pub enum EventKind {
     Overdue,
     /// A new calibration is in use.
     Calibrated,
-    /// The latency is declared, or cannot be kept.
+    /// The latency is declared.
     Latency,
     /// The solver does less, or more again.
     Effort,
@@ -47,7 +47,7 @@ pub enum EventKind {
     Crowd,
     /// Two publishers seem to use one camera's name.
     Conflict,
-    /// Messages that the full queue dropped.
+    /// Messages that the full queue dropped, or frames that waited for too long.
     Dropped,
 }
 

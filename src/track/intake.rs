@@ -155,6 +155,14 @@ impl Intake {
         self.cameras.iter().filter_map(|seen| seen.watermark).max()
     }
 
+    /// How far the cameras are: the latest capture time that two of them have reached, so that one
+    /// whose clock is ahead does not count; of a single camera, its own.
+    pub(super) fn front(&self) -> Option<Timestamp> {
+        let mut marks: Vec<_> = self.cameras.iter().filter_map(|seen| seen.watermark).collect();
+        marks.sort_unstable();
+        marks.iter().rev().nth(1).or(marks.last()).copied()
+    }
+
     /// Cameras that have not shown a frame at or after `time`.
     pub(super) fn behind(&self, time: Timestamp) -> impl Iterator<Item = usize> {
         let is_behind = move |seen: &Seen| seen.watermark.is_none_or(|mark| mark < time);

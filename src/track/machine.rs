@@ -19,6 +19,8 @@ use crate::time::{Grid, Timestamp};
 
 /// Frame period of a recording that is too short to show it, ns: 60 frames a second.
 const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
+/// A live machine whose open window ended longer ago than this, ns, goes on with newer frames.
+const MAX_BACKLOG: i64 = 1_000_000_000;
 
 /// What the machine is told.
 #[derive(Clone, Debug)]
@@ -34,6 +36,8 @@ pub enum Input {
     Effort(Effort),
     /// The latency to keep, of a live machine.
     Latency(Latency),
+    /// How long after its capture a frame usually comes, ns; of a live machine.
+    Delay(i64),
     /// The answer to the job that is out.
     Solved(Solution),
     /// The capture clock has reached this time.
@@ -154,6 +158,8 @@ pub struct Track {
     next_rig: Option<Arc<Rig>>,
     pub(super) effort: Effort,
     pub(super) latency: Option<Latency>,
+    /// How long after its capture a frame usually comes, ns.
+    delay_ns: i64,
     pub(super) intake: Intake,
     waiting: Waiting,
     pub(super) phase: Phase,
@@ -169,6 +175,8 @@ pub struct Track {
     pub(super) now: Option<Timestamp>,
     pub(super) ended: bool,
     pub(super) out: Option<Out>,
+    /// The job that was out at a restart; its answer is of no use, but comes before the next job.
+    abandoned: Option<u64>,
     /// Whether the open window is complete and its last provisional fit is out.
     is_closing: bool,
     jobs: u64,
@@ -189,6 +197,7 @@ impl Track {
             next_rig: None,
             effort: Effort::full(&config),
             latency: None,
+            delay_ns: 0,
             intake: Intake::new(cameras),
             waiting: Waiting::new(cameras, config.grace_windows),
             phase: Phase::Searching,
@@ -201,6 +210,7 @@ impl Track {
             now: None,
             ended: false,
             out: None,
+            abandoned: None,
             is_closing: false,
             jobs: 0,
             window: 0,
@@ -226,7 +236,11 @@ impl Track {
             Input::Restart => self.restart(),
             Input::Effort(effort) => self.effort = effort,
             Input::Latency(latency) => self.latency = Some(latency),
+            Input::Delay(delay_ns) => self.delay_ns = delay_ns.max(0),
             Input::End => self.ended = true,
+            Input::Solved(solution) if self.abandoned == Some(solution.number) => {
+                self.abandoned = None;
+            }
             Input::Solved(solution) => self.take(solution),
         }
         self.advance();
@@ -241,8 +255,10 @@ impl Track {
     /// When a live machine wants a tick, if no other input comes before.
     pub fn wake(&self) -> Option<Timestamp> {
         let due = self.due().map(|due| due + -MARGIN);
-        let end = self.start.filter(|_| self.out.is_none()).map(|start| start + self.span());
-        due.into_iter().chain(end.map(|end| end + self.grace())).min()
+        let length = self.open_frames() as f64 * self.nominal_period();
+        let end = self.start.filter(|_| self.out.is_none()).map(|start| start + length as i64);
+        // A little later, since the grid's times are rounded.
+        due.into_iter().chain(end.map(|end| end + self.grace() + 1000)).min()
     }
 
     /// What is known of the performer.
@@ -323,6 +339,8 @@ impl Track {
         self.is_proven = old.is_proven;
         (self.effort, self.latency) = (old.effort, old.latency);
         (self.jobs, self.window) = (old.jobs, old.window + 1);
+        (self.delay_ns, self.ended) = (old.delay_ns, old.ended);
+        self.abandoned = old.out.map(|out| out.number).or(old.abandoned);
         (self.next_rig, self.outputs) = (old.next_rig, old.outputs);
         self.playout.carried = old.playout.carried;
         self.playout.missed = old.playout.missed;
@@ -330,9 +348,10 @@ impl Track {
 
     /// Sends the open window's job once it is complete, or that of a provisional fit.
     fn advance(&mut self) {
-        if self.out.is_some() {
+        if self.out.is_some() || self.abandoned.is_some() {
             return;
         }
+        self.skip_backlog();
         let Some(window) = self.open_window() else { return };
         if !self.is_closing && !self.is_complete(window.end) {
             if let Some(end) = self.reach() {
@@ -350,12 +369,55 @@ impl Track {
 
     /// Whether the cameras are not much further: the window is none of a backlog.
     pub(super) fn is_newest(&self, end: Timestamp) -> bool {
-        self.intake.newest().is_none_or(|at| at - end < self.span() / 2)
+        self.intake.front().is_none_or(|at| at - end < self.span() / 2)
+    }
+
+    /// Live: leaves frames out that wait for longer than anybody will want their poses, and
+    /// searches anew after them.
+    fn skip_backlog(&mut self) {
+        let (Some(now), Some(start)) = (self.now.filter(|_| self.live.is_some()), self.start)
+        else {
+            return;
+        };
+        let end = start + self.open_frames() as i64 * self.nominal_period() as i64;
+        if self.ended || now - end <= MAX_BACKLOG + self.grace() {
+            return;
+        }
+        let until = now + -(self.delay_ns + self.span());
+        let waiting = self.intake.up_to(until).len() as u64;
+        self.close(until);
+        self.phase = Phase::Searching;
+        self.is_closing = false;
+        self.begin_at(self.intake.first());
+        let behind = (now - end) as f64 * 1e-9;
+        let detail = format!("{behind:.1} s behind, searching anew");
+        self.event_of(EventKind::Dropped, until, None, waiting.max(1), detail);
+    }
+
+    /// Nominal frames of the open window: of several windows, while the shape is not known.
+    fn open_frames(&self) -> usize {
+        let is_new = matches!(self.phase, Phase::Searching) && self.skeleton.is_none();
+        let windows = if is_new { self.config.shape_windows.max(1) } else { 1 };
+        self.config.window_frames.max(1) * windows
+    }
+
+    /// Live cameras begin one by one, perhaps a slow one first: until the performer is known, the
+    /// fastest of those that have come counts.
+    fn watch_rate(&mut self) {
+        let is_open = self.live.is_some() && self.skeleton.is_none();
+        if !is_open || self.config.frame_rate_hz > 0.0 || self.period.is_none() {
+            return;
+        }
+        let faster = self.intake.frame_period().filter(|period| Some(*period) < self.period);
+        if faster.is_some() {
+            (self.period, self.frames) = (faster, None);
+        }
     }
 
     /// The window that is gathered, and its frame grid.
     fn open_window(&mut self) -> Option<Window> {
         let start = self.start.or_else(|| self.intake.first())?;
+        self.watch_rate();
         let period = self.period.or_else(|| self.intake.frame_period());
         // A recording shorter than the frames that show the rate.
         let period = period.or_else(|| self.ended.then_some(FALLBACK_PERIOD))?;
@@ -365,12 +427,7 @@ impl Track {
         }
         let grid = self.frames?;
         let searching = matches!(self.phase, Phase::Searching);
-        let windows = match searching && self.skeleton.is_none() {
-            true => self.config.shape_windows.max(1),
-            false => 1,
-        };
-        let frames = (self.config.window_frames.max(1) * windows) as i64;
-        let end = grid.time(grid.nearest(start) + frames);
+        let end = grid.time(grid.nearest(start) + self.open_frames() as i64);
         let end = match self.intake.last() {
             None if self.ended || self.live.is_none() => return None,
             Some(last) if self.ended && last <= start + self.tolerance() && !searching => {
@@ -400,6 +457,7 @@ impl Track {
     /// How long past its end a window stays open for cameras that are behind, ns.
     fn grace(&self) -> i64 {
         let asked = (self.config.deadline_frames as f64 * self.nominal_period()) as i64;
+        let asked = asked + self.delay_ns;
         let Some(latency) = self.latency else { return asked };
         // The window's first pose is one output period after its start.
         let output = self.output_grid().map_or(0.0, |grid| grid.period_ns) as i64;
@@ -411,7 +469,9 @@ impl Track {
         let border = end + -self.tolerance();
         let behind: Vec<usize> = self.intake.behind(border).collect();
         let waited_for = behind.iter().any(|&camera| self.waiting.is_waited_for(camera));
-        let is_overdue = self.intake.newest().max(self.now) >= Some(end + self.grace());
+        // Live by the clock alone: one camera's clock may be ahead.
+        let clock = if self.live.is_some() { self.now } else { self.intake.newest() };
+        let is_overdue = clock.max(self.now) >= Some(end + self.grace());
         if !(self.ended || (!waited_for && self.waiting.any()) || is_overdue) {
             return false;
         }
@@ -443,15 +503,20 @@ impl Track {
         camera: Option<usize>,
         detail: String,
     ) {
+        self.event_of(kind, capture, camera, 1, detail);
+    }
+
+    pub(super) fn event_of(
+        &mut self,
+        kind: EventKind,
+        capture: Timestamp,
+        camera: Option<usize>,
+        count: u64,
+        detail: String,
+    ) {
         let window = Some(self.window);
-        self.outputs.push_back(Output::Event(Event {
-            capture,
-            kind,
-            camera,
-            window,
-            count: 1,
-            detail,
-        }));
+        let event = Event { capture, kind, camera, window, count, detail };
+        self.outputs.push_back(Output::Event(event));
     }
 
     fn send(&mut self, window: Window) {
@@ -501,7 +566,7 @@ impl Track {
     fn reach(&self) -> Option<Timestamp> {
         let cameras = (0..self.rig.cameras.len()).filter(|&c| self.waiting.is_waited_for(c));
         let complete = cameras.map(|camera| self.intake.watermark(camera)).min().flatten();
-        let moved_on = self.intake.newest().map(|at| at + -(self.nominal_period() as i64));
+        let moved_on = self.intake.front().map(|at| at + -(self.nominal_period() as i64));
         complete.max(moved_on)
     }
 

@@ -4,6 +4,8 @@
 //! t plus the declared latency: from then on at the latest there is one, on the output's grid, and
 //! if its window is not solved by then the motion is carried on and flagged.
 
+use std::collections::BTreeSet;
+
 use nalgebra::Matrix3;
 
 use crate::body::Pose;
@@ -43,6 +45,8 @@ pub(super) struct Playout {
     known: [Option<(Timestamp, Pose)>; 2],
     /// The newest provisional one.
     live: Option<(Timestamp, Pose)>,
+    /// Capture times of provisional poses whose final ones are still to come.
+    provisional: BTreeSet<Timestamp>,
     /// Carried on since nothing else was there.
     pub(super) carried: u64,
     /// Solved only after they were due.
@@ -64,6 +68,20 @@ impl Playout {
     /// Keeps a provisional pose.
     pub(super) fn know_live(&mut self, capture: Timestamp, pose: &Pose) {
         self.live = Some((capture, pose.clone()));
+        self.provisional.insert(capture);
+    }
+
+    /// Whether the final pose of that time takes the place of a provisional one; asked once, in
+    /// order of time.
+    pub(super) fn supersedes(&mut self, capture: Timestamp) -> bool {
+        let later = self.provisional.split_off(&capture);
+        self.provisional = later;
+        self.provisional.remove(&capture)
+    }
+
+    /// The last pose begins a path: it does not go on from the one before.
+    pub(super) fn begin_anew(&mut self) {
+        self.known[0] = None;
     }
 
     /// The last pose known, if there is one.
@@ -73,7 +91,12 @@ impl Playout {
 
     /// The time of the pose that follows the last one given.
     pub(super) fn next(&self, grid: &Grid) -> Option<Timestamp> {
-        self.given.map(|given| grid.time(grid.at_or_before(given) + 1))
+        self.given.map(|given| grid.time(grid.at_or_before(given + same(grid)) + 1))
+    }
+
+    /// Whether the pose of that time was given, perhaps on another grid's time.
+    pub(super) fn is_given(&self, capture: Timestamp, grid: &Grid) -> bool {
+        self.given.is_some_and(|given| given + same(grid) >= capture)
     }
 
     /// A pose at `capture` from what is known: towards the provisional one, or carried on.
@@ -89,6 +112,11 @@ impl Playout {
         let s = DECAY * (1.0 - (-ahead / DECAY).exp()) / step;
         Some(between(before, last, 1.0 + s))
     }
+}
+
+/// Times this close are the same pose's; ns.
+fn same(grid: &Grid) -> i64 {
+    (grid.period_ns / 4.0) as i64
 }
 
 /// The pose at `s`, 0 at `a` and 1 at `b`; joint by joint, beyond them too.

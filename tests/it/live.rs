@@ -596,3 +596,82 @@ fn keyframes_hold_all_that_poses_are_made_of() {
     }
     assert!(compared > 100, "{compared}");
 }
+
+#[test]
+fn slow_detectors_are_waited_for() {
+    let studio = Studio::new(4, 300);
+    let mut messages = studio.messages();
+    for message in &mut messages[1..] {
+        message.arrival = message.arrival + 250 * MS;
+    }
+    let world = after(messages, 5.2);
+    assert_on_time(&world.heard);
+    let latency = world.heard.poses()[0].1.declared_latency_ns as i64;
+    assert!((400 * MS..450 * MS).contains(&latency), "{latency} ns");
+    assert!(world.heard.poses().iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
+    let events = world.heard.events();
+    assert!(!events.contains_key("late") && !events.contains_key("deadline"), "{events:?}");
+}
+
+#[test]
+fn a_camera_whose_clock_is_ahead_does_not_close_the_others_windows() {
+    let studio = Studio::new(4, 300);
+    let mut messages = vec![studio.rig()];
+    for frame in &studio.frames {
+        let arrival = frame.capture + NETWORK;
+        let ahead = if frame.camera == 2 { 300 * MS } else { 0 };
+        let stamped = Detections { capture: frame.capture + ahead, ..frame.clone() };
+        messages.push(Sent { arrival, ..studio.message(&stamped) });
+    }
+    let world = after(messages, 5.0);
+    assert_on_time(&world.heard);
+    let (events, status) = (world.heard.events(), world.heard.status());
+    assert!(!events.contains_key("late") && !events.contains_key("overdue"), "{events:?}");
+    assert_eq!(events["clock_offset"], 1);
+    assert!(status.cameras.iter().all(|camera| camera.used > 200));
+}
+
+#[test]
+fn the_status_goes_on_while_nobody_is_there_and_nothing_comes() {
+    let studio = Studio::new(4, 90);
+    let mut frames = studio.frames.clone();
+    frames.iter_mut().for_each(|frame| frame.people.clear());
+    let mut messages: Vec<Sent> = frames.iter().map(|frame| studio.message(frame)).collect();
+    messages.push(studio.rig());
+    let world = after(messages, 10.0);
+    let times: Vec<Timestamp> =
+        world.heard.of::<Status>(&Topics::default().status()).iter().map(|(at, _)| *at).collect();
+    assert!(times.windows(2).all(|pair| pair[1] - pair[0] < SECOND + 50 * MS), "{times:?}");
+    assert!(*times.last().unwrap() > at(8.9));
+    assert!(world.heard.poses().is_empty());
+}
+
+#[test]
+fn a_solver_that_is_far_behind_goes_on_with_new_frames() {
+    let studio = Studio::new(4, 900);
+    let mut world = World::new(&Config::default());
+    let slow = |job: &Job| (at(3.0)..at(5.0)).contains(&job.end);
+    world.took = Box::new(move |job| if slow(job) { 2500 * MS } else { 3 * MS });
+    world.play(studio.messages(), at(15.0));
+    assert_on_time(&world.heard);
+    let events = world.heard.events();
+    assert!(events["dropped"] > 100, "the frames that were left out are counted: {events:?}");
+    let last = world.heard.poses().pop().unwrap().1;
+    assert_eq!(last.state(), TrackingState::Tracking);
+    assert!(last.capture_time_ns > at(14.5).ns());
+}
+
+#[test]
+fn a_slow_camera_that_comes_first_does_not_set_the_rate() {
+    let studio = Studio::new(4, 300);
+    let mut messages = vec![studio.rig()];
+    for frame in &studio.frames {
+        let is_slow = frame.camera == 0;
+        if (is_slow && frame.frame % 2 == 1) || (!is_slow && frame.frame < 24) {
+            continue;
+        }
+        messages.push(studio.message(frame));
+    }
+    let world = after(messages, 5.0);
+    assert_on_time(&world.heard);
+}
