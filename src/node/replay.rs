@@ -190,6 +190,7 @@ pub fn replay<E: From<ReplayError>>(
         run.tell(begin, Input::RigFile(rig.clone()));
         run.outputs.clear();
     }
+    // The last answers and poses come after the end.
     let is_whole = entries.iter().any(|entry| matches!(entry.input, Some(Entry::End(_))));
     let inputs = entries.len() as u64 + 1;
     for (index, entry) in (1..).zip(entries) {

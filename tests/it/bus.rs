@@ -141,10 +141,10 @@ impl Drop for InSharedMemory {
 }
 
 /// Begins the names of all that a test leaves in shared memory.
-struct Prefix(String);
+pub(crate) struct Prefix(pub(crate) String);
 
 impl Prefix {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         static NUMBERS: AtomicU32 = AtomicU32::new(0);
         let number = NUMBERS.fetch_add(1, Ordering::Relaxed);
         Self(format!("bmtest_{}_{number}_", std::process::id()))
@@ -155,7 +155,7 @@ impl Prefix {
     }
 
     /// Files of iceoryx2 with this prefix, but for the one of 16 bytes that always stays.
-    fn leftovers(&self) -> Vec<String> {
+    pub(crate) fn leftovers(&self) -> Vec<String> {
         self.files().filter(|file| !file.ends_with(".global_mgmt")).collect()
     }
 

@@ -2,22 +2,27 @@
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::path::Path;
 use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use bundlemocap::body::Skeleton;
 use bundlemocap::bus::{Bus, Guard, Memory, Publisher};
+use bundlemocap::camera::Rig;
 use bundlemocap::detect::Detections;
+use bundlemocap::import::Up;
 use bundlemocap::manifold::Decoder;
 use bundlemocap::msg::journal_entry::Input as JournalInput;
 use bundlemocap::msg::{
-    self, Event, Journal, JournalEntry, KeypointFrame, Pose, Status, Topics, decode, encode,
+    self, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, Status, Topics, decode,
+    encode,
 };
 use bundlemocap::node::{Config, Core, Node, NodeError, Running, Settings, WallClock};
 use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 use bundlemocap::time::Timestamp;
 use bundlemocap::track::{self, Solver};
+use nalgebra::Rotation3;
 
 const FPS: f64 = 60.0;
 /// For what takes a moment; only a test that fails waits that long.
@@ -31,6 +36,7 @@ struct Heard {
     status: Option<Status>,
     events: Vec<Event>,
     journal: Vec<JournalEntry>,
+    keyframes: Vec<Keyframe>,
 }
 
 /// A node on a bus, cameras, and somebody who listens.
@@ -45,6 +51,10 @@ struct Studio {
     start: Timestamp,
     frame: u64,
     _guards: Vec<Box<dyn Guard>>,
+}
+
+fn cameras() -> Rig {
+    ring_rig(4, 4.0, 1.6).unwrap()
 }
 
 fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
@@ -63,12 +73,19 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
 impl Studio {
     /// Four cameras around the procedural motion; the rig is on the bus.
     fn new() -> Self {
+        let studio = Self::without_rig();
+        let rig = encode(&msg::Rig::from_core(&cameras()));
+        studio.put(&studio.topics.rig(), &rig);
+        studio
+    }
+
+    /// As [`Studio::new`], but the rig is up to somebody else.
+    fn without_rig() -> Self {
         let bus = Memory::new();
         let topics = Topics::default();
         let skeleton = Skeleton::default();
         let motion = Motion::new(&skeleton, MotionStyle::default());
-        let rig = ring_rig(4, 4.0, 1.6).unwrap();
-        let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
+        let mut recording = Recording::new(cameras(), skeleton, |seconds| motion.pose(seconds));
         recording.frames = 1200;
         recording.noise = Noise::jitter_only();
         let all: Vec<Detections> = recording.detections().collect();
@@ -88,8 +105,6 @@ impl Studio {
             topics,
             clock,
         };
-        let rig = encode(&msg::Rig::from_core(&recording.rig));
-        studio.put(&studio.topics.rig(), &rig);
         studio.listening()
     }
 
@@ -107,6 +122,7 @@ impl Studio {
         on(self.topics.journal(), |heard, bytes| {
             heard.journal.extend(decode::<Journal>(bytes).unwrap().entries);
         });
+        on(self.topics.keyframe(), |heard, bytes| heard.keyframes.push(decode(bytes).unwrap()));
         on(self.topics.status(), |heard, bytes| heard.status = Some(decode(bytes).unwrap()));
         self
     }
@@ -320,6 +336,107 @@ fn what_the_node_cannot_start_with_is_named() {
     assert!(message.contains("/nowhere/rig.toml"), "{message}");
     let message = error(Config { stage: "a/*".into(), ..Config::default() });
     assert!(message.contains("a/*"), "{message}");
+}
+
+/// A calibration file of those cameras, one of them moved along its axis, metres. Its world is
+/// ours.
+fn calibration(rig: &Rig, forward: f64) -> String {
+    let table = |(index, camera): (usize, &bundlemocap::camera::Camera)| {
+        let row =
+            |numbers: [f64; 3]| format!("[{:?}, {:?}, {:?}]", numbers[0], numbers[1], numbers[2]);
+        let matrix = camera.matrix();
+        let rows: Vec<String> = (0..3).map(|i| row([0, 1, 2].map(|j| matrix[(i, j)]))).collect();
+        let turn = Rotation3::from_matrix_unchecked(camera.rotation).scaled_axis();
+        let moved = camera.translation.z + if index == 0 { forward } else { 0.0 };
+        format!(
+            "[{name}]\nname = \"{name}\"\nsize = [{}.0, {}.0]\nmatrix = [{}]\n\
+             distortions = [0.0, 0.0, 0.0, 0.0]\nrotation = {}\ntranslation = {}\n\n",
+            camera.width,
+            camera.height,
+            rows.join(", "),
+            row(turn.into()),
+            row([camera.translation.x, camera.translation.y, moved]),
+            name = camera.name,
+        )
+    };
+    rig.cameras.iter().enumerate().map(table).collect()
+}
+
+/// Makes a file anew, beside its place and renamed, as tools do.
+fn replace(path: &Path, text: &str) {
+    let beside = path.with_extension("new");
+    std::fs::write(&beside, text).unwrap();
+    std::fs::rename(beside, path).unwrap();
+}
+
+/// Log lines of this process from the first call on.
+fn log_lines() -> &'static Mutex<Vec<u8>> {
+    static LINES: Mutex<Vec<u8>> = Mutex::new(Vec::new());
+    struct Tape;
+    impl Write for Tape {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            LINES.lock().unwrap().extend(bytes);
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+    let subscriber = tracing_subscriber::fmt().with_ansi(false).with_writer(|| Tape);
+    let _ = subscriber.with_max_level(tracing::Level::WARN).try_init();
+    &LINES
+}
+
+#[test]
+fn a_calibration_file_that_changes_is_taken_at_a_windows_edge() {
+    let log = log_lines();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("studio_rig.toml");
+    replace(&path, &calibration(&cameras(), 0.0));
+    let mut studio = Studio::without_rig();
+    let rig = path.display().to_string();
+    let config = Config { rig: rig.clone(), rig_up: Up::Y, ..Config::default() };
+    let node = start_node(&studio.bus, &config).unwrap();
+    studio.play_until("poses", |heard| heard.poses.len() > 10);
+    let in_use = |studio: &Studio| -> u64 {
+        let samples = studio.bus.query(&studio.topics.rig(), LONG).unwrap();
+        let [sample] = &samples[..] else { panic!("{} rigs", samples.len()) };
+        decode::<msg::Rig>(&sample.payload).unwrap().to_core().unwrap().version
+    };
+    let first = studio.heard.lock().unwrap().poses[0].calibration_version;
+    assert_eq!(in_use(&studio), first);
+
+    replace(&path, "no calibration");
+    let is_logged = || {
+        let text = String::from_utf8(log.lock().unwrap().clone()).unwrap();
+        let mut lines = text.lines();
+        lines.any(|line| line.contains("the calibration before is kept") && line.contains(&rig))
+    };
+    studio.play_until("a word about the malformed file", |_| is_logged());
+    let malformed_until = studio.poses();
+    studio.play_until("poses after it", |heard| heard.poses.len() > malformed_until + 30);
+    assert_eq!(in_use(&studio), first);
+
+    replace(&path, &calibration(&cameras(), 0.001));
+    studio.play_until("poses of the new calibration", |heard| {
+        heard.poses.last().is_some_and(|pose| pose.calibration_version != first)
+    });
+    let second = in_use(&studio);
+    assert_ne!(second, first);
+    node.stop().unwrap();
+
+    let heard = studio.heard.lock().unwrap();
+    let versions: Vec<u64> = heard.poses.iter().map(|pose| pose.calibration_version).collect();
+    let edge = versions.iter().position(|&version| version == second).unwrap();
+    assert!(edge > malformed_until + 30);
+    assert!(versions[..edge].iter().all(|&version| version == first), "{versions:?}");
+    assert!(versions[edge..].iter().all(|&version| version == second), "{versions:?}");
+    // The window before ends between the two poses.
+    let keyframe = heard.keyframes.iter().rfind(|k| k.calibration_version == first).unwrap();
+    let around = [edge - 1, edge].map(|pose| heard.poses[pose].capture_time_ns);
+    let end = keyframe.capture_time_ns;
+    assert!(around[0] <= end && end <= around[1], "{end} is not in {around:?}");
+    assert_eq!(heard.events.iter().filter(|event| event.kind == "calibrated").count(), 2);
 }
 
 /// Exit code, standard output, standard error.

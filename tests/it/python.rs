@@ -8,6 +8,8 @@ use bundlemocap::bus::{Bus, Sample, Zenoh, ZenohConfig};
 use bundlemocap::msg::{self, KeypointFrame, Pose, Rig, Skeleton, TrackingState};
 use bundlemocap::time::Timestamp;
 
+use crate::program::{Program, listening_node};
+
 fn scripts() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/python")
 }
@@ -148,4 +150,53 @@ fn a_subscriber_in_python_gets_skeleton_and_poses() {
     let head = "capture_time_ns,state,latency_ms,root_x,root_y,root_z,pelvis.x,pelvis.y,pelvis.z,\
                 pelvis.w,spine.x,spine.y,spine.z,spine.w\r\n";
     assert_eq!(said, format!("{head}{line}{line}"), "{errors}");
+}
+
+/// One line of `retarget_node.py`: capture time, state, and its quaternions.
+fn pose_line(line: &str) -> (i64, String, Vec<[f64; 4]>) {
+    let fields: Vec<&str> = line.split(',').collect();
+    let numbers: Vec<f64> = fields[3..].iter().map(|field| field.parse().unwrap()).collect();
+    assert!(numbers[..3].iter().all(|number| number.is_finite()), "{line}");
+    let quaternions = numbers[3..].chunks(4).map(|q| q.try_into().unwrap()).collect();
+    (fields[0].parse().unwrap(), fields[1].to_owned(), quaternions)
+}
+
+#[test]
+fn the_node_between_cameras_and_a_subscriber_in_python() {
+    let Some(generated) = generated() else { return };
+    let (node, at) = listening_node(&[]);
+    let to_node = ["--connect", &at];
+    let mut retarget = python(generated.path(), "retarget_node.py");
+    let mut retarget = Program::start(retarget.args(to_node).args(["--poses", "70"]));
+    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
+    // The four seconds are enough unless the subscriber is slow to start.
+    for _ in 0..3 {
+        if !retarget.is_over() {
+            let mut cameras = python(generated.path(), "camera_node.py");
+            check(&cameras.arg(&recording).args(to_node).output().unwrap());
+        }
+    }
+    let received = retarget.ended();
+    assert_eq!(received.code, Some(0), "{}", received.errors);
+    node.signal("TERM");
+    let node = node.ended();
+    assert_eq!(node.code, Some(0), "{}", node.errors);
+    assert!(node.errors.lines().last().unwrap().contains("ended poses="), "{}", node.errors);
+
+    let mut lines = received.said.lines();
+    let head = lines.next().unwrap();
+    assert!(head.contains("latency_ms") && head.contains("pelvis.x"), "{head}");
+    let poses: Vec<_> = lines.map(pose_line).collect();
+    assert_eq!(poses.len(), 70);
+    assert!(poses.windows(2).all(|pair| pair[0].0 < pair[1].0), "out of order");
+    let tracking = poses.iter().filter(|(_, state, _)| state == "tracking").count();
+    assert!(tracking > 50, "{tracking} of {} tracking", poses.len());
+    let joints = head.split(',').filter(|column| column.ends_with(".w")).count();
+    assert_eq!(joints, 22);
+    for (time, _, quaternions) in &poses {
+        assert_eq!(quaternions.len(), joints);
+        let lengths = quaternions.iter().map(|q| q.iter().map(|x| x * x).sum::<f64>().sqrt());
+        // They are printed with six decimals.
+        assert!(lengths.into_iter().all(|length| (length - 1.0).abs() < 1e-5), "at {time}");
+    }
 }

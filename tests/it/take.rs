@@ -1,0 +1,168 @@
+//! A whole take with the built program: node, recorder and cameras as processes of their own, over
+//! each bus; what was recorded is then run again, byte for byte.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::time::{Duration, Instant};
+
+use bundlemocap::msg::journal_entry::Input;
+use bundlemocap::msg::{Journal, Schema, Status, Topics, decode};
+use bundlemocap::record::{RawEntry, Reader};
+
+use crate::bus::Prefix;
+use crate::program::{PATIENCE, Program, listening_node};
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_bundlemocap");
+const NETWORK: &str = "--drop 0.02 --late 0.02 --duplicate 0.02 --reorder 0.02";
+/// A machine that is too busy loses messages of streams on their way to the recorder, which is no
+/// fault; then there is another take.
+const TAKES: usize = 3;
+
+/// A node, and the options that lead tools to it.
+struct Studio {
+    folder: tempfile::TempDir,
+    node: Program,
+    options: Vec<String>,
+}
+
+impl Studio {
+    fn over_zenoh() -> Self {
+        let (node, address) = listening_node(&[]);
+        let options = vec!["--connect".into(), address];
+        Self { folder: tempfile::tempdir().unwrap(), node, options }
+    }
+
+    fn over_iceoryx2(prefix: &Prefix) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let config = folder.path().join("studio.toml").display().to_string();
+        std::fs::write(&config, format!("[bus.iceoryx2]\nprefix = \"{}\"\n", prefix.0)).unwrap();
+        let mut command = Command::new(PROGRAM);
+        let mut node = Program::start(command.args(["run", &config, "--bus", "iceoryx2"]));
+        assert!(node.has_said("listening: iceoryx2"));
+        let options = ["--config", &config, "--bus", "iceoryx2"].map(str::to_owned).to_vec();
+        Self { folder, node, options }
+    }
+
+    fn command(&self, line: &str) -> Command {
+        let mut command = Command::new(PROGRAM);
+        command.args(line.split_whitespace()).args(&self.options).current_dir(self.folder.path());
+        command
+    }
+
+    fn done(&self, line: &str) -> String {
+        printed(line, &self.command(line).output().unwrap())
+    }
+
+    /// Plays a recording over a bad network to the node, which is recorded, and ends everything:
+    /// the recording, and how many frames were sent.
+    fn take(self) -> (tempfile::TempDir, PathBuf, usize) {
+        let mut recorder = Program::start(&mut self.command("record take.mcap"));
+        assert!(recorder.has_said("recording mocap/stage/**"));
+        let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
+        let said = self.done(&format!("play {} {NETWORK}", walk.display()));
+        let of_camera = said.lines().filter(|line| line.starts_with("camera "));
+        let sent =
+            of_camera.map(|line| line.split_whitespace().nth(2).unwrap().parse::<usize>().unwrap());
+        let sent = sent.sum();
+        // A late joiner is told the node's state.
+        assert!(self.done("echo status --count 1").contains("stage/status"));
+
+        self.node.signal("INT");
+        let node = self.node.ended();
+        assert_eq!(node.code, Some(0), "{}", node.errors);
+        assert!(node.errors.lines().last().unwrap().contains("ended poses="), "{}", node.errors);
+        let part = self.folder.path().join("take.mcap.part");
+        wait_for_the_end(&part);
+        recorder.signal("INT");
+        let recorder = recorder.ended();
+        assert_eq!(recorder.code, Some(0), "{}", recorder.errors);
+        assert!(!part.exists());
+        let path = self.folder.path().join("take.mcap");
+        (self.folder, path, sent)
+    }
+}
+
+fn printed(what: &str, output: &Output) -> String {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{what}: {errors}");
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+/// What can be read of a recording.
+fn entries(path: &Path) -> Vec<RawEntry> {
+    let Ok(mut reader) = Reader::open(path) else { return Vec::new() };
+    std::iter::from_fn(|| reader.next_raw()).map_while(Result::ok).collect()
+}
+
+fn of<T: Schema>(entries: &[RawEntry], topic: &str) -> Vec<T> {
+    let of_topic = entries.iter().filter(|entry| *entry.topic == *topic);
+    of_topic.map(|entry| decode(&entry.payload).unwrap()).collect()
+}
+
+/// Waits until a recording that is being written holds the node's end.
+fn wait_for_the_end(part: &Path) {
+    let begin = Instant::now();
+    let has_ended = || {
+        let journal = of::<Journal>(&entries(part), &Topics::default().journal());
+        journal.iter().flat_map(|part| &part.entries).any(|e| e.input == Some(Input::End(true)))
+    };
+    while !has_ended() {
+        assert!(begin.elapsed() < PATIENCE, "the node's end is not recorded");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+/// Whether streams lost something on their way to the recorder.
+fn is_lossy(entries: &[RawEntry], sent: usize) -> bool {
+    let topics = Topics::default();
+    let mut counts = BTreeMap::<&str, usize>::new();
+    entries.iter().for_each(|entry| *counts.entry(&entry.topic).or_default() += 1);
+    let count = |topic: &str| counts.get(topic).copied().unwrap_or(0);
+    let frames: usize =
+        (1..=4).map(|camera| count(&topics.keypoints(&format!("cam0{camera}")))).sum();
+    let status = of::<Status>(entries, &topics.status()).pop().expect("a status");
+    let playout = status.playout.unwrap();
+    let published = [playout.published, playout.live].map(|count| count as usize);
+    let found = [frames, count(&topics.pose()), count(&topics.live())];
+    println!("sent {sent}, published {published:?}; recorded {found:?}");
+    frames < sent || found[1] < published[0] || found[2] < published[1]
+}
+
+/// A take that is whole, replayed and decoded.
+fn a_take_is_replayed(studio: impl Fn() -> Studio) {
+    let whole = (0..TAKES).map(|_| studio().take());
+    let whole = whole.map(|(folder, path, sent)| (folder, entries(&path), path, sent));
+    let mut whole = whole.filter(|(_, entries, _, sent)| !is_lossy(entries, *sent));
+    let (folder, entries, path, _) = whole.next().expect("messages were lost in every take");
+    assert!(of::<bundlemocap::msg::Pose>(&entries, &Topics::default().pose()).len() > 60);
+
+    let run = |line: &str| {
+        let mut command = Command::new(PROGRAM);
+        command.args(line.split_whitespace()).current_dir(folder.path());
+        printed(line, &command.output().unwrap())
+    };
+    let said = run("replay take.mcap --verify");
+    assert!(said.ends_with("are equal, byte for byte\n"), "{said}");
+    assert!(!said.contains("ends before the node did"), "{said}");
+    for topic in ["pose", "pose/live", "keyframe", "journal", "skeleton", "events", "status"] {
+        let line = said.lines().find(|line| line.contains(&format!("/{topic} ")));
+        assert!(line.is_some_and(|line| line.ends_with(", equal")), "{topic}: {said}");
+    }
+    let said = run("decode take.mcap --out decoded.mcap");
+    let poses: usize = said.split_whitespace().nth(1).unwrap().parse().unwrap();
+    assert!(poses > 60, "{said}");
+    assert!(path.exists());
+}
+
+#[test]
+fn a_take_over_zenoh_is_replayed_byte_for_byte() {
+    a_take_is_replayed(Studio::over_zenoh);
+}
+
+#[test]
+fn a_take_over_iceoryx2_is_replayed_byte_for_byte() {
+    let prefix = Prefix::new();
+    a_take_is_replayed(|| Studio::over_iceoryx2(&prefix));
+    assert_eq!(prefix.leftovers(), Vec::<String>::new());
+}
