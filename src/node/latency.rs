@@ -7,7 +7,7 @@ const WINDOWS: usize = 5;
 /// The slowest of them times this is what a solve may take.
 const SOLVE_FACTOR: f64 = 2.0;
 /// What a solve may take at least, ns.
-const LEAST_SOLVE: i64 = 16_000_000;
+const LEAST_SOLVE: i64 = 22_000_000;
 /// What the network may take at least, ns.
 const LEAST_NETWORK: i64 = 2_000_000;
 /// Time for a solve where the latency is given, ns.

@@ -99,7 +99,7 @@ fn one_camera_at_half_the_rate_of_the_others_works() {
     let mixed = |frame: &Detections| {
         let step = if frame.camera == 0 { 4 } else { 2 };
         let number = frame.frame;
-        (number % step == 0).then(|| Detections { frame: number / step, ..frame.clone() })
+        number.is_multiple_of(step).then(|| Detections { frame: number / step, ..frame.clone() })
     };
     let all = walk.error_mm(|frame| {
         let number = frame.frame;
