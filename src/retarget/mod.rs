@@ -22,7 +22,7 @@
 //! # let path = folder.path().join("target.bvh");
 //! # bundlemocap::export::write_bvh(&path, &Skeleton::default(), 60.0, [])?;
 //! let target = Target::read(&path, &Map::default())?;
-//! let retarget = Retarget::new(target, &Map::default())?;
+//! let mut retarget = Retarget::new(target, &Map::default())?;
 //! let figure = retarget.apply(&Pose::rest(), &Skeleton::default())?;
 //! assert_eq!(figure.positions.len(), 22);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
