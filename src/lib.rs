@@ -9,9 +9,9 @@
 //! | 1 | [`body`], [`camera`], [`solve`] | skeleton and keypoints; cameras and triangulation; optimisers that know no bodies |
 //! | 2 | [`manifold`] | pose decoder, weights, interpolation |
 //! | 3 | [`cost`], [`msg`] | the window problem: reprojection, robust loss, prior; wire types |
-//! | 4 | [`track`] | the sans-IO machine: window assembly, acquisition, tracking |
+//! | 4 | [`track`], [`baseline`] | the sans-IO machine: window assembly, acquisition, tracking; the methods it is compared with |
 //! | 5 | [`bus`], [`record`], [`import`], [`export`], [`retarget`], [`train`], [`synth`], [`eval`] | the edges |
-//! | 6 | [`node`], [`config`], [`cli`] | the live node; composition |
+//! | 6 | [`node`], [`config`], [`study`], [`cli`] | the live node; methods measured against each other; composition |
 //!
 //! Conventions: world right-handed, metres, y up. `a_from_b` maps coordinates of frame b to
 //! frame a. Angles in radians. Missing is `Option`, never NaN or confidence 0.
@@ -40,6 +40,7 @@
 //! - \[Zhou 2019\] Zhou, Barnes, Lu, Yang, Li. On the continuity of rotation representations in
 //!   neural networks. CVPR 2019.
 
+pub mod baseline;
 pub mod body;
 pub mod bus;
 pub mod camera;
@@ -58,6 +59,7 @@ pub mod record;
 pub mod retarget;
 pub mod so3;
 pub mod solve;
+pub mod study;
 pub mod synth;
 pub mod time;
 pub mod track;

@@ -8,7 +8,8 @@
 use nalgebra::Vector2;
 
 use super::config::Config;
-use crate::body::BodyPoint;
+use crate::body::{BodyPoint, Pose, Skeleton};
+use crate::camera::{Camera, Rig};
 use crate::cost::{Moment, Observation};
 use crate::detect::{Detections, Person};
 use crate::time::Timestamp;
@@ -18,7 +19,7 @@ use crate::time::Timestamp;
 const SAME_TIME: i64 = 100_000;
 
 /// Where each fitted point of the performer is expected in a view.
-pub(super) type Expected = Vec<Option<Vector2<f64>>>;
+type Expected = Vec<Option<Vector2<f64>>>;
 
 /// Height of a set of points in the image, pixels: the longer side of their bounding box.
 pub(super) fn extent(points: impl Iterator<Item = Vector2<f64>>) -> f64 {
@@ -31,31 +32,36 @@ pub(super) fn extent(points: impl Iterator<Item = Vector2<f64>>) -> f64 {
     (high - low).max().max(0.0)
 }
 
+/// What was seen of the performer in `frames`, which are in order of capture time, each view
+/// followed from where `pose` is in it; grouped by capture time.
+pub fn follow<'d>(
+    frames: impl Iterator<Item = &'d Detections>,
+    points: &[BodyPoint],
+    rig: &Rig,
+    pose: &Pose,
+    skeleton: &Skeleton,
+    config: &Config,
+) -> Vec<Moment> {
+    let posture = pose.posture(skeleton);
+    let world: Vec<_> =
+        points.iter().map(|p| p.attachment.position(&posture, skeleton.shape())).collect();
+    let view = |camera: &Camera| world.iter().map(|point| camera.project(point)).collect();
+    Follower { points, config, expected: rig.cameras.iter().map(view).collect() }.moments(frames)
+}
+
 /// Follows the performer through the views.
 #[derive(Clone, Debug)]
-pub(super) struct Follower<'a> {
+struct Follower<'a> {
     points: &'a [BodyPoint],
     config: &'a Config,
     /// Per camera.
     expected: Vec<Expected>,
 }
 
-impl<'a> Follower<'a> {
-    /// From where the performer's points are expected in each camera.
-    pub(super) fn new(
-        points: &'a [BodyPoint],
-        config: &'a Config,
-        expected: Vec<Expected>,
-    ) -> Self {
-        Self { points, config, expected }
-    }
-
+impl Follower<'_> {
     /// What was seen of the performer in `frames`, which are in order of capture time, grouped
     /// by capture time, to [`SAME_TIME`].
-    pub(super) fn moments<'d>(
-        &mut self,
-        frames: impl Iterator<Item = &'d Detections>,
-    ) -> Vec<Moment> {
+    fn moments<'d>(&mut self, frames: impl Iterator<Item = &'d Detections>) -> Vec<Moment> {
         let mut groups: Vec<(Timestamp, Vec<Observation>)> = Vec::new();
         for frame in frames {
             let seen = self.observe(frame);

@@ -22,6 +22,7 @@ mod playout;
 mod solver;
 mod waiting;
 
+pub use association::follow;
 pub use config::{Config, Gate};
 pub use effort::Effort;
 pub use event::{Event, EventKind};

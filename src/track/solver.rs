@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::acquire::{fit, sight};
-use super::association::{Expected, Follower, extent, median};
+use super::association::{extent, follow, median};
 use super::config::Config;
 use super::job::{Job, LiveFit, Outcome, Residual, Solution, Task, Tracked, Verdict};
 use crate::body::{BodyPoint, Pose, Skeleton, fitted_points};
@@ -155,8 +155,8 @@ impl Solver {
         keyframe: &Keyframe,
         skeleton: &Skeleton,
     ) -> Vec<Moment> {
-        let expected = expected_points(&self.decoder, points, rig, keyframe, skeleton);
-        Follower::new(points, &self.config, expected).moments(frames.map(|frame| &**frame))
+        let frames = frames.map(|frame| &**frame);
+        follow(frames, points, rig, &self.decoder.pose(keyframe), skeleton, &self.config)
     }
 
     fn track(
@@ -326,23 +326,6 @@ fn scene<'a>(
     points: &'a [BodyPoint],
 ) -> Scene<'a> {
     Scene { decoder, rig, points, config: &config.cost }
-}
-
-/// Where the points of a keyframe's pose are in each camera.
-fn expected_points(
-    decoder: &Decoder,
-    points: &[BodyPoint],
-    rig: &Rig,
-    keyframe: &Keyframe,
-    skeleton: &Skeleton,
-) -> Vec<Expected> {
-    let posture = decoder.pose(keyframe).posture(skeleton);
-    let world: Vec<_> =
-        points.iter().map(|p| p.attachment.position(&posture, skeleton.shape())).collect();
-    rig.cameras
-        .iter()
-        .map(|camera| world.iter().map(|point| camera.project(point)).collect())
-        .collect()
 }
 
 fn residuals(

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector3};
 
 use super::TrainError;
 use crate::body::bvh::Bvh;
-use crate::body::{BODY_JOINTS, JOINTS, Joint};
+use crate::body::{BODY_JOINTS, JOINTS, Joint, Pose, Skeleton};
 use crate::so3;
 
 /// Numbers of a pose: two columns of each of the 21 local rotations.
@@ -28,6 +28,30 @@ pub struct Clip {
     pub subject: String,
     /// Poses in order.
     pub poses: Vec<PoseVector>,
+    /// The pelvis of each pose: rotation, and position in metres on the scale of our mean body.
+    pub roots: Vec<Root>,
+}
+
+/// Rotation and position of the pelvis in the world.
+pub type Root = (Matrix3<f64>, Vector3<f64>);
+
+/// A frame of a clip.
+type Frame = (Root, [Matrix3<f64>; BODY_JOINTS]);
+
+impl Clip {
+    /// The whole pose of a frame.
+    pub fn pose(&self, frame: usize) -> Option<Pose> {
+        let (&(root_rotation, root_position), numbers) =
+            self.roots.get(frame).zip(self.poses.get(frame))?;
+        let local = std::array::from_fn(|joint| {
+            let at = |k: usize| f64::from(numbers[6 * joint + k]);
+            let a = Vector3::new(at(0), at(1), at(2)).normalize();
+            let b = Vector3::new(at(3), at(4), at(5));
+            let b = (b - a * a.dot(&b)).normalize();
+            Matrix3::from_columns(&[a, b, a.cross(&b)])
+        });
+        Some(Pose { root_rotation, root_position, local })
+    }
 }
 
 /// The joints of a BVH skeleton that stand for ours, by our index.
@@ -109,7 +133,8 @@ fn read_clip(path: &Path) -> Result<Clip, TrainError> {
     let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let retarget = Retarget::of(&bvh)
         .map_err(|joint| TrainError::Joint { path: path.to_owned(), joint: joint.to_owned() })?;
-    Ok(Clip { subject: subject_of(&name), name, poses: retarget.poses(&bvh) })
+    let (roots, poses) = retarget.frames(&bvh).into_iter().unzip();
+    Ok(Clip { subject: subject_of(&name), name, poses, roots })
 }
 
 fn subject_of(name: &str) -> String {
@@ -131,6 +156,8 @@ struct Retarget {
     joints: [usize; JOINTS],
     /// `theirs_from_ours` at rest; identity but for splayed legs.
     rest: [Matrix3<f64>; JOINTS],
+    /// Metres of our mean body per unit of the file, by the length of the legs.
+    scale: f64,
 }
 
 impl Retarget {
@@ -145,12 +172,16 @@ impl Retarget {
         if source.splayed {
             straighten(bvh, &joints, &mut rest);
         }
-        Ok(Self { joints, rest })
+        let body = Skeleton::default();
+        let length = |joint: Joint| bvh.joints()[joints[joint.index()]].offset.norm();
+        let theirs = length(Joint::LKnee) + length(Joint::LAnkle);
+        let ours = body.offset(Joint::LKnee).norm() + body.offset(Joint::LAnkle).norm();
+        Ok(Self { joints, rest, scale: ours / theirs.max(1e-6) })
     }
 
-    /// Our local rotations: (G_parent C_parent)^T G_j C_j with the file's global rotations G and
+    /// Pelvis, and our local rotations: (G_parent C_parent)^T G_j C_j with the file's global rotations G and
     /// `theirs_from_ours` C.
-    fn locals(&self, bvh: &Bvh, frame: usize) -> Option<[Matrix3<f64>; BODY_JOINTS]> {
+    fn frame(&self, bvh: &Bvh, frame: usize) -> Option<Frame> {
         let posture = bvh.posture(frame)?;
         let global =
             |joint: Joint| posture[self.joints[joint.index()]].0 * self.rest[joint.index()];
@@ -160,16 +191,17 @@ impl Retarget {
                 *local = global(parent).transpose() * global(*joint);
             }
         }
-        Some(locals)
+        let position = posture[self.joints[Joint::Pelvis.index()]].1 * self.scale;
+        Some(((global(Joint::Pelvis), position), locals))
     }
 
-    fn poses(&self, bvh: &Bvh) -> Vec<PoseVector> {
-        let locals: Vec<_> = (0..bvh.frames()).filter_map(|f| self.locals(bvh, f)).collect();
+    fn frames(&self, bvh: &Bvh) -> Vec<(Root, PoseVector)> {
+        let frames: Vec<_> = (0..bvh.frames()).filter_map(|f| self.frame(bvh, f)).collect();
         let step = FPS * bvh.frame_time();
         if (step - 1.0).abs() < 0.01 {
-            return locals.iter().map(pose_vector).collect();
+            return frames.iter().map(|(root, locals)| (*root, pose_vector(locals))).collect();
         }
-        resampled(&locals, step)
+        resampled(&frames, step)
     }
 }
 
@@ -187,16 +219,18 @@ fn straighten(bvh: &Bvh, joints: &[usize; JOINTS], rest: &mut [Matrix3<f64>; JOI
     }
 }
 
-/// Poses at [`FPS`] from frames that are 1 / `step` times as dense, by slerp of each joint.
-fn resampled(locals: &[[Matrix3<f64>; BODY_JOINTS]], step: f64) -> Vec<PoseVector> {
-    let last = locals.len().saturating_sub(1);
-    let count = (last as f64 * step).floor() as usize + usize::from(!locals.is_empty());
+/// Frames at [`FPS`] from ones that are 1 / `step` times as dense: slerp of each joint and of the
+/// pelvis, lerp of its position.
+fn resampled(frames: &[Frame], step: f64) -> Vec<(Root, PoseVector)> {
+    let last = frames.len().saturating_sub(1);
+    let count = (last as f64 * step).floor() as usize + usize::from(!frames.is_empty());
     (0..count)
         .map(|index| {
             let at = index as f64 / step;
             let (before, s) = ((at.floor() as usize).min(last), at.fract());
-            let (a, b) = (&locals[before], &locals[(before + 1).min(last)]);
-            pose_vector(&std::array::from_fn(|j| so3::slerp(&a[j], &b[j], s)))
+            let ((root, a), (next, b)) = (&frames[before], &frames[(before + 1).min(last)]);
+            let root = (so3::slerp(&root.0, &next.0, s), root.1.lerp(&next.1, s));
+            (root, pose_vector(&std::array::from_fn(|j| so3::slerp(&a[j], &b[j], s))))
         })
         .collect()
 }
@@ -252,10 +286,11 @@ mod tests {
     #[test]
     fn resampling_keeps_both_ends_and_halves_the_way() {
         let turn = |angle: f64| [so3::exp(&(Vector3::x() * angle)); BODY_JOINTS];
-        let slow = [turn(0.0), turn(0.4), turn(0.8)];
-        let poses = resampled(&slow, 2.0);
-        assert_eq!(poses.len(), 5);
-        for (pose, angle) in poses.iter().zip([0.0, 0.2, 0.4, 0.6, 0.8]) {
+        let frame = |angle: f64| ((turn(angle)[0], Vector3::z() * angle), turn(angle));
+        let frames = resampled(&[frame(0.0), frame(0.4), frame(0.8)], 2.0);
+        assert_eq!(frames.len(), 5);
+        for ((root, pose), angle) in frames.iter().zip([0.0, 0.2, 0.4, 0.6, 0.8]) {
+            assert!((root.0 - turn(angle)[0]).norm() < 1e-9 && (root.1.z - angle).abs() < 1e-9);
             let expected = pose_vector(&turn(angle));
             assert!(pose.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-6));
         }

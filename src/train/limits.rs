@@ -91,6 +91,7 @@ mod tests {
             name: "a".to_owned(),
             subject: "a".to_owned(),
             poses: (0..500).map(pose).collect(),
+            roots: Vec::new(),
         }]
     }
 

@@ -391,7 +391,12 @@ mod tests {
             so3::exp(&Vector3::new(0.5 * phase.sin(), 0.3 * (1.3 * phase).cos(), 0.1))
         };
         let pose = |frame| pose_vector(&std::array::from_fn(|joint| turn(frame, joint)));
-        Clip { name: "01_01".into(), subject: "01".into(), poses: (0..60).map(pose).collect() }
+        Clip {
+            name: "01_01".into(),
+            subject: "01".into(),
+            poses: (0..60).map(pose).collect(),
+            roots: Vec::new(),
+        }
     }
 
     fn small(clips: &[Clip]) -> (Model, Whitening) {

@@ -42,7 +42,7 @@ mod tests {
         let turn = |angle: f64| so3::exp(about) * so3::exp(&(Vector3::x() * angle));
         let angles = [-swing, 0.0, swing];
         let poses = angles.map(|angle| pose_vector(&[turn(angle); BODY_JOINTS])).to_vec();
-        Clip { name: "01_01".into(), subject: "01".into(), poses }
+        Clip { name: "01_01".into(), subject: "01".into(), poses, roots: Vec::new() }
     }
 
     #[test]

@@ -1,0 +1,70 @@
+//! BundleMoCap: one latent keyframe a window, by the tracking machine itself.
+
+use std::sync::Arc;
+
+use super::{Delay, Method, Solved, Take};
+use crate::manifold::Decoder;
+use crate::solve;
+use crate::track::{Config, Input, Output, Solver, Track};
+
+/// The tracking machine with those settings.
+#[derive(Clone, Debug)]
+pub struct Windows {
+    name: String,
+    config: Config,
+}
+
+impl Windows {
+    /// The machine with settings under a name.
+    pub fn new(name: &str, config: Config) -> Self {
+        Self { name: name.to_owned(), config }
+    }
+
+    /// As the paper has it: slerp, ten frames, the previous keyframe fixed, L-BFGS with a budget
+    /// of 30 iterations, one stage.
+    pub fn paper() -> Self {
+        let config = Config {
+            method: solve::Method::Lbfgs,
+            window_frames: 10,
+            iterations: 30,
+            loose_iterations: 0,
+            ..Config::default()
+        };
+        Self::new("BundleMoCap (paper)", config)
+    }
+
+    /// As the program does without settings.
+    pub fn default_settings() -> Self {
+        Self::new("bundlemocap (default)", Config::default())
+    }
+}
+
+impl Method for Windows {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn delay(&self) -> Delay {
+        Delay::Frames(self.config.window_frames)
+    }
+
+    fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
+        let config = Config { frame_rate_hz: take.fps, ..self.config };
+        let mut track = Track::new(config, Arc::clone(&take.rig));
+        let mut solver = Solver::new(decoder.clone(), config);
+        let (mut poses, mut borders, mut body) = (Vec::new(), Vec::new(), None);
+        for input in take.frames.iter().cloned().map(Input::Detections).chain([Input::End]) {
+            track.handle(input);
+            while let Some(output) = track.poll() {
+                match output {
+                    Output::Solve(job) => track.handle(Input::Solved(solver.solve(&job))),
+                    Output::Pose(pose) => poses.push((pose.capture, pose.pose)),
+                    Output::Keyframe(keyframe) => borders.push(keyframe.capture),
+                    Output::Skeleton(skeleton) => body = Some(skeleton),
+                    _ => {}
+                }
+            }
+        }
+        Some(Solved { skeleton: body?, poses, borders })
+    }
+}

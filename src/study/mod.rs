@@ -1,0 +1,1 @@
+//! Methods measured against each other: takes in, tables and plots out.
