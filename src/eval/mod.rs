@@ -16,6 +16,7 @@
 //!
 //! Over several recordings, means have the intervals of [`mean_interval`].
 
+mod detector_statistics;
 mod metrics;
 mod motion;
 mod reprojection;
@@ -23,6 +24,9 @@ pub mod statistics;
 pub mod trc;
 mod trend;
 
+pub use detector_statistics::{
+    ConfidenceBin, DetectorStatistics, DetectorTracks, PointTrack, Seen,
+};
 pub use metrics::{PoseErrors, acceleration_error, mean_acceleration, pose_errors};
 pub use motion::{FootSkate, VelocityJump, foot_skate, velocity_jump, velocity_jumps};
 pub use reprojection::{ReprojectionErrors, ReprojectionSample};
