@@ -32,7 +32,7 @@ use std::time::{Duration, Instant};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-pub use corpus::{Clip, POSE, PoseVector, Root, mirrored, pose_vector, read_folder};
+pub use corpus::{Clip, FPS, POSE, PoseVector, Root, mirrored, pose_vector, read_folder, subjects};
 pub use evaluate::{Figures, SPAN, table};
 pub use model::Losses;
 pub use options::Options;
