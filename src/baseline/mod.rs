@@ -5,13 +5,19 @@
 //!
 //! | method | unknowns | over time |
 //! |---|---|---|
+//! | [`MuVs`] | a latent keyframe a frame | nothing |
 //! | [`Windows`] | a latent keyframe at each border | the path between keyframes |
 
+mod frames;
+mod muvs;
+mod registry;
 mod start;
 mod windows;
 
 use std::sync::Arc;
 
+pub use muvs::{MuVs, MuVsWeights};
+pub use registry::{NAMES, all, named};
 pub use start::{Start, start};
 pub use windows::Windows;
 
