@@ -2,14 +2,16 @@
 
 use std::sync::Arc;
 
-use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::baseline::Take;
-use crate::body::{Pose, Shape, Skeleton, StampedPose};
+use crate::body::{Pose, Skeleton, StampedPose};
 use crate::camera::Rig;
+use crate::detect::KeypointFormat;
 use crate::so3;
-use crate::synth::{Motion, MotionStyle, Noise, Recording, through};
+use crate::synth::{
+    Motion, MotionStyle, Noise, Protocol, Recording, SequenceChoice, sequence, through,
+};
 use crate::train;
 
 /// Seconds over which one clip turns into the next.
@@ -22,43 +24,35 @@ pub struct View {
     pub name: String,
     /// The cameras.
     pub rig: Arc<Rig>,
-    /// How the detectors err.
+    /// What the detectors mark.
+    pub format: KeypointFormat,
+    /// How they err.
     pub noise: Noise,
-    /// Frames a second.
-    pub fps: f64,
-    /// Longest length, seconds.
-    pub seconds: f64,
+    /// The stretch of the motion, the frame rate, and the bodies.
+    pub choice: SequenceChoice,
     /// Of all that is random.
     pub seed: u64,
 }
 
-/// A motion and who makes it.
+/// A motion.
 #[derive(Clone, Debug)]
 pub struct Subject {
     /// What tables call it.
     pub name: String,
     /// Sets its body and its detectors' errors apart from those of others.
-    pub index: u64,
-    /// The motion.
-    pub source: Source,
-}
-
-/// Where a motion comes from.
-#[derive(Clone, Debug)]
-pub enum Source {
-    /// Poses at [`train::FPS`]; the middle is taken if they are too long.
-    Poses(Arc<Vec<Pose>>),
-    /// Our own, for ever.
-    Procedural(MotionStyle),
+    pub index: usize,
+    /// Poses at [`train::FPS`].
+    pub poses: Arc<Vec<Pose>>,
 }
 
 /// A motion seen in one way: enough to make its [`Sequence`], the same each time.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// The motion.
-    pub subject: Subject,
-    /// How it is seen.
-    pub view: View,
+    name: CaseName,
+    view: View,
+    skeleton: Skeleton,
+    poses: Arc<Vec<Pose>>,
+    frames: u64,
 }
 
 /// A take and its truth.
@@ -77,83 +71,82 @@ pub struct Sequence {
 pub struct CaseName {
     /// The motion.
     pub sequence: String,
-    /// Of its noise.
+    /// Of its body, heading and noise.
     pub seed: u64,
 }
 
 impl Case {
+    /// A subject seen in that way; `None` where no stretch of its motion fits, see
+    /// [`sequence`].
+    pub fn new(subject: &Subject, view: &View) -> Option<Self> {
+        let seed = Protocol::seed_of(view.seed, subject.index);
+        let made = sequence(&subject.poses, train::FPS, &view.choice, seed)?;
+        Some(Self {
+            name: CaseName { sequence: subject.name.clone(), seed },
+            view: view.clone(),
+            skeleton: made.skeleton,
+            poses: Arc::new(made.poses),
+            frames: made.frames,
+        })
+    }
+
+    /// One motion of that many seconds on one body: the subjects one after the other, from the
+    /// first again when they end. Each begins where the one before ended, with half a second
+    /// from one to the next. `None` if no subject fits.
+    pub fn endless(subjects: &[Subject], view: &View, seconds: f64) -> Option<Self> {
+        let seed = Protocol::seed_of(view.seed, 0);
+        let part = |subject: &Subject| sequence(&subject.poses, train::FPS, &view.choice, seed);
+        let parts: Vec<_> = subjects.iter().filter_map(part).collect();
+        let skeleton = parts.first()?.skeleton.clone();
+        let poses = joined(parts.iter().map(|part| &part.poses[..]), seconds);
+        let name = format!("{} motions without end", parts.len());
+        Some(Self {
+            name: CaseName { sequence: name, seed },
+            view: view.clone(),
+            skeleton,
+            frames: (poses.len() as f64 / train::FPS * view.choice.fps).floor() as u64,
+            poses: Arc::new(poses),
+        })
+    }
+
     /// Its name.
-    pub fn name(&self) -> CaseName {
-        CaseName { sequence: self.subject.name.clone(), seed: self.seed() }
-    }
-
-    fn seed(&self) -> u64 {
-        self.view.seed.wrapping_mul(1000).wrapping_add(self.subject.index)
-    }
-
-    /// The body: eight coefficients within 0.9, which no method is told.
-    fn skeleton(&self) -> Skeleton {
-        let phase = self.subject.index as f64 + self.view.seed as f64 + 0.3;
-        Skeleton::new(Shape(std::array::from_fn(|i| 0.9 * ((i + 1) as f64 * phase * 1.7).sin())))
+    pub fn name(&self) -> &CaseName {
+        &self.name
     }
 
     /// Makes it.
     pub fn make(&self) -> Sequence {
-        let View { rig, noise, fps, seconds, .. } = &self.view;
-        let skeleton = self.skeleton();
-        let motion = self.subject.source.motion(&skeleton, *seconds);
-        let mut recording = Recording::new(Rig::clone(rig), skeleton.clone(), motion.pose);
-        recording.fps = *fps;
-        recording.frames = (motion.seconds * fps).floor() as u64;
-        recording.seed = self.seed();
+        let View { rig, noise, choice, format, .. } = &self.view;
+        let motion = through(Vec::clone(&self.poses), train::FPS);
+        let mut recording = Recording::new(Rig::clone(rig), self.skeleton.clone(), motion);
+        recording.fps = choice.fps;
+        recording.frames = self.frames;
+        recording.seed = self.name.seed;
+        recording.format = *format;
         recording.noise = noise.clone();
         let take = Take {
             rig: Arc::clone(rig),
-            format: recording.format,
-            fps: *fps,
+            format: *format,
+            fps: choice.fps,
             frames: recording.detections().collect(),
         };
-        Sequence { take, truth: recording.poses().collect(), skeleton }
+        let truth = recording.poses().collect();
+        Sequence { take, truth, skeleton: self.skeleton.clone() }
     }
 }
 
-/// A motion of some length.
-struct Playing {
-    pose: Box<dyn Fn(f64) -> Pose>,
-    seconds: f64,
-}
-
-impl Source {
-    fn motion(&self, skeleton: &Skeleton, seconds: f64) -> Playing {
-        match self {
-            Self::Procedural(style) => {
-                let motion = Motion::new(skeleton, *style);
-                Playing { pose: Box::new(move |at| motion.pose(at)), seconds }
-            }
-            Self::Poses(poses) => {
-                let most = ((seconds * train::FPS).round() as usize).min(poses.len());
-                let first = (poses.len() - most) / 2;
-                let part = centred(poses[first..first + most].to_vec());
-                let seconds = most as f64 / train::FPS;
-                Playing { pose: Box::new(through(part, train::FPS)), seconds }
-            }
-        }
-    }
-}
-
-/// The subjects made of those clips.
+/// The motions of those clips.
 pub fn subjects<'a>(clips: impl IntoIterator<Item = &'a train::Clip>) -> Vec<Subject> {
-    let subject = |(index, clip): (u64, &train::Clip)| Subject {
-        name: clip.name.clone(),
-        index,
-        source: Source::Poses(Arc::new(all_poses(clip))),
+    let subject = |(index, clip): (usize, &train::Clip)| {
+        let poses = (0..clip.poses.len()).filter_map(|frame| clip.pose(frame)).collect();
+        Subject { name: clip.name.clone(), index, poses: Arc::new(poses) }
     };
     (1..).zip(clips).map(subject).collect()
 }
 
-/// Our own motion, that many times, each in another style; needs no files.
-pub fn procedural(count: u64) -> Vec<Subject> {
-    let subject = |index: u64| {
+/// Our own motion of that many seconds, `count` times, each in another style; needs no files.
+pub fn procedural(count: usize, seconds: f64) -> Vec<Subject> {
+    let subject = |index: usize| {
         let plain = MotionStyle::default();
         let share = (index % 5) as f64 / 5.0;
         let style = MotionStyle {
@@ -161,27 +154,20 @@ pub fn procedural(count: u64) -> Vec<Subject> {
             liveliness: plain.liveliness * (1.0 + 0.3 * share),
             ..plain
         };
-        Subject { name: format!("procedural {index}"), index, source: Source::Procedural(style) }
+        let motion = Motion::new(&Skeleton::default(), style);
+        let frames = (seconds * train::FPS).ceil() as usize + 1;
+        let poses = (0..frames).map(|frame| motion.pose(frame as f64 / train::FPS)).collect();
+        Subject { name: format!("procedural {index}"), index, poses: Arc::new(poses) }
     };
     (1..=count).map(subject).collect()
 }
 
-/// One motion of that many seconds, out of clips one after the other, from the first again when
-/// they end. Each begins where the one before ended, with half a second from one to the next.
-/// `None` without clips.
-pub fn endless<'a>(
-    clips: impl IntoIterator<Item = &'a train::Clip>,
-    seconds: f64,
-) -> Option<Subject> {
-    let parts: Vec<Vec<Pose>> =
-        clips.into_iter().map(all_poses).filter(|part| !part.is_empty()).map(centred).collect();
-    if parts.is_empty() {
-        return None;
-    }
+/// Parts one after the other, with a blend from each to the next, until there are enough.
+fn joined<'a>(parts: impl Iterator<Item = &'a [Pose]> + Clone, seconds: f64) -> Vec<Pose> {
     let wanted = (seconds * train::FPS).ceil() as usize;
     let blend = (BLEND_S * train::FPS).round() as usize;
     let mut poses: Vec<Pose> = Vec::with_capacity(wanted);
-    for part in parts.iter().cycle() {
+    for part in parts.cycle().take_while(|part| !part.is_empty()) {
         if let (Some(last), Some(first)) = (poses.last().cloned(), part.first()) {
             let share = |k: usize| k as f64 / blend as f64;
             poses.extend((1..blend).map(|k| between(&last, first, smooth(share(k)))));
@@ -192,21 +178,6 @@ pub fn endless<'a>(
         }
     }
     poses.truncate(wanted);
-    let source = Source::Poses(Arc::new(poses));
-    Some(Subject { name: "clips without end".into(), index: 1, source })
-}
-
-fn all_poses(clip: &train::Clip) -> Vec<Pose> {
-    (0..clip.poses.len()).filter_map(|frame| clip.pose(frame)).collect()
-}
-
-/// Moved so that the mean of the pelvis is above the origin.
-fn centred(mut poses: Vec<Pose>) -> Vec<Pose> {
-    let sum: Vector3<f64> = poses.iter().map(|pose| pose.root_position).sum();
-    let mean = sum / poses.len().max(1) as f64;
-    for pose in &mut poses {
-        pose.root_position -= Vector3::new(mean.x, 0.0, mean.z);
-    }
     poses
 }
 
@@ -225,36 +196,38 @@ fn between(a: &Pose, b: &Pose, share: f64) -> Pose {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::body::BODY_JOINTS;
+    use nalgebra::Vector3;
 
-    fn clip(name: &str, x: f64, frames: usize) -> train::Clip {
-        let mut rest = [0.0; train::POSE];
-        for joint in 0..BODY_JOINTS {
-            rest[6 * joint] = 1.0;
-            rest[6 * joint + 4] = 1.0;
-        }
-        let root = |frame: usize| {
-            (nalgebra::Matrix3::identity(), Vector3::new(x + 0.01 * frame as f64, 0.9, 2.0))
+    use super::*;
+    use crate::synth::rig_named;
+
+    fn subject(name: &str, x: f64, frames: usize) -> Subject {
+        let pose = |frame: usize| {
+            let mut pose = Pose::rest();
+            pose.root_position = Vector3::new(x + 0.005 * frame as f64, 0.9, 2.0);
+            pose
         };
-        train::Clip {
-            name: name.into(),
-            subject: "1".into(),
-            poses: vec![rest; frames],
-            roots: (0..frames).map(root).collect(),
-        }
+        let poses = Arc::new((0..frames).map(pose).collect());
+        Subject { name: name.into(), index: 1, poses }
     }
 
     #[test]
-    fn clips_follow_each_other_without_a_leap() {
-        let clips = [clip("a", 5.0, 120), clip("b", -3.0, 60)];
-        let subject = endless(&clips, 10.0).unwrap();
-        let Source::Poses(poses) = subject.source else { panic!() };
-        assert_eq!(poses.len(), 600);
+    fn motions_follow_each_other_without_a_leap() {
+        let view = View {
+            name: String::new(),
+            rig: Arc::new(rig_named("ring4", None).unwrap()),
+            format: KeypointFormat::Body25,
+            noise: Noise::none(),
+            choice: SequenceChoice { least_seconds: 0.5, ..SequenceChoice::default() },
+            seed: 1,
+        };
+        let subjects = [subject("a", 5.0, 120), subject("b", -3.0, 60)];
+        let case = Case::endless(&subjects, &view, 10.0).unwrap();
+        assert_eq!((case.poses.len(), case.frames), (600, 500));
         let step = |pair: &[Pose]| (pair[1].root_position - pair[0].root_position).norm();
-        let largest = poses.windows(2).map(step).fold(0.0, f64::max);
-        assert!(largest < 0.07, "{largest}");
-        assert!(poses.iter().all(|pose| pose.root_position.x.abs() < 0.7));
-        assert!(endless(&[], 10.0).is_none());
+        let largest = case.poses.windows(2).map(step).fold(0.0, f64::max);
+        assert!(largest < 0.06, "{largest}");
+        assert!(case.poses.iter().all(|pose| pose.root_position.xz().norm() < 0.5));
+        assert!(Case::endless(&[], &view, 10.0).is_none());
     }
 }

@@ -11,6 +11,6 @@ mod run;
 mod score;
 pub mod summary;
 
-pub use case::{Case, CaseName, Sequence, Source, Subject, View, endless, procedural, subjects};
+pub use case::{Case, CaseName, Sequence, Subject, View, procedural, subjects};
 pub use run::{Methods, Row, Run, run};
 pub use score::{REACH, Score, Trace, score, true_heights};

@@ -4,6 +4,7 @@ use super::run::{Row, Run};
 use super::score::{REACH, Trace};
 use super::summary::Summary;
 use crate::body::{JOINTS, Joint};
+use crate::eval::{ConfidenceBin, DetectorStatistics};
 use crate::export::{Bars, Plot, Series};
 
 /// The joint whose path is shown.
@@ -41,12 +42,7 @@ pub fn bars(title: &str, label: &str, key: &str, levels: &[(&str, &[Summary])]) 
 /// Error over time of every method on one case.
 pub fn errors(run: &Run, case: usize) -> Plot {
     let series = traces(run, case).map(|(index, row, trace)| {
-        let mean = |group: &[(f64, f64)]| {
-            let n = group.len() as f64;
-            let sum = group.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0, s.1 + p.1));
-            (sum.0 / n, sum.1 / n)
-        };
-        let points = trace.error_mm.chunks(SMOOTHED).map(mean).collect();
+        let points = trace.error_mm.chunks(SMOOTHED).map(mean_point).collect();
         curve(&row.method, index, points)
     });
     Plot {
@@ -143,4 +139,68 @@ fn curve(name: &str, colour: usize, points: Vec<(f64, f64)>) -> Series {
 
 fn name(run: &Run, case: usize) -> &str {
     run.cases.get(case).map_or("", |case| &case.sequence)
+}
+
+/// Spectrum of the detectors' errors by level.
+pub fn detector_spectrum(levels: &[(&str, &DetectorStatistics)]) -> Plot {
+    let series = levels.iter().enumerate().map(|(index, (name, statistics))| {
+        let spectrum = statistics.spectrum.iter().filter(|(hz, _)| *hz > 0.0);
+        curve(name, index, spectrum.copied().collect())
+    });
+    Plot {
+        title: "Jitter of the detectors".into(),
+        note: "Power of the distances from the body's points, in shares of its height.".into(),
+        x_label: "frequency (Hz)".into(),
+        y_label: "power (1/Hz)".into(),
+        series: series.collect(),
+        log: true,
+        ..Plot::default()
+    }
+}
+
+/// Error of the detectors by confidence, by level.
+pub fn detector_confidence(levels: &[(&str, &DetectorStatistics)]) -> Plot {
+    let series = levels.iter().enumerate().map(|(index, (name, statistics))| {
+        let bins = statistics.by_confidence.iter().filter(|bin| bin.share > 1e-3);
+        let point = |bin: &ConfidenceBin| {
+            (0.5 * (bin.range[0] + bin.range[1]), 100.0 * bin.median_error)
+        };
+        curve(name, index, bins.map(point).collect())
+    });
+    Plot {
+        title: "Error of the detectors by confidence".into(),
+        note: "Median distance from the body's point, of bins with a thousandth of the points."
+            .into(),
+        x_label: "confidence".into(),
+        y_label: "error (% of height)".into(),
+        series: series.collect(),
+        ..Plot::default()
+    }
+}
+
+/// Error over a long take, a second averaged, of every method.
+pub fn long_errors(run: &Run, fps: f64) -> Plot {
+    let second = fps.round().max(1.0) as usize;
+    let series = traces(run, 0).map(|(index, row, trace)| {
+        curve(&row.method, index, trace.error_mm.chunks(second).map(mean_point).collect())
+    });
+    Plot {
+        title: "Error over a long take".into(),
+        note: "Mean over the joints, a second averaged.".into(),
+        x_label: "time (min)".into(),
+        y_label: "error (mm)".into(),
+        series: series
+            .map(|mut series| {
+                series.points.iter_mut().for_each(|point| point.0 /= 60.0);
+                series
+            })
+            .collect(),
+        ..Plot::default()
+    }
+}
+
+fn mean_point(group: &[(f64, f64)]) -> (f64, f64) {
+    let n = group.len() as f64;
+    let sum = group.iter().fold((0.0, 0.0), |sum, point| (sum.0 + point.0, sum.1 + point.1));
+    (sum.0 / n, sum.1 / n)
 }

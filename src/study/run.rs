@@ -72,7 +72,7 @@ pub fn run(
             row.results.push(result);
         }
     }
-    Run { cases: cases.iter().map(Case::name).collect(), rows }
+    Run { cases: cases.iter().map(|case| case.name().clone()).collect(), rows }
 }
 
 fn solve(
