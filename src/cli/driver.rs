@@ -9,13 +9,11 @@ use super::kept::KeptPose;
 use crate::body::Skeleton;
 use crate::camera::Rig;
 use crate::eval::statistics::percentiles;
+use crate::study::CONFIDENT;
 use crate::time::Timestamp;
 use crate::track::{
     Config, Event, EventKind, Input, Output, Residual, Solver, Task, Track, Verdict, WindowReport,
 };
-
-/// Detected points of at most this confidence are left out of reported errors.
-pub(super) const CONFIDENT: f64 = 0.3;
 
 /// A window as the report shows it.
 pub(super) struct WindowSummary {

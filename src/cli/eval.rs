@@ -82,6 +82,9 @@ pub(super) struct Arguments {
     /// Report the distance to these marker positions (y up, frames as in the recording).
     #[arg(long, value_name = "TRC", requires = "recording")]
     pub(super) reference: Option<PathBuf>,
+    /// Show how the detectors of this recording err beside the levels of noise.
+    #[arg(long, value_name = "FILE", conflicts_with = "recording")]
+    pub(super) beside: Option<PathBuf>,
     /// Measure how the error changes over that many minutes.
     #[arg(long, value_name = "MINUTES", conflicts_with_all = ["ablation", "tune"])]
     pub(super) drift_minutes: Option<f64>,

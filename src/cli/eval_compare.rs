@@ -4,6 +4,7 @@ use serde_json::{Value, json};
 
 use super::eval::Arguments;
 use super::eval_output::write;
+use super::eval_recording::Loaded;
 use super::eval_setup::Setup;
 use super::failure::Failure;
 use crate::baseline::{Method, Windows};
@@ -46,9 +47,14 @@ pub(super) fn compare(arguments: &Arguments, names: &[String]) -> Result<(), Fai
     if let Some(level) = levels.last() {
         add_curves(&mut report, level);
     }
+    let real = match &arguments.beside {
+        Some(path) => Loaded::read(path)?.detectors(&setup.decoder),
+        None => None,
+    };
     let detectors: Vec<(&str, &DetectorStatistics)> = levels
         .iter()
         .filter_map(|level| Some((level.view.name.as_str(), level.detector.as_ref()?)))
+        .chain(real.as_ref().map(|real| ("the recording", real)))
         .collect();
     report.plots.push(plots::detector_spectrum(&detectors));
     report.plots.push(plots::detector_confidence(&detectors));
@@ -96,11 +102,8 @@ fn add_curves(report: &mut ReportData, level: &Level) {
     let first = run.rows.first().map(|row| row.method.as_str());
     let shown: Vec<&str> =
         first.into_iter().chain(run.rows.iter().skip(1).last().map(|r| &*r.method)).collect();
-    report.plots = vec![
-        plots::errors(run, case),
-        plots::borders(run),
-        plots::path(run, case, &truth, &shown),
-    ];
+    report.plots =
+        vec![plots::errors(run, case), plots::borders(run), plots::path(run, case, &truth, &shown)];
     for plot in &mut report.plots {
         plot.note = format!("{} Noise: {}.", plot.note, view.name);
     }

@@ -1,4 +1,4 @@
-//! A method's weights, tried on the subjects that the evaluation does not use.
+//! A method's weights, tuned on the subjects that the evaluation does not use.
 
 use serde_json::json;
 
@@ -7,36 +7,41 @@ use super::eval_output::write;
 use super::eval_setup::Setup;
 use super::failure::{Exit, Failure};
 use crate::export::ReportData;
-use crate::study::summary::{summaries, to_json};
-use crate::study::sweep::{TUNED, grid, table};
+use crate::study::methods::names;
+use crate::study::sweep::{axes, table, tune};
 
-/// Solves by a method with each of the weights of its grid, at each level of noise.
+/// Goes along each weight of a method, at all levels of noise.
 pub(super) fn run(arguments: &Arguments, method: &str) -> Result<(), Failure> {
-    if grid(method).is_none() {
-        let message = format!("--tune {method} is not known; use {}", TUNED.join(", "));
+    if axes(method).is_none() {
+        let known = names().join(", ");
+        let message = format!("--tune {method} has no weights to tune; use one of {known}");
         return Err(Failure::new(Exit::Usage, message));
     }
     let setup = Setup::new(arguments)?;
-    let mut runs = Vec::new();
+    let mut levels = Vec::new();
     for level in &arguments.noise {
-        let cases = setup.cases(&setup.view(level)?);
-        runs.push(setup.solve(level, &cases, &|| grid(method).unwrap_or_default())?);
+        levels.push((level.as_str(), setup.cases(&setup.view(level)?)));
     }
-    let levels: Vec<&str> = arguments.noise.iter().map(String::as_str).collect();
+    let trials = tune(method, |methods| {
+        levels.iter().map(|(level, cases)| setup.solve(level, cases, methods)).collect()
+    })?;
+    let names: Vec<&str> = levels.iter().map(|(level, _)| *level).collect();
+    let whose = match arguments.motions {
+        Some(_) => format!("all subjects but {}", setup.protocol.subjects.join(", ")),
+        None => "our own motion".into(),
+    };
     let report = ReportData {
         title: format!("Weights of {method}"),
-        subtitle: format!("{}, on all subjects but those", setup.subtitle()),
-        leading: vec![table("The best first", &levels, &runs)],
+        subtitle: format!("{} of {whose}", setup.subtitle()),
+        leading: vec![table("The best first", &names, &trials)],
         ..ReportData::default()
     };
-    let levels = levels.iter().zip(&runs).map(
-        |(level, run)| json!({ "level": level, "methods": to_json(run, &summaries(run, 0)) }),
-    );
     let results = json!({
         "version": env!("CARGO_PKG_VERSION"),
         "tuned": method,
         "protocol": setup.protocol,
-        "levels": levels.collect::<Vec<_>>(),
+        "levels": names,
+        "trials": trials,
     });
     write(&arguments.out, &report, &results)
 }

@@ -6,14 +6,14 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::driver::{CameraErrors, Run};
-use super::hold_out::HoldOut;
 use super::kept::KeptPose;
-use super::reference::Reference;
-use crate::body::{Posture, Skeleton, TrackingState};
+use crate::body::{Skeleton, TrackingState};
 use crate::camera::Rig;
 use crate::eval::statistics::{median, percentiles};
-use crate::eval::{PoseErrors, mean_acceleration, pose_errors};
+use crate::eval::{PoseErrors, pose_errors};
 use crate::record::Report;
+use crate::study::real::acceleration;
+use crate::study::{HoldOut, Reference};
 use crate::time::Timestamp;
 use crate::track::EventKind;
 
@@ -243,30 +243,6 @@ pub(super) fn frame_rate(poses: &[KeptPose]) -> Option<f64> {
     let periods: Vec<f64> =
         poses.windows(2).map(|pair| (pair[1].capture - pair[0].capture) as f64).collect();
     median(&periods).filter(|period| *period > 0.0).map(|period| 1e9 / period)
-}
-
-/// Mean joint acceleration over the runs of tracked poses without gaps, weighted by length.
-fn acceleration(poses: &[KeptPose], skeleton: &Skeleton, fps: f64) -> Option<f64> {
-    let longest = (1.5e9 / fps) as i64;
-    let together = |a: &KeptPose, b: &KeptPose| {
-        a.is_tracked() && b.is_tracked() && b.capture - a.capture < longest
-    };
-    let (mut sum, mut count) = (0.0, 0.0);
-    for run in poses.chunk_by(together) {
-        // Three postures are held at a time.
-        let mut triple: Vec<Posture> = Vec::with_capacity(3);
-        for pose in run {
-            if triple.len() == 3 {
-                triple.remove(0);
-            }
-            triple.push(pose.pose().posture(skeleton));
-            if let Some(mean) = mean_acceleration(&triple, fps) {
-                sum += mean;
-                count += 1.0;
-            }
-        }
-    }
-    (count > 0.0).then(|| sum / count)
 }
 
 /// Errors of the tracked poses that have a true pose within a tenth of a frame.

@@ -4,6 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::body::{BODY_JOINTS, Pose, StampedPose, TrackingState};
 use crate::so3;
+use crate::study::Kept;
 use crate::time::Timestamp;
 
 /// A pose with its rotations as quaternions, those of the joints rounded to `f32`.
@@ -29,6 +30,16 @@ impl KeptPose {
             root_position: self.root_position,
             local: self.local.map(|xyzw| rotation(xyzw.map(f64::from))),
         }
+    }
+}
+
+impl Kept for KeptPose {
+    fn capture(&self) -> Timestamp {
+        self.capture
+    }
+
+    fn usable(&self) -> Option<Pose> {
+        self.is_tracked().then(|| self.pose())
     }
 }
 

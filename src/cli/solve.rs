@@ -12,10 +12,9 @@ use super::bvh;
 use super::driver::{Driver, Run};
 use super::failure::{Exit, Failure, frame_rate_option};
 use super::figures::{Figures, Measured, True, frame_rate};
-use super::hold_out;
 use super::input::{Item, Recording};
+use super::kept::KeptPose;
 use super::output::{self, OutputFolder, PoseFile};
-use super::reference::{self, FrameClock};
 use super::terminal::{complain, progress, say, table};
 use crate::body::Skeleton;
 use crate::camera::{Camera, Rig};
@@ -24,6 +23,7 @@ use crate::eval::Trc;
 use crate::manifold::{Decoder, Interpolation};
 use crate::record::{Provenance, Report};
 use crate::solve::Method;
+use crate::study::{FrameClock, HeldOut, HoldOut, compare};
 use crate::track::{EventKind, Input, Solver};
 
 /// Solve a recording: 2D keypoints in, smooth 3D poses out.
@@ -142,10 +142,9 @@ fn measure(
 ) -> Result<Figures, Failure> {
     let poses = &solved.run.poses;
     let hold_out =
-        held_out.map(|camera| hold_out::measure(recording, camera, skeleton, poses)).transpose()?;
-    let reference = trc
-        .zip(solved.clock)
-        .and_then(|(trc, clock)| reference::compare(trc, clock, skeleton, poses));
+        held_out.map(|camera| hold_out(recording, camera, skeleton, poses)).transpose()?;
+    let reference =
+        trc.zip(solved.clock).and_then(|(trc, clock)| compare(trc, clock, skeleton, poses));
     Ok(Figures::new(Measured {
         recording: &recording.path,
         run: &solved.run,
@@ -157,6 +156,33 @@ fn measure(
         report: &solved.report,
         elapsed: solved.elapsed,
     }))
+}
+
+/// Measures the error in a camera; the recording is read a second time for it.
+fn hold_out(
+    recording: &Recording,
+    camera: &Camera,
+    skeleton: &Skeleton,
+    poses: &[KeptPose],
+) -> Result<HoldOut, Failure> {
+    // A rig has two cameras at least; only the first is looked at.
+    let other = recording.rig.cameras.iter().find(|other| other.name != camera.name);
+    let cameras = std::iter::once(camera).chain(other).cloned().collect();
+    let rig = Rig::new(recording.rig.version, cameras)?;
+    let mut held_out = HeldOut::new(camera, skeleton, poses);
+    recording.stream(
+        &rig,
+        || {},
+        |item| {
+            if let Item::Detections(detections) = item
+                && detections.camera == 0
+            {
+                held_out.add(&detections);
+            }
+            Ok(())
+        },
+    )?;
+    Ok(held_out.finish())
 }
 
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {

@@ -7,6 +7,7 @@ use crate::solve;
 use crate::track::Config;
 
 use super::case::View;
+use super::named::Named;
 
 /// What of a view is varied.
 #[derive(Clone, Debug, PartialEq)]
@@ -99,14 +100,11 @@ pub fn methods(settings: &[Setting]) -> Vec<Box<dyn Method>> {
 
 /// The paper's settings and ours, marked with what is varied.
 pub fn both(name: &str) -> Vec<Box<dyn Method>> {
-    let (paper, ours) = (Windows::paper(), Windows::default_settings());
-    [paper, ours]
-        .into_iter()
-        .map(|method| {
-            let label = format!("{name}: {}", method.name());
-            Box::new(method.renamed(&label)) as Box<dyn Method>
-        })
-        .collect()
+    let of = |method: Windows| {
+        let label = format!("{name}: {}", method.name());
+        Named::boxed(label, Box::new(method))
+    };
+    vec![of(Windows::paper()), of(Windows::default_settings())]
 }
 
 /// The view with cameras or frame rate varied; noise is the caller's, by its protocol.

@@ -1,23 +1,40 @@
-//! Hold-out: how well the solved body meets a camera that had no part in solving it.
+//! How well a solved body meets what a camera saw, be it one that had no part in solving it.
 //!
-//! The recording is read a second time; only the poses are in memory. For each frame of the
-//! camera the pose at its capture time is projected, the detected person that is nearest to it
-//! is taken, and the distances of the limbs' points are gathered.
+//! The pose at a frame's capture time is projected, the detected person that is nearest to it is
+//! taken, and the distances of points are gathered.
 
 use nalgebra::Vector2;
 use serde::Serialize;
 
-use super::driver::CONFIDENT;
-use super::failure::Failure;
-use super::input::{Item, Recording};
-use super::kept::KeptPose;
 use crate::body::{Attachment, Pose, Skeleton};
-use crate::camera::{Camera, Rig};
-use crate::detect::{Detections, KeypointFormat, Person};
+use crate::camera::Camera;
+use crate::detect::{Detections, Keypoint, KeypointFormat, Person};
 use crate::eval::statistics::median;
 use crate::eval::trc::COMPARED;
 use crate::so3;
 use crate::time::Timestamp;
+
+/// Detected points of at most this confidence are left out of reported errors.
+pub const CONFIDENT: f64 = 0.3;
+
+/// A solved pose as a method keeps it.
+pub trait Kept {
+    /// The time it is of.
+    fn capture(&self) -> Timestamp;
+
+    /// The pose; `None` if it is flagged and not to be used.
+    fn usable(&self) -> Option<Pose>;
+}
+
+impl Kept for (Timestamp, Pose) {
+    fn capture(&self) -> Timestamp {
+        self.0
+    }
+
+    fn usable(&self) -> Option<Pose> {
+        Some(self.1.clone())
+    }
+}
 
 /// A person is the performer when the median distance of the limbs' points is below this part
 /// of the performer's height in the image.
@@ -25,72 +42,71 @@ const GATE: f64 = 0.25;
 
 /// The error in the camera that was held out.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct HoldOut {
+pub struct HoldOut {
     /// The camera.
-    pub(super) camera: String,
+    pub camera: String,
     /// Median distance over the points, pixels; null if there were none.
-    pub(super) median_px: Option<f64>,
+    pub median_px: Option<f64>,
     /// Points of shoulders, elbows, wrists, hips, knees and ankles with confidence above 0.3.
-    pub(super) points: usize,
+    pub points: usize,
     /// Frames in which the performer was detected.
-    pub(super) frames: usize,
+    pub frames: usize,
     /// Frames with detections but without the performer among them.
-    pub(super) frames_without_performer: usize,
+    pub frames_without_performer: usize,
 }
 
-/// Measures the error in `camera`.
-pub(super) fn measure(
-    recording: &Recording,
-    camera: &Camera,
-    skeleton: &Skeleton,
-    poses: &[KeptPose],
-) -> Result<HoldOut, Failure> {
-    // A rig has two cameras at least; only the first is looked at.
-    let other = recording.rig.cameras.iter().find(|other| other.name != camera.name);
-    let cameras = std::iter::once(camera).chain(other).cloned().collect();
-    let rig = Rig::new(recording.rig.version, cameras)?;
-    let mut errors = Vec::new();
-    let (mut frames, mut without) = (0, 0);
-    recording.stream(
-        &rig,
-        || {},
-        |item| {
-            let Item::Detections(detections) = item else { return Ok(()) };
-            if detections.camera != 0 {
-                return Ok(());
-            }
-            let Some(pose) = pose_at(poses, detections.capture) else { return Ok(()) };
-            match distances(camera, skeleton, &pose, &detections) {
-                Some(found) => {
-                    frames += 1;
-                    errors.extend(found);
-                }
-                None => without += usize::from(!detections.people.is_empty()),
-            }
-            Ok(())
-        },
-    )?;
-    Ok(HoldOut {
-        camera: camera.name.clone(),
-        median_px: median(&errors),
-        points: errors.len(),
-        frames,
-        frames_without_performer: without,
-    })
+/// The error in one camera, gathered frame by frame.
+pub struct HeldOut<'a, P> {
+    camera: &'a Camera,
+    skeleton: &'a Skeleton,
+    poses: &'a [P],
+    errors: Vec<f64>,
+    frames: usize,
+    without: usize,
 }
 
-/// The pose at a time between two that are tracked: slerp of the rotations, lerp of the
-/// position. `None` outside, and where one of the two is flagged.
-pub(super) fn pose_at(poses: &[KeptPose], at: Timestamp) -> Option<Pose> {
-    let usable = |pose: &&KeptPose| pose.is_tracked();
-    let next = poses.partition_point(|pose| pose.capture < at);
-    let after = poses.get(next).filter(usable)?;
-    if after.capture == at {
-        return Some(after.pose());
+impl<'a, P: Kept> HeldOut<'a, P> {
+    /// Of poses in order of capture time.
+    pub fn new(camera: &'a Camera, skeleton: &'a Skeleton, poses: &'a [P]) -> Self {
+        Self { camera, skeleton, poses, errors: Vec::new(), frames: 0, without: 0 }
     }
-    let before = poses.get(next.checked_sub(1)?).filter(usable)?;
-    let s = (at - before.capture) as f64 / (after.capture - before.capture) as f64;
-    let (a, b) = (before.pose(), after.pose());
+
+    /// Takes in a frame of the camera; frames without a pose are left out.
+    pub fn add(&mut self, detections: &Detections) {
+        let Some(pose) = pose_at(self.poses, detections.capture) else { return };
+        match distances(self.camera, self.skeleton, &pose, detections, &COMPARED) {
+            Some(found) => {
+                self.frames += 1;
+                self.errors.extend(found);
+            }
+            None => self.without += usize::from(!detections.people.is_empty()),
+        }
+    }
+
+    /// The figures.
+    pub fn finish(self) -> HoldOut {
+        HoldOut {
+            camera: self.camera.name.clone(),
+            median_px: median(&self.errors),
+            points: self.errors.len(),
+            frames: self.frames,
+            frames_without_performer: self.without,
+        }
+    }
+}
+
+/// The pose at a time between two that are usable: slerp of the rotations, lerp of the position.
+/// `None` outside, and where one of the two is flagged.
+pub fn pose_at<P: Kept>(poses: &[P], at: Timestamp) -> Option<Pose> {
+    let next = poses.partition_point(|pose| pose.capture() < at);
+    let after = poses.get(next)?;
+    let b = after.usable()?;
+    if after.capture() == at {
+        return Some(b);
+    }
+    let before = poses.get(next.checked_sub(1)?)?;
+    let a = before.usable()?;
+    let s = (at - before.capture()) as f64 / (after.capture() - before.capture()) as f64;
     Some(Pose {
         root_rotation: so3::slerp(&a.root_rotation, &b.root_rotation, s),
         root_position: a.root_position.lerp(&b.root_position, s),
@@ -98,38 +114,40 @@ pub(super) fn pose_at(poses: &[KeptPose], at: Timestamp) -> Option<Pose> {
     })
 }
 
-/// Distances of the limbs' confident points of the person who is the performer, pixels.
-fn distances(
+/// Distances of confident points of the person who is the performer, pixels: of those
+/// `keypoints` that the format has. `None` if the performer is not among the persons, by the
+/// limbs' points.
+pub fn distances(
     camera: &Camera,
     skeleton: &Skeleton,
     pose: &Pose,
     detections: &Detections,
+    keypoints: &[Keypoint],
 ) -> Option<Vec<f64>> {
     let posture = pose.posture(skeleton);
-    let projected = COMPARED.map(|keypoint| {
+    let project = |keypoint: Keypoint| {
         camera.project(&Attachment::of(keypoint).position(&posture, skeleton.shape()))
-    });
+    };
     let seen = posture.positions.iter().filter_map(|joint| camera.project(joint));
     let gate = GATE * height(seen)?;
-    let candidates = detections.people.iter().filter_map(|person| {
-        let distances = to_person(&projected, person, detections.format);
-        Some((median(&distances)?, distances))
-    });
-    let nearest = candidates.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    (nearest.0 <= gate).then_some(nearest.1)
+    let to = |person, points: &[Keypoint]| to_person(&project, person, detections.format, points);
+    let candidates = detections.people.iter().filter_map(|p| Some((median(&to(p, &COMPARED))?, p)));
+    let (nearest, performer) = candidates.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (nearest <= gate).then(|| to(performer, keypoints))
 }
 
 fn to_person(
-    projected: &[Option<Vector2<f64>>; COMPARED.len()],
+    project: &impl Fn(Keypoint) -> Option<Vector2<f64>>,
     person: &Person,
     format: KeypointFormat,
+    keypoints: &[Keypoint],
 ) -> Vec<f64> {
-    let pairs = COMPARED.iter().zip(projected).filter_map(|(&keypoint, pixel)| {
+    let distances = keypoints.iter().filter_map(|&keypoint| {
         let detection = (*person.points.get(format.index_of(keypoint)?)?)?;
         let confident = detection.confidence > CONFIDENT;
-        confident.then_some((*pixel)? - detection.pixel.coords)
+        confident.then_some(project(keypoint)? - detection.pixel.coords)
     });
-    pairs.map(|difference| difference.norm()).collect()
+    distances.map(|difference| difference.norm()).collect()
 }
 
 /// The larger side of the box around the pixels.
@@ -144,20 +162,25 @@ fn height(pixels: impl Iterator<Item = Vector2<f64>>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::body::{StampedPose, TrackingState};
 
-    fn kept(ns: i64, x: f64, state: TrackingState) -> KeptPose {
-        let mut pose = Pose::rest();
-        pose.root_position.x = x;
-        let capture = Timestamp::from_ns(ns);
-        let (window, rig_version, provisional, revision) = (0, 1, false, 0);
-        (&StampedPose { capture, pose, state, window, rig_version, provisional, revision }).into()
+    /// At a time and place, flagged or not.
+    struct At(i64, f64, bool);
+
+    impl Kept for At {
+        fn capture(&self) -> Timestamp {
+            Timestamp::from_ns(self.0)
+        }
+
+        fn usable(&self) -> Option<Pose> {
+            let mut pose = Pose::rest();
+            pose.root_position.x = self.1;
+            self.2.then_some(pose)
+        }
     }
 
     #[test]
-    fn poses_are_interpolated_between_tracked_ones_only() {
-        use TrackingState::{Lost, Tracking};
-        let poses = [kept(10, 1.0, Tracking), kept(20, 2.0, Tracking), kept(30, 9.0, Lost)];
+    fn poses_are_interpolated_between_usable_ones_only() {
+        let poses = [At(10, 1.0, true), At(20, 2.0, true), At(30, 9.0, false)];
         let x = |ns| pose_at(&poses, Timestamp::from_ns(ns)).map(|pose| pose.root_position.x);
         assert_eq!([x(9), x(10), x(15), x(20)], [None, Some(1.0), Some(1.5), Some(2.0)]);
         assert_eq!([x(25), x(30), x(31)], [None; 3]);

@@ -162,9 +162,8 @@ pub fn detector_spectrum(levels: &[(&str, &DetectorStatistics)]) -> Plot {
 pub fn detector_confidence(levels: &[(&str, &DetectorStatistics)]) -> Plot {
     let series = levels.iter().enumerate().map(|(index, (name, statistics))| {
         let bins = statistics.by_confidence.iter().filter(|bin| bin.share > 1e-3);
-        let point = |bin: &ConfidenceBin| {
-            (0.5 * (bin.range[0] + bin.range[1]), 100.0 * bin.median_error)
-        };
+        let point =
+            |bin: &ConfidenceBin| (0.5 * (bin.range[0] + bin.range[1]), 100.0 * bin.median_error);
         curve(name, index, bins.map(point).collect())
     });
     Plot {

@@ -3,8 +3,7 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::hold_out::pose_at;
-use super::kept::KeptPose;
+use super::hold_out::{Kept, pose_at};
 use crate::body::{Attachment, Posture, Skeleton};
 use crate::detect::Keypoint;
 use crate::eval::{Trc, distance_to_reference};
@@ -12,11 +11,11 @@ use crate::time::Timestamp;
 
 /// When a camera took a frame of some number: the recording's clock by frame.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct FrameClock {
+pub struct FrameClock {
     /// Any frame of the recording ...
-    pub(super) frame: u64,
+    pub frame: u64,
     /// ... and its capture time.
-    pub(super) capture: Timestamp,
+    pub capture: Timestamp,
 }
 
 impl FrameClock {
@@ -29,28 +28,28 @@ impl FrameClock {
 
 /// How far the poses are from the reference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Reference {
+pub struct Reference {
     /// Frames compared.
-    pub(super) frames: usize,
+    pub frames: usize,
     /// Mean distance of shoulders, elbows, wrists, hips, knees and ankles, millimetres.
-    pub(super) mean_mm: f64,
+    pub mean_mm: f64,
     /// Largest distance of the middle of the hips, millimetres.
-    pub(super) worst_mid_hip_mm: Option<f64>,
+    pub worst_mid_hip_mm: Option<f64>,
     /// The frame of the recording in which it is.
-    pub(super) worst_mid_hip_frame: Option<u64>,
+    pub worst_mid_hip_frame: Option<u64>,
 }
 
 /// Compares; `None` if no frame of the reference has a pose.
-pub(super) fn compare(
+pub fn compare<P: Kept>(
     trc: &Trc,
     clock: FrameClock,
     skeleton: &Skeleton,
-    poses: &[KeptPose],
+    poses: &[P],
 ) -> Option<Reference> {
     let tolerance = (0.25e9 / trc.frame_rate) as i64;
     let near = |at: Timestamp| {
-        let next = poses.partition_point(|pose| pose.capture + tolerance < at);
-        poses.get(next).map(|pose| pose.capture).filter(|&capture| capture - at <= tolerance)
+        let next = poses.partition_point(|pose| pose.capture() + tolerance < at);
+        poses.get(next).map(Kept::capture).filter(|&capture| capture - at <= tolerance)
     };
     let mut last: Option<(u64, Option<Posture>)> = None;
     let position = |frame: u64, keypoint: Keypoint| -> Option<Vector3<f64>> {

@@ -17,6 +17,7 @@ mod python;
 mod recording;
 mod retarget;
 mod solve;
+mod study;
 mod synth;
 mod take;
 mod tools;

@@ -1,0 +1,228 @@
+//! Methods measured against each other, on tiny takes of our own motion.
+
+use std::path::Path;
+use std::process::{Command, Output};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use bundlemocap::baseline::{Delay, Method, Solved, Take, Windows};
+use bundlemocap::body::{Pose, Skeleton};
+use bundlemocap::detect::KeypointFormat;
+use bundlemocap::manifold::Decoder;
+use bundlemocap::study::summary::{summaries, to_json};
+use bundlemocap::study::{Case, View, drift, procedural, real, run};
+use bundlemocap::synth::{Noise, SequenceChoice, rig_named};
+use bundlemocap::time::Timestamp;
+use serde_json::Value;
+
+/// Two motions of 1.2 s before three cameras.
+fn cases(noise: Noise) -> Vec<Case> {
+    let view = View {
+        name: "tiny".into(),
+        rig: Arc::new(rig_named("ring3", None).unwrap()),
+        format: KeypointFormat::Body25,
+        noise,
+        choice: SequenceChoice { seconds: 1.2, least_seconds: 0.5, ..SequenceChoice::default() },
+        seed: 3,
+    };
+    procedural(2, 1.2).iter().filter_map(|subject| Case::new(subject, &view)).collect()
+}
+
+/// Knows the truth; shifts it by so much, metres; has no poses of the first two frames.
+struct Oracle {
+    poses: Vec<(Timestamp, Pose)>,
+    skeleton: Arc<Skeleton>,
+    shift: f64,
+}
+
+impl Oracle {
+    fn of(case: &Case, shift: f64) -> Self {
+        let sequence = case.make();
+        let poses = sequence.truth.into_iter().map(|pose| (pose.capture, pose.pose)).collect();
+        Self { poses, skeleton: Arc::new(sequence.skeleton), shift }
+    }
+}
+
+impl Method for Oracle {
+    fn name(&self) -> String {
+        format!("oracle {}", self.shift)
+    }
+
+    fn delay(&self) -> Delay {
+        Delay::Recording
+    }
+
+    fn solve(&mut self, _: &Take, _: &Decoder) -> Option<Solved> {
+        let mut poses = self.poses.clone();
+        poses.drain(..2);
+        poses.iter_mut().for_each(|(_, pose)| pose.root_position.x += self.shift);
+        let borders = vec![poses[30].0, poses[40].0];
+        Some(Solved { skeleton: Arc::clone(&self.skeleton), poses, borders })
+    }
+}
+
+/// Finds nobody.
+struct Blind;
+
+impl Method for Blind {
+    fn name(&self) -> String {
+        "blind".into()
+    }
+
+    fn delay(&self) -> Delay {
+        Delay::Frames(0)
+    }
+
+    fn solve(&mut self, _: &Take, _: &Decoder) -> Option<Solved> {
+        None
+    }
+}
+
+#[test]
+fn scores_are_those_of_a_method_whose_errors_are_known() {
+    let case = cases(Noise::none()).remove(0);
+    let solves = AtomicUsize::new(0);
+    let make = || -> Vec<Box<dyn Method>> {
+        vec![Box::new(Oracle::of(&case, 0.0)), Box::new(Oracle::of(&case, 0.05))]
+    };
+    let decoder = Decoder::embedded().unwrap();
+    let each = || {
+        solves.fetch_add(1, Ordering::Relaxed);
+    };
+    let found = run(std::slice::from_ref(&case), &make, &decoder, 1, &each);
+    assert_eq!(solves.into_inner(), 2);
+    let score = |row: usize| &found.rows[row].results[0].as_ref().unwrap().0;
+    let (exact, shifted) = (score(0), score(1));
+    assert!(exact.mpjpe_mm < 1e-9 && exact.acceleration_error_m_s2 < 1e-6);
+    let all = case.make().truth.len();
+    assert_eq!((exact.frames, exact.pck3_percent), (all - 2, 100.0));
+    assert!((exact.covered_percent - 100.0 * (all - 2) as f64 / all as f64).abs() < 1e-9);
+    assert!((shifted.mpjpe_mm - 50.0).abs() < 1e-6 && (shifted.rmse_mm - 50.0).abs() < 1e-6);
+    assert!(shifted.mpjpe_root_relative_mm < 1e-6);
+    assert_eq!((shifted.pck3_percent, shifted.pck7_percent), (0.0, 100.0));
+    let jump = exact.velocity_jump.unwrap();
+    assert!(jump.ratio() < 5.0, "a true motion has no kinks: {jump:?}");
+    let skate = exact.foot_skate.unwrap();
+    assert!((skate.mm_s - skate.truth_mm_s).abs() < 1e-6);
+
+    let drifts = drift::drifts(&found);
+    assert!(drifts[1].slope_mm_per_min.unwrap().value.abs() < 1e-6, "a shift is no drift");
+}
+
+#[test]
+fn figures_do_not_depend_on_threads_and_failures_are_counted() {
+    let cases = cases(Noise::studio());
+    assert_eq!(cases.len(), 2);
+    let make = || -> Vec<Box<dyn Method>> {
+        vec![Box::new(Windows::default_settings()), Box::new(Windows::paper()), Box::new(Blind)]
+    };
+    let decoder = Decoder::embedded().unwrap();
+    let solve = |jobs: usize| {
+        let found = run(&cases, &make, &decoder, jobs, &|| {});
+        let summaries = summaries(&found, 0);
+        assert_eq!(summaries.iter().map(|s| s.failed).collect::<Vec<_>>(), [0, 0, 2]);
+        without_times(to_json(&found, &summaries))
+    };
+    assert_eq!(solve(1), solve(2));
+}
+
+#[test]
+fn a_camera_is_held_out_whole() {
+    let take = cases(Noise::none()).remove(0).make().take;
+    let (rest, seen) = real::without_camera(&take, 1).unwrap();
+    let names: Vec<&str> = rest.rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
+    assert_eq!(names, ["cam01", "cam03"]);
+    assert_eq!(seen.len() * 3, take.frames.len());
+    assert_eq!(rest.frames.len(), 2 * seen.len());
+    assert!(rest.frames.iter().all(|frame| frame.camera < 2));
+    assert!(seen.iter().all(|frame| frame.camera == 0));
+    assert_eq!(real::frame_rate(&take.frames).map(f64::round), Some(50.0));
+    let two = real::without_camera(&rest, 0);
+    assert!(two.is_err(), "one camera alone is no rig");
+}
+
+/// A results file without the times, which differ from run to run.
+fn without_times(mut value: Value) -> Value {
+    match &mut value {
+        Value::Object(fields) => {
+            fields.remove("ms_per_frame");
+            fields.values_mut().for_each(|field| *field = without_times(field.take()));
+        }
+        Value::Array(items) => items.iter_mut().for_each(|item| *item = without_times(item.take())),
+        _ => {}
+    }
+    value
+}
+
+fn eval(folder: &Path, arguments: &str) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
+        .arg("eval")
+        .args(arguments.split_whitespace())
+        .current_dir(folder)
+        .output()
+        .unwrap()
+}
+
+/// Runs and expects success; what was printed and the results.
+fn done(folder: &Path, arguments: &str) -> (String, Value) {
+    let output = eval(folder, arguments);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{arguments}: {errors}");
+    let results = std::fs::read_to_string(folder.join("eval/results.json")).unwrap();
+    let results = serde_json::from_str(&results).unwrap();
+    (String::from_utf8(output.stdout).unwrap(), without_times(results))
+}
+
+#[test]
+fn the_program_repeats_itself_and_writes_its_folder() {
+    let place = tempfile::tempdir().unwrap();
+    let command = "--rig ring3 --seconds 1.2 --methods default,muvs --noise clean --every 2";
+    let (printed, first) = done(place.path(), command);
+    assert!(printed.contains("bundlemocap (default)") && printed.contains("MPJPE"), "{printed}");
+    assert_eq!(done(place.path(), command).1, first);
+    let other = done(place.path(), &format!("{command} --seed 2")).1;
+    assert_ne!(other["levels"], first["levels"]);
+    assert_eq!(first["levels"][0]["methods"].as_array().map(Vec::len), Some(2));
+    let read = |name: &str| std::fs::read_to_string(place.path().join("eval").join(name)).unwrap();
+    assert!(read("table.md").contains("| bundlemocap (default) |"));
+    let page = read("report.html");
+    assert!(
+        page.matches("<svg").count() >= 6 && !page.contains("<script") && !page.contains("NaN")
+    );
+}
+
+#[test]
+fn drift_and_ablation_print_their_tables() {
+    let place = tempfile::tempdir().unwrap();
+    let tiny = "--rig ring3 --seconds 2 --noise clean --every 4";
+    let (printed, results) = done(place.path(), &format!("{tiny} --drift-minutes 0.5"));
+    assert!(printed.contains("slope mm/min"), "{printed}");
+    assert!(results["levels"][0]["drift"][0]["slope_mm_per_min"]["low"].is_number());
+    let (printed, _) = done(place.path(), &format!("{tiny} --ablation interpolation"));
+    assert!(printed.contains("slerp (default)") && printed.contains("lerp"), "{printed}");
+}
+
+#[test]
+fn wrong_arguments_end_in_one_line_with_a_fix() {
+    let place = tempfile::tempdir().unwrap();
+    let told = |arguments: &str, code: i32, part: &str| {
+        let output = eval(place.path(), arguments);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments}: {errors}");
+        assert!(errors.contains(part), "{arguments}: {errors}");
+        assert!(!place.path().join("eval").exists(), "{arguments}");
+    };
+    told("--methods guess", 2, "use all, muvs");
+    told("--rig ring3 --noise loud", 2, "sparse");
+    told("--rig round", 2, "ring2");
+    told("--rig ring3 --seconds 0", 2, "--seconds is 0");
+    told("--rig ring3 --fps 0", 2, "--fps is 0");
+    told("--rig ring3 --ablation shoes", 2, "window");
+    told("--rig ring3 --tune shoes", 2, "muvs");
+    told("--rig ring3 --motions none/", 3, "none");
+    told("--rig ring3 --protocol none.toml", 3, "none.toml");
+    told("--rig ring3 --jobs 0", 2, "--jobs");
+    told("--recording none.mcap", 3, "none.mcap");
+    std::fs::write(place.path().join("bad.toml"), "loudness = 1").unwrap();
+    told("--protocol bad.toml", 4, "loudness");
+}
