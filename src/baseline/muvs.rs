@@ -37,7 +37,7 @@ impl Default for MuVsWeights {
 }
 
 /// Every frame by itself.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct MuVs {
     weights: MuVsWeights,
 }
@@ -46,12 +46,6 @@ impl MuVs {
     /// With those weights.
     pub fn new(weights: MuVsWeights) -> Self {
         Self { weights }
-    }
-}
-
-impl Default for MuVs {
-    fn default() -> Self {
-        Self::new(MuVsWeights::default())
     }
 }
 
