@@ -5,13 +5,31 @@
 //!
 //! | method | unknowns | over time |
 //! |---|---|---|
+//! | [`MuVs`] | a latent keyframe a frame | nothing |
+//! | [`Dct`] | a keyframe a frame, in segments | joint tracks near low frequencies |
+//! | [`Etc`] | a keyframe a frame, all at once | small steps of the joints |
+//! | [`Dmmr`] | a keyframe a frame, in segments | small steps of codes and roots |
 //! | [`Windows`] | a latent keyframe at each border | the path between keyframes |
 
+mod dct;
+mod dmmr;
+mod etc;
+mod frames;
+mod joints;
+mod muvs;
+mod path;
+mod registry;
 mod start;
+mod terms;
 mod windows;
 
 use std::sync::Arc;
 
+pub use dct::{Dct, DctWeights};
+pub use dmmr::{Dmmr, DmmrWeights};
+pub use etc::{Etc, EtcWeights};
+pub use muvs::{MuVs, MuVsWeights};
+pub use registry::{NAMES, all, named};
 pub use start::{Start, start};
 pub use windows::Windows;
 

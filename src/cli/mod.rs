@@ -14,6 +14,9 @@ mod completions;
 mod decode;
 mod driver;
 mod echo;
+mod eval;
+mod eval_output;
+mod eval_views;
 mod export;
 mod failure;
 mod figures;
@@ -63,6 +66,7 @@ enum Command {
     Decode(decode::Arguments),
     Retarget(retarget::Arguments),
     Bench(bench::Arguments),
+    Eval(eval::Arguments),
     Solve(solve::Arguments),
     Import(import::Arguments),
     Info(info::Arguments),
@@ -83,6 +87,7 @@ pub fn main() -> ExitCode {
         Command::Decode(arguments) => decode::run(&arguments),
         Command::Retarget(arguments) => retarget::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
+        Command::Eval(arguments) => eval::run(&arguments),
         Command::Solve(arguments) => solve::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),

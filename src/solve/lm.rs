@@ -22,9 +22,15 @@ pub struct LevenbergMarquardt {
 }
 
 /// Damping above which no step is tried any more.
-const MAX_DAMPING: f64 = 1e12;
+pub(super) const MAX_DAMPING: f64 = 1e12;
 /// Keeps the damped diagonal positive where the Hessian's is zero.
-const MIN_DIAGONAL: f64 = 1e-9;
+pub(super) const MIN_DIAGONAL: f64 = 1e-9;
+
+/// What the damping is multiplied by after a step that lowered the cost by `gain` times what the
+/// model predicted.
+pub(super) fn next_damping(gain: f64) -> f64 {
+    (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(1.0 / 10.0, 2.0)
+}
 
 impl Default for LevenbergMarquardt {
     fn default() -> Self {
@@ -114,7 +120,7 @@ impl Optimiser for LevenbergMarquardt {
             });
             if trial_cost < cost {
                 let gain = (cost - trial_cost) / predicted.unwrap_or(f64::INFINITY);
-                damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(1.0 / 10.0, 2.0);
+                damping *= next_damping(gain);
                 growth = 2.0;
                 let change = (cost - trial_cost) / cost.max(f64::MIN_POSITIVE);
                 cost = trial_cost;

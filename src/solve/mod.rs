@@ -4,12 +4,16 @@
 //! linearisation (IRLS); [`Lbfgs`] uses gradients alone. Both stop with a [`Termination`] that
 //! holds what was measured.
 
+mod banded;
+mod banded_lm;
 mod lbfgs;
 mod lm;
 mod termination;
 
 use serde::{Deserialize, Serialize};
 
+pub use banded::Banded;
+pub use banded_lm::{BandedProblem, Normal};
 pub use lbfgs::Lbfgs;
 pub use lm::LevenbergMarquardt;
 pub use termination::{Summary, Termination};

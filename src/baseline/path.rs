@@ -1,0 +1,164 @@
+//! One keyframe a frame, all at once: the data term of each frame and terms between frames.
+//!
+//! The unknowns of a frame are those of a keyframe: z (32), a rotation vector w (3) with
+//! R = exp(w) R_initial, the position (3).
+
+use nalgebra::Vector3;
+
+use super::joints::Joints;
+use crate::body::Skeleton;
+use crate::cost::{Knot, Moment, PathProblem, Scene, Workspace};
+use crate::manifold::{Keyframe, LATENT};
+use crate::so3;
+use crate::solve::{BandedProblem, Normal, Problem};
+use crate::time::Timestamp;
+
+/// Unknowns of a frame.
+pub(super) const UNKNOWNS: usize = LATENT + 6;
+
+/// A path at some values of its unknowns.
+#[derive(Clone, Debug)]
+pub(super) struct State {
+    /// Each frame's values.
+    pub(super) keyframes: Vec<Keyframe>,
+    /// The rotation vector w of each frame.
+    pub(super) turns: Vec<Vector3<f64>>,
+    /// Each frame's joint positions, with Jacobians where normal equations are wanted; empty if no
+    /// term uses them.
+    pub(super) joints: Joints,
+}
+
+/// A term of the cost over the frames of a path.
+pub(super) trait Term {
+    /// How many frames apart two frames can be that share a part of the approximate Hessian.
+    fn reach(&self) -> usize;
+
+    /// Whether it uses [`State::joints`].
+    fn uses_joints(&self) -> bool {
+        false
+    }
+
+    /// Its cost.
+    fn cost(&self, state: &State) -> f64;
+
+    /// Adds its gradient and Gauss-Newton Hessian.
+    fn add(&self, state: &State, normal: &mut Normal);
+}
+
+/// The cost of a path of one keyframe a frame.
+pub(super) struct FramePath<'a> {
+    pub(super) scene: Scene<'a>,
+    pub(super) skeleton: &'a Skeleton,
+    /// What was seen in each frame.
+    pub(super) moments: &'a [Vec<Moment>],
+    /// Each frame's values at the start.
+    pub(super) initial: &'a [Keyframe],
+    pub(super) terms: &'a [Box<dyn Term + 'a>],
+    /// Which unknowns of every frame are solved for: codes, roots.
+    pub(super) free: [bool; 2],
+    work: Workspace,
+}
+
+impl<'a> FramePath<'a> {
+    /// With every unknown free.
+    pub(super) fn new(
+        scene: Scene<'a>,
+        skeleton: &'a Skeleton,
+        moments: &'a [Vec<Moment>],
+        initial: &'a [Keyframe],
+        terms: &'a [Box<dyn Term + 'a>],
+    ) -> Self {
+        let work = Workspace::default();
+        Self { scene, skeleton, moments, initial, terms, free: [true; 2], work }
+    }
+
+    /// The unknowns to start from.
+    pub(super) fn start(&self) -> Vec<f64> {
+        let unknowns = |keyframe: &Keyframe| {
+            let mut x = keyframe.z.to_vec();
+            x.extend([0.0; 3]);
+            x.extend(keyframe.root_position.iter());
+            x
+        };
+        self.initial.iter().flat_map(unknowns).collect()
+    }
+
+    /// The keyframes that `x` stands for.
+    pub(super) fn keyframes(&self, x: &[f64]) -> Vec<Keyframe> {
+        self.state(x, None).keyframes
+    }
+
+    /// `joints` says whether joints are wanted, and their Jacobians.
+    fn state(&self, x: &[f64], joints: Option<bool>) -> State {
+        let turn = |x: &[f64]| Vector3::from_column_slice(&x[LATENT..LATENT + 3]);
+        let turns: Vec<_> = x.chunks_exact(UNKNOWNS).map(turn).collect();
+        let keyframe = |((x, initial), turn): ((&[f64], &Keyframe), &Vector3<f64>)| Keyframe {
+            z: std::array::from_fn(|i| x[i]),
+            root_rotation: so3::exp(turn) * initial.root_rotation,
+            root_position: Vector3::from_column_slice(&x[LATENT + 3..]),
+        };
+        let frames = x.chunks_exact(UNKNOWNS).zip(self.initial).zip(&turns);
+        let keyframes: Vec<_> = frames.map(keyframe).collect();
+        let joints = match joints.filter(|_| self.terms.iter().any(|term| term.uses_joints())) {
+            Some(jacobians) => {
+                let decoder = self.scene.decoder;
+                Joints::new(decoder, self.skeleton, &keyframes, &turns, jacobians)
+            }
+            None => Joints::default(),
+        };
+        State { keyframes, turns, joints }
+    }
+
+    /// The data term and the prior of a frame at its unknowns `x`, with derivatives if wanted.
+    fn frame(
+        &mut self,
+        frame: usize,
+        x: &[f64],
+        derivatives: Option<(&mut [f64], &mut [f64])>,
+    ) -> f64 {
+        let keyframe = self.initial[frame].clone();
+        let knots = vec![Knot { capture: Timestamp::default(), keyframe, free: true }];
+        let moments = &self.moments[frame];
+        let mut problem =
+            PathProblem::new(self.scene, knots, self.skeleton, false, moments, &mut self.work);
+        match derivatives {
+            None => problem.cost(x),
+            Some((gradient, hessian)) => problem.linearise(x, gradient, hessian),
+        }
+    }
+}
+
+impl BandedProblem for FramePath<'_> {
+    fn normal(&self) -> Normal {
+        let reach = self.terms.iter().map(|term| term.reach()).max().unwrap_or(0);
+        Normal::zeros(UNKNOWNS, self.initial.len(), reach)
+    }
+
+    fn cost(&mut self, x: &[f64]) -> f64 {
+        let state = self.state(x, Some(false));
+        let terms: f64 = self.terms.iter().map(|term| term.cost(&state)).sum();
+        let frames = x.chunks_exact(UNKNOWNS).enumerate();
+        terms + frames.map(|(frame, x)| self.frame(frame, x, None)).sum::<f64>()
+    }
+
+    fn linearise(&mut self, x: &[f64], normal: &mut Normal) -> f64 {
+        normal.clear();
+        let state = self.state(x, Some(true));
+        let mut cost = 0.0;
+        for (frame, x) in x.chunks_exact(UNKNOWNS).enumerate() {
+            let gradient = &mut normal.gradient[frame * UNKNOWNS..(frame + 1) * UNKNOWNS];
+            let block = normal.hessian.block_mut(frame, frame);
+            cost += self.frame(frame, x, Some((gradient, block)));
+        }
+        for term in self.terms {
+            cost += term.cost(&state);
+            term.add(&state, normal);
+        }
+        for i in 0..x.len() {
+            if !self.free[usize::from(i % UNKNOWNS >= LATENT)] {
+                normal.pin(i);
+            }
+        }
+        cost
+    }
+}
