@@ -29,8 +29,8 @@ impl Default for SequenceChoice {
         Self {
             fps: 50.0,
             seconds: 8.0,
-            least_seconds: 2.0,
-            radius_m: 1.0,
+            least_seconds: 1.5,
+            radius_m: 1.6,
             shape_spread: 0.8,
             shape_limit: 2.0,
         }
