@@ -36,6 +36,8 @@
 //!   single image. CVPR 2019.
 //! - \[Sola 2018\] Sola, Deray, Atchuthan. A micro Lie theory for state estimation in robotics.
 //!   arXiv:1812.01537.
+//! - \[Welch 1967\] Welch. The use of fast Fourier transform for the estimation of power spectra.
+//!   IEEE Transactions on Audio and Electroacoustics 15(2).
 //! - \[Winter 2009\] Winter. Biomechanics and Motor Control of Human Movement, 4th edition. Wiley.
 //! - \[Zhou 2019\] Zhou, Barnes, Lu, Yang, Li. On the continuity of rotation representations in
 //!   neural networks. CVPR 2019.

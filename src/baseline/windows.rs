@@ -20,6 +20,16 @@ impl Windows {
         Self { name: name.to_owned(), config }
     }
 
+    /// Its settings.
+    pub fn config(&self) -> Config {
+        self.config
+    }
+
+    /// The same under another name.
+    pub fn renamed(self, name: &str) -> Self {
+        Self { name: name.to_owned(), ..self }
+    }
+
     /// As the paper has it: slerp, ten frames, the previous keyframe fixed, L-BFGS with a budget
     /// of 30 iterations, one stage.
     pub fn paper() -> Self {

@@ -14,6 +14,14 @@ mod completions;
 mod decode;
 mod driver;
 mod echo;
+mod eval;
+mod eval_ablation;
+mod eval_compare;
+mod eval_drift;
+mod eval_output;
+mod eval_recording;
+mod eval_setup;
+mod eval_tune;
 mod export;
 mod failure;
 mod figures;
@@ -63,6 +71,7 @@ enum Command {
     Decode(decode::Arguments),
     Retarget(retarget::Arguments),
     Bench(bench::Arguments),
+    Eval(eval::Arguments),
     Solve(solve::Arguments),
     Import(import::Arguments),
     Info(info::Arguments),
@@ -83,6 +92,7 @@ pub fn main() -> ExitCode {
         Command::Decode(arguments) => decode::run(&arguments),
         Command::Retarget(arguments) => retarget::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
+        Command::Eval(arguments) => eval::run(&arguments),
         Command::Solve(arguments) => solve::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),

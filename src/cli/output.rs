@@ -189,6 +189,7 @@ pub(super) fn report(
         cameras: camera_errors(run, rig, start),
         angles: angles(&run.poses, skeleton, start),
         windows: run.windows.iter().map(|window| row(window, start)).collect(),
+        ..ReportData::default()
     };
     Ok(write_report(path, &data)?)
 }

@@ -57,8 +57,13 @@ pub(super) enum NoiseName {
     None,
     /// Jitter alone.
     Jitter,
-    /// As detectors err in a studio: jitter, gaps, outliers, swapped sides, bystanders.
+    /// Small jitter and a rare gap.
+    Clean,
+    /// As detectors err in a studio: jitter, points off the joints, gaps, outliers, swapped sides,
+    /// bystanders.
     Studio,
+    /// The same, much worse: long occlusions and wrong guesses.
+    Sparse,
 }
 
 impl NoiseName {
@@ -66,7 +71,9 @@ impl NoiseName {
         match self {
             Self::None => Noise::none(),
             Self::Jitter => Noise::jitter_only(),
-            Self::Studio => Noise::default(),
+            Self::Clean => Noise::clean(),
+            Self::Studio => Noise::studio(),
+            Self::Sparse => Noise::sparse(),
         }
     }
 
@@ -74,7 +81,9 @@ impl NoiseName {
         match self {
             Self::None => "none",
             Self::Jitter => "jitter",
+            Self::Clean => "clean",
             Self::Studio => "studio",
+            Self::Sparse => "sparse",
         }
     }
 }

@@ -1,15 +1,22 @@
 //! `bundlemocap train`
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
 use super::terminal::{progress, say};
-use crate::train::{Figures, Options, TrainError, evaluate, run as train};
+use crate::train::{
+    Figures, Options, TrainError, TransitionFigures, evaluate, evaluate_transition, run as train,
+    train_transition,
+};
 
-/// Train a pose manifold on a folder of BVH clips, or evaluate one.
+/// Options that mean nothing to a transition model.
+const MANIFOLD_ONLY: [&str; 8] =
+    ["encoder_hidden", "kl", "limits", "position", "between", "mix", "restyle", "threads"];
+
+/// Train a pose manifold or a transition model on a folder of BVH clips, or evaluate one.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The clips are those of the CMU motion capture database, with either of its two BVH skeletons; a
@@ -18,7 +25,8 @@ file.
 
 Examples:
   bundlemocap train motions/ --out weights.safetensors --test-subjects 07,10
-  bundlemocap train motions/ --evaluate weights.safetensors --test-subjects 07,10")]
+  bundlemocap train motions/ --evaluate weights.safetensors --test-subjects 07,10
+  bundlemocap train motions/ --transition --out transition.safetensors --test-subjects 07,10")]
 pub(super) struct Arguments {
     /// Folder of BVH clips; subfolders are read too.
     motions: PathBuf,
@@ -28,6 +36,12 @@ pub(super) struct Arguments {
     /// Train nothing: report the error of these weights.
     #[arg(long, value_name = "FILE", conflicts_with = "out")]
     evaluate: Option<PathBuf>,
+    /// Train or evaluate the model of how poses follow each other, in the codes of a manifold.
+    #[arg(long, conflicts_with_all = MANIFOLD_ONLY)]
+    transition: bool,
+    /// The manifold whose codes `--transition` uses; without it the one that ships.
+    #[arg(long, value_name = "FILE", requires = "transition")]
+    manifold: Option<PathBuf>,
     /// Subjects that are not trained on, and whose error is reported.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     test_subjects: Vec<String>,
@@ -40,7 +54,7 @@ pub(super) struct Arguments {
     /// Samples per step.
     #[arg(long, default_value_t = Options::default().batch)]
     batch: usize,
-    /// Hidden units per layer of the decoder.
+    /// Hidden units per layer of the decoder, or of the transition model.
     #[arg(long, default_value_t = Options::default().hidden)]
     hidden: usize,
     /// Hidden units per layer of the encoder.
@@ -95,6 +109,9 @@ impl From<TrainError> for Failure {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
+    if arguments.transition {
+        return run_transition(arguments);
+    }
     if let Some(weights) = &arguments.evaluate {
         say_figures(&evaluate(weights, &arguments.motions, &arguments.test_subjects)?);
         return Ok(Exit::Done);
@@ -113,6 +130,33 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     say_figures(&report.held_out);
     say(&format!("to repeat it: {}", report.command));
     Ok(Exit::Done)
+}
+
+fn run_transition(arguments: &Arguments) -> Ended {
+    let manifold = arguments.manifold.as_deref();
+    if let Some(weights) = &arguments.evaluate {
+        let (motions, subjects) = (&arguments.motions, &arguments.test_subjects);
+        say_transition_figures(&evaluate_transition(weights, manifold, motions, subjects)?);
+        return Ok(Exit::Done);
+    }
+    let options = options(arguments);
+    let bar = progress(options.steps as u64, "steps");
+    let report = train_transition(&options, manifold, &mut |step, loss| {
+        bar.set_position(step as u64);
+        bar.set_message(format!("loss {loss:.4}"));
+    })?;
+    bar.finish_and_clear();
+    let seconds = report.duration.as_secs_f64();
+    say(&format!("trained on {} transitions in {seconds:.0} s", report.transitions));
+    say(&format!("{}: {} numbers", options.out.display(), report.parameters));
+    say_transition_figures(&report.held_out);
+    let manifold = manifold.map_or_else(String::new, |path| format!(" --manifold {}", name(path)));
+    say(&format!("to repeat it: {}{manifold}", report.command));
+    Ok(Exit::Done)
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 fn options(arguments: &Arguments) -> Options {
@@ -154,6 +198,29 @@ fn say_figures(rows: &[Figures]) {
             row.between_mm,
             row.true_slerp_mm,
             row.latent_square
+        ));
+    }
+}
+
+/// A line for each frame rate.
+fn say_transition_figures(rows: &[TransitionFigures]) {
+    if rows.is_empty() {
+        return;
+    }
+    say("-ln p of held-out transitions, nats per number; share of the moves that is foretold");
+    say(
+        "fps  transitions   model  constant velocity  stay put   code  position  rotation  in 1 sd",
+    );
+    for row in rows {
+        let [code, position, rotation] = row.foretold.map(|share| 100.0 * share);
+        say(&format!(
+            "{:<5}{:>11}{:>8.3}{:>19.3}{:>10.3}{code:>6.1}%{position:>9.1}%{rotation:>9.1}%{:>8.1}%",
+            row.fps,
+            row.transitions,
+            row.model,
+            row.constant_velocity,
+            row.stay_put,
+            100.0 * row.within
         ));
     }
 }

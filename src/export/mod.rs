@@ -1,5 +1,6 @@
 //! Poses for other tools, and the report.
 
+mod bars;
 mod bvh;
 mod figures;
 mod motion_file;
@@ -9,9 +10,11 @@ mod report;
 
 use std::path::PathBuf;
 
+pub use bars::Bars;
 pub use bvh::{BvhWriter, write_bvh};
 pub use figures::{StickFigures, stick_figures};
 pub use motion_file::HierarchyWriter;
+pub use plot::{Plot, Series};
 pub use report::{
     AngleTrack, CameraErrors, Picture, ReportData, Table, WindowRow, flexion_deg, write_report,
 };

@@ -12,35 +12,43 @@ const BOTTOM: f64 = 40.0;
 /// More points than this are averaged in groups.
 const MOST_POINTS: usize = 900;
 /// Colours that the colour-blind tell apart \[Okabe 2008\].
-const PALETTE: [&str; 7] =
+pub(super) const PALETTE: [&str; 7] =
     ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444"];
 
 /// A curve. Points are (x, y) with x in ascending order; y that is not finite leaves a gap.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Series {
-    pub(super) name: String,
-    pub(super) points: Vec<(f64, f64)>,
+pub struct Series {
+    /// In the legend; none if empty.
+    pub name: String,
+    /// The curve.
+    pub points: Vec<(f64, f64)>,
     /// (x, low, high) of a band behind the curve.
-    pub(super) band: Vec<(f64, f64, f64)>,
-    pub(super) dashed: bool,
+    pub band: Vec<(f64, f64, f64)>,
+    /// Drawn in dashes.
+    pub dashed: bool,
     /// Index into the palette.
-    pub(super) colour: usize,
+    pub colour: usize,
 }
 
 /// A plot of curves over a common axis.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Plot {
-    pub(super) title: String,
+pub struct Plot {
+    /// Heading.
+    pub title: String,
     /// One sentence under the title.
-    pub(super) note: String,
-    pub(super) x_label: String,
-    pub(super) y_label: String,
-    pub(super) series: Vec<Series>,
-    /// Parts of the x axis that are shaded, and what that means.
-    pub(super) shaded: Vec<(f64, f64)>,
-    pub(super) shaded_name: String,
+    pub note: String,
+    /// What is along x, with its unit.
+    pub x_label: String,
+    /// What is along y, with its unit.
+    pub y_label: String,
+    /// The curves.
+    pub series: Vec<Series>,
+    /// Parts of the x axis that are shaded.
+    pub shaded: Vec<(f64, f64)>,
+    /// What that means.
+    pub shaded_name: String,
     /// A logarithmic y axis.
-    pub(super) log: bool,
+    pub log: bool,
 }
 
 /// Text made safe inside HTML and SVG.
@@ -123,7 +131,7 @@ fn tick_step(low: f64, high: f64) -> f64 {
     power * unit
 }
 
-fn ticks((low, high): (f64, f64)) -> Vec<f64> {
+pub(super) fn ticks((low, high): (f64, f64)) -> Vec<f64> {
     let step = tick_step(low, high);
     let first = (low / step - 1e-9).ceil() as i64;
     let last = (high / step + 1e-9).floor() as i64;
@@ -131,7 +139,7 @@ fn ticks((low, high): (f64, f64)) -> Vec<f64> {
 }
 
 /// A number short enough for the margin: thousands from 10,000 on as k.
-fn tick_text(value: f64) -> String {
+pub(super) fn tick_text(value: f64) -> String {
     let size = value.abs();
     if (1e4..1e6).contains(&size) {
         return format!("{}k", tick_text(value / 1e3));

@@ -5,6 +5,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use super::ExportError;
+use super::bars::Bars;
 use super::new_file::NewFile;
 use super::plot::{Plot, Series, escape};
 use crate::body::{Joint, Posture};
@@ -18,8 +19,14 @@ pub struct ReportData {
     pub subtitle: String,
     /// The most important figures, as name and value.
     pub facts: Vec<(String, String)>,
-    /// Further figures.
+    /// Tables that come first, over the whole width.
+    pub leading: Vec<Table>,
+    /// Further figures, at the end.
     pub tables: Vec<Table>,
+    /// Bars and curves of any kind, before the others.
+    pub bars: Vec<Bars>,
+    /// See `bars`.
+    pub plots: Vec<Plot>,
     /// Pictures, see [`super::stick_figures`].
     pub pictures: Vec<Picture>,
     /// Reprojection error of each camera.
@@ -130,7 +137,13 @@ fn html(data: &ReportData) -> String {
             picture.svg
         );
     }
+    if !data.leading.is_empty() {
+        let tables: String = data.leading.iter().map(table_html).collect();
+        let _ = writeln!(page, "<div class=\"leading\">{tables}</div>");
+    }
     page += "<div class=\"plots\">\n";
+    page += &data.bars.iter().map(Bars::html).collect::<String>();
+    page += &data.plots.iter().map(Plot::html).collect::<String>();
     for plot in plots(data).iter().filter(|plot| !plot.series.is_empty()) {
         page += &plot.html();
     }

@@ -19,6 +19,9 @@ use crate::gemm;
 /// Shorter columns than this are no direction: the joint keeps its rest rotation.
 const MIN_COLUMN: f64 = 1e-9;
 
+/// The weights file that ships with the program, encoder and decoder.
+pub const EMBEDDED: &[u8] = include_bytes!("weights.safetensors");
+
 /// The decoder. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Decoder {
@@ -51,7 +54,7 @@ impl Decoder {
 
     /// The decoder that ships with the program; see `src/manifold/MODEL_CARD.md`.
     pub fn embedded() -> Result<Self, WeightsError> {
-        Self::from_bytes(include_bytes!("weights.safetensors"))
+        Self::from_bytes(EMBEDDED)
     }
 
     /// A hash of the weights file, to tell files apart (not cryptographic).
@@ -219,13 +222,13 @@ impl Frame {
     }
 }
 
-fn transposed(layer: &Layer) -> Vec<f64> {
+pub(super) fn transposed(layer: &Layer) -> Vec<f64> {
     let column = |input| layer.weight.iter().skip(input).step_by(layer.inputs);
     (0..layer.inputs).flat_map(column).map(|&w| f64::from(w)).collect()
 }
 
 /// x -> x / (1 + exp(-x)) in place, with its derivative.
-fn silu(values: &mut [f64], slopes: &mut [f32]) {
+pub(super) fn silu(values: &mut [f64], slopes: &mut [f32]) {
     for (value, slope) in values.iter_mut().zip(slopes) {
         let gate = 1.0 / (1.0 + (-*value).exp());
         *slope = (gate * (1.0 + *value * (1.0 - gate))) as f32;
@@ -234,7 +237,7 @@ fn silu(values: &mut [f64], slopes: &mut [f32]) {
 }
 
 /// 64-bit FNV-1a.
-fn fnv1a(bytes: &[u8]) -> u64 {
+pub(super) fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
     })

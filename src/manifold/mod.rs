@@ -1,13 +1,17 @@
-//! The pose manifold: decoder, weights, interpolation.
+//! The pose manifold: decoder, weights, interpolation, transitions.
 
 mod decoder;
 mod interpolate;
+mod transition;
 mod weights;
 
 use nalgebra::{Matrix3, Vector3};
 
-pub use decoder::{Decoder, Jacobians};
+pub use decoder::{Decoder, EMBEDDED, Jacobians};
 pub use interpolate::{Interpolation, LatentTangent};
+pub use transition::{
+    MOVE, Move, STATE, State, THREE, Transition, TransitionWork, move_of, state_of,
+};
 pub use weights::WeightsError;
 
 use crate::so3;

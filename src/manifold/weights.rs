@@ -4,6 +4,8 @@
 //! SiLU between them. Metadata `format` = `bundlemocap-manifold`, `version` = `1`. The encoder's
 //! tensors may be there too; they are not read here.
 
+use std::collections::HashMap;
+
 use safetensors::tensor::{Dtype, SafeTensors};
 use thiserror::Error;
 
@@ -62,44 +64,72 @@ pub(super) struct Layer {
 
 /// Reads the decoder's layers.
 pub(super) fn decoder_layers(bytes: &[u8]) -> Result<Vec<Layer>, WeightsError> {
+    checked_metadata(bytes, FORMAT)?;
+    layers(&SafeTensors::deserialize(bytes)?, "decoder", LATENT, OUTPUTS)
+}
+
+/// The metadata of a file of that format, in the version that is read here.
+pub(super) fn checked_metadata(
+    bytes: &[u8],
+    format: &'static str,
+) -> Result<HashMap<String, String>, WeightsError> {
     let (_, header) = SafeTensors::read_metadata(bytes)?;
     let metadata = header.metadata().clone().unwrap_or_default();
-    for (key, expected) in [("format", FORMAT), ("version", VERSION)] {
+    for (key, expected) in [("format", format), ("version", VERSION)] {
         let found = metadata.get(key).cloned();
         if found.as_deref() != Some(expected) {
             return Err(WeightsError::Metadata { key, found, expected });
         }
     }
-    let tensors = SafeTensors::deserialize(bytes)?;
-    let count =
-        (0..).take_while(|n| tensors.tensor(&format!("decoder.{n}.weight")).is_ok()).count();
+    Ok(metadata)
+}
+
+/// The layers of the network of that name, from its first to its last width.
+pub(super) fn layers(
+    tensors: &SafeTensors,
+    network: &str,
+    first: usize,
+    last: usize,
+) -> Result<Vec<Layer>, WeightsError> {
+    let weight = |n: usize| format!("{network}.{n}.weight");
+    let count = (0..).take_while(|&n| tensors.tensor(&weight(n)).is_ok()).count();
     let mut layers = Vec::with_capacity(count);
-    let mut inputs = LATENT;
+    let mut inputs = first;
     for n in 0..count {
-        let layer = layer(&tensors, n, inputs)?;
+        let layer = layer(tensors, network, n, inputs)?;
         inputs = layer.outputs;
         layers.push(layer);
     }
-    if inputs != OUTPUTS || layers.is_empty() {
+    if inputs != last || layers.is_empty() {
         return Err(WeightsError::Shape {
-            name: format!("decoder.{}.weight", count.saturating_sub(1)),
+            name: weight(count.saturating_sub(1)),
             found: format!("of {inputs} outputs"),
-            expected: format!("of {OUTPUTS} outputs"),
+            expected: format!("of {last} outputs"),
         });
     }
     Ok(layers)
 }
 
-fn layer(tensors: &SafeTensors, n: usize, inputs: usize) -> Result<Layer, WeightsError> {
-    let name = format!("decoder.{n}.weight");
+fn layer(
+    tensors: &SafeTensors,
+    network: &str,
+    n: usize,
+    inputs: usize,
+) -> Result<Layer, WeightsError> {
+    let name = format!("{network}.{n}.weight");
     let view = tensors.tensor(&name)?;
     let outputs = view.shape().first().copied().unwrap_or(0);
     let weight = numbers(tensors, &name, &[outputs, inputs])?;
-    let bias = numbers(tensors, &format!("decoder.{n}.bias"), &[outputs])?;
+    let bias = numbers(tensors, &format!("{network}.{n}.bias"), &[outputs])?;
     Ok(Layer { inputs, outputs, weight, bias })
 }
 
-fn numbers(tensors: &SafeTensors, name: &str, shape: &[usize]) -> Result<Vec<f32>, WeightsError> {
+/// The numbers of a tensor of that shape.
+pub(super) fn numbers(
+    tensors: &SafeTensors,
+    name: &str,
+    shape: &[usize],
+) -> Result<Vec<f32>, WeightsError> {
     let view = tensors.tensor(name)?;
     if view.dtype() != Dtype::F32 || view.shape() != shape || shape.contains(&0) {
         return Err(WeightsError::Shape {

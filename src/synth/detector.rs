@@ -1,103 +1,15 @@
 //! A 2D detector that errs as real ones do: it jitters, misses, swaps sides, sees strangers.
 
 use nalgebra::{Point2, Vector2, Vector3};
-use serde::{Deserialize, Serialize};
 
 use super::motion::{Motion, MotionStyle};
+use super::noise::Noise;
+use super::points::{Region, along, difficulty, limb_of, mirrored, of_left};
 use super::random::Draws;
 use crate::body::{Attachment, Posture, Skeleton};
 use crate::camera::Camera;
 use crate::detect::{Detection, Detections, Keypoint, KeypointFormat, Person};
 use crate::time::Timestamp;
-
-/// How a detector errs. Rates are occurrences a second and camera; `_s` is the longest that one
-/// lasts, in seconds. The default is a studio with plain backgrounds.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Noise {
-    /// Standard deviation of a limb's points along each axis, as a share of the person's height
-    /// in pixels.
-    pub jitter: f64,
-    /// Time over which the jitter changes, seconds; a third of its variance is new in each frame.
-    pub correlation_s: f64,
-    /// How much the confidences fall short of 1 for an error of one standard deviation.
-    pub doubt: f64,
-    /// Probability that a point is missing.
-    pub missing: f64,
-    /// Probability that a point is grossly wrong, with a middling confidence.
-    pub outliers: f64,
-    /// A limb hidden from the camera: its points go missing, or are guessed badly.
-    pub occlusions: f64,
-    /// See `occlusions`; per limb.
-    pub occlusion_s: f64,
-    /// Left and right of the legs, or of the arms, swapped.
-    pub swaps: f64,
-    /// See `swaps`.
-    pub swap_s: f64,
-    /// A bystander at the edge of the floor is detected too.
-    pub strangers: f64,
-    /// See `strangers`.
-    pub stranger_s: f64,
-    /// The performer is reported as two people, trunk and legs.
-    pub splits: f64,
-    /// See `splits`.
-    pub split_s: f64,
-    /// Nobody is detected.
-    pub blanks: f64,
-    /// See `blanks`.
-    pub blank_s: f64,
-}
-
-impl Default for Noise {
-    fn default() -> Self {
-        Self {
-            jitter: 0.006,
-            correlation_s: 0.12,
-            doubt: 0.10,
-            missing: 0.01,
-            outliers: 0.003,
-            occlusions: 0.05,
-            occlusion_s: 0.8,
-            swaps: 0.03,
-            swap_s: 0.25,
-            strangers: 0.06,
-            stranger_s: 1.5,
-            splits: 0.02,
-            split_s: 0.2,
-            blanks: 0.02,
-            blank_s: 0.1,
-        }
-    }
-}
-
-impl Noise {
-    /// Exact projections with confidence 1; only what lies outside the image is missing.
-    pub fn none() -> Self {
-        Self {
-            jitter: 0.0,
-            correlation_s: 0.12,
-            doubt: 0.0,
-            missing: 0.0,
-            outliers: 0.0,
-            occlusions: 0.0,
-            occlusion_s: 0.8,
-            swaps: 0.0,
-            swap_s: 0.25,
-            strangers: 0.0,
-            stranger_s: 1.5,
-            splits: 0.0,
-            split_s: 0.2,
-            blanks: 0.0,
-            blank_s: 0.1,
-        }
-    }
-
-    /// Jitter alone.
-    pub fn jitter_only() -> Self {
-        let Self { jitter, doubt, .. } = Self::default();
-        Self { jitter, doubt, ..Self::none() }
-    }
-}
 
 /// What draws are for; the numbers only need to differ.
 mod topic {
@@ -114,6 +26,10 @@ mod topic {
     pub(super) const MISSING: u64 = 300;
     pub(super) const OUTLIER: u64 = 400;
     pub(super) const CONFIDENCE: u64 = 500;
+    pub(super) const HARDNESS: u64 = 600;
+    pub(super) const WANDER: u64 = 700;
+    pub(super) const GUESS: u64 = 800;
+    pub(super) const BIAS: u64 = 900;
     /// Added for the stranger's points.
     pub(super) const OF_STRANGER: u64 = 1000;
 }
@@ -126,6 +42,8 @@ pub(super) struct Detector<'a> {
     format: KeypointFormat,
     noise: &'a Noise,
     draws: Draws,
+    /// Of each point of the format: where it is believed to be, in its joint's frame, metres.
+    biases: Vec<Vector3<f64>>,
     stranger: Posture,
 }
 
@@ -137,8 +55,13 @@ impl<'a> Detector<'a> {
         noise: &'a Noise,
         seed: u64,
     ) -> Self {
-        let stranger = stranger(Draws { seed, stream: u64::MAX });
-        Self { camera, index, format, noise, draws: Draws { seed, stream: index as u64 }, stranger }
+        // What all cameras share.
+        let shared = Draws { seed, stream: u64::MAX };
+        let points = format.keypoints().iter();
+        let biases = points.map(|&keypoint| bias(keypoint, &shared) * noise.bias_m).collect();
+        let stranger = stranger(shared);
+        let draws = Draws { seed, stream: index as u64 };
+        Self { camera, index, format, noise, draws, biases, stranger }
     }
 
     /// What it says of the body at `seconds`, the capture time.
@@ -187,7 +110,7 @@ impl<'a> Detector<'a> {
             .map(|&keypoint| {
                 let swap = swapped.is_some() && swapped == limb_of(keypoint).map(|(r, _)| r);
                 let keypoint = if swap { mirrored(keypoint) } else { keypoint };
-                self.camera.project(&position(keypoint, skeleton, posture))
+                self.camera.project(&self.believed(keypoint, skeleton, posture))
             })
             .collect();
         let size = extent(&exact);
@@ -199,40 +122,67 @@ impl<'a> Detector<'a> {
         Person { id: None, points }
     }
 
-    /// One point, given where it truly is in the image.
+    /// Where the detector believes a point to be in the world.
+    fn believed(&self, keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
+        let joint = Attachment::of(keypoint).joint.index();
+        let bias = self.format.index_of(keypoint).map_or(Vector3::zeros(), |i| self.biases[i]);
+        position(keypoint, skeleton, posture) + posture.rotations[joint] * bias
+    }
+
+    /// One point, given where it is believed to be in the image.
     fn point(&self, at: &At, index: u64, exact: Vector2<f64>) -> Option<Detection> {
-        let (noise, draws) = (self.noise, &self.draws);
-        let topic = at.base + index;
-        if draws.uniform(topic + topic::MISSING, at.frame) < noise.missing {
+        let noise = self.noise;
+        let uniform = |what: u64| self.draws.uniform(at.base + what + index, at.frame);
+        let smooth = |what: u64, period: f64| {
+            Vector2::from(self.draws.smooth_normals(at.base + what + index, at.seconds, period))
+        };
+        let hardness = (noise.hardness * smooth(topic::HARDNESS, noise.hardness_s).x).exp();
+        if uniform(topic::MISSING) < noise.missing * hardness * hardness {
             return None;
         }
-        let deviation = noise.jitter * at.size * difficulty(at.keypoint);
-        let slow = draws.smooth_normals(topic + topic::SLOW, at.seconds, noise.correlation_s);
-        let fast = draws.normals(topic + topic::FAST, at.frame);
-        let unit = Vector2::from(slow) * (2f64 / 3.0).sqrt() + Vector2::from(fast) / 3f64.sqrt();
-        let mut error = unit * deviation;
-        let chance = draws.uniform(topic + topic::CONFIDENCE, at.frame);
-        let mut confidence = 1.0 - noise.doubt * (0.7 * unit.norm() + 0.6 * chance);
-
-        if self.occluded(at) {
-            if draws.uniform(topic + topic::OUTLIER, at.frame) < 0.5 {
+        let fast = Vector2::from(self.draws.normals(at.base + topic::FAST + index, at.frame));
+        let slow = smooth(topic::SLOW, noise.correlation_s);
+        let unit = (slow * (1.0 - noise.new_share).sqrt() + fast * noise.new_share.sqrt())
+            * (hardness * difficulty(at.keypoint));
+        let wander = smooth(topic::WANDER, noise.wander_s) * noise.wander;
+        let mut error = (unit * noise.jitter + wander) * at.size;
+        let chance = uniform(topic::CONFIDENCE);
+        let mut confidence = noise.confidence - noise.doubt * (0.7 * unit.norm() + 0.6 * chance);
+        if let Some(which) = self.occlusion(at) {
+            if which >= noise.hallucinated {
                 return None;
             }
-            error = (error + Vector2::from(slow) * deviation) * 3.0;
-            confidence = 0.08 + 0.25 * chance;
-        } else if draws.uniform(topic + topic::OUTLIER, at.frame) < noise.outliers {
-            error = Vector2::from(fast) * (0.15 * at.size);
-            confidence = 0.3 + 0.3 * chance;
+            error += self.guess(at, index);
+            confidence = noise.confidence * (0.25 + 0.4 * chance);
+        } else if uniform(topic::OUTLIER) < noise.outliers {
+            error = fast * (0.15 * at.size);
+            confidence = noise.confidence * (0.3 + 0.3 * chance);
         }
         let pixel = Point2::from(exact + error);
         self.in_image(&pixel).then(|| Detection { pixel, confidence: confidence.clamp(0.02, 1.0) })
     }
 
-    fn occluded(&self, at: &At) -> bool {
-        let Some((region, side)) = limb_of(at.keypoint) else { return false };
-        let topic = at.base + topic::OCCLUSION + 2 * region as u64 + side as u64;
+    /// If the point is on a limb that is hidden now: a number in [0, 1) of this occurrence.
+    fn occlusion(&self, at: &At) -> Option<f64> {
+        let topic = at.base + topic::OCCLUSION + limb_number(at.keypoint)?;
         let (rate, longest) = (self.noise.occlusions, self.noise.occlusion_s);
-        self.draws.stretch(topic, at.seconds, rate, longest).is_some()
+        self.draws.stretch(topic, at.seconds, rate, longest)
+    }
+
+    /// How far off the guess of a hidden point is, pixels: the limb goes astray as a whole, the
+    /// further out the more, and each point by itself.
+    fn guess(&self, at: &At, index: u64) -> Vector2<f64> {
+        let period = 0.6 * self.noise.occlusion_s.max(0.1);
+        let normals = |what: u64| {
+            Vector2::from(self.draws.smooth_normals(
+                at.base + topic::GUESS + what,
+                at.seconds,
+                period,
+            ))
+        };
+        let limb = normals(50 + limb_number(at.keypoint).unwrap_or(0));
+        let unit = limb * 0.8f64.sqrt() + normals(index) * 0.2f64.sqrt();
+        unit * (along(at.keypoint) * self.noise.hallucination * at.size)
     }
 
     fn in_image(&self, pixel: &Point2<f64>) -> bool {
@@ -270,6 +220,22 @@ pub fn position(keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> V
     posture.positions[joint] + posture.rotations[joint] * attachment.offset(skeleton.shape())
 }
 
+/// A unit normal offset for a point; left and right mirror each other.
+fn bias(keypoint: Keypoint, draws: &Draws) -> Vector3<f64> {
+    let (left, side) = of_left(keypoint);
+    let [x, y] = draws.normals(topic::BIAS, left as u64);
+    let [z, _] = draws.normals(topic::BIAS + 1, left as u64);
+    // A point of the middle has no side to be off to.
+    let middle = matches!(left, Keypoint::Nose | Keypoint::HeadTop | Keypoint::MidHip)
+        || matches!(left, Keypoint::Neck | Keypoint::UpperNeck);
+    Vector3::new(if middle { 0.0 } else { side * x }, y, z)
+}
+
+/// A number for each of the four limbs.
+fn limb_number(keypoint: Keypoint) -> Option<u64> {
+    limb_of(keypoint).map(|(region, side)| 2 * region as u64 + side as u64)
+}
+
 /// Somebody who stands about at the edge of the floor, facing the middle.
 fn stranger(draws: Draws) -> Posture {
     let skeleton = Skeleton::default();
@@ -287,56 +253,4 @@ fn extent(points: &[Option<Vector2<f64>>]) -> f64 {
     let low = seen().fold(Vector2::repeat(f64::MAX), |a, b| a.inf(b));
     let high = seen().fold(Vector2::repeat(f64::MIN), |a, b| a.sup(b));
     (high - low).max().max(0.0)
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Region {
-    Arm,
-    Leg,
-}
-
-/// The limb a point is on, if it is on one: region, and 0 for left or 1 for right.
-fn limb_of(keypoint: Keypoint) -> Option<(Region, usize)> {
-    use Keypoint as K;
-    Some(match keypoint {
-        K::LElbow | K::LWrist => (Region::Arm, 0),
-        K::RElbow | K::RWrist => (Region::Arm, 1),
-        K::LKnee | K::LAnkle | K::LBigToe | K::LSmallToe | K::LHeel => (Region::Leg, 0),
-        K::RKnee | K::RAnkle | K::RBigToe | K::RSmallToe | K::RHeel => (Region::Leg, 1),
-        _ => return None,
-    })
-}
-
-/// The same point on the other side, for points on limbs.
-fn mirrored(keypoint: Keypoint) -> Keypoint {
-    use Keypoint as K;
-    const PAIRS: [(Keypoint, Keypoint); 7] = [
-        (K::LElbow, K::RElbow),
-        (K::LWrist, K::RWrist),
-        (K::LKnee, K::RKnee),
-        (K::LAnkle, K::RAnkle),
-        (K::LBigToe, K::RBigToe),
-        (K::LSmallToe, K::RSmallToe),
-        (K::LHeel, K::RHeel),
-    ];
-    PAIRS
-        .into_iter()
-        .find_map(|(l, r)| match keypoint {
-            k if k == l => Some(r),
-            k if k == r => Some(l),
-            _ => None,
-        })
-        .unwrap_or(keypoint)
-}
-
-/// How much a point jitters, against a limb's.
-fn difficulty(keypoint: Keypoint) -> f64 {
-    use Keypoint as K;
-    match keypoint {
-        K::Nose | K::LEye | K::REye | K::LEar | K::REar => 0.6,
-        K::HeadTop | K::Neck | K::UpperNeck => 0.9,
-        K::LHip | K::RHip | K::MidHip => 1.5,
-        K::LShoulder | K::RShoulder => 0.9,
-        _ => 1.0,
-    }
 }

@@ -21,14 +21,25 @@
 mod curves;
 mod detector;
 mod disturb;
+mod h36m;
 mod leg;
 mod motion;
+mod noise;
+mod points;
+mod protocol;
 mod random;
 mod recording;
+mod rigs;
 mod ring;
+mod sequence;
 
-pub use detector::{Noise, position};
+pub use detector::position;
 pub use disturb::{Disturbance, Disturbed, Sending};
+pub use h36m::{H36mError, h36m_rig};
 pub use motion::{Motion, MotionStyle};
+pub use noise::Noise;
+pub use protocol::{Protocol, SequenceChoice};
 pub use recording::{Recording, through};
+pub use rigs::{RigError, rig_named, tdhp_like_rig};
 pub use ring::ring_rig;
+pub use sequence::{Sequence, sequence};

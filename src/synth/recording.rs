@@ -2,7 +2,8 @@
 
 use nalgebra::Vector3;
 
-use super::detector::{Detector, Noise};
+use super::detector::Detector;
+use super::noise::Noise;
 use crate::body::{Pose, Skeleton, StampedPose, TrackingState};
 use crate::camera::Rig;
 use crate::detect::{Detections, KeypointFormat};

@@ -42,7 +42,7 @@ pub fn ring_rig(n: usize, radius: f64, height: f64) -> Result<Rig, CameraError> 
 }
 
 /// `camera_from_world`'s rotation of a level camera at `eye` that looks at `target`.
-fn looking_at(eye: &Vector3<f64>, target: &Vector3<f64>) -> Matrix3<f64> {
+pub(super) fn looking_at(eye: &Vector3<f64>, target: &Vector3<f64>) -> Matrix3<f64> {
     let forward = (target - eye).normalize();
     let right = forward.cross(&Vector3::y()).normalize();
     let down = forward.cross(&right);

@@ -36,7 +36,7 @@ pub struct Clip {
 pub type Root = (Matrix3<f64>, Vector3<f64>);
 
 /// A frame of a clip.
-type Frame = (Root, [Matrix3<f64>; BODY_JOINTS]);
+pub(super) type Frame = (Root, [Matrix3<f64>; BODY_JOINTS]);
 
 impl Clip {
     /// The whole pose of a frame.
@@ -221,7 +221,7 @@ fn straighten(bvh: &Bvh, joints: &[usize; JOINTS], rest: &mut [Matrix3<f64>; JOI
 
 /// Frames at [`FPS`] from ones that are 1 / `step` times as dense: slerp of each joint and of the
 /// pelvis, lerp of its position.
-fn resampled(frames: &[Frame], step: f64) -> Vec<(Root, PoseVector)> {
+pub(super) fn resampled(frames: &[Frame], step: f64) -> Vec<(Root, PoseVector)> {
     let last = frames.len().saturating_sub(1);
     let count = (last as f64 * step).floor() as usize + usize::from(!frames.is_empty());
     (0..count)

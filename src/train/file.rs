@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::io::Write;
+use std::ops::Range;
 use std::path::Path;
 
 use safetensors::{Dtype, SafeTensors};
@@ -22,19 +23,42 @@ const VERSION: &str = "1";
 /// The activation between layers.
 const ACTIVATION: &str = "silu";
 
-/// Writes the file under a temporary name, then renames it.
+/// What a weights file holds.
+pub struct Content<'a> {
+    /// What the metadata calls the format.
+    pub format: &'a str,
+    /// Networks by name.
+    pub networks: &'a [(&'a str, &'a Mlp)],
+    /// The parameters of all of them.
+    pub parameters: &'a [f32],
+    /// Other numbers by name.
+    pub vectors: &'a [(&'a str, &'a [f32])],
+    /// What made them.
+    pub metadata: &'a BTreeMap<&'static str, String>,
+}
+
+/// Writes a manifold's file.
 pub fn write(
     path: &Path,
     model: &Model,
-    metadata: &BTreeMap<&str, String>,
+    metadata: &BTreeMap<&'static str, String>,
 ) -> Result<(), TrainError> {
+    let networks = [("encoder", &model.encoder), ("decoder", &model.decoder)];
+    let parameters = &model.parameters;
+    let content =
+        Content { format: FORMAT, networks: &networks, parameters, vectors: &[], metadata };
+    write_bytes(path, &bytes(&content))
+}
+
+/// Writes the file under a temporary name, then renames it.
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
     let failed = |source| TrainError::Write { path: path.to_owned(), source };
     let folder = match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
     };
     let mut file = readable_by_all().tempfile_in(folder).map_err(failed)?;
-    file.write_all(&bytes(model, metadata)).map_err(failed)?;
+    file.write_all(bytes).map_err(failed)?;
     file.persist(path).map_err(|error| failed(error.error))?;
     Ok(())
 }
@@ -51,30 +75,33 @@ fn readable_by_all() -> tempfile::Builder<'static, 'static> {
 }
 
 /// The length of the header, the header with its keys in order, then all numbers; the same
-/// model and metadata give the same bytes.
-fn bytes(model: &Model, metadata: &BTreeMap<&str, String>) -> Vec<u8> {
+/// content gives the same bytes.
+pub fn bytes(content: &Content) -> Vec<u8> {
     let (mut header, mut data) = (Map::new(), Vec::new());
     let mut described: Map<String, Value> =
-        metadata.iter().map(|(key, value)| ((*key).to_owned(), json!(value))).collect();
-    for (key, value) in [("format", FORMAT), ("version", VERSION), ("activation", ACTIVATION)] {
+        content.metadata.iter().map(|(key, value)| ((*key).to_owned(), json!(value))).collect();
+    for (key, value) in
+        [("format", content.format), ("version", VERSION), ("activation", ACTIVATION)]
+    {
         described.insert(key.to_owned(), json!(value));
     }
     header.insert("__metadata__".to_owned(), Value::Object(described));
-    for (name, network) in [("encoder", &model.encoder), ("decoder", &model.decoder)] {
+    let mut add = |name: String, shape: &[usize], numbers: &[f32]| {
+        let first = data.len();
+        data.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+        let tensor = json!({"dtype": "F32", "shape": shape, "data_offsets": [first, data.len()]});
+        header.insert(name, tensor);
+    };
+    for (name, network) in content.networks {
         for (index, layer) in network.layers().iter().enumerate() {
-            let parts = [
-                ("weight", vec![layer.outputs, layer.inputs], layer.weight.clone()),
-                ("bias", vec![layer.outputs], layer.bias.clone()),
-            ];
-            for (part, shape, range) in parts {
-                let first = data.len();
-                let numbers = model.parameters[range].iter();
-                data.extend(numbers.flat_map(|number| number.to_le_bytes()));
-                let tensor =
-                    json!({"dtype": "F32", "shape": shape, "data_offsets": [first, data.len()]});
-                header.insert(format!("{name}.{index}.{part}"), tensor);
-            }
+            let numbers = |range: &Range<usize>| &content.parameters[range.clone()];
+            let shape = [layer.outputs, layer.inputs];
+            add(format!("{name}.{index}.weight"), &shape, numbers(&layer.weight));
+            add(format!("{name}.{index}.bias"), &shape[..1], numbers(&layer.bias));
         }
+    }
+    for (name, numbers) in content.vectors {
+        add((*name).to_owned(), &[numbers.len()], numbers);
     }
     let mut header = Value::Object(header).to_string().into_bytes();
     header.resize(header.len().next_multiple_of(8), b' ');
@@ -91,7 +118,8 @@ pub fn read(path: &Path) -> Result<Model, TrainError> {
     parse(&bytes).map_err(|problem| TrainError::Weights { path: path.to_owned(), problem })
 }
 
-fn parse(bytes: &[u8]) -> Result<Model, String> {
+/// The same from bytes; else what is wrong with them.
+pub fn parse(bytes: &[u8]) -> Result<Model, String> {
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(|error| error.to_string())?;
     let metadata = header.metadata().clone().unwrap_or_default();
     for (key, expected) in [("format", FORMAT), ("version", VERSION), ("activation", ACTIVATION)] {

@@ -24,6 +24,7 @@ mod options;
 mod restyle;
 mod rotation;
 mod sampler;
+mod transition;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -32,10 +33,14 @@ use std::time::{Duration, Instant};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-pub use corpus::{Clip, POSE, PoseVector, Root, mirrored, pose_vector, read_folder};
+pub use corpus::{Clip, FPS, POSE, PoseVector, Root, mirrored, pose_vector, read_folder, subjects};
 pub use evaluate::{Figures, SPAN, table};
 pub use model::Losses;
 pub use options::Options;
+pub use transition::{
+    TransitionFigures, TransitionReport, evaluate as evaluate_transition,
+    keyframes as transition_keyframes, run as train_transition,
+};
 
 use crate::body::bvh::BvhError;
 use limits::Limits;

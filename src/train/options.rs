@@ -152,9 +152,18 @@ pub fn optimiser_config(options: &Options) -> optimiser::Config {
 /// The command line that repeats a run: folder and file by their last names, and the options
 /// that are not the default.
 pub fn command(options: &Options) -> String {
+    with_settings(options, "bundlemocap train")
+}
+
+/// The same for a transition model.
+pub fn transition_command(options: &Options) -> String {
+    with_settings(options, "bundlemocap train --transition")
+}
+
+fn with_settings(options: &Options, program: &str) -> String {
     let last = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let default = Options::default();
-    let mut command = format!("bundlemocap train {}/", last(&options.motions));
+    let mut command = format!("{program} {}/", last(&options.motions));
     if !options.test_subjects.is_empty() {
         command += &format!(" --test-subjects {}", options.test_subjects.join(","));
     }

@@ -1,7 +1,10 @@
 //! Every Jacobian against central differences, through one helper.
 
 use bundlemocap::body::{BODY_JOINTS, Joint, Shape, Skeleton, Tangents, forward, push_forward};
-use bundlemocap::manifold::{Decoder, Interpolation, Jacobians, LATENT, Latent};
+use bundlemocap::manifold::{
+    Decoder, Interpolation, Jacobians, Keyframe, LATENT, Latent, MOVE, THREE, Transition,
+    TransitionWork, state_of,
+};
 use bundlemocap::so3;
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
@@ -150,4 +153,35 @@ fn joints_and_points_by_rotations_root_and_shape() {
             numeric_jacobian(&vec![0.0; n], 1e-6, |x| point(x, joint).as_slice().to_vec());
         assert_jacobian(&DMatrix::from_row_slice(3, n, &rows), &numeric, 1e-7);
     }
+}
+
+#[test]
+fn transition_residuals_by_three_keyframes() {
+    let transition = Transition::embedded().unwrap();
+    let mut work = TransitionWork::default();
+    let step = 0.02;
+    let per = LATENT + 6;
+    let keyframes: [Keyframe; 3] = std::array::from_fn(|k| Keyframe {
+        z: std::array::from_fn(|i| wave(i, 0.7) + 0.05 * k as f64 * wave(i, 1.3)),
+        root_rotation: so3::exp(&Vector3::new(0.2 + 0.03 * k as f64, 0.9, -0.4 * k as f64)),
+        root_position: Vector3::new(0.5, 1.0 - 0.01 * k as f64, 0.02 * (k * k) as f64),
+    });
+    let of = |k: &[Keyframe; 3]| [k[0].clone(), k[1].clone(), k[2].clone()];
+    let [a, b, c] = &keyframes;
+    let (_, deviation) = transition.predict(&state_of(a, b, step), &mut work);
+    let mut analytic = vec![0.0; MOVE * THREE];
+    transition.residual_with_tangent([a, b, c], step, &deviation, &mut work, &mut analytic);
+    let numeric = numeric_jacobian(&[0.0; THREE], 1e-5, |x| {
+        let mut moved = of(&keyframes);
+        for (keyframe, x) in moved.iter_mut().zip(x.chunks_exact(per)) {
+            keyframe.z.iter_mut().zip(x).for_each(|(z, x)| *z += x);
+            let turn = so3::exp(&Vector3::from_column_slice(&x[LATENT..LATENT + 3]));
+            keyframe.root_rotation = turn * keyframe.root_rotation;
+            keyframe.root_position += Vector3::from_column_slice(&x[LATENT + 3..]);
+        }
+        let [a, b, c] = &moved;
+        let mut work = TransitionWork::default();
+        transition.residual([a, b, c], step, &deviation, &mut work).to_vec()
+    });
+    assert_jacobian(&DMatrix::from_row_slice(MOVE, THREE, &analytic), &numeric, 1e-5);
 }

@@ -5,7 +5,11 @@ use std::path::{Path, PathBuf};
 
 use bundlemocap::body::bvh::Bvh;
 use bundlemocap::body::{BODY_JOINTS, Joint};
-use bundlemocap::train::{Clip, Options, TrainError, evaluate, read_folder, run};
+use bundlemocap::manifold::{Decoder, Keyframe, Transition, TransitionWork};
+use bundlemocap::train::{
+    Clip, Options, TrainError, evaluate, evaluate_transition, read_folder, run, train_transition,
+    transition_keyframes,
+};
 use nalgebra::{Matrix3, Vector3};
 
 /// Name, index of the parent, offset.
@@ -186,6 +190,55 @@ fn the_weights_say_what_made_them() {
         ("decoder.2.weight", vec![126, 32]),
     ] {
         assert_eq!(tensors.tensor(name).unwrap().shape(), shape, "{name}");
+    }
+}
+
+#[test]
+fn a_transition_model_learns_and_the_same_seed_gives_the_same_bytes() {
+    let folder = folder();
+    let options = Options { steps: 400, ..tiny(folder.path(), "t.safetensors") };
+    let train = || {
+        let mut losses = Vec::new();
+        let report = train_transition(&options, None, &mut |_, loss| losses.push(loss)).unwrap();
+        (std::fs::read(&options.out).unwrap(), losses, report)
+    };
+    let (first, losses, report) = train();
+    assert_eq!(train().0, first);
+    assert_eq!(losses.len(), 8);
+    assert!(losses[7] < losses[0] - 0.1, "{losses:?}");
+    let (out, subjects) = (&options.out, ["02".to_owned()]);
+    let again = evaluate_transition(out, None, folder.path(), &subjects).unwrap();
+    assert_eq!(again, report.held_out);
+    assert_eq!(again.iter().map(|row| row.fps).collect::<Vec<_>>(), [30.0, 50.0, 60.0]);
+    let model = Transition::from_bytes(&first).unwrap();
+    assert!(model.fits(&Decoder::embedded().unwrap()));
+}
+
+/// The mean of -ln p over the transitions of keyframes at 60 fps.
+fn mean_surprise(model: &Transition, keyframes: &[&Keyframe]) -> f64 {
+    let mut work = TransitionWork::default();
+    let of =
+        |three: &[&Keyframe]| model.surprise([three[0], three[1], three[2]], 1.0 / 60.0, &mut work);
+    keyframes.windows(3).map(of).sum::<f64>() / (keyframes.len() - 2) as f64
+}
+
+#[test]
+fn the_transition_model_prefers_real_transitions_to_shuffled_ones() {
+    let Some(folder) = corpus() else { return };
+    let model = Transition::embedded().unwrap();
+    let clips = read_folder(&folder).unwrap();
+    let unseen = clips.iter().filter(|clip| ["07", "10"].contains(&clip.subject.as_str()));
+    for clip in unseen.step_by(4) {
+        let keyframes = transition_keyframes(None, clip, 60.0).unwrap();
+        let count = keyframes.len();
+        let real: Vec<&Keyframe> = keyframes.iter().collect();
+        // Neighbours swapped, and frames from three thirds of the clip in turn.
+        let swapped: Vec<&Keyframe> = (0..count & !1).map(|i| &keyframes[i ^ 1]).collect();
+        let jumps: Vec<&Keyframe> =
+            (0..count).map(|i| &keyframes[(i + (i % 3) * count / 3) % count]).collect();
+        let real = mean_surprise(&model, &real);
+        assert!(real < mean_surprise(&model, &swapped), "{}", clip.name);
+        assert!(real < mean_surprise(&model, &jumps), "{}", clip.name);
     }
 }
 

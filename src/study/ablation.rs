@@ -1,0 +1,146 @@
+//! Our settings, one varied at a time.
+
+use crate::baseline::{Method, Windows};
+use crate::camera::CameraError;
+use crate::manifold::Interpolation;
+use crate::solve;
+use crate::track::Config;
+
+use super::case::View;
+
+/// What of a view is varied.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Seen {
+    /// Cameras on a ring.
+    Cameras(usize),
+    /// A level of noise.
+    Noise(&'static str),
+    /// Frames a second.
+    Fps(f64),
+}
+
+/// A setting under its name.
+type Setting = (String, Config);
+
+/// What is varied.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Factor {
+    /// A setting of ours: rows of one table.
+    Settings(Vec<Setting>),
+    /// How the motion is seen: rows by the paper's settings and by ours.
+    Views(Vec<(String, Seen)>),
+}
+
+/// The names that [`factor`] knows.
+pub const FACTORS: [&str; 8] =
+    ["window", "optimiser", "scale", "prior", "interpolation", "cameras", "noise", "fps"];
+
+/// The factor of that name.
+pub fn factor(name: &str) -> Option<Factor> {
+    Some(match name {
+        "window" => numbers("window", &[3.0, 5.0, 8.0, 10.0, 15.0, 20.0], |config, frames| {
+            config.window_frames = frames as usize;
+        }),
+        "scale" => numbers("scale px", &[10.0, 15.0, 30.0, 50.0, 100.0], |config, scale| {
+            config.cost.scale_px = scale;
+        }),
+        "prior" => numbers("prior", &[10.0, 30.0, 100.0, 300.0, 1000.0], |config, prior| {
+            config.cost.prior = prior;
+        }),
+        "optimiser" => named(&[
+            ("Levenberg-Marquardt", |config| config.method = solve::Method::LevenbergMarquardt),
+            ("L-BFGS", |config| config.method = solve::Method::Lbfgs),
+            ("Levenberg-Marquardt, no loose start", |config| config.loose_iterations = 0),
+        ]),
+        "interpolation" => named(&[
+            ("slerp", |config| config.cost.interpolation = Interpolation::Slerp),
+            ("lerp", |config| config.cost.interpolation = Interpolation::Lerp),
+        ]),
+        "cameras" => views((2..=8).map(|n| (format!("{n} cameras"), Seen::Cameras(n)))),
+        "noise" => views(
+            ["none", "clean", "studio", "sparse"]
+                .map(|level| (format!("noise {level}"), Seen::Noise(level)))
+                .into_iter(),
+        ),
+        "fps" => views([30.0, 60.0, 120.0].map(|f| (format!("{f} fps"), Seen::Fps(f))).into_iter()),
+        _ => return None,
+    })
+}
+
+fn numbers(name: &str, values: &[f64], set: fn(&mut Config, f64)) -> Factor {
+    let of = |&value: &f64| {
+        let mut config = Config::default();
+        set(&mut config, value);
+        let mark = if config == Config::default() { " (default)" } else { "" };
+        (format!("{name} {value}{mark}"), config)
+    };
+    Factor::Settings(values.iter().map(of).collect())
+}
+
+fn named(settings: &[(&str, fn(&mut Config))]) -> Factor {
+    let of = |(name, set): &(&str, fn(&mut Config))| {
+        let mut config = Config::default();
+        set(&mut config);
+        let mark = if config == Config::default() { " (default)" } else { "" };
+        (format!("{name}{mark}"), config)
+    };
+    Factor::Settings(settings.iter().map(of).collect())
+}
+
+fn views(views: impl Iterator<Item = (String, Seen)>) -> Factor {
+    Factor::Views(views.collect())
+}
+
+/// The methods of a table of settings.
+pub fn methods(settings: &[Setting]) -> Vec<Box<dyn Method>> {
+    let row = |(name, config): &Setting| Box::new(Windows::new(name, *config)) as Box<dyn Method>;
+    settings.iter().map(row).collect()
+}
+
+/// The paper's settings and ours, marked with what is varied.
+pub fn both(name: &str) -> Vec<Box<dyn Method>> {
+    let (paper, ours) = (Windows::paper(), Windows::default_settings());
+    [paper, ours]
+        .into_iter()
+        .map(|method| {
+            let label = format!("{name}: {}", method.name());
+            Box::new(method.renamed(&label)) as Box<dyn Method>
+        })
+        .collect()
+}
+
+/// The view with cameras or frame rate varied; noise is the caller's, by its protocol.
+///
+/// # Errors
+/// None with the numbers of [`factor`].
+pub fn seen(view: &View, how: &Seen) -> Result<View, CameraError> {
+    let mut view = view.clone();
+    match how {
+        Seen::Cameras(count) => {
+            view.rig = std::sync::Arc::new(crate::synth::ring_rig(*count, 4.5, 1.6)?);
+        }
+        Seen::Fps(fps) => view.choice.fps = *fps,
+        Seen::Noise(_) => {}
+    }
+    Ok(view)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_factor_varies_something_and_has_the_default_in_it() {
+        for name in FACTORS {
+            match factor(name).unwrap() {
+                Factor::Settings(rows) => {
+                    assert!(rows.len() > 1, "{name}");
+                    let default = rows.iter().filter(|(_, c)| *c == Config::default()).count();
+                    assert_eq!(default, 1, "{name}");
+                }
+                Factor::Views(rows) => assert!(rows.len() > 1, "{name}"),
+            }
+        }
+        assert_eq!(factor("shoes"), None);
+    }
+}
