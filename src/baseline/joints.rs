@@ -11,11 +11,11 @@ use crate::so3;
 const BATCH: usize = 64;
 
 /// Joint coordinates of a frame.
-pub(super) const COORDINATES: usize = 3 * JOINTS;
+pub const COORDINATES: usize = 3 * JOINTS;
 
 /// Joint positions of frames, metres.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Joints {
+pub struct Joints {
     /// x, y, z of each joint, frame after frame.
     positions: Vec<f64>,
     /// Their derivatives by the frame's unknowns, 66 x 38 row-major each; empty if not wanted.
@@ -70,19 +70,19 @@ impl Joints {
     }
 
     /// The 66 coordinates of a frame's joints.
-    pub(super) fn positions(&self, frame: usize) -> &[f64] {
+    pub fn positions(&self, frame: usize) -> &[f64] {
         &self.positions[frame * COORDINATES..(frame + 1) * COORDINATES]
     }
 
     /// Their derivatives, 66 x 38 row-major.
-    pub(super) fn jacobian(&self, frame: usize) -> &[f64] {
+    pub fn jacobian(&self, frame: usize) -> &[f64] {
         const SIZE: usize = COORDINATES * UNKNOWNS;
         &self.jacobians[frame * SIZE..(frame + 1) * SIZE]
     }
 }
 
 /// Derivatives of log(R1 R0^T) by the rotation vectors w0 and w1 of exp(w0) A and exp(w1) B.
-pub(super) fn turn_between(
+pub fn turn_between(
     r0: &Matrix3<f64>,
     w0: &Vector3<f64>,
     r1: &Matrix3<f64>,

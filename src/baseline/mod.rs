@@ -28,9 +28,12 @@ use std::sync::Arc;
 pub use dct::{Dct, DctWeights};
 pub use dmmr::{Dmmr, DmmrWeights};
 pub use etc::{Etc, EtcWeights};
+pub use joints::{COORDINATES, Joints, turn_between};
 pub use muvs::{MuVs, MuVsWeights};
+pub use path::{FramePath, State, Term, UNKNOWNS};
 pub use registry::{NAMES, all, named};
 pub use start::{Start, start};
+pub use terms::{JointSteps, KeyframeSteps, LowFrequency};
 pub use windows::Windows;
 
 use crate::body::{Pose, Skeleton};

@@ -28,11 +28,15 @@ pub struct MuVsWeights {
     pub scale_px: f64,
     /// Most iterations for each frame.
     pub iterations: usize,
+    /// Iterations before those with a looser loss, as the windows have them.
+    pub loose_iterations: usize,
+    /// How many times larger the scale of the looser loss is.
+    pub loose_scale: f64,
 }
 
 impl Default for MuVsWeights {
     fn default() -> Self {
-        Self { prior: 100.0, scale_px: 30.0, iterations: 30 }
+        Self { prior: 100.0, scale_px: 30.0, iterations: 30, loose_iterations: 3, loose_scale: 3.0 }
     }
 }
 
@@ -72,7 +76,7 @@ impl PerFrame {
         let points = fitted_points(take.format);
         let given = Given { take, decoder, start: &start, points: &points, config: &config };
         let cut = Cut::new(take, start.at);
-        let keyframes = one_by_one(&cut, &given, weights.iterations);
+        let keyframes = one_by_one(&cut, &given, weights);
         let cameras = take.rig.cameras.len();
         let seen = |frame: usize| {
             let moments = cut.moments(frame, &keyframes[frame], &given);
@@ -104,7 +108,7 @@ impl MuVsWeights {
     }
 }
 
-fn one_by_one(cut: &Cut, given: &Given, iterations: usize) -> Vec<Keyframe> {
+fn one_by_one(cut: &Cut, given: &Given, weights: &MuVsWeights) -> Vec<Keyframe> {
     let scene = Scene {
         decoder: given.decoder,
         rig: &given.take.rig,
@@ -126,7 +130,10 @@ fn one_by_one(cut: &Cut, given: &Given, iterations: usize) -> Vec<Keyframe> {
             let skeleton = &given.start.skeleton;
             let mut problem = PathProblem::new(scene, knots, skeleton, false, &moments, &mut work);
             let mut x = problem.start();
-            optimiser.minimise(&mut problem, &mut x, iterations);
+            problem.set_scale(weights.scale_px * weights.loose_scale);
+            optimiser.minimise(&mut problem, &mut x, weights.loose_iterations);
+            problem.set_scale(weights.scale_px);
+            optimiser.minimise(&mut problem, &mut x, weights.iterations);
             last = problem.solution(&x).0.pop().unwrap_or(last);
         } else {
             hidden += 1;

@@ -14,22 +14,22 @@ use crate::solve::{BandedProblem, Normal, Problem};
 use crate::time::Timestamp;
 
 /// Unknowns of a frame.
-pub(super) const UNKNOWNS: usize = LATENT + 6;
+pub const UNKNOWNS: usize = LATENT + 6;
 
 /// A path at some values of its unknowns.
 #[derive(Clone, Debug)]
-pub(super) struct State {
+pub struct State {
     /// Each frame's values.
-    pub(super) keyframes: Vec<Keyframe>,
+    pub keyframes: Vec<Keyframe>,
     /// The rotation vector w of each frame.
-    pub(super) turns: Vec<Vector3<f64>>,
+    pub turns: Vec<Vector3<f64>>,
     /// Each frame's joint positions, with Jacobians where normal equations are wanted; empty if no
     /// term uses them.
-    pub(super) joints: Joints,
+    pub joints: Joints,
 }
 
 /// A term of the cost over the frames of a path.
-pub(super) trait Term {
+pub trait Term {
     /// How many frames apart two frames can be that share a part of the approximate Hessian.
     fn reach(&self) -> usize;
 
@@ -45,23 +45,22 @@ pub(super) trait Term {
     fn add(&self, state: &State, normal: &mut Normal);
 }
 
-/// The cost of a path of one keyframe a frame.
-pub(super) struct FramePath<'a> {
-    pub(super) scene: Scene<'a>,
-    pub(super) skeleton: &'a Skeleton,
-    /// What was seen in each frame.
-    pub(super) moments: &'a [Vec<Moment>],
+/// The cost of a path of one keyframe a frame. Terms of any reach can be added to it.
+pub struct FramePath<'a> {
+    scene: Scene<'a>,
+    skeleton: &'a Skeleton,
+    moments: &'a [Vec<Moment>],
     /// Each frame's values at the start.
-    pub(super) initial: &'a [Keyframe],
-    pub(super) terms: &'a [Box<dyn Term + 'a>],
+    initial: &'a [Keyframe],
+    terms: &'a [Box<dyn Term + 'a>],
     /// Which unknowns of every frame are solved for: codes, roots.
-    pub(super) free: [bool; 2],
+    pub free: [bool; 2],
     work: Workspace,
 }
 
 impl<'a> FramePath<'a> {
     /// With every unknown free.
-    pub(super) fn new(
+    pub fn new(
         scene: Scene<'a>,
         skeleton: &'a Skeleton,
         moments: &'a [Vec<Moment>],
@@ -73,7 +72,7 @@ impl<'a> FramePath<'a> {
     }
 
     /// The unknowns to start from.
-    pub(super) fn start(&self) -> Vec<f64> {
+    pub fn start(&self) -> Vec<f64> {
         let unknowns = |keyframe: &Keyframe| {
             let mut x = keyframe.z.to_vec();
             x.extend([0.0; 3]);
@@ -84,7 +83,7 @@ impl<'a> FramePath<'a> {
     }
 
     /// The keyframes that `x` stands for.
-    pub(super) fn keyframes(&self, x: &[f64]) -> Vec<Keyframe> {
+    pub fn keyframes(&self, x: &[f64]) -> Vec<Keyframe> {
         self.state(x, None).keyframes
     }
 

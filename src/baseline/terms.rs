@@ -7,9 +7,9 @@ use crate::solve::Normal;
 
 /// 1/2 weight |P_j(t + 1) - P_j(t)|^2 over joints and frames.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct JointSteps {
+pub struct JointSteps {
     /// Square pixels per square metre.
-    pub(super) weight: f64,
+    pub weight: f64,
 }
 
 impl JointSteps {
@@ -46,13 +46,13 @@ impl Term for JointSteps {
 
 /// 1/2 latent |z(t + 1) - z(t)|^2 + 1/2 turn |log(R(t + 1) R(t)^T)|^2 + 1/2 shift |p(t + 1) - p(t)|^2.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct KeyframeSteps {
+pub struct KeyframeSteps {
     /// Square pixels.
-    pub(super) latent: f64,
+    pub latent: f64,
     /// Square pixels per square radian.
-    pub(super) turn: f64,
+    pub turn: f64,
     /// Square pixels per square metre.
-    pub(super) shift: f64,
+    pub shift: f64,
 }
 
 impl KeyframeSteps {
@@ -115,7 +115,7 @@ impl Term for KeyframeSteps {
 /// approximate Hessian leaves out the part -J^T B B^T J that couples all frames, which makes it
 /// larger, so that each step solves frames by themselves towards the projection of their tracks.
 #[derive(Clone, Debug)]
-pub(super) struct LowFrequency {
+pub struct LowFrequency {
     weight: f64,
     /// Frames x components, orthonormal columns.
     basis: Vec<Vec<f64>>,
@@ -123,7 +123,7 @@ pub(super) struct LowFrequency {
 
 impl LowFrequency {
     /// Over so many frames, with so many components (all of them for fewer frames than that).
-    pub(super) fn new(weight: f64, frames: usize, components: usize) -> Self {
+    pub fn new(weight: f64, frames: usize, components: usize) -> Self {
         let cosine = |k: usize, t: usize| {
             let scale = if k == 0 { 1.0 } else { 2.0 } / frames as f64;
             let phase = std::f64::consts::PI * k as f64 * (t as f64 + 0.5) / frames as f64;

@@ -1,5 +1,6 @@
 //! Integration tests, one binary.
 
+mod baseline;
 mod bus;
 mod camera;
 mod cli;

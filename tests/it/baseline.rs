@@ -1,0 +1,244 @@
+//! The compared methods: derivatives of their terms, their solver, and each on a recording.
+
+use std::sync::Arc;
+
+use bundlemocap::baseline::{
+    self, Delay, FramePath, JointSteps, KeyframeSteps, LowFrequency, Method, MuVs, Solved, Take,
+    Term, UNKNOWNS,
+};
+use bundlemocap::body::{BodyPoint, Posture, Skeleton, fitted_points};
+use bundlemocap::camera::Rig;
+use bundlemocap::cost::{self, Moment, Observation, Scene};
+use bundlemocap::detect::KeypointFormat;
+use bundlemocap::eval;
+use bundlemocap::manifold::{Decoder, Keyframe};
+use bundlemocap::solve::{BandedProblem, LevenbergMarquardt, Normal, Optimiser, Problem};
+use bundlemocap::synth::{Motion, MotionStyle, Recording, ring_rig};
+use nalgebra::{DMatrix, Vector2};
+
+use crate::jacobians::{assert_jacobian, numeric_jacobian};
+use crate::solve::{frame, keyframe, observe, ring};
+
+/// A few frames that were seen with errors.
+struct Case {
+    decoder: Decoder,
+    rig: Rig,
+    points: Vec<BodyPoint>,
+    skeleton: Skeleton,
+    config: cost::Config,
+    initial: Vec<Keyframe>,
+    moments: Vec<Vec<Moment>>,
+}
+
+impl Case {
+    fn new(frames: usize) -> Self {
+        let (decoder, skeleton) = (Decoder::embedded().unwrap(), Skeleton::default());
+        let (rig, points) = (ring(), fitted_points(KeypointFormat::Body25));
+        let truth = |i: usize| keyframe(0.7 + 0.01 * i as f64, 0.8);
+        let moments = (0..frames).map(|i| {
+            let posture = decoder.pose(&truth(i)).posture(&skeleton);
+            let seen = observe(&rig, &points, &posture, skeleton.shape());
+            let moved = seen.into_iter().enumerate().map(|(n, seen)| {
+                let n = (n + 131 * i) as f64;
+                let off = Vector2::new((n * 1.3).sin(), (n * 2.1).cos()) * 6.0;
+                Observation { pixel: seen.pixel + off, ..seen }
+            });
+            vec![Moment::new(frame(i), moved.collect())]
+        });
+        let moments = moments.collect();
+        let initial = (0..frames).map(truth).collect();
+        Self { decoder, rig, points, skeleton, config: cost::Config::default(), initial, moments }
+    }
+
+    fn path<'a>(
+        &'a self,
+        moments: &'a [Vec<Moment>],
+        initial: &'a [Keyframe],
+        terms: &'a [Box<dyn Term + 'a>],
+    ) -> FramePath<'a> {
+        let (decoder, rig, points) = (&self.decoder, &self.rig, &self.points[..]);
+        let scene = Scene { decoder, rig, points, config: &self.config };
+        FramePath::new(scene, &self.skeleton, moments, initial, terms)
+    }
+}
+
+fn every_term(frames: usize) -> [Box<dyn Term>; 3] {
+    [
+        Box::new(JointSteps { weight: 1e5 }),
+        Box::new(KeyframeSteps { latent: 300.0, turn: 1e5, shift: 1e6 }),
+        Box::new(LowFrequency::new(1e5, frames, 2)),
+    ]
+}
+
+fn moved(x: &[f64]) -> Vec<f64> {
+    x.iter().enumerate().map(|(i, v)| v + 0.05 * (i as f64).sin()).collect()
+}
+
+/// All of a matrix of which the lower blocks are kept.
+fn dense(normal: &Normal) -> DMatrix<f64> {
+    let (size, blocks) = (normal.hessian.size(), normal.hessian.blocks());
+    DMatrix::from_fn(size * blocks, size * blocks, |i, j| {
+        let (i, j) = (i.max(j), i.min(j));
+        let near = i / size - j / size <= normal.hessian.bandwidth();
+        let entry = (i % size) * size + j % size;
+        if near { normal.hessian.block(i / size, j / size)[entry] } else { 0.0 }
+    })
+}
+
+#[test]
+fn gradients_of_terms_between_frames_match_central_differences() {
+    let case = Case::new(4);
+    for term in every_term(4) {
+        let (terms, unseen) = ([term], vec![Vec::new(); 4]);
+        for moments in [&unseen, &case.moments] {
+            let mut path = case.path(moments, &case.initial, &terms);
+            let x = moved(&path.start());
+            let mut normal = path.normal();
+            let cost = path.linearise(&x, &mut normal);
+            assert!((path.cost(&x) - cost).abs() < 1e-9 * cost);
+            let path = std::cell::RefCell::new(path);
+            let numeric = numeric_jacobian(&x, 1e-5, |x| vec![path.borrow_mut().cost(x)]);
+            let gradient = DMatrix::from_row_slice(1, x.len(), &normal.gradient);
+            assert_jacobian(&gradient, &numeric, 2e-5);
+        }
+    }
+}
+
+#[test]
+fn hessians_of_steps_are_exact_where_nothing_moves() {
+    let mut case = Case::new(3);
+    case.config.prior = 0.0;
+    let (still, unseen) = (vec![keyframe(0.7, 0.8); 3], vec![Vec::new(); 3]);
+    for term in every_term(3).into_iter().take(2) {
+        let terms = [term];
+        let mut path = case.path(&unseen, &still, &terms);
+        let x = path.start();
+        let mut normal = path.normal();
+        path.linearise(&x, &mut normal);
+        let path = std::cell::RefCell::new(path);
+        let numeric = numeric_jacobian(&x, 1e-5, |x| {
+            let mut normal = path.borrow().normal();
+            path.borrow_mut().linearise(x, &mut normal);
+            normal.gradient
+        });
+        assert_jacobian(&dense(&normal), &numeric, 1e-4);
+    }
+}
+
+#[test]
+fn unknowns_that_are_not_free_stay_and_the_others_move() {
+    let case = Case::new(3);
+    let terms = every_term(3);
+    for free in [[false, true], [true, false]] {
+        let mut path = case.path(&case.moments, &case.initial, &terms);
+        path.free = free;
+        let start = path.start();
+        let mut x = start.clone();
+        LevenbergMarquardt::default().minimise_banded(&mut path, &mut x, 5);
+        for (i, (x, start)) in x.iter().zip(&start).enumerate() {
+            let is_free = free[usize::from(i % UNKNOWNS >= UNKNOWNS - 6)];
+            assert_eq!(x != start, is_free, "unknown {i}");
+        }
+    }
+}
+
+/// A banded problem as one with a dense Hessian.
+struct Dense<'a>(FramePath<'a>);
+
+impl Problem for Dense<'_> {
+    fn dimension(&self) -> usize {
+        self.0.start().len()
+    }
+
+    fn cost(&mut self, x: &[f64]) -> f64 {
+        self.0.cost(x)
+    }
+
+    fn linearise(&mut self, x: &[f64], gradient: &mut [f64], hessian: &mut [f64]) -> f64 {
+        let mut normal = self.0.normal();
+        let cost = self.0.linearise(x, &mut normal);
+        gradient.copy_from_slice(&normal.gradient);
+        hessian.copy_from_slice(dense(&normal).as_slice());
+        cost
+    }
+
+    fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64 {
+        let mut normal = self.0.normal();
+        let cost = self.0.linearise(x, &mut normal);
+        gradient.copy_from_slice(&normal.gradient);
+        cost
+    }
+}
+
+#[test]
+fn the_banded_optimiser_takes_the_steps_of_the_dense_one() {
+    let case = Case::new(5);
+    let terms = every_term(5);
+    let path = || case.path(&case.moments, &case.initial, &terms);
+    let (mut banded, mut x) = (path(), moved(&path().start()));
+    let mut y = x.clone();
+    let summary = LevenbergMarquardt::default().minimise_banded(&mut banded, &mut x, 30);
+    let expected = LevenbergMarquardt::default().minimise(&mut Dense(path()), &mut y, 30);
+    assert_eq!(summary.iterations, expected.iterations);
+    assert!(summary.final_cost < 0.5 * summary.initial_cost, "{summary:?}");
+    assert!((summary.final_cost - expected.final_cost).abs() < 1e-9 * expected.final_cost);
+    let apart = x.iter().zip(&y).map(|(x, y)| (x - y).abs()).fold(0.0, f64::max);
+    assert!(apart < 1e-6, "{apart}");
+}
+
+/// A second and a half of a walk before four cameras, with the postures of the truth.
+fn recording() -> (Take, Vec<Posture>) {
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let mut recording = Recording::new(rig.clone(), skeleton.clone(), |s| motion.pose(s));
+    recording.frames = 75;
+    let truth = recording.poses().map(|pose| pose.pose.posture(&skeleton)).collect();
+    let frames = recording.detections().collect();
+    let format = KeypointFormat::Body25;
+    (Take { rig: Arc::new(rig), format, fps: recording.fps, frames }, truth)
+}
+
+/// MPJPE in mm and acceleration error in m/s^2.
+fn errors(take: &Take, truth: &[Posture], solved: &Solved) -> (f64, f64) {
+    let first = truth.len() - solved.poses.len();
+    let found: Vec<_> = solved.poses.iter().map(|(_, p)| p.posture(&solved.skeleton)).collect();
+    let errors = eval::pose_errors(found.iter().zip(&truth[first..])).unwrap();
+    (errors.mpjpe_mm, eval::acceleration_error(&found, &truth[first..], take.fps).unwrap())
+}
+
+#[test]
+fn every_method_solves_a_recording_and_those_over_time_are_smoother() {
+    let (take, truth) = recording();
+    let decoder = Decoder::embedded().unwrap();
+    let mut alone = f64::INFINITY;
+    for (name, mut method) in baseline::NAMES.iter().zip(baseline::all()) {
+        let solved = method.solve(&take, &decoder).unwrap();
+        let (mpjpe, acceleration) = errors(&take, &truth, &solved);
+        println!("{name}: {mpjpe:.1} mm, {acceleration:.1} m/s^2");
+        assert!(mpjpe < 40.0, "{name}: {mpjpe} mm");
+        let steps = solved.poses.windows(2).map(|pair| pair[1].0 - pair[0].0);
+        assert!(steps.into_iter().all(|step| (step - 16_666_667).abs() < 10), "{name}");
+        match *name {
+            "muvs" => alone = acceleration,
+            _ => assert!(acceleration < alone, "{name}: {acceleration}, muvs: {alone}"),
+        }
+    }
+    assert!(baseline::named("nobody").is_none());
+}
+
+#[test]
+fn a_frame_that_shows_too_little_keeps_the_pose_before() {
+    let (mut take, _) = recording();
+    let hidden = 50..53;
+    let is_hidden = |frame: &u64| hidden.contains(frame);
+    let frame_of = |capture: bundlemocap::time::Timestamp| (capture.ns() as f64 * 6e-8).round();
+    take.frames.retain(|seen| seen.camera == 0 || !is_hidden(&(frame_of(seen.capture) as u64)));
+    let mut method = MuVs::default();
+    assert_eq!(method.delay(), Delay::Frames(0));
+    let solved = method.solve(&take, &Decoder::embedded().unwrap()).unwrap();
+    for pair in solved.poses.windows(2) {
+        let frame = frame_of(pair[1].0) as u64;
+        assert_eq!(pair[0].1 == pair[1].1, is_hidden(&frame), "frame {frame}");
+    }
+}
