@@ -16,6 +16,7 @@ mod program;
 mod python;
 mod recording;
 mod retarget;
+mod slahmr;
 mod solve;
 mod synth;
 mod take;
