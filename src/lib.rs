@@ -7,7 +7,7 @@
 //! |---|---|---|
 //! | 0 | [`time`], [`so3`], [`gemm`], [`detect`] | time stamps, rotations, dense products, what a 2D detector says |
 //! | 1 | [`body`], [`camera`], [`solve`] | skeleton and keypoints; cameras and triangulation; optimisers that know no bodies |
-//! | 2 | [`manifold`] | pose decoder, weights, interpolation |
+//! | 2 | [`manifold`] | pose decoder, weights, interpolation, transitions |
 //! | 3 | [`cost`], [`msg`] | the window problem: reprojection, robust loss, prior; wire types |
 //! | 4 | [`track`], [`baseline`] | the sans-IO machine: window assembly, acquisition, tracking; the methods it is compared with |
 //! | 5 | [`bus`], [`record`], [`import`], [`export`], [`retarget`], [`train`], [`synth`], [`eval`] | the edges |
@@ -39,6 +39,8 @@
 //! - \[Welch 1967\] Welch. The use of fast Fourier transform for the estimation of power spectra.
 //!   IEEE Transactions on Audio and Electroacoustics 15(2).
 //! - \[Winter 2009\] Winter. Biomechanics and Motor Control of Human Movement, 4th edition. Wiley.
+//! - \[Ye 2023\] Ye, Pavlakos, Malik, Kanazawa. Decoupling human and camera motion from videos in
+//!   the wild. CVPR 2023.
 //! - \[Zhou 2019\] Zhou, Barnes, Lu, Yang, Li. On the continuity of rotation representations in
 //!   neural networks. CVPR 2019.
 

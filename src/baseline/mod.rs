@@ -9,6 +9,7 @@
 //! | [`Dct`] | a keyframe a frame, in segments | joint tracks near low frequencies |
 //! | [`Etc`] | a keyframe a frame, all at once | small steps of the joints |
 //! | [`Dmmr`] | a keyframe a frame, in segments | small steps of codes and roots |
+//! | [`Slahmr`] | a latent keyframe a frame, all at once | steps of the joints, then -ln p of each transition |
 //! | [`Windows`] | a latent keyframe at each border | the path between keyframes |
 
 mod dct;
@@ -19,6 +20,7 @@ mod joints;
 mod muvs;
 mod path;
 mod registry;
+mod slahmr;
 mod start;
 mod terms;
 mod windows;
@@ -32,6 +34,7 @@ pub use joints::{COORDINATES, Joints, turn_between};
 pub use muvs::{MuVs, MuVsWeights};
 pub use path::{FramePath, State, Term, UNKNOWNS};
 pub use registry::{NAMES, all, named};
+pub use slahmr::{Slahmr, SlahmrWeights};
 pub use start::{Start, start};
 pub use terms::{JointSteps, KeyframeSteps, LowFrequency};
 pub use windows::Windows;

@@ -1,9 +1,10 @@
 //! The methods by name.
 
-use super::{Dct, Dmmr, Etc, Method, MuVs, Windows};
+use super::{Dct, Dmmr, Etc, Method, MuVs, Slahmr, SlahmrWeights, Windows};
+use crate::manifold::Transition;
 
 /// The names of [`named`], in the order of tables.
-pub const NAMES: &[&str] = &["muvs", "dct", "etc", "dmmr", "paper", "default"];
+pub const NAMES: &[&str] = &["muvs", "dct", "etc", "dmmr", "slahmr", "paper", "default"];
 
 /// Every method with its default weights, in the order of [`NAMES`].
 pub fn all() -> Vec<Box<dyn Method>> {
@@ -17,6 +18,7 @@ pub fn named(name: &str) -> Option<Box<dyn Method>> {
         "dct" => Box::new(Dct::default()),
         "etc" => Box::new(Etc::default()),
         "dmmr" => Box::new(Dmmr::default()),
+        "slahmr" => Box::new(Slahmr::new(SlahmrWeights::default(), Transition::embedded().ok()?)),
         "paper" => Box::new(Windows::paper()),
         "default" => Box::new(Windows::default_settings()),
         _ => return None,

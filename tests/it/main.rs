@@ -17,6 +17,7 @@ mod program;
 mod python;
 mod recording;
 mod retarget;
+mod slahmr;
 mod solve;
 mod study;
 mod synth;

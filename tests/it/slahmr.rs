@@ -1,0 +1,45 @@
+//! SLAHMR over a short synthetic take, against each frame by itself.
+
+use std::sync::Arc;
+
+use bundlemocap::baseline::{Solved, Take, named};
+use bundlemocap::body::{Pose, Posture, Skeleton, StampedPose};
+use bundlemocap::eval;
+use bundlemocap::manifold::Decoder;
+use bundlemocap::synth::{Motion, MotionStyle, Recording, ring_rig};
+
+/// Mean joint error, mm, and acceleration error, m/s^2, against the true poses.
+fn errors<M: Fn(f64) -> Pose>(recording: &Recording<M>, solved: &Solved) -> (f64, f64) {
+    let truth: Vec<StampedPose> = recording.poses().collect();
+    let pairs = solved.poses.iter().filter_map(|(at, pose)| {
+        let truth = truth.iter().find(|truth| (truth.capture - *at).abs() < 1_000_000)?;
+        Some((pose.posture(&solved.skeleton), truth.pose.posture(&recording.skeleton)))
+    });
+    let (found, truth): (Vec<Posture>, Vec<Posture>) = pairs.unzip();
+    assert!(found.len() > 40, "{} of 60 frames", found.len());
+    let mpjpe = eval::pose_errors(found.iter().zip(&truth)).unwrap().mpjpe_mm;
+    (mpjpe, eval::acceleration_error(&found, &truth, recording.fps).unwrap())
+}
+
+#[test]
+fn slahmr_is_smoother_than_each_frame_alone_and_no_worse() {
+    let decoder = Decoder::embedded().unwrap();
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let mut recording = Recording::new(rig.clone(), skeleton, |t| motion.pose(t));
+    (recording.fps, recording.frames) = (50.0, 60);
+    let take = Take {
+        rig: Arc::new(rig),
+        format: recording.format,
+        fps: recording.fps,
+        frames: recording.detections().collect(),
+    };
+    let solve = |name: &str| {
+        let solved = named(name).unwrap().solve(&take, &decoder).unwrap();
+        errors(&recording, &solved)
+    };
+    let (alone, staged) = (solve("muvs"), solve("slahmr"));
+    assert!(staged.1 < 0.5 * alone.1, "{staged:?} against {alone:?}");
+    assert!(staged.0 < 1.1 * alone.0, "{staged:?} against {alone:?}");
+}
