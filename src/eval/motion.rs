@@ -79,9 +79,10 @@ pub fn foot_skate(estimate: &[Posture], truth: &[Posture], fps: f64) -> Option<F
         let velocity = |run: &[Posture], frame: usize| {
             (run[frame + 1].positions[foot] - run[frame - 1].positions[foot]) * (0.5 * fps)
         };
-        for frame in 1..estimate.len().min(truth.len()).saturating_sub(1) {
+        let last = estimate.len().min(truth.len()).saturating_sub(1);
+        for (frame, height) in heights.iter().enumerate().take(last).skip(1) {
             let true_velocity = velocity(truth, frame);
-            if heights[frame] - floor < CONTACT_HEIGHT && true_velocity.norm() < CONTACT_SPEED {
+            if height - floor < CONTACT_HEIGHT && true_velocity.norm() < CONTACT_SPEED {
                 sums[0] += horizontal(&velocity(estimate, frame));
                 sums[1] += horizontal(&true_velocity);
                 contacts += 1;

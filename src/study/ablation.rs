@@ -78,8 +78,11 @@ fn numbers(name: &str, values: &[f64], set: fn(&mut Config, f64)) -> Factor {
     Factor::Settings(values.iter().map(of).collect())
 }
 
-fn named(settings: &[(&str, fn(&mut Config))]) -> Factor {
-    let of = |(name, set): &(&str, fn(&mut Config))| {
+/// A setting's name and what it changes.
+type Change<'a> = (&'a str, fn(&mut Config));
+
+fn named(settings: &[Change]) -> Factor {
+    let of = |(name, set): &Change| {
         let mut config = Config::default();
         set(&mut config);
         let mark = if config == Config::default() { " (default)" } else { "" };
