@@ -108,13 +108,15 @@ impl Config {
         Some((key, value, allowed))
     }
 
-    fn counts(&self) -> [Limit; 10] {
+    fn counts(&self) -> [Limit; 12] {
         let Self { track, node, .. } = self;
         let count =
             |key, value: usize, most: f64, allowed| (key, value as f64, 1.0..=most, allowed);
         let or_none = |key, value: usize| (key, value as f64, 0.0..=1e3, "0 to 1000");
         [
             count("track.window_frames", track.window_frames, 1e3, "1 to 1000"),
+            count("track.keyframe_frames", track.keyframe_frames, 1e3, "1 to 1000"),
+            count("track.publish_frames", track.publish_frames, 1e3, "1 to 1000"),
             or_none("track.deadline_frames", track.deadline_frames),
             count("track.shape_windows", track.shape_windows, 1e2, "1 to 100"),
             count("track.iterations", track.iterations, 1e3, "1 to 1000"),
@@ -127,7 +129,7 @@ impl Config {
         ]
     }
 
-    fn weights(&self) -> [Limit; 12] {
+    fn weights(&self) -> [Limit; 15] {
         let track::Config { cost, gate, loose_scale, min_confidence, .. } = self.track;
         let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
         let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
@@ -138,6 +140,9 @@ impl Config {
             from_0("track.change_threshold", self.track.change_threshold),
             from_0("track.cost.prior", cost.prior),
             from_0("track.cost.shape_prior", cost.shape_prior),
+            from_0("track.cost.stiffness.latent", cost.stiffness.latent),
+            from_0("track.cost.stiffness.turn", cost.stiffness.turn),
+            from_0("track.cost.stiffness.shift", cost.stiffness.shift),
             above_0("track.gate.agree", gate.agree),
             above_0("track.gate.follow", gate.follow),
             above_0("track.gate.lost_residual", gate.lost_residual),
@@ -235,6 +240,8 @@ mod tests {
             refused("track", "frame_rate_hz", value, "0 (find it) or 1 to 1000");
         }
         refused("track", "window_frames", "1001", "1 to 1000");
+        refused("track", "keyframe_frames", "0", "1 to 1000");
+        refused("track", "publish_frames", "0", "1 to 1000");
         refused("track", "deadline_frames", "1001", "0 to 1000");
         refused("track", "shape_windows", "0", "1 to 100");
         refused("track", "shape_windows", "101", "1 to 100");
@@ -250,6 +257,7 @@ mod tests {
         refused("track.cost", "scale_px", "0.0", "a number above 0");
         refused("track.cost", "prior", "-1.0", "0 or a number above");
         refused("track.cost", "shape_prior", "inf", "0 or a number above");
+        refused("track.cost.stiffness", "turn", "-0.1", "0 or a number above");
         refused("track.gate", "follow", "nan", "a number above 0");
         refused("node", "queue", "15", "16 to 1000000");
         refused("node", "latency_ms", "-1.0", "0 (find it) to 60000");

@@ -1,6 +1,7 @@
 //! Dense products on row-major slices, by `faer` on one thread. They allocate nothing.
 
 use faer::linalg::matmul::matmul;
+use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::traits::ComplexField;
 use faer::{MatMut, MatRef, Par};
 
@@ -38,6 +39,24 @@ pub fn product_of_transpose<T: ComplexField>(
     out: &mut [T],
 ) {
     multiply(matrix(a, k, m).transpose(), matrix(b, k, n), accum, out);
+}
+
+/// out (m x n) -= a (m x k) b^T, with b of n x k.
+pub fn subtract_product_with_transpose(
+    [m, k, n]: [usize; 3],
+    a: &[f64],
+    b: &[f64],
+    out: &mut [f64],
+) {
+    let out = MatMut::from_row_major_slice_mut(&mut out[..m * n], m, n);
+    matmul(out, Accum::Add, matrix(a, m, k), matrix(b, n, k).transpose(), -1.0, Par::Seq);
+}
+
+/// out (n x n) = out L^-T, with L of n x n, lower triangular.
+pub fn divide_by_lower_transpose(n: usize, l: &[f64], out: &mut [f64]) {
+    // X L^T = A is L X^T = A^T.
+    let out = MatMut::from_row_major_slice_mut(&mut out[..n * n], n, n);
+    solve_lower_triangular_in_place(matrix(l, n, n), out.transpose_mut(), Par::Seq);
 }
 
 fn matrix<T>(data: &[T], rows: usize, columns: usize) -> MatRef<'_, T> {

@@ -15,7 +15,7 @@ use super::{Delay, Method, Solved, Take};
 use crate::body::fitted_points;
 use crate::cost;
 use crate::manifold::Decoder;
-use crate::solve::LevenbergMarquardt;
+use crate::solve::{LevenbergMarquardt, Optimiser};
 
 /// Weights of [`Dct`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -89,7 +89,7 @@ impl Method for Dct {
             let skeleton = &found.start.skeleton;
             let mut path = FramePath::new(scene, skeleton, moments, initial, &terms);
             let mut x = path.start();
-            LevenbergMarquardt::default().minimise_banded(&mut path, &mut x, weights.iterations);
+            LevenbergMarquardt::default().minimise(&mut path, &mut x, weights.iterations);
             keyframes.extend(path.keyframes(&x));
         }
         Some(found.solved(decoder, &keyframes, segment))

@@ -23,7 +23,7 @@ use super::{Delay, Method, Solved, Take};
 use crate::body::fitted_points;
 use crate::cost;
 use crate::manifold::Decoder;
-use crate::solve::LevenbergMarquardt;
+use crate::solve::{LevenbergMarquardt, Optimiser};
 
 /// Weights of [`Dmmr`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -116,7 +116,7 @@ impl Method for Dmmr {
                 let mut path = FramePath::new(scene, &found.start.skeleton, moments, &now, &terms);
                 path.free = free;
                 let mut x = path.start();
-                LevenbergMarquardt::default().minimise_banded(&mut path, &mut x, iterations);
+                LevenbergMarquardt::default().minimise(&mut path, &mut x, iterations);
                 let solved = path.keyframes(&x);
                 now = solved;
             }

@@ -14,7 +14,7 @@ use super::{Delay, Method, Solved, Take};
 use crate::body::fitted_points;
 use crate::cost;
 use crate::manifold::Decoder;
-use crate::solve::LevenbergMarquardt;
+use crate::solve::{LevenbergMarquardt, Optimiser};
 
 /// Weights of [`Etc`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -70,7 +70,7 @@ impl Method for Etc {
         let skeleton = &found.start.skeleton;
         let mut path = FramePath::new(scene, skeleton, &found.moments, &found.keyframes, &terms);
         let mut x = path.start();
-        LevenbergMarquardt::default().minimise_banded(&mut path, &mut x, weights.iterations);
+        LevenbergMarquardt::default().minimise(&mut path, &mut x, weights.iterations);
         let keyframes = path.keyframes(&x);
         Some(Solved { borders: Vec::new(), ..found.solved(decoder, &keyframes, 1) })
     }

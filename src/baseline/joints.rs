@@ -1,6 +1,6 @@
 //! Joint positions of many frames, with their Jacobians by each frame's unknowns.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 use super::path::UNKNOWNS;
 use crate::body::{BODY_JOINTS, JOINTS, Joint, Skeleton, Tangents, forward, push_forward};
@@ -79,17 +79,4 @@ impl Joints {
         const SIZE: usize = COORDINATES * UNKNOWNS;
         &self.jacobians[frame * SIZE..(frame + 1) * SIZE]
     }
-}
-
-/// Derivatives of log(R1 R0^T) by the rotation vectors w0 and w1 of exp(w0) A and exp(w1) B.
-pub fn turn_between(
-    r0: &Matrix3<f64>,
-    w0: &Vector3<f64>,
-    r1: &Matrix3<f64>,
-    w1: &Vector3<f64>,
-) -> (Vector3<f64>, Matrix3<f64>, Matrix3<f64>) {
-    let turn = so3::log(&(r1 * r0.transpose()));
-    let by_first = -so3::right_jacobian_inverse(&turn) * so3::left_jacobian(w0);
-    let by_second = so3::right_jacobian_inverse(&-turn) * so3::left_jacobian(w1);
-    (turn, by_first, by_second)
 }

@@ -30,7 +30,7 @@ use std::sync::Arc;
 pub use dct::{Dct, DctWeights};
 pub use dmmr::{Dmmr, DmmrWeights};
 pub use etc::{Etc, EtcWeights};
-pub use joints::{COORDINATES, Joints, turn_between};
+pub use joints::{COORDINATES, Joints};
 pub use muvs::{MuVs, MuVsWeights};
 pub use path::{FramePath, State, Term, UNKNOWNS};
 pub use registry::{NAMES, all, named};

@@ -126,7 +126,7 @@ fn one_by_one(cut: &Cut, given: &Given, weights: &MuVsWeights) -> Vec<Keyframe> 
         let moments = cut.moments(frame, &last, given);
         if is_enough(&moments, given.take.rig.cameras.len(), given.config) {
             hidden = 0;
-            let knots = vec![Knot { capture, keyframe: last.clone(), free: true }];
+            let knots = vec![Knot { capture, keyframe: last.clone(), free: true, frames: 1.0 }];
             let skeleton = &given.start.skeleton;
             let mut problem = PathProblem::new(scene, knots, skeleton, false, &moments, &mut work);
             let mut x = problem.start();

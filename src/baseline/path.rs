@@ -10,7 +10,7 @@ use crate::body::Skeleton;
 use crate::cost::{Knot, Moment, PathProblem, Scene, Workspace};
 use crate::manifold::{Keyframe, LATENT};
 use crate::so3;
-use crate::solve::{BandedProblem, Normal, Problem};
+use crate::solve::{Layout, Normal, Problem};
 use crate::time::Timestamp;
 
 /// Unknowns of a frame.
@@ -109,28 +109,24 @@ impl<'a> FramePath<'a> {
     }
 
     /// The data term and the prior of a frame at its unknowns `x`, with derivatives if wanted.
-    fn frame(
-        &mut self,
-        frame: usize,
-        x: &[f64],
-        derivatives: Option<(&mut [f64], &mut [f64])>,
-    ) -> f64 {
+    fn frame(&mut self, frame: usize, x: &[f64], derivatives: Option<&mut Normal>) -> f64 {
         let keyframe = self.initial[frame].clone();
-        let knots = vec![Knot { capture: Timestamp::default(), keyframe, free: true }];
+        let capture = Timestamp::default();
+        let knots = vec![Knot { capture, keyframe, free: true, frames: 1.0 }];
         let moments = &self.moments[frame];
         let mut problem =
             PathProblem::new(self.scene, knots, self.skeleton, false, moments, &mut self.work);
         match derivatives {
             None => problem.cost(x),
-            Some((gradient, hessian)) => problem.linearise(x, gradient, hessian),
+            Some(normal) => problem.linearise(x, normal),
         }
     }
 }
 
-impl BandedProblem for FramePath<'_> {
-    fn normal(&self) -> Normal {
-        let reach = self.terms.iter().map(|term| term.reach()).max().unwrap_or(0);
-        Normal::zeros(UNKNOWNS, self.initial.len(), reach)
+impl Problem for FramePath<'_> {
+    fn layout(&self) -> Layout {
+        let bandwidth = self.terms.iter().map(|term| term.reach()).max().unwrap_or(0);
+        Layout { size: UNKNOWNS, blocks: self.initial.len(), bandwidth }
     }
 
     fn cost(&mut self, x: &[f64]) -> f64 {
@@ -144,10 +140,12 @@ impl BandedProblem for FramePath<'_> {
         normal.clear();
         let state = self.state(x, Some(true));
         let mut cost = 0.0;
+        let mut alone = Normal::zeros(Layout::dense(UNKNOWNS));
         for (frame, x) in x.chunks_exact(UNKNOWNS).enumerate() {
+            cost += self.frame(frame, x, Some(&mut alone));
             let gradient = &mut normal.gradient[frame * UNKNOWNS..(frame + 1) * UNKNOWNS];
-            let block = normal.hessian.block_mut(frame, frame);
-            cost += self.frame(frame, x, Some((gradient, block)));
+            gradient.copy_from_slice(&alone.gradient);
+            normal.hessian.block_mut(frame, frame).copy_from_slice(alone.hessian.block(0, 0));
         }
         for term in self.terms {
             cost += term.cost(&state);
@@ -158,6 +156,13 @@ impl BandedProblem for FramePath<'_> {
                 normal.pin(i);
             }
         }
+        cost
+    }
+
+    fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64 {
+        let mut normal = Normal::zeros(self.layout());
+        let cost = self.linearise(x, &mut normal);
+        gradient.copy_from_slice(&normal.gradient);
         cost
     }
 }

@@ -28,7 +28,7 @@ use crate::manifold::{
     Decoder, Keyframe, LATENT, MOVE, Move, THREE, Transition, TransitionWork, state_of,
 };
 use crate::so3;
-use crate::solve::{LevenbergMarquardt, Normal};
+use crate::solve::{LevenbergMarquardt, Normal, Optimiser};
 
 /// Weights of [`Slahmr`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -108,7 +108,7 @@ fn minimised<'a>(
     let mut path = FramePath::new(scene, skeleton, &found.moments, initial, terms);
     path.free = [codes, true];
     let mut x = path.start();
-    LevenbergMarquardt::default().minimise_banded(&mut path, &mut x, iterations);
+    LevenbergMarquardt::default().minimise(&mut path, &mut x, iterations);
     path.keyframes(&x)
 }
 
@@ -203,6 +203,7 @@ impl Term for Transitions<'_> {
 mod tests {
     use super::super::joints::Joints;
     use super::*;
+    use crate::solve::Layout;
     use nalgebra::Vector3;
 
     const FRAMES: usize = 4;
@@ -227,7 +228,8 @@ mod tests {
         let model = Transition::embedded().unwrap();
         let x: Vec<f64> = (0..FRAMES * UNKNOWNS).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
         let term = Transitions::at(&model, &state(&x).keyframes, 0.02, 3.0);
-        let mut normal = Normal::zeros(UNKNOWNS, FRAMES, term.reach());
+        let mut normal =
+            Normal::zeros(Layout { size: UNKNOWNS, blocks: FRAMES, bandwidth: term.reach() });
         term.add(&state(&x), &mut normal);
         let largest = normal.gradient.iter().fold(0.0_f64, |most, g| most.max(g.abs()));
         for i in 0..x.len() {

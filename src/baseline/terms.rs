@@ -1,8 +1,9 @@
 //! Terms between frames.
 
-use super::joints::{COORDINATES, turn_between};
+use super::joints::COORDINATES;
 use super::path::{State, Term, UNKNOWNS};
 use crate::manifold::LATENT;
+use crate::so3::turn_between;
 use crate::solve::Normal;
 
 /// 1/2 weight |P_j(t + 1) - P_j(t)|^2 over joints and frames.

@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use super::{Delay, Method, Solved, Take};
 use crate::manifold::Decoder;
-use crate::solve;
 use crate::track::{Config, Input, Output, Solver, Track};
 
 /// The tracking machine with those settings.
@@ -25,17 +24,9 @@ impl Windows {
         self.config
     }
 
-    /// As the paper has it: slerp, ten frames, the previous keyframe fixed, L-BFGS with a budget
-    /// of 30 iterations, one stage.
+    /// As the paper has it; see [`Config::paper`].
     pub fn paper() -> Self {
-        let config = Config {
-            method: solve::Method::Lbfgs,
-            window_frames: 10,
-            iterations: 30,
-            loose_iterations: 0,
-            ..Config::default()
-        };
-        Self::new("BundleMoCap (paper)", config)
+        Self::new("BundleMoCap (paper)", Config::paper())
     }
 
     /// As the program does without settings.
@@ -64,7 +55,7 @@ impl Method for Windows {
                 match output {
                     Output::Solve(job) => track.handle(Input::Solved(solver.solve(&job))),
                     Output::Pose(pose) => poses.push((pose.capture, pose.pose)),
-                    Output::Keyframe(keyframe) => borders.push(keyframe.capture),
+                    Output::Window(window) => borders.push(window.end),
                     Output::Skeleton(skeleton) => body = Some(skeleton),
                     _ => {}
                 }

@@ -1,29 +1,87 @@
-//! Small matrix blocks of the normal equations.
+//! Blocks of the normal equations: from the coordinates of a moment to the unknowns of knots.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 
+use super::unknowns::KEYFRAME;
 use crate::manifold::{LATENT, LatentTangent};
+use crate::solve::Normal;
 
-/// Copies a 63 x 32 block to block column `block` of a matrix with `columns` columns.
-pub(super) fn spread_identity(by_code: &[f64], block: usize, columns: usize, out: &mut [f64]) {
-    for (row, out) in by_code.chunks_exact(LATENT).zip(out.chunks_exact_mut(columns)) {
-        out[block * LATENT..(block + 1) * LATENT].copy_from_slice(row);
+/// Where the blocks of knots are in normal equations: one block each, or all within one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Blocks {
+    /// A block of its own for each knot.
+    Banded,
+    /// Parts of one block of so many unknowns.
+    Dense(usize),
+}
+
+impl Blocks {
+    /// Row `i` of the block of two knots, `column` not after `row`.
+    pub(super) fn row(
+        self,
+        normal: &mut Normal,
+        [row, column]: [usize; 2],
+        i: usize,
+    ) -> &mut [f64] {
+        match self {
+            Self::Banded => {
+                &mut normal.hessian.block_mut(row, column)[i * KEYFRAME..(i + 1) * KEYFRAME]
+            }
+            Self::Dense(n) => {
+                let at = (row * KEYFRAME + i) * n + column * KEYFRAME;
+                &mut normal.hessian.block_mut(0, 0)[at..at + KEYFRAME]
+            }
+        }
     }
 }
 
-/// by_code (scale I + across along^T), to block column `block`.
-pub(super) fn spread(
-    by_code: &[f64],
-    by: &LatentTangent,
-    block: usize,
-    columns: usize,
-    out: &mut [f64],
-) {
-    for (row, out) in by_code.chunks_exact(LATENT).zip(out.chunks_exact_mut(columns)) {
-        let across: f64 = row.iter().zip(&by.across).map(|(a, b)| a * b).sum();
-        let out = &mut out[block * LATENT..(block + 1) * LATENT];
-        for ((out, value), along) in out.iter_mut().zip(row).zip(&by.along) {
-            *out = by.scale * value + across * along;
+/// How a moment's own coordinates (code, rotation, position) change with a knot's.
+#[derive(Clone, Debug)]
+pub(super) struct End {
+    /// Number of the knot among the free ones.
+    pub(super) knot: usize,
+    pub(super) code: LatentTangent,
+    /// World-frame turn of the moment by the knot's rotation vector.
+    pub(super) turn: Matrix3<f64>,
+    pub(super) shift: f64,
+}
+
+impl End {
+    /// out = D^T v, for v a gradient by the moment's coordinates and D this change.
+    pub(super) fn pull(&self, v: &[f64], out: &mut [f64; KEYFRAME]) {
+        let (code, root) = v.split_at(LATENT);
+        let across: f64 = code.iter().zip(&self.code.across).map(|(a, b)| a * b).sum();
+        for ((out, v), along) in out.iter_mut().zip(code).zip(&self.code.along) {
+            *out = self.code.scale * v + across * along;
+        }
+        let turn = self.turn.tr_mul(&Vector3::from_column_slice(&root[..3]));
+        out[LATENT..LATENT + 3].copy_from_slice(turn.as_slice());
+        (0..3).for_each(|k| out[LATENT + 3 + k] = self.shift * root[3 + k]);
+    }
+
+    /// Adds D^T H D' to the block of this knot and another, not later one. `gram` is H, `columns`
+    /// wide; `half` is memory.
+    pub(super) fn add_block(
+        &self,
+        other: &Self,
+        gram: &[f64],
+        columns: usize,
+        half: &mut Vec<f64>,
+        blocks: Blocks,
+        normal: &mut Normal,
+    ) {
+        // H is symmetric: its rows pulled back are the columns of H D', so `half` is D'^T H.
+        half.resize(KEYFRAME * KEYFRAME, 0.0);
+        let mut pulled = [0.0; KEYFRAME];
+        for (i, row) in gram.chunks_exact(columns).take(KEYFRAME).enumerate() {
+            other.pull(row, &mut pulled);
+            (0..KEYFRAME).for_each(|j| half[j * KEYFRAME + i] = pulled[j]);
+        }
+        for (j, row) in half.chunks_exact(KEYFRAME).enumerate() {
+            self.pull(row, &mut pulled);
+            for (i, value) in pulled.iter().enumerate() {
+                blocks.row(normal, [self.knot, other.knot], i)[j] += value;
+            }
         }
     }
 }

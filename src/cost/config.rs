@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::stiffness::Stiffness;
 use crate::manifold::Interpolation;
 
 /// Weights of the cost. The defaults come from the sweep in DESIGN.md.
@@ -10,21 +11,24 @@ use crate::manifold::Interpolation;
 pub struct Config {
     /// Scale s of the Geman-McClure loss, pixels: an error of s counts a quarter of its square.
     pub scale_px: f64,
-    /// Weight of |z|^2 of each keyframe, square pixels.
+    /// Weight of |z|^2 in each frame, square pixels: a keyframe counts for the frames up to it.
     pub prior: f64,
     /// Weight of the squared shape coefficients, square pixels, while the shape is free.
     pub shape_prior: f64,
     /// How latent codes run between keyframes.
     pub interpolation: Interpolation,
+    /// Weights of accelerations along the keyframes.
+    pub stiffness: Stiffness,
 }
 
 impl Default for Config {
     fn default() -> Self {
         Self {
             scale_px: 30.0,
-            prior: 100.0,
+            prior: 10.0,
             shape_prior: 300.0,
             interpolation: Interpolation::Slerp,
+            stiffness: Stiffness::default(),
         }
     }
 }

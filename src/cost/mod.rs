@@ -2,21 +2,24 @@
 //!
 //! \[Albanis 2023, eq. 2 to 6\], over a path x(t) = (z(t), R(t), p(t)) through latent keyframes:
 //!
-//! cost = 1/2 sum over observations of w rho(|pixel(t) - detected|^2) + 1/2 prior sum of |z_k|^2
+//! cost = 1/2 sum over observations of w rho(|pixel(t) - detected|^2)
+//! + 1/2 prior sum of n_k |z_k|^2 + 1/2 sum of n_k stiffness |acceleration at k|^2
 //!
-//! with rho the Geman-McClure loss and w the detector's confidence times the point's weight. The
-//! path is evaluated at each observation's own capture time. Differs: the paper evaluates it at
-//! the frames of genlocked cameras.
+//! with rho the Geman-McClure loss, w the detector's confidence times the point's weight, and n_k
+//! the frames that keyframe k stands for. The path is evaluated at each observation's own capture
+//! time. Differs: the paper evaluates it at the frames of genlocked cameras, and has no stiffness.
 
 mod blocks;
 mod config;
 mod observation;
 mod path;
 mod robust;
+mod stiffness;
 mod unknowns;
 
 pub use config::Config;
 pub use observation::{Moment, Observation};
 pub use path::{PathProblem, Scene, Workspace};
 pub use robust::GemanMcClure;
+pub use stiffness::Stiffness;
 pub use unknowns::Knot;

@@ -3,22 +3,28 @@
 //! All views of a point at one moment share the point's Jacobian: their 2D terms are first
 //! summed to a 3x3 matrix in the world, of which a triangular root then scales three rows. So
 //! the normal equations cost no more for eight cameras than for two.
+//!
+//! Each moment is linearised in coordinates of its own (code, rotation and position where it is on
+//! the path, and the shape); the result is carried to the unknowns of the two knots about it by the
+//! derivative of the interpolation. A free shape concerns all knots: then the normal equations are
+//! one dense block; else they are banded, a block for each free knot.
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::blocks::{root_of, spread, spread_identity};
+use super::blocks::{Blocks, End, root_of};
 use super::config::Config;
 use super::observation::{Moment, Observation};
 use super::robust::GemanMcClure;
+use super::stiffness::Stiffness;
 use super::unknowns::{KEYFRAME, Knot, Place, Unknowns};
 use crate::body::{
     BODY_JOINTS, BodyPoint, Posture, SHAPE_COEFFICIENTS, Skeleton, Tangents, forward, push_forward,
 };
 use crate::camera::Rig;
 use crate::gemm::{self, Accum};
-use crate::manifold::{Decoder, Interpolation, Jacobians, Keyframe, LATENT, Latent};
+use crate::manifold::{Decoder, Interpolation, Jacobians, Keyframe, LATENT, Latent, LatentTangent};
 use crate::so3;
-use crate::solve::Problem;
+use crate::solve::{Layout, Normal, Problem};
 
 const LOCAL_ROWS: usize = 3 * BODY_JOINTS;
 
@@ -42,15 +48,15 @@ pub struct Workspace {
     jacobians: Jacobians,
     /// Right tangents of the local rotations by the code of the moment, 63 x 32.
     by_code: Vec<f64>,
-    /// The same by the unknowns of the moment's keyframes, 63 x (32 per free keyframe).
-    by_unknowns: Vec<f64>,
     tangents: Option<Tangents>,
     point_rows: Vec<f64>,
-    /// Weighted rows of the moment, (3 per point) x (unknowns of the moment).
+    /// Weighted rows of the moment, (3 per point) x (coordinates of the moment).
     rows: Vec<f64>,
+    /// Hessian and gradient by the coordinates of the moment.
     gram: Vec<f64>,
-    columns: Vec<usize>,
-    local_gradient: Vec<f64>,
+    gradient: Vec<f64>,
+    /// Half of a change of coordinates.
+    half: Vec<f64>,
 }
 
 /// The cost of a path. Also gives the solution back as keyframes and shape.
@@ -67,7 +73,24 @@ pub struct PathProblem<'a> {
 enum Wanted<'o> {
     Cost,
     Gradient(&'o mut [f64]),
-    NormalEquations(&'o mut [f64], &'o mut [f64]),
+    NormalEquations(&'o mut Normal),
+}
+
+impl Wanted<'_> {
+    fn gradient(&mut self) -> Option<&mut [f64]> {
+        match self {
+            Self::Cost => None,
+            Self::Gradient(gradient) => Some(gradient),
+            Self::NormalEquations(normal) => Some(&mut normal.gradient),
+        }
+    }
+
+    fn normal(&mut self) -> Option<&mut Normal> {
+        match self {
+            Self::NormalEquations(normal) => Some(normal),
+            _ => None,
+        }
+    }
 }
 
 impl<'a> PathProblem<'a> {
@@ -100,9 +123,9 @@ impl<'a> PathProblem<'a> {
         self.unknowns.start()
     }
 
-    /// The unknowns to start from, with `keyframe` in place of the last knot's, which is free.
-    pub fn start_at(&self, keyframe: &Keyframe) -> Vec<f64> {
-        self.unknowns.start_at(keyframe)
+    /// The unknowns to start from, with other values of the free knots, by their number in the path.
+    pub fn start_at(&self, value: impl Fn(usize, &Knot) -> Keyframe) -> Vec<f64> {
+        self.unknowns.start_at(value)
     }
 
     /// The keyframes and the body that `x` stands for.
@@ -115,9 +138,22 @@ impl<'a> PathProblem<'a> {
         self.scene.config.interpolation
     }
 
+    fn blocks(&self) -> Blocks {
+        match self.unknowns.shape_is_free {
+            true => Blocks::Dense(self.unknowns.count()),
+            false => Blocks::Banded,
+        }
+    }
+
+    /// Coordinates of a moment.
+    fn coordinates(&self) -> usize {
+        KEYFRAME + if self.unknowns.shape_is_free { SHAPE_COEFFICIENTS } else { 0 }
+    }
+
     fn evaluate(&mut self, x: &[f64], mut wanted: Wanted) -> f64 {
         self.unknowns.take(x);
-        self.decode(!matches!(wanted, Wanted::Cost));
+        let derivatives = !matches!(wanted, Wanted::Cost);
+        self.decode(derivatives);
         let mut cost = self.prior(x, &mut wanted);
         for m in 0..self.moments.len() {
             let place = self.unknowns.place(self.moments[m].capture);
@@ -127,11 +163,13 @@ impl<'a> PathProblem<'a> {
             let position = from.root_position.lerp(&to.root_position, place.s);
             let local = self.work.jacobians.rotations(m);
             let posture = forward(&self.unknowns.skeleton, &rotation, &position, &local);
-            if !matches!(wanted, Wanted::Cost) {
-                self.push_tangents(m, place, &posture);
+            if derivatives {
+                self.push_tangents(m, &posture);
             }
             cost += self.add_moment(m, &posture, &wanted);
-            self.scatter(&mut wanted);
+            if derivatives {
+                self.scatter(place, &mut wanted);
+            }
         }
         cost
     }
@@ -151,98 +189,64 @@ impl<'a> PathProblem<'a> {
         }
     }
 
-    /// 1/2 prior |z|^2 of each free keyframe and 1/2 shape prior |shape|^2.
+    /// 1/2 prior |z|^2 of each free knot, counted for each frame that it stands for, 1/2 shape prior
+    /// |shape|^2, and the path's stiffness. Overwrites what is wanted.
     fn prior(&self, x: &[f64], wanted: &mut Wanted) -> f64 {
-        let n = x.len();
-        let shape_at = self.unknowns.shape_at();
-        let weight = |i: usize| match i {
-            i if i >= shape_at => self.scene.config.shape_prior,
-            i if i % KEYFRAME < LATENT => self.scene.config.prior,
-            _ => 0.0,
-        };
-        let gradient = match wanted {
-            Wanted::Cost => None,
-            Wanted::Gradient(gradient) => Some(gradient),
-            Wanted::NormalEquations(gradient, hessian) => {
-                hessian.fill(0.0);
-                (0..n).for_each(|i| hessian[i * n + i] = weight(i));
-                Some(gradient)
-            }
-        };
-        if let Some(gradient) = gradient {
-            gradient.iter_mut().enumerate().for_each(|(i, g)| *g = weight(i) * x[i]);
+        let Config { prior, shape_prior, stiffness, .. } = *self.scene.config;
+        let mut cost = 0.0;
+        if let Some(gradient) = wanted.gradient() {
+            gradient.fill(0.0);
         }
-        x.iter().enumerate().map(|(i, v)| 0.5 * weight(i) * v * v).sum()
+        if let Some(normal) = wanted.normal() {
+            normal.hessian.clear();
+        }
+        let codes = self.unknowns.free_frames().enumerate();
+        let codes = codes.map(|(knot, frames)| (knot * KEYFRAME, LATENT, prior * frames));
+        let shape_at = self.unknowns.shape_at();
+        for (first, count, weight) in codes.chain([(shape_at, x.len() - shape_at, shape_prior)]) {
+            for i in first..first + count {
+                cost += 0.5 * weight * x[i] * x[i];
+                if let Some(gradient) = wanted.gradient() {
+                    gradient[i] = weight * x[i];
+                }
+                if let Some(normal) = wanted.normal() {
+                    normal.hessian.add_to_diagonal(i, weight);
+                }
+            }
+        }
+        cost + match wanted {
+            Wanted::Cost => stiffness.cost(&self.unknowns),
+            Wanted::Gradient(gradient) => stiffness.add_gradient(&self.unknowns, gradient),
+            Wanted::NormalEquations(normal) => stiffness.add(&self.unknowns, self.blocks(), normal),
+        }
     }
 
-    /// Tangents of the posture at moment `m` by the unknowns of its keyframes, in the order
-    /// codes, then rotations and positions, then shape; and which unknowns those are.
-    fn push_tangents(&mut self, m: usize, place: Place, posture: &Posture) {
-        let ends = [(place.to, place.from, place.s), (place.from, place.to, 1.0 - place.s)];
-        let ends = if place.from == place.to { &ends[..1] } else { &ends[..] };
-        let free = || ends.iter().filter(|(k, _, _)| self.unknowns.is_free(*k));
-        let codes = free().count() * LATENT;
-        let roots = free().count() * 6;
-        let total =
-            codes + roots + if self.unknowns.shape_is_free { SHAPE_COEFFICIENTS } else { 0 };
-
-        let interpolation = self.interpolation();
+    /// Tangents of the posture at moment `m` by the moment's coordinates.
+    fn push_tangents(&mut self, m: usize, posture: &Posture) {
+        let columns = self.coordinates();
         let work = &mut *self.work;
         work.by_code.resize(LOCAL_ROWS * LATENT, 0.0);
         work.jacobians.local_tangents(m, &mut work.by_code);
-        work.by_unknowns.resize(LOCAL_ROWS * codes, 0.0);
         let mut tangents = work
             .tangents
             .take()
-            .filter(|t| t.columns() == total)
-            .unwrap_or_else(|| Tangents::zeros(total));
+            .filter(|t| t.columns() == columns)
+            .unwrap_or_else(|| Tangents::zeros(columns));
         tangents.clear_root();
-        work.columns.clear();
-        for (block, &(k, other, s)) in
-            ends.iter().filter(|(k, _, _)| self.unknowns.is_free(*k)).enumerate()
-        {
-            let first = self.unknowns.first_of(k);
-            work.columns.extend(first..first + LATENT);
-            let turn = so3::left_jacobian(&self.unknowns.turns[k]);
-            let column = codes + 6 * block;
-            if k == other {
-                spread_identity(&work.by_code, block, codes, &mut work.by_unknowns);
-                tangents.set_root_turn(column, &turn);
-                tangents.set_root_shift(column + 3, 1.0);
-            } else {
-                let (near, far) = (&self.unknowns.keyframes[k], &self.unknowns.keyframes[other]);
-                let by = interpolation.tangent(&far.z, &near.z, s);
-                spread(&work.by_code, &by, block, codes, &mut work.by_unknowns);
-                let along = so3::slerp_jacobian(&far.root_rotation, &near.root_rotation, s);
-                tangents.set_root_turn(column, &(along * turn));
-                tangents.set_root_shift(column + 3, s);
-            }
-        }
-        for &(k, _, _) in ends.iter().filter(|(k, _, _)| self.unknowns.is_free(*k)) {
-            let first = self.unknowns.first_of(k);
-            work.columns.extend(first + LATENT..first + KEYFRAME);
-        }
-        let shape_at = self.unknowns.shape_at();
-        work.columns.extend(shape_at..shape_at + total - codes - roots);
-        let shape_column = self.unknowns.shape_is_free.then_some(codes + roots);
-        push_forward(
-            &self.unknowns.skeleton,
-            posture,
-            &work.by_unknowns,
-            codes,
-            shape_column,
-            &mut tangents,
-        );
+        tangents.set_root_turn(LATENT, &Matrix3::identity());
+        tangents.set_root_shift(LATENT + 3, 1.0);
+        let shape_column = self.unknowns.shape_is_free.then_some(KEYFRAME);
+        let skeleton = &self.unknowns.skeleton;
+        push_forward(skeleton, posture, &work.by_code, LATENT, shape_column, &mut tangents);
         work.tangents = Some(tangents);
     }
 
     /// Cost of the moment's observations; leaves its rows and gradient in the workspace.
     fn add_moment(&mut self, m: usize, posture: &Posture, wanted: &Wanted) -> f64 {
         let moments = self.moments;
-        let n = self.work.columns.len();
         self.work.rows.clear();
-        self.work.local_gradient.clear();
-        self.work.local_gradient.resize(n, 0.0);
+        self.work.gradient.clear();
+        self.work.gradient.resize(self.coordinates(), 0.0);
         let mut cost = 0.0;
         for views in moments[m].by_point() {
             let point = &self.scene.points[views[0].point];
@@ -297,29 +301,28 @@ impl<'a> PathProblem<'a> {
         (cost, gradient, curvature)
     }
 
-    /// The point's Jacobian by the moment's unknowns, 3 rows, left in the workspace.
+    /// The point's Jacobian by the moment's coordinates, 3 rows, left in the workspace.
     fn point_rows(&mut self, point: &BodyPoint, arm: &Vector3<f64>, rotation: &Matrix3<f64>) {
+        let n = self.coordinates();
         let work = &mut *self.work;
-        let n = work.columns.len();
         work.point_rows.resize(3 * n, 0.0);
         let Some(tangents) = &work.tangents else { return };
         tangents.point(point.attachment.joint, arm, &mut work.point_rows);
         if self.unknowns.shape_is_free {
-            let first = n - SHAPE_COEFFICIENTS;
             for (k, offset) in point.attachment.offset_by_shape().iter().enumerate() {
                 let moved = rotation * offset;
-                (0..3).for_each(|row| work.point_rows[row * n + first + k] += moved[row]);
+                (0..3).for_each(|row| work.point_rows[row * n + KEYFRAME + k] += moved[row]);
             }
         }
     }
 
     /// Adds J^T g to the gradient, and L^T J to the rows, where L L^T is the curvature.
     fn add_rows(&mut self, gradient: &Vector3<f64>, curvature: &Matrix3<f64>, wanted: &Wanted) {
+        let n = self.coordinates();
         let work = &mut *self.work;
-        let n = work.columns.len();
         let (x, rest) = work.point_rows.split_at(n);
         let (y, z) = rest.split_at(n);
-        for (c, out) in work.local_gradient.iter_mut().enumerate() {
+        for (c, out) in work.gradient.iter_mut().enumerate() {
             *out += gradient.x * x[c] + gradient.y * y[c] + gradient.z * z[c];
         }
         if let Wanted::NormalEquations(..) = wanted {
@@ -331,49 +334,84 @@ impl<'a> PathProblem<'a> {
         }
     }
 
-    /// Adds the moment's gradient and Gram matrix to those of all unknowns.
-    fn scatter(&mut self, wanted: &mut Wanted) {
-        let work = &mut *self.work;
-        let n = work.columns.len();
-        let gradient = match wanted {
-            Wanted::Cost => return,
-            Wanted::Gradient(gradient) => gradient,
-            Wanted::NormalEquations(gradient, hessian) => {
-                work.gram.resize(n * n, 0.0);
-                let sizes = [n, work.rows.len() / n, n];
-                gemm::product_of_transpose(
-                    sizes,
-                    &work.rows,
-                    &work.rows,
-                    Accum::Replace,
-                    &mut work.gram,
-                );
-                let total = gradient.len();
-                for (row, &i) in work.gram.chunks_exact(n).zip(&work.columns) {
-                    for (value, &j) in row.iter().zip(&work.columns) {
-                        hessian[i * total + j] += value;
-                    }
-                }
-                gradient
-            }
+    /// How the moment's coordinates change with the free knots about it, the later one first.
+    fn ends(&self, Place { from, to, s }: Place) -> [Option<End>; 2] {
+        let free = |knot: usize, make: &dyn Fn() -> (LatentTangent, Matrix3<f64>, f64)| {
+            self.unknowns.is_free(knot).then(|| {
+                let (code, turn, shift) = make();
+                let turn = turn * so3::left_jacobian(&self.unknowns.turns[knot]);
+                End { knot: self.unknowns.number(knot), code, turn, shift }
+            })
         };
-        for (value, &i) in work.local_gradient.iter().zip(&work.columns) {
-            gradient[i] += value;
+        if from == to {
+            let same = || (LatentTangent::straight(1.0), Matrix3::identity(), 1.0);
+            return [free(to, &same), None];
+        }
+        let end = |knot: usize, other: usize, s: f64| {
+            let (near, far) = (&self.unknowns.keyframes[knot], &self.unknowns.keyframes[other]);
+            free(knot, &|| {
+                let along = so3::slerp_jacobian(&far.root_rotation, &near.root_rotation, s);
+                (self.interpolation().tangent(&far.z, &near.z, s), along, s)
+            })
+        };
+        [end(to, from, s), end(from, to, 1.0 - s)]
+    }
+
+    /// Adds the moment's gradient and Gram matrix to those of all unknowns.
+    fn scatter(&mut self, place: Place, wanted: &mut Wanted) {
+        let (ends, blocks) = (self.ends(place), self.blocks());
+        let (n, shape_at) = (self.coordinates(), self.unknowns.shape_at());
+        let work = &mut *self.work;
+        let mut pulled = [0.0; KEYFRAME];
+        let Some(gradient) = wanted.gradient() else { return };
+        for end in ends.iter().flatten() {
+            end.pull(&work.gradient, &mut pulled);
+            let mine = &mut gradient[end.knot * KEYFRAME..(end.knot + 1) * KEYFRAME];
+            mine.iter_mut().zip(&pulled).for_each(|(g, v)| *g += v);
+        }
+        let by_shape = &work.gradient[KEYFRAME..];
+        gradient[shape_at..].iter_mut().zip(by_shape).for_each(|(g, v)| *g += v);
+
+        let Some(normal) = wanted.normal() else { return };
+        work.gram.resize(n * n, 0.0);
+        let sizes = [n, work.rows.len() / n, n];
+        gemm::product_of_transpose(sizes, &work.rows, &work.rows, Accum::Replace, &mut work.gram);
+        for (e, end) in ends.iter().flatten().enumerate() {
+            for other in ends.iter().flatten().skip(e) {
+                end.add_block(other, &work.gram, n, &mut work.half, blocks, normal);
+            }
+        }
+        let total = normal.gradient.len();
+        for (k, row) in work.gram.chunks_exact(n).skip(KEYFRAME).enumerate() {
+            let out = &mut normal.hessian.block_mut(0, 0)[(shape_at + k) * total..][..total];
+            for end in ends.iter().flatten() {
+                end.pull(row, &mut pulled);
+                let mine = &mut out[end.knot * KEYFRAME..(end.knot + 1) * KEYFRAME];
+                mine.iter_mut().zip(&pulled).for_each(|(h, v)| *h += v);
+            }
+            out[shape_at..].iter_mut().zip(&row[KEYFRAME..]).for_each(|(h, v)| *h += v);
         }
     }
 }
 
 impl Problem for PathProblem<'_> {
-    fn dimension(&self) -> usize {
-        self.unknowns.count()
+    fn layout(&self) -> Layout {
+        let blocks = self.unknowns.number(self.unknowns.keyframes.len());
+        let reach = if self.scene.config.stiffness == Stiffness::NONE { 1 } else { 2 };
+        match self.blocks() {
+            Blocks::Dense(size) => Layout::dense(size),
+            Blocks::Banded => {
+                Layout { size: KEYFRAME, blocks, bandwidth: reach.min(blocks.saturating_sub(1)) }
+            }
+        }
     }
 
     fn cost(&mut self, x: &[f64]) -> f64 {
         self.evaluate(x, Wanted::Cost)
     }
 
-    fn linearise(&mut self, x: &[f64], gradient: &mut [f64], hessian: &mut [f64]) -> f64 {
-        self.evaluate(x, Wanted::NormalEquations(gradient, hessian))
+    fn linearise(&mut self, x: &[f64], normal: &mut Normal) -> f64 {
+        self.evaluate(x, Wanted::NormalEquations(normal))
     }
 
     fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64 {

@@ -13,6 +13,9 @@ use crate::time::Timestamp;
 /// Unknowns of one keyframe.
 pub(super) const KEYFRAME: usize = LATENT + 6;
 
+/// A moment this close to a knot, as a part of the time between two, is taken for the knot's.
+const ON_KNOT: f64 = 1e-4;
+
 /// A keyframe of the path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Knot {
@@ -22,6 +25,8 @@ pub struct Knot {
     pub keyframe: Keyframe,
     /// Whether it is solved for.
     pub free: bool,
+    /// How many nominal frames it stands for: so often its prior and its stiffness count.
+    pub frames: f64,
 }
 
 /// The keyframes and the body that the unknowns stand for.
@@ -64,40 +69,51 @@ impl Unknowns {
         self.initial[keyframe].free
     }
 
-    /// Where the unknowns of a free keyframe begin.
-    pub(super) fn first_of(&self, keyframe: usize) -> usize {
-        self.initial[..keyframe].iter().filter(|knot| knot.free).count() * KEYFRAME
+    /// The number of a keyframe among those that are solved for.
+    pub(super) fn number(&self, keyframe: usize) -> usize {
+        self.initial[..keyframe].iter().filter(|knot| knot.free).count()
+    }
+
+    /// Where a keyframe is on the time axis.
+    pub(super) fn capture(&self, keyframe: usize) -> Timestamp {
+        self.initial[keyframe].capture
+    }
+
+    /// How many nominal frames a keyframe stands for.
+    pub(super) fn frames(&self, keyframe: usize) -> f64 {
+        self.initial[keyframe].frames
+    }
+
+    /// The same of each keyframe that is solved for.
+    pub(super) fn free_frames(&self) -> impl Iterator<Item = f64> + '_ {
+        self.initial.iter().filter(|knot| knot.free).map(|knot| knot.frames)
     }
 
     /// Where the shape begins.
     pub(super) fn shape_at(&self) -> usize {
-        self.first_of(self.initial.len())
+        self.number(self.initial.len()) * KEYFRAME
     }
 
     /// The unknowns to start from.
     pub(super) fn start(&self) -> Vec<f64> {
+        let initial = |_: usize, knot: &Knot| knot.keyframe.clone();
+        self.start_at(initial)
+    }
+
+    /// The unknowns to start from, with other values of the free keyframes.
+    pub(super) fn start_at(&self, value: impl Fn(usize, &Knot) -> Keyframe) -> Vec<f64> {
         let mut x = Vec::with_capacity(self.count());
-        for knot in self.initial.iter().filter(|knot| knot.free) {
-            x.extend_from_slice(&knot.keyframe.z);
-            x.extend_from_slice(&[0.0; 3]);
-            x.extend_from_slice(knot.keyframe.root_position.as_slice());
+        for (k, knot) in self.initial.iter().enumerate().filter(|(_, knot)| knot.free) {
+            let keyframe = value(k, knot);
+            let initial = &knot.keyframe.root_rotation;
+            let turn = so3::log(&(keyframe.root_rotation * initial.transpose()));
+            x.extend_from_slice(&keyframe.z);
+            x.extend_from_slice(turn.as_slice());
+            x.extend_from_slice(keyframe.root_position.as_slice());
         }
         if self.shape_is_free {
             x.extend_from_slice(&self.skeleton.shape().0);
         }
-        x
-    }
-
-    /// The unknowns to start from, with `keyframe` in place of the last knot's, which is free.
-    pub(super) fn start_at(&self, keyframe: &Keyframe) -> Vec<f64> {
-        let mut x = self.start();
-        let last = self.initial.len() - 1;
-        let at = self.first_of(last);
-        let initial = &self.initial[last].keyframe.root_rotation;
-        let turn = so3::log(&(keyframe.root_rotation * initial.transpose()));
-        x[at..at + LATENT].copy_from_slice(&keyframe.z);
-        x[at + LATENT..at + LATENT + 3].copy_from_slice(turn.as_slice());
-        x[at + LATENT + 3..at + KEYFRAME].copy_from_slice(keyframe.root_position.as_slice());
         x
     }
 
@@ -120,7 +136,7 @@ impl Unknowns {
         }
     }
 
-    /// Where on the path a capture time is.
+    /// Where on the path a capture time is; on a knot, if it is within a part in 10 000.
     pub(super) fn place(&self, capture: Timestamp) -> Place {
         let last = self.initial.len() - 1;
         if last == 0 {
@@ -128,6 +144,10 @@ impl Unknowns {
         }
         let to = self.initial[1..last].iter().take_while(|knot| knot.capture < capture).count() + 1;
         let (t0, t1) = (self.initial[to - 1].capture, self.initial[to].capture);
-        Place { from: to - 1, to, s: (capture - t0) as f64 / (t1 - t0).max(1) as f64 }
+        match (capture - t0) as f64 / (t1 - t0).max(1) as f64 {
+            s if s.abs() < ON_KNOT => Place { from: to - 1, to: to - 1, s: 1.0 },
+            s if (s - 1.0).abs() < ON_KNOT => Place { from: to, to, s: 1.0 },
+            s => Place { from: to - 1, to, s },
+        }
     }
 }

@@ -108,7 +108,8 @@ impl Interpolation {
 }
 
 impl LatentTangent {
-    fn straight(scale: f64) -> Self {
+    /// `scale` times the identity.
+    pub fn straight(scale: f64) -> Self {
         Self { scale, across: [0.0; LATENT], along: [0.0; LATENT] }
     }
 }

@@ -1,6 +1,8 @@
 //! Symmetric matrices of square blocks that vanish away from the diagonal, and their Cholesky
 //! factors: time and memory are linear in the number of blocks.
 
+use crate::gemm;
+
 /// The lower half of a symmetric matrix of `blocks` x `blocks` square blocks of `size`, in which
 /// block (i, j) vanishes where |i - j| exceeds the bandwidth.
 #[derive(Clone, Debug, PartialEq)]
@@ -10,13 +12,15 @@ pub struct Banded {
     bandwidth: usize,
     /// Blocks (i, i - bandwidth) to (i, i) of each block row i, each row-major.
     data: Vec<f64>,
+    /// Memory of the factorisation: one column of a block.
+    column: Vec<f64>,
 }
 
 impl Banded {
     /// All zero. `bandwidth` counts blocks beside the diagonal one.
     pub fn zeros(size: usize, blocks: usize, bandwidth: usize) -> Self {
         let data = vec![0.0; size * size * blocks * (bandwidth + 1)];
-        Self { size, blocks, bandwidth, data }
+        Self { size, blocks, bandwidth, data, column: Vec::new() }
     }
 
     /// Rows of a block.
@@ -37,6 +41,11 @@ impl Banded {
     /// Sets all entries to zero.
     pub fn clear(&mut self) {
         self.data.fill(0.0);
+    }
+
+    /// Takes the entries of another matrix of the same layout.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.data.copy_from_slice(&other.data);
     }
 
     fn at(&self, row: usize, column: usize) -> usize {
@@ -108,42 +117,35 @@ impl Banded {
         let (left, right) = (self.at(row, k), self.at(column, k));
         // All operands of a row come before its target in memory.
         let (known, rest) = self.data.split_at_mut(target);
-        let (a, b) = (&known[left..left + n * n], &known[right..right + n * n]);
-        for (a, out) in a.chunks_exact(n).zip(rest.chunks_exact_mut(n)).take(n) {
-            for (b, out) in b.chunks_exact(n).zip(out) {
-                *out -= dot(a, b);
-            }
-        }
+        gemm::subtract_product_with_transpose([n, n, n], &known[left..], &known[right..], rest);
     }
 
     /// L(row, column) = A(row, column) L(column, column)^-T.
     fn solve_right(&mut self, row: usize, column: usize) {
         let (n, target, pivot) = (self.size, self.at(row, column), self.at(column, column));
         let (known, rest) = self.data.split_at_mut(target);
-        let l = &known[pivot..pivot + n * n];
-        for x in rest[..n * n].chunks_exact_mut(n) {
-            for j in 0..n {
-                let (done, here) = x.split_at_mut(j);
-                here[0] = (here[0] - dot(done, &l[j * n..j * n + j])) / l[j * n + j];
-            }
-        }
+        gemm::divide_by_lower_transpose(n, &known[pivot..], rest);
     }
 
+    /// The Cholesky factor of a diagonal block, column after column.
     fn factorise_block(&mut self, row: usize) -> Option<()> {
-        let n = self.size;
-        let block = self.block_mut(row, row);
-        for i in 0..n {
-            let (done, here) = block.split_at_mut(i * n);
-            for j in 0..i {
-                let (left, right) = here.split_at_mut(j);
-                right[0] = (right[0] - dot(left, &done[j * n..j * n + j])) / done[j * n + j];
-            }
-            let pivot = here[i] - dot(&here[..i], &here[..i]);
+        let (n, at) = (self.size, self.at(row, row));
+        let (block, column) = (&mut self.data[at..at + n * n], &mut self.column);
+        column.resize(n, 0.0);
+        for k in 0..n {
+            let pivot = block[k * n + k];
             if pivot.is_nan() || pivot <= 0.0 {
                 return None;
             }
-            here[i] = pivot.sqrt();
-            here[i + 1..n].fill(0.0);
+            let root = pivot.sqrt();
+            block[k * n + k] = root;
+            block[k * n + k + 1..(k + 1) * n].fill(0.0);
+            for (i, entries) in block.chunks_exact_mut(n).enumerate().skip(k + 1) {
+                let factor = entries[k] / root;
+                (entries[k], column[i]) = (factor, factor);
+                let products = column[k + 1..=i].iter().map(|other| factor * other);
+                entries[k + 1..=i].iter_mut().zip(products).for_each(|(a, b)| *a -= b);
+            }
         }
         Some(())
     }

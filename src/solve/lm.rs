@@ -1,8 +1,7 @@
-//! Levenberg-Marquardt with the nonlinear gain ratio \[Nielsen 1999\].
+//! Levenberg-Marquardt with the nonlinear gain ratio \[Nielsen 1999\], over banded normal equations:
+//! the time of a step is linear in the number of blocks.
 
-use nalgebra::{Cholesky, DMatrix, DVector};
-
-use super::{Optimiser, Problem, Summary, Termination};
+use super::{Normal, Optimiser, Problem, Summary, Termination};
 
 /// Levenberg-Marquardt: solves (H + mu D) step = -g with D the diagonal of H, and accepts a step
 /// when the cost really falls, however the model predicted it.
@@ -14,36 +13,28 @@ pub struct LevenbergMarquardt {
     pub change_threshold: f64,
     /// Stop when no entry of the gradient exceeds this.
     pub gradient_threshold: f64,
-    hessian: Vec<f64>,
-    gradient: DVector<f64>,
-    damped: DMatrix<f64>,
-    step: DVector<f64>,
-    trial: Vec<f64>,
+    memory: Option<Memory>,
 }
 
 /// Damping above which no step is tried any more.
-pub(super) const MAX_DAMPING: f64 = 1e12;
+const MAX_DAMPING: f64 = 1e12;
 /// Keeps the damped diagonal positive where the Hessian's is zero.
-pub(super) const MIN_DIAGONAL: f64 = 1e-9;
+const MIN_DIAGONAL: f64 = 1e-9;
 
-/// What the damping is multiplied by after a step that lowered the cost by `gain` times what the
-/// model predicted.
-pub(super) fn next_damping(gain: f64) -> f64 {
-    (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(1.0 / 10.0, 2.0)
+/// What a solve needs; kept for the next one of the same layout.
+#[derive(Clone, Debug)]
+struct Memory {
+    normal: Normal,
+    /// The damped Hessian, then its Cholesky factor.
+    factor: super::Banded,
+    step: Vec<f64>,
+    trial: Vec<f64>,
 }
 
 impl Default for LevenbergMarquardt {
     fn default() -> Self {
-        Self {
-            initial_damping: 1e-3,
-            change_threshold: 1e-4,
-            gradient_threshold: 1e-6,
-            hessian: Vec::new(),
-            gradient: DVector::zeros(0),
-            damped: DMatrix::zeros(0, 0),
-            step: DVector::zeros(0),
-            trial: Vec::new(),
-        }
+        let (change_threshold, gradient_threshold) = (1e-4, 1e-6);
+        Self { initial_damping: 1e-3, change_threshold, gradient_threshold, memory: None }
     }
 }
 
@@ -52,89 +43,86 @@ impl LevenbergMarquardt {
     pub fn new(change_threshold: f64) -> Self {
         Self { change_threshold, ..Self::default() }
     }
+}
 
-    fn reserve(&mut self, n: usize) {
-        if self.trial.len() != n {
-            self.hessian = vec![0.0; n * n];
-            self.gradient = DVector::zeros(n);
-            self.damped = DMatrix::zeros(n, n);
-            self.step = DVector::zeros(n);
-            self.trial = vec![0.0; n];
-        }
+impl Memory {
+    fn of(problem: &dyn Problem) -> Self {
+        let normal = Normal::zeros(problem.layout());
+        let n = normal.gradient.len();
+        Self { factor: normal.hessian.clone(), normal, step: vec![0.0; n], trial: vec![0.0; n] }
     }
 
     /// Solves for the step; the decrease that the model predicts, or `None` where the damped
     /// Hessian is not positive definite.
     fn damped_step(&mut self, damping: f64) -> Option<f64> {
-        let n = self.trial.len();
-        self.damped.copy_from_slice(&self.hessian);
-        for i in 0..n {
-            self.damped[(i, i)] += damping * self.hessian[i * n + i].max(MIN_DIAGONAL);
-        }
-        let matrix = std::mem::replace(&mut self.damped, DMatrix::zeros(0, 0));
-        self.step.copy_from(&self.gradient);
-        self.step.neg_mut();
-        // The factorisation works in place and hands the memory back; on failure it is made anew.
-        let Some(factor) = Cholesky::new(matrix) else {
-            self.damped = DMatrix::zeros(n, n);
-            return None;
-        };
-        factor.solve_mut(&mut self.step);
-        self.damped = factor.unpack_dirty();
+        let Self { normal, factor, step, .. } = self;
+        let damped = |i: usize| damping * normal.hessian.diagonal(i).max(MIN_DIAGONAL);
+        factor.copy_from(&normal.hessian);
+        (0..step.len()).for_each(|i| factor.add_to_diagonal(i, damped(i)));
+        factor.factorise()?;
+        step.iter_mut().zip(&normal.gradient).for_each(|(step, g)| *step = -g);
+        factor.solve_factorised(step);
         // With H step = -g - mu D step, the decrease is 1/2 step . (mu D step - g).
-        let decrease = (0..n).map(|i| {
-            let diagonal = self.hessian[i * n + i].max(MIN_DIAGONAL);
-            0.5 * self.step[i] * (damping * diagonal * self.step[i] - self.gradient[i])
-        });
-        Some(decrease.sum())
+        let decrease = step.iter().zip(&normal.gradient).enumerate();
+        Some(decrease.map(|(i, (s, g))| 0.5 * s * (damped(i) * s - g)).sum())
     }
 }
 
 impl Optimiser for LevenbergMarquardt {
     fn minimise(&mut self, problem: &mut dyn Problem, x: &mut [f64], iterations: usize) -> Summary {
-        self.reserve(problem.dimension());
-        let linearise = |this: &mut Self, problem: &mut dyn Problem, x: &[f64]| {
-            problem.linearise(x, this.gradient.as_mut_slice(), &mut this.hessian)
-        };
-        let mut cost = linearise(self, problem, x);
+        let fits = |memory: &Memory| memory.normal.layout() == problem.layout();
+        let mut memory = self.memory.take().filter(fits).unwrap_or_else(|| Memory::of(problem));
+        let summary = self.descend(problem, x, iterations, &mut memory);
+        self.memory = Some(memory);
+        summary
+    }
+}
+
+impl LevenbergMarquardt {
+    fn descend(
+        &self,
+        problem: &mut dyn Problem,
+        x: &mut [f64],
+        iterations: usize,
+        memory: &mut Memory,
+    ) -> Summary {
+        let mut cost = problem.linearise(x, &mut memory.normal);
         let mut summary = Summary::at_start(cost, iterations);
         if !cost.is_finite() {
             return Summary { termination: Termination::NotFinite, ..summary };
         }
         let (mut damping, mut growth) = (self.initial_damping, 2.0);
         while summary.iterations < iterations {
-            let steepest = self.gradient.amax();
-            if steepest <= self.gradient_threshold {
-                summary.termination = Termination::SmallGradient {
-                    value: steepest,
-                    threshold: self.gradient_threshold,
-                };
+            let gradient = &memory.normal.gradient;
+            let value = gradient.iter().fold(0.0_f64, |most, g| most.max(g.abs()));
+            let threshold = self.gradient_threshold;
+            if value <= threshold {
+                summary.termination = Termination::SmallGradient { value, threshold };
                 break;
             }
             summary.iterations += 1;
-            let predicted = self.damped_step(damping);
-            self.trial.iter_mut().zip(&*x).zip(&self.step).for_each(|((t, x), s)| *t = x + s);
+            let predicted = memory.damped_step(damping);
+            let Memory { step, trial, .. } = &mut *memory;
+            trial.iter_mut().zip(&*x).zip(&*step).for_each(|((t, x), s)| *t = x + s);
             let trial_cost = predicted.map_or(f64::INFINITY, |_| {
                 summary.evaluations += 1;
-                problem.cost(&self.trial)
+                problem.cost(trial)
             });
             if trial_cost < cost {
                 let gain = (cost - trial_cost) / predicted.unwrap_or(f64::INFINITY);
                 damping *= next_damping(gain);
                 growth = 2.0;
-                let change = (cost - trial_cost) / cost.max(f64::MIN_POSITIVE);
+                let value = (cost - trial_cost) / cost.max(f64::MIN_POSITIVE);
                 cost = trial_cost;
-                x.copy_from_slice(&self.trial);
-                if change < self.change_threshold {
-                    summary.termination = Termination::SmallChange {
-                        value: change,
-                        threshold: self.change_threshold,
-                    };
+                x.copy_from_slice(trial);
+                let threshold = self.change_threshold;
+                if value < threshold {
+                    summary.termination = Termination::SmallChange { value, threshold };
                     break;
                 }
                 if summary.iterations < iterations {
                     summary.evaluations += 1;
-                    linearise(self, problem, x);
+                    problem.linearise(x, &mut memory.normal);
                 }
             } else {
                 damping *= growth;
@@ -147,4 +135,10 @@ impl Optimiser for LevenbergMarquardt {
         }
         Summary { final_cost: cost, ..summary }
     }
+}
+
+/// What the damping is multiplied by after a step that lowered the cost by `gain` times what the
+/// model predicted.
+fn next_damping(gain: f64) -> f64 {
+    (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(1.0 / 10.0, 2.0)
 }

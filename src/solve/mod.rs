@@ -5,30 +5,30 @@
 //! holds what was measured.
 
 mod banded;
-mod banded_lm;
 mod lbfgs;
 mod lm;
+mod normal;
 mod termination;
 
 use serde::{Deserialize, Serialize};
 
 pub use banded::Banded;
-pub use banded_lm::{BandedProblem, Normal};
 pub use lbfgs::Lbfgs;
 pub use lm::LevenbergMarquardt;
+pub use normal::{Layout, Normal};
 pub use termination::{Summary, Termination};
 
-/// A cost of `dimension` unknowns.
+/// A cost of some unknowns.
 pub trait Problem {
-    /// How many unknowns there are.
-    fn dimension(&self) -> usize;
+    /// How the unknowns hang together.
+    fn layout(&self) -> Layout;
 
     /// The cost at `x`.
     fn cost(&mut self, x: &[f64]) -> f64;
 
-    /// The cost at `x`; its gradient goes to `gradient`, a Gauss-Newton approximation of its
-    /// Hessian (row-major, dimension squared) to `hessian`. Both are overwritten.
-    fn linearise(&mut self, x: &[f64], gradient: &mut [f64], hessian: &mut [f64]) -> f64;
+    /// The cost at `x`; its gradient and a Gauss-Newton approximation of its Hessian go to
+    /// `normal`, which is overwritten.
+    fn linearise(&mut self, x: &[f64], normal: &mut Normal) -> f64;
 
     /// The cost at `x`, with its gradient alone.
     fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64;

@@ -228,7 +228,7 @@ pub(super) fn fit(
         ..*scene.config
     };
     for stage in [&loose, scene.config] {
-        let knot = Knot { capture: Timestamp::default(), keyframe, free: true };
+        let knot = Knot { capture: Timestamp::default(), keyframe, free: true, frames: 1.0 };
         let scene = Scene { config: stage, ..scene };
         let mut problem =
             PathProblem::new(scene, vec![knot], &skeleton, shape_is_free, &moments, work);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::event::EventKind;
-use super::job::{LiveFit, Outcome, Solution, Tracked, Verdict};
+use super::job::{LiveFit, Outcome, Solution, TimedKeyframe, Tracked, Verdict};
 use super::machine::{KeyframeAt, Out, Output, Phase, Track, Window, WindowReport};
 use crate::body::{Pose, Skeleton, StampedPose, TrackingState};
 use crate::manifold::Keyframe;
@@ -53,7 +53,7 @@ impl Track {
         self.keyframe(at, at, &keyframe, TrackingState::Tracking);
         self.give(at, &pose, TrackingState::Tracking);
         self.playout.begin_anew();
-        self.phase = Phase::Tracking { from: keyframe, before: None, coasted: 0 };
+        self.phase = Phase::Tracking { past: vec![(at, *keyframe)], coasted: 0 };
     }
 
     /// Goes on searching one window later.
@@ -74,36 +74,44 @@ impl Track {
     }
 
     fn tracked(&mut self, window: Window, tracked: Tracked) {
-        self.close(window.end + self.tolerance());
+        self.close(window.publish + self.tolerance());
         let state = match &tracked.verdict {
             Verdict::Tracked => TrackingState::Tracking,
             Verdict::Coasted(_) => TrackingState::Coasting,
             Verdict::Lost(_) => TrackingState::Lost,
         };
-        let times: Vec<Timestamp> =
-            self.output_grid().iter().flat_map(|g| g.between(window.start, window.end)).collect();
-        let is_given = self.newest.as_ref().is_some_and(|(at, _)| *at == window.end);
-        let is_wanted = state == TrackingState::Tracking && self.is_newest(window.end) && !is_given;
-        if let Some(pose) = tracked.poses.last().filter(|_| is_wanted) {
-            self.give_live(window.end, pose, state);
+        let grid = self.output_grid();
+        let times = grid.iter().flat_map(|g| g.between(window.start, window.publish));
+        let times: Vec<Timestamp> = times.collect();
+        let is_given = self.newest >= Some(window.end);
+        if state == TrackingState::Tracking && self.is_newest(window.end) && !is_given {
+            self.give_live(window.end, &tracked.newest, state);
+            self.newest = Some(window.end);
         }
         for (capture, pose) in times.into_iter().zip(&tracked.poses) {
             self.give(capture, pose, state);
         }
-        self.keyframe(window.start, window.end, &tracked.keyframe, state);
-        self.say(window.end, &tracked.verdict);
+        let (done, ahead): (Vec<_>, Vec<_>) =
+            tracked.keyframes.into_iter().partition(|(at, _)| *at <= window.publish);
+        let mut start = window.start;
+        for (at, keyframe) in &done {
+            self.keyframe(start, *at, keyframe, state);
+            start = *at;
+        }
+        self.say(window.publish, &tracked.verdict);
         self.outputs.push_back(Output::Window(Box::new(WindowReport {
             window: self.window,
             start: window.start,
-            end: window.end,
+            end: window.publish,
             summary: tracked.summary,
-            latent_norm: crate::manifold::norm(&tracked.keyframe.z),
+            latent_norm: done
+                .last()
+                .map_or(0.0, |(_, keyframe)| crate::manifold::norm(&keyframe.z)),
             residuals: tracked.residuals,
             verdict: tracked.verdict,
         })));
-        self.go_on(Box::new(tracked.keyframe), state);
-        self.newest = None;
-        self.start = Some(window.end);
+        self.go_on(done, ahead, state);
+        self.start = Some(window.publish);
         self.window += 1;
     }
 
@@ -120,21 +128,22 @@ impl Track {
         }
     }
 
-    /// The phase after a window in that state.
-    fn go_on(&mut self, keyframe: Box<Keyframe>, state: TrackingState) {
+    /// The phase after a window in that state, of those final keyframes.
+    fn go_on(&mut self, done: Vec<TimedKeyframe>, ahead: Vec<TimedKeyframe>, state: TrackingState) {
         let previous = std::mem::replace(&mut self.phase, Phase::Searching);
-        let Phase::Tracking { from, coasted, .. } = previous else { return };
-        let before = Some(from);
+        let Phase::Tracking { mut past, coasted } = previous else { return };
+        past.extend(done);
+        past.drain(..past.len().saturating_sub(2));
+        self.ahead = ahead;
         match state {
             TrackingState::Tracking => {
                 self.is_proven = true;
-                self.phase = Phase::Tracking { from: keyframe, before, coasted: 0 };
+                self.phase = Phase::Tracking { past, coasted: 0 };
             }
             TrackingState::Coasting => {
-                let coasted = coasted + 1;
-                self.phase = Phase::Tracking { from: keyframe, before: None, coasted };
+                self.phase = Phase::Tracking { past, coasted: coasted + 1 };
             }
-            TrackingState::Lost => {}
+            TrackingState::Lost => self.ahead.clear(),
         }
         if !self.is_proven {
             // The body was found together with a pose that was wrong at once.
@@ -146,12 +155,14 @@ impl Track {
     fn fitted(&mut self, at: Timestamp, fit: LiveFit) {
         let state = if fit.hidden { TrackingState::Coasting } else { TrackingState::Tracking };
         self.give_live(at, &fit.pose, state);
-        self.newest = Some((at, Box::new(fit.keyframe)));
+        self.newest = Some(at);
+        self.ahead = fit.keyframes;
     }
 
     /// Windows begin there from now on, or with the next frame that comes.
     pub(super) fn begin_at(&mut self, start: Option<Timestamp>) {
         self.start = start;
+        self.ahead.clear();
         self.newest = None;
         if let (Some(origin), Some(period_ns)) = (start, self.period) {
             self.frames = Some(Grid { origin, period_ns });

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::cost;
+use crate::cost::{self, Stiffness};
 use crate::solve::Method;
 
 /// Settings of the tracking machine.
@@ -11,8 +11,13 @@ use crate::solve::Method;
 pub struct Config {
     /// Frames of the cameras a second; 0 finds it from the first frames.
     pub frame_rate_hz: f64,
-    /// Nominal frames in a window: one keyframe is solved for each window.
+    /// Nominal frames in a window: its keyframes are solved together.
     pub window_frames: usize,
+    /// Nominal frames from one keyframe to the next, at most a window.
+    pub keyframe_frames: usize,
+    /// Nominal frames of a window, from its start, that are final: the next window begins after
+    /// them, so the others are looked ahead. A multiple of `keyframe_frames`, at most a window.
+    pub publish_frames: usize,
     /// How many nominal frames a window waits for a camera that is behind the others.
     pub deadline_frames: usize,
     /// How many windows are gathered before the first solve; the shape comes from them.
@@ -25,7 +30,7 @@ pub struct Config {
     pub loose_scale: f64,
     /// Most iterations of a provisional fit of the open window.
     pub live_iterations: usize,
-    /// How many windows the motion is carried on for while too little is seen of the performer.
+    /// How many windows in a row may pass in which too little is seen of the performer.
     pub coast_windows: usize,
     /// After how many windows that closed without it a camera is no longer waited for.
     pub grace_windows: usize,
@@ -66,14 +71,16 @@ impl Default for Config {
         Self {
             frame_rate_hz: 0.0,
             window_frames: 10,
+            keyframe_frames: 1,
+            publish_frames: 5,
             deadline_frames: 5,
             shape_windows: 3,
             iterations: 30,
             loose_iterations: 3,
             loose_scale: 3.0,
             live_iterations: 3,
-            coast_windows: 3,
-            grace_windows: 3,
+            coast_windows: 6,
+            grace_windows: 6,
             acquisition_iterations: 30,
             change_threshold: 1e-4,
             method: Method::LevenbergMarquardt,
@@ -81,6 +88,42 @@ impl Default for Config {
             min_confidence: 0.1,
             gate: Gate::default(),
         }
+    }
+}
+
+impl Config {
+    /// As the paper has it: one keyframe for each window of ten frames, and slerp; windows do not
+    /// overlap; L-BFGS with 30 iterations, in one stage.
+    pub fn paper() -> Self {
+        Self {
+            keyframe_frames: 10,
+            publish_frames: 10,
+            loose_iterations: 0,
+            method: Method::Lbfgs,
+            coast_windows: 3,
+            grace_windows: 3,
+            cost: cost::Config { stiffness: Stiffness::NONE, ..cost::Config::default() },
+            ..Self::default()
+        }
+    }
+
+    /// Nominal frames of a window.
+    pub fn window(&self) -> usize {
+        self.window_frames.max(1)
+    }
+
+    /// Nominal frames from one keyframe to the next.
+    pub fn keyframe(&self) -> usize {
+        self.keyframe_frames.clamp(1, self.window())
+    }
+
+    /// Nominal frames of a window that are final: a multiple of those between keyframes.
+    pub fn publish(&self) -> usize {
+        let keyframes = self.publish_frames.clamp(1, self.window()) / self.keyframe();
+        if self.publish_frames >= self.window() {
+            return self.window();
+        }
+        keyframes.max(1) * self.keyframe()
     }
 }
 

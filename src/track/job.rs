@@ -21,7 +21,11 @@ pub struct Job {
     pub start: Timestamp,
     /// Its end.
     pub end: Timestamp,
-    /// Times at which poses are wanted, from `start` on.
+    /// Up to this time the solution is final; the rest of the window is looked ahead.
+    pub publish: Timestamp,
+    /// Times of its keyframes; `publish` and `end` are among them.
+    pub knots: Vec<Timestamp>,
+    /// Times at which final poses are wanted, after `start`.
     pub pose_times: Vec<Timestamp>,
     /// Detections in order of capture time.
     pub frames: Vec<Arc<Detections>>,
@@ -55,6 +59,9 @@ impl Job {
     }
 }
 
+/// A keyframe with its time.
+pub type TimedKeyframe = (Timestamp, Keyframe);
+
 /// What kind of job it is, with what it stands on.
 #[derive(Clone, Debug)]
 pub enum Task {
@@ -63,27 +70,23 @@ pub enum Task {
         /// The body, once known.
         skeleton: Option<Arc<Skeleton>>,
     },
-    /// Solve the keyframe at the end of the window.
+    /// Solve the window's keyframes.
     Track {
-        /// The keyframe at its start, fixed.
-        from: Box<Keyframe>,
-        /// The keyframe one window earlier, to extrapolate from.
-        before: Option<Box<Keyframe>>,
-        /// The provisional keyframe at its end, to start from.
-        live: Option<Box<Keyframe>>,
+        /// The last keyframes that are final, at most two, the last at the window's start.
+        past: Vec<TimedKeyframe>,
+        /// Keyframes of the window that were found before, to start from.
+        ahead: Vec<TimedKeyframe>,
         /// The body.
         skeleton: Arc<Skeleton>,
         /// Windows in a row, before this one, in which too little was seen.
         coasted: usize,
     },
-    /// Fit the open window as far as it goes: a keyframe at its newest frame set.
+    /// Fit the open window as far as it goes, up to its newest frame set.
     Live {
-        /// The keyframe at its start, fixed.
-        from: Box<Keyframe>,
-        /// The keyframe one window earlier, to extrapolate from.
-        before: Option<Box<Keyframe>>,
-        /// The last keyframe found in this window, with its time.
-        last: Option<(Timestamp, Box<Keyframe>)>,
+        /// As for `Track`.
+        past: Vec<TimedKeyframe>,
+        /// As for `Track`.
+        ahead: Vec<TimedKeyframe>,
         /// The body.
         skeleton: Arc<Skeleton>,
     },
@@ -123,9 +126,9 @@ pub enum Outcome {
 /// A fit of the open window.
 #[derive(Clone, Debug)]
 pub struct LiveFit {
-    /// The keyframe at its newest frame set.
-    pub keyframe: Keyframe,
-    /// The pose of that.
+    /// The keyframes after its start.
+    pub keyframes: Vec<TimedKeyframe>,
+    /// The pose of the last one.
     pub pose: Pose,
     /// Whether too little was seen; then the motion was carried on.
     pub hidden: bool,
@@ -134,13 +137,15 @@ pub struct LiveFit {
 /// A solved window.
 #[derive(Clone, Debug)]
 pub struct Tracked {
-    /// The keyframe at its end.
-    pub keyframe: Keyframe,
+    /// The keyframes after its start, those that are looked ahead too.
+    pub keyframes: Vec<TimedKeyframe>,
     /// Poses at the job's times.
     pub poses: Vec<Pose>,
+    /// The pose at its end.
+    pub newest: Pose,
     /// What the optimiser did, if the window was solved.
     pub summary: Option<Summary>,
-    /// Where each observation ended up.
+    /// Where each observation up to the time of publishing ended up.
     pub residuals: Vec<Residual>,
     /// What the window is worth.
     pub verdict: Verdict,

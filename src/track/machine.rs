@@ -7,7 +7,7 @@ use super::config::Config;
 use super::effort::Effort;
 use super::event::{Event, EventKind};
 use super::intake::Intake;
-use super::job::{Job, Residual, Solution, Task, Verdict};
+use super::job::{Job, Residual, Solution, Task, TimedKeyframe, Verdict};
 use super::playout::{Latency, Live, MARGIN, Playout};
 use super::waiting::Waiting;
 use crate::body::{Skeleton, StampedPose, TrackingState};
@@ -55,7 +55,7 @@ pub enum Output {
     Skeleton(Arc<Skeleton>),
     /// A pose, in order of capture time.
     Pose(Box<StampedPose>),
-    /// A keyframe at a window's border.
+    /// A final keyframe.
     Keyframe(Box<KeyframeAt>),
     /// How a window went.
     Window(Box<WindowReport>),
@@ -70,7 +70,7 @@ pub struct KeyframeAt {
     pub capture: Timestamp,
     /// The keyframe that the path comes from; its own time where a path begins.
     pub start: Timestamp,
-    /// The window that it ends.
+    /// The window that gave it.
     pub window: u64,
     /// Its value.
     pub keyframe: Keyframe,
@@ -89,11 +89,11 @@ pub struct WindowReport {
     pub window: u64,
     /// After this time ...
     pub start: Timestamp,
-    /// ... up to this one.
+    /// ... up to this one, what it gave is final.
     pub end: Timestamp,
     /// What the optimiser did, if the window was solved.
     pub summary: Option<Summary>,
-    /// Euclidean length of the keyframe's latent code.
+    /// Euclidean length of the last keyframe's latent code.
     pub latent_norm: f64,
     /// Where each observation ended up.
     pub residuals: Vec<Residual>,
@@ -132,7 +132,11 @@ impl Performer {
 #[derive(Clone, Debug)]
 pub(super) enum Phase {
     Searching,
-    Tracking { from: Box<Keyframe>, before: Option<Box<Keyframe>>, coasted: usize },
+    /// From the last final keyframes, at most two.
+    Tracking {
+        past: Vec<TimedKeyframe>,
+        coasted: usize,
+    },
 }
 
 /// A window that is open.
@@ -140,6 +144,8 @@ pub(super) enum Phase {
 pub(super) struct Window {
     pub(super) start: Timestamp,
     pub(super) end: Timestamp,
+    /// Up to here its solution is final.
+    pub(super) publish: Timestamp,
 }
 
 /// The job that is out.
@@ -181,8 +187,10 @@ pub struct Track {
     is_closing: bool,
     jobs: u64,
     pub(super) window: u64,
-    /// The last provisional keyframe of the open window.
-    pub(super) newest: Option<(Timestamp, Box<Keyframe>)>,
+    /// Keyframes of the open window that are not final.
+    pub(super) ahead: Vec<TimedKeyframe>,
+    /// The time of the last provisional pose.
+    pub(super) newest: Option<Timestamp>,
     pub(super) playout: Playout,
     pub(super) outputs: VecDeque<Output>,
 }
@@ -214,6 +222,7 @@ impl Track {
             is_closing: false,
             jobs: 0,
             window: 0,
+            ahead: Vec::new(),
             newest: None,
             playout: Playout::default(),
             outputs: VecDeque::new(),
@@ -427,7 +436,8 @@ impl Track {
         }
         let grid = self.frames?;
         let searching = matches!(self.phase, Phase::Searching);
-        let end = grid.time(grid.nearest(start) + self.open_frames() as i64);
+        let first = grid.nearest(start);
+        let full = grid.time(first + self.open_frames() as i64);
         let end = match self.intake.last() {
             None if self.ended || self.live.is_none() => return None,
             Some(last) if self.ended && last <= start + self.tolerance() && !searching => {
@@ -437,11 +447,15 @@ impl Track {
             Some(last) if self.ended && !searching => {
                 let nominal = grid.time(grid.nearest(last));
                 let is_near = (nominal - last).abs() <= self.tolerance();
-                end.min(if is_near { nominal } else { last })
+                full.min(if is_near { nominal } else { last })
             }
-            _ => end,
+            _ => full,
         };
-        Some(Window { start, end })
+        let publish = match searching || end < full {
+            true => end,
+            false => grid.time(first + self.config.publish() as i64),
+        };
+        Some(Window { start, end, publish })
     }
 
     /// Nominal frame period, ns.
@@ -527,13 +541,11 @@ impl Track {
         }
         let task = match &self.phase {
             Phase::Searching => Task::Acquire { skeleton: self.skeleton.clone() },
-            Phase::Tracking { from, before, coasted } => {
+            Phase::Tracking { past, coasted } => {
                 let Some(skeleton) = self.skeleton.clone() else { return };
-                self.intake.refuse(window.end + self.tolerance());
-                let (from, before, coasted) = (from.clone(), before.clone(), *coasted);
-                let live = self.newest.clone().filter(|(at, _)| *at == window.end);
-                let live = live.map(|(_, keyframe)| keyframe);
-                Task::Track { from, before, live, skeleton, coasted }
+                self.intake.refuse(window.publish + self.tolerance());
+                let (past, coasted) = (past.clone(), *coasted);
+                Task::Track { past, ahead: self.ahead.clone(), skeleton, coasted }
             }
         };
         self.send_job(window, task);
@@ -542,7 +554,7 @@ impl Track {
     /// Sends a fit of the window up to the last frame set that is complete at `reach`, if that is a
     /// new one; whether it did.
     fn send_live(&mut self, window: Window, reach: Timestamp) -> bool {
-        let Phase::Tracking { from, before, coasted: 0 } = &self.phase else { return false };
+        let Phase::Tracking { past, coasted: 0 } = &self.phase else { return false };
         let (Some(skeleton), Some(grid)) = (self.skeleton.clone(), self.frames) else {
             return false;
         };
@@ -551,14 +563,13 @@ impl Track {
         }
         let k = grid.at_or_before(reach + self.tolerance());
         let end = grid.time(k).min(window.end);
-        let last = self.newest.as_ref().map_or(window.start, |(at, _)| *at);
+        let last = self.newest.unwrap_or(window.start).max(window.start);
         let from_start = k - grid.nearest(window.start);
         if end <= last || from_start % self.effort.stride.max(1) as i64 != 0 {
             return false;
         }
-        let (from, before, last) = (from.clone(), before.clone(), self.newest.clone());
-        let task = Task::Live { from, before, last, skeleton };
-        self.send_job(Window { start: window.start, end }, task)
+        let task = Task::Live { past: past.clone(), ahead: self.ahead.clone(), skeleton };
+        self.send_job(Window { end, publish: end, ..window }, task)
     }
 
     /// How far the frame sets are complete: all cameras that are waited for have come so far, or
@@ -582,8 +593,10 @@ impl Track {
             window: self.window,
             start: window.start,
             end: window.end,
+            publish: window.publish,
+            knots: self.knots(window),
             pose_times: output_grid
-                .map_or_else(Vec::new, |grid| grid.between(window.start, window.end).collect()),
+                .map_or_else(Vec::new, |grid| grid.between(window.start, window.publish).collect()),
             frames: self.intake.up_to(window.end + self.tolerance()),
             format,
             rig: Arc::clone(&self.rig),
@@ -592,6 +605,19 @@ impl Track {
             task,
         })));
         true
+    }
+
+    /// The times of the window's keyframes.
+    fn knots(&self, window: Window) -> Vec<Timestamp> {
+        let Some(grid) = self.frames else { return vec![window.end] };
+        let first = grid.nearest(window.start);
+        let frames = (first + 1..).step_by(1).map(|k| (k, grid.time(k)));
+        let spacing = self.config.keyframe() as i64;
+        let inside = frames.take_while(|(_, time)| *time < window.end);
+        let mut knots: Vec<Timestamp> =
+            inside.filter(|(k, _)| (k - first) % spacing == 0).map(|(_, time)| time).collect();
+        knots.push(window.end);
+        knots
     }
 
     pub(super) fn close(&mut self, end: Timestamp) {

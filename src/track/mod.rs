@@ -26,7 +26,7 @@ pub use association::follow;
 pub use config::{Config, Gate};
 pub use effort::Effort;
 pub use event::{Event, EventKind};
-pub use job::{Job, LiveFit, Outcome, Residual, Solution, Task, Tracked, Verdict};
+pub use job::{Job, LiveFit, Outcome, Residual, Solution, Task, TimedKeyframe, Tracked, Verdict};
 pub use machine::{Input, KeyframeAt, Output, Performer, Track, WindowReport};
 pub use playout::{Latency, Live};
 pub use solver::Solver;

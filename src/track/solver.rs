@@ -5,29 +5,52 @@ use std::sync::Arc;
 use super::acquire::{fit, sight};
 use super::association::{extent, follow, median};
 use super::config::Config;
-use super::job::{Job, LiveFit, Outcome, Residual, Solution, Task, Tracked, Verdict};
+use super::job::{
+    Job, LiveFit, Outcome, Residual, Solution, Task, TimedKeyframe, Tracked, Verdict,
+};
 use crate::body::{BodyPoint, Pose, Skeleton, fitted_points};
 use crate::camera::Rig;
-use crate::cost::{Knot, Moment, PathProblem, Scene, Workspace};
+use crate::cost::{self, Knot, Moment, PathProblem, Scene, Stiffness, Workspace};
 use crate::detect::Detections;
-use crate::manifold::{Decoder, Keyframe};
-use crate::solve::{Optimiser, Problem};
+use crate::manifold::{Decoder, Interpolation, Keyframe};
+use crate::solve::{Optimiser, Problem, Summary};
 use crate::time::Timestamp;
 
 /// A view counts when it shows this many points a frame.
 const MIN_VIEW: usize = 4;
-/// How far the last motion is carried on when the performer is hidden, in windows; then it stands.
-const CARRY_ON: f64 = 0.5;
+/// A motion that is carried on while the performer is hidden dies away in this time, seconds.
+const DECAY: f64 = 0.1;
 
-/// What a window's solve can start from.
+/// What is known of a window before it is solved.
 #[derive(Clone, Copy)]
-struct Starts<'a> {
-    /// The keyframe at its start.
-    from: &'a Keyframe,
-    /// The one a window earlier.
-    before: Option<&'a Keyframe>,
-    /// A provisional one at its end.
-    live: Option<&'a Keyframe>,
+struct Known<'a> {
+    /// The last final keyframes, the last at the window's start.
+    past: &'a [TimedKeyframe],
+    /// Keyframes of the window that were found before.
+    ahead: &'a [TimedKeyframe],
+    skeleton: &'a Skeleton,
+}
+
+impl Known<'_> {
+    /// The last two keyframes known, if there are two.
+    fn last_two(&self) -> Option<[&TimedKeyframe; 2]> {
+        let mut latest = self.past.iter().chain(self.ahead).rev();
+        let (last, before) = (latest.next()?, latest.next()?);
+        Some([before, last])
+    }
+
+    /// The keyframe at that time; the last one after all that are known.
+    fn at(&self, time: Timestamp, interpolation: Interpolation) -> Option<Keyframe> {
+        let mut earlier = self.past.last()?;
+        for later in self.ahead {
+            if time <= later.0 {
+                let s = (time - earlier.0) as f64 / (later.0 - earlier.0).max(1) as f64;
+                return Some(interpolation.keyframe(&earlier.1, &later.1, s.max(0.0)));
+            }
+            earlier = later;
+        }
+        Some(earlier.1.clone())
+    }
 }
 
 /// Solves jobs. Pure but for its memory: the same job always gives the same solution.
@@ -55,12 +78,12 @@ impl Solver {
         let points = fitted_points(job.format);
         let outcome = match &job.task {
             Task::Acquire { skeleton } => self.acquire(job, &points, skeleton.as_ref()),
-            Task::Track { from, before, live, skeleton, coasted } => {
-                let starts = Starts { from, before: before.as_deref(), live: live.as_deref() };
-                self.track(job, &points, starts, skeleton, *coasted)
+            Task::Track { past, ahead, skeleton, coasted } => {
+                let known = Known { past, ahead, skeleton };
+                self.track(job, &points, known, skeleton, *coasted)
             }
-            Task::Live { from, before, last, skeleton } => {
-                self.live(job, &points, from, before.as_deref(), last.as_ref(), skeleton)
+            Task::Live { past, ahead, skeleton } => {
+                self.live(job, &points, Known { past, ahead, skeleton })
             }
         };
         Solution { number: job.number, outcome }
@@ -114,8 +137,11 @@ impl Solver {
         let frames = job.frames.iter().filter(|frame| frame.capture >= at);
         let moments = self.follow(frames, points, &job.rig, &keyframe, &rough);
         let last = moments.last().map_or(at, |moment| moment.capture);
-        let scene = scene(&self.decoder, &self.config, &job.rig, points);
-        let mut knots = vec![Knot { capture: at, keyframe, free: true }];
+        // Only the shape and the first keyframe are kept: one keyframe for each window will do.
+        let cost = cost::Config { stiffness: Stiffness::NONE, ..self.config.cost };
+        let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
+        let frames = self.config.window() as f64;
+        let mut knots = vec![Knot { capture: at, keyframe, free: true, frames }];
         for window in 1..=self.config.shape_windows as i64 {
             let (start, end) = (at + span * (window - 1), at + span * window);
             let inside: Vec<Moment> = moments
@@ -125,7 +151,7 @@ impl Solver {
                 .collect();
             let Some(from) = knots.last().filter(|_| !inside.is_empty()) else { break };
             let from = Knot { free: false, ..from.clone() };
-            let to = Knot { capture: end, keyframe: from.keyframe.clone(), free: true };
+            let to = Knot { capture: end, keyframe: from.keyframe.clone(), free: true, frames };
             let mut problem =
                 PathProblem::new(scene, vec![from, to], &rough, false, &inside, &mut self.work);
             let mut x = problem.start();
@@ -135,6 +161,7 @@ impl Solver {
                 capture: end,
                 keyframe,
                 free: true,
+                frames,
             }));
         }
         let first = knots[0].keyframe.clone();
@@ -163,120 +190,148 @@ impl Solver {
         &mut self,
         job: &Job,
         points: &[BodyPoint],
-        Starts { from, before, live }: Starts,
+        known: Known,
         skeleton: &Arc<Skeleton>,
         coasted: usize,
     ) -> Outcome {
+        let Some((_, from)) = known.past.last() else { return Outcome::NobodyFound };
         let moments = self.follow(job.used_frames(), points, &job.rig, from, skeleton);
         if let Some(hidden) = self.hidden(job, &moments) {
             // After a window without, perhaps the performer is seen elsewhere.
             let found = (coasted > 0).then(|| self.acquire(job, points, Some(skeleton)));
             let found = found.filter(|found| matches!(found, Outcome::Acquired { .. }));
-            return found.unwrap_or_else(|| self.coast(job, from, before, coasted, hidden));
+            return found.unwrap_or_else(|| self.coast(job, known, coasted, hidden));
         }
-        let scene = scene(&self.decoder, &self.config, &job.rig, points);
-        let fixed = Knot { capture: job.start, keyframe: from.clone(), free: false };
-        let start = Knot { capture: job.end, keyframe: from.clone(), free: true };
-        let knots = vec![fixed, start];
-        let mut problem = PathProblem::new(scene, knots, skeleton, false, &moments, &mut self.work);
-        let mut x = problem.start();
-        let interpolation = self.config.cost.interpolation;
-        let onward = before
-            .map(|before| Keyframe { z: from.z, ..interpolation.keyframe(before, from, 2.0) });
-        for start in onward.iter().chain(live) {
-            let candidate = problem.start_at(start);
-            if problem.cost(&candidate) < problem.cost(&x) {
-                x = candidate;
-            }
-        }
-        if live.is_none() {
-            // A fast limb can be further from the last keyframe than the loss reaches.
-            problem.set_scale(scene.config.scale_px * self.config.loose_scale);
-            self.optimiser.minimise(&mut problem, &mut x, job.effort.loose_iterations);
-            problem.set_scale(scene.config.scale_px);
-        }
-        let summary = self.optimiser.minimise(&mut problem, &mut x, job.effort.iterations);
-        let (keyframes, _) = problem.solution(&x);
-        let keyframe = keyframes.into_iter().next_back().unwrap_or_else(|| from.clone()).settled();
-        let at = |capture| self.pose_at(job, from, &keyframe, capture);
-        let residuals = residuals(&moments, points, &job.rig, skeleton, at);
-        let poses = job.pose_times.iter().map(|&capture| at(capture)).collect();
-        let verdict = self.verdict(&keyframe, &residuals);
-        let tracked = Tracked { keyframe, poses, summary: Some(summary), residuals, verdict };
-        Outcome::Tracked(Box::new(tracked))
+        let is_known = known.ahead.last().is_some_and(|(at, _)| *at >= job.end);
+        // A fast limb can be further from the last keyframe than the loss reaches.
+        let loose = if is_known { 0 } else { job.effort.loose_iterations };
+        let budget = [loose, job.effort.iterations];
+        let (keyframes, summary) = self.keyframes(job, points, known, &moments, budget);
+        let final_moments = moments.iter().filter(|m| m.capture <= job.publish + job.half_frame);
+        let solved = Known { ahead: &keyframes, ..known };
+        let residuals = residuals(final_moments, points, &job.rig, skeleton, |capture| {
+            self.pose_at(solved, capture)
+        });
+        let verdict = self.verdict(&keyframes, &residuals);
+        Outcome::Tracked(Box::new(self.tracked(job, solved, Some(summary), residuals, verdict)))
     }
 
-    /// The pose at a time within the window whose keyframes those are.
-    fn pose_at(&self, job: &Job, from: &Keyframe, to: &Keyframe, capture: Timestamp) -> Pose {
-        let s = (capture - job.start) as f64 / (job.end - job.start).max(1) as f64;
-        self.decoder.pose(&self.config.cost.interpolation.keyframe(from, to, s))
-    }
-
-    /// Carries the motion on: for a while, then it stands.
-    fn coast(
+    fn tracked(
         &self,
         job: &Job,
-        from: &Keyframe,
-        before: Option<&Keyframe>,
-        coasted: usize,
-        hidden: String,
-    ) -> Outcome {
+        solved: Known,
+        summary: Option<Summary>,
+        residuals: Vec<Residual>,
+        verdict: Verdict,
+    ) -> Tracked {
+        Tracked {
+            poses: job.pose_times.iter().map(|&capture| self.pose_at(solved, capture)).collect(),
+            newest: self.pose_at(solved, job.end),
+            keyframes: solved.ahead.to_vec(),
+            summary,
+            residuals,
+            verdict,
+        }
+    }
+
+    /// Solves the keyframes of a window, in so many iterations with a looser loss and then with the
+    /// loss itself.
+    fn keyframes(
+        &mut self,
+        job: &Job,
+        points: &[BodyPoint],
+        known: Known,
+        moments: &[Moment],
+        [loose, iterations]: [usize; 2],
+    ) -> (Vec<TimedKeyframe>, Summary) {
+        let interpolation = self.config.cost.interpolation;
+        let scene = scene(&self.decoder, &self.config, &job.rig, points);
+        let fixed = known.past.iter().map(|(capture, keyframe)| Knot {
+            capture: *capture,
+            keyframe: keyframe.clone(),
+            free: false,
+            frames: 0.0,
+        });
+        let mut knots: Vec<Knot> = fixed.collect();
+        let period = (2 * job.half_frame).max(1) as f64;
+        let mut before = job.start;
+        for &capture in &job.knots {
+            let Some(keyframe) = known.at(capture, interpolation) else { continue };
+            let frames = (capture - before) as f64 / period;
+            knots.push(Knot { capture, keyframe, free: true, frames });
+            before = capture;
+        }
+        let mut problem =
+            PathProblem::new(scene, knots, known.skeleton, false, moments, &mut self.work);
+        let mut x = problem.start();
+        if let Some([(t0, a), (t1, b)]) = known.last_two() {
+            // Or else: the root goes on as it did.
+            let onward = problem.start_at(|_, knot| {
+                let s = (knot.capture - *t0) as f64 / (*t1 - *t0).max(1) as f64;
+                match knot.capture > *t1 {
+                    true => Keyframe { z: b.z, ..interpolation.keyframe(a, b, s) },
+                    false => knot.keyframe.clone(),
+                }
+            });
+            if problem.cost(&onward) < problem.cost(&x) {
+                x = onward;
+            }
+        }
+        if loose > 0 {
+            problem.set_scale(scene.config.scale_px * self.config.loose_scale);
+            self.optimiser.minimise(&mut problem, &mut x, loose);
+            problem.set_scale(scene.config.scale_px);
+        }
+        let summary = self.optimiser.minimise(&mut problem, &mut x, iterations);
+        let (solved, _) = problem.solution(&x);
+        let solved = solved.into_iter().skip(known.past.len()).map(Keyframe::settled);
+        (job.knots.iter().copied().zip(solved).collect(), summary)
+    }
+
+    /// The pose at a time within a window whose keyframes are known.
+    fn pose_at(&self, window: Known, capture: Timestamp) -> Pose {
+        let keyframe = window.at(capture, self.config.cost.interpolation);
+        keyframe.map_or_else(Pose::rest, |keyframe| self.decoder.pose(&keyframe))
+    }
+
+    /// Carries the motion on: it dies away.
+    fn coast(&self, job: &Job, known: Known, coasted: usize, hidden: String) -> Outcome {
         let verdict = match coasted < self.config.coast_windows {
             true => Verdict::Coasted(hidden),
             false => Verdict::Lost(format!("{hidden}, for {} windows", coasted + 1)),
         };
         let interpolation = self.config.cost.interpolation;
-        let keyframe = match before.filter(|_| coasted == 0) {
-            Some(before) => interpolation.keyframe(before, from, 1.0 + CARRY_ON),
-            None => from.clone(),
-        }
-        .settled();
-        let at = |&capture| self.pose_at(job, from, &keyframe, capture);
-        let poses = job.pose_times.iter().map(at).collect();
-        let residuals = Vec::new();
-        let tracked = Tracked { keyframe, poses, summary: None, residuals, verdict };
-        Outcome::Tracked(Box::new(tracked))
+        let onward = |&capture: &Timestamp| {
+            let keyframe = match known.past {
+                [.., (t0, a), (t1, b)] => {
+                    let ahead = capture.seconds_since(*t1);
+                    let s = DECAY * (1.0 - (-ahead / DECAY).exp()) / t1.seconds_since(*t0);
+                    interpolation.keyframe(a, b, 1.0 + s)
+                }
+                _ => known.at(capture, interpolation)?,
+            };
+            Some((capture, keyframe.settled()))
+        };
+        let final_knots = job.knots.iter().filter(|&&capture| capture <= job.publish);
+        let keyframes: Vec<TimedKeyframe> = final_knots.filter_map(onward).collect();
+        let known = Known { ahead: &keyframes, ..known };
+        Outcome::Tracked(Box::new(self.tracked(job, known, None, Vec::new(), verdict)))
     }
 
-    /// A keyframe at the newest frame set of the open window, from the one found before it.
-    fn live(
-        &mut self,
-        job: &Job,
-        points: &[BodyPoint],
-        from: &Keyframe,
-        before: Option<&Keyframe>,
-        last: Option<&(Timestamp, Box<Keyframe>)>,
-        skeleton: &Skeleton,
-    ) -> Outcome {
-        let moments = self.follow(job.used_frames(), points, &job.rig, from, skeleton);
-        let interpolation = self.config.cost.interpolation;
-        let guess = match (last, before) {
-            (Some((at, last)), _) if *at > job.start => {
-                let s = (job.end - job.start) as f64 / (*at - job.start) as f64;
-                interpolation.keyframe(from, last, s)
+    /// Keyframes up to the newest frame set of the open window.
+    fn live(&mut self, job: &Job, points: &[BodyPoint], known: Known) -> Outcome {
+        let Some((_, from)) = known.past.last() else { return Outcome::NobodyFound };
+        let moments = self.follow(job.used_frames(), points, &job.rig, from, known.skeleton);
+        let hidden = self.hidden(job, &moments).is_some();
+        let keyframes = match hidden {
+            true => known.ahead.to_vec(),
+            false => {
+                let budget = [0, job.effort.live_iterations];
+                self.keyframes(job, points, known, &moments, budget).0
             }
-            (_, Some(before)) => {
-                let span = job.half_frame * 2 * self.config.window_frames.max(1) as i64;
-                let s = 1.0 + (job.end - job.start) as f64 / span.max(1) as f64;
-                Keyframe { z: from.z, ..interpolation.keyframe(before, from, s) }
-            }
-            _ => from.clone(),
         };
-        if self.hidden(job, &moments).is_some() {
-            let pose = self.decoder.pose(&guess);
-            return Outcome::Live(Box::new(LiveFit { keyframe: guess, pose, hidden: true }));
-        }
-        let scene = scene(&self.decoder, &self.config, &job.rig, points);
-        let fixed = Knot { capture: job.start, keyframe: from.clone(), free: false };
-        let free = Knot { capture: job.end, keyframe: guess.clone(), free: true };
-        let knots = vec![fixed, free];
-        let mut problem = PathProblem::new(scene, knots, skeleton, false, &moments, &mut self.work);
-        let mut x = problem.start();
-        self.optimiser.minimise(&mut problem, &mut x, job.effort.live_iterations);
-        let (keyframes, _) = problem.solution(&x);
-        let keyframe = keyframes.into_iter().next_back().unwrap_or(guess);
-        let pose = self.decoder.pose(&keyframe);
-        Outcome::Live(Box::new(LiveFit { keyframe, pose, hidden: false }))
+        let pose = self.pose_at(Known { ahead: &keyframes, ..known }, job.end);
+        Outcome::Live(Box::new(LiveFit { keyframes, pose, hidden }))
     }
 
     /// Why too little was seen of the performer to solve the window, if so.
@@ -298,7 +353,7 @@ impl Solver {
         (views < 2).then(|| format!("{views} cameras see the performer, 2 are needed"))
     }
 
-    fn verdict(&self, keyframe: &Keyframe, residuals: &[Residual]) -> Verdict {
+    fn verdict(&self, keyframes: &[TimedKeyframe], residuals: &[Residual]) -> Verdict {
         let gate = &self.config.gate;
         let median_error =
             median(&mut residuals.iter().map(|r| r.error_relative).collect::<Vec<_>>());
@@ -308,7 +363,8 @@ impl Solver {
                 gate.lost_residual
             ));
         }
-        let latent = crate::manifold::norm(&keyframe.z);
+        let norms = keyframes.iter().map(|(_, keyframe)| crate::manifold::norm(&keyframe.z));
+        let latent = norms.fold(0.0, f64::max);
         match latent > gate.lost_latent {
             true => {
                 let most = gate.lost_latent;
@@ -328,8 +384,8 @@ fn scene<'a>(
     Scene { decoder, rig, points, config: &config.cost }
 }
 
-fn residuals(
-    moments: &[Moment],
+fn residuals<'m>(
+    moments: impl Iterator<Item = &'m Moment>,
     points: &[BodyPoint],
     rig: &Rig,
     skeleton: &Skeleton,

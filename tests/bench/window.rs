@@ -5,7 +5,7 @@ use bundlemocap::camera::Rig;
 use bundlemocap::cost::{self, Knot, Moment, Observation, PathProblem, Scene, Workspace};
 use bundlemocap::detect::KeypointFormat;
 use bundlemocap::manifold::{Decoder, Interpolation, Jacobians, Keyframe};
-use bundlemocap::solve::{Method, Problem};
+use bundlemocap::solve::{Method, Normal, Problem};
 use bundlemocap::synth;
 use bundlemocap::time::Timestamp;
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -73,6 +73,7 @@ impl Case {
             capture: Timestamp::of_frame(frame, 60.0),
             keyframe: self.from.clone(),
             free,
+            frames: 10.0,
         };
         let knots = vec![knot(0, false), knot(10, true)];
         PathProblem::new(scene, knots, &self.skeleton, false, &self.moments, work)
@@ -95,7 +96,7 @@ fn window(c: &mut Criterion) {
     let mut problem = case.problem(&mut work);
     let x = problem.start();
     let mut gradient = vec![0.0; x.len()];
-    let mut hessian = vec![0.0; x.len() * x.len()];
+    let mut normal = Normal::zeros(problem.layout());
     c.bench_function("window cost", |b| b.iter(|| problem.cost(&x)));
     c.bench_function("window gradient", |b| b.iter(|| problem.gradient(&x, &mut gradient)));
     c.bench_function("window normal equations", |b| {

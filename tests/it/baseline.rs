@@ -12,12 +12,12 @@ use bundlemocap::cost::{self, Moment, Observation, Scene};
 use bundlemocap::detect::KeypointFormat;
 use bundlemocap::eval;
 use bundlemocap::manifold::{Decoder, Keyframe};
-use bundlemocap::solve::{BandedProblem, LevenbergMarquardt, Normal, Optimiser, Problem};
+use bundlemocap::solve::{Layout, LevenbergMarquardt, Normal, Optimiser, Problem};
 use bundlemocap::synth::{Motion, MotionStyle, Recording, ring_rig};
 use nalgebra::{DMatrix, Vector2};
 
 use crate::jacobians::{assert_jacobian, numeric_jacobian};
-use crate::solve::{frame, keyframe, observe, ring};
+use crate::solve::{dense, frame, keyframe, observe, ring};
 
 /// A few frames that were seen with errors.
 struct Case {
@@ -74,17 +74,6 @@ fn moved(x: &[f64]) -> Vec<f64> {
     x.iter().enumerate().map(|(i, v)| v + 0.05 * (i as f64).sin()).collect()
 }
 
-/// All of a matrix of which the lower blocks are kept.
-fn dense(normal: &Normal) -> DMatrix<f64> {
-    let (size, blocks) = (normal.hessian.size(), normal.hessian.blocks());
-    DMatrix::from_fn(size * blocks, size * blocks, |i, j| {
-        let (i, j) = (i.max(j), i.min(j));
-        let near = i / size - j / size <= normal.hessian.bandwidth();
-        let entry = (i % size) * size + j % size;
-        if near { normal.hessian.block(i / size, j / size)[entry] } else { 0.0 }
-    })
-}
-
 #[test]
 fn gradients_of_terms_between_frames_match_central_differences() {
     let case = Case::new(4);
@@ -93,7 +82,7 @@ fn gradients_of_terms_between_frames_match_central_differences() {
         for moments in [&unseen, &case.moments] {
             let mut path = case.path(moments, &case.initial, &terms);
             let x = moved(&path.start());
-            let mut normal = path.normal();
+            let mut normal = Normal::zeros(path.layout());
             let cost = path.linearise(&x, &mut normal);
             assert!((path.cost(&x) - cost).abs() < 1e-9 * cost);
             let path = std::cell::RefCell::new(path);
@@ -113,11 +102,11 @@ fn hessians_of_steps_are_exact_where_nothing_moves() {
         let terms = [term];
         let mut path = case.path(&unseen, &still, &terms);
         let x = path.start();
-        let mut normal = path.normal();
+        let mut normal = Normal::zeros(path.layout());
         path.linearise(&x, &mut normal);
         let path = std::cell::RefCell::new(path);
         let numeric = numeric_jacobian(&x, 1e-5, |x| {
-            let mut normal = path.borrow().normal();
+            let mut normal = Normal::zeros(path.borrow().layout());
             path.borrow_mut().linearise(x, &mut normal);
             normal.gradient
         });
@@ -134,7 +123,7 @@ fn unknowns_that_are_not_free_stay_and_the_others_move() {
         path.free = free;
         let start = path.start();
         let mut x = start.clone();
-        LevenbergMarquardt::default().minimise_banded(&mut path, &mut x, 5);
+        LevenbergMarquardt::default().minimise(&mut path, &mut x, 5);
         for (i, (x, start)) in x.iter().zip(&start).enumerate() {
             let is_free = free[usize::from(i % UNKNOWNS >= UNKNOWNS - 6)];
             assert_eq!(x != start, is_free, "unknown {i}");
@@ -142,42 +131,39 @@ fn unknowns_that_are_not_free_stay_and_the_others_move() {
     }
 }
 
-/// A banded problem as one with a dense Hessian.
+/// A banded problem as one of a single block.
 struct Dense<'a>(FramePath<'a>);
 
 impl Problem for Dense<'_> {
-    fn dimension(&self) -> usize {
-        self.0.start().len()
+    fn layout(&self) -> Layout {
+        Layout::dense(self.0.layout().dimension())
     }
 
     fn cost(&mut self, x: &[f64]) -> f64 {
         self.0.cost(x)
     }
 
-    fn linearise(&mut self, x: &[f64], gradient: &mut [f64], hessian: &mut [f64]) -> f64 {
-        let mut normal = self.0.normal();
-        let cost = self.0.linearise(x, &mut normal);
-        gradient.copy_from_slice(&normal.gradient);
-        hessian.copy_from_slice(dense(&normal).as_slice());
+    fn linearise(&mut self, x: &[f64], normal: &mut Normal) -> f64 {
+        let mut banded = Normal::zeros(self.0.layout());
+        let cost = self.0.linearise(x, &mut banded);
+        normal.gradient.copy_from_slice(&banded.gradient);
+        normal.hessian.block_mut(0, 0).copy_from_slice(dense(&banded).as_slice());
         cost
     }
 
     fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64 {
-        let mut normal = self.0.normal();
-        let cost = self.0.linearise(x, &mut normal);
-        gradient.copy_from_slice(&normal.gradient);
-        cost
+        self.0.gradient(x, gradient)
     }
 }
 
 #[test]
-fn the_banded_optimiser_takes_the_steps_of_the_dense_one() {
+fn banded_and_dense_normal_equations_lead_the_same_way() {
     let case = Case::new(5);
     let terms = every_term(5);
     let path = || case.path(&case.moments, &case.initial, &terms);
     let (mut banded, mut x) = (path(), moved(&path().start()));
     let mut y = x.clone();
-    let summary = LevenbergMarquardt::default().minimise_banded(&mut banded, &mut x, 30);
+    let summary = LevenbergMarquardt::default().minimise(&mut banded, &mut x, 30);
     let expected = LevenbergMarquardt::default().minimise(&mut Dense(path()), &mut y, 30);
     assert_eq!(summary.iterations, expected.iterations);
     assert!(summary.final_cost < 0.5 * summary.initial_cost, "{summary:?}");

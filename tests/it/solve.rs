@@ -6,7 +6,7 @@ use bundlemocap::cost::{self, Knot, Moment, Observation, PathProblem, Scene, Wor
 use bundlemocap::detect::KeypointFormat;
 use bundlemocap::manifold::{Decoder, Interpolation, Keyframe, LATENT};
 use bundlemocap::so3;
-use bundlemocap::solve::{Method, Problem};
+use bundlemocap::solve::{Method, Normal, Problem};
 use bundlemocap::time::Timestamp;
 use nalgebra::{DMatrix, Matrix3, Vector2, Vector3};
 
@@ -63,6 +63,17 @@ pub fn observe(
     (0..rig.cameras.len())
         .flat_map(|camera| (0..points.len()).filter_map(move |point| seen(camera, point)))
         .collect()
+}
+
+/// All of a matrix of which the lower blocks are kept.
+pub fn dense(normal: &Normal) -> DMatrix<f64> {
+    let (size, blocks) = (normal.hessian.size(), normal.hessian.blocks());
+    DMatrix::from_fn(size * blocks, size * blocks, |i, j| {
+        let (i, j) = (i.max(j), i.min(j));
+        let near = i / size - j / size <= normal.hessian.bandwidth();
+        let entry = (i % size) * size + j % size;
+        if near { normal.hessian.block(i / size, j / size)[entry] } else { 0.0 }
+    })
 }
 
 struct Case {
@@ -124,21 +135,25 @@ impl Case {
     fn knots(&self, free: &[bool], start: &Keyframe) -> Vec<Knot> {
         let value = |k: usize| if free[k] { start.clone() } else { self.truth[k].clone() };
         (0..free.len())
-            .map(|k| Knot { capture: frame(10 * k), keyframe: value(k), free: free[k] })
+            .map(|k| {
+                let (capture, keyframe) = (frame(10 * k), value(k));
+                Knot { capture, keyframe, free: free[k], frames: 10.0 }
+            })
             .collect()
     }
 }
 
 #[test]
 fn gradients_of_every_kind_of_path_match_central_differences() {
-    let mut case = Case::new(3);
+    let mut case = Case::new(4);
     case.disturb();
     let config = cost::Config { prior: 5.0, ..cost::Config::default() };
-    let kinds: [(&[bool], bool); 4] = [
+    let kinds: [(&[bool], bool); 5] = [
         (&[true], true),
         (&[false, true], false),
         (&[true, true], false),
         (&[true, true, true], true),
+        (&[false, false, true, true], false),
     ];
     for (free, shape) in kinds {
         let mut work = Workspace::default();
@@ -164,15 +179,39 @@ fn the_hessian_is_exact_where_residuals_vanish() {
     let mut work = Workspace::default();
     let mut problem = case.window(&config, &case.truth[1], &mut work);
     let x = problem.start();
-    let (mut gradient, mut hessian) = (vec![0.0; x.len()], vec![0.0; x.len() * x.len()]);
-    problem.linearise(&x, &mut gradient, &mut hessian);
+    let mut normal = Normal::zeros(problem.layout());
+    problem.linearise(&x, &mut normal);
     let problem = std::cell::RefCell::new(problem);
     let numeric = numeric_jacobian(&x, 1e-5, |x| {
         let mut gradient = vec![0.0; x.len()];
         problem.borrow_mut().gradient(x, &mut gradient);
         gradient
     });
-    assert_jacobian(&DMatrix::from_row_slice(x.len(), x.len(), &hessian), &numeric, 1e-4);
+    assert_jacobian(&dense(&normal), &numeric, 1e-4);
+}
+
+#[test]
+fn the_hessian_of_stiffness_is_exact_where_nothing_moves() {
+    let case = Case::new(1);
+    let (config, still) = (cost::Config::default(), case.truth[0].clone());
+    let mut work = Workspace::default();
+    let knots = (0..5).map(|k| {
+        let (capture, keyframe) = (frame([0, 1, 2, 4, 5][k]), still.clone());
+        Knot { capture, keyframe, free: k > 1, frames: 1.0 }
+    });
+    let scene = case.scene(&config);
+    let mut problem =
+        PathProblem::new(scene, knots.collect(), &case.skeleton, false, &[], &mut work);
+    let x = problem.start();
+    let mut normal = Normal::zeros(problem.layout());
+    problem.linearise(&x, &mut normal);
+    let problem = std::cell::RefCell::new(problem);
+    let numeric = numeric_jacobian(&x, 1e-5, |x| {
+        let mut gradient = vec![0.0; x.len()];
+        problem.borrow_mut().gradient(x, &mut gradient);
+        gradient
+    });
+    assert_jacobian(&dense(&normal), &numeric, 1e-4);
 }
 
 #[test]

@@ -11,6 +11,7 @@ use bundlemocap::cost::Observation;
 use bundlemocap::detect::{Detection, Detections, KeypointFormat, Person};
 use bundlemocap::manifold::{Decoder, Interpolation, Keyframe};
 use bundlemocap::so3;
+use bundlemocap::solve::Method;
 use bundlemocap::track::{
     Config, Effort, EventKind, Input, Job, Outcome, Output, Solver, Task, Track, WindowReport,
 };
@@ -30,8 +31,10 @@ struct Run {
 }
 
 fn config() -> Config {
-    let mut config = Config::default();
-    config.cost.prior = 1e-4;
+    let mut config = Config::paper();
+    config.method = Method::LevenbergMarquardt;
+    config.loose_iterations = 3;
+    config.cost.prior = 1e-5;
     config.cost.shape_prior = 1e-4;
     config.iterations = 200;
     config.change_threshold = 0.0;
@@ -138,6 +141,8 @@ fn windows_follow_a_manifold_motion_exactly() {
                 window,
                 start: time(0),
                 end: time(10),
+                publish: time(10),
+                knots: vec![time(10)],
                 pose_times: (1..=10).map(time).collect(),
                 frames: (1..=10)
                     .flat_map(|i| detections(&rig, &points, &seen(i), (10 * window + i) as usize))
@@ -148,9 +153,8 @@ fn windows_follow_a_manifold_motion_exactly() {
                 half_frame: 8_333_333,
                 effort: Effort::full(&config()),
                 task: Task::Track {
-                    from: Box::new(from),
-                    before: None,
-                    live: None,
+                    past: vec![(time(0), from)],
+                    ahead: Vec::new(),
                     skeleton: Arc::clone(&skeleton),
                     coasted: 0,
                 },
@@ -165,7 +169,7 @@ fn windows_follow_a_manifold_motion_exactly() {
                     assert!(angle.to_degrees() < 0.5, "seed {seed}, window {window}: {angle} rad");
                 }
             }
-            from = tracked.keyframe;
+            from = tracked.keyframes.into_iter().next().unwrap().1;
         }
     }
 }

@@ -1,0 +1,156 @@
+//! Accelerations along a path, and what they cost.
+//!
+//! Over three knots in a row, t1 and t2 seconds apart, the acceleration of the position is
+//! a = c0 p0 + c1 p1 + c2 p2 with c0 = 2 / ((t1 + t2) t1), c2 = 2 / ((t1 + t2) t2) and
+//! c1 = -c0 - c2; that of the code alike, that of the rotation
+//! c2 log(R2 R1^T) - c0 log(R1 R0^T).
+
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::blocks::Blocks;
+use super::unknowns::{KEYFRAME, Unknowns};
+use crate::manifold::{LATENT, Latent};
+use crate::so3;
+use crate::solve::Normal;
+
+/// Weights of squared accelerations, per nominal frame: all zero leaves the path as free as its
+/// interpolation is. Differs: the paper has no such term.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Stiffness {
+    /// Of the latent code, square pixels per (1/s^2)^2.
+    pub latent: f64,
+    /// Of the root's rotation, square pixels per (rad/s^2)^2.
+    pub turn: f64,
+    /// Of the root's position, square pixels per (m/s^2)^2.
+    pub shift: f64,
+}
+
+impl Default for Stiffness {
+    fn default() -> Self {
+        Self { latent: 5e-4, turn: 0.5, shift: 5.0 }
+    }
+}
+
+impl Stiffness {
+    /// No such term, as in the paper.
+    pub const NONE: Self = Self { latent: 0.0, turn: 0.0, shift: 0.0 };
+
+    /// All weights times `factor`.
+    pub fn times(self, factor: f64) -> Self {
+        let Self { latent, turn, shift } = self;
+        Self { latent: latent * factor, turn: turn * factor, shift: shift * factor }
+    }
+
+    /// 1/2 weight |acceleration|^2 over all triples of knots of which the last is free.
+    pub(super) fn cost(&self, path: &Unknowns) -> f64 {
+        self.triples(path).map(|triple| triple.cost()).sum()
+    }
+
+    /// The same; its gradient is added.
+    pub(super) fn add_gradient(&self, path: &Unknowns, gradient: &mut [f64]) -> f64 {
+        let add = |triple: Triple| {
+            triple.add_gradient(path, gradient);
+            triple.cost()
+        };
+        self.triples(path).map(add).sum()
+    }
+
+    /// The same; its gradient and Gauss-Newton Hessian are added.
+    pub(super) fn add(&self, path: &Unknowns, blocks: Blocks, normal: &mut Normal) -> f64 {
+        let add = |triple: Triple| {
+            triple.add_gradient(path, &mut normal.gradient);
+            triple.add_hessian(path, blocks, normal);
+            triple.cost()
+        };
+        self.triples(path).map(add).sum()
+    }
+
+    fn triples<'a>(&'a self, path: &'a Unknowns) -> impl Iterator<Item = Triple> + 'a {
+        let knots = if *self == Self::NONE { 0 } else { path.keyframes.len() };
+        (2..knots).filter(|&last| path.is_free(last)).map(|last| Triple::new(self, path, last))
+    }
+}
+
+/// Three knots in a row, and the acceleration over them.
+struct Triple {
+    knots: [usize; 3],
+    /// By the three knots' codes and positions.
+    factors: [f64; 3],
+    /// By the three knots' rotation vectors.
+    by_turn: [Matrix3<f64>; 3],
+    code: Latent,
+    rotation: Vector3<f64>,
+    position: Vector3<f64>,
+    /// With the frames that the last knot stands for counted in.
+    weights: Stiffness,
+}
+
+impl Triple {
+    fn new(weights: &Stiffness, path: &Unknowns, last: usize) -> Self {
+        let knots = [last - 2, last - 1, last];
+        let [k0, k1, k2] = knots.map(|k| &path.keyframes[k]);
+        let [t0, t1, t2] = knots.map(|k| path.capture(k));
+        let (first, second) = (t1.seconds_since(t0), t2.seconds_since(t1));
+        let [c0, c2] = [first, second].map(|t| 2.0 / ((first + second) * t));
+        let c1 = -c0 - c2;
+        let [w0, w1, w2] = knots.map(|k| &path.turns[k]);
+        let (r0, r1, r2) = (&k0.root_rotation, &k1.root_rotation, &k2.root_rotation);
+        let (early, early_by0, early_by1) = so3::turn_between(r0, w0, r1, w1);
+        let (late, late_by1, late_by2) = so3::turn_between(r1, w1, r2, w2);
+        Self {
+            knots,
+            factors: [c0, c1, c2],
+            by_turn: [early_by0 * -c0, late_by1 * c2 - early_by1 * c0, late_by2 * c2],
+            code: std::array::from_fn(|i| c0 * k0.z[i] + c1 * k1.z[i] + c2 * k2.z[i]),
+            rotation: late * c2 - early * c0,
+            position: k0.root_position * c0 + k1.root_position * c1 + k2.root_position * c2,
+            weights: weights.times(path.frames(last)),
+        }
+    }
+
+    fn cost(&self) -> f64 {
+        let Stiffness { latent, turn, shift } = self.weights;
+        let codes: f64 = self.code.iter().map(|v| v * v).sum();
+        let (turns, shifts) = (self.rotation.norm_squared(), self.position.norm_squared());
+        0.5 * (latent * codes + turn * turns + shift * shifts)
+    }
+
+    /// The free knots: which of the three, and the number among the free ones.
+    fn free<'a>(&'a self, path: &'a Unknowns) -> impl Iterator<Item = (usize, usize)> + 'a {
+        let knots = self.knots.iter().enumerate().filter(|&(_, &knot)| path.is_free(knot));
+        knots.map(|(which, &knot)| (which, path.number(knot)))
+    }
+
+    fn add_gradient(&self, path: &Unknowns, gradient: &mut [f64]) {
+        let Stiffness { latent, turn, shift } = self.weights;
+        for (a, knot) in self.free(path) {
+            let mine = &mut gradient[knot * KEYFRAME..(knot + 1) * KEYFRAME];
+            let (codes, roots) = mine.split_at_mut(LATENT);
+            let factor = latent * self.factors[a];
+            codes.iter_mut().zip(&self.code).for_each(|(g, v)| *g += factor * v);
+            let turned = self.by_turn[a].tr_mul(&self.rotation) * turn;
+            let moved = self.position * (shift * self.factors[a]);
+            roots.iter_mut().zip(turned.iter().chain(&moved)).for_each(|(g, v)| *g += v);
+        }
+    }
+
+    fn add_hessian(&self, path: &Unknowns, blocks: Blocks, normal: &mut Normal) {
+        let Stiffness { latent, turn, shift } = self.weights;
+        for (a, row) in self.free(path) {
+            for (b, column) in self.free(path).take_while(|&(b, _)| b <= a) {
+                let mut add = |i: usize, j: usize, value: f64| {
+                    blocks.row(normal, [row, column], i)[j] += value;
+                };
+                let factor = self.factors[a] * self.factors[b];
+                (0..LATENT).for_each(|i| add(i, i, latent * factor));
+                let turned = self.by_turn[a].tr_mul(&self.by_turn[b]) * turn;
+                for i in 0..3 {
+                    (0..3).for_each(|j| add(LATENT + i, LATENT + j, turned[(i, j)]));
+                    add(LATENT + 3 + i, LATENT + 3 + i, shift * factor);
+                }
+            }
+        }
+    }
+}
