@@ -129,7 +129,7 @@ impl Config {
         ]
     }
 
-    fn weights(&self) -> [Limit; 15] {
+    fn weights(&self) -> [Limit; 16] {
         let track::Config { cost, gate, loose_scale, min_confidence, .. } = self.track;
         let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
         let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
@@ -143,6 +143,7 @@ impl Config {
             from_0("track.cost.stiffness.latent", cost.stiffness.latent),
             from_0("track.cost.stiffness.turn", cost.stiffness.turn),
             from_0("track.cost.stiffness.shift", cost.stiffness.shift),
+            above_0("track.cost.stiffness.scale_px", cost.stiffness.scale_px),
             above_0("track.gate.agree", gate.agree),
             above_0("track.gate.follow", gate.follow),
             above_0("track.gate.lost_residual", gate.lost_residual),

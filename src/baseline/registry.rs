@@ -4,7 +4,8 @@ use super::{Dct, Dmmr, Etc, Method, MuVs, Slahmr, SlahmrWeights, Windows};
 use crate::manifold::Transition;
 
 /// The names of [`named`], in the order of tables.
-pub const NAMES: &[&str] = &["muvs", "dct", "etc", "dmmr", "slahmr", "paper", "default"];
+pub const NAMES: &[&str] =
+    &["muvs", "dct", "etc", "dmmr", "slahmr", "paper", "paper-lm", "default"];
 
 /// Every method with its default weights, in the order of [`NAMES`].
 pub fn all() -> Vec<Box<dyn Method>> {
@@ -20,6 +21,7 @@ pub fn named(name: &str) -> Option<Box<dyn Method>> {
         "dmmr" => Box::new(Dmmr::default()),
         "slahmr" => Box::new(Slahmr::new(SlahmrWeights::default(), Transition::embedded().ok()?)),
         "paper" => Box::new(Windows::paper()),
+        "paper-lm" => Box::new(Windows::paper_with_our_optimiser()),
         "default" => Box::new(Windows::default_settings()),
         _ => return None,
     })

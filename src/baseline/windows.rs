@@ -29,6 +29,14 @@ impl Windows {
         Self::new("BundleMoCap (paper)", Config::paper())
     }
 
+    /// The paper's windows and path, with the optimiser of all other methods: Levenberg-Marquardt,
+    /// first with a looser loss.
+    pub fn paper_with_our_optimiser() -> Self {
+        let Config { method, loose_iterations, .. } = Config::default();
+        let config = Config { method, loose_iterations, ..Config::paper() };
+        Self::new("BundleMoCap (paper, LM)", config)
+    }
+
     /// As the program does without settings.
     pub fn default_settings() -> Self {
         Self::new("bundlemocap (default)", Config::default())

@@ -15,7 +15,6 @@ use super::blocks::{Blocks, End, root_of};
 use super::config::Config;
 use super::observation::{Moment, Observation};
 use super::robust::GemanMcClure;
-use super::stiffness::Stiffness;
 use super::unknowns::{KEYFRAME, Knot, Place, Unknowns};
 use crate::body::{
     BODY_JOINTS, BodyPoint, Posture, SHAPE_COEFFICIENTS, Skeleton, Tangents, forward, push_forward,
@@ -397,7 +396,7 @@ impl<'a> PathProblem<'a> {
 impl Problem for PathProblem<'_> {
     fn layout(&self) -> Layout {
         let blocks = self.unknowns.number(self.unknowns.keyframes.len());
-        let reach = if self.scene.config.stiffness == Stiffness::NONE { 1 } else { 2 };
+        let reach = if self.scene.config.stiffness.is_none() { 1 } else { 2 };
         match self.blocks() {
             Blocks::Dense(size) => Layout::dense(size),
             Blocks::Banded => {

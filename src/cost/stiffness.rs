@@ -4,6 +4,9 @@
 //! a = c0 p0 + c1 p1 + c2 p2 with c0 = 2 / ((t1 + t2) t1), c2 = 2 / ((t1 + t2) t2) and
 //! c1 = -c0 - c2; that of the code alike, that of the rotation
 //! c2 log(R2 R1^T) - c0 log(R1 R0^T).
+//!
+//! Each of the three counts 1/2 s^2 ln(1 + w |a|^2 / s^2): people mostly move evenly and sometimes
+//! very abruptly, so the large accelerations of a few moments must not count with their squares.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -14,7 +17,7 @@ use crate::manifold::{LATENT, Latent};
 use crate::so3;
 use crate::solve::Normal;
 
-/// Weights of squared accelerations, per nominal frame: all zero leaves the path as free as its
+/// Weights of accelerations, per nominal frame: all zero leaves the path as free as its
 /// interpolation is. Differs: the paper has no such term.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -25,34 +28,41 @@ pub struct Stiffness {
     pub turn: f64,
     /// Of the root's position, square pixels per (m/s^2)^2.
     pub shift: f64,
+    /// Scale s, pixels: an acceleration of this weighted size has half of its weight left.
+    pub scale_px: f64,
 }
 
 impl Default for Stiffness {
     fn default() -> Self {
-        Self { latent: 5e-4, turn: 0.5, shift: 5.0 }
+        Self { latent: 5e-4, turn: 0.5, shift: 5.0, scale_px: 30.0 }
     }
 }
 
 impl Stiffness {
     /// No such term, as in the paper.
-    pub const NONE: Self = Self { latent: 0.0, turn: 0.0, shift: 0.0 };
+    pub const NONE: Self = Self { latent: 0.0, turn: 0.0, shift: 0.0, scale_px: 1.0 };
 
     /// All weights times `factor`.
     pub fn times(self, factor: f64) -> Self {
-        let Self { latent, turn, shift } = self;
-        Self { latent: latent * factor, turn: turn * factor, shift: shift * factor }
+        let Self { latent, turn, shift, .. } = self;
+        Self { latent: latent * factor, turn: turn * factor, shift: shift * factor, ..self }
     }
 
-    /// 1/2 weight |acceleration|^2 over all triples of knots of which the last is free.
+    /// Whether accelerations cost nothing.
+    pub(super) fn is_none(&self) -> bool {
+        [self.latent, self.turn, self.shift] == [0.0; 3]
+    }
+
+    /// The cost of all triples of knots of which the last is free.
     pub(super) fn cost(&self, path: &Unknowns) -> f64 {
-        self.triples(path).map(|triple| triple.cost()).sum()
+        self.triples(path).map(|triple| triple.cost).sum()
     }
 
     /// The same; its gradient is added.
     pub(super) fn add_gradient(&self, path: &Unknowns, gradient: &mut [f64]) -> f64 {
         let add = |triple: Triple| {
             triple.add_gradient(path, gradient);
-            triple.cost()
+            triple.cost
         };
         self.triples(path).map(add).sum()
     }
@@ -62,13 +72,13 @@ impl Stiffness {
         let add = |triple: Triple| {
             triple.add_gradient(path, &mut normal.gradient);
             triple.add_hessian(path, blocks, normal);
-            triple.cost()
+            triple.cost
         };
         self.triples(path).map(add).sum()
     }
 
     fn triples<'a>(&'a self, path: &'a Unknowns) -> impl Iterator<Item = Triple> + 'a {
-        let knots = if *self == Self::NONE { 0 } else { path.keyframes.len() };
+        let knots = if self.is_none() { 0 } else { path.keyframes.len() };
         (2..knots).filter(|&last| path.is_free(last)).map(|last| Triple::new(self, path, last))
     }
 }
@@ -83,8 +93,9 @@ struct Triple {
     code: Latent,
     rotation: Vector3<f64>,
     position: Vector3<f64>,
-    /// With the frames that the last knot stands for counted in.
-    weights: Stiffness,
+    /// IRLS weights of code, rotation and position, with the frames that the last knot stands for.
+    weights: [f64; 3],
+    cost: f64,
 }
 
 impl Triple {
@@ -99,22 +110,27 @@ impl Triple {
         let (r0, r1, r2) = (&k0.root_rotation, &k1.root_rotation, &k2.root_rotation);
         let (early, early_by0, early_by1) = so3::turn_between(r0, w0, r1, w1);
         let (late, late_by1, late_by2) = so3::turn_between(r1, w1, r2, w2);
+        let code: Latent = std::array::from_fn(|i| c0 * k0.z[i] + c1 * k1.z[i] + c2 * k2.z[i]);
+        let rotation = late * c2 - early * c0;
+        let position = k0.root_position * c0 + k1.root_position * c1 + k2.root_position * c2;
+        let squares = [
+            weights.latent * code.iter().map(|v| v * v).sum::<f64>(),
+            weights.turn * rotation.norm_squared(),
+            weights.shift * position.norm_squared(),
+        ];
+        let (scale, frames) = (weights.scale_px * weights.scale_px, path.frames(last));
+        let slack = squares.map(|square| 1.0 + square / scale);
+        let [latent, turn, shift] = slack.map(|slack| frames / slack);
         Self {
             knots,
             factors: [c0, c1, c2],
             by_turn: [early_by0 * -c0, late_by1 * c2 - early_by1 * c0, late_by2 * c2],
-            code: std::array::from_fn(|i| c0 * k0.z[i] + c1 * k1.z[i] + c2 * k2.z[i]),
-            rotation: late * c2 - early * c0,
-            position: k0.root_position * c0 + k1.root_position * c1 + k2.root_position * c2,
-            weights: weights.times(path.frames(last)),
+            code,
+            rotation,
+            position,
+            weights: [weights.latent * latent, weights.turn * turn, weights.shift * shift],
+            cost: 0.5 * frames * scale * slack.iter().map(|slack| slack.ln()).sum::<f64>(),
         }
-    }
-
-    fn cost(&self) -> f64 {
-        let Stiffness { latent, turn, shift } = self.weights;
-        let codes: f64 = self.code.iter().map(|v| v * v).sum();
-        let (turns, shifts) = (self.rotation.norm_squared(), self.position.norm_squared());
-        0.5 * (latent * codes + turn * turns + shift * shifts)
     }
 
     /// The free knots: which of the three, and the number among the free ones.
@@ -124,7 +140,7 @@ impl Triple {
     }
 
     fn add_gradient(&self, path: &Unknowns, gradient: &mut [f64]) {
-        let Stiffness { latent, turn, shift } = self.weights;
+        let [latent, turn, shift] = self.weights;
         for (a, knot) in self.free(path) {
             let mine = &mut gradient[knot * KEYFRAME..(knot + 1) * KEYFRAME];
             let (codes, roots) = mine.split_at_mut(LATENT);
@@ -137,7 +153,7 @@ impl Triple {
     }
 
     fn add_hessian(&self, path: &Unknowns, blocks: Blocks, normal: &mut Normal) {
-        let Stiffness { latent, turn, shift } = self.weights;
+        let [latent, turn, shift] = self.weights;
         for (a, row) in self.free(path) {
             for (b, column) in self.free(path).take_while(|&(b, _)| b <= a) {
                 let mut add = |i: usize, j: usize, value: f64| {

@@ -33,19 +33,48 @@ pub enum Factor {
 }
 
 /// The names that [`factor`] knows.
-pub const FACTORS: [&str; 8] =
-    ["window", "optimiser", "scale", "prior", "interpolation", "cameras", "noise", "fps"];
+pub const FACTORS: [&str; 12] = [
+    "window",
+    "publish",
+    "keyframe",
+    "interpolation",
+    "stiffness",
+    "slack",
+    "optimiser",
+    "scale",
+    "prior",
+    "cameras",
+    "noise",
+    "fps",
+];
 
 /// The factor of that name.
 pub fn factor(name: &str) -> Option<Factor> {
     Some(match name {
         "window" => numbers("window", &[3.0, 5.0, 8.0, 10.0, 15.0, 20.0], |config, frames| {
             config.window_frames = frames as usize;
+            config.publish_frames = (frames as usize).div_ceil(2);
+        }),
+        "publish" => numbers("publish", &[1.0, 2.0, 3.0, 5.0, 8.0, 10.0], |config, frames| {
+            config.publish_frames = frames as usize;
+        }),
+        "keyframe" => numbers("keyframe every", &[1.0, 2.0, 5.0, 10.0], |config, frames| {
+            config.keyframe_frames = frames as usize;
+            config.publish_frames = config.publish_frames.max(frames as usize);
+            config.publish_frames -= config.publish_frames % frames as usize;
+        }),
+        "stiffness" => {
+            numbers("stiffness x", &[0.0, 0.1, 0.3, 1.0, 3.0, 10.0], |config, factor| {
+                config.cost.stiffness = config.cost.stiffness.times(factor);
+            })
+        }
+        "slack" => numbers("slack px", &[3.0, 10.0, 30.0, 100.0, 1000.0], |config, scale| {
+            config.cost.stiffness.scale_px = scale;
         }),
         "scale" => numbers("scale px", &[10.0, 15.0, 30.0, 50.0, 100.0], |config, scale| {
             config.cost.scale_px = scale;
         }),
-        "prior" => numbers("prior", &[10.0, 30.0, 100.0, 300.0, 1000.0], |config, prior| {
+        "prior" => numbers("prior", &[1.0, 3.0, 10.0, 30.0, 100.0], |config, prior| {
             config.cost.prior = prior;
         }),
         "optimiser" => named(&[
@@ -54,8 +83,13 @@ pub fn factor(name: &str) -> Option<Factor> {
             ("Levenberg-Marquardt, no loose start", |config| config.loose_iterations = 0),
         ]),
         "interpolation" => named(&[
-            ("slerp", |config| config.cost.interpolation = Interpolation::Slerp),
-            ("lerp", |config| config.cost.interpolation = Interpolation::Lerp),
+            ("keyframe each frame", |_| {}),
+            ("slerp, keyframe every 5", |config| {
+                (config.keyframe_frames, config.cost.interpolation) = (5, Interpolation::Slerp);
+            }),
+            ("lerp, keyframe every 5", |config| {
+                (config.keyframe_frames, config.cost.interpolation) = (5, Interpolation::Lerp);
+            }),
         ]),
         "cameras" => views((2..=8).map(|n| (format!("{n} cameras"), Seen::Cameras(n)))),
         "noise" => views(

@@ -10,10 +10,13 @@ use super::named::Named;
 use super::run::{Methods, Run};
 use super::summary::number;
 use crate::baseline::{
-    Dct, DctWeights, Dmmr, DmmrWeights, Etc, EtcWeights, Method, MuVs, MuVsWeights, Windows,
+    Dct, DctWeights, Dmmr, DmmrWeights, Etc, EtcWeights, Method, MuVs, MuVsWeights, Slahmr,
+    SlahmrWeights, Windows,
 };
+use crate::cost::Stiffness;
 use crate::eval::statistics::mean;
 use crate::export::Table;
+use crate::manifold::Transition;
 use crate::track::Config;
 
 /// Times each axis is gone along.
@@ -50,6 +53,12 @@ pub fn axes(method: &str) -> Option<Vec<Axis>> {
         let cost = method.config().cost;
         all(None, cost.prior, cost.scale_px)
     };
+    let ours = |method: &Windows| {
+        let slack = method.config().cost.stiffness.scale_px;
+        let stiffness = Axis { name: "stiffness", start: 1.0, factors: NARROW };
+        let slack = Axis { name: "slack px", start: slack, factors: &[0.2, 0.5, 1.0, 2.0, 10.0] };
+        windows(method).map(|plain| [stiffness, slack].into_iter().chain(plain).collect())
+    };
     match method {
         "muvs" => {
             let MuVsWeights { prior, scale_px, .. } = MuVsWeights::default();
@@ -67,8 +76,13 @@ pub fn axes(method: &str) -> Option<Vec<Axis>> {
             let DmmrWeights { prior, scale_px, .. } = DmmrWeights::default();
             all(Some(("ties", 1.0)), prior, scale_px)
         }
+        "slahmr" => {
+            let SlahmrWeights { transition, prior, scale_px, .. } = SlahmrWeights::default();
+            all(Some(("transition", transition)), prior, scale_px)
+        }
         "paper" => windows(&Windows::paper()),
-        "default" => windows(&Windows::default_settings()),
+        "paper-lm" => windows(&Windows::paper_with_our_optimiser()),
+        "default" => ours(&Windows::default_settings()),
         _ => None,
     }
 }
@@ -82,7 +96,10 @@ fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> 
     let (smoothness, prior, scale_px) = (of("smoothness"), of("prior"), of("scale px"));
     let windows = |method: Windows| {
         let config = method.config();
-        let cost = crate::cost::Config { prior, scale_px, ..config.cost };
+        let (plain, slack) = (config.cost.stiffness, of("slack px"));
+        let slack = if slack == 1.0 { plain.scale_px } else { slack };
+        let stiffness = Stiffness { scale_px: slack, ..plain.times(of("stiffness")) };
+        let cost = crate::cost::Config { prior, scale_px, stiffness, ..config.cost };
         Box::new(Windows::new("", Config { cost, ..config }))
     };
     let made: Box<dyn Method> = match method {
@@ -104,7 +121,17 @@ fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> 
                 ..plain
             }))
         }
+        "slahmr" => {
+            let weights = SlahmrWeights {
+                transition: of("transition"),
+                prior,
+                scale_px,
+                ..Default::default()
+            };
+            Box::new(Slahmr::new(weights, Transition::embedded().ok()?))
+        }
         "paper" => windows(Windows::paper()),
+        "paper-lm" => windows(Windows::paper_with_our_optimiser()),
         "default" => windows(Windows::default_settings()),
         _ => return None,
     };
@@ -216,7 +243,7 @@ mod tests {
 
     #[test]
     fn every_method_of_ours_has_axes_and_can_be_made() {
-        for name in NAMES.iter().filter(|name| **name != "slahmr") {
+        for name in NAMES {
             let axes = axes(name).unwrap();
             let values: Vec<f64> = axes.iter().map(|axis| axis.start).collect();
             let made = with(name, &axes, &values).unwrap();

@@ -78,3 +78,14 @@ impl Protocol {
         seed.wrapping_mul(1_000_003).wrapping_add(index as u64)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_commented_file_holds_every_default() {
+        let text = include_str!("../../config/eval.toml");
+        assert_eq!(toml::from_str(text), Ok(Protocol::default()));
+    }
+}

@@ -178,7 +178,7 @@ fn the_studio_has_every_kind_of_trouble_in_measure() {
         several += usize::from(frame.people.len() > 1);
         for (index, error, confidence) in errors(&recording, &frame) {
             points += 1;
-            if confidence > 0.9 { &mut sure } else { &mut unsure }.push(error);
+            if confidence > 0.7 { &mut sure } else { &mut unsure }.push(error);
             if recording.format.keypoints()[index] == Keypoint::LWrist {
                 wrist.push(error);
             }
@@ -194,9 +194,10 @@ fn the_studio_has_every_kind_of_trouble_in_measure() {
     assert!(gross.len() >= 2 && gross.values().sum::<usize>() < points / 50, "{gross:?}");
     let (sure, unsure, wrist) = (median(sure), median(unsure), median(wrist));
     println!("sure {sure:.2} unsure {unsure:.2} wrist {wrist:.2} gross {gross:?}");
-    assert!(unsure > 1.3 * sure, "confidence tells: {sure} {unsure}");
-    // A person is some 480 px tall: 0.6 % along each axis, whose median length is 1.18 of it.
-    assert!((3.0..6.5).contains(&wrist), "{wrist}");
+    assert!(unsure > 1.1 * sure, "confidence tells: {sure} {unsure}");
+    // A person is some 480 px tall: 0.6 % of jitter, 0.8 % of wander and 12 mm of bias, some 3 px,
+    // along each axis are 5.7 px, of which the median length is 1.18 times that.
+    assert!((5.0..10.0).contains(&wrist), "{wrist}");
 }
 
 #[test]
