@@ -50,6 +50,7 @@ pub fn subtract_product_with_transpose(
 ) {
     let out = MatMut::from_row_major_slice_mut(&mut out[..m * n], m, n);
     matmul(out, Accum::Add, matrix(a, m, k), matrix(b, n, k).transpose(), -1.0, Par::Seq);
+    clean_registers();
 }
 
 /// out (n x n) = out L^-T, with L of n x n, lower triangular.
@@ -57,6 +58,7 @@ pub fn divide_by_lower_transpose(n: usize, l: &[f64], out: &mut [f64]) {
     // X L^T = A is L X^T = A^T.
     let out = MatMut::from_row_major_slice_mut(&mut out[..n * n], n, n);
     solve_lower_triangular_in_place(matrix(l, n, n), out.transpose_mut(), Par::Seq);
+    clean_registers();
 }
 
 fn matrix<T>(data: &[T], rows: usize, columns: usize) -> MatRef<'_, T> {
@@ -67,7 +69,24 @@ fn multiply<T: ComplexField>(a: MatRef<T>, b: MatRef<T>, accum: Accum, out: &mut
     let (m, n) = (a.nrows(), b.ncols());
     let out = MatMut::from_row_major_slice_mut(&mut out[..m * n], m, n);
     matmul(out, accum, a, b, T::one_impl(), Par::Seq);
+    clean_registers();
 }
+
+/// The kernels leave the upper halves of the vector registers in use; each instruction of the older
+/// kind (SSE) that comes later would then wait for them. That made `exp` ten times as slow, and a whole
+/// solve twice.
+#[cfg(target_arch = "x86_64")]
+#[allow(unsafe_code)]
+fn clean_registers() {
+    if std::arch::is_x86_feature_detected!("avx") {
+        // SAFETY: the processor has AVX. The upper halves hold nothing of ours: by the calling
+        // convention no caller keeps a value there across a call.
+        unsafe { std::arch::x86_64::_mm256_zeroupper() }
+    }
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn clean_registers() {}
 
 #[cfg(test)]
 mod tests {

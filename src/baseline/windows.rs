@@ -32,8 +32,8 @@ impl Windows {
     /// The paper's windows and path, with the optimiser of all other methods: Levenberg-Marquardt,
     /// first with a looser loss.
     pub fn paper_with_our_optimiser() -> Self {
-        let Config { method, loose_iterations, .. } = Config::default();
-        let config = Config { method, loose_iterations, ..Config::paper() };
+        let Config { method, loose_iterations, change_threshold, .. } = Config::default();
+        let config = Config { method, loose_iterations, change_threshold, ..Config::paper() };
         Self::new("BundleMoCap (paper, LM)", config)
     }
 

@@ -25,7 +25,7 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             scale_px: 30.0,
-            prior: 10.0,
+            prior: 20.0,
             shape_prior: 300.0,
             interpolation: Interpolation::Slerp,
             stiffness: Stiffness::default(),

@@ -45,6 +45,7 @@ pub struct Scene<'a> {
 pub struct Workspace {
     codes: Vec<Latent>,
     jacobians: Jacobians,
+
     /// Right tangents of the local rotations by the code of the moment, 63 x 32.
     by_code: Vec<f64>,
     tangents: Option<Tangents>,
@@ -182,9 +183,10 @@ impl<'a> PathProblem<'a> {
             let code = if from == to { *z1 } else { self.interpolation().latent(z0, z1, s) };
             self.work.codes.push(code);
         }
-        self.scene.decoder.values(&self.work.codes, &mut self.work.jacobians);
+        let work = &mut *self.work;
+        self.scene.decoder.values(&work.codes, &mut work.jacobians);
         if tangents {
-            self.scene.decoder.tangents(&mut self.work.jacobians);
+            self.scene.decoder.tangents(&mut work.jacobians);
         }
     }
 
@@ -328,7 +330,12 @@ impl<'a> PathProblem<'a> {
             let root = root_of(curvature);
             for column in 0..3 {
                 let (a, b, c) = (root[(0, column)], root[(1, column)], root[(2, column)]);
-                work.rows.extend((0..n).map(|i| a * x[i] + b * y[i] + c * z[i]));
+                let first = work.rows.len();
+                work.rows.resize(first + n, 0.0);
+                let points = x.iter().zip(y).zip(z);
+                for (out, ((x, y), z)) in work.rows[first..].iter_mut().zip(points) {
+                    *out = a * x + b * y + c * z;
+                }
             }
         }
     }

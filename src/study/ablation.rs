@@ -64,7 +64,7 @@ pub fn factor(name: &str) -> Option<Factor> {
             config.publish_frames -= config.publish_frames % frames as usize;
         }),
         "stiffness" => {
-            numbers("stiffness x", &[0.0, 0.1, 0.3, 1.0, 3.0, 10.0], |config, factor| {
+            numbers("stiffness x", &[0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0], |config, factor| {
                 config.cost.stiffness = config.cost.stiffness.times(factor);
             })
         }
@@ -74,7 +74,7 @@ pub fn factor(name: &str) -> Option<Factor> {
         "scale" => numbers("scale px", &[10.0, 15.0, 30.0, 50.0, 100.0], |config, scale| {
             config.cost.scale_px = scale;
         }),
-        "prior" => numbers("prior", &[1.0, 3.0, 10.0, 30.0, 100.0], |config, prior| {
+        "prior" => numbers("prior", &[2.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, prior| {
             config.cost.prior = prior;
         }),
         "optimiser" => named(&[

@@ -22,7 +22,7 @@ pub struct Config {
     pub deadline_frames: usize,
     /// How many windows are gathered before the first solve; the shape comes from them.
     pub shape_windows: usize,
-    /// Iterations of a window's solve.
+    /// Most iterations of a window's solve.
     pub iterations: usize,
     /// Iterations before those with a looser loss. Differs: the paper has none.
     pub loose_iterations: usize,
@@ -75,14 +75,14 @@ impl Default for Config {
             publish_frames: 5,
             deadline_frames: 5,
             shape_windows: 3,
-            iterations: 30,
-            loose_iterations: 3,
+            iterations: 6,
+            loose_iterations: 1,
             loose_scale: 3.0,
             live_iterations: 3,
             coast_windows: 6,
             grace_windows: 6,
             acquisition_iterations: 30,
-            change_threshold: 1e-4,
+            change_threshold: 1e-3,
             method: Method::LevenbergMarquardt,
             cost: cost::Config::default(),
             min_confidence: 0.1,
@@ -98,11 +98,13 @@ impl Config {
         Self {
             keyframe_frames: 10,
             publish_frames: 10,
+            iterations: 30,
             loose_iterations: 0,
+            change_threshold: 1e-9,
             method: Method::Lbfgs,
             coast_windows: 3,
             grace_windows: 3,
-            cost: cost::Config { stiffness: Stiffness::NONE, ..cost::Config::default() },
+            cost: cost::Config { prior: 10.0, stiffness: Stiffness::NONE, ..Default::default() },
             ..Self::default()
         }
     }

@@ -5,7 +5,8 @@
 //! [`Job`], which [`Solver::solve`] answers, on any thread, and the answer comes back as
 //! [`Input::Solved`]. The same inputs in the same order give the same outputs, to the byte.
 //!
-//! A window is `window_frames` nominal frame periods long and closes when every camera's
+//! A window is `window_frames` nominal frame periods long, of which the first `publish_frames` are
+//! final when it is solved; the next window begins after them. It closes when every camera's
 //! watermark (the latest capture time it has shown) has passed its end, or when the newest capture
 //! time or tick is `deadline_frames` past it. At most one job is out at a time.
 

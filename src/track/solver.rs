@@ -20,6 +20,8 @@ use crate::time::Timestamp;
 const MIN_VIEW: usize = 4;
 /// A motion that is carried on while the performer is hidden dies away in this time, seconds.
 const DECAY: f64 = 0.1;
+/// Keyframes of the open window that a provisional fit goes over again, besides the new ones.
+const LIVE_KEYFRAMES: usize = 2;
 
 /// What is known of a window before it is solved.
 #[derive(Clone, Copy)]
@@ -254,8 +256,10 @@ impl Solver {
         });
         let mut knots: Vec<Knot> = fixed.collect();
         let period = (2 * job.half_frame).max(1) as f64;
-        let mut before = job.start;
-        for &capture in &job.knots {
+        let start = known.past.last().map_or(job.start, |(at, _)| *at);
+        let free = || job.knots.iter().copied().filter(|&capture| capture > start);
+        let mut before = start;
+        for capture in free() {
             let Some(keyframe) = known.at(capture, interpolation) else { continue };
             let frames = (capture - before) as f64 / period;
             knots.push(Knot { capture, keyframe, free: true, frames });
@@ -285,7 +289,7 @@ impl Solver {
         let summary = self.optimiser.minimise(&mut problem, &mut x, iterations);
         let (solved, _) = problem.solution(&x);
         let solved = solved.into_iter().skip(known.past.len()).map(Keyframe::settled);
-        (job.knots.iter().copied().zip(solved).collect(), summary)
+        (free().zip(solved).collect(), summary)
     }
 
     /// The pose at a time within a window whose keyframes are known.
@@ -318,7 +322,8 @@ impl Solver {
         Outcome::Tracked(Box::new(self.tracked(job, known, None, Vec::new(), verdict)))
     }
 
-    /// Keyframes up to the newest frame set of the open window.
+    /// Keyframes up to the newest frame set of the open window: the last ones known stay free, those
+    /// before them wait for the window's own solve.
     fn live(&mut self, job: &Job, points: &[BodyPoint], known: Known) -> Outcome {
         let Some((_, from)) = known.past.last() else { return Outcome::NobodyFound };
         let moments = self.follow(job.used_frames(), points, &job.rig, from, known.skeleton);
@@ -326,8 +331,18 @@ impl Solver {
         let keyframes = match hidden {
             true => known.ahead.to_vec(),
             false => {
+                let settled = known.ahead.len().saturating_sub(LIVE_KEYFRAMES);
+                let (settled, ahead) = known.ahead.split_at(settled);
+                let mut path: Vec<TimedKeyframe> = known.past.to_vec();
+                path.extend_from_slice(settled);
+                let past = &path[path.len().saturating_sub(2)..];
+                let start = past.last().map_or(job.start, |(at, _)| *at);
+                let recent: Vec<Moment> =
+                    moments.into_iter().filter(|m| m.capture > start + job.half_frame).collect();
                 let budget = [0, job.effort.live_iterations];
-                self.keyframes(job, points, known, &moments, budget).0
+                let window = Known { past, ahead, ..known };
+                let solved = self.keyframes(job, points, window, &recent, budget).0;
+                settled.iter().cloned().chain(solved).collect()
             }
         };
         let pose = self.pose_at(Known { ahead: &keyframes, ..known }, job.end);

@@ -5,7 +5,7 @@ use bundlemocap::camera::Rig;
 use bundlemocap::cost::{self, Knot, Moment, Observation, PathProblem, Scene, Workspace};
 use bundlemocap::detect::KeypointFormat;
 use bundlemocap::manifold::{Decoder, Interpolation, Jacobians, Keyframe};
-use bundlemocap::solve::{Method, Normal, Problem};
+use bundlemocap::solve::{Method, Normal, Optimiser, Problem, Summary};
 use bundlemocap::synth;
 use bundlemocap::time::Timestamp;
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -19,7 +19,8 @@ struct Case {
     skeleton: Skeleton,
     config: cost::Config,
     moments: Vec<Moment>,
-    from: Keyframe,
+    /// The truth of each frame, from that before the window on.
+    truth: Vec<Keyframe>,
 }
 
 fn keyframe(step: f64) -> Keyframe {
@@ -32,17 +33,35 @@ fn keyframe(step: f64) -> Keyframe {
     }
 }
 
-fn case() -> Case {
+/// How large a window is.
+#[derive(Clone, Copy)]
+struct Size {
+    cameras: usize,
+    format: KeypointFormat,
+    frames: u64,
+}
+
+const USUAL: Size = Size { cameras: 4, format: KeypointFormat::Body25, frames: 10 };
+
+fn time(frame: u64) -> Timestamp {
+    Timestamp::of_frame(frame + 1, 60.0)
+}
+
+fn case(Size { cameras, format, frames }: Size) -> Case {
     let decoder = Decoder::embedded().expect("embedded weights");
-    let rig = synth::ring_rig(4, 4.0, 1.5).expect("a valid ring");
-    let points = fitted_points(KeypointFormat::Body25);
+    let rig = synth::ring_rig(cameras, 4.0, 1.5).expect("a valid ring");
+    let points = fitted_points(format);
     let skeleton = Skeleton::default();
-    let (from, to) = (keyframe(0.0), keyframe(1.0));
+    let truth: Vec<Keyframe> = (0..=frames + 1)
+        .map(|frame| {
+            let (from, to, s) = (keyframe(0.0), keyframe(1.0), (frame as f64 - 1.0) / 10.0);
+            Interpolation::Slerp.keyframe(&from, &to, s)
+        })
+        .collect();
     let mut count = 0.0_f64;
-    let moments = (1..=10)
-        .map(|i| {
-            let at = Interpolation::Slerp.keyframe(&from, &to, f64::from(i) / 10.0);
-            let posture = decoder.pose(&at).posture(&skeleton);
+    let moments = (1..=frames)
+        .map(|frame| {
+            let posture = decoder.pose(&truth[frame as usize + 1]).posture(&skeleton);
             let mut seen = Vec::new();
             for (camera, view) in rig.cameras.iter().enumerate() {
                 for (point, body_point) in points.iter().enumerate() {
@@ -55,58 +74,93 @@ fn case() -> Case {
                     seen.push(Observation { point, camera, pixel, confidence: 0.8 });
                 }
             }
-            Moment::new(Timestamp::of_frame(i as u64, 60.0), seen)
+            Moment::new(time(frame), seen)
         })
         .collect();
-    Case { decoder, rig, points, skeleton, config: cost::Config::default(), moments, from }
+    Case { decoder, rig, points, skeleton, config: cost::Config::default(), moments, truth }
 }
 
 impl Case {
-    fn problem<'a>(&'a self, work: &'a mut Workspace) -> PathProblem<'a> {
+    /// The window with a keyframe every so many frames, begun at the last one known.
+    fn problem<'a>(&'a self, spacing: u64, work: &'a mut Workspace) -> PathProblem<'a> {
         let scene = Scene {
             decoder: &self.decoder,
             rig: &self.rig,
             points: &self.points,
             config: &self.config,
         };
-        let knot = |frame, free| Knot {
-            capture: Timestamp::of_frame(frame, 60.0),
-            keyframe: self.from.clone(),
-            free,
-            frames: 10.0,
-        };
-        let knots = vec![knot(0, false), knot(10, true)];
+        let frames = self.moments.len() as u64;
+        let past = [0, 1].map(|k| Knot {
+            capture: Timestamp::of_frame(k, 60.0),
+            keyframe: self.truth[k as usize].clone(),
+            free: false,
+            frames: 0.0,
+        });
+        let free = (1..=frames).filter(|frame| frame % spacing == 0).map(|frame| Knot {
+            capture: time(frame),
+            keyframe: self.truth[1].clone(),
+            free: true,
+            frames: spacing as f64,
+        });
+        let knots = past.into_iter().chain(free).collect();
         PathProblem::new(scene, knots, &self.skeleton, false, &self.moments, work)
+    }
+
+    fn solve(&self, spacing: u64, optimiser: &mut dyn Optimiser, work: &mut Workspace) -> Summary {
+        let mut problem = self.problem(spacing, work);
+        let mut x = problem.start();
+        optimiser.minimise(&mut problem, &mut x, 30)
     }
 }
 
 fn window(c: &mut Criterion) {
-    let case = case();
-    for (name, method) in [("lm", Method::LevenbergMarquardt), ("lbfgs", Method::Lbfgs)] {
-        let (mut optimiser, mut work) = (method.optimiser(1e-4), Workspace::default());
-        c.bench_function(&format!("window solve, {name}"), |b| {
-            b.iter(|| {
-                let mut problem = case.problem(&mut work);
-                let mut x = problem.start();
-                optimiser.minimise(&mut problem, &mut x, 30)
-            });
-        });
+    let case = case(USUAL);
+    for (name, spacing, method) in [
+        ("window solve", 1, Method::LevenbergMarquardt),
+        ("paper's window solve, lm", 10, Method::LevenbergMarquardt),
+        ("paper's window solve, lbfgs", 10, Method::Lbfgs),
+    ] {
+        let (mut optimiser, mut work) = (method.optimiser(1e-3), Workspace::default());
+        c.bench_function(name, |b| b.iter(|| case.solve(spacing, &mut *optimiser, &mut work)));
     }
     let mut work = Workspace::default();
-    let mut problem = case.problem(&mut work);
+    let mut problem = case.problem(1, &mut work);
     let x = problem.start();
     let mut gradient = vec![0.0; x.len()];
     let mut normal = Normal::zeros(problem.layout());
     c.bench_function("window cost", |b| b.iter(|| problem.cost(&x)));
     c.bench_function("window gradient", |b| b.iter(|| problem.gradient(&x, &mut gradient)));
     c.bench_function("window normal equations", |b| {
-        b.iter(|| problem.linearise(&x, &mut gradient, &mut hessian));
+        b.iter(|| problem.linearise(&x, &mut normal));
+    });
+    c.bench_function("window factorisation", |b| {
+        b.iter(|| {
+            let mut factor = normal.hessian.clone();
+            (0..x.len()).for_each(|i| factor.add_to_diagonal(i, 1.0));
+            factor.factorise()
+        });
     });
 }
 
+/// How the time of a solve grows with what is seen.
+fn sizes(c: &mut Criterion) {
+    let mut group = c.benchmark_group("window solve by size");
+    let cameras = [2, 4, 8, 16, 32].map(|cameras| Size { cameras, ..USUAL });
+    let frames = [5, 10, 20, 40].map(|frames| Size { frames, ..USUAL });
+    let whole_body = Size { format: KeypointFormat::CocoWholebody133, ..USUAL };
+    for size in cameras.into_iter().chain(frames).chain([whole_body]) {
+        let case = case(size);
+        let mut optimiser = Method::LevenbergMarquardt.optimiser(1e-3);
+        let mut work = Workspace::default();
+        let Size { cameras, format, frames } = size;
+        let name = format!("{cameras} cameras, {}, {frames} frames", format.name());
+        group.bench_function(name, |b| b.iter(|| case.solve(1, &mut *optimiser, &mut work)));
+    }
+}
+
 fn decoder(c: &mut Criterion) {
-    let case = case();
-    let codes = [case.from.z; 10];
+    let case = case(USUAL);
+    let codes = [case.truth[0].z; 10];
     let mut work = Jacobians::default();
     c.bench_function("decode 10 codes", |b| b.iter(|| case.decoder.values(&codes, &mut work)));
     c.bench_function("decode 10 codes with tangents", |b| {
@@ -120,6 +174,6 @@ fn decoder(c: &mut Criterion) {
 criterion_group! {
     name = benches;
     config = Criterion::default().without_plots();
-    targets = window, decoder
+    targets = window, sizes, decoder
 }
 criterion_main!(benches);

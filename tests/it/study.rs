@@ -199,7 +199,10 @@ fn drift_and_ablation_print_their_tables() {
     assert!(printed.contains("slope mm/min"), "{printed}");
     assert!(results["levels"][0]["drift"][0]["slope_mm_per_min"]["low"].is_number());
     let (printed, _) = done(place.path(), &format!("{tiny} --ablation interpolation"));
-    assert!(printed.contains("slerp (default)") && printed.contains("lerp"), "{printed}");
+    assert!(
+        printed.contains("keyframe each frame (default)") && printed.contains("lerp"),
+        "{printed}"
+    );
 }
 
 #[test]
