@@ -2,7 +2,7 @@
 //!
 //! The weights of a method are axes (see [`axes`]), begun at its defaults. Along one axis after
 //! the other the value is tried with each factor, the others held; the best is kept. Two rounds.
-//! What is best is judged by [`judge`] on motions that the evaluation does not use.
+//! What is best is judged by MPJPE and MAE on motions that the evaluation does not use.
 
 use serde::Serialize;
 

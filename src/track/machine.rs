@@ -610,12 +610,9 @@ impl Track {
     /// The times of the window's keyframes.
     fn knots(&self, window: Window) -> Vec<Timestamp> {
         let Some(grid) = self.frames else { return vec![window.end] };
-        let first = grid.nearest(window.start);
-        let frames = (first + 1..).step_by(1).map(|k| (k, grid.time(k)));
-        let spacing = self.config.keyframe() as i64;
-        let inside = frames.take_while(|(_, time)| *time < window.end);
-        let mut knots: Vec<Timestamp> =
-            inside.filter(|(k, _)| (k - first) % spacing == 0).map(|(_, time)| time).collect();
+        let first = grid.nearest(window.start) + self.config.keyframe() as i64;
+        let times = (first..).step_by(self.config.keyframe()).map(|k| grid.time(k));
+        let mut knots: Vec<Timestamp> = times.take_while(|time| *time < window.end).collect();
         knots.push(window.end);
         knots
     }
