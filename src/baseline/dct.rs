@@ -39,8 +39,8 @@ pub struct DctWeights {
 impl Default for DctWeights {
     fn default() -> Self {
         Self {
-            smoothness: 1e5,
-            prior: 100.0,
+            smoothness: 3e4,
+            prior: 30.0,
             scale_px: 30.0,
             segment: 30,
             components: 10,

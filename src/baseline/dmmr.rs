@@ -50,10 +50,10 @@ pub struct DmmrWeights {
 impl Default for DmmrWeights {
     fn default() -> Self {
         Self {
-            latent: 1000.0,
-            turn: 1e5,
-            shift: 1e6,
-            prior: 100.0,
+            latent: 300.0,
+            turn: 3e4,
+            shift: 3e5,
+            prior: 30.0,
             scale_px: 30.0,
             loose_scale: 3.0,
             segment: 30,

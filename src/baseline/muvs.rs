@@ -36,7 +36,7 @@ pub struct MuVsWeights {
 
 impl Default for MuVsWeights {
     fn default() -> Self {
-        Self { prior: 100.0, scale_px: 30.0, iterations: 30, loose_iterations: 3, loose_scale: 3.0 }
+        Self { prior: 30.0, scale_px: 30.0, iterations: 30, loose_iterations: 3, loose_scale: 3.0 }
     }
 }
 

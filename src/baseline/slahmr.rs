@@ -53,11 +53,11 @@ pub struct SlahmrWeights {
 impl Default for SlahmrWeights {
     fn default() -> Self {
         Self {
-            prior: 100.0,
-            scale_px: 30.0,
+            prior: 30.0,
+            scale_px: 60.0,
             smoothness: 1e5,
             last_smoothness: 0.0,
-            transition: 100.0,
+            transition: 300.0,
             iterations: [30, 60, 20],
             rounds: 3,
         }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::{Delay, Method, Solved, Take};
+use crate::cost;
 use crate::manifold::Decoder;
 use crate::track::{Config, Input, Output, Solver, Track};
 
@@ -33,7 +34,9 @@ impl Windows {
     /// first with a looser loss.
     pub fn paper_with_our_optimiser() -> Self {
         let Config { method, loose_iterations, change_threshold, .. } = Config::default();
-        let config = Config { method, loose_iterations, change_threshold, ..Config::paper() };
+        let paper = Config::paper();
+        let cost = cost::Config { scale_px: 30.0, ..paper.cost };
+        let config = Config { method, loose_iterations, change_threshold, cost, ..paper };
         Self::new("BundleMoCap (paper, LM)", config)
     }
 

@@ -104,7 +104,12 @@ impl Config {
             method: Method::Lbfgs,
             coast_windows: 3,
             grace_windows: 3,
-            cost: cost::Config { prior: 10.0, stiffness: Stiffness::NONE, ..Default::default() },
+            cost: cost::Config {
+                prior: 30.0,
+                scale_px: 60.0,
+                stiffness: Stiffness::NONE,
+                ..Default::default()
+            },
             ..Self::default()
         }
     }
