@@ -93,12 +93,6 @@ impl<'a> PathProblem<'a> {
         self.loss = GemanMcClure::new(scale_px);
     }
 
-    /// Lets near codes share a Jacobian of the decoder in the Hessian, which only steers the steps;
-    /// gradients stay exact. For paths that begin near their solution.
-    pub fn share_jacobians(&mut self) {
-        self.work.share_jacobians();
-    }
-
     /// The unknowns to start from.
     pub fn start(&self) -> Vec<f64> {
         self.unknowns.start()

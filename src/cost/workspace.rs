@@ -8,9 +8,6 @@ use crate::manifold::{Decoder, Jacobians, LATENT, Latent};
 /// Rows of the derivatives of the local rotations.
 pub(super) const LOCAL_ROWS: usize = 3 * BODY_JOINTS;
 
-/// Codes this near share a Jacobian where that is allowed; they have a length of 5 to 6.
-const NEAR: f64 = 1.0;
-
 /// Memory that problems use in turn; grows to the largest and stays.
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
@@ -19,8 +16,6 @@ pub struct Workspace {
     pub(super) jacobians: Jacobians,
     /// The codes at which the decoder was linearised last.
     linearised_at: Vec<Latent>,
-    /// How far from there that Jacobian may still be used.
-    near: f64,
     /// Moments whose Jacobian is to be renewed, and whether it is that of the moment before.
     moved: Vec<(usize, bool)>,
     /// Right tangents of the local rotations by the code there, 63 x 32 for each moment.
@@ -77,12 +72,6 @@ impl Workspace {
     pub(super) fn forget(&mut self) {
         self.codes.clear();
         self.linearised_at.clear();
-        self.near = 0.0;
-    }
-
-    /// Lets near codes share a Jacobian of the decoder in the Hessian.
-    pub(super) fn share_jacobians(&mut self) {
-        self.near = NEAR;
     }
 
     /// Decodes the codes of all moments at once, unless they are those decoded last.
@@ -103,18 +92,17 @@ impl Workspace {
         }
     }
 
-    /// Makes sure of a Jacobian of the decoder near the code of each moment: that which it had, or
-    /// the one of the moment before, or a new one.
+    /// Makes sure of a Jacobian of the decoder at the code of each moment: that which it had, or the
+    /// one of the moment before, or a new one.
     pub(super) fn linearise(&mut self, decoder: &Decoder) {
         const SIZE: usize = LOCAL_ROWS * LATENT;
-        let Self { codes, linearised_at, near, jacobians, by_code, moved, counts, .. } = self;
+        let Self { codes, linearised_at, jacobians, by_code, moved, counts, .. } = self;
         by_code.resize(codes.len() * SIZE, 0.0);
         linearised_at.resize(codes.len(), [f64::INFINITY; LATENT]);
         moved.clear();
         for (m, code) in codes.iter().enumerate() {
-            let is_near = |at: &Latent| distance_squared(code, at) <= *near * *near;
-            if !is_near(&linearised_at[m]) {
-                let shared = linearised_at[..m].last().copied().filter(is_near);
+            if linearised_at[m] != *code {
+                let shared = linearised_at[..m].last().copied().filter(|at| at == code);
                 linearised_at[m] = shared.unwrap_or(*code);
                 moved.push((m, shared.is_some()));
             }
@@ -137,8 +125,4 @@ impl Workspace {
         self.counts.gradients += self.codes.len();
         decoder.pull_back(&self.by_rotation, &mut self.jacobians, &mut self.code_gradients);
     }
-}
-
-fn distance_squared(a: &Latent, b: &Latent) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }

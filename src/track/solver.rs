@@ -270,7 +270,6 @@ impl Solver {
         }
         let mut problem =
             PathProblem::new(scene, knots, known.skeleton, false, moments, &mut self.work);
-        problem.share_jacobians();
         let mut x = problem.start();
         if let Some([(t0, a), (t1, b)]) = known.last_two() {
             // Or else: the root goes on as it did.

@@ -114,7 +114,6 @@ impl Case {
 
     fn solve(&self, spacing: u64, optimiser: &mut dyn Optimiser, work: &mut Workspace) -> Summary {
         let mut problem = self.problem(spacing, work);
-        problem.share_jacobians();
         let mut x = problem.start();
         optimiser.minimise(&mut problem, &mut x, 30)
     }
