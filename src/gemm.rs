@@ -1,4 +1,5 @@
-//! Dense products on row-major slices, by `faer` on one thread. They allocate nothing.
+//! Dense products on row-major slices, by `faer` on one thread, and loops in wide registers. They
+//! allocate nothing.
 
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
@@ -7,6 +8,34 @@ use faer::{MatMut, MatRef, Par};
 
 /// Whether a product replaces what is there or is added to it.
 pub use faer::Accum;
+
+/// Defines a function that is compiled twice, for any processor and for one with AVX2, and chooses as it
+/// runs. Both do the same operations in the same order, so the results do not depend on the processor.
+/// What it calls must be inlined into it.
+macro_rules! wide {
+    (
+        $(#[$attribute:meta])*
+        $visibility:vis fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $output:ty)?
+        $body:block
+    ) => {
+        $(#[$attribute])*
+        $visibility fn $name($($argument: $type),*) $(-> $output)? {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2")]
+                fn avx2($($argument: $type),*) $(-> $output)? $body
+                if std::arch::is_x86_feature_detected!("avx2") {
+                    // SAFETY: the processor has AVX2.
+                    #[allow(unsafe_code, clippy::let_unit_value)]
+                    let output = unsafe { avx2($($argument),*) };
+                    return output;
+                }
+            }
+            $body
+        }
+    };
+}
+pub(crate) use wide;
 
 /// out (m x n) = or += a (m x k) b (k x n).
 pub fn product<T: ComplexField>(

@@ -65,7 +65,7 @@ impl Joints {
         self.jacobians.resize(at + COORDINATES * UNKNOWNS, 0.0);
         let rows = self.jacobians[at..].chunks_exact_mut(3 * UNKNOWNS);
         for (joint, rows) in Joint::ALL.into_iter().zip(rows) {
-            tangents.point(joint, &Vector3::zeros(), rows);
+            rows.copy_from_slice(tangents.shift(joint));
         }
     }
 

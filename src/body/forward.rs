@@ -59,13 +59,23 @@ impl Tangents {
         self.columns
     }
 
-    /// The derivative of a point of `joint` that sits at `arm` = G_j offset from its centre,
-    /// as 3 rows written to `out` (row-major, `3 * columns`): dP_j + w_j x arm.
-    pub fn point(&self, joint: Joint, arm: &Vector3<f64>, out: &mut [f64]) {
-        let (n, rows) = (self.columns, joint.index() * 3 * self.columns);
-        let turn = &self.turn[rows..rows + 3 * n];
-        let shift = &self.shift[rows..rows + 3 * n];
-        add_moved(shift, turn, arm, n, &mut out[..3 * n]);
+    /// How far a point of `joint`, at `arm` = G_j offset from its centre, moves along `direction`:
+    /// a row d . (dP_j + w_j x arm) = d . dP_j + (arm x d) . w_j, written to `out`.
+    pub fn along(
+        &self,
+        joint: Joint,
+        arm: &Vector3<f64>,
+        direction: &Vector3<f64>,
+        out: &mut [f64],
+    ) {
+        let rows = joint.index() * 3 * self.columns..(joint.index() + 1) * 3 * self.columns;
+        let (turn, shift) = (&self.turn[rows.clone()], &self.shift[rows]);
+        contract(turn, &arm.cross(direction), shift, direction, out);
+    }
+
+    /// The derivative of the centre of `joint`, 3 x columns, row-major.
+    pub fn shift(&self, joint: Joint) -> &[f64] {
+        &self.shift[joint.index() * 3 * self.columns..][..3 * self.columns]
     }
 
     /// The world-frame angular tangent of `joint` by parameter `column`.
@@ -75,18 +85,42 @@ impl Tangents {
     }
 }
 
-/// out = shift + turn x arm, for 3 x n blocks.
-fn add_moved(shift: &[f64], turn: &[f64], arm: &Vector3<f64>, n: usize, out: &mut [f64]) {
-    let (wx, rest) = turn.split_at(n);
-    let (wy, wz) = rest.split_at(n);
-    let (sx, rest) = shift.split_at(n);
-    let (sy, sz) = rest.split_at(n);
-    let (ox, rest) = out.split_at_mut(n);
-    let (oy, oz) = rest.split_at_mut(n);
-    for c in 0..n {
-        ox[c] = sx[c] + wy[c] * arm.z - wz[c] * arm.y;
-        oy[c] = sy[c] + wz[c] * arm.x - wx[c] * arm.z;
-        oz[c] = sz[c] + wx[c] * arm.y - wy[c] * arm.x;
+crate::gemm::wide! {
+    /// out = torque^T turn + force^T shift, for 3 x n blocks.
+    fn contract(
+        turn: &[f64],
+        torque: &Vector3<f64>,
+        shift: &[f64],
+        force: &Vector3<f64>,
+        out: &mut [f64],
+    ) {
+        let n = turn.len() / 3;
+        let (out, (tx, rest)) = (&mut out[..n], turn.split_at(n));
+        let (ty, tz) = rest.split_at(n);
+        let (sx, rest) = shift.split_at(n);
+        let ((sy, sz), tz) = (rest.split_at(n), &tz[..n]);
+        let sz = &sz[..n];
+        for (c, out) in out.iter_mut().enumerate() {
+            let turned = torque.x * tx[c] + torque.y * ty[c] + torque.z * tz[c];
+            *out = turned + force.x * sx[c] + force.y * sy[c] + force.z * sz[c];
+        }
+    }
+}
+
+crate::gemm::wide! {
+    /// out = shift + turn x arm, for 3 x n blocks.
+    fn add_moved(shift: &[f64], turn: &[f64], arm: &Vector3<f64>, n: usize, out: &mut [f64]) {
+        let (wx, rest) = turn.split_at(n);
+        let (wy, wz) = rest.split_at(n);
+        let (sx, rest) = shift.split_at(n);
+        let (sy, sz) = rest.split_at(n);
+        let (ox, rest) = out.split_at_mut(n);
+        let (oy, oz) = rest.split_at_mut(n);
+        for c in 0..n {
+            ox[c] = sx[c] + wy[c] * arm.z - wz[c] * arm.y;
+            oy[c] = sy[c] + wz[c] * arm.x - wx[c] * arm.z;
+            oz[c] = sz[c] + wx[c] * arm.y - wy[c] * arm.x;
+        }
     }
 }
 
@@ -114,7 +148,8 @@ pub fn push_forward(
         let parent_turn = &done[parent * block..(parent + 1) * block];
         here[..block].copy_from_slice(parent_turn);
         let rows = &local[(j - 1) * 3 * local_columns..j * 3 * local_columns];
-        add_rotated(&posture.rotations[j], rows, local_columns, n, &mut here[..block]);
+        let m = local_columns;
+        add_rotated(&posture.rotations[j], rows, m, n, &mut here[..block]);
 
         let parent_rotation = &posture.rotations[parent];
         let arm = parent_rotation * skeleton.offset(*joint);
@@ -132,14 +167,16 @@ pub fn push_forward(
     }
 }
 
-/// turn (3 x n) += G rows (3 x m), in the first m columns.
-fn add_rotated(g: &Matrix3<f64>, rows: &[f64], m: usize, n: usize, turn: &mut [f64]) {
-    let (x, rest) = rows.split_at(m);
-    let (y, z) = rest.split_at(m);
-    for row in 0..3 {
-        let (gx, gy, gz) = (g[(row, 0)], g[(row, 1)], g[(row, 2)]);
-        for (c, out) in turn[row * n..row * n + m].iter_mut().enumerate() {
-            *out += gx * x[c] + gy * y[c] + gz * z[c];
+crate::gemm::wide! {
+    /// turn (3 x n) += G rows (3 x m), in the first m columns.
+    fn add_rotated(g: &Matrix3<f64>, rows: &[f64], m: usize, n: usize, turn: &mut [f64]) {
+        let (x, rest) = rows.split_at(m);
+        let (y, z) = rest.split_at(m);
+        for row in 0..3 {
+            let (gx, gy, gz) = (g[(row, 0)], g[(row, 1)], g[(row, 2)]);
+            for (c, out) in turn[row * n..row * n + m].iter_mut().enumerate() {
+                *out += gx * x[c] + gy * y[c] + gz * z[c];
+            }
         }
     }
 }
@@ -166,5 +203,49 @@ impl Tangents {
         for row in 0..3 {
             self.shift[row * self.columns + column + row] = scale;
         }
+    }
+}
+
+/// The gradient of a cost by where the joints are and how they are turned, as forces and torques:
+/// what moves a joint moves all that hang on it.
+#[derive(Clone, Debug)]
+pub struct Wrenches {
+    force: [Vector3<f64>; JOINTS],
+    /// About the joint's centre, in the world frame.
+    torque: [Vector3<f64>; JOINTS],
+}
+
+impl Wrenches {
+    /// No force yet.
+    pub fn zeros() -> Self {
+        Self { force: [Vector3::zeros(); JOINTS], torque: [Vector3::zeros(); JOINTS] }
+    }
+
+    /// Adds the gradient by the position of a point of `joint`, `arm` from its centre (world frame).
+    pub fn add(&mut self, joint: Joint, arm: &Vector3<f64>, gradient: &Vector3<f64>) {
+        self.force[joint.index()] += gradient;
+        self.torque[joint.index()] += arm.cross(gradient);
+    }
+
+    /// Adds to each joint what acts on those that hang on it, from the tips to the pelvis.
+    pub fn gather(&mut self, posture: &Posture) {
+        for joint in Joint::ALL[1..].iter().rev() {
+            let Some(parent) = joint.parent().map(Joint::index) else { continue };
+            let j = joint.index();
+            let arm = posture.positions[j] - posture.positions[parent];
+            self.force[parent] += self.force[j];
+            self.torque[parent] += self.torque[j] + arm.cross(&self.force[j]);
+        }
+    }
+
+    /// Once gathered: the gradient by a move of `joint` with all that hangs on it, world frame.
+    pub fn force(&self, joint: Joint) -> &Vector3<f64> {
+        &self.force[joint.index()]
+    }
+
+    /// Once gathered: the gradient by the left (world-frame) turn of `joint`. Its rotation times
+    /// the local right tangent is such a turn.
+    pub fn torque(&self, joint: Joint) -> &Vector3<f64> {
+        &self.torque[joint.index()]
     }
 }

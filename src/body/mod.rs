@@ -9,7 +9,7 @@ mod keypoints;
 mod pose;
 mod skeleton;
 
-pub use forward::{Posture, Tangents, forward, push_forward};
+pub use forward::{Posture, Tangents, Wrenches, forward, push_forward};
 pub use joints::{BODY_JOINTS, JOINTS, Joint};
 pub use keypoints::{Attachment, BodyPoint, fitted_points};
 pub use pose::{Pose, StampedPose, TrackingState};

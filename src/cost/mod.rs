@@ -11,15 +11,18 @@
 
 mod blocks;
 mod config;
+mod moment;
 mod observation;
 mod path;
 mod robust;
 mod stiffness;
 mod unknowns;
+mod workspace;
 
 pub use config::Config;
 pub use observation::{Moment, Observation};
-pub use path::{PathProblem, Scene, Workspace};
+pub use path::{PathProblem, Scene};
 pub use robust::GemanMcClure;
 pub use stiffness::Stiffness;
 pub use unknowns::Knot;
+pub use workspace::{Counts, Workspace};

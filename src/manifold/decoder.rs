@@ -38,10 +38,12 @@ pub struct Jacobians {
     values: Vec<Vec<f64>>,
     /// SiLU' at each hidden unit, batch x outputs.
     slopes: Vec<Vec<f32>>,
-    /// Tangents after the layer just done, outputs x (batch * LATENT).
+    /// Tangents after the layer just done, outputs x (codes * LATENT); or a gradient on its way back.
     tangents: Vec<f32>,
     next_tangents: Vec<f32>,
     batch: usize,
+    /// Which codes of the batch the tangents are of.
+    linearised: Vec<usize>,
 }
 
 impl Decoder {
@@ -71,11 +73,20 @@ impl Decoder {
 
     /// The pose of a keyframe.
     pub fn pose(&self, keyframe: &Keyframe) -> Pose {
-        Pose {
+        self.poses(std::slice::from_ref(keyframe)).swap_remove(0)
+    }
+
+    /// The poses of keyframes, decoded together.
+    pub fn poses(&self, keyframes: &[Keyframe]) -> Vec<Pose> {
+        let codes: Vec<Latent> = keyframes.iter().map(|keyframe| keyframe.z).collect();
+        let mut work = Jacobians::default();
+        self.values(&codes, &mut work);
+        let pose = |(n, keyframe): (usize, &Keyframe)| Pose {
             root_rotation: keyframe.root_rotation,
             root_position: keyframe.root_position,
-            local: self.decode(&keyframe.z),
-        }
+            local: work.rotations(n),
+        };
+        keyframes.iter().enumerate().map(pose).collect()
     }
 
     /// Runs a batch of codes; read the results with [`Jacobians::rotations`].
@@ -97,13 +108,21 @@ impl Decoder {
         }
     }
 
-    /// The derivatives of the codes last given to [`Decoder::values`]; read them with
+    /// The derivatives of all codes last given to [`Decoder::values`]; read them with
     /// [`Jacobians::local_tangents`].
     pub fn tangents(&self, work: &mut Jacobians) {
-        let columns = work.batch * LATENT;
+        self.tangents_of(0..work.batch, work);
+    }
+
+    /// The same for some of the codes, by their places in the batch.
+    pub fn tangents_of(&self, codes: impl IntoIterator<Item = usize>, work: &mut Jacobians) {
+        work.linearised.clear();
+        work.linearised.extend(codes);
+        let columns = work.linearised.len() * LATENT;
         if columns == 0 {
             return;
         }
+        work.reserve_tangents(&self.layers, columns);
         for (n, layer) in self.layers.iter().enumerate() {
             let out = &mut work.next_tangents[..layer.outputs * columns];
             if n == 0 {
@@ -117,15 +136,44 @@ impl Decoder {
                 gemm::product(sizes, &layer.weight, &work.tangents, gemm::Accum::Replace, out);
             }
             if n + 1 < self.layers.len() {
-                for (unit, row) in out.chunks_exact_mut(columns).enumerate() {
-                    for (frame, block) in row.chunks_exact_mut(LATENT).enumerate() {
-                        let slope = work.slopes[n][frame * layer.outputs + unit];
-                        block.iter_mut().for_each(|v| *v *= slope);
-                    }
-                }
+                scale_blocks(out, &work.linearised, &work.slopes[n], layer.outputs);
             }
             std::mem::swap(&mut work.tangents, &mut work.next_tangents);
         }
+    }
+
+    /// The gradient of a cost by the codes last given to [`Decoder::values`], batch x 32, from that
+    /// by their local rotations (right tangents), batch x 63: a pass back through the layers.
+    pub fn pull_back(&self, by_rotation: &[f64], work: &mut Jacobians, by_code: &mut Vec<f64>) {
+        let batch = work.batch;
+        by_code.clear();
+        if batch == 0 {
+            return;
+        }
+        work.reserve_tangents(&self.layers, batch);
+        for (code, by_rotation) in by_rotation.chunks_exact(3 * BODY_JOINTS).enumerate() {
+            for (joint, by_rotation) in by_rotation.chunks_exact(3).enumerate() {
+                let [a, b] = work.columns_of(code, joint);
+                let map = Frame::of(&a, &b).map(|frame| frame.tangent_map(&b));
+                let at = code * OUTPUTS + joint * 6;
+                for (k, out) in work.tangents[at..at + 6].iter_mut().enumerate() {
+                    let pulled = |map: [[f64; 6]; 3]| {
+                        map.iter().zip(by_rotation).map(|(row, g)| row[k] * g).sum::<f64>() as f32
+                    };
+                    *out = map.map_or(0.0, pulled);
+                }
+            }
+        }
+        for (n, layer) in self.layers.iter().enumerate().rev() {
+            let sizes = [batch, layer.outputs, layer.inputs];
+            let out = &mut work.next_tangents[..batch * layer.inputs];
+            gemm::product(sizes, &work.tangents, &layer.weight, gemm::Accum::Replace, out);
+            if n > 0 {
+                out.iter_mut().zip(&work.slopes[n - 1]).for_each(|(g, slope)| *g *= slope);
+            }
+            std::mem::swap(&mut work.tangents, &mut work.next_tangents);
+        }
+        by_code.extend(work.tangents[..batch * LATENT].iter().map(|&g| f64::from(g)));
     }
 }
 
@@ -138,9 +186,19 @@ impl Jacobians {
             self.values[n].resize(batch * layer.outputs, 0.0);
             self.slopes[n].resize(batch * layer.outputs, 0.0);
         }
+    }
+
+    /// Makes room for a pass of so many columns.
+    fn reserve_tangents(&mut self, layers: &[Layer], columns: usize) {
         let widest = layers.iter().map(|l| l.outputs).max().unwrap_or(0);
-        self.tangents.resize(widest * batch * LATENT, 0.0);
-        self.next_tangents.resize(widest * batch * LATENT, 0.0);
+        let size = (widest * columns).max(self.tangents.len());
+        self.tangents.resize(size, 0.0);
+        self.next_tangents.resize(size, 0.0);
+    }
+
+    /// The places in the batch of the codes that the tangents are of.
+    pub fn linearised(&self) -> &[usize] {
+        &self.linearised
     }
 
     fn columns_of(&self, code: usize, joint: usize) -> [Vector3<f64>; 2] {
@@ -158,29 +216,22 @@ impl Jacobians {
         })
     }
 
-    /// Right tangents of the 21 rotations by the code: writes 63 x 32, row-major.
+    /// Right tangents of the 21 rotations by the code at that place in the batch, one of those given
+    /// to [`Decoder::tangents_of`]: writes 63 x 32, row-major.
     ///
     /// With dR = R \[d\]x: d_z = c2 . da / |a|, d_y = -c3 . da / |a|,
     /// d_x = (c3 . db - (c1 . b) (c3 . da) / |a|) / |b - (c1 . b) c1|.
     pub fn local_tangents(&self, code: usize, out: &mut [f64]) {
-        let columns = self.batch * LATENT;
-        for joint in 0..BODY_JOINTS {
-            let rows = &mut out[joint * 3 * LATENT..(joint + 1) * 3 * LATENT];
+        let columns = self.linearised.len() * LATENT;
+        let Some(slot) = self.linearised.iter().position(|&place| place == code) else { return };
+        for (joint, rows) in out.chunks_exact_mut(3 * LATENT).enumerate() {
             let [a, b] = self.columns_of(code, joint);
             let Some(frame) = Frame::of(&a, &b) else {
                 rows.fill(0.0);
                 continue;
             };
-            let map = frame.tangent_map(&b);
-            let six: [&[f32]; 6] = std::array::from_fn(|k| {
-                let at = (joint * 6 + k) * columns + code * LATENT;
-                &self.tangents[at..at + LATENT]
-            });
-            for (row, factors) in rows.chunks_exact_mut(LATENT).zip(&map) {
-                for (c, value) in row.iter_mut().enumerate() {
-                    *value = (0..6).map(|k| factors[k] * f64::from(six[k][c])).sum();
-                }
-            }
+            let six = &self.tangents[joint * 6 * columns..(joint + 1) * 6 * columns];
+            map_six(&frame.tangent_map(&b), six, columns, slot * LATENT, rows);
         }
     }
 }
@@ -227,13 +278,65 @@ pub(super) fn transposed(layer: &Layer) -> Vec<f64> {
     (0..layer.inputs).flat_map(column).map(|&w| f64::from(w)).collect()
 }
 
-/// x -> x / (1 + exp(-x)) in place, with its derivative.
-pub(super) fn silu(values: &mut [f64], slopes: &mut [f32]) {
-    for (value, slope) in values.iter_mut().zip(slopes) {
-        let gate = 1.0 / (1.0 + (-*value).exp());
-        *slope = (gate * (1.0 + *value * (1.0 - gate))) as f32;
-        *value *= gate;
+gemm::wide! {
+    /// Tangents through SiLU: a row for each unit, in it 32 for each of `codes`.
+    fn scale_blocks(tangents: &mut [f32], codes: &[usize], slopes: &[f32], units: usize) {
+        for (unit, row) in tangents.chunks_exact_mut(codes.len() * LATENT).enumerate() {
+            for (block, code) in row.chunks_exact_mut(LATENT).zip(codes) {
+                let slope = slopes[code * units + unit];
+                block.iter_mut().for_each(|v| *v *= slope);
+            }
+        }
     }
+}
+
+gemm::wide! {
+    /// out (3 x 32) = map (3 x 6) six (6 x 32), the latter from column `first` of rows of `columns`.
+    fn map_six(map: &[[f64; 6]; 3], six: &[f32], columns: usize, first: usize, out: &mut [f64]) {
+        out.fill(0.0);
+        for (k, row) in six.chunks_exact(columns).enumerate() {
+            let row = &row[first..first + LATENT];
+            for (out, factors) in out.chunks_exact_mut(LATENT).zip(map) {
+                out.iter_mut().zip(row).for_each(|(out, &t)| *out += factors[k] * f64::from(t));
+            }
+        }
+    }
+}
+
+gemm::wide! {
+    /// x -> x / (1 + exp(-x)) in place, with its derivative.
+    pub(super) fn silu(values: &mut [f64], slopes: &mut [f32]) {
+        for (value, slope) in values.iter_mut().zip(slopes) {
+            let gate = 1.0 / (1.0 + exp(-*value));
+            *slope = (gate * (1.0 + *value * (1.0 - gate))) as f32;
+            *value *= gate;
+        }
+    }
+}
+
+/// e^x to some 1e-15 of it, without branches, so that several are computed at once: 2^n e^r with n
+/// the integer nearest to x / ln 2 and e^r a Taylor polynomial, |r| < 0.35. x is held within +-700.
+#[inline(always)]
+fn exp(x: f64) -> f64 {
+    /// Adding it leaves an integer in the lowest bits.
+    const ROUND: f64 = 1.5 * (1_u64 << 52) as f64;
+    const LN_2_HIGH: f64 = 0.693_147_180_369_123_8;
+    const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;
+    const SERIES: [f64; 13] = {
+        let mut factors = [1.0; 13];
+        let mut k = 1;
+        while k < factors.len() {
+            factors[k] = factors[k - 1] / k as f64;
+            k += 1;
+        }
+        factors
+    };
+    let x = x.clamp(-700.0, 700.0);
+    let shifted = x * std::f64::consts::LOG2_E + ROUND;
+    let n = shifted - ROUND;
+    let r = (x - n * LN_2_HIGH) - n * LN_2_LOW;
+    let series = SERIES.iter().rev().fold(0.0, |sum, factor| sum * r + factor);
+    series * f64::from_bits(shifted.to_bits().wrapping_add(1023) << 52)
 }
 
 /// 64-bit FNV-1a.
@@ -241,4 +344,17 @@ pub(super) fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_exponential_is_that_of_the_standard_library() {
+        for i in -70_000..=70_000 {
+            let x = f64::from(i) * 0.01;
+            assert!((exp(x) / x.exp() - 1.0).abs() < 2e-15, "{x}");
+        }
+    }
 }

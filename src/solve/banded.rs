@@ -127,27 +127,11 @@ impl Banded {
         gemm::divide_by_lower_transpose(n, &known[pivot..], rest);
     }
 
-    /// The Cholesky factor of a diagonal block, column after column.
+    /// The Cholesky factor of a diagonal block.
     fn factorise_block(&mut self, row: usize) -> Option<()> {
         let (n, at) = (self.size, self.at(row, row));
-        let (block, column) = (&mut self.data[at..at + n * n], &mut self.column);
-        column.resize(n, 0.0);
-        for k in 0..n {
-            let pivot = block[k * n + k];
-            if pivot.is_nan() || pivot <= 0.0 {
-                return None;
-            }
-            let root = pivot.sqrt();
-            block[k * n + k] = root;
-            block[k * n + k + 1..(k + 1) * n].fill(0.0);
-            for (i, entries) in block.chunks_exact_mut(n).enumerate().skip(k + 1) {
-                let factor = entries[k] / root;
-                (entries[k], column[i]) = (factor, factor);
-                let products = column[k + 1..=i].iter().map(|other| factor * other);
-                entries[k + 1..=i].iter_mut().zip(products).for_each(|(a, b)| *a -= b);
-            }
-        }
-        Some(())
+        self.column.resize(n, 0.0);
+        cholesky(&mut self.data[at..at + n * n], &mut self.column)
     }
 
     /// Solves L L^T x = b in place, once [`Banded::factorise`] has made this L.
@@ -183,8 +167,38 @@ impl Banded {
     }
 }
 
+gemm::wide! {
+    /// The lower Cholesky factor in place, column after column; `column` is memory, as long as a row.
+    fn cholesky(block: &mut [f64], column: &mut [f64]) -> Option<()> {
+        let n = column.len();
+        for k in 0..n {
+            let pivot = block[k * n + k];
+            if pivot.is_nan() || pivot <= 0.0 {
+                return None;
+            }
+            let root = pivot.sqrt();
+            block[k * n + k] = root;
+            block[k * n + k + 1..(k + 1) * n].fill(0.0);
+            for (i, entries) in block.chunks_exact_mut(n).enumerate().skip(k + 1) {
+                let factor = entries[k] / root;
+                (entries[k], column[i]) = (factor, factor);
+                let products = column[k + 1..=i].iter().map(|other| factor * other);
+                entries[k + 1..=i].iter_mut().zip(products).for_each(|(a, b)| *a -= b);
+            }
+        }
+        Some(())
+    }
+}
+
+/// Four sums at once, so that no product waits for the one before.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+    let mut sums = [0.0; 4];
+    let (a, b) = (a.chunks_exact(4), b[..a.len()].chunks_exact(4));
+    let rest: f64 = a.remainder().iter().zip(b.remainder()).map(|(a, b)| a * b).sum();
+    for (a, b) in a.zip(b) {
+        (0..4).for_each(|k| sums[k] += a[k] * b[k]);
+    }
+    sums.iter().sum::<f64>() + rest
 }
 
 #[cfg(test)]

@@ -209,11 +209,12 @@ impl Solver {
         let loose = if is_known { 0 } else { job.effort.loose_iterations };
         let budget = [loose, job.effort.iterations];
         let (keyframes, summary) = self.keyframes(job, points, known, &moments, budget);
-        let final_moments = moments.iter().filter(|m| m.capture <= job.publish + job.half_frame);
+        let last = job.publish + job.half_frame;
+        let final_moments: Vec<&Moment> = moments.iter().filter(|m| m.capture <= last).collect();
         let solved = Known { ahead: &keyframes, ..known };
-        let residuals = residuals(final_moments, points, &job.rig, skeleton, |capture| {
-            self.pose_at(solved, capture)
-        });
+        let poses = self.poses_at(solved, final_moments.iter().map(|m| m.capture));
+        let seen = final_moments.into_iter().zip(poses);
+        let residuals = residuals(seen, points, &job.rig, skeleton);
         let verdict = self.verdict(&keyframes, &residuals);
         Outcome::Tracked(Box::new(self.tracked(job, solved, Some(summary), residuals, verdict)))
     }
@@ -226,9 +227,11 @@ impl Solver {
         residuals: Vec<Residual>,
         verdict: Verdict,
     ) -> Tracked {
+        let times = job.pose_times.iter().copied().chain([job.end]);
+        let mut poses = self.poses_at(solved, times);
         Tracked {
-            poses: job.pose_times.iter().map(|&capture| self.pose_at(solved, capture)).collect(),
-            newest: self.pose_at(solved, job.end),
+            newest: poses.pop().unwrap_or_else(Pose::rest),
+            poses,
             keyframes: solved.ahead.to_vec(),
             summary,
             residuals,
@@ -292,10 +295,11 @@ impl Solver {
         (free().zip(solved).collect(), summary)
     }
 
-    /// The pose at a time within a window whose keyframes are known.
-    fn pose_at(&self, window: Known, capture: Timestamp) -> Pose {
-        let keyframe = window.at(capture, self.config.cost.interpolation);
-        keyframe.map_or_else(Pose::rest, |keyframe| self.decoder.pose(&keyframe))
+    /// The poses at times within a window whose keyframes are known.
+    fn poses_at(&self, window: Known, times: impl Iterator<Item = Timestamp>) -> Vec<Pose> {
+        let interpolation = self.config.cost.interpolation;
+        let keyframes = times.filter_map(|capture| window.at(capture, interpolation));
+        self.decoder.poses(&keyframes.collect::<Vec<_>>())
     }
 
     /// Carries the motion on: it dies away.
@@ -345,7 +349,8 @@ impl Solver {
                 settled.iter().cloned().chain(solved).collect()
             }
         };
-        let pose = self.pose_at(Known { ahead: &keyframes, ..known }, job.end);
+        let solved = Known { ahead: &keyframes, ..known };
+        let pose = self.poses_at(solved, [job.end].into_iter()).pop().unwrap_or_else(Pose::rest);
         Outcome::Live(Box::new(LiveFit { keyframes, pose, hidden }))
     }
 
@@ -400,15 +405,14 @@ fn scene<'a>(
 }
 
 fn residuals<'m>(
-    moments: impl Iterator<Item = &'m Moment>,
+    moments: impl Iterator<Item = (&'m Moment, Pose)>,
     points: &[BodyPoint],
     rig: &Rig,
     skeleton: &Skeleton,
-    pose_at: impl Fn(Timestamp) -> Pose,
 ) -> Vec<Residual> {
     let mut all = Vec::new();
-    for moment in moments {
-        let posture = pose_at(moment.capture).posture(skeleton);
+    for (moment, pose) in moments {
+        let posture = pose.posture(skeleton);
         let world: Vec<_> =
             points.iter().map(|p| p.attachment.position(&posture, skeleton.shape())).collect();
         let heights: Vec<f64> = rig

@@ -1,14 +1,20 @@
 //! Speed of one window: four cameras, 25 points, ten frames, one thread.
 
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
 use bundlemocap::body::{BodyPoint, Skeleton, fitted_points};
 use bundlemocap::camera::Rig;
-use bundlemocap::cost::{self, Knot, Moment, Observation, PathProblem, Scene, Workspace};
+use bundlemocap::cost::{self, Counts, Knot, Moment, Observation, PathProblem, Scene, Workspace};
 use bundlemocap::detect::KeypointFormat;
-use bundlemocap::manifold::{Decoder, Interpolation, Jacobians, Keyframe};
+use bundlemocap::manifold::{Decoder, Interpolation, Jacobians, Keyframe, LATENT};
 use bundlemocap::solve::{Method, Normal, Optimiser, Problem, Summary};
 use bundlemocap::synth;
 use bundlemocap::time::Timestamp;
 use criterion::{Criterion, criterion_group, criterion_main};
+use faer::linalg::matmul::matmul;
+use faer::traits::ComplexField;
+use faer::{Accum, Mat, Par};
 use nalgebra::{Vector2, Vector3};
 
 /// A window of a moving performer with disturbed detections.
@@ -171,9 +177,75 @@ fn decoder(c: &mut Criterion) {
     });
 }
 
+/// Floating-point operations of a window solve by what was done, f32 and f64, products alone; a
+/// multiplication and an addition are two.
+fn operations(counts: Counts, points: usize, frames: usize, iterations: usize) -> [f64; 2] {
+    const HIDDEN: usize = 256;
+    const OUTPUTS: usize = 126;
+    const ROTATIONS: usize = OUTPUTS / 2;
+    const UNKNOWNS: usize = LATENT + 6;
+    let deep = HIDDEN * HIDDEN + HIDDEN * OUTPUTS;
+    let tangents = LATENT * deep;
+    let map = LATENT * ROTATIONS * 6;
+    let pass = LATENT * HIDDEN + deep;
+    let joints = ROTATIONS * (3 * LATENT + 2 * UNKNOWNS);
+    let rows = 3 * points * (6 * UNKNOWNS + UNKNOWNS * UNKNOWNS);
+    // Each block row of the banded factor: three products, two triangular solves, one factor.
+    let factor = frames * (4 * UNKNOWNS.pow(3) + UNKNOWNS.pow(3) / 6);
+    let single = counts.linearised * tangents + counts.gradients * pass;
+    let double = counts.decoded * pass
+        + counts.linearised * map
+        + counts.moments * (joints + rows)
+        + iterations * factor;
+    [single, double].map(|products| 2.0 * products as f64)
+}
+
+/// The most operations a second that one thread does in a large product.
+fn peak<T: ComplexField>() -> f64 {
+    const SIZE: usize = 768;
+    let ones = Mat::<T>::full(SIZE, SIZE, T::one_impl());
+    let mut product = ones.clone();
+    let runs = (0..20).map(|_| {
+        let start = Instant::now();
+        let (a, b) = (black_box(ones.as_ref()), ones.as_ref());
+        matmul(product.as_mut(), Accum::Replace, a, b, T::one_impl(), Par::Seq);
+        black_box(&product);
+        start.elapsed().as_secs_f64()
+    });
+    2.0 * (SIZE as f64).powi(3) / runs.fold(f64::INFINITY, f64::min)
+}
+
+/// What part of the machine's peak a window solve reaches: its time at the peak over its time.
+fn arithmetic(_: &mut Criterion) {
+    let case = case(USUAL);
+    let mut optimiser = Method::LevenbergMarquardt.optimiser(1e-3);
+    let mut work = Workspace::default();
+    let mut runs: Vec<(f64, Counts, Summary)> = (0..200)
+        .map(|_| {
+            let (before, start) = (work.counts(), Instant::now());
+            let summary = case.solve(1, &mut *optimiser, &mut work);
+            (start.elapsed().as_secs_f64(), work.counts().since(before), summary)
+        })
+        .collect();
+    runs.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (time, counts, summary) = runs[runs.len() / 2];
+    let frames = case.moments.len();
+    let [single, double] = operations(counts, case.points.len(), frames, summary.iterations);
+    let [single_peak, double_peak] = [peak::<f32>(), peak::<f64>()];
+    let part = (single / single_peak + double / double_peak) / time;
+    println!("window solve: {:.2} ms, {} iterations, {counts:?}", time * 1e3, summary.iterations);
+    println!("  f32 {:.1} MFLOP, f64 {:.1} MFLOP", single / 1e6, double / 1e6);
+    println!("  peak: f32 {:.1} GFLOP/s, f64 {:.1}", single_peak / 1e9, double_peak / 1e9);
+    println!("  {:.0} % of the peak", 100.0 * part);
+}
+
 criterion_group! {
     name = benches;
-    config = Criterion::default().without_plots();
-    targets = window, sizes, decoder
+    config = Criterion::default()
+        .without_plots()
+        .sample_size(50)
+        .warm_up_time(Duration::from_millis(500))
+        .measurement_time(Duration::from_secs(3));
+    targets = arithmetic, window, sizes, decoder
 }
 criterion_main!(benches);

@@ -148,7 +148,10 @@ fn joints_and_points_by_rotations_root_and_shape() {
     push_forward(&skeleton, &posture, identity.as_slice(), locals, Some(locals + 6), &mut tangents);
     for joint in [Joint::Pelvis, Joint::LFoot, Joint::Head, Joint::RWrist] {
         let mut rows = vec![0.0; 3 * n];
-        tangents.point(joint, &(posture.rotations[joint.index()] * arm), &mut rows);
+        let arm = posture.rotations[joint.index()] * arm;
+        for (axis, row) in rows.chunks_exact_mut(n).enumerate() {
+            tangents.along(joint, &arm, &Vector3::ith(axis, 1.0), row);
+        }
         let numeric =
             numeric_jacobian(&vec![0.0; n], 1e-6, |x| point(x, joint).as_slice().to_vec());
         assert_jacobian(&DMatrix::from_row_slice(3, n, &rows), &numeric, 1e-7);

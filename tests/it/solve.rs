@@ -254,11 +254,12 @@ fn a_warm_window_is_solved_without_allocating() {
     case.disturb();
     let config = cost::Config::default();
     let mut work = Workspace::default();
-    let mut problem = case.window(&config, &case.truth[0], &mut work);
     let mut optimiser = Method::LevenbergMarquardt.optimiser(1e-4);
+    let mut problem = case.window(&config, &case.truth[0], &mut work);
     let start = problem.start();
     let mut x = start.clone();
     let first = optimiser.minimise(&mut problem, &mut x, 30);
+    let mut problem = case.window(&config, &case.truth[0], &mut work);
     x.copy_from_slice(&start);
     let mut second = None;
     let counted = allocation_counter::measure(|| {
