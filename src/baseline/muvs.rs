@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::frames::{Cut, Given, is_enough};
 use super::{Delay, Method, Solved, Start, Take, start};
 use crate::body::fitted_points;
-use crate::cost::{self, Knot, Moment, PathProblem, Scene, Workspace};
+use crate::cost::{self, FreeBody, Knot, Moment, PathProblem, Scene, Workspace};
 use crate::manifold::{Decoder, Keyframe};
 use crate::solve::{LevenbergMarquardt, Optimiser};
 use crate::time::Timestamp;
@@ -128,7 +128,8 @@ fn one_by_one(cut: &Cut, given: &Given, weights: &MuVsWeights) -> Vec<Keyframe> 
             hidden = 0;
             let knots = vec![Knot { capture, keyframe: last.clone(), free: true, frames: 1.0 }];
             let skeleton = &given.start.skeleton;
-            let mut problem = PathProblem::new(scene, knots, skeleton, false, &moments, &mut work);
+            let mut problem =
+                PathProblem::new(scene, knots, skeleton, FreeBody::Fixed, &moments, &mut work);
             let mut x = problem.start();
             problem.set_scale(weights.scale_px * weights.loose_scale);
             optimiser.minimise(&mut problem, &mut x, weights.loose_iterations);

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 
 use super::joints::Joints;
 use crate::body::Skeleton;
-use crate::cost::{Knot, Moment, PathProblem, Scene, Workspace};
+use crate::cost::{FreeBody, Knot, Moment, PathProblem, Scene, Workspace};
 use crate::manifold::{Keyframe, LATENT};
 use crate::so3;
 use crate::solve::{Layout, Normal, Problem};
@@ -114,8 +114,14 @@ impl<'a> FramePath<'a> {
         let capture = Timestamp::default();
         let knots = vec![Knot { capture, keyframe, free: true, frames: 1.0 }];
         let moments = &self.moments[frame];
-        let mut problem =
-            PathProblem::new(self.scene, knots, self.skeleton, false, moments, &mut self.work);
+        let mut problem = PathProblem::new(
+            self.scene,
+            knots,
+            self.skeleton,
+            FreeBody::Fixed,
+            moments,
+            &mut self.work,
+        );
         match derivatives {
             None => problem.cost(x),
             Some(normal) => problem.linearise(x, normal),

@@ -72,6 +72,8 @@ impl Method for Windows {
                 }
             }
         }
-        Some(Solved { skeleton: body?, poses, borders })
+        // With the marks that were learnt.
+        let skeleton = track.skeleton().cloned().or(body)?;
+        Some(Solved { skeleton, poses, borders })
     }
 }

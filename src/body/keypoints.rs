@@ -11,7 +11,8 @@ use nalgebra::Vector3;
 
 use super::forward::Posture;
 use super::joints::Joint;
-use super::skeleton::{Part, SHAPE_COEFFICIENTS, Shape, ShapeCoefficient};
+use super::marks::Slot;
+use super::skeleton::{BODY_COEFFICIENTS, Part, SHAPE_COEFFICIENTS, ShapeCoefficient, Skeleton};
 use crate::detect::{Keypoint, KeypointFormat};
 
 /// Where a detector's point sits on the body.
@@ -23,29 +24,39 @@ pub struct Attachment {
     pub weight: f64,
     template: Vector3<f64>,
     part: Part,
+    mark: Option<Slot>,
 }
 
 impl Attachment {
     /// Where `keypoint` sits.
     pub fn of(keypoint: Keypoint) -> Self {
         let (joint, template, part, weight) = table(keypoint);
-        Self { joint, weight, template: Vector3::from(template), part }
+        Self { joint, weight, template: Vector3::from(template), part, mark: Slot::of(keypoint) }
     }
 
-    /// Offset from the joint's centre in the joint's frame, for a body of that shape, metres.
-    pub fn offset(&self, shape: &Shape) -> Vector3<f64> {
-        self.part.scaled(&self.template, shape)
+    /// Offset from the joint's centre in the joint's frame, on a body with its marks, metres.
+    pub fn offset(&self, body: &Skeleton) -> Vector3<f64> {
+        let mark = self.mark.map_or_else(Vector3::zeros, |mark| mark.offset(body.marks()));
+        self.part.scaled(&self.template, body.shape()) + mark
     }
 
     /// Where the point is in the world, metres.
-    pub fn position(&self, posture: &Posture, shape: &Shape) -> Vector3<f64> {
+    pub fn position(&self, posture: &Posture, body: &Skeleton) -> Vector3<f64> {
         let joint = self.joint.index();
-        posture.positions[joint] + posture.rotations[joint] * self.offset(shape)
+        posture.positions[joint] + posture.rotations[joint] * self.offset(body)
     }
 
-    /// Derivative of [`Attachment::offset`] by each shape coefficient.
-    pub fn offset_by_shape(&self) -> [Vector3<f64>; SHAPE_COEFFICIENTS] {
-        ShapeCoefficient::ALL.map(|by| self.part.derivative(&self.template, by))
+    /// Derivative of [`Attachment::offset`] by each coefficient of the body.
+    pub fn offset_by_body(&self) -> [Vector3<f64>; BODY_COEFFICIENTS] {
+        let mut all = [Vector3::zeros(); BODY_COEFFICIENTS];
+        let (by_shape, by_marks) = all.split_at_mut(SHAPE_COEFFICIENTS);
+        for (out, by) in by_shape.iter_mut().zip(ShapeCoefficient::ALL) {
+            *out = self.part.derivative(&self.template, by);
+        }
+        if let Some(mark) = self.mark {
+            mark.derivative(by_marks);
+        }
+        all
     }
 }
 
@@ -114,6 +125,7 @@ fn table(keypoint: Keypoint) -> (Joint, [f64; 3], Part, f64) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::marks::Marks;
     use super::*;
 
     #[test]
@@ -129,9 +141,11 @@ mod tests {
 
     #[test]
     fn left_and_right_mirror_each_other() {
+        let marks = Marks(std::array::from_fn(|i| 0.1 * i as f64));
+        let body = Skeleton::default().with_marks(marks);
         for (l, r) in [(Keypoint::LHip, Keypoint::RHip), (Keypoint::LBigToe, Keypoint::RBigToe)] {
             let (l, r) = (Attachment::of(l), Attachment::of(r));
-            let (a, b) = (l.offset(&Shape::default()), r.offset(&Shape::default()));
+            let (a, b) = (l.offset(&body), r.offset(&body));
             assert_eq!(l.joint.mirrored(), r.joint);
             assert_eq!((-a.x, a.y, a.z), (b.x, b.y, b.z));
         }

@@ -6,11 +6,13 @@ pub mod bvh;
 mod forward;
 mod joints;
 mod keypoints;
+mod marks;
 mod pose;
 mod skeleton;
 
 pub use forward::{Posture, Tangents, Wrenches, forward, push_forward};
 pub use joints::{BODY_JOINTS, JOINTS, Joint};
 pub use keypoints::{Attachment, BodyPoint, fitted_points};
+pub use marks::{MARKS, Marks};
 pub use pose::{Pose, StampedPose, TrackingState};
-pub use skeleton::{SHAPE_COEFFICIENTS, Shape, ShapeCoefficient, Skeleton};
+pub use skeleton::{BODY_COEFFICIENTS, SHAPE_COEFFICIENTS, Shape, ShapeCoefficient, Skeleton};

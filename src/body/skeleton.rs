@@ -13,9 +13,13 @@
 use nalgebra::Vector3;
 
 use super::joints::{JOINTS, Joint};
+use super::marks::{MARKS, Marks};
 
 /// How many shape coefficients there are.
 pub const SHAPE_COEFFICIENTS: usize = 10;
+
+/// Numbers that a body is made of: the shape, then the marks.
+pub const BODY_COEFFICIENTS: usize = SHAPE_COEFFICIENTS + MARKS;
 
 /// What a shape coefficient changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -139,10 +143,11 @@ fn template_of(joint: Joint) -> ([f64; 3], Part) {
     }
 }
 
-/// A body of one shape: each joint's offset from its parent.
+/// A body of one shape: each joint's offset from its parent, and where the detector marks its points.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Skeleton {
     shape: Shape,
+    marks: Marks,
     offsets: [Vector3<f64>; JOINTS],
     offsets_by_shape: [[Vector3<f64>; SHAPE_COEFFICIENTS]; JOINTS],
 }
@@ -156,6 +161,7 @@ impl Skeleton {
         });
         Self {
             shape,
+            marks: Marks::default(),
             offsets: template.map(|(offset, part)| part.scaled(&offset, &shape)),
             offsets_by_shape: template
                 .map(|(offset, part)| C::ALL.map(|by| part.derivative(&offset, by))),
@@ -165,6 +171,29 @@ impl Skeleton {
     /// The shape it was made of.
     pub fn shape(&self) -> &Shape {
         &self.shape
+    }
+
+    /// The same body with those marks.
+    pub fn with_marks(self, marks: Marks) -> Self {
+        Self { marks, ..self }
+    }
+
+    /// Where the detector marks its points.
+    pub fn marks(&self) -> &Marks {
+        &self.marks
+    }
+
+    /// All its numbers: the shape, then the marks.
+    pub fn coefficients(&self) -> impl Iterator<Item = f64> {
+        self.shape.0.into_iter().chain(self.marks.0)
+    }
+
+    /// The body with these numbers in place of its first ones.
+    pub fn with_coefficients(&self, values: &[f64]) -> Self {
+        let (mut shape, mut marks) = (self.shape, self.marks);
+        let all = shape.0.iter_mut().chain(&mut marks.0);
+        all.zip(values).for_each(|(out, value)| *out = *value);
+        Self::new(shape).with_marks(marks)
     }
 
     /// Offset of a joint from its parent in the rest pose, metres; zero for the pelvis.

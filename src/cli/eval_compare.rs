@@ -79,8 +79,7 @@ fn statistics(sequence: &Sequence) -> Option<DetectorStatistics> {
         let index = truth.binary_search_by_key(&at, |pose| pose.capture).ok()?;
         Some(truth[index].pose.posture(skeleton))
     };
-    let tracks =
-        DetectorTracks::compare(&take.rig, take.format, &take.frames, skeleton.shape(), posture);
+    let tracks = DetectorTracks::compare(&take.rig, take.format, &take.frames, skeleton, posture);
     tracks.statistics(take.fps)
 }
 

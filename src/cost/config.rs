@@ -15,6 +15,8 @@ pub struct Config {
     pub prior: f64,
     /// Weight of the squared shape coefficients, square pixels, while the shape is free.
     pub shape_prior: f64,
+    /// Weight of the squared marks, square pixels for each (12 mm)^2, while they are free.
+    pub mark_prior: f64,
     /// How latent codes run between keyframes.
     pub interpolation: Interpolation,
     /// Weights of accelerations along the keyframes.
@@ -27,6 +29,7 @@ impl Default for Config {
             scale_px: 30.0,
             prior: 20.0,
             shape_prior: 300.0,
+            mark_prior: 300.0,
             interpolation: Interpolation::Slerp,
             stiffness: Stiffness::default(),
         }

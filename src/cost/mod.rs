@@ -11,6 +11,7 @@
 
 mod blocks;
 mod config;
+mod marginal;
 mod moment;
 mod observation;
 mod path;
@@ -20,9 +21,10 @@ mod unknowns;
 mod workspace;
 
 pub use config::Config;
+pub use marginal::Marginal;
 pub use observation::{Moment, Observation};
 pub use path::{PathProblem, Scene};
 pub use robust::GemanMcClure;
 pub use stiffness::Stiffness;
-pub use unknowns::Knot;
+pub use unknowns::{FreeBody, Knot};
 pub use workspace::{Counts, Workspace};

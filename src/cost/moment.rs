@@ -29,7 +29,7 @@ impl<'a> PathProblem<'a> {
         tangents.clear_root();
         tangents.set_root_turn(LATENT, turn);
         tangents.set_root_shift(LATENT + 3, 1.0);
-        let shape_column = self.unknowns.shape_is_free.then_some(KEYFRAME);
+        let shape_column = (self.unknowns.body > 0).then_some(KEYFRAME);
         let skeleton = &self.unknowns.skeleton;
         let by_code = &work.by_code[m * LOCAL_ROWS * LATENT..(m + 1) * LOCAL_ROWS * LATENT];
         push_forward(skeleton, posture, by_code, LATENT, shape_column, &mut tangents);
@@ -65,9 +65,9 @@ impl<'a> PathProblem<'a> {
             if rows {
                 self.add_rows(point, &arm, rotation, &curvature);
             }
-            if self.unknowns.shape_is_free {
+            if self.unknowns.body > 0 {
                 let out = &mut self.work.gradients[m * n + KEYFRAME..(m + 1) * n];
-                add_by_shape(&point.attachment.offset_by_shape(), rotation, &gradient, out);
+                add_by_body(&point.attachment.offset_by_body(), rotation, &gradient, out);
             }
         }
         wrenches.gather(posture);
@@ -133,9 +133,9 @@ impl<'a> PathProblem<'a> {
             work.rows.resize(first + n, 0.0);
             let row = &mut work.rows[first..];
             tangents.along(point.attachment.joint, arm, &direction, row);
-            if self.unknowns.shape_is_free {
-                let by_shape = point.attachment.offset_by_shape();
-                add_by_shape(&by_shape, rotation, &direction, &mut row[KEYFRAME..]);
+            if self.unknowns.body > 0 {
+                let by_body = point.attachment.offset_by_body();
+                add_by_body(&by_body, rotation, &direction, &mut row[KEYFRAME..]);
             }
         }
     }
@@ -154,22 +154,22 @@ impl<'a> PathProblem<'a> {
             out.copy_from_slice(turned.as_slice());
             let Some(parent) = joint.parent() else { continue };
             let (rotation, force) = (&posture.rotations[parent.index()], wrenches.force(*joint));
-            if self.unknowns.shape_is_free {
+            if self.unknowns.body > 0 {
                 let by_shape = skeleton.offset_by_shape(*joint);
-                add_by_shape(by_shape, rotation, force, &mut gradient[KEYFRAME..]);
+                add_by_body(by_shape, rotation, force, &mut gradient[KEYFRAME..]);
             }
         }
     }
 }
 
 /// Adds the derivative along `direction` (world frame) of an offset that `rotation` turns, by the
-/// shape.
-fn add_by_shape(
-    by_shape: &[Vector3<f64>],
+/// body's coefficients.
+fn add_by_body(
+    by_body: &[Vector3<f64>],
     rotation: &Matrix3<f64>,
     direction: &Vector3<f64>,
     out: &mut [f64],
 ) {
     let local = rotation.tr_mul(direction);
-    out.iter_mut().zip(by_shape).for_each(|(out, offset)| *out += local.dot(offset));
+    out.iter_mut().zip(by_body).for_each(|(out, offset)| *out += local.dot(offset));
 }

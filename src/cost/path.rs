@@ -11,7 +11,7 @@ use super::blocks::{Blocks, End};
 use super::config::Config;
 use super::observation::Moment;
 use super::robust::GemanMcClure;
-use super::unknowns::{KEYFRAME, Knot, Place, Unknowns};
+use super::unknowns::{FreeBody, KEYFRAME, Knot, Place, Unknowns};
 use super::workspace::{LOCAL_ROWS, Workspace};
 use crate::body::{BodyPoint, Posture, SHAPE_COEFFICIENTS, Skeleton, forward};
 use crate::camera::Rig;
@@ -69,18 +69,18 @@ impl Wanted<'_> {
 
 impl<'a> PathProblem<'a> {
     /// A path through `knots`, in order of time. With a single knot the path is constant.
-    /// The shape is solved for too if `shape_is_free`, from that of `skeleton`.
+    /// What is free of the body is solved for too, from that of `skeleton`.
     pub fn new(
         scene: Scene<'a>,
         knots: Vec<Knot>,
         skeleton: &Skeleton,
-        shape_is_free: bool,
+        free: FreeBody,
         moments: &'a [Moment],
         work: &'a mut Workspace,
     ) -> Self {
         work.forget();
         Self {
-            unknowns: Unknowns::new(knots, skeleton, shape_is_free),
+            unknowns: Unknowns::new(knots, skeleton, free),
             loss: GemanMcClure::new(scene.config.scale_px),
             scene,
             moments,
@@ -114,15 +114,15 @@ impl<'a> PathProblem<'a> {
     }
 
     fn blocks(&self) -> Blocks {
-        match self.unknowns.shape_is_free {
-            true => Blocks::Dense(self.unknowns.count()),
-            false => Blocks::Banded,
+        match self.unknowns.body {
+            0 => Blocks::Banded,
+            _ => Blocks::Dense(self.unknowns.count()),
         }
     }
 
     /// Coordinates of a moment.
     pub(super) fn coordinates(&self) -> usize {
-        KEYFRAME + if self.unknowns.shape_is_free { SHAPE_COEFFICIENTS } else { 0 }
+        KEYFRAME + self.unknowns.body
     }
 
     fn evaluate(&mut self, x: &[f64], mut wanted: Wanted) -> f64 {
@@ -132,8 +132,8 @@ impl<'a> PathProblem<'a> {
             self.work.linearise(self.scene.decoder);
         }
         let mut cost = self.prior(x, &mut wanted);
-        let (moments, shape) = (self.moments.len(), self.unknowns.skeleton.shape());
-        let offsets = self.scene.points.iter().map(|point| point.attachment.offset(shape));
+        let (moments, body) = (self.moments.len(), &self.unknowns.skeleton);
+        let offsets = self.scene.points.iter().map(|point| point.attachment.offset(body));
         self.work.offsets.clear();
         self.work.offsets.extend(offsets);
         self.work.by_rotation.resize(moments * LOCAL_ROWS, 0.0);
@@ -181,9 +181,9 @@ impl<'a> PathProblem<'a> {
     }
 
     /// 1/2 prior |z|^2 of each free knot, counted for each frame that it stands for, 1/2 shape prior
-    /// |shape|^2, and the path's stiffness. Overwrites what is wanted.
+    /// |shape|^2, 1/2 mark prior |marks|^2, and the path's stiffness. Overwrites what is wanted.
     fn prior(&self, x: &[f64], wanted: &mut Wanted) -> f64 {
-        let Config { prior, shape_prior, stiffness, .. } = *self.scene.config;
+        let Config { prior, shape_prior, mark_prior, stiffness, .. } = *self.scene.config;
         let mut cost = 0.0;
         if let Some(gradient) = wanted.gradient() {
             gradient.fill(0.0);
@@ -193,8 +193,11 @@ impl<'a> PathProblem<'a> {
         }
         let codes = self.unknowns.free_frames().enumerate();
         let codes = codes.map(|(knot, frames)| (knot * KEYFRAME, LATENT, prior * frames));
-        let shape_at = self.unknowns.shape_at();
-        for (first, count, weight) in codes.chain([(shape_at, x.len() - shape_at, shape_prior)]) {
+        let body_at = self.unknowns.body_at();
+        let shape = self.unknowns.body.min(SHAPE_COEFFICIENTS);
+        let (marks_at, marks) = (body_at + shape, self.unknowns.body - shape);
+        let body = [(body_at, shape, shape_prior), (marks_at, marks, mark_prior)];
+        for (first, count, weight) in codes.chain(body) {
             for i in first..first + count {
                 cost += 0.5 * weight * x[i] * x[i];
                 if let Some(gradient) = wanted.gradient() {
@@ -237,7 +240,7 @@ impl<'a> PathProblem<'a> {
 
     /// Carries the moments' gradients to all unknowns.
     fn scatter_gradients(&mut self, gradient: &mut [f64]) {
-        let (n, shape_at) = (self.coordinates(), self.unknowns.shape_at());
+        let (n, body_at) = (self.coordinates(), self.unknowns.body_at());
         self.work.pull_back(self.scene.decoder);
         for (m, moment) in self.moments.iter().enumerate() {
             let mine = &mut self.work.gradients[m * n..(m + 1) * n];
@@ -248,14 +251,14 @@ impl<'a> PathProblem<'a> {
                 end.pull(mine, &mut pulled);
                 add(&mut gradient[end.knot * KEYFRAME..], &pulled);
             }
-            add(&mut gradient[shape_at..], &mine[KEYFRAME..]);
+            add(&mut gradient[body_at..], &mine[KEYFRAME..]);
         }
     }
 
     /// Whether the moment's Hessian is a part of that of a single knot, once its rotation is
     /// parametrised as the knot's is.
     fn is_direct(&self, place: Place) -> bool {
-        place.from == place.to && !self.unknowns.shape_is_free
+        place.from == place.to && self.unknowns.body == 0
     }
 
     /// How the pelvis turns with the coordinates of the moment's rotation.
@@ -269,7 +272,7 @@ impl<'a> PathProblem<'a> {
     /// Adds the Gram matrix of the moment's rows to the Hessian of all unknowns.
     fn scatter_hessian(&mut self, place: Place, normal: &mut Normal) {
         self.work.counts.moments += 1;
-        let (n, shape_at) = (self.coordinates(), self.unknowns.shape_at());
+        let (n, body_at) = (self.coordinates(), self.unknowns.body_at());
         let sizes = [n, self.work.rows.len() / n, n];
         if self.is_direct(place) {
             if self.unknowns.is_free(place.to) {
@@ -291,12 +294,12 @@ impl<'a> PathProblem<'a> {
         let total = normal.gradient.len();
         let mut pulled = [0.0; KEYFRAME];
         for (k, row) in work.gram.chunks_exact(n).skip(KEYFRAME).enumerate() {
-            let out = &mut normal.hessian.block_mut(0, 0)[(shape_at + k) * total..][..total];
+            let out = &mut normal.hessian.block_mut(0, 0)[(body_at + k) * total..][..total];
             for end in ends.iter().flatten() {
                 end.pull(row, &mut pulled);
                 add(&mut out[end.knot * KEYFRAME..], &pulled);
             }
-            add(&mut out[shape_at..], &row[KEYFRAME..]);
+            add(&mut out[body_at..], &row[KEYFRAME..]);
         }
     }
 }

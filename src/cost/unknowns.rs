@@ -1,11 +1,12 @@
 //! What a path is solved for.
 //!
 //! In this order: for each free keyframe its code (32), a rotation vector w (3) with
-//! R = exp(w) R_initial, and its position (3); then the shape (10), where it is free.
+//! R = exp(w) R_initial, and its position (3); then the shape (10) and the marks (39),
+//! where they are free.
 
 use nalgebra::Vector3;
 
-use crate::body::{SHAPE_COEFFICIENTS, Shape, Skeleton};
+use crate::body::{BODY_COEFFICIENTS, SHAPE_COEFFICIENTS, Skeleton};
 use crate::manifold::{Keyframe, LATENT};
 use crate::so3;
 use crate::time::Timestamp;
@@ -29,6 +30,17 @@ pub struct Knot {
     pub frames: f64,
 }
 
+/// What of the body is solved for, besides the keyframes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FreeBody {
+    /// Nothing.
+    Fixed,
+    /// The shape.
+    Shape,
+    /// The shape, and where the detector marks points.
+    ShapeAndMarks,
+}
+
 /// The keyframes and the body that the unknowns stand for.
 #[derive(Clone, Debug)]
 pub(super) struct Unknowns {
@@ -37,7 +49,8 @@ pub(super) struct Unknowns {
     /// The rotation vector of each keyframe; zero where it is fixed.
     pub(super) turns: Vec<Vector3<f64>>,
     pub(super) skeleton: Skeleton,
-    pub(super) shape_is_free: bool,
+    /// How many coefficients of the body are solved for.
+    pub(super) body: usize,
 }
 
 /// The two keyframes about a moment and how far it is between them.
@@ -49,19 +62,23 @@ pub(super) struct Place {
 }
 
 impl Unknowns {
-    pub(super) fn new(knots: Vec<Knot>, skeleton: &Skeleton, shape_is_free: bool) -> Self {
+    pub(super) fn new(knots: Vec<Knot>, skeleton: &Skeleton, free: FreeBody) -> Self {
         Self {
             keyframes: knots.iter().map(|knot| knot.keyframe.clone()).collect(),
             turns: vec![Vector3::zeros(); knots.len()],
             initial: knots,
             skeleton: skeleton.clone(),
-            shape_is_free,
+            body: match free {
+                FreeBody::Fixed => 0,
+                FreeBody::Shape => SHAPE_COEFFICIENTS,
+                FreeBody::ShapeAndMarks => BODY_COEFFICIENTS,
+            },
         }
     }
 
     /// How many there are.
     pub(super) fn count(&self) -> usize {
-        self.shape_at() + if self.shape_is_free { SHAPE_COEFFICIENTS } else { 0 }
+        self.body_at() + self.body
     }
 
     /// Whether a keyframe is solved for.
@@ -89,8 +106,8 @@ impl Unknowns {
         self.initial.iter().filter(|knot| knot.free).map(|knot| knot.frames)
     }
 
-    /// Where the shape begins.
-    pub(super) fn shape_at(&self) -> usize {
+    /// Where the body begins.
+    pub(super) fn body_at(&self) -> usize {
         self.number(self.initial.len()) * KEYFRAME
     }
 
@@ -111,13 +128,11 @@ impl Unknowns {
             x.extend_from_slice(turn.as_slice());
             x.extend_from_slice(keyframe.root_position.as_slice());
         }
-        if self.shape_is_free {
-            x.extend_from_slice(&self.skeleton.shape().0);
-        }
+        x.extend(self.skeleton.coefficients().take(self.body));
         x
     }
 
-    /// Moves the keyframes and the shape to where `x` says.
+    /// Moves the keyframes and the body to where `x` says.
     pub(super) fn take(&mut self, x: &[f64]) {
         let mut rest = x;
         for (k, knot) in self.initial.iter().enumerate().filter(|(_, knot)| knot.free) {
@@ -129,10 +144,8 @@ impl Unknowns {
             keyframe.root_rotation = so3::exp(&self.turns[k]) * knot.keyframe.root_rotation;
             keyframe.root_position = Vector3::from_column_slice(&mine[LATENT + 3..]);
         }
-        if self.shape_is_free {
-            let mut shape = Shape::default();
-            shape.0.copy_from_slice(rest);
-            self.skeleton = Skeleton::new(shape);
+        if self.body > 0 {
+            self.skeleton = self.skeleton.with_coefficients(rest);
         }
     }
 

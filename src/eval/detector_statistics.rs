@@ -9,7 +9,7 @@
 use nalgebra::Vector2;
 
 use super::statistics::{mean, median, percentiles};
-use crate::body::{BodyPoint, Posture, Shape, fitted_points};
+use crate::body::{BodyPoint, Posture, Skeleton, fitted_points};
 use crate::camera::{Camera, Rig};
 use crate::detect::{Detection, Detections, Keypoint, KeypointFormat, Person};
 use crate::time::Timestamp;
@@ -116,7 +116,7 @@ impl DetectorTracks {
         rig: &Rig,
         format: KeypointFormat,
         frames: impl IntoIterator<Item = &'a Detections>,
-        shape: &Shape,
+        body: &Skeleton,
         mut posture: impl FnMut(Timestamp) -> Option<Posture>,
     ) -> Self {
         let points = fitted_points(format);
@@ -132,7 +132,7 @@ impl DetectorTracks {
         for frame in frames {
             let Some(camera) = rig.cameras.get(frame.camera) else { continue };
             if let Some(posture) = posture(frame.capture) {
-                all.add(camera, frame, &points, shape, &posture);
+                all.add(camera, frame, &points, body, &posture);
             }
         }
         all
@@ -143,13 +143,13 @@ impl DetectorTracks {
         camera: &Camera,
         frame: &Detections,
         points: &[BodyPoint],
-        shape: &Shape,
+        body: &Skeleton,
         posture: &Posture,
     ) {
         let joints = posture.positions.iter().filter_map(|joint| camera.project(joint));
         let Some(height) = height(joints) else { return };
         let projected: Vec<Option<Vector2<f64>>> = (points.iter())
-            .map(|p| camera.project(&p.attachment.position(posture, shape)))
+            .map(|p| camera.project(&p.attachment.position(posture, body)))
             .map(|pixel| pixel.filter(|pixel| in_image(camera, pixel)))
             .collect();
         self.frames += 1;

@@ -142,7 +142,7 @@ fn offset_line(metres: &Vector3<f64>) -> String {
 
 /// Where the bone of a last joint ends, metres from it.
 fn end_site(skeleton: &Skeleton, joint: Joint) -> Option<Vector3<f64>> {
-    let point = |keypoint| Some(Attachment::of(keypoint).offset(skeleton.shape()));
+    let point = |keypoint| Some(Attachment::of(keypoint).offset(skeleton));
     match joint {
         Joint::Head => point(Keypoint::HeadTop),
         Joint::LFoot => point(Keypoint::LBigToe),

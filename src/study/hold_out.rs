@@ -125,9 +125,8 @@ pub fn distances(
     keypoints: &[Keypoint],
 ) -> Option<Vec<f64>> {
     let posture = pose.posture(skeleton);
-    let project = |keypoint: Keypoint| {
-        camera.project(&Attachment::of(keypoint).position(&posture, skeleton.shape()))
-    };
+    let project =
+        |keypoint: Keypoint| camera.project(&Attachment::of(keypoint).position(&posture, skeleton));
     let seen = posture.positions.iter().filter_map(|joint| camera.project(joint));
     let gate = GATE * height(seen)?;
     let to = |person, points: &[Keypoint]| to_person(&project, person, detections.format, points);

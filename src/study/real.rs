@@ -165,9 +165,8 @@ pub fn acceleration<P: Kept>(poses: &[P], skeleton: &Skeleton, fps: f64) -> Opti
 
 /// How a recording's detectors err, against a solved body in place of the true one.
 pub fn detectors(take: &Take, solved: &Solved) -> Option<DetectorStatistics> {
-    let shape = solved.skeleton.shape();
     let posture = |at| Some(pose_at(&solved.poses, at)?.posture(&solved.skeleton));
-    DetectorTracks::compare(&take.rig, take.format, &take.frames, shape, posture)
+    DetectorTracks::compare(&take.rig, take.format, &take.frames, &solved.skeleton, posture)
         .statistics(take.fps)
 }
 

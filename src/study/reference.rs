@@ -59,7 +59,7 @@ pub fn compare<P: Kept>(
             last = Some((frame, pose.map(|pose| pose.posture(skeleton))));
         }
         let posture = last.as_ref()?.1.as_ref()?;
-        Some(Attachment::of(keypoint).position(posture, skeleton.shape()))
+        Some(Attachment::of(keypoint).position(posture, skeleton))
     };
     let distance = distance_to_reference(trc, position)?;
     Some(Reference {

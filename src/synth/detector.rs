@@ -217,7 +217,7 @@ struct At {
 pub fn position(keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
     let attachment = Attachment::of(keypoint);
     let joint = attachment.joint.index();
-    posture.positions[joint] + posture.rotations[joint] * attachment.offset(skeleton.shape())
+    posture.positions[joint] + posture.rotations[joint] * attachment.offset(skeleton)
 }
 
 /// A unit normal offset for a point; left and right mirror each other.

@@ -48,7 +48,7 @@ const STRAIGHTEST: f64 = 0.996;
 impl Leg {
     pub(super) fn of(skeleton: &Skeleton) -> Self {
         let of = |joint| *skeleton.offset(joint);
-        let point = |keypoint| Attachment::of(keypoint).offset(skeleton.shape());
+        let point = |keypoint| Attachment::of(keypoint).offset(skeleton);
         let toe = of(Joint::LFoot) + point(Keypoint::LBigToe);
         let sole = toe.y;
         let heel = point(Keypoint::LHeel);

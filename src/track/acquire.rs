@@ -5,9 +5,9 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::association::{extent, median, usable};
 use super::config::Config;
-use crate::body::{Attachment, BodyPoint, Shape, Skeleton};
+use crate::body::{Attachment, BodyPoint, Skeleton};
 use crate::camera::{Rig, triangulate_robust};
-use crate::cost::{self, Knot, Moment, Observation, PathProblem, Scene, Workspace};
+use crate::cost::{self, FreeBody, Knot, Moment, Observation, PathProblem, Scene, Workspace};
 use crate::detect::{Detections, Keypoint, Person};
 use crate::manifold::{Keyframe, LATENT};
 use crate::solve::Optimiser;
@@ -196,29 +196,29 @@ impl Torso {
     }
 
     /// The pelvis: y along the trunk, x to the left, hips where the detector saw them.
-    fn root(&self, shape: &Shape) -> Option<(Matrix3<f64>, Vector3<f64>)> {
+    fn root(&self, body: &Skeleton) -> Option<(Matrix3<f64>, Vector3<f64>)> {
         let y = self.up.try_normalize(1e-6)?;
         let x = (self.left - y * y.dot(&self.left)).try_normalize(1e-6)?;
         let rotation = Matrix3::from_columns(&[x, y, x.cross(&y)]);
-        let mut hip = Attachment::of(Keypoint::LHip).offset(shape);
+        let mut hip = Attachment::of(Keypoint::LHip).offset(body);
         hip.x = 0.0;
         Some((rotation, self.mid_hip - rotation * hip))
     }
 }
 
 /// Fits a keyframe to one frame set in two stages: a loose one from z = 0 with the root from the
-/// torso, then the cost itself. The shape is fitted too if `shape_is_free`.
+/// torso, then the cost itself. What is free of the body is fitted too.
 pub(super) fn fit(
     sighting: &Sighting,
     scene: Scene,
     skeleton: &Skeleton,
-    shape_is_free: bool,
+    free: FreeBody,
     config: &Config,
     optimiser: &mut dyn Optimiser,
     work: &mut Workspace,
 ) -> Option<(Keyframe, Skeleton)> {
     let torso = Torso::of(scene.points, &sighting.points)?;
-    let (root_rotation, root_position) = torso.root(skeleton.shape())?;
+    let (root_rotation, root_position) = torso.root(skeleton)?;
     let moments = [Moment::new(Timestamp::default(), sighting.observations.clone())];
     let mut keyframe = Keyframe { z: [0.0; LATENT], root_rotation, root_position };
     let mut skeleton = skeleton.clone();
@@ -230,8 +230,7 @@ pub(super) fn fit(
     for stage in [&loose, scene.config] {
         let knot = Knot { capture: Timestamp::default(), keyframe, free: true, frames: 1.0 };
         let scene = Scene { config: stage, ..scene };
-        let mut problem =
-            PathProblem::new(scene, vec![knot], &skeleton, shape_is_free, &moments, work);
+        let mut problem = PathProblem::new(scene, vec![knot], &skeleton, free, &moments, work);
         let mut x = problem.start();
         optimiser.minimise(&mut problem, &mut x, config.acquisition_iterations);
         let (keyframes, fitted) = problem.solution(&x);

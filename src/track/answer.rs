@@ -46,6 +46,7 @@ impl Track {
         self.close(at + self.tolerance());
         if self.skeleton.is_none() {
             self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
+            self.learnt = Arc::default();
         }
         self.event(EventKind::Acquired, at, None, "performer found".to_owned());
         self.skeleton = Some(skeleton);
@@ -75,6 +76,10 @@ impl Track {
 
     fn tracked(&mut self, window: Window, tracked: Tracked) {
         self.close(window.publish + self.tolerance());
+        if let (Some(learnt), Some(skeleton)) = (tracked.learnt, &self.skeleton) {
+            self.skeleton = Some(Arc::new(Skeleton::clone(skeleton).with_marks(learnt.marks)));
+            self.learnt = learnt;
+        }
         let state = match &tracked.verdict {
             Verdict::Tracked => TrackingState::Tracking,
             Verdict::Coasted(_) => TrackingState::Coasting,

@@ -43,8 +43,7 @@ pub fn follow<'d>(
     config: &Config,
 ) -> Vec<Moment> {
     let posture = pose.posture(skeleton);
-    let world: Vec<_> =
-        points.iter().map(|p| p.attachment.position(&posture, skeleton.shape())).collect();
+    let world: Vec<_> = points.iter().map(|p| p.attachment.position(&posture, skeleton)).collect();
     let view = |camera: &Camera| world.iter().map(|point| camera.project(point)).collect();
     Follower { points, config, expected: rig.cameras.iter().map(view).collect() }.moments(frames)
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::cost::{self, Stiffness};
+use crate::cost::{self, FreeBody, Stiffness};
 use crate::solve::Method;
 
 /// Settings of the tracking machine.
@@ -30,6 +30,9 @@ pub struct Config {
     pub loose_scale: f64,
     /// Most iterations of a provisional fit of the open window.
     pub live_iterations: usize,
+    /// In every so manieth window it is learnt where the detector marks points; 0 takes them to be where
+    /// our body has them. Differs: the paper does not.
+    pub mark_windows: usize,
     /// How many windows in a row may pass in which too little is seen of the performer.
     pub coast_windows: usize,
     /// After how many windows that closed without it a camera is no longer waited for.
@@ -79,6 +82,7 @@ impl Default for Config {
             loose_iterations: 1,
             loose_scale: 3.0,
             live_iterations: 3,
+            mark_windows: 4,
             coast_windows: 6,
             grace_windows: 6,
             acquisition_iterations: 30,
@@ -102,6 +106,7 @@ impl Config {
             loose_iterations: 0,
             change_threshold: 1e-9,
             method: Method::Lbfgs,
+            mark_windows: 0,
             coast_windows: 3,
             grace_windows: 3,
             cost: cost::Config {
@@ -112,6 +117,11 @@ impl Config {
             },
             ..Self::default()
         }
+    }
+
+    /// What of the body the first windows are solved for.
+    pub(super) fn free_body(&self) -> FreeBody {
+        if self.mark_windows > 0 { FreeBody::ShapeAndMarks } else { FreeBody::Shape }
     }
 
     /// Nominal frames of a window.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::effort::Effort;
+use super::marks::Learnt;
 use crate::body::{Pose, Skeleton};
 use crate::camera::Rig;
 use crate::detect::{Detections, KeypointFormat};
@@ -78,6 +79,8 @@ pub enum Task {
         ahead: Vec<TimedKeyframe>,
         /// The body.
         skeleton: Arc<Skeleton>,
+        /// What is known of the body's marks.
+        learnt: Arc<Learnt>,
         /// Windows in a row, before this one, in which too little was seen.
         coasted: usize,
     },
@@ -149,6 +152,8 @@ pub struct Tracked {
     pub residuals: Vec<Residual>,
     /// What the window is worth.
     pub verdict: Verdict,
+    /// What is known of the body's marks from here on, if the window was asked.
+    pub learnt: Option<Arc<Learnt>>,
 }
 
 /// What a window is worth.

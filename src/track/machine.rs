@@ -8,6 +8,7 @@ use super::effort::Effort;
 use super::event::{Event, EventKind};
 use super::intake::Intake;
 use super::job::{Job, Residual, Solution, Task, TimedKeyframe, Verdict};
+use super::marks::Learnt;
 use super::playout::{Latency, Live, MARGIN, Playout};
 use super::waiting::Waiting;
 use crate::body::{Skeleton, StampedPose, TrackingState};
@@ -170,6 +171,7 @@ pub struct Track {
     waiting: Waiting,
     pub(super) phase: Phase,
     pub(super) skeleton: Option<Arc<Skeleton>>,
+    pub(super) learnt: Arc<Learnt>,
     /// Whether a window was ever solved well with that body.
     pub(super) is_proven: bool,
     /// Start of the open window.
@@ -210,6 +212,7 @@ impl Track {
             waiting: Waiting::new(cameras, config.grace_windows),
             phase: Phase::Searching,
             skeleton: None,
+            learnt: Arc::default(),
             is_proven: false,
             start: None,
             period: (config.frame_rate_hz > 0.0).then(|| 1e9 / config.frame_rate_hz),
@@ -545,7 +548,8 @@ impl Track {
                 let Some(skeleton) = self.skeleton.clone() else { return };
                 self.intake.refuse(window.publish + self.tolerance());
                 let (past, coasted) = (past.clone(), *coasted);
-                Task::Track { past, ahead: self.ahead.clone(), skeleton, coasted }
+                let (ahead, learnt) = (self.ahead.clone(), Arc::clone(&self.learnt));
+                Task::Track { past, ahead, skeleton, learnt, coasted }
             }
         };
         self.send_job(window, task);

@@ -8,9 +8,10 @@ use super::config::Config;
 use super::job::{
     Job, LiveFit, Outcome, Residual, Solution, Task, TimedKeyframe, Tracked, Verdict,
 };
-use crate::body::{BodyPoint, Pose, Skeleton, fitted_points};
+use super::marks::Learnt;
+use crate::body::{BodyPoint, MARKS, Pose, Skeleton, fitted_points};
 use crate::camera::Rig;
-use crate::cost::{self, Knot, Moment, PathProblem, Scene, Stiffness, Workspace};
+use crate::cost::{self, FreeBody, Knot, Moment, PathProblem, Scene, Stiffness, Workspace};
 use crate::detect::Detections;
 use crate::manifold::{Decoder, Interpolation, Keyframe};
 use crate::solve::{Optimiser, Problem, Summary};
@@ -22,6 +23,8 @@ const MIN_VIEW: usize = 4;
 const DECAY: f64 = 0.1;
 /// Keyframes of the open window that a provisional fit goes over again, besides the new ones.
 const LIVE_KEYFRAMES: usize = 2;
+/// How much of the prior on codes counts where marks are learnt.
+const LEARNING_PRIOR: f64 = 0.1;
 
 /// What is known of a window before it is solved.
 #[derive(Clone, Copy)]
@@ -80,9 +83,9 @@ impl Solver {
         let points = fitted_points(job.format);
         let outcome = match &job.task {
             Task::Acquire { skeleton } => self.acquire(job, &points, skeleton.as_ref()),
-            Task::Track { past, ahead, skeleton, coasted } => {
+            Task::Track { past, ahead, skeleton, learnt, coasted } => {
                 let known = Known { past, ahead, skeleton };
-                self.track(job, &points, known, skeleton, *coasted)
+                self.track(job, &points, known, (skeleton, learnt), *coasted)
             }
             Task::Live { past, ahead, skeleton } => {
                 self.live(job, &points, Known { past, ahead, skeleton })
@@ -106,7 +109,7 @@ impl Solver {
                 &sighting,
                 scene,
                 &template,
-                known.is_none(),
+                if known.is_none() { self.config.free_body() } else { FreeBody::Fixed },
                 &self.config,
                 &mut *self.optimiser,
                 &mut self.work,
@@ -154,8 +157,14 @@ impl Solver {
             let Some(from) = knots.last().filter(|_| !inside.is_empty()) else { break };
             let from = Knot { free: false, ..from.clone() };
             let to = Knot { capture: end, keyframe: from.keyframe.clone(), free: true, frames };
-            let mut problem =
-                PathProblem::new(scene, vec![from, to], &rough, false, &inside, &mut self.work);
+            let mut problem = PathProblem::new(
+                scene,
+                vec![from, to],
+                &rough,
+                FreeBody::Fixed,
+                &inside,
+                &mut self.work,
+            );
             let mut x = problem.start();
             self.optimiser.minimise(&mut problem, &mut x, self.config.iterations);
             let (keyframes, _) = problem.solution(&x);
@@ -166,10 +175,10 @@ impl Solver {
                 frames,
             }));
         }
-        let first = knots[0].keyframe.clone();
+        let (first, free) = (knots[0].keyframe.clone(), self.config.free_body());
         let solved = knots.last().map_or(at, |knot| knot.capture);
         let known: Vec<Moment> = moments.into_iter().filter(|m| m.capture <= solved).collect();
-        let mut problem = PathProblem::new(scene, knots, &rough, true, &known, &mut self.work);
+        let mut problem = PathProblem::new(scene, knots, &rough, free, &known, &mut self.work);
         let mut x = problem.start();
         self.optimiser.minimise(&mut problem, &mut x, self.config.acquisition_iterations);
         let (keyframes, skeleton) = problem.solution(&x);
@@ -193,7 +202,7 @@ impl Solver {
         job: &Job,
         points: &[BodyPoint],
         known: Known,
-        skeleton: &Arc<Skeleton>,
+        (skeleton, learnt): (&Arc<Skeleton>, &Learnt),
         coasted: usize,
     ) -> Outcome {
         let Some((_, from)) = known.past.last() else { return Outcome::NobodyFound };
@@ -216,7 +225,40 @@ impl Solver {
         let seen = final_moments.into_iter().zip(poses);
         let residuals = residuals(seen, points, &job.rig, skeleton);
         let verdict = self.verdict(&keyframes, &residuals);
-        Outcome::Tracked(Box::new(self.tracked(job, solved, Some(summary), residuals, verdict)))
+        let learns = matches!(verdict, Verdict::Tracked)
+            && self.config.mark_windows > 0
+            && job.window.is_multiple_of(self.config.mark_windows as u64);
+        let learnt = learns.then(|| self.learn(job, points, solved, &moments, learnt)).flatten();
+        let tracked = self.tracked(job, solved, Some(summary), residuals, verdict);
+        Outcome::Tracked(Box::new(Tracked { learnt: learnt.map(Arc::new), ..tracked }))
+    }
+
+    /// Adds what the solved window tells of where the detector marks points.
+    fn learn(
+        &mut self,
+        job: &Job,
+        points: &[BodyPoint],
+        solved: Known,
+        moments: &[Moment],
+        learnt: &Learnt,
+    ) -> Option<Learnt> {
+        // What the prior pulls poses away from the detections must not be taken for marks.
+        let prior = LEARNING_PRIOR * self.config.cost.prior;
+        let cost = cost::Config { prior, mark_prior: 0.0, ..self.config.cost };
+        let scene = Scene { config: &cost, ..scene(&self.decoder, &self.config, &job.rig, points) };
+        let knot = |(capture, keyframe): &TimedKeyframe, free: bool| Knot {
+            capture: *capture,
+            keyframe: keyframe.clone(),
+            free,
+            frames: f64::from(u8::from(free)) * self.config.keyframe() as f64,
+        };
+        let past = solved.past.iter().map(|timed| knot(timed, false));
+        let knots = past.chain(solved.ahead.iter().map(|timed| knot(timed, true))).collect();
+        let free = self.config.free_body();
+        let mut problem =
+            PathProblem::new(scene, knots, solved.skeleton, free, moments, &mut self.work);
+        let told = problem.marginal(&problem.start(), MARKS)?;
+        learnt.with(&told, solved.skeleton.marks(), self.config.cost.mark_prior)
     }
 
     fn tracked(
@@ -236,6 +278,7 @@ impl Solver {
             summary,
             residuals,
             verdict,
+            learnt: None,
         }
     }
 
@@ -268,8 +311,14 @@ impl Solver {
             knots.push(Knot { capture, keyframe, free: true, frames });
             before = capture;
         }
-        let mut problem =
-            PathProblem::new(scene, knots, known.skeleton, false, moments, &mut self.work);
+        let mut problem = PathProblem::new(
+            scene,
+            knots,
+            known.skeleton,
+            FreeBody::Fixed,
+            moments,
+            &mut self.work,
+        );
         let mut x = problem.start();
         if let Some([(t0, a), (t1, b)]) = known.last_two() {
             // Or else: the root goes on as it did.
@@ -414,7 +463,7 @@ fn residuals<'m>(
     for (moment, pose) in moments {
         let posture = pose.posture(skeleton);
         let world: Vec<_> =
-            points.iter().map(|p| p.attachment.position(&posture, skeleton.shape())).collect();
+            points.iter().map(|p| p.attachment.position(&posture, skeleton)).collect();
         let heights: Vec<f64> = rig
             .cameras
             .iter()

@@ -5,7 +5,9 @@ use std::time::{Duration, Instant};
 
 use bundlemocap::body::{BodyPoint, Skeleton, fitted_points};
 use bundlemocap::camera::Rig;
-use bundlemocap::cost::{self, Counts, Knot, Moment, Observation, PathProblem, Scene, Workspace};
+use bundlemocap::cost::{
+    self, Counts, FreeBody, Knot, Moment, Observation, PathProblem, Scene, Workspace,
+};
 use bundlemocap::detect::KeypointFormat;
 use bundlemocap::manifold::{Decoder, Interpolation, Jacobians, Keyframe, LATENT};
 use bundlemocap::solve::{Method, Normal, Optimiser, Problem, Summary};
@@ -71,7 +73,7 @@ fn case(Size { cameras, format, frames }: Size) -> Case {
             let mut seen = Vec::new();
             for (camera, view) in rig.cameras.iter().enumerate() {
                 for (point, body_point) in points.iter().enumerate() {
-                    let world = body_point.attachment.position(&posture, skeleton.shape());
+                    let world = body_point.attachment.position(&posture, skeleton);
                     let Some(pixel) = view.project(&world) else { continue };
                     count += 1.0;
                     let size = if (count as usize).is_multiple_of(23) { 90.0 } else { 4.0 };
@@ -109,7 +111,7 @@ impl Case {
             frames: spacing as f64,
         });
         let knots = past.into_iter().chain(free).collect();
-        PathProblem::new(scene, knots, &self.skeleton, false, &self.moments, work)
+        PathProblem::new(scene, knots, &self.skeleton, FreeBody::Fixed, &self.moments, work)
     }
 
     fn solve(&self, spacing: u64, optimiser: &mut dyn Optimiser, work: &mut Workspace) -> Summary {

@@ -37,7 +37,7 @@ impl Case {
         let truth = |i: usize| keyframe(0.7 + 0.01 * i as f64, 0.8);
         let moments = (0..frames).map(|i| {
             let posture = decoder.pose(&truth(i)).posture(&skeleton);
-            let seen = observe(&rig, &points, &posture, skeleton.shape());
+            let seen = observe(&rig, &points, &posture, &skeleton);
             let moved = seen.into_iter().enumerate().map(|(n, seen)| {
                 let n = (n + 131 * i) as f64;
                 let off = Vector2::new((n * 1.3).sin(), (n * 2.1).cos()) * 6.0;

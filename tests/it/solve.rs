@@ -1,14 +1,16 @@
 //! The window problem: its derivatives, its two optimisers, and exact recovery.
 
-use bundlemocap::body::{BodyPoint, Posture, Shape, Skeleton, fitted_points};
+use bundlemocap::body::{
+    BODY_COEFFICIENTS, BodyPoint, MARKS, Posture, Shape, Skeleton, fitted_points,
+};
 use bundlemocap::camera::{Camera, Lens, Rig};
-use bundlemocap::cost::{self, Knot, Moment, Observation, PathProblem, Scene, Workspace};
+use bundlemocap::cost::{self, FreeBody, Knot, Moment, Observation, PathProblem, Scene, Workspace};
 use bundlemocap::detect::KeypointFormat;
 use bundlemocap::manifold::{Decoder, Interpolation, Keyframe, LATENT};
 use bundlemocap::so3;
 use bundlemocap::solve::{Method, Normal, Problem};
 use bundlemocap::time::Timestamp;
-use nalgebra::{DMatrix, Matrix3, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector2, Vector3};
 
 use crate::jacobians::{assert_jacobian, numeric_jacobian};
 
@@ -53,10 +55,10 @@ pub fn observe(
     rig: &Rig,
     points: &[BodyPoint],
     posture: &Posture,
-    shape: &Shape,
+    body: &Skeleton,
 ) -> Vec<Observation> {
     let seen = |camera: usize, point: usize| {
-        let world = points[point].attachment.position(posture, shape);
+        let world = points[point].attachment.position(posture, body);
         let pixel = rig.cameras[camera].project(&world)?;
         Some(Observation { point, camera, pixel, confidence: 1.0 })
     };
@@ -98,7 +100,7 @@ impl Case {
                 let next = &truth[(k + 1).min(keyframes - 1)];
                 let at = Interpolation::Slerp.keyframe(&truth[k.min(keyframes - 1)], next, s);
                 let posture = decoder.pose(&at).posture(&skeleton);
-                Moment::new(frame(i), observe(&rig, &points, &posture, skeleton.shape()))
+                Moment::new(frame(i), observe(&rig, &points, &posture, &skeleton))
             })
             .collect();
         Self { decoder, rig, points, skeleton, truth, moments }
@@ -129,7 +131,14 @@ impl Case {
         work: &'a mut Workspace,
     ) -> PathProblem<'a> {
         let knots = self.knots(&[false, true], start);
-        PathProblem::new(self.scene(config), knots, &self.skeleton, false, &self.moments, work)
+        PathProblem::new(
+            self.scene(config),
+            knots,
+            &self.skeleton,
+            FreeBody::Fixed,
+            &self.moments,
+            work,
+        )
     }
 
     fn knots(&self, free: &[bool], start: &Keyframe) -> Vec<Knot> {
@@ -148,19 +157,20 @@ fn gradients_of_every_kind_of_path_match_central_differences() {
     let mut case = Case::new(4);
     case.disturb();
     let config = cost::Config { prior: 5.0, ..cost::Config::default() };
-    let kinds: [(&[bool], bool); 5] = [
-        (&[true], true),
-        (&[false, true], false),
-        (&[true, true], false),
-        (&[true, true, true], true),
-        (&[false, false, true, true], false),
+    let kinds: [(&[bool], FreeBody); 6] = [
+        (&[true], FreeBody::Shape),
+        (&[true], FreeBody::ShapeAndMarks),
+        (&[false, true], FreeBody::Fixed),
+        (&[true, true], FreeBody::Fixed),
+        (&[true, true, true], FreeBody::ShapeAndMarks),
+        (&[false, false, true, true], FreeBody::Fixed),
     ];
-    for (free, shape) in kinds {
+    for (free, body) in kinds {
         let mut work = Workspace::default();
         let moments = &case.moments[..(10 * (free.len() - 1)).max(1)];
         let knots = case.knots(free, &keyframe(0.73, 0.8));
         let mut problem =
-            PathProblem::new(case.scene(&config), knots, &case.skeleton, shape, moments, &mut work);
+            PathProblem::new(case.scene(&config), knots, &case.skeleton, body, moments, &mut work);
         let x: Vec<f64> =
             problem.start().iter().enumerate().map(|(i, v)| v + 0.05 * (i as f64).sin()).collect();
         let mut gradient = vec![0.0; x.len()];
@@ -205,8 +215,37 @@ fn the_hessian_of_stiffness_is_exact_where_nothing_moves() {
         Knot { capture, keyframe, free: k > 1, frames: 1.0 }
     });
     let scene = case.scene(&config);
-    let problem = PathProblem::new(scene, knots.collect(), &case.skeleton, false, &[], &mut work);
+    let problem =
+        PathProblem::new(scene, knots.collect(), &case.skeleton, FreeBody::Fixed, &[], &mut work);
     assert_hessian(problem);
+}
+
+#[test]
+fn the_marginal_step_of_the_marks_is_that_of_all_unknowns() {
+    let mut case = Case::new(2);
+    case.disturb();
+    let config = cost::Config::default();
+    let mut work = Workspace::default();
+    let knots = case.knots(&[false, true], &case.truth[1]);
+    let free = FreeBody::ShapeAndMarks;
+    let scene = case.scene(&config);
+    let mut problem =
+        PathProblem::new(scene, knots, &case.skeleton, free, &case.moments, &mut work);
+    let x = problem.start();
+    let told = problem.marginal(&x, MARKS).unwrap();
+    let step = told.hessian.cholesky().unwrap().solve(&told.gradient);
+
+    let mut normal = Normal::zeros(problem.layout());
+    problem.linearise(&x, &mut normal);
+    // The shape is held.
+    let keyframe = x.len() - BODY_COEFFICIENTS;
+    let is_free = |i: &usize| *i < keyframe || *i >= x.len() - MARKS;
+    let kept: Vec<usize> = (0..x.len()).filter(is_free).collect();
+    let all = dense(&normal).select_rows(&kept).select_columns(&kept);
+    let gradient = DVector::from_iterator(kept.len(), kept.iter().map(|&i| normal.gradient[i]));
+    let whole = all.cholesky().unwrap().solve(&gradient);
+    let off = (whole.rows(keyframe, MARKS) - &step).norm();
+    assert!(off < 1e-6 * step.norm() && step.norm() > 0.1, "{off} {}", step.norm());
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bundlemocap::body::{
-    BodyPoint, Joint, Shape, Skeleton, StampedPose, TrackingState, fitted_points,
+    BodyPoint, Joint, Marks, Shape, Skeleton, StampedPose, TrackingState, fitted_points,
 };
 use bundlemocap::camera::Rig;
 use bundlemocap::cost::Observation;
@@ -93,7 +93,7 @@ fn stream(frames: usize) -> Vec<Detections> {
     let mut all = Vec::new();
     for i in 0..frames {
         let posture = decoder.pose(&truth(i)).posture(&skeleton);
-        let seen = observe(&rig, &points, &posture, skeleton.shape());
+        let seen = observe(&rig, &points, &posture, &skeleton);
         all.extend(detections(&rig, &points, &seen, i));
     }
     all
@@ -134,7 +134,7 @@ fn windows_follow_a_manifold_motion_exactly() {
                 Interpolation::Slerp.keyframe(&at(window), &at(window + 1), i as f64 / 10.0)
             };
             let posture = |i: u64| decoder.pose(&truth(i)).posture(&skeleton);
-            let seen = |i| observe(&rig, &points, &posture(i), skeleton.shape());
+            let seen = |i| observe(&rig, &points, &posture(i), &skeleton);
             let time = |i: u64| frame((10 * window + i) as usize);
             let job = Job {
                 number: window,
@@ -153,6 +153,7 @@ fn windows_follow_a_manifold_motion_exactly() {
                 half_frame: 8_333_333,
                 effort: Effort::full(&config()),
                 task: Task::Track {
+                    learnt: Arc::default(),
                     past: vec![(time(0), from)],
                     ahead: Vec::new(),
                     skeleton: Arc::clone(&skeleton),
@@ -297,7 +298,7 @@ fn cameras_without_genlock_are_put_together() {
         let k = frame.frame as usize / 10 * 10;
         let at = Interpolation::Slerp.keyframe(&truth(k), &truth(k + 10), s);
         let posture = decoder.pose(&at).posture(&skeleton);
-        for seen in observe(&rig, &points, &posture, skeleton.shape()) {
+        for seen in observe(&rig, &points, &posture, &skeleton) {
             if seen.camera == frame.camera {
                 let index = points[seen.point].index;
                 let pixel = Point2::from(seen.pixel);
@@ -365,4 +366,33 @@ fn the_shape_waits_for_enough_frames() {
         assert!(difference.abs() < 5e-3, "{} {difference} m", joint.name());
     }
     assert!((run.poses[0].capture - frame(25)).abs() < 10);
+}
+
+#[test]
+fn where_the_detector_marks_points_is_learnt() {
+    let (rig, points, decoder) = (ring(), fitted_points(FORMAT), Decoder::embedded().unwrap());
+    let marks = Marks(std::array::from_fn(|i| 1.5 * (1.3 * i as f64).sin()));
+    let (seen_as, body) = (Skeleton::default().with_marks(marks), Skeleton::default());
+    let step =
+        |i: usize| keyframe(0.7 + 0.02 * i as f64 / 10.0, 0.25 + 0.1 * (i as f64 / 9.0).sin());
+    let frames: Vec<_> = (0..240)
+        .flat_map(|i| {
+            let posture = decoder.pose(&step(i)).posture(&seen_as);
+            detections(&rig, &points, &observe(&rig, &points, &posture, &seen_as), i)
+        })
+        .collect();
+    let error = |mark_windows: usize| {
+        let run = run(Config { mark_windows, ..Config::default() }, frames.clone());
+        let skeleton = run.skeleton.unwrap();
+        let late = run.poses.iter().skip(120).map(|pose| {
+            let i = (pose.capture.ns() as f64 * 60e-9).round() as usize;
+            let (found, truth) =
+                (pose.pose.posture(&skeleton), decoder.pose(&step(i)).posture(&body));
+            let pairs = found.positions.iter().zip(&truth.positions);
+            pairs.map(|(a, b)| (a - b).norm()).sum::<f64>()
+        });
+        late.sum::<f64>()
+    };
+    let (without, with) = (error(0), error(4));
+    assert!(with < 0.9 * without, "{with} {without}");
 }
