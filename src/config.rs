@@ -108,7 +108,7 @@ impl Config {
         Some((key, value, allowed))
     }
 
-    fn counts(&self) -> [Limit; 12] {
+    fn counts(&self) -> [Limit; 13] {
         let Self { track, node, .. } = self;
         let count =
             |key, value: usize, most: f64, allowed| (key, value as f64, 1.0..=most, allowed);
@@ -123,13 +123,14 @@ impl Config {
             or_none("track.loose_iterations", track.loose_iterations),
             count("track.acquisition_iterations", track.acquisition_iterations, 1e3, "1 to 1000"),
             or_none("track.live_iterations", track.live_iterations),
+            or_none("track.mark_windows", track.mark_windows),
             or_none("track.coast_windows", track.coast_windows),
             count("track.grace_windows", track.grace_windows, 1e3, "1 to 1000"),
             ("node.queue", node.queue as f64, 16.0..=1e6, "16 to 1000000"),
         ]
     }
 
-    fn weights(&self) -> [Limit; 16] {
+    fn weights(&self) -> [Limit; 17] {
         let track::Config { cost, gate, loose_scale, min_confidence, .. } = self.track;
         let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
         let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
@@ -140,6 +141,7 @@ impl Config {
             from_0("track.change_threshold", self.track.change_threshold),
             from_0("track.cost.prior", cost.prior),
             from_0("track.cost.shape_prior", cost.shape_prior),
+            from_0("track.cost.mark_prior", cost.mark_prior),
             from_0("track.cost.stiffness.latent", cost.stiffness.latent),
             from_0("track.cost.stiffness.turn", cost.stiffness.turn),
             from_0("track.cost.stiffness.shift", cost.stiffness.shift),
@@ -251,6 +253,7 @@ mod tests {
         refused("track", "loose_iterations", "1001", "0 to 1000");
         refused("track", "acquisition_iterations", "0", "1 to 1000");
         refused("track", "live_iterations", "1001", "0 to 1000");
+        refused("track", "mark_windows", "1001", "0 to 1000");
         refused("track", "coast_windows", "1001", "0 to 1000");
         refused("track", "grace_windows", "0", "1 to 1000");
         refused("track", "loose_scale", "0.99", "1 or a number above");
@@ -258,6 +261,7 @@ mod tests {
         refused("track.cost", "scale_px", "0.0", "a number above 0");
         refused("track.cost", "prior", "-1.0", "0 or a number above");
         refused("track.cost", "shape_prior", "inf", "0 or a number above");
+        refused("track.cost", "mark_prior", "-1.0", "0 or a number above");
         refused("track.cost.stiffness", "turn", "-0.1", "0 or a number above");
         refused("track.gate", "follow", "nan", "a number above 0");
         refused("node", "queue", "15", "16 to 1000000");

@@ -227,6 +227,7 @@ impl Solver {
         let verdict = self.verdict(&keyframes, &residuals);
         let learns = matches!(verdict, Verdict::Tracked)
             && self.config.mark_windows > 0
+            && !learnt.is_complete()
             && job.window.is_multiple_of(self.config.mark_windows as u64);
         let learnt = learns.then(|| self.learn(job, points, solved, &moments, learnt)).flatten();
         let tracked = self.tracked(job, solved, Some(summary), residuals, verdict);
