@@ -6,7 +6,7 @@ use super::detector::position;
 use super::motion::about_y;
 use super::protocol::SequenceChoice;
 use super::random::Draws;
-use crate::body::{Joint, Pose, SHAPE_COEFFICIENTS, Shape, Skeleton};
+use crate::body::{JOINTS, Joint, Pose, SHAPE_COEFFICIENTS, Shape, Skeleton};
 use crate::detect::Keypoint;
 
 /// Sets these draws apart from others of the same seed.
@@ -16,6 +16,10 @@ mod topic {
     pub(super) const SHAPE: u64 = 0;
     pub(super) const HEADING: u64 = 1;
 }
+
+/// Joints do not move faster than this, m/s: where one does, the capture leaps, as from the reference
+/// pose that many files begin with.
+const FASTEST: f64 = 15.0;
 
 /// Points that touch the floor.
 const SOLE: [Keypoint; 6] = [
@@ -48,7 +52,8 @@ pub struct Sequence {
 /// ends lies below y = 0, on the mean body and on this one). Of the motion the stretch of at most
 /// `choice.seconds` is taken that stays within `choice.radius_m` of its own middle: that nearest to
 /// the middle of the motion, or where there is none, the longest shorter one. Its middle is moved to
-/// the origin, and the whole turned by a drawn angle. The same seed gives the same sequence.
+/// the origin, and the whole turned by a drawn angle. No stretch goes over a leap, where a joint is faster
+/// than 15 m/s. The same seed gives the same sequence.
 ///
 /// `None` where no stretch of `choice.least_seconds` stays within the radius.
 pub fn sequence(
@@ -67,7 +72,8 @@ pub fn sequence(
         pose.root_position.y -= floor;
         pose.root_position *= scale;
     }
-    let (first, count, middle) = stretch(&scaled, source_fps, choice)?;
+    let leaps = leaps(&scaled, &skeleton, source_fps);
+    let (first, count, middle) = stretch(&scaled, &leaps, source_fps, choice)?;
     let mut poses = scaled.split_off(first);
     poses.truncate(count);
 
@@ -111,6 +117,7 @@ fn floor(poses: &[Pose], skeleton: &Skeleton) -> Option<f64> {
 /// First pose, number of poses, and the middle of the path on the floor.
 fn stretch(
     poses: &[Pose],
+    leaps: &[bool],
     fps: f64,
     choice: &SequenceChoice,
 ) -> Option<(usize, usize, Vector3<f64>)> {
@@ -123,6 +130,9 @@ fn stretch(
         let mut starts: Vec<usize> = (0..=poses.len() - count).step_by(step).collect();
         starts.sort_by_key(|start| start.abs_diff(centre));
         let found = starts.into_iter().find_map(|first| {
+            if leaps[first + 1..first + count].contains(&true) {
+                return None;
+            }
             let middle = middle_within(&poses[first..first + count], choice.radius_m)?;
             Some((first, count, middle))
         });
@@ -134,6 +144,15 @@ fn stretch(
     None
 }
 
+/// Whether a joint is faster than people are from the pose before to this one.
+fn leaps(poses: &[Pose], skeleton: &Skeleton, fps: f64) -> Vec<bool> {
+    let positions: Vec<_> = poses.iter().map(|pose| pose.posture(skeleton).positions).collect();
+    let is_leap = |pair: &[[Vector3<f64>; JOINTS]]| {
+        pair[0].iter().zip(&pair[1]).any(|(a, b)| (b - a).norm() * fps > FASTEST)
+    };
+    std::iter::once(false).chain(positions.windows(2).map(is_leap)).collect()
+}
+
 /// The middle of the box around the path of the pelvis on the floor, if the path stays within the
 /// radius of it.
 fn middle_within(poses: &[Pose], radius: f64) -> Option<Vector3<f64>> {
@@ -142,4 +161,27 @@ fn middle_within(poses: &[Pose], radius: f64) -> Option<Vector3<f64>> {
     let (low, high) = bounds.reduce(|a, b| (a.0.inf(&b.0), a.1.sup(&b.1)))?;
     let middle = (low + high) / 2.0;
     poses.iter().all(|p| (on_floor(p) - middle).norm() <= radius).then_some(middle)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_stretch_goes_over_a_leap() {
+        let at = |x: f64| {
+            let mut pose = Pose::rest();
+            pose.root_position = Vector3::new(x, 0.9, 0.0);
+            pose
+        };
+        let mut poses: Vec<Pose> = (0..200).map(|frame| at(0.005 * f64::from(frame))).collect();
+        let choice = SequenceChoice { least_seconds: 1.0, ..SequenceChoice::default() };
+        assert_eq!(sequence(&poses, 60.0, &choice, 1).unwrap().first, 0);
+        poses[0] = at(-0.5);
+        let cut = sequence(&poses, 60.0, &choice, 1).unwrap();
+        assert!(cut.first >= 1 && cut.poses.len() > 180, "{} {}", cut.first, cut.poses.len());
+        poses[100] = at(9.0);
+        let cut = sequence(&poses, 60.0, &choice, 1).unwrap();
+        assert!(cut.first > 100 || cut.first + cut.poses.len() <= 100, "{}", cut.first);
+    }
 }
