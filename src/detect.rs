@@ -56,6 +56,28 @@ pub enum Keypoint {
     RHeel,
 }
 
+impl Keypoint {
+    /// The point of the left side that this one is or mirrors, and the side: 1 for left and middle, -1
+    /// for right.
+    pub fn of_left(self) -> (Self, f64) {
+        let left = match self {
+            REye => LEye,
+            REar => LEar,
+            RShoulder => LShoulder,
+            RElbow => LElbow,
+            RWrist => LWrist,
+            RHip => LHip,
+            RKnee => LKnee,
+            RAnkle => LAnkle,
+            RBigToe => LBigToe,
+            RSmallToe => LSmallToe,
+            RHeel => LHeel,
+            _ => return (self, 1.0),
+        };
+        (left, -1.0)
+    }
+}
+
 use Keypoint::*;
 
 const BODY_25: [Keypoint; 25] = [

@@ -107,18 +107,8 @@ fn table(keypoint: Keypoint) -> (Joint, [f64; 3], Part, f64) {
         K::LSmallToe | K::RSmallToe => (Joint::LFoot, [0.034, -0.016, 0.018], Part::Foot, 1.0),
         K::LHeel | K::RHeel => (Joint::LAnkle, [0.0, -0.046, -0.040], Part::Foot, 1.0),
     };
-    match keypoint {
-        K::REye
-        | K::REar
-        | K::RShoulder
-        | K::RElbow
-        | K::RWrist
-        | K::RHip
-        | K::RKnee
-        | K::RAnkle
-        | K::RBigToe
-        | K::RSmallToe
-        | K::RHeel => (joint.mirrored(), [-x, y, z], part, weight),
+    match keypoint.of_left() {
+        (_, -1.0) => (joint.mirrored(), [-x, y, z], part, weight),
         _ => (joint, [x, y, z], part, weight),
     }
 }

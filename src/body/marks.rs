@@ -8,11 +8,25 @@ use nalgebra::Vector3;
 
 use crate::detect::Keypoint;
 
-/// Points that have a mark: those of the left side and of the middle.
-const POINTS: usize = 13;
+/// Points that have a mark: those that are fitted, of the left side and of the middle.
+const POINTS: [Keypoint; 13] = [
+    Keypoint::Nose,
+    Keypoint::LEye,
+    Keypoint::LEar,
+    Keypoint::HeadTop,
+    Keypoint::LShoulder,
+    Keypoint::LElbow,
+    Keypoint::LWrist,
+    Keypoint::LHip,
+    Keypoint::LKnee,
+    Keypoint::LAnkle,
+    Keypoint::LBigToe,
+    Keypoint::LSmallToe,
+    Keypoint::LHeel,
+];
 
-/// Numbers of all marks.
-pub const MARKS: usize = 3 * POINTS;
+/// Numbers of all marks: x, y and z of each point.
+pub const MARKS: usize = 3 * POINTS.len();
 
 /// Metres of a coordinate of 1.
 const UNIT: f64 = 0.012;
@@ -38,34 +52,8 @@ pub(super) struct Slot {
 impl Slot {
     /// `None` for points that are not fitted.
     pub(super) fn of(keypoint: Keypoint) -> Option<Self> {
-        use Keypoint as K;
-        let (number, side) = match keypoint {
-            K::Nose => (0, 1.0),
-            K::LEye => (1, 1.0),
-            K::REye => (1, -1.0),
-            K::LEar => (2, 1.0),
-            K::REar => (2, -1.0),
-            K::HeadTop => (3, 1.0),
-            K::LShoulder => (4, 1.0),
-            K::RShoulder => (4, -1.0),
-            K::LElbow => (5, 1.0),
-            K::RElbow => (5, -1.0),
-            K::LWrist => (6, 1.0),
-            K::RWrist => (6, -1.0),
-            K::LHip => (7, 1.0),
-            K::RHip => (7, -1.0),
-            K::LKnee => (8, 1.0),
-            K::RKnee => (8, -1.0),
-            K::LAnkle => (9, 1.0),
-            K::RAnkle => (9, -1.0),
-            K::LBigToe => (10, 1.0),
-            K::RBigToe => (10, -1.0),
-            K::LSmallToe => (11, 1.0),
-            K::RSmallToe => (11, -1.0),
-            K::LHeel => (12, 1.0),
-            K::RHeel => (12, -1.0),
-            K::Neck | K::UpperNeck | K::MidHip => return None,
-        };
+        let (left, side) = keypoint.of_left();
+        let number = POINTS.iter().position(|&point| point == left)?;
         Some(Self { first: 3 * number, side })
     }
 

@@ -9,9 +9,9 @@ use crate::solve::{Normal, Problem};
 /// the Schur complement of the keyframes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Marginal {
-    /// Symmetric.
+    /// Coefficients x coefficients, symmetric; square pixels by their units.
     pub hessian: DMatrix<f64>,
-    /// At the body that the path has.
+    /// By the coefficients, at those that the path has.
     pub gradient: DVector<f64>,
 }
 

@@ -1,8 +1,8 @@
 //! The cost of a path through keyframes, with its gradient and Gauss-Newton Hessian.
 //!
 //! Each moment is linearised in coordinates of its own (code, rotation and position where it is on
-//! the path, and the shape); the result is carried to the unknowns of the two knots about it by the
-//! derivative of the interpolation. A free shape concerns all knots: then the normal equations are
+//! the path, and the body); the result is carried to the unknowns of the two knots about it by the
+//! derivative of the interpolation. A free body concerns all knots: then the normal equations are
 //! one dense block; else they are banded, a block for each free knot.
 
 use nalgebra::Matrix3;
@@ -33,7 +33,7 @@ pub struct Scene<'a> {
     pub config: &'a Config,
 }
 
-/// The cost of a path. Also gives the solution back as keyframes and shape.
+/// The cost of a path. Also gives the solution back as keyframes and body.
 #[derive(Debug)]
 pub struct PathProblem<'a> {
     pub(super) scene: Scene<'a>,

@@ -68,6 +68,7 @@ impl Workspace {
     pub fn counts(&self) -> Counts {
         self.counts
     }
+
     /// Another problem begins.
     pub(super) fn forget(&mut self) {
         self.codes.clear();

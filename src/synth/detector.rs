@@ -4,7 +4,7 @@ use nalgebra::{Point2, Vector2, Vector3};
 
 use super::motion::{Motion, MotionStyle};
 use super::noise::Noise;
-use super::points::{Region, along, difficulty, limb_of, mirrored, of_left};
+use super::points::{Region, along, difficulty, limb_of, mirrored};
 use super::random::Draws;
 use crate::body::{Attachment, Posture, Skeleton};
 use crate::camera::Camera;
@@ -222,7 +222,7 @@ pub fn position(keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> V
 
 /// A unit normal offset for a point; left and right mirror each other.
 fn bias(keypoint: Keypoint, draws: &Draws) -> Vector3<f64> {
-    let (left, side) = of_left(keypoint);
+    let (left, side) = keypoint.of_left();
     let [x, y] = draws.normals(topic::BIAS, left as u64);
     let [z, _] = draws.normals(topic::BIAS + 1, left as u64);
     // A point of the middle has no side to be off to.

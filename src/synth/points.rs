@@ -63,17 +63,3 @@ pub(super) fn along(keypoint: Keypoint) -> f64 {
         _ => 1.0,
     }
 }
-
-/// The point of the left side that a point is or mirrors, and 1 for left and middle, -1 for right.
-pub(super) fn of_left(keypoint: Keypoint) -> (Keypoint, f64) {
-    use Keypoint as K;
-    let left = match keypoint {
-        K::REye => K::LEye,
-        K::REar => K::LEar,
-        K::RShoulder => K::LShoulder,
-        K::RHip => K::LHip,
-        limb if matches!(limb_of(limb), Some((_, 1))) => mirrored(limb),
-        _ => return (keypoint, 1.0),
-    };
-    (left, -1.0)
-}

@@ -30,8 +30,8 @@ pub struct Config {
     pub loose_scale: f64,
     /// Most iterations of a provisional fit of the open window.
     pub live_iterations: usize,
-    /// In every so manieth window it is learnt where the detector marks points, 25 times; 0 takes them to be where
-    /// our body has them. Differs: the paper does not.
+    /// In every so manieth window it is learnt where the detector marks points, 25 times; 0 takes
+    /// them to be where our body has them. Differs: the paper does not.
     pub mark_windows: usize,
     /// How many windows in a row may pass in which too little is seen of the performer.
     pub coast_windows: usize,
