@@ -13,8 +13,8 @@ use crate::train::{
 };
 
 /// Options that mean nothing to a transition model.
-const MANIFOLD_ONLY: [&str; 8] =
-    ["encoder_hidden", "kl", "limits", "position", "between", "mix", "restyle", "threads"];
+const MANIFOLD_ONLY: [&str; 9] =
+    ["latent", "encoder_hidden", "kl", "limits", "position", "between", "mix", "restyle", "threads"];
 
 /// Train a pose manifold or a transition model on a folder of BVH clips, or evaluate one.
 #[derive(Debug, Args)]
@@ -54,6 +54,9 @@ pub(super) struct Arguments {
     /// Samples per step.
     #[arg(long, default_value_t = Options::default().batch)]
     batch: usize,
+    /// Numbers of a code that are used, 1 to 32.
+    #[arg(long, default_value_t = Options::default().latent)]
+    latent: usize,
     /// Hidden units per layer of the decoder, or of the transition model.
     #[arg(long, default_value_t = Options::default().hidden)]
     hidden: usize,
@@ -167,6 +170,7 @@ fn options(arguments: &Arguments) -> Options {
         seed: arguments.seed,
         steps: arguments.steps,
         batch: arguments.batch,
+        latent: arguments.latent,
         hidden: arguments.hidden,
         encoder_hidden: arguments.encoder_hidden,
         layers: arguments.layers,

@@ -34,7 +34,7 @@ pub struct Stiffness {
 
 impl Default for Stiffness {
     fn default() -> Self {
-        Self { latent: 4e-4, turn: 0.4, shift: 4.0, scale_px: 30.0 }
+        Self { latent: 1e-3, turn: 0.04, shift: 0.4, scale_px: 30.0 }
     }
 }
 

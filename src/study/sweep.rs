@@ -55,9 +55,10 @@ pub fn axes(method: &str) -> Option<Vec<Axis>> {
     };
     let ours = |method: &Windows| {
         let slack = method.config().cost.stiffness.scale_px;
-        let stiffness = Axis { name: "stiffness", start: 1.0, factors: NARROW };
+        let factor = |name| Axis { name, start: 1.0, factors: NARROW };
+        let (latent, root) = (factor("stiffness"), factor("root stiffness"));
         let slack = Axis { name: "slack px", start: slack, factors: &[0.2, 0.5, 1.0, 2.0, 10.0] };
-        windows(method).map(|plain| [stiffness, slack].into_iter().chain(plain).collect())
+        windows(method).map(|plain| [latent, root, slack].into_iter().chain(plain).collect())
     };
     match method {
         "muvs" => {
@@ -97,8 +98,11 @@ fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> 
     let windows = |method: Windows| {
         let config = method.config();
         let (plain, slack) = (config.cost.stiffness, of("slack px"));
-        let slack = if slack == 1.0 { plain.scale_px } else { slack };
-        let stiffness = Stiffness { scale_px: slack, ..plain.times(of("stiffness")) };
+        let stiffness = Stiffness {
+            scale_px: if slack == 1.0 { plain.scale_px } else { slack },
+            latent: plain.latent * of("stiffness"),
+            ..plain.times(of("root stiffness"))
+        };
         let cost = crate::cost::Config { prior, scale_px, stiffness, ..config.cost };
         Box::new(Windows::new("", Config { cost, ..config }))
     };

@@ -75,7 +75,7 @@ pub enum TrainError {
     #[error("no clip to train on is longer than {frames} frames; leave out fewer subjects")]
     NothingLeft { frames: usize },
     #[error("option `{option}` is {found}; it must be {allowed}")]
-    Option { option: &'static str, found: String, allowed: &'static str },
+    Option { option: &'static str, found: String, allowed: String },
     #[error("the loss is no longer finite at step {step}; lower the learning rate")]
     Diverged { step: usize },
     #[error("{}: {problem}; it is no weights file that this version can use", path.display())]
@@ -181,6 +181,9 @@ fn fit(
         &vec![options.hidden; options.layers],
     );
     model.initialise(&mean, &mut ChaCha8Rng::seed_from_u64(options.seed));
+    let unused = model.unused(options.latent);
+    let clear = |values: &mut [f32]| unused.iter().for_each(|at| values[at.clone()].fill(0.0));
+    clear(&mut model.parameters);
     let mut optimiser = Optimiser::new(optimiser_config(options), &model.parameters);
     let limits = Limits::new(clips);
     let mut batch =
@@ -189,6 +192,7 @@ fn fit(
     let mut reporter = Reporter::new(options.steps, weights);
     for step in 1..=options.steps {
         let losses = batch.gradient(&model, &sampler, (options.seed, step), &mut gradient);
+        clear(&mut gradient);
         optimiser.step(&mut model.parameters, &gradient);
         if let Some(report) = reporter.add(step, &losses) {
             if !report.loss.is_finite() {

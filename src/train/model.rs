@@ -1,5 +1,6 @@
 //! Encoder and decoder with their parameters, and one batch's gradient.
 
+use std::ops::Range;
 use std::thread;
 
 use rand::SeedableRng;
@@ -56,6 +57,32 @@ impl Model {
             self.parameters[means].iter_mut().for_each(|weight| *weight *= FIRST_SPREAD);
             self.parameters[last.bias.clone()][LATENT..].fill(FIRST_LOG_VARIANCE);
         }
+    }
+
+    /// The parameters of the numbers of codes from `latent` on. While they are zero, those numbers
+    /// are N(0, 1) to the encoder and nothing to the decoder.
+    pub fn unused(&self, latent: usize) -> Vec<Range<usize>> {
+        let mut ranges = Vec::new();
+        if let Some(last) = self.encoder.layers().last() {
+            for rows in [latent..LATENT, LATENT + latent..CODE] {
+                let weight = |row: usize| last.weight.start + row * last.inputs;
+                ranges.push(weight(rows.start)..weight(rows.end));
+                ranges.push(last.bias.start + rows.start..last.bias.start + rows.end);
+            }
+        }
+        if let Some(first) = self.decoder.layers().first() {
+            let rows = first.weight.clone().step_by(LATENT);
+            ranges.extend(rows.map(|row| row + latent..row + LATENT));
+        }
+        ranges
+    }
+
+    /// How many numbers of codes the decoder uses.
+    pub fn latent(&self) -> usize {
+        let Some(first) = self.decoder.layers().first() else { return 0 };
+        let weights = &self.parameters[first.weight.clone()];
+        let used = |column: &usize| weights[*column..].iter().step_by(LATENT).any(|w| *w != 0.0);
+        (0..LATENT).rev().find(used).map_or(0, |last| last + 1)
     }
 
     /// Makes all codes `factor` times as long: the encoder's means and deviations grow, and the
@@ -440,6 +467,32 @@ mod tests {
             let error = (analytic - numeric).abs();
             assert!(error < 2e-3 + 5e-3 * numeric.abs(), "{analytic} {numeric}");
         }
+    }
+
+    #[test]
+    fn numbers_of_codes_that_are_not_used_carry_nothing() {
+        let clips = [clip()];
+        let (mut model, _) = small(&clips);
+        assert_eq!(model.latent(), LATENT);
+        for range in model.unused(5) {
+            model.parameters[range].fill(0.0);
+        }
+        assert_eq!(model.latent(), 5);
+        let mut encoder = model.encoder.tape(1);
+        encoder.input_mut().copy_from_slice(&clips[0].poses[7]);
+        model.encoder.forward(&model.parameters, &mut encoder);
+        let code = encoder.output().to_vec();
+        assert!(code[..5].iter().all(|value| *value != 0.0));
+        assert!(code[5..LATENT].iter().chain(&code[LATENT + 5..]).all(|value| *value == 0.0));
+        let decoded = |code: &[f32]| {
+            let mut decoder = model.decoder.tape(1);
+            decoder.input_mut().copy_from_slice(code);
+            model.decoder.forward(&model.parameters, &mut decoder);
+            decoder.output().to_vec()
+        };
+        let mut other = code[..LATENT].to_vec();
+        other[5..].fill(3.0);
+        assert_eq!(decoded(&other), decoded(&code[..LATENT]));
     }
 
     #[test]

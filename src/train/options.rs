@@ -6,6 +6,7 @@ use super::evaluate::SPAN;
 use super::loss::Weights;
 use super::model::LossWeights;
 use super::{TrainError, optimiser, sampler};
+use crate::manifold::LATENT;
 
 /// What to train on, and how. The defaults made the weights that ship.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,6 +23,8 @@ pub struct Options {
     pub steps: usize,
     /// Samples per step; a sample is two poses of a clip and two between.
     pub batch: usize,
+    /// Numbers of a code that are used, up to all 32; the others stay without effect.
+    pub latent: usize,
     /// Hidden units per layer of the decoder.
     pub hidden: usize,
     /// Hidden units per layer of the encoder.
@@ -57,6 +60,7 @@ impl Default for Options {
             seed: 1,
             steps: 20_000,
             batch: 512,
+            latent: LATENT,
             hidden: 256,
             encoder_hidden: 512,
             layers: 2,
@@ -78,6 +82,7 @@ pub fn check(options: &Options) -> Result<(), TrainError> {
     let counts = [
         ("steps", options.steps, 1, 10_000_000),
         ("batch", options.batch, 1, 65_536),
+        ("latent", options.latent, 1, LATENT),
         ("hidden", options.hidden, 8, 4096),
         ("encoder_hidden", options.encoder_hidden, 8, 4096),
         ("layers", options.layers, 1, 8),
@@ -86,7 +91,7 @@ pub fn check(options: &Options) -> Result<(), TrainError> {
     for (option, found, low, high) in counts {
         if !(low..=high).contains(&found) {
             let found = found.to_string();
-            let allowed = "a positive number of a sensible size";
+            let allowed = format!("from {low} to {high}");
             return Err(TrainError::Option { option, found, allowed });
         }
     }
@@ -101,13 +106,13 @@ pub fn check(options: &Options) -> Result<(), TrainError> {
     for (option, found) in weights {
         if !(found.is_finite() && found >= 0.0) {
             let found = found.to_string();
-            return Err(TrainError::Option { option, found, allowed: "0 or more" });
+            return Err(TrainError::Option { option, found, allowed: "0 or more".to_owned() });
         }
     }
     for (option, found) in [("mix", options.mix), ("restyle", options.restyle)] {
         if !(0.0..=1.0).contains(&found) {
             let found = found.to_string();
-            return Err(TrainError::Option { option, found, allowed: "from 0 to 1" });
+            return Err(TrainError::Option { option, found, allowed: "from 0 to 1".to_owned() });
         }
     }
     Ok(())
@@ -173,6 +178,7 @@ fn with_settings(options: &Options, program: &str) -> String {
             ("seed", o.seed.to_string()),
             ("steps", o.steps.to_string()),
             ("batch", o.batch.to_string()),
+            ("latent", o.latent.to_string()),
             ("hidden", o.hidden.to_string()),
             ("encoder-hidden", o.encoder_hidden.to_string()),
             ("layers", o.layers.to_string()),
