@@ -130,7 +130,7 @@ impl Config {
         ]
     }
 
-    fn weights(&self) -> [Limit; 17] {
+    fn weights(&self) -> [Limit; 18] {
         let track::Config { cost, gate, loose_scale, min_confidence, .. } = self.track;
         let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
         let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
@@ -142,6 +142,7 @@ impl Config {
             from_0("track.cost.prior", cost.prior),
             from_0("track.cost.shape_prior", cost.shape_prior),
             from_0("track.cost.mark_prior", cost.mark_prior),
+            from_0("track.cost.jacobian_reach", cost.jacobian_reach),
             from_0("track.cost.stiffness.latent", cost.stiffness.latent),
             from_0("track.cost.stiffness.turn", cost.stiffness.turn),
             from_0("track.cost.stiffness.shift", cost.stiffness.shift),

@@ -2,9 +2,10 @@
 //! allocate nothing.
 
 use faer::linalg::matmul::matmul;
+use faer::linalg::solvers::Solve;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::traits::ComplexField;
-use faer::{MatMut, MatRef, Par};
+use faer::{MatMut, MatRef, Par, Side};
 
 /// Whether a product replaces what is there or is added to it.
 pub use faer::Accum;
@@ -88,6 +89,14 @@ pub fn divide_by_lower_transpose(n: usize, l: &[f64], out: &mut [f64]) {
     let out = MatMut::from_row_major_slice_mut(&mut out[..n * n], n, n);
     solve_lower_triangular_in_place(matrix(l, n, n), out.transpose_mut(), Par::Seq);
     clean_registers();
+}
+
+/// The solution of A X = B, with A of n x n, symmetric and positive definite, of which only the lower
+/// half is read, and B of n x m; `None` where A is not positive definite.
+pub fn solve_symmetric(n: usize, a: &[f64], m: usize, b: &[f64]) -> Option<Vec<f64>> {
+    let solved = matrix(a, n, n).llt(Side::Lower).ok().map(|factor| factor.solve(matrix(b, n, m)));
+    clean_registers();
+    solved.map(|x| (0..n * m).map(|at| x[(at / m, at % m)]).collect())
 }
 
 fn matrix<T>(data: &[T], rows: usize, columns: usize) -> MatRef<'_, T> {

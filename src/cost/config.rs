@@ -17,6 +17,10 @@ pub struct Config {
     pub shape_prior: f64,
     /// Weight of the squared marks, square pixels for each (12 mm)^2, while they are free.
     pub mark_prior: f64,
+    /// How far in the space of codes a Jacobian of the decoder is carried instead of computed anew, where
+    /// it only steers the steps. 0 is for problems that the data hardly determine, as with a prior
+    /// near 0: there steps must be exact. Differs: the paper needs no Jacobians.
+    pub jacobian_reach: f64,
     /// How latent codes run between keyframes.
     pub interpolation: Interpolation,
     /// Weights of accelerations along the keyframes.
@@ -30,6 +34,7 @@ impl Default for Config {
             prior: 20.0,
             shape_prior: 300.0,
             mark_prior: 300.0,
+            jacobian_reach: 0.7,
             interpolation: Interpolation::Slerp,
             stiffness: Stiffness::default(),
         }

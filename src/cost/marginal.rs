@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::path::PathProblem;
+use crate::gemm;
 use crate::solve::{Normal, Problem};
 
 /// The quadratic model of the cost by some coefficients of the body when the keyframes follow them:
@@ -25,17 +26,23 @@ impl PathProblem<'_> {
         let block = normal.hessian.block(0, 0);
         let entry = |i: usize, j: usize| block[i.max(j) * total + i.min(j)];
         let first = total - count;
-        let within = DMatrix::from_fn(keyframes, keyframes, entry);
-        let across = DMatrix::from_fn(keyframes, count, |i, j| entry(i, first + j));
-        let own = DMatrix::from_fn(count, count, |i, j| entry(first + i, first + j));
-        let gradient = DVector::from_column_slice(&normal.gradient);
-        let factor = within.cholesky()?;
-        // A^T H^-1 A = B^T B with B = L^-1 A.
-        let half = factor.l_dirty().solve_lower_triangular(&across)?;
-        let moved = factor.solve(&gradient.rows(0, keyframes).into_owned());
+        let within: Vec<f64> =
+            (0..keyframes).flat_map(|i| &block[i * total..i * total + keyframes]).copied().collect();
+        // The coefficients' columns, then the gradient.
+        let across = DMatrix::from_fn(keyframes, count + 1, |i, j| {
+            if j < count { entry(i, first + j) } else { normal.gradient[i] }
+        });
+        let rows = across.transpose();
+        let moved = gemm::solve_symmetric(keyframes, &within, count + 1, rows.as_slice())?;
+        let moved = DMatrix::from_row_slice(keyframes, count + 1, &moved);
+        let taken = across.columns(0, count).tr_mul(&moved);
         Some(Marginal {
-            hessian: own - half.tr_mul(&half),
-            gradient: gradient.rows(first, count) - across.tr_mul(&moved),
+            hessian: DMatrix::from_fn(count, count, |i, j| {
+                entry(first + i, first + j) - taken[(i, j)]
+            }),
+            gradient: DVector::from_fn(count, |i, _| {
+                normal.gradient[first + i] - taken[(i, count)]
+            }),
         })
     }
 }

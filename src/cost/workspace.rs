@@ -1,9 +1,10 @@
 //! Memory of a problem, and what is known of the decoder at its moments.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use crate::body::{BODY_JOINTS, Tangents};
 use crate::manifold::{Decoder, Jacobians, LATENT, Latent};
+use crate::so3;
 
 /// Rows of the derivatives of the local rotations.
 pub(super) const LOCAL_ROWS: usize = 3 * BODY_JOINTS;
@@ -14,10 +15,10 @@ pub struct Workspace {
     /// What is decoded: the code of each moment.
     codes: Vec<Latent>,
     pub(super) jacobians: Jacobians,
-    /// The codes at which the decoder was linearised last.
-    linearised_at: Vec<Latent>,
-    /// Moments whose Jacobian is to be renewed, and whether it is that of the moment before.
-    moved: Vec<(usize, bool)>,
+    /// Where each moment's Jacobian is taken.
+    linearised: Vec<Option<Linearised>>,
+    /// Where each will come from, and how far it will have been carried.
+    plan: Vec<(Source, f64)>,
     /// Right tangents of the local rotations by the code there, 63 x 32 for each moment.
     pub(super) by_code: Vec<f64>,
     pub(super) tangents: Option<Tangents>,
@@ -36,6 +37,59 @@ pub struct Workspace {
     /// Gradient by each moment's coordinates. That by the code is filled in last.
     pub(super) gradients: Vec<f64>,
     pub(super) counts: Counts,
+}
+
+/// Numbers of a moment's Jacobian of the decoder.
+const SIZE: usize = LOCAL_ROWS * LATENT;
+
+/// How often a Jacobian is carried on at its moment: so steps that come to little are soon exact again.
+const OLDEST: usize = 2;
+
+/// Where a Jacobian of the decoder is taken.
+#[derive(Clone, Debug)]
+struct Linearised {
+    code: Latent,
+    rotations: [Matrix3<f64>; BODY_JOINTS],
+    /// How far it was carried since the decoder gave it.
+    carried: f64,
+    /// How often it was carried on at its moment.
+    age: usize,
+}
+
+/// Where a moment's Jacobian comes from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Source {
+    /// The one that the moment has.
+    Own,
+    /// That of the moment before.
+    Before,
+    Decoder,
+}
+
+fn distance(a: &Latent, b: &Latent) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+}
+
+/// Carries a Jacobian along a step to other rotations: the least change that has it tell how they
+/// turned \[Broyden 1965\].
+fn secant(
+    step: &Latent,
+    from: &[Matrix3<f64>; BODY_JOINTS],
+    to: &[Matrix3<f64>; BODY_JOINTS],
+    by_code: &mut [f64],
+) {
+    let square: f64 = step.iter().map(|s| s * s).sum();
+    if square == 0.0 {
+        return;
+    }
+    for ((from, to), rows) in from.iter().zip(to).zip(by_code.chunks_exact_mut(3 * LATENT)) {
+        let turned = so3::log(&(from.transpose() * to));
+        for (turned, row) in turned.iter().zip(rows.chunks_exact_mut(LATENT)) {
+            let told: f64 = row.iter().zip(step).map(|(j, s)| j * s).sum();
+            let missing = (turned - told) / square;
+            row.iter_mut().zip(step).for_each(|(j, s)| *j += missing * s);
+        }
+    }
 }
 
 /// What was done, to count the arithmetic.
@@ -72,7 +126,7 @@ impl Workspace {
     /// Another problem begins.
     pub(super) fn forget(&mut self) {
         self.codes.clear();
-        self.linearised_at.clear();
+        self.linearised.clear();
     }
 
     /// Decodes the codes of all moments at once, unless they are those decoded last.
@@ -93,31 +147,45 @@ impl Workspace {
         }
     }
 
-    /// Makes sure of a Jacobian of the decoder at the code of each moment: that which it had, or the
-    /// one of the moment before, or a new one.
-    pub(super) fn linearise(&mut self, decoder: &Decoder) {
-        const SIZE: usize = LOCAL_ROWS * LATENT;
-        let Self { codes, linearised_at, jacobians, by_code, moved, counts, .. } = self;
+    /// Makes sure of the decoder's Jacobian at the code of each moment: the one that the moment has, or
+    /// that of the moment before, carried there by a secant, or a new one where both come from codes
+    /// further than `reach` along the way, or were carried often.
+    pub(super) fn linearise(&mut self, decoder: &Decoder, reach: f64) {
+        let Self { codes, linearised, plan, jacobians, by_code, counts, .. } = self;
         by_code.resize(codes.len() * SIZE, 0.0);
-        linearised_at.resize(codes.len(), [f64::INFINITY; LATENT]);
-        moved.clear();
+        linearised.resize_with(codes.len(), || None);
+        plan.clear();
         for (m, code) in codes.iter().enumerate() {
-            if linearised_at[m] != *code {
-                let shared = linearised_at[..m].last().copied().filter(|at| at == code);
-                linearised_at[m] = shared.unwrap_or(*code);
-                moved.push((m, shared.is_some()));
-            }
+            let own = linearised[m].as_ref().filter(|at| at.age < OLDEST || at.code == *code);
+            let own = own.map(|at| at.carried + distance(&at.code, code));
+            let before = m.checked_sub(1).map(|n| plan[n].1 + distance(&codes[n], code));
+            let sources = [(Source::Own, own), (Source::Before, before)];
+            let mut near = sources.into_iter().filter_map(|(source, far)| Some((source, far?)));
+            plan.push(near.find(|(_, far)| *far <= reach).unwrap_or((Source::Decoder, 0.0)));
         }
-        let new = moved.iter().filter(|(_, is_shared)| !is_shared).map(|&(m, _)| m);
-        decoder.tangents_of(new, jacobians);
-        for &(m, is_shared) in &*moved {
-            match is_shared {
-                true => by_code.copy_within((m - 1) * SIZE..m * SIZE, m * SIZE),
-                false => {
-                    counts.linearised += 1;
-                    jacobians.local_tangents(m, &mut by_code[m * SIZE..(m + 1) * SIZE]);
+        let new = plan.iter().enumerate().filter(|(_, (source, _))| *source == Source::Decoder);
+        decoder.tangents_of(new.map(|(m, _)| m), jacobians);
+        for (m, &(source, carried)) in plan.iter().enumerate() {
+            let (rows, code) = (m * SIZE..(m + 1) * SIZE, codes[m]);
+            let (from, age) = match source {
+                Source::Own => (linearised[m].take(), 1),
+                Source::Before => {
+                    by_code.copy_within((m - 1) * SIZE..m * SIZE, m * SIZE);
+                    (linearised[m - 1].clone(), 0)
                 }
+                Source::Decoder => {
+                    counts.linearised += 1;
+                    jacobians.local_tangents(m, &mut by_code[rows.clone()]);
+                    (None, 0)
+                }
+            };
+            let rotations = jacobians.rotations(m);
+            let age = from.as_ref().map_or(0, |from| from.age + age);
+            if let Some(from) = from {
+                let step: Latent = std::array::from_fn(|i| code[i] - from.code[i]);
+                secant(&step, &from.rotations, &rotations, &mut by_code[rows]);
             }
+            linearised[m] = Some(Linearised { code, rotations, carried, age });
         }
     }
 

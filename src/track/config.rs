@@ -86,7 +86,7 @@ impl Default for Config {
             coast_windows: 6,
             grace_windows: 6,
             acquisition_iterations: 30,
-            change_threshold: 1e-3,
+            change_threshold: 2e-3,
             method: Method::LevenbergMarquardt,
             cost: cost::Config::default(),
             min_confidence: 0.1,
@@ -112,6 +112,7 @@ impl Config {
             cost: cost::Config {
                 prior: 30.0,
                 scale_px: 60.0,
+                jacobian_reach: 0.0,
                 stiffness: Stiffness::NONE,
                 ..Default::default()
             },

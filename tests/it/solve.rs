@@ -199,7 +199,7 @@ fn assert_hessian(mut problem: PathProblem) {
 #[test]
 fn the_hessian_is_exact_where_residuals_vanish() {
     let case = Case::new(2);
-    let config = cost::Config { prior: 0.0, ..cost::Config::default() };
+    let config = cost::Config { prior: 0.0, jacobian_reach: 0.0, ..cost::Config::default() };
     let mut work = Workspace::default();
     let problem = case.window(&config, &case.truth[1], &mut work);
     assert_hessian(problem);
@@ -268,6 +268,27 @@ fn both_optimisers_reach_the_same_minimum() {
     assert!(difference < 1e-4, "{lm:?} {lbfgs:?}");
     let position = (a.root_position - b.root_position).norm();
     assert!(position < 1e-3, "{position}");
+}
+
+/// Carried Jacobians only steer: fewer are computed, and the same minimum is found.
+#[test]
+fn carried_jacobians_lead_to_the_same_minimum() {
+    let mut case = Case::new(2);
+    case.disturb();
+    let minimum = |jacobian_reach: f64| {
+        let config = cost::Config { jacobian_reach, ..cost::Config::default() };
+        let mut work = Workspace::default();
+        let mut problem = case.window(&config, &case.truth[0], &mut work);
+        let mut x = problem.start();
+        let mut optimiser = Method::LevenbergMarquardt.optimiser(1e-5);
+        let summary = optimiser.minimise(&mut problem, &mut x, 500);
+        (summary, work.counts().linearised)
+    };
+    let ((exact, all), (carried, few)) = (minimum(0.0), minimum(0.7));
+    let difference = (exact.final_cost - carried.final_cost).abs() / exact.final_cost;
+    assert!(difference < 1e-3, "{exact:?} {carried:?}");
+    let (all, few) = (all as f64 / exact.iterations as f64, few as f64 / carried.iterations as f64);
+    assert!(few < 0.7 * all, "{few} of {all} an iteration");
 }
 
 #[test]
