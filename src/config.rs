@@ -130,12 +130,13 @@ impl Config {
         ]
     }
 
-    fn weights(&self) -> [Limit; 18] {
+    fn weights(&self) -> [Limit; 19] {
         let track::Config { cost, gate, loose_scale, min_confidence, .. } = self.track;
         let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
         let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
         [
             ("track.loose_scale", loose_scale, 1.0..=f64::MAX, "1 or a number above"),
+            from_0("track.noise_px", self.track.noise_px),
             ("track.min_confidence", min_confidence, 0.0..=1.0, "0 to 1"),
             above_0("track.cost.scale_px", cost.scale_px),
             from_0("track.change_threshold", self.track.change_threshold),

@@ -13,8 +13,17 @@ use crate::train::{
 };
 
 /// Options that mean nothing to a transition model.
-const MANIFOLD_ONLY: [&str; 9] =
-    ["latent", "encoder_hidden", "kl", "limits", "position", "between", "mix", "restyle", "threads"];
+const MANIFOLD_ONLY: [&str; 9] = [
+    "latent",
+    "encoder_hidden",
+    "kl",
+    "limits",
+    "position",
+    "between",
+    "mix",
+    "restyle",
+    "threads",
+];
 
 /// Train a pose manifold or a transition model on a folder of BVH clips, or evaluate one.
 #[derive(Debug, Args)]

@@ -26,8 +26,10 @@ impl PathProblem<'_> {
         let block = normal.hessian.block(0, 0);
         let entry = |i: usize, j: usize| block[i.max(j) * total + i.min(j)];
         let first = total - count;
-        let within: Vec<f64> =
-            (0..keyframes).flat_map(|i| &block[i * total..i * total + keyframes]).copied().collect();
+        let within: Vec<f64> = (0..keyframes)
+            .flat_map(|i| &block[i * total..i * total + keyframes])
+            .copied()
+            .collect();
         // The coefficients' columns, then the gradient.
         let across = DMatrix::from_fn(keyframes, count + 1, |i, j| {
             if j < count { entry(i, first + j) } else { normal.gradient[i] }

@@ -130,7 +130,8 @@ impl<'a> PathProblem<'a> {
         self.decode();
         if wanted.normal().is_some() {
             // The Hessian by the body is used for itself, not only to steer.
-            let reach = if self.unknowns.body == 0 { self.scene.config.jacobian_reach } else { 0.0 };
+            let reach =
+                if self.unknowns.body == 0 { self.scene.config.jacobian_reach } else { 0.0 };
             self.work.linearise(self.scene.decoder, reach);
         }
         let mut cost = self.prior(x, &mut wanted);

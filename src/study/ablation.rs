@@ -33,7 +33,7 @@ pub enum Factor {
 }
 
 /// The names that [`factor`] knows.
-pub const FACTORS: [&str; 12] = [
+pub const FACTORS: [&str; 13] = [
     "window",
     "publish",
     "keyframe",
@@ -43,6 +43,7 @@ pub const FACTORS: [&str; 12] = [
     "optimiser",
     "scale",
     "prior",
+    "errors",
     "cameras",
     "noise",
     "fps",
@@ -76,6 +77,9 @@ pub fn factor(name: &str) -> Option<Factor> {
         }),
         "prior" => numbers("prior", &[2.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, prior| {
             config.cost.prior = prior;
+        }),
+        "errors" => numbers("weights for px", &[0.0, 3.5, 5.0, 7.0, 10.0, 14.0], |config, px| {
+            config.noise_px = px;
         }),
         "optimiser" => named(&[
             ("Levenberg-Marquardt", |config| config.method = solve::Method::LevenbergMarquardt),

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::event::EventKind;
 use super::job::{LiveFit, Outcome, Solution, TimedKeyframe, Tracked, Verdict};
 use super::machine::{KeyframeAt, Out, Output, Phase, Track, Window, WindowReport};
+use super::noise::Noise;
 use crate::body::{Pose, Skeleton, StampedPose, TrackingState};
 use crate::manifold::Keyframe;
 use crate::time::{Grid, Timestamp};
@@ -46,7 +47,7 @@ impl Track {
         self.close(at + self.tolerance());
         if self.skeleton.is_none() {
             self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
-            self.learnt = Arc::default();
+            (self.learnt, self.noise) = (Arc::default(), Noise::default());
         }
         self.event(EventKind::Acquired, at, None, "performer found".to_owned());
         self.skeleton = Some(skeleton);
@@ -79,6 +80,9 @@ impl Track {
         if let (Some(learnt), Some(skeleton)) = (tracked.learnt, &self.skeleton) {
             self.skeleton = Some(Arc::new(Skeleton::clone(skeleton).with_marks(learnt.marks)));
             self.learnt = learnt;
+        }
+        if tracked.verdict == Verdict::Tracked {
+            self.noise = self.noise.with(&tracked.residuals);
         }
         let state = match &tracked.verdict {
             Verdict::Tracked => TrackingState::Tracking,

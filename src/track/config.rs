@@ -33,6 +33,10 @@ pub struct Config {
     /// In every so manieth window it is learnt where the detector marks points, 25 times; 0 takes
     /// them to be where our body has them. Differs: the paper does not.
     pub mark_windows: usize,
+    /// Prior and stiffness count as their weights say where the detections' median error is this many
+    /// pixels, and by the square of that error elsewhere; 0 takes the weights as they are. Differs:
+    /// the paper has a weight alone.
+    pub noise_px: f64,
     /// How many windows in a row may pass in which too little is seen of the performer.
     pub coast_windows: usize,
     /// After how many windows that closed without it a camera is no longer waited for.
@@ -83,6 +87,7 @@ impl Default for Config {
             loose_scale: 3.0,
             live_iterations: 3,
             mark_windows: 4,
+            noise_px: 7.0,
             coast_windows: 6,
             grace_windows: 6,
             acquisition_iterations: 30,
@@ -107,6 +112,7 @@ impl Config {
             change_threshold: 1e-9,
             method: Method::Lbfgs,
             mark_windows: 0,
+            noise_px: 0.0,
             coast_windows: 3,
             grace_windows: 3,
             cost: cost::Config {

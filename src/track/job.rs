@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::effort::Effort;
 use super::marks::Learnt;
+use super::noise::Noise;
 use crate::body::{Pose, Skeleton};
 use crate::camera::Rig;
 use crate::detect::{Detections, KeypointFormat};
@@ -38,6 +39,8 @@ pub struct Job {
     pub half_frame: i64,
     /// How much to do.
     pub effort: Effort,
+    /// How far detections lay from the body that was solved.
+    pub noise: Noise,
     /// What is known already.
     pub task: Task,
 }

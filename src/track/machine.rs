@@ -9,6 +9,7 @@ use super::event::{Event, EventKind};
 use super::intake::Intake;
 use super::job::{Job, Residual, Solution, Task, TimedKeyframe, Verdict};
 use super::marks::Learnt;
+use super::noise::Noise;
 use super::playout::{Latency, Live, MARGIN, Playout};
 use super::waiting::Waiting;
 use crate::body::{Skeleton, StampedPose, TrackingState};
@@ -172,6 +173,8 @@ pub struct Track {
     pub(super) phase: Phase,
     pub(super) skeleton: Option<Arc<Skeleton>>,
     pub(super) learnt: Arc<Learnt>,
+    /// How far detections lie from the solved body.
+    pub(super) noise: Noise,
     /// Whether a window was ever solved well with that body.
     pub(super) is_proven: bool,
     /// Start of the open window.
@@ -213,6 +216,7 @@ impl Track {
             phase: Phase::Searching,
             skeleton: None,
             learnt: Arc::default(),
+            noise: Noise::default(),
             is_proven: false,
             start: None,
             period: (config.frame_rate_hz > 0.0).then(|| 1e9 / config.frame_rate_hz),
@@ -606,6 +610,7 @@ impl Track {
             rig: Arc::clone(&self.rig),
             half_frame: (self.period.unwrap_or(0.0) / 2.0) as i64,
             effort: self.effort,
+            noise: self.noise,
             task,
         })));
         true

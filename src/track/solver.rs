@@ -103,7 +103,8 @@ impl Solver {
     ) -> Outcome {
         for (at, set) in frame_sets(&job.frames, job.half_frame) {
             let Some(sighting) = sight(&set, &job.rig, points, &self.config) else { continue };
-            let scene = scene(&self.decoder, &self.config, &job.rig, points);
+            let config = &self.config.cost;
+            let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config };
             let template = known.map_or_else(Skeleton::default, |skeleton| (**skeleton).clone());
             let found = fit(
                 &sighting,
@@ -244,9 +245,9 @@ impl Solver {
         learnt: &Learnt,
     ) -> Option<Learnt> {
         // What the prior pulls poses away from the detections must not be taken for marks.
-        let prior = LEARNING_PRIOR * self.config.cost.prior;
-        let cost = cost::Config { prior, mark_prior: 0.0, ..self.config.cost };
-        let scene = Scene { config: &cost, ..scene(&self.decoder, &self.config, &job.rig, points) };
+        let cost = self.cost(job);
+        let cost = cost::Config { prior: LEARNING_PRIOR * cost.prior, mark_prior: 0.0, ..cost };
+        let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
         let knot = |(capture, keyframe): &TimedKeyframe, free: bool| Knot {
             capture: *capture,
             keyframe: keyframe.clone(),
@@ -293,8 +294,9 @@ impl Solver {
         moments: &[Moment],
         [loose, iterations]: [usize; 2],
     ) -> (Vec<TimedKeyframe>, Summary) {
-        let interpolation = self.config.cost.interpolation;
-        let scene = scene(&self.decoder, &self.config, &job.rig, points);
+        let cost = self.cost(job);
+        let interpolation = cost.interpolation;
+        let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
         let fixed = known.past.iter().map(|(capture, keyframe)| Knot {
             capture: *capture,
             keyframe: keyframe.clone(),
@@ -335,14 +337,22 @@ impl Solver {
             }
         }
         if loose > 0 {
-            problem.set_scale(scene.config.scale_px * self.config.loose_scale);
+            problem.set_scale(cost.scale_px * self.config.loose_scale);
             self.optimiser.minimise(&mut problem, &mut x, loose);
-            problem.set_scale(scene.config.scale_px);
+            problem.set_scale(cost.scale_px);
         }
         let summary = self.optimiser.minimise(&mut problem, &mut x, iterations);
         let (solved, _) = problem.solution(&x);
         let solved = solved.into_iter().skip(known.past.len()).map(Keyframe::settled);
         (free().zip(solved).collect(), summary)
+    }
+
+    /// The cost's weights, those of prior and stiffness by how the detections err.
+    fn cost(&self, job: &Job) -> cost::Config {
+        let Config { cost, noise_px, .. } = self.config;
+        let factor = job.noise.factor(noise_px);
+        let (prior, stiffness) = (cost.prior * factor, cost.stiffness.times(factor));
+        cost::Config { prior, stiffness, ..cost }
     }
 
     /// The poses at times within a window whose keyframes are known.
@@ -443,15 +453,6 @@ impl Solver {
             false => Verdict::Tracked,
         }
     }
-}
-
-fn scene<'a>(
-    decoder: &'a Decoder,
-    config: &'a Config,
-    rig: &'a Rig,
-    points: &'a [BodyPoint],
-) -> Scene<'a> {
-    Scene { decoder, rig, points, config: &config.cost }
 }
 
 fn residuals<'m>(

@@ -13,7 +13,8 @@ use bundlemocap::manifold::{Decoder, Interpolation, Keyframe};
 use bundlemocap::so3;
 use bundlemocap::solve::Method;
 use bundlemocap::track::{
-    Config, Effort, EventKind, Input, Job, Outcome, Output, Solver, Task, Track, WindowReport,
+    Config, Effort, EventKind, Input, Job, Noise, Outcome, Output, Solver, Task, Track,
+    WindowReport,
 };
 use nalgebra::Point2;
 
@@ -152,6 +153,7 @@ fn windows_follow_a_manifold_motion_exactly() {
                 rig: Arc::clone(&rig),
                 half_frame: 8_333_333,
                 effort: Effort::full(&config()),
+                noise: Noise::default(),
                 task: Task::Track {
                     learnt: Arc::default(),
                     past: vec![(time(0), from)],
@@ -395,4 +397,33 @@ fn where_the_detector_marks_points_is_learnt() {
     };
     let (without, with) = (error(0), error(4));
     assert!(with < 0.9 * without, "{with} {without}");
+}
+
+/// Each window is solved with what the windows before it left of the detections, and what it leaves
+/// weighs its prior: nearly none of it where detections are exact.
+#[test]
+fn weights_go_by_how_the_detections_err() {
+    let jobs = |noise_px: f64| {
+        let config = Config { noise_px, ..Config::default() };
+        let mut track = Track::new(config, Arc::new(ring()));
+        let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
+        let mut jobs = Vec::new();
+        for input in stream(61).into_iter().map(Input::Detections).chain([Input::End]) {
+            track.handle(input);
+            while let Some(output) = track.poll() {
+                let Output::Solve(job) = output else { continue };
+                let solution = solver.solve(&job);
+                if let Outcome::Tracked(tracked) = &solution.outcome {
+                    jobs.push((job.noise, tracked.summary.as_ref().unwrap().final_cost));
+                }
+                track.handle(Input::Solved(solution));
+            }
+        }
+        jobs
+    };
+    let (fixed, by_errors) = (jobs(0.0), jobs(7.0));
+    assert_eq!(by_errors[0], (Noise::default(), fixed[0].1));
+    assert!(by_errors.len() > 5 && by_errors.windows(2).all(|pair| pair[0].0 != pair[1].0));
+    let (last, fixed) = (by_errors.last().unwrap().1, fixed.last().unwrap().1);
+    assert!(last < 0.5 * fixed, "{last} {fixed}");
 }
