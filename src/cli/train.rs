@@ -200,7 +200,7 @@ fn say_figures(rows: &[Figures]) {
     if rows.is_empty() {
         return;
     }
-    say("held out     frames  rotation   joints  between  true slerp  |z|^2/32");
+    say("held out     frames  rotation   joints  between  true slerp  mean z^2");
     for row in rows {
         say(&format!(
             "{:<12}{:>7}{:>6.2} deg{:>6.2} mm{:>6.2} mm{:>9.2} mm{:>10.3}",

@@ -166,25 +166,25 @@ impl Workspace {
         let new = plan.iter().enumerate().filter(|(_, (source, _))| *source == Source::Decoder);
         decoder.tangents_of(new.map(|(m, _)| m), jacobians);
         for (m, &(source, carried)) in plan.iter().enumerate() {
-            let (rows, code) = (m * SIZE..(m + 1) * SIZE, codes[m]);
-            let (from, age) = match source {
-                Source::Own => (linearised[m].take(), 1),
+            let rows = m * SIZE..(m + 1) * SIZE;
+            let from = match source {
+                Source::Own => linearised[m].take().map(|at| Linearised { age: at.age + 1, ..at }),
                 Source::Before => {
                     by_code.copy_within((m - 1) * SIZE..m * SIZE, m * SIZE);
-                    (linearised[m - 1].clone(), 0)
+                    linearised[m - 1].clone()
                 }
                 Source::Decoder => {
                     counts.linearised += 1;
                     jacobians.local_tangents(m, &mut by_code[rows.clone()]);
-                    (None, 0)
+                    None
                 }
             };
-            let rotations = jacobians.rotations(m);
-            let age = from.as_ref().map_or(0, |from| from.age + age);
-            if let Some(from) = from {
+            let (code, rotations) = (codes[m], jacobians.rotations(m));
+            if let Some(from) = &from {
                 let step: Latent = std::array::from_fn(|i| code[i] - from.code[i]);
                 secant(&step, &from.rotations, &rotations, &mut by_code[rows]);
             }
+            let age = from.map_or(0, |from| from.age);
             linearised[m] = Some(Linearised { code, rotations, carried, age });
         }
     }

@@ -66,7 +66,7 @@ impl Memory {
         let Self { normal, factor, .. } = self;
         factor.copy_from(&normal.hessian);
         for i in 0..normal.gradient.len() {
-            factor.add_to_diagonal(i, damping * normal.hessian.diagonal(i).max(MIN_DIAGONAL));
+            factor.add_to_diagonal(i, damping * scale(normal, i));
         }
         self.damping = damping;
         factor.factorise().map(|_| ())
@@ -78,10 +78,14 @@ impl Memory {
         step.iter_mut().zip(&normal.gradient).for_each(|(step, g)| *step = -g);
         factor.solve_factorised(step);
         // With H step = -g - mu D step, the decrease is 1/2 step . (mu D step - g).
-        let damped = |i: usize| *damping * normal.hessian.diagonal(i).max(MIN_DIAGONAL);
         let decrease = step.iter().zip(&normal.gradient).enumerate();
-        decrease.map(|(i, (s, g))| 0.5 * s * (damped(i) * s - g)).sum()
+        decrease.map(|(i, (s, g))| 0.5 * s * (*damping * scale(normal, i) * s - g)).sum()
     }
+}
+
+/// Entry i of D.
+fn scale(normal: &Normal, i: usize) -> f64 {
+    normal.hessian.diagonal(i).max(MIN_DIAGONAL)
 }
 
 impl Optimiser for LevenbergMarquardt {

@@ -13,11 +13,12 @@ const WINDOWS: f64 = 20.0;
 /// model remain, and where they are large, poses must still follow them.
 const FACTORS: (f64, f64) = (0.3, 2.0);
 
-/// A running estimate of the detections' errors.
+/// A running estimate of the detections' errors: the median distance from the solved body, pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Noise {
     /// Mean of the windows' squared median errors, square pixels.
     square: f64,
+    /// Windows in it, as far as they are remembered.
     windows: f64,
 }
 

@@ -39,9 +39,9 @@ pub struct Figures {
     pub between_mm: f64,
     /// The same for the slerp of each true rotation, for comparison.
     pub true_slerp_mm: f64,
-    /// Mean of |z|^2 / 32 over the codes; 1 for a standard normal distribution.
+    /// Mean square of the numbers of codes that are used; 1 for a standard normal distribution.
     pub latent_square: f64,
-    /// Least and greatest standard deviation of a number of the code.
+    /// Least and greatest standard deviation of one of them.
     pub latent_spread: (f64, f64),
 }
 
@@ -55,10 +55,10 @@ pub fn figures(model: &Model, clips: &[Clip]) -> Vec<Figures> {
         for clip in clips.iter().filter(|clip| clip.subject == name) {
             add_clip(model, &tree, clip, &mut sums);
         }
-        rows.push(sums.figures(name));
+        rows.push(sums.figures(name, model.latent()));
         all.add(&sums);
     }
-    rows.push(all.figures("all"));
+    rows.push(all.figures("all", model.latent()));
     rows
 }
 
@@ -72,7 +72,7 @@ pub fn table(figures: &[Figures]) -> String {
         "joints mm",
         "between mm",
         "true slerp mm",
-        "|z|^2/32",
+        "mean z^2",
         "std of z",
     );
     for row in figures {
@@ -118,10 +118,10 @@ impl Sums {
         }
     }
 
-    fn figures(&self, subject: &str) -> Figures {
+    fn figures(&self, subject: &str, latent: usize) -> Figures {
         let frames = self.frames.max(1) as f64;
         let pairs = self.pairs.max(1) as f64;
-        let spreads = (0..LATENT).map(|index| {
+        let spreads = (0..latent).map(|index| {
             let mean = self.code[index] / frames;
             (self.code_square[index] / frames - mean * mean).max(0.0).sqrt()
         });
@@ -132,7 +132,7 @@ impl Sums {
             joint_mm: 1e3 * self.position / frames,
             between_mm: 1e3 * self.between / pairs,
             true_slerp_mm: 1e3 * self.true_slerp / pairs,
-            latent_square: self.code_square.iter().sum::<f64>() / frames / LATENT as f64,
+            latent_square: self.code_square.iter().sum::<f64>() / frames / latent.max(1) as f64,
             latent_spread: spreads
                 .fold((f64::INFINITY, 0.0), |(low, high), s| (low.min(s), high.max(s))),
         }
