@@ -1,11 +1,19 @@
 //! Dense products on row-major slices, by `faer` on one thread, and loops in wide registers. They
 //! allocate nothing.
 
+use std::mem::MaybeUninit;
+
+use faer::dyn_stack::MemStack;
+use faer::linalg::cholesky::llt::factor::{
+    LltRegularization, cholesky_in_place, cholesky_in_place_scratch,
+};
 use faer::linalg::matmul::matmul;
+use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::linalg::solvers::Solve;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
+use faer::reborrow::{Reborrow, ReborrowMut};
 use faer::traits::ComplexField;
-use faer::{MatMut, MatRef, Par, Side};
+use faer::{MatMut, MatRef, Par, Side, Spec};
 
 /// Whether a product replaces what is there or is added to it.
 pub use faer::Accum;
@@ -71,24 +79,48 @@ pub fn product_of_transpose<T: ComplexField>(
     multiply(matrix(a, k, m).transpose(), matrix(b, k, n), accum, out);
 }
 
-/// out (m x n) -= a (m x k) b^T, with b of n x k.
-pub fn subtract_product_with_transpose(
-    [m, k, n]: [usize; 3],
-    a: &[f64],
-    b: &[f64],
-    out: &mut [f64],
-) {
-    let out = MatMut::from_row_major_slice_mut(&mut out[..m * n], m, n);
-    matmul(out, Accum::Add, matrix(a, m, k), matrix(b, n, k).transpose(), -1.0, Par::Seq);
-    clean_registers();
+/// Memory of a function that needs some.
+#[derive(Clone, Debug)]
+pub struct Memory(Vec<MaybeUninit<u8>>);
+
+impl Memory {
+    /// For [`eliminate`] with blocks of n columns.
+    pub fn of_cholesky(n: usize) -> Self {
+        let wanted = cholesky_in_place_scratch::<f64>(n, Par::Seq, Spec::default());
+        Self(vec![MaybeUninit::uninit(); wanted.unaligned_bytes_required()])
+    }
 }
 
-/// out (n x n) = out L^-T, with L of n x n, lower triangular.
-pub fn divide_by_lower_transpose(n: usize, l: &[f64], out: &mut [f64]) {
-    // X L^T = A is L X^T = A^T.
-    let out = MatMut::from_row_major_slice_mut(&mut out[..n * n], n, n);
-    solve_lower_triangular_in_place(matrix(l, n, n), out.transpose_mut(), Par::Seq);
+/// One block of a Cholesky factorisation: of a symmetric matrix of n + `below` rows, of which only the
+/// lower half is used, column-major with its columns `stride` apart, makes the first n columns those of
+/// the factor and takes from the rest what they account for. `None` where no factor is.
+pub fn eliminate(
+    [n, below]: [usize; 2],
+    stride: usize,
+    lower: &mut [f64],
+    memory: &mut Memory,
+) -> Option<()> {
+    let rows = n + below;
+    let lower = &mut lower[..(rows - 1) * stride + rows];
+    let whole = MatMut::from_column_major_slice_with_stride_mut(lower, rows, rows, stride);
+    let (mut pivot, _, mut panel, rest) = whole.split_at_mut(n, n);
+    let stack = MemStack::new(&mut memory.0);
+    let found = cholesky_in_place(
+        pivot.rb_mut(),
+        LltRegularization::default(),
+        Par::Seq,
+        stack,
+        Spec::default(),
+    );
+    if found.is_ok() && below > 0 {
+        // X L^T = A is L X^T = A^T.
+        solve_lower_triangular_in_place(pivot.rb(), panel.rb_mut().transpose_mut(), Par::Seq);
+        let (half, whole) = (BlockStructure::TriangularLower, BlockStructure::Rectangular);
+        let (panel, across) = (panel.rb(), panel.rb().transpose());
+        triangular::matmul(rest, half, Accum::Add, panel, whole, across, whole, -1.0, Par::Seq);
+    }
     clean_registers();
+    found.ok().map(|_| ())
 }
 
 /// The solution of A X = B, with A of n x n, symmetric and positive definite, of which only the lower
@@ -97,6 +129,27 @@ pub fn solve_symmetric(n: usize, a: &[f64], m: usize, b: &[f64]) -> Option<Vec<f
     let solved = matrix(a, n, n).llt(Side::Lower).ok().map(|factor| factor.solve(matrix(b, n, m)));
     clean_registers();
     solved.map(|x| (0..n * m).map(|at| x[(at / m, at % m)]).collect())
+}
+
+wide! {
+    /// out += factor v, as far as v goes.
+    pub fn add(factor: f64, v: &[f64], out: &mut [f64]) {
+        out.iter_mut().zip(v).for_each(|(out, v)| *out += factor * v);
+    }
+}
+
+wide! {
+    /// The scalar product of v and w, as far as v goes: sums of every eighth product, so that none waits
+    /// for the one before.
+    pub fn dot(v: &[f64], w: &[f64]) -> f64 {
+        let mut sums = [0.0; 8];
+        let (v, w) = (v.chunks_exact(8), w[..v.len()].chunks_exact(8));
+        let rest: f64 = v.remainder().iter().zip(w.remainder()).map(|(v, w)| v * w).sum();
+        for (v, w) in v.zip(w) {
+            (0..8).for_each(|k| sums[k] += v[k] * w[k]);
+        }
+        sums.iter().sum::<f64>() + rest
+    }
 }
 
 fn matrix<T>(data: &[T], rows: usize, columns: usize) -> MatRef<'_, T> {

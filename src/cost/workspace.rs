@@ -45,6 +45,9 @@ const SIZE: usize = LOCAL_ROWS * LATENT;
 /// How often a Jacobian is carried on at its moment: so steps that come to little are soon exact again.
 const OLDEST: usize = 2;
 
+/// A step shorter than this leaves a Jacobian as it is: rotations of six digits tell no more of it.
+const SHORTEST: f64 = 1e-2;
+
 /// Where a Jacobian of the decoder is taken.
 #[derive(Clone, Debug)]
 struct Linearised {
@@ -79,9 +82,6 @@ fn secant(
     by_code: &mut [f64],
 ) {
     let square: f64 = step.iter().map(|s| s * s).sum();
-    if square == 0.0 {
-        return;
-    }
     for ((from, to), rows) in from.iter().zip(to).zip(by_code.chunks_exact_mut(3 * LATENT)) {
         let turned = so3::log(&(from.transpose() * to));
         for (turned, row) in turned.iter().zip(rows.chunks_exact_mut(LATENT)) {
@@ -156,7 +156,7 @@ impl Workspace {
         linearised.resize_with(codes.len(), || None);
         plan.clear();
         for (m, code) in codes.iter().enumerate() {
-            let own = linearised[m].as_ref().filter(|at| at.age < OLDEST || at.code == *code);
+            let own = linearised[m].as_ref().filter(|at| at.age < OLDEST);
             let own = own.map(|at| at.carried + distance(&at.code, code));
             let before = m.checked_sub(1).map(|n| plan[n].1 + distance(&codes[n], code));
             let sources = [(Source::Own, own), (Source::Before, before)];
@@ -181,6 +181,10 @@ impl Workspace {
             };
             let (code, rotations) = (codes[m], jacobians.rotations(m));
             if let Some(from) = &from {
+                if distance(&from.code, &code) < SHORTEST {
+                    linearised[m] = Some(from.clone());
+                    continue;
+                }
                 let step: Latent = std::array::from_fn(|i| code[i] - from.code[i]);
                 secant(&step, &from.rotations, &rotations, &mut by_code[rows]);
             }

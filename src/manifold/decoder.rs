@@ -4,15 +4,16 @@
 //! rotation before orthonormalisation \[Zhou 2019\]:
 //! c1 = a / |a|, c2 = (b - (c1 . b) c1) / |...|, c3 = c1 x c2.
 //!
-//! Values are computed in f64, so that a cost is smooth to its last digits; Jacobians in f32,
-//! where six digits are plenty.
+//! Poses are computed in f64, so that they do not depend on what else is decoded with them. Those that
+//! a solver goes through on its way are computed in f32, with their Jacobians: six digits are a
+//! micrometre of a body, and take half of the time.
 
 use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::weights::{Layer, OUTPUTS, WeightsError, decoder_layers};
-use super::{Keyframe, LATENT, Latent};
+use super::{Keyframe, LATENT, Latent, activation};
 use crate::body::{BODY_JOINTS, Pose};
 use crate::gemm;
 
@@ -26,7 +27,9 @@ pub const EMBEDDED: &[u8] = include_bytes!("weights.safetensors");
 #[derive(Clone, Debug)]
 pub struct Decoder {
     layers: Arc<[Layer]>,
-    /// Each layer's weight transposed, [in, out], f64.
+    /// Each layer's weight as [in, out].
+    transposed: Arc<[Vec<f32>]>,
+    /// The same in f64.
     wide: Arc<[Vec<f64>]>,
     fingerprint: u64,
 }
@@ -34,8 +37,10 @@ pub struct Decoder {
 /// Memory for a batch of codes: values, then Jacobians. Grows to the largest batch and stays.
 #[derive(Clone, Debug, Default)]
 pub struct Jacobians {
+    /// The codes.
+    codes: Vec<f32>,
     /// Activations after each layer, batch x outputs.
-    values: Vec<Vec<f64>>,
+    values: Vec<Vec<f32>>,
     /// SiLU' at each hidden unit, batch x outputs.
     slopes: Vec<Vec<f32>>,
     /// Tangents after the layer just done, outputs x (codes * LATENT); or a gradient on its way back.
@@ -50,8 +55,12 @@ impl Decoder {
     /// Reads a weights file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, WeightsError> {
         let layers = decoder_layers(bytes)?;
-        let wide = layers.iter().map(transposed).collect();
-        Ok(Self { layers: layers.into(), wide, fingerprint: fnv1a(bytes) })
+        Ok(Self {
+            transposed: layers.iter().map(Layer::transposed).collect(),
+            wide: layers.iter().map(Layer::transposed).collect(),
+            layers: layers.into(),
+            fingerprint: fnv1a(bytes),
+        })
     }
 
     /// The decoder that ships with the program; see `src/manifold/MODEL_CARD.md`.
@@ -66,9 +75,7 @@ impl Decoder {
 
     /// The 21 rotations `parent_from_joint` of one code.
     pub fn decode(&self, z: &Latent) -> [Matrix3<f64>; BODY_JOINTS] {
-        let mut work = Jacobians::default();
-        self.values(std::slice::from_ref(z), &mut work);
-        work.rotations(0)
+        rotations(&self.outputs(z))
     }
 
     /// The pose of a keyframe.
@@ -78,32 +85,51 @@ impl Decoder {
 
     /// The poses of keyframes, decoded together.
     pub fn poses(&self, keyframes: &[Keyframe]) -> Vec<Pose> {
-        let codes: Vec<Latent> = keyframes.iter().map(|keyframe| keyframe.z).collect();
-        let mut work = Jacobians::default();
-        self.values(&codes, &mut work);
-        let pose = |(n, keyframe): (usize, &Keyframe)| Pose {
+        let codes: Vec<f64> = keyframes.iter().flat_map(|keyframe| keyframe.z).collect();
+        let outputs = self.outputs(&codes);
+        let pose = |(keyframe, numbers): (&Keyframe, &[f64])| Pose {
             root_rotation: keyframe.root_rotation,
             root_position: keyframe.root_position,
-            local: work.rotations(n),
+            local: rotations(numbers),
         };
-        keyframes.iter().enumerate().map(pose).collect()
+        keyframes.iter().zip(outputs.chunks_exact(OUTPUTS)).map(pose).collect()
+    }
+
+    /// What the last layer gives for a batch of codes, in f64: batch x 126.
+    fn outputs(&self, codes: &[f64]) -> Vec<f64> {
+        let batch = codes.len() / LATENT;
+        let (mut values, mut slopes) = (codes.to_vec(), Vec::new());
+        for (n, (layer, weight)) in self.layers.iter().zip(&*self.wide).enumerate() {
+            let mut output: Vec<f64> =
+                (0..batch).flat_map(|_| &layer.bias).map(|&b| f64::from(b)).collect();
+            let sizes = [batch, layer.inputs, layer.outputs];
+            gemm::product(sizes, &values, weight, gemm::Accum::Add, &mut output);
+            if n + 1 < self.layers.len() {
+                slopes.resize(output.len(), 0.0);
+                activation::silu_f64(&mut output, &mut slopes);
+            }
+            values = output;
+        }
+        values
     }
 
     /// Runs a batch of codes; read the results with [`Jacobians::rotations`].
     pub fn values(&self, codes: &[Latent], work: &mut Jacobians) {
         let batch = codes.len();
         work.reserve(&self.layers, batch);
+        work.codes.clear();
+        work.codes.extend(codes.as_flattened().iter().map(|&z| z as f32));
         for (n, layer) in self.layers.iter().enumerate() {
             let (before, here) = work.values.split_at_mut(n);
-            let input = before.last().map_or_else(|| codes.as_flattened(), |v| &v[..]);
+            let input = before.last().unwrap_or(&work.codes);
             let output = &mut here[0][..batch * layer.outputs];
             for row in output.chunks_exact_mut(layer.outputs) {
-                row.iter_mut().zip(&layer.bias).for_each(|(o, &b)| *o = f64::from(b));
+                row.copy_from_slice(&layer.bias);
             }
             let sizes = [batch, layer.inputs, layer.outputs];
-            gemm::product(sizes, input, &self.wide[n], gemm::Accum::Add, output);
+            gemm::product(sizes, input, &self.transposed[n], gemm::Accum::Add, output);
             if n + 1 < self.layers.len() {
-                silu(output, &mut work.slopes[n][..batch * layer.outputs]);
+                activation::silu(output, &mut work.slopes[n][..batch * layer.outputs]);
             }
         }
     }
@@ -153,7 +179,7 @@ impl Decoder {
         work.reserve_tangents(&self.layers, batch);
         for (code, by_rotation) in by_rotation.chunks_exact(3 * BODY_JOINTS).enumerate() {
             for (joint, by_rotation) in by_rotation.chunks_exact(3).enumerate() {
-                let [a, b] = work.columns_of(code, joint);
+                let [a, b] = columns_of(work.outputs(code), joint);
                 let map = Frame::of(&a, &b).map(|frame| frame.tangent_map(&b));
                 let at = code * OUTPUTS + joint * 6;
                 for (k, out) in work.tangents[at..at + 6].iter_mut().enumerate() {
@@ -201,19 +227,15 @@ impl Jacobians {
         &self.linearised
     }
 
-    fn columns_of(&self, code: usize, joint: usize) -> [Vector3<f64>; 2] {
-        let output = self.values.last().map_or(&[][..], |v| v);
-        let at = code * OUTPUTS + joint * 6;
-        let six = &output[at..at + 6];
-        [Vector3::new(six[0], six[1], six[2]), Vector3::new(six[3], six[4], six[5])]
+    /// What the last layer gave for the code at that place in the batch.
+    fn outputs(&self, code: usize) -> &[f32] {
+        let outputs = self.values.last().map_or(&[][..], |values| values);
+        &outputs[code * OUTPUTS..(code + 1) * OUTPUTS]
     }
 
     /// The 21 rotations of the code at that place in the batch.
     pub fn rotations(&self, code: usize) -> [Matrix3<f64>; BODY_JOINTS] {
-        std::array::from_fn(|joint| {
-            let [a, b] = self.columns_of(code, joint);
-            Frame::of(&a, &b).map_or_else(Matrix3::identity, |frame| frame.rotation())
-        })
+        rotations(self.outputs(code))
     }
 
     /// Right tangents of the 21 rotations by the code at that place in the batch, one of those given
@@ -225,7 +247,7 @@ impl Jacobians {
         let columns = self.linearised.len() * LATENT;
         let Some(slot) = self.linearised.iter().position(|&place| place == code) else { return };
         for (joint, rows) in out.chunks_exact_mut(3 * LATENT).enumerate() {
-            let [a, b] = self.columns_of(code, joint);
+            let [a, b] = columns_of(self.outputs(code), joint);
             let Some(frame) = Frame::of(&a, &b) else {
                 rows.fill(0.0);
                 continue;
@@ -234,6 +256,18 @@ impl Jacobians {
             map_six(&frame.tangent_map(&b), six, columns, slot * LATENT, rows);
         }
     }
+}
+
+/// The two columns that a joint's rotation is made of.
+fn columns_of<T: Copy + Into<f64>>(outputs: &[T], joint: usize) -> [Vector3<f64>; 2] {
+    [6 * joint, 6 * joint + 3].map(|at| Vector3::from_fn(|i, _| outputs[at + i].into()))
+}
+
+fn rotations<T: Copy + Into<f64>>(outputs: &[T]) -> [Matrix3<f64>; BODY_JOINTS] {
+    std::array::from_fn(|joint| {
+        let [a, b] = columns_of(outputs, joint);
+        Frame::of(&a, &b).map_or_else(Matrix3::identity, |frame| frame.rotation())
+    })
 }
 
 /// The orthonormal columns, and the lengths they were divided by.
@@ -273,11 +307,6 @@ impl Frame {
     }
 }
 
-pub(super) fn transposed(layer: &Layer) -> Vec<f64> {
-    let column = |input| layer.weight.iter().skip(input).step_by(layer.inputs);
-    (0..layer.inputs).flat_map(column).map(|&w| f64::from(w)).collect()
-}
-
 gemm::wide! {
     /// Tangents through SiLU: a row for each unit, in it 32 for each of `codes`.
     fn scale_blocks(tangents: &mut [f32], codes: &[usize], slopes: &[f32], units: usize) {
@@ -303,58 +332,9 @@ gemm::wide! {
     }
 }
 
-gemm::wide! {
-    /// x -> x / (1 + exp(-x)) in place, with its derivative.
-    pub(super) fn silu(values: &mut [f64], slopes: &mut [f32]) {
-        for (value, slope) in values.iter_mut().zip(slopes) {
-            let gate = 1.0 / (1.0 + exp(-*value));
-            *slope = (gate * (1.0 + *value * (1.0 - gate))) as f32;
-            *value *= gate;
-        }
-    }
-}
-
-/// e^x to some 1e-15 of it, without branches, so that several are computed at once: 2^n e^r with n
-/// the integer nearest to x / ln 2 and e^r a Taylor polynomial, |r| < 0.35. x is held within +-700.
-#[inline(always)]
-fn exp(x: f64) -> f64 {
-    /// Adding it leaves an integer in the lowest bits.
-    const ROUND: f64 = 1.5 * (1_u64 << 52) as f64;
-    const LN_2_HIGH: f64 = 0.693_147_180_369_123_8;
-    const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;
-    const SERIES: [f64; 13] = {
-        let mut factors = [1.0; 13];
-        let mut k = 1;
-        while k < factors.len() {
-            factors[k] = factors[k - 1] / k as f64;
-            k += 1;
-        }
-        factors
-    };
-    let x = x.clamp(-700.0, 700.0);
-    let shifted = x * std::f64::consts::LOG2_E + ROUND;
-    let n = shifted - ROUND;
-    let r = (x - n * LN_2_HIGH) - n * LN_2_LOW;
-    let series = SERIES.iter().rev().fold(0.0, |sum, factor| sum * r + factor);
-    series * f64::from_bits(shifted.to_bits().wrapping_add(1023) << 52)
-}
-
 /// 64-bit FNV-1a.
 pub(super) fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_exponential_is_that_of_the_standard_library() {
-        for i in -70_000..=70_000 {
-            let x = f64::from(i) * 0.01;
-            assert!((exp(x) / x.exp() - 1.0).abs() < 2e-15, "{x}");
-        }
-    }
 }

@@ -1,5 +1,6 @@
 //! The pose manifold: decoder, weights, interpolation, transitions.
 
+pub(crate) mod activation;
 mod decoder;
 mod interpolate;
 mod transition;

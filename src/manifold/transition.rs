@@ -19,9 +19,8 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Vector3};
 use safetensors::tensor::SafeTensors;
 
-use super::decoder::{silu, transposed};
 use super::weights::{Layer, WeightsError, checked_metadata, layers, numbers};
-use super::{Decoder, Keyframe, LATENT};
+use super::{Decoder, Keyframe, LATENT, activation};
 use crate::gemm::{self, Accum};
 use crate::so3;
 
@@ -78,7 +77,7 @@ impl Transition {
         let layers = layers(&tensors, "transition", STATE, 2 * MOVE)?;
         let numbers = numbers(&tensors, "scale", &[MOVE])?;
         Ok(Self {
-            wide: layers.iter().map(transposed).collect(),
+            wide: layers.iter().map(Layer::transposed).collect(),
             layers: layers.into(),
             scale: std::array::from_fn(|i| f64::from(numbers[i])),
             manifold: metadata.get("manifold").cloned().unwrap_or_default(),
@@ -109,7 +108,7 @@ impl Transition {
             gemm::product(sizes, input, &self.wide[n], Accum::Add, output);
             if n + 1 < self.layers.len() {
                 work.slopes[n].resize(layer.outputs, 0.0);
-                silu(output, &mut work.slopes[n]);
+                activation::silu_f64(output, &mut work.slopes[n]);
             }
         }
         let out = work.values.last().map_or(&[][..], |values| &values[..]);

@@ -62,6 +62,14 @@ pub(super) struct Layer {
     pub bias: Vec<f32>,
 }
 
+impl Layer {
+    /// The weight as [in, out]: in that order rows are multiplied soonest.
+    pub fn transposed<T: From<f32>>(&self) -> Vec<T> {
+        let column = |input| self.weight.iter().skip(input).step_by(self.inputs);
+        (0..self.inputs).flat_map(column).map(|&w| T::from(w)).collect()
+    }
+}
+
 /// Reads the decoder's layers.
 pub(super) fn decoder_layers(bytes: &[u8]) -> Result<Vec<Layer>, WeightsError> {
     checked_metadata(bytes, FORMAT)?;

@@ -3,7 +3,7 @@
 //! so does its Hessian: then a step uses the last factor with the new gradient (a chord step), which
 //! takes a fraction of the time and ends at the same place.
 
-use super::{Normal, Optimiser, Problem, Summary, Termination};
+use super::{Cholesky, Normal, Optimiser, Problem, Summary, Termination};
 
 /// Levenberg-Marquardt: solves (H + mu D) step = -g with D the diagonal of H, and accepts a step
 /// when the cost really falls, however the model predicted it.
@@ -31,8 +31,8 @@ const MIN_DIAGONAL: f64 = 1e-9;
 #[derive(Clone, Debug)]
 struct Memory {
     normal: Normal,
-    /// The damped Hessian, then its Cholesky factor.
-    factor: super::Banded,
+    /// Of the damped Hessian.
+    factor: Cholesky,
     /// That of the factor.
     damping: f64,
     step: Vec<f64>,
@@ -57,26 +57,22 @@ impl Memory {
     fn of(problem: &dyn Problem) -> Self {
         let normal = Normal::zeros(problem.layout());
         let n = normal.gradient.len();
-        let factor = normal.hessian.clone();
+        let factor = Cholesky::like(&normal.hessian);
         Self { factor, damping: 0.0, normal, step: vec![0.0; n], trial: vec![0.0; n] }
     }
 
     /// Factorises the damped Hessian; `None` where it is not positive definite.
     fn factorise(&mut self, damping: f64) -> Option<()> {
         let Self { normal, factor, .. } = self;
-        factor.copy_from(&normal.hessian);
-        for i in 0..normal.gradient.len() {
-            factor.add_to_diagonal(i, damping * scale(normal, i));
-        }
         self.damping = damping;
-        factor.factorise().map(|_| ())
+        factor.factorise(&normal.hessian, |i| damping * scale(normal, i)).map(|_| ())
     }
 
     /// Solves for the step; the decrease that the model predicts.
     fn solve(&mut self) -> f64 {
         let Self { normal, factor, damping, step, .. } = self;
         step.iter_mut().zip(&normal.gradient).for_each(|(step, g)| *step = -g);
-        factor.solve_factorised(step);
+        factor.solve(step);
         // With H step = -g - mu D step, the decrease is 1/2 step . (mu D step - g).
         let decrease = step.iter().zip(&normal.gradient).enumerate();
         decrease.map(|(i, (s, g))| 0.5 * s * (*damping * scale(normal, i) * s - g)).sum()

@@ -5,6 +5,7 @@
 //! holds what was measured.
 
 mod banded;
+mod cholesky;
 mod lbfgs;
 mod lm;
 mod normal;
@@ -13,6 +14,7 @@ mod termination;
 use serde::{Deserialize, Serialize};
 
 pub use banded::Banded;
+pub use cholesky::Cholesky;
 pub use lbfgs::Lbfgs;
 pub use lm::LevenbergMarquardt;
 pub use normal::{Layout, Normal};

@@ -9,6 +9,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use crate::gemm::{self, Accum};
+use crate::manifold::activation;
 
 /// One linear layer: where its parameters are.
 #[derive(Clone, Debug, PartialEq)]
@@ -102,7 +103,7 @@ impl Mlp {
             let sizes = [rows, layer.inputs, layer.outputs];
             gemm::product_with_transpose(sizes, &before[index], weight, Accum::Add, out);
             if let Some(slopes) = tape.slopes.get_mut(index) {
-                silu(out, slopes);
+                activation::silu(out, slopes);
             }
         }
     }
@@ -166,35 +167,6 @@ fn add_row_sums(rows: &[f32], sums: &mut [f32]) {
     }
 }
 
-/// x to x sigma(x), and its derivative sigma + x sigma (1 - sigma) to `slopes`.
-fn silu(values: &mut [f32], slopes: &mut [f32]) {
-    for (value, slope) in values.iter_mut().zip(slopes) {
-        let sigma = 1.0 / (1.0 + exp(-*value));
-        let out = *value * sigma;
-        *slope = sigma + out * (1.0 - sigma);
-        *value = out;
-    }
-}
-
-/// e^x to about 2e-7 relative, for |x| <= 87 (clamped): 2^n times a polynomial on the rest.
-/// Plain arithmetic, so that it is vectorised and the same on every machine.
-fn exp(x: f32) -> f32 {
-    const ROUND: f32 = 12_582_912.0;
-    let x = x.clamp(-87.0, 87.0);
-    let shifted = x * std::f32::consts::LOG2_E + ROUND;
-    let n = shifted - ROUND;
-    let r = (x - n * 0.693_359_4) + n * 2.121_944_4e-4;
-    let polynomial = 1.987_569_1e-4;
-    let polynomial = polynomial * r + 1.398_199_9e-3;
-    let polynomial = polynomial * r + 8.333_452e-3;
-    let polynomial = polynomial * r + 4.166_579_6e-2;
-    let polynomial = polynomial * r + 1.666_666_5e-1;
-    let polynomial = polynomial * r + 0.5;
-    let mantissa = polynomial * r * r + r + 1.0;
-    let exponent = (shifted.to_bits() << 23).wrapping_add(0x3f80_0000);
-    mantissa * f32::from_bits(exponent)
-}
-
 /// Standard normal numbers by the Box-Muller transform.
 pub fn fill_normal(out: &mut [f32], rng: &mut ChaCha8Rng) {
     for pair in out.chunks_mut(2) {
@@ -211,15 +183,6 @@ mod tests {
     use rand::SeedableRng;
 
     use super::*;
-
-    #[test]
-    fn exponential_agrees_with_the_library() {
-        for step in -8000..=8000 {
-            let x = step as f32 * 0.01;
-            let error = (exp(x) / x.exp() - 1.0).abs();
-            assert!(error < 1e-6, "{x}: {error}");
-        }
-    }
 
     #[test]
     fn normal_numbers_have_mean_zero_and_variance_one() {

@@ -10,7 +10,7 @@ use bundlemocap::cost::{
 };
 use bundlemocap::detect::KeypointFormat;
 use bundlemocap::manifold::{Decoder, Interpolation, Jacobians, Keyframe, LATENT};
-use bundlemocap::solve::{Method, Normal, Optimiser, Problem, Summary};
+use bundlemocap::solve::{Cholesky, Method, Normal, Optimiser, Problem, Summary};
 use bundlemocap::synth;
 use bundlemocap::time::Timestamp;
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -141,12 +141,9 @@ fn window(c: &mut Criterion) {
     c.bench_function("window normal equations", |b| {
         b.iter(|| problem.linearise(&x, &mut normal));
     });
+    let mut factor = Cholesky::like(&normal.hessian);
     c.bench_function("window factorisation", |b| {
-        b.iter(|| {
-            let mut factor = normal.hessian.clone();
-            (0..x.len()).for_each(|i| factor.add_to_diagonal(i, 1.0));
-            factor.factorise()
-        });
+        b.iter(|| factor.factorise(&normal.hessian, |_| 1.0))
     });
 }
 
@@ -192,8 +189,8 @@ fn operations(counts: Counts, points: usize, frames: usize, iterations: usize) -
     let pass = LATENT * HIDDEN + deep;
     let joints = ROTATIONS * (3 * LATENT + 2 * UNKNOWNS);
     let rows = 3 * points * (6 * UNKNOWNS + UNKNOWNS * UNKNOWNS);
-    // Each block row of the banded factor: three products, two triangular solves, one factor.
-    let factor = frames * (4 * UNKNOWNS.pow(3) + UNKNOWNS.pow(3) / 6);
+    // Each block column of the banded factor: half of four products, two triangular solves, one factor.
+    let factor = frames * (3 * UNKNOWNS.pow(3) + UNKNOWNS.pow(3) / 6);
     let single = counts.linearised * tangents + counts.gradients * pass;
     let double = counts.decoded * pass
         + counts.linearised * map

@@ -177,18 +177,18 @@ fn gradients_of_every_kind_of_path_match_central_differences() {
         let cost = problem.gradient(&x, &mut gradient);
         assert!((problem.cost(&x) - cost).abs() < 1e-9 * cost);
         let problem = std::cell::RefCell::new(problem);
-        let numeric = numeric_jacobian(&x, 1e-5, |x| vec![problem.borrow_mut().cost(x)]);
-        assert_jacobian(&DMatrix::from_row_slice(1, x.len(), &gradient), &numeric, 2e-5);
+        let numeric = numeric_jacobian(&x, 5e-3, |x| vec![problem.borrow_mut().cost(x)]);
+        assert_jacobian(&DMatrix::from_row_slice(1, x.len(), &gradient), &numeric, 5e-5);
     }
 }
 
 /// Checks the Gauss-Newton Hessian at the start against differences of the gradient.
-fn assert_hessian(mut problem: PathProblem) {
+fn assert_hessian(mut problem: PathProblem, step: f64) {
     let x = problem.start();
     let mut normal = Normal::zeros(problem.layout());
     problem.linearise(&x, &mut normal);
     let problem = std::cell::RefCell::new(problem);
-    let numeric = numeric_jacobian(&x, 1e-5, |x| {
+    let numeric = numeric_jacobian(&x, step, |x| {
         let mut gradient = vec![0.0; x.len()];
         problem.borrow_mut().gradient(x, &mut gradient);
         gradient
@@ -202,7 +202,7 @@ fn the_hessian_is_exact_where_residuals_vanish() {
     let config = cost::Config { prior: 0.0, jacobian_reach: 0.0, ..cost::Config::default() };
     let mut work = Workspace::default();
     let problem = case.window(&config, &case.truth[1], &mut work);
-    assert_hessian(problem);
+    assert_hessian(problem, 3e-3);
 }
 
 #[test]
@@ -217,7 +217,7 @@ fn the_hessian_of_stiffness_is_exact_where_nothing_moves() {
     let scene = case.scene(&config);
     let problem =
         PathProblem::new(scene, knots.collect(), &case.skeleton, FreeBody::Fixed, &[], &mut work);
-    assert_hessian(problem);
+    assert_hessian(problem, 1e-5);
 }
 
 #[test]
@@ -294,7 +294,7 @@ fn carried_jacobians_lead_to_the_same_minimum() {
 #[test]
 fn a_window_of_exact_observations_is_recovered() {
     let case = Case::new(2);
-    let config = cost::Config { prior: 1e-3, ..cost::Config::default() };
+    let config = cost::Config { prior: 1e-3, jacobian_reach: 0.0, ..cost::Config::default() };
     let mut work = Workspace::default();
     let mut problem = case.window(&config, &case.truth[0], &mut work);
     let mut x = problem.start();
