@@ -108,7 +108,7 @@ impl Config {
         Some((key, value, allowed))
     }
 
-    fn counts(&self) -> [Limit; 13] {
+    fn counts(&self) -> [Limit; 14] {
         let Self { track, node, .. } = self;
         let count =
             |key, value: usize, most: f64, allowed| (key, value as f64, 1.0..=most, allowed);
@@ -126,6 +126,7 @@ impl Config {
             or_none("track.mark_windows", track.mark_windows),
             or_none("track.coast_windows", track.coast_windows),
             count("track.grace_windows", track.grace_windows, 1e3, "1 to 1000"),
+            ("track.threads", track.threads as f64, 1.0..=2.0, "1 or 2"),
             ("node.queue", node.queue as f64, 16.0..=1e6, "16 to 1000000"),
         ]
     }

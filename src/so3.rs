@@ -102,18 +102,20 @@ pub fn right_jacobian_inverse(v: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + v_hat * 0.5 + v_hat * v_hat * second
 }
 
-/// log(R1 R0^T) and its derivatives by the rotation vectors w0 and w1 of R0 = exp(w0) A and
+/// log(R1 R0^T).
+pub fn turn_between(r0: &Matrix3<f64>, r1: &Matrix3<f64>) -> Vector3<f64> {
+    log(&(r1 * r0.transpose()))
+}
+
+/// The derivatives of that `turn` by the rotation vectors w0 and w1 of R0 = exp(w0) A and
 /// R1 = exp(w1) B.
-pub fn turn_between(
-    r0: &Matrix3<f64>,
+pub fn turn_between_tangents(
+    turn: &Vector3<f64>,
     w0: &Vector3<f64>,
-    r1: &Matrix3<f64>,
     w1: &Vector3<f64>,
-) -> (Vector3<f64>, Matrix3<f64>, Matrix3<f64>) {
-    let turn = log(&(r1 * r0.transpose()));
-    let by_first = -right_jacobian_inverse(&turn) * left_jacobian(w0);
-    let by_second = right_jacobian_inverse(&-turn) * left_jacobian(w1);
-    (turn, by_first, by_second)
+) -> (Matrix3<f64>, Matrix3<f64>) {
+    let by_first = -right_jacobian_inverse(turn) * left_jacobian(w0);
+    (by_first, right_jacobian_inverse(&-turn) * left_jacobian(w1))
 }
 
 /// The shortest path from `a` (s = 0) to `b` (s = 1): a exp(s log(a^T b)).

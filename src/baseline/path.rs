@@ -149,9 +149,12 @@ impl Problem for FramePath<'_> {
         let mut alone = Normal::zeros(Layout::dense(UNKNOWNS));
         for (frame, x) in x.chunks_exact(UNKNOWNS).enumerate() {
             cost += self.frame(frame, x, Some(&mut alone));
-            let gradient = &mut normal.gradient[frame * UNKNOWNS..(frame + 1) * UNKNOWNS];
-            gradient.copy_from_slice(&alone.gradient);
-            normal.hessian.block_mut(frame, frame).copy_from_slice(alone.hessian.block(0, 0));
+            let mine = frame * UNKNOWNS..(frame + 1) * UNKNOWNS;
+            normal.gradient[mine.clone()].copy_from_slice(&alone.gradient);
+            for (j, column) in mine.clone().enumerate() {
+                let entries = alone.hessian.column(0..UNKNOWNS, j);
+                normal.hessian.column_mut(mine.clone(), column).copy_from_slice(entries);
+            }
         }
         for term in self.terms {
             cost += term.cost(&state);

@@ -3,7 +3,7 @@
 use super::joints::COORDINATES;
 use super::path::{State, Term, UNKNOWNS};
 use crate::manifold::LATENT;
-use crate::so3::turn_between;
+use crate::so3::{turn_between, turn_between_tangents};
 use crate::solve::Normal;
 
 /// 1/2 weight |P_j(t + 1) - P_j(t)|^2 over joints and frames.
@@ -70,7 +70,8 @@ impl KeyframeSteps {
     fn step(&self, state: &State, frame: usize) -> (Vec<f64>, [Vec<f64>; 2]) {
         let (a, b) = (&state.keyframes[frame], &state.keyframes[frame + 1]);
         let (w0, w1) = (&state.turns[frame], &state.turns[frame + 1]);
-        let (turn, by_first, by_second) = turn_between(&a.root_rotation, w0, &b.root_rotation, w1);
+        let turn = turn_between(&a.root_rotation, &b.root_rotation);
+        let (by_first, by_second) = turn_between_tangents(&turn, w0, w1);
         let mut step: Vec<f64> = b.z.iter().zip(&a.z).map(|(b, a)| b - a).collect();
         step.extend(turn.iter());
         step.extend((b.root_position - a.root_position).iter());

@@ -80,7 +80,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let (signals, _watch) = watch_signals()?;
 
     // Before the bus starts its threads, so that they keep off it, too.
-    let solver_core = config.node.solver_core.then(SolverCore::reserve).flatten();
+    let is_alone = config.node.solver_core && config.track.threads == 1;
+    let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
     let solver = Solver::new(decoder, config.track);
     let core = Core::new(Settings {

@@ -1,39 +1,13 @@
-//! Blocks of the normal equations: from the coordinates of a moment to the unknowns of knots.
+//! From the coordinates of a moment to the unknowns of knots.
+
+use std::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::unknowns::KEYFRAME;
-use crate::manifold::{LATENT, LatentTangent};
-use crate::solve::Normal;
-
-/// Where the blocks of knots are in normal equations: one block each, or all within one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Blocks {
-    /// A block of its own for each knot.
-    Banded,
-    /// Parts of one block of so many unknowns.
-    Dense(usize),
-}
-
-impl Blocks {
-    /// Row `i` of the block of two knots, `column` not after `row`.
-    pub(super) fn row(
-        self,
-        normal: &mut Normal,
-        [row, column]: [usize; 2],
-        i: usize,
-    ) -> &mut [f64] {
-        match self {
-            Self::Banded => {
-                &mut normal.hessian.block_mut(row, column)[i * KEYFRAME..(i + 1) * KEYFRAME]
-            }
-            Self::Dense(n) => {
-                let at = (row * KEYFRAME + i) * n + column * KEYFRAME;
-                &mut normal.hessian.block_mut(0, 0)[at..at + KEYFRAME]
-            }
-        }
-    }
-}
+use super::unknowns::{KEYFRAME, Place, Unknowns};
+use crate::manifold::{Interpolation, LATENT, LatentTangent};
+use crate::so3;
+use crate::solve::Banded;
 
 /// How a moment's own coordinates (code, rotation, position) change with a knot's.
 #[derive(Clone, Debug)]
@@ -44,6 +18,33 @@ pub(super) struct End {
     /// World-frame turn of the moment by the knot's rotation vector.
     pub(super) turn: Matrix3<f64>,
     pub(super) shift: f64,
+}
+
+/// How a moment's coordinates change with the free knots about it, the later one first.
+pub(super) fn ends(
+    unknowns: &Unknowns,
+    interpolation: Interpolation,
+    Place { from, to, s }: Place,
+) -> [Option<End>; 2] {
+    let free = |knot: usize, make: &dyn Fn() -> (LatentTangent, Matrix3<f64>, f64)| {
+        unknowns.is_free(knot).then(|| {
+            let (code, turn, shift) = make();
+            let turn = turn * so3::left_jacobian(&unknowns.turns[knot]);
+            End { knot: unknowns.number(knot), code, turn, shift }
+        })
+    };
+    if from == to {
+        let same = || (LatentTangent::straight(1.0), Matrix3::identity(), 1.0);
+        return [free(to, &same), None];
+    }
+    let end = |knot: usize, other: usize, s: f64| {
+        let (near, far) = (&unknowns.keyframes[knot], &unknowns.keyframes[other]);
+        free(knot, &|| {
+            let along = so3::slerp_jacobian(&far.root_rotation, &near.root_rotation, s);
+            (interpolation.tangent(&far.z, &near.z, s), along, s)
+        })
+    };
+    [end(to, from, s), end(from, to, 1.0 - s)]
 }
 
 impl End {
@@ -67,8 +68,7 @@ impl End {
         gram: &[f64],
         columns: usize,
         half: &mut Vec<f64>,
-        blocks: Blocks,
-        normal: &mut Normal,
+        hessian: &mut Banded,
     ) {
         // H is symmetric: its rows pulled back are the columns of H D', so `half` is D'^T H.
         half.resize(KEYFRAME * KEYFRAME, 0.0);
@@ -79,11 +79,15 @@ impl End {
         }
         for (j, row) in half.chunks_exact(KEYFRAME).enumerate() {
             self.pull(row, &mut pulled);
-            for (i, value) in pulled.iter().enumerate() {
-                blocks.row(normal, [self.knot, other.knot], i)[j] += value;
-            }
+            let column = hessian.column_mut(block(self.knot), other.knot * KEYFRAME + j);
+            column.iter_mut().zip(&pulled).for_each(|(entry, value)| *entry += value);
         }
     }
+}
+
+/// The unknowns of a free knot.
+pub(super) fn block(knot: usize) -> Range<usize> {
+    knot * KEYFRAME..(knot + 1) * KEYFRAME
 }
 
 /// A lower triangular L with L L^T = A, for A positive semidefinite: a pivot that vanishes, as

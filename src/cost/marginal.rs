@@ -23,13 +23,10 @@ impl PathProblem<'_> {
         let mut normal = Normal::zeros(self.layout());
         self.linearise(x, &mut normal);
         let (total, keyframes) = (x.len(), self.unknowns.body_at());
-        let block = normal.hessian.block(0, 0);
-        let entry = |i: usize, j: usize| block[i.max(j) * total + i.min(j)];
+        let entry = |i: usize, j: usize| normal.hessian.entry(i, j);
         let first = total - count;
-        let within: Vec<f64> = (0..keyframes)
-            .flat_map(|i| &block[i * total..i * total + keyframes])
-            .copied()
-            .collect();
+        let within: Vec<f64> =
+            (0..keyframes).flat_map(|i| (0..keyframes).map(move |j| entry(i, j))).collect();
         // The coefficients' columns, then the gradient.
         let across = DMatrix::from_fn(keyframes, count + 1, |i, j| {
             if j < count { entry(i, first + j) } else { normal.gradient[i] }

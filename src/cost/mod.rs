@@ -11,6 +11,7 @@
 
 mod blocks;
 mod config;
+mod lane;
 mod marginal;
 mod moment;
 mod observation;

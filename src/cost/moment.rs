@@ -1,4 +1,4 @@
-//! The terms of one moment: what the cameras saw of the body's points.
+//! The terms of moments: what the cameras saw of the body's points.
 //!
 //! All views of a point share the point's Jacobian: their 2D terms are first summed to a gradient
 //! and a 3x3 curvature in the world. The gradient acts on the body as a force, which goes back
@@ -8,52 +8,135 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::blocks::root_of;
-use super::observation::Observation;
-use super::path::PathProblem;
-use super::unknowns::KEYFRAME;
-use super::workspace::LOCAL_ROWS;
-use crate::body::{BodyPoint, Joint, Posture, Tangents, Wrenches, push_forward};
-use crate::manifold::LATENT;
+use super::lane::{LOCAL_ROWS, Lane};
+use super::observation::{Moment, Observation};
+use super::path::Scene;
+use super::robust::GemanMcClure;
+use super::unknowns::{KEYFRAME, Place, Unknowns};
+use crate::body::{BodyPoint, Joint, Posture, Tangents, Wrenches, forward, push_forward};
+use crate::gemm::{self, Accum};
+use crate::manifold::{LATENT, Latent};
+use crate::so3;
 
-impl<'a> PathProblem<'a> {
-    /// Tangents of the posture at moment `m` by the moment's coordinates; `turn` is how the pelvis
-    /// turns with those of its rotation.
-    pub(super) fn push_tangents(&mut self, m: usize, posture: &Posture, turn: &Matrix3<f64>) {
-        let columns = self.coordinates();
-        let work = &mut *self.work;
-        let mut tangents = work
+/// What is wanted of moments.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Wanted {
+    Cost,
+    Gradients,
+    /// The gradients too.
+    Hessians,
+}
+
+/// A path, as its moments need it.
+#[derive(Clone, Copy)]
+pub(super) struct Path<'p> {
+    pub(super) scene: Scene<'p>,
+    pub(super) unknowns: &'p Unknowns,
+    pub(super) loss: GemanMcClure,
+    /// The points' offsets in their joints' frames.
+    pub(super) offsets: &'p [Vector3<f64>],
+}
+
+impl<'p> Path<'p> {
+    /// Computes what is wanted of all moments of a lane, and leaves it there.
+    pub(super) fn compute(&self, moments: &[Moment], wanted: Wanted, lane: &mut Lane) {
+        lane.cost = 0.0;
+        if moments.is_empty() {
+            return;
+        }
+        let n = self.unknowns.coordinates();
+        lane.decode(self.scene.decoder, moments.iter().map(|moment| self.code(moment)));
+        if wanted == Wanted::Hessians {
+            // The Hessian by the body is used for itself, not only to steer.
+            let reach =
+                if self.unknowns.body == 0 { self.scene.config.jacobian_reach } else { 0.0 };
+            lane.linearise(self.scene.decoder, reach);
+            lane.grams.resize(moments.len() * n * n, 0.0);
+        }
+        lane.by_rotation.resize(moments.len() * LOCAL_ROWS, 0.0);
+        lane.gradients.resize(moments.len() * n, 0.0);
+        for (m, moment) in moments.iter().enumerate() {
+            let place = self.unknowns.place(moment.capture);
+            let posture = self.posture(place, m, lane);
+            if wanted == Wanted::Hessians {
+                self.push_tangents(place, &posture, m, lane);
+            }
+            lane.cost += match wanted {
+                Wanted::Cost => self.cost(moment, &posture),
+                _ => self.add(moment, &posture, wanted, m, lane),
+            };
+            if wanted == Wanted::Hessians {
+                lane.counts.moments += 1;
+                let (rows, gram) = (&lane.rows, &mut lane.grams[m * n * n..(m + 1) * n * n]);
+                let sizes = [n, rows.len() / n, n];
+                gemm::product_of_transpose(sizes, rows, rows, Accum::Replace, gram);
+            }
+        }
+        if wanted >= Wanted::Gradients {
+            lane.pull_back(self.scene.decoder, n);
+        }
+    }
+
+    /// The code at a moment.
+    fn code(&self, moment: &Moment) -> Latent {
+        let Place { from, to, s } = self.unknowns.place(moment.capture);
+        let (z0, z1) = (&self.unknowns.keyframes[from].z, &self.unknowns.keyframes[to].z);
+        if from == to { *z1 } else { self.scene.config.interpolation.latent(z0, z1, s) }
+    }
+
+    /// Where the body is at moment `m` of the lane.
+    fn posture(&self, Place { from, to, s }: Place, m: usize, lane: &Lane) -> Posture {
+        let (first, last) = (&self.unknowns.keyframes[from], &self.unknowns.keyframes[to]);
+        let rotation = match from == to {
+            true => last.root_rotation,
+            false => so3::slerp(&first.root_rotation, &last.root_rotation, s),
+        };
+        let position = first.root_position.lerp(&last.root_position, s);
+        forward(&self.unknowns.skeleton, &rotation, &position, &lane.rotations(m))
+    }
+
+    /// Tangents of the posture at moment `m` by the moment's coordinates.
+    fn push_tangents(&self, place: Place, posture: &Posture, m: usize, lane: &mut Lane) {
+        let columns = self.unknowns.coordinates();
+        let mut tangents = lane
             .tangents
             .take()
             .filter(|t| t.columns() == columns)
             .unwrap_or_else(|| Tangents::zeros(columns));
         tangents.clear_root();
-        tangents.set_root_turn(LATENT, turn);
+        tangents.set_root_turn(LATENT, &self.unknowns.knot_turn(place));
         tangents.set_root_shift(LATENT + 3, 1.0);
         let shape_column = (self.unknowns.body > 0).then_some(KEYFRAME);
         let skeleton = &self.unknowns.skeleton;
-        let by_code = &work.by_code[m * LOCAL_ROWS * LATENT..(m + 1) * LOCAL_ROWS * LATENT];
-        push_forward(skeleton, posture, by_code, LATENT, shape_column, &mut tangents);
-        work.tangents = Some(tangents);
+        push_forward(skeleton, posture, lane.by_code(m), LATENT, shape_column, &mut tangents);
+        lane.tangents = Some(tangents);
     }
 
-    /// Cost of the observations at moment `m`.
-    pub(super) fn moment_cost(&self, m: usize, posture: &Posture) -> f64 {
+    /// Cost of what was seen at a moment.
+    fn cost(&self, moment: &Moment, posture: &Posture) -> f64 {
         let cost = |views: &[Observation]| {
             let (point, arm) = self.point(views, posture);
             let position = posture.positions[point.attachment.joint.index()] + arm;
             point.attachment.weight * self.point_cost(views, &position)
         };
-        self.moments[m].by_point().map(cost).sum()
+        moment.by_point().map(cost).sum()
     }
 
-    /// The same; leaves the moment's gradient in the workspace and, if wanted, its rows.
-    pub(super) fn add_moment(&mut self, m: usize, posture: &Posture, rows: bool) -> f64 {
-        let (n, moments) = (self.coordinates(), self.moments);
+    /// The same; leaves the gradient of moment `m` in the lane, and its rows if they are wanted.
+    fn add(
+        &self,
+        moment: &Moment,
+        posture: &Posture,
+        wanted: Wanted,
+        m: usize,
+        lane: &mut Lane,
+    ) -> f64 {
+        let n = self.unknowns.coordinates();
         let mut wrenches = Wrenches::zeros();
         let mut cost = 0.0;
-        self.work.rows.clear();
-        self.work.gradients[m * n..(m + 1) * n].fill(0.0);
-        for views in moments[m].by_point() {
+        lane.rows.clear();
+        lane.gradients[m * n..(m + 1) * n].fill(0.0);
+        for views in moment.by_point() {
             let (point, arm) = self.point(views, posture);
             let (joint, weight) = (point.attachment.joint, point.attachment.weight);
             let position = posture.positions[joint.index()] + arm;
@@ -62,24 +145,24 @@ impl<'a> PathProblem<'a> {
             cost += weight * value;
             wrenches.add(joint, &arm, &gradient);
             let rotation = &posture.rotations[joint.index()];
-            if rows {
-                self.add_rows(point, &arm, rotation, &curvature);
+            if wanted == Wanted::Hessians {
+                self.add_rows(point, &arm, rotation, &curvature, lane);
             }
             if self.unknowns.body > 0 {
-                let out = &mut self.work.gradients[m * n + KEYFRAME..(m + 1) * n];
+                let out = &mut lane.gradients[m * n + KEYFRAME..(m + 1) * n];
                 add_by_body(&point.attachment.offset_by_body(), rotation, &gradient, out);
             }
         }
         wrenches.gather(posture);
-        self.add_wrenches(m, posture, &wrenches);
+        self.add_wrenches(posture, &wrenches, m, lane);
         cost
     }
 
     /// The point that was seen, and where it is from its joint's centre (world frame).
-    fn point(&self, views: &[Observation], posture: &Posture) -> (&'a BodyPoint, Vector3<f64>) {
+    fn point(&self, views: &[Observation], posture: &Posture) -> (&'p BodyPoint, Vector3<f64>) {
         let point = &self.scene.points[views[0].point];
         let rotation = &posture.rotations[point.attachment.joint.index()];
-        (point, rotation * self.work.offsets[views[0].point])
+        (point, rotation * self.offsets[views[0].point])
     }
 
     fn point_cost(&self, views: &[Observation], position: &Vector3<f64>) -> f64 {
@@ -118,20 +201,20 @@ impl<'a> PathProblem<'a> {
 
     /// Adds three rows: L^T J, where L L^T is the curvature and J the point's Jacobian.
     fn add_rows(
-        &mut self,
+        &self,
         point: &BodyPoint,
         arm: &Vector3<f64>,
         rotation: &Matrix3<f64>,
         curvature: &Matrix3<f64>,
+        lane: &mut Lane,
     ) {
-        let n = self.coordinates();
-        let work = &mut *self.work;
-        let Some(tangents) = &work.tangents else { return };
+        let n = self.unknowns.coordinates();
+        let Some(tangents) = &lane.tangents else { return };
         let root = root_of(curvature);
         for direction in root.column_iter().map(|column| column.into_owned()) {
-            let first = work.rows.len();
-            work.rows.resize(first + n, 0.0);
-            let row = &mut work.rows[first..];
+            let first = lane.rows.len();
+            lane.rows.resize(first + n, 0.0);
+            let row = &mut lane.rows[first..];
             tangents.along(point.attachment.joint, arm, &direction, row);
             if self.unknowns.body > 0 {
                 let by_body = point.attachment.offset_by_body();
@@ -140,15 +223,14 @@ impl<'a> PathProblem<'a> {
         }
     }
 
-    /// The gradient by the moment's coordinates but the code, and by its local rotations.
-    fn add_wrenches(&mut self, m: usize, posture: &Posture, wrenches: &Wrenches) {
-        let n = self.coordinates();
+    /// The gradient by the coordinates of moment `m` but the code, and by its local rotations.
+    fn add_wrenches(&self, posture: &Posture, wrenches: &Wrenches, m: usize, lane: &mut Lane) {
+        let n = self.unknowns.coordinates();
         let skeleton = &self.unknowns.skeleton;
-        let work = &mut *self.work;
-        let gradient = &mut work.gradients[m * n..(m + 1) * n];
+        let gradient = &mut lane.gradients[m * n..(m + 1) * n];
         let root = wrenches.torque(Joint::Pelvis).iter().chain(wrenches.force(Joint::Pelvis));
         gradient[LATENT..].iter_mut().zip(root).for_each(|(out, v)| *out = *v);
-        let by_rotation = &mut work.by_rotation[m * LOCAL_ROWS..(m + 1) * LOCAL_ROWS];
+        let by_rotation = &mut lane.by_rotation[m * LOCAL_ROWS..(m + 1) * LOCAL_ROWS];
         for (joint, out) in Joint::ALL[1..].iter().zip(by_rotation.chunks_exact_mut(3)) {
             let turned = posture.rotations[joint.index()].tr_mul(wrenches.torque(*joint));
             out.copy_from_slice(turned.as_slice());

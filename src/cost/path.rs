@@ -5,19 +5,16 @@
 //! derivative of the interpolation. A free body concerns all knots: then the normal equations are
 //! one dense block; else they are banded, a block for each free knot.
 
-use nalgebra::Matrix3;
-
-use super::blocks::{Blocks, End};
+use super::blocks::{End, block, ends};
 use super::config::Config;
+use super::moment::{self, Path};
 use super::observation::Moment;
 use super::robust::GemanMcClure;
-use super::unknowns::{FreeBody, KEYFRAME, Knot, Place, Unknowns};
-use super::workspace::{LOCAL_ROWS, Workspace};
-use crate::body::{BodyPoint, Posture, SHAPE_COEFFICIENTS, Skeleton, forward};
+use super::unknowns::{FreeBody, KEYFRAME, Knot, Unknowns};
+use super::workspace::{Workspace, in_lanes};
+use crate::body::{BodyPoint, SHAPE_COEFFICIENTS, Skeleton};
 use crate::camera::Rig;
-use crate::gemm::{self, Accum};
-use crate::manifold::{Decoder, Interpolation, Keyframe, LATENT, LatentTangent};
-use crate::so3;
+use crate::manifold::{Decoder, Keyframe, LATENT};
 use crate::solve::{Layout, Normal, Problem};
 
 /// What a cost needs besides the unknowns.
@@ -36,11 +33,11 @@ pub struct Scene<'a> {
 /// The cost of a path. Also gives the solution back as keyframes and body.
 #[derive(Debug)]
 pub struct PathProblem<'a> {
-    pub(super) scene: Scene<'a>,
-    pub(super) moments: &'a [Moment],
-    pub(super) work: &'a mut Workspace,
+    scene: Scene<'a>,
+    moments: &'a [Moment],
+    work: &'a mut Workspace,
     pub(super) unknowns: Unknowns,
-    pub(super) loss: GemanMcClure,
+    loss: GemanMcClure,
 }
 
 /// What is wanted besides the cost.
@@ -51,6 +48,14 @@ enum Wanted<'o> {
 }
 
 impl Wanted<'_> {
+    fn of_moments(&self) -> moment::Wanted {
+        match self {
+            Self::Cost => moment::Wanted::Cost,
+            Self::Gradient(_) => moment::Wanted::Gradients,
+            Self::NormalEquations(_) => moment::Wanted::Hessians,
+        }
+    }
+
     fn gradient(&mut self) -> Option<&mut [f64]> {
         match self {
             Self::Cost => None,
@@ -109,78 +114,24 @@ impl<'a> PathProblem<'a> {
         (self.unknowns.keyframes, self.unknowns.skeleton)
     }
 
-    fn interpolation(&self) -> Interpolation {
-        self.scene.config.interpolation
-    }
-
-    fn blocks(&self) -> Blocks {
-        match self.unknowns.body {
-            0 => Blocks::Banded,
-            _ => Blocks::Dense(self.unknowns.count()),
-        }
-    }
-
-    /// Coordinates of a moment.
-    pub(super) fn coordinates(&self) -> usize {
-        KEYFRAME + self.unknowns.body
-    }
-
     fn evaluate(&mut self, x: &[f64], mut wanted: Wanted) -> f64 {
         self.unknowns.take(x);
-        self.decode();
-        if wanted.normal().is_some() {
-            // The Hessian by the body is used for itself, not only to steer.
-            let reach =
-                if self.unknowns.body == 0 { self.scene.config.jacobian_reach } else { 0.0 };
-            self.work.linearise(self.scene.decoder, reach);
-        }
-        let mut cost = self.prior(x, &mut wanted);
-        let (moments, body) = (self.moments.len(), &self.unknowns.skeleton);
-        let offsets = self.scene.points.iter().map(|point| point.attachment.offset(body));
-        self.work.offsets.clear();
-        self.work.offsets.extend(offsets);
-        self.work.by_rotation.resize(moments * LOCAL_ROWS, 0.0);
-        self.work.gradients.resize(moments * self.coordinates(), 0.0);
-        for m in 0..moments {
-            let place = self.unknowns.place(self.moments[m].capture);
-            let posture = self.posture(m, place);
-            cost += match &mut wanted {
-                Wanted::Cost => self.moment_cost(m, &posture),
-                Wanted::Gradient(_) => self.add_moment(m, &posture, false),
-                Wanted::NormalEquations(normal) => {
-                    self.push_tangents(m, &posture, &self.knot_turn(place));
-                    let cost = self.add_moment(m, &posture, true);
-                    self.scatter_hessian(place, normal);
-                    cost
-                }
-            };
-        }
+        let cost = self.prior(x, &mut wanted);
+        let Self { scene, unknowns, loss, moments, work, .. } = self;
+        let (scene, unknowns, loss, of_moments) = (*scene, &*unknowns, *loss, wanted.of_moments());
+        let offsets = scene.points.iter().map(|point| point.attachment.offset(&unknowns.skeleton));
+        work.offsets.clear();
+        work.offsets.extend(offsets);
+        work.compute(moments, |moments, offsets, lane| {
+            Path { scene, unknowns, loss, offsets }.compute(moments, of_moments, lane);
+        });
         if let Some(gradient) = wanted.gradient() {
             self.scatter_gradients(gradient);
         }
-        cost
-    }
-
-    /// Where the body is at moment `m`.
-    fn posture(&self, m: usize, Place { from, to, s }: Place) -> Posture {
-        let (first, last) = (&self.unknowns.keyframes[from], &self.unknowns.keyframes[to]);
-        let rotation = match from == to {
-            true => last.root_rotation,
-            false => so3::slerp(&first.root_rotation, &last.root_rotation, s),
-        };
-        let position = first.root_position.lerp(&last.root_position, s);
-        forward(&self.unknowns.skeleton, &rotation, &position, &self.work.jacobians.rotations(m))
-    }
-
-    /// Decodes the codes of all moments at once, unless they are those decoded last.
-    fn decode(&mut self) {
-        let (unknowns, interpolation) = (&self.unknowns, self.interpolation());
-        let codes = self.moments.iter().map(|moment| {
-            let Place { from, to, s } = unknowns.place(moment.capture);
-            let (z0, z1) = (&unknowns.keyframes[from].z, &unknowns.keyframes[to].z);
-            if from == to { *z1 } else { interpolation.latent(z0, z1, s) }
-        });
-        self.work.decode(self.scene.decoder, codes);
+        if let Some(normal) = wanted.normal() {
+            self.scatter_hessians(normal);
+        }
+        cost + self.work.lanes.iter().map(|lane| lane.cost).sum::<f64>()
     }
 
     /// 1/2 prior |z|^2 of each free knot, counted for each frame that it stands for, 1/2 shape prior
@@ -214,96 +165,69 @@ impl<'a> PathProblem<'a> {
         cost + match wanted {
             Wanted::Cost => stiffness.cost(&self.unknowns),
             Wanted::Gradient(gradient) => stiffness.add_gradient(&self.unknowns, gradient),
-            Wanted::NormalEquations(normal) => stiffness.add(&self.unknowns, self.blocks(), normal),
+            Wanted::NormalEquations(normal) => stiffness.add(&self.unknowns, normal),
         }
-    }
-
-    /// How the moment's coordinates change with the free knots about it, the later one first.
-    fn ends(&self, Place { from, to, s }: Place) -> [Option<End>; 2] {
-        let free = |knot: usize, make: &dyn Fn() -> (LatentTangent, Matrix3<f64>, f64)| {
-            self.unknowns.is_free(knot).then(|| {
-                let (code, turn, shift) = make();
-                let turn = turn * so3::left_jacobian(&self.unknowns.turns[knot]);
-                End { knot: self.unknowns.number(knot), code, turn, shift }
-            })
-        };
-        if from == to {
-            let same = || (LatentTangent::straight(1.0), Matrix3::identity(), 1.0);
-            return [free(to, &same), None];
-        }
-        let end = |knot: usize, other: usize, s: f64| {
-            let (near, far) = (&self.unknowns.keyframes[knot], &self.unknowns.keyframes[other]);
-            free(knot, &|| {
-                let along = so3::slerp_jacobian(&far.root_rotation, &near.root_rotation, s);
-                (self.interpolation().tangent(&far.z, &near.z, s), along, s)
-            })
-        };
-        [end(to, from, s), end(from, to, 1.0 - s)]
     }
 
     /// Carries the moments' gradients to all unknowns.
-    fn scatter_gradients(&mut self, gradient: &mut [f64]) {
-        let (n, body_at) = (self.coordinates(), self.unknowns.body_at());
-        self.work.pull_back(self.scene.decoder);
-        for (m, moment) in self.moments.iter().enumerate() {
-            let mine = &mut self.work.gradients[m * n..(m + 1) * n];
-            mine[..LATENT].copy_from_slice(&self.work.code_gradients[m * LATENT..][..LATENT]);
-            let mine = &self.work.gradients[m * n..(m + 1) * n];
-            let mut pulled = [0.0; KEYFRAME];
-            for end in self.ends(self.unknowns.place(moment.capture)).iter().flatten() {
-                end.pull(mine, &mut pulled);
-                add(&mut gradient[end.knot * KEYFRAME..], &pulled);
-            }
-            add(&mut gradient[body_at..], &mine[KEYFRAME..]);
-        }
-    }
-
-    /// Whether the moment's Hessian is a part of that of a single knot, once its rotation is
-    /// parametrised as the knot's is.
-    fn is_direct(&self, place: Place) -> bool {
-        place.from == place.to && self.unknowns.body == 0
-    }
-
-    /// How the pelvis turns with the coordinates of the moment's rotation.
-    fn knot_turn(&self, place: Place) -> Matrix3<f64> {
-        match self.is_direct(place) {
-            true => so3::left_jacobian(&self.unknowns.turns[place.to]),
-            false => Matrix3::identity(),
-        }
-    }
-
-    /// Adds the Gram matrix of the moment's rows to the Hessian of all unknowns.
-    fn scatter_hessian(&mut self, place: Place, normal: &mut Normal) {
-        self.work.counts.moments += 1;
-        let (n, body_at) = (self.coordinates(), self.unknowns.body_at());
-        let sizes = [n, self.work.rows.len() / n, n];
-        if self.is_direct(place) {
-            if self.unknowns.is_free(place.to) {
-                let knot = self.unknowns.number(place.to);
-                let (rows, block) = (&self.work.rows, normal.hessian.block_mut(knot, knot));
-                gemm::product_of_transpose(sizes, rows, rows, Accum::Add, block);
-            }
-            return;
-        }
-        let (ends, blocks) = (self.ends(place), self.blocks());
-        let work = &mut *self.work;
-        work.gram.resize(n * n, 0.0);
-        gemm::product_of_transpose(sizes, &work.rows, &work.rows, Accum::Replace, &mut work.gram);
-        for (e, end) in ends.iter().flatten().enumerate() {
-            for other in ends.iter().flatten().skip(e) {
-                end.add_block(other, &work.gram, n, &mut work.half, blocks, normal);
-            }
-        }
-        let total = normal.gradient.len();
+    fn scatter_gradients(&self, gradient: &mut [f64]) {
+        let (n, body_at) = (self.unknowns.coordinates(), self.unknowns.body_at());
+        let interpolation = self.scene.config.interpolation;
         let mut pulled = [0.0; KEYFRAME];
-        for (k, row) in work.gram.chunks_exact(n).skip(KEYFRAME).enumerate() {
-            let out = &mut normal.hessian.block_mut(0, 0)[(body_at + k) * total..][..total];
-            for end in ends.iter().flatten() {
-                end.pull(row, &mut pulled);
-                add(&mut out[end.knot * KEYFRAME..], &pulled);
+        for (lane, moments) in self.work.lanes.iter().zip(in_lanes(self.moments)) {
+            for (mine, moment) in lane.gradients.chunks_exact(n).zip(moments) {
+                let place = self.unknowns.place(moment.capture);
+                for end in ends(&self.unknowns, interpolation, place).iter().flatten() {
+                    end.pull(mine, &mut pulled);
+                    add(&mut gradient[end.knot * KEYFRAME..], &pulled);
+                }
+                add(&mut gradient[body_at..], &mine[KEYFRAME..]);
             }
-            add(&mut out[body_at..], &row[KEYFRAME..]);
         }
+    }
+
+    /// Carries the moments' Hessians to all unknowns.
+    fn scatter_hessians(&mut self, normal: &mut Normal) {
+        let n = self.unknowns.coordinates();
+        let (unknowns, interpolation) = (&self.unknowns, self.scene.config.interpolation);
+        let Workspace { lanes, half, .. } = &mut *self.work;
+        for (lane, moments) in lanes.iter().zip(in_lanes(self.moments)) {
+            for (gram, moment) in lane.grams.chunks_exact(n * n).zip(moments) {
+                let place = unknowns.place(moment.capture);
+                if unknowns.is_direct(place) {
+                    if unknowns.is_free(place.to) {
+                        let mine = block(unknowns.number(place.to));
+                        for (column, row) in mine.clone().zip(gram.chunks_exact(n)) {
+                            add(normal.hessian.column_mut(mine.clone(), column), row);
+                        }
+                    }
+                    continue;
+                }
+                let ends = ends(unknowns, interpolation, place);
+                for (e, end) in ends.iter().flatten().enumerate() {
+                    for other in ends.iter().flatten().skip(e) {
+                        end.add_block(other, gram, n, half, &mut normal.hessian);
+                    }
+                }
+                add_body_rows(unknowns, &ends, gram, normal);
+            }
+        }
+    }
+}
+
+/// Adds the rows of a moment's Hessian that belong to the body.
+fn add_body_rows(unknowns: &Unknowns, ends: &[Option<End>], gram: &[f64], normal: &mut Normal) {
+    let (n, body_at) = (unknowns.coordinates(), unknowns.body_at());
+    let mut pulled = [0.0; KEYFRAME];
+    for (row, entries) in (body_at..).zip(gram.chunks_exact(n).skip(KEYFRAME)) {
+        let mut add = |column: usize, value: f64| {
+            normal.hessian.column_mut(row..row + 1, column)[0] += value;
+        };
+        for end in ends.iter().flatten() {
+            end.pull(entries, &mut pulled);
+            block(end.knot).zip(pulled).for_each(|(column, value)| add(column, value));
+        }
+        (body_at..=row).zip(&entries[KEYFRAME..]).for_each(|(column, &value)| add(column, value));
     }
 }
 
@@ -316,11 +240,9 @@ impl Problem for PathProblem<'_> {
     fn layout(&self) -> Layout {
         let blocks = self.unknowns.number(self.unknowns.keyframes.len());
         let reach = if self.scene.config.stiffness.is_none() { 1 } else { 2 };
-        match self.blocks() {
-            Blocks::Dense(size) => Layout::dense(size),
-            Blocks::Banded => {
-                Layout { size: KEYFRAME, blocks, bandwidth: reach.min(blocks.saturating_sub(1)) }
-            }
+        match self.unknowns.body {
+            0 => Layout { size: KEYFRAME, blocks, bandwidth: reach.min(blocks.saturating_sub(1)) },
+            _ => Layout::dense(self.unknowns.count()),
         }
     }
 

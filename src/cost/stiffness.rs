@@ -11,11 +11,11 @@
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::blocks::Blocks;
-use super::unknowns::{KEYFRAME, Unknowns};
-use crate::manifold::{LATENT, Latent};
+use super::blocks::block;
+use super::unknowns::Unknowns;
+use crate::manifold::{Keyframe, LATENT, Latent};
 use crate::so3;
-use crate::solve::Normal;
+use crate::solve::{Banded, Normal};
 
 /// Weights of accelerations, per nominal frame: all zero leaves the path as free as its
 /// interpolation is. Differs: the paper has no such term.
@@ -68,10 +68,10 @@ impl Stiffness {
     }
 
     /// The same; its gradient and Gauss-Newton Hessian are added.
-    pub(super) fn add(&self, path: &Unknowns, blocks: Blocks, normal: &mut Normal) -> f64 {
+    pub(super) fn add(&self, path: &Unknowns, normal: &mut Normal) -> f64 {
         let add = |triple: Triple| {
             triple.add_gradient(path, &mut normal.gradient);
-            triple.add_hessian(path, blocks, normal);
+            triple.add_hessian(path, &mut normal.hessian);
             triple.cost
         };
         self.triples(path).map(add).sum()
@@ -88,8 +88,8 @@ struct Triple {
     knots: [usize; 3],
     /// By the three knots' codes and positions.
     factors: [f64; 3],
-    /// By the three knots' rotation vectors.
-    by_turn: [Matrix3<f64>; 3],
+    /// How the pelvis turns from the first knot to the second and on to the third.
+    turns: [Vector3<f64>; 2],
     code: Latent,
     rotation: Vector3<f64>,
     position: Vector3<f64>,
@@ -106,10 +106,9 @@ impl Triple {
         let (first, second) = (t1.seconds_since(t0), t2.seconds_since(t1));
         let [c0, c2] = [first, second].map(|t| 2.0 / ((first + second) * t));
         let c1 = -c0 - c2;
-        let [w0, w1, w2] = knots.map(|k| &path.turns[k]);
-        let (r0, r1, r2) = (&k0.root_rotation, &k1.root_rotation, &k2.root_rotation);
-        let (early, early_by0, early_by1) = so3::turn_between(r0, w0, r1, w1);
-        let (late, late_by1, late_by2) = so3::turn_between(r1, w1, r2, w2);
+        let turn =
+            |a: &Keyframe, b: &Keyframe| so3::turn_between(&a.root_rotation, &b.root_rotation);
+        let (early, late) = (turn(k0, k1), turn(k1, k2));
         let code: Latent = std::array::from_fn(|i| c0 * k0.z[i] + c1 * k1.z[i] + c2 * k2.z[i]);
         let rotation = late * c2 - early * c0;
         let position = k0.root_position * c0 + k1.root_position * c1 + k2.root_position * c2;
@@ -124,13 +123,22 @@ impl Triple {
         Self {
             knots,
             factors: [c0, c1, c2],
-            by_turn: [early_by0 * -c0, late_by1 * c2 - early_by1 * c0, late_by2 * c2],
+            turns: [early, late],
             code,
             rotation,
             position,
             weights: [weights.latent * latent, weights.turn * turn, weights.shift * shift],
             cost: 0.5 * frames * scale * slack.iter().map(|slack| slack.ln()).sum::<f64>(),
         }
+    }
+
+    /// The acceleration of the rotation by the three knots' rotation vectors.
+    fn by_turn(&self, path: &Unknowns) -> [Matrix3<f64>; 3] {
+        let ([early, late], [c0, _, c2]) = (&self.turns, self.factors);
+        let [w0, w1, w2] = self.knots.map(|k| &path.turns[k]);
+        let (early_by0, early_by1) = so3::turn_between_tangents(early, w0, w1);
+        let (late_by1, late_by2) = so3::turn_between_tangents(late, w1, w2);
+        [early_by0 * -c0, late_by1 * c2 - early_by1 * c0, late_by2 * c2]
     }
 
     /// The free knots: which of the three, and the number among the free ones.
@@ -141,30 +149,34 @@ impl Triple {
 
     fn add_gradient(&self, path: &Unknowns, gradient: &mut [f64]) {
         let [latent, turn, shift] = self.weights;
+        let by_turn = self.by_turn(path);
         for (a, knot) in self.free(path) {
-            let mine = &mut gradient[knot * KEYFRAME..(knot + 1) * KEYFRAME];
+            let mine = &mut gradient[block(knot)];
             let (codes, roots) = mine.split_at_mut(LATENT);
             let factor = latent * self.factors[a];
             codes.iter_mut().zip(&self.code).for_each(|(g, v)| *g += factor * v);
-            let turned = self.by_turn[a].tr_mul(&self.rotation) * turn;
+            let turned = by_turn[a].tr_mul(&self.rotation) * turn;
             let moved = self.position * (shift * self.factors[a]);
             roots.iter_mut().zip(turned.iter().chain(&moved)).for_each(|(g, v)| *g += v);
         }
     }
 
-    fn add_hessian(&self, path: &Unknowns, blocks: Blocks, normal: &mut Normal) {
+    fn add_hessian(&self, path: &Unknowns, hessian: &mut Banded) {
         let [latent, turn, shift] = self.weights;
+        let by_turn = self.by_turn(path);
         for (a, row) in self.free(path) {
             for (b, column) in self.free(path).take_while(|&(b, _)| b <= a) {
-                let mut add = |i: usize, j: usize, value: f64| {
-                    blocks.row(normal, [row, column], i)[j] += value;
-                };
                 let factor = self.factors[a] * self.factors[b];
-                (0..LATENT).for_each(|i| add(i, i, latent * factor));
-                let turned = self.by_turn[a].tr_mul(&self.by_turn[b]) * turn;
-                for i in 0..3 {
-                    (0..3).for_each(|j| add(LATENT + i, LATENT + j, turned[(i, j)]));
-                    add(LATENT + 3 + i, LATENT + 3 + i, shift * factor);
+                let turned = by_turn[a].tr_mul(&by_turn[b]) * turn;
+                for (j, column) in block(column).enumerate() {
+                    let entries = hessian.column_mut(block(row), column);
+                    match j.checked_sub(LATENT) {
+                        None => entries[j] += latent * factor,
+                        Some(j @ 0..3) => {
+                            (0..3).for_each(|i| entries[LATENT + i] += turned[(i, j)])
+                        }
+                        Some(_) => entries[j] += shift * factor,
+                    }
                 }
             }
         }

@@ -4,7 +4,7 @@
 //! R = exp(w) R_initial, and its position (3); then the shape (10) and the marks (39),
 //! where they are free.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use crate::body::{BODY_COEFFICIENTS, SHAPE_COEFFICIENTS, Skeleton};
 use crate::manifold::{Keyframe, LATENT};
@@ -79,6 +79,25 @@ impl Unknowns {
     /// How many there are.
     pub(super) fn count(&self) -> usize {
         self.body_at() + self.body
+    }
+
+    /// Coordinates of a moment: code, rotation and position where it is on the path, and the body.
+    pub(super) fn coordinates(&self) -> usize {
+        KEYFRAME + self.body
+    }
+
+    /// Whether a moment's Hessian is a part of that of a single knot, once its rotation is
+    /// parametrised as the knot's is.
+    pub(super) fn is_direct(&self, place: Place) -> bool {
+        place.from == place.to && self.body == 0
+    }
+
+    /// How the pelvis turns with the coordinates of a moment's rotation.
+    pub(super) fn knot_turn(&self, place: Place) -> Matrix3<f64> {
+        match self.is_direct(place) {
+            true => so3::left_jacobian(&self.turns[place.to]),
+            false => Matrix3::identity(),
+        }
     }
 
     /// Whether a keyframe is solved for.

@@ -1,5 +1,7 @@
 //! Symmetric matrices of square blocks that vanish away from the diagonal.
 
+use std::ops::Range;
+
 /// The lower half of a symmetric matrix of `blocks` x `blocks` square blocks of `size`, in which
 /// block (i, j) vanishes where |i - j| exceeds the bandwidth.
 #[derive(Clone, Debug, PartialEq)]
@@ -7,14 +9,15 @@ pub struct Banded {
     size: usize,
     blocks: usize,
     bandwidth: usize,
-    /// Blocks (i, i - bandwidth) to (i, i) of each block row i, each row-major.
+    /// Column-major: entry (i, j) is at i + j * stride, so a column begins where the band of the one
+    /// before ends.
     data: Vec<f64>,
 }
 
 impl Banded {
     /// All zero. `bandwidth` counts blocks beside the diagonal one.
     pub fn zeros(size: usize, blocks: usize, bandwidth: usize) -> Self {
-        let data = vec![0.0; size * size * blocks * (bandwidth + 1)];
+        let data = vec![0.0; size * blocks * (size * (bandwidth + 1) + 1)];
         Self { size, blocks, bandwidth, data }
     }
 
@@ -33,50 +36,77 @@ impl Banded {
         self.bandwidth
     }
 
+    /// Rows of the matrix.
+    pub fn dimension(&self) -> usize {
+        self.size * self.blocks
+    }
+
     /// Sets all entries to zero.
     pub fn clear(&mut self) {
         self.data.fill(0.0);
     }
 
-    fn at(&self, row: usize, column: usize) -> usize {
-        debug_assert!(column <= row && row - column <= self.bandwidth);
-        (row * (self.bandwidth + 1) + column + self.bandwidth - row) * self.size * self.size
+    /// Takes the entries of another matrix of the same layout.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.data.copy_from_slice(&other.data);
     }
 
-    /// Block (row, column), row-major, with column <= row <= column + bandwidth.
-    pub fn block(&self, row: usize, column: usize) -> &[f64] {
-        let at = self.at(row, column);
-        &self.data[at..at + self.size * self.size]
+    /// How far apart in memory two columns are.
+    pub(super) fn stride(&self) -> usize {
+        self.size * (self.bandwidth + 1)
     }
 
-    /// As [`Banded::block`], to change it.
-    pub fn block_mut(&mut self, row: usize, column: usize) -> &mut [f64] {
-        let at = self.at(row, column);
-        &mut self.data[at..at + self.size * self.size]
+    /// What is in memory from the first entry of a block on the diagonal.
+    pub(super) fn tail_mut(&mut self, block: usize) -> &mut [f64] {
+        let first = block * self.size * (self.stride() + 1);
+        &mut self.data[first..]
+    }
+
+    /// The row after the last that a column has entries in.
+    pub(super) fn end(&self, column: usize) -> usize {
+        self.size * (column / self.size + 1 + self.bandwidth).min(self.blocks)
+    }
+
+    fn at(&self, rows: &Range<usize>, column: usize) -> Range<usize> {
+        debug_assert!(column <= rows.end && rows.end <= self.end(column), "{rows:?} {column}");
+        let first = column * self.stride();
+        first + rows.start..first + rows.end
+    }
+
+    /// Entries of a column, in rows that the band has there. Above the diagonal nothing counts, but
+    /// within a block on the diagonal it may be written.
+    pub fn column(&self, rows: Range<usize>, column: usize) -> &[f64] {
+        &self.data[self.at(&rows, column)]
+    }
+
+    /// As [`Banded::column`], to change it.
+    pub fn column_mut(&mut self, rows: Range<usize>, column: usize) -> &mut [f64] {
+        let at = self.at(&rows, column);
+        &mut self.data[at]
+    }
+
+    /// An entry; those far from the diagonal are zero.
+    pub fn entry(&self, i: usize, j: usize) -> f64 {
+        let (i, j) = (i.max(j), i.min(j));
+        if i < self.end(j) { self.column(i..i + 1, j)[0] } else { 0.0 }
     }
 
     /// Entry i of the diagonal.
     pub fn diagonal(&self, i: usize) -> f64 {
-        let (block, within) = (i / self.size, i % self.size);
-        self.block(block, block)[within * (self.size + 1)]
+        self.data[i * (self.stride() + 1)]
     }
 
     /// Adds to entry i of the diagonal.
     pub fn add_to_diagonal(&mut self, i: usize, value: f64) {
-        let (block, within, size) = (i / self.size, i % self.size, self.size);
-        self.block_mut(block, block)[within * (size + 1)] += value;
+        let at = i * (self.stride() + 1);
+        self.data[at] += value;
     }
 
     /// Makes row and column i those of the identity, so that unknown i keeps its place.
     pub fn pin(&mut self, i: usize) {
-        let (block, within, size) = (i / self.size, i % self.size, self.size);
-        for column in block.saturating_sub(self.bandwidth)..=block {
-            self.block_mut(block, column)[within * size..(within + 1) * size].fill(0.0);
-        }
-        for row in block..(block + self.bandwidth + 1).min(self.blocks) {
-            let entries = self.block_mut(row, block);
-            entries.iter_mut().skip(within).step_by(size).for_each(|entry| *entry = 0.0);
-        }
+        let first = (i / self.size).saturating_sub(self.bandwidth) * self.size;
+        (first..i).for_each(|column| self.column_mut(i..i + 1, column).fill(0.0));
+        self.column_mut(i..self.end(i), i).fill(0.0);
         self.add_to_diagonal(i, 1.0);
     }
 }

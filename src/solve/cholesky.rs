@@ -6,81 +6,41 @@ use crate::gemm;
 /// A lower triangular L with L L^T = A, for a positive definite [`Banded`] A.
 #[derive(Clone, Debug)]
 pub struct Cholesky {
-    /// Rows of a block.
-    size: usize,
-    blocks: usize,
-    bandwidth: usize,
-    /// Column-major: entry (i, j) is at i + j * stride, so a column begins where the band of the one
-    /// before ends.
-    data: Vec<f64>,
+    lower: Banded,
     memory: gemm::Memory,
 }
 
 impl Cholesky {
     /// Memory for factors of matrices that are laid out as `matrix` is.
     pub fn like(matrix: &Banded) -> Self {
-        let (size, blocks, bandwidth) = (matrix.size(), matrix.blocks(), matrix.bandwidth());
-        let data = vec![0.0; size * blocks * (size * (bandwidth + 1) + 1)];
-        Self { size, blocks, bandwidth, data, memory: gemm::Memory::of_cholesky(size) }
+        Self { lower: matrix.clone(), memory: gemm::Memory::of_cholesky(matrix.size()) }
     }
 
-    /// How many unknowns there are.
-    fn dimension(&self) -> usize {
-        self.size * self.blocks
-    }
-
-    fn stride(&self) -> usize {
-        self.size * (self.bandwidth + 1)
-    }
-
-    /// How many rows of L begin within a block's columns and lie below that block.
-    fn below(&self, block: usize) -> usize {
-        (self.blocks - block - 1).min(self.bandwidth) * self.size
-    }
-
-    /// Factorises A + diag(`damping`); gives how many numbers were multiplied with how many, or
-    /// `None` where that is not positive definite.
+    /// Factorises A + diag(`damping`); gives a measure of the work, or `None` where that is not
+    /// positive definite.
     pub fn factorise(&mut self, matrix: &Banded, damping: impl Fn(usize) -> f64) -> Option<usize> {
-        self.take(matrix);
-        let (n, stride) = (self.size, self.stride());
-        (0..self.dimension()).for_each(|i| self.data[i * (stride + 1)] += damping(i));
+        let Self { lower, memory } = self;
+        lower.copy_from(matrix);
+        (0..lower.dimension()).for_each(|i| lower.add_to_diagonal(i, damping(i)));
+        let (n, stride) = (lower.size(), lower.stride());
         let mut products = 0;
-        for block in 0..self.blocks {
-            let below = self.below(block);
-            let lower = &mut self.data[block * n * (stride + 1)..];
-            gemm::eliminate([n, below], stride, lower, &mut self.memory)?;
-            products += n * (n + below) * (n + below);
+        for block in 0..lower.blocks() {
+            let rows = lower.end(block * n) - block * n;
+            gemm::eliminate([n, rows - n], stride, lower.tail_mut(block), memory)?;
+            products += n * rows * rows;
         }
         Some(products)
     }
 
-    /// Takes the lower half of a matrix.
-    fn take(&mut self, matrix: &Banded) {
-        let (n, stride) = (self.size, self.stride());
-        for column in 0..self.blocks {
-            for row in column..(column + self.bandwidth + 1).min(self.blocks) {
-                let first = column * n * stride + row * n;
-                for (i, entries) in matrix.block(row, column).chunks_exact(n).enumerate() {
-                    let to = self.data[first + i..].iter_mut().step_by(stride);
-                    to.zip(entries).for_each(|(to, entry)| *to = *entry);
-                }
-            }
-        }
-    }
-
     /// Solves A x = b in place, once [`Cholesky::factorise`] has made L.
     pub fn solve(&self, x: &mut [f64]) {
-        let (n, stride) = (self.size, self.stride());
-        let column = |j: usize| {
-            let end = j / n * n + n + self.below(j / n);
-            &self.data[j * (stride + 1)..j * stride + end]
-        };
-        for j in 0..self.dimension() {
+        let column = |j: usize| self.lower.column(j..self.lower.end(j), j);
+        for j in 0..self.lower.dimension() {
             let l = column(j);
             x[j] /= l[0];
             gemm::add(-x[j], &l[1..], &mut x[j + 1..]);
         }
-        for j in (0..self.dimension()).rev() {
+        for j in (0..self.lower.dimension()).rev() {
             let l = column(j);
             x[j] = (x[j] - gemm::dot(&l[1..], &x[j + 1..])) / l[0];
         }
@@ -96,18 +56,13 @@ mod tests {
     fn sample(size: usize, blocks: usize, bandwidth: usize) -> (Banded, DMatrix<f64>) {
         let mut banded = Banded::zeros(size, blocks, bandwidth);
         let mut dense = DMatrix::zeros(size * blocks, size * blocks);
-        for row in 0..blocks {
-            for column in row.saturating_sub(bandwidth)..=row {
-                for i in 0..size {
-                    for j in 0..size {
-                        let (a, b) = (row * size + i, column * size + j);
-                        let wave = ((a * b + a + b) as f64 * 0.7).sin();
-                        let value = if a == b { 9.0 * size as f64 } else { wave };
-                        banded.block_mut(row, column)[i * size + j] = value;
-                        dense[(a, b)] = value;
-                        dense[(b, a)] = value;
-                    }
-                }
+        for column in 0..size * blocks {
+            for row in column..banded.end(column) {
+                let wave = ((row * column + row + column) as f64 * 0.7).sin();
+                let value = if row == column { 9.0 * size as f64 } else { wave };
+                banded.column_mut(row..row + 1, column)[0] = value;
+                dense[(row, column)] = value;
+                dense[(column, row)] = value;
             }
         }
         (banded, dense)
@@ -122,6 +77,10 @@ mod tests {
                 (dense[(1, i)], dense[(i, 1)]) = (0.0, 0.0);
             }
             dense[(1, 1)] = 1.0;
+            assert_eq!(
+                dense,
+                DMatrix::from_fn(dense.nrows(), dense.nrows(), |i, j| banded.entry(i, j))
+            );
             let damping = |i: usize| 0.1 * i as f64;
             for i in 0..dense.nrows() {
                 dense[(i, i)] += damping(i);

@@ -65,13 +65,11 @@ impl Normal {
                 gradient.iter_mut().zip(jacobian).for_each(|(g, j)| *g += weight * r * j);
             }
             for &(column, right) in &by[..=i] {
-                let block = self.hessian.block_mut(row, column);
                 for (a, b) in left.chunks_exact(size).zip(right.chunks_exact(size)) {
-                    for (a, out) in a.iter().zip(block.chunks_exact_mut(size)) {
-                        let a = weight * a;
-                        if a != 0.0 {
-                            out.iter_mut().zip(b).for_each(|(out, b)| *out += a * b);
-                        }
+                    for (j, b) in b.iter().enumerate().filter(|(_, b)| **b != 0.0) {
+                        let rows = row * size..(row + 1) * size;
+                        let out = self.hessian.column_mut(rows, column * size + j);
+                        out.iter_mut().zip(a).for_each(|(out, a)| *out += weight * b * a);
                     }
                 }
             }

@@ -47,6 +47,8 @@ pub struct Config {
     pub change_threshold: f64,
     /// The optimiser of the windows.
     pub method: Method,
+    /// Threads that solve a window together, 1 or 2; the result is the same.
+    pub threads: usize,
     /// Weights of the cost.
     pub cost: cost::Config,
     /// Detections below this confidence are not used.
@@ -93,6 +95,7 @@ impl Default for Config {
             acquisition_iterations: 30,
             change_threshold: 2e-3,
             method: Method::LevenbergMarquardt,
+            threads: 1,
             cost: cost::Config::default(),
             min_confidence: 0.1,
             gate: Gate::default(),

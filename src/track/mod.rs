@@ -23,6 +23,7 @@ mod marks;
 mod noise;
 mod playout;
 mod solver;
+mod team;
 mod waiting;
 
 pub use association::follow;

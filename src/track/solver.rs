@@ -9,6 +9,7 @@ use super::job::{
     Job, LiveFit, Outcome, Residual, Solution, Task, TimedKeyframe, Tracked, Verdict,
 };
 use super::marks::Learnt;
+use super::team::Team;
 use crate::body::{BodyPoint, MARKS, Pose, Skeleton, fitted_points};
 use crate::camera::Rig;
 use crate::cost::{self, FreeBody, Knot, Moment, PathProblem, Scene, Stiffness, Workspace};
@@ -64,13 +65,23 @@ pub struct Solver {
     config: Config,
     optimiser: Box<dyn Optimiser>,
     work: Workspace,
+    /// Who solves, if not this thread alone.
+    team: Option<Team>,
 }
 
 impl Solver {
-    /// A solver on that manifold.
+    /// A solver on that manifold. It starts the threads that `config` asks for; where the system
+    /// refuses them, it does without.
     pub fn new(decoder: Decoder, config: Config) -> Self {
         let optimiser = config.method.optimiser(config.change_threshold);
-        Self { decoder, config, optimiser, work: Workspace::default() }
+        let team = (config.threads > 1).then(|| Team::of(config.threads)).and_then(|team| {
+            team.inspect_err(|error| tracing::warn!("one thread solves: {error}")).ok()
+        });
+        let work = match team {
+            Some(_) => Workspace::in_parallel(),
+            None => Workspace::default(),
+        };
+        Self { decoder, config, optimiser, work, team }
     }
 
     /// The manifold.
@@ -80,8 +91,21 @@ impl Solver {
 
     /// Solves a job.
     pub fn solve(&mut self, job: &Job) -> Solution {
+        let outcome = match self.team.take() {
+            None => self.outcome(job),
+            Some(team) => {
+                let mut outcome = Outcome::NobodyFound;
+                team.run(|| outcome = self.outcome(job));
+                self.team = Some(team);
+                outcome
+            }
+        };
+        Solution { number: job.number, outcome }
+    }
+
+    fn outcome(&mut self, job: &Job) -> Outcome {
         let points = fitted_points(job.format);
-        let outcome = match &job.task {
+        match &job.task {
             Task::Acquire { skeleton } => self.acquire(job, &points, skeleton.as_ref()),
             Task::Track { past, ahead, skeleton, learnt, coasted } => {
                 let known = Known { past, ahead, skeleton };
@@ -90,8 +114,7 @@ impl Solver {
             Task::Live { past, ahead, skeleton } => {
                 self.live(job, &points, Known { past, ahead, skeleton })
             }
-        };
-        Solution { number: job.number, outcome }
+        }
     }
 
     /// The first frame set in which a performer is seen; the shape from all the job's windows.
@@ -222,7 +245,9 @@ impl Solver {
         let last = job.publish + job.half_frame;
         let final_moments: Vec<&Moment> = moments.iter().filter(|m| m.capture <= last).collect();
         let solved = Known { ahead: &keyframes, ..known };
-        let poses = self.poses_at(solved, final_moments.iter().map(|m| m.capture));
+        let times = final_moments.iter().map(|moment| moment.capture);
+        let mut poses = self.poses_at(solved, times.chain(wanted_times(job)));
+        let wanted = poses.split_off(final_moments.len());
         let seen = final_moments.into_iter().zip(poses);
         let residuals = residuals(seen, points, &job.rig, skeleton);
         let verdict = self.verdict(&keyframes, &residuals);
@@ -231,7 +256,7 @@ impl Solver {
             && !learnt.is_complete()
             && job.window.is_multiple_of(self.config.mark_windows as u64);
         let learnt = learns.then(|| self.learn(job, points, solved, &moments, learnt)).flatten();
-        let tracked = self.tracked(job, solved, Some(summary), residuals, verdict);
+        let tracked = tracked(solved, wanted, Some(summary), residuals, verdict);
         Outcome::Tracked(Box::new(Tracked { learnt: learnt.map(Arc::new), ..tracked }))
     }
 
@@ -261,27 +286,6 @@ impl Solver {
             PathProblem::new(scene, knots, solved.skeleton, free, moments, &mut self.work);
         let told = problem.marginal(&problem.start(), MARKS)?;
         learnt.with(&told, solved.skeleton.marks(), self.config.cost.mark_prior)
-    }
-
-    fn tracked(
-        &self,
-        job: &Job,
-        solved: Known,
-        summary: Option<Summary>,
-        residuals: Vec<Residual>,
-        verdict: Verdict,
-    ) -> Tracked {
-        let times = job.pose_times.iter().copied().chain([job.end]);
-        let mut poses = self.poses_at(solved, times);
-        Tracked {
-            newest: poses.pop().unwrap_or_else(Pose::rest),
-            poses,
-            keyframes: solved.ahead.to_vec(),
-            summary,
-            residuals,
-            verdict,
-            learnt: None,
-        }
     }
 
     /// Solves the keyframes of a window, in so many iterations with a looser loss and then with the
@@ -355,11 +359,19 @@ impl Solver {
         cost::Config { prior, stiffness, ..cost }
     }
 
-    /// The poses at times within a window whose keyframes are known.
+    /// The poses at times within a window whose keyframes are known; those at one time are decoded
+    /// once.
     fn poses_at(&self, window: Known, times: impl Iterator<Item = Timestamp>) -> Vec<Pose> {
         let interpolation = self.config.cost.interpolation;
-        let keyframes = times.filter_map(|capture| window.at(capture, interpolation));
-        self.decoder.poses(&keyframes.collect::<Vec<_>>())
+        let times: Vec<Timestamp> = times.collect();
+        let mut once = times.clone();
+        once.sort_unstable();
+        once.dedup();
+        let keyframes: Option<Vec<Keyframe>> =
+            once.iter().map(|&capture| window.at(capture, interpolation)).collect();
+        let poses = keyframes.map_or_else(Vec::new, |keyframes| self.decoder.poses(&keyframes));
+        let pose = |time: &Timestamp| poses.get(once.binary_search(time).ok()?).cloned();
+        times.iter().filter_map(pose).collect()
     }
 
     /// Carries the motion on: it dies away.
@@ -383,7 +395,8 @@ impl Solver {
         let final_knots = job.knots.iter().filter(|&&capture| capture <= job.publish);
         let keyframes: Vec<TimedKeyframe> = final_knots.filter_map(onward).collect();
         let known = Known { ahead: &keyframes, ..known };
-        Outcome::Tracked(Box::new(self.tracked(job, known, None, Vec::new(), verdict)))
+        let poses = self.poses_at(known, wanted_times(job));
+        Outcome::Tracked(Box::new(tracked(known, poses, None, Vec::new(), verdict)))
     }
 
     /// Keyframes up to the newest frame set of the open window: the last ones known stay free, those
@@ -453,6 +466,24 @@ impl Solver {
             false => Verdict::Tracked,
         }
     }
+}
+
+/// Times of the poses that a window gives: the final ones, then the newest.
+fn wanted_times(job: &Job) -> impl Iterator<Item = Timestamp> {
+    job.pose_times.iter().copied().chain([job.end])
+}
+
+/// A window of which the poses at [`wanted_times`] are known.
+fn tracked(
+    solved: Known,
+    mut poses: Vec<Pose>,
+    summary: Option<Summary>,
+    residuals: Vec<Residual>,
+    verdict: Verdict,
+) -> Tracked {
+    let keyframes = solved.ahead.to_vec();
+    let newest = poses.pop().unwrap_or_else(Pose::rest);
+    Tracked { newest, poses, keyframes, summary, residuals, verdict, learnt: None }
 }
 
 fn residuals<'m>(

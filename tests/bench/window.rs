@@ -1,6 +1,7 @@
-//! Speed of one window: four cameras, 25 points, ten frames, one thread.
+//! Speed of one window: four cameras, 25 points, ten frames; by one thread if not said otherwise.
 
 use std::hint::black_box;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bundlemocap::body::{BodyPoint, Skeleton, fitted_points};
@@ -8,16 +9,17 @@ use bundlemocap::camera::Rig;
 use bundlemocap::cost::{
     self, Counts, FreeBody, Knot, Moment, Observation, PathProblem, Scene, Workspace,
 };
-use bundlemocap::detect::KeypointFormat;
+use bundlemocap::detect::{Detection, Detections, KeypointFormat, Person};
 use bundlemocap::manifold::{Decoder, Interpolation, Jacobians, Keyframe, LATENT};
 use bundlemocap::solve::{Cholesky, Method, Normal, Optimiser, Problem, Summary};
 use bundlemocap::synth;
 use bundlemocap::time::Timestamp;
+use bundlemocap::track::{self, Effort, Job, Learnt, Noise, Solver, Task};
 use criterion::{Criterion, criterion_group, criterion_main};
 use faer::linalg::matmul::matmul;
 use faer::traits::ComplexField;
 use faer::{Accum, Mat, Par};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Point2, Vector2, Vector3};
 
 /// A window of a moving performer with disturbed detections.
 struct Case {
@@ -121,6 +123,55 @@ impl Case {
     }
 }
 
+/// The window as a stream has it: the keyframes of its first half were solved with the one before.
+fn job(case: &Case, config: &track::Config) -> Job {
+    let frames = case.moments.len() as u64;
+    let timed = |frame: u64| (Timestamp::of_frame(frame, 60.0), case.truth[frame as usize].clone());
+    let detections = |moment: &Moment, camera: usize| {
+        let mut points = vec![None; USUAL.format.len()];
+        for seen in moment.observations().iter().filter(|seen| seen.camera == camera) {
+            let (pixel, confidence) = (Point2::from(seen.pixel), seen.confidence);
+            points[case.points[seen.point].index] = Some(Detection { pixel, confidence });
+        }
+        let (capture, people) = (moment.capture, vec![Person { id: None, points }]);
+        Arc::new(Detections { camera, frame: 0, capture, format: USUAL.format, people })
+    };
+    let cameras = 0..case.rig.cameras.len();
+    let of_moment = |moment| cameras.clone().map(move |camera| detections(moment, camera));
+    Job {
+        number: 0,
+        window: 1,
+        start: time(0),
+        end: time(frames),
+        publish: time(frames / 2),
+        knots: (1..=frames).map(time).collect(),
+        pose_times: (1..=frames / 2).map(time).collect(),
+        frames: case.moments.iter().flat_map(of_moment).collect(),
+        format: USUAL.format,
+        rig: Arc::new(case.rig.clone()),
+        half_frame: 8_333_333,
+        effort: Effort::full(config),
+        noise: Noise::default(),
+        task: Task::Track {
+            past: vec![timed(0), timed(1)],
+            ahead: (2..=1 + frames / 2).map(timed).collect(),
+            skeleton: Arc::new(case.skeleton.clone()),
+            learnt: Arc::new(Learnt::default()),
+            coasted: 0,
+        },
+    }
+}
+
+/// A job of the solver, with all that belongs to it: who is the performer, keyframes, poses, residuals.
+fn jobs(c: &mut Criterion) {
+    let case = case(USUAL);
+    for (name, threads) in [("solver's job", 1), ("solver's job, two threads", 2)] {
+        let config = track::Config { threads, ..track::Config::default() };
+        let (job, mut solver) = (job(&case, &config), Solver::new(case.decoder.clone(), config));
+        c.bench_function(name, |b| b.iter(|| solver.solve(&job)));
+    }
+}
+
 fn window(c: &mut Criterion) {
     let case = case(USUAL);
     for (name, spacing, method) in [
@@ -191,11 +242,8 @@ fn operations(counts: Counts, points: usize, frames: usize, iterations: usize) -
     let rows = 3 * points * (6 * UNKNOWNS + UNKNOWNS * UNKNOWNS);
     // Each block column of the banded factor: half of four products, two triangular solves, one factor.
     let factor = frames * (3 * UNKNOWNS.pow(3) + UNKNOWNS.pow(3) / 6);
-    let single = counts.linearised * tangents + counts.gradients * pass;
-    let double = counts.decoded * pass
-        + counts.linearised * map
-        + counts.moments * (joints + rows)
-        + iterations * factor;
+    let single = counts.linearised * tangents + (counts.decoded + counts.gradients) * pass;
+    let double = counts.linearised * map + counts.moments * (joints + rows) + iterations * factor;
     [single, double].map(|products| 2.0 * products as f64)
 }
 
@@ -245,6 +293,6 @@ criterion_group! {
         .sample_size(50)
         .warm_up_time(Duration::from_millis(500))
         .measurement_time(Duration::from_secs(3));
-    targets = arithmetic, window, sizes, decoder
+    targets = arithmetic, jobs, window, sizes, decoder
 }
 criterion_main!(benches);

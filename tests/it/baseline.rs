@@ -147,7 +147,9 @@ impl Problem for Dense<'_> {
         let mut banded = Normal::zeros(self.0.layout());
         let cost = self.0.linearise(x, &mut banded);
         normal.gradient.copy_from_slice(&banded.gradient);
-        normal.hessian.block_mut(0, 0).copy_from_slice(dense(&banded).as_slice());
+        for (j, column) in dense(&banded).column_iter().enumerate() {
+            normal.hessian.column_mut(0..column.len(), j).copy_from_slice(column.as_slice());
+        }
         cost
     }
 

@@ -67,15 +67,10 @@ pub fn observe(
         .collect()
 }
 
-/// All of a matrix of which the lower blocks are kept.
+/// All of a matrix of which the lower half is kept.
 pub fn dense(normal: &Normal) -> DMatrix<f64> {
-    let (size, blocks) = (normal.hessian.size(), normal.hessian.blocks());
-    DMatrix::from_fn(size * blocks, size * blocks, |i, j| {
-        let (i, j) = (i.max(j), i.min(j));
-        let near = i / size - j / size <= normal.hessian.bandwidth();
-        let entry = (i % size) * size + j % size;
-        if near { normal.hessian.block(i / size, j / size)[entry] } else { 0.0 }
-    })
+    let n = normal.hessian.dimension();
+    DMatrix::from_fn(n, n, |i, j| normal.hessian.entry(i, j))
 }
 
 struct Case {

@@ -427,3 +427,11 @@ fn weights_go_by_how_the_detections_err() {
     let (last, fixed) = (by_errors.last().unwrap().1, fixed.last().unwrap().1);
     assert!(last < 0.5 * fixed, "{last} {fixed}");
 }
+
+#[test]
+fn two_threads_give_the_same_answers() {
+    let poses = |threads| run(Config { threads, ..Config::default() }, stream(61)).poses;
+    let alone = poses(1);
+    assert!(alone.len() > 50, "{}", alone.len());
+    assert_eq!(poses(2), alone);
+}

@@ -1,0 +1,46 @@
+//! Threads that solve together.
+
+use std::hint::spin_loop;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder, Yield};
+
+/// Some threads for work that is divided into parts of less than a millisecond.
+pub(super) struct Team(ThreadPool);
+
+impl Team {
+    pub(super) fn of(threads: usize) -> Result<Self, ThreadPoolBuildError> {
+        let name = |n| format!("solver {n}");
+        ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build().map(Self)
+    }
+
+    /// Does some work in one of the threads. What that gives to `rayon` the others do; meanwhile they
+    /// stay awake, for to wake them takes as long as a part of the work.
+    pub(super) fn run(&self, work: impl FnMut() + Send) {
+        let (work, is_over) = (Mutex::new(work), AtomicBool::new(false));
+        self.0.broadcast(|thread| {
+            if thread.index() == 0 {
+                let _over = SetOnDrop(&is_over);
+                if let Ok(mut work) = work.lock() {
+                    work();
+                }
+            } else {
+                while !is_over.load(Ordering::Relaxed) {
+                    if rayon::yield_now() != Some(Yield::Executed) {
+                        spin_loop();
+                    }
+                }
+            }
+        });
+    }
+}
+
+/// Lets the others go, even where the work panics.
+struct SetOnDrop<'a>(&'a AtomicBool);
+
+impl Drop for SetOnDrop<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
