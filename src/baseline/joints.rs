@@ -65,7 +65,8 @@ impl Joints {
         self.jacobians.resize(at + COORDINATES * UNKNOWNS, 0.0);
         let rows = self.jacobians[at..].chunks_exact_mut(3 * UNKNOWNS);
         for (joint, rows) in Joint::ALL.into_iter().zip(rows) {
-            rows.copy_from_slice(tangents.shift(joint));
+            let shift = tangents.shift(joint).iter().copied();
+            rows.iter_mut().zip(shift).for_each(|(row, v)| *row = v.into());
         }
     }
 

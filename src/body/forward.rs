@@ -37,14 +37,15 @@ pub fn forward(
     posture
 }
 
-/// Tangents of a posture by `columns` parameters. Row-major, `3 * JOINTS` rows each.
+/// Tangents of a posture by `columns` parameters, in f32: they steer, and six digits do. Row-major,
+/// `3 * JOINTS` rows each.
 #[derive(Clone, Debug)]
 pub struct Tangents {
     columns: usize,
     /// Left (world-frame) angular tangents, rows 3 j to 3 j + 2 for joint j.
-    turn: Vec<f64>,
+    turn: Vec<f32>,
     /// Derivatives of the joint centres, same rows.
-    shift: Vec<f64>,
+    shift: Vec<f32>,
 }
 
 impl Tangents {
@@ -66,33 +67,33 @@ impl Tangents {
         joint: Joint,
         arm: &Vector3<f64>,
         direction: &Vector3<f64>,
-        out: &mut [f64],
+        out: &mut [f32],
     ) {
         let rows = joint.index() * 3 * self.columns..(joint.index() + 1) * 3 * self.columns;
         let (turn, shift) = (&self.turn[rows.clone()], &self.shift[rows]);
-        contract(turn, &arm.cross(direction), shift, direction, out);
+        contract(turn, &arm.cross(direction).cast(), shift, &direction.cast(), out);
     }
 
     /// The derivative of the centre of `joint`, 3 x columns, row-major.
-    pub fn shift(&self, joint: Joint) -> &[f64] {
+    pub fn shift(&self, joint: Joint) -> &[f32] {
         &self.shift[joint.index() * 3 * self.columns..][..3 * self.columns]
     }
 
     /// The world-frame angular tangent of `joint` by parameter `column`.
     pub fn turn_of(&self, joint: Joint, column: usize) -> Vector3<f64> {
         let at = joint.index() * 3 * self.columns + column;
-        Vector3::new(self.turn[at], self.turn[at + self.columns], self.turn[at + 2 * self.columns])
+        Vector3::from_fn(|row, _| f64::from(self.turn[at + row * self.columns]))
     }
 }
 
 crate::gemm::wide! {
     /// out = torque^T turn + force^T shift, for 3 x n blocks.
     fn contract(
-        turn: &[f64],
-        torque: &Vector3<f64>,
-        shift: &[f64],
-        force: &Vector3<f64>,
-        out: &mut [f64],
+        turn: &[f32],
+        torque: &Vector3<f32>,
+        shift: &[f32],
+        force: &Vector3<f32>,
+        out: &mut [f32],
     ) {
         let n = turn.len() / 3;
         let (out, (tx, rest)) = (&mut out[..n], turn.split_at(n));
@@ -109,7 +110,7 @@ crate::gemm::wide! {
 
 crate::gemm::wide! {
     /// out = shift + turn x arm, for 3 x n blocks.
-    fn add_moved(shift: &[f64], turn: &[f64], arm: &Vector3<f64>, n: usize, out: &mut [f64]) {
+    fn add_moved(shift: &[f32], turn: &[f32], arm: &Vector3<f32>, n: usize, out: &mut [f32]) {
         let (wx, rest) = turn.split_at(n);
         let (wy, wz) = rest.split_at(n);
         let (sx, rest) = shift.split_at(n);
@@ -135,7 +136,7 @@ crate::gemm::wide! {
 pub fn push_forward(
     skeleton: &Skeleton,
     posture: &Posture,
-    local: &[f64],
+    local: &[f32],
     local_columns: usize,
     shape_column: Option<usize>,
     tangents: &mut Tangents,
@@ -149,18 +150,18 @@ pub fn push_forward(
         here[..block].copy_from_slice(parent_turn);
         let rows = &local[(j - 1) * 3 * local_columns..j * 3 * local_columns];
         let m = local_columns;
-        add_rotated(&posture.rotations[j], rows, m, n, &mut here[..block]);
+        add_rotated(&posture.rotations[j].cast(), rows, m, n, &mut here[..block]);
 
         let parent_rotation = &posture.rotations[parent];
         let arm = parent_rotation * skeleton.offset(*joint);
         let (done, here) = tangents.shift.split_at_mut(j * block);
-        add_moved(&done[parent * block..(parent + 1) * block], parent_turn, &arm, n, here);
+        add_moved(&done[parent * block..(parent + 1) * block], parent_turn, &arm.cast(), n, here);
         if let Some(first) = shape_column {
             let by_shape = skeleton.offset_by_shape(*joint);
             for (k, offset) in by_shape.iter().enumerate().take(SHAPE_COEFFICIENTS) {
                 let moved = parent_rotation * offset;
                 for row in 0..3 {
-                    here[row * n + first + k] += moved[row];
+                    here[row * n + first + k] += moved[row] as f32;
                 }
             }
         }
@@ -169,7 +170,7 @@ pub fn push_forward(
 
 crate::gemm::wide! {
     /// turn (3 x n) += G rows (3 x m), in the first m columns.
-    fn add_rotated(g: &Matrix3<f64>, rows: &[f64], m: usize, n: usize, turn: &mut [f64]) {
+    fn add_rotated(g: &Matrix3<f32>, rows: &[f32], m: usize, n: usize, turn: &mut [f32]) {
         let (x, rest) = rows.split_at(m);
         let (y, z) = rest.split_at(m);
         for row in 0..3 {
@@ -193,13 +194,13 @@ impl Tangents {
     pub fn set_root_turn(&mut self, column: usize, turn: &Matrix3<f64>) {
         for row in 0..3 {
             for k in 0..3 {
-                self.turn[row * self.columns + column + k] = turn[(row, k)];
+                self.turn[row * self.columns + column + k] = turn[(row, k)] as f32;
             }
         }
     }
 
     /// The pelvis moves by `scale` times the three parameters from `column` on.
-    pub fn set_root_shift(&mut self, column: usize, scale: f64) {
+    pub fn set_root_shift(&mut self, column: usize, scale: f32) {
         for row in 0..3 {
             self.shift[row * self.columns + column + row] = scale;
         }

@@ -49,15 +49,15 @@ pub(super) fn ends(
 
 impl End {
     /// out = D^T v, for v a gradient by the moment's coordinates and D this change.
-    pub(super) fn pull(&self, v: &[f64], out: &mut [f64; KEYFRAME]) {
+    pub(super) fn pull<T: Copy + Into<f64>>(&self, v: &[T], out: &mut [f64; KEYFRAME]) {
         let (code, root) = v.split_at(LATENT);
-        let across: f64 = code.iter().zip(&self.code.across).map(|(a, b)| a * b).sum();
-        for ((out, v), along) in out.iter_mut().zip(code).zip(&self.code.along) {
-            *out = self.code.scale * v + across * along;
+        let across: f64 = code.iter().zip(&self.code.across).map(|(&a, b)| a.into() * b).sum();
+        for ((out, &v), along) in out.iter_mut().zip(code).zip(&self.code.along) {
+            *out = self.code.scale * v.into() + across * along;
         }
-        let turn = self.turn.tr_mul(&Vector3::from_column_slice(&root[..3]));
+        let turn = self.turn.tr_mul(&Vector3::from_fn(|k, _| root[k].into()));
         out[LATENT..LATENT + 3].copy_from_slice(turn.as_slice());
-        (0..3).for_each(|k| out[LATENT + 3 + k] = self.shift * root[3 + k]);
+        (0..3).for_each(|k| out[LATENT + 3 + k] = self.shift * root[3 + k].into());
     }
 
     /// Adds D^T H D' to the block of this knot and another, not later one. `gram` is H, `columns`
@@ -65,7 +65,7 @@ impl End {
     pub(super) fn add_block(
         &self,
         other: &Self,
-        gram: &[f64],
+        gram: &[f32],
         columns: usize,
         half: &mut Vec<f64>,
         hessian: &mut Banded,

@@ -1,6 +1,6 @@
 //! Memory of consecutive moments of a path, and what is known of the decoder at them.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::workspace::Counts;
 use crate::body::{BODY_JOINTS, Tangents};
@@ -31,10 +31,10 @@ pub(super) struct Lane {
     /// Where each will come from, and how far it will have been carried.
     plan: Vec<(Source, f64)>,
     /// Right tangents of the local rotations by the code there, 63 x 32 for each moment.
-    by_code: Vec<f64>,
+    by_code: Vec<f32>,
     pub(super) tangents: Option<Tangents>,
     /// Weighted rows of the moment, (3 per point) x (coordinates of the moment).
-    pub(super) rows: Vec<f64>,
+    pub(super) rows: Vec<f32>,
     /// Gradient by the local rotations (right tangents), 63 for each moment.
     pub(super) by_rotation: Vec<f64>,
     /// The same by the codes, 32 for each moment.
@@ -44,7 +44,7 @@ pub(super) struct Lane {
     /// Gradient by each moment's coordinates.
     pub(super) gradients: Vec<f64>,
     /// Hessian by each moment's coordinates.
-    pub(super) grams: Vec<f64>,
+    pub(super) grams: Vec<f32>,
     pub(super) counts: Counts,
 }
 
@@ -152,7 +152,7 @@ impl Lane {
     }
 
     /// Right tangents of the local rotations of moment `m` by its code, once linearised: 63 x 32.
-    pub(super) fn by_code(&self, m: usize) -> &[f64] {
+    pub(super) fn by_code(&self, m: usize) -> &[f32] {
         &self.by_code[m * SIZE..(m + 1) * SIZE]
     }
 
@@ -178,14 +178,27 @@ fn secant(
     step: &Latent,
     from: &[Matrix3<f64>; BODY_JOINTS],
     to: &[Matrix3<f64>; BODY_JOINTS],
-    by_code: &mut [f64],
+    by_code: &mut [f32],
 ) {
-    let square = gemm::dot(step, step);
+    let step = step.map(|s| s as f32);
     for ((from, to), rows) in from.iter().zip(to).zip(by_code.chunks_exact_mut(3 * LATENT)) {
         let turned = so3::log(&(from.transpose() * to));
+        tell(&step, &turned.cast(), rows);
+    }
+}
+
+gemm::wide! {
+    /// Has three rows tell how far a joint turned with a step.
+    fn tell(step: &[f32; LATENT], turned: &Vector3<f32>, rows: &mut [f32]) {
+        let square: f32 = step.iter().map(|s| s * s).sum();
         for (turned, row) in turned.iter().zip(rows.chunks_exact_mut(LATENT)) {
-            let missing = (turned - gemm::dot(row, step)) / square;
-            gemm::add(missing, step, row);
+            // Sums of every eighth product, so that none waits for the one before.
+            let mut told = [0.0; 8];
+            for (row, step) in row.chunks_exact(8).zip(step.chunks_exact(8)) {
+                (0..8).for_each(|k| told[k] += row[k] * step[k]);
+            }
+            let missing = (turned - told.iter().sum::<f32>()) / square;
+            row.iter_mut().zip(step).for_each(|(j, s)| *j += missing * s);
         }
     }
 }

@@ -218,7 +218,9 @@ impl<'p> Path<'p> {
             tangents.along(point.attachment.joint, arm, &direction, row);
             if self.unknowns.body > 0 {
                 let by_body = point.attachment.offset_by_body();
-                add_by_body(&by_body, rotation, &direction, &mut row[KEYFRAME..]);
+                let local = rotation.tr_mul(&direction);
+                let out = row[KEYFRAME..].iter_mut().zip(&by_body);
+                out.for_each(|(out, offset)| *out += local.dot(offset) as f32);
             }
         }
     }

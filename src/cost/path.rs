@@ -216,7 +216,7 @@ impl<'a> PathProblem<'a> {
 }
 
 /// Adds the rows of a moment's Hessian that belong to the body.
-fn add_body_rows(unknowns: &Unknowns, ends: &[Option<End>], gram: &[f64], normal: &mut Normal) {
+fn add_body_rows(unknowns: &Unknowns, ends: &[Option<End>], gram: &[f32], normal: &mut Normal) {
     let (n, body_at) = (unknowns.coordinates(), unknowns.body_at());
     let mut pulled = [0.0; KEYFRAME];
     for (row, entries) in (body_at..).zip(gram.chunks_exact(n).skip(KEYFRAME)) {
@@ -227,13 +227,14 @@ fn add_body_rows(unknowns: &Unknowns, ends: &[Option<End>], gram: &[f64], normal
             end.pull(entries, &mut pulled);
             block(end.knot).zip(pulled).for_each(|(column, value)| add(column, value));
         }
-        (body_at..=row).zip(&entries[KEYFRAME..]).for_each(|(column, &value)| add(column, value));
+        let body = (body_at..=row).zip(&entries[KEYFRAME..]);
+        body.for_each(|(column, &value)| add(column, value.into()));
     }
 }
 
 /// out += v, as far as v goes.
-fn add(out: &mut [f64], v: &[f64]) {
-    out.iter_mut().zip(v).for_each(|(out, v)| *out += v);
+fn add<T: Copy + Into<f64>>(out: &mut [f64], v: &[T]) {
+    out.iter_mut().zip(v).for_each(|(out, &v)| *out += v.into());
 }
 
 impl Problem for PathProblem<'_> {

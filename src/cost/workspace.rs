@@ -58,13 +58,9 @@ impl Counts {
     }
 }
 
-/// Decoded together, so many codes take hardly longer than fewer.
-const BATCH: usize = 4;
-
 /// The moments of the two lanes.
 pub(super) fn in_lanes(moments: &[Moment]) -> [&[Moment]; 2] {
-    let half = moments.len() / 2;
-    moments.split_at(half - half % BATCH).into()
+    moments.split_at(moments.len() / 2).into()
 }
 
 impl Workspace {

@@ -243,7 +243,7 @@ impl Jacobians {
     ///
     /// With dR = R \[d\]x: d_z = c2 . da / |a|, d_y = -c3 . da / |a|,
     /// d_x = (c3 . db - (c1 . b) (c3 . da) / |a|) / |b - (c1 . b) c1|.
-    pub fn local_tangents(&self, code: usize, out: &mut [f64]) {
+    pub fn local_tangents(&self, code: usize, out: &mut [f32]) {
         let columns = self.linearised.len() * LATENT;
         let Some(slot) = self.linearised.iter().position(|&place| place == code) else { return };
         for (joint, rows) in out.chunks_exact_mut(3 * LATENT).enumerate() {
@@ -253,7 +253,8 @@ impl Jacobians {
                 continue;
             };
             let six = &self.tangents[joint * 6 * columns..(joint + 1) * 6 * columns];
-            map_six(&frame.tangent_map(&b), six, columns, slot * LATENT, rows);
+            let map = frame.tangent_map(&b).map(|row| row.map(|v| v as f32));
+            map_six(&map, six, columns, slot * LATENT, rows);
         }
     }
 }
@@ -321,12 +322,12 @@ gemm::wide! {
 
 gemm::wide! {
     /// out (3 x 32) = map (3 x 6) six (6 x 32), the latter from column `first` of rows of `columns`.
-    fn map_six(map: &[[f64; 6]; 3], six: &[f32], columns: usize, first: usize, out: &mut [f64]) {
+    fn map_six(map: &[[f32; 6]; 3], six: &[f32], columns: usize, first: usize, out: &mut [f32]) {
         out.fill(0.0);
         for (k, row) in six.chunks_exact(columns).enumerate() {
             let row = &row[first..first + LATENT];
             for (out, factors) in out.chunks_exact_mut(LATENT).zip(map) {
-                out.iter_mut().zip(row).for_each(|(out, &t)| *out += factors[k] * f64::from(t));
+                out.iter_mut().zip(row).for_each(|(out, t)| *out += factors[k] * t);
             }
         }
     }

@@ -40,6 +40,10 @@ fn code(seed: f64) -> Latent {
     std::array::from_fn(|i| wave(i, seed))
 }
 
+fn wide(rows: usize, columns: usize, row_major: &[f32]) -> DMatrix<f64> {
+    DMatrix::from_row_slice(rows, columns, row_major).cast()
+}
+
 fn dense(m: &Matrix3<f64>) -> DMatrix<f64> {
     DMatrix::from_iterator(3, 3, m.iter().copied())
 }
@@ -107,7 +111,7 @@ fn decoded_rotations_by_the_code() {
     for (n, z) in codes.iter().enumerate() {
         let mut analytic = vec![0.0; 3 * BODY_JOINTS * LATENT];
         work.local_tangents(n, &mut analytic);
-        let analytic = DMatrix::from_row_slice(3 * BODY_JOINTS, LATENT, &analytic);
+        let analytic = wide(3 * BODY_JOINTS, LATENT, &analytic);
         let at = decoder.decode(z);
         let numeric = numeric_jacobian(z, 1e-3, |x| {
             let moved = decoder.decode(x.try_into().unwrap());
@@ -142,7 +146,7 @@ fn joints_and_points_by_rotations_root_and_shape() {
 
     let skeleton = Skeleton::new(shape);
     let posture = forward(&skeleton, &root, &base, &local);
-    let identity = DMatrix::<f64>::identity(locals, locals);
+    let identity = DMatrix::<f32>::identity(locals, locals);
     let mut tangents = Tangents::zeros(n);
     tangents.set_root_turn(locals, &Matrix3::identity());
     tangents.set_root_shift(locals + 3, 1.0);
@@ -155,7 +159,7 @@ fn joints_and_points_by_rotations_root_and_shape() {
         }
         let numeric =
             numeric_jacobian(&vec![0.0; n], 1e-6, |x| point(x, joint).as_slice().to_vec());
-        assert_jacobian(&DMatrix::from_row_slice(3, n, &rows), &numeric, 1e-7);
+        assert_jacobian(&wide(3, n, &rows), &numeric, 1e-6);
     }
 }
 
