@@ -45,6 +45,7 @@ pub(super) struct Lane {
     pub(super) gradients: Vec<f64>,
     /// Hessian by each moment's coordinates.
     pub(super) grams: Vec<f32>,
+    /// What was done since it was made.
     pub(super) counts: Counts,
 }
 
@@ -70,11 +71,6 @@ enum Source {
 }
 
 impl Lane {
-    /// What was done since it was made.
-    pub(super) fn counts(&self) -> Counts {
-        self.counts
-    }
-
     /// Another problem begins.
     pub(super) fn forget(&mut self) {
         self.codes.clear();

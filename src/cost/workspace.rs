@@ -73,7 +73,7 @@ impl Workspace {
     /// What was done since it was made.
     pub fn counts(&self) -> Counts {
         let [first, second] = &self.lanes;
-        first.counts() + second.counts()
+        first.counts + second.counts
     }
 
     /// Another problem begins.
