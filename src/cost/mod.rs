@@ -9,8 +9,8 @@
 //! the frames that keyframe k stands for. The path is evaluated at each observation's own capture
 //! time. Differs: the paper evaluates it at the frames of genlocked cameras, and has no stiffness.
 
-mod blocks;
 mod config;
+mod ends;
 mod lane;
 mod marginal;
 mod moment;

@@ -7,7 +7,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::blocks::root_of;
+use super::ends::root_of;
 use super::lane::{LOCAL_ROWS, Lane};
 use super::observation::{Moment, Observation};
 use super::path::Scene;

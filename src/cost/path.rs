@@ -5,8 +5,8 @@
 //! derivative of the interpolation. A free body concerns all knots: then the normal equations are
 //! one dense block; else they are banded, a block for each free knot.
 
-use super::blocks::{End, block, ends};
 use super::config::Config;
+use super::ends::{End, block, ends};
 use super::moment::{self, Path};
 use super::observation::Moment;
 use super::robust::GemanMcClure;

@@ -11,7 +11,7 @@
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::blocks::block;
+use super::ends::block;
 use super::unknowns::Unknowns;
 use crate::manifold::{Keyframe, LATENT, Latent};
 use crate::so3;

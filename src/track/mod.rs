@@ -24,6 +24,7 @@ mod noise;
 mod playout;
 mod solver;
 mod team;
+mod verdict;
 mod waiting;
 
 pub use association::follow;

@@ -3,13 +3,14 @@
 use std::sync::Arc;
 
 use super::acquire::{fit, sight};
-use super::association::{extent, follow, median};
+use super::association::follow;
 use super::config::Config;
 use super::job::{
     Job, LiveFit, Outcome, Residual, Solution, Task, TimedKeyframe, Tracked, Verdict,
 };
 use super::marks::Learnt;
 use super::team::Team;
+use super::verdict::{hidden, residuals, verdict};
 use crate::body::{BodyPoint, MARKS, Pose, Skeleton, fitted_points};
 use crate::camera::Rig;
 use crate::cost::{self, FreeBody, Knot, Moment, PathProblem, Scene, Stiffness, Workspace};
@@ -18,8 +19,6 @@ use crate::manifold::{Decoder, Interpolation, Keyframe};
 use crate::solve::{Optimiser, Problem, Summary};
 use crate::time::Timestamp;
 
-/// A view counts when it shows this many points a frame.
-const MIN_VIEW: usize = 4;
 /// A motion that is carried on while the performer is hidden dies away in this time, seconds.
 const DECAY: f64 = 0.1;
 /// Keyframes of the open window that a provisional fit goes over again, besides the new ones.
@@ -231,7 +230,7 @@ impl Solver {
     ) -> Outcome {
         let Some((_, from)) = known.past.last() else { return Outcome::NobodyFound };
         let moments = self.follow(job.used_frames(), points, &job.rig, from, skeleton);
-        if let Some(hidden) = self.hidden(job, &moments) {
+        if let Some(hidden) = hidden(&self.config.gate, job, &moments) {
             // After a window without, perhaps the performer is seen elsewhere.
             let found = (coasted > 0).then(|| self.acquire(job, points, Some(skeleton)));
             let found = found.filter(|found| matches!(found, Outcome::Acquired { .. }));
@@ -250,7 +249,7 @@ impl Solver {
         let wanted = poses.split_off(final_moments.len());
         let seen = final_moments.into_iter().zip(poses);
         let residuals = residuals(seen, points, &job.rig, skeleton);
-        let verdict = self.verdict(&keyframes, &residuals);
+        let verdict = verdict(&self.config.gate, &keyframes, &residuals);
         let learns = matches!(verdict, Verdict::Tracked)
             && self.config.mark_windows > 0
             && !learnt.is_complete()
@@ -404,7 +403,7 @@ impl Solver {
     fn live(&mut self, job: &Job, points: &[BodyPoint], known: Known) -> Outcome {
         let Some((_, from)) = known.past.last() else { return Outcome::NobodyFound };
         let moments = self.follow(job.used_frames(), points, &job.rig, from, known.skeleton);
-        let hidden = self.hidden(job, &moments).is_some();
+        let hidden = hidden(&self.config.gate, job, &moments).is_some();
         let keyframes = match hidden {
             true => known.ahead.to_vec(),
             false => {
@@ -426,46 +425,6 @@ impl Solver {
         let pose = self.poses_at(solved, [job.end].into_iter()).pop().unwrap_or_else(Pose::rest);
         Outcome::Live(Box::new(LiveFit { keyframes, pose, hidden }))
     }
-
-    /// Why too little was seen of the performer to solve the window, if so.
-    fn hidden(&self, job: &Job, moments: &[Moment]) -> Option<String> {
-        let gate = &self.config.gate;
-        let frames = job.used_count();
-        let observed: usize = moments.iter().map(|moment| moment.observations().len()).sum();
-        let per_frame = observed as f64 / frames as f64;
-        if per_frame < gate.lost_observations {
-            let least = gate.lost_observations;
-            return Some(format!("{per_frame:.1} observations a frame, below {least}"));
-        }
-        let views = (0..job.rig.cameras.len())
-            .filter(|&camera| {
-                let seen = moments.iter().flat_map(|moment| moment.observations());
-                seen.filter(|o| o.camera == camera).count() >= MIN_VIEW * frames
-            })
-            .count();
-        (views < 2).then(|| format!("{views} cameras see the performer, 2 are needed"))
-    }
-
-    fn verdict(&self, keyframes: &[TimedKeyframe], residuals: &[Residual]) -> Verdict {
-        let gate = &self.config.gate;
-        let median_error =
-            median(&mut residuals.iter().map(|r| r.error_relative).collect::<Vec<_>>());
-        if median_error > gate.lost_residual {
-            return Verdict::Lost(format!(
-                "median residual is {median_error:.3} of the performer's height, above {}",
-                gate.lost_residual
-            ));
-        }
-        let norms = keyframes.iter().map(|(_, keyframe)| crate::manifold::norm(&keyframe.z));
-        let latent = norms.fold(0.0, f64::max);
-        match latent > gate.lost_latent {
-            true => {
-                let most = gate.lost_latent;
-                Verdict::Lost(format!("latent norm is {latent:.1}, above {most}"))
-            }
-            false => Verdict::Tracked,
-        }
-    }
 }
 
 /// Times of the poses that a window gives: the final ones, then the newest.
@@ -484,39 +443,6 @@ fn tracked(
     let keyframes = solved.ahead.to_vec();
     let newest = poses.pop().unwrap_or_else(Pose::rest);
     Tracked { newest, poses, keyframes, summary, residuals, verdict, learnt: None }
-}
-
-fn residuals<'m>(
-    moments: impl Iterator<Item = (&'m Moment, Pose)>,
-    points: &[BodyPoint],
-    rig: &Rig,
-    skeleton: &Skeleton,
-) -> Vec<Residual> {
-    let mut all = Vec::new();
-    for (moment, pose) in moments {
-        let posture = pose.posture(skeleton);
-        let world: Vec<_> =
-            points.iter().map(|p| p.attachment.position(&posture, skeleton)).collect();
-        let heights: Vec<f64> = rig
-            .cameras
-            .iter()
-            .map(|camera| extent(world.iter().filter_map(|point| camera.project(point))))
-            .collect();
-        all.extend(moment.observations().iter().map(|seen| {
-            let error_px = rig.cameras[seen.camera]
-                .project(&world[seen.point])
-                .map_or(f64::INFINITY, |pixel| (pixel - seen.pixel).norm());
-            Residual {
-                capture: moment.capture,
-                camera: seen.camera,
-                point: points[seen.point].index,
-                error_px,
-                error_relative: error_px / heights[seen.camera].max(1.0),
-                confidence: seen.confidence,
-            }
-        }));
-    }
-    all
 }
 
 /// Groups frames into sets of one time: each set holds frames of different cameras at most
