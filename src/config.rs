@@ -108,7 +108,7 @@ impl Config {
         Some((key, value, allowed))
     }
 
-    fn counts(&self) -> [Limit; 14] {
+    fn counts(&self) -> [Limit; 13] {
         let Self { track, node, .. } = self;
         let count =
             |key, value: usize, most: f64, allowed| (key, value as f64, 1.0..=most, allowed);
@@ -120,7 +120,6 @@ impl Config {
             or_none("track.deadline_frames", track.deadline_frames),
             count("track.shape_windows", track.shape_windows, 1e2, "1 to 100"),
             count("track.iterations", track.iterations, 1e3, "1 to 1000"),
-            or_none("track.loose_iterations", track.loose_iterations),
             count("track.acquisition_iterations", track.acquisition_iterations, 1e3, "1 to 1000"),
             or_none("track.live_iterations", track.live_iterations),
             or_none("track.mark_windows", track.mark_windows),
@@ -131,12 +130,11 @@ impl Config {
         ]
     }
 
-    fn weights(&self) -> [Limit; 19] {
-        let track::Config { cost, gate, loose_scale, min_confidence, .. } = self.track;
+    fn weights(&self) -> [Limit; 18] {
+        let track::Config { cost, gate, min_confidence, .. } = self.track;
         let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
         let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
         [
-            ("track.loose_scale", loose_scale, 1.0..=f64::MAX, "1 or a number above"),
             from_0("track.noise_px", self.track.noise_px),
             ("track.min_confidence", min_confidence, 0.0..=1.0, "0 to 1"),
             above_0("track.cost.scale_px", cost.scale_px),
@@ -253,13 +251,11 @@ mod tests {
         refused("track", "shape_windows", "101", "1 to 100");
         refused("track", "iterations", "0", "1 to 1000");
         refused("track", "iterations", "1000000", "1 to 1000");
-        refused("track", "loose_iterations", "1001", "0 to 1000");
         refused("track", "acquisition_iterations", "0", "1 to 1000");
         refused("track", "live_iterations", "1001", "0 to 1000");
         refused("track", "mark_windows", "1001", "0 to 1000");
         refused("track", "coast_windows", "1001", "0 to 1000");
         refused("track", "grace_windows", "0", "1 to 1000");
-        refused("track", "loose_scale", "0.99", "1 or a number above");
         refused("track", "min_confidence", "1.5", "0 to 1");
         refused("track.cost", "scale_px", "0.0", "a number above 0");
         refused("track.cost", "prior", "-1.0", "0 or a number above");

@@ -30,13 +30,12 @@ impl Windows {
         Self::new("BundleMoCap (paper)", Config::paper())
     }
 
-    /// The paper's windows and path, with the optimiser of all other methods: Levenberg-Marquardt,
-    /// first with a looser loss.
+    /// The paper's windows and path, with the optimiser of all other methods, Levenberg-Marquardt.
     pub fn paper_with_our_optimiser() -> Self {
-        let Config { method, loose_iterations, change_threshold, .. } = Config::default();
+        let Config { method, change_threshold, .. } = Config::default();
         let paper = Config::paper();
         let cost = cost::Config { scale_px: 30.0, ..paper.cost };
-        let config = Config { method, loose_iterations, change_threshold, cost, ..paper };
+        let config = Config { method, change_threshold, cost, ..paper };
         Self::new("BundleMoCap (paper, LM)", config)
     }
 

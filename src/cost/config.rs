@@ -32,7 +32,7 @@ impl Default for Config {
         Self {
             scale_px: 30.0,
             prior: 20.0,
-            shape_prior: 300.0,
+            shape_prior: 1000.0,
             mark_prior: 300.0,
             jacobian_reach: 0.7,
             interpolation: Interpolation::Slerp,

@@ -98,6 +98,13 @@ impl<'a> PathProblem<'a> {
         self.loss = GemanMcClure::new(scale_px);
     }
 
+    /// What the observations cost where the body is far from all of them.
+    pub fn ceiling(&self) -> f64 {
+        let seen = self.moments.iter().flat_map(Moment::observations);
+        let weight = seen.map(|o| o.confidence * self.scene.points[o.point].attachment.weight);
+        0.5 * self.loss.ceiling() * weight.sum::<f64>()
+    }
+
     /// The unknowns to start from.
     pub fn start(&self) -> Vec<f64> {
         self.unknowns.start()

@@ -33,7 +33,7 @@ pub enum Factor {
 }
 
 /// The names that [`factor`] knows.
-pub const FACTORS: [&str; 13] = [
+pub const FACTORS: [&str; 14] = [
     "window",
     "publish",
     "keyframe",
@@ -41,6 +41,7 @@ pub const FACTORS: [&str; 13] = [
     "stiffness",
     "slack",
     "optimiser",
+    "stop",
     "scale",
     "prior",
     "errors",
@@ -48,6 +49,9 @@ pub const FACTORS: [&str; 13] = [
     "noise",
     "fps",
 ];
+
+/// Changes of the cost that are too small to go on.
+const STOPS: [f64; 6] = [0.0005, 0.002, 0.004, 0.008, 0.016, 0.032];
 
 /// The factor of that name.
 pub fn factor(name: &str) -> Option<Factor> {
@@ -84,8 +88,10 @@ pub fn factor(name: &str) -> Option<Factor> {
         "optimiser" => named(&[
             ("Levenberg-Marquardt", |config| config.method = solve::Method::LevenbergMarquardt),
             ("L-BFGS", |config| config.method = solve::Method::Lbfgs),
-            ("Levenberg-Marquardt, no loose start", |config| config.loose_iterations = 0),
         ]),
+        "stop" => numbers("stop at a change of", &STOPS, |config, threshold| {
+            config.change_threshold = threshold;
+        }),
         "interpolation" => named(&[
             ("keyframe each frame", |_| {}),
             ("slerp, keyframe every 5", |config| {

@@ -1,6 +1,6 @@
 //! A recording of a motion: detections in order of capture time, and the true poses.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::detector::Detector;
 use super::noise::Noise;
@@ -95,8 +95,9 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
     }
 }
 
-/// The path through poses that are `1 / fps` apart: slerp of rotations and lerp of the position
-/// between neighbours, held at both ends. The rest pose if there are none.
+/// The path through poses that are `1 / fps` apart: the cubic of Catmull and Rom in the position and
+/// in the rotation vectors from the pose before, held at both ends. (Straight lines would have a kink
+/// at each pose, and few between.) The rest pose if there are none.
 pub fn through(poses: Vec<Pose>, fps: f64) -> impl Fn(f64) -> Pose + Clone {
     move |seconds| {
         let Some(last) = poses.len().checked_sub(1) else { return Pose::rest() };
@@ -107,15 +108,32 @@ pub fn through(poses: Vec<Pose>, fps: f64) -> impl Fn(f64) -> Pose + Clone {
         if share == 0.0 {
             return poses[before].clone();
         }
-        between(&poses[before], &poses[before + 1], share)
+        let around = [before.saturating_sub(1), before, before + 1, (before + 2).min(last)];
+        between(around.map(|k| &poses[k]), share)
     }
 }
 
-fn between(a: &Pose, b: &Pose, share: f64) -> Pose {
-    let position: Vector3<f64> = a.root_position.lerp(&b.root_position, share);
+/// Between the second and the third pose.
+fn between(around: [&Pose; 4], share: f64) -> Pose {
+    let position = |of: fn(&Pose) -> &Vector3<f64>| {
+        let from = of(around[1]);
+        from + cubic(around.map(|pose| of(pose) - from), share)
+    };
+    let rotation = |of: &dyn Fn(&Pose) -> Matrix3<f64>| {
+        let from = of(around[1]);
+        let turned = around.map(|pose| so3::log(&(from.transpose() * of(pose))));
+        from * so3::exp(&cubic(turned, share))
+    };
     Pose {
-        root_rotation: so3::slerp(&a.root_rotation, &b.root_rotation, share),
-        root_position: position,
-        local: std::array::from_fn(|j| so3::slerp(&a.local[j], &b.local[j], share)),
+        root_rotation: rotation(&|pose| pose.root_rotation),
+        root_position: position(|pose| &pose.root_position),
+        local: std::array::from_fn(|j| rotation(&|pose| pose.local[j])),
     }
+}
+
+/// The cubic of Catmull and Rom between the second and the third of four.
+fn cubic([p0, p1, p2, p3]: [Vector3<f64>; 4], s: f64) -> Vector3<f64> {
+    let (slope1, slope2) = ((p2 - p0) * 0.5, (p3 - p1) * 0.5);
+    let rise = s * s * (3.0 - 2.0 * s);
+    p1.lerp(&p2, rise) + slope1 * (s * (1.0 - s) * (1.0 - s)) - slope2 * (s * s * (1.0 - s))
 }

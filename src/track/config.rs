@@ -24,10 +24,6 @@ pub struct Config {
     pub shape_windows: usize,
     /// Most iterations of a window's solve.
     pub iterations: usize,
-    /// Iterations before those with a looser loss. Differs: the paper has none.
-    pub loose_iterations: usize,
-    /// How many times looser.
-    pub loose_scale: f64,
     /// Most iterations of a provisional fit of the open window.
     pub live_iterations: usize,
     /// In every so manieth window it is learnt where the detector marks points, 25 times; 0 takes
@@ -85,15 +81,13 @@ impl Default for Config {
             deadline_frames: 5,
             shape_windows: 3,
             iterations: 6,
-            loose_iterations: 1,
-            loose_scale: 3.0,
             live_iterations: 3,
             mark_windows: 4,
             noise_px: 7.0,
             coast_windows: 6,
             grace_windows: 6,
             acquisition_iterations: 30,
-            change_threshold: 2e-3,
+            change_threshold: 4e-3,
             method: Method::LevenbergMarquardt,
             threads: 1,
             cost: cost::Config::default(),
@@ -111,7 +105,6 @@ impl Config {
             keyframe_frames: 10,
             publish_frames: 10,
             iterations: 30,
-            loose_iterations: 0,
             change_threshold: 1e-9,
             method: Method::Lbfgs,
             mark_windows: 0,

@@ -7,8 +7,6 @@ use super::config::Config;
 pub struct Effort {
     /// Most iterations of a window.
     pub iterations: usize,
-    /// Iterations before those with a looser loss.
-    pub loose_iterations: usize,
     /// Most iterations of a fit of the open window; 0: it is not fitted.
     pub live_iterations: usize,
     /// One frame of a camera in this many is used.
@@ -21,12 +19,7 @@ impl Effort {
 
     /// All that the settings ask for.
     pub fn full(config: &Config) -> Self {
-        Self {
-            iterations: config.iterations,
-            loose_iterations: config.loose_iterations,
-            live_iterations: config.live_iterations,
-            stride: 1,
-        }
+        Self { iterations: config.iterations, live_iterations: config.live_iterations, stride: 1 }
     }
 
     /// Less with each level: first fewer iterations, then longer strides through the frames. The
@@ -42,7 +35,6 @@ impl Effort {
             4 => (part(full.iterations, 8), 0, 3),
             _ => (part(full.iterations, 15), 0, 5),
         };
-        let loose_iterations = if level == 0 { full.loose_iterations } else { 0 };
-        Self { iterations, loose_iterations, live_iterations, stride }
+        Self { iterations, live_iterations, stride }
     }
 }

@@ -23,6 +23,15 @@ use crate::time::Timestamp;
 const DECAY: f64 = 0.1;
 /// Keyframes of the open window that a provisional fit goes over again, besides the new ones.
 const LIVE_KEYFRAMES: usize = 2;
+/// Most keyframes that the shape is found with.
+const SHAPE_KEYFRAMES: usize = 10;
+/// A window's start is far from what was seen if it costs more than this part of the most that it
+/// could.
+const FAR: f64 = 0.25;
+/// How the keyframes are found that a window is grown by: roughly, from afar.
+const GROWTH: Steps = Steps { iterations: 1, looseness: 3.0 };
+/// How much a window's first keyframe is what the window before said of it.
+const FADE: f64 = 0.5;
 /// How much of the prior on codes counts where marks are learnt.
 const LEARNING_PRIOR: f64 = 0.1;
 
@@ -36,7 +45,27 @@ struct Known<'a> {
     skeleton: &'a Skeleton,
 }
 
+/// How keyframes are solved.
+#[derive(Clone, Copy)]
+struct Steps {
+    iterations: usize,
+    /// What the scale of the loss is multiplied with.
+    looseness: f64,
+}
+
+impl Steps {
+    fn of(iterations: usize) -> Self {
+        Self { iterations, looseness: 1.0 }
+    }
+}
+
 impl Known<'_> {
+    /// The time of the last keyframe known.
+    fn end(&self, job: &Job) -> Timestamp {
+        let last = self.ahead.last().or(self.past.last());
+        last.map_or(job.start, |(at, _)| *at)
+    }
+
     /// The last two keyframes known, if there are two.
     fn last_two(&self) -> Option<[&TimedKeyframe; 2]> {
         let mut latest = self.past.iter().chain(self.ahead).rev();
@@ -161,17 +190,20 @@ impl Solver {
         keyframe: Keyframe,
         rough: Skeleton,
     ) -> (Keyframe, Skeleton) {
-        let span = ((job.end - job.start) / self.config.shape_windows.max(1) as i64).max(1);
+        let frames = self.config.window() * self.config.shape_windows.max(1);
+        let spacing = frames.div_ceil(SHAPE_KEYFRAMES).max(self.config.keyframe());
+        let stretches = frames.div_ceil(spacing) as i64;
+        let span = ((job.end - job.start) / stretches).max(1);
         let frames = job.frames.iter().filter(|frame| frame.capture >= at);
         let moments = self.follow(frames, points, &job.rig, &keyframe, &rough);
         let last = moments.last().map_or(at, |moment| moment.capture);
-        // Only the shape and the first keyframe are kept: one keyframe for each window will do.
+        // Only the shape and the first keyframe are kept: few keyframes and no stiffness will do.
         let cost = cost::Config { stiffness: Stiffness::NONE, ..self.config.cost };
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
-        let frames = self.config.window() as f64;
+        let frames = spacing as f64;
         let mut knots = vec![Knot { capture: at, keyframe, free: true, frames }];
-        for window in 1..=self.config.shape_windows as i64 {
-            let (start, end) = (at + span * (window - 1), at + span * window);
+        for stretch in 1..=stretches {
+            let (start, end) = (at + span * (stretch - 1), at + span * stretch);
             let inside: Vec<Moment> = moments
                 .iter()
                 .filter(|moment| moment.capture > start && moment.capture <= end.min(last))
@@ -236,11 +268,9 @@ impl Solver {
             let found = found.filter(|found| matches!(found, Outcome::Acquired { .. }));
             return found.unwrap_or_else(|| self.coast(job, known, coasted, hidden));
         }
-        let is_known = known.ahead.last().is_some_and(|(at, _)| *at >= job.end);
-        // A fast limb can be further from the last keyframe than the loss reaches.
-        let loose = if is_known { 0 } else { job.effort.loose_iterations };
-        let budget = [loose, job.effort.iterations];
-        let (keyframes, summary) = self.keyframes(job, points, known, &moments, budget);
+        let steps = Steps::of(job.effort.iterations);
+        let (keyframes, summary) = self.keyframes(job, points, known, &job.knots, &moments, steps);
+        let keyframes = self.fade(job, known, keyframes);
         let last = job.publish + job.half_frame;
         let final_moments: Vec<&Moment> = moments.iter().filter(|m| m.capture <= last).collect();
         let solved = Known { ahead: &keyframes, ..known };
@@ -287,17 +317,18 @@ impl Solver {
         learnt.with(&told, solved.skeleton.marks(), self.config.cost.mark_prior)
     }
 
-    /// Solves the keyframes of a window, in so many iterations with a looser loss and then with the
-    /// loss itself.
+    /// Solves the keyframes at those of the times that are after the last final one, together.
     fn keyframes(
         &mut self,
         job: &Job,
         points: &[BodyPoint],
         known: Known,
+        times: &[Timestamp],
         moments: &[Moment],
-        [loose, iterations]: [usize; 2],
+        steps: Steps,
     ) -> (Vec<TimedKeyframe>, Summary) {
         let cost = self.cost(job);
+        let cost = cost::Config { scale_px: cost.scale_px * steps.looseness, ..cost };
         let interpolation = cost.interpolation;
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
         let fixed = known.past.iter().map(|(capture, keyframe)| Knot {
@@ -309,7 +340,7 @@ impl Solver {
         let mut knots: Vec<Knot> = fixed.collect();
         let period = (2 * job.half_frame).max(1) as f64;
         let start = known.past.last().map_or(job.start, |(at, _)| *at);
-        let free = || job.knots.iter().copied().filter(|&capture| capture > start);
+        let free = || times.iter().copied().filter(|&capture| capture > start);
         let mut before = start;
         for capture in free() {
             let Some(keyframe) = known.at(capture, interpolation) else { continue };
@@ -326,6 +357,7 @@ impl Solver {
             &mut self.work,
         );
         let mut x = problem.start();
+        let mut start_cost = problem.cost(&x);
         if let Some([(t0, a), (t1, b)]) = known.last_two() {
             // Or else: the root goes on as it did.
             let onward = problem.start_at(|_, knot| {
@@ -335,19 +367,62 @@ impl Solver {
                     false => knot.keyframe.clone(),
                 }
             });
-            if problem.cost(&onward) < problem.cost(&x) {
-                x = onward;
+            let onward_cost = problem.cost(&onward);
+            if onward_cost < start_cost {
+                (x, start_cost) = (onward, onward_cost);
             }
         }
-        if loose > 0 {
-            problem.set_scale(cost.scale_px * self.config.loose_scale);
-            self.optimiser.minimise(&mut problem, &mut x, loose);
-            problem.set_scale(cost.scale_px);
+        let new = free().filter(|&at| at > known.end(job)).count();
+        if new > 1 && start_cost > FAR * problem.ceiling() {
+            let ahead = self.grow(job, points, known, times, moments);
+            let known = Known { ahead: &ahead, ..known };
+            return self.keyframes(job, points, known, times, moments, steps);
         }
-        let summary = self.optimiser.minimise(&mut problem, &mut x, iterations);
+        let summary = self.optimiser.minimise(&mut problem, &mut x, steps.iterations);
         let (solved, _) = problem.solution(&x);
         let solved = solved.into_iter().skip(known.past.len()).map(Keyframe::settled);
         (free().zip(solved).collect(), summary)
+    }
+
+    /// Where quick motion takes the body out of the loss's reach within a window: its keyframes with
+    /// those that are not known yet roughly solved, one after the other.
+    fn grow(
+        &mut self,
+        job: &Job,
+        points: &[BodyPoint],
+        known: Known,
+        times: &[Timestamp],
+        moments: &[Moment],
+    ) -> Vec<TimedKeyframe> {
+        let mut path = [known.past, known.ahead].concat();
+        for &time in times.iter().filter(|&&time| time > known.end(job)) {
+            let past = &path[path.len().saturating_sub(2)..];
+            let step = Known { past, ahead: &[], ..known };
+            let seen = between(moments, [step.end(job), time].map(|at| at + job.half_frame));
+            path.extend(self.keyframes(job, points, step, &[time], seen, GROWTH).0);
+        }
+        path.split_off(known.past.len())
+    }
+
+    /// Has the final keyframes begin near what the window before said of them, less so from one to the
+    /// next, so that the border between the two is no kink.
+    fn fade(
+        &self,
+        job: &Job,
+        known: Known,
+        mut keyframes: Vec<TimedKeyframe>,
+    ) -> Vec<TimedKeyframe> {
+        let count = keyframes.iter().filter(|(at, _)| *at <= job.publish).count();
+        let interpolation = self.config.cost.interpolation;
+        for (k, (at, keyframe)) in keyframes[..count].iter_mut().enumerate() {
+            let Some(before) = known.at(*at, interpolation).filter(|_| *at <= known.end(job))
+            else {
+                break;
+            };
+            let share = FADE * (count - k - 1) as f64 / count as f64;
+            *keyframe = interpolation.keyframe(keyframe, &before, share).settled();
+        }
+        keyframes
     }
 
     /// The cost's weights, those of prior and stiffness by how the detections err.
@@ -413,11 +488,10 @@ impl Solver {
                 path.extend_from_slice(settled);
                 let past = &path[path.len().saturating_sub(2)..];
                 let start = past.last().map_or(job.start, |(at, _)| *at);
-                let recent: Vec<Moment> =
-                    moments.into_iter().filter(|m| m.capture > start + job.half_frame).collect();
-                let budget = [0, job.effort.live_iterations];
+                let recent = between(&moments, [start, job.end].map(|at| at + job.half_frame));
                 let window = Known { past, ahead, ..known };
-                let solved = self.keyframes(job, points, window, &recent, budget).0;
+                let steps = Steps::of(job.effort.live_iterations);
+                let (solved, _) = self.keyframes(job, points, window, &job.knots, recent, steps);
                 settled.iter().cloned().chain(solved).collect()
             }
         };
@@ -443,6 +517,12 @@ fn tracked(
     let keyframes = solved.ahead.to_vec();
     let newest = poses.pop().unwrap_or_else(Pose::rest);
     Tracked { newest, poses, keyframes, summary, residuals, verdict, learnt: None }
+}
+
+/// The moments after one time, up to another.
+fn between(moments: &[Moment], [after, to]: [Timestamp; 2]) -> &[Moment] {
+    let [first, end] = [after, to].map(|at| moments.partition_point(|m| m.capture <= at));
+    &moments[first..end]
 }
 
 /// Groups frames into sets of one time: each set holds frames of different cameras at most

