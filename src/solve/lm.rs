@@ -21,7 +21,7 @@ pub struct LevenbergMarquardt {
 /// Damping above which no step is tried any more.
 const MAX_DAMPING: f64 = 1e12;
 /// A step that changes the cost by less than this part of it may be followed by a chord step.
-const CHORD_CHANGE: f64 = 0.1;
+const CHORD_CHANGE: f64 = 0.5;
 /// So may one whose model predicted the change no worse than this.
 const CHORD_GAIN: f64 = 0.5;
 /// Keeps the damped diagonal positive where the Hessian's is zero.

@@ -87,7 +87,7 @@ impl Default for Config {
             coast_windows: 6,
             grace_windows: 6,
             acquisition_iterations: 30,
-            change_threshold: 4e-3,
+            change_threshold: 8e-3,
             method: Method::LevenbergMarquardt,
             threads: 1,
             cost: cost::Config::default(),

@@ -209,7 +209,7 @@ impl Solver {
                 .filter(|moment| moment.capture > start && moment.capture <= end.min(last))
                 .cloned()
                 .collect();
-            let Some(from) = knots.last().filter(|_| !inside.is_empty()) else { break };
+            let Some(from) = knots.last().filter(|_| !inside.is_empty()) else { continue };
             let from = Knot { free: false, ..from.clone() };
             let to = Knot { capture: end, keyframe: from.keyframe.clone(), free: true, frames };
             let mut problem = PathProblem::new(

@@ -13,10 +13,10 @@ use bundlemocap::manifold::{Decoder, Interpolation, Keyframe};
 use bundlemocap::so3;
 use bundlemocap::solve::Method;
 use bundlemocap::track::{
-    Config, Effort, EventKind, Input, Job, Noise, Outcome, Output, Solver, Task, Track,
+    Config, Effort, EventKind, Input, Job, Noise, Outcome, Output, Solver, Task, Track, Verdict,
     WindowReport,
 };
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector3};
 
 use crate::solve::{frame, keyframe, observe, ring};
 
@@ -88,6 +88,10 @@ fn detections(rig: &Rig, points: &[BodyPoint], seen: &[Observation], i: usize) -
 
 /// Exact detections of a motion on the manifold, from all cameras, in order.
 fn stream(frames: usize) -> Vec<Detections> {
+    stream_of(frames, truth)
+}
+
+fn stream_of(frames: usize, truth: impl Fn(usize) -> Keyframe) -> Vec<Detections> {
     let (rig, points, decoder) = (ring(), fitted_points(FORMAT), Decoder::embedded().unwrap());
     let skeleton = Skeleton::new(truth_shape());
     let mut all = Vec::new();
@@ -396,6 +400,55 @@ fn where_the_detector_marks_points_is_learnt() {
     };
     let (without, with) = (error(0), error(4));
     assert!(with < 0.9 * without, "{with} {without}");
+}
+
+/// Within a window the performer goes further, and back, than the loss reaches.
+#[test]
+fn quick_motion_is_followed() {
+    let truth = |i: usize| {
+        let (x, y) = (0.4 * i as f64).sin_cos();
+        let pose = truth(i / 4);
+        Keyframe { root_position: pose.root_position + 0.6 * Vector3::new(x, y, 0.0), ..pose }
+    };
+    let run = run(Config::default(), stream_of(121, truth));
+    assert!(run.poses.len() > 100 && run.windows.iter().all(|w| w.verdict == Verdict::Tracked));
+    for pose in &run.poses {
+        let i = (pose.capture.ns() as f64 * 60e-9).round() as usize;
+        let off = (pose.pose.root_position - truth(i).root_position).norm();
+        assert!(off < 0.2, "{off} m in frame {i}");
+    }
+}
+
+/// A window's first keyframe is half what the window before said of it, the last, where the next one
+/// begins, is its own.
+#[test]
+fn a_window_begins_near_what_the_last_one_said() {
+    let config = Config { change_threshold: 0.0, iterations: 100, ..Config::default() };
+    let mut track = Track::new(config, Arc::new(ring()));
+    let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
+    let mut jobs = Vec::new();
+    for input in stream(61).into_iter().map(Input::Detections).chain([Input::End]) {
+        track.handle(input);
+        while let Some(output) = track.poll() {
+            let Output::Solve(job) = output else { continue };
+            track.handle(Input::Solved(solver.solve(&job)));
+            jobs.push(job);
+        }
+    }
+    let mut positions = |job: &Job| {
+        let Outcome::Tracked(tracked) = solver.solve(job).outcome else { panic!("not tracked") };
+        tracked.keyframes.iter().map(|(_, k)| k.root_position).collect::<Vec<_>>()
+    };
+    let mut job = jobs.swap_remove(3);
+    let own = positions(&job);
+    let Task::Track { ahead, .. } = &mut job.task else { panic!("not tracking") };
+    assert_eq!((ahead.len(), own.len()), (5, 10));
+    ahead.iter_mut().for_each(|(_, keyframe)| keyframe.root_position.x += 0.02);
+    let shifted = positions(&job);
+    let shift = |k: usize| shifted[k].x - own[k].x;
+    for (k, expected) in [0.008, 0.006, 0.004, 0.002, 0.0, 0.0].into_iter().enumerate() {
+        assert!((shift(k) - expected).abs() < 2e-4, "{k}: {} m", shift(k));
+    }
 }
 
 /// Each window is solved with what the windows before it left of the detections, and what it leaves
