@@ -62,6 +62,23 @@ fn run(config: Config, frames: impl IntoIterator<Item = Detections>) -> Run {
     run
 }
 
+/// All jobs of a machine, with what came of them.
+fn solved(config: Config, frames: Vec<Detections>) -> Vec<(Box<Job>, Outcome)> {
+    let mut track = Track::new(config, Arc::new(ring()));
+    let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
+    let mut jobs = Vec::new();
+    for input in frames.into_iter().map(Input::Detections).chain([Input::End]) {
+        track.handle(input);
+        while let Some(output) = track.poll() {
+            let Output::Solve(job) = output else { continue };
+            let solution = solver.solve(&job);
+            jobs.push((job, solution.outcome.clone()));
+            track.handle(Input::Solved(solution));
+        }
+    }
+    jobs
+}
+
 fn truth_shape() -> Shape {
     Shape(std::array::from_fn(|i| 0.6 * (i as f64 * 1.7).sin()))
 }
@@ -424,22 +441,12 @@ fn quick_motion_is_followed() {
 #[test]
 fn a_window_begins_near_what_the_last_one_said() {
     let config = Config { change_threshold: 0.0, iterations: 100, ..Config::default() };
-    let mut track = Track::new(config, Arc::new(ring()));
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
-    let mut jobs = Vec::new();
-    for input in stream(61).into_iter().map(Input::Detections).chain([Input::End]) {
-        track.handle(input);
-        while let Some(output) = track.poll() {
-            let Output::Solve(job) = output else { continue };
-            track.handle(Input::Solved(solver.solve(&job)));
-            jobs.push(job);
-        }
-    }
+    let (mut job, _) = solved(config, stream(61)).swap_remove(3);
     let mut positions = |job: &Job| {
         let Outcome::Tracked(tracked) = solver.solve(job).outcome else { panic!("not tracked") };
         tracked.keyframes.iter().map(|(_, k)| k.root_position).collect::<Vec<_>>()
     };
-    let mut job = jobs.swap_remove(3);
     let own = positions(&job);
     let Task::Track { ahead, .. } = &mut job.task else { panic!("not tracking") };
     assert_eq!((ahead.len(), own.len()), (5, 10));
@@ -457,21 +464,11 @@ fn a_window_begins_near_what_the_last_one_said() {
 fn weights_go_by_how_the_detections_err() {
     let jobs = |noise_px: f64| {
         let config = Config { noise_px, ..Config::default() };
-        let mut track = Track::new(config, Arc::new(ring()));
-        let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
-        let mut jobs = Vec::new();
-        for input in stream(61).into_iter().map(Input::Detections).chain([Input::End]) {
-            track.handle(input);
-            while let Some(output) = track.poll() {
-                let Output::Solve(job) = output else { continue };
-                let solution = solver.solve(&job);
-                if let Outcome::Tracked(tracked) = &solution.outcome {
-                    jobs.push((job.noise, tracked.summary.as_ref().unwrap().final_cost));
-                }
-                track.handle(Input::Solved(solution));
-            }
-        }
-        jobs
+        let tracked = solved(config, stream(61)).into_iter().filter_map(|(job, outcome)| {
+            let Outcome::Tracked(tracked) = outcome else { return None };
+            Some((job.noise, tracked.summary.unwrap().final_cost))
+        });
+        tracked.collect::<Vec<_>>()
     };
     let (fixed, by_errors) = (jobs(0.0), jobs(7.0));
     assert_eq!(by_errors[0], (Noise::default(), fixed[0].1));
