@@ -86,7 +86,7 @@ pub struct Memory(Vec<MaybeUninit<u8>>);
 impl Memory {
     /// For [`eliminate`] with blocks of n columns.
     pub fn of_cholesky(n: usize) -> Self {
-        let wanted = cholesky_in_place_scratch::<f64>(n, Par::Seq, Spec::default());
+        let wanted = cholesky_in_place_scratch::<f32>(n, Par::Seq, Spec::default());
         Self(vec![MaybeUninit::uninit(); wanted.unaligned_bytes_required()])
     }
 }
@@ -97,7 +97,7 @@ impl Memory {
 pub fn eliminate(
     [n, below]: [usize; 2],
     stride: usize,
-    lower: &mut [f64],
+    lower: &mut [f32],
     memory: &mut Memory,
 ) -> Option<()> {
     let rows = n + below;
@@ -133,20 +133,20 @@ pub fn solve_symmetric(n: usize, a: &[f64], m: usize, b: &[f64]) -> Option<Vec<f
 
 wide! {
     /// out += factor v, as far as v goes.
-    pub fn add(factor: f64, v: &[f64], out: &mut [f64]) {
-        out.iter_mut().zip(v).for_each(|(out, v)| *out += factor * v);
+    pub fn add(factor: f64, v: &[f32], out: &mut [f64]) {
+        out.iter_mut().zip(v).for_each(|(out, v)| *out += factor * f64::from(*v));
     }
 }
 
 wide! {
     /// The scalar product of v and w, as far as v goes: sums of every eighth product, so that none waits
     /// for the one before.
-    pub fn dot(v: &[f64], w: &[f64]) -> f64 {
+    pub fn dot(v: &[f32], w: &[f64]) -> f64 {
         let mut sums = [0.0; 8];
         let (v, w) = (v.chunks_exact(8), w[..v.len()].chunks_exact(8));
-        let rest: f64 = v.remainder().iter().zip(w.remainder()).map(|(v, w)| v * w).sum();
+        let rest: f64 = v.remainder().iter().zip(w.remainder()).map(|(v, w)| f64::from(*v) * w).sum();
         for (v, w) in v.zip(w) {
-            (0..8).for_each(|k| sums[k] += v[k] * w[k]);
+            (0..8).for_each(|k| sums[k] += f64::from(v[k]) * w[k]);
         }
         sums.iter().sum::<f64>() + rest
     }

@@ -39,8 +39,8 @@ pub(super) struct Lane {
     pub(super) by_rotation: Vec<f64>,
     /// The same by the codes, 32 for each moment.
     code_gradients: Vec<f64>,
-    /// The cost of all moments.
-    pub(super) cost: f64,
+    /// What each moment costs.
+    pub(super) costs: Vec<f64>,
     /// Gradient by each moment's coordinates.
     pub(super) gradients: Vec<f64>,
     /// Hessian by each moment's coordinates.

@@ -40,7 +40,7 @@ pub(super) struct Path<'p> {
 impl<'p> Path<'p> {
     /// Computes what is wanted of all moments of a lane, and leaves it there.
     pub(super) fn compute(&self, moments: &[Moment], wanted: Wanted, lane: &mut Lane) {
-        lane.cost = 0.0;
+        lane.costs.clear();
         if moments.is_empty() {
             return;
         }
@@ -61,10 +61,11 @@ impl<'p> Path<'p> {
             if wanted == Wanted::Hessians {
                 self.push_tangents(place, &posture, m, lane);
             }
-            lane.cost += match wanted {
+            let cost = match wanted {
                 Wanted::Cost => self.cost(moment, &posture),
                 _ => self.add(moment, &posture, wanted, m, lane),
             };
+            lane.costs.push(cost);
             if wanted == Wanted::Hessians {
                 lane.counts.moments += 1;
                 let (rows, gram) = (&lane.rows, &mut lane.grams[m * n * n..(m + 1) * n * n]);

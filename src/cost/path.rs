@@ -8,7 +8,7 @@
 use super::config::Config;
 use super::ends::{End, block, ends};
 use super::moment::{self, Path};
-use super::observation::Moment;
+use super::observation::{Moment, Observation};
 use super::robust::GemanMcClure;
 use super::unknowns::{FreeBody, KEYFRAME, Knot, Unknowns};
 use super::workspace::{Workspace, in_lanes};
@@ -16,6 +16,7 @@ use crate::body::{BodyPoint, SHAPE_COEFFICIENTS, Skeleton};
 use crate::camera::Rig;
 use crate::manifold::{Decoder, Keyframe, LATENT};
 use crate::solve::{Layout, Normal, Problem};
+use crate::time::Timestamp;
 
 /// What a cost needs besides the unknowns.
 #[derive(Clone, Copy, Debug)]
@@ -98,11 +99,20 @@ impl<'a> PathProblem<'a> {
         self.loss = GemanMcClure::new(scale_px);
     }
 
-    /// What the observations cost where the body is far from all of them.
-    pub fn ceiling(&self) -> f64 {
-        let seen = self.moments.iter().flat_map(Moment::observations);
-        let weight = seen.map(|o| o.confidence * self.scene.points[o.point].attachment.weight);
-        0.5 * self.loss.ceiling() * weight.sum::<f64>()
+    /// What the observations up to a time, and those after it, cost at the last evaluation, as parts of
+    /// what they cost where the body is far from all of them.
+    pub fn misfits(&self, time: Timestamp) -> [f64; 2] {
+        let (mut costs, mut most) = ([0.0; 2], [0.0; 2]);
+        let weight = |seen: &Observation| {
+            0.5 * seen.confidence * self.scene.points[seen.point].attachment.weight
+        };
+        for (moment, cost) in self.moments.iter().zip(self.work.costs()) {
+            let part = usize::from(moment.capture > time);
+            costs[part] += cost;
+            most[part] += moment.observations().iter().map(weight).sum::<f64>();
+        }
+        let ceiling = self.loss.ceiling();
+        [0, 1].map(|part| costs[part] / (ceiling * most[part]).max(f64::MIN_POSITIVE))
     }
 
     /// The unknowns to start from.
@@ -138,7 +148,7 @@ impl<'a> PathProblem<'a> {
         if let Some(normal) = wanted.normal() {
             self.scatter_hessians(normal);
         }
-        cost + self.work.lanes.iter().map(|lane| lane.cost).sum::<f64>()
+        cost + self.work.costs().sum::<f64>()
     }
 
     /// 1/2 prior |z|^2 of each free knot, counted for each frame that it stands for, 1/2 shape prior

@@ -58,9 +58,12 @@ impl Counts {
     }
 }
 
+/// What the moments of the first lane are a multiple of: so many codes go through a layer at once.
+const TOGETHER: usize = 4;
+
 /// The moments of the two lanes.
 pub(super) fn in_lanes(moments: &[Moment]) -> [&[Moment]; 2] {
-    moments.split_at(moments.len() / 2).into()
+    moments.split_at(moments.len() / 2 / TOGETHER * TOGETHER).into()
 }
 
 impl Workspace {
@@ -74,6 +77,11 @@ impl Workspace {
     pub fn counts(&self) -> Counts {
         let [first, second] = &self.lanes;
         first.counts + second.counts
+    }
+
+    /// What each moment cost at the last evaluation.
+    pub(super) fn costs(&self) -> impl Iterator<Item = f64> {
+        self.lanes.iter().flat_map(|lane| &lane.costs).copied()
     }
 
     /// Another problem begins.

@@ -2,22 +2,24 @@
 
 use std::ops::Range;
 
+use nalgebra::RealField;
+
 /// The lower half of a symmetric matrix of `blocks` x `blocks` square blocks of `size`, in which
 /// block (i, j) vanishes where |i - j| exceeds the bandwidth.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Banded {
+pub struct Banded<T = f64> {
     size: usize,
     blocks: usize,
     bandwidth: usize,
     /// Column-major: entry (i, j) is at i + j * stride, so a column begins where the band of the one
     /// before ends.
-    data: Vec<f64>,
+    data: Vec<T>,
 }
 
-impl Banded {
+impl<T: RealField + Copy> Banded<T> {
     /// All zero. `bandwidth` counts blocks beside the diagonal one.
     pub fn zeros(size: usize, blocks: usize, bandwidth: usize) -> Self {
-        let data = vec![0.0; size * blocks * (size * (bandwidth + 1) + 1)];
+        let data = vec![T::zero(); size * blocks * (size * (bandwidth + 1) + 1)];
         Self { size, blocks, bandwidth, data }
     }
 
@@ -43,12 +45,7 @@ impl Banded {
 
     /// Sets all entries to zero.
     pub fn clear(&mut self) {
-        self.data.fill(0.0);
-    }
-
-    /// Takes the entries of another matrix of the same layout.
-    pub fn copy_from(&mut self, other: &Self) {
-        self.data.copy_from_slice(&other.data);
+        self.data.fill(T::zero());
     }
 
     /// How far apart in memory two columns are.
@@ -57,7 +54,7 @@ impl Banded {
     }
 
     /// What is in memory from the first entry of a block on the diagonal.
-    pub(super) fn tail_mut(&mut self, block: usize) -> &mut [f64] {
+    pub(super) fn tail_mut(&mut self, block: usize) -> &mut [T] {
         let first = block * self.size * (self.stride() + 1);
         &mut self.data[first..]
     }
@@ -75,29 +72,29 @@ impl Banded {
 
     /// Entries of a column, in rows that the band has there. Above the diagonal nothing counts, but
     /// within a block on the diagonal it may be written.
-    pub fn column(&self, rows: Range<usize>, column: usize) -> &[f64] {
+    pub fn column(&self, rows: Range<usize>, column: usize) -> &[T] {
         &self.data[self.at(&rows, column)]
     }
 
     /// As [`Banded::column`], to change it.
-    pub fn column_mut(&mut self, rows: Range<usize>, column: usize) -> &mut [f64] {
+    pub fn column_mut(&mut self, rows: Range<usize>, column: usize) -> &mut [T] {
         let at = self.at(&rows, column);
         &mut self.data[at]
     }
 
     /// An entry; those far from the diagonal are zero.
-    pub fn entry(&self, i: usize, j: usize) -> f64 {
+    pub fn entry(&self, i: usize, j: usize) -> T {
         let (i, j) = (i.max(j), i.min(j));
-        if i < self.end(j) { self.column(i..i + 1, j)[0] } else { 0.0 }
+        if i < self.end(j) { self.column(i..i + 1, j)[0] } else { T::zero() }
     }
 
     /// Entry i of the diagonal.
-    pub fn diagonal(&self, i: usize) -> f64 {
+    pub fn diagonal(&self, i: usize) -> T {
         self.data[i * (self.stride() + 1)]
     }
 
     /// Adds to entry i of the diagonal.
-    pub fn add_to_diagonal(&mut self, i: usize, value: f64) {
+    pub fn add_to_diagonal(&mut self, i: usize, value: T) {
         let at = i * (self.stride() + 1);
         self.data[at] += value;
     }
@@ -105,8 +102,15 @@ impl Banded {
     /// Makes row and column i those of the identity, so that unknown i keeps its place.
     pub fn pin(&mut self, i: usize) {
         let first = (i / self.size).saturating_sub(self.bandwidth) * self.size;
-        (first..i).for_each(|column| self.column_mut(i..i + 1, column).fill(0.0));
-        self.column_mut(i..self.end(i), i).fill(0.0);
-        self.add_to_diagonal(i, 1.0);
+        (first..i).for_each(|column| self.column_mut(i..i + 1, column).fill(T::zero()));
+        self.column_mut(i..self.end(i), i).fill(T::zero());
+        self.add_to_diagonal(i, T::one());
+    }
+}
+
+impl Banded<f32> {
+    /// Takes the entries of another matrix of the same layout, rounded.
+    pub fn round_from(&mut self, other: &Banded) {
+        self.data.iter_mut().zip(&other.data).for_each(|(mine, other)| *mine = *other as f32);
     }
 }

@@ -25,9 +25,9 @@ const DECAY: f64 = 0.1;
 const LIVE_KEYFRAMES: usize = 2;
 /// Most keyframes that the shape is found with.
 const SHAPE_KEYFRAMES: usize = 10;
-/// A window's start is far from what was seen if it costs more than this part of the most that it
-/// could.
-const FAR: f64 = 0.25;
+/// A window begins far from what was seen if its new frames cost this much more than those known before,
+/// as parts of the most that they could.
+const FAR: f64 = 0.3;
 /// How the keyframes are found that a window is grown by: roughly, from afar.
 const GROWTH: Steps = Steps { iterations: 1, looseness: 3.0 };
 /// How much a window's first keyframe is what the window before said of it.
@@ -357,7 +357,9 @@ impl Solver {
             &mut self.work,
         );
         let mut x = problem.start();
-        let mut start_cost = problem.cost(&x);
+        let cost = problem.cost(&x);
+        let known_until = known.end(job) + job.half_frame;
+        let mut misfits = problem.misfits(known_until);
         if let Some([(t0, a), (t1, b)]) = known.last_two() {
             // Or else: the root goes on as it did.
             let onward = problem.start_at(|_, knot| {
@@ -367,13 +369,12 @@ impl Solver {
                     false => knot.keyframe.clone(),
                 }
             });
-            let onward_cost = problem.cost(&onward);
-            if onward_cost < start_cost {
-                (x, start_cost) = (onward, onward_cost);
+            if problem.cost(&onward) < cost {
+                (x, misfits) = (onward, problem.misfits(known_until));
             }
         }
         let new = free().filter(|&at| at > known.end(job)).count();
-        if new > 1 && start_cost > FAR * problem.ceiling() {
+        if new > 1 && misfits[1] - misfits[0] > FAR {
             let ahead = self.grow(job, points, known, times, moments);
             let known = Known { ahead: &ahead, ..known };
             return self.keyframes(job, points, known, times, moments, steps);

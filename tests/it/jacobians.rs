@@ -8,6 +8,8 @@ use bundlemocap::manifold::{
 use bundlemocap::so3;
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
+use crate::manifold::decoded;
+
 /// Central differences of fourth order of `f` at `x`: columns are the derivatives by each entry. The
 /// decoder has six digits, so a step through it must be some hundredths long.
 pub fn numeric_jacobian(x: &[f64], step: f64, f: impl Fn(&[f64]) -> Vec<f64>) -> DMatrix<f64> {
@@ -112,9 +114,9 @@ fn decoded_rotations_by_the_code() {
         let mut analytic = vec![0.0; 3 * BODY_JOINTS * LATENT];
         work.local_tangents(n, &mut analytic);
         let analytic = wide(3 * BODY_JOINTS, LATENT, &analytic);
-        let at = decoder.decode(z);
+        let at = decoded(z);
         let numeric = numeric_jacobian(z, 1e-3, |x| {
-            let moved = decoder.decode(x.try_into().unwrap());
+            let moved = decoded(&x.try_into().unwrap());
             let turn = |j: usize| so3::log(&(at[j].transpose() * moved[j]));
             (0..BODY_JOINTS).flat_map(|j| turn(j).as_slice().to_vec()).collect()
         });
