@@ -39,7 +39,7 @@ pub struct DctWeights {
 impl Default for DctWeights {
     fn default() -> Self {
         Self {
-            smoothness: 3e4,
+            smoothness: 3e5,
             prior: 30.0,
             scale_px: 30.0,
             segment: 30,

@@ -33,7 +33,7 @@ pub struct EtcWeights {
 
 impl Default for EtcWeights {
     fn default() -> Self {
-        Self { smoothness: 3e4, prior: 30.0, scale_px: 60.0, iterations: 30 }
+        Self { smoothness: 9e4, prior: 30.0, scale_px: 30.0, iterations: 30 }
     }
 }
 

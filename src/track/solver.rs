@@ -32,6 +32,8 @@ const FAR: f64 = 0.3;
 const GROWTH: Steps = Steps { iterations: 1, looseness: 3.0 };
 /// How much a window's first keyframe is what the window before said of it.
 const FADE: f64 = 0.5;
+/// A first fit, of which the shape stays, goes on until a step lowers the cost by less than this part.
+const ACQUISITION_CHANGE: f64 = 1e-4;
 /// How much of the prior on codes counts where marks are learnt.
 const LEARNING_PRIOR: f64 = 0.1;
 
@@ -92,6 +94,8 @@ pub struct Solver {
     decoder: Decoder,
     config: Config,
     optimiser: Box<dyn Optimiser>,
+    /// That of first fits.
+    acquirer: Box<dyn Optimiser>,
     work: Workspace,
     /// Who solves, if not this thread alone.
     team: Option<Team>,
@@ -101,7 +105,8 @@ impl Solver {
     /// A solver on that manifold. It starts the threads that `config` asks for; where the system
     /// refuses them, it does without.
     pub fn new(decoder: Decoder, config: Config) -> Self {
-        let optimiser = config.method.optimiser(config.change_threshold);
+        let [optimiser, acquirer] = [f64::INFINITY, ACQUISITION_CHANGE]
+            .map(|most| config.method.optimiser(config.change_threshold.min(most)));
         let team = (config.threads > 1).then(|| Team::of(config.threads)).and_then(|team| {
             team.inspect_err(|error| tracing::warn!("one thread solves: {error}")).ok()
         });
@@ -109,7 +114,7 @@ impl Solver {
             Some(_) => Workspace::in_parallel(),
             None => Workspace::default(),
         };
-        Self { decoder, config, optimiser, work, team }
+        Self { decoder, config, optimiser, acquirer, work, team }
     }
 
     /// The manifold.
@@ -163,7 +168,7 @@ impl Solver {
                 &template,
                 if known.is_none() { self.config.free_body() } else { FreeBody::Fixed },
                 &self.config,
-                &mut *self.optimiser,
+                &mut *self.acquirer,
                 &mut self.work,
             );
             let Some((keyframe, rough)) = found else { continue };
@@ -221,7 +226,7 @@ impl Solver {
                 &mut self.work,
             );
             let mut x = problem.start();
-            self.optimiser.minimise(&mut problem, &mut x, self.config.iterations);
+            self.acquirer.minimise(&mut problem, &mut x, self.config.iterations);
             let (keyframes, _) = problem.solution(&x);
             knots.extend(keyframes.into_iter().skip(1).map(|keyframe| Knot {
                 capture: end,
@@ -235,7 +240,7 @@ impl Solver {
         let known: Vec<Moment> = moments.into_iter().filter(|m| m.capture <= solved).collect();
         let mut problem = PathProblem::new(scene, knots, &rough, free, &known, &mut self.work);
         let mut x = problem.start();
-        self.optimiser.minimise(&mut problem, &mut x, self.config.acquisition_iterations);
+        self.acquirer.minimise(&mut problem, &mut x, self.config.acquisition_iterations);
         let (keyframes, skeleton) = problem.solution(&x);
         (keyframes.into_iter().next().unwrap_or(first), skeleton)
     }

@@ -191,17 +191,6 @@ fn joint_distance(tree: &Tree, a: &Locals, b: &Locals) -> f64 {
     distances.sum::<f64>() / JOINTS as f64
 }
 
-/// Mean square of the numbers of codes that are used, over all frames.
-pub fn latent_square(model: &Model, clips: &[Clip]) -> f64 {
-    let (mut sum, mut count) = (0.0, 0);
-    for clip in clips {
-        let codes = encode(model, &clip.poses);
-        sum += codes.as_flattened().iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>();
-        count += codes.len() * model.latent();
-    }
-    sum / count.max(1) as f64
-}
-
 /// Share of the joint rotations decoded from codes drawn from N(0, I) that turn further from the
 /// rest pose than the same joint ever does in `clips`, by more than 5 degrees.
 pub fn prior_outside(model: &Model, clips: &[Clip], seed: u64) -> f64 {

@@ -5,8 +5,8 @@
 //! same of poses decoded from decode(slerp(encode(a), encode(b), s)) against the true pose
 //! between, since that is what the solver relies on; and the divergence of the codes from
 //! N(0, I). Few clips have to cover many people: samples are mirrored, some join one clip's legs
-//! with another's upper body, and some move about another clip's mean pose. At the end all codes
-//! are stretched to a mean square of 1 over the clips.
+//! with another's upper body, and some move about another clip's mean pose. At the end codes
+//! get coordinates in which they are nearer to N(0, I) over the clips (`standard`).
 //!
 //! Everything is seeded: the same data, options and build give the same bytes on any number of
 //! threads, on processors with the same vector instructions.
@@ -24,6 +24,7 @@ mod options;
 mod restyle;
 mod rotation;
 mod sampler;
+mod standard;
 mod transition;
 
 use std::collections::BTreeMap;
@@ -48,6 +49,7 @@ use model::{Batch, LossWeights, Model, Whitening};
 use optimiser::Optimiser;
 use options::{check, command, loss_weights, optimiser_config, sampler_config};
 use sampler::Sampler;
+use standard::Standard;
 
 /// Steps from one [`Progress`] to the next.
 const REPORT_EVERY: usize = 50;
@@ -202,10 +204,7 @@ fn fit(
         }
     }
     model.fold(optimiser.averaged(), &whitening);
-    let square = evaluate::latent_square(&model, clips);
-    if square > 0.0 {
-        model.stretch(square.sqrt().recip() as f32);
-    }
+    model.recode(&Standard::of(&model, clips));
     Ok(model)
 }
 

@@ -3,6 +3,7 @@
 use std::ops::Range;
 use std::thread;
 
+use nalgebra::SVector;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -12,6 +13,7 @@ use super::limits::{Limits, draw_codes};
 use super::loss::{Tree, Weights, pose_loss};
 use super::mlp::{Mlp, Tape, fill_normal};
 use super::sampler::{BETWEEN, Sampler};
+use super::standard::Standard;
 use crate::body::Skeleton;
 use crate::manifold::LATENT;
 
@@ -85,18 +87,32 @@ impl Model {
         (0..LATENT).rev().find(used).map_or(0, |last| last + 1)
     }
 
-    /// Makes all codes `factor` times as long: the encoder's means and deviations grow, and the
-    /// decoder's first layer shrinks. Slerp and lerp commute with it, so nothing else changes.
-    pub fn stretch(&mut self, factor: f32) {
+    /// Gives codes other coordinates: the encoder's last layer goes over to them, and the decoder's first
+    /// layer comes back from them. Log variances follow what happens to each number by itself.
+    pub fn recode(&mut self, Standard { mean, to_new, to_old }: &Standard) {
+        type Vector = SVector<f64, LATENT>;
         if let Some(last) = self.encoder.layers().last() {
-            let means = last.weight.start..last.weight.start + LATENT * last.inputs;
-            self.parameters[means].iter_mut().for_each(|weight| *weight *= factor);
+            for column in 0..last.inputs {
+                let at = |row: usize| last.weight.start + row * last.inputs + column;
+                let new = to_new * Vector::from_fn(|row, _| self.parameters[at(row)].into());
+                (0..LATENT).for_each(|row| self.parameters[at(row)] = new[row] as f32);
+            }
             let (means, log_variances) = self.parameters[last.bias.clone()].split_at_mut(LATENT);
-            means.iter_mut().for_each(|bias| *bias *= factor);
-            log_variances.iter_mut().for_each(|bias| *bias += 2.0 * factor.ln());
+            let new = to_new * (Vector::from_fn(|row, _| means[row].into()) - mean);
+            for (row, (bias, log_variance)) in means.iter_mut().zip(log_variances).enumerate() {
+                *bias = new[row] as f32;
+                *log_variance += 2.0 * to_new[(row, row)].ln() as f32;
+            }
         }
         if let Some(first) = self.decoder.layers().first() {
-            self.parameters[first.weight.clone()].iter_mut().for_each(|weight| *weight /= factor);
+            for (row, bias) in first.weight.clone().step_by(LATENT).zip(first.bias.clone()) {
+                let row = row..row + LATENT;
+                let old = Vector::from_fn(|i, _| self.parameters[row.start + i].into());
+                self.parameters[bias] += old.dot(mean) as f32;
+                let new = to_old * old;
+                let weights = self.parameters[row].iter_mut().zip(&new);
+                weights.for_each(|(weight, new)| *weight = *new as f32);
+            }
         }
     }
 
@@ -398,9 +414,10 @@ impl Part {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
+    use nalgebra::{SMatrix, Vector3};
 
-    use super::super::corpus::{Clip, pose_vector};
+    use super::super::corpus::{Clip, mirrored, pose_vector};
+    use super::super::evaluate::{decode, encode};
     use super::super::sampler::{Config, statistics};
     use super::*;
     use crate::so3;
@@ -496,28 +513,34 @@ mod tests {
     }
 
     #[test]
-    fn stretching_changes_the_codes_and_not_the_poses() {
+    fn new_coordinates_change_the_codes_and_not_the_poses() {
         let clips = [clip()];
         let (model, whitening) = small(&clips);
-        let mut plain = model.clone();
-        plain.fold(&model.parameters, &whitening);
-        let mut stretched = plain.clone();
-        stretched.stretch(3.0);
-        let decoded = |model: &Model| {
-            let mut encoder = model.encoder.tape(8);
-            encoder.input_mut().copy_from_slice(clips[0].poses[..8].as_flattened());
-            model.encoder.forward(&model.parameters, &mut encoder);
-            let mut decoder = model.decoder.tape(8);
-            for (z, code) in
-                decoder.input_mut().chunks_mut(LATENT).zip(encoder.output().chunks(CODE))
-            {
-                z.copy_from_slice(&code[..LATENT]);
-            }
-            model.decoder.forward(&model.parameters, &mut decoder);
-            (encoder.output()[0], decoder.output().to_vec())
+        let mut before = model.clone();
+        before.fold(&model.parameters, &whitening);
+        let mut after = before.clone();
+        let standard = Standard::of(&before, &clips);
+        after.recode(&standard);
+        let others: Vec<_> = clips[0].poses.iter().map(mirrored).collect();
+        let codes =
+            |model: &Model| [encode(model, &clips[0].poses), encode(model, &others)].concat();
+        let (old, new) = (codes(&before), codes(&after));
+        for i in 0..LATENT {
+            let mean = new.iter().map(|code| f64::from(code[i])).sum::<f64>() / new.len() as f64;
+            assert!(mean.abs() < 1e-4);
+        }
+        // T is the inverse root of the covariance with half of what is beside its diagonal.
+        let product = |a: usize, b: usize| -> f64 {
+            let centred = |code: &[f32; LATENT], i: usize| f64::from(code[i]) - standard.mean[i];
+            old.iter().map(|code| centred(code, a) * centred(code, b)).sum::<f64>()
+                / old.len() as f64
         };
-        let ((z, pose), (long_z, same)) = (decoded(&plain), decoded(&stretched));
-        assert!((long_z - 3.0 * z).abs() < 1e-4 * long_z.abs());
-        assert!(pose.iter().zip(&same).all(|(a, b)| (a - b).abs() < 1e-5));
+        let halved = SMatrix::from_fn(|a, b| product(a, b) * if a == b { 1.0 } else { 0.5 });
+        let whitened = standard.to_new * halved * standard.to_new;
+        assert!((whitened - SMatrix::identity()).amax() < 1e-6);
+        assert_ne!(old[0], new[0]);
+        let poses = decode(&before, &old).into_iter().zip(decode(&after, &new));
+        let apart = poses.flat_map(|(a, b)| a.into_iter().zip(b)).map(|(a, b)| (a - b).amax());
+        assert!(apart.fold(0.0, f32::max) < 1e-4);
     }
 }
