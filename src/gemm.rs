@@ -144,7 +144,8 @@ wide! {
     pub fn dot(v: &[f32], w: &[f64]) -> f64 {
         let mut sums = [0.0; 8];
         let (v, w) = (v.chunks_exact(8), w[..v.len()].chunks_exact(8));
-        let rest: f64 = v.remainder().iter().zip(w.remainder()).map(|(v, w)| f64::from(*v) * w).sum();
+        let rest = v.remainder().iter().zip(w.remainder());
+        let rest: f64 = rest.map(|(v, w)| f64::from(*v) * w).sum();
         for (v, w) in v.zip(w) {
             (0..8).for_each(|k| sums[k] += f64::from(v[k]) * w[k]);
         }

@@ -61,7 +61,7 @@ impl Counts {
 /// What the moments of the first lane are a multiple of: so many codes go through a layer at once.
 const TOGETHER: usize = 4;
 
-/// The moments of the two lanes.
+/// The moments of the two lanes; fewer than twice as many are all in the second.
 pub(super) fn in_lanes(moments: &[Moment]) -> [&[Moment]; 2] {
     moments.split_at(moments.len() / 2 / TOGETHER * TOGETHER).into()
 }

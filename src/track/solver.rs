@@ -105,8 +105,8 @@ impl Solver {
     /// A solver on that manifold. It starts the threads that `config` asks for; where the system
     /// refuses them, it does without.
     pub fn new(decoder: Decoder, config: Config) -> Self {
-        let [optimiser, acquirer] = [f64::INFINITY, ACQUISITION_CHANGE]
-            .map(|most| config.method.optimiser(config.change_threshold.min(most)));
+        let optimiser = config.method.optimiser(config.change_threshold);
+        let acquirer = config.method.optimiser(config.change_threshold.min(ACQUISITION_CHANGE));
         let team = (config.threads > 1).then(|| Team::of(config.threads)).and_then(|team| {
             team.inspect_err(|error| tracing::warn!("one thread solves: {error}")).ok()
         });

@@ -1,6 +1,6 @@
 //! The coordinates of codes. The divergence brings codes only near to N(0, I), which is the solver's
 //! prior; the rest is done once they are trained: in the new coordinates each number has mean 0 and
-//! about unit variance over the clips, and half of their correlations are gone.
+//! about unit variance over the clips, and half of their correlations are taken out.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -11,14 +11,19 @@ use crate::manifold::LATENT;
 
 /// Which part of the correlations is believed: the few clips of a few people do not tell them all.
 const CORRELATION: f64 = 0.5;
+/// Least variance that counts, so that numbers stay finite where clips hardly move.
+const LEAST: f64 = 1e-4;
 
 type Vector = SVector<f64, LATENT>;
 type Matrix = SMatrix<f64, LATENT, LATENT>;
 
 /// New coordinates z' = T (z - m), with T symmetric.
 pub struct Standard {
+    /// m, the mean code.
     pub mean: Vector,
+    /// T.
     pub to_new: Matrix,
+    /// The inverse of T.
     pub to_old: Matrix,
 }
 
@@ -46,7 +51,8 @@ impl Standard {
         });
         let eigen = covariance.symmetric_eigen();
         let power = |exponent: f64| {
-            let scale = Matrix::from_diagonal(&eigen.eigenvalues.map(|value| value.powf(exponent)));
+            let scales = eigen.eigenvalues.map(|variance| variance.max(LEAST).powf(exponent));
+            let scale = Matrix::from_diagonal(&scales);
             let power = eigen.eigenvectors * scale * eigen.eigenvectors.transpose();
             Matrix::from_fn(|i, j| match i.max(j) < used {
                 true => power[(i, j)],
