@@ -11,7 +11,7 @@ use crate::camera::Rig;
 use crate::detect::KeypointFormat;
 use crate::manifold::Decoder;
 use crate::study::{Case, Methods, Run, Subject, View, procedural, run, subjects};
-use crate::synth::{Noise, Protocol, RigError, rig_named};
+use crate::synth::{Noise, Protocol, RigError, SequenceChoice, rig_named, sequence};
 use crate::train::{self, Clip, read_folder};
 
 /// Where the Human3.6M cameras are looked for, under `BUNDLEMOCAP_DATA` or `../shared`.
@@ -42,18 +42,20 @@ impl Setup {
             Failure::new(Exit::KeypointFormat, format!("{message}; use body_25 or halpe_26"))
         })?;
         let of_name = |name: &String| rig(name, arguments.h36m.as_deref()).map(Arc::new);
+        let subjects = match &arguments.motions {
+            Some(folder) => {
+                let training = arguments.tune.is_some();
+                subjects(&clips(folder, &protocol.subjects, training, arguments.every)?)
+            }
+            None => procedural(PROCEDURAL.div_ceil(arguments.every.max(1)), seconds),
+        };
+        let seed = protocol.seeds.first().copied().unwrap_or(1);
         Ok(Self {
             decoder: decoder(arguments.weights.as_deref())?,
-            subjects: match &arguments.motions {
-                Some(folder) => {
-                    let training = arguments.tune.is_some();
-                    subjects(&clips(folder, &protocol.subjects, training, arguments.every)?)
-                }
-                None => procedural(PROCEDURAL.div_ceil(arguments.every.max(1)), seconds),
-            },
+            subjects: usable(subjects, &protocol.sequence, seed),
             rigs: protocol.rigs.iter().map(of_name).collect::<Result<_, _>>()?,
             format,
-            seed: protocol.seeds.first().copied().unwrap_or(1),
+            seed,
             jobs: arguments.jobs,
             protocol,
         })
@@ -194,6 +196,25 @@ pub(super) fn rig(name: &str, h36m: Option<&Path>) -> Result<Rig, Failure> {
         }
         _ => Failure::new(Exit::BadCalibration, error.to_string()),
     })
+}
+
+/// Subjects of whose motion a stretch can be used; the others are named on standard error.
+fn usable(subjects: Vec<Subject>, choice: &SequenceChoice, seed: u64) -> Vec<Subject> {
+    let fits = |subject: &Subject| {
+        let seed = Protocol::seed_of(seed, subject.index);
+        sequence(&subject.poses, train::FPS, choice, seed).is_some()
+    };
+    let (usable, others): (Vec<_>, Vec<_>) = subjects.into_iter().partition(fits);
+    if !others.is_empty() {
+        let names: Vec<&str> = others.iter().map(|subject| subject.name.as_str()).collect();
+        eprintln!(
+            "left out: {}, since no {} s stay within {} m and move as people can",
+            names.join(", "),
+            choice.least_seconds,
+            choice.radius_m
+        );
+    }
+    usable
 }
 
 fn known_h36m() -> Option<PathBuf> {

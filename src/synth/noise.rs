@@ -168,17 +168,17 @@ impl Noise {
     /// Few cameras and a detector far from what it was trained on.
     pub fn sparse() -> Self {
         Self {
-            jitter: 0.017,
+            jitter: 0.0195,
             hardness: 0.6,
-            wander: 0.019,
-            bias_m: 0.029,
+            wander: 0.022,
+            bias_m: 0.033,
             confidence: 0.70,
             doubt: 0.10,
             missing: 0.04,
             outliers: 0.01,
             occlusions: 0.25,
             occlusion_s: 1.2,
-            hallucination: 0.06,
+            hallucination: 0.069,
             swaps: 0.06,
             swap_s: 0.5,
             ..Self::studio()

@@ -20,6 +20,9 @@ mod topic {
 /// Joints do not move faster than this, m/s: where one does, the capture leaps, as from the reference
 /// pose that many files begin with.
 const FASTEST: f64 = 15.0;
+/// Nor does a pelvis accelerate more than this in the mean, m/s^2: what falls has a quarter of it, who
+/// runs half.
+const MOST_ACCELERATION: f64 = 40.0;
 
 /// Points that touch the floor.
 const SOLE: [Keypoint; 6] = [
@@ -53,9 +56,10 @@ pub struct Sequence {
 /// `choice.seconds` is taken that stays within `choice.radius_m` of its own middle: that nearest to
 /// the middle of the motion, or where there is none, the longest shorter one. Its middle is moved to
 /// the origin, and the whole turned by a drawn angle. No stretch goes over a leap, where a joint is faster
-/// than 15 m/s. The same seed gives the same sequence.
+/// than 15 m/s, and in none the pelvis accelerates by more than 40 m/s^2 in the mean: such a capture is
+/// broken. The same seed gives the same sequence.
 ///
-/// `None` where no stretch of `choice.least_seconds` stays within the radius.
+/// `None` where no stretch of `choice.least_seconds` is left.
 pub fn sequence(
     poses: &[Pose],
     source_fps: f64,
@@ -133,8 +137,10 @@ fn stretch(
             if leaps[first + 1..first + count].contains(&true) {
                 return None;
             }
-            let middle = middle_within(&poses[first..first + count], choice.radius_m)?;
-            Some((first, count, middle))
+            let stretch = &poses[first..first + count];
+            let middle = middle_within(stretch, choice.radius_m)?;
+            let possible = mean_acceleration(stretch, fps) <= MOST_ACCELERATION;
+            possible.then_some((first, count, middle))
         });
         if found.is_some() {
             return found;
@@ -151,6 +157,15 @@ fn leaps(poses: &[Pose], skeleton: &Skeleton, fps: f64) -> Vec<bool> {
         pair[0].iter().zip(&pair[1]).any(|(a, b)| (b - a).norm() * fps > FASTEST)
     };
     std::iter::once(false).chain(positions.windows(2).map(is_leap)).collect()
+}
+
+/// Of the pelvis, m/s^2.
+fn mean_acceleration(poses: &[Pose], fps: f64) -> f64 {
+    let bend = |three: &[Pose]| {
+        let [a, b, c] = [0, 1, 2].map(|at| three[at].root_position);
+        (c - 2.0 * b + a).norm() * fps * fps
+    };
+    poses.windows(3).map(bend).sum::<f64>() / poses.len().saturating_sub(2).max(1) as f64
 }
 
 /// The middle of the box around the path of the pelvis on the floor, if the path stays within the
@@ -183,5 +198,22 @@ mod tests {
         poses[100] = at(9.0);
         let cut = sequence(&poses, 60.0, &choice, 1).unwrap();
         assert!(cut.first > 100 || cut.first + cut.poses.len() <= 100, "{}", cut.first);
+    }
+    #[test]
+    fn a_pelvis_that_shakes_as_nobody_can_is_left_out() {
+        let choice = SequenceChoice { least_seconds: 1.0, ..SequenceChoice::default() };
+        // Up and down three times a second: 36 and 90 m/s^2 at most, 23 and 57 in the mean.
+        let shaken = |height: f64| {
+            let at = |frame: u32| {
+                let mut pose = Pose::rest();
+                let phase = 6.0 * std::f64::consts::PI * f64::from(frame) / 60.0;
+                pose.root_position = Vector3::y() * (0.9 + height * phase.sin());
+                pose
+            };
+            let poses: Vec<Pose> = (0..200).map(at).collect();
+            sequence(&poses, 60.0, &choice, 1)
+        };
+        assert!(shaken(0.1).is_some());
+        assert!(shaken(0.25).is_none());
     }
 }

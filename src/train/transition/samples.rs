@@ -9,6 +9,8 @@ use crate::manifold::{Keyframe, MOVE, STATE, move_of, state_of};
 
 /// Frames a second of the samples.
 pub const RATES: [f64; 3] = [30.0, 50.0, 60.0];
+/// No pelvis is faster, m/s: where it is, the capture leaps.
+const FASTEST: f64 = 15.0;
 
 /// Transitions at one rate.
 #[derive(Clone, Debug, Default)]
@@ -20,7 +22,8 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// All transitions of clips at a rate, and of their mirror images where `mirror`.
+    /// All transitions of clips at a rate, but those over a leap, and of their mirror images where
+    /// `mirror`.
     pub fn of(model: &Model, clips: &[Clip], fps: f64, mirror: bool) -> Self {
         let mut samples = Self::default();
         for clip in clips {
@@ -36,6 +39,12 @@ impl Samples {
         let step = fps.recip();
         for three in keyframes.windows(3) {
             let [a, b, c] = [&three[0], &three[1], &three[2]];
+            let leaps = |a: &Keyframe, b: &Keyframe| {
+                (b.root_position - a.root_position).norm() > FASTEST * step
+            };
+            if leaps(a, b) || leaps(b, c) {
+                continue;
+            }
             self.states.extend(state_of(a, b, step).map(|v| v as f32));
             self.moves.extend(move_of([a, b, c], step).map(|v| v as f32));
         }
