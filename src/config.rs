@@ -130,7 +130,7 @@ impl Config {
         ]
     }
 
-    fn weights(&self) -> [Limit; 18] {
+    fn weights(&self) -> [Limit; 19] {
         let track::Config { cost, gate, min_confidence, .. } = self.track;
         let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
         let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
@@ -140,6 +140,7 @@ impl Config {
             above_0("track.cost.scale_px", cost.scale_px),
             from_0("track.change_threshold", self.track.change_threshold),
             from_0("track.cost.prior", cost.prior),
+            from_0("track.cost.prior_freedom", cost.prior_freedom),
             from_0("track.cost.shape_prior", cost.shape_prior),
             from_0("track.cost.mark_prior", cost.mark_prior),
             from_0("track.cost.jacobian_reach", cost.jacobian_reach),
@@ -259,6 +260,7 @@ mod tests {
         refused("track", "min_confidence", "1.5", "0 to 1");
         refused("track.cost", "scale_px", "0.0", "a number above 0");
         refused("track.cost", "prior", "-1.0", "0 or a number above");
+        refused("track.cost", "prior_freedom", "nan", "0 or a number above");
         refused("track.cost", "shape_prior", "inf", "0 or a number above");
         refused("track.cost", "mark_prior", "-1.0", "0 or a number above");
         refused("track.cost.stiffness", "turn", "-0.1", "0 or a number above");

@@ -36,7 +36,7 @@ pub struct MuVsWeights {
 
 impl Default for MuVsWeights {
     fn default() -> Self {
-        Self { prior: 30.0, scale_px: 30.0, iterations: 30, loose_iterations: 3, loose_scale: 3.0 }
+        Self { prior: 90.0, scale_px: 60.0, iterations: 30, loose_iterations: 3, loose_scale: 3.0 }
     }
 }
 
@@ -104,7 +104,8 @@ impl PerFrame {
 
 impl MuVsWeights {
     pub(super) fn cost(&self) -> cost::Config {
-        cost::Config { prior: self.prior, scale_px: self.scale_px, ..cost::Config::default() }
+        let (prior, scale_px) = (self.prior, self.scale_px);
+        cost::Config { prior, prior_freedom: 0.0, scale_px, ..cost::Config::default() }
     }
 }
 

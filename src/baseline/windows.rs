@@ -34,7 +34,7 @@ impl Windows {
     pub fn paper_with_our_optimiser() -> Self {
         let Config { method, change_threshold, .. } = Config::default();
         let paper = Config::paper();
-        let cost = cost::Config { scale_px: 30.0, ..paper.cost };
+        let cost = cost::Config { prior: 30.0, ..paper.cost };
         let config = Config { method, change_threshold, cost, ..paper };
         Self::new("BundleMoCap (paper, LM)", config)
     }

@@ -89,7 +89,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "MINUTES", conflicts_with_all = ["ablation", "tune"])]
     pub(super) drift_minutes: Option<f64>,
     /// Vary our settings one at a time: all, or some of window, publish, keyframe, interpolation,
-    /// stiffness, slack, optimiser, scale, prior, errors, cameras, noise, fps.
+    /// stiffness, slack, optimiser, scale, prior, freedom, errors, cameras, noise, fps.
     #[arg(long, value_name = "FACTORS", value_delimiter = ',', conflicts_with = "tune")]
     pub(super) ablation: Vec<String>,
     /// Try a grid of weights of a method, on the subjects that are not named.

@@ -11,8 +11,10 @@ use crate::manifold::Interpolation;
 pub struct Config {
     /// Scale s of the Geman-McClure loss, pixels: an error of s counts a quarter of its square.
     pub scale_px: f64,
-    /// Weight of |z|^2 in each frame, square pixels: a keyframe counts for the frames up to it.
+    /// Weight of the prior on z in each frame, square pixels: a keyframe counts for the frames up to it.
     pub prior: f64,
+    /// Degrees of freedom of the prior, a Student t: fewer hold unusual poses back less. 0 for |z|^2 itself.
+    pub prior_freedom: f64,
     /// Weight of the squared shape coefficients, square pixels, while the shape is free.
     pub shape_prior: f64,
     /// Weight of the squared marks, square pixels for each (12 mm)^2, while they are free.
@@ -32,6 +34,7 @@ impl Default for Config {
         Self {
             scale_px: 30.0,
             prior: 20.0,
+            prior_freedom: 50.0,
             shape_prior: 1000.0,
             mark_prior: 300.0,
             jacobian_reach: 0.7,

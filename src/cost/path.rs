@@ -9,7 +9,7 @@ use super::config::Config;
 use super::ends::{End, block, ends};
 use super::moment::{self, Path};
 use super::observation::{Moment, Observation};
-use super::robust::GemanMcClure;
+use super::robust::{GemanMcClure, StudentT};
 use super::unknowns::{FreeBody, KEYFRAME, Knot, Unknowns};
 use super::workspace::{Workspace, in_lanes};
 use crate::body::{BodyPoint, SHAPE_COEFFICIENTS, Skeleton};
@@ -151,10 +151,11 @@ impl<'a> PathProblem<'a> {
         cost + self.work.costs().sum::<f64>()
     }
 
-    /// 1/2 prior |z|^2 of each free knot, counted for each frame that it stands for, 1/2 shape prior
+    /// 1/2 prior rho(|z|^2) of each free knot, counted for each frame that it stands for, 1/2 shape prior
     /// |shape|^2, 1/2 mark prior |marks|^2, and the path's stiffness. Overwrites what is wanted.
     fn prior(&self, x: &[f64], wanted: &mut Wanted) -> f64 {
-        let Config { prior, shape_prior, mark_prior, stiffness, .. } = *self.scene.config;
+        let Config { prior, prior_freedom, shape_prior, mark_prior, stiffness, .. } =
+            *self.scene.config;
         let mut cost = 0.0;
         if let Some(gradient) = wanted.gradient() {
             gradient.fill(0.0);
@@ -162,15 +163,22 @@ impl<'a> PathProblem<'a> {
         if let Some(normal) = wanted.normal() {
             normal.hessian.clear();
         }
-        let codes = self.unknowns.free_frames().enumerate();
-        let codes = codes.map(|(knot, frames)| (knot * KEYFRAME, LATENT, prior * frames));
+        let student = StudentT::new(prior_freedom);
+        let codes = self.unknowns.free_frames().enumerate().map(|(knot, frames)| {
+            let first = knot * KEYFRAME;
+            let (rho, slope) = student.rho(square(&x[first..first + LATENT]));
+            (first, LATENT, prior * frames * slope, prior * frames * rho)
+        });
         let body_at = self.unknowns.body_at();
         let shape = self.unknowns.body.min(SHAPE_COEFFICIENTS);
         let (marks_at, marks) = (body_at + shape, self.unknowns.body - shape);
         let body = [(body_at, shape, shape_prior), (marks_at, marks, mark_prior)];
-        for (first, count, weight) in codes.chain(body) {
+        let body = body.map(|(first, count, weight)| {
+            (first, count, weight, weight * square(&x[first..first + count]))
+        });
+        for (first, count, weight, twice_cost) in codes.chain(body) {
+            cost += 0.5 * twice_cost;
             for i in first..first + count {
-                cost += 0.5 * weight * x[i] * x[i];
                 if let Some(gradient) = wanted.gradient() {
                     gradient[i] = weight * x[i];
                 }
@@ -247,6 +255,11 @@ fn add_body_rows(unknowns: &Unknowns, ends: &[Option<End>], gram: &[f32], normal
         let body = (body_at..=row).zip(&entries[KEYFRAME..]);
         body.for_each(|(column, &value)| add(column, value.into()));
     }
+}
+
+/// The sum of squares.
+fn square(v: &[f64]) -> f64 {
+    v.iter().map(|v| v * v).sum()
 }
 
 /// out += v, as far as v goes.

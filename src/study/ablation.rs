@@ -33,7 +33,7 @@ pub enum Factor {
 }
 
 /// The names that [`factor`] knows.
-pub const FACTORS: [&str; 14] = [
+pub const FACTORS: [&str; 15] = [
     "window",
     "publish",
     "keyframe",
@@ -44,6 +44,7 @@ pub const FACTORS: [&str; 14] = [
     "stop",
     "scale",
     "prior",
+    "freedom",
     "errors",
     "cameras",
     "noise",
@@ -82,6 +83,11 @@ pub fn factor(name: &str) -> Option<Factor> {
         "prior" => numbers("prior", &[2.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, prior| {
             config.cost.prior = prior;
         }),
+        "freedom" => {
+            numbers("prior's freedom", &[0.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, f| {
+                config.cost.prior_freedom = f;
+            })
+        }
         "errors" => numbers("weights for px", &[0.0, 3.5, 5.0, 7.0, 10.0, 14.0], |config, px| {
             config.noise_px = px;
         }),

@@ -112,7 +112,8 @@ impl Config {
             coast_windows: 3,
             grace_windows: 3,
             cost: cost::Config {
-                prior: 30.0,
+                prior: 90.0,
+                prior_freedom: 0.0,
                 scale_px: 60.0,
                 jacobian_reach: 0.0,
                 stiffness: Stiffness::NONE,
