@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use super::event::EventKind;
 use super::job::{LiveFit, Outcome, Solution, TimedKeyframe, Tracked, Verdict};
-use super::machine::{KeyframeAt, Out, Output, Phase, Track, Window, WindowReport};
+use super::machine::{Out, Phase, Track, Window};
 use super::noise::Noise;
+use super::port::{KeyframeAt, Output, WindowReport};
 use crate::body::{Pose, Skeleton, StampedPose, TrackingState};
 use crate::manifold::Keyframe;
 use crate::time::{Grid, Timestamp};

@@ -1,8 +1,9 @@
 //! The compute half of tracking: a job in, a solution out, nothing kept but memory.
 
+mod first_fit;
+
 use std::sync::Arc;
 
-use super::acquire::{fit, sight};
 use super::association::follow;
 use super::config::Config;
 use super::job::{
@@ -13,7 +14,7 @@ use super::team::Team;
 use super::verdict::{hidden, residuals, verdict};
 use crate::body::{BodyPoint, MARKS, Pose, Skeleton, fitted_points};
 use crate::camera::Rig;
-use crate::cost::{self, FreeBody, Knot, Moment, PathProblem, Scene, Stiffness, Workspace};
+use crate::cost::{self, FreeBody, Knot, Moment, PathProblem, Scene, Workspace};
 use crate::detect::Detections;
 use crate::manifold::{Decoder, Interpolation, Keyframe};
 use crate::solve::{Optimiser, Problem, Summary};
@@ -23,8 +24,6 @@ use crate::time::Timestamp;
 const DECAY: f64 = 0.1;
 /// Keyframes of the open window that a provisional fit goes over again, besides the new ones.
 const LIVE_KEYFRAMES: usize = 2;
-/// Most keyframes that the shape is found with.
-const SHAPE_KEYFRAMES: usize = 10;
 /// A window begins far from what was seen if its new frames cost this much more than those known before,
 /// as parts of the most that they could.
 const FAR: f64 = 0.3;
@@ -148,101 +147,6 @@ impl Solver {
                 self.live(job, &points, Known { past, ahead, skeleton })
             }
         }
-    }
-
-    /// The first frame set in which a performer is seen; the shape from all the job's windows.
-    fn acquire(
-        &mut self,
-        job: &Job,
-        points: &[BodyPoint],
-        known: Option<&Arc<Skeleton>>,
-    ) -> Outcome {
-        for (at, set) in frame_sets(&job.frames, job.half_frame) {
-            let Some(sighting) = sight(&set, &job.rig, points, &self.config) else { continue };
-            let config = &self.config.cost;
-            let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config };
-            let template = known.map_or_else(Skeleton::default, |skeleton| (**skeleton).clone());
-            let found = fit(
-                &sighting,
-                scene,
-                &template,
-                if known.is_none() { self.config.free_body() } else { FreeBody::Fixed },
-                &self.config,
-                &mut *self.acquirer,
-                &mut self.work,
-            );
-            let Some((keyframe, rough)) = found else { continue };
-            let (keyframe, skeleton) = match known {
-                Some(skeleton) => (keyframe, Arc::clone(skeleton)),
-                None => {
-                    let (keyframe, skeleton) = self.fit_shape(job, points, at, keyframe, rough);
-                    (keyframe, Arc::new(skeleton))
-                }
-            };
-            let keyframe = keyframe.settled();
-            let pose = Box::new(self.decoder.pose(&keyframe));
-            return Outcome::Acquired { at, keyframe: Box::new(keyframe), skeleton, pose };
-        }
-        Outcome::NobodyFound
-    }
-
-    /// Refines the first keyframe and the shape over all the job's windows at once.
-    fn fit_shape(
-        &mut self,
-        job: &Job,
-        points: &[BodyPoint],
-        at: Timestamp,
-        keyframe: Keyframe,
-        rough: Skeleton,
-    ) -> (Keyframe, Skeleton) {
-        let frames = self.config.window() * self.config.shape_windows.max(1);
-        let spacing = frames.div_ceil(SHAPE_KEYFRAMES).max(self.config.keyframe());
-        let stretches = frames.div_ceil(spacing) as i64;
-        let span = ((job.end - job.start) / stretches).max(1);
-        let frames = job.frames.iter().filter(|frame| frame.capture >= at);
-        let moments = self.follow(frames, points, &job.rig, &keyframe, &rough);
-        let last = moments.last().map_or(at, |moment| moment.capture);
-        // Only the shape and the first keyframe are kept: few keyframes and no stiffness will do.
-        let cost = cost::Config { stiffness: Stiffness::NONE, ..self.config.cost };
-        let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
-        let frames = spacing as f64;
-        let mut knots = vec![Knot { capture: at, keyframe, free: true, frames }];
-        for stretch in 1..=stretches {
-            let (start, end) = (at + span * (stretch - 1), at + span * stretch);
-            let inside: Vec<Moment> = moments
-                .iter()
-                .filter(|moment| moment.capture > start && moment.capture <= end.min(last))
-                .cloned()
-                .collect();
-            let Some(from) = knots.last().filter(|_| !inside.is_empty()) else { continue };
-            let from = Knot { free: false, ..from.clone() };
-            let to = Knot { capture: end, keyframe: from.keyframe.clone(), free: true, frames };
-            let mut problem = PathProblem::new(
-                scene,
-                vec![from, to],
-                &rough,
-                FreeBody::Fixed,
-                &inside,
-                &mut self.work,
-            );
-            let mut x = problem.start();
-            self.acquirer.minimise(&mut problem, &mut x, self.config.iterations);
-            let (keyframes, _) = problem.solution(&x);
-            knots.extend(keyframes.into_iter().skip(1).map(|keyframe| Knot {
-                capture: end,
-                keyframe,
-                free: true,
-                frames,
-            }));
-        }
-        let (first, free) = (knots[0].keyframe.clone(), self.config.free_body());
-        let solved = knots.last().map_or(at, |knot| knot.capture);
-        let known: Vec<Moment> = moments.into_iter().filter(|m| m.capture <= solved).collect();
-        let mut problem = PathProblem::new(scene, knots, &rough, free, &known, &mut self.work);
-        let mut x = problem.start();
-        self.acquirer.minimise(&mut problem, &mut x, self.config.acquisition_iterations);
-        let (keyframes, skeleton) = problem.solution(&x);
-        (keyframes.into_iter().next().unwrap_or(first), skeleton)
     }
 
     fn follow<'d>(
@@ -529,22 +433,4 @@ fn tracked(
 fn between(moments: &[Moment], [after, to]: [Timestamp; 2]) -> &[Moment] {
     let [first, end] = [after, to].map(|at| moments.partition_point(|m| m.capture <= at));
     &moments[first..end]
-}
-
-/// Groups frames into sets of one time: each set holds frames of different cameras at most
-/// `half_frame` after its first.
-fn frame_sets(frames: &[Arc<Detections>], half_frame: i64) -> Vec<(Timestamp, Vec<&Detections>)> {
-    let mut sets: Vec<(Timestamp, Vec<&Detections>)> = Vec::new();
-    for frame in frames {
-        match sets.last_mut() {
-            Some((first, set))
-                if frame.capture - *first <= half_frame
-                    && set.iter().all(|other| other.camera != frame.camera) =>
-            {
-                set.push(frame);
-            }
-            _ => sets.push((frame.capture, vec![frame])),
-        }
-    }
-    sets
 }
