@@ -4,6 +4,9 @@
 pub const JOINTS: usize = 22;
 /// Joints whose local rotation the manifold gives: all but the pelvis.
 pub const BODY_JOINTS: usize = JOINTS - 1;
+/// No joint moves faster than this, m/s: where one does, a capture leaps, as from the reference pose that
+/// many files begin with.
+pub const FASTEST: f64 = 15.0;
 
 /// A joint of the body. The discriminant is its index everywhere.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

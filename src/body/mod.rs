@@ -11,7 +11,7 @@ mod pose;
 mod skeleton;
 
 pub use forward::{Posture, Tangents, Wrenches, forward, push_forward};
-pub use joints::{BODY_JOINTS, JOINTS, Joint};
+pub use joints::{BODY_JOINTS, FASTEST, JOINTS, Joint};
 pub use keypoints::{Attachment, BodyPoint, fitted_points};
 pub use marks::{MARKS, Marks};
 pub use pose::{Pose, StampedPose, TrackingState};

@@ -11,7 +11,7 @@ use crate::camera::Rig;
 use crate::detect::KeypointFormat;
 use crate::manifold::Decoder;
 use crate::study::{Case, Methods, Run, Subject, View, procedural, run, subjects};
-use crate::synth::{Noise, Protocol, RigError, SequenceChoice, rig_named, sequence};
+use crate::synth::{Noise, Protocol, RigError, SequenceChoice, rig_named};
 use crate::train::{self, Clip, read_folder};
 
 /// Where the Human3.6M cameras are looked for, under `BUNDLEMOCAP_DATA` or `../shared`.
@@ -200,11 +200,8 @@ pub(super) fn rig(name: &str, h36m: Option<&Path>) -> Result<Rig, Failure> {
 
 /// Subjects of whose motion a stretch can be used; the others are named on standard error.
 fn usable(subjects: Vec<Subject>, choice: &SequenceChoice, seed: u64) -> Vec<Subject> {
-    let fits = |subject: &Subject| {
-        let seed = Protocol::seed_of(seed, subject.index);
-        sequence(&subject.poses, train::FPS, choice, seed).is_some()
-    };
-    let (usable, others): (Vec<_>, Vec<_>) = subjects.into_iter().partition(fits);
+    let (usable, others): (Vec<_>, Vec<_>) =
+        subjects.into_iter().partition(|subject| subject.stretch(choice, seed).is_some());
     if !others.is_empty() {
         let names: Vec<&str> = others.iter().map(|subject| subject.name.as_str()).collect();
         eprintln!(

@@ -10,7 +10,7 @@ use crate::camera::Rig;
 use crate::detect::KeypointFormat;
 use crate::so3;
 use crate::synth::{
-    Motion, MotionStyle, Noise, Protocol, Recording, SequenceChoice, sequence, through,
+    self, Motion, MotionStyle, Noise, Protocol, Recording, SequenceChoice, sequence, through,
 };
 use crate::train;
 
@@ -45,6 +45,14 @@ pub struct Subject {
     pub poses: Arc<Vec<Pose>>,
 }
 
+impl Subject {
+    /// The stretch of its motion that is used, on a body of its own; `None` where none fits, see
+    /// [`sequence`].
+    pub fn stretch(&self, choice: &SequenceChoice, seed: u64) -> Option<synth::Sequence> {
+        sequence(&self.poses, train::FPS, choice, Protocol::seed_of(seed, self.index))
+    }
+}
+
 /// A motion seen in one way: enough to make its [`Sequence`], the same each time.
 #[derive(Clone, Debug)]
 pub struct Case {
@@ -77,10 +85,10 @@ pub struct CaseName {
 
 impl Case {
     /// A subject seen in that way; `None` where no stretch of its motion fits, see
-    /// [`sequence`].
+    /// [`Subject::stretch`].
     pub fn new(subject: &Subject, view: &View) -> Option<Self> {
         let seed = Protocol::seed_of(view.seed, subject.index);
-        let made = sequence(&subject.poses, train::FPS, &view.choice, seed)?;
+        let made = subject.stretch(&view.choice, view.seed)?;
         Some(Self {
             name: CaseName { sequence: subject.name.clone(), seed },
             view: view.clone(),

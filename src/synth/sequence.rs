@@ -6,7 +6,7 @@ use super::detector::position;
 use super::motion::about_y;
 use super::protocol::SequenceChoice;
 use super::random::Draws;
-use crate::body::{JOINTS, Joint, Pose, SHAPE_COEFFICIENTS, Shape, Skeleton};
+use crate::body::{FASTEST, JOINTS, Joint, Pose, SHAPE_COEFFICIENTS, Shape, Skeleton};
 use crate::detect::Keypoint;
 
 /// Sets these draws apart from others of the same seed.
@@ -17,10 +17,7 @@ mod topic {
     pub(super) const HEADING: u64 = 1;
 }
 
-/// Joints do not move faster than this, m/s: where one does, the capture leaps, as from the reference
-/// pose that many files begin with.
-const FASTEST: f64 = 15.0;
-/// Nor does a pelvis accelerate more than this in the mean, m/s^2: what falls has a quarter of it, who
+/// A pelvis does not accelerate more than this in the mean, m/s^2: what falls has a quarter of it, who
 /// runs half.
 const MOST_ACCELERATION: f64 = 40.0;
 

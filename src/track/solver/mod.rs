@@ -67,6 +67,16 @@ impl Known<'_> {
         last.map_or(job.start, |(at, _)| *at)
     }
 
+    /// The last final keyframes, which stay.
+    fn fixed(&self) -> impl Iterator<Item = Knot> {
+        self.past.iter().map(|(capture, keyframe)| Knot {
+            capture: *capture,
+            keyframe: keyframe.clone(),
+            free: false,
+            frames: 0.0,
+        })
+    }
+
     /// The last two keyframes known, if there are two.
     fn last_two(&self) -> Option<[&TimedKeyframe; 2]> {
         let mut latest = self.past.iter().chain(self.ahead).rev();
@@ -211,14 +221,12 @@ impl Solver {
         let cost = self.cost(job);
         let cost = cost::Config { prior: LEARNING_PRIOR * cost.prior, mark_prior: 0.0, ..cost };
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
-        let knot = |(capture, keyframe): &TimedKeyframe, free: bool| Knot {
-            capture: *capture,
-            keyframe: keyframe.clone(),
-            free,
-            frames: f64::from(u8::from(free)) * self.config.keyframe() as f64,
-        };
-        let past = solved.past.iter().map(|timed| knot(timed, false));
-        let knots = past.chain(solved.ahead.iter().map(|timed| knot(timed, true))).collect();
+        let frames = self.config.keyframe() as f64;
+        let ahead = solved.ahead.iter().map(|(capture, keyframe)| {
+            let keyframe = keyframe.clone();
+            Knot { capture: *capture, keyframe, free: true, frames }
+        });
+        let knots = solved.fixed().chain(ahead).collect();
         let free = self.config.free_body();
         let mut problem =
             PathProblem::new(scene, knots, solved.skeleton, free, moments, &mut self.work);
@@ -240,13 +248,7 @@ impl Solver {
         let cost = cost::Config { scale_px: cost.scale_px * steps.looseness, ..cost };
         let interpolation = cost.interpolation;
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
-        let fixed = known.past.iter().map(|(capture, keyframe)| Knot {
-            capture: *capture,
-            keyframe: keyframe.clone(),
-            free: false,
-            frames: 0.0,
-        });
-        let mut knots: Vec<Knot> = fixed.collect();
+        let mut knots: Vec<Knot> = known.fixed().collect();
         let period = (2 * job.half_frame).max(1) as f64;
         let start = known.past.last().map_or(job.start, |(at, _)| *at);
         let free = || times.iter().copied().filter(|&capture| capture > start);

@@ -5,12 +5,11 @@ use nalgebra::{Matrix3, Vector3};
 use super::super::corpus::{Clip, FPS, Frame, mirrored, pose_vector, resampled};
 use super::super::evaluate::encode;
 use super::super::model::Model;
+use crate::body::FASTEST;
 use crate::manifold::{Keyframe, MOVE, STATE, move_of, state_of};
 
 /// Frames a second of the samples.
 pub const RATES: [f64; 3] = [30.0, 50.0, 60.0];
-/// No pelvis is faster, m/s: where it is, the capture leaps.
-const FASTEST: f64 = 15.0;
 
 /// Transitions at one rate.
 #[derive(Clone, Debug, Default)]
