@@ -6,16 +6,18 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::{bus, node, track};
+use crate::core::tracker;
+use crate::io::bus;
+use crate::live;
 
 /// All settings. `config/default.toml` holds the defaults with a comment each.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// Of the tracking machine and of what it solves.
-    pub track: track::Config,
+    pub track: tracker::Config,
     /// Of the live node.
-    pub node: node::Config,
+    pub node: live::Config,
     /// How the live node and the tools beside it exchange messages.
     pub bus: bus::Config,
 }
@@ -131,7 +133,7 @@ impl Config {
     }
 
     fn weights(&self) -> [Limit; 19] {
-        let track::Config { cost, gate, min_confidence, .. } = self.track;
+        let tracker::Config { cost, gate, min_confidence, .. } = self.track;
         let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
         let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
         [

@@ -5,7 +5,7 @@
 //!
 //! | rank | module | holds |
 //! |---|---|---|
-//! | 0 | [`time`], [`so3`], [`gemm`], [`detect`] | time stamps, rotations, dense products, what a 2D detector says |
+//! | 0 | [`time`], [`so3`], [`linalg`], [`detect`] | time stamps, rotations, dense products, what a 2D detector says |
 //! | 1 | [`body`], [`camera`], [`solve`] | skeleton and keypoints; cameras and triangulation; optimisers that know no bodies |
 //! | 2 | [`manifold`] | pose decoder, weights, interpolation, transitions |
 //! | 3 | [`cost`], [`msg`] | the window problem: reprojection, robust loss, prior; wire types |
@@ -44,27 +44,12 @@
 //! - \[Zhou 2019\] Zhou, Barnes, Lu, Yang, Li. On the continuity of rotation representations in
 //!   neural networks. CVPR 2019.
 
-pub mod baseline;
-pub mod body;
-pub mod bus;
-pub mod camera;
 pub mod cli;
 pub mod config;
-pub mod cost;
-pub mod detect;
-pub mod eval;
-pub mod export;
-pub mod gemm;
-pub mod import;
-pub mod manifold;
-pub mod msg;
-pub mod node;
-pub mod record;
+pub mod core;
+pub mod io;
+pub mod live;
+pub mod metrics;
+pub mod offline;
+pub mod research;
 pub mod retarget;
-pub mod so3;
-pub mod solve;
-pub mod study;
-pub mod synth;
-pub mod time;
-pub mod track;
-pub mod train;

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::failure::{Exit, Failure};
-use crate::bus::{self, Bus, Kind};
 use crate::config::Config;
-use crate::msg::Topics;
+use crate::io::bus::{self, Bus, Kind};
+use crate::io::wire::Topics;
 
 /// Which bus, which stage, which actor.
 #[derive(Debug, Args)]

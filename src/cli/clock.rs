@@ -7,18 +7,18 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use super::failure::{Exit, Failure};
-use crate::time::Timestamp;
+use crate::core::time::Timestamp;
 
 /// A wish to stop is seen within this time.
-pub(super) const ATTENTION: Duration = Duration::from_millis(20);
+pub(crate) const ATTENTION: Duration = Duration::from_millis(20);
 
 /// Whether the user wants an end; clones are the same wish.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Stop(Arc<AtomicBool>);
+pub(crate) struct Stop(Arc<AtomicBool>);
 
 impl Stop {
     /// Set by SIGINT and SIGTERM; a second signal ends the process at once.
-    pub(super) fn on_signals() -> Result<Self, Failure> {
+    pub(crate) fn on_signals() -> Result<Self, Failure> {
         let stop = Self::default();
         for signal in [SIGINT, SIGTERM] {
             let flag = || Arc::clone(&stop.0);
@@ -34,18 +34,18 @@ impl Stop {
 
     /// Wishes for an end.
     #[cfg(test)]
-    pub(super) fn stop(&self) {
+    pub(crate) fn stop(&self) {
         self.0.store(true, Ordering::Release);
     }
 
     /// Whether an end is wished for.
-    pub(super) fn is_set(&self) -> bool {
+    pub(crate) fn is_set(&self) -> bool {
         self.0.load(Ordering::Acquire)
     }
 }
 
 /// A clock to play by.
-pub(super) trait Clock {
+pub(crate) trait Clock {
     /// Nanoseconds since 1970.
     fn now(&self) -> Timestamp;
 
@@ -54,14 +54,14 @@ pub(super) trait Clock {
 }
 
 /// The wall clock when this was made, and steady from there on.
-pub(super) struct SteadyClock {
+pub(crate) struct SteadyClock {
     wall: Timestamp,
     steady: Instant,
     stop: Stop,
 }
 
 impl SteadyClock {
-    pub(super) fn new(stop: Stop) -> Self {
+    pub(crate) fn new(stop: Stop) -> Self {
         Self { wall: wall_clock(), steady: Instant::now(), stop }
     }
 }
@@ -89,7 +89,7 @@ impl Clock for SteadyClock {
 }
 
 /// The wall clock, nanoseconds since 1970.
-pub(super) fn wall_clock() -> Timestamp {
+pub(crate) fn wall_clock() -> Timestamp {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     Timestamp::from_ns(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
 }

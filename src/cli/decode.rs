@@ -8,13 +8,13 @@ use clap::Args;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::figures::losses;
 use super::solve::decoder;
 use super::terminal::{complain, say};
-use crate::body::Skeleton;
-use crate::manifold::Decoder;
-use crate::msg::{self, StampedKeyframe, Topics};
-use crate::record::{Message, Provenance, Reader, Writer};
+use crate::core::body::Skeleton;
+use crate::core::manifold::Decoder;
+use crate::io::recording::{Message, Provenance, Reader, Writer};
+use crate::io::wire::{self, StampedKeyframe, Topics};
+use crate::offline::figures::losses;
 
 /// Decode the poses of a recording from its keyframes alone.
 #[derive(Debug, Args)]
@@ -137,7 +137,7 @@ impl Performer {
             Some(skeleton) => skeleton,
             None => {
                 let skeleton = Skeleton::new(keyframe.shape);
-                let wire = msg::Skeleton::from_core(&skeleton);
+                let wire = wire::Skeleton::from_core(&skeleton);
                 writer.write(&skeleton_topic(topic), keyframe.capture, &wire)?;
                 skeleton
             }
@@ -146,7 +146,7 @@ impl Performer {
             Some(poses) => {
                 let topic = pose_topic(topic);
                 for pose in &poses {
-                    let wire = msg::Pose::from_core(pose, &skeleton, None);
+                    let wire = wire::Pose::from_core(pose, &skeleton, None);
                     writer.write(&topic, pose.capture, &wire)?;
                 }
                 decoded.poses += poses.len() as u64;

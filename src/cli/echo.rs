@@ -11,12 +11,12 @@ use super::Ended;
 use super::bus::{BusArguments, open, topics};
 use super::clock::{ATTENTION, Stop};
 use super::failure::Exit;
-use super::inbox::{Inbox, Received};
 use super::terminal::{complain, tell};
 use super::wire;
-use crate::msg::{DecodeError, ENCODING, Topics, schema_of};
-use crate::record::Message;
-use crate::time::Timestamp;
+use crate::core::time::Timestamp;
+use crate::io::recording::Message;
+use crate::io::wire::{DecodeError, ENCODING, Topics, schema_of};
+use crate::live::tools::inbox::{Inbox, Received};
 
 /// Print what is on the bus, one line a message.
 #[derive(Debug, Args)]
@@ -216,9 +216,9 @@ fn time_of_day(time: Timestamp) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::body::{Pose as BodyPose, Skeleton, StampedPose, TrackingState};
-    use crate::bus::{Bus, Memory};
-    use crate::msg::{Event, KeypointFrame, Pose, Publication, Schema, encode, media_type};
+    use crate::core::body::{Pose as BodyPose, Skeleton, StampedPose, TrackingState};
+    use crate::io::bus::{Bus, Memory};
+    use crate::io::wire::{Event, KeypointFrame, Pose, Publication, Schema, encode, media_type};
 
     const CAPTURE: Timestamp = Timestamp::from_ns(1_000_000_000);
 
@@ -239,7 +239,7 @@ mod tests {
 
     fn received(topic: &str, encoding: &str, payload: Vec<u8>) -> Received {
         let (topic, encoding) = (topic.into(), encoding.into());
-        let sample = crate::bus::Sample { topic, capture: CAPTURE, encoding, payload };
+        let sample = crate::io::bus::Sample { topic, capture: CAPTURE, encoding, payload };
         Received { sample, arrival: CAPTURE + 251_000_000 }
     }
 

@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::Ended;
-use super::bvh;
 use super::failure::{Exit, Failure};
-use super::figures::{frame_rate, losses};
-use super::kept::KeptPose;
-use super::output::{strip, text};
 use super::terminal::{complain, say};
-use crate::body::Skeleton;
-use crate::record::{Message, Reader};
+use crate::core::body::Skeleton;
+use crate::io::recording::{Message, Reader};
+use crate::offline::bvh;
+use crate::offline::figures::{frame_rate, losses};
+use crate::offline::kept::KeptPose;
+use crate::offline::output::{strip, text};
 
 /// Write the poses of a solved recording for other tools.
 #[derive(Debug, Args)]
@@ -117,8 +117,8 @@ pub(super) fn in_order(poses: &mut Vec<KeptPose>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::body::{Pose, StampedPose, TrackingState};
-    use crate::time::Timestamp;
+    use crate::core::body::{Pose, StampedPose, TrackingState};
+    use crate::core::time::Timestamp;
 
     #[test]
     fn poses_are_put_in_order_and_the_newest_of_a_time_stays() {

@@ -2,17 +2,17 @@
 
 use std::path::Path;
 
-use crate::bus::BusError;
-use crate::camera::CameraError;
 use crate::config::{ConfigError, is_frame_rate};
-use crate::eval::TrcError;
-use crate::manifold::WeightsError;
-use crate::record::RecordError;
+use crate::core::camera::CameraError;
+use crate::core::manifold::WeightsError;
+use crate::io::bus::BusError;
+use crate::io::formats::TrcError;
+use crate::io::recording::RecordError;
 
 /// Exit codes. The numbers are part of the interface: they are never given another meaning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub(super) enum Exit {
+pub(crate) enum Exit {
     Done = 0,
     /// Something that the user cannot have caused by input, such as a full disk.
     Unexpected = 1,
@@ -33,7 +33,7 @@ pub(super) enum Exit {
 }
 
 /// The codes as shown in `--help`.
-pub(super) const EXIT_CODES: &str = "\
+pub(crate) const EXIT_CODES: &str = "\
 Exit codes:
    0  done
    1  unexpected: the output cannot be written, or a fault of this program
@@ -52,7 +52,7 @@ Exit codes:
   14  a replay that differs from its recording";
 
 /// The value of `--fps`, if it can be one.
-pub(super) fn frame_rate_option(fps: f64) -> Result<f64, Failure> {
+pub(crate) fn frame_rate_option(fps: f64) -> Result<f64, Failure> {
     if is_frame_rate(fps) {
         return Ok(fps);
     }
@@ -62,30 +62,30 @@ pub(super) fn frame_rate_option(fps: f64) -> Result<f64, Failure> {
 
 /// Why a command failed.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Failure {
-    pub(super) exit: Exit,
-    pub(super) message: String,
+pub(crate) struct Failure {
+    pub(crate) exit: Exit,
+    pub(crate) message: String,
 }
 
 impl Failure {
-    pub(super) fn new(exit: Exit, message: impl Into<String>) -> Self {
+    pub(crate) fn new(exit: Exit, message: impl Into<String>) -> Self {
         Self { exit, message: message.into() }
     }
 
     /// A file that cannot be written.
-    pub(super) fn write(path: &Path, source: &std::io::Error) -> Self {
+    pub(crate) fn write(path: &Path, source: &std::io::Error) -> Self {
         let path = path.display();
         let fix = "check that the folder exists, is writable and has room";
         Self::new(Exit::Unexpected, format!("cannot write {path}: {source}; {fix}"))
     }
 
     /// Weights that cannot be used.
-    pub(super) fn weights(path: &Path, source: &WeightsError) -> Self {
+    pub(crate) fn weights(path: &Path, source: &WeightsError) -> Self {
         Self::new(Exit::Weights, format!("{}: {source}", path.display()))
     }
 
     /// The message in one line.
-    pub(super) fn line(&self) -> String {
+    pub(crate) fn line(&self) -> String {
         self.message
             .split('\n')
             .map(str::trim)

@@ -8,13 +8,13 @@ use clap::{Args, Subcommand};
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option};
 use super::terminal::{progress, say, table};
-use crate::camera::Rig;
-use crate::import::{
+use crate::core::camera::Rig;
+use crate::core::time::Timestamp;
+use crate::io::formats::{
     CameraReport, ImportError, MatchedBy, OpenposeFolder, Up, keypoint_format, read_calibration,
 };
-use crate::msg::Topics;
-use crate::record::{Provenance, Writer};
-use crate::time::Timestamp;
+use crate::io::recording::{Provenance, Writer};
+use crate::io::wire::Topics;
 
 /// Turn other tools' detections and calibration into a recording.
 #[derive(Debug, Args)]

@@ -7,9 +7,9 @@ use serde_json::{Value, json};
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::figures::losses;
 use super::terminal::{say, table};
-use crate::record::{Info, METADATA, scan, summary};
+use crate::io::recording::{Info, METADATA, scan, summary};
+use crate::offline::figures::losses;
 
 /// Show what a recording holds.
 #[derive(Debug, Args)]

@@ -4,35 +4,17 @@
 //! on standard error, `error: ...`, and an exit code of its own (see `--help`).
 
 mod bench;
-mod bench_cameras;
-mod bench_figures;
-mod bench_node;
 mod bus;
-mod bvh;
-mod clock;
+pub(crate) mod clock;
 mod completions;
 mod decode;
-mod driver;
 mod echo;
 mod eval;
-mod eval_ablation;
-mod eval_compare;
-mod eval_drift;
-mod eval_output;
-mod eval_recording;
-mod eval_setup;
-mod eval_tune;
 mod export;
-mod failure;
-mod figures;
+pub(crate) mod failure;
 mod import;
-mod inbox;
 mod info;
-mod input;
-mod kept;
-mod output;
 mod play;
-mod player;
 mod record;
 mod replay;
 mod retarget;
@@ -40,8 +22,7 @@ mod retarget_live;
 mod run;
 mod solve;
 mod synth;
-mod take;
-mod terminal;
+pub(crate) mod terminal;
 mod train;
 mod wire;
 

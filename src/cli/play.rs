@@ -9,11 +9,11 @@ use super::Ended;
 use super::bus::{BusArguments, open, topics};
 use super::clock::{Clock, SteadyClock, Stop};
 use super::failure::{Exit, Failure};
-use super::player::{Playing, Sent, play};
-use super::take::Take;
 use super::terminal::{progress, say, table, ticker};
-use crate::synth::Disturbance;
-use crate::time::Timestamp;
+use crate::core::time::Timestamp;
+use crate::live::tools::Disturbance;
+use crate::live::tools::player::{Playing, Sent, play};
+use crate::live::tools::take::Take;
 
 /// Time between opening the bus and the first frame, so that everybody knows of everybody.
 const LEAD: Duration = Duration::from_millis(500);

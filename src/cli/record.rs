@@ -11,12 +11,12 @@ use super::Ended;
 use super::bus::{BusArguments, open, topics};
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
-use super::inbox::{Inbox, Received};
 use super::terminal::{complain, note, say, table, ticker};
 use crate::config::Config;
-use crate::msg::{ENCODING, schema_of};
-use crate::record::{Provenance, RawEntry, RecordError, Writer};
-use crate::time::Timestamp;
+use crate::core::time::Timestamp;
+use crate::io::recording::{Provenance, RawEntry, RecordError, Writer};
+use crate::io::wire::{ENCODING, schema_of};
+use crate::live::tools::inbox::{Inbox, Received};
 
 /// How often the file is brought up to date.
 const FLUSH: Duration = Duration::from_secs(1);
@@ -168,9 +168,9 @@ fn rows(path: &Path, recorded: &Recorded, elapsed: Duration) -> Vec<(String, Str
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bus::{Bus, Memory};
-    use crate::msg::{Event, Topics, encode, media_type};
-    use crate::record::{Message, Reader};
+    use crate::io::bus::{Bus, Memory};
+    use crate::io::recording::{Message, Reader};
+    use crate::io::wire::{Event, Topics, encode, media_type};
 
     fn event(count: u64) -> Event {
         Event { kind: "late".into(), count, ..Event::default() }

@@ -7,14 +7,14 @@ use clap::Args;
 use super::Ended;
 use super::bus::{BusArguments, topics};
 use super::failure::{Exit, Failure};
-use super::figures::losses;
 use super::solve::decoder;
 use super::terminal::{complain, say, table};
 use crate::config::Config;
-use crate::msg::{ENCODING, JournalStart, Pose, Topics, decode};
-use crate::node::{Recorded, ReplayError, Replayed, Settings, platform, replay};
-use crate::record::{Provenance, RawEntry, Reader, Writer};
-use crate::track::Solver;
+use crate::core::tracker::Solver;
+use crate::io::recording::{Provenance, RawEntry, Reader, Writer};
+use crate::io::wire::{ENCODING, JournalStart, Pose, Topics, decode};
+use crate::live::{Recorded, ReplayError, Replayed, Settings, platform, replay};
+use crate::offline::figures::losses;
 
 /// Run the node's machine again on what it was told in a recording.
 #[derive(Debug, Args)]

@@ -6,16 +6,16 @@ use clap::Args;
 
 use super::Ended;
 use super::bus::{BusArguments, check_name, open, topics};
-use super::bvh::fill;
 use super::clock::Stop;
 use super::export::{Solved, in_order, read};
 use super::failure::{Exit, Failure};
-use super::figures::frame_rate;
-use super::kept::KeptPose;
 use super::retarget_live::{Live, Served};
 use super::terminal::{complain, note, say};
-use crate::body::Skeleton;
-use crate::export::HierarchyWriter;
+use crate::core::body::Skeleton;
+use crate::io::formats::bvh::HierarchyWriter;
+use crate::offline::bvh::fill;
+use crate::offline::figures::frame_rate;
+use crate::offline::kept::KeptPose;
 use crate::retarget::{Channels, Convention, Map, Retarget, RetargetError, Target};
 
 /// Put poses on another skeleton, live or from a recording.

@@ -7,16 +7,16 @@ use prost::Name;
 
 use super::clock::{ATTENTION, Stop};
 use super::failure::Failure;
-use super::inbox::{Inbox, Received};
-use super::kept::KeptPose;
 use super::terminal::complain;
-use crate::body::Skeleton;
-use crate::bus::{Bus, BusError, Publisher};
-use crate::msg::{
+use crate::core::body::Skeleton;
+use crate::core::time::Timestamp;
+use crate::io::bus::{Bus, BusError, Publisher};
+use crate::io::wire::{
     self, DecodeError, Pose, RetargetedPose, Schema, Topics, decode, encode, media_type, schema_of,
 };
+use crate::live::tools::inbox::{Inbox, Received};
+use crate::offline::kept::KeptPose;
 use crate::retarget::Retarget;
-use crate::time::Timestamp;
 
 /// Subscriptions to poses and to the body that they are of, and where poses go.
 pub(super) struct Live {
@@ -86,7 +86,7 @@ impl Live {
             }
             let received = self.poses.next(ATTENTION);
             while let Some(received) = self.skeletons.next(Duration::ZERO) {
-                let skeleton = wire::<msg::Skeleton>(&received).and_then(|wire| wire.to_core());
+                let skeleton = wire::<wire::Skeleton>(&received).and_then(|wire| wire.to_core());
                 served.skeleton = served.usable(skeleton).or(served.skeleton.take());
             }
             match received {
@@ -168,15 +168,15 @@ mod tests {
     use std::sync::{Arc, Mutex};
 
     use super::*;
-    use crate::body::bvh::Bvh;
-    use crate::body::{self, StampedPose, TrackingState};
-    use crate::bus::{Memory, Sample};
+    use crate::core::body::{self, StampedPose, TrackingState};
+    use crate::io::bus::{Memory, Sample};
+    use crate::io::formats::bvh::Bvh;
     use crate::retarget::{Map, Target};
 
     fn ours() -> Retarget {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("ours.bvh");
-        crate::export::write_bvh(&path, &Skeleton::default(), 60.0, []).unwrap();
+        crate::io::formats::bvh::write_bvh(&path, &Skeleton::default(), 60.0, []).unwrap();
         let bvh = Bvh::parse(&std::fs::read_to_string(path).unwrap()).unwrap();
         let map = Map::default();
         Retarget::new(Target::new(bvh, Path::new("ours.bvh"), &map), &map).unwrap()
@@ -211,7 +211,7 @@ mod tests {
             let publisher = bus.publisher(topic).unwrap();
             publisher.put(Timestamp::from_ns(70), encoding, payload).unwrap();
         };
-        let skeleton = encode(&msg::Skeleton::from_core(&Skeleton::default()));
+        let skeleton = encode(&wire::Skeleton::from_core(&Skeleton::default()));
         put(&topics.skeleton(), "", &skeleton);
         put(&topics.pose(), "", &encode(&pose(1.0)));
         put(&topics.pose(), "application/json", b"{}");

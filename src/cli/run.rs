@@ -14,11 +14,11 @@ use super::Ended;
 use super::bus::BusName;
 use super::failure::{Exit, Failure};
 use super::solve::decoder;
-use crate::bus::{self, Kind};
 use crate::config::Config;
-use crate::msg::Status;
-use crate::node::{Core, Node, NodeError, Running, Settings, SolverCore, log};
-use crate::track::Solver;
+use crate::core::tracker::Solver;
+use crate::io::bus::{self, Kind};
+use crate::io::wire::Status;
+use crate::live::{Core, Node, NodeError, Running, Settings, SolverCore, log};
 
 /// Run the live node: keypoints from the bus in, poses at a fixed latency out.
 #[derive(Debug, Args)]

@@ -8,23 +8,23 @@ use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
 
 use super::Ended;
-use super::bvh;
-use super::driver::{Driver, Run};
 use super::failure::{Exit, Failure, frame_rate_option};
-use super::figures::{Figures, Measured, True, frame_rate};
-use super::input::{Item, Recording};
-use super::kept::KeptPose;
-use super::output::{self, OutputFolder, PoseFile};
 use super::terminal::{complain, progress, say, table};
-use crate::body::Skeleton;
-use crate::camera::{Camera, Rig};
 use crate::config::Config;
-use crate::eval::Trc;
-use crate::manifold::{Decoder, Interpolation};
-use crate::record::{Provenance, Report};
-use crate::solve::Method;
-use crate::study::{FrameClock, HeldOut, HoldOut, compare};
-use crate::track::{EventKind, Input, Solver};
+use crate::core::body::Skeleton;
+use crate::core::camera::{Camera, Rig};
+use crate::core::manifold::{Decoder, Interpolation};
+use crate::core::optimise::Method;
+use crate::core::tracker::{EventKind, Input, Solver};
+use crate::io::formats::Trc;
+use crate::io::recording::{Provenance, Report};
+use crate::offline::bvh;
+use crate::offline::driver::{Driver, Run};
+use crate::offline::figures::{Figures, Measured, True, frame_rate};
+use crate::offline::input::{Item, Recording};
+use crate::offline::kept::KeptPose;
+use crate::offline::output::{self, OutputFolder, PoseFile};
+use crate::offline::{FrameClock, HeldOut, HoldOut, compare};
 
 /// Solve a recording: 2D keypoints in, smooth 3D poses out.
 #[derive(Debug, Args)]

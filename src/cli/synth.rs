@@ -8,11 +8,11 @@ use clap::{Args, ValueEnum};
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option};
 use super::terminal::{progress, say};
-use crate::body::{Shape, Skeleton};
-use crate::import::keypoint_format;
-use crate::msg::Topics;
-use crate::record::{Provenance, Writer};
-use crate::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+use crate::core::body::{Shape, Skeleton};
+use crate::io::formats::keypoint_format;
+use crate::io::recording::{Provenance, Writer};
+use crate::io::wire::Topics;
+use crate::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
 /// Radius of the ring on which the cameras stand, and their height, metres.
 pub(super) const RING: [f64; 2] = [4.0, 1.6];

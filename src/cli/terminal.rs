@@ -6,27 +6,27 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 
 /// Prints to standard output.
-pub(super) fn say(text: &str) {
+pub(crate) fn say(text: &str) {
     let _ = tell(text);
 }
 
 /// Prints to standard output; false if nobody reads it any more.
-pub(super) fn tell(text: &str) -> bool {
+pub(crate) fn tell(text: &str) -> bool {
     writeln!(std::io::stdout().lock(), "{text}").is_ok()
 }
 
 /// Prints one line to standard error.
-pub(super) fn complain(kind: &str, text: &str) {
+pub(crate) fn complain(kind: &str, text: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{kind}: {text}");
 }
 
 /// Prints one line to standard error.
-pub(super) fn note(text: &str) {
+pub(crate) fn note(text: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{text}");
 }
 
 /// Rows of a name and a value, the values in one column.
-pub(super) fn table(rows: &[(String, String)]) -> String {
+pub(crate) fn table(rows: &[(String, String)]) -> String {
     let width = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
     let lines = rows.iter().map(|(name, value)| {
         let gap = " ".repeat(width - name.chars().count() + 2);
@@ -36,7 +36,7 @@ pub(super) fn table(rows: &[(String, String)]) -> String {
 }
 
 /// A bar on standard error, hidden when that is not a terminal.
-pub(super) fn progress(total: u64, unit: &str) -> ProgressBar {
+pub(crate) fn progress(total: u64, unit: &str) -> ProgressBar {
     let template = format!("{{bar:32}} {{pos}}/{{len}} {unit} {{msg}} {{eta}} left");
     let bar = ProgressBar::new(total);
     if let Ok(style) = ProgressStyle::with_template(&template) {
@@ -48,7 +48,7 @@ pub(super) fn progress(total: u64, unit: &str) -> ProgressBar {
 
 /// A line on standard error that says how far something without an end is, hidden when that is not
 /// a terminal.
-pub(super) fn ticker() -> ProgressBar {
+pub(crate) fn ticker() -> ProgressBar {
     let bar = ProgressBar::new_spinner();
     if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
         bar.set_style(style);

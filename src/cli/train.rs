@@ -7,7 +7,7 @@ use clap::Args;
 use super::Ended;
 use super::failure::{Exit, Failure};
 use super::terminal::{progress, say};
-use crate::train::{
+use crate::research::train::{
     Figures, Options, TrainError, TransitionFigures, evaluate, evaluate_transition, run as train,
     train_transition,
 };

@@ -2,13 +2,13 @@
 
 use serde_json::{Map, Value, json};
 
-use crate::msg::journal_entry::Input;
-use crate::msg::{
+use crate::core::time::Timestamp;
+use crate::io::recording::Message;
+use crate::io::wire::journal_entry::Input;
+use crate::io::wire::{
     CameraCounters, Event, Journal, JournalEntry, Keyframe, KeypointFrame, LensKind, Pose,
     RetargetedPose, Rig, Status, TrackingState,
 };
-use crate::record::Message;
-use crate::time::Timestamp;
 
 /// What a message says, in short; `None` for one that is not ours.
 pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {

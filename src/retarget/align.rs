@@ -4,8 +4,8 @@ use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 
 use super::mapping::Follow;
 use super::{Mapping, RetargetError, Target};
-use crate::body::{Joint, Skeleton};
-use crate::so3;
+use crate::core::body::{Joint, Skeleton};
+use crate::core::so3;
 
 /// Trunk, shoulders and head keep the target's own posture unless it is this far from ours,
 /// cosine of 45 degrees: then the zero pose is no posture.

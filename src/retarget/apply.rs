@@ -6,9 +6,9 @@ use super::align::alignments;
 use super::channels::reachable;
 use super::mapping::Follow;
 use super::{Map, Mapping, RetargetError, Target, Up};
-use crate::body::{Joint, Pose, Posture, Skeleton};
-use crate::msg::{self, RetargetedPose};
-use crate::so3;
+use crate::core::body::{Joint, Pose, Posture, Skeleton};
+use crate::core::so3;
+use crate::io::wire::{self, RetargetedPose};
 
 /// Puts poses on a target.
 #[derive(Clone, Debug)]
@@ -212,7 +212,7 @@ fn leg_length(skeleton: &Skeleton) -> f64 {
 
 impl Figure {
     /// As a message: what it is of is copied from the pose that it was made of.
-    pub fn message(&self, pose: &msg::Pose, target: &Target) -> RetargetedPose {
+    pub fn message(&self, pose: &wire::Pose, target: &Target) -> RetargetedPose {
         let xyzw = |rotation| so3::xyzw_from_rotation(rotation).map(|component| component as f32);
         RetargetedPose {
             capture_time_ns: pose.capture_time_ns,

@@ -3,8 +3,8 @@
 use nalgebra::Matrix3;
 
 use super::{Figure, Retarget};
-use crate::body::bvh::Channel;
-use crate::so3;
+use crate::core::so3;
+use crate::io::formats::bvh::Channel;
 
 /// Turns figures into channel values, in the order of the file. Angles carry on from frame to
 /// frame.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::RetargetError;
-use crate::body::Joint;
+use crate::core::body::Joint;
 
 /// Which axis of the file's world points up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]

@@ -10,7 +10,7 @@
 use super::map::Map;
 use super::names::REQUIRED;
 use super::{RetargetError, Target};
-use crate::body::{JOINTS, Joint};
+use crate::core::body::{JOINTS, Joint};
 
 /// What a joint of the target follows.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -16,11 +16,11 @@
 //! Our world is y up, and the target's rest pose may face anywhere: its left and right hips tell.
 //!
 //! ```
-//! use bundlemocap::body::{Pose, Skeleton, bvh::Bvh};
+//! use bundlemocap::core::body::{Pose, Skeleton, bvh::Bvh};
 //! use bundlemocap::retarget::{Map, Retarget, Target};
 //! # let folder = tempfile::tempdir()?;
 //! # let path = folder.path().join("target.bvh");
-//! # bundlemocap::export::write_bvh(&path, &Skeleton::default(), 60.0, [])?;
+//! # bundlemocap::io::formats::bvh::write_bvh(&path, &Skeleton::default(), 60.0, [])?;
 //! let target = Target::read(&path, &Map::default())?;
 //! let mut retarget = Retarget::new(target, &Map::default())?;
 //! let figure = retarget.apply(&Pose::rest(), &Skeleton::default())?;
@@ -45,7 +45,7 @@ pub use mapping::Mapping;
 pub use names::Convention;
 pub use target::Target;
 
-use crate::body::bvh::BvhError;
+use crate::io::formats::bvh::BvhError;
 
 /// Why poses cannot be put on a skeleton.
 #[derive(Debug, thiserror::Error)]

@@ -3,7 +3,7 @@
 //! Case, separators and a prefix (`mixamorig:`, `Character1_`) are ignored. Spines and shoulder
 //! blades are not looked for: the hierarchy tells where they are, see `mapping`.
 
-use crate::body::{JOINTS, Joint};
+use crate::core::body::{JOINTS, Joint};
 
 /// A way to name joints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,8 +7,8 @@ use nalgebra::{Matrix3, Vector3};
 use super::map::{Map, UNITS, Up};
 use super::names::{self, Convention};
 use super::{Mapping, RetargetError};
-use crate::body::bvh::{Bvh, BvhJoint, Channel};
-use crate::body::{JOINTS, Joint};
+use crate::core::body::{JOINTS, Joint};
+use crate::io::formats::bvh::{Bvh, BvhJoint, Channel};
 
 /// Length of a leg, hip to knee to ankle, that units are guessed by, metres.
 const LEG: f64 = 0.83;

@@ -4,17 +4,17 @@ use std::hint::black_box;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use bundlemocap::body::{BodyPoint, Skeleton, fitted_points};
-use bundlemocap::camera::Rig;
-use bundlemocap::cost::{
+use bundlemocap::core::body::{BodyPoint, Skeleton, fitted_points};
+use bundlemocap::core::camera::Rig;
+use bundlemocap::core::cost::{
     self, Counts, FreeBody, Knot, Moment, Observation, PathProblem, Scene, Workspace,
 };
-use bundlemocap::detect::{Detection, Detections, KeypointFormat, Person};
-use bundlemocap::manifold::{Decoder, Interpolation, Jacobians, Keyframe, LATENT};
-use bundlemocap::solve::{Cholesky, Method, Normal, Optimiser, Problem, Summary};
-use bundlemocap::synth;
-use bundlemocap::time::Timestamp;
-use bundlemocap::track::{self, Effort, Job, Learnt, Noise, Solver, Task};
+use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
+use bundlemocap::core::manifold::{Decoder, Interpolation, Jacobians, Keyframe, LATENT};
+use bundlemocap::core::optimise::{Cholesky, Method, Normal, Optimiser, Problem, Summary};
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::core::tracker::{self, Effort, Job, Learnt, Noise, Solver, Task};
+use bundlemocap::research::synth;
 use criterion::{Criterion, criterion_group, criterion_main};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
@@ -37,7 +37,7 @@ fn keyframe(step: f64) -> Keyframe {
         z: std::array::from_fn(|i| {
             (0.8 + 0.1 * step) * ((i + 1) as f64 * (0.7 + 0.05 * step)).sin()
         }),
-        root_rotation: bundlemocap::so3::exp(&Vector3::new(0.0, 0.2 * step, 0.05 * step)),
+        root_rotation: bundlemocap::core::so3::exp(&Vector3::new(0.0, 0.2 * step, 0.05 * step)),
         root_position: Vector3::new(0.2 * step, 1.0, 0.05 * step),
     }
 }
@@ -132,7 +132,7 @@ impl Case {
 }
 
 /// The window as a stream has it: the keyframes of its first half were solved with the one before.
-fn job(case: &Case, config: &track::Config) -> Job {
+fn job(case: &Case, config: &tracker::Config) -> Job {
     let frames = case.moments.len() as u64;
     let timed = |frame: u64| (Timestamp::of_frame(frame, 60.0), case.truth[frame as usize].clone());
     let detections = |moment: &Moment, camera: usize| {
@@ -174,7 +174,7 @@ fn job(case: &Case, config: &track::Config) -> Job {
 fn jobs(c: &mut Criterion) {
     let case = case(USUAL);
     for (name, threads) in [("solver's job", 1), ("solver's job, two threads", 2)] {
-        let config = track::Config { threads, ..track::Config::default() };
+        let config = tracker::Config { threads, ..track::Config::default() };
         let (job, mut solver) = (job(&case, &config), Solver::new(case.decoder.clone(), config));
         c.bench_function(name, |b| b.iter(|| solver.solve(&job)));
     }

@@ -2,22 +2,22 @@
 
 use std::sync::Arc;
 
-use bundlemocap::baseline::{
+use bundlemocap::core::body::{BodyPoint, Posture, Skeleton, fitted_points};
+use bundlemocap::core::camera::Rig;
+use bundlemocap::core::cost::{self, Moment, Observation, Scene};
+use bundlemocap::core::detections::KeypointFormat;
+use bundlemocap::core::manifold::{Decoder, Keyframe};
+use bundlemocap::core::optimise::{Layout, LevenbergMarquardt, Normal, Optimiser, Problem};
+use bundlemocap::metrics;
+use bundlemocap::research::methods::{
     self, Delay, FramePath, JointSteps, KeyframeSteps, LowFrequency, Method, MuVs, Solved, Take,
     Term, UNKNOWNS,
 };
-use bundlemocap::body::{BodyPoint, Posture, Skeleton, fitted_points};
-use bundlemocap::camera::Rig;
-use bundlemocap::cost::{self, Moment, Observation, Scene};
-use bundlemocap::detect::KeypointFormat;
-use bundlemocap::eval;
-use bundlemocap::manifold::{Decoder, Keyframe};
-use bundlemocap::solve::{Layout, LevenbergMarquardt, Normal, Optimiser, Problem};
-use bundlemocap::synth::{Motion, MotionStyle, Recording, ring_rig};
+use bundlemocap::research::synth::{Motion, MotionStyle, Recording, ring_rig};
 use nalgebra::{DMatrix, Vector2};
 
+use crate::core::optimise::{dense, frame, keyframe, observe, ring};
 use crate::jacobians::{assert_jacobian, numeric_jacobian};
-use crate::solve::{dense, frame, keyframe, observe, ring};
 
 /// A few frames that were seen with errors.
 struct Case {
@@ -192,8 +192,8 @@ fn recording() -> (Take, Vec<Posture>) {
 fn errors(take: &Take, truth: &[Posture], solved: &Solved) -> (f64, f64) {
     let first = truth.len() - solved.poses.len();
     let found: Vec<_> = solved.poses.iter().map(|(_, p)| p.posture(&solved.skeleton)).collect();
-    let errors = eval::pose_errors(found.iter().zip(&truth[first..])).unwrap();
-    (errors.mpjpe_mm, eval::acceleration_error(&found, &truth[first..], take.fps).unwrap())
+    let errors = metrics::pose_errors(found.iter().zip(&truth[first..])).unwrap();
+    (errors.mpjpe_mm, metrics::acceleration_error(&found, &truth[first..], take.fps).unwrap())
 }
 
 #[test]
@@ -201,7 +201,7 @@ fn every_method_solves_a_recording_and_those_over_time_are_smoother() {
     let (take, truth) = recording();
     let decoder = Decoder::embedded().unwrap();
     let mut alone = f64::INFINITY;
-    for (name, mut method) in baseline::NAMES.iter().zip(baseline::all()) {
+    for (name, mut method) in methods::NAMES.iter().zip(methods::all()) {
         let solved = method.solve(&take, &decoder).unwrap();
         let (mpjpe, acceleration) = errors(&take, &truth, &solved);
         println!("{name}: {mpjpe:.1} mm, {acceleration:.1} m/s^2");
@@ -213,7 +213,7 @@ fn every_method_solves_a_recording_and_those_over_time_are_smoother() {
             _ => assert!(acceleration < alone, "{name}: {acceleration}, muvs: {alone}"),
         }
     }
-    assert!(baseline::named("nobody").is_none());
+    assert!(methods::named("nobody").is_none());
 }
 
 #[test]
@@ -221,7 +221,8 @@ fn a_frame_that_shows_too_little_keeps_the_pose_before() {
     let (mut take, _) = recording();
     let hidden = 50..53;
     let is_hidden = |frame: &u64| hidden.contains(frame);
-    let frame_of = |capture: bundlemocap::time::Timestamp| (capture.ns() as f64 * 6e-8).round();
+    let frame_of =
+        |capture: bundlemocap::core::time::Timestamp| (capture.ns() as f64 * 6e-8).round();
     take.frames.retain(|seen| seen.camera == 0 || !is_hidden(&(frame_of(seen.capture) as u64)));
     let mut method = MuVs::default();
     assert_eq!(method.delay(), Delay::Frames(0));

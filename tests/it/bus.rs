@@ -7,11 +7,11 @@ use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::Duration;
 
-use bundlemocap::bus::{
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::io::bus::{
     Bus, BusError, Guard, Iceoryx2, Iceoryx2Config, Memory, Publisher, Replay, Sample, Zenoh,
     ZenohConfig, ZenohMode,
 };
-use bundlemocap::time::Timestamp;
 use zenoh::Wait;
 
 /// How long to wait for what must come.
@@ -311,7 +311,7 @@ fn patterns_choose_topics(pair: &dyn Pair) {
     for (topic, publisher) in topics.iter().zip(&publishers) {
         connect(pair, &**publisher, &everything);
         for (pattern, inbox) in &some {
-            if bundlemocap::bus::matches(pattern, topic) {
+            if bundlemocap::io::bus::matches(pattern, topic) {
                 connect(pair, &**publisher, inbox);
             }
         }
@@ -323,7 +323,7 @@ fn patterns_choose_topics(pair: &dyn Pair) {
     // Topics of one pattern need not arrive in the order in which they were published.
     for (pattern, inbox) in &some {
         let expected: Vec<_> =
-            topics.iter().filter(|topic| bundlemocap::bus::matches(pattern, topic)).collect();
+            topics.iter().filter(|topic| bundlemocap::io::bus::matches(pattern, topic)).collect();
         let mut got = Vec::new();
         while got.len() < expected.len() {
             let sample = inbox.next();

@@ -1,7 +1,9 @@
 //! Projection, distortion, rigs and triangulation.
 
-use bundlemocap::camera::{Camera, CameraError, Lens, Rig, View, triangulate, triangulate_robust};
-use bundlemocap::so3;
+use bundlemocap::core::camera::{
+    Camera, CameraError, Lens, Rig, View, triangulate, triangulate_robust,
+};
+use bundlemocap::core::so3;
 use nalgebra::{DMatrix, Matrix2, Matrix3, Vector2, Vector3};
 
 /// Central differences of f at x: column j is (f(x + h e_j) - f(x - h e_j)) / 2h.

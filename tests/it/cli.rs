@@ -4,11 +4,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use bundlemocap::body::Skeleton;
-use bundlemocap::msg::Topics;
-use bundlemocap::record::{Message, Provenance, Reader, Writer};
-use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
-use bundlemocap::time::Timestamp;
+use bundlemocap::core::body::Skeleton;
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::io::recording::{Message, Provenance, Reader, Writer};
+use bundlemocap::io::wire::Topics;
+use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -134,7 +134,7 @@ const IMPORT: &str = "import openpose pose --calibration calib.toml --fps 60 --o
 fn walk(
     path: &Path,
     frames: u64,
-    mut keep: impl FnMut(&mut bundlemocap::detect::Detections) -> bool,
+    mut keep: impl FnMut(&mut bundlemocap::core::detections::Detections) -> bool,
 ) {
     let rig = ring_rig(4, 4.0, 1.6).unwrap();
     let skeleton = Skeleton::default();
@@ -290,7 +290,7 @@ fn recordings_without_our_channels() {
     walk(&path, 10, |_| true);
     let provenance = Provenance::default();
     let mut rigless = Writer::create(&path, Topics::default(), &provenance).unwrap();
-    let frame = bundlemocap::msg::KeypointFrame {
+    let frame = bundlemocap::io::wire::KeypointFrame {
         camera: "cam01".into(),
         format: "body_25".into(),
         ..Default::default()
@@ -358,7 +358,7 @@ fn recordings_whose_cameras_do_not_fit_the_rig() {
         let provenance = Provenance::default();
         let mut writer = Writer::create(place.path(name), Topics::default(), &provenance).unwrap();
         writer.rig(&rig, Timestamp::default()).unwrap();
-        let frame = bundlemocap::msg::KeypointFrame {
+        let frame = bundlemocap::io::wire::KeypointFrame {
             camera: camera.into(),
             image_width,
             image_height: 1024,
@@ -379,8 +379,8 @@ fn recordings_whose_cameras_do_not_fit_the_rig() {
 /// A recording of one message of the rig and one of keypoints, sound or not.
 fn one_frame(
     path: &Path,
-    rig: &bundlemocap::msg::Rig,
-    keypoints: &bundlemocap::msg::KeypointFrame,
+    rig: &bundlemocap::io::wire::Rig,
+    keypoints: &bundlemocap::io::wire::KeypointFrame,
 ) {
     let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
     let (topics, at) = (Topics::default(), Timestamp::default());
@@ -391,7 +391,7 @@ fn one_frame(
 
 #[test]
 fn recordings_whose_rig_or_keypoints_are_refused() {
-    use bundlemocap::msg::{DetectedPerson, KeypointFrame, Rig};
+    use bundlemocap::io::wire::{DetectedPerson, KeypointFrame, Rig};
     let place = Place::new();
     let rig = || Rig::from_core(&ring_rig(4, 4.0, 1.6).unwrap());
     let keypoints = |format: &str, numbers: usize| KeypointFrame {

@@ -3,12 +3,13 @@
 use std::path::Path;
 use std::process::Command;
 
-use bundlemocap::body::{JOINTS, Joint, Pose, Posture, Shape, Skeleton};
-use bundlemocap::export::{
+use bundlemocap::core::body::{JOINTS, Joint, Pose, Posture, Shape, Skeleton};
+use bundlemocap::io::formats::bvh::write_bvh;
+use bundlemocap::io::report::{
     AngleTrack, CameraErrors, Picture, ReportData, StickFigures, Table, WindowRow, flexion_deg,
-    stick_figures, write_bvh, write_report,
+    stick_figures, write_report,
 };
-use bundlemocap::synth::{Motion, MotionStyle};
+use bundlemocap::research::synth::{Motion, MotionStyle};
 
 /// Reads a BVH file with the PyPI package `bvh` and prints, for each frame, the positions of all
 /// joints by a forward kinematics that multiplies in channel order. Ends with 3 without the

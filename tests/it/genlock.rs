@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use bundlemocap::body::{Posture, Skeleton, TrackingState};
-use bundlemocap::detect::Detections;
-use bundlemocap::eval::pose_errors;
-use bundlemocap::manifold::Decoder;
-use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
-use bundlemocap::time::{Grid, Timestamp};
-use bundlemocap::track::{Config, Input, Output, Solver, Track};
+use bundlemocap::core::body::{Posture, Skeleton, TrackingState};
+use bundlemocap::core::detections::Detections;
+use bundlemocap::core::manifold::Decoder;
+use bundlemocap::core::time::{Grid, Timestamp};
+use bundlemocap::core::tracker::{Config, Input, Output, Solver, Track};
+use bundlemocap::metrics::pose_errors;
+use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
 /// Somebody who walks, seen by four genlocked cameras at twice the rate of the cameras in question,
 /// so that half a frame can be taken from it.
@@ -18,7 +18,7 @@ struct Walk {
     motion: Motion,
     skeleton: Skeleton,
     frames: Vec<Detections>,
-    rig: Arc<bundlemocap::camera::Rig>,
+    rig: Arc<bundlemocap::core::camera::Rig>,
 }
 
 impl Walk {

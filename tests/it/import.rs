@@ -4,12 +4,12 @@ use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use bundlemocap::camera::{Camera, Lens, Rig, View, triangulate_robust};
-use bundlemocap::detect::{Detections, Keypoint, KeypointFormat, Person};
-use bundlemocap::import::{
+use bundlemocap::core::camera::{Camera, Lens, Rig, View, triangulate_robust};
+use bundlemocap::core::detections::{Detections, Keypoint, KeypointFormat, Person};
+use bundlemocap::core::so3;
+use bundlemocap::io::formats::{
     ImportError, MatchedBy, OpenposeFolder, Up, keypoint_format, read_calibration,
 };
-use bundlemocap::so3;
 use nalgebra::{Vector2, Vector3};
 use tempfile::TempDir;
 

@@ -1,14 +1,16 @@
 //! Every Jacobian against central differences, through one helper.
 
-use bundlemocap::body::{BODY_JOINTS, Joint, Shape, Skeleton, Tangents, forward, push_forward};
-use bundlemocap::manifold::{
+use bundlemocap::core::body::{
+    BODY_JOINTS, Joint, Shape, Skeleton, Tangents, forward, push_forward,
+};
+use bundlemocap::core::manifold::{
     Decoder, Interpolation, Jacobians, Keyframe, LATENT, Latent, MOVE, THREE, Transition,
     TransitionWork, state_of,
 };
-use bundlemocap::so3;
+use bundlemocap::core::so3;
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
-use crate::manifold::decoded;
+use crate::core::manifold::decoded;
 
 /// Central differences of fourth order of `f` at `x`: columns are the derivatives by each entry. The
 /// decoder has six digits, so a step through it must be some hundredths long.

@@ -4,18 +4,18 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use bundlemocap::body::Skeleton;
-use bundlemocap::camera::Rig;
 use bundlemocap::config::Config;
-use bundlemocap::detect::Detections;
-use bundlemocap::manifold::Decoder;
-use bundlemocap::msg::{
+use bundlemocap::core::body::Skeleton;
+use bundlemocap::core::camera::Rig;
+use bundlemocap::core::detections::Detections;
+use bundlemocap::core::manifold::Decoder;
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::core::tracker::{Job, Solution, Solver, Task};
+use bundlemocap::io::wire::{
     self, Event, KeypointFrame, Pose, Schema, Status, Topics, TrackingState, decode, encode,
 };
-use bundlemocap::node::{Core, Input, Output, Recorded, Settings, replay};
-use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
-use bundlemocap::time::Timestamp;
-use bundlemocap::track::{Job, Solution, Solver, Task};
+use bundlemocap::live::{Core, Input, Output, Recorded, Settings, replay};
+use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
 const MS: i64 = 1_000_000;
 const SECOND: i64 = 1000 * MS;
@@ -181,7 +181,7 @@ impl Studio {
     }
 
     fn rig(&self) -> Sent {
-        let payload = encode(&msg::Rig::from_core(&self.rig));
+        let payload = encode(&wire::Rig::from_core(&self.rig));
         let arrival = Timestamp::from_ns(START - SECOND / 2);
         Sent { arrival, topic: Topics::default().rig(), payload }
     }
@@ -283,7 +283,7 @@ fn the_same_inputs_give_the_same_bytes() {
     let replayed = replay(&recorded, &Topics::default(), |start| {
         let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
         let solver = Solver::new(decoder.clone(), config.track);
-        Ok::<_, bundlemocap::node::ReplayError>((settings(&config, &decoder), solver))
+        Ok::<_, bundlemocap::live::ReplayError>((settings(&config, &decoder), solver))
     })
     .unwrap();
     assert!(replayed.is_whole);
@@ -299,7 +299,7 @@ fn the_same_inputs_give_the_same_bytes() {
     let replayed = replay(&recorded, &Topics::default(), |start| {
         let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
         let solver = Solver::new(decoder.clone(), config.track);
-        Ok::<_, bundlemocap::node::ReplayError>((settings(&config, &decoder), solver))
+        Ok::<_, bundlemocap::live::ReplayError>((settings(&config, &decoder), solver))
     })
     .unwrap();
     assert!(!replayed.is_whole);
@@ -386,7 +386,7 @@ fn the_output_may_have_another_rate() {
 fn a_new_calibration_is_used_from_a_window_on() {
     let studio = Studio::new(4, 300);
     let mut messages = studio.messages();
-    let mut rig = msg::Rig::from_core(&studio.rig);
+    let mut rig = wire::Rig::from_core(&studio.rig);
     rig.version = 7;
     let (topic, arrival) = (Topics::default().rig(), at(2.51));
     messages.push(Sent { arrival, topic: topic.clone(), payload: encode(&rig) });
@@ -455,7 +455,7 @@ fn one_bad_camera_never_stops_the_others() {
             4 => message.capture_time_ns -= hour,
             5 => message.format = "my_format".into(),
             6 => message.camera = "somebody".into(),
-            _ => message.people = vec![msg::DetectedPerson::default(); 1_000_000],
+            _ => message.people = vec![wire::DetectedPerson::default(); 1_000_000],
         }
         encode(&message)
     };
@@ -575,7 +575,7 @@ fn nothing_grows_with_time() {
 #[test]
 fn keyframes_hold_all_that_poses_are_made_of() {
     let world = after(Studio::new(4, 200).messages(), 4.0);
-    let keyframes = world.heard.of::<msg::Keyframe>(&Topics::default().keyframe());
+    let keyframes = world.heard.of::<wire::Keyframe>(&Topics::default().keyframe());
     assert!(keyframes.len() > 10);
     let size = keyframes.iter().map(|(_, keyframe)| encode(keyframe).len()).max().unwrap();
     assert!(size < 600, "{size} bytes");

@@ -1,7 +1,7 @@
 //! The decoder against one that is written for clearness, in f64.
 
-use bundlemocap::body::{BODY_JOINTS, Posture, Skeleton, forward};
-use bundlemocap::manifold::{Decoder, EMBEDDED, Jacobians, Keyframe, Latent};
+use bundlemocap::core::body::{BODY_JOINTS, Posture, Skeleton, forward};
+use bundlemocap::core::manifold::{Decoder, EMBEDDED, Jacobians, Keyframe, Latent};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use safetensors::SafeTensors;
 

@@ -1,15 +1,15 @@
 //! Wire types: round trips, byte goldens, unknown fields, hostile bytes.
 
-use bundlemocap::body::{self, BODY_JOINTS, Shape, StampedPose, TrackingState};
-use bundlemocap::camera::{self, Camera, Lens};
-use bundlemocap::detect::{Detection, Detections, KeypointFormat, Person};
-use bundlemocap::manifold;
-use bundlemocap::msg::{
+use bundlemocap::core::body::{self, BODY_JOINTS, Shape, StampedPose, TrackingState};
+use bundlemocap::core::camera::{self, Camera, Lens};
+use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
+use bundlemocap::core::manifold;
+use bundlemocap::core::so3;
+use bundlemocap::core::time::{Grid, Timestamp};
+use bundlemocap::io::wire::{
     CameraCounters, DecodeError, Event, Keyframe, KeypointFrame, Pose, Publication, RetargetedPose,
     Rig, Schema, Skeleton, StampedKeyframe, Status, WindowCounters, decode, encode,
 };
-use bundlemocap::so3;
-use bundlemocap::time::{Grid, Timestamp};
 use nalgebra::{Matrix3, Point2, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

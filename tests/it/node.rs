@@ -7,21 +7,21 @@ use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use bundlemocap::body::Skeleton;
-use bundlemocap::bus::{Bus, Guard, Memory, Publisher};
-use bundlemocap::camera::Rig;
-use bundlemocap::detect::Detections;
-use bundlemocap::import::Up;
-use bundlemocap::manifold::Decoder;
-use bundlemocap::msg::journal_entry::Input as JournalInput;
-use bundlemocap::msg::{
+use bundlemocap::core::body::Skeleton;
+use bundlemocap::core::camera::Rig;
+use bundlemocap::core::detections::Detections;
+use bundlemocap::core::manifold::Decoder;
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::core::tracker::{self, Solver};
+use bundlemocap::io::bus::{Bus, Guard, Memory, Publisher};
+use bundlemocap::io::formats::Up;
+use bundlemocap::io::wire::journal_entry::Input as JournalInput;
+use bundlemocap::io::wire::{
     self, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, Status, Topics, decode,
     encode,
 };
-use bundlemocap::node::{Config, Core, Node, NodeError, Running, Settings, WallClock};
-use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
-use bundlemocap::time::Timestamp;
-use bundlemocap::track::{self, Solver};
+use bundlemocap::live::{Config, Core, Node, NodeError, Running, Settings, WallClock};
+use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 use nalgebra::Rotation3;
 
 const FPS: f64 = 60.0;
@@ -58,7 +58,7 @@ fn cameras() -> Rig {
 }
 
 fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
-    let track = track::Config::default();
+    let track = tracker::Config::default();
     let decoder = Decoder::embedded().unwrap();
     let settings = Settings {
         track,
@@ -74,7 +74,7 @@ impl Studio {
     /// Four cameras around the procedural motion; the rig is on the bus.
     fn new() -> Self {
         let studio = Self::without_rig();
-        let rig = encode(&msg::Rig::from_core(&cameras()));
+        let rig = encode(&wire::Rig::from_core(&cameras()));
         studio.put(&studio.topics.rig(), &rig);
         studio
     }
@@ -111,7 +111,7 @@ impl Studio {
     fn listening(mut self) -> Self {
         let mut on = |topic: String, note: fn(&mut Heard, &[u8])| {
             let heard = Arc::clone(&self.heard);
-            let sink = move |sample: bundlemocap::bus::Sample| {
+            let sink = move |sample: bundlemocap::io::bus::Sample| {
                 note(&mut heard.lock().unwrap(), &sample.payload);
             };
             self._guards.push(self.bus.subscribe(&topic, Box::new(sink)).unwrap());
@@ -278,7 +278,7 @@ fn bad_messages_are_counted_and_the_poses_go_on() {
     assert_eq!(counted.map(|event| event.count).sum::<u64>(), bad.len() as u64);
     let period = (1e9 / FPS) as i64;
     assert!(steps(&heard.poses).iter().all(|step| (step - period).abs() <= 2));
-    let tracked = msg::TrackingState::Tracking as i32;
+    let tracked = wire::TrackingState::Tracking as i32;
     let last = heard.poses.iter().rev().take(6);
     assert!(last.clone().any(|pose| pose.state == tracked), "{:?}", heard.events);
 }
@@ -341,7 +341,7 @@ fn what_the_node_cannot_start_with_is_named() {
 /// A calibration file of those cameras, one of them moved along its axis, metres. Its world is
 /// ours.
 fn calibration(rig: &Rig, forward: f64) -> String {
-    let table = |(index, camera): (usize, &bundlemocap::camera::Camera)| {
+    let table = |(index, camera): (usize, &bundlemocap::core::camera::Camera)| {
         let row =
             |numbers: [f64; 3]| format!("[{:?}, {:?}, {:?}]", numbers[0], numbers[1], numbers[2]);
         let matrix = camera.matrix();
@@ -401,7 +401,7 @@ fn a_calibration_file_that_changes_is_taken_at_a_windows_edge() {
     let in_use = |studio: &Studio| -> u64 {
         let samples = studio.bus.query(&studio.topics.rig(), LONG).unwrap();
         let [sample] = &samples[..] else { panic!("{} rigs", samples.len()) };
-        decode::<msg::Rig>(&sample.payload).unwrap().to_core().unwrap().version
+        decode::<wire::Rig>(&sample.payload).unwrap().to_core().unwrap().version
     };
     let first = studio.heard.lock().unwrap().poses[0].calibration_version;
     assert_eq!(in_use(&studio), first);

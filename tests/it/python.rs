@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::mpsc::channel;
 
-use bundlemocap::bus::{Bus, Sample, Zenoh, ZenohConfig};
-use bundlemocap::msg::{self, KeypointFrame, Pose, Rig, Skeleton, TrackingState};
-use bundlemocap::time::Timestamp;
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::io::bus::{Bus, Sample, Zenoh, ZenohConfig};
+use bundlemocap::io::wire::{self, KeypointFrame, Pose, Rig, Skeleton, TrackingState};
 
 use crate::program::{Program, listening_node};
 
@@ -74,7 +74,7 @@ fn a_camera_in_python_is_heard() {
         samples.try_iter().partition(|sample| &*sample.topic == "mocap/take/rig");
     let [rig] = &rigs[..] else { panic!("{} rigs", rigs.len()) };
     assert_eq!(&*rig.encoding, "application/protobuf;bundlemocap.v1.Rig");
-    let rig: Rig = msg::decode(&rig.payload).unwrap();
+    let rig: Rig = wire::decode(&rig.payload).unwrap();
     let cameras = rig.to_core().unwrap().cameras.len();
 
     // On a busy machine a few frames may be dropped.
@@ -82,8 +82,8 @@ fn a_camera_in_python_is_heard() {
     let mut last = vec![None; cameras];
     for sample in &frames {
         assert_eq!(&*sample.encoding, "application/protobuf;bundlemocap.v1.KeypointFrame");
-        let frame: KeypointFrame = msg::decode(&sample.payload).unwrap();
-        assert_eq!(msg::encode(&frame), sample.payload, "another encoding of the same");
+        let frame: KeypointFrame = wire::decode(&sample.payload).unwrap();
+        assert_eq!(wire::encode(&frame), sample.payload, "another encoding of the same");
         assert_eq!(*sample.topic, format!("mocap/take/camera/{}/keypoints", frame.camera));
         assert_eq!(sample.capture.ns(), frame.capture_time_ns);
         let camera = rig.cameras.iter().position(|camera| camera.name == frame.camera).unwrap();
@@ -117,7 +117,7 @@ fn a_subscriber_in_python_gets_skeleton_and_poses() {
     // Once, before anybody listens.
     let publisher = node.publisher("mocap/take/skeleton").unwrap();
     let encoding = |name: &str| format!("application/protobuf;bundlemocap.v1.{name}");
-    publisher.put(Timestamp::default(), &encoding("Skeleton"), &msg::encode(&skeleton)).unwrap();
+    publisher.put(Timestamp::default(), &encoding("Skeleton"), &wire::encode(&skeleton)).unwrap();
 
     let child = python(generated.path(), "retarget_node.py")
         .args(["--connect", &at, "--stage", "take", "--actor", "anna", "--poses", "2"])
@@ -135,7 +135,7 @@ fn a_subscriber_in_python_gets_skeleton_and_poses() {
         local_rotations: vec![0.6, 0.0, 0.0, 0.8],
         ..Pose::default()
     };
-    let payload = msg::encode(&pose);
+    let payload = wire::encode(&pose);
     for _ in 0..3000 {
         poses.put(Timestamp::from_ns(1_000_000_000), &encoding("Pose"), &payload).unwrap();
         if child.0.try_wait().unwrap().is_some() {

@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-use bundlemocap::detect::Detections;
-use bundlemocap::msg::{self, Topics};
-use bundlemocap::record::{
+use bundlemocap::core::detections::Detections;
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::io::recording::{
     Damage, Entry, METADATA, Message, Provenance, Reader, RecordError, Report, Writer, scan,
     summary,
 };
-use bundlemocap::time::Timestamp;
+use bundlemocap::io::wire::{self, Topics};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -51,7 +51,7 @@ fn write_recording(path: &Path) {
     writer.truth_pose(&stamped_pose(1), &skeleton()).unwrap();
     writer.keyframe(&keyframe()).unwrap();
     writer.event(&event()).unwrap();
-    writer.status(&msg::Status::default()).unwrap();
+    writer.status(&wire::Status::default()).unwrap();
     writer.finish().unwrap();
 }
 
@@ -314,13 +314,13 @@ fn messages_that_cannot_be_used_are_counted() {
     let path = folder.path().join("some.mcap");
     let topics = Topics::default();
     let mut writer = Writer::create(&path, topics.clone(), &Provenance::default()).unwrap();
-    let mut bad = msg::KeypointFrame::from_core(&detections(), "left", [1280, 720]);
+    let mut bad = wire::KeypointFrame::from_core(&detections(), "left", [1280, 720]);
     let at = Timestamp::from_ns(1);
     writer.write(&topics.keypoints("left"), at, &bad).unwrap();
     bad.format = "body_26".into();
     writer.write(&topics.keypoints("left"), at, &bad).unwrap();
     writer.write(&topics.keypoints("left"), at, &bad).unwrap();
-    let early = writer.write(&topics.rig(), Timestamp::from_ns(-1), &msg::Rig::default());
+    let early = writer.write(&topics.rig(), Timestamp::from_ns(-1), &wire::Rig::default());
     assert!(matches!(early, Err(RecordError::BeforeEpoch { ns: -1, .. })));
     writer.finish().unwrap();
     let (entries, report) = read(&path).unwrap();

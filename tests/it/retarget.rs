@@ -6,18 +6,19 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use bundlemocap::body::bvh::Bvh;
-use bundlemocap::body::{
+use bundlemocap::core::body::{
     JOINTS, Joint, Pose, Posture, Shape, Skeleton, StampedPose, TrackingState,
 };
-use bundlemocap::bus::{Bus, Sample, Zenoh, ZenohConfig};
-use bundlemocap::export::{HierarchyWriter, StickFigures, stick_figures, write_bvh};
-use bundlemocap::msg::{self, Topics, encode};
-use bundlemocap::record::{Provenance, Writer};
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::io::bus::{Bus, Sample, Zenoh, ZenohConfig};
+use bundlemocap::io::formats::bvh::Bvh;
+use bundlemocap::io::formats::bvh::{HierarchyWriter, write_bvh};
+use bundlemocap::io::recording::{Provenance, Writer};
+use bundlemocap::io::report::{StickFigures, stick_figures};
+use bundlemocap::io::wire::{self, Topics, encode};
+use bundlemocap::research::synth::{Motion, MotionStyle};
+use bundlemocap::research::train::read_folder;
 use bundlemocap::retarget::{Channels, Convention, Figure, Map, Retarget, Target};
-use bundlemocap::synth::{Motion, MotionStyle};
-use bundlemocap::time::Timestamp;
-use bundlemocap::train::read_folder;
 use nalgebra::{Matrix3, Vector3};
 
 const ZYX: &str = "Zrotation Yrotation Xrotation";
@@ -388,7 +389,7 @@ fn spines_of_any_length_bend_as_ours() {
         let figure = retarget.apply(&pose, &skeleton).unwrap();
         let turn = |joint: usize| {
             let facing = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, -1.0));
-            bundlemocap::so3::log(&(figure.rotations[joint] * facing)).x
+            bundlemocap::core::so3::log(&(figure.rotations[joint] * facing)).x
         };
         for k in 1..=count {
             let expected = 0.9 * k as f64 / count as f64;
@@ -722,7 +723,7 @@ fn live_poses_come_back_on_the_other_skeleton_and_are_written_at_the_end() {
     };
     // Kept for late joiners while its publisher lives.
     let body = bus.publisher(&topics.skeleton()).unwrap();
-    let wire = encode(&msg::Skeleton::from_core(&skeleton));
+    let wire = encode(&wire::Skeleton::from_core(&skeleton));
     body.put(Timestamp::default(), "", &wire).unwrap();
 
     let mut command = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
@@ -737,7 +738,7 @@ fn live_poses_come_back_on_the_other_skeleton_and_are_written_at_the_end() {
     // The body may come a moment after the first pose: that one is given until it is answered.
     let poses = poses(&skeleton);
     let payload = |index: usize| {
-        encode(&msg::Pose::from_core(&stamped(index, &poses[index]), &skeleton, None))
+        encode(&wire::Pose::from_core(&stamped(index, &poses[index]), &skeleton, None))
     };
     let begin = Instant::now();
     let first = loop {
@@ -749,7 +750,7 @@ fn live_poses_come_back_on_the_other_skeleton_and_are_written_at_the_end() {
     };
     let mut retarget = retarget(&bvh_text(&unity(), ZYX), "");
     let expected = |retarget: &mut Retarget, index: usize| {
-        let wire = msg::Pose::from_core(&stamped(index, &poses[index]), &skeleton, None);
+        let wire = wire::Pose::from_core(&stamped(index, &poses[index]), &skeleton, None);
         let figure = retarget.apply(&wire.to_core().unwrap().pose, &skeleton).unwrap();
         encode(&figure.message(&wire, retarget.target()))
     };

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use bundlemocap::baseline::{Solved, Take, named};
-use bundlemocap::body::{Pose, Posture, Skeleton, StampedPose};
-use bundlemocap::eval;
-use bundlemocap::manifold::Decoder;
-use bundlemocap::synth::{Motion, MotionStyle, Recording, ring_rig};
+use bundlemocap::core::body::{Pose, Posture, Skeleton, StampedPose};
+use bundlemocap::core::manifold::Decoder;
+use bundlemocap::metrics;
+use bundlemocap::research::methods::{Solved, Take, named};
+use bundlemocap::research::synth::{Motion, MotionStyle, Recording, ring_rig};
 
 /// Mean joint error, mm, and acceleration error, m/s^2, against the true poses.
 fn errors<M: Fn(f64) -> Pose>(recording: &Recording<M>, solved: &Solved) -> (f64, f64) {
@@ -17,8 +17,8 @@ fn errors<M: Fn(f64) -> Pose>(recording: &Recording<M>, solved: &Solved) -> (f64
     });
     let (found, truth): (Vec<Posture>, Vec<Posture>) = pairs.unzip();
     assert!(found.len() > 40, "{} of 60 frames", found.len());
-    let mpjpe = eval::pose_errors(found.iter().zip(&truth)).unwrap().mpjpe_mm;
-    (mpjpe, eval::acceleration_error(&found, &truth, recording.fps).unwrap())
+    let mpjpe = metrics::pose_errors(found.iter().zip(&truth)).unwrap().mpjpe_mm;
+    (mpjpe, metrics::acceleration_error(&found, &truth, recording.fps).unwrap())
 }
 
 #[test]

@@ -1,15 +1,17 @@
 //! The window problem: its derivatives, its two optimisers, and exact recovery.
 
-use bundlemocap::body::{
+use bundlemocap::core::body::{
     BODY_COEFFICIENTS, BodyPoint, MARKS, Posture, Shape, Skeleton, fitted_points,
 };
-use bundlemocap::camera::{Camera, Lens, Rig};
-use bundlemocap::cost::{self, FreeBody, Knot, Moment, Observation, PathProblem, Scene, Workspace};
-use bundlemocap::detect::KeypointFormat;
-use bundlemocap::manifold::{Decoder, Interpolation, Keyframe, LATENT};
-use bundlemocap::so3;
-use bundlemocap::solve::{Method, Normal, Problem};
-use bundlemocap::time::Timestamp;
+use bundlemocap::core::camera::{Camera, Lens, Rig};
+use bundlemocap::core::cost::{
+    self, FreeBody, Knot, Moment, Observation, PathProblem, Scene, Workspace,
+};
+use bundlemocap::core::detections::KeypointFormat;
+use bundlemocap::core::manifold::{Decoder, Interpolation, Keyframe, LATENT};
+use bundlemocap::core::optimise::{Method, Normal, Problem};
+use bundlemocap::core::so3;
+use bundlemocap::core::time::Timestamp;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector2, Vector3};
 
 use crate::jacobians::{assert_jacobian, numeric_jacobian};

@@ -5,14 +5,14 @@ use std::process::{Command, Output};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use bundlemocap::baseline::{Delay, Method, Solved, Take, Windows};
-use bundlemocap::body::{Pose, Skeleton};
-use bundlemocap::detect::KeypointFormat;
-use bundlemocap::manifold::Decoder;
-use bundlemocap::study::summary::{summaries, to_json};
-use bundlemocap::study::{Case, View, drift, procedural, real, run};
-use bundlemocap::synth::{Noise, SequenceChoice, rig_named};
-use bundlemocap::time::Timestamp;
+use bundlemocap::core::body::{Pose, Skeleton};
+use bundlemocap::core::detections::KeypointFormat;
+use bundlemocap::core::manifold::Decoder;
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::research::experiments::summary::{summaries, to_json};
+use bundlemocap::research::experiments::{Case, View, drift, procedural, real, run};
+use bundlemocap::research::methods::{Delay, Method, Solved, Take, Windows};
+use bundlemocap::research::synth::{Noise, SequenceChoice, rig_named};
 use serde_json::Value;
 
 /// Two motions of 1.2 s before three cameras.

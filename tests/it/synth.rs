@@ -2,10 +2,12 @@
 
 use std::collections::HashMap;
 
-use bundlemocap::body::{Joint, Pose, Shape, Skeleton};
-use bundlemocap::detect::{Detections, Keypoint, KeypointFormat, Person};
-use bundlemocap::so3;
-use bundlemocap::synth::{Motion, MotionStyle, Noise, Recording, position, ring_rig, through};
+use bundlemocap::core::body::{Joint, Pose, Shape, Skeleton};
+use bundlemocap::core::detections::{Detections, Keypoint, KeypointFormat, Person};
+use bundlemocap::core::so3;
+use bundlemocap::research::synth::{
+    Motion, MotionStyle, Noise, Recording, position, ring_rig, through,
+};
 use nalgebra::{Matrix3, Vector3};
 
 const SOLE: [Keypoint; 6] = [

@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
-use bundlemocap::msg::journal_entry::Input;
-use bundlemocap::msg::{Journal, Schema, Status, Topics, decode};
-use bundlemocap::record::{RawEntry, Reader};
+use bundlemocap::io::recording::{RawEntry, Reader};
+use bundlemocap::io::wire::journal_entry::Input;
+use bundlemocap::io::wire::{Journal, Schema, Status, Topics, decode};
 
-use crate::bus::Prefix;
+use crate::io::bus::Prefix;
 use crate::program::{PATIENCE, Program, listening_node};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_bundlemocap");
@@ -135,7 +135,7 @@ fn a_take_is_replayed(studio: impl Fn() -> Studio) {
     let whole = whole.map(|(folder, path, sent)| (folder, entries(&path), path, sent));
     let mut whole = whole.filter(|(_, entries, _, sent)| !is_lossy(entries, *sent));
     let (folder, entries, path, _) = whole.next().expect("messages were lost in every take");
-    assert!(of::<bundlemocap::msg::Pose>(&entries, &Topics::default().pose()).len() > 60);
+    assert!(of::<bundlemocap::io::wire::Pose>(&entries, &Topics::default().pose()).len() > 60);
 
     let run = |line: &str| {
         let mut command = Command::new(PROGRAM);
@@ -188,7 +188,7 @@ fn the_disturbed_take_is_replayed_to_its_golden_bytes() {
     let mut reader = Reader::open(path).unwrap();
     while let Some(Ok(entry)) = reader.next_raw() {
         if *entry.topic == *Topics::default().events() {
-            let event = decode::<bundlemocap::msg::Event>(&entry.payload).unwrap();
+            let event = decode::<bundlemocap::io::wire::Event>(&entry.payload).unwrap();
             *kinds.entry(event.kind).or_default() += event.count;
         }
     }

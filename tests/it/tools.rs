@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use bundlemocap::body::Skeleton;
-use bundlemocap::bus::{Bus, Zenoh, ZenohConfig};
-use bundlemocap::msg::{self, Topics, encode, media_type};
-use bundlemocap::record::{Provenance, RawEntry, Reader, Writer};
-use bundlemocap::synth::{Motion, MotionStyle, Recording, ring_rig};
-use bundlemocap::time::Timestamp;
+use bundlemocap::core::body::Skeleton;
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::io::bus::{Bus, Zenoh, ZenohConfig};
+use bundlemocap::io::recording::{Provenance, RawEntry, Reader, Writer};
+use bundlemocap::io::wire::{self, Topics, encode, media_type};
+use bundlemocap::research::synth::{Motion, MotionStyle, Recording, ring_rig};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -164,7 +164,7 @@ fn what_is_played_is_recorded_byte_for_byte() {
     assert!(entries.iter().all(|entry| entry.schema.starts_with("bundlemocap.v1.")));
     let keypoints = entries.iter().filter(|entry| entry.topic.ends_with("keypoints"));
     for entry in keypoints {
-        let frame: msg::KeypointFrame = msg::decode(&entry.payload).unwrap();
+        let frame: wire::KeypointFrame = wire::decode(&entry.payload).unwrap();
         assert_eq!(frame.capture_time_ns, entry.publish_time.ns());
         assert!(entry.log_time > entry.publish_time);
     }
@@ -180,7 +180,7 @@ fn a_recording_outlives_a_kill() {
     let publisher = place.router.publisher(&topics.events()).unwrap();
     let encoding = media_type("bundlemocap.v1.Event");
     for count in 1..=40 {
-        let event = msg::Event { kind: "late".into(), count, ..msg::Event::default() };
+        let event = wire::Event { kind: "late".into(), count, ..msg::Event::default() };
         publisher.put(Timestamp::from_ns(5), &encoding, &encode(&event)).unwrap();
     }
     let part = place.path("take.mcap.part");
@@ -192,7 +192,7 @@ fn a_recording_outlives_a_kill() {
     let (entries, damage) = raw(&part);
     assert_eq!(damage, 1);
     let counts = entries.iter().map(|entry| match entry.message().unwrap() {
-        bundlemocap::record::Message::Event(event) => event.count,
+        bundlemocap::io::recording::Message::Event(event) => event.count,
         other => panic!("{other:?}"),
     });
     assert_eq!(counts.collect::<Vec<_>>(), (1..=40).collect::<Vec<_>>());
@@ -203,7 +203,7 @@ fn a_recording_outlives_a_kill() {
 fn echo_prints_states_to_late_joiners() {
     let place = Place::new();
     let publisher = place.router.publisher(&Topics::default().rig()).unwrap();
-    let rig = msg::Rig::from_core(&ring_rig(CAMERAS, 4.0, 1.6).unwrap());
+    let rig = wire::Rig::from_core(&ring_rig(CAMERAS, 4.0, 1.6).unwrap());
     publisher.put(Timestamp::from_ns(5), &media_type("bundlemocap.v1.Rig"), &encode(&rig)).unwrap();
     let said = place.done("echo rig --count 1");
     assert!(
@@ -245,9 +245,9 @@ fn bad_arguments_and_a_bus_without_a_node_are_told_in_a_line() {
 }
 
 /// Pose messages by capture time.
-fn poses(path: &Path) -> BTreeMap<i64, msg::Pose> {
+fn poses(path: &Path) -> BTreeMap<i64, wire::Pose> {
     let entries = raw(path).0.into_iter().filter(|entry| entry.topic.ends_with("/pose"));
-    let poses = entries.map(|entry| msg::decode::<msg::Pose>(&entry.payload).unwrap());
+    let poses = entries.map(|entry| wire::decode::<wire::Pose>(&entry.payload).unwrap());
     poses.map(|pose| (pose.capture_time_ns, pose)).collect()
 }
 
@@ -291,7 +291,7 @@ fn keyframes_alone_give_the_poses_that_were_solved() {
 /// A recording of the first keyframe, as if solved with other weights.
 fn keyframes_of_other_weights(entries: &[RawEntry]) -> Vec<u8> {
     let first = entries.iter().find(|entry| entry.topic.ends_with("keyframe")).unwrap();
-    let mut keyframe: msg::Keyframe = msg::decode(&first.payload).unwrap();
+    let mut keyframe: wire::Keyframe = wire::decode(&first.payload).unwrap();
     keyframe.weights = "0123456789abcdef".into();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("other.mcap");

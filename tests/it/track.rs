@@ -3,22 +3,22 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use bundlemocap::body::{
+use bundlemocap::core::body::{
     BodyPoint, Joint, Marks, Shape, Skeleton, StampedPose, TrackingState, fitted_points,
 };
-use bundlemocap::camera::Rig;
-use bundlemocap::cost::Observation;
-use bundlemocap::detect::{Detection, Detections, KeypointFormat, Person};
-use bundlemocap::manifold::{Decoder, Interpolation, Keyframe};
-use bundlemocap::so3;
-use bundlemocap::solve::Method;
-use bundlemocap::track::{
+use bundlemocap::core::camera::Rig;
+use bundlemocap::core::cost::Observation;
+use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
+use bundlemocap::core::manifold::{Decoder, Interpolation, Keyframe};
+use bundlemocap::core::optimise::Method;
+use bundlemocap::core::so3;
+use bundlemocap::core::tracker::{
     Config, Effort, EventKind, Input, Job, Noise, Outcome, Output, Solver, Task, Track, Verdict,
     WindowReport,
 };
 use nalgebra::{Point2, Vector3};
 
-use crate::solve::{frame, keyframe, observe, ring};
+use crate::core::optimise::{frame, keyframe, observe, ring};
 
 const FORMAT: KeypointFormat = KeypointFormat::Body25;
 

@@ -3,10 +3,10 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use bundlemocap::body::bvh::Bvh;
-use bundlemocap::body::{BODY_JOINTS, Joint};
-use bundlemocap::manifold::{Decoder, Keyframe, Transition, TransitionWork};
-use bundlemocap::train::{
+use bundlemocap::core::body::{BODY_JOINTS, Joint};
+use bundlemocap::core::manifold::{Decoder, Keyframe, Transition, TransitionWork};
+use bundlemocap::io::formats::bvh::Bvh;
+use bundlemocap::research::train::{
     Clip, Options, TrainError, evaluate, evaluate_transition, read_folder, run, train_transition,
     transition_keyframes,
 };
@@ -163,7 +163,7 @@ fn the_loss_falls_and_the_same_seed_gives_the_same_bytes() {
         assert!((written.joint_mm - trained.joint_mm).abs() < 1e-3);
     }
     assert_eq!(again.last().unwrap().subject, "all");
-    let lines = bundlemocap::train::table(&again);
+    let lines = bundlemocap::research::train::table(&again);
     assert_eq!(lines.lines().count(), 3);
     let row: Vec<&str> = lines.lines().nth(1).unwrap().split_whitespace().take(2).collect();
     assert_eq!(row, ["02", "80"]);
@@ -278,7 +278,7 @@ fn rest_pose_turns_and_missing_spine_joints() {
     let text = bvh_text(HIP, 1, |_, value| if value == 3 { 30.0 } else { 0.0 });
     std::fs::write(folder.path().join("03_01.bvh"), text).unwrap();
     let clip = &read_folder(folder.path()).unwrap()[0];
-    let expected = bundlemocap::so3::exp(&(Vector3::z() * 30f64.to_radians()));
+    let expected = bundlemocap::core::so3::exp(&(Vector3::z() * 30f64.to_radians()));
     assert!((local(clip, 0, Joint::Spine1) - expected).amax() < 1e-6);
     assert!((local(clip, 0, Joint::Spine2) - Matrix3::identity()).amax() < 1e-6);
     assert!((local(clip, 0, Joint::Spine3) - Matrix3::identity()).amax() < 1e-6);

@@ -1,0 +1,158 @@
+//! The cameras of `bench latency`: synthetic detections, sent in real time.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use prost::Message;
+
+use crate::cli::failure::Failure;
+use crate::cli::synth::RING;
+use crate::core::body::{Shape, Skeleton};
+use crate::core::camera::Rig;
+use crate::core::detections::KeypointFormat;
+use crate::core::time::Timestamp;
+use crate::io::bus::{Bus, Publisher};
+use crate::io::wire::{self, KeypointFrame, Topics, encode};
+use crate::live::WallClock;
+use crate::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+
+/// The procedural motion stands still every so many seconds; there it can be turned round.
+const STANDS_EVERY: f64 = 13.0;
+const ENCODING: &str = "application/protobuf;bundlemocap.v1.KeypointFrame";
+
+/// What the cameras see, encoded beforehand but for the stamps.
+pub(super) struct Cameras {
+    rig: Rig,
+    fps: f64,
+    /// Frame by frame, in each a message of every camera.
+    frames: Vec<Vec<Vec<u8>>>,
+}
+
+impl Cameras {
+    /// Cameras on a ring that see the procedural motion, at least two frames of it.
+    pub(super) fn new(
+        count: u8,
+        fps: f64,
+        seconds: f64,
+        noise: Noise,
+        format: KeypointFormat,
+    ) -> Result<Self, Failure> {
+        let rig = ring_rig(usize::from(count), RING[0], RING[1])?;
+        let skeleton = Skeleton::new(Shape::default());
+        let motion = Motion::new(&skeleton, MotionStyle::default());
+        let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
+        recording.fps = fps;
+        recording.frames = (seconds.min(STANDS_EVERY) * fps).round().max(1.0) as u64 + 1;
+        recording.format = format;
+        recording.noise = noise;
+        let rig = &recording.rig;
+        let encoded = recording.detections().map(|detections| {
+            let camera = &rig.cameras[detections.camera];
+            let size = [camera.width, camera.height];
+            let unstamped = KeypointFrame {
+                frame: 0,
+                capture_time_ns: 0,
+                ..KeypointFrame::from_core(&detections, &camera.name, size)
+            };
+            encode(&unstamped)
+        });
+        let all: Vec<Vec<u8>> = encoded.collect();
+        let frames = all.chunks(usize::from(count)).map(<[Vec<u8>]>::to_vec).collect();
+        Ok(Self { rig: recording.rig, fps, frames })
+    }
+
+    /// The calibration as a message.
+    pub(super) fn rig_message(&self) -> Vec<u8> {
+        encode(&wire::Rig::from_core(&self.rig))
+    }
+
+    /// Bytes of a message on average.
+    pub(super) fn mean_bytes(&self) -> f64 {
+        let (count, bytes) = (self.frames.iter().flatten())
+            .fold((0usize, 0usize), |(count, bytes), message| (count + 1, bytes + message.len()));
+        bytes as f64 / count.max(1) as f64
+    }
+
+    /// Nanoseconds from a frame's capture to that of frame 0.
+    fn since_start(&self, frame: u64) -> i64 {
+        Timestamp::of_frame(frame, self.fps).ns()
+    }
+
+    /// The message of a camera: forwards, backwards, forwards, with the stamps appended, which
+    /// Protocol Buffers takes as one message.
+    fn message(&self, frame: u64, camera: usize, capture: Timestamp) -> Vec<u8> {
+        let last = self.frames.len() as u64 - 1;
+        let at = frame % (2 * last);
+        let mut bytes = self.frames[at.min(2 * last - at) as usize][camera].clone();
+        let capture_time_ns = capture.ns();
+        let stamp = KeypointFrame { frame, capture_time_ns, ..KeypointFrame::default() };
+        bytes.extend(stamp.encode_to_vec());
+        bytes
+    }
+}
+
+/// When each frame was sent, by its capture time.
+#[derive(Clone, Default)]
+pub(super) struct Sent(Arc<Mutex<Vec<(Timestamp, Timestamp)>>>);
+
+impl Sent {
+    /// Capture times in order, each with the time at which the last camera's message was sent.
+    pub(super) fn take(&self) -> Vec<(Timestamp, Timestamp)> {
+        std::mem::take(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    fn add(&self, capture: Timestamp, at: Timestamp) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push((capture, at));
+    }
+}
+
+/// Sends every frame of every camera at its time, in `frames` frames' time.
+pub(super) fn send(
+    cameras: &Cameras,
+    bus: &dyn Bus,
+    topics: &Topics,
+    clock: WallClock,
+    frames: u64,
+    sent: &Sent,
+) -> Result<(), Failure> {
+    let publishers = (cameras.rig.cameras.iter())
+        .map(|camera| bus.publisher(&topics.keypoints(&camera.name)))
+        .collect::<Result<Vec<Box<dyn Publisher>>, _>>()?;
+    let start = clock.now() + 100_000_000;
+    for frame in 0..frames {
+        let capture = start + cameras.since_start(frame);
+        let messages: Vec<Vec<u8>> =
+            (0..publishers.len()).map(|camera| cameras.message(frame, camera, capture)).collect();
+        clock.wait_until(capture);
+        let mut at = capture;
+        for (publisher, message) in publishers.iter().zip(&messages) {
+            at = clock.now();
+            publisher.put(capture, ENCODING, message)?;
+        }
+        sent.add(capture, at);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::wire::decode;
+
+    #[test]
+    fn messages_hold_their_stamps_and_go_back_and_forth() {
+        let noise = Noise::none();
+        let cameras = Cameras::new(2, 10.0, 0.4, noise, KeypointFormat::Body25).unwrap();
+        assert_eq!(cameras.frames.len(), 5);
+        let read = |frame: u64| {
+            let bytes = cameras.message(frame, 1, Timestamp::from_ns(77));
+            decode::<KeypointFrame>(&bytes).unwrap()
+        };
+        let people = |frame: u64| read(frame).people;
+        assert_eq!((read(6).frame, read(6).capture_time_ns), (6, 77));
+        assert_eq!(read(6).camera, "cam02");
+        assert_eq!(people(6), people(2));
+        assert_eq!(people(8), people(0));
+        assert_eq!(people(9), people(1));
+        assert_ne!(people(4), people(3));
+    }
+}

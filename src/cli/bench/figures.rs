@@ -1,0 +1,426 @@
+//! The figures of `bench latency`: what was heard from the node, and what follows.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use serde::Serialize;
+
+use crate::core::time::Timestamp;
+use crate::io::bus::{Bus, BusError, Guard, Sample};
+use crate::io::wire::{Event, Pose, Status, Topics, decode};
+use crate::live::{Usage, WallClock};
+use crate::metrics::statistics::percentiles;
+
+/// A pose that came.
+#[derive(Clone, Copy, Debug)]
+struct Arrival {
+    capture: Timestamp,
+    latency_ns: i64,
+    at: Timestamp,
+}
+
+/// What was heard from the node.
+#[derive(Clone, Default)]
+pub(super) struct Heard(Arc<Mutex<Notes>>);
+
+#[derive(Default)]
+struct Notes {
+    poses: Vec<Arrival>,
+    live: Vec<Arrival>,
+    status: Option<Status>,
+    events: Vec<Event>,
+}
+
+impl Heard {
+    /// Listens to the node.
+    pub(super) fn listen(
+        &self,
+        bus: &dyn Bus,
+        topics: &Topics,
+        clock: WallClock,
+    ) -> Result<Vec<Box<dyn Guard>>, BusError> {
+        let on = |topic: String, note: fn(&mut Notes, &Sample, Timestamp)| {
+            let heard = self.clone();
+            let sink = move |sample: Sample| {
+                let at = clock.now();
+                note(&mut heard.lock(), &sample, at);
+            };
+            bus.subscribe(&topic, Box::new(sink))
+        };
+        Ok(vec![
+            on(topics.pose(), |notes, sample, at| notes.poses.extend(arrival(sample, at)))?,
+            on(topics.live(), |notes, sample, at| notes.live.extend(arrival(sample, at)))?,
+            on(topics.status(), |notes, sample, _| {
+                notes.status = decode(&sample.payload).ok().or(notes.status.take());
+            })?,
+            on(topics.events(), |notes, sample, _| {
+                notes.events.extend(decode::<Event>(&sample.payload));
+            })?,
+        ])
+    }
+
+    /// Whether the node has said how it is.
+    pub(super) fn has_status(&self) -> bool {
+        self.lock().status.is_some()
+    }
+
+    /// When the first pose came.
+    pub(super) fn first_pose(&self) -> Option<Timestamp> {
+        self.lock().poses.first().map(|arrival| arrival.at)
+    }
+
+    /// The latency that the node declares, nanoseconds.
+    pub(super) fn latency_ns(&self) -> i64 {
+        self.lock().poses.last().map_or(0, |arrival| arrival.latency_ns)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Notes> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn arrival(sample: &Sample, at: Timestamp) -> Option<Arrival> {
+    let pose: Pose = decode(&sample.payload).ok()?;
+    let latency_ns = i64::try_from(pose.declared_latency_ns).ok()?;
+    Some(Arrival { capture: Timestamp::from_ns(pose.capture_time_ns), latency_ns, at })
+}
+
+/// What was asked for.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Load {
+    pub(super) bus: String,
+    pub(super) cameras: u8,
+    pub(super) fps: f64,
+    pub(super) seconds: f64,
+    pub(super) message_bytes: f64,
+    pub(super) window_span_ms: f64,
+}
+
+/// Everything measured. Field names are part of the interface.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Figures {
+    #[serde(flatten)]
+    pub(super) load: Load,
+    /// From the first keypoints to the first pose, without the declared latency.
+    pub(super) acquisition_s: Option<f64>,
+    pub(super) declared_latency_ms: Option<f64>,
+    /// Whether the declared latency never changed.
+    pub(super) latency_constant: bool,
+    pub(super) poses: Poses,
+    /// Arrival of a pose against capture time + declared latency, absolute, milliseconds.
+    pub(super) arrival_deviation_ms: Option<Spread>,
+    /// The same as the node measures it when it publishes: upper ends of the histogram's bins.
+    pub(super) publish_deviation_ms: Option<Spread>,
+    /// From the last camera's message to the live pose, after the acquisition, milliseconds.
+    pub(super) live_ms: Option<Spread>,
+    pub(super) live_poses: usize,
+    /// Processes that wanted a core, on average over a minute; above the number of cores the node
+    /// waited for others.
+    pub(super) machine_load: Option<f64>,
+    /// Of one core.
+    pub(super) cpu_percent: Option<f64>,
+    pub(super) memory: Option<Memory>,
+    pub(super) solve_ms: Option<[f64; 2]>,
+    pub(super) dropped: u64,
+    pub(super) effort_level: u32,
+    pub(super) effort_raised: u64,
+    pub(super) events: BTreeMap<String, u64>,
+}
+
+/// Poses that came, of those that should have.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Poses {
+    pub(super) expected: usize,
+    pub(super) published: usize,
+    pub(super) percent: Option<f64>,
+    pub(super) duplicate: usize,
+    pub(super) out_of_order: usize,
+}
+
+/// Percentiles.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(super) struct Spread {
+    pub(super) p50: f64,
+    pub(super) p99: f64,
+    pub(super) p99_9: f64,
+    pub(super) max: f64,
+}
+
+/// Resident memory of the node, MB.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(super) struct Memory {
+    pub(super) start: f64,
+    pub(super) middle: f64,
+    pub(super) end: f64,
+    /// Of a line through the second half, kB a minute.
+    pub(super) slope_kb_min: f64,
+}
+
+/// What the node used, with the time.
+pub(super) type UsageAt = (Timestamp, Usage);
+
+/// What follows from what was heard.
+pub(super) fn figures(
+    load: Load,
+    heard: &Heard,
+    sent: &[(Timestamp, Timestamp)],
+    usage: &[UsageAt],
+) -> Figures {
+    let notes = heard.lock();
+    let status = notes.status.clone().unwrap_or_default();
+    let playout = status.playout.clone().unwrap_or_default();
+    let effort = status.effort.unwrap_or_default();
+    let first = notes.poses.first();
+    let deviation = |a: &Arrival| ((a.at - a.capture - a.latency_ns) as f64 * 1e-6).abs();
+    let mut events = BTreeMap::new();
+    // That the cameras are silent after their last frame is no news.
+    let end = sent.last().map_or(0, |last| last.0.ns());
+    for event in notes.events.iter().filter(|event| event.capture_time_ns <= end) {
+        *events.entry(event.kind.clone()).or_default() += event.count;
+    }
+    let windows = status.windows.unwrap_or_default();
+    Figures {
+        acquisition_s: first
+            .zip(sent.first())
+            .map(|(pose, sent)| (pose.at - sent.0 - pose.latency_ns) as f64 * 1e-9),
+        declared_latency_ms: first.map(|pose| pose.latency_ns as f64 * 1e-6),
+        latency_constant: notes.poses.windows(2).all(|p| p[0].latency_ns == p[1].latency_ns),
+        poses: poses(&notes.poses, sent, &load),
+        arrival_deviation_ms: spread(notes.poses.iter().map(deviation)),
+        publish_deviation_ms: of_bins(&playout.deviation_bins_us, &playout.deviation_counts),
+        live_ms: spread(live(&notes.live, first.map(|pose| pose.at), sent)),
+        live_poses: notes.live.len(),
+        machine_load: machine_load(),
+        cpu_percent: cpu_percent(usage),
+        memory: memory(usage),
+        solve_ms: (windows.tracked > 0).then_some([windows.solve_p50_ms, windows.solve_p99_ms]),
+        dropped: status.queue_dropped,
+        effort_level: effort.level,
+        effort_raised: effort.raised,
+        events,
+        load,
+    }
+}
+
+/// From the first pose on, one is expected for each frame, but for those of the last two windows,
+/// which the end may cut.
+fn poses(all: &[Arrival], sent: &[(Timestamp, Timestamp)], load: &Load) -> Poses {
+    let end = sent.last().map(|sent| sent.0 + (-2e6 * load.window_span_ms) as i64);
+    let range = all.first().map(|pose| pose.capture).zip(end);
+    let inside = |at: Timestamp| range.is_some_and(|(first, end)| first <= at && at < end);
+    let expected = sent.iter().filter(|sent| inside(sent.0)).count();
+    let captures: BTreeSet<Timestamp> =
+        all.iter().map(|pose| pose.capture).filter(|at| inside(*at)).collect();
+    let distinct: BTreeSet<Timestamp> = all.iter().map(|pose| pose.capture).collect();
+    Poses {
+        expected,
+        published: captures.len(),
+        percent: (expected > 0).then(|| 100.0 * captures.len() as f64 / expected as f64),
+        duplicate: all.len() - distinct.len(),
+        out_of_order: all.windows(2).filter(|p| p[1].capture < p[0].capture).count(),
+    }
+}
+
+/// Of each live pose after the acquisition, milliseconds since the last message of its frame set.
+fn live(
+    all: &[Arrival],
+    from: Option<Timestamp>,
+    sent: &[(Timestamp, Timestamp)],
+) -> impl Iterator<Item = f64> {
+    all.iter().filter(move |pose| from.is_some_and(|from| pose.at >= from)).filter_map(|pose| {
+        let frame = sent.binary_search_by_key(&pose.capture, |sent| sent.0).ok()?;
+        Some((pose.at - sent[frame].1) as f64 * 1e-6)
+    })
+}
+
+/// Processes that wanted a core in the last minute, on average, as Linux tells it.
+fn machine_load() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/loadavg").ok()?;
+    text.split_whitespace().next()?.parse().ok()
+}
+
+fn spread(values: impl Iterator<Item = f64>) -> Option<Spread> {
+    let values: Vec<f64> = values.collect();
+    let [p50, p99, p99_9, max] = percentiles(&values, [50.0, 99.0, 99.9, 100.0])?;
+    Some(Spread { p50, p99, p99_9, max })
+}
+
+/// Upper ends of the bins that hold the percentiles, milliseconds; infinite for the open bin.
+fn of_bins(ends_us: &[u32], counts: &[u64]) -> Option<Spread> {
+    let total: u64 = counts.iter().sum();
+    let at = |percent: f64| {
+        let wanted = (total as f64 * percent / 100.0).ceil().max(1.0) as u64;
+        let mut below = 0;
+        let bin = counts.iter().position(|count| {
+            below += count;
+            below >= wanted
+        });
+        bin.and_then(|bin| ends_us.get(bin)).map_or(f64::INFINITY, |us| f64::from(*us) * 1e-3)
+    };
+    (total > 0).then(|| Spread { p50: at(50.0), p99: at(99.0), p99_9: at(99.9), max: at(100.0) })
+}
+
+fn cpu_percent(usage: &[UsageAt]) -> Option<f64> {
+    let (first, last) = (usage.first()?, usage.last()?);
+    let seconds = last.0.seconds_since(first.0);
+    (seconds > 0.0).then(|| 100.0 * (last.1.cpu_s - first.1.cpu_s) / seconds)
+}
+
+fn memory(usage: &[UsageAt]) -> Option<Memory> {
+    let mb = |(_, usage): &UsageAt| usage.resident_bytes as f64 * 1e-6;
+    let half = &usage[usage.len() / 2..];
+    Some(Memory {
+        start: mb(usage.first()?),
+        middle: mb(half.first()?),
+        end: mb(usage.last()?),
+        slope_kb_min: slope(half) * 60.0 * 1e-3,
+    })
+}
+
+/// Bytes a second, by least squares.
+fn slope(usage: &[UsageAt]) -> f64 {
+    let Some(first) = usage.first() else { return 0.0 };
+    let points = usage.iter().map(|(at, u)| (at.seconds_since(first.0), u.resident_bytes as f64));
+    let n = usage.len() as f64;
+    let (sum_x, sum_y) = points.clone().fold((0.0, 0.0), |(x, y), (px, py)| (x + px, y + py));
+    let (mean_x, mean_y) = (sum_x / n, sum_y / n);
+    let (covariance, variance) = points.fold((0.0, 0.0), |(c, v), (x, y)| {
+        (c + (x - mean_x) * (y - mean_y), v + (x - mean_x) * (x - mean_x))
+    });
+    if variance > 0.0 { covariance / variance } else { 0.0 }
+}
+
+impl Figures {
+    /// Rows of a table.
+    pub(super) fn rows(&self) -> Vec<(String, String)> {
+        let none = || "none".to_owned();
+        let number = |value: Option<f64>, unit: &str| {
+            value.map_or_else(none, |value| format!("{value:.1} {unit}"))
+        };
+        let spread = |spread: Option<Spread>| {
+            spread.map_or_else(none, |Spread { p50, p99, p99_9, max }| {
+                format!("p50 {p50:.3}, p99 {p99:.3}, p99.9 {p99_9:.3}, max {max:.3} ms")
+            })
+        };
+        let Self { load, poses, .. } = self;
+        let Load { bus, cameras, fps, seconds, message_bytes, window_span_ms } = load;
+        let constant = if self.latency_constant { "constant" } else { "NOT constant" };
+        let events: Vec<String> =
+            self.events.iter().map(|(kind, count)| format!("{kind} {count}")).collect();
+        let row = |name: &str, value: String| (name.to_owned(), value);
+        vec![
+            row(
+                "load",
+                format!(
+                    "{bus}, {cameras} cameras, {fps} fps, {seconds} s, {message_bytes:.0} bytes"
+                ),
+            ),
+            row("acquisition", number(self.acquisition_s, "s")),
+            row(
+                "poses published",
+                format!(
+                    "{} of {}, {}; {} twice, {} out of order",
+                    poses.published,
+                    poses.expected,
+                    poses.percent.map_or_else(none, |p| format!("{p:.2} %")),
+                    poses.duplicate,
+                    poses.out_of_order
+                ),
+            ),
+            row(
+                "declared latency",
+                format!(
+                    "{}, {constant}; window span {window_span_ms:.1} ms",
+                    number(self.declared_latency_ms, "ms")
+                ),
+            ),
+            row("arrival from capture + latency", spread(self.arrival_deviation_ms)),
+            row("publishing from it, by the node", spread(self.publish_deviation_ms)),
+            row("live pose after last message", spread(self.live_ms)),
+            row("live poses", self.live_poses.to_string()),
+            row("load of the machine", number(self.machine_load, "processes")),
+            row("cpu of the node", number(self.cpu_percent, "% of one core")),
+            row("memory of the node", self.memory.map_or_else(none, Memory::text)),
+            row(
+                "window solve",
+                self.solve_ms
+                    .map_or_else(none, |[p50, p99]| format!("p50 {p50:.2}, p99 {p99:.2} ms")),
+            ),
+            row("dropped by the queue", self.dropped.to_string()),
+            row(
+                "effort level",
+                format!("{}, raised {} times", self.effort_level, self.effort_raised),
+            ),
+            row("events", if events.is_empty() { none() } else { events.join(", ") }),
+        ]
+    }
+}
+
+impl Memory {
+    fn text(self) -> String {
+        let Self { start, middle, end, slope_kb_min } = self;
+        format!("{start:.1}, {middle:.1}, {end:.1} MB; {slope_kb_min:+.1} kB a minute at the end")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ms(ms: i64) -> Timestamp {
+        Timestamp::from_ns(ms * 1_000_000)
+    }
+
+    fn load() -> Load {
+        Load {
+            bus: "memory".into(),
+            cameras: 4,
+            fps: 100.0,
+            seconds: 1.0,
+            message_bytes: 100.0,
+            window_span_ms: 20.0,
+        }
+    }
+
+    fn usage(at_s: i64, cpu_s: f64, resident_bytes: u64) -> UsageAt {
+        (ms(1000 * at_s), Usage { cpu_s, resident_bytes })
+    }
+
+    #[test]
+    fn poses_before_the_first_and_in_the_last_windows_are_not_expected() {
+        let sent: Vec<_> = (0..100).map(|i| (ms(10 * i), ms(10 * i + 1))).collect();
+        let pose =
+            |i: i64| Arrival { capture: ms(10 * i), latency_ns: 30_000_000, at: ms(10 * i + 31) };
+        let heard = Heard::default();
+        let order = (20..90).filter(|i| *i != 50).chain([60]);
+        heard.lock().poses.extend(order.map(pose));
+        heard.lock().live.extend((30..40).map(|i| Arrival { at: ms(10 * i + 5), ..pose(i) }));
+        let figures = figures(load(), &heard, &sent, &[usage(0, 1.0, 0), usage(10, 2.0, 0)]);
+        let Poses { expected, published, duplicate, out_of_order, .. } = figures.poses;
+        assert_eq!((expected, published, duplicate, out_of_order), (75, 69, 1, 1));
+        assert_eq!(figures.declared_latency_ms, Some(30.0));
+        assert!(figures.latency_constant);
+        assert!((figures.acquisition_s.unwrap() - 0.201).abs() < 1e-9);
+        assert!((figures.arrival_deviation_ms.unwrap().p99_9 - 1.0).abs() < 1e-9);
+        assert!((figures.live_ms.unwrap().max - 4.0).abs() < 1e-9);
+        assert_eq!(figures.cpu_percent, Some(10.0));
+        assert!(figures.rows().iter().any(|(_, value)| value.contains("69 of 75")));
+    }
+
+    #[test]
+    fn percentiles_of_bins_are_their_upper_ends() {
+        let spread = of_bins(&[100, 1000, 2000], &[990, 8, 2, 0]).unwrap();
+        assert_eq!([spread.p50, spread.p99, spread.p99_9, spread.max], [0.1, 0.1, 2.0, 2.0]);
+        assert_eq!(of_bins(&[100], &[1, 1]).unwrap().max, f64::INFINITY);
+        assert!(of_bins(&[100], &[0, 0]).is_none());
+    }
+
+    #[test]
+    fn growth_is_seen() {
+        let flat: Vec<_> = (0..20).map(|i| usage(i, 0.0, 5_000_000)).collect();
+        let growing: Vec<_> = (0..20).map(|i| usage(i, 0.0, 5_000_000 + 1000 * i as u64)).collect();
+        assert_eq!(memory(&flat).unwrap().slope_kb_min, 0.0);
+        assert!((memory(&growing).unwrap().slope_kb_min - 60.0).abs() < 1e-6);
+        assert!(memory(&[]).is_none());
+    }
+}

@@ -1,0 +1,188 @@
+//! `bundlemocap bench`
+
+mod cameras;
+mod figures;
+mod node;
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use clap::{Args, Subcommand};
+
+use crate::cli::Ended;
+use crate::cli::bus::BusName;
+use crate::cli::failure::{Exit, Failure, frame_rate_option};
+use crate::cli::synth::NoiseName;
+use crate::cli::terminal::{complain, progress, say, table};
+use crate::config::Config;
+use crate::io::bus::Bus;
+use crate::io::formats::keypoint_format;
+use crate::io::wire::Topics;
+use crate::live::{SolverCore, WallClock};
+use cameras::{Cameras, Sent, send};
+use figures::{Figures, Heard, Load, UsageAt, figures};
+use node::{NodeProcess, PATIENCE, isolated};
+
+/// How often the node's use of the machine is looked at.
+const LOOK: Duration = Duration::from_millis(500);
+/// How long poses and the last status may take beyond the declared latency, at the end.
+const TAIL: Duration = Duration::from_millis(1500);
+
+/// Measure the live node on this machine.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  bundlemocap bench latency --bus zenoh --cameras 4 --fps 60 --seconds 60")]
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    Latency(Latency),
+}
+
+/// Run a node and synthetic cameras on this machine, and measure what comes out.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+The node is a process of its own, on a free port or with names of its own in shared memory. The
+cameras send in real time; a message leaves at its capture time. Poses count from the first one
+that is published; how long that took is the acquisition.
+
+Examples:
+  bundlemocap bench latency --bus zenoh --cameras 4 --fps 60 --seconds 60
+  bundlemocap bench latency --bus iceoryx2 --cameras 16 --fps 120 --seconds 20 --json")]
+struct Latency {
+    /// The bus between the cameras and the node.
+    #[arg(long, value_enum, default_value = "zenoh")]
+    bus: BusName,
+    /// How many cameras stand around the performer, 2 to 64.
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=64))]
+    cameras: u8,
+    /// Frames a second of every camera, 1 to 1000.
+    #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
+    fps: f64,
+    /// How long the cameras send, 1 to 100000.
+    #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
+    seconds: f64,
+    /// How the detectors err.
+    #[arg(long, value_enum, default_value_t = NoiseName::Studio)]
+    noise: NoiseName,
+    /// Keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133.
+    #[arg(long, default_value = "body_25")]
+    format: String,
+    /// Settings of the node; addresses, names and the calibration in it are not used.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Print one JSON object, not the table.
+    #[arg(long)]
+    json: bool,
+    /// Print the node's log, too, on standard error.
+    #[arg(long)]
+    log: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let What::Latency(latency) = &arguments.what;
+    let figures = measure(latency)?;
+    if latency.json {
+        let text = serde_json::to_string_pretty(&figures);
+        say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
+    } else {
+        say(&table(&figures.rows()));
+    }
+    Ok(Exit::Done)
+}
+
+fn measure(arguments: &Latency) -> Result<Figures, Failure> {
+    let fps = frame_rate_option(arguments.fps)?;
+    let seconds = arguments.seconds;
+    if !(1.0..=1e5).contains(&seconds) {
+        let message = format!("--seconds is {seconds}, but must be 1 to 100000");
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    let mut config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
+    config.bus.kind = arguments.bus.kind();
+    let config = isolated(config)?;
+    let format = keypoint_format(&arguments.format)?;
+    let noise = arguments.noise.noise();
+    let cameras = Cameras::new(arguments.cameras, fps, seconds, noise, format)?;
+
+    let mut node = NodeProcess::start(&config, seconds + 60.0)?;
+    // Cameras and listeners keep off the core of the node's solver: they stand for other machines.
+    let _ = config.node.solver_core.then(SolverCore::reserve);
+    let bus = node.connect(&config)?;
+    let heard = Heard::default();
+    let sent = Sent::default();
+    let usage = play(arguments, &config, &cameras, &*bus, &mut node, &heard, &sent)?;
+    if arguments.log {
+        node.log().lines().for_each(|line| complain("node", line));
+    }
+    node.stop()?;
+    let load = Load {
+        bus: format!("{:?}", arguments.bus).to_lowercase(),
+        cameras: arguments.cameras,
+        fps,
+        seconds,
+        message_bytes: cameras.mean_bytes(),
+        window_span_ms: 1e3 * config.track.window_frames as f64 / fps,
+    };
+    Ok(figures(load, &heard, &sent.take(), &usage))
+}
+
+/// Lets the cameras send, and watches the node meanwhile.
+fn play(
+    arguments: &Latency,
+    config: &Config,
+    cameras: &Cameras,
+    bus: &dyn Bus,
+    node: &mut NodeProcess,
+    heard: &Heard,
+    sent: &Sent,
+) -> Result<Vec<UsageAt>, Failure> {
+    let clock = WallClock::start();
+    let topics = Topics { stage: config.node.stage.clone(), actor: config.node.actor.clone() };
+    let _listening = heard.listen(bus, &topics, clock)?;
+    let rig = bus.publisher(&topics.rig())?;
+    let encoding = "application/protobuf;bundlemocap.v1.Rig";
+    rig.put(clock.now(), encoding, &cameras.rig_message())?;
+    wait_for_status(node, heard)?;
+
+    let frames = (arguments.seconds * arguments.fps).round().max(1.0) as u64;
+    let bar = progress(arguments.seconds as u64, "s");
+    let usage = std::thread::scope(|scope| {
+        let sending = scope.spawn(|| send(cameras, bus, &topics, clock, frames, sent));
+        let begin = Instant::now();
+        let mut usage: Vec<UsageAt> = Vec::new();
+        while !sending.is_finished() {
+            std::thread::sleep(LOOK);
+            node.check()?;
+            if heard.first_pose().is_some() {
+                usage.extend(node.usage().map(|usage| (clock.now(), usage)));
+            }
+            bar.set_position(begin.elapsed().as_secs());
+        }
+        let sending = sending.join();
+        sending.unwrap_or_else(|_| {
+            Err(Failure::new(Exit::Unexpected, "the cameras' thread ended by itself"))
+        })?;
+        Ok(usage)
+    });
+    bar.finish_and_clear();
+    std::thread::sleep(Duration::from_nanos(heard.latency_ns().unsigned_abs()) + TAIL);
+    usage
+}
+
+fn wait_for_status(node: &mut NodeProcess, heard: &Heard) -> Result<(), Failure> {
+    let begin = Instant::now();
+    while !heard.has_status() {
+        node.check()?;
+        if begin.elapsed() > PATIENCE {
+            let message = format!("the node has not told its status within {PATIENCE:?}");
+            return Err(Failure::new(Exit::Unexpected, message));
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    Ok(())
+}

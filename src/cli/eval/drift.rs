@@ -1,0 +1,48 @@
+//! Whether the error grows over a long take.
+
+use serde_json::json;
+
+use super::Arguments;
+use super::output::write;
+use super::setup::{Setup, within};
+use crate::cli::failure::{Exit, Failure};
+use crate::io::report::ReportData;
+use crate::research::experiments::{Case, drift, methods, plots};
+
+/// Solves one take of that many minutes at each level of noise.
+pub(super) fn run(arguments: &Arguments, names: &[String], minutes: f64) -> Result<(), Failure> {
+    within("--drift-minutes", minutes, 0.5, 600.0)?;
+    let setup = Setup::new(arguments)?;
+    let mut report = ReportData {
+        title: format!("Drift over {minutes} minutes"),
+        subtitle: setup.subtitle(),
+        ..ReportData::default()
+    };
+    let mut levels = Vec::new();
+    for level in &arguments.noise {
+        let view = setup.view(level)?;
+        let case = Case::endless(&setup.subjects, &view, 60.0 * minutes).ok_or_else(|| {
+            let message = "no motion is long enough; name other subjects with --subjects";
+            Failure::new(Exit::NoDetections, message)
+        })?;
+        let make = || names.iter().filter_map(|name| methods::named(name)).collect();
+        let run = setup.solve(level, &[case], &make)?;
+        let drifts = drift::drifts(&run);
+        if drifts.is_empty() {
+            let message = format!("nobody was found at noise {level}; lower it");
+            return Err(Failure::new(Exit::NobodyFound, message));
+        }
+        report.leading.push(drift::table(&format!("Noise: {level}"), &drifts));
+        let mut plot = plots::long_errors(&run, view.choice.fps);
+        plot.note = format!("{} Noise: {level}.", plot.note);
+        report.plots.push(plot);
+        levels.push(json!({ "level": level, "noise": view.noise, "drift": drifts }));
+    }
+    let results = json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "minutes": minutes,
+        "protocol": setup.protocol,
+        "levels": levels,
+    });
+    write(&arguments.out, &report, &results)
+}

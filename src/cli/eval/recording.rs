@@ -1,0 +1,126 @@
+//! Methods on a real recording.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use serde_json::json;
+
+use super::Arguments;
+use super::output::write;
+use crate::cli::failure::{Exit, Failure};
+use crate::cli::solve::decoder;
+use crate::cli::terminal::{complain, progress};
+use crate::core::detections::KeypointFormat;
+use crate::core::manifold::Decoder;
+use crate::io::formats::Trc;
+use crate::io::report::{Bars, ReportData};
+use crate::metrics::DetectorStatistics;
+use crate::offline::FrameClock;
+use crate::offline::input::{Item, Recording};
+use crate::research::experiments::methods;
+use crate::research::experiments::real::{RealScore, detectors, frame_rate, measure, table};
+use crate::research::methods::{Method, Take, Windows};
+
+/// A recording in memory.
+pub(super) struct Loaded {
+    take: Take,
+    clock: FrameClock,
+}
+
+impl Loaded {
+    /// All cameras with keypoints.
+    pub(super) fn read(path: &Path) -> Result<Self, Failure> {
+        let recording = Recording::open(path)?;
+        let rig = Arc::new(recording.chosen(&[], None)?);
+        let (mut frames, mut clock) = (Vec::new(), None);
+        recording.stream(
+            &rig,
+            || {},
+            |item| {
+                if let Item::Detections(detections) = item {
+                    let (frame, capture) = (detections.frame, detections.capture);
+                    if detections.camera == 0 {
+                        clock.get_or_insert(FrameClock { frame, capture });
+                    }
+                    frames.push(detections);
+                }
+                Ok(())
+            },
+        )?;
+        let short = || {
+            let message = format!("{}: fewer than two frames of a camera", path.display());
+            Failure::new(Exit::NoDetections, format!("{message}; give a longer recording"))
+        };
+        let format = KeypointFormat::from_name(&recording.format).ok_or_else(short)?;
+        let fps = frame_rate(&frames).ok_or_else(short)?;
+        Ok(Self { take: Take { rig, format, fps, frames }, clock: clock.ok_or_else(short)? })
+    }
+
+    /// How its detectors err, against our solution in place of the truth; `None` where nobody is
+    /// found.
+    pub(super) fn detectors(&self, decoder: &Decoder) -> Option<DetectorStatistics> {
+        let solved = Windows::default_settings().solve(&self.take, decoder)?;
+        detectors(&self.take, &solved)
+    }
+}
+
+/// Solves with all cameras, and without each in turn, by every method.
+pub(super) fn run(arguments: &Arguments, names: &[String]) -> Result<(), Failure> {
+    let Some(path) = &arguments.recording else { return Ok(()) };
+    let decoder = decoder(arguments.weights.as_deref())?;
+    let trc = arguments.reference.as_deref().map(Trc::read).transpose()?;
+    let Loaded { take, clock } = Loaded::read(path)?;
+    let cameras = take.rig.cameras.len();
+    let bar = progress((names.len() * (cameras + 1)) as u64, "solves");
+    let mut scores = Vec::new();
+    for name in names {
+        let make = || methods::named(name).unwrap_or_else(|| Box::new(Windows::paper()));
+        let reference = trc.as_ref().map(|trc| (trc, clock));
+        match measure(&take, &make, &decoder, reference, &|| bar.inc(1))? {
+            Some(score) => scores.push(score),
+            None => complain("warning", &format!("{}: nobody was found by {name}", path.display())),
+        }
+    }
+    bar.finish_and_clear();
+    if scores.is_empty() {
+        let message = format!("{}: nobody was found; check the calibration", path.display());
+        return Err(Failure::new(Exit::NobodyFound, message));
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let report = ReportData {
+        title: format!("Methods compared on {name}"),
+        subtitle: format!("{cameras} cameras at {:.1} fps", take.fps),
+        leading: vec![table("Medians over detected points; distance to the reference", &scores)],
+        bars: vec![bars(&scores)],
+        ..ReportData::default()
+    };
+    let results = json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "weights": format!("{:016x}", decoder.fingerprint()),
+        "recording": path,
+        "reference": arguments.reference,
+        "frame_rate_hz": take.fps,
+        "methods": scores,
+    });
+    write(&arguments.out, &report, &results)
+}
+
+/// The error in each camera that was held out.
+fn bars(scores: &[RealScore]) -> Bars {
+    let Some(first) = scores.first() else { return Bars::default() };
+    let group = |camera: &str| {
+        let of = |score: &RealScore| {
+            let held = score.hold_out.iter().find(|held| held.camera == camera);
+            held.and_then(|held| held.median_px).unwrap_or(f64::NAN)
+        };
+        (camera.to_owned(), scores.iter().map(of).collect())
+    };
+    Bars {
+        title: "Held-out cameras".into(),
+        note: "Median distance of the limbs' points in a camera that had no part in solving."
+            .into(),
+        label: "error (px)".into(),
+        series: scores.iter().map(|score| score.method.clone()).collect(),
+        groups: first.hold_out.iter().map(|held| group(&held.camera)).collect(),
+    }
+}

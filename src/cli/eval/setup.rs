@@ -1,0 +1,245 @@
+//! What `bundlemocap eval` measures on: the protocol and the options over it.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::Arguments;
+use crate::cli::failure::{Exit, Failure, frame_rate_option};
+use crate::cli::solve::decoder;
+use crate::cli::terminal::progress;
+use crate::core::camera::Rig;
+use crate::core::detections::KeypointFormat;
+use crate::core::manifold::Decoder;
+use crate::research::experiments::{Case, Methods, Run, Subject, View, procedural, run, subjects};
+use crate::research::synth::{Noise, Protocol, RigError, SequenceChoice, rig_named};
+use crate::research::train::{self, Clip, read_folder};
+
+/// Where the Human3.6M cameras are looked for, under `BUNDLEMOCAP_DATA` or `../shared`.
+const H36M: &str = "recordings/h36m_rig/cameras.json";
+/// Motions of our own, where no folder is given.
+const PROCEDURAL: usize = 4;
+
+/// Everything that the measurements share.
+pub(super) struct Setup {
+    /// The protocol with the options in it.
+    pub(super) protocol: Protocol,
+    pub(super) decoder: Decoder,
+    pub(super) subjects: Vec<Subject>,
+    /// Motions take turns with them.
+    rigs: Vec<Arc<Rig>>,
+    format: KeypointFormat,
+    seed: u64,
+    jobs: usize,
+}
+
+impl Setup {
+    /// By the options, on those subjects if they are not named.
+    pub(super) fn new(arguments: &Arguments) -> Result<Self, Failure> {
+        let protocol = protocol(arguments)?;
+        let seconds = protocol.sequence.seconds;
+        let format = KeypointFormat::from_name(&protocol.format).ok_or_else(|| {
+            let message = format!("format {:?} of the protocol is not known", protocol.format);
+            Failure::new(Exit::KeypointFormat, format!("{message}; use body_25 or halpe_26"))
+        })?;
+        let of_name = |name: &String| rig(name, arguments.h36m.as_deref()).map(Arc::new);
+        let subjects = match &arguments.motions {
+            Some(folder) => {
+                let training = arguments.tune.is_some();
+                subjects(&clips(folder, &protocol.subjects, training, arguments.every)?)
+            }
+            None => procedural(PROCEDURAL.div_ceil(arguments.every.max(1)), seconds),
+        };
+        let seed = protocol.seeds.first().copied().unwrap_or(1);
+        Ok(Self {
+            decoder: decoder(arguments.weights.as_deref())?,
+            subjects: usable(subjects, &protocol.sequence, seed),
+            rigs: protocol.rigs.iter().map(of_name).collect::<Result<_, _>>()?,
+            format,
+            seed,
+            jobs: arguments.jobs,
+            protocol,
+        })
+    }
+
+    /// The view of a level of noise with the first rig.
+    pub(super) fn view(&self, level: &str) -> Result<View, Failure> {
+        let noise = match (self.protocol.levels.get(level), level) {
+            (Some(noise), _) => noise.clone(),
+            (None, "none") => Noise::none(),
+            _ => {
+                let known: Vec<&str> = self.protocol.levels.keys().map(String::as_str).collect();
+                let message =
+                    format!("--noise {level} is not known; use none, {}", known.join(", "));
+                return Err(Failure::new(Exit::Usage, message));
+            }
+        };
+        let Some(rig) = self.rigs.first().map(Arc::clone) else {
+            let message = "the protocol names no rig; give one with --rig";
+            return Err(Failure::new(Exit::Usage, message));
+        };
+        Ok(View {
+            name: level.to_owned(),
+            rig,
+            format: self.format,
+            noise,
+            choice: self.protocol.sequence.clone(),
+            seed: self.seed,
+        })
+    }
+
+    /// The cases of a view, the rigs in turn.
+    pub(super) fn cases(&self, view: &View) -> Vec<Case> {
+        let pairs = self.subjects.iter().zip(self.rigs.iter().cycle());
+        let of_pair = |(subject, rig): (&Subject, &Arc<Rig>)| {
+            Case::new(subject, &View { rig: Arc::clone(rig), ..view.clone() })
+        };
+        pairs.filter_map(of_pair).collect()
+    }
+
+    /// The cases of a view, its own rig in all.
+    pub(super) fn cases_of_rig(&self, view: &View) -> Vec<Case> {
+        self.subjects.iter().filter_map(|subject| Case::new(subject, view)).collect()
+    }
+
+    /// Solves cases by methods, with a bar.
+    pub(super) fn solve(
+        &self,
+        what: &str,
+        cases: &[Case],
+        methods: &Methods,
+    ) -> Result<Run, Failure> {
+        if cases.is_empty() {
+            let seconds = self.protocol.sequence.least_seconds;
+            let message = format!(
+                "no motion has {seconds} s within {} m; name other subjects, or lower \
+                 sequence.least_seconds of the protocol",
+                self.protocol.sequence.radius_m
+            );
+            return Err(Failure::new(Exit::NoDetections, message));
+        }
+        let bar = progress((cases.len() * methods().len()) as u64, "solves");
+        bar.set_message(what.to_owned());
+        let run = run(cases, methods, &self.decoder, self.jobs, &|| bar.inc(1));
+        bar.finish_and_clear();
+        Ok(run)
+    }
+
+    /// One line for reports.
+    pub(super) fn subtitle(&self) -> String {
+        let Protocol { sequence, rigs, .. } = &self.protocol;
+        format!(
+            "{} motions, up to {} s at {} fps, cameras {}, seed {}",
+            self.subjects.len(),
+            sequence.seconds,
+            sequence.fps,
+            rigs.join(" and "),
+            self.seed
+        )
+    }
+}
+
+fn protocol(arguments: &Arguments) -> Result<Protocol, Failure> {
+    let mut protocol = match &arguments.protocol {
+        Some(path) => read_protocol(path)?,
+        None => Protocol { rigs: vec!["h36m".to_owned()], ..Protocol::default() },
+    };
+    if !arguments.subjects.is_empty() {
+        protocol.subjects.clone_from(&arguments.subjects);
+    }
+    if !arguments.rig.is_empty() {
+        protocol.rigs.clone_from(&arguments.rig);
+    }
+    if let Some(fps) = arguments.fps {
+        protocol.sequence.fps = frame_rate_option(fps)?;
+    }
+    if let Some(seconds) = arguments.seconds {
+        protocol.sequence.seconds = within("--seconds", seconds, 0.5, 36_000.0)?;
+        let least = &mut protocol.sequence.least_seconds;
+        *least = least.min(seconds);
+    }
+    if let Some(seed) = arguments.seed {
+        protocol.seeds = vec![seed];
+    }
+    within("--jobs", arguments.jobs as f64, 1.0, 64.0)?;
+    Ok(protocol)
+}
+
+/// A value if it is in its range.
+pub(super) fn within(option: &str, value: f64, low: f64, high: f64) -> Result<f64, Failure> {
+    if (low..=high).contains(&value) {
+        return Ok(value);
+    }
+    let message = format!("{option} is {value}, but must be {low} to {high}");
+    Err(Failure::new(Exit::Usage, message))
+}
+
+fn read_protocol(path: &Path) -> Result<Protocol, Failure> {
+    let path_name = path.display();
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        let message = format!("cannot read the protocol {path_name}: {error}; check the path");
+        Failure::new(Exit::Unreadable, message)
+    })?;
+    toml::from_str(&text).map_err(|error: toml::de::Error| {
+        let message = format!("{path_name}: {error}; config/eval.toml lists every key");
+        Failure::new(Exit::Malformed, message)
+    })
+}
+
+/// The cameras of a name, see [`rig_named`].
+pub(super) fn rig(name: &str, h36m: Option<&Path>) -> Result<Rig, Failure> {
+    let known = h36m.map(Path::to_owned).or_else(known_h36m);
+    rig_named(name, known.as_deref()).map_err(|error| match error {
+        RigError::Name(_) => Failure::new(Exit::Usage, format!("--rig: {error}")),
+        RigError::NeedsFile(_) => {
+            let message = format!("--rig: {error} with --h36m, or use --rig ring4");
+            Failure::new(Exit::Usage, message)
+        }
+        _ => Failure::new(Exit::BadCalibration, error.to_string()),
+    })
+}
+
+/// Subjects of whose motion a stretch can be used; the others are named on standard error.
+fn usable(subjects: Vec<Subject>, choice: &SequenceChoice, seed: u64) -> Vec<Subject> {
+    let (usable, others): (Vec<_>, Vec<_>) =
+        subjects.into_iter().partition(|subject| subject.stretch(choice, seed).is_some());
+    if !others.is_empty() {
+        let names: Vec<&str> = others.iter().map(|subject| subject.name.as_str()).collect();
+        eprintln!(
+            "left out: {}, since no {} s stay within {} m and move as people can",
+            names.join(", "),
+            choice.least_seconds,
+            choice.radius_m
+        );
+    }
+    usable
+}
+
+fn known_h36m() -> Option<PathBuf> {
+    let folder = std::env::var_os("BUNDLEMOCAP_DATA").unwrap_or_else(|| "../shared".into());
+    Some(Path::new(&folder).join(H36M)).filter(|path| path.exists())
+}
+
+/// The clips of those subjects in a folder, or of all others; every so manieth.
+fn clips(
+    folder: &Path,
+    named: &[String],
+    others: bool,
+    every: usize,
+) -> Result<Vec<Clip>, Failure> {
+    let clips = read_folder(folder)?;
+    let names = train::subjects(&clips).join(", ");
+    let at = folder.display();
+    for subject in named {
+        if !clips.iter().any(|clip| clip.subject == *subject) {
+            let message = format!("--subjects: {at} has no clip of {subject}; it has {names}");
+            return Err(Failure::new(Exit::Usage, message));
+        }
+    }
+    let wanted = |clip: &Clip| named.contains(&clip.subject) != others;
+    let chosen: Vec<Clip> = clips.into_iter().filter(wanted).step_by(every.max(1)).collect();
+    if chosen.is_empty() {
+        let message = format!("{at}: no clip is left; it has those of {names}, see --subjects");
+        return Err(Failure::new(Exit::NoDetections, message));
+    }
+    Ok(chosen)
+}

@@ -1,0 +1,47 @@
+//! A method's weights, tuned on the subjects that the evaluation does not use.
+
+use serde_json::json;
+
+use super::Arguments;
+use super::output::write;
+use super::setup::Setup;
+use crate::cli::failure::{Exit, Failure};
+use crate::io::report::ReportData;
+use crate::research::experiments::methods::names;
+use crate::research::experiments::sweep::{axes, table, tune};
+
+/// Goes along each weight of a method, at all levels of noise.
+pub(super) fn run(arguments: &Arguments, method: &str) -> Result<(), Failure> {
+    if axes(method).is_none() {
+        let known = names().join(", ");
+        let message = format!("--tune {method} has no weights to tune; use one of {known}");
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    let setup = Setup::new(arguments)?;
+    let mut levels = Vec::new();
+    for level in &arguments.noise {
+        levels.push((level.as_str(), setup.cases(&setup.view(level)?)));
+    }
+    let trials = tune(method, |methods| {
+        levels.iter().map(|(level, cases)| setup.solve(level, cases, methods)).collect()
+    })?;
+    let names: Vec<&str> = levels.iter().map(|(level, _)| *level).collect();
+    let whose = match arguments.motions {
+        Some(_) => format!("all subjects but {}", setup.protocol.subjects.join(", ")),
+        None => "our own motion".into(),
+    };
+    let report = ReportData {
+        title: format!("Weights of {method}"),
+        subtitle: format!("{} of {whose}", setup.subtitle()),
+        leading: vec![table("The best first", &names, &trials)],
+        ..ReportData::default()
+    };
+    let results = json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "tuned": method,
+        "protocol": setup.protocol,
+        "levels": names,
+        "trials": trials,
+    });
+    write(&arguments.out, &report, &results)
+}

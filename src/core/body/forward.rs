@@ -1,0 +1,252 @@
+//! Forward kinematics in global rotations, and its Jacobian by pushing tangents forward.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::joints::{BODY_JOINTS, JOINTS, Joint};
+use super::skeleton::{SHAPE_COEFFICIENTS, Skeleton};
+
+/// Where every joint is, and how it is turned.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Posture {
+    /// `world_from_joint` rotations.
+    pub rotations: [Matrix3<f64>; JOINTS],
+    /// Joint centres in the world, metres.
+    pub positions: [Vector3<f64>; JOINTS],
+}
+
+/// G_j = G_parent R_j and P_j = P_parent + G_parent o_j.
+///
+/// `root_rotation` is `world_from_pelvis`, `root_position` the pelvis in the world, `local` the
+/// 21 rotations `parent_from_joint` in joint order.
+pub fn forward(
+    skeleton: &Skeleton,
+    root_rotation: &Matrix3<f64>,
+    root_position: &Vector3<f64>,
+    local: &[Matrix3<f64>; BODY_JOINTS],
+) -> Posture {
+    let mut posture =
+        Posture { rotations: [*root_rotation; JOINTS], positions: [*root_position; JOINTS] };
+    for joint in &Joint::ALL[1..] {
+        if let Some(parent) = joint.parent().map(Joint::index) {
+            let (j, parent_rotation) = (joint.index(), posture.rotations[parent]);
+            posture.rotations[j] = parent_rotation * local[j - 1];
+            posture.positions[j] =
+                posture.positions[parent] + parent_rotation * skeleton.offset(*joint);
+        }
+    }
+    posture
+}
+
+/// Tangents of a posture by `columns` parameters, in f32: they steer, and six digits do. Row-major,
+/// `3 * JOINTS` rows each.
+#[derive(Clone, Debug)]
+pub struct Tangents {
+    columns: usize,
+    /// Left (world-frame) angular tangents, rows 3 j to 3 j + 2 for joint j.
+    turn: Vec<f32>,
+    /// Derivatives of the joint centres, same rows.
+    shift: Vec<f32>,
+}
+
+impl Tangents {
+    /// All zero.
+    pub fn zeros(columns: usize) -> Self {
+        let size = 3 * JOINTS * columns;
+        Self { columns, turn: vec![0.0; size], shift: vec![0.0; size] }
+    }
+
+    /// How many parameters there are.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// How far a point of `joint`, at `arm` = G_j offset from its centre, moves along `direction`:
+    /// a row d . (dP_j + w_j x arm) = d . dP_j + (arm x d) . w_j, written to `out`.
+    pub fn along(
+        &self,
+        joint: Joint,
+        arm: &Vector3<f64>,
+        direction: &Vector3<f64>,
+        out: &mut [f32],
+    ) {
+        let rows = joint.index() * 3 * self.columns..(joint.index() + 1) * 3 * self.columns;
+        let (turn, shift) = (&self.turn[rows.clone()], &self.shift[rows]);
+        contract(turn, &arm.cross(direction).cast(), shift, &direction.cast(), out);
+    }
+
+    /// The derivative of the centre of `joint`, 3 x columns, row-major.
+    pub fn shift(&self, joint: Joint) -> &[f32] {
+        &self.shift[joint.index() * 3 * self.columns..][..3 * self.columns]
+    }
+
+    /// The world-frame angular tangent of `joint` by parameter `column`.
+    pub fn turn_of(&self, joint: Joint, column: usize) -> Vector3<f64> {
+        let at = joint.index() * 3 * self.columns + column;
+        Vector3::from_fn(|row, _| f64::from(self.turn[at + row * self.columns]))
+    }
+}
+
+crate::core::linalg::wide! {
+    /// out = torque^T turn + force^T shift, for 3 x n blocks.
+    fn contract(
+        turn: &[f32],
+        torque: &Vector3<f32>,
+        shift: &[f32],
+        force: &Vector3<f32>,
+        out: &mut [f32],
+    ) {
+        let n = turn.len() / 3;
+        let (out, (tx, rest)) = (&mut out[..n], turn.split_at(n));
+        let (ty, tz) = rest.split_at(n);
+        let (sx, rest) = shift.split_at(n);
+        let ((sy, sz), tz) = (rest.split_at(n), &tz[..n]);
+        let sz = &sz[..n];
+        for (c, out) in out.iter_mut().enumerate() {
+            let turned = torque.x * tx[c] + torque.y * ty[c] + torque.z * tz[c];
+            *out = turned + force.x * sx[c] + force.y * sy[c] + force.z * sz[c];
+        }
+    }
+}
+
+crate::core::linalg::wide! {
+    /// out = shift + turn x arm, for 3 x n blocks.
+    fn add_moved(shift: &[f32], turn: &[f32], arm: &Vector3<f32>, n: usize, out: &mut [f32]) {
+        let (wx, rest) = turn.split_at(n);
+        let (wy, wz) = rest.split_at(n);
+        let (sx, rest) = shift.split_at(n);
+        let (sy, sz) = rest.split_at(n);
+        let (ox, rest) = out.split_at_mut(n);
+        let (oy, oz) = rest.split_at_mut(n);
+        for c in 0..n {
+            ox[c] = sx[c] + wy[c] * arm.z - wz[c] * arm.y;
+            oy[c] = sy[c] + wz[c] * arm.x - wx[c] * arm.z;
+            oz[c] = sz[c] + wx[c] * arm.y - wy[c] * arm.x;
+        }
+    }
+}
+
+/// Fills `tangents` for joints 1 to 21, from what it holds for the pelvis (see
+/// [`Tangents::set_root_turn`]) and from the local tangents.
+///
+/// `local` is row-major, `3 * BODY_JOINTS` rows of `local_columns`: right tangents of each local
+/// rotation by the first `local_columns` parameters. `shape_column`, if given, is where the ten
+/// columns of the shape begin.
+///
+/// w_j = w_parent + G_j d_j and dP_j = dP_parent + w_parent x (G_parent o_j).
+pub fn push_forward(
+    skeleton: &Skeleton,
+    posture: &Posture,
+    local: &[f32],
+    local_columns: usize,
+    shape_column: Option<usize>,
+    tangents: &mut Tangents,
+) {
+    let n = tangents.columns;
+    for joint in &Joint::ALL[1..] {
+        let Some(parent) = joint.parent().map(Joint::index) else { continue };
+        let (j, block) = (joint.index(), 3 * n);
+        let (done, here) = tangents.turn.split_at_mut(j * block);
+        let parent_turn = &done[parent * block..(parent + 1) * block];
+        here[..block].copy_from_slice(parent_turn);
+        let rows = &local[(j - 1) * 3 * local_columns..j * 3 * local_columns];
+        let m = local_columns;
+        add_rotated(&posture.rotations[j].cast(), rows, m, n, &mut here[..block]);
+
+        let parent_rotation = &posture.rotations[parent];
+        let arm = parent_rotation * skeleton.offset(*joint);
+        let (done, here) = tangents.shift.split_at_mut(j * block);
+        add_moved(&done[parent * block..(parent + 1) * block], parent_turn, &arm.cast(), n, here);
+        if let Some(first) = shape_column {
+            let by_shape = skeleton.offset_by_shape(*joint);
+            for (k, offset) in by_shape.iter().enumerate().take(SHAPE_COEFFICIENTS) {
+                let moved = parent_rotation * offset;
+                for row in 0..3 {
+                    here[row * n + first + k] += moved[row] as f32;
+                }
+            }
+        }
+    }
+}
+
+crate::core::linalg::wide! {
+    /// turn (3 x n) += G rows (3 x m), in the first m columns.
+    fn add_rotated(g: &Matrix3<f32>, rows: &[f32], m: usize, n: usize, turn: &mut [f32]) {
+        let (x, rest) = rows.split_at(m);
+        let (y, z) = rest.split_at(m);
+        for row in 0..3 {
+            let (gx, gy, gz) = (g[(row, 0)], g[(row, 1)], g[(row, 2)]);
+            for (c, out) in turn[row * n..row * n + m].iter_mut().enumerate() {
+                *out += gx * x[c] + gy * y[c] + gz * z[c];
+            }
+        }
+    }
+}
+
+impl Tangents {
+    /// Sets the pelvis' tangents to zero.
+    pub fn clear_root(&mut self) {
+        let n = self.columns;
+        self.turn[..3 * n].fill(0.0);
+        self.shift[..3 * n].fill(0.0);
+    }
+
+    /// The pelvis turns by `turn` (world-frame, 3x3) with the three parameters from `column` on.
+    pub fn set_root_turn(&mut self, column: usize, turn: &Matrix3<f64>) {
+        for row in 0..3 {
+            for k in 0..3 {
+                self.turn[row * self.columns + column + k] = turn[(row, k)] as f32;
+            }
+        }
+    }
+
+    /// The pelvis moves by `scale` times the three parameters from `column` on.
+    pub fn set_root_shift(&mut self, column: usize, scale: f32) {
+        for row in 0..3 {
+            self.shift[row * self.columns + column + row] = scale;
+        }
+    }
+}
+
+/// The gradient of a cost by where the joints are and how they are turned, as forces and torques:
+/// what moves a joint moves all that hang on it.
+#[derive(Clone, Debug)]
+pub struct Wrenches {
+    force: [Vector3<f64>; JOINTS],
+    /// About the joint's centre, in the world frame.
+    torque: [Vector3<f64>; JOINTS],
+}
+
+impl Wrenches {
+    /// No force yet.
+    pub fn zeros() -> Self {
+        Self { force: [Vector3::zeros(); JOINTS], torque: [Vector3::zeros(); JOINTS] }
+    }
+
+    /// Adds the gradient by the position of a point of `joint`, `arm` from its centre (world frame).
+    pub fn add(&mut self, joint: Joint, arm: &Vector3<f64>, gradient: &Vector3<f64>) {
+        self.force[joint.index()] += gradient;
+        self.torque[joint.index()] += arm.cross(gradient);
+    }
+
+    /// Adds to each joint what acts on those that hang on it, from the tips to the pelvis.
+    pub fn gather(&mut self, posture: &Posture) {
+        for joint in Joint::ALL[1..].iter().rev() {
+            let Some(parent) = joint.parent().map(Joint::index) else { continue };
+            let j = joint.index();
+            let arm = posture.positions[j] - posture.positions[parent];
+            self.force[parent] += self.force[j];
+            self.torque[parent] += self.torque[j] + arm.cross(&self.force[j]);
+        }
+    }
+
+    /// Once gathered: the gradient by a move of `joint` with all that hangs on it, world frame.
+    pub fn force(&self, joint: Joint) -> &Vector3<f64> {
+        &self.force[joint.index()]
+    }
+
+    /// Once gathered: the gradient by the left (world-frame) turn of `joint`. Its rotation times
+    /// the local right tangent is such a turn.
+    pub fn torque(&self, joint: Joint) -> &Vector3<f64> {
+        &self.torque[joint.index()]
+    }
+}

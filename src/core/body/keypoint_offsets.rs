@@ -1,0 +1,72 @@
+//! Where a detector marks points, against where our body has them.
+//!
+//! Each detector has a habit of its own: knees a little to the front, hips too high. A mark is an
+//! offset of a point in its joint's frame, the same in every view and all the time; those of left
+//! and right mirror each other, since detectors are trained on mirrored images.
+
+use nalgebra::Vector3;
+
+use crate::core::detections::Keypoint;
+
+/// Points that have a mark: those that are fitted, of the left side and of the middle.
+const POINTS: [Keypoint; 13] = [
+    Keypoint::Nose,
+    Keypoint::LEye,
+    Keypoint::LEar,
+    Keypoint::HeadTop,
+    Keypoint::LShoulder,
+    Keypoint::LElbow,
+    Keypoint::LWrist,
+    Keypoint::LHip,
+    Keypoint::LKnee,
+    Keypoint::LAnkle,
+    Keypoint::LBigToe,
+    Keypoint::LSmallToe,
+    Keypoint::LHeel,
+];
+
+/// Numbers of all marks: x, y and z of each point.
+pub const MARKS: usize = 3 * POINTS.len();
+
+/// Metres of a coordinate of 1.
+const UNIT: f64 = 0.012;
+
+/// Marks of all points, in units of 12 mm; all zero is where our body has them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Marks(pub [f64; MARKS]);
+
+impl Default for Marks {
+    fn default() -> Self {
+        Self([0.0; MARKS])
+    }
+}
+
+/// Which mark a point has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Slot {
+    first: usize,
+    /// 1 for left and middle, -1 for right: the sign of x.
+    side: f64,
+}
+
+impl Slot {
+    /// `None` for points that are not fitted.
+    pub(super) fn of(keypoint: Keypoint) -> Option<Self> {
+        let (left, side) = keypoint.of_left();
+        let number = POINTS.iter().position(|&point| point == left)?;
+        Some(Self { first: 3 * number, side })
+    }
+
+    /// The offset in the joint's frame, metres.
+    pub(super) fn offset(self, marks: &Marks) -> Vector3<f64> {
+        let [x, y, z] = [0, 1, 2].map(|axis| marks.0[self.first + axis] * UNIT);
+        Vector3::new(self.side * x, y, z)
+    }
+
+    /// Writes the derivative of [`Slot::offset`] by each number of the marks.
+    pub(super) fn derivative(self, out: &mut [Vector3<f64>]) {
+        out[self.first].x = self.side * UNIT;
+        out[self.first + 1].y = UNIT;
+        out[self.first + 2].z = UNIT;
+    }
+}

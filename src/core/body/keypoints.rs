@@ -1,0 +1,143 @@
+//! Where detectors' points sit on the body, and how much each counts in the fit.
+//!
+//! Each point is an offset in the frame of one joint, scaled by the shape as its part of the
+//! body is. Detectors mark what annotators saw, not joint centres: their hips lie higher and
+//! wider than the hip joints and their necks differ between data sets, so such points carry an
+//! offset of their own and a smaller weight \[Pavlakos 2019, sec. 3.2\]. Offsets of nose, head top,
+//! toes and heels were adjusted, by up to 2 cm, to where OpenPose's BODY_25B put them on one
+//! performer.
+
+use nalgebra::Vector3;
+
+use super::forward::Posture;
+use super::joints::Joint;
+use super::keypoint_offsets::Slot;
+use super::skeleton::{BODY_COEFFICIENTS, Part, SHAPE_COEFFICIENTS, ShapeCoefficient, Skeleton};
+use crate::core::detections::{Keypoint, KeypointFormat};
+
+/// Where a detector's point sits on the body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Attachment {
+    /// The joint that carries the point.
+    pub joint: Joint,
+    /// Weight of the point in the fit; 0 where it is not fitted.
+    pub weight: f64,
+    template: Vector3<f64>,
+    part: Part,
+    mark: Option<Slot>,
+}
+
+impl Attachment {
+    /// Where `keypoint` sits.
+    pub fn of(keypoint: Keypoint) -> Self {
+        let (joint, template, part, weight) = table(keypoint);
+        Self { joint, weight, template: Vector3::from(template), part, mark: Slot::of(keypoint) }
+    }
+
+    /// Offset from the joint's centre in the joint's frame, on a body with its marks, metres.
+    pub fn offset(&self, body: &Skeleton) -> Vector3<f64> {
+        let mark = self.mark.map_or_else(Vector3::zeros, |mark| mark.offset(body.marks()));
+        self.part.scaled(&self.template, body.shape()) + mark
+    }
+
+    /// Where the point is in the world, metres.
+    pub fn position(&self, posture: &Posture, body: &Skeleton) -> Vector3<f64> {
+        let joint = self.joint.index();
+        posture.positions[joint] + posture.rotations[joint] * self.offset(body)
+    }
+
+    /// Derivative of [`Attachment::offset`] by each coefficient of the body.
+    pub fn offset_by_body(&self) -> [Vector3<f64>; BODY_COEFFICIENTS] {
+        let mut all = [Vector3::zeros(); BODY_COEFFICIENTS];
+        let (by_shape, by_marks) = all.split_at_mut(SHAPE_COEFFICIENTS);
+        for (out, by) in by_shape.iter_mut().zip(ShapeCoefficient::ALL) {
+            *out = self.part.derivative(&self.template, by);
+        }
+        if let Some(mark) = self.mark {
+            mark.derivative(by_marks);
+        }
+        all
+    }
+}
+
+/// A detector's point that is fitted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BodyPoint {
+    /// Index in the detector's format.
+    pub index: usize,
+    /// Which point it is.
+    pub keypoint: Keypoint,
+    /// Where it sits.
+    pub attachment: Attachment,
+}
+
+/// The points of `format` that have a weight, in the order of the format.
+pub fn fitted_points(format: KeypointFormat) -> Vec<BodyPoint> {
+    format
+        .keypoints()
+        .iter()
+        .enumerate()
+        .map(|(index, &keypoint)| BodyPoint {
+            index,
+            keypoint,
+            attachment: Attachment::of(keypoint),
+        })
+        .filter(|point| point.attachment.weight > 0.0)
+        .collect()
+}
+
+/// Joint, offset (left side and midline, metres, template shape), part, weight.
+fn table(keypoint: Keypoint) -> (Joint, [f64; 3], Part, f64) {
+    use Keypoint as K;
+    let (joint, [x, y, z], part, weight) = match keypoint {
+        K::Nose => (Joint::Head, [0.0, 0.030, 0.112], Part::Head, 1.0),
+        K::LEye | K::REye => (Joint::Head, [0.032, 0.055, 0.088], Part::Head, 1.0),
+        K::LEar | K::REar => (Joint::Head, [0.072, 0.035, 0.010], Part::Head, 1.0),
+        K::HeadTop => (Joint::Head, [0.0, 0.168, 0.040], Part::Head, 0.5),
+        K::Neck => (Joint::Spine3, [0.0, 0.145, 0.010], Part::Trunk, 0.0),
+        K::UpperNeck => (Joint::Neck, [0.0, 0.040, 0.010], Part::Trunk, 0.0),
+        K::MidHip => (Joint::Pelvis, [0.0, -0.060, 0.010], Part::Hip, 0.0),
+        K::LShoulder | K::RShoulder => (Joint::LShoulder, [0.0, 0.0, 0.0], Part::UpperArm, 1.0),
+        K::LElbow | K::RElbow => (Joint::LElbow, [0.0, 0.0, 0.0], Part::UpperArm, 1.0),
+        K::LWrist | K::RWrist => (Joint::LWrist, [0.0, 0.0, 0.0], Part::Forearm, 1.0),
+        K::LHip | K::RHip => (Joint::Pelvis, [0.100, -0.062, 0.012], Part::Hip, 0.6),
+        K::LKnee | K::RKnee => (Joint::LKnee, [0.0, 0.0, 0.010], Part::Thigh, 1.0),
+        K::LAnkle | K::RAnkle => (Joint::LAnkle, [0.0, 0.0, 0.0], Part::Shank, 1.0),
+        K::LBigToe | K::RBigToe => (Joint::LFoot, [-0.004, -0.011, 0.061], Part::Foot, 1.0),
+        K::LSmallToe | K::RSmallToe => (Joint::LFoot, [0.034, -0.016, 0.018], Part::Foot, 1.0),
+        K::LHeel | K::RHeel => (Joint::LAnkle, [0.0, -0.046, -0.040], Part::Foot, 1.0),
+    };
+    match keypoint.of_left() {
+        (_, -1.0) => (joint.mirrored(), [-x, y, z], part, weight),
+        _ => (joint, [x, y, z], part, weight),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::keypoint_offsets::Marks;
+    use super::*;
+
+    #[test]
+    fn every_format_has_both_sides_of_each_limb() {
+        for format in KeypointFormat::ALL {
+            let points = fitted_points(format);
+            for keypoint in [Keypoint::LWrist, Keypoint::RWrist, Keypoint::LAnkle, Keypoint::RAnkle]
+            {
+                assert!(points.iter().any(|p| p.keypoint == keypoint), "{}", format.name());
+            }
+        }
+    }
+
+    #[test]
+    fn left_and_right_mirror_each_other() {
+        let marks = Marks(std::array::from_fn(|i| 0.1 * i as f64));
+        let body = Skeleton::default().with_marks(marks);
+        for (l, r) in [(Keypoint::LHip, Keypoint::RHip), (Keypoint::LBigToe, Keypoint::RBigToe)] {
+            let (l, r) = (Attachment::of(l), Attachment::of(r));
+            let (a, b) = (l.offset(&body), r.offset(&body));
+            assert_eq!(l.joint.mirrored(), r.joint);
+            assert_eq!((-a.x, a.y, a.z), (b.x, b.y, b.z));
+        }
+    }
+}

@@ -1,0 +1,17 @@
+//! The body: a skeleton with shape, its forward kinematics, and where detectors' points sit on it.
+//!
+//! Rest pose: T-pose, y up, +z forward, +x the subject's left, metres.
+
+mod forward;
+mod joints;
+mod keypoint_offsets;
+mod keypoints;
+mod pose;
+mod skeleton;
+
+pub use forward::{Posture, Tangents, Wrenches, forward, push_forward};
+pub use joints::{BODY_JOINTS, FASTEST, JOINTS, Joint};
+pub use keypoint_offsets::{MARKS, Marks};
+pub use keypoints::{Attachment, BodyPoint, fitted_points};
+pub use pose::{Pose, StampedPose, TrackingState};
+pub use skeleton::{BODY_COEFFICIENTS, SHAPE_COEFFICIENTS, Shape, ShapeCoefficient, Skeleton};

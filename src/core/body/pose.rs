@@ -1,0 +1,65 @@
+//! A pose of the body, and what a tracker says about it.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::forward::{Posture, forward};
+use super::joints::BODY_JOINTS;
+use super::skeleton::Skeleton;
+use crate::core::time::Timestamp;
+
+/// The root and the 21 local rotations.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pose {
+    /// `world_from_pelvis`.
+    pub root_rotation: Matrix3<f64>,
+    /// The pelvis in the world, metres.
+    pub root_position: Vector3<f64>,
+    /// `parent_from_joint`, joints 1 to 21 in order.
+    pub local: [Matrix3<f64>; BODY_JOINTS],
+}
+
+impl Pose {
+    /// The rest pose at the origin.
+    pub fn rest() -> Self {
+        Self {
+            root_rotation: Matrix3::identity(),
+            root_position: Vector3::zeros(),
+            local: [Matrix3::identity(); BODY_JOINTS],
+        }
+    }
+
+    /// Joint rotations and positions in the world.
+    pub fn posture(&self, skeleton: &Skeleton) -> Posture {
+        forward(skeleton, &self.root_rotation, &self.root_position, &self.local)
+    }
+}
+
+/// How far a pose can be trusted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum TrackingState {
+    /// Fitted to the detections of its window.
+    Tracking,
+    /// Carried on without enough detections.
+    Coasting,
+    /// Its window fitted badly; flagged, not to be used.
+    Lost,
+}
+
+/// A pose at a capture time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StampedPose {
+    /// The time the pose is of.
+    pub capture: Timestamp,
+    /// The pose.
+    pub pose: Pose,
+    /// How far it can be trusted.
+    pub state: TrackingState,
+    /// Number of the window it comes from, from 0.
+    pub window: u64,
+    /// Version of the rig it was solved with.
+    pub rig_version: u64,
+    /// Whether it comes from a window that was still open.
+    pub provisional: bool,
+    /// Counts up when a pose of the same capture time is given anew.
+    pub revision: u32,
+}

@@ -1,0 +1,257 @@
+//! Our own T-pose template and the ten shape coefficients that move its joints.
+//!
+//! The template is a mean adult, halfway between the sexes, of stature 1.72 m. Joint-to-joint
+//! lengths of thigh, shank, upper arm, forearm and trunk are rounded from \[de Leva 1996, tables 2
+//! to 4\]; heights, foot length and head from \[Winter 2009, fig. 4.1\]; the hip centres sit at
+//! 0.36 of the pelvic width from the midline \[Bell 1990\]; breadths from \[Gordon 2014\]. The
+//! spine is divided so that its joints lie near L4, T12 and T9.
+//!
+//! A coefficient of 1 is one standard deviation in adults, both sexes together, rounded from
+//! the coefficients of variation in \[Gordon 2014\]; that of a segment is what is left of its
+//! variation once stature is accounted for.
+
+use nalgebra::Vector3;
+
+use super::joints::{JOINTS, Joint};
+use super::keypoint_offsets::{MARKS, Marks};
+
+/// How many shape coefficients there are.
+pub const SHAPE_COEFFICIENTS: usize = 10;
+
+/// Numbers that a body is made of: the shape, then the marks.
+pub const BODY_COEFFICIENTS: usize = SHAPE_COEFFICIENTS + MARKS;
+
+/// What a shape coefficient changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs)]
+#[repr(usize)]
+pub enum ShapeCoefficient {
+    Stature,
+    Trunk,
+    Thigh,
+    Shank,
+    Foot,
+    ShoulderBreadth,
+    HipBreadth,
+    UpperArm,
+    Forearm,
+    Head,
+}
+
+use ShapeCoefficient as C;
+
+impl ShapeCoefficient {
+    /// Every coefficient, in order.
+    pub const ALL: [Self; SHAPE_COEFFICIENTS] = [
+        C::Stature,
+        C::Trunk,
+        C::Thigh,
+        C::Shank,
+        C::Foot,
+        C::ShoulderBreadth,
+        C::HipBreadth,
+        C::UpperArm,
+        C::Forearm,
+        C::Head,
+    ];
+
+    /// Relative change of a length for a coefficient of 1.
+    const fn spread(self) -> f64 {
+        match self {
+            C::Stature => 0.052,
+            C::Trunk => 0.030,
+            C::Thigh | C::Shank => 0.035,
+            C::Foot => 0.035,
+            C::ShoulderBreadth => 0.050,
+            C::HipBreadth => 0.070,
+            C::UpperArm | C::Forearm => 0.035,
+            C::Head => 0.040,
+        }
+    }
+}
+
+/// Ten coefficients in standard deviations; all zero is the template.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Shape(pub [f64; SHAPE_COEFFICIENTS]);
+
+/// The part of the body that an offset belongs to: it decides how shape scales the offset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Part {
+    Trunk,
+    Shoulder,
+    Hip,
+    Thigh,
+    Shank,
+    Foot,
+    UpperArm,
+    Forearm,
+    Head,
+}
+
+impl Part {
+    /// Relative change of an offset's x, y and z for a change of 1 in `coefficient`.
+    fn scale(self, coefficient: ShapeCoefficient) -> Vector3<f64> {
+        let axes = match (self, coefficient) {
+            (_, C::Stature)
+            | (Self::Thigh, C::Thigh)
+            | (Self::Shank, C::Shank)
+            | (Self::Foot, C::Foot)
+            | (Self::UpperArm, C::UpperArm)
+            | (Self::Forearm, C::Forearm)
+            | (Self::Head, C::Head) => Vector3::new(1.0, 1.0, 1.0),
+            (Self::Trunk | Self::Shoulder, C::Trunk) => Vector3::new(0.0, 1.0, 1.0),
+            (Self::Shoulder, C::ShoulderBreadth) | (Self::Hip, C::HipBreadth) => Vector3::x(),
+            _ => Vector3::zeros(),
+        };
+        axes * coefficient.spread()
+    }
+
+    /// `template` under `shape`: template * (1 + sum of coefficient * scale), per axis.
+    pub(super) fn scaled(self, template: &Vector3<f64>, shape: &Shape) -> Vector3<f64> {
+        C::ALL.iter().zip(shape.0).fold(*template, |offset, (&coefficient, value)| {
+            offset + self.derivative(template, coefficient) * value
+        })
+    }
+
+    /// The derivative of [`Part::scaled`] by one coefficient; constant, since it is linear.
+    pub(super) fn derivative(self, template: &Vector3<f64>, by: ShapeCoefficient) -> Vector3<f64> {
+        template.component_mul(&self.scale(by))
+    }
+}
+
+/// A joint's offset from its parent in the rest pose, left side and midline, and its part.
+fn template_of(joint: Joint) -> ([f64; 3], Part) {
+    match joint {
+        Joint::Pelvis => ([0.0, 0.0, 0.0], Part::Trunk),
+        Joint::LHip => ([0.086, -0.080, 0.000], Part::Hip),
+        Joint::LKnee => ([0.000, -0.409, 0.005], Part::Thigh),
+        Joint::LAnkle => ([0.000, -0.424, -0.020], Part::Shank),
+        Joint::LFoot => ([0.015, -0.050, 0.130], Part::Foot),
+        Joint::Spine1 => ([0.0, 0.105, -0.012], Part::Trunk),
+        Joint::Spine2 => ([0.0, 0.125, 0.000], Part::Trunk),
+        Joint::Spine3 => ([0.0, 0.055, 0.005], Part::Trunk),
+        Joint::Neck => ([0.0, 0.205, -0.018], Part::Trunk),
+        Joint::Head => ([0.0, 0.085, 0.035], Part::Head),
+        Joint::LCollar => ([0.055, 0.120, -0.010], Part::Shoulder),
+        Joint::LShoulder => ([0.117, 0.023, -0.008], Part::Shoulder),
+        Joint::LElbow => ([0.275, 0.000, -0.006], Part::UpperArm),
+        Joint::LWrist => ([0.264, 0.000, 0.006], Part::Forearm),
+        right => {
+            let (offset, part) = template_of(right.mirrored());
+            ([-offset[0], offset[1], offset[2]], part)
+        }
+    }
+}
+
+/// A body of one shape: each joint's offset from its parent, and where the detector marks its points.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Skeleton {
+    shape: Shape,
+    marks: Marks,
+    offsets: [Vector3<f64>; JOINTS],
+    offsets_by_shape: [[Vector3<f64>; SHAPE_COEFFICIENTS]; JOINTS],
+}
+
+impl Skeleton {
+    /// The body of that shape.
+    pub fn new(shape: Shape) -> Self {
+        let template = Joint::ALL.map(|joint| {
+            let (offset, part) = template_of(joint);
+            (Vector3::from(offset), part)
+        });
+        Self {
+            shape,
+            marks: Marks::default(),
+            offsets: template.map(|(offset, part)| part.scaled(&offset, &shape)),
+            offsets_by_shape: template
+                .map(|(offset, part)| C::ALL.map(|by| part.derivative(&offset, by))),
+        }
+    }
+
+    /// The shape it was made of.
+    pub fn shape(&self) -> &Shape {
+        &self.shape
+    }
+
+    /// The same body with those marks.
+    pub fn with_marks(self, marks: Marks) -> Self {
+        Self { marks, ..self }
+    }
+
+    /// Where the detector marks its points.
+    pub fn marks(&self) -> &Marks {
+        &self.marks
+    }
+
+    /// All its numbers: the shape, then the marks.
+    pub fn coefficients(&self) -> impl Iterator<Item = f64> {
+        self.shape.0.into_iter().chain(self.marks.0)
+    }
+
+    /// The body with these numbers in place of its first ones.
+    pub fn with_coefficients(&self, values: &[f64]) -> Self {
+        let (mut shape, mut marks) = (self.shape, self.marks);
+        let all = shape.0.iter_mut().chain(&mut marks.0);
+        all.zip(values).for_each(|(out, value)| *out = *value);
+        Self::new(shape).with_marks(marks)
+    }
+
+    /// Offset of a joint from its parent in the rest pose, metres; zero for the pelvis.
+    pub fn offset(&self, joint: Joint) -> &Vector3<f64> {
+        &self.offsets[joint.index()]
+    }
+
+    /// Derivative of [`Skeleton::offset`] by each shape coefficient, metres per standard deviation.
+    pub fn offset_by_shape(&self, joint: Joint) -> &[Vector3<f64>; SHAPE_COEFFICIENTS] {
+        &self.offsets_by_shape[joint.index()]
+    }
+}
+
+impl Default for Skeleton {
+    fn default() -> Self {
+        Self::new(Shape::default())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn length(skeleton: &Skeleton, joint: Joint) -> f64 {
+        skeleton.offset(joint).norm()
+    }
+
+    #[test]
+    fn the_template_is_symmetric() {
+        let skeleton = Skeleton::default();
+        for joint in Joint::ALL {
+            let (left, right) = (skeleton.offset(joint), skeleton.offset(joint.mirrored()));
+            assert_eq!((-left.x, left.y, left.z), (right.x, right.y, right.z));
+        }
+    }
+
+    #[test]
+    fn each_coefficient_moves_its_own_segments_only() {
+        let template = Skeleton::default();
+        let mut shape = Shape::default();
+        shape.0[ShapeCoefficient::Thigh as usize] = 2.0;
+        let long = Skeleton::new(shape);
+        for joint in Joint::ALL {
+            let change = length(&long, joint) / length(&template, joint).max(1e-9) - 1.0;
+            let expected = if matches!(joint, Joint::LKnee | Joint::RKnee) { 0.07 } else { 0.0 };
+            if joint != Joint::Pelvis {
+                assert!((change - expected).abs() < 1e-12, "{} {change}", joint.name());
+            }
+        }
+    }
+
+    #[test]
+    fn stature_scales_everything() {
+        let mut shape = Shape::default();
+        shape.0[ShapeCoefficient::Stature as usize] = 1.0;
+        let (tall, template) = (Skeleton::new(shape), Skeleton::default());
+        for joint in &Joint::ALL[1..] {
+            assert!((length(&tall, *joint) / length(&template, *joint) - 1.052).abs() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! Weights of the cost.
+
+use serde::{Deserialize, Serialize};
+
+use super::stiffness::Stiffness;
+use crate::core::manifold::Interpolation;
+
+/// Weights of the cost. The defaults come from the sweep in DESIGN.md.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Scale s of the Geman-McClure loss, pixels: an error of s counts a quarter of its square.
+    pub scale_px: f64,
+    /// Weight of the prior on z in each frame, square pixels: a keyframe counts for the frames up to it.
+    pub prior: f64,
+    /// Degrees of freedom of the prior, a Student t: fewer hold unusual poses back less. 0 for |z|^2 itself.
+    pub prior_freedom: f64,
+    /// Weight of the squared shape coefficients, square pixels, while the shape is free.
+    pub shape_prior: f64,
+    /// Weight of the squared marks, square pixels for each (12 mm)^2, while they are free.
+    pub mark_prior: f64,
+    /// How far in the space of codes a Jacobian of the decoder is carried instead of computed anew, where
+    /// it only steers the steps. 0 is for problems that the data hardly determine, as with a prior
+    /// near 0: there steps must be exact. Differs: the paper needs no Jacobians.
+    pub jacobian_reach: f64,
+    /// How latent codes run between keyframes.
+    pub interpolation: Interpolation,
+    /// Weights of accelerations along the keyframes.
+    pub stiffness: Stiffness,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            scale_px: 30.0,
+            prior: 20.0,
+            prior_freedom: 50.0,
+            shape_prior: 1000.0,
+            mark_prior: 300.0,
+            jacobian_reach: 0.7,
+            interpolation: Interpolation::Slerp,
+            stiffness: Stiffness::default(),
+        }
+    }
+}

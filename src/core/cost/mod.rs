@@ -1,0 +1,31 @@
+//! The window problem: reprojection, robust loss, prior.
+//!
+//! \[Albanis 2023, eq. 2 to 6\], over a path x(t) = (z(t), R(t), p(t)) through latent keyframes:
+//!
+//! cost = 1/2 sum over observations of w rho(|pixel(t) - detected|^2)
+//! + 1/2 prior sum of n_k |z_k|^2 + 1/2 sum of n_k stiffness |acceleration at k|^2
+//!
+//! with rho the Geman-McClure loss, w the detector's confidence times the point's weight, and n_k
+//! the frames that keyframe k stands for. The path is evaluated at each observation's own capture
+//! time. Differs: the paper evaluates it at the frames of genlocked cameras, and has no stiffness.
+
+mod config;
+mod ends;
+mod frame_cost;
+mod marginal;
+mod observation;
+mod observation_batch;
+mod path;
+mod robust;
+mod stiffness;
+mod unknowns;
+mod workspace;
+
+pub use config::Config;
+pub use marginal::Marginal;
+pub use observation::{Moment, Observation};
+pub use path::{PathProblem, Scene};
+pub use robust::GemanMcClure;
+pub use stiffness::Stiffness;
+pub use unknowns::{FreeBody, Knot};
+pub use workspace::{Counts, Workspace};

@@ -1,0 +1,200 @@
+//! Memory of consecutive moments of a path, and what is known of the decoder at them.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::workspace::Counts;
+use crate::core::body::{BODY_JOINTS, Tangents};
+use crate::core::linalg;
+use crate::core::manifold::{Decoder, Jacobians, LATENT, Latent};
+use crate::core::so3;
+
+/// Rows of the derivatives of the local rotations.
+pub(super) const LOCAL_ROWS: usize = 3 * BODY_JOINTS;
+
+/// Numbers of a moment's Jacobian of the decoder.
+const SIZE: usize = LOCAL_ROWS * LATENT;
+
+/// How often a Jacobian is carried on at its moment: so steps that come to little are soon exact again.
+const OLDEST: usize = 2;
+
+/// A step shorter than this leaves a Jacobian as it is: rotations of six digits tell no more of it.
+const SHORTEST: f64 = 1e-2;
+
+/// Some moments in a row. None of its work concerns other moments.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Lane {
+    /// What is decoded: the code of each moment.
+    codes: Vec<Latent>,
+    jacobians: Jacobians,
+    /// Where each moment's Jacobian is taken.
+    linearised: Vec<Option<Linearised>>,
+    /// Where each will come from, and how far it will have been carried.
+    plan: Vec<(Source, f64)>,
+    /// Right tangents of the local rotations by the code there, 63 x 32 for each moment.
+    by_code: Vec<f32>,
+    pub(super) tangents: Option<Tangents>,
+    /// Weighted rows of the moment, (3 per point) x (coordinates of the moment).
+    pub(super) rows: Vec<f32>,
+    /// Gradient by the local rotations (right tangents), 63 for each moment.
+    pub(super) by_rotation: Vec<f64>,
+    /// The same by the codes, 32 for each moment.
+    code_gradients: Vec<f64>,
+    /// What each moment costs.
+    pub(super) costs: Vec<f64>,
+    /// Gradient by each moment's coordinates.
+    pub(super) gradients: Vec<f64>,
+    /// Hessian by each moment's coordinates.
+    pub(super) grams: Vec<f32>,
+    /// What was done since it was made.
+    pub(super) counts: Counts,
+}
+
+/// Where a Jacobian of the decoder is taken.
+#[derive(Clone, Debug)]
+struct Linearised {
+    code: Latent,
+    rotations: [Matrix3<f64>; BODY_JOINTS],
+    /// How far it was carried since the decoder gave it.
+    carried: f64,
+    /// How often it was carried on at its moment.
+    age: usize,
+}
+
+/// Where a moment's Jacobian comes from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Source {
+    /// The one that the moment has.
+    Own,
+    /// That of the moment before.
+    Before,
+    Decoder,
+}
+
+impl Lane {
+    /// Another problem begins.
+    pub(super) fn forget(&mut self) {
+        self.codes.clear();
+        self.linearised.clear();
+    }
+
+    /// Decodes the codes of all moments at once, unless they are those decoded last.
+    pub(super) fn decode(
+        &mut self,
+        decoder: &Decoder,
+        codes: impl ExactSizeIterator<Item = Latent>,
+    ) {
+        let mut is_known = self.codes.len() == codes.len();
+        self.codes.resize(codes.len(), [0.0; LATENT]);
+        for (known, code) in self.codes.iter_mut().zip(codes) {
+            is_known &= *known == code;
+            *known = code;
+        }
+        if !is_known {
+            self.counts.decoded += self.codes.len();
+            decoder.values(&self.codes, &mut self.jacobians);
+        }
+    }
+
+    /// The local rotations of moment `m`, once decoded.
+    pub(super) fn rotations(&self, m: usize) -> [Matrix3<f64>; BODY_JOINTS] {
+        self.jacobians.rotations(m)
+    }
+
+    /// Makes sure of the decoder's Jacobian at the code of each moment: the one that the moment has, or
+    /// that of the moment before, carried there by a secant, or a new one where both come from codes
+    /// further than `reach` along the way, or were carried often.
+    pub(super) fn linearise(&mut self, decoder: &Decoder, reach: f64) {
+        let Self { codes, linearised, plan, jacobians, by_code, counts, .. } = self;
+        by_code.resize(codes.len() * SIZE, 0.0);
+        linearised.resize_with(codes.len(), || None);
+        plan.clear();
+        for (m, code) in codes.iter().enumerate() {
+            let own = linearised[m].as_ref().filter(|at| at.age < OLDEST);
+            let own = own.map(|at| at.carried + distance(&at.code, code));
+            let before = m.checked_sub(1).map(|n| plan[n].1 + distance(&codes[n], code));
+            let sources = [(Source::Own, own), (Source::Before, before)];
+            let mut near = sources.into_iter().filter_map(|(source, far)| Some((source, far?)));
+            plan.push(near.find(|(_, far)| *far <= reach).unwrap_or((Source::Decoder, 0.0)));
+        }
+        let new = plan.iter().enumerate().filter(|(_, (source, _))| *source == Source::Decoder);
+        decoder.tangents_of(new.map(|(m, _)| m), jacobians);
+        for (m, &(source, carried)) in plan.iter().enumerate() {
+            let rows = m * SIZE..(m + 1) * SIZE;
+            let from = match source {
+                Source::Own => linearised[m].take().map(|at| Linearised { age: at.age + 1, ..at }),
+                Source::Before => {
+                    by_code.copy_within((m - 1) * SIZE..m * SIZE, m * SIZE);
+                    linearised[m - 1].clone()
+                }
+                Source::Decoder => {
+                    counts.linearised += 1;
+                    jacobians.local_tangents(m, &mut by_code[rows.clone()]);
+                    None
+                }
+            };
+            let (code, rotations) = (codes[m], jacobians.rotations(m));
+            let age = from.as_ref().map_or(0, |from| from.age);
+            linearised[m] = match from {
+                Some(from) if distance(&from.code, &code) < SHORTEST => Some(from),
+                from => {
+                    if let Some(from) = from {
+                        let step: Latent = std::array::from_fn(|i| code[i] - from.code[i]);
+                        secant(&step, &from.rotations, &rotations, &mut by_code[rows]);
+                    }
+                    Some(Linearised { code, rotations, carried, age })
+                }
+            };
+        }
+    }
+
+    /// Right tangents of the local rotations of moment `m` by its code, once linearised: 63 x 32.
+    pub(super) fn by_code(&self, m: usize) -> &[f32] {
+        &self.by_code[m * SIZE..(m + 1) * SIZE]
+    }
+
+    /// Completes the gradients, of so many numbers for each moment: those by the codes come from those
+    /// by the local rotations.
+    pub(super) fn pull_back(&mut self, decoder: &Decoder, coordinates: usize) {
+        self.counts.gradients += self.codes.len();
+        decoder.pull_back(&self.by_rotation, &mut self.jacobians, &mut self.code_gradients);
+        let gradients = self.gradients.chunks_exact_mut(coordinates);
+        for (gradient, by_code) in gradients.zip(self.code_gradients.chunks_exact(LATENT)) {
+            gradient[..LATENT].copy_from_slice(by_code);
+        }
+    }
+}
+
+fn distance(a: &Latent, b: &Latent) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+}
+
+/// Carries a Jacobian along a step to other rotations: the least change that has it tell how they
+/// turned \[Broyden 1965\].
+fn secant(
+    step: &Latent,
+    from: &[Matrix3<f64>; BODY_JOINTS],
+    to: &[Matrix3<f64>; BODY_JOINTS],
+    by_code: &mut [f32],
+) {
+    let step = step.map(|s| s as f32);
+    for ((from, to), rows) in from.iter().zip(to).zip(by_code.chunks_exact_mut(3 * LATENT)) {
+        let turned = so3::log(&(from.transpose() * to));
+        tell(&step, &turned.cast(), rows);
+    }
+}
+
+linalg::wide! {
+    /// Has three rows tell how far a joint turned with a step.
+    fn tell(step: &[f32; LATENT], turned: &Vector3<f32>, rows: &mut [f32]) {
+        let square: f32 = step.iter().map(|s| s * s).sum();
+        for (turned, row) in turned.iter().zip(rows.chunks_exact_mut(LATENT)) {
+            // Sums of every eighth product, so that none waits for the one before.
+            let mut told = [0.0; 8];
+            for (row, step) in row.chunks_exact(8).zip(step.chunks_exact(8)) {
+                (0..8).for_each(|k| told[k] += row[k] * step[k]);
+            }
+            let missing = (turned - told.iter().sum::<f32>()) / square;
+            row.iter_mut().zip(step).for_each(|(j, s)| *j += missing * s);
+        }
+    }
+}

@@ -1,0 +1,291 @@
+//! The cost of a path through keyframes, with its gradient and Gauss-Newton Hessian.
+//!
+//! Each moment is linearised in coordinates of its own (code, rotation and position where it is on
+//! the path, and the body); the result is carried to the unknowns of the two knots about it by the
+//! derivative of the interpolation. A free body concerns all knots: then the normal equations are
+//! one dense block; else they are banded, a block for each free knot.
+
+use super::config::Config;
+use super::ends::{End, block, ends};
+use super::frame_cost::{self, Path};
+use super::observation::{Moment, Observation};
+use super::robust::{GemanMcClure, StudentT};
+use super::unknowns::{FreeBody, KEYFRAME, Knot, Unknowns};
+use super::workspace::{Workspace, in_lanes};
+use crate::core::body::{BodyPoint, SHAPE_COEFFICIENTS, Skeleton};
+use crate::core::camera::Rig;
+use crate::core::manifold::{Decoder, Keyframe, LATENT};
+use crate::core::optimise::{Layout, Normal, Problem};
+use crate::core::time::Timestamp;
+
+/// What a cost needs besides the unknowns.
+#[derive(Clone, Copy, Debug)]
+pub struct Scene<'a> {
+    /// The manifold.
+    pub decoder: &'a Decoder,
+    /// The cameras.
+    pub rig: &'a Rig,
+    /// The detector's points that are fitted.
+    pub points: &'a [BodyPoint],
+    /// Weights.
+    pub config: &'a Config,
+}
+
+/// The cost of a path. Also gives the solution back as keyframes and body.
+#[derive(Debug)]
+pub struct PathProblem<'a> {
+    scene: Scene<'a>,
+    moments: &'a [Moment],
+    work: &'a mut Workspace,
+    pub(super) unknowns: Unknowns,
+    loss: GemanMcClure,
+}
+
+/// What is wanted besides the cost.
+enum Wanted<'o> {
+    Cost,
+    Gradient(&'o mut [f64]),
+    NormalEquations(&'o mut Normal),
+}
+
+impl Wanted<'_> {
+    fn of_moments(&self) -> frame_cost::Wanted {
+        match self {
+            Self::Cost => frame_cost::Wanted::Cost,
+            Self::Gradient(_) => frame_cost::Wanted::Gradients,
+            Self::NormalEquations(_) => frame_cost::Wanted::Hessians,
+        }
+    }
+
+    fn gradient(&mut self) -> Option<&mut [f64]> {
+        match self {
+            Self::Cost => None,
+            Self::Gradient(gradient) => Some(gradient),
+            Self::NormalEquations(normal) => Some(&mut normal.gradient),
+        }
+    }
+
+    fn normal(&mut self) -> Option<&mut Normal> {
+        match self {
+            Self::NormalEquations(normal) => Some(normal),
+            _ => None,
+        }
+    }
+}
+
+impl<'a> PathProblem<'a> {
+    /// A path through `knots`, in order of time. With a single knot the path is constant.
+    /// What is free of the body is solved for too, from that of `skeleton`.
+    pub fn new(
+        scene: Scene<'a>,
+        knots: Vec<Knot>,
+        skeleton: &Skeleton,
+        free: FreeBody,
+        moments: &'a [Moment],
+        work: &'a mut Workspace,
+    ) -> Self {
+        work.forget();
+        Self {
+            unknowns: Unknowns::new(knots, skeleton, free),
+            loss: GemanMcClure::new(scene.config.scale_px),
+            scene,
+            moments,
+            work,
+        }
+    }
+
+    /// Changes the scale of the loss, pixels.
+    pub fn set_scale(&mut self, scale_px: f64) {
+        self.loss = GemanMcClure::new(scale_px);
+    }
+
+    /// What the observations up to a time, and those after it, cost at the last evaluation, as parts of
+    /// what they cost where the body is far from all of them.
+    pub fn misfits(&self, time: Timestamp) -> [f64; 2] {
+        let (mut costs, mut most) = ([0.0; 2], [0.0; 2]);
+        let weight = |seen: &Observation| {
+            0.5 * seen.confidence * self.scene.points[seen.point].attachment.weight
+        };
+        for (moment, cost) in self.moments.iter().zip(self.work.costs()) {
+            let part = usize::from(moment.capture > time);
+            costs[part] += cost;
+            most[part] += moment.observations().iter().map(weight).sum::<f64>();
+        }
+        let ceiling = self.loss.ceiling();
+        [0, 1].map(|part| costs[part] / (ceiling * most[part]).max(f64::MIN_POSITIVE))
+    }
+
+    /// The unknowns to start from.
+    pub fn start(&self) -> Vec<f64> {
+        self.unknowns.start()
+    }
+
+    /// The unknowns to start from, with other values of the free knots, by their number in the path.
+    pub fn start_at(&self, value: impl Fn(usize, &Knot) -> Keyframe) -> Vec<f64> {
+        self.unknowns.start_at(value)
+    }
+
+    /// The keyframes and the body that `x` stands for.
+    pub fn solution(mut self, x: &[f64]) -> (Vec<Keyframe>, Skeleton) {
+        self.unknowns.take(x);
+        (self.unknowns.keyframes, self.unknowns.skeleton)
+    }
+
+    fn evaluate(&mut self, x: &[f64], mut wanted: Wanted) -> f64 {
+        self.unknowns.take(x);
+        let cost = self.prior(x, &mut wanted);
+        let Self { scene, unknowns, loss, moments, work, .. } = self;
+        let (scene, unknowns, loss, of_moments) = (*scene, &*unknowns, *loss, wanted.of_moments());
+        let offsets = scene.points.iter().map(|point| point.attachment.offset(&unknowns.skeleton));
+        work.offsets.clear();
+        work.offsets.extend(offsets);
+        work.compute(moments, |moments, offsets, lane| {
+            Path { scene, unknowns, loss, offsets }.compute(moments, of_moments, lane);
+        });
+        if let Some(gradient) = wanted.gradient() {
+            self.scatter_gradients(gradient);
+        }
+        if let Some(normal) = wanted.normal() {
+            self.scatter_hessians(normal);
+        }
+        cost + self.work.costs().sum::<f64>()
+    }
+
+    /// 1/2 prior rho(|z|^2) of each free knot, counted for each frame that it stands for, 1/2 shape prior
+    /// |shape|^2, 1/2 mark prior |marks|^2, and the path's stiffness. Overwrites what is wanted.
+    fn prior(&self, x: &[f64], wanted: &mut Wanted) -> f64 {
+        let Config { prior, prior_freedom, shape_prior, mark_prior, stiffness, .. } =
+            *self.scene.config;
+        let mut cost = 0.0;
+        if let Some(gradient) = wanted.gradient() {
+            gradient.fill(0.0);
+        }
+        if let Some(normal) = wanted.normal() {
+            normal.hessian.clear();
+        }
+        let student = StudentT::new(prior_freedom);
+        let codes = self.unknowns.free_frames().enumerate().map(|(knot, frames)| {
+            let first = knot * KEYFRAME;
+            let (rho, slope) = student.rho(square(&x[first..first + LATENT]));
+            (first, LATENT, prior * frames * slope, prior * frames * rho)
+        });
+        let body_at = self.unknowns.body_at();
+        let shape = self.unknowns.body.min(SHAPE_COEFFICIENTS);
+        let (marks_at, marks) = (body_at + shape, self.unknowns.body - shape);
+        let body = [(body_at, shape, shape_prior), (marks_at, marks, mark_prior)];
+        let body = body.map(|(first, count, weight)| {
+            (first, count, weight, weight * square(&x[first..first + count]))
+        });
+        for (first, count, weight, twice_cost) in codes.chain(body) {
+            cost += 0.5 * twice_cost;
+            for i in first..first + count {
+                if let Some(gradient) = wanted.gradient() {
+                    gradient[i] = weight * x[i];
+                }
+                if let Some(normal) = wanted.normal() {
+                    normal.hessian.add_to_diagonal(i, weight);
+                }
+            }
+        }
+        cost + match wanted {
+            Wanted::Cost => stiffness.cost(&self.unknowns),
+            Wanted::Gradient(gradient) => stiffness.add_gradient(&self.unknowns, gradient),
+            Wanted::NormalEquations(normal) => stiffness.add(&self.unknowns, normal),
+        }
+    }
+
+    /// Carries the moments' gradients to all unknowns.
+    fn scatter_gradients(&self, gradient: &mut [f64]) {
+        let (n, body_at) = (self.unknowns.coordinates(), self.unknowns.body_at());
+        let interpolation = self.scene.config.interpolation;
+        let mut pulled = [0.0; KEYFRAME];
+        for (lane, moments) in self.work.lanes.iter().zip(in_lanes(self.moments)) {
+            for (mine, moment) in lane.gradients.chunks_exact(n).zip(moments) {
+                let place = self.unknowns.place(moment.capture);
+                for end in ends(&self.unknowns, interpolation, place).iter().flatten() {
+                    end.pull(mine, &mut pulled);
+                    add(&mut gradient[end.knot * KEYFRAME..], &pulled);
+                }
+                add(&mut gradient[body_at..], &mine[KEYFRAME..]);
+            }
+        }
+    }
+
+    /// Carries the moments' Hessians to all unknowns.
+    fn scatter_hessians(&mut self, normal: &mut Normal) {
+        let n = self.unknowns.coordinates();
+        let (unknowns, interpolation) = (&self.unknowns, self.scene.config.interpolation);
+        let Workspace { lanes, half, .. } = &mut *self.work;
+        for (lane, moments) in lanes.iter().zip(in_lanes(self.moments)) {
+            for (gram, moment) in lane.grams.chunks_exact(n * n).zip(moments) {
+                let place = unknowns.place(moment.capture);
+                if unknowns.is_direct(place) {
+                    if unknowns.is_free(place.to) {
+                        let mine = block(unknowns.number(place.to));
+                        for (column, row) in mine.clone().zip(gram.chunks_exact(n)) {
+                            add(normal.hessian.column_mut(mine.clone(), column), row);
+                        }
+                    }
+                    continue;
+                }
+                let ends = ends(unknowns, interpolation, place);
+                for (e, end) in ends.iter().flatten().enumerate() {
+                    for other in ends.iter().flatten().skip(e) {
+                        end.add_block(other, gram, n, half, &mut normal.hessian);
+                    }
+                }
+                add_body_rows(unknowns, &ends, gram, normal);
+            }
+        }
+    }
+}
+
+/// Adds the rows of a moment's Hessian that belong to the body.
+fn add_body_rows(unknowns: &Unknowns, ends: &[Option<End>], gram: &[f32], normal: &mut Normal) {
+    let (n, body_at) = (unknowns.coordinates(), unknowns.body_at());
+    let mut pulled = [0.0; KEYFRAME];
+    for (row, entries) in (body_at..).zip(gram.chunks_exact(n).skip(KEYFRAME)) {
+        let mut add = |column: usize, value: f64| {
+            normal.hessian.column_mut(row..row + 1, column)[0] += value;
+        };
+        for end in ends.iter().flatten() {
+            end.pull(entries, &mut pulled);
+            block(end.knot).zip(pulled).for_each(|(column, value)| add(column, value));
+        }
+        let body = (body_at..=row).zip(&entries[KEYFRAME..]);
+        body.for_each(|(column, &value)| add(column, value.into()));
+    }
+}
+
+/// The sum of squares.
+fn square(v: &[f64]) -> f64 {
+    v.iter().map(|v| v * v).sum()
+}
+
+/// out += v, as far as v goes.
+fn add<T: Copy + Into<f64>>(out: &mut [f64], v: &[T]) {
+    out.iter_mut().zip(v).for_each(|(out, &v)| *out += v.into());
+}
+
+impl Problem for PathProblem<'_> {
+    fn layout(&self) -> Layout {
+        let blocks = self.unknowns.number(self.unknowns.keyframes.len());
+        let reach = if self.scene.config.stiffness.is_none() { 1 } else { 2 };
+        match self.unknowns.body {
+            0 => Layout { size: KEYFRAME, blocks, bandwidth: reach.min(blocks.saturating_sub(1)) },
+            _ => Layout::dense(self.unknowns.count()),
+        }
+    }
+
+    fn cost(&mut self, x: &[f64]) -> f64 {
+        self.evaluate(x, Wanted::Cost)
+    }
+
+    fn linearise(&mut self, x: &[f64], normal: &mut Normal) -> f64 {
+        self.evaluate(x, Wanted::NormalEquations(normal))
+    }
+
+    fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64 {
+        self.evaluate(x, Wanted::Gradient(gradient))
+    }
+}

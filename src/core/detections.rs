@@ -1,0 +1,206 @@
+//! What a 2D detector says: keypoint formats and detections.
+
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+
+use crate::core::time::Timestamp;
+
+/// The order of a detector's keypoints.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum KeypointFormat {
+    /// OpenPose BODY_25.
+    Body25,
+    /// OpenPose BODY_25B (experimental model: COCO order, upper neck and head top).
+    Body25b,
+    /// COCO, 17 points.
+    Coco17,
+    /// HALPE, 26 points: COCO-17, head top, neck, hip, feet.
+    Halpe26,
+    /// COCO-WholeBody, 133 points; the body and the feet are used, face and hands are not.
+    CocoWholebody133,
+}
+
+/// An anatomical point that some detector marks, whatever its index in a format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[allow(missing_docs)]
+pub enum Keypoint {
+    Nose,
+    LEye,
+    REye,
+    LEar,
+    REar,
+    HeadTop,
+    /// Middle of the shoulders.
+    Neck,
+    /// Where the neck meets the skull.
+    UpperNeck,
+    MidHip,
+    LShoulder,
+    RShoulder,
+    LElbow,
+    RElbow,
+    LWrist,
+    RWrist,
+    LHip,
+    RHip,
+    LKnee,
+    RKnee,
+    LAnkle,
+    RAnkle,
+    LBigToe,
+    RBigToe,
+    LSmallToe,
+    RSmallToe,
+    LHeel,
+    RHeel,
+}
+
+impl Keypoint {
+    /// The point of the left side that this one is or mirrors, and the side: 1 for left and middle, -1
+    /// for right.
+    pub fn of_left(self) -> (Self, f64) {
+        let left = match self {
+            REye => LEye,
+            REar => LEar,
+            RShoulder => LShoulder,
+            RElbow => LElbow,
+            RWrist => LWrist,
+            RHip => LHip,
+            RKnee => LKnee,
+            RAnkle => LAnkle,
+            RBigToe => LBigToe,
+            RSmallToe => LSmallToe,
+            RHeel => LHeel,
+            _ => return (self, 1.0),
+        };
+        (left, -1.0)
+    }
+}
+
+use Keypoint::*;
+
+const BODY_25: [Keypoint; 25] = [
+    Nose, Neck, RShoulder, RElbow, RWrist, LShoulder, LElbow, LWrist, MidHip, RHip, RKnee, RAnkle,
+    LHip, LKnee, LAnkle, REye, LEye, REar, LEar, LBigToe, LSmallToe, LHeel, RBigToe, RSmallToe,
+    RHeel,
+];
+const BODY_25B: [Keypoint; 25] = [
+    Nose, LEye, REye, LEar, REar, LShoulder, RShoulder, LElbow, RElbow, LWrist, RWrist, LHip, RHip,
+    LKnee, RKnee, LAnkle, RAnkle, UpperNeck, HeadTop, LBigToe, LSmallToe, LHeel, RBigToe,
+    RSmallToe, RHeel,
+];
+const HALPE_26: [Keypoint; 26] = [
+    Nose, LEye, REye, LEar, REar, LShoulder, RShoulder, LElbow, RElbow, LWrist, RWrist, LHip, RHip,
+    LKnee, RKnee, LAnkle, RAnkle, HeadTop, Neck, MidHip, LBigToe, RBigToe, LSmallToe, RSmallToe,
+    LHeel, RHeel,
+];
+/// COCO-17 (a prefix) and the body and feet part of COCO-WholeBody-133.
+const COCO_FEET: [Keypoint; 23] = [
+    Nose, LEye, REye, LEar, REar, LShoulder, RShoulder, LElbow, RElbow, LWrist, RWrist, LHip, RHip,
+    LKnee, RKnee, LAnkle, RAnkle, LBigToe, LSmallToe, LHeel, RBigToe, RSmallToe, RHeel,
+];
+
+impl KeypointFormat {
+    /// Every format.
+    pub const ALL: [Self; 5] =
+        [Self::Body25, Self::Body25b, Self::Coco17, Self::Halpe26, Self::CocoWholebody133];
+
+    /// The name used on the wire, in files and on the command line.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Body25 => "body_25",
+            Self::Body25b => "body_25b",
+            Self::Coco17 => "coco_17",
+            Self::Halpe26 => "halpe_26",
+            Self::CocoWholebody133 => "coco_wholebody_133",
+        }
+    }
+
+    /// The format of that name, if there is one.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|format| format.name() == name)
+    }
+
+    /// How many points a person has in this format.
+    #[allow(clippy::len_without_is_empty)] // A format always has points.
+    pub const fn len(self) -> usize {
+        match self {
+            Self::CocoWholebody133 => 133,
+            _ => self.keypoints().len(),
+        }
+    }
+
+    /// The anatomical point of each index, in order. Indices past the end are not used.
+    pub const fn keypoints(self) -> &'static [Keypoint] {
+        match self {
+            Self::Body25 => &BODY_25,
+            Self::Body25b => &BODY_25B,
+            Self::Coco17 => COCO_FEET.split_at(17).0,
+            Self::Halpe26 => &HALPE_26,
+            Self::CocoWholebody133 => &COCO_FEET,
+        }
+    }
+
+    /// The index of an anatomical point, if the format has it.
+    pub fn index_of(self, keypoint: Keypoint) -> Option<usize> {
+        self.keypoints().iter().position(|&k| k == keypoint)
+    }
+}
+
+/// One detected point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Detection {
+    /// Pixels, OpenCV's pixel centres, as detected (distorted).
+    pub pixel: Point2<f64>,
+    /// In (0, 1]; larger detector scores are clamped on the way in.
+    pub confidence: f64,
+}
+
+/// One detected person: a point per index of the frame's format, `None` where not seen.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Person {
+    /// The detector's own tracking id, if it has one.
+    pub id: Option<i64>,
+    /// `KeypointFormat::len` entries.
+    pub points: Vec<Option<Detection>>,
+}
+
+/// What one camera's detector says of one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Detections {
+    /// Index of the camera in the rig.
+    pub camera: usize,
+    /// The camera's own frame counter.
+    pub frame: u64,
+    /// When the image was taken (middle of the exposure).
+    pub capture: Timestamp,
+    /// The order of the points.
+    pub format: KeypointFormat,
+    /// In no particular order; empty when nobody was seen.
+    pub people: Vec<Person>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn formats_round_trip_by_name_and_have_no_point_twice() {
+        for format in KeypointFormat::ALL {
+            assert_eq!(KeypointFormat::from_name(format.name()), Some(format));
+            let mut points = format.keypoints().to_vec();
+            points.sort();
+            points.dedup();
+            assert_eq!(points.len(), format.keypoints().len(), "{}", format.name());
+        }
+        assert_eq!(KeypointFormat::from_name("body_26"), None);
+    }
+
+    #[test]
+    fn the_feet_of_wholebody_differ_in_order_from_halpe() {
+        assert_eq!(KeypointFormat::CocoWholebody133.index_of(LHeel), Some(19));
+        assert_eq!(KeypointFormat::Halpe26.index_of(LHeel), Some(24));
+        assert_eq!(KeypointFormat::Coco17.index_of(LHeel), None);
+    }
+}

@@ -1,0 +1,65 @@
+//! Optimisers that know no bodies: they minimise a [`Problem`] over a vector of numbers.
+//!
+//! [`LevenbergMarquardt`] uses normal equations whose robust weights the problem renews at each
+//! linearisation (IRLS); [`Lbfgs`] uses gradients alone. Both stop with a [`Termination`] that
+//! holds what was measured.
+
+mod block_banded;
+mod cholesky;
+mod lbfgs;
+mod lm;
+mod normal_equations;
+mod termination;
+
+use serde::{Deserialize, Serialize};
+
+pub use block_banded::Banded;
+pub use cholesky::Cholesky;
+pub use lbfgs::Lbfgs;
+pub use lm::LevenbergMarquardt;
+pub use normal_equations::{Layout, Normal};
+pub use termination::{Summary, Termination};
+
+/// A cost of some unknowns.
+pub trait Problem {
+    /// How the unknowns hang together.
+    fn layout(&self) -> Layout;
+
+    /// The cost at `x`.
+    fn cost(&mut self, x: &[f64]) -> f64;
+
+    /// The cost at `x`; its gradient and a Gauss-Newton approximation of its Hessian go to
+    /// `normal`, which is overwritten.
+    fn linearise(&mut self, x: &[f64], normal: &mut Normal) -> f64;
+
+    /// The cost at `x`, with its gradient alone.
+    fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64;
+}
+
+/// Which optimiser to use.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// Levenberg-Marquardt with IRLS.
+    #[default]
+    LevenbergMarquardt,
+    /// L-BFGS with a strong Wolfe line search, as in the paper.
+    Lbfgs,
+}
+
+/// Something that minimises problems. It keeps its memory between calls.
+pub trait Optimiser: Send {
+    /// Minimises from `x`, in place, in at most `iterations` iterations.
+    fn minimise(&mut self, problem: &mut dyn Problem, x: &mut [f64], iterations: usize) -> Summary;
+}
+
+impl Method {
+    /// An optimiser of that kind that stops when a step lowers the cost by less than
+    /// `change_threshold` of it.
+    pub fn optimiser(self, change_threshold: f64) -> Box<dyn Optimiser> {
+        match self {
+            Self::LevenbergMarquardt => Box::new(LevenbergMarquardt::new(change_threshold)),
+            Self::Lbfgs => Box::new(Lbfgs { change_threshold, ..Lbfgs::default() }),
+        }
+    }
+}

@@ -1,0 +1,241 @@
+//! Finding the performer without knowing anything: association across views, triangulation, root
+//! from the torso, then a two-stage fit of one frame.
+
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+use super::association::{extent, median, usable};
+use super::config::Config;
+use crate::core::body::{Attachment, BodyPoint, Skeleton};
+use crate::core::camera::{Rig, triangulate_robust};
+use crate::core::cost::{self, FreeBody, Knot, Moment, Observation, PathProblem, Scene, Workspace};
+use crate::core::detections::{Detections, Keypoint, Person};
+use crate::core::manifold::{Keyframe, LATENT};
+use crate::core::optimise::Optimiser;
+use crate::core::time::Timestamp;
+
+/// A person needs this many points to be looked at.
+const MIN_POINTS: usize = 6;
+/// People of a view that are tried.
+const MOST_PEOPLE: usize = 8;
+/// Hips to shoulders of a person, metres; outside, the views do not belong together.
+const TRUNK_LENGTH: std::ops::Range<f64> = 0.25..0.85;
+/// How much looser the loss is in the first stage, and how much stronger the prior.
+const FIRST_STAGE: f64 = 5.0;
+
+/// The performer in one frame set: what each view saw, and points in space.
+#[derive(Clone, Debug)]
+pub(super) struct Sighting {
+    observations: Vec<Observation>,
+    /// Per fitted point, in the world.
+    points: Vec<Option<Vector3<f64>>>,
+    score: f64,
+}
+
+/// One person in one view: a pixel and a confidence per fitted point.
+struct Candidate {
+    camera: usize,
+    seen: Vec<Option<(Vector2<f64>, f64)>>,
+    extent: f64,
+}
+
+impl Candidate {
+    fn of(camera: usize, person: &Person, points: &[BodyPoint], config: &Config) -> Option<Self> {
+        let seen: Vec<_> = points
+            .iter()
+            .map(|point| usable(person, point, config).map(|d| (d.pixel.coords, d.confidence)))
+            .collect();
+        let extent = extent(seen.iter().flatten().map(|(pixel, _)| *pixel));
+        (seen.iter().flatten().count() >= MIN_POINTS).then_some(Self { camera, seen, extent })
+    }
+
+    /// How well `points` project onto this person: the median error as a part of the person's
+    /// height, and how many points are within `gate`, times the person's height in pixels.
+    fn agreement(
+        &self,
+        rig: &Rig,
+        points: &[Option<Vector3<f64>>],
+        gate: f64,
+    ) -> Option<(f64, f64)> {
+        let (mut errors, mut support) = (Vec::new(), 0.0);
+        for (seen, point) in self.seen.iter().zip(points) {
+            let (Some((pixel, _)), Some(point)) = (seen, point) else { continue };
+            let error = rig.cameras[self.camera]
+                .project(point)
+                .map_or(f64::INFINITY, |projected| (projected - pixel).norm() / self.extent);
+            if error <= gate {
+                support += self.extent;
+            }
+            errors.push(error);
+        }
+        (errors.len() >= MIN_POINTS).then(|| (median(&mut errors), support))
+    }
+}
+
+/// The best-supported person in a frame set, seen by at least two cameras.
+///
+/// Every pair of detections in two views proposes points in space; a proposal is scored by the
+/// number of points that agree, over all views, each view with the detection that agrees best
+/// and weighted by its height in pixels: cameras are pointed at the performer, who fills the
+/// image, and bystanders are small. Confidence says little here, since it differs between people.
+pub(super) fn sight(
+    frames: &[&Detections],
+    rig: &Rig,
+    points: &[BodyPoint],
+    config: &Config,
+) -> Option<Sighting> {
+    let candidates: Vec<Candidate> =
+        frames.iter().flat_map(|frame| largest(frame, points, config)).collect();
+    let mut best: Option<Sighting> = None;
+    for (i, a) in candidates.iter().enumerate() {
+        for b in &candidates[i + 1..] {
+            if a.camera == b.camera {
+                continue;
+            }
+            let proposal = triangulate(&[a, b], rig, points.len(), config);
+            let Some(sighting) = support(&proposal, &candidates, rig, points, config) else {
+                continue;
+            };
+            if best.as_ref().is_none_or(|best| sighting.score > best.score) {
+                best = Some(sighting);
+            }
+        }
+    }
+    best
+}
+
+/// The largest people of a frame; every pair in two views is tried, so more would take too long.
+fn largest(frame: &Detections, points: &[BodyPoint], config: &Config) -> Vec<Candidate> {
+    let people = frame.people.iter();
+    let mut found: Vec<Candidate> =
+        people.filter_map(|person| Candidate::of(frame.camera, person, points, config)).collect();
+    if found.len() > MOST_PEOPLE {
+        found.sort_by(|a, b| b.extent.total_cmp(&a.extent));
+        found.truncate(MOST_PEOPLE);
+    }
+    found
+}
+
+/// Gathers the views that agree with a proposal, and triangulates from all of them.
+fn support(
+    proposal: &[Option<Vector3<f64>>],
+    candidates: &[Candidate],
+    rig: &Rig,
+    points: &[BodyPoint],
+    config: &Config,
+) -> Option<Sighting> {
+    let mut views: Vec<(&Candidate, f64)> = Vec::new();
+    for candidate in candidates {
+        let Some((error, support)) = candidate.agreement(rig, proposal, config.gate.agree) else {
+            continue;
+        };
+        if error > config.gate.agree {
+            continue;
+        }
+        match views.iter_mut().find(|(other, _)| other.camera == candidate.camera) {
+            Some(other) if other.1 < support => *other = (candidate, support),
+            Some(_) => {}
+            None => views.push((candidate, support)),
+        }
+    }
+    let members: Vec<&Candidate> = views.iter().map(|(candidate, _)| *candidate).collect();
+    let score = views.iter().map(|(_, support)| support).sum();
+    let triangulated = triangulate(&members, rig, points.len(), config);
+    let torso = Torso::of(points, &triangulated)?;
+    (members.len() >= 2 && TRUNK_LENGTH.contains(&torso.up.norm())).then(|| Sighting {
+        observations: members.iter().flat_map(|member| observations(member)).collect(),
+        points: triangulated,
+        score,
+    })
+}
+
+fn observations(candidate: &Candidate) -> impl Iterator<Item = Observation> + '_ {
+    candidate.seen.iter().enumerate().filter_map(|(point, seen)| {
+        let (pixel, confidence) = (*seen)?;
+        Some(Observation { point, camera: candidate.camera, pixel, confidence })
+    })
+}
+
+fn triangulate(
+    members: &[&Candidate],
+    rig: &Rig,
+    points: usize,
+    config: &Config,
+) -> Vec<Option<Vector3<f64>>> {
+    let largest = members.iter().map(|m| m.extent).fold(0.0, f64::max);
+    (0..points)
+        .map(|point| {
+            let views: Vec<(usize, Vector2<f64>, f64)> = members
+                .iter()
+                .filter_map(|m| {
+                    m.seen[point].map(|(pixel, confidence)| (m.camera, pixel, confidence))
+                })
+                .collect();
+            triangulate_robust(rig, &views, config.gate.agree * largest, point as u64)
+                .map(|found| found.point)
+        })
+        .collect()
+}
+
+/// The directions of the torso, from triangulated shoulders and hips.
+struct Torso {
+    mid_hip: Vector3<f64>,
+    up: Vector3<f64>,
+    left: Vector3<f64>,
+}
+
+impl Torso {
+    fn of(points: &[BodyPoint], triangulated: &[Option<Vector3<f64>>]) -> Option<Self> {
+        let at = |keypoint| {
+            let index = points.iter().position(|point| point.keypoint == keypoint)?;
+            triangulated[index]
+        };
+        let (ls, rs) = (at(Keypoint::LShoulder)?, at(Keypoint::RShoulder)?);
+        let (lh, rh) = (at(Keypoint::LHip)?, at(Keypoint::RHip)?);
+        let mid_hip = (lh + rh) / 2.0;
+        Some(Self { mid_hip, up: (ls + rs) / 2.0 - mid_hip, left: (ls - rs) + (lh - rh) })
+    }
+
+    /// The pelvis: y along the trunk, x to the left, hips where the detector saw them.
+    fn root(&self, body: &Skeleton) -> Option<(Matrix3<f64>, Vector3<f64>)> {
+        let y = self.up.try_normalize(1e-6)?;
+        let x = (self.left - y * y.dot(&self.left)).try_normalize(1e-6)?;
+        let rotation = Matrix3::from_columns(&[x, y, x.cross(&y)]);
+        let mut hip = Attachment::of(Keypoint::LHip).offset(body);
+        hip.x = 0.0;
+        Some((rotation, self.mid_hip - rotation * hip))
+    }
+}
+
+/// Fits a keyframe to one frame set in two stages: a loose one from z = 0 with the root from the
+/// torso, then the cost itself. What is free of the body is fitted too.
+pub(super) fn fit(
+    sighting: &Sighting,
+    scene: Scene,
+    skeleton: &Skeleton,
+    free: FreeBody,
+    config: &Config,
+    optimiser: &mut dyn Optimiser,
+    work: &mut Workspace,
+) -> Option<(Keyframe, Skeleton)> {
+    let torso = Torso::of(scene.points, &sighting.points)?;
+    let (root_rotation, root_position) = torso.root(skeleton)?;
+    let moments = [Moment::new(Timestamp::default(), sighting.observations.clone())];
+    let mut keyframe = Keyframe { z: [0.0; LATENT], root_rotation, root_position };
+    let mut skeleton = skeleton.clone();
+    let loose = cost::Config {
+        scale_px: scene.config.scale_px * FIRST_STAGE,
+        prior: scene.config.prior * FIRST_STAGE,
+        ..*scene.config
+    };
+    for stage in [&loose, scene.config] {
+        let knot = Knot { capture: Timestamp::default(), keyframe, free: true, frames: 1.0 };
+        let scene = Scene { config: stage, ..scene };
+        let mut problem = PathProblem::new(scene, vec![knot], &skeleton, free, &moments, work);
+        let mut x = problem.start();
+        optimiser.minimise(&mut problem, &mut x, config.acquisition_iterations);
+        let (keyframes, fitted) = problem.solution(&x);
+        keyframe = keyframes.into_iter().next()?;
+        skeleton = fitted;
+    }
+    Some((keyframe, skeleton))
+}

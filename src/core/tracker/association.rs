@@ -1,0 +1,143 @@
+//! Which of the detected people is the performer, and what was seen of them.
+//!
+//! A view may hold bystanders, several detections that are parts of the performer, or nobody.
+//! While tracking, each view is followed from frame to frame: the detection nearest to the last
+//! accepted one, where half of its points lie within a gate. Where several detections pass the
+//! gate, each point is taken from the one that has it nearest.
+
+use nalgebra::Vector2;
+
+use super::config::Config;
+use crate::core::body::{BodyPoint, Pose, Skeleton};
+use crate::core::camera::{Camera, Rig};
+use crate::core::cost::{Moment, Observation};
+use crate::core::detections::{Detections, Person};
+use crate::core::time::Timestamp;
+
+/// Frames this close in time (ns) share a moment: cameras on one clock differ by microseconds, and
+/// at 5 m/s this is half a millimetre. Each moment costs a decoding.
+const SAME_TIME: i64 = 100_000;
+
+/// Where each fitted point of the performer is expected in a view.
+type Expected = Vec<Option<Vector2<f64>>>;
+
+/// Height of a set of points in the image, pixels: the longer side of their bounding box.
+pub(super) fn extent(points: impl Iterator<Item = Vector2<f64>>) -> f64 {
+    let mut low = Vector2::repeat(f64::INFINITY);
+    let mut high = Vector2::repeat(f64::NEG_INFINITY);
+    for point in points {
+        low = low.inf(&point);
+        high = high.sup(&point);
+    }
+    (high - low).max().max(0.0)
+}
+
+/// What was seen of the performer in `frames`, which are in order of capture time, each view
+/// followed from where `pose` is in it; grouped by capture time.
+pub fn follow<'d>(
+    frames: impl Iterator<Item = &'d Detections>,
+    points: &[BodyPoint],
+    rig: &Rig,
+    pose: &Pose,
+    skeleton: &Skeleton,
+    config: &Config,
+) -> Vec<Moment> {
+    let posture = pose.posture(skeleton);
+    let world: Vec<_> = points.iter().map(|p| p.attachment.position(&posture, skeleton)).collect();
+    let view = |camera: &Camera| world.iter().map(|point| camera.project(point)).collect();
+    Follower { points, config, expected: rig.cameras.iter().map(view).collect() }.moments(frames)
+}
+
+/// Follows the performer through the views.
+#[derive(Clone, Debug)]
+struct Follower<'a> {
+    points: &'a [BodyPoint],
+    config: &'a Config,
+    /// Per camera.
+    expected: Vec<Expected>,
+}
+
+impl Follower<'_> {
+    /// What was seen of the performer in `frames`, which are in order of capture time, grouped
+    /// by capture time, to [`SAME_TIME`].
+    fn moments<'d>(&mut self, frames: impl Iterator<Item = &'d Detections>) -> Vec<Moment> {
+        let mut groups: Vec<(Timestamp, Vec<Observation>)> = Vec::new();
+        for frame in frames {
+            let seen = self.observe(frame);
+            match groups.last_mut() {
+                Some((capture, group)) if frame.capture - *capture <= SAME_TIME => {
+                    group.extend(seen);
+                }
+                _ => groups.push((frame.capture, seen)),
+            }
+        }
+        groups.retain(|(_, group)| !group.is_empty());
+        groups.into_iter().map(|(capture, group)| Moment::new(capture, group)).collect()
+    }
+
+    fn observe(&mut self, frame: &Detections) -> Vec<Observation> {
+        let expected = &self.expected[frame.camera];
+        let gate = self.config.gate.follow * extent(expected.iter().flatten().copied());
+        let accepted: Vec<&Person> = frame
+            .people
+            .iter()
+            .filter(|person| {
+                self.distance(person, expected).is_some_and(|distance| distance <= gate)
+            })
+            .collect();
+        let seen: Vec<Observation> = (0..self.points.len())
+            .filter_map(|point| self.nearest(point, &accepted, expected[point], frame.camera))
+            .collect();
+        for observation in &seen {
+            self.expected[frame.camera][observation.point] = Some(observation.pixel);
+        }
+        seen
+    }
+
+    /// The median distance of a person's points to where they are expected, pixels.
+    fn distance(&self, person: &Person, expected: &Expected) -> Option<f64> {
+        let mut distances: Vec<f64> = self
+            .points
+            .iter()
+            .zip(expected)
+            .filter_map(|(point, expected)| {
+                let seen = usable(person, point, self.config)?;
+                Some((seen.pixel.coords - (*expected)?).norm())
+            })
+            .collect();
+        (distances.len() >= 3).then(|| median(&mut distances))
+    }
+
+    fn nearest(
+        &self,
+        point: usize,
+        people: &[&Person],
+        expected: Option<Vector2<f64>>,
+        camera: usize,
+    ) -> Option<Observation> {
+        let seen =
+            people.iter().filter_map(|person| usable(person, &self.points[point], self.config));
+        let distance = |pixel: &Vector2<f64>| expected.map_or(0.0, |e| (pixel - e).norm());
+        seen.map(|d| Observation { point, camera, pixel: d.pixel.coords, confidence: d.confidence })
+            .min_by(|a, b| distance(&a.pixel).total_cmp(&distance(&b.pixel)))
+    }
+}
+
+/// A person's detection of a point, if it is confident enough.
+pub(super) fn usable<'p>(
+    person: &'p Person,
+    point: &BodyPoint,
+    config: &Config,
+) -> Option<&'p crate::core::detections::Detection> {
+    let seen = person.points.get(point.index)?.as_ref()?;
+    (seen.confidence >= config.min_confidence).then_some(seen)
+}
+
+/// The median; of an even number, the upper of the two in the middle.
+pub(super) fn median(values: &mut [f64]) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}

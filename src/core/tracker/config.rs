@@ -1,0 +1,161 @@
+//! Settings of the tracking machine.
+
+use serde::{Deserialize, Serialize};
+
+use crate::core::cost::{self, FreeBody, Stiffness};
+use crate::core::optimise::Method;
+
+/// Settings of the tracking machine.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Frames of the cameras a second; 0 finds it from the first frames.
+    pub frame_rate_hz: f64,
+    /// Nominal frames in a window: its keyframes are solved together.
+    pub window_frames: usize,
+    /// Nominal frames from one keyframe to the next, at most a window.
+    pub keyframe_frames: usize,
+    /// Nominal frames of a window, from its start, that are final: the next window begins after
+    /// them, so the others are looked ahead. A multiple of `keyframe_frames`, at most a window.
+    pub publish_frames: usize,
+    /// How many nominal frames a window waits for a camera that is behind the others.
+    pub deadline_frames: usize,
+    /// How many windows are gathered before the first solve; the shape comes from them.
+    pub shape_windows: usize,
+    /// Most iterations of a window's solve.
+    pub iterations: usize,
+    /// Most iterations of a provisional fit of the open window.
+    pub live_iterations: usize,
+    /// In every so manieth window it is learnt where the detector marks points, 25 times; 0 takes
+    /// them to be where our body has them. Differs: the paper does not.
+    pub mark_windows: usize,
+    /// Prior and stiffness count as their weights say where the detections' median error is this many
+    /// pixels, and by the square of that error elsewhere; 0 takes the weights as they are. Differs:
+    /// the paper has a weight alone.
+    pub noise_px: f64,
+    /// How many windows in a row may pass in which too little is seen of the performer.
+    pub coast_windows: usize,
+    /// After how many windows that closed without it a camera is no longer waited for.
+    pub grace_windows: usize,
+    /// Iterations of each stage of the acquisition.
+    pub acquisition_iterations: usize,
+    /// An optimiser stops when a step lowers the cost by less than this part of it.
+    pub change_threshold: f64,
+    /// The optimiser of the windows.
+    pub method: Method,
+    /// Threads that solve a window together, 1 or 2; the result is the same.
+    pub threads: usize,
+    /// Weights of the cost.
+    pub cost: cost::Config,
+    /// Detections below this confidence are not used.
+    pub min_confidence: f64,
+    /// Who is the performer, and when is the performer lost.
+    pub gate: Gate,
+}
+
+/// Gates of association and of the verdict on a window. Lengths in the image are parts of the
+/// performer's height in that image, so that they hold at any distance and resolution.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Gate {
+    /// A triangulated point agrees with a view within this part of the person's height.
+    pub agree: f64,
+    /// A detected person is the performer when half of its points lie within this of where the
+    /// performer was expected.
+    pub follow: f64,
+    /// A window is lost when the median residual exceeds this.
+    pub lost_residual: f64,
+    /// A window is lost when |z| exceeds this.
+    pub lost_latent: f64,
+    /// A window is lost when fewer observations a frame than this are left.
+    pub lost_observations: f64,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            frame_rate_hz: 0.0,
+            window_frames: 10,
+            keyframe_frames: 1,
+            publish_frames: 5,
+            deadline_frames: 5,
+            shape_windows: 3,
+            iterations: 6,
+            live_iterations: 3,
+            mark_windows: 4,
+            noise_px: 7.0,
+            coast_windows: 6,
+            grace_windows: 6,
+            acquisition_iterations: 30,
+            change_threshold: 8e-3,
+            method: Method::LevenbergMarquardt,
+            threads: 1,
+            cost: cost::Config::default(),
+            min_confidence: 0.1,
+            gate: Gate::default(),
+        }
+    }
+}
+
+impl Config {
+    /// As the paper has it: one keyframe for each window of ten frames, and slerp; windows do not
+    /// overlap; L-BFGS with 30 iterations, in one stage.
+    pub fn paper() -> Self {
+        Self {
+            keyframe_frames: 10,
+            publish_frames: 10,
+            iterations: 30,
+            change_threshold: 1e-9,
+            method: Method::Lbfgs,
+            mark_windows: 0,
+            noise_px: 0.0,
+            coast_windows: 3,
+            grace_windows: 3,
+            cost: cost::Config {
+                prior: 90.0,
+                prior_freedom: 0.0,
+                scale_px: 60.0,
+                jacobian_reach: 0.0,
+                stiffness: Stiffness::NONE,
+                ..Default::default()
+            },
+            ..Self::default()
+        }
+    }
+
+    /// What of the body the first windows are solved for.
+    pub(super) fn free_body(&self) -> FreeBody {
+        if self.mark_windows > 0 { FreeBody::ShapeAndMarks } else { FreeBody::Shape }
+    }
+
+    /// Nominal frames of a window.
+    pub fn window(&self) -> usize {
+        self.window_frames.max(1)
+    }
+
+    /// Nominal frames from one keyframe to the next.
+    pub fn keyframe(&self) -> usize {
+        self.keyframe_frames.clamp(1, self.window())
+    }
+
+    /// Nominal frames of a window that are final: a multiple of those between keyframes.
+    pub fn publish(&self) -> usize {
+        let keyframes = self.publish_frames.clamp(1, self.window()) / self.keyframe();
+        if self.publish_frames >= self.window() {
+            return self.window();
+        }
+        keyframes.max(1) * self.keyframe()
+    }
+}
+
+impl Default for Gate {
+    fn default() -> Self {
+        Self {
+            agree: 0.06,
+            follow: 0.20,
+            lost_residual: 0.08,
+            lost_latent: 20.0,
+            lost_observations: 12.0,
+        }
+    }
+}

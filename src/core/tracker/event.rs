@@ -1,0 +1,125 @@
+//! What went wrong with the input or with a window: counted, never silent.
+
+use crate::core::time::Timestamp;
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum EventKind {
+    /// Detections came after their window was closed; they are not used.
+    Late,
+    /// A frame came twice; the second is not used.
+    Duplicate,
+    /// A frame came after a later one of its camera; it is used.
+    OutOfOrder,
+    /// Frames are missing in a camera's count.
+    Missing,
+    /// Detections of a camera that the rig does not have, or of another keypoint format.
+    Unusable,
+    /// A window closed without having waited for a camera.
+    Deadline,
+    /// The performer was found.
+    Acquired,
+    /// Nobody was found in a window while searching.
+    NobodyFound,
+    /// A window fitted badly; its poses are flagged and the performer is searched anew.
+    Lost,
+    /// Too little was seen of the performer in a window; the motion was carried on.
+    Coasted,
+    /// The performer was not seen for too long and is searched anew.
+    Left,
+    /// A camera is no longer waited for.
+    Silent,
+    /// A camera that was silent is waited for again.
+    Returned,
+    /// A pose was due before its window was solved; one carried on took its place.
+    Overdue,
+    /// A new calibration is in use.
+    Calibrated,
+    /// The latency is declared.
+    Latency,
+    /// The solver does less, or more again.
+    Effort,
+    /// A camera's clock is off from the others', or back.
+    ClockOffset,
+    /// Capture times that jumped; the frames are not used.
+    ClockJump,
+    /// More people in a frame than are looked at.
+    Crowd,
+    /// Two publishers seem to use one camera's name.
+    Conflict,
+    /// Messages that the full queue dropped, or frames that waited for too long.
+    Dropped,
+}
+
+impl EventKind {
+    /// Every kind.
+    pub const ALL: [Self; 22] = [
+        Self::Late,
+        Self::Duplicate,
+        Self::OutOfOrder,
+        Self::Missing,
+        Self::Unusable,
+        Self::Deadline,
+        Self::Acquired,
+        Self::NobodyFound,
+        Self::Lost,
+        Self::Coasted,
+        Self::Left,
+        Self::Silent,
+        Self::Returned,
+        Self::Overdue,
+        Self::Calibrated,
+        Self::Latency,
+        Self::Effort,
+        Self::ClockOffset,
+        Self::ClockJump,
+        Self::Crowd,
+        Self::Conflict,
+        Self::Dropped,
+    ];
+
+    /// A lower-case name, as used on the wire.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Late => "late",
+            Self::Duplicate => "duplicate",
+            Self::OutOfOrder => "out_of_order",
+            Self::Missing => "missing",
+            Self::Unusable => "unusable",
+            Self::Deadline => "deadline",
+            Self::Acquired => "acquired",
+            Self::NobodyFound => "nobody_found",
+            Self::Lost => "lost",
+            Self::Coasted => "coasted",
+            Self::Left => "left",
+            Self::Silent => "silent",
+            Self::Returned => "returned",
+            Self::Overdue => "overdue",
+            Self::Calibrated => "calibrated",
+            Self::Latency => "latency",
+            Self::Effort => "effort",
+            Self::ClockOffset => "clock_offset",
+            Self::ClockJump => "clock_jump",
+            Self::Crowd => "crowd",
+            Self::Conflict => "conflict",
+            Self::Dropped => "dropped",
+        }
+    }
+}
+
+/// Something that happened, with its evidence.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Event {
+    /// The capture time it is about.
+    pub capture: Timestamp,
+    /// What happened.
+    pub kind: EventKind,
+    /// Index of the camera, where one is to blame.
+    pub camera: Option<usize>,
+    /// The window, where one is concerned.
+    pub window: Option<u64>,
+    /// How often; frames for `Missing`.
+    pub count: u64,
+    /// The measured values and thresholds.
+    pub detail: String,
+}

@@ -1,0 +1,257 @@
+//! Detections between arrival and use: ordered by capture time, each frame once.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::event::{Event, EventKind};
+use crate::core::detections::{Detections, KeypointFormat};
+use crate::core::time::Timestamp;
+
+/// Frames of a camera that are looked at to find its rate.
+const RATE_FRAMES: usize = 5;
+/// Rates that cameras have; a measured one this close to one of them is taken for it.
+const COMMON_RATES_HZ: [f64; 14] = [
+    24e3 / 1001.0,
+    24.0,
+    25.0,
+    30e3 / 1001.0,
+    30.0,
+    48.0,
+    50.0,
+    60e3 / 1001.0,
+    60.0,
+    90.0,
+    100.0,
+    120.0,
+    200.0,
+    240.0,
+];
+const SAME_RATE: f64 = 3e-4;
+/// Rates that a measured one is held within.
+const RATES_HZ: std::ops::RangeInclusive<f64> = 1.0..=1000.0;
+/// A frame counter is believed when its period is this close to the usual step in time.
+const SAME_STEP: f64 = 0.2;
+/// A capture time this far past all others (ns) is believed only once a second one is near it.
+const MAX_JUMP: i64 = 5_000_000_000;
+/// More frames missing at once than this is a counter that jumped.
+const MAX_MISSING: u64 = 1_000_000;
+
+/// What one camera has shown.
+#[derive(Clone, Copy, Debug, Default)]
+struct Seen {
+    format: Option<KeypointFormat>,
+    watermark: Option<Timestamp>,
+    last_used: Option<u64>,
+    used: u64,
+}
+
+/// The buffer, and what each camera has shown.
+#[derive(Clone, Debug)]
+pub(super) struct Intake {
+    frames: BTreeMap<(Timestamp, usize, u64), Arc<Detections>>,
+    cameras: Vec<Seen>,
+    format: Option<KeypointFormat>,
+    /// Frames up to here are no longer used.
+    closed: Option<Timestamp>,
+    /// A capture time far past all others, not believed yet.
+    stray: Option<Timestamp>,
+}
+
+impl Intake {
+    pub(super) fn new(cameras: usize) -> Self {
+        Self {
+            frames: BTreeMap::new(),
+            cameras: vec![Seen::default(); cameras],
+            format: None,
+            closed: None,
+            stray: None,
+        }
+    }
+
+    /// Takes a frame in; an event if there is something to say about it.
+    pub(super) fn add(&mut self, frame: Detections) -> Option<Event> {
+        let event = |kind, detail: String| {
+            Some(Event {
+                capture: frame.capture,
+                kind,
+                camera: Some(frame.camera),
+                window: None,
+                count: 1,
+                detail,
+            })
+        };
+        if frame.camera >= self.cameras.len() {
+            return event(EventKind::Unusable, format!("the rig has no camera {}", frame.camera));
+        }
+        let format = self.vote(frame.camera, frame.format);
+        if format != frame.format {
+            let detail = format!("{} in a stream of {}", frame.format.name(), format.name());
+            return event(EventKind::Unusable, detail);
+        }
+        if self.closed.is_some_and(|closed| frame.capture <= closed) {
+            return event(
+                EventKind::Late,
+                format!("frame {} after its window closed", frame.frame),
+            );
+        }
+        let newest = self.cameras.iter().filter_map(|seen| seen.watermark).max();
+        if let Some(newest) = newest.filter(|newest| frame.capture - *newest > MAX_JUMP) {
+            let last = self.stray.replace(frame.capture);
+            if last.is_none_or(|last| (frame.capture - last).abs() > MAX_JUMP) {
+                let ahead = (frame.capture - newest) as f64 * 1e-9;
+                return event(EventKind::Unusable, format!("{ahead:.1} s ahead of all others"));
+            }
+        }
+        let seen = &mut self.cameras[frame.camera];
+        let key = (frame.capture, frame.camera, frame.frame);
+        let twin = (frame.capture, frame.camera, 0)..=(frame.capture, frame.camera, u64::MAX);
+        if self.frames.range(twin).next().is_some() {
+            return event(EventKind::Duplicate, format!("frame {} came twice", frame.frame));
+        }
+        let watermark =
+            seen.watermark.replace(seen.watermark.unwrap_or(frame.capture).max(frame.capture));
+        let found = match watermark {
+            Some(watermark) if frame.capture < watermark => {
+                let behind = watermark - frame.capture;
+                event(EventKind::OutOfOrder, format!("{:.1} ms behind", behind as f64 * 1e-6))
+            }
+            _ => None,
+        };
+        self.frames.insert(key, Arc::new(frame));
+        found
+    }
+
+    /// The format in use after `camera` spoke for `format`: the first one, until more cameras speak
+    /// for another.
+    fn vote(&mut self, camera: usize, format: KeypointFormat) -> KeypointFormat {
+        self.cameras[camera].format = Some(format);
+        let votes = |format| self.cameras.iter().filter(|c| c.format == Some(format)).count();
+        let in_use = self.format.unwrap_or(format);
+        let new = if votes(format) > votes(in_use) { format } else { in_use };
+        if new != in_use {
+            self.frames.retain(|_, frame| frame.format == new);
+        }
+        self.format = Some(new);
+        new
+    }
+
+    /// The order of the points, once something came.
+    pub(super) fn format(&self) -> Option<KeypointFormat> {
+        self.format
+    }
+
+    /// The earliest frame in the buffer.
+    pub(super) fn first(&self) -> Option<Timestamp> {
+        self.frames.keys().next().map(|(capture, _, _)| *capture)
+    }
+
+    /// The latest frame in the buffer.
+    pub(super) fn last(&self) -> Option<Timestamp> {
+        self.frames.keys().next_back().map(|(capture, _, _)| *capture)
+    }
+
+    /// The latest capture time that any camera has shown.
+    pub(super) fn newest(&self) -> Option<Timestamp> {
+        self.cameras.iter().filter_map(|seen| seen.watermark).max()
+    }
+
+    /// How far the cameras are: the latest capture time that two of them have reached, so that one
+    /// whose clock is ahead does not count; of a single camera, its own.
+    pub(super) fn front(&self) -> Option<Timestamp> {
+        let mut marks: Vec<_> = self.cameras.iter().filter_map(|seen| seen.watermark).collect();
+        marks.sort_unstable();
+        marks.iter().rev().nth(1).or(marks.last()).copied()
+    }
+
+    /// Cameras that have not shown a frame at or after `time`.
+    pub(super) fn behind(&self, time: Timestamp) -> impl Iterator<Item = usize> {
+        let is_behind = move |seen: &Seen| seen.watermark.is_none_or(|mark| mark < time);
+        (0..).zip(&self.cameras).filter(move |(_, seen)| is_behind(seen)).map(|(camera, _)| camera)
+    }
+
+    /// The nominal frame period, ns, of the fastest camera that has shown enough frames.
+    pub(super) fn frame_period(&self) -> Option<f64> {
+        let periods = (0..self.cameras.len()).filter_map(|camera| self.period_of(camera));
+        periods.min_by(f64::total_cmp).map(|period| {
+            let rate = (1e9 / period).clamp(*RATES_HZ.start(), *RATES_HZ.end());
+            let common = COMMON_RATES_HZ.into_iter().find(|c| (rate / c - 1.0).abs() < SAME_RATE);
+            1e9 / common.unwrap_or(rate)
+        })
+    }
+
+    /// The usual step between a camera's capture times; from its counter, where that agrees,
+    /// since it bridges lost frames and averages jitter.
+    fn period_of(&self, camera: usize) -> Option<f64> {
+        let mine: Vec<_> = self.frames.keys().filter(|(_, c, _)| *c == camera).collect();
+        let (first, last) = (mine.first()?, mine.last()?);
+        let mut steps: Vec<f64> = mine.windows(2).map(|p| (p[1].0 - p[0].0) as f64).collect();
+        if mine.len() < RATE_FRAMES {
+            return None;
+        }
+        let step = super::association::median(&mut steps);
+        let counted = last.2.checked_sub(first.2).filter(|count| *count > 0);
+        let by_counter = counted.map(|count| (last.0 - first.0) as f64 / count as f64);
+        Some(by_counter.filter(|p| (p / step - 1.0).abs() < SAME_STEP).unwrap_or(step))
+    }
+
+    /// Frames up to `end`, in order; they stay in the buffer.
+    pub(super) fn up_to(&self, end: Timestamp) -> Vec<Arc<Detections>> {
+        self.frames
+            .range(..=(end, usize::MAX, u64::MAX))
+            .map(|(_, frame)| Arc::clone(frame))
+            .collect()
+    }
+
+    /// The latest capture time that a camera has shown.
+    pub(super) fn watermark(&self, camera: usize) -> Option<Timestamp> {
+        self.cameras.get(camera)?.watermark
+    }
+
+    /// Frames of that camera that went into windows.
+    pub(super) fn used(&self, camera: usize) -> u64 {
+        self.cameras.get(camera).map_or(0, |seen| seen.used)
+    }
+
+    /// Whether anybody is in the frames of the buffer.
+    pub(super) fn shows_somebody(&self) -> bool {
+        self.frames.values().any(|frame| !frame.people.is_empty())
+    }
+
+    /// Refuses frames up to `end` from now on.
+    pub(super) fn refuse(&mut self, end: Timestamp) {
+        self.closed = self.closed.max(Some(end));
+    }
+
+    /// Closes the time up to `end`: drops its frames, refuses later ones, and says which frames
+    /// each camera's count is missing.
+    pub(super) fn close(&mut self, end: Timestamp) -> Vec<Event> {
+        self.refuse(end);
+        let rest = self.frames.split_off(&(end + 1, 0, 0));
+        let used = std::mem::replace(&mut self.frames, rest);
+        let mut missing = Vec::new();
+        for (camera, seen) in self.cameras.iter_mut().enumerate() {
+            let mut numbers: Vec<u64> = used
+                .keys()
+                .filter(|(_, c, _)| *c == camera)
+                .map(|(_, _, number)| *number)
+                .collect();
+            numbers.sort_unstable();
+            seen.used += numbers.len() as u64;
+            let Some((&first, &last)) = numbers.first().zip(numbers.last()) else { continue };
+            let from = seen.last_used.map_or(first, |last| last.saturating_add(1)).min(first);
+            let count = (last - from).saturating_add(1).saturating_sub(numbers.len() as u64);
+            seen.last_used = Some(last);
+            if (1..=MAX_MISSING).contains(&count) {
+                missing.push(Event {
+                    capture: end,
+                    kind: EventKind::Missing,
+                    camera: Some(camera),
+                    window: None,
+                    count,
+                    detail: format!("of frames {from} to {last}"),
+                });
+            }
+        }
+        missing
+    }
+}

@@ -1,0 +1,81 @@
+//! How far detections lie from the solved body, and what prior and stiffness count by that.
+//!
+//! The cost is in square pixels: squared errors against what is expected of poses and motions, times
+//! a weight. A detector whose errors have twice the variance tells half as much against the same
+//! expectation, so the weights go with the variance of the errors.
+
+use super::association::median;
+use super::job::Residual;
+
+/// About how many windows are remembered.
+const WINDOWS: f64 = 20.0;
+/// Least and most that the weights are multiplied with: where errors are small, those of our
+/// model remain, and where they are large, poses must still follow them.
+const FACTORS: (f64, f64) = (0.3, 2.0);
+
+/// A running estimate of the detections' errors: the median distance from the solved body, pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Noise {
+    /// Mean of the windows' squared median errors, square pixels.
+    square: f64,
+    /// Windows in it, as far as they are remembered.
+    windows: f64,
+}
+
+impl Noise {
+    /// With what a solved window left.
+    pub(super) fn with(self, residuals: &[Residual]) -> Self {
+        if residuals.is_empty() {
+            return self;
+        }
+        let error = median(&mut residuals.iter().map(|r| r.error_px).collect::<Vec<_>>());
+        let windows = (self.windows + 1.0).min(WINDOWS);
+        let square = self.square + (error * error - self.square) / windows;
+        Self { square, windows }
+    }
+
+    /// What the weights are multiplied with, if they are meant for median errors of `usual_px`;
+    /// 1 while nothing is known or `usual_px` is 0.
+    pub(super) fn factor(&self, usual_px: f64) -> f64 {
+        if self.windows == 0.0 || usual_px == 0.0 {
+            return 1.0;
+        }
+        (self.square / (usual_px * usual_px)).clamp(FACTORS.0, FACTORS.1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::time::Timestamp;
+
+    fn window(error_px: f64) -> Vec<Residual> {
+        let residual = |k: usize| Residual {
+            capture: Timestamp::of_frame(1, 50.0),
+            camera: 0,
+            point: k,
+            error_px: if k == 0 { 500.0 } else { error_px },
+            error_relative: 0.01,
+            confidence: 1.0,
+        };
+        (0..9).map(residual).collect()
+    }
+
+    #[test]
+    fn weights_go_with_the_variance_of_the_errors() {
+        let unknown = Noise::default();
+        assert_eq!((unknown.factor(10.0), unknown.with(&[])), (1.0, unknown));
+        let known = |error: f64| (0..30).fold(unknown, |noise, _| noise.with(&window(error)));
+        assert!((known(10.0).factor(10.0) - 1.0).abs() < 1e-12);
+        assert!((known(12.0).factor(10.0) - 1.44).abs() < 1e-12);
+        assert_eq!([known(0.1), known(90.0)].map(|n| n.factor(10.0)), [FACTORS.0, FACTORS.1]);
+        assert_eq!(known(12.0).factor(0.0), 1.0);
+    }
+
+    #[test]
+    fn what_was_long_ago_is_forgotten() {
+        let before = (0..50).fold(Noise::default(), |noise, _| noise.with(&window(12.0)));
+        let after = (0..100).fold(before, |noise, _| noise.with(&window(8.0)));
+        assert!((after.factor(10.0) - 0.64).abs() < 0.02, "{after:?}");
+    }
+}

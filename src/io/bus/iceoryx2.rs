@@ -1,0 +1,418 @@
+//! The bus over the shared memory of one host.
+//!
+//! Topics share a few services of iceoryx2, one for each size of history: streams (none), and
+//! states by how many samples are kept. A sample says itself what its topic is. So patterns need
+//! no list of topics, and a program has one port per kind of topic that it listens to.
+//!
+//! An event wakes the receivers; nothing polls. A new subscriber announces itself by an event too,
+//! upon which publishers of states hand it their history. Every second each program removes what
+//! others left behind that were killed. A full buffer drops its oldest sample and never holds up
+//! the publisher.
+//!
+//! Differs from the network: no queries (late joiners have the history), no check that a node is
+//! there, at most 1 MiB a sample, and programs see each other only with equal prefix, on one host,
+//! and as users who may open each other's files. All must be of one version of this program, since
+//! limits are part of the services. 16 bytes a prefix stay in shared memory for good.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use iceoryx2::node::{Node, NodeBuilder};
+use iceoryx2::port::event_id::EventId;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher as Port;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::{
+    AllocationStrategy, FileName, LogLevel, SemanticString, ServiceName, SignalHandlingMode,
+    ipc_threadsafe, set_log_level,
+};
+use iceoryx2::service::port_factory::{event, publish_subscribe};
+
+use super::frame::{frame, parse};
+use super::{
+    Bus, BusError, Delivery, Guard, Iceoryx2Config, Memory, Publisher, Sample, Sink, check_pattern,
+    check_topic, delivery,
+};
+use crate::core::time::Timestamp;
+
+type Shm = ipc_threadsafe::Service;
+
+/// Samples kept for late joiners, by class of topics; the first is that of streams.
+const CLASSES: [usize; 5] = [0, 1, 8, 64, 256];
+
+/// The event that a subscriber joined; smaller numbers say in which class a sample came.
+const JOINED: usize = CLASSES.len();
+
+/// How long a service that is just being made or removed by others is waited for.
+const PATIENCE: Duration = Duration::from_secs(3);
+
+/// How often the leftovers of killed programs are looked for.
+const ROUND: Duration = Duration::from_secs(1);
+
+/// All limits in one place: they are part of the services, so every program must have the same.
+struct Limits {
+    history: usize,
+    buffer: usize,
+    publishers: usize,
+    subscribers: usize,
+    borrowed: usize,
+    nodes: usize,
+}
+
+fn limits(class: usize) -> Limits {
+    let history = CLASSES[class];
+    let buffer = 2 * history + 64;
+    Limits { history, buffer, publishers: 64, subscribers: 32, borrowed: 2, nodes: 64 }
+}
+
+impl Limits {
+    /// How many samples a publisher can have out. A subscriber's buffer holds the latest samples,
+    /// so all buffers hold the same ones, and this is far less than their sum.
+    fn samples(&self) -> usize {
+        self.buffer + self.history + self.borrowed * self.subscribers + 8
+    }
+}
+
+/// The class of a topic.
+fn class(topic: &str) -> usize {
+    let Delivery::State { history } = delivery(topic) else { return 0 };
+    CLASSES.iter().position(|&kept| kept >= history).unwrap_or(CLASSES.len() - 1)
+}
+
+/// The classes of all topics that a pattern may match.
+fn classes(pattern: &str) -> std::ops::Range<usize> {
+    match pattern.rsplit('/').next() {
+        Some(last) if !last.contains('*') => class(last)..class(last) + 1,
+        _ => 0..CLASSES.len(),
+    }
+}
+
+/// The bus over the shared memory of one host.
+pub struct Iceoryx2 {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// What the receiving thread shares with the ports.
+struct Shared {
+    notifier: Notifier<Shm>,
+    publishers: Mutex<Vec<Weak<Outlet>>>,
+    subscribers: Mutex<[Option<Inlet>; CLASSES.len()]>,
+    /// Distributes to the sinks of this process, and remembers for those that join late.
+    local: Memory,
+    stop: AtomicBool,
+    node: Node<Shm>,
+}
+
+type Inlet = Subscriber<Shm, [u8], ()>;
+
+struct Outlet {
+    class: usize,
+    port: Port<Shm, [u8], ()>,
+}
+
+impl Iceoryx2 {
+    /// Opens the bus. There is no node to be reached: whoever has the same prefix is on it.
+    ///
+    /// # Errors
+    /// A prefix that cannot begin a file name, or shared memory that cannot be used.
+    pub fn open(config: &Iceoryx2Config) -> Result<Self, BusError> {
+        set_log_level(LogLevel::Fatal);
+        let node = NodeBuilder::new()
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .config(&settings(&config.prefix)?)
+            .create::<Shm>()
+            .map_err(|error| BusError::transport("cannot use shared memory", error))?;
+        node.try_cleanup_dead_nodes();
+        let events = events(&node)?;
+        let listener = persist("cannot listen for events", || events.listener_builder().create())?;
+        let shared = Arc::new(Shared {
+            notifier: persist("cannot send events", || events.notifier_builder().create())?,
+            publishers: Mutex::default(),
+            subscribers: Mutex::default(),
+            local: Memory::new(),
+            stop: AtomicBool::new(false),
+            node,
+        });
+        let receiving = shared.clone();
+        let thread = std::thread::Builder::new()
+            .name("bus".into())
+            .spawn(move || receiving.run(&listener))
+            .map_err(|error| BusError::transport("cannot start a thread", error))?;
+        Ok(Self { inner: Arc::new(Inner { shared, thread: Some(thread) }) })
+    }
+}
+
+fn settings(prefix: &str) -> Result<iceoryx2::config::Config, BusError> {
+    let wrong = |reason: String| BusError::Setting {
+        key: "iceoryx2.prefix",
+        value: format!("{prefix:?}"),
+        reason,
+    };
+    if prefix.is_empty() || prefix.len() > 64 {
+        return Err(wrong("it must have 1 to 64 characters".into()));
+    }
+    let mut config = iceoryx2::config::Config::default();
+    config.global.prefix = FileName::new(prefix.as_bytes())
+        .map_err(|error| wrong(format!("it cannot begin a file name ({error:?})")))?;
+    Ok(config)
+}
+
+/// Tries until it works or the patience ends. Services are in between while others make or remove
+/// them, and killed programs hold places until they are cleared away.
+fn persist<T, E: std::fmt::Display>(
+    what: &str,
+    mut attempt: impl FnMut() -> Result<T, E>,
+) -> Result<T, BusError> {
+    let start = Instant::now();
+    let mut pause = Duration::from_millis(1);
+    loop {
+        match attempt() {
+            Ok(value) => return Ok(value),
+            Err(error) if start.elapsed() > PATIENCE => {
+                return Err(BusError::transport(what, error));
+            }
+            Err(_) => std::thread::sleep(pause),
+        }
+        pause = (pause * 2).min(Duration::from_millis(100));
+    }
+}
+
+fn service_name(name: &str) -> Result<ServiceName, BusError> {
+    ServiceName::new(name).map_err(|error| BusError::transport(name, error))
+}
+
+fn events(node: &Node<Shm>) -> Result<event::PortFactory<Shm>, BusError> {
+    let name = service_name("mocap/events/1")?;
+    let Limits { publishers, nodes, .. } = limits(0);
+    persist("cannot open the events in shared memory", || {
+        node.service_builder(&name)
+            .event()
+            .event_id_max_value(JOINED)
+            .max_listeners(publishers)
+            .max_notifiers(publishers)
+            .max_nodes(nodes)
+            .open_or_create()
+    })
+}
+
+fn service(
+    node: &Node<Shm>,
+    class: usize,
+) -> Result<publish_subscribe::PortFactory<Shm, [u8], ()>, BusError> {
+    let limits = limits(class);
+    let name = service_name(&format!("mocap/history-{}/1", limits.history))?;
+    persist("cannot open a service in shared memory", || {
+        node.try_cleanup_dead_nodes();
+        node.service_builder(&name)
+            .publish_subscribe::<[u8]>()
+            .history_size(limits.history)
+            .subscriber_max_buffer_size(limits.buffer)
+            .subscriber_max_borrowed_samples(limits.borrowed)
+            .max_publishers(limits.publishers)
+            .max_subscribers(limits.subscribers)
+            .max_nodes(limits.nodes)
+            .enable_safe_overflow(true)
+            .open_or_create()
+    })
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Shared {
+    /// The receiving thread.
+    fn run(&self, listener: &Listener<Shm>) {
+        let mut cleaned = Instant::now();
+        while !self.stop.load(Ordering::Acquire) {
+            let mut seen = [false; JOINED + 1];
+            let waited = listener.timed_wait(
+                |event| seen.iter_mut().skip(event.id.as_value()).take(1).for_each(|s| *s = true),
+                ROUND.saturating_sub(cleaned.elapsed()),
+            );
+            if let Err(error) = waited {
+                tracing::warn!("the bus cannot wait for events: {error}; it looks once a second");
+                std::thread::sleep(ROUND);
+            }
+            let round = cleaned.elapsed() >= ROUND;
+            if seen[JOINED] || round {
+                self.connect();
+            }
+            (0..CLASSES.len()).filter(|&class| seen[class] || round).for_each(|c| self.drain(c));
+            if round {
+                self.node.try_cleanup_dead_nodes();
+                cleaned = Instant::now();
+            }
+        }
+    }
+
+    /// Hands the history to subscribers that joined.
+    fn connect(&self) {
+        let outlets: Vec<_> = {
+            let mut publishers = lock(&self.publishers);
+            publishers.retain(|outlet| outlet.strong_count() > 0);
+            publishers.iter().filter_map(Weak::upgrade).collect()
+        };
+        let mut with_history = [false; CLASSES.len()];
+        for outlet in &outlets {
+            if let Err(error) = outlet.port.update_connections() {
+                tracing::warn!("a subscriber in shared memory cannot be reached: {error}");
+            }
+            with_history[outlet.class] = outlet.class > 0;
+        }
+        (0..CLASSES.len()).filter(|&c| with_history[c]).for_each(|class| self.notify(class));
+    }
+
+    /// Gives all samples of a class that came to the sinks. They are taken and queued under one
+    /// lock, so that the order holds whoever drains, and delivered without it, since sinks may
+    /// publish and subscribe.
+    fn drain(&self, class: usize) {
+        while self.take(class) {
+            self.local.deliver();
+        }
+    }
+
+    /// Takes one sample of a class; whether there was one.
+    fn take(&self, class: usize) -> bool {
+        let subscribers = lock(&self.subscribers);
+        let Some(subscriber) = &subscribers[class] else { return false };
+        match subscriber.receive() {
+            Ok(None) => return false,
+            Ok(Some(sample)) => match parse(sample.payload()) {
+                Some(sample) => self.local.enqueue(&sample),
+                None => tracing::warn!("a sample in shared memory is not one of ours"),
+            },
+            Err(error) => {
+                tracing::warn!("a sample in shared memory cannot be read: {error}");
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Wakes all receivers. One that cannot be woken looks by itself within a second.
+    fn notify(&self, event: usize) {
+        if let Err(error) = self.notifier.notify_with_custom_event_id(EventId::new(event)) {
+            tracing::debug!("an event in shared memory did not reach all: {error}");
+        }
+    }
+
+    /// Makes the port that receives a class, if it is not there.
+    fn listen_to(&self, class: usize) -> Result<(), BusError> {
+        let mut subscribers = lock(&self.subscribers);
+        if subscribers[class].is_none() {
+            let service = service(&self.node, class)?;
+            let subscriber = persist("cannot subscribe", || service.subscriber_builder().create())?;
+            subscribers[class] = Some(subscriber);
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        self.shared.stop.store(true, Ordering::Release);
+        self.shared.notify(JOINED);
+        let Some(thread) = self.thread.take() else { return };
+        // A sink may hold the last handle of its bus.
+        if thread.thread().id() != std::thread::current().id() && thread.join().is_err() {
+            tracing::error!("the receiving thread of the bus panicked");
+        }
+    }
+}
+
+struct Iceoryx2Publisher {
+    topic: String,
+    outlet: Arc<Outlet>,
+    inner: Arc<Inner>,
+}
+
+impl Publisher for Iceoryx2Publisher {
+    fn put(&self, capture: Timestamp, encoding: &str, payload: &[u8]) -> Result<(), BusError> {
+        let bytes = frame(&self.topic, capture, encoding, payload)?;
+        let failed =
+            |error: String| BusError::transport(format!("cannot publish on {}", self.topic), error);
+        let sample = self.outlet.port.loan_slice_uninit(bytes.len());
+        let sample = sample.map_err(|error| failed(error.to_string()))?.write_from_slice(&bytes);
+        sample.send().map_err(|error| failed(error.to_string()))?;
+        self.inner.shared.notify(self.outlet.class);
+        Ok(())
+    }
+}
+
+/// Keeps a subscription, and the bus under it.
+struct Subscribed {
+    _local: Box<dyn Guard>,
+    _inner: Arc<Inner>,
+}
+
+impl Guard for Subscribed {}
+
+impl Bus for Iceoryx2 {
+    fn publisher(&self, topic: &str) -> Result<Box<dyn Publisher>, BusError> {
+        check_topic(topic)?;
+        let class = class(topic);
+        let shared = &self.inner.shared;
+        let service = service(&shared.node, class)?;
+        let port = persist(&format!("cannot publish on {topic}"), || {
+            service
+                .publisher_builder()
+                .initial_max_slice_len(2048)
+                .allocation_strategy(AllocationStrategy::PowerOfTwo)
+                .max_loaned_samples(4)
+                .override_sample_preallocation(move |_| limits(class).samples())
+                .create()
+        })?;
+        let outlet = Arc::new(Outlet { class, port });
+        lock(&shared.publishers).push(Arc::downgrade(&outlet));
+        Ok(Box::new(Iceoryx2Publisher { topic: topic.into(), outlet, inner: self.inner.clone() }))
+    }
+
+    fn subscribe(&self, pattern: &str, sink: Sink) -> Result<Box<dyn Guard>, BusError> {
+        check_pattern(pattern)?;
+        let shared = &self.inner.shared;
+        // What has come to this program already is history to this subscriber.
+        classes(pattern).for_each(|class| shared.drain(class));
+        let local = shared.local.subscribe(pattern, sink)?;
+        classes(pattern).try_for_each(|class| shared.listen_to(class))?;
+        shared.notify(JOINED);
+        Ok(Box::new(Subscribed { _local: local, _inner: self.inner.clone() }))
+    }
+
+    fn answer(
+        &self,
+        topic: &str,
+        _answer: super::Answer,
+    ) -> Result<Option<Box<dyn Guard>>, BusError> {
+        check_topic(topic).map(|()| None)
+    }
+
+    fn query(&self, pattern: &str, _within: Duration) -> Result<Vec<Sample>, BusError> {
+        check_pattern(pattern).map(|()| Vec::new())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_delivery_has_a_class_that_keeps_enough() {
+        for topic in ["rig", "skeleton", "status", "keyframe", "events", "journal", "pose"] {
+            let kept = match delivery(topic) {
+                Delivery::Stream => 0,
+                Delivery::State { history } => history,
+            };
+            assert_eq!(limits(class(topic)).history, kept, "{topic}");
+        }
+    }
+}

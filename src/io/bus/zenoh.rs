@@ -1,0 +1,360 @@
+//! The bus over a network.
+//!
+//! | | streams | states |
+//! |---|---|---|
+//! | priority | real time, express | data |
+//! | a full queue | waits 20 ms once, then drops until it has room | the same; what is missed is asked for again |
+//! | late joiners | nothing | the last samples, from the publisher's cache |
+//!
+//! States are not sent with congestion control *block*: one stalled receiver would hold up the
+//! node, and with it everybody's poses, for seconds. (With *drop*, a stopped receiver was measured to
+//! cost one put 20 ms, and the others nothing.) They carry sequence numbers, gaps are seen
+//! (at the latest by a heartbeat) and filled from the cache.
+//!
+//! On the wire a sample is a zenoh sample: payload, encoding, and as attachment the capture time,
+//! 8 bytes little endian. Samples of foreign publishers without attachment have capture time 0.
+//! Foreign publishers have no cache unless they are advanced publishers of zenoh-ext.
+//!
+//! Time stamps of zenoh are off: routers would stamp samples of all publishers with one clock, and
+//! zenoh-ext would take them for one source and drop what comes out of order.
+
+use std::net::{TcpListener, ToSocketAddrs};
+use std::sync::Arc;
+use std::time::Duration;
+
+use zenoh::bytes::Encoding;
+use zenoh::config::EndPoint;
+use zenoh::key_expr::{KeyExpr, OwnedKeyExpr};
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{ConsolidationMode, Query, QueryTarget};
+use zenoh::{Session, Wait};
+use zenoh_ext::{
+    AdvancedPublisher, AdvancedPublisherBuilderExt, AdvancedSubscriberBuilderExt, CacheConfig,
+    HistoryConfig, MissDetectionConfig, RecoveryConfig,
+};
+
+use super::{
+    Answer, Bus, BusError, Delivery, Guard, Publisher, Sample, Sink, ZenohConfig, ZenohMode,
+    check_pattern, check_topic, delivery,
+};
+use crate::core::time::Timestamp;
+
+/// How long a client tries to connect, milliseconds.
+const CONNECT_MS: u64 = 2000;
+
+/// How long a publisher waits when a queue is full before it drops, microseconds.
+const WAIT_BEFORE_DROP_US: u64 = 20_000;
+
+/// How long the caches of publishers may take to answer, when somebody joins late.
+const HISTORY_WITHIN: Duration = Duration::from_secs(2);
+
+/// How often a publisher of states says how far it is, if it published.
+const HEARTBEAT: Duration = Duration::from_millis(500);
+
+/// The bus over a network.
+pub struct Zenoh {
+    session: Session,
+}
+
+/// What was sent last still leaves after the last put has returned.
+const LINGER: Duration = Duration::from_millis(150);
+
+impl Drop for Zenoh {
+    fn drop(&mut self) {
+        std::thread::sleep(LINGER);
+        if let Err(error) = self.session.close().wait() {
+            tracing::debug!("closing: {error}");
+        }
+    }
+}
+
+impl Zenoh {
+    /// Opens a session as the node does: with the mode and the addresses of the settings.
+    ///
+    /// # Errors
+    /// An address in use, an address that is none, or, as a client, nobody who answers.
+    pub fn open_node(config: &ZenohConfig) -> Result<Self, BusError> {
+        let mode = match config.mode {
+            ZenohMode::Router => "router",
+            ZenohMode::Peer => "peer",
+            ZenohMode::Client => "client",
+        };
+        let listen = if config.mode == ZenohMode::Client { &[][..] } else { &config.listen };
+        open(mode, listen, &config.connect, config.scouting)
+    }
+
+    /// Opens a session as a tool does: a client of `connect` or, if that is empty, of where the
+    /// node listens. With `scouting` and without `connect`, of whoever is found.
+    ///
+    /// # Errors
+    /// Nobody answers within about two seconds, or an address that is none.
+    pub fn open_client(config: &ZenohConfig) -> Result<Self, BusError> {
+        let connect: Vec<String> = match (config.connect.is_empty(), config.scouting) {
+            (true, true) => Vec::new(),
+            (true, false) => config.listen.iter().map(|e| reachable(e)).collect(),
+            (false, _) => config.connect.clone(),
+        };
+        open("client", &[], &connect, config.scouting && connect.is_empty())
+    }
+
+    /// The addresses on which this session listens, with their real ports.
+    pub fn listens_on(&self) -> Vec<String> {
+        self.session.info().locators().wait().iter().map(ToString::to_string).collect()
+    }
+}
+
+/// The address by which a node that listens on all interfaces is reached on its own machine.
+fn reachable(endpoint: &str) -> String {
+    endpoint.replacen("/0.0.0.0:", "/127.0.0.1:", 1).replacen("/[::]:", "/[::1]:", 1)
+}
+
+fn open(
+    mode: &str,
+    listen: &[String],
+    connect: &[String],
+    scouting: bool,
+) -> Result<Zenoh, BusError> {
+    check_endpoints("zenoh.listen", listen)?;
+    check_endpoints("zenoh.connect", connect)?;
+    if mode == "client" && connect.is_empty() && !scouting {
+        return Err(BusError::Setting {
+            key: "zenoh.connect",
+            value: "[]".into(),
+            reason: "a client needs somebody to connect to; give an address, such as \
+                     tcp/127.0.0.1:7447"
+                .into(),
+        });
+    }
+    match zenoh::open(settings(mode, listen, connect, scouting)?).wait() {
+        Ok(session) => Ok(Zenoh { session }),
+        Err(error) => Err(why_not_open(mode, listen, connect, &error.to_string())),
+    }
+}
+
+fn check_endpoints(key: &'static str, endpoints: &[String]) -> Result<(), BusError> {
+    for endpoint in endpoints {
+        if let Err(error) = endpoint.parse::<EndPoint>() {
+            let reason = format!("{error}; an address is such as tcp/127.0.0.1:7447");
+            return Err(BusError::Setting { key, value: endpoint.clone(), reason });
+        }
+        if !endpoint.starts_with("tcp/") && !endpoint.starts_with("udp/") {
+            let reason = "only tcp/ and udp/ are built in".into();
+            return Err(BusError::Setting { key, value: endpoint.clone(), reason });
+        }
+    }
+    Ok(())
+}
+
+fn settings(
+    mode: &str,
+    listen: &[String],
+    connect: &[String],
+    scouting: bool,
+) -> Result<zenoh::Config, BusError> {
+    let list = |endpoints: &[String]| format!("{endpoints:?}");
+    let queue = "transport/link/tx/queue";
+    let mut settings = vec![
+        ("mode".to_owned(), format!("{mode:?}")),
+        ("listen/endpoints".into(), list(listen)),
+        ("connect/endpoints".into(), list(connect)),
+        ("scouting/multicast/enabled".into(), scouting.to_string()),
+        ("scouting/gossip/enabled".into(), scouting.to_string()),
+        ("scouting/timeout".into(), CONNECT_MS.to_string()),
+        ("timestamping/enabled".into(), "false".into()),
+        ("transport/unicast/open_timeout".into(), CONNECT_MS.to_string()),
+        (
+            format!("{queue}/congestion_control/drop/wait_before_drop"),
+            WAIT_BEFORE_DROP_US.to_string(),
+        ),
+        (format!("{queue}/size/real_time"), "16".into()),
+        (format!("{queue}/size/data"), "16".into()),
+    ];
+    if mode == "client" {
+        settings.push(("connect/timeout_ms".into(), CONNECT_MS.to_string()));
+    }
+    let mut config = zenoh::Config::default();
+    for (key, value) in &settings {
+        config
+            .insert_json5(key, value)
+            .map_err(|error| BusError::transport(format!("zenoh's {key} = {value}"), error))?;
+    }
+    Ok(config)
+}
+
+fn why_not_open(mode: &str, listen: &[String], connect: &[String], error: &str) -> BusError {
+    if let Some(endpoint) = listen.iter().find(|endpoint| is_in_use(endpoint)) {
+        return BusError::InUse { endpoint: endpoint.clone() };
+    }
+    if mode != "client" {
+        return BusError::transport("cannot open the network", error);
+    }
+    let endpoints =
+        if connect.is_empty() { "any multicast address".into() } else { connect.join(", ") };
+    BusError::NobodyAnswers { endpoints }
+}
+
+/// Whether somebody listens on an address of this machine.
+fn is_in_use(endpoint: &str) -> bool {
+    let Some(address) = endpoint.strip_prefix("tcp/") else { return false };
+    let Ok(mut addresses) = address.to_socket_addrs() else { return false };
+    addresses.any(|address| {
+        TcpListener::bind(address).is_err_and(|error| error.kind() == std::io::ErrorKind::AddrInUse)
+    })
+}
+
+impl Bus for Zenoh {
+    fn publisher(&self, topic: &str) -> Result<Box<dyn Publisher>, BusError> {
+        check_topic(topic)?;
+        let builder = self
+            .session
+            .declare_publisher(topic.to_owned())
+            .congestion_control(CongestionControl::Drop);
+        let sender = match delivery(topic) {
+            Delivery::Stream => {
+                builder.priority(Priority::RealTime).express(true).wait().map(Sender::Stream)
+            }
+            Delivery::State { history } => builder
+                .priority(Priority::Data)
+                .cache(CacheConfig::default().max_samples(history))
+                .sample_miss_detection(MissDetectionConfig::default().sporadic_heartbeat(HEARTBEAT))
+                .publisher_detection()
+                .wait()
+                .map(|publisher| Sender::State(Box::new(publisher))),
+        };
+        let sender = sender.map_err(|e| self.error(format!("cannot publish on {topic}"), e))?;
+        Ok(Box::new(ZenohPublisher { sender, session: self.session.clone() }))
+    }
+
+    fn subscribe(&self, pattern: &str, sink: Sink) -> Result<Box<dyn Guard>, BusError> {
+        check_pattern(pattern)?;
+        let builder = self
+            .session
+            .declare_subscriber(canonical(pattern)?)
+            .callback(move |sample| sink(from_zenoh(&sample)));
+        let what = || format!("cannot subscribe to {pattern}");
+        if is_of_streams(pattern) {
+            let subscriber = builder.wait().map_err(|e| self.error(what(), e))?;
+            return Ok(Box::new(Alive { _what: subscriber, _session: self.session.clone() }));
+        }
+        let subscriber = builder
+            .history(HistoryConfig::default().detect_late_publishers())
+            .recovery(RecoveryConfig::default().heartbeat())
+            .query_timeout(HISTORY_WITHIN)
+            .wait()
+            .map_err(|e| self.error(what(), e))?;
+        Ok(Box::new(Alive { _what: subscriber, _session: self.session.clone() }))
+    }
+
+    fn answer(&self, topic: &str, answer: Answer) -> Result<Option<Box<dyn Guard>>, BusError> {
+        check_topic(topic)?;
+        let key: Arc<str> = topic.into();
+        let queryable = self
+            .session
+            .declare_queryable(topic.to_owned())
+            .complete(true)
+            .callback(move |query| reply(&query, &key, answer()))
+            .wait()
+            .map_err(|e| self.error(format!("cannot answer on {topic}"), e))?;
+        Ok(Some(Box::new(Alive { _what: queryable, _session: self.session.clone() })))
+    }
+
+    fn query(&self, pattern: &str, within: Duration) -> Result<Vec<Sample>, BusError> {
+        check_pattern(pattern)?;
+        let replies = self
+            .session
+            .get(canonical(pattern)?)
+            .target(QueryTarget::All)
+            .consolidation(ConsolidationMode::None)
+            .timeout(within)
+            .wait()
+            .map_err(|e| self.error(format!("cannot ask for {pattern}"), e))?;
+        Ok(replies.iter().filter_map(|r| r.into_result().ok()).map(|s| from_zenoh(&s)).collect())
+    }
+}
+
+impl Zenoh {
+    fn error(&self, what: String, error: zenoh::Error) -> BusError {
+        if self.session.is_closed() { BusError::Closed } else { BusError::transport(what, error) }
+    }
+}
+
+/// Whether a pattern meets topics of streams only: its last part is a name, and a stream's.
+fn is_of_streams(pattern: &str) -> bool {
+    let last = pattern.rsplit('/').next().unwrap_or_default();
+    !last.contains('*') && delivery(last) == Delivery::Stream
+}
+
+/// A pattern as zenoh wants it, such as `*/**` for `**/*`.
+fn canonical(pattern: &str) -> Result<KeyExpr<'static>, BusError> {
+    let key = OwnedKeyExpr::autocanonize(pattern.to_owned());
+    key.map(KeyExpr::from).map_err(|error| BusError::Name {
+        name: pattern.into(),
+        what: "pattern",
+        reason: error.to_string(),
+    })
+}
+
+fn from_zenoh(sample: &zenoh::sample::Sample) -> Sample {
+    let capture = sample.attachment().and_then(|bytes| {
+        let bytes: [u8; 8] = bytes.to_bytes().as_ref().try_into().ok()?;
+        Some(Timestamp::from_ns(i64::from_le_bytes(bytes)))
+    });
+    let encoding: Arc<str> = match sample.encoding() {
+        unsaid if *unsaid == Encoding::default() => "".into(),
+        encoding => encoding.to_string().into(),
+    };
+    Sample {
+        topic: sample.key_expr().as_str().into(),
+        capture: capture.unwrap_or_default(),
+        encoding,
+        payload: sample.payload().to_bytes().into_owned(),
+    }
+}
+
+fn reply(query: &Query, topic: &str, answer: Option<Sample>) {
+    let Some(sample) = answer else { return };
+    let sent = query
+        .reply(topic.to_owned(), sample.payload)
+        .encoding(&*sample.encoding)
+        .attachment(sample.capture.ns().to_le_bytes())
+        .wait();
+    if let Err(error) = sent {
+        tracing::warn!("an answer on {topic} was not sent: {error}");
+    }
+}
+
+enum Sender {
+    Stream(zenoh::pubsub::Publisher<'static>),
+    State(Box<AdvancedPublisher<'static>>),
+}
+
+struct ZenohPublisher {
+    sender: Sender,
+    session: Session,
+}
+
+impl Publisher for ZenohPublisher {
+    fn put(&self, capture: Timestamp, encoding: &str, payload: &[u8]) -> Result<(), BusError> {
+        let stamp = capture.ns().to_le_bytes();
+        let sent = match &self.sender {
+            Sender::Stream(publisher) => {
+                publisher.put(payload).encoding(encoding).attachment(stamp).wait()
+            }
+            Sender::State(publisher) => {
+                publisher.put(payload).encoding(encoding).attachment(stamp).wait()
+            }
+        };
+        sent.map_err(|error| match self.session.is_closed() {
+            true => BusError::Closed,
+            false => BusError::transport("cannot publish", error),
+        })
+    }
+}
+
+/// Keeps a subscriber or a queryable, and the session under it.
+struct Alive<T> {
+    _what: T,
+    _session: Session,
+}
+
+impl<T: Send> Guard for Alive<T> {}

@@ -1,0 +1,132 @@
+//! A BVH file as it is written: head, frames, and their number at the end.
+
+use std::fmt::Write as _;
+use std::io::{Seek, SeekFrom, Write};
+use std::path::Path;
+
+use super::read::{Bvh, BvhJoint, Channel};
+use crate::io::formats::ExportError;
+use crate::io::new_file::NewFile;
+
+/// Digits kept for the number of frames, which is known at the end.
+const COUNT_DIGITS: usize = 12;
+
+/// A BVH file whose hierarchy is written and whose frames come.
+#[derive(Debug)]
+pub(super) struct MotionFile {
+    file: NewFile,
+    frames: usize,
+    /// Where the number of frames stands.
+    count_at: u64,
+}
+
+impl MotionFile {
+    pub(super) fn create(path: &Path, hierarchy: &str, fps: f64) -> Result<Self, ExportError> {
+        if !(fps.is_finite() && fps > 0.0) {
+            return Err(ExportError::FrameRate { path: path.into(), fps });
+        }
+        let head = format!("{hierarchy}MOTION\nFrames: ");
+        let tail = format!("{:>COUNT_DIGITS$}\nFrame Time: {:.9}\n", 0, 1.0 / fps);
+        let mut file = NewFile::create(path)?;
+        file.write(|file| file.write_all((head.clone() + &tail).as_bytes()))?;
+        Ok(Self { file, frames: 0, count_at: head.len() as u64 })
+    }
+
+    /// Adds a frame, a line of numbers that are finite or not.
+    pub(super) fn write(&mut self, line: &str, finite: bool) -> Result<(), ExportError> {
+        if !finite {
+            let path = self.file.path().into();
+            return Err(ExportError::NotFinite { path, frame: self.frames });
+        }
+        self.frames += 1;
+        self.file.write(|file| writeln!(file, "{line}"))
+    }
+
+    pub(super) fn finish(mut self) -> Result<(), ExportError> {
+        let (at, frames) = (self.count_at, self.frames);
+        self.file.write(|file| {
+            file.seek(SeekFrom::Start(at))?;
+            write!(file, "{frames:>COUNT_DIGITS$}")
+        })?;
+        self.file.finish().map(drop)
+    }
+}
+
+/// Writes frames on the hierarchy of another BVH file: its names, offsets and channels, in its
+/// order, unit and axes.
+///
+/// The file appears at its path when [`HierarchyWriter::finish`] succeeds; without it, there is
+/// none.
+#[derive(Debug)]
+pub struct HierarchyWriter(MotionFile);
+
+impl HierarchyWriter {
+    /// Begins a file with the hierarchy of `bvh`.
+    ///
+    /// # Errors
+    /// The folder cannot be written to, or `fps` is not above 0.
+    pub fn create(path: &Path, bvh: &Bvh, fps: f64) -> Result<Self, ExportError> {
+        MotionFile::create(path, &hierarchy(bvh.joints()), fps).map(Self)
+    }
+
+    /// Adds a frame: the value of each channel, in the order of the hierarchy.
+    ///
+    /// # Errors
+    /// The disk is full, or a value is not finite.
+    pub fn write(&mut self, values: &[f64]) -> Result<(), ExportError> {
+        let numbers: Vec<String> = values.iter().map(|value| format!("{value:.6}")).collect();
+        self.0.write(&numbers.join(" "), values.iter().all(|value| value.is_finite()))
+    }
+
+    /// Completes the file and puts it in its place.
+    ///
+    /// # Errors
+    /// The disk is full, or the destination cannot be replaced.
+    pub fn finish(self) -> Result<(), ExportError> {
+        self.0.finish()
+    }
+}
+
+/// Parents come before their children, and what is below a joint right after it.
+fn hierarchy(joints: &[BvhJoint]) -> String {
+    let mut text = String::from("HIERARCHY\n");
+    let mut open: Vec<usize> = Vec::new();
+    for (index, joint) in joints.iter().enumerate() {
+        while open.last().copied() != joint.parent {
+            close(&mut text, &mut open);
+        }
+        let tabs = "\t".repeat(open.len());
+        let kind = if joint.parent.is_some() { "JOINT" } else { "ROOT" };
+        // Writing into a string cannot fail.
+        let _ = writeln!(text, "{tabs}{kind} {}\n{tabs}{{", joint.name);
+        let _ = writeln!(text, "{tabs}\t{}", offset(&joint.offset));
+        let names: String = joint.channels.iter().map(|&channel| name(channel)).collect();
+        let _ = writeln!(text, "{tabs}\tCHANNELS {}{names}", joint.channels.len());
+        if let Some(end) = &joint.end {
+            let _ = writeln!(text, "{tabs}\tEnd Site\n{tabs}\t{{\n{tabs}\t\t{}", offset(end));
+            let _ = writeln!(text, "{tabs}\t}}");
+        }
+        open.push(index);
+    }
+    while !open.is_empty() {
+        close(&mut text, &mut open);
+    }
+    text
+}
+
+fn close(text: &mut String, open: &mut Vec<usize>) {
+    open.pop();
+    let _ = writeln!(text, "{}}}", "\t".repeat(open.len()));
+}
+
+fn offset(at: &nalgebra::Vector3<f64>) -> String {
+    format!("OFFSET {} {} {}", at.x, at.y, at.z)
+}
+
+fn name(channel: Channel) -> String {
+    let (axis, kind) = match channel {
+        Channel::Position(axis) => (axis, "position"),
+        Channel::Rotation(axis) => (axis, "rotation"),
+    };
+    format!(" {}{kind}", ["X", "Y", "Z"].get(axis).unwrap_or(&"X"))
+}

@@ -1,0 +1,171 @@
+//! BVH: centimetres, y up, +z forward, T-pose at zero rotation.
+//!
+//! The format stores neither unit nor axes; these are what importers assume. Rotations are
+//! written as Z, X, Y: the local rotation is Rz(a) Rx(b) Ry(c).
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::motion_file::MotionFile;
+use crate::core::body::{Attachment, JOINTS, Joint, Pose, Skeleton};
+use crate::core::detections::Keypoint;
+use crate::core::so3;
+use crate::io::formats::ExportError;
+
+const CENTIMETRES: f64 = 100.0;
+/// From the wrist to the knuckles, in forearms.
+const HAND: f64 = 0.33;
+/// Axes of the rotation channels.
+const ZXY: [usize; 3] = [2, 0, 1];
+/// Writes poses of one skeleton, at a constant frame rate, as they come.
+///
+/// The file appears at its path when [`BvhWriter::finish`] succeeds; without it, there is none.
+#[derive(Debug)]
+pub struct BvhWriter {
+    file: MotionFile,
+    /// The angles written last, by joint, to carry on from.
+    last: [[f64; 3]; JOINTS],
+}
+
+impl BvhWriter {
+    /// Begins a file with the hierarchy.
+    ///
+    /// # Errors
+    /// The folder cannot be written to, or `fps` is not above 0.
+    pub fn create(path: &Path, skeleton: &Skeleton, fps: f64) -> Result<Self, ExportError> {
+        let file = MotionFile::create(path, &hierarchy(skeleton), fps)?;
+        Ok(Self { file, last: [[0.0; 3]; JOINTS] })
+    }
+
+    /// Adds a frame.
+    ///
+    /// # Errors
+    /// The disk is full, or the pose holds a number that is not finite.
+    pub fn write(&mut self, pose: &Pose) -> Result<(), ExportError> {
+        let position = pose.root_position * CENTIMETRES;
+        let mut line = format!("{:.4} {:.4} {:.4}", position.x, position.y, position.z);
+        let mut finite = position.iter().all(|c| c.is_finite());
+        for &joint in &hierarchy_order() {
+            let angles = &mut self.last[joint.index()];
+            *angles = so3::angles(local(pose, joint), ZXY, *angles);
+            finite &= angles.iter().all(|a| a.is_finite());
+            for angle in angles {
+                // Writing into a string cannot fail.
+                let _ = write!(line, " {:.5}", angle.to_degrees());
+            }
+        }
+        self.file.write(&line, finite)
+    }
+
+    /// Completes the file and puts it in its place.
+    ///
+    /// # Errors
+    /// The disk is full, or the destination cannot be replaced.
+    pub fn finish(self) -> Result<(), ExportError> {
+        self.file.finish()
+    }
+}
+
+/// Writes all poses to `path`; see [`BvhWriter`].
+///
+/// # Errors
+/// See [`BvhWriter`].
+pub fn write_bvh<'a>(
+    path: &Path,
+    skeleton: &Skeleton,
+    fps: f64,
+    poses: impl IntoIterator<Item = &'a Pose>,
+) -> Result<(), ExportError> {
+    let mut writer = BvhWriter::create(path, skeleton, fps)?;
+    for pose in poses {
+        writer.write(pose)?;
+    }
+    writer.finish()
+}
+
+fn local(pose: &Pose, joint: Joint) -> &Matrix3<f64> {
+    match joint.index().checked_sub(1) {
+        Some(j) => &pose.local[j],
+        None => &pose.root_rotation,
+    }
+}
+
+/// The joints depth first, as the hierarchy lists them and the motion follows.
+fn hierarchy_order() -> [Joint; JOINTS] {
+    fn visit(joint: Joint, order: &mut [Joint; JOINTS], next: &mut usize) {
+        order[*next] = joint;
+        *next += 1;
+        for child in children(joint) {
+            visit(child, order, next);
+        }
+    }
+    let mut order = [Joint::Pelvis; JOINTS];
+    visit(Joint::Pelvis, &mut order, &mut 0);
+    order
+}
+
+fn children(of: Joint) -> impl Iterator<Item = Joint> {
+    Joint::ALL.into_iter().filter(move |joint| joint.parent() == Some(of))
+}
+
+fn hierarchy(skeleton: &Skeleton) -> String {
+    let mut text = String::from("HIERARCHY\n");
+    add_joint(&mut text, skeleton, Joint::Pelvis, 0);
+    text
+}
+
+fn add_joint(text: &mut String, skeleton: &Skeleton, joint: Joint, depth: usize) {
+    let tabs = "\t".repeat(depth);
+    let (kind, channels) = match joint {
+        Joint::Pelvis => ("ROOT", "6 Xposition Yposition Zposition"),
+        _ => ("JOINT", "3"),
+    };
+    *text += &format!("{tabs}{kind} {}\n{tabs}{{\n", joint.name());
+    *text += &format!("{tabs}\t{}\n", offset_line(skeleton.offset(joint)));
+    *text += &format!("{tabs}\tCHANNELS {channels} Zrotation Xrotation Yrotation\n");
+    for child in children(joint) {
+        add_joint(text, skeleton, child, depth + 1);
+    }
+    if let Some(end) = end_site(skeleton, joint) {
+        *text += &format!("{tabs}\tEnd Site\n{tabs}\t{{\n");
+        *text += &format!("{tabs}\t\t{}\n{tabs}\t}}\n", offset_line(&end));
+    }
+    *text += &format!("{tabs}}}\n");
+}
+
+fn offset_line(metres: &Vector3<f64>) -> String {
+    let at = metres * CENTIMETRES;
+    format!("OFFSET {:.5} {:.5} {:.5}", at.x, at.y, at.z)
+}
+
+/// Where the bone of a last joint ends, metres from it.
+fn end_site(skeleton: &Skeleton, joint: Joint) -> Option<Vector3<f64>> {
+    let point = |keypoint| Some(Attachment::of(keypoint).offset(skeleton));
+    match joint {
+        Joint::Head => point(Keypoint::HeadTop),
+        Joint::LFoot => point(Keypoint::LBigToe),
+        Joint::RFoot => point(Keypoint::RBigToe),
+        Joint::LWrist | Joint::RWrist => Some(skeleton.offset(joint) * HAND),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_hierarchy_is_depth_first_and_complete() {
+        let mut order = hierarchy_order();
+        assert_eq!(
+            order[..5].iter().map(|j| j.name()).collect::<Vec<_>>(),
+            ["pelvis", "l_hip", "l_knee", "l_ankle", "l_foot"]
+        );
+        order.sort();
+        assert_eq!(order, Joint::ALL);
+        let text = hierarchy(&Skeleton::default());
+        assert_eq!((text.matches("JOINT").count(), text.matches("End Site").count()), (21, 5));
+    }
+}

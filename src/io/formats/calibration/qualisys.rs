@@ -1,0 +1,112 @@
+//! Qualisys' `.qca.txt`, which is XML.
+//!
+//! Per camera: `transform` holds the camera's position (mm) and a matrix whose rows are its
+//! axes in the world, with y up and z backwards (OpenCV's y and z are the opposite).
+//! `intrinsic` holds lengths in pixels times 64, the centre measured from the sensor's corner,
+//! and distortion coefficients, which have no unit.
+//!
+//! Differs: Pose2Sim divides the distortion coefficients by 64 as well, so its TOML files have
+//! next to none. Here they are used as they stand. The detections of Pose2Sim's demo set cannot
+//! tell: robust triangulation of 12 limb joints leaves (median, mean) 13.93, 14.87 px either way
+//! in its balancing take; 9.04, 9.62 px as they stand and 8.91, 9.64 px divided in the static one.
+
+use nalgebra::{Matrix3, Vector3};
+use roxmltree::{Document, Node};
+
+use super::{Calibrated, Fault, size_px};
+use crate::core::camera::Lens;
+
+/// Units of `intrinsic` per pixel.
+const SUBPIXELS: f64 = 64.0;
+
+/// The active video cameras, in the file's order.
+///
+/// Files of mixed systems also list marker cameras; a model that names itself video (or none)
+/// is a video camera.
+pub(super) fn cameras(text: &str) -> Result<Vec<Calibrated>, Fault> {
+    let document = Document::parse(text).map_err(|e| Fault::Text(format!("no XML: {e}")))?;
+    let nodes = document.descendants().filter(|n| n.has_tag_name("camera"));
+    let active: Vec<Node> = nodes.filter(|n| n.attribute("active") != Some("0")).collect();
+    let is_video = |n: &&Node| {
+        let model = n.attribute("model").unwrap_or("none").to_lowercase();
+        model == "none" || model.contains("video")
+    };
+    if active.is_empty() {
+        return Err(Fault::Text("XML without an active <camera>".into()));
+    }
+    active.iter().filter(is_video).map(camera).collect()
+}
+
+fn camera(node: &Node) -> Result<Calibrated, Fault> {
+    let name = node
+        .attribute("serial")
+        .ok_or_else(|| Fault::Text("a <camera> has no serial".into()))?
+        .to_owned();
+    let fields = |tag: &'static str| Fields::of(node, &name, tag);
+    if let Some(turn) = node.attribute("viewrotation").filter(|v| *v != "0") {
+        let what = format!("camera {name}: viewrotation {turn} cannot be used, only 0");
+        return Err(Fault::Text(what));
+    }
+    let view = fields("fov_video")?;
+    let (left, top) = (view.number("left")?, view.number("top")?);
+    let size = [view.number("right")? - left + 1.0, view.number("bottom")? - top + 1.0];
+    let (rotation, translation) = extrinsics(&fields("transform")?)?;
+    let (matrix, lens) = intrinsics(&fields("intrinsic")?, left, top)?;
+    Ok(Calibrated { size: size_px(&name, size)?, name, matrix, lens, rotation, translation })
+}
+
+/// camera_from_calibration.
+fn extrinsics(transform: &Fields) -> Result<(Matrix3<f64>, Vector3<f64>), Fault> {
+    let mut rotation = Matrix3::zeros();
+    for row in 0..3 {
+        // OpenCV's y points down and its z into the scene.
+        let sign = if row == 0 { 1.0 } else { -1.0 };
+        for column in 0..3 {
+            let entry = transform.number(&format!("r{}{}", row + 1, column + 1))?;
+            rotation[(row, column)] = sign * entry;
+        }
+    }
+    let centre =
+        Vector3::new(transform.number("x")?, transform.number("y")?, transform.number("z")?);
+    Ok((rotation, -rotation * (centre * 1e-3)))
+}
+
+fn intrinsics(intrinsic: &Fields, left: f64, top: f64) -> Result<(Matrix3<f64>, Lens), Fault> {
+    let pixels = |field: &str| Ok::<_, Fault>(intrinsic.number(field)? / SUBPIXELS);
+    let matrix = Matrix3::new(
+        pixels("focalLengthU")?,
+        pixels("skew")?,
+        pixels("centerPointU")? - left,
+        0.0,
+        pixels("focalLengthV")?,
+        pixels("centerPointV")? - top,
+        0.0,
+        0.0,
+        1.0,
+    );
+    let [k1, k2, k3] = [1, 2, 3].map(|i| intrinsic.number(&format!("radialDistortion{i}")));
+    let [p1, p2] = [1, 2].map(|i| intrinsic.number(&format!("tangentalDistortion{i}")));
+    Ok((matrix, Lens::BrownConrady([k1?, k2?, p1?, p2?, k3?, 0.0, 0.0, 0.0])))
+}
+
+/// The attributes of one element of a camera.
+struct Fields<'a> {
+    node: Node<'a, 'a>,
+    camera: &'a str,
+    tag: &'static str,
+}
+
+impl<'a> Fields<'a> {
+    fn of(camera: &Node<'a, 'a>, name: &'a str, tag: &'static str) -> Result<Self, Fault> {
+        let node = camera.children().find(|child| child.has_tag_name(tag));
+        let node = node.ok_or_else(|| Fault::Text(format!("camera {name}: no <{tag}>")))?;
+        Ok(Self { node, camera: name, tag })
+    }
+
+    fn number(&self, field: &str) -> Result<f64, Fault> {
+        let (camera, tag) = (self.camera, self.tag);
+        let fault = |what: &str| Fault::Text(format!("camera {camera}: <{tag}> {field} {what}"));
+        let text = self.node.attribute(field).ok_or_else(|| fault("is missing"))?;
+        text.trim().parse().map_err(|_| fault("is no number"))
+    }
+}

@@ -1,0 +1,189 @@
+//! Detections and calibrations of other tools.
+//!
+//! - [`read_calibration`]: Pose2Sim or aniposelib TOML, and Qualisys `.qca.txt`, to a
+//!   [`Rig`](crate::core::camera::Rig) in our world (metres, y up).
+//! - [`OpenposeFolder`]: a folder with one subfolder of OpenPose JSON files per camera, as a
+//!   stream of [`Detections`](crate::core::detections::Detections) in capture-time order.
+
+pub mod bvh;
+mod calibration;
+mod openpose;
+pub mod trc;
+
+use std::path::{Path, PathBuf};
+
+pub use self::calibration::{Up, read_calibration};
+pub use openpose::{CameraReport, FolderMatch, MatchedBy, OpenposeFolder};
+pub use trc::{ReferenceDistance, Trc, TrcError, distance_to_reference};
+
+use crate::core::camera::CameraError;
+use crate::core::detections::KeypointFormat;
+
+/// Why an export failed. Nothing is left behind: a file appears whole or not at all.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+#[allow(missing_docs)]
+pub enum ExportError {
+    #[error("{path}: cannot be written: {source}; check that the folder exists and has room")]
+    Write { path: PathBuf, source: std::io::Error },
+    #[error("{path}: pose {frame} holds a number that is not finite; leave lost poses out")]
+    NotFinite { path: PathBuf, frame: usize },
+    #[error("{path}: {fps} frames a second is no frame rate; give one above 0")]
+    FrameRate { path: PathBuf, fps: f64 },
+}
+
+/// Why something cannot be imported.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ImportError {
+    /// A file or folder cannot be read.
+    #[error("{}: cannot be read ({source}); check the path and its permissions", path.display())]
+    Read {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file is no calibration that is known here.
+    #[error("{}: {what}; give a Pose2Sim or aniposelib TOML, or a Qualisys .qca.txt", path.display())]
+    NotACalibration {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong, with the line or field.
+        what: String,
+    },
+    /// A calibrated camera, or the set of them, cannot be used.
+    #[error("{}: {source}", path.display())]
+    Camera {
+        /// The calibration.
+        path: PathBuf,
+        /// Which camera and what is wrong.
+        source: CameraError,
+    },
+    /// No subfolder holds JSON files.
+    #[error(
+        "{}: no subfolder holds .json files; give the folder with one subfolder of OpenPose \
+         JSON files per camera", path.display()
+    )]
+    NoCameraFolders {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The subfolder of a calibrated camera holds no JSON.
+    #[error(
+        "{}: the folder of camera {camera} holds no .json file; put its detections there, or \
+         remove the camera from the calibration", path.display()
+    )]
+    EmptyCameraFolder {
+        /// The subfolder.
+        path: PathBuf,
+        /// The calibrated camera.
+        camera: String,
+    },
+    /// More folders than cameras.
+    #[error(
+        "{}: no calibration for {folders}; calibrated are {cameras}; calibrate the camera or \
+         move its folder away", path.display()
+    )]
+    CameraWithoutCalibration {
+        /// The folder of folders.
+        path: PathBuf,
+        /// The folders left over.
+        folders: String,
+        /// The calibrated cameras.
+        cameras: String,
+    },
+    /// More cameras than folders.
+    #[error(
+        "{}: no folder for calibrated camera {cameras}; folders are {folders}; add its \
+         detections or remove it from the calibration", path.display()
+    )]
+    CalibrationWithoutCamera {
+        /// The folder of folders.
+        path: PathBuf,
+        /// The folders with JSON.
+        folders: String,
+        /// The cameras left over.
+        cameras: String,
+    },
+    /// A file name without a number, or with one too large to be a time.
+    #[error(
+        "{}: no usable frame number in the file name; name files like cam01_000123_keypoints.json",
+        path.display()
+    )]
+    FrameNumber {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Two files of one camera with one frame number.
+    #[error(
+        "{}: frame {frame} is there twice ({first} and {second}); keep one recording per folder",
+        path.display()
+    )]
+    DuplicateFrame {
+        /// The camera's folder.
+        path: PathBuf,
+        /// The number.
+        frame: u64,
+        /// One file name.
+        first: String,
+        /// The other.
+        second: String,
+    },
+    /// A JSON file of something else, or broken.
+    #[error("{}: {what}; OpenPose writes {{\"people\": [{{\"pose_keypoints_2d\": [x, y, c, ...]}}]}}", path.display())]
+    NotOpenpose {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+    },
+    /// The keypoints of a person do not fill the format.
+    #[error(
+        "{}: person {person} has {found} numbers, {} needs {}; {fits}",
+        path.display(), format.name(), 3 * format.len()
+    )]
+    PointCount {
+        /// The file.
+        path: PathBuf,
+        /// Index of the person in the file.
+        person: usize,
+        /// How many numbers there are.
+        found: usize,
+        /// What was asked for.
+        format: KeypointFormat,
+        /// Which formats have that length.
+        fits: String,
+    },
+    /// No keypoint format of that name.
+    #[error("unknown keypoint format {name}; known are {}", known_formats())]
+    UnknownFormat {
+        /// What was given.
+        name: String,
+    },
+    /// A frame rate that is not positive and finite.
+    #[error("{fps} frames per second is no frame rate; give the cameras' rate, such as 60")]
+    FrameRate {
+        /// What was given.
+        fps: f64,
+    },
+}
+
+impl ImportError {
+    fn read(path: &Path, source: std::io::Error) -> Self {
+        Self::Read { path: path.to_owned(), source }
+    }
+}
+
+/// The keypoint format of that name (see [`KeypointFormat::name`]).
+///
+/// # Errors
+/// [`ImportError::UnknownFormat`], which lists the known ones.
+pub fn keypoint_format(name: &str) -> Result<KeypointFormat, ImportError> {
+    KeypointFormat::from_name(name)
+        .ok_or_else(|| ImportError::UnknownFormat { name: name.to_owned() })
+}
+
+fn known_formats() -> String {
+    KeypointFormat::ALL.map(KeypointFormat::name).join(", ")
+}

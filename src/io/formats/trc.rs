@@ -1,0 +1,363 @@
+//! TRC files: marker trajectories of other tools, as a reference to compare with.
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+use crate::core::detections::Keypoint;
+
+/// Why a TRC file cannot be used.
+#[derive(Debug, Error)]
+#[allow(missing_docs)]
+pub enum TrcError {
+    #[error("{path}: cannot be read: {source}")]
+    Unreadable { path: PathBuf, source: std::io::Error },
+    #[error("{path}: {source}")]
+    InFile { path: PathBuf, source: Box<TrcError> },
+    #[error("line 1 does not begin with PathFileType: give a TRC file")]
+    NotTrc,
+    #[error("line {line}: there is none; a TRC file has {what} there")]
+    TooShort { line: usize, what: &'static str },
+    #[error("line {line}: no value for {field}: add it to lines 2 and 3")]
+    NoField { line: usize, field: &'static str },
+    #[error("line {line}: units {units:?} are not known: use m, cm or mm")]
+    Units { line: usize, units: String },
+    #[error("line {line}: {cell:?} is not a number")]
+    NotANumber { line: usize, cell: String },
+    #[error("line {line}: {found} cells, but {markers} markers need at most {most}")]
+    TooManyCells { line: usize, found: usize, markers: usize, most: usize },
+}
+
+/// Marker positions over time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trc {
+    /// Frames a second.
+    pub frame_rate: f64,
+    /// Frame of the original recording that row 0 is of (OrigDataStartFrame).
+    pub first_frame: u64,
+    /// Names of the markers, in the order of the points.
+    pub names: Vec<String>,
+    /// The rows.
+    pub rows: Vec<TrcRow>,
+}
+
+/// One row of a TRC file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrcRow {
+    /// The file's own frame number, which tools begin at 0 or at 1.
+    pub number: i64,
+    /// The file's own time, seconds.
+    pub seconds: f64,
+    /// A position per marker, metres; `None` where a cell is empty or no number.
+    pub points: Vec<Option<Vector3<f64>>>,
+}
+
+impl Trc {
+    /// Reads a file.
+    pub fn read(path: &Path) -> Result<Self, TrcError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| TrcError::Unreadable { path: path.into(), source })?;
+        Self::parse(&text)
+            .map_err(|source| TrcError::InFile { path: path.into(), source: Box::new(source) })
+    }
+
+    /// Reads the text of a file.
+    pub fn parse(text: &str) -> Result<Self, TrcError> {
+        let lines: Vec<&str> = text.lines().collect();
+        if !lines.first().is_some_and(|line| line.trim_start().starts_with("PathFileType")) {
+            return Err(TrcError::NotTrc);
+        }
+        let line = |line: usize, what| {
+            lines.get(line - 1).copied().ok_or(TrcError::TooShort { line, what })
+        };
+        let header = Header {
+            fields: line(2, "the header's field names")?.split('\t').map(str::trim).collect(),
+            values: line(3, "the header's values")?.split('\t').map(str::trim).collect(),
+        };
+        let metres = header.metres()?;
+        let names = marker_names(line(4, "the markers' names")?);
+        line(5, "the axes")?;
+        let rows = (lines.iter().enumerate().skip(5))
+            .filter(|(_, text)| !text.trim().is_empty())
+            .map(|(index, text)| row(index + 1, text, names.len(), metres))
+            .collect::<Result<_, _>>()?;
+        let first_frame = header.number("OrigDataStartFrame")?.max(0.0) as u64;
+        Ok(Self { frame_rate: header.number("DataRate")?, first_frame, names, rows })
+    }
+
+    /// Which column has a keypoint.
+    pub fn column_of(&self, keypoint: Keypoint) -> Option<usize> {
+        self.names.iter().position(|name| keypoint_of(name) == Some(keypoint))
+    }
+}
+
+struct Header<'a> {
+    fields: Vec<&'a str>,
+    values: Vec<&'a str>,
+}
+
+impl Header<'_> {
+    fn value(&self, field: &'static str) -> Result<&str, TrcError> {
+        let column = self.fields.iter().position(|&name| name == field);
+        let value = column.and_then(|column| self.values.get(column));
+        value.copied().ok_or(TrcError::NoField { line: 3, field })
+    }
+
+    fn number(&self, field: &'static str) -> Result<f64, TrcError> {
+        let value = self.value(field)?;
+        value.parse().map_err(|_| TrcError::NotANumber { line: 3, cell: value.into() })
+    }
+
+    /// Metres in the file's unit.
+    fn metres(&self) -> Result<f64, TrcError> {
+        match self.value("Units")? {
+            "m" => Ok(1.0),
+            "cm" => Ok(1e-2),
+            "mm" => Ok(1e-3),
+            units => Err(TrcError::Units { line: 3, units: units.into() }),
+        }
+    }
+}
+
+/// Names stand three cells apart from the third on; what follows the last name is empty.
+fn marker_names(line: &str) -> Vec<String> {
+    let names: Vec<String> =
+        line.split('\t').skip(2).step_by(3).map(|name| name.trim().to_owned()).collect();
+    let used = names.iter().rposition(|name| !name.is_empty()).map_or(0, |last| last + 1);
+    names[..used].to_vec()
+}
+
+fn row(line: usize, text: &str, markers: usize, metres: f64) -> Result<TrcRow, TrcError> {
+    let cells: Vec<&str> = text.split('\t').map(str::trim).collect();
+    let found = cells.iter().rposition(|cell| !cell.is_empty()).map_or(0, |last| last + 1);
+    let most = 2 + 3 * markers;
+    if found > most {
+        return Err(TrcError::TooManyCells { line, found, markers, most });
+    }
+    let number = |column: usize| -> Result<f64, TrcError> {
+        let cell = cells.get(column).copied().unwrap_or_default();
+        if cell.is_empty() {
+            return Ok(f64::NAN);
+        }
+        cell.parse().map_err(|_| TrcError::NotANumber { line, cell: cell.into() })
+    };
+    let point = |marker: usize| -> Result<Option<Vector3<f64>>, TrcError> {
+        let first = 2 + 3 * marker;
+        let at = Vector3::new(number(first)?, number(first + 1)?, number(first + 2)?) * metres;
+        Ok(at.iter().all(|c| c.is_finite()).then_some(at))
+    };
+    let points = (0..markers).map(point).collect::<Result<_, _>>()?;
+    Ok(TrcRow { number: number(0)? as i64, seconds: number(1)?, points })
+}
+
+/// The point that a marker of that name marks; `None` for names we do not know.
+pub fn keypoint_of(marker: &str) -> Option<Keypoint> {
+    use Keypoint as K;
+    Some(match marker {
+        "Nose" => K::Nose,
+        "Head" => K::HeadTop,
+        "Neck" => K::Neck,
+        "Hip" | "CHip" => K::MidHip,
+        "LEye" => K::LEye,
+        "REye" => K::REye,
+        "LEar" => K::LEar,
+        "REar" => K::REar,
+        "LShoulder" => K::LShoulder,
+        "RShoulder" => K::RShoulder,
+        "LElbow" => K::LElbow,
+        "RElbow" => K::RElbow,
+        "LWrist" => K::LWrist,
+        "RWrist" => K::RWrist,
+        "LHip" => K::LHip,
+        "RHip" => K::RHip,
+        "LKnee" => K::LKnee,
+        "RKnee" => K::RKnee,
+        "LAnkle" => K::LAnkle,
+        "RAnkle" => K::RAnkle,
+        "LBigToe" => K::LBigToe,
+        "RBigToe" => K::RBigToe,
+        "LSmallToe" => K::LSmallToe,
+        "RSmallToe" => K::RSmallToe,
+        "LHeel" => K::LHeel,
+        "RHeel" => K::RHeel,
+        _ => return None,
+    })
+}
+
+/// The points by which an estimate is compared with a reference.
+pub const COMPARED: [Keypoint; 12] = [
+    Keypoint::LShoulder,
+    Keypoint::RShoulder,
+    Keypoint::LElbow,
+    Keypoint::RElbow,
+    Keypoint::LWrist,
+    Keypoint::RWrist,
+    Keypoint::LHip,
+    Keypoint::RHip,
+    Keypoint::LKnee,
+    Keypoint::RKnee,
+    Keypoint::LAnkle,
+    Keypoint::RAnkle,
+];
+
+/// How far an estimate is from a reference, millimetres.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReferenceDistance {
+    /// Frames in which at least one point was compared.
+    pub frames: usize,
+    /// Mean over all points and frames compared.
+    pub mean_mm: f64,
+    /// Mean of each point that was compared.
+    pub per_keypoint_mm: Vec<(Keypoint, f64)>,
+    /// Largest distance between the middles of the two hips, and its frame; `None` where the
+    /// hips were never in both.
+    pub worst_mid_hip: Option<(u64, f64)>,
+}
+
+/// Compares positions in the world of the TRC file, metres, over [`COMPARED`].
+///
+/// `estimate` is asked by frame of the original recording: row i of the file is frame
+/// OrigDataStartFrame + i, whatever its own Frame# says, since tools begin that at 1.
+/// `None` if nothing was compared.
+pub fn distance_to_reference(
+    trc: &Trc,
+    mut estimate: impl FnMut(u64, Keypoint) -> Option<Vector3<f64>>,
+) -> Option<ReferenceDistance> {
+    let columns = COMPARED.map(|keypoint| trc.column_of(keypoint));
+    let mut sums = [(0.0, 0usize); COMPARED.len()];
+    let (mut frames, mut worst_mid_hip) = (0, None::<(u64, f64)>);
+    for (frame, row) in (trc.first_frame..).zip(&trc.rows) {
+        let mut differences = [None; COMPARED.len()];
+        for (i, keypoint) in COMPARED.into_iter().enumerate() {
+            let reference = columns[i].and_then(|column| row.points[column]);
+            differences[i] = reference.and_then(|at| Some(estimate(frame, keypoint)? - at));
+            if let Some(difference) = &differences[i] {
+                sums[i] = (sums[i].0 + 1e3 * difference.norm(), sums[i].1 + 1);
+            }
+        }
+        frames += usize::from(differences.iter().any(Option::is_some));
+        let of =
+            |keypoint| COMPARED.iter().position(|&k| k == keypoint).and_then(|i| differences[i]);
+        if let (Some(left), Some(right)) = (of(Keypoint::LHip), of(Keypoint::RHip)) {
+            let distance = 1e3 * (left + right).norm() / 2.0;
+            if worst_mid_hip.is_none_or(|(_, worst)| distance > worst) {
+                worst_mid_hip = Some((frame, distance));
+            }
+        }
+    }
+    summarise(frames, &sums, worst_mid_hip)
+}
+
+fn summarise(
+    frames: usize,
+    sums: &[(f64, usize); COMPARED.len()],
+    worst_mid_hip: Option<(u64, f64)>,
+) -> Option<ReferenceDistance> {
+    let count: usize = sums.iter().map(|s| s.1).sum();
+    let per_keypoint_mm = COMPARED
+        .into_iter()
+        .zip(sums)
+        .filter(|(_, (_, n))| *n > 0)
+        .map(|(keypoint, (sum, n))| (keypoint, sum / *n as f64))
+        .collect();
+    (count > 0).then(|| ReferenceDistance {
+        frames,
+        mean_mm: sums.iter().map(|s| s.0).sum::<f64>() / count as f64,
+        per_keypoint_mm,
+        worst_mid_hip,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FILE: &str = "PathFileType\t4\t(X/Y/Z)\ta.trc\n\
+        DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n\
+        60\t60\t3\t3\tmm\t60\t7\t3\n\
+        Frame#\tTime\tRHip\t\t\tLHip\t\t\tmystery\t\t\t\n\
+        \t\tX1\tY1\tZ1\tX2\tY2\tZ2\tX3\tY3\tZ3\n\
+        \n\
+        1\t0.0166\t1000\t0\t0\t1200\t0\t0\t1\t2\t3\n\
+        2\t0.0333\t1000\t0\t0\t\t\t\t1\t2\t3\n\
+        3\t0.0500\t1000\t0\t0\t1200\tnan\t0\n";
+
+    #[test]
+    fn units_missing_cells_and_unknown_markers_are_handled() {
+        let trc = Trc::parse(FILE).unwrap();
+        assert_eq!((trc.frame_rate, trc.first_frame, trc.rows.len()), (60.0, 7, 3));
+        assert_eq!(trc.names, ["RHip", "LHip", "mystery"]);
+        assert_eq!(trc.rows[0].points[1], Some(Vector3::new(1.2, 0.0, 0.0)));
+        assert_eq!(trc.rows[1].points[1], None);
+        assert_eq!(trc.rows[2].points[1..], [None, None]);
+        assert_eq!(trc.column_of(Keypoint::LHip), Some(1));
+        assert_eq!(trc.column_of(Keypoint::Nose), None);
+    }
+
+    #[test]
+    fn distances_go_by_row_and_start_frame() {
+        let trc = Trc::parse(FILE).unwrap();
+        // Frame 7: both hips 30 and 50 mm off; 8: right hip 40 mm; 9: no estimate.
+        let estimate = |frame: u64, keypoint| match (frame, keypoint) {
+            (7, Keypoint::RHip) => Some(Vector3::new(1.0, 0.03, 0.0)),
+            (7, Keypoint::LHip) => Some(Vector3::new(1.2, 0.05, 0.0)),
+            (8, Keypoint::RHip) => Some(Vector3::new(1.0, 0.0, 0.04)),
+            (7 | 8, _) => Some(Vector3::zeros()),
+            _ => None,
+        };
+        let distance = distance_to_reference(&trc, estimate).unwrap();
+        assert_eq!(distance.frames, 2);
+        assert!((distance.mean_mm - 40.0).abs() < 1e-9);
+        let (frame, worst) = distance.worst_mid_hip.unwrap();
+        assert!(frame == 7 && (worst - 40.0).abs() < 1e-9);
+        assert_eq!(distance.per_keypoint_mm[0].0, Keypoint::LHip);
+        assert!((distance.per_keypoint_mm[0].1 - 50.0).abs() < 1e-9);
+        assert!((distance.per_keypoint_mm[1].1 - 35.0).abs() < 1e-9);
+        assert_eq!(distance_to_reference(&trc, |_, _| None), None);
+    }
+
+    #[test]
+    fn errors_name_the_line() {
+        let message = |text: &str| Trc::parse(text).unwrap_err().to_string();
+        assert!(message("hello").contains("PathFileType"));
+        assert!(message(&FILE.replace("mm", "inch")).contains("line 3: units \"inch\""));
+        assert!(message(&FILE.replace("0.0333", "soon")).contains("line 8: \"soon\""));
+        assert!(message(&FILE.replace("DataRate\tC", "Rate\tC")).contains("DataRate"));
+        assert!(message(&FILE.replace("nan\t0\n", "0\t0\t1\t2\t3\t9\n")).contains("line 9: 12"));
+        assert!(message("PathFileType\t4\n").contains("line 2"));
+        let absent = Trc::read(Path::new("no/such.trc")).unwrap_err().to_string();
+        assert!(absent.contains("no/such.trc"), "{absent}");
+    }
+
+    #[test]
+    fn real_files_are_read() {
+        let data = std::env::var("BUNDLEMOCAP_DATA")
+            .unwrap_or(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared").into());
+        let folder = Path::new(&data).join("recordings/pose2sim/balancing/pose-3d");
+        let read = |end: &str| {
+            let name = format!("S00_P00_T01_BalancingTrial_0-100{end}.trc");
+            Trc::read(&folder.join(name))
+        };
+        let (raw, smooth, augmented) =
+            match (read(""), read("_filt_butterworth"), read("_filt_butterworth_LSTM")) {
+                (Err(TrcError::Unreadable { .. }), ..) => {
+                    return println!("skipped: {} is not there", folder.display());
+                }
+                (raw, smooth, augmented) => (raw.unwrap(), smooth.unwrap(), augmented.unwrap()),
+            };
+        assert_eq!((raw.rows.len(), raw.first_frame, raw.names.len()), (100, 0, 21));
+        assert_eq!((augmented.rows.len(), augmented.names.len()), (100, 64));
+        for keypoint in COMPARED {
+            assert_eq!(raw.column_of(keypoint), augmented.column_of(keypoint));
+        }
+        let estimate = |frame: u64, keypoint| {
+            let row = raw.rows.get(frame as usize)?;
+            row.points[raw.column_of(keypoint)?]
+        };
+        let distance = distance_to_reference(&smooth, estimate).unwrap();
+        assert_eq!((distance.frames, distance.per_keypoint_mm.len()), (100, 12));
+        println!("raw to Butterworth {:.2} mm", distance.mean_mm);
+        assert!((1.0..30.0).contains(&distance.mean_mm), "{}", distance.mean_mm);
+    }
+}

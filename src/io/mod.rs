@@ -1,0 +1,8 @@
+//! Bytes in and out: messages, recordings, the bus, files of other programs, the report.
+
+pub mod bus;
+pub mod formats;
+mod new_file;
+pub mod recording;
+pub mod report;
+pub mod wire;

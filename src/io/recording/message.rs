@@ -1,0 +1,188 @@
+//! Messages of a recording, by schema and topic.
+
+use std::sync::Arc;
+
+use prost::Name;
+
+use crate::core::time::Timestamp;
+use crate::io::wire::{
+    DecodeError, ENCODING, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig,
+    Skeleton, Status, decode, is_truth,
+};
+
+/// A message of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// Where it was published.
+    pub topic: Arc<str>,
+    /// The time it is filed under: the capture time in files that were made offline, the arrival
+    /// on the node's clock in live ones.
+    pub log_time: Timestamp,
+    /// What it says.
+    pub message: Message,
+}
+
+/// A message of a recording as its bytes are.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RawEntry {
+    /// Where it was published.
+    pub topic: Arc<str>,
+    /// Full name of its schema; empty if it has none.
+    pub schema: Arc<str>,
+    /// How the payload is encoded, in MCAP's words; `protobuf` for ours.
+    pub encoding: Arc<str>,
+    /// The time it is filed under, as in [`Entry`].
+    pub log_time: Timestamp,
+    /// The capture time in our files.
+    pub publish_time: Timestamp,
+    /// The bytes.
+    pub payload: Vec<u8>,
+}
+
+/// What a message says. Each of ours is known to be sound: its `to_core` succeeds (that of
+/// keypoints if the camera is known).
+#[derive(Clone, Debug, PartialEq)]
+pub enum Message {
+    /// 2D keypoints of one image.
+    Keypoints(KeypointFrame),
+    /// Calibrated cameras.
+    Rig(Rig),
+    /// A solved pose.
+    Pose(Pose),
+    /// The end of a window.
+    Keyframe(Keyframe),
+    /// The body that was solved for.
+    Skeleton(Skeleton),
+    /// Something that happened.
+    Event(Event),
+    /// Counters.
+    Status(Status),
+    /// What the node's machine was told.
+    Journal(Journal),
+    /// A pose on another skeleton.
+    Retargeted(RetargetedPose),
+    /// The true pose, in synthetic recordings.
+    TruthPose(Pose),
+    /// The true body, in synthetic recordings.
+    TruthSkeleton(Skeleton),
+    /// Something that is not ours.
+    Other {
+        /// Name of its schema; empty if it has none.
+        schema: String,
+        /// The payload.
+        data: Vec<u8>,
+    },
+}
+
+/// The messages that we know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Keypoints,
+    Rig,
+    Pose,
+    Keyframe,
+    Skeleton,
+    Event,
+    Status,
+    Journal,
+    Retargeted,
+}
+
+impl Kind {
+    fn of_schema(schema: &str) -> Option<Self> {
+        Some(match schema.strip_prefix(Pose::PACKAGE)?.strip_prefix('.')? {
+            KeypointFrame::NAME => Self::Keypoints,
+            Rig::NAME => Self::Rig,
+            Pose::NAME => Self::Pose,
+            Keyframe::NAME => Self::Keyframe,
+            Skeleton::NAME => Self::Skeleton,
+            Event::NAME => Self::Event,
+            Status::NAME => Self::Status,
+            Journal::NAME => Self::Journal,
+            RetargetedPose::NAME => Self::Retargeted,
+            _ => return None,
+        })
+    }
+}
+
+/// A channel of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Channel {
+    pub topic: Arc<str>,
+    pub schema: Arc<str>,
+    pub encoding: Arc<str>,
+    /// `None`: not ours.
+    pub kind: Option<Kind>,
+}
+
+impl Channel {
+    pub fn new(topic: &str, schema: &str, encoding: &str) -> Self {
+        let kind = Kind::of_schema(schema).filter(|_| encoding == ENCODING);
+        Self { topic: topic.into(), schema: schema.into(), encoding: encoding.into(), kind }
+    }
+}
+
+impl RawEntry {
+    /// What the message says, checked.
+    ///
+    /// # Errors
+    /// A payload that is not sound.
+    pub fn message(&self) -> Result<Message, DecodeError> {
+        Message::decode(&self.topic, &self.schema, &self.encoding, &self.payload)
+    }
+}
+
+impl Message {
+    /// The message in `data`, checked; `schema` is its full name, `encoding` in MCAP's words, and
+    /// the topic tells truth from the rest.
+    ///
+    /// # Errors
+    /// A payload that is not sound.
+    pub fn decode(
+        topic: &str,
+        schema: &str,
+        encoding: &str,
+        data: &[u8],
+    ) -> Result<Self, DecodeError> {
+        match Kind::of_schema(schema).filter(|_| encoding == ENCODING) {
+            Some(kind) => Self::of_kind(kind, is_truth(topic), data),
+            None => Ok(Self::Other { schema: schema.to_owned(), data: data.to_owned() }),
+        }
+    }
+
+    fn of_kind(kind: Kind, truth: bool, data: &[u8]) -> Result<Self, DecodeError> {
+        Ok(match kind {
+            Kind::Keypoints => Self::Keypoints(checked(data, |frame: &KeypointFrame| {
+                frame.to_core(|_| Some(0)).map(drop)
+            })?),
+            Kind::Rig => Self::Rig(checked(data, |rig: &Rig| rig.to_core().map(drop))?),
+            Kind::Pose => {
+                let pose = checked(data, |pose: &Pose| {
+                    pose.joint_positions()?;
+                    pose.to_core().map(drop)
+                })?;
+                if truth { Self::TruthPose(pose) } else { Self::Pose(pose) }
+            }
+            Kind::Keyframe => {
+                Self::Keyframe(checked(data, |keyframe: &Keyframe| keyframe.to_core().map(drop))?)
+            }
+            Kind::Skeleton => {
+                let skeleton = checked(data, |skeleton: &Skeleton| skeleton.to_core().map(drop))?;
+                if truth { Self::TruthSkeleton(skeleton) } else { Self::Skeleton(skeleton) }
+            }
+            Kind::Event => Self::Event(decode::<Event>(data)?.validated()?),
+            Kind::Status => Self::Status(decode(data)?),
+            Kind::Journal => Self::Journal(decode(data)?),
+            Kind::Retargeted => Self::Retargeted(decode::<RetargetedPose>(data)?.validated()?),
+        })
+    }
+}
+
+fn checked<T: crate::io::wire::Schema>(
+    data: &[u8],
+    check: impl FnOnce(&T) -> Result<(), DecodeError>,
+) -> Result<T, DecodeError> {
+    let message = decode(data)?;
+    check(&message)?;
+    Ok(message)
+}

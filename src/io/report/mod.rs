@@ -1,0 +1,13 @@
+//! The report of a solve: plots and pictures as SVG, one HTML page.
+
+mod bars;
+mod page;
+mod plot;
+mod stick_figure;
+
+pub use bars::Bars;
+pub use page::{
+    AngleTrack, CameraErrors, Picture, ReportData, Table, WindowRow, flexion_deg, write_report,
+};
+pub use plot::{Plot, Series};
+pub use stick_figure::{StickFigures, stick_figures};

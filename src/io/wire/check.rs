@@ -1,0 +1,97 @@
+//! Checks of what came from the wire.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::DecodeError;
+use crate::core::so3;
+
+/// A field of a schema, to name it in errors.
+#[derive(Clone, Copy)]
+pub(super) struct Field {
+    pub message: &'static str,
+    pub field: &'static str,
+}
+
+/// Names a field.
+pub(super) const fn field(message: &'static str, field: &'static str) -> Field {
+    Field { message, field }
+}
+
+impl Field {
+    pub(super) fn invalid(self, reason: impl Into<String>) -> DecodeError {
+        let Self { message, field } = self;
+        DecodeError::Invalid { message, field, reason: reason.into() }
+    }
+
+    /// Fails unless there are `expected` entries.
+    pub(super) fn length(self, found: usize, expected: usize) -> Result<(), DecodeError> {
+        let Self { message, field } = self;
+        if found == expected {
+            return Ok(());
+        }
+        Err(DecodeError::Length { message, field, found, expected })
+    }
+
+    /// Fails unless every entry is finite.
+    pub(super) fn finite<T: Copy + Into<f64>>(self, values: &[T]) -> Result<(), DecodeError> {
+        let Self { message, field } = self;
+        match values.iter().position(|&value| !value.into().is_finite()) {
+            Some(index) => Err(DecodeError::NotFinite { message, field, index }),
+            None => Ok(()),
+        }
+    }
+
+    /// Exactly N finite numbers.
+    pub(super) fn numbers<const N: usize, T: Copy + Into<f64>>(
+        self,
+        values: &[T],
+    ) -> Result<[f64; N], DecodeError> {
+        self.length(values.len(), N)?;
+        self.finite(values)?;
+        Ok(std::array::from_fn(|index| values[index].into()))
+    }
+
+    /// Exactly N points of three finite numbers.
+    pub(super) fn vectors<const N: usize, T: Copy + Into<f64>>(
+        self,
+        values: &[T],
+    ) -> Result<[Vector3<f64>; N], DecodeError> {
+        self.length(values.len(), 3 * N)?;
+        self.finite(values)?;
+        Ok(std::array::from_fn(|i| Vector3::from_fn(|row, _| values[3 * i + row].into())))
+    }
+
+    /// Exactly N quaternions x, y, z, w.
+    pub(super) fn rotations<const N: usize, T: Copy + Into<f64>>(
+        self,
+        values: &[T],
+    ) -> Result<[Matrix3<f64>; N], DecodeError> {
+        self.length(values.len(), 4 * N)?;
+        self.finite(values)?;
+        let mut rotations = [Matrix3::identity(); N];
+        for (index, (rotation, xyzw)) in
+            rotations.iter_mut().zip(values.chunks_exact(4)).enumerate()
+        {
+            let xyzw = std::array::from_fn(|i| xyzw[i].into());
+            *rotation = so3::rotation_from_xyzw(xyzw)
+                .ok_or_else(|| self.invalid(format!("quaternion {index} has no direction")))?;
+        }
+        Ok(rotations)
+    }
+
+    /// One quaternion.
+    pub(super) fn rotation<T: Copy + Into<f64>>(
+        self,
+        values: &[T],
+    ) -> Result<Matrix3<f64>, DecodeError> {
+        self.rotations::<1, T>(values).map(|[rotation]| rotation)
+    }
+
+    /// One point.
+    pub(super) fn vector<T: Copy + Into<f64>>(
+        self,
+        values: &[T],
+    ) -> Result<Vector3<f64>, DecodeError> {
+        self.vectors::<1, T>(values).map(|[vector]| vector)
+    }
+}

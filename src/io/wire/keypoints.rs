@@ -1,0 +1,99 @@
+//! `KeypointFrame` to and from [`Detections`].
+
+use nalgebra::Point2;
+
+use super::check::{Field, field};
+use super::{DecodeError, DetectedPerson, KeypointFrame};
+use crate::core::detections::{Detection, Detections, KeypointFormat, Person};
+use crate::core::time::Timestamp;
+
+const POINTS: Field = field("KeypointFrame", "people.points");
+const CAPTURE: Field = field("KeypointFrame", "capture_time_ns");
+/// Later stamps are no times: the year 2116 of the Unix epoch.
+const LATEST_NS: i64 = i64::MAX / 2;
+
+impl KeypointFrame {
+    /// What `camera` (its name) saw in an image of `image_size` pixels, width and height.
+    /// Pixels and confidences are rounded to `f32`.
+    pub fn from_core(detections: &Detections, camera: &str, image_size: [u32; 2]) -> Self {
+        Self {
+            camera: camera.to_owned(),
+            frame: detections.frame,
+            capture_time_ns: detections.capture.ns(),
+            image_width: image_size[0],
+            image_height: image_size[1],
+            format: detections.format.name().to_owned(),
+            people: detections.people.iter().map(DetectedPerson::from_core).collect(),
+        }
+    }
+
+    /// The detections; `index_of` maps a camera's name to its index in the rig.
+    ///
+    /// # Errors
+    /// A camera or format that is not known, a capture time before the epoch or beyond reason,
+    /// points that do not fit the format, numbers that are not finite, negative confidences.
+    pub fn to_core(
+        &self,
+        index_of: impl FnOnce(&str) -> Option<usize>,
+    ) -> Result<Detections, DecodeError> {
+        let camera = index_of(&self.camera)
+            .ok_or_else(|| DecodeError::UnknownCamera { name: self.camera.clone() })?;
+        if !(0..=LATEST_NS).contains(&self.capture_time_ns) {
+            let reason = format!("{} is not from 0 to {LATEST_NS}", self.capture_time_ns);
+            return Err(CAPTURE.invalid(reason));
+        }
+        let format = self.keypoint_format()?;
+        let people = self.people.iter().map(|person| person.to_core(format));
+        Ok(Detections {
+            camera,
+            frame: self.frame,
+            capture: Timestamp::from_ns(self.capture_time_ns),
+            format,
+            people: people.collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// The format of the points.
+    ///
+    /// # Errors
+    /// When its name is not known.
+    pub fn keypoint_format(&self) -> Result<KeypointFormat, DecodeError> {
+        KeypointFormat::from_name(&self.format)
+            .ok_or_else(|| DecodeError::UnknownFormat { name: self.format.clone() })
+    }
+}
+
+impl DetectedPerson {
+    fn from_core(person: &Person) -> Self {
+        let points = person.points.iter().flat_map(|point| match point {
+            Some(Detection { pixel, confidence }) => {
+                [pixel.x as f32, pixel.y as f32, *confidence as f32]
+            }
+            None => [0.0; 3],
+        });
+        Self { id: person.id, points: points.collect() }
+    }
+
+    fn to_core(&self, format: KeypointFormat) -> Result<Person, DecodeError> {
+        POINTS.length(self.points.len(), 3 * format.len())?;
+        let points = self.points.as_chunks().0.iter().enumerate();
+        let points = points.map(|(index, &point)| detection(index, point));
+        Ok(Person { id: self.id, points: points.collect::<Result<_, _>>()? })
+    }
+}
+
+/// Point `index` of a person, from x, y, confidence; `None` where the confidence is 0.
+fn detection(index: usize, point: [f32; 3]) -> Result<Option<Detection>, DecodeError> {
+    let [x, y, confidence] = point;
+    if confidence == 0.0 {
+        return Ok(None);
+    }
+    POINTS.finite(&point)?;
+    if confidence < 0.0 {
+        return Err(POINTS.invalid(format!("point {index} has confidence {confidence}")));
+    }
+    Ok(Some(Detection {
+        pixel: Point2::new(x.into(), y.into()),
+        confidence: f64::from(confidence).min(1.0),
+    }))
+}

@@ -1,0 +1,104 @@
+//! `Pose` to and from [`StampedPose`].
+
+use nalgebra::Vector3;
+
+use super::check::{Field, field};
+use super::{DecodeError, Pose, TrackingState as WireState};
+use crate::core::body::{self, BODY_JOINTS, JOINTS, Skeleton, StampedPose, TrackingState};
+use crate::core::so3;
+use crate::core::time::Timestamp;
+
+const fn at(name: &'static str) -> Field {
+    field("Pose", name)
+}
+
+/// When a pose went out live.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Publication {
+    /// The time it went out, on the cameras' clock.
+    pub publish: Timestamp,
+    /// The latency that the solver declares, nanoseconds.
+    pub latency_ns: u64,
+}
+
+impl Pose {
+    /// The pose, with the joint centres that `skeleton` gives it. Local rotations and joint
+    /// centres are rounded to `f32`. No `publication` means solved offline.
+    pub fn from_core(
+        stamped: &StampedPose,
+        skeleton: &Skeleton,
+        publication: Option<Publication>,
+    ) -> Self {
+        let pose = &stamped.pose;
+        let positions = pose.posture(skeleton).positions;
+        Self {
+            capture_time_ns: stamped.capture.ns(),
+            publish_time_ns: publication.map(|p| p.publish.ns()),
+            declared_latency_ns: publication.map_or(0, |p| p.latency_ns),
+            state: wire_state(stamped.state).into(),
+            root_position_m: pose.root_position.iter().copied().collect(),
+            root_rotation: so3::xyzw_from_rotation(&pose.root_rotation).to_vec(),
+            local_rotations: pose.local.iter().flat_map(quaternion_f32).collect(),
+            joint_positions_m: positions.iter().flatten().map(|&m| m as f32).collect(),
+            calibration_version: stamped.rig_version,
+            window: stamped.window,
+            provisional: stamped.provisional,
+            revision: stamped.revision,
+        }
+    }
+
+    /// The pose.
+    ///
+    /// # Errors
+    /// Wrong lengths, numbers that are not finite, quaternions of length zero, no known state.
+    pub fn to_core(&self) -> Result<StampedPose, DecodeError> {
+        let pose = body::Pose {
+            root_rotation: at("root_rotation").rotation(&self.root_rotation)?,
+            root_position: at("root_position_m").vector(&self.root_position_m)?,
+            local: at("local_rotations").rotations::<BODY_JOINTS, _>(&self.local_rotations)?,
+        };
+        Ok(StampedPose {
+            capture: Timestamp::from_ns(self.capture_time_ns),
+            pose,
+            state: self.tracking_state()?,
+            window: self.window,
+            rig_version: self.calibration_version,
+            provisional: self.provisional,
+            revision: self.revision,
+        })
+    }
+
+    /// The joint centres in the world, metres.
+    ///
+    /// # Errors
+    /// A wrong length or numbers that are not finite.
+    pub fn joint_positions(&self) -> Result<[Vector3<f64>; JOINTS], DecodeError> {
+        at("joint_positions_m").vectors(&self.joint_positions_m)
+    }
+
+    fn tracking_state(&self) -> Result<TrackingState, DecodeError> {
+        let unknown = || at("state").invalid(format!("unknown state {}", self.state));
+        core_state(self.state).ok_or_else(unknown)
+    }
+}
+
+pub(super) fn core_state(state: i32) -> Option<TrackingState> {
+    match WireState::try_from(state).ok()? {
+        WireState::Tracking => Some(TrackingState::Tracking),
+        WireState::Coasting => Some(TrackingState::Coasting),
+        WireState::Lost => Some(TrackingState::Lost),
+        WireState::Unspecified => None,
+    }
+}
+
+pub(super) fn wire_state(state: TrackingState) -> WireState {
+    match state {
+        TrackingState::Tracking => WireState::Tracking,
+        TrackingState::Coasting => WireState::Coasting,
+        TrackingState::Lost => WireState::Lost,
+    }
+}
+
+fn quaternion_f32(rotation: &nalgebra::Matrix3<f64>) -> [f32; 4] {
+    so3::xyzw_from_rotation(rotation).map(|component| component as f32)
+}

@@ -1,0 +1,85 @@
+//! `Rig` to and from [`camera::Rig`].
+
+use nalgebra::Matrix3;
+
+use super::check::{Field, field};
+use super::{CalibratedCamera, DecodeError, LensKind, Rig};
+use crate::core::camera::{self, Camera, CameraError, Lens};
+use crate::core::so3;
+
+const fn at(name: &'static str) -> Field {
+    field("Rig", name)
+}
+
+impl Rig {
+    /// The cameras, in full precision.
+    pub fn from_core(rig: &camera::Rig) -> Self {
+        Self {
+            version: rig.version,
+            cameras: rig.cameras.iter().map(CalibratedCamera::from_core).collect(),
+        }
+    }
+
+    /// The cameras.
+    ///
+    /// # Errors
+    /// Wrong lengths, numbers that are not finite, and everything that a
+    /// [`CameraError`] stands for.
+    pub fn to_core(&self) -> Result<camera::Rig, DecodeError> {
+        let cameras = self.cameras.iter().map(CalibratedCamera::to_core);
+        let cameras = cameras.collect::<Result<_, _>>()?;
+        camera::Rig::new(self.version, cameras).map_err(refused("cameras"))
+    }
+}
+
+impl CalibratedCamera {
+    fn from_core(camera: &Camera) -> Self {
+        let kind = match camera.lens() {
+            Lens::BrownConrady(_) => LensKind::BrownConrady,
+            Lens::Fisheye(_) => LensKind::Fisheye,
+        };
+        Self {
+            name: camera.name.clone(),
+            width: camera.width,
+            height: camera.height,
+            focal_px: camera.focal.iter().copied().collect(),
+            centre_px: camera.centre.iter().copied().collect(),
+            lens: kind.into(),
+            lens_coefficients: camera.lens().coefficients().to_vec(),
+            camera_from_world_rotation: so3::xyzw_from_rotation(&camera.rotation).to_vec(),
+            camera_from_world_translation_m: camera.translation.iter().copied().collect(),
+            skew_px: camera.skew,
+        }
+    }
+
+    fn to_core(&self) -> Result<Camera, DecodeError> {
+        let [fx, fy] = at("cameras.focal_px").numbers(&self.focal_px)?;
+        let [cx, cy] = at("cameras.centre_px").numbers(&self.centre_px)?;
+        let matrix = Matrix3::new(fx, self.skew_px, cx, 0.0, fy, cy, 0.0, 0.0, 1.0);
+        let rotation =
+            at("cameras.camera_from_world_rotation").rotation(&self.camera_from_world_rotation)?;
+        let translation = at("cameras.camera_from_world_translation_m")
+            .vector(&self.camera_from_world_translation_m)?;
+        let size = [self.width, self.height];
+        Camera::new(&self.name, size, &matrix, self.lens_to_core()?, rotation, translation)
+            .map_err(refused("cameras"))
+    }
+
+    fn lens_to_core(&self) -> Result<Lens, DecodeError> {
+        let coefficients = &self.lens_coefficients;
+        match LensKind::try_from(self.lens) {
+            Ok(LensKind::BrownConrady) => Lens::brown_conrady(coefficients),
+            Ok(LensKind::Fisheye) => Lens::fisheye(coefficients),
+            Ok(LensKind::Unspecified) | Err(_) => {
+                let reason = format!("camera {} has the unknown lens {}", self.name, self.lens);
+                return Err(at("cameras.lens").invalid(reason));
+            }
+        }
+        .map_err(refused("cameras.lens_coefficients"))
+    }
+}
+
+/// An error that names the field and what the camera module says of it.
+fn refused(name: &'static str) -> impl Fn(CameraError) -> DecodeError {
+    move |error| at(name).invalid(error.to_string())
+}

@@ -1,0 +1,144 @@
+//! Names and descriptors of the schemas.
+
+use prost::{Message, Name};
+
+use super::{
+    DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Skeleton,
+    Status,
+};
+
+/// How payloads are encoded, in MCAP's words.
+pub const ENCODING: &str = "protobuf";
+/// How [`Schema::DESCRIPTOR`] is encoded, in MCAP's words.
+pub const SCHEMA_ENCODING: &str = "protobuf";
+
+/// A message of ours that has a topic.
+pub trait Schema: Message + Name + Default {
+    /// Its name with that of its package.
+    const FULL_NAME: &'static str;
+    /// The schema's serialised `FileDescriptorSet`, as MCAP wants it.
+    const DESCRIPTOR: &'static [u8];
+}
+
+macro_rules! schemas {
+    ($($message:ident: $file:literal,)*) => {
+        $(impl Schema for $message {
+            const FULL_NAME: &'static str = concat!("bundlemocap.v1.", stringify!($message));
+            const DESCRIPTOR: &'static [u8] =
+                include_bytes!(concat!(env!("OUT_DIR"), "/", $file, ".fds"));
+        })*
+
+        /// Full name and descriptor of every schema.
+        const SCHEMAS: &[(&str, &[u8])] =
+            &[$(($message::FULL_NAME, $message::DESCRIPTOR),)*];
+    };
+}
+
+schemas! {
+    KeypointFrame: "keypoint_frame",
+    Rig: "rig",
+    Pose: "pose",
+    Keyframe: "keyframe",
+    Skeleton: "skeleton",
+    Event: "event",
+    Status: "status",
+    Journal: "journal",
+    RetargetedPose: "retargeted_pose",
+}
+
+/// What stands before the schema in the encoding of a payload on the bus.
+const MEDIA_TYPE: &str = "application/protobuf";
+
+/// The encoding of a payload on the bus, from the full name of its schema.
+pub fn media_type(schema: &str) -> String {
+    format!("{MEDIA_TYPE};{schema}")
+}
+
+/// The descriptor of the schema of that full name, if it is ours.
+pub fn descriptor(schema: &str) -> Option<&'static [u8]> {
+    SCHEMAS.iter().find(|(name, _)| *name == schema).map(|(_, descriptor)| *descriptor)
+}
+
+/// The full name of the schema of a payload on the bus, if it is one of ours: what its encoding
+/// says, or what belongs on its topic where the encoding names no schema.
+pub fn schema_of(topic: &str, encoding: &str) -> Option<&'static str> {
+    let named = encoding.strip_prefix(MEDIA_TYPE).and_then(|rest| rest.strip_prefix(';'));
+    let wanted = match (named, encoding) {
+        (Some(schema), _) => schema.trim(),
+        (None, "" | MEDIA_TYPE | "zenoh/bytes" | "application/octet-stream") => {
+            schema_of_topic(topic)?
+        }
+        (None, _) => return None,
+    };
+    SCHEMAS.iter().find(|(name, _)| *name == wanted).map(|(name, _)| *name)
+}
+
+fn schema_of_topic(topic: &str) -> Option<&'static str> {
+    let mut parts = topic.strip_prefix("mocap/")?.rsplit('/');
+    Some(match (parts.next()?, parts.next()?) {
+        (_, "retargeted") => "bundlemocap.v1.RetargetedPose",
+        ("keypoints", _) => "bundlemocap.v1.KeypointFrame",
+        ("rig", _) => "bundlemocap.v1.Rig",
+        ("pose" | "truth", _) | ("live", "pose") => "bundlemocap.v1.Pose",
+        ("keyframe", _) => "bundlemocap.v1.Keyframe",
+        ("skeleton", _) => "bundlemocap.v1.Skeleton",
+        ("events", _) => "bundlemocap.v1.Event",
+        ("status", _) => "bundlemocap.v1.Status",
+        ("journal", _) => "bundlemocap.v1.Journal",
+        _ => return None,
+    })
+}
+
+/// The message as bytes; the same message gives the same bytes.
+pub fn encode(message: &impl Schema) -> Vec<u8> {
+    message.encode_to_vec()
+}
+
+/// The message in `bytes`; fields that this version does not know are skipped.
+///
+/// # Errors
+/// When `bytes` are no message of that schema. What the fields hold is checked by `to_core`.
+pub fn decode<T: Schema>(bytes: &[u8]) -> Result<T, DecodeError> {
+    T::decode(bytes).map_err(|reason| DecodeError::Malformed { message: T::NAME, reason })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::wire::Topics;
+
+    #[test]
+    fn the_table_holds_the_names_that_the_messages_have() {
+        let names = SCHEMAS.iter().map(|(name, _)| (*name).to_owned());
+        let ours = [
+            KeypointFrame::full_name(),
+            Rig::full_name(),
+            Pose::full_name(),
+            Keyframe::full_name(),
+            Skeleton::full_name(),
+            Event::full_name(),
+            Status::full_name(),
+            Journal::full_name(),
+            RetargetedPose::full_name(),
+        ];
+        assert_eq!(names.collect::<Vec<_>>(), ours);
+        assert_eq!(descriptor(&Pose::full_name()), Some(Pose::DESCRIPTOR));
+        assert_eq!(descriptor("bundlemocap.v1.Nothing"), None);
+    }
+
+    #[test]
+    fn the_encoding_goes_before_the_topic() {
+        let topics = Topics::default();
+        let pose = Pose::full_name();
+        let of = |topic: &str, encoding: &str| schema_of(topic, encoding).map(str::to_owned);
+        assert_eq!(of("any/where", &media_type(&pose)), Some(pose.clone()));
+        assert_eq!(of(&topics.live(), ""), Some(pose.clone()));
+        assert_eq!(of(&topics.rig(), &media_type(&pose)), Some(pose));
+        assert_eq!(of(&topics.keypoints("a"), "zenoh/bytes"), Some(KeypointFrame::full_name()));
+        assert_eq!(of(&topics.truth_skeleton(), ""), Some(Skeleton::full_name()));
+        assert_eq!(of(&topics.rig(), "application/json"), None);
+        assert_eq!(of(&topics.rig(), "application/protobuf;others.Rig"), None);
+        assert_eq!(of(&topics.retargeted("robot"), ""), Some(RetargetedPose::full_name()));
+        assert_eq!(of("rig", ""), None);
+    }
+}

@@ -1,0 +1,70 @@
+//! `Skeleton` to and from [`body::Skeleton`].
+
+use super::check::{Field, field};
+use super::{DecodeError, Skeleton};
+use crate::core::body::{self, JOINTS, Joint, SHAPE_COEFFICIENTS, Shape};
+
+/// How far rest offsets may be from those that the shape gives, metres.
+const OFFSET_TOLERANCE: f64 = 1e-6;
+
+const fn at(name: &'static str) -> Field {
+    field("Skeleton", name)
+}
+
+/// The parent's index on the wire.
+fn parent_index(joint: Joint) -> i32 {
+    joint.parent().map_or(-1, |parent| parent.index() as i32)
+}
+
+impl Skeleton {
+    /// The joints, their rest offsets and the shape that they follow from.
+    pub fn from_core(skeleton: &body::Skeleton) -> Self {
+        let offsets = Joint::ALL.iter().flat_map(|&joint| skeleton.offset(joint).iter());
+        Self {
+            joint_names: Joint::ALL.map(|joint| joint.name().to_owned()).to_vec(),
+            parents: Joint::ALL.map(parent_index).to_vec(),
+            rest_offsets_m: offsets.copied().collect(),
+            shape: skeleton.shape().0.to_vec(),
+        }
+    }
+
+    /// The body of that shape.
+    ///
+    /// # Errors
+    /// Other joints than ours, wrong lengths, numbers that are not finite, offsets that do not
+    /// follow from the shape.
+    pub fn to_core(&self) -> Result<body::Skeleton, DecodeError> {
+        self.check_joints()?;
+        let offsets = at("rest_offsets_m").vectors::<JOINTS, _>(&self.rest_offsets_m)?;
+        let shape = Shape(at("shape").numbers::<SHAPE_COEFFICIENTS, _>(&self.shape)?);
+        let skeleton = body::Skeleton::new(shape);
+        for (joint, offset) in Joint::ALL.into_iter().zip(offsets) {
+            let apart = (skeleton.offset(joint) - offset).norm();
+            if apart > OFFSET_TOLERANCE {
+                let reason = format!(
+                    "{} is {:.3} mm from where the shape puts it: written for another template",
+                    joint.name(),
+                    apart * 1e3
+                );
+                return Err(at("rest_offsets_m").invalid(reason));
+            }
+        }
+        Ok(skeleton)
+    }
+
+    fn check_joints(&self) -> Result<(), DecodeError> {
+        at("joint_names").length(self.joint_names.len(), JOINTS)?;
+        at("parents").length(self.parents.len(), JOINTS)?;
+        let found = self.joint_names.iter().zip(&self.parents);
+        for (joint, (name, &parent)) in Joint::ALL.into_iter().zip(found) {
+            if name != joint.name() {
+                let reason = format!("joint {} is {name:?}, not {}", joint.index(), joint.name());
+                return Err(at("joint_names").invalid(reason));
+            }
+            if parent != parent_index(joint) {
+                return Err(at("parents").invalid(format!("{name} has parent {parent}")));
+            }
+        }
+        Ok(())
+    }
+}

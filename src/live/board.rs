@@ -1,0 +1,48 @@
+//! What the node's threads let each other see: the last status, the rig, and failures.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::io::bus::Sample;
+use crate::io::wire::{Status, decode};
+
+/// What the node's threads let each other see.
+#[derive(Default)]
+pub(super) struct Board {
+    status: Mutex<Option<Vec<u8>>>,
+    rig: Mutex<Option<Sample>>,
+    failures: Arc<AtomicU64>,
+}
+
+impl Board {
+    /// The last status, if there was one.
+    pub(super) fn status(&self) -> Option<Status> {
+        let bytes = self.status.lock().unwrap_or_else(PoisonError::into_inner).clone()?;
+        decode(&bytes).ok()
+    }
+
+    /// A new status, as bytes.
+    pub(super) fn set_status(&self, payload: &[u8]) {
+        *self.status.lock().unwrap_or_else(PoisonError::into_inner) = Some(payload.into());
+    }
+
+    /// The rig in use, if there is one.
+    pub(super) fn rig(&self) -> Option<Sample> {
+        self.rig.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// A new rig.
+    pub(super) fn set_rig(&self, rig: Sample) {
+        *self.rig.lock().unwrap_or_else(PoisonError::into_inner) = Some(rig);
+    }
+
+    /// Counts messages that could not be published.
+    pub(super) fn failures(&self) -> Arc<AtomicU64> {
+        Arc::clone(&self.failures)
+    }
+
+    /// How many messages could not be published.
+    pub(super) fn publish_failures(&self) -> u64 {
+        self.failures.load(Ordering::Relaxed)
+    }
+}

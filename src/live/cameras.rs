@@ -1,0 +1,129 @@
+//! What each camera has sent: counters, rates, and signs of a second publisher.
+
+use crate::core::time::Timestamp;
+use crate::core::tracker::EventKind;
+use crate::io::wire::CameraCounters;
+
+/// Counters that disagree with capture times so often in a second are two publishers.
+const CONFLICTS: u32 = 3;
+const SECOND: f64 = 1e9;
+/// Weight of the last second in the rate.
+const RATE_WEIGHT: f64 = 0.5;
+
+/// What one camera has sent.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Camera {
+    name: String,
+    counters: CameraCounters,
+    /// Its last frame: number, capture time and arrival.
+    last: Option<(u64, Timestamp, Timestamp)>,
+    /// Frames since the last full second, and how often their order was odd.
+    recent: u64,
+    odd: u32,
+    rate: Option<f64>,
+    /// Whether its clock is said to be off.
+    pub(super) is_off: bool,
+}
+
+impl Camera {
+    pub(super) fn new(name: &str) -> Self {
+        Self { name: name.to_owned(), ..Self::default() }
+    }
+
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Takes a frame in. Some text if two publishers seem to use the camera's name: the frame
+    /// counter and the capture time of one run in the same direction.
+    pub(super) fn frame(
+        &mut self,
+        now: Timestamp,
+        number: u64,
+        capture: Timestamp,
+    ) -> Option<String> {
+        self.recent += 1;
+        let (last, last_capture, _) = self.last.replace((number, capture, now))?;
+        if (number > last) == (capture > last_capture) {
+            return None;
+        }
+        self.odd += 1;
+        (self.odd == CONFLICTS).then(|| {
+            let ahead = capture.seconds_since(last_capture);
+            format!("frame {number} after frame {last}, {ahead:+.3} s: a second publisher?")
+        })
+    }
+
+    /// Counts an event of this camera.
+    pub(super) fn event(&mut self, kind: EventKind, count: u64) {
+        let counter = match kind {
+            EventKind::Late => &mut self.counters.late,
+            EventKind::Duplicate => &mut self.counters.duplicate,
+            EventKind::OutOfOrder => &mut self.counters.out_of_order,
+            EventKind::Missing => &mut self.counters.missing,
+            EventKind::Unusable | EventKind::ClockJump => &mut self.counters.unusable,
+            _ => return,
+        };
+        *counter += count;
+    }
+
+    /// The median distance of its points from the body in a window, pixels.
+    pub(super) fn residual(&mut self, pixels: f64) {
+        self.counters.residual_px = pixels;
+    }
+
+    /// A second has passed.
+    pub(super) fn second(&mut self, passed_ns: i64) {
+        if self.last.is_none() {
+            return;
+        }
+        let rate = self.recent as f64 * SECOND / passed_ns.max(1) as f64;
+        let last = self.rate.unwrap_or(rate);
+        self.rate = Some(last + RATE_WEIGHT * (rate - last));
+        (self.recent, self.odd) = (0, 0);
+    }
+
+    /// The counters, with what others know of the camera.
+    pub(super) fn counters(
+        &self,
+        now: Timestamp,
+        used: u64,
+        waited_for: bool,
+        (offset_s, drift_ppm): (f64, f64),
+    ) -> CameraCounters {
+        CameraCounters {
+            camera: self.name.clone(),
+            used,
+            rate_hz: self.rate.unwrap_or(0.0),
+            age_s: self.last.map_or(0.0, |(_, _, arrival)| now.seconds_since(arrival)),
+            offset_s,
+            drift_ppm,
+            waited_for,
+            ..self.counters.clone()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_publishers_are_told_from_disorder() {
+        let at = |ms: i64| Timestamp::from_ns(ms * 1_000_000);
+        let mut camera = Camera::new("left");
+        let mut said = 0;
+        for i in 0..10_u64 {
+            // One counts from 0, the other from 1000; both at 50 Hz.
+            let capture = 20 * i as i64;
+            said += usize::from(camera.frame(at(capture), i, at(capture)).is_some());
+            said += usize::from(camera.frame(at(capture), 1000 + i, at(capture + 7)).is_some());
+        }
+        assert_eq!(said, 1);
+        let mut camera = Camera::new("left");
+        for i in [0, 2, 1, 4, 3, 5, 5, 6] {
+            let capture = 20 * i as i64;
+            assert!(camera.frame(at(capture), i, at(capture)).is_none());
+        }
+    }
+}

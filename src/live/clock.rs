@@ -1,0 +1,319 @@
+//! The cameras' clock against the node's.
+//!
+//! Only arrivals are seen: arrival minus capture time is the offset of a camera's clock plus the
+//! time for exposure, detection and transport. Its smallest value over a second is the least
+//! disturbed one; a line through those of the last half minute gives offset and drift. A detector
+//! that is always slow looks like a clock that is off; the two cannot be told apart here.
+//!
+//! Where arrival minus capture time is small, the cameras share the node's clock (PTP, NTP) and
+//! poses are due on it. Else the smallest of the cameras' offsets takes the place of the difference
+//! between the clocks.
+
+use std::collections::VecDeque;
+
+use crate::core::time::Timestamp;
+
+/// Seconds of smallest offsets that are kept.
+const KEPT: usize = 30;
+/// A line needs this many of them.
+const LINE: usize = 5;
+/// Delays within this (ns) are those of cameras that share the node's clock.
+const SHARED: std::ops::Range<i64> = -500_000_000..2_000_000_000;
+/// A frame that arrives this much too early (ns) is of another time: its clock has jumped.
+const EARLY: i64 = -500_000_000;
+/// A frame that arrives this much too late (ns) is of another time.
+const LATE: i64 = 5_000_000_000;
+/// Jumps this close together (ns) are the same jump.
+const SAME_JUMP: i64 = 100_000_000;
+/// A camera has jumped once so many frames in a row say so.
+const SURE: u32 = 3;
+
+const SECOND: i64 = 1_000_000_000;
+
+/// What a frame's capture time is worth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Arrival {
+    /// As expected.
+    Usual,
+    /// Of another time than the camera's own or the other cameras' frames, by so much, ns.
+    Jumped(i64),
+    /// Most cameras have jumped alike: the clock is another one now.
+    NewClock,
+}
+
+/// Offset and drift of one camera.
+#[derive(Clone, Debug, Default)]
+struct Camera {
+    /// Second of the node's clock and smallest offset in it, ns.
+    smallest: VecDeque<(i64, i64)>,
+    /// A jump that frames tell of: its offset, how many frames, when last.
+    jump: Option<(i64, u32, Timestamp)>,
+}
+
+impl Camera {
+    fn note(&mut self, now: Timestamp, offset: i64) {
+        let second = now.ns().div_euclid(SECOND);
+        match self.smallest.back_mut() {
+            Some((last, smallest)) if *last == second => *smallest = offset.min(*smallest),
+            _ => self.smallest.push_back((second, offset)),
+        }
+        while self.smallest.len() > KEPT {
+            self.smallest.pop_front();
+        }
+    }
+
+    /// Offset now, ns, and drift, parts in a million.
+    fn line(&self, now: Timestamp) -> Option<(f64, f64)> {
+        let &(origin, base) = self.smallest.back()?;
+        if self.smallest.len() < LINE {
+            let smallest = self.smallest.iter().map(|(_, offset)| *offset).min()?;
+            return Some((smallest as f64, 0.0));
+        }
+        let count = self.smallest.len() as f64;
+        let points = self
+            .smallest
+            .iter()
+            .map(|&(second, offset)| ((second - origin) as f64 + 0.5, (offset - base) as f64));
+        let (x, y) = points.clone().fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
+        let (x, y) = (x / count, y / count);
+        let (above, below) = points.fold((0.0, 0.0), |sum, p| {
+            (sum.0 + (p.0 - x) * (p.1 - y), sum.1 + (p.0 - x) * (p.0 - x))
+        });
+        let slope = if below > 0.0 { above / below } else { 0.0 };
+        let at = (now.ns() as f64 / SECOND as f64) - origin as f64;
+        // ns a second are parts in 1e9.
+        Some((base as f64 + y + slope * (at - x), slope * 1e-3))
+    }
+}
+
+/// The clocks of all cameras.
+#[derive(Clone, Debug)]
+pub(super) struct Clock {
+    cameras: Vec<Camera>,
+    /// Node's clock minus capture clock, ns, once something came.
+    base: Option<i64>,
+    is_shared: bool,
+    /// Delays beyond the base since it was found, ns, of the first frames.
+    delays: Vec<i64>,
+}
+
+/// Delays that are kept for a percentile.
+const DELAYS: usize = 4096;
+
+impl Clock {
+    pub(super) fn new(cameras: usize) -> Self {
+        let cameras = vec![Camera::default(); cameras];
+        Self { cameras, base: None, is_shared: false, delays: Vec::new() }
+    }
+
+    /// Takes the arrival of a frame in.
+    pub(super) fn arrive(&mut self, camera: usize, now: Timestamp, capture: Timestamp) -> Arrival {
+        let offset = now - capture;
+        if let Some(expected) = self.expected(camera) {
+            let by = offset.saturating_sub(expected);
+            if !(EARLY..LATE).contains(&by) {
+                return self.jumped(camera, now, offset, by);
+            }
+        }
+        if let Some(camera) = self.cameras.get_mut(camera) {
+            camera.jump = None;
+            camera.note(now, offset);
+        }
+        let base = match self.base {
+            Some(base) if self.is_shared => base,
+            // The first frames of a foreign clock: the fastest of them.
+            Some(base) if self.delays.len() < DELAYS => base.min(offset),
+            Some(base) => base,
+            None => {
+                self.is_shared = SHARED.contains(&offset);
+                if self.is_shared { 0 } else { offset }
+            }
+        };
+        self.base = Some(base);
+        if self.delays.len() < DELAYS {
+            self.delays.push(offset - base);
+        }
+        Arrival::Usual
+    }
+
+    /// The offset that a camera's frames should have: as before, or as the other cameras'.
+    fn expected(&self, camera: usize) -> Option<i64> {
+        let last = |camera: &Camera| camera.smallest.back().map(|(_, offset)| *offset);
+        if let Some(own) = self.cameras.get(camera).and_then(last) {
+            return Some(own);
+        }
+        let mut others: Vec<i64> = self.cameras.iter().filter_map(last).collect();
+        others.sort_unstable();
+        others.get(others.len() / 2).copied()
+    }
+
+    fn jumped(&mut self, camera: usize, now: Timestamp, offset: i64, by: i64) -> Arrival {
+        let Some(own) = self.cameras.get_mut(camera) else { return Arrival::Jumped(by) };
+        let count = match own.jump {
+            Some((before, count, _)) if (before - offset).abs() < SAME_JUMP => count + 1,
+            _ => 1,
+        };
+        own.jump = Some((offset, count, now));
+        let recent = |jump: &(i64, u32, Timestamp)| now - jump.2 < 2 * SECOND;
+        let jumps = self.cameras.iter().filter_map(|camera| camera.jump).filter(recent);
+        let alike = jumps
+            .filter(|(other, count, _)| *count >= SURE && (other - offset).abs() < SAME_JUMP)
+            .count();
+        let second = now.ns().div_euclid(SECOND);
+        let is_active = |camera: &&Camera| {
+            let seen = camera.smallest.back().is_some_and(|(last, _)| second - last <= 1);
+            seen || camera.jump.as_ref().is_some_and(recent)
+        };
+        let active = self.cameras.iter().filter(is_active).count();
+        if 2 * alike > active {
+            *self = Self::new(self.cameras.len());
+            return Arrival::NewClock;
+        }
+        Arrival::Jumped(by)
+    }
+
+    /// Whether the capture clock is known: something came.
+    pub(super) fn is_known(&self) -> bool {
+        self.base.is_some()
+    }
+
+    /// The capture clock at a time of the node's; the node's own until something came.
+    pub(super) fn capture_time(&self, node: Timestamp) -> Timestamp {
+        node + -self.base.unwrap_or(0)
+    }
+
+    /// The node's clock at a time of the capture clock.
+    pub(super) fn node_time(&self, capture: Timestamp) -> Timestamp {
+        capture + self.base.unwrap_or(0)
+    }
+
+    /// Delay of the frames so far that all but a thousandth stay below, ns.
+    pub(super) fn delay_p999(&self) -> i64 {
+        let mut sorted = self.delays.clone();
+        sorted.sort_unstable();
+        let index = (sorted.len() as f64 * 0.999).ceil() as usize;
+        sorted.get(index.saturating_sub(1)).copied().unwrap_or(0).max(0)
+    }
+
+    /// How long after its capture a frame of the slowest camera comes at least, ns.
+    pub(super) fn usual_delay(&self) -> i64 {
+        let last = |camera: &Camera| camera.smallest.back().map(|(_, offset)| *offset);
+        let slowest = self.cameras.iter().filter_map(last).max();
+        slowest.map_or(0, |offset| (offset - self.base.unwrap_or(0)).max(0))
+    }
+
+    /// Offset of a camera's clock from the node's, seconds, and drift, parts in a million.
+    pub(super) fn offset(&self, camera: usize, now: Timestamp) -> Option<(f64, f64)> {
+        let (offset, drift) = self.cameras.get(camera)?.line(now)?;
+        Some((offset * 1e-9, drift))
+    }
+
+    /// How far each camera is off from the median of all, seconds.
+    pub(super) fn deviations(&self, now: Timestamp) -> Vec<(usize, f64)> {
+        let offsets: Vec<(usize, f64)> = (0..self.cameras.len())
+            .filter_map(|camera| Some((camera, self.offset(camera, now)?.0)))
+            .collect();
+        let mut sorted: Vec<f64> = offsets.iter().map(|(_, offset)| *offset).collect();
+        sorted.sort_by(f64::total_cmp);
+        let Some(median) = sorted.get(sorted.len().saturating_sub(1) / 2) else { return offsets };
+        offsets.iter().map(|(camera, offset)| (*camera, offset - median)).collect()
+    }
+
+    /// Follows the drift of a foreign clock; once a second.
+    pub(super) fn follow(&mut self, now: Timestamp) {
+        if self.is_shared || self.delays.len() < DELAYS {
+            return;
+        }
+        let offsets = (0..self.cameras.len()).filter_map(|c| self.cameras[c].line(now));
+        let smallest = offsets.map(|(offset, _)| offset as i64).min();
+        if let (Some(base), Some(smallest)) = (&mut self.base, smallest) {
+            // At most half a millisecond a second, so that poses stay evenly spaced.
+            *base += (smallest - *base).clamp(-500_000, 500_000);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(seconds: f64) -> Timestamp {
+        Timestamp::from_ns(1_700_000_000 * SECOND + (seconds * 1e9) as i64)
+    }
+
+    fn feed(
+        clock: &mut Clock,
+        camera: usize,
+        seconds: std::ops::Range<f64>,
+        offset: impl Fn(f64) -> f64,
+    ) {
+        let frames = ((seconds.end - seconds.start) * 50.0) as usize;
+        for i in 0..frames {
+            let arrival = seconds.start + i as f64 / 50.0;
+            // Every other frame takes 4 ms longer.
+            let delay = if i % 2 == 0 { 0.0 } else { 0.004 };
+            let capture = at(arrival - offset(arrival) - delay);
+            assert_eq!(clock.arrive(camera, at(arrival), capture), Arrival::Usual);
+        }
+    }
+
+    #[test]
+    fn offset_and_drift_are_found_under_jitter() {
+        let mut clock = Clock::new(2);
+        feed(&mut clock, 0, 0.0..20.0, |t| 0.005 + 100e-6 * t);
+        feed(&mut clock, 1, 0.0..20.0, |_| 0.001);
+        let (offset, drift) = clock.offset(0, at(20.0)).unwrap();
+        assert!((offset - 0.007).abs() < 2e-4, "{offset}");
+        assert!((drift - 100.0).abs() < 5.0, "{drift}");
+        assert!(clock.offset(1, at(20.0)).unwrap().1.abs() < 5.0);
+        assert_eq!(clock.capture_time(at(3.0)), at(3.0), "a shared clock");
+    }
+
+    #[test]
+    fn a_foreign_epoch_is_bridged() {
+        let mut clock = Clock::new(1);
+        feed(&mut clock, 0, 0.0..2.0, |t| t + 1e6);
+        // The capture clock stands still here, but the first offset is what counts.
+        let mut clock = Clock::new(1);
+        feed(&mut clock, 0, 0.0..2.0, |_| 1e6);
+        let error = clock.node_time(at(1.0 - 1e6)) - at(1.0);
+        assert!(error.abs() < 1000, "{error} ns");
+    }
+
+    #[test]
+    fn one_camera_that_jumps_is_refused_and_all_together_are_a_new_clock() {
+        let mut clock = Clock::new(3);
+        for camera in 0..3 {
+            feed(&mut clock, camera, 0.0..2.0, |_| 0.0);
+        }
+        let hour = 3600 * SECOND;
+        for i in 0..10 {
+            let now = at(2.0 + 0.02 * f64::from(i));
+            assert!(matches!(clock.arrive(0, now, now + hour), Arrival::Jumped(_)));
+            assert!(matches!(clock.arrive(0, now, now + -hour), Arrival::Jumped(_)));
+            assert_eq!(clock.arrive(1, now, now), Arrival::Usual);
+        }
+        let mut last = Arrival::Usual;
+        for i in 0..SURE {
+            for camera in 0..2 {
+                let now = at(2.2 + 0.02 * f64::from(i));
+                last = clock.arrive(camera, now, now + hour);
+            }
+        }
+        assert_eq!(last, Arrival::NewClock);
+        let now = at(2.3);
+        assert_eq!(clock.arrive(2, now, now + hour), Arrival::Usual);
+    }
+
+    #[test]
+    fn the_extremes_of_time_do_not_overflow() {
+        let mut clock = Clock::new(2);
+        for ns in [i64::MIN, i64::MAX, 0] {
+            for camera in 0..3 {
+                clock.arrive(camera, at(0.0), Timestamp::from_ns(ns));
+            }
+        }
+        clock.deviations(at(1.0));
+        clock.follow(at(1.0));
+    }
+}

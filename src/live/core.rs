@@ -1,0 +1,389 @@
+//! The node without its threads: messages, answers and time in; jobs and messages out.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use super::cameras::Camera;
+use super::clock::Clock;
+use super::config::Config;
+use super::events::{Events, Named};
+use super::governor::Governor;
+use super::journal::{self, Journal};
+use super::latency::Finder;
+use super::status::{Published, Windows};
+use crate::core::camera::Rig;
+use crate::core::time::Timestamp;
+use crate::core::tracker::{self, EventKind, Job, Live, Performer, Solution, Track};
+use crate::io::wire::{self, Schema, Topics, encode};
+
+/// What the core is told.
+#[derive(Clone, Debug)]
+pub enum Input {
+    /// A message from the bus.
+    Message {
+        /// Its topic.
+        topic: Arc<str>,
+        /// Its bytes.
+        payload: Vec<u8>,
+    },
+    /// A calibration from a file, as the bytes of a `Rig` message.
+    RigFile(Vec<u8>),
+    /// The answer to the job that is out.
+    Solved {
+        /// The answer.
+        solution: Box<Solution>,
+        /// How long the solver took, nanoseconds.
+        took_ns: u64,
+    },
+    /// Nothing but time.
+    Tick,
+    /// The full queue dropped so many messages.
+    Dropped(u64),
+    /// Poses with a due time left; the deviation of each from it, microseconds, positive is late.
+    Played(Vec<i32>),
+    /// Nothing more will come.
+    End,
+}
+
+/// What the core wants done.
+#[derive(Clone, Debug)]
+pub enum Output {
+    /// A job to solve, at most one at a time.
+    Solve(Box<Job>),
+    /// A message to publish.
+    Publish(Publication),
+    /// Wants a `Tick` at this time of the node's clock, unless another input comes after it; each
+    /// replaces the one before.
+    Wake(Timestamp),
+}
+
+/// A message to publish.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Publication {
+    /// Where.
+    pub topic: Arc<str>,
+    /// The capture time that it is about.
+    pub capture: Timestamp,
+    /// Full name of its schema.
+    pub schema: &'static str,
+    /// Its bytes.
+    pub payload: Vec<u8>,
+    /// When to publish it, on the node's clock; at once if not given.
+    pub due: Option<Timestamp>,
+}
+
+/// What the core is made from; kept in the journal's first entry.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Of the machine.
+    pub track: tracker::Config,
+    /// Of the node.
+    pub node: Config,
+    /// All settings as TOML.
+    pub toml: String,
+    /// Fingerprint of the weights, hexadecimal.
+    pub weights: String,
+}
+
+/// The calibration in use, as it came.
+pub(super) struct Calibration {
+    pub(super) rig: Arc<Rig>,
+    bytes: Vec<u8>,
+}
+
+/// The node without its threads. The same inputs at the same times give the same outputs.
+pub struct Core {
+    pub(super) settings: Settings,
+    pub(super) topics: Topics,
+    pub(super) outputs: VecDeque<Output>,
+    pub(super) now: Timestamp,
+    /// From a file, before the first message.
+    rig_at_start: Option<Vec<u8>>,
+    pub(super) calibration: Option<Calibration>,
+    pub(super) track: Option<Track>,
+    pub(super) cameras: Vec<Camera>,
+    pub(super) clock: Clock,
+    pub(super) latency: Finder,
+    pub(super) governor: Governor,
+    pub(super) events: Events,
+    pub(super) windows: Windows,
+    pub(super) published: Published,
+    pub(super) queue_dropped: u64,
+    /// What went wrong since the last window, for the governor.
+    pub(super) trouble: Option<&'static str>,
+    /// Capture times and arrivals of the last frames.
+    pub(super) arrivals: VecDeque<(Timestamp, Timestamp)>,
+    /// How long the solver took for the answer at hand, ns.
+    pub(super) took_ns: i64,
+    journal: Journal,
+    next_second: Option<Timestamp>,
+    wake: Option<Timestamp>,
+    ended: bool,
+}
+
+const SECOND: i64 = 1_000_000_000;
+
+impl Core {
+    /// A core that waits for a rig and for keypoints.
+    pub fn new(settings: Settings) -> Self {
+        let node = &settings.node;
+        let topics = Topics { stage: node.stage.clone(), actor: node.actor.clone() };
+        Self {
+            latency: Finder::new(node.latency_ms),
+            settings,
+            topics,
+            outputs: VecDeque::new(),
+            now: Timestamp::default(),
+            rig_at_start: None,
+            calibration: None,
+            track: None,
+            cameras: Vec::new(),
+            clock: Clock::new(0),
+            governor: Governor::default(),
+            events: Events::default(),
+            windows: Windows::default(),
+            published: Published::new(),
+            queue_dropped: 0,
+            trouble: None,
+            arrivals: VecDeque::new(),
+            took_ns: 0,
+            journal: Journal::default(),
+            next_second: None,
+            wake: None,
+            ended: false,
+        }
+    }
+
+    /// Takes an input in; `now` is the node's clock, nanoseconds since 1970, and never goes back.
+    pub fn handle(&mut self, now: Timestamp, input: Input) {
+        self.now = self.now.max(now);
+        let (settings, rig) = (&self.settings, self.rig_at_start.as_deref());
+        let is_idle = self.journal.count == 0;
+        self.journal.note(self.now, &input, || journal::start(settings, rig));
+        if is_idle && self.journal.count > 0 {
+            self.begin_anew();
+        }
+        // What comes after the end, such as the last answer, belongs into the journal, too.
+        self.ended |= matches!(input, Input::End);
+        let is_last = self.ended;
+        if self.clock.is_known() {
+            self.tell(tracker::Input::Tick(self.clock.capture_time(self.now)));
+        }
+        match input {
+            Input::Message { topic, payload } => self.message(&topic, &payload),
+            Input::RigFile(bytes) => self.rig_file(bytes),
+            Input::Solved { solution, took_ns } => self.solved(*solution, took_ns),
+            Input::Tick => {}
+            Input::Dropped(count) => self.dropped(count),
+            Input::Played(deviations_us) => self.published.played(&deviations_us),
+            Input::End => self.tell(tracker::Input::End),
+        }
+        self.drain();
+        self.seconds(is_last);
+        if let Some(entries) = self.journal.take(self.now, is_last) {
+            self.publish(self.topics.journal(), self.now, &entries, None);
+        }
+        self.wake();
+    }
+
+    /// The next output, if there is one.
+    pub fn poll(&mut self) -> Option<Output> {
+        self.outputs.pop_front()
+    }
+
+    pub(super) fn tell(&mut self, input: tracker::Input) {
+        if let Some(track) = &mut self.track {
+            track.handle(input);
+        }
+    }
+
+    fn rig_file(&mut self, bytes: Vec<u8>) {
+        if self.journal.count == 0 {
+            self.rig_at_start = Some(bytes.clone());
+        }
+        if self.calibrate(&bytes)
+            && let Ok(rig) = wire::decode::<wire::Rig>(&bytes)
+        {
+            self.publish(self.topics.rig(), Timestamp::default(), &rig, None);
+        }
+    }
+
+    /// Takes a calibration in; whether it is a new one that can be used.
+    pub(super) fn calibrate(&mut self, bytes: &[u8]) -> bool {
+        if self.calibration.as_ref().is_some_and(|in_use| in_use.bytes == bytes) {
+            return false;
+        }
+        let decoded = wire::decode::<wire::Rig>(bytes).and_then(|rig| rig.to_core());
+        let rig = match decoded {
+            Ok(rig) => Arc::new(rig),
+            Err(error) => {
+                self.event(EventKind::Unusable, None, error.to_string());
+                return false;
+            }
+        };
+        let names: Vec<&str> = rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
+        if !names.iter().copied().eq(self.cameras.iter().map(Camera::name)) {
+            self.cameras = names.into_iter().map(Camera::new).collect();
+            self.clock = Clock::new(self.cameras.len());
+        }
+        self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });
+        match self.track {
+            Some(_) => self.tell(tracker::Input::Rig(rig)),
+            None => self.begin(rig),
+        }
+        true
+    }
+
+    fn begin(&mut self, rig: Arc<Rig>) {
+        let node = &self.settings.node;
+        let live = Live { provisional: node.live, output_rate_hz: node.output_rate_hz };
+        let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
+        self.track = Some(Track::new(self.settings.track, rig).live(live));
+        self.event(EventKind::Calibrated, None, detail);
+    }
+
+    /// From here on a replay goes the same way: it knows only the calibration from a file.
+    fn begin_anew(&mut self) {
+        self.next_second = Some(self.now + SECOND);
+        let Some(rig) = self.rig_at_start.clone() else { return };
+        (self.calibration, self.track) = (None, None);
+        (self.cameras, self.events) = (Vec::new(), Events::default());
+        let outputs = self.outputs.len();
+        self.calibrate(&rig);
+        self.outputs.truncate(outputs);
+    }
+
+    fn dropped(&mut self, count: u64) {
+        self.queue_dropped += count;
+        self.trouble = Some("the queue ran over");
+        let event = Named {
+            kind: EventKind::Dropped,
+            capture: self.clock.capture_time(self.now),
+            camera: None,
+            window: None,
+            count,
+            detail: "the queue was full, its oldest messages went".to_owned(),
+        };
+        self.emit(event);
+    }
+
+    /// Counts an event of now and publishes it.
+    pub(super) fn event(&mut self, kind: EventKind, camera: Option<&str>, detail: String) {
+        self.emit(Named {
+            kind,
+            capture: self.clock.capture_time(self.now),
+            camera: camera.map(str::to_owned),
+            window: None,
+            count: 1,
+            detail,
+        });
+    }
+
+    pub(super) fn emit(&mut self, event: Named) {
+        if let Some(name) = &event.camera
+            && let Some(camera) = self.cameras.iter_mut().find(|camera| camera.name() == name)
+        {
+            camera.event(event.kind, event.count);
+        }
+        if let Some(message) = self.events.add(event) {
+            let capture = Timestamp::from_ns(message.capture_time_ns);
+            self.publish(self.topics.events(), capture, &message, None);
+        }
+    }
+
+    pub(super) fn publish<T: Schema>(
+        &mut self,
+        topic: String,
+        capture: Timestamp,
+        message: &T,
+        due: Option<Timestamp>,
+    ) {
+        self.outputs.push_back(Output::Publish(Publication {
+            topic: topic.into(),
+            capture,
+            schema: T::FULL_NAME,
+            payload: encode(message),
+            due,
+        }));
+    }
+
+    /// What is done once a second.
+    fn seconds(&mut self, is_last: bool) {
+        let next = *self.next_second.get_or_insert(self.now + SECOND);
+        if self.now < next && !is_last {
+            return;
+        }
+        let passed = (self.now - next + SECOND).max(1);
+        self.next_second = Some(self.now + SECOND);
+        for message in self.events.second() {
+            let capture = Timestamp::from_ns(message.capture_time_ns);
+            self.publish(self.topics.events(), capture, &message, None);
+        }
+        for camera in &mut self.cameras {
+            camera.second(passed);
+        }
+        self.watch_clocks();
+        self.clock.follow(self.now);
+        let status = self.status();
+        self.publish(self.topics.status(), self.clock.capture_time(self.now), &status, None);
+    }
+
+    /// Alarms of clocks that are off from the others by more than a quarter of a frame.
+    fn watch_clocks(&mut self) {
+        let Some(quarter) = self.track.as_ref().map(|track| track.frame_period() * 0.25e-9) else {
+            return;
+        };
+        for (camera, off) in self.clock.deviations(self.now) {
+            let Some(known) = self.cameras.get_mut(camera) else { continue };
+            let limit = if known.is_off { 0.5 * quarter } else { quarter };
+            if (off.abs() > limit) == known.is_off {
+                continue;
+            }
+            known.is_off = !known.is_off;
+            let (name, off_ms, limit_ms) = (known.name().to_owned(), off * 1e3, limit * 1e3);
+            let detail = format!("{off_ms:+.1} ms off from the other cameras, limit {limit_ms:.1}");
+            self.event(EventKind::ClockOffset, Some(&name), detail);
+        }
+    }
+
+    fn status(&self) -> wire::Status {
+        let track = self.track.as_ref();
+        let cameras = self.cameras.iter().enumerate().map(|(index, camera)| {
+            let used = track.map_or(0, |track| track.used(index));
+            let waited_for = track.is_some_and(|track| track.is_waited_for(index));
+            let offset = self.clock.offset(index, self.now).unwrap_or_default();
+            camera.counters(self.now, used, waited_for, offset)
+        });
+        let effort = tracker::Effort::at(self.governor.level(), &self.settings.track);
+        wire::Status {
+            capture_time_ns: self.clock.capture_time(self.now).ns(),
+            cameras: cameras.collect(),
+            windows: Some(self.windows.counters()),
+            node_time_ns: self.now.ns(),
+            inputs: self.journal.count,
+            performer: track.map_or(Performer::Searching, Track::performer).name().to_owned(),
+            declared_latency_ns: self.latency.declared_ns().unwrap_or(0).max(0) as u64,
+            playout: Some(self.published.counters(track.map_or((0, 0), Track::carried_and_missed))),
+            effort: Some(wire::EffortStatus {
+                level: self.governor.level(),
+                iterations: effort.iterations as u32,
+                stride: effort.stride as u32,
+                raised: self.governor.raised,
+            }),
+            events: self.events.counts(),
+            queue_dropped: self.queue_dropped,
+        }
+    }
+
+    fn wake(&mut self) {
+        let track = self.track.as_ref().and_then(Track::wake);
+        // One that is past waits for something else than time.
+        let next = track.map(|capture| self.clock.node_time(capture)).filter(|at| *at > self.now);
+        let next = next.into_iter();
+        let Some(at) = next.chain(self.next_second).min() else { return };
+        if self.wake != Some(at) {
+            self.wake = Some(at);
+            self.outputs.push_back(Output::Wake(at));
+        }
+    }
+}

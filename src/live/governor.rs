@@ -1,0 +1,86 @@
+//! How much effort the solver may make.
+//!
+//! Less when a window's solve takes longer than there is time for it, or poses had to be carried
+//! on, or the queue ran over; more again after a while in which there was time to spare. The
+//! latency stays as declared.
+
+use crate::core::tracker::Effort;
+
+/// Windows without trouble after which effort is raised again, one level.
+const CALM: u32 = 60;
+/// A level is left when its solves take less than this part of the time there is.
+const SPARE: f64 = 0.5;
+/// Windows after a change that are not judged: they may still carry the backlog.
+const SETTLE: u32 = 3;
+
+/// The level of effort, and what speaks for another one.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Governor {
+    level: u32,
+    calm: u32,
+    settling: u32,
+    /// How often the level rose.
+    pub(super) raised: u64,
+}
+
+impl Governor {
+    pub(super) fn level(&self) -> u32 {
+        self.level
+    }
+
+    /// A window was solved in `took` of the `available` nanoseconds; `trouble` names what else
+    /// went wrong since the last one. Gives the reason if the level changes.
+    pub(super) fn solved(
+        &mut self,
+        took: i64,
+        available: i64,
+        trouble: Option<&str>,
+    ) -> Option<String> {
+        if self.settling > 0 {
+            self.settling -= 1;
+            return None;
+        }
+        let [took_ms, available_ms] = [took, available].map(|ns| ns as f64 * 1e-6);
+        if took > available || trouble.is_some() {
+            self.calm = 0;
+            if self.level + 1 >= Effort::LEVELS {
+                return None;
+            }
+            (self.level, self.settling) = (self.level + 1, SETTLE);
+            self.raised += 1;
+            let trouble = trouble.unwrap_or("the solve is too slow");
+            return Some(format!("{trouble}; a window took {took_ms:.1} of {available_ms:.1} ms"));
+        }
+        let is_calm = took as f64 <= SPARE * available as f64;
+        self.calm = if is_calm { self.calm + 1 } else { 0 };
+        if self.level == 0 || self.calm < CALM {
+            return None;
+        }
+        (self.level, self.calm) = (self.level - 1, 0);
+        Some(format!("{CALM} windows took at most half of {available_ms:.1} ms"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn effort_falls_at_once_and_rises_slowly() {
+        let mut governor = Governor::default();
+        assert!(governor.solved(5, 10, None).is_none());
+        assert!(governor.solved(11, 10, None).is_some());
+        assert_eq!(governor.level(), 1);
+        for _ in 0..SETTLE {
+            assert!(governor.solved(11, 10, None).is_none());
+        }
+        assert!(governor.solved(1, 10, Some("the queue ran over")).is_some());
+        assert_eq!((governor.level(), governor.raised), (2, 2));
+        let calm = (0..1000).filter(|_| governor.solved(1, 10, None).is_some()).count();
+        assert_eq!((governor.level(), calm), (0, 2));
+        for _ in 0..100 {
+            governor.solved(100, 10, None);
+        }
+        assert_eq!(governor.level(), Effort::LEVELS - 1);
+    }
+}

@@ -1,0 +1,299 @@
+//! Logs: one line an event on standard error, never waited for, and never a flood.
+
+use std::collections::HashMap;
+use std::io::{self, Write};
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+use tracing_subscriber::filter::{EnvFilter, ParseError};
+use tracing_subscriber::fmt::MakeWriter;
+
+use super::error::NodeError;
+use crate::core::time::Timestamp;
+use crate::io::wire::Event;
+
+/// The environment variable that says what is logged, such as `debug` or `warn,zenoh=info`.
+pub const VARIABLE: &str = "BUNDLEMOCAP_LOG";
+
+/// Lines of a kind and a camera in a second; more are counted.
+const LINES_A_SECOND: u32 = 5;
+const SECOND_NS: i64 = 1_000_000_000;
+/// Kinds and cameras told apart in a second at most.
+const MOST_KEYS: usize = 256;
+/// Lines that wait for standard error at most.
+const MOST_WAITING: usize = 1024;
+/// How long standard error may take for what waits at the end.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// Writes out what waits when it is dropped.
+pub struct LogGuard(Lines);
+
+/// Begins to log on standard error: what [`VARIABLE`] asks for, or else `info`; the transports'
+/// own words from `warn` up.
+///
+/// # Errors
+/// A text in [`VARIABLE`] that is no filter, or a thread that cannot be started.
+pub fn start() -> Result<LogGuard, NodeError> {
+    let asked = std::env::var(VARIABLE).unwrap_or_default();
+    let filter = filter(&asked).map_err(|error| NodeError::Log {
+        variable: VARIABLE,
+        value: asked.clone(),
+        reason: error.to_string(),
+    })?;
+    let lines = Lines::new(io::stderr()).map_err(NodeError::Thread)?;
+    let colour = io::IsTerminal::is_terminal(&io::stderr());
+    let subscriber = tracing_subscriber::fmt().compact().with_env_filter(filter);
+    // A second start in one process keeps the first.
+    let _ = subscriber.with_target(false).with_ansi(colour).with_writer(lines.clone()).try_init();
+    Ok(LogGuard(lines))
+}
+
+fn filter(asked: &str) -> Result<EnvFilter, ParseError> {
+    let asked = if asked.trim().is_empty() { "info" } else { asked };
+    EnvFilter::try_new(format!("zenoh=warn,iceoryx2=warn,{asked}"))
+}
+
+impl Drop for LogGuard {
+    fn drop(&mut self) {
+        self.0.flush_within(PATIENCE);
+    }
+}
+
+/// A way to a slow writer that never waits: lines beyond [`MOST_WAITING`] are lost.
+#[derive(Clone)]
+struct Lines(Sender<Line>);
+
+enum Line {
+    Text(Vec<u8>),
+    /// Answer when everything before is written.
+    Mark(Sender<()>),
+}
+
+impl Lines {
+    fn new(out: impl Write + Send + 'static) -> io::Result<Self> {
+        let (sender, receiver) = bounded(MOST_WAITING);
+        let work = move || write_all(&receiver, out);
+        std::thread::Builder::new().name("log".into()).spawn(work)?;
+        Ok(Self(sender))
+    }
+
+    fn flush_within(&self, time: Duration) {
+        let (done, written) = bounded(1);
+        if self.0.send_timeout(Line::Mark(done), time).is_ok() {
+            let _ = written.recv_timeout(time);
+        }
+    }
+}
+
+fn write_all(lines: &Receiver<Line>, mut out: impl Write) {
+    for line in lines {
+        match line {
+            Line::Text(text) => drop(out.write_all(&text)),
+            Line::Mark(done) => {
+                let _ = out.flush();
+                let _ = done.try_send(());
+            }
+        }
+    }
+}
+
+impl Write for Lines {
+    fn write(&mut self, text: &[u8]) -> io::Result<usize> {
+        let _ = self.0.try_send(Line::Text(text.into()));
+        Ok(text.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl<'a> MakeWriter<'a> for Lines {
+    type Writer = Self;
+
+    fn make_writer(&'a self) -> Self {
+        self.clone()
+    }
+}
+
+/// Lines about the machine's events: a few of a kind and a camera each second, then a summary.
+#[derive(Default)]
+pub struct EventLog {
+    limiter: Limiter,
+}
+
+impl EventLog {
+    /// Logs an event, or counts it.
+    pub fn tell(&mut self, now: Timestamp, event: &Event) {
+        self.end_seconds(now);
+        let camera = event.camera.as_deref();
+        if self.limiter.admits(now, &event.kind, camera, event.count) {
+            line(&event.kind, camera, event.window, &text(event));
+        }
+    }
+
+    /// Sums up what was withheld, when its second is over.
+    pub fn end_seconds(&mut self, now: Timestamp) {
+        for (kind, camera, count) in self.limiter.withheld(now) {
+            let text = format!("and {count} more {} in the last second", spoken(&kind));
+            line(&kind, camera.as_deref(), None, &text);
+        }
+    }
+}
+
+/// `late (3 times): detail`.
+fn text(event: &Event) -> String {
+    let mut text = spoken(&event.kind);
+    if event.count > 1 {
+        text += &format!(" ({} times)", event.count);
+    }
+    if !event.detail.is_empty() {
+        text += &format!(": {}", event.detail);
+    }
+    one_line(&text)
+}
+
+/// Without control characters, which may come from outside in names.
+fn one_line(text: &str) -> String {
+    let plain = |c: char| if c.is_control() { '\u{fffd}' } else { c };
+    text.chars().map(plain).collect()
+}
+
+fn spoken(kind: &str) -> String {
+    kind.replace('_', " ")
+}
+
+/// What is as it should be is information; everything else is a warning.
+fn line(kind: &str, camera: Option<&str>, window: Option<u64>, text: &str) {
+    let good = matches!(kind, "acquired" | "left" | "returned" | "calibrated" | "latency");
+    if good {
+        tracing::info!(camera, window, "{text}");
+    } else {
+        tracing::warn!(camera, window, "{text}");
+    }
+}
+
+/// A kind, a camera, and how many were withheld.
+type Withheld = (String, Option<String>, u64);
+
+/// Counts lines by kind and camera, second by second.
+#[derive(Default)]
+struct Limiter {
+    seen: HashMap<(String, Option<String>), Seen>,
+    ends: Timestamp,
+}
+
+#[derive(Default)]
+struct Seen {
+    lines: u32,
+    withheld: u64,
+}
+
+impl Limiter {
+    /// Whether an event that stands for `count` may have a line; if not, it is counted.
+    fn admits(&mut self, now: Timestamp, kind: &str, camera: Option<&str>, count: u64) -> bool {
+        if self.seen.is_empty() {
+            self.ends = now + SECOND_NS;
+        }
+        let mut key = (kind.to_owned(), camera.map(str::to_owned));
+        if self.seen.len() >= MOST_KEYS && !self.seen.contains_key(&key) {
+            key = ("other".to_owned(), None);
+        }
+        let seen = self.seen.entry(key).or_default();
+        seen.lines += 1;
+        let admitted = seen.lines <= LINES_A_SECOND;
+        seen.withheld += if admitted { 0 } else { count };
+        admitted
+    }
+
+    /// What was withheld in a second that is over, by kind, then camera.
+    fn withheld(&mut self, now: Timestamp) -> Vec<Withheld> {
+        if self.seen.is_empty() || now < self.ends {
+            return Vec::new();
+        }
+        let seen = self.seen.drain().filter(|(_, seen)| seen.withheld > 0);
+        let mut all: Vec<Withheld> =
+            seen.map(|((kind, camera), seen)| (kind, camera, seen.withheld)).collect();
+        all.sort();
+        all
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ms(ms: i64) -> Timestamp {
+        Timestamp::from_ns(ms * 1_000_000)
+    }
+
+    #[test]
+    fn a_flood_is_five_lines_and_a_summary_each_second() {
+        let mut limiter = Limiter::default();
+        let admitted = (0..100).filter(|i| limiter.admits(ms(i * 5), "late", Some("a"), 2)).count();
+        assert_eq!(admitted, 5);
+        assert!(limiter.admits(ms(500), "late", Some("b"), 1), "another camera");
+        assert!(limiter.admits(ms(500), "missing", Some("a"), 1), "another kind");
+        assert!(limiter.withheld(ms(999)).is_empty());
+        let late = |camera: &str, n| ("late".to_owned(), Some(camera.to_owned()), n);
+        assert_eq!(limiter.withheld(ms(1000)), [late("a", 190)]);
+        assert!(limiter.withheld(ms(5000)).is_empty());
+        assert!(limiter.admits(ms(5000), "late", Some("a"), 1), "a new second");
+    }
+
+    #[test]
+    fn invented_names_do_not_fill_the_memory() {
+        let mut limiter = Limiter::default();
+        let admitted = (0..10_000)
+            .filter(|i| limiter.admits(ms(0), "unusable", Some(&i.to_string()), 1))
+            .count();
+        assert_eq!(admitted, MOST_KEYS + 5);
+        assert!(limiter.seen.len() <= MOST_KEYS + 1);
+        let rest = limiter.withheld(ms(1000));
+        assert_eq!(rest, [("other".to_owned(), None, (10_000 - MOST_KEYS - 5) as u64)]);
+    }
+
+    #[test]
+    fn an_event_is_one_line() {
+        let event = Event { kind: "out_of_order".into(), count: 3, ..Event::default() };
+        assert_eq!(text(&event), "out of order (3 times)");
+        let event = Event { kind: "late".into(), count: 1, detail: "5 ms".into(), ..event };
+        assert_eq!(text(&event), "late: 5 ms");
+        let event = Event { detail: "camera \"a\nb\u{1b}[31m\"".into(), ..event };
+        assert_eq!(text(&event), "late: camera \"a\u{fffd}b\u{fffd}[31m\"");
+    }
+
+    #[test]
+    fn filters_are_checked() {
+        for good in ["", "debug", "warn,zenoh=info", "off"] {
+            assert!(filter(good).is_ok(), "{good:?}");
+        }
+        assert!(filter("bundlemocap=loud").is_err());
+    }
+
+    #[test]
+    fn a_writer_that_is_stuck_is_not_waited_for() {
+        /// Waits for a word before each line, and passes lines on.
+        struct Stuck(Receiver<()>, Sender<Vec<u8>>);
+        impl Write for Stuck {
+            fn write(&mut self, text: &[u8]) -> io::Result<usize> {
+                let _ = self.0.recv();
+                let _ = self.1.send(text.into());
+                Ok(text.len())
+            }
+            fn flush(&mut self) -> io::Result<()> {
+                Ok(())
+            }
+        }
+        let (go, word) = bounded(0);
+        let (out, written) = crossbeam_channel::unbounded();
+        let mut lines = Lines::new(Stuck(word, out)).unwrap();
+        for i in 0..3 * MOST_WAITING {
+            lines.write_all(format!("{i}\n").as_bytes()).unwrap();
+        }
+        drop(go);
+        lines.flush_within(Duration::from_secs(60));
+        let count = written.try_iter().count();
+        assert!((MOST_WAITING..=MOST_WAITING + 1).contains(&count), "{count}");
+    }
+}

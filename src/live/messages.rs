@@ -1,0 +1,116 @@
+//! What the core does with messages from the bus.
+
+use std::sync::Arc;
+
+use super::clock::Arrival;
+use super::core::Core;
+use crate::core::camera::Rig;
+use crate::core::detections::Detections;
+use crate::core::tracker::{self, EventKind};
+use crate::io::wire::{self, DecodeError, KeypointFrame};
+
+/// Larger messages are not looked at, bytes.
+const MOST_BYTES: usize = 1 << 20;
+/// People of a frame that are looked at.
+const MOST_PEOPLE: usize = 64;
+/// Arrivals that are kept to find those of a frame set.
+const MOST_ARRIVALS: usize = 256;
+/// Longest name of an unknown camera in an event.
+const MOST_NAME: usize = 64;
+
+impl Core {
+    pub(super) fn message(&mut self, topic: &str, payload: &[u8]) {
+        if topic == self.topics.rig() {
+            if payload.len() > MOST_BYTES {
+                self.too_large(None, payload);
+            } else {
+                self.calibrate(payload);
+            }
+            return;
+        }
+        let stage = &self.topics.stage;
+        let camera = topic
+            .strip_prefix("mocap/")
+            .and_then(|rest| rest.strip_prefix(stage.as_str()))
+            .and_then(|rest| rest.strip_prefix("/camera/"))
+            .and_then(|rest| rest.strip_suffix("/keypoints"));
+        if let Some(camera) = camera {
+            let camera: String = camera.chars().take(MOST_NAME).collect();
+            self.keypoints(&camera, payload);
+        }
+    }
+
+    fn too_large(&mut self, camera: Option<&str>, payload: &[u8]) {
+        let detail = format!("a message of {} bytes, at most {MOST_BYTES}", payload.len());
+        self.event(EventKind::Unusable, camera, detail);
+    }
+
+    fn keypoints(&mut self, camera: &str, payload: &[u8]) {
+        if payload.len() > MOST_BYTES {
+            return self.too_large(Some(camera), payload);
+        }
+        let Some(calibration) = &self.calibration else {
+            let detail = "keypoints before a calibration; publish one, or give --rig".to_owned();
+            return self.event(EventKind::Unusable, Some(camera), detail);
+        };
+        let rig = Arc::clone(&calibration.rig);
+        let decoded = wire::decode::<KeypointFrame>(payload);
+        let decoded = decoded.and_then(|frame| self.frame(camera, frame, &rig));
+        match decoded {
+            Ok(frame) => self.detections(frame),
+            Err(error) => self.event(EventKind::Unusable, Some(camera), error.to_string()),
+        }
+    }
+
+    /// Checks a frame that came on the topic of `camera`.
+    fn frame(
+        &mut self,
+        camera: &str,
+        mut frame: KeypointFrame,
+        rig: &Rig,
+    ) -> Result<Detections, DecodeError> {
+        if frame.camera != camera {
+            return Err(DecodeError::Invalid {
+                message: "KeypointFrame",
+                field: "camera",
+                reason: "is not the camera of its topic".to_owned(),
+            });
+        }
+        let people = frame.people.len();
+        if people > MOST_PEOPLE {
+            frame.people.truncate(MOST_PEOPLE);
+            let detail = format!("{people} people, the first {MOST_PEOPLE} are looked at");
+            self.event(EventKind::Crowd, Some(camera), detail);
+        }
+        frame.to_core(|name| rig.index_of(name))
+    }
+
+    fn detections(&mut self, frame: Detections) {
+        let (now, index, capture) = (self.now, frame.camera, frame.capture);
+        let Some(camera) = self.cameras.get_mut(index) else { return };
+        let name = camera.name().to_owned();
+        match self.clock.arrive(index, now, capture) {
+            Arrival::Usual => {}
+            Arrival::Jumped(by_ns) => {
+                let by = by_ns as f64 * 1e-9;
+                let (by, than) = if by < 0.0 { (-by, "ahead of") } else { (by, "behind") };
+                let detail = format!("frame {} is {by:.1} s {than} the clock", frame.frame);
+                return self.event(EventKind::ClockJump, Some(&name), detail);
+            }
+            Arrival::NewClock => {
+                self.tell(tracker::Input::Restart);
+                let detail = "most cameras jumped alike, begun anew".to_owned();
+                return self.event(EventKind::ClockJump, None, detail);
+            }
+        }
+        if let Some(detail) = camera.frame(now, frame.frame, capture) {
+            self.event(EventKind::Conflict, Some(&name), detail);
+        }
+        self.arrivals.push_back((capture, now));
+        if self.arrivals.len() > MOST_ARRIVALS {
+            self.arrivals.pop_front();
+        }
+        self.tell(tracker::Input::Delay(self.clock.usual_delay()));
+        self.tell(tracker::Input::Detections(frame));
+    }
+}

@@ -1,0 +1,421 @@
+//! A Prometheus endpoint, `GET /metrics`, from the last status of the core.
+//!
+//! | metric | labels | meaning |
+//! |---|---|---|
+//! | `bundlemocap_info` | `version` | 1 |
+//! | `bundlemocap_performer` | `state` | 1 for the state that holds |
+//! | `bundlemocap_camera_frames_total` | `camera`, `outcome`: used, late, duplicate, out_of_order, missing, unusable | frames |
+//! | `bundlemocap_camera_rate_hertz` | `camera` | frames a second |
+//! | `bundlemocap_camera_age_seconds` | `camera` | since its last frame |
+//! | `bundlemocap_camera_offset_seconds` | `camera` | of its clock from the node's, with the way |
+//! | `bundlemocap_camera_drift_ppm` | `camera` | change of that |
+//! | `bundlemocap_camera_residual_pixels` | `camera` | median of the last window |
+//! | `bundlemocap_camera_waited_for` | `camera` | 1 if windows wait for it |
+//! | `bundlemocap_windows_total` | `outcome`: tracked, coasted, lost | windows |
+//! | `bundlemocap_windows_incomplete_total` | | closed by their deadline |
+//! | `bundlemocap_window_iterations` | | median of the last windows |
+//! | `bundlemocap_window_solve_seconds` | `quantile`: 0.5, 0.99 | of the last windows |
+//! | `bundlemocap_declared_latency_seconds` | | 0 before it is known |
+//! | `bundlemocap_poses_total` | `outcome`: published, coasted (of those), missed, live | poses |
+//! | `bundlemocap_publish_deviation_seconds` | | histogram, from capture time + declared latency |
+//! | `bundlemocap_live_latency_seconds` | | histogram, from a frame set's last message |
+//! | `bundlemocap_effort_level` | | 0 is all that the settings ask for |
+//! | `bundlemocap_effort_raised_total` | | how often that rose |
+//! | `bundlemocap_events_total` | `kind` | events |
+//! | `bundlemocap_queue_dropped_total` | | messages dropped by the full queue |
+//! | `bundlemocap_publish_failures_total` | | messages that the bus did not take |
+//! | `process_cpu_seconds_total` | | user and system |
+//! | `process_resident_memory_bytes` | | resident |
+//!
+//! The status holds bins, not sums: the `_sum` of a histogram is estimated from the bins' middles.
+
+use std::fmt;
+use std::net::ToSocketAddrs;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use prometheus_client::collector::Collector;
+use prometheus_client::encoding::{DescriptorEncoder, text};
+use prometheus_client::metrics::MetricType;
+use prometheus_client::registry::Registry;
+use tiny_http::{Header, Method, Request, Response, Server};
+
+use super::board::Board;
+use super::error::NodeError;
+use super::process::Usage;
+use crate::io::wire::{CameraCounters, EffortStatus, PlayoutCounters, Status, WindowCounters};
+
+const TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// The endpoint, with its thread.
+pub(super) struct Endpoint {
+    server: Arc<Server>,
+    thread: Option<JoinHandle<()>>,
+    /// Where it listens.
+    pub(super) address: String,
+}
+
+impl Endpoint {
+    /// Listens on `address`, such as `127.0.0.1:9464`.
+    pub(super) fn start(address: &str, board: Arc<Board>) -> Result<Self, NodeError> {
+        let refused = |reason: String| NodeError::Prometheus { address: address.into(), reason };
+        let mut sockets = address.to_socket_addrs().map_err(|error| refused(error.to_string()))?;
+        let socket = sockets.next().ok_or_else(|| refused("no such host".into()))?;
+        let server = Server::http(socket).map_err(|error| refused(error.to_string()))?;
+        let address = server.server_addr().to_string();
+        let server = Arc::new(server);
+        let serving = Arc::clone(&server);
+        let thread = std::thread::Builder::new().name("metrics".into()).spawn(move || {
+            while let Ok(request) = serving.recv() {
+                answer(request, &board);
+            }
+        });
+        Ok(Self { server, thread: Some(thread.map_err(NodeError::Thread)?), address })
+    }
+}
+
+impl Drop for Endpoint {
+    fn drop(&mut self) {
+        self.server.unblock();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// A reader that has gone away is no concern of ours.
+fn answer(request: Request, board: &Board) {
+    let path = request.url().split('?').next().unwrap_or_default();
+    if path != "/metrics" {
+        let hint = Response::from_string("metrics are at /metrics\n");
+        let _ = request.respond(hint.with_status_code(404));
+        return;
+    }
+    if !matches!(request.method(), Method::Get | Method::Head) {
+        let _ = request.respond(Response::from_string("use GET\n").with_status_code(405));
+        return;
+    }
+    let snapshot = Snapshot {
+        status: board.status(),
+        failures: board.publish_failures(),
+        usage: Usage::of(None),
+    };
+    let response = match snapshot.render() {
+        Ok(text) => Response::from_string(text),
+        Err(error) => Response::from_string(error.to_string()).with_status_code(500),
+    };
+    let _ = match Header::from_bytes("Content-Type", TYPE) {
+        Ok(header) => request.respond(response.with_header(header)),
+        Err(()) => request.respond(response),
+    };
+}
+
+/// What is known at one time.
+#[derive(Clone, Debug)]
+pub struct Snapshot {
+    /// The last status of the core, once there is one.
+    pub status: Option<Status>,
+    /// Messages that could not be published.
+    pub failures: u64,
+    /// What this process has used, where the system says.
+    pub usage: Option<Usage>,
+}
+
+impl Snapshot {
+    /// As OpenMetrics text.
+    ///
+    /// # Errors
+    /// Never in practice: a string takes everything.
+    pub fn render(self) -> Result<String, fmt::Error> {
+        let mut registry = Registry::default();
+        registry.register_collector(Box::new(self));
+        let mut out = String::new();
+        text::encode(&mut out, &registry)?;
+        Ok(out)
+    }
+}
+
+impl Collector for Snapshot {
+    fn encode(&self, encoder: DescriptorEncoder) -> fmt::Result {
+        let mut sheet = Sheet(encoder);
+        let version = ("version", env!("CARGO_PKG_VERSION"));
+        sheet.gauges("bundlemocap_info", "The program", &[(vec![version], 1.0)])?;
+        sheet.counter(
+            "bundlemocap_publish_failures",
+            "Messages that the bus did not take",
+            self.failures,
+        )?;
+        if let Some(usage) = self.usage {
+            let help = "User and system time";
+            sheet.counters("process_cpu_seconds", help, &[(vec![], usage.cpu_s)])?;
+            let bytes = usage.resident_bytes as f64;
+            sheet.gauge("process_resident_memory_bytes", "Resident memory", bytes)?;
+        }
+        self.status.as_ref().map_or(Ok(()), |status| sheet.status(status))
+    }
+}
+
+/// Rows of a metric: labels and a value.
+type Rows<'a> = [(Vec<(&'a str, &'a str)>, f64)];
+
+struct Sheet<'a>(DescriptorEncoder<'a>);
+
+impl Sheet<'_> {
+    fn status(&mut self, status: &Status) -> fmt::Result {
+        let state = ("state", status.performer.as_str());
+        self.gauges("bundlemocap_performer", "State of the performer", &[(vec![state], 1.0)])?;
+        let latency = status.declared_latency_ns as f64 / 1e9;
+        self.gauge("bundlemocap_declared_latency_seconds", "Declared and kept", latency)?;
+        let help = "Messages dropped by the full queue";
+        self.counter("bundlemocap_queue_dropped", help, status.queue_dropped)?;
+        let events: Vec<_> = (status.events.iter())
+            .map(|event| (vec![("kind", event.kind.as_str())], event.count as f64))
+            .collect();
+        self.counters("bundlemocap_events", "Events by kind", &events)?;
+        self.cameras(&status.cameras)?;
+        self.windows(&status.windows.clone().unwrap_or_default())?;
+        self.playout(&status.playout.clone().unwrap_or_default())?;
+        self.effort(&status.effort.unwrap_or_default())
+    }
+
+    fn cameras(&mut self, cameras: &[CameraCounters]) -> fmt::Result {
+        let frames: Vec<_> = (cameras.iter())
+            .flat_map(|camera| {
+                let outcomes = [
+                    ("used", camera.used),
+                    ("late", camera.late),
+                    ("duplicate", camera.duplicate),
+                    ("out_of_order", camera.out_of_order),
+                    ("missing", camera.missing),
+                    ("unusable", camera.unusable),
+                ];
+                outcomes.map(|(outcome, count)| {
+                    (vec![("camera", camera.camera.as_str()), ("outcome", outcome)], count as f64)
+                })
+            })
+            .collect();
+        self.counters("bundlemocap_camera_frames", "Frames by what became of them", &frames)?;
+        let mut each = |name: &str, help: &str, value: fn(&CameraCounters) -> f64| {
+            let rows: Vec<_> = (cameras.iter())
+                .map(|camera| (vec![("camera", camera.camera.as_str())], value(camera)))
+                .collect();
+            self.gauges(name, help, &rows)
+        };
+        each("bundlemocap_camera_rate_hertz", "Frames a second", |c| c.rate_hz)?;
+        each("bundlemocap_camera_age_seconds", "Since the last frame", |c| c.age_s)?;
+        each("bundlemocap_camera_offset_seconds", "Of its clock from the node's", |c| c.offset_s)?;
+        each("bundlemocap_camera_drift_ppm", "Change of the offset", |c| c.drift_ppm)?;
+        each("bundlemocap_camera_residual_pixels", "Median of the last window", |c| c.residual_px)?;
+        each("bundlemocap_camera_waited_for", "1 if windows wait for it", |c| {
+            f64::from(u8::from(c.waited_for))
+        })
+    }
+
+    fn windows(&mut self, windows: &WindowCounters) -> fmt::Result {
+        let outcomes =
+            [("tracked", windows.tracked), ("coasted", windows.coasted), ("lost", windows.lost)];
+        let rows = outcomes.map(|(name, count)| (vec![("outcome", name)], count as f64));
+        self.counters("bundlemocap_windows", "Windows by what became of them", &rows)?;
+        let help = "Windows closed by their deadline";
+        self.counter("bundlemocap_windows_incomplete", help, windows.incomplete)?;
+        let help = "Median of the last windows";
+        self.gauge("bundlemocap_window_iterations", help, windows.iterations)?;
+        let quantiles = [("0.5", windows.solve_p50_ms), ("0.99", windows.solve_p99_ms)];
+        let rows = quantiles.map(|(quantile, ms)| (vec![("quantile", quantile)], ms / 1e3));
+        self.gauges("bundlemocap_window_solve_seconds", "Time of a window's solve", &rows)
+    }
+
+    fn playout(&mut self, playout: &PlayoutCounters) -> fmt::Result {
+        let outcomes = [
+            ("published", playout.published),
+            ("coasted", playout.coasted),
+            ("missed", playout.missed),
+            ("live", playout.live),
+        ];
+        let rows = outcomes.map(|(name, count)| (vec![("outcome", name)], count as f64));
+        self.counters("bundlemocap_poses", "Poses by what became of them", &rows)?;
+        self.histogram(
+            "bundlemocap_publish_deviation_seconds",
+            "From capture time + declared latency",
+            (&playout.deviation_bins_us, &playout.deviation_counts),
+        )?;
+        self.histogram(
+            "bundlemocap_live_latency_seconds",
+            "From the last message of a frame set to its live pose",
+            (&playout.live_bins_us, &playout.live_counts),
+        )
+    }
+
+    fn effort(&mut self, effort: &EffortStatus) -> fmt::Result {
+        let level = f64::from(effort.level);
+        self.gauge("bundlemocap_effort_level", "0 is all that the settings ask for", level)?;
+        self.counter("bundlemocap_effort_raised", "How often the level rose", effort.raised)
+    }
+
+    /// `_total` is added to the name.
+    fn counter(&mut self, name: &str, help: &str, count: u64) -> fmt::Result {
+        self.counters(name, help, &[(vec![], count as f64)])
+    }
+
+    fn gauge(&mut self, name: &str, help: &str, value: f64) -> fmt::Result {
+        self.gauges(name, help, &[(vec![], value)])
+    }
+
+    fn counters(&mut self, name: &str, help: &str, rows: &Rows) -> fmt::Result {
+        let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Counter)?;
+        for (labels, value) in rows {
+            match labels.is_empty() {
+                true => metric.encode_counter::<NoExemplar, f64, f64>(value, None)?,
+                false => metric
+                    .encode_family(&escaped(labels))?
+                    .encode_counter::<NoExemplar, f64, f64>(value, None)?,
+            }
+        }
+        Ok(())
+    }
+
+    fn gauges(&mut self, name: &str, help: &str, rows: &Rows) -> fmt::Result {
+        let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Gauge)?;
+        for (labels, value) in rows {
+            match labels.is_empty() {
+                true => metric.encode_gauge(value)?,
+                false => metric.encode_family(&escaped(labels))?.encode_gauge(value)?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Bins by their upper ends, microseconds, and one more count than those.
+    fn histogram(&mut self, name: &str, help: &str, bins: (&[u32], &[u64])) -> fmt::Result {
+        let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Histogram)?;
+        let (ends, counts) = bins;
+        let upper = ends.iter().map(|us| f64::from(*us) / 1e6).chain([f64::MAX]);
+        let buckets: Vec<(f64, u64)> = upper.zip(counts.iter().copied()).collect();
+        let last = ends.last().map_or(0.0, |us| f64::from(*us) / 1e6);
+        let lower = std::iter::once(0.0).chain(buckets.iter().map(|(end, _)| *end));
+        let sum = (buckets.iter().zip(lower))
+            .map(|((end, count), start)| 0.5 * (start + end.min(last)) * *count as f64)
+            .fold(0.0, |sum, part| sum + part);
+        metric.encode_histogram::<NoExemplar>(sum, counts.iter().sum(), &buckets, None)
+    }
+}
+
+/// The encoder writes values as they are; names of cameras may hold anything.
+fn escaped<'a>(labels: &[(&'a str, &str)]) -> Vec<(&'a str, String)> {
+    let escape = |value: &str| {
+        value.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n").replace('\r', " ")
+    };
+    labels.iter().map(|(name, value)| (*name, escape(value))).collect()
+}
+
+/// Labels of exemplars, of which there are none.
+type NoExemplar = [(&'static str, &'static str); 0];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::wire::EventCount;
+
+    fn status() -> Status {
+        Status {
+            performer: "tracking".into(),
+            declared_latency_ns: 180_000_000,
+            cameras: vec![CameraCounters {
+                camera: "cam \"01\"\n".into(),
+                used: 600,
+                late: 3,
+                offset_s: -0.25,
+                waited_for: true,
+                ..CameraCounters::default()
+            }],
+            windows: Some(WindowCounters {
+                tracked: 7,
+                solve_p99_ms: 4.0,
+                ..WindowCounters::default()
+            }),
+            playout: Some(PlayoutCounters {
+                published: 12,
+                deviation_bins_us: vec![100, 1000],
+                deviation_counts: vec![5, 2, 1],
+                ..PlayoutCounters::default()
+            }),
+            events: vec![EventCount { kind: "late".into(), count: 3 }],
+            ..Status::default()
+        }
+    }
+
+    #[test]
+    fn the_text_holds_every_figure() {
+        let usage = Usage { cpu_s: 1.5, resident_bytes: 4096 };
+        let snapshot = Snapshot { status: Some(status()), failures: 2, usage: Some(usage) };
+        let text = snapshot.render().unwrap();
+        let expected = [
+            "bundlemocap_performer{state=\"tracking\"} 1.0",
+            "bundlemocap_camera_frames_total{camera=\"cam \\\"01\\\"\\n\",outcome=\"late\"} 3.0",
+            "bundlemocap_camera_offset_seconds{camera=\"cam \\\"01\\\"\\n\"} -0.25",
+            "bundlemocap_windows_total{outcome=\"tracked\"} 7.0",
+            "bundlemocap_window_solve_seconds{quantile=\"0.99\"} 0.004",
+            "bundlemocap_declared_latency_seconds 0.18",
+            "bundlemocap_publish_deviation_seconds_count 8",
+            "bundlemocap_publish_deviation_seconds_bucket{le=\"0.0001\"} 5",
+            "bundlemocap_publish_deviation_seconds_bucket{le=\"0.001\"} 7",
+            "bundlemocap_publish_deviation_seconds_bucket{le=\"+Inf\"} 8",
+            "bundlemocap_events_total{kind=\"late\"} 3.0",
+            "bundlemocap_publish_failures_total 2.0",
+            "process_cpu_seconds_total 1.5",
+            "process_resident_memory_bytes 4096.0",
+        ];
+        for line in expected {
+            assert!(text.lines().any(|l| l == line), "{line} is not in\n{text}");
+        }
+        assert!(text.ends_with("# EOF\n"));
+    }
+
+    #[test]
+    fn every_metric_is_in_the_table_and_the_other_way_round() {
+        let usage = Usage { cpu_s: 1.5, resident_bytes: 4096 };
+        let snapshot = Snapshot { status: Some(status()), failures: 2, usage: Some(usage) };
+        let text = snapshot.render().unwrap();
+        let mut given: Vec<String> = (text.lines())
+            .filter_map(|line| line.strip_prefix("# TYPE ")?.rsplit_once(' '))
+            .map(|(name, kind)| match kind {
+                "counter" => format!("{name}_total"),
+                _ => name.to_owned(),
+            })
+            .collect();
+        let mut told: Vec<String> = (include_str!("metrics.rs").lines())
+            .filter_map(|line| line.strip_prefix("//! | `")?.split('`').next())
+            .map(str::to_owned)
+            .collect();
+        given.sort();
+        told.sort();
+        assert_eq!(given, told);
+    }
+
+    #[test]
+    fn an_address_in_use_is_named() {
+        let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = taken.local_addr().unwrap().to_string();
+        let error = Endpoint::start(&address, Arc::default()).err().unwrap().to_string();
+        assert!(error.contains(&address), "{error}");
+        let error = Endpoint::start("nothing", Arc::default()).err().unwrap().to_string();
+        assert!(error.contains("\"nothing\""), "{error}");
+    }
+
+    #[test]
+    fn it_answers_and_ends() {
+        use std::io::{Read, Write};
+        let endpoint = Endpoint::start("127.0.0.1:0", Arc::default()).unwrap();
+        let ask = |path: &str| {
+            let mut stream = std::net::TcpStream::connect(&endpoint.address).unwrap();
+            write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").unwrap();
+            let mut text = String::new();
+            stream.read_to_string(&mut text).unwrap();
+            text
+        };
+        let text = ask("/metrics");
+        assert!(text.starts_with("HTTP/1.1 200") && text.contains("bundlemocap_info"), "{text}");
+        assert!(ask("/").starts_with("HTTP/1.1 404"));
+        drop(endpoint);
+    }
+}

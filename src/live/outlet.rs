@@ -1,0 +1,169 @@
+//! Puts publications on the bus: one publisher a topic, opened when it is first needed. What cannot
+//! be published is counted and logged, and never ends the node.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::core::Publication;
+use crate::core::time::Timestamp;
+use crate::io::bus::{Bus, BusError, Publisher};
+use crate::io::wire::media_type;
+
+/// How long a topic that could not be opened is left alone, and how long failures are gathered into
+/// one line, nanoseconds.
+const PATIENCE_NS: i64 = 1_000_000_000;
+
+/// The way out, of one thread.
+pub(super) struct Outlet {
+    bus: Arc<dyn Bus>,
+    lines: HashMap<Arc<str>, Line>,
+    failures: Arc<AtomicU64>,
+    unsaid: u64,
+    quiet_until: Timestamp,
+}
+
+/// A topic's publisher, or when to try again.
+enum Line {
+    Open { publisher: Box<dyn Publisher>, encoding: String },
+    Shut { until: Timestamp },
+}
+
+impl Outlet {
+    /// Onto that bus; `failures` counts what could not be published.
+    pub(super) fn new(bus: Arc<dyn Bus>, failures: Arc<AtomicU64>) -> Self {
+        let quiet_until = Timestamp::default();
+        Self { bus, lines: HashMap::new(), failures, unsaid: 0, quiet_until }
+    }
+
+    /// Opens a topic, so that the first message need not wait for that.
+    ///
+    /// # Errors
+    /// When the bus does not take the topic.
+    pub(super) fn open(&mut self, topic: &str, schema: &str) -> Result<(), BusError> {
+        let line =
+            Line::Open { publisher: self.bus.publisher(topic)?, encoding: media_type(schema) };
+        self.lines.insert(topic.into(), line);
+        Ok(())
+    }
+
+    /// Publishes.
+    pub(super) fn put(&mut self, publication: &Publication, now: Timestamp) {
+        if let Err(error) = self.try_put(publication, now) {
+            self.failures.fetch_add(1, Ordering::Relaxed);
+            self.unsaid += 1;
+            self.complain(&publication.topic, error.as_ref(), now);
+        }
+    }
+
+    /// Fails without an error where the topic is left alone for now.
+    fn try_put(
+        &mut self,
+        publication: &Publication,
+        now: Timestamp,
+    ) -> Result<(), Option<BusError>> {
+        let topic = &publication.topic;
+        let line = match self.lines.get(topic) {
+            Some(Line::Shut { until }) if now < *until => return Err(None),
+            Some(line @ Line::Open { .. }) => line,
+            Some(Line::Shut { .. }) | None => {
+                if let Err(error) = self.open(topic, publication.schema) {
+                    let until = now + PATIENCE_NS;
+                    self.lines.insert(Arc::clone(topic), Line::Shut { until });
+                    return Err(Some(error));
+                }
+                let Some(line) = self.lines.get(topic) else { return Err(None) };
+                line
+            }
+        };
+        let Line::Open { publisher, encoding } = line else { return Err(None) };
+        publisher.put(publication.capture, encoding, &publication.payload).map_err(Some)
+    }
+
+    fn complain(&mut self, topic: &str, error: Option<&BusError>, now: Timestamp) {
+        if now < self.quiet_until {
+            return;
+        }
+        let Some(error) = error else { return };
+        self.quiet_until = now + PATIENCE_NS;
+        tracing::warn!(topic, messages = self.unsaid, "cannot publish: {error}");
+        self.unsaid = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::bus::{Guard, Sink};
+    use std::sync::Mutex;
+
+    /// Remembers what was put; refuses topics that hold `shut`, and payloads of one byte.
+    #[derive(Clone, Default)]
+    struct Fake {
+        opened: Arc<AtomicU64>,
+        put: Arc<Mutex<Vec<String>>>,
+    }
+
+    impl Bus for Fake {
+        fn publisher(&self, topic: &str) -> Result<Box<dyn Publisher>, BusError> {
+            self.opened.fetch_add(1, Ordering::Relaxed);
+            match topic.contains("shut") {
+                true => Err(refusal()),
+                false => Ok(Box::new(self.clone())),
+            }
+        }
+
+        fn subscribe(&self, _: &str, _: Sink) -> Result<Box<dyn Guard>, BusError> {
+            Err(refusal())
+        }
+    }
+
+    impl Publisher for Fake {
+        fn put(&self, capture: Timestamp, encoding: &str, payload: &[u8]) -> Result<(), BusError> {
+            if payload.len() == 1 {
+                return Err(refusal());
+            }
+            self.put.lock().unwrap().push(format!("{} {encoding}", capture.ns()));
+            Ok(())
+        }
+    }
+
+    fn refusal() -> BusError {
+        BusError::Name { name: "x".into(), what: "topic", reason: "it is refused".into() }
+    }
+
+    fn publication(topic: &str, payload: &[u8]) -> Publication {
+        Publication {
+            topic: topic.into(),
+            capture: Timestamp::from_ns(7),
+            schema: "bundlemocap.v1.Pose",
+            payload: payload.into(),
+            due: None,
+        }
+    }
+
+    #[test]
+    fn publishers_are_kept_and_failures_counted() {
+        let (bus, failures) = (Fake::default(), Arc::new(AtomicU64::new(0)));
+        let mut outlet = Outlet::new(Arc::new(bus.clone()), Arc::clone(&failures));
+        let now = Timestamp::from_ns(5_000_000_000);
+        outlet.put(&publication("a", b"xy"), now);
+        outlet.put(&publication("a", b"x"), now);
+        outlet.put(&publication("a", b"xyz"), now);
+        assert_eq!(bus.opened.load(Ordering::Relaxed), 1);
+        let expected = "7 application/protobuf;bundlemocap.v1.Pose";
+        assert_eq!(*bus.put.lock().unwrap(), [expected, expected]);
+        assert_eq!(failures.load(Ordering::Relaxed), 1);
+    }
+
+    #[test]
+    fn a_topic_that_cannot_be_opened_is_tried_once_a_second() {
+        let (bus, failures) = (Fake::default(), Arc::new(AtomicU64::new(0)));
+        let mut outlet = Outlet::new(Arc::new(bus.clone()), Arc::clone(&failures));
+        for ms in [0, 10, 999, 1000, 1500] {
+            outlet.put(&publication("shut", b"xy"), Timestamp::from_ns(ms * 1_000_000));
+        }
+        assert_eq!(bus.opened.load(Ordering::Relaxed), 2);
+        assert_eq!(failures.load(Ordering::Relaxed), 5);
+    }
+}

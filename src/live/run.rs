@@ -1,0 +1,268 @@
+//! The node with its threads, from start to stop.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread::{Builder, JoinHandle};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bounded, never};
+
+use super::board::Board;
+use super::config::Config;
+use super::core::Core;
+use super::cpu_affinity::SolverCore;
+use super::error::NodeError;
+use super::metrics::Endpoint;
+use super::node_loop::{Answer, Inbox, Machine, Progress};
+use super::outlet::Outlet;
+use super::playout::Playout;
+use super::queue::{Intake, Message};
+use super::rig_file::RigFile;
+use super::wall::{WallClock, saturating_ns};
+use crate::core::tracker::{Job, Solver};
+use crate::io::bus::{Bus, Guard};
+use crate::io::wire::{Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, Topics};
+
+/// How often the calibration file is looked at.
+const LOOK: Duration = Duration::from_millis(500);
+/// Batches of deviations that wait for the machine at most, one a second.
+const BATCHES: usize = 64;
+
+/// What runs.
+pub struct Node;
+
+/// A node that runs. Dropped, it ends by itself; [`Running::stop`] waits for that.
+pub struct Running {
+    inputs: Vec<Box<dyn Guard>>,
+    rig_answer: Option<Box<dyn Guard>>,
+    stop: Sender<()>,
+    over: Receiver<()>,
+    stop_looking: Sender<()>,
+    machine: JoinHandle<Result<(), NodeError>>,
+    threads: Vec<(&'static str, JoinHandle<()>)>,
+    playout: Arc<Playout>,
+    endpoint: Option<Endpoint>,
+    board: Arc<Board>,
+}
+
+impl Node {
+    /// Starts the threads and listens to the bus. `config` is that of the core; the solver moves to
+    /// `solver_core` if there is one.
+    ///
+    /// # Errors
+    /// A bus that does not take the topics, a calibration file that cannot be used, an address
+    /// that is taken, or a system without threads to give.
+    pub fn start(
+        bus: Arc<dyn Bus>,
+        core: Core,
+        solver: Solver,
+        config: &Config,
+        solver_core: Option<SolverCore>,
+    ) -> Result<Running, NodeError> {
+        let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
+        let (clock, board) = (WallClock::start(), Arc::<Board>::default());
+        let intake = Intake::new(config.queue);
+        let endpoint = match config.prometheus.as_str() {
+            "" => None,
+            address => Some(Endpoint::start(address, Arc::clone(&board))?),
+        };
+
+        let (stop_looking, looking) = bounded(0);
+        let mut threads = Vec::new();
+        let rigs = match config.rig.as_str() {
+            "" => never(),
+            path => watch_rig(path.into(), config, looking, &mut threads)?,
+        };
+        let playout = Arc::<Playout>::default();
+        let played = start_playout(&bus, &topics, clock, &playout, &board, &mut threads)?;
+        let (jobs, answers) = start_solver(solver, solver_core, &mut threads)?;
+
+        let (stop, stopped) = bounded(1);
+        let machine = Machine {
+            core,
+            clock,
+            inbox: Inbox { intake: intake.clone(), answers, played, rigs, stop: stopped },
+            jobs,
+            playout: Arc::clone(&playout),
+            outlet: machine_outlet(&bus, &topics, &board)?,
+            board: Arc::clone(&board),
+            rig_topic: topics.rig(),
+            progress: Progress::default(),
+        };
+        let (alive, over) = bounded(0);
+        let work = move || {
+            let _alive: Sender<()> = alive;
+            machine.run()
+        };
+        let machine = thread("machine").spawn(work).map_err(NodeError::Thread)?;
+        let mut running = Running {
+            inputs: Vec::new(),
+            rig_answer: None,
+            stop,
+            over,
+            stop_looking,
+            machine,
+            threads,
+            playout,
+            endpoint,
+            board,
+        };
+        running.listen(&*bus, &topics, &intake)?;
+        Ok(running)
+    }
+}
+
+impl Running {
+    fn listen(&mut self, bus: &dyn Bus, topics: &Topics, intake: &Intake) -> Result<(), NodeError> {
+        let board = Arc::clone(&self.board);
+        self.rig_answer = bus.answer(&topics.rig(), Box::new(move || board.rig()))?;
+        for pattern in [topics.rig(), topics.keypoints("*")] {
+            let intake = intake.clone();
+            let sink = move |sample: crate::io::bus::Sample| {
+                intake.push(Message { topic: sample.topic, payload: sample.payload });
+            };
+            self.inputs.push(bus.subscribe(&pattern, Box::new(sink))?);
+        }
+        Ok(())
+    }
+
+    /// Is told, by its end, when the node has stopped by itself, which is a fault.
+    pub fn over(&self) -> &Receiver<()> {
+        &self.over
+    }
+
+    /// The last status, once there is one.
+    pub fn status(&self) -> Option<Status> {
+        self.board.status()
+    }
+
+    /// Messages that the bus did not take.
+    pub fn publish_failures(&self) -> u64 {
+        self.board.publish_failures()
+    }
+
+    /// Where the Prometheus endpoint listens, if there is one.
+    pub fn prometheus(&self) -> Option<&str> {
+        self.endpoint.as_ref().map(|endpoint| endpoint.address.as_str())
+    }
+
+    /// Takes nothing more in, publishes what is left at its times, and ends every thread; the last
+    /// status.
+    ///
+    /// # Errors
+    /// A thread that ended before, by a fault.
+    pub fn stop(self) -> Result<Option<Status>, NodeError> {
+        drop(self.inputs);
+        drop(self.stop);
+        let ended = self.machine.join();
+        self.playout.close();
+        drop(self.stop_looking);
+        let mut fault = None;
+        for (name, thread) in self.threads {
+            if thread.join().is_err() {
+                fault = Some(NodeError::Fault { thread: name });
+            }
+        }
+        drop((self.rig_answer, self.endpoint));
+        let ended = ended.unwrap_or(Err(NodeError::Fault { thread: "machine" }));
+        fault.map_or(ended, Err)?;
+        Ok(self.board.status())
+    }
+}
+
+fn thread(name: &str) -> Builder {
+    Builder::new().name(name.into())
+}
+
+/// Opens what the machine's thread publishes.
+fn machine_outlet(bus: &Arc<dyn Bus>, topics: &Topics, board: &Board) -> Result<Outlet, NodeError> {
+    let mut outlet = Outlet::new(Arc::clone(bus), board.failures());
+    let all = [
+        (topics.live(), Pose::FULL_NAME),
+        (topics.keyframe(), Keyframe::FULL_NAME),
+        (topics.skeleton(), Skeleton::FULL_NAME),
+        (topics.events(), Event::FULL_NAME),
+        (topics.status(), Status::FULL_NAME),
+        (topics.journal(), Journal::FULL_NAME),
+    ];
+    for (topic, schema) in all {
+        outlet.open(&topic, schema)?;
+    }
+    Ok(outlet)
+}
+
+/// The thread that publishes poses when they are due; gives their deviations.
+fn start_playout(
+    bus: &Arc<dyn Bus>,
+    topics: &Topics,
+    clock: WallClock,
+    playout: &Arc<Playout>,
+    board: &Board,
+    threads: &mut Vec<(&'static str, JoinHandle<()>)>,
+) -> Result<Receiver<Vec<i32>>, NodeError> {
+    let mut outlet = Outlet::new(Arc::clone(bus), board.failures());
+    outlet.open(&topics.pose(), Pose::FULL_NAME)?;
+    let (sender, played) = bounded(BATCHES);
+    let playout = Arc::clone(playout);
+    let work = move || playout.run(clock, outlet, &sender);
+    threads.push(("playout", thread("playout").spawn(work).map_err(NodeError::Thread)?));
+    Ok(played)
+}
+
+/// The thread that solves one job at a time.
+fn start_solver(
+    mut solver: Solver,
+    core: Option<SolverCore>,
+    threads: &mut Vec<(&'static str, JoinHandle<()>)>,
+) -> Result<(Sender<Box<Job>>, Receiver<Answer>), NodeError> {
+    let (jobs, work) = bounded::<Box<Job>>(1);
+    let (sender, answers) = bounded(1);
+    let solve = move || {
+        if let Some(core) = core {
+            core.enter();
+        }
+        for job in work {
+            let begin = Instant::now();
+            let solution = Box::new(solver.solve(&job));
+            let took_ns = u64::try_from(saturating_ns(begin.elapsed())).unwrap_or(0);
+            if sender.send(Answer { solution, took_ns }).is_err() {
+                return;
+            }
+        }
+    };
+    threads.push(("solver", thread("solver").spawn(solve).map_err(NodeError::Thread)?));
+    Ok((jobs, answers))
+}
+
+/// Reads the calibration file, and looks at it until `looking` is over.
+fn watch_rig(
+    path: PathBuf,
+    config: &Config,
+    looking: Receiver<()>,
+    threads: &mut Vec<(&'static str, JoinHandle<()>)>,
+) -> Result<Receiver<Vec<u8>>, NodeError> {
+    let (mut file, first) = RigFile::open(path, config.rig_up)?;
+    let (sender, rigs) = bounded(1);
+    let _ = sender.try_send(first);
+    let work = move || {
+        let mut unsent = None;
+        while looking.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
+            let path = file.path().display().to_string();
+            match file.changed() {
+                Ok(None) => {}
+                Ok(Some(rig)) => {
+                    tracing::info!(path, "the calibration has changed");
+                    unsent = Some(rig);
+                }
+                Err(error) => tracing::warn!("the calibration before is kept: {error}"),
+            }
+            if let Some(rig) = unsent.take()
+                && let Err(SendTimeoutError::Timeout(rig)) = sender.send_timeout(rig, LOOK)
+            {
+                unsent = Some(rig);
+            }
+        }
+    };
+    threads.push(("rig file", thread("rig-file").spawn(work).map_err(NodeError::Thread)?));
+    Ok(rigs)
+}

@@ -1,0 +1,128 @@
+//! Counters of windows and of what was published, as they are put into a status.
+
+use std::collections::VecDeque;
+
+use crate::core::tracker::{Verdict, WindowReport};
+use crate::io::wire::{PlayoutCounters, WindowCounters};
+
+/// Windows over which times and iterations are summed up.
+const RECENT: usize = 256;
+/// Upper ends of the bins of deviations from due times, microseconds.
+const DEVIATION_BINS_US: [u32; 9] = [100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000];
+/// Upper ends of the bins of live latencies, microseconds.
+const LIVE_BINS_US: [u32; 9] = [1000, 2000, 3000, 5000, 7500, 10_000, 20_000, 50_000, 100_000];
+
+/// Counters of windows.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Windows {
+    counters: WindowCounters,
+    /// Solve time in milliseconds and iterations of the last windows.
+    recent: VecDeque<(f64, f64)>,
+}
+
+impl Windows {
+    /// A window was solved, in that time.
+    pub(super) fn solved(&mut self, report: &WindowReport, took_ns: i64) {
+        let counter = match report.verdict {
+            Verdict::Tracked => &mut self.counters.tracked,
+            Verdict::Coasted(_) => &mut self.counters.coasted,
+            Verdict::Lost(_) => &mut self.counters.lost,
+        };
+        *counter += 1;
+        let Some(summary) = report.summary else { return };
+        self.counters.termination = summary.termination.name().to_owned();
+        self.recent.push_back((took_ns as f64 * 1e-6, summary.iterations as f64));
+        while self.recent.len() > RECENT {
+            self.recent.pop_front();
+        }
+    }
+
+    /// A window closed without a camera.
+    pub(super) fn incomplete(&mut self) {
+        self.counters.incomplete += 1;
+    }
+
+    pub(super) fn counters(&self) -> WindowCounters {
+        let mut times: Vec<f64> = self.recent.iter().map(|(ms, _)| *ms).collect();
+        let mut iterations: Vec<f64> = self.recent.iter().map(|(_, count)| *count).collect();
+        WindowCounters {
+            iterations: quantile(&mut iterations, 0.5),
+            solve_p50_ms: quantile(&mut times, 0.5),
+            solve_p99_ms: quantile(&mut times, 0.99),
+            ..self.counters.clone()
+        }
+    }
+}
+
+/// The value that a part of all is at or below; 0 of nothing.
+pub(super) fn quantile(values: &mut [f64], part: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let index = (values.len() as f64 * part).ceil() as usize;
+    values.get(index.saturating_sub(1)).copied().unwrap_or(0.0)
+}
+
+/// Counters of what was published.
+#[derive(Clone, Debug)]
+pub(super) struct Published {
+    counters: PlayoutCounters,
+}
+
+impl Published {
+    pub(super) fn new() -> Self {
+        let counters = PlayoutCounters {
+            deviation_bins_us: DEVIATION_BINS_US.to_vec(),
+            deviation_counts: vec![0; DEVIATION_BINS_US.len() + 1],
+            live_bins_us: LIVE_BINS_US.to_vec(),
+            live_counts: vec![0; LIVE_BINS_US.len() + 1],
+            ..PlayoutCounters::default()
+        };
+        Self { counters }
+    }
+
+    /// Final poses left, each so far off its due time.
+    pub(super) fn played(&mut self, deviations_us: &[i32]) {
+        self.counters.published += deviations_us.len() as u64;
+        for deviation in deviations_us {
+            let bin = bin(&DEVIATION_BINS_US, deviation.unsigned_abs());
+            self.counters.deviation_counts[bin] += 1;
+        }
+    }
+
+    /// A provisional pose left so long after the last message of its frame set.
+    pub(super) fn live(&mut self, latency_us: u32) {
+        self.counters.live += 1;
+        self.counters.live_counts[bin(&LIVE_BINS_US, latency_us)] += 1;
+    }
+
+    pub(super) fn counters(&self, (coasted, missed): (u64, u64)) -> PlayoutCounters {
+        PlayoutCounters { coasted, missed, ..self.counters.clone() }
+    }
+}
+
+fn bin(ends: &[u32], value: u32) -> usize {
+    ends.iter().position(|end| value <= *end).unwrap_or(ends.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_pose_is_in_one_bin() {
+        let mut published = Published::new();
+        published.played(&[0, -100, 101, i32::MIN, i32::MAX, 2000]);
+        published.live(u32::MAX);
+        let counters = published.counters((1, 2));
+        assert_eq!(counters.published, 6);
+        assert_eq!(counters.deviation_counts, [2, 1, 0, 0, 1, 0, 0, 0, 0, 2]);
+        assert_eq!(counters.live_counts.last(), Some(&1));
+        assert_eq!((counters.coasted, counters.missed), (1, 2));
+    }
+
+    #[test]
+    fn quantiles_are_values_that_occurred() {
+        assert_eq!(quantile(&mut [], 0.5), 0.0);
+        assert_eq!(quantile(&mut [3.0, 1.0, 2.0], 0.5), 2.0);
+        assert_eq!(quantile(&mut [3.0, 1.0, 2.0], 0.99), 3.0);
+    }
+}

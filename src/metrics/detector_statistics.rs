@@ -1,0 +1,385 @@
+//! How a detector errs, in figures: of a real recording against its solution, or of a synthetic one
+//! against its truth or its solution, so that the two can be set side by side.
+//!
+//! Residuals are detected minus projected, as a share of the person's height in that image (the
+//! larger side of the box around the projected joints), so that they hold at any distance and
+//! resolution. Against a solution they hold what the fit could not take up of the detector's errors,
+//! of the calibration's and of the clocks'; a fair comparison solves both recordings.
+
+use nalgebra::Vector2;
+
+use super::statistics::{mean, median, percentiles};
+use crate::core::body::{BodyPoint, Posture, Skeleton, fitted_points};
+use crate::core::camera::{Camera, Rig};
+use crate::core::detections::{Detection, Detections, Keypoint, KeypointFormat, Person};
+use crate::core::time::Timestamp;
+
+/// Samples in a piece whose spectrum is taken.
+const PIECE: usize = 32;
+/// Pieces begin this many samples apart.
+const HOP: usize = PIECE / 2;
+/// A detected person is the performer if the median residual is within this share of the height.
+const GATE: f64 = 0.25;
+/// How many bins of confidence there are between 0 and 1.
+const BINS: usize = 10;
+
+/// One point in one frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Seen {
+    /// Detected minus projected, as a share of the person's height in the image.
+    pub residual: Vector2<f64>,
+    /// Of the detection.
+    pub confidence: f64,
+}
+
+/// One point of one camera over time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PointTrack {
+    /// Index of the camera in the rig.
+    pub camera: usize,
+    /// Which point it is.
+    pub keypoint: Keypoint,
+    /// Time in seconds and what was seen, frame by frame; `None` where the detector has no point
+    /// while it has the performer and the projection lies in the image.
+    pub samples: Vec<(f64, Option<Seen>)>,
+}
+
+/// The points of all cameras over time, and counts of what is no point.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DetectorTracks {
+    /// Fitted points of each camera.
+    pub tracks: Vec<PointTrack>,
+    /// Frames of any camera that were compared.
+    pub frames: usize,
+    /// Those in which nobody was near the projected body.
+    pub without_performer: usize,
+    /// Those with another person beside the performer, or the performer in two.
+    pub with_others: usize,
+    /// Pairs of limb points (elbows, wrists, knees, ankles) that could have been told apart.
+    pub pairs: usize,
+    /// Those of them that lie better with left and right exchanged.
+    pub inverted: usize,
+}
+
+/// A share of the points with a confidence within a bin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ConfidenceBin {
+    /// Lower and upper end.
+    pub range: [f64; 2],
+    /// Share of all points seen.
+    pub share: f64,
+    /// Median size of the residual, share of the height; 0 for an empty bin.
+    pub median_error: f64,
+    /// Mean size of the residual, share of the height; 0 for an empty bin.
+    pub mean_error: f64,
+}
+
+/// The figures. Sizes are shares of the person's height.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DetectorStatistics {
+    /// Points seen.
+    pub points: usize,
+    /// Median size of the residuals.
+    pub residual_median: f64,
+    /// 95th percentile of their size.
+    pub residual_p95: f64,
+    /// Median over the tracks of the size of a track's median residual: what is systematic.
+    pub systematic: f64,
+    /// Median over points of the size of what is left after the track's median is taken off.
+    pub varying: f64,
+    /// Median size of second differences of the residual between neighbouring frames.
+    pub second_difference: f64,
+    /// Share of the points missing while the performer is seen.
+    pub missing: f64,
+    /// Mean length of a run of missing frames, seconds.
+    pub missing_run_s: f64,
+    /// Share of frames without the performer.
+    pub without_performer: f64,
+    /// Share of frames with others, or with the performer in two.
+    pub with_others: f64,
+    /// Share of limb pairs that lie better with left and right exchanged.
+    pub inverted: f64,
+    /// Spectrum of the residuals: hertz, and the median over tracks and pieces of the power,
+    /// share^2 per hertz, both axes summed. Pieces of 32 frames without a gap, mean off, Hann's
+    /// window \[Welch 1967\]; the median, since a few gross errors would make up any mean.
+    pub spectrum: Vec<(f64, f64)>,
+    /// Error by confidence, ten bins from 0 to 1.
+    pub by_confidence: Vec<ConfidenceBin>,
+    /// Median size of the residual of each point, all cameras.
+    pub by_point: Vec<(Keypoint, f64)>,
+}
+
+impl DetectorTracks {
+    /// Compares `frames` with a body: `posture` is asked by capture time. Frames for which it has
+    /// none are left out. Of several persons that nearest to the projected body is taken.
+    pub fn compare<'a>(
+        rig: &Rig,
+        format: KeypointFormat,
+        frames: impl IntoIterator<Item = &'a Detections>,
+        body: &Skeleton,
+        mut posture: impl FnMut(Timestamp) -> Option<Posture>,
+    ) -> Self {
+        let points = fitted_points(format);
+        let of_camera = |camera| {
+            let track = move |p: &BodyPoint| (camera, p.keypoint);
+            points.iter().map(track).collect::<Vec<_>>()
+        };
+        let tracks = (0..rig.cameras.len()).flat_map(of_camera);
+        let tracks = tracks
+            .map(|(camera, keypoint)| PointTrack { camera, keypoint, samples: Vec::new() })
+            .collect();
+        let mut all = Self { tracks, ..Self::default() };
+        for frame in frames {
+            let Some(camera) = rig.cameras.get(frame.camera) else { continue };
+            if let Some(posture) = posture(frame.capture) {
+                all.add(camera, frame, &points, body, &posture);
+            }
+        }
+        all
+    }
+
+    fn add(
+        &mut self,
+        camera: &Camera,
+        frame: &Detections,
+        points: &[BodyPoint],
+        body: &Skeleton,
+        posture: &Posture,
+    ) {
+        let joints = posture.positions.iter().filter_map(|joint| camera.project(joint));
+        let Some(height) = height(joints) else { return };
+        let projected: Vec<Option<Vector2<f64>>> = (points.iter())
+            .map(|p| camera.project(&p.attachment.position(posture, body)))
+            .map(|pixel| pixel.filter(|pixel| in_image(camera, pixel)))
+            .collect();
+        self.frames += 1;
+        self.with_others += usize::from(frame.people.len() > 1);
+        let Some(person) = performer(frame, points, &projected, GATE * height) else {
+            self.without_performer += 1;
+            return;
+        };
+        let seconds = frame.capture.ns() as f64 * 1e-9;
+        let first = frame.camera * points.len();
+        for (index, (point, pixel)) in points.iter().zip(&projected).enumerate() {
+            let Some(pixel) = pixel else { continue };
+            let seen = detected(person, point).map(|detection| Seen {
+                residual: (detection.pixel.coords - pixel) / height,
+                confidence: detection.confidence,
+            });
+            self.tracks[first + index].samples.push((seconds, seen));
+        }
+        self.count_inversions(person, points, &projected, height);
+    }
+
+    fn count_inversions(
+        &mut self,
+        person: &Person,
+        points: &[BodyPoint],
+        projected: &[Option<Vector2<f64>>],
+        height: f64,
+    ) {
+        let find = |keypoint| {
+            let index = points.iter().position(|p| p.keypoint == keypoint)?;
+            Some((projected[index]?, detected(person, &points[index])?.pixel.coords))
+        };
+        for (left, right) in PAIRS {
+            let (Some((l, dl)), Some((r, dr))) = (find(left), find(right)) else { continue };
+            if (l - r).norm() < 0.08 * height {
+                continue;
+            }
+            self.pairs += 1;
+            let (straight, crossed) =
+                ((dl - l).norm() + (dr - r).norm(), (dl - r).norm() + (dr - l).norm());
+            self.inverted += usize::from(crossed < 0.5 * straight);
+        }
+    }
+
+    /// The figures; `None` where no point was seen. `fps`: frames a second of every camera.
+    pub fn statistics(&self, fps: f64) -> Option<DetectorStatistics> {
+        let seen: Vec<Seen> = self.tracks.iter().flat_map(|t| t.seen()).collect();
+        let sizes: Vec<f64> = seen.iter().map(|s| s.residual.norm()).collect();
+        let [residual_median, residual_p95] = percentiles(&sizes, [50.0, 95.0])?;
+        let centres: Vec<Vector2<f64>> = self.tracks.iter().map(PointTrack::centre).collect();
+        let systematic: Vec<f64> = (self.tracks.iter().zip(&centres))
+            .filter(|(track, _)| track.seen().next().is_some())
+            .map(|(_, centre)| centre.norm())
+            .collect();
+        let varying: Vec<f64> = (self.tracks.iter().zip(&centres))
+            .flat_map(|(t, centre)| t.seen().map(move |s| (s.residual - centre).norm()))
+            .collect();
+        let runs: Vec<f64> = self.tracks.iter().flat_map(|t| t.gaps(fps)).collect();
+        let samples: usize = self.tracks.iter().map(|t| t.samples.len()).sum();
+        let bends: Vec<f64> = self.tracks.iter().flat_map(|t| t.second_differences(fps)).collect();
+        let share = |part: usize, of: usize| part as f64 / of.max(1) as f64;
+        Some(DetectorStatistics {
+            points: seen.len(),
+            residual_median,
+            residual_p95,
+            systematic: median(&systematic).unwrap_or(0.0),
+            varying: median(&varying).unwrap_or(0.0),
+            second_difference: median(&bends).unwrap_or(0.0),
+            missing: share(samples - seen.len(), samples),
+            missing_run_s: mean(&runs).unwrap_or(0.0),
+            without_performer: share(self.without_performer, self.frames),
+            with_others: share(self.with_others, self.frames),
+            inverted: share(self.inverted, self.pairs),
+            spectrum: self.spectrum(fps),
+            by_confidence: by_confidence(&seen),
+            by_point: self.by_point(),
+        })
+    }
+
+    fn spectrum(&self, fps: f64) -> Vec<(f64, f64)> {
+        let pieces: Vec<[f64; PIECE / 2]> = self
+            .tracks
+            .iter()
+            .flat_map(|track| track.pieces(fps))
+            .map(|p| power(&p, fps))
+            .collect();
+        if pieces.is_empty() {
+            return Vec::new();
+        }
+        let at = |bin: usize| pieces.iter().map(|p| p[bin]).collect::<Vec<_>>();
+        (0..PIECE / 2)
+            .map(|bin| ((bin + 1) as f64 * fps / PIECE as f64, median(&at(bin)).unwrap_or(0.0)))
+            .collect()
+    }
+
+    fn by_point(&self) -> Vec<(Keypoint, f64)> {
+        let mut points: Vec<Keypoint> = self.tracks.iter().map(|t| t.keypoint).collect();
+        points.sort();
+        points.dedup();
+        let sizes = |keypoint: Keypoint| -> Vec<f64> {
+            let tracks = self.tracks.iter().filter(|t| t.keypoint == keypoint);
+            tracks.flat_map(|t| t.seen().map(|s| s.residual.norm())).collect()
+        };
+        points.into_iter().filter_map(|k| Some((k, median(&sizes(k))?))).collect()
+    }
+}
+
+impl PointTrack {
+    fn seen(&self) -> impl Iterator<Item = Seen> + '_ {
+        self.samples.iter().filter_map(|(_, seen)| *seen)
+    }
+
+    /// Median residual, by axis.
+    fn centre(&self) -> Vector2<f64> {
+        let axis = |i: usize| median(&self.seen().map(|s| s.residual[i]).collect::<Vec<_>>());
+        Vector2::new(axis(0).unwrap_or(0.0), axis(1).unwrap_or(0.0))
+    }
+
+    /// Residuals of frames that follow each other without a gap.
+    fn runs(&self, fps: f64) -> Vec<Vec<Vector2<f64>>> {
+        let mut runs: Vec<Vec<Vector2<f64>>> = Vec::new();
+        let mut last = f64::NEG_INFINITY;
+        for &(seconds, seen) in &self.samples {
+            let Some(seen) = seen else { continue };
+            let follows = seconds - last < 1.5 / fps;
+            match runs.last_mut() {
+                Some(run) if follows => run.push(seen.residual),
+                _ => runs.push(vec![seen.residual]),
+            }
+            last = seconds;
+        }
+        runs
+    }
+
+    fn pieces(&self, fps: f64) -> Vec<Vec<Vector2<f64>>> {
+        let runs = self.runs(fps);
+        let of = |run: &Vec<Vector2<f64>>| {
+            run.windows(PIECE).step_by(HOP).map(<[_]>::to_vec).collect::<Vec<_>>()
+        };
+        runs.iter().flat_map(of).collect()
+    }
+
+    fn second_differences(&self, fps: f64) -> Vec<f64> {
+        let bend = |w: &[Vector2<f64>]| (w[0] - w[1] * 2.0 + w[2]).norm();
+        self.runs(fps).iter().flat_map(|run| run.windows(3).map(bend).collect::<Vec<_>>()).collect()
+    }
+
+    /// Lengths of runs of missing frames, seconds.
+    fn gaps(&self, fps: f64) -> Vec<f64> {
+        let missing: Vec<bool> = self.samples.iter().map(|(_, seen)| seen.is_none()).collect();
+        let runs = missing.chunk_by(|a, b| a == b).filter(|run| run[0]);
+        runs.map(|run| run.len() as f64 / fps).collect()
+    }
+}
+
+/// Points of limbs whose sides a detector confuses.
+const PAIRS: [(Keypoint, Keypoint); 4] = [
+    (Keypoint::LElbow, Keypoint::RElbow),
+    (Keypoint::LWrist, Keypoint::RWrist),
+    (Keypoint::LKnee, Keypoint::RKnee),
+    (Keypoint::LAnkle, Keypoint::RAnkle),
+];
+
+fn detected(person: &Person, point: &BodyPoint) -> Option<Detection> {
+    person.points.get(point.index).copied().flatten()
+}
+
+fn in_image(camera: &Camera, pixel: &Vector2<f64>) -> bool {
+    let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+    (-0.5..width - 0.5).contains(&pixel.x) && (-0.5..height - 0.5).contains(&pixel.y)
+}
+
+/// The larger side of the box around the pixels.
+fn height(pixels: impl Iterator<Item = Vector2<f64>>) -> Option<f64> {
+    let bounds = pixels.map(|p| (p, p)).reduce(|a, b| (a.0.inf(&b.0), a.1.sup(&b.1)));
+    bounds.map(|(low, high)| (high - low).max()).filter(|&height| height > 1.0)
+}
+
+/// The person nearest to the projected body, if one is near.
+fn performer<'a>(
+    frame: &'a Detections,
+    points: &[BodyPoint],
+    projected: &[Option<Vector2<f64>>],
+    gate: f64,
+) -> Option<&'a Person> {
+    let distance = |person: &Person| {
+        let pairs = points.iter().zip(projected);
+        let distances: Vec<f64> = pairs
+            .filter_map(|(point, pixel)| {
+                Some((detected(person, point)?.pixel.coords - (*pixel)?).norm())
+            })
+            .collect();
+        // A person of a few points is near by chance.
+        median(&distances).filter(|_| distances.len() >= points.len() / 3)
+    };
+    let near = frame.people.iter().filter_map(|person| Some((distance(person)?, person)));
+    let nearest = near.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (nearest.0 <= gate).then_some(nearest.1)
+}
+
+/// Power of a piece, share^2 per hertz, at 1 to 16 times fps / 32.
+fn power(piece: &[Vector2<f64>], fps: f64) -> [f64; PIECE / 2] {
+    let mean = piece.iter().sum::<Vector2<f64>>() / PIECE as f64;
+    let phase = |i: usize| std::f64::consts::TAU * i as f64 / PIECE as f64;
+    let hann = |i: usize| 0.5 - 0.5 * phase(i).cos();
+    let norm = fps * (0..PIECE).map(|i| hann(i) * hann(i)).sum::<f64>();
+    std::array::from_fn(|bin| {
+        let (mut re, mut im) = (Vector2::zeros(), Vector2::zeros());
+        for (i, value) in piece.iter().enumerate() {
+            let (sin, cos) = (phase(i) * (bin + 1) as f64).sin_cos();
+            re += (value - mean) * (hann(i) * cos);
+            im += (value - mean) * (hann(i) * sin);
+        }
+        let sides = if bin + 1 == PIECE / 2 { 1.0 } else { 2.0 };
+        sides * (re.norm_squared() + im.norm_squared()) / norm
+    })
+}
+
+fn by_confidence(seen: &[Seen]) -> Vec<ConfidenceBin> {
+    let bin_of = |confidence: f64| ((confidence * BINS as f64) as usize).min(BINS - 1);
+    (0..BINS)
+        .map(|bin| {
+            let of_bin = seen.iter().filter(|s| bin_of(s.confidence) == bin);
+            let errors: Vec<f64> = of_bin.map(|s| s.residual.norm()).collect();
+            ConfidenceBin {
+                range: [bin, bin + 1].map(|edge| edge as f64 / BINS as f64),
+                share: errors.len() as f64 / seen.len().max(1) as f64,
+                median_error: median(&errors).unwrap_or(0.0),
+                mean_error: mean(&errors).unwrap_or(0.0),
+            }
+        })
+        .collect()
+}

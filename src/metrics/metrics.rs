@@ -1,0 +1,196 @@
+//! How far solved poses are from the truth, in the measures of \[Albanis 2023, sec. 4\].
+
+use std::borrow::Borrow;
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::core::body::{JOINTS, Joint, Posture};
+use crate::core::so3;
+
+/// Distances over which a joint counts as found, metres.
+const PCK: [f64; 2] = [0.03, 0.07];
+
+/// Errors over frames and the 22 joints. With e = |P - P*| of one joint in one frame:
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseErrors {
+    /// How many frames were compared.
+    pub frames: usize,
+    /// Mean of e, millimetres (MPJPE, absolute).
+    pub mpjpe_mm: f64,
+    /// Mean of e after the pelvis is moved onto the true one, millimetres; the pelvis counts as 0.
+    pub mpjpe_root_relative_mm: f64,
+    /// sqrt(mean of e^2), millimetres.
+    pub rmse_mm: f64,
+    /// Mean angle between local rotations (`parent_from_joint`) over joints 1 to 21, degrees.
+    pub mae_deg: f64,
+    /// Mean angle between root rotations, degrees.
+    pub root_deg: f64,
+    /// Share of joints with e <= 3 cm, percent.
+    pub pck3_percent: f64,
+    /// Share of joints with e <= 7 cm, percent.
+    pub pck7_percent: f64,
+    /// Mean of e for each joint, millimetres.
+    pub per_joint_mm: [f64; JOINTS],
+}
+
+/// Compares postures with the true ones of the same times, given as (estimate, truth).
+/// `None` without any.
+pub fn pose_errors<P: Borrow<Posture>>(
+    pairs: impl IntoIterator<Item = (P, P)>,
+) -> Option<PoseErrors> {
+    let mut sums = Sums::default();
+    for (estimate, truth) in pairs {
+        sums.add(estimate.borrow(), truth.borrow());
+    }
+    (sums.frames > 0).then(|| sums.errors())
+}
+
+#[derive(Default)]
+struct Sums {
+    frames: usize,
+    per_joint: [f64; JOINTS],
+    relative: f64,
+    squared: f64,
+    angle: f64,
+    root_angle: f64,
+    within: [usize; 2],
+}
+
+impl Sums {
+    fn add(&mut self, estimate: &Posture, truth: &Posture) {
+        self.frames += 1;
+        let shift = truth.positions[0] - estimate.positions[0];
+        for (j, sum) in self.per_joint.iter_mut().enumerate() {
+            let difference = estimate.positions[j] - truth.positions[j];
+            let distance = difference.norm();
+            *sum += distance;
+            self.squared += distance * distance;
+            self.relative += (difference + shift).norm();
+            for (count, limit) in self.within.iter_mut().zip(PCK) {
+                *count += usize::from(distance <= limit);
+            }
+        }
+        self.root_angle += so3::angle_between(&estimate.rotations[0], &truth.rotations[0]);
+        self.angle += Joint::ALL
+            .into_iter()
+            .filter_map(|joint| Some((joint, joint.parent()?)))
+            .map(|(joint, parent)| {
+                so3::angle_between(&local(estimate, joint, parent), &local(truth, joint, parent))
+            })
+            .sum::<f64>();
+    }
+
+    fn errors(&self) -> PoseErrors {
+        let frames = self.frames as f64;
+        let all = frames * JOINTS as f64;
+        PoseErrors {
+            frames: self.frames,
+            mpjpe_mm: 1e3 * self.per_joint.iter().sum::<f64>() / all,
+            mpjpe_root_relative_mm: 1e3 * self.relative / all,
+            rmse_mm: 1e3 * (self.squared / all).sqrt(),
+            mae_deg: (self.angle / (all - frames)).to_degrees(),
+            root_deg: (self.root_angle / frames).to_degrees(),
+            pck3_percent: 100.0 * self.within[0] as f64 / all,
+            pck7_percent: 100.0 * self.within[1] as f64 / all,
+            per_joint_mm: self.per_joint.map(|sum| 1e3 * sum / frames),
+        }
+    }
+}
+
+fn local(posture: &Posture, joint: Joint, parent: Joint) -> Matrix3<f64> {
+    posture.rotations[parent.index()].transpose() * posture.rotations[joint.index()]
+}
+
+/// Mean size of the joints' acceleration, m/s^2, over joints and inner frames of a run without
+/// gaps at `fps`: |P(t+1) - 2 P(t) + P(t-1)| fps^2. `None` for fewer than three frames.
+pub fn mean_acceleration(postures: &[Posture], fps: f64) -> Option<f64> {
+    mean_of_triples(postures.windows(3).map(|triple| acceleration(triple, fps)))
+}
+
+/// Mean size of the difference between estimated and true acceleration of the joints, m/s^2;
+/// both runs are of the same times, without gaps. `None` for fewer than three frames.
+pub fn acceleration_error(estimate: &[Posture], truth: &[Posture], fps: f64) -> Option<f64> {
+    let triples = estimate.windows(3).zip(truth.windows(3));
+    mean_of_triples(triples.map(|(estimate, truth)| {
+        let (a, b) = (acceleration(estimate, fps), acceleration(truth, fps));
+        std::array::from_fn(|j| a[j] - b[j])
+    }))
+}
+
+fn mean_of_triples(triples: impl Iterator<Item = [Vector3<f64>; JOINTS]>) -> Option<f64> {
+    let (mut sum, mut count) = (0.0, 0usize);
+    for vectors in triples {
+        sum += vectors.iter().map(Vector3::norm).sum::<f64>();
+        count += JOINTS;
+    }
+    (count > 0).then(|| sum / count as f64)
+}
+
+fn acceleration(triple: &[Posture], fps: f64) -> [Vector3<f64>; JOINTS] {
+    std::array::from_fn(|j| {
+        let at = |i: usize| triple[i].positions[j];
+        (at(2) - at(1) * 2.0 + at(0)) * (fps * fps)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::body::{Pose, Skeleton};
+
+    fn posture(pose: &Pose) -> Posture {
+        pose.posture(&Skeleton::default())
+    }
+
+    fn close(a: f64, b: f64) {
+        assert!((a - b).abs() < 1e-6, "{a} is not {b}");
+    }
+
+    #[test]
+    fn a_shifted_body_is_wrong_absolutely_and_right_relatively() {
+        let (rest, mut moved) = (posture(&Pose::rest()), Pose::rest());
+        moved.root_position = Vector3::new(0.03, 0.0, 0.04);
+        let moved = posture(&moved);
+        let errors = pose_errors([(&moved, &rest), (&rest, &rest)]).unwrap();
+        assert_eq!(errors.frames, 2);
+        close(errors.mpjpe_mm, 25.0);
+        close(errors.rmse_mm, 50.0 / 2f64.sqrt());
+        close(errors.mpjpe_root_relative_mm, 0.0);
+        close(errors.pck3_percent, 50.0);
+        close(errors.pck7_percent, 100.0);
+        close(errors.per_joint_mm[7], 25.0);
+        close(errors.mae_deg + errors.root_deg, 0.0);
+    }
+
+    #[test]
+    fn a_bent_elbow_moves_the_wrist_and_counts_once() {
+        let (rest, mut bent) = (posture(&Pose::rest()), Pose::rest());
+        bent.local[Joint::LElbow.index() - 1] = so3::exp(&Vector3::new(0.0, 0.42, 0.0));
+        let bent = posture(&bent);
+        let errors = pose_errors([(&bent, &rest)]).unwrap();
+        close(errors.mae_deg, 0.42f64.to_degrees() / 21.0);
+        let forearm = Skeleton::default().offset(Joint::LWrist).norm();
+        let chord = 2e3 * forearm * 0.21f64.sin();
+        close(errors.per_joint_mm[Joint::LWrist.index()], chord);
+        close(errors.mpjpe_mm, chord / 22.0);
+        close(errors.rmse_mm, chord / 22f64.sqrt());
+        close(errors.pck7_percent, 100.0 * 21.0 / 22.0);
+    }
+
+    #[test]
+    fn free_fall_accelerates_by_g() {
+        let fall = |frame: i32| {
+            let t = f64::from(frame) / 50.0;
+            let mut pose = Pose::rest();
+            pose.root_position = Vector3::new(t, -4.905 * t * t, 0.0);
+            posture(&pose)
+        };
+        let falling: Vec<Posture> = (0..5).map(fall).collect();
+        let still = vec![posture(&Pose::rest()); 5];
+        close(mean_acceleration(&falling, 50.0).unwrap(), 9.81);
+        close(acceleration_error(&falling, &falling, 50.0).unwrap(), 0.0);
+        close(acceleration_error(&falling, &still, 50.0).unwrap(), 9.81);
+        assert_eq!(mean_acceleration(&falling[..2], 50.0), None);
+        assert!(pose_errors::<&Posture>([]).is_none());
+    }
+}

@@ -1,0 +1,83 @@
+//! Poses as they are kept in memory until the end: about 400 bytes each.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::core::body::{BODY_JOINTS, Pose, StampedPose, TrackingState};
+use crate::core::so3;
+use crate::core::time::Timestamp;
+use crate::offline::Kept;
+
+/// A pose with its rotations as quaternions, those of the joints rounded to `f32`.
+#[derive(Clone, Debug)]
+pub(crate) struct KeptPose {
+    pub(crate) capture: Timestamp,
+    pub(crate) state: TrackingState,
+    root_rotation: [f64; 4],
+    root_position: Vector3<f64>,
+    local: [[f32; 4]; BODY_JOINTS],
+}
+
+impl KeptPose {
+    pub(crate) fn is_tracked(&self) -> bool {
+        self.state == TrackingState::Tracking
+    }
+
+    /// The pose.
+    pub(crate) fn pose(&self) -> Pose {
+        let rotation = |xyzw| so3::rotation_from_xyzw(xyzw).unwrap_or_else(Matrix3::identity);
+        Pose {
+            root_rotation: rotation(self.root_rotation),
+            root_position: self.root_position,
+            local: self.local.map(|xyzw| rotation(xyzw.map(f64::from))),
+        }
+    }
+}
+
+impl Kept for KeptPose {
+    fn capture(&self) -> Timestamp {
+        self.capture
+    }
+
+    fn usable(&self) -> Option<Pose> {
+        self.is_tracked().then(|| self.pose())
+    }
+}
+
+impl From<&StampedPose> for KeptPose {
+    fn from(stamped: &StampedPose) -> Self {
+        let pose = &stamped.pose;
+        Self {
+            capture: stamped.capture,
+            state: stamped.state,
+            root_rotation: so3::xyzw_from_rotation(&pose.root_rotation),
+            root_position: pose.root_position,
+            local: pose
+                .local
+                .map(|r| so3::xyzw_from_rotation(&r).map(|component| component as f32)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_kept_pose_is_small_and_the_same_to_a_millionth() {
+        let mut pose = Pose::rest();
+        pose.local[3] = so3::exp(&Vector3::new(0.3, -1.1, 0.7));
+        pose.root_rotation = so3::exp(&Vector3::new(-2.0, 0.1, 0.4));
+        pose.root_position = Vector3::new(1.0, 2.0, 3.0);
+        let (window, rig_version, provisional, revision) = (0, 1, false, 0);
+        let (capture, state) = (Timestamp::from_ns(7), TrackingState::Lost);
+        let stamped =
+            StampedPose { capture, pose, state, window, rig_version, provisional, revision };
+        let kept = KeptPose::from(&stamped);
+        assert!(std::mem::size_of::<KeptPose>() <= 420);
+        assert!(!kept.is_tracked());
+        let back = kept.pose();
+        assert!((back.local[3] - stamped.pose.local[3]).amax() < 1e-6);
+        assert!((back.root_rotation - stamped.pose.root_rotation).amax() < 1e-12);
+        assert_eq!(back.root_position, stamped.pose.root_position);
+    }
+}

@@ -1,0 +1,197 @@
+//! Our settings, one varied at a time.
+
+use crate::core::camera::CameraError;
+use crate::core::manifold::Interpolation;
+use crate::core::optimise;
+use crate::core::tracker::Config;
+use crate::research::methods::{Method, Windows};
+
+use super::case::View;
+use super::named::Named;
+
+/// What of a view is varied.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Seen {
+    /// Cameras on a ring.
+    Cameras(usize),
+    /// A level of noise.
+    Noise(&'static str),
+    /// Frames a second.
+    Fps(f64),
+}
+
+/// A setting under its name.
+type Setting = (String, Config);
+
+/// What is varied.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Factor {
+    /// A setting of ours: rows of one table.
+    Settings(Vec<Setting>),
+    /// How the motion is seen: rows by the paper's settings and by ours.
+    Views(Vec<(String, Seen)>),
+}
+
+/// The names that [`factor`] knows.
+pub const FACTORS: [&str; 15] = [
+    "window",
+    "publish",
+    "keyframe",
+    "interpolation",
+    "stiffness",
+    "slack",
+    "optimiser",
+    "stop",
+    "scale",
+    "prior",
+    "freedom",
+    "errors",
+    "cameras",
+    "noise",
+    "fps",
+];
+
+/// Changes of the cost that are too small to go on.
+const STOPS: [f64; 6] = [0.0005, 0.002, 0.004, 0.008, 0.016, 0.032];
+
+/// The factor of that name.
+pub fn factor(name: &str) -> Option<Factor> {
+    Some(match name {
+        "window" => numbers("window", &[3.0, 5.0, 8.0, 10.0, 15.0, 20.0], |config, frames| {
+            config.window_frames = frames as usize;
+            config.publish_frames = (frames as usize).div_ceil(2);
+        }),
+        "publish" => numbers("publish", &[1.0, 2.0, 3.0, 5.0, 8.0, 10.0], |config, frames| {
+            config.publish_frames = frames as usize;
+        }),
+        "keyframe" => numbers("keyframe every", &[1.0, 2.0, 5.0, 10.0], |config, frames| {
+            config.keyframe_frames = frames as usize;
+            config.publish_frames = config.publish_frames.max(frames as usize);
+            config.publish_frames -= config.publish_frames % frames as usize;
+        }),
+        "stiffness" => {
+            numbers("stiffness x", &[0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0], |config, factor| {
+                config.cost.stiffness = config.cost.stiffness.times(factor);
+            })
+        }
+        "slack" => numbers("slack px", &[3.0, 10.0, 30.0, 100.0, 1000.0], |config, scale| {
+            config.cost.stiffness.scale_px = scale;
+        }),
+        "scale" => numbers("scale px", &[10.0, 15.0, 30.0, 50.0, 100.0], |config, scale| {
+            config.cost.scale_px = scale;
+        }),
+        "prior" => numbers("prior", &[2.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, prior| {
+            config.cost.prior = prior;
+        }),
+        "freedom" => {
+            numbers("prior's freedom", &[0.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, f| {
+                config.cost.prior_freedom = f;
+            })
+        }
+        "errors" => numbers("weights for px", &[0.0, 3.5, 5.0, 7.0, 10.0, 14.0], |config, px| {
+            config.noise_px = px;
+        }),
+        "optimiser" => named(&[
+            ("Levenberg-Marquardt", |config| config.method = optimise::Method::LevenbergMarquardt),
+            ("L-BFGS", |config| config.method = optimise::Method::Lbfgs),
+        ]),
+        "stop" => numbers("stop at a change of", &STOPS, |config, threshold| {
+            config.change_threshold = threshold;
+        }),
+        "interpolation" => named(&[
+            ("keyframe each frame", |_| {}),
+            ("slerp, keyframe every 5", |config| {
+                (config.keyframe_frames, config.cost.interpolation) = (5, Interpolation::Slerp);
+            }),
+            ("lerp, keyframe every 5", |config| {
+                (config.keyframe_frames, config.cost.interpolation) = (5, Interpolation::Lerp);
+            }),
+        ]),
+        "cameras" => views((2..=8).map(|n| (format!("{n} cameras"), Seen::Cameras(n)))),
+        "noise" => views(
+            ["none", "clean", "studio", "sparse"]
+                .map(|level| (format!("noise {level}"), Seen::Noise(level)))
+                .into_iter(),
+        ),
+        "fps" => views([30.0, 60.0, 120.0].map(|f| (format!("{f} fps"), Seen::Fps(f))).into_iter()),
+        _ => return None,
+    })
+}
+
+fn numbers(name: &str, values: &[f64], set: fn(&mut Config, f64)) -> Factor {
+    let of = |&value: &f64| {
+        let mut config = Config::default();
+        set(&mut config, value);
+        let mark = if config == Config::default() { " (default)" } else { "" };
+        (format!("{name} {value}{mark}"), config)
+    };
+    Factor::Settings(values.iter().map(of).collect())
+}
+
+/// A setting's name and what it changes.
+type Change<'a> = (&'a str, fn(&mut Config));
+
+fn named(settings: &[Change]) -> Factor {
+    let of = |(name, set): &Change| {
+        let mut config = Config::default();
+        set(&mut config);
+        let mark = if config == Config::default() { " (default)" } else { "" };
+        (format!("{name}{mark}"), config)
+    };
+    Factor::Settings(settings.iter().map(of).collect())
+}
+
+fn views(views: impl Iterator<Item = (String, Seen)>) -> Factor {
+    Factor::Views(views.collect())
+}
+
+/// The methods of a table of settings.
+pub fn methods(settings: &[Setting]) -> Vec<Box<dyn Method>> {
+    let row = |(name, config): &Setting| Box::new(Windows::new(name, *config)) as Box<dyn Method>;
+    settings.iter().map(row).collect()
+}
+
+/// The paper's settings and ours, marked with what is varied.
+pub fn both(name: &str) -> Vec<Box<dyn Method>> {
+    let of = |method: Windows| {
+        let label = format!("{name}: {}", method.name());
+        Named::boxed(label, Box::new(method))
+    };
+    vec![of(Windows::paper()), of(Windows::default_settings())]
+}
+
+/// The view with cameras or frame rate varied; noise is the caller's, by its protocol.
+///
+/// # Errors
+/// None with the numbers of [`factor`].
+pub fn seen(view: &View, how: &Seen) -> Result<View, CameraError> {
+    let mut view = view.clone();
+    match how {
+        Seen::Cameras(count) => {
+            view.rig = std::sync::Arc::new(crate::research::synth::ring_rig(*count, 4.5, 1.6)?);
+        }
+        Seen::Fps(fps) => view.choice.fps = *fps,
+        Seen::Noise(_) => {}
+    }
+    Ok(view)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_factor_varies_something_and_has_the_default_in_it() {
+        for name in FACTORS {
+            match factor(name).unwrap() {
+                Factor::Settings(rows) => {
+                    assert!(rows.len() > 1, "{name}");
+                    let default = rows.iter().filter(|(_, c)| *c == Config::default()).count();
+                    assert_eq!(default, 1, "{name}");
+                }
+                Factor::Views(rows) => assert!(rows.len() > 1, "{name}"),
+            }
+        }
+        assert_eq!(factor("shoes"), None);
+    }
+}

@@ -1,0 +1,241 @@
+//! What methods are measured on: motions with a known truth, seen by noisy detectors.
+
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use crate::core::body::{Pose, Skeleton, StampedPose};
+use crate::core::camera::Rig;
+use crate::core::detections::KeypointFormat;
+use crate::core::so3;
+use crate::research::methods::Take;
+use crate::research::synth::{
+    self, Motion, MotionStyle, Noise, Protocol, Recording, SequenceChoice, sequence, through,
+};
+use crate::research::train;
+
+/// Seconds over which one clip turns into the next.
+const BLEND_S: f64 = 0.5;
+
+/// How a motion is seen.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// What tables call it.
+    pub name: String,
+    /// The cameras.
+    pub rig: Arc<Rig>,
+    /// What the detectors mark.
+    pub format: KeypointFormat,
+    /// How they err.
+    pub noise: Noise,
+    /// The stretch of the motion, the frame rate, and the bodies.
+    pub choice: SequenceChoice,
+    /// Of all that is random.
+    pub seed: u64,
+}
+
+/// A motion.
+#[derive(Clone, Debug)]
+pub struct Subject {
+    /// What tables call it.
+    pub name: String,
+    /// Sets its body and its detectors' errors apart from those of others.
+    pub index: usize,
+    /// Poses at [`train::FPS`].
+    pub poses: Arc<Vec<Pose>>,
+}
+
+impl Subject {
+    /// The stretch of its motion that is used, on a body of its own; `None` where none fits, see
+    /// [`sequence`].
+    pub fn stretch(&self, choice: &SequenceChoice, seed: u64) -> Option<synth::Sequence> {
+        sequence(&self.poses, train::FPS, choice, Protocol::seed_of(seed, self.index))
+    }
+}
+
+/// A motion seen in one way: enough to make its [`Sequence`], the same each time.
+#[derive(Clone, Debug)]
+pub struct Case {
+    name: CaseName,
+    view: View,
+    skeleton: Skeleton,
+    poses: Arc<Vec<Pose>>,
+    frames: u64,
+}
+
+/// A take and its truth.
+#[derive(Clone, Debug)]
+pub struct Sequence {
+    /// What the methods are given.
+    pub take: Take,
+    /// The true pose of each nominal frame.
+    pub truth: Vec<StampedPose>,
+    /// The true body.
+    pub skeleton: Skeleton,
+}
+
+/// What of a case is written down.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CaseName {
+    /// The motion.
+    pub sequence: String,
+    /// Of its body, heading and noise.
+    pub seed: u64,
+}
+
+impl Case {
+    /// A subject seen in that way; `None` where no stretch of its motion fits, see
+    /// [`Subject::stretch`].
+    pub fn new(subject: &Subject, view: &View) -> Option<Self> {
+        let seed = Protocol::seed_of(view.seed, subject.index);
+        let made = subject.stretch(&view.choice, view.seed)?;
+        Some(Self {
+            name: CaseName { sequence: subject.name.clone(), seed },
+            view: view.clone(),
+            skeleton: made.skeleton,
+            poses: Arc::new(made.poses),
+            frames: made.frames,
+        })
+    }
+
+    /// One motion of that many seconds on one body: the subjects one after the other, from the
+    /// first again when they end. Each begins where the one before ended, with half a second
+    /// from one to the next. `None` if no subject fits.
+    pub fn endless(subjects: &[Subject], view: &View, seconds: f64) -> Option<Self> {
+        let seed = Protocol::seed_of(view.seed, 0);
+        let part = |subject: &Subject| sequence(&subject.poses, train::FPS, &view.choice, seed);
+        let parts: Vec<_> = subjects.iter().filter_map(part).collect();
+        let skeleton = parts.first()?.skeleton.clone();
+        let poses = joined(parts.iter().map(|part| &part.poses[..]), seconds);
+        let name = format!("{} motions without end", parts.len());
+        Some(Self {
+            name: CaseName { sequence: name, seed },
+            view: view.clone(),
+            skeleton,
+            frames: (poses.len() as f64 / train::FPS * view.choice.fps).floor() as u64,
+            poses: Arc::new(poses),
+        })
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &CaseName {
+        &self.name
+    }
+
+    /// Makes it.
+    pub fn make(&self) -> Sequence {
+        let View { rig, noise, choice, format, .. } = &self.view;
+        let motion = through(Vec::clone(&self.poses), train::FPS);
+        let mut recording = Recording::new(Rig::clone(rig), self.skeleton.clone(), motion);
+        recording.fps = choice.fps;
+        recording.frames = self.frames;
+        recording.seed = self.name.seed;
+        recording.format = *format;
+        recording.noise = noise.clone();
+        let take = Take {
+            rig: Arc::clone(rig),
+            format: *format,
+            fps: choice.fps,
+            frames: recording.detections().collect(),
+        };
+        let truth = recording.poses().collect();
+        Sequence { take, truth, skeleton: self.skeleton.clone() }
+    }
+}
+
+/// The motions of those clips.
+pub fn subjects<'a>(clips: impl IntoIterator<Item = &'a train::Clip>) -> Vec<Subject> {
+    let subject = |(index, clip): (usize, &train::Clip)| {
+        let poses = (0..clip.poses.len()).filter_map(|frame| clip.pose(frame)).collect();
+        Subject { name: clip.name.clone(), index, poses: Arc::new(poses) }
+    };
+    (1..).zip(clips).map(subject).collect()
+}
+
+/// Our own motion of that many seconds, `count` times, each in another style; needs no files.
+pub fn procedural(count: usize, seconds: f64) -> Vec<Subject> {
+    let subject = |index: usize| {
+        let plain = MotionStyle::default();
+        let share = (index % 5) as f64 / 5.0;
+        let style = MotionStyle {
+            step_time: plain.step_time * (1.0 - 0.2 * share),
+            liveliness: plain.liveliness * (1.0 + 0.3 * share),
+            ..plain
+        };
+        let motion = Motion::new(&Skeleton::default(), style);
+        let frames = (seconds * train::FPS).ceil() as usize + 1;
+        let poses = (0..frames).map(|frame| motion.pose(frame as f64 / train::FPS)).collect();
+        Subject { name: format!("procedural {index}"), index, poses: Arc::new(poses) }
+    };
+    (1..=count).map(subject).collect()
+}
+
+/// Parts one after the other, with a blend from each to the next, until there are enough.
+fn joined<'a>(parts: impl Iterator<Item = &'a [Pose]> + Clone, seconds: f64) -> Vec<Pose> {
+    let wanted = (seconds * train::FPS).ceil() as usize;
+    let blend = (BLEND_S * train::FPS).round() as usize;
+    let mut poses: Vec<Pose> = Vec::with_capacity(wanted);
+    for part in parts.cycle().take_while(|part| !part.is_empty()) {
+        if let (Some(last), Some(first)) = (poses.last().cloned(), part.first()) {
+            let share = |k: usize| k as f64 / blend as f64;
+            poses.extend((1..blend).map(|k| between(&last, first, smooth(share(k)))));
+        }
+        poses.extend(part.iter().cloned());
+        if poses.len() >= wanted {
+            break;
+        }
+    }
+    poses.truncate(wanted);
+    poses
+}
+
+/// From 0 to 1 without a kink at either end.
+fn smooth(share: f64) -> f64 {
+    share * share * (3.0 - 2.0 * share)
+}
+
+fn between(a: &Pose, b: &Pose, share: f64) -> Pose {
+    Pose {
+        root_rotation: so3::slerp(&a.root_rotation, &b.root_rotation, share),
+        root_position: a.root_position.lerp(&b.root_position, share),
+        local: std::array::from_fn(|j| so3::slerp(&a.local[j], &b.local[j], share)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::research::synth::rig_named;
+
+    fn subject(name: &str, x: f64, frames: usize) -> Subject {
+        let pose = |frame: usize| {
+            let mut pose = Pose::rest();
+            pose.root_position = Vector3::new(x + 0.005 * frame as f64, 0.9, 2.0);
+            pose
+        };
+        let poses = Arc::new((0..frames).map(pose).collect());
+        Subject { name: name.into(), index: 1, poses }
+    }
+
+    #[test]
+    fn motions_follow_each_other_without_a_leap() {
+        let view = View {
+            name: String::new(),
+            rig: Arc::new(rig_named("ring4", None).unwrap()),
+            format: KeypointFormat::Body25,
+            noise: Noise::none(),
+            choice: SequenceChoice { least_seconds: 0.5, ..SequenceChoice::default() },
+            seed: 1,
+        };
+        let subjects = [subject("a", 5.0, 120), subject("b", -3.0, 60)];
+        let case = Case::endless(&subjects, &view, 10.0).unwrap();
+        assert_eq!((case.poses.len(), case.frames), (600, 500));
+        let step = |pair: &[Pose]| (pair[1].root_position - pair[0].root_position).norm();
+        let largest = case.poses.windows(2).map(step).fold(0.0, f64::max);
+        assert!(largest < 0.06, "{largest}");
+        assert!(case.poses.iter().all(|pose| pose.root_position.xz().norm() < 0.5));
+        assert!(Case::endless(&[], &view, 10.0).is_none());
+    }
+}

@@ -1,0 +1,31 @@
+//! A method under another name.
+
+use crate::core::manifold::Decoder;
+use crate::research::methods::{Delay, Method, Solved, Take};
+
+/// Delegates to a method; tables show the other name.
+pub struct Named {
+    name: String,
+    method: Box<dyn Method>,
+}
+
+impl Named {
+    /// That method under that name.
+    pub fn boxed(name: impl Into<String>, method: Box<dyn Method>) -> Box<dyn Method> {
+        Box::new(Self { name: name.into(), method })
+    }
+}
+
+impl Method for Named {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn delay(&self) -> Delay {
+        self.method.delay()
+    }
+
+    fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
+        self.method.solve(take, decoder)
+    }
+}

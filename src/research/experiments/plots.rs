@@ -1,0 +1,205 @@
+//! The pictures of a run.
+
+use super::run::{Row, Run};
+use super::score::{REACH, Trace};
+use super::summary::Summary;
+use crate::core::body::{JOINTS, Joint};
+use crate::io::report::{Bars, Plot, Series};
+use crate::metrics::{ConfidenceBin, DetectorStatistics};
+
+/// The joint whose path is shown.
+const SHOWN: Joint = Joint::LWrist;
+/// Seconds of its path.
+const SHOWN_S: f64 = 2.0;
+/// Frames over which the error over time is averaged.
+const SMOOTHED: usize = 5;
+
+/// Bars of a mean by method, a series for each level, given as name and means.
+pub fn bars(title: &str, label: &str, key: &str, levels: &[(&str, &[Summary])]) -> Bars {
+    let Some((_, first)) = levels.first() else { return Bars::default() };
+    let value = |summaries: &[Summary], index: usize| {
+        summaries.get(index).and_then(|s| s.mean.get(key)).copied().unwrap_or(f64::NAN)
+    };
+    let mut groups: Vec<(String, Vec<f64>)> = first
+        .iter()
+        .enumerate()
+        .map(|(index, summary)| {
+            let values = levels.iter().map(|(_, summaries)| value(summaries, index));
+            (summary.method.clone(), values.collect())
+        })
+        .collect();
+    let last = |values: &[f64]| values.last().copied().unwrap_or(f64::NAN);
+    groups.sort_by(|a, b| last(&b.1).total_cmp(&last(&a.1)));
+    Bars {
+        title: title.into(),
+        note: "Mean over the sequences; the worst of the last level first.".into(),
+        label: label.into(),
+        series: levels.iter().map(|(name, _)| (*name).to_owned()).collect(),
+        groups,
+    }
+}
+
+/// Error over time of every method on one case.
+pub fn errors(run: &Run, case: usize) -> Plot {
+    let series = traces(run, case).map(|(index, row, trace)| {
+        let points = trace.error_mm.chunks(SMOOTHED).map(mean_point).collect();
+        curve(&row.method, index, points)
+    });
+    Plot {
+        title: "Error over time".into(),
+        note: format!("Mean over the joints, {SMOOTHED} frames averaged; {}.", name(run, case)),
+        x_label: "time (s)".into(),
+        y_label: "error (mm)".into(),
+        series: series.collect(),
+        ..Plot::default()
+    }
+}
+
+/// How velocities change around borders, over all cases.
+pub fn borders(run: &Run) -> Plot {
+    let series = run.rows.iter().enumerate().filter_map(|(index, row)| {
+        let mut sums = [(0.0, 0usize); 2 * REACH + 1];
+        for (_, trace) in row.results.iter().flatten() {
+            for (sum, more) in sums.iter_mut().zip(&trace.around_borders) {
+                *sum = (sum.0 + more.0, sum.1 + more.1);
+            }
+        }
+        let point = |(slot, (sum, count)): (usize, &(f64, usize))| {
+            (*count > 0).then(|| (slot as f64 - REACH as f64, sum / *count as f64))
+        };
+        let points: Vec<(f64, f64)> = sums.iter().enumerate().filter_map(point).collect();
+        (!points.is_empty()).then(|| curve(&row.method, index, points))
+    });
+    Plot {
+        title: "Velocity jump around borders".into(),
+        note: "Mean |v(t+) - v(t-)| of the joints by frames from a border; a peak at 0 is a kink."
+            .into(),
+        x_label: "frames from the border".into(),
+        y_label: "jump (m/s)".into(),
+        series: series.collect(),
+        ..Plot::default()
+    }
+}
+
+/// The height of a wrist on one case: the truth and the methods of those names.
+pub fn path(run: &Run, case: usize, truth: &[(f64, [f32; JOINTS])], methods: &[&str]) -> Plot {
+    let joint = SHOWN.index();
+    let (from, to) = liveliest(truth, joint);
+    let part = |points: &[(f64, [f32; JOINTS])]| -> Vec<(f64, f64)> {
+        let inside = points.iter().filter(|(at, _)| (from..=to).contains(at));
+        inside.map(|(at, heights)| (*at, f64::from(heights[joint]))).collect()
+    };
+    let mut series = vec![Series {
+        name: "truth".into(),
+        points: part(truth),
+        dashed: true,
+        colour: 6,
+        ..Series::default()
+    }];
+    let chosen = traces(run, case).filter(|(_, row, _)| methods.contains(&row.method.as_str()));
+    series
+        .extend(chosen.map(|(index, row, trace)| curve(&row.method, index, part(&trace.heights))));
+    Plot {
+        title: "Height of the left wrist".into(),
+        note: format!("Its liveliest {SHOWN_S} s of {}.", name(run, case)),
+        x_label: "time (s)".into(),
+        y_label: "height (m)".into(),
+        series,
+        ..Plot::default()
+    }
+}
+
+/// The stretch in which a joint's height changes most.
+fn liveliest(truth: &[(f64, [f32; JOINTS])], joint: usize) -> (f64, f64) {
+    let (mut best, mut start) = (f32::NEG_INFINITY, 0);
+    let mut end = 0;
+    for first in 0..truth.len() {
+        while end < truth.len() && truth[end].0 <= truth[first].0 + SHOWN_S {
+            end += 1;
+        }
+        let travel: f32 =
+            truth[first..end].windows(2).map(|p| (p[1].1[joint] - p[0].1[joint]).abs()).sum();
+        if travel > best {
+            (best, start) = (travel, first);
+        }
+    }
+    truth.get(start).map_or((0.0, 0.0), |(at, _)| (*at, at + SHOWN_S))
+}
+
+fn traces(run: &Run, case: usize) -> impl Iterator<Item = (usize, &Row, &Trace)> {
+    run.rows.iter().enumerate().filter_map(move |(index, row)| {
+        let (_, trace) = row.results.get(case)?.as_ref()?;
+        Some((index, row, trace))
+    })
+}
+
+fn curve(name: &str, colour: usize, points: Vec<(f64, f64)>) -> Series {
+    Series { name: name.into(), points, colour, ..Series::default() }
+}
+
+fn name(run: &Run, case: usize) -> &str {
+    run.cases.get(case).map_or("", |case| &case.sequence)
+}
+
+/// Spectrum of the detectors' errors by level.
+pub fn detector_spectrum(levels: &[(&str, &DetectorStatistics)]) -> Plot {
+    let series = levels.iter().enumerate().map(|(index, (name, statistics))| {
+        let spectrum = statistics.spectrum.iter().filter(|(hz, _)| *hz > 0.0);
+        curve(name, index, spectrum.copied().collect())
+    });
+    Plot {
+        title: "Jitter of the detectors".into(),
+        note: "Power of the distances from the body's points, in shares of its height.".into(),
+        x_label: "frequency (Hz)".into(),
+        y_label: "power (1/Hz)".into(),
+        series: series.collect(),
+        log: true,
+        ..Plot::default()
+    }
+}
+
+/// Error of the detectors by confidence, by level.
+pub fn detector_confidence(levels: &[(&str, &DetectorStatistics)]) -> Plot {
+    let series = levels.iter().enumerate().map(|(index, (name, statistics))| {
+        let bins = statistics.by_confidence.iter().filter(|bin| bin.share > 1e-3);
+        let point =
+            |bin: &ConfidenceBin| (0.5 * (bin.range[0] + bin.range[1]), 100.0 * bin.median_error);
+        curve(name, index, bins.map(point).collect())
+    });
+    Plot {
+        title: "Error of the detectors by confidence".into(),
+        note: "Median distance from the body's point, of bins with a thousandth of the points."
+            .into(),
+        x_label: "confidence".into(),
+        y_label: "error (% of height)".into(),
+        series: series.collect(),
+        ..Plot::default()
+    }
+}
+
+/// Error over a long take, a second averaged, of every method.
+pub fn long_errors(run: &Run, fps: f64) -> Plot {
+    let second = fps.round().max(1.0) as usize;
+    let series = traces(run, 0).map(|(index, row, trace)| {
+        curve(&row.method, index, trace.error_mm.chunks(second).map(mean_point).collect())
+    });
+    Plot {
+        title: "Error over a long take".into(),
+        note: "Mean over the joints, a second averaged.".into(),
+        x_label: "time (min)".into(),
+        y_label: "error (mm)".into(),
+        series: series
+            .map(|mut series| {
+                series.points.iter_mut().for_each(|point| point.0 /= 60.0);
+                series
+            })
+            .collect(),
+        ..Plot::default()
+    }
+}
+
+fn mean_point(group: &[(f64, f64)]) -> (f64, f64) {
+    let n = group.len() as f64;
+    let sum = group.iter().fold((0.0, 0.0), |sum, point| (sum.0 + point.0, sum.1 + point.1));
+    (sum.0 / n, sum.1 / n)
+}

@@ -1,0 +1,201 @@
+//! Methods on a real recording: there is no truth, so the cameras and a reference judge.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Instant;
+
+use serde::Serialize;
+
+use super::summary::number;
+use crate::core::body::{Pose, Posture, Skeleton};
+use crate::core::camera::{CameraError, Rig};
+use crate::core::detections::Detections;
+use crate::core::manifold::Decoder;
+use crate::core::time::Timestamp;
+use crate::io::formats::Trc;
+use crate::io::report::Table;
+use crate::metrics::statistics::median;
+use crate::metrics::{DetectorStatistics, DetectorTracks, mean_acceleration};
+use crate::offline::{FrameClock, Reference, compare};
+use crate::offline::{HeldOut, HoldOut, Kept, distances, pose_at};
+use crate::research::methods::{Delay, Method, Solved, Take};
+
+/// What one method made of a recording.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RealScore {
+    /// The method.
+    pub method: String,
+    /// How many frames a pose waits for; `None` until the recording's end.
+    pub delay_frames: Option<usize>,
+    /// Poses.
+    pub frames: usize,
+    /// Median distance of the detected points that are fitted, confidence above 0.3, pixels.
+    pub reprojection_px: Option<f64>,
+    /// The same by camera.
+    pub cameras_px: BTreeMap<String, Option<f64>>,
+    /// The error in each camera when it has no part in solving; empty for two cameras.
+    pub hold_out: Vec<HoldOut>,
+    /// The distance to the reference, where there is one.
+    pub reference: Option<Reference>,
+    /// Mean size of the joints' acceleration, m/s^2.
+    pub mean_acceleration_m_s2: Option<f64>,
+    /// Mean wall time a frame, milliseconds.
+    pub ms_per_frame: f64,
+}
+
+/// The take without one camera, and what that camera saw (as camera 0).
+///
+/// # Errors
+/// Fewer than two cameras are left.
+pub fn without_camera(take: &Take, camera: usize) -> Result<(Take, Vec<Detections>), CameraError> {
+    let kept = |index: &usize| *index != camera;
+    let cameras = (0..take.rig.cameras.len()).filter(kept);
+    let cameras = cameras.map(|index| take.rig.cameras[index].clone()).collect();
+    let rig = Arc::new(Rig::new(take.rig.version, cameras)?);
+    let (mut frames, mut seen) = (Vec::new(), Vec::new());
+    for detections in &take.frames {
+        let mut detections = detections.clone();
+        if detections.camera == camera {
+            detections.camera = 0;
+            seen.push(detections);
+        } else {
+            detections.camera -= usize::from(detections.camera > camera);
+            frames.push(detections);
+        }
+    }
+    Ok((Take { rig, frames, ..take.clone() }, seen))
+}
+
+/// Frames a second of the first camera, from the median distance in time; `None` for fewer than
+/// two of its frames.
+pub fn frame_rate(frames: &[Detections]) -> Option<f64> {
+    let times: Vec<Timestamp> =
+        frames.iter().filter(|frame| frame.camera == 0).map(|frame| frame.capture).collect();
+    let periods: Vec<f64> = times.windows(2).map(|pair| (pair[1] - pair[0]) as f64).collect();
+    median(&periods).filter(|period| *period > 0.0).map(|period| 1e9 / period)
+}
+
+/// Solves and measures; `None` where nobody is found. `each` is called after each solve.
+///
+/// # Errors
+/// A rig of fewer than two cameras.
+pub fn measure(
+    take: &Take,
+    make: &dyn Fn() -> Box<dyn Method>,
+    decoder: &Decoder,
+    reference: Option<(&Trc, FrameClock)>,
+    each: &dyn Fn(),
+) -> Result<Option<RealScore>, CameraError> {
+    let mut method = make();
+    let begin = Instant::now();
+    let solved = method.solve(take, decoder);
+    let ms = begin.elapsed().as_secs_f64() * 1e3;
+    each();
+    let Some(solved) = solved else { return Ok(None) };
+    let cameras = take.rig.cameras.len();
+    let mut hold_out = Vec::new();
+    for camera in (0..cameras).filter(|_| cameras > 2) {
+        let (rest, seen) = without_camera(take, camera)?;
+        if let Some(solved) = make().solve(&rest, decoder) {
+            let at = &take.rig.cameras[camera];
+            let mut held_out = HeldOut::new(at, &solved.skeleton, &solved.poses);
+            seen.iter().for_each(|detections| held_out.add(detections));
+            hold_out.push(held_out.finish());
+        }
+        each();
+    }
+    let (all, cameras_px) = reprojection(take, &solved);
+    let Solved { skeleton, poses, .. } = &solved;
+    Ok(Some(RealScore {
+        method: method.name(),
+        delay_frames: match method.delay() {
+            Delay::Frames(frames) => Some(frames),
+            Delay::Recording => None,
+        },
+        frames: poses.len(),
+        reprojection_px: all,
+        cameras_px,
+        hold_out,
+        reference: reference.and_then(|(trc, clock)| compare(trc, clock, skeleton, poses)),
+        mean_acceleration_m_s2: acceleration(poses, skeleton, take.fps),
+        ms_per_frame: ms / poses.len().max(1) as f64,
+    }))
+}
+
+fn reprojection(take: &Take, solved: &Solved) -> (Option<f64>, BTreeMap<String, Option<f64>>) {
+    let keypoints: Vec<_> =
+        crate::core::body::fitted_points(take.format).iter().map(|point| point.keypoint).collect();
+    let mut errors = vec![Vec::new(); take.rig.cameras.len()];
+    for detections in &take.frames {
+        let Some(camera) = take.rig.cameras.get(detections.camera) else { continue };
+        let Some(pose) = pose_at(&solved.poses, detections.capture) else { continue };
+        let found = distances(camera, &solved.skeleton, &pose, detections, &keypoints);
+        errors[detections.camera].extend(found.into_iter().flatten());
+    }
+    let cameras = take.rig.cameras.iter().zip(&errors);
+    let cameras = cameras.map(|(camera, errors)| (camera.name.clone(), median(errors)));
+    (median(&errors.concat()), cameras.collect())
+}
+
+/// Mean joint acceleration over the runs of usable poses without gaps, weighted by length, m/s^2.
+pub fn acceleration<P: Kept>(poses: &[P], skeleton: &Skeleton, fps: f64) -> Option<f64> {
+    let longest = (1.5e9 / fps) as i64;
+    let (mut sum, mut count) = (0.0, 0.0);
+    // Three postures are held at a time.
+    let mut triple: Vec<Posture> = Vec::with_capacity(3);
+    let mut last: Option<Timestamp> = None;
+    for pose in poses {
+        let gap = last.is_some_and(|last| pose.capture() - last >= longest);
+        let usable: Option<Pose> = pose.usable();
+        if gap || usable.is_none() {
+            triple.clear();
+        }
+        last = Some(pose.capture());
+        let Some(pose) = usable else { continue };
+        if triple.len() == 3 {
+            triple.remove(0);
+        }
+        triple.push(pose.posture(skeleton));
+        if let Some(mean) = mean_acceleration(&triple, fps) {
+            sum += mean;
+            count += 1.0;
+        }
+    }
+    (count > 0.0).then(|| sum / count)
+}
+
+/// How a recording's detectors err, against a solved body in place of the true one.
+pub fn detectors(take: &Take, solved: &Solved) -> Option<DetectorStatistics> {
+    let posture = |at| Some(pose_at(&solved.poses, at)?.posture(&solved.skeleton));
+    DetectorTracks::compare(&take.rig, take.format, &take.frames, &solved.skeleton, posture)
+        .statistics(take.fps)
+}
+
+/// The table, a row for each method.
+pub fn table(title: &str, scores: &[RealScore]) -> Table {
+    let mut header: Vec<String> =
+        ["method", "delay", "frames", "reprojection px"].map(str::to_owned).into();
+    let held_out = scores.iter().map(|score| &score.hold_out).max_by_key(|all| all.len());
+    let cameras: Vec<&str> =
+        held_out.into_iter().flatten().map(|held| held.camera.as_str()).collect();
+    header.extend(cameras.iter().map(|camera| format!("without {camera} px")));
+    header.extend(["reference mm", "accel. m/s²", "ms/frame"].map(str::to_owned));
+    let row = |score: &RealScore| {
+        let delay = score.delay_frames.map_or("all".into(), |frames| frames.to_string());
+        let mut cells = vec![
+            score.method.clone(),
+            delay,
+            score.frames.to_string(),
+            number(score.reprojection_px, 2),
+        ];
+        cells.extend(cameras.iter().map(|camera| {
+            let held = score.hold_out.iter().find(|held| held.camera == *camera);
+            number(held.and_then(|held| held.median_px), 2)
+        }));
+        cells.push(number(score.reference.as_ref().map(|reference| reference.mean_mm), 1));
+        cells.push(number(score.mean_acceleration_m_s2, 2));
+        cells.push(number(Some(score.ms_per_frame), 2));
+        cells
+    };
+    Table { title: title.into(), header, rows: scores.iter().map(row).collect() }
+}

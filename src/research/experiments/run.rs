@@ -1,0 +1,117 @@
+//! Every method over every case.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use super::case::{Case, CaseName, Sequence};
+use super::score::{Score, Trace, score};
+use crate::core::manifold::Decoder;
+use crate::research::methods::{Delay, Method};
+
+/// Makes the methods; each case has its own, so that none remembers another case.
+pub type Methods<'a> = dyn Fn() -> Vec<Box<dyn Method>> + Sync + 'a;
+
+/// What one method made of all cases.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// The method's name.
+    pub method: String,
+    /// How long a pose waits for later frames.
+    pub delay: Delay,
+    /// By case; `None` where nobody was found.
+    pub results: Vec<Option<(Score, Trace)>>,
+}
+
+/// What all methods made of all cases.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Run {
+    /// The cases.
+    pub cases: Vec<CaseName>,
+    /// By method.
+    pub rows: Vec<Row>,
+}
+
+/// Solves every case by every method on `jobs` threads; the figures but for the times do not
+/// depend on how many. `each` is called after each solve.
+pub fn run(
+    cases: &[Case],
+    methods: &Methods,
+    decoder: &Decoder,
+    jobs: usize,
+    each: &(dyn Fn() + Sync),
+) -> Run {
+    let next = AtomicUsize::new(0);
+    let results = Mutex::new(vec![Vec::new(); cases.len()]);
+    let work = || {
+        while let Some((index, case)) = {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            cases.get(index).map(|case| (index, case))
+        } {
+            let sequence = case.make();
+            let solve = |mut method: Box<dyn Method>| {
+                let result = solve(&sequence, method.as_mut(), decoder);
+                each();
+                result
+            };
+            let of_case = methods().into_iter().map(solve).collect();
+            if let Ok(mut results) = results.lock() {
+                results[index] = of_case;
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 1..jobs.clamp(1, cases.len().max(1)) {
+            scope.spawn(work);
+        }
+        work();
+    });
+    let mut rows: Vec<Row> = methods().iter().map(|method| Row::of(method.as_ref())).collect();
+    for of_case in results.into_inner().unwrap_or_default() {
+        for (row, result) in rows.iter_mut().zip(of_case) {
+            row.results.push(result);
+        }
+    }
+    Run { cases: cases.iter().map(|case| case.name().clone()).collect(), rows }
+}
+
+fn solve(
+    sequence: &Sequence,
+    method: &mut dyn Method,
+    decoder: &Decoder,
+) -> Option<(Score, Trace)> {
+    let begin = Instant::now();
+    let solved = method.solve(&sequence.take, decoder)?;
+    let ms = begin.elapsed().as_secs_f64() * 1e3;
+    score(sequence, &solved, ms / sequence.truth.len().max(1) as f64)
+}
+
+impl Row {
+    fn of(method: &dyn Method) -> Self {
+        Self { method: method.name(), delay: method.delay(), results: Vec::new() }
+    }
+
+    /// Cases in which nobody was found.
+    pub fn failed(&self) -> usize {
+        self.results.iter().filter(|result| result.is_none()).count()
+    }
+}
+
+impl Run {
+    /// The scores of each method, in the cases that all methods solved.
+    pub fn common(&self) -> Vec<Vec<&Score>> {
+        let solved_by_all = |case: &usize| self.rows.iter().all(|row| row.results[*case].is_some());
+        let cases: Vec<usize> = (0..self.cases.len()).filter(solved_by_all).collect();
+        let of_row = |row| scores_of(row, &cases);
+        self.rows.iter().map(of_row).collect()
+    }
+
+    /// The row of a method.
+    pub fn row(&self, method: &str) -> Option<usize> {
+        self.rows.iter().position(|row| row.method == method)
+    }
+}
+
+fn scores_of<'a>(row: &'a Row, cases: &[usize]) -> Vec<&'a Score> {
+    cases.iter().filter_map(|&case| row.results[case].as_ref()).map(|(score, _)| score).collect()
+}

@@ -1,0 +1,258 @@
+//! One sweep for all methods, so that each has weights that were chosen by the same rule.
+//!
+//! The weights of a method are axes (see [`axes`]), begun at its defaults. Along one axis after
+//! the other the value is tried with each factor, the others held; the best is kept. Two rounds.
+//! What is best is judged by MPJPE and MAE on motions that the evaluation does not use.
+
+use serde::Serialize;
+
+use super::named::Named;
+use super::run::{Methods, Run};
+use super::summary::number;
+use crate::core::cost::Stiffness;
+use crate::core::manifold::Transition;
+use crate::core::tracker::Config;
+use crate::io::report::Table;
+use crate::metrics::statistics::mean;
+use crate::research::methods::{
+    Dct, DctWeights, Dmmr, DmmrWeights, Etc, EtcWeights, Method, MuVs, MuVsWeights, Slahmr,
+    SlahmrWeights, Windows,
+};
+
+/// Times each axis is gone along.
+const ROUNDS: usize = 2;
+/// Millimetres that a degree of MAE counts as.
+const MM_PER_DEGREE: f64 = 2.0;
+/// What a motion counts as in which nobody was found.
+const FAILED: f64 = 200.0;
+
+/// A weight of a method.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Axis {
+    /// What tables call it.
+    pub name: &'static str,
+    /// The method's default.
+    pub start: f64,
+    /// What it is multiplied with.
+    pub factors: &'static [f64],
+}
+
+const WIDE: &[f64] = &[0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0];
+const NARROW: &[f64] = &[0.1, 0.3, 1.0, 3.0];
+const SCALE: &[f64] = &[0.5, 1.0, 2.0, 4.0];
+
+/// The weights of a method that are tuned; `None` for a name that is not known.
+pub fn axes(method: &str) -> Option<Vec<Axis>> {
+    let all = |smoothness: Option<(&'static str, f64)>, prior: f64, scale: f64| {
+        let smoothness = smoothness.map(|(name, start)| Axis { name, start, factors: WIDE });
+        let prior = Axis { name: "prior", start: prior, factors: NARROW };
+        let scale = Axis { name: "scale px", start: scale, factors: SCALE };
+        Some(smoothness.into_iter().chain([prior, scale]).collect())
+    };
+    let windows = |method: &Windows| {
+        let cost = method.config().cost;
+        all(None, cost.prior, cost.scale_px)
+    };
+    let ours = |method: &Windows| {
+        let slack = method.config().cost.stiffness.scale_px;
+        let factor = |name| Axis { name, start: 1.0, factors: NARROW };
+        let (latent, root) = (factor("stiffness"), factor("root stiffness"));
+        let slack = Axis { name: "slack px", start: slack, factors: &[0.2, 0.5, 1.0, 2.0, 10.0] };
+        windows(method).map(|plain| [latent, root, slack].into_iter().chain(plain).collect())
+    };
+    match method {
+        "muvs" => {
+            let MuVsWeights { prior, scale_px, .. } = MuVsWeights::default();
+            all(None, prior, scale_px)
+        }
+        "dct" => {
+            let DctWeights { smoothness, prior, scale_px, .. } = DctWeights::default();
+            all(Some(("smoothness", smoothness)), prior, scale_px)
+        }
+        "etc" => {
+            let EtcWeights { smoothness, prior, scale_px, .. } = EtcWeights::default();
+            all(Some(("smoothness", smoothness)), prior, scale_px)
+        }
+        "dmmr" => {
+            let DmmrWeights { prior, scale_px, .. } = DmmrWeights::default();
+            all(Some(("ties", 1.0)), prior, scale_px)
+        }
+        "slahmr" => {
+            let SlahmrWeights { transition, prior, scale_px, .. } = SlahmrWeights::default();
+            all(Some(("transition", transition)), prior, scale_px)
+        }
+        "paper" => windows(&Windows::paper()),
+        "paper-lm" => windows(&Windows::paper_with_our_optimiser()),
+        "default" => ours(&Windows::default_settings()),
+        _ => None,
+    }
+}
+
+/// The method with values of its [`axes`], in their order, named by them.
+fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> {
+    let of = |name: &str| {
+        let index = axes.iter().position(|axis| axis.name == name);
+        index.and_then(|index| values.get(index)).copied().unwrap_or(1.0)
+    };
+    let (smoothness, prior, scale_px) = (of("smoothness"), of("prior"), of("scale px"));
+    let windows = |method: Windows| {
+        let config = method.config();
+        let (plain, slack) = (config.cost.stiffness, of("slack px"));
+        let stiffness = Stiffness {
+            scale_px: if slack == 1.0 { plain.scale_px } else { slack },
+            latent: plain.latent * of("stiffness"),
+            ..plain.times(of("root stiffness"))
+        };
+        let cost = crate::core::cost::Config { prior, scale_px, stiffness, ..config.cost };
+        Box::new(Windows::new("", Config { cost, ..config }))
+    };
+    let made: Box<dyn Method> = match method {
+        "muvs" => Box::new(MuVs::new(MuVsWeights { prior, scale_px, ..Default::default() })),
+        "dct" => {
+            Box::new(Dct::new(DctWeights { smoothness, prior, scale_px, ..Default::default() }))
+        }
+        "etc" => {
+            Box::new(Etc::new(EtcWeights { smoothness, prior, scale_px, ..Default::default() }))
+        }
+        "dmmr" => {
+            let (ties, plain) = (of("ties"), DmmrWeights::default());
+            Box::new(Dmmr::new(DmmrWeights {
+                latent: plain.latent * ties,
+                turn: plain.turn * ties,
+                shift: plain.shift * ties,
+                prior,
+                scale_px,
+                ..plain
+            }))
+        }
+        "slahmr" => {
+            let weights = SlahmrWeights {
+                transition: of("transition"),
+                prior,
+                scale_px,
+                ..Default::default()
+            };
+            Box::new(Slahmr::new(weights, Transition::embedded().ok()?))
+        }
+        "paper" => windows(Windows::paper()),
+        "paper-lm" => windows(Windows::paper_with_our_optimiser()),
+        "default" => windows(Windows::default_settings()),
+        _ => return None,
+    };
+    Some(Named::boxed(label(axes, values), made))
+}
+
+fn label(axes: &[Axis], values: &[f64]) -> String {
+    let parts: Vec<String> =
+        axes.iter().zip(values).map(|(axis, value)| format!("{} {value}", axis.name)).collect();
+    parts.join(", ")
+}
+
+/// One choice of weights.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Trial {
+    /// In the order of the axes.
+    pub values: Vec<f64>,
+    /// What it was called.
+    pub name: String,
+    /// The judgement; less is better.
+    pub judged: f64,
+    /// Mean MPJPE, millimetres, by run.
+    pub mpjpe_mm: Vec<Option<f64>>,
+    /// Mean MAE, degrees, by run.
+    pub mae_deg: Vec<Option<f64>>,
+}
+
+/// Tunes a method: `solve` is given methods and returns their runs, one for each level of noise.
+/// All trials, the best first; none for a name that is not known.
+///
+/// # Errors
+/// Those of `solve`.
+pub fn tune<E>(
+    method: &str,
+    mut solve: impl FnMut(&Methods) -> Result<Vec<Run>, E>,
+) -> Result<Vec<Trial>, E> {
+    let Some(axes) = axes(method) else { return Ok(Vec::new()) };
+    let mut trials: Vec<Trial> = Vec::new();
+    let mut best: Vec<f64> = axes.iter().map(|axis| axis.start).collect();
+    for _ in 0..ROUNDS {
+        for (index, axis) in axes.iter().enumerate() {
+            let moved = |factor: &f64| {
+                let mut values = best.clone();
+                values[index] *= factor;
+                values
+            };
+            let known = |values: &Vec<f64>| trials.iter().any(|trial| trial.values == *values);
+            let new: Vec<Vec<f64>> =
+                axis.factors.iter().map(moved).filter(|values| !known(values)).collect();
+            let make = || new.iter().filter_map(|values| with(method, &axes, values)).collect();
+            let runs = solve(&make)?;
+            let judged = new.into_iter().enumerate();
+            trials.extend(judged.map(|(row, values)| trial(&axes, values, row, &runs)));
+            trials.sort_by(|a, b| a.judged.total_cmp(&b.judged));
+            if let Some(first) = trials.first() {
+                best.clone_from(&first.values);
+            }
+        }
+    }
+    Ok(trials)
+}
+
+fn trial(axes: &[Axis], values: Vec<f64>, row: usize, runs: &[Run]) -> Trial {
+    let scores = |run: &Run, of: fn(&super::Score) -> f64| {
+        let found: Vec<f64> =
+            run.rows[row].results.iter().flatten().map(|(score, _)| of(score)).collect();
+        mean(&found)
+    };
+    Trial {
+        name: label(axes, &values),
+        values,
+        judged: judge(runs, row),
+        mpjpe_mm: runs.iter().map(|run| scores(run, |s| s.mpjpe_mm)).collect(),
+        mae_deg: runs.iter().map(|run| scores(run, |s| s.mae_deg)).collect(),
+    }
+}
+
+/// The judgement of a row: the mean over motions and levels of MPJPE in mm plus 2 mm for each
+/// degree of MAE, so that neither places nor twists are bought with the other; 200 where nobody
+/// was found.
+fn judge(runs: &[Run], row: usize) -> f64 {
+    let results = runs.iter().flat_map(|run| &run.rows[row].results);
+    let of = |result: &Option<(super::Score, super::Trace)>| {
+        result.as_ref().map_or(FAILED, |(s, _)| s.mpjpe_mm + MM_PER_DEGREE * s.mae_deg)
+    };
+    mean(&results.map(of).collect::<Vec<_>>()).unwrap_or(FAILED)
+}
+
+/// The table of trials.
+pub fn table(title: &str, levels: &[&str], trials: &[Trial]) -> Table {
+    let mut header = vec!["weights".to_owned(), "MPJPE + 2 MAE".to_owned()];
+    for level in levels {
+        header.extend([format!("{level}: MPJPE mm"), "MAE °".to_owned()]);
+    }
+    let row = |trial: &Trial| {
+        let mut cells = vec![trial.name.clone(), format!("{:.2}", trial.judged)];
+        for (mpjpe, mae) in trial.mpjpe_mm.iter().zip(&trial.mae_deg) {
+            cells.extend([number(*mpjpe, 2), number(*mae, 2)]);
+        }
+        cells
+    };
+    Table { title: title.into(), header, rows: trials.iter().map(row).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::research::methods::NAMES;
+
+    #[test]
+    fn every_method_of_ours_has_axes_and_can_be_made() {
+        for name in NAMES {
+            let axes = axes(name).unwrap();
+            let values: Vec<f64> = axes.iter().map(|axis| axis.start).collect();
+            let made = with(name, &axes, &values).unwrap();
+            assert!(made.name().contains("prior"), "{}", made.name());
+        }
+        assert_eq!(axes("guess"), None);
+    }
+}

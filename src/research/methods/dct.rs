@@ -1,0 +1,97 @@
+//! DCT: segments whose joint tracks stay near low frequencies \[Huang 2017\].
+//!
+//! cost = data term + prior of every frame + 1/2 smoothness |P - B c|^2, where P are the tracks of
+//! all joints over a segment, B the first cosines of its DCT and c the coefficients that fit P
+//! best. From the frames solved by themselves, each segment for itself. Differs: the publication
+//! has c among the unknowns and silhouettes in the data term; the best c for given tracks is known
+//! in closed form, and we put it in.
+
+use serde::{Deserialize, Serialize};
+
+use super::muvs::{MuVsWeights, PerFrame};
+use super::path::{FramePath, Term};
+use super::terms::LowFrequency;
+use super::{Delay, Method, Solved, Take};
+use crate::core::body::fitted_points;
+use crate::core::cost;
+use crate::core::manifold::Decoder;
+use crate::core::optimise::{LevenbergMarquardt, Optimiser};
+
+/// Weights of [`Dct`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DctWeights {
+    /// Weight of the squared distance of each joint from its low-frequency track, square pixels
+    /// per square metre.
+    pub smoothness: f64,
+    /// Weight of |z|^2 in each frame, square pixels.
+    pub prior: f64,
+    /// Scale of the Geman-McClure loss, pixels.
+    pub scale_px: f64,
+    /// Frames of a segment, as published.
+    pub segment: usize,
+    /// Cosines that a segment's tracks are made of, as published.
+    pub components: usize,
+    /// Most iterations for each segment.
+    pub iterations: usize,
+}
+
+impl Default for DctWeights {
+    fn default() -> Self {
+        Self {
+            smoothness: 3e5,
+            prior: 30.0,
+            scale_px: 30.0,
+            segment: 30,
+            components: 10,
+            iterations: 30,
+        }
+    }
+}
+
+/// Segments whose joint tracks stay near low frequencies.
+#[derive(Clone, Debug, Default)]
+pub struct Dct {
+    weights: DctWeights,
+}
+
+impl Dct {
+    /// With those weights.
+    pub fn new(weights: DctWeights) -> Self {
+        Self { weights }
+    }
+}
+
+impl Method for Dct {
+    fn name(&self) -> String {
+        "DCT".to_owned()
+    }
+
+    fn delay(&self) -> Delay {
+        Delay::Frames(self.weights.segment)
+    }
+
+    fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
+        let weights = &self.weights;
+        let found = PerFrame::solve(take, decoder, &MuVsWeights::default())?;
+        let cost =
+            cost::Config { prior: weights.prior, scale_px: weights.scale_px, ..found.config.cost };
+        let points = fitted_points(take.format);
+        let scene = cost::Scene { decoder, rig: &take.rig, points: &points, config: &cost };
+        let segment = weights.segment.max(1);
+        let mut keyframes = Vec::with_capacity(found.keyframes.len());
+        for (initial, moments) in found.keyframes.chunks(segment).zip(found.moments.chunks(segment))
+        {
+            // A last, shorter segment keeps the highest frequency.
+            let components = (weights.components * initial.len()).div_ceil(segment);
+            let low = LowFrequency::new(weights.smoothness, initial.len(), components);
+            let terms: [Box<dyn Term>; 1] = [Box::new(low)];
+            let skeleton = &found.start.skeleton;
+            let mut path = FramePath::new(scene, skeleton, moments, initial, &terms);
+            let mut x = path.start();
+            LevenbergMarquardt::default().minimise(&mut path, &mut x, weights.iterations);
+            keyframes.extend(path.keyframes(&x));
+        }
+        Some(found.solved(decoder, &keyframes, segment))
+    }
+}

@@ -1,0 +1,127 @@
+//! DMMR: segments of one latent code a frame, neighbours tied, in four stages \[Huang 2021\].
+//!
+//! cost = data term + prior of every frame + 1/2 latent |z(t + 1) - z(t)|^2
+//! + 1/2 turn |log(R(t + 1) R(t)^T)|^2 + 1/2 shift |p(t + 1) - p(t)|^2,
+//!
+//! over each segment by itself, from the frames solved by themselves:
+//! 1. rotations and positions of the root, loss of a larger scale,
+//! 2. codes, same loss,
+//! 3. all, same loss,
+//! 4. all, the final loss.
+//!
+//! Differs: the publication solves for cameras and several people too, and its codes are those of
+//! a prior of motion, trained to give smooth ones; here they are those of single poses, tied. Its
+//! stages go from root and cameras to all unknowns with weights of their own each; ours share the
+//! weights and differ in what is free and in the loss.
+
+use serde::{Deserialize, Serialize};
+
+use super::muvs::{MuVsWeights, PerFrame};
+use super::path::{FramePath, Term};
+use super::terms::KeyframeSteps;
+use super::{Delay, Method, Solved, Take};
+use crate::core::body::fitted_points;
+use crate::core::cost;
+use crate::core::manifold::Decoder;
+use crate::core::optimise::{LevenbergMarquardt, Optimiser};
+
+/// Weights of [`Dmmr`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DmmrWeights {
+    /// Weight of the squared step of the code from frame to frame, square pixels.
+    pub latent: f64,
+    /// Weight of the squared turn of the root from frame to frame, square pixels per square radian.
+    pub turn: f64,
+    /// Weight of the squared step of the root from frame to frame, square pixels per square metre.
+    pub shift: f64,
+    /// Weight of |z|^2 in each frame, square pixels.
+    pub prior: f64,
+    /// Scale of the Geman-McClure loss of the last stage, pixels.
+    pub scale_px: f64,
+    /// How many times larger it is in the stages before.
+    pub loose_scale: f64,
+    /// Frames of a segment.
+    pub segment: usize,
+    /// Most iterations of each stage.
+    pub iterations: [usize; 4],
+}
+
+impl Default for DmmrWeights {
+    fn default() -> Self {
+        Self {
+            latent: 300.0,
+            turn: 3e4,
+            shift: 3e5,
+            prior: 30.0,
+            scale_px: 30.0,
+            loose_scale: 3.0,
+            segment: 30,
+            iterations: [5, 5, 10, 30],
+        }
+    }
+}
+
+/// Segments of one code a frame, neighbours tied, in four stages.
+#[derive(Clone, Debug, Default)]
+pub struct Dmmr {
+    weights: DmmrWeights,
+}
+
+impl Dmmr {
+    /// With those weights.
+    pub fn new(weights: DmmrWeights) -> Self {
+        Self { weights }
+    }
+
+    /// What is free in each stage (codes, roots), and the scale of its loss.
+    fn stages(&self) -> [([bool; 2], f64); 4] {
+        let (tight, loose) =
+            (self.weights.scale_px, self.weights.scale_px * self.weights.loose_scale);
+        [
+            ([false, true], loose),
+            ([true, false], loose),
+            ([true, true], loose),
+            ([true, true], tight),
+        ]
+    }
+}
+
+impl Method for Dmmr {
+    fn name(&self) -> String {
+        "DMMR".to_owned()
+    }
+
+    fn delay(&self) -> Delay {
+        Delay::Frames(self.weights.segment)
+    }
+
+    fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
+        let weights = &self.weights;
+        let found = PerFrame::solve(take, decoder, &MuVsWeights::default())?;
+        let points = fitted_points(take.format);
+        let steps =
+            KeyframeSteps { latent: weights.latent, turn: weights.turn, shift: weights.shift };
+        let terms: [Box<dyn Term>; 1] = [Box::new(steps)];
+        let segment = weights.segment.max(1);
+        let mut keyframes = Vec::with_capacity(found.keyframes.len());
+        for (initial, moments) in found.keyframes.chunks(segment).zip(found.moments.chunks(segment))
+        {
+            let mut now = initial.to_vec();
+            for ((free, scale_px), iterations) in self.stages().into_iter().zip(weights.iterations)
+            {
+                let config = cost::Config { prior: weights.prior, scale_px, ..found.config.cost };
+                let scene =
+                    cost::Scene { decoder, rig: &take.rig, points: &points, config: &config };
+                let mut path = FramePath::new(scene, &found.start.skeleton, moments, &now, &terms);
+                path.free = free;
+                let mut x = path.start();
+                LevenbergMarquardt::default().minimise(&mut path, &mut x, iterations);
+                let solved = path.keyframes(&x);
+                now = solved;
+            }
+            keyframes.extend(now);
+        }
+        Some(found.solved(decoder, &keyframes, segment))
+    }
+}

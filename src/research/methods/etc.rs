@@ -1,0 +1,77 @@
+//! ETC: all frames at once, with small steps of the joints \[Arnab 2019\].
+//!
+//! cost = data term + prior of every frame + 1/2 smoothness sum of |P_j(t + 1) - P_j(t)|^2 over
+//! joints and frames, from the frames solved by themselves. Differs: the publication is of one
+//! camera, so it also holds the joints near those of a network and keeps the camera's scale even;
+//! many views need neither.
+
+use serde::{Deserialize, Serialize};
+
+use super::muvs::{MuVsWeights, PerFrame};
+use super::path::{FramePath, Term};
+use super::terms::JointSteps;
+use super::{Delay, Method, Solved, Take};
+use crate::core::body::fitted_points;
+use crate::core::cost;
+use crate::core::manifold::Decoder;
+use crate::core::optimise::{LevenbergMarquardt, Optimiser};
+
+/// Weights of [`Etc`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EtcWeights {
+    /// Weight of the squared step of each joint from frame to frame, square pixels per square
+    /// metre.
+    pub smoothness: f64,
+    /// Weight of |z|^2 in each frame, square pixels.
+    pub prior: f64,
+    /// Scale of the Geman-McClure loss, pixels.
+    pub scale_px: f64,
+    /// Most iterations over all frames.
+    pub iterations: usize,
+}
+
+impl Default for EtcWeights {
+    fn default() -> Self {
+        Self { smoothness: 9e4, prior: 30.0, scale_px: 30.0, iterations: 30 }
+    }
+}
+
+/// All frames at once, with small steps of the joints.
+#[derive(Clone, Debug, Default)]
+pub struct Etc {
+    weights: EtcWeights,
+}
+
+impl Etc {
+    /// With those weights.
+    pub fn new(weights: EtcWeights) -> Self {
+        Self { weights }
+    }
+}
+
+impl Method for Etc {
+    fn name(&self) -> String {
+        "ETC".to_owned()
+    }
+
+    fn delay(&self) -> Delay {
+        Delay::Recording
+    }
+
+    fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
+        let weights = &self.weights;
+        let found = PerFrame::solve(take, decoder, &MuVsWeights::default())?;
+        let cost =
+            cost::Config { prior: weights.prior, scale_px: weights.scale_px, ..found.config.cost };
+        let points = fitted_points(take.format);
+        let scene = cost::Scene { decoder, rig: &take.rig, points: &points, config: &cost };
+        let terms: [Box<dyn Term>; 1] = [Box::new(JointSteps { weight: weights.smoothness })];
+        let skeleton = &found.start.skeleton;
+        let mut path = FramePath::new(scene, skeleton, &found.moments, &found.keyframes, &terms);
+        let mut x = path.start();
+        LevenbergMarquardt::default().minimise(&mut path, &mut x, weights.iterations);
+        let keyframes = path.keyframes(&x);
+        Some(Solved { borders: Vec::new(), ..found.solved(decoder, &keyframes, 1) })
+    }
+}

@@ -1,0 +1,75 @@
+//! A take cut into its nominal frames, and what was seen of the performer in each.
+
+use super::{Start, Take};
+use crate::core::body::BodyPoint;
+use crate::core::cost::Moment;
+use crate::core::detections::Detections;
+use crate::core::manifold::{Decoder, Keyframe};
+use crate::core::time::Timestamp;
+use crate::core::tracker::{self, Config};
+
+/// A view counts when it shows this many points.
+const MIN_VIEW: usize = 4;
+
+/// The detections of each nominal frame from the first keyframe on.
+#[derive(Clone, Debug)]
+pub(super) struct Cut<'a> {
+    /// The nominal time of each frame.
+    pub(super) times: Vec<Timestamp>,
+    /// Detections nearest to that time, in order of capture time.
+    pub(super) frames: Vec<Vec<&'a Detections>>,
+}
+
+impl<'a> Cut<'a> {
+    /// Every detection goes to the frame whose nominal time is nearest.
+    pub(super) fn new(take: &'a Take, at: Timestamp) -> Self {
+        let period = 1e9 / take.fps;
+        let mut frames: Vec<Vec<&Detections>> = Vec::new();
+        for detections in &take.frames {
+            let index = ((detections.capture - at) as f64 / period).round();
+            if index >= 0.0 {
+                let index = index as usize;
+                if frames.len() <= index {
+                    frames.resize_with(index + 1, Vec::new);
+                }
+                frames[index].push(detections);
+            }
+        }
+        let time = |frame: usize| at + (frame as f64 * period).round() as i64;
+        Self { times: (0..frames.len()).map(time).collect(), frames }
+    }
+
+    /// What was seen of the performer in a frame, expected where `keyframe` puts the body.
+    pub(super) fn moments(&self, frame: usize, keyframe: &Keyframe, given: &Given) -> Vec<Moment> {
+        tracker::follow(
+            self.frames[frame].iter().copied(),
+            given.points,
+            &given.take.rig,
+            &given.decoder.pose(keyframe),
+            &given.start.skeleton,
+            given.config,
+        )
+    }
+}
+
+/// What the frames of a take are solved with.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Given<'a> {
+    pub(super) take: &'a Take,
+    pub(super) decoder: &'a Decoder,
+    pub(super) start: &'a Start,
+    pub(super) points: &'a [BodyPoint],
+    pub(super) config: &'a Config,
+}
+
+/// Whether enough was seen to solve a frame by itself: by the same gate as the windows, from two
+/// views at least.
+pub(super) fn is_enough(moments: &[Moment], cameras: usize, config: &Config) -> bool {
+    let mut views = vec![0; cameras];
+    for observation in moments.iter().flat_map(Moment::observations) {
+        views[observation.camera] += 1;
+    }
+    let total: usize = views.iter().sum();
+    let seen = views.iter().filter(|&&count| count >= MIN_VIEW).count();
+    total as f64 >= config.gate.lost_observations && seen >= 2
+}

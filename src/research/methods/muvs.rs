@@ -1,0 +1,171 @@
+//! MuVS: every frame by itself \[Huang 2017, the first stage\].
+//!
+//! The data term and the prior on z of one frame, from the solution of the frame before. Differs:
+//! the publication fits SMPL with silhouettes and a pose prior of its own; here body, manifold and
+//! data term are those of every method.
+
+use serde::{Deserialize, Serialize};
+
+use super::frames::{Cut, Given, is_enough};
+use super::{Delay, Method, Solved, Start, Take, start};
+use crate::core::body::fitted_points;
+use crate::core::cost::{self, FreeBody, Knot, Moment, PathProblem, Scene, Workspace};
+use crate::core::manifold::{Decoder, Keyframe};
+use crate::core::optimise::{LevenbergMarquardt, Optimiser};
+use crate::core::time::Timestamp;
+use crate::core::tracker::Config;
+
+/// After this many frames without the performer, a new first keyframe is looked for.
+const PATIENCE: usize = 10;
+
+/// Weights of [`MuVs`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MuVsWeights {
+    /// Weight of |z|^2 in each frame, square pixels.
+    pub prior: f64,
+    /// Scale of the Geman-McClure loss, pixels.
+    pub scale_px: f64,
+    /// Most iterations for each frame.
+    pub iterations: usize,
+    /// Iterations before those with a looser loss, as the windows have them.
+    pub loose_iterations: usize,
+    /// How many times larger the scale of the looser loss is.
+    pub loose_scale: f64,
+}
+
+impl Default for MuVsWeights {
+    fn default() -> Self {
+        Self { prior: 90.0, scale_px: 60.0, iterations: 30, loose_iterations: 3, loose_scale: 3.0 }
+    }
+}
+
+/// Every frame by itself.
+#[derive(Clone, Debug, Default)]
+pub struct MuVs {
+    weights: MuVsWeights,
+}
+
+impl MuVs {
+    /// With those weights.
+    pub fn new(weights: MuVsWeights) -> Self {
+        Self { weights }
+    }
+}
+
+/// A take solved frame by frame, with what the methods that go on from it need.
+#[derive(Clone, Debug)]
+pub(super) struct PerFrame {
+    pub(super) start: Start,
+    /// Nominal time of each frame.
+    pub(super) times: Vec<Timestamp>,
+    /// What was seen of the performer in each frame, expected at its solution; empty where it was
+    /// too little to solve it.
+    pub(super) moments: Vec<Vec<Moment>>,
+    /// The solution of each frame.
+    pub(super) keyframes: Vec<Keyframe>,
+    pub(super) config: Config,
+}
+
+impl PerFrame {
+    /// Solves every frame by itself; `None` where no performer is found.
+    pub(super) fn solve(take: &Take, decoder: &Decoder, weights: &MuVsWeights) -> Option<Self> {
+        let mut config = Config { frame_rate_hz: take.fps, ..Config::default() };
+        let start = start(take, decoder, &config)?;
+        config.cost = weights.cost();
+        let points = fitted_points(take.format);
+        let given = Given { take, decoder, start: &start, points: &points, config: &config };
+        let cut = Cut::new(take, start.at);
+        let keyframes = one_by_one(&cut, &given, weights);
+        let cameras = take.rig.cameras.len();
+        let seen = |frame: usize| {
+            let moments = cut.moments(frame, &keyframes[frame], &given);
+            if is_enough(&moments, cameras, &config) { moments } else { Vec::new() }
+        };
+        let moments = (0..keyframes.len()).map(seen).collect();
+        Some(Self { times: cut.times, moments, keyframes, start, config })
+    }
+
+    /// The poses of keyframes, one for each frame, and where pieces of `segment` frames meet.
+    pub(super) fn solved(
+        &self,
+        decoder: &Decoder,
+        keyframes: &[Keyframe],
+        segment: usize,
+    ) -> Solved {
+        let pose = |(at, keyframe): (&Timestamp, &Keyframe)| (*at, decoder.pose(keyframe));
+        Solved {
+            skeleton: self.start.skeleton.clone(),
+            poses: self.times.iter().zip(keyframes).map(pose).collect(),
+            borders: self.times.iter().copied().step_by(segment).skip(1).collect(),
+        }
+    }
+}
+
+impl MuVsWeights {
+    pub(super) fn cost(&self) -> cost::Config {
+        let (prior, scale_px) = (self.prior, self.scale_px);
+        cost::Config { prior, prior_freedom: 0.0, scale_px, ..cost::Config::default() }
+    }
+}
+
+fn one_by_one(cut: &Cut, given: &Given, weights: &MuVsWeights) -> Vec<Keyframe> {
+    let scene = Scene {
+        decoder: given.decoder,
+        rig: &given.take.rig,
+        points: given.points,
+        config: &given.config.cost,
+    };
+    let (mut work, mut optimiser) = (Workspace::default(), LevenbergMarquardt::default());
+    let mut last = given.start.keyframe.clone();
+    let (mut hidden, mut found) = (0, None::<Start>);
+    let mut keyframes = Vec::with_capacity(cut.times.len());
+    for (frame, &capture) in cut.times.iter().enumerate() {
+        if let Some(anew) = found.take_if(|found| found.at <= capture) {
+            (last, hidden) = (anew.keyframe, 0);
+        }
+        let moments = cut.moments(frame, &last, given);
+        if is_enough(&moments, given.take.rig.cameras.len(), given.config) {
+            hidden = 0;
+            let knots = vec![Knot { capture, keyframe: last.clone(), free: true, frames: 1.0 }];
+            let skeleton = &given.start.skeleton;
+            let mut problem =
+                PathProblem::new(scene, knots, skeleton, FreeBody::Fixed, &moments, &mut work);
+            let mut x = problem.start();
+            problem.set_scale(weights.scale_px * weights.loose_scale);
+            optimiser.minimise(&mut problem, &mut x, weights.loose_iterations);
+            problem.set_scale(weights.scale_px);
+            optimiser.minimise(&mut problem, &mut x, weights.iterations);
+            last = problem.solution(&x).0.pop().unwrap_or(last);
+        } else {
+            hidden += 1;
+            if hidden == PATIENCE {
+                found = found_again(given, capture);
+            }
+        }
+        keyframes.push(last.clone());
+    }
+    keyframes
+}
+
+/// Looks for the performer in the rest of the take.
+fn found_again(given: &Given, from: Timestamp) -> Option<Start> {
+    let rest = given.take.frames.iter().filter(|frame| frame.capture >= from).cloned();
+    let rest = Take { frames: rest.collect(), ..given.take.clone() };
+    start(&rest, given.decoder, given.config)
+}
+
+impl Method for MuVs {
+    fn name(&self) -> String {
+        "MuVS".to_owned()
+    }
+
+    fn delay(&self) -> Delay {
+        Delay::Frames(0)
+    }
+
+    fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
+        let found = PerFrame::solve(take, decoder, &self.weights)?;
+        Some(Solved { borders: Vec::new(), ..found.solved(decoder, &found.keyframes, 1) })
+    }
+}

@@ -1,0 +1,177 @@
+//! One keyframe a frame, all at once: the data term of each frame and terms between frames.
+//!
+//! The unknowns of a frame are those of a keyframe: z (32), a rotation vector w (3) with
+//! R = exp(w) R_initial, the position (3).
+
+use nalgebra::Vector3;
+
+use super::joints::Joints;
+use crate::core::body::Skeleton;
+use crate::core::cost::{FreeBody, Knot, Moment, PathProblem, Scene, Workspace};
+use crate::core::manifold::{Keyframe, LATENT};
+use crate::core::optimise::{Layout, Normal, Problem};
+use crate::core::so3;
+use crate::core::time::Timestamp;
+
+/// Unknowns of a frame.
+pub const UNKNOWNS: usize = LATENT + 6;
+
+/// A path at some values of its unknowns.
+#[derive(Clone, Debug)]
+pub struct State {
+    /// Each frame's values.
+    pub keyframes: Vec<Keyframe>,
+    /// The rotation vector w of each frame.
+    pub turns: Vec<Vector3<f64>>,
+    /// Each frame's joint positions, with Jacobians where normal equations are wanted; empty if no
+    /// term uses them.
+    pub joints: Joints,
+}
+
+/// A term of the cost over the frames of a path.
+pub trait Term {
+    /// How many frames apart two frames can be that share a part of the approximate Hessian.
+    fn reach(&self) -> usize;
+
+    /// Whether it uses [`State::joints`].
+    fn uses_joints(&self) -> bool {
+        false
+    }
+
+    /// Its cost.
+    fn cost(&self, state: &State) -> f64;
+
+    /// Adds its gradient and Gauss-Newton Hessian.
+    fn add(&self, state: &State, normal: &mut Normal);
+}
+
+/// The cost of a path of one keyframe a frame. Terms of any reach can be added to it.
+pub struct FramePath<'a> {
+    scene: Scene<'a>,
+    skeleton: &'a Skeleton,
+    moments: &'a [Vec<Moment>],
+    /// Each frame's values at the start.
+    initial: &'a [Keyframe],
+    terms: &'a [Box<dyn Term + 'a>],
+    /// Which unknowns of every frame are solved for: codes, roots.
+    pub free: [bool; 2],
+    work: Workspace,
+}
+
+impl<'a> FramePath<'a> {
+    /// With every unknown free.
+    pub fn new(
+        scene: Scene<'a>,
+        skeleton: &'a Skeleton,
+        moments: &'a [Vec<Moment>],
+        initial: &'a [Keyframe],
+        terms: &'a [Box<dyn Term + 'a>],
+    ) -> Self {
+        let work = Workspace::default();
+        Self { scene, skeleton, moments, initial, terms, free: [true; 2], work }
+    }
+
+    /// The unknowns to start from.
+    pub fn start(&self) -> Vec<f64> {
+        let unknowns = |keyframe: &Keyframe| {
+            let mut x = keyframe.z.to_vec();
+            x.extend([0.0; 3]);
+            x.extend(keyframe.root_position.iter());
+            x
+        };
+        self.initial.iter().flat_map(unknowns).collect()
+    }
+
+    /// The keyframes that `x` stands for.
+    pub fn keyframes(&self, x: &[f64]) -> Vec<Keyframe> {
+        self.state(x, None).keyframes
+    }
+
+    /// `joints` says whether joints are wanted, and their Jacobians.
+    fn state(&self, x: &[f64], joints: Option<bool>) -> State {
+        let turn = |x: &[f64]| Vector3::from_column_slice(&x[LATENT..LATENT + 3]);
+        let turns: Vec<_> = x.chunks_exact(UNKNOWNS).map(turn).collect();
+        let keyframe = |((x, initial), turn): ((&[f64], &Keyframe), &Vector3<f64>)| Keyframe {
+            z: std::array::from_fn(|i| x[i]),
+            root_rotation: so3::exp(turn) * initial.root_rotation,
+            root_position: Vector3::from_column_slice(&x[LATENT + 3..]),
+        };
+        let frames = x.chunks_exact(UNKNOWNS).zip(self.initial).zip(&turns);
+        let keyframes: Vec<_> = frames.map(keyframe).collect();
+        let joints = match joints.filter(|_| self.terms.iter().any(|term| term.uses_joints())) {
+            Some(jacobians) => {
+                let decoder = self.scene.decoder;
+                Joints::new(decoder, self.skeleton, &keyframes, &turns, jacobians)
+            }
+            None => Joints::default(),
+        };
+        State { keyframes, turns, joints }
+    }
+
+    /// The data term and the prior of a frame at its unknowns `x`, with derivatives if wanted.
+    fn frame(&mut self, frame: usize, x: &[f64], derivatives: Option<&mut Normal>) -> f64 {
+        let keyframe = self.initial[frame].clone();
+        let capture = Timestamp::default();
+        let knots = vec![Knot { capture, keyframe, free: true, frames: 1.0 }];
+        let moments = &self.moments[frame];
+        let mut problem = PathProblem::new(
+            self.scene,
+            knots,
+            self.skeleton,
+            FreeBody::Fixed,
+            moments,
+            &mut self.work,
+        );
+        match derivatives {
+            None => problem.cost(x),
+            Some(normal) => problem.linearise(x, normal),
+        }
+    }
+}
+
+impl Problem for FramePath<'_> {
+    fn layout(&self) -> Layout {
+        let bandwidth = self.terms.iter().map(|term| term.reach()).max().unwrap_or(0);
+        Layout { size: UNKNOWNS, blocks: self.initial.len(), bandwidth }
+    }
+
+    fn cost(&mut self, x: &[f64]) -> f64 {
+        let state = self.state(x, Some(false));
+        let terms: f64 = self.terms.iter().map(|term| term.cost(&state)).sum();
+        let frames = x.chunks_exact(UNKNOWNS).enumerate();
+        terms + frames.map(|(frame, x)| self.frame(frame, x, None)).sum::<f64>()
+    }
+
+    fn linearise(&mut self, x: &[f64], normal: &mut Normal) -> f64 {
+        normal.clear();
+        let state = self.state(x, Some(true));
+        let mut cost = 0.0;
+        let mut alone = Normal::zeros(Layout::dense(UNKNOWNS));
+        for (frame, x) in x.chunks_exact(UNKNOWNS).enumerate() {
+            cost += self.frame(frame, x, Some(&mut alone));
+            let mine = frame * UNKNOWNS..(frame + 1) * UNKNOWNS;
+            normal.gradient[mine.clone()].copy_from_slice(&alone.gradient);
+            for (j, column) in mine.clone().enumerate() {
+                let entries = alone.hessian.column(0..UNKNOWNS, j);
+                normal.hessian.column_mut(mine.clone(), column).copy_from_slice(entries);
+            }
+        }
+        for term in self.terms {
+            cost += term.cost(&state);
+            term.add(&state, normal);
+        }
+        for i in 0..x.len() {
+            if !self.free[usize::from(i % UNKNOWNS >= LATENT)] {
+                normal.pin(i);
+            }
+        }
+        cost
+    }
+
+    fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64 {
+        let mut normal = Normal::zeros(self.layout());
+        let cost = self.linearise(x, &mut normal);
+        gradient.copy_from_slice(&normal.gradient);
+        cost
+    }
+}

@@ -1,0 +1,78 @@
+//! BundleMoCap: one latent keyframe a window, by the tracking machine itself.
+
+use std::sync::Arc;
+
+use super::{Delay, Method, Solved, Take};
+use crate::core::cost;
+use crate::core::manifold::Decoder;
+use crate::core::tracker::{Config, Input, Output, Solver, Track};
+
+/// The tracking machine with those settings.
+#[derive(Clone, Debug)]
+pub struct Windows {
+    name: String,
+    config: Config,
+}
+
+impl Windows {
+    /// The machine with settings under a name.
+    pub fn new(name: &str, config: Config) -> Self {
+        Self { name: name.to_owned(), config }
+    }
+
+    /// Its settings.
+    pub fn config(&self) -> Config {
+        self.config
+    }
+
+    /// As the paper has it; see [`Config::paper`].
+    pub fn paper() -> Self {
+        Self::new("BundleMoCap (paper)", Config::paper())
+    }
+
+    /// The paper's windows and path, with the optimiser of all other methods, Levenberg-Marquardt.
+    pub fn paper_with_our_optimiser() -> Self {
+        let Config { method, change_threshold, .. } = Config::default();
+        let paper = Config::paper();
+        let cost = cost::Config { prior: 30.0, ..paper.cost };
+        let config = Config { method, change_threshold, cost, ..paper };
+        Self::new("BundleMoCap (paper, LM)", config)
+    }
+
+    /// As the program does without settings.
+    pub fn default_settings() -> Self {
+        Self::new("bundlemocap (default)", Config::default())
+    }
+}
+
+impl Method for Windows {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn delay(&self) -> Delay {
+        Delay::Frames(self.config.window_frames)
+    }
+
+    fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
+        let config = Config { frame_rate_hz: take.fps, ..self.config };
+        let mut track = Track::new(config, Arc::clone(&take.rig));
+        let mut solver = Solver::new(decoder.clone(), config);
+        let (mut poses, mut borders, mut body) = (Vec::new(), Vec::new(), None);
+        for input in take.frames.iter().cloned().map(Input::Detections).chain([Input::End]) {
+            track.handle(input);
+            while let Some(output) = track.poll() {
+                match output {
+                    Output::Solve(job) => track.handle(Input::Solved(solver.solve(&job))),
+                    Output::Pose(pose) => poses.push((pose.capture, pose.pose)),
+                    Output::Window(window) => borders.push(window.end),
+                    Output::Skeleton(skeleton) => body = Some(skeleton),
+                    _ => {}
+                }
+            }
+        }
+        // With the marks that were learnt.
+        let skeleton = track.skeleton().cloned().or(body)?;
+        Some(Solved { skeleton, poses, borders })
+    }
+}

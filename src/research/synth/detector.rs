@@ -1,0 +1,256 @@
+//! A 2D detector that errs as real ones do: it jitters, misses, swaps sides, sees strangers.
+
+use nalgebra::{Point2, Vector2, Vector3};
+
+use super::motion::{Motion, MotionStyle};
+use super::noise::Noise;
+use super::points::{Region, along, difficulty, limb_of, mirrored};
+use super::random::Draws;
+use crate::core::body::{Attachment, Posture, Skeleton};
+use crate::core::camera::Camera;
+use crate::core::detections::{Detection, Detections, Keypoint, KeypointFormat, Person};
+use crate::core::time::Timestamp;
+
+/// What draws are for; the numbers only need to differ.
+mod topic {
+    pub(super) const SWAP: u64 = 1;
+    pub(super) const STRANGER: u64 = 2;
+    pub(super) const SPLIT: u64 = 3;
+    pub(super) const BLANK: u64 = 4;
+    pub(super) const ORDER: u64 = 5;
+    /// Plus the limb.
+    pub(super) const OCCLUSION: u64 = 10;
+    /// Plus the point.
+    pub(super) const SLOW: u64 = 100;
+    pub(super) const FAST: u64 = 200;
+    pub(super) const MISSING: u64 = 300;
+    pub(super) const OUTLIER: u64 = 400;
+    pub(super) const CONFIDENCE: u64 = 500;
+    pub(super) const HARDNESS: u64 = 600;
+    pub(super) const WANDER: u64 = 700;
+    pub(super) const GUESS: u64 = 800;
+    pub(super) const BIAS: u64 = 900;
+    /// Added for the stranger's points.
+    pub(super) const OF_STRANGER: u64 = 1000;
+}
+
+/// The detector of one camera.
+#[derive(Clone, Debug)]
+pub(super) struct Detector<'a> {
+    camera: &'a Camera,
+    index: usize,
+    format: KeypointFormat,
+    noise: &'a Noise,
+    draws: Draws,
+    /// Of each point of the format: where it is believed to be, in its joint's frame, metres.
+    biases: Vec<Vector3<f64>>,
+    stranger: Posture,
+}
+
+impl<'a> Detector<'a> {
+    pub(super) fn new(
+        camera: &'a Camera,
+        index: usize,
+        format: KeypointFormat,
+        noise: &'a Noise,
+        seed: u64,
+    ) -> Self {
+        // What all cameras share.
+        let shared = Draws { seed, stream: u64::MAX };
+        let points = format.keypoints().iter();
+        let biases = points.map(|&keypoint| bias(keypoint, &shared) * noise.bias_m).collect();
+        let stranger = stranger(shared);
+        let draws = Draws { seed, stream: index as u64 };
+        Self { camera, index, format, noise, draws, biases, stranger }
+    }
+
+    /// What it says of the body at `seconds`, the capture time.
+    pub(super) fn detect(
+        &self,
+        frame: u64,
+        capture: Timestamp,
+        seconds: f64,
+        body: (&Skeleton, &Posture),
+    ) -> Detections {
+        let (noise, draws) = (self.noise, &self.draws);
+        let mut people = Vec::new();
+        let blank = draws.stretch(topic::BLANK, seconds, noise.blanks, noise.blank_s);
+        if blank.is_none() {
+            let performer = self.person(frame, seconds, body, 0);
+            let split = draws.stretch(topic::SPLIT, seconds, noise.splits, noise.split_s);
+            match split {
+                Some(_) => people.extend(self.split(performer)),
+                None => people.push(performer),
+            }
+            let seen = draws.stretch(topic::STRANGER, seconds, noise.strangers, noise.stranger_s);
+            if seen.is_some() {
+                let other = (&Skeleton::default(), &self.stranger);
+                people.push(self.person(frame, seconds, other, topic::OF_STRANGER));
+            }
+            people.retain(|person| person.points.iter().flatten().count() >= 3);
+            if draws.uniform(topic::ORDER, frame) < 0.5 {
+                people.reverse();
+            }
+        }
+        Detections { camera: self.index, frame, capture, format: self.format, people }
+    }
+
+    fn person(
+        &self,
+        frame: u64,
+        seconds: f64,
+        (skeleton, posture): (&Skeleton, &Posture),
+        base: u64,
+    ) -> Person {
+        let swapped = self
+            .draws
+            .stretch(base + topic::SWAP, seconds, self.noise.swaps, self.noise.swap_s)
+            .map(|which| if which < 0.7 { Region::Leg } else { Region::Arm });
+        let exact: Vec<Option<Vector2<f64>>> = (self.format.keypoints().iter())
+            .map(|&keypoint| {
+                let swap = swapped.is_some() && swapped == limb_of(keypoint).map(|(r, _)| r);
+                let keypoint = if swap { mirrored(keypoint) } else { keypoint };
+                self.camera.project(&self.believed(keypoint, skeleton, posture))
+            })
+            .collect();
+        let size = extent(&exact);
+        let mut points = vec![None; self.format.len()];
+        for (index, exact) in exact.iter().enumerate() {
+            let at = At { frame, seconds, keypoint: self.format.keypoints()[index], size, base };
+            points[index] = exact.and_then(|pixel| self.point(&at, index as u64, pixel));
+        }
+        Person { id: None, points }
+    }
+
+    /// Where the detector believes a point to be in the world.
+    fn believed(&self, keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
+        let joint = Attachment::of(keypoint).joint.index();
+        let bias = self.format.index_of(keypoint).map_or(Vector3::zeros(), |i| self.biases[i]);
+        position(keypoint, skeleton, posture) + posture.rotations[joint] * bias
+    }
+
+    /// One point, given where it is believed to be in the image.
+    fn point(&self, at: &At, index: u64, exact: Vector2<f64>) -> Option<Detection> {
+        let noise = self.noise;
+        let uniform = |what: u64| self.draws.uniform(at.base + what + index, at.frame);
+        let smooth = |what: u64, period: f64| {
+            Vector2::from(self.draws.smooth_normals(at.base + what + index, at.seconds, period))
+        };
+        let hardness = (noise.hardness * smooth(topic::HARDNESS, noise.hardness_s).x).exp();
+        if uniform(topic::MISSING) < noise.missing * hardness * hardness {
+            return None;
+        }
+        let fast = Vector2::from(self.draws.normals(at.base + topic::FAST + index, at.frame));
+        let slow = smooth(topic::SLOW, noise.correlation_s);
+        let unit = (slow * (1.0 - noise.new_share).sqrt() + fast * noise.new_share.sqrt())
+            * (hardness * difficulty(at.keypoint));
+        let wander = smooth(topic::WANDER, noise.wander_s) * noise.wander;
+        let mut error = (unit * noise.jitter + wander) * at.size;
+        let chance = uniform(topic::CONFIDENCE);
+        let mut confidence = noise.confidence - noise.doubt * (0.7 * unit.norm() + 0.6 * chance);
+        if let Some(which) = self.occlusion(at) {
+            if which >= noise.hallucinated {
+                return None;
+            }
+            error += self.guess(at, index);
+            confidence = noise.confidence * (0.25 + 0.4 * chance);
+        } else if uniform(topic::OUTLIER) < noise.outliers {
+            error = fast * (0.15 * at.size);
+            confidence = noise.confidence * (0.3 + 0.3 * chance);
+        }
+        let pixel = Point2::from(exact + error);
+        self.in_image(&pixel).then(|| Detection { pixel, confidence: confidence.clamp(0.02, 1.0) })
+    }
+
+    /// If the point is on a limb that is hidden now: a number in [0, 1) of this occurrence.
+    fn occlusion(&self, at: &At) -> Option<f64> {
+        let topic = at.base + topic::OCCLUSION + limb_number(at.keypoint)?;
+        let (rate, longest) = (self.noise.occlusions, self.noise.occlusion_s);
+        self.draws.stretch(topic, at.seconds, rate, longest)
+    }
+
+    /// How far off the guess of a hidden point is, pixels: the limb goes astray as a whole, the
+    /// further out the more, and each point by itself.
+    fn guess(&self, at: &At, index: u64) -> Vector2<f64> {
+        let period = 0.6 * self.noise.occlusion_s.max(0.1);
+        let normals = |what: u64| {
+            Vector2::from(self.draws.smooth_normals(
+                at.base + topic::GUESS + what,
+                at.seconds,
+                period,
+            ))
+        };
+        let limb = normals(50 + limb_number(at.keypoint).unwrap_or(0));
+        let unit = limb * 0.8f64.sqrt() + normals(index) * 0.2f64.sqrt();
+        unit * (along(at.keypoint) * self.noise.hallucination * at.size)
+    }
+
+    fn in_image(&self, pixel: &Point2<f64>) -> bool {
+        let (width, height) = (f64::from(self.camera.width), f64::from(self.camera.height));
+        (-0.5..width - 0.5).contains(&pixel.x) && (-0.5..height - 0.5).contains(&pixel.y)
+    }
+
+    /// The performer without legs, and the legs.
+    fn split(&self, whole: Person) -> [Person; 2] {
+        let mut legs = Person { id: None, points: vec![None; whole.points.len()] };
+        let mut rest = whole;
+        for (index, &keypoint) in self.format.keypoints().iter().enumerate() {
+            if matches!(limb_of(keypoint), Some((Region::Leg, _))) {
+                legs.points[index] = rest.points[index].take();
+            }
+        }
+        [rest, legs]
+    }
+}
+
+/// When, and of whom, a point is.
+struct At {
+    frame: u64,
+    seconds: f64,
+    keypoint: Keypoint,
+    /// Of the person in the image, pixels.
+    size: f64,
+    base: u64,
+}
+
+/// Where a detector's point is in the world: P_j + G_j offset.
+pub fn position(keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
+    let attachment = Attachment::of(keypoint);
+    let joint = attachment.joint.index();
+    posture.positions[joint] + posture.rotations[joint] * attachment.offset(skeleton)
+}
+
+/// A unit normal offset for a point; left and right mirror each other.
+fn bias(keypoint: Keypoint, draws: &Draws) -> Vector3<f64> {
+    let (left, side) = keypoint.of_left();
+    let [x, y] = draws.normals(topic::BIAS, left as u64);
+    let [z, _] = draws.normals(topic::BIAS + 1, left as u64);
+    // A point of the middle has no side to be off to.
+    let middle = matches!(left, Keypoint::Nose | Keypoint::HeadTop | Keypoint::MidHip)
+        || matches!(left, Keypoint::Neck | Keypoint::UpperNeck);
+    Vector3::new(if middle { 0.0 } else { side * x }, y, z)
+}
+
+/// A number for each of the four limbs.
+fn limb_number(keypoint: Keypoint) -> Option<u64> {
+    limb_of(keypoint).map(|(region, side)| 2 * region as u64 + side as u64)
+}
+
+/// Somebody who stands about at the edge of the floor, facing the middle.
+fn stranger(draws: Draws) -> Posture {
+    let skeleton = Skeleton::default();
+    let style = MotionStyle { radius: 2.3, ..MotionStyle::default() };
+    let mut pose = Motion::new(&skeleton, style).pose(0.0);
+    let turn = super::motion::about_y(std::f64::consts::TAU * draws.uniform(0, 0));
+    pose.root_position = turn * pose.root_position;
+    pose.root_rotation = turn * super::motion::about_y(1.5) * pose.root_rotation;
+    pose.posture(&skeleton)
+}
+
+/// The larger side of the box around the points, pixels.
+fn extent(points: &[Option<Vector2<f64>>]) -> f64 {
+    let seen = || points.iter().flatten();
+    let low = seen().fold(Vector2::repeat(f64::MAX), |a, b| a.inf(b));
+    let high = seen().fold(Vector2::repeat(f64::MIN), |a, b| a.sup(b));
+    (high - low).max().max(0.0)
+}

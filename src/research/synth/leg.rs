@@ -1,0 +1,132 @@
+//! Two-bone inverse kinematics of a leg whose foot is placed on the floor.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::curves::soft_min;
+use super::motion::{about_x, set};
+use crate::core::body::{Attachment, Joint, Pose, Skeleton};
+use crate::core::detections::Keypoint;
+
+/// Which side of the body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Side {
+    Left,
+    Right,
+}
+
+impl Side {
+    /// 0 for left, 1 for right.
+    pub(super) fn index(self) -> usize {
+        self as usize
+    }
+
+    /// 1 for left (+x), -1 for right.
+    pub(super) fn sign(self) -> f64 {
+        if self == Self::Left { 1.0 } else { -1.0 }
+    }
+
+    /// The joint of this side, given that of the left.
+    pub(super) fn of(self, left: Joint) -> Joint {
+        if self == Self::Left { left } else { left.mirrored() }
+    }
+}
+
+/// Lengths of a body's left leg, metres; the right one mirrors it.
+#[derive(Clone, Debug)]
+pub(super) struct Leg {
+    hip: Vector3<f64>,
+    thigh: Vector3<f64>,
+    shank: Vector3<f64>,
+    /// The ball of the foot and the back of the heel on the floor, from the ankle.
+    ball: Vector3<f64>,
+    heel: Vector3<f64>,
+}
+
+/// The knee is never straighter than this cosine of flexion.
+const STRAIGHTEST: f64 = 0.996;
+
+impl Leg {
+    pub(super) fn of(skeleton: &Skeleton) -> Self {
+        let of = |joint| *skeleton.offset(joint);
+        let point = |keypoint| Attachment::of(keypoint).offset(skeleton);
+        let toe = of(Joint::LFoot) + point(Keypoint::LBigToe);
+        let sole = toe.y;
+        let heel = point(Keypoint::LHeel);
+        Self {
+            hip: of(Joint::LHip),
+            thigh: of(Joint::LKnee),
+            shank: of(Joint::LAnkle),
+            ball: Vector3::new(0.0, sole, of(Joint::LFoot).z),
+            heel: Vector3::new(0.0, sole, heel.z),
+        }
+    }
+
+    /// From the hip to the ankle when straight.
+    pub(super) fn length(&self) -> f64 {
+        self.thigh.norm() + self.shank.norm()
+    }
+
+    /// Of the pelvis, with the knees a little bent.
+    pub(super) fn standing_height(&self) -> f64 {
+        0.988 * self.length() - self.ball.y - self.hip.y
+    }
+
+    /// Places one leg of `pose`, whose pelvis is placed: the foot stands with its ankle over
+    /// `ground` (a point at the height of the sole), facing `heading`, with the heel raised
+    /// by a turn of `heel_off` about the ball, or the toes by `toes_off` about the heel.
+    pub(super) fn reach(
+        &self,
+        side: Side,
+        ground: &Vector3<f64>,
+        heading: &Matrix3<f64>,
+        heel_off: f64,
+        toes_off: f64,
+        pose: &mut Pose,
+    ) {
+        let roll_on_ball = self.ball - about_x(heel_off) * self.ball;
+        let roll_on_heel = self.heel - about_x(-toes_off) * self.heel;
+        let ankle = ground + heading * (roll_on_ball + roll_on_heel) - Vector3::y() * self.ball.y;
+        let foot = heading * about_x(heel_off - toes_off);
+
+        let pelvis = pose.root_rotation;
+        let hip_offset = Vector3::new(side.sign() * self.hip.x, self.hip.y, self.hip.z);
+        let to_ankle = ankle - (pose.root_position + pelvis * hip_offset);
+        let flexion = self.flexion_for(to_ankle.norm());
+        let thigh = self.turn_towards(&to_ankle, &(heading * Vector3::z()), flexion);
+        let shank = thigh * about_x(flexion);
+
+        set(&mut pose.local, side.of(Joint::LHip), pelvis.transpose() * thigh);
+        set(&mut pose.local, side.of(Joint::LKnee), about_x(flexion));
+        set(&mut pose.local, side.of(Joint::LAnkle), shank.transpose() * foot);
+        set(&mut pose.local, side.of(Joint::LFoot), about_x(-0.8 * heel_off));
+    }
+
+    /// Knee flexion at which the ankle is `distance` from the hip, by the law of cosines; stays
+    /// short of straight, smoothly, where that is too far.
+    fn flexion_for(&self, distance: f64) -> f64 {
+        let (a, b) = (self.thigh.norm(), self.shank.norm());
+        let cosine = (distance * distance - a * a - b * b) / (2.0 * a * b);
+        let rest = self.thigh.yz().angle(&self.shank.yz());
+        soft_min(cosine, STRAIGHTEST, 0.02).max(-0.9).acos() - rest
+    }
+
+    /// `world_from_thigh` such that the hip to ankle line lies along `to_ankle` and the knee
+    /// bends towards `forward`.
+    fn turn_towards(
+        &self,
+        to_ankle: &Vector3<f64>,
+        forward: &Vector3<f64>,
+        flexion: f64,
+    ) -> Matrix3<f64> {
+        let in_thigh = frame_of(&-(self.thigh + about_x(flexion) * self.shank), &Vector3::z());
+        let in_world = frame_of(&-to_ankle, forward);
+        in_world * in_thigh.transpose()
+    }
+}
+
+/// A right-handed frame with y along `up` and z as near to `forward` as can be; columns.
+fn frame_of(up: &Vector3<f64>, forward: &Vector3<f64>) -> Matrix3<f64> {
+    let y = up.normalize();
+    let x = y.cross(forward).normalize();
+    Matrix3::from_columns(&[x, y, x.cross(&y)])
+}

@@ -1,0 +1,43 @@
+//! Synthetic recordings with a known truth.
+//!
+//! A [`Motion`] (or any function from seconds to a pose) is seen by the cameras of a rig, whose
+//! detectors err as real ones do ([`Noise`]). Everything follows from a seed, and nothing
+//! depends on the order in which frames are asked for.
+//!
+//! ```
+//! use bundlemocap::core::body::Skeleton;
+//! use bundlemocap::research::synth::{Motion, MotionStyle, Recording, ring_rig};
+//!
+//! let skeleton = Skeleton::default();
+//! let motion = Motion::new(&skeleton, MotionStyle::default());
+//! let rig = ring_rig(4, 4.0, 1.6)?;
+//! let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
+//! recording.frames = 10;
+//! assert_eq!(recording.detections().count(), 40);
+//! assert_eq!(recording.poses().count(), 10);
+//! # Ok::<(), bundlemocap::core::camera::CameraError>(())
+//! ```
+
+mod curves;
+mod detector;
+mod h36m;
+mod leg;
+mod motion;
+mod noise;
+mod points;
+mod protocol;
+pub(crate) mod random;
+mod recording;
+mod rigs;
+mod ring;
+mod sequence;
+
+pub use detector::position;
+pub use h36m::{H36mError, h36m_rig};
+pub use motion::{Motion, MotionStyle};
+pub use noise::Noise;
+pub use protocol::{Protocol, SequenceChoice};
+pub use recording::{Recording, through};
+pub use rigs::{RigError, rig_named, tdhp_like_rig};
+pub use ring::ring_rig;
+pub use sequence::{Sequence, sequence};

@@ -1,0 +1,188 @@
+//! The weights file: safetensors, f32, `encoder.N.weight` \[out, in\], `encoder.N.bias`, and the
+//! same of the decoder, with what made them as metadata.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::ops::Range;
+use std::path::Path;
+
+use safetensors::{Dtype, SafeTensors};
+use serde_json::{Map, Value, json};
+
+use super::TrainError;
+use super::corpus::POSE;
+use super::latent::CODE;
+use super::mlp::Mlp;
+use super::model::Model;
+use crate::core::manifold::LATENT;
+
+/// What the metadata calls the format.
+const FORMAT: &str = "bundlemocap-manifold";
+/// The version of the format.
+const VERSION: &str = "1";
+/// The activation between layers.
+const ACTIVATION: &str = "silu";
+
+/// What a weights file holds.
+pub struct Content<'a> {
+    /// What the metadata calls the format.
+    pub format: &'a str,
+    /// Networks by name.
+    pub networks: &'a [(&'a str, &'a Mlp)],
+    /// The parameters of all of them.
+    pub parameters: &'a [f32],
+    /// Other numbers by name.
+    pub vectors: &'a [(&'a str, &'a [f32])],
+    /// What made them.
+    pub metadata: &'a BTreeMap<&'static str, String>,
+}
+
+/// Writes a manifold's file.
+pub fn write(
+    path: &Path,
+    model: &Model,
+    metadata: &BTreeMap<&'static str, String>,
+) -> Result<(), TrainError> {
+    let networks = [("encoder", &model.encoder), ("decoder", &model.decoder)];
+    let parameters = &model.parameters;
+    let content =
+        Content { format: FORMAT, networks: &networks, parameters, vectors: &[], metadata };
+    write_bytes(path, &bytes(&content))
+}
+
+/// Writes the file under a temporary name, then renames it.
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
+    let failed = |source| TrainError::Write { path: path.to_owned(), source };
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let mut file = readable_by_all().tempfile_in(folder).map_err(failed)?;
+    file.write_all(bytes).map_err(failed)?;
+    file.persist(path).map_err(|error| failed(error.error))?;
+    Ok(())
+}
+
+/// Temporary files are private by default; weights are not.
+fn readable_by_all() -> tempfile::Builder<'static, 'static> {
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o644));
+    }
+    builder
+}
+
+/// The length of the header, the header with its keys in order, then all numbers; the same
+/// content gives the same bytes.
+pub fn bytes(content: &Content) -> Vec<u8> {
+    let (mut header, mut data) = (Map::new(), Vec::new());
+    let mut described: Map<String, Value> =
+        content.metadata.iter().map(|(key, value)| ((*key).to_owned(), json!(value))).collect();
+    for (key, value) in
+        [("format", content.format), ("version", VERSION), ("activation", ACTIVATION)]
+    {
+        described.insert(key.to_owned(), json!(value));
+    }
+    header.insert("__metadata__".to_owned(), Value::Object(described));
+    let mut add = |name: String, shape: &[usize], numbers: &[f32]| {
+        let first = data.len();
+        data.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+        let tensor = json!({"dtype": "F32", "shape": shape, "data_offsets": [first, data.len()]});
+        header.insert(name, tensor);
+    };
+    for (name, network) in content.networks {
+        for (index, layer) in network.layers().iter().enumerate() {
+            let numbers = |range: &Range<usize>| &content.parameters[range.clone()];
+            let shape = [layer.outputs, layer.inputs];
+            add(format!("{name}.{index}.weight"), &shape, numbers(&layer.weight));
+            add(format!("{name}.{index}.bias"), &shape[..1], numbers(&layer.bias));
+        }
+    }
+    for (name, numbers) in content.vectors {
+        add((*name).to_owned(), &[numbers.len()], numbers);
+    }
+    let mut header = Value::Object(header).to_string().into_bytes();
+    header.resize(header.len().next_multiple_of(8), b' ');
+    let mut out = (header.len() as u64).to_le_bytes().to_vec();
+    out.extend(header);
+    out.extend(data);
+    out
+}
+
+/// Reads a file that holds both networks.
+pub fn read(path: &Path) -> Result<Model, TrainError> {
+    let bytes =
+        std::fs::read(path).map_err(|source| TrainError::Read { path: path.to_owned(), source })?;
+    parse(&bytes).map_err(|problem| TrainError::Weights { path: path.to_owned(), problem })
+}
+
+/// The same from bytes; else what is wrong with them.
+pub fn parse(bytes: &[u8]) -> Result<Model, String> {
+    let (_, header) = SafeTensors::read_metadata(bytes).map_err(|error| error.to_string())?;
+    let metadata = header.metadata().clone().unwrap_or_default();
+    for (key, expected) in [("format", FORMAT), ("version", VERSION), ("activation", ACTIVATION)] {
+        let found = metadata.get(key).map_or("nothing", String::as_str);
+        if found != expected {
+            return Err(format!("its `{key}` is `{found}`, not `{expected}`"));
+        }
+    }
+    let tensors = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
+    let encoder = widths(&tensors, "encoder", POSE, CODE)?;
+    let decoder = widths(&tensors, "decoder", LATENT, POSE)?;
+    let mut model = Model::new(&encoder, &decoder);
+    for (name, network) in [("encoder", model.encoder.clone()), ("decoder", model.decoder.clone())]
+    {
+        load(&tensors, name, &network, &mut model.parameters)?;
+    }
+    Ok(model)
+}
+
+/// Hidden widths of a network, checked against its first and last width.
+fn widths(
+    tensors: &SafeTensors,
+    name: &str,
+    first: usize,
+    last: usize,
+) -> Result<Vec<usize>, String> {
+    let mut widths = vec![first];
+    while let Ok(tensor) = tensors.tensor(&format!("{name}.{}.weight", widths.len() - 1)) {
+        match tensor.shape() {
+            [out, inputs] if widths.last() == Some(inputs) => widths.push(*out),
+            shape => {
+                let layer = widths.len() - 1;
+                return Err(format!("`{name}.{layer}.weight` has the shape {shape:?}"));
+            }
+        }
+    }
+    if widths.len() < 2 || widths.pop() != Some(last) {
+        return Err(format!("its {name} does not end in {last} numbers"));
+    }
+    Ok(widths.split_off(1))
+}
+
+fn load(
+    tensors: &SafeTensors,
+    name: &str,
+    network: &Mlp,
+    parameters: &mut [f32],
+) -> Result<(), String> {
+    for (index, layer) in network.layers().iter().enumerate() {
+        for (part, range) in [("weight", &layer.weight), ("bias", &layer.bias)] {
+            let name = format!("{name}.{index}.{part}");
+            let tensor = tensors.tensor(&name).map_err(|error| error.to_string())?;
+            if tensor.dtype() != Dtype::F32 || tensor.data().len() != 4 * range.len() {
+                return Err(format!("`{name}` does not hold {} f32 numbers", range.len()));
+            }
+            let numbers = tensor.data().as_chunks::<4>().0.iter().copied().map(f32::from_le_bytes);
+            for (parameter, number) in parameters[range.clone()].iter_mut().zip(numbers) {
+                if !number.is_finite() {
+                    return Err(format!("`{name}` holds a number that is not finite"));
+                }
+                *parameter = number;
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,201 @@
+//! What training can be told, and the command line that repeats it.
+
+use std::path::{Path, PathBuf};
+
+use super::evaluate::SPAN;
+use super::loss::Weights;
+use super::model::LossWeights;
+use super::{TrainError, optimiser, sampler};
+use crate::core::manifold::LATENT;
+
+/// What to train on, and how. The defaults made the weights that ship.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// Folder of BVH clips; subfolders are read too.
+    pub motions: PathBuf,
+    /// Where the weights go.
+    pub out: PathBuf,
+    /// Subjects never trained on, whose error is reported.
+    pub test_subjects: Vec<String>,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Steps of the optimiser.
+    pub steps: usize,
+    /// Samples per step; a sample is two poses of a clip and two between.
+    pub batch: usize,
+    /// Numbers of a code that are used, up to all 32; the others stay without effect.
+    pub latent: usize,
+    /// Hidden units per layer of the decoder.
+    pub hidden: usize,
+    /// Hidden units per layer of the encoder.
+    pub encoder_hidden: usize,
+    /// Hidden layers of each network.
+    pub layers: usize,
+    /// Greatest learning rate.
+    pub learning_rate: f32,
+    /// Share by which weights shrink per step and unit of learning rate.
+    pub weight_decay: f32,
+    /// Weight of the divergence from N(0, I), per nat.
+    pub kl: f32,
+    /// Weight of joints that turn too far in poses of codes about the origin.
+    pub limits: f32,
+    /// Weight of joint centres, per metre; that of rotations is 1 per radian.
+    pub position: f32,
+    /// Weight of the poses between, against that of the poses themselves.
+    pub between: f32,
+    /// Share of samples whose legs come from another clip.
+    pub mix: f64,
+    /// Share of samples that are moved about another clip's mean pose.
+    pub restyle: f64,
+    /// Threads, 1 to 4. Does not change the result.
+    pub threads: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            motions: PathBuf::from("motions"),
+            out: PathBuf::from("weights.safetensors"),
+            test_subjects: Vec::new(),
+            seed: 1,
+            steps: 20_000,
+            batch: 512,
+            latent: LATENT,
+            hidden: 256,
+            encoder_hidden: 512,
+            layers: 2,
+            learning_rate: 3e-3,
+            weight_decay: 0.01,
+            kl: 1e-2,
+            limits: 1.0,
+            position: 20.0,
+            between: 3.0,
+            mix: 0.4,
+            restyle: 0.5,
+            threads: std::thread::available_parallelism().map_or(1, usize::from).min(4),
+        }
+    }
+}
+
+/// Fails on the first option that makes no sense.
+pub fn check(options: &Options) -> Result<(), TrainError> {
+    let counts = [
+        ("steps", options.steps, 1, 10_000_000),
+        ("batch", options.batch, 1, 65_536),
+        ("latent", options.latent, 1, LATENT),
+        ("hidden", options.hidden, 8, 4096),
+        ("encoder_hidden", options.encoder_hidden, 8, 4096),
+        ("layers", options.layers, 1, 8),
+        ("threads", options.threads, 1, 1024),
+    ];
+    for (option, found, low, high) in counts {
+        if !(low..=high).contains(&found) {
+            let found = found.to_string();
+            let allowed = format!("from {low} to {high}");
+            return Err(TrainError::Option { option, found, allowed });
+        }
+    }
+    let weights = [
+        ("learning_rate", options.learning_rate),
+        ("weight_decay", options.weight_decay),
+        ("kl", options.kl),
+        ("limits", options.limits),
+        ("position", options.position),
+        ("between", options.between),
+    ];
+    for (option, found) in weights {
+        if !(found.is_finite() && found >= 0.0) {
+            let found = found.to_string();
+            return Err(TrainError::Option { option, found, allowed: "0 or more".to_owned() });
+        }
+    }
+    for (option, found) in [("mix", options.mix), ("restyle", options.restyle)] {
+        if !(0.0..=1.0).contains(&found) {
+            let found = found.to_string();
+            return Err(TrainError::Option { option, found, allowed: "from 0 to 1".to_owned() });
+        }
+    }
+    Ok(())
+}
+
+/// How samples are drawn.
+pub fn sampler_config(options: &Options) -> sampler::Config {
+    sampler::Config {
+        mix: options.mix,
+        mirror: 0.5,
+        restyle: options.restyle,
+        gains: (0.8, 1.25),
+        span: SPAN,
+        spans: (5, 16),
+        other_spans: 0.5,
+        balance: 0.6,
+    }
+}
+
+/// What the loss is made of.
+pub fn loss_weights(options: &Options) -> LossWeights {
+    let pose = Weights { rotation: 1.0, position: options.position };
+    let between = Weights {
+        rotation: options.between * pose.rotation,
+        position: options.between * pose.position,
+    };
+    LossWeights { pose, between, divergence: options.kl, limits: options.limits }
+}
+
+/// How steps are taken.
+pub fn optimiser_config(options: &Options) -> optimiser::Config {
+    optimiser::Config {
+        learning_rate: options.learning_rate,
+        warm_up: (options.steps / 20).min(500),
+        steps: options.steps,
+        longest_gradient: 1.0,
+        weight_decay: options.weight_decay,
+        averaging: 0.999,
+    }
+}
+
+/// The command line that repeats a run: folder and file by their last names, and the options
+/// that are not the default.
+pub fn command(options: &Options) -> String {
+    with_settings(options, "bundlemocap train")
+}
+
+/// The same for a transition model.
+pub fn transition_command(options: &Options) -> String {
+    with_settings(options, "bundlemocap train --transition")
+}
+
+fn with_settings(options: &Options, program: &str) -> String {
+    let last = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let default = Options::default();
+    let mut command = format!("{program} {}/", last(&options.motions));
+    if !options.test_subjects.is_empty() {
+        command += &format!(" --test-subjects {}", options.test_subjects.join(","));
+    }
+    command += &format!(" --out {}", last(&options.out));
+    let settings = |o: &Options| {
+        [
+            ("seed", o.seed.to_string()),
+            ("steps", o.steps.to_string()),
+            ("batch", o.batch.to_string()),
+            ("latent", o.latent.to_string()),
+            ("hidden", o.hidden.to_string()),
+            ("encoder-hidden", o.encoder_hidden.to_string()),
+            ("layers", o.layers.to_string()),
+            ("learning-rate", o.learning_rate.to_string()),
+            ("weight-decay", o.weight_decay.to_string()),
+            ("kl", o.kl.to_string()),
+            ("limits", o.limits.to_string()),
+            ("position", o.position.to_string()),
+            ("between", o.between.to_string()),
+            ("mix", o.mix.to_string()),
+            ("restyle", o.restyle.to_string()),
+        ]
+    };
+    for ((name, value), (_, usual)) in settings(options).into_iter().zip(settings(&default)) {
+        if value != usual {
+            command += &format!(" --{name} {value}");
+        }
+    }
+    command
+}

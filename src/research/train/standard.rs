@@ -1,0 +1,64 @@
+//! The coordinates of codes. The divergence brings codes only near to N(0, I), which is the solver's
+//! prior; the rest is done once they are trained: in the new coordinates each number has mean 0 and
+//! about unit variance over the clips, and half of their correlations are taken out.
+
+use nalgebra::{SMatrix, SVector};
+
+use super::corpus::{Clip, mirrored};
+use super::evaluate::encode;
+use super::model::Model;
+use crate::core::manifold::LATENT;
+
+/// Which part of the correlations is believed: the few clips of a few people do not tell them all.
+const CORRELATION: f64 = 0.5;
+/// Least variance that counts, so that numbers stay finite where clips hardly move.
+const LEAST: f64 = 1e-4;
+
+type Vector = SVector<f64, LATENT>;
+type Matrix = SMatrix<f64, LATENT, LATENT>;
+
+/// New coordinates z' = T (z - m), with T symmetric.
+pub struct Standard {
+    /// m, the mean code.
+    pub mean: Vector,
+    /// T.
+    pub to_new: Matrix,
+    /// The inverse of T.
+    pub to_old: Matrix,
+}
+
+impl Standard {
+    /// For the codes of all poses of the clips and of their mirror images. Numbers that are unused stay.
+    pub fn of(model: &Model, clips: &[Clip]) -> Self {
+        let (mut count, mut sum, mut squares) = (0.0, Vector::zeros(), Matrix::zeros());
+        for clip in clips {
+            let others: Vec<_> = clip.poses.iter().map(mirrored).collect();
+            for code in [&clip.poses, &others].into_iter().flat_map(|poses| encode(model, poses)) {
+                let code = Vector::from_fn(|i, _| code[i].into());
+                count += 1.0;
+                sum += code;
+                squares.syger(1.0, &code, &code, 1.0);
+            }
+        }
+        let (mean, squares) = (sum / f64::max(count, 1.0), squares / f64::max(count, 1.0));
+        let used = model.latent();
+        let covariance = Matrix::from_fn(|i, j| match (i.max(j), i.min(j)) {
+            (i, j) if i >= used => f64::from(u8::from(i == j)),
+            (i, j) => {
+                let part = if i == j { 1.0 } else { CORRELATION };
+                part * (squares[(i, j)] - mean[i] * mean[j])
+            }
+        });
+        let eigen = covariance.symmetric_eigen();
+        let power = |exponent: f64| {
+            let scales = eigen.eigenvalues.map(|variance| variance.max(LEAST).powf(exponent));
+            let scale = Matrix::from_diagonal(&scales);
+            let power = eigen.eigenvectors * scale * eigen.eigenvectors.transpose();
+            Matrix::from_fn(|i, j| match i.max(j) < used {
+                true => power[(i, j)],
+                false => f64::from(u8::from(i == j)),
+            })
+        };
+        Self { mean, to_new: power(-0.5), to_old: power(0.5) }
+    }
+}
