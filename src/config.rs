@@ -15,7 +15,7 @@ use crate::live;
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// Of the tracking machine and of what it solves.
-    pub track: tracker::Config,
+    pub tracker: tracker::Config,
     /// Of the live node.
     pub node: live::Config,
     /// How the live node and the tools beside it exchange messages.
@@ -96,9 +96,9 @@ impl Config {
 
     /// The first number out of range: its key, its value and what is allowed.
     fn out_of_range(&self) -> Option<(&'static str, f64, &'static str)> {
-        let rate = self.track.frame_rate_hz;
+        let rate = self.tracker.frame_rate_hz;
         if rate != 0.0 && !is_frame_rate(rate) {
-            return Some(("track.frame_rate_hz", rate, "0 (find it) or 1 to 1000"));
+            return Some(("tracker.frame_rate_hz", rate, "0 (find it) or 1 to 1000"));
         }
         let rate = self.node.output_rate_hz;
         if rate != 0.0 && !is_frame_rate(rate) {
@@ -111,50 +111,55 @@ impl Config {
     }
 
     fn counts(&self) -> [Limit; 13] {
-        let Self { track, node, .. } = self;
+        let Self { tracker, node, .. } = self;
         let count =
             |key, value: usize, most: f64, allowed| (key, value as f64, 1.0..=most, allowed);
         let or_none = |key, value: usize| (key, value as f64, 0.0..=1e3, "0 to 1000");
         [
-            count("track.window_frames", track.window_frames, 1e3, "1 to 1000"),
-            count("track.keyframe_frames", track.keyframe_frames, 1e3, "1 to 1000"),
-            count("track.publish_frames", track.publish_frames, 1e3, "1 to 1000"),
-            or_none("track.deadline_frames", track.deadline_frames),
-            count("track.shape_windows", track.shape_windows, 1e2, "1 to 100"),
-            count("track.iterations", track.iterations, 1e3, "1 to 1000"),
-            count("track.acquisition_iterations", track.acquisition_iterations, 1e3, "1 to 1000"),
-            or_none("track.live_iterations", track.live_iterations),
-            or_none("track.mark_windows", track.mark_windows),
-            or_none("track.coast_windows", track.coast_windows),
-            count("track.grace_windows", track.grace_windows, 1e3, "1 to 1000"),
-            ("track.threads", track.threads as f64, 1.0..=2.0, "1 or 2"),
+            count("tracker.window_frames", tracker.window_frames, 1e3, "1 to 1000"),
+            count("tracker.keyframe_frames", tracker.keyframe_frames, 1e3, "1 to 1000"),
+            count("tracker.publish_frames", tracker.publish_frames, 1e3, "1 to 1000"),
+            or_none("tracker.deadline_frames", tracker.deadline_frames),
+            count("tracker.shape_windows", tracker.shape_windows, 1e2, "1 to 100"),
+            count("tracker.iterations", tracker.iterations, 1e3, "1 to 1000"),
+            count(
+                "tracker.acquisition_iterations",
+                tracker.acquisition_iterations,
+                1e3,
+                "1 to 1000",
+            ),
+            or_none("tracker.provisional_iterations", tracker.provisional_iterations),
+            or_none("tracker.offset_windows", tracker.offset_windows),
+            or_none("tracker.coast_windows", tracker.coast_windows),
+            count("tracker.grace_windows", tracker.grace_windows, 1e3, "1 to 1000"),
+            ("tracker.threads", tracker.threads as f64, 1.0..=2.0, "1 or 2"),
             ("node.queue", node.queue as f64, 16.0..=1e6, "16 to 1000000"),
         ]
     }
 
     fn weights(&self) -> [Limit; 19] {
-        let tracker::Config { cost, gate, min_confidence, .. } = self.track;
+        let tracker::Config { cost, gate, min_confidence, .. } = self.tracker;
         let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
         let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
         [
-            from_0("track.noise_px", self.track.noise_px),
-            ("track.min_confidence", min_confidence, 0.0..=1.0, "0 to 1"),
-            above_0("track.cost.scale_px", cost.scale_px),
-            from_0("track.change_threshold", self.track.change_threshold),
-            from_0("track.cost.prior", cost.prior),
-            from_0("track.cost.prior_freedom", cost.prior_freedom),
-            from_0("track.cost.shape_prior", cost.shape_prior),
-            from_0("track.cost.mark_prior", cost.mark_prior),
-            from_0("track.cost.jacobian_reach", cost.jacobian_reach),
-            from_0("track.cost.stiffness.latent", cost.stiffness.latent),
-            from_0("track.cost.stiffness.turn", cost.stiffness.turn),
-            from_0("track.cost.stiffness.shift", cost.stiffness.shift),
-            above_0("track.cost.stiffness.scale_px", cost.stiffness.scale_px),
-            above_0("track.gate.agree", gate.agree),
-            above_0("track.gate.follow", gate.follow),
-            above_0("track.gate.lost_residual", gate.lost_residual),
-            above_0("track.gate.lost_latent", gate.lost_latent),
-            from_0("track.gate.lost_observations", gate.lost_observations),
+            from_0("tracker.reference_residual_px", self.tracker.reference_residual_px),
+            ("tracker.min_confidence", min_confidence, 0.0..=1.0, "0 to 1"),
+            above_0("tracker.cost.scale_px", cost.scale_px),
+            from_0("tracker.change_threshold", self.tracker.change_threshold),
+            from_0("tracker.cost.prior", cost.prior),
+            from_0("tracker.cost.prior_dof", cost.prior_dof),
+            from_0("tracker.cost.shape_prior", cost.shape_prior),
+            from_0("tracker.cost.offset_prior", cost.offset_prior),
+            from_0("tracker.cost.jacobian_reuse_radius", cost.jacobian_reuse_radius),
+            from_0("tracker.cost.stiffness.latent", cost.stiffness.latent),
+            from_0("tracker.cost.stiffness.rotation", cost.stiffness.rotation),
+            from_0("tracker.cost.stiffness.position", cost.stiffness.position),
+            above_0("tracker.cost.stiffness.robust_scale_px", cost.stiffness.robust_scale_px),
+            above_0("tracker.gate.agree", gate.agree),
+            above_0("tracker.gate.follow", gate.follow),
+            above_0("tracker.gate.lost_residual", gate.lost_residual),
+            above_0("tracker.gate.lost_latent", gate.lost_latent),
+            from_0("tracker.gate.lost_observations", gate.lost_observations),
             ("node.latency_ms", self.node.latency_ms, 0.0..=6e4, "0 (find it) to 60000"),
         ]
     }
@@ -215,8 +220,8 @@ mod tests {
     #[test]
     fn a_round_trip_keeps_everything() {
         let mut config = Config::default();
-        config.track.window_frames = 7;
-        config.track.cost.prior = 12.5;
+        config.tracker.window_frames = 7;
+        config.tracker.cost.prior = 12.5;
         assert_eq!(parse(&config.to_toml()), Ok(config));
     }
 
@@ -230,9 +235,9 @@ mod tests {
         let kind = parse("[track]\nwindow_frames = \"ten\"\n").unwrap_err();
         assert!(kind.contains("line 2"), "{kind}");
         let zero = parse("[track]\nwindow_frames = 0\n").unwrap_err();
-        assert!(zero.contains("track.window_frames is 0"), "{zero}");
-        let negative = parse("[track.cost]\nscale_px = -1.0\n").unwrap_err();
-        assert!(negative.contains("track.cost.scale_px is -1"), "{negative}");
+        assert!(zero.contains("tracker.window_frames is 0"), "{zero}");
+        let negative = parse("[tracker.cost]\nscale_px = -1.0\n").unwrap_err();
+        assert!(negative.contains("tracker.cost.scale_px is -1"), "{negative}");
         assert!(!kind.contains('\n') && !unknown.contains('\n'));
     }
 
@@ -255,25 +260,25 @@ mod tests {
         refused("track", "iterations", "0", "1 to 1000");
         refused("track", "iterations", "1000000", "1 to 1000");
         refused("track", "acquisition_iterations", "0", "1 to 1000");
-        refused("track", "live_iterations", "1001", "0 to 1000");
-        refused("track", "mark_windows", "1001", "0 to 1000");
+        refused("track", "provisional_iterations", "1001", "0 to 1000");
+        refused("track", "offset_windows", "1001", "0 to 1000");
         refused("track", "coast_windows", "1001", "0 to 1000");
         refused("track", "grace_windows", "0", "1 to 1000");
         refused("track", "min_confidence", "1.5", "0 to 1");
-        refused("track.cost", "scale_px", "0.0", "a number above 0");
-        refused("track.cost", "prior", "-1.0", "0 or a number above");
-        refused("track.cost", "prior_freedom", "nan", "0 or a number above");
-        refused("track.cost", "shape_prior", "inf", "0 or a number above");
-        refused("track.cost", "mark_prior", "-1.0", "0 or a number above");
-        refused("track.cost.stiffness", "turn", "-0.1", "0 or a number above");
-        refused("track.gate", "follow", "nan", "a number above 0");
+        refused("tracker.cost", "scale_px", "0.0", "a number above 0");
+        refused("tracker.cost", "prior", "-1.0", "0 or a number above");
+        refused("tracker.cost", "prior_dof", "nan", "0 or a number above");
+        refused("tracker.cost", "shape_prior", "inf", "0 or a number above");
+        refused("tracker.cost", "offset_prior", "-1.0", "0 or a number above");
+        refused("tracker.cost.stiffness", "turn", "-0.1", "0 or a number above");
+        refused("tracker.gate", "follow", "nan", "a number above 0");
         refused("node", "queue", "15", "16 to 1000000");
         refused("node", "latency_ms", "-1.0", "0 (find it) to 60000");
         refused("node", "output_rate_hz", "0.5", "0 (the cameras') or 1 to 1000");
-        refused("track.gate", "lost_observations", "-1.0", "0 or a number above");
+        refused("tracker.gate", "lost_observations", "-1.0", "0 or a number above");
         for rate in ["0.0", "1.0", "59.94", "1000.0"] {
             parse(&format!("[track]\nframe_rate_hz = {rate}\n")).unwrap();
         }
-        parse("[track.cost]\nprior = 0.0\nshape_prior = 0.0\n").unwrap();
+        parse("[tracker.cost]\nprior = 0.0\nshape_prior = 0.0\n").unwrap();
     }
 }

@@ -52,7 +52,7 @@ enum What {
     /// Final poses, at the declared latency.
     Poses,
     /// Provisional poses of the open window.
-    Live,
+    Provisional,
     /// 2D keypoints of every camera.
     Keypoints,
     /// The node's counters.
@@ -75,7 +75,7 @@ impl What {
     fn pattern(self, topics: &Topics) -> String {
         match self {
             Self::Poses => topics.pose(),
-            Self::Live => topics.live(),
+            Self::Provisional => topics.provisional(),
             Self::Keypoints => topics.keypoints("*"),
             Self::Status => topics.status(),
             Self::Events => topics.events(),

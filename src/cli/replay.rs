@@ -98,9 +98,9 @@ fn prepare(start: &JournalStart, weights: Option<&Path>) -> Result<(Settings, So
         );
         return Err(Failure::new(Exit::Weights, message));
     }
-    let (track, node) = (config.track, config.node.clone());
-    let settings = Settings { track, node, toml: start.config.clone(), weights: ours };
-    Ok((settings, Solver::new(decoder, track)))
+    let (tracker, node) = (config.tracker, config.node.clone());
+    let settings = Settings { tracker, node, toml: start.config.clone(), weights: ours };
+    Ok((settings, Solver::new(decoder, tracker)))
 }
 
 /// Writes the inputs as they were recorded, and what came out, by time.

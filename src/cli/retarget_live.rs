@@ -217,7 +217,7 @@ mod tests {
         put(&topics.pose(), "application/json", b"{}");
         put(&topics.pose(), "", b"\xff\xff");
         put(&topics.pose(), &media_type("bundlemocap.v1.Pose"), &encode(&pose(2.0)));
-        put(&topics.live(), "", &encode(&pose(3.0)));
+        put(&topics.provisional(), "", &encode(&pose(3.0)));
         stop.stop();
         let served = live.serve(&mut ours(), true, &stop).unwrap();
         assert_eq!((served.published, served.unusable, served.early), (2, 2, 0));

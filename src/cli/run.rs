@@ -80,12 +80,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let (signals, _watch) = watch_signals()?;
 
     // Before the bus starts its threads, so that they keep off it, too.
-    let is_alone = config.node.solver_core && config.track.threads == 1;
+    let is_alone = config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
-    let solver = Solver::new(decoder, config.track);
+    let solver = Solver::new(decoder, config.tracker);
     let core = Core::new(Settings {
-        track: config.track,
+        tracker: config.tracker,
         node: config.node.clone(),
         toml: config.to_toml(),
         weights,
@@ -219,7 +219,7 @@ fn say_goodbye(status: Option<&Status>) {
         poses = playout.published,
         coasted = playout.coasted,
         missed = playout.missed,
-        live = playout.live,
+        live = playout.provisional,
         dropped = status.queue_dropped,
         "ended"
     );

@@ -14,7 +14,7 @@ use crate::config::Config;
 use crate::core::body::Skeleton;
 use crate::core::camera::{Camera, Rig};
 use crate::core::manifold::{Decoder, Interpolation};
-use crate::core::optimise::Method;
+use crate::core::optimise::OptimiserKind;
 use crate::core::tracker::{EventKind, Input, Solver};
 use crate::io::formats::Trc;
 use crate::io::recording::{Provenance, Report};
@@ -42,7 +42,7 @@ Examples:
   bundlemocap solve balancing.mcap --out out --json
   bundlemocap solve balancing.mcap --out out --hold-out cam01
   bundlemocap solve balancing.mcap --out out --reference pose2sim.trc
-  bundlemocap solve balancing.mcap --out out --cameras cam01,cam02,cam04 --method lbfgs")]
+  bundlemocap solve balancing.mcap --out out --cameras cam01,cam02,cam04 --optimiser lbfgs")]
 pub(super) struct Arguments {
     /// An MCAP recording with keypoints and a calibrated rig.
     file: PathBuf,
@@ -72,7 +72,7 @@ pub(super) struct Arguments {
     interpolation: Option<InterpolationName>,
     /// The optimiser of the windows.
     #[arg(long, value_enum)]
-    method: Option<MethodName>,
+    optimiser: Option<OptimiserName>,
     /// Print one JSON object, not the table.
     #[arg(long)]
     json: bool,
@@ -85,7 +85,7 @@ enum InterpolationName {
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum MethodName {
+enum OptimiserName {
     Lm,
     Lbfgs,
 }
@@ -113,7 +113,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         weights: format!("{:016x}", decoder.fingerprint()),
         ..Provenance::default()
     };
-    let interpolation = config.track.cost.interpolation;
+    let interpolation = config.tracker.cost.interpolation;
     let path = folder.file("poses.mcap");
     let mut file = PoseFile::create(&path, &recording.rig, &rig, &provenance, interpolation)?;
     let bar = progress(recording.messages, "messages");
@@ -188,16 +188,16 @@ fn hold_out(
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     let mut config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
     if let Some(fps) = arguments.fps {
-        config.track.frame_rate_hz = frame_rate_option(fps)?;
+        config.tracker.frame_rate_hz = frame_rate_option(fps)?;
     }
     match arguments.interpolation {
-        Some(InterpolationName::Slerp) => config.track.cost.interpolation = Interpolation::Slerp,
-        Some(InterpolationName::Lerp) => config.track.cost.interpolation = Interpolation::Lerp,
+        Some(InterpolationName::Slerp) => config.tracker.cost.interpolation = Interpolation::Slerp,
+        Some(InterpolationName::Lerp) => config.tracker.cost.interpolation = Interpolation::Lerp,
         None => {}
     }
-    match arguments.method {
-        Some(MethodName::Lm) => config.track.method = Method::LevenbergMarquardt,
-        Some(MethodName::Lbfgs) => config.track.method = Method::Lbfgs,
+    match arguments.optimiser {
+        Some(OptimiserName::Lm) => config.tracker.optimiser = OptimiserKind::LevenbergMarquardt,
+        Some(OptimiserName::Lbfgs) => config.tracker.optimiser = OptimiserKind::Lbfgs,
         None => {}
     }
     Ok(config)
@@ -226,9 +226,9 @@ fn solve(
     bar: &ProgressBar,
 ) -> Result<Solved, Failure> {
     let begin = Instant::now();
-    let solver = Solver::new(decoder, config.track);
+    let solver = Solver::new(decoder, config.tracker);
     let mut driver =
-        Driver::new(config.track, Arc::clone(rig), solver, |output| file.write(output));
+        Driver::new(config.tracker, Arc::clone(rig), solver, |output| file.write(output));
     let (mut truth, mut clock) = (True::default(), None);
     let report = recording.stream(
         rig,

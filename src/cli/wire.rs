@@ -176,7 +176,7 @@ fn status(status: &Status) -> String {
         windows.solve_p99_ms,
         playout.published,
         playout.missed,
-        playout.live,
+        playout.provisional,
         status.declared_latency_ns as f64 * 1e-6,
         effort.level,
         status.queue_dropped,
@@ -254,7 +254,7 @@ fn pose_json(pose: &Pose) -> Value {
         "root_rotation": pose.root_rotation,
         "local_rotations": pose.local_rotations,
         "joint_positions_m": pose.joint_positions_m,
-        "calibration_version": pose.calibration_version,
+        "rig_version": pose.rig_version,
         "window": pose.window,
         "provisional": pose.provisional,
         "revision": pose.revision,
@@ -275,7 +275,7 @@ fn keyframe_json(keyframe: &Keyframe) -> Value {
         "grid_origin_ns": keyframe.grid_origin_ns,
         "grid_period_ns": keyframe.grid_period_ns,
         "state": state(keyframe.state),
-        "calibration_version": keyframe.calibration_version,
+        "rig_version": keyframe.rig_version,
     })
 }
 
@@ -299,9 +299,9 @@ fn status_json(status: &Status) -> Value {
             "missed": playout.missed,
             "deviation_bins_us": playout.deviation_bins_us,
             "deviation_counts": playout.deviation_counts,
-            "live": playout.live,
-            "live_bins_us": playout.live_bins_us,
-            "live_counts": playout.live_counts,
+            "provisional": playout.provisional,
+            "provisional_bins_us": playout.provisional_bins_us,
+            "provisional_counts": playout.provisional_counts,
         })
     });
     let effort = status.effort.as_ref().map(|effort| {
@@ -309,7 +309,7 @@ fn status_json(status: &Status) -> Value {
             "level": effort.level,
             "iterations": effort.iterations,
             "stride": effort.stride,
-            "raised": effort.raised,
+            "degradation_steps": effort.degradation_steps,
         })
     });
     let events = status.events.iter().map(|event| (event.kind.clone(), json!(event.count)));

@@ -48,7 +48,7 @@ pub fn xyzw_from_rotation(r: &Matrix3<f64>) -> [f64; 4] {
 /// As [`xyzw_from_rotation`], but rounded to 2^-44, so that the rotation of this quaternion has the
 /// same quaternion again, bit for bit: a rotation that was sent as a quaternion is the one that
 /// came. The first of w, x, y, z that is large is not rounded but follows from the unit length.
-pub fn settled_xyzw(r: &Matrix3<f64>) -> [f64; 4] {
+pub fn quantised_xyzw(r: &Matrix3<f64>) -> [f64; 4] {
     const STEPS: f64 = (1_u64 << 44) as f64;
     /// One component of a unit quaternion is at least 0.5.
     const LARGE: f64 = 0.4;
@@ -61,9 +61,9 @@ pub fn settled_xyzw(r: &Matrix3<f64>) -> [f64; 4] {
     rounded
 }
 
-/// The rotation nearest to R that [`settled_xyzw`] keeps; R itself if it is no rotation.
-pub fn settled(r: &Matrix3<f64>) -> Matrix3<f64> {
-    rotation_from_xyzw(settled_xyzw(r)).unwrap_or(*r)
+/// The rotation nearest to R that [`quantised_xyzw`] keeps; R itself if it is no rotation.
+pub fn quantised(r: &Matrix3<f64>) -> Matrix3<f64> {
+    rotation_from_xyzw(quantised_xyzw(r)).unwrap_or(*r)
 }
 
 /// Whether R is a rotation to within `tolerance` in each entry of R^T R, and right-handed.
@@ -230,9 +230,9 @@ mod tests {
         });
         for vector in random.chain(quarters) {
             let rotation = exp(&vector);
-            let settled = settled(&rotation);
+            let settled = quantised(&rotation);
             assert!((settled - rotation).amax() < 1e-12);
-            let xyzw = settled_xyzw(&settled);
+            let xyzw = quantised_xyzw(&settled);
             assert_eq!(rotation_from_xyzw(xyzw), Some(settled), "{vector}");
         }
     }

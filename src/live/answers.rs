@@ -40,7 +40,7 @@ impl Core {
         let trouble = self.trouble.take();
         let Some(why) = self.governor.solved(self.took_ns, available, trouble) else { return };
         let level = self.governor.level();
-        let effort = Effort::at(level, &self.settings.track);
+        let effort = Effort::at(level, &self.settings.tracker);
         self.tell(tracker::Input::Effort(effort));
         let Effort { iterations, stride, .. } = effort;
         let detail = format!("level {level}: {iterations} iterations, stride {stride}; {why}");
@@ -49,7 +49,7 @@ impl Core {
 
     /// Passes on what the machine gives out.
     pub(super) fn drain(&mut self) {
-        while let Some(output) = self.track.as_mut().and_then(tracker::Track::poll) {
+        while let Some(output) = self.track.as_mut().and_then(tracker::Tracker::poll) {
             match output {
                 tracker::Output::Solve(job) => self.outputs.push_back(Output::Solve(job)),
                 tracker::Output::Skeleton(skeleton) => {
@@ -57,7 +57,7 @@ impl Core {
                     let now = self.clock.capture_time(self.now);
                     self.publish(self.topics.skeleton(), now, &message, None);
                 }
-                tracker::Output::Pose(pose) if pose.provisional => self.live(&pose),
+                tracker::Output::Pose(pose) if pose.provisional => self.provisional(&pose),
                 tracker::Output::Pose(pose) => self.pose(&pose),
                 tracker::Output::Keyframe(keyframe) => self.keyframe(&keyframe),
                 tracker::Output::Window(report) => self.window(&report),
@@ -74,16 +74,16 @@ impl Core {
         self.send_pose(pose, self.topics.pose(), publication, Some(due));
     }
 
-    fn live(&mut self, pose: &StampedPose) {
+    fn provisional(&mut self, pose: &StampedPose) {
         let half = self.track.as_ref().map_or(0, |track| track.frame_period() as i64 / 2);
         let of_set = self.arrivals.iter().filter(|(at, _)| (*at - pose.capture).abs() <= half);
         if let Some((_, arrival)) = of_set.max_by_key(|(_, arrival)| *arrival) {
             let latency = (self.now - *arrival) / 1000;
-            self.published.live(u32::try_from(latency).unwrap_or(u32::MAX));
+            self.published.provisional(u32::try_from(latency).unwrap_or(u32::MAX));
         }
         let publish = self.clock.capture_time(self.now);
         let latency_ns = self.latency.declared_ns().unwrap_or(0).max(0) as u64;
-        self.send_pose(pose, self.topics.live(), Publication { publish, latency_ns }, None);
+        self.send_pose(pose, self.topics.provisional(), Publication { publish, latency_ns }, None);
     }
 
     fn send_pose(
@@ -93,20 +93,24 @@ impl Core {
         publication: Publication,
         due: Option<Timestamp>,
     ) {
-        let Some(skeleton) = self.track.as_ref().and_then(tracker::Track::skeleton) else { return };
+        let Some(skeleton) = self.track.as_ref().and_then(tracker::Tracker::skeleton) else {
+            return;
+        };
         let message = wire::Pose::from_core(pose, skeleton, Some(publication));
         self.publish(topic, pose.capture, &message, due);
     }
 
     fn keyframe(&mut self, at: &KeyframeAt) {
-        let Some(skeleton) = self.track.as_ref().and_then(tracker::Track::skeleton) else { return };
+        let Some(skeleton) = self.track.as_ref().and_then(tracker::Tracker::skeleton) else {
+            return;
+        };
         let message = wire::Keyframe::from_core(&StampedKeyframe {
             capture: at.capture,
             start: at.start,
             window: at.window,
             keyframe: at.keyframe.clone(),
             shape: *skeleton.shape(),
-            interpolation: self.settings.track.cost.interpolation,
+            interpolation: self.settings.tracker.cost.interpolation,
             weights: self.settings.weights.clone(),
             grid: at.grid,
             state: at.state,

@@ -22,7 +22,7 @@ pub struct Config {
     /// Poses a second; 0: as many as the fastest camera's frames.
     pub output_rate_hz: f64,
     /// Whether provisional poses of the open window are solved and published.
-    pub live: bool,
+    pub provisional: bool,
     /// Whether the solver has a processor core of its own, so that poses leave on time.
     pub solver_core: bool,
     /// Messages that wait for the machine at most; beyond, the oldest are dropped.
@@ -40,7 +40,7 @@ impl Default for Config {
             rig_up: Up::default(),
             latency_ms: 0.0,
             output_rate_hz: 0.0,
-            live: true,
+            provisional: true,
             solver_core: true,
             queue: 4096,
             prometheus: String::new(),

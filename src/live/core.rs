@@ -13,7 +13,7 @@ use super::latency::Finder;
 use super::status::{Published, Windows};
 use crate::core::camera::Rig;
 use crate::core::time::Timestamp;
-use crate::core::tracker::{self, EventKind, Job, Live, Performer, Solution, Track};
+use crate::core::tracker::{self, EventKind, Job, Live, Performer, Solution, Tracker};
 use crate::io::wire::{self, Schema, Topics, encode};
 
 /// What the core is told.
@@ -76,7 +76,7 @@ pub struct Publication {
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Of the machine.
-    pub track: tracker::Config,
+    pub tracker: tracker::Config,
     /// Of the node.
     pub node: Config,
     /// All settings as TOML.
@@ -100,7 +100,7 @@ pub struct Core {
     /// From a file, before the first message.
     rig_at_start: Option<Vec<u8>>,
     pub(super) calibration: Option<Calibration>,
-    pub(super) track: Option<Track>,
+    pub(super) track: Option<Tracker>,
     pub(super) cameras: Vec<Camera>,
     pub(super) clock: Clock,
     pub(super) latency: Finder,
@@ -236,9 +236,9 @@ impl Core {
 
     fn begin(&mut self, rig: Arc<Rig>) {
         let node = &self.settings.node;
-        let live = Live { provisional: node.live, output_rate_hz: node.output_rate_hz };
+        let live = Live { provisional: node.provisional, output_rate_hz: node.output_rate_hz };
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
-        self.track = Some(Track::new(self.settings.track, rig).live(live));
+        self.track = Some(Tracker::new(self.settings.tracker, rig).live(live));
         self.event(EventKind::Calibrated, None, detail);
     }
 
@@ -354,21 +354,23 @@ impl Core {
             let offset = self.clock.offset(index, self.now).unwrap_or_default();
             camera.counters(self.now, used, waited_for, offset)
         });
-        let effort = tracker::Effort::at(self.governor.level(), &self.settings.track);
+        let effort = tracker::Effort::at(self.governor.level(), &self.settings.tracker);
         wire::Status {
             capture_time_ns: self.clock.capture_time(self.now).ns(),
             cameras: cameras.collect(),
             windows: Some(self.windows.counters()),
             node_time_ns: self.now.ns(),
             inputs: self.journal.count,
-            performer: track.map_or(Performer::Searching, Track::performer).name().to_owned(),
+            performer: track.map_or(Performer::Searching, Tracker::performer).name().to_owned(),
             declared_latency_ns: self.latency.declared_ns().unwrap_or(0).max(0) as u64,
-            playout: Some(self.published.counters(track.map_or((0, 0), Track::carried_and_missed))),
+            playout: Some(
+                self.published.counters(track.map_or((0, 0), Tracker::carried_and_missed)),
+            ),
             effort: Some(wire::EffortStatus {
                 level: self.governor.level(),
                 iterations: effort.iterations as u32,
                 stride: effort.stride as u32,
-                raised: self.governor.raised,
+                degradation_steps: self.governor.degradation_steps,
             }),
             events: self.events.counts(),
             queue_dropped: self.queue_dropped,
@@ -376,7 +378,7 @@ impl Core {
     }
 
     fn wake(&mut self) {
-        let track = self.track.as_ref().and_then(Track::wake);
+        let track = self.track.as_ref().and_then(Tracker::wake);
         // One that is past waits for something else than time.
         let next = track.map(|capture| self.clock.node_time(capture)).filter(|at| *at > self.now);
         let next = next.into_iter();

@@ -20,7 +20,7 @@ pub(super) struct Governor {
     calm: u32,
     settling: u32,
     /// How often the level rose.
-    pub(super) raised: u64,
+    pub(super) degradation_steps: u64,
 }
 
 impl Governor {
@@ -47,7 +47,7 @@ impl Governor {
                 return None;
             }
             (self.level, self.settling) = (self.level + 1, SETTLE);
-            self.raised += 1;
+            self.degradation_steps += 1;
             let trouble = trouble.unwrap_or("the solve is too slow");
             return Some(format!("{trouble}; a window took {took_ms:.1} of {available_ms:.1} ms"));
         }
@@ -75,7 +75,7 @@ mod tests {
             assert!(governor.solved(11, 10, None).is_none());
         }
         assert!(governor.solved(1, 10, Some("the queue ran over")).is_some());
-        assert_eq!((governor.level(), governor.raised), (2, 2));
+        assert_eq!((governor.level(), governor.degradation_steps), (2, 2));
         let calm = (0..1000).filter(|_| governor.solved(1, 10, None).is_some()).count();
         assert_eq!((governor.level(), calm), (0, 2));
         for _ in 0..100 {

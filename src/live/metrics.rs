@@ -230,7 +230,7 @@ impl Sheet<'_> {
             ("published", playout.published),
             ("coasted", playout.coasted),
             ("missed", playout.missed),
-            ("live", playout.live),
+            ("live", playout.provisional),
         ];
         let rows = outcomes.map(|(name, count)| (vec![("outcome", name)], count as f64));
         self.counters("bundlemocap_poses", "Poses by what became of them", &rows)?;
@@ -242,14 +242,18 @@ impl Sheet<'_> {
         self.histogram(
             "bundlemocap_live_latency_seconds",
             "From the last message of a frame set to its live pose",
-            (&playout.live_bins_us, &playout.live_counts),
+            (&playout.provisional_bins_us, &playout.provisional_counts),
         )
     }
 
     fn effort(&mut self, effort: &EffortStatus) -> fmt::Result {
         let level = f64::from(effort.level);
         self.gauge("bundlemocap_effort_level", "0 is all that the settings ask for", level)?;
-        self.counter("bundlemocap_effort_raised", "How often the level rose", effort.raised)
+        self.counter(
+            "bundlemocap_effort_raised",
+            "How often the level rose",
+            effort.degradation_steps,
+        )
     }
 
     /// `_total` is added to the name.

@@ -39,7 +39,7 @@ pub(super) struct Inbox {
 }
 
 /// The core with all that it needs around it.
-pub(super) struct Machine {
+pub(super) struct NodeLoop {
     pub(super) core: Core,
     pub(super) clock: WallClock,
     pub(super) inbox: Inbox,
@@ -68,7 +68,7 @@ enum Turn {
     Stop,
 }
 
-impl Machine {
+impl NodeLoop {
     /// Runs until the stop, and then until the last answer is in and the last pose has left.
     pub(super) fn run(mut self) -> Result<(), NodeError> {
         let ended = self.serve();

@@ -13,7 +13,7 @@ use super::core::Core;
 use super::cpu_affinity::SolverCore;
 use super::error::NodeError;
 use super::metrics::Endpoint;
-use super::node_loop::{Answer, Inbox, Machine, Progress};
+use super::node_loop::{Answer, Inbox, NodeLoop, Progress};
 use super::outlet::Outlet;
 use super::playout::Playout;
 use super::queue::{Intake, Message};
@@ -78,7 +78,7 @@ impl Node {
         let (jobs, answers) = start_solver(solver, solver_core, &mut threads)?;
 
         let (stop, stopped) = bounded(1);
-        let machine = Machine {
+        let machine = NodeLoop {
             core,
             clock,
             inbox: Inbox { intake: intake.clone(), answers, played, rigs, stop: stopped },
@@ -178,7 +178,7 @@ fn thread(name: &str) -> Builder {
 fn machine_outlet(bus: &Arc<dyn Bus>, topics: &Topics, board: &Board) -> Result<Outlet, NodeError> {
     let mut outlet = Outlet::new(Arc::clone(bus), board.failures());
     let all = [
-        (topics.live(), Pose::FULL_NAME),
+        (topics.provisional(), Pose::FULL_NAME),
         (topics.keyframe(), Keyframe::FULL_NAME),
         (topics.skeleton(), Skeleton::FULL_NAME),
         (topics.events(), Event::FULL_NAME),

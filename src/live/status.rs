@@ -72,8 +72,8 @@ impl Published {
         let counters = PlayoutCounters {
             deviation_bins_us: DEVIATION_BINS_US.to_vec(),
             deviation_counts: vec![0; DEVIATION_BINS_US.len() + 1],
-            live_bins_us: LIVE_BINS_US.to_vec(),
-            live_counts: vec![0; LIVE_BINS_US.len() + 1],
+            provisional_bins_us: LIVE_BINS_US.to_vec(),
+            provisional_counts: vec![0; LIVE_BINS_US.len() + 1],
             ..PlayoutCounters::default()
         };
         Self { counters }
@@ -89,9 +89,9 @@ impl Published {
     }
 
     /// A provisional pose left so long after the last message of its frame set.
-    pub(super) fn live(&mut self, latency_us: u32) {
-        self.counters.live += 1;
-        self.counters.live_counts[bin(&LIVE_BINS_US, latency_us)] += 1;
+    pub(super) fn provisional(&mut self, latency_us: u32) {
+        self.counters.provisional += 1;
+        self.counters.provisional_counts[bin(&LIVE_BINS_US, latency_us)] += 1;
     }
 
     pub(super) fn counters(&self, (coasted, missed): (u64, u64)) -> PlayoutCounters {
@@ -111,11 +111,11 @@ mod tests {
     fn every_pose_is_in_one_bin() {
         let mut published = Published::new();
         published.played(&[0, -100, 101, i32::MIN, i32::MAX, 2000]);
-        published.live(u32::MAX);
+        published.provisional(u32::MAX);
         let counters = published.counters((1, 2));
         assert_eq!(counters.published, 6);
         assert_eq!(counters.deviation_counts, [2, 1, 0, 0, 1, 0, 0, 0, 0, 2]);
-        assert_eq!(counters.live_counts.last(), Some(&1));
+        assert_eq!(counters.provisional_counts.last(), Some(&1));
         assert_eq!((counters.coasted, counters.missed), (1, 2));
     }
 

@@ -10,7 +10,7 @@ use crate::core::body::Skeleton;
 use crate::core::camera::Rig;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{
-    Config, Event, EventKind, Input, Output, Residual, Solver, Task, Track, Verdict, WindowReport,
+    Config, Event, EventKind, Input, Output, Residual, Solver, Task, Tracker, Verdict, WindowReport,
 };
 use crate::metrics::statistics::percentiles;
 use crate::offline::CONFIDENT;
@@ -123,7 +123,7 @@ impl Run {
 
 /// The machine, its solver, and what came of it.
 pub(crate) struct Driver<S> {
-    track: Track,
+    track: Tracker,
     solver: Solver,
     sink: S,
     pub(crate) run: Run,
@@ -134,7 +134,7 @@ impl<S: FnMut(&Output) -> Result<(), Failure>> Driver<S> {
     pub(crate) fn new(config: Config, rig: Arc<Rig>, solver: Solver, sink: S) -> Self {
         let errors_px = vec![CameraErrors::default(); rig.cameras.len()];
         let run = Run { errors_px, ..Run::default() };
-        Self { track: Track::new(config, rig), solver, sink, run }
+        Self { track: Tracker::new(config, rig), solver, sink, run }
     }
 
     /// Gives the machine an input and does all that it then wants.

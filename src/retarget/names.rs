@@ -40,7 +40,7 @@ impl Convention {
 /// A convention's names: of the middle, and of one side after or before the side's mark.
 struct Names {
     convention: Convention,
-    /// Marks of left and right.
+    /// KeypointOffsets of left and right.
     sides: [&'static str; 2],
     /// Whether the mark is at the end.
     at_end: bool,

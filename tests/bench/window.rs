@@ -7,13 +7,15 @@ use std::time::{Duration, Instant};
 use bundlemocap::core::body::{BodyPoint, Skeleton, fitted_points};
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::cost::{
-    self, Counts, FreeBody, Knot, Moment, Observation, PathProblem, Scene, Workspace,
+    self, Counts, FrameObservations, FreeBody, Knot, Observation, PathProblem, Scene, Workspace,
 };
 use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
 use bundlemocap::core::manifold::{Decoder, Interpolation, Jacobians, Keyframe, LATENT};
-use bundlemocap::core::optimise::{Cholesky, Method, Normal, Optimiser, Problem, Summary};
+use bundlemocap::core::optimise::{
+    Cholesky, NormalEquations, Optimiser, OptimiserKind, Problem, Summary,
+};
 use bundlemocap::core::time::Timestamp;
-use bundlemocap::core::tracker::{self, Effort, Job, Learnt, Noise, Solver, Task};
+use bundlemocap::core::tracker::{self, Effort, Job, Noise, OffsetEstimator, Solver, Task};
 use bundlemocap::research::synth;
 use criterion::{Criterion, criterion_group, criterion_main};
 use faer::linalg::matmul::matmul;
@@ -27,7 +29,7 @@ struct Case {
     points: Vec<BodyPoint>,
     skeleton: Skeleton,
     config: cost::Config,
-    moments: Vec<Moment>,
+    observed_frames: Vec<FrameObservations>,
     /// The truth of each frame, from that before the window on.
     truth: Vec<Keyframe>,
 }
@@ -70,7 +72,7 @@ fn case(Size { cameras, format, frames }: Size) -> Case {
         })
         .collect();
     let mut count = 0.0_f64;
-    let moments = (1..=frames)
+    let observed_frames = (1..=frames)
         .map(|frame| {
             let posture = decoder.pose(&truth[frame as usize + 1]).posture(&skeleton);
             let mut seen = Vec::new();
@@ -85,10 +87,10 @@ fn case(Size { cameras, format, frames }: Size) -> Case {
                     seen.push(Observation { point, camera, pixel, confidence: 0.8 });
                 }
             }
-            Moment::new(time(frame), seen)
+            FrameObservations::new(time(frame), seen)
         })
         .collect();
-    Case { decoder, rig, points, skeleton, config: cost::Config::default(), moments, truth }
+    Case { decoder, rig, points, skeleton, config: cost::Config::default(), observed_frames, truth }
 }
 
 impl Case {
@@ -100,7 +102,7 @@ impl Case {
             points: &self.points,
             config: &self.config,
         };
-        let frames = self.moments.len() as u64;
+        let frames = self.observed_frames.len() as u64;
         let past = [0, 1].map(|k| Knot {
             capture: Timestamp::of_frame(k, 60.0),
             keyframe: self.truth[k as usize].clone(),
@@ -114,7 +116,7 @@ impl Case {
             frames: spacing as f64,
         });
         let knots = past.into_iter().chain(free).collect();
-        PathProblem::new(scene, knots, &self.skeleton, FreeBody::Fixed, &self.moments, work)
+        PathProblem::new(scene, knots, &self.skeleton, FreeBody::Fixed, &self.observed_frames, work)
     }
 
     fn solve(&self, spacing: u64, optimiser: &mut dyn Optimiser, work: &mut Workspace) -> Summary {
@@ -133,19 +135,20 @@ impl Case {
 
 /// The window as a stream has it: the keyframes of its first half were solved with the one before.
 fn job(case: &Case, config: &tracker::Config) -> Job {
-    let frames = case.moments.len() as u64;
+    let frames = case.observed_frames.len() as u64;
     let timed = |frame: u64| (Timestamp::of_frame(frame, 60.0), case.truth[frame as usize].clone());
-    let detections = |moment: &Moment, camera: usize| {
+    let detections = |observed_frame: &FrameObservations, camera: usize| {
         let mut points = vec![None; USUAL.format.len()];
-        for seen in moment.observations().iter().filter(|seen| seen.camera == camera) {
+        for seen in observed_frame.observations().iter().filter(|seen| seen.camera == camera) {
             let (pixel, confidence) = (Point2::from(seen.pixel), seen.confidence);
             points[case.points[seen.point].index] = Some(Detection { pixel, confidence });
         }
-        let (capture, people) = (moment.capture, vec![Person { id: None, points }]);
+        let (capture, people) = (observed_frame.capture, vec![Person { id: None, points }]);
         Arc::new(Detections { camera, frame: 0, capture, format: USUAL.format, people })
     };
     let cameras = 0..case.rig.cameras.len();
-    let of_moment = |moment| cameras.clone().map(move |camera| detections(moment, camera));
+    let of_moment =
+        |observed_frame| cameras.clone().map(move |camera| detections(observed_frame, camera));
     Job {
         number: 0,
         window: 1,
@@ -154,17 +157,17 @@ fn job(case: &Case, config: &tracker::Config) -> Job {
         publish: time(frames / 2),
         knots: (1..=frames).map(time).collect(),
         pose_times: (1..=frames / 2).map(time).collect(),
-        frames: case.moments.iter().flat_map(of_moment).collect(),
+        frames: case.observed_frames.iter().flat_map(of_moment).collect(),
         format: USUAL.format,
         rig: Arc::new(case.rig.clone()),
-        half_frame: 8_333_333,
+        frame_period: 16_666_666,
         effort: Effort::full(config),
         noise: Noise::default(),
         task: Task::Track {
             past: vec![timed(0), timed(1)],
             ahead: (2..=1 + frames / 2).map(timed).collect(),
             skeleton: Arc::new(case.skeleton.clone()),
-            learnt: Arc::new(Learnt::default()),
+            estimator: Arc::new(OffsetEstimator::default()),
             coasted: 0,
         },
     }
@@ -174,7 +177,7 @@ fn job(case: &Case, config: &tracker::Config) -> Job {
 fn jobs(c: &mut Criterion) {
     let case = case(USUAL);
     for (name, threads) in [("solver's job", 1), ("solver's job, two threads", 2)] {
-        let config = tracker::Config { threads, ..track::Config::default() };
+        let config = tracker::Config { threads, ..tracker::Config::default() };
         let (job, mut solver) = (job(&case, &config), Solver::new(case.decoder.clone(), config));
         c.bench_function(name, |b| b.iter(|| solver.solve(&job)));
     }
@@ -183,9 +186,9 @@ fn jobs(c: &mut Criterion) {
 fn window(c: &mut Criterion) {
     let case = case(USUAL);
     for (name, spacing, method) in [
-        ("window solve", 1, Method::LevenbergMarquardt),
-        ("paper's window solve, lm", 10, Method::LevenbergMarquardt),
-        ("paper's window solve, lbfgs", 10, Method::Lbfgs),
+        ("window solve", 1, OptimiserKind::LevenbergMarquardt),
+        ("paper's window solve, lm", 10, OptimiserKind::LevenbergMarquardt),
+        ("paper's window solve, lbfgs", 10, OptimiserKind::Lbfgs),
     ] {
         let (mut optimiser, mut work) = (method.optimiser(1e-3), Workspace::default());
         c.bench_function(name, |b| b.iter(|| case.solve(spacing, &mut *optimiser, &mut work)));
@@ -194,15 +197,15 @@ fn window(c: &mut Criterion) {
     let mut problem = case.problem(1, &mut work);
     let x = problem.start();
     let mut gradient = vec![0.0; x.len()];
-    let mut normal = Normal::zeros(problem.layout());
+    let mut equations = NormalEquations::zeros(problem.layout());
     c.bench_function("window cost", |b| b.iter(|| problem.cost(&x)));
     c.bench_function("window gradient", |b| b.iter(|| problem.gradient(&x, &mut gradient)));
-    c.bench_function("window normal equations", |b| {
-        b.iter(|| problem.linearise(&x, &mut normal));
+    c.bench_function("window equations equations", |b| {
+        b.iter(|| problem.linearise(&x, &mut equations));
     });
-    let mut factor = Cholesky::like(&normal.hessian);
+    let mut factor = Cholesky::like(&equations.hessian);
     c.bench_function("window factorisation", |b| {
-        b.iter(|| factor.factorise(&normal.hessian, |_| 1.0))
+        b.iter(|| factor.factorise(&equations.hessian, |_| 1.0))
     });
 }
 
@@ -214,7 +217,7 @@ fn sizes(c: &mut Criterion) {
     let whole_body = Size { format: KeypointFormat::CocoWholebody133, ..USUAL };
     for size in cameras.into_iter().chain(frames).chain([whole_body]) {
         let case = case(size);
-        let mut optimiser = Method::LevenbergMarquardt.optimiser(0.0);
+        let mut optimiser = OptimiserKind::LevenbergMarquardt.optimiser(0.0);
         let mut work = Workspace::default();
         let Size { cameras, format, frames } = size;
         let name = format!("{cameras} cameras, {}, {frames} frames", format.name());
@@ -254,7 +257,7 @@ fn operations(counts: Counts, points: usize) -> f64 {
     let factor = 3 * UNKNOWNS.pow(3) + UNKNOWNS.pow(3) / 6;
     let products = counts.linearised * (tangents + map)
         + (counts.decoded + counts.gradients) * pass
-        + counts.moments * (joints + rows + factor);
+        + counts.observed_frames * (joints + rows + factor);
     2.0 * products as f64
 }
 
@@ -276,7 +279,7 @@ fn peak() -> f64 {
 /// What part of the machine's peak a window solve reaches: its time at the peak over its time.
 fn arithmetic(_: &mut Criterion) {
     let case = case(USUAL);
-    let mut optimiser = Method::LevenbergMarquardt.optimiser(1e-3);
+    let mut optimiser = OptimiserKind::LevenbergMarquardt.optimiser(1e-3);
     let mut work = Workspace::default();
     let mut runs: Vec<(f64, Counts, Summary)> = (0..200)
         .map(|_| {

@@ -501,9 +501,13 @@ fn weights_and_settings_that_cannot_be_used() {
     place.write("r.trc", "hello");
     place.fails(MALFORMED, &reference, &["r.trc", "PathFileType"]);
     place.write("c.toml", "[track]\nwindow_frames = 100000\n");
-    place.fails(MALFORMED, &config, &["c.toml", "track.window_frames is 100000", "1 to 1000"]);
+    place.fails(MALFORMED, &config, &["c.toml", "tracker.window_frames is 100000", "1 to 1000"]);
     place.write("c.toml", "[track]\nframe_rate_hz = 1e9\n");
-    place.fails(MALFORMED, &config, &["c.toml", "track.frame_rate_hz is 1000000000", "1 to 1000"]);
+    place.fails(
+        MALFORMED,
+        &config,
+        &["c.toml", "tracker.frame_rate_hz is 1000000000", "1 to 1000"],
+    );
     for fps in ["-3", "0", "1001", "NaN", "inf"] {
         let evidence = [&format!("--fps is {fps}"), "1 to 1000"];
         place.fails(2, &format!("{solve} --fps {fps}"), &evidence);

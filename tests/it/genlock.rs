@@ -6,7 +6,7 @@ use bundlemocap::core::body::{Posture, Skeleton, TrackingState};
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::time::{Grid, Timestamp};
-use bundlemocap::core::tracker::{Config, Input, Output, Solver, Track};
+use bundlemocap::core::tracker::{Config, Input, Output, Solver, Tracker};
 use bundlemocap::metrics::pose_errors;
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
@@ -41,7 +41,7 @@ impl Walk {
         // Windows of a sixth of a second at any rate.
         let window_frames = (self.fps / 6.0).round() as usize;
         let config = Config { frame_rate_hz: self.fps, window_frames, ..Config::default() };
-        let mut track = Track::new(config, Arc::clone(&self.rig));
+        let mut track = Tracker::new(config, Arc::clone(&self.rig));
         let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
         let mut frames: Vec<Detections> = self.frames.iter().filter_map(of).collect();
         frames.sort_by_key(|frame| (frame.capture, frame.camera));

@@ -10,7 +10,7 @@ use bundlemocap::core::manifold::{
 use bundlemocap::core::so3;
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
-use crate::core::manifold::decoded;
+use crate::manifold::decoded;
 
 /// Central differences of fourth order of `f` at `x`: columns are the derivatives by each entry. The
 /// decoder has six digits, so a step through it must be some hundredths long.

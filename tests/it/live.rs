@@ -49,7 +49,7 @@ impl Heard {
     }
 
     fn live(&self) -> Vec<(Timestamp, Pose)> {
-        self.of(&Topics::default().live())
+        self.of(&Topics::default().provisional())
     }
 
     fn status(&self) -> Status {
@@ -81,7 +81,7 @@ struct World {
 
 fn settings(config: &Config, decoder: &Decoder) -> Settings {
     Settings {
-        track: config.track,
+        tracker: config.tracker,
         node: config.node.clone(),
         toml: config.to_toml(),
         weights: format!("{:016x}", decoder.fingerprint()),
@@ -93,14 +93,14 @@ impl World {
         let decoder = Decoder::embedded().unwrap();
         Self {
             core: Core::new(settings(config, &decoder)),
-            solver: Solver::new(decoder, config.track),
+            solver: Solver::new(decoder, config.tracker),
             now: Timestamp::from_ns(START - SECOND),
             wake: None,
             answer: None,
             took: Box::new(|job| match job.task {
                 Task::Acquire { .. } => 40 * MS,
                 Task::Track { .. } => 5 * MS,
-                Task::Live { .. } => MS,
+                Task::Provisional { .. } => MS,
             }),
             heard: Heard::default(),
         }
@@ -282,7 +282,7 @@ fn the_same_inputs_give_the_same_bytes() {
     let decoder = Decoder::embedded().unwrap();
     let replayed = replay(&recorded, &Topics::default(), |start| {
         let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
-        let solver = Solver::new(decoder.clone(), config.track);
+        let solver = Solver::new(decoder.clone(), config.tracker);
         Ok::<_, bundlemocap::live::ReplayError>((settings(&config, &decoder), solver))
     })
     .unwrap();
@@ -298,7 +298,7 @@ fn the_same_inputs_give_the_same_bytes() {
     *pose.unwrap().payload.last_mut().unwrap() ^= 1;
     let replayed = replay(&recorded, &Topics::default(), |start| {
         let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
-        let solver = Solver::new(decoder.clone(), config.track);
+        let solver = Solver::new(decoder.clone(), config.tracker);
         Ok::<_, bundlemocap::live::ReplayError>((settings(&config, &decoder), solver))
     })
     .unwrap();
@@ -344,8 +344,8 @@ fn overload_costs_effort_and_never_latency() {
     let steps = world.heard.details("effort");
     assert!(steps[0].starts_with("level 1: 2 iterations, stride 1"), "{steps:?}");
     let effort = world.heard.status().effort.unwrap();
-    assert!(effort.raised >= 2, "{steps:?}");
-    assert!(effort.level < effort.raised as u32, "it is given back: {steps:?}");
+    assert!(effort.degradation_steps >= 2, "{steps:?}");
+    assert!(effort.level < effort.degradation_steps as u32, "it is given back: {steps:?}");
     let playout = world.heard.status().playout.unwrap();
     let coasting = |(_, pose): &&(Timestamp, Pose)| pose.state() == TrackingState::Coasting;
     let coasted = world.heard.poses().iter().filter(coasting).count() as u64;
@@ -396,9 +396,9 @@ fn a_new_calibration_is_used_from_a_window_on() {
     let world = after(messages, 5.0);
     assert_on_time(&world.heard);
     let poses = world.heard.poses();
-    let first = poses.iter().position(|(_, pose)| pose.calibration_version == 7).unwrap();
+    let first = poses.iter().position(|(_, pose)| pose.rig_version == 7).unwrap();
     assert_eq!(poses[first - 1].1.window + 1, poses[first].1.window, "at a window's edge");
-    assert!(poses[first..].iter().all(|(_, pose)| pose.calibration_version == 7));
+    assert!(poses[first..].iter().all(|(_, pose)| pose.rig_version == 7));
     assert!((poses[first].1.capture_time_ns - arrival.ns()).abs() < 340 * MS);
     let events = world.heard.events();
     assert_eq!((events["calibrated"], events["unusable"]), (2, 1));

@@ -1,9 +1,9 @@
 //! Integration tests, one binary.
 
-mod baseline;
 mod bus;
 mod camera;
 mod cli;
+mod experiments;
 mod export;
 mod genlock;
 mod import;
@@ -12,6 +12,7 @@ mod layers;
 mod live;
 mod manifold;
 mod messages;
+mod methods;
 mod node;
 mod program;
 mod python;
@@ -19,9 +20,8 @@ mod recording;
 mod retarget;
 mod slahmr;
 mod solve;
-mod study;
 mod synth;
 mod take;
 mod tools;
-mod track;
+mod tracker;
 mod train;

@@ -188,7 +188,7 @@ fn a_keyframe_and_a_skeleton_round_trip() {
     assert_eq!((back.capture, back.window), (keyframe().capture, keyframe().window));
     let turned = back.keyframe.root_rotation - keyframe().keyframe.root_rotation;
     assert!(turned.amax() < 1e-12);
-    let settled = back.keyframe.clone().settled();
+    let settled = back.keyframe.clone().quantised();
     assert_eq!(settled, back.keyframe);
     assert_eq!(through_bytes(&Skeleton::from_core(&skeleton())).to_core().unwrap(), skeleton());
 }

@@ -61,7 +61,7 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
     let track = tracker::Config::default();
     let decoder = Decoder::embedded().unwrap();
     let settings = Settings {
-        track,
+        tracker: track,
         node: config.clone(),
         toml: String::new(),
         weights: format!("{:016x}", decoder.fingerprint()),
@@ -117,7 +117,7 @@ impl Studio {
             self._guards.push(self.bus.subscribe(&topic, Box::new(sink)).unwrap());
         };
         on(self.topics.pose(), |heard, bytes| heard.poses.push(decode(bytes).unwrap()));
-        on(self.topics.live(), |heard, bytes| heard.live.push(decode(bytes).unwrap()));
+        on(self.topics.provisional(), |heard, bytes| heard.live.push(decode(bytes).unwrap()));
         on(self.topics.events(), |heard, bytes| heard.events.push(decode(bytes).unwrap()));
         on(self.topics.journal(), |heard, bytes| {
             heard.journal.extend(decode::<Journal>(bytes).unwrap().entries);
@@ -403,7 +403,7 @@ fn a_calibration_file_that_changes_is_taken_at_a_windows_edge() {
         let [sample] = &samples[..] else { panic!("{} rigs", samples.len()) };
         decode::<wire::Rig>(&sample.payload).unwrap().to_core().unwrap().version
     };
-    let first = studio.heard.lock().unwrap().poses[0].calibration_version;
+    let first = studio.heard.lock().unwrap().poses[0].rig_version;
     assert_eq!(in_use(&studio), first);
 
     replace(&path, "no calibration");
@@ -419,20 +419,20 @@ fn a_calibration_file_that_changes_is_taken_at_a_windows_edge() {
 
     replace(&path, &calibration(&cameras(), 0.001));
     studio.play_until("poses of the new calibration", |heard| {
-        heard.poses.last().is_some_and(|pose| pose.calibration_version != first)
+        heard.poses.last().is_some_and(|pose| pose.rig_version != first)
     });
     let second = in_use(&studio);
     assert_ne!(second, first);
     node.stop().unwrap();
 
     let heard = studio.heard.lock().unwrap();
-    let versions: Vec<u64> = heard.poses.iter().map(|pose| pose.calibration_version).collect();
+    let versions: Vec<u64> = heard.poses.iter().map(|pose| pose.rig_version).collect();
     let edge = versions.iter().position(|&version| version == second).unwrap();
     assert!(edge > malformed_until + 30);
     assert!(versions[..edge].iter().all(|&version| version == first), "{versions:?}");
     assert!(versions[edge..].iter().all(|&version| version == second), "{versions:?}");
     // The window before ends between the two poses.
-    let keyframe = heard.keyframes.iter().rfind(|k| k.calibration_version == first).unwrap();
+    let keyframe = heard.keyframes.iter().rfind(|k| k.rig_version == first).unwrap();
     let around = [edge - 1, edge].map(|pose| heard.poses[pose].capture_time_ns);
     let end = keyframe.capture_time_ns;
     assert!(around[0] <= end && end <= around[1], "{end} is not in {around:?}");

@@ -1,15 +1,15 @@
 //! The window problem: its derivatives, its two optimisers, and exact recovery.
 
 use bundlemocap::core::body::{
-    BODY_COEFFICIENTS, BodyPoint, MARKS, Posture, Shape, Skeleton, fitted_points,
+    BODY_COEFFICIENTS, BodyPoint, OFFSETS, Posture, Shape, Skeleton, fitted_points,
 };
 use bundlemocap::core::camera::{Camera, Lens, Rig};
 use bundlemocap::core::cost::{
-    self, FreeBody, Knot, Moment, Observation, PathProblem, Scene, Workspace,
+    self, FrameObservations, FreeBody, Knot, Observation, PathProblem, Scene, Workspace,
 };
 use bundlemocap::core::detections::KeypointFormat;
 use bundlemocap::core::manifold::{Decoder, Interpolation, Keyframe, LATENT};
-use bundlemocap::core::optimise::{Method, Normal, Problem};
+use bundlemocap::core::optimise::{NormalEquations, OptimiserKind, Problem};
 use bundlemocap::core::so3;
 use bundlemocap::core::time::Timestamp;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector2, Vector3};
@@ -70,9 +70,9 @@ pub fn observe(
 }
 
 /// All of a matrix of which the lower half is kept.
-pub fn dense(normal: &Normal) -> DMatrix<f64> {
-    let n = normal.hessian.dimension();
-    DMatrix::from_fn(n, n, |i, j| normal.hessian.entry(i, j))
+pub fn dense(equations: &NormalEquations) -> DMatrix<f64> {
+    let n = equations.hessian.dimension();
+    DMatrix::from_fn(n, n, |i, j| equations.hessian.entry(i, j))
 }
 
 struct Case {
@@ -81,7 +81,7 @@ struct Case {
     points: Vec<BodyPoint>,
     skeleton: Skeleton,
     truth: Vec<Keyframe>,
-    moments: Vec<Moment>,
+    observed_frames: Vec<FrameObservations>,
 }
 
 impl Case {
@@ -91,28 +91,28 @@ impl Case {
         let skeleton = Skeleton::new(Shape(std::array::from_fn(|i| 0.5 * (i as f64).cos())));
         let (rig, points) = (ring(), fitted_points(KeypointFormat::Body25));
         let truth: Vec<_> = (0..keyframes).map(|k| keyframe(0.7 + 0.02 * k as f64, 0.8)).collect();
-        let moments = (1..=10 * (keyframes - 1).max(1))
+        let observed_frames = (1..=10 * (keyframes - 1).max(1))
             .map(|i| {
                 let (k, s) = ((i - 1) / 10, ((i - 1) % 10 + 1) as f64 / 10.0);
                 let next = &truth[(k + 1).min(keyframes - 1)];
                 let at = Interpolation::Slerp.keyframe(&truth[k.min(keyframes - 1)], next, s);
                 let posture = decoder.pose(&at).posture(&skeleton);
-                Moment::new(frame(i), observe(&rig, &points, &posture, &skeleton))
+                FrameObservations::new(frame(i), observe(&rig, &points, &posture, &skeleton))
             })
             .collect();
-        Self { decoder, rig, points, skeleton, truth, moments }
+        Self { decoder, rig, points, skeleton, truth, observed_frames }
     }
 
     fn disturb(&mut self) {
         let mut n = 0.0_f64;
-        for moment in &mut self.moments {
-            let moved = moment.observations().iter().map(|seen| {
+        for observed_frame in &mut self.observed_frames {
+            let moved = observed_frame.observations().iter().map(|seen| {
                 n += 1.0;
                 let outlier = if (n as usize).is_multiple_of(17) { 80.0 } else { 4.0 };
                 let pixel = seen.pixel + Vector2::new((n * 1.3).sin(), (n * 2.1).cos()) * outlier;
                 Observation { pixel, confidence: 0.6 + 0.3 * (n * 0.7).sin(), ..*seen }
             });
-            *moment = Moment::new(moment.capture, moved.collect());
+            *observed_frame = FrameObservations::new(observed_frame.capture, moved.collect());
         }
     }
 
@@ -133,7 +133,7 @@ impl Case {
             knots,
             &self.skeleton,
             FreeBody::Fixed,
-            &self.moments,
+            &self.observed_frames,
             work,
         )
     }
@@ -156,18 +156,24 @@ fn gradients_of_every_kind_of_path_match_central_differences() {
     let config = cost::Config { prior: 5.0, ..cost::Config::default() };
     let kinds: [(&[bool], FreeBody); 6] = [
         (&[true], FreeBody::Shape),
-        (&[true], FreeBody::ShapeAndMarks),
+        (&[true], FreeBody::ShapeAndOffsets),
         (&[false, true], FreeBody::Fixed),
         (&[true, true], FreeBody::Fixed),
-        (&[true, true, true], FreeBody::ShapeAndMarks),
+        (&[true, true, true], FreeBody::ShapeAndOffsets),
         (&[false, false, true, true], FreeBody::Fixed),
     ];
     for (free, body) in kinds {
         let mut work = Workspace::default();
-        let moments = &case.moments[..(10 * (free.len() - 1)).max(1)];
+        let observed_frames = &case.observed_frames[..(10 * (free.len() - 1)).max(1)];
         let knots = case.knots(free, &keyframe(0.73, 0.8));
-        let mut problem =
-            PathProblem::new(case.scene(&config), knots, &case.skeleton, body, moments, &mut work);
+        let mut problem = PathProblem::new(
+            case.scene(&config),
+            knots,
+            &case.skeleton,
+            body,
+            observed_frames,
+            &mut work,
+        );
         let x: Vec<f64> =
             problem.start().iter().enumerate().map(|(i, v)| v + 0.05 * (i as f64).sin()).collect();
         let mut gradient = vec![0.0; x.len()];
@@ -182,21 +188,21 @@ fn gradients_of_every_kind_of_path_match_central_differences() {
 /// Checks the Gauss-Newton Hessian at the start against differences of the gradient.
 fn assert_hessian(mut problem: PathProblem, step: f64) {
     let x = problem.start();
-    let mut normal = Normal::zeros(problem.layout());
-    problem.linearise(&x, &mut normal);
+    let mut equations = NormalEquations::zeros(problem.layout());
+    problem.linearise(&x, &mut equations);
     let problem = std::cell::RefCell::new(problem);
     let numeric = numeric_jacobian(&x, step, |x| {
         let mut gradient = vec![0.0; x.len()];
         problem.borrow_mut().gradient(x, &mut gradient);
         gradient
     });
-    assert_jacobian(&dense(&normal), &numeric, 1e-4);
+    assert_jacobian(&dense(&equations), &numeric, 1e-4);
 }
 
 #[test]
 fn the_hessian_is_exact_where_residuals_vanish() {
     let case = Case::new(2);
-    let config = cost::Config { prior: 0.0, jacobian_reach: 0.0, ..cost::Config::default() };
+    let config = cost::Config { prior: 0.0, jacobian_reuse_radius: 0.0, ..cost::Config::default() };
     let mut work = Workspace::default();
     let problem = case.window(&config, &case.truth[1], &mut work);
     assert_hessian(problem, 3e-3);
@@ -224,24 +230,24 @@ fn the_marginal_step_of_the_marks_is_that_of_all_unknowns() {
     let config = cost::Config::default();
     let mut work = Workspace::default();
     let knots = case.knots(&[false, true], &case.truth[1]);
-    let free = FreeBody::ShapeAndMarks;
+    let free = FreeBody::ShapeAndOffsets;
     let scene = case.scene(&config);
     let mut problem =
-        PathProblem::new(scene, knots, &case.skeleton, free, &case.moments, &mut work);
+        PathProblem::new(scene, knots, &case.skeleton, free, &case.observed_frames, &mut work);
     let x = problem.start();
-    let told = problem.marginal(&x, MARKS).unwrap();
+    let told = problem.marginal(&x, OFFSETS).unwrap();
     let step = told.hessian.cholesky().unwrap().solve(&told.gradient);
 
-    let mut normal = Normal::zeros(problem.layout());
-    problem.linearise(&x, &mut normal);
+    let mut equations = NormalEquations::zeros(problem.layout());
+    problem.linearise(&x, &mut equations);
     // The shape is held.
     let keyframe = x.len() - BODY_COEFFICIENTS;
-    let is_free = |i: &usize| *i < keyframe || *i >= x.len() - MARKS;
+    let is_free = |i: &usize| *i < keyframe || *i >= x.len() - OFFSETS;
     let kept: Vec<usize> = (0..x.len()).filter(is_free).collect();
-    let all = dense(&normal).select_rows(&kept).select_columns(&kept);
-    let gradient = DVector::from_iterator(kept.len(), kept.iter().map(|&i| normal.gradient[i]));
+    let all = dense(&equations).select_rows(&kept).select_columns(&kept);
+    let gradient = DVector::from_iterator(kept.len(), kept.iter().map(|&i| equations.gradient[i]));
     let whole = all.cholesky().unwrap().solve(&gradient);
-    let off = (whole.rows(keyframe, MARKS) - &step).norm();
+    let off = (whole.rows(keyframe, OFFSETS) - &step).norm();
     assert!(off < 1e-6 * step.norm() && step.norm() > 0.1, "{off} {}", step.norm());
 }
 
@@ -250,7 +256,7 @@ fn both_optimisers_reach_the_same_minimum() {
     let mut case = Case::new(2);
     case.disturb();
     let config = cost::Config::default();
-    let minimum = |method: Method| {
+    let minimum = |method: OptimiserKind| {
         let mut work = Workspace::default();
         let mut problem = case.window(&config, &case.truth[0], &mut work);
         let mut x = problem.start();
@@ -258,8 +264,8 @@ fn both_optimisers_reach_the_same_minimum() {
         let (keyframes, _) = problem.solution(&x);
         (summary, keyframes[1].clone())
     };
-    let (lm, a) = minimum(Method::LevenbergMarquardt);
-    let (lbfgs, b) = minimum(Method::Lbfgs);
+    let (lm, a) = minimum(OptimiserKind::LevenbergMarquardt);
+    let (lbfgs, b) = minimum(OptimiserKind::Lbfgs);
     assert!(lm.final_cost < 0.9 * lm.initial_cost);
     let difference = (lm.final_cost - lbfgs.final_cost).abs() / lm.final_cost;
     assert!(difference < 1e-4, "{lm:?} {lbfgs:?}");
@@ -272,12 +278,12 @@ fn both_optimisers_reach_the_same_minimum() {
 fn carried_jacobians_lead_to_the_same_minimum() {
     let mut case = Case::new(2);
     case.disturb();
-    let minimum = |jacobian_reach: f64| {
-        let config = cost::Config { jacobian_reach, ..cost::Config::default() };
+    let minimum = |jacobian_reuse_radius: f64| {
+        let config = cost::Config { jacobian_reuse_radius, ..cost::Config::default() };
         let mut work = Workspace::default();
         let mut problem = case.window(&config, &case.truth[0], &mut work);
         let mut x = problem.start();
-        let mut optimiser = Method::LevenbergMarquardt.optimiser(1e-5);
+        let mut optimiser = OptimiserKind::LevenbergMarquardt.optimiser(1e-5);
         let summary = optimiser.minimise(&mut problem, &mut x, 500);
         (summary, work.counts().linearised)
     };
@@ -291,11 +297,12 @@ fn carried_jacobians_lead_to_the_same_minimum() {
 #[test]
 fn a_window_of_exact_observations_is_recovered() {
     let case = Case::new(2);
-    let config = cost::Config { prior: 1e-3, jacobian_reach: 0.0, ..cost::Config::default() };
+    let config =
+        cost::Config { prior: 1e-3, jacobian_reuse_radius: 0.0, ..cost::Config::default() };
     let mut work = Workspace::default();
     let mut problem = case.window(&config, &case.truth[0], &mut work);
     let mut x = problem.start();
-    Method::LevenbergMarquardt.optimiser(1e-9).minimise(&mut problem, &mut x, 100);
+    OptimiserKind::LevenbergMarquardt.optimiser(1e-9).minimise(&mut problem, &mut x, 100);
     let (keyframes, _) = problem.solution(&x);
     let (found, truth) = (case.decoder.pose(&keyframes[1]), case.decoder.pose(&case.truth[1]));
     let (a, b) = (found.posture(&case.skeleton), truth.posture(&case.skeleton));
@@ -311,7 +318,7 @@ fn a_warm_window_is_solved_without_allocating() {
     case.disturb();
     let config = cost::Config::default();
     let mut work = Workspace::default();
-    let mut optimiser = Method::LevenbergMarquardt.optimiser(1e-4);
+    let mut optimiser = OptimiserKind::LevenbergMarquardt.optimiser(1e-4);
     let mut problem = case.window(&config, &case.truth[0], &mut work);
     let start = problem.start();
     let mut x = start.clone();

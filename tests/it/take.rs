@@ -10,7 +10,7 @@ use bundlemocap::io::recording::{RawEntry, Reader};
 use bundlemocap::io::wire::journal_entry::Input;
 use bundlemocap::io::wire::{Journal, Schema, Status, Topics, decode};
 
-use crate::io::bus::Prefix;
+use crate::bus::Prefix;
 use crate::program::{PATIENCE, Program, listening_node};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_bundlemocap");
@@ -123,8 +123,8 @@ fn is_lossy(entries: &[RawEntry], sent: usize) -> bool {
         (1..=4).map(|camera| count(&topics.keypoints(&format!("cam0{camera}")))).sum();
     let status = of::<Status>(entries, &topics.status()).pop().expect("a status");
     let playout = status.playout.unwrap();
-    let published = [playout.published, playout.live].map(|count| count as usize);
-    let found = [frames, count(&topics.pose()), count(&topics.live())];
+    let published = [playout.published, playout.provisional].map(|count| count as usize);
+    let found = [frames, count(&topics.pose()), count(&topics.provisional())];
     println!("sent {sent}, published {published:?}; recorded {found:?}");
     frames < sent || found[1] < published[0] || found[2] < published[1]
 }
@@ -145,7 +145,8 @@ fn a_take_is_replayed(studio: impl Fn() -> Studio) {
     let said = run("replay take.mcap --verify");
     assert!(said.ends_with("are equal, byte for byte\n"), "{said}");
     assert!(!said.contains("ends before the node did"), "{said}");
-    for topic in ["pose", "pose/live", "keyframe", "journal", "skeleton", "events", "status"] {
+    for topic in ["pose", "pose/provisional", "keyframe", "journal", "skeleton", "events", "status"]
+    {
         let line = said.lines().find(|line| line.contains(&format!("/{topic} ")));
         assert!(line.is_some_and(|line| line.ends_with(", equal")), "{topic}: {said}");
     }

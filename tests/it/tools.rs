@@ -180,7 +180,7 @@ fn a_recording_outlives_a_kill() {
     let publisher = place.router.publisher(&topics.events()).unwrap();
     let encoding = media_type("bundlemocap.v1.Event");
     for count in 1..=40 {
-        let event = wire::Event { kind: "late".into(), count, ..msg::Event::default() };
+        let event = wire::Event { kind: "late".into(), count, ..wire::Event::default() };
         publisher.put(Timestamp::from_ns(5), &encoding, &encode(&event)).unwrap();
     }
     let part = place.path("take.mcap.part");

@@ -217,8 +217,9 @@ fn a_transition_model_learns_and_the_same_seed_gives_the_same_bytes() {
 /// The mean of -ln p over the transitions of keyframes at 60 fps.
 fn mean_surprise(model: &Transition, keyframes: &[&Keyframe]) -> f64 {
     let mut work = TransitionWork::default();
-    let of =
-        |three: &[&Keyframe]| model.surprise([three[0], three[1], three[2]], 1.0 / 60.0, &mut work);
+    let of = |three: &[&Keyframe]| {
+        model.neg_log_likelihood([three[0], three[1], three[2]], 1.0 / 60.0, &mut work)
+    };
     keyframes.windows(3).map(of).sum::<f64>() / (keyframes.len() - 2) as f64
 }
 

@@ -49,7 +49,7 @@ impl Heard {
         };
         Ok(vec![
             on(topics.pose(), |notes, sample, at| notes.poses.extend(arrival(sample, at)))?,
-            on(topics.live(), |notes, sample, at| notes.live.extend(arrival(sample, at)))?,
+            on(topics.provisional(), |notes, sample, at| notes.live.extend(arrival(sample, at)))?,
             on(topics.status(), |notes, sample, _| {
                 notes.status = decode(&sample.payload).ok().or(notes.status.take());
             })?,
@@ -196,7 +196,7 @@ pub(super) fn figures(
         solve_ms: (windows.tracked > 0).then_some([windows.solve_p50_ms, windows.solve_p99_ms]),
         dropped: status.queue_dropped,
         effort_level: effort.level,
-        effort_raised: effort.raised,
+        effort_raised: effort.degradation_steps,
         events,
         load,
     }

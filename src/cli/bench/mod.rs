@@ -126,7 +126,7 @@ fn measure(arguments: &Latency) -> Result<Figures, Failure> {
         fps,
         seconds,
         message_bytes: cameras.mean_bytes(),
-        window_span_ms: 1e3 * config.track.window_frames as f64 / fps,
+        window_span_ms: 1e3 * config.tracker.window_frames as f64 / fps,
     };
     Ok(figures(load, &heard, &sent.take(), &usage))
 }

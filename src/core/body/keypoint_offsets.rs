@@ -26,18 +26,18 @@ const POINTS: [Keypoint; 13] = [
 ];
 
 /// Numbers of all marks: x, y and z of each point.
-pub const MARKS: usize = 3 * POINTS.len();
+pub const OFFSETS: usize = 3 * POINTS.len();
 
 /// Metres of a coordinate of 1.
 const UNIT: f64 = 0.012;
 
-/// Marks of all points, in units of 12 mm; all zero is where our body has them.
+/// KeypointOffsets of all points, in units of 12 mm; all zero is where our body has them.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Marks(pub [f64; MARKS]);
+pub struct KeypointOffsets(pub [f64; OFFSETS]);
 
-impl Default for Marks {
+impl Default for KeypointOffsets {
     fn default() -> Self {
-        Self([0.0; MARKS])
+        Self([0.0; OFFSETS])
     }
 }
 
@@ -58,8 +58,8 @@ impl Slot {
     }
 
     /// The offset in the joint's frame, metres.
-    pub(super) fn offset(self, marks: &Marks) -> Vector3<f64> {
-        let [x, y, z] = [0, 1, 2].map(|axis| marks.0[self.first + axis] * UNIT);
+    pub(super) fn offset(self, offsets: &KeypointOffsets) -> Vector3<f64> {
+        let [x, y, z] = [0, 1, 2].map(|axis| offsets.0[self.first + axis] * UNIT);
         Vector3::new(self.side * x, y, z)
     }
 

@@ -36,7 +36,8 @@ impl Attachment {
 
     /// Offset from the joint's centre in the joint's frame, on a body with its marks, metres.
     pub fn offset(&self, body: &Skeleton) -> Vector3<f64> {
-        let mark = self.mark.map_or_else(Vector3::zeros, |mark| mark.offset(body.marks()));
+        let mark =
+            self.mark.map_or_else(Vector3::zeros, |mark| mark.offset(body.keypoint_offsets()));
         self.part.scaled(&self.template, body.shape()) + mark
     }
 
@@ -49,12 +50,12 @@ impl Attachment {
     /// Derivative of [`Attachment::offset`] by each coefficient of the body.
     pub fn offset_by_body(&self) -> [Vector3<f64>; BODY_COEFFICIENTS] {
         let mut all = [Vector3::zeros(); BODY_COEFFICIENTS];
-        let (by_shape, by_marks) = all.split_at_mut(SHAPE_COEFFICIENTS);
+        let (by_shape, by_offsets) = all.split_at_mut(SHAPE_COEFFICIENTS);
         for (out, by) in by_shape.iter_mut().zip(ShapeCoefficient::ALL) {
             *out = self.part.derivative(&self.template, by);
         }
         if let Some(mark) = self.mark {
-            mark.derivative(by_marks);
+            mark.derivative(by_offsets);
         }
         all
     }
@@ -115,7 +116,7 @@ fn table(keypoint: Keypoint) -> (Joint, [f64; 3], Part, f64) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::keypoint_offsets::Marks;
+    use super::super::keypoint_offsets::KeypointOffsets;
     use super::*;
 
     #[test]
@@ -131,8 +132,8 @@ mod tests {
 
     #[test]
     fn left_and_right_mirror_each_other() {
-        let marks = Marks(std::array::from_fn(|i| 0.1 * i as f64));
-        let body = Skeleton::default().with_marks(marks);
+        let offsets = KeypointOffsets(std::array::from_fn(|i| 0.1 * i as f64));
+        let body = Skeleton::default().with_keypoint_offsets(offsets);
         for (l, r) in [(Keypoint::LHip, Keypoint::RHip), (Keypoint::LBigToe, Keypoint::RBigToe)] {
             let (l, r) = (Attachment::of(l), Attachment::of(r));
             let (a, b) = (l.offset(&body), r.offset(&body));

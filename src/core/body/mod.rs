@@ -11,7 +11,7 @@ mod skeleton;
 
 pub use forward::{Posture, Tangents, Wrenches, forward, push_forward};
 pub use joints::{BODY_JOINTS, FASTEST, JOINTS, Joint};
-pub use keypoint_offsets::{MARKS, Marks};
+pub use keypoint_offsets::{KeypointOffsets, OFFSETS};
 pub use keypoints::{Attachment, BodyPoint, fitted_points};
 pub use pose::{Pose, StampedPose, TrackingState};
 pub use skeleton::{BODY_COEFFICIENTS, SHAPE_COEFFICIENTS, Shape, ShapeCoefficient, Skeleton};

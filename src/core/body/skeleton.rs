@@ -13,13 +13,13 @@
 use nalgebra::Vector3;
 
 use super::joints::{JOINTS, Joint};
-use super::keypoint_offsets::{MARKS, Marks};
+use super::keypoint_offsets::{KeypointOffsets, OFFSETS};
 
 /// How many shape coefficients there are.
 pub const SHAPE_COEFFICIENTS: usize = 10;
 
-/// Numbers that a body is made of: the shape, then the marks.
-pub const BODY_COEFFICIENTS: usize = SHAPE_COEFFICIENTS + MARKS;
+/// Numbers that a body is made of: the shape, then the keypoint offsets.
+pub const BODY_COEFFICIENTS: usize = SHAPE_COEFFICIENTS + OFFSETS;
 
 /// What a shape coefficient changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -143,11 +143,11 @@ fn template_of(joint: Joint) -> ([f64; 3], Part) {
     }
 }
 
-/// A body of one shape: each joint's offset from its parent, and where the detector marks its points.
+/// A body of one shape: each joint's offset from its parent, and where the detector sees its keypoints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Skeleton {
     shape: Shape,
-    marks: Marks,
+    keypoint_offsets: KeypointOffsets,
     offsets: [Vector3<f64>; JOINTS],
     offsets_by_shape: [[Vector3<f64>; SHAPE_COEFFICIENTS]; JOINTS],
 }
@@ -161,7 +161,7 @@ impl Skeleton {
         });
         Self {
             shape,
-            marks: Marks::default(),
+            keypoint_offsets: KeypointOffsets::default(),
             offsets: template.map(|(offset, part)| part.scaled(&offset, &shape)),
             offsets_by_shape: template
                 .map(|(offset, part)| C::ALL.map(|by| part.derivative(&offset, by))),
@@ -173,27 +173,27 @@ impl Skeleton {
         &self.shape
     }
 
-    /// The same body with those marks.
-    pub fn with_marks(self, marks: Marks) -> Self {
-        Self { marks, ..self }
+    /// The same body with those keypoint offsets.
+    pub fn with_keypoint_offsets(self, keypoint_offsets: KeypointOffsets) -> Self {
+        Self { keypoint_offsets, ..self }
     }
 
-    /// Where the detector marks its points.
-    pub fn marks(&self) -> &Marks {
-        &self.marks
+    /// Where the detector sees its keypoints.
+    pub fn keypoint_offsets(&self) -> &KeypointOffsets {
+        &self.keypoint_offsets
     }
 
-    /// All its numbers: the shape, then the marks.
+    /// All its numbers: the shape, then the keypoint offsets.
     pub fn coefficients(&self) -> impl Iterator<Item = f64> {
-        self.shape.0.into_iter().chain(self.marks.0)
+        self.shape.0.into_iter().chain(self.keypoint_offsets.0)
     }
 
     /// The body with these numbers in place of its first ones.
     pub fn with_coefficients(&self, values: &[f64]) -> Self {
-        let (mut shape, mut marks) = (self.shape, self.marks);
-        let all = shape.0.iter_mut().chain(&mut marks.0);
+        let (mut shape, mut keypoint_offsets) = (self.shape, self.keypoint_offsets);
+        let all = shape.0.iter_mut().chain(&mut keypoint_offsets.0);
         all.zip(values).for_each(|(out, value)| *out = *value);
-        Self::new(shape).with_marks(marks)
+        Self::new(shape).with_keypoint_offsets(keypoint_offsets)
     }
 
     /// Offset of a joint from its parent in the rest pose, metres; zero for the pelvis.

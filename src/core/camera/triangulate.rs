@@ -154,7 +154,7 @@ fn solve(
 
 /// Direct linear transform, inhomogeneous: each view gives two rows
 /// (x r3 - r1) . X = t1 - x t3 and (y r3 - r2) . X = t2 - y t3, weighted by the confidence.
-/// Normal equations, 3x3. `None` if they are singular.
+/// NormalEquations equations, 3x3. `None` if they are singular.
 fn linear(
     rig: &Rig,
     views: &[View],

@@ -14,15 +14,15 @@ pub struct Config {
     /// Weight of the prior on z in each frame, square pixels: a keyframe counts for the frames up to it.
     pub prior: f64,
     /// Degrees of freedom of the prior, a Student t: fewer hold unusual poses back less. 0 for |z|^2 itself.
-    pub prior_freedom: f64,
+    pub prior_dof: f64,
     /// Weight of the squared shape coefficients, square pixels, while the shape is free.
     pub shape_prior: f64,
     /// Weight of the squared marks, square pixels for each (12 mm)^2, while they are free.
-    pub mark_prior: f64,
+    pub offset_prior: f64,
     /// How far in the space of codes a Jacobian of the decoder is carried instead of computed anew, where
     /// it only steers the steps. 0 is for problems that the data hardly determine, as with a prior
     /// near 0: there steps must be exact. Differs: the paper needs no Jacobians.
-    pub jacobian_reach: f64,
+    pub jacobian_reuse_radius: f64,
     /// How latent codes run between keyframes.
     pub interpolation: Interpolation,
     /// Weights of accelerations along the keyframes.
@@ -34,10 +34,10 @@ impl Default for Config {
         Self {
             scale_px: 30.0,
             prior: 20.0,
-            prior_freedom: 50.0,
+            prior_dof: 50.0,
             shape_prior: 1000.0,
-            mark_prior: 300.0,
-            jacobian_reach: 0.7,
+            offset_prior: 300.0,
+            jacobian_reuse_radius: 0.7,
             interpolation: Interpolation::Slerp,
             stiffness: Stiffness::default(),
         }

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::unknowns::{KEYFRAME, Place, Unknowns};
 use crate::core::manifold::{Interpolation, LATENT, LatentTangent};
-use crate::core::optimise::Banded;
+use crate::core::optimise::BlockBanded;
 use crate::core::so3;
 
 /// How a moment's own coordinates (code, rotation, position) change with a knot's.
@@ -68,7 +68,7 @@ impl End {
         gram: &[f32],
         columns: usize,
         half: &mut Vec<f64>,
-        hessian: &mut Banded,
+        hessian: &mut BlockBanded,
     ) {
         // H is symmetric: its rows pulled back are the columns of H D', so `half` is D'^T H.
         half.resize(KEYFRAME * KEYFRAME, 0.0);

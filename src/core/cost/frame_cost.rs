@@ -8,8 +8,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::ends::root_of;
-use super::observation::{Moment, Observation};
-use super::observation_batch::{LOCAL_ROWS, Lane};
+use super::observation::{FrameObservations, Observation};
+use super::observation_batch::{LOCAL_ROWS, ObservationBatch};
 use super::path::Scene;
 use super::robust::GemanMcClure;
 use super::unknowns::{KEYFRAME, Place, Unknowns};
@@ -39,67 +39,81 @@ pub(super) struct Path<'p> {
 
 impl<'p> Path<'p> {
     /// Computes what is wanted of all moments of a lane, and leaves it there.
-    pub(super) fn compute(&self, moments: &[Moment], wanted: Wanted, lane: &mut Lane) {
-        lane.costs.clear();
-        if moments.is_empty() {
+    pub(super) fn compute(
+        &self,
+        observed_frames: &[FrameObservations],
+        wanted: Wanted,
+        batch: &mut ObservationBatch,
+    ) {
+        batch.costs.clear();
+        if observed_frames.is_empty() {
             return;
         }
         let n = self.unknowns.coordinates();
-        lane.decode(self.scene.decoder, moments.iter().map(|moment| self.code(moment)));
+        batch.decode(
+            self.scene.decoder,
+            observed_frames.iter().map(|observed_frame| self.code(observed_frame)),
+        );
         if wanted == Wanted::Hessians {
             // The Hessian by the body is used for itself, not only to steer.
             let reach =
-                if self.unknowns.body == 0 { self.scene.config.jacobian_reach } else { 0.0 };
-            lane.linearise(self.scene.decoder, reach);
-            lane.grams.resize(moments.len() * n * n, 0.0);
+                if self.unknowns.body == 0 { self.scene.config.jacobian_reuse_radius } else { 0.0 };
+            batch.linearise(self.scene.decoder, reach);
+            batch.grams.resize(observed_frames.len() * n * n, 0.0);
         }
-        lane.by_rotation.resize(moments.len() * LOCAL_ROWS, 0.0);
-        lane.gradients.resize(moments.len() * n, 0.0);
-        for (m, moment) in moments.iter().enumerate() {
-            let place = self.unknowns.place(moment.capture);
-            let posture = self.posture(place, m, lane);
+        batch.by_rotation.resize(observed_frames.len() * LOCAL_ROWS, 0.0);
+        batch.gradients.resize(observed_frames.len() * n, 0.0);
+        for (m, observed_frame) in observed_frames.iter().enumerate() {
+            let place = self.unknowns.place(observed_frame.capture);
+            let posture = self.posture(place, m, batch);
             if wanted == Wanted::Hessians {
-                self.push_tangents(place, &posture, m, lane);
+                self.push_tangents(place, &posture, m, batch);
             }
             let cost = match wanted {
-                Wanted::Cost => self.cost(moment, &posture),
-                _ => self.add(moment, &posture, wanted, m, lane),
+                Wanted::Cost => self.cost(observed_frame, &posture),
+                _ => self.add(observed_frame, &posture, wanted, m, batch),
             };
-            lane.costs.push(cost);
+            batch.costs.push(cost);
             if wanted == Wanted::Hessians {
-                lane.counts.moments += 1;
-                let (rows, gram) = (&lane.rows, &mut lane.grams[m * n * n..(m + 1) * n * n]);
+                batch.counts.observed_frames += 1;
+                let (rows, gram) = (&batch.rows, &mut batch.grams[m * n * n..(m + 1) * n * n]);
                 let sizes = [n, rows.len() / n, n];
                 linalg::product_of_transpose(sizes, rows, rows, Accum::Replace, gram);
             }
         }
         if wanted >= Wanted::Gradients {
-            lane.pull_back(self.scene.decoder, n);
+            batch.pull_back(self.scene.decoder, n);
         }
     }
 
     /// The code at a moment.
-    fn code(&self, moment: &Moment) -> Latent {
-        let Place { from, to, s } = self.unknowns.place(moment.capture);
+    fn code(&self, observed_frame: &FrameObservations) -> Latent {
+        let Place { from, to, s } = self.unknowns.place(observed_frame.capture);
         let (z0, z1) = (&self.unknowns.keyframes[from].z, &self.unknowns.keyframes[to].z);
         if from == to { *z1 } else { self.scene.config.interpolation.latent(z0, z1, s) }
     }
 
     /// Where the body is at moment `m` of the lane.
-    fn posture(&self, Place { from, to, s }: Place, m: usize, lane: &Lane) -> Posture {
+    fn posture(&self, Place { from, to, s }: Place, m: usize, batch: &ObservationBatch) -> Posture {
         let (first, last) = (&self.unknowns.keyframes[from], &self.unknowns.keyframes[to]);
         let rotation = match from == to {
             true => last.root_rotation,
             false => so3::slerp(&first.root_rotation, &last.root_rotation, s),
         };
         let position = first.root_position.lerp(&last.root_position, s);
-        forward(&self.unknowns.skeleton, &rotation, &position, &lane.rotations(m))
+        forward(&self.unknowns.skeleton, &rotation, &position, &batch.rotations(m))
     }
 
     /// Tangents of the posture at moment `m` by the moment's coordinates.
-    fn push_tangents(&self, place: Place, posture: &Posture, m: usize, lane: &mut Lane) {
+    fn push_tangents(
+        &self,
+        place: Place,
+        posture: &Posture,
+        m: usize,
+        batch: &mut ObservationBatch,
+    ) {
         let columns = self.unknowns.coordinates();
-        let mut tangents = lane
+        let mut tangents = batch
             .tangents
             .take()
             .filter(|t| t.columns() == columns)
@@ -109,35 +123,35 @@ impl<'p> Path<'p> {
         tangents.set_root_shift(LATENT + 3, 1.0);
         let shape_column = (self.unknowns.body > 0).then_some(KEYFRAME);
         let skeleton = &self.unknowns.skeleton;
-        push_forward(skeleton, posture, lane.by_code(m), LATENT, shape_column, &mut tangents);
-        lane.tangents = Some(tangents);
+        push_forward(skeleton, posture, batch.by_code(m), LATENT, shape_column, &mut tangents);
+        batch.tangents = Some(tangents);
     }
 
     /// Cost of what was seen at a moment.
-    fn cost(&self, moment: &Moment, posture: &Posture) -> f64 {
+    fn cost(&self, observed_frame: &FrameObservations, posture: &Posture) -> f64 {
         let cost = |views: &[Observation]| {
             let (point, arm) = self.point(views, posture);
             let position = posture.positions[point.attachment.joint.index()] + arm;
             point.attachment.weight * self.point_cost(views, &position)
         };
-        moment.by_point().map(cost).sum()
+        observed_frame.by_point().map(cost).sum()
     }
 
     /// The same; leaves the gradient of moment `m` in the lane, and its rows if they are wanted.
     fn add(
         &self,
-        moment: &Moment,
+        observed_frame: &FrameObservations,
         posture: &Posture,
         wanted: Wanted,
         m: usize,
-        lane: &mut Lane,
+        batch: &mut ObservationBatch,
     ) -> f64 {
         let n = self.unknowns.coordinates();
         let mut wrenches = Wrenches::zeros();
         let mut cost = 0.0;
-        lane.rows.clear();
-        lane.gradients[m * n..(m + 1) * n].fill(0.0);
-        for views in moment.by_point() {
+        batch.rows.clear();
+        batch.gradients[m * n..(m + 1) * n].fill(0.0);
+        for views in observed_frame.by_point() {
             let (point, arm) = self.point(views, posture);
             let (joint, weight) = (point.attachment.joint, point.attachment.weight);
             let position = posture.positions[joint.index()] + arm;
@@ -147,15 +161,15 @@ impl<'p> Path<'p> {
             wrenches.add(joint, &arm, &gradient);
             let rotation = &posture.rotations[joint.index()];
             if wanted == Wanted::Hessians {
-                self.add_rows(point, &arm, rotation, &curvature, lane);
+                self.add_rows(point, &arm, rotation, &curvature, batch);
             }
             if self.unknowns.body > 0 {
-                let out = &mut lane.gradients[m * n + KEYFRAME..(m + 1) * n];
+                let out = &mut batch.gradients[m * n + KEYFRAME..(m + 1) * n];
                 add_by_body(&point.attachment.offset_by_body(), rotation, &gradient, out);
             }
         }
         wrenches.gather(posture);
-        self.add_wrenches(posture, &wrenches, m, lane);
+        self.add_wrenches(posture, &wrenches, m, batch);
         cost
     }
 
@@ -207,15 +221,15 @@ impl<'p> Path<'p> {
         arm: &Vector3<f64>,
         rotation: &Matrix3<f64>,
         curvature: &Matrix3<f64>,
-        lane: &mut Lane,
+        batch: &mut ObservationBatch,
     ) {
         let n = self.unknowns.coordinates();
-        let Some(tangents) = &lane.tangents else { return };
+        let Some(tangents) = &batch.tangents else { return };
         let root = root_of(curvature);
         for direction in root.column_iter().map(|column| column.into_owned()) {
-            let first = lane.rows.len();
-            lane.rows.resize(first + n, 0.0);
-            let row = &mut lane.rows[first..];
+            let first = batch.rows.len();
+            batch.rows.resize(first + n, 0.0);
+            let row = &mut batch.rows[first..];
             tangents.along(point.attachment.joint, arm, &direction, row);
             if self.unknowns.body > 0 {
                 let by_body = point.attachment.offset_by_body();
@@ -227,13 +241,19 @@ impl<'p> Path<'p> {
     }
 
     /// The gradient by the coordinates of moment `m` but the code, and by its local rotations.
-    fn add_wrenches(&self, posture: &Posture, wrenches: &Wrenches, m: usize, lane: &mut Lane) {
+    fn add_wrenches(
+        &self,
+        posture: &Posture,
+        wrenches: &Wrenches,
+        m: usize,
+        batch: &mut ObservationBatch,
+    ) {
         let n = self.unknowns.coordinates();
         let skeleton = &self.unknowns.skeleton;
-        let gradient = &mut lane.gradients[m * n..(m + 1) * n];
+        let gradient = &mut batch.gradients[m * n..(m + 1) * n];
         let root = wrenches.torque(Joint::Pelvis).iter().chain(wrenches.force(Joint::Pelvis));
         gradient[LATENT..].iter_mut().zip(root).for_each(|(out, v)| *out = *v);
-        let by_rotation = &mut lane.by_rotation[m * LOCAL_ROWS..(m + 1) * LOCAL_ROWS];
+        let by_rotation = &mut batch.by_rotation[m * LOCAL_ROWS..(m + 1) * LOCAL_ROWS];
         for (joint, out) in Joint::ALL[1..].iter().zip(by_rotation.chunks_exact_mut(3)) {
             let turned = posture.rotations[joint.index()].tr_mul(wrenches.torque(*joint));
             out.copy_from_slice(turned.as_slice());

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::path::PathProblem;
 use crate::core::linalg;
-use crate::core::optimise::{Normal, Problem};
+use crate::core::optimise::{NormalEquations, Problem};
 
 /// The quadratic model of the cost by some coefficients of the body when the keyframes follow them:
 /// the Schur complement of the keyframes.
@@ -20,16 +20,16 @@ impl PathProblem<'_> {
     /// The model about `x` by the last `count` coefficients of a free body, its others held; `None`
     /// where the keyframes are not determined.
     pub fn marginal(&mut self, x: &[f64], count: usize) -> Option<Marginal> {
-        let mut normal = Normal::zeros(self.layout());
-        self.linearise(x, &mut normal);
+        let mut equations = NormalEquations::zeros(self.layout());
+        self.linearise(x, &mut equations);
         let (total, keyframes) = (x.len(), self.unknowns.body_at());
-        let entry = |i: usize, j: usize| normal.hessian.entry(i, j);
+        let entry = |i: usize, j: usize| equations.hessian.entry(i, j);
         let first = total - count;
         let within: Vec<f64> =
             (0..keyframes).flat_map(|i| (0..keyframes).map(move |j| entry(i, j))).collect();
         // The coefficients' columns, then the gradient.
         let across = DMatrix::from_fn(keyframes, count + 1, |i, j| {
-            if j < count { entry(i, first + j) } else { normal.gradient[i] }
+            if j < count { entry(i, first + j) } else { equations.gradient[i] }
         });
         let rows = across.transpose();
         let moved = linalg::solve_symmetric(keyframes, &within, count + 1, rows.as_slice())?;
@@ -40,7 +40,7 @@ impl PathProblem<'_> {
                 entry(first + i, first + j) - taken[(i, j)]
             }),
             gradient: DVector::from_fn(count, |i, _| {
-                normal.gradient[first + i] - taken[(i, count)]
+                equations.gradient[first + i] - taken[(i, count)]
             }),
         })
     }

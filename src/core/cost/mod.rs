@@ -23,7 +23,7 @@ mod workspace;
 
 pub use config::Config;
 pub use marginal::Marginal;
-pub use observation::{Moment, Observation};
+pub use observation::{FrameObservations, Observation};
 pub use path::{PathProblem, Scene};
 pub use robust::GemanMcClure;
 pub use stiffness::Stiffness;

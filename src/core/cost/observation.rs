@@ -19,14 +19,14 @@ pub struct Observation {
 
 /// Everything seen at one capture time.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Moment {
+pub struct FrameObservations {
     /// The capture time.
     pub capture: Timestamp,
     /// Sorted by point, so that the views of a point stand together.
     observations: Vec<Observation>,
 }
 
-impl Moment {
+impl FrameObservations {
     /// Sorts the observations.
     pub fn new(capture: Timestamp, mut observations: Vec<Observation>) -> Self {
         observations.sort_by_key(|o| (o.point, o.camera));

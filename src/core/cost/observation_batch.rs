@@ -22,7 +22,7 @@ const SHORTEST: f64 = 1e-2;
 
 /// Some moments in a row. None of its work concerns other moments.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Lane {
+pub(super) struct ObservationBatch {
     /// What is decoded: the code of each moment.
     codes: Vec<Latent>,
     jacobians: Jacobians,
@@ -70,7 +70,7 @@ enum Source {
     Decoder,
 }
 
-impl Lane {
+impl ObservationBatch {
     /// Another problem begins.
     pub(super) fn forget(&mut self) {
         self.codes.clear();

@@ -8,14 +8,14 @@
 use super::config::Config;
 use super::ends::{End, block, ends};
 use super::frame_cost::{self, Path};
-use super::observation::{Moment, Observation};
+use super::observation::{FrameObservations, Observation};
 use super::robust::{GemanMcClure, StudentT};
 use super::unknowns::{FreeBody, KEYFRAME, Knot, Unknowns};
 use super::workspace::{Workspace, in_lanes};
 use crate::core::body::{BodyPoint, SHAPE_COEFFICIENTS, Skeleton};
 use crate::core::camera::Rig;
 use crate::core::manifold::{Decoder, Keyframe, LATENT};
-use crate::core::optimise::{Layout, Normal, Problem};
+use crate::core::optimise::{Layout, NormalEquations, Problem};
 use crate::core::time::Timestamp;
 
 /// What a cost needs besides the unknowns.
@@ -35,7 +35,7 @@ pub struct Scene<'a> {
 #[derive(Debug)]
 pub struct PathProblem<'a> {
     scene: Scene<'a>,
-    moments: &'a [Moment],
+    observed_frames: &'a [FrameObservations],
     work: &'a mut Workspace,
     pub(super) unknowns: Unknowns,
     loss: GemanMcClure,
@@ -45,7 +45,7 @@ pub struct PathProblem<'a> {
 enum Wanted<'o> {
     Cost,
     Gradient(&'o mut [f64]),
-    NormalEquations(&'o mut Normal),
+    NormalEquations(&'o mut NormalEquations),
 }
 
 impl Wanted<'_> {
@@ -61,13 +61,13 @@ impl Wanted<'_> {
         match self {
             Self::Cost => None,
             Self::Gradient(gradient) => Some(gradient),
-            Self::NormalEquations(normal) => Some(&mut normal.gradient),
+            Self::NormalEquations(equations) => Some(&mut equations.gradient),
         }
     }
 
-    fn normal(&mut self) -> Option<&mut Normal> {
+    fn equations(&mut self) -> Option<&mut NormalEquations> {
         match self {
-            Self::NormalEquations(normal) => Some(normal),
+            Self::NormalEquations(equations) => Some(equations),
             _ => None,
         }
     }
@@ -81,7 +81,7 @@ impl<'a> PathProblem<'a> {
         knots: Vec<Knot>,
         skeleton: &Skeleton,
         free: FreeBody,
-        moments: &'a [Moment],
+        observed_frames: &'a [FrameObservations],
         work: &'a mut Workspace,
     ) -> Self {
         work.forget();
@@ -89,7 +89,7 @@ impl<'a> PathProblem<'a> {
             unknowns: Unknowns::new(knots, skeleton, free),
             loss: GemanMcClure::new(scene.config.scale_px),
             scene,
-            moments,
+            observed_frames,
             work,
         }
     }
@@ -106,10 +106,10 @@ impl<'a> PathProblem<'a> {
         let weight = |seen: &Observation| {
             0.5 * seen.confidence * self.scene.points[seen.point].attachment.weight
         };
-        for (moment, cost) in self.moments.iter().zip(self.work.costs()) {
-            let part = usize::from(moment.capture > time);
+        for (observed_frame, cost) in self.observed_frames.iter().zip(self.work.costs()) {
+            let part = usize::from(observed_frame.capture > time);
             costs[part] += cost;
-            most[part] += moment.observations().iter().map(weight).sum::<f64>();
+            most[part] += observed_frame.observations().iter().map(weight).sum::<f64>();
         }
         let ceiling = self.loss.ceiling();
         [0, 1].map(|part| costs[part] / (ceiling * most[part]).max(f64::MIN_POSITIVE))
@@ -134,19 +134,19 @@ impl<'a> PathProblem<'a> {
     fn evaluate(&mut self, x: &[f64], mut wanted: Wanted) -> f64 {
         self.unknowns.take(x);
         let cost = self.prior(x, &mut wanted);
-        let Self { scene, unknowns, loss, moments, work, .. } = self;
+        let Self { scene, unknowns, loss, observed_frames, work, .. } = self;
         let (scene, unknowns, loss, of_moments) = (*scene, &*unknowns, *loss, wanted.of_moments());
         let offsets = scene.points.iter().map(|point| point.attachment.offset(&unknowns.skeleton));
         work.offsets.clear();
         work.offsets.extend(offsets);
-        work.compute(moments, |moments, offsets, lane| {
-            Path { scene, unknowns, loss, offsets }.compute(moments, of_moments, lane);
+        work.compute(observed_frames, |observed_frames, offsets, batch| {
+            Path { scene, unknowns, loss, offsets }.compute(observed_frames, of_moments, batch);
         });
         if let Some(gradient) = wanted.gradient() {
             self.scatter_gradients(gradient);
         }
-        if let Some(normal) = wanted.normal() {
-            self.scatter_hessians(normal);
+        if let Some(equations) = wanted.equations() {
+            self.scatter_hessians(equations);
         }
         cost + self.work.costs().sum::<f64>()
     }
@@ -154,16 +154,16 @@ impl<'a> PathProblem<'a> {
     /// 1/2 prior rho(|z|^2) of each free knot, counted for each frame that it stands for, 1/2 shape prior
     /// |shape|^2, 1/2 mark prior |marks|^2, and the path's stiffness. Overwrites what is wanted.
     fn prior(&self, x: &[f64], wanted: &mut Wanted) -> f64 {
-        let Config { prior, prior_freedom, shape_prior, mark_prior, stiffness, .. } =
+        let Config { prior, prior_dof, shape_prior, offset_prior, stiffness, .. } =
             *self.scene.config;
         let mut cost = 0.0;
         if let Some(gradient) = wanted.gradient() {
             gradient.fill(0.0);
         }
-        if let Some(normal) = wanted.normal() {
-            normal.hessian.clear();
+        if let Some(equations) = wanted.equations() {
+            equations.hessian.clear();
         }
-        let student = StudentT::new(prior_freedom);
+        let student = StudentT::new(prior_dof);
         let codes = self.unknowns.free_frames().enumerate().map(|(knot, frames)| {
             let first = knot * KEYFRAME;
             let (rho, slope) = student.rho(square(&x[first..first + LATENT]));
@@ -171,8 +171,8 @@ impl<'a> PathProblem<'a> {
         });
         let body_at = self.unknowns.body_at();
         let shape = self.unknowns.body.min(SHAPE_COEFFICIENTS);
-        let (marks_at, marks) = (body_at + shape, self.unknowns.body - shape);
-        let body = [(body_at, shape, shape_prior), (marks_at, marks, mark_prior)];
+        let (offsets_at, offsets) = (body_at + shape, self.unknowns.body - shape);
+        let body = [(body_at, shape, shape_prior), (offsets_at, offsets, offset_prior)];
         let body = body.map(|(first, count, weight)| {
             (first, count, weight, weight * square(&x[first..first + count]))
         });
@@ -182,15 +182,15 @@ impl<'a> PathProblem<'a> {
                 if let Some(gradient) = wanted.gradient() {
                     gradient[i] = weight * x[i];
                 }
-                if let Some(normal) = wanted.normal() {
-                    normal.hessian.add_to_diagonal(i, weight);
+                if let Some(equations) = wanted.equations() {
+                    equations.hessian.add_to_diagonal(i, weight);
                 }
             }
         }
         cost + match wanted {
             Wanted::Cost => stiffness.cost(&self.unknowns),
             Wanted::Gradient(gradient) => stiffness.add_gradient(&self.unknowns, gradient),
-            Wanted::NormalEquations(normal) => stiffness.add(&self.unknowns, normal),
+            Wanted::NormalEquations(equations) => stiffness.add(&self.unknowns, equations),
         }
     }
 
@@ -199,9 +199,10 @@ impl<'a> PathProblem<'a> {
         let (n, body_at) = (self.unknowns.coordinates(), self.unknowns.body_at());
         let interpolation = self.scene.config.interpolation;
         let mut pulled = [0.0; KEYFRAME];
-        for (lane, moments) in self.work.lanes.iter().zip(in_lanes(self.moments)) {
-            for (mine, moment) in lane.gradients.chunks_exact(n).zip(moments) {
-                let place = self.unknowns.place(moment.capture);
+        for (batch, observed_frames) in self.work.batches.iter().zip(in_lanes(self.observed_frames))
+        {
+            for (mine, observed_frame) in batch.gradients.chunks_exact(n).zip(observed_frames) {
+                let place = self.unknowns.place(observed_frame.capture);
                 for end in ends(&self.unknowns, interpolation, place).iter().flatten() {
                     end.pull(mine, &mut pulled);
                     add(&mut gradient[end.knot * KEYFRAME..], &pulled);
@@ -212,18 +213,18 @@ impl<'a> PathProblem<'a> {
     }
 
     /// Carries the moments' Hessians to all unknowns.
-    fn scatter_hessians(&mut self, normal: &mut Normal) {
+    fn scatter_hessians(&mut self, equations: &mut NormalEquations) {
         let n = self.unknowns.coordinates();
         let (unknowns, interpolation) = (&self.unknowns, self.scene.config.interpolation);
-        let Workspace { lanes, half, .. } = &mut *self.work;
-        for (lane, moments) in lanes.iter().zip(in_lanes(self.moments)) {
-            for (gram, moment) in lane.grams.chunks_exact(n * n).zip(moments) {
-                let place = unknowns.place(moment.capture);
+        let Workspace { batches, half, .. } = &mut *self.work;
+        for (batch, observed_frames) in batches.iter().zip(in_lanes(self.observed_frames)) {
+            for (gram, observed_frame) in batch.grams.chunks_exact(n * n).zip(observed_frames) {
+                let place = unknowns.place(observed_frame.capture);
                 if unknowns.is_direct(place) {
                     if unknowns.is_free(place.to) {
                         let mine = block(unknowns.number(place.to));
                         for (column, row) in mine.clone().zip(gram.chunks_exact(n)) {
-                            add(normal.hessian.column_mut(mine.clone(), column), row);
+                            add(equations.hessian.column_mut(mine.clone(), column), row);
                         }
                     }
                     continue;
@@ -231,22 +232,27 @@ impl<'a> PathProblem<'a> {
                 let ends = ends(unknowns, interpolation, place);
                 for (e, end) in ends.iter().flatten().enumerate() {
                     for other in ends.iter().flatten().skip(e) {
-                        end.add_block(other, gram, n, half, &mut normal.hessian);
+                        end.add_block(other, gram, n, half, &mut equations.hessian);
                     }
                 }
-                add_body_rows(unknowns, &ends, gram, normal);
+                add_body_rows(unknowns, &ends, gram, equations);
             }
         }
     }
 }
 
 /// Adds the rows of a moment's Hessian that belong to the body.
-fn add_body_rows(unknowns: &Unknowns, ends: &[Option<End>], gram: &[f32], normal: &mut Normal) {
+fn add_body_rows(
+    unknowns: &Unknowns,
+    ends: &[Option<End>],
+    gram: &[f32],
+    equations: &mut NormalEquations,
+) {
     let (n, body_at) = (unknowns.coordinates(), unknowns.body_at());
     let mut pulled = [0.0; KEYFRAME];
     for (row, entries) in (body_at..).zip(gram.chunks_exact(n).skip(KEYFRAME)) {
         let mut add = |column: usize, value: f64| {
-            normal.hessian.column_mut(row..row + 1, column)[0] += value;
+            equations.hessian.column_mut(row..row + 1, column)[0] += value;
         };
         for end in ends.iter().flatten() {
             end.pull(entries, &mut pulled);
@@ -281,8 +287,8 @@ impl Problem for PathProblem<'_> {
         self.evaluate(x, Wanted::Cost)
     }
 
-    fn linearise(&mut self, x: &[f64], normal: &mut Normal) -> f64 {
-        self.evaluate(x, Wanted::NormalEquations(normal))
+    fn linearise(&mut self, x: &[f64], equations: &mut NormalEquations) -> f64 {
+        self.evaluate(x, Wanted::NormalEquations(equations))
     }
 
     fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64 {

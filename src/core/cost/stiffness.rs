@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::ends::block;
 use super::unknowns::Unknowns;
 use crate::core::manifold::{Keyframe, LATENT, Latent};
-use crate::core::optimise::{Banded, Normal};
+use crate::core::optimise::{BlockBanded, NormalEquations};
 use crate::core::so3;
 
 /// Weights of accelerations, per nominal frame: all zero leaves the path as free as its
@@ -25,32 +25,37 @@ pub struct Stiffness {
     /// Of the latent code, square pixels per (1/s^2)^2.
     pub latent: f64,
     /// Of the root's rotation, square pixels per (rad/s^2)^2.
-    pub turn: f64,
+    pub rotation: f64,
     /// Of the root's position, square pixels per (m/s^2)^2.
-    pub shift: f64,
+    pub position: f64,
     /// Scale s, pixels: an acceleration of this weighted size has half of its weight left.
-    pub scale_px: f64,
+    pub robust_scale_px: f64,
 }
 
 impl Default for Stiffness {
     fn default() -> Self {
-        Self { latent: 1e-3, turn: 0.04, shift: 0.4, scale_px: 30.0 }
+        Self { latent: 1e-3, rotation: 0.04, position: 0.4, robust_scale_px: 30.0 }
     }
 }
 
 impl Stiffness {
     /// No such term, as in the paper.
-    pub const NONE: Self = Self { latent: 0.0, turn: 0.0, shift: 0.0, scale_px: 1.0 };
+    pub const NONE: Self = Self { latent: 0.0, rotation: 0.0, position: 0.0, robust_scale_px: 1.0 };
 
     /// All weights times `factor`.
     pub fn times(self, factor: f64) -> Self {
-        let Self { latent, turn, shift, .. } = self;
-        Self { latent: latent * factor, turn: turn * factor, shift: shift * factor, ..self }
+        let Self { latent, rotation, position, .. } = self;
+        Self {
+            latent: latent * factor,
+            rotation: rotation * factor,
+            position: position * factor,
+            ..self
+        }
     }
 
     /// Whether accelerations cost nothing.
     pub(super) fn is_none(&self) -> bool {
-        [self.latent, self.turn, self.shift] == [0.0; 3]
+        [self.latent, self.rotation, self.position] == [0.0; 3]
     }
 
     /// The cost of all triples of knots of which the last is free.
@@ -68,10 +73,10 @@ impl Stiffness {
     }
 
     /// The same; its gradient and Gauss-Newton Hessian are added.
-    pub(super) fn add(&self, path: &Unknowns, normal: &mut Normal) -> f64 {
+    pub(super) fn add(&self, path: &Unknowns, equations: &mut NormalEquations) -> f64 {
         let add = |triple: Triple| {
-            triple.add_gradient(path, &mut normal.gradient);
-            triple.add_hessian(path, &mut normal.hessian);
+            triple.add_gradient(path, &mut equations.gradient);
+            triple.add_hessian(path, &mut equations.hessian);
             triple.cost
         };
         self.triples(path).map(add).sum()
@@ -114,10 +119,11 @@ impl Triple {
         let position = k0.root_position * c0 + k1.root_position * c1 + k2.root_position * c2;
         let squares = [
             weights.latent * code.iter().map(|v| v * v).sum::<f64>(),
-            weights.turn * rotation.norm_squared(),
-            weights.shift * position.norm_squared(),
+            weights.rotation * rotation.norm_squared(),
+            weights.position * position.norm_squared(),
         ];
-        let (scale, frames) = (weights.scale_px * weights.scale_px, path.frames(last));
+        let (scale, frames) =
+            (weights.robust_scale_px * weights.robust_scale_px, path.frames(last));
         let slack = squares.map(|square| 1.0 + square / scale);
         let [latent, turn, shift] = slack.map(|slack| frames / slack);
         Self {
@@ -127,7 +133,7 @@ impl Triple {
             code,
             rotation,
             position,
-            weights: [weights.latent * latent, weights.turn * turn, weights.shift * shift],
+            weights: [weights.latent * latent, weights.rotation * turn, weights.position * shift],
             cost: 0.5 * frames * scale * slack.iter().map(|slack| slack.ln()).sum::<f64>(),
         }
     }
@@ -161,7 +167,7 @@ impl Triple {
         }
     }
 
-    fn add_hessian(&self, path: &Unknowns, hessian: &mut Banded) {
+    fn add_hessian(&self, path: &Unknowns, hessian: &mut BlockBanded) {
         let [latent, turn, shift] = self.weights;
         let by_turn = self.by_turn(path);
         for (a, row) in self.free(path) {

@@ -38,7 +38,7 @@ pub enum FreeBody {
     /// The shape.
     Shape,
     /// The shape, and where the detector marks points.
-    ShapeAndMarks,
+    ShapeAndOffsets,
 }
 
 /// The keyframes and the body that the unknowns stand for.
@@ -71,7 +71,7 @@ impl Unknowns {
             body: match free {
                 FreeBody::Fixed => 0,
                 FreeBody::Shape => SHAPE_COEFFICIENTS,
-                FreeBody::ShapeAndMarks => BODY_COEFFICIENTS,
+                FreeBody::ShapeAndOffsets => BODY_COEFFICIENTS,
             },
         }
     }

@@ -5,13 +5,13 @@ use std::ops::Add;
 
 use nalgebra::Vector3;
 
-use super::observation::Moment;
-use super::observation_batch::Lane;
+use super::observation::FrameObservations;
+use super::observation_batch::ObservationBatch;
 
 /// Memory that problems use in turn; grows to the largest and stays.
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
-    pub(super) lanes: [Lane; 2],
+    pub(super) batches: [ObservationBatch; 2],
     /// Whether the lanes are computed at the same time.
     in_parallel: bool,
     /// The points' offsets in their joints' frames, for the present shape.
@@ -30,7 +30,7 @@ pub struct Counts {
     /// Gradients carried back through the decoder.
     pub gradients: usize,
     /// Moments of which rows were made for a Hessian.
-    pub moments: usize,
+    pub observed_frames: usize,
 }
 
 impl Add for Counts {
@@ -41,7 +41,7 @@ impl Add for Counts {
             decoded: self.decoded + other.decoded,
             linearised: self.linearised + other.linearised,
             gradients: self.gradients + other.gradients,
-            moments: self.moments + other.moments,
+            observed_frames: self.observed_frames + other.observed_frames,
         }
     }
 }
@@ -53,7 +53,7 @@ impl Counts {
             decoded: self.decoded - before.decoded,
             linearised: self.linearised - before.linearised,
             gradients: self.gradients - before.gradients,
-            moments: self.moments - before.moments,
+            observed_frames: self.observed_frames - before.observed_frames,
         }
     }
 }
@@ -62,8 +62,8 @@ impl Counts {
 const TOGETHER: usize = 4;
 
 /// The moments of the two lanes; fewer than twice as many are all in the second.
-pub(super) fn in_lanes(moments: &[Moment]) -> [&[Moment]; 2] {
-    moments.split_at(moments.len() / 2 / TOGETHER * TOGETHER).into()
+pub(super) fn in_lanes(observed_frames: &[FrameObservations]) -> [&[FrameObservations]; 2] {
+    observed_frames.split_at(observed_frames.len() / 2 / TOGETHER * TOGETHER).into()
 }
 
 impl Workspace {
@@ -75,28 +75,28 @@ impl Workspace {
 
     /// What was done since it was made.
     pub fn counts(&self) -> Counts {
-        let [first, second] = &self.lanes;
+        let [first, second] = &self.batches;
         first.counts + second.counts
     }
 
     /// What each moment cost at the last evaluation.
     pub(super) fn costs(&self) -> impl Iterator<Item = f64> {
-        self.lanes.iter().flat_map(|lane| &lane.costs).copied()
+        self.batches.iter().flat_map(|batch| &batch.costs).copied()
     }
 
     /// Another problem begins.
     pub(super) fn forget(&mut self) {
-        self.lanes.iter_mut().for_each(Lane::forget);
+        self.batches.iter_mut().for_each(ObservationBatch::forget);
     }
 
     /// Computes both lanes.
     pub(super) fn compute(
         &mut self,
-        moments: &[Moment],
-        compute: impl Fn(&[Moment], &[Vector3<f64>], &mut Lane) + Sync,
+        observed_frames: &[FrameObservations],
+        compute: impl Fn(&[FrameObservations], &[Vector3<f64>], &mut ObservationBatch) + Sync,
     ) {
-        let Self { lanes: [first, second], in_parallel, offsets, .. } = self;
-        let [early, late] = in_lanes(moments);
+        let Self { batches: [first, second], in_parallel, offsets, .. } = self;
+        let [early, late] = in_lanes(observed_frames);
         let mut early = || compute(early, offsets, first);
         let mut late = || compute(late, offsets, second);
         match in_parallel {

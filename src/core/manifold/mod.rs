@@ -36,9 +36,9 @@ pub struct Keyframe {
 
 impl Keyframe {
     /// The nearest keyframe that can be sent as a message bit for bit, so that whoever receives it
-    /// decodes the same poses; see [`so3::settled`].
-    pub fn settled(self) -> Self {
-        Self { root_rotation: so3::settled(&self.root_rotation), ..self }
+    /// decodes the same poses; see [`so3::quantised`].
+    pub fn quantised(self) -> Self {
+        Self { root_rotation: so3::quantised(&self.root_rotation), ..self }
     }
 }
 

@@ -143,7 +143,12 @@ impl Transition {
     }
 
     /// -ln p of c after a and b, nats, without the constant 19 ln(2 pi).
-    pub fn surprise(&self, three: [&Keyframe; 3], step: f64, work: &mut TransitionWork) -> f64 {
+    pub fn neg_log_likelihood(
+        &self,
+        three: [&Keyframe; 3],
+        step: f64,
+        work: &mut TransitionWork,
+    ) -> f64 {
         let (mean, deviation) = self.predict(&state_of(three[0], three[1], step), work);
         let found = move_of(three, step);
         let of = |i: usize| 0.5 * ((found[i] - mean[i]) / deviation[i]).powi(2) + deviation[i].ln();

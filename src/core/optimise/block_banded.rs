@@ -7,7 +7,7 @@ use nalgebra::RealField;
 /// The lower half of a symmetric matrix of `blocks` x `blocks` square blocks of `size`, in which
 /// block (i, j) vanishes where |i - j| exceeds the bandwidth.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Banded<T = f64> {
+pub struct BlockBanded<T = f64> {
     size: usize,
     blocks: usize,
     bandwidth: usize,
@@ -16,7 +16,7 @@ pub struct Banded<T = f64> {
     data: Vec<T>,
 }
 
-impl<T: RealField + Copy> Banded<T> {
+impl<T: RealField + Copy> BlockBanded<T> {
     /// All zero. `bandwidth` counts blocks beside the diagonal one.
     pub fn zeros(size: usize, blocks: usize, bandwidth: usize) -> Self {
         let data = vec![T::zero(); size * blocks * (size * (bandwidth + 1) + 1)];
@@ -76,7 +76,7 @@ impl<T: RealField + Copy> Banded<T> {
         &self.data[self.at(&rows, column)]
     }
 
-    /// As [`Banded::column`], to change it.
+    /// As [`BlockBanded::column`], to change it.
     pub fn column_mut(&mut self, rows: Range<usize>, column: usize) -> &mut [T] {
         let at = self.at(&rows, column);
         &mut self.data[at]
@@ -108,9 +108,9 @@ impl<T: RealField + Copy> Banded<T> {
     }
 }
 
-impl Banded<f32> {
+impl BlockBanded<f32> {
     /// Takes the entries of another matrix of the same layout, rounded.
-    pub fn round_from(&mut self, other: &Banded) {
+    pub fn round_from(&mut self, other: &BlockBanded) {
         self.data.iter_mut().zip(&other.data).for_each(|(mine, other)| *mine = *other as f32);
     }
 }

@@ -1,28 +1,32 @@
 //! Cholesky factors of banded matrices: time and memory are linear in the number of blocks. In f32: for
 //! a step that is tried before it is taken, six digits will do.
 
-use super::block_banded::Banded;
+use super::block_banded::BlockBanded;
 use crate::core::linalg;
 
-/// A lower triangular L with L L^T = A, for a positive definite [`Banded`] A.
+/// A lower triangular L with L L^T = A, for a positive definite [`BlockBanded`] A.
 #[derive(Clone, Debug)]
 pub struct Cholesky {
-    lower: Banded<f32>,
+    lower: BlockBanded<f32>,
     memory: linalg::Memory,
 }
 
 impl Cholesky {
     /// Memory for factors of matrices that are laid out as `matrix` is.
-    pub fn like(matrix: &Banded) -> Self {
+    pub fn like(matrix: &BlockBanded) -> Self {
         Self {
-            lower: Banded::zeros(matrix.size(), matrix.blocks(), matrix.bandwidth()),
+            lower: BlockBanded::zeros(matrix.size(), matrix.blocks(), matrix.bandwidth()),
             memory: linalg::Memory::of_cholesky(matrix.size()),
         }
     }
 
     /// Factorises A + diag(`damping`); gives a measure of the work, or `None` where that is not
     /// positive definite.
-    pub fn factorise(&mut self, matrix: &Banded, damping: impl Fn(usize) -> f64) -> Option<usize> {
+    pub fn factorise(
+        &mut self,
+        matrix: &BlockBanded,
+        damping: impl Fn(usize) -> f64,
+    ) -> Option<usize> {
         let Self { lower, memory } = self;
         lower.round_from(matrix);
         (0..lower.dimension()).for_each(|i| lower.add_to_diagonal(i, damping(i) as f32));
@@ -57,8 +61,8 @@ mod tests {
     use nalgebra::{DMatrix, DVector};
 
     /// A positive definite matrix with entries from a wave, and the same dense.
-    fn sample(size: usize, blocks: usize, bandwidth: usize) -> (Banded, DMatrix<f64>) {
-        let mut banded = Banded::zeros(size, blocks, bandwidth);
+    fn sample(size: usize, blocks: usize, bandwidth: usize) -> (BlockBanded, DMatrix<f64>) {
+        let mut banded = BlockBanded::zeros(size, blocks, bandwidth);
         let mut dense = DMatrix::zeros(size * blocks, size * blocks);
         for column in 0..size * blocks {
             for row in column..banded.end(column) {

@@ -3,7 +3,7 @@
 //! so does its Hessian: then a step uses the last factor with the new gradient (a chord step), which
 //! takes a fraction of the time and ends at the same place.
 
-use super::{Cholesky, Normal, Optimiser, Problem, Summary, Termination};
+use super::{Cholesky, NormalEquations, Optimiser, Problem, Summary, Termination};
 
 /// Levenberg-Marquardt: solves (H + mu D) step = -g with D the diagonal of H, and accepts a step
 /// when the cost really falls, however the model predicted it.
@@ -30,7 +30,7 @@ const MIN_DIAGONAL: f64 = 1e-9;
 /// What a solve needs; kept for the next one of the same layout.
 #[derive(Clone, Debug)]
 struct Memory {
-    normal: Normal,
+    equations: NormalEquations,
     /// Of the damped Hessian.
     factor: Cholesky,
     /// That of the factor.
@@ -55,38 +55,38 @@ impl LevenbergMarquardt {
 
 impl Memory {
     fn of(problem: &dyn Problem) -> Self {
-        let normal = Normal::zeros(problem.layout());
-        let n = normal.gradient.len();
-        let factor = Cholesky::like(&normal.hessian);
-        Self { factor, damping: 0.0, normal, step: vec![0.0; n], trial: vec![0.0; n] }
+        let equations = NormalEquations::zeros(problem.layout());
+        let n = equations.gradient.len();
+        let factor = Cholesky::like(&equations.hessian);
+        Self { factor, damping: 0.0, equations, step: vec![0.0; n], trial: vec![0.0; n] }
     }
 
     /// Factorises the damped Hessian; `None` where it is not positive definite.
     fn factorise(&mut self, damping: f64) -> Option<()> {
-        let Self { normal, factor, .. } = self;
+        let Self { equations, factor, .. } = self;
         self.damping = damping;
-        factor.factorise(&normal.hessian, |i| damping * scale(normal, i)).map(|_| ())
+        factor.factorise(&equations.hessian, |i| damping * scale(equations, i)).map(|_| ())
     }
 
     /// Solves for the step; the decrease that the model predicts.
     fn solve(&mut self) -> f64 {
-        let Self { normal, factor, damping, step, .. } = self;
-        step.iter_mut().zip(&normal.gradient).for_each(|(step, g)| *step = -g);
+        let Self { equations, factor, damping, step, .. } = self;
+        step.iter_mut().zip(&equations.gradient).for_each(|(step, g)| *step = -g);
         factor.solve(step);
         // With H step = -g - mu D step, the decrease is 1/2 step . (mu D step - g).
-        let decrease = step.iter().zip(&normal.gradient).enumerate();
-        decrease.map(|(i, (s, g))| 0.5 * s * (*damping * scale(normal, i) * s - g)).sum()
+        let decrease = step.iter().zip(&equations.gradient).enumerate();
+        decrease.map(|(i, (s, g))| 0.5 * s * (*damping * scale(equations, i) * s - g)).sum()
     }
 }
 
 /// Entry i of D.
-fn scale(normal: &Normal, i: usize) -> f64 {
-    normal.hessian.diagonal(i).max(MIN_DIAGONAL)
+fn scale(equations: &NormalEquations, i: usize) -> f64 {
+    equations.hessian.diagonal(i).max(MIN_DIAGONAL)
 }
 
 impl Optimiser for LevenbergMarquardt {
     fn minimise(&mut self, problem: &mut dyn Problem, x: &mut [f64], iterations: usize) -> Summary {
-        let fits = |memory: &Memory| memory.normal.layout() == problem.layout();
+        let fits = |memory: &Memory| memory.equations.layout() == problem.layout();
         let mut memory = self.memory.take().filter(fits).unwrap_or_else(|| Memory::of(problem));
         let summary = self.descend(problem, x, iterations, &mut memory);
         self.memory = Some(memory);
@@ -102,14 +102,14 @@ impl LevenbergMarquardt {
         iterations: usize,
         memory: &mut Memory,
     ) -> Summary {
-        let mut cost = problem.linearise(x, &mut memory.normal);
+        let mut cost = problem.linearise(x, &mut memory.equations);
         let mut summary = Summary::at_start(cost, iterations);
         if !cost.is_finite() {
             return Summary { termination: Termination::NotFinite, ..summary };
         }
         let (mut damping, mut growth, mut is_chord) = (self.initial_damping, 2.0, false);
         while summary.iterations < iterations {
-            let gradient = &memory.normal.gradient;
+            let gradient = &memory.equations.gradient;
             let value = gradient.iter().fold(0.0_f64, |most, g| most.max(g.abs()));
             let threshold = self.gradient_threshold;
             if value <= threshold {
@@ -143,14 +143,14 @@ impl LevenbergMarquardt {
                     summary.evaluations += 1;
                     is_chord = value < CHORD_CHANGE && gain > CHORD_GAIN;
                     match is_chord {
-                        true => problem.gradient(x, &mut memory.normal.gradient),
-                        false => problem.linearise(x, &mut memory.normal),
+                        true => problem.gradient(x, &mut memory.equations.gradient),
+                        false => problem.linearise(x, &mut memory.equations),
                     };
                 }
             } else if is_chord {
                 summary.evaluations += 1;
                 is_chord = false;
-                problem.linearise(x, &mut memory.normal);
+                problem.linearise(x, &mut memory.equations);
             } else {
                 damping *= growth;
                 growth *= 2.0;

@@ -13,11 +13,11 @@ mod termination;
 
 use serde::{Deserialize, Serialize};
 
-pub use block_banded::Banded;
+pub use block_banded::BlockBanded;
 pub use cholesky::Cholesky;
 pub use lbfgs::Lbfgs;
 pub use lm::LevenbergMarquardt;
-pub use normal_equations::{Layout, Normal};
+pub use normal_equations::{Layout, NormalEquations};
 pub use termination::{Summary, Termination};
 
 /// A cost of some unknowns.
@@ -30,7 +30,7 @@ pub trait Problem {
 
     /// The cost at `x`; its gradient and a Gauss-Newton approximation of its Hessian go to
     /// `normal`, which is overwritten.
-    fn linearise(&mut self, x: &[f64], normal: &mut Normal) -> f64;
+    fn linearise(&mut self, x: &[f64], equations: &mut NormalEquations) -> f64;
 
     /// The cost at `x`, with its gradient alone.
     fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64;
@@ -39,7 +39,7 @@ pub trait Problem {
 /// Which optimiser to use.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Method {
+pub enum OptimiserKind {
     /// Levenberg-Marquardt with IRLS.
     #[default]
     LevenbergMarquardt,
@@ -53,7 +53,7 @@ pub trait Optimiser: Send {
     fn minimise(&mut self, problem: &mut dyn Problem, x: &mut [f64], iterations: usize) -> Summary;
 }
 
-impl Method {
+impl OptimiserKind {
     /// An optimiser of that kind that stops when a step lowers the cost by less than
     /// `change_threshold` of it.
     pub fn optimiser(self, change_threshold: f64) -> Box<dyn Optimiser> {

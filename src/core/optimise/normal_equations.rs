@@ -1,6 +1,6 @@
-//! Normal equations of a problem whose unknowns come in equal blocks.
+//! NormalEquations equations of a problem whose unknowns come in equal blocks.
 
-use super::block_banded::Banded;
+use super::block_banded::BlockBanded;
 
 /// How the unknowns of a problem hang together: equal blocks, of which only near ones share a term.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,19 +25,19 @@ impl Layout {
     }
 }
 
-/// Normal equations.
+/// NormalEquations equations.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Normal {
+pub struct NormalEquations {
     /// The gradient.
     pub gradient: Vec<f64>,
     /// A Gauss-Newton approximation of the Hessian.
-    pub hessian: Banded,
+    pub hessian: BlockBanded,
 }
 
-impl Normal {
+impl NormalEquations {
     /// All zero.
     pub fn zeros(layout: Layout) -> Self {
-        let hessian = Banded::zeros(layout.size, layout.blocks, layout.bandwidth);
+        let hessian = BlockBanded::zeros(layout.size, layout.blocks, layout.bandwidth);
         Self { gradient: vec![0.0; layout.dimension()], hessian }
     }
 

@@ -7,7 +7,9 @@ use super::association::{extent, median, usable};
 use super::config::Config;
 use crate::core::body::{Attachment, BodyPoint, Skeleton};
 use crate::core::camera::{Rig, triangulate_robust};
-use crate::core::cost::{self, FreeBody, Knot, Moment, Observation, PathProblem, Scene, Workspace};
+use crate::core::cost::{
+    self, FrameObservations, FreeBody, Knot, Observation, PathProblem, Scene, Workspace,
+};
 use crate::core::detections::{Detections, Keypoint, Person};
 use crate::core::manifold::{Keyframe, LATENT};
 use crate::core::optimise::Optimiser;
@@ -219,7 +221,8 @@ pub(super) fn fit(
 ) -> Option<(Keyframe, Skeleton)> {
     let torso = Torso::of(scene.points, &sighting.points)?;
     let (root_rotation, root_position) = torso.root(skeleton)?;
-    let moments = [Moment::new(Timestamp::default(), sighting.observations.clone())];
+    let observed_frames =
+        [FrameObservations::new(Timestamp::default(), sighting.observations.clone())];
     let mut keyframe = Keyframe { z: [0.0; LATENT], root_rotation, root_position };
     let mut skeleton = skeleton.clone();
     let loose = cost::Config {
@@ -230,7 +233,8 @@ pub(super) fn fit(
     for stage in [&loose, scene.config] {
         let knot = Knot { capture: Timestamp::default(), keyframe, free: true, frames: 1.0 };
         let scene = Scene { config: stage, ..scene };
-        let mut problem = PathProblem::new(scene, vec![knot], &skeleton, free, &moments, work);
+        let mut problem =
+            PathProblem::new(scene, vec![knot], &skeleton, free, &observed_frames, work);
         let mut x = problem.start();
         optimiser.minimise(&mut problem, &mut x, config.acquisition_iterations);
         let (keyframes, fitted) = problem.solution(&x);

@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use super::event::EventKind;
-use super::job::{LiveFit, Outcome, Solution, TimedKeyframe, Tracked, Verdict};
+use super::job::{Outcome, ProvisionalFit, Solution, TimedKeyframe, Tracked, Verdict};
 use super::noise::Noise;
 use super::port::{KeyframeAt, Output, WindowReport};
-use super::tracker::{Out, Phase, Track, Window};
+use super::tracker::{Out, Phase, Tracker, Window};
 use crate::core::body::{Pose, Skeleton, StampedPose, TrackingState};
 use crate::core::manifold::Keyframe;
 use crate::core::time::{Grid, Timestamp};
@@ -14,7 +14,7 @@ use crate::core::time::{Grid, Timestamp};
 /// A live machine that is this far behind, ns, does not make up for the poses between.
 const MAX_CATCH_UP: i64 = 1_000_000_000;
 
-impl Track {
+impl Tracker {
     pub(super) fn take(&mut self, solution: Solution) {
         let Some(Out { window, .. }) = self.out.filter(|out| out.number == solution.number) else {
             return;
@@ -26,7 +26,7 @@ impl Track {
             }
             Outcome::NobodyFound => self.nobody_found(window),
             Outcome::Tracked(tracked) => self.tracked(window, *tracked),
-            Outcome::Live(fit) => self.fitted(window.end, *fit),
+            Outcome::Provisional(fit) => self.fitted(window.end, *fit),
         }
     }
 
@@ -48,7 +48,7 @@ impl Track {
         self.close(at + self.tolerance());
         if self.skeleton.is_none() {
             self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
-            (self.learnt, self.noise) = (Arc::default(), Noise::default());
+            (self.estimator, self.noise) = (Arc::default(), Noise::default());
         }
         self.event(EventKind::Acquired, at, None, "performer found".to_owned());
         self.skeleton = Some(skeleton);
@@ -78,9 +78,10 @@ impl Track {
 
     fn tracked(&mut self, window: Window, tracked: Tracked) {
         self.close(window.publish + self.tolerance());
-        if let (Some(learnt), Some(skeleton)) = (tracked.learnt, &self.skeleton) {
-            self.skeleton = Some(Arc::new(Skeleton::clone(skeleton).with_marks(learnt.marks)));
-            self.learnt = learnt;
+        if let (Some(estimator), Some(skeleton)) = (tracked.estimator, &self.skeleton) {
+            self.skeleton =
+                Some(Arc::new(Skeleton::clone(skeleton).with_keypoint_offsets(estimator.offsets)));
+            self.estimator = estimator;
         }
         if tracked.verdict == Verdict::Tracked {
             self.noise = self.noise.with(&tracked.residuals);
@@ -95,7 +96,7 @@ impl Track {
         let times: Vec<Timestamp> = times.collect();
         let is_given = self.newest >= Some(window.end);
         if state == TrackingState::Tracking && self.is_newest(window.end) && !is_given {
-            self.give_live(window.end, &tracked.newest, state);
+            self.give_provisional(window.end, &tracked.newest, state);
             self.newest = Some(window.end);
         }
         for (capture, pose) in times.into_iter().zip(&tracked.poses) {
@@ -162,9 +163,9 @@ impl Track {
     }
 
     /// A fit of the open window.
-    fn fitted(&mut self, at: Timestamp, fit: LiveFit) {
+    fn fitted(&mut self, at: Timestamp, fit: ProvisionalFit) {
         let state = if fit.hidden { TrackingState::Coasting } else { TrackingState::Tracking };
-        self.give_live(at, &fit.pose, state);
+        self.give_provisional(at, &fit.pose, state);
         self.newest = Some(at);
         self.ahead = fit.keyframes;
     }
@@ -214,7 +215,7 @@ impl Track {
         self.publish(capture, pose.clone(), state, false);
     }
 
-    fn give_live(&mut self, capture: Timestamp, pose: &Pose, state: TrackingState) {
+    fn give_provisional(&mut self, capture: Timestamp, pose: &Pose, state: TrackingState) {
         if self.live.is_some_and(|live| live.provisional) {
             self.playout.know_live(capture, pose);
             self.publish(capture, pose.clone(), state, true);

@@ -10,7 +10,7 @@ use nalgebra::Vector2;
 use super::config::Config;
 use crate::core::body::{BodyPoint, Pose, Skeleton};
 use crate::core::camera::{Camera, Rig};
-use crate::core::cost::{Moment, Observation};
+use crate::core::cost::{FrameObservations, Observation};
 use crate::core::detections::{Detections, Person};
 use crate::core::time::Timestamp;
 
@@ -41,11 +41,12 @@ pub fn follow<'d>(
     pose: &Pose,
     skeleton: &Skeleton,
     config: &Config,
-) -> Vec<Moment> {
+) -> Vec<FrameObservations> {
     let posture = pose.posture(skeleton);
     let world: Vec<_> = points.iter().map(|p| p.attachment.position(&posture, skeleton)).collect();
     let view = |camera: &Camera| world.iter().map(|point| camera.project(point)).collect();
-    Follower { points, config, expected: rig.cameras.iter().map(view).collect() }.moments(frames)
+    Follower { points, config, expected: rig.cameras.iter().map(view).collect() }
+        .observed_frames(frames)
 }
 
 /// Follows the performer through the views.
@@ -60,7 +61,10 @@ struct Follower<'a> {
 impl Follower<'_> {
     /// What was seen of the performer in `frames`, which are in order of capture time, grouped
     /// by capture time, to [`SAME_TIME`].
-    fn moments<'d>(&mut self, frames: impl Iterator<Item = &'d Detections>) -> Vec<Moment> {
+    fn observed_frames<'d>(
+        &mut self,
+        frames: impl Iterator<Item = &'d Detections>,
+    ) -> Vec<FrameObservations> {
         let mut groups: Vec<(Timestamp, Vec<Observation>)> = Vec::new();
         for frame in frames {
             let seen = self.observe(frame);
@@ -72,7 +76,7 @@ impl Follower<'_> {
             }
         }
         groups.retain(|(_, group)| !group.is_empty());
-        groups.into_iter().map(|(capture, group)| Moment::new(capture, group)).collect()
+        groups.into_iter().map(|(capture, group)| FrameObservations::new(capture, group)).collect()
     }
 
     fn observe(&mut self, frame: &Detections) -> Vec<Observation> {

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::core::cost::{self, FreeBody, Stiffness};
-use crate::core::optimise::Method;
+use crate::core::optimise::OptimiserKind;
 
 /// Settings of the tracking machine.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,14 +25,14 @@ pub struct Config {
     /// Most iterations of a window's solve.
     pub iterations: usize,
     /// Most iterations of a provisional fit of the open window.
-    pub live_iterations: usize,
+    pub provisional_iterations: usize,
     /// In every so manieth window it is learnt where the detector marks points, 25 times; 0 takes
     /// them to be where our body has them. Differs: the paper does not.
-    pub mark_windows: usize,
+    pub offset_windows: usize,
     /// Prior and stiffness count as their weights say where the detections' median error is this many
     /// pixels, and by the square of that error elsewhere; 0 takes the weights as they are. Differs:
     /// the paper has a weight alone.
-    pub noise_px: f64,
+    pub reference_residual_px: f64,
     /// How many windows in a row may pass in which too little is seen of the performer.
     pub coast_windows: usize,
     /// After how many windows that closed without it a camera is no longer waited for.
@@ -42,7 +42,7 @@ pub struct Config {
     /// An optimiser stops when a step lowers the cost by less than this part of it.
     pub change_threshold: f64,
     /// The optimiser of the windows.
-    pub method: Method,
+    pub optimiser: OptimiserKind,
     /// Threads that solve a window together, 1 or 2; the result is the same.
     pub threads: usize,
     /// Weights of the cost.
@@ -81,14 +81,14 @@ impl Default for Config {
             deadline_frames: 5,
             shape_windows: 3,
             iterations: 6,
-            live_iterations: 3,
-            mark_windows: 4,
-            noise_px: 7.0,
+            provisional_iterations: 3,
+            offset_windows: 4,
+            reference_residual_px: 7.0,
             coast_windows: 6,
             grace_windows: 6,
             acquisition_iterations: 30,
             change_threshold: 8e-3,
-            method: Method::LevenbergMarquardt,
+            optimiser: OptimiserKind::LevenbergMarquardt,
             threads: 1,
             cost: cost::Config::default(),
             min_confidence: 0.1,
@@ -106,16 +106,16 @@ impl Config {
             publish_frames: 10,
             iterations: 30,
             change_threshold: 1e-9,
-            method: Method::Lbfgs,
-            mark_windows: 0,
-            noise_px: 0.0,
+            optimiser: OptimiserKind::Lbfgs,
+            offset_windows: 0,
+            reference_residual_px: 0.0,
             coast_windows: 3,
             grace_windows: 3,
             cost: cost::Config {
                 prior: 90.0,
-                prior_freedom: 0.0,
+                prior_dof: 0.0,
                 scale_px: 60.0,
-                jacobian_reach: 0.0,
+                jacobian_reuse_radius: 0.0,
                 stiffness: Stiffness::NONE,
                 ..Default::default()
             },
@@ -125,7 +125,7 @@ impl Config {
 
     /// What of the body the first windows are solved for.
     pub(super) fn free_body(&self) -> FreeBody {
-        if self.mark_windows > 0 { FreeBody::ShapeAndMarks } else { FreeBody::Shape }
+        if self.offset_windows > 0 { FreeBody::ShapeAndOffsets } else { FreeBody::Shape }
     }
 
     /// Nominal frames of a window.

@@ -8,7 +8,7 @@ pub struct Effort {
     /// Most iterations of a window.
     pub iterations: usize,
     /// Most iterations of a fit of the open window; 0: it is not fitted.
-    pub live_iterations: usize,
+    pub provisional_iterations: usize,
     /// One frame of a camera in this many is used.
     pub stride: usize,
 }
@@ -19,7 +19,11 @@ impl Effort {
 
     /// All that the settings ask for.
     pub fn full(config: &Config) -> Self {
-        Self { iterations: config.iterations, live_iterations: config.live_iterations, stride: 1 }
+        Self {
+            iterations: config.iterations,
+            provisional_iterations: config.provisional_iterations,
+            stride: 1,
+        }
     }
 
     /// Less with each level: first fewer iterations, then longer strides through the frames. The
@@ -27,14 +31,14 @@ impl Effort {
     pub fn at(level: u32, config: &Config) -> Self {
         let full = Self::full(config);
         let part = |count: usize, of: usize| (count / of).max(1).min(count);
-        let (iterations, live_iterations, stride) = match level {
-            0 => (full.iterations, full.live_iterations, 1),
-            1 => (part(full.iterations, 3), part(full.live_iterations, 2), 1),
-            2 => (part(full.iterations, 8), part(full.live_iterations, 4), 1),
-            3 => (part(full.iterations, 8), part(full.live_iterations, 4), 2),
+        let (iterations, provisional_iterations, stride) = match level {
+            0 => (full.iterations, full.provisional_iterations, 1),
+            1 => (part(full.iterations, 3), part(full.provisional_iterations, 2), 1),
+            2 => (part(full.iterations, 8), part(full.provisional_iterations, 4), 1),
+            3 => (part(full.iterations, 8), part(full.provisional_iterations, 4), 2),
             4 => (part(full.iterations, 8), 0, 3),
             _ => (part(full.iterations, 15), 0, 5),
         };
-        Self { iterations, live_iterations, stride }
+        Self { iterations, provisional_iterations, stride }
     }
 }

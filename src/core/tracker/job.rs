@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::effort::Effort;
 use super::noise::Noise;
-use super::offset_estimator::Learnt;
+use super::offset_estimator::OffsetEstimator;
 use crate::core::body::{Pose, Skeleton};
 use crate::core::camera::Rig;
 use crate::core::detections::{Detections, KeypointFormat};
@@ -35,8 +35,8 @@ pub struct Job {
     pub format: KeypointFormat,
     /// The cameras.
     pub rig: Arc<Rig>,
-    /// Detections of less than this apart belong to one frame set, ns.
-    pub half_frame: i64,
+    /// Nominal frame period, ns, even. Detections of less than half of it apart belong to one frame set.
+    pub frame_period: i64,
     /// How much to do.
     pub effort: Effort,
     /// How far detections lay from the body that was solved.
@@ -46,9 +46,14 @@ pub struct Job {
 }
 
 impl Job {
+    /// Half of the nominal frame period, ns.
+    pub(super) fn half_period(&self) -> i64 {
+        self.frame_period / 2
+    }
+
     /// The frames to use, counted back from the end.
     pub(super) fn used_frames(&self) -> impl Iterator<Item = &Arc<Detections>> {
-        let (stride, period) = (self.effort.stride.max(1) as i64, (2 * self.half_frame).max(1));
+        let (stride, period) = (self.effort.stride.max(1) as i64, self.frame_period.max(1));
         self.frames.iter().filter(move |frame| {
             let back = (self.end - frame.capture + period / 2).div_euclid(period);
             back % stride == 0
@@ -57,7 +62,7 @@ impl Job {
 
     /// How many nominal frames those are, at least 1.
     pub(super) fn used_count(&self) -> usize {
-        let period = (2 * self.half_frame).max(1);
+        let period = self.frame_period.max(1);
         let frames = (self.end - self.start + period / 2) / period;
         (frames.max(1) as usize).div_ceil(self.effort.stride.max(1))
     }
@@ -83,15 +88,15 @@ pub enum Task {
         /// The body.
         skeleton: Arc<Skeleton>,
         /// What is known of the body's marks.
-        learnt: Arc<Learnt>,
+        estimator: Arc<OffsetEstimator>,
         /// Windows in a row, before this one, in which too little was seen.
         coasted: usize,
     },
     /// Fit the open window as far as it goes, up to its newest frame set.
-    Live {
-        /// As for `Track`.
+    Provisional {
+        /// As for `Tracker`.
         past: Vec<TimedKeyframe>,
-        /// As for `Track`.
+        /// As for `Tracker`.
         ahead: Vec<TimedKeyframe>,
         /// The body.
         skeleton: Arc<Skeleton>,
@@ -126,12 +131,12 @@ pub enum Outcome {
     /// A window was solved, well or badly.
     Tracked(Box<Tracked>),
     /// The open window was fitted.
-    Live(Box<LiveFit>),
+    Provisional(Box<ProvisionalFit>),
 }
 
 /// A fit of the open window.
 #[derive(Clone, Debug)]
-pub struct LiveFit {
+pub struct ProvisionalFit {
     /// The keyframes after its start.
     pub keyframes: Vec<TimedKeyframe>,
     /// The pose of the last one.
@@ -156,7 +161,7 @@ pub struct Tracked {
     /// What the window is worth.
     pub verdict: Verdict,
     /// What is known of the body's marks from here on, if the window was asked.
-    pub learnt: Option<Arc<Learnt>>,
+    pub estimator: Option<Arc<OffsetEstimator>>,
 }
 
 /// What a window is worth.

@@ -1,6 +1,6 @@
 //! Tracking one performer: a machine that does no I/O.
 //!
-//! The contract: give inputs to [`Track::handle`], then call [`Track::poll`] until it is empty.
+//! The contract: give inputs to [`Tracker::handle`], then call [`Tracker::poll`] until it is empty.
 //! The machine reads no clock, file or socket. Solving is I/O too: [`Output::Solve`] holds a
 //! [`Job`], which [`Solver::solve`] answers, on any thread, and the answer comes back as
 //! [`Input::Solved`]. The same inputs in the same order give the same outputs, to the byte.
@@ -32,10 +32,12 @@ pub use association::follow;
 pub use config::{Config, Gate};
 pub use effort::Effort;
 pub use event::{Event, EventKind};
-pub use job::{Job, LiveFit, Outcome, Residual, Solution, Task, TimedKeyframe, Tracked, Verdict};
+pub use job::{
+    Job, Outcome, ProvisionalFit, Residual, Solution, Task, TimedKeyframe, Tracked, Verdict,
+};
 pub use noise::Noise;
-pub use offset_estimator::Learnt;
+pub use offset_estimator::OffsetEstimator;
 pub use playout::{Latency, Live};
 pub use port::{Input, KeyframeAt, Output, Performer, WindowReport};
 pub use solver::Solver;
-pub use tracker::Track;
+pub use tracker::Tracker;

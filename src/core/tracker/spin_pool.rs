@@ -7,9 +7,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder, Yield};
 
 /// Some threads for work that is divided into parts of less than a millisecond.
-pub(super) struct Team(ThreadPool);
+pub(super) struct SpinPool(ThreadPool);
 
-impl Team {
+impl SpinPool {
     pub(super) fn of(threads: usize) -> Result<Self, ThreadPoolBuildError> {
         let name = |n| format!("solver {n}");
         ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build().map(Self)

@@ -9,7 +9,7 @@ use super::event::{Event, EventKind};
 use super::intake::Intake;
 use super::job::{Job, Task, TimedKeyframe};
 use super::noise::Noise;
-use super::offset_estimator::Learnt;
+use super::offset_estimator::OffsetEstimator;
 use super::playout::{Latency, Live, MARGIN, Playout};
 use super::port::{Input, Output, Performer};
 use super::waiting::Waiting;
@@ -51,7 +51,7 @@ pub(super) struct Out {
 
 /// The machine of one performer.
 #[derive(Clone, Debug)]
-pub struct Track {
+pub struct Tracker {
     pub(super) config: Config,
     pub(super) live: Option<Live>,
     pub(super) rig: Arc<Rig>,
@@ -64,7 +64,7 @@ pub struct Track {
     waiting: Waiting,
     pub(super) phase: Phase,
     pub(super) skeleton: Option<Arc<Skeleton>>,
-    pub(super) learnt: Arc<Learnt>,
+    pub(super) estimator: Arc<OffsetEstimator>,
     /// How far detections lie from the solved body.
     pub(super) noise: Noise,
     /// Whether a window was ever solved well with that body.
@@ -92,7 +92,7 @@ pub struct Track {
     pub(super) outputs: VecDeque<Output>,
 }
 
-impl Track {
+impl Tracker {
     /// A machine for those cameras that solves a recording.
     pub fn new(config: Config, rig: Arc<Rig>) -> Self {
         let cameras = rig.cameras.len();
@@ -107,7 +107,7 @@ impl Track {
             waiting: Waiting::new(cameras, config.grace_windows),
             phase: Phase::Searching,
             skeleton: None,
-            learnt: Arc::default(),
+            estimator: Arc::default(),
             noise: Noise::default(),
             is_proven: false,
             start: None,
@@ -261,7 +261,7 @@ impl Track {
         }
         self.skip_backlog();
         let Some(window) = self.open_window() else { return };
-        if !self.is_closing && !self.is_complete(window.end) {
+        if !self.is_closing && !self.try_close_window(window.end) {
             if let Some(end) = self.reach() {
                 self.send_live(window, end);
             }
@@ -378,7 +378,7 @@ impl Track {
         asked.min(left.max(0))
     }
 
-    fn is_complete(&mut self, end: Timestamp) -> bool {
+    fn try_close_window(&mut self, end: Timestamp) -> bool {
         let border = end + -self.tolerance();
         let behind: Vec<usize> = self.intake.behind(border).collect();
         let waited_for = behind.iter().any(|&camera| self.waiting.is_waited_for(camera));
@@ -444,8 +444,8 @@ impl Track {
                 let Some(skeleton) = self.skeleton.clone() else { return };
                 self.intake.refuse(window.publish + self.tolerance());
                 let (past, coasted) = (past.clone(), *coasted);
-                let (ahead, learnt) = (self.ahead.clone(), Arc::clone(&self.learnt));
-                Task::Track { past, ahead, skeleton, learnt, coasted }
+                let (ahead, estimator) = (self.ahead.clone(), Arc::clone(&self.estimator));
+                Task::Track { past, ahead, skeleton, estimator, coasted }
             }
         };
         self.send_job(window, task);
@@ -458,7 +458,9 @@ impl Track {
         let (Some(skeleton), Some(grid)) = (self.skeleton.clone(), self.frames) else {
             return false;
         };
-        if self.effort.live_iterations == 0 || !self.live.is_some_and(|live| live.provisional) {
+        if self.effort.provisional_iterations == 0
+            || !self.live.is_some_and(|live| live.provisional)
+        {
             return false;
         }
         let k = grid.at_or_before(reach + self.tolerance());
@@ -468,7 +470,7 @@ impl Track {
         if end <= last || from_start % self.effort.stride.max(1) as i64 != 0 {
             return false;
         }
-        let task = Task::Live { past: past.clone(), ahead: self.ahead.clone(), skeleton };
+        let task = Task::Provisional { past: past.clone(), ahead: self.ahead.clone(), skeleton };
         self.send_job(Window { end, publish: end, ..window }, task)
     }
 
@@ -500,7 +502,7 @@ impl Track {
             frames: self.intake.up_to(window.end + self.tolerance()),
             format,
             rig: Arc::clone(&self.rig),
-            half_frame: (self.period.unwrap_or(0.0) / 2.0) as i64,
+            frame_period: 2 * ((self.period.unwrap_or(0.0) / 2.0) as i64),
             effort: self.effort,
             noise: self.noise,
             task,

@@ -5,15 +5,20 @@ use super::config::Gate;
 use super::job::{Job, Residual, TimedKeyframe, Verdict};
 use crate::core::body::{BodyPoint, Pose, Skeleton};
 use crate::core::camera::Rig;
-use crate::core::cost::Moment;
+use crate::core::cost::FrameObservations;
 
 /// A view counts when it shows this many points a frame.
 const MIN_VIEW: usize = 4;
 
 /// Why too little was seen of the performer to solve the window, if so.
-pub(super) fn hidden(gate: &Gate, job: &Job, moments: &[Moment]) -> Option<String> {
+pub(super) fn hidden(
+    gate: &Gate,
+    job: &Job,
+    observed_frames: &[FrameObservations],
+) -> Option<String> {
     let frames = job.used_count();
-    let observed: usize = moments.iter().map(|moment| moment.observations().len()).sum();
+    let observed: usize =
+        observed_frames.iter().map(|observed_frame| observed_frame.observations().len()).sum();
     let per_frame = observed as f64 / frames as f64;
     if per_frame < gate.lost_observations {
         let least = gate.lost_observations;
@@ -21,7 +26,8 @@ pub(super) fn hidden(gate: &Gate, job: &Job, moments: &[Moment]) -> Option<Strin
     }
     let views = (0..job.rig.cameras.len())
         .filter(|&camera| {
-            let seen = moments.iter().flat_map(|moment| moment.observations());
+            let seen =
+                observed_frames.iter().flat_map(|observed_frame| observed_frame.observations());
             seen.filter(|o| o.camera == camera).count() >= MIN_VIEW * frames
         })
         .count();
@@ -50,13 +56,13 @@ pub(super) fn verdict(gate: &Gate, keyframes: &[TimedKeyframe], residuals: &[Res
 
 /// How far each observation lies from the body in its moment's pose.
 pub(super) fn residuals<'m>(
-    moments: impl Iterator<Item = (&'m Moment, Pose)>,
+    observed_frames: impl Iterator<Item = (&'m FrameObservations, Pose)>,
     points: &[BodyPoint],
     rig: &Rig,
     skeleton: &Skeleton,
 ) -> Vec<Residual> {
     let mut all = Vec::new();
-    for (moment, pose) in moments {
+    for (observed_frame, pose) in observed_frames {
         let posture = pose.posture(skeleton);
         let world: Vec<_> =
             points.iter().map(|p| p.attachment.position(&posture, skeleton)).collect();
@@ -65,12 +71,12 @@ pub(super) fn residuals<'m>(
             .iter()
             .map(|camera| extent(world.iter().filter_map(|point| camera.project(point))))
             .collect();
-        all.extend(moment.observations().iter().map(|seen| {
+        all.extend(observed_frame.observations().iter().map(|seen| {
             let error_px = rig.cameras[seen.camera]
                 .project(&world[seen.point])
                 .map_or(f64::INFINITY, |pixel| (pixel - seen.pixel).norm());
             Residual {
-                capture: moment.capture,
+                capture: observed_frame.capture,
                 camera: seen.camera,
                 point: points[seen.point].index,
                 error_px,

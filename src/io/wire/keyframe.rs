@@ -41,7 +41,7 @@ pub struct StampedKeyframe {
 }
 
 impl Keyframe {
-    /// The keyframe, in full precision; of a [settled](manifold::Keyframe::settled) one, bit for
+    /// The keyframe, in full precision; of a [settled](manifold::Keyframe::quantised) one, bit for
     /// bit.
     pub fn from_core(stamped: &StampedKeyframe) -> Self {
         let keyframe = &stamped.keyframe;
@@ -49,7 +49,7 @@ impl Keyframe {
             capture_time_ns: stamped.capture.ns(),
             window: stamped.window,
             z: keyframe.z.to_vec(),
-            root_rotation: so3::settled_xyzw(&keyframe.root_rotation).to_vec(),
+            root_rotation: so3::quantised_xyzw(&keyframe.root_rotation).to_vec(),
             root_position_m: keyframe.root_position.iter().copied().collect(),
             shape: stamped.shape.0.to_vec(),
             start_time_ns: stamped.start.ns(),
@@ -58,7 +58,7 @@ impl Keyframe {
             grid_origin_ns: stamped.grid.origin.ns(),
             grid_period_ns: stamped.grid.period_ns,
             state: super::pose::wire_state(stamped.state).into(),
-            calibration_version: stamped.rig_version,
+            rig_version: stamped.rig_version,
         }
     }
 
@@ -85,7 +85,7 @@ impl Keyframe {
             grid: self.grid()?,
             state: super::pose::core_state(self.state)
                 .ok_or_else(|| at("state").invalid(format!("unknown state {}", self.state)))?,
-            rig_version: self.calibration_version,
+            rig_version: self.rig_version,
         })
     }
 

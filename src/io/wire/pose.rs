@@ -40,7 +40,7 @@ impl Pose {
             root_rotation: so3::xyzw_from_rotation(&pose.root_rotation).to_vec(),
             local_rotations: pose.local.iter().flat_map(quaternion_f32).collect(),
             joint_positions_m: positions.iter().flatten().map(|&m| m as f32).collect(),
-            calibration_version: stamped.rig_version,
+            rig_version: stamped.rig_version,
             window: stamped.window,
             provisional: stamped.provisional,
             revision: stamped.revision,
@@ -62,7 +62,7 @@ impl Pose {
             pose,
             state: self.tracking_state()?,
             window: self.window,
-            rig_version: self.calibration_version,
+            rig_version: self.rig_version,
             provisional: self.provisional,
             revision: self.revision,
         })

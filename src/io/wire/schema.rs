@@ -79,7 +79,7 @@ fn schema_of_topic(topic: &str) -> Option<&'static str> {
         (_, "retargeted") => "bundlemocap.v1.RetargetedPose",
         ("keypoints", _) => "bundlemocap.v1.KeypointFrame",
         ("rig", _) => "bundlemocap.v1.Rig",
-        ("pose" | "truth", _) | ("live", "pose") => "bundlemocap.v1.Pose",
+        ("pose" | "truth", _) | ("provisional", "pose") => "bundlemocap.v1.Pose",
         ("keyframe", _) => "bundlemocap.v1.Keyframe",
         ("skeleton", _) => "bundlemocap.v1.Skeleton",
         ("events", _) => "bundlemocap.v1.Event",
@@ -132,7 +132,7 @@ mod tests {
         let pose = Pose::full_name();
         let of = |topic: &str, encoding: &str| schema_of(topic, encoding).map(str::to_owned);
         assert_eq!(of("any/where", &media_type(&pose)), Some(pose.clone()));
-        assert_eq!(of(&topics.live(), ""), Some(pose.clone()));
+        assert_eq!(of(&topics.provisional(), ""), Some(pose.clone()));
         assert_eq!(of(&topics.rig(), &media_type(&pose)), Some(pose));
         assert_eq!(of(&topics.keypoints("a"), "zenoh/bytes"), Some(KeypointFrame::full_name()));
         assert_eq!(of(&topics.truth_skeleton(), ""), Some(Skeleton::full_name()));

@@ -32,8 +32,8 @@ impl Topics {
     }
 
     /// Of provisional [`Pose`](super::Pose)s, of the open window.
-    pub fn live(&self) -> String {
-        format!("mocap/{}/actor/{}/pose/live", self.stage, self.actor)
+    pub fn provisional(&self) -> String {
+        format!("mocap/{}/actor/{}/pose/provisional", self.stage, self.actor)
     }
 
     /// Of [`RetargetedPose`](super::RetargetedPose), on the skeleton of that name.
@@ -50,7 +50,7 @@ impl Topics {
     pub fn outputs(&self) -> [String; 7] {
         [
             self.pose(),
-            self.live(),
+            self.provisional(),
             self.keyframe(),
             self.skeleton(),
             self.events(),

@@ -151,9 +151,9 @@ mod tests {
     use std::sync::{Arc, Mutex};
 
     use super::*;
-    use crate::live::tools::take::tests::{PERIOD, file, of};
     use crate::io::bus::{Guard, Memory, Sample};
     use crate::io::wire::decode;
+    use crate::live::tools::take::tests::{PERIOD, file, of};
 
     /// Stands at the time that was waited for last, and ends after a number of waits.
     struct Manual {

@@ -75,7 +75,7 @@ pub fn factor(name: &str) -> Option<Factor> {
             })
         }
         "slack" => numbers("slack px", &[3.0, 10.0, 30.0, 100.0, 1000.0], |config, scale| {
-            config.cost.stiffness.scale_px = scale;
+            config.cost.stiffness.robust_scale_px = scale;
         }),
         "scale" => numbers("scale px", &[10.0, 15.0, 30.0, 50.0, 100.0], |config, scale| {
             config.cost.scale_px = scale;
@@ -85,15 +85,17 @@ pub fn factor(name: &str) -> Option<Factor> {
         }),
         "freedom" => {
             numbers("prior's freedom", &[0.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, f| {
-                config.cost.prior_freedom = f;
+                config.cost.prior_dof = f;
             })
         }
         "errors" => numbers("weights for px", &[0.0, 3.5, 5.0, 7.0, 10.0, 14.0], |config, px| {
-            config.noise_px = px;
+            config.reference_residual_px = px;
         }),
         "optimiser" => named(&[
-            ("Levenberg-Marquardt", |config| config.method = optimise::Method::LevenbergMarquardt),
-            ("L-BFGS", |config| config.method = optimise::Method::Lbfgs),
+            ("Levenberg-Marquardt", |config| {
+                config.optimiser = optimise::OptimiserKind::LevenbergMarquardt
+            }),
+            ("L-BFGS", |config| config.optimiser = optimise::OptimiserKind::Lbfgs),
         ]),
         "stop" => numbers("stop at a change of", &STOPS, |config, threshold| {
             config.change_threshold = threshold;

@@ -54,7 +54,7 @@ pub fn axes(method: &str) -> Option<Vec<Axis>> {
         all(None, cost.prior, cost.scale_px)
     };
     let ours = |method: &Windows| {
-        let slack = method.config().cost.stiffness.scale_px;
+        let slack = method.config().cost.stiffness.robust_scale_px;
         let factor = |name| Axis { name, start: 1.0, factors: NARROW };
         let (latent, root) = (factor("stiffness"), factor("root stiffness"));
         let slack = Axis { name: "slack px", start: slack, factors: &[0.2, 0.5, 1.0, 2.0, 10.0] };
@@ -99,7 +99,7 @@ fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> 
         let config = method.config();
         let (plain, slack) = (config.cost.stiffness, of("slack px"));
         let stiffness = Stiffness {
-            scale_px: if slack == 1.0 { plain.scale_px } else { slack },
+            robust_scale_px: if slack == 1.0 { plain.robust_scale_px } else { slack },
             latent: plain.latent * of("stiffness"),
             ..plain.times(of("root stiffness"))
         };
@@ -118,8 +118,8 @@ fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> 
             let (ties, plain) = (of("ties"), DmmrWeights::default());
             Box::new(Dmmr::new(DmmrWeights {
                 latent: plain.latent * ties,
-                turn: plain.turn * ties,
-                shift: plain.shift * ties,
+                rotation: plain.rotation * ties,
+                position: plain.position * ties,
                 prior,
                 scale_px,
                 ..plain

@@ -32,9 +32,9 @@ pub struct DmmrWeights {
     /// Weight of the squared step of the code from frame to frame, square pixels.
     pub latent: f64,
     /// Weight of the squared turn of the root from frame to frame, square pixels per square radian.
-    pub turn: f64,
+    pub rotation: f64,
     /// Weight of the squared step of the root from frame to frame, square pixels per square metre.
-    pub shift: f64,
+    pub position: f64,
     /// Weight of |z|^2 in each frame, square pixels.
     pub prior: f64,
     /// Scale of the Geman-McClure loss of the last stage, pixels.
@@ -51,8 +51,8 @@ impl Default for DmmrWeights {
     fn default() -> Self {
         Self {
             latent: 300.0,
-            turn: 3e4,
-            shift: 3e5,
+            rotation: 3e4,
+            position: 3e5,
             prior: 30.0,
             scale_px: 30.0,
             loose_scale: 3.0,
@@ -100,12 +100,16 @@ impl Method for Dmmr {
         let weights = &self.weights;
         let found = PerFrame::solve(take, decoder, &MuVsWeights::default())?;
         let points = fitted_points(take.format);
-        let steps =
-            KeyframeSteps { latent: weights.latent, turn: weights.turn, shift: weights.shift };
+        let steps = KeyframeSteps {
+            latent: weights.latent,
+            rotation: weights.rotation,
+            position: weights.position,
+        };
         let terms: [Box<dyn Term>; 1] = [Box::new(steps)];
         let segment = weights.segment.max(1);
         let mut keyframes = Vec::with_capacity(found.keyframes.len());
-        for (initial, moments) in found.keyframes.chunks(segment).zip(found.moments.chunks(segment))
+        for (initial, observed_frames) in
+            found.keyframes.chunks(segment).zip(found.observed_frames.chunks(segment))
         {
             let mut now = initial.to_vec();
             for ((free, scale_px), iterations) in self.stages().into_iter().zip(weights.iterations)
@@ -113,7 +117,8 @@ impl Method for Dmmr {
                 let config = cost::Config { prior: weights.prior, scale_px, ..found.config.cost };
                 let scene =
                     cost::Scene { decoder, rig: &take.rig, points: &points, config: &config };
-                let mut path = FramePath::new(scene, &found.start.skeleton, moments, &now, &terms);
+                let mut path =
+                    FramePath::new(scene, &found.start.skeleton, observed_frames, &now, &terms);
                 path.free = free;
                 let mut x = path.start();
                 LevenbergMarquardt::default().minimise(&mut path, &mut x, iterations);

@@ -68,7 +68,8 @@ impl Method for Etc {
         let scene = cost::Scene { decoder, rig: &take.rig, points: &points, config: &cost };
         let terms: [Box<dyn Term>; 1] = [Box::new(JointSteps { weight: weights.smoothness })];
         let skeleton = &found.start.skeleton;
-        let mut path = FramePath::new(scene, skeleton, &found.moments, &found.keyframes, &terms);
+        let mut path =
+            FramePath::new(scene, skeleton, &found.observed_frames, &found.keyframes, &terms);
         let mut x = path.start();
         LevenbergMarquardt::default().minimise(&mut path, &mut x, weights.iterations);
         let keyframes = path.keyframes(&x);

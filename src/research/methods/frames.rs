@@ -2,7 +2,7 @@
 
 use super::{Start, Take};
 use crate::core::body::BodyPoint;
-use crate::core::cost::Moment;
+use crate::core::cost::FrameObservations;
 use crate::core::detections::Detections;
 use crate::core::manifold::{Decoder, Keyframe};
 use crate::core::time::Timestamp;
@@ -40,7 +40,12 @@ impl<'a> Cut<'a> {
     }
 
     /// What was seen of the performer in a frame, expected where `keyframe` puts the body.
-    pub(super) fn moments(&self, frame: usize, keyframe: &Keyframe, given: &Given) -> Vec<Moment> {
+    pub(super) fn observed_frames(
+        &self,
+        frame: usize,
+        keyframe: &Keyframe,
+        given: &Given,
+    ) -> Vec<FrameObservations> {
         tracker::follow(
             self.frames[frame].iter().copied(),
             given.points,
@@ -64,9 +69,13 @@ pub(super) struct Given<'a> {
 
 /// Whether enough was seen to solve a frame by itself: by the same gate as the windows, from two
 /// views at least.
-pub(super) fn is_enough(moments: &[Moment], cameras: usize, config: &Config) -> bool {
+pub(super) fn is_enough(
+    observed_frames: &[FrameObservations],
+    cameras: usize,
+    config: &Config,
+) -> bool {
     let mut views = vec![0; cameras];
-    for observation in moments.iter().flat_map(Moment::observations) {
+    for observation in observed_frames.iter().flat_map(FrameObservations::observations) {
         views[observation.camera] += 1;
     }
     let total: usize = views.iter().sum();

@@ -7,9 +7,9 @@ use nalgebra::Vector3;
 
 use super::joints::Joints;
 use crate::core::body::Skeleton;
-use crate::core::cost::{FreeBody, Knot, Moment, PathProblem, Scene, Workspace};
+use crate::core::cost::{FrameObservations, FreeBody, Knot, PathProblem, Scene, Workspace};
 use crate::core::manifold::{Keyframe, LATENT};
-use crate::core::optimise::{Layout, Normal, Problem};
+use crate::core::optimise::{Layout, NormalEquations, Problem};
 use crate::core::so3;
 use crate::core::time::Timestamp;
 
@@ -42,14 +42,14 @@ pub trait Term {
     fn cost(&self, state: &State) -> f64;
 
     /// Adds its gradient and Gauss-Newton Hessian.
-    fn add(&self, state: &State, normal: &mut Normal);
+    fn add(&self, state: &State, equations: &mut NormalEquations);
 }
 
 /// The cost of a path of one keyframe a frame. Terms of any reach can be added to it.
 pub struct FramePath<'a> {
     scene: Scene<'a>,
     skeleton: &'a Skeleton,
-    moments: &'a [Vec<Moment>],
+    observed_frames: &'a [Vec<FrameObservations>],
     /// Each frame's values at the start.
     initial: &'a [Keyframe],
     terms: &'a [Box<dyn Term + 'a>],
@@ -63,12 +63,12 @@ impl<'a> FramePath<'a> {
     pub fn new(
         scene: Scene<'a>,
         skeleton: &'a Skeleton,
-        moments: &'a [Vec<Moment>],
+        observed_frames: &'a [Vec<FrameObservations>],
         initial: &'a [Keyframe],
         terms: &'a [Box<dyn Term + 'a>],
     ) -> Self {
         let work = Workspace::default();
-        Self { scene, skeleton, moments, initial, terms, free: [true; 2], work }
+        Self { scene, skeleton, observed_frames, initial, terms, free: [true; 2], work }
     }
 
     /// The unknowns to start from.
@@ -109,22 +109,22 @@ impl<'a> FramePath<'a> {
     }
 
     /// The data term and the prior of a frame at its unknowns `x`, with derivatives if wanted.
-    fn frame(&mut self, frame: usize, x: &[f64], derivatives: Option<&mut Normal>) -> f64 {
+    fn frame(&mut self, frame: usize, x: &[f64], derivatives: Option<&mut NormalEquations>) -> f64 {
         let keyframe = self.initial[frame].clone();
         let capture = Timestamp::default();
         let knots = vec![Knot { capture, keyframe, free: true, frames: 1.0 }];
-        let moments = &self.moments[frame];
+        let observed_frames = &self.observed_frames[frame];
         let mut problem = PathProblem::new(
             self.scene,
             knots,
             self.skeleton,
             FreeBody::Fixed,
-            moments,
+            observed_frames,
             &mut self.work,
         );
         match derivatives {
             None => problem.cost(x),
-            Some(normal) => problem.linearise(x, normal),
+            Some(equations) => problem.linearise(x, equations),
         }
     }
 }
@@ -142,36 +142,36 @@ impl Problem for FramePath<'_> {
         terms + frames.map(|(frame, x)| self.frame(frame, x, None)).sum::<f64>()
     }
 
-    fn linearise(&mut self, x: &[f64], normal: &mut Normal) -> f64 {
-        normal.clear();
+    fn linearise(&mut self, x: &[f64], equations: &mut NormalEquations) -> f64 {
+        equations.clear();
         let state = self.state(x, Some(true));
         let mut cost = 0.0;
-        let mut alone = Normal::zeros(Layout::dense(UNKNOWNS));
+        let mut alone = NormalEquations::zeros(Layout::dense(UNKNOWNS));
         for (frame, x) in x.chunks_exact(UNKNOWNS).enumerate() {
             cost += self.frame(frame, x, Some(&mut alone));
             let mine = frame * UNKNOWNS..(frame + 1) * UNKNOWNS;
-            normal.gradient[mine.clone()].copy_from_slice(&alone.gradient);
+            equations.gradient[mine.clone()].copy_from_slice(&alone.gradient);
             for (j, column) in mine.clone().enumerate() {
                 let entries = alone.hessian.column(0..UNKNOWNS, j);
-                normal.hessian.column_mut(mine.clone(), column).copy_from_slice(entries);
+                equations.hessian.column_mut(mine.clone(), column).copy_from_slice(entries);
             }
         }
         for term in self.terms {
             cost += term.cost(&state);
-            term.add(&state, normal);
+            term.add(&state, equations);
         }
         for i in 0..x.len() {
             if !self.free[usize::from(i % UNKNOWNS >= LATENT)] {
-                normal.pin(i);
+                equations.pin(i);
             }
         }
         cost
     }
 
     fn gradient(&mut self, x: &[f64], gradient: &mut [f64]) -> f64 {
-        let mut normal = Normal::zeros(self.layout());
-        let cost = self.linearise(x, &mut normal);
-        gradient.copy_from_slice(&normal.gradient);
+        let mut equations = NormalEquations::zeros(self.layout());
+        let cost = self.linearise(x, &mut equations);
+        gradient.copy_from_slice(&equations.gradient);
         cost
     }
 }

@@ -27,7 +27,7 @@ use crate::core::cost::{self, Scene};
 use crate::core::manifold::{
     Decoder, Keyframe, LATENT, MOVE, Move, THREE, Transition, TransitionWork, state_of,
 };
-use crate::core::optimise::{LevenbergMarquardt, Normal, Optimiser};
+use crate::core::optimise::{LevenbergMarquardt, NormalEquations, Optimiser};
 use crate::core::so3;
 
 /// Weights of [`Slahmr`].
@@ -105,7 +105,7 @@ fn minimised<'a>(
     iterations: usize,
 ) -> Vec<Keyframe> {
     let skeleton = &found.start.skeleton;
-    let mut path = FramePath::new(scene, skeleton, &found.moments, initial, terms);
+    let mut path = FramePath::new(scene, skeleton, &found.observed_frames, initial, terms);
     path.free = [codes, true];
     let mut x = path.start();
     LevenbergMarquardt::default().minimise(&mut path, &mut x, iterations);
@@ -173,7 +173,7 @@ impl Term for Transitions<'_> {
         0.5 * self.weight * transitions.map(square).sum::<f64>()
     }
 
-    fn add(&self, state: &State, normal: &mut Normal) {
+    fn add(&self, state: &State, equations: &mut NormalEquations) {
         let mut work = TransitionWork::default();
         let mut tangent = vec![0.0; MOVE * THREE];
         let mut blocks = vec![vec![0.0; MOVE * UNKNOWNS]; 3];
@@ -194,7 +194,7 @@ impl Term for Transitions<'_> {
                 }
             }
             let by = [0, 1, 2].map(|k| (frame + k, &blocks[k][..]));
-            normal.add(self.weight, &residual, &by);
+            equations.add(self.weight, &residual, &by);
         }
     }
 }
@@ -228,10 +228,13 @@ mod tests {
         let model = Transition::embedded().unwrap();
         let x: Vec<f64> = (0..FRAMES * UNKNOWNS).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
         let term = Transitions::at(&model, &state(&x).keyframes, 0.02, 3.0);
-        let mut normal =
-            Normal::zeros(Layout { size: UNKNOWNS, blocks: FRAMES, bandwidth: term.reach() });
-        term.add(&state(&x), &mut normal);
-        let largest = normal.gradient.iter().fold(0.0_f64, |most, g| most.max(g.abs()));
+        let mut equations = NormalEquations::zeros(Layout {
+            size: UNKNOWNS,
+            blocks: FRAMES,
+            bandwidth: term.reach(),
+        });
+        term.add(&state(&x), &mut equations);
+        let largest = equations.gradient.iter().fold(0.0_f64, |most, g| most.max(g.abs()));
         for i in 0..x.len() {
             let cost = |by: f64| {
                 let mut moved = x.clone();
@@ -239,8 +242,8 @@ mod tests {
                 term.cost(&state(&moved))
             };
             let numeric = (cost(1e-5) - cost(-1e-5)) / 2e-5;
-            let off = (normal.gradient[i] - numeric).abs();
-            assert!(off < 1e-5 * largest, "{i}: {} {numeric}", normal.gradient[i]);
+            let off = (equations.gradient[i] - numeric).abs();
+            assert!(off < 1e-5 * largest, "{i}: {} {numeric}", equations.gradient[i]);
         }
     }
 }

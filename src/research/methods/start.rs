@@ -6,7 +6,7 @@ use super::Take;
 use crate::core::body::Skeleton;
 use crate::core::manifold::{Decoder, Keyframe};
 use crate::core::time::Timestamp;
-use crate::core::tracker::{Config, Input, Outcome, Output, Solver, Track};
+use crate::core::tracker::{Config, Input, Outcome, Output, Solver, Tracker};
 
 /// Where a take begins.
 #[derive(Clone, Debug)]
@@ -22,7 +22,7 @@ pub struct Start {
 /// Finds the performer as the tracking machine does; `None` where nobody is found.
 pub fn start(take: &Take, decoder: &Decoder, config: &Config) -> Option<Start> {
     let config = Config { frame_rate_hz: take.fps, ..*config };
-    let mut track = Track::new(config, Arc::clone(&take.rig));
+    let mut track = Tracker::new(config, Arc::clone(&take.rig));
     let mut solver = Solver::new(decoder.clone(), config);
     for input in take.frames.iter().cloned().map(Input::Detections).chain([Input::End]) {
         track.handle(input);

@@ -3,7 +3,7 @@
 use super::joints::COORDINATES;
 use super::path::{State, Term, UNKNOWNS};
 use crate::core::manifold::LATENT;
-use crate::core::optimise::Normal;
+use crate::core::optimise::NormalEquations;
 use crate::core::so3::{turn_between, turn_between_tangents};
 
 /// 1/2 weight |P_j(t + 1) - P_j(t)|^2 over joints and frames.
@@ -35,12 +35,12 @@ impl Term for JointSteps {
         0.5 * self.weight * steps.map(square).sum::<f64>()
     }
 
-    fn add(&self, state: &State, normal: &mut Normal) {
+    fn add(&self, state: &State, equations: &mut NormalEquations) {
         for frame in 1..state.keyframes.len() {
             let residual = Self::residual(state, frame - 1);
             let before: Vec<f64> = state.joints.jacobian(frame - 1).iter().map(|j| -j).collect();
             let by = [(frame - 1, &before[..]), (frame, state.joints.jacobian(frame))];
-            normal.add(self.weight, &residual, &by);
+            equations.add(self.weight, &residual, &by);
         }
     }
 }
@@ -51,9 +51,9 @@ pub struct KeyframeSteps {
     /// Square pixels.
     pub latent: f64,
     /// Square pixels per square radian.
-    pub turn: f64,
+    pub rotation: f64,
     /// Square pixels per square metre.
-    pub shift: f64,
+    pub position: f64,
 }
 
 impl KeyframeSteps {
@@ -61,8 +61,8 @@ impl KeyframeSteps {
     fn roots(&self) -> [f64; UNKNOWNS] {
         std::array::from_fn(|i| match i {
             i if i < LATENT => self.latent.sqrt(),
-            i if i < LATENT + 3 => self.turn.sqrt(),
-            _ => self.shift.sqrt(),
+            i if i < LATENT + 3 => self.rotation.sqrt(),
+            _ => self.position.sqrt(),
         })
     }
 
@@ -102,10 +102,10 @@ impl Term for KeyframeSteps {
         (1..state.keyframes.len()).map(|t| 0.5 * squared(&self.step(state, t - 1).0)).sum()
     }
 
-    fn add(&self, state: &State, normal: &mut Normal) {
+    fn add(&self, state: &State, equations: &mut NormalEquations) {
         for frame in 1..state.keyframes.len() {
             let (step, [before, after]) = self.step(state, frame - 1);
-            normal.add(1.0, &step, &[(frame - 1, &before[..]), (frame, &after[..])]);
+            equations.add(1.0, &step, &[(frame - 1, &before[..]), (frame, &after[..])]);
         }
     }
 }
@@ -168,9 +168,9 @@ impl Term for LowFrequency {
         0.5 * self.weight * self.residuals(state).iter().map(|r| squared(r)).sum::<f64>()
     }
 
-    fn add(&self, state: &State, normal: &mut Normal) {
+    fn add(&self, state: &State, equations: &mut NormalEquations) {
         for (frame, residual) in self.residuals(state).iter().enumerate() {
-            normal.add(self.weight, residual, &[(frame, state.joints.jacobian(frame))]);
+            equations.add(self.weight, residual, &[(frame, state.joints.jacobian(frame))]);
         }
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::{Delay, Method, Solved, Take};
 use crate::core::cost;
 use crate::core::manifold::Decoder;
-use crate::core::tracker::{Config, Input, Output, Solver, Track};
+use crate::core::tracker::{Config, Input, Output, Solver, Tracker};
 
 /// The tracking machine with those settings.
 #[derive(Clone, Debug)]
@@ -32,10 +32,10 @@ impl Windows {
 
     /// The paper's windows and path, with the optimiser of all other methods, Levenberg-Marquardt.
     pub fn paper_with_our_optimiser() -> Self {
-        let Config { method, change_threshold, .. } = Config::default();
+        let Config { optimiser, change_threshold, .. } = Config::default();
         let paper = Config::paper();
         let cost = cost::Config { prior: 30.0, ..paper.cost };
-        let config = Config { method, change_threshold, cost, ..paper };
+        let config = Config { optimiser, change_threshold, cost, ..paper };
         Self::new("BundleMoCap (paper, LM)", config)
     }
 
@@ -56,7 +56,7 @@ impl Method for Windows {
 
     fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
         let config = Config { frame_rate_hz: take.fps, ..self.config };
-        let mut track = Track::new(config, Arc::clone(&take.rig));
+        let mut track = Tracker::new(config, Arc::clone(&take.rig));
         let mut solver = Solver::new(decoder.clone(), config);
         let (mut poses, mut borders, mut body) = (Vec::new(), Vec::new(), None);
         for input in take.frames.iter().cloned().map(Input::Detections).chain([Input::End]) {

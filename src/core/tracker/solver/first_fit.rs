@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::Solver;
 use crate::core::body::{BodyPoint, Skeleton};
-use crate::core::cost::{self, FreeBody, Knot, Moment, PathProblem, Scene, Stiffness};
+use crate::core::cost::{self, FrameObservations, FreeBody, Knot, PathProblem, Scene, Stiffness};
 use crate::core::detections::Detections;
 use crate::core::manifold::Keyframe;
 use crate::core::time::Timestamp;
@@ -22,7 +22,7 @@ impl Solver {
         points: &[BodyPoint],
         known: Option<&Arc<Skeleton>>,
     ) -> Outcome {
-        for (at, set) in frame_sets(&job.frames, job.half_frame) {
+        for (at, set) in frame_sets(&job.frames, job.half_period()) {
             let Some(sighting) = sight(&set, &job.rig, points, &self.config) else { continue };
             let config = &self.config.cost;
             let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config };
@@ -44,7 +44,7 @@ impl Solver {
                     (keyframe, Arc::new(skeleton))
                 }
             };
-            let keyframe = keyframe.settled();
+            let keyframe = keyframe.quantised();
             let pose = Box::new(self.decoder.pose(&keyframe));
             return Outcome::Acquired { at, keyframe: Box::new(keyframe), skeleton, pose };
         }
@@ -65,8 +65,8 @@ impl Solver {
         let stretches = frames.div_ceil(spacing) as i64;
         let span = ((job.end - job.start) / stretches).max(1);
         let frames = job.frames.iter().filter(|frame| frame.capture >= at);
-        let moments = self.follow(frames, points, &job.rig, &keyframe, &rough);
-        let last = moments.last().map_or(at, |moment| moment.capture);
+        let observed_frames = self.follow(frames, points, &job.rig, &keyframe, &rough);
+        let last = observed_frames.last().map_or(at, |observed_frame| observed_frame.capture);
         // Only the shape and the first keyframe are kept: few keyframes and no stiffness will do.
         let cost = cost::Config { stiffness: Stiffness::NONE, ..self.config.cost };
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
@@ -74,9 +74,11 @@ impl Solver {
         let mut knots = vec![Knot { capture: at, keyframe, free: true, frames }];
         for stretch in 1..=stretches {
             let (start, end) = (at + span * (stretch - 1), at + span * stretch);
-            let inside: Vec<Moment> = moments
+            let inside: Vec<FrameObservations> = observed_frames
                 .iter()
-                .filter(|moment| moment.capture > start && moment.capture <= end.min(last))
+                .filter(|observed_frame| {
+                    observed_frame.capture > start && observed_frame.capture <= end.min(last)
+                })
                 .cloned()
                 .collect();
             let Some(from) = knots.last().filter(|_| !inside.is_empty()) else { continue };
@@ -102,7 +104,8 @@ impl Solver {
         }
         let (first, free) = (knots[0].keyframe.clone(), self.config.free_body());
         let solved = knots.last().map_or(at, |knot| knot.capture);
-        let known: Vec<Moment> = moments.into_iter().filter(|m| m.capture <= solved).collect();
+        let known: Vec<FrameObservations> =
+            observed_frames.into_iter().filter(|m| m.capture <= solved).collect();
         let mut problem = PathProblem::new(scene, knots, &rough, free, &known, &mut self.work);
         let mut x = problem.start();
         self.acquirer.minimise(&mut problem, &mut x, self.config.acquisition_iterations);
@@ -112,13 +115,13 @@ impl Solver {
 }
 
 /// Groups frames into sets of one time: each set holds frames of different cameras at most
-/// `half_frame` after its first.
-fn frame_sets(frames: &[Arc<Detections>], half_frame: i64) -> Vec<(Timestamp, Vec<&Detections>)> {
+/// `half_period` after its first.
+fn frame_sets(frames: &[Arc<Detections>], half_period: i64) -> Vec<(Timestamp, Vec<&Detections>)> {
     let mut sets: Vec<(Timestamp, Vec<&Detections>)> = Vec::new();
     for frame in frames {
         match sets.last_mut() {
             Some((first, set))
-                if frame.capture - *first <= half_frame
+                if frame.capture - *first <= half_period
                     && set.iter().all(|other| other.camera != frame.camera) =>
             {
                 set.push(frame);

@@ -7,14 +7,14 @@ use std::sync::Arc;
 use super::association::follow;
 use super::config::Config;
 use super::job::{
-    Job, LiveFit, Outcome, Residual, Solution, Task, TimedKeyframe, Tracked, Verdict,
+    Job, Outcome, ProvisionalFit, Residual, Solution, Task, TimedKeyframe, Tracked, Verdict,
 };
-use super::offset_estimator::Learnt;
-use super::spin_pool::Team;
+use super::offset_estimator::OffsetEstimator;
+use super::spin_pool::SpinPool;
 use super::verdict::{hidden, residuals, verdict};
-use crate::core::body::{BodyPoint, MARKS, Pose, Skeleton, fitted_points};
+use crate::core::body::{BodyPoint, OFFSETS, Pose, Skeleton, fitted_points};
 use crate::core::camera::Rig;
-use crate::core::cost::{self, FreeBody, Knot, Moment, PathProblem, Scene, Workspace};
+use crate::core::cost::{self, FrameObservations, FreeBody, Knot, PathProblem, Scene, Workspace};
 use crate::core::detections::Detections;
 use crate::core::manifold::{Decoder, Interpolation, Keyframe};
 use crate::core::optimise::{Optimiser, Problem, Summary};
@@ -23,7 +23,7 @@ use crate::core::time::Timestamp;
 /// A motion that is carried on while the performer is hidden dies away in this time, seconds.
 const DECAY: f64 = 0.1;
 /// Keyframes of the open window that a provisional fit goes over again, besides the new ones.
-const LIVE_KEYFRAMES: usize = 2;
+const PROVISIONAL_KEYFRAMES: usize = 2;
 /// A window begins far from what was seen if its new frames cost this much more than those known before,
 /// as parts of the most that they could.
 const FAR: f64 = 0.3;
@@ -107,23 +107,23 @@ pub struct Solver {
     acquirer: Box<dyn Optimiser>,
     work: Workspace,
     /// Who solves, if not this thread alone.
-    team: Option<Team>,
+    pool: Option<SpinPool>,
 }
 
 impl Solver {
     /// A solver on that manifold. It starts the threads that `config` asks for; where the system
     /// refuses them, it does without.
     pub fn new(decoder: Decoder, config: Config) -> Self {
-        let optimiser = config.method.optimiser(config.change_threshold);
-        let acquirer = config.method.optimiser(config.change_threshold.min(ACQUISITION_CHANGE));
-        let team = (config.threads > 1).then(|| Team::of(config.threads)).and_then(|team| {
-            team.inspect_err(|error| tracing::warn!("one thread solves: {error}")).ok()
+        let optimiser = config.optimiser.optimiser(config.change_threshold);
+        let acquirer = config.optimiser.optimiser(config.change_threshold.min(ACQUISITION_CHANGE));
+        let pool = (config.threads > 1).then(|| SpinPool::of(config.threads)).and_then(|pool| {
+            pool.inspect_err(|error| tracing::warn!("one thread solves: {error}")).ok()
         });
-        let work = match team {
+        let work = match pool {
             Some(_) => Workspace::in_parallel(),
             None => Workspace::default(),
         };
-        Self { decoder, config, optimiser, acquirer, work, team }
+        Self { decoder, config, optimiser, acquirer, work, pool }
     }
 
     /// The manifold.
@@ -133,12 +133,12 @@ impl Solver {
 
     /// Solves a job.
     pub fn solve(&mut self, job: &Job) -> Solution {
-        let outcome = match self.team.take() {
+        let outcome = match self.pool.take() {
             None => self.outcome(job),
-            Some(team) => {
+            Some(pool) => {
                 let mut outcome = Outcome::NobodyFound;
-                team.run(|| outcome = self.outcome(job));
-                self.team = Some(team);
+                pool.run(|| outcome = self.outcome(job));
+                self.pool = Some(pool);
                 outcome
             }
         };
@@ -149,12 +149,12 @@ impl Solver {
         let points = fitted_points(job.format);
         match &job.task {
             Task::Acquire { skeleton } => self.acquire(job, &points, skeleton.as_ref()),
-            Task::Track { past, ahead, skeleton, learnt, coasted } => {
+            Task::Track { past, ahead, skeleton, estimator, coasted } => {
                 let known = Known { past, ahead, skeleton };
-                self.track(job, &points, known, (skeleton, learnt), *coasted)
+                self.track(job, &points, known, (skeleton, estimator), *coasted)
             }
-            Task::Live { past, ahead, skeleton } => {
-                self.live(job, &points, Known { past, ahead, skeleton })
+            Task::Provisional { past, ahead, skeleton } => {
+                self.provisional(job, &points, Known { past, ahead, skeleton })
             }
         }
     }
@@ -166,7 +166,7 @@ impl Solver {
         rig: &Rig,
         keyframe: &Keyframe,
         skeleton: &Skeleton,
-    ) -> Vec<Moment> {
+    ) -> Vec<FrameObservations> {
         let frames = frames.map(|frame| &**frame);
         follow(frames, points, rig, &self.decoder.pose(keyframe), skeleton, &self.config)
     }
@@ -176,36 +176,39 @@ impl Solver {
         job: &Job,
         points: &[BodyPoint],
         known: Known,
-        (skeleton, learnt): (&Arc<Skeleton>, &Learnt),
+        (skeleton, estimator): (&Arc<Skeleton>, &OffsetEstimator),
         coasted: usize,
     ) -> Outcome {
         let Some((_, from)) = known.past.last() else { return Outcome::NobodyFound };
-        let moments = self.follow(job.used_frames(), points, &job.rig, from, skeleton);
-        if let Some(hidden) = hidden(&self.config.gate, job, &moments) {
+        let observed_frames = self.follow(job.used_frames(), points, &job.rig, from, skeleton);
+        if let Some(hidden) = hidden(&self.config.gate, job, &observed_frames) {
             // After a window without, perhaps the performer is seen elsewhere.
             let found = (coasted > 0).then(|| self.acquire(job, points, Some(skeleton)));
             let found = found.filter(|found| matches!(found, Outcome::Acquired { .. }));
             return found.unwrap_or_else(|| self.coast(job, known, coasted, hidden));
         }
         let steps = Steps::of(job.effort.iterations);
-        let (keyframes, summary) = self.keyframes(job, points, known, &job.knots, &moments, steps);
+        let (keyframes, summary) =
+            self.keyframes(job, points, known, &job.knots, &observed_frames, steps);
         let keyframes = self.fade(job, known, keyframes);
-        let last = job.publish + job.half_frame;
-        let final_moments: Vec<&Moment> = moments.iter().filter(|m| m.capture <= last).collect();
+        let last = job.publish + job.half_period();
+        let final_moments: Vec<&FrameObservations> =
+            observed_frames.iter().filter(|m| m.capture <= last).collect();
         let solved = Known { ahead: &keyframes, ..known };
-        let times = final_moments.iter().map(|moment| moment.capture);
+        let times = final_moments.iter().map(|observed_frame| observed_frame.capture);
         let mut poses = self.poses_at(solved, times.chain(wanted_times(job)));
         let wanted = poses.split_off(final_moments.len());
         let seen = final_moments.into_iter().zip(poses);
         let residuals = residuals(seen, points, &job.rig, skeleton);
         let verdict = verdict(&self.config.gate, &keyframes, &residuals);
         let learns = matches!(verdict, Verdict::Tracked)
-            && self.config.mark_windows > 0
-            && !learnt.is_complete()
-            && job.window.is_multiple_of(self.config.mark_windows as u64);
-        let learnt = learns.then(|| self.learn(job, points, solved, &moments, learnt)).flatten();
+            && self.config.offset_windows > 0
+            && !estimator.is_complete()
+            && job.window.is_multiple_of(self.config.offset_windows as u64);
+        let estimator =
+            learns.then(|| self.learn(job, points, solved, &observed_frames, estimator)).flatten();
         let tracked = tracked(solved, wanted, Some(summary), residuals, verdict);
-        Outcome::Tracked(Box::new(Tracked { learnt: learnt.map(Arc::new), ..tracked }))
+        Outcome::Tracked(Box::new(Tracked { estimator: estimator.map(Arc::new), ..tracked }))
     }
 
     /// Adds what the solved window tells of where the detector marks points.
@@ -214,12 +217,12 @@ impl Solver {
         job: &Job,
         points: &[BodyPoint],
         solved: Known,
-        moments: &[Moment],
-        learnt: &Learnt,
-    ) -> Option<Learnt> {
+        observed_frames: &[FrameObservations],
+        estimator: &OffsetEstimator,
+    ) -> Option<OffsetEstimator> {
         // What the prior pulls poses away from the detections must not be taken for marks.
         let cost = self.cost(job);
-        let cost = cost::Config { prior: LEARNING_PRIOR * cost.prior, mark_prior: 0.0, ..cost };
+        let cost = cost::Config { prior: LEARNING_PRIOR * cost.prior, offset_prior: 0.0, ..cost };
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
         let frames = self.config.keyframe() as f64;
         let ahead = solved.ahead.iter().map(|(capture, keyframe)| {
@@ -229,9 +232,9 @@ impl Solver {
         let knots = solved.fixed().chain(ahead).collect();
         let free = self.config.free_body();
         let mut problem =
-            PathProblem::new(scene, knots, solved.skeleton, free, moments, &mut self.work);
-        let told = problem.marginal(&problem.start(), MARKS)?;
-        learnt.with(&told, solved.skeleton.marks(), self.config.cost.mark_prior)
+            PathProblem::new(scene, knots, solved.skeleton, free, observed_frames, &mut self.work);
+        let told = problem.marginal(&problem.start(), OFFSETS)?;
+        estimator.with(&told, solved.skeleton.keypoint_offsets(), self.config.cost.offset_prior)
     }
 
     /// Solves the keyframes at those of the times that are after the last final one, together.
@@ -241,7 +244,7 @@ impl Solver {
         points: &[BodyPoint],
         known: Known,
         times: &[Timestamp],
-        moments: &[Moment],
+        observed_frames: &[FrameObservations],
         steps: Steps,
     ) -> (Vec<TimedKeyframe>, Summary) {
         let cost = self.cost(job);
@@ -249,7 +252,7 @@ impl Solver {
         let interpolation = cost.interpolation;
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
         let mut knots: Vec<Knot> = known.fixed().collect();
-        let period = (2 * job.half_frame).max(1) as f64;
+        let period = job.frame_period.max(1) as f64;
         let start = known.past.last().map_or(job.start, |(at, _)| *at);
         let free = || times.iter().copied().filter(|&capture| capture > start);
         let mut before = start;
@@ -264,12 +267,12 @@ impl Solver {
             knots,
             known.skeleton,
             FreeBody::Fixed,
-            moments,
+            observed_frames,
             &mut self.work,
         );
         let mut x = problem.start();
         let cost = problem.cost(&x);
-        let known_until = known.end(job) + job.half_frame;
+        let known_until = known.end(job) + job.half_period();
         let mut misfits = problem.misfits(known_until);
         if let Some([(t0, a), (t1, b)]) = known.last_two() {
             // Or else: the root goes on as it did.
@@ -286,13 +289,13 @@ impl Solver {
         }
         let new = free().filter(|&at| at > known.end(job)).count();
         if new > 1 && misfits[1] - misfits[0] > FAR {
-            let ahead = self.grow(job, points, known, times, moments);
+            let ahead = self.grow(job, points, known, times, observed_frames);
             let known = Known { ahead: &ahead, ..known };
-            return self.keyframes(job, points, known, times, moments, steps);
+            return self.keyframes(job, points, known, times, observed_frames, steps);
         }
         let summary = self.optimiser.minimise(&mut problem, &mut x, steps.iterations);
         let (solved, _) = problem.solution(&x);
-        let solved = solved.into_iter().skip(known.past.len()).map(Keyframe::settled);
+        let solved = solved.into_iter().skip(known.past.len()).map(Keyframe::quantised);
         (free().zip(solved).collect(), summary)
     }
 
@@ -304,13 +307,14 @@ impl Solver {
         points: &[BodyPoint],
         known: Known,
         times: &[Timestamp],
-        moments: &[Moment],
+        observed_frames: &[FrameObservations],
     ) -> Vec<TimedKeyframe> {
         let mut path = [known.past, known.ahead].concat();
         for &time in times.iter().filter(|&&time| time > known.end(job)) {
             let past = &path[path.len().saturating_sub(2)..];
             let step = Known { past, ahead: &[], ..known };
-            let seen = between(moments, [step.end(job), time].map(|at| at + job.half_frame));
+            let seen =
+                between(observed_frames, [step.end(job), time].map(|at| at + job.half_period()));
             path.extend(self.keyframes(job, points, step, &[time], seen, GROWTH).0);
         }
         path.split_off(known.past.len())
@@ -332,15 +336,15 @@ impl Solver {
                 break;
             };
             let share = FADE * (count - k - 1) as f64 / count as f64;
-            *keyframe = interpolation.keyframe(keyframe, &before, share).settled();
+            *keyframe = interpolation.keyframe(keyframe, &before, share).quantised();
         }
         keyframes
     }
 
     /// The cost's weights, those of prior and stiffness by how the detections err.
     fn cost(&self, job: &Job) -> cost::Config {
-        let Config { cost, noise_px, .. } = self.config;
-        let factor = job.noise.factor(noise_px);
+        let Config { cost, reference_residual_px, .. } = self.config;
+        let factor = job.noise.factor(reference_residual_px);
         let (prior, stiffness) = (cost.prior * factor, cost.stiffness.times(factor));
         cost::Config { prior, stiffness, ..cost }
     }
@@ -376,7 +380,7 @@ impl Solver {
                 }
                 _ => known.at(capture, interpolation)?,
             };
-            Some((capture, keyframe.settled()))
+            Some((capture, keyframe.quantised()))
         };
         let final_knots = job.knots.iter().filter(|&&capture| capture <= job.publish);
         let keyframes: Vec<TimedKeyframe> = final_knots.filter_map(onward).collect();
@@ -387,29 +391,31 @@ impl Solver {
 
     /// Keyframes up to the newest frame set of the open window: the last ones known stay free, those
     /// before them wait for the window's own solve.
-    fn live(&mut self, job: &Job, points: &[BodyPoint], known: Known) -> Outcome {
+    fn provisional(&mut self, job: &Job, points: &[BodyPoint], known: Known) -> Outcome {
         let Some((_, from)) = known.past.last() else { return Outcome::NobodyFound };
-        let moments = self.follow(job.used_frames(), points, &job.rig, from, known.skeleton);
-        let hidden = hidden(&self.config.gate, job, &moments).is_some();
+        let observed_frames =
+            self.follow(job.used_frames(), points, &job.rig, from, known.skeleton);
+        let hidden = hidden(&self.config.gate, job, &observed_frames).is_some();
         let keyframes = match hidden {
             true => known.ahead.to_vec(),
             false => {
-                let settled = known.ahead.len().saturating_sub(LIVE_KEYFRAMES);
-                let (settled, ahead) = known.ahead.split_at(settled);
+                let waiting = known.ahead.len().saturating_sub(PROVISIONAL_KEYFRAMES);
+                let (waiting, ahead) = known.ahead.split_at(waiting);
                 let mut path: Vec<TimedKeyframe> = known.past.to_vec();
-                path.extend_from_slice(settled);
+                path.extend_from_slice(waiting);
                 let past = &path[path.len().saturating_sub(2)..];
                 let start = past.last().map_or(job.start, |(at, _)| *at);
-                let recent = between(&moments, [start, job.end].map(|at| at + job.half_frame));
+                let recent =
+                    between(&observed_frames, [start, job.end].map(|at| at + job.half_period()));
                 let window = Known { past, ahead, ..known };
-                let steps = Steps::of(job.effort.live_iterations);
+                let steps = Steps::of(job.effort.provisional_iterations);
                 let (solved, _) = self.keyframes(job, points, window, &job.knots, recent, steps);
-                settled.iter().cloned().chain(solved).collect()
+                waiting.iter().cloned().chain(solved).collect()
             }
         };
         let solved = Known { ahead: &keyframes, ..known };
         let pose = self.poses_at(solved, [job.end].into_iter()).pop().unwrap_or_else(Pose::rest);
-        Outcome::Live(Box::new(LiveFit { keyframes, pose, hidden }))
+        Outcome::Provisional(Box::new(ProvisionalFit { keyframes, pose, hidden }))
     }
 }
 
@@ -428,11 +434,14 @@ fn tracked(
 ) -> Tracked {
     let keyframes = solved.ahead.to_vec();
     let newest = poses.pop().unwrap_or_else(Pose::rest);
-    Tracked { newest, poses, keyframes, summary, residuals, verdict, learnt: None }
+    Tracked { newest, poses, keyframes, summary, residuals, verdict, estimator: None }
 }
 
 /// The moments after one time, up to another.
-fn between(moments: &[Moment], [after, to]: [Timestamp; 2]) -> &[Moment] {
-    let [first, end] = [after, to].map(|at| moments.partition_point(|m| m.capture <= at));
-    &moments[first..end]
+fn between(
+    observed_frames: &[FrameObservations],
+    [after, to]: [Timestamp; 2],
+) -> &[FrameObservations] {
+    let [first, end] = [after, to].map(|at| observed_frames.partition_point(|m| m.capture <= at));
+    &observed_frames[first..end]
 }

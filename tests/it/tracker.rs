@@ -4,21 +4,21 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bundlemocap::core::body::{
-    BodyPoint, Joint, Marks, Shape, Skeleton, StampedPose, TrackingState, fitted_points,
+    BodyPoint, Joint, KeypointOffsets, Shape, Skeleton, StampedPose, TrackingState, fitted_points,
 };
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::cost::Observation;
 use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
 use bundlemocap::core::manifold::{Decoder, Interpolation, Keyframe};
-use bundlemocap::core::optimise::Method;
+use bundlemocap::core::optimise::OptimiserKind;
 use bundlemocap::core::so3;
 use bundlemocap::core::tracker::{
-    Config, Effort, EventKind, Input, Job, Noise, Outcome, Output, Solver, Task, Track, Verdict,
+    Config, Effort, EventKind, Input, Job, Noise, Outcome, Output, Solver, Task, Tracker, Verdict,
     WindowReport,
 };
 use nalgebra::{Point2, Vector3};
 
-use crate::core::optimise::{frame, keyframe, observe, ring};
+use crate::solve::{frame, keyframe, observe, ring};
 
 const FORMAT: KeypointFormat = KeypointFormat::Body25;
 
@@ -33,7 +33,7 @@ struct Run {
 
 fn config() -> Config {
     let mut config = Config::paper();
-    config.method = Method::LevenbergMarquardt;
+    config.optimiser = OptimiserKind::LevenbergMarquardt;
     config.cost.prior = 1e-5;
     config.cost.shape_prior = 1e-4;
     config.iterations = 200;
@@ -43,7 +43,7 @@ fn config() -> Config {
 }
 
 fn run(config: Config, frames: impl IntoIterator<Item = Detections>) -> Run {
-    let mut track = Track::new(config, Arc::new(ring()));
+    let mut track = Tracker::new(config, Arc::new(ring()));
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
     let mut run = Run::default();
     for input in frames.into_iter().map(Input::Detections).chain([Input::End]) {
@@ -64,7 +64,7 @@ fn run(config: Config, frames: impl IntoIterator<Item = Detections>) -> Run {
 
 /// All jobs of a machine, with what came of them.
 fn solved(config: Config, frames: Vec<Detections>) -> Vec<(Box<Job>, Outcome)> {
-    let mut track = Track::new(config, Arc::new(ring()));
+    let mut track = Tracker::new(config, Arc::new(ring()));
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
     let mut jobs = Vec::new();
     for input in frames.into_iter().map(Input::Detections).chain([Input::End]) {
@@ -171,11 +171,11 @@ fn windows_follow_a_manifold_motion_exactly() {
                     .collect(),
                 format: FORMAT,
                 rig: Arc::clone(&rig),
-                half_frame: 8_333_333,
+                frame_period: 16_666_666,
                 effort: Effort::full(&config()),
                 noise: Noise::default(),
                 task: Task::Track {
-                    learnt: Arc::default(),
+                    estimator: Arc::default(),
                     past: vec![(time(0), from)],
                     ahead: Vec::new(),
                     skeleton: Arc::clone(&skeleton),
@@ -393,8 +393,8 @@ fn the_shape_waits_for_enough_frames() {
 #[test]
 fn where_the_detector_marks_points_is_learnt() {
     let (rig, points, decoder) = (ring(), fitted_points(FORMAT), Decoder::embedded().unwrap());
-    let marks = Marks(std::array::from_fn(|i| 1.5 * (1.3 * i as f64).sin()));
-    let (seen_as, body) = (Skeleton::default().with_marks(marks), Skeleton::default());
+    let marks = KeypointOffsets(std::array::from_fn(|i| 1.5 * (1.3 * i as f64).sin()));
+    let (seen_as, body) = (Skeleton::default().with_keypoint_offsets(marks), Skeleton::default());
     let step =
         |i: usize| keyframe(0.7 + 0.02 * i as f64 / 10.0, 0.25 + 0.1 * (i as f64 / 9.0).sin());
     let frames: Vec<_> = (0..240)
@@ -403,8 +403,8 @@ fn where_the_detector_marks_points_is_learnt() {
             detections(&rig, &points, &observe(&rig, &points, &posture, &seen_as), i)
         })
         .collect();
-    let error = |mark_windows: usize| {
-        let run = run(Config { mark_windows, ..Config::default() }, frames.clone());
+    let error = |offset_windows: usize| {
+        let run = run(Config { offset_windows, ..Config::default() }, frames.clone());
         let skeleton = run.skeleton.unwrap();
         let late = run.poses.iter().skip(120).map(|pose| {
             let i = (pose.capture.ns() as f64 * 60e-9).round() as usize;
@@ -462,8 +462,8 @@ fn a_window_begins_near_what_the_last_one_said() {
 /// weighs its prior: nearly none of it where detections are exact.
 #[test]
 fn weights_go_by_how_the_detections_err() {
-    let jobs = |noise_px: f64| {
-        let config = Config { noise_px, ..Config::default() };
+    let jobs = |reference_residual_px: f64| {
+        let config = Config { reference_residual_px, ..Config::default() };
         let tracked = solved(config, stream(61)).into_iter().filter_map(|(job, outcome)| {
             let Outcome::Tracked(tracked) = outcome else { return None };
             Some((job.noise, tracked.summary.unwrap().final_cost))

@@ -4,10 +4,12 @@ use std::sync::Arc;
 
 use bundlemocap::core::body::{BodyPoint, Posture, Skeleton, fitted_points};
 use bundlemocap::core::camera::Rig;
-use bundlemocap::core::cost::{self, Moment, Observation, Scene};
+use bundlemocap::core::cost::{self, FrameObservations, Observation, Scene};
 use bundlemocap::core::detections::KeypointFormat;
 use bundlemocap::core::manifold::{Decoder, Keyframe};
-use bundlemocap::core::optimise::{Layout, LevenbergMarquardt, Normal, Optimiser, Problem};
+use bundlemocap::core::optimise::{
+    Layout, LevenbergMarquardt, NormalEquations, Optimiser, Problem,
+};
 use bundlemocap::metrics;
 use bundlemocap::research::methods::{
     self, Delay, FramePath, JointSteps, KeyframeSteps, LowFrequency, Method, MuVs, Solved, Take,
@@ -16,8 +18,8 @@ use bundlemocap::research::methods::{
 use bundlemocap::research::synth::{Motion, MotionStyle, Recording, ring_rig};
 use nalgebra::{DMatrix, Vector2};
 
-use crate::core::optimise::{dense, frame, keyframe, observe, ring};
 use crate::jacobians::{assert_jacobian, numeric_jacobian};
+use crate::solve::{dense, frame, keyframe, observe, ring};
 
 /// A few frames that were seen with errors.
 struct Case {
@@ -27,7 +29,7 @@ struct Case {
     skeleton: Skeleton,
     config: cost::Config,
     initial: Vec<Keyframe>,
-    moments: Vec<Vec<Moment>>,
+    observed_frames: Vec<Vec<FrameObservations>>,
 }
 
 impl Case {
@@ -35,7 +37,7 @@ impl Case {
         let (decoder, skeleton) = (Decoder::embedded().unwrap(), Skeleton::default());
         let (rig, points) = (ring(), fitted_points(KeypointFormat::Body25));
         let truth = |i: usize| keyframe(0.7 + 0.01 * i as f64, 0.8);
-        let moments = (0..frames).map(|i| {
+        let observed_frames = (0..frames).map(|i| {
             let posture = decoder.pose(&truth(i)).posture(&skeleton);
             let seen = observe(&rig, &points, &posture, &skeleton);
             let moved = seen.into_iter().enumerate().map(|(n, seen)| {
@@ -43,29 +45,37 @@ impl Case {
                 let off = Vector2::new((n * 1.3).sin(), (n * 2.1).cos()) * 6.0;
                 Observation { pixel: seen.pixel + off, ..seen }
             });
-            vec![Moment::new(frame(i), moved.collect())]
+            vec![FrameObservations::new(frame(i), moved.collect())]
         });
-        let moments = moments.collect();
+        let observed_frames = observed_frames.collect();
         let initial = (0..frames).map(truth).collect();
-        Self { decoder, rig, points, skeleton, config: cost::Config::default(), initial, moments }
+        Self {
+            decoder,
+            rig,
+            points,
+            skeleton,
+            config: cost::Config::default(),
+            initial,
+            observed_frames,
+        }
     }
 
     fn path<'a>(
         &'a self,
-        moments: &'a [Vec<Moment>],
+        observed_frames: &'a [Vec<FrameObservations>],
         initial: &'a [Keyframe],
         terms: &'a [Box<dyn Term + 'a>],
     ) -> FramePath<'a> {
         let (decoder, rig, points) = (&self.decoder, &self.rig, &self.points[..]);
         let scene = Scene { decoder, rig, points, config: &self.config };
-        FramePath::new(scene, &self.skeleton, moments, initial, terms)
+        FramePath::new(scene, &self.skeleton, observed_frames, initial, terms)
     }
 }
 
 fn every_term(frames: usize) -> [Box<dyn Term>; 3] {
     [
         Box::new(JointSteps { weight: 1e5 }),
-        Box::new(KeyframeSteps { latent: 300.0, turn: 1e5, shift: 1e6 }),
+        Box::new(KeyframeSteps { latent: 300.0, rotation: 1e5, position: 1e6 }),
         Box::new(LowFrequency::new(1e5, frames, 2)),
     ]
 }
@@ -79,15 +89,15 @@ fn gradients_of_terms_between_frames_match_central_differences() {
     let case = Case::new(4);
     for term in every_term(4) {
         let (terms, unseen) = ([term], vec![Vec::new(); 4]);
-        for moments in [&unseen, &case.moments] {
-            let mut path = case.path(moments, &case.initial, &terms);
+        for observed_frames in [&unseen, &case.observed_frames] {
+            let mut path = case.path(observed_frames, &case.initial, &terms);
             let x = moved(&path.start());
-            let mut normal = Normal::zeros(path.layout());
-            let cost = path.linearise(&x, &mut normal);
+            let mut equations = NormalEquations::zeros(path.layout());
+            let cost = path.linearise(&x, &mut equations);
             assert!((path.cost(&x) - cost).abs() < 1e-9 * cost);
             let path = std::cell::RefCell::new(path);
             let numeric = numeric_jacobian(&x, 4e-3, |x| vec![path.borrow_mut().cost(x)]);
-            let gradient = DMatrix::from_row_slice(1, x.len(), &normal.gradient);
+            let gradient = DMatrix::from_row_slice(1, x.len(), &equations.gradient);
             assert_jacobian(&gradient, &numeric, 5e-5);
         }
     }
@@ -102,15 +112,15 @@ fn hessians_of_steps_are_exact_where_nothing_moves() {
         let terms = [term];
         let mut path = case.path(&unseen, &still, &terms);
         let x = path.start();
-        let mut normal = Normal::zeros(path.layout());
-        path.linearise(&x, &mut normal);
+        let mut equations = NormalEquations::zeros(path.layout());
+        path.linearise(&x, &mut equations);
         let path = std::cell::RefCell::new(path);
         let numeric = numeric_jacobian(&x, 3e-3, |x| {
-            let mut normal = Normal::zeros(path.borrow().layout());
-            path.borrow_mut().linearise(x, &mut normal);
-            normal.gradient
+            let mut equations = NormalEquations::zeros(path.borrow().layout());
+            path.borrow_mut().linearise(x, &mut equations);
+            equations.gradient
         });
-        assert_jacobian(&dense(&normal), &numeric, 1e-4);
+        assert_jacobian(&dense(&equations), &numeric, 1e-4);
     }
 }
 
@@ -119,7 +129,7 @@ fn unknowns_that_are_not_free_stay_and_the_others_move() {
     let case = Case::new(3);
     let terms = every_term(3);
     for free in [[false, true], [true, false]] {
-        let mut path = case.path(&case.moments, &case.initial, &terms);
+        let mut path = case.path(&case.observed_frames, &case.initial, &terms);
         path.free = free;
         let start = path.start();
         let mut x = start.clone();
@@ -143,12 +153,12 @@ impl Problem for Dense<'_> {
         self.0.cost(x)
     }
 
-    fn linearise(&mut self, x: &[f64], normal: &mut Normal) -> f64 {
-        let mut banded = Normal::zeros(self.0.layout());
+    fn linearise(&mut self, x: &[f64], equations: &mut NormalEquations) -> f64 {
+        let mut banded = NormalEquations::zeros(self.0.layout());
         let cost = self.0.linearise(x, &mut banded);
-        normal.gradient.copy_from_slice(&banded.gradient);
+        equations.gradient.copy_from_slice(&banded.gradient);
         for (j, column) in dense(&banded).column_iter().enumerate() {
-            normal.hessian.column_mut(0..column.len(), j).copy_from_slice(column.as_slice());
+            equations.hessian.column_mut(0..column.len(), j).copy_from_slice(column.as_slice());
         }
         cost
     }
@@ -162,7 +172,7 @@ impl Problem for Dense<'_> {
 fn banded_and_dense_normal_equations_lead_the_same_way() {
     let case = Case::new(5);
     let terms = every_term(5);
-    let path = || case.path(&case.moments, &case.initial, &terms);
+    let path = || case.path(&case.observed_frames, &case.initial, &terms);
     let (mut banded, mut x) = (path(), moved(&path().start()));
     let mut y = x.clone();
     let summary = LevenbergMarquardt::default().minimise(&mut banded, &mut x, 30);
