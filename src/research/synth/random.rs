@@ -1,4 +1,4 @@
-//! Random numbers that depend on what they are for, not on the order in which they are drawn.
+//! Random numbers by key: a number depends on its key, not on the order of the draws.
 
 use std::f64::consts::PI;
 
@@ -7,14 +7,14 @@ use rand_chacha::ChaCha8Rng;
 
 use super::curves::smoothstep;
 
-/// Seconds of a cell; a stretch lies within one.
+/// Length of a time cell, seconds; an occurrence lies within one cell.
 const CELL: f64 = 2.0;
 
-/// A source of numbers: each key gives its own, always the same.
+/// A source of random numbers; the same key always gives the same number.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Draws {
     pub(crate) seed: u64,
-    /// Sets this source apart from others of the same seed.
+    /// Separates sources with the same seed.
     pub(crate) stream: u64,
 }
 
@@ -32,7 +32,7 @@ impl Draws {
         self.rng(topic, item).random()
     }
 
-    /// Two standard normals, by Box and Muller's method.
+    /// Two standard normals, by the Box-Muller transform.
     pub(crate) fn normals(&self, topic: u64, item: u64) -> [f64; 2] {
         let mut rng = self.rng(topic, item);
         let (u, v): (f64, f64) = (rng.random(), rng.random());
@@ -40,8 +40,8 @@ impl Draws {
         [radius * (2.0 * PI * v).cos(), radius * (2.0 * PI * v).sin()]
     }
 
-    /// Two standard normals that change smoothly with time: normals at knots `knot_s` apart,
-    /// blended so that the variance stays 1.
+    /// Two standard normals that change smoothly with time: normals at knots every `knot_s`
+    /// seconds, blended with constant variance 1.
     pub(crate) fn smooth_normals(&self, topic: u64, seconds: f64, knot_s: f64) -> [f64; 2] {
         let at = seconds / knot_s;
         let knot = at.floor();
@@ -54,8 +54,8 @@ impl Draws {
         [0, 1].map(|i| (a[i] * (1.0 - w) + b[i] * w) / norm)
     }
 
-    /// Whether something that begins `rate` times a second and lasts up to `longest_s` seconds
-    /// goes on at this time; then a number in \[0, 1) that belongs to this occurrence.
+    /// For an event that begins `rate` times a second and lasts up to `longest_s` seconds: a number
+    /// in \[0, 1) drawn per occurrence if one is active at this time, else `None`.
     pub(crate) fn stretch(
         &self,
         topic: u64,
