@@ -63,7 +63,7 @@ fn the_motion_is_smooth_and_lively() {
         last = Some(acceleration);
     }
     assert!((0.5..6.0).contains(&(sum / count)), "mean acceleration {}", sum / count);
-    // A discontinuous acceleration would change by its whole size, about 30 m/s^2, in one 4 ms step.
+    // A discontinuous acceleration would jump by its whole size, about 30 m/s^2, in a 4 ms step.
     assert!(largest_change < 12.0, "{largest_change}");
 }
 
