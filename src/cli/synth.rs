@@ -28,7 +28,7 @@ pub(super) struct Arguments {
     /// Recording to write.
     #[arg(long)]
     out: PathBuf,
-    /// Length, seconds.
+    /// Duration, seconds.
     #[arg(long, default_value_t = 4.0, allow_negative_numbers = true)]
     seconds: f64,
     /// Frame rate of every camera, 1 to 1000 Hz.

@@ -17,7 +17,7 @@ const FOOT_HANGS: f64 = 0.5;
 /// Smaller rotations are rounding errors of a file, radians.
 const ROUNDING: f64 = 1e-5;
 
-/// A_t of every joint of the target.
+/// The alignments A_t of all joints of the target.
 pub(super) fn alignments(
     target: &Target,
     mapping: &Mapping,

@@ -30,7 +30,7 @@ pub struct Retarget {
 #[derive(Clone, Debug)]
 struct Fitted {
     skeleton: Skeleton,
-    /// A_t.
+    /// The alignments A_t.
     align: Vec<Matrix3<f64>>,
     scale: f64,
     /// Height of the ankles above the balls of the feet, metres: ours, the target's.

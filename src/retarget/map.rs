@@ -76,7 +76,7 @@ impl Map {
         Self::parse(&text, path)
     }
 
-    /// Reads the text of a file; `path` is named in errors.
+    /// Parses the text of a file; errors name `path`.
     ///
     /// # Errors
     /// Invalid TOML, unknown keys, values out of range, unknown joints.

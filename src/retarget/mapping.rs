@@ -96,15 +96,15 @@ impl Mapping {
             Some(format!("{} -> {}", ours.name(), target.name(theirs)))
         });
         let mut text = pairs.collect::<Vec<_>>().join(", ");
-        let named: Vec<&str> = (Joint::ALL.iter())
+        let missing: Vec<&str> = (Joint::ALL.iter())
             .filter(|ours| self.joint(**ours).is_none())
             .map(|ours| ours.name())
             .collect();
-        let still: Vec<&str> = (self.follow.iter().enumerate())
+        let unmapped: Vec<&str> = (self.follow.iter().enumerate())
             .filter(|(_, follow)| !matches!(follow, Follow::Ours(..)))
             .map(|(joint, _)| target.name(joint))
             .collect();
-        for (what, names) in [("no counterpart", named), ("not mapped", still)] {
+        for (what, names) in [("no counterpart", missing), ("not mapped", unmapped)] {
             if !names.is_empty() {
                 text += &format!("; {what}: {}", names.join(", "));
             }

@@ -835,7 +835,7 @@ fn a_captured_walk_is_retargeted_to_every_skeleton() {
     }
 }
 
-/// Draws ours and the target side by side.
+/// Draws our body and the target side by side.
 fn picture(name: &str, retarget: &mut Retarget, skeleton: &Skeleton, poses: &[Pose]) -> String {
     let mut postures: Vec<(Posture, String)> = Vec::new();
     for (index, pose) in poses.iter().enumerate().filter(|(i, _)| i % 50 == 8) {

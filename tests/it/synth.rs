@@ -101,7 +101,7 @@ fn walk(noise: Noise) -> Walk {
     Recording { noise, frames: 780, ..Recording::new(rig, skeleton, pose) }
 }
 
-/// The true pixels of a frame of a recording at 60 fps.
+/// The true pixels of all points in a frame.
 fn truth(recording: &Walk, frame: &Detections) -> Vec<Option<nalgebra::Vector2<f64>>> {
     let pose = (recording.motion)(frame.capture.ns() as f64 * 1e-9);
     let posture = pose.posture(&recording.skeleton);

@@ -11,7 +11,7 @@ use crate::core::tracker::{self, Config};
 /// A view counts if it has at least this many points.
 const MIN_VIEW: usize = 4;
 
-/// The detections of each nominal frame from the first keyframe on.
+/// The detections of each nominal frame, starting at the first keyframe.
 #[derive(Clone, Debug)]
 pub(super) struct Cut<'a> {
     /// The nominal time of each frame.

@@ -63,7 +63,7 @@ pub struct Take {
 pub struct Solved {
     /// The body.
     pub skeleton: Arc<Skeleton>,
-    /// Poses in order of capture time, one for each nominal frame from the first keyframe on.
+    /// Poses in order of capture time, one per nominal frame, starting at the first keyframe.
     pub poses: Vec<(Timestamp, Pose)>,
     /// Capture times of the borders between pieces that were solved separately.
     pub borders: Vec<Timestamp>,
@@ -74,13 +74,13 @@ pub struct Solved {
 pub enum Delay {
     /// At most this many frames.
     Frames(usize),
-    /// Until the recording has ended.
+    /// Until the end of the recording.
     Recording,
 }
 
-/// A way to solve a take.
+/// A method that solves a take.
 pub trait Method {
-    /// Its name in tables.
+    /// The name in tables.
     fn name(&self) -> String;
 
     /// How long a pose waits for later frames.

@@ -9,7 +9,7 @@ use crate::core::so3::{turn_between, turn_between_tangents};
 /// 1/2 weight |P_j(t + 1) - P_j(t)|^2 over joints and frames.
 #[derive(Clone, Copy, Debug)]
 pub struct JointSteps {
-    /// Square pixels per square metre.
+    /// Weight, square pixels per square metre.
     pub weight: f64,
 }
 
@@ -49,11 +49,11 @@ impl Term for JointSteps {
 /// 1/2 position |p(t + 1) - p(t)|^2.
 #[derive(Clone, Copy, Debug)]
 pub struct KeyframeSteps {
-    /// Square pixels.
+    /// Weight of codes, square pixels.
     pub latent: f64,
-    /// Square pixels per square radian.
+    /// Weight of rotations, square pixels per square radian.
     pub rotation: f64,
-    /// Square pixels per square metre.
+    /// Weight of positions, square pixels per square metre.
     pub position: f64,
 }
 

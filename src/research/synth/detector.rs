@@ -18,9 +18,9 @@ mod topic {
     pub(super) const SPLIT: u64 = 3;
     pub(super) const BLANK: u64 = 4;
     pub(super) const ORDER: u64 = 5;
-    /// Plus the limb.
+    /// The index of the limb is added.
     pub(super) const OCCLUSION: u64 = 10;
-    /// Plus the point.
+    /// The index of the point is added, here and below.
     pub(super) const SLOW: u64 = 100;
     pub(super) const FAST: u64 = 200;
     pub(super) const MISSING: u64 = 300;
@@ -30,7 +30,7 @@ mod topic {
     pub(super) const WANDER: u64 = 700;
     pub(super) const GUESS: u64 = 800;
     pub(super) const BIAS: u64 = 900;
-    /// Added for the stranger's points.
+    /// Added for the bystander's points.
     pub(super) const OF_STRANGER: u64 = 1000;
 }
 

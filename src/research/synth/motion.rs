@@ -28,7 +28,7 @@ pub struct MotionStyle {
     pub step_time: f64,
     /// Radius of the walked circle, metres. Negative turns right.
     pub radius: f64,
-    /// Swing of the arms to either side of the trunk, radians.
+    /// Amplitude of the arm swing, radians.
     pub arm_swing: f64,
     /// Factor on the amplitude of squat, reach and wave.
     pub liveliness: f64,
@@ -51,7 +51,7 @@ pub struct Motion {
 struct Gait {
     /// Distance along the path: left foot, right foot, pelvis.
     along: [f64; 3],
-    /// Height of each foot's lift.
+    /// Height of each foot above the floor.
     lift: [f64; 2],
     /// Rotation of each foot, radians: heel off the ground, toes off the ground.
     roll: [[f64; 2]; 2],
@@ -184,7 +184,7 @@ impl Motion {
     }
 }
 
-/// Angles of an arm, radians, for the left arm; the right one mirrors them.
+/// Angles of the left arm, radians; the right arm mirrors them.
 struct Arm {
     forward: f64,
     /// Sideways, above the horizontal.

@@ -43,7 +43,7 @@ impl Default for SequenceChoice {
 pub struct Protocol {
     /// Subjects whose motions are used; by default those held out from the embedded weights.
     pub subjects: Vec<String>,
-    /// Names of rigs, see [`rig_named`](super::rig_named).
+    /// Names of rigs; see [`rig_named`](super::rig_named).
     pub rigs: Vec<String>,
     /// Keypoint format of the detectors.
     pub format: String,

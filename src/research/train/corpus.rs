@@ -158,7 +158,7 @@ struct Retarget {
     joints: [usize; JOINTS],
     /// `theirs_from_ours` at rest; identity except for splayed legs.
     rest: [Matrix3<f64>; JOINTS],
-    /// Metres of our mean body per unit of the file, by the length of the legs.
+    /// Metres of our mean body per unit of the file, from the leg lengths.
     scale: f64,
 }
 

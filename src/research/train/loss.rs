@@ -90,9 +90,9 @@ pub struct Distances {
 /// Weights of the two distances.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Weights {
-    /// Per radian.
+    /// Weight per radian.
     pub rotation: f32,
-    /// Per metre.
+    /// Weight per metre.
     pub position: f32,
 }
 

@@ -127,6 +127,9 @@ pub struct Report {
 
 /// Trains, writes the weights and reports the metrics on the test subjects. Calls `progress` every
 /// 50 steps and after the last.
+///
+/// # Errors
+/// Options out of range, unusable clips or subjects, a diverging loss, an unwritable file.
 pub fn run(options: &Options, progress: &mut dyn FnMut(Progress)) -> Result<Report, TrainError> {
     check(options)?;
     let start = Instant::now();
@@ -148,8 +151,11 @@ pub fn run(options: &Options, progress: &mut dyn FnMut(Progress)) -> Result<Repo
     })
 }
 
-/// Metrics of a weights file on `subjects` of a folder (without any: on all), by subject, then
-/// `all`.
+/// Metrics of a weights file on `subjects` of a folder (all, if `subjects` is empty), by subject,
+/// then `all`.
+///
+/// # Errors
+/// Unusable weights, clips or subjects.
 pub fn evaluate(
     weights: &Path,
     motions: &Path,
@@ -160,7 +166,7 @@ pub fn evaluate(
     Ok(evaluate::figures(&model, if subjects.is_empty() { &rest } else { &chosen }))
 }
 
-/// The clips of `subjects`, and the others.
+/// Splits clips into those of `subjects` and the others.
 fn split(clips: Vec<Clip>, subjects: &[String]) -> Result<(Vec<Clip>, Vec<Clip>), TrainError> {
     for subject in subjects {
         if !clips.iter().any(|clip| clip.subject == *subject) {

@@ -34,7 +34,7 @@ pub struct Model {
     pub encoder: Mlp,
     /// Maps a code to a pose (126 values).
     pub decoder: Mlp,
-    /// Parameters of both.
+    /// Parameters of both networks.
     pub parameters: Vec<f32>,
 }
 
@@ -155,7 +155,7 @@ impl Whitening {
     }
 }
 
-/// Weights of the parts of the loss.
+/// Weights of the loss terms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LossWeights {
     /// Weight of poses decoded from sampled codes.

@@ -7,7 +7,7 @@ use super::corpus::{Clip, POSE, PoseVector, mirrored, subjects};
 use super::restyle::{MeanPose, mean_pose, restyled};
 use crate::core::body::Joint;
 
-/// How samples are drawn.
+/// Settings of the sampler.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
     /// Share of samples whose legs come from another clip than the rest of the body.

@@ -46,6 +46,9 @@ pub struct TransitionReport {
 /// Trains on codes of the weights file `manifold` (default: the embedded one), writes the weights
 /// and reports metrics of the test subjects. Ignores `threads` and the options of the manifold's
 /// own loss. `progress` gets the step and the loss, nats per component.
+///
+/// # Errors
+/// As for [`train::run`](super::run); also unusable manifold weights.
 pub fn run(
     options: &Options,
     manifold: Option<&Path>,
@@ -83,6 +86,9 @@ pub fn run(
 
 /// Metrics of a weights file on `subjects` of a folder, by frame rate. The baselines are fitted to
 /// the other subjects.
+///
+/// # Errors
+/// Unusable weights, clips or subjects.
 pub fn evaluate(
     weights: &Path,
     manifold: Option<&Path>,
@@ -98,6 +104,9 @@ pub fn evaluate(
 }
 
 /// A clip at `fps` in the codes of the weights file `manifold` (default: the embedded one).
+///
+/// # Errors
+/// Unusable manifold weights.
 pub fn keyframes(
     manifold: Option<&Path>,
     clip: &Clip,
