@@ -122,8 +122,8 @@ fn one_by_one(cut: &Cut, given: &Given, weights: &MuVsWeights) -> Vec<Keyframe> 
     let (mut hidden, mut found) = (0, None::<Start>);
     let mut keyframes = Vec::with_capacity(cut.times.len());
     for (frame, &capture) in cut.times.iter().enumerate() {
-        if let Some(anew) = found.take_if(|found| found.at <= capture) {
-            (last, hidden) = (anew.keyframe, 0);
+        if let Some(again) = found.take_if(|found| found.at <= capture) {
+            (last, hidden) = (again.keyframe, 0);
         }
         let observed_frames = cut.observed_frames(frame, &last, given);
         if is_enough(&observed_frames, given.take.rig.cameras.len(), given.config) {

@@ -74,15 +74,16 @@ impl<'a> Detector<'a> {
     ) -> Detections {
         let (noise, draws) = (self.noise, &self.draws);
         let mut people = Vec::new();
-        let blank = draws.stretch(topic::BLANK, seconds, noise.blanks, noise.blank_s);
+        let blank = draws.occurrence(topic::BLANK, seconds, noise.blanks, noise.blank_s);
         if blank.is_none() {
             let performer = self.person(frame, seconds, body, 0);
-            let split = draws.stretch(topic::SPLIT, seconds, noise.splits, noise.split_s);
+            let split = draws.occurrence(topic::SPLIT, seconds, noise.splits, noise.split_s);
             match split {
                 Some(_) => people.extend(self.split(performer)),
                 None => people.push(performer),
             }
-            let seen = draws.stretch(topic::STRANGER, seconds, noise.strangers, noise.stranger_s);
+            let seen =
+                draws.occurrence(topic::STRANGER, seconds, noise.strangers, noise.stranger_s);
             if seen.is_some() {
                 let other = (&Skeleton::default(), &self.stranger);
                 people.push(self.person(frame, seconds, other, topic::OF_STRANGER));
@@ -104,7 +105,7 @@ impl<'a> Detector<'a> {
     ) -> Person {
         let swapped = self
             .draws
-            .stretch(base + topic::SWAP, seconds, self.noise.swaps, self.noise.swap_s)
+            .occurrence(base + topic::SWAP, seconds, self.noise.swaps, self.noise.swap_s)
             .map(|which| if which < 0.7 { Region::Leg } else { Region::Arm });
         let exact: Vec<Option<Vector2<f64>>> = (self.format.keypoints().iter())
             .map(|&keypoint| {
@@ -166,7 +167,7 @@ impl<'a> Detector<'a> {
     fn occlusion(&self, at: &At) -> Option<f64> {
         let topic = at.base + topic::OCCLUSION + limb_number(at.keypoint)?;
         let (rate, longest) = (self.noise.occlusions, self.noise.occlusion_s);
-        self.draws.stretch(topic, at.seconds, rate, longest)
+        self.draws.occurrence(topic, at.seconds, rate, longest)
     }
 
     /// Error of the guess of a hidden point, pixels: an error shared by the limb plus one of the

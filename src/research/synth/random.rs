@@ -56,7 +56,7 @@ impl Draws {
 
     /// For an event that begins `rate` times a second and lasts up to `longest_s` seconds: a number
     /// in \[0, 1) drawn per occurrence if one is active at this time, else `None`.
-    pub(crate) fn stretch(
+    pub(crate) fn occurrence(
         &self,
         topic: u64,
         seconds: f64,
@@ -94,10 +94,11 @@ mod tests {
     }
 
     #[test]
-    fn stretches_take_up_the_time_they_should() {
+    fn occurrences_have_the_expected_share_of_time() {
         let n = 20_000;
-        let on = (0..n).filter(|&i| DRAWS.stretch(2, i as f64 * 0.05, 0.2, 0.5).is_some()).count()
-            as f64;
+        let on = (0..n)
+            .filter(|&i| DRAWS.occurrence(2, i as f64 * 0.05, 0.2, 0.5).is_some())
+            .count() as f64;
         let expected = 0.2 * 0.5 * 0.65;
         assert!((on / n as f64 / expected - 1.0).abs() < 0.2, "{}", on / n as f64);
     }

@@ -73,8 +73,8 @@ pub fn sequence(
         pose.root_position.y -= floor;
         pose.root_position *= scale;
     }
-    let leaps = leaps(&scaled, &skeleton, source_fps);
-    let (first, count, middle) = stretch(&scaled, &leaps, source_fps, choice)?;
+    let jumps = jumps(&scaled, &skeleton, source_fps);
+    let (first, count, middle) = section(&scaled, &jumps, source_fps, choice)?;
     let mut poses = scaled.split_off(first);
     poses.truncate(count);
 
@@ -116,9 +116,9 @@ fn floor(poses: &[Pose], skeleton: &Skeleton) -> Option<f64> {
 }
 
 /// First pose and number of poses of the section, and the middle of its path on the floor.
-fn stretch(
+fn section(
     poses: &[Pose],
-    leaps: &[bool],
+    jumps: &[bool],
     fps: f64,
     choice: &SequenceChoice,
 ) -> Option<(usize, usize, Vector3<f64>)> {
@@ -131,12 +131,12 @@ fn stretch(
         let mut starts: Vec<usize> = (0..=poses.len() - count).step_by(step).collect();
         starts.sort_by_key(|start| start.abs_diff(centre));
         let found = starts.into_iter().find_map(|first| {
-            if leaps[first + 1..first + count].contains(&true) {
+            if jumps[first + 1..first + count].contains(&true) {
                 return None;
             }
-            let stretch = &poses[first..first + count];
-            let middle = middle_within(stretch, choice.radius_m)?;
-            let possible = mean_acceleration(stretch, fps) <= MOST_ACCELERATION;
+            let section = &poses[first..first + count];
+            let middle = middle_within(section, choice.radius_m)?;
+            let possible = mean_acceleration(section, fps) <= MOST_ACCELERATION;
             possible.then_some((first, count, middle))
         });
         if found.is_some() {
@@ -148,12 +148,12 @@ fn stretch(
 }
 
 /// For each pose: whether a joint moves faster than people can, from the pose before to this one.
-fn leaps(poses: &[Pose], skeleton: &Skeleton, fps: f64) -> Vec<bool> {
+fn jumps(poses: &[Pose], skeleton: &Skeleton, fps: f64) -> Vec<bool> {
     let positions: Vec<_> = poses.iter().map(|pose| pose.posture(skeleton).positions).collect();
-    let is_leap = |pair: &[[Vector3<f64>; JOINTS]]| {
+    let is_jump = |pair: &[[Vector3<f64>; JOINTS]]| {
         pair[0].iter().zip(&pair[1]).any(|(a, b)| (b - a).norm() * fps > FASTEST)
     };
-    std::iter::once(false).chain(positions.windows(2).map(is_leap)).collect()
+    std::iter::once(false).chain(positions.windows(2).map(is_jump)).collect()
 }
 
 /// Mean acceleration of the pelvis, m/s^2.

@@ -38,10 +38,10 @@ impl Samples {
         let step = fps.recip();
         for three in keyframes.windows(3) {
             let [a, b, c] = [&three[0], &three[1], &three[2]];
-            let leaps = |a: &Keyframe, b: &Keyframe| {
+            let jumps = |a: &Keyframe, b: &Keyframe| {
                 (b.root_position - a.root_position).norm() > FASTEST * step
             };
-            if leaps(a, b) || leaps(b, c) {
+            if jumps(a, b) || jumps(b, c) {
                 continue;
             }
             self.states.extend(state_of(a, b, step).map(|v| v as f32));
