@@ -14,10 +14,10 @@ use crate::io::recording::{Provenance, Writer};
 use crate::io::wire::Topics;
 use crate::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
-/// Radius of the ring on which the cameras stand, and their height, metres.
+/// Radius of the ring and height of its cameras, metres.
 pub(super) const RING: [f64; 2] = [4.0, 1.6];
 
-/// Make a synthetic recording with a known truth.
+/// Make a synthetic recording with ground truth.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -25,28 +25,28 @@ Examples:
   bundlemocap synth --out long.mcap --seconds 60 --fps 120 --cameras 6 --seed 7
   bundlemocap synth --out exact.mcap --noise none --format halpe_26")]
 pub(super) struct Arguments {
-    /// The recording to write.
+    /// Recording to write.
     #[arg(long)]
     out: PathBuf,
-    /// Length, seconds.
+    /// Duration, seconds.
     #[arg(long, default_value_t = 4.0, allow_negative_numbers = true)]
     seconds: f64,
-    /// Frames a second of every camera, 1 to 1000.
+    /// Frame rate of every camera, 1 to 1000 Hz.
     #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
     fps: f64,
-    /// How many cameras stand around the performer, 2 to 64.
+    /// Number of cameras around the performer, 2 to 64.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=64))]
     cameras: u8,
-    /// Of all that is random.
+    /// Seed of all random draws.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// How the detectors err.
+    /// Noise level of the detectors.
     #[arg(long, value_enum, default_value_t = NoiseName::Studio)]
     noise: NoiseName,
     /// Keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133.
     #[arg(long, default_value = "body_25")]
     format: String,
-    /// Share of a frame over which the cameras' shutters are spread; 0 is genlock.
+    /// Spread of the cameras' shutter times as a share of the frame period; 0 is genlock.
     #[arg(long, default_value_t = 0.0)]
     stagger: f64,
 }
@@ -55,14 +55,13 @@ pub(super) struct Arguments {
 pub(super) enum NoiseName {
     /// Exact projections.
     None,
-    /// Jitter alone.
+    /// Only jitter.
     Jitter,
-    /// Small jitter and a rare gap.
+    /// Small jitter and rare gaps.
     Clean,
-    /// As detectors err in a studio: jitter, points off the joints, gaps, outliers, swapped sides,
-    /// bystanders.
+    /// Typical of a studio: jitter, offset keypoints, gaps, outliers, swapped sides, bystanders.
     Studio,
-    /// The same, much worse: long occlusions and wrong guesses.
+    /// As studio, but much worse: long occlusions and wrong guesses.
     Sparse,
 }
 
@@ -136,12 +135,12 @@ fn frame_count(arguments: &Arguments) -> Result<u64, Failure> {
     }
     let frames = (seconds * fps).round();
     if !(1.0..=1e8).contains(&frames) {
-        return Err(wrong("--seconds", seconds, "at least a frame and at most 1e8 frames"));
+        return Err(wrong("--seconds", seconds, "from 1 to 1e8 frames long"));
     }
     Ok(frames as u64)
 }
 
-/// The arguments, so that the recording can be made again.
+/// The arguments, so that the recording can be reproduced.
 fn provenance(arguments: &Arguments) -> Provenance {
     let command = format!(
         "bundlemocap synth --seconds {} --fps {} --cameras {} --seed {} --noise {} --format {} \

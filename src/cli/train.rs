@@ -12,7 +12,7 @@ use crate::research::train::{
     train_transition,
 };
 
-/// Options that mean nothing to a transition model.
+/// Options that do not apply to a transition model.
 const MANIFOLD_ONLY: [&str; 9] = [
     "latent",
     "encoder_hidden",
@@ -28,9 +28,8 @@ const MANIFOLD_ONLY: [&str; 9] = [
 /// Train a pose manifold or a transition model on a folder of BVH clips, or evaluate one.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The clips are those of the CMU motion capture database, with either of its two BVH skeletons; a
-clip NN_MM.bvh is of subject NN. Training is seeded: the same data, options and build give the same
-file.
+The clips are from the CMU motion capture database, with either of its two BVH skeletons. NN_MM.bvh
+is a clip of subject NN. Training is seeded: the same data, options and build give the same file.
 
 Examples:
   bundlemocap train motions/ --out weights.safetensors --test-subjects 07,10
@@ -39,31 +38,31 @@ Examples:
 pub(super) struct Arguments {
     /// Folder of BVH clips; subfolders are read too.
     motions: PathBuf,
-    /// The weights file to write.
+    /// Weights file to write.
     #[arg(long, value_name = "FILE", required_unless_present = "evaluate")]
     out: Option<PathBuf>,
-    /// Train nothing: report the error of these weights.
+    /// Do not train; report the metrics of these weights.
     #[arg(long, value_name = "FILE", conflicts_with = "out")]
     evaluate: Option<PathBuf>,
-    /// Train or evaluate the model of how poses follow each other, in the codes of a manifold.
+    /// Train or evaluate a transition model (a motion prior on the codes of a manifold).
     #[arg(long, conflicts_with_all = MANIFOLD_ONLY)]
     transition: bool,
-    /// The manifold whose codes `--transition` uses; without it the one that ships.
+    /// Manifold weights whose codes `--transition` uses; default: the embedded weights.
     #[arg(long, value_name = "FILE", requires = "transition")]
     manifold: Option<PathBuf>,
-    /// Subjects that are not trained on, and whose error is reported.
+    /// Held-out subjects, used only for evaluation.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     test_subjects: Vec<String>,
-    /// Of everything random.
+    /// Seed of all random draws.
     #[arg(long, default_value_t = Options::default().seed)]
     seed: u64,
-    /// Steps of the optimiser.
+    /// Optimiser steps.
     #[arg(long, default_value_t = Options::default().steps)]
     steps: usize,
     /// Samples per step.
     #[arg(long, default_value_t = Options::default().batch)]
     batch: usize,
-    /// Numbers of a code that are used, 1 to 32.
+    /// Latent dimensions in use, 1 to 32.
     #[arg(long, default_value_t = Options::default().latent)]
     latent: usize,
     /// Hidden units per layer of the decoder, or of the transition model.
@@ -75,28 +74,28 @@ pub(super) struct Arguments {
     /// Hidden layers of each network.
     #[arg(long, default_value_t = Options::default().layers)]
     layers: usize,
-    /// Greatest learning rate.
+    /// Peak learning rate.
     #[arg(long, default_value_t = Options::default().learning_rate)]
     learning_rate: f32,
-    /// Share by which weights shrink per step and unit of learning rate.
+    /// Weight decay per step and unit of learning rate.
     #[arg(long, default_value_t = Options::default().weight_decay)]
     weight_decay: f32,
-    /// Weight of the divergence from a standard normal, per nat.
+    /// Weight of the KL divergence from a standard normal, per nat.
     #[arg(long, default_value_t = Options::default().kl)]
     kl: f32,
-    /// Weight of joints that turn too far in poses of codes about the origin.
+    /// Weight of joint rotations outside the corpus, for random codes.
     #[arg(long, default_value_t = Options::default().limits)]
     limits: f32,
-    /// Weight of joint centres, per metre; that of rotations is 1 per radian.
+    /// Weight of joint centres, per metre; the weight of rotations is 1 per radian.
     #[arg(long, default_value_t = Options::default().position)]
     position: f32,
-    /// Weight of the poses between two codes, against that of the poses themselves.
+    /// Weight of interpolated poses relative to single poses.
     #[arg(long, default_value_t = Options::default().between)]
     between: f32,
     /// Share of samples whose legs come from another clip.
     #[arg(long, default_value_t = Options::default().mix)]
     mix: f64,
-    /// Share of samples that are moved about another clip's mean pose.
+    /// Share of samples that are moved to another clip's mean pose.
     #[arg(long, default_value_t = Options::default().restyle)]
     restyle: f64,
     /// Threads, 1 to 4; the result does not depend on it.
@@ -138,9 +137,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let (clips, frames) = (report.clips, report.frames);
     let seconds = report.duration.as_secs_f64();
     say(&format!("trained on {clips} clips, {frames} frames, in {seconds:.0} s"));
-    say(&format!("{}: {} numbers", options.out.display(), report.parameters));
+    say(&format!("{}: {} parameters", options.out.display(), report.parameters));
     say_figures(&report.held_out);
-    say(&format!("to repeat it: {}", report.command));
+    say(&format!("to reproduce it: {}", report.command));
     Ok(Exit::Done)
 }
 
@@ -160,10 +159,10 @@ fn run_transition(arguments: &Arguments) -> Ended {
     bar.finish_and_clear();
     let seconds = report.duration.as_secs_f64();
     say(&format!("trained on {} transitions in {seconds:.0} s", report.transitions));
-    say(&format!("{}: {} numbers", options.out.display(), report.parameters));
+    say(&format!("{}: {} parameters", options.out.display(), report.parameters));
     say_transition_figures(&report.held_out);
     let manifold = manifold.map_or_else(String::new, |path| format!(" --manifold {}", name(path)));
-    say(&format!("to repeat it: {}{manifold}", report.command));
+    say(&format!("to reproduce it: {}{manifold}", report.command));
     Ok(Exit::Done)
 }
 
@@ -195,7 +194,7 @@ fn options(arguments: &Arguments) -> Options {
     }
 }
 
-/// A line for each subject.
+/// Prints one line per subject.
 fn say_figures(rows: &[Figures]) {
     if rows.is_empty() {
         return;
@@ -215,17 +214,17 @@ fn say_figures(rows: &[Figures]) {
     }
 }
 
-/// A line for each frame rate.
+/// Prints one line per frame rate.
 fn say_transition_figures(rows: &[TransitionFigures]) {
     if rows.is_empty() {
         return;
     }
-    say("-ln p of held-out transitions, nats per number; share of the moves that is foretold");
+    say("held-out negative log likelihood, nats per component; share of the moves predicted");
     say(
-        "fps  transitions   model  constant velocity  stay put   code  position  rotation  in 1 sd",
+        "fps  transitions   model  constant velocity no motion   code  position  rotation  in 1 sd",
     );
     for row in rows {
-        let [code, position, rotation] = row.foretold.map(|share| 100.0 * share);
+        let [code, position, rotation] = row.predicted.map(|share| 100.0 * share);
         say(&format!(
             "{:<5}{:>11}{:>8.3}{:>19.3}{:>10.3}{code:>6.1}%{position:>9.1}%{rotation:>9.1}%{:>8.1}%",
             row.fps,

@@ -1,11 +1,11 @@
-//! Seeded random numbers. A number depends on its key, not on the order of the draws.
+//! Random numbers by key: a number depends on its key, not on the order of the draws.
 
 use std::f64::consts::PI;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Seconds of a cell; a stretch lies within one.
+/// Length of a time cell, seconds; an occurrence lies within one cell.
 const CELL: f64 = 2.0;
 
 /// 0 before 0, 1 after 1, with zero first and second derivatives at both: 6 x^5 - 15 x^4 + 10 x^3.
@@ -14,12 +14,12 @@ pub fn smoothstep(x: f64) -> f64 {
     x * x * x * (x * (6.0 * x - 15.0) + 10.0)
 }
 
-/// A source of random numbers: each key has one number, always the same.
+/// A source of random numbers; the same key always gives the same number.
 #[derive(Clone, Copy, Debug)]
 pub struct Draws {
     /// The seed.
     pub seed: u64,
-    /// Sets this source apart from others of the same seed.
+    /// Separates sources with the same seed.
     pub stream: u64,
 }
 
@@ -37,7 +37,7 @@ impl Draws {
         self.rng(topic, item).random()
     }
 
-    /// Two standard normals, by Box and Muller's method.
+    /// Two standard normals, by the Box-Muller transform.
     pub fn normals(&self, topic: u64, item: u64) -> [f64; 2] {
         let mut rng = self.rng(topic, item);
         let (u, v): (f64, f64) = (rng.random(), rng.random());
@@ -45,8 +45,8 @@ impl Draws {
         [radius * (2.0 * PI * v).cos(), radius * (2.0 * PI * v).sin()]
     }
 
-    /// Two standard normals that change smoothly with time: normals at knots `knot_s` apart,
-    /// blended so that the variance stays 1.
+    /// Two standard normals that change smoothly with time: normals at knots every `knot_s`
+    /// seconds, blended with constant variance 1.
     pub fn smooth_normals(&self, topic: u64, seconds: f64, knot_s: f64) -> [f64; 2] {
         let at = seconds / knot_s;
         let knot = at.floor();
@@ -59,9 +59,15 @@ impl Draws {
         [0, 1].map(|i| (a[i] * (1.0 - w) + b[i] * w) / norm)
     }
 
-    /// Whether something that begins `rate` times a second and lasts up to `longest_s` seconds
-    /// goes on at this time; then a number in \[0, 1) that belongs to this occurrence.
-    pub fn stretch(&self, topic: u64, seconds: f64, rate: f64, longest_s: f64) -> Option<f64> {
+    /// For an event that begins `rate` times a second and lasts up to `longest_s` seconds: a number
+    /// in \[0, 1) drawn per occurrence if one is active at this time, else `None`.
+    pub fn occurrence(
+        &self,
+        topic: u64,
+        seconds: f64,
+        rate: f64,
+        longest_s: f64,
+    ) -> Option<f64> {
         let cell = (seconds / CELL).floor();
         let mut rng = self.rng(topic, cell as i64 as u64);
         if rng.random::<f64>() >= rate * CELL {
@@ -93,10 +99,11 @@ mod tests {
     }
 
     #[test]
-    fn stretches_take_up_the_time_they_should() {
+    fn occurrences_have_the_expected_share_of_time() {
         let n = 20_000;
-        let on = (0..n).filter(|&i| DRAWS.stretch(2, i as f64 * 0.05, 0.2, 0.5).is_some()).count()
-            as f64;
+        let on = (0..n)
+            .filter(|&i| DRAWS.occurrence(2, i as f64 * 0.05, 0.2, 0.5).is_some())
+            .count() as f64;
         let expected = 0.2 * 0.5 * 0.65;
         assert!((on / n as f64 / expected - 1.0).abs() < 0.2, "{}", on / n as f64);
     }

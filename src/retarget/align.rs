@@ -1,4 +1,4 @@
-//! How the target's zero pose is turned to stand as our T-pose: A_t = `ours_from_target` at rest.
+//! Aligns the target's zero pose with our T-pose: the rotations A_t = `ours_from_target` at rest.
 
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 
@@ -7,17 +7,17 @@ use super::{Mapping, RetargetError, Target};
 use crate::core::body::{Joint, Skeleton};
 use crate::core::so3;
 
-/// Trunk, shoulders and head keep the target's own posture unless it is this far from ours,
-/// cosine of 45 degrees: then the zero pose is no posture.
+/// Trunk, shoulders and head keep the target's own rest posture if it is within this angle of ours,
+/// cosine of 45 degrees. Beyond it the zero pose is not a standing posture.
 const NO_POSTURE: f64 = 0.707;
-/// Shanks this near to upright stand on flat feet, cosine of 10 degrees.
+/// If the shank is within this angle of the vertical, the foot stands flat; cosine of 10 degrees.
 const STANDING: f64 = 0.985;
-/// Feet this far from ours are no standing feet, cosine of 60 degrees.
+/// If the foot is further than this angle from ours, it does not stand; cosine of 60 degrees.
 const FOOT_HANGS: f64 = 0.5;
-/// Smaller turns are the rounding of numbers in a file, radians.
+/// Smaller rotations are rounding errors of a file, radians.
 const ROUNDING: f64 = 1e-5;
 
-/// A_t of every joint of the target.
+/// The alignments A_t of all joints of the target.
 pub(super) fn alignments(
     target: &Target,
     mapping: &Mapping,
@@ -29,7 +29,7 @@ pub(super) fn alignments(
         let before = joint.parent.map_or(facing, |parent| all[parent]);
         let bones = Bones { target, mapping, skeleton, facing };
         all.push(match mapping.follow[index] {
-            // What is above the hips is not turned, see `apply`.
+            // Joints above the hips are not aligned, see `apply`.
             Follow::World => facing,
             Follow::Parent => before,
             Follow::Ours(joint, ..) => bones.align(index, joint, &before),
@@ -63,7 +63,7 @@ impl Bones<'_> {
         }
     }
 
-    /// A limb's bone is laid on ours by the smallest turn from where the bone before leaves it.
+    /// Aligns a limb's bone with ours by the smallest rotation after that of its parent bone.
     fn lay(&self, index: usize, joint: Joint, before: &Matrix3<f64>) -> Matrix3<f64> {
         let (Some(theirs), Some(ours)) = (self.theirs(index, joint), self.ours(joint)) else {
             return *before;
@@ -71,7 +71,7 @@ impl Bones<'_> {
         smallest_turn(&(before * theirs), &ours) * before
     }
 
-    /// A foot keeps its slope on the floor and is turned about the vertical to point as ours.
+    /// Aligns a foot: keeps its slope on the floor, rotates it about the vertical to our heading.
     fn foot(&self, index: usize, joint: Joint, before: &Matrix3<f64>) -> Matrix3<f64> {
         let shank = joint.parent().and_then(|knee| self.theirs(self.mapping.joint(knee)?, knee));
         let stands = shank.is_none_or(|shank| -(self.facing * shank).normalize().y > STANDING);
@@ -88,7 +88,7 @@ impl Bones<'_> {
         if turn.abs() < ROUNDING { *before } else { so3::about(1, turn) * before }
     }
 
-    /// Trunk, neck, head and collars.
+    /// Aligns trunk, neck, head and collars.
     fn posture(&self, index: usize, joint: Joint) -> Matrix3<f64> {
         let (Some(theirs), Some(ours)) = (self.theirs(index, joint), self.ours(joint)) else {
             return self.facing;
@@ -100,8 +100,8 @@ impl Bones<'_> {
         smallest_turn(&theirs, &ours) * self.facing
     }
 
-    /// The target's bone that ends in its joint for our next one, or where a limb's last joint
-    /// says that it ends; `None` if there is none or it has no length.
+    /// The target's bone from this joint to its counterpart of our next joint, or to the end site
+    /// of a limb's last joint, metres. `None` if there is none or it has no length.
     fn theirs(&self, index: usize, joint: Joint) -> Option<Vector3<f64>> {
         let next = next(joint).and_then(|next| self.mapping.joint(next));
         let below = |&end: &usize| end != index && self.target.is_below(end, index);
@@ -112,7 +112,7 @@ impl Bones<'_> {
         }
     }
 
-    /// Our bone's direction.
+    /// Direction of our bone.
     fn ours(&self, joint: Joint) -> Option<Vector3<f64>> {
         self.skeleton.offset(next(joint)?).try_normalize(1e-9)
     }
@@ -141,8 +141,8 @@ fn next(joint: Joint) -> Option<Joint> {
     })
 }
 
-/// The smallest rotation that takes one direction to another; about the x axis, or else the z axis,
-/// where they are opposite.
+/// The smallest rotation from one direction to another. For opposite directions, it is about the
+/// x axis, or the z axis if they are along x.
 fn smallest_turn(from: &Vector3<f64>, to: &Vector3<f64>) -> Matrix3<f64> {
     if from.angle(to) < ROUNDING {
         return Matrix3::identity();
@@ -160,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_smallest_turn_takes_one_direction_to_the_other_even_if_opposite() {
+    fn the_smallest_turn_maps_one_direction_to_the_other_even_if_opposite() {
         let all = [Vector3::x(), -Vector3::x(), Vector3::new(0.1, -2.0, 0.3), Vector3::z()];
         for from in &all {
             for to in all.iter().flat_map(|to| [*to, -to]) {

@@ -1,4 +1,4 @@
-//! A pose of ours on the target.
+//! Applies our poses to a target skeleton.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -10,7 +10,7 @@ use crate::core::body::{Joint, Pose, Posture, Skeleton};
 use crate::core::so3;
 use crate::io::wire::{self, RetargetedPose};
 
-/// Puts poses on a target.
+/// Retargets poses to a target skeleton.
 #[derive(Clone, Debug)]
 pub struct Retarget {
     target: Target,
@@ -18,28 +18,28 @@ pub struct Retarget {
     hips: usize,
     /// The joint whose position channels move the body.
     mover: Option<usize>,
-    /// `ours_from_file`: turns the file's world so that y is up.
+    /// Rotation `ours_from_file`, from the file's world to y up.
     world: Matrix3<f64>,
-    /// Said by the user.
+    /// Given by the user.
     scale: Option<f64>,
     leg: f64,
     fitted: Option<Fitted>,
 }
 
-/// What follows from the shape of the body that poses are of.
+/// Values that depend on the shape of our body.
 #[derive(Clone, Debug)]
 struct Fitted {
     skeleton: Skeleton,
-    /// A_t.
+    /// The alignments A_t.
     align: Vec<Matrix3<f64>>,
     scale: f64,
-    /// Height of our ankles and of the target's over the balls of the feet, metres.
+    /// Height of the ankles above the balls of the feet, metres: ours, the target's.
     ankles: [f64; 2],
-    /// From the target's hips to the middle of its hip joints at rest, turned as ours, metres.
+    /// From the target's hips to the middle of its hip joints at rest, aligned with ours, metres.
     hip_joints: Vector3<f64>,
 }
 
-/// The target in a pose; our world, y up, metres.
+/// The target skeleton in a pose; our world, y up, metres.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Figure {
     /// `parent_from_joint` of each joint of the target; `world_from_joint` of the first.
@@ -48,7 +48,7 @@ pub struct Figure {
     pub rotations: Vec<Matrix3<f64>>,
     /// Joint centres.
     pub positions: Vec<Vector3<f64>>,
-    /// Index of the joint that stands for our pelvis.
+    /// Index of the joint that corresponds to our pelvis.
     pub hips: usize,
 }
 
@@ -56,7 +56,7 @@ impl Retarget {
     /// Maps our joints to the target's.
     ///
     /// # Errors
-    /// See [`Mapping::new`]; also a target whose hips or legs have no extent.
+    /// Errors of [`Mapping::new`]; hips or legs of the target have no extent.
     pub fn new(target: Target, map: &Map) -> Result<Self, RetargetError> {
         let mapping = Mapping::new(&target, map)?;
         let leg = target.leg_length(&mapping);
@@ -83,17 +83,17 @@ impl Retarget {
         &self.target
     }
 
-    /// Which joint follows which.
+    /// The mapping between our joints and the target's.
     pub fn mapping(&self) -> &Mapping {
         &self.mapping
     }
 
-    /// Movement of the target over that of a body of ours.
+    /// Scale of the movement, target over ours.
     pub fn scale(&self, skeleton: &Skeleton) -> f64 {
         self.scale.unwrap_or(self.leg / leg_length(skeleton))
     }
 
-    /// `ours_from_file` of the file's world.
+    /// Rotation `ours_from_file` of the file's world.
     pub(super) fn world(&self) -> &Matrix3<f64> {
         &self.world
     }
@@ -102,10 +102,10 @@ impl Retarget {
         self.mover
     }
 
-    /// The target in a pose of a body of that shape.
+    /// The target in a pose of our body `skeleton`.
     ///
     /// # Errors
-    /// A target whose rest pose has no facing; [`Retarget::new`] has seen to that.
+    /// The target's rest pose has no facing; [`Retarget::new`] excludes this.
     pub fn apply(&mut self, pose: &Pose, skeleton: &Skeleton) -> Result<Figure, RetargetError> {
         let known = self.fitted.take().filter(|fitted| fitted.skeleton == *skeleton);
         let fitted = match known {
@@ -129,7 +129,7 @@ impl Retarget {
         Ok(Fitted { skeleton: skeleton.clone(), align, scale, ankles: [ours, theirs], hip_joints })
     }
 
-    /// Mean height of the target's ankles over its toes, metres.
+    /// Mean height of the target's ankles above its toes, metres.
     fn ankle_height(&self, align: &[Matrix3<f64>]) -> Option<f64> {
         let feet = [(Joint::LAnkle, Joint::LFoot), (Joint::RAnkle, Joint::RFoot)];
         let heights = feet.map(|(ankle, toes)| {
@@ -152,7 +152,7 @@ impl Retarget {
         let hips = self.hips_position(fitted, posture);
         for (index, joint) in self.target.joints().iter().enumerate() {
             let parent = joint.parent.map(|parent| figure.rotations[parent]);
-            // The file's own world is the parent of its first joint.
+            // The parent of the first joint is the file's world.
             let outer = parent.unwrap_or(self.world);
             let wanted = match self.mapping.follow[index] {
                 Follow::World => self.world,
@@ -170,7 +170,7 @@ impl Retarget {
         figure
     }
 
-    /// Where the target's hips are to be.
+    /// Position of the target's hips, metres.
     fn hips_position(&self, fitted: &Fitted, posture: &Posture) -> Vector3<f64> {
         let at = |joint: Joint| posture.positions[joint.index()];
         let mut middle = 0.5 * (at(Joint::LHip) + at(Joint::RHip)) * fitted.scale;
@@ -178,12 +178,12 @@ impl Retarget {
         middle - posture.rotations[Joint::Pelvis.index()] * fitted.hip_joints
     }
 
-    /// Where a joint is, given the joints before it and where the hips are to be.
+    /// Position of a joint, given the joints before it and the position of the hips, metres.
     fn position(&self, index: usize, figure: &Figure, hips: &Vector3<f64>) -> Vector3<f64> {
         let rest = self.target.rest(index);
         match (self.mapping.follow[index], self.mover) {
             _ if index == self.hips && self.mover.is_some() => *hips,
-            // Between the joint that moves and the hips, or above it.
+            // The joint that moves the body, or one between it and the hips.
             (Follow::World, Some(mover)) if self.target.is_below(index, mover) => {
                 hips - self.world * (self.target.rest(self.hips) - rest)
             }
@@ -198,7 +198,7 @@ impl Retarget {
     }
 }
 
-/// Our global rotation, on the way from one joint's to another's.
+/// Our global rotation, interpolated from one joint to another by `share`.
 fn turned(posture: &Posture, from: Joint, to: Joint, share: f64) -> Matrix3<f64> {
     let at = |joint: Joint| &posture.rotations[joint.index()];
     if from == to || share == 0.0 { *at(from) } else { so3::slerp(at(from), at(to), share) }
@@ -211,7 +211,7 @@ fn leg_length(skeleton: &Skeleton) -> f64 {
 }
 
 impl Figure {
-    /// As a message: what it is of is copied from the pose that it was made of.
+    /// The figure as a message; times and state are copied from its source `pose`.
     pub fn message(&self, pose: &wire::Pose, target: &Target) -> RetargetedPose {
         let xyzw = |rotation| so3::xyzw_from_rotation(rotation).map(|component| component as f32);
         RetargetedPose {

@@ -1,4 +1,4 @@
-//! A figure as the numbers of a BVH frame.
+//! Converts a figure to the channel values of a BVH frame.
 
 use nalgebra::Matrix3;
 
@@ -6,8 +6,8 @@ use super::{Figure, Retarget};
 use crate::core::so3;
 use crate::io::formats::bvh::Channel;
 
-/// Turns figures into channel values, in the order of the file. Angles carry on from frame to
-/// frame.
+/// Converts figures to channel values, in the order of the file. Angles are continuous from frame
+/// to frame.
 #[derive(Clone, Debug, Default)]
 pub struct Channels {
     last: Vec<[f64; 3]>,
@@ -45,17 +45,17 @@ impl Channels {
     }
 }
 
-/// The rotation channels of a joint that can be used.
+/// The usable rotation channels of a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Axes {
     Three([usize; 3]),
-    /// The third is the axis that has no channel.
+    /// The third axis has no channel.
     Two([usize; 3]),
     One(usize),
     None,
 }
 
-/// The different axes that a joint's first channels turn about.
+/// The distinct rotation axes of a joint's first channels.
 fn axes(channels: &[Channel]) -> Axes {
     let mut axes = channels.iter().filter_map(|channel| match *channel {
         Channel::Rotation(axis) => Some(axis),
@@ -69,7 +69,8 @@ fn axes(channels: &[Channel]) -> Axes {
     }
 }
 
-/// The rotation of a joint's channels that is nearest to one: itself where there are three.
+/// The nearest rotation that a joint's channels can represent; with three channels, `rotation`
+/// itself.
 pub(super) fn reachable(channels: &[Channel], rotation: &Matrix3<f64>) -> Matrix3<f64> {
     let axes = axes(channels);
     if let Axes::Three(_) = axes {
@@ -83,8 +84,8 @@ pub(super) fn reachable(channels: &[Channel], rotation: &Matrix3<f64>) -> Matrix
     }
 }
 
-/// The angles of the channels, radians, nearest to the last ones. With two channels what the third
-/// would have to do is left out; with one, the angle comes nearest to the rotation.
+/// The angles of the channels, radians, nearest to the last ones. With two channels, the third
+/// angle is dropped; with one channel, the angle is the one nearest to the rotation.
 fn angles(axes: Axes, rotation: &Matrix3<f64>, last: [f64; 3]) -> [f64; 3] {
     match axes {
         Axes::Three(order) => so3::angles(rotation, order, last),
@@ -109,7 +110,7 @@ mod tests {
     use nalgebra::Vector3;
 
     #[test]
-    fn joints_with_few_channels_do_what_they_can() {
+    fn joints_with_few_channels_get_the_nearest_rotation() {
         let rotation = so3::exp(&Vector3::new(0.9, 0.0, 0.0));
         let hinge = [Position(0), Rotation(0)];
         assert!((reachable(&hinge, &rotation) - rotation).amax() < 1e-12);
@@ -119,7 +120,7 @@ mod tests {
         assert!((reachable(&[Rotation(2), Rotation(0)], &two) - two).amax() < 1e-12);
         let three = so3::exp(&Vector3::new(0.3, -0.8, 0.5));
         assert_eq!(reachable(&[Rotation(2), Rotation(1), Rotation(0)], &three), three);
-        // An order that repeats an axis is used as far as it goes.
+        // An order with a repeated axis is used up to the repetition.
         assert_eq!(axes(&[Rotation(2), Rotation(0), Rotation(2)]), Axes::Two([2, 0, 1]));
         assert_eq!(axes(&[Rotation(1), Rotation(1)]), Axes::One(1));
     }

@@ -1,4 +1,4 @@
-//! What the user says about a target: a TOML file.
+//! The user's settings for a target: a TOML file.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -21,26 +21,26 @@ pub enum Up {
 /// A map file:
 ///
 /// ```toml
-/// scale = 1.05       # of the movement, target over ours; else the ratio of the leg lengths
-/// unit = "cm"        # of the file: m, dm, cm, mm, inch, foot, or metres as a number; else guessed
-/// up = "z"           # of the file's world, y or z; else as the zero pose stands
+/// scale = 1.05       # movement, target over ours; default: ratio of the leg lengths
+/// unit = "cm"        # m, dm, cm, mm, inch, foot, or a number of metres; default: guessed
+/// up = "z"           # up axis of the file's world, y or z; default: from the zero pose
 /// [joints]
 /// left_knee = "LeftLeg"
-/// head = ""          # nothing stands for it
+/// head = ""          # the target has no such joint
 /// ```
 ///
-/// Joints are ours, `l_knee` or `left_knee`. What it does not name is guessed.
+/// Keys of `[joints]` are our joints, `l_knee` or `left_knee`. Joints without an entry are guessed.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Map {
-    /// Where it was read, for errors.
+    /// Path of the file, for errors.
     pub path: PathBuf,
-    /// Movement of the target over ours.
+    /// Scale of the movement, target over ours.
     pub scale: Option<f64>,
-    /// Metres in a unit of the file.
+    /// Metres per unit of the file.
     pub unit: Option<f64>,
-    /// Up in the file's world.
+    /// Up axis of the file's world.
     pub up: Option<Up>,
-    /// Our joint and the target's; `None`: nothing stands for it.
+    /// Our joint and the target's; `None`: the target has no such joint.
     pub joints: Vec<(Joint, Option<String>)>,
 }
 
@@ -69,17 +69,17 @@ impl Map {
     /// Reads a file.
     ///
     /// # Errors
-    /// A file that cannot be read; see [`Map::parse`].
+    /// The file cannot be read; errors of [`Map::parse`].
     pub fn read(path: &Path) -> Result<Self, RetargetError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| RetargetError::Read { path: path.into(), source })?;
         Self::parse(&text, path)
     }
 
-    /// Reads the text of a file; `path` is named in errors.
+    /// Parses the text of a file; errors name `path`.
     ///
     /// # Errors
-    /// No TOML, unknown keys, values out of range, joints that are not ours.
+    /// Invalid TOML, unknown keys, values out of range, unknown joints.
     pub fn parse(text: &str, path: &Path) -> Result<Self, RetargetError> {
         let file: File = toml::from_str(text).map_err(|error| {
             let before = error.span().map_or("", |span| text.get(..span.start).unwrap_or(text));
@@ -124,7 +124,7 @@ fn wrong(path: &Path, key: &str, value: String, allowed: &'static str) -> Retarg
     RetargetError::Value { path: path.into(), key: key.into(), value, allowed }
 }
 
-/// The joint called `l_knee` or `left_knee`.
+/// Our joint for a key such as `l_knee` or `left_knee`.
 fn ours(key: &str) -> Option<Joint> {
     let short = match (key.strip_prefix("left_"), key.strip_prefix("right_")) {
         (Some(rest), _) => format!("l_{rest}"),

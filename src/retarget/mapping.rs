@@ -1,39 +1,42 @@
-//! Which of the target's joints follows which of ours.
+//! Maps each joint of the target to the joint of ours that it follows.
 //!
-//! Hips, limbs, neck and head are found by name, or named by the user. The rest follows from the
-//! hierarchy. The trunk is the chain from the hips to the joint where arms and neck part. Joint k
-//! of its n turns as ours does at 3 k / n, between pelvis (0), spine1, spine2 and spine3 (3); so
-//! the spine's bend is shared by however many joints there are. Likewise from there to the head,
-//! between spine3, neck and head, and to each upper arm, between spine3 and collar. A joint that
-//! the user names is fixed at its own place. All others keep their place on their parent.
+//! Hips, limbs, neck and head are found by name, or given by the user. The rest follows from the
+//! hierarchy:
+//! - The trunk is the chain from the hips to the joint where arms and neck branch off. Joint k of n
+//!   has our rotation at position 3 k / n, interpolated between pelvis (0), spine1, spine2 and
+//!   spine3 (3). So any number of joints shares the bend of the spine.
+//! - The same holds for the chain from there to the head (spine3, neck, head) and to each upper arm
+//!   (spine3, collar).
+//! - A joint that the user names keeps its own position in the chain.
+//! - All other joints move rigidly with their parent.
 
 use super::map::Map;
 use super::names::REQUIRED;
 use super::{RetargetError, Target};
 use crate::core::body::{JOINTS, Joint};
 
-/// What a joint of the target follows.
+/// The source of a target joint's rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Follow {
-    /// Above the hips: stays as it is in the file's world.
+    /// Fixed in the file's world; for joints above the hips.
     World,
-    /// Its parent.
+    /// Rigid with its parent.
     Parent,
-    /// Joint 0 of ours, on the way to joint 1 by a share in \[0, 1).
+    /// Our rotation, interpolated from the first joint to the second by a share in \[0, 1).
     Ours(Joint, Joint, f64),
 }
 
-/// The target's joint for each of ours, and what each of the target's follows.
+/// The target's joint for each of ours, and the rotation that each target joint follows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mapping {
     joints: [Option<usize>; JOINTS],
     pub(super) follow: Vec<Follow>,
 }
 
-/// The target's joints that the user names, by our index.
+/// The target joints that the user names, by our index.
 type Named = [Option<usize>; JOINTS];
 
-/// Ours and the one of ours that it must be below.
+/// Our joint, and the joint of ours that it must be below.
 const BELOW: [(Joint, Joint); 19] = [
     (Joint::LHip, Joint::Pelvis),
     (Joint::RHip, Joint::Pelvis),
@@ -57,11 +60,11 @@ const BELOW: [(Joint, Joint); 19] = [
 ];
 
 impl Mapping {
-    /// The joints that the user names, then those that are found.
+    /// Maps the joints that the user names, then those found by name.
     ///
     /// # Errors
-    /// Names that the target does not have, joints that are missing, stand for two of ours or are
-    /// not below each other.
+    /// The target does not have a given name, a required joint is missing, a joint is mapped to two
+    /// of ours, or joints are in the wrong order in the hierarchy.
     pub fn new(target: &Target, map: &Map) -> Result<Self, RetargetError> {
         let mut joints = target.guessed();
         let mut named = [None; JOINTS];
@@ -80,28 +83,28 @@ impl Mapping {
         Ok(mapping)
     }
 
-    /// The target's joint for one of ours; of a chain, the nearest.
+    /// The target's joint for one of ours; in a chain, the nearest one.
     pub fn joint(&self, ours: Joint) -> Option<usize> {
         self.joints[ours.index()]
     }
 
-    /// Lines for people: which joints stand for ours, which of ours have none, and which joints of
-    /// the target keep their place on their parent.
+    /// A text for people: pairs of mapped joints, our joints without a counterpart, and joints of
+    /// the target that do not follow ours.
     pub fn summary(&self, target: &Target) -> String {
         let pairs = Joint::ALL.iter().filter_map(|ours| {
             let theirs = self.joint(*ours)?;
             Some(format!("{} -> {}", ours.name(), target.name(theirs)))
         });
         let mut text = pairs.collect::<Vec<_>>().join(", ");
-        let named: Vec<&str> = (Joint::ALL.iter())
+        let missing: Vec<&str> = (Joint::ALL.iter())
             .filter(|ours| self.joint(**ours).is_none())
             .map(|ours| ours.name())
             .collect();
-        let still: Vec<&str> = (self.follow.iter().enumerate())
+        let unmapped: Vec<&str> = (self.follow.iter().enumerate())
             .filter(|(_, follow)| !matches!(follow, Follow::Ours(..)))
             .map(|(joint, _)| target.name(joint))
             .collect();
-        for (what, names) in [("nothing stands for", named), ("keep their place", still)] {
+        for (what, names) in [("no counterpart", missing), ("not mapped", unmapped)] {
             if !names.is_empty() {
                 text += &format!("; {what}: {}", names.join(", "));
             }
@@ -134,7 +137,7 @@ impl Mapping {
         Ok(())
     }
 
-    /// Fills in what each joint follows.
+    /// Determines what each target joint follows.
     fn share(&mut self, target: &Target, map: &Map, named: &Named) -> Result<(), RetargetError> {
         use Joint::{LCollar, LShoulder, Pelvis, RCollar, RShoulder, Spine1, Spine2, Spine3};
         for joint in Joint::ALL {
@@ -177,7 +180,7 @@ impl Mapping {
         self.spread(target, &chain(target, chest, top.0)[1..], ours, named)
     }
 
-    /// Where the ways to both arms and the head part.
+    /// The joint where both arms and the head branch off.
     fn chest(&self, target: &Target, hips: usize, named: Option<usize>) -> usize {
         if let Some(named) = named {
             return named;
@@ -188,7 +191,7 @@ impl Mapping {
         ends.first().and_then(|&end| target.upwards(end).find(above)).unwrap_or(hips)
     }
 
-    /// Spreads `ours`, from the joint before the chain to its last one, over a chain.
+    /// Distributes the rotations of `ours` over a chain; `ours[0]` belongs to the joint before it.
     fn spread(
         &mut self,
         target: &Target,
@@ -212,7 +215,8 @@ impl Mapping {
         Ok(())
     }
 
-    /// Places in a chain, from 1, that have a place in ours; 0 is the joint before both.
+    /// Pairs of positions in the chain and in `ours` that are fixed. Both start from 1; 0 is the
+    /// joint before the chain.
     fn fixed(
         &self,
         target: &Target,
@@ -240,7 +244,7 @@ impl Mapping {
     }
 }
 
-/// The place among ours of a place in the chain: linear between those that are fixed.
+/// The position in ours of a position in the chain: linear between the fixed ones.
 fn place_of(at: usize, fixed: &[(usize, usize)]) -> f64 {
     for pair in fixed.windows(2) {
         let ((a, a_ours), (b, b_ours)) = (pair[0], pair[1]);
@@ -252,7 +256,7 @@ fn place_of(at: usize, fixed: &[(usize, usize)]) -> f64 {
     fixed.last().map_or(0.0, |last| last.1 as f64)
 }
 
-/// The joints from one to another below it, both included; `top` alone if that is not below.
+/// The joints from `top` down to `end`, both included; only `top` if `end` is not below it.
 fn chain(target: &Target, top: usize, end: usize) -> Vec<usize> {
     if !target.is_below(end, top) {
         return vec![top];

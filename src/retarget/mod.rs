@@ -1,22 +1,24 @@
-//! Poses of our body on another skeleton, given by the hierarchy of a BVH file.
+//! Retargets poses of our body to another skeleton, given by the hierarchy of a BVH file.
 //!
-//! [`Target`] is that skeleton, [`Map`] what the user says about it, [`Mapping`] which of its
-//! joints follows which of ours, and [`Retarget`] applies it to poses:
+//! [`Target`] is that skeleton, [`Map`] holds the user's settings, [`Mapping`] maps its joints to
+//! ours, and [`Retarget`] applies poses:
 //!
-//! - Global rotations: G_t = G_j A_t. The alignment A_t takes the target's zero pose (T, A, or with
-//!   axes of its own) to our T-pose. For limbs it is the smallest further turn, from the
-//!   alignment of the bone before, that lays the target's bone on ours: limbs then point where ours
-//!   point, in every pose. Trunk, shoulders and head keep the target's own rest posture, and feet
-//!   their slope, since these differ between bodies without a movement.
+//! - Global rotations: G_t = G_j A_t. The alignment A_t rotates the target's zero pose (T, A, or
+//!   with its own axes) to our T-pose. For limbs, A_t is the alignment of the parent bone followed
+//!   by the smallest rotation that aligns the target's bone with ours. So limbs have the same
+//!   direction as ours in every pose. Trunk, shoulders and head keep the target's own rest posture,
+//!   and feet keep their slope, because these differ between bodies at rest.
 //! - Spine and neck: chains of any length; see [`Mapping`].
-//! - Position: the middle of the hip joints moves by the ratio s of the leg lengths (hip, knee,
-//!   ankle), and in height about the ankles, y' = s (y - a) + a', where a and a' are the heights of
-//!   the ankles over the balls of the feet: feet that meet our floor meet the target's.
+//! - Position: the movement of the middle of the hip joints is scaled by the ratio s of the leg
+//!   lengths (hip, knee, ankle). Its height is scaled about the ankles, y' = s (y - a) + a', where
+//!   a and a' are the heights of our and the target's ankles above the balls of the feet. So feet
+//!   on our floor are on the target's floor.
 //!
-//! Our world is y up, and the target's rest pose may face anywhere: its left and right hips tell.
+//! Our world is y up, metres. The target's rest pose may face anywhere; its left and right hips
+//! give the heading.
 //!
 //! ```
-//! use bundlemocap::core::body::{Pose, Skeleton, bvh::Bvh};
+//! use bundlemocap::core::body::{Pose, Skeleton};
 //! use bundlemocap::retarget::{Map, Retarget, Target};
 //! # let folder = tempfile::tempdir()?;
 //! # let path = folder.path().join("target.bvh");
@@ -47,7 +49,7 @@ pub use target::Target;
 
 use crate::io::formats::bvh::BvhError;
 
-/// Why poses cannot be put on a skeleton.
+/// Why poses cannot be retargeted to a skeleton.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 #[allow(missing_docs)]
@@ -60,16 +62,16 @@ pub enum RetargetError {
     Map { path: PathBuf, line: usize, reason: String },
     #[error("{path}: {key} is {value}, but must be {allowed}")]
     Value { path: PathBuf, key: String, value: String, allowed: &'static str },
-    #[error("{path}: joints.{key} is no joint of ours; use one of {ours}")]
+    #[error("{path}: joints.{key} is not one of our joints; use one of {ours}")]
     OurJoint { path: PathBuf, key: String, ours: String },
     #[error("{path}: joints.{key} = {value:?}, but {target} has no such joint; it has {theirs}")]
     TheirJoint { path: PathBuf, key: String, value: String, target: PathBuf, theirs: String },
     #[error(
-        "{target}: no joint found for {missing}; name them in a file for --map, such as \
+        "{target}: no joint found for {missing}; name them in a --map file, for example \
          [joints] {example} = \"...\"; the skeleton has {theirs}"
     )]
     Missing { target: PathBuf, missing: String, example: &'static str, theirs: String },
-    #[error("{target}: {joint} stands for both {first} and {second}; name another one with --map")]
+    #[error("{target}: {joint} is mapped to both {first} and {second}; change one with --map")]
     Twice { target: PathBuf, joint: String, first: &'static str, second: &'static str },
     #[error(
         "{target}: {child} ({ours}) must be below {parent} ({parent_ours}) in the hierarchy; name \

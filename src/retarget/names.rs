@@ -1,11 +1,11 @@
-//! Which joint is which, from the names that programs give them.
+//! Finds our joints in a skeleton by the joint names of common programs.
 //!
-//! Case, separators and a prefix (`mixamorig:`, `Character1_`) are ignored. Spines and shoulder
-//! blades are not looked for: the hierarchy tells where they are, see `mapping`.
+//! Case, separators and a prefix (`mixamorig:`, `Character1_`) are ignored. Spine joints and
+//! collars are not found by name but from the hierarchy, see `mapping`.
 
 use crate::core::body::{JOINTS, Joint};
 
-/// A way to name joints.
+/// A naming convention of joints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum Convention {
@@ -21,7 +21,7 @@ pub enum Convention {
 }
 
 impl Convention {
-    /// The name for people.
+    /// The display name.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Mixamo => "Mixamo",
@@ -37,12 +37,12 @@ impl Convention {
     }
 }
 
-/// A convention's names: of the middle, and of one side after or before the side's mark.
+/// Joint names of a convention. Names of limbs come without the marker of the side.
 struct Names {
     convention: Convention,
-    /// KeypointOffsets of left and right.
+    /// Markers of left and right in the names.
     sides: [&'static str; 2],
-    /// Whether the mark is at the end.
+    /// Whether the marker is at the end of the name.
     at_end: bool,
     hips: &'static [&'static str],
     neck: &'static [&'static str],
@@ -125,7 +125,7 @@ const LIMBS: [Joint; 6] =
     [Joint::LHip, Joint::LKnee, Joint::LAnkle, Joint::LShoulder, Joint::LElbow, Joint::LWrist];
 
 impl Names {
-    /// The plain names that may stand for a joint, the likeliest first.
+    /// The normalised names of a joint, the most likely first.
     fn of(&self, joint: Joint) -> Vec<String> {
         let left = if joint.mirrored() < joint { joint.mirrored() } else { joint };
         let plain: &[&str] = match left {
@@ -149,7 +149,7 @@ impl Names {
         plain.iter().map(with_side).collect()
     }
 
-    /// The joints that it finds among plain names, by our index.
+    /// The joints found among normalised names, by our index.
     fn find(&self, plain: &[String]) -> [Option<usize>; JOINTS] {
         Joint::ALL.map(|joint| {
             let names = self.of(joint);
@@ -158,7 +158,7 @@ impl Names {
     }
 }
 
-/// Joints without which there is no retargeting.
+/// Joints that retargeting requires.
 pub(super) const REQUIRED: [Joint; 11] = [
     Joint::Pelvis,
     Joint::LHip,
@@ -173,8 +173,8 @@ pub(super) const REQUIRED: [Joint; 11] = [
     Joint::RElbow,
 ];
 
-/// The joints that stand for ours by the convention that finds most, and that convention if it
-/// finds at least half of those that are needed.
+/// The joints found by the convention that finds most, by our index, and that convention if it
+/// finds more than half of the required joints.
 pub(super) fn guess(names: &[&str]) -> ([Option<usize>; JOINTS], Option<Convention>) {
     let plain = plain(names);
     let found = TABLE.iter().map(|table| (table.find(&plain), table.convention));
@@ -193,7 +193,8 @@ pub(super) fn guess(names: &[&str]) -> ([Option<usize>; JOINTS], Option<Conventi
     (joints, known.then(|| refined(convention, names, &plain)))
 }
 
-/// Mixamo and CMU name the limbs as MotionBuilder does; CMU's other conversion as Daz does.
+/// Distinguishes Mixamo and CMU, which name limbs as MotionBuilder does. (CMU's other conversion
+/// uses Daz names.)
 fn refined(convention: Convention, names: &[&str], plain: &[String]) -> Convention {
     let has = |name: &str| plain.iter().any(|found| found == name);
     match convention {
@@ -207,10 +208,10 @@ fn refined(convention: Convention, names: &[&str], plain: &[String]) -> Conventi
     }
 }
 
-/// Prefixes of programs, as they are left when separators are gone.
+/// Prefixes of programs after separators are removed.
 const PREFIXES: [&str; 3] = ["mixamorig", "bip001", "bip01"];
 
-/// Lower case, without prefix and separators.
+/// Normalised names: lower case, without prefix and separators.
 fn plain(names: &[&str]) -> Vec<String> {
     let shared = shared_prefix(names);
     let plain = |name: &&str| {
@@ -224,7 +225,7 @@ fn plain(names: &[&str]) -> Vec<String> {
     names.iter().map(plain).collect()
 }
 
-/// Bytes that all names begin with, up to their last `_`, `:`, `.`, `-` or `|`.
+/// Length in bytes of the prefix that all names share, up to its last `_`, `:`, `.`, `-` or `|`.
 fn shared_prefix(names: &[&str]) -> usize {
     let Some((first, rest)) = names.split_first() else { return 0 };
     let same = |name: &&str| first.bytes().zip(name.bytes()).take_while(|(a, b)| a == b).count();
@@ -237,7 +238,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn prefixes_case_and_separators_do_not_count() {
+    fn prefixes_case_and_separators_are_ignored() {
         let same = |names: &[&str], expected: &[&str]| assert_eq!(plain(names), expected);
         same(&["mixamorig:Hips", "mixamorig:LeftUpLeg"], &["hips", "leftupleg"]);
         same(&["mixamorig1_Hips", "mixamorig1_Spine"], &["hips", "spine"]);
@@ -249,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn a_handful_of_names_is_no_convention() {
+    fn few_names_match_no_convention() {
         assert_eq!(guess(&["Hips", "LeftFoot", "RightFoot"]).1, None);
         assert_eq!(guess(&[]), ([None; JOINTS], None));
     }

@@ -1,4 +1,4 @@
-//! The skeleton of a BVH file, in metres, standing as our rest pose stands.
+//! The target skeleton, read from a BVH file and converted to metres.
 
 use std::path::{Path, PathBuf};
 
@@ -10,17 +10,17 @@ use super::{Mapping, RetargetError};
 use crate::core::body::{JOINTS, Joint};
 use crate::io::formats::bvh::{Bvh, BvhJoint, Channel};
 
-/// Length of a leg, hip to knee to ankle, that units are guessed by, metres.
+/// Typical leg length, hip to knee to ankle, for guessing units, metres.
 const LEG: f64 = 0.83;
-/// A unit beside those with names: that of the CMU database's skeletons, 1 / 0.45 inches.
+/// Unit of the CMU database's skeletons, 1 / 0.45 inches, in metres.
 const CMU_UNIT: f64 = 0.056_444;
-/// How far a rest pose may lean from an axis and still stand along it, cosine of 20 degrees.
+/// Directions within this angle of an axis snap to it, cosine of 20 degrees.
 const UPRIGHT: f64 = 0.94;
 
-/// The skeleton that poses are put on.
+/// The skeleton that poses are retargeted to.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Target {
-    /// Where it was read, for errors.
+    /// Path of the file, for errors.
     pub(super) path: PathBuf,
     bvh: Bvh,
     guessed: [Option<usize>; JOINTS],
@@ -34,10 +34,10 @@ pub struct Target {
 }
 
 impl Target {
-    /// Reads a BVH file; its frames are not used. The map may say the unit.
+    /// Reads a BVH file and ignores its frames. The map may give the unit.
     ///
     /// # Errors
-    /// A file that cannot be read or is no BVH.
+    /// The file cannot be read or is not BVH.
     pub fn read(path: &Path, map: &Map) -> Result<Self, RetargetError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| RetargetError::Read { path: path.into(), source })?;
@@ -46,7 +46,7 @@ impl Target {
         Ok(Self::new(bvh, path, map))
     }
 
-    /// The skeleton of a file; `path` is named in errors.
+    /// The skeleton of a parsed file; errors name `path`.
     pub fn new(bvh: Bvh, path: &Path, map: &Map) -> Self {
         let names: Vec<&str> = bvh.joints().iter().map(|joint| joint.name.as_str()).collect();
         let (guessed, convention) = names::guess(&names);
@@ -67,7 +67,7 @@ impl Target {
         target
     }
 
-    /// Length of the left leg, before there is a mapping.
+    /// Length of the left leg in the file's unit, before the mapping exists.
     fn left_leg(&self, map: &Map) -> Option<f64> {
         let leg = [Joint::LHip, Joint::LKnee, Joint::LAnkle].map(|joint| {
             let named = map.joints.iter().find(|(ours, _)| *ours == joint);
@@ -79,7 +79,7 @@ impl Target {
         self.path_length(&leg)
     }
 
-    /// Positions from offsets.
+    /// Computes rest positions from offsets.
     fn place(&mut self) {
         let mut rest: Vec<Vector3<f64>> = Vec::with_capacity(self.offsets.len());
         for (joint, offset) in self.joints().iter().zip(&self.offsets) {
@@ -88,22 +88,22 @@ impl Target {
         self.rest = rest;
     }
 
-    /// The file.
+    /// The parsed file.
     pub fn bvh(&self) -> &Bvh {
         &self.bvh
     }
 
-    /// Its joints, parents before children.
+    /// The joints, parents before children.
     pub fn joints(&self) -> &[BvhJoint] {
         self.bvh.joints()
     }
 
-    /// How its joints are named, if that is known.
+    /// The naming convention of the joints, if known.
     pub fn convention(&self) -> Option<Convention> {
         self.convention
     }
 
-    /// Metres in a unit of the file.
+    /// Metres per unit of the file.
     pub fn unit(&self) -> f64 {
         self.unit
     }
@@ -131,7 +131,8 @@ impl Target {
         &self.rest[joint]
     }
 
-    /// From a joint to `end`, else to its first child or its end site; metres at zero rotation.
+    /// Vector from a joint to `end`, or else to its first child or its end site; metres at zero
+    /// rotation.
     pub(super) fn bone(&self, joint: usize, end: Option<usize>) -> Option<Vector3<f64>> {
         let child = || self.joints().iter().position(|other| other.parent == Some(joint));
         let site = || self.joints()[joint].end.map(|end| end * self.unit);
@@ -142,7 +143,7 @@ impl Target {
         .filter(|bone| bone.norm() > 1e-6)
     }
 
-    /// Whether a joint is below another one, or is it.
+    /// Whether a joint is below another one or the same.
     pub(super) fn is_below(&self, joint: usize, above: usize) -> bool {
         self.upwards(joint).any(|at| at == above)
     }
@@ -152,7 +153,7 @@ impl Target {
         std::iter::successors(Some(joint), |&at| self.joints()[at].parent)
     }
 
-    /// Length of the way along joints that are there.
+    /// Length of the path along joints; `None` if one is missing.
     fn path_length(&self, joints: &[Option<usize>]) -> Option<f64> {
         let pairs = joints.windows(2);
         pairs.map(|pair| Some((self.rest[pair[1]?] - self.rest[pair[0]?]).norm())).sum()
@@ -166,7 +167,7 @@ impl Target {
         0.5 * (sides[0] + sides[1])
     }
 
-    /// Which joint's position channels move the body: the hips, else one above them.
+    /// The joint whose position channels move the body: the hips, or else one above them.
     pub(super) fn mover(&self, hips: usize) -> Option<usize> {
         let moves = |&joint: &usize| {
             let channels = self.joints()[joint].channels.iter();
@@ -175,24 +176,25 @@ impl Target {
         self.upwards(hips).find(moves)
     }
 
-    /// F = `ours_from_target` at rest: the target's left goes to +x and its up to +y. A rest pose
-    /// that stands along axes of the file to within 20 degrees is taken to stand along them.
+    /// F = `ours_from_target` at rest: maps the target's left to +x and its up to +y. Directions
+    /// within 20 degrees of an axis of the file snap to it.
     pub(super) fn facing(&self, mapping: &Mapping) -> Result<Matrix3<f64>, RetargetError> {
         let at = |joint| mapping.joint(joint).map_or(Vector3::zeros(), |t| self.rest[t]);
         let middle = |joint: Joint| 0.5 * (at(joint) + at(joint.mirrored()));
         let shape =
             |what: &str| RetargetError::Shape { target: self.path.clone(), what: what.into() };
         let up = (middle(Joint::LShoulder) - middle(Joint::LHip)).try_normalize(1e-6);
-        let up = snapped(up.ok_or_else(|| shape("its shoulders are where its hips are"))?);
+        let up = snapped(up.ok_or_else(|| shape("its shoulders and hips have the same position"))?);
         let across = at(Joint::LHip) - at(Joint::RHip);
         let left = (across - up * up.dot(&across)).try_normalize(1e-6);
-        let left = snapped(left.ok_or_else(|| shape("its left hip is where its right hip is"))?);
+        let left =
+            snapped(left.ok_or_else(|| shape("its left and right hips have the same position"))?);
         let left = (left - up * up.dot(&left)).normalize();
         Ok(Matrix3::from_columns(&[left, up, left.cross(&up)]).transpose())
     }
 }
 
-/// The nearest axis, if it is near.
+/// The nearest axis if it is within 20 degrees, else `direction`.
 fn snapped(direction: Vector3<f64>) -> Vector3<f64> {
     let axis = direction.iamax();
     if direction[axis].abs() < UPRIGHT {
@@ -201,7 +203,7 @@ fn snapped(direction: Vector3<f64>) -> Vector3<f64> {
     Vector3::ith(axis, direction[axis].signum())
 }
 
-/// The unit in which a leg comes nearest to an adult's, by ratio; metres.
+/// The unit, in metres, that makes the leg nearest to an adult's by ratio; 0.01 without a leg.
 fn guess_unit(leg: Option<f64>) -> f64 {
     let Some(leg) = leg.filter(|leg| *leg > 0.0) else { return 0.01 };
     let off = |unit: &f64| (leg * unit / LEG).ln().abs();
@@ -214,7 +216,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn units_are_guessed_by_the_leg() {
+    fn units_are_guessed_from_the_leg() {
         let guesses = [(0.9, 1.0), (78.0, 0.01), (860.0, 0.001), (33.0, 0.0254), (14.8, CMU_UNIT)];
         for (leg, unit) in guesses {
             assert_eq!(guess_unit(Some(leg)), unit, "{leg}");
@@ -223,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn directions_near_an_axis_are_that_axis() {
+    fn directions_near_an_axis_snap_to_it() {
         assert_eq!(snapped(Vector3::new(0.05, -0.99, 0.1)), -Vector3::y());
         let between = Vector3::new(0.6, 0.8, 0.0);
         assert_eq!(snapped(between), between);

@@ -1,4 +1,4 @@
-//! Our poses on other skeletons: ours again, CMU's, and synthetic ones of each naming convention.
+//! Retargeting to our own skeleton, CMU's, and synthetic ones of each naming convention.
 
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader};
@@ -24,7 +24,7 @@ use nalgebra::{Matrix3, Vector3};
 
 const ZYX: &str = "Zrotation Yrotation Xrotation";
 
-/// Limb bones: from, to.
+/// Bones of the limbs: from, to.
 const LIMBS: [(Joint, Joint); 8] = [
     (Joint::LShoulder, Joint::LElbow),
     (Joint::RShoulder, Joint::RElbow),
@@ -36,7 +36,7 @@ const LIMBS: [(Joint, Joint); 8] = [
     (Joint::RKnee, Joint::RAnkle),
 ];
 
-/// A cycle of walking, squatting, reaching and waving.
+/// One cycle of walking, squatting, reaching and waving.
 fn poses(skeleton: &Skeleton) -> Vec<Pose> {
     let motion = Motion::new(skeleton, MotionStyle::default());
     (0..390).map(|frame| motion.pose(f64::from(frame) / 30.0)).collect()
@@ -56,7 +56,7 @@ fn try_retarget(text: &str, map: &str) -> Result<Retarget, String> {
     Retarget::new(target, &map).map_err(|error| error.to_string())
 }
 
-/// The text of a BVH file of ours without frames.
+/// The text of a BVH file of our skeleton without frames.
 fn our_file(skeleton: &Skeleton) -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("ours.bvh");
@@ -67,7 +67,7 @@ fn our_file(skeleton: &Skeleton) -> String {
 /// A joint of a synthetic skeleton: depth, name, offset.
 type Row = (usize, String, Vector3<f64>);
 
-/// A BVH file without frames. Joints without one below get an end site.
+/// A BVH file without frames. Joints without children get an end site.
 fn bvh_text(rows: &[Row], rotations: &str) -> String {
     let mut text = String::from("HIERARCHY\n");
     for (index, (depth, name, offset)) in rows.iter().enumerate() {
@@ -86,7 +86,7 @@ fn bvh_text(rows: &[Row], rotations: &str) -> String {
     text + "MOTION\nFrames: 0\nFrame Time: 0.01\n"
 }
 
-/// The left half and the middle of a skeleton, mirrored to the right.
+/// A whole skeleton from its left half and middle; the left half is mirrored to the right.
 fn symmetric(rows: &[(usize, &str, [f64; 3])], right: impl Fn(&str) -> Option<String>) -> Vec<Row> {
     let mut all: Vec<Row> = Vec::new();
     let mut at = 0;
@@ -115,7 +115,7 @@ fn left_to_right(name: &str) -> Option<String> {
     name.contains("Left").then(|| name.replace("Left", "Right"))
 }
 
-/// Mixamo's names in an A-pose, arms 45 degrees down, centimetres, with fingers and toe ends.
+/// Mixamo names, A-pose with arms 45 degrees down, centimetres, with fingers and toe ends.
 fn mixamo() -> Vec<Row> {
     symmetric(
         &[
@@ -141,7 +141,7 @@ fn mixamo() -> Vec<Row> {
     )
 }
 
-/// Unity's humanoid in a T-pose, metres, looking along -z.
+/// Unity names, T-pose, metres, facing -z.
 fn unity() -> Vec<Row> {
     let rows = symmetric(
         &[
@@ -170,14 +170,14 @@ fn degrees(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     a.angle(b).to_degrees()
 }
 
-/// The target's joints for ours, where there are some.
+/// Position of the target's joint for ours, if there is one.
 fn at(retarget: &Retarget, figure: &Figure, joint: Joint) -> Option<Vector3<f64>> {
     Some(figure.positions[retarget.mapping().joint(joint)?])
 }
 
-/// The largest angle between a limb of the target and ours, degrees; the largest difference in the
+/// The largest angle between a limb of the target and ours, degrees, and the largest difference in
 /// height of the lower ball of the foot, metres. Set BUNDLEMOCAP_KEEP_FIGURES to a folder to keep a
-/// picture of each target and look at it.
+/// picture of each target.
 struct Worst {
     limbs: f64,
     floor: f64,
@@ -225,7 +225,7 @@ fn compare_poses(
 }
 
 #[test]
-fn onto_our_own_skeleton_it_is_the_identity() {
+fn retargeting_to_our_own_skeleton_is_the_identity() {
     for (skeleton, tolerance) in [(Skeleton::default(), 1e-9), (shaped(), 1e-6)] {
         let mut retarget = retarget(&our_file(&skeleton), "");
         assert_eq!(retarget.target().convention(), Some(Convention::Ours));
@@ -249,7 +249,7 @@ fn onto_our_own_skeleton_it_is_the_identity() {
 }
 
 #[test]
-fn a_file_on_our_own_skeleton_is_the_one_that_export_writes() {
+fn a_file_on_our_own_skeleton_equals_that_of_export() {
     let folder = tempfile::tempdir().unwrap();
     let (exported, mapped) = (folder.path().join("a.bvh"), folder.path().join("b.bvh"));
     let skeleton = Skeleton::default();
@@ -267,7 +267,7 @@ fn a_file_on_our_own_skeleton_is_the_one_that_export_writes() {
     assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-4));
 }
 
-/// Writes poses on the target as BVH.
+/// Writes poses, retargeted, as BVH.
 fn write(path: &Path, retarget: &mut Retarget, skeleton: &Skeleton, poses: &[Pose]) {
     let mut writer = HierarchyWriter::create(path, retarget.target().bvh(), 30.0).unwrap();
     let mut channels = Channels::default();
@@ -279,10 +279,10 @@ fn write(path: &Path, retarget: &mut Retarget, skeleton: &Skeleton, poses: &[Pos
 }
 
 #[test]
-fn a_written_file_holds_the_figures_and_the_hierarchy_as_it_came() {
+fn a_written_file_holds_the_figures_and_the_same_hierarchy() {
     let skeleton = shaped();
     let poses = poses(&skeleton);
-    // The same body with z up, looking along -y; `up` is found.
+    // The same body with z up, facing -y; `up` is found automatically.
     let z_up = |(depth, name, at): Row| (depth, name, Vector3::new(at.x, -at.z, at.y));
     let z_up: Vec<Row> = mixamo().into_iter().map(z_up).collect();
     let (xyz, zxy) = ("Xrotation Yrotation Zrotation", "Zrotation Xrotation Yrotation");
@@ -316,20 +316,20 @@ fn a_written_file_holds_the_figures_and_the_hierarchy_as_it_came() {
             pair[0][3..].iter().zip(&pair[1][3..]).map(|(a, b)| (a - b).abs()).collect::<Vec<_>>()
         });
         let jump = jumps.fold(0.0, f64::max);
-        // An arm that passes near the pole of its channels turns fast there, but nothing wraps.
+        // Near gimbal lock of an arm's channels angles change fast, but they do not wrap.
         assert!(jump < 170.0, "{jump} degrees between frames");
     }
 }
 
 #[test]
-fn limbs_point_where_ours_point_on_a_and_t_poses() {
+fn limbs_have_our_directions_with_a_and_t_poses() {
     let skeleton = Skeleton::default();
     for (name, rows) in [("Mixamo", mixamo()), ("Unity", unity())] {
         let mut retarget = retarget(&bvh_text(&rows, ZYX), "");
         assert_eq!(retarget.target().convention().unwrap().name(), name);
         let worst = compare(name, &mut retarget, &skeleton);
         assert!(worst.limbs < 1.0 && worst.floor < 0.05, "{} {}", worst.limbs, worst.floor);
-        // Nose, hips and palms look where ours look: the rest pose is ours.
+        // The rest pose faces the same way as ours.
         let figure = retarget.apply(&Pose::rest(), &skeleton).unwrap();
         let across = at(&retarget, &figure, Joint::LHip).unwrap()
             - at(&retarget, &figure, Joint::RHip).unwrap();
@@ -341,11 +341,11 @@ fn limbs_point_where_ours_point_on_a_and_t_poses() {
 }
 
 #[test]
-fn turned_bodies_with_joints_above_the_hips_and_in_the_limbs_are_mapped_too() {
+fn turned_bodies_with_extra_joints_above_the_hips_and_in_the_limbs_are_mapped() {
     let skeleton = Skeleton::default();
     let mut rows: Vec<Row> = vec![(0, "Armature".into(), Vector3::new(3.0, 1.0, 2.0))];
     for (depth, name, at) in mixamo() {
-        // Looking along +x, with a joint halfway along each forearm.
+        // Facing +x, with an extra joint halfway along each forearm.
         let at = Vector3::new(at.z, at.y, -at.x);
         if name.ends_with("Hand") {
             rows.push((depth + 1, format!("{name}Twist"), at / 2.0));
@@ -361,11 +361,11 @@ fn turned_bodies_with_joints_above_the_hips_and_in_the_limbs_are_mapped_too() {
     assert!(worst.limbs < 1.0 && worst.floor < 0.05, "{} {}", worst.limbs, worst.floor);
     let summary = retarget.mapping().summary(retarget.target());
     assert!(summary.contains("l_wrist -> mixamorig:LeftHand"), "{summary}");
-    assert!(summary.contains("keep their place: Armature"), "{summary}");
+    assert!(summary.contains("not mapped: Armature"), "{summary}");
 }
 
 #[test]
-fn spines_of_any_length_bend_as_ours() {
+fn spines_of_any_length_bend_like_ours() {
     let skeleton = Skeleton::default();
     let mut pose = Pose::rest();
     for joint in [Joint::Spine1, Joint::Spine2, Joint::Spine3] {
@@ -433,7 +433,7 @@ fn every_naming_convention_is_recognised() {
         let retarget = retarget(&bvh_text(&rows, ZYX), "");
         assert_eq!(retarget.target().convention().map(Convention::name), Some(convention));
         let mapped = Joint::ALL.iter().filter(|&&joint| retarget.mapping().joint(joint).is_some());
-        assert_eq!(mapped.count(), JOINTS - 2, "{convention}: all but two of the spine");
+        assert_eq!(mapped.count(), JOINTS - 2, "{convention}: all joints except two of the spine");
         for (ours, name) in [(Joint::RElbow, fore), (Joint::RAnkle, foot), (Joint::RCollar, collar)]
         {
             let theirs = retarget.mapping().joint(ours).unwrap();
@@ -499,7 +499,7 @@ fn every_naming_convention_is_recognised() {
     expect(biped, "Biped");
 }
 
-/// A joint of the middle, with the prefix of a form.
+/// A joint on the midline, with the prefix of a form.
 fn form_middle(form: &str, name: &str) -> String {
     let prefix = form.split(['*', '@']).next().unwrap();
     format!("{prefix}{name}")
@@ -514,7 +514,7 @@ fn a_map_names_joints_scale_and_unit() {
     let text = bvh_text(&strange, ZYX);
     let missing = try_retarget(&text, "").unwrap_err();
     assert!(
-        missing.starts_with("target.bvh: no joint found for l_knee; name them in a file for --map")
+        missing.starts_with("target.bvh: no joint found for l_knee; name them in a --map file")
             && missing.contains("l_knee = \"...\"")
             && missing.contains("mixamorig:Kneecap"),
         "{missing}"
@@ -538,7 +538,7 @@ fn a_map_names_joints_scale_and_unit() {
 }
 
 #[test]
-fn what_is_wrong_with_a_map_or_a_skeleton_is_said_with_the_key_and_the_fix() {
+fn errors_of_maps_and_skeletons_name_the_key_and_the_fix() {
     let text = bvh_text(&mixamo(), ZYX);
     let wrong = |map: &str| try_retarget(&text, map).unwrap_err();
     let short = |error: String| match error.split_once("it has mixamorig:Hips, mixamorig:Spine, ") {
@@ -581,22 +581,22 @@ fn what_is_wrong_with_a_map_or_a_skeleton_is_said_with_the_key_and_the_fix() {
     map.toml: unit is "parsec", but must be m, dm, cm, mm, inch, foot, or a number of metres above 0
     map.toml: unit is 0, but must be m, dm, cm, mm, inch, foot, or a number of metres above 0
     map.toml, line 1: unknown variant `x`, expected `y` or `z`; a map has `scale`, `unit`, `up` and a table [joints]
-    map.toml: joints.kneecap is no joint of ours; use one of pelvis, l_hip, r_hip, spine1, l_knee, r_knee, spine2, l_ankle, r_ankle, spine3, l_foot, r_foot, neck, l_collar, r_collar, head, l_shoulder, r_shoulder, l_elbow, r_elbow, l_wrist, r_wrist
+    map.toml: joints.kneecap is not one of our joints; use one of pelvis, l_hip, r_hip, spine1, l_knee, r_knee, spine2, l_ankle, r_ankle, spine3, l_foot, r_foot, neck, l_collar, r_collar, head, l_shoulder, r_shoulder, l_elbow, r_elbow, l_wrist, r_wrist
     map.toml: joints.l_knee = "LeftKnee", but target.bvh has no such joint; it has mixamorig:Hips, ...
-    target.bvh: mixamorig:RightLeg stands for both l_knee and r_knee; name another one with --map
-    target.bvh: mixamorig:LeftForeArm stands for both l_elbow and l_wrist; name another one with --map
-    target.bvh: mixamorig:Spine2 stands for both spine1 and spine2; name another one with --map
+    target.bvh: mixamorig:RightLeg is mapped to both l_knee and r_knee; change one with --map
+    target.bvh: mixamorig:LeftForeArm is mapped to both l_elbow and l_wrist; change one with --map
+    target.bvh: mixamorig:Spine2 is mapped to both spine1 and spine2; change one with --map
     target.bvh: mixamorig:LeftArm (l_shoulder) must be below mixamorig:HeadTop_End (spine3) in the hierarchy; name other joints with --map
     target.bvh: mixamorig:Spine (spine2) must be below mixamorig:Spine1 (spine1) in the hierarchy; name other joints with --map
     target.bvh: mixamorig:LeftHandIndex1 (spine1) must be below mixamorig:Hips (pelvis) in the hierarchy; name other joints with --map
     target.bvh: mixamorig:LeftToe_End (r_foot) must be below mixamorig:RightFoot (r_ankle) in the hierarchy; name other joints with --map
-    target.bvh: no joint found for l_knee, r_knee; name them in a file for --map, such as [joints] l_knee = "..."
+    target.bvh: no joint found for l_knee, r_knee; name them in a --map file, for example [joints] l_knee = "..."
     target.bvh: its legs have no length; the skeleton cannot be used"#]]
     .assert_eq(&messages.join("\n"));
 }
 
 #[test]
-fn hinge_knees_keep_to_their_axis_and_what_is_below_points_right_again() {
+fn hinge_knees_keep_their_axis_and_the_feet_are_correct_again() {
     let skeleton = Skeleton::default();
     let text = bvh_text(&mixamo(), ZYX);
     let joint = text.find("mixamorig:LeftLeg ").unwrap();
@@ -626,7 +626,7 @@ fn run(folder: &Path, line: &str) -> Output {
     program.unwrap()
 }
 
-/// A solved recording of the body's poses at 30 Hz, the eleventh to the thirteenth missing.
+/// A solved recording of poses at 30 Hz; the eleventh to the thirteenth are missing.
 fn recording(path: &Path, skeleton: &Skeleton, poses: &[Pose]) {
     let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
     writer.skeleton(skeleton, Timestamp::default()).unwrap();
@@ -649,7 +649,7 @@ fn stamped(index: usize, pose: &Pose) -> StampedPose {
 }
 
 #[test]
-fn the_program_puts_a_recording_on_a_skeleton() {
+fn the_program_retargets_a_recording() {
     let folder = tempfile::tempdir().unwrap();
     let (skeleton, at) = (shaped(), |name: &str| folder.path().join(name));
     let poses = poses(&skeleton);
@@ -675,7 +675,7 @@ fn the_program_puts_a_recording_on_a_skeleton() {
 }
 
 #[test]
-fn what_the_program_cannot_use_ends_in_one_line() {
+fn unusable_input_gives_a_one_line_error() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
     write("robot.bvh", &bvh_text(&mixamo(), ZYX));
@@ -699,7 +699,7 @@ fn what_the_program_cannot_use_ends_in_one_line() {
     fails(2, "--skeleton robot.bvh --name a/b", "--name");
 }
 
-/// A child that does not outlive the test.
+/// A child process that ends with the test.
 struct Running(Child);
 
 impl Drop for Running {
@@ -710,7 +710,7 @@ impl Drop for Running {
 }
 
 #[test]
-fn live_poses_come_back_on_the_other_skeleton_and_are_written_at_the_end() {
+fn live_poses_are_retargeted_and_written_at_the_end() {
     let listen = vec!["tcp/127.0.0.1:0".into()];
     let bus = Zenoh::open_node(&ZenohConfig { listen, ..ZenohConfig::default() }).unwrap();
     let folder = tempfile::tempdir().unwrap();
@@ -722,7 +722,7 @@ fn live_poses_come_back_on_the_other_skeleton_and_are_written_at_the_end() {
     let put = |topic: &str, capture: Timestamp, payload: &[u8]| {
         bus.publisher(topic).unwrap().put(capture, "", payload).unwrap();
     };
-    // Kept for late joiners while its publisher lives.
+    // Late joiners get it while its publisher lives.
     let body = bus.publisher(&topics.skeleton()).unwrap();
     let wire = encode(&wire::Skeleton::from_core(&skeleton));
     body.put(Timestamp::default(), "", &wire).unwrap();
@@ -736,7 +736,7 @@ fn live_poses_come_back_on_the_other_skeleton_and_are_written_at_the_end() {
     let mut line = String::new();
     errors.read_line(&mut line).unwrap();
     assert!(line.contains("retargeted/my_robot; Ctrl-C ends it"), "{line}");
-    // The body may come a moment after the first pose: that one is given until it is answered.
+    // The skeleton may arrive after the first pose: repeat the pose until there is a result.
     let poses = poses(&skeleton);
     let payload = |index: usize| {
         encode(&wire::Pose::from_core(&stamped(index, &poses[index]), &skeleton, None))
@@ -759,7 +759,7 @@ fn live_poses_come_back_on_the_other_skeleton_and_are_written_at_the_end() {
     for (index, pose) in poses.iter().enumerate().take(30).skip(1) {
         put(&topics.pose(), stamped(index, pose).capture, &payload(index));
     }
-    // Streams may lose a sample: the last one is given until it is answered.
+    // Streams may lose a sample: repeat the last pose until there is a result.
     let mut last = first;
     while last.capture != stamped(29, &poses[29]).capture {
         assert!(begin.elapsed() < Duration::from_secs(120), "the last pose did not come back");
@@ -777,7 +777,7 @@ fn live_poses_come_back_on_the_other_skeleton_and_are_written_at_the_end() {
     assert!(back.frames() == 30 && (back.frame_time() - 1.0 / 30.0).abs() < 1e-6);
 }
 
-/// The motion clips, if the data is at hand.
+/// Folder of the motion clips, if the data is available.
 fn corpus() -> Option<PathBuf> {
     let root = std::env::var_os("BUNDLEMOCAP_DATA")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
@@ -790,7 +790,7 @@ fn corpus() -> Option<PathBuf> {
 }
 
 #[test]
-fn limbs_point_where_ours_point_on_the_skeletons_of_cmu() {
+fn limbs_have_our_directions_on_the_skeletons_of_cmu() {
     let Some(folder) = corpus() else { return };
     let files = [("act_train_walking_24.bvh", "CMU"), ("07_01.bvh", "Daz")];
     for (file, convention) in files {
@@ -806,7 +806,7 @@ fn limbs_point_where_ours_point_on_the_skeletons_of_cmu() {
 }
 
 #[test]
-fn a_captured_walk_lands_on_every_skeleton() {
+fn a_captured_walk_is_retargeted_to_every_skeleton() {
     let Some(corpus) = corpus() else { return };
     let folder = tempfile::tempdir().unwrap();
     let file = "act_train_walking_24.bvh";
@@ -836,7 +836,7 @@ fn a_captured_walk_lands_on_every_skeleton() {
     }
 }
 
-/// Draws ours and the target side by side.
+/// Draws our body and the target side by side.
 fn picture(name: &str, retarget: &mut Retarget, skeleton: &Skeleton, poses: &[Pose]) -> String {
     let mut postures: Vec<(Posture, String)> = Vec::new();
     for (index, pose) in poses.iter().enumerate().filter(|(i, _)| i % 50 == 8) {

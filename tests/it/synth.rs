@@ -1,4 +1,4 @@
-//! The procedural motion and the recordings made of it.
+//! The procedural motion and synthetic recordings of it.
 
 use std::collections::HashMap;
 
@@ -63,7 +63,7 @@ fn the_motion_is_smooth_and_lively() {
         last = Some(acceleration);
     }
     assert!((0.5..6.0).contains(&(sum / count)), "mean acceleration {}", sum / count);
-    // An acceleration that jumps changes by its whole size, some 30 m/s^2, in one step of 4 ms.
+    // A discontinuous acceleration would jump by its whole size, about 30 m/s^2, in a 4 ms step.
     assert!(largest_change < 12.0, "{largest_change}");
 }
 
@@ -72,13 +72,13 @@ fn planted_feet_do_not_slide() {
     let skeleton = Skeleton::default();
     let motion = Motion::new(&skeleton, MotionStyle::default());
     let heel = |t: f64| point(&skeleton, &motion.pose(t), Keypoint::LHeel);
-    // Standing, squatting, reaching and waving: both feet are planted.
+    // Both feet are planted while standing, squatting, reaching and waving.
     for (from, to) in [(-0.3, -0.1), (6.0, 12.9)] {
         assert!((heel(from) - heel(to)).norm() < 0.01);
     }
     let pelvis = |t: f64| motion.pose(t).root_position;
-    assert!(pelvis(6.8).y < pelvis(5.7).y - 0.25, "the squat goes down");
-    assert!((pelvis(2.0) - pelvis(1.0)).norm() > 0.8, "the walk gets on");
+    assert!(pelvis(6.8).y < pelvis(5.7).y - 0.25, "the squat lowers the pelvis");
+    assert!((pelvis(2.0) - pelvis(1.0)).norm() > 0.8, "the walk covers ground");
 }
 
 #[test]
@@ -101,7 +101,7 @@ fn walk(noise: Noise) -> Walk {
     Recording { noise, frames: 780, ..Recording::new(rig, skeleton, pose) }
 }
 
-/// The true pixels of a frame of a recording at 60 fps.
+/// The true pixels of all points in a frame.
 fn truth(recording: &Walk, frame: &Detections) -> Vec<Option<nalgebra::Vector2<f64>>> {
     let pose = (recording.motion)(frame.capture.ns() as f64 * 1e-9);
     let posture = pose.posture(&recording.skeleton);
@@ -110,7 +110,7 @@ fn truth(recording: &Walk, frame: &Detections) -> Vec<Option<nalgebra::Vector2<f
     recording.format.keypoints().iter().map(of).collect()
 }
 
-/// Errors of the person nearest to the truth, with index and confidence.
+/// Index, error (pixels) and confidence of each point of the person nearest to the truth.
 fn errors(recording: &Walk, frame: &Detections) -> Vec<(usize, f64, f64)> {
     let truth = truth(recording, frame);
     let of = |person: &Person| -> Vec<(usize, f64, f64)> {
@@ -130,7 +130,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 }
 
 #[test]
-fn without_noise_every_view_is_exact_and_nearly_whole() {
+fn without_noise_every_view_is_exact_and_nearly_complete() {
     let recording = walk(Noise::none());
     let (mut seen, mut all) = (0, 0);
     for frame in recording.detections() {
@@ -169,7 +169,7 @@ fn a_seed_gives_the_same_recording_in_any_order() {
 }
 
 #[test]
-fn the_studio_has_every_kind_of_trouble_in_measure() {
+fn the_studio_level_has_every_kind_of_error() {
     let recording = walk(Noise::default());
     let (mut blank, mut several, mut points, mut frames) = (0usize, 0usize, 0usize, 0usize);
     let (mut sure, mut unsure, mut wrist) = (Vec::new(), Vec::new(), Vec::new());
@@ -196,21 +196,21 @@ fn the_studio_has_every_kind_of_trouble_in_measure() {
     assert!(gross.len() >= 2 && gross.values().sum::<usize>() < points / 50, "{gross:?}");
     let (sure, unsure, wrist) = (median(sure), median(unsure), median(wrist));
     println!("sure {sure:.2} unsure {unsure:.2} wrist {wrist:.2} gross {gross:?}");
-    assert!(unsure > 1.1 * sure, "confidence tells: {sure} {unsure}");
-    // A person is some 480 px tall: 0.6 % of jitter, 0.8 % of wander and 12 mm of bias, some 3 px,
-    // along each axis are 5.7 px, of which the median length is 1.18 times that.
+    assert!(unsure > 1.1 * sure, "confidence predicts the error: {sure} {unsure}");
+    // A person is about 480 px tall. Jitter of 0.6 %, wander of 0.8 % and a bias of 12 mm (about
+    // 3 px) add up to 5.7 px along each axis; the median length is 1.18 times that.
     assert!((5.0..10.0).contains(&wrist), "{wrist}");
 }
 
 #[test]
-fn a_path_through_poses_meets_them() {
+fn interpolation_passes_through_the_poses() {
     let motion = Motion::new(&Skeleton::default(), MotionStyle::default());
     let poses: Vec<Pose> = (0..20).map(|f| motion.pose(f64::from(f) / 60.0)).collect();
     let path = through(poses.clone(), 60.0);
     assert_eq!(path(0.0), poses[0]);
     assert_eq!(path(7.0 / 60.0), poses[7]);
     assert_eq!(path(9.0), poses[19]);
-    // The motion is smooth, and so is the path: it leaves the motion by less than straight lines do.
+    // The cubic is nearer to the smooth motion than linear interpolation.
     let off = |a: &Matrix3<f64>, b: &Matrix3<f64>| so3::log(&(a.transpose() * b)).norm();
     let (mut ours, mut straight) = (0.0, 0.0);
     for frame in 1..18 {

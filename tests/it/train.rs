@@ -1,4 +1,4 @@
-//! Training on motion that is made up here, and reading the real corpus where it is at hand.
+//! Training on synthetic motion, and reading the real corpus if it is available.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use bundlemocap::research::train::{
 };
 use nalgebra::{Matrix3, Vector3};
 
-/// Name, index of the parent, offset.
+/// Name, parent index and offset of each joint.
 type Tree = &'static [(&'static str, usize, [f64; 3])];
 
 const HIP: Tree = &[
@@ -64,7 +64,7 @@ const HIPS: Tree = &[
     ("RightToeBase", 20, [-0.2, -0.5, 2.1]),
 ];
 
-/// A BVH text of that tree; `angle(frame, value)` gives each rotation in degrees.
+/// The BVH text of a tree; `angle(frame, value)` gives each rotation in degrees.
 fn bvh_text(tree: Tree, frames: usize, angle: impl Fn(usize, usize) -> f64) -> String {
     let mut text = String::from("HIERARCHY\n");
     open(tree, 0, &mut text);
@@ -99,7 +99,7 @@ fn open(tree: Tree, index: usize, text: &mut String) {
     *text += "}\n";
 }
 
-/// A periodic motion, another one for every `clip`.
+/// A periodic motion, different for every `clip`.
 fn swing(clip: usize) -> impl Fn(usize, usize) -> f64 {
     move |frame, value| {
         let phase = 0.1 * frame as f64 + 1.7 * value as f64;
@@ -111,7 +111,7 @@ fn swing(clip: usize) -> impl Fn(usize, usize) -> f64 {
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("more")).unwrap();
-    // The depth-first order of the values is the order of the tree only if the tree is listed so.
+    // The trees are listed depth-first, so the values have the order of the tree.
     for (clip, (name, tree)) in
         [("01_01.bvh", HIP), ("01_02.bvh", HIP), ("02_01.bvh", HIP), ("more/act_walk_1.bvh", HIPS)]
             .into_iter()
@@ -170,7 +170,7 @@ fn the_loss_falls_and_the_same_seed_gives_the_same_bytes() {
 }
 
 #[test]
-fn the_weights_say_what_made_them() {
+fn the_weights_record_how_they_were_trained() {
     let folder = folder();
     let options = Options { steps: 2, ..tiny(folder.path(), "b.safetensors") };
     run(&options, &mut |_| ()).unwrap();
@@ -214,8 +214,8 @@ fn a_transition_model_learns_and_the_same_seed_gives_the_same_bytes() {
     assert!(model.fits(&Decoder::embedded().unwrap()));
 }
 
-/// The mean of -ln p over the transitions of keyframes at 60 fps.
-fn mean_surprise(model: &Transition, keyframes: &[&Keyframe]) -> f64 {
+/// Mean negative log likelihood over the transitions of keyframes at 60 fps.
+fn mean_neg_log_likelihood(model: &Transition, keyframes: &[&Keyframe]) -> f64 {
     let mut work = TransitionWork::default();
     let of = |three: &[&Keyframe]| {
         model.neg_log_likelihood([three[0], three[1], three[2]], 1.0 / 60.0, &mut work)
@@ -233,13 +233,13 @@ fn the_transition_model_prefers_real_transitions_to_shuffled_ones() {
         let keyframes = transition_keyframes(None, clip, 60.0).unwrap();
         let count = keyframes.len();
         let real: Vec<&Keyframe> = keyframes.iter().collect();
-        // Neighbours swapped, and frames from three thirds of the clip in turn.
+        // Swapped neighbours, and frames taken in turn from the three thirds of the clip.
         let swapped: Vec<&Keyframe> = (0..count & !1).map(|i| &keyframes[i ^ 1]).collect();
         let jumps: Vec<&Keyframe> =
             (0..count).map(|i| &keyframes[(i + (i % 3) * count / 3) % count]).collect();
-        let real = mean_surprise(&model, &real);
-        assert!(real < mean_surprise(&model, &swapped), "{}", clip.name);
-        assert!(real < mean_surprise(&model, &jumps), "{}", clip.name);
+        let real = mean_neg_log_likelihood(&model, &real);
+        assert!(real < mean_neg_log_likelihood(&model, &swapped), "{}", clip.name);
+        assert!(real < mean_neg_log_likelihood(&model, &jumps), "{}", clip.name);
     }
 }
 
@@ -259,7 +259,7 @@ fn from_pelvis(clip: &Clip, frame: usize, joint: Joint) -> Matrix3<f64> {
 }
 
 #[test]
-fn splayed_legs_are_straightened_and_other_joints_kept() {
+fn splayed_legs_are_straightened_and_other_joints_stay() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("a.bvh"), bvh_text(HIPS, 1, |_, _| 0.0)).unwrap();
     let clip = &read_folder(folder.path()).unwrap()[0];
@@ -316,7 +316,7 @@ fn bad_input_is_named() {
     assert!(error.contains("d.safetensors"), "{error}");
 }
 
-/// The motion clips, if the data is at hand.
+/// Folder of the motion clips, if the data is available.
 fn corpus() -> Option<PathBuf> {
     let root = std::env::var_os("BUNDLEMOCAP_DATA")
         .map(PathBuf::from)
@@ -329,7 +329,7 @@ fn corpus() -> Option<PathBuf> {
     Some(folder)
 }
 
-/// Names of joints in the two skeletons whose bone leads to the next, and ours.
+/// Our joint, and the two ends of its bone in each of the two skeletons.
 const BONES: [(Joint, [&str; 2], [&str; 2]); 4] = [
     (Joint::LHip, ["lThigh", "lShin"], ["LeftUpLeg", "LeftLeg"]),
     (Joint::RKnee, ["rShin", "rFoot"], ["RightLeg", "RightFoot"]),
@@ -337,7 +337,7 @@ const BONES: [(Joint, [&str; 2], [&str; 2]); 4] = [
     (Joint::RElbow, ["rForeArm", "rHand"], ["RightForeArm", "RightHand"]),
 ];
 
-/// Where a bone of ours points at rest.
+/// Direction of our joint's bone at rest.
 fn rest_direction(joint: Joint) -> Vector3<f64> {
     match joint {
         Joint::LShoulder => Vector3::x(),
@@ -347,7 +347,7 @@ fn rest_direction(joint: Joint) -> Vector3<f64> {
 }
 
 #[test]
-fn the_corpus_reads_whole_and_limbs_point_where_the_files_do() {
+fn the_whole_corpus_is_read_and_limb_directions_match_the_files() {
     let Some(folder) = corpus() else { return };
     let clips = read_folder(&folder).unwrap();
     let frames: usize = clips.iter().map(|clip| clip.poses.len()).sum();
@@ -366,7 +366,7 @@ fn the_corpus_reads_whole_and_limbs_point_where_the_files_do() {
             let file = pelvis.transpose() * (at(to).1 - at(from).1).normalize();
             let ours = from_pelvis(clip, frame, joint) * rest_direction(joint);
             let angle = file.angle(&ours).to_degrees();
-            // Rest offsets of the first skeleton's forearm lie up to 18 degrees off the axis.
+            // The rest offset of the first skeleton's forearm is up to 18 degrees off the axis.
             assert!(angle < 20.0, "{} {}: {angle}", clip.name, joint.name());
         }
     }

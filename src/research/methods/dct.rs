@@ -1,10 +1,10 @@
-//! DCT: segments whose joint tracks stay near low frequencies \[Huang 2017\].
+//! DCT: segments with low-frequency joint trajectories \[Huang 2017\].
 //!
-//! cost = data term + prior of every frame + 1/2 smoothness |P - B c|^2, where P are the tracks of
-//! all joints over a segment, B the first cosines of its DCT and c the coefficients that fit P
-//! best. From the frames solved by themselves, each segment for itself. Differs: the publication
-//! has c among the unknowns and silhouettes in the data term; the best c for given tracks is known
-//! in closed form, and we put it in.
+//! cost = data term + prior of every frame + 1/2 smoothness |P - B c|^2, where P holds the
+//! trajectories of all joints over a segment, B the first DCT basis vectors and c the coefficients
+//! that fit P best. Each segment is solved on its own and starts from the per-frame solutions.
+//! Differences: in the publication c is an unknown and the data term uses silhouettes. Here c is
+//! the closed-form optimum for the current P.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,18 +21,18 @@ use crate::core::optimise::{LevenbergMarquardt, Optimiser};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DctWeights {
-    /// Weight of the squared distance of each joint from its low-frequency track, square pixels
-    /// per square metre.
+    /// Weight of the squared distance of each joint from its low-frequency trajectory, square
+    /// pixels per square metre.
     pub smoothness: f64,
     /// Weight of |z|^2 in each frame, square pixels.
     pub prior: f64,
     /// Scale of the Geman-McClure loss, pixels.
     pub scale_px: f64,
-    /// Frames of a segment, as published.
+    /// Frames per segment, as published.
     pub segment: usize,
-    /// Cosines that a segment's tracks are made of, as published.
+    /// DCT basis vectors per segment, as published.
     pub components: usize,
-    /// Most iterations for each segment.
+    /// Maximum iterations per segment.
     pub iterations: usize,
 }
 
@@ -49,14 +49,14 @@ impl Default for DctWeights {
     }
 }
 
-/// Segments whose joint tracks stay near low frequencies.
+/// Segments with low-frequency joint trajectories.
 #[derive(Clone, Debug, Default)]
 pub struct Dct {
     weights: DctWeights,
 }
 
 impl Dct {
-    /// With those weights.
+    /// The method with the given weights.
     pub fn new(weights: DctWeights) -> Self {
         Self { weights }
     }
@@ -83,7 +83,7 @@ impl Method for Dct {
         for (initial, observed_frames) in
             found.keyframes.chunks(segment).zip(found.observed_frames.chunks(segment))
         {
-            // A last, shorter segment keeps the highest frequency.
+            // A shorter last segment keeps the same highest frequency.
             let components = (weights.components * initial.len()).div_ceil(segment);
             let low = LowFrequency::new(weights.smoothness, initial.len(), components);
             let terms: [Box<dyn Term>; 1] = [Box::new(low)];

@@ -1,18 +1,19 @@
-//! DMMR: segments of one latent code a frame, neighbours tied, in four stages \[Huang 2021\].
+//! DMMR: segments with one latent code per frame and smoothness between neighbours, in four stages
+//! \[Huang 2021\].
 //!
-//! cost = data term + prior of every frame + 1/2 latent |z(t + 1) - z(t)|^2
-//! + 1/2 turn |log(R(t + 1) R(t)^T)|^2 + 1/2 shift |p(t + 1) - p(t)|^2,
+//! cost = data term + prior of every frame + 1/2 latent |z(t + 1) - z(t)|^2 +
+//! 1/2 rotation |log(R(t + 1) R(t)^T)|^2 + 1/2 position |p(t + 1) - p(t)|^2.
 //!
-//! over each segment by itself, from the frames solved by themselves:
-//! 1. rotations and positions of the root, loss of a larger scale,
-//! 2. codes, same loss,
-//! 3. all, same loss,
-//! 4. all, the final loss.
+//! Each segment is solved on its own and starts from the per-frame solutions. The stages solve for:
+//! 1. rotation and position of the root, with a loss of a larger scale,
+//! 2. codes, with the same loss,
+//! 3. all unknowns, with the same loss,
+//! 4. all unknowns, with the final loss.
 //!
-//! Differs: the publication solves for cameras and several people too, and its codes are those of
-//! a prior of motion, trained to give smooth ones; here they are those of single poses, tied. Its
-//! stages go from root and cameras to all unknowns with weights of their own each; ours share the
-//! weights and differ in what is free and in the loss.
+//! Differences: the publication also solves for cameras and several people. Its codes come from a
+//! motion prior that is trained to be smooth; here they are codes of single poses. Its stages go
+//! from root and cameras to all unknowns, each with its own weights; here all stages share the
+//! weights and differ in the free unknowns and in the loss.
 
 use serde::{Deserialize, Serialize};
 
@@ -29,21 +30,21 @@ use crate::core::optimise::{LevenbergMarquardt, Optimiser};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DmmrWeights {
-    /// Weight of the squared step of the code from frame to frame, square pixels.
+    /// Weight of the squared change of the code from frame to frame, square pixels.
     pub latent: f64,
-    /// Weight of the squared turn of the root from frame to frame, square pixels per square radian.
+    /// Weight of the squared root rotation from frame to frame, square pixels per square radian.
     pub rotation: f64,
-    /// Weight of the squared step of the root from frame to frame, square pixels per square metre.
+    /// Weight of the squared root translation from frame to frame, square pixels per square metre.
     pub position: f64,
     /// Weight of |z|^2 in each frame, square pixels.
     pub prior: f64,
     /// Scale of the Geman-McClure loss of the last stage, pixels.
     pub scale_px: f64,
-    /// How many times larger it is in the stages before.
+    /// Factor on that scale in the earlier stages.
     pub loose_scale: f64,
-    /// Frames of a segment.
+    /// Frames per segment.
     pub segment: usize,
-    /// Most iterations of each stage.
+    /// Maximum iterations of each stage.
     pub iterations: [usize; 4],
 }
 
@@ -62,19 +63,19 @@ impl Default for DmmrWeights {
     }
 }
 
-/// Segments of one code a frame, neighbours tied, in four stages.
+/// Segments with one code per frame and smoothness between neighbours, in four stages.
 #[derive(Clone, Debug, Default)]
 pub struct Dmmr {
     weights: DmmrWeights,
 }
 
 impl Dmmr {
-    /// With those weights.
+    /// The method with the given weights.
     pub fn new(weights: DmmrWeights) -> Self {
         Self { weights }
     }
 
-    /// What is free in each stage (codes, roots), and the scale of its loss.
+    /// The free unknowns of each stage (codes, roots) and the scale of its loss, pixels.
     fn stages(&self) -> [([bool; 2], f64); 4] {
         let (tight, loose) =
             (self.weights.scale_px, self.weights.scale_px * self.weights.loose_scale);

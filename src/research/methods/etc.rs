@@ -1,9 +1,9 @@
-//! ETC: all frames at once, with small steps of the joints \[Arnab 2019\].
+//! ETC: all frames at once, with a penalty on joint velocity \[Arnab 2019\].
 //!
 //! cost = data term + prior of every frame + 1/2 smoothness sum of |P_j(t + 1) - P_j(t)|^2 over
-//! joints and frames, from the frames solved by themselves. Differs: the publication is of one
-//! camera, so it also holds the joints near those of a network and keeps the camera's scale even;
-//! many views need neither.
+//! joints and frames, starting from the per-frame solutions. Differences: the publication uses one
+//! camera, so it also keeps the joints near a network's 3D joints and the camera's scale constant.
+//! Several views need neither.
 
 use serde::{Deserialize, Serialize};
 
@@ -20,14 +20,14 @@ use crate::core::optimise::{LevenbergMarquardt, Optimiser};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EtcWeights {
-    /// Weight of the squared step of each joint from frame to frame, square pixels per square
-    /// metre.
+    /// Weight of the squared displacement of each joint from frame to frame, square pixels per
+    /// square metre.
     pub smoothness: f64,
     /// Weight of |z|^2 in each frame, square pixels.
     pub prior: f64,
     /// Scale of the Geman-McClure loss, pixels.
     pub scale_px: f64,
-    /// Most iterations over all frames.
+    /// Maximum iterations over all frames.
     pub iterations: usize,
 }
 
@@ -37,14 +37,14 @@ impl Default for EtcWeights {
     }
 }
 
-/// All frames at once, with small steps of the joints.
+/// All frames at once, with a penalty on joint velocity.
 #[derive(Clone, Debug, Default)]
 pub struct Etc {
     weights: EtcWeights,
 }
 
 impl Etc {
-    /// With those weights.
+    /// The method with the given weights.
     pub fn new(weights: EtcWeights) -> Self {
         Self { weights }
     }

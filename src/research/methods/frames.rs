@@ -1,4 +1,4 @@
-//! A take cut into its nominal frames, and what was seen of the performer in each.
+//! Splits a take into nominal frames and finds the performer's observations in each.
 
 use super::{Start, Take};
 use crate::core::body::BodyPoint;
@@ -8,20 +8,20 @@ use crate::core::manifold::{Decoder, Keyframe};
 use crate::core::time::Timestamp;
 use crate::core::tracker::{self, Config};
 
-/// A view counts when it shows this many points.
+/// A view counts if it has at least this many points.
 const MIN_VIEW: usize = 4;
 
-/// The detections of each nominal frame from the first keyframe on.
+/// The detections of each nominal frame, starting at the first keyframe.
 #[derive(Clone, Debug)]
 pub(super) struct Cut<'a> {
     /// The nominal time of each frame.
     pub(super) times: Vec<Timestamp>,
-    /// Detections nearest to that time, in order of capture time.
+    /// The detections nearest to each of these times, in order of capture time.
     pub(super) frames: Vec<Vec<&'a Detections>>,
 }
 
 impl<'a> Cut<'a> {
-    /// Every detection goes to the frame whose nominal time is nearest.
+    /// Assigns every detection to the frame with the nearest nominal time.
     pub(super) fn new(take: &'a Take, at: Timestamp) -> Self {
         let period = 1e9 / take.fps;
         let mut frames: Vec<Vec<&Detections>> = Vec::new();
@@ -39,7 +39,7 @@ impl<'a> Cut<'a> {
         Self { times: (0..frames.len()).map(time).collect(), frames }
     }
 
-    /// What was seen of the performer in a frame, expected where `keyframe` puts the body.
+    /// The performer's observations in a frame. `keyframe` gives the expected pose.
     pub(super) fn observed_frames(
         &self,
         frame: usize,
@@ -57,7 +57,7 @@ impl<'a> Cut<'a> {
     }
 }
 
-/// What the frames of a take are solved with.
+/// Shared input for solving the frames of a take.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Given<'a> {
     pub(super) take: &'a Take,
@@ -67,8 +67,8 @@ pub(super) struct Given<'a> {
     pub(super) config: &'a Config,
 }
 
-/// Whether enough was seen to solve a frame by itself: by the same gate as the windows, from two
-/// views at least.
+/// Whether a frame has enough observations to be solved on its own: it passes the gate of the
+/// windows and has at least two views.
 pub(super) fn is_enough(
     observed_frames: &[FrameObservations],
     cameras: usize,

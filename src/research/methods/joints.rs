@@ -1,4 +1,4 @@
-//! Joint positions of many frames, with their Jacobians by each frame's unknowns.
+//! Joint positions of many frames, with their Jacobians with respect to each frame's unknowns.
 
 use nalgebra::Vector3;
 
@@ -7,10 +7,10 @@ use crate::core::body::{BODY_JOINTS, JOINTS, Joint, Skeleton, Tangents, forward,
 use crate::core::manifold::{Decoder, Jacobians, Keyframe, LATENT, Latent};
 use crate::core::so3;
 
-/// Frames that are decoded at once, to bound the memory.
+/// Frames that are decoded at once; bounds the memory.
 const BATCH: usize = 64;
 
-/// Joint coordinates of a frame.
+/// Joint coordinates per frame.
 pub const COORDINATES: usize = 3 * JOINTS;
 
 /// Joint positions of frames, metres.
@@ -18,12 +18,14 @@ pub const COORDINATES: usize = 3 * JOINTS;
 pub struct Joints {
     /// x, y, z of each joint, frame after frame.
     positions: Vec<f64>,
-    /// Their derivatives by the frame's unknowns, 66 x 38 row-major each; empty if not wanted.
+    /// Jacobians with respect to the frame's unknowns, 66 x 38 row-major each; empty if not asked
+    /// for.
     jacobians: Vec<f64>,
 }
 
 impl Joints {
-    /// The joints of keyframes, whose rotations turn by the left Jacobian of `turns`.
+    /// The joints of `keyframes`. `turns` are their rotation vectors w, whose left Jacobian enters
+    /// the derivatives.
     pub(super) fn new(
         decoder: &Decoder,
         skeleton: &Skeleton,
@@ -75,7 +77,7 @@ impl Joints {
         &self.positions[frame * COORDINATES..(frame + 1) * COORDINATES]
     }
 
-    /// Their derivatives, 66 x 38 row-major.
+    /// Jacobian of these coordinates, 66 x 38 row-major.
     pub fn jacobian(&self, frame: usize) -> &[f64] {
         const SIZE: usize = COORDINATES * UNKNOWNS;
         &self.jacobians[frame * SIZE..(frame + 1) * SIZE]

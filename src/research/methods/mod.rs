@@ -1,16 +1,16 @@
-//! The methods that ours is compared with, and ours as one of them.
+//! Our method and the published methods that it is compared with.
 //!
-//! All are given the same [`Take`] and share one body, manifold, cameras, data term, optimiser,
-//! acquisition and association; they differ in what they hold together over time:
+//! All get the same [`Take`] and share body, manifold, cameras, data term, optimiser, acquisition
+//! and association. They differ in the temporal term:
 //!
-//! | method | unknowns | over time |
+//! | method | unknowns | temporal term |
 //! |---|---|---|
-//! | [`MuVs`] | a latent keyframe a frame | nothing |
-//! | [`Dct`] | a keyframe a frame, in segments | joint tracks near low frequencies |
-//! | [`Etc`] | a keyframe a frame, all at once | small steps of the joints |
-//! | [`Dmmr`] | a keyframe a frame, in segments | small steps of codes and roots |
-//! | [`Slahmr`] | a latent keyframe a frame, all at once | steps of the joints, then -ln p of each transition |
-//! | [`Windows`] | a latent keyframe at each border | the path between keyframes |
+//! | [`MuVs`] | a latent keyframe per frame | none |
+//! | [`Dct`] | a keyframe per frame, in segments | low-frequency joint trajectories |
+//! | [`Etc`] | a keyframe per frame, all at once | joint velocity |
+//! | [`Dmmr`] | a keyframe per frame, in segments | velocity of codes and roots |
+//! | [`Slahmr`] | a latent keyframe per frame, all at once | joint velocity, then motion prior |
+//! | [`Windows`] | a latent keyframe at each window border | the path between keyframes |
 
 mod dct;
 mod dmmr;
@@ -45,27 +45,27 @@ use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::manifold::Decoder;
 use crate::core::time::Timestamp;
 
-/// What every method is given: the detections of one recording.
+/// The input of every method: the detections of one recording.
 #[derive(Clone, Debug)]
 pub struct Take {
     /// The cameras.
     pub rig: Arc<Rig>,
-    /// The order of the detectors' points.
+    /// The keypoint format of the detectors.
     pub format: KeypointFormat,
-    /// Frames a second.
+    /// Frame rate, Hz.
     pub fps: f64,
     /// Detections in order of capture time.
     pub frames: Vec<Detections>,
 }
 
-/// What a method makes of it.
+/// The result of a method.
 #[derive(Clone, Debug)]
 pub struct Solved {
     /// The body.
     pub skeleton: Arc<Skeleton>,
-    /// Poses in order of capture time, one for each nominal frame from the first keyframe on.
+    /// Poses in order of capture time, one per nominal frame, starting at the first keyframe.
     pub poses: Vec<(Timestamp, Pose)>,
-    /// Capture times at which pieces that were solved one after the other meet.
+    /// Capture times of the borders between pieces that were solved separately.
     pub borders: Vec<Timestamp>,
 }
 
@@ -74,18 +74,18 @@ pub struct Solved {
 pub enum Delay {
     /// At most this many frames.
     Frames(usize),
-    /// Until the recording has ended.
+    /// Until the end of the recording.
     Recording,
 }
 
-/// A way to solve a take.
+/// A method that solves a take.
 pub trait Method {
-    /// Its name in tables.
+    /// The name in tables.
     fn name(&self) -> String;
 
     /// How long a pose waits for later frames.
     fn delay(&self) -> Delay;
 
-    /// Solves a take; `None` where no performer is found.
+    /// Solves a take; `None` if no performer is found.
     fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved>;
 }

@@ -1,8 +1,8 @@
-//! MuVS: every frame by itself \[Huang 2017, the first stage\].
+//! MuVS: every frame on its own \[Huang 2017, the first stage\].
 //!
-//! The data term and the prior on z of one frame, from the solution of the frame before. Differs:
-//! the publication fits SMPL with silhouettes and a pose prior of its own; here body, manifold and
-//! data term are those of every method.
+//! cost = data term + prior on z of one frame, starting from the solution of the frame before.
+//! Differences: the publication fits SMPL with silhouettes and its own pose prior. Here all methods
+//! share body, manifold and data term.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,7 +15,7 @@ use crate::core::optimise::{LevenbergMarquardt, Optimiser};
 use crate::core::time::Timestamp;
 use crate::core::tracker::Config;
 
-/// After this many frames without the performer, a new first keyframe is looked for.
+/// After this many frames without the performer, the search for a new first keyframe starts.
 const PATIENCE: usize = 10;
 
 /// Weights of [`MuVs`].
@@ -26,11 +26,11 @@ pub struct MuVsWeights {
     pub prior: f64,
     /// Scale of the Geman-McClure loss, pixels.
     pub scale_px: f64,
-    /// Most iterations for each frame.
+    /// Maximum iterations per frame.
     pub iterations: usize,
-    /// Iterations before those with a looser loss, as the windows have them.
+    /// Iterations with a loss of a larger scale that come first, as in the windows.
     pub loose_iterations: usize,
-    /// How many times larger the scale of the looser loss is.
+    /// Factor on the scale of the loss in these iterations.
     pub loose_scale: f64,
 }
 
@@ -40,27 +40,27 @@ impl Default for MuVsWeights {
     }
 }
 
-/// Every frame by itself.
+/// Every frame on its own.
 #[derive(Clone, Debug, Default)]
 pub struct MuVs {
     weights: MuVsWeights,
 }
 
 impl MuVs {
-    /// With those weights.
+    /// The method with the given weights.
     pub fn new(weights: MuVsWeights) -> Self {
         Self { weights }
     }
 }
 
-/// A take solved frame by frame, with what the methods that go on from it need.
+/// A take solved frame by frame; the other methods start from it.
 #[derive(Clone, Debug)]
 pub(super) struct PerFrame {
     pub(super) start: Start,
     /// Nominal time of each frame.
     pub(super) times: Vec<Timestamp>,
-    /// What was seen of the performer in each frame, expected at its solution; empty where it was
-    /// too little to solve it.
+    /// The performer's observations in each frame, associated at its solution; empty where they
+    /// are too few to solve the frame.
     pub(super) observed_frames: Vec<Vec<FrameObservations>>,
     /// The solution of each frame.
     pub(super) keyframes: Vec<Keyframe>,
@@ -68,7 +68,7 @@ pub(super) struct PerFrame {
 }
 
 impl PerFrame {
-    /// Solves every frame by itself; `None` where no performer is found.
+    /// Solves every frame on its own; `None` if no performer is found.
     pub(super) fn solve(take: &Take, decoder: &Decoder, weights: &MuVsWeights) -> Option<Self> {
         let mut config = Config { frame_rate_hz: take.fps, ..Config::default() };
         let start = start(take, decoder, &config)?;
@@ -86,7 +86,8 @@ impl PerFrame {
         Some(Self { times: cut.times, observed_frames, keyframes, start, config })
     }
 
-    /// The poses of keyframes, one for each frame, and where pieces of `segment` frames meet.
+    /// The poses of `keyframes`, one per frame, and the borders between segments of `segment`
+    /// frames.
     pub(super) fn solved(
         &self,
         decoder: &Decoder,
@@ -121,8 +122,8 @@ fn one_by_one(cut: &Cut, given: &Given, weights: &MuVsWeights) -> Vec<Keyframe> 
     let (mut hidden, mut found) = (0, None::<Start>);
     let mut keyframes = Vec::with_capacity(cut.times.len());
     for (frame, &capture) in cut.times.iter().enumerate() {
-        if let Some(anew) = found.take_if(|found| found.at <= capture) {
-            (last, hidden) = (anew.keyframe, 0);
+        if let Some(again) = found.take_if(|found| found.at <= capture) {
+            (last, hidden) = (again.keyframe, 0);
         }
         let observed_frames = cut.observed_frames(frame, &last, given);
         if is_enough(&observed_frames, given.take.rig.cameras.len(), given.config) {

@@ -1,7 +1,7 @@
-//! One keyframe a frame, all at once: the data term of each frame and terms between frames.
+//! One keyframe per frame, all solved at once: a data term per frame and terms between frames.
 //!
-//! The unknowns of a frame are those of a keyframe: z (32), a rotation vector w (3) with
-//! R = exp(w) R_initial, the position (3).
+//! The unknowns of a frame: z (32), a rotation vector w (3) with R = exp(w) R_initial, and the
+//! position (3).
 
 use nalgebra::Vector3;
 
@@ -16,21 +16,22 @@ use crate::core::time::Timestamp;
 /// Unknowns of a frame.
 pub const UNKNOWNS: usize = LATENT + 6;
 
-/// A path at some values of its unknowns.
+/// A path at given values of its unknowns.
 #[derive(Clone, Debug)]
 pub struct State {
-    /// Each frame's values.
+    /// The keyframe of each frame.
     pub keyframes: Vec<Keyframe>,
     /// The rotation vector w of each frame.
     pub turns: Vec<Vector3<f64>>,
-    /// Each frame's joint positions, with Jacobians where normal equations are wanted; empty if no
+    /// Each frame's joint positions, with Jacobians if normal equations are computed; empty if no
     /// term uses them.
     pub joints: Joints,
 }
 
 /// A term of the cost over the frames of a path.
 pub trait Term {
-    /// How many frames apart two frames can be that share a part of the approximate Hessian.
+    /// The largest distance, in frames, of two frames that share a block of the approximate
+    /// Hessian.
     fn reach(&self) -> usize;
 
     /// Whether it uses [`State::joints`].
@@ -38,28 +39,28 @@ pub trait Term {
         false
     }
 
-    /// Its cost.
+    /// The cost at `state`.
     fn cost(&self, state: &State) -> f64;
 
-    /// Adds its gradient and Gauss-Newton Hessian.
+    /// Adds gradient and Gauss-Newton Hessian at `state`.
     fn add(&self, state: &State, equations: &mut NormalEquations);
 }
 
-/// The cost of a path of one keyframe a frame. Terms of any reach can be added to it.
+/// The cost of a path with one keyframe per frame and any number of [`Term`]s.
 pub struct FramePath<'a> {
     scene: Scene<'a>,
     skeleton: &'a Skeleton,
     observed_frames: &'a [Vec<FrameObservations>],
-    /// Each frame's values at the start.
+    /// The initial keyframe of each frame.
     initial: &'a [Keyframe],
     terms: &'a [Box<dyn Term + 'a>],
-    /// Which unknowns of every frame are solved for: codes, roots.
+    /// Whether codes and roots are solved for, in that order.
     pub free: [bool; 2],
     work: Workspace,
 }
 
 impl<'a> FramePath<'a> {
-    /// With every unknown free.
+    /// The problem with every unknown free.
     pub fn new(
         scene: Scene<'a>,
         skeleton: &'a Skeleton,
@@ -71,7 +72,7 @@ impl<'a> FramePath<'a> {
         Self { scene, skeleton, observed_frames, initial, terms, free: [true; 2], work }
     }
 
-    /// The unknowns to start from.
+    /// The initial unknowns, 38 per frame.
     pub fn start(&self) -> Vec<f64> {
         let unknowns = |keyframe: &Keyframe| {
             let mut x = keyframe.z.to_vec();
@@ -82,12 +83,12 @@ impl<'a> FramePath<'a> {
         self.initial.iter().flat_map(unknowns).collect()
     }
 
-    /// The keyframes that `x` stands for.
+    /// The keyframes at the unknowns `x`.
     pub fn keyframes(&self, x: &[f64]) -> Vec<Keyframe> {
         self.state(x, None).keyframes
     }
 
-    /// `joints` says whether joints are wanted, and their Jacobians.
+    /// The state at `x`. `joints`: `None` for no joints, else whether to compute their Jacobians.
     fn state(&self, x: &[f64], joints: Option<bool>) -> State {
         let turn = |x: &[f64]| Vector3::from_column_slice(&x[LATENT..LATENT + 3]);
         let turns: Vec<_> = x.chunks_exact(UNKNOWNS).map(turn).collect();
@@ -108,7 +109,7 @@ impl<'a> FramePath<'a> {
         State { keyframes, turns, joints }
     }
 
-    /// The data term and the prior of a frame at its unknowns `x`, with derivatives if wanted.
+    /// Data term and prior of a frame at its unknowns `x`; also fills `derivatives` if given.
     fn frame(&mut self, frame: usize, x: &[f64], derivatives: Option<&mut NormalEquations>) -> f64 {
         let keyframe = self.initial[frame].clone();
         let capture = Timestamp::default();

@@ -3,7 +3,7 @@
 use super::{Dct, Dmmr, Etc, Method, MuVs, Slahmr, SlahmrWeights, Windows};
 use crate::core::manifold::Transition;
 
-/// The names of [`named`], in the order of tables.
+/// The names that [`named`] accepts, in table order.
 pub const NAMES: &[&str] =
     &["muvs", "dct", "etc", "dmmr", "slahmr", "paper", "paper-lm", "default"];
 
@@ -12,7 +12,7 @@ pub fn all() -> Vec<Box<dyn Method>> {
     NAMES.iter().filter_map(|name| named(name)).collect()
 }
 
-/// The method of that name with its default weights; `None` where there is none.
+/// The method of that name with its default weights; `None` if the name is unknown.
 pub fn named(name: &str) -> Option<Box<dyn Method>> {
     Some(match name {
         "muvs" => Box::new(MuVs::default()),

@@ -1,20 +1,19 @@
 //! SLAHMR: all frames at once in stages, the last with a motion prior \[Ye 2023\].
 //!
-//! From the solution of each frame by itself:
+//! Stages, starting from the per-frame solutions:
 //! 1. roots alone, with the data term;
-//! 2. everything, with 1/2 smoothness |P_j(t + 1) - P_j(t)|^2 over joints added;
-//! 3. the same with -ln p of each frame after the two before it,
-//!    1/2 transition |(move - mean) / deviation|^2, of the model of `crate::core::manifold::Transition`.
-//!    Deviations are those that the path foretells at the start of a round, and are held in it.
+//! 2. all unknowns, with 1/2 smoothness |P_j(t + 1) - P_j(t)|^2 over joints added;
+//! 3. all unknowns, with -ln p of each frame given the two before it added,
+//!    1/2 transition |(move - mean) / deviation|^2, from `crate::core::manifold::Transition`.
+//!    The deviations are predicted from the path at the start of a round and fixed during it.
 //!
-//! Differs: HuMoR's place is taken by a Gaussian model of accelerations, trained on the same clips as
-//! the manifold. The publication solves for a first state and the latent transitions of HuMoR, and
-//! rolls the path out of them; here every frame is an unknown, and a transition is a term. The
-//! publication lets the horizon grow in chunks; here all frames are solved at once. Its cameras
-//! move and have an unknown scale, ours are calibrated; it uses one view. It finds the
-//! ground, contacts and what follows from them (no skating, no foot in the air), we do not: HuMoR
-//! knows contacts, our model does not. Body, manifold, data term and optimiser are those of every
-//! method here.
+//! Differences: a Gaussian model of accelerations, trained on the same clips as the manifold,
+//! replaces HuMoR. The publication solves for a first state and the latent transitions of HuMoR and
+//! rolls out the path from them; here every frame is an unknown and a transition is a term. The
+//! publication extends the horizon in chunks; here all frames are solved at once. It uses one
+//! moving camera of unknown scale; ours are several and calibrated. It finds the ground and
+//! contacts and penalises skating and feet above the ground; we do not, because our model, unlike
+//! HuMoR, does not know contacts. All methods here share body, manifold, data term and optimiser.
 
 use serde::{Deserialize, Serialize};
 
@@ -38,13 +37,13 @@ pub struct SlahmrWeights {
     pub prior: f64,
     /// Scale of the Geman-McClure loss, pixels.
     pub scale_px: f64,
-    /// Weight of steps of joints in the second stage, square pixels per square metre.
+    /// Weight of joint displacements in the second stage, square pixels per square metre.
     pub smoothness: f64,
     /// The same in the third stage.
     pub last_smoothness: f64,
     /// Weight of -ln p of a transition in the third stage, square pixels per nat.
     pub transition: f64,
-    /// Most iterations of the first stage, of the second, and of each round of the third.
+    /// Maximum iterations of the first stage, of the second, and of each round of the third.
     pub iterations: [usize; 3],
     /// Rounds of the third stage.
     pub rounds: usize,
@@ -64,7 +63,7 @@ impl Default for SlahmrWeights {
     }
 }
 
-/// Staged, with a motion prior.
+/// All frames at once in stages, the last with a motion prior.
 #[derive(Clone, Debug)]
 pub struct Slahmr {
     weights: SlahmrWeights,
@@ -72,12 +71,12 @@ pub struct Slahmr {
 }
 
 impl Slahmr {
-    /// With those weights and a motion prior.
+    /// The method with the given weights and motion prior.
     pub fn new(weights: SlahmrWeights, transition: Transition) -> Self {
         Self { weights, transition }
     }
 
-    /// The three stages over frames solved one by one.
+    /// Runs the three stages, starting from the per-frame solutions.
     fn stages(&self, found: &PerFrame, scene: Scene, fps: f64) -> Vec<Keyframe> {
         let weights = &self.weights;
         let [roots, smooth, last] = weights.iterations;
@@ -95,7 +94,7 @@ impl Slahmr {
     }
 }
 
-/// The path after a stage; with `codes` false only roots move.
+/// The path after a stage. With `codes` false only the roots are free.
 fn minimised<'a>(
     found: &'a PerFrame,
     scene: Scene<'a>,
@@ -121,7 +120,7 @@ impl Method for Slahmr {
         Delay::Recording
     }
 
-    /// `None` also where the motion prior was trained on the codes of another manifold.
+    /// Also `None` if the motion prior was trained on the codes of another manifold.
     fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
         if !self.transition.fits(decoder) {
             return None;
@@ -136,18 +135,18 @@ impl Method for Slahmr {
     }
 }
 
-/// 1/2 weight |(move - mean) / deviation|^2 over transitions, deviations held.
+/// 1/2 weight |(move - mean) / deviation|^2 over transitions, with fixed deviations.
 struct Transitions<'a> {
     model: &'a Transition,
     weight: f64,
-    /// Seconds from frame to frame.
+    /// Frame period, seconds.
     step: f64,
-    /// Of each transition.
+    /// The standard deviations of each transition.
     deviations: Vec<Move>,
 }
 
 impl<'a> Transitions<'a> {
-    /// With the deviations that a path foretells.
+    /// The term with the deviations that the model predicts along `keyframes`.
     fn at(model: &'a Transition, keyframes: &[Keyframe], step: f64, weight: f64) -> Self {
         let mut work = TransitionWork::default();
         let mut deviation =
@@ -208,7 +207,7 @@ mod tests {
 
     const FRAMES: usize = 4;
 
-    /// A path that moves, at unknowns x beside its initial rotations.
+    /// A moving path at the unknowns `x`, relative to its initial rotations.
     fn state(x: &[f64]) -> State {
         let turns: Vec<_> = x
             .chunks_exact(UNKNOWNS)

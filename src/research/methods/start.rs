@@ -1,4 +1,4 @@
-//! The first keyframe and the body, found in the same way for every method.
+//! Finds the first keyframe and the body; the same for every method.
 
 use std::sync::Arc;
 
@@ -8,18 +8,18 @@ use crate::core::manifold::{Decoder, Keyframe};
 use crate::core::time::Timestamp;
 use crate::core::tracker::{Config, Input, Outcome, Output, Solver, Tracker};
 
-/// Where a take begins.
+/// The initial keyframe and body of a take.
 #[derive(Clone, Debug)]
 pub struct Start {
     /// The time of the first keyframe.
     pub at: Timestamp,
     /// The first keyframe.
     pub keyframe: Keyframe,
-    /// The body, from the first windows.
+    /// The body, solved from the first windows.
     pub skeleton: Arc<Skeleton>,
 }
 
-/// Finds the performer as the tracking machine does; `None` where nobody is found.
+/// Finds the performer with the [`Tracker`]'s acquisition; `None` if nobody is found.
 pub fn start(take: &Take, decoder: &Decoder, config: &Config) -> Option<Start> {
     let config = Config { frame_rate_hz: take.fps, ..*config };
     let mut track = Tracker::new(config, Arc::clone(&take.rig));

@@ -1,4 +1,4 @@
-//! Terms between frames.
+//! Cost terms between frames.
 
 use super::joints::COORDINATES;
 use super::path::{State, Term, UNKNOWNS};
@@ -9,7 +9,7 @@ use crate::core::so3::{turn_between, turn_between_tangents};
 /// 1/2 weight |P_j(t + 1) - P_j(t)|^2 over joints and frames.
 #[derive(Clone, Copy, Debug)]
 pub struct JointSteps {
-    /// Square pixels per square metre.
+    /// Weight, square pixels per square metre.
     pub weight: f64,
 }
 
@@ -45,14 +45,15 @@ impl Term for JointSteps {
     }
 }
 
-/// 1/2 latent |z(t + 1) - z(t)|^2 + 1/2 turn |log(R(t + 1) R(t)^T)|^2 + 1/2 shift |p(t + 1) - p(t)|^2.
+/// 1/2 latent |z(t + 1) - z(t)|^2 + 1/2 rotation |log(R(t + 1) R(t)^T)|^2 +
+/// 1/2 position |p(t + 1) - p(t)|^2.
 #[derive(Clone, Copy, Debug)]
 pub struct KeyframeSteps {
-    /// Square pixels.
+    /// Weight of codes, square pixels.
     pub latent: f64,
-    /// Square pixels per square radian.
+    /// Weight of rotations, square pixels per square radian.
     pub rotation: f64,
-    /// Square pixels per square metre.
+    /// Weight of positions, square pixels per square metre.
     pub position: f64,
 }
 
@@ -66,7 +67,7 @@ impl KeyframeSteps {
         })
     }
 
-    /// The weighted step from a frame to the next, with its Jacobians by the two frames.
+    /// The weighted residual between a frame and the next, with its Jacobians with respect to both.
     fn step(&self, state: &State, frame: usize) -> (Vec<f64>, [Vec<f64>; 2]) {
         let (a, b) = (&state.keyframes[frame], &state.keyframes[frame + 1]);
         let (w0, w1) = (&state.turns[frame], &state.turns[frame + 1]);
@@ -110,12 +111,12 @@ impl Term for KeyframeSteps {
     }
 }
 
-/// 1/2 weight |P - B c|^2 over the joint tracks of all frames, with the coefficients c = B^T P that
-/// are best for them.
+/// 1/2 weight |P - B c|^2 over the joint trajectories P of all frames, with the optimal
+/// coefficients c = B^T P.
 ///
-/// B has the first cosines of the DCT. The gradient is exact, weight J^T (P - B c); the
-/// approximate Hessian leaves out the part -J^T B B^T J that couples all frames, which makes it
-/// larger, so that each step solves frames by themselves towards the projection of their tracks.
+/// B holds the first DCT basis vectors. The gradient is exact: weight J^T (P - B c). The
+/// approximate Hessian omits the part -J^T B B^T J that couples all frames, which makes it larger.
+/// So each step moves every frame on its own towards the projection of the trajectories.
 #[derive(Clone, Debug)]
 pub struct LowFrequency {
     weight: f64,
@@ -124,7 +125,7 @@ pub struct LowFrequency {
 }
 
 impl LowFrequency {
-    /// Over so many frames, with so many components (all of them for fewer frames than that).
+    /// The term over `frames` frames with min(`components`, `frames`) basis vectors.
     pub fn new(weight: f64, frames: usize, components: usize) -> Self {
         let cosine = |k: usize, t: usize| {
             let scale = if k == 0 { 1.0 } else { 2.0 } / frames as f64;

@@ -1,4 +1,4 @@
-//! BundleMoCap: one latent keyframe a window, by the tracking machine itself.
+//! BundleMoCap: one latent keyframe per window, solved by the [`Tracker`].
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use crate::core::cost;
 use crate::core::manifold::Decoder;
 use crate::core::tracker::{Config, Input, Output, Solver, Tracker};
 
-/// The tracking machine with those settings.
+/// The [`Tracker`] as a method.
 #[derive(Clone, Debug)]
 pub struct Windows {
     name: String,
@@ -15,22 +15,22 @@ pub struct Windows {
 }
 
 impl Windows {
-    /// The machine with settings under a name.
+    /// The tracker with settings, under a name.
     pub fn new(name: &str, config: Config) -> Self {
         Self { name: name.to_owned(), config }
     }
 
-    /// Its settings.
+    /// The tracker's settings.
     pub fn config(&self) -> Config {
         self.config
     }
 
-    /// As the paper has it; see [`Config::paper`].
+    /// The settings of the paper; see [`Config::paper`].
     pub fn paper() -> Self {
         Self::new("BundleMoCap (paper)", Config::paper())
     }
 
-    /// The paper's windows and path, with the optimiser of all other methods, Levenberg-Marquardt.
+    /// The paper's windows and path with Levenberg-Marquardt, the optimiser of all other methods.
     pub fn paper_with_our_optimiser() -> Self {
         let Config { optimiser, change_threshold, .. } = Config::default();
         let paper = Config::paper();
@@ -39,7 +39,7 @@ impl Windows {
         Self::new("BundleMoCap (paper, LM)", config)
     }
 
-    /// As the program does without settings.
+    /// The program's default settings.
     pub fn default_settings() -> Self {
         Self::new("bundlemocap (default)", Config::default())
     }
@@ -71,7 +71,7 @@ impl Method for Windows {
                 }
             }
         }
-        // With the marks that were learnt.
+        // The tracker's skeleton includes the estimated keypoint offsets.
         let skeleton = track.skeleton().cloned().or(body)?;
         Some(Solved { skeleton, poses, borders })
     }

@@ -1,4 +1,4 @@
-//! Smooth curves of time that motions and noise are made of. All are twice differentiable.
+//! Smooth functions of time for motions and noise. All are twice differentiable.
 
 pub use crate::core::random::smoothstep;
 
@@ -14,8 +14,8 @@ pub fn plateau(t: f64, from: f64, to: f64, ramp: f64) -> f64 {
     smoothstep((t - from) / ramp) * smoothstep((to - t) / ramp)
 }
 
-/// Between the two, like `min` but smooth, within 0.7 `softness` below it:
-/// -k log(exp(-a/k) + exp(-b/k)).
+/// Smooth minimum, at most 0.7 `softness` below `min`: -k log(exp(-a/k) + exp(-b/k)), where k is
+/// `softness`.
 pub fn soft_min(a: f64, b: f64, softness: f64) -> f64 {
     let (low, high) = (a.min(b), a.max(b));
     low - softness * (-(high - low) / softness).exp().ln_1p()

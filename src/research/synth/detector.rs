@@ -1,4 +1,4 @@
-//! A 2D detector that errs as real ones do: it jitters, misses, swaps sides, sees strangers.
+//! Simulates a 2D detector with realistic errors: jitter, gaps, swapped sides, bystanders.
 
 use nalgebra::{Point2, Vector2, Vector3};
 
@@ -11,16 +11,16 @@ use crate::core::detections::{Detection, Detections, Keypoint, KeypointFormat, P
 use crate::core::random::Draws;
 use crate::core::time::Timestamp;
 
-/// What draws are for; the numbers only need to differ.
+/// Keys of the random draws. The values are arbitrary but must differ.
 mod topic {
     pub(super) const SWAP: u64 = 1;
     pub(super) const STRANGER: u64 = 2;
     pub(super) const SPLIT: u64 = 3;
     pub(super) const BLANK: u64 = 4;
     pub(super) const ORDER: u64 = 5;
-    /// Plus the limb.
+    /// The index of the limb is added.
     pub(super) const OCCLUSION: u64 = 10;
-    /// Plus the point.
+    /// The index of the point is added, here and below.
     pub(super) const SLOW: u64 = 100;
     pub(super) const FAST: u64 = 200;
     pub(super) const MISSING: u64 = 300;
@@ -30,7 +30,7 @@ mod topic {
     pub(super) const WANDER: u64 = 700;
     pub(super) const GUESS: u64 = 800;
     pub(super) const BIAS: u64 = 900;
-    /// Added for the stranger's points.
+    /// Added for the bystander's points.
     pub(super) const OF_STRANGER: u64 = 1000;
 }
 
@@ -42,7 +42,7 @@ pub(super) struct Detector<'a> {
     format: KeypointFormat,
     noise: &'a Noise,
     draws: Draws,
-    /// Of each point of the format: where it is believed to be, in its joint's frame, metres.
+    /// Systematic offset of each point of the format, in its joint's frame, metres.
     biases: Vec<Vector3<f64>>,
     stranger: Posture,
 }
@@ -55,7 +55,7 @@ impl<'a> Detector<'a> {
         noise: &'a Noise,
         seed: u64,
     ) -> Self {
-        // What all cameras share.
+        // Draws that all cameras share.
         let shared = Draws { seed, stream: u64::MAX };
         let points = format.keypoints().iter();
         let biases = points.map(|&keypoint| bias(keypoint, &shared) * noise.bias_m).collect();
@@ -64,7 +64,7 @@ impl<'a> Detector<'a> {
         Self { camera, index, format, noise, draws, biases, stranger }
     }
 
-    /// What it says of the body at `seconds`, the capture time.
+    /// The detections of the body in one frame, captured at `seconds`.
     pub(super) fn detect(
         &self,
         frame: u64,
@@ -74,15 +74,16 @@ impl<'a> Detector<'a> {
     ) -> Detections {
         let (noise, draws) = (self.noise, &self.draws);
         let mut people = Vec::new();
-        let blank = draws.stretch(topic::BLANK, seconds, noise.blanks, noise.blank_s);
+        let blank = draws.occurrence(topic::BLANK, seconds, noise.blanks, noise.blank_s);
         if blank.is_none() {
             let performer = self.person(frame, seconds, body, 0);
-            let split = draws.stretch(topic::SPLIT, seconds, noise.splits, noise.split_s);
+            let split = draws.occurrence(topic::SPLIT, seconds, noise.splits, noise.split_s);
             match split {
                 Some(_) => people.extend(self.split(performer)),
                 None => people.push(performer),
             }
-            let seen = draws.stretch(topic::STRANGER, seconds, noise.strangers, noise.stranger_s);
+            let seen =
+                draws.occurrence(topic::STRANGER, seconds, noise.strangers, noise.stranger_s);
             if seen.is_some() {
                 let other = (&Skeleton::default(), &self.stranger);
                 people.push(self.person(frame, seconds, other, topic::OF_STRANGER));
@@ -104,7 +105,7 @@ impl<'a> Detector<'a> {
     ) -> Person {
         let swapped = self
             .draws
-            .stretch(base + topic::SWAP, seconds, self.noise.swaps, self.noise.swap_s)
+            .occurrence(base + topic::SWAP, seconds, self.noise.swaps, self.noise.swap_s)
             .map(|which| if which < 0.7 { Region::Leg } else { Region::Arm });
         let exact: Vec<Option<Vector2<f64>>> = (self.format.keypoints().iter())
             .map(|&keypoint| {
@@ -122,14 +123,14 @@ impl<'a> Detector<'a> {
         Person { id: None, points }
     }
 
-    /// Where the detector believes a point to be in the world.
+    /// Where the detector places a point, world frame, metres: the true point plus its bias.
     fn believed(&self, keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
         let joint = Attachment::of(keypoint).joint.index();
         let bias = self.format.index_of(keypoint).map_or(Vector3::zeros(), |i| self.biases[i]);
         position(keypoint, skeleton, posture) + posture.rotations[joint] * bias
     }
 
-    /// One point, given where it is believed to be in the image.
+    /// The detection of one point, given its pixel without random errors.
     fn point(&self, at: &At, index: u64, exact: Vector2<f64>) -> Option<Detection> {
         let noise = self.noise;
         let uniform = |what: u64| self.draws.uniform(at.base + what + index, at.frame);
@@ -162,15 +163,15 @@ impl<'a> Detector<'a> {
         self.in_image(&pixel).then(|| Detection { pixel, confidence: confidence.clamp(0.02, 1.0) })
     }
 
-    /// If the point is on a limb that is hidden now: a number in [0, 1) of this occurrence.
+    /// A number in [0, 1) drawn per occlusion, if the point is on a limb that is hidden now.
     fn occlusion(&self, at: &At) -> Option<f64> {
         let topic = at.base + topic::OCCLUSION + limb_number(at.keypoint)?;
         let (rate, longest) = (self.noise.occlusions, self.noise.occlusion_s);
-        self.draws.stretch(topic, at.seconds, rate, longest)
+        self.draws.occurrence(topic, at.seconds, rate, longest)
     }
 
-    /// How far off the guess of a hidden point is, pixels: the limb goes astray as a whole, the
-    /// further out the more, and each point by itself.
+    /// Error of the guess of a hidden point, pixels: an error shared by the limb plus one of the
+    /// point, larger towards the limb's end.
     fn guess(&self, at: &At, index: u64) -> Vector2<f64> {
         let period = 0.6 * self.noise.occlusion_s.max(0.1);
         let normals = |what: u64| {
@@ -190,7 +191,7 @@ impl<'a> Detector<'a> {
         (-0.5..width - 0.5).contains(&pixel.x) && (-0.5..height - 0.5).contains(&pixel.y)
     }
 
-    /// The performer without legs, and the legs.
+    /// Splits the performer into a person without legs and a person with only legs.
     fn split(&self, whole: Person) -> [Person; 2] {
         let mut legs = Person { id: None, points: vec![None; whole.points.len()] };
         let mut rest = whole;
@@ -203,40 +204,40 @@ impl<'a> Detector<'a> {
     }
 }
 
-/// When, and of whom, a point is.
+/// Frame, time and person of a point.
 struct At {
     frame: u64,
     seconds: f64,
     keypoint: Keypoint,
-    /// Of the person in the image, pixels.
+    /// Size of the person in the image, pixels.
     size: f64,
     base: u64,
 }
 
-/// Where a detector's point is in the world: P_j + G_j offset.
+/// Position of a keypoint: P_j + G_j offset, world frame, metres.
 pub fn position(keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
     let attachment = Attachment::of(keypoint);
     let joint = attachment.joint.index();
     posture.positions[joint] + posture.rotations[joint] * attachment.offset(skeleton)
 }
 
-/// A unit normal offset for a point; left and right mirror each other.
+/// A standard normal offset for a point; left and right mirror each other.
 fn bias(keypoint: Keypoint, draws: &Draws) -> Vector3<f64> {
     let (left, side) = keypoint.of_left();
     let [x, y] = draws.normals(topic::BIAS, left as u64);
     let [z, _] = draws.normals(topic::BIAS + 1, left as u64);
-    // A point of the middle has no side to be off to.
+    // Points on the midline have no sideways offset.
     let middle = matches!(left, Keypoint::Nose | Keypoint::HeadTop | Keypoint::MidHip)
         || matches!(left, Keypoint::Neck | Keypoint::UpperNeck);
     Vector3::new(if middle { 0.0 } else { side * x }, y, z)
 }
 
-/// A number for each of the four limbs.
+/// The index of the limb that a point is on, 0 to 3.
 fn limb_number(keypoint: Keypoint) -> Option<u64> {
     limb_of(keypoint).map(|(region, side)| 2 * region as u64 + side as u64)
 }
 
-/// Somebody who stands about at the edge of the floor, facing the middle.
+/// A bystander at the edge of the floor, facing the middle.
 fn stranger(draws: Draws) -> Posture {
     let skeleton = Skeleton::default();
     let style = MotionStyle { radius: 2.3, ..MotionStyle::default() };
@@ -247,7 +248,7 @@ fn stranger(draws: Draws) -> Posture {
     pose.posture(&skeleton)
 }
 
-/// The larger side of the box around the points, pixels.
+/// The larger side of the bounding box of the points, pixels.
 fn extent(points: &[Option<Vector2<f64>>]) -> f64 {
     let seen = || points.iter().flatten();
     let low = seen().fold(Vector2::repeat(f64::MAX), |a, b| a.inf(b));

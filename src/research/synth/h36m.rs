@@ -1,8 +1,8 @@
-//! The four cameras of Human3.6M, read from a file that is not ours.
+//! Reads the four cameras of Human3.6M from an external JSON file.
 //!
-//! The file is JSON with `intrinsics` (by camera: `calibration_matrix`, `distortion` as k1, k2, p1,
-//! p2, k3), `extrinsics_S9_S11` (by subject and camera: `R`, `t`, camera_from_world, millimetres,
-//! z up) and `res` (by camera: width and height).
+//! Its keys: `intrinsics` (by camera: `calibration_matrix`, `distortion` as k1, k2, p1, p2, k3),
+//! `extrinsics_S9_S11` (by subject and camera: `R`, `t`, camera_from_world, millimetres, z up) and
+//! `res` (by camera: width and height).
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use serde::Deserialize;
 
 use crate::core::camera::{Camera, CameraError, Lens, Rig};
 
-/// Why the file cannot be used.
+/// Why the cameras cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum H36mError {
@@ -22,13 +22,16 @@ pub enum H36mError {
         "{}: {source}; it needs the keys intrinsics, extrinsics_S9_S11 and res", path.display()
     )]
     Malformed { path: PathBuf, source: serde_json::Error },
-    #[error("{}: no cameras of subject {subject}; it has those of {known}", path.display())]
+    #[error("{}: no cameras for subject {subject}; the file has {known}", path.display())]
     Subject { path: PathBuf, subject: String, known: String },
     #[error("{}: camera {camera} has no {field}; add it", path.display())]
     Missing { path: PathBuf, camera: String, field: &'static str },
     #[error("{}: {source}", path.display())]
     Camera { path: PathBuf, source: CameraError },
-    #[error("{}: the optical axes are parallel, so there is no middle", path.display())]
+    #[error(
+        "{}: all optical axes are parallel; cameras around a capture area are needed",
+        path.display()
+    )]
     NoMiddle { path: PathBuf },
 }
 
@@ -54,11 +57,11 @@ struct Extrinsics {
     translation: [[f64; 1]; 3],
 }
 
-/// The cameras of a subject (`S9` or `S11`), in metres, y up, with the middle of the capture area on
-/// the floor as the origin: the floor under the point that is nearest to all optical axes.
+/// The cameras of a subject (`S9` or `S11`), metres, y up. The origin is the middle of the capture
+/// area: the floor below the point nearest to all optical axes.
 ///
 /// # Errors
-/// A file that cannot be read or used, or that has no such subject.
+/// The file cannot be read or used, or it does not have the subject.
 pub fn h36m_rig(path: &Path, subject: &str) -> Result<Rig, H36mError> {
     let here = || path.to_path_buf();
     let text =
@@ -98,7 +101,7 @@ fn camera(file: &File, name: &str, pose: &Extrinsics) -> Result<Camera, Fault> {
     let lens = file.intrinsics.get(name).ok_or_else(|| missing("intrinsics"))?;
     let size = *file.res.get(name).ok_or_else(|| missing("res"))?;
     let of_rows = |rows: &[[f64; 3]; 3]| Matrix3::from_fn(|i, j| rows[i][j]);
-    // Theirs (x, y, z), z up, is ours (y, z, x).
+    // Human3.6M's (x, y, z), z up, is our (y, z, x).
     let theirs_from_ours = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
     let translation = Vector3::from(pose.translation.map(|[t]| 1e-3 * t));
     Camera::new(
@@ -112,8 +115,9 @@ fn camera(file: &File, name: &str, pose: &Extrinsics) -> Result<Camera, Fault> {
     .map_err(Fault::Camera)
 }
 
-/// The floor under the point with the least sum of squared distances to the optical axes:
-/// (sum of P) x = sum of P c with P = I - a a^T, for axes a through c.
+/// The floor below the point x with the least sum of squared distances to the optical axes:
+/// (sum of P) x = sum of P c with P = I - a a^T, for axes with direction a through c. `None` if all
+/// axes are parallel.
 fn middle(cameras: &[Camera]) -> Option<Vector3<f64>> {
     let (mut sum, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for camera in cameras {
@@ -126,7 +130,7 @@ fn middle(cameras: &[Camera]) -> Option<Vector3<f64>> {
     Some(Vector3::new(nearest.x, 0.0, nearest.z))
 }
 
-/// The same camera in a world whose origin is at `origin`.
+/// The same camera in a world with its origin at `origin`.
 fn shifted(mut camera: Camera, origin: &Vector3<f64>) -> Camera {
     camera.translation += camera.rotation * origin;
     camera

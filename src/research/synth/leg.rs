@@ -1,4 +1,4 @@
-//! Two-bone inverse kinematics of a leg whose foot is placed on the floor.
+//! Two-bone inverse kinematics of a leg with a given foot placement.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -7,7 +7,7 @@ use super::motion::{about_x, set};
 use crate::core::body::{Attachment, Joint, Pose, Skeleton};
 use crate::core::detections::Keypoint;
 
-/// Which side of the body.
+/// Side of the body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
     Left,
@@ -25,24 +25,24 @@ impl Side {
         if self == Self::Left { 1.0 } else { -1.0 }
     }
 
-    /// The joint of this side, given that of the left.
+    /// The joint on this side, given the left one.
     pub(super) fn of(self, left: Joint) -> Joint {
         if self == Self::Left { left } else { left.mirrored() }
     }
 }
 
-/// Lengths of a body's left leg, metres; the right one mirrors it.
+/// Segments of a body's left leg, metres; the right one mirrors it.
 #[derive(Clone, Debug)]
 pub(super) struct Leg {
     hip: Vector3<f64>,
     thigh: Vector3<f64>,
     shank: Vector3<f64>,
-    /// The ball of the foot and the back of the heel on the floor, from the ankle.
+    /// Floor contacts of the ball of the foot and of the heel, relative to the ankle.
     ball: Vector3<f64>,
     heel: Vector3<f64>,
 }
 
-/// The knee is never straighter than this cosine of flexion.
+/// Largest cosine of the knee's flexion.
 const STRAIGHTEST: f64 = 0.996;
 
 impl Leg {
@@ -61,19 +61,19 @@ impl Leg {
         }
     }
 
-    /// From the hip to the ankle when straight.
+    /// Distance from hip to ankle of a straight leg.
     pub(super) fn length(&self) -> f64 {
         self.thigh.norm() + self.shank.norm()
     }
 
-    /// Of the pelvis, with the knees a little bent.
+    /// Height of the pelvis above the floor with slightly bent knees.
     pub(super) fn standing_height(&self) -> f64 {
         0.988 * self.length() - self.ball.y - self.hip.y
     }
 
-    /// Places one leg of `pose`, whose pelvis is placed: the foot stands with its ankle over
-    /// `ground` (a point at the height of the sole), facing `heading`, with the heel raised
-    /// by a turn of `heel_off` about the ball, or the toes by `toes_off` about the heel.
+    /// Places one leg of `pose`; the pelvis must be placed already. The ankle is above `ground` (a
+    /// point at the height of the sole) and the foot faces `heading`. The heel is raised by a
+    /// rotation of `heel_off` about the ball, or the toes by `toes_off` about the heel, radians.
     pub(super) fn reach(
         &self,
         side: Side,
@@ -101,8 +101,8 @@ impl Leg {
         set(&mut pose.local, side.of(Joint::LFoot), about_x(-0.8 * heel_off));
     }
 
-    /// Knee flexion at which the ankle is `distance` from the hip, by the law of cosines; stays
-    /// short of straight, smoothly, where that is too far.
+    /// Knee flexion, radians, that puts the ankle at `distance` from the hip, by the law of
+    /// cosines. If that is too far, the flexion is smoothly limited short of straight.
     fn flexion_for(&self, distance: f64) -> f64 {
         let (a, b) = (self.thigh.norm(), self.shank.norm());
         let cosine = (distance * distance - a * a - b * b) / (2.0 * a * b);
@@ -110,8 +110,8 @@ impl Leg {
         soft_min(cosine, STRAIGHTEST, 0.02).max(-0.9).acos() - rest
     }
 
-    /// `world_from_thigh` such that the hip to ankle line lies along `to_ankle` and the knee
-    /// bends towards `forward`.
+    /// Rotation `world_from_thigh` that aligns the line from hip to ankle with `to_ankle` and bends
+    /// the knee towards `forward`.
     fn turn_towards(
         &self,
         to_ankle: &Vector3<f64>,
@@ -124,7 +124,7 @@ impl Leg {
     }
 }
 
-/// A right-handed frame with y along `up` and z as near to `forward` as can be; columns.
+/// A right-handed frame, as columns, with y along `up` and z as near to `forward` as possible.
 fn frame_of(up: &Vector3<f64>, forward: &Vector3<f64>) -> Matrix3<f64> {
     let y = up.normalize();
     let x = y.cross(forward).normalize();

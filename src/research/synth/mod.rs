@@ -1,8 +1,8 @@
-//! Synthetic recordings with a known truth.
+//! Synthetic recordings with ground truth.
 //!
-//! A [`Motion`] (or any function from seconds to a pose) is seen by the cameras of a rig, whose
-//! detectors err as real ones do ([`Noise`]). Everything follows from a seed, and nothing
-//! depends on the order in which frames are asked for.
+//! The cameras of a rig see a [`Motion`] (or any function from seconds to a pose) through detectors
+//! with realistic errors ([`Noise`]). A seed determines everything; frames can be generated in any
+//! order.
 //!
 //! ```
 //! use bundlemocap::core::body::Skeleton;

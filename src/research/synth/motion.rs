@@ -1,8 +1,8 @@
-//! Our own procedural motion: steps along a circle, then a squat, a reach and a wave, for ever.
+//! A procedural motion, repeated: steps along a circle, then a squat, a reach and a wave.
 //!
-//! A pure function of time, twice differentiable. The feet are planned first (planted, or on
-//! their way to the next place), the pelvis follows them, the legs are solved to reach the
-//! feet, and the arms and the trunk swing with the stride. Lengths scale with the leg.
+//! A pure function of time, twice differentiable. The feet are planned first (planted or swinging),
+//! the pelvis follows them, inverse kinematics places the legs, and arms and trunk swing with the
+//! stride. Lengths scale with the leg.
 
 use std::f64::consts::PI;
 
@@ -12,25 +12,25 @@ use super::curves::{bump, plateau, smoothstep};
 use super::leg::{Leg, Side};
 use crate::core::body::{BODY_JOINTS, Joint, Pose, Skeleton};
 
-/// Seconds after which the motion begins anew, where it has got to.
+/// Period of the motion, seconds. Each cycle begins where the last one ended.
 const CYCLE: f64 = 13.0;
-/// Steps in a cycle; the first and the last are half steps.
+/// Steps per cycle; the first and the last are half steps.
 const STEPS: usize = 9;
-/// When the first foot lifts, seconds into the cycle.
+/// Time at which the first foot lifts, seconds into the cycle.
 const FIRST_STEP: f64 = 0.4;
 
 /// How the performer moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionStyle {
-    /// From one foot to the other, in leg lengths.
+    /// Distance from one foot to the other, in leg lengths.
     pub step_length: f64,
-    /// From one step to the next, seconds.
+    /// Time from one step to the next, seconds.
     pub step_time: f64,
-    /// Radius of the circle that is walked, metres. Negative turns right.
+    /// Radius of the walked circle, metres. Negative turns right.
     pub radius: f64,
-    /// Swing of the arms to either side of the trunk, radians.
+    /// Amplitude of the arm swing, radians.
     pub arm_swing: f64,
-    /// How far the liveliest parts go; 1 is plain.
+    /// Factor on the amplitude of squat, reach and wave.
     pub liveliness: f64,
 }
 
@@ -40,44 +40,44 @@ impl Default for MotionStyle {
     }
 }
 
-/// A performer who moves for ever.
+/// A procedural motion of one body, without an end.
 #[derive(Clone, Debug)]
 pub struct Motion {
     style: MotionStyle,
     leg: Leg,
 }
 
-/// What the feet and the pelvis do at one time; metres and radians.
+/// Feet and pelvis at one time; metres and radians.
 struct Gait {
     /// Distance along the path: left foot, right foot, pelvis.
     along: [f64; 3],
-    /// Height of each foot's lift.
+    /// Height of each foot above the floor.
     lift: [f64; 2],
-    /// Heel off the ground, then toes off the ground, of each foot, radians.
+    /// Rotation of each foot, radians: heel off the ground, toes off the ground.
     roll: [[f64; 2]; 2],
-    /// Pelvis to the left.
+    /// Offset of the pelvis to the left.
     sway: f64,
-    /// Left foot ahead of the right, in step lengths, in \[-1, 1\].
+    /// Lead of the left foot over the right, in step lengths, in \[-1, 1\].
     stride: f64,
 }
 
-/// How far into its liveliest parts the motion is, each in \[0, 1\].
+/// Activation of each part of the motion, in \[0, 1\].
 struct Acts {
     walk: f64,
     squat: f64,
     reach: f64,
     wave: f64,
-    /// Oscillates while waving, radians.
+    /// Oscillation of the waving forearm, radians.
     wag: f64,
 }
 
 impl Motion {
-    /// The motion of a body of that shape.
+    /// The motion of the given body.
     pub fn new(skeleton: &Skeleton, style: MotionStyle) -> Self {
         Self { style, leg: Leg::of(skeleton) }
     }
 
-    /// The pose `seconds` after the start: standing, about to walk.
+    /// The pose `seconds` after the start. At 0 the performer stands.
     pub fn pose(&self, seconds: f64) -> Pose {
         let gait = self.gait(seconds);
         let acts = self.acts(seconds);
@@ -131,7 +131,8 @@ impl Motion {
         }
     }
 
-    /// The point `along` the path and `left` of it, and the way it faces as a turn about y.
+    /// The point `along` the path and `left` of it, metres, and the heading there as an angle about
+    /// y, radians.
     fn on_path(&self, along: f64, left: f64) -> (Vector3<f64>, f64) {
         let yaw = along / self.style.radius;
         let radius = self.style.radius - left;
@@ -183,15 +184,15 @@ impl Motion {
     }
 }
 
-/// Angles of an arm, radians, for the left arm; the right one mirrors them.
+/// Angles of the left arm, radians; the right arm mirrors them.
 struct Arm {
     forward: f64,
-    /// Above the horizontal, sideways.
+    /// Sideways, above the horizontal.
     raised: f64,
     /// About the upper arm.
     twist: f64,
     flexion: f64,
-    /// Of the forearm, across.
+    /// Sideways swing of the forearm.
     wag: f64,
 }
 
@@ -209,8 +210,8 @@ impl Arm {
     }
 }
 
-/// The trunk turns against the pelvis with the stride, leans in a squat and follows a reach;
-/// the head stays level and looks where the hand goes.
+/// Poses trunk and head: the trunk counter-rotates to the pelvis, leans in a squat and follows a
+/// reach; the head stays level and looks at the hand.
 fn pose_trunk(seconds: f64, gait: &Gait, acts: &Acts, local: &mut [Matrix3<f64>; BODY_JOINTS]) {
     let breath = 0.012 * (2.0 * PI * 0.27 * seconds).sin();
     let idle = 0.015 * (2.0 * PI * 0.19 * seconds + 1.0).sin();

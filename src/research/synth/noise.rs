@@ -1,68 +1,66 @@
-//! How a detector errs, as numbers, and the levels of the evaluation.
+//! The detector's noise model and the noise levels of the evaluation.
 
 use serde::{Deserialize, Serialize};
 
-/// How a detector errs. Rates are occurrences a second and camera; `_s` is the longest that one
-/// lasts, in seconds. Sizes in the image are shares of the person's height in pixels, so errors grow
+/// Parameters of the noise model. Event rates are per second and camera; `_s` is the longest
+/// duration, seconds. Image sizes are relative to the person's height in pixels, so errors scale
 /// with the person. The default is [`Noise::studio`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Noise {
-    /// Standard deviation of a limb's points along each axis, as a share of the person's height,
-    /// where the detector is as sure as usual.
+    /// Standard deviation of a limb's points along each axis at usual difficulty, relative to the
+    /// person's height.
     pub jitter: f64,
     /// Share of the jitter's variance that is new in each frame; the rest changes slowly.
     pub new_share: f64,
     /// Time over which the slow jitter changes, seconds.
     pub correlation_s: f64,
-    /// How the difficulty of a point changes over time: standard deviation of the logarithm of a
-    /// factor on the jitter, for each point and camera.
+    /// Variation of a point's difficulty over time: standard deviation of the logarithm of a factor
+    /// on the jitter, per point and camera.
     pub hardness: f64,
     /// Time over which the difficulty changes, seconds.
     pub hardness_s: f64,
-    /// What a camera's detector takes a point to be shifts with the view: standard deviation along
-    /// each axis, as a share of the height.
+    /// Slow shift of a point with the view: standard deviation along each axis, relative to the
+    /// height.
     pub wander: f64,
-    /// Time over which that changes, seconds.
+    /// Time over which this shift changes, seconds.
     pub wander_s: f64,
-    /// Where a detector believes a point to be on the body: standard deviation along each axis of an
-    /// offset in the frame of the point's joint, metres. The same in every view and for a whole
-    /// recording; left and right mirror each other, as detectors are trained on mirrored images.
+    /// Systematic offset of a point on the body: standard deviation along each axis in the frame of
+    /// the point's joint, metres. The offset is the same in every view for a whole recording; left
+    /// and right mirror each other, because detectors are trained on mirrored images.
     pub bias_m: f64,
     /// Confidence of a point without jitter.
     pub confidence: f64,
-    /// How much the confidence falls short of that for an error of one standard deviation at
-    /// usual difficulty.
+    /// Loss of confidence for an error of one standard deviation at usual difficulty.
     pub doubt: f64,
-    /// Probability that a point is missing at usual difficulty; it grows with the square of the
+    /// Probability that a point is missing at usual difficulty; grows with the square of the
     /// difficulty.
     pub missing: f64,
-    /// Probability that a point is grossly wrong, with a middling confidence.
+    /// Probability of a gross error, with medium confidence.
     pub outliers: f64,
-    /// A limb hidden from the camera: its points go missing, or are guessed.
+    /// Rate at which a limb is occluded; its points are missing or guessed.
     pub occlusions: f64,
-    /// See `occlusions`; per limb.
+    /// Longest occlusion of a limb, seconds.
     pub occlusion_s: f64,
-    /// Share of the occlusions in which the limb is guessed, with middling confidence, and not
-    /// missing.
+    /// Share of the occlusions in which the limb is guessed, with medium confidence.
     pub hallucinated: f64,
-    /// Standard deviation along each axis of a guess at the end of a limb, as a share of the height.
+    /// Standard deviation along each axis of a guess at the end of a limb, relative to the height.
     pub hallucination: f64,
-    /// Left and right of the legs, or of the arms, swapped.
+    /// Rate at which left and right of the legs, or of the arms, are swapped.
     pub swaps: f64,
-    /// See `swaps`.
+    /// Longest swap, seconds.
     pub swap_s: f64,
-    /// A bystander at the edge of the floor is detected too.
+    /// Rate at which a bystander at the edge of the floor is detected too.
     pub strangers: f64,
-    /// See `strangers`.
+    /// Longest detection of the bystander, seconds.
     pub stranger_s: f64,
-    /// The performer is reported as two people, trunk and legs.
+    /// Rate at which the performer is reported as two people, trunk and legs.
     pub splits: f64,
-    /// See `splits`.
+    /// Longest split, seconds.
     pub split_s: f64,
-    /// Nobody is detected.
+    /// Rate at which nobody is detected.
     pub blanks: f64,
-    /// See `blanks`.
+    /// Longest time without a detection, seconds.
     pub blank_s: f64,
 }
 
@@ -73,10 +71,10 @@ impl Default for Noise {
 }
 
 impl Noise {
-    /// The levels by name, for settings and the command line.
+    /// Names of the levels, for settings and the command line.
     pub const LEVELS: [&'static str; 5] = ["none", "jitter", "clean", "studio", "sparse"];
 
-    /// The level of that name.
+    /// The level of that name; `None` if it is unknown.
     pub fn level(name: &str) -> Option<Self> {
         Some(match name {
             "none" => Self::none(),
@@ -88,7 +86,7 @@ impl Noise {
         })
     }
 
-    /// Exact projections with confidence 1; only what lies outside the image is missing.
+    /// Exact projections with confidence 1; only points outside the image are missing.
     pub fn none() -> Self {
         Self {
             jitter: 0.0,
@@ -118,12 +116,12 @@ impl Noise {
         }
     }
 
-    /// Jitter alone.
+    /// Only jitter.
     pub fn jitter_only() -> Self {
         Self { jitter: 0.006, doubt: 0.10, ..Self::none() }
     }
 
-    /// A good detector and a body that it knows: small jitter, a rare gap, nothing else.
+    /// A good detector: small jitter and offsets, rare gaps, nothing else.
     pub fn clean() -> Self {
         Self {
             jitter: 0.003,
@@ -135,7 +133,7 @@ impl Noise {
         }
     }
 
-    /// A studio with plain backgrounds and a detector of good quality.
+    /// A good detector in a studio with plain backgrounds.
     pub fn studio() -> Self {
         Self {
             jitter: 0.006,
@@ -165,7 +163,7 @@ impl Noise {
         }
     }
 
-    /// Few cameras and a detector far from what it was trained on.
+    /// Few cameras, and a detector far from its training data.
     pub fn sparse() -> Self {
         Self {
             jitter: 0.0195,

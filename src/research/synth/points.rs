@@ -1,4 +1,4 @@
-//! What a detector's points are to it: which limb they are on, and how hard they are to find.
+//! Properties of keypoints for the noise model: limb, mirrored point, difficulty.
 
 use crate::core::detections::Keypoint;
 
@@ -9,7 +9,7 @@ pub(super) enum Region {
     Leg,
 }
 
-/// The limb a point is on, if it is on one: region, and 0 for left or 1 for right.
+/// The limb that a point is on: region, and 0 for left or 1 for right. `None` if on no limb.
 pub(super) fn limb_of(keypoint: Keypoint) -> Option<(Region, usize)> {
     use Keypoint as K;
     Some(match keypoint {
@@ -21,7 +21,7 @@ pub(super) fn limb_of(keypoint: Keypoint) -> Option<(Region, usize)> {
     })
 }
 
-/// The same point on the other side, for points on limbs.
+/// The same point on the other side; points that are on no limb stay.
 pub(super) fn mirrored(keypoint: Keypoint) -> Keypoint {
     use Keypoint as K;
     const PAIRS: [(Keypoint, Keypoint); 7] = [
@@ -43,7 +43,7 @@ pub(super) fn mirrored(keypoint: Keypoint) -> Keypoint {
         .unwrap_or(keypoint)
 }
 
-/// How much a point jitters, against a limb's.
+/// Jitter of a point relative to a limb's points.
 pub(super) fn difficulty(keypoint: Keypoint) -> f64 {
     use Keypoint as K;
     match keypoint {
@@ -55,7 +55,7 @@ pub(super) fn difficulty(keypoint: Keypoint) -> f64 {
     }
 }
 
-/// How far along a limb a point is: 1 at its end.
+/// Position of a point along its limb: 1 at the end.
 pub(super) fn along(keypoint: Keypoint) -> f64 {
     use Keypoint as K;
     match keypoint {

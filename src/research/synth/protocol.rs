@@ -1,4 +1,4 @@
-//! The numbers of the evaluation: motions, bodies, rigs, and how the detectors err.
+//! Settings of the evaluation: motions, bodies, rigs and noise levels.
 
 use std::collections::BTreeMap;
 
@@ -6,21 +6,21 @@ use serde::{Deserialize, Serialize};
 
 use super::noise::Noise;
 
-/// How test sequences are made of motions; see [`sequence`](super::sequence).
+/// How test sequences are cut from motions; see [`sequence`](super::sequence).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SequenceChoice {
-    /// Frames a second of the cameras.
+    /// Frame rate of the cameras, Hz.
     pub fps: f64,
     /// Longest sequence, seconds.
     pub seconds: f64,
-    /// Motions that give less than this are left out, seconds.
+    /// Shortest sequence, seconds; motions that give less are skipped.
     pub least_seconds: f64,
-    /// How far the pelvis goes from the middle of the floor, metres.
+    /// Largest distance of the pelvis from the middle of the floor, metres.
     pub radius_m: f64,
-    /// Standard deviation of the shape's coefficients.
+    /// Standard deviation of the shape coefficients.
     pub shape_spread: f64,
-    /// The coefficients are clipped to this size.
+    /// Largest magnitude of the coefficients; they are clipped to it.
     pub shape_limit: f64,
 }
 
@@ -37,21 +37,21 @@ impl Default for SequenceChoice {
     }
 }
 
-/// The protocol of the evaluation. `config/eval.toml` holds it with comments.
+/// The protocol of the evaluation; `config/eval.toml` explains each setting.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Protocol {
-    /// Subjects whose motions are used: those the weights that ship have not seen.
+    /// Subjects whose motions are used; by default those held out from the embedded weights.
     pub subjects: Vec<String>,
-    /// Names of rigs, see [`rig_named`](super::rig_named).
+    /// Names of rigs; see [`rig_named`](super::rig_named).
     pub rigs: Vec<String>,
     /// Keypoint format of the detectors.
     pub format: String,
-    /// Each seed is a pass over all motions; the seed of a sequence also depends on its place.
+    /// One pass over all motions per seed; a sequence's seed also depends on its index.
     pub seeds: Vec<u64>,
     /// How sequences are made.
     pub sequence: SequenceChoice,
-    /// How the detectors err, by level.
+    /// Noise of the detectors, by level.
     pub levels: BTreeMap<String, Noise>,
 }
 
@@ -72,8 +72,8 @@ impl Default for Protocol {
 }
 
 impl Protocol {
-    /// The seed of the `index`-th sequence in the pass of `seed`: for [`sequence`](super::sequence)
-    /// and for the detectors.
+    /// The seed of sequence `index` in the pass of `seed`, for [`sequence`](super::sequence) and
+    /// the detectors.
     pub fn seed_of(seed: u64, index: usize) -> u64 {
         seed.wrapping_mul(1_000_003).wrapping_add(index as u64)
     }

@@ -1,4 +1,4 @@
-//! A recording of a motion: detections in order of capture time, and the true poses.
+//! A synthetic recording: detections in order of capture time, and the true poses.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -10,7 +10,7 @@ use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::so3;
 use crate::core::time::Timestamp;
 
-/// A motion, who makes it and what sees it. `M` maps seconds from the start to a pose.
+/// A motion with its body, cameras and detectors. `M` maps seconds from the start to a pose.
 #[derive(Clone, Debug)]
 pub struct Recording<M> {
     /// The cameras.
@@ -19,20 +19,20 @@ pub struct Recording<M> {
     pub skeleton: Skeleton,
     /// The true motion.
     pub motion: M,
-    /// Frames a second of every camera.
+    /// Frame rate of every camera, Hz.
     pub fps: f64,
-    /// Frames of every camera.
+    /// Number of frames of every camera.
     pub frames: u64,
-    /// What the detectors mark.
+    /// Keypoint format of the detectors.
     pub format: KeypointFormat,
-    /// How they err.
+    /// Noise of the detectors.
     pub noise: Noise,
     /// Capture time of frame 0.
     pub start: Timestamp,
-    /// Share of a frame period, in \[0, 1), over which the cameras' shutters are spread;
-    /// 0 is genlock.
+    /// Spread of the cameras' shutter times as a share of the frame period, in \[0, 1); 0 is
+    /// genlock.
     pub stagger: f64,
-    /// Of all that is random.
+    /// Seed of all random draws.
     pub seed: u64,
 }
 
@@ -53,7 +53,7 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
         }
     }
 
-    /// The true poses at the nominal frame times, which are those of camera 0.
+    /// The true poses at the nominal frame times, the capture times of camera 0.
     pub fn poses(&self) -> impl Iterator<Item = StampedPose> + '_ {
         (0..self.frames).map(|frame| {
             let since_start = Timestamp::of_frame(frame, self.fps);
@@ -69,7 +69,7 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
         })
     }
 
-    /// What the detectors say, in order of capture time, then of camera.
+    /// The detections, ordered by capture time, then by camera.
     pub fn detections(&self) -> impl Iterator<Item = Detections> + '_ {
         let detectors: Vec<Detector> = (self.rig.cameras.iter().enumerate())
             .map(|(index, camera)| {
@@ -95,14 +95,14 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
     }
 }
 
-/// The path through poses that are `1 / fps` apart: the cubic of Catmull and Rom in the position and
-/// in the rotation vectors from the pose before, held at both ends. (Straight lines would have a kink
-/// at each pose, and few between.) The rest pose if there are none.
+/// Interpolates poses that are `1 / fps` apart: a Catmull-Rom cubic in the position and in the
+/// rotation vectors relative to the pose before, constant beyond both ends. (Linear interpolation
+/// would have a kink at each pose.) The rest pose if `poses` is empty.
 pub fn through(poses: Vec<Pose>, fps: f64) -> impl Fn(f64) -> Pose + Clone {
     move |seconds| {
         let Some(last) = poses.len().checked_sub(1) else { return Pose::rest() };
         let at = (seconds * fps).clamp(0.0, last as f64);
-        // A stamp is rounded to the nanosecond; a pose asked for at its own time is given exactly.
+        // Timestamps are rounded to the nanosecond; at a pose's own time, return it exactly.
         let at = if (at - at.round()).abs() < 1e-6 { at.round() } else { at };
         let (before, share) = (at.floor() as usize, at.fract());
         if share == 0.0 {
@@ -113,7 +113,7 @@ pub fn through(poses: Vec<Pose>, fps: f64) -> impl Fn(f64) -> Pose + Clone {
     }
 }
 
-/// Between the second and the third pose.
+/// The pose at `share` of the way from the second pose to the third.
 fn between(around: [&Pose; 4], share: f64) -> Pose {
     let position = |of: fn(&Pose) -> &Vector3<f64>| {
         let from = of(around[1]);
@@ -131,7 +131,7 @@ fn between(around: [&Pose; 4], share: f64) -> Pose {
     }
 }
 
-/// The cubic of Catmull and Rom between the second and the third of four.
+/// The Catmull-Rom cubic between the second and the third of four points.
 fn cubic([p0, p1, p2, p3]: [Vector3<f64>; 4], s: f64) -> Vector3<f64> {
     let (slope1, slope2) = ((p2 - p0) * 0.5, (p3 - p1) * 0.5);
     let rise = s * s * (3.0 - 2.0 * s);

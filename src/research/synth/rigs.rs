@@ -8,13 +8,13 @@ use super::h36m::{H36mError, h36m_rig};
 use super::ring::{looking_at, ring_rig};
 use crate::core::camera::{Camera, CameraError, Lens, Rig};
 
-/// Why there is no such rig.
+/// Why a rig cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum RigError {
-    /// No such name.
+    /// Unknown name.
     #[error("no rig is named {0:?}; use h36m, h36m-s11, 3dhp, or ring2 to ring64")]
     Name(String),
-    /// The Human3.6M cameras are asked for without their file.
+    /// The file with the Human3.6M cameras is not given.
     #[error("rig {0} needs the file with the Human3.6M cameras; give its path")]
     NeedsFile(String),
     /// The Human3.6M cameras cannot be used.
@@ -25,15 +25,15 @@ pub enum RigError {
     Camera(#[from] CameraError),
 }
 
-/// Distance of a ring's cameras from the middle, and their height, metres.
+/// Radius of the ring and height of its cameras, metres.
 const RING: [f64; 2] = [4.5, 1.6];
 
-/// The rig of that name: `h36m` or `h36m-s9` and `h36m-s11` (Human3.6M's cameras for a subject, from
-/// the file at `h36m`), `3dhp` ([`tdhp_like_rig`]), or `ring2` to `ring64` (that many cameras on a
-/// ring of 4.5 m, 1.6 m high). The middle of the floor is the origin of each.
+/// The rig of that name: `h36m` or `h36m-s9` and `h36m-s11` (the cameras of Human3.6M for a
+/// subject, from the file at `h36m`), `3dhp` ([`tdhp_like_rig`]), or `ring2` to `ring64` (that many
+/// cameras on a ring with a radius of 4.5 m, 1.6 m high). The origin is the middle of the floor.
 ///
 /// # Errors
-/// An unknown name; no file, or one that cannot be used.
+/// The name is unknown, or the file is missing or cannot be used.
 pub fn rig_named(name: &str, h36m: Option<&Path>) -> Result<Rig, RigError> {
     let of_subject = |subject: &str| {
         let path = h36m.ok_or_else(|| RigError::NeedsFile(name.to_owned()))?;
@@ -53,12 +53,12 @@ pub fn rig_named(name: &str, h36m: Option<&Path>) -> Result<Rig, RigError> {
     }
 }
 
-/// Four cameras like views 0, 2, 7 and 8 of MPI-INF-3DHP, with numbers of our own (not the set's):
-/// square images of 2048 pixels, a focal length of 1500, three at chest height and one higher, around
-/// a floor whose middle is the origin, at unequal distances and angles.
+/// Four cameras similar to views 0, 2, 7 and 8 of MPI-INF-3DHP, with our own numbers (not the data
+/// set's): images of 2048 x 2048 pixels, focal length about 1500 pixels, three at chest height and
+/// one higher, at unequal distances and angles. The origin is the middle of the floor.
 ///
 /// # Errors
-/// None with these numbers.
+/// Never with these numbers.
 pub fn tdhp_like_rig() -> Result<Rig, CameraError> {
     // Angle about y from +z in degrees, distance and height in metres.
     const PLACES: [(&str, f64, f64, f64); 4] = [
@@ -71,7 +71,7 @@ pub fn tdhp_like_rig() -> Result<Rig, CameraError> {
         let angle = f64::to_radians(degrees);
         let eye = Vector3::new(radius * angle.sin(), height, radius * angle.cos());
         let rotation = looking_at(&eye, &Vector3::new(0.0, 0.95, 0.0));
-        // Real cameras are not alike, and not centred.
+        // Real cameras differ in focal length and principal point.
         let (f, off) = (1500.0 - 4.0 * index as f64, 9.0 - 6.0 * index as f64);
         let matrix = Matrix3::new(f, 0.0, 1023.5 + off, 0.0, f, 1023.5 - off, 0.0, 0.0, 1.0);
         let lens = Lens::brown_conrady(&[-0.02, 0.01, 0.0002, -0.0002, 0.0])?;

@@ -1,4 +1,4 @@
-//! Test sequences of given motions: a stretch within the cameras' reach, on a body of its own.
+//! Cuts test sequences from motions: a section within the cameras' view, on a random body.
 
 use nalgebra::Vector3;
 
@@ -9,16 +9,16 @@ use crate::core::body::{FASTEST, JOINTS, Joint, Pose, SHAPE_COEFFICIENTS, Shape,
 use crate::core::detections::Keypoint;
 use crate::core::random::Draws;
 
-/// Sets these draws apart from others of the same seed.
+/// Separates these draws from others with the same seed.
 const STREAM: u64 = 0x7365_7175_656e_6365;
-/// Which number is for what.
+/// Keys of the random draws.
 mod topic {
     pub(super) const SHAPE: u64 = 0;
     pub(super) const HEADING: u64 = 1;
 }
 
-/// A pelvis does not accelerate more than this in the mean, m/s^2: what falls has a quarter of it, who
-/// runs half.
+/// Largest plausible mean acceleration of the pelvis, m/s^2: 4 times free fall, twice that of a
+/// runner.
 const MOST_ACCELERATION: f64 = 40.0;
 
 /// Points that touch the floor.
@@ -31,32 +31,32 @@ const SOLE: [Keypoint; 6] = [
     Keypoint::RHeel,
 ];
 
-/// A stretch of a motion on a body.
+/// A section of a motion on a body.
 #[derive(Clone, Debug)]
 pub struct Sequence {
     /// The body.
     pub skeleton: Skeleton,
     /// Poses at the motion's own frame rate, around the origin.
     pub poses: Vec<Pose>,
-    /// Frame of the motion that the first pose is.
+    /// Index of the first pose in the motion.
     pub first: usize,
-    /// Frames at the wanted frame rate, for [`Recording`](super::Recording) with
+    /// Number of frames at `choice.fps`, for [`Recording`](super::Recording) with
     /// [`through`](super::through)`(poses, source_fps)` as its motion.
     pub frames: u64,
 }
 
 /// A test sequence from poses at `source_fps` (y up, metres, on the mean body).
 ///
-/// The body's shape is drawn: ten normal coefficients, clipped. The pelvis moves as far as the body's
-/// legs are long, and the lower foot stands on the floor (the lowest tenth of the soles' lower
-/// ends lies below y = 0, on the mean body and on this one). Of the motion the stretch of at most
-/// `choice.seconds` is taken that stays within `choice.radius_m` of its own middle: that nearest to
-/// the middle of the motion, or where there is none, the longest shorter one. Its middle is moved to
-/// the origin, and the whole turned by a drawn angle. No stretch goes over a leap, where a joint is faster
-/// than 15 m/s, and in none the pelvis accelerates by more than 40 m/s^2 in the mean: such a capture is
-/// broken. The same seed gives the same sequence.
+/// - Body: ten random shape coefficients, normal and clipped. The motion of the pelvis is scaled by
+///   the length of the legs. The lower foot stands on the floor: the lowest tenth of the soles'
+///   lower ends is below y = 0, on the mean body and on this one.
+/// - Section: at most `choice.seconds` long, within `choice.radius_m` of its own middle, nearest to
+///   the middle of the motion; if there is none, the longest shorter one. It contains no jump (a
+///   joint faster than 15 m/s), and the pelvis accelerates by at most 40 m/s^2 in the mean: beyond
+///   that the capture is broken.
+/// - Placement: the middle of the section is the origin, with a random heading.
 ///
-/// `None` where no stretch of `choice.least_seconds` is left.
+/// The same seed gives the same sequence. `None` if no section of `choice.least_seconds` is left.
 pub fn sequence(
     poses: &[Pose],
     source_fps: f64,
@@ -73,8 +73,8 @@ pub fn sequence(
         pose.root_position.y -= floor;
         pose.root_position *= scale;
     }
-    let leaps = leaps(&scaled, &skeleton, source_fps);
-    let (first, count, middle) = stretch(&scaled, &leaps, source_fps, choice)?;
+    let jumps = jumps(&scaled, &skeleton, source_fps);
+    let (first, count, middle) = section(&scaled, &jumps, source_fps, choice)?;
     let mut poses = scaled.split_off(first);
     poses.truncate(count);
 
@@ -98,12 +98,12 @@ fn shape(draws: &Draws, choice: &SequenceChoice) -> Shape {
     Shape(values)
 }
 
-/// Of the pelvis above the ankles in the rest pose, metres.
+/// Height of the pelvis above the ankles in the rest pose, metres.
 fn standing_height(skeleton: &Skeleton) -> f64 {
     -[Joint::LHip, Joint::LKnee, Joint::LAnkle].iter().map(|&j| skeleton.offset(j).y).sum::<f64>()
 }
 
-/// Height of the floor: the lowest tenth of the soles' lowest points lies below it.
+/// Height of the floor: the lowest tenth of the soles' lowest points is below it.
 fn floor(poses: &[Pose], skeleton: &Skeleton) -> Option<f64> {
     let mut lowest: Vec<f64> = (poses.iter())
         .map(|pose| {
@@ -115,10 +115,10 @@ fn floor(poses: &[Pose], skeleton: &Skeleton) -> Option<f64> {
     lowest.get(lowest.len() / 10).copied()
 }
 
-/// First pose, number of poses, and the middle of the path on the floor.
-fn stretch(
+/// First pose and number of poses of the section, and the middle of its path on the floor.
+fn section(
     poses: &[Pose],
-    leaps: &[bool],
+    jumps: &[bool],
     fps: f64,
     choice: &SequenceChoice,
 ) -> Option<(usize, usize, Vector3<f64>)> {
@@ -131,12 +131,12 @@ fn stretch(
         let mut starts: Vec<usize> = (0..=poses.len() - count).step_by(step).collect();
         starts.sort_by_key(|start| start.abs_diff(centre));
         let found = starts.into_iter().find_map(|first| {
-            if leaps[first + 1..first + count].contains(&true) {
+            if jumps[first + 1..first + count].contains(&true) {
                 return None;
             }
-            let stretch = &poses[first..first + count];
-            let middle = middle_within(stretch, choice.radius_m)?;
-            let possible = mean_acceleration(stretch, fps) <= MOST_ACCELERATION;
+            let section = &poses[first..first + count];
+            let middle = middle_within(section, choice.radius_m)?;
+            let possible = mean_acceleration(section, fps) <= MOST_ACCELERATION;
             possible.then_some((first, count, middle))
         });
         if found.is_some() {
@@ -147,16 +147,16 @@ fn stretch(
     None
 }
 
-/// Whether a joint is faster than people are from the pose before to this one.
-fn leaps(poses: &[Pose], skeleton: &Skeleton, fps: f64) -> Vec<bool> {
+/// For each pose: whether a joint moves faster than people can, from the pose before to this one.
+fn jumps(poses: &[Pose], skeleton: &Skeleton, fps: f64) -> Vec<bool> {
     let positions: Vec<_> = poses.iter().map(|pose| pose.posture(skeleton).positions).collect();
-    let is_leap = |pair: &[[Vector3<f64>; JOINTS]]| {
+    let is_jump = |pair: &[[Vector3<f64>; JOINTS]]| {
         pair[0].iter().zip(&pair[1]).any(|(a, b)| (b - a).norm() * fps > FASTEST)
     };
-    std::iter::once(false).chain(positions.windows(2).map(is_leap)).collect()
+    std::iter::once(false).chain(positions.windows(2).map(is_jump)).collect()
 }
 
-/// Of the pelvis, m/s^2.
+/// Mean acceleration of the pelvis, m/s^2.
 fn mean_acceleration(poses: &[Pose], fps: f64) -> f64 {
     let bend = |three: &[Pose]| {
         let [a, b, c] = [0, 1, 2].map(|at| three[at].root_position);
@@ -165,8 +165,8 @@ fn mean_acceleration(poses: &[Pose], fps: f64) -> f64 {
     poses.windows(3).map(bend).sum::<f64>() / poses.len().saturating_sub(2).max(1) as f64
 }
 
-/// The middle of the box around the path of the pelvis on the floor, if the path stays within the
-/// radius of it.
+/// The middle of the bounding box of the pelvis path on the floor, if the path stays within
+/// `radius` of it.
 fn middle_within(poses: &[Pose], radius: f64) -> Option<Vector3<f64>> {
     let on_floor = |pose: &Pose| Vector3::new(pose.root_position.x, 0.0, pose.root_position.z);
     let bounds = poses.iter().map(|p| (on_floor(p), on_floor(p)));
@@ -180,7 +180,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_stretch_goes_over_a_leap() {
+    fn no_section_contains_a_jump() {
         let at = |x: f64| {
             let mut pose = Pose::rest();
             pose.root_position = Vector3::new(x, 0.9, 0.0);
@@ -196,10 +196,11 @@ mod tests {
         let cut = sequence(&poses, 60.0, &choice, 1).unwrap();
         assert!(cut.first > 100 || cut.first + cut.poses.len() <= 100, "{}", cut.first);
     }
+
     #[test]
-    fn a_pelvis_that_shakes_as_nobody_can_is_left_out() {
+    fn a_section_with_implausible_acceleration_is_skipped() {
         let choice = SequenceChoice { least_seconds: 1.0, ..SequenceChoice::default() };
-        // Up and down three times a second: 36 and 90 m/s^2 at most, 23 and 57 in the mean.
+        // Three oscillations a second: at most 36 and 90 m/s^2, 23 and 57 in the mean.
         let shaken = |height: f64| {
             let at = |frame: u32| {
                 let mut pose = Pose::rest();

@@ -1,4 +1,4 @@
-//! Motion clips: BVH folders as local rotations of our joints.
+//! Motion clips: reads folders of BVH files as local rotations of our joints.
 
 use std::path::{Path, PathBuf};
 
@@ -9,26 +9,26 @@ use crate::core::body::{BODY_JOINTS, JOINTS, Joint, Pose, Skeleton};
 use crate::core::so3;
 use crate::io::formats::bvh::Bvh;
 
-/// Numbers of a pose: two columns of each of the 21 local rotations.
+/// Length of a pose vector: two columns of each of the 21 local rotations.
 pub const POSE: usize = 6 * BODY_JOINTS;
 
 /// A pose: for joint j (1 to 21) the first and second column of `parent_from_joint` at
 /// 6 (j - 1) and 6 (j - 1) + 3.
 pub type PoseVector = [f32; POSE];
 
-/// Frames a second of all clips.
+/// Frame rate of all clips, Hz.
 pub const FPS: f64 = 60.0;
 
-/// A motion clip at 60 frames a second.
+/// A motion clip at 60 fps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
-    /// Name of the file.
+    /// File name without extension.
     pub name: String,
-    /// Digits before the first `_` of the file's name, else `act`.
+    /// Digits before the first `_` of the file name, else `act`.
     pub subject: String,
     /// Poses in order.
     pub poses: Vec<PoseVector>,
-    /// The pelvis of each pose: rotation, and position in metres on the scale of our mean body.
+    /// Pelvis of each pose: rotation, and position in metres at the scale of our mean body.
     pub roots: Vec<Root>,
 }
 
@@ -54,10 +54,10 @@ impl Clip {
     }
 }
 
-/// The joints of a BVH skeleton that stand for ours, by our index.
+/// The joints of a BVH skeleton that correspond to ours, by our index.
 struct Source {
     names: [&'static str; JOINTS],
-    /// Whether the rest pose splays the legs, so that they are to be straightened.
+    /// Whether the rest pose has splayed legs, which must be straightened.
     splayed: bool,
 }
 
@@ -100,8 +100,10 @@ const HIPS: Source = Source {
     splayed: true,
 };
 
-/// Every clip under `folder`, by path. Fails on the first file that cannot be used, and where
-/// there is none.
+/// Reads every clip under `folder`, sorted by path.
+///
+/// # Errors
+/// A file cannot be used, or there is none.
 pub fn read_folder(folder: &Path) -> Result<Vec<Clip>, TrainError> {
     let mut files = Vec::new();
     list(folder, &mut files)?;
@@ -143,7 +145,7 @@ fn subject_of(name: &str) -> String {
     if number { head.to_owned() } else { "act".to_owned() }
 }
 
-/// The subjects of clips, sorted, each once.
+/// The subjects of clips, sorted, without duplicates.
 pub fn subjects<'a>(clips: impl IntoIterator<Item = &'a Clip>) -> Vec<&'a str> {
     let mut names: Vec<&str> = clips.into_iter().map(|clip| clip.subject.as_str()).collect();
     names.sort_unstable();
@@ -151,17 +153,17 @@ pub fn subjects<'a>(clips: impl IntoIterator<Item = &'a Clip>) -> Vec<&'a str> {
     names
 }
 
-/// How a file's skeleton turns into ours.
+/// The mapping from a file's skeleton to ours.
 struct Retarget {
     joints: [usize; JOINTS],
-    /// `theirs_from_ours` at rest; identity but for splayed legs.
+    /// `theirs_from_ours` at rest; identity except for splayed legs.
     rest: [Matrix3<f64>; JOINTS],
-    /// Metres of our mean body per unit of the file, by the length of the legs.
+    /// Metres of our mean body per unit of the file, from the leg lengths.
     scale: f64,
 }
 
 impl Retarget {
-    /// For the skeletons of the CMU corpus; else the name of a joint that is missing.
+    /// The mapping for a skeleton of the CMU corpus. The error is the name of a missing joint.
     fn of(bvh: &Bvh) -> Result<Self, &'static str> {
         let source = if bvh.joint("Hips").is_some() { &HIPS } else { &HIP };
         let mut joints = [0; JOINTS];
@@ -179,8 +181,8 @@ impl Retarget {
         Ok(Self { joints, rest, scale: ours / theirs.max(1e-6) })
     }
 
-    /// Pelvis, and our local rotations: (G_parent C_parent)^T G_j C_j with the file's global rotations G and
-    /// `theirs_from_ours` C.
+    /// Pelvis and our local rotations (G_parent C_parent)^T G_j C_j, with the file's global
+    /// rotations G and `theirs_from_ours` C.
     fn frame(&self, bvh: &Bvh, frame: usize) -> Option<Frame> {
         let posture = bvh.posture(frame)?;
         let global =
@@ -205,7 +207,7 @@ impl Retarget {
     }
 }
 
-/// C of the legs: the rotation that takes straight down to the file's own rest direction.
+/// C of the legs: the rotation from straight down to the file's rest direction.
 fn straighten(bvh: &Bvh, joints: &[usize; JOINTS], rest: &mut [Matrix3<f64>; JOINTS]) {
     let left = [Joint::LHip, Joint::LKnee, Joint::LAnkle, Joint::LFoot];
     let right = left.map(Joint::mirrored);
@@ -219,8 +221,7 @@ fn straighten(bvh: &Bvh, joints: &[usize; JOINTS], rest: &mut [Matrix3<f64>; JOI
     }
 }
 
-/// Frames at [`FPS`] from ones that are 1 / `step` times as dense: slerp of each joint and of the
-/// pelvis, lerp of its position.
+/// Resamples frames to `step` times their rate: slerp of rotations, lerp of the pelvis position.
 pub(super) fn resampled(frames: &[Frame], step: f64) -> Vec<(Root, PoseVector)> {
     let last = frames.len().saturating_sub(1);
     let count = (last as f64 * step).floor() as usize + usize::from(!frames.is_empty());
@@ -246,7 +247,7 @@ pub fn pose_vector(locals: &[Matrix3<f64>; BODY_JOINTS]) -> PoseVector {
     pose
 }
 
-/// The pose seen in a mirror: R' = M R M with M = diag(-1, 1, 1), left and right swapped.
+/// The mirrored pose: R' = M R M with M = diag(-1, 1, 1), left and right swapped.
 pub fn mirrored(pose: &PoseVector) -> PoseVector {
     let mut out = [0.0; POSE];
     for joint in &Joint::ALL[1..] {
@@ -284,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn resampling_keeps_both_ends_and_halves_the_way() {
+    fn resampling_keeps_both_ends_and_halves_the_steps() {
         let turn = |angle: f64| [so3::exp(&(Vector3::x() * angle)); BODY_JOINTS];
         let frame = |angle: f64| ((turn(angle)[0], Vector3::z() * angle), turn(angle));
         let frames = resampled(&[frame(0.0), frame(0.4), frame(0.8)], 2.0);

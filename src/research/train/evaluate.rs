@@ -1,4 +1,4 @@
-//! Held-out figures of a model, by subject.
+//! Held-out metrics of a model, by subject.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -15,37 +15,37 @@ use crate::core::so3;
 /// Frames between the two poses whose codes are interpolated.
 pub const SPAN: usize = 10;
 
-/// Codes drawn for [`prior_outside`].
+/// Number of codes drawn in [`prior_outside`].
 const DRAWS: usize = 2000;
-/// What a joint may turn beyond the greatest angle seen, radians.
+/// Tolerance on the largest angle of a joint, radians.
 const TOLERANCE: f64 = 0.087;
 
-/// Poses go through the networks in groups of this many.
+/// Number of poses that the networks process at once.
 const GROUP: usize = 512;
 
-/// Errors on one subject's clips, means over frames.
+/// Metrics on one subject's clips, means over frames.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Figures {
     /// The subject; `all` for the mean over all frames.
     pub subject: String,
-    /// How many frames there are.
+    /// Number of frames.
     pub frames: usize,
     /// Angle between true and decoded local rotations, over 21 joints, degrees.
     pub rotation_deg: f64,
-    /// Distance of joint centres with the pelvis held, over 22 joints, millimetres.
+    /// Distance of joint centres with aligned pelvis, over 22 joints, millimetres.
     pub joint_mm: f64,
     /// The same for the decoded slerp of the codes of frames [`SPAN`] apart, against the true
     /// frames between.
     pub between_mm: f64,
     /// The same for the slerp of each true rotation, for comparison.
     pub true_slerp_mm: f64,
-    /// Mean square of the numbers of codes that are used; 1 for a standard normal distribution.
+    /// Mean square over the used latent dimensions; 1 for a standard normal distribution.
     pub latent_square: f64,
-    /// Least and greatest standard deviation of one of them.
+    /// Smallest and largest standard deviation of a used latent dimension.
     pub latent_spread: (f64, f64),
 }
 
-/// Figures of every subject in `clips`, in order, then of all together.
+/// Metrics of every subject in `clips`, sorted, then of all together.
 pub fn figures(model: &Model, clips: &[Clip]) -> Vec<Figures> {
     let tree = Tree::new(&Skeleton::default());
     let mut all = Sums::default();
@@ -62,7 +62,7 @@ pub fn figures(model: &Model, clips: &[Clip]) -> Vec<Figures> {
     rows
 }
 
-/// The figures as lines of text, with a heading.
+/// The metrics as a text table with a header line.
 pub fn table(figures: &[Figures]) -> String {
     let mut text = format!(
         "{:<8} {:>7} {:>12} {:>10} {:>11} {:>14} {:>9} {:>13}\n",
@@ -191,8 +191,8 @@ fn joint_distance(tree: &Tree, a: &Locals, b: &Locals) -> f64 {
     distances.sum::<f64>() / JOINTS as f64
 }
 
-/// Share of the joint rotations decoded from codes drawn from N(0, I) that turn further from the
-/// rest pose than the same joint ever does in `clips`, by more than 5 degrees.
+/// Share of joint rotations, decoded from codes of N(0, I), whose angle from the rest pose exceeds
+/// the largest angle of the same joint in `clips` by more than 5 degrees.
 pub fn prior_outside(model: &Model, clips: &[Clip], seed: u64) -> f64 {
     let mut limits = [0.0f64; BODY_JOINTS];
     for pose in clips.iter().flat_map(|clip| &clip.poses) {
@@ -215,7 +215,7 @@ fn angles(locals: &Locals) -> [f64; BODY_JOINTS] {
     locals.map(|local| (0.5 * (f64::from(local.trace()) - 1.0)).clamp(-1.0, 1.0).acos())
 }
 
-/// Means of the codes of poses.
+/// Mean codes of poses.
 pub fn encode(model: &Model, poses: &[PoseVector]) -> Vec<[f32; LATENT]> {
     let mut codes = Vec::with_capacity(poses.len());
     for group in poses.chunks(GROUP) {

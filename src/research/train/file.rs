@@ -1,5 +1,5 @@
 //! The weights file: safetensors, f32, `encoder.N.weight` \[out, in\], `encoder.N.bias`, and the
-//! same of the decoder, with what made them as metadata.
+//! same for the decoder. The metadata records how they were trained.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -16,28 +16,28 @@ use super::mlp::Mlp;
 use super::model::Model;
 use crate::core::manifold::LATENT;
 
-/// What the metadata calls the format.
+/// Name of the format in the metadata.
 const FORMAT: &str = "bundlemocap-manifold";
 /// The version of the format.
 const VERSION: &str = "1";
 /// The activation between layers.
 const ACTIVATION: &str = "silu";
 
-/// What a weights file holds.
+/// Content of a weights file.
 pub struct Content<'a> {
-    /// What the metadata calls the format.
+    /// Name of the format in the metadata.
     pub format: &'a str,
     /// Networks by name.
     pub networks: &'a [(&'a str, &'a Mlp)],
-    /// The parameters of all of them.
+    /// Parameters of all networks.
     pub parameters: &'a [f32],
-    /// Other numbers by name.
+    /// Other vectors by name.
     pub vectors: &'a [(&'a str, &'a [f32])],
-    /// What made them.
+    /// How they were trained.
     pub metadata: &'a BTreeMap<&'static str, String>,
 }
 
-/// Writes a manifold's file.
+/// Writes the weights file of a manifold.
 pub fn write(
     path: &Path,
     model: &Model,
@@ -63,7 +63,7 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
     Ok(())
 }
 
-/// Temporary files are private by default; weights are not.
+/// Temporary files are private by default; weights must be readable by all.
 fn readable_by_all() -> tempfile::Builder<'static, 'static> {
     let mut builder = tempfile::Builder::new();
     #[cfg(unix)]
@@ -74,8 +74,8 @@ fn readable_by_all() -> tempfile::Builder<'static, 'static> {
     builder
 }
 
-/// The length of the header, the header with its keys in order, then all numbers; the same
-/// content gives the same bytes.
+/// The bytes of a file: length of the header, header with sorted keys, values. The same content
+/// gives the same bytes.
 pub fn bytes(content: &Content) -> Vec<u8> {
     let (mut header, mut data) = (Map::new(), Vec::new());
     let mut described: Map<String, Value> =
@@ -111,14 +111,14 @@ pub fn bytes(content: &Content) -> Vec<u8> {
     out
 }
 
-/// Reads a file that holds both networks.
+/// Reads a file with encoder and decoder.
 pub fn read(path: &Path) -> Result<Model, TrainError> {
     let bytes =
         std::fs::read(path).map_err(|source| TrainError::Read { path: path.to_owned(), source })?;
     parse(&bytes).map_err(|problem| TrainError::Weights { path: path.to_owned(), problem })
 }
 
-/// The same from bytes; else what is wrong with them.
+/// Reads encoder and decoder from bytes. The error says what is wrong with them.
 pub fn parse(bytes: &[u8]) -> Result<Model, String> {
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(|error| error.to_string())?;
     let metadata = header.metadata().clone().unwrap_or_default();
@@ -139,7 +139,7 @@ pub fn parse(bytes: &[u8]) -> Result<Model, String> {
     Ok(model)
 }
 
-/// Hidden widths of a network, checked against its first and last width.
+/// Hidden widths of a network. Checks that its widths begin with `first` and end with `last`.
 fn widths(
     tensors: &SafeTensors,
     name: &str,
@@ -157,7 +157,7 @@ fn widths(
         }
     }
     if widths.len() < 2 || widths.pop() != Some(last) {
-        return Err(format!("its {name} does not end in {last} numbers"));
+        return Err(format!("its {name} does not have {last} outputs"));
     }
     Ok(widths.split_off(1))
 }
@@ -173,12 +173,12 @@ fn load(
             let name = format!("{name}.{index}.{part}");
             let tensor = tensors.tensor(&name).map_err(|error| error.to_string())?;
             if tensor.dtype() != Dtype::F32 || tensor.data().len() != 4 * range.len() {
-                return Err(format!("`{name}` does not hold {} f32 numbers", range.len()));
+                return Err(format!("`{name}` does not have {} f32 values", range.len()));
             }
             let numbers = tensor.data().as_chunks::<4>().0.iter().copied().map(f32::from_le_bytes);
             for (parameter, number) in parameters[range.clone()].iter_mut().zip(numbers) {
                 if !number.is_finite() {
-                    return Err(format!("`{name}` holds a number that is not finite"));
+                    return Err(format!("`{name}` has a value that is not finite"));
                 }
                 *parameter = number;
             }

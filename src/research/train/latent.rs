@@ -1,17 +1,17 @@
-//! What happens to codes in training: sampling, the distance to the prior, interpolation.
+//! Operations on codes in training: sampling, KL divergence from the prior, slerp.
 
 use crate::core::manifold::LATENT;
 
-/// Numbers the encoder gives: means, then logarithms of variances.
+/// Outputs of the encoder: means, then log variances.
 pub const CODE: usize = 2 * LATENT;
 
-/// Logarithms of variances are held within this range of 0.
+/// Largest magnitude of log variances; they are clamped to it.
 const LOG_VARIANCE_LIMIT: f32 = 12.0;
 
 /// Below this angle (radians) between two codes, lerp replaces slerp.
 const SMALL_ANGLE: f64 = 1e-3;
 
-/// Below this sine (codes that point away from each other), slerp is not defined; lerp as well.
+/// Below this sine (opposite codes), slerp is not defined; lerp replaces it too.
 const SMALL_SINE: f64 = 1e-3;
 
 /// z = mean + exp(log variance / 2) noise.
@@ -21,7 +21,7 @@ pub fn sample(code: &[f32], noise: &[f32], z: &mut [f32]) {
     }
 }
 
-/// The derivative by the code from that by the sample, added to `by_code`.
+/// Backpropagates from the sample to the code: adds the derivative to `by_code`.
 pub fn sample_backward(code: &[f32], noise: &[f32], by_z: &[f32], by_code: &mut [f32]) {
     for index in 0..LATENT {
         by_code[index] += by_z[index];
@@ -36,8 +36,8 @@ fn deviation(log_variance: f32) -> f32 {
     (0.5 * log_variance.clamp(-LOG_VARIANCE_LIMIT, LOG_VARIANCE_LIMIT)).exp()
 }
 
-/// KL divergence of a code from N(0, I), 1/2 sum (mean^2 + variance - 1 - log variance), nats;
-/// `weight` times its derivative is added to `by_code`.
+/// KL divergence of a code from N(0, I), nats: 1/2 sum (mean^2 + variance - 1 - log variance).
+/// Adds `weight` times its derivative to `by_code`.
 pub fn divergence(code: &[f32], weight: f32, by_code: &mut [f32]) -> f32 {
     let mut sum = 0.0;
     for index in 0..LATENT {
@@ -50,7 +50,8 @@ pub fn divergence(code: &[f32], weight: f32, by_code: &mut [f32]) -> f32 {
     sum
 }
 
-/// Weights of two codes in their slerp, and the weights' derivatives by the cosine of the angle.
+/// Weights of two codes in their slerp, and the derivatives of the weights with respect to the
+/// cosine of the angle.
 #[derive(Clone, Copy, Debug)]
 pub struct Slerp {
     weight_a: f64,
@@ -96,14 +97,14 @@ impl Slerp {
         }
     }
 
-    /// The code between.
+    /// The interpolated code.
     pub fn mix(&self, a: &[f32], b: &[f32], z: &mut [f32]) {
         for (z, (a, b)) in z.iter_mut().zip(a.iter().zip(b)) {
             *z = (self.weight_a * f64::from(*a) + self.weight_b * f64::from(*b)) as f32;
         }
     }
 
-    /// Derivatives by both codes from that by the code between, added to `by_a` and `by_b`.
+    /// Backpropagates from the interpolated code: adds the derivatives to `by_a` and `by_b`.
     pub fn backward(&self, a: &[f32], b: &[f32], by_z: &[f32], by_a: &mut [f32], by_b: &mut [f32]) {
         let by_cosine = self.by_cosine_a * dot(by_z, a) + self.by_cosine_b * dot(by_z, b);
         let both = self.length_a * self.length_b;
@@ -126,7 +127,7 @@ fn norm(a: &[f32]) -> f64 {
     dot(a, a).sqrt().max(1e-9)
 }
 
-/// 2 atan2(|a' - b'|, |a' + b'|) of the unit vectors: exact where the cosine is near 1.
+/// Angle between unit vectors a', b': 2 atan2(|a' - b'|, |a' + b'|). Accurate for small angles.
 fn angle_between(a: &[f32], b: &[f32], length_a: f64, length_b: f64) -> f64 {
     let (mut minus, mut plus) = (0.0, 0.0);
     for (a, b) in a.iter().zip(b) {
@@ -205,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn slerp_meets_both_ends_and_keeps_the_length() {
+    fn slerp_reaches_both_ends_and_keeps_the_length() {
         let (a, mut b) = (normal(LATENT, 9), normal(LATENT, 10));
         let scale = (norm(&a) / norm(&b)) as f32;
         b.iter_mut().for_each(|v| *v *= scale);

@@ -1,10 +1,10 @@
-//! Keeps the poses of all codes near the prior within what joints were seen to do.
+//! A penalty that keeps decoded joint rotations within the range of the corpus.
 //!
-//! The encoder's codes fill only a part of the latent space, and a decoder may turn the joints of
-//! the codes between them any way it likes. The solver meets those codes: a twist that no
-//! detection shows costs it nothing. So codes are drawn about the origin and decoded, and each
-//! joint whose six numbers v lie further from the corpus than [`RADIUS`] standard deviations,
-//! m = sqrt((v - mean)^T (C + floor I)^-1 (v - mean)), costs m - RADIUS.
+//! Codes are drawn near the origin and decoded. A joint with the six components v and the
+//! Mahalanobis distance m = sqrt((v - mean)^T (C + floor I)^-1 (v - mean)) from the corpus costs
+//! max(0, m - [`RADIUS`]). Reason: the encoder's codes fill only a part of the latent space, and
+//! the reconstruction loss does not constrain the decoder elsewhere. The solver reaches such codes,
+//! for example with a twist that no detection shows.
 
 use nalgebra::{Matrix6, Vector6};
 use rand::RngExt;
@@ -15,27 +15,27 @@ use super::mlp::fill_normal;
 use crate::core::body::BODY_JOINTS;
 use crate::core::manifold::LATENT;
 
-/// Mahalanobis distance up to which a joint is free; 99 % of the corpus are within.
+/// Mahalanobis distance up to which a joint costs nothing; 99 % of the corpus is within.
 const RADIUS: f32 = 3.5;
-/// Variance added to each of the six numbers, so that a stiff joint may move by about 0.1 rad.
+/// Variance added to each of the six components, so that a stiff joint may move by about 0.1 rad.
 const FLOOR: f64 = 0.01;
-/// Codes are N(0, I) times a number drawn between 0 and this.
+/// Codes are N(0, I) times a factor drawn between 0 and this.
 const REACH: f32 = 1.2;
 
-/// Where each joint's six numbers were in the corpus and its mirror image.
+/// Mean and inverse covariance of each joint's six components over the corpus and its mirror image.
 #[derive(Clone, Debug)]
 pub struct Limits {
     joints: Vec<(Vector6<f32>, Matrix6<f32>)>,
 }
 
 impl Limits {
-    /// Mean and inverse covariance of each joint.
+    /// Computes the statistics of `clips`.
     pub fn new(clips: &[Clip]) -> Self {
         Self { joints: (0..BODY_JOINTS).map(|joint| statistics(clips, joint)).collect() }
     }
 
-    /// The mean cost of a joint of the decoded `pose`. Its derivative times `weight` is added
-    /// to `by_pose`. Both are 126 long.
+    /// Mean cost over the joints of the decoded `pose` (126 values). Adds `weight` times its
+    /// derivative to `by_pose` (126 values).
     pub fn cost(&self, weight: f32, pose: &[f32], by_pose: &mut [f32]) -> f32 {
         let mut cost = 0.0;
         let joints = pose.chunks_exact(6).zip(by_pose.chunks_exact_mut(6)).zip(&self.joints);
@@ -70,7 +70,7 @@ fn statistics(clips: &[Clip], joint: usize) -> (Vector6<f32>, Matrix6<f32>) {
     (mean.cast(), inverse.cast())
 }
 
-/// Draws codes about the origin.
+/// Draws codes near the origin.
 pub fn draw_codes(codes: &mut [f32], rng: &mut ChaCha8Rng) {
     fill_normal(codes, rng);
     for code in codes.chunks_exact_mut(LATENT) {
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn the_corpus_is_free_and_far_poses_cost() {
+    fn the_corpus_costs_little_and_far_poses_cost_more() {
         let clips = corpus();
         let limits = Limits::new(&clips);
         let mut none = [0.0; POSE];
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn the_derivative_is_that_of_the_cost() {
+    fn the_derivative_agrees_with_central_differences() {
         let limits = Limits::new(&corpus());
         let pose: Vec<f32> = (0..POSE).map(|k| 2.0 * (k as f32).cos()).collect();
         let mut analytic = vec![0.0; POSE];

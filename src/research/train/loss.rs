@@ -1,8 +1,8 @@
-//! How far a decoded pose is from the true one, with derivatives.
+//! Reconstruction loss of a decoded pose, with derivatives.
 //!
-//! Both distances are smoothed norms sqrt(d^2 + e^2) - e, so that training aims at the mean
-//! error and not at its square: d is |R - R'|_F / sqrt 2 (the angle, for small angles; radians)
-//! per joint, or the distance of joint centres (metres) with the pelvis held, on the template.
+//! Both distances are smoothed norms sqrt(d^2 + e^2) - e, so that training minimises the mean error
+//! and not its square. d is |R - R'|_F / sqrt 2 per joint (radians; the angle, if small), or the
+//! distance of joint centres (metres) with aligned pelvis, on the template body.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -15,10 +15,10 @@ const ROTATION_EDGE: f32 = 0.02;
 /// e of joint centres, metres.
 const POSITION_EDGE: f32 = 0.002;
 
-/// Local rotations as the manifold gives them.
+/// Local rotations of the 21 joints below the pelvis.
 pub type Locals = [Matrix3<f32>; BODY_JOINTS];
 
-/// A tree of joints in single precision.
+/// A joint tree in single precision.
 #[derive(Clone, Debug)]
 pub struct Tree {
     parents: [usize; JOINTS],
@@ -42,7 +42,7 @@ impl Tree {
         }
     }
 
-    /// G_j = G_p R_j and P_j = P_p + G_p o_j.
+    /// Forward kinematics: G_j = G_p R_j and P_j = P_p + G_p o_j.
     pub fn place(&self, locals: &Locals) -> Placed {
         let mut placed = Placed {
             rotations: [Matrix3::identity(); JOINTS],
@@ -57,7 +57,7 @@ impl Tree {
         placed
     }
 
-    /// Derivatives by the local rotations' entries from those by the positions; added to `out`.
+    /// Backpropagates from the positions to the entries of the local rotations: adds to `out`.
     pub fn place_backward(
         &self,
         locals: &Locals,
@@ -81,22 +81,22 @@ impl Tree {
 /// Mean distances of a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Distances {
-    /// Over the 21 rotations, radians.
+    /// Mean over the 21 rotations, radians.
     pub rotation: f32,
-    /// Over the 22 joint centres, metres.
+    /// Mean over the 22 joint centres, metres.
     pub position: f32,
 }
 
 /// Weights of the two distances.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Weights {
-    /// Per radian.
+    /// Weight per radian.
     pub rotation: f32,
-    /// Per metre.
+    /// Weight per metre.
     pub position: f32,
 }
 
-/// The local rotations of a pose of 126 numbers.
+/// The local rotations of a pose of 126 values.
 pub fn locals_of(pose: &[f32]) -> Locals {
     tapes_of(pose).map(|tape| tape.rotation)
 }
@@ -105,7 +105,8 @@ fn tapes_of(pose: &[f32]) -> [SixTape; BODY_JOINTS] {
     std::array::from_fn(|joint| from_six(&pose[6 * joint..6 * joint + 6]))
 }
 
-/// The weighted distances' derivatives by `decoded` go to `by_decoded`; both are 126 long.
+/// Distances between `decoded` and `truth`. Writes the derivative of their weighted sum with
+/// respect to `decoded` to `by_decoded`. All are 126 values long.
 pub fn pose_loss(
     tree: &Tree,
     weights: Weights,
@@ -132,7 +133,7 @@ pub fn pose_loss(
     distances
 }
 
-/// The mean distance of rotations, and `weight` times its derivative by them.
+/// The mean distance of rotations. Writes `weight` times its derivative to `by_locals`.
 fn rotation_part(weight: f32, locals: &Locals, truth: &Locals, by_locals: &mut Locals) -> f32 {
     let share = 1.0 / BODY_JOINTS as f32;
     let mut sum = 0.0;
@@ -145,7 +146,7 @@ fn rotation_part(weight: f32, locals: &Locals, truth: &Locals, by_locals: &mut L
     sum
 }
 
-/// The mean distance of joint centres, and `weight` times its derivative by them.
+/// The mean distance of joint centres. Writes `weight` times its derivative to `by_positions`.
 fn position_part(
     weight: f32,
     placed: &Placed,
@@ -222,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn the_true_pose_is_at_distance_zero() {
+    fn the_true_pose_has_distance_zero() {
         let tree = Tree::new(&Skeleton::default());
         let weights = Weights { rotation: 1.0, position: 1.0 };
         let distances = pose_loss(&tree, weights, &pose(4), &pose(4), &mut [0.0; POSE]);

@@ -1,7 +1,7 @@
-//! Multi-layer perceptrons with SiLU, forward and backward, over rows of a batch.
+//! Multi-layer perceptrons with SiLU, forward and backward, over the rows of a batch.
 //!
-//! h_l = silu(W_l h_{l-1} + b_l), without silu after the last layer. Matrices are row-major;
-//! parameters of all networks lie in one flat slice, so that an optimiser sees one vector.
+//! h_l = silu(W_l h_{l-1} + b_l), without silu after the last layer. Matrices are row-major. One
+//! flat slice holds the parameters of all networks, so the optimiser sees one vector.
 
 use std::ops::Range;
 
@@ -11,12 +11,12 @@ use rand_chacha::ChaCha8Rng;
 use crate::core::linalg::{self, Accum};
 use crate::core::manifold::activation;
 
-/// One linear layer: where its parameters are.
+/// One linear layer: its widths and the ranges of its parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
-    /// Width of a row that comes in.
+    /// Width of an input row.
     pub inputs: usize,
-    /// Width of a row that goes out.
+    /// Width of an output row.
     pub outputs: usize,
     /// Weights, `outputs` x `inputs`.
     pub weight: Range<usize>,
@@ -30,7 +30,7 @@ pub struct Mlp {
     layers: Vec<Layer>,
 }
 
-/// What a forward pass leaves for the backward pass.
+/// Values that the forward pass keeps for the backward pass.
 #[derive(Clone, Debug)]
 pub struct Tape {
     rows: usize,
@@ -38,12 +38,12 @@ pub struct Tape {
     values: Vec<Vec<f32>>,
     /// Derivative of the activation at each hidden value.
     slopes: Vec<Vec<f32>>,
-    /// Derivatives of the loss by `values`.
+    /// Derivatives of the loss with respect to `values`.
     deltas: Vec<Vec<f32>>,
 }
 
 impl Mlp {
-    /// A network of those widths whose parameters begin at `first`.
+    /// A network with the given widths, whose parameters begin at index `first`.
     pub fn new(widths: &[usize], first: usize) -> Self {
         let mut next = first;
         let mut take = |count: usize| {
@@ -69,7 +69,7 @@ impl Mlp {
         self.layers.last().map_or(0, |layer| layer.bias.end)
     }
 
-    /// Draws weights of variance 2 / inputs (the last layer's a hundredth), and zero biases.
+    /// Draws weights of variance 2 / inputs (last layer: a hundredth of that) and zeroes biases.
     pub fn initialise(&self, parameters: &mut [f32], rng: &mut ChaCha8Rng) {
         let last = self.layers.len() - 1;
         for (index, layer) in self.layers.iter().enumerate() {
@@ -81,7 +81,7 @@ impl Mlp {
         }
     }
 
-    /// Room for `rows` rows.
+    /// A tape for `rows` rows.
     pub fn tape(&self, rows: usize) -> Tape {
         let inputs = self.layers.first().map_or(0, |layer| layer.inputs);
         let widths = std::iter::once(inputs).chain(self.layers.iter().map(|layer| layer.outputs));
@@ -90,7 +90,7 @@ impl Mlp {
         Tape { rows, slopes: values[hidden].to_vec(), deltas: values.clone(), values }
     }
 
-    /// Fills the tape from its input.
+    /// Forward pass: fills the tape from its input.
     pub fn forward(&self, parameters: &[f32], tape: &mut Tape) {
         let rows = tape.rows;
         for (index, layer) in self.layers.iter().enumerate() {
@@ -108,8 +108,8 @@ impl Mlp {
         }
     }
 
-    /// From the derivatives by the output to those by the parameters, added to `gradient`, and,
-    /// if `to_input`, to those by the input. Overwrites hidden derivatives.
+    /// Backward pass: adds the derivatives with respect to the parameters to `gradient` and, if
+    /// `to_input`, computes those with respect to the input. Overwrites hidden derivatives.
     pub fn backward(
         &self,
         parameters: &[f32],
@@ -139,23 +139,23 @@ impl Mlp {
 }
 
 impl Tape {
-    /// The rows that go in.
+    /// The input rows.
     pub fn input_mut(&mut self) -> &mut [f32] {
         &mut self.values[0]
     }
 
-    /// The rows that came out.
+    /// The output rows.
     pub fn output(&self) -> &[f32] {
         &self.values[self.values.len() - 1]
     }
 
-    /// The rows that came out, and room for the derivatives by them.
+    /// The output rows, and the buffer for the derivatives with respect to them.
     pub fn output_and_delta(&mut self) -> (&[f32], &mut [f32]) {
         let last = self.values.len() - 1;
         (&self.values[last], &mut self.deltas[last])
     }
 
-    /// Derivatives by the input, after the backward pass.
+    /// Derivatives with respect to the input, after the backward pass.
     pub fn input_delta(&self) -> &[f32] {
         &self.deltas[0]
     }
@@ -193,7 +193,7 @@ mod tests {
         assert!(mean.abs() < 0.03 && (square - 1.0).abs() < 0.04, "{mean} {square}");
     }
 
-    /// Loss = sum of output * weight, so that the derivative by the output is `weight`.
+    /// Loss = sum of output * weight; its derivative with respect to the output is `weight`.
     fn loss(mlp: &Mlp, parameters: &[f32], input: &[f32], weight: &[f32]) -> f64 {
         let mut tape = mlp.tape(input.len() / mlp.layers()[0].inputs);
         tape.input_mut().copy_from_slice(input);

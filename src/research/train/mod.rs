@@ -1,14 +1,18 @@
 //! Training the pose manifold: a variational auto-encoder of local rotations
 //! \[Kingma 2014, Pavlakos 2019, sec. 3.3\].
 //!
-//! The loss has four parts: rotations and joint centres of poses decoded from sampled codes; the
-//! same of poses decoded from decode(slerp(encode(a), encode(b), s)) against the true pose
-//! between, since that is what the solver relies on; and the divergence of the codes from
-//! N(0, I). Few clips have to cover many people: samples are mirrored, some join one clip's legs
-//! with another's upper body, and some move about another clip's mean pose. At the end codes
-//! get coordinates in which they are nearer to N(0, I) over the clips (`standard`).
+//! The loss has four parts:
+//! - errors of rotations and joint centres of poses decoded from sampled codes;
+//! - the same errors of decode(slerp(encode(a), encode(b), s)) against the true pose between a and
+//!   b, because the solver relies on this interpolation;
+//! - the KL divergence of the codes from N(0, I);
+//! - a penalty on joint rotations outside the corpus, for random codes (`limits`).
 //!
-//! Everything is seeded: the same data, options and build give the same bytes on any number of
+//! Augmentation makes few clips cover many people: samples are mirrored, some join one clip's legs
+//! with another's upper body, and some move about another clip's mean pose. After training, a
+//! linear map brings the codes of the clips nearer to N(0, I) (`standard`).
+//!
+//! Everything is seeded: the same data, options and build give the same bytes with any number of
 //! threads, on processors with the same vector instructions.
 
 mod corpus;
@@ -51,10 +55,10 @@ use options::{check, command, loss_weights, optimiser_config, sampler_config};
 use sampler::Sampler;
 use standard::Standard;
 
-/// Steps from one [`Progress`] to the next.
+/// Steps between two [`Progress`] reports.
 const REPORT_EVERY: usize = 50;
 
-/// Why training or evaluation did not happen.
+/// Why training or evaluation failed.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum TrainError {
@@ -62,34 +66,34 @@ pub enum TrainError {
     Read { path: PathBuf, source: std::io::Error },
     #[error("{}: cannot be written: {source}; check that its folder exists", path.display())]
     Write { path: PathBuf, source: std::io::Error },
-    #[error("{}: holds no .bvh file; name a folder of motion clips", path.display())]
+    #[error("{}: contains no .bvh file; give a folder of motion clips", path.display())]
     NoClips { path: PathBuf },
     #[error("{}: {source}", path.display())]
     Bvh { path: PathBuf, source: BvhError },
     #[error(
-        "{}: has no joint `{joint}`; its skeleton is neither of the two CMU skeletons (roots \
-         `hip` and `Hips`) that can be read",
+        "{}: has no joint `{joint}`; only the two CMU skeletons (roots `hip` and `Hips`) can be \
+         read",
         path.display()
     )]
     Joint { path: PathBuf, joint: String },
     #[error("no clip of subject `{subject}`; the clips' subjects are {known}")]
     Subject { subject: String, known: String },
-    #[error("no clip to train on is longer than {frames} frames; leave out fewer subjects")]
+    #[error("no training clip is longer than {frames} frames; hold out fewer subjects")]
     NothingLeft { frames: usize },
     #[error("option `{option}` is {found}; it must be {allowed}")]
     Option { option: &'static str, found: String, allowed: String },
     #[error("the loss is no longer finite at step {step}; lower the learning rate")]
     Diverged { step: usize },
-    #[error("{}: {problem}; it is no weights file that this version can use", path.display())]
+    #[error("{}: {problem}; this version cannot use it as a weights file", path.display())]
     Weights { path: PathBuf, problem: String },
 }
 
-/// How far training is.
+/// Progress of a training run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Steps taken.
+    /// Steps done.
     pub step: usize,
-    /// Steps in all.
+    /// Total number of steps.
     pub steps: usize,
     /// Mean losses since the last report.
     pub losses: Losses,
@@ -97,32 +101,35 @@ pub struct Progress {
     pub loss: f32,
     /// Steps per second since the start.
     pub steps_per_second: f64,
-    /// Time left at that pace.
+    /// Estimated time left.
     pub eta: Duration,
 }
 
-/// What came of it.
+/// Result of a training run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
-    /// Held-out figures by subject, then `all`; empty without test subjects.
+    /// Held-out metrics by subject, then `all`; empty without test subjects.
     pub held_out: Vec<Figures>,
-    /// Share of joint rotations decoded from codes of N(0, I) that turn further than that joint
-    /// ever does in the clips trained on.
+    /// Share of joint rotations decoded from codes of N(0, I) whose angle exceeds the largest angle
+    /// of that joint in the training clips.
     pub prior_outside: f64,
-    /// Frames trained on.
+    /// Number of training frames.
     pub frames: usize,
-    /// Clips trained on.
+    /// Number of training clips.
     pub clips: usize,
-    /// How many numbers were trained.
+    /// Number of trained parameters.
     pub parameters: usize,
-    /// The command that repeats it.
+    /// The command that reproduces the run.
     pub command: String,
-    /// How long it took.
+    /// Wall-clock time of the run.
     pub duration: Duration,
 }
 
-/// Trains, writes the weights and reports the error on the test subjects. `progress` is called
-/// every 50 steps and after the last.
+/// Trains, writes the weights and reports the metrics on the test subjects. Calls `progress` every
+/// 50 steps and after the last.
+///
+/// # Errors
+/// Options out of range, unusable clips or subjects, a diverging loss, an unwritable file.
 pub fn run(options: &Options, progress: &mut dyn FnMut(Progress)) -> Result<Report, TrainError> {
     check(options)?;
     let start = Instant::now();
@@ -144,7 +151,11 @@ pub fn run(options: &Options, progress: &mut dyn FnMut(Progress)) -> Result<Repo
     })
 }
 
-/// Figures of a weights file on `subjects` of a folder, by subject, then `all`.
+/// Metrics of a weights file on `subjects` of a folder (all, if `subjects` is empty), by subject,
+/// then `all`.
+///
+/// # Errors
+/// Unusable weights, clips or subjects.
 pub fn evaluate(
     weights: &Path,
     motions: &Path,
@@ -155,7 +166,7 @@ pub fn evaluate(
     Ok(evaluate::figures(&model, if subjects.is_empty() { &rest } else { &chosen }))
 }
 
-/// The clips of `subjects`, and the others.
+/// Splits clips into those of `subjects` and the others.
 fn split(clips: Vec<Clip>, subjects: &[String]) -> Result<(Vec<Clip>, Vec<Clip>), TrainError> {
     for subject in subjects {
         if !clips.iter().any(|clip| clip.subject == *subject) {
@@ -208,7 +219,7 @@ fn fit(
     Ok(model)
 }
 
-/// Gathers losses between reports.
+/// Averages losses between reports.
 struct Reporter {
     start: Instant,
     steps: usize,

@@ -1,4 +1,4 @@
-//! Encoder and decoder with their parameters, and one batch's gradient.
+//! Encoder and decoder with their parameters, and the gradient of one batch.
 
 use std::ops::Range;
 use std::thread;
@@ -17,29 +17,29 @@ use super::standard::Standard;
 use crate::core::body::Skeleton;
 use crate::core::manifold::LATENT;
 
-/// A batch is cut into this many parts whatever the number of threads, so that sums have one
-/// order and training gives the same bytes on any number of threads.
+/// Number of parts of a batch, independent of the number of threads. So the order of sums is fixed
+/// and training gives the same bytes with any number of threads.
 const PARTS: usize = 4;
 
-/// What the last layer's first weights are multiplied by where they give means of codes, so that
-/// these begin at about unit variance.
+/// Factor on the initial weights of the encoder's last layer that give the means of codes, so that
+/// the means start with about unit variance.
 const FIRST_SPREAD: f32 = 7.0;
-/// First log variance of codes.
+/// Initial log variance of codes.
 const FIRST_LOG_VARIANCE: f32 = -4.0;
 
-/// The two networks, over one vector of parameters.
+/// The two networks, with one parameter vector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
-    /// 126 numbers of a pose to mean and log variance of its code.
+    /// Maps a pose (126 values) to mean and log variance of its code.
     pub encoder: Mlp,
-    /// A code to 126 numbers.
+    /// Maps a code to a pose (126 values).
     pub decoder: Mlp,
-    /// Parameters of both.
+    /// Parameters of both networks.
     pub parameters: Vec<f32>,
 }
 
 impl Model {
-    /// With those hidden widths and parameters all zero.
+    /// A model with the given hidden widths; all parameters are zero.
     pub fn new(encoder_hidden: &[usize], decoder_hidden: &[usize]) -> Self {
         let encoder = Mlp::new(&[&[POSE], encoder_hidden, &[CODE]].concat(), 0);
         let decoder = Mlp::new(&[&[LATENT], decoder_hidden, &[POSE]].concat(), encoder.end());
@@ -47,7 +47,7 @@ impl Model {
         Self { encoder, decoder, parameters }
     }
 
-    /// Draws the weights; the last bias is `mean`, so that training begins at the mean pose.
+    /// Draws the weights. The decoder's last bias is `mean`, so training starts at the mean pose.
     pub fn initialise(&mut self, mean: &PoseVector, rng: &mut ChaCha8Rng) {
         self.encoder.initialise(&mut self.parameters, rng);
         self.decoder.initialise(&mut self.parameters, rng);
@@ -61,8 +61,8 @@ impl Model {
         }
     }
 
-    /// The parameters of the numbers of codes from `latent` on. While they are zero, those numbers
-    /// are N(0, 1) to the encoder and nothing to the decoder.
+    /// The parameters of the latent dimensions from `latent` on. If they are zero, the encoder
+    /// gives N(0, 1) for these dimensions and the decoder ignores them.
     pub fn unused(&self, latent: usize) -> Vec<Range<usize>> {
         let mut ranges = Vec::new();
         if let Some(last) = self.encoder.layers().last() {
@@ -79,7 +79,7 @@ impl Model {
         ranges
     }
 
-    /// How many numbers of codes the decoder uses.
+    /// Number of latent dimensions that the decoder uses.
     pub fn latent(&self) -> usize {
         let Some(first) = self.decoder.layers().first() else { return 0 };
         let weights = &self.parameters[first.weight.clone()];
@@ -87,8 +87,8 @@ impl Model {
         (0..LATENT).rev().find(used).map_or(0, |last| last + 1)
     }
 
-    /// Gives codes other coordinates: the encoder's last layer goes over to them, and the decoder's first
-    /// layer comes back from them. Log variances follow what happens to each number by itself.
+    /// Changes the coordinates of codes: folds z' = T (z - m) into the encoder's last layer and its
+    /// inverse into the decoder's first layer. Log variances change by the diagonal of T only.
     pub fn recode(&mut self, Standard { mean, to_new, to_old }: &Standard) {
         type Vector = SVector<f64, LATENT>;
         if let Some(last) = self.encoder.layers().last() {
@@ -116,8 +116,8 @@ impl Model {
         }
     }
 
-    /// Takes over `parameters` that were trained on whitened poses: the first layer then does
-    /// the whitening, W' = W diag(scale), b' = b - W' mean.
+    /// Takes `parameters` that were trained on whitened poses and folds the whitening into the
+    /// encoder's first layer: W' = W diag(scale), b' = b - W' mean.
     pub fn fold(&mut self, parameters: &[f32], whitening: &Whitening) {
         self.parameters.copy_from_slice(parameters);
         let Some(first) = self.encoder.layers().first() else { return };
@@ -135,7 +135,7 @@ impl Model {
     }
 }
 
-/// Brings the encoder's input to mean 0 and about unit variance.
+/// Whitens the encoder's input: mean 0 and about unit variance.
 #[derive(Clone, Debug)]
 pub struct Whitening {
     mean: PoseVector,
@@ -143,7 +143,7 @@ pub struct Whitening {
 }
 
 impl Whitening {
-    /// Deviations below 0.1 count as 0.1.
+    /// Raises standard deviations below 0.1 to 0.1.
     pub fn new(mean: PoseVector, deviation: PoseVector) -> Self {
         Self { mean, scale: deviation.map(|d| 1.0 / d.max(0.1)) }
     }
@@ -155,33 +155,33 @@ impl Whitening {
     }
 }
 
-/// Weights of the parts of the loss.
+/// Weights of the loss terms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LossWeights {
-    /// Of the poses decoded from sampled codes.
+    /// Weight of poses decoded from sampled codes.
     pub pose: Weights,
-    /// Of the poses decoded from the slerp of two mean codes.
+    /// Weight of poses decoded from the slerp of two mean codes.
     pub between: Weights,
-    /// Per nat of the divergence from N(0, I).
+    /// Weight of the KL divergence from N(0, I), per nat.
     pub divergence: f32,
-    /// Of codes about the origin whose joints turn further than they were seen to.
+    /// Weight of joint rotations outside the corpus, for random codes; see `limits`.
     pub limits: f32,
 }
 
 /// Mean losses of a batch, unweighted.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Losses {
-    /// Rotations of sampled codes, radians.
+    /// Rotation error of sampled codes, radians.
     pub rotation: f32,
-    /// Joint centres of sampled codes, metres.
+    /// Joint centre error of sampled codes, metres.
     pub position: f32,
-    /// Rotations between, radians.
+    /// Rotation error of interpolated codes, radians.
     pub between_rotation: f32,
-    /// Joint centres between, metres.
+    /// Joint centre error of interpolated codes, metres.
     pub between_position: f32,
-    /// Divergence from N(0, I), nats.
+    /// KL divergence from N(0, I), nats.
     pub divergence: f32,
-    /// How far joints of codes about the origin are past their limits, standard deviations.
+    /// Distance of joints beyond their limits for random codes, standard deviations.
     pub limits: f32,
 }
 
@@ -218,7 +218,7 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// Room for batches of `size` samples, rounded up to a multiple of four.
+    /// Buffers for batches of `size` samples, rounded up to a multiple of four.
     pub fn new(
         model: &Model,
         size: usize,
@@ -233,7 +233,7 @@ impl Batch {
         Self { parts, weights, whitening, tree, limits, threads: threads.clamp(1, PARTS) }
     }
 
-    /// Draws batch number `step` and writes the gradient of the mean loss.
+    /// Draws batch `step`, writes the gradient of the mean loss and returns the mean losses.
     pub fn gradient(
         &mut self,
         model: &Model,
@@ -266,9 +266,9 @@ impl Batch {
     }
 }
 
-/// A part of a batch: `rows` samples. The encoder's tape holds the first poses, then the second;
-/// the decoder's the sampled codes of the first, then the codes between of each sample in turn,
-/// then free codes about the origin.
+/// A part of a batch with `rows` samples. Rows of the encoder's tape: first poses, second poses.
+/// Rows of the decoder's tape: sampled codes of the first poses, interpolated codes of each sample,
+/// random codes near the origin.
 struct Part {
     rows: usize,
     encoder: Tape,
@@ -317,7 +317,7 @@ impl Part {
         draw_codes(&mut self.free, rng);
     }
 
-    /// Gradient and losses of what was drawn, each divided by the rows of the whole batch.
+    /// Gradient and losses of the drawn samples, divided by the rows of the whole batch.
     fn run(&mut self, model: &Model, weights: &LossWeights, tree: &Tree, limits: &Limits) {
         self.gradient.fill(0.0);
         self.losses = Losses::default();
@@ -331,7 +331,7 @@ impl Part {
         model.encoder.backward(&model.parameters, &mut self.encoder, &mut self.gradient, false);
     }
 
-    /// From the encoder's output to the decoder's input.
+    /// Computes the decoder's input from the encoder's output.
     fn codes(&mut self) {
         let (first, second) = self.encoder.output().split_at(self.rows * CODE);
         let (sampled, rest) = self.decoder.input_mut().split_at_mut(self.rows * LATENT);
@@ -351,7 +351,7 @@ impl Part {
         }
     }
 
-    /// Losses of the decoder's output, and their derivatives by it.
+    /// Losses of the decoder's output, and their derivatives with respect to it.
     fn compare(&mut self, weights: &LossWeights, tree: &Tree) {
         let all = 1.0 / (self.rows * PARTS) as f32;
         let (decoded, by_decoded) = self.decoder.output_and_delta();
@@ -375,7 +375,7 @@ impl Part {
         }
     }
 
-    /// Loss of the free codes' joints past their limits, and its derivatives.
+    /// Loss of joints beyond their limits for the random codes, and its derivatives.
     fn limit(&mut self, weight: f32, limits: &Limits) {
         let share = 1.0 / (self.rows * PARTS) as f32;
         let first = (1 + BETWEEN) * self.rows * POSE;
@@ -387,8 +387,8 @@ impl Part {
         }
     }
 
-    /// From the derivatives by the decoder's input to those by the encoder's output, with the
-    /// divergence of both codes.
+    /// Backpropagates from the decoder's input to the encoder's output and adds the KL divergence
+    /// of both codes.
     fn codes_backward(&mut self, divergence: f32) {
         let share = 0.5 / (self.rows * PARTS) as f32;
         let (by_sampled, by_between) = self.decoder.input_delta().split_at(self.rows * LATENT);
@@ -487,7 +487,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_of_codes_that_are_not_used_carry_nothing() {
+    fn unused_latent_dimensions_have_no_effect() {
         let clips = [clip()];
         let (mut model, _) = small(&clips);
         assert_eq!(model.latent(), LATENT);
@@ -529,7 +529,7 @@ mod tests {
             let mean = new.iter().map(|code| f64::from(code[i])).sum::<f64>() / new.len() as f64;
             assert!(mean.abs() < 1e-4);
         }
-        // T is the inverse root of the covariance with half of what is beside its diagonal.
+        // T is the inverse square root of the covariance with halved off-diagonal entries.
         let product = |a: usize, b: usize| -> f64 {
             let centred = |code: &[f32; LATENT], i: usize| f64::from(code[i]) - standard.mean[i];
             old.iter().map(|code| centred(code, a) * centred(code, b)).sum::<f64>()

@@ -1,24 +1,24 @@
-//! AdamW with warm-up, cosine decay, clipping of the gradient, and averaged weights.
+//! AdamW with warm-up, cosine decay, gradient clipping and averaged weights.
 
 /// Decay of the first moment.
 const BETA1: f32 = 0.9;
 /// Decay of the second moment.
 const BETA2: f32 = 0.99;
-/// Added to the root of the second moment.
+/// Added to the square root of the second moment.
 const EPSILON: f32 = 1e-8;
 
-/// How steps are taken.
+/// Settings of the optimiser.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
     /// Learning rate after the warm-up.
     pub learning_rate: f32,
     /// Steps over which the learning rate rises from 0.
     pub warm_up: usize,
-    /// All steps; the learning rate falls to 0 along a cosine.
+    /// Total steps; the learning rate falls to 0 along a cosine.
     pub steps: usize,
-    /// Longest gradient; longer ones are shortened to it.
+    /// Largest norm of the gradient; larger gradients are clipped to it.
     pub longest_gradient: f32,
-    /// Share by which weights shrink per step and unit of learning rate.
+    /// Weight decay per step and unit of learning rate.
     pub weight_decay: f32,
     /// Decay of the averaged weights per step.
     pub averaging: f32,
@@ -35,14 +35,14 @@ pub struct Optimiser {
 }
 
 impl Optimiser {
-    /// Before the first step.
+    /// The state before the first step.
     pub fn new(config: Config, parameters: &[f32]) -> Self {
         let zeros = vec![0.0; parameters.len()];
         Self { config, step: 0, first: zeros.clone(), second: zeros, averaged: parameters.to_vec() }
     }
 
-    /// Moves `parameters` against `gradient`. Averaging follows slower the longer it runs, so
-    /// that early weights are soon forgotten: its decay is min(averaging, step / (step + 10)).
+    /// Takes one step. The decay of the average is min(averaging, step / (step + 10)), so that
+    /// early weights are soon forgotten.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32]) {
         self.step += 1;
         let config = self.config;
@@ -55,9 +55,9 @@ impl Optimiser {
         let keep = config.averaging.min(self.step as f32 / (self.step as f32 + 10.0));
         let shrink = 1.0 - rate * config.weight_decay;
         let (pace, root) = (rate / correct1, 1.0 / correct2.sqrt());
-        let observed_frames = self.first.iter_mut().zip(&mut self.second).zip(&mut self.averaged);
+        let moments = self.first.iter_mut().zip(&mut self.second).zip(&mut self.averaged);
         for ((parameter, by), ((first, second), averaged)) in
-            parameters.iter_mut().zip(gradient).zip(observed_frames)
+            parameters.iter_mut().zip(gradient).zip(moments)
         {
             let by = by * scale;
             *first = BETA1 * *first + (1.0 - BETA1) * by;
@@ -80,7 +80,7 @@ fn learning_rate(config: &Config, step: usize) -> f32 {
     config.learning_rate * warm * 0.5 * (1.0 + (std::f32::consts::PI * progress).cos())
 }
 
-/// Euclidean length, summed in blocks so that the order of sums is fixed and fast.
+/// Euclidean norm, summed in blocks: fast and in a fixed order.
 fn norm(values: &[f32]) -> f32 {
     let mut lanes = [0.0f32; 16];
     let mut total = 0.0f64;

@@ -1,4 +1,4 @@
-//! What training can be told, and the command line that repeats it.
+//! Training options, and the command line that reproduces a run.
 
 use std::path::{Path, PathBuf};
 
@@ -8,22 +8,22 @@ use super::model::LossWeights;
 use super::{TrainError, optimiser, sampler};
 use crate::core::manifold::LATENT;
 
-/// What to train on, and how. The defaults made the weights that ship.
+/// Training options. The defaults produced the embedded weights.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// Folder of BVH clips; subfolders are read too.
     pub motions: PathBuf,
-    /// Where the weights go.
+    /// Weights file to write.
     pub out: PathBuf,
-    /// Subjects never trained on, whose error is reported.
+    /// Held-out subjects, used only for evaluation.
     pub test_subjects: Vec<String>,
-    /// Seed of everything random.
+    /// Seed of all random draws.
     pub seed: u64,
-    /// Steps of the optimiser.
+    /// Optimiser steps.
     pub steps: usize,
-    /// Samples per step; a sample is two poses of a clip and two between.
+    /// Samples per step; a sample is two poses of a clip and two between them.
     pub batch: usize,
-    /// Numbers of a code that are used, up to all 32; the others stay without effect.
+    /// Latent dimensions in use, 1 to 32; the others have no effect.
     pub latent: usize,
     /// Hidden units per layer of the decoder.
     pub hidden: usize,
@@ -31,23 +31,23 @@ pub struct Options {
     pub encoder_hidden: usize,
     /// Hidden layers of each network.
     pub layers: usize,
-    /// Greatest learning rate.
+    /// Peak learning rate.
     pub learning_rate: f32,
-    /// Share by which weights shrink per step and unit of learning rate.
+    /// Weight decay per step and unit of learning rate.
     pub weight_decay: f32,
-    /// Weight of the divergence from N(0, I), per nat.
+    /// Weight of the KL divergence from N(0, I), per nat.
     pub kl: f32,
-    /// Weight of joints that turn too far in poses of codes about the origin.
+    /// Weight of joint rotations outside the corpus, for random codes.
     pub limits: f32,
-    /// Weight of joint centres, per metre; that of rotations is 1 per radian.
+    /// Weight of joint centres, per metre; the weight of rotations is 1 per radian.
     pub position: f32,
-    /// Weight of the poses between, against that of the poses themselves.
+    /// Weight of interpolated poses relative to single poses.
     pub between: f32,
     /// Share of samples whose legs come from another clip.
     pub mix: f64,
-    /// Share of samples that are moved about another clip's mean pose.
+    /// Share of samples that are moved to another clip's mean pose.
     pub restyle: f64,
-    /// Threads, 1 to 4. Does not change the result.
+    /// Threads, 1 to 4. The result does not depend on it.
     pub threads: usize,
 }
 
@@ -77,7 +77,7 @@ impl Default for Options {
     }
 }
 
-/// Fails on the first option that makes no sense.
+/// Fails on the first option that is out of range.
 pub fn check(options: &Options) -> Result<(), TrainError> {
     let counts = [
         ("steps", options.steps, 1, 10_000_000),
@@ -118,7 +118,7 @@ pub fn check(options: &Options) -> Result<(), TrainError> {
     Ok(())
 }
 
-/// How samples are drawn.
+/// The sampler's settings.
 pub fn sampler_config(options: &Options) -> sampler::Config {
     sampler::Config {
         mix: options.mix,
@@ -132,7 +132,7 @@ pub fn sampler_config(options: &Options) -> sampler::Config {
     }
 }
 
-/// What the loss is made of.
+/// The weights of the loss.
 pub fn loss_weights(options: &Options) -> LossWeights {
     let pose = Weights { rotation: 1.0, position: options.position };
     let between = Weights {
@@ -142,7 +142,7 @@ pub fn loss_weights(options: &Options) -> LossWeights {
     LossWeights { pose, between, divergence: options.kl, limits: options.limits }
 }
 
-/// How steps are taken.
+/// The optimiser's settings.
 pub fn optimiser_config(options: &Options) -> optimiser::Config {
     optimiser::Config {
         learning_rate: options.learning_rate,
@@ -154,13 +154,13 @@ pub fn optimiser_config(options: &Options) -> optimiser::Config {
     }
 }
 
-/// The command line that repeats a run: folder and file by their last names, and the options
-/// that are not the default.
+/// The command line that reproduces a run: last path components of folder and file, and all options
+/// that differ from the default.
 pub fn command(options: &Options) -> String {
     with_settings(options, "bundlemocap train")
 }
 
-/// The same for a transition model.
+/// The command line that reproduces the training of a transition model.
 pub fn transition_command(options: &Options) -> String {
     with_settings(options, "bundlemocap train --transition")
 }

@@ -1,9 +1,9 @@
-//! New performers out of known ones: a clip's motion about another clip's mean pose.
+//! Augmentation across subjects: a clip's motion about another clip's mean pose.
 //!
-//! People differ in posture and in how far they swing more than in how they move. With the mean
-//! rotation A of a joint in the motion's own clip, B in another, and a gain g near 1,
-//! R' = B exp(g log(A^T R)). It is the same for all poses of a sample, so that what lies between
-//! two poses stays between them.
+//! R' = B exp(g log(A^T R)), with the mean rotation A of a joint in the motion's own clip, its mean
+//! rotation B in another clip, and a gain g near 1. People differ more in posture and amplitude
+//! than in how they move. All poses of a sample use the same A, B and g, so a pose between two
+//! poses stays between them.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -15,7 +15,7 @@ use crate::core::so3;
 /// A clip's mean local rotations.
 pub type MeanPose = [Matrix3<f64>; BODY_JOINTS];
 
-/// Gram-Schmidt of the mean of the first two columns.
+/// Mean local rotations: Gram-Schmidt of the mean of the first two columns.
 pub fn mean_pose(clip: &Clip) -> MeanPose {
     let mut sum = [0.0; POSE];
     for pose in &clip.poses {
@@ -24,7 +24,8 @@ pub fn mean_pose(clip: &Clip) -> MeanPose {
     std::array::from_fn(|joint| from_six(&sum[6 * joint..6 * joint + 6]).rotation.map(f64::from))
 }
 
-/// The pose's motion about the mean pose `from`, `gain` times as large, about `to`.
+/// Moves a pose from the mean pose `from` to `to`, with its deviation from the mean scaled by
+/// `gain`.
 pub fn restyled(pose: &PoseVector, from: &MeanPose, to: &MeanPose, gain: f64) -> PoseVector {
     pose_vector(&std::array::from_fn(|joint| {
         let column = |at: usize| Vector3::from_fn(|row, _| f64::from(pose[6 * joint + at + row]));

@@ -2,10 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Shorter vectors are divided by this instead.
+/// Smallest length to divide by.
 const SHORTEST: f32 = 1e-8;
 
-/// What the derivative needs of [`from_six`].
+/// Values of [`from_six`] that its derivative needs.
 #[derive(Clone, Copy, Debug)]
 pub struct SixTape {
     b: Vector3<f32>,
@@ -15,7 +15,8 @@ pub struct SixTape {
     pub rotation: Matrix3<f32>,
 }
 
-/// c1 = a / |a|, u = b - (c1 . b) c1, c2 = u / |u|, c3 = c1 x c2, from (a, b).
+/// Rotation from the six values (a, b): c1 = a / |a|, u = b - (c1 . b) c1, c2 = u / |u|,
+/// c3 = c1 x c2.
 pub fn from_six(six: &[f32]) -> SixTape {
     let (a, b) = (Vector3::from_column_slice(&six[..3]), Vector3::from_column_slice(&six[3..6]));
     let length_a = a.norm().max(SHORTEST);
@@ -27,7 +28,7 @@ pub fn from_six(six: &[f32]) -> SixTape {
     SixTape { b, length_a, length_u, rotation }
 }
 
-/// The derivative by (a, b) from that by the rotation's entries, added to `out`.
+/// Backpropagates from the rotation's entries to (a, b): adds the derivative to `out`.
 pub fn from_six_backward(tape: &SixTape, by_rotation: &Matrix3<f32>, out: &mut [f32]) {
     let columns = |m: &Matrix3<f32>| [0, 1, 2].map(|c| m.column(c).into_owned());
     let [c1, c2, _] = columns(&tape.rotation);
@@ -65,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn the_columns_are_a_rotation_even_where_a_is_zero() {
+    fn the_columns_form_a_rotation_and_zero_input_stays_finite() {
         let rotation = from_six(&[2.0, 0.0, 1.0, 0.5, 3.0, 0.0]).rotation;
         assert!((rotation.transpose() * rotation - Matrix3::identity()).amax() < 1e-6);
         assert!((rotation.determinant() - 1.0).abs() < 1e-6);

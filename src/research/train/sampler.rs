@@ -1,4 +1,4 @@
-//! Draws training samples: two poses of a clip and a true pose between them.
+//! Draws training samples: two poses of a clip and true poses between them.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -7,38 +7,38 @@ use super::corpus::{Clip, POSE, PoseVector, mirrored, subjects};
 use super::restyle::{MeanPose, mean_pose, restyled};
 use crate::core::body::Joint;
 
-/// How samples are drawn.
+/// Settings of the sampler.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
     /// Share of samples whose legs come from another clip than the rest of the body.
     pub mix: f64,
-    /// Share of samples seen in a mirror.
+    /// Share of mirrored samples.
     pub mirror: f64,
-    /// Share of samples that are moved about another clip's mean pose.
+    /// Share of samples that are moved to another clip's mean pose.
     pub restyle: f64,
-    /// Least and greatest gain of those.
+    /// Smallest and largest gain of these.
     pub gains: (f64, f64),
-    /// Frames between the two poses in most samples.
+    /// Frames between the two poses of most samples.
     pub span: usize,
-    /// Shortest and longest span in the others.
+    /// Shortest and longest span of the other samples.
     pub spans: (usize, usize),
-    /// Share of the others.
+    /// Share of the samples with other spans.
     pub other_spans: f64,
-    /// A subject is drawn with a probability in proportion to its frames to this power.
+    /// A subject's probability is proportional to its number of frames to this power.
     pub balance: f64,
 }
 
-/// True poses between the two of a sample.
+/// Number of true poses between the two poses of a sample.
 pub const BETWEEN: usize = 2;
 
-/// Two poses, and true ones between.
+/// Two poses, and true poses between them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// Pose at the start.
     pub a: PoseVector,
     /// Pose at the end.
     pub b: PoseVector,
-    /// Poses between, and where, in (0, 1).
+    /// Poses between, with their time as a fraction of the span, in (0, 1).
     pub between: [(PoseVector, f64); BETWEEN],
 }
 
@@ -49,14 +49,14 @@ pub struct Sampler<'a> {
 }
 
 struct Subject<'a> {
-    /// Sum of the probabilities up to and with this one.
+    /// Sum of the probabilities up to and including this subject.
     cumulative: f64,
     clips: Vec<(&'a Clip, MeanPose)>,
     frames: usize,
 }
 
 impl<'a> Sampler<'a> {
-    /// From all clips that are longer than the longest span; `None` if there is none.
+    /// A sampler of all clips that are longer than the longest span; `None` if there is none.
     pub fn new(clips: &'a [Clip], config: Config) -> Option<Self> {
         let longest = config.span.max(config.spans.1);
         let usable = || clips.iter().filter(|clip| clip.poses.len() > longest);
@@ -102,7 +102,8 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Poses of one clip so many frames after a first one; restyled or not, mirrored or not.
+    /// Poses of a random clip at `steps` frames after a random first frame; possibly restyled and
+    /// mirrored.
     fn poses<const N: usize>(&self, steps: [usize; N], rng: &mut ChaCha8Rng) -> [PoseVector; N] {
         let (clip, from) = self.clip(rng);
         let span = steps.into_iter().max().unwrap_or(0);
@@ -119,7 +120,7 @@ impl<'a> Sampler<'a> {
         poses
     }
 
-    /// A clip: first its subject, then in proportion to its frames.
+    /// Draws a subject, then one of its clips in proportion to its frames.
     fn clip(&self, rng: &mut ChaCha8Rng) -> &(&'a Clip, MeanPose) {
         let at: f64 = rng.random();
         let index = self.subjects.partition_point(|subject| subject.cumulative < at);
@@ -136,7 +137,7 @@ impl<'a> Sampler<'a> {
     }
 }
 
-/// Overwrites the hips, knees, ankles and feet.
+/// Copies the rotations of hips, knees, ankles and feet.
 fn copy_legs(from: &PoseVector, to: &mut PoseVector) {
     let legs = [Joint::LHip, Joint::LKnee, Joint::LAnkle, Joint::LFoot];
     for joint in legs.into_iter().chain(legs.map(Joint::mirrored)) {
@@ -145,7 +146,7 @@ fn copy_legs(from: &PoseVector, to: &mut PoseVector) {
     }
 }
 
-/// Mean and standard deviation of each number of a pose over all clips and their mirror images.
+/// Mean and standard deviation of each pose component over all clips and their mirror images.
 pub fn statistics(clips: &[Clip]) -> (PoseVector, PoseVector) {
     let (mut sum, mut square, mut count) = ([0.0f64; POSE], [0.0f64; POSE], 0.0);
     for pose in clips.iter().flat_map(|clip| &clip.poses) {

@@ -1,6 +1,8 @@
-//! The coordinates of codes. The divergence brings codes only near to N(0, I), which is the solver's
-//! prior; the rest is done once they are trained: in the new coordinates each number has mean 0 and
-//! about unit variance over the clips, and half of their correlations are taken out.
+//! Standardises codes after training: z' = T (z - m).
+//!
+//! The KL divergence brings the codes only near to N(0, I), the solver's prior. In the new
+//! coordinates each latent dimension has mean 0 and about unit variance over the clips, and half of
+//! the correlations are removed.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -9,9 +11,9 @@ use super::evaluate::encode;
 use super::model::Model;
 use crate::core::manifold::LATENT;
 
-/// Which part of the correlations is believed: the few clips of a few people do not tell them all.
+/// Factor on the correlations before whitening; few clips of few people estimate them poorly.
 const CORRELATION: f64 = 0.5;
-/// Least variance that counts, so that numbers stay finite where clips hardly move.
+/// Smallest variance; keeps T finite where clips hardly move.
 const LEAST: f64 = 1e-4;
 
 type Vector = SVector<f64, LATENT>;
@@ -28,7 +30,8 @@ pub struct Standard {
 }
 
 impl Standard {
-    /// For the codes of all poses of the clips and of their mirror images. Numbers that are unused stay.
+    /// Standardises the codes of all poses of the clips and of their mirror images. Unused latent
+    /// dimensions stay.
     pub fn of(model: &Model, clips: &[Clip]) -> Self {
         let (mut count, mut sum, mut squares) = (0.0, Vector::zeros(), Matrix::zeros());
         for clip in clips {

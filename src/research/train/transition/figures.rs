@@ -1,35 +1,35 @@
-//! How well transitions are foretold, against two simple references.
+//! Metrics of a transition model, compared with two simple baselines.
 
 use super::samples::Samples;
 use crate::core::manifold::{LATENT, MOVE, STATE, State, Transition, TransitionWork};
 
-/// Figures at one frame rate: -ln p of the held-out moves, in nats per number, and how much of
-/// the moves' mean square the mean foretells.
+/// Metrics at one frame rate: negative log likelihood of the held-out moves, nats per component,
+/// and the share of the moves' mean square that the predicted mean explains.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TransitionFigures {
-    /// Frames a second.
+    /// Frame rate, Hz.
     pub fps: f64,
-    /// Held-out transitions.
+    /// Number of held-out transitions.
     pub transitions: usize,
-    /// Of the model.
+    /// Negative log likelihood of the model.
     pub model: f64,
-    /// Of constant velocity, with deviations fitted to the clips trained on.
+    /// Negative log likelihood of constant velocity, with deviations fitted to the training clips.
     pub constant_velocity: f64,
-    /// Of staying put, with deviations fitted to the clips trained on.
+    /// Negative log likelihood of no motion, with deviations fitted to the training clips.
     pub stay_put: f64,
-    /// Share of the mean square of moves that the model's mean takes away from constant velocity:
-    /// of the code, the pelvis's position, and its rotation.
-    pub foretold: [f64; 3],
-    /// Share of the model's residuals within one deviation; 0.683 where they are Gaussian.
+    /// Share of the moves' mean square, relative to constant velocity, that the model's mean
+    /// explains: code, pelvis position, pelvis rotation.
+    pub predicted: [f64; 3],
+    /// Share of the model's residuals within one standard deviation; 0.683 if they are Gaussian.
     pub within: f64,
 }
 
 impl TransitionFigures {
-    /// Of a model on `held_out`; the references are fitted to `known`.
+    /// Metrics of a model on `held_out`; the baselines are fitted to `known`.
     pub fn of(model: &Transition, fps: f64, known: &Samples, held_out: &Samples) -> Self {
         let mut figures = Self { fps, transitions: held_out.len(), ..Self::default() };
         figures.constant_velocity = reference(known, held_out, |_, found, i| found[i]);
-        // c - b in the units of a move: the move, and the velocity that did not stop.
+        // c - b in the units of a move: the move plus the velocity.
         let stay =
             |state: &[f32], found: &[f32], i: usize| f64::from(found[i]) + moving(state, i) * fps;
         figures.stay_put = reference(known, held_out, stay);
@@ -50,20 +50,21 @@ impl TransitionFigures {
         figures.model /= count;
         figures.within = inside as f64 / count;
         let parts = [0..LATENT, LATENT..LATENT + 3, LATENT + 3..MOVE];
-        figures.foretold = parts.map(|part| {
+        figures.predicted = parts.map(|part| {
             1.0 - left[part.clone()].iter().sum::<f64>() / all[part].iter().sum::<f64>().max(1e-12)
         });
         figures
     }
 }
 
-/// The rate of number `i` of a move, from the state.
+/// The velocity of component `i` of a move, from the state.
 fn moving(state: &[f32], i: usize) -> f64 {
     let at = if i < LATENT { LATENT + i } else { STATE - 7 + i - LATENT };
     f64::from(state[at])
 }
 
-/// -ln p of `held_out` under zero-mean Gaussians fitted to the numbers `off` of `known`.
+/// Negative log likelihood of `held_out` under zero-mean Gaussians fitted to the residuals `off` of
+/// `known`.
 fn reference<N: Into<f64>>(
     known: &Samples,
     held_out: &Samples,
@@ -83,7 +84,7 @@ fn reference<N: Into<f64>>(
     sum / (MOVE * held_out.len().max(1)) as f64
 }
 
-/// -ln of the density of N(0, deviation^2).
+/// Negative log density of N(0, deviation^2) at `off`, nats.
 fn nats(off: f64, deviation: f64) -> f64 {
     0.5 * (off / deviation).powi(2) + deviation.ln() + 0.5 * std::f64::consts::TAU.ln()
 }

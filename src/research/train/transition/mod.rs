@@ -1,5 +1,5 @@
-//! Training the transition model of `crate::core::manifold::Transition` on the corpus, in codes of a
-//! manifold that is trained already, by its negative log likelihood.
+//! Trains the transition model `crate::core::manifold::Transition` on the corpus, in the codes of a
+//! trained manifold. The loss is the negative log likelihood.
 
 mod figures;
 mod samples;
@@ -23,29 +23,32 @@ use samples::{RATES, Samples};
 
 pub use figures::TransitionFigures;
 
-/// What the metadata calls the format.
+/// Name of the format in the metadata.
 const FORMAT: &str = "bundlemocap-transition";
-/// Greatest size of the log variance; `crate::core::manifold::Transition` has the same.
+/// Largest magnitude of the log variance; the same as in `crate::core::manifold::Transition`.
 const WIDEST: f32 = 5.0;
 
-/// What came of training.
+/// Result of a training run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransitionReport {
-    /// Held-out figures by frame rate; empty without test subjects.
+    /// Held-out metrics by frame rate; empty without test subjects.
     pub held_out: Vec<TransitionFigures>,
-    /// Transitions trained on, mirror images and all rates counted.
+    /// Number of training transitions, with mirror images and all frame rates.
     pub transitions: usize,
-    /// How many numbers were trained.
+    /// Number of trained parameters.
     pub parameters: usize,
-    /// The command that repeats it.
+    /// The command that reproduces the run.
     pub command: String,
-    /// How long it took.
+    /// Wall-clock time of the run.
     pub duration: Duration,
 }
 
-/// Trains on codes of the weights file `manifold`, else of the one that ships, writes the weights
-/// and reports figures of the test subjects. Of the options those of the manifold's own loss and
-/// `threads` have no meaning here. `progress` is told the step and the loss, nats per number.
+/// Trains on codes of the weights file `manifold` (default: the embedded one), writes the weights
+/// and reports metrics of the test subjects. Ignores `threads` and the options of the manifold's
+/// own loss. `progress` gets the step and the loss, nats per component.
+///
+/// # Errors
+/// As for [`train::run`](super::run); also unusable manifold weights.
 pub fn run(
     options: &Options,
     manifold: Option<&Path>,
@@ -81,8 +84,11 @@ pub fn run(
     })
 }
 
-/// Figures of a file on `subjects` of a folder, by frame rate; the references are fitted to the
-/// others.
+/// Metrics of a weights file on `subjects` of a folder, by frame rate. The baselines are fitted to
+/// the other subjects.
+///
+/// # Errors
+/// Unusable weights, clips or subjects.
 pub fn evaluate(
     weights: &Path,
     manifold: Option<&Path>,
@@ -97,7 +103,10 @@ pub fn evaluate(
     Ok(figures_of(&trained, &model, &training, &held_out))
 }
 
-/// A clip at that rate in the codes of the weights file `manifold`, else of the one that ships.
+/// A clip at `fps` in the codes of the weights file `manifold` (default: the embedded one).
+///
+/// # Errors
+/// Unusable manifold weights.
 pub fn keyframes(
     manifold: Option<&Path>,
     clip: &Clip,
@@ -136,7 +145,7 @@ fn figures_of(
     rows.collect()
 }
 
-/// The trained network, which takes and gives numbers as they are.
+/// The trained network; its inputs are not whitened.
 struct Network {
     mlp: Mlp,
     parameters: Vec<f32>,
@@ -154,7 +163,7 @@ impl Network {
         })
     }
 
-    /// Lets the first layer do the whitening: W' = W diag(1 / deviation), b' = b - W' mean.
+    /// Folds the whitening into the first layer: W' = W diag(1 / deviation), b' = b - W' mean.
     fn fold(&mut self, mean: &[f32], deviation: &[f32]) {
         let Some(first) = self.mlp.layers().first() else { return };
         for row in 0..first.outputs {
@@ -170,7 +179,7 @@ impl Network {
     }
 }
 
-/// The training loop. All rates are drawn from in proportion to their transitions.
+/// The training loop. Draws from the frame rates in proportion to their transitions.
 fn fit(
     options: &Options,
     samples: &[Samples],
@@ -218,8 +227,9 @@ fn fit(
     Ok(network)
 }
 
-/// Mean of (y - m)^2 e^-v / 2 + v / 2 over rows and numbers, y the move by its scale and
-/// v = 5 tanh(o / 5); leaves its derivatives by the output.
+/// Mean of (y - m)^2 e^-v / 2 + v / 2 over rows and components, where y is the move divided by its
+/// scale, m the predicted mean and v = 5 tanh(o / 5). Writes its derivatives with respect to the
+/// output to the tape.
 fn loss<'a>(
     tape: &mut Tape,
     scale: &[f32; MOVE],
@@ -242,7 +252,7 @@ fn loss<'a>(
     (sum * f64::from(share)) as f32
 }
 
-/// Mean and deviation of each column.
+/// Mean and standard deviation of each column.
 fn statistics(rows: &[&[f32]]) -> (Vec<f32>, Vec<f32>) {
     let width = rows.first().map_or(0, |row| row.len());
     let (mut sum, mut square) = (vec![0.0f64; width], vec![0.0f64; width]);

@@ -1,4 +1,4 @@
-//! States and moves of a corpus, as `crate::core::manifold::state_of` and `move_of` have them.
+//! States and moves of a corpus, as defined by `crate::core::manifold::state_of` and `move_of`.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -8,21 +8,21 @@ use super::super::model::Model;
 use crate::core::body::FASTEST;
 use crate::core::manifold::{Keyframe, MOVE, STATE, move_of, state_of};
 
-/// Frames a second of the samples.
+/// Frame rates of the samples, Hz.
 pub const RATES: [f64; 3] = [30.0, 50.0, 60.0];
 
-/// Transitions at one rate.
+/// Transitions at one frame rate.
 #[derive(Clone, Debug, Default)]
 pub struct Samples {
-    /// Rows of [`STATE`] numbers.
+    /// Rows of [`STATE`] values.
     pub states: Vec<f32>,
-    /// Rows of [`MOVE`] numbers.
+    /// Rows of [`MOVE`] values.
     pub moves: Vec<f32>,
 }
 
 impl Samples {
-    /// All transitions of clips at a rate, but those over a leap, and of their mirror images where
-    /// `mirror`.
+    /// All transitions of clips at `fps`, except those with a pelvis faster than 15 m/s, and of
+    /// their mirror images if `mirror`.
     pub fn of(model: &Model, clips: &[Clip], fps: f64, mirror: bool) -> Self {
         let mut samples = Self::default();
         for clip in clips {
@@ -38,10 +38,10 @@ impl Samples {
         let step = fps.recip();
         for three in keyframes.windows(3) {
             let [a, b, c] = [&three[0], &three[1], &three[2]];
-            let leaps = |a: &Keyframe, b: &Keyframe| {
+            let jumps = |a: &Keyframe, b: &Keyframe| {
                 (b.root_position - a.root_position).norm() > FASTEST * step
             };
-            if leaps(a, b) || leaps(b, c) {
+            if jumps(a, b) || jumps(b, c) {
                 continue;
             }
             self.states.extend(state_of(a, b, step).map(|v| v as f32));
@@ -49,18 +49,18 @@ impl Samples {
         }
     }
 
-    /// How many there are.
+    /// Number of transitions.
     pub fn len(&self) -> usize {
         self.moves.len() / MOVE
     }
 
-    /// State and move of each.
+    /// State and move of each transition.
     pub fn rows(&self) -> impl Iterator<Item = (&[f32], &[f32])> {
         self.states.chunks_exact(STATE).zip(self.moves.chunks_exact(MOVE))
     }
 }
 
-/// A clip at that rate as codes of the manifold and pelvis.
+/// A clip at `fps` as keyframes: code of the manifold and pelvis.
 pub fn keyframes(model: &Model, clip: &Clip, fps: f64, mirror: bool) -> Vec<Keyframe> {
     let frames: Vec<Frame> = (0..clip.poses.len())
         .filter_map(|frame| clip.pose(frame))
