@@ -61,13 +61,7 @@ impl Draws {
 
     /// For an event that begins `rate` times a second and lasts up to `longest_s` seconds: a number
     /// in \[0, 1) drawn per occurrence if one is active at this time, else `None`.
-    pub fn occurrence(
-        &self,
-        topic: u64,
-        seconds: f64,
-        rate: f64,
-        longest_s: f64,
-    ) -> Option<f64> {
+    pub fn occurrence(&self, topic: u64, seconds: f64, rate: f64, longest_s: f64) -> Option<f64> {
         let cell = (seconds / CELL).floor();
         let mut rng = self.rng(topic, cell as i64 as u64);
         if rng.random::<f64>() >= rate * CELL {
