@@ -178,19 +178,17 @@ fn imports_within(folder: &Path, root: &Path) -> BTreeMap<String, BTreeSet<Strin
     graph
 }
 
-/// A circle of imports, if there is one.
-fn circle(graph: &BTreeMap<String, BTreeSet<String>>) -> Option<Vec<String>> {
+/// The files in and between circles of imports; empty if there is no circle.
+fn circles(graph: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
     let mut left = graph.clone();
     loop {
-        let free: Vec<String> = left
-            .iter()
-            .filter(|(_, to)| to.iter().all(|to| !left.contains_key(to)))
-            .map(|(name, _)| name.clone())
-            .collect();
-        if free.is_empty() {
-            return (!left.is_empty()).then(|| left.into_keys().collect());
+        let imported: BTreeSet<String> = left.values().flatten().cloned().collect();
+        let before = left.len();
+        let names: BTreeSet<String> = left.keys().cloned().collect();
+        left.retain(|name, to| imported.contains(name) && !to.is_disjoint(&names));
+        if left.len() == before {
+            return left.into_keys().collect();
         }
-        free.iter().for_each(|name| drop(left.remove(name)));
     }
 }
 
@@ -203,17 +201,14 @@ fn files_of_a_folder_do_not_import_each_other_in_a_circle() {
     for folder in folders {
         let name = folder.strip_prefix(&root).unwrap().display().to_string();
         let excused = CIRCLES.iter().any(|(folder, _)| *folder == name);
-        match circle(&imports_within(&folder, &root)) {
-            Some(files) if !excused => wrong.push(format!("src/{name}: {}", files.join(", "))),
-            None if excused => wrong.push(format!("src/{name} has no circle: take its reason out")),
+        let files = circles(&imports_within(&folder, &root));
+        match files.is_empty() {
+            false if !excused => wrong.push(format!("src/{name}: {}", files.join(", "))),
+            true if excused => wrong.push(format!("src/{name} has no circle: take its reason out")),
             _ => {}
         }
     }
-    assert!(
-        wrong.is_empty(),
-        "files that import each other in a circle, or are behind one:\n{}",
-        wrong.join("\n")
-    );
+    assert!(wrong.is_empty(), "files that import each other in a circle:\n{}", wrong.join("\n"));
 }
 
 #[test]
@@ -235,6 +230,6 @@ fn the_checks_see_what_they_must() {
         }
         graph
     };
-    assert_eq!(circle(&graph(&[("a", "b"), ("b", "c")])), None);
-    assert_eq!(circle(&graph(&[("a", "b"), ("b", "a"), ("b", "c")])).unwrap(), ["a", "b"]);
+    assert!(circles(&graph(&[("a", "b"), ("b", "c")])).is_empty());
+    assert_eq!(circles(&graph(&[("d", "a"), ("a", "b"), ("b", "a"), ("b", "c")])), ["a", "b"]);
 }

@@ -2,10 +2,12 @@
 
 use nalgebra::Vector3;
 
-use super::path::UNKNOWNS;
 use crate::core::body::{BODY_JOINTS, JOINTS, Joint, Skeleton, Tangents, forward, push_forward};
 use crate::core::manifold::{Decoder, Jacobians, Keyframe, LATENT, Latent};
 use crate::core::so3;
+
+/// Unknowns of a frame.
+pub const UNKNOWNS: usize = LATENT + 6;
 
 /// Frames that are decoded at once; bounds the memory.
 const BATCH: usize = 64;

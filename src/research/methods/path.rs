@@ -5,7 +5,7 @@
 
 use nalgebra::Vector3;
 
-use super::joints::Joints;
+use super::joints::{Joints, UNKNOWNS};
 use crate::core::body::Skeleton;
 use crate::core::cost::{FrameObservations, FreeBody, Knot, PathProblem, Scene, Workspace};
 use crate::core::manifold::{Keyframe, LATENT};
@@ -13,8 +13,6 @@ use crate::core::optimise::{Layout, NormalEquations, Problem};
 use crate::core::so3;
 use crate::core::time::Timestamp;
 
-/// Unknowns of a frame.
-pub const UNKNOWNS: usize = LATENT + 6;
 
 /// A path at given values of its unknowns.
 #[derive(Clone, Debug)]

@@ -18,7 +18,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::muvs::{MuVsWeights, PerFrame};
-use super::path::{FramePath, State, Term, UNKNOWNS};
+use super::joints::UNKNOWNS;
+use super::path::{FramePath, State, Term};
 use super::terms::JointSteps;
 use super::{Delay, Method, Solved, Take};
 use crate::core::body::fitted_points;

@@ -1,7 +1,8 @@
 //! Cost terms between frames.
 
 use super::joints::COORDINATES;
-use super::path::{State, Term, UNKNOWNS};
+use super::joints::UNKNOWNS;
+use super::path::{State, Term};
 use crate::core::manifold::LATENT;
 use crate::core::optimise::NormalEquations;
 use crate::core::so3::{turn_between, turn_between_tangents};

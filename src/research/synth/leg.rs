@@ -3,7 +3,6 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::curves::soft_min;
-use super::motion::{about_x, set};
 use crate::core::body::{Attachment, Joint, Pose, Skeleton};
 use crate::core::detections::Keypoint;
 
@@ -130,3 +129,12 @@ fn frame_of(up: &Vector3<f64>, forward: &Vector3<f64>) -> Matrix3<f64> {
     let x = y.cross(forward).normalize();
     Matrix3::from_columns(&[x, y, x.cross(&y)])
 }
+
+pub(super) fn set(local: &mut [Matrix3<f64>; BODY_JOINTS], joint: Joint, rotation: Matrix3<f64>) {
+    local[joint.index() - 1] = rotation;
+}
+
+pub(super) fn about_x(angle: f64) -> Matrix3<f64> {
+    Rotation3::from_axis_angle(&Vector3::x_axis(), angle).into_inner()
+}
+

@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::curves::{bump, plateau, smoothstep};
-use super::leg::{Leg, Side};
+use super::leg::{Leg, Side, about_x, set};
 use crate::core::body::{BODY_JOINTS, Joint, Pose, Skeleton};
 
 /// Period of the motion, seconds. Each cycle begins where the last one ended.
@@ -230,14 +230,6 @@ fn pose_trunk(seconds: f64, gait: &Gait, acts: &Acts, local: &mut [Matrix3<f64>;
 }
 
 /// Sets the local rotation of a joint other than the pelvis.
-pub(super) fn set(local: &mut [Matrix3<f64>; BODY_JOINTS], joint: Joint, rotation: Matrix3<f64>) {
-    local[joint.index() - 1] = rotation;
-}
-
-pub(super) fn about_x(angle: f64) -> Matrix3<f64> {
-    Rotation3::from_axis_angle(&Vector3::x_axis(), angle).into_inner()
-}
-
 pub(super) fn about_y(angle: f64) -> Matrix3<f64> {
     Rotation3::from_axis_angle(&Vector3::y_axis(), angle).into_inner()
 }

@@ -13,7 +13,6 @@ use super::limits::{Limits, draw_codes};
 use super::loss::{Tree, Weights, pose_loss};
 use super::mlp::{Mlp, Tape, fill_normal};
 use super::sampler::{BETWEEN, Sampler};
-use super::standard::Standard;
 use crate::core::body::Skeleton;
 use crate::core::manifold::LATENT;
 
@@ -85,35 +84,6 @@ impl Model {
         let weights = &self.parameters[first.weight.clone()];
         let used = |column: &usize| weights[*column..].iter().step_by(LATENT).any(|w| *w != 0.0);
         (0..LATENT).rev().find(used).map_or(0, |last| last + 1)
-    }
-
-    /// Changes the coordinates of codes: folds z' = T (z - m) into the encoder's last layer and its
-    /// inverse into the decoder's first layer. Log variances change by the diagonal of T only.
-    pub fn recode(&mut self, Standard { mean, to_new, to_old }: &Standard) {
-        type Vector = SVector<f64, LATENT>;
-        if let Some(last) = self.encoder.layers().last() {
-            for column in 0..last.inputs {
-                let at = |row: usize| last.weight.start + row * last.inputs + column;
-                let new = to_new * Vector::from_fn(|row, _| self.parameters[at(row)].into());
-                (0..LATENT).for_each(|row| self.parameters[at(row)] = new[row] as f32);
-            }
-            let (means, log_variances) = self.parameters[last.bias.clone()].split_at_mut(LATENT);
-            let new = to_new * (Vector::from_fn(|row, _| means[row].into()) - mean);
-            for (row, (bias, log_variance)) in means.iter_mut().zip(log_variances).enumerate() {
-                *bias = new[row] as f32;
-                *log_variance += 2.0 * to_new[(row, row)].ln() as f32;
-            }
-        }
-        if let Some(first) = self.decoder.layers().first() {
-            for (row, bias) in first.weight.clone().step_by(LATENT).zip(first.bias.clone()) {
-                let row = row..row + LATENT;
-                let old = Vector::from_fn(|i, _| self.parameters[row.start + i].into());
-                self.parameters[bias] += old.dot(mean) as f32;
-                let new = to_old * old;
-                let weights = self.parameters[row].iter_mut().zip(&new);
-                weights.for_each(|(weight, new)| *weight = *new as f32);
-            }
-        }
     }
 
     /// Takes `parameters` that were trained on whitened poses and folds the whitening into the
@@ -419,6 +389,7 @@ mod tests {
     use super::super::corpus::{Clip, mirrored, pose_vector};
     use super::super::evaluate::{decode, encode};
     use super::super::sampler::{Config, statistics};
+    use super::super::standard::Standard;
     use super::*;
     use crate::core::so3;
 

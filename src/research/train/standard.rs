@@ -65,3 +65,33 @@ impl Standard {
         Self { mean, to_new: power(-0.5), to_old: power(0.5) }
     }
 }
+
+impl Model {
+    /// Changes the coordinates of codes: folds z' = T (z - m) into the encoder's last layer and its
+    /// inverse into the decoder's first layer. Log variances change by the diagonal of T only.
+    pub fn recode(&mut self, Standard { mean, to_new, to_old }: &Standard) {
+        if let Some(last) = self.encoder.layers().last() {
+            for column in 0..last.inputs {
+                let at = |row: usize| last.weight.start + row * last.inputs + column;
+                let new = to_new * Vector::from_fn(|row, _| self.parameters[at(row)].into());
+                (0..LATENT).for_each(|row| self.parameters[at(row)] = new[row] as f32);
+            }
+            let (means, log_variances) = self.parameters[last.bias.clone()].split_at_mut(LATENT);
+            let new = to_new * (Vector::from_fn(|row, _| means[row].into()) - mean);
+            for (row, (bias, log_variance)) in means.iter_mut().zip(log_variances).enumerate() {
+                *bias = new[row] as f32;
+                *log_variance += 2.0 * to_new[(row, row)].ln() as f32;
+            }
+        }
+        if let Some(first) = self.decoder.layers().first() {
+            for (row, bias) in first.weight.clone().step_by(LATENT).zip(first.bias.clone()) {
+                let row = row..row + LATENT;
+                let old = Vector::from_fn(|i, _| self.parameters[row.start + i].into());
+                self.parameters[bias] += old.dot(mean) as f32;
+                let new = to_old * old;
+                let weights = self.parameters[row].iter_mut().zip(&new);
+                weights.for_each(|(weight, new)| *weight = *new as f32);
+            }
+        }
+    }
+}
