@@ -53,9 +53,8 @@ impl Heard {
             on(topics.status(), |notes, sample, _| {
                 notes.status = decode(&sample.payload).ok().or(notes.status.take());
             })?,
-            on(topics.events(), |notes, sample, _| {
-                notes.events.extend(decode::<Event>(&sample.payload));
-            })?,
+            on(topics.actor_events(), note_event)?,
+            on(topics.stage_events(), note_event)?,
         ])
     }
 
@@ -77,6 +76,10 @@ impl Heard {
     fn lock(&self) -> MutexGuard<'_, Notes> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+fn note_event(notes: &mut Notes, sample: &Sample, _: Timestamp) {
+    notes.events.extend(decode::<Event>(&sample.payload));
 }
 
 fn arrival(sample: &Sample, at: Timestamp) -> Option<Arrival> {
