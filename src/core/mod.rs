@@ -8,6 +8,7 @@ pub mod fnv;
 pub mod linalg;
 pub mod manifold;
 pub mod optimise;
+pub mod random;
 pub mod so3;
 pub mod time;
 pub mod tracker;
