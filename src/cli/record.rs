@@ -96,7 +96,7 @@ fn start(path: &Path, config: &Config, pattern: &str) -> Result<Writer, Failure>
 }
 
 /// Writes what comes until `stop` is set, then what still waits, and finishes the file.
-/// `each_second` is told what was recorded so far.
+/// `each_second` is called with the counts so far.
 pub(super) fn record(
     mut inbox: Inbox,
     mut writer: Writer,

@@ -241,7 +241,7 @@ impl Sheet<'_> {
         )?;
         self.histogram(
             "bundlemocap_live_latency_seconds",
-            "From the last message of a frame set to its live pose",
+            "From the last message of a frame set to its provisional pose",
             (&playout.provisional_bins_us, &playout.provisional_counts),
         )
     }

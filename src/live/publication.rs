@@ -1,4 +1,4 @@
-//! What the core publishes: typed messages, which the [outlet](super::outlet) encodes.
+//! What the core publishes: typed messages. The outlet encodes them, once.
 
 use std::sync::Arc;
 

@@ -114,7 +114,7 @@ pub(super) struct Figures {
     pub(super) arrival_deviation_ms: Option<Spread>,
     /// The same as the node measures it when it publishes: upper ends of the histogram's bins.
     pub(super) publish_deviation_ms: Option<Spread>,
-    /// From the last camera's message to the live pose, after the acquisition, milliseconds.
+    /// From the last camera's message to the provisional pose, after the acquisition, milliseconds.
     pub(super) live_ms: Option<Spread>,
     pub(super) live_poses: usize,
     /// Processes that wanted a core, on average over a minute; above the number of cores the node
@@ -224,7 +224,7 @@ fn poses(all: &[Arrival], sent: &[(Timestamp, Timestamp)], load: &Load) -> Poses
     }
 }
 
-/// Of each live pose after the acquisition, milliseconds since the last message of its frame set.
+/// Of each provisional pose after the acquisition, milliseconds since the last message of its frame set.
 fn live(
     all: &[Arrival],
     from: Option<Timestamp>,
@@ -339,8 +339,8 @@ impl Figures {
             ),
             row("arrival from capture + latency", spread(self.arrival_deviation_ms)),
             row("publishing from it, by the node", spread(self.publish_deviation_ms)),
-            row("live pose after last message", spread(self.live_ms)),
-            row("live poses", self.live_poses.to_string()),
+            row("provisional pose after last message", spread(self.live_ms)),
+            row("provisional poses", self.live_poses.to_string()),
             row("load of the machine", number(self.machine_load, "processes")),
             row("cpu of the node", number(self.cpu_percent, "% of one core")),
             row("memory of the node", self.memory.map_or_else(none, Memory::text)),

@@ -294,13 +294,13 @@ fn is_of_streams(pattern: &str) -> bool {
 
 /// An error of zenoh without the places in its sources, such as ` at /path/to/file.rs:12.`.
 fn without_places(error: &dyn std::fmt::Display) -> String {
-    let text = error.to_string();
+    let (text, is_digit) = (error.to_string(), |c: char| c.is_ascii_digit());
     let mut parts = text.split(" at ");
     let mut clean = parts.next().unwrap_or_default().to_owned();
     for part in parts {
         match part.split_once(".rs:") {
-            Some((path, rest)) if !path.contains(' ') => {
-                let rest = rest.trim_start_matches(|c: char| c.is_ascii_digit());
+            Some((path, rest)) if !path.contains(' ') && rest.starts_with(is_digit) => {
+                let rest = rest.trim_start_matches(is_digit);
                 clean += rest.strip_prefix('.').unwrap_or(rest);
             }
             _ => {
