@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::core::{Core, Output};
+use super::core::Core;
+use super::port::Output;
 use super::publication::{Content, Publication};
 use super::status::quantile;
 use crate::core::body::StampedPose;

@@ -1,6 +1,6 @@
 //! The inputs of the core in order, so that a replay can repeat them.
 
-use super::core::{Input, Settings};
+use super::port::{Input, Settings};
 use crate::core::fnv::fnv1a;
 use crate::core::time::Timestamp;
 use crate::io::wire::journal_entry::Input as Entry;

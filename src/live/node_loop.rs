@@ -7,11 +7,12 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender, never, select};
 
 use super::board::Board;
-use super::core::{Core, Input, Output};
+use super::core::Core;
 use super::error::NodeError;
 use super::log::EventLog;
 use super::outlet::Outlet;
 use super::playout::Playout;
+use super::port::{Input, Output};
 use super::publication::{Content, Publication};
 use super::queue::{Intake, Message};
 use super::wall::WallClock;

@@ -7,7 +7,8 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-use super::core::{Core, Input, Output, Settings};
+use super::core::Core;
+use super::port::{Input, Output, Settings};
 use crate::core::fnv::fnv1a;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{Job, Solver};
