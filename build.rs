@@ -18,8 +18,40 @@ fn main() -> Result<(), Box<dyn Error>> {
         write_descriptor(proto, &out)?;
     }
     let all = protox::compile(&protos, ["schemas"])?;
-    Config::new().enable_type_names().compile_fds(all)?;
+    with_json(Config::new().enable_type_names()).compile_fds(all)?;
     Ok(())
+}
+
+/// Lets messages be written as JSON, as `src/io/wire/json.rs` says.
+fn with_json(config: &mut Config) -> &mut Config {
+    let with = |function: &str| {
+        format!("#[serde(serialize_with = \"crate::io::wire::json::{function}\")]")
+    };
+    config.type_attribute(".", "#[derive(serde::Serialize)]");
+    config.enum_attribute(".", "#[serde(rename_all = \"snake_case\")]");
+    config.field_attribute("bundlemocap.v1.JournalEntry.input", "#[serde(flatten)]");
+    for (fields, function) in [
+        (&["Pose.state", "Keyframe.state", "RetargetedPose.state"][..], "tracking_state"),
+        (&["CalibratedCamera.lens"], "lens_kind"),
+        (&["Status.events"], "event_counts"),
+        (
+            &[
+                "Pose.run_id",
+                "Keyframe.run_id",
+                "RetargetedPose.run_id",
+                "Status.run_id",
+                "JournalStart.run_id",
+                "JournalMessage.hash",
+            ],
+            "hexadecimal",
+        ),
+        (&["JournalStart.rig", "JournalMessage.payload"], "length"),
+    ] {
+        for field in fields {
+            config.field_attribute(format!("bundlemocap.v1.{field}"), with(function));
+        }
+    }
+    config
 }
 
 /// Writes the `FileDescriptorSet` of one schema, without comments, to `{name}.fds`.

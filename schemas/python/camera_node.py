@@ -97,8 +97,8 @@ def main():
     parser.add_argument("recording", help="an MCAP file")
     parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="where the node listens")
     parser.add_argument("--camera", action="append", help="only this one; may be repeated")
-    parser.add_argument("--stage", default="stage", help="second part of the topics")
-    parser.add_argument("--seconds", type=float, help="stop after so much of the recording")
+    parser.add_argument("--stage", default="stage", help="name of the capture volume, second part of the topics")
+    parser.add_argument("--seconds", type=float, help="stop after this many seconds of the recording")
     args = parser.parse_args()
     with mocap.open_session(args.connect) as session:
         play(session, args.recording, args.camera, args.stage, args.seconds)

@@ -5,7 +5,7 @@
     python generate.py
     python retarget_node.py --csv poses.csv
 
-As a program it writes one line a pose: capture time, state, latency, the pelvis in the world
+As a program it writes one line a pose: capture time, state, declared latency, the pelvis in the world
 (metres), and a quaternion x, y, z, w for each joint: world_from_pelvis, then parent_from_joint.
 To drive a character, call `receive` with a function of your own.
 """
@@ -31,13 +31,13 @@ def rotations(skeleton, pose):
 
 
 def receive(session, handle, stage="stage", actor="actor", poses=None):
-    """Calls `handle(skeleton, pose)` on this thread for each pose, or for so many of them. Poses
+    """Calls `handle(skeleton, pose)` on this thread for each pose, or for `poses` of them. Poses
     before the first skeleton are left out."""
     inbox = queue.Queue()
-    pose_topic = f"mocap/{stage}/actor/{actor}/pose"
+    topics = f"mocap/{stage}/actor/{actor}"
     subscribers = [
-        mocap.subscribe_state(session, f"mocap/{stage}/skeleton", Skeleton, inbox.put),
-        mocap.subscribe_stream(session, pose_topic, Pose, inbox.put),
+        mocap.subscribe_state(session, f"{topics}/skeleton", Skeleton, inbox.put),
+        mocap.subscribe_stream(session, f"{topics}/pose", Pose, inbox.put),
     ]
     skeleton = None
     while poses is None or poses > 0:
@@ -64,7 +64,7 @@ class CsvWriter:
             head = ["capture_time_ns", "state", "latency_ms", "root_x", "root_y", "root_z"]
             self._writer.writerow(head + columns)
         state = TrackingState.Name(pose.state).removeprefix("TRACKING_STATE_").lower()
-        latency_ms = (pose.publish_time_ns - pose.capture_time_ns) * 1e-6
+        latency_ms = (pose.due_time_ns - pose.capture_time_ns) * 1e-6
         by_name = rotations(skeleton, pose)
         line = [pose.capture_time_ns, state, f"{latency_ms:.3f}"]
         line += [f"{number:.6f}" for number in pose.root_position_m]
@@ -78,8 +78,8 @@ def main():
     parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="where the node listens")
     parser.add_argument("--csv", help="the file to write; without it, standard output")
     parser.add_argument("--stage", default="stage", help="second part of the topics")
-    parser.add_argument("--actor", default="actor", help="the performer's part of the topics")
-    parser.add_argument("--poses", type=int, help="stop after so many")
+    parser.add_argument("--actor", default="actor", help="name of the performer, fourth part of the topics")
+    parser.add_argument("--poses", type=int, help="stop after this many")
     args = parser.parse_args()
     file = open(args.csv, "w", newline="") if args.csv else sys.stdout
     with file, mocap.open_session(args.connect) as session:

@@ -7,25 +7,25 @@ use clap::{Args, ValueEnum};
 use super::failure::{Exit, Failure};
 use crate::config::Config;
 use crate::io::bus::{self, Bus, Kind};
-use crate::io::wire::Topics;
+use crate::io::wire::{Topics, valid_name};
 
-/// Which bus, which stage, which actor.
+/// The bus, the stage and the actor.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Bus")]
 pub(super) struct BusArguments {
-    /// Settings; config/default.toml lists them all.
+    /// Settings file; config/default.toml lists all settings.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// The bus, instead of the configured one.
     #[arg(long, value_enum)]
     bus: Option<BusName>,
-    /// Where the node is, such as tcp/192.168.1.10:7447, instead of the configured address.
+    /// Address of the node, such as tcp/192.168.1.10:7447, instead of the configured one.
     #[arg(long, value_name = "ENDPOINT")]
     connect: Vec<String>,
-    /// The capture volume, instead of the configured one.
+    /// Name of the capture volume, instead of the configured one.
     #[arg(long, value_name = "NAME")]
     stage: Option<String>,
-    /// The performer, instead of the configured one.
+    /// Name of the performer, instead of the configured one.
     #[arg(long, value_name = "NAME")]
     actor: Option<String>,
 }
@@ -48,7 +48,7 @@ impl BusName {
 }
 
 impl BusArguments {
-    /// The settings, with what the arguments put in their place.
+    /// The settings, with those of the arguments in their place.
     pub(super) fn settings(&self) -> Result<Config, Failure> {
         let mut config = self.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
         if let Some(bus) = self.bus {
@@ -71,14 +71,9 @@ impl BusArguments {
     }
 }
 
-/// A part of a topic: not empty, without slashes and wildcards.
+/// Checks the value of an option that becomes a part of a topic.
 pub(super) fn check_name(option: &str, name: &str) -> Result<(), Failure> {
-    let fine = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-    if !name.is_empty() && name.chars().all(fine) {
-        return Ok(());
-    }
-    let message = format!("{option} is {name:?}; use letters, digits, `-`, `_` and `.`");
-    Err(Failure::new(Exit::Usage, message))
+    valid_name(name).map_err(|error| Failure::new(Exit::Usage, format!("{option}: {error}")))
 }
 
 /// The topics of the settings' stage and actor.

@@ -1,18 +1,20 @@
-//! The wall clock, and the wish to stop.
+//! Stopping by signals, and the clock that `play` goes by.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use super::failure::{Exit, Failure};
 use crate::core::time::Timestamp;
+use crate::live::WallClock;
+use crate::live::tools::player::Clock;
 
-/// A wish to stop is seen within this time.
+/// A request to stop is seen within this time.
 pub(crate) const ATTENTION: Duration = Duration::from_millis(20);
 
-/// Whether the user wants an end; clones are the same wish.
+/// Whether the program is asked to stop; clones share the request.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Stop(Arc<AtomicBool>);
 
@@ -22,6 +24,7 @@ impl Stop {
         let stop = Self::default();
         for signal in [SIGINT, SIGTERM] {
             let flag = || Arc::clone(&stop.0);
+            // In this order: the first signal finds the flag not set, and sets it.
             signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, flag())
                 .and_then(|_| signal_hook::flag::register(signal, flag()))
                 .map_err(|error| {
@@ -32,64 +35,45 @@ impl Stop {
         Ok(stop)
     }
 
-    /// Wishes for an end.
+    /// Asks to stop.
     #[cfg(test)]
     pub(crate) fn stop(&self) {
         self.0.store(true, Ordering::Release);
     }
 
-    /// Whether an end is wished for.
+    /// Whether the program is asked to stop.
     pub(crate) fn is_set(&self) -> bool {
         self.0.load(Ordering::Acquire)
     }
 }
 
-/// A clock to play by.
-pub(crate) trait Clock {
-    /// Nanoseconds since 1970.
-    fn now(&self) -> Timestamp;
-
-    /// Waits until that time; false if an end is wished for before.
-    fn wait_until(&self, time: Timestamp) -> bool;
-}
-
-/// The wall clock when this was made, and steady from there on.
+/// The clock of the node, whose waits end when the program is asked to stop.
 pub(crate) struct SteadyClock {
-    wall: Timestamp,
-    steady: Instant,
+    clock: WallClock,
     stop: Stop,
 }
 
 impl SteadyClock {
     pub(crate) fn new(stop: Stop) -> Self {
-        Self { wall: wall_clock(), steady: Instant::now(), stop }
+        Self { clock: WallClock::start(), stop }
     }
 }
 
 impl Clock for SteadyClock {
     fn now(&self) -> Timestamp {
-        let elapsed = self.steady.elapsed().as_nanos();
-        self.wall + i64::try_from(elapsed).unwrap_or(i64::MAX)
+        self.clock.now()
     }
 
     fn wait_until(&self, time: Timestamp) -> bool {
         loop {
-            let left = time - self.now();
+            let left = self.clock.until(time);
             if self.stop.is_set() {
                 return false;
             }
-            match u64::try_from(left) {
-                Ok(left) if left > 0 => {
-                    std::thread::sleep(Duration::from_nanos(left).min(ATTENTION));
-                }
-                _ => return true,
+            if left.is_zero() {
+                return true;
             }
+            std::thread::sleep(left.min(ATTENTION));
         }
     }
-}
-
-/// The wall clock, nanoseconds since 1970.
-pub(crate) fn wall_clock() -> Timestamp {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    Timestamp::from_ns(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
 }

@@ -13,7 +13,7 @@ use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
 use crate::core::manifold::Decoder;
 use crate::io::recording::{Message, Provenance, Reader, Writer};
-use crate::io::wire::{self, StampedKeyframe, Topics};
+use crate::io::wire::{self, StampedKeyframe, Topic, Topics};
 use crate::offline::figures::losses;
 
 /// Decode the poses of a recording from its keyframes alone.
@@ -138,13 +138,13 @@ impl Performer {
             None => {
                 let skeleton = Skeleton::new(keyframe.shape);
                 let wire = wire::Skeleton::from_core(&skeleton);
-                writer.write(&skeleton_topic(topic), keyframe.capture, &wire)?;
+                writer.write(&topics_of(topic).skeleton(), keyframe.capture, &wire)?;
                 skeleton
             }
         };
         match poses {
             Some(poses) => {
-                let topic = pose_topic(topic);
+                let topic = topics_of(topic).pose();
                 for pose in &poses {
                     let wire = wire::Pose::from_core(pose, &skeleton, None);
                     writer.write(&topic, pose.capture, &wire)?;
@@ -158,13 +158,8 @@ impl Performer {
     }
 }
 
-/// Where the poses of those keyframes go.
-fn pose_topic(keyframes: &str) -> String {
-    format!("{}/pose", keyframes.strip_suffix("/keyframe").unwrap_or(keyframes))
-}
-
-/// Where the body of those keyframes goes.
-fn skeleton_topic(keyframes: &str) -> String {
-    let stage = keyframes.split_once("/actor/").map_or(keyframes, |(stage, _)| stage);
-    format!("{stage}/skeleton")
+/// The topics of the performer whose keyframes are on that topic; the default ones if it is no topic
+/// of ours.
+fn topics_of(keyframes: &str) -> Topics {
+    Topic::parse(keyframes).ok().and_then(|topic| topic.topics()).unwrap_or_default()
 }

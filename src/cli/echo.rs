@@ -22,7 +22,11 @@ use crate::live::tools::inbox::{Inbox, Received};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 A line begins with the time of arrival (UTC) and the topic. Latency is arrival minus capture time, by
-the clock of this machine; of a pose also what the node declared and by how much it kept to it.
+the clock of this computer. For a final pose it also says the latency that the node declares, and how
+early or late the pose arrived against its due time, which is capture time plus declared latency.
+
+With --json the fields of `message` have the names of schemas/*.proto; states are names, run ids and
+hashes are hexadecimal.
 
 Examples:
   bundlemocap echo poses
@@ -57,7 +61,7 @@ enum What {
     Keypoints,
     /// The node's counters.
     Status,
-    /// What happened to input and windows.
+    /// Events of the stage and of the performer.
     Events,
     /// The solved keyframes.
     Keyframes,
@@ -65,26 +69,26 @@ enum What {
     Rig,
     /// The body.
     Skeleton,
-    /// What the node's machine was told.
+    /// The inputs of the node, as its journal has them.
     Journal,
     /// Everything of the stage.
     All,
 }
 
 impl What {
-    fn pattern(self, topics: &Topics) -> String {
-        match self {
+    fn patterns(self, topics: &Topics) -> Vec<String> {
+        vec![match self {
             Self::Poses => topics.pose(),
             Self::Provisional => topics.provisional(),
             Self::Keypoints => topics.keypoints("*"),
             Self::Status => topics.status(),
-            Self::Events => topics.events(),
+            Self::Events => return vec![topics.stage_events(), topics.actor_events()],
             Self::Keyframes => topics.keyframe(),
             Self::Rig => topics.rig(),
             Self::Skeleton => topics.skeleton(),
             Self::Journal => topics.journal(),
             Self::All => topics.all(),
-        }
+        }]
     }
 }
 
@@ -92,7 +96,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let config = arguments.bus.settings()?;
     let bus = open(&config)?;
     let stop = Stop::on_signals()?;
-    let inbox = Inbox::open(&*bus, &arguments.what.pattern(&topics(&config)))?;
+    let inbox = Inbox::open_all(&*bus, &arguments.what.patterns(&topics(&config)))?;
     let form = match (arguments.hz, arguments.json) {
         (true, json) => Form::Rates { json },
         (false, true) => Form::Json,
@@ -179,7 +183,6 @@ fn decoded(received: &Received) -> Result<Message, DecodeError> {
 
 fn line(received: &Received) -> String {
     let sample = &received.sample;
-    let topic = sample.topic.strip_prefix("mocap/").unwrap_or(&sample.topic);
     let said = match decoded(received) {
         Ok(message) => wire::text(&message, received.arrival).unwrap_or_else(|| {
             let encoding = if sample.encoding.is_empty() { "unknown" } else { &*sample.encoding };
@@ -188,7 +191,7 @@ fn line(received: &Received) -> String {
         Err(error) => format!("UNDECODABLE: {error}"),
     };
     let [time, bytes] = [time_of_day(received.arrival), sample.payload.len().to_string()];
-    format!("{time} {topic}  {said}  {bytes} B").replace(char::is_control, " ")
+    format!("{time} {}  {said}  {bytes} B", sample.topic).replace(char::is_control, " ")
 }
 
 fn json_line(received: &Received) -> Value {
@@ -200,7 +203,7 @@ fn json_line(received: &Received) -> Value {
     object.insert("bus_capture_time_ns".into(), json!(sample.capture.ns()));
     object.insert("bytes".into(), json!(sample.payload.len()));
     match decoded(received) {
-        Ok(message) => object.insert("message".into(), wire::json(&message)),
+        Ok(message) => object.insert("message".into(), json!(message)),
         Err(error) => object.insert("undecodable".into(), json!(error.to_string())),
     };
     Value::Object(object)
@@ -218,7 +221,7 @@ mod tests {
     use super::*;
     use crate::core::body::{Pose as BodyPose, Skeleton, StampedPose, TrackingState};
     use crate::io::bus::{Bus, Memory};
-    use crate::io::wire::{Event, KeypointFrame, Pose, Publication, Schema, encode, media_type};
+    use crate::io::wire::{Event, KeypointFrame, LiveStamp, Pose, Schema, encode, media_type};
 
     const CAPTURE: Timestamp = Timestamp::from_ns(1_000_000_000);
 
@@ -232,9 +235,9 @@ mod tests {
             provisional: false,
             revision: 0,
         };
-        let publish = CAPTURE + 250_400_000;
-        let publication = Publication { publish, latency_ns: 250_000_000 };
-        Pose::from_core(&stamped, &Skeleton::default(), Some(publication))
+        let due = Some(CAPTURE + 250_000_000);
+        let live = LiveStamp { due, latency_ns: 250_000_000, run_id: 0xab };
+        Pose::from_core(&stamped, &Skeleton::default(), Some(live))
     }
 
     fn received(topic: &str, encoding: &str, payload: Vec<u8>) -> Received {
@@ -254,12 +257,16 @@ mod tests {
             "00:00:01.251 stage/actor/actor/pose",
             "window 7, coasting",
             "latency 251.0 ms",
-            "declared 250.0 ms, sent +0.40 ms off it",
+            "declared 250.0 ms, 1.00 ms late",
         ] {
             assert!(said.contains(part), "{part:?} is not in {said}");
         }
+        let mut early = of(&Topics::default().pose(), &pose());
+        early.arrival = CAPTURE + 249_500_000;
+        assert!(line(&early).contains("declared 250.0 ms, 0.50 ms early"), "{}", line(&early));
         let object = json_line(&of(&Topics::default().pose(), &pose()));
-        assert_eq!(object["message"]["publish_time_ns"], 1_250_400_000);
+        assert_eq!(object["message"]["due_time_ns"], 1_250_000_000);
+        assert_eq!(object["message"]["run_id"], "00000000000000ab");
         assert_eq!(object["message"]["local_rotations"].as_array().map(Vec::len), Some(84));
         assert_eq!(object["message"]["state"], "coasting");
     }
@@ -279,14 +286,14 @@ mod tests {
         let garbage = line(&received(&topics.pose(), "", vec![0xff; 9]));
         assert!(garbage.contains("UNDECODABLE") && garbage.contains("9 B"), "{garbage}");
         let foreign = line(&received("mocap/stage/gain", "text/plain", b"3".to_vec()));
-        assert!(foreign.ends_with("stage/gain  encoding text/plain  1 B"), "{foreign}");
+        assert!(foreign.ends_with("mocap/stage/gain  encoding text/plain  1 B"), "{foreign}");
     }
 
     #[test]
     fn it_ends_after_the_count_and_when_nobody_reads() {
         let (bus, topics) = (Memory::new(), Topics::default());
         let inbox = Inbox::open(&bus, &topics.all()).unwrap();
-        let publisher = bus.publisher(&topics.events()).unwrap();
+        let publisher = bus.publisher(&topics.stage_events()).unwrap();
         let event = Event { kind: "late".into(), count: 2, ..Event::default() };
         for _ in 0..5 {
             publisher.put(CAPTURE, "", &encode(&event)).unwrap();

@@ -7,26 +7,28 @@ use clap::Args;
 
 use super::Ended;
 use super::bus::{BusArguments, open, topics};
-use super::clock::{Clock, SteadyClock, Stop};
+use super::clock::{SteadyClock, Stop};
 use super::failure::{Exit, Failure};
-use super::terminal::{progress, say, table, ticker};
+use super::terminal::{complain, progress, say, table, ticker};
 use crate::core::time::Timestamp;
 use crate::live::tools::Disturbance;
-use crate::live::tools::player::{Playing, Sent, play};
-use crate::live::tools::take::Take;
+use crate::live::tools::player::{Clock, Playing, Sent, play};
+use crate::live::tools::take::{Take, TakeError};
+use crate::offline::figures::losses;
 
-/// Time between opening the bus and the first frame, so that everybody knows of everybody.
+/// Time between opening the bus and the first frame, in which publishers and subscribers find each
+/// other.
 const LEAD: Duration = Duration::from_millis(500);
 
 /// Play a recording onto the bus, as its cameras would.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The calibration goes first, then every frame at its time. Capture times are stamped anew, so that a
-node sees cameras on its own clock: the first frame is captured when it is sent, the others as far
-apart as in the recording, divided by the speed. What a node made of the recording, and truth, is
-not played. All frames are kept in memory, about 1 kB each.
+The calibration is sent first, then every frame at its time. Frames get new capture times on the clock
+of this computer: the first frame is captured when it is sent, the others as far apart as in the
+recording, divided by the speed. Outputs of a node and truth are not played. All frames are kept in
+memory, about 1 kB each.
 
-To play each camera from a process or a machine of its own, give all of them the same --start-at.
+To play each camera from another process or computer, give all of them the same --start-at.
 
 Examples:
   bundlemocap play recordings/walk.mcap
@@ -114,11 +116,25 @@ fn in_range(
     Err(Failure::new(Exit::Usage, format!("{option} is {value}, but must be {allowed}")))
 }
 
+impl From<TakeError> for Failure {
+    fn from(error: TakeError) -> Self {
+        let exit = match error {
+            TakeError::Record(error) => return error.into(),
+            TakeError::NoKeypoints { .. } => Exit::NotOurs,
+            TakeError::UnknownCamera { .. } => Exit::CameraMismatch,
+        };
+        Self::new(exit, error.to_string())
+    }
+}
+
 pub(super) fn run(arguments: &Arguments) -> Ended {
     in_range("--speed", arguments.speed, 0.01..=100.0, "0.01 to 100")?;
     let disturbance = arguments.network.disturbance()?;
     let config = arguments.bus.settings()?;
-    let take = Take::read(&arguments.file, &arguments.camera)?;
+    let (take, report) = Take::read(&arguments.file, &arguments.camera)?;
+    for lost in losses(&report) {
+        complain("warning", &format!("{}: {lost}", arguments.file.display()));
+    }
     let bus = open(&config)?;
     let clock = SteadyClock::new(Stop::on_signals()?);
     let how = Playing {

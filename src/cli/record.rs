@@ -96,7 +96,7 @@ fn start(path: &Path, config: &Config, pattern: &str) -> Result<Writer, Failure>
 }
 
 /// Writes what comes until `stop` is set, then what still waits, and finishes the file.
-/// `each_second` is told what was recorded so far.
+/// `each_second` is called with the counts so far.
 pub(super) fn record(
     mut inbox: Inbox,
     mut writer: Writer,
@@ -197,9 +197,9 @@ mod tests {
             publisher.put(Timestamp::from_ns(70), encoding, payload).unwrap();
         };
         let typed = media_type("bundlemocap.v1.Event");
-        put(&topics.events(), &typed, &encode(&event(1)));
-        put(&topics.events(), "", &encode(&event(2)));
-        put(&topics.events(), &typed, b"\xff\xff");
+        put(&topics.stage_events(), &typed, &encode(&event(1)));
+        put(&topics.stage_events(), "", &encode(&event(2)));
+        put(&topics.stage_events(), &typed, b"\xff\xff");
         put("mocap/stage/mixer/gain", "application/json", b"{}");
         put("mocap/other/rig", "", b"not of this stage");
 
@@ -221,7 +221,7 @@ mod tests {
         let mut reader = Reader::open(&path).unwrap();
         let messages: Vec<Message> = reader.by_ref().map(|entry| entry.unwrap().message).collect();
         assert_eq!(messages[..2], [1, 2].map(|count| Message::Event(event(count))));
-        assert_eq!(reader.report().undecodable[&topics.events()].count, 1);
+        assert_eq!(reader.report().undecodable[&topics.stage_events()].count, 1);
         assert!(!folder.path().join("take.mcap.part").exists());
     }
 
@@ -230,9 +230,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("take.mcap");
         let (bus, topics) = (Memory::new(), Topics::default());
-        let by_count = Inbox::of_size(&bus, &topics.all(), 3, usize::MAX).unwrap();
-        let by_bytes = Inbox::of_size(&bus, &topics.all(), 100, 25).unwrap();
-        let publisher = bus.publisher(&topics.events()).unwrap();
+        let by_count = Inbox::of_size(&bus, &[&topics.all()], 3, usize::MAX).unwrap();
+        let by_bytes = Inbox::of_size(&bus, &[&topics.all()], 100, 25).unwrap();
+        let publisher = bus.publisher(&topics.stage_events()).unwrap();
         for _ in 0..10 {
             publisher.put(Timestamp::default(), "", &[0; 10]).unwrap();
         }

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::Ended;
-use super::bus::{BusArguments, topics};
 use super::failure::{Exit, Failure};
 use super::solve::decoder;
 use super::terminal::{complain, say, table};
@@ -13,18 +12,18 @@ use crate::config::Config;
 use crate::core::tracker::Solver;
 use crate::io::recording::{Provenance, RawEntry, Reader, Writer};
 use crate::io::wire::{ENCODING, JournalStart, Pose, Topics, decode};
-use crate::live::{Recorded, ReplayError, Replayed, Settings, platform, replay};
+use crate::live::{Recorded, ReplayError, Replayed, Settings, find_node, platform, replay};
 use crate::offline::figures::losses;
 
-/// Run the node's machine again on what it was told in a recording.
+/// Run the node again on its recorded inputs, and compare its outputs.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The recording must hold all that the node was told since it started: begin to record before the
-cameras play, and restart the node for another take. Its journal says in what order, at what times and with what iteration counts; the settings are in it
-too. The same build on the same kind of processor gives the same bytes. The recording is held in
-memory.
+The recording must hold all inputs of the node since it started: start `record` before the cameras,
+and restart the node for another take. The journal of the node holds the order and the times of its
+inputs, and its settings. The same build on the same kind of processor gives the same bytes. The
+recording is held in memory.
 
-Exit code 14 means that what came out differs from what was recorded.
+Exit code 14 means that the outputs differ from the recorded ones.
 
 Examples:
   bundlemocap replay take1.mcap --verify
@@ -32,23 +31,28 @@ Examples:
 pub(super) struct Arguments {
     /// A recording of `bundlemocap record`.
     file: PathBuf,
-    /// Compare what comes out with what was recorded, byte for byte.
+    /// Compare the outputs with the recorded ones, byte for byte.
     #[arg(long)]
     verify: bool,
-    /// Write a recording of the same inputs with what comes out now.
+    /// Write a recording of the same inputs and the new outputs.
     #[arg(long, value_name = "MCAP")]
     out: Option<PathBuf>,
     /// Weights of the manifold that the node had; the embedded ones if not given.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
-    #[command(flatten)]
-    bus: BusArguments,
+    /// The stage of the node, where the recording holds several.
+    #[arg(long, value_name = "NAME")]
+    stage: Option<String>,
+    /// The performer of the node, where the recording holds several.
+    #[arg(long, value_name = "NAME")]
+    actor: Option<String>,
 }
 
 impl From<ReplayError> for Failure {
     fn from(error: ReplayError) -> Self {
         let exit = match error {
             ReplayError::NoJournal { .. } => Exit::NotOurs,
+            ReplayError::Several { .. } => Exit::Usage,
             _ => Exit::Malformed,
         };
         Self::new(exit, error.to_string())
@@ -56,12 +60,14 @@ impl From<ReplayError> for Failure {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let topics = topics(&arguments.bus.settings()?);
     let messages = read(&arguments.file)?;
+    let of_file = |failure: Failure| {
+        Failure::new(failure.exit, format!("{}: {}", arguments.file.display(), failure.line()))
+    };
+    let topics = find_node(&messages, arguments.stage.as_deref(), arguments.actor.as_deref())
+        .map_err(|error| of_file(error.into()))?;
     let replayed = replay(&messages, &topics, |start| prepare(start, arguments.weights.as_deref()))
-        .map_err(|failure: Failure| {
-            Failure::new(failure.exit, format!("{}: {}", arguments.file.display(), failure.line()))
-        })?;
+        .map_err(of_file)?;
     if let Some(path) = &arguments.out {
         write(path, &messages, &replayed)?;
     }
@@ -103,7 +109,7 @@ fn prepare(start: &JournalStart, weights: Option<&Path>) -> Result<(Settings, So
     Ok((settings, Solver::new(decoder, tracker)))
 }
 
-/// Writes the inputs as they were recorded, and what came out, by time.
+/// Writes the recorded inputs and the new outputs, by time.
 fn write(path: &Path, messages: &[Recorded], replayed: &Replayed) -> Result<(), Failure> {
     let provenance = Provenance {
         config: replayed.start.config.clone(),

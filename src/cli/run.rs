@@ -2,16 +2,14 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::Args;
-use crossbeam_channel::{Receiver, after, bounded, never, select};
-use signal_hook::consts::{SIGINT, SIGTERM};
-use signal_hook::iterator::{Handle, Signals};
+use crossbeam_channel::{Receiver, RecvTimeoutError};
 
 use super::Ended;
-use super::bus::BusName;
+use super::bus::{BusName, topics};
+use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
 use super::solve::decoder;
 use crate::config::Config;
@@ -23,9 +21,9 @@ use crate::live::{Core, Node, NodeError, Running, Settings, SolverCore, log};
 /// Run the live node: keypoints from the bus in, poses at a fixed latency out.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Runs until Ctrl-C or SIGTERM, publishes what is left and ends; a second signal ends it at once.
-What happens is logged on standard error, a line each. The environment variable BUNDLEMOCAP_LOG
-says how much: a level (error, warn, info, debug, off) or a filter such as warn,zenoh=info.
+Runs until Ctrl-C or SIGTERM, then publishes the remaining poses and ends; a second signal ends it at
+once. Events are logged on standard error, one line each. The environment variable BUNDLEMOCAP_LOG
+sets how much: a level (error, warn, info, debug, off) or a filter such as warn,zenoh=info.
 
 Examples:
   bundlemocap run
@@ -47,7 +45,7 @@ pub(super) struct Arguments {
     /// Declared latency, milliseconds, instead of the configured one; 0 finds it.
     #[arg(long, value_name = "MS", allow_negative_numbers = true)]
     latency: Option<f64>,
-    /// Where others on the network reach the node, instead of the configured addresses.
+    /// Address on which the node listens, instead of the configured ones.
     #[arg(long, value_name = "ENDPOINT")]
     listen: Vec<String>,
     /// Address of a Prometheus endpoint, such as 127.0.0.1:9464.
@@ -77,9 +75,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let weights = format!("{:016x}", decoder.fingerprint());
     let _log = log::start()?;
     // Before anything is opened, so that a signal never leaves something half open.
-    let (signals, _watch) = watch_signals()?;
+    let stop = Stop::on_signals()?;
 
-    // Before the bus starts its threads, so that they keep off it, too.
+    // Before the bus starts its threads, so that they do not use that core.
     let is_alone = config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
@@ -92,14 +90,14 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     });
     let running = Node::start(bus, core, solver, &config.node, solver_core)?;
     say_hello(&config, &running);
-    let why = wait(&signals, running.over(), seconds);
+    let why = wait(&stop, running.over(), seconds);
     tracing::info!("ending: {why}");
     let status = running.stop()?;
     say_goodbye(status.as_ref());
     Ok(Exit::Done)
 }
 
-/// The settings, with what the arguments put in their place.
+/// The settings, with those of the arguments in their place.
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     let mut config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
     if let Some(bus) = arguments.bus {
@@ -117,7 +115,7 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     if let Some(prometheus) = &arguments.prometheus {
         config.node.prometheus.clone_from(prometheus);
     }
-    // What the arguments say is checked as a file's settings are.
+    // The arguments are checked as the settings of a file are.
     Config::parse(&config.to_toml(), Path::new("the settings")).map_err(|error| {
         let message = error.to_string();
         match arguments.latency {
@@ -138,53 +136,19 @@ fn run_time(seconds: Option<f64>) -> Result<Option<Duration>, Failure> {
     }
 }
 
-/// Signals as they come; the second one ends the process as if nobody watched.
-pub(super) fn watch_signals() -> Result<(Receiver<&'static str>, Watch), Failure> {
-    let refused = |error: std::io::Error| {
-        Failure::new(Exit::Unexpected, format!("cannot watch for signals: {error}"))
-    };
-    let seen = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        // In this order: the first signal finds the flag down, and raises it.
-        signal_hook::flag::register_conditional_default(signal, Arc::clone(&seen))
-            .map_err(refused)?;
-        signal_hook::flag::register(signal, Arc::clone(&seen)).map_err(refused)?;
-    }
-    let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(refused)?;
-    let handle = signals.handle();
-    let (sender, receiver) = bounded(1);
-    std::thread::Builder::new()
-        .name("signals".into())
-        .spawn(move || {
-            for signal in signals.forever() {
-                let name = if signal == SIGINT { "SIGINT" } else { "SIGTERM" };
-                let _ = sender.try_send(name);
-            }
-        })
-        .map_err(refused)?;
-    Ok((receiver, Watch(handle)))
-}
-
-/// Ends the thread that watches for signals when it is dropped.
-pub(super) struct Watch(Handle);
-
-impl Drop for Watch {
-    fn drop(&mut self) {
-        self.0.close();
-    }
-}
-
-/// Why the node should end now.
-fn wait(
-    signals: &Receiver<&'static str>,
-    over: &Receiver<()>,
-    seconds: Option<Duration>,
-) -> &'static str {
-    let time = seconds.map_or_else(never, after);
-    select! {
-        recv(signals) -> name => name.unwrap_or("nobody watches for signals"),
-        recv(over) -> _ => "the node stopped by itself",
-        recv(time) -> _ => "the time is over",
+/// Waits until the node should end; why.
+fn wait(stop: &Stop, over: &Receiver<()>, seconds: Option<Duration>) -> &'static str {
+    let begin = Instant::now();
+    loop {
+        if stop.is_set() {
+            return "stopped by a signal";
+        }
+        if seconds.is_some_and(|seconds| begin.elapsed() >= seconds) {
+            return "the time is over";
+        }
+        if over.recv_timeout(ATTENTION) == Err(RecvTimeoutError::Disconnected) {
+            return "the node stopped by itself";
+        }
     }
 }
 
@@ -204,7 +168,7 @@ fn say_hello(config: &Config, running: &Running) {
     let node = &config.node;
     tracing::info!(stage = node.stage, actor = node.actor, "listening: {where_to}");
     match node.rig.as_str() {
-        "" => tracing::info!("waiting for the calibration on mocap/{}/rig", node.stage),
+        "" => tracing::info!("waiting for the calibration on {}", topics(config).rig()),
         path => tracing::info!("calibration from {path}"),
     }
     if let Some(address) = running.prometheus() {
@@ -219,7 +183,7 @@ fn say_goodbye(status: Option<&Status>) {
         poses = playout.published,
         coasted = playout.coasted,
         missed = playout.missed,
-        live = playout.provisional,
+        provisional = playout.provisional,
         dropped = status.queue_dropped,
         "ended"
     );

@@ -1,16 +1,14 @@
-//! Messages as a line for people, and as JSON with all fields.
-
-use serde_json::{Map, Value, json};
+//! Messages as a line of text.
 
 use crate::core::time::Timestamp;
 use crate::io::recording::Message;
 use crate::io::wire::journal_entry::Input;
 use crate::io::wire::{
-    CameraCounters, Event, Journal, JournalEntry, Keyframe, KeypointFrame, LensKind, Pose,
-    RetargetedPose, Rig, Status, TrackingState,
+    CameraCounters, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, RetargetedPose,
+    Status, TrackingState,
 };
 
-/// What a message says, in short; `None` for one that is not ours.
+/// The main fields of a message; `None` for one that is not ours. `arrival` is when it was received.
 pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {
     Some(match message {
         Message::Keypoints(frame) => keypoints(frame, arrival),
@@ -29,45 +27,6 @@ pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {
         Message::Retargeted(pose) => retargeted(pose, arrival),
         Message::Other { .. } => return None,
     })
-}
-
-/// All fields of a message.
-pub(super) fn json(message: &Message) -> Value {
-    match message {
-        Message::Keypoints(frame) => keypoints_json(frame),
-        Message::Rig(rig) => rig_json(rig),
-        Message::Pose(pose) | Message::TruthPose(pose) => pose_json(pose),
-        Message::Keyframe(keyframe) => keyframe_json(keyframe),
-        Message::Skeleton(skeleton) | Message::TruthSkeleton(skeleton) => json!({
-            "joint_names": skeleton.joint_names,
-            "parents": skeleton.parents,
-            "rest_offsets_m": skeleton.rest_offsets_m,
-            "shape": skeleton.shape,
-        }),
-        Message::Event(event) => json!({
-            "capture_time_ns": event.capture_time_ns,
-            "kind": event.kind,
-            "camera": event.camera,
-            "window": event.window,
-            "count": event.count,
-            "detail": event.detail,
-        }),
-        Message::Status(status) => status_json(status),
-        Message::Retargeted(pose) => json!({
-            "capture_time_ns": pose.capture_time_ns,
-            "publish_time_ns": pose.publish_time_ns,
-            "state": state(pose.state),
-            "hips": pose.hips,
-            "hips_position_m": pose.hips_position_m,
-            "local_rotations": pose.local_rotations,
-            "joint_names": pose.joint_names,
-        }),
-        Message::Journal(journal) => json!({
-            "sequence": journal.sequence,
-            "entries": journal.entries.iter().map(entry_json).collect::<Vec<_>>(),
-        }),
-        Message::Other { .. } => Value::Null,
-    }
 }
 
 fn ms(ns: i64) -> f64 {
@@ -107,22 +66,16 @@ fn pose(pose: &Pose, arrival: Timestamp) -> String {
         (false, 0) => String::new(),
         (false, revision) => format!("revision {revision}, "),
     };
-    let kept = pose.publish_time_ns.map_or_else(String::new, |published| {
-        let after = published.saturating_sub(pose.capture_time_ns);
+    let punctuality = pose.due_time_ns.map_or_else(String::new, |due| {
         let declared = i64::try_from(pose.declared_latency_ns).unwrap_or(i64::MAX);
-        match declared {
-            0 => format!(", sent after {:.1} ms", ms(after)),
-            _ => format!(
-                ", declared {:.1} ms, sent {:+.2} ms off it",
-                ms(declared),
-                ms(after.saturating_sub(declared))
-            ),
-        }
+        let late = arrival - Timestamp::from_ns(due);
+        let word = if late < 0 { "early" } else { "late" };
+        format!(", declared {:.1} ms, {:.2} ms {word}", ms(declared), ms(late.abs()))
     });
     let root = list(&pose.root_position_m, 3);
     let (window, state) = (pose.window, state(pose.state));
     let latency = latency(pose.capture_time_ns, arrival);
-    format!("{kind}window {window}, {state}, root {root} m, {latency}{kept}")
+    format!("{kind}window {window}, {state}, root {root} m, {latency}{punctuality}")
 }
 
 fn retargeted(pose: &RetargetedPose, arrival: Timestamp) -> String {
@@ -167,8 +120,8 @@ fn status(status: &Status) -> String {
     let effort = status.effort.unwrap_or_default();
     format!(
         "{}; windows {} tracked, {} coasted, {} lost, solve p50 {:.1} ms, p99 {:.1} ms; poses {}, \
-         missed {}, live {}; declared {:.1} ms; effort -{}; queue dropped {}; cameras: {}",
-        if status.performer.is_empty() { "no performer" } else { &status.performer },
+         missed {}, provisional {}; declared {:.1} ms; effort -{}; queue dropped {}; cameras: {}",
+        if status.tracker_state.is_empty() { "no state" } else { &status.tracker_state },
         windows.tracked,
         windows.coasted,
         windows.lost,
@@ -205,165 +158,4 @@ fn input_name(entry: &JournalEntry) -> &'static str {
         Some(Input::End(_)) => "end",
         None => "unknown",
     }
-}
-
-fn keypoints_json(frame: &KeypointFrame) -> Value {
-    let people = frame.people.iter();
-    let people = people.map(|person| json!({ "id": person.id, "points": person.points }));
-    json!({
-        "camera": frame.camera,
-        "frame": frame.frame,
-        "capture_time_ns": frame.capture_time_ns,
-        "image_width": frame.image_width,
-        "image_height": frame.image_height,
-        "format": frame.format,
-        "people": people.collect::<Vec<_>>(),
-    })
-}
-
-fn rig_json(rig: &Rig) -> Value {
-    let cameras = rig.cameras.iter().map(|camera| {
-        let lens = match LensKind::try_from(camera.lens) {
-            Ok(LensKind::BrownConrady) => "brown_conrady",
-            Ok(LensKind::Fisheye) => "fisheye",
-            Ok(LensKind::Unspecified) | Err(_) => "unknown",
-        };
-        json!({
-            "name": camera.name,
-            "width": camera.width,
-            "height": camera.height,
-            "focal_px": camera.focal_px,
-            "centre_px": camera.centre_px,
-            "skew_px": camera.skew_px,
-            "lens": lens,
-            "lens_coefficients": camera.lens_coefficients,
-            "camera_from_world_rotation": camera.camera_from_world_rotation,
-            "camera_from_world_translation_m": camera.camera_from_world_translation_m,
-        })
-    });
-    json!({ "version": rig.version, "cameras": cameras.collect::<Vec<_>>() })
-}
-
-fn pose_json(pose: &Pose) -> Value {
-    json!({
-        "capture_time_ns": pose.capture_time_ns,
-        "publish_time_ns": pose.publish_time_ns,
-        "declared_latency_ns": pose.declared_latency_ns,
-        "state": state(pose.state),
-        "root_position_m": pose.root_position_m,
-        "root_rotation": pose.root_rotation,
-        "local_rotations": pose.local_rotations,
-        "joint_positions_m": pose.joint_positions_m,
-        "rig_version": pose.rig_version,
-        "window": pose.window,
-        "provisional": pose.provisional,
-        "revision": pose.revision,
-    })
-}
-
-fn keyframe_json(keyframe: &Keyframe) -> Value {
-    json!({
-        "capture_time_ns": keyframe.capture_time_ns,
-        "window": keyframe.window,
-        "z": keyframe.z,
-        "root_rotation": keyframe.root_rotation,
-        "root_position_m": keyframe.root_position_m,
-        "shape": keyframe.shape,
-        "start_time_ns": keyframe.start_time_ns,
-        "interpolation": keyframe.interpolation,
-        "weights": keyframe.weights,
-        "grid_origin_ns": keyframe.grid_origin_ns,
-        "grid_period_ns": keyframe.grid_period_ns,
-        "state": state(keyframe.state),
-        "rig_version": keyframe.rig_version,
-    })
-}
-
-fn status_json(status: &Status) -> Value {
-    let windows = status.windows.as_ref().map(|windows| {
-        json!({
-            "tracked": windows.tracked,
-            "coasted": windows.coasted,
-            "lost": windows.lost,
-            "incomplete": windows.incomplete,
-            "iterations": windows.iterations,
-            "solve_p50_ms": windows.solve_p50_ms,
-            "solve_p99_ms": windows.solve_p99_ms,
-            "termination": windows.termination,
-        })
-    });
-    let playout = status.playout.as_ref().map(|playout| {
-        json!({
-            "published": playout.published,
-            "coasted": playout.coasted,
-            "missed": playout.missed,
-            "deviation_bins_us": playout.deviation_bins_us,
-            "deviation_counts": playout.deviation_counts,
-            "provisional": playout.provisional,
-            "provisional_bins_us": playout.provisional_bins_us,
-            "provisional_counts": playout.provisional_counts,
-        })
-    });
-    let effort = status.effort.as_ref().map(|effort| {
-        json!({
-            "level": effort.level,
-            "iterations": effort.iterations,
-            "stride": effort.stride,
-            "degradation_steps": effort.degradation_steps,
-        })
-    });
-    let events = status.events.iter().map(|event| (event.kind.clone(), json!(event.count)));
-    json!({
-        "capture_time_ns": status.capture_time_ns,
-        "node_time_ns": status.node_time_ns,
-        "inputs": status.inputs,
-        "performer": status.performer,
-        "declared_latency_ns": status.declared_latency_ns,
-        "cameras": status.cameras.iter().map(camera_json).collect::<Vec<_>>(),
-        "windows": windows,
-        "playout": playout,
-        "effort": effort,
-        "events": events.collect::<Map<_, _>>(),
-        "queue_dropped": status.queue_dropped,
-    })
-}
-
-fn camera_json(camera: &CameraCounters) -> Value {
-    json!({
-        "camera": camera.camera,
-        "used": camera.used,
-        "late": camera.late,
-        "duplicate": camera.duplicate,
-        "out_of_order": camera.out_of_order,
-        "missing": camera.missing,
-        "unusable": camera.unusable,
-        "rate_hz": camera.rate_hz,
-        "age_s": camera.age_s,
-        "offset_s": camera.offset_s,
-        "drift_ppm": camera.drift_ppm,
-        "residual_px": camera.residual_px,
-        "waited_for": camera.waited_for,
-    })
-}
-
-fn entry_json(entry: &JournalEntry) -> Value {
-    let input = match &entry.input {
-        Some(Input::Start(start)) => json!({
-            "version": start.version,
-            "config": start.config,
-            "weights": start.weights,
-            "platform": start.platform,
-            "rig_bytes": start.rig.as_ref().map(Vec::len),
-        }),
-        Some(Input::Message(message)) => json!({
-            "topic": message.topic,
-            "hash": format!("{:016x}", message.hash),
-            "payload_bytes": message.payload.as_ref().map(Vec::len),
-        }),
-        Some(Input::Solved(solved)) => json!({ "job": solved.job, "took_ns": solved.took_ns }),
-        Some(Input::Tick(_) | Input::End(_)) | None => Value::Null,
-        Some(Input::Dropped(count)) => json!(count),
-        Some(Input::Played(played)) => json!({ "deviation_us": played.deviation_us }),
-    };
-    json!({ "time_ns": entry.time_ns, "kind": input_name(entry), "input": input })
 }

@@ -4,6 +4,7 @@ pub mod body;
 pub mod camera;
 pub mod cost;
 pub mod detections;
+pub mod fnv;
 pub mod linalg;
 pub mod manifold;
 pub mod optimise;

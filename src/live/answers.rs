@@ -1,16 +1,17 @@
-//! What the core does with the solver's answers and with what its machine gives out.
+//! Solutions of the solver go to the tracker, outputs of the tracker become publications.
 
 use std::collections::BTreeMap;
 
-use super::core::{Core, Output};
-use super::events::Named;
+use super::core::Core;
+use super::port::Output;
+use super::publication::{Content, Publication};
 use super::status::quantile;
 use crate::core::body::StampedPose;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{
-    self, Effort, Event, EventKind, KeyframeAt, Outcome, Solution, Verdict, WindowReport,
+    self, Effort, Event, EventKind, KeyframeAt, Outcome, Solution, Tracker, Verdict, WindowReport,
 };
-use crate::io::wire::{self, Publication, StampedKeyframe};
+use crate::io::wire::{self, LiveStamp, StampedKeyframe};
 
 impl Core {
     pub(super) fn solved(&mut self, solution: Solution, took_ns: u64) {
@@ -22,7 +23,7 @@ impl Core {
         if is_tracked {
             self.settle();
         }
-        self.tell(tracker::Input::Solved(solution));
+        self.give(tracker::Input::Solved(solution));
     }
 
     /// Declares the latency, and judges the effort, after a window was solved.
@@ -32,7 +33,7 @@ impl Core {
         let wait = track.span() - period;
         let delay = if self.latency.declared_ns().is_none() { self.clock.delay_p999() } else { 0 };
         if let Some((latency, why)) = self.latency.solved(self.took_ns, wait, delay) {
-            self.tell(tracker::Input::Latency(latency));
+            self.give(tracker::Input::Latency(latency));
             self.event(EventKind::Latency, None, why);
             return;
         }
@@ -41,37 +42,41 @@ impl Core {
         let Some(why) = self.governor.solved(self.took_ns, available, trouble) else { return };
         let level = self.governor.level();
         let effort = Effort::at(level, &self.settings.tracker);
-        self.tell(tracker::Input::Effort(effort));
+        self.give(tracker::Input::Effort(effort));
         let Effort { iterations, stride, .. } = effort;
         let detail = format!("level {level}: {iterations} iterations, stride {stride}; {why}");
         self.event(EventKind::Effort, None, detail);
     }
 
-    /// Passes on what the machine gives out.
+    /// Turns the outputs of the tracker into outputs of the core.
     pub(super) fn drain(&mut self) {
-        while let Some(output) = self.track.as_mut().and_then(tracker::Tracker::poll) {
+        while let Some(output) = self.track.as_mut().and_then(Tracker::poll) {
             match output {
                 tracker::Output::Solve(job) => self.outputs.push_back(Output::Solve(job)),
                 tracker::Output::Skeleton(skeleton) => {
                     let message = wire::Skeleton::from_core(&skeleton);
                     let now = self.clock.capture_time(self.now);
-                    self.publish(self.topics.skeleton(), now, &message, None);
+                    self.publish(self.topics.skeleton(), now, Content::Skeleton(message));
                 }
                 tracker::Output::Pose(pose) if pose.provisional => self.provisional(&pose),
                 tracker::Output::Pose(pose) => self.pose(&pose),
                 tracker::Output::Keyframe(keyframe) => self.keyframe(&keyframe),
                 tracker::Output::Window(report) => self.window(&report),
-                tracker::Output::Event(event) => self.machine_event(event),
+                tracker::Output::Event(event) => self.tracker_event(&event),
             }
         }
     }
 
     fn pose(&mut self, pose: &StampedPose) {
         let Some(latency_ns) = self.latency.declared_ns() else { return };
-        let publish = pose.capture + latency_ns;
-        let publication = Publication { publish, latency_ns: latency_ns.max(0) as u64 };
-        let due = self.clock.node_time(publish);
-        self.send_pose(pose, self.topics.pose(), publication, Some(due));
+        let due = pose.capture + latency_ns;
+        let Some(message) = self.pose_message(pose, Some(due)) else { return };
+        self.outputs.push_back(Output::Publish(Publication {
+            topic: self.topics.pose().into(),
+            capture: pose.capture,
+            due: Some(self.clock.node_time(due)),
+            content: Content::Pose(message),
+        }));
     }
 
     fn provisional(&mut self, pose: &StampedPose) {
@@ -81,27 +86,19 @@ impl Core {
             let latency = (self.now - *arrival) / 1000;
             self.published.provisional(u32::try_from(latency).unwrap_or(u32::MAX));
         }
-        let publish = self.clock.capture_time(self.now);
-        let latency_ns = self.latency.declared_ns().unwrap_or(0).max(0) as u64;
-        self.send_pose(pose, self.topics.provisional(), Publication { publish, latency_ns }, None);
+        let Some(message) = self.pose_message(pose, None) else { return };
+        self.publish(self.topics.provisional(), pose.capture, Content::Pose(message));
     }
 
-    fn send_pose(
-        &mut self,
-        pose: &StampedPose,
-        topic: String,
-        publication: Publication,
-        due: Option<Timestamp>,
-    ) {
-        let Some(skeleton) = self.track.as_ref().and_then(tracker::Tracker::skeleton) else {
-            return;
-        };
-        let message = wire::Pose::from_core(pose, skeleton, Some(publication));
-        self.publish(topic, pose.capture, &message, due);
+    fn pose_message(&self, pose: &StampedPose, due: Option<Timestamp>) -> Option<wire::Pose> {
+        let skeleton = self.track.as_ref().and_then(Tracker::skeleton)?;
+        let latency_ns = self.latency.declared_ns().unwrap_or(0).max(0) as u64;
+        let live = LiveStamp { due, latency_ns, run_id: self.run_id };
+        Some(wire::Pose::from_core(pose, skeleton, Some(live)))
     }
 
     fn keyframe(&mut self, at: &KeyframeAt) {
-        let Some(skeleton) = self.track.as_ref().and_then(tracker::Tracker::skeleton) else {
+        let Some(skeleton) = self.track.as_ref().and_then(Tracker::skeleton) else {
             return;
         };
         let message = wire::Keyframe::from_core(&StampedKeyframe {
@@ -116,7 +113,8 @@ impl Core {
             state: at.state,
             rig_version: at.rig_version,
         });
-        self.publish(self.topics.keyframe(), at.capture, &message, None);
+        let message = wire::Keyframe { run_id: self.run_id, ..message };
+        self.publish(self.topics.keyframe(), at.capture, Content::Keyframe(message));
     }
 
     fn window(&mut self, report: &WindowReport) {
@@ -132,20 +130,14 @@ impl Core {
         }
     }
 
-    fn machine_event(&mut self, event: Event) {
+    fn tracker_event(&mut self, event: &Event) {
         match event.kind {
             EventKind::Deadline => self.windows.incomplete(),
             EventKind::Overdue => self.trouble = Some("a pose was not solved when due"),
             _ => {}
         }
         let camera = event.camera.and_then(|index| self.cameras.get(index));
-        self.emit(Named {
-            kind: event.kind,
-            capture: event.capture,
-            camera: camera.map(|camera| camera.name().to_owned()),
-            window: event.window,
-            count: event.count,
-            detail: event.detail,
-        });
+        let camera = camera.map(|camera| camera.name().to_owned());
+        self.emit(event, camera.as_deref());
     }
 }

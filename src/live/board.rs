@@ -1,15 +1,15 @@
-//! What the node's threads let each other see: the last status, the rig, and failures.
+//! State that the node's threads share: the last status, the rig, and failures.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::io::bus::Sample;
-use crate::io::wire::{Status, decode};
+use crate::io::wire::Status;
 
-/// What the node's threads let each other see.
+/// State that the node's threads share.
 #[derive(Default)]
 pub(super) struct Board {
-    status: Mutex<Option<Vec<u8>>>,
+    status: Mutex<Option<Status>>,
     rig: Mutex<Option<Sample>>,
     failures: Arc<AtomicU64>,
 }
@@ -17,13 +17,12 @@ pub(super) struct Board {
 impl Board {
     /// The last status, if there was one.
     pub(super) fn status(&self) -> Option<Status> {
-        let bytes = self.status.lock().unwrap_or_else(PoisonError::into_inner).clone()?;
-        decode(&bytes).ok()
+        self.status.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// A new status, as bytes.
-    pub(super) fn set_status(&self, payload: &[u8]) {
-        *self.status.lock().unwrap_or_else(PoisonError::into_inner) = Some(payload.into());
+    /// A new status.
+    pub(super) fn set_status(&self, status: Status) {
+        *self.status.lock().unwrap_or_else(PoisonError::into_inner) = Some(status);
     }
 
     /// The rig in use, if there is one.

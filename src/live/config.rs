@@ -8,9 +8,9 @@ use crate::io::formats::Up;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// The capture volume, a part of every topic.
+    /// Name of the capture volume, a part of every topic.
     pub stage: String,
-    /// The performer, a part of every topic of poses.
+    /// Name of the performer, a part of the topics of all that belongs to him.
     pub actor: String,
     /// Calibration file, read at the start and whenever it changes; empty: from the bus.
     pub rig: String,
@@ -25,7 +25,7 @@ pub struct Config {
     pub provisional: bool,
     /// Whether the solver has a processor core of its own, so that poses leave on time.
     pub solver_core: bool,
-    /// Messages that wait for the machine at most; beyond, the oldest are dropped.
+    /// Messages that wait for the node at most; beyond, the oldest are dropped.
     pub queue: usize,
     /// Address of a Prometheus endpoint, such as 127.0.0.1:9464; empty: none.
     pub prometheus: String,

@@ -5,85 +5,17 @@ use std::sync::Arc;
 
 use super::cameras::Camera;
 use super::clock::Clock;
-use super::config::Config;
-use super::events::{Events, Named};
+use super::events::Events;
 use super::governor::Governor;
 use super::journal::{self, Journal};
 use super::latency::Finder;
+use super::port::{Input, Output, Settings};
+use super::publication::{Content, Publication};
 use super::status::{Published, Windows};
 use crate::core::camera::Rig;
 use crate::core::time::Timestamp;
-use crate::core::tracker::{self, EventKind, Job, Live, Performer, Solution, Tracker};
-use crate::io::wire::{self, Schema, Topics, encode};
-
-/// What the core is told.
-#[derive(Clone, Debug)]
-pub enum Input {
-    /// A message from the bus.
-    Message {
-        /// Its topic.
-        topic: Arc<str>,
-        /// Its bytes.
-        payload: Vec<u8>,
-    },
-    /// A calibration from a file, as the bytes of a `Rig` message.
-    RigFile(Vec<u8>),
-    /// The answer to the job that is out.
-    Solved {
-        /// The answer.
-        solution: Box<Solution>,
-        /// How long the solver took, nanoseconds.
-        took_ns: u64,
-    },
-    /// Nothing but time.
-    Tick,
-    /// The full queue dropped so many messages.
-    Dropped(u64),
-    /// Poses with a due time left; the deviation of each from it, microseconds, positive is late.
-    Played(Vec<i32>),
-    /// Nothing more will come.
-    End,
-}
-
-/// What the core wants done.
-#[derive(Clone, Debug)]
-pub enum Output {
-    /// A job to solve, at most one at a time.
-    Solve(Box<Job>),
-    /// A message to publish.
-    Publish(Publication),
-    /// Wants a `Tick` at this time of the node's clock, unless another input comes after it; each
-    /// replaces the one before.
-    Wake(Timestamp),
-}
-
-/// A message to publish.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Publication {
-    /// Where.
-    pub topic: Arc<str>,
-    /// The capture time that it is about.
-    pub capture: Timestamp,
-    /// Full name of its schema.
-    pub schema: &'static str,
-    /// Its bytes.
-    pub payload: Vec<u8>,
-    /// When to publish it, on the node's clock; at once if not given.
-    pub due: Option<Timestamp>,
-}
-
-/// What the core is made from; kept in the journal's first entry.
-#[derive(Clone, Debug)]
-pub struct Settings {
-    /// Of the machine.
-    pub tracker: tracker::Config,
-    /// Of the node.
-    pub node: Config,
-    /// All settings as TOML.
-    pub toml: String,
-    /// Fingerprint of the weights, hexadecimal.
-    pub weights: String,
-}
+use crate::core::tracker::{self, EventKind, Live, Performer, Tracker};
+use crate::io::wire::{self, Topics};
 
 /// The calibration in use, as it came.
 pub(super) struct Calibration {
@@ -105,7 +37,7 @@ pub struct Core {
     pub(super) clock: Clock,
     pub(super) latency: Finder,
     pub(super) governor: Governor,
-    pub(super) events: Events,
+    pub(super) counts: Events,
     pub(super) windows: Windows,
     pub(super) published: Published,
     pub(super) queue_dropped: u64,
@@ -116,6 +48,8 @@ pub struct Core {
     /// How long the solver took for the answer at hand, ns.
     pub(super) took_ns: i64,
     journal: Journal,
+    /// Id of this run, from the first message on; 0 before.
+    pub(super) run_id: u64,
     next_second: Option<Timestamp>,
     wake: Option<Timestamp>,
     ended: bool,
@@ -140,7 +74,7 @@ impl Core {
             cameras: Vec::new(),
             clock: Clock::new(0),
             governor: Governor::default(),
-            events: Events::default(),
+            counts: Events::default(),
             windows: Windows::default(),
             published: Published::new(),
             queue_dropped: 0,
@@ -148,6 +82,7 @@ impl Core {
             arrivals: VecDeque::new(),
             took_ns: 0,
             journal: Journal::default(),
+            run_id: 0,
             next_second: None,
             wake: None,
             ended: false,
@@ -158,16 +93,20 @@ impl Core {
     pub fn handle(&mut self, now: Timestamp, input: Input) {
         self.now = self.now.max(now);
         let (settings, rig) = (&self.settings, self.rig_at_start.as_deref());
-        let is_idle = self.journal.count == 0;
-        self.journal.note(self.now, &input, || journal::start(settings, rig));
-        if is_idle && self.journal.count > 0 {
+        let is_first = self.journal.count == 0 && matches!(input, Input::Message { .. });
+        if is_first {
+            self.run_id = journal::run_id(self.now, settings, rig);
+        }
+        let run_id = self.run_id;
+        self.journal.note(self.now, &input, || journal::start(settings, rig, run_id));
+        if is_first {
             self.begin_anew();
         }
-        // What comes after the end, such as the last answer, belongs into the journal, too.
+        // Inputs after the end, such as the last solution, belong to the journal, too.
         self.ended |= matches!(input, Input::End);
         let is_last = self.ended;
         if self.clock.is_known() {
-            self.tell(tracker::Input::Tick(self.clock.capture_time(self.now)));
+            self.give(tracker::Input::Tick(self.clock.capture_time(self.now)));
         }
         match input {
             Input::Message { topic, payload } => self.message(&topic, &payload),
@@ -176,12 +115,12 @@ impl Core {
             Input::Tick => {}
             Input::Dropped(count) => self.dropped(count),
             Input::Played(deviations_us) => self.published.played(&deviations_us),
-            Input::End => self.tell(tracker::Input::End),
+            Input::End => self.give(tracker::Input::End),
         }
         self.drain();
         self.seconds(is_last);
         if let Some(entries) = self.journal.take(self.now, is_last) {
-            self.publish(self.topics.journal(), self.now, &entries, None);
+            self.publish(self.topics.journal(), self.now, Content::Journal(entries));
         }
         self.wake();
     }
@@ -191,7 +130,12 @@ impl Core {
         self.outputs.pop_front()
     }
 
-    pub(super) fn tell(&mut self, input: tracker::Input) {
+    /// The bytes of the `Rig` message in use, if there is one.
+    pub fn rig(&self) -> Option<&[u8]> {
+        self.calibration.as_ref().map(|calibration| &*calibration.bytes)
+    }
+
+    pub(super) fn give(&mut self, input: tracker::Input) {
         if let Some(track) = &mut self.track {
             track.handle(input);
         }
@@ -204,7 +148,7 @@ impl Core {
         if self.calibrate(&bytes)
             && let Ok(rig) = wire::decode::<wire::Rig>(&bytes)
         {
-            self.publish(self.topics.rig(), Timestamp::default(), &rig, None);
+            self.publish(self.topics.rig(), Timestamp::default(), Content::Rig(rig));
         }
     }
 
@@ -228,7 +172,7 @@ impl Core {
         }
         self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });
         match self.track {
-            Some(_) => self.tell(tracker::Input::Rig(rig)),
+            Some(_) => self.give(tracker::Input::Rig(rig)),
             None => self.begin(rig),
         }
         true
@@ -242,12 +186,12 @@ impl Core {
         self.event(EventKind::Calibrated, None, detail);
     }
 
-    /// From here on a replay goes the same way: it knows only the calibration from a file.
+    /// Forgets what happened before the first message: a replay knows only the calibration from a file.
     fn begin_anew(&mut self) {
         self.next_second = Some(self.now + SECOND);
         let Some(rig) = self.rig_at_start.clone() else { return };
         (self.calibration, self.track) = (None, None);
-        (self.cameras, self.events) = (Vec::new(), Events::default());
+        (self.cameras, self.counts) = (Vec::new(), Events::default());
         let outputs = self.outputs.len();
         self.calibrate(&rig);
         self.outputs.truncate(outputs);
@@ -255,56 +199,43 @@ impl Core {
 
     fn dropped(&mut self, count: u64) {
         self.queue_dropped += count;
-        self.trouble = Some("the queue ran over");
-        let event = Named {
-            kind: EventKind::Dropped,
-            capture: self.clock.capture_time(self.now),
-            camera: None,
-            window: None,
-            count,
-            detail: "the queue was full, its oldest messages went".to_owned(),
-        };
-        self.emit(event);
+        self.trouble = Some("the queue was full");
+        let detail = "the queue was full, its oldest messages were dropped".to_owned();
+        self.events(EventKind::Dropped, None, count, detail);
     }
 
     /// Counts an event of now and publishes it.
     pub(super) fn event(&mut self, kind: EventKind, camera: Option<&str>, detail: String) {
-        self.emit(Named {
-            kind,
-            capture: self.clock.capture_time(self.now),
-            camera: camera.map(str::to_owned),
-            window: None,
-            count: 1,
-            detail,
-        });
+        self.events(kind, camera, 1, detail);
     }
 
-    pub(super) fn emit(&mut self, event: Named) {
-        if let Some(name) = &event.camera
+    fn events(&mut self, kind: EventKind, camera: Option<&str>, count: u64, detail: String) {
+        let capture = self.clock.capture_time(self.now);
+        let event = tracker::Event { capture, kind, camera: None, window: None, count, detail };
+        self.emit(&event, camera);
+    }
+
+    /// Counts an event that concerns the camera of that name, if it names one, and publishes it.
+    pub(super) fn emit(&mut self, event: &tracker::Event, camera: Option<&str>) {
+        if let Some(name) = camera
             && let Some(camera) = self.cameras.iter_mut().find(|camera| camera.name() == name)
         {
             camera.event(event.kind, event.count);
         }
-        if let Some(message) = self.events.add(event) {
-            let capture = Timestamp::from_ns(message.capture_time_ns);
-            self.publish(self.topics.events(), capture, &message, None);
+        if let Some(message) = self.counts.add(event, camera) {
+            self.publish_event(event.kind, message);
         }
     }
 
-    pub(super) fn publish<T: Schema>(
-        &mut self,
-        topic: String,
-        capture: Timestamp,
-        message: &T,
-        due: Option<Timestamp>,
-    ) {
-        self.outputs.push_back(Output::Publish(Publication {
-            topic: topic.into(),
-            capture,
-            schema: T::FULL_NAME,
-            payload: encode(message),
-            due,
-        }));
+    fn publish_event(&mut self, kind: EventKind, message: wire::Event) {
+        let capture = Timestamp::from_ns(message.capture_time_ns);
+        self.publish(self.topics.events(kind), capture, Content::Event(message));
+    }
+
+    /// Publishes at once.
+    pub(super) fn publish(&mut self, topic: String, capture: Timestamp, content: Content) {
+        let publication = Publication { topic: topic.into(), capture, due: None, content };
+        self.outputs.push_back(Output::Publish(publication));
     }
 
     /// What is done once a second.
@@ -315,9 +246,8 @@ impl Core {
         }
         let passed = (self.now - next + SECOND).max(1);
         self.next_second = Some(self.now + SECOND);
-        for message in self.events.second() {
-            let capture = Timestamp::from_ns(message.capture_time_ns);
-            self.publish(self.topics.events(), capture, &message, None);
+        for (kind, message) in self.counts.second() {
+            self.publish_event(kind, message);
         }
         for camera in &mut self.cameras {
             camera.second(passed);
@@ -325,10 +255,11 @@ impl Core {
         self.watch_clocks();
         self.clock.follow(self.now);
         let status = self.status();
-        self.publish(self.topics.status(), self.clock.capture_time(self.now), &status, None);
+        let capture = self.clock.capture_time(self.now);
+        self.publish(self.topics.status(), capture, Content::Status(Box::new(status)));
     }
 
-    /// Alarms of clocks that are off from the others by more than a quarter of a frame.
+    /// Reports cameras whose clock is off from the others by more than a quarter of a frame period.
     fn watch_clocks(&mut self) {
         let Some(quarter) = self.track.as_ref().map(|track| track.frame_period() * 0.25e-9) else {
             return;
@@ -361,7 +292,7 @@ impl Core {
             windows: Some(self.windows.counters()),
             node_time_ns: self.now.ns(),
             inputs: self.journal.count,
-            performer: track.map_or(Performer::Searching, Tracker::performer).name().to_owned(),
+            tracker_state: track.map_or(Performer::Searching, Tracker::performer).name().to_owned(),
             declared_latency_ns: self.latency.declared_ns().unwrap_or(0).max(0) as u64,
             playout: Some(
                 self.published.counters(track.map_or((0, 0), Tracker::carried_and_missed)),
@@ -372,14 +303,15 @@ impl Core {
                 stride: effort.stride as u32,
                 degradation_steps: self.governor.degradation_steps,
             }),
-            events: self.events.counts(),
+            events: self.counts.counts(),
             queue_dropped: self.queue_dropped,
+            run_id: self.run_id,
         }
     }
 
     fn wake(&mut self) {
         let track = self.track.as_ref().and_then(Tracker::wake);
-        // One that is past waits for something else than time.
+        // The tracker waits for something else than time when that time is past.
         let next = track.map(|capture| self.clock.node_time(capture)).filter(|at| *at > self.now);
         let next = next.into_iter();
         let Some(at) = next.chain(self.next_second).min() else { return };

@@ -1,9 +1,8 @@
-//! Events on their way to the bus: all counted, and no more published than somebody can read.
+//! Counts events, and puts floods of events together before they are published.
 
 use std::collections::BTreeMap;
 
-use crate::core::time::Timestamp;
-use crate::core::tracker::EventKind;
+use crate::core::tracker::{Event, EventKind};
 use crate::io::wire;
 
 /// Events of one kind and camera that are published one by one in a second; more are put together.
@@ -19,17 +18,6 @@ struct Bundle {
     waiting: Option<wire::Event>,
 }
 
-/// An event with the name of its camera.
-#[derive(Clone, Debug)]
-pub(super) struct Named {
-    pub(super) kind: EventKind,
-    pub(super) capture: Timestamp,
-    pub(super) camera: Option<String>,
-    pub(super) window: Option<u64>,
-    pub(super) count: u64,
-    pub(super) detail: String,
-}
-
 /// Counts of all events, and what waits to be published.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Events {
@@ -38,19 +26,13 @@ pub(super) struct Events {
 }
 
 impl Events {
-    /// Counts an event; gives it back if it is to be published now.
-    pub(super) fn add(&mut self, event: Named) -> Option<wire::Event> {
+    /// Counts an event that concerns the camera of that name, if it names one; the message if it is
+    /// to be published now.
+    pub(super) fn add(&mut self, event: &Event, camera: Option<&str>) -> Option<wire::Event> {
         *self.counts.entry(event.kind).or_default() += event.count;
-        let camera = event.camera.clone().filter(|_| self.bundles.len() < MOST_BUNDLES);
+        let message = wire::Event::from_core(event, camera);
+        let camera = camera.filter(|_| self.bundles.len() < MOST_BUNDLES).map(str::to_owned);
         let bundle = self.bundles.entry((event.kind, camera)).or_default();
-        let message = wire::Event {
-            capture_time_ns: event.capture.ns(),
-            kind: event.kind.name().to_owned(),
-            camera: event.camera,
-            window: event.window,
-            count: event.count.max(1),
-            detail: event.detail,
-        };
         if bundle.published < SINGLE {
             bundle.published += 1;
             return Some(message);
@@ -61,9 +43,9 @@ impl Events {
     }
 
     /// What was put together in the last second.
-    pub(super) fn second(&mut self) -> Vec<wire::Event> {
-        let bundles = std::mem::take(&mut self.bundles);
-        bundles.into_values().filter_map(|bundle| bundle.waiting).collect()
+    pub(super) fn second(&mut self) -> Vec<(EventKind, wire::Event)> {
+        let bundles = std::mem::take(&mut self.bundles).into_iter();
+        bundles.filter_map(|((kind, _), bundle)| Some((kind, bundle.waiting?))).collect()
     }
 
     /// How often each kind happened.
@@ -79,25 +61,28 @@ impl Events {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::time::Timestamp;
 
     #[test]
     fn a_flood_becomes_one_event_with_its_count() {
         let mut events = Events::default();
-        let late = |detail: u64| Named {
+        let late = |detail: u64| Event {
             kind: EventKind::Late,
             capture: Timestamp::default(),
-            camera: Some("left".into()),
+            camera: Some(0),
             window: None,
             count: 1,
             detail: detail.to_string(),
         };
-        let single = (0..1000).filter_map(|i| events.add(late(i))).count();
+        let single = (0..1000).filter_map(|i| events.add(&late(i), Some("left"))).count();
         assert_eq!(single as u64, SINGLE);
         let put_together = events.second();
         assert_eq!(put_together.len(), 1);
-        assert_eq!((put_together[0].count, &*put_together[0].detail), (1000 - SINGLE, "999"));
+        let (kind, together) = &put_together[0];
+        assert_eq!((kind, together.count), (&EventKind::Late, 1000 - SINGLE));
+        assert_eq!((&*together.detail, together.camera.as_deref()), ("999", Some("left")));
         assert_eq!(events.counts()[0].count, 1000);
         assert!(events.second().is_empty());
-        assert!(events.add(late(0)).is_some());
+        assert!(events.add(&late(0), Some("left")).is_some());
     }
 }

@@ -1,22 +1,25 @@
-//! What the core was told, in order, so that it can be told again.
+//! The inputs of the core in order, so that a replay can repeat them.
 
-use super::core::{Input, Settings};
+use super::port::{Input, Settings};
+use crate::core::fnv::fnv1a;
 use crate::core::time::Timestamp;
 use crate::io::wire::journal_entry::Input as Entry;
 use crate::io::wire::{
     Journal as Message, JournalEntry, JournalMessage, JournalPlayed, JournalSolved, JournalStart,
+    StageChannel, Topic,
 };
 
-/// Entries that are written at once, whatever the time.
+/// As many entries are written at once, whatever the time.
 const MOST: usize = 4096;
 /// While the node is busy entries are written this often, ns.
 const PERIOD: i64 = 1_000_000_000;
 
-/// FNV-1a, 64 bits.
-pub fn hash(bytes: &[u8]) -> u64 {
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-        (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3)
-    })
+/// Id of a run that starts at that time: a hash of the time, the configuration, the weights and the
+/// calibration from a file. A replay, which has the same, gets the same id. Never 0.
+pub(super) fn run_id(start: Timestamp, settings: &Settings, rig: Option<&[u8]>) -> u64 {
+    let time = start.ns().to_le_bytes();
+    let (config, weights) = (settings.toml.as_bytes(), settings.weights.as_bytes());
+    fnv1a(&[&time[..], config, weights, rig.unwrap_or_default()].concat()).max(1)
 }
 
 /// The instruction set, on which the last bits of numbers depend.
@@ -62,13 +65,13 @@ impl Journal {
         let entry = match input {
             Input::Message { topic, payload } => Entry::Message(JournalMessage {
                 topic: topic.to_string(),
-                hash: hash(payload),
-                // A recorder that comes later gets the latest calibration only.
-                payload: topic.ends_with("/rig").then(|| payload.clone()),
+                hash: fnv1a(payload),
+                // A recorder that joins later gets the latest calibration only.
+                payload: is_rig(topic).then(|| payload.clone()),
             }),
             Input::RigFile(payload) => Entry::Message(JournalMessage {
                 topic: String::new(),
-                hash: hash(payload),
+                hash: fnv1a(payload),
                 payload: Some(payload.clone()),
             }),
             Input::Solved { solution, took_ns } => {
@@ -89,8 +92,8 @@ impl Journal {
         self.count += 1;
     }
 
-    /// A message, when it is time for one. While nothing but time passes there is none, so that who
-    /// begins to record then still gets everything.
+    /// A message, when it is time for one. While only time passes there is none, so that a recorder
+    /// that joins then still gets everything.
     pub(super) fn take(&mut self, now: Timestamp, is_last: bool) -> Option<Message> {
         let is_time = self.is_busy && self.written.is_none_or(|written| now - written >= PERIOD);
         if self.entries.is_empty() || !(is_last || is_time || self.entries.len() >= MOST) {
@@ -102,13 +105,18 @@ impl Journal {
     }
 }
 
+fn is_rig(topic: &str) -> bool {
+    matches!(Topic::parse(topic), Ok(Topic::Stage { channel: StageChannel::Rig, .. }))
+}
+
 /// The first entry.
-pub(super) fn start(settings: &Settings, rig: Option<&[u8]>) -> JournalStart {
+pub(super) fn start(settings: &Settings, rig: Option<&[u8]>, run_id: u64) -> JournalStart {
     JournalStart {
         version: env!("CARGO_PKG_VERSION").into(),
         config: settings.toml.clone(),
         weights: settings.weights.clone(),
         platform: platform(),
         rig: rig.map(<[u8]>::to_vec),
+        run_id,
     }
 }

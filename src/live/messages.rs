@@ -1,4 +1,4 @@
-//! What the core does with messages from the bus.
+//! Messages from the bus become inputs of the tracker.
 
 use std::sync::Arc;
 
@@ -7,11 +7,11 @@ use super::core::Core;
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::tracker::{self, EventKind};
-use crate::io::wire::{self, DecodeError, KeypointFrame};
+use crate::io::wire::{self, DecodeError, KeypointFrame, StageChannel, Topic};
 
-/// Larger messages are not looked at, bytes.
+/// Larger messages are not used, bytes.
 const MOST_BYTES: usize = 1 << 20;
-/// People of a frame that are looked at.
+/// People of a frame that are used.
 const MOST_PEOPLE: usize = 64;
 /// Arrivals that are kept to find those of a frame set.
 const MOST_ARRIVALS: usize = 256;
@@ -28,13 +28,10 @@ impl Core {
             }
             return;
         }
-        let stage = &self.topics.stage;
-        let camera = topic
-            .strip_prefix("mocap/")
-            .and_then(|rest| rest.strip_prefix(stage.as_str()))
-            .and_then(|rest| rest.strip_prefix("/camera/"))
-            .and_then(|rest| rest.strip_suffix("/keypoints"));
-        if let Some(camera) = camera {
+        if let Ok(Topic::Stage { stage, channel: StageChannel::Keypoints { camera } }) =
+            Topic::parse(topic)
+            && stage == self.topics.stage
+        {
             let camera: String = camera.chars().take(MOST_NAME).collect();
             self.keypoints(&camera, payload);
         }
@@ -79,7 +76,7 @@ impl Core {
         let people = frame.people.len();
         if people > MOST_PEOPLE {
             frame.people.truncate(MOST_PEOPLE);
-            let detail = format!("{people} people, the first {MOST_PEOPLE} are looked at");
+            let detail = format!("{people} people, the first {MOST_PEOPLE} are used");
             self.event(EventKind::Crowd, Some(camera), detail);
         }
         frame.to_core(|name| rig.index_of(name))
@@ -98,8 +95,8 @@ impl Core {
                 return self.event(EventKind::ClockJump, Some(&name), detail);
             }
             Arrival::NewClock => {
-                self.tell(tracker::Input::Restart);
-                let detail = "most cameras jumped alike, begun anew".to_owned();
+                self.give(tracker::Input::Restart);
+                let detail = "most cameras jumped alike, the performer is searched anew".to_owned();
                 return self.event(EventKind::ClockJump, None, detail);
             }
         }
@@ -110,7 +107,7 @@ impl Core {
         if self.arrivals.len() > MOST_ARRIVALS {
             self.arrivals.pop_front();
         }
-        self.tell(tracker::Input::Delay(self.clock.usual_delay()));
-        self.tell(tracker::Input::Detections(frame));
+        self.give(tracker::Input::Delay(self.clock.usual_delay()));
+        self.give(tracker::Input::Detections(frame));
     }
 }

@@ -3,7 +3,7 @@
 //! | metric | labels | meaning |
 //! |---|---|---|
 //! | `bundlemocap_info` | `version` | 1 |
-//! | `bundlemocap_performer` | `state` | 1 for the state that holds |
+//! | `bundlemocap_tracker_state` | `state` | 1 for the state that holds |
 //! | `bundlemocap_camera_frames_total` | `camera`, `outcome`: used, late, duplicate, out_of_order, missing, unusable | frames |
 //! | `bundlemocap_camera_rate_hertz` | `camera` | frames a second |
 //! | `bundlemocap_camera_age_seconds` | `camera` | since its last frame |
@@ -162,8 +162,8 @@ struct Sheet<'a>(DescriptorEncoder<'a>);
 
 impl Sheet<'_> {
     fn status(&mut self, status: &Status) -> fmt::Result {
-        let state = ("state", status.performer.as_str());
-        self.gauges("bundlemocap_performer", "State of the performer", &[(vec![state], 1.0)])?;
+        let state = ("state", status.tracker_state.as_str());
+        self.gauges("bundlemocap_tracker_state", "State of the tracker", &[(vec![state], 1.0)])?;
         let latency = status.declared_latency_ns as f64 / 1e9;
         self.gauge("bundlemocap_declared_latency_seconds", "Declared and kept", latency)?;
         let help = "Messages dropped by the full queue";
@@ -241,7 +241,7 @@ impl Sheet<'_> {
         )?;
         self.histogram(
             "bundlemocap_live_latency_seconds",
-            "From the last message of a frame set to its live pose",
+            "From the last message of a frame set to its provisional pose",
             (&playout.provisional_bins_us, &playout.provisional_counts),
         )
     }
@@ -322,7 +322,7 @@ mod tests {
 
     fn status() -> Status {
         Status {
-            performer: "tracking".into(),
+            tracker_state: "tracking".into(),
             declared_latency_ns: 180_000_000,
             cameras: vec![CameraCounters {
                 camera: "cam \"01\"\n".into(),
@@ -354,7 +354,7 @@ mod tests {
         let snapshot = Snapshot { status: Some(status()), failures: 2, usage: Some(usage) };
         let text = snapshot.render().unwrap();
         let expected = [
-            "bundlemocap_performer{state=\"tracking\"} 1.0",
+            "bundlemocap_tracker_state{state=\"tracking\"} 1.0",
             "bundlemocap_camera_frames_total{camera=\"cam \\\"01\\\"\\n\",outcome=\"late\"} 3.0",
             "bundlemocap_camera_offset_seconds{camera=\"cam \\\"01\\\"\\n\"} -0.25",
             "bundlemocap_windows_total{outcome=\"tracked\"} 7.0",

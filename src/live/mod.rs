@@ -1,8 +1,9 @@
 //! The live node: messages in, poses at a fixed latency out.
 //!
-//! [`Core`] does no I/O. Around it are threads: the bus calls back into a bounded queue
-//! ([`Intake`]), the machine's thread gives messages, answers and time to the core and does what it
-//! wants, one worker solves, and one timer publishes the poses that are due ([`Schedule`]).
+//! [`Core`] does no I/O: messages, solutions and time are its inputs; jobs and publications are its
+//! outputs. The threads around it: the bus fills a bounded queue ([`Intake`]), the node loop gives
+//! inputs to the core and carries out its outputs, one thread solves, and one publishes poses when
+//! they are due ([`Schedule`]).
 
 mod answers;
 mod board;
@@ -22,7 +23,9 @@ pub mod metrics;
 mod node_loop;
 mod outlet;
 mod playout;
+mod port;
 mod process;
+mod publication;
 mod queue;
 mod replay;
 mod rig_file;
@@ -32,14 +35,16 @@ pub mod tools;
 mod wall;
 
 pub use config::Config;
-pub use core::{Core, Input, Output, Publication, Settings};
+pub use core::Core;
 pub use cpu_affinity::SolverCore;
 pub use error::NodeError;
-pub use journal::{hash, platform};
+pub use journal::platform;
 pub use playout::{Deviations, Schedule};
+pub use port::{Input, Output, Settings};
 pub use process::Usage;
+pub use publication::{Content, Publication};
 pub use queue::{Intake, Message};
-pub use replay::{Comparison, Recorded, ReplayError, Replayed, replay};
+pub use replay::{Comparison, Recorded, ReplayError, Replayed, find_node, replay};
 pub use rig_file::RigFile;
 pub use run::{Node, Running};
 pub use wall::WallClock;

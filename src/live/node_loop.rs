@@ -1,5 +1,5 @@
-//! The machine's thread: waits for whatever comes first, stamps it, gives it to the core, and does
-//! what the core wants. It never waits for anything else.
+//! The thread of the node loop: waits for the next input, stamps it, gives it to the core, and carries
+//! out the outputs. It never waits for anything else.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,38 +7,40 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender, never, select};
 
 use super::board::Board;
-use super::core::{Core, Input, Output, Publication};
+use super::core::Core;
 use super::error::NodeError;
 use super::log::EventLog;
 use super::outlet::Outlet;
 use super::playout::Playout;
+use super::port::{Input, Output};
+use super::publication::{Content, Publication};
 use super::queue::{Intake, Message};
 use super::wall::WallClock;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{Job, Solution};
 use crate::io::bus::Sample;
-use crate::io::wire::{Event, Rig, Schema, Status, decode, media_type};
+use crate::io::wire::{Rig, Schema, media_type};
 
-/// How long the thread sleeps at most when the core wants nothing.
+/// How long the thread sleeps at most when the core asks for no tick.
 const IDLE: Duration = Duration::from_secs(1);
 
-/// The solver's answer.
+/// A solution from the solver's thread.
 pub(super) struct Answer {
     pub(super) solution: Box<Solution>,
     pub(super) took_ns: u64,
 }
 
-/// Everything that can wake the machine.
+/// Everything that can wake the node loop.
 pub(super) struct Inbox {
     pub(super) intake: Intake,
     pub(super) answers: Receiver<Answer>,
     pub(super) played: Receiver<Vec<i32>>,
     pub(super) rigs: Receiver<Vec<u8>>,
-    /// A word, or nobody left to say it: the end.
+    /// Stops the loop when told to, or when all senders are gone.
     pub(super) stop: Receiver<()>,
 }
 
-/// The core with all that it needs around it.
+/// The core, and all that carries out its outputs.
 pub(super) struct NodeLoop {
     pub(super) core: Core,
     pub(super) clock: WallClock,
@@ -51,7 +53,7 @@ pub(super) struct NodeLoop {
     pub(super) progress: Progress,
 }
 
-/// Where the machine is.
+/// The state of the loop.
 #[derive(Default)]
 pub(super) struct Progress {
     events: EventLog,
@@ -60,7 +62,7 @@ pub(super) struct Progress {
     ended: bool,
 }
 
-/// What woke the machine.
+/// What woke the loop.
 enum Turn {
     Input(Input),
     Message(Message),
@@ -69,7 +71,7 @@ enum Turn {
 }
 
 impl NodeLoop {
-    /// Runs until the stop, and then until the last answer is in and the last pose has left.
+    /// Runs until it is stopped, and then until the last solution is there and the last pose is published.
     pub(super) fn run(mut self) -> Result<(), NodeError> {
         let ended = self.serve();
         self.playout.close();
@@ -121,10 +123,7 @@ impl NodeLoop {
                 Err(_) => return Err(NodeError::Fault { thread: "playout" }),
             },
             recv(inbox.rigs) -> rig => match rig {
-                Ok(rig) => {
-                    self.offer_rig(&rig);
-                    Turn::Input(Input::RigFile(rig))
-                }
+                Ok(rig) => Turn::Input(Input::RigFile(rig)),
                 Err(_) => return Err(NodeError::Fault { thread: "rig file" }),
             },
             recv(inbox.stop) -> _ => Turn::Stop,
@@ -135,7 +134,7 @@ impl NodeLoop {
         })
     }
 
-    /// What waits still comes in before the end.
+    /// Handles the messages that still wait, then the end.
     fn end(&mut self) {
         while let Some(message) = self.inbox.intake.try_take() {
             self.take_in(message);
@@ -148,22 +147,22 @@ impl NodeLoop {
 
     fn take_in(&mut self, message: Message) {
         let Message { topic, payload } = message;
-        if *topic == *self.rig_topic {
-            self.offer_rig(&payload);
-        }
+        let is_rig = *topic == *self.rig_topic;
         self.feed(Input::Message { topic, payload });
+        if is_rig {
+            self.offer_rig();
+        }
     }
 
-    /// Keeps a rig for whoever asks for it, if it is one.
-    fn offer_rig(&self, payload: &[u8]) {
-        if decode::<Rig>(payload).is_ok_and(|rig| rig.to_core().is_ok()) {
-            self.board.set_rig(Sample {
-                topic: self.rig_topic.as_str().into(),
-                capture: Timestamp::default(),
-                encoding: media_type(Rig::FULL_NAME).into(),
-                payload: payload.into(),
-            });
-        }
+    /// Keeps the rig in use for whoever asks for it.
+    fn offer_rig(&self) {
+        let Some(payload) = self.core.rig() else { return };
+        self.board.set_rig(Sample {
+            topic: self.rig_topic.as_str().into(),
+            capture: Timestamp::default(),
+            encoding: media_type(Rig::FULL_NAME).into(),
+            payload: payload.to_vec(),
+        });
     }
 
     fn feed(&mut self, input: Input) {
@@ -182,11 +181,11 @@ impl NodeLoop {
         self.progress.events.end_seconds(now);
     }
 
-    /// The worker takes one job at a time, and the core has one out at most: there is always room.
+    /// There is always room: the solver takes one job at a time, and the core has one out at most.
     fn solve(&mut self, job: Box<Job>) {
         match self.jobs.try_send(job) {
             Ok(()) => self.progress.job_out = true,
-            Err(error) => tracing::error!("a job is lost: {error}; please report this fault"),
+            Err(error) => tracing::error!("a job is lost: {error}; please report this bug"),
         }
     }
 
@@ -194,23 +193,22 @@ impl NodeLoop {
         match publication.due {
             Some(due) => self.playout.push(due, publication),
             None => {
-                self.look_at(&publication, now);
                 self.outlet.put(&publication, now);
+                self.note(publication.content, now);
             }
         }
     }
 
     /// Logs events, and keeps the status and the rig.
-    fn look_at(&mut self, publication: &Publication, now: Timestamp) {
-        match publication.schema {
-            Event::FULL_NAME => {
-                if let Ok(event) = decode::<Event>(&publication.payload) {
-                    self.progress.events.tell(now, &event);
-                }
-            }
-            Status::FULL_NAME => self.board.set_status(&publication.payload),
-            Rig::FULL_NAME => self.offer_rig(&publication.payload),
-            _ => {}
+    fn note(&mut self, content: Content, now: Timestamp) {
+        match content {
+            Content::Event(event) => self.progress.events.tell(now, &event),
+            Content::Status(status) => self.board.set_status(*status),
+            Content::Rig(_) => self.offer_rig(),
+            Content::Skeleton(_)
+            | Content::Pose(_)
+            | Content::Keyframe(_)
+            | Content::Journal(_) => {}
         }
     }
 }

@@ -1,20 +1,20 @@
-//! Puts publications on the bus: one publisher a topic, opened when it is first needed. What cannot
-//! be published is counted and logged, and never ends the node.
+//! Encodes publications and puts them on the bus: one publisher a topic, opened when it is first
+//! needed. What cannot be published is counted and logged, and never ends the node.
 
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::core::Publication;
+use super::publication::Publication;
 use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Publisher};
 use crate::io::wire::media_type;
 
-/// How long a topic that could not be opened is left alone, and how long failures are gathered into
-/// one line, nanoseconds.
+/// Time before a topic that could not be opened is tried again, and time for which failures are
+/// put together into one line, nanoseconds.
 const PATIENCE_NS: i64 = 1_000_000_000;
 
-/// The way out, of one thread.
+/// Publishes for one thread.
 pub(super) struct Outlet {
     bus: Arc<dyn Bus>,
     lines: HashMap<Arc<str>, Line>,
@@ -56,7 +56,7 @@ impl Outlet {
         }
     }
 
-    /// Fails without an error where the topic is left alone for now.
+    /// Fails without an error while the topic is not tried again.
     fn try_put(
         &mut self,
         publication: &Publication,
@@ -67,7 +67,7 @@ impl Outlet {
             Some(Line::Shut { until }) if now < *until => return Err(None),
             Some(line @ Line::Open { .. }) => line,
             Some(Line::Shut { .. }) | None => {
-                if let Err(error) = self.open(topic, publication.schema) {
+                if let Err(error) = self.open(topic, publication.content.schema()) {
                     let until = now + PATIENCE_NS;
                     self.lines.insert(Arc::clone(topic), Line::Shut { until });
                     return Err(Some(error));
@@ -77,7 +77,7 @@ impl Outlet {
             }
         };
         let Line::Open { publisher, encoding } = line else { return Err(None) };
-        publisher.put(publication.capture, encoding, &publication.payload).map_err(Some)
+        publisher.put(publication.capture, encoding, &publication.content.encode()).map_err(Some)
     }
 
     fn complain(&mut self, topic: &str, error: Option<&BusError>, now: Timestamp) {
@@ -95,9 +95,11 @@ impl Outlet {
 mod tests {
     use super::*;
     use crate::io::bus::{Guard, Sink};
+    use crate::io::wire::{Pose, decode};
+    use crate::live::Content;
     use std::sync::Mutex;
 
-    /// Remembers what was put; refuses topics that hold `shut`, and payloads of one byte.
+    /// Remembers what was put; refuses topics that hold `shut`, and empty payloads.
     #[derive(Clone, Default)]
     struct Fake {
         opened: Arc<AtomicU64>,
@@ -120,10 +122,11 @@ mod tests {
 
     impl Publisher for Fake {
         fn put(&self, capture: Timestamp, encoding: &str, payload: &[u8]) -> Result<(), BusError> {
-            if payload.len() == 1 {
+            if payload.is_empty() {
                 return Err(refusal());
             }
-            self.put.lock().unwrap().push(format!("{} {encoding}", capture.ns()));
+            let window = decode::<Pose>(payload).unwrap().window;
+            self.put.lock().unwrap().push(format!("{} {encoding} {window}", capture.ns()));
             Ok(())
         }
     }
@@ -132,14 +135,10 @@ mod tests {
         BusError::Name { name: "x".into(), what: "topic", reason: "it is refused".into() }
     }
 
-    fn publication(topic: &str, payload: &[u8]) -> Publication {
-        Publication {
-            topic: topic.into(),
-            capture: Timestamp::from_ns(7),
-            schema: "bundlemocap.v1.Pose",
-            payload: payload.into(),
-            due: None,
-        }
+    /// A pose of that window; that of window 0 is encoded as no bytes.
+    fn publication(topic: &str, window: u64) -> Publication {
+        let content = Content::Pose(Pose { window, ..Pose::default() });
+        Publication { topic: topic.into(), capture: Timestamp::from_ns(7), due: None, content }
     }
 
     #[test]
@@ -147,12 +146,12 @@ mod tests {
         let (bus, failures) = (Fake::default(), Arc::new(AtomicU64::new(0)));
         let mut outlet = Outlet::new(Arc::new(bus.clone()), Arc::clone(&failures));
         let now = Timestamp::from_ns(5_000_000_000);
-        outlet.put(&publication("a", b"xy"), now);
-        outlet.put(&publication("a", b"x"), now);
-        outlet.put(&publication("a", b"xyz"), now);
+        outlet.put(&publication("a", 1), now);
+        outlet.put(&publication("a", 0), now);
+        outlet.put(&publication("a", 2), now);
         assert_eq!(bus.opened.load(Ordering::Relaxed), 1);
-        let expected = "7 application/protobuf;bundlemocap.v1.Pose";
-        assert_eq!(*bus.put.lock().unwrap(), [expected, expected]);
+        let expected = [1, 2].map(|w| format!("7 application/protobuf;bundlemocap.v1.Pose {w}"));
+        assert_eq!(*bus.put.lock().unwrap(), expected);
         assert_eq!(failures.load(Ordering::Relaxed), 1);
     }
 
@@ -161,7 +160,7 @@ mod tests {
         let (bus, failures) = (Fake::default(), Arc::new(AtomicU64::new(0)));
         let mut outlet = Outlet::new(Arc::new(bus.clone()), Arc::clone(&failures));
         for ms in [0, 10, 999, 1000, 1500] {
-            outlet.put(&publication("shut", b"xy"), Timestamp::from_ns(ms * 1_000_000));
+            outlet.put(&publication("shut", 1), Timestamp::from_ns(ms * 1_000_000));
         }
         assert_eq!(bus.opened.load(Ordering::Relaxed), 2);
         assert_eq!(failures.load(Ordering::Relaxed), 5);

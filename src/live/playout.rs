@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use crossbeam_channel::Sender;
 
-use super::core::Publication;
 use super::outlet::Outlet;
+use super::publication::Publication;
 use super::wall::{HEAD_START, WallClock};
 use crate::core::time::Timestamp;
 
@@ -118,7 +118,7 @@ impl Deviations {
     }
 }
 
-/// What the machine's thread and the timer's share.
+/// State that the thread of the node loop and the timer's thread share.
 #[derive(Default)]
 pub(super) struct Playout {
     waiting: Mutex<Waiting>,
@@ -221,14 +221,16 @@ impl Playout {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::io::wire::Pose;
+    use crate::live::Content;
 
     fn at(ns: i64) -> Timestamp {
         Timestamp::from_ns(ns)
     }
 
     fn publication(name: &str) -> Publication {
-        let (capture, schema) = (Timestamp::default(), "bundlemocap.v1.Pose");
-        Publication { topic: name.into(), capture, schema, payload: Vec::new(), due: None }
+        let content = Content::Pose(Pose::default());
+        Publication { topic: name.into(), capture: Timestamp::default(), due: None, content }
     }
 
     fn take(schedule: &mut Schedule, now: i64) -> Option<String> {

@@ -1,5 +1,5 @@
-//! What stands between the bus and the machine: a queue that is never waited for. When it is full,
-//! the oldest messages make room and are counted.
+//! The queue between the bus and the node loop. Pushing never waits: when the queue is full, the
+//! oldest messages are dropped and counted.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};

@@ -1,19 +1,21 @@
-//! Running the core again on what a node was told, and comparing what comes out.
+//! Runs the core again on the recorded inputs of a node, and compares the outputs.
 //!
-//! The journal says in what order and when the core got its inputs; the messages themselves are
-//! found by topic and hash. Jobs are solved when the journal says that their answer came, so the
-//! same outputs must follow, byte for byte, on a machine of the same instruction set.
+//! The journal holds the order and the times of the inputs; the messages themselves are found by
+//! topic and hash. A job is solved when the journal says that its solution came. So the outputs are
+//! the same, byte for byte, on a processor of the same instruction set.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-use super::core::{Core, Input, Output, Settings};
-use super::journal::hash;
+use super::core::Core;
+use super::port::{Input, Output, Settings};
+use crate::core::fnv::fnv1a;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{Job, Solver};
 use crate::io::wire::journal_entry::Input as Entry;
 use crate::io::wire::{
-    DecodeError, Journal, JournalEntry, JournalMessage, JournalStart, Status, Topics, decode,
+    DecodeError, Journal, JournalEntry, JournalMessage, JournalStart, Schema, Status, Topic,
+    Topics, decode,
 };
 
 /// A message of a recording.
@@ -34,16 +36,23 @@ pub struct Recorded {
 /// Why a recording cannot be run again.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
-    /// No journal at all.
+    /// No journal, or none of the stage and actor asked for.
     #[error(
-        "no journal on {topic}; record a node with `bundlemocap record`, and name its stage and \
-         actor with --stage and --actor"
+        "there is no journal{asked}; give a recording of a node, made by `bundlemocap record`{found}"
     )]
     NoJournal {
-        /// Where it should be.
-        topic: String,
+        /// The stage and actor asked for, as text; empty if none were.
+        asked: String,
+        /// The journals that are there, as text; empty if there are none.
+        found: String,
     },
-    /// The beginning is not there.
+    /// Journals of several nodes.
+    #[error("there are journals of several nodes; choose one with --stage and --actor: {found}")]
+    Several {
+        /// Their topics, with commas between.
+        found: String,
+    },
+    /// The journal's beginning is missing.
     #[error(
         "the journal begins with number {first}; start `bundlemocap record` before the cameras, and \
          restart the node for another take"
@@ -52,7 +61,7 @@ pub enum ReplayError {
         /// Number of its first message.
         first: u64,
     },
-    /// A message that the node got is not in the recording.
+    /// An input of the node is not in the recording.
     #[error(
         "message {index} of the journal, {bytes_hash:016x} on {topic}, is not in the recording: it \
          was lost, or recording began after the cameras"
@@ -65,7 +74,7 @@ pub enum ReplayError {
         /// Hash of its bytes.
         bytes_hash: u64,
     },
-    /// The journal does not fit what the core does.
+    /// The journal does not fit the outputs of the core.
     #[error("entry {index} of the journal makes no sense: {reason}")]
     Senseless {
         /// How many entries come before.
@@ -78,22 +87,22 @@ pub enum ReplayError {
     Decode(#[from] DecodeError),
 }
 
-/// How what came out compares with what was recorded, on one topic.
+/// The replayed messages of one topic, compared with the recorded ones.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Comparison {
     /// Messages in the recording.
     pub recorded: usize,
-    /// Messages that came out.
+    /// Replayed messages.
     pub replayed: usize,
     /// Those with the same bytes, in the same order.
     pub equal: usize,
-    /// The place of the first recorded message that did not come out.
+    /// Index of the first recorded message that was not replayed.
     pub differs_at: Option<usize>,
 }
 
 impl Comparison {
-    /// Every recorded message must come out, in order; a recording may have lost some of those that
-    /// do, and go on after its journal.
+    /// Every recorded message must be replayed, in order. The recording may have lost messages, and
+    /// may go on after the end of its journal.
     fn of(recorded: &[&[u8]], replayed: &[&[u8]]) -> Self {
         let (mut rest, mut equal) = (replayed, 0);
         let mut differs_at = None;
@@ -118,31 +127,67 @@ impl Comparison {
         self.differs_at.is_none()
     }
 
-    /// Messages that came out and that the recording lost.
+    /// Replayed messages that the recording lost.
     pub fn unrecorded(&self) -> usize {
         self.replayed - self.equal
     }
 }
 
-/// What a replay gave.
+/// The result of a replay.
 #[derive(Debug)]
 pub struct Replayed {
-    /// What the node started with.
+    /// The first entry of the journal.
     pub start: JournalStart,
-    /// Entries of the journal that were told.
+    /// Entries of the journal.
     pub inputs: u64,
     /// By topic, outputs of the core only.
     pub topics: BTreeMap<String, Comparison>,
-    /// Everything that came out, in order.
+    /// All outputs, in order.
     pub outputs: Vec<Recorded>,
     /// Whether the journal goes on to the node's end.
     pub is_whole: bool,
 }
 
 impl Replayed {
-    /// What came out on the topics that were compared: calibrations are among the inputs.
+    /// The outputs on the topics that were compared; calibrations are inputs and not among them.
     pub fn outputs(&self) -> impl Iterator<Item = &Recorded> {
         self.outputs.iter().filter(|message| self.topics.contains_key(&*message.topic))
+    }
+}
+
+/// Finds the node whose journal a recording holds.
+///
+/// # Errors
+/// No journal of the stage and actor asked for, or several.
+pub fn find_node(
+    messages: &[Recorded],
+    stage: Option<&str>,
+    actor: Option<&str>,
+) -> Result<Topics, ReplayError> {
+    let nodes = messages.iter().filter(|message| *message.schema == *Journal::FULL_NAME);
+    let nodes = nodes.filter_map(|message| Topic::parse(&message.topic).ok()?.topics());
+    let nodes: BTreeMap<String, Topics> = nodes.map(|topics| (topics.journal(), topics)).collect();
+    let list = |nodes: &[&Topics]| {
+        nodes.iter().map(|topics| topics.journal()).collect::<Vec<_>>().join(", ")
+    };
+    let is_asked_for = |topics: &&Topics| {
+        stage.is_none_or(|stage| stage == topics.stage)
+            && actor.is_none_or(|actor| actor == topics.actor)
+    };
+    match *nodes.values().filter(is_asked_for).collect::<Vec<_>>() {
+        [one] => Ok(one.clone()),
+        [] => {
+            let asked = [("stage", stage), ("actor", actor)].into_iter();
+            let asked = asked.filter_map(|(what, name)| Some(format!(" of {what} {:?}", name?)));
+            let found = match nodes.is_empty() {
+                true => String::new(),
+                false => {
+                    format!(", or choose one of {}", list(&nodes.values().collect::<Vec<_>>()))
+                }
+            };
+            Err(ReplayError::NoJournal { asked: asked.collect(), found })
+        }
+        ref several => Err(ReplayError::Several { found: list(several) }),
     }
 }
 
@@ -152,22 +197,23 @@ impl Replayed {
 /// None, one that cannot be decoded, or one without its beginning.
 pub fn journal(messages: &[Recorded], topics: &Topics) -> Result<Vec<JournalEntry>, ReplayError> {
     let topic = topics.journal();
+    let missing = || ReplayError::NoJournal { asked: format!(" on {topic}"), found: String::new() };
     let parts = messages.iter().filter(|message| *message.topic == *topic);
     let parts = parts.map(|message| decode::<Journal>(&message.payload));
     let mut parts = parts.collect::<Result<Vec<_>, _>>()?;
     parts.sort_by_key(|part| part.sequence);
     parts.dedup_by_key(|part| part.sequence);
-    let first = parts.first().ok_or(ReplayError::NoJournal { topic })?.sequence;
+    let first = parts.first().ok_or_else(missing)?.sequence;
     if first != 0 {
         return Err(ReplayError::Begun { first });
     }
-    // What comes after a gap cannot be told.
+    // Entries after a gap cannot be replayed.
     let whole = parts.iter().zip(0..).take_while(|(part, number)| part.sequence == *number).count();
     parts.truncate(whole);
     Ok(parts.into_iter().flat_map(|part| part.entries).collect())
 }
 
-/// Runs a core again. `settings` makes those that the journal's start tells of.
+/// Runs a core again. `prepare` makes the settings and the solver from the first entry.
 ///
 /// # Errors
 /// A journal that is not whole, or messages that are missing.
@@ -187,7 +233,7 @@ pub fn replay<E: From<ReplayError>>(
     let begin = entries.first().map_or(0, |first| first.time_ns);
     let begin = Timestamp::from_ns(begin);
     if let Some(rig) = &start.rig {
-        run.tell(begin, Input::RigFile(rig.clone()));
+        run.give(begin, Input::RigFile(rig.clone()));
         run.outputs.clear();
     }
     // The last answers and poses come after the end.
@@ -196,14 +242,14 @@ pub fn replay<E: From<ReplayError>>(
     for (index, entry) in (1..).zip(entries) {
         let time = Timestamp::from_ns(entry.time_ns);
         let input = run.input(index, entry)?;
-        run.tell(time, input);
+        run.give(time, input);
     }
     let outputs = run.outputs;
     let topics = compare(messages, &outputs, topics, begin);
     Ok(Replayed { start, inputs, topics, outputs, is_whole })
 }
 
-/// A core that is told a journal.
+/// A core that gets the inputs of a journal.
 struct Run<'a> {
     core: Core,
     solver: Solver,
@@ -214,9 +260,9 @@ struct Run<'a> {
 
 impl<'a> Run<'a> {
     fn new(messages: &'a [Recorded], core: Core, solver: Solver) -> Self {
-        let keyed = messages
-            .iter()
-            .map(|message| ((&*message.topic, hash(&message.payload)), message.payload.as_slice()));
+        let keyed = messages.iter().map(|message| {
+            ((&*message.topic, fnv1a(&message.payload)), message.payload.as_slice())
+        });
         Self { core, solver, by_hash: keyed.collect(), job: None, outputs: Vec::new() }
     }
 
@@ -258,7 +304,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn tell(&mut self, now: Timestamp, input: Input) {
+    fn give(&mut self, now: Timestamp, input: Input) {
         self.core.handle(now, input);
         while let Some(output) = self.core.poll() {
             match output {
@@ -267,8 +313,8 @@ impl<'a> Run<'a> {
                     time: publication.due.unwrap_or(now),
                     capture: publication.capture,
                     topic: publication.topic,
-                    schema: publication.schema.into(),
-                    payload: publication.payload,
+                    schema: publication.content.schema().into(),
+                    payload: publication.content.encode(),
                 }),
                 Output::Wake(_) => {}
             }
@@ -276,8 +322,8 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Compares what came out with what was recorded, topic by topic. Calibrations are inputs, and what
-/// was published before the journal's beginning has nothing to be compared with.
+/// Compares replayed with recorded messages, topic by topic. Calibrations are inputs and left out;
+/// so are messages that were published before the journal began.
 fn compare(
     recorded: &[Recorded],
     replayed: &[Recorded],

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::SystemTime;
 
-use super::journal::hash;
+use crate::core::fnv::fnv1a;
 use crate::io::formats::{ImportError, Up, read_calibration};
 use crate::io::wire::{Rig, encode};
 
@@ -70,7 +70,7 @@ impl RigFile {
 
 /// A hash of 32 bits, never 0, so that every language's numbers hold it.
 fn version(bytes: &[u8]) -> u64 {
-    let hash = hash(bytes);
+    let hash = fnv1a(bytes);
     ((hash >> 32) ^ (hash & 0xffff_ffff)).max(1)
 }
 

@@ -23,22 +23,22 @@ use crate::core::tracker::{Job, Solver};
 use crate::io::bus::{Bus, Guard};
 use crate::io::wire::{Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, Topics};
 
-/// How often the calibration file is looked at.
+/// How often the calibration file is checked for changes.
 const LOOK: Duration = Duration::from_millis(500);
-/// Batches of deviations that wait for the machine at most, one a second.
+/// Batches of deviations that wait for the node loop at most, one a second.
 const BATCHES: usize = 64;
 
-/// What runs.
+/// A live node.
 pub struct Node;
 
-/// A node that runs. Dropped, it ends by itself; [`Running::stop`] waits for that.
+/// A node that runs. It stops when it is dropped; [`Running::stop`] waits for that.
 pub struct Running {
     inputs: Vec<Box<dyn Guard>>,
     rig_answer: Option<Box<dyn Guard>>,
     stop: Sender<()>,
     over: Receiver<()>,
     stop_looking: Sender<()>,
-    machine: JoinHandle<Result<(), NodeError>>,
+    node_loop: JoinHandle<Result<(), NodeError>>,
     threads: Vec<(&'static str, JoinHandle<()>)>,
     playout: Arc<Playout>,
     endpoint: Option<Endpoint>,
@@ -78,13 +78,13 @@ impl Node {
         let (jobs, answers) = start_solver(solver, solver_core, &mut threads)?;
 
         let (stop, stopped) = bounded(1);
-        let machine = NodeLoop {
+        let node_loop = NodeLoop {
             core,
             clock,
             inbox: Inbox { intake: intake.clone(), answers, played, rigs, stop: stopped },
             jobs,
             playout: Arc::clone(&playout),
-            outlet: machine_outlet(&bus, &topics, &board)?,
+            outlet: loop_outlet(&bus, &topics, &board)?,
             board: Arc::clone(&board),
             rig_topic: topics.rig(),
             progress: Progress::default(),
@@ -92,16 +92,16 @@ impl Node {
         let (alive, over) = bounded(0);
         let work = move || {
             let _alive: Sender<()> = alive;
-            machine.run()
+            node_loop.run()
         };
-        let machine = thread("machine").spawn(work).map_err(NodeError::Thread)?;
+        let node_loop = thread("node-loop").spawn(work).map_err(NodeError::Thread)?;
         let mut running = Running {
             inputs: Vec::new(),
             rig_answer: None,
             stop,
             over,
             stop_looking,
-            machine,
+            node_loop,
             threads,
             playout,
             endpoint,
@@ -126,7 +126,7 @@ impl Running {
         Ok(())
     }
 
-    /// Is told, by its end, when the node has stopped by itself, which is a fault.
+    /// Disconnected when the node has stopped by itself, which is a fault.
     pub fn over(&self) -> &Receiver<()> {
         &self.over
     }
@@ -154,7 +154,7 @@ impl Running {
     pub fn stop(self) -> Result<Option<Status>, NodeError> {
         drop(self.inputs);
         drop(self.stop);
-        let ended = self.machine.join();
+        let ended = self.node_loop.join();
         self.playout.close();
         drop(self.stop_looking);
         let mut fault = None;
@@ -164,7 +164,7 @@ impl Running {
             }
         }
         drop((self.rig_answer, self.endpoint));
-        let ended = ended.unwrap_or(Err(NodeError::Fault { thread: "machine" }));
+        let ended = ended.unwrap_or(Err(NodeError::Fault { thread: "node loop" }));
         fault.map_or(ended, Err)?;
         Ok(self.board.status())
     }
@@ -174,14 +174,15 @@ fn thread(name: &str) -> Builder {
     Builder::new().name(name.into())
 }
 
-/// Opens what the machine's thread publishes.
-fn machine_outlet(bus: &Arc<dyn Bus>, topics: &Topics, board: &Board) -> Result<Outlet, NodeError> {
+/// Opens the topics on which the node loop publishes.
+fn loop_outlet(bus: &Arc<dyn Bus>, topics: &Topics, board: &Board) -> Result<Outlet, NodeError> {
     let mut outlet = Outlet::new(Arc::clone(bus), board.failures());
     let all = [
         (topics.provisional(), Pose::FULL_NAME),
         (topics.keyframe(), Keyframe::FULL_NAME),
         (topics.skeleton(), Skeleton::FULL_NAME),
-        (topics.events(), Event::FULL_NAME),
+        (topics.actor_events(), Event::FULL_NAME),
+        (topics.stage_events(), Event::FULL_NAME),
         (topics.status(), Status::FULL_NAME),
         (topics.journal(), Journal::FULL_NAME),
     ];

@@ -216,7 +216,8 @@ impl Figure {
         let xyzw = |rotation| so3::xyzw_from_rotation(rotation).map(|component| component as f32);
         RetargetedPose {
             capture_time_ns: pose.capture_time_ns,
-            publish_time_ns: pose.publish_time_ns,
+            due_time_ns: pose.due_time_ns,
+            run_id: pose.run_id,
             state: pose.state,
             hips: self.hips as u32,
             hips_position_m: self.positions[self.hips].iter().copied().collect(),

@@ -261,7 +261,7 @@ fn connect(pair: &dyn Pair, publisher: &dyn Publisher, inbox: &Inbox) {
 }
 
 fn bytes_arrive_unchanged_and_in_order(pair: &dyn Pair) {
-    for topic in ["t/actor/a/pose", "t/skeleton", "t/actor/a/journal"] {
+    for topic in ["mocap/t/actor/a/pose", "mocap/t/actor/a/skeleton", "mocap/t/actor/a/journal"] {
         let inbox = Inbox::open(pair.far(), topic);
         let publisher = pair.near().publisher(topic).unwrap();
         connect(pair, &*publisher, &inbox);
@@ -285,7 +285,7 @@ fn bytes_arrive_unchanged_and_in_order(pair: &dyn Pair) {
 }
 
 fn every_encoding_and_size_arrives(pair: &dyn Pair) {
-    for topic in ["t/pose", "t/rig"] {
+    for topic in ["mocap/t/actor/a/pose", "mocap/t/rig"] {
         let inbox = Inbox::open(pair.far(), topic);
         let publisher = pair.near().publisher(topic).unwrap();
         connect(pair, &*publisher, &inbox);
@@ -340,7 +340,7 @@ fn patterns_choose_topics(pair: &dyn Pair) {
 }
 
 fn a_dropped_guard_gets_nothing_more(pair: &dyn Pair) {
-    for topic in ["t/pose", "t/keyframe"] {
+    for topic in ["mocap/t/actor/a/pose", "mocap/t/actor/a/keyframe"] {
         let [stays, goes] = [(); 2].map(|()| Inbox::open(pair.far(), topic));
         let publisher = pair.near().publisher(topic).unwrap();
         connect(pair, &*publisher, &stays);
@@ -355,8 +355,12 @@ fn a_dropped_guard_gets_nothing_more(pair: &dyn Pair) {
 }
 
 fn late_joiners_get_the_history_of_states_only(pair: &dyn Pair) {
-    for (topic, history) in [("s/rig", 1), ("s/keyframe", 8), ("s/events", 64), ("s/journal", 256)]
-    {
+    for (topic, history) in [
+        ("mocap/s/rig", 1),
+        ("mocap/s/actor/a/keyframe", 8),
+        ("mocap/s/events", 64),
+        ("mocap/s/actor/a/journal", 256),
+    ] {
         let publisher = pair.near().publisher(topic).unwrap();
         let early = Inbox::open(pair.far(), topic);
         connect(pair, &*publisher, &early);
@@ -366,7 +370,7 @@ fn late_joiners_get_the_history_of_states_only(pair: &dyn Pair) {
             pair.carry();
             early.next();
         }
-        for pattern in [topic, "s/**"] {
+        for pattern in [topic, "mocap/s/**"] {
             let late = Inbox::open(pair.far(), pattern);
             for i in 300 - history..300 {
                 let sample = loop {
@@ -380,13 +384,13 @@ fn late_joiners_get_the_history_of_states_only(pair: &dyn Pair) {
             }
         }
     }
-    let stream = pair.near().publisher("s/pose").unwrap();
-    let early = Inbox::open(pair.far(), "s/pose");
+    let stream = pair.near().publisher("mocap/s/actor/a/pose").unwrap();
+    let early = Inbox::open(pair.far(), "mocap/s/actor/a/pose");
     connect(pair, &*stream, &early);
     put(&*stream, 1, b"old");
     pair.carry();
     early.next();
-    let late = Inbox::open(pair.far(), "s/pose");
+    let late = Inbox::open(pair.far(), "mocap/s/actor/a/pose");
     let nothing = late.samples.recv_timeout(Duration::from_millis(200));
     assert_eq!(nothing, Err(RecvTimeoutError::Timeout));
     connect(pair, &*stream, &late);
@@ -396,7 +400,7 @@ fn late_joiners_get_the_history_of_states_only(pair: &dyn Pair) {
 }
 
 fn several_publish_on_one_topic(pair: &dyn Pair) {
-    for topic in ["t/pose", "t/events"] {
+    for topic in ["mocap/t/actor/a/pose", "mocap/t/events"] {
         let inbox = Inbox::open(pair.far(), topic);
         let publishers = [(); 3].map(|()| pair.near().publisher(topic).unwrap());
         for publisher in &publishers {
@@ -432,30 +436,30 @@ fn bad_names_are_refused(pair: &dyn Pair) {
 
 fn queries_are_answered(pair: &dyn Pair) {
     let sample = Sample {
-        topic: "t/rig".into(),
+        topic: "mocap/t/rig".into(),
         capture: Timestamp::from_ns(-5),
         encoding: POSE.into(),
         payload: vec![7; 50],
     };
     let answer = sample.clone();
-    let guard = pair.near().answer("t/rig", Box::new(move || Some(answer.clone()))).unwrap();
-    let _nothing = pair.near().answer("t/status", Box::new(|| None)).unwrap();
+    let guard = pair.near().answer("mocap/t/rig", Box::new(move || Some(answer.clone()))).unwrap();
+    let _nothing = pair.near().answer("mocap/t/actor/a/status", Box::new(|| None)).unwrap();
     if !pair.has_queries() {
-        assert_eq!(pair.far().query("t/*", LONG).unwrap(), []);
+        assert_eq!(pair.far().query("mocap/t/*", LONG).unwrap(), []);
         return;
     }
-    let asked = (0..1000).map(|_| pair.far().query("t/rig", LONG).unwrap());
+    let asked = (0..1000).map(|_| pair.far().query("mocap/t/rig", LONG).unwrap());
     assert!(asked.into_iter().any(|samples| !samples.is_empty()), "not answered");
-    for pattern in ["t/rig", "t/*", "**"] {
+    for pattern in ["mocap/t/rig", "mocap/t/*", "**"] {
         assert_eq!(
             pair.far().query(pattern, LONG).unwrap(),
             std::slice::from_ref(&sample),
             "{pattern}"
         );
     }
-    assert_eq!(pair.far().query("t/other", LONG).unwrap(), []);
+    assert_eq!(pair.far().query("mocap/t/other", LONG).unwrap(), []);
     drop(guard);
-    let again = (0..1000).map(|_| pair.far().query("t/rig", LONG).unwrap());
+    let again = (0..1000).map(|_| pair.far().query("mocap/t/rig", LONG).unwrap());
     assert!(again.into_iter().any(|samples| samples.is_empty()), "still answered");
 }
 
@@ -535,7 +539,7 @@ fn addresses_that_are_none_are_refused() {
 #[test]
 fn a_payload_above_what_shared_memory_carries_is_refused() {
     let pair = InSharedMemory::new();
-    let publisher = pair.near().publisher("t/pose").unwrap();
+    let publisher = pair.near().publisher("mocap/t/actor/a/pose").unwrap();
     let error = publisher.put(Timestamp::default(), POSE, &vec![0; 1 << 20]).unwrap_err();
     assert!(matches!(error, BusError::TooLarge { bytes: 1_048_576, .. }), "{error}");
     put(&*publisher, 1, b"goes on");
@@ -544,7 +548,8 @@ fn a_payload_above_what_shared_memory_carries_is_refused() {
 #[test]
 fn foreign_publishers_are_heard() {
     let node = node();
-    let inboxes = ["f/rig", "f/pose", "**"].map(|pattern| Inbox::open(&node, pattern));
+    let inboxes =
+        ["mocap/f/rig", "mocap/f/actor/a/pose", "**"].map(|pattern| Inbox::open(&node, pattern));
     let mut config = zenoh::Config::default();
     config.insert_json5("mode", "\"client\"").unwrap();
     config.insert_json5("connect/endpoints", &format!("{:?}", node.listens_on())).unwrap();
@@ -555,7 +560,7 @@ fn foreign_publishers_are_heard() {
         assert_eq!((sample.capture.ns(), &*sample.encoding), (capture, encoding));
         assert_eq!(sample.payload, b"x");
     };
-    for (topic, inbox) in [("f/rig", &inboxes[0]), ("f/pose", &inboxes[1])] {
+    for (topic, inbox) in [("mocap/f/rig", &inboxes[0]), ("mocap/f/actor/a/pose", &inboxes[1])] {
         foreign.put(topic, "x").wait().unwrap();
         foreign.put(topic, "x").attachment([1, 2, 3]).wait().unwrap();
         foreign.put(topic, "x").encoding(POSE).attachment(7i64.to_le_bytes()).wait().unwrap();
@@ -573,9 +578,11 @@ fn a_tool_outlives_its_node() {
     let config = ZenohConfig { listen, ..ZenohConfig::default() };
     let first = Zenoh::open_node(&config).unwrap();
     let tool = Zenoh::open_client(&config).unwrap();
-    let inboxes = ["t/pose", "t/rig", "**"].map(|pattern| Inbox::open(&tool, pattern));
+    let inboxes =
+        ["mocap/t/actor/a/pose", "mocap/t/rig", "**"].map(|pattern| Inbox::open(&tool, pattern));
     let hears = |node: &Zenoh, by: &str| {
-        for (topic, inbox) in [("t/pose", &inboxes[0]), ("t/rig", &inboxes[1])] {
+        for (topic, inbox) in [("mocap/t/actor/a/pose", &inboxes[0]), ("mocap/t/rig", &inboxes[1])]
+        {
             let publisher = node.publisher(topic).unwrap();
             for inbox in [inbox, &inboxes[2]] {
                 let from_this_node = |sample: Sample| sample.payload == by.as_bytes();
@@ -609,7 +616,7 @@ fn child() {
     let Ok(prefix) = std::env::var(PREFIX) else { return };
     let bus = Iceoryx2::open(&Iceoryx2Config { prefix }).unwrap();
     let name = std::process::id().to_string();
-    let rig = bus.publisher("c/rig").unwrap();
+    let rig = bus.publisher("mocap/c/rig").unwrap();
     put(&*rig, 1, name.as_bytes());
     let pong = bus.publisher("c/pong").unwrap();
     let sink = Box::new(move |_| put(&*pong, 1, name.as_bytes()));
@@ -656,7 +663,7 @@ fn either_side_may_be_killed() {
             })
         };
         assert!(says_its_name(&pong), "child {round} does not answer");
-        let late = Inbox::open(&bus, "c/rig");
+        let late = Inbox::open(&bus, "mocap/c/rig");
         let of_this_child = |sample: &Sample| sample.payload == name.as_bytes();
         assert!(std::iter::from_fn(|| Some(late.next())).take(9).any(|s| of_this_child(&s)));
         // And a program that joins when the child has been killed is not held up by what it left.

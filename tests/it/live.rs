@@ -14,7 +14,7 @@ use bundlemocap::core::tracker::{Job, Solution, Solver, Task};
 use bundlemocap::io::wire::{
     self, Event, KeypointFrame, Pose, Schema, Status, Topics, TrackingState, decode, encode,
 };
-use bundlemocap::live::{Core, Input, Output, Recorded, Settings, replay};
+use bundlemocap::live::{Core, Input, Output, Recorded, Settings, find_node, replay};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
 const MS: i64 = 1_000_000;
@@ -61,7 +61,8 @@ impl Heard {
     }
 
     fn details(&self, kind: &str) -> Vec<String> {
-        let events = self.of::<Event>(&Topics::default().events()).into_iter();
+        let topics = [Topics::default().stage_events(), Topics::default().actor_events()];
+        let events = topics.iter().flat_map(|topic| self.of::<Event>(topic));
         events.filter(|(_, e)| e.kind == kind).map(|(_, e)| e.detail).collect()
     }
 }
@@ -145,8 +146,8 @@ impl World {
                     time: publication.due.unwrap_or(self.now),
                     capture: publication.capture,
                     topic: publication.topic,
-                    schema: publication.schema.into(),
-                    payload: publication.payload,
+                    schema: publication.content.schema().into(),
+                    payload: publication.content.encode(),
                 }),
             }
         }
@@ -221,7 +222,7 @@ fn assert_on_time(heard: &Heard) {
     let latency = poses[0].1.declared_latency_ns as i64;
     for (time, pose) in &poses {
         assert_eq!(*time - Timestamp::from_ns(pose.capture_time_ns), latency);
-        assert_eq!(pose.publish_time_ns, Some(time.ns()));
+        assert_eq!(pose.due_time_ns, Some(time.ns()));
         assert_eq!(pose.declared_latency_ns as i64, latency);
     }
     for pair in poses.windows(2) {
@@ -248,14 +249,14 @@ fn poses_leave_at_one_latency_and_provisional_ones_at_once() {
         let waited = *time - Timestamp::from_ns(pose.capture_time_ns) - NETWORK;
         // One millisecond for the fit; five where it had to wait for a window's solve.
         assert!((0..=6 * MS).contains(&waited), "{waited} ns");
-        assert!(pose.provisional && pose.revision == 0);
+        assert!(pose.provisional && pose.revision == 0 && pose.due_time_ns.is_none());
     }
     assert!(heard.poses().iter().all(|(_, pose)| !pose.provisional));
     // Once the frames that were gathered for the shape are through, each was given before.
     let caught_up = START + 550 * MS;
     let mut later = heard.poses().into_iter().filter(|(_, p)| p.capture_time_ns > caught_up);
     assert!(later.all(|(_, pose)| pose.revision == 1));
-    assert_eq!(heard.status().performer, "tracking");
+    assert_eq!(heard.status().tracker_state, "tracking");
     let playout = heard.status().playout.unwrap();
     assert_eq!((playout.coasted, playout.missed), (0, 0));
 }
@@ -291,7 +292,18 @@ fn the_same_inputs_give_the_same_bytes() {
     for (topic, compared) in &replayed.topics {
         assert_eq!((compared.recorded, compared.differs_at), (compared.replayed, None), "{topic}");
     }
-    // And it is not that everything agrees with everything.
+    // Poses, keyframes, status and journal name the run, in the replay as in the recording.
+    let topics = Topics::default();
+    let run_id = replayed.start.run_id;
+    assert_ne!(run_id, 0);
+    let again = Heard { messages: replayed.outputs };
+    assert!(again.poses().iter().all(|(_, pose)| pose.run_id == run_id));
+    assert!(again.live().iter().all(|(_, pose)| pose.run_id == run_id));
+    let keyframes = again.of::<wire::Keyframe>(&topics.keyframe());
+    assert!(!keyframes.is_empty() && keyframes.iter().all(|(_, k)| k.run_id == run_id));
+    assert_eq!(again.status().run_id, run_id);
+    assert_eq!(again.poses().len(), replayed.topics[&topics.pose()].recorded);
+    // A change is found.
     let journal = Topics::default().journal();
     recorded.retain(|message| *message.topic != *journal || message.time < at(2.5));
     let pose = recorded.iter_mut().find(|message| *message.topic == *Topics::default().pose());
@@ -306,6 +318,45 @@ fn the_same_inputs_give_the_same_bytes() {
     let differing: Vec<_> =
         replayed.topics.iter().filter(|(_, topic)| !topic.agrees()).map(|(name, _)| name).collect();
     assert_eq!(differing, [&Topics::default().pose()]);
+}
+
+#[test]
+fn another_run_has_another_id() {
+    let run_id = |delay: i64| {
+        let mut messages = Studio::new(2, 2).messages();
+        messages.iter_mut().for_each(|sent| sent.arrival = sent.arrival + delay);
+        let mut world = after(messages, 2.0);
+        world.end();
+        let journal = world.heard.of::<wire::Journal>(&Topics::default().journal());
+        match &journal[0].1.entries[0].input {
+            Some(wire::journal_entry::Input::Start(start)) => start.run_id,
+            other => panic!("the journal begins with {other:?}"),
+        }
+    };
+    assert_eq!(run_id(0), run_id(0));
+    assert_ne!(run_id(0), run_id(1));
+}
+
+#[test]
+fn a_replay_finds_the_node_in_the_recording() {
+    let journal = |stage: &str, actor: &str| Recorded {
+        time: at(0.0),
+        capture: at(0.0),
+        topic: Topics::new(stage, actor).unwrap().journal().into(),
+        schema: wire::Journal::FULL_NAME.into(),
+        payload: Vec::new(),
+    };
+    let one = [journal("hall", "anna")];
+    let topics = find_node(&one, None, None).unwrap();
+    assert_eq!(topics, Topics::new("hall", "anna").unwrap());
+    assert_eq!(find_node(&one, Some("hall"), Some("anna")).unwrap(), topics);
+    let error = find_node(&one, Some("stage"), None).unwrap_err().to_string();
+    assert!(error.contains("\"stage\"") && error.contains("mocap/hall/actor/anna"), "{error}");
+    let two = [journal("hall", "anna"), journal("hall", "ben")];
+    let error = find_node(&two, Some("hall"), None).unwrap_err().to_string();
+    assert!(error.contains("--actor") && error.contains("actor/ben/journal"), "{error}");
+    assert_eq!(find_node(&two, None, Some("ben")).unwrap().actor, "ben");
+    assert!(find_node(&[], None, None).unwrap_err().to_string().contains("bundlemocap record"));
 }
 
 #[test]
@@ -419,7 +470,7 @@ fn states_follow_the_performer() {
     assert_on_time(&world.heard);
     let mut states: Vec<String> =
         (world.heard.of::<Status>(&Topics::default().status()).into_iter())
-            .map(|(_, status)| status.performer)
+            .map(|(_, status)| status.tracker_state)
             .collect();
     states.dedup();
     assert_eq!(states, ["searching", "acquiring", "tracking", "coasting", "lost", "tracking"]);

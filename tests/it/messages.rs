@@ -7,7 +7,7 @@ use bundlemocap::core::manifold;
 use bundlemocap::core::so3;
 use bundlemocap::core::time::{Grid, Timestamp};
 use bundlemocap::io::wire::{
-    CameraCounters, DecodeError, Event, Keyframe, KeypointFrame, Pose, Publication, RetargetedPose,
+    CameraCounters, DecodeError, Event, Keyframe, KeypointFrame, LiveStamp, Pose, RetargetedPose,
     Rig, Schema, Skeleton, StampedKeyframe, Status, WindowCounters, decode, encode,
 };
 use expect_test::{expect, expect_file};
@@ -123,7 +123,8 @@ fn status() -> Status {
 pub fn retargeted() -> RetargetedPose {
     RetargetedPose {
         capture_time_ns: 5_000_000_000,
-        publish_time_ns: Some(5_250_000_000),
+        due_time_ns: Some(5_250_000_000),
+        run_id: 0x0123_4567_89ab_cdef,
         state: published_pose().state,
         hips: 1,
         hips_position_m: vec![0.25, 0.9, -1.5],
@@ -137,8 +138,9 @@ fn keypoints() -> KeypointFrame {
 }
 
 fn published_pose() -> Pose {
-    let publication = Publication { publish: Timestamp::from_ns(-1), latency_ns: 250_000_000 };
-    Pose::from_core(&stamped_pose(4), &skeleton(), Some(publication))
+    let due = Some(Timestamp::from_ns(-1));
+    let live = LiveStamp { due, latency_ns: 250_000_000, run_id: 0x0123_4567_89ab_cdef };
+    Pose::from_core(&stamped_pose(4), &skeleton(), Some(live))
 }
 
 fn through_bytes<T: Schema>(message: &T) -> T {
@@ -179,7 +181,8 @@ fn a_pose_round_trips_and_carries_its_joints() {
     for (a, b) in wire.joint_positions().unwrap().iter().zip(joints) {
         assert!((a - b).norm() < 1e-6);
     }
-    assert_eq!((wire.publish_time_ns, wire.declared_latency_ns), (Some(-1), 250_000_000));
+    assert_eq!((wire.due_time_ns, wire.declared_latency_ns), (Some(-1), 250_000_000));
+    assert_eq!(wire.run_id, 0x0123_4567_89ab_cdef);
 }
 
 #[test]

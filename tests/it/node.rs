@@ -118,7 +118,9 @@ impl Studio {
         };
         on(self.topics.pose(), |heard, bytes| heard.poses.push(decode(bytes).unwrap()));
         on(self.topics.provisional(), |heard, bytes| heard.live.push(decode(bytes).unwrap()));
-        on(self.topics.events(), |heard, bytes| heard.events.push(decode(bytes).unwrap()));
+        for topic in [self.topics.stage_events(), self.topics.actor_events()] {
+            on(topic, |heard, bytes| heard.events.push(decode(bytes).unwrap()));
+        }
         on(self.topics.journal(), |heard, bytes| {
             heard.journal.extend(decode::<Journal>(bytes).unwrap().entries);
         });
@@ -197,7 +199,7 @@ fn poses_leave_evenly_spaced_at_one_latency_and_live_ones_before() {
     assert!(latency > 150_000_000, "shorter than a window: {latency} ns");
     for pose in &heard.poses {
         assert_eq!(pose.declared_latency_ns, latency);
-        let left = pose.publish_time_ns.unwrap() - pose.capture_time_ns;
+        let left = pose.due_time_ns.unwrap() - pose.capture_time_ns;
         assert_eq!(left, latency as i64);
         assert!(!pose.provisional);
         pose.to_core().unwrap();
@@ -318,7 +320,7 @@ fn a_node_without_input_says_how_it_is_and_ends() {
     write!(metrics, "GET /metrics HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").unwrap();
     let mut text = String::new();
     metrics.read_to_string(&mut text).unwrap();
-    assert!(text.contains("bundlemocap_performer{state=\"searching\"} 1"), "{text}");
+    assert!(text.contains("bundlemocap_tracker_state{state=\"searching\"} 1"), "{text}");
     assert!(text.contains("bundlemocap_camera_waited_for{camera=\"cam03\"}"), "{text}");
     node.stop().unwrap();
     assert_eq!(studio.poses(), 0);

@@ -115,7 +115,7 @@ fn a_subscriber_in_python_gets_skeleton_and_poses() {
         ..Skeleton::default()
     };
     // Once, before anybody listens.
-    let publisher = node.publisher("mocap/take/skeleton").unwrap();
+    let publisher = node.publisher("mocap/take/actor/anna/skeleton").unwrap();
     let encoding = |name: &str| format!("application/protobuf;bundlemocap.v1.{name}");
     publisher.put(Timestamp::default(), &encoding("Skeleton"), &wire::encode(&skeleton)).unwrap();
 
@@ -128,7 +128,7 @@ fn a_subscriber_in_python_gets_skeleton_and_poses() {
     let poses = node.publisher("mocap/take/actor/anna/pose").unwrap();
     let pose = Pose {
         capture_time_ns: 1_000_000_000,
-        publish_time_ns: Some(1_250_000_000),
+        due_time_ns: Some(1_250_000_000),
         state: TrackingState::Tracking.into(),
         root_position_m: vec![0.5, 1.0, -2.0],
         root_rotation: vec![0.0, 0.0, 0.0, 1.0],

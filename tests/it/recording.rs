@@ -378,14 +378,14 @@ fn another_implementation_reads_the_same() {
     bundlemocap sha256:0123
     mocap/stage/actor/actor/keyframe 1
     mocap/stage/actor/actor/pose 1
+    mocap/stage/actor/actor/skeleton 1
+    mocap/stage/actor/actor/status 1
     mocap/stage/actor/actor/truth 1
+    mocap/stage/actor/actor/truth/skeleton 1
     mocap/stage/camera/left/keypoints 400
     mocap/stage/camera/right/keypoints 400
     mocap/stage/events 1
     mocap/stage/rig 1
-    mocap/stage/skeleton 1
-    mocap/stage/status 1
-    mocap/stage/truth/skeleton 1
     "#]]
     .assert_eq(&said);
 }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use bundlemocap::io::recording::{RawEntry, Reader};
 use bundlemocap::io::wire::journal_entry::Input;
-use bundlemocap::io::wire::{Journal, Schema, Status, Topics, decode};
+use bundlemocap::io::wire::{Event, Journal, Schema, Status, Topics, decode};
 
 use crate::bus::Prefix;
 use crate::program::{PATIENCE, Program, listening_node};
@@ -66,7 +66,7 @@ impl Studio {
             of_camera.map(|line| line.split_whitespace().nth(2).unwrap().parse::<usize>().unwrap());
         let sent = sent.sum();
         // A late joiner is told the node's state.
-        assert!(self.done("echo status --count 1").contains("stage/status"));
+        assert!(self.done("echo status --count 1").contains("actor/status"));
 
         self.node.signal("INT");
         let node = self.node.ended();
@@ -188,8 +188,8 @@ fn the_disturbed_take_is_replayed_to_its_golden_bytes() {
     let mut kinds: BTreeMap<String, u64> = BTreeMap::new();
     let mut reader = Reader::open(path).unwrap();
     while let Some(Ok(entry)) = reader.next_raw() {
-        if *entry.topic == *Topics::default().events() {
-            let event = decode::<bundlemocap::io::wire::Event>(&entry.payload).unwrap();
+        if &*entry.schema == Event::FULL_NAME {
+            let event = decode::<Event>(&entry.payload).unwrap();
             *kinds.entry(event.kind).or_default() += event.count;
         }
     }

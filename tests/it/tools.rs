@@ -177,7 +177,7 @@ fn a_recording_outlives_a_kill() {
     let place = Place::new();
     let topics = Topics::default();
     let mut recorder = place.recorder("take.mcap");
-    let publisher = place.router.publisher(&topics.events()).unwrap();
+    let publisher = place.router.publisher(&topics.stage_events()).unwrap();
     let encoding = media_type("bundlemocap.v1.Event");
     for count in 1..=40 {
         let event = wire::Event { kind: "late".into(), count, ..wire::Event::default() };

@@ -53,9 +53,8 @@ impl Heard {
             on(topics.status(), |notes, sample, _| {
                 notes.status = decode(&sample.payload).ok().or(notes.status.take());
             })?,
-            on(topics.events(), |notes, sample, _| {
-                notes.events.extend(decode::<Event>(&sample.payload));
-            })?,
+            on(topics.actor_events(), note_event)?,
+            on(topics.stage_events(), note_event)?,
         ])
     }
 
@@ -77,6 +76,10 @@ impl Heard {
     fn lock(&self) -> MutexGuard<'_, Notes> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+fn note_event(notes: &mut Notes, sample: &Sample, _: Timestamp) {
+    notes.events.extend(decode::<Event>(&sample.payload));
 }
 
 fn arrival(sample: &Sample, at: Timestamp) -> Option<Arrival> {
@@ -111,7 +114,7 @@ pub(super) struct Figures {
     pub(super) arrival_deviation_ms: Option<Spread>,
     /// The same as the node measures it when it publishes: upper ends of the histogram's bins.
     pub(super) publish_deviation_ms: Option<Spread>,
-    /// From the last camera's message to the live pose, after the acquisition, milliseconds.
+    /// From the last camera's message to the provisional pose, after the acquisition, milliseconds.
     pub(super) live_ms: Option<Spread>,
     pub(super) live_poses: usize,
     /// Processes that wanted a core, on average over a minute; above the number of cores the node
@@ -221,7 +224,7 @@ fn poses(all: &[Arrival], sent: &[(Timestamp, Timestamp)], load: &Load) -> Poses
     }
 }
 
-/// Of each live pose after the acquisition, milliseconds since the last message of its frame set.
+/// Of each provisional pose after the acquisition, milliseconds since the last message of its frame set.
 fn live(
     all: &[Arrival],
     from: Option<Timestamp>,
@@ -336,8 +339,8 @@ impl Figures {
             ),
             row("arrival from capture + latency", spread(self.arrival_deviation_ms)),
             row("publishing from it, by the node", spread(self.publish_deviation_ms)),
-            row("live pose after last message", spread(self.live_ms)),
-            row("live poses", self.live_poses.to_string()),
+            row("provisional pose after last message", spread(self.live_ms)),
+            row("provisional poses", self.live_poses.to_string()),
             row("load of the machine", number(self.machine_load, "processes")),
             row("cpu of the node", number(self.cpu_percent, "% of one core")),
             row("memory of the node", self.memory.map_or_else(none, Memory::text)),

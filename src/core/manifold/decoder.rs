@@ -13,6 +13,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::weights::{Layer, OUTPUTS, WeightsError, decoder_layers};
 use super::{Keyframe, LATENT, Latent, activation};
 use crate::core::body::{BODY_JOINTS, Pose};
+use crate::core::fnv::fnv1a;
 use crate::core::linalg;
 
 /// Shorter columns than this are no direction: the joint keeps its rest rotation.
@@ -309,11 +310,4 @@ linalg::wide! {
             }
         }
     }
-}
-
-/// 64-bit FNV-1a.
-pub(super) fn fnv1a(bytes: &[u8]) -> u64 {
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| {
-        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-    })
 }

@@ -404,15 +404,17 @@ impl Bus for Iceoryx2 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::io::wire::Topics;
 
     #[test]
     fn every_delivery_has_a_class_that_keeps_enough() {
-        for topic in ["rig", "skeleton", "status", "keyframe", "events", "journal", "pose"] {
-            let kept = match delivery(topic) {
+        let topics = Topics::default();
+        for topic in topics.outputs().into_iter().chain([topics.rig(), topics.keypoints("a")]) {
+            let kept = match delivery(&topic) {
                 Delivery::Stream => 0,
                 Delivery::State { history } => history,
             };
-            assert_eq!(limits(class(topic)).history, kept, "{topic}");
+            assert_eq!(limits(class(&topic)).history, kept, "{topic}");
         }
     }
 }

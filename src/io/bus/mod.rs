@@ -18,6 +18,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::core::time::Timestamp;
+use crate::io::wire::Topic;
 
 mod config;
 #[cfg(feature = "iceoryx2")]
@@ -117,14 +118,11 @@ pub trait Publisher: Send + Sync {
 /// Keeps a subscription or a queryable alive.
 pub trait Guard: Send {}
 
-/// The delivery that a topic needs, from its name.
+/// The delivery that a topic needs. Topics that are not ours are streams.
 pub fn delivery(topic: &str) -> Delivery {
-    match topic.rsplit('/').next() {
-        Some("rig" | "skeleton" | "status") => Delivery::State { history: 1 },
-        Some("keyframe") => Delivery::State { history: 8 },
-        Some("events") => Delivery::State { history: 64 },
-        Some("journal") => Delivery::State { history: 256 },
-        _ => Delivery::Stream,
+    match Topic::parse(topic).ok().and_then(|topic| topic.history()) {
+        Some(history) => Delivery::State { history },
+        None => Delivery::Stream,
     }
 }
 

@@ -38,6 +38,7 @@ use super::{
     check_pattern, check_topic, delivery,
 };
 use crate::core::time::Timestamp;
+use crate::io::wire::Topic;
 
 /// How long a client tries to connect, milliseconds.
 const CONNECT_MS: u64 = 2000;
@@ -63,7 +64,7 @@ impl Drop for Zenoh {
     fn drop(&mut self) {
         std::thread::sleep(LINGER);
         if let Err(error) = self.session.close().wait() {
-            tracing::debug!("closing: {error}");
+            tracing::debug!("closing: {}", without_places(&error));
         }
     }
 }
@@ -127,14 +128,15 @@ fn open(
     }
     match zenoh::open(settings(mode, listen, connect, scouting)?).wait() {
         Ok(session) => Ok(Zenoh { session }),
-        Err(error) => Err(why_not_open(mode, listen, connect, &error.to_string())),
+        Err(error) => Err(why_not_open(mode, listen, connect, &without_places(&error))),
     }
 }
 
 fn check_endpoints(key: &'static str, endpoints: &[String]) -> Result<(), BusError> {
     for endpoint in endpoints {
         if let Err(error) = endpoint.parse::<EndPoint>() {
-            let reason = format!("{error}; an address is such as tcp/127.0.0.1:7447");
+            let reason = without_places(&error);
+            let reason = format!("{reason}; an address is such as tcp/127.0.0.1:7447");
             return Err(BusError::Setting { key, value: endpoint.clone(), reason });
         }
         if !endpoint.starts_with("tcp/") && !endpoint.starts_with("udp/") {
@@ -174,9 +176,9 @@ fn settings(
     }
     let mut config = zenoh::Config::default();
     for (key, value) in &settings {
-        config
-            .insert_json5(key, value)
-            .map_err(|error| BusError::transport(format!("zenoh's {key} = {value}"), error))?;
+        config.insert_json5(key, value).map_err(|error| {
+            BusError::transport(format!("zenoh's {key} = {value}"), without_places(&error))
+        })?;
     }
     Ok(config)
 }
@@ -274,14 +276,40 @@ impl Bus for Zenoh {
 
 impl Zenoh {
     fn error(&self, what: String, error: zenoh::Error) -> BusError {
-        if self.session.is_closed() { BusError::Closed } else { BusError::transport(what, error) }
+        match self.session.is_closed() {
+            true => BusError::Closed,
+            false => BusError::transport(what, without_places(&error)),
+        }
     }
 }
 
-/// Whether a pattern meets topics of streams only: its last part is a name, and a stream's.
+/// Whether a pattern matches topics of streams only: it is the name of a stream, perhaps with `*`
+/// for the names of stage, actor and camera.
 fn is_of_streams(pattern: &str) -> bool {
-    let last = pattern.rsplit('/').next().unwrap_or_default();
-    !last.contains('*') && delivery(last) == Delivery::Stream
+    match Topic::parse(pattern) {
+        Ok(topic) => topic.history().is_none(),
+        Err(_) => !pattern.contains('*'),
+    }
+}
+
+/// An error of zenoh without the places in its sources, such as ` at /path/to/file.rs:12.`.
+fn without_places(error: &dyn std::fmt::Display) -> String {
+    let (text, is_digit) = (error.to_string(), |c: char| c.is_ascii_digit());
+    let mut parts = text.split(" at ");
+    let mut clean = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        match part.split_once(".rs:") {
+            Some((path, rest)) if !path.contains(' ') && rest.starts_with(is_digit) => {
+                let rest = rest.trim_start_matches(is_digit);
+                clean += rest.strip_prefix('.').unwrap_or(rest);
+            }
+            _ => {
+                clean += " at ";
+                clean += part;
+            }
+        }
+    }
+    clean
 }
 
 /// A pattern as zenoh wants it, such as `*/**` for `**/*`.
@@ -290,7 +318,7 @@ fn canonical(pattern: &str) -> Result<KeyExpr<'static>, BusError> {
     key.map(KeyExpr::from).map_err(|error| BusError::Name {
         name: pattern.into(),
         what: "pattern",
-        reason: error.to_string(),
+        reason: without_places(&error),
     })
 }
 
@@ -319,7 +347,7 @@ fn reply(query: &Query, topic: &str, answer: Option<Sample>) {
         .attachment(sample.capture.ns().to_le_bytes())
         .wait();
     if let Err(error) = sent {
-        tracing::warn!("an answer on {topic} was not sent: {error}");
+        tracing::warn!("an answer on {topic} was not sent: {}", without_places(&error));
     }
 }
 
@@ -346,7 +374,7 @@ impl Publisher for ZenohPublisher {
         };
         sent.map_err(|error| match self.session.is_closed() {
             true => BusError::Closed,
-            false => BusError::transport("cannot publish", error),
+            false => BusError::transport("cannot publish", without_places(&error)),
         })
     }
 }
@@ -358,3 +386,29 @@ struct Alive<T> {
 }
 
 impl<T: Send> Guard for Alive<T> {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_show_no_paths_of_sources() {
+        for (raw, clean) in [
+            (
+                "no route at /root/.cargo/registry/src/x-1.0/src/a.rs:12. - Caused by refused at \
+                 /b/c.rs:3.",
+                "no route - Caused by refused",
+            ),
+            ("nothing at tcp/1.2.3.4:5 at src/d.rs:7.", "nothing at tcp/1.2.3.4:5"),
+            ("look at file.rs: it is at fault", "look at file.rs: it is at fault"),
+        ] {
+            assert_eq!(without_places(&raw), clean);
+        }
+        let error = Zenoh::open_node(&ZenohConfig {
+            listen: vec!["tcp/no-such-host.invalid:1".into()],
+            ..ZenohConfig::default()
+        });
+        let error = error.err().unwrap().to_string();
+        assert!(!error.contains(".rs"), "{error}");
+    }
+}

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use prost::Name;
+use serde::{Serialize, Serializer};
 
 use crate::core::time::Timestamp;
 use crate::io::wire::{
@@ -39,9 +40,10 @@ pub struct RawEntry {
     pub payload: Vec<u8>,
 }
 
-/// What a message says. Each of ours is known to be sound: its `to_core` succeeds (that of
-/// keypoints if the camera is known).
-#[derive(Clone, Debug, PartialEq)]
+/// The content of a message. Each of ours is checked: its `to_core` succeeds (that of keypoints if
+/// the camera is known). As JSON it is as [`wire`](crate::io::wire) says, `null` if it is not ours.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
 pub enum Message {
     /// 2D keypoints of one image.
     Keypoints(KeypointFrame),
@@ -57,7 +59,7 @@ pub enum Message {
     Event(Event),
     /// Counters.
     Status(Status),
-    /// What the node's machine was told.
+    /// Inputs of a node.
     Journal(Journal),
     /// A pose on another skeleton.
     Retargeted(RetargetedPose),
@@ -65,13 +67,18 @@ pub enum Message {
     TruthPose(Pose),
     /// The true body, in synthetic recordings.
     TruthSkeleton(Skeleton),
-    /// Something that is not ours.
+    /// A message that is not ours.
+    #[serde(serialize_with = "as_null")]
     Other {
         /// Name of its schema; empty if it has none.
         schema: String,
         /// The payload.
         data: Vec<u8>,
     },
+}
+
+fn as_null<S: Serializer>(_: &str, _: &[u8], to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_none()
 }
 
 /// The messages that we know.

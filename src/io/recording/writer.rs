@@ -171,7 +171,11 @@ impl Writer {
     /// # Errors
     /// As [`Writer::write`].
     pub fn event(&mut self, event: &Event) -> Result<(), RecordError> {
-        self.write(&self.topics.events(), Timestamp::from_ns(event.capture_time_ns), event)
+        let topic = match event.event_kind() {
+            Some(kind) => self.topics.events(kind),
+            None => self.topics.stage_events(),
+        };
+        self.write(&topic, Timestamp::from_ns(event.capture_time_ns), event)
     }
 
     /// Counters.

@@ -41,7 +41,7 @@ pub struct StampedKeyframe {
 }
 
 impl Keyframe {
-    /// The keyframe, in full precision; of a [settled](manifold::Keyframe::quantised) one, bit for
+    /// The keyframe, in full precision, with the run id of keyframes solved offline, 0; of a [settled](manifold::Keyframe::quantised) one, bit for
     /// bit.
     pub fn from_core(stamped: &StampedKeyframe) -> Self {
         let keyframe = &stamped.keyframe;
@@ -59,6 +59,7 @@ impl Keyframe {
             grid_period_ns: stamped.grid.period_ns,
             state: super::pose::wire_state(stamped.state).into(),
             rig_version: stamped.rig_version,
+            run_id: 0,
         }
     }
 

@@ -7,6 +7,7 @@
 mod check;
 mod event;
 mod generated;
+mod json;
 mod keyframe;
 mod keypoints;
 mod path;
@@ -19,11 +20,13 @@ mod topic;
 
 pub use generated::*;
 pub use keyframe::StampedKeyframe;
-pub use pose::Publication;
+pub use pose::LiveStamp;
 pub use schema::{
     ENCODING, SCHEMA_ENCODING, Schema, decode, descriptor, encode, media_type, schema_of,
 };
-pub use topic::{Topics, is_truth};
+pub use topic::{
+    ActorChannel, NameError, StageChannel, Topic, TopicError, Topics, is_truth, valid_name,
+};
 
 /// Why a message cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

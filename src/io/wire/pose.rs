@@ -12,29 +12,27 @@ const fn at(name: &'static str) -> Field {
     field("Pose", name)
 }
 
-/// When a pose went out live.
+/// What a live node adds to a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Publication {
-    /// The time it went out, on the cameras' clock.
-    pub publish: Timestamp,
-    /// The latency that the solver declares, nanoseconds.
+pub struct LiveStamp {
+    /// When the pose is due, on the cameras' clock; `None` for a provisional pose.
+    pub due: Option<Timestamp>,
+    /// The latency that the node declares, nanoseconds.
     pub latency_ns: u64,
+    /// Id of the node's run.
+    pub run_id: u64,
 }
 
 impl Pose {
     /// The pose, with the joint centres that `skeleton` gives it. Local rotations and joint
-    /// centres are rounded to `f32`. No `publication` means solved offline.
-    pub fn from_core(
-        stamped: &StampedPose,
-        skeleton: &Skeleton,
-        publication: Option<Publication>,
-    ) -> Self {
+    /// centres are rounded to `f32`. A pose without `live` was solved offline.
+    pub fn from_core(stamped: &StampedPose, skeleton: &Skeleton, live: Option<LiveStamp>) -> Self {
         let pose = &stamped.pose;
         let positions = pose.posture(skeleton).positions;
         Self {
             capture_time_ns: stamped.capture.ns(),
-            publish_time_ns: publication.map(|p| p.publish.ns()),
-            declared_latency_ns: publication.map_or(0, |p| p.latency_ns),
+            due_time_ns: live.and_then(|live| live.due).map(Timestamp::ns),
+            declared_latency_ns: live.map_or(0, |live| live.latency_ns),
             state: wire_state(stamped.state).into(),
             root_position_m: pose.root_position.iter().copied().collect(),
             root_rotation: so3::xyzw_from_rotation(&pose.root_rotation).to_vec(),
@@ -44,6 +42,7 @@ impl Pose {
             window: stamped.window,
             provisional: stamped.provisional,
             revision: stamped.revision,
+            run_id: live.map_or(0, |live| live.run_id),
         }
     }
 

@@ -4,7 +4,7 @@ use prost::{Message, Name};
 
 use super::{
     DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Skeleton,
-    Status,
+    Status, Topic,
 };
 
 /// How payloads are encoded, in MCAP's words.
@@ -66,27 +66,11 @@ pub fn schema_of(topic: &str, encoding: &str) -> Option<&'static str> {
     let wanted = match (named, encoding) {
         (Some(schema), _) => schema.trim(),
         (None, "" | MEDIA_TYPE | "zenoh/bytes" | "application/octet-stream") => {
-            schema_of_topic(topic)?
+            Topic::parse(topic).ok()?.schema()
         }
         (None, _) => return None,
     };
     SCHEMAS.iter().find(|(name, _)| *name == wanted).map(|(name, _)| *name)
-}
-
-fn schema_of_topic(topic: &str) -> Option<&'static str> {
-    let mut parts = topic.strip_prefix("mocap/")?.rsplit('/');
-    Some(match (parts.next()?, parts.next()?) {
-        (_, "retargeted") => "bundlemocap.v1.RetargetedPose",
-        ("keypoints", _) => "bundlemocap.v1.KeypointFrame",
-        ("rig", _) => "bundlemocap.v1.Rig",
-        ("pose" | "truth", _) | ("provisional", "pose") => "bundlemocap.v1.Pose",
-        ("keyframe", _) => "bundlemocap.v1.Keyframe",
-        ("skeleton", _) => "bundlemocap.v1.Skeleton",
-        ("events", _) => "bundlemocap.v1.Event",
-        ("status", _) => "bundlemocap.v1.Status",
-        ("journal", _) => "bundlemocap.v1.Journal",
-        _ => return None,
-    })
 }
 
 /// The message as bytes; the same message gives the same bytes.

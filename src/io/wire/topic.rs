@@ -1,11 +1,294 @@
-//! Names of topics.
+//! Names of topics: the only place that knows their grammar.
+//!
+//! | topic | message |
+//! |---|---|
+//! | `mocap/{stage}/rig` | `Rig` |
+//! | `mocap/{stage}/events` | `Event` that concerns no performer |
+//! | `mocap/{stage}/camera/{camera}/keypoints` | `KeypointFrame` |
+//! | `mocap/{stage}/actor/{actor}/skeleton` | `Skeleton` |
+//! | `mocap/{stage}/actor/{actor}/status` | `Status` |
+//! | `mocap/{stage}/actor/{actor}/events` | `Event` that concerns the performer |
+//! | `mocap/{stage}/actor/{actor}/keyframe` | `Keyframe` |
+//! | `mocap/{stage}/actor/{actor}/pose` | final `Pose` |
+//! | `mocap/{stage}/actor/{actor}/pose/provisional` | provisional `Pose` |
+//! | `mocap/{stage}/actor/{actor}/journal` | `Journal` |
+//! | `mocap/{stage}/actor/{actor}/retargeted/{name}` | `RetargetedPose` |
+//! | `mocap/{stage}/actor/{actor}/truth` | true `Pose` of a synthetic recording |
+//! | `mocap/{stage}/actor/{actor}/truth/skeleton` | true `Skeleton` of a synthetic recording |
 
-/// Where each message goes: the topics of one stage and one actor.
+use std::fmt;
+
+use super::{
+    Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Schema, Skeleton, Status,
+};
+use crate::core::tracker::EventKind;
+
+/// The first part of every topic.
+const ROOT: &str = "mocap";
+
+/// A topic. `Display` prints it, [`Topic::parse`] reads it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Topic<'a> {
+    /// A topic of a capture volume.
+    Stage {
+        /// Name of the capture volume.
+        stage: &'a str,
+        /// What is published there.
+        channel: StageChannel<'a>,
+    },
+    /// A topic of one performer.
+    Actor {
+        /// Name of the capture volume.
+        stage: &'a str,
+        /// Name of the performer.
+        actor: &'a str,
+        /// What is published there.
+        channel: ActorChannel<'a>,
+    },
+}
+
+/// What is published for a whole capture volume.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum StageChannel<'a> {
+    /// The calibration.
+    Rig,
+    /// Events that concern no performer: of cameras, clocks and queues.
+    Events,
+    /// The 2D keypoints of one camera.
+    Keypoints {
+        /// Name of the camera.
+        camera: &'a str,
+    },
+}
+
+/// What is published for one performer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum ActorChannel<'a> {
+    /// The body.
+    Skeleton,
+    /// Counters of the node.
+    Status,
+    /// Events that concern the performer and the windows.
+    Events,
+    /// Solved keyframes.
+    Keyframe,
+    /// Final poses.
+    Pose,
+    /// Poses of the open window.
+    Provisional,
+    /// The inputs of the node.
+    Journal,
+    /// Poses on another skeleton.
+    Retargeted {
+        /// Name of that skeleton.
+        name: &'a str,
+    },
+    /// True poses of a synthetic recording.
+    Truth,
+    /// The true body of a synthetic recording.
+    TruthSkeleton,
+}
+
+/// Why a text is no topic of ours.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{text:?} is no topic of mocap; topics are mocap/STAGE/... and mocap/STAGE/actor/ACTOR/..., as \
+     schemas/README.md lists them"
+)]
+pub struct TopicError {
+    /// The text.
+    pub text: String,
+}
+
+impl<'a> Topic<'a> {
+    /// Reads a topic. Names may be anything but empty and have no slash, so `*` is read as a name
+    /// too; [`valid_name`] is the check for names that people choose.
+    ///
+    /// # Errors
+    /// When the text is none of the topics listed above.
+    pub fn parse(text: &'a str) -> Result<Self, TopicError> {
+        Self::of_parts(text).ok_or_else(|| TopicError { text: text.to_owned() })
+    }
+
+    fn of_parts(text: &'a str) -> Option<Self> {
+        let (stage, rest) = text.strip_prefix(ROOT)?.strip_prefix('/')?.split_once('/')?;
+        if rest.split('/').chain([stage]).any(str::is_empty) {
+            return None;
+        }
+        if let Some(rest) = rest.strip_prefix("actor/") {
+            let (actor, rest) = rest.split_once('/')?;
+            return Some(Self::Actor { stage, actor, channel: ActorChannel::parse(rest)? });
+        }
+        Some(Self::Stage { stage, channel: StageChannel::parse(rest)? })
+    }
+
+    /// Full name of the schema of the messages on this topic.
+    pub fn schema(&self) -> &'static str {
+        match self {
+            Self::Stage { channel, .. } => channel.schema(),
+            Self::Actor { channel, .. } => channel.schema(),
+        }
+    }
+
+    /// How many of the last messages late joiners get; `None` for streams, whose messages are of
+    /// use only while they are new.
+    pub fn history(&self) -> Option<usize> {
+        match self {
+            Self::Stage { channel, .. } => match channel {
+                StageChannel::Rig => Some(1),
+                StageChannel::Events => Some(64),
+                StageChannel::Keypoints { .. } => None,
+            },
+            Self::Actor { channel, .. } => match channel {
+                ActorChannel::Skeleton | ActorChannel::Status => Some(1),
+                ActorChannel::Keyframe => Some(8),
+                ActorChannel::Events => Some(64),
+                ActorChannel::Journal => Some(256),
+                ActorChannel::Pose
+                | ActorChannel::Provisional
+                | ActorChannel::Retargeted { .. }
+                | ActorChannel::Truth
+                | ActorChannel::TruthSkeleton => None,
+            },
+        }
+    }
+
+    /// Name of the capture volume.
+    pub fn stage(&self) -> &'a str {
+        match self {
+            Self::Stage { stage, .. } | Self::Actor { stage, .. } => stage,
+        }
+    }
+
+    /// The topics of the same stage and actor; `None` for a topic of a stage.
+    pub fn topics(&self) -> Option<Topics> {
+        match self {
+            Self::Stage { .. } => None,
+            Self::Actor { stage, actor, .. } => {
+                Some(Topics { stage: (*stage).to_owned(), actor: (*actor).to_owned() })
+            }
+        }
+    }
+}
+
+impl<'a> StageChannel<'a> {
+    fn parse(text: &'a str) -> Option<Self> {
+        Some(match text {
+            "rig" => Self::Rig,
+            "events" => Self::Events,
+            _ => {
+                let (camera, rest) = text.strip_prefix("camera/")?.split_once('/')?;
+                return (rest == "keypoints").then_some(Self::Keypoints { camera });
+            }
+        })
+    }
+
+    fn schema(&self) -> &'static str {
+        match self {
+            Self::Rig => Rig::FULL_NAME,
+            Self::Events => Event::FULL_NAME,
+            Self::Keypoints { .. } => KeypointFrame::FULL_NAME,
+        }
+    }
+}
+
+impl<'a> ActorChannel<'a> {
+    fn parse(text: &'a str) -> Option<Self> {
+        Some(match text {
+            "skeleton" => Self::Skeleton,
+            "status" => Self::Status,
+            "events" => Self::Events,
+            "keyframe" => Self::Keyframe,
+            "pose" => Self::Pose,
+            "pose/provisional" => Self::Provisional,
+            "journal" => Self::Journal,
+            "truth" => Self::Truth,
+            "truth/skeleton" => Self::TruthSkeleton,
+            _ => {
+                let name = text.strip_prefix("retargeted/")?;
+                return (!name.contains('/')).then_some(Self::Retargeted { name });
+            }
+        })
+    }
+
+    fn schema(&self) -> &'static str {
+        match self {
+            Self::Skeleton | Self::TruthSkeleton => Skeleton::FULL_NAME,
+            Self::Status => Status::FULL_NAME,
+            Self::Events => Event::FULL_NAME,
+            Self::Keyframe => Keyframe::FULL_NAME,
+            Self::Pose | Self::Provisional | Self::Truth => Pose::FULL_NAME,
+            Self::Journal => Journal::FULL_NAME,
+            Self::Retargeted { .. } => RetargetedPose::FULL_NAME,
+        }
+    }
+}
+
+impl fmt::Display for Topic<'_> {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Stage { stage, channel } => write!(to, "{ROOT}/{stage}/{channel}"),
+            Self::Actor { stage, actor, channel } => {
+                write!(to, "{ROOT}/{stage}/actor/{actor}/{channel}")
+            }
+        }
+    }
+}
+
+impl fmt::Display for StageChannel<'_> {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Rig => to.write_str("rig"),
+            Self::Events => to.write_str("events"),
+            Self::Keypoints { camera } => write!(to, "camera/{camera}/keypoints"),
+        }
+    }
+}
+
+impl fmt::Display for ActorChannel<'_> {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        to.write_str(match self {
+            Self::Skeleton => "skeleton",
+            Self::Status => "status",
+            Self::Events => "events",
+            Self::Keyframe => "keyframe",
+            Self::Pose => "pose",
+            Self::Provisional => "pose/provisional",
+            Self::Journal => "journal",
+            Self::Retargeted { name } => return write!(to, "retargeted/{name}"),
+            Self::Truth => "truth",
+            Self::TruthSkeleton => "truth/skeleton",
+        })
+    }
+}
+
+/// Why a name cannot be a part of a topic.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{name:?} cannot be a part of a topic; use letters, digits, `-`, `_` and `.`")]
+pub struct NameError {
+    /// The name.
+    pub name: String,
+}
+
+/// Checks a name that somebody chose for a stage, an actor or a skeleton: one or more of the ASCII
+/// letters and digits, `-`, `_` and `.`.
+///
+/// # Errors
+/// Any other name.
+pub fn valid_name(name: &str) -> Result<(), NameError> {
+    let is_allowed = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+    if !name.is_empty() && name.chars().all(is_allowed) {
+        return Ok(());
+    }
+    Err(NameError { name: name.to_owned() })
+}
+
+/// The topics of one stage and one actor.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Topics {
-    /// The capture volume.
+    /// Name of the capture volume.
     pub stage: String,
-    /// The performer.
+    /// Name of the performer.
     pub actor: String,
 }
 
@@ -16,44 +299,106 @@ impl Default for Topics {
 }
 
 impl Topics {
-    /// Of [`KeypointFrame`](super::KeypointFrame), one per camera.
+    /// The topics of that stage and actor.
+    ///
+    /// # Errors
+    /// A name that [`valid_name`] refuses.
+    pub fn new(stage: &str, actor: &str) -> Result<Self, NameError> {
+        valid_name(stage)?;
+        valid_name(actor)?;
+        Ok(Self { stage: stage.to_owned(), actor: actor.to_owned() })
+    }
+
+    fn of_stage(&self, channel: StageChannel) -> String {
+        Topic::Stage { stage: &self.stage, channel }.to_string()
+    }
+
+    fn of_actor(&self, channel: ActorChannel) -> String {
+        Topic::Actor { stage: &self.stage, actor: &self.actor, channel }.to_string()
+    }
+
+    /// Of [`KeypointFrame`], one for each camera.
     pub fn keypoints(&self, camera: &str) -> String {
-        format!("mocap/{}/camera/{camera}/keypoints", self.stage)
+        self.of_stage(StageChannel::Keypoints { camera })
     }
 
-    /// Of [`Rig`](super::Rig).
+    /// Of [`Rig`].
     pub fn rig(&self) -> String {
-        format!("mocap/{}/rig", self.stage)
+        self.of_stage(StageChannel::Rig)
     }
 
-    /// Of [`Pose`](super::Pose).
+    /// Of each [`Event`] that concerns no performer.
+    pub fn stage_events(&self) -> String {
+        self.of_stage(StageChannel::Events)
+    }
+
+    /// Of each [`Event`] that concerns the performer.
+    pub fn actor_events(&self) -> String {
+        self.of_actor(ActorChannel::Events)
+    }
+
+    /// Of each [`Event`] of that kind.
+    pub fn events(&self, kind: EventKind) -> String {
+        match super::event::concerns_performer(kind) {
+            true => self.actor_events(),
+            false => self.stage_events(),
+        }
+    }
+
+    /// Of final [`Pose`]s.
     pub fn pose(&self) -> String {
-        format!("mocap/{}/actor/{}/pose", self.stage, self.actor)
+        self.of_actor(ActorChannel::Pose)
     }
 
-    /// Of provisional [`Pose`](super::Pose)s, of the open window.
+    /// Of provisional [`Pose`]s, of the open window.
     pub fn provisional(&self) -> String {
-        format!("mocap/{}/actor/{}/pose/provisional", self.stage, self.actor)
+        self.of_actor(ActorChannel::Provisional)
     }
 
-    /// Of [`RetargetedPose`](super::RetargetedPose), on the skeleton of that name.
+    /// Of [`RetargetedPose`], on the skeleton of that name.
     pub fn retargeted(&self, name: &str) -> String {
-        format!("mocap/{}/actor/{}/retargeted/{name}", self.stage, self.actor)
+        self.of_actor(ActorChannel::Retargeted { name })
     }
 
-    /// Of [`Journal`](super::Journal).
+    /// Of [`Journal`].
     pub fn journal(&self) -> String {
-        format!("mocap/{}/actor/{}/journal", self.stage, self.actor)
+        self.of_actor(ActorChannel::Journal)
     }
 
-    /// All that a node publishes of its own.
-    pub fn outputs(&self) -> [String; 7] {
+    /// Of [`Keyframe`].
+    pub fn keyframe(&self) -> String {
+        self.of_actor(ActorChannel::Keyframe)
+    }
+
+    /// Of [`Skeleton`].
+    pub fn skeleton(&self) -> String {
+        self.of_actor(ActorChannel::Skeleton)
+    }
+
+    /// Of [`Status`].
+    pub fn status(&self) -> String {
+        self.of_actor(ActorChannel::Status)
+    }
+
+    /// Of the true [`Pose`] in a synthetic recording.
+    pub fn truth(&self) -> String {
+        self.of_actor(ActorChannel::Truth)
+    }
+
+    /// Of the true [`Skeleton`] in a synthetic recording.
+    pub fn truth_skeleton(&self) -> String {
+        self.of_actor(ActorChannel::TruthSkeleton)
+    }
+
+    /// All that a node publishes of its own; a rig is an input too and is not among them.
+    pub fn outputs(&self) -> [String; 8] {
         [
             self.pose(),
             self.provisional(),
             self.keyframe(),
             self.skeleton(),
-            self.events(),
+            self.actor_events(),
+            self.stage_events(),
             self.status(),
             self.journal(),
         ]
@@ -61,55 +406,111 @@ impl Topics {
 
     /// Everything of the stage, as a pattern.
     pub fn all(&self) -> String {
-        format!("mocap/{}/**", self.stage)
-    }
-
-    /// Of [`Keyframe`](super::Keyframe).
-    pub fn keyframe(&self) -> String {
-        format!("mocap/{}/actor/{}/keyframe", self.stage, self.actor)
-    }
-
-    /// Of [`Skeleton`](super::Skeleton).
-    pub fn skeleton(&self) -> String {
-        format!("mocap/{}/skeleton", self.stage)
-    }
-
-    /// Of [`Event`](super::Event).
-    pub fn events(&self) -> String {
-        format!("mocap/{}/events", self.stage)
-    }
-
-    /// Of [`Status`](super::Status).
-    pub fn status(&self) -> String {
-        format!("mocap/{}/status", self.stage)
-    }
-
-    /// Of the true [`Pose`](super::Pose) in a synthetic recording.
-    pub fn truth(&self) -> String {
-        format!("mocap/{}/actor/{}/truth", self.stage, self.actor)
-    }
-
-    /// Of the true [`Skeleton`](super::Skeleton) in a synthetic recording.
-    pub fn truth_skeleton(&self) -> String {
-        format!("mocap/{}/truth/skeleton", self.stage)
+        format!("{ROOT}/{}/**", self.stage)
     }
 }
 
-/// Whether a topic carries truth: its last or last but one part is `truth`.
+/// Whether a topic carries truth. Recordings made before skeletons belonged to an actor have the
+/// true one on `mocap/{stage}/truth/skeleton`.
 pub fn is_truth(topic: &str) -> bool {
-    topic.rsplit('/').take(2).any(|part| part == "truth")
+    match Topic::parse(topic) {
+        Ok(Topic::Actor { channel, .. }) => {
+            matches!(channel, ActorChannel::Truth | ActorChannel::TruthSkeleton)
+        }
+        Ok(Topic::Stage { .. }) => false,
+        Err(_) => topic.ends_with("/truth/skeleton"),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// Every topic, with what it must parse to.
+    fn all() -> Vec<(&'static str, Topic<'static>)> {
+        let of_stage = |text, channel| (text, Topic::Stage { stage: "s", channel });
+        let of_actor = |text, channel| (text, Topic::Actor { stage: "s", actor: "a", channel });
+        vec![
+            of_stage("mocap/s/rig", StageChannel::Rig),
+            of_stage("mocap/s/events", StageChannel::Events),
+            of_stage("mocap/s/camera/c/keypoints", StageChannel::Keypoints { camera: "c" }),
+            of_actor("mocap/s/actor/a/skeleton", ActorChannel::Skeleton),
+            of_actor("mocap/s/actor/a/status", ActorChannel::Status),
+            of_actor("mocap/s/actor/a/events", ActorChannel::Events),
+            of_actor("mocap/s/actor/a/keyframe", ActorChannel::Keyframe),
+            of_actor("mocap/s/actor/a/pose", ActorChannel::Pose),
+            of_actor("mocap/s/actor/a/pose/provisional", ActorChannel::Provisional),
+            of_actor("mocap/s/actor/a/journal", ActorChannel::Journal),
+            of_actor("mocap/s/actor/a/retargeted/r", ActorChannel::Retargeted { name: "r" }),
+            of_actor("mocap/s/actor/a/truth", ActorChannel::Truth),
+            of_actor("mocap/s/actor/a/truth/skeleton", ActorChannel::TruthSkeleton),
+        ]
+    }
+
     #[test]
-    fn only_the_two_topics_of_truth_are_truth() {
+    fn every_topic_is_printed_as_it_is_read() {
+        for (text, topic) in all() {
+            assert_eq!(Topic::parse(text), Ok(topic));
+            assert_eq!(topic.to_string(), text);
+            assert_eq!(topic.stage(), "s");
+        }
+        let topics = Topics::new("s", "a").unwrap();
+        for text in topics.outputs() {
+            assert!(all().iter().any(|(known, _)| *known == text), "{text}");
+        }
+        let status = topics.status();
+        assert_eq!(Topic::parse(&status).unwrap().topics(), Some(topics));
+    }
+
+    #[test]
+    fn what_is_no_topic_is_refused() {
+        for text in [
+            "",
+            "mocap",
+            "mocap/s",
+            "mocap//rig",
+            "mocap/s/rig/",
+            "mocap/s/status",
+            "mocap/s/skeleton",
+            "mocap/s/camera/c",
+            "mocap/s/camera//keypoints",
+            "mocap/s/camera/c/d/keypoints",
+            "mocap/s/actor/a",
+            "mocap/s/actor/a/",
+            "mocap/s/actor//pose",
+            "mocap/s/actor/a/retargeted/",
+            "mocap/s/actor/a/retargeted/r/t",
+            "mocap/s/actor/a/pose/final",
+            "other/s/rig",
+        ] {
+            let error = Topic::parse(text).unwrap_err();
+            assert!(error.to_string().contains(&format!("{text:?}")), "{error}");
+        }
+    }
+
+    #[test]
+    fn names_with_slashes_blanks_or_stars_are_refused() {
+        for name in ["", "my stage/1", "a b", "a/b", "*", "größe", "a?"] {
+            let error = Topics::new(name, "actor").unwrap_err().to_string();
+            assert!(error.contains(&format!("{name:?}")) && error.contains("letters"), "{error}");
+            assert!(Topics::new("stage", name).is_err());
+        }
+        assert!(valid_name("stage-1_b.2").is_ok());
+    }
+
+    #[test]
+    fn only_the_topics_of_truth_are_truth() {
+        let truth: Vec<_> = all().into_iter().filter(|(text, _)| is_truth(text)).collect();
+        assert_eq!(truth.len(), 2);
+        assert!(truth.iter().all(|(text, _)| text.contains("/truth")));
+        assert!(is_truth("mocap/stage/truth/skeleton"));
+        assert!(!is_truth("mocap/stage/actor/truth/pose") && !is_truth("mocap/truth/rig"));
+    }
+
+    #[test]
+    fn events_go_to_the_performer_or_to_the_stage() {
         let topics = Topics::default();
-        assert!(is_truth(&topics.truth()) && is_truth(&topics.truth_skeleton()));
-        let others = [topics.pose(), topics.skeleton(), topics.keypoints("a"), topics.rig()];
-        assert!(!others.iter().any(|topic| is_truth(topic)));
-        assert_eq!(topics.pose(), "mocap/stage/actor/actor/pose");
+        assert_eq!(topics.events(EventKind::Lost), "mocap/stage/actor/actor/events");
+        assert_eq!(topics.events(EventKind::Late), "mocap/stage/events");
     }
 }

@@ -1,4 +1,4 @@
-//! What comes from the bus, in a queue of limited length.
+//! Messages from the bus, in a queue of limited length.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 
-use crate::cli::clock::wall_clock;
 use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Guard, Sample};
+use crate::live::WallClock;
 
 /// Most messages that wait.
 const MESSAGES: usize = 16_384;
@@ -19,20 +19,20 @@ const BYTES: usize = 256 << 20;
 #[derive(Clone, Debug)]
 pub(crate) struct Received {
     pub(crate) sample: Sample,
-    /// When it came, by the wall clock.
+    /// When it came, nanoseconds since 1970.
     pub(crate) arrival: Timestamp,
 }
 
 /// A subscription whose messages wait in a queue; those that come while it is full are dropped and
 /// counted.
 pub(crate) struct Inbox {
-    guard: Option<Box<dyn Guard>>,
+    guards: Vec<Box<dyn Guard>>,
     queue: Receiver<Received>,
     count: Arc<Count>,
 }
 
-#[derive(Default)]
 struct Count {
+    clock: WallClock,
     waiting_bytes: AtomicUsize,
     dropped: AtomicU64,
 }
@@ -40,21 +40,33 @@ struct Count {
 impl Inbox {
     /// Subscribes to the topics that match.
     pub(crate) fn open(bus: &dyn Bus, pattern: &str) -> Result<Self, BusError> {
-        Self::of_size(bus, pattern, MESSAGES, BYTES)
+        Self::of_size(bus, &[pattern], MESSAGES, BYTES)
+    }
+
+    /// Subscribes to the topics that match one of the patterns.
+    pub(crate) fn open_all(bus: &dyn Bus, patterns: &[String]) -> Result<Self, BusError> {
+        let patterns: Vec<&str> = patterns.iter().map(String::as_str).collect();
+        Self::of_size(bus, &patterns, MESSAGES, BYTES)
     }
 
     pub(crate) fn of_size(
         bus: &dyn Bus,
-        pattern: &str,
+        patterns: &[&str],
         messages: usize,
         bytes: usize,
     ) -> Result<Self, BusError> {
         let (sender, queue) = bounded(messages);
-        let count = Arc::new(Count::default());
-        let shared = Arc::clone(&count);
-        let sink = move |sample| shared.take(sample, &sender, bytes);
-        let guard = bus.subscribe(pattern, Box::new(sink))?;
-        Ok(Self { guard: Some(guard), queue, count })
+        let count = Arc::new(Count {
+            clock: WallClock::start(),
+            waiting_bytes: AtomicUsize::new(0),
+            dropped: AtomicU64::new(0),
+        });
+        let subscribe = |pattern: &&str| {
+            let (shared, sender) = (Arc::clone(&count), sender.clone());
+            bus.subscribe(pattern, Box::new(move |sample| shared.take(sample, &sender, bytes)))
+        };
+        let guards = patterns.iter().map(subscribe).collect::<Result<_, _>>()?;
+        Ok(Self { guards, queue, count })
     }
 
     /// The next message, waiting for it no longer than that.
@@ -66,7 +78,7 @@ impl Inbox {
 
     /// Takes no more messages; those that wait can still be had.
     pub(crate) fn close(&mut self) {
-        self.guard = None;
+        self.guards.clear();
     }
 
     /// Messages that were dropped.
@@ -79,7 +91,7 @@ impl Count {
     fn take(&self, sample: Sample, queue: &Sender<Received>, most_bytes: usize) {
         let bytes = sample.payload.len();
         let waiting = self.waiting_bytes.fetch_add(bytes, Ordering::AcqRel);
-        let received = Received { sample, arrival: wall_clock() };
+        let received = Received { sample, arrival: self.clock.now() };
         // A message that alone is larger than the limit still passes an empty queue.
         let is_full = waiting > 0 && waiting + bytes > most_bytes;
         if is_full || queue.try_send(received).is_err() {

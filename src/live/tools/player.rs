@@ -3,11 +3,19 @@
 use prost::Name as _;
 
 use super::take::{Due, Take, What};
-use crate::cli::clock::Clock;
 use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Publisher};
 use crate::io::wire::{KeypointFrame, Rig, Topics, media_type};
 use crate::live::tools::{Disturbance, Disturbed};
+
+/// A clock to play by.
+pub(crate) trait Clock {
+    /// Nanoseconds since 1970.
+    fn now(&self) -> Timestamp;
+
+    /// Waits until that time; false if the wait was stopped before.
+    fn wait_until(&self, time: Timestamp) -> bool;
+}
 
 /// How a recording is played.
 #[derive(Clone, Copy, Debug)]
@@ -16,13 +24,13 @@ pub(crate) struct Playing {
     pub(crate) start: Timestamp,
     /// Seconds of the recording in a second.
     pub(crate) speed: f64,
-    /// Whether payloads are left as they are.
+    /// Whether payloads are sent unchanged, with their recorded capture times.
     pub(crate) keep_times: bool,
-    /// Whether it goes on from the beginning at the end.
+    /// Whether the recording begins again after its end.
     pub(crate) repeat: bool,
     /// Whether the calibration is sent.
     pub(crate) rig: bool,
-    /// What happens to frames on their way.
+    /// How frames are disturbed.
     pub(crate) disturbance: Disturbance,
 }
 
@@ -35,7 +43,7 @@ pub(crate) struct Sent {
     pub(crate) rigs: u64,
     /// Bytes of payload.
     pub(crate) bytes: u64,
-    /// What was done to frames.
+    /// Frames that were disturbed.
     pub(crate) disturbed: Disturbed,
     /// The longest time after its due time that a frame was sent, ns.
     pub(crate) worst_late_ns: i64,
@@ -50,8 +58,8 @@ impl Sent {
     }
 }
 
-/// Sends a take until its end or until `clock` says that an end is wished for. `each` is told what
-/// was sent so far.
+/// Sends a take until its end or until a wait of `clock` is stopped. `each` is called with the counts
+/// so far after each message.
 pub(crate) fn play(
     take: &Take,
     how: &Playing,
@@ -273,7 +281,7 @@ mod tests {
         let (samples, _) = played(&of(&path, &["b"]), &how(), u64::MAX);
         let times = samples[1..].iter().map(|s| (s.capture - how().start) / PERIOD);
         assert_eq!(times.collect::<Vec<_>>(), [1, 3]);
-        let error = Take::read(&path.1, &["c".to_owned()]).unwrap_err().line();
+        let error = Take::read(&path.1, &["c".to_owned()]).unwrap_err().to_string();
         assert!(error.contains("\"c\"") && error.contains("a, b"), "{error}");
     }
 

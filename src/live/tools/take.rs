@@ -1,17 +1,14 @@
 //! A recording as its cameras would send it.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use prost::Name as _;
 
-use crate::cli::failure::{Exit, Failure};
-use crate::cli::terminal::complain;
 use crate::core::time::Timestamp;
-use crate::io::recording::{Message, RawEntry, Reader};
+use crate::io::recording::{Message, RawEntry, Reader, RecordError, Report};
 use crate::io::wire::{self, KeypointFrame, decode, encode};
 use crate::live::tools::{Disturbance, Disturbed};
-use crate::offline::figures::losses;
 
 /// A frame that was captured up to this much before one that came earlier was out of order, and is
 /// sent after it; ns. One that was captured even earlier has another clock.
@@ -48,6 +45,33 @@ struct Frame {
     payload: Vec<u8>,
 }
 
+/// Why a recording cannot be played.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum TakeError {
+    /// The recording cannot be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// A recording without keypoints.
+    #[error(
+        "{path} holds no keypoints to play; give a recording of `bundlemocap import`, `synth` or \
+         `record`"
+    )]
+    NoKeypoints {
+        /// The recording.
+        path: PathBuf,
+    },
+    /// A camera that the recording does not have.
+    #[error("{path} has no keypoints of a camera {name:?}, but of {known}")]
+    UnknownCamera {
+        /// The recording.
+        path: PathBuf,
+        /// The name asked for.
+        name: String,
+        /// The cameras of the recording, with commas between.
+        known: String,
+    },
+}
+
 /// Something to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Due {
@@ -66,8 +90,9 @@ pub(crate) enum What {
 }
 
 impl Take {
-    /// Reads a recording; of its cameras only those named, all if none are.
-    pub(crate) fn read(path: &Path, only: &[String]) -> Result<Self, Failure> {
+    /// Reads a recording; of its cameras only those named, all if none are. With it the damage of
+    /// the recording.
+    pub(crate) fn read(path: &Path, only: &[String]) -> Result<(Self, Report), TakeError> {
         let mut reader = Reader::open(path)?;
         let mut gathered = Gathered::default();
         while let Some(raw) = reader.next_raw() {
@@ -76,30 +101,18 @@ impl Take {
                 reader.reject(&raw.topic, &error);
             }
         }
-        for lost in losses(reader.report()) {
-            complain("warning", &format!("{}: {lost}", path.display()));
-        }
         if gathered.cameras.is_empty() {
-            let message = format!(
-                "{} holds no keypoints to play; give a recording from `bundlemocap import`, `synth` \
-                 or `record`",
-                path.display()
-            );
-            return Err(Failure::new(Exit::NotOurs, message));
+            return Err(TakeError::NoKeypoints { path: path.to_owned() });
         }
-        gathered.take().of_cameras(path, only)
+        Ok((gathered.take().of_cameras(path, only)?, reader.report().clone()))
     }
 
-    fn of_cameras(mut self, path: &Path, only: &[String]) -> Result<Self, Failure> {
+    fn of_cameras(mut self, path: &Path, only: &[String]) -> Result<Self, TakeError> {
         let has = |name: &&String| self.cameras.iter().any(|camera| camera.name == **name);
         if let Some(unknown) = only.iter().find(|name| !has(name)) {
             let names: Vec<&str> = self.cameras.iter().map(|camera| camera.name.as_str()).collect();
-            let names = names.join(", ");
-            let message = format!(
-                "{} has no keypoints of a camera {unknown:?}, but of {names}",
-                path.display()
-            );
-            return Err(Failure::new(Exit::CameraMismatch, message));
+            let (path, name, known) = (path.to_owned(), unknown.clone(), names.join(", "));
+            return Err(TakeError::UnknownCamera { path, name, known });
         }
         self.cameras.retain(|camera| only.is_empty() || only.contains(&camera.name));
         Ok(self)
@@ -289,7 +302,7 @@ pub(crate) mod tests {
 
     pub(crate) fn of(file: &(tempfile::TempDir, PathBuf), only: &[&str]) -> Take {
         let only: Vec<String> = only.iter().map(|name| (*name).to_owned()).collect();
-        Take::read(&file.1, &only).unwrap()
+        Take::read(&file.1, &only).unwrap().0
     }
 
     #[test]

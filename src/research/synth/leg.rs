@@ -1,9 +1,9 @@
 //! Two-bone inverse kinematics of a leg with a given foot placement.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::curves::soft_min;
-use crate::core::body::{Attachment, Joint, Pose, Skeleton};
+use crate::core::body::{Attachment, BODY_JOINTS, Joint, Pose, Skeleton};
 use crate::core::detections::Keypoint;
 
 /// Side of the body.

@@ -3,7 +3,6 @@
 use std::ops::Range;
 use std::thread;
 
-use nalgebra::SVector;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 

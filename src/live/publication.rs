@@ -1,0 +1,66 @@
+//! What the core publishes: typed messages. The outlet encodes them, once.
+
+use std::sync::Arc;
+
+use crate::core::time::Timestamp;
+use crate::io::wire::{Event, Journal, Keyframe, Pose, Rig, Schema, Skeleton, Status, encode};
+
+/// A message to publish.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Publication {
+    /// Where.
+    pub topic: Arc<str>,
+    /// The capture time that it is about.
+    pub capture: Timestamp,
+    /// When to publish it, on the node's clock; `None`: at once.
+    pub due: Option<Timestamp>,
+    /// The message.
+    pub content: Content,
+}
+
+/// A message of the node.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Content {
+    /// Something that happened.
+    Event(Event),
+    /// Counters.
+    Status(Box<Status>),
+    /// The calibration, from a file.
+    Rig(Rig),
+    /// The body.
+    Skeleton(Skeleton),
+    /// A final or provisional pose.
+    Pose(Pose),
+    /// A solved keyframe.
+    Keyframe(Keyframe),
+    /// Inputs of the node.
+    Journal(Journal),
+}
+
+impl Content {
+    /// Full name of the schema.
+    pub fn schema(&self) -> &'static str {
+        match self {
+            Self::Event(_) => Event::FULL_NAME,
+            Self::Status(_) => Status::FULL_NAME,
+            Self::Rig(_) => Rig::FULL_NAME,
+            Self::Skeleton(_) => Skeleton::FULL_NAME,
+            Self::Pose(_) => Pose::FULL_NAME,
+            Self::Keyframe(_) => Keyframe::FULL_NAME,
+            Self::Journal(_) => Journal::FULL_NAME,
+        }
+    }
+
+    /// The bytes of the message.
+    pub fn encode(&self) -> Vec<u8> {
+        match self {
+            Self::Event(message) => encode(message),
+            Self::Status(message) => encode(&**message),
+            Self::Rig(message) => encode(message),
+            Self::Skeleton(message) => encode(message),
+            Self::Pose(message) => encode(message),
+            Self::Keyframe(message) => encode(message),
+            Self::Journal(message) => encode(message),
+        }
+    }
+}
