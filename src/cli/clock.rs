@@ -8,6 +8,7 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 
 use super::failure::{Exit, Failure};
 use crate::core::time::Timestamp;
+use crate::live::tools::player::Clock;
 
 /// A wish to stop is seen within this time.
 pub(crate) const ATTENTION: Duration = Duration::from_millis(20);
@@ -42,15 +43,6 @@ impl Stop {
     pub(crate) fn is_set(&self) -> bool {
         self.0.load(Ordering::Acquire)
     }
-}
-
-/// A clock to play by.
-pub(crate) trait Clock {
-    /// Nanoseconds since 1970.
-    fn now(&self) -> Timestamp;
-
-    /// Waits until that time; false if an end is wished for before.
-    fn wait_until(&self, time: Timestamp) -> bool;
 }
 
 /// The wall clock when this was made, and steady from there on.

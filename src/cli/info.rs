@@ -9,7 +9,6 @@ use super::Ended;
 use super::failure::{Exit, Failure};
 use super::terminal::{say, table};
 use crate::io::recording::{Info, METADATA, scan, summary};
-use crate::offline::figures::losses;
 
 /// Show what a recording holds.
 #[derive(Debug, Args)]
@@ -60,7 +59,7 @@ fn rows(info: &Info) -> Vec<(String, String)> {
             row(key.clone(), value.clone());
         }
     }
-    for lost in losses(&info.report) {
+    for lost in info.report.losses() {
         row("damage".into(), lost);
     }
     rows
@@ -82,7 +81,7 @@ fn object(info: &Info) -> Value {
         "cameras": cameras.collect::<serde_json::Map<_, _>>(),
         "topics": topics.collect::<serde_json::Map<_, _>>(),
         "metadata": info.metadata.get(METADATA),
-        "damage": losses(&info.report),
+        "damage": info.report.losses(),
         "checked": info.scanned,
     })
 }

@@ -7,12 +7,12 @@ use clap::Args;
 
 use super::Ended;
 use super::bus::{BusArguments, open, topics};
-use super::clock::{Clock, SteadyClock, Stop};
+use super::clock::{SteadyClock, Stop};
 use super::failure::{Exit, Failure};
-use super::terminal::{progress, say, table, ticker};
+use super::terminal::{complain, progress, say, table, ticker};
 use crate::core::time::Timestamp;
 use crate::live::tools::Disturbance;
-use crate::live::tools::player::{Playing, Sent, play};
+use crate::live::tools::player::{Clock, Playing, Sent, play};
 use crate::live::tools::take::Take;
 
 /// Time between opening the bus and the first frame, so that everybody knows of everybody.
@@ -119,6 +119,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let disturbance = arguments.network.disturbance()?;
     let config = arguments.bus.settings()?;
     let take = Take::read(&arguments.file, &arguments.camera)?;
+    for lost in &take.losses {
+        complain("warning", &format!("{}: {lost}", arguments.file.display()));
+    }
     let bus = open(&config)?;
     let clock = SteadyClock::new(Stop::on_signals()?);
     let how = Playing {

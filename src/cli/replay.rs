@@ -14,7 +14,6 @@ use crate::core::tracker::Solver;
 use crate::io::recording::{Provenance, RawEntry, Reader, Writer};
 use crate::io::wire::{ENCODING, JournalStart, Pose, Topics, decode};
 use crate::live::{Recorded, ReplayError, Replayed, Settings, platform, replay};
-use crate::offline::figures::losses;
 
 /// Run the node's machine again on what it was told in a recording.
 #[derive(Debug, Args)]
@@ -80,7 +79,7 @@ fn read(path: &Path) -> Result<Vec<Recorded>, Failure> {
         let RawEntry { topic, schema, log_time, publish_time, payload, .. } = entry?;
         messages.push(Recorded { time: log_time, capture: publish_time, topic, schema, payload });
     }
-    for lost in losses(reader.report()) {
+    for lost in reader.report().losses() {
         complain("warning", &format!("{}: {lost}", path.display()));
     }
     Ok(messages)

@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 
-use crate::cli::clock::wall_clock;
 use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Guard, Sample};
+use crate::live::wall::WallClock;
 
 /// Most messages that wait.
 const MESSAGES: usize = 16_384;
@@ -52,7 +52,10 @@ impl Inbox {
         let (sender, queue) = bounded(messages);
         let count = Arc::new(Count::default());
         let shared = Arc::clone(&count);
-        let sink = move |sample| shared.take(sample, &sender, bytes);
+        let clock = WallClock::start();
+        let sink = move |sample| {
+            shared.take(Received { sample, arrival: clock.now() }, &sender, bytes);
+        };
         let guard = bus.subscribe(pattern, Box::new(sink))?;
         Ok(Self { guard: Some(guard), queue, count })
     }
@@ -76,10 +79,9 @@ impl Inbox {
 }
 
 impl Count {
-    fn take(&self, sample: Sample, queue: &Sender<Received>, most_bytes: usize) {
-        let bytes = sample.payload.len();
+    fn take(&self, received: Received, queue: &Sender<Received>, most_bytes: usize) {
+        let bytes = received.sample.payload.len();
         let waiting = self.waiting_bytes.fetch_add(bytes, Ordering::AcqRel);
-        let received = Received { sample, arrival: wall_clock() };
         // A message that alone is larger than the limit still passes an empty queue.
         let is_full = waiting > 0 && waiting + bytes > most_bytes;
         if is_full || queue.try_send(received).is_err() {

@@ -3,11 +3,19 @@
 use prost::Name as _;
 
 use super::take::{Due, Take, What};
-use crate::cli::clock::Clock;
 use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Publisher};
 use crate::io::wire::{KeypointFrame, Rig, Topics, media_type};
 use crate::live::tools::{Disturbance, Disturbed};
+
+/// A clock to play by.
+pub(crate) trait Clock {
+    /// Nanoseconds since 1970.
+    fn now(&self) -> Timestamp;
+
+    /// Waits until that time; false if the user wants to stop before.
+    fn wait_until(&self, time: Timestamp) -> bool;
+}
 
 /// How a recording is played.
 #[derive(Clone, Copy, Debug)]
@@ -273,7 +281,7 @@ mod tests {
         let (samples, _) = played(&of(&path, &["b"]), &how(), u64::MAX);
         let times = samples[1..].iter().map(|s| (s.capture - how().start) / PERIOD);
         assert_eq!(times.collect::<Vec<_>>(), [1, 3]);
-        let error = Take::read(&path.1, &["c".to_owned()]).unwrap_err().line();
+        let error = Take::read(&path.1, &["c".to_owned()]).unwrap_err().to_string();
         assert!(error.contains("\"c\"") && error.contains("a, b"), "{error}");
     }
 

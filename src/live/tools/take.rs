@@ -1,17 +1,14 @@
 //! A recording as its cameras would send it.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use prost::Name as _;
 
-use crate::cli::failure::{Exit, Failure};
-use crate::cli::terminal::complain;
 use crate::core::time::Timestamp;
-use crate::io::recording::{Message, RawEntry, Reader};
+use crate::io::recording::{Message, RawEntry, Reader, RecordError};
 use crate::io::wire::{self, KeypointFrame, decode, encode};
 use crate::live::tools::{Disturbance, Disturbed};
-use crate::offline::figures::losses;
 
 /// A frame that was captured up to this much before one that came earlier was out of order, and is
 /// sent after it; ns. One that was captured even earlier has another clock.
@@ -19,12 +16,28 @@ const OUT_OF_ORDER_NS: i64 = 1_000_000_000;
 /// Frame period of a recording of one frame, ns.
 const FALLBACK_PERIOD_NS: i64 = 16_666_667;
 
+/// Why a recording cannot be played.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum TakeError {
+    #[error(transparent)]
+    Recording(#[from] RecordError),
+    #[error(
+        "{} holds no keypoints to play; give a recording from `bundlemocap import`, `synth` or \
+         `record`", path.display()
+    )]
+    NoKeypoints { path: PathBuf },
+    #[error("{} has no keypoints of a camera {camera:?}, but of {known}", path.display())]
+    NoSuchCamera { path: PathBuf, camera: String, known: String },
+}
+
 /// The frames of a recording, all in memory.
 #[derive(Debug, Default)]
 pub(crate) struct Take {
     /// Calibrations with the capture time from which they hold; the first one holds from the start.
     rigs: Vec<(i64, Vec<u8>)>,
     pub(crate) cameras: Vec<CameraFrames>,
+    /// What was lost of the file, a line each.
+    pub(crate) losses: Vec<String>,
     /// First and last capture time of all cameras, ns.
     span: [i64; 2],
     /// Mean frame period of the fastest camera, ns.
@@ -67,7 +80,7 @@ pub(crate) enum What {
 
 impl Take {
     /// Reads a recording; of its cameras only those named, all if none are.
-    pub(crate) fn read(path: &Path, only: &[String]) -> Result<Self, Failure> {
+    pub(crate) fn read(path: &Path, only: &[String]) -> Result<Self, TakeError> {
         let mut reader = Reader::open(path)?;
         let mut gathered = Gathered::default();
         while let Some(raw) = reader.next_raw() {
@@ -76,30 +89,19 @@ impl Take {
                 reader.reject(&raw.topic, &error);
             }
         }
-        for lost in losses(reader.report()) {
-            complain("warning", &format!("{}: {lost}", path.display()));
-        }
         if gathered.cameras.is_empty() {
-            let message = format!(
-                "{} holds no keypoints to play; give a recording from `bundlemocap import`, `synth` \
-                 or `record`",
-                path.display()
-            );
-            return Err(Failure::new(Exit::NotOurs, message));
+            return Err(TakeError::NoKeypoints { path: path.to_owned() });
         }
-        gathered.take().of_cameras(path, only)
+        let losses = reader.report().losses();
+        Self { losses, ..gathered.take() }.of_cameras(path, only)
     }
 
-    fn of_cameras(mut self, path: &Path, only: &[String]) -> Result<Self, Failure> {
+    fn of_cameras(mut self, path: &Path, only: &[String]) -> Result<Self, TakeError> {
         let has = |name: &&String| self.cameras.iter().any(|camera| camera.name == **name);
         if let Some(unknown) = only.iter().find(|name| !has(name)) {
             let names: Vec<&str> = self.cameras.iter().map(|camera| camera.name.as_str()).collect();
-            let names = names.join(", ");
-            let message = format!(
-                "{} has no keypoints of a camera {unknown:?}, but of {names}",
-                path.display()
-            );
-            return Err(Failure::new(Exit::CameraMismatch, message));
+            let (path, camera, known) = (path.to_owned(), unknown.clone(), names.join(", "));
+            return Err(TakeError::NoSuchCamera { path, camera, known });
         }
         self.cameras.retain(|camera| only.is_empty() || only.contains(&camera.name));
         Ok(self)
@@ -222,6 +224,7 @@ impl Gathered {
             cameras: self.cameras.into_iter().map(CameraFrames::new).collect(),
             span: [first, last],
             period,
+            losses: Vec::new(),
         }
     }
 }
