@@ -13,6 +13,11 @@ use crate::io::recording::{Info, METADATA, scan, summary};
 /// Show what a recording holds.
 #[derive(Debug, Args)]
 #[command(after_help = "\
+With --json: seconds (first to last message), bytes (of the file), rig (names of the calibrated
+cameras), cameras (by name: format, image_size [width, height] in pixels), topics (by name: schema,
+count, rate_hz or null), metadata (version, config, weights, command or null), damage (a text for
+each loss), checked (true if the whole file was read).
+
 Examples:
   bundlemocap info balancing.mcap
   bundlemocap info balancing.mcap --check       read all of it, and say where it is damaged

@@ -68,6 +68,12 @@ impl From<RetargetError> for Failure {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
+    if let Some(out) = &arguments.out
+        && is_same_file(out, &arguments.skeleton)
+    {
+        let message = format!("--out {} is the --skeleton; choose another name", out.display());
+        return Err(Failure::new(Exit::Usage, message));
+    }
     let map = arguments.map.as_deref().map(Map::read).transpose()?.unwrap_or_default();
     let target = Target::read(&arguments.skeleton, &map)?;
     let mut retarget = Retarget::new(target, &map)?;
@@ -78,6 +84,11 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         }
         _ => live(&mut retarget, arguments),
     }
+}
+
+/// Whether two paths lead to the same file that is there.
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 /// One line: how the skeleton is understood.

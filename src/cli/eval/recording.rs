@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde_json::json;
 
-use super::Arguments;
+use super::arguments::Arguments;
 use super::output::write;
 use crate::cli::failure::{Exit, Failure};
 use crate::cli::solve::decoder;
