@@ -261,6 +261,15 @@ mod tests {
     }
 
     #[test]
+    fn the_papers_file_holds_the_papers_settings() {
+        let paper = Config { tracker: tracker::Config::paper(), ..Config::default() };
+        let text = include_str!("../config/paper.toml");
+        assert_eq!(parse(text), Ok(paper));
+        let keys = |text: &str| text.lines().filter(|line| line.contains(" = ")).count();
+        assert_eq!(keys(text), keys(DEFAULT_TOML));
+    }
+
+    #[test]
     fn numbers_out_of_range_are_named_with_what_is_allowed() {
         let refused = |table: &str, key: &str, value: &str, allowed: &str| {
             let error = parse(&format!("[{table}]\n{key} = {value}\n")).unwrap_err();

@@ -74,13 +74,6 @@ impl Failure {
         Self { exit, message: message.into() }
     }
 
-    /// A file that cannot be written.
-    pub(crate) fn write(path: &Path, source: &std::io::Error) -> Self {
-        let path = path.display();
-        let fix = "check that the folder exists, is writable and has room";
-        Self::new(Exit::Unexpected, format!("cannot write {path}: {source}; {fix}"))
-    }
-
     /// Weights that cannot be used.
     pub(crate) fn weights(path: &Path, source: &WeightsError) -> Self {
         Self::new(Exit::Weights, format!("{}: {source}", path.display()))
