@@ -105,9 +105,17 @@ impl Config {
             return Some(("node.output_rate_hz", rate, "0 (the cameras') or 1 to 1000"));
         }
         let mut limits = self.counts().into_iter().chain(self.weights());
-        let (key, value, _, allowed) =
-            limits.find(|(_, value, range, _)| !range.contains(value))?;
-        Some((key, value, allowed))
+        let wrong = limits.find(|(_, value, range, _)| !range.contains(value));
+        wrong.map(|(key, value, _, allowed)| (key, value, allowed)).or_else(|| self.misfit())
+    }
+
+    /// Published frames that do not fit the window and its keyframes.
+    fn misfit(&self) -> Option<(&'static str, f64, &'static str)> {
+        let tracker::Config { window_frames, keyframe_frames, publish_frames, .. } = self.tracker;
+        let fits =
+            publish_frames <= window_frames && publish_frames.is_multiple_of(keyframe_frames);
+        let allowed = "a multiple of tracker.keyframe_frames, at most tracker.window_frames";
+        (!fits).then_some(("tracker.publish_frames", publish_frames as f64, allowed))
     }
 
     fn counts(&self) -> [Limit; 13] {
@@ -239,6 +247,26 @@ mod tests {
         let negative = parse("[tracker.cost]\nscale_px = -1.0\n").unwrap_err();
         assert!(negative.contains("tracker.cost.scale_px is -1"), "{negative}");
         assert!(!kind.contains('\n') && !unknown.contains('\n'));
+    }
+
+    #[test]
+    fn published_frames_fit_the_window_and_its_keyframes() {
+        for text in ["publish_frames = 11", "keyframe_frames = 2", "window_frames = 4"] {
+            let error = parse(&format!("[tracker]\n{text}\n")).unwrap_err();
+            assert!(error.contains("tracker.publish_frames is "), "{error}");
+            assert!(error.ends_with("tracker.keyframe_frames, at most tracker.window_frames"));
+        }
+        let paper = Config { tracker: tracker::Config::paper(), ..Config::default() };
+        assert_eq!(parse(&paper.to_toml()), Ok(paper));
+    }
+
+    #[test]
+    fn the_papers_file_holds_the_papers_settings() {
+        let paper = Config { tracker: tracker::Config::paper(), ..Config::default() };
+        let text = include_str!("../config/paper.toml");
+        assert_eq!(parse(text), Ok(paper));
+        let keys = |text: &str| text.lines().filter(|line| line.contains(" = ")).count();
+        assert_eq!(keys(text), keys(DEFAULT_TOML));
     }
 
     #[test]

@@ -14,7 +14,6 @@ use crate::core::body::Skeleton;
 use crate::core::manifold::Decoder;
 use crate::io::recording::{Message, Provenance, Reader, Writer};
 use crate::io::wire::{self, StampedKeyframe, Topic, Topics};
-use crate::offline::figures::losses;
 
 /// Decode the poses of a recording from its keyframes alone.
 #[derive(Debug, Args)]
@@ -72,7 +71,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let performer = performers.entry(entry.topic.clone()).or_default();
         performer.decode(&entry.topic, keyframe, &decoder, &mut writer, &mut decoded)?;
     }
-    let lost = losses(reader.report());
+    let lost = reader.report().losses();
     if decoded.keyframes == 0 {
         return Err(without_keyframes(&arguments.file, &lost));
     }

@@ -9,10 +9,10 @@ use super::failure::{Exit, Failure};
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
 use crate::io::recording::{Message, Reader};
-use crate::offline::bvh;
-use crate::offline::figures::{frame_rate, losses};
-use crate::offline::kept::KeptPose;
+use crate::offline::bvh::BvhFile;
+use crate::offline::compact_pose::CompactPose;
 use crate::offline::output::{strip, text};
+use crate::offline::poses::frame_rate;
 
 /// Write the poses of a solved recording for other tools.
 #[derive(Debug, Args)]
@@ -42,7 +42,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let Solved { skeleton, poses, damage } = read(&arguments.file, arguments.truth)?;
     let fps = frame_rate(&poses).unwrap_or(60.0);
     if let Some(path) = &arguments.bvh {
-        let frames = bvh::write(path, &poses, &skeleton, fps)?;
+        let frames = write_bvh(path, &poses, &skeleton, fps)?;
         say(&format!("{}: {frames} frames at {fps:.2} Hz", path.display()));
     }
     if let Some(path) = &arguments.picture {
@@ -56,11 +56,25 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     Ok(Exit::InPart)
 }
 
+/// Writes poses, which are in order of capture time, as BVH; the number of frames.
+fn write_bvh(
+    path: &Path,
+    poses: &[CompactPose],
+    skeleton: &Skeleton,
+    fps: f64,
+) -> Result<usize, Failure> {
+    let mut file = BvhFile::create(path, skeleton, fps, None)?;
+    poses.iter().try_for_each(|pose| file.write(pose))?;
+    let (states, unfilled) = file.finish(path)?;
+    unfilled.into_iter().for_each(|text| complain("note", &text));
+    Ok(states.frames())
+}
+
 /// What a solved recording holds.
 pub(super) struct Solved {
     pub(super) skeleton: Skeleton,
     /// In order of capture time, one for each.
-    pub(super) poses: Vec<KeptPose>,
+    pub(super) poses: Vec<CompactPose>,
     /// What was lost of the file.
     pub(super) damage: Vec<String>,
 }
@@ -78,7 +92,7 @@ pub(super) fn read(file: &Path, truth: bool) -> Result<Solved, Failure> {
             // Of a live recording: final poses supersede them.
             (Message::Pose(wire), false) if wire.provisional => Ok(()),
             (Message::Pose(wire), false) | (Message::TruthPose(wire), true) => {
-                wire.to_core().map(|pose| poses.push(KeptPose::from(&pose)))
+                wire.to_core().map(|pose| poses.push(CompactPose::from(&pose)))
             }
             _ => Ok(()),
         };
@@ -86,7 +100,7 @@ pub(super) fn read(file: &Path, truth: bool) -> Result<Solved, Failure> {
             reader.reject(&entry.topic, &error);
         }
     }
-    let damage = losses(reader.report());
+    let damage = reader.report().losses();
     in_order(&mut poses);
     match skeleton.filter(|_| !poses.is_empty()) {
         Some(skeleton) => Ok(Solved { skeleton, poses, damage }),
@@ -103,7 +117,7 @@ pub(super) fn read(file: &Path, truth: bool) -> Result<Solved, Failure> {
 }
 
 /// Sorts by capture time; of poses of the same time, the one that was written last stays.
-pub(super) fn in_order(poses: &mut Vec<KeptPose>) {
+pub(super) fn in_order(poses: &mut Vec<CompactPose>) {
     poses.sort_by_key(|pose| pose.capture);
     poses.dedup_by(|later, kept| {
         let anew = later.capture == kept.capture;
@@ -117,22 +131,13 @@ pub(super) fn in_order(poses: &mut Vec<KeptPose>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::body::{Pose, StampedPose, TrackingState};
-    use crate::core::time::Timestamp;
+    use crate::offline::compact_pose::tests::tracked;
 
     #[test]
     fn poses_are_put_in_order_and_the_newest_of_a_time_stays() {
-        let kept = |(ns, x): (i64, f64)| {
-            let mut pose = Pose::rest();
-            pose.root_position.x = x;
-            let (capture, state) = (Timestamp::from_ns(ns), TrackingState::Tracking);
-            let (window, rig_version, provisional, revision) = (0, 1, false, 0);
-            let stamped =
-                StampedPose { capture, pose, state, window, rig_version, provisional, revision };
-            KeptPose::from(&stamped)
-        };
-        let mut poses: Vec<KeptPose> =
-            [(30, 1.0), (10, 2.0), (20, 3.0), (10, 4.0), (10, 5.0)].map(kept).into();
+        let mut poses: Vec<CompactPose> = [(30, 1.0), (10, 2.0), (20, 3.0), (10, 4.0), (10, 5.0)]
+            .map(|(ns, x)| tracked(ns, x))
+            .into();
         in_order(&mut poses);
         let left = poses.iter().map(|pose| (pose.capture.ns(), pose.pose().root_position.x));
         assert_eq!(left.collect::<Vec<_>>(), [(10, 5.0), (20, 3.0), (30, 1.0)]);

@@ -6,8 +6,10 @@ use crate::config::{ConfigError, is_frame_rate};
 use crate::core::camera::CameraError;
 use crate::core::manifold::WeightsError;
 use crate::io::bus::BusError;
-use crate::io::formats::TrcError;
+use crate::io::formats::{ExportError, TrcError};
 use crate::io::recording::RecordError;
+use crate::live::tools::take::TakeError;
+use crate::offline;
 
 /// Exit codes. The numbers are part of the interface: they are never given another meaning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,13 +74,6 @@ impl Failure {
         Self { exit, message: message.into() }
     }
 
-    /// A file that cannot be written.
-    pub(crate) fn write(path: &Path, source: &std::io::Error) -> Self {
-        let path = path.display();
-        let fix = "check that the folder exists, is writable and has room";
-        Self::new(Exit::Unexpected, format!("cannot write {path}: {source}; {fix}"))
-    }
-
     /// Weights that cannot be used.
     pub(crate) fn weights(path: &Path, source: &WeightsError) -> Self {
         Self::new(Exit::Weights, format!("{}: {source}", path.display()))
@@ -134,6 +129,44 @@ impl From<ConfigError> for Failure {
 impl From<CameraError> for Failure {
     fn from(error: CameraError) -> Self {
         Self::new(Exit::BadCalibration, error.to_string())
+    }
+}
+
+impl From<ExportError> for Failure {
+    fn from(error: ExportError) -> Self {
+        Self::new(Exit::Unexpected, error.to_string())
+    }
+}
+
+impl From<offline::Error> for Failure {
+    fn from(error: offline::Error) -> Self {
+        use offline::Error as E;
+        let exit = match error {
+            E::Recording(error) => return error.into(),
+            E::Export(error) => return error.into(),
+            E::NoKeypoints { .. } | E::NoRig { .. } => Exit::NotOurs,
+            E::KeypointFormat { .. } => Exit::KeypointFormat,
+            E::BadRig { .. } | E::ImageSize { .. } | E::Rig { .. } => Exit::BadCalibration,
+            E::Uncalibrated { .. } | E::NoSuchCamera { .. } | E::SilentCamera { .. } => {
+                Exit::CameraMismatch
+            }
+            E::NobodyFound { .. } => Exit::NobodyFound,
+            E::Weights(_) => Exit::Weights,
+            E::Exists { .. } => Exit::Usage,
+            E::Write { .. } => Exit::Unexpected,
+        };
+        Self::new(exit, error.to_string())
+    }
+}
+
+impl From<TakeError> for Failure {
+    fn from(error: TakeError) -> Self {
+        let exit = match error {
+            TakeError::Recording(error) => return error.into(),
+            TakeError::NoKeypoints { .. } => Exit::NotOurs,
+            TakeError::NoSuchCamera { .. } => Exit::CameraMismatch,
+        };
+        Self::new(exit, error.to_string())
     }
 }
 

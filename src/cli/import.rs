@@ -42,7 +42,7 @@ Example:
   bundlemocap import openpose demo/pose --calibration demo/Calib_qualisys.toml \\
       --fps 60 --format body_25b --out demo.mcap")]
 struct Openpose {
-    /// The folder of folders.
+    /// Folder with one subfolder per camera.
     folder: PathBuf,
     /// Pose2Sim or aniposelib TOML, or Qualisys .qca.txt.
     #[arg(long)]
@@ -56,6 +56,9 @@ struct Openpose {
     /// The recording to write.
     #[arg(long)]
     out: PathBuf,
+    /// Replace the recording if it is there.
+    #[arg(long)]
+    overwrite: bool,
     /// The axis of the calibration's world that points up: y or z.
     #[arg(long, default_value = "z", value_parser = up)]
     up: Up,
@@ -90,6 +93,11 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 }
 
 fn run_openpose(arguments: &Openpose) -> Ended {
+    if arguments.out.exists() && !arguments.overwrite {
+        let fix = "choose another name, or give --overwrite";
+        let message = format!("{} is there; {fix}", arguments.out.display());
+        return Err(Failure::new(Exit::Usage, message));
+    }
     let fps = frame_rate_option(arguments.fps)?;
     let format = keypoint_format(&arguments.format)?;
     let rig = read_calibration(&arguments.calibration, arguments.up)?;

@@ -9,11 +9,15 @@ use super::Ended;
 use super::failure::{Exit, Failure};
 use super::terminal::{say, table};
 use crate::io::recording::{Info, METADATA, scan, summary};
-use crate::offline::figures::losses;
 
 /// Show what a recording holds.
 #[derive(Debug, Args)]
 #[command(after_help = "\
+With --json: seconds (first to last message), bytes (of the file), rig (names of the calibrated
+cameras), cameras (by name: format, image_size [width, height] in pixels), topics (by name: schema,
+count, rate_hz or null), metadata (version, config, weights, command or null), damage (a text for
+each loss), checked (true if the whole file was read).
+
 Examples:
   bundlemocap info balancing.mcap
   bundlemocap info balancing.mcap --check       read all of it, and say where it is damaged
@@ -60,7 +64,7 @@ fn rows(info: &Info) -> Vec<(String, String)> {
             row(key.clone(), value.clone());
         }
     }
-    for lost in losses(&info.report) {
+    for lost in info.report.losses() {
         row("damage".into(), lost);
     }
     rows
@@ -82,7 +86,7 @@ fn object(info: &Info) -> Value {
         "cameras": cameras.collect::<serde_json::Map<_, _>>(),
         "topics": topics.collect::<serde_json::Map<_, _>>(),
         "metadata": info.metadata.get(METADATA),
-        "damage": losses(&info.report),
+        "damage": info.report.losses(),
         "checked": info.scanned,
     })
 }

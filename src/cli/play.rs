@@ -14,7 +14,6 @@ use crate::core::time::Timestamp;
 use crate::live::tools::Disturbance;
 use crate::live::tools::player::{Clock, Playing, Sent, play};
 use crate::live::tools::take::{Take, TakeError};
-use crate::offline::figures::losses;
 
 /// Time between opening the bus and the first frame, in which publishers and subscribers find each
 /// other.
@@ -132,7 +131,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let disturbance = arguments.network.disturbance()?;
     let config = arguments.bus.settings()?;
     let (take, report) = Take::read(&arguments.file, &arguments.camera)?;
-    for lost in losses(&report) {
+    for lost in report.losses() {
         complain("warning", &format!("{}: {lost}", arguments.file.display()));
     }
     let bus = open(&config)?;

@@ -13,7 +13,6 @@ use crate::core::tracker::Solver;
 use crate::io::recording::{Provenance, RawEntry, Reader, Writer};
 use crate::io::wire::{ENCODING, JournalStart, Pose, Topics, decode};
 use crate::live::{Recorded, ReplayError, Replayed, Settings, find_node, platform, replay};
-use crate::offline::figures::losses;
 
 /// Run the node again on its recorded inputs, and compare its outputs.
 #[derive(Debug, Args)]
@@ -86,7 +85,7 @@ fn read(path: &Path) -> Result<Vec<Recorded>, Failure> {
         let RawEntry { topic, schema, log_time, publish_time, payload, .. } = entry?;
         messages.push(Recorded { time: log_time, capture: publish_time, topic, schema, payload });
     }
-    for lost in losses(reader.report()) {
+    for lost in reader.report().losses() {
         complain("warning", &format!("{}: {lost}", path.display()));
     }
     Ok(messages)

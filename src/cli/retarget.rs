@@ -13,9 +13,9 @@ use super::retarget_live::{Live, Served};
 use super::terminal::{complain, note, say};
 use crate::core::body::Skeleton;
 use crate::io::formats::bvh::HierarchyWriter;
-use crate::offline::bvh::fill;
-use crate::offline::figures::frame_rate;
-use crate::offline::kept::KeptPose;
+use crate::offline::bvh::Fill;
+use crate::offline::compact_pose::CompactPose;
+use crate::offline::poses::frame_rate;
 use crate::retarget::{Channels, Convention, Map, Retarget, RetargetError, Target};
 
 /// Put poses on another skeleton, live or from a recording.
@@ -68,6 +68,12 @@ impl From<RetargetError> for Failure {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
+    if let Some(out) = &arguments.out
+        && is_same_file(out, &arguments.skeleton)
+    {
+        let message = format!("--out {} is the --skeleton; choose another name", out.display());
+        return Err(Failure::new(Exit::Usage, message));
+    }
     let map = arguments.map.as_deref().map(Map::read).transpose()?.unwrap_or_default();
     let target = Target::read(&arguments.skeleton, &map)?;
     let mut retarget = Retarget::new(target, &map)?;
@@ -78,6 +84,11 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         }
         _ => live(&mut retarget, arguments),
     }
+}
+
+/// Whether two paths lead to the same file that is there.
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 /// One line: how the skeleton is understood.
@@ -103,16 +114,25 @@ fn offline(retarget: &mut Retarget, from: &Path, out: &Path) -> Ended {
 fn write(
     retarget: &mut Retarget,
     skeleton: &Skeleton,
-    poses: &[KeptPose],
+    poses: &[CompactPose],
     out: &Path,
 ) -> Result<(), Failure> {
     let fps = frame_rate(poses).unwrap_or(60.0);
     let mut writer = HierarchyWriter::create(out, retarget.target().bvh(), fps)?;
-    let mut channels = Channels::default();
-    let frames = fill(out, poses, fps, |pose| {
+    let (mut channels, mut fill) = (Channels::default(), Fill::new(fps));
+    let (mut last, mut frames): (Option<Vec<f64>>, _) = (None, 0);
+    for pose in poses {
+        let gap = fill.gap_before(pose.capture);
+        for _ in 0..gap {
+            last.iter().try_for_each(|values| writer.write(values))?;
+        }
         let figure = retarget.apply(&pose.pose(), skeleton)?;
-        Ok(writer.write(&channels.values(retarget, &figure))?)
-    })?;
+        let values = channels.values(retarget, &figure);
+        writer.write(&values)?;
+        last = Some(values);
+        frames += gap + 1;
+    }
+    fill.note(out).into_iter().for_each(|text| complain("note", &text));
     writer.finish()?;
     let scale = retarget.scale(skeleton);
     say(&format!("{}: {frames} frames at {fps:.2} Hz, scale {scale:.3}", out.display()));

@@ -15,7 +15,7 @@ use crate::io::wire::{
     self, DecodeError, Pose, RetargetedPose, Schema, Topics, decode, encode, media_type, schema_of,
 };
 use crate::live::tools::inbox::{Inbox, Received};
-use crate::offline::kept::KeptPose;
+use crate::offline::compact_pose::CompactPose;
 use crate::retarget::Retarget;
 
 /// Subscriptions to poses and to the body that they are of, and where poses go.
@@ -31,7 +31,7 @@ pub(super) struct Served {
     /// The body, as it was last.
     pub(super) skeleton: Option<Skeleton>,
     /// The poses that were put on the target, as they came, if they were to be kept.
-    pub(super) poses: Vec<KeptPose>,
+    pub(super) poses: Vec<CompactPose>,
     /// Poses that went out.
     pub(super) published: u64,
     /// Poses that came before the body was known.
@@ -127,7 +127,7 @@ impl Live {
             }
         }
         if keep {
-            served.poses.push(KeptPose::from(&stamped));
+            served.poses.push(CompactPose::from(&stamped));
         }
         Ok(())
     }

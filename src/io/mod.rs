@@ -2,7 +2,7 @@
 
 pub mod bus;
 pub mod formats;
-mod new_file;
+pub(crate) mod new_file;
 pub mod recording;
 pub mod report;
 pub mod wire;

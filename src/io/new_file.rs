@@ -1,4 +1,5 @@
-//! A file that appears whole or not at all.
+//! Files that appear whole or not at all: written under a temporary name beside their place, then
+//! renamed. Everything that the program writes at once goes through here.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -6,54 +7,72 @@ use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
 
-use super::formats::ExportError;
-
-/// A file being written beside its destination; dropped unfinished, it is gone.
+/// A file that is being written. Dropped before [`NewFile::finish`], it leaves nothing.
 #[derive(Debug)]
-pub(super) struct NewFile {
+pub(crate) struct NewFile {
     path: PathBuf,
     file: BufWriter<NamedTempFile>,
 }
 
 impl NewFile {
-    pub(super) fn create(path: &Path) -> Result<Self, ExportError> {
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
-        let file = builder().tempfile_in(folder.unwrap_or(Path::new(".")));
-        let file = file.map_err(|source| ExportError::Write { path: path.into(), source })?;
-        Ok(Self { path: path.into(), file: BufWriter::new(file) })
+    /// Begins a file that will be at `path`.
+    pub(crate) fn create(path: &Path) -> io::Result<Self> {
+        Ok(Self { path: path.into(), file: BufWriter::new(temporary(path)?) })
     }
 
-    pub(super) fn path(&self) -> &Path {
+    /// Where the file will be.
+    pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Runs `write` on the file and adds the path to what goes wrong.
-    pub(super) fn write(
-        &mut self,
-        write: impl FnOnce(&mut BufWriter<NamedTempFile>) -> io::Result<()>,
-    ) -> Result<(), ExportError> {
-        write(&mut self.file)
-            .map_err(|source| ExportError::Write { path: self.path.clone(), source })
+    /// The file, to write to and to seek in.
+    pub(crate) fn file(&mut self) -> &mut BufWriter<NamedTempFile> {
+        &mut self.file
     }
 
     /// Puts the file in its place.
-    pub(super) fn finish(mut self) -> Result<File, ExportError> {
-        self.write(|file| file.flush())?;
-        let Self { path, file } = self;
-        let failed = |source| ExportError::Write { path: path.clone(), source };
-        let file = file.into_inner().map_err(|e| failed(e.into_error()))?;
-        file.persist(&path).map_err(|e| failed(e.error))
+    pub(crate) fn finish(self) -> io::Result<File> {
+        let file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
+        file.persist(&self.path).map_err(|error| error.error)
     }
 }
 
-/// Temporary files are private by default; this one becomes an ordinary file.
-fn builder() -> tempfile::Builder<'static, 'static> {
+/// Writes a whole file.
+pub(crate) fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = NewFile::create(path)?;
+    file.file().write_all(bytes)?;
+    file.finish().map(drop)
+}
+
+/// A temporary file in the folder of `path`, with the permissions of an ordinary new file.
+pub(crate) fn temporary(path: &Path) -> io::Result<NamedTempFile> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".bundlemocap-");
+    builder.prefix(".bundlemocap-").suffix(".part");
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
-    builder
+    builder.tempfile_in(folder.unwrap_or(Path::new(".")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_appears_whole_or_not_at_all() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.txt");
+        let names = || std::fs::read_dir(folder.path()).unwrap().count();
+        let mut file = NewFile::create(&path).unwrap();
+        file.file().write_all(b"half").unwrap();
+        assert!(!path.exists());
+        drop(file);
+        assert_eq!(names(), 0);
+        write(&path, b"whole").unwrap();
+        assert_eq!((std::fs::read(&path).unwrap(), names()), (b"whole".to_vec(), 1));
+        assert!(write(&folder.path().join("no/such/folder.txt"), b"").is_err());
+    }
 }

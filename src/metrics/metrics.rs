@@ -3,15 +3,17 @@
 use std::borrow::Borrow;
 
 use nalgebra::{Matrix3, Vector3};
+use serde::Serialize;
 
 use crate::core::body::{JOINTS, Joint, Posture};
 use crate::core::so3;
+use crate::core::time::Timestamp;
 
 /// Distances over which a joint counts as found, metres.
 const PCK: [f64; 2] = [0.03, 0.07];
 
 /// Errors over frames and the 22 joints. With e = |P - P*| of one joint in one frame:
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PoseErrors {
     /// How many frames were compared.
     pub frames: usize,
@@ -29,7 +31,8 @@ pub struct PoseErrors {
     pub pck3_percent: f64,
     /// Share of joints with e <= 7 cm, percent.
     pub pck7_percent: f64,
-    /// Mean of e for each joint, millimetres.
+    /// Mean of e for each joint, millimetres; not serialised.
+    #[serde(skip)]
     pub per_joint_mm: [f64; JOINTS],
 }
 
@@ -38,15 +41,16 @@ pub struct PoseErrors {
 pub fn pose_errors<P: Borrow<Posture>>(
     pairs: impl IntoIterator<Item = (P, P)>,
 ) -> Option<PoseErrors> {
-    let mut sums = Sums::default();
+    let mut sums = PoseErrorSums::default();
     for (estimate, truth) in pairs {
         sums.add(estimate.borrow(), truth.borrow());
     }
-    (sums.frames > 0).then(|| sums.errors())
+    sums.errors()
 }
 
-#[derive(Default)]
-struct Sums {
+/// Adds up [`PoseErrors`], frame by frame.
+#[derive(Clone, Debug, Default)]
+pub struct PoseErrorSums {
     frames: usize,
     per_joint: [f64; JOINTS],
     relative: f64,
@@ -56,8 +60,9 @@ struct Sums {
     within: [usize; 2],
 }
 
-impl Sums {
-    fn add(&mut self, estimate: &Posture, truth: &Posture) {
+impl PoseErrorSums {
+    /// Takes in a frame.
+    pub fn add(&mut self, estimate: &Posture, truth: &Posture) {
         self.frames += 1;
         let shift = truth.positions[0] - estimate.positions[0];
         for (j, sum) in self.per_joint.iter_mut().enumerate() {
@@ -80,10 +85,11 @@ impl Sums {
             .sum::<f64>();
     }
 
-    fn errors(&self) -> PoseErrors {
+    /// The errors over all frames so far; `None` without any.
+    pub fn errors(&self) -> Option<PoseErrors> {
         let frames = self.frames as f64;
         let all = frames * JOINTS as f64;
-        PoseErrors {
+        (self.frames > 0).then(|| PoseErrors {
             frames: self.frames,
             mpjpe_mm: 1e3 * self.per_joint.iter().sum::<f64>() / all,
             mpjpe_root_relative_mm: 1e3 * self.relative / all,
@@ -93,7 +99,7 @@ impl Sums {
             pck3_percent: 100.0 * self.within[0] as f64 / all,
             pck7_percent: 100.0 * self.within[1] as f64 / all,
             per_joint_mm: self.per_joint.map(|sum| 1e3 * sum / frames),
-        }
+        })
     }
 }
 
@@ -105,6 +111,50 @@ fn local(posture: &Posture, joint: Joint, parent: Joint) -> Matrix3<f64> {
 /// gaps at `fps`: |P(t+1) - 2 P(t) + P(t-1)| fps^2. `None` for fewer than three frames.
 pub fn mean_acceleration(postures: &[Posture], fps: f64) -> Option<f64> {
     mean_of_triples(postures.windows(3).map(|triple| acceleration(triple, fps)))
+}
+
+/// The mean of [`mean_acceleration`] over the runs without gaps of a stream of postures, weighted by
+/// their length.
+#[derive(Clone, Debug)]
+pub struct MeanAcceleration {
+    fps: f64,
+    /// The postures of up to three frames in a row.
+    run: Vec<Posture>,
+    last: Option<Timestamp>,
+    sum: f64,
+    count: f64,
+}
+
+impl MeanAcceleration {
+    /// For postures at `fps` frames a second.
+    pub fn new(fps: f64) -> Self {
+        Self { fps, run: Vec::with_capacity(3), last: None, sum: 0.0, count: 0.0 }
+    }
+
+    /// Takes in the next posture in order of time; `None` if that frame has none that can be used.
+    /// More than 1.5 frame periods since the frame before are a gap.
+    pub fn add(&mut self, capture: Timestamp, posture: Option<Posture>) {
+        let longest = (1.5e9 / self.fps) as i64;
+        let gap = self.last.is_some_and(|last| capture - last >= longest);
+        if gap || posture.is_none() {
+            self.run.clear();
+        }
+        self.last = Some(capture);
+        let Some(posture) = posture else { return };
+        if self.run.len() == 3 {
+            self.run.remove(0);
+        }
+        self.run.push(posture);
+        if let Some(mean) = mean_acceleration(&self.run, self.fps) {
+            self.sum += mean;
+            self.count += 1.0;
+        }
+    }
+
+    /// The mean so far, m/s^2; `None` without three frames in a row.
+    pub fn mean(&self) -> Option<f64> {
+        (self.count > 0.0).then(|| self.sum / self.count)
+    }
 }
 
 /// Mean size of the difference between estimated and true acceleration of the joints, m/s^2;

@@ -17,6 +17,8 @@
 //! Over several recordings, means have the intervals of [`mean_interval`].
 
 mod detector_statistics;
+mod distribution;
+mod markers;
 mod metrics;
 mod motion;
 mod reprojection;
@@ -26,7 +28,11 @@ mod trend;
 pub use detector_statistics::{
     ConfidenceBin, DetectorStatistics, DetectorTracks, PointTrack, Seen,
 };
-pub use metrics::{PoseErrors, acceleration_error, mean_acceleration, pose_errors};
+pub use distribution::Distribution;
+pub use markers::{COMPARED, MarkerDistance, MarkerDistances, MarkerPositions};
+pub use metrics::{
+    MeanAcceleration, PoseErrorSums, PoseErrors, acceleration_error, mean_acceleration, pose_errors,
+};
 pub use motion::{FootSkate, VelocityJump, foot_skate, velocity_jump, velocity_jumps};
 pub use reprojection::{ReprojectionErrors, ReprojectionSample};
 pub use trend::{Interval, mean_interval, slope_interval};

@@ -1,11 +1,12 @@
-//! Poses as BVH, which knows no times: frames lie one period apart, so gaps must be filled.
+//! Poses as BVH. The format has no times: frames lie one period apart, so gaps must be filled.
 
+use std::fmt::Write as _;
 use std::path::Path;
 
-use super::kept::KeptPose;
-use crate::cli::failure::Failure;
-use crate::cli::terminal::complain;
-use crate::core::body::Skeleton;
+use super::Error;
+use super::compact_pose::CompactPose;
+use crate::core::body::{Skeleton, TrackingState};
+use crate::core::time::Timestamp;
 use crate::io::formats::bvh::BvhWriter;
 
 /// Most time that is filled in a file, seconds.
@@ -13,113 +14,206 @@ const MOST_FILL_S: f64 = 600.0;
 /// Most frames that are filled in a file: that time at the highest frame rate.
 const MOST_FILL: f64 = 600_000.0;
 
-/// Writes poses, which are in order of capture time, as BVH; the number of frames. See [`fill`].
-pub(crate) fn write(
-    path: &Path,
-    poses: &[KeptPose],
-    skeleton: &Skeleton,
+/// Decides how often a pose is repeated so that each frame of a file is at its time. A gap is more
+/// than 1.5 periods; ten minutes are filled in all.
+#[derive(Clone, Debug)]
+pub(crate) struct Fill {
     fps: f64,
-) -> Result<usize, Failure> {
-    let mut writer = BvhWriter::create(path, skeleton, fps)?;
-    let frames = fill(path, poses, fps, |pose| Ok(writer.write(&pose.pose())?))?;
-    writer.finish()?;
-    Ok(frames)
+    before: Option<Timestamp>,
+    /// Frames that may still be filled.
+    left: f64,
+    /// Frames that were not filled.
+    missing: f64,
 }
 
-/// Gives poses, which are in order of capture time, to `write` one period apart; the number of
-/// frames. Over a gap the last pose before it is repeated, for ten minutes in all; a note on
-/// standard error, which names `path`, says when that was not enough.
-pub(crate) fn fill(
-    path: &Path,
-    poses: &[KeptPose],
-    fps: f64,
-    mut write: impl FnMut(&KeptPose) -> Result<(), Failure>,
-) -> Result<usize, Failure> {
-    let (repeats, missing) = repeats(poses.iter().map(|pose| pose.capture.ns()), fps);
-    let mut frames = 0;
-    for (pose, times) in poses.iter().zip(repeats) {
-        for _ in 0..=times {
-            write(pose)?;
-        }
-        frames += 1 + times;
+impl Fill {
+    /// Of a file of `fps` frames a second.
+    pub(crate) fn new(fps: f64) -> Self {
+        let left = (MOST_FILL_S * fps).min(MOST_FILL).floor();
+        Self { fps, before: None, left, missing: 0.0 }
     }
-    if missing > 0.0 {
-        let seconds = missing / fps;
-        let text = format!(
-            "{}: gaps of more than 10 minutes in all are not filled; the end is {seconds:.1} s \
-             early",
-            path.display()
-        );
-        complain("note", &text);
+
+    /// Begins the file at that time: what comes before the first pose is a gap.
+    pub(crate) fn from(mut self, start: Timestamp) -> Self {
+        let period = (1e9 / self.fps).round() as i64;
+        self.before = Some(start + -period);
+        self
     }
-    Ok(frames)
+
+    /// How many frames are missing before a pose captured at that time. Times come in order.
+    pub(crate) fn gap_before(&mut self, capture: Timestamp) -> usize {
+        let wanted = self.before.map_or(0.0, |before| {
+            let periods = (capture.ns() as f64 - before.ns() as f64) * 1e-9 * self.fps;
+            if periods > 1.5 { periods.round() - 1.0 } else { 0.0 }
+        });
+        let filled = wanted.min(self.left);
+        self.left -= filled;
+        self.missing += wanted - filled;
+        self.before = Some(capture);
+        filled as usize
+    }
+
+    /// A note on gaps in the file at `path` that were not filled, if there are any.
+    pub(crate) fn note(&self, path: &Path) -> Option<String> {
+        (self.missing > 0.0).then(|| {
+            format!(
+                "{}: gaps of more than 10 minutes in all are not filled; the end is {:.1} s early",
+                path.display(),
+                self.missing / self.fps
+            )
+        })
+    }
 }
 
-/// How often each pose is to be repeated so that the next comes at its time, from the capture
-/// times in nanoseconds; and how many frames of gaps are left when the limit is reached. A gap
-/// is more than 1.5 periods.
-fn repeats(captures: impl Iterator<Item = i64>, fps: f64) -> (Vec<usize>, f64) {
-    let (mut left, mut missing) = ((MOST_FILL_S * fps).min(MOST_FILL).floor(), 0.0);
-    let mut before: Option<i64> = None;
-    let mut repeats = Vec::new();
-    for capture in captures {
-        if let Some(before) = before {
-            let periods = (capture as f64 - before as f64) * 1e-9 * fps;
-            let wanted = if periods > 1.5 { periods.round() - 1.0 } else { 0.0 };
-            let filled = wanted.min(left);
-            left -= filled;
-            missing += wanted - filled;
-            repeats.push(filled as usize);
-        }
-        before = Some(capture);
+/// A BVH file that is written as poses come.
+pub(crate) struct BvhFile {
+    writer: BvhWriter,
+    fill: Fill,
+    last: Option<CompactPose>,
+    states: States,
+}
+
+impl BvhFile {
+    /// The file starts at `start`, or at the first pose: until the first pose comes, that pose is
+    /// held; over a gap, the pose before it.
+    pub(crate) fn create(
+        path: &Path,
+        skeleton: &Skeleton,
+        fps: f64,
+        start: Option<Timestamp>,
+    ) -> Result<Self, Error> {
+        let fill = Fill::new(fps);
+        let fill = match start {
+            Some(start) => fill.from(start),
+            None => fill,
+        };
+        let writer = BvhWriter::create(path, skeleton, fps)?;
+        Ok(Self { writer, fill, last: None, states: States::default() })
     }
-    repeats.extend(before.map(|_| 0));
-    (repeats, missing)
+
+    /// Adds a pose; poses come in order of capture time.
+    pub(crate) fn write(&mut self, pose: &CompactPose) -> Result<(), Error> {
+        let gap = self.fill.gap_before(pose.capture);
+        let held = self.last.as_ref().unwrap_or(pose).pose();
+        for _ in 0..gap {
+            self.writer.write(&held)?;
+        }
+        self.states.add(gap, HELD);
+        self.writer.write(&pose.pose())?;
+        self.states.add(1, name_of(pose.state));
+        self.last = Some(pose.clone());
+        Ok(())
+    }
+
+    /// Completes the file; the states of its frames, and the notes.
+    pub(crate) fn finish(self, path: &Path) -> Result<(States, Option<String>), Error> {
+        self.writer.finish()?;
+        Ok((self.states, self.fill.note(path)))
+    }
+}
+
+/// A frame that repeats another.
+const HELD: &str = "held";
+
+fn name_of(state: TrackingState) -> &'static str {
+    match state {
+        TrackingState::Tracking => "tracking",
+        TrackingState::Coasting => "coasting",
+        TrackingState::Lost => "lost",
+    }
+}
+
+/// What the frames of a BVH file are: runs of frames with the same state.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct States {
+    /// The number of frames of each run, and their state.
+    runs: Vec<(usize, &'static str)>,
+}
+
+impl States {
+    fn add(&mut self, frames: usize, state: &'static str) {
+        match self.runs.last_mut() {
+            _ if frames == 0 => {}
+            Some((count, last)) if *last == state => *count += frames,
+            _ => self.runs.push((frames, state)),
+        }
+    }
+
+    /// Frames of the file.
+    pub(crate) fn frames(&self) -> usize {
+        self.runs.iter().map(|(frames, _)| frames).sum()
+    }
+
+    /// A line for each run: its first and last frame, from 0, and its state.
+    pub(crate) fn csv(&self) -> String {
+        let mut text = "first_frame,last_frame,state\n".to_owned();
+        let mut first = 0;
+        for (frames, state) in &self.runs {
+            // Writing into a string cannot fail.
+            let _ = writeln!(text, "{first},{},{state}", first + frames - 1);
+            first += frames;
+        }
+        text
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::offline::compact_pose::tests::in_state;
 
-    /// Nanoseconds of frames at 50 Hz.
+    fn gaps(mut fill: Fill, ns: impl IntoIterator<Item = i64>) -> (Vec<usize>, f64) {
+        let gaps = ns.into_iter().map(|ns| fill.gap_before(Timestamp::from_ns(ns))).collect();
+        (gaps, fill.missing)
+    }
+
+    /// Of frames at 50 Hz.
     fn at_50(frames: &[f64]) -> (Vec<usize>, f64) {
-        repeats(frames.iter().map(|frame| (frame * 2e7) as i64), 50.0)
+        gaps(Fill::new(50.0), frames.iter().map(|frame| (frame * 2e7) as i64))
     }
 
     #[test]
-    fn poses_before_a_gap_are_repeated() {
+    fn gaps_are_counted_in_frames() {
         assert_eq!(at_50(&[]), (vec![], 0.0));
         assert_eq!(at_50(&[7.0]), (vec![0], 0.0));
         assert_eq!(at_50(&[0.0, 1.0, 2.4, 3.3]), (vec![0; 4], 0.0));
-        assert_eq!(at_50(&[0.0, 1.0, 5.0, 6.0, 8.0]), (vec![0, 3, 0, 1, 0], 0.0));
+        assert_eq!(at_50(&[0.0, 1.0, 5.0, 6.0, 8.0]), (vec![0, 0, 3, 0, 1], 0.0));
+        let from = |start: i64| gaps(Fill::new(50.0).from(Timestamp::from_ns(start)), [60_000_000]);
+        assert_eq!((from(0), from(60_000_000)), ((vec![3], 0.0), (vec![0], 0.0)));
     }
 
     #[test]
     fn ten_minutes_are_filled_and_no_more() {
         let (filled, missing) = at_50(&[0.0, 30_000.0, 30_011.0, 30_013.0]);
-        assert_eq!((filled, missing), (vec![29_999, 1, 0, 0], 10.0));
-        let (filled, missing) = repeats([0, i64::MAX].into_iter(), 1e9);
-        assert_eq!(filled, [600_000, 0]);
+        assert_eq!((filled, missing), (vec![0, 29_999, 1, 0], 10.0));
+        let (filled, missing) = gaps(Fill::new(1e9), [0, i64::MAX]);
+        assert_eq!(filled, [0, 600_000]);
         assert!(missing > 9e18);
     }
 
     #[test]
-    fn a_file_has_as_many_frames_as_time_has_passed() {
-        use crate::core::body::{Pose, StampedPose, TrackingState};
-        use crate::core::time::Timestamp;
-        let poses = [0, 1, 2, 6, 7].map(|frame| {
-            let (pose, state) = (Pose::rest(), TrackingState::Tracking);
-            let capture = Timestamp::from_ns(frame * 20_000_000);
-            let (window, rig_version, provisional, revision) = (0, 1, false, 0);
-            let stamped =
-                StampedPose { capture, pose, state, window, rig_version, provisional, revision };
-            KeptPose::from(&stamped)
-        });
+    fn a_file_starts_with_the_take_and_says_what_its_frames_are() {
+        use TrackingState::{Coasting, Lost, Tracking};
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("gap.bvh");
-        assert_eq!(write(&path, &poses, &Skeleton::default(), 50.0).unwrap(), 8);
+        let start = Some(Timestamp::default());
+        let mut file = BvhFile::create(&path, &Skeleton::default(), 50.0, start).unwrap();
+        let poses = [(3, Tracking), (4, Tracking), (8, Coasting), (9, Lost), (10, Tracking)];
+        for (frame, state) in poses {
+            file.write(&in_state(frame * 20_000_000, frame as f64, state)).unwrap();
+        }
+        let (states, note) = file.finish(&path).unwrap();
+        assert_eq!((states.frames(), note), (11, None));
+        assert_eq!(
+            states.csv(),
+            "first_frame,last_frame,state\n0,2,held\n3,4,tracking\n5,7,held\n8,8,coasting\n\
+             9,9,lost\n10,10,tracking\n"
+        );
         let text = std::fs::read_to_string(&path).unwrap();
-        let motion = text.lines().skip_while(|line| !line.starts_with("Frame Time"));
-        assert_eq!(motion.count(), 1 + 8);
+        let motion = text.lines().skip_while(|line| !line.starts_with("Frame Time")).skip(1);
+        let x: Vec<f64> = motion
+            .map(|line| line.split(' ').next().unwrap().parse::<f64>().unwrap() / 100.0)
+            .collect();
+        assert_eq!(x, [3.0, 3.0, 3.0, 3.0, 4.0, 4.0, 4.0, 4.0, 8.0, 9.0, 10.0]);
     }
 }

@@ -1,7 +1,9 @@
-//! How well a solved body meets what a camera saw, be it one that had no part in solving it.
+//! Reprojection error in one camera, for instance in one that was held out of the solve.
 //!
-//! The pose at a frame's capture time is projected, the detected person that is nearest to it is
-//! taken, and the distances of points are gathered.
+//! The body at the frame's capture time is projected and compared with the detected person that is
+//! nearest to it, point by point.
+
+use std::collections::VecDeque;
 
 use nalgebra::Vector2;
 use serde::Serialize;
@@ -11,34 +13,17 @@ use crate::core::camera::Camera;
 use crate::core::detections::{Detections, Keypoint, KeypointFormat, Person};
 use crate::core::so3;
 use crate::core::time::Timestamp;
-use crate::io::formats::trc::COMPARED;
 use crate::metrics::statistics::median;
+use crate::metrics::{COMPARED, Distribution};
 
 /// Detected points of at most this confidence are left out of reported errors.
 pub const CONFIDENT: f64 = 0.3;
 
-/// A solved pose as a method keeps it.
-pub trait Kept {
-    /// The time it is of.
-    fn capture(&self) -> Timestamp;
-
-    /// The pose; `None` if it is flagged and not to be used.
-    fn usable(&self) -> Option<Pose>;
-}
-
-impl Kept for (Timestamp, Pose) {
-    fn capture(&self) -> Timestamp {
-        self.0
-    }
-
-    fn usable(&self) -> Option<Pose> {
-        Some(self.1.clone())
-    }
-}
-
 /// A person is the performer when the median distance of the limbs' points is below this part
 /// of the performer's height in the image.
 const GATE: f64 = 0.25;
+/// Most frames that wait for poses.
+const WAITING: usize = 8192;
 
 /// The error in the camera that was held out.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -55,63 +40,95 @@ pub struct HoldOut {
     pub frames_without_performer: usize,
 }
 
-/// The error in one camera, gathered frame by frame.
-pub struct HeldOut<'a, P> {
-    camera: &'a Camera,
-    skeleton: &'a Skeleton,
-    poses: &'a [P],
-    errors: Vec<f64>,
+/// Scores the frames of a camera with poses as they come; both come in order of time, either may
+/// come first. At most 8,192 frames wait for poses; then the oldest are left out.
+pub struct HeldOut {
+    camera: Camera,
+    waiting: VecDeque<Detections>,
+    /// The newest pose; no pose if it cannot be used.
+    before: Option<(Timestamp, Option<Pose>)>,
+    errors: Distribution,
     frames: usize,
     without: usize,
 }
 
-impl<'a, P: Kept> HeldOut<'a, P> {
-    /// Of poses in order of capture time.
-    pub fn new(camera: &'a Camera, skeleton: &'a Skeleton, poses: &'a [P]) -> Self {
-        Self { camera, skeleton, poses, errors: Vec::new(), frames: 0, without: 0 }
+impl HeldOut {
+    /// Of that camera.
+    pub fn new(camera: Camera) -> Self {
+        let (waiting, errors) = (VecDeque::new(), Distribution::default());
+        Self { camera, waiting, before: None, errors, frames: 0, without: 0 }
     }
 
-    /// Takes in a frame of the camera; frames without a pose are left out.
-    pub fn add(&mut self, detections: &Detections) {
-        let Some(pose) = pose_at(self.poses, detections.capture) else { return };
-        match distances(self.camera, self.skeleton, &pose, detections, &COMPARED) {
-            Some(found) => {
-                self.frames += 1;
-                self.errors.extend(found);
-            }
-            None => self.without += usize::from(!detections.people.is_empty()),
+    /// Takes in a frame of the camera. Frames without a pose before and after are left out.
+    pub fn add_frame(&mut self, detections: Detections) {
+        let after = |known: &Detections| known.capture <= detections.capture;
+        let place = self.waiting.iter().rposition(after).map_or(0, |before| before + 1);
+        self.waiting.insert(place, detections);
+        if self.waiting.len() > WAITING {
+            self.waiting.pop_front();
         }
     }
 
-    /// The figures.
+    /// Takes in the next pose, `None` if it cannot be used, with the newest body, and scores the
+    /// frames up to it.
+    pub fn add_pose(&mut self, capture: Timestamp, pose: Option<Pose>, skeleton: &Skeleton) {
+        while self.waiting.front().is_some_and(|frame| frame.capture <= capture) {
+            let Some(frame) = self.waiting.pop_front() else { break };
+            let at = frame.capture;
+            let pose = match (&self.before, &pose) {
+                (_, Some(pose)) if at == capture => pose.clone(),
+                (Some((before, Some(a))), Some(b)) if at > *before => {
+                    let s = (at - *before) as f64 / (capture - *before) as f64;
+                    between(a, b, s)
+                }
+                _ => continue,
+            };
+            self.score(&frame, &pose, skeleton);
+        }
+        self.before = Some((capture, pose));
+    }
+
+    fn score(&mut self, frame: &Detections, pose: &Pose, skeleton: &Skeleton) {
+        match distances(&self.camera, skeleton, pose, frame, &COMPARED) {
+            Some(found) => {
+                self.frames += 1;
+                found.into_iter().for_each(|error| self.errors.add(error));
+            }
+            None => self.without += usize::from(!frame.people.is_empty()),
+        }
+    }
+
+    /// The score.
     pub fn finish(self) -> HoldOut {
         HoldOut {
-            camera: self.camera.name.clone(),
-            median_px: median(&self.errors),
-            points: self.errors.len(),
+            median_px: self.errors.median(),
+            points: self.errors.count() as usize,
+            camera: self.camera.name,
             frames: self.frames,
             frames_without_performer: self.without,
         }
     }
 }
 
-/// The pose at a time between two that are usable: slerp of the rotations, lerp of the position.
-/// `None` outside, and where one of the two is flagged.
-pub fn pose_at<P: Kept>(poses: &[P], at: Timestamp) -> Option<Pose> {
-    let next = poses.partition_point(|pose| pose.capture() < at);
-    let after = poses.get(next)?;
-    let b = after.usable()?;
-    if after.capture() == at {
-        return Some(b);
+/// The pose at a time, from poses in order of time: slerp of the rotations, lerp of the position.
+/// `None` outside.
+pub fn pose_at(poses: &[(Timestamp, Pose)], at: Timestamp) -> Option<Pose> {
+    let next = poses.partition_point(|(capture, _)| *capture < at);
+    let (after, b) = poses.get(next)?;
+    if *after == at {
+        return Some(b.clone());
     }
-    let before = poses.get(next.checked_sub(1)?)?;
-    let a = before.usable()?;
-    let s = (at - before.capture()) as f64 / (after.capture() - before.capture()) as f64;
-    Some(Pose {
+    let (before, a) = poses.get(next.checked_sub(1)?)?;
+    Some(between(a, b, (at - *before) as f64 / (*after - *before) as f64))
+}
+
+/// The pose a part `s` of the way from `a` to `b`.
+fn between(a: &Pose, b: &Pose, s: f64) -> Pose {
+    Pose {
         root_rotation: so3::slerp(&a.root_rotation, &b.root_rotation, s),
         root_position: a.root_position.lerp(&b.root_position, s),
         local: std::array::from_fn(|j| so3::slerp(&a.local[j], &b.local[j], s)),
-    })
+    }
 }
 
 /// Distances of confident points of the person who is the performer, pixels: of those
@@ -162,26 +179,19 @@ fn height(pixels: impl Iterator<Item = Vector2<f64>>) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// At a time and place, flagged or not.
-    struct At(i64, f64, bool);
-
-    impl Kept for At {
-        fn capture(&self) -> Timestamp {
-            Timestamp::from_ns(self.0)
-        }
-
-        fn usable(&self) -> Option<Pose> {
-            let mut pose = Pose::rest();
-            pose.root_position.x = self.1;
-            self.2.then_some(pose)
-        }
+    fn at(ns: i64, x: f64) -> (Timestamp, Pose) {
+        let mut pose = Pose::rest();
+        pose.root_position.x = x;
+        (Timestamp::from_ns(ns), pose)
     }
 
     #[test]
-    fn poses_are_interpolated_between_usable_ones_only() {
-        let poses = [At(10, 1.0, true), At(20, 2.0, true), At(30, 9.0, false)];
+    fn poses_are_interpolated() {
+        let poses = [at(10, 1.0), at(20, 2.0)];
         let x = |ns| pose_at(&poses, Timestamp::from_ns(ns)).map(|pose| pose.root_position.x);
-        assert_eq!([x(9), x(10), x(15), x(20)], [None, Some(1.0), Some(1.5), Some(2.0)]);
-        assert_eq!([x(25), x(30), x(31)], [None; 3]);
+        assert_eq!(
+            [x(9), x(10), x(15), x(20), x(21)],
+            [None, Some(1.0), Some(1.5), Some(2.0), None]
+        );
     }
 }

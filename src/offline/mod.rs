@@ -1,13 +1,38 @@
-//! A recording solved: opened, fed to the tracker, summarised, written.
+//! A recording solved: opened once, streamed through the tracker, summarised, written.
+//!
+//! ```no_run
+//! use bundlemocap::offline::{self, Options, Recording};
+//!
+//! # fn main() -> Result<(), offline::Error> {
+//! let mut recording = Recording::open("recordings/walk.mcap")?;
+//! let options = Options { out: Some("out".into()), ..Options::default() };
+//! println!("{}", offline::solve(&mut recording, &options, &mut ())?);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Memory does not grow with the recording's length: poses are written and compared as they come,
+//! errors are counted in [`Distribution`](crate::metrics::Distribution)s, and what the report plots
+//! is averaged over time beyond 4096 values.
 
-pub mod bvh;
-pub mod driver;
-pub mod figures;
+pub(crate) mod bvh;
+pub(crate) mod compact_pose;
+mod driver;
+mod error;
 mod hold_out;
-pub mod input;
-pub mod kept;
-pub mod output;
+pub(crate) mod output;
+pub(crate) mod poses;
+pub(crate) mod recording;
 mod reference;
+mod series;
+mod solve;
+mod summary;
+mod truth;
+mod windows;
 
-pub use hold_out::{CONFIDENT, HeldOut, HoldOut, Kept, distances, pose_at};
-pub use reference::{FrameClock, Reference, compare};
+pub use error::Error;
+pub use hold_out::{CONFIDENT, HeldOut, HoldOut, distances, pose_at};
+pub use recording::Recording;
+pub use reference::{FrameClock, Reference, ReferenceComparison};
+pub use solve::{Observer, Options, solve};
+pub use summary::{Reprojection, SolveTime, Summary};

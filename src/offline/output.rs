@@ -1,38 +1,34 @@
-//! What `solve` writes: poses.mcap while it solves, poses.bvh and report.html at the end.
+//! What a solve writes: poses.mcap and poses.bvh while it solves, poses.states.csv and report.html
+//! at the end.
 //!
-//! All three are made beside their places and renamed, so that a failure leaves none in part.
+//! All are made beside their places and renamed, so that a failure leaves none in part.
 
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::driver::{Run, WindowSummary};
-use super::figures::Figures;
-use super::kept::KeptPose;
-use crate::cli::failure::{Exit, Failure};
-use crate::core::body::{Joint, Posture, Skeleton};
+use super::Error;
+use super::compact_pose::CompactPose;
+use super::poses::{BENT, Poses};
+use super::series::Series;
+use super::summary::Summary;
+use super::windows::{WindowSummary, Windows};
+use crate::core::body::{Posture, Skeleton};
 use crate::core::camera::Rig;
 use crate::core::manifold::Interpolation;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{Event, KeyframeAt, Output};
-use crate::io::formats::ExportError;
+use crate::io::new_file;
 use crate::io::recording::{Provenance, Writer};
 use crate::io::report::{
-    AngleTrack, CameraErrors, Picture, ReportData, StickFigures, Table, WindowRow, flexion_deg,
-    stick_figures, write_report,
+    AngleTrack, CameraErrors, Picture, ReportData, StickFigures, Table, WindowRow, stick_figures,
+    write_report,
 };
 use crate::io::wire::{StampedKeyframe, Topics};
 
+/// The files of a solve.
+pub(crate) const FILES: [&str; 4] = ["poses.mcap", "poses.bvh", "poses.states.csv", "report.html"];
 /// Stick figures in the report.
-const FIGURES: usize = 9;
-/// Angles over time in the report.
-const BENT: [Joint; 4] = [Joint::LKnee, Joint::RKnee, Joint::LElbow, Joint::RElbow];
-
-impl From<ExportError> for Failure {
-    fn from(error: ExportError) -> Self {
-        Self::new(Exit::Unexpected, error.to_string())
-    }
-}
+const STICK_FIGURES: usize = 9;
 
 /// A folder for outputs. If it had to be made and stays empty, it goes when this is dropped.
 pub(crate) struct OutputFolder {
@@ -41,10 +37,17 @@ pub(crate) struct OutputFolder {
 }
 
 impl OutputFolder {
-    pub(crate) fn make(path: &Path) -> Result<Self, Failure> {
+    pub(crate) fn make(path: &Path) -> Result<Self, Error> {
         let made = !path.exists();
-        std::fs::create_dir_all(path).map_err(|error| Failure::write(path, &error))?;
+        std::fs::create_dir_all(path)
+            .map_err(|source| Error::Write { path: path.to_owned(), source })?;
         Ok(Self { path: path.to_owned(), made })
+    }
+
+    /// Fails if one of these files is there.
+    pub(crate) fn refuse_existing(path: &Path, files: &[&str]) -> Result<(), Error> {
+        let there = files.iter().map(|name| path.join(name)).find(|path| path.exists());
+        there.map_or(Ok(()), |path| Err(Error::Exists { path }))
     }
 
     pub(crate) fn file(&self, name: &str) -> PathBuf {
@@ -61,7 +64,7 @@ impl Drop for OutputFolder {
     }
 }
 
-/// Writes the machine's outputs to poses.mcap as they come.
+/// Writes the tracker's outputs to poses.mcap as they come.
 pub(crate) struct PoseFile {
     writer: Writer,
     rig: Arc<Rig>,
@@ -73,14 +76,14 @@ pub(crate) struct PoseFile {
 }
 
 impl PoseFile {
-    /// `rig` is that of the recording, `solved` the cameras that the machine has.
+    /// `rig` is that of the recording, `solved` the cameras that the tracker has.
     pub(crate) fn create(
         path: &Path,
         rig: &Arc<Rig>,
         solved: &Rig,
         provenance: &Provenance,
         interpolation: Interpolation,
-    ) -> Result<Self, Failure> {
+    ) -> Result<Self, Error> {
         Ok(Self {
             interpolation,
             weights: provenance.weights.clone(),
@@ -93,7 +96,7 @@ impl PoseFile {
     }
 
     /// Writes one output.
-    pub(crate) fn write(&mut self, output: &Output) -> Result<(), Failure> {
+    pub(crate) fn write(&mut self, output: &Output) -> Result<(), Error> {
         match output {
             Output::Skeleton(skeleton) => self.skeleton = Some(Arc::clone(skeleton)),
             Output::Pose(pose) => {
@@ -112,7 +115,7 @@ impl PoseFile {
         Ok(())
     }
 
-    fn keyframe(&mut self, at: &KeyframeAt) -> Result<(), Failure> {
+    fn keyframe(&mut self, at: &KeyframeAt) -> Result<(), Error> {
         let Some(skeleton) = &self.skeleton else { return Ok(()) };
         let stamped = StampedKeyframe {
             capture: at.capture,
@@ -129,7 +132,7 @@ impl PoseFile {
         Ok(self.writer.keyframe(&stamped)?)
     }
 
-    fn event(&mut self, event: &Event) -> Result<(), Failure> {
+    fn event(&mut self, event: &Event) -> Result<(), Error> {
         let camera = event.camera.and_then(|camera| self.cameras.get(camera)).cloned();
         Ok(self.writer.event(&crate::io::wire::Event {
             capture_time_ns: event.capture.ns(),
@@ -142,61 +145,52 @@ impl PoseFile {
     }
 
     /// Puts the file in its place.
-    pub(crate) fn finish(self) -> Result<(), Failure> {
+    pub(crate) fn finish(self) -> Result<(), Error> {
         Ok(self.writer.finish()?)
     }
 }
 
 /// Writes a text; the file appears whole or not at all.
-pub(crate) fn text(path: &Path, text: &str) -> Result<(), Failure> {
-    let failed = |error: std::io::Error| Failure::write(path, &error);
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".bundlemocap-").suffix(".part");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
-    }
-    let mut file = builder.tempfile_in(folder.unwrap_or_else(|| Path::new("."))).map_err(failed)?;
-    file.write_all(text.as_bytes()).map_err(failed)?;
-    file.persist(path).map_err(|error| failed(error.error))?;
-    Ok(())
+pub(crate) fn text(path: &Path, text: &str) -> Result<(), Error> {
+    new_file::write(path, text.as_bytes())
+        .map_err(|source| Error::Write { path: path.to_owned(), source })
 }
 
 /// Writes report.html.
-pub(crate) fn report(
+pub(super) fn report(
     path: &Path,
-    run: &Run,
+    poses: &Poses,
+    windows: &Windows,
     rig: &Rig,
     skeleton: &Skeleton,
-    figures: &Figures,
-) -> Result<(), Failure> {
-    let start = run.poses.first().map_or_else(Timestamp::default, |pose| pose.capture);
-    let recording = Path::new(&figures.recording).file_name().unwrap_or_default();
+    summary: &Summary,
+) -> Result<(), Error> {
+    let shown = poses.shown.bins();
+    let start = shown.first().map_or_else(Timestamp::default, |pose| pose.capture);
+    let recording = Path::new(&summary.recording).file_name().unwrap_or_default();
     let data = ReportData {
         title: recording.to_string_lossy().into_owned(),
-        subtitle: format!("Solved by bundlemocap {}", figures.version),
-        facts: figures.headline(),
+        subtitle: format!("Solved by bundlemocap {}", summary.version),
+        facts: summary.headline(),
         tables: vec![Table {
             title: "Figures".into(),
             header: vec!["figure".into(), "value".into()],
-            rows: figures.rows().into_iter().map(|(name, value)| vec![name, value]).collect(),
+            rows: summary.rows().into_iter().map(|(name, value)| vec![name, value]).collect(),
         }],
         pictures: vec![Picture {
             title: "Poses".into(),
-            svg: strip(&run.poses, skeleton, FIGURES),
+            svg: strip(shown, skeleton, STICK_FIGURES),
         }],
-        cameras: camera_errors(run, rig, start),
-        angles: angles(&run.poses, skeleton, start),
-        windows: run.windows.iter().map(|window| row(window, start)).collect(),
+        cameras: camera_errors(windows, rig, start),
+        angles: angles(poses, start),
+        windows: windows.series.bins().iter().map(|window| row(window, start)).collect(),
         ..ReportData::default()
     };
     Ok(write_report(path, &data)?)
 }
 
 /// Stick figures at `count` times, evenly spread.
-pub(crate) fn strip(poses: &[KeptPose], skeleton: &Skeleton, count: usize) -> String {
+pub(crate) fn strip(poses: &[CompactPose], skeleton: &Skeleton, count: usize) -> String {
     let (last, count) = (poses.len().saturating_sub(1), count.min(poses.len()));
     let chosen = (0..count).map(|i| &poses[i * last / (count - 1).max(1)]);
     let start = poses.first().map_or_else(Timestamp::default, |pose| pose.capture);
@@ -210,25 +204,23 @@ pub(crate) fn strip(poses: &[KeptPose], skeleton: &Skeleton, count: usize) -> St
     stick_figures(figures, &StickFigures::default())
 }
 
-fn camera_errors(run: &Run, rig: &Rig, start: Timestamp) -> Vec<CameraErrors> {
-    let cameras = rig.cameras.iter().zip(&run.errors_px).map(|(camera, errors)| {
-        let frames = errors.frames.iter();
-        let frames = frames.map(|(at, q)| (at.seconds_since(start), q.map(f64::from)));
+fn camera_errors(windows: &Windows, rig: &Rig, start: Timestamp) -> Vec<CameraErrors> {
+    let cameras = rig.cameras.iter().zip(&windows.cameras).map(|(camera, errors)| {
+        let frames = errors.frames.bins().iter();
+        let frames = frames.map(|bin| (bin.at.seconds_since(start), bin.values()));
         CameraErrors { name: camera.name.clone(), frames: frames.collect() }
     });
     cameras.collect()
 }
 
-fn angles(poses: &[KeptPose], skeleton: &Skeleton, start: Timestamp) -> Vec<AngleTrack> {
-    let mut tracks = BENT.map(|joint| AngleTrack { joint, degrees: Vec::new() });
-    for pose in poses {
-        let seconds = pose.capture.seconds_since(start);
-        let posture = pose.pose().posture(skeleton);
-        for track in &mut tracks {
-            track.degrees.extend(flexion_deg(&posture, track.joint).map(|deg| (seconds, deg)));
-        }
-    }
-    tracks.into()
+fn angles(poses: &Poses, start: Timestamp) -> Vec<AngleTrack> {
+    let tracks = BENT.into_iter().zip(&poses.angles);
+    let tracks = tracks.map(|(joint, series): (_, &Series<_>)| {
+        let degrees = series.bins().iter();
+        let degrees = degrees.map(|bin| (bin.at.seconds_since(start), bin.values()[0]));
+        AngleTrack { joint, degrees: degrees.collect() }
+    });
+    tracks.collect()
 }
 
 fn row(window: &WindowSummary, start: Timestamp) -> WindowRow {

@@ -1,24 +1,28 @@
 //! Distance to a reference: marker positions that another tool found for the same recording.
 
-use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::hold_out::{Kept, pose_at};
-use crate::core::body::{Attachment, Posture, Skeleton};
-use crate::core::detections::Keypoint;
+use crate::core::body::{Attachment, Pose, Skeleton};
+use crate::core::detections::Detections;
 use crate::core::time::Timestamp;
-use crate::io::formats::{Trc, distance_to_reference};
+use crate::io::formats::Trc;
+use crate::metrics::{COMPARED, MarkerDistances, MarkerPositions};
 
-/// When a camera took a frame of some number: the recording's clock by frame.
+/// The clock of a recording's frame numbers: the capture time of one of its frames.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameClock {
-    /// Any frame of the recording ...
+    /// A frame number.
     pub frame: u64,
-    /// ... and its capture time.
+    /// The capture time of that frame.
     pub capture: Timestamp,
 }
 
 impl FrameClock {
+    /// The clock by which `detections` were captured.
+    pub fn of(detections: &Detections) -> Self {
+        Self { frame: detections.frame, capture: detections.capture }
+    }
+
     /// The capture time of frame number `frame` at `fps`.
     fn time_of(self, frame: u64, fps: f64) -> Timestamp {
         let frames = frame as f64 - self.frame as f64;
@@ -33,39 +37,114 @@ pub struct Reference {
     pub frames: usize,
     /// Mean distance of shoulders, elbows, wrists, hips, knees and ankles, millimetres.
     pub mean_mm: f64,
-    /// Largest distance of the middle of the hips, millimetres.
+    /// Largest distance between the middles of the hips, millimetres.
     pub worst_mid_hip_mm: Option<f64>,
     /// The frame of the recording in which it is.
     pub worst_mid_hip_frame: Option<u64>,
 }
 
-/// Compares; `None` if no frame of the reference has a pose.
-pub fn compare<P: Kept>(
-    trc: &Trc,
-    clock: FrameClock,
-    skeleton: &Skeleton,
-    poses: &[P],
-) -> Option<Reference> {
-    let tolerance = (0.25e9 / trc.frame_rate) as i64;
-    let near = |at: Timestamp| {
-        let next = poses.partition_point(|pose| pose.capture() + tolerance < at);
-        poses.get(next).map(Kept::capture).filter(|&capture| capture - at <= tolerance)
-    };
-    let mut last: Option<(u64, Option<Posture>)> = None;
-    let position = |frame: u64, keypoint: Keypoint| -> Option<Vector3<f64>> {
-        if last.as_ref().is_none_or(|(known, _)| *known != frame) {
-            let at = clock.time_of(frame, trc.frame_rate);
-            let pose = near(at).and_then(|at| pose_at(poses, at));
-            last = Some((frame, pose.map(|pose| pose.posture(skeleton))));
+/// Compares poses with a TRC file as they come, in order of capture time.
+///
+/// Row i of the file is frame OrigDataStartFrame + i of the recording, whatever its own Frame#
+/// says, since tools begin that at 1. A row is compared with the first pose within a quarter of
+/// the file's frame period.
+pub struct ReferenceComparison<'a> {
+    trc: &'a Trc,
+    columns: [Option<usize>; COMPARED.len()],
+    /// The next row.
+    row: usize,
+    distances: MarkerDistances,
+}
+
+impl<'a> ReferenceComparison<'a> {
+    /// With that file.
+    pub fn new(trc: &'a Trc) -> Self {
+        let columns = COMPARED.map(|keypoint| trc.column_of(keypoint));
+        Self { trc, columns, row: 0, distances: MarkerDistances::default() }
+    }
+
+    /// Takes in the next pose, `None` if it cannot be used, with the newest body.
+    pub fn add_pose(
+        &mut self,
+        clock: FrameClock,
+        capture: Timestamp,
+        pose: Option<&Pose>,
+        skeleton: &Skeleton,
+    ) {
+        let tolerance = (0.25e9 / self.trc.frame_rate) as i64;
+        let mut estimate = None;
+        while self.row < self.trc.rows.len() {
+            let frame = self.trc.first_frame + self.row as u64;
+            let at = clock.time_of(frame, self.trc.frame_rate);
+            if capture + tolerance < at {
+                return;
+            }
+            if capture - at <= tolerance
+                && let Some(pose) = pose
+            {
+                let estimate = estimate.get_or_insert_with(|| positions(pose, skeleton));
+                self.distances.add(frame, estimate, &self.reference());
+            }
+            self.row += 1;
         }
-        let posture = last.as_ref()?.1.as_ref()?;
-        Some(Attachment::of(keypoint).position(posture, skeleton))
-    };
-    let distance = distance_to_reference(trc, position)?;
-    Some(Reference {
-        frames: distance.frames,
-        mean_mm: distance.mean_mm,
-        worst_mid_hip_mm: distance.worst_mid_hip.map(|(_, mm)| mm),
-        worst_mid_hip_frame: distance.worst_mid_hip.map(|(frame, _)| frame),
-    })
+    }
+
+    fn reference(&self) -> MarkerPositions {
+        let points = &self.trc.rows[self.row].points;
+        self.columns.map(|column| points.get(column?).copied().flatten())
+    }
+
+    /// The distances; `None` if no row of the reference has a pose.
+    pub fn finish(&self) -> Option<Reference> {
+        let distance = self.distances.finish()?;
+        Some(Reference {
+            frames: distance.frames,
+            mean_mm: distance.mean_mm,
+            worst_mid_hip_mm: distance.worst_mid_hip.map(|(_, mm)| mm),
+            worst_mid_hip_frame: distance.worst_mid_hip.map(|(frame, _)| frame),
+        })
+    }
+}
+
+fn positions(pose: &Pose, skeleton: &Skeleton) -> MarkerPositions {
+    let posture = pose.posture(skeleton);
+    COMPARED.map(|keypoint| Some(Attachment::of(keypoint).position(&posture, skeleton)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::detections::Keypoint;
+    use crate::io::formats::trc::TrcRow;
+
+    #[test]
+    fn rows_are_compared_with_the_pose_of_their_frame() {
+        let skeleton = Skeleton::default();
+        let at = |x: f64| {
+            let mut pose = Pose::rest();
+            pose.root_position.x = x;
+            pose
+        };
+        let row = |x: Option<f64>| {
+            let hip = x.and_then(|x| positions(&at(x), &skeleton)[7]);
+            TrcRow { number: 1, seconds: 0.0, points: vec![hip] }
+        };
+        assert_eq!(COMPARED[7], Keypoint::RHip);
+        // Rows of the frames 6 to 9; frame 7 is captured at 100 ms, at 100 Hz.
+        let rows = vec![row(Some(0.0)), row(Some(0.01)), row(None), row(Some(0.04))];
+        let trc = Trc { frame_rate: 100.0, first_frame: 6, names: vec!["RHip".into()], rows };
+        let clock = FrameClock { frame: 7, capture: Timestamp::from_ns(100_000_000) };
+        let mut comparison = ReferenceComparison::new(&trc);
+        assert_eq!(comparison.finish(), None);
+        for (ms, usable) in [(101, true), (110, true), (118, true), (200, false)] {
+            let pose = usable.then(|| at(0.0));
+            let capture = Timestamp::from_ns(ms * 1_000_000);
+            comparison.add_pose(clock, capture, pose.as_ref(), &skeleton);
+        }
+        let reference = comparison.finish().unwrap();
+        // Frame 6 has no pose, frame 8 no marker; the frames 7 and 9 are 10 and 40 mm off.
+        assert_eq!(reference.frames, 2);
+        assert!((reference.mean_mm - 25.0).abs() < 1e-9, "{reference:?}");
+        assert_eq!(reference.worst_mid_hip_mm, None);
+    }
 }

@@ -161,7 +161,7 @@ fn a_synthetic_walk_is_solved_and_exported() {
     assert_eq!(info["rig"].as_array().unwrap().len(), 4);
     assert_eq!(info["cameras"]["cam02"]["format"], "body_25");
 
-    let figures = place.done("solve walk.mcap --out out --json --hold-out cam_3");
+    let figures = place.done("solve walk.mcap --out out --overwrite --json --hold-out cam_3");
     let figures: Value = serde_json::from_str(&figures).unwrap();
     assert_eq!(figures["frames"], 120);
     assert_eq!((&figures["windows"], &figures["lost"]), (&23.into(), &0.into()));
@@ -174,7 +174,7 @@ fn a_synthetic_walk_is_solved_and_exported() {
         assert!(fs::metadata(place.path("out").join(name)).unwrap().len() > 1000, "{name}");
     }
 
-    let table = place.done("solve walk.mcap --out out --hold-out cam03");
+    let table = place.done("solve walk.mcap --out out --overwrite --hold-out cam03");
     for row in ["hold-out cam03, median", "frames without the performer"] {
         assert!(table.contains(row), "{table}");
     }
@@ -190,7 +190,7 @@ fn a_synthetic_walk_is_solved_and_exported() {
 fn poses_carry_what_made_them() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 30, |_| true);
-    place.run("solve walk.mcap --out out");
+    place.run("solve walk.mcap --out out --overwrite");
     let mut reader = Reader::open(place.path("out/poses.mcap")).unwrap();
     let mut kinds = [0; 4];
     for entry in reader.by_ref() {
@@ -243,7 +243,7 @@ fn windows_that_cannot_be_solved_are_counted_and_the_rest_is_given() {
         }
         true
     });
-    let output = place.run("solve walk.mcap --out out --json");
+    let output = place.run("solve walk.mcap --out out --overwrite --json");
     let errors = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(IN_PART), "{errors}");
     assert!(errors.starts_with("warning: walk.mcap: ") && errors.lines().count() == 1, "{errors}");
@@ -339,9 +339,9 @@ fn calibrations_that_cannot_be_used() {
     place.write("calib.toml", calibration(&["cam1"], 600.0));
     place.fails(BAD_CALIBRATION, &import, &["calib.toml", "at least two cameras"]);
     walk(&place.path("walk.mcap"), 10, |_| true);
-    let one = "solve walk.mcap --out out --cameras cam01";
+    let one = "solve walk.mcap --out out --overwrite --cameras cam01";
     place.fails(BAD_CALIBRATION, one, &["walk.mcap", "at least two cameras"]);
-    let another = "solve walk.mcap --out out --hold-out cam9";
+    let another = "solve walk.mcap --out out --overwrite --hold-out cam9";
     place.fails(CAMERA_MISMATCH, another, &["walk.mcap", "cam9", "cam04"]);
 }
 
@@ -480,7 +480,7 @@ fn a_recording_that_is_not_sorted_says_how_many_frames_came_late() {
 fn weights_and_settings_that_cannot_be_used() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 10, |_| true);
-    let solve = "solve walk.mcap --out out";
+    let solve = "solve walk.mcap --out out --overwrite";
     let weights = format!("{solve} --weights w.safetensors");
     place.fails(UNREADABLE, &weights, &["w.safetensors"]);
     place.write("w.safetensors", "these are no weights");

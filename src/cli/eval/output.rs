@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::cli::failure::Failure;
 use crate::cli::terminal::say;
 use crate::io::report::{ReportData, write_report};
-use crate::offline::output::OutputFolder;
+use crate::offline::output::{OutputFolder, text as file};
 use crate::research::experiments::summary::{markdown, text};
 
 /// Prints the tables that lead the report and writes the folder.
@@ -15,15 +15,11 @@ pub(super) fn write(out: &Path, report: &ReportData, results: &Value) -> Result<
     let folder = OutputFolder::make(out)?;
     let tables: Vec<String> = report.leading.iter().map(markdown).collect();
     let page = format!("# {}\n\n{}\n\n{}", report.title, report.subtitle, tables.join("\n"));
-    save(&folder.file("table.md"), &page)?;
-    save(&folder.file("results.json"), &format!("{results:#}\n"))?;
+    file(&folder.file("table.md"), &page)?;
+    file(&folder.file("results.json"), &format!("{results:#}\n"))?;
     write_report(&folder.file("report.html"), report)?;
     let printed: Vec<String> = report.leading.iter().map(text).collect();
     say(&printed.join("\n\n"));
     say(&format!("\nwritten to {}: table.md, results.json, report.html", out.display()));
     Ok(())
-}
-
-fn save(path: &Path, text: &str) -> Result<(), Failure> {
-    std::fs::write(path, text).map_err(|error| Failure::write(path, &error))
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde_json::json;
 
-use super::Arguments;
+use super::arguments::Arguments;
 use super::output::write;
 use crate::cli::failure::{Exit, Failure};
 use crate::cli::solve::decoder;
@@ -15,8 +15,8 @@ use crate::core::manifold::Decoder;
 use crate::io::formats::Trc;
 use crate::io::report::{Bars, ReportData};
 use crate::metrics::DetectorStatistics;
-use crate::offline::FrameClock;
-use crate::offline::input::{Item, Recording};
+use crate::offline::recording::Item;
+use crate::offline::{FrameClock, Recording};
 use crate::research::experiments::methods;
 use crate::research::experiments::real::{RealScore, detectors, frame_rate, measure, table};
 use crate::research::methods::{Method, Take, Windows};
@@ -30,17 +30,17 @@ pub(super) struct Loaded {
 impl Loaded {
     /// All cameras with keypoints.
     pub(super) fn read(path: &Path) -> Result<Self, Failure> {
-        let recording = Recording::open(path)?;
+        let mut recording = Recording::open(path)?;
         let rig = Arc::new(recording.chosen(&[], None)?);
         let (mut frames, mut clock) = (Vec::new(), None);
         recording.stream(
             &rig,
+            None,
             || {},
             |item| {
                 if let Item::Detections(detections) = item {
-                    let (frame, capture) = (detections.frame, detections.capture);
                     if detections.camera == 0 {
-                        clock.get_or_insert(FrameClock { frame, capture });
+                        clock.get_or_insert(FrameClock::of(&detections));
                     }
                     frames.push(detections);
                 }
@@ -51,7 +51,7 @@ impl Loaded {
             let message = format!("{}: fewer than two frames of a camera", path.display());
             Failure::new(Exit::NoDetections, format!("{message}; give a longer recording"))
         };
-        let format = KeypointFormat::from_name(&recording.format).ok_or_else(short)?;
+        let format = KeypointFormat::from_name(recording.format()).ok_or_else(short)?;
         let fps = frame_rate(&frames).ok_or_else(short)?;
         Ok(Self { take: Take { rig, format, fps, frames }, clock: clock.ok_or_else(short)? })
     }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::Arguments;
+use super::arguments::Arguments;
 use crate::cli::failure::{Exit, Failure, frame_rate_option};
 use crate::cli::solve::decoder;
 use crate::cli::terminal::progress;

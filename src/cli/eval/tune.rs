@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use super::Arguments;
+use super::arguments::Arguments;
 use super::output::write;
 use super::setup::Setup;
 use crate::cli::failure::{Exit, Failure};

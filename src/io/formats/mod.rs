@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 pub use self::calibration::{Up, read_calibration};
 pub use openpose::{CameraReport, FolderMatch, MatchedBy, OpenposeFolder};
-pub use trc::{ReferenceDistance, Trc, TrcError, distance_to_reference};
+pub use trc::{Trc, TrcError};
 
 use crate::core::camera::CameraError;
 use crate::core::detections::KeypointFormat;
@@ -30,6 +30,13 @@ pub enum ExportError {
     NotFinite { path: PathBuf, frame: usize },
     #[error("{path}: {fps} frames a second is no frame rate; give one above 0")]
     FrameRate { path: PathBuf, fps: f64 },
+}
+
+impl ExportError {
+    /// A file at `path` that cannot be written.
+    pub(crate) fn write(path: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
+        move |source| Self::Write { path: path.into(), source }
+    }
 }
 
 /// Why something cannot be imported.

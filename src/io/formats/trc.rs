@@ -151,7 +151,7 @@ fn row(line: usize, text: &str, markers: usize, metres: f64) -> Result<TrcRow, T
     Ok(TrcRow { number: number(0)? as i64, seconds: number(1)?, points })
 }
 
-/// The point that a marker of that name marks; `None` for names we do not know.
+/// The keypoint with that marker name; `None` for unknown names.
 pub fn keypoint_of(marker: &str) -> Option<Keypoint> {
     use Keypoint as K;
     Some(match marker {
@@ -185,90 +185,6 @@ pub fn keypoint_of(marker: &str) -> Option<Keypoint> {
     })
 }
 
-/// The points by which an estimate is compared with a reference.
-pub const COMPARED: [Keypoint; 12] = [
-    Keypoint::LShoulder,
-    Keypoint::RShoulder,
-    Keypoint::LElbow,
-    Keypoint::RElbow,
-    Keypoint::LWrist,
-    Keypoint::RWrist,
-    Keypoint::LHip,
-    Keypoint::RHip,
-    Keypoint::LKnee,
-    Keypoint::RKnee,
-    Keypoint::LAnkle,
-    Keypoint::RAnkle,
-];
-
-/// How far an estimate is from a reference, millimetres.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ReferenceDistance {
-    /// Frames in which at least one point was compared.
-    pub frames: usize,
-    /// Mean over all points and frames compared.
-    pub mean_mm: f64,
-    /// Mean of each point that was compared.
-    pub per_keypoint_mm: Vec<(Keypoint, f64)>,
-    /// Largest distance between the middles of the two hips, and its frame; `None` where the
-    /// hips were never in both.
-    pub worst_mid_hip: Option<(u64, f64)>,
-}
-
-/// Compares positions in the world of the TRC file, metres, over [`COMPARED`].
-///
-/// `estimate` is asked by frame of the original recording: row i of the file is frame
-/// OrigDataStartFrame + i, whatever its own Frame# says, since tools begin that at 1.
-/// `None` if nothing was compared.
-pub fn distance_to_reference(
-    trc: &Trc,
-    mut estimate: impl FnMut(u64, Keypoint) -> Option<Vector3<f64>>,
-) -> Option<ReferenceDistance> {
-    let columns = COMPARED.map(|keypoint| trc.column_of(keypoint));
-    let mut sums = [(0.0, 0usize); COMPARED.len()];
-    let (mut frames, mut worst_mid_hip) = (0, None::<(u64, f64)>);
-    for (frame, row) in (trc.first_frame..).zip(&trc.rows) {
-        let mut differences = [None; COMPARED.len()];
-        for (i, keypoint) in COMPARED.into_iter().enumerate() {
-            let reference = columns[i].and_then(|column| row.points[column]);
-            differences[i] = reference.and_then(|at| Some(estimate(frame, keypoint)? - at));
-            if let Some(difference) = &differences[i] {
-                sums[i] = (sums[i].0 + 1e3 * difference.norm(), sums[i].1 + 1);
-            }
-        }
-        frames += usize::from(differences.iter().any(Option::is_some));
-        let of =
-            |keypoint| COMPARED.iter().position(|&k| k == keypoint).and_then(|i| differences[i]);
-        if let (Some(left), Some(right)) = (of(Keypoint::LHip), of(Keypoint::RHip)) {
-            let distance = 1e3 * (left + right).norm() / 2.0;
-            if worst_mid_hip.is_none_or(|(_, worst)| distance > worst) {
-                worst_mid_hip = Some((frame, distance));
-            }
-        }
-    }
-    summarise(frames, &sums, worst_mid_hip)
-}
-
-fn summarise(
-    frames: usize,
-    sums: &[(f64, usize); COMPARED.len()],
-    worst_mid_hip: Option<(u64, f64)>,
-) -> Option<ReferenceDistance> {
-    let count: usize = sums.iter().map(|s| s.1).sum();
-    let per_keypoint_mm = COMPARED
-        .into_iter()
-        .zip(sums)
-        .filter(|(_, (_, n))| *n > 0)
-        .map(|(keypoint, (sum, n))| (keypoint, sum / *n as f64))
-        .collect();
-    (count > 0).then(|| ReferenceDistance {
-        frames,
-        mean_mm: sums.iter().map(|s| s.0).sum::<f64>() / count as f64,
-        per_keypoint_mm,
-        worst_mid_hip,
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -296,28 +212,6 @@ mod tests {
     }
 
     #[test]
-    fn distances_go_by_row_and_start_frame() {
-        let trc = Trc::parse(FILE).unwrap();
-        // Frame 7: both hips 30 and 50 mm off; 8: right hip 40 mm; 9: no estimate.
-        let estimate = |frame: u64, keypoint| match (frame, keypoint) {
-            (7, Keypoint::RHip) => Some(Vector3::new(1.0, 0.03, 0.0)),
-            (7, Keypoint::LHip) => Some(Vector3::new(1.2, 0.05, 0.0)),
-            (8, Keypoint::RHip) => Some(Vector3::new(1.0, 0.0, 0.04)),
-            (7 | 8, _) => Some(Vector3::zeros()),
-            _ => None,
-        };
-        let distance = distance_to_reference(&trc, estimate).unwrap();
-        assert_eq!(distance.frames, 2);
-        assert!((distance.mean_mm - 40.0).abs() < 1e-9);
-        let (frame, worst) = distance.worst_mid_hip.unwrap();
-        assert!(frame == 7 && (worst - 40.0).abs() < 1e-9);
-        assert_eq!(distance.per_keypoint_mm[0].0, Keypoint::LHip);
-        assert!((distance.per_keypoint_mm[0].1 - 50.0).abs() < 1e-9);
-        assert!((distance.per_keypoint_mm[1].1 - 35.0).abs() < 1e-9);
-        assert_eq!(distance_to_reference(&trc, |_, _| None), None);
-    }
-
-    #[test]
     fn errors_name_the_line() {
         let message = |text: &str| Trc::parse(text).unwrap_err().to_string();
         assert!(message("hello").contains("PathFileType"));
@@ -334,30 +228,20 @@ mod tests {
     fn real_files_are_read() {
         let data = std::env::var("BUNDLEMOCAP_DATA")
             .unwrap_or(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared").into());
+        if !Path::new(&data).is_dir() {
+            return println!("skipped: {data} is not there");
+        }
         let folder = Path::new(&data).join("recordings/pose2sim/balancing/pose-3d");
         let read = |end: &str| {
             let name = format!("S00_P00_T01_BalancingTrial_0-100{end}.trc");
-            Trc::read(&folder.join(name))
+            Trc::read(&folder.join(name)).unwrap()
         };
-        let (raw, smooth, augmented) =
-            match (read(""), read("_filt_butterworth"), read("_filt_butterworth_LSTM")) {
-                (Err(TrcError::Unreadable { .. }), ..) => {
-                    return println!("skipped: {} is not there", folder.display());
-                }
-                (raw, smooth, augmented) => (raw.unwrap(), smooth.unwrap(), augmented.unwrap()),
-            };
+        let (raw, augmented) = (read(""), read("_filt_butterworth_LSTM"));
         assert_eq!((raw.rows.len(), raw.first_frame, raw.names.len()), (100, 0, 21));
         assert_eq!((augmented.rows.len(), augmented.names.len()), (100, 64));
-        for keypoint in COMPARED {
+        for keypoint in [Keypoint::LShoulder, Keypoint::RWrist, Keypoint::LHip, Keypoint::RAnkle] {
+            assert!(raw.column_of(keypoint).is_some());
             assert_eq!(raw.column_of(keypoint), augmented.column_of(keypoint));
         }
-        let estimate = |frame: u64, keypoint| {
-            let row = raw.rows.get(frame as usize)?;
-            row.points[raw.column_of(keypoint)?]
-        };
-        let distance = distance_to_reference(&smooth, estimate).unwrap();
-        assert_eq!((distance.frames, distance.per_keypoint_mm.len()), (100, 12));
-        println!("raw to Butterworth {:.2} mm", distance.mean_mm);
-        assert!((1.0..30.0).contains(&distance.mean_mm), "{}", distance.mean_mm);
     }
 }

@@ -122,6 +122,15 @@ impl Report {
         self.damage.is_empty() && self.undecodable.is_empty()
     }
 
+    /// What was lost, a line each.
+    pub fn losses(&self) -> Vec<String> {
+        let damage = self.damage.iter().map(ToString::to_string);
+        let undecodable = self.undecodable.iter().map(|(topic, lost)| {
+            format!("{} messages of {topic} cannot be used, the first: {}", lost.count, lost.first)
+        });
+        damage.chain(undecodable).collect()
+    }
+
     /// Counts a message of `topic` that could not be used.
     pub fn reject(&mut self, topic: &str, reason: &dyn std::fmt::Display) {
         if let Some(undecodable) = self.undecodable.get_mut(topic) {

@@ -7,7 +7,7 @@ use super::error::{RecordError, Report};
 use super::message::{Entry, Kind, Message};
 use super::reader::Reader;
 use crate::core::time::Timestamp;
-use crate::io::wire::KeypointFrame;
+use crate::io::wire::{self, KeypointFrame};
 
 /// What a recording holds.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -22,6 +22,8 @@ pub struct Info {
     pub cameras: BTreeMap<String, CameraInfo>,
     /// Cameras of the first rig, in its order; empty when there is no rig.
     pub rig: Vec<String>,
+    /// The first rig, as it is in the file.
+    pub first_rig: Option<wire::Rig>,
     /// Metadata records by name.
     pub metadata: BTreeMap<String, BTreeMap<String, String>>,
     /// What was lost. From the index alone, damage inside chunks is not seen.
@@ -74,8 +76,9 @@ impl Info {
     fn note(&mut self, message: &Message) {
         match message {
             Message::Keypoints(frame) => self.note_camera(frame),
-            Message::Rig(rig) if self.rig.is_empty() => {
+            Message::Rig(rig) if self.first_rig.is_none() => {
                 self.rig = rig.cameras.iter().map(|camera| camera.name.clone()).collect();
+                self.first_rig = Some(rig.clone());
             }
             _ => {}
         }
@@ -101,12 +104,20 @@ fn rate(count: u64, [first, last]: [Timestamp; 2]) -> Option<f64> {
 /// # Errors
 /// As [`Reader::open`].
 pub fn summary(path: impl AsRef<Path>) -> Result<Info, RecordError> {
-    let path = path.as_ref();
-    let reader = Reader::open(path)?;
-    match from_index(&reader) {
+    summarise(&mut Reader::open(path)?)
+}
+
+/// As [`summary`], of a recording that is open and has not been read; it is rewound.
+///
+/// # Errors
+/// As the iterator of [`Reader`].
+pub fn summarise(reader: &mut Reader) -> Result<Info, RecordError> {
+    let info = match from_index(reader) {
         Some(info) => first_messages(info, reader),
-        None => scan(path),
-    }
+        None => scan_all(reader),
+    }?;
+    reader.rewind()?;
+    Ok(info)
 }
 
 /// Counts and times from the index.
@@ -127,7 +138,7 @@ fn from_index(reader: &Reader) -> Option<Info> {
 }
 
 /// Adds what the first message of each camera and of the rig tell, reading no further.
-fn first_messages(mut info: Info, mut reader: Reader) -> Result<Info, RecordError> {
+fn first_messages(mut info: Info, reader: &mut Reader) -> Result<Info, RecordError> {
     let counted = |topic: &str| info.topics.get(topic).is_some_and(|topic| topic.count > 0);
     let wanted = [Kind::Keypoints, Kind::Rig];
     let mut unseen: std::collections::BTreeSet<_> = reader
@@ -151,7 +162,10 @@ fn first_messages(mut info: Info, mut reader: Reader) -> Result<Info, RecordErro
 /// # Errors
 /// As [`Reader::open`] and the iterator.
 pub fn scan(path: impl AsRef<Path>) -> Result<Info, RecordError> {
-    let mut reader = Reader::open(path)?;
+    scan_all(&mut Reader::open(path)?)
+}
+
+fn scan_all(reader: &mut Reader) -> Result<Info, RecordError> {
     let (mut first, mut topics) = (Info::default(), BTreeMap::new());
     for entry in reader.by_ref() {
         let Entry { topic, log_time, message } = entry?;
@@ -160,7 +174,8 @@ pub fn scan(path: impl AsRef<Path>) -> Result<Info, RecordError> {
         *count += 1;
         *span = [span[0].min(log_time), span[1].max(log_time)];
     }
-    let mut info = Info { cameras: first.cameras, rig: first.rig, ..Info::of(&reader) };
+    let (cameras, rig, first_rig) = (first.cameras, first.rig, first.first_rig);
+    let mut info = Info { cameras, rig, first_rig, ..Info::of(reader) };
     for (topic, (count, span)) in topics {
         let entry = info.topics.entry(topic.to_string()).or_default();
         (entry.count, entry.rate) = (count, rate(count, span));

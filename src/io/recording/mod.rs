@@ -24,7 +24,7 @@ mod target;
 mod writer;
 
 pub use error::{Damage, RecordError, Report, Undecodable};
-pub use info::{CameraInfo, Info, TopicInfo, scan, summary};
+pub use info::{CameraInfo, Info, TopicInfo, scan, summarise, summary};
 pub use message::{Entry, Message, RawEntry};
 pub use reader::Reader;
 pub use writer::{Provenance, Writer};

@@ -63,6 +63,20 @@ impl Reader {
         Err(RecordError::NoChannels { path: self.path.clone(), topics: topics.collect() })
     }
 
+    /// Goes back to the first message, in the same open file; [`Reader::report`] starts anew.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn rewind(&mut self) -> Result<(), RecordError> {
+        self.done = false;
+        self.scan.rewind().map_err(RecordError::read(&self.path))
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// What was lost so far; complete after the last message.
     pub fn report(&self) -> &Report {
         &self.scan.report

@@ -65,6 +65,15 @@ impl Scan {
         Ok(scan)
     }
 
+    /// Goes back to the first message. What was lost is forgotten; channels and metadata stay.
+    pub fn rewind(&mut self) -> io::Result<()> {
+        self.offset = mcap::MAGIC.len() as u64;
+        (self.past_data, self.done) = (false, false);
+        self.pending.clear();
+        self.report = Report::default();
+        self.file.seek(SeekFrom::Start(self.offset)).map(drop)
+    }
+
     /// Size of the file, bytes.
     pub fn size(&self) -> u64 {
         self.size

@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
 
+use crate::io::new_file;
+
 /// The file before it is in its place.
 #[derive(Debug)]
 pub(super) enum Target {
@@ -18,18 +20,7 @@ pub(super) enum Target {
 impl Target {
     /// A temporary file in the folder of `path`, readable as any new file is.
     pub fn temporary(path: &Path) -> io::Result<Self> {
-        let folder = match path.parent() {
-            Some(folder) if !folder.as_os_str().is_empty() => folder,
-            _ => Path::new("."),
-        };
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".bundlemocap-").suffix(".mcap.part");
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::PermissionsExt;
-            builder.permissions(std::fs::Permissions::from_mode(0o666));
-        }
-        builder.tempfile_in(folder).map(Self::Temporary)
+        new_file::temporary(path).map(Self::Temporary)
     }
 
     /// `path` with `.part` after it; fails if that is there already.

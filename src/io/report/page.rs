@@ -1,14 +1,13 @@
 //! The report of a solve: one HTML file with its plots inside it.
 
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::Path;
 
 use super::bars::Bars;
 use super::plot::{Plot, Series, escape};
 use crate::core::body::{Joint, Posture};
 use crate::io::formats::ExportError;
-use crate::io::new_file::NewFile;
+use crate::io::new_file;
 
 /// Everything a report shows. What is empty is left out.
 #[derive(Clone, Debug, Default)]
@@ -109,9 +108,7 @@ pub fn flexion_deg(posture: &Posture, joint: Joint) -> Option<f64> {
 /// # Errors
 /// The folder cannot be written to.
 pub fn write_report(path: &Path, data: &ReportData) -> Result<(), ExportError> {
-    let mut file = NewFile::create(path)?;
-    file.write(|file| file.write_all(html(data).as_bytes()))?;
-    file.finish().map(drop)
+    new_file::write(path, html(data).as_bytes()).map_err(ExportError::write(path))
 }
 
 /// The whole page.

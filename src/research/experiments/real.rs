@@ -7,17 +7,17 @@ use std::time::Instant;
 use serde::Serialize;
 
 use super::summary::number;
-use crate::core::body::{Pose, Posture, Skeleton};
-use crate::core::camera::{CameraError, Rig};
+use crate::core::camera::{Camera, CameraError, Rig};
 use crate::core::detections::Detections;
 use crate::core::manifold::Decoder;
 use crate::core::time::Timestamp;
 use crate::io::formats::Trc;
 use crate::io::report::Table;
 use crate::metrics::statistics::median;
-use crate::metrics::{DetectorStatistics, DetectorTracks, mean_acceleration};
-use crate::offline::{FrameClock, Reference, compare};
-use crate::offline::{HeldOut, HoldOut, Kept, distances, pose_at};
+use crate::metrics::{DetectorStatistics, DetectorTracks, MeanAcceleration};
+use crate::offline::{
+    FrameClock, HeldOut, HoldOut, Reference, ReferenceComparison, distances, pose_at,
+};
 use crate::research::methods::{Delay, Method, Solved, Take};
 
 /// What one method made of a recording.
@@ -97,28 +97,25 @@ pub fn measure(
     for camera in (0..cameras).filter(|_| cameras > 2) {
         let (rest, seen) = without_camera(take, camera)?;
         if let Some(solved) = make().solve(&rest, decoder) {
-            let at = &take.rig.cameras[camera];
-            let mut held_out = HeldOut::new(at, &solved.skeleton, &solved.poses);
-            seen.iter().for_each(|detections| held_out.add(detections));
-            hold_out.push(held_out.finish());
+            hold_out.push(held_out(&take.rig.cameras[camera], seen, &solved));
         }
         each();
     }
     let (all, cameras_px) = reprojection(take, &solved);
-    let Solved { skeleton, poses, .. } = &solved;
+    let frames = solved.poses.len();
     Ok(Some(RealScore {
         method: method.name(),
         delay_frames: match method.delay() {
             Delay::Frames(frames) => Some(frames),
             Delay::Recording => None,
         },
-        frames: poses.len(),
+        frames,
         reprojection_px: all,
         cameras_px,
         hold_out,
-        reference: reference.and_then(|(trc, clock)| compare(trc, clock, skeleton, poses)),
-        mean_acceleration_m_s2: acceleration(poses, skeleton, take.fps),
-        ms_per_frame: ms / poses.len().max(1) as f64,
+        reference: reference.and_then(|(trc, clock)| compare(trc, clock, &solved)),
+        mean_acceleration_m_s2: acceleration(&solved, take.fps),
+        ms_per_frame: ms / frames.max(1) as f64,
     }))
 }
 
@@ -137,31 +134,35 @@ fn reprojection(take: &Take, solved: &Solved) -> (Option<f64>, BTreeMap<String, 
     (median(&errors.concat()), cameras.collect())
 }
 
-/// Mean joint acceleration over the runs of usable poses without gaps, weighted by length, m/s^2.
-pub fn acceleration<P: Kept>(poses: &[P], skeleton: &Skeleton, fps: f64) -> Option<f64> {
-    let longest = (1.5e9 / fps) as i64;
-    let (mut sum, mut count) = (0.0, 0.0);
-    // Three postures are held at a time.
-    let mut triple: Vec<Posture> = Vec::with_capacity(3);
-    let mut last: Option<Timestamp> = None;
-    for pose in poses {
-        let gap = last.is_some_and(|last| pose.capture() - last >= longest);
-        let usable: Option<Pose> = pose.usable();
-        if gap || usable.is_none() {
-            triple.clear();
-        }
-        last = Some(pose.capture());
-        let Some(pose) = usable else { continue };
-        if triple.len() == 3 {
-            triple.remove(0);
-        }
-        triple.push(pose.posture(skeleton));
-        if let Some(mean) = mean_acceleration(&triple, fps) {
-            sum += mean;
-            count += 1.0;
-        }
+/// Mean joint acceleration over the runs of poses without gaps, m/s^2.
+pub fn acceleration(solved: &Solved, fps: f64) -> Option<f64> {
+    let mut acceleration = MeanAcceleration::new(fps);
+    for (capture, pose) in &solved.poses {
+        acceleration.add(*capture, Some(pose.posture(&solved.skeleton)));
     }
-    (count > 0.0).then(|| sum / count)
+    acceleration.mean()
+}
+
+/// The distance to the reference; `None` if no row of it has a pose.
+fn compare(trc: &Trc, clock: FrameClock, solved: &Solved) -> Option<Reference> {
+    let mut comparison = ReferenceComparison::new(trc);
+    for (capture, pose) in &solved.poses {
+        comparison.add_pose(clock, *capture, Some(pose), &solved.skeleton);
+    }
+    comparison.finish()
+}
+
+/// The error in a camera that has no part in a solve.
+fn held_out(camera: &Camera, seen: Vec<Detections>, solved: &Solved) -> HoldOut {
+    let mut held_out = HeldOut::new(camera.clone());
+    let mut seen = seen.into_iter().peekable();
+    for (capture, pose) in &solved.poses {
+        while let Some(frame) = seen.next_if(|frame| frame.capture <= *capture) {
+            held_out.add_frame(frame);
+        }
+        held_out.add_pose(*capture, Some(pose.clone()), &solved.skeleton);
+    }
+    held_out.finish()
 }
 
 /// How a recording's detectors err, against a solved body in place of the true one.

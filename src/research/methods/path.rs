@@ -13,7 +13,6 @@ use crate::core::optimise::{Layout, NormalEquations, Problem};
 use crate::core::so3;
 use crate::core::time::Timestamp;
 
-
 /// A path at given values of its unknowns.
 #[derive(Clone, Debug)]
 pub struct State {

@@ -17,8 +17,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::muvs::{MuVsWeights, PerFrame};
 use super::joints::UNKNOWNS;
+use super::muvs::{MuVsWeights, PerFrame};
 use super::path::{FramePath, State, Term};
 use super::terms::JointSteps;
 use super::{Delay, Method, Solved, Take};

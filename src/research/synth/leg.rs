@@ -137,4 +137,3 @@ pub(super) fn set(local: &mut [Matrix3<f64>; BODY_JOINTS], joint: Joint, rotatio
 pub(super) fn about_x(angle: f64) -> Matrix3<f64> {
     Rotation3::from_axis_angle(&Vector3::x_axis(), angle).into_inner()
 }
-

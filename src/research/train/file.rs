@@ -2,7 +2,6 @@
 //! same for the decoder. The metadata records how they were trained.
 
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
 
@@ -15,6 +14,7 @@ use super::latent::CODE;
 use super::mlp::Mlp;
 use super::model::Model;
 use crate::core::manifold::LATENT;
+use crate::io::new_file;
 
 /// Name of the format in the metadata.
 const FORMAT: &str = "bundlemocap-manifold";
@@ -53,25 +53,7 @@ pub fn write(
 /// Writes the file under a temporary name, then renames it.
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
     let failed = |source| TrainError::Write { path: path.to_owned(), source };
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    let mut file = readable_by_all().tempfile_in(folder).map_err(failed)?;
-    file.write_all(bytes).map_err(failed)?;
-    file.persist(path).map_err(|error| failed(error.error))?;
-    Ok(())
-}
-
-/// Temporary files are private by default; weights must be readable by all.
-fn readable_by_all() -> tempfile::Builder<'static, 'static> {
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(std::fs::Permissions::from_mode(0o644));
-    }
-    builder
+    new_file::write(path, bytes).map_err(failed)
 }
 
 /// The bytes of a file: length of the header, header with sorted keys, values. The same content

@@ -27,8 +27,9 @@ impl MotionFile {
         }
         let head = format!("{hierarchy}MOTION\nFrames: ");
         let tail = format!("{:>COUNT_DIGITS$}\nFrame Time: {:.9}\n", 0, 1.0 / fps);
-        let mut file = NewFile::create(path)?;
-        file.write(|file| file.write_all((head.clone() + &tail).as_bytes()))?;
+        let mut file = NewFile::create(path).map_err(ExportError::write(path))?;
+        let written = file.file().write_all((head.clone() + &tail).as_bytes());
+        written.map_err(ExportError::write(path))?;
         Ok(Self { file, frames: 0, count_at: head.len() as u64 })
     }
 
@@ -39,16 +40,20 @@ impl MotionFile {
             return Err(ExportError::NotFinite { path, frame: self.frames });
         }
         self.frames += 1;
-        self.file.write(|file| writeln!(file, "{line}"))
+        let written = writeln!(self.file.file(), "{line}");
+        written.map_err(ExportError::write(self.file.path()))
     }
 
     pub(super) fn finish(mut self) -> Result<(), ExportError> {
-        let (at, frames) = (self.count_at, self.frames);
-        self.file.write(|file| {
-            file.seek(SeekFrom::Start(at))?;
-            write!(file, "{frames:>COUNT_DIGITS$}")
-        })?;
-        self.file.finish().map(drop)
+        let path = self.file.path().to_owned();
+        self.count_frames().map_err(ExportError::write(&path))?;
+        self.file.finish().map(drop).map_err(ExportError::write(&path))
+    }
+
+    fn count_frames(&mut self) -> std::io::Result<()> {
+        let file = self.file.file();
+        file.seek(SeekFrom::Start(self.count_at))?;
+        write!(file, "{:>COUNT_DIGITS$}", self.frames)
     }
 }
 

@@ -1,15 +1,14 @@
-//! Poses as they are kept in memory until the end: about 400 bytes each.
+//! Poses in about 400 bytes each.
 
 use nalgebra::{Matrix3, Vector3};
 
 use crate::core::body::{BODY_JOINTS, Pose, StampedPose, TrackingState};
 use crate::core::so3;
 use crate::core::time::Timestamp;
-use crate::offline::Kept;
 
 /// A pose with its rotations as quaternions, those of the joints rounded to `f32`.
 #[derive(Clone, Debug)]
-pub(crate) struct KeptPose {
+pub(crate) struct CompactPose {
     pub(crate) capture: Timestamp,
     pub(crate) state: TrackingState,
     root_rotation: [f64; 4],
@@ -17,9 +16,14 @@ pub(crate) struct KeptPose {
     local: [[f32; 4]; BODY_JOINTS],
 }
 
-impl KeptPose {
+impl CompactPose {
     pub(crate) fn is_tracked(&self) -> bool {
         self.state == TrackingState::Tracking
+    }
+
+    /// The pose, if it can be used: if it was fitted to detections.
+    pub(crate) fn usable(&self) -> Option<Pose> {
+        self.is_tracked().then(|| self.pose())
     }
 
     /// The pose.
@@ -33,17 +37,7 @@ impl KeptPose {
     }
 }
 
-impl Kept for KeptPose {
-    fn capture(&self) -> Timestamp {
-        self.capture
-    }
-
-    fn usable(&self) -> Option<Pose> {
-        self.is_tracked().then(|| self.pose())
-    }
-}
-
-impl From<&StampedPose> for KeptPose {
+impl From<&StampedPose> for CompactPose {
     fn from(stamped: &StampedPose) -> Self {
         let pose = &stamped.pose;
         Self {
@@ -59,11 +53,25 @@ impl From<&StampedPose> for KeptPose {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
+    /// The rest pose at a time, with its pelvis at that x, metres.
+    pub(crate) fn tracked(ns: i64, x: f64) -> CompactPose {
+        in_state(ns, x, TrackingState::Tracking)
+    }
+
+    /// The same in a state.
+    pub(crate) fn in_state(ns: i64, x: f64, state: TrackingState) -> CompactPose {
+        let mut pose = Pose::rest();
+        pose.root_position.x = x;
+        let (window, rig_version, provisional, revision) = (0, 1, false, 0);
+        let capture = Timestamp::from_ns(ns);
+        (&StampedPose { capture, pose, state, window, rig_version, provisional, revision }).into()
+    }
+
     #[test]
-    fn a_kept_pose_is_small_and_the_same_to_a_millionth() {
+    fn a_compact_pose_is_small_and_the_same_to_a_millionth() {
         let mut pose = Pose::rest();
         pose.local[3] = so3::exp(&Vector3::new(0.3, -1.1, 0.7));
         pose.root_rotation = so3::exp(&Vector3::new(-2.0, 0.1, 0.4));
@@ -72,10 +80,10 @@ mod tests {
         let (capture, state) = (Timestamp::from_ns(7), TrackingState::Lost);
         let stamped =
             StampedPose { capture, pose, state, window, rig_version, provisional, revision };
-        let kept = KeptPose::from(&stamped);
-        assert!(std::mem::size_of::<KeptPose>() <= 420);
-        assert!(!kept.is_tracked());
-        let back = kept.pose();
+        let compact = CompactPose::from(&stamped);
+        assert!(std::mem::size_of::<CompactPose>() <= 420);
+        assert!(!compact.is_tracked());
+        let back = compact.pose();
         assert!((back.local[3] - stamped.pose.local[3]).amax() < 1e-6);
         assert!((back.root_rotation - stamped.pose.root_rotation).amax() < 1e-12);
         assert_eq!(back.root_position, stamped.pose.root_position);

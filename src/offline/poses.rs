@@ -1,0 +1,209 @@
+//! What is done with the poses of a solve, as they come.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::Error;
+use super::bvh::{BvhFile, States};
+use super::compact_pose::CompactPose;
+use super::hold_out::HeldOut;
+use super::reference::{FrameClock, ReferenceComparison};
+use super::series::{Bin, Mean, Series};
+use super::truth::TruthComparison;
+use crate::core::body::{Joint, Skeleton};
+use crate::core::time::Timestamp;
+use crate::io::report::flexion_deg;
+use crate::metrics::MeanAcceleration;
+use crate::metrics::statistics::median;
+
+/// Poses from which the frame rate is found; they wait in memory until then.
+const HEAD: usize = 4096;
+/// The frame rate of a single pose.
+const FALLBACK_FPS: f64 = 60.0;
+/// Joints whose angles the report shows.
+pub(crate) const BENT: [Joint; 4] = [Joint::LKnee, Joint::RKnee, Joint::LElbow, Joint::RElbow];
+
+impl Bin for CompactPose {
+    /// The first pose stays.
+    fn merge(&mut self, _next: Self) {}
+}
+
+/// The comparisons that wait for poses, and what they compare with.
+#[derive(Default)]
+pub(super) struct Comparisons<'a> {
+    pub(super) truth: TruthComparison,
+    pub(super) held_out: Option<HeldOut>,
+    pub(super) reference: Option<ReferenceComparison<'a>>,
+    /// Of the first frame of the first camera.
+    pub(super) clock: Option<FrameClock>,
+}
+
+/// The poses of a solve: counted, compared, and written as BVH.
+pub(super) struct Poses {
+    bvh_path: Option<PathBuf>,
+    /// The first capture time of the recording.
+    pub(super) start: Option<Timestamp>,
+    /// The newest pose; one of the same time replaces it.
+    newest: Option<CompactPose>,
+    /// The poses before it, until the frame rate is found.
+    head: Vec<CompactPose>,
+    body: Option<Stream>,
+    pub(super) count: usize,
+    /// Poses that are not tracked.
+    pub(super) flagged: usize,
+    /// Poses for the stick figures.
+    pub(super) shown: Series<CompactPose>,
+    /// Flexion of the joints [`BENT`], degrees.
+    pub(super) angles: [Series<Mean<Timestamp, 1>>; BENT.len()],
+}
+
+/// What needs the frame rate.
+struct Stream {
+    fps: f64,
+    acceleration: MeanAcceleration,
+    bvh: Option<BvhFile>,
+}
+
+/// What is known of all poses at the end.
+#[derive(Default)]
+pub(super) struct PoseSummary {
+    /// `None` for fewer than two poses.
+    pub(super) fps: Option<f64>,
+    pub(super) acceleration: Option<f64>,
+    pub(super) states: States,
+    pub(super) note: Option<String>,
+}
+
+impl Poses {
+    /// Written as BVH to that path, if there is one.
+    pub(super) fn new(bvh_path: Option<PathBuf>) -> Self {
+        Self {
+            bvh_path,
+            start: None,
+            newest: None,
+            head: Vec::new(),
+            body: None,
+            count: 0,
+            flagged: 0,
+            shown: Series::default(),
+            angles: Default::default(),
+        }
+    }
+
+    /// Whether any pose can be used.
+    pub(super) fn found_somebody(&self) -> bool {
+        self.count + usize::from(self.newest.is_some()) + self.head.len() > self.all_flagged()
+    }
+
+    fn all_flagged(&self) -> usize {
+        let waiting = self.head.iter().chain(&self.newest);
+        self.flagged + waiting.filter(|pose| !pose.is_tracked()).count()
+    }
+
+    /// Takes in a pose; poses come in order of capture time.
+    pub(super) fn add(
+        &mut self,
+        pose: CompactPose,
+        skeleton: &Arc<Skeleton>,
+        comparisons: &mut Comparisons,
+    ) -> Result<(), Error> {
+        match self.newest.replace(pose) {
+            Some(before)
+                if self.newest.as_ref().is_some_and(|new| new.capture != before.capture) =>
+            {
+                self.settled(before, skeleton, comparisons)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// A pose that stays as it is.
+    fn settled(
+        &mut self,
+        pose: CompactPose,
+        skeleton: &Arc<Skeleton>,
+        comparisons: &mut Comparisons,
+    ) -> Result<(), Error> {
+        if self.body.is_some() {
+            return self.stream(&pose, skeleton, comparisons);
+        }
+        self.head.push(pose);
+        if self.head.len() == HEAD { self.begin(skeleton, comparisons) } else { Ok(()) }
+    }
+
+    /// Finds the frame rate and takes in the poses that waited for it.
+    fn begin(
+        &mut self,
+        skeleton: &Arc<Skeleton>,
+        comparisons: &mut Comparisons,
+    ) -> Result<(), Error> {
+        let head = std::mem::take(&mut self.head);
+        let fps = frame_rate(&head).unwrap_or(FALLBACK_FPS);
+        let create = |path: &PathBuf| BvhFile::create(path, skeleton, fps, self.start);
+        let bvh = self.bvh_path.as_ref().map(create).transpose()?;
+        self.body = Some(Stream { fps, acceleration: MeanAcceleration::new(fps), bvh });
+        head.iter().try_for_each(|pose| self.stream(pose, skeleton, comparisons))
+    }
+
+    fn stream(
+        &mut self,
+        pose: &CompactPose,
+        skeleton: &Arc<Skeleton>,
+        comparisons: &mut Comparisons,
+    ) -> Result<(), Error> {
+        let Some(body) = &mut self.body else { return Ok(()) };
+        self.count += 1;
+        self.flagged += usize::from(!pose.is_tracked());
+        let (capture, posture) = (pose.capture, pose.pose().posture(skeleton));
+        for (joint, series) in BENT.into_iter().zip(&mut self.angles) {
+            if let Some(degrees) = flexion_deg(&posture, joint) {
+                series.push(Mean::new(capture, [degrees]));
+            }
+        }
+        body.acceleration.add(capture, pose.is_tracked().then_some(posture));
+        if let Some(bvh) = &mut body.bvh {
+            bvh.write(pose)?;
+        }
+        comparisons.truth.add_pose(pose, skeleton, body.fps);
+        if let Some(held_out) = &mut comparisons.held_out {
+            held_out.add_pose(capture, pose.usable(), skeleton);
+        }
+        if let (Some(reference), Some(clock)) = (&mut comparisons.reference, comparisons.clock) {
+            reference.add_pose(clock, capture, pose.usable().as_ref(), skeleton);
+        }
+        self.shown.push(pose.clone());
+        Ok(())
+    }
+
+    /// Takes in what waited and completes the BVH file.
+    pub(super) fn finish(
+        &mut self,
+        skeleton: &Arc<Skeleton>,
+        comparisons: &mut Comparisons,
+    ) -> Result<PoseSummary, Error> {
+        if let Some(pose) = self.newest.take() {
+            self.settled(pose, skeleton, comparisons)?;
+        }
+        if self.body.is_none() {
+            self.begin(skeleton, comparisons)?;
+        }
+        let Some(Stream { fps, acceleration, bvh }) = self.body.take() else {
+            return Ok(PoseSummary::default());
+        };
+        let path = self.bvh_path.as_deref().unwrap_or(Path::new(""));
+        let (states, note) = match bvh {
+            Some(bvh) => bvh.finish(path)?,
+            None => Default::default(),
+        };
+        let several = self.count > 1;
+        let acceleration = acceleration.mean();
+        Ok(PoseSummary { fps: several.then_some(fps), acceleration, states, note })
+    }
+}
+
+/// Poses a second, from the median distance in time; `None` for fewer than two.
+pub(crate) fn frame_rate(poses: &[CompactPose]) -> Option<f64> {
+    let periods: Vec<f64> =
+        poses.windows(2).map(|pair| (pair[1].capture - pair[0].capture) as f64).collect();
+    median(&periods).filter(|period| *period > 0.0).map(|period| 1e9 / period)
+}

@@ -1,0 +1,243 @@
+//! A recording that is to be solved: its cameras, its detections, its truth.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use prost::Name;
+
+use super::Error;
+use crate::core::body::{Skeleton, StampedPose};
+use crate::core::camera::{Camera, Rig};
+use crate::core::detections::Detections;
+use crate::io::recording::{CameraInfo, Info, Message, Reader, Report, summarise};
+use crate::io::wire;
+
+/// A recording with keypoints and a rig that fit each other. The file is opened once; its messages
+/// are streamed, so memory does not depend on its length.
+pub struct Recording {
+    reader: Reader,
+    rig: Arc<Rig>,
+    messages: u64,
+    format: String,
+    /// Calibrated cameras of a whole file that have no keypoints.
+    silent: Vec<String>,
+}
+
+/// A message of a recording.
+pub(crate) enum Item {
+    /// What a camera saw; the index is that of the camera in the chosen rig.
+    Detections(Detections),
+    /// What the held-out camera saw.
+    HeldOut(Detections),
+    /// The true body; comes before the true poses.
+    TrueBody(Box<Skeleton>),
+    /// A true pose.
+    TruePose(Box<StampedPose>),
+}
+
+impl Recording {
+    /// Opens a recording and checks that its cameras fit its rig.
+    ///
+    /// # Errors
+    /// A file that cannot be read or is no recording of ours, one without keypoints or without a
+    /// rig, a camera that is not in the rig or has images of another size.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, Error> {
+        let mut reader = Reader::open(path)?;
+        let info = summarise(&mut reader)?;
+        let path = reader.path();
+        if info.cameras.is_empty() {
+            return Err(without_keypoints(path, &info));
+        }
+        let rig = Arc::new(first_rig(path, &info)?);
+        let messages = info.topics.values().map(|topic| topic.count).sum();
+        let format = info.cameras.values().map(|camera| camera.format.clone()).next();
+        let format = format.unwrap_or_default();
+        let names = rig.cameras.iter().map(|camera| camera.name.clone());
+        let is_silent = |name: &String| info.report.is_clean() && !info.cameras.contains_key(name);
+        let silent = names.filter(is_silent).collect();
+        let recording = Self { reader, rig, messages, format, silent };
+        recording.check_cameras(&info.cameras)?;
+        Ok(recording)
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        self.reader.path()
+    }
+
+    /// All cameras of the recording.
+    pub fn rig(&self) -> &Arc<Rig> {
+        &self.rig
+    }
+
+    /// The number of messages in it, as far as its index tells.
+    pub fn messages(&self) -> u64 {
+        self.messages
+    }
+
+    /// Name of the keypoint format.
+    pub fn format(&self) -> &str {
+        &self.format
+    }
+
+    /// Every camera with keypoints must be in the rig, with images of the calibrated size.
+    fn check_cameras(&self, seen: &BTreeMap<String, CameraInfo>) -> Result<(), Error> {
+        let path = || self.path().to_owned();
+        for (name, info) in seen {
+            let Some(index) = self.rig.index_of(name) else {
+                return Err(Error::Uncalibrated { path: path(), camera: name.clone() });
+            };
+            let camera = &self.rig.cameras[index];
+            let (detected, calibrated) = (info.image_size, [camera.width, camera.height]);
+            if !detected.contains(&0) && detected != calibrated {
+                let camera = name.clone();
+                return Err(Error::ImageSize { path: path(), camera, calibrated, detected });
+            }
+        }
+        Ok(())
+    }
+
+    /// The camera that the user means: the one of that name, else the only one whose name differs
+    /// only in case, in `_`, `-` or blanks, or in leading zeros.
+    ///
+    /// # Errors
+    /// No camera, or several, fit.
+    pub fn camera(&self, name: &str) -> Result<&Camera, Error> {
+        let cameras = &self.rig.cameras;
+        let alike = || cameras.iter().filter(|camera| plain(&camera.name) == plain(name));
+        let found = cameras.iter().find(|camera| camera.name == name).or_else(|| {
+            let mut alike = alike();
+            alike.next().filter(|_| alike.next().is_none())
+        });
+        found.ok_or_else(|| {
+            let known: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
+            let (path, known) = (self.path().to_owned(), known.join(", "));
+            Error::NoSuchCamera { path, name: name.to_owned(), known }
+        })
+    }
+
+    /// The rig of the cameras in `only` (all if empty) without the one held out.
+    ///
+    /// # Errors
+    /// An unknown camera, one without keypoints, or fewer than two cameras.
+    pub fn chosen(&self, only: &[String], held_out: Option<&Camera>) -> Result<Rig, Error> {
+        let path = || self.path().to_owned();
+        let mut wanted = Vec::new();
+        for name in only {
+            wanted.push(self.camera(name)?.name.as_str());
+        }
+        let chosen = self.rig.cameras.iter().filter(|camera| {
+            (wanted.is_empty() || wanted.contains(&camera.name.as_str()))
+                && held_out.is_none_or(|held_out| held_out.name != camera.name)
+        });
+        let rig = Rig::new(self.rig.version, chosen.cloned().collect())
+            .map_err(|source| Error::Rig { path: path(), source })?;
+        match self.silent.iter().find(|name| rig.index_of(name).is_some()) {
+            None => Ok(rig),
+            Some(camera) => Err(Error::SilentCamera { path: path(), camera: camera.clone() }),
+        }
+    }
+
+    /// Streams the recording from its start: every detection of a camera of `rig` and of the
+    /// held-out camera, and the truth if there is any. Says what was lost of the file.
+    pub(crate) fn stream(
+        &mut self,
+        rig: &Rig,
+        held_out: Option<&str>,
+        mut each_message: impl FnMut(),
+        mut take: impl FnMut(Item) -> Result<(), Error>,
+    ) -> Result<Report, Error> {
+        self.reader.rewind()?;
+        while let Some(entry) = self.reader.next() {
+            let entry = entry?;
+            each_message();
+            let item = match entry.message {
+                Message::Keypoints(frame) => match rig.index_of(&frame.camera) {
+                    Some(camera) => frame.to_core(|_| Some(camera)).map(Item::Detections),
+                    None if Some(frame.camera.as_str()) == held_out => {
+                        frame.to_core(|_| Some(0)).map(Item::HeldOut)
+                    }
+                    None => continue,
+                },
+                Message::TruthSkeleton(body) => {
+                    body.to_core().map(|body| Item::TrueBody(Box::new(body)))
+                }
+                Message::TruthPose(pose) => {
+                    pose.to_core().map(|pose| Item::TruePose(Box::new(pose)))
+                }
+                _ => continue,
+            };
+            match item {
+                Ok(item) => take(item)?,
+                Err(error) => self.reader.reject(&entry.topic, &error),
+            }
+        }
+        Ok(self.reader.report().clone())
+    }
+}
+
+/// Why a recording in which no camera has keypoints cannot be solved.
+fn without_keypoints(path: &Path, info: &Info) -> Error {
+    const SHOWN: usize = 8;
+    let path = path.to_owned();
+    if let Some((topic, reason)) = refused::<wire::KeypointFrame>(info) {
+        let (topic, reason) = (topic.to_owned(), reason.to_owned());
+        return Error::KeypointFormat { path, topic, reason };
+    }
+    let topics: Vec<&str> = info.topics.keys().map(String::as_str).take(SHOWN).collect();
+    let held = if topics.is_empty() { "nothing".to_owned() } else { topics.join(", ") };
+    Error::NoKeypoints { path, held }
+}
+
+/// The first rig of a recording. It need not come before the first keypoints.
+fn first_rig(path: &Path, info: &Info) -> Result<Rig, Error> {
+    let bad = |reason: String| Error::BadRig { path: path.to_owned(), reason };
+    match &info.first_rig {
+        Some(rig) => rig.to_core().map_err(|error| bad(error.to_string())),
+        None => Err(match refused::<wire::Rig>(info) {
+            Some((topic, reason)) => bad(format!("{topic}: {reason}")),
+            None => Error::NoRig { path: path.to_owned() },
+        }),
+    }
+}
+
+/// The first topic of a schema with messages that could not be used, and why the first could not.
+fn refused<T: Name>(info: &Info) -> Option<(&str, &str)> {
+    let schema = T::full_name();
+    let of_schema = |topic: &&String| info.topics.get(*topic).is_some_and(|t| t.schema == schema);
+    let topic = info.report.undecodable.keys().find(of_schema)?;
+    Some((topic, &info.report.undecodable[topic].first))
+}
+
+/// A name without what differs between tools: case, separators, leading zeros of numbers.
+fn plain(name: &str) -> String {
+    let mut plain = String::new();
+    let mut digits = String::new();
+    for c in name.chars().chain(['\0']) {
+        if c.is_ascii_digit() {
+            digits.push(c);
+            continue;
+        }
+        if !digits.is_empty() {
+            let number = digits.trim_start_matches('0');
+            plain.push_str(if number.is_empty() { "0" } else { number });
+            digits.clear();
+        }
+        plain.extend(c.to_lowercase().filter(|c| c.is_alphanumeric()));
+    }
+    plain
+}
+
+#[cfg(test)]
+mod tests {
+    use super::plain;
+
+    #[test]
+    fn names_match_across_tools() {
+        assert_eq!(plain("cam01"), plain("cam_1"));
+        assert_eq!(plain("Cam 01"), plain("cam-01"));
+        assert_ne!(plain("cam01"), plain("cam10"));
+        assert_ne!(plain("cam0"), plain("cam"));
+    }
+}

@@ -1,0 +1,297 @@
+//! The pipeline: a recording is streamed through the tracker; what comes out is written, compared
+//! and summarised as it comes.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::Error;
+use super::driver::Driver;
+use super::hold_out::HeldOut;
+use super::output::{self, FILES, OutputFolder, PoseFile};
+use super::poses::{Comparisons, PoseSummary, Poses};
+use super::recording::{Item, Recording};
+use super::reference::{FrameClock, ReferenceComparison};
+use super::summary::{Reprojection, SolveTime, Summary};
+use super::windows::Windows;
+use crate::core::body::{Skeleton, StampedPose};
+use crate::core::camera::Rig;
+use crate::core::manifold::Decoder;
+use crate::core::tracker::{self, EventKind, Input, Output, Solver};
+use crate::io::formats::Trc;
+use crate::io::recording::{Provenance, Report};
+
+/// How a recording is solved. The defaults use all cameras, the embedded weights and the settings
+/// of `config/default.toml`, and write nothing.
+#[derive(Clone, Default)]
+pub struct Options {
+    /// Settings of the tracker.
+    pub config: tracker::Config,
+    /// Weights of the manifold; the embedded ones if `None`.
+    pub decoder: Option<Decoder>,
+    /// Use these cameras only, by name; all if empty.
+    pub cameras: Vec<String>,
+    /// Do not solve with this camera; measure the error in it.
+    pub hold_out: Option<String>,
+    /// Measure the distance to these marker positions (y up, frames as in the recording).
+    pub reference: Option<Trc>,
+    /// The folder for poses.mcap, poses.bvh, poses.states.csv and report.html; it is made if it is
+    /// not there. Nothing is written if `None`.
+    pub out: Option<PathBuf>,
+    /// Replace these files if they are there.
+    pub overwrite: bool,
+    /// All settings as TOML, for the metadata of poses.mcap; those of `config` if `None`.
+    pub config_toml: Option<String>,
+}
+
+/// What a caller may follow during a solve; `()` follows nothing.
+pub trait Observer {
+    /// A message of the recording was read.
+    fn message(&mut self) {}
+
+    /// A final pose, in order of capture time, with the body it belongs to.
+    fn pose(&mut self, _pose: &StampedPose, _skeleton: &Skeleton) {}
+}
+
+impl Observer for () {}
+
+/// Solves a recording in memory that does not grow with its length. The files appear when all of
+/// it has succeeded.
+///
+/// # Errors
+/// See [`Error`]; among them a recording in which nobody is found.
+pub fn solve(
+    recording: &mut Recording,
+    options: &Options,
+    observer: &mut dyn Observer,
+) -> Result<Summary, Error> {
+    let held_out = options.hold_out.as_deref().map(|name| recording.camera(name).cloned());
+    let held_out = held_out.transpose()?;
+    let rig = Arc::new(recording.chosen(&options.cameras, held_out.as_ref())?);
+    let decoder = match &options.decoder {
+        Some(decoder) => decoder.clone(),
+        None => Decoder::embedded()?,
+    };
+    let outputs = options.out.as_ref().map(|_| Outputs::create(recording, options, &rig, &decoder));
+    let mut outputs = outputs.transpose()?;
+    let solver = Solver::new(decoder, options.config);
+    let bvh = outputs.as_ref().map(|outputs| outputs.folder.file("poses.bvh"));
+    let mut run = Run {
+        driver: Driver::new(options.config, Arc::clone(&rig), solver),
+        collected: Collected {
+            poses: Poses::new(bvh),
+            windows: Windows::of_cameras(rig.cameras.len()),
+            events: BTreeMap::new(),
+            comparisons: Comparisons {
+                held_out: held_out.clone().map(HeldOut::new),
+                reference: options.reference.as_ref().map(ReferenceComparison::new),
+                ..Comparisons::default()
+            },
+        },
+        file: outputs.as_mut().map(|outputs| &mut outputs.file),
+    };
+    let begin = Instant::now();
+    let held_out = held_out.map(|camera| camera.name);
+    let report = run.stream(recording, &rig, held_out.as_deref(), observer)?;
+    let Run { driver, mut collected, .. } = run;
+    let skeleton = driver.skeleton().filter(|_| collected.poses.found_somebody());
+    let Some(skeleton) = skeleton else { return Err(collected.nobody(recording, &rig)) };
+    let poses = collected.poses.finish(&skeleton, &mut collected.comparisons)?;
+    let states = poses.states.csv();
+    let seconds = begin.elapsed().as_secs_f64();
+    let (collected, summary) =
+        collected.summarise(recording, &rig, &skeleton, poses, &report, seconds);
+    if let Some(outputs) = outputs {
+        let Collected { poses, windows, .. } = &collected;
+        output::text(&outputs.folder.file("poses.states.csv"), &states)?;
+        let page = outputs.folder.file("report.html");
+        output::report(&page, poses, windows, &rig, &skeleton, &summary)?;
+        outputs.file.finish()?;
+    }
+    Ok(summary)
+}
+
+struct Outputs {
+    folder: OutputFolder,
+    file: PoseFile,
+}
+
+impl Outputs {
+    fn create(
+        recording: &Recording,
+        options: &Options,
+        rig: &Rig,
+        decoder: &Decoder,
+    ) -> Result<Self, Error> {
+        let path = options.out.clone().unwrap_or_default();
+        if !options.overwrite {
+            OutputFolder::refuse_existing(&path, &FILES)?;
+        }
+        let folder = OutputFolder::make(&path)?;
+        let own = || toml::to_string(&options.config).unwrap_or_default();
+        let provenance = Provenance {
+            config: options.config_toml.clone().unwrap_or_else(own),
+            weights: format!("{:016x}", decoder.fingerprint()),
+            ..Provenance::default()
+        };
+        let interpolation = options.config.cost.interpolation;
+        let path = folder.file("poses.mcap");
+        let file = PoseFile::create(&path, recording.rig(), rig, &provenance, interpolation)?;
+        Ok(Self { folder, file })
+    }
+}
+
+/// A solve that is under way.
+struct Run<'reference, 'file> {
+    driver: Driver,
+    collected: Collected<'reference>,
+    file: Option<&'file mut PoseFile>,
+}
+
+impl Run<'_, '_> {
+    fn stream(
+        &mut self,
+        recording: &mut Recording,
+        rig: &Rig,
+        held_out: Option<&str>,
+        observer: &mut dyn Observer,
+    ) -> Result<Report, Error> {
+        // Both closures need the observer.
+        let observer = std::cell::RefCell::new(observer);
+        let report = recording.stream(
+            rig,
+            held_out,
+            || observer.borrow_mut().message(),
+            |item| self.take(item, *observer.borrow_mut()),
+        )?;
+        self.feed(Input::End, *observer.borrow_mut())?;
+        Ok(report)
+    }
+
+    fn take(&mut self, item: Item, observer: &mut dyn Observer) -> Result<(), Error> {
+        let Collected { poses, comparisons, .. } = &mut self.collected;
+        match item {
+            Item::Detections(detections) => {
+                if detections.camera == 0 {
+                    comparisons.clock.get_or_insert(FrameClock::of(&detections));
+                }
+                if poses.count == 0 {
+                    let capture = detections.capture;
+                    poses.start = Some(poses.start.map_or(capture, |start| start.min(capture)));
+                }
+                self.feed(Input::Detections(detections), observer)?;
+            }
+            Item::HeldOut(detections) => {
+                if let Some(held_out) = &mut comparisons.held_out {
+                    held_out.add_frame(detections);
+                }
+            }
+            Item::TrueBody(body) => comparisons.truth.set_body(*body),
+            Item::TruePose(pose) => comparisons.truth.add_truth(pose.as_ref().into()),
+        }
+        Ok(())
+    }
+
+    fn feed(&mut self, input: Input, observer: &mut dyn Observer) -> Result<(), Error> {
+        let Self { driver, collected, file } = self;
+        driver.feed(input, |driver, output| {
+            collected.add(driver, output, observer)?;
+            file.as_mut().map_or(Ok(()), |file| file.write(output))
+        })
+    }
+}
+
+/// What came of a solve.
+struct Collected<'a> {
+    poses: Poses,
+    windows: Windows,
+    events: BTreeMap<EventKind, u64>,
+    comparisons: Comparisons<'a>,
+}
+
+impl Collected<'_> {
+    fn add(
+        &mut self,
+        driver: &Driver,
+        output: &Output,
+        observer: &mut dyn Observer,
+    ) -> Result<(), Error> {
+        match output {
+            Output::Pose(pose) => {
+                let Some(skeleton) = driver.skeleton() else { return Ok(()) };
+                observer.pose(pose, &skeleton);
+                self.poses.add(pose.as_ref().into(), &skeleton, &mut self.comparisons)?;
+            }
+            Output::Event(event) => *self.events.entry(event.kind).or_default() += event.count,
+            Output::Window(report) => self.windows.add(report, driver.window_solve),
+            Output::Skeleton(_) | Output::Keyframe(_) | Output::Solve(_) => {}
+        }
+        Ok(())
+    }
+
+    fn count(&self, kind: EventKind) -> u64 {
+        self.events.get(&kind).copied().unwrap_or(0)
+    }
+
+    fn summarise(
+        mut self,
+        recording: &Recording,
+        rig: &Rig,
+        skeleton: &Skeleton,
+        poses: PoseSummary,
+        report: &Report,
+        seconds: f64,
+    ) -> (Self, Summary) {
+        let comparisons = std::mem::take(&mut self.comparisons);
+        let frames = self.poses.count;
+        let summary = Summary {
+            version: env!("CARGO_PKG_VERSION"),
+            recording: recording.path().display().to_string(),
+            frames,
+            frames_lost: self.poses.flagged,
+            windows: self.windows.count,
+            lost: self.windows.lost,
+            windows_without_performer: self.count(EventKind::NobodyFound),
+            frame_rate_hz: poses.fps,
+            reprojection: Reprojection::new(&self.windows, rig),
+            hold_out: comparisons.held_out.map(HeldOut::finish),
+            mean_acceleration_m_s2: poses.acceleration,
+            truth: poses.fps.and_then(|fps| comparisons.truth.finish(skeleton, fps)),
+            reference: comparisons.reference.and_then(|reference| reference.finish()),
+            solve_ms: SolveTime::new(&self.windows),
+            frames_per_second: frames as f64 / seconds.max(1e-9),
+            events: EventKind::ALL.map(|kind| (kind.name(), self.count(kind))).into(),
+            damage: report.losses(),
+            notes: poses.note.into_iter().collect(),
+        };
+        (self, summary)
+    }
+
+    fn nobody(&self, recording: &Recording, rig: &Rig) -> Error {
+        let unusable = match self.count(EventKind::Unusable) {
+            0 => String::new(),
+            unusable => format!(", {unusable} frames could not be used"),
+        };
+        let evidence = format!(
+            "no performer is seen by two of the {} cameras at once ({} windows tried{unusable}{}); \
+             check the calibration, the keypoint format ({}) and that the cameras share a clock",
+            rig.cameras.len(),
+            self.count(EventKind::NobodyFound) + self.windows.lost as u64,
+            out_of_time(self.count(EventKind::Late), self.count(EventKind::Duplicate)),
+            recording.format(),
+        );
+        Error::NobodyFound { path: recording.path().to_owned(), evidence }
+    }
+}
+
+/// What a recording that is not sorted by capture time loses.
+fn out_of_time(late: u64, duplicate: u64) -> String {
+    if late == 0 && duplicate == 0 {
+        return String::new();
+    }
+    format!(
+        ", {late} frames came late and {duplicate} twice and were left out: is the recording \
+         sorted by capture time?"
+    )
+}

@@ -1,0 +1,201 @@
+//! The summary of a solve: what `solve --json` prints, and the table.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::Serialize;
+
+use super::hold_out::HoldOut;
+use super::reference::Reference;
+use super::windows::Windows;
+use crate::core::camera::Rig;
+use crate::metrics::PoseErrors;
+
+/// Everything that was measured in a solve. Field names are part of the interface; README.md
+/// documents them. [`Display`](fmt::Display) prints the table.
+///
+/// Percentiles are exact up to 131,072 values (points, windows), beyond that within 0.05 %; see
+/// [`Distribution`](crate::metrics::Distribution). The frame rate is found from the first 4096
+/// poses.
+#[derive(Clone, Debug, Serialize)]
+#[allow(missing_docs)]
+pub struct Summary {
+    pub version: &'static str,
+    pub recording: String,
+    /// Poses.
+    pub frames: usize,
+    /// Poses that are flagged: not fitted to detections.
+    pub frames_lost: usize,
+    pub windows: usize,
+    /// Windows whose poses are flagged.
+    pub lost: usize,
+    pub windows_without_performer: u64,
+    pub frame_rate_hz: Option<f64>,
+    pub reprojection: Reprojection,
+    pub hold_out: Option<HoldOut>,
+    pub mean_acceleration_m_s2: Option<f64>,
+    /// Distance from the truth of a synthetic recording.
+    pub truth: Option<PoseErrors>,
+    pub reference: Option<Reference>,
+    pub solve_ms: Option<SolveTime>,
+    pub frames_per_second: f64,
+    /// How often each kind of event happened.
+    pub events: BTreeMap<&'static str, u64>,
+    /// What was lost of the recording.
+    pub damage: Vec<String>,
+    /// What else the user should know.
+    #[serde(skip)]
+    pub notes: Vec<String>,
+}
+
+/// Median distance of detected points with confidence above 0.3 from the solved body, pixels.
+#[derive(Clone, Debug, Serialize)]
+pub struct Reprojection {
+    /// Over all points.
+    pub median_px: Option<f64>,
+    /// By camera.
+    pub cameras: BTreeMap<String, Option<f64>>,
+}
+
+/// Time to solve a window, milliseconds.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct SolveTime {
+    /// Median.
+    pub p50: f64,
+    /// 99th percentile.
+    pub p99: f64,
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let rows = self.rows();
+        let width = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
+        for (index, (name, value)) in rows.iter().enumerate() {
+            let end = if index + 1 < rows.len() { "\n" } else { "" };
+            write!(f, "{name:<width$}  {value}{end}")?;
+        }
+        Ok(())
+    }
+}
+
+impl Summary {
+    /// The few that matter most, as name and value.
+    pub(crate) fn headline(&self) -> Vec<(String, String)> {
+        let mut facts = vec![
+            ("frames".to_owned(), self.frames.to_string()),
+            ("lost windows".to_owned(), format!("{} of {}", self.lost, self.windows)),
+            ("reprojection, median".to_owned(), px(self.reprojection.median_px)),
+            ("joint acceleration".to_owned(), unit(self.mean_acceleration_m_s2, 1, "m/s²")),
+        ];
+        let mut fact = |name: &str, value: String| facts.push((name.to_owned(), value));
+        if let Some(held) = &self.hold_out {
+            fact(&format!("hold-out {}", held.camera), px(held.median_px));
+        }
+        if let Some(truth) = &self.truth {
+            fact("MPJPE", format!("{:.1} mm", truth.mpjpe_mm));
+        }
+        if let Some(reference) = &self.reference {
+            fact("from the reference", format!("{:.1} mm", reference.mean_mm));
+        }
+        if let Some(SolveTime { p50, .. }) = self.solve_ms {
+            fact("window solve, median", format!("{p50:.1} ms"));
+        }
+        facts
+    }
+
+    /// Rows of a name and a value, for people.
+    pub fn rows(&self) -> Vec<(String, String)> {
+        let mut rows = Rows::default();
+        rows.add("frames", with_part(self.frames, self.frames_lost, "flagged"));
+        rows.add("windows", with_part(self.windows, self.lost, "lost"));
+        if self.windows_without_performer > 0 {
+            let windows = self.windows_without_performer.to_string();
+            rows.add("windows without a performer", windows);
+        }
+        rows.add("reprojection, median", px(self.reprojection.median_px));
+        for (camera, error) in &self.reprojection.cameras {
+            rows.add(&format!("  {camera}"), px(*error));
+        }
+        self.hold_out.iter().for_each(|held| rows.add_hold_out(held));
+        rows.add("mean joint acceleration", unit(self.mean_acceleration_m_s2, 2, "m/s²"));
+        self.truth.iter().for_each(|truth| rows.add_truth(truth));
+        self.reference.iter().for_each(|reference| rows.add_reference(reference));
+        if let Some(SolveTime { p50, p99 }) = self.solve_ms {
+            rows.add("solve time, p50, p99", format!("{p50:.1} ms, {p99:.1} ms a window"));
+        }
+        rows.add("speed", format!("{:.0} frames/s", self.frames_per_second));
+        rows.add("events", self.events_in_words());
+        for damage in &self.damage {
+            rows.add("damage", damage.clone());
+        }
+        rows.0
+    }
+
+    fn events_in_words(&self) -> String {
+        let happened = self.events.iter().filter(|(_, count)| **count > 0);
+        let happened: Vec<String> =
+            happened.map(|(kind, count)| format!("{kind} {count}")).collect();
+        if happened.is_empty() { "none".to_owned() } else { happened.join(", ") }
+    }
+}
+
+/// Rows of a table being made.
+#[derive(Default)]
+struct Rows(Vec<(String, String)>);
+
+impl Rows {
+    fn add(&mut self, name: &str, value: String) {
+        self.0.push((name.to_owned(), value));
+    }
+
+    fn add_hold_out(&mut self, held: &HoldOut) {
+        let HoldOut { camera, median_px, points, frames, .. } = held;
+        let value = format!("{} ({points} points, {frames} frames)", px(*median_px));
+        self.add(&format!("hold-out {camera}, median"), value);
+        let without = held.frames_without_performer;
+        self.add("  frames without the performer", without.to_string());
+    }
+
+    fn add_truth(&mut self, truth: &PoseErrors) {
+        let (all, relative) = (truth.mpjpe_mm, truth.mpjpe_root_relative_mm);
+        self.add("truth: MPJPE", format!("{all:.1} mm ({relative:.1} mm root-relative)"));
+        self.add("truth: RMSE", format!("{:.1} mm", truth.rmse_mm));
+        self.add("truth: MAE", format!("{:.2}° (root {:.2}°)", truth.mae_deg, truth.root_deg));
+        let (three, seven) = (truth.pck3_percent, truth.pck7_percent);
+        self.add("truth: PCK 3 cm, 7 cm", format!("{three:.1} %, {seven:.1} %"));
+    }
+
+    fn add_reference(&mut self, reference: &Reference) {
+        let Reference { frames, mean_mm, worst_mid_hip_mm, worst_mid_hip_frame } = reference;
+        self.add("reference: mean", format!("{mean_mm:.1} mm ({frames} frames)"));
+        if let (Some(mm), Some(frame)) = (worst_mid_hip_mm, worst_mid_hip_frame) {
+            self.add("reference: worst mid-hip", format!("{mm:.1} mm (frame {frame})"));
+        }
+    }
+}
+
+impl Reprojection {
+    pub(super) fn new(windows: &Windows, rig: &Rig) -> Self {
+        let cameras = rig.cameras.iter().zip(&windows.cameras);
+        let cameras = cameras.map(|(camera, errors)| (camera.name.clone(), errors.all.median()));
+        Self { median_px: windows.errors_px.median(), cameras: cameras.collect() }
+    }
+}
+
+impl SolveTime {
+    pub(super) fn new(windows: &Windows) -> Option<Self> {
+        windows.solve_ms.percentiles([50.0, 99.0]).map(|[p50, p99]| Self { p50, p99 })
+    }
+}
+
+fn with_part(all: usize, part: usize, what: &str) -> String {
+    format!("{all} ({part} {what})")
+}
+
+fn px(value: Option<f64>) -> String {
+    unit(value, 1, "px")
+}
+
+fn unit(value: Option<f64>, digits: usize, unit: &str) -> String {
+    value.map_or_else(|| "none".to_owned(), |value| format!("{value:.digits$} {unit}"))
+}

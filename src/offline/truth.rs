@@ -1,0 +1,109 @@
+//! Distance from the truth that a synthetic recording carries.
+
+use std::collections::VecDeque;
+
+use super::compact_pose::CompactPose;
+use crate::core::body::Skeleton;
+use crate::metrics::{PoseErrorSums, PoseErrors};
+
+/// Most poses that wait for the other side.
+const WAITING: usize = 16_384;
+
+/// Compares solved poses with true ones as they come; both come in order of capture time, either
+/// may come first. A pose counts if it is tracked and a true pose lies within a tenth of a frame
+/// period. At most 16,384 poses of a side wait for the other; then the oldest are left out.
+#[derive(Default)]
+pub(super) struct TruthComparison {
+    body: Skeleton,
+    truths: VecDeque<CompactPose>,
+    poses: VecDeque<CompactPose>,
+    sums: PoseErrorSums,
+}
+
+impl TruthComparison {
+    /// The true body; it comes before the true poses.
+    pub(super) fn set_body(&mut self, body: Skeleton) {
+        self.body = body;
+    }
+
+    pub(super) fn add_truth(&mut self, truth: CompactPose) {
+        let after = |known: &CompactPose| known.capture <= truth.capture;
+        let place = self.truths.iter().rposition(after).map_or(0, |before| before + 1);
+        self.truths.insert(place, truth);
+        if self.truths.len() > WAITING {
+            self.truths.pop_front();
+        }
+    }
+
+    /// Takes in a solved pose of a recording with `fps` frames a second.
+    pub(super) fn add_pose(&mut self, pose: &CompactPose, skeleton: &Skeleton, fps: f64) {
+        self.poses.push_back(pose.clone());
+        let tolerance = tolerance_ns(fps);
+        let is_covered = |pose: &CompactPose, truths: &VecDeque<CompactPose>| {
+            truths.back().is_some_and(|truth| truth.capture > pose.capture + tolerance)
+        };
+        while let Some(pose) = self.poses.front()
+            && (is_covered(pose, &self.truths) || self.poses.len() > WAITING)
+        {
+            self.compare_first(skeleton, tolerance);
+        }
+    }
+
+    /// The errors; `None` where nothing could be compared.
+    pub(super) fn finish(mut self, skeleton: &Skeleton, fps: f64) -> Option<PoseErrors> {
+        while !self.poses.is_empty() {
+            self.compare_first(skeleton, tolerance_ns(fps));
+        }
+        self.sums.errors()
+    }
+
+    fn compare_first(&mut self, skeleton: &Skeleton, tolerance: i64) {
+        let Some(pose) = self.poses.pop_front() else { return };
+        while self.truths.front().is_some_and(|truth| truth.capture + tolerance < pose.capture) {
+            self.truths.pop_front();
+        }
+        let near = self.truths.front().filter(|truth| truth.capture - pose.capture <= tolerance);
+        if let (Some(truth), Some(usable)) = (near, pose.usable()) {
+            self.sums.add(&usable.posture(skeleton), &truth.pose().posture(&self.body));
+        }
+    }
+}
+
+fn tolerance_ns(fps: f64) -> i64 {
+    (0.1e9 / fps) as i64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::offline::compact_pose::tests::tracked;
+
+    #[test]
+    fn either_side_may_come_first() {
+        let body = Skeleton::default();
+        let (solved, truth) = (
+            |ns: i64| tracked(ns * 20_000_000, 0.03),
+            |ns: i64| tracked(ns * 20_000_000 + 1_000_000, 0.0),
+        );
+        let compare = |add: &dyn Fn(&mut TruthComparison)| {
+            let mut comparison = TruthComparison::default();
+            add(&mut comparison);
+            comparison.finish(&body, 50.0).map(|errors| (errors.frames, errors.mpjpe_mm.round()))
+        };
+        let truths = |c: &mut TruthComparison| (0..100).for_each(|i| c.add_truth(truth(i)));
+        let poses = |c: &mut TruthComparison| {
+            (5..90).for_each(|i| c.add_pose(&solved(i), &body, 50.0));
+        };
+        let expected = Some((85, 30.0));
+        assert_eq!(compare(&|c| (truths(c), poses(c)).0), expected);
+        assert_eq!(compare(&|c| (poses(c), truths(c)).0), expected);
+        assert_eq!(compare(&|c| poses(c)), None);
+        let mut interleaved = TruthComparison::default();
+        for i in 0..100_000 {
+            interleaved.add_truth(truth(i));
+            interleaved.add_pose(&solved(i), &body, 50.0);
+        }
+        assert!(interleaved.truths.len() < 4 && interleaved.poses.len() < 4);
+        assert_eq!(interleaved.finish(&body, 50.0).unwrap().frames, 100_000);
+    }
+}

@@ -1,0 +1,102 @@
+//! What the windows of a solve gave, in memory that does not grow with their number.
+
+use std::time::Duration;
+
+use super::hold_out::CONFIDENT;
+use super::series::{Bin, Mean, Series};
+use crate::core::time::Timestamp;
+use crate::core::tracker::{Residual, Verdict, WindowReport};
+use crate::metrics::Distribution;
+use crate::metrics::statistics::percentiles;
+
+/// A window as the report shows it, or the worst values of several in a row.
+#[derive(Clone, Debug)]
+pub(crate) struct WindowSummary {
+    pub(crate) start: Timestamp,
+    pub(crate) end: Timestamp,
+    pub(crate) latent_norm: f64,
+    pub(crate) iterations: usize,
+    pub(crate) cost: f64,
+    pub(crate) lost: bool,
+    pub(crate) solve_ms: f64,
+}
+
+impl Bin for WindowSummary {
+    fn merge(&mut self, next: Self) {
+        self.end = next.end;
+        self.latent_norm = self.latent_norm.max(next.latent_norm);
+        self.iterations = self.iterations.max(next.iterations);
+        self.cost = self.cost.max(next.cost);
+        self.lost |= next.lost;
+        self.solve_ms = self.solve_ms.max(next.solve_ms);
+    }
+}
+
+/// Reprojection errors of a camera in windows that are not lost, pixels.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct CameraErrors {
+    /// Of every confident point.
+    pub(crate) all: Distribution,
+    /// Quartiles of every frame.
+    pub(crate) frames: Series<Mean<Timestamp, 3>>,
+}
+
+/// All windows of a solve.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Windows {
+    pub(crate) count: usize,
+    /// Windows whose poses are flagged.
+    pub(crate) lost: usize,
+    pub(crate) series: Series<WindowSummary>,
+    pub(crate) solve_ms: Distribution,
+    /// Errors of all cameras together.
+    pub(crate) errors_px: Distribution,
+    /// By camera.
+    pub(crate) cameras: Vec<CameraErrors>,
+}
+
+impl Windows {
+    pub(crate) fn of_cameras(cameras: usize) -> Self {
+        Self { cameras: vec![CameraErrors::default(); cameras], ..Self::default() }
+    }
+
+    pub(crate) fn add(&mut self, report: &WindowReport, solve: Duration) {
+        let lost = report.verdict != Verdict::Tracked;
+        if !lost {
+            self.add_errors(report);
+        }
+        self.count += 1;
+        self.lost += usize::from(lost);
+        let solve_ms = solve.as_secs_f64() * 1e3;
+        self.solve_ms.add(solve_ms);
+        self.series.push(WindowSummary {
+            start: report.start,
+            end: report.end,
+            latent_norm: report.latent_norm,
+            iterations: report.summary.map_or(0, |summary| summary.iterations),
+            cost: report.summary.map_or(f64::NAN, |summary| summary.final_cost),
+            lost,
+            solve_ms,
+        });
+    }
+
+    fn add_errors(&mut self, report: &WindowReport) {
+        for (camera, errors) in self.cameras.iter_mut().enumerate() {
+            let confident = |r: &&Residual| r.camera == camera && r.confidence > CONFIDENT;
+            let mut seen: Vec<&Residual> = report.residuals.iter().filter(confident).collect();
+            seen.sort_by_key(|residual| residual.capture);
+            for residual in &seen {
+                // In single precision, as the figures of earlier versions.
+                let error = f64::from(residual.error_px as f32);
+                errors.all.add(error);
+                self.errors_px.add(error);
+            }
+            for frame in seen.chunk_by(|a, b| a.capture == b.capture) {
+                let values: Vec<f64> = frame.iter().map(|residual| residual.error_px).collect();
+                if let Some(quartiles) = percentiles(&values, [25.0, 50.0, 75.0]) {
+                    errors.frames.push(Mean::new(frame[0].capture, quartiles));
+                }
+            }
+        }
+    }
+}
