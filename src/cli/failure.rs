@@ -162,9 +162,9 @@ impl From<offline::Error> for Failure {
 impl From<TakeError> for Failure {
     fn from(error: TakeError) -> Self {
         let exit = match error {
-            TakeError::Recording(error) => return error.into(),
+            TakeError::Record(error) => return error.into(),
             TakeError::NoKeypoints { .. } => Exit::NotOurs,
-            TakeError::NoSuchCamera { .. } => Exit::CameraMismatch,
+            TakeError::UnknownCamera { .. } => Exit::CameraMismatch,
         };
         Self::new(exit, error.to_string())
     }

@@ -13,7 +13,7 @@ use super::terminal::{complain, progress, say, table, ticker};
 use crate::core::time::Timestamp;
 use crate::live::tools::Disturbance;
 use crate::live::tools::player::{Clock, Playing, Sent, play};
-use crate::live::tools::take::{Take, TakeError};
+use crate::live::tools::take::Take;
 
 /// Time between opening the bus and the first frame, in which publishers and subscribers find each
 /// other.
@@ -113,17 +113,6 @@ fn in_range(
         return Ok(());
     }
     Err(Failure::new(Exit::Usage, format!("{option} is {value}, but must be {allowed}")))
-}
-
-impl From<TakeError> for Failure {
-    fn from(error: TakeError) -> Self {
-        let exit = match error {
-            TakeError::Record(error) => return error.into(),
-            TakeError::NoKeypoints { .. } => Exit::NotOurs,
-            TakeError::UnknownCamera { .. } => Exit::CameraMismatch,
-        };
-        Self::new(exit, error.to_string())
-    }
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
