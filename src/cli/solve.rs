@@ -113,9 +113,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         weights: format!("{:016x}", decoder.fingerprint()),
         ..Provenance::default()
     };
-    let interpolation = config.tracker.cost.interpolation;
     let path = folder.file("poses.mcap");
-    let mut file = PoseFile::create(&path, &recording.rig, &rig, &provenance, interpolation)?;
+    let mut file = PoseFile::create(&path, &recording.rig, &rig, &provenance)?;
     let bar = progress(recording.messages, "messages");
     let solved = solve(&recording, &rig, &config, decoder, &mut file, &bar)?;
     let Some(skeleton) = solved.run.skeleton.clone().filter(|_| solved.run.found_somebody()) else {

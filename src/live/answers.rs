@@ -6,11 +6,12 @@ use super::core::{Core, Output};
 use super::events::Named;
 use super::status::quantile;
 use crate::core::body::StampedPose;
+use crate::core::manifold::StampedKeyframe;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{
-    self, Effort, Event, EventKind, KeyframeAt, Outcome, Solution, Verdict, WindowReport,
+    self, Effort, Event, EventKind, Outcome, Solution, Verdict, WindowReport,
 };
-use crate::io::wire::{self, Publication, StampedKeyframe};
+use crate::io::wire::{self, Publication};
 
 impl Core {
     pub(super) fn solved(&mut self, solution: Solution, took_ns: u64) {
@@ -27,12 +28,12 @@ impl Core {
 
     /// Declares the latency, and judges the effort, after a window was solved.
     fn settle(&mut self) {
-        let Some(track) = &self.track else { return };
+        let Some(track) = &mut self.track else { return };
         let period = track.output_grid().map_or(0, |grid| grid.period_ns as i64);
         let wait = track.span() - period;
         let delay = if self.latency.declared_ns().is_none() { self.clock.delay_p999() } else { 0 };
         if let Some((latency, why)) = self.latency.solved(self.took_ns, wait, delay) {
-            self.tell(tracker::Input::Latency(latency));
+            track.set_latency(latency);
             self.event(EventKind::Latency, None, why);
             return;
         }
@@ -41,7 +42,7 @@ impl Core {
         let Some(why) = self.governor.solved(self.took_ns, available, trouble) else { return };
         let level = self.governor.level();
         let effort = Effort::at(level, &self.settings.tracker);
-        self.tell(tracker::Input::Effort(effort));
+        track.set_effort(effort);
         let Effort { iterations, stride, .. } = effort;
         let detail = format!("level {level}: {iterations} iterations, stride {stride}; {why}");
         self.event(EventKind::Effort, None, detail);
@@ -100,23 +101,12 @@ impl Core {
         self.publish(topic, pose.capture, &message, due);
     }
 
-    fn keyframe(&mut self, at: &KeyframeAt) {
-        let Some(skeleton) = self.track.as_ref().and_then(tracker::Tracker::skeleton) else {
+    fn keyframe(&mut self, keyframe: &StampedKeyframe) {
+        if self.track.as_ref().and_then(tracker::Tracker::skeleton).is_none() {
             return;
-        };
-        let message = wire::Keyframe::from_core(&StampedKeyframe {
-            capture: at.capture,
-            start: at.start,
-            window: at.window,
-            keyframe: at.keyframe.clone(),
-            shape: *skeleton.shape(),
-            interpolation: self.settings.tracker.cost.interpolation,
-            weights: self.settings.weights.clone(),
-            grid: at.grid,
-            state: at.state,
-            rig_version: at.rig_version,
-        });
-        self.publish(self.topics.keyframe(), at.capture, &message, None);
+        }
+        let message = wire::Keyframe::from_core(keyframe, &self.settings.weights);
+        self.publish(self.topics.keyframe(), keyframe.capture, &message, None);
     }
 
     fn window(&mut self, report: &WindowReport) {

@@ -11,9 +11,10 @@ use super::governor::Governor;
 use super::journal::{self, Journal};
 use super::latency::Finder;
 use super::status::{Published, Windows};
+use crate::core::body::TrackingState;
 use crate::core::camera::Rig;
 use crate::core::time::Timestamp;
-use crate::core::tracker::{self, EventKind, Job, Live, Performer, Solution, Tracker};
+use crate::core::tracker::{self, EventKind, Job, Live, Solution, Tracker};
 use crate::io::wire::{self, Schema, Topics, encode};
 
 /// What the core is told.
@@ -361,10 +362,10 @@ impl Core {
             windows: Some(self.windows.counters()),
             node_time_ns: self.now.ns(),
             inputs: self.journal.count,
-            performer: track.map_or(Performer::Searching, Tracker::performer).name().to_owned(),
+            performer: track.map_or("searching", performer).to_owned(),
             declared_latency_ns: self.latency.declared_ns().unwrap_or(0).max(0) as u64,
             playout: Some(
-                self.published.counters(track.map_or((0, 0), Tracker::carried_and_missed)),
+                self.published.counters(track.map_or((0, 0), Tracker::extrapolated_and_missed)),
             ),
             effort: Some(wire::EffortStatus {
                 level: self.governor.level(),
@@ -387,5 +388,16 @@ impl Core {
             self.wake = Some(at);
             self.outputs.push_back(Output::Wake(at));
         }
+    }
+}
+
+/// The performer's state as the status message names it.
+fn performer(track: &Tracker) -> &'static str {
+    match track.state() {
+        Some(TrackingState::Tracking) => "tracking",
+        Some(TrackingState::Coasting) => "coasting",
+        _ if track.sees_somebody() => "acquiring",
+        Some(TrackingState::Lost) => "lost",
+        None => "searching",
     }
 }

@@ -140,18 +140,16 @@ impl<S: FnMut(&Output) -> Result<(), Failure>> Driver<S> {
     /// Gives the machine an input and does all that it then wants.
     pub(crate) fn feed(&mut self, input: Input) -> Result<(), Failure> {
         self.track.handle(input);
-        while let Some(output) = self.track.poll() {
-            if let Output::Solve(job) = &output {
-                let begin = Instant::now();
-                let solution = self.solver.solve(job);
-                let took = begin.elapsed();
-                self.run.solving += took;
-                if matches!(job.task, Task::Track { .. }) {
-                    self.run.last_solve_ms = took.as_secs_f64() * 1e3;
-                }
-                self.track.handle(Input::Solved(solution));
-                continue;
+        while let Some(output) = self.track.poll_and_solve(|job| {
+            let begin = Instant::now();
+            let solution = self.solver.solve(job);
+            let took = begin.elapsed();
+            self.run.solving += took;
+            if matches!(job.task, Task::Track { .. }) {
+                self.run.last_solve_ms = took.as_secs_f64() * 1e3;
             }
+            solution
+        }) {
             self.run.keep(&output);
             (self.sink)(&output)?;
         }

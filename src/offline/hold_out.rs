@@ -9,7 +9,6 @@ use serde::Serialize;
 use crate::core::body::{Attachment, Pose, Skeleton};
 use crate::core::camera::Camera;
 use crate::core::detections::{Detections, Keypoint, KeypointFormat, Person};
-use crate::core::so3;
 use crate::core::time::Timestamp;
 use crate::io::formats::trc::COMPARED;
 use crate::metrics::statistics::median;
@@ -107,11 +106,7 @@ pub fn pose_at<P: Kept>(poses: &[P], at: Timestamp) -> Option<Pose> {
     let before = poses.get(next.checked_sub(1)?)?;
     let a = before.usable()?;
     let s = (at - before.capture()) as f64 / (after.capture() - before.capture()) as f64;
-    Some(Pose {
-        root_rotation: so3::slerp(&a.root_rotation, &b.root_rotation, s),
-        root_position: a.root_position.lerp(&b.root_position, s),
-        local: std::array::from_fn(|j| so3::slerp(&a.local[j], &b.local[j], s)),
-    })
+    Some(a.interpolate(&b, s))
 }
 
 /// Distances of confident points of the person who is the performer, pixels: of those

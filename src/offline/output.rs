@@ -12,16 +12,15 @@ use super::kept::KeptPose;
 use crate::cli::failure::{Exit, Failure};
 use crate::core::body::{Joint, Posture, Skeleton};
 use crate::core::camera::Rig;
-use crate::core::manifold::Interpolation;
 use crate::core::time::Timestamp;
-use crate::core::tracker::{Event, KeyframeAt, Output};
+use crate::core::tracker::{Event, Output};
 use crate::io::formats::ExportError;
 use crate::io::recording::{Provenance, Writer};
 use crate::io::report::{
     AngleTrack, CameraErrors, Picture, ReportData, StickFigures, Table, WindowRow, flexion_deg,
     stick_figures, write_report,
 };
-use crate::io::wire::{StampedKeyframe, Topics};
+use crate::io::wire::Topics;
 
 /// Stick figures in the report.
 const FIGURES: usize = 9;
@@ -68,7 +67,6 @@ pub(crate) struct PoseFile {
     cameras: Vec<String>,
     skeleton: Option<Arc<Skeleton>>,
     has_rig: bool,
-    interpolation: Interpolation,
     weights: String,
 }
 
@@ -79,10 +77,8 @@ impl PoseFile {
         rig: &Arc<Rig>,
         solved: &Rig,
         provenance: &Provenance,
-        interpolation: Interpolation,
     ) -> Result<Self, Failure> {
         Ok(Self {
-            interpolation,
             weights: provenance.weights.clone(),
             writer: Writer::create(path, Topics::default(), provenance)?,
             rig: Arc::clone(rig),
@@ -105,28 +101,11 @@ impl PoseFile {
                 }
                 self.writer.pose(pose, &skeleton)?;
             }
-            Output::Keyframe(keyframe) => self.keyframe(keyframe)?,
+            Output::Keyframe(keyframe) => self.writer.keyframe(keyframe, &self.weights)?,
             Output::Event(event) => self.event(event)?,
             Output::Window(_) | Output::Solve(_) => {}
         }
         Ok(())
-    }
-
-    fn keyframe(&mut self, at: &KeyframeAt) -> Result<(), Failure> {
-        let Some(skeleton) = &self.skeleton else { return Ok(()) };
-        let stamped = StampedKeyframe {
-            capture: at.capture,
-            start: at.start,
-            window: at.window,
-            keyframe: at.keyframe.clone(),
-            shape: *skeleton.shape(),
-            interpolation: self.interpolation,
-            weights: self.weights.clone(),
-            grid: at.grid,
-            state: at.state,
-            rig_version: at.rig_version,
-        };
-        Ok(self.writer.keyframe(&stamped)?)
     }
 
     fn event(&mut self, event: &Event) -> Result<(), Failure> {

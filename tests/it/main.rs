@@ -22,6 +22,7 @@ mod slahmr;
 mod solve;
 mod synth;
 mod take;
+mod timing;
 mod tools;
 mod tracker;
 mod train;

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::forward::{Posture, forward};
 use super::joints::BODY_JOINTS;
 use super::skeleton::Skeleton;
+use crate::core::so3;
 use crate::core::time::Timestamp;
 
 /// The root and the 21 local rotations.
@@ -25,6 +26,16 @@ impl Pose {
             root_rotation: Matrix3::identity(),
             root_position: Vector3::zeros(),
             local: [Matrix3::identity(); BODY_JOINTS],
+        }
+    }
+
+    /// The pose at `s` on the path from `self` (s = 0) to `to` (s = 1): a slerp of each rotation,
+    /// a straight line for the position. Values of `s` outside \[0, 1\] extrapolate.
+    pub fn interpolate(&self, to: &Self, s: f64) -> Self {
+        Self {
+            root_rotation: so3::slerp(&self.root_rotation, &to.root_rotation, s),
+            root_position: self.root_position.lerp(&to.root_position, s),
+            local: std::array::from_fn(|j| so3::slerp(&self.local[j], &to.local[j], s)),
         }
     }
 

@@ -46,7 +46,7 @@ pub fn follow<'d>(
     let world: Vec<_> = points.iter().map(|p| p.attachment.position(&posture, skeleton)).collect();
     let view = |camera: &Camera| world.iter().map(|point| camera.project(point)).collect();
     Follower { points, config, expected: rig.cameras.iter().map(view).collect() }
-        .observed_frames(frames)
+        .observations(frames)
 }
 
 /// Follows the performer through the views.
@@ -61,7 +61,7 @@ struct Follower<'a> {
 impl Follower<'_> {
     /// What was seen of the performer in `frames`, which are in order of capture time, grouped
     /// by capture time, to [`SAME_TIME`].
-    fn observed_frames<'d>(
+    fn observations<'d>(
         &mut self,
         frames: impl Iterator<Item = &'d Detections>,
     ) -> Vec<FrameObservations> {

@@ -49,10 +49,10 @@ impl OffsetEstimator {
 
     /// With what a window tells that was solved with the marks `at`. `prior` is the weight of the
     /// squared marks to begin with. `None` if the sum has no minimum.
-    pub fn with(&self, told: &Marginal, at: &KeypointOffsets, prior: f64) -> Option<Self> {
+    pub fn with(&self, marginal: &Marginal, at: &KeypointOffsets, prior: f64) -> Option<Self> {
         let at = DVector::from_column_slice(&at.0);
-        let pull = (&told.hessian * at - &told.gradient) * SHARE;
-        let information = &self.information + &told.hessian * SHARE;
+        let pull = (&marginal.hessian * at - &marginal.gradient) * SHARE;
+        let information = &self.information + &marginal.hessian * SHARE;
         let pull = &self.pull + pull;
         let offsets = estimate(&information, &pull, prior)?;
         Some(Self { information, pull, windows: self.windows + 1, offsets })
@@ -112,9 +112,9 @@ mod tests {
     #[test]
     fn what_little_is_wanted_is_held_small() {
         let wanted = KeypointOffsets([0.05; OFFSETS]);
-        let told = window(&wanted, &KeypointOffsets::default(), 10.0);
+        let marginal = window(&wanted, &KeypointOffsets::default(), 10.0);
         let estimator =
-            OffsetEstimator::default().with(&told, &KeypointOffsets::default(), 300.0).unwrap();
+            OffsetEstimator::default().with(&marginal, &KeypointOffsets::default(), 300.0).unwrap();
         assert!(
             estimator.offsets.0.iter().all(|m| (0.0..0.01).contains(m)),
             "{:?}",

@@ -9,7 +9,6 @@ mod event;
 mod generated;
 mod keyframe;
 mod keypoints;
-mod path;
 mod pose;
 mod retargeted;
 mod rig;
@@ -18,7 +17,6 @@ mod skeleton;
 mod topic;
 
 pub use generated::*;
-pub use keyframe::StampedKeyframe;
 pub use pose::Publication;
 pub use schema::{
     ENCODING, SCHEMA_ENCODING, Schema, decode, descriptor, encode, media_type, schema_of,

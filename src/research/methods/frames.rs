@@ -40,7 +40,7 @@ impl<'a> Cut<'a> {
     }
 
     /// What was seen of the performer in a frame, expected where `keyframe` puts the body.
-    pub(super) fn observed_frames(
+    pub(super) fn observations(
         &self,
         frame: usize,
         keyframe: &Keyframe,
@@ -70,12 +70,12 @@ pub(super) struct Given<'a> {
 /// Whether enough was seen to solve a frame by itself: by the same gate as the windows, from two
 /// views at least.
 pub(super) fn is_enough(
-    observed_frames: &[FrameObservations],
+    observations: &[FrameObservations],
     cameras: usize,
     config: &Config,
 ) -> bool {
     let mut views = vec![0; cameras];
-    for observation in observed_frames.iter().flat_map(FrameObservations::observations) {
+    for observation in observations.iter().flat_map(FrameObservations::observations) {
         views[observation.camera] += 1;
     }
     let total: usize = views.iter().sum();

@@ -55,9 +55,9 @@ impl Optimiser {
         let keep = config.averaging.min(self.step as f32 / (self.step as f32 + 10.0));
         let shrink = 1.0 - rate * config.weight_decay;
         let (pace, root) = (rate / correct1, 1.0 / correct2.sqrt());
-        let observed_frames = self.first.iter_mut().zip(&mut self.second).zip(&mut self.averaged);
+        let moments = self.first.iter_mut().zip(&mut self.second).zip(&mut self.averaged);
         for ((parameter, by), ((first, second), averaged)) in
-            parameters.iter_mut().zip(gradient).zip(observed_frames)
+            parameters.iter_mut().zip(gradient).zip(moments)
         {
             let by = by * scale;
             *first = BETA1 * *first + (1.0 - BETA1) * by;
