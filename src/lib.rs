@@ -1,20 +1,65 @@
 //! Streaming human motion capture: 2D keypoints of calibrated cameras in, smooth 3D poses out.
 //!
-//! The modules are layers; each imports only from those above it in this list
-//! (`tests/it/layers.rs` checks it):
+//! The solver is a library without input or output. You give a [`Tracker`] the detections of each
+//! camera. It asks you to solve a [`Job`] now and then, and it gives you poses:
 //!
-//! | rank | module | holds |
+//! ```
+//! use std::sync::Arc;
+//!
+//! use bundlemocap::{Input, Output, Rig, Solver, StampedPose, Tracker, TrackerConfig};
+//! # use bundlemocap::{Detections, WeightsError};
+//!
+//! # fn run(rig: Arc<Rig>, frames: impl Iterator<Item = Detections>) -> Result<(), WeightsError> {
+//! let config = TrackerConfig::default();
+//! let mut tracker = Tracker::new(config, rig);
+//! let mut solver = Solver::new(bundlemocap::Decoder::embedded()?, config);
+//! for input in frames.map(Input::Detections).chain([Input::End]) {
+//!     tracker.handle(input);
+//!     while let Some(output) = tracker.poll() {
+//!         match output {
+//!             Output::Solve(job) => tracker.handle(Input::Solved(solver.solve(&job))),
+//!             Output::Pose(pose) => println!("{}: {}", pose.capture, pose.pose.root_position),
+//!             _ => {}
+//!         }
+//!     }
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! [`offline`] solves a recording with this loop and writes the results. `live` is the node: it
+//! takes detections from a bus and publishes poses at a fixed latency.
+//!
+//! # Features
+//! All are on by default. `default-features = false` leaves the solver, recordings and file formats.
+//!
+//! | feature | adds |
+//! |---|---|
+//! | `zenoh`, `iceoryx2` | the buses of that name |
+//! | `live` | `live`, the node, and `config`, its settings |
+//! | `research` | `research`: compared methods, experiments, synthetic recordings, training |
+//! | `cli` | `cli`, the `bundlemocap` command; it needs `live` and `research` |
+//!
+//! # Layers
+//! A module imports only from modules above it in this table, and in `core` and `io` a part only
+//! from parts before it. No files of a folder import each other in a circle.
+//! `tests/it/layers.rs` checks all of this.
+//!
+//! | module | parts | holds |
 //! |---|---|---|
-//! | 0 | [`time`], [`so3`], [`linalg`], [`detect`] | time stamps, rotations, dense products, what a 2D detector says |
-//! | 1 | [`body`], [`camera`], [`solve`] | skeleton and keypoints; cameras and triangulation; optimisers that know no bodies |
-//! | 2 | [`manifold`] | pose decoder, weights, interpolation, transitions |
-//! | 3 | [`cost`], [`msg`] | the window problem: reprojection, robust loss, prior; wire types |
-//! | 4 | [`track`], [`baseline`] | the sans-IO machine: window assembly, acquisition, tracking; the methods it is compared with |
-//! | 5 | [`bus`], [`record`], [`import`], [`export`], [`retarget`], [`train`], [`synth`], [`eval`] | the edges |
-//! | 6 | [`node`], [`config`], [`study`], [`cli`] | the live node; methods measured against each other; composition |
+//! | [`core`] | `time`, `so3`, `linalg`, `random`, `detections`, `body`, `camera`, `optimise`, `manifold`, `cost`, `tracker` | the solver: no input or output, no clock |
+//! | [`io`] | `wire`, `recording`, `new_file`, `bus`, `formats`, `report` | messages, MCAP files, the bus, other programs' files, the report |
+//! | [`metrics`] | | errors of poses, reprojection, statistics |
+//! | [`retarget`] | | poses on another skeleton |
+//! | [`offline`] | | a recording solved, from opening it to its summary |
+//! | `live` | | the node, its threads, and tools on the bus |
+//! | `research` | `synth`, `train`, `methods`, `experiments` | synthetic recordings, training, compared methods, experiments |
+//! | `config` | | all settings in one tree |
+//! | `cli` | | the command line, one file for each command |
 //!
-//! Conventions: world right-handed, metres, y up. `a_from_b` maps coordinates of frame b to
-//! frame a. Angles in radians. Missing is `Option`, never NaN or confidence 0.
+//! # Conventions
+//! The world is right-handed, in metres, y up. `a_from_b` maps coordinates of frame b to frame a.
+//! Angles are radians. Missing is `Option`, never NaN or confidence 0.
 //!
 //! # Sources
 //! - \[Albanis 2023\] Albanis, Zioulis, Kolomvatsos. BundleMoCap: Efficient, Robust and Smooth
@@ -44,12 +89,25 @@
 //! - \[Zhou 2019\] Zhou, Barnes, Lu, Yang, Li. On the continuity of rotation representations in
 //!   neural networks. CVPR 2019.
 
+#[cfg(feature = "cli")]
 pub mod cli;
+#[cfg(feature = "live")]
 pub mod config;
 pub mod core;
 pub mod io;
+#[cfg(feature = "live")]
 pub mod live;
 pub mod metrics;
 pub mod offline;
+#[cfg(feature = "research")]
 pub mod research;
 pub mod retarget;
+
+pub use crate::core::body::{Joint, Pose, Skeleton, StampedPose, TrackingState};
+pub use crate::core::camera::{Camera, CameraError, Lens, Rig};
+pub use crate::core::detections::{Detection, Detections, Keypoint, KeypointFormat, Person};
+pub use crate::core::manifold::{Decoder, WeightsError};
+pub use crate::core::time::Timestamp;
+pub use crate::core::tracker::{
+    Config as TrackerConfig, Event, Input, Job, Output, Solution, Solver, Tracker,
+};

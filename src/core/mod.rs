@@ -7,6 +7,7 @@ pub mod detections;
 pub mod linalg;
 pub mod manifold;
 pub mod optimise;
+pub mod random;
 pub mod so3;
 pub mod time;
 pub mod tracker;

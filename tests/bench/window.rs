@@ -1,5 +1,6 @@
 //! Speed of one window: four cameras, 25 points, ten frames; by one thread if not said otherwise.
 
+use std::fmt;
 use std::hint::black_box;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -20,7 +21,7 @@ use bundlemocap::core::optimise::{
 use bundlemocap::core::time::Timestamp;
 use bundlemocap::core::tracker::{self, Effort, Job, Noise, OffsetEstimator, Solver, Task};
 use bundlemocap::research::synth;
-use criterion::{Criterion, criterion_group, criterion_main};
+use divan::Bencher;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 use nalgebra::{Point2, Vector2, Vector3};
@@ -53,6 +54,13 @@ struct Size {
     cameras: usize,
     format: KeypointFormat,
     frames: u64,
+}
+
+impl fmt::Display for Size {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Size { cameras, format, frames } = self;
+        write!(f, "{cameras} cameras, {}, {frames} frames", format.name())
+    }
 }
 
 const USUAL: Size = Size { cameras: 4, format: KeypointFormat::Body25, frames: 10 };
@@ -172,69 +180,105 @@ fn job(case: &Case, config: &tracker::Config) -> Job {
 }
 
 /// A job of the solver, with all that belongs to it: who is the performer, keyframes, poses, residuals.
-fn jobs(c: &mut Criterion) {
+#[divan::bench(name = "solver's job, by threads", args = [1, 2])]
+fn jobs(bencher: Bencher, threads: usize) {
     let case = case(USUAL);
-    for (name, threads) in [("solver's job", 1), ("solver's job, two threads", 2)] {
-        let config = tracker::Config { threads, ..tracker::Config::default() };
-        let (job, mut solver) = (job(&case, &config), Solver::new(case.decoder.clone(), config));
-        c.bench_function(name, |b| b.iter(|| solver.solve(&job)));
-    }
+    let config = tracker::Config { threads, ..tracker::Config::default() };
+    let (job, mut solver) = (job(&case, &config), Solver::new(case.decoder.clone(), config));
+    bencher.bench_local(|| solver.solve(&job));
 }
 
-fn window(c: &mut Criterion) {
+fn solves(bencher: Bencher, spacing: u64, method: OptimiserKind) {
     let case = case(USUAL);
-    for (name, spacing, method) in [
-        ("window solve", 1, OptimiserKind::LevenbergMarquardt),
-        ("paper's window solve, lm", 10, OptimiserKind::LevenbergMarquardt),
-        ("paper's window solve, lbfgs", 10, OptimiserKind::Lbfgs),
-    ] {
-        let (mut optimiser, mut work) = (method.optimiser(1e-3), Workspace::default());
-        c.bench_function(name, |b| b.iter(|| case.solve(spacing, &mut *optimiser, &mut work)));
-    }
-    let mut work = Workspace::default();
+    let (mut optimiser, mut work) = (method.optimiser(1e-3), Workspace::default());
+    bencher.bench_local(|| case.solve(spacing, &mut *optimiser, &mut work));
+}
+
+#[divan::bench(name = "window solve")]
+fn window_solve(bencher: Bencher) {
+    solves(bencher, 1, OptimiserKind::LevenbergMarquardt);
+}
+
+#[divan::bench(name = "paper's window solve, lm")]
+fn papers_solve_lm(bencher: Bencher) {
+    solves(bencher, 10, OptimiserKind::LevenbergMarquardt);
+}
+
+#[divan::bench(name = "paper's window solve, lbfgs")]
+fn papers_solve_lbfgs(bencher: Bencher) {
+    solves(bencher, 10, OptimiserKind::Lbfgs);
+}
+
+#[divan::bench(name = "window cost")]
+fn window_cost(bencher: Bencher) {
+    let (case, mut work) = (case(USUAL), Workspace::default());
+    let mut problem = case.problem(1, &mut work);
+    let x = problem.start();
+    bencher.bench_local(|| problem.cost(&x));
+}
+
+#[divan::bench(name = "window gradient")]
+fn window_gradient(bencher: Bencher) {
+    let (case, mut work) = (case(USUAL), Workspace::default());
     let mut problem = case.problem(1, &mut work);
     let x = problem.start();
     let mut gradient = vec![0.0; x.len()];
-    let mut equations = NormalEquations::zeros(problem.layout());
-    c.bench_function("window cost", |b| b.iter(|| problem.cost(&x)));
-    c.bench_function("window gradient", |b| b.iter(|| problem.gradient(&x, &mut gradient)));
-    c.bench_function("window equations equations", |b| {
-        b.iter(|| problem.linearise(&x, &mut equations));
-    });
-    let mut factor = Cholesky::like(&equations.hessian);
-    c.bench_function("window factorisation", |b| {
-        b.iter(|| factor.factorise(&equations.hessian, |_| 1.0))
-    });
+    bencher.bench_local(|| problem.gradient(&x, &mut gradient));
 }
 
-/// How the time of four iterations grows with what is seen.
-fn sizes(c: &mut Criterion) {
-    let mut group = c.benchmark_group("four iterations by size");
+#[divan::bench(name = "window equations equations")]
+fn window_normal_equations(bencher: Bencher) {
+    let (case, mut work) = (case(USUAL), Workspace::default());
+    let mut problem = case.problem(1, &mut work);
+    let x = problem.start();
+    let mut equations = NormalEquations::zeros(problem.layout());
+    bencher.bench_local(|| problem.linearise(&x, &mut equations));
+}
+
+#[divan::bench(name = "window factorisation")]
+fn window_factorisation(bencher: Bencher) {
+    let (case, mut work) = (case(USUAL), Workspace::default());
+    let mut problem = case.problem(1, &mut work);
+    let x = problem.start();
+    let mut equations = NormalEquations::zeros(problem.layout());
+    problem.linearise(&x, &mut equations);
+    let mut factor = Cholesky::like(&equations.hessian);
+    bencher.bench_local(|| factor.factorise(&equations.hessian, |_| 1.0));
+}
+
+/// What is measured by size: cameras, frames, points.
+fn sizes() -> impl Iterator<Item = Size> {
     let cameras = [2, 4, 8, 16, 32].map(|cameras| Size { cameras, ..USUAL });
     let frames = [5, 20, 40].map(|frames| Size { frames, ..USUAL });
     let whole_body = Size { format: KeypointFormat::CocoWholebody133, ..USUAL };
-    for size in cameras.into_iter().chain(frames).chain([whole_body]) {
-        let case = case(size);
-        let mut optimiser = OptimiserKind::LevenbergMarquardt.optimiser(0.0);
-        let mut work = Workspace::default();
-        let Size { cameras, format, frames } = size;
-        let name = format!("{cameras} cameras, {}, {frames} frames", format.name());
-        group.bench_function(name, |b| {
-            b.iter(|| case.iterate(&mut *optimiser, &mut work));
-        });
-    }
+    cameras.into_iter().chain(frames).chain([whole_body])
 }
 
-fn decoder(c: &mut Criterion) {
+/// How the time of four iterations grows with what is seen.
+#[divan::bench(name = "four iterations by size", args = sizes())]
+fn four_iterations(bencher: Bencher, size: Size) {
+    let case = case(size);
+    let mut optimiser = OptimiserKind::LevenbergMarquardt.optimiser(0.0);
+    let mut work = Workspace::default();
+    bencher.bench_local(|| case.iterate(&mut *optimiser, &mut work));
+}
+
+#[divan::bench(name = "decode 10 codes")]
+fn decode(bencher: Bencher) {
     let case = case(USUAL);
     let codes = [case.truth[0].z; 10];
     let mut work = Jacobians::default();
-    c.bench_function("decode 10 codes", |b| b.iter(|| case.decoder.values(&codes, &mut work)));
-    c.bench_function("decode 10 codes with tangents", |b| {
-        b.iter(|| {
-            case.decoder.values(&codes, &mut work);
-            case.decoder.tangents(&mut work);
-        });
+    bencher.bench_local(|| case.decoder.values(&codes, &mut work));
+}
+
+#[divan::bench(name = "decode 10 codes with tangents")]
+fn decode_with_tangents(bencher: Bencher) {
+    let case = case(USUAL);
+    let codes = [case.truth[0].z; 10];
+    let mut work = Jacobians::default();
+    bencher.bench_local(|| {
+        case.decoder.values(&codes, &mut work);
+        case.decoder.tangents(&mut work);
     });
 }
 
@@ -275,7 +319,7 @@ fn peak() -> f64 {
 }
 
 /// What part of the machine's peak a window solve reaches: its time at the peak over its time.
-fn arithmetic(_: &mut Criterion) {
+fn arithmetic() {
     let case = case(USUAL);
     let mut optimiser = OptimiserKind::LevenbergMarquardt.optimiser(1e-3);
     let mut work = Workspace::default();
@@ -295,13 +339,11 @@ fn arithmetic(_: &mut Criterion) {
     println!("  {:.0} % of the peak", 100.0 * operations / peak / time);
 }
 
-criterion_group! {
-    name = benches;
-    config = Criterion::default()
-        .without_plots()
-        .sample_size(50)
-        .warm_up_time(Duration::from_millis(500))
-        .measurement_time(Duration::from_secs(3));
-    targets = arithmetic, jobs, window, sizes, decoder
+fn main() {
+    arithmetic();
+    divan::Divan::default()
+        .sample_count(50)
+        .min_time(Duration::from_secs(3))
+        .config_with_args()
+        .main();
 }
-criterion_main!(benches);

@@ -1,37 +1,39 @@
-//! Modules import only from below: the table in `src/lib.rs` against the paths in the sources.
+//! The layers: a module imports only from modules above it in the table of `src/lib.rs`, and the
+//! files of a folder do not import each other in a circle.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Where a module stands: its rank, and its place in the table.
-type Place = (u32, usize);
+/// Folders in which files may import each other in a circle, with the reason.
+const CIRCLES: [(&str, &str); 0] = [];
 
-/// Modules of this rank, the edges, never import each other.
-const EDGES: u32 = 5;
+/// The place of each module in the table, and of each part as `module::part`.
+type Table = BTreeMap<String, usize>;
 
-/// Reads rows like ``| 0 | [`time`], [`so3`] | ... |``.
-fn table(lib: &str) -> BTreeMap<String, Place> {
-    let rows = lib.lines().filter_map(|line| {
-        let mut cells = line.strip_prefix("//! |")?.split('|');
-        let rank: u32 = cells.next()?.trim().parse().ok()?;
-        Some((rank, cells.next()?.to_owned()))
-    });
-    let modules = rows.flat_map(|(rank, names)| {
-        let names: Vec<_> = names.split('`').skip(1).step_by(2).map(str::to_owned).collect();
-        names.into_iter().map(move |name| (name, rank))
-    });
-    modules.enumerate().map(|(order, (name, rank))| (name, (rank, order))).collect()
+/// Reads rows like ``| [`io`] | `wire`, `bus` | ... |``.
+fn table(lib: &str) -> Table {
+    let names = |cell: &str| -> Vec<String> {
+        cell.split('`').skip(1).step_by(2).map(str::to_owned).collect()
+    };
+    let layers = lib.split("# Layers").nth(1).unwrap_or_default();
+    let layers = layers.split("//! # ").next().unwrap_or_default();
+    let mut all = Vec::new();
+    for row in layers.lines().filter_map(|line| line.strip_prefix("//! |")) {
+        let mut cells = row.split('|');
+        let Some(module) = names(cells.next().unwrap_or_default()).pop() else { continue };
+        let parts = names(cells.next().unwrap_or_default());
+        all.extend(parts.into_iter().map(|part| format!("{module}::{part}")));
+        all.push(module);
+    }
+    all.into_iter().enumerate().map(|(place, name)| (name, place)).collect()
 }
 
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let mut found: Vec<_> = fs::read_dir(folder)
         .unwrap()
         .map(|entry| entry.unwrap().path())
-        .flat_map(|path| match path.is_dir() {
-            true => sources(&path),
-            false => vec![path],
-        })
+        .flat_map(|path| if path.is_dir() { sources(&path) } else { vec![path] })
         .filter(|path| path.extension().is_some_and(|extension| extension == "rs"))
         .collect();
     found.sort();
@@ -40,27 +42,35 @@ fn sources(folder: &Path) -> Vec<PathBuf> {
 
 /// The code without comments and without the tests at its end.
 fn code(text: &str) -> String {
-    let text = text.split("#[cfg(test)]\nmod tests {").next().unwrap();
+    let text = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
     text.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n")
 }
 
-/// The first name of each path after `prefix`; for `prefix{a::b, c}` those of its branches.
-fn heads(code: &str, prefix: &str) -> Vec<String> {
-    let name = |text: &str| -> String {
-        text.trim_start().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect()
-    };
+/// All paths after `prefix`, groups expanded: `prefix{a::{x, y}, b}` gives `a::x`, `a::y` and `b`.
+fn paths(code: &str, prefix: &str) -> Vec<String> {
+    let is_name = |c: char| c.is_alphanumeric() || c == '_';
     code.match_indices(prefix)
-        .filter(|(at, _)| {
-            !code[..*at].ends_with(|c: char| c.is_alphanumeric() || c == '_' || c == ':')
-        })
-        .flat_map(|(at, _)| match code[at + prefix.len()..].strip_prefix('{') {
-            Some(group) => branches(group).iter().map(|branch| name(branch)).collect(),
-            None => vec![name(&code[at + prefix.len()..])],
-        })
+        .filter(|(at, _)| !code[..*at].ends_with(|c: char| is_name(c) || c == ':'))
+        .flat_map(|(at, _)| expand(&code[at + prefix.len()..]))
         .collect()
 }
 
-/// Splits `a::{b, c}, d}...` at the commas outside inner braces, up to the closing one.
+/// The paths at the beginning of a text.
+fn expand(text: &str) -> Vec<String> {
+    let text = text.trim_start();
+    if let Some(group) = text.strip_prefix('{') {
+        return branches(group).iter().flat_map(|branch| expand(branch)).collect();
+    }
+    let name: String = text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
+    match text[name.len()..].strip_prefix("::") {
+        Some(rest) if !name.is_empty() => {
+            expand(rest).iter().map(|rest| format!("{name}::{rest}")).collect()
+        }
+        _ => vec![name],
+    }
+}
+
+/// Splits `a::{b, c}, d}...` at the commas outside inner braces, up to the closing brace.
 fn branches(group: &str) -> Vec<String> {
     let (mut depth, mut all) = (0, vec![String::new()]);
     for c in group.chars() {
@@ -76,55 +86,155 @@ fn branches(group: &str) -> Vec<String> {
     all
 }
 
-fn is_allowed(from: Place, to: Place) -> bool {
-    to.0 < from.0 || (to.0 == from.0 && to.1 <= from.1 && from.0 != EDGES)
+/// The module path of a source file below `src`, such as `core::cost::path`.
+fn module_of(inside: &Path) -> Vec<String> {
+    let mut parts: Vec<String> =
+        inside.with_extension("").iter().map(|part| part.to_string_lossy().into_owned()).collect();
+    if parts.last().is_some_and(|last| last == "mod") {
+        parts.pop();
+    }
+    parts
+}
+
+/// The absolute paths that the code of `module` uses: after `crate::`, and after any number of
+/// `super::`.
+fn used(code: &str, module: &[String]) -> Vec<Vec<String>> {
+    let split = |path: &str| path.split("::").map(str::to_owned).collect::<Vec<_>>();
+    let mut all: Vec<Vec<String>> = paths(code, "crate::").iter().map(|path| split(path)).collect();
+    for path in paths(code, "super::") {
+        let ups = 1 + path.split("::").take_while(|part| *part == "super").count();
+        let rest = split(&path).into_iter().skip(ups - 1);
+        let above = module.iter().take(module.len().saturating_sub(ups)).cloned();
+        all.push(above.chain(rest).collect());
+    }
+    all
+}
+
+/// The entry of the table that a path belongs to: `module::part` if there is one, else `module`.
+fn entry<'p>(table: &Table, path: &'p [String]) -> Option<(String, &'p [String])> {
+    let [module, rest @ ..] = path else { return None };
+    let part = rest.first().map(|part| format!("{module}::{part}"));
+    let known = part.filter(|part| table.contains_key(part));
+    known.or_else(|| table.contains_key(module).then(|| module.clone())).map(|name| (name, rest))
 }
 
 #[test]
-fn modules_import_only_from_lower_layers() {
+fn modules_import_only_from_layers_above() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let table = table(&fs::read_to_string(root.join("lib.rs")).unwrap());
-    assert!(table.len() > 10, "the table of layers in src/lib.rs cannot be read: {table:?}");
-
+    assert!(table.len() > 20, "the table of layers in src/lib.rs cannot be read: {table:?}");
     let mut wrong = Vec::new();
-    for path in sources(&root) {
-        let inside = path.strip_prefix(&root).unwrap();
-        let module = inside.components().next().unwrap().as_os_str().to_str().unwrap();
-        let module = module.trim_end_matches(".rs");
-        if ["lib", "main"].contains(&module) || inside.ends_with("tests.rs") {
+    for file in sources(&root) {
+        let inside = file.strip_prefix(&root).unwrap();
+        let module = module_of(inside);
+        if ["lib", "main"].contains(&module[0].as_str()) || inside.ends_with("tests.rs") {
             continue;
         }
-        let Some(&from) = table.get(module) else {
-            wrong.push(format!("{}: `{module}` is not in the table", inside.display()));
+        let Some((from, _)) = entry(&table, &module) else {
+            wrong.push(format!("{}: not in the table", inside.display()));
             continue;
         };
-        let code = code(&fs::read_to_string(&path).unwrap());
-        let mut used = heads(&code, "crate::");
-        if inside.components().count() == 1
-            || inside.ends_with("mod.rs") && inside.components().count() == 2
-        {
-            used.extend(heads(&code, "super::"));
-        }
-        for name in used.iter().filter(|name| *name != module) {
-            match table.get(name) {
-                Some(&to) if is_allowed(from, to) => {}
-                Some(_) => wrong.push(format!("{} imports `{name}`", inside.display())),
-                None => wrong.push(format!("{}: `{name}` is not in the table", inside.display())),
+        let code = code(&fs::read_to_string(&file).unwrap());
+        for path in used(&code, &module) {
+            match entry(&table, &path) {
+                Some((to, _))
+                    if table[&to] <= table[&from] || !to.contains("::") && to == module[0] => {}
+                Some((to, _)) => wrong.push(format!("{} imports `{to}`", inside.display())),
+                // A name that lib.rs or a face (mod.rs) gives out.
+                None if path.len() < 2 => {}
+                None => wrong.push(format!(
+                    "{}: `{}` is not in the table",
+                    inside.display(),
+                    path.join("::")
+                )),
             }
         }
     }
     assert!(wrong.is_empty(), "imports against the layers:\n{}", wrong.join("\n"));
 }
 
+/// Who imports whom among the files and folders directly in `folder`.
+fn imports_within(folder: &Path, root: &Path) -> BTreeMap<String, BTreeSet<String>> {
+    let base = module_of(folder.strip_prefix(root).unwrap());
+    let base: Vec<String> = if base == [""] { Vec::new() } else { base };
+    let mut graph: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    let mut all = Vec::new();
+    for file in sources(folder) {
+        let module = module_of(file.strip_prefix(root).unwrap());
+        let Some(room) = module.get(base.len()) else { continue };
+        all.push((room.clone(), used(&code(&fs::read_to_string(&file).unwrap()), &module)));
+        graph.entry(room.clone()).or_default();
+    }
+    for (room, paths) in all {
+        for path in paths {
+            let inner = path.strip_prefix(base.as_slice()).and_then(|inner| inner.first());
+            if let Some(other) = inner.filter(|other| **other != room && graph.contains_key(*other))
+            {
+                let other = other.clone();
+                graph.entry(room.clone()).or_default().insert(other);
+            }
+        }
+    }
+    graph
+}
+
+/// A circle of imports, if there is one.
+fn circle(graph: &BTreeMap<String, BTreeSet<String>>) -> Option<Vec<String>> {
+    let mut left = graph.clone();
+    loop {
+        let free: Vec<String> = left
+            .iter()
+            .filter(|(_, to)| to.iter().all(|to| !left.contains_key(to)))
+            .map(|(name, _)| name.clone())
+            .collect();
+        if free.is_empty() {
+            return (!left.is_empty()).then(|| left.into_keys().collect());
+        }
+        free.iter().for_each(|name| drop(left.remove(name)));
+    }
+}
+
 #[test]
-fn the_check_sees_what_it_must() {
-    let table = table("//! | 0 | [`time`], [`so3`] | x |\n//! | 5 | [`bus`], [`record`] | y |");
-    let place = |name: &str| table[name];
-    assert!(is_allowed(place("so3"), place("time")) && !is_allowed(place("time"), place("so3")));
-    assert!(is_allowed(place("bus"), place("time")) && !is_allowed(place("time"), place("bus")));
-    assert!(!is_allowed(place("record"), place("bus")));
-    let code = code(
-        "use crate::{a::{x, y}, b};\n// crate::no\nlet z = crate::c::d();\n#[cfg(test)]\nmod tests { crate::t",
+fn files_of_a_folder_do_not_import_each_other_in_a_circle() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let folders: BTreeSet<PathBuf> =
+        sources(&root).iter().filter_map(|file| file.parent().map(Path::to_owned)).collect();
+    let mut wrong = Vec::new();
+    for folder in folders {
+        let name = folder.strip_prefix(&root).unwrap().display().to_string();
+        let excused = CIRCLES.iter().any(|(folder, _)| *folder == name);
+        match circle(&imports_within(&folder, &root)) {
+            Some(files) if !excused => wrong.push(format!("src/{name}: {}", files.join(", "))),
+            None if excused => wrong.push(format!("src/{name} has no circle: take its reason out")),
+            _ => {}
+        }
+    }
+    assert!(
+        wrong.is_empty(),
+        "files that import each other in a circle, or are behind one:\n{}",
+        wrong.join("\n")
     );
-    assert_eq!(heads(&code, "crate::"), ["a", "b", "c"]);
+}
+
+#[test]
+fn the_checks_see_what_they_must() {
+    let table = table(
+        "//! # Layers\n//! | [`core`] | `time`, `so3` | x |\n//! | [`io`] | | y |\n//! # End",
+    );
+    assert!(table["core::time"] < table["core::so3"] && table["core"] < table["io"]);
+    let text = "use crate::{a::{x, y}, b};\nuse super::super::q::r;\n// crate::no\nlet z = crate::c::d();\n\
+                #[cfg(test)]\nmod tests { crate::t";
+    let here: Vec<String> = ["m", "n", "f"].map(str::to_owned).into();
+    let used: Vec<String> = used(&code(text), &here).iter().map(|path| path.join("::")).collect();
+    assert_eq!(used, ["a::x", "a::y", "b", "c::d", "m::q::r"]);
+    let graph = |arrows: &[(&str, &str)]| {
+        let mut graph: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+        for (from, to) in arrows {
+            graph.entry((*from).into()).or_default().insert((*to).into());
+            graph.entry((*to).into()).or_default();
+        }
+        graph
+    };
+    assert_eq!(circle(&graph(&[("a", "b"), ("b", "c")])), None);
+    assert_eq!(circle(&graph(&[("a", "b"), ("b", "a"), ("b", "c")])).unwrap(), ["a", "b"]);
 }

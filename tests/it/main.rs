@@ -1,28 +1,44 @@
-//! Integration tests, one binary.
+//! Integration tests, one binary. Tests of a feature are built with it.
 
+#[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod bus;
 mod camera;
+#[cfg(feature = "cli")]
 mod cli;
+#[cfg(feature = "cli")]
 mod experiments;
+#[cfg(feature = "research")]
 mod export;
+#[cfg(feature = "research")]
 mod genlock;
 mod import;
 mod jacobians;
 mod layers;
+#[cfg(feature = "cli")]
 mod live;
 mod manifold;
 mod messages;
+#[cfg(feature = "research")]
 mod methods;
+#[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod node;
+#[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod program;
+#[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod python;
 mod recording;
+#[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod retarget;
+#[cfg(feature = "research")]
 mod slahmr;
 mod solve;
+#[cfg(feature = "research")]
 mod synth;
+#[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod take;
 mod timing;
+#[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod tools;
 mod tracker;
+#[cfg(feature = "research")]
 mod train;

@@ -10,6 +10,7 @@ use bundlemocap::io::wire::{
     CameraCounters, DecodeError, Event, Keyframe, KeypointFrame, Pose, Publication, RetargetedPose,
     Rig, Schema, Skeleton, Status, WindowCounters, decode, encode,
 };
+use expect_test::{expect, expect_file};
 use nalgebra::{Matrix3, Point2, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -202,16 +203,14 @@ fn hex(message: &impl Schema) -> String {
 
 #[test]
 fn the_encoding_is_what_it_was() {
-    insta::with_settings!({ snapshot_path => "../golden", prepend_module_to_snapshot => false }, {
-        insta::assert_snapshot!("keypoint_frame", hex(&keypoints()));
-        insta::assert_snapshot!("rig", hex(&Rig::from_core(&rig())));
-        insta::assert_snapshot!("pose", hex(&published_pose()));
-        insta::assert_snapshot!("keyframe", hex(&Keyframe::from_core(&keyframe(), WEIGHTS)));
-        insta::assert_snapshot!("skeleton", hex(&Skeleton::from_core(&skeleton())));
-        insta::assert_snapshot!("event", hex(&event()));
-        insta::assert_snapshot!("status", hex(&status()));
-        insta::assert_snapshot!("retargeted_pose", hex(&retargeted()));
-    });
+    expect_file!["../golden/keypoint_frame.snap"].assert_eq(&hex(&keypoints()));
+    expect_file!["../golden/rig.snap"].assert_eq(&hex(&Rig::from_core(&rig())));
+    expect_file!["../golden/pose.snap"].assert_eq(&hex(&published_pose()));
+    expect_file!["../golden/keyframe.snap"].assert_eq(&hex(&Keyframe::from_core(&keyframe(), WEIGHTS)));
+    expect_file!["../golden/skeleton.snap"].assert_eq(&hex(&Skeleton::from_core(&skeleton())));
+    expect_file!["../golden/event.snap"].assert_eq(&hex(&event()));
+    expect_file!["../golden/status.snap"].assert_eq(&hex(&status()));
+    expect_file!["../golden/retargeted_pose.snap"].assert_eq(&hex(&retargeted()));
 }
 
 #[test]
@@ -341,7 +340,7 @@ fn what_makes_no_sense_is_refused_by_message_and_field() {
         retargeted(|p| p.local_rotations[..4].fill(0.0)),
         decode::<Pose>(&[0x0a]).unwrap_err().to_string(),
     ];
-    insta::assert_snapshot!(messages.join("\n"), @r#"
+    expect![[r#"
     KeypointFrame.camera: camera "top" is not in the rig, add its calibration
     KeypointFrame.format: unknown keypoint format "body_26", use one of body_25, body_25b, coco_17, halpe_26, coco_wholebody_133
     KeypointFrame.people.points: 50 entries, expected 51
@@ -363,8 +362,8 @@ fn what_makes_no_sense_is_refused_by_message_and_field() {
     RetargetedPose.hips: 2 is none of the 2 joints
     RetargetedPose.local_rotations: 7 entries, expected 8
     RetargetedPose.local_rotations: quaternion 0 has no direction
-    Pose: not a message of this schema: failed to decode Protobuf message: Pose.capture_time_ns: invalid wire type: LengthDelimited (expected Varint)
-    "#);
+    Pose: not a message of this schema: failed to decode Protobuf message: Pose.capture_time_ns: invalid wire type: LengthDelimited (expected Varint)"#]]
+    .assert_eq(&messages.join("\n"));
 }
 
 #[test]

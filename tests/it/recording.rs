@@ -11,6 +11,7 @@ use bundlemocap::io::recording::{
     summary,
 };
 use bundlemocap::io::wire::{self, Topics};
+use expect_test::expect;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -261,12 +262,12 @@ fn other_files_end_with_a_clear_error() {
         open("foreign.mcap", &foreign()),
         open("no-index.mcap", &without_index(&foreign())),
     ];
-    insta::assert_snapshot!(messages.join("\n"), @r#"
+    expect![[r#"
     …/text.mcap is not an MCAP recording: it begins with "{\"people"; make one with `bundlemocap import`
     …/empty.mcap is not an MCAP recording: it is empty; make one with `bundlemocap import`
     …/foreign.mcap holds no messages of bundlemocap.v1, but /imu (sensor_msgs/Imu), /log (sensor_msgs/Imu); make a recording of keypoints with `bundlemocap import`
-    …/no-index.mcap holds no messages of bundlemocap.v1, but /imu (sensor_msgs/Imu), /log (sensor_msgs/Imu); make a recording of keypoints with `bundlemocap import`
-    "#);
+    …/no-index.mcap holds no messages of bundlemocap.v1, but /imu (sensor_msgs/Imu), /log (sensor_msgs/Imu); make a recording of keypoints with `bundlemocap import`"#]]
+    .assert_eq(&messages.join("\n"));
 }
 
 /// A recording by somebody else.
@@ -370,7 +371,7 @@ fn another_implementation_reads_the_same() {
         return;
     }
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    insta::assert_snapshot!(said, @"
+    expect![[r#"
     left 116666667 -3 51
     right 116666667 -3 51
     keyframe 12 [-2.0, -1.875, -1.75] 0.875
@@ -385,5 +386,6 @@ fn another_implementation_reads_the_same() {
     mocap/stage/skeleton 1
     mocap/stage/status 1
     mocap/stage/truth/skeleton 1
-    ");
+    "#]]
+    .assert_eq(&said);
 }

@@ -19,6 +19,7 @@ use bundlemocap::io::wire::{self, Topics, encode};
 use bundlemocap::research::synth::{Motion, MotionStyle};
 use bundlemocap::research::train::read_folder;
 use bundlemocap::retarget::{Channels, Convention, Figure, Map, Retarget, Target};
+use expect_test::expect;
 use nalgebra::{Matrix3, Vector3};
 
 const ZYX: &str = "Zrotation Yrotation Xrotation";
@@ -573,7 +574,7 @@ fn what_is_wrong_with_a_map_or_a_skeleton_is_said_with_the_key_and_the_fix() {
         legless.split("; the skeleton").next().unwrap().to_owned(),
         try_retarget(&bvh_text(&flat, ZYX), "").unwrap_err(),
     ];
-    insta::assert_snapshot!(messages.join("\n"), @r#"
+    expect![[r#"
     map.toml, line 2: unknown field `scael`, expected one of `scale`, `unit`, `up`, `joints`; a map has `scale`, `unit`, `up` and a table [joints]
     map.toml, line 2: invalid type: integer `3`, expected a string; a map has `scale`, `unit`, `up` and a table [joints]
     map.toml: scale is -1, but must be a number above 0
@@ -590,8 +591,8 @@ fn what_is_wrong_with_a_map_or_a_skeleton_is_said_with_the_key_and_the_fix() {
     target.bvh: mixamorig:LeftHandIndex1 (spine1) must be below mixamorig:Hips (pelvis) in the hierarchy; name other joints with --map
     target.bvh: mixamorig:LeftToe_End (r_foot) must be below mixamorig:RightFoot (r_ankle) in the hierarchy; name other joints with --map
     target.bvh: no joint found for l_knee, r_knee; name them in a file for --map, such as [joints] l_knee = "..."
-    target.bvh: its legs have no length; the skeleton cannot be used
-    "#);
+    target.bvh: its legs have no length; the skeleton cannot be used"#]]
+    .assert_eq(&messages.join("\n"));
 }
 
 #[test]

@@ -2,7 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Bus, BusError, Iceoryx2, Zenoh};
+#[cfg(feature = "iceoryx2")]
+use super::Iceoryx2;
+#[cfg(feature = "zenoh")]
+use super::Zenoh;
+use super::{Bus, BusError};
 
 /// Which bus, and the settings of each.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -25,6 +29,17 @@ pub enum Kind {
     Zenoh,
     /// The shared memory of one host.
     Iceoryx2,
+}
+
+#[cfg(not(all(feature = "zenoh", feature = "iceoryx2")))]
+impl Kind {
+    /// The name in settings, and of the feature.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Zenoh => "zenoh",
+            Self::Iceoryx2 => "iceoryx2",
+        }
+    }
 }
 
 /// Of the network.
@@ -85,8 +100,12 @@ impl Default for Iceoryx2Config {
 /// An address in use, a router that does not answer, or settings that the transport does not take.
 pub fn open_node(config: &Config) -> Result<Box<dyn Bus>, BusError> {
     match config.kind {
+        #[cfg(feature = "zenoh")]
         Kind::Zenoh => Ok(Box::new(Zenoh::open_node(&config.zenoh)?)),
+        #[cfg(feature = "iceoryx2")]
         Kind::Iceoryx2 => Ok(Box::new(Iceoryx2::open(&config.iceoryx2)?)),
+        #[cfg(not(all(feature = "zenoh", feature = "iceoryx2")))]
+        absent => Err(BusError::NotBuilt { kind: absent.name() }),
     }
 }
 
@@ -97,7 +116,11 @@ pub fn open_node(config: &Config) -> Result<Box<dyn Bus>, BusError> {
 /// Nobody answers within about two seconds, or settings that the transport does not take.
 pub fn open_client(config: &Config) -> Result<Box<dyn Bus>, BusError> {
     match config.kind {
+        #[cfg(feature = "zenoh")]
         Kind::Zenoh => Ok(Box::new(Zenoh::open_client(&config.zenoh)?)),
+        #[cfg(feature = "iceoryx2")]
         Kind::Iceoryx2 => Ok(Box::new(Iceoryx2::open(&config.iceoryx2)?)),
+        #[cfg(not(all(feature = "zenoh", feature = "iceoryx2")))]
+        absent => Err(BusError::NotBuilt { kind: absent.name() }),
     }
 }

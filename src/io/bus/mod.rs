@@ -20,18 +20,23 @@ use std::time::Duration;
 use crate::core::time::Timestamp;
 
 mod config;
+#[cfg(feature = "iceoryx2")]
 mod frame;
+#[cfg(feature = "iceoryx2")]
 mod iceoryx2;
 mod memory;
 mod name;
 mod replay;
+#[cfg(feature = "zenoh")]
 mod zenoh;
 
 pub use config::{Config, Iceoryx2Config, Kind, ZenohConfig, ZenohMode, open_client, open_node};
+#[cfg(feature = "iceoryx2")]
 pub use iceoryx2::Iceoryx2;
 pub use memory::Memory;
 pub use name::{check_pattern, check_topic, matches};
 pub use replay::Replay;
+#[cfg(feature = "zenoh")]
 pub use zenoh::Zenoh;
 
 /// What travels on the bus.
@@ -163,6 +168,14 @@ pub enum BusError {
         value: String,
         /// What is wrong with it.
         reason: String,
+    },
+    /// A transport that this program was built without.
+    #[error(
+        "[bus] kind = {kind:?}: this program was built without it; build it with --features {kind}"
+    )]
+    NotBuilt {
+        /// Its name, also that of the feature.
+        kind: &'static str,
     },
     /// A payload above what the bus carries.
     #[error("{topic}: a payload of {bytes} bytes; this bus carries at most {most}")]

@@ -1,6 +1,6 @@
 //! A stream of frames disturbed on its way, as by a bad network; for tests and demonstrations.
 
-use crate::research::synth::random::Draws;
+use crate::core::random::Draws;
 
 /// Sets these draws apart from others of the same seed.
 const STREAM: u64 = 0x6469_7374_7572_6264;

@@ -1,10 +1,6 @@
 //! Smooth curves of time that motions and noise are made of. All are twice differentiable.
 
-/// 0 before 0, 1 after 1, with zero first and second derivatives at both: 6 x^5 - 15 x^4 + 10 x^3.
-pub fn smoothstep(x: f64) -> f64 {
-    let x = x.clamp(0.0, 1.0);
-    x * x * x * (x * (6.0 * x - 15.0) + 10.0)
-}
+pub use crate::core::random::smoothstep;
 
 /// 0 outside (0, 1), 1 in the middle: 64 x^3 (1 - x)^3.
 pub fn bump(x: f64) -> f64 {

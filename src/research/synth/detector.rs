@@ -5,10 +5,10 @@ use nalgebra::{Point2, Vector2, Vector3};
 use super::motion::{Motion, MotionStyle};
 use super::noise::Noise;
 use super::points::{Region, along, difficulty, limb_of, mirrored};
-use super::random::Draws;
 use crate::core::body::{Attachment, Posture, Skeleton};
 use crate::core::camera::Camera;
 use crate::core::detections::{Detection, Detections, Keypoint, KeypointFormat, Person};
+use crate::core::random::Draws;
 use crate::core::time::Timestamp;
 
 /// What draws are for; the numbers only need to differ.

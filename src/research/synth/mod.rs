@@ -26,7 +26,6 @@ mod motion;
 mod noise;
 mod points;
 mod protocol;
-pub(crate) mod random;
 mod recording;
 mod rigs;
 mod ring;

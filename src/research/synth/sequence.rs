@@ -5,9 +5,9 @@ use nalgebra::Vector3;
 use super::detector::position;
 use super::motion::about_y;
 use super::protocol::SequenceChoice;
-use super::random::Draws;
 use crate::core::body::{FASTEST, JOINTS, Joint, Pose, SHAPE_COEFFICIENTS, Shape, Skeleton};
 use crate::core::detections::Keypoint;
+use crate::core::random::Draws;
 
 /// Sets these draws apart from others of the same seed.
 const STREAM: u64 = 0x7365_7175_656e_6365;

@@ -1,21 +1,26 @@
-//! Random numbers that depend on what they are for, not on the order in which they are drawn.
+//! Seeded random numbers. A number depends on its key, not on the order of the draws.
 
 use std::f64::consts::PI;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::curves::smoothstep;
-
 /// Seconds of a cell; a stretch lies within one.
 const CELL: f64 = 2.0;
 
-/// A source of numbers: each key gives its own, always the same.
+/// 0 before 0, 1 after 1, with zero first and second derivatives at both: 6 x^5 - 15 x^4 + 10 x^3.
+pub fn smoothstep(x: f64) -> f64 {
+    let x = x.clamp(0.0, 1.0);
+    x * x * x * (x * (6.0 * x - 15.0) + 10.0)
+}
+
+/// A source of random numbers: each key has one number, always the same.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Draws {
-    pub(crate) seed: u64,
+pub struct Draws {
+    /// The seed.
+    pub seed: u64,
     /// Sets this source apart from others of the same seed.
-    pub(crate) stream: u64,
+    pub stream: u64,
 }
 
 impl Draws {
@@ -28,12 +33,12 @@ impl Draws {
     }
 
     /// Uniform in \[0, 1).
-    pub(crate) fn uniform(&self, topic: u64, item: u64) -> f64 {
+    pub fn uniform(&self, topic: u64, item: u64) -> f64 {
         self.rng(topic, item).random()
     }
 
     /// Two standard normals, by Box and Muller's method.
-    pub(crate) fn normals(&self, topic: u64, item: u64) -> [f64; 2] {
+    pub fn normals(&self, topic: u64, item: u64) -> [f64; 2] {
         let mut rng = self.rng(topic, item);
         let (u, v): (f64, f64) = (rng.random(), rng.random());
         let radius = (-2.0 * (1.0 - u).ln()).sqrt();
@@ -42,7 +47,7 @@ impl Draws {
 
     /// Two standard normals that change smoothly with time: normals at knots `knot_s` apart,
     /// blended so that the variance stays 1.
-    pub(crate) fn smooth_normals(&self, topic: u64, seconds: f64, knot_s: f64) -> [f64; 2] {
+    pub fn smooth_normals(&self, topic: u64, seconds: f64, knot_s: f64) -> [f64; 2] {
         let at = seconds / knot_s;
         let knot = at.floor();
         let (a, b) = (
@@ -56,13 +61,7 @@ impl Draws {
 
     /// Whether something that begins `rate` times a second and lasts up to `longest_s` seconds
     /// goes on at this time; then a number in \[0, 1) that belongs to this occurrence.
-    pub(crate) fn stretch(
-        &self,
-        topic: u64,
-        seconds: f64,
-        rate: f64,
-        longest_s: f64,
-    ) -> Option<f64> {
+    pub fn stretch(&self, topic: u64, seconds: f64, rate: f64, longest_s: f64) -> Option<f64> {
         let cell = (seconds / CELL).floor();
         let mut rng = self.rng(topic, cell as i64 as u64);
         if rng.random::<f64>() >= rate * CELL {
