@@ -122,8 +122,8 @@ impl Case {
             let at = TimedKeyframe::new(time(frame), self.truth[1].clone());
             PathKeyframe::free(at, spacing as f64)
         });
-        let knots = past.into_iter().chain(free).collect();
-        PathProblem::new(scene, knots, &self.skeleton, FreeBody::Fixed, &self.observations, work)
+        let path = past.into_iter().chain(free).collect();
+        PathProblem::new(scene, path, &self.skeleton, FreeBody::Fixed, &self.observations, work)
     }
 
     fn solve(&self, spacing: u64, optimiser: &mut dyn Optimiser, work: &mut Workspace) -> Summary {
@@ -135,7 +135,7 @@ impl Case {
     /// Four iterations with a keyframe each frame, each begun two frames behind.
     fn iterate(&self, optimiser: &mut dyn Optimiser, work: &mut Workspace) -> Summary {
         let mut problem = self.problem(1, work);
-        let mut x = problem.start_at(|knot, _| self.truth[knot - 2].clone());
+        let mut x = problem.start_at(|k, _| self.truth[k - 2].clone());
         optimiser.minimise(&mut problem, &mut x, 4)
     }
 }

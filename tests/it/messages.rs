@@ -190,8 +190,8 @@ fn a_keyframe_and_a_skeleton_round_trip() {
     assert_eq!((back.capture, back.window), (keyframe().capture, keyframe().window));
     let turned = back.keyframe.root_rotation - keyframe().keyframe.root_rotation;
     assert!(turned.amax() < 1e-12);
-    let settled = back.keyframe.clone().quantised();
-    assert_eq!(settled, back.keyframe);
+    let quantised = back.keyframe.clone().quantised();
+    assert_eq!(quantised, back.keyframe);
     assert_eq!(through_bytes(&Skeleton::from_core(&skeleton())).to_core().unwrap(), skeleton());
 }
 
@@ -206,7 +206,8 @@ fn the_encoding_is_what_it_was() {
     expect_file!["../golden/keypoint_frame.snap"].assert_eq(&hex(&keypoints()));
     expect_file!["../golden/rig.snap"].assert_eq(&hex(&Rig::from_core(&rig())));
     expect_file!["../golden/pose.snap"].assert_eq(&hex(&published_pose()));
-    expect_file!["../golden/keyframe.snap"].assert_eq(&hex(&Keyframe::from_core(&keyframe(), WEIGHTS)));
+    expect_file!["../golden/keyframe.snap"]
+        .assert_eq(&hex(&Keyframe::from_core(&keyframe(), WEIGHTS)));
     expect_file!["../golden/skeleton.snap"].assert_eq(&hex(&Skeleton::from_core(&skeleton())));
     expect_file!["../golden/event.snap"].assert_eq(&hex(&event()));
     expect_file!["../golden/status.snap"].assert_eq(&hex(&status()));

@@ -127,10 +127,10 @@ impl Case {
         start: &Keyframe,
         work: &'a mut Workspace,
     ) -> PathProblem<'a> {
-        let knots = self.knots(&[false, true], start);
+        let path = self.path(&[false, true], start);
         PathProblem::new(
             self.scene(config),
-            knots,
+            path,
             &self.skeleton,
             FreeBody::Fixed,
             &self.observations,
@@ -138,7 +138,7 @@ impl Case {
         )
     }
 
-    fn knots(&self, free: &[bool], start: &Keyframe) -> Vec<PathKeyframe> {
+    fn path(&self, free: &[bool], start: &Keyframe) -> Vec<PathKeyframe> {
         let value = |k: usize| if free[k] { start.clone() } else { self.truth[k].clone() };
         (0..free.len())
             .map(|k| {
@@ -169,10 +169,10 @@ fn gradients_of_every_kind_of_path_match_central_differences() {
     for (free, body) in kinds {
         let mut work = Workspace::default();
         let observations = &case.observations[..(10 * (free.len() - 1)).max(1)];
-        let knots = case.knots(free, &keyframe(0.73, 0.8));
+        let path = case.path(free, &keyframe(0.73, 0.8));
         let mut problem = PathProblem::new(
             case.scene(&config),
-            knots,
+            path,
             &case.skeleton,
             body,
             observations,
@@ -217,13 +217,13 @@ fn the_hessian_of_stiffness_is_exact_where_nothing_moves() {
     let case = Case::new(1);
     let (config, still) = (cost::Config::default(), case.truth[0].clone());
     let mut work = Workspace::default();
-    let knots = (0..5).map(|k| {
+    let path = (0..5).map(|k| {
         let (capture, keyframe) = (frame([0, 1, 2, 4, 5][k]), still.clone());
         PathKeyframe { timed: TimedKeyframe { capture, keyframe }, free: k > 1, frames: 1.0 }
     });
     let scene = case.scene(&config);
     let problem =
-        PathProblem::new(scene, knots.collect(), &case.skeleton, FreeBody::Fixed, &[], &mut work);
+        PathProblem::new(scene, path.collect(), &case.skeleton, FreeBody::Fixed, &[], &mut work);
     assert_hessian(problem, 1e-5);
 }
 
@@ -233,11 +233,11 @@ fn the_marginal_step_of_the_marks_is_that_of_all_unknowns() {
     case.disturb();
     let config = cost::Config::default();
     let mut work = Workspace::default();
-    let knots = case.knots(&[false, true], &case.truth[1]);
+    let path = case.path(&[false, true], &case.truth[1]);
     let free = FreeBody::ShapeAndOffsets;
     let scene = case.scene(&config);
     let mut problem =
-        PathProblem::new(scene, knots, &case.skeleton, free, &case.observations, &mut work);
+        PathProblem::new(scene, path, &case.skeleton, free, &case.observations, &mut work);
     let x = problem.start();
     let marginal = problem.marginal(&x, OFFSETS).unwrap();
     let step = marginal.hessian.cholesky().unwrap().solve(&marginal.gradient);

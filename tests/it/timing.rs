@@ -37,12 +37,8 @@ impl Timeline {
     /// Windows of 10 frames of 20 ms, 5 of them final; 5 frames of grace; cameras are given up after
     /// 2 windows.
     fn new() -> Self {
-        let config = Config {
-            frame_rate_hz: 50.0,
-            shape_windows: 1,
-            grace_windows: 2,
-            ..Config::default()
-        };
+        let config =
+            Config { frame_rate_hz: 50.0, shape_windows: 1, grace_windows: 2, ..Config::default() };
         assert_eq!((config.window(), config.publish(), config.deadline_frames), (10, 5, 5));
         let tracker = Tracker::new(config, Arc::new(ring()));
         Self { tracker, job: None, poses: Vec::new(), events: Vec::new() }
@@ -267,19 +263,6 @@ fn a_pose_that_is_not_solved_when_due_is_extrapolated() {
     let times: Vec<_> = timeline.poses[7..].iter().map(|pose| pose.capture).collect();
     assert_eq!(times, (7..=10).map(at).collect::<Vec<_>>());
     assert!(timeline.poses[7..].iter().all(|pose| pose.state == TrackingState::Tracking));
-}
-
-#[test]
-fn a_backlog_is_dropped_after_a_second() {
-    let mut timeline = Timeline::new().live().begin();
-    timeline.handle(Input::Tick(at(15) + 1_100_000_000));
-    let job = timeline.job.take().expect("late, but not too late");
-    timeline.answer(&job);
-    timeline.frames(0..CAMERAS, 75..=80);
-    timeline.events.clear();
-    timeline.handle(Input::Tick(at(20) + 1_200_000_000));
-    assert_eq!(timeline.kinds().last().unwrap().0, EventKind::Dropped);
-    assert_eq!(timeline.tracker.state(), Some(TrackingState::Lost), "the body stays known");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! A pose of the body, and what a tracker says about it.
+//! A pose of the body, and the pose that a tracker publishes.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -50,7 +50,7 @@ impl Pose {
 pub enum TrackingState {
     /// Fitted to the detections of its window.
     Tracking,
-    /// Carried on without enough detections.
+    /// Extrapolated: too little was seen.
     Coasting,
     /// Its window fitted badly; flagged, not to be used.
     Lost,

@@ -19,7 +19,7 @@ pub struct Start {
     pub skeleton: Arc<Skeleton>,
 }
 
-/// Finds the performer as the tracking machine does; `None` where nobody is found.
+/// Finds the performer as the tracker does; `None` if nobody is found.
 pub fn start(take: &Take, decoder: &Decoder, config: &Config) -> Option<Start> {
     let config = Config { frame_rate_hz: take.fps, ..*config };
     let mut tracker = Tracker::new(config, Arc::clone(&take.rig));

@@ -1,4 +1,4 @@
-//! BundleMoCap: one latent keyframe a window, by the tracking machine itself.
+//! BundleMoCap: one latent keyframe per window, by the tracker itself.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use crate::core::cost;
 use crate::core::manifold::Decoder;
 use crate::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
 
-/// The tracking machine with those settings.
+/// The tracker with those settings.
 #[derive(Clone, Debug)]
 pub struct Windows {
     name: String,
@@ -15,7 +15,7 @@ pub struct Windows {
 }
 
 impl Windows {
-    /// The machine with settings under a name.
+    /// The tracker with settings under a name.
     pub fn new(name: &str, config: Config) -> Self {
         Self { name: name.to_owned(), config }
     }
