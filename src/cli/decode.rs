@@ -11,9 +11,9 @@ use super::failure::{Exit, Failure};
 use super::solve::decoder;
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
-use crate::core::manifold::Decoder;
+use crate::core::manifold::{Decoder, StampedKeyframe};
 use crate::io::recording::{Message, Provenance, Reader, Writer};
-use crate::io::wire::{self, StampedKeyframe, Topic, Topics};
+use crate::io::wire::{self, Topic, Topics};
 
 /// Decode the poses of a recording from its keyframes alone.
 #[derive(Debug, Args)]
@@ -65,8 +65,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
                 continue;
             }
         };
-        if keyframe.weights != weights {
-            return Err(other_weights(&arguments.file, &keyframe, &weights));
+        if wire.weights != weights {
+            return Err(other_weights(&arguments.file, &wire, &weights));
         }
         let performer = performers.entry(entry.topic.clone()).or_default();
         performer.decode(&entry.topic, keyframe, &decoder, &mut writer, &mut decoded)?;
@@ -92,7 +92,7 @@ fn fingerprint(decoder: &Decoder) -> String {
     format!("{:016x}", decoder.fingerprint())
 }
 
-fn other_weights(path: &Path, keyframe: &StampedKeyframe, ours: &str) -> Failure {
+fn other_weights(path: &Path, keyframe: &wire::Keyframe, ours: &str) -> Failure {
     let message = format!(
         "{}: keyframe of window {} was solved with the weights {}, these are {ours}; give the file \
          with --weights",

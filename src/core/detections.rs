@@ -21,7 +21,7 @@ pub enum KeypointFormat {
     CocoWholebody133,
 }
 
-/// An anatomical point that some detector marks, whatever its index in a format.
+/// An anatomical point that some detector finds, whatever its index in a format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)]
 pub enum Keypoint {

@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_settled_rotation_survives_its_quaternion_bit_for_bit() {
+    fn a_quantised_rotation_survives_its_quaternion_bit_for_bit() {
         let turn = |n: u32, k: f64| ((f64::from(n) * k).fract() - 0.5) * 7.0;
         let random = (0..20_000).map(|n| {
             Vector3::new(turn(n, 0.754_877_666), turn(n, 0.569_840_29), turn(n, 0.414_213_56))
@@ -230,10 +230,10 @@ mod tests {
         });
         for vector in random.chain(quarters) {
             let rotation = exp(&vector);
-            let settled = quantised(&rotation);
-            assert!((settled - rotation).amax() < 1e-12);
-            let xyzw = quantised_xyzw(&settled);
-            assert_eq!(rotation_from_xyzw(xyzw), Some(settled), "{vector}");
+            let quantised_rotation = quantised(&rotation);
+            assert!((quantised_rotation - rotation).amax() < 1e-12);
+            let xyzw = quantised_xyzw(&quantised_rotation);
+            assert_eq!(rotation_from_xyzw(xyzw), Some(quantised_rotation), "{vector}");
         }
     }
 

@@ -7,11 +7,12 @@ use super::port::Output;
 use super::publication::{Content, Publication};
 use super::status::quantile;
 use crate::core::body::StampedPose;
+use crate::core::manifold::StampedKeyframe;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{
-    self, Effort, Event, EventKind, KeyframeAt, Outcome, Solution, Tracker, Verdict, WindowReport,
+    self, Effort, Event, EventKind, Outcome, Solution, Tracker, Verdict, WindowReport,
 };
-use crate::io::wire::{self, LiveStamp, StampedKeyframe};
+use crate::io::wire::{self, LiveStamp};
 
 impl Core {
     pub(super) fn solved(&mut self, solution: Solution, took_ns: u64) {
@@ -28,12 +29,12 @@ impl Core {
 
     /// Declares the latency, and judges the effort, after a window was solved.
     fn settle(&mut self) {
-        let Some(track) = &self.track else { return };
+        let Some(track) = &mut self.track else { return };
         let period = track.output_grid().map_or(0, |grid| grid.period_ns as i64);
         let wait = track.span() - period;
         let delay = if self.latency.declared_ns().is_none() { self.clock.delay_p999() } else { 0 };
         if let Some((latency, why)) = self.latency.solved(self.took_ns, wait, delay) {
-            self.give(tracker::Input::Latency(latency));
+            track.set_latency(latency);
             self.event(EventKind::Latency, None, why);
             return;
         }
@@ -42,7 +43,7 @@ impl Core {
         let Some(why) = self.governor.solved(self.took_ns, available, trouble) else { return };
         let level = self.governor.level();
         let effort = Effort::at(level, &self.settings.tracker);
-        self.give(tracker::Input::Effort(effort));
+        track.set_effort(effort);
         let Effort { iterations, stride, .. } = effort;
         let detail = format!("level {level}: {iterations} iterations, stride {stride}; {why}");
         self.event(EventKind::Effort, None, detail);
@@ -97,24 +98,13 @@ impl Core {
         Some(wire::Pose::from_core(pose, skeleton, Some(live)))
     }
 
-    fn keyframe(&mut self, at: &KeyframeAt) {
-        let Some(skeleton) = self.track.as_ref().and_then(Tracker::skeleton) else {
+    fn keyframe(&mut self, keyframe: &StampedKeyframe) {
+        if self.track.as_ref().and_then(Tracker::skeleton).is_none() {
             return;
-        };
-        let message = wire::Keyframe::from_core(&StampedKeyframe {
-            capture: at.capture,
-            start: at.start,
-            window: at.window,
-            keyframe: at.keyframe.clone(),
-            shape: *skeleton.shape(),
-            interpolation: self.settings.tracker.cost.interpolation,
-            weights: self.settings.weights.clone(),
-            grid: at.grid,
-            state: at.state,
-            rig_version: at.rig_version,
-        });
+        }
+        let message = wire::Keyframe::from_core(keyframe, &self.settings.weights);
         let message = wire::Keyframe { run_id: self.run_id, ..message };
-        self.publish(self.topics.keyframe(), at.capture, Content::Keyframe(message));
+        self.publish(self.topics.keyframe(), keyframe.capture, Content::Keyframe(message));
     }
 
     fn window(&mut self, report: &WindowReport) {

@@ -12,6 +12,7 @@
 use std::collections::VecDeque;
 
 use crate::core::time::Timestamp;
+use crate::metrics::statistics::Line;
 
 /// Seconds of smallest offsets that are kept.
 const KEPT: usize = 30;
@@ -69,20 +70,14 @@ impl Camera {
             let smallest = self.smallest.iter().map(|(_, offset)| *offset).min()?;
             return Some((smallest as f64, 0.0));
         }
-        let count = self.smallest.len() as f64;
         let points = self
             .smallest
             .iter()
             .map(|&(second, offset)| ((second - origin) as f64 + 0.5, (offset - base) as f64));
-        let (x, y) = points.clone().fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
-        let (x, y) = (x / count, y / count);
-        let (above, below) = points.fold((0.0, 0.0), |sum, p| {
-            (sum.0 + (p.0 - x) * (p.1 - y), sum.1 + (p.0 - x) * (p.0 - x))
-        });
-        let slope = if below > 0.0 { above / below } else { 0.0 };
+        let Line { mean_x, mean_y, slope, .. } = Line::fit(points)?;
         let at = (now.ns() as f64 / SECOND as f64) - origin as f64;
         // ns a second are parts in 1e9.
-        Some((base as f64 + y + slope * (at - x), slope * 1e-3))
+        Some((base as f64 + mean_y + slope * (at - mean_x), slope * 1e-3))
     }
 }
 

@@ -12,9 +12,10 @@ use super::latency::Finder;
 use super::port::{Input, Output, Settings};
 use super::publication::{Content, Publication};
 use super::status::{Published, Windows};
+use crate::core::body::TrackingState;
 use crate::core::camera::Rig;
 use crate::core::time::Timestamp;
-use crate::core::tracker::{self, EventKind, Live, Performer, Tracker};
+use crate::core::tracker::{self, EventKind, Live, Tracker};
 use crate::io::wire::{self, Topics};
 
 /// The calibration in use, as it came.
@@ -292,10 +293,10 @@ impl Core {
             windows: Some(self.windows.counters()),
             node_time_ns: self.now.ns(),
             inputs: self.journal.count,
-            tracker_state: track.map_or(Performer::Searching, Tracker::performer).name().to_owned(),
+            tracker_state: track.map_or("searching", tracker_state).to_owned(),
             declared_latency_ns: self.latency.declared_ns().unwrap_or(0).max(0) as u64,
             playout: Some(
-                self.published.counters(track.map_or((0, 0), Tracker::carried_and_missed)),
+                self.published.counters(track.map_or((0, 0), Tracker::extrapolated_and_missed)),
             ),
             effort: Some(wire::EffortStatus {
                 level: self.governor.level(),
@@ -319,5 +320,16 @@ impl Core {
             self.wake = Some(at);
             self.outputs.push_back(Output::Wake(at));
         }
+    }
+}
+
+/// The performer's state as the status message names it.
+fn tracker_state(track: &Tracker) -> &'static str {
+    match track.state() {
+        Some(TrackingState::Tracking) => "tracking",
+        Some(TrackingState::Coasting) => "coasting",
+        _ if track.sees_somebody() => "acquiring",
+        Some(TrackingState::Lost) => "lost",
+        None => "searching",
     }
 }

@@ -107,7 +107,9 @@ impl Core {
         if self.arrivals.len() > MOST_ARRIVALS {
             self.arrivals.pop_front();
         }
-        self.give(tracker::Input::Delay(self.clock.usual_delay()));
+        if let Some(track) = &mut self.track {
+            track.set_delay(self.clock.usual_delay());
+        }
         self.give(tracker::Input::Detections(frame));
     }
 }

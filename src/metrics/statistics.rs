@@ -1,4 +1,4 @@
-//! Order statistics.
+//! Order statistics, means and straight lines.
 
 /// The p-th percentile, p in \[0, 100\], between neighbours by linear interpolation
 /// (\[Hyndman 1996\], definition 7). `None` without values; NaN values are left out.
@@ -28,9 +28,49 @@ pub fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
+/// A straight line through points (x, y): y = `mean_y` + `slope` (x - `mean_x`).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Line {
+    /// Mean of x.
+    pub mean_x: f64,
+    /// Mean of y.
+    pub mean_y: f64,
+    /// Change of y for each unit of x.
+    pub slope: f64,
+    /// Sum of (x - mean x)^2.
+    pub spread: f64,
+}
+
+impl Line {
+    /// The line with the least squared errors in y. `None` if all x are equal or there are no points.
+    pub fn fit(points: impl Iterator<Item = (f64, f64)> + Clone) -> Option<Self> {
+        let count = points.clone().count() as f64;
+        let sum = points.clone().fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
+        let (mean_x, mean_y) = (sum.0 / count, sum.1 / count);
+        let (product, spread) = points.fold((0.0, 0.0), |sum, (x, y)| {
+            let (x, y) = (x - mean_x, y - mean_y);
+            (sum.0 + x * y, sum.1 + x * x)
+        });
+        (spread > 0.0).then(|| Self { mean_x, mean_y, slope: product / spread, spread })
+    }
+
+    /// y at `x`.
+    pub fn at(&self, x: f64) -> f64 {
+        self.mean_y + self.slope * (x - self.mean_x)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_line_goes_through_points_that_lie_on_one() {
+        let line = Line::fit([(1.0, 5.0), (2.0, 7.0), (4.0, 11.0)].into_iter()).unwrap();
+        assert!((line.slope - 2.0).abs() < 1e-12 && (line.at(0.0) - 3.0).abs() < 1e-12);
+        assert_eq!(Line::fit([(1.0, 5.0), (1.0, 7.0)].into_iter()), None);
+        assert_eq!(Line::fit([].into_iter()), None);
+    }
 
     #[test]
     fn percentiles_interpolate_between_neighbours() {

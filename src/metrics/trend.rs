@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use super::statistics::Line;
+
 /// A mean, or a slope, with its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Interval {
@@ -49,17 +51,10 @@ pub fn slope_interval(points: &[(f64, f64)], blocks: usize) -> Option<Interval> 
     if means.len() < 3 {
         return None;
     }
-    let (mean_x, mean_y) = centre(&means);
-    let sum = |term: &dyn Fn(f64, f64) -> f64| -> f64 {
-        means.iter().map(|&(x, y)| term(x - mean_x, y - mean_y)).sum()
-    };
-    let spread = sum(&|x, _| x * x);
-    if spread <= 0.0 {
-        return None;
-    }
-    let slope = sum(&|x, y| x * y) / spread;
+    let Line { mean_x, mean_y, slope, spread } = Line::fit(means.iter().copied())?;
     let freedom = means.len() - 2;
-    let variance = sum(&|x, y| (y - slope * x).powi(2)) / freedom as f64;
+    let squares = means.iter().map(|&(x, y)| ((y - mean_y) - slope * (x - mean_x)).powi(2));
+    let variance = squares.sum::<f64>() / freedom as f64;
     Some(Interval::about(slope, student_975(freedom) * (variance / spread).sqrt()))
 }
 

@@ -33,18 +33,15 @@ impl Driver {
         mut take: impl FnMut(&Self, &Output) -> Result<(), Error>,
     ) -> Result<(), Error> {
         self.tracker.handle(input);
-        while let Some(output) = self.tracker.poll() {
-            match &output {
-                Output::Solve(job) => {
-                    let begin = Instant::now();
-                    let solution = self.solver.solve(job);
-                    if matches!(job.task, Task::Track { .. }) {
-                        self.window_solve = begin.elapsed();
-                    }
-                    self.tracker.handle(Input::Solved(solution));
-                }
-                _ => take(self, &output)?,
+        while let Some(output) = self.tracker.poll_and_solve(|job| {
+            let begin = Instant::now();
+            let solution = self.solver.solve(job);
+            if matches!(job.task, Task::Track { .. }) {
+                self.window_solve = begin.elapsed();
             }
+            solution
+        }) {
+            take(self, &output)?;
         }
         Ok(())
     }

@@ -11,7 +11,6 @@ use serde::Serialize;
 use crate::core::body::{Attachment, Pose, Skeleton};
 use crate::core::camera::Camera;
 use crate::core::detections::{Detections, Keypoint, KeypointFormat, Person};
-use crate::core::so3;
 use crate::core::time::Timestamp;
 use crate::metrics::statistics::median;
 use crate::metrics::{COMPARED, Distribution};
@@ -79,7 +78,7 @@ impl HeldOut {
                 (_, Some(pose)) if at == capture => pose.clone(),
                 (Some((before, Some(a))), Some(b)) if at > *before => {
                     let s = (at - *before) as f64 / (capture - *before) as f64;
-                    between(a, b, s)
+                    a.interpolate(b, s)
                 }
                 _ => continue,
             };
@@ -119,16 +118,7 @@ pub fn pose_at(poses: &[(Timestamp, Pose)], at: Timestamp) -> Option<Pose> {
         return Some(b.clone());
     }
     let (before, a) = poses.get(next.checked_sub(1)?)?;
-    Some(between(a, b, (at - *before) as f64 / (*after - *before) as f64))
-}
-
-/// The pose a part `s` of the way from `a` to `b`.
-fn between(a: &Pose, b: &Pose, s: f64) -> Pose {
-    Pose {
-        root_rotation: so3::slerp(&a.root_rotation, &b.root_rotation, s),
-        root_position: a.root_position.lerp(&b.root_position, s),
-        local: std::array::from_fn(|j| so3::slerp(&a.local[j], &b.local[j], s)),
-    }
+    Some(a.interpolate(b, (at - *before) as f64 / (*after - *before) as f64))
 }
 
 /// Distances of confident points of the person who is the performer, pixels: of those

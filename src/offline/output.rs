@@ -14,16 +14,15 @@ use super::summary::Summary;
 use super::windows::{WindowSummary, Windows};
 use crate::core::body::{Posture, Skeleton};
 use crate::core::camera::Rig;
-use crate::core::manifold::Interpolation;
 use crate::core::time::Timestamp;
-use crate::core::tracker::{Event, KeyframeAt, Output};
+use crate::core::tracker::{Event, Output};
 use crate::io::new_file;
 use crate::io::recording::{Provenance, Writer};
 use crate::io::report::{
     AngleTrack, CameraErrors, Picture, ReportData, StickFigures, Table, WindowRow, stick_figures,
     write_report,
 };
-use crate::io::wire::{StampedKeyframe, Topics};
+use crate::io::wire::Topics;
 
 /// The files of a solve.
 pub(crate) const FILES: [&str; 4] = ["poses.mcap", "poses.bvh", "poses.states.csv", "report.html"];
@@ -71,7 +70,6 @@ pub(crate) struct PoseFile {
     cameras: Vec<String>,
     skeleton: Option<Arc<Skeleton>>,
     has_rig: bool,
-    interpolation: Interpolation,
     weights: String,
 }
 
@@ -82,10 +80,8 @@ impl PoseFile {
         rig: &Arc<Rig>,
         solved: &Rig,
         provenance: &Provenance,
-        interpolation: Interpolation,
     ) -> Result<Self, Error> {
         Ok(Self {
-            interpolation,
             weights: provenance.weights.clone(),
             writer: Writer::create(path, Topics::default(), provenance)?,
             rig: Arc::clone(rig),
@@ -108,28 +104,11 @@ impl PoseFile {
                 }
                 self.writer.pose(pose, &skeleton)?;
             }
-            Output::Keyframe(keyframe) => self.keyframe(keyframe)?,
+            Output::Keyframe(keyframe) => self.writer.keyframe(keyframe, &self.weights)?,
             Output::Event(event) => self.event(event)?,
             Output::Window(_) | Output::Solve(_) => {}
         }
         Ok(())
-    }
-
-    fn keyframe(&mut self, at: &KeyframeAt) -> Result<(), Error> {
-        let Some(skeleton) = &self.skeleton else { return Ok(()) };
-        let stamped = StampedKeyframe {
-            capture: at.capture,
-            start: at.start,
-            window: at.window,
-            keyframe: at.keyframe.clone(),
-            shape: *skeleton.shape(),
-            interpolation: self.interpolation,
-            weights: self.weights.clone(),
-            grid: at.grid,
-            state: at.state,
-            rig_version: at.rig_version,
-        };
-        Ok(self.writer.keyframe(&stamped)?)
     }
 
     fn event(&mut self, event: &Event) -> Result<(), Error> {

@@ -135,9 +135,8 @@ impl Outputs {
             weights: format!("{:016x}", decoder.fingerprint()),
             ..Provenance::default()
         };
-        let interpolation = options.config.cost.interpolation;
         let path = folder.file("poses.mcap");
-        let file = PoseFile::create(&path, recording.rig(), rig, &provenance, interpolation)?;
+        let file = PoseFile::create(&path, recording.rig(), rig, &provenance)?;
         Ok(Self { folder, file })
     }
 }

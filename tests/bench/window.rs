@@ -8,10 +8,13 @@ use std::time::{Duration, Instant};
 use bundlemocap::core::body::{BodyPoint, Skeleton, fitted_points};
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::cost::{
-    self, Counts, FrameObservations, FreeBody, Knot, Observation, PathProblem, Scene, Workspace,
+    self, Counts, FrameObservations, FreeBody, Observation, PathKeyframe, PathProblem, Scene,
+    Workspace,
 };
 use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
-use bundlemocap::core::manifold::{Decoder, Interpolation, Jacobians, Keyframe, LATENT};
+use bundlemocap::core::manifold::{
+    Decoder, Interpolation, Jacobians, Keyframe, LATENT, TimedKeyframe,
+};
 use bundlemocap::core::optimise::{
     Cholesky, NormalEquations, Optimiser, OptimiserKind, Problem, Summary,
 };
@@ -30,7 +33,7 @@ struct Case {
     points: Vec<BodyPoint>,
     skeleton: Skeleton,
     config: cost::Config,
-    observed_frames: Vec<FrameObservations>,
+    observations: Vec<FrameObservations>,
     /// The truth of each frame, from that before the window on.
     truth: Vec<Keyframe>,
 }
@@ -80,7 +83,7 @@ fn case(Size { cameras, format, frames }: Size) -> Case {
         })
         .collect();
     let mut count = 0.0_f64;
-    let observed_frames = (1..=frames)
+    let observations = (1..=frames)
         .map(|frame| {
             let posture = decoder.pose(&truth[frame as usize + 1]).posture(&skeleton);
             let mut seen = Vec::new();
@@ -98,7 +101,7 @@ fn case(Size { cameras, format, frames }: Size) -> Case {
             FrameObservations::new(time(frame), seen)
         })
         .collect();
-    Case { decoder, rig, points, skeleton, config: cost::Config::default(), observed_frames, truth }
+    Case { decoder, rig, points, skeleton, config: cost::Config::default(), observations, truth }
 }
 
 impl Case {
@@ -110,21 +113,17 @@ impl Case {
             points: &self.points,
             config: &self.config,
         };
-        let frames = self.observed_frames.len() as u64;
-        let past = [0, 1].map(|k| Knot {
-            capture: Timestamp::of_frame(k, 60.0),
-            keyframe: self.truth[k as usize].clone(),
-            free: false,
-            frames: 0.0,
+        let frames = self.observations.len() as u64;
+        let past = [0, 1].map(|k| {
+            let keyframe = self.truth[k as usize].clone();
+            PathKeyframe::fixed(TimedKeyframe::new(Timestamp::of_frame(k, 60.0), keyframe))
         });
-        let free = (1..=frames).filter(|frame| frame % spacing == 0).map(|frame| Knot {
-            capture: time(frame),
-            keyframe: self.truth[1].clone(),
-            free: true,
-            frames: spacing as f64,
+        let free = (1..=frames).filter(|frame| frame % spacing == 0).map(|frame| {
+            let at = TimedKeyframe::new(time(frame), self.truth[1].clone());
+            PathKeyframe::free(at, spacing as f64)
         });
-        let knots = past.into_iter().chain(free).collect();
-        PathProblem::new(scene, knots, &self.skeleton, FreeBody::Fixed, &self.observed_frames, work)
+        let path = past.into_iter().chain(free).collect();
+        PathProblem::new(scene, path, &self.skeleton, FreeBody::Fixed, &self.observations, work)
     }
 
     fn solve(&self, spacing: u64, optimiser: &mut dyn Optimiser, work: &mut Workspace) -> Summary {
@@ -136,35 +135,37 @@ impl Case {
     /// Four iterations with a keyframe each frame, each begun two frames behind.
     fn iterate(&self, optimiser: &mut dyn Optimiser, work: &mut Workspace) -> Summary {
         let mut problem = self.problem(1, work);
-        let mut x = problem.start_at(|knot, _| self.truth[knot - 2].clone());
+        let mut x = problem.start_at(|k, _| self.truth[k - 2].clone());
         optimiser.minimise(&mut problem, &mut x, 4)
     }
 }
 
 /// The window as a stream has it: the keyframes of its first half were solved with the one before.
 fn job(case: &Case, config: &tracker::Config) -> Job {
-    let frames = case.observed_frames.len() as u64;
-    let timed = |frame: u64| (Timestamp::of_frame(frame, 60.0), case.truth[frame as usize].clone());
-    let detections = |moment: &FrameObservations, camera: usize| {
+    let frames = case.observations.len() as u64;
+    let timed = |frame: u64| {
+        TimedKeyframe::new(Timestamp::of_frame(frame, 60.0), case.truth[frame as usize].clone())
+    };
+    let detections = |frame: &FrameObservations, camera: usize| {
         let mut points = vec![None; USUAL.format.len()];
-        for seen in moment.observations().iter().filter(|seen| seen.camera == camera) {
+        for seen in frame.observations().iter().filter(|seen| seen.camera == camera) {
             let (pixel, confidence) = (Point2::from(seen.pixel), seen.confidence);
             points[case.points[seen.point].index] = Some(Detection { pixel, confidence });
         }
-        let (capture, people) = (moment.capture, vec![Person { id: None, points }]);
+        let (capture, people) = (frame.capture, vec![Person { id: None, points }]);
         Arc::new(Detections { camera, frame: 0, capture, format: USUAL.format, people })
     };
     let cameras = 0..case.rig.cameras.len();
-    let of_moment = |moment| cameras.clone().map(move |camera| detections(moment, camera));
+    let of_moment = |frame| cameras.clone().map(move |camera| detections(frame, camera));
     Job {
         number: 0,
         window: 1,
         start: time(0),
         end: time(frames),
         publish: time(frames / 2),
-        knots: (1..=frames).map(time).collect(),
+        keyframe_times: (1..=frames).map(time).collect(),
         pose_times: (1..=frames / 2).map(time).collect(),
-        frames: case.observed_frames.iter().flat_map(of_moment).collect(),
+        frames: case.observations.iter().flat_map(of_moment).collect(),
         format: USUAL.format,
         rig: Arc::new(case.rig.clone()),
         frame_period: 16_666_666,
@@ -300,7 +301,7 @@ fn operations(counts: Counts, points: usize) -> f64 {
     let factor = 3 * UNKNOWNS.pow(3) + UNKNOWNS.pow(3) / 6;
     let products = counts.linearised * (tangents + map)
         + (counts.decoded + counts.gradients) * pass
-        + counts.observed_frames * (joints + rows + factor);
+        + counts.frames * (joints + rows + factor);
     2.0 * products as f64
 }
 

@@ -588,8 +588,8 @@ fn a_tool_outlives_its_node() {
                 let from_this_node = |sample: Sample| sample.payload == by.as_bytes();
                 let heard = (0..1000).any(|_| {
                     put(&*publisher, 1, by.as_bytes());
-                    let observed_frame = Duration::from_millis(20);
-                    inbox.samples.recv_timeout(observed_frame).is_ok_and(from_this_node)
+                    let moment = Duration::from_millis(20);
+                    inbox.samples.recv_timeout(moment).is_ok_and(from_this_node)
                 });
                 assert!(heard, "{topic} of the {by} node");
             }

@@ -6,7 +6,7 @@ use bundlemocap::core::body::{Posture, Skeleton, TrackingState};
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::time::{Grid, Timestamp};
-use bundlemocap::core::tracker::{Config, Input, Output, Solver, Tracker};
+use bundlemocap::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
 use bundlemocap::metrics::pose_errors;
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
@@ -41,22 +41,16 @@ impl Walk {
         // Windows of a sixth of a second at any rate.
         let window_frames = (self.fps / 6.0).round() as usize;
         let config = Config { frame_rate_hz: self.fps, window_frames, ..Config::default() };
-        let mut track = Tracker::new(config, Arc::clone(&self.rig));
+        let mut tracker = Tracker::new(config, Arc::clone(&self.rig));
         let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
         let mut frames: Vec<Detections> = self.frames.iter().filter_map(of).collect();
         frames.sort_by_key(|frame| (frame.capture, frame.camera));
         let (mut skeleton, mut poses) = (None, Vec::new());
-        for input in frames.into_iter().map(Input::Detections).chain([Input::End]) {
-            track.handle(input);
-            while let Some(output) = track.poll() {
-                match output {
-                    Output::Solve(job) => track.handle(Input::Solved(solver.solve(&job))),
-                    Output::Skeleton(found) => skeleton = Some(found),
-                    Output::Pose(pose) => poses.push(pose),
-                    _ => {}
-                }
-            }
-        }
+        run_to_end(&mut tracker, &mut solver, frames, |output| match output {
+            Output::Skeleton(found) => skeleton = Some(found),
+            Output::Pose(pose) => poses.push(pose),
+            _ => {}
+        });
         assert!(poses.iter().filter(|pose| pose.state == TrackingState::Tracking).count() > 160);
         let skeleton = skeleton.unwrap();
         let pairs = poses.iter().map(|pose| -> (Posture, Posture) {

@@ -36,6 +36,7 @@ mod solve;
 mod synth;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod take;
+mod timing;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod tools;
 mod tracker;

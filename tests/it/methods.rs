@@ -29,7 +29,7 @@ struct Case {
     skeleton: Skeleton,
     config: cost::Config,
     initial: Vec<Keyframe>,
-    observed_frames: Vec<Vec<FrameObservations>>,
+    observations: Vec<Vec<FrameObservations>>,
 }
 
 impl Case {
@@ -37,7 +37,7 @@ impl Case {
         let (decoder, skeleton) = (Decoder::embedded().unwrap(), Skeleton::default());
         let (rig, points) = (ring(), fitted_points(KeypointFormat::Body25));
         let truth = |i: usize| keyframe(0.7 + 0.01 * i as f64, 0.8);
-        let observed_frames = (0..frames).map(|i| {
+        let observations = (0..frames).map(|i| {
             let posture = decoder.pose(&truth(i)).posture(&skeleton);
             let seen = observe(&rig, &points, &posture, &skeleton);
             let moved = seen.into_iter().enumerate().map(|(n, seen)| {
@@ -47,7 +47,7 @@ impl Case {
             });
             vec![FrameObservations::new(frame(i), moved.collect())]
         });
-        let observed_frames = observed_frames.collect();
+        let observations = observations.collect();
         let initial = (0..frames).map(truth).collect();
         Self {
             decoder,
@@ -56,19 +56,19 @@ impl Case {
             skeleton,
             config: cost::Config::default(),
             initial,
-            observed_frames,
+            observations,
         }
     }
 
     fn path<'a>(
         &'a self,
-        observed_frames: &'a [Vec<FrameObservations>],
+        observations: &'a [Vec<FrameObservations>],
         initial: &'a [Keyframe],
         terms: &'a [Box<dyn Term + 'a>],
     ) -> FramePath<'a> {
         let (decoder, rig, points) = (&self.decoder, &self.rig, &self.points[..]);
         let scene = Scene { decoder, rig, points, config: &self.config };
-        FramePath::new(scene, &self.skeleton, observed_frames, initial, terms)
+        FramePath::new(scene, &self.skeleton, observations, initial, terms)
     }
 }
 
@@ -89,8 +89,8 @@ fn gradients_of_terms_between_frames_match_central_differences() {
     let case = Case::new(4);
     for term in every_term(4) {
         let (terms, unseen) = ([term], vec![Vec::new(); 4]);
-        for observed_frames in [&unseen, &case.observed_frames] {
-            let mut path = case.path(observed_frames, &case.initial, &terms);
+        for observations in [&unseen, &case.observations] {
+            let mut path = case.path(observations, &case.initial, &terms);
             let x = moved(&path.start());
             let mut equations = NormalEquations::zeros(path.layout());
             let cost = path.linearise(&x, &mut equations);
@@ -129,7 +129,7 @@ fn unknowns_that_are_not_free_stay_and_the_others_move() {
     let case = Case::new(3);
     let terms = every_term(3);
     for free in [[false, true], [true, false]] {
-        let mut path = case.path(&case.observed_frames, &case.initial, &terms);
+        let mut path = case.path(&case.observations, &case.initial, &terms);
         path.free = free;
         let start = path.start();
         let mut x = start.clone();
@@ -172,7 +172,7 @@ impl Problem for Dense<'_> {
 fn banded_and_dense_normal_equations_lead_the_same_way() {
     let case = Case::new(5);
     let terms = every_term(5);
-    let path = || case.path(&case.observed_frames, &case.initial, &terms);
+    let path = || case.path(&case.observations, &case.initial, &terms);
     let (mut banded, mut x) = (path(), moved(&path().start()));
     let mut y = x.clone();
     let summary = LevenbergMarquardt::default().minimise(&mut banded, &mut x, 30);

@@ -15,7 +15,7 @@ use expect_test::expect;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::messages::{detections, event, keyframe, rig, skeleton, stamped_pose};
+use crate::messages::{WEIGHTS, detections, event, keyframe, rig, skeleton, stamped_pose};
 
 const FRAMES: u64 = 400;
 /// Chunk records have this opcode.
@@ -50,7 +50,7 @@ fn write_recording(path: &Path) {
     }
     writer.pose(&stamped_pose(1), &skeleton()).unwrap();
     writer.truth_pose(&stamped_pose(1), &skeleton()).unwrap();
-    writer.keyframe(&keyframe()).unwrap();
+    writer.keyframe(&keyframe(), WEIGHTS).unwrap();
     writer.event(&event()).unwrap();
     writer.status(&wire::Status::default()).unwrap();
     writer.finish().unwrap();

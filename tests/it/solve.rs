@@ -5,10 +5,10 @@ use bundlemocap::core::body::{
 };
 use bundlemocap::core::camera::{Camera, Lens, Rig};
 use bundlemocap::core::cost::{
-    self, FrameObservations, FreeBody, Knot, Observation, PathProblem, Scene, Workspace,
+    self, FrameObservations, FreeBody, Observation, PathKeyframe, PathProblem, Scene, Workspace,
 };
 use bundlemocap::core::detections::KeypointFormat;
-use bundlemocap::core::manifold::{Decoder, Interpolation, Keyframe, LATENT};
+use bundlemocap::core::manifold::{Decoder, Interpolation, Keyframe, LATENT, TimedKeyframe};
 use bundlemocap::core::optimise::{NormalEquations, OptimiserKind, Problem};
 use bundlemocap::core::so3;
 use bundlemocap::core::time::Timestamp;
@@ -81,7 +81,7 @@ struct Case {
     points: Vec<BodyPoint>,
     skeleton: Skeleton,
     truth: Vec<Keyframe>,
-    observed_frames: Vec<FrameObservations>,
+    observations: Vec<FrameObservations>,
 }
 
 impl Case {
@@ -91,7 +91,7 @@ impl Case {
         let skeleton = Skeleton::new(Shape(std::array::from_fn(|i| 0.5 * (i as f64).cos())));
         let (rig, points) = (ring(), fitted_points(KeypointFormat::Body25));
         let truth: Vec<_> = (0..keyframes).map(|k| keyframe(0.7 + 0.02 * k as f64, 0.8)).collect();
-        let observed_frames = (1..=10 * (keyframes - 1).max(1))
+        let observations = (1..=10 * (keyframes - 1).max(1))
             .map(|i| {
                 let (k, s) = ((i - 1) / 10, ((i - 1) % 10 + 1) as f64 / 10.0);
                 let next = &truth[(k + 1).min(keyframes - 1)];
@@ -100,19 +100,19 @@ impl Case {
                 FrameObservations::new(frame(i), observe(&rig, &points, &posture, &skeleton))
             })
             .collect();
-        Self { decoder, rig, points, skeleton, truth, observed_frames }
+        Self { decoder, rig, points, skeleton, truth, observations }
     }
 
     fn disturb(&mut self) {
         let mut n = 0.0_f64;
-        for observed_frame in &mut self.observed_frames {
-            let moved = observed_frame.observations().iter().map(|seen| {
+        for frame in &mut self.observations {
+            let moved = frame.observations().iter().map(|seen| {
                 n += 1.0;
                 let outlier = if (n as usize).is_multiple_of(17) { 80.0 } else { 4.0 };
                 let pixel = seen.pixel + Vector2::new((n * 1.3).sin(), (n * 2.1).cos()) * outlier;
                 Observation { pixel, confidence: 0.6 + 0.3 * (n * 0.7).sin(), ..*seen }
             });
-            *observed_frame = FrameObservations::new(observed_frame.capture, moved.collect());
+            *frame = FrameObservations::new(frame.capture, moved.collect());
         }
     }
 
@@ -127,23 +127,27 @@ impl Case {
         start: &Keyframe,
         work: &'a mut Workspace,
     ) -> PathProblem<'a> {
-        let knots = self.knots(&[false, true], start);
+        let path = self.path(&[false, true], start);
         PathProblem::new(
             self.scene(config),
-            knots,
+            path,
             &self.skeleton,
             FreeBody::Fixed,
-            &self.observed_frames,
+            &self.observations,
             work,
         )
     }
 
-    fn knots(&self, free: &[bool], start: &Keyframe) -> Vec<Knot> {
+    fn path(&self, free: &[bool], start: &Keyframe) -> Vec<PathKeyframe> {
         let value = |k: usize| if free[k] { start.clone() } else { self.truth[k].clone() };
         (0..free.len())
             .map(|k| {
                 let (capture, keyframe) = (frame(10 * k), value(k));
-                Knot { capture, keyframe, free: free[k], frames: 10.0 }
+                PathKeyframe {
+                    timed: TimedKeyframe { capture, keyframe },
+                    free: free[k],
+                    frames: 10.0,
+                }
             })
             .collect()
     }
@@ -164,14 +168,14 @@ fn gradients_of_every_kind_of_path_match_central_differences() {
     ];
     for (free, body) in kinds {
         let mut work = Workspace::default();
-        let observed_frames = &case.observed_frames[..(10 * (free.len() - 1)).max(1)];
-        let knots = case.knots(free, &keyframe(0.73, 0.8));
+        let observations = &case.observations[..(10 * (free.len() - 1)).max(1)];
+        let path = case.path(free, &keyframe(0.73, 0.8));
         let mut problem = PathProblem::new(
             case.scene(&config),
-            knots,
+            path,
             &case.skeleton,
             body,
-            observed_frames,
+            observations,
             &mut work,
         );
         let x: Vec<f64> =
@@ -213,13 +217,13 @@ fn the_hessian_of_stiffness_is_exact_where_nothing_moves() {
     let case = Case::new(1);
     let (config, still) = (cost::Config::default(), case.truth[0].clone());
     let mut work = Workspace::default();
-    let knots = (0..5).map(|k| {
+    let path = (0..5).map(|k| {
         let (capture, keyframe) = (frame([0, 1, 2, 4, 5][k]), still.clone());
-        Knot { capture, keyframe, free: k > 1, frames: 1.0 }
+        PathKeyframe { timed: TimedKeyframe { capture, keyframe }, free: k > 1, frames: 1.0 }
     });
     let scene = case.scene(&config);
     let problem =
-        PathProblem::new(scene, knots.collect(), &case.skeleton, FreeBody::Fixed, &[], &mut work);
+        PathProblem::new(scene, path.collect(), &case.skeleton, FreeBody::Fixed, &[], &mut work);
     assert_hessian(problem, 1e-5);
 }
 
@@ -229,14 +233,14 @@ fn the_marginal_step_of_the_marks_is_that_of_all_unknowns() {
     case.disturb();
     let config = cost::Config::default();
     let mut work = Workspace::default();
-    let knots = case.knots(&[false, true], &case.truth[1]);
+    let path = case.path(&[false, true], &case.truth[1]);
     let free = FreeBody::ShapeAndOffsets;
     let scene = case.scene(&config);
     let mut problem =
-        PathProblem::new(scene, knots, &case.skeleton, free, &case.observed_frames, &mut work);
+        PathProblem::new(scene, path, &case.skeleton, free, &case.observations, &mut work);
     let x = problem.start();
-    let told = problem.marginal(&x, OFFSETS).unwrap();
-    let step = told.hessian.cholesky().unwrap().solve(&told.gradient);
+    let marginal = problem.marginal(&x, OFFSETS).unwrap();
+    let step = marginal.hessian.cholesky().unwrap().solve(&marginal.gradient);
 
     let mut equations = NormalEquations::zeros(problem.layout());
     problem.linearise(&x, &mut equations);

@@ -9,12 +9,12 @@ use bundlemocap::core::body::{
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::cost::Observation;
 use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
-use bundlemocap::core::manifold::{Decoder, Interpolation, Keyframe};
+use bundlemocap::core::manifold::{Decoder, Interpolation, Keyframe, TimedKeyframe};
 use bundlemocap::core::optimise::OptimiserKind;
 use bundlemocap::core::so3;
 use bundlemocap::core::tracker::{
     Config, Effort, EventKind, Input, Job, Noise, Outcome, Output, Solver, Task, Tracker, Verdict,
-    WindowReport,
+    WindowReport, run_to_end,
 };
 use nalgebra::{Point2, Vector3};
 
@@ -43,38 +43,32 @@ fn config() -> Config {
 }
 
 fn run(config: Config, frames: impl IntoIterator<Item = Detections>) -> Run {
-    let mut track = Tracker::new(config, Arc::new(ring()));
+    let mut tracker = Tracker::new(config, Arc::new(ring()));
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
     let mut run = Run::default();
-    for input in frames.into_iter().map(Input::Detections).chain([Input::End]) {
-        track.handle(input);
-        while let Some(output) = track.poll() {
-            match output {
-                Output::Solve(job) => track.handle(Input::Solved(solver.solve(&job))),
-                Output::Pose(pose) => run.poses.push(*pose),
-                Output::Window(window) => run.windows.push(*window),
-                Output::Event(event) => *run.events.entry(event.kind).or_default() += event.count,
-                Output::Skeleton(skeleton) => run.skeleton = Some(skeleton),
-                Output::Keyframe(_) => {}
-            }
-        }
-    }
+    run_to_end(&mut tracker, &mut solver, frames, |output| match output {
+        Output::Pose(pose) => run.poses.push(*pose),
+        Output::Window(window) => run.windows.push(*window),
+        Output::Event(event) => *run.events.entry(event.kind).or_default() += event.count,
+        Output::Skeleton(skeleton) => run.skeleton = Some(skeleton),
+        Output::Keyframe(_) | Output::Solve(_) => {}
+    });
     run
 }
 
 /// All jobs of a machine, with what came of them.
-fn solved(config: Config, frames: Vec<Detections>) -> Vec<(Box<Job>, Outcome)> {
-    let mut track = Tracker::new(config, Arc::new(ring()));
+fn solved(config: Config, frames: Vec<Detections>) -> Vec<(Job, Outcome)> {
+    let mut tracker = Tracker::new(config, Arc::new(ring()));
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
     let mut jobs = Vec::new();
     for input in frames.into_iter().map(Input::Detections).chain([Input::End]) {
-        track.handle(input);
-        while let Some(output) = track.poll() {
-            let Output::Solve(job) = output else { continue };
-            let solution = solver.solve(&job);
-            jobs.push((job, solution.outcome.clone()));
-            track.handle(Input::Solved(solution));
-        }
+        tracker.handle(input);
+        let mut solve = |job: &Job| {
+            let solution = solver.solve(job);
+            jobs.push((job.clone(), solution.outcome.clone()));
+            solution
+        };
+        while tracker.poll_and_solve(&mut solve).is_some() {}
     }
     jobs
 }
@@ -163,7 +157,7 @@ fn windows_follow_a_manifold_motion_exactly() {
                 start: time(0),
                 end: time(10),
                 publish: time(10),
-                knots: vec![time(10)],
+                keyframe_times: vec![time(10)],
                 pose_times: (1..=10).map(time).collect(),
                 frames: (1..=10)
                     .flat_map(|i| detections(&rig, &points, &seen(i), (10 * window + i) as usize))
@@ -176,7 +170,7 @@ fn windows_follow_a_manifold_motion_exactly() {
                 noise: Noise::default(),
                 task: Task::Track {
                     estimator: Arc::default(),
-                    past: vec![(time(0), from)],
+                    past: vec![TimedKeyframe::new(time(0), from)],
                     ahead: Vec::new(),
                     skeleton: Arc::clone(&skeleton),
                     coasted: 0,
@@ -192,7 +186,7 @@ fn windows_follow_a_manifold_motion_exactly() {
                     assert!(angle.to_degrees() < 0.5, "seed {seed}, window {window}: {angle} rad");
                 }
             }
-            from = tracked.keyframes.into_iter().next().unwrap().1;
+            from = tracked.keyframes.into_iter().next().unwrap().keyframe;
         }
     }
 }
@@ -445,12 +439,12 @@ fn a_window_begins_near_what_the_last_one_said() {
     let (mut job, _) = solved(config, stream(61)).swap_remove(3);
     let mut positions = |job: &Job| {
         let Outcome::Tracked(tracked) = solver.solve(job).outcome else { panic!("not tracked") };
-        tracked.keyframes.iter().map(|(_, k)| k.root_position).collect::<Vec<_>>()
+        tracked.keyframes.iter().map(|at| at.keyframe.root_position).collect::<Vec<_>>()
     };
     let own = positions(&job);
     let Task::Track { ahead, .. } = &mut job.task else { panic!("not tracking") };
     assert_eq!((ahead.len(), own.len()), (5, 10));
-    ahead.iter_mut().for_each(|(_, keyframe)| keyframe.root_position.x += 0.02);
+    ahead.iter_mut().for_each(|at| at.keyframe.root_position.x += 0.02);
     let shifted = positions(&job);
     let shift = |k: usize| shifted[k].x - own[k].x;
     for (k, expected) in [0.008, 0.006, 0.004, 0.002, 0.0, 0.0].into_iter().enumerate() {

@@ -9,7 +9,7 @@ use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Guard, Sample};
 use crate::io::wire::{Event, Pose, Status, Topics, decode};
 use crate::live::{Usage, WallClock};
-use crate::metrics::statistics::percentiles;
+use crate::metrics::statistics::{Line, percentiles};
 
 /// A pose that came.
 #[derive(Clone, Copy, Debug)]
@@ -284,13 +284,7 @@ fn memory(usage: &[UsageAt]) -> Option<Memory> {
 fn slope(usage: &[UsageAt]) -> f64 {
     let Some(first) = usage.first() else { return 0.0 };
     let points = usage.iter().map(|(at, u)| (at.seconds_since(first.0), u.resident_bytes as f64));
-    let n = usage.len() as f64;
-    let (sum_x, sum_y) = points.clone().fold((0.0, 0.0), |(x, y), (px, py)| (x + px, y + py));
-    let (mean_x, mean_y) = (sum_x / n, sum_y / n);
-    let (covariance, variance) = points.fold((0.0, 0.0), |(c, v), (x, y)| {
-        (c + (x - mean_x) * (y - mean_y), v + (x - mean_x) * (x - mean_x))
-    });
-    if variance > 0.0 { covariance / variance } else { 0.0 }
+    Line::fit(points).map_or(0.0, |line| line.slope)
 }
 
 impl Figures {

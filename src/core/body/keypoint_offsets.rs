@@ -1,14 +1,14 @@
-//! Where a detector marks points, against where our body has them.
+//! Keypoint offsets: the difference between where a detector places a keypoint and where our body has it.
 //!
-//! Each detector has a habit of its own: knees a little to the front, hips too high. A mark is an
-//! offset of a point in its joint's frame, the same in every view and all the time; those of left
-//! and right mirror each other, since detectors are trained on mirrored images.
+//! Detectors have systematic errors: knees a little to the front, hips too high. An offset is a vector in
+//! the joint's frame, the same in every view and at all times. Left and right offsets mirror each other,
+//! since detectors are trained on mirrored images.
 
 use nalgebra::Vector3;
 
 use crate::core::detections::Keypoint;
 
-/// Points that have a mark: those that are fitted, of the left side and of the middle.
+/// Keypoints with an offset: those that are fitted, of the left side and of the middle.
 const POINTS: [Keypoint; 13] = [
     Keypoint::Nose,
     Keypoint::LEye,
@@ -25,13 +25,13 @@ const POINTS: [Keypoint; 13] = [
     Keypoint::LHeel,
 ];
 
-/// Numbers of all marks: x, y and z of each point.
+/// Count of all coordinates: x, y and z of each keypoint.
 pub const OFFSETS: usize = 3 * POINTS.len();
 
 /// Metres of a coordinate of 1.
 const UNIT: f64 = 0.012;
 
-/// KeypointOffsets of all points, in units of 12 mm; all zero is where our body has them.
+/// The offsets of all keypoints, in units of 12 mm; zero is where our body has them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KeypointOffsets(pub [f64; OFFSETS]);
 
@@ -41,7 +41,7 @@ impl Default for KeypointOffsets {
     }
 }
 
-/// Which mark a point has.
+/// Where the offset of a keypoint is stored.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Slot {
     first: usize,
@@ -63,7 +63,7 @@ impl Slot {
         Vector3::new(self.side * x, y, z)
     }
 
-    /// Writes the derivative of [`Slot::offset`] by each number of the marks.
+    /// Writes the derivative of [`Slot::offset`] by each coordinate of the offsets.
     pub(super) fn derivative(self, out: &mut [Vector3<f64>]) {
         out[self.first].x = self.side * UNIT;
         out[self.first + 1].y = UNIT;

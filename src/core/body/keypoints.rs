@@ -24,21 +24,28 @@ pub struct Attachment {
     pub weight: f64,
     template: Vector3<f64>,
     part: Part,
-    mark: Option<Slot>,
+    offset_slot: Option<Slot>,
 }
 
 impl Attachment {
     /// Where `keypoint` sits.
     pub fn of(keypoint: Keypoint) -> Self {
         let (joint, template, part, weight) = table(keypoint);
-        Self { joint, weight, template: Vector3::from(template), part, mark: Slot::of(keypoint) }
+        Self {
+            joint,
+            weight,
+            template: Vector3::from(template),
+            part,
+            offset_slot: Slot::of(keypoint),
+        }
     }
 
-    /// Offset from the joint's centre in the joint's frame, on a body with its marks, metres.
+    /// Offset from the joint's centre in the joint's frame, with the body's keypoint offsets, metres.
     pub fn offset(&self, body: &Skeleton) -> Vector3<f64> {
-        let mark =
-            self.mark.map_or_else(Vector3::zeros, |mark| mark.offset(body.keypoint_offsets()));
-        self.part.scaled(&self.template, body.shape()) + mark
+        let offset = self
+            .offset_slot
+            .map_or_else(Vector3::zeros, |slot| slot.offset(body.keypoint_offsets()));
+        self.part.scaled(&self.template, body.shape()) + offset
     }
 
     /// Where the point is in the world, metres.
@@ -54,8 +61,8 @@ impl Attachment {
         for (out, by) in by_shape.iter_mut().zip(ShapeCoefficient::ALL) {
             *out = self.part.derivative(&self.template, by);
         }
-        if let Some(mark) = self.mark {
-            mark.derivative(by_offsets);
+        if let Some(slot) = self.offset_slot {
+            slot.derivative(by_offsets);
         }
         all
     }

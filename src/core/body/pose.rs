@@ -1,10 +1,11 @@
-//! A pose of the body, and what a tracker says about it.
+//! A pose of the body, and the pose that a tracker publishes.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::forward::{Posture, forward};
 use super::joints::BODY_JOINTS;
 use super::skeleton::Skeleton;
+use crate::core::so3;
 use crate::core::time::Timestamp;
 
 /// The root and the 21 local rotations.
@@ -28,6 +29,16 @@ impl Pose {
         }
     }
 
+    /// The pose at `s` on the path from `self` (s = 0) to `to` (s = 1): a slerp of each rotation,
+    /// a straight line for the position. Values of `s` outside \[0, 1\] extrapolate.
+    pub fn interpolate(&self, to: &Self, s: f64) -> Self {
+        Self {
+            root_rotation: so3::slerp(&self.root_rotation, &to.root_rotation, s),
+            root_position: self.root_position.lerp(&to.root_position, s),
+            local: std::array::from_fn(|j| so3::slerp(&self.local[j], &to.local[j], s)),
+        }
+    }
+
     /// Joint rotations and positions in the world.
     pub fn posture(&self, skeleton: &Skeleton) -> Posture {
         forward(skeleton, &self.root_rotation, &self.root_position, &self.local)
@@ -39,7 +50,7 @@ impl Pose {
 pub enum TrackingState {
     /// Fitted to the detections of its window.
     Tracking,
-    /// Carried on without enough detections.
+    /// Extrapolated: too little was seen.
     Coasting,
     /// Its window fitted badly; flagged, not to be used.
     Lost,

@@ -11,19 +11,20 @@ use crate::core::manifold::Interpolation;
 pub struct Config {
     /// Scale s of the Geman-McClure loss, pixels: an error of s counts a quarter of its square.
     pub scale_px: f64,
-    /// Weight of the prior on z in each frame, square pixels: a keyframe counts for the frames up to it.
+    /// Weight of the prior on z per frame, square pixels; a keyframe counts for the frames up to it.
     pub prior: f64,
-    /// Degrees of freedom of the prior, a Student t: fewer hold unusual poses back less. 0 for |z|^2 itself.
+    /// Degrees of freedom of the prior, a Student t: with fewer, unusual poses are penalised less. 0 for
+    /// |z|^2 itself.
     pub prior_dof: f64,
     /// Weight of the squared shape coefficients, square pixels, while the shape is free.
     pub shape_prior: f64,
-    /// Weight of the squared marks, square pixels for each (12 mm)^2, while they are free.
+    /// Weight of the squared keypoint offsets, square pixels for each (12 mm)^2, while they are free.
     pub offset_prior: f64,
-    /// How far in the space of codes a Jacobian of the decoder is carried instead of computed anew, where
-    /// it only steers the steps. 0 is for problems that the data hardly determine, as with a prior
-    /// near 0: there steps must be exact. Differs: the paper needs no Jacobians.
+    /// The distance between codes up to which a Jacobian of the decoder is reused, where it only steers
+    /// the steps. Use 0 for problems that the data hardly determine, as with a prior near 0: they need
+    /// exact steps. Differs: the paper needs no Jacobians.
     pub jacobian_reuse_radius: f64,
-    /// How latent codes run between keyframes.
+    /// How latent codes are interpolated between keyframes.
     pub interpolation: Interpolation,
     /// Weights of accelerations along the keyframes.
     pub stiffness: Stiffness,

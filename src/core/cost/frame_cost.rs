@@ -1,4 +1,4 @@
-//! The terms of moments: what the cameras saw of the body's points.
+//! The terms of frames: what the cameras saw of the body's points.
 //!
 //! All views of a point share the point's Jacobian: their 2D terms are first summed to a gradient
 //! and a 3x3 curvature in the world. The gradient acts on the body as a force, which goes back
@@ -7,7 +7,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::ends::root_of;
+use super::chain_rule::semidefinite_cholesky;
 use super::observation::{FrameObservations, Observation};
 use super::observation_batch::{LOCAL_ROWS, ObservationBatch};
 use super::path::Scene;
@@ -18,7 +18,7 @@ use crate::core::linalg::{self, Accum};
 use crate::core::manifold::{LATENT, Latent};
 use crate::core::so3;
 
-/// What is wanted of moments.
+/// What to compute of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Wanted {
     Cost,
@@ -27,7 +27,7 @@ pub(super) enum Wanted {
     Hessians,
 }
 
-/// A path, as its moments need it.
+/// A path, as its frames need it.
 #[derive(Clone, Copy)]
 pub(super) struct Path<'p> {
     pub(super) scene: Scene<'p>,
@@ -38,44 +38,41 @@ pub(super) struct Path<'p> {
 }
 
 impl<'p> Path<'p> {
-    /// Computes what is wanted of all moments of a lane, and leaves it there.
+    /// Computes what is wanted of all frames of a batch; the results stay in the batch.
     pub(super) fn compute(
         &self,
-        observed_frames: &[FrameObservations],
+        observations: &[FrameObservations],
         wanted: Wanted,
         batch: &mut ObservationBatch,
     ) {
         batch.costs.clear();
-        if observed_frames.is_empty() {
+        if observations.is_empty() {
             return;
         }
         let n = self.unknowns.coordinates();
-        batch.decode(
-            self.scene.decoder,
-            observed_frames.iter().map(|observed_frame| self.code(observed_frame)),
-        );
+        batch.decode(self.scene.decoder, observations.iter().map(|frame| self.code(frame)));
         if wanted == Wanted::Hessians {
             // The Hessian by the body is used for itself, not only to steer.
-            let reach =
+            let radius =
                 if self.unknowns.body == 0 { self.scene.config.jacobian_reuse_radius } else { 0.0 };
-            batch.linearise(self.scene.decoder, reach);
-            batch.grams.resize(observed_frames.len() * n * n, 0.0);
+            batch.linearise(self.scene.decoder, radius);
+            batch.grams.resize(observations.len() * n * n, 0.0);
         }
-        batch.by_rotation.resize(observed_frames.len() * LOCAL_ROWS, 0.0);
-        batch.gradients.resize(observed_frames.len() * n, 0.0);
-        for (m, observed_frame) in observed_frames.iter().enumerate() {
-            let place = self.unknowns.place(observed_frame.capture);
+        batch.by_rotation.resize(observations.len() * LOCAL_ROWS, 0.0);
+        batch.gradients.resize(observations.len() * n, 0.0);
+        for (m, frame) in observations.iter().enumerate() {
+            let place = self.unknowns.place(frame.capture);
             let posture = self.posture(place, m, batch);
             if wanted == Wanted::Hessians {
                 self.push_tangents(place, &posture, m, batch);
             }
             let cost = match wanted {
-                Wanted::Cost => self.cost(observed_frame, &posture),
-                _ => self.add(observed_frame, &posture, wanted, m, batch),
+                Wanted::Cost => self.cost(frame, &posture),
+                _ => self.add(frame, &posture, wanted, m, batch),
             };
             batch.costs.push(cost);
             if wanted == Wanted::Hessians {
-                batch.counts.observed_frames += 1;
+                batch.counts.frames += 1;
                 let (rows, gram) = (&batch.rows, &mut batch.grams[m * n * n..(m + 1) * n * n]);
                 let sizes = [n, rows.len() / n, n];
                 linalg::product_of_transpose(sizes, rows, rows, Accum::Replace, gram);
@@ -86,14 +83,14 @@ impl<'p> Path<'p> {
         }
     }
 
-    /// The code at a moment.
-    fn code(&self, observed_frame: &FrameObservations) -> Latent {
-        let Place { from, to, s } = self.unknowns.place(observed_frame.capture);
+    /// The code at a frame's time.
+    fn code(&self, frame: &FrameObservations) -> Latent {
+        let Place { from, to, s } = self.unknowns.place(frame.capture);
         let (z0, z1) = (&self.unknowns.keyframes[from].z, &self.unknowns.keyframes[to].z);
         if from == to { *z1 } else { self.scene.config.interpolation.latent(z0, z1, s) }
     }
 
-    /// Where the body is at moment `m` of the lane.
+    /// The posture in frame `m` of the batch.
     fn posture(&self, Place { from, to, s }: Place, m: usize, batch: &ObservationBatch) -> Posture {
         let (first, last) = (&self.unknowns.keyframes[from], &self.unknowns.keyframes[to]);
         let rotation = match from == to {
@@ -104,7 +101,7 @@ impl<'p> Path<'p> {
         forward(&self.unknowns.skeleton, &rotation, &position, &batch.rotations(m))
     }
 
-    /// Tangents of the posture at moment `m` by the moment's coordinates.
+    /// Tangents of the posture in frame `m` by the frame's coordinates.
     fn push_tangents(
         &self,
         place: Place,
@@ -119,7 +116,7 @@ impl<'p> Path<'p> {
             .filter(|t| t.columns() == columns)
             .unwrap_or_else(|| Tangents::zeros(columns));
         tangents.clear_root();
-        tangents.set_root_turn(LATENT, &self.unknowns.knot_turn(place));
+        tangents.set_root_turn(LATENT, &self.unknowns.root_tangent(place));
         tangents.set_root_shift(LATENT + 3, 1.0);
         let shape_column = (self.unknowns.body > 0).then_some(KEYFRAME);
         let skeleton = &self.unknowns.skeleton;
@@ -127,20 +124,20 @@ impl<'p> Path<'p> {
         batch.tangents = Some(tangents);
     }
 
-    /// Cost of what was seen at a moment.
-    fn cost(&self, observed_frame: &FrameObservations, posture: &Posture) -> f64 {
+    /// The cost of a frame.
+    fn cost(&self, frame: &FrameObservations, posture: &Posture) -> f64 {
         let cost = |views: &[Observation]| {
             let (point, arm) = self.point(views, posture);
             let position = posture.positions[point.attachment.joint.index()] + arm;
             point.attachment.weight * self.point_cost(views, &position)
         };
-        observed_frame.by_point().map(cost).sum()
+        frame.by_point().map(cost).sum()
     }
 
-    /// The same; leaves the gradient of moment `m` in the lane, and its rows if they are wanted.
+    /// The same; writes the gradient of frame `m` to the batch, and its rows if they are wanted.
     fn add(
         &self,
-        observed_frame: &FrameObservations,
+        frame: &FrameObservations,
         posture: &Posture,
         wanted: Wanted,
         m: usize,
@@ -151,7 +148,7 @@ impl<'p> Path<'p> {
         let mut cost = 0.0;
         batch.rows.clear();
         batch.gradients[m * n..(m + 1) * n].fill(0.0);
-        for views in observed_frame.by_point() {
+        for views in frame.by_point() {
             let (point, arm) = self.point(views, posture);
             let (joint, weight) = (point.attachment.joint, point.attachment.weight);
             let position = posture.positions[joint.index()] + arm;
@@ -225,7 +222,7 @@ impl<'p> Path<'p> {
     ) {
         let n = self.unknowns.coordinates();
         let Some(tangents) = &batch.tangents else { return };
-        let root = root_of(curvature);
+        let root = semidefinite_cholesky(curvature);
         for direction in root.column_iter().map(|column| column.into_owned()) {
             let first = batch.rows.len();
             batch.rows.resize(first + n, 0.0);
@@ -240,7 +237,7 @@ impl<'p> Path<'p> {
         }
     }
 
-    /// The gradient by the coordinates of moment `m` but the code, and by its local rotations.
+    /// The gradient by the coordinates of frame `m`, without the code, and by its local rotations.
     fn add_wrenches(
         &self,
         posture: &Posture,

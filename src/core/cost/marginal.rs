@@ -1,4 +1,4 @@
-//! What a path tells of the body's coefficients, whatever its keyframes are.
+//! The cost by the body's coefficients, with the keyframes eliminated.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -6,8 +6,8 @@ use super::path::PathProblem;
 use crate::core::linalg;
 use crate::core::optimise::{NormalEquations, Problem};
 
-/// The quadratic model of the cost by some coefficients of the body when the keyframes follow them:
-/// the Schur complement of the keyframes.
+/// The quadratic model of the cost by some coefficients of the body, with the keyframes at their minimum
+/// for each value: the Schur complement of the keyframes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Marginal {
     /// Coefficients x coefficients, symmetric; square pixels by their units.

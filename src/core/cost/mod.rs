@@ -9,8 +9,8 @@
 //! the frames that keyframe k stands for. The path is evaluated at each observation's own capture
 //! time. Differs: the paper evaluates it at the frames of genlocked cameras, and has no stiffness.
 
+mod chain_rule;
 mod config;
-mod ends;
 mod frame_cost;
 mod marginal;
 mod observation;
@@ -27,5 +27,5 @@ pub use observation::{FrameObservations, Observation};
 pub use path::{PathProblem, Scene};
 pub use robust::GemanMcClure;
 pub use stiffness::Stiffness;
-pub use unknowns::{FreeBody, Knot};
+pub use unknowns::{FreeBody, PathKeyframe};
 pub use workspace::{Counts, Workspace};

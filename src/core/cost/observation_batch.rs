@@ -1,4 +1,4 @@
-//! Memory of consecutive moments of a path, and what is known of the decoder at them.
+//! Memory of consecutive frames of a path, with the decoder's Jacobians at their codes.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -11,41 +11,42 @@ use crate::core::so3;
 /// Rows of the derivatives of the local rotations.
 pub(super) const LOCAL_ROWS: usize = 3 * BODY_JOINTS;
 
-/// Numbers of a moment's Jacobian of the decoder.
+/// Size of a frame's Jacobian of the decoder.
 const SIZE: usize = LOCAL_ROWS * LATENT;
 
-/// How often a Jacobian is carried on at its moment: so steps that come to little are soon exact again.
+/// A Jacobian is carried from one iteration to the next at most this often, so that small steps soon
+/// become exact again.
 const OLDEST: usize = 2;
 
-/// A step shorter than this leaves a Jacobian as it is: rotations of six digits tell no more of it.
+/// A step shorter than this leaves a Jacobian as it is: six digits of rotation cannot improve it.
 const SHORTEST: f64 = 1e-2;
 
-/// Some moments in a row. None of its work concerns other moments.
+/// Consecutive frames. A batch needs nothing from other batches.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ObservationBatch {
-    /// What is decoded: the code of each moment.
+    /// The code of each frame, as decoded.
     codes: Vec<Latent>,
     jacobians: Jacobians,
-    /// Where each moment's Jacobian is taken.
+    /// Where each frame's Jacobian is taken.
     linearised: Vec<Option<Linearised>>,
-    /// Where each will come from, and how far it will have been carried.
+    /// The source of each, and how far it will have been carried.
     plan: Vec<(Source, f64)>,
-    /// Right tangents of the local rotations by the code there, 63 x 32 for each moment.
+    /// Right tangents of the local rotations by the code there, 63 x 32 for each frame.
     by_code: Vec<f32>,
     pub(super) tangents: Option<Tangents>,
-    /// Weighted rows of the moment, (3 per point) x (coordinates of the moment).
+    /// Weighted rows of the frame at hand, (3 per point) x (coordinates of the frame).
     pub(super) rows: Vec<f32>,
-    /// Gradient by the local rotations (right tangents), 63 for each moment.
+    /// Gradient by the local rotations (right tangents), 63 for each frame.
     pub(super) by_rotation: Vec<f64>,
-    /// The same by the codes, 32 for each moment.
+    /// The same by the codes, 32 for each frame.
     code_gradients: Vec<f64>,
-    /// What each moment costs.
+    /// The cost of each frame.
     pub(super) costs: Vec<f64>,
-    /// Gradient by each moment's coordinates.
+    /// Gradient by each frame's coordinates.
     pub(super) gradients: Vec<f64>,
-    /// Hessian by each moment's coordinates.
+    /// Hessian by each frame's coordinates.
     pub(super) grams: Vec<f32>,
-    /// What was done since it was made.
+    /// The counts since it was made.
     pub(super) counts: Counts,
 }
 
@@ -56,16 +57,16 @@ struct Linearised {
     rotations: [Matrix3<f64>; BODY_JOINTS],
     /// How far it was carried since the decoder gave it.
     carried: f64,
-    /// How often it was carried on at its moment.
+    /// How often it was carried to the next iteration of its frame.
     age: usize,
 }
 
-/// Where a moment's Jacobian comes from.
+/// Where a frame's Jacobian comes from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Source {
-    /// The one that the moment has.
+    /// The frame's own, from the iteration before.
     Own,
-    /// That of the moment before.
+    /// That of the frame before.
     Before,
     Decoder,
 }
@@ -77,7 +78,7 @@ impl ObservationBatch {
         self.linearised.clear();
     }
 
-    /// Decodes the codes of all moments at once, unless they are those decoded last.
+    /// Decodes the codes of all frames at once, unless they are those decoded last.
     pub(super) fn decode(
         &mut self,
         decoder: &Decoder,
@@ -95,15 +96,15 @@ impl ObservationBatch {
         }
     }
 
-    /// The local rotations of moment `m`, once decoded.
+    /// The local rotations of frame `m`, once decoded.
     pub(super) fn rotations(&self, m: usize) -> [Matrix3<f64>; BODY_JOINTS] {
         self.jacobians.rotations(m)
     }
 
-    /// Makes sure of the decoder's Jacobian at the code of each moment: the one that the moment has, or
-    /// that of the moment before, carried there by a secant, or a new one where both come from codes
-    /// further than `reach` along the way, or were carried often.
-    pub(super) fn linearise(&mut self, decoder: &Decoder, reach: f64) {
+    /// Provides the decoder's Jacobian at the code of each frame: the frame's own, or that of the frame
+    /// before, carried there by a secant; or a new one if both come from codes further than `radius`
+    /// away, along the way, or were carried too often.
+    pub(super) fn linearise(&mut self, decoder: &Decoder, radius: f64) {
         let Self { codes, linearised, plan, jacobians, by_code, counts, .. } = self;
         by_code.resize(codes.len() * SIZE, 0.0);
         linearised.resize_with(codes.len(), || None);
@@ -114,7 +115,7 @@ impl ObservationBatch {
             let before = m.checked_sub(1).map(|n| plan[n].1 + distance(&codes[n], code));
             let sources = [(Source::Own, own), (Source::Before, before)];
             let mut near = sources.into_iter().filter_map(|(source, far)| Some((source, far?)));
-            plan.push(near.find(|(_, far)| *far <= reach).unwrap_or((Source::Decoder, 0.0)));
+            plan.push(near.find(|(_, far)| *far <= radius).unwrap_or((Source::Decoder, 0.0)));
         }
         let new = plan.iter().enumerate().filter(|(_, (source, _))| *source == Source::Decoder);
         decoder.tangents_of(new.map(|(m, _)| m), jacobians);
@@ -147,13 +148,13 @@ impl ObservationBatch {
         }
     }
 
-    /// Right tangents of the local rotations of moment `m` by its code, once linearised: 63 x 32.
+    /// Right tangents of the local rotations of frame `m` by its code, once linearised: 63 x 32.
     pub(super) fn by_code(&self, m: usize) -> &[f32] {
         &self.by_code[m * SIZE..(m + 1) * SIZE]
     }
 
-    /// Completes the gradients, of so many numbers for each moment: those by the codes come from those
-    /// by the local rotations.
+    /// Completes the gradients, of `coordinates` numbers for each frame: the part by the code comes from
+    /// the gradient by the local rotations.
     pub(super) fn pull_back(&mut self, decoder: &Decoder, coordinates: usize) {
         self.counts.gradients += self.codes.len();
         decoder.pull_back(&self.by_rotation, &mut self.jacobians, &mut self.code_gradients);
@@ -168,8 +169,8 @@ fn distance(a: &Latent, b: &Latent) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
-/// Carries a Jacobian along a step to other rotations: the least change that has it tell how they
-/// turned \[Broyden 1965\].
+/// Broyden's update of a Jacobian: the smallest change that makes it predict how the rotations turned
+/// with the step \[Broyden 1965\].
 fn secant(
     step: &Latent,
     from: &[Matrix3<f64>; BODY_JOINTS],
@@ -179,21 +180,21 @@ fn secant(
     let step = step.map(|s| s as f32);
     for ((from, to), rows) in from.iter().zip(to).zip(by_code.chunks_exact_mut(3 * LATENT)) {
         let turned = so3::log(&(from.transpose() * to));
-        tell(&step, &turned.cast(), rows);
+        broyden_update(&step, &turned.cast(), rows);
     }
 }
 
 linalg::wide! {
-    /// Has three rows tell how far a joint turned with a step.
-    fn tell(step: &[f32; LATENT], turned: &Vector3<f32>, rows: &mut [f32]) {
+    /// Changes three rows so that row . step is how far a joint turned.
+    fn broyden_update(step: &[f32; LATENT], turned: &Vector3<f32>, rows: &mut [f32]) {
         let square: f32 = step.iter().map(|s| s * s).sum();
         for (turned, row) in turned.iter().zip(rows.chunks_exact_mut(LATENT)) {
-            // Sums of every eighth product, so that none waits for the one before.
-            let mut told = [0.0; 8];
+            // Eight running sums, so that no addition waits for the one before.
+            let mut predicted = [0.0; 8];
             for (row, step) in row.chunks_exact(8).zip(step.chunks_exact(8)) {
-                (0..8).for_each(|k| told[k] += row[k] * step[k]);
+                (0..8).for_each(|k| predicted[k] += row[k] * step[k]);
             }
-            let missing = (turned - told.iter().sum::<f32>()) / square;
+            let missing = (turned - predicted.iter().sum::<f32>()) / square;
             row.iter_mut().zip(step).for_each(|(j, s)| *j += missing * s);
         }
     }

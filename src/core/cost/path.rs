@@ -1,17 +1,17 @@
 //! The cost of a path through keyframes, with its gradient and Gauss-Newton Hessian.
 //!
-//! Each moment is linearised in coordinates of its own (code, rotation and position where it is on
-//! the path, and the body); the result is carried to the unknowns of the two knots about it by the
-//! derivative of the interpolation. A free body concerns all knots: then the normal equations are
-//! one dense block; else they are banded, a block for each free knot.
+//! Each frame is linearised in its own coordinates: code, rotation and position at its time, and the
+//! body. The chain rule takes the result to the unknowns of the two keyframes around it, by the
+//! derivative of the interpolation. All keyframes share a free body: then the normal equations are one
+//! dense block; else they are banded, with a block for each free keyframe.
 
+use super::chain_rule::{KeyframeTangent, block, keyframe_tangents};
 use super::config::Config;
-use super::ends::{End, block, ends};
 use super::frame_cost::{self, Path};
 use super::observation::{FrameObservations, Observation};
 use super::robust::{GemanMcClure, StudentT};
-use super::unknowns::{FreeBody, KEYFRAME, Knot, Unknowns};
-use super::workspace::{Workspace, in_lanes};
+use super::unknowns::{FreeBody, KEYFRAME, PathKeyframe, Unknowns};
+use super::workspace::{Workspace, in_batches};
 use crate::core::body::{BodyPoint, SHAPE_COEFFICIENTS, Skeleton};
 use crate::core::camera::Rig;
 use crate::core::manifold::{Decoder, Keyframe, LATENT};
@@ -31,17 +31,18 @@ pub struct Scene<'a> {
     pub config: &'a Config,
 }
 
-/// The cost of a path. Also gives the solution back as keyframes and body.
+/// The cost of a path, for an optimiser; [`PathProblem::solution`] turns its result into keyframes and
+/// body.
 #[derive(Debug)]
 pub struct PathProblem<'a> {
     scene: Scene<'a>,
-    observed_frames: &'a [FrameObservations],
+    observations: &'a [FrameObservations],
     work: &'a mut Workspace,
     pub(super) unknowns: Unknowns,
     loss: GemanMcClure,
 }
 
-/// What is wanted besides the cost.
+/// What to compute besides the cost.
 enum Wanted<'o> {
     Cost,
     Gradient(&'o mut [f64]),
@@ -49,7 +50,7 @@ enum Wanted<'o> {
 }
 
 impl Wanted<'_> {
-    fn of_moments(&self) -> frame_cost::Wanted {
+    fn for_frames(&self) -> frame_cost::Wanted {
         match self {
             Self::Cost => frame_cost::Wanted::Cost,
             Self::Gradient(_) => frame_cost::Wanted::Gradients,
@@ -74,22 +75,23 @@ impl Wanted<'_> {
 }
 
 impl<'a> PathProblem<'a> {
-    /// A path through `knots`, in order of time. With a single knot the path is constant.
-    /// What is free of the body is solved for too, from that of `skeleton`.
+    /// The problem of a path through the keyframes `path`, in order of time; with a single keyframe the
+    /// path is constant. The `free` coefficients of the body are solved for too, from those of
+    /// `skeleton`.
     pub fn new(
         scene: Scene<'a>,
-        knots: Vec<Knot>,
+        path: Vec<PathKeyframe>,
         skeleton: &Skeleton,
         free: FreeBody,
-        observed_frames: &'a [FrameObservations],
+        observations: &'a [FrameObservations],
         work: &'a mut Workspace,
     ) -> Self {
         work.forget();
         Self {
-            unknowns: Unknowns::new(knots, skeleton, free),
+            unknowns: Unknowns::new(path, skeleton, free),
             loss: GemanMcClure::new(scene.config.scale_px),
             scene,
-            observed_frames,
+            observations,
             work,
         }
     }
@@ -99,17 +101,17 @@ impl<'a> PathProblem<'a> {
         self.loss = GemanMcClure::new(scale_px);
     }
 
-    /// What the observations up to a time, and those after it, cost at the last evaluation, as parts of
-    /// what they cost where the body is far from all of them.
+    /// The cost of the observations up to a time, and of those after it, at the last evaluation, as
+    /// parts of the largest possible cost: that of a body far from all of them.
     pub fn misfits(&self, time: Timestamp) -> [f64; 2] {
         let (mut costs, mut most) = ([0.0; 2], [0.0; 2]);
         let weight = |seen: &Observation| {
             0.5 * seen.confidence * self.scene.points[seen.point].attachment.weight
         };
-        for (observed_frame, cost) in self.observed_frames.iter().zip(self.work.costs()) {
-            let part = usize::from(observed_frame.capture > time);
+        for (frame, cost) in self.observations.iter().zip(self.work.costs()) {
+            let part = usize::from(frame.capture > time);
             costs[part] += cost;
-            most[part] += observed_frame.observations().iter().map(weight).sum::<f64>();
+            most[part] += frame.observations().iter().map(weight).sum::<f64>();
         }
         let ceiling = self.loss.ceiling();
         [0, 1].map(|part| costs[part] / (ceiling * most[part]).max(f64::MIN_POSITIVE))
@@ -120,12 +122,12 @@ impl<'a> PathProblem<'a> {
         self.unknowns.start()
     }
 
-    /// The unknowns to start from, with other values of the free knots, by their number in the path.
-    pub fn start_at(&self, value: impl Fn(usize, &Knot) -> Keyframe) -> Vec<f64> {
+    /// The unknowns to start from, with `value` for each free keyframe; it gets the index in the path.
+    pub fn start_at(&self, value: impl Fn(usize, &PathKeyframe) -> Keyframe) -> Vec<f64> {
         self.unknowns.start_at(value)
     }
 
-    /// The keyframes and the body that `x` stands for.
+    /// The keyframes and the body at the unknowns `x`.
     pub fn solution(mut self, x: &[f64]) -> (Vec<Keyframe>, Skeleton) {
         self.unknowns.take(x);
         (self.unknowns.keyframes, self.unknowns.skeleton)
@@ -134,13 +136,13 @@ impl<'a> PathProblem<'a> {
     fn evaluate(&mut self, x: &[f64], mut wanted: Wanted) -> f64 {
         self.unknowns.take(x);
         let cost = self.prior(x, &mut wanted);
-        let Self { scene, unknowns, loss, observed_frames, work, .. } = self;
-        let (scene, unknowns, loss, of_moments) = (*scene, &*unknowns, *loss, wanted.of_moments());
+        let Self { scene, unknowns, loss, observations, work, .. } = self;
+        let (scene, unknowns, loss, for_frames) = (*scene, &*unknowns, *loss, wanted.for_frames());
         let offsets = scene.points.iter().map(|point| point.attachment.offset(&unknowns.skeleton));
         work.offsets.clear();
         work.offsets.extend(offsets);
-        work.compute(observed_frames, |observed_frames, offsets, batch| {
-            Path { scene, unknowns, loss, offsets }.compute(observed_frames, of_moments, batch);
+        work.compute(observations, |observations, offsets, batch| {
+            Path { scene, unknowns, loss, offsets }.compute(observations, for_frames, batch);
         });
         if let Some(gradient) = wanted.gradient() {
             self.scatter_gradients(gradient);
@@ -151,8 +153,8 @@ impl<'a> PathProblem<'a> {
         cost + self.work.costs().sum::<f64>()
     }
 
-    /// 1/2 prior rho(|z|^2) of each free knot, counted for each frame that it stands for, 1/2 shape prior
-    /// |shape|^2, 1/2 mark prior |marks|^2, and the path's stiffness. Overwrites what is wanted.
+    /// 1/2 n prior rho(|z|^2) of each free keyframe that stands for n frames, 1/2 shape prior |shape|^2,
+    /// 1/2 offset prior |offsets|^2, and the path's stiffness. Overwrites what is wanted.
     fn prior(&self, x: &[f64], wanted: &mut Wanted) -> f64 {
         let Config { prior, prior_dof, shape_prior, offset_prior, stiffness, .. } =
             *self.scene.config;
@@ -164,8 +166,8 @@ impl<'a> PathProblem<'a> {
             equations.hessian.clear();
         }
         let student = StudentT::new(prior_dof);
-        let codes = self.unknowns.free_frames().enumerate().map(|(knot, frames)| {
-            let first = knot * KEYFRAME;
+        let codes = self.unknowns.free_frames().enumerate().map(|(keyframe, frames)| {
+            let first = keyframe * KEYFRAME;
             let (rho, slope) = student.rho(square(&x[first..first + LATENT]));
             (first, LATENT, prior * frames * slope, prior * frames * rho)
         });
@@ -194,32 +196,33 @@ impl<'a> PathProblem<'a> {
         }
     }
 
-    /// Carries the moments' gradients to all unknowns.
+    /// Adds the frames' gradients to those of the unknowns.
     fn scatter_gradients(&self, gradient: &mut [f64]) {
         let (n, body_at) = (self.unknowns.coordinates(), self.unknowns.body_at());
         let interpolation = self.scene.config.interpolation;
         let mut pulled = [0.0; KEYFRAME];
-        for (batch, observed_frames) in self.work.batches.iter().zip(in_lanes(self.observed_frames))
-        {
-            for (mine, observed_frame) in batch.gradients.chunks_exact(n).zip(observed_frames) {
-                let place = self.unknowns.place(observed_frame.capture);
-                for end in ends(&self.unknowns, interpolation, place).iter().flatten() {
-                    end.pull(mine, &mut pulled);
-                    add(&mut gradient[end.knot * KEYFRAME..], &pulled);
+        for (batch, observations) in self.work.batches.iter().zip(in_batches(self.observations)) {
+            for (mine, frame) in batch.gradients.chunks_exact(n).zip(observations) {
+                let place = self.unknowns.place(frame.capture);
+                for tangent in
+                    keyframe_tangents(&self.unknowns, interpolation, place).iter().flatten()
+                {
+                    tangent.pull_back(mine, &mut pulled);
+                    add(&mut gradient[tangent.keyframe * KEYFRAME..], &pulled);
                 }
                 add(&mut gradient[body_at..], &mine[KEYFRAME..]);
             }
         }
     }
 
-    /// Carries the moments' Hessians to all unknowns.
+    /// Adds the frames' Hessians to that of the unknowns.
     fn scatter_hessians(&mut self, equations: &mut NormalEquations) {
         let n = self.unknowns.coordinates();
         let (unknowns, interpolation) = (&self.unknowns, self.scene.config.interpolation);
         let Workspace { batches, half, .. } = &mut *self.work;
-        for (batch, observed_frames) in batches.iter().zip(in_lanes(self.observed_frames)) {
-            for (gram, observed_frame) in batch.grams.chunks_exact(n * n).zip(observed_frames) {
-                let place = unknowns.place(observed_frame.capture);
+        for (batch, observations) in batches.iter().zip(in_batches(self.observations)) {
+            for (gram, frame) in batch.grams.chunks_exact(n * n).zip(observations) {
+                let place = unknowns.place(frame.capture);
                 if unknowns.is_direct(place) {
                     if unknowns.is_free(place.to) {
                         let mine = block(unknowns.number(place.to));
@@ -229,22 +232,22 @@ impl<'a> PathProblem<'a> {
                     }
                     continue;
                 }
-                let ends = ends(unknowns, interpolation, place);
-                for (e, end) in ends.iter().flatten().enumerate() {
-                    for other in ends.iter().flatten().skip(e) {
-                        end.add_block(other, gram, n, half, &mut equations.hessian);
+                let tangents = keyframe_tangents(unknowns, interpolation, place);
+                for (first, tangent) in tangents.iter().flatten().enumerate() {
+                    for other in tangents.iter().flatten().skip(first) {
+                        tangent.add_block(other, gram, n, half, &mut equations.hessian);
                     }
                 }
-                add_body_rows(unknowns, &ends, gram, equations);
+                add_body_rows(unknowns, &tangents, gram, equations);
             }
         }
     }
 }
 
-/// Adds the rows of a moment's Hessian that belong to the body.
+/// Adds the rows of a frame's Hessian that belong to the body.
 fn add_body_rows(
     unknowns: &Unknowns,
-    ends: &[Option<End>],
+    tangents: &[Option<KeyframeTangent>],
     gram: &[f32],
     equations: &mut NormalEquations,
 ) {
@@ -254,9 +257,9 @@ fn add_body_rows(
         let mut add = |column: usize, value: f64| {
             equations.hessian.column_mut(row..row + 1, column)[0] += value;
         };
-        for end in ends.iter().flatten() {
-            end.pull(entries, &mut pulled);
-            block(end.knot).zip(pulled).for_each(|(column, value)| add(column, value));
+        for tangent in tangents.iter().flatten() {
+            tangent.pull_back(entries, &mut pulled);
+            block(tangent.keyframe).zip(pulled).for_each(|(column, value)| add(column, value));
         }
         let body = (body_at..=row).zip(&entries[KEYFRAME..]);
         body.for_each(|(column, &value)| add(column, value.into()));
@@ -276,9 +279,13 @@ fn add<T: Copy + Into<f64>>(out: &mut [f64], v: &[T]) {
 impl Problem for PathProblem<'_> {
     fn layout(&self) -> Layout {
         let blocks = self.unknowns.number(self.unknowns.keyframes.len());
-        let reach = if self.scene.config.stiffness.is_none() { 1 } else { 2 };
+        let bandwidth = if self.scene.config.stiffness.is_none() { 1 } else { 2 };
         match self.unknowns.body {
-            0 => Layout { size: KEYFRAME, blocks, bandwidth: reach.min(blocks.saturating_sub(1)) },
+            0 => Layout {
+                size: KEYFRAME,
+                blocks,
+                bandwidth: bandwidth.min(blocks.saturating_sub(1)),
+            },
             _ => Layout::dense(self.unknowns.count()),
         }
     }

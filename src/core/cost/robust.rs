@@ -32,22 +32,22 @@ impl GemanMcClure {
 /// has |z|^2, which f = 0 stands for here.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StudentT {
-    freedom: f64,
+    dof: f64,
 }
 
 impl StudentT {
     /// With that many degrees of freedom.
-    pub fn new(freedom: f64) -> Self {
-        Self { freedom }
+    pub fn new(dof: f64) -> Self {
+        Self { dof }
     }
 
     /// rho and its derivative.
     pub fn rho(&self, square: f64) -> (f64, f64) {
-        if self.freedom == 0.0 {
+        if self.dof == 0.0 {
             return (square, 1.0);
         }
-        let (freedom, all) = (self.freedom, self.freedom + LATENT as f64);
-        (all * (square / freedom).ln_1p(), all / (square + freedom))
+        let (dof, all) = (self.dof, self.dof + LATENT as f64);
+        (all * (square / dof).ln_1p(), all / (square + dof))
     }
 }
 
@@ -66,12 +66,12 @@ mod tests {
     #[test]
     fn codes_of_usual_length_are_pulled_as_by_their_square() {
         let usual = LATENT as f64;
-        for freedom in [1.0, 50.0, 1e9] {
-            let prior = StudentT::new(freedom);
+        for dof in [1.0, 50.0, 1e9] {
+            let prior = StudentT::new(dof);
             assert!((prior.rho(usual).1 - 1.0).abs() < 1e-12);
             assert!(prior.rho(0.5 * usual).1 >= 1.0 && prior.rho(2.0 * usual).1 <= 1.0);
             let step = (prior.rho(20.1).0 - prior.rho(19.9).0) / 0.2;
-            assert!((step - prior.rho(20.0).1).abs() < 1e-3, "{freedom} {step}");
+            assert!((step - prior.rho(20.0).1).abs() < 1e-3, "{dof} {step}");
         }
         assert_eq!(StudentT::new(0.0).rho(40.0), (40.0, 1.0));
     }

@@ -1,17 +1,17 @@
 //! Accelerations along a path, and what they cost.
 //!
-//! Over three knots in a row, t1 and t2 seconds apart, the acceleration of the position is
+//! Over three keyframes in a row, t1 and t2 seconds apart, the acceleration of the position is
 //! a = c0 p0 + c1 p1 + c2 p2 with c0 = 2 / ((t1 + t2) t1), c2 = 2 / ((t1 + t2) t2) and
 //! c1 = -c0 - c2; that of the code alike, that of the rotation
 //! c2 log(R2 R1^T) - c0 log(R1 R0^T).
 //!
 //! Each of the three counts 1/2 s^2 ln(1 + w |a|^2 / s^2): people mostly move evenly and sometimes
-//! very abruptly, so the large accelerations of a few moments must not count with their squares.
+//! very abruptly, so a few large accelerations must not count with their squares.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::ends::block;
+use super::chain_rule::block;
 use super::unknowns::Unknowns;
 use crate::core::manifold::{Keyframe, LATENT, Latent};
 use crate::core::optimise::{BlockBanded, NormalEquations};
@@ -58,7 +58,7 @@ impl Stiffness {
         [self.latent, self.rotation, self.position] == [0.0; 3]
     }
 
-    /// The cost of all triples of knots of which the last is free.
+    /// The cost of all triples of keyframes whose last one is free.
     pub(super) fn cost(&self, path: &Unknowns) -> f64 {
         self.triples(path).map(|triple| triple.cost).sum()
     }
@@ -83,31 +83,31 @@ impl Stiffness {
     }
 
     fn triples<'a>(&'a self, path: &'a Unknowns) -> impl Iterator<Item = Triple> + 'a {
-        let knots = if self.is_none() { 0 } else { path.keyframes.len() };
-        (2..knots).filter(|&last| path.is_free(last)).map(|last| Triple::new(self, path, last))
+        let count = if self.is_none() { 0 } else { path.keyframes.len() };
+        (2..count).filter(|&last| path.is_free(last)).map(|last| Triple::new(self, path, last))
     }
 }
 
-/// Three knots in a row, and the acceleration over them.
+/// Three keyframes in a row, and the acceleration over them.
 struct Triple {
-    knots: [usize; 3],
-    /// By the three knots' codes and positions.
+    keyframes: [usize; 3],
+    /// Factors of the three codes and positions in the acceleration.
     factors: [f64; 3],
-    /// How the pelvis turns from the first knot to the second and on to the third.
-    turns: [Vector3<f64>; 2],
+    /// Rotation vectors of the pelvis from the first keyframe to the second, and on to the third.
+    rotations: [Vector3<f64>; 2],
     code: Latent,
     rotation: Vector3<f64>,
     position: Vector3<f64>,
-    /// IRLS weights of code, rotation and position, with the frames that the last knot stands for.
+    /// IRLS weights of code, rotation and position, times the frames that the last keyframe stands for.
     weights: [f64; 3],
     cost: f64,
 }
 
 impl Triple {
     fn new(weights: &Stiffness, path: &Unknowns, last: usize) -> Self {
-        let knots = [last - 2, last - 1, last];
-        let [k0, k1, k2] = knots.map(|k| &path.keyframes[k]);
-        let [t0, t1, t2] = knots.map(|k| path.capture(k));
+        let keyframes = [last - 2, last - 1, last];
+        let [k0, k1, k2] = keyframes.map(|k| &path.keyframes[k]);
+        let [t0, t1, t2] = keyframes.map(|k| path.capture(k));
         let (first, second) = (t1.seconds_since(t0), t2.seconds_since(t1));
         let [c0, c2] = [first, second].map(|t| 2.0 / ((first + second) * t));
         let c1 = -c0 - c2;
@@ -124,56 +124,60 @@ impl Triple {
         ];
         let (scale, frames) =
             (weights.robust_scale_px * weights.robust_scale_px, path.frames(last));
-        let slack = squares.map(|square| 1.0 + square / scale);
-        let [latent, turn, shift] = slack.map(|slack| frames / slack);
+        let ratios = squares.map(|square| 1.0 + square / scale);
+        let [by_code, by_rotation, by_position] = ratios.map(|ratio| frames / ratio);
         Self {
-            knots,
+            keyframes,
             factors: [c0, c1, c2],
-            turns: [early, late],
+            rotations: [early, late],
             code,
             rotation,
             position,
-            weights: [weights.latent * latent, weights.rotation * turn, weights.position * shift],
-            cost: 0.5 * frames * scale * slack.iter().map(|slack| slack.ln()).sum::<f64>(),
+            weights: [
+                weights.latent * by_code,
+                weights.rotation * by_rotation,
+                weights.position * by_position,
+            ],
+            cost: 0.5 * frames * scale * ratios.iter().map(|ratio| ratio.ln()).sum::<f64>(),
         }
     }
 
-    /// The acceleration of the rotation by the three knots' rotation vectors.
-    fn by_turn(&self, path: &Unknowns) -> [Matrix3<f64>; 3] {
-        let ([early, late], [c0, _, c2]) = (&self.turns, self.factors);
-        let [w0, w1, w2] = self.knots.map(|k| &path.turns[k]);
+    /// The derivative of the rotation's acceleration by the three keyframes' rotation vectors.
+    fn rotation_tangents(&self, path: &Unknowns) -> [Matrix3<f64>; 3] {
+        let ([early, late], [c0, _, c2]) = (&self.rotations, self.factors);
+        let [w0, w1, w2] = self.keyframes.map(|k| &path.rotation_vectors[k]);
         let (early_by0, early_by1) = so3::turn_between_tangents(early, w0, w1);
         let (late_by1, late_by2) = so3::turn_between_tangents(late, w1, w2);
         [early_by0 * -c0, late_by1 * c2 - early_by1 * c0, late_by2 * c2]
     }
 
-    /// The free knots: which of the three, and the number among the free ones.
+    /// The free keyframes: which of the three, and the number among the free ones.
     fn free<'a>(&'a self, path: &'a Unknowns) -> impl Iterator<Item = (usize, usize)> + 'a {
-        let knots = self.knots.iter().enumerate().filter(|&(_, &knot)| path.is_free(knot));
-        knots.map(|(which, &knot)| (which, path.number(knot)))
+        let free = self.keyframes.iter().enumerate().filter(|&(_, &k)| path.is_free(k));
+        free.map(|(which, &k)| (which, path.number(k)))
     }
 
     fn add_gradient(&self, path: &Unknowns, gradient: &mut [f64]) {
-        let [latent, turn, shift] = self.weights;
-        let by_turn = self.by_turn(path);
-        for (a, knot) in self.free(path) {
-            let mine = &mut gradient[block(knot)];
+        let [latent, rotation, position] = self.weights;
+        let tangents = self.rotation_tangents(path);
+        for (a, keyframe) in self.free(path) {
+            let mine = &mut gradient[block(keyframe)];
             let (codes, roots) = mine.split_at_mut(LATENT);
             let factor = latent * self.factors[a];
             codes.iter_mut().zip(&self.code).for_each(|(g, v)| *g += factor * v);
-            let turned = by_turn[a].tr_mul(&self.rotation) * turn;
-            let moved = self.position * (shift * self.factors[a]);
+            let turned = tangents[a].tr_mul(&self.rotation) * rotation;
+            let moved = self.position * (position * self.factors[a]);
             roots.iter_mut().zip(turned.iter().chain(&moved)).for_each(|(g, v)| *g += v);
         }
     }
 
     fn add_hessian(&self, path: &Unknowns, hessian: &mut BlockBanded) {
-        let [latent, turn, shift] = self.weights;
-        let by_turn = self.by_turn(path);
+        let [latent, rotation, position] = self.weights;
+        let tangents = self.rotation_tangents(path);
         for (a, row) in self.free(path) {
             for (b, column) in self.free(path).take_while(|&(b, _)| b <= a) {
                 let factor = self.factors[a] * self.factors[b];
-                let turned = by_turn[a].tr_mul(&by_turn[b]) * turn;
+                let turned = tangents[a].tr_mul(&tangents[b]) * rotation;
                 for (j, column) in block(column).enumerate() {
                     let entries = hessian.column_mut(block(row), column);
                     match j.checked_sub(LATENT) {
@@ -181,7 +185,7 @@ impl Triple {
                         Some(j @ 0..3) => {
                             (0..3).for_each(|i| entries[LATENT + i] += turned[(i, j)])
                         }
-                        Some(_) => entries[j] += shift * factor,
+                        Some(_) => entries[j] += position * factor,
                     }
                 }
             }

@@ -1,59 +1,69 @@
-//! What a path is solved for.
+//! The unknowns of a path.
 //!
 //! In this order: for each free keyframe its code (32), a rotation vector w (3) with
-//! R = exp(w) R_initial, and its position (3); then the shape (10) and the marks (39),
-//! where they are free.
+//! R = exp(w) R_initial, and its position (3); then the shape (10) and the keypoint offsets (39),
+//! if they are free.
 
 use nalgebra::{Matrix3, Vector3};
 
 use crate::core::body::{BODY_COEFFICIENTS, SHAPE_COEFFICIENTS, Skeleton};
-use crate::core::manifold::{Keyframe, LATENT};
+use crate::core::manifold::{Keyframe, LATENT, TimedKeyframe};
 use crate::core::so3;
 use crate::core::time::Timestamp;
 
 /// Unknowns of one keyframe.
 pub(super) const KEYFRAME: usize = LATENT + 6;
 
-/// A moment this close to a knot, as a part of the time between two, is taken for the knot's.
-const ON_KNOT: f64 = 1e-4;
+/// A frame this close to a keyframe, as a part of the time between two keyframes, takes its values.
+const AT_KEYFRAME: f64 = 1e-4;
 
-/// A keyframe of the path.
+/// A keyframe of a path that is solved.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Knot {
-    /// Where on the time axis.
-    pub capture: Timestamp,
-    /// Its value, or the value to start from.
-    pub keyframe: Keyframe,
+pub struct PathKeyframe {
+    /// Its time, and its value or the value to start from.
+    pub timed: TimedKeyframe,
     /// Whether it is solved for.
     pub free: bool,
-    /// How many nominal frames it stands for: so often its prior and its stiffness count.
+    /// Number of nominal frames that it stands for: the factor of its prior and its stiffness.
     pub frames: f64,
 }
 
-/// What of the body is solved for, besides the keyframes.
+impl PathKeyframe {
+    /// One that is solved for, from that value, and stands for so many nominal frames.
+    pub fn free(timed: TimedKeyframe, frames: f64) -> Self {
+        Self { timed, free: true, frames }
+    }
+
+    /// One that keeps its value.
+    pub fn fixed(timed: TimedKeyframe) -> Self {
+        Self { timed, free: false, frames: 0.0 }
+    }
+}
+
+/// The coefficients of the body that are solved for, besides the keyframes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FreeBody {
     /// Nothing.
     Fixed,
     /// The shape.
     Shape,
-    /// The shape, and where the detector marks points.
+    /// The shape and the keypoint offsets.
     ShapeAndOffsets,
 }
 
 /// The keyframes and the body that the unknowns stand for.
 #[derive(Clone, Debug)]
 pub(super) struct Unknowns {
-    initial: Vec<Knot>,
+    initial: Vec<PathKeyframe>,
     pub(super) keyframes: Vec<Keyframe>,
     /// The rotation vector of each keyframe; zero where it is fixed.
-    pub(super) turns: Vec<Vector3<f64>>,
+    pub(super) rotation_vectors: Vec<Vector3<f64>>,
     pub(super) skeleton: Skeleton,
     /// How many coefficients of the body are solved for.
     pub(super) body: usize,
 }
 
-/// The two keyframes about a moment and how far it is between them.
+/// A frame's place on the path: the two keyframes around it, and how far it is between them.
 #[derive(Clone, Copy)]
 pub(super) struct Place {
     pub(super) from: usize,
@@ -62,11 +72,11 @@ pub(super) struct Place {
 }
 
 impl Unknowns {
-    pub(super) fn new(knots: Vec<Knot>, skeleton: &Skeleton, free: FreeBody) -> Self {
+    pub(super) fn new(path: Vec<PathKeyframe>, skeleton: &Skeleton, free: FreeBody) -> Self {
         Self {
-            keyframes: knots.iter().map(|knot| knot.keyframe.clone()).collect(),
-            turns: vec![Vector3::zeros(); knots.len()],
-            initial: knots,
+            keyframes: path.iter().map(|at| at.timed.keyframe.clone()).collect(),
+            rotation_vectors: vec![Vector3::zeros(); path.len()],
+            initial: path,
             skeleton: skeleton.clone(),
             body: match free {
                 FreeBody::Fixed => 0,
@@ -81,21 +91,21 @@ impl Unknowns {
         self.body_at() + self.body
     }
 
-    /// Coordinates of a moment: code, rotation and position where it is on the path, and the body.
+    /// Number of a frame's own coordinates: code, rotation and position at its time, and the body.
     pub(super) fn coordinates(&self) -> usize {
         KEYFRAME + self.body
     }
 
-    /// Whether a moment's Hessian is a part of that of a single knot, once its rotation is
-    /// parametrised as the knot's is.
+    /// Whether a frame's Hessian is simply added to that of one keyframe; its rotation then has the
+    /// keyframe's coordinates.
     pub(super) fn is_direct(&self, place: Place) -> bool {
         place.from == place.to && self.body == 0
     }
 
-    /// How the pelvis turns with the coordinates of a moment's rotation.
-    pub(super) fn knot_turn(&self, place: Place) -> Matrix3<f64> {
+    /// The left tangent of the pelvis by the coordinates of a frame's rotation.
+    pub(super) fn root_tangent(&self, place: Place) -> Matrix3<f64> {
         match self.is_direct(place) {
-            true => so3::left_jacobian(&self.turns[place.to]),
+            true => so3::left_jacobian(&self.rotation_vectors[place.to]),
             false => Matrix3::identity(),
         }
     }
@@ -107,41 +117,40 @@ impl Unknowns {
 
     /// The number of a keyframe among those that are solved for.
     pub(super) fn number(&self, keyframe: usize) -> usize {
-        self.initial[..keyframe].iter().filter(|knot| knot.free).count()
+        self.initial[..keyframe].iter().filter(|at| at.free).count()
     }
 
     /// Where a keyframe is on the time axis.
     pub(super) fn capture(&self, keyframe: usize) -> Timestamp {
-        self.initial[keyframe].capture
+        self.initial[keyframe].timed.capture
     }
 
-    /// How many nominal frames a keyframe stands for.
+    /// Number of nominal frames that a keyframe stands for.
     pub(super) fn frames(&self, keyframe: usize) -> f64 {
         self.initial[keyframe].frames
     }
 
     /// The same of each keyframe that is solved for.
     pub(super) fn free_frames(&self) -> impl Iterator<Item = f64> + '_ {
-        self.initial.iter().filter(|knot| knot.free).map(|knot| knot.frames)
+        self.initial.iter().filter(|at| at.free).map(|at| at.frames)
     }
 
-    /// Where the body begins.
+    /// Index of the body's first coefficient.
     pub(super) fn body_at(&self) -> usize {
         self.number(self.initial.len()) * KEYFRAME
     }
 
     /// The unknowns to start from.
     pub(super) fn start(&self) -> Vec<f64> {
-        let initial = |_: usize, knot: &Knot| knot.keyframe.clone();
-        self.start_at(initial)
+        self.start_at(|_, at| at.timed.keyframe.clone())
     }
 
     /// The unknowns to start from, with other values of the free keyframes.
-    pub(super) fn start_at(&self, value: impl Fn(usize, &Knot) -> Keyframe) -> Vec<f64> {
+    pub(super) fn start_at(&self, value: impl Fn(usize, &PathKeyframe) -> Keyframe) -> Vec<f64> {
         let mut x = Vec::with_capacity(self.count());
-        for (k, knot) in self.initial.iter().enumerate().filter(|(_, knot)| knot.free) {
-            let keyframe = value(k, knot);
-            let initial = &knot.keyframe.root_rotation;
+        for (k, at) in self.initial.iter().enumerate().filter(|(_, at)| at.free) {
+            let keyframe = value(k, at);
+            let initial = &at.timed.keyframe.root_rotation;
             let turn = so3::log(&(keyframe.root_rotation * initial.transpose()));
             x.extend_from_slice(&keyframe.z);
             x.extend_from_slice(turn.as_slice());
@@ -154,13 +163,14 @@ impl Unknowns {
     /// Moves the keyframes and the body to where `x` says.
     pub(super) fn take(&mut self, x: &[f64]) {
         let mut rest = x;
-        for (k, knot) in self.initial.iter().enumerate().filter(|(_, knot)| knot.free) {
+        for (k, at) in self.initial.iter().enumerate().filter(|(_, at)| at.free) {
             let (mine, others) = rest.split_at(KEYFRAME);
             rest = others;
             let keyframe = &mut self.keyframes[k];
             keyframe.z.copy_from_slice(&mine[..LATENT]);
-            self.turns[k] = Vector3::from_column_slice(&mine[LATENT..LATENT + 3]);
-            keyframe.root_rotation = so3::exp(&self.turns[k]) * knot.keyframe.root_rotation;
+            self.rotation_vectors[k] = Vector3::from_column_slice(&mine[LATENT..LATENT + 3]);
+            keyframe.root_rotation =
+                so3::exp(&self.rotation_vectors[k]) * at.timed.keyframe.root_rotation;
             keyframe.root_position = Vector3::from_column_slice(&mine[LATENT + 3..]);
         }
         if self.body > 0 {
@@ -168,17 +178,18 @@ impl Unknowns {
         }
     }
 
-    /// Where on the path a capture time is; on a knot, if it is within a part in 10 000.
+    /// The place of a capture time on the path; at a keyframe, if it is within a part in 10 000.
     pub(super) fn place(&self, capture: Timestamp) -> Place {
         let last = self.initial.len() - 1;
         if last == 0 {
             return Place { from: 0, to: 0, s: 1.0 };
         }
-        let to = self.initial[1..last].iter().take_while(|knot| knot.capture < capture).count() + 1;
-        let (t0, t1) = (self.initial[to - 1].capture, self.initial[to].capture);
+        let to =
+            self.initial[1..last].iter().take_while(|at| at.timed.capture < capture).count() + 1;
+        let (t0, t1) = (self.capture(to - 1), self.capture(to));
         match (capture - t0) as f64 / (t1 - t0).max(1) as f64 {
-            s if s.abs() < ON_KNOT => Place { from: to - 1, to: to - 1, s: 1.0 },
-            s if (s - 1.0).abs() < ON_KNOT => Place { from: to, to, s: 1.0 },
+            s if s.abs() < AT_KEYFRAME => Place { from: to - 1, to: to - 1, s: 1.0 },
+            s if (s - 1.0).abs() < AT_KEYFRAME => Place { from: to, to, s: 1.0 },
             s => Place { from: to - 1, to, s },
         }
     }

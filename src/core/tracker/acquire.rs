@@ -1,5 +1,5 @@
-//! Finding the performer without knowing anything: association across views, triangulation, root
-//! from the torso, then a two-stage fit of one frame.
+//! Finding the performer in one frame set, with no pose known: association across views,
+//! triangulation, the root from the torso, then a fit in two stages.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -8,25 +8,25 @@ use super::config::Config;
 use crate::core::body::{Attachment, BodyPoint, Skeleton};
 use crate::core::camera::{Rig, triangulate_robust};
 use crate::core::cost::{
-    self, FrameObservations, FreeBody, Knot, Observation, PathProblem, Scene, Workspace,
+    self, FrameObservations, FreeBody, Observation, PathKeyframe, PathProblem, Scene, Workspace,
 };
 use crate::core::detections::{Detections, Keypoint, Person};
-use crate::core::manifold::{Keyframe, LATENT};
+use crate::core::manifold::{Keyframe, LATENT, TimedKeyframe};
 use crate::core::optimise::Optimiser;
 use crate::core::time::Timestamp;
 
-/// A person needs this many points to be looked at.
+/// People with fewer points are ignored.
 const MIN_POINTS: usize = 6;
-/// People of a view that are tried.
+/// At most this many people of a view are tried.
 const MOST_PEOPLE: usize = 8;
-/// Hips to shoulders of a person, metres; outside, the views do not belong together.
+/// Distance from hips to shoulders, metres. Outside this range the views show different people.
 const TRUNK_LENGTH: std::ops::Range<f64> = 0.25..0.85;
-/// How much looser the loss is in the first stage, and how much stronger the prior.
+/// Factor of the loss's scale and of the prior in the first stage.
 const FIRST_STAGE: f64 = 5.0;
 
-/// The performer in one frame set: what each view saw, and points in space.
+/// The performer in one frame set: the observations of all views, and the triangulated points.
 #[derive(Clone, Debug)]
-pub(super) struct Sighting {
+pub(super) struct SeenPerformer {
     observations: Vec<Observation>,
     /// Per fitted point, in the world.
     points: Vec<Option<Vector3<f64>>>,
@@ -51,7 +51,7 @@ impl Candidate {
     }
 
     /// How well `points` project onto this person: the median error as a part of the person's
-    /// height, and how many points are within `gate`, times the person's height in pixels.
+    /// height, and the number of points within `gate` times the person's height in pixels.
     fn agreement(
         &self,
         rig: &Rig,
@@ -79,26 +79,26 @@ impl Candidate {
 /// number of points that agree, over all views, each view with the detection that agrees best
 /// and weighted by its height in pixels: cameras are pointed at the performer, who fills the
 /// image, and bystanders are small. Confidence says little here, since it differs between people.
-pub(super) fn sight(
+pub(super) fn find_performer(
     frames: &[&Detections],
     rig: &Rig,
     points: &[BodyPoint],
     config: &Config,
-) -> Option<Sighting> {
+) -> Option<SeenPerformer> {
     let candidates: Vec<Candidate> =
         frames.iter().flat_map(|frame| largest(frame, points, config)).collect();
-    let mut best: Option<Sighting> = None;
+    let mut best: Option<SeenPerformer> = None;
     for (i, a) in candidates.iter().enumerate() {
         for b in &candidates[i + 1..] {
             if a.camera == b.camera {
                 continue;
             }
             let proposal = triangulate(&[a, b], rig, points.len(), config);
-            let Some(sighting) = support(&proposal, &candidates, rig, points, config) else {
+            let Some(seen) = support(&proposal, &candidates, rig, points, config) else {
                 continue;
             };
-            if best.as_ref().is_none_or(|best| sighting.score > best.score) {
-                best = Some(sighting);
+            if best.as_ref().is_none_or(|best| seen.score > best.score) {
+                best = Some(seen);
             }
         }
     }
@@ -117,14 +117,14 @@ fn largest(frame: &Detections, points: &[BodyPoint], config: &Config) -> Vec<Can
     found
 }
 
-/// Gathers the views that agree with a proposal, and triangulates from all of them.
+/// The views that agree with a proposal, and the points triangulated from all of them.
 fn support(
     proposal: &[Option<Vector3<f64>>],
     candidates: &[Candidate],
     rig: &Rig,
     points: &[BodyPoint],
     config: &Config,
-) -> Option<Sighting> {
+) -> Option<SeenPerformer> {
     let mut views: Vec<(&Candidate, f64)> = Vec::new();
     for candidate in candidates {
         let Some((error, support)) = candidate.agreement(rig, proposal, config.gate.agree) else {
@@ -143,7 +143,7 @@ fn support(
     let score = views.iter().map(|(_, support)| support).sum();
     let triangulated = triangulate(&members, rig, points.len(), config);
     let torso = Torso::of(points, &triangulated)?;
-    (members.len() >= 2 && TRUNK_LENGTH.contains(&torso.up.norm())).then(|| Sighting {
+    (members.len() >= 2 && TRUNK_LENGTH.contains(&torso.up.norm())).then(|| SeenPerformer {
         observations: members.iter().flat_map(|member| observations(member)).collect(),
         points: triangulated,
         score,
@@ -208,10 +208,11 @@ impl Torso {
     }
 }
 
-/// Fits a keyframe to one frame set in two stages: a loose one from z = 0 with the root from the
-/// torso, then the cost itself. What is free of the body is fitted too.
+/// Fits a keyframe, and the body as far as it is `free`, to one frame set in two stages: with a wide
+/// loss from z = 0 and the root from the torso, then with the cost itself. `None` where the torso is not
+/// triangulated.
 pub(super) fn fit(
-    sighting: &Sighting,
+    seen: &SeenPerformer,
     scene: Scene,
     skeleton: &Skeleton,
     free: FreeBody,
@@ -219,10 +220,9 @@ pub(super) fn fit(
     optimiser: &mut dyn Optimiser,
     work: &mut Workspace,
 ) -> Option<(Keyframe, Skeleton)> {
-    let torso = Torso::of(scene.points, &sighting.points)?;
+    let torso = Torso::of(scene.points, &seen.points)?;
     let (root_rotation, root_position) = torso.root(skeleton)?;
-    let observed_frames =
-        [FrameObservations::new(Timestamp::default(), sighting.observations.clone())];
+    let observations = [FrameObservations::new(Timestamp::default(), seen.observations.clone())];
     let mut keyframe = Keyframe { z: [0.0; LATENT], root_rotation, root_position };
     let mut skeleton = skeleton.clone();
     let loose = cost::Config {
@@ -231,10 +231,10 @@ pub(super) fn fit(
         ..*scene.config
     };
     for stage in [&loose, scene.config] {
-        let knot = Knot { capture: Timestamp::default(), keyframe, free: true, frames: 1.0 };
+        let at = TimedKeyframe::new(Timestamp::default(), keyframe);
+        let path = vec![PathKeyframe::free(at, 1.0)];
         let scene = Scene { config: stage, ..scene };
-        let mut problem =
-            PathProblem::new(scene, vec![knot], &skeleton, free, &observed_frames, work);
+        let mut problem = PathProblem::new(scene, path, &skeleton, free, &observations, work);
         let mut x = problem.start();
         optimiser.minimise(&mut problem, &mut x, config.acquisition_iterations);
         let (keyframes, fitted) = problem.solution(&x);

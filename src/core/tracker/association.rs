@@ -1,4 +1,4 @@
-//! Which of the detected people is the performer, and what was seen of them.
+//! Which of the detected people is the performer.
 //!
 //! A view may hold bystanders, several detections that are parts of the performer, or nobody.
 //! While tracking, each view is followed from frame to frame: the detection nearest to the last
@@ -14,8 +14,8 @@ use crate::core::cost::{FrameObservations, Observation};
 use crate::core::detections::{Detections, Person};
 use crate::core::time::Timestamp;
 
-/// Frames this close in time (ns) share a moment: cameras on one clock differ by microseconds, and
-/// at 5 m/s this is half a millimetre. Each moment costs a decoding.
+/// Frames this close in time, ns, are put together: cameras on one clock differ by microseconds, and at
+/// 5 m/s this is half a millimetre. Each capture time costs a decoding.
 const SAME_TIME: i64 = 100_000;
 
 /// Where each fitted point of the performer is expected in a view.
@@ -46,7 +46,7 @@ pub fn follow<'d>(
     let world: Vec<_> = points.iter().map(|p| p.attachment.position(&posture, skeleton)).collect();
     let view = |camera: &Camera| world.iter().map(|point| camera.project(point)).collect();
     Follower { points, config, expected: rig.cameras.iter().map(view).collect() }
-        .observed_frames(frames)
+        .observations(frames)
 }
 
 /// Follows the performer through the views.
@@ -61,7 +61,7 @@ struct Follower<'a> {
 impl Follower<'_> {
     /// What was seen of the performer in `frames`, which are in order of capture time, grouped
     /// by capture time, to [`SAME_TIME`].
-    fn observed_frames<'d>(
+    fn observations<'d>(
         &mut self,
         frames: impl Iterator<Item = &'d Detections>,
     ) -> Vec<FrameObservations> {

@@ -1,55 +1,55 @@
-//! Settings of the tracking machine.
+//! Settings of tracker and solver.
 
 use serde::{Deserialize, Serialize};
 
 use crate::core::cost::{self, FreeBody, Stiffness};
 use crate::core::optimise::OptimiserKind;
 
-/// Settings of the tracking machine.
+/// Settings of tracker and solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Frames of the cameras a second; 0 finds it from the first frames.
+    /// Frames per second of the cameras; 0 estimates it from the first frames.
     pub frame_rate_hz: f64,
     /// Nominal frames in a window: its keyframes are solved together.
     pub window_frames: usize,
     /// Nominal frames from one keyframe to the next, at most a window.
     pub keyframe_frames: usize,
-    /// Nominal frames of a window, from its start, that are final: the next window begins after
-    /// them, so the others are looked ahead. A multiple of `keyframe_frames`, at most a window.
+    /// Nominal frames of a window, from its start, that are final. The next window starts after them;
+    /// the others are look-ahead. A multiple of `keyframe_frames`, at most a window.
     pub publish_frames: usize,
-    /// How many nominal frames a window waits for a camera that is behind the others.
+    /// Nominal frames that a window waits for a late camera.
     pub deadline_frames: usize,
-    /// How many windows are gathered before the first solve; the shape comes from them.
+    /// Windows that are collected before the first solve; the shape is solved from them.
     pub shape_windows: usize,
     /// Most iterations of a window's solve.
     pub iterations: usize,
     /// Most iterations of a provisional fit of the open window.
     pub provisional_iterations: usize,
-    /// In every so manieth window it is learnt where the detector marks points, 25 times; 0 takes
-    /// them to be where our body has them. Differs: the paper does not.
+    /// Update the keypoint offsets every this many windows, at most 25 times; 0 keeps them at zero.
+    /// Differs: the paper has none.
     pub offset_windows: usize,
-    /// Prior and stiffness count as their weights say where the detections' median error is this many
-    /// pixels, and by the square of that error elsewhere; 0 takes the weights as they are. Differs:
-    /// the paper has a weight alone.
+    /// The median error of the detections, pixels, at which the weights of prior and stiffness hold as
+    /// they are. At other errors they are scaled by the square of the ratio; 0 never scales. Differs:
+    /// the paper has fixed weights.
     pub reference_residual_px: f64,
-    /// How many windows in a row may pass in which too little is seen of the performer.
+    /// Windows in a row that are extrapolated while too little is seen, before the performer is lost.
     pub coast_windows: usize,
-    /// After how many windows that closed without it a camera is no longer waited for.
+    /// A camera is no longer waited for after this many windows in a row that closed without it.
     pub grace_windows: usize,
     /// Iterations of each stage of the acquisition.
     pub acquisition_iterations: usize,
-    /// An optimiser stops when a step lowers the cost by less than this part of it.
+    /// An optimiser stops when a step lowers the cost by less than this fraction.
     pub change_threshold: f64,
     /// The optimiser of the windows.
     pub optimiser: OptimiserKind,
-    /// Threads that solve a window together, 1 or 2; the result is the same.
+    /// Threads that solve a window together, 1 or 2. The result is the same.
     pub threads: usize,
     /// Weights of the cost.
     pub cost: cost::Config,
     /// Detections below this confidence are not used.
     pub min_confidence: f64,
-    /// Who is the performer, and when is the performer lost.
+    /// Gates of association and verdict.
     pub gate: Gate,
 }
 
@@ -98,8 +98,8 @@ impl Default for Config {
 }
 
 impl Config {
-    /// As the paper has it: one keyframe for each window of ten frames, and slerp; windows do not
-    /// overlap; L-BFGS with 30 iterations, in one stage.
+    /// The settings of \[Albanis 2023\]: one keyframe for each window of ten frames, slerp, windows that
+    /// do not overlap, L-BFGS with 30 iterations.
     pub fn paper() -> Self {
         Self {
             keyframe_frames: 10,
@@ -123,7 +123,7 @@ impl Config {
         }
     }
 
-    /// What of the body the first windows are solved for.
+    /// The coefficients of the body that the first windows are solved for.
     pub(super) fn free_body(&self) -> FreeBody {
         if self.offset_windows > 0 { FreeBody::ShapeAndOffsets } else { FreeBody::Shape }
     }

@@ -1,15 +1,15 @@
-//! How much the solver does.
+//! The work that the solver spends on a job.
 
 use super::config::Config;
 
-/// How much the solver does for a window.
+/// The work that the solver spends on a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Effort {
     /// Most iterations of a window.
     pub iterations: usize,
-    /// Most iterations of a fit of the open window; 0: it is not fitted.
+    /// Most iterations of a provisional fit of the open window; 0: no fit.
     pub provisional_iterations: usize,
-    /// One frame of a camera in this many is used.
+    /// Every how many frames of a camera one is used.
     pub stride: usize,
 }
 
@@ -17,7 +17,7 @@ impl Effort {
     /// The number of steps by which effort can be lowered.
     pub const LEVELS: u32 = 6;
 
-    /// All that the settings ask for.
+    /// The effort that the settings ask for.
     pub fn full(config: &Config) -> Self {
         Self {
             iterations: config.iterations,
@@ -26,8 +26,8 @@ impl Effort {
         }
     }
 
-    /// Less with each level: first fewer iterations, then longer strides through the frames. The
-    /// keyframes stay where they are, so that the latency does not grow.
+    /// The effort at a level, less with each: first fewer iterations, then fewer frames. The keyframes
+    /// stay where they are, so that the latency does not grow.
     pub fn at(level: u32, config: &Config) -> Self {
         let full = Self::full(config);
         let part = |count: usize, of: usize| (count / of).max(1).min(count);

@@ -1,11 +1,11 @@
-//! What went wrong with the input or with a window: counted, never silent.
+//! Events: everything that goes wrong with the input or a window is reported and counted.
 
 use crate::core::time::Timestamp;
 
 /// What happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum EventKind {
-    /// Detections came after their window was closed; they are not used.
+    /// Detections arrived after their window was closed; they are not used.
     Late,
     /// A frame came twice; the second is not used.
     Duplicate,
@@ -15,7 +15,7 @@ pub enum EventKind {
     Missing,
     /// Detections of a camera that the rig does not have, or of another keypoint format.
     Unusable,
-    /// A window closed without having waited for a camera.
+    /// A camera was late: a window closed at its deadline without it.
     Deadline,
     /// The performer was found.
     Acquired,
@@ -23,7 +23,7 @@ pub enum EventKind {
     NobodyFound,
     /// A window fitted badly; its poses are flagged and the performer is searched anew.
     Lost,
-    /// Too little was seen of the performer in a window; the motion was carried on.
+    /// Too little was seen of the performer in a window; the motion was extrapolated.
     Coasted,
     /// The performer was not seen for too long and is searched anew.
     Left,
@@ -31,23 +31,23 @@ pub enum EventKind {
     Silent,
     /// A camera that was silent is waited for again.
     Returned,
-    /// A pose was due before its window was solved; one carried on took its place.
+    /// A pose was due before its window was solved; an extrapolated one took its place.
     Overdue,
     /// A new calibration is in use.
     Calibrated,
-    /// The latency is declared.
+    /// The node declared its latency.
     Latency,
-    /// The solver does less, or more again.
+    /// The solver's effort changed.
     Effort,
-    /// A camera's clock is off from the others', or back.
+    /// A camera's clock differs from the others', or agrees again.
     ClockOffset,
-    /// Capture times that jumped; the frames are not used.
+    /// Capture times jumped; the frames are not used.
     ClockJump,
-    /// More people in a frame than are looked at.
+    /// A frame shows more people than are used.
     Crowd,
     /// Two publishers seem to use one camera's name.
     Conflict,
-    /// Messages that the full queue dropped, or frames that waited for too long.
+    /// The full queue dropped messages, or frames waited for too long.
     Dropped,
 }
 

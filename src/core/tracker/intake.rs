@@ -7,9 +7,9 @@ use super::event::{Event, EventKind};
 use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::time::Timestamp;
 
-/// Frames of a camera that are looked at to find its rate.
+/// A camera's rate is estimated once it has shown this many frames.
 const RATE_FRAMES: usize = 5;
-/// Rates that cameras have; a measured one this close to one of them is taken for it.
+/// Usual frame rates; a measured rate within [`SAME_RATE`] of one is replaced by it.
 const COMMON_RATES_HZ: [f64; 14] = [
     24e3 / 1001.0,
     24.0,
@@ -27,16 +27,16 @@ const COMMON_RATES_HZ: [f64; 14] = [
     240.0,
 ];
 const SAME_RATE: f64 = 3e-4;
-/// Rates that a measured one is held within.
+/// A measured rate is clamped to this range.
 const RATES_HZ: std::ops::RangeInclusive<f64> = 1.0..=1000.0;
-/// A frame counter is believed when its period is this close to the usual step in time.
+/// A frame counter is used if its period is this close to the median step in time.
 const SAME_STEP: f64 = 0.2;
-/// A capture time this far past all others (ns) is believed only once a second one is near it.
+/// A capture time this far past all others, ns, is accepted only once a second one is near it.
 const MAX_JUMP: i64 = 5_000_000_000;
-/// More frames missing at once than this is a counter that jumped.
+/// If more frames than this seem to be missing at once, the counter has jumped.
 const MAX_MISSING: u64 = 1_000_000;
 
-/// What one camera has shown.
+/// The state of one camera.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
     format: Option<KeypointFormat>,
@@ -45,7 +45,7 @@ struct Seen {
     used: u64,
 }
 
-/// The buffer, and what each camera has shown.
+/// The frames that wait for their window, and the state of each camera.
 #[derive(Clone, Debug)]
 pub(super) struct Intake {
     frames: BTreeMap<(Timestamp, usize, u64), Arc<Detections>>,
@@ -53,7 +53,7 @@ pub(super) struct Intake {
     format: Option<KeypointFormat>,
     /// Frames up to here are no longer used.
     closed: Option<Timestamp>,
-    /// A capture time far past all others, not believed yet.
+    /// A capture time far past all others, not accepted yet.
     stray: Option<Timestamp>,
 }
 
@@ -68,7 +68,7 @@ impl Intake {
         }
     }
 
-    /// Takes a frame in; an event if there is something to say about it.
+    /// Adds a frame; an event if something is wrong with it.
     pub(super) fn add(&mut self, frame: Detections) -> Option<Event> {
         let event = |kind, detail: String| {
             Some(Event {
@@ -155,17 +155,18 @@ impl Intake {
         self.cameras.iter().filter_map(|seen| seen.watermark).max()
     }
 
-    /// How far the cameras are: the latest capture time that two of them have reached, so that one
-    /// whose clock is ahead does not count; of a single camera, its own.
+    /// The latest capture time that two cameras have reached: a single camera whose clock is ahead does
+    /// not count. With one camera, its own.
     pub(super) fn front(&self) -> Option<Timestamp> {
-        let mut marks: Vec<_> = self.cameras.iter().filter_map(|seen| seen.watermark).collect();
-        marks.sort_unstable();
-        marks.iter().rev().nth(1).or(marks.last()).copied()
+        let mut watermarks: Vec<_> =
+            self.cameras.iter().filter_map(|seen| seen.watermark).collect();
+        watermarks.sort_unstable();
+        watermarks.iter().rev().nth(1).or(watermarks.last()).copied()
     }
 
     /// Cameras that have not shown a frame at or after `time`.
     pub(super) fn behind(&self, time: Timestamp) -> impl Iterator<Item = usize> {
-        let is_behind = move |seen: &Seen| seen.watermark.is_none_or(|mark| mark < time);
+        let is_behind = move |seen: &Seen| seen.watermark.is_none_or(|watermark| watermark < time);
         (0..).zip(&self.cameras).filter(move |(_, seen)| is_behind(seen)).map(|(camera, _)| camera)
     }
 
@@ -207,7 +208,7 @@ impl Intake {
         self.cameras.get(camera)?.watermark
     }
 
-    /// Frames of that camera that went into windows.
+    /// Number of frames of that camera that were used in windows.
     pub(super) fn used(&self, camera: usize) -> u64 {
         self.cameras.get(camera).map_or(0, |seen| seen.used)
     }
@@ -222,8 +223,8 @@ impl Intake {
         self.closed = self.closed.max(Some(end));
     }
 
-    /// Closes the time up to `end`: drops its frames, refuses later ones, and says which frames
-    /// each camera's count is missing.
+    /// Closes the time up to `end`: drops its frames and refuses later ones. Gives an event for each
+    /// camera whose frame counter has gaps.
     pub(super) fn close(&mut self, end: Timestamp) -> Vec<Event> {
         self.refuse(end);
         let rest = self.frames.split_off(&(end + 1, 0, 0));

@@ -1,32 +1,32 @@
-//! Jobs for the solver, and their answers.
+//! Jobs for the solver, and their solutions.
 
 use std::sync::Arc;
 
 use super::effort::Effort;
 use super::noise::Noise;
 use super::offset_estimator::OffsetEstimator;
-use crate::core::body::{Pose, Skeleton};
+use crate::core::body::{Pose, Skeleton, TrackingState};
 use crate::core::camera::Rig;
 use crate::core::detections::{Detections, KeypointFormat};
-use crate::core::manifold::Keyframe;
+use crate::core::manifold::TimedKeyframe;
 use crate::core::optimise::Summary;
 use crate::core::time::Timestamp;
 
-/// What is to be solved.
+/// A job for the solver.
 #[derive(Clone, Debug)]
 pub struct Job {
-    /// Number of the job, from 0; its solution carries it too.
+    /// Number of the job, from 0; its solution has the same one.
     pub number: u64,
     /// Number of the window, from 0.
     pub window: u64,
-    /// The window: after `start`, up to `end`.
+    /// Start of the window, exclusive.
     pub start: Timestamp,
-    /// Its end.
+    /// End of the window, inclusive.
     pub end: Timestamp,
-    /// Up to this time the solution is final; the rest of the window is looked ahead.
+    /// The solution is final up to this time; the rest of the window is look-ahead.
     pub publish: Timestamp,
     /// Times of its keyframes; `publish` and `end` are among them.
-    pub knots: Vec<Timestamp>,
+    pub keyframe_times: Vec<Timestamp>,
     /// Times at which final poses are wanted, after `start`.
     pub pose_times: Vec<Timestamp>,
     /// Detections in order of capture time.
@@ -37,11 +37,11 @@ pub struct Job {
     pub rig: Arc<Rig>,
     /// Nominal frame period, ns, even. Detections of less than half of it apart belong to one frame set.
     pub frame_period: i64,
-    /// How much to do.
+    /// The work to spend.
     pub effort: Effort,
-    /// How far detections lay from the body that was solved.
+    /// Errors of the detections in the windows before.
     pub noise: Noise,
-    /// What is known already.
+    /// What to solve, and from what.
     pub task: Task,
 }
 
@@ -68,13 +68,10 @@ impl Job {
     }
 }
 
-/// A keyframe with its time.
-pub type TimedKeyframe = (Timestamp, Keyframe);
-
-/// What kind of job it is, with what it stands on.
+/// The kind of a job, with what is known before.
 #[derive(Clone, Debug)]
 pub enum Task {
-    /// Find the performer; and the shape, if it is not known.
+    /// Find the performer, and the body shape if it is not known.
     Acquire {
         /// The body, once known.
         skeleton: Option<Arc<Skeleton>>,
@@ -83,72 +80,70 @@ pub enum Task {
     Track {
         /// The last keyframes that are final, at most two, the last at the window's start.
         past: Vec<TimedKeyframe>,
-        /// Keyframes of the window that were found before, to start from.
+        /// Keyframes of the window from earlier solves, to start from.
         ahead: Vec<TimedKeyframe>,
         /// The body.
         skeleton: Arc<Skeleton>,
-        /// What is known of the body's marks.
+        /// The keypoint offsets so far.
         estimator: Arc<OffsetEstimator>,
         /// Windows in a row, before this one, in which too little was seen.
         coasted: usize,
     },
-    /// Fit the open window as far as it goes, up to its newest frame set.
+    /// Fit the open window up to its newest frame set.
     Provisional {
-        /// As for `Tracker`.
+        /// As for `Track`.
         past: Vec<TimedKeyframe>,
-        /// As for `Tracker`.
+        /// As for `Track`.
         ahead: Vec<TimedKeyframe>,
         /// The body.
         skeleton: Arc<Skeleton>,
     },
 }
 
-/// The answer to a job.
+/// The solution of a job.
 #[derive(Clone, Debug)]
 pub struct Solution {
     /// The job's number.
     pub number: u64,
-    /// What came of it.
+    /// The result.
     pub outcome: Outcome,
 }
 
-/// What came of a job.
+/// The result of a job.
 #[derive(Clone, Debug)]
 pub enum Outcome {
     /// The performer was found.
     Acquired {
-        /// The time of the keyframe.
-        at: Timestamp,
         /// The first keyframe.
-        keyframe: Box<Keyframe>,
+        first: Box<TimedKeyframe>,
         /// The body.
         skeleton: Arc<Skeleton>,
-        /// Its pose.
+        /// The pose of the first keyframe.
         pose: Box<Pose>,
     },
     /// Nobody was seen well enough by two cameras.
     NobodyFound,
-    /// A window was solved, well or badly.
+    /// A window was solved; see the verdict.
     Tracked(Box<Tracked>),
     /// The open window was fitted.
     Provisional(Box<ProvisionalFit>),
 }
 
-/// A fit of the open window.
+/// A provisional fit of the open window.
 #[derive(Clone, Debug)]
 pub struct ProvisionalFit {
     /// The keyframes after its start.
     pub keyframes: Vec<TimedKeyframe>,
     /// The pose of the last one.
     pub pose: Pose,
-    /// Whether too little was seen; then the motion was carried on.
+    /// Whether too little was seen; then the motion was extrapolated.
     pub hidden: bool,
 }
 
 /// A solved window.
 #[derive(Clone, Debug)]
 pub struct Tracked {
-    /// The keyframes after its start, those that are looked ahead too.
+    /// The keyframes after its start, with those of the look-ahead.
     pub keyframes: Vec<TimedKeyframe>,
     /// Poses at the job's times.
     pub poses: Vec<Pose>,
@@ -156,23 +151,34 @@ pub struct Tracked {
     pub newest: Pose,
     /// What the optimiser did, if the window was solved.
     pub summary: Option<Summary>,
-    /// Where each observation up to the time of publishing ended up.
+    /// The distance of each observation up to the job's `publish` from the solved body.
     pub residuals: Vec<Residual>,
-    /// What the window is worth.
+    /// Whether the poses can be used.
     pub verdict: Verdict,
-    /// What is known of the body's marks from here on, if the window was asked.
+    /// The keypoint offsets from here on, if this window updated them.
     pub estimator: Option<Arc<OffsetEstimator>>,
 }
 
-/// What a window is worth.
+/// Whether the poses of a window can be used, and if not, the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Fitted to its detections.
+    /// The window was fitted to its detections.
     Tracked,
-    /// Too little was seen, for this reason; the motion was carried on.
+    /// Too little was seen; the motion was extrapolated.
     Coasted(String),
-    /// Fitted badly, or nothing was seen for too long, for this reason.
+    /// The fit is bad, or nothing was seen for too long.
     Lost(String),
+}
+
+impl Verdict {
+    /// The state of the window's poses.
+    pub const fn state(&self) -> TrackingState {
+        match self {
+            Self::Tracked => TrackingState::Tracking,
+            Self::Coasted(_) => TrackingState::Coasting,
+            Self::Lost(_) => TrackingState::Lost,
+        }
+    }
 }
 
 /// The distance of a detected point from the solved body.

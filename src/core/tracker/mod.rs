@@ -1,17 +1,19 @@
-//! Tracking one performer: a machine that does no I/O.
+//! Tracking one performer, without I/O.
 //!
-//! The contract: give inputs to [`Tracker::handle`], then call [`Tracker::poll`] until it is empty.
-//! The machine reads no clock, file or socket. Solving is I/O too: [`Output::Solve`] holds a
-//! [`Job`], which [`Solver::solve`] answers, on any thread, and the answer comes back as
-//! [`Input::Solved`]. The same inputs in the same order give the same outputs, to the byte.
+//! Give an input to [`Tracker::handle`], then call [`Tracker::poll`] until it returns `None`. The tracker
+//! reads no clock, no file and no socket. Solving is I/O too: [`Output::Solve`] holds a [`Job`],
+//! [`Solver::solve`] solves it, on any thread, and the solution goes back as [`Input::Solved`]. The same
+//! inputs in the same order give the same outputs, byte for byte. On one thread,
+//! [`Tracker::poll_and_solve`] does both, and [`run_to_end`] runs a whole recording.
 //!
-//! A window is `window_frames` nominal frame periods long, of which the first `publish_frames` are
-//! final when it is solved; the next window begins after them. It closes when every camera's
-//! watermark (the latest capture time it has shown) has passed its end, or when the newest capture
-//! time or tick is `deadline_frames` past it. At most one job is out at a time.
+//! A window is `window_frames` nominal frame periods long. When it is solved, its first
+//! `publish_frames` are final, and the next window starts after them. A window closes when every camera
+//! has shown a frame at its end or later, or when its deadline passes: `deadline_frames` after its end,
+//! on the newest capture time or, live, on the clock of [`Input::Tick`]. At most one job is with the
+//! solver at a time.
 
 mod acquire;
-mod answer;
+mod apply;
 mod association;
 mod config;
 mod effort;
@@ -22,22 +24,22 @@ mod noise;
 mod offset_estimator;
 mod playout;
 mod port;
+mod send;
 mod solver;
 mod spin_pool;
 mod tracker;
 mod verdict;
 mod waiting;
+mod window;
 
 pub use association::follow;
 pub use config::{Config, Gate};
 pub use effort::Effort;
 pub use event::{Event, EventKind};
-pub use job::{
-    Job, Outcome, ProvisionalFit, Residual, Solution, Task, TimedKeyframe, Tracked, Verdict,
-};
+pub use job::{Job, Outcome, ProvisionalFit, Residual, Solution, Task, Tracked, Verdict};
 pub use noise::Noise;
 pub use offset_estimator::OffsetEstimator;
 pub use playout::{Latency, Live};
-pub use port::{Input, KeyframeAt, Output, Performer, WindowReport};
+pub use port::{Input, Output, WindowReport};
 pub use solver::Solver;
-pub use tracker::Tracker;
+pub use tracker::{Tracker, run_to_end};

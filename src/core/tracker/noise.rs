@@ -1,16 +1,15 @@
-//! How far detections lie from the solved body, and what prior and stiffness count by that.
+//! The residual level of the detections, which scales prior and stiffness.
 //!
-//! The cost is in square pixels: squared errors against what is expected of poses and motions, times
-//! a weight. A detector whose errors have twice the variance tells half as much against the same
-//! expectation, so the weights go with the variance of the errors.
+//! The cost is in square pixels. If the errors of a detector have twice the variance, its detections
+//! carry half the information, so the weights of prior and stiffness are proportional to the variance.
 
 use super::association::median;
 use super::job::Residual;
 
-/// About how many windows are remembered.
+/// The running mean covers about this many windows.
 const WINDOWS: f64 = 20.0;
-/// Least and most that the weights are multiplied with: where errors are small, those of our
-/// model remain, and where they are large, poses must still follow them.
+/// Limits of the weights' factor: small errors leave those of our model, and poses must still follow
+/// detections with large ones.
 const FACTORS: (f64, f64) = (0.3, 2.0);
 
 /// A running estimate of the detections' errors: the median distance from the solved body, pixels.
@@ -18,12 +17,12 @@ const FACTORS: (f64, f64) = (0.3, 2.0);
 pub struct Noise {
     /// Mean of the windows' squared median errors, square pixels.
     square: f64,
-    /// Windows in it, as far as they are remembered.
+    /// Number of windows in it, at most [`WINDOWS`].
     windows: f64,
 }
 
 impl Noise {
-    /// With what a solved window left.
+    /// With the residuals of a solved window added.
     pub(super) fn with(self, residuals: &[Residual]) -> Self {
         if residuals.is_empty() {
             return self;
@@ -34,8 +33,8 @@ impl Noise {
         Self { square, windows }
     }
 
-    /// What the weights are multiplied with, if they are meant for median errors of `usual_px`;
-    /// 1 while nothing is known or `usual_px` is 0.
+    /// The factor of weights that are meant for median errors of `usual_px`; 1 before the first window
+    /// or if `usual_px` is 0.
     pub(super) fn factor(&self, usual_px: f64) -> f64 {
         if self.windows == 0.0 || usual_px == 0.0 {
             return 1.0;

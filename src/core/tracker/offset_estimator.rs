@@ -1,32 +1,32 @@
-//! Where the detector marks points, learnt while the performer moves.
+//! Estimates the keypoint offsets while the performer moves.
 //!
-//! Some of the solved windows tell what marks would lower their cost, their keyframes following
-//! ([`Marginal`]); that is summed up, and the marks are those that lower the sum and their own prior most.
-//! How far marks usually are off is found with them (empirical Bayes): a detector that agrees with
-//! our body keeps them small. After a while the marks stay: what goes on to pull them is our model's
-//! own habit, not the detector's, and would let them drift.
+//! Some of the solved windows give a quadratic model of their cost by the offsets, with the keyframes
+//! eliminated ([`Marginal`]). The offsets minimise the sum of these models and a prior. The prior's weight
+//! is estimated with them (empirical Bayes): with a detector that agrees with our body they stay small.
+//! After [`WINDOWS`] windows the offsets are fixed: later updates would follow errors of our model and
+//! drift.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::core::body::{KeypointOffsets, OFFSETS};
 use crate::core::cost::Marginal;
 
-/// What a window counts: errors of neighbouring frames are alike, so ten frames tell less than ten.
+/// Weight of a window: the errors of neighbouring frames are correlated.
 const SHARE: f64 = 0.8;
-/// How many windows are listened to.
+/// Number of windows that are used.
 const WINDOWS: usize = 25;
-/// Variance of what detectors err, square pixels: it sets marks against the cost.
+/// Variance of the detectors' errors, square pixels.
 const NOISE: f64 = 50.0;
-/// Rounds in which marks and their prior are found.
+/// Rounds of estimating offsets and prior in turn.
 const ROUNDS: usize = 5;
 
-/// What is known of the marks.
+/// The estimate of the keypoint offsets.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OffsetEstimator {
     information: DMatrix<f64>,
     pull: DVector<f64>,
     windows: usize,
-    /// The marks.
+    /// The offsets.
     pub offsets: KeypointOffsets,
 }
 
@@ -42,25 +42,25 @@ impl Default for OffsetEstimator {
 }
 
 impl OffsetEstimator {
-    /// Whether the marks stay from here on.
+    /// Whether the offsets are fixed from here on.
     pub fn is_complete(&self) -> bool {
         self.windows >= WINDOWS
     }
 
-    /// With what a window tells that was solved with the marks `at`. `prior` is the weight of the
-    /// squared marks to begin with. `None` if the sum has no minimum.
-    pub fn with(&self, told: &Marginal, at: &KeypointOffsets, prior: f64) -> Option<Self> {
+    /// The estimate with a window added that was solved with the offsets `at`. `prior` is the first
+    /// weight of the squared offsets. `None` if the sum has no minimum.
+    pub fn with(&self, marginal: &Marginal, at: &KeypointOffsets, prior: f64) -> Option<Self> {
         let at = DVector::from_column_slice(&at.0);
-        let pull = (&told.hessian * at - &told.gradient) * SHARE;
-        let information = &self.information + &told.hessian * SHARE;
+        let pull = (&marginal.hessian * at - &marginal.gradient) * SHARE;
+        let information = &self.information + &marginal.hessian * SHARE;
         let pull = &self.pull + pull;
         let offsets = estimate(&information, &pull, prior)?;
         Some(Self { information, pull, windows: self.windows + 1, offsets })
     }
 }
 
-/// The marks that minimise 1/2 m^T information m - pull^T m + 1/2 prior |m|^2, with the prior that
-/// they themselves call for.
+/// The offsets m that minimise 1/2 m^T information m - pull^T m + 1/2 prior |m|^2, with the prior
+/// estimated from them.
 fn estimate(
     information: &DMatrix<f64>,
     pull: &DVector<f64>,
@@ -80,7 +80,7 @@ fn estimate(
 mod tests {
     use super::*;
 
-    /// A window that wants the marks at `wanted`, as seen from `at`.
+    /// The model of a window whose minimum is at `wanted`, as seen from `at`.
     fn window(wanted: &KeypointOffsets, at: &KeypointOffsets, weight: f64) -> Marginal {
         let off = std::array::from_fn::<f64, OFFSETS, _>(|i| weight * (at.0[i] - wanted.0[i]));
         Marginal {
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn marks_go_where_windows_want_them() {
+    fn offsets_go_to_the_minimum_of_the_windows() {
         let wanted = KeypointOffsets(std::array::from_fn(|i| (i as f64).sin()));
         let mut estimator = OffsetEstimator::default();
         let before = distance(&estimator.offsets, &wanted);
@@ -110,11 +110,11 @@ mod tests {
     }
 
     #[test]
-    fn what_little_is_wanted_is_held_small() {
+    fn small_offsets_are_held_smaller() {
         let wanted = KeypointOffsets([0.05; OFFSETS]);
-        let told = window(&wanted, &KeypointOffsets::default(), 10.0);
+        let marginal = window(&wanted, &KeypointOffsets::default(), 10.0);
         let estimator =
-            OffsetEstimator::default().with(&told, &KeypointOffsets::default(), 300.0).unwrap();
+            OffsetEstimator::default().with(&marginal, &KeypointOffsets::default(), 300.0).unwrap();
         assert!(
             estimator.offsets.0.iter().all(|m| (0.0..0.01).contains(m)),
             "{:?}",

@@ -1,130 +1,222 @@
-//! What leaves the machine as poses, and what takes the place of a pose that is not there in time.
+//! When poses leave the tracker, and which pose takes the place of one that is not solved in time.
 //!
 //! Offline, every pose leaves as soon as it is solved. Live, the pose of capture time t is due at
-//! t plus the declared latency: from then on at the latest there is one, on the output's grid, and
-//! if its window is not solved by then the motion is carried on and flagged.
+//! t + the declared latency. A pose leaves by then for each time of the output grid: if its window is not
+//! solved, the motion is extrapolated and the pose is flagged.
 
 use std::collections::BTreeSet;
 
-use nalgebra::Matrix3;
-
-use crate::core::body::Pose;
-use crate::core::so3;
+use super::event::EventKind;
+use super::port::Output;
+use super::tracker::{Phase, Tracker};
+use crate::core::body::{Pose, StampedPose, TrackingState};
 use crate::core::time::{Grid, Timestamp};
 
-/// How long before its due time a pose is given up, so that its message is there in time; ns.
+/// This long before its due time, ns, a pose is extrapolated, so that its message arrives in time.
 pub(super) const MARGIN: i64 = 3_000_000;
-/// A motion that is carried on dies away in this time, seconds.
+/// Time constant with which an extrapolated motion comes to rest, seconds.
 const DECAY: f64 = 0.1;
+/// A live tracker that is this far behind, ns, skips the poses in between.
+const MAX_CATCH_UP: i64 = 1_000_000_000;
 
-/// How a live machine differs from one that solves a recording.
+/// How a live tracker differs from one that solves a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Live {
-    /// Whether the open window is fitted and the newest pose given, flagged provisional.
+    /// Whether the open window is fitted and its newest pose published, flagged provisional.
     pub provisional: bool,
-    /// Poses a second; 0: one for each nominal frame.
+    /// Poses per second; 0: one for each nominal frame.
     pub output_rate_hz: f64,
 }
 
-/// The latency that a live machine keeps.
+/// The latency that a live tracker keeps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Latency {
     /// From the capture of a pose to its publication, ns.
     pub declared_ns: i64,
-    /// How much of that is kept for solving and publishing: a window's deadline is this much
-    /// before its first pose is due, ns.
+    /// The part of it for solving and publishing, ns: a window closes at least this long before its
+    /// first pose is due.
     pub reserve_ns: i64,
 }
 
-/// What has been given out and what is known.
+/// The poses that were published, and those that others are extrapolated from.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Playout {
-    /// The capture time of the last final pose that was given out.
-    pub(super) given: Option<Timestamp>,
-    /// The last two final poses known.
-    known: [Option<(Timestamp, Pose)>; 2],
-    /// The newest provisional one.
-    live: Option<(Timestamp, Pose)>,
+    /// The capture time of the last final pose that was published.
+    published: Option<Timestamp>,
+    /// The last two final poses that are known.
+    last_two: [Option<(Timestamp, Pose)>; 2],
+    /// The newest provisional pose.
+    newest: Option<(Timestamp, Pose)>,
     /// Capture times of provisional poses whose final ones are still to come.
     provisional: BTreeSet<Timestamp>,
-    /// Carried on since nothing else was there.
-    pub(super) carried: u64,
-    /// Solved only after they were due.
+    /// Number of poses that were extrapolated because no solved one was there.
+    pub(super) extrapolated: u64,
+    /// Number of poses that were solved only after they were due.
     pub(super) missed: u64,
 }
 
 impl Playout {
-    /// Keeps a solved pose.
-    pub(super) fn know(&mut self, capture: Timestamp, pose: &Pose) {
-        if self.known[1].as_ref().is_none_or(|(last, _)| capture > *last) {
-            self.known.swap(0, 1);
-            self.known[1] = Some((capture, pose.clone()));
+    /// Keeps a final pose.
+    fn add_final(&mut self, capture: Timestamp, pose: &Pose) {
+        if self.last_two[1].as_ref().is_none_or(|(last, _)| capture > *last) {
+            self.last_two.swap(0, 1);
+            self.last_two[1] = Some((capture, pose.clone()));
         }
-        if self.live.as_ref().is_some_and(|(live, _)| *live <= capture) {
-            self.live = None;
+        if self.newest.as_ref().is_some_and(|(newest, _)| *newest <= capture) {
+            self.newest = None;
         }
     }
 
     /// Keeps a provisional pose.
-    pub(super) fn know_live(&mut self, capture: Timestamp, pose: &Pose) {
-        self.live = Some((capture, pose.clone()));
+    fn add_provisional(&mut self, capture: Timestamp, pose: &Pose) {
+        self.newest = Some((capture, pose.clone()));
         self.provisional.insert(capture);
     }
 
-    /// Whether the final pose of that time takes the place of a provisional one; asked once, in
-    /// order of time.
-    pub(super) fn supersedes(&mut self, capture: Timestamp) -> bool {
+    /// Whether the final pose of that time replaces a provisional one. To be asked once for each time,
+    /// in order of time.
+    fn supersedes(&mut self, capture: Timestamp) -> bool {
         let later = self.provisional.split_off(&capture);
         self.provisional = later;
         self.provisional.remove(&capture)
     }
 
-    /// The last pose begins a path: it does not go on from the one before.
-    pub(super) fn begin_anew(&mut self) {
-        self.known[0] = None;
+    /// The last pose begins a path: nothing is extrapolated from the pose before it.
+    pub(super) fn begin_path(&mut self) {
+        self.last_two[0] = None;
     }
 
-    /// The last pose known, if there is one.
-    pub(super) fn last(&self) -> Option<&Pose> {
-        self.known[1].as_ref().map(|(_, pose)| pose)
+    /// The last final pose that is known.
+    fn last(&self) -> Option<&Pose> {
+        self.last_two[1].as_ref().map(|(_, pose)| pose)
     }
 
-    /// The time of the pose that follows the last one given.
-    pub(super) fn next(&self, grid: &Grid) -> Option<Timestamp> {
-        self.given.map(|given| grid.time(grid.at_or_before(given + same(grid)) + 1))
+    /// The time of the pose after the last one published.
+    fn next(&self, grid: &Grid) -> Option<Timestamp> {
+        self.published.map(|last| grid.time(grid.at_or_before(last + same_time(grid)) + 1))
     }
 
-    /// Whether the pose of that time was given, perhaps on another grid's time.
-    pub(super) fn is_given(&self, capture: Timestamp, grid: &Grid) -> bool {
-        self.given.is_some_and(|given| given + same(grid) >= capture)
+    /// Whether the pose of that time was published, perhaps at the time of another grid.
+    fn is_published(&self, capture: Timestamp, grid: &Grid) -> bool {
+        self.published.is_some_and(|last| last + same_time(grid) >= capture)
     }
 
-    /// A pose at `capture` from what is known: towards the provisional one, or carried on.
-    pub(super) fn carry_on(&self, capture: Timestamp) -> Option<Pose> {
-        let (at, last) = self.known[1].as_ref()?;
-        if let Some((live_at, live)) = self.live.as_ref().filter(|(live_at, _)| live_at > at) {
-            let s = (capture - *at) as f64 / (*live_at - *at) as f64;
-            return Some(between(last, live, s.clamp(0.0, 1.0)));
+    /// A pose at `capture` from those that are known: interpolated towards the newest provisional one,
+    /// else extrapolated.
+    fn extrapolate(&self, capture: Timestamp) -> Option<Pose> {
+        let (at, last) = self.last_two[1].as_ref()?;
+        if let Some((newest_at, newest)) = self.newest.as_ref().filter(|(newest, _)| newest > at) {
+            let s = (capture - *at) as f64 / (*newest_at - *at) as f64;
+            return Some(last.interpolate(newest, s.clamp(0.0, 1.0)));
         }
-        let Some((before_at, before)) = &self.known[0] else { return Some(last.clone()) };
+        let Some((before_at, before)) = &self.last_two[0] else { return Some(last.clone()) };
         let step = at.seconds_since(*before_at);
         let ahead = capture.seconds_since(*at).max(0.0);
         let s = DECAY * (1.0 - (-ahead / DECAY).exp()) / step;
-        Some(between(before, last, 1.0 + s))
+        Some(before.interpolate(last, 1.0 + s))
     }
 }
 
-/// Times this close are the same pose's; ns.
-fn same(grid: &Grid) -> i64 {
+/// Times less than this apart, ns, are those of the same pose.
+fn same_time(grid: &Grid) -> i64 {
     (grid.period_ns / 4.0) as i64
 }
 
-/// The pose at `s`, 0 at `a` and 1 at `b`; joint by joint, beyond them too.
-fn between(a: &Pose, b: &Pose, s: f64) -> Pose {
-    let slerp = |a: &Matrix3<f64>, b: &Matrix3<f64>| so3::slerp(a, b, s);
-    Pose {
-        root_rotation: slerp(&a.root_rotation, &b.root_rotation),
-        root_position: a.root_position.lerp(&b.root_position, s),
-        local: std::array::from_fn(|joint| slerp(&a.local[joint], &b.local[joint])),
+impl Tracker {
+    /// Publishes a final pose. Live, only if it is not due yet and its time has no pose.
+    pub(super) fn publish_final(&mut self, capture: Timestamp, pose: &Pose, state: TrackingState) {
+        self.playout.add_final(capture, pose);
+        if self.live.is_some() {
+            let Some(latency) = self.latency else { return };
+            let is_due = self.now.is_some_and(|now| now > capture + latency.declared_ns);
+            let grid = self.output_grid();
+            if is_due || grid.is_some_and(|grid| self.playout.is_published(capture, &grid)) {
+                self.playout.missed += u64::from(self.playout.published.is_some());
+                return;
+            }
+        }
+        self.push_pose(capture, pose.clone(), state, false);
+    }
+
+    /// Publishes a provisional pose of a live tracker, if they are wanted.
+    pub(super) fn publish_provisional(
+        &mut self,
+        capture: Timestamp,
+        pose: &Pose,
+        state: TrackingState,
+    ) {
+        if self.live.is_some_and(|live| live.provisional) {
+            self.playout.add_provisional(capture, pose);
+            self.push_pose(capture, pose.clone(), state, true);
+        }
+    }
+
+    fn push_pose(
+        &mut self,
+        capture: Timestamp,
+        pose: Pose,
+        state: TrackingState,
+        provisional: bool,
+    ) {
+        if !provisional {
+            self.playout.published = Some(capture);
+        }
+        let supersedes = !provisional && self.playout.supersedes(capture);
+        self.outputs.push_back(Output::Pose(Box::new(StampedPose {
+            capture,
+            pose,
+            state,
+            window: self.window,
+            rig_version: self.rig.version,
+            provisional,
+            revision: u32::from(supersedes),
+        })));
+    }
+
+    /// Repeats the last pose, flagged lost, at the times of poses after `start` up to `end`.
+    pub(super) fn repeat_last_pose(&mut self, start: Timestamp, end: Timestamp) {
+        let (Some(last), Some(grid)) = (self.playout.last().cloned(), self.output_grid()) else {
+            return;
+        };
+        for capture in grid.between(start, end) {
+            self.publish_final(capture, &last, TrackingState::Lost);
+        }
+    }
+
+    /// When the next pose is due, on the capture clock; `None` while no window is open.
+    pub(super) fn due(&self) -> Option<Timestamp> {
+        let next = self.start.and(self.playout.next(&self.output_grid()?))?;
+        Some(next + self.latency?.declared_ns)
+    }
+
+    /// Live: extrapolates the poses that are due and not solved.
+    pub(super) fn play(&mut self) {
+        let (Some(now), Some(latency)) = (self.now, self.latency) else { return };
+        while let Some(due) = self.due().filter(|due| *due <= now + MARGIN) {
+            let capture = due + -latency.declared_ns;
+            if now - due > MAX_CATCH_UP {
+                return self.skip_poses(capture, now + -latency.declared_ns);
+            }
+            let Some(pose) = self.playout.extrapolate(capture) else { return };
+            let state = match self.phase {
+                Phase::Searching => TrackingState::Lost,
+                Phase::Tracking { .. } => TrackingState::Coasting,
+            };
+            self.playout.extrapolated += 1;
+            let detail = "not solved when due, extrapolated".to_owned();
+            self.event(EventKind::Overdue, capture, None, detail);
+            self.push_pose(capture, pose, state, false);
+        }
+    }
+
+    /// Leaves out the poses from `capture` to `until`.
+    fn skip_poses(&mut self, capture: Timestamp, until: Timestamp) {
+        let grid = self.output_grid();
+        let skipped = grid.map_or(1, |g| g.at_or_before(until) - g.at_or_before(capture) + 1);
+        let skipped = skipped.max(1) as u64;
+        let detail = "too far behind, skipped".to_owned();
+        self.counted_event(EventKind::Overdue, capture, None, skipped, detail);
+        self.playout.missed += skipped;
+        self.playout.published = Some(until);
     }
 }

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder, Yield};
 
-/// Some threads for work that is divided into parts of less than a millisecond.
+/// Threads for work in parts of less than a millisecond.
 pub(super) struct SpinPool(ThreadPool);
 
 impl SpinPool {
@@ -15,8 +15,8 @@ impl SpinPool {
         ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build().map(Self)
     }
 
-    /// Does some work in one of the threads. What that gives to `rayon` the others do; meanwhile they
-    /// stay awake, for to wake them takes as long as a part of the work.
+    /// Runs `work` on one of the threads. The others take what it gives to `rayon`. They stay awake
+    /// meanwhile, since waking them takes as long as a part of the work.
     pub(super) fn run(&self, work: impl FnMut() + Send) {
         let (work, is_over) = (Mutex::new(work), AtomicBool::new(false));
         self.0.broadcast(|thread| {
@@ -36,7 +36,7 @@ impl SpinPool {
     }
 }
 
-/// Lets the others go, even where the work panics.
+/// Releases the other threads, even if the work panics.
 struct SetOnDrop<'a>(&'a AtomicBool);
 
 impl Drop for SetOnDrop<'_> {

@@ -1,6 +1,7 @@
 //! Which cameras a window waits for.
 
-/// Which cameras a window waits for: those that let few windows in a row close without them.
+/// The cameras that windows wait for: all but those without which `grace_windows` windows in a row
+/// have closed.
 #[derive(Clone, Debug)]
 pub(super) struct Waiting {
     /// Windows in a row that closed without the camera.
@@ -23,7 +24,7 @@ impl Waiting {
         (0..self.missed.len()).any(|camera| self.is_waited_for(camera))
     }
 
-    /// A window closed without those cameras; gives the ones that are no longer waited for.
+    /// A window closed without the cameras `behind`. Returns those that are no longer waited for.
     pub(super) fn closed_without(&mut self, behind: &[usize]) -> Vec<usize> {
         let mut silent = Vec::new();
         for camera in 0..self.missed.len() {
@@ -39,7 +40,7 @@ impl Waiting {
         silent
     }
 
-    /// The camera has shown something; whether it was silent before.
+    /// The camera has sent a frame; returns whether it was silent before.
     pub(super) fn returned(&mut self, camera: usize) -> bool {
         let was_silent = !self.is_waited_for(camera);
         if let Some(missed) = self.missed.get_mut(camera) {

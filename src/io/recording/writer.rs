@@ -14,10 +14,11 @@ use super::target::{Target, part_of};
 use crate::core::body::{self, StampedPose};
 use crate::core::camera;
 use crate::core::detections::Detections;
+use crate::core::manifold::StampedKeyframe;
 use crate::core::time::Timestamp;
 use crate::io::wire::{
-    ENCODING, Event, Keyframe, KeypointFrame, Pose, Rig, SCHEMA_ENCODING, Schema, Skeleton,
-    StampedKeyframe, Status, Topics, descriptor, encode,
+    ENCODING, Event, Keyframe, KeypointFrame, Pose, Rig, SCHEMA_ENCODING, Schema, Skeleton, Status,
+    Topics, descriptor, encode,
 };
 
 /// Chunks close above this many bytes: what a cut or a flipped bit can cost, about a second of
@@ -146,12 +147,17 @@ impl Writer {
         self.write(&self.topics.pose(), pose.capture, &Pose::from_core(pose, skeleton, None))
     }
 
-    /// The end of a window.
+    /// A final keyframe; `weights` is the fingerprint of the decoder's weights, hexadecimal.
     ///
     /// # Errors
     /// As [`Writer::write`].
-    pub fn keyframe(&mut self, keyframe: &StampedKeyframe) -> Result<(), RecordError> {
-        self.write(&self.topics.keyframe(), keyframe.capture, &Keyframe::from_core(keyframe))
+    pub fn keyframe(
+        &mut self,
+        keyframe: &StampedKeyframe,
+        weights: &str,
+    ) -> Result<(), RecordError> {
+        let message = Keyframe::from_core(keyframe, weights);
+        self.write(&self.topics.keyframe(), keyframe.capture, &message)
     }
 
     /// The body, valid from `at`.

@@ -1,9 +1,9 @@
-//! `Keyframe` to and from [`manifold::Keyframe`], with the shape and the window it belongs to.
+//! `Keyframe` messages to and from [`StampedKeyframe`].
 
 use super::check::{Field, field};
 use super::{DecodeError, Keyframe};
-use crate::core::body::{SHAPE_COEFFICIENTS, Shape, TrackingState};
-use crate::core::manifold::{self, Interpolation, LATENT};
+use crate::core::body::{SHAPE_COEFFICIENTS, Shape};
+use crate::core::manifold::{self, Interpolation, LATENT, StampedKeyframe};
 use crate::core::so3;
 use crate::core::time::{Grid, Timestamp};
 
@@ -14,36 +14,11 @@ const fn at(name: &'static str) -> Field {
 /// Poses of one window, at most.
 const MOST_POSES: f64 = 1e5;
 
-/// A keyframe at the end of a window: all that is needed to go on from there, and with the one
-/// before it to decode the poses between.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StampedKeyframe {
-    /// The end of the window.
-    pub capture: Timestamp,
-    /// The keyframe that the path comes from; its own time where a path begins.
-    pub start: Timestamp,
-    /// Number of the window, from 0.
-    pub window: u64,
-    /// Latent code and root.
-    pub keyframe: manifold::Keyframe,
-    /// The shape that it was solved with.
-    pub shape: Shape,
-    /// How the latent code runs from the keyframe before.
-    pub interpolation: Interpolation,
-    /// Fingerprint of the decoder's weights, hexadecimal.
-    pub weights: String,
-    /// The times of poses.
-    pub grid: Grid,
-    /// How far the poses since `start` can be trusted.
-    pub state: TrackingState,
-    /// Version of the rig that it was solved with.
-    pub rig_version: u64,
-}
-
 impl Keyframe {
-    /// The keyframe, in full precision, with the run id of keyframes solved offline, 0; of a [settled](manifold::Keyframe::quantised) one, bit for
-    /// bit.
-    pub fn from_core(stamped: &StampedKeyframe) -> Self {
+    /// The message of a keyframe in full precision; of a
+    /// [quantised](manifold::Keyframe::quantised) one, bit for bit. `weights` is the fingerprint of the
+    /// decoder's weights, hexadecimal. The run id is 0, that of keyframes solved offline.
+    pub fn from_core(stamped: &StampedKeyframe, weights: &str) -> Self {
         let keyframe = &stamped.keyframe;
         Self {
             capture_time_ns: stamped.capture.ns(),
@@ -54,7 +29,7 @@ impl Keyframe {
             shape: stamped.shape.0.to_vec(),
             start_time_ns: stamped.start.ns(),
             interpolation: stamped.interpolation.name().to_owned(),
-            weights: stamped.weights.clone(),
+            weights: weights.to_owned(),
             grid_origin_ns: stamped.grid.origin.ns(),
             grid_period_ns: stamped.grid.period_ns,
             state: super::pose::wire_state(stamped.state).into(),
@@ -63,7 +38,7 @@ impl Keyframe {
         }
     }
 
-    /// The keyframe.
+    /// The keyframe; the weights' fingerprint stays in the message.
     ///
     /// # Errors
     /// Wrong lengths, numbers that are not finite, a quaternion of length zero.
@@ -82,7 +57,6 @@ impl Keyframe {
                 let name = &self.interpolation;
                 at("interpolation").invalid(format!("{name:?} is not slerp or lerp"))
             })?,
-            weights: self.weights.clone(),
             grid: self.grid()?,
             state: super::pose::core_state(self.state)
                 .ok_or_else(|| at("state").invalid(format!("unknown state {}", self.state)))?,

@@ -10,7 +10,6 @@ mod generated;
 mod json;
 mod keyframe;
 mod keypoints;
-mod path;
 mod pose;
 mod retargeted;
 mod rig;
@@ -19,7 +18,6 @@ mod skeleton;
 mod topic;
 
 pub use generated::*;
-pub use keyframe::StampedKeyframe;
 pub use pose::LiveStamp;
 pub use schema::{
     ENCODING, SCHEMA_ENCODING, Schema, decode, descriptor, encode, media_type, schema_of,

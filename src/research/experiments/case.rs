@@ -7,7 +7,6 @@ use serde::Serialize;
 use crate::core::body::{Pose, Skeleton, StampedPose};
 use crate::core::camera::Rig;
 use crate::core::detections::KeypointFormat;
-use crate::core::so3;
 use crate::research::methods::Take;
 use crate::research::synth::{
     self, Motion, MotionStyle, Noise, Protocol, Recording, SequenceChoice, sequence, through,
@@ -178,7 +177,7 @@ fn joined<'a>(parts: impl Iterator<Item = &'a [Pose]> + Clone, seconds: f64) -> 
     for part in parts.cycle().take_while(|part| !part.is_empty()) {
         if let (Some(last), Some(first)) = (poses.last().cloned(), part.first()) {
             let share = |k: usize| k as f64 / blend as f64;
-            poses.extend((1..blend).map(|k| between(&last, first, smooth(share(k)))));
+            poses.extend((1..blend).map(|k| last.interpolate(first, smooth(share(k)))));
         }
         poses.extend(part.iter().cloned());
         if poses.len() >= wanted {
@@ -192,14 +191,6 @@ fn joined<'a>(parts: impl Iterator<Item = &'a [Pose]> + Clone, seconds: f64) -> 
 /// From 0 to 1 without a kink at either end.
 fn smooth(share: f64) -> f64 {
     share * share * (3.0 - 2.0 * share)
-}
-
-fn between(a: &Pose, b: &Pose, share: f64) -> Pose {
-    Pose {
-        root_rotation: so3::slerp(&a.root_rotation, &b.root_rotation, share),
-        root_position: a.root_position.lerp(&b.root_position, share),
-        local: std::array::from_fn(|j| so3::slerp(&a.local[j], &b.local[j], share)),
-    }
 }
 
 #[cfg(test)]

@@ -80,15 +80,15 @@ impl Method for Dct {
         let scene = cost::Scene { decoder, rig: &take.rig, points: &points, config: &cost };
         let segment = weights.segment.max(1);
         let mut keyframes = Vec::with_capacity(found.keyframes.len());
-        for (initial, observed_frames) in
-            found.keyframes.chunks(segment).zip(found.observed_frames.chunks(segment))
+        for (initial, observations) in
+            found.keyframes.chunks(segment).zip(found.observations.chunks(segment))
         {
             // A shorter last segment keeps the same highest frequency.
             let components = (weights.components * initial.len()).div_ceil(segment);
             let low = LowFrequency::new(weights.smoothness, initial.len(), components);
             let terms: [Box<dyn Term>; 1] = [Box::new(low)];
             let skeleton = &found.start.skeleton;
-            let mut path = FramePath::new(scene, skeleton, observed_frames, initial, &terms);
+            let mut path = FramePath::new(scene, skeleton, observations, initial, &terms);
             let mut x = path.start();
             LevenbergMarquardt::default().minimise(&mut path, &mut x, weights.iterations);
             keyframes.extend(path.keyframes(&x));

@@ -109,8 +109,8 @@ impl Method for Dmmr {
         let terms: [Box<dyn Term>; 1] = [Box::new(steps)];
         let segment = weights.segment.max(1);
         let mut keyframes = Vec::with_capacity(found.keyframes.len());
-        for (initial, observed_frames) in
-            found.keyframes.chunks(segment).zip(found.observed_frames.chunks(segment))
+        for (initial, observations) in
+            found.keyframes.chunks(segment).zip(found.observations.chunks(segment))
         {
             let mut now = initial.to_vec();
             for ((free, scale_px), iterations) in self.stages().into_iter().zip(weights.iterations)
@@ -119,7 +119,7 @@ impl Method for Dmmr {
                 let scene =
                     cost::Scene { decoder, rig: &take.rig, points: &points, config: &config };
                 let mut path =
-                    FramePath::new(scene, &found.start.skeleton, observed_frames, &now, &terms);
+                    FramePath::new(scene, &found.start.skeleton, observations, &now, &terms);
                 path.free = free;
                 let mut x = path.start();
                 LevenbergMarquardt::default().minimise(&mut path, &mut x, iterations);

@@ -69,7 +69,7 @@ impl Method for Etc {
         let terms: [Box<dyn Term>; 1] = [Box::new(JointSteps { weight: weights.smoothness })];
         let skeleton = &found.start.skeleton;
         let mut path =
-            FramePath::new(scene, skeleton, &found.observed_frames, &found.keyframes, &terms);
+            FramePath::new(scene, skeleton, &found.observations, &found.keyframes, &terms);
         let mut x = path.start();
         LevenbergMarquardt::default().minimise(&mut path, &mut x, weights.iterations);
         let keyframes = path.keyframes(&x);

@@ -39,8 +39,8 @@ impl<'a> Cut<'a> {
         Self { times: (0..frames.len()).map(time).collect(), frames }
     }
 
-    /// The performer's observations in a frame. `keyframe` gives the expected pose.
-    pub(super) fn observed_frames(
+    /// What was seen of the performer in a frame, expected where `keyframe` puts the body.
+    pub(super) fn observations(
         &self,
         frame: usize,
         keyframe: &Keyframe,
@@ -70,12 +70,12 @@ pub(super) struct Given<'a> {
 /// Whether a frame has enough observations to be solved on its own: it passes the gate of the
 /// windows and has at least two views.
 pub(super) fn is_enough(
-    observed_frames: &[FrameObservations],
+    observations: &[FrameObservations],
     cameras: usize,
     config: &Config,
 ) -> bool {
     let mut views = vec![0; cameras];
-    for observation in observed_frames.iter().flat_map(FrameObservations::observations) {
+    for observation in observations.iter().flat_map(FrameObservations::observations) {
         views[observation.camera] += 1;
     }
     let total: usize = views.iter().sum();

@@ -9,8 +9,10 @@ use serde::{Deserialize, Serialize};
 use super::frames::{Cut, Given, is_enough};
 use super::{Delay, Method, Solved, Start, Take, start};
 use crate::core::body::fitted_points;
-use crate::core::cost::{self, FrameObservations, FreeBody, Knot, PathProblem, Scene, Workspace};
-use crate::core::manifold::{Decoder, Keyframe};
+use crate::core::cost::{
+    self, FrameObservations, FreeBody, PathKeyframe, PathProblem, Scene, Workspace,
+};
+use crate::core::manifold::{Decoder, Keyframe, TimedKeyframe};
 use crate::core::optimise::{LevenbergMarquardt, Optimiser};
 use crate::core::time::Timestamp;
 use crate::core::tracker::Config;
@@ -59,9 +61,9 @@ pub(super) struct PerFrame {
     pub(super) start: Start,
     /// Nominal time of each frame.
     pub(super) times: Vec<Timestamp>,
-    /// The performer's observations in each frame, associated at its solution; empty where they
-    /// are too few to solve the frame.
-    pub(super) observed_frames: Vec<Vec<FrameObservations>>,
+    /// What was seen of the performer in each frame, expected at its solution; empty where it was
+    /// too little to solve it.
+    pub(super) observations: Vec<Vec<FrameObservations>>,
     /// The solution of each frame.
     pub(super) keyframes: Vec<Keyframe>,
     pub(super) config: Config,
@@ -79,11 +81,11 @@ impl PerFrame {
         let keyframes = one_by_one(&cut, &given, weights);
         let cameras = take.rig.cameras.len();
         let seen = |frame: usize| {
-            let observed_frames = cut.observed_frames(frame, &keyframes[frame], &given);
-            if is_enough(&observed_frames, cameras, &config) { observed_frames } else { Vec::new() }
+            let observations = cut.observations(frame, &keyframes[frame], &given);
+            if is_enough(&observations, cameras, &config) { observations } else { Vec::new() }
         };
-        let observed_frames = (0..keyframes.len()).map(seen).collect();
-        Some(Self { times: cut.times, observed_frames, keyframes, start, config })
+        let observations = (0..keyframes.len()).map(seen).collect();
+        Some(Self { times: cut.times, observations, keyframes, start, config })
     }
 
     /// The poses of `keyframes`, one per frame, and the borders between segments of `segment`
@@ -125,19 +127,14 @@ fn one_by_one(cut: &Cut, given: &Given, weights: &MuVsWeights) -> Vec<Keyframe> 
         if let Some(again) = found.take_if(|found| found.at <= capture) {
             (last, hidden) = (again.keyframe, 0);
         }
-        let observed_frames = cut.observed_frames(frame, &last, given);
-        if is_enough(&observed_frames, given.take.rig.cameras.len(), given.config) {
+        let observations = cut.observations(frame, &last, given);
+        if is_enough(&observations, given.take.rig.cameras.len(), given.config) {
             hidden = 0;
-            let knots = vec![Knot { capture, keyframe: last.clone(), free: true, frames: 1.0 }];
+            let at = TimedKeyframe::new(capture, last.clone());
+            let path = vec![PathKeyframe::free(at, 1.0)];
             let skeleton = &given.start.skeleton;
-            let mut problem = PathProblem::new(
-                scene,
-                knots,
-                skeleton,
-                FreeBody::Fixed,
-                &observed_frames,
-                &mut work,
-            );
+            let mut problem =
+                PathProblem::new(scene, path, skeleton, FreeBody::Fixed, &observations, &mut work);
             let mut x = problem.start();
             problem.set_scale(weights.scale_px * weights.loose_scale);
             optimiser.minimise(&mut problem, &mut x, weights.loose_iterations);

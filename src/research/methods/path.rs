@@ -7,8 +7,8 @@ use nalgebra::Vector3;
 
 use super::joints::{Joints, UNKNOWNS};
 use crate::core::body::Skeleton;
-use crate::core::cost::{FrameObservations, FreeBody, Knot, PathProblem, Scene, Workspace};
-use crate::core::manifold::{Keyframe, LATENT};
+use crate::core::cost::{FrameObservations, FreeBody, PathKeyframe, PathProblem, Scene, Workspace};
+use crate::core::manifold::{Keyframe, LATENT, TimedKeyframe};
 use crate::core::optimise::{Layout, NormalEquations, Problem};
 use crate::core::so3;
 use crate::core::time::Timestamp;
@@ -47,8 +47,8 @@ pub trait Term {
 pub struct FramePath<'a> {
     scene: Scene<'a>,
     skeleton: &'a Skeleton,
-    observed_frames: &'a [Vec<FrameObservations>],
-    /// The initial keyframe of each frame.
+    observations: &'a [Vec<FrameObservations>],
+    /// Each frame's values at the start.
     initial: &'a [Keyframe],
     terms: &'a [Box<dyn Term + 'a>],
     /// Whether codes and roots are solved for, in that order.
@@ -61,12 +61,12 @@ impl<'a> FramePath<'a> {
     pub fn new(
         scene: Scene<'a>,
         skeleton: &'a Skeleton,
-        observed_frames: &'a [Vec<FrameObservations>],
+        observations: &'a [Vec<FrameObservations>],
         initial: &'a [Keyframe],
         terms: &'a [Box<dyn Term + 'a>],
     ) -> Self {
         let work = Workspace::default();
-        Self { scene, skeleton, observed_frames, initial, terms, free: [true; 2], work }
+        Self { scene, skeleton, observations, initial, terms, free: [true; 2], work }
     }
 
     /// The initial unknowns, 38 per frame.
@@ -110,14 +110,14 @@ impl<'a> FramePath<'a> {
     fn frame(&mut self, frame: usize, x: &[f64], derivatives: Option<&mut NormalEquations>) -> f64 {
         let keyframe = self.initial[frame].clone();
         let capture = Timestamp::default();
-        let knots = vec![Knot { capture, keyframe, free: true, frames: 1.0 }];
-        let observed_frames = &self.observed_frames[frame];
+        let path = vec![PathKeyframe::free(TimedKeyframe::new(capture, keyframe), 1.0)];
+        let observations = &self.observations[frame];
         let mut problem = PathProblem::new(
             self.scene,
-            knots,
+            path,
             self.skeleton,
             FreeBody::Fixed,
-            observed_frames,
+            observations,
             &mut self.work,
         );
         match derivatives {

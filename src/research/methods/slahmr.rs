@@ -105,7 +105,7 @@ fn minimised<'a>(
     iterations: usize,
 ) -> Vec<Keyframe> {
     let skeleton = &found.start.skeleton;
-    let mut path = FramePath::new(scene, skeleton, &found.observed_frames, initial, terms);
+    let mut path = FramePath::new(scene, skeleton, &found.observations, initial, terms);
     path.free = [codes, true];
     let mut x = path.start();
     LevenbergMarquardt::default().minimise(&mut path, &mut x, iterations);

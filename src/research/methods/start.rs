@@ -6,7 +6,7 @@ use super::Take;
 use crate::core::body::Skeleton;
 use crate::core::manifold::{Decoder, Keyframe};
 use crate::core::time::Timestamp;
-use crate::core::tracker::{Config, Input, Outcome, Output, Solver, Tracker};
+use crate::core::tracker::{Config, Input, Job, Outcome, Solver, Tracker};
 
 /// The initial keyframe and body of a take.
 #[derive(Clone, Debug)]
@@ -19,20 +19,28 @@ pub struct Start {
     pub skeleton: Arc<Skeleton>,
 }
 
-/// Finds the performer with the [`Tracker`]'s acquisition; `None` if nobody is found.
+/// Finds the performer as the tracker does; `None` if nobody is found.
 pub fn start(take: &Take, decoder: &Decoder, config: &Config) -> Option<Start> {
     let config = Config { frame_rate_hz: take.fps, ..*config };
-    let mut track = Tracker::new(config, Arc::clone(&take.rig));
+    let mut tracker = Tracker::new(config, Arc::clone(&take.rig));
     let mut solver = Solver::new(decoder.clone(), config);
     for input in take.frames.iter().cloned().map(Input::Detections).chain([Input::End]) {
-        track.handle(input);
-        while let Some(output) = track.poll() {
-            let Output::Solve(job) = output else { continue };
-            let solution = solver.solve(&job);
-            if let Outcome::Acquired { at, keyframe, skeleton, .. } = solution.outcome {
-                return Some(Start { at, keyframe: *keyframe, skeleton });
+        tracker.handle(input);
+        let mut found = None;
+        let mut solve = |job: &Job| {
+            let solution = solver.solve(job);
+            if let Outcome::Acquired { first, skeleton, .. } = &solution.outcome {
+                found.get_or_insert_with(|| Start {
+                    at: first.capture,
+                    keyframe: first.keyframe.clone(),
+                    skeleton: Arc::clone(skeleton),
+                });
             }
-            track.handle(Input::Solved(solution));
+            solution
+        };
+        while tracker.poll_and_solve(&mut solve).is_some() {}
+        if found.is_some() {
+            return found;
         }
     }
     None

@@ -1,13 +1,13 @@
-//! BundleMoCap: one latent keyframe per window, solved by the [`Tracker`].
+//! BundleMoCap: one latent keyframe per window, by the tracker itself.
 
 use std::sync::Arc;
 
 use super::{Delay, Method, Solved, Take};
 use crate::core::cost;
 use crate::core::manifold::Decoder;
-use crate::core::tracker::{Config, Input, Output, Solver, Tracker};
+use crate::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
 
-/// The [`Tracker`] as a method.
+/// The tracker with those settings.
 #[derive(Clone, Debug)]
 pub struct Windows {
     name: String,
@@ -15,7 +15,7 @@ pub struct Windows {
 }
 
 impl Windows {
-    /// The tracker with settings, under a name.
+    /// The tracker with settings under a name.
     pub fn new(name: &str, config: Config) -> Self {
         Self { name: name.to_owned(), config }
     }
@@ -56,23 +56,17 @@ impl Method for Windows {
 
     fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
         let config = Config { frame_rate_hz: take.fps, ..self.config };
-        let mut track = Tracker::new(config, Arc::clone(&take.rig));
+        let mut tracker = Tracker::new(config, Arc::clone(&take.rig));
         let mut solver = Solver::new(decoder.clone(), config);
         let (mut poses, mut borders, mut body) = (Vec::new(), Vec::new(), None);
-        for input in take.frames.iter().cloned().map(Input::Detections).chain([Input::End]) {
-            track.handle(input);
-            while let Some(output) = track.poll() {
-                match output {
-                    Output::Solve(job) => track.handle(Input::Solved(solver.solve(&job))),
-                    Output::Pose(pose) => poses.push((pose.capture, pose.pose)),
-                    Output::Window(window) => borders.push(window.end),
-                    Output::Skeleton(skeleton) => body = Some(skeleton),
-                    _ => {}
-                }
-            }
-        }
-        // The tracker's skeleton includes the estimated keypoint offsets.
-        let skeleton = track.skeleton().cloned().or(body)?;
+        run_to_end(&mut tracker, &mut solver, take.frames.iter().cloned(), |output| match output {
+            Output::Pose(pose) => poses.push((pose.capture, pose.pose)),
+            Output::Window(window) => borders.push(window.end),
+            Output::Skeleton(skeleton) => body = Some(skeleton),
+            _ => {}
+        });
+        // The tracker's body has the keypoint offsets that were estimated.
+        let skeleton = tracker.skeleton().cloned().or(body)?;
         Some(Solved { skeleton, poses, borders })
     }
 }

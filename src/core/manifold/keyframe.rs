@@ -1,0 +1,105 @@
+//! Keyframes: the value, the value at a time, and the value that a tracker publishes.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{Decoder, Interpolation, Latent};
+use crate::core::body::{Pose, Shape, StampedPose, TrackingState};
+use crate::core::so3;
+use crate::core::time::{Grid, Timestamp};
+
+/// A latent code and the position of the pelvis: what a window is solved for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Keyframe {
+    /// Latent code.
+    pub z: Latent,
+    /// `world_from_pelvis`.
+    pub root_rotation: Matrix3<f64>,
+    /// The pelvis in the world, metres.
+    pub root_position: Vector3<f64>,
+}
+
+impl Keyframe {
+    /// The nearest keyframe that a message holds bit for bit, so that every receiver decodes the same
+    /// poses; see [`so3::quantised`].
+    pub fn quantised(self) -> Self {
+        Self { root_rotation: so3::quantised(&self.root_rotation), ..self }
+    }
+}
+
+/// A keyframe and its capture time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TimedKeyframe {
+    /// The capture time.
+    pub capture: Timestamp,
+    /// The value.
+    pub keyframe: Keyframe,
+}
+
+impl TimedKeyframe {
+    /// `keyframe` at `capture`.
+    pub fn new(capture: Timestamp, keyframe: Keyframe) -> Self {
+        Self { capture, keyframe }
+    }
+}
+
+/// A final keyframe, with all that a receiver needs to decode poses from it and the one before.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StampedKeyframe {
+    /// Its capture time.
+    pub capture: Timestamp,
+    /// The capture time of the keyframe before it; equal to `capture` where a path begins.
+    pub start: Timestamp,
+    /// Number of the window that it comes from, from 0.
+    pub window: u64,
+    /// Its value.
+    pub keyframe: Keyframe,
+    /// The body shape that it was solved with.
+    pub shape: Shape,
+    /// How the latent code is interpolated from the keyframe before.
+    pub interpolation: Interpolation,
+    /// The times of poses.
+    pub grid: Grid,
+    /// How far the poses since `start` can be trusted.
+    pub state: TrackingState,
+    /// Version of the rig that it was solved with.
+    pub rig_version: u64,
+}
+
+impl StampedKeyframe {
+    /// Whether a path begins here, so that no keyframe before it is needed.
+    pub fn begins(&self) -> bool {
+        self.start == self.capture
+    }
+
+    /// The poses on the grid after the keyframe `before`, up to this one:
+    /// pose(t) = decoder(path((t - start) / (capture - start))). Where a path begins, the one pose at
+    /// `capture`; `before` is not used.
+    ///
+    /// `decoder` must have the weights that the keyframes were solved with. `None` if `before` is not
+    /// the keyframe at `start`.
+    pub fn poses(&self, before: Option<&Self>, decoder: &Decoder) -> Option<Vec<StampedPose>> {
+        if self.begins() {
+            return Some(vec![self.stamped(self.capture, decoder.pose(&self.keyframe))]);
+        }
+        let from = &before.filter(|before| before.capture == self.start)?.keyframe;
+        let span = (self.capture - self.start).max(1) as f64;
+        let at = |capture: Timestamp| {
+            let s = (capture - self.start) as f64 / span;
+            let keyframe = self.interpolation.keyframe(from, &self.keyframe, s);
+            self.stamped(capture, decoder.pose(&keyframe))
+        };
+        Some(self.grid.between(self.start, self.capture).map(at).collect())
+    }
+
+    fn stamped(&self, capture: Timestamp, pose: Pose) -> StampedPose {
+        StampedPose {
+            capture,
+            pose,
+            state: self.state,
+            window: self.window,
+            rig_version: self.rig_version,
+            provisional: false,
+            revision: 0,
+        }
+    }
+}

@@ -1,0 +1,196 @@
+//! How the tracker applies the solution of a job.
+
+use std::sync::Arc;
+
+use super::event::EventKind;
+use super::job::{Outcome, ProvisionalFit, Solution, Tracked, Verdict};
+use super::noise::Noise;
+use super::port::{Output, WindowReport};
+use super::tracker::{PendingJob, Phase, Tracker};
+use super::window::Window;
+use crate::core::body::{Pose, Skeleton, TrackingState};
+use crate::core::manifold::{self, StampedKeyframe, TimedKeyframe};
+use crate::core::time::Timestamp;
+
+impl Tracker {
+    /// Applies the solution of the pending job; any other is ignored.
+    pub(super) fn apply(&mut self, solution: Solution) {
+        let Some(PendingJob { window, .. }) =
+            self.pending.filter(|job| job.number == solution.number)
+        else {
+            return;
+        };
+        self.pending = None;
+        match solution.outcome {
+            Outcome::Acquired { first, skeleton, pose } => {
+                self.acquired(window, *first, skeleton, &pose);
+            }
+            Outcome::NobodyFound => self.nobody_found(window),
+            Outcome::Tracked(tracked) => self.tracked(window, *tracked),
+            Outcome::Provisional(fit) => self.fitted(window.end, *fit),
+        }
+    }
+
+    fn acquired(
+        &mut self,
+        window: Window,
+        first: TimedKeyframe,
+        skeleton: Arc<Skeleton>,
+        pose: &Pose,
+    ) {
+        let at = first.capture;
+        self.repeat_last_pose(window.start, at + -self.tolerance());
+        if self.skeleton.is_none() && !self.ended && at > window.start + self.span() {
+            // Too few frames are left for the shape: collect them anew from here.
+            self.close_until(at + -self.tolerance());
+            self.start_windows_at(Some(at));
+            return;
+        }
+        self.close_until(at + self.tolerance());
+        if self.skeleton.is_none() {
+            self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
+            (self.estimator, self.noise) = (Arc::default(), Noise::default());
+        }
+        self.event(EventKind::Acquired, at, None, "performer found".to_owned());
+        self.skeleton = Some(skeleton);
+        self.start_windows_at(Some(at));
+        self.publish_keyframe(at, &first, TrackingState::Tracking);
+        self.publish_final(at, pose, TrackingState::Tracking);
+        self.playout.begin_path();
+        self.phase = Phase::Tracking { past: vec![first], coasted: 0 };
+    }
+
+    /// Goes on searching one window later.
+    fn nobody_found(&mut self, window: Window) {
+        let span = self.span();
+        let end = window.end.min(window.start + span);
+        let end = self.intake.last().filter(|_| self.ended).map_or(end, |last| end.min(last));
+        self.repeat_last_pose(window.start, end);
+        self.event(EventKind::NobodyFound, end, None, "no person seen by two cameras".to_owned());
+        let saw_nothing = self.intake.first().is_none_or(|first| first > end + span);
+        self.close_until(end + self.tolerance());
+        // The grid of pose times goes on, but skips a gap in the stream.
+        match saw_nothing {
+            true => self.start_windows_at(self.intake.first()),
+            false => self.start = Some(end),
+        }
+        self.window += 1;
+    }
+
+    fn tracked(&mut self, window: Window, tracked: Tracked) {
+        self.close_until(window.publish + self.tolerance());
+        if let (Some(estimator), Some(skeleton)) = (tracked.estimator, &self.skeleton) {
+            self.skeleton =
+                Some(Arc::new(Skeleton::clone(skeleton).with_keypoint_offsets(estimator.offsets)));
+            self.estimator = estimator;
+        }
+        let state = tracked.verdict.state();
+        if state == TrackingState::Tracking {
+            self.noise = self.noise.with(&tracked.residuals);
+        }
+        self.publish_poses(window, &tracked.newest, &tracked.poses, state);
+        let (done, ahead): (Vec<_>, Vec<_>) =
+            tracked.keyframes.into_iter().partition(|at| at.capture <= window.publish);
+        let mut start = window.start;
+        for at in &done {
+            self.publish_keyframe(start, at, state);
+            start = at.capture;
+        }
+        self.report_verdict(window.publish, &tracked.verdict);
+        self.outputs.push_back(Output::Window(Box::new(WindowReport {
+            window: self.window,
+            start: window.start,
+            end: window.publish,
+            summary: tracked.summary,
+            latent_norm: done.last().map_or(0.0, |at| manifold::norm(&at.keyframe.z)),
+            residuals: tracked.residuals,
+            verdict: tracked.verdict,
+        })));
+        self.enter_phase(done, ahead, state);
+        self.start = Some(window.publish);
+        self.window += 1;
+    }
+
+    /// Publishes the newest pose as a provisional one, if there is none yet, and the final ones.
+    fn publish_poses(
+        &mut self,
+        window: Window,
+        newest: &Pose,
+        poses: &[Pose],
+        state: TrackingState,
+    ) {
+        let is_published = self.newest >= Some(window.end);
+        if state == TrackingState::Tracking && self.is_newest(window.end) && !is_published {
+            self.publish_provisional(window.end, newest, state);
+            self.newest = Some(window.end);
+        }
+        let Some(grid) = self.output_grid() else { return };
+        for (capture, pose) in grid.between(window.start, window.publish).zip(poses) {
+            self.publish_final(capture, pose, state);
+        }
+    }
+
+    /// Reports why a window is not tracked.
+    fn report_verdict(&mut self, at: Timestamp, verdict: &Verdict) {
+        let was_coasting = self.state() == Some(TrackingState::Coasting);
+        match verdict {
+            Verdict::Tracked => {}
+            Verdict::Coasted(why) => self.event(EventKind::Coasted, at, None, why.clone()),
+            Verdict::Lost(why) => {
+                let kind = if was_coasting { EventKind::Left } else { EventKind::Lost };
+                self.event(kind, at, None, why.clone());
+            }
+        }
+    }
+
+    /// The phase after a window in that state, with its final keyframes and those ahead.
+    fn enter_phase(
+        &mut self,
+        done: Vec<TimedKeyframe>,
+        ahead: Vec<TimedKeyframe>,
+        state: TrackingState,
+    ) {
+        let previous = std::mem::replace(&mut self.phase, Phase::Searching);
+        let Phase::Tracking { mut past, coasted } = previous else { return };
+        past.extend(done);
+        past.drain(..past.len().saturating_sub(2));
+        self.ahead = ahead;
+        match state {
+            TrackingState::Tracking => {
+                self.is_proven = true;
+                self.phase = Phase::Tracking { past, coasted: 0 };
+            }
+            TrackingState::Coasting => {
+                self.phase = Phase::Tracking { past, coasted: coasted + 1 };
+            }
+            TrackingState::Lost => self.ahead.clear(),
+        }
+        if !self.is_proven {
+            // The body was found together with a pose that was wrong at once.
+            (self.skeleton, self.phase) = (None, Phase::Searching);
+        }
+    }
+
+    /// A provisional fit of the open window.
+    fn fitted(&mut self, at: Timestamp, fit: ProvisionalFit) {
+        let state = if fit.hidden { TrackingState::Coasting } else { TrackingState::Tracking };
+        self.publish_provisional(at, &fit.pose, state);
+        self.newest = Some(at);
+        self.ahead = fit.keyframes;
+    }
+
+    fn publish_keyframe(&mut self, start: Timestamp, at: &TimedKeyframe, state: TrackingState) {
+        let (Some(grid), Some(skeleton)) = (self.output_grid(), &self.skeleton) else { return };
+        self.outputs.push_back(Output::Keyframe(Box::new(StampedKeyframe {
+            capture: at.capture,
+            start,
+            window: self.window,
+            keyframe: at.keyframe.clone(),
+            shape: *skeleton.shape(),
+            interpolation: self.config.cost.interpolation,
+            grid,
+            state,
+            rig_version: self.rig.version,
+        })));
+    }
+}

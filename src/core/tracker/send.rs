@@ -1,0 +1,92 @@
+//! Jobs of windows and of provisional fits.
+
+use std::sync::Arc;
+
+use super::event::EventKind;
+use super::job::{Job, Task};
+use super::port::Output;
+use super::tracker::{PendingJob, Phase, Tracker};
+use super::window::Window;
+use crate::core::time::Timestamp;
+
+impl Tracker {
+    /// Sends the job of a complete window: an acquisition, or its solve.
+    pub(super) fn send_window(&mut self, window: Window) {
+        if let Some(rig) = self.next_rig.take() {
+            let detail = format!("calibration {} from here on", rig.version);
+            self.rig = rig;
+            self.event(EventKind::Calibrated, window.start, None, detail);
+        }
+        let task = match &self.phase {
+            Phase::Searching => Task::Acquire { skeleton: self.skeleton.clone() },
+            Phase::Tracking { past, coasted } => {
+                let Some(skeleton) = self.skeleton.clone() else { return };
+                self.intake.refuse(window.publish + self.tolerance());
+                let (past, coasted) = (past.clone(), *coasted);
+                let (ahead, estimator) = (self.ahead.clone(), Arc::clone(&self.estimator));
+                Task::Track { past, ahead, skeleton, estimator, coasted }
+            }
+        };
+        self.send(window, task);
+    }
+
+    /// Sends a fit of the window up to the last frame set that is complete at `complete_until`, if
+    /// that is a new one; whether it did.
+    pub(super) fn send_provisional(&mut self, window: Window, complete_until: Timestamp) -> bool {
+        let Phase::Tracking { past, coasted: 0 } = &self.phase else { return false };
+        let (Some(skeleton), Some(grid)) = (self.skeleton.clone(), self.frames) else {
+            return false;
+        };
+        if self.effort.provisional_iterations == 0
+            || !self.live.is_some_and(|live| live.provisional)
+        {
+            return false;
+        }
+        let k = grid.at_or_before(complete_until + self.tolerance());
+        let end = grid.time(k).min(window.end);
+        let last = self.newest.unwrap_or(window.start).max(window.start);
+        let from_start = k - grid.nearest(window.start);
+        if end <= last || from_start % self.effort.stride.max(1) as i64 != 0 {
+            return false;
+        }
+        let task = Task::Provisional { past: past.clone(), ahead: self.ahead.clone(), skeleton };
+        self.send(Window { end, publish: end, ..window }, task)
+    }
+
+    /// Sends a job, unless no frame has come yet; whether it did.
+    fn send(&mut self, window: Window, task: Task) -> bool {
+        let Some(format) = self.intake.format() else { return false };
+        let number = self.jobs;
+        self.jobs += 1;
+        self.pending = Some(PendingJob { number, window });
+        let output_grid = self.output_grid();
+        self.outputs.push_back(Output::Solve(Box::new(Job {
+            number,
+            window: self.window,
+            start: window.start,
+            end: window.end,
+            publish: window.publish,
+            keyframe_times: self.keyframe_times(window),
+            pose_times: output_grid
+                .map_or_else(Vec::new, |grid| grid.between(window.start, window.publish).collect()),
+            frames: self.intake.up_to(window.end + self.tolerance()),
+            format,
+            rig: Arc::clone(&self.rig),
+            frame_period: 2 * ((self.period.unwrap_or(0.0) / 2.0) as i64),
+            effort: self.effort,
+            noise: self.noise,
+            task,
+        })));
+        true
+    }
+
+    /// The times of the window's keyframes.
+    fn keyframe_times(&self, window: Window) -> Vec<Timestamp> {
+        let Some(grid) = self.frames else { return vec![window.end] };
+        let first = grid.nearest(window.start) + self.config.keyframe() as i64;
+        let on_grid = (first..).step_by(self.config.keyframe()).map(|k| grid.time(k));
+        let mut times: Vec<Timestamp> = on_grid.take_while(|time| *time < window.end).collect();
+        times.push(window.end);
+        times
+    }
+}

@@ -1,0 +1,52 @@
+//! What is known of a window before it is solved.
+
+use crate::core::body::Skeleton;
+use crate::core::cost::PathKeyframe;
+use crate::core::manifold::{Interpolation, Keyframe, TimedKeyframe};
+use crate::core::time::Timestamp;
+use crate::core::tracker::job::Job;
+
+/// The keyframes and the body that are known before a window is solved.
+#[derive(Clone, Copy)]
+pub(super) struct Known<'a> {
+    /// The last final keyframes; the very last is at the window's start.
+    pub(super) past: &'a [TimedKeyframe],
+    /// Keyframes of the window from earlier solves.
+    pub(super) ahead: &'a [TimedKeyframe],
+    pub(super) skeleton: &'a Skeleton,
+}
+
+impl Known<'_> {
+    /// The time of the last keyframe.
+    pub(super) fn end(&self, job: &Job) -> Timestamp {
+        let last = self.ahead.last().or(self.past.last());
+        last.map_or(job.start, |last| last.capture)
+    }
+
+    /// The final keyframes, as fixed ones of a path.
+    pub(super) fn fixed(&self) -> impl Iterator<Item = PathKeyframe> {
+        self.past.iter().cloned().map(PathKeyframe::fixed)
+    }
+
+    /// The last two keyframes, if there are two.
+    pub(super) fn last_two(&self) -> Option<[&TimedKeyframe; 2]> {
+        let mut latest = self.past.iter().chain(self.ahead).rev();
+        let (last, before) = (latest.next()?, latest.next()?);
+        Some([before, last])
+    }
+
+    /// The keyframe at that time: interpolated; after the last one, the last one.
+    pub(super) fn at(&self, time: Timestamp, interpolation: Interpolation) -> Option<Keyframe> {
+        let mut earlier = self.past.last()?;
+        for later in self.ahead {
+            if time <= later.capture {
+                let span = (later.capture - earlier.capture).max(1) as f64;
+                let s = (time - earlier.capture) as f64 / span;
+                let s = s.max(0.0);
+                return Some(interpolation.keyframe(&earlier.keyframe, &later.keyframe, s));
+            }
+            earlier = later;
+        }
+        Some(earlier.keyframe.clone())
+    }
+}

@@ -1,0 +1,203 @@
+//! Solving a window, and a provisional fit of the open one.
+
+use std::sync::Arc;
+
+use super::Solver;
+use super::keyframes::{Steps, between};
+use super::known::Known;
+use crate::core::body::{BodyPoint, OFFSETS, Pose, Skeleton};
+use crate::core::cost::{self, FrameObservations, PathKeyframe, PathProblem, Scene};
+use crate::core::manifold::TimedKeyframe;
+use crate::core::optimise::Summary;
+use crate::core::time::Timestamp;
+use crate::core::tracker::job::{Job, Outcome, ProvisionalFit, Residual, Tracked, Verdict};
+use crate::core::tracker::offset_estimator::OffsetEstimator;
+use crate::core::tracker::verdict::{hidden, residuals, verdict};
+
+/// Time constant with which an extrapolated motion comes to rest, seconds.
+const DECAY: f64 = 0.1;
+/// Known keyframes of the open window that a provisional fit solves again, besides the new ones.
+const PROVISIONAL_KEYFRAMES: usize = 2;
+/// Share of the window before in a window's first keyframe.
+const BLEND: f64 = 0.5;
+/// Factor of the prior on codes where keypoint offsets are estimated.
+const OFFSET_PRIOR_FACTOR: f64 = 0.1;
+
+impl Solver {
+    /// Solves the keyframes of a window, and judges it.
+    pub(super) fn track(
+        &mut self,
+        job: &Job,
+        points: &[BodyPoint],
+        known: Known,
+        (skeleton, estimator): (&Arc<Skeleton>, &OffsetEstimator),
+        coasted: usize,
+    ) -> Outcome {
+        let Some(from) = known.past.last() else { return Outcome::NobodyFound };
+        let observations =
+            self.follow(job.used_frames(), points, &job.rig, &from.keyframe, skeleton);
+        if let Some(hidden) = hidden(&self.config.gate, job, &observations) {
+            // After a window without the performer, somebody may be seen elsewhere.
+            let found = (coasted > 0).then(|| self.acquire(job, points, Some(skeleton)));
+            let found = found.filter(|found| matches!(found, Outcome::Acquired { .. }));
+            return found.unwrap_or_else(|| self.coast(job, known, coasted, hidden));
+        }
+        let (times, steps) = (&job.keyframe_times, Steps::of(job.effort.iterations));
+        let (keyframes, summary) = self.keyframes(job, points, known, times, &observations, steps);
+        let keyframes = self.blend(job, known, keyframes);
+        let solved = Known { ahead: &keyframes, ..known };
+        let (residuals, poses) = self.judge(job, points, solved, &observations);
+        let verdict = verdict(&self.config.gate, &keyframes, &residuals);
+        let is_estimating = matches!(verdict, Verdict::Tracked)
+            && self.config.offset_windows > 0
+            && !estimator.is_complete()
+            && job.window.is_multiple_of(self.config.offset_windows as u64);
+        let estimator = is_estimating
+            .then(|| self.estimate_offsets(job, points, solved, &observations, estimator))
+            .flatten();
+        let tracked = tracked(solved, poses, Some(summary), residuals, verdict);
+        Outcome::Tracked(Box::new(Tracked { estimator: estimator.map(Arc::new), ..tracked }))
+    }
+
+    /// The residuals of the final part of a solved window, and the poses at [`wanted_times`].
+    fn judge(
+        &self,
+        job: &Job,
+        points: &[BodyPoint],
+        solved: Known,
+        observations: &[FrameObservations],
+    ) -> (Vec<Residual>, Vec<Pose>) {
+        let last = job.publish + job.half_period();
+        let seen: Vec<&FrameObservations> =
+            observations.iter().filter(|frame| frame.capture <= last).collect();
+        let times = seen.iter().map(|frame| frame.capture);
+        let mut poses = self.poses_at(solved, times.chain(wanted_times(job)));
+        let wanted = poses.split_off(seen.len());
+        (residuals(seen.into_iter().zip(poses), points, &job.rig, solved.skeleton), wanted)
+    }
+
+    /// The estimate of the keypoint offsets with a solved window added.
+    fn estimate_offsets(
+        &mut self,
+        job: &Job,
+        points: &[BodyPoint],
+        solved: Known,
+        observations: &[FrameObservations],
+        estimator: &OffsetEstimator,
+    ) -> Option<OffsetEstimator> {
+        // The prior pulls poses away from the detections; that must not end up in the offsets.
+        let cost = self.cost(job);
+        let cost =
+            cost::Config { prior: OFFSET_PRIOR_FACTOR * cost.prior, offset_prior: 0.0, ..cost };
+        let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
+        let frames = self.config.keyframe() as f64;
+        let ahead = solved.ahead.iter().cloned().map(|at| PathKeyframe::free(at, frames));
+        let path = solved.fixed().chain(ahead).collect();
+        let (free, work) = (self.config.free_body(), &mut self.work);
+        let mut problem = PathProblem::new(scene, path, solved.skeleton, free, observations, work);
+        let marginal = problem.marginal(&problem.start(), OFFSETS)?;
+        let prior = self.config.cost.offset_prior;
+        estimator.with(&marginal, solved.skeleton.keypoint_offsets(), prior)
+    }
+
+    /// Blends the first final keyframes with those of the window before, each less than the one
+    /// before it, so that the path has no kink where two windows meet.
+    fn blend(
+        &self,
+        job: &Job,
+        known: Known,
+        mut keyframes: Vec<TimedKeyframe>,
+    ) -> Vec<TimedKeyframe> {
+        let count = keyframes.iter().filter(|at| at.capture <= job.publish).count();
+        let interpolation = self.config.cost.interpolation;
+        for (k, TimedKeyframe { capture, keyframe }) in keyframes[..count].iter_mut().enumerate() {
+            let Some(before) =
+                known.at(*capture, interpolation).filter(|_| *capture <= known.end(job))
+            else {
+                break;
+            };
+            let share = BLEND * (count - k - 1) as f64 / count as f64;
+            *keyframe = interpolation.keyframe(keyframe, &before, share).quantised();
+        }
+        keyframes
+    }
+
+    /// A window in which too little is seen: the motion is extrapolated and comes to rest.
+    fn coast(&self, job: &Job, known: Known, coasted: usize, hidden: String) -> Outcome {
+        let verdict = match coasted < self.config.coast_windows {
+            true => Verdict::Coasted(hidden),
+            false => Verdict::Lost(format!("{hidden}, for {} windows", coasted + 1)),
+        };
+        let interpolation = self.config.cost.interpolation;
+        let extrapolated = |&capture: &Timestamp| {
+            let keyframe = match known.past {
+                [.., before, last] => {
+                    let ahead = capture.seconds_since(last.capture);
+                    let step = last.capture.seconds_since(before.capture);
+                    let s = DECAY * (1.0 - (-ahead / DECAY).exp()) / step;
+                    interpolation.keyframe(&before.keyframe, &last.keyframe, 1.0 + s)
+                }
+                _ => known.at(capture, interpolation)?,
+            };
+            Some(TimedKeyframe::new(capture, keyframe.quantised()))
+        };
+        let times = job.keyframe_times.iter().filter(|&&capture| capture <= job.publish);
+        let keyframes: Vec<TimedKeyframe> = times.filter_map(extrapolated).collect();
+        let known = Known { ahead: &keyframes, ..known };
+        let poses = self.poses_at(known, wanted_times(job));
+        Outcome::Tracked(Box::new(tracked(known, poses, None, Vec::new(), verdict)))
+    }
+
+    /// Fits the open window up to its newest frame set. Only the last known keyframes and the new ones
+    /// are free; the window's own solve frees the others.
+    pub(super) fn provisional(&mut self, job: &Job, points: &[BodyPoint], known: Known) -> Outcome {
+        let Some(from) = known.past.last() else { return Outcome::NobodyFound };
+        let observations =
+            self.follow(job.used_frames(), points, &job.rig, &from.keyframe, known.skeleton);
+        let hidden = hidden(&self.config.gate, job, &observations).is_some();
+        let keyframes = match hidden {
+            true => known.ahead.to_vec(),
+            false => self.fit_newest(job, points, known, &observations),
+        };
+        let solved = Known { ahead: &keyframes, ..known };
+        let pose = self.poses_at(solved, [job.end].into_iter()).pop().unwrap_or_else(Pose::rest);
+        Outcome::Provisional(Box::new(ProvisionalFit { keyframes, pose, hidden }))
+    }
+
+    fn fit_newest(
+        &mut self,
+        job: &Job,
+        points: &[BodyPoint],
+        known: Known,
+        observations: &[FrameObservations],
+    ) -> Vec<TimedKeyframe> {
+        let kept = known.ahead.len().saturating_sub(PROVISIONAL_KEYFRAMES);
+        let (kept, ahead) = known.ahead.split_at(kept);
+        let path = [known.past, kept].concat();
+        let past = &path[path.len().saturating_sub(2)..];
+        let start = past.last().map_or(job.start, |last| last.capture);
+        let recent = between(observations, [start, job.end].map(|at| at + job.half_period()));
+        let window = Known { past, ahead, ..known };
+        let steps = Steps::of(job.effort.provisional_iterations);
+        let (solved, _) = self.keyframes(job, points, window, &job.keyframe_times, recent, steps);
+        kept.iter().cloned().chain(solved).collect()
+    }
+}
+
+/// The times of a window's poses: the final ones, then the newest.
+fn wanted_times(job: &Job) -> impl Iterator<Item = Timestamp> {
+    job.pose_times.iter().copied().chain([job.end])
+}
+
+/// A window with its poses at [`wanted_times`].
+fn tracked(
+    solved: Known,
+    mut poses: Vec<Pose>,
+    summary: Option<Summary>,
+    residuals: Vec<Residual>,
+    verdict: Verdict,
+) -> Tracked {
+    let keyframes = solved.ahead.to_vec();
+    let newest = poses.pop().unwrap_or_else(Pose::rest);
+    Tracked { newest, poses, keyframes, summary, residuals, verdict, estimator: None }
+}

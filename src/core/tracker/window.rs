@@ -1,0 +1,203 @@
+//! When windows open and close.
+
+use super::event::{Event, EventKind};
+use super::port::Output;
+use super::tracker::{Phase, Tracker};
+use crate::core::time::{Grid, Timestamp};
+
+/// Frame period of a recording that is too short to show it, ns: 60 frames per second.
+pub(super) const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
+/// A live tracker whose open window ended longer ago than this, ns, drops it and goes on with newer
+/// frames.
+const MAX_BACKLOG: i64 = 1_000_000_000;
+
+/// A window that is open.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Window {
+    pub(super) start: Timestamp,
+    pub(super) end: Timestamp,
+    /// The solution is final up to here.
+    pub(super) publish: Timestamp,
+}
+
+impl Tracker {
+    /// Sends the job of the open window once the window is complete, or that of a provisional fit.
+    pub(super) fn advance(&mut self) {
+        if self.pending.is_some() || self.abandoned.is_some() {
+            return;
+        }
+        self.skip_backlog();
+        let Some(window) = self.open_window() else { return };
+        if !self.is_closing && !self.try_close_window(window.end) {
+            if let Some(end) = self.complete_until() {
+                self.send_provisional(window, end);
+            }
+            return;
+        }
+        self.start = Some(window.start);
+        // The newest pose first: the window's own solve takes longer.
+        self.is_closing = self.is_newest(window.end) && self.send_provisional(window, window.end);
+        if !self.is_closing {
+            self.send_window(window);
+        }
+    }
+
+    /// Whether the cameras are less than half a window further than `end`.
+    pub(super) fn is_newest(&self, end: Timestamp) -> bool {
+        self.intake.front().is_none_or(|at| at - end < self.span() / 2)
+    }
+
+    /// Live: drops frames that have waited for so long that nobody needs their poses, and searches
+    /// anew after them.
+    fn skip_backlog(&mut self) {
+        let (Some(now), Some(start)) = (self.now.filter(|_| self.live.is_some()), self.start)
+        else {
+            return;
+        };
+        let end = start + self.open_frames() as i64 * self.frame_period() as i64;
+        if self.ended || now - end <= MAX_BACKLOG + self.grace() {
+            return;
+        }
+        let until = now + -(self.delay_ns + self.span());
+        let waiting = self.intake.up_to(until).len() as u64;
+        self.close_until(until);
+        self.phase = Phase::Searching;
+        self.is_closing = false;
+        self.start_windows_at(self.intake.first());
+        let behind = (now - end) as f64 * 1e-9;
+        let detail = format!("{behind:.1} s behind, searching anew");
+        self.counted_event(EventKind::Dropped, until, None, waiting.max(1), detail);
+    }
+
+    /// Nominal frames of the open window: those of several windows while the shape is not known.
+    pub(super) fn open_frames(&self) -> usize {
+        let is_first = matches!(self.phase, Phase::Searching) && self.skeleton.is_none();
+        let windows = if is_first { self.config.shape_windows.max(1) } else { 1 };
+        self.config.window() * windows
+    }
+
+    /// Until the performer is known, the frame rate is that of the fastest camera so far: live cameras
+    /// start one by one, perhaps the slowest first.
+    fn watch_rate(&mut self) {
+        let is_open = self.live.is_some() && self.skeleton.is_none();
+        if !is_open || self.config.frame_rate_hz > 0.0 || self.period.is_none() {
+            return;
+        }
+        let faster = self.intake.frame_period().filter(|period| Some(*period) < self.period);
+        if faster.is_some() {
+            (self.period, self.frames) = (faster, None);
+        }
+    }
+
+    /// The window that is open, on the frame grid; `None` while no frame or no frame rate is known.
+    fn open_window(&mut self) -> Option<Window> {
+        let start = self.start.or_else(|| self.intake.first())?;
+        self.watch_rate();
+        let period = self.period.or_else(|| self.intake.frame_period());
+        let period = period.or_else(|| self.ended.then_some(FALLBACK_PERIOD))?;
+        self.period = Some(period);
+        if self.start.is_none() || self.frames.is_none() {
+            self.frames = Some(Grid { origin: start, period_ns: period });
+        }
+        let grid = self.frames?;
+        let searching = matches!(self.phase, Phase::Searching);
+        let first = grid.nearest(start);
+        let full = grid.time(first + self.open_frames() as i64);
+        let end = match self.intake.last() {
+            None if self.ended || self.live.is_none() => return None,
+            Some(last) if self.ended && last <= start + self.tolerance() && !searching => {
+                return None;
+            }
+            // The last frame's nominal time, or its own if it is far from that.
+            Some(last) if self.ended && !searching => {
+                let nominal = grid.time(grid.nearest(last));
+                let is_near = (nominal - last).abs() <= self.tolerance();
+                full.min(if is_near { nominal } else { last })
+            }
+            _ => full,
+        };
+        let publish = match searching || end < full {
+            true => end,
+            false => grid.time(first + self.config.publish() as i64),
+        };
+        Some(Window { start, end, publish })
+    }
+
+    /// Frames up to this long after a window's end belong to it, ns: a quarter of the frame period.
+    pub(super) fn tolerance(&self) -> i64 {
+        self.period.map_or(0, |period| (period / 4.0) as i64)
+    }
+
+    /// How long after its end a window waits for cameras that are behind, ns: `deadline_frames` and the
+    /// usual delay, at most what the latency leaves.
+    pub(super) fn grace(&self) -> i64 {
+        let asked = (self.config.deadline_frames as f64 * self.frame_period()) as i64;
+        let asked = asked + self.delay_ns;
+        let Some(latency) = self.latency else { return asked };
+        // The window's first pose is one output period after its start.
+        let output = self.output_grid().map_or(0.0, |grid| grid.period_ns) as i64;
+        let left = latency.declared_ns - self.span() + output - latency.reserve_ns;
+        asked.min(left.max(0))
+    }
+
+    /// Closes the window at `end` if all cameras that are waited for have passed it, or its deadline
+    /// has; whether it did. Reports the cameras that it closes without.
+    fn try_close_window(&mut self, end: Timestamp) -> bool {
+        let border = end + -self.tolerance();
+        let behind: Vec<usize> = self.intake.behind(border).collect();
+        let waited_for = behind.iter().any(|&camera| self.waiting.is_waited_for(camera));
+        // Live by the clock alone: one camera's clock may be ahead.
+        let clock = if self.live.is_some() { self.now } else { self.intake.newest() };
+        let is_overdue = clock.max(self.now) >= Some(end + self.grace());
+        if !(self.ended || (!waited_for && self.waiting.any()) || is_overdue) {
+            return false;
+        }
+        if !self.ended {
+            self.close_without(&behind, end);
+        }
+        true
+    }
+
+    /// Reports the cameras that a window closes without, and stops waiting for those that stay away.
+    fn close_without(&mut self, behind: &[usize], end: Timestamp) {
+        for &camera in behind {
+            if self.waiting.is_waited_for(camera) {
+                let waited = self.grace() / 1_000_000;
+                let detail =
+                    format!("late: the window closed {waited} ms after its end without it");
+                self.event(EventKind::Deadline, end, Some(camera), detail);
+            }
+        }
+        for camera in self.waiting.closed_without(behind) {
+            let windows = self.config.grace_windows.max(1);
+            let detail = format!("no frames in {windows} windows, no longer waited for");
+            self.event(EventKind::Silent, end, Some(camera), detail);
+        }
+    }
+
+    /// The capture time up to which frame sets are complete: all cameras that are waited for have
+    /// reached it, or the cameras in front are a frame further.
+    fn complete_until(&self) -> Option<Timestamp> {
+        let cameras = (0..self.rig.cameras.len()).filter(|&c| self.waiting.is_waited_for(c));
+        let complete = cameras.map(|camera| self.intake.watermark(camera)).min().flatten();
+        let moved_on = self.intake.front().map(|at| at + -(self.frame_period() as i64));
+        complete.max(moved_on)
+    }
+
+    /// The next window begins there, or with the next frame that comes; the grid begins anew.
+    pub(super) fn start_windows_at(&mut self, start: Option<Timestamp>) {
+        self.start = start;
+        self.ahead.clear();
+        self.newest = None;
+        if let (Some(origin), Some(period_ns)) = (start, self.period) {
+            self.frames = Some(Grid { origin, period_ns });
+        }
+    }
+
+    /// Drops the frames up to `end` and refuses later ones of that time.
+    pub(super) fn close_until(&mut self, end: Timestamp) {
+        for event in self.intake.close(end) {
+            self.outputs.push_back(Output::Event(Event { window: Some(self.window), ..event }));
+        }
+    }
+}
