@@ -13,9 +13,8 @@ use super::robust::{GemanMcClure, StudentT};
 use super::scene::Scene;
 use super::unknowns::{FreeBody, KEYFRAME, PathKeyframe, Unknowns};
 use super::workspace::{Workspace, in_batches};
-use crate::core::body::{BodyPoint, SHAPE_COEFFICIENTS, Skeleton};
-use crate::core::camera::Rig;
-use crate::core::manifold::{Decoder, Keyframe, LATENT};
+use crate::core::body::{SHAPE_COEFFICIENTS, Skeleton};
+use crate::core::manifold::{Keyframe, LATENT};
 use crate::core::optimise::{Layout, NormalEquations, Problem};
 use crate::core::time::Timestamp;
 
