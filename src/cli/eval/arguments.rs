@@ -61,7 +61,7 @@ pub(in crate::cli) struct Arguments {
     /// Methods by name, or all; of a recording paper and default if not given.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(in crate::cli) methods: Vec<String>,
-    /// Of everything random [the protocol has 1].
+    /// Seed of everything random; replaces the seeds of the protocol, [1].
     #[arg(long)]
     pub(in crate::cli) seed: Option<u64>,
     /// Sequences solved at the same time; times are fair with 1 only.

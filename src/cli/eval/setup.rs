@@ -11,7 +11,7 @@ use crate::core::camera::Rig;
 use crate::core::detections::KeypointFormat;
 use crate::core::manifold::Decoder;
 use crate::research::experiments::{Case, Methods, Run, Subject, View, procedural, run, subjects};
-use crate::research::synth::{Noise, Protocol, RigError, SequenceChoice, rig_named};
+use crate::research::synth::{Noise, Protocol, RigError, rig_named};
 use crate::research::train::{self, Clip, read_folder};
 
 /// Where the Human3.6M cameras are looked for, under `BUNDLEMOCAP_DATA` or `../shared`.
@@ -28,7 +28,6 @@ pub(super) struct Setup {
     /// Motions take turns with them.
     rigs: Vec<Arc<Rig>>,
     format: KeypointFormat,
-    seed: u64,
     jobs: usize,
 }
 
@@ -49,19 +48,21 @@ impl Setup {
             }
             None => procedural(PROCEDURAL.div_ceil(arguments.every.max(1)), seconds),
         };
-        let seed = protocol.seeds.first().copied().unwrap_or(1);
+        if protocol.seeds.is_empty() {
+            let message = "the protocol names no seed; give one with --seed";
+            return Err(Failure::new(Exit::Usage, message));
+        }
         Ok(Self {
             decoder: decoder(arguments.weights.as_deref())?,
-            subjects: usable(subjects, &protocol.sequence, seed),
+            subjects: usable(subjects, &protocol),
             rigs: protocol.rigs.iter().map(of_name).collect::<Result<_, _>>()?,
             format,
-            seed,
             jobs: arguments.jobs,
             protocol,
         })
     }
 
-    /// The view of a level of noise with the first rig.
+    /// The view of a level of noise with the first rig and the first seed.
     pub(super) fn view(&self, level: &str) -> Result<View, Failure> {
         let noise = match (self.protocol.levels.get(level), level) {
             (Some(noise), _) => noise.clone(),
@@ -83,22 +84,28 @@ impl Setup {
             format: self.format,
             noise,
             choice: self.protocol.sequence.clone(),
-            seed: self.seed,
+            seed: self.protocol.seeds[0],
         })
     }
 
-    /// The cases of a view, the rigs in turn.
+    /// The cases of a view: all motions for each seed, with the rigs in turn.
     pub(super) fn cases(&self, view: &View) -> Vec<Case> {
-        let pairs = self.subjects.iter().zip(self.rigs.iter().cycle());
-        let of_pair = |(subject, rig): (&Subject, &Arc<Rig>)| {
-            Case::new(subject, &View { rig: Arc::clone(rig), ..view.clone() })
-        };
-        pairs.filter_map(of_pair).collect()
+        self.passes(view, &self.rigs)
     }
 
-    /// The cases of a view, its own rig in all.
+    /// The cases of a view: all motions for each seed, with the view's own rig.
     pub(super) fn cases_of_rig(&self, view: &View) -> Vec<Case> {
-        self.subjects.iter().filter_map(|subject| Case::new(subject, view)).collect()
+        self.passes(view, std::slice::from_ref(&view.rig))
+    }
+
+    fn passes(&self, view: &View, rigs: &[Arc<Rig>]) -> Vec<Case> {
+        let pass = |&seed: &u64| {
+            let pairs = self.subjects.iter().zip(rigs.iter().cycle());
+            pairs.filter_map(move |(subject, rig)| {
+                Case::new(subject, &View { rig: Arc::clone(rig), seed, ..view.clone() })
+            })
+        };
+        self.protocol.seeds.iter().flat_map(pass).collect()
     }
 
     /// Solves cases by methods, with a bar.
@@ -126,14 +133,15 @@ impl Setup {
 
     /// One line for reports.
     pub(super) fn subtitle(&self) -> String {
-        let Protocol { sequence, rigs, .. } = &self.protocol;
+        let Protocol { sequence, rigs, seeds, .. } = &self.protocol;
+        let seeds: Vec<String> = seeds.iter().map(u64::to_string).collect();
         format!(
             "{} motions, up to {} s at {} fps, cameras {}, seed {}",
             self.subjects.len(),
             sequence.seconds,
             sequence.fps,
             rigs.join(" and "),
-            self.seed
+            seeds.join(", ")
         )
     }
 }
@@ -198,10 +206,12 @@ pub(super) fn rig(name: &str, h36m: Option<&Path>) -> Result<Rig, Failure> {
     })
 }
 
-/// Subjects of whose motion a stretch can be used; the others are named on standard error.
-fn usable(subjects: Vec<Subject>, choice: &SequenceChoice, seed: u64) -> Vec<Subject> {
-    let (usable, others): (Vec<_>, Vec<_>) =
-        subjects.into_iter().partition(|subject| subject.stretch(choice, seed).is_some());
+/// Subjects whose motion has a usable section for a seed; the others are named on standard error.
+fn usable(subjects: Vec<Subject>, protocol: &Protocol) -> Vec<Subject> {
+    let Protocol { sequence: choice, seeds, .. } = protocol;
+    let is_usable =
+        |subject: &Subject| seeds.iter().any(|&seed| subject.stretch(choice, seed).is_some());
+    let (usable, others): (Vec<_>, Vec<_>) = subjects.into_iter().partition(is_usable);
     if !others.is_empty() {
         let names: Vec<&str> = others.iter().map(|subject| subject.name.as_str()).collect();
         eprintln!(
