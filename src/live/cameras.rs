@@ -4,7 +4,7 @@ use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
 use crate::io::wire::CameraCounters;
 
-/// So many conflicts in a second between frame numbers and capture times mean two publishers.
+/// This many conflicts in a second between frame numbers and capture times mean two publishers.
 const CONFLICTS: u32 = 3;
 const SECOND: f64 = 1e9;
 /// Weight of the last second in the smoothed rate.
@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn two_publishers_are_told_from_disorder() {
+    fn two_publishers_are_distinguished_from_disorder() {
         let at = |ms: i64| Timestamp::from_ns(ms * 1_000_000);
         let mut camera = Camera::new("left");
         let mut said = 0;

@@ -3,7 +3,7 @@
 //! The node sees arrivals only. Arrival minus capture time is the offset of the camera's clock plus
 //! the time for exposure, detection and transport. The minimum over a second has the least
 //! disturbance; a line through the minima of the last 30 s gives offset and drift. A slow detector
-//! and a clock offset look the same and cannot be told apart here.
+//! and a clock offset look the same and cannot be distinguished here.
 //!
 //! If arrival minus capture time is small, the cameras share the node's clock (PTP, NTP) and
 //! poses are due on it. Otherwise the smallest offset of all cameras is used as the difference

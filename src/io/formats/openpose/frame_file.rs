@@ -97,7 +97,7 @@ fn without_non_finite(bytes: &[u8]) -> Vec<u8> {
     out
 }
 
-/// A point. OpenPose marks unseen points by 0, 0 or by a confidence that is not positive.
+/// A point. OpenPose writes unseen points as 0, 0 or with a confidence that is not positive.
 fn detection(point: &[Option<f64>], report: &mut CameraReport) -> Option<Detection> {
     let [Some(x), Some(y), Some(confidence)] = *point else {
         report.non_finite_points += 1;
