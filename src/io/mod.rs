@@ -1,4 +1,4 @@
-//! Bytes in and out: messages, recordings, the bus, files of other programs, the report.
+//! Input and output: messages, recordings, the bus, files of other programs, the report.
 
 pub mod bus;
 pub mod formats;

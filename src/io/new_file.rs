@@ -1,5 +1,5 @@
-//! Files that appear whole or not at all: written under a temporary name beside their place, then
-//! renamed. Everything that the program writes at once goes through here.
+//! Files that appear whole or not at all: they are written under a temporary name in the same
+//! folder, then renamed. All files that the program writes in one go use this module.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
 
-/// A file that is being written. Dropped before [`NewFile::finish`], it leaves nothing.
+/// A file that is being written. It leaves nothing if dropped before [`NewFile::finish`].
 #[derive(Debug)]
 pub(crate) struct NewFile {
     path: PathBuf,
@@ -15,12 +15,12 @@ pub(crate) struct NewFile {
 }
 
 impl NewFile {
-    /// Begins a file that will be at `path`.
+    /// Begins a file for `path`.
     pub(crate) fn create(path: &Path) -> io::Result<Self> {
         Ok(Self { path: path.into(), file: BufWriter::new(temporary(path)?) })
     }
 
-    /// Where the file will be.
+    /// The final path of the file.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
@@ -30,7 +30,7 @@ impl NewFile {
         &mut self.file
     }
 
-    /// Puts the file in its place.
+    /// Moves the file to its path.
     pub(crate) fn finish(self) -> io::Result<File> {
         let file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
         file.persist(&self.path).map_err(|error| error.error)
@@ -44,7 +44,7 @@ pub(crate) fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     file.finish().map(drop)
 }
 
-/// A temporary file in the folder of `path`, with the permissions of an ordinary new file.
+/// A temporary file in the folder of `path`, with the permissions of a normal new file.
 pub(crate) fn temporary(path: &Path) -> io::Result<NamedTempFile> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let mut builder = tempfile::Builder::new();

@@ -1,4 +1,4 @@
-//! Solutions of the solver go to the tracker, outputs of the tracker become publications.
+//! //! Passes solutions to the tracker and turns its outputs into publications.
 
 use std::collections::BTreeMap;
 
@@ -27,7 +27,7 @@ impl Core {
         self.give(tracker::Input::Solved(solution));
     }
 
-    /// Declares the latency, and judges the effort, after a window was solved.
+    /// Declares the latency and adjusts the effort after a solved window.
     fn settle(&mut self) {
         let Some(track) = &mut self.track else { return };
         let period = track.output_grid().map_or(0, |grid| grid.period_ns as i64);
@@ -49,7 +49,7 @@ impl Core {
         self.event(EventKind::Effort, None, detail);
     }
 
-    /// Turns the outputs of the tracker into outputs of the core.
+    /// Turns outputs of the tracker into outputs of the core.
     pub(super) fn drain(&mut self) {
         while let Some(output) = self.track.as_mut().and_then(Tracker::poll) {
             match output {

@@ -15,32 +15,32 @@ pub(super) struct Board {
 }
 
 impl Board {
-    /// The last status, if there was one.
+    /// The last status, if there is one.
     pub(super) fn status(&self) -> Option<Status> {
         self.status.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// A new status.
+    /// Stores a new status.
     pub(super) fn set_status(&self, status: Status) {
         *self.status.lock().unwrap_or_else(PoisonError::into_inner) = Some(status);
     }
 
-    /// The rig in use, if there is one.
+    /// The current rig, if there is one.
     pub(super) fn rig(&self) -> Option<Sample> {
         self.rig.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// A new rig.
+    /// Stores a new rig.
     pub(super) fn set_rig(&self, rig: Sample) {
         *self.rig.lock().unwrap_or_else(PoisonError::into_inner) = Some(rig);
     }
 
-    /// Counts messages that could not be published.
+    /// The counter of messages that could not be published.
     pub(super) fn failures(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.failures)
     }
 
-    /// How many messages could not be published.
+    /// Number of messages that could not be published.
     pub(super) fn publish_failures(&self) -> u64 {
         self.failures.load(Ordering::Relaxed)
     }

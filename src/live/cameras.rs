@@ -1,27 +1,27 @@
-//! What each camera has sent: counters, rates, and signs of a second publisher.
+//! Per camera: counters, frame rate, and signs of a second publisher.
 
 use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
 use crate::io::wire::CameraCounters;
 
-/// Counters that disagree with capture times so often in a second are two publishers.
+/// This many conflicts in a second between frame numbers and capture times mean two publishers.
 const CONFLICTS: u32 = 3;
 const SECOND: f64 = 1e9;
-/// Weight of the last second in the rate.
+/// Weight of the last second in the smoothed rate.
 const RATE_WEIGHT: f64 = 0.5;
 
-/// What one camera has sent.
+/// State and counters of one camera.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Camera {
     name: String,
     counters: CameraCounters,
-    /// Its last frame: number, capture time and arrival.
+    /// Number, capture time and arrival time of its last frame.
     last: Option<(u64, Timestamp, Timestamp)>,
-    /// Frames since the last full second, and how often their order was odd.
+    /// Frames in the current second, and how many of them had a conflict.
     recent: u64,
     odd: u32,
     rate: Option<f64>,
-    /// Whether its clock is said to be off.
+    /// Whether its clock has been reported as off.
     pub(super) is_off: bool,
 }
 
@@ -34,8 +34,8 @@ impl Camera {
         &self.name
     }
 
-    /// Takes a frame in. Some text if two publishers seem to use the camera's name: the frame
-    /// counter and the capture time of one run in the same direction.
+    /// Counts a frame. Returns a warning if two publishers seem to use the camera's name: frame
+    /// number and capture time of one publisher change in the same direction.
     pub(super) fn frame(
         &mut self,
         now: Timestamp,
@@ -67,12 +67,12 @@ impl Camera {
         *counter += count;
     }
 
-    /// The median distance of its points from the body in a window, pixels.
+    /// Sets the median distance of its detections from the body in a window, pixels.
     pub(super) fn residual(&mut self, pixels: f64) {
         self.counters.residual_px = pixels;
     }
 
-    /// A second has passed.
+    /// Updates the rate; called once a second.
     pub(super) fn second(&mut self, passed_ns: i64) {
         if self.last.is_none() {
             return;
@@ -83,7 +83,7 @@ impl Camera {
         (self.recent, self.odd) = (0, 0);
     }
 
-    /// The counters, with what others know of the camera.
+    /// The counters, completed with values from the tracker and the clock.
     pub(super) fn counters(
         &self,
         now: Timestamp,
@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn two_publishers_are_told_from_disorder() {
+    fn two_publishers_are_distinguished_from_disorder() {
         let at = |ms: i64| Timestamp::from_ns(ms * 1_000_000);
         let mut camera = Camera::new("left");
         let mut said = 0;

@@ -1,12 +1,12 @@
-//! The cameras' clock against the node's.
+//! Compares the cameras' clock with the node's.
 //!
-//! Only arrivals are seen: arrival minus capture time is the offset of a camera's clock plus the
-//! time for exposure, detection and transport. Its smallest value over a second is the least
-//! disturbed one; a line through those of the last half minute gives offset and drift. A detector
-//! that is always slow looks like a clock that is off; the two cannot be told apart here.
+//! The node sees arrivals only. Arrival minus capture time is the offset of the camera's clock plus
+//! the time for exposure, detection and transport. The minimum over a second has the least
+//! disturbance; a line through the minima of the last 30 s gives offset and drift. A slow detector
+//! and a clock offset look the same and cannot be distinguished here.
 //!
-//! Where arrival minus capture time is small, the cameras share the node's clock (PTP, NTP) and
-//! poses are due on it. Else the smallest of the cameras' offsets takes the place of the difference
+//! If arrival minus capture time is small, the cameras share the node's clock (PTP, NTP) and
+//! poses are due on it. Otherwise the smallest offset of all cameras is used as the difference
 //! between the clocks.
 
 use std::collections::VecDeque;
@@ -14,31 +14,31 @@ use std::collections::VecDeque;
 use crate::core::time::Timestamp;
 use crate::metrics::statistics::Line;
 
-/// Seconds of smallest offsets that are kept.
+/// Number of minima that are kept, one per second.
 const KEPT: usize = 30;
-/// A line needs this many of them.
+/// Number of minima that the line fit needs.
 const LINE: usize = 5;
-/// Delays within this (ns) are those of cameras that share the node's clock.
+/// Cameras with delays in this range (ns) share the node's clock.
 const SHARED: std::ops::Range<i64> = -500_000_000..2_000_000_000;
-/// A frame that arrives this much too early (ns) is of another time: its clock has jumped.
+/// A frame that arrives this much too early (ns) has a wrong time: the clock has jumped.
 const EARLY: i64 = -500_000_000;
-/// A frame that arrives this much too late (ns) is of another time.
+/// A frame that arrives this much too late (ns) has a wrong time.
 const LATE: i64 = 5_000_000_000;
-/// Jumps this close together (ns) are the same jump.
+/// Jumps that differ by less than this (ns) are the same jump.
 const SAME_JUMP: i64 = 100_000_000;
-/// A camera has jumped once so many frames in a row say so.
+/// Number of consecutive frames that confirm a jump.
 const SURE: u32 = 3;
 
 const SECOND: i64 = 1_000_000_000;
 
-/// What a frame's capture time is worth.
+/// Result of the check of a frame's capture time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Arrival {
     /// As expected.
     Usual,
-    /// Of another time than the camera's own or the other cameras' frames, by so much, ns.
+    /// Differs from the camera's earlier frames or from the other cameras by this, ns.
     Jumped(i64),
-    /// Most cameras have jumped alike: the clock is another one now.
+    /// Most cameras have jumped by the same amount: the clock was replaced.
     NewClock,
 }
 
@@ -47,7 +47,7 @@ pub(super) enum Arrival {
 struct Camera {
     /// Second of the node's clock and smallest offset in it, ns.
     smallest: VecDeque<(i64, i64)>,
-    /// A jump that frames tell of: its offset, how many frames, when last.
+    /// A possible jump: its offset (ns), number of frames that support it, time of the last one.
     jump: Option<(i64, u32, Timestamp)>,
 }
 
@@ -63,7 +63,7 @@ impl Camera {
         }
     }
 
-    /// Offset now, ns, and drift, parts in a million.
+    /// Current offset, ns, and drift, parts per million.
     fn line(&self, now: Timestamp) -> Option<(f64, f64)> {
         let &(origin, base) = self.smallest.back()?;
         if self.smallest.len() < LINE {
@@ -76,7 +76,7 @@ impl Camera {
             .map(|&(second, offset)| ((second - origin) as f64 + 0.5, (offset - base) as f64));
         let Line { mean_x, mean_y, slope, .. } = Line::fit(points)?;
         let at = (now.ns() as f64 / SECOND as f64) - origin as f64;
-        // ns a second are parts in 1e9.
+        // ns per second are 1e-9; the drift is in 1e-6.
         Some((base as f64 + mean_y + slope * (at - mean_x), slope * 1e-3))
     }
 }
@@ -85,14 +85,14 @@ impl Camera {
 #[derive(Clone, Debug)]
 pub(super) struct Clock {
     cameras: Vec<Camera>,
-    /// Node's clock minus capture clock, ns, once something came.
+    /// Node's clock minus capture clock, ns; `None` before the first frame.
     base: Option<i64>,
     is_shared: bool,
-    /// Delays beyond the base since it was found, ns, of the first frames.
+    /// Delays of the first frames above the base, ns.
     delays: Vec<i64>,
 }
 
-/// Delays that are kept for a percentile.
+/// Number of delays that are kept for a percentile.
 const DELAYS: usize = 4096;
 
 impl Clock {
@@ -101,7 +101,7 @@ impl Clock {
         Self { cameras, base: None, is_shared: false, delays: Vec::new() }
     }
 
-    /// Takes the arrival of a frame in.
+    /// Records the arrival of a frame.
     pub(super) fn arrive(&mut self, camera: usize, now: Timestamp, capture: Timestamp) -> Arrival {
         let offset = now - capture;
         if let Some(expected) = self.expected(camera) {
@@ -116,7 +116,7 @@ impl Clock {
         }
         let base = match self.base {
             Some(base) if self.is_shared => base,
-            // The first frames of a foreign clock: the fastest of them.
+            // First frames of a foreign clock: the fastest of them gives the base.
             Some(base) if self.delays.len() < DELAYS => base.min(offset),
             Some(base) => base,
             None => {
@@ -131,7 +131,7 @@ impl Clock {
         Arrival::Usual
     }
 
-    /// The offset that a camera's frames should have: as before, or as the other cameras'.
+    /// The expected offset of a camera's frames: its own, or else that of the other cameras.
     fn expected(&self, camera: usize) -> Option<i64> {
         let last = |camera: &Camera| camera.smallest.back().map(|(_, offset)| *offset);
         if let Some(own) = self.cameras.get(camera).and_then(last) {
@@ -167,22 +167,22 @@ impl Clock {
         Arrival::Jumped(by)
     }
 
-    /// Whether the capture clock is known: something came.
+    /// Whether the capture clock is known: a frame has arrived.
     pub(super) fn is_known(&self) -> bool {
         self.base.is_some()
     }
 
-    /// The capture clock at a time of the node's; the node's own until something came.
+    /// Converts node time to capture time. They are equal until the first frame.
     pub(super) fn capture_time(&self, node: Timestamp) -> Timestamp {
         node + -self.base.unwrap_or(0)
     }
 
-    /// The node's clock at a time of the capture clock.
+    /// Converts capture time to node time.
     pub(super) fn node_time(&self, capture: Timestamp) -> Timestamp {
         capture + self.base.unwrap_or(0)
     }
 
-    /// Delay of the frames so far that all but a thousandth stay below, ns.
+    /// 99.9th percentile of the frames' delays so far, ns.
     pub(super) fn delay_p999(&self) -> i64 {
         let mut sorted = self.delays.clone();
         sorted.sort_unstable();
@@ -190,20 +190,20 @@ impl Clock {
         sorted.get(index.saturating_sub(1)).copied().unwrap_or(0).max(0)
     }
 
-    /// How long after its capture a frame of the slowest camera comes at least, ns.
+    /// Shortest delay from capture to arrival for the slowest camera, ns.
     pub(super) fn usual_delay(&self) -> i64 {
         let last = |camera: &Camera| camera.smallest.back().map(|(_, offset)| *offset);
         let slowest = self.cameras.iter().filter_map(last).max();
         slowest.map_or(0, |offset| (offset - self.base.unwrap_or(0)).max(0))
     }
 
-    /// Offset of a camera's clock from the node's, seconds, and drift, parts in a million.
+    /// Offset of a camera's clock from the node's, seconds, and drift, parts per million.
     pub(super) fn offset(&self, camera: usize, now: Timestamp) -> Option<(f64, f64)> {
         let (offset, drift) = self.cameras.get(camera)?.line(now)?;
         Some((offset * 1e-9, drift))
     }
 
-    /// How far each camera is off from the median of all, seconds.
+    /// Deviation of each camera's offset from the median of all, seconds.
     pub(super) fn deviations(&self, now: Timestamp) -> Vec<(usize, f64)> {
         let offsets: Vec<(usize, f64)> = (0..self.cameras.len())
             .filter_map(|camera| Some((camera, self.offset(camera, now)?.0)))
@@ -214,7 +214,7 @@ impl Clock {
         offsets.iter().map(|(camera, offset)| (*camera, offset - median)).collect()
     }
 
-    /// Follows the drift of a foreign clock; once a second.
+    /// Follows the drift of a foreign clock; called once a second.
     pub(super) fn follow(&mut self, now: Timestamp) {
         if self.is_shared || self.delays.len() < DELAYS {
             return;
@@ -222,7 +222,7 @@ impl Clock {
         let offsets = (0..self.cameras.len()).filter_map(|c| self.cameras[c].line(now));
         let smallest = offsets.map(|(offset, _)| offset as i64).min();
         if let (Some(base), Some(smallest)) = (&mut self.base, smallest) {
-            // At most half a millisecond a second, so that poses stay evenly spaced.
+            // At most 0.5 ms per second, so that poses stay evenly spaced.
             *base += (smallest - *base).clamp(-500_000, 500_000);
         }
     }
@@ -245,7 +245,7 @@ mod tests {
         let frames = ((seconds.end - seconds.start) * 50.0) as usize;
         for i in 0..frames {
             let arrival = seconds.start + i as f64 / 50.0;
-            // Every other frame takes 4 ms longer.
+            // Every second frame takes 4 ms longer.
             let delay = if i % 2 == 0 { 0.0 } else { 0.004 };
             let capture = at(arrival - offset(arrival) - delay);
             assert_eq!(clock.arrive(camera, at(arrival), capture), Arrival::Usual);
@@ -268,7 +268,7 @@ mod tests {
     fn a_foreign_epoch_is_bridged() {
         let mut clock = Clock::new(1);
         feed(&mut clock, 0, 0.0..2.0, |t| t + 1e6);
-        // The capture clock stands still here, but the first offset is what counts.
+        // The capture clock stands still here; the first offset is used.
         let mut clock = Clock::new(1);
         feed(&mut clock, 0, 0.0..2.0, |_| 1e6);
         let error = clock.node_time(at(1.0 - 1e6)) - at(1.0);

@@ -8,26 +8,26 @@ use crate::io::formats::Up;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Name of the capture volume, a part of every topic.
+    /// Name of the capture volume, part of every topic.
     pub stage: String,
-    /// Name of the performer, a part of the topics of all that belongs to him.
+    /// Name of the performer, part of all topics that belong to the performer.
     pub actor: String,
-    /// Calibration file, read at the start and whenever it changes; empty: from the bus.
+    /// Calibration file, read at the start and at each change. Empty: calibration from the bus.
     pub rig: String,
     /// The axis of that file's world that points up.
     pub rig_up: Up,
-    /// Declared latency: a pose of capture time t goes out at t plus this, milliseconds; 0 finds
-    /// it from the first windows.
+    /// Declared latency, milliseconds: a pose of capture time t is published at t plus this. 0: the
+    /// node measures it in the first windows.
     pub latency_ms: f64,
-    /// Poses a second; 0: as many as the fastest camera's frames.
+    /// Poses per second. 0: the frame rate of the fastest camera.
     pub output_rate_hz: f64,
     /// Whether provisional poses of the open window are solved and published.
     pub provisional: bool,
-    /// Whether the solver has a processor core of its own, so that poses leave on time.
+    /// Whether the solver gets a processor core of its own, so that poses are published on time.
     pub solver_core: bool,
-    /// Messages that wait for the node at most; beyond, the oldest are dropped.
+    /// Largest number of queued messages; beyond it, the oldest are dropped.
     pub queue: usize,
-    /// Address of a Prometheus endpoint, such as 127.0.0.1:9464; empty: none.
+    /// Address of the Prometheus endpoint, such as 127.0.0.1:9464. Empty: none.
     pub prometheus: String,
 }
 

@@ -1,4 +1,4 @@
-//! The node without its threads: messages, answers and time in; jobs and messages out.
+//! The node without its threads. Inputs: messages, solutions and time. Outputs: jobs and messages.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use crate::core::time::Timestamp;
 use crate::core::tracker::{self, EventKind, Live, Tracker};
 use crate::io::wire::{self, Topics};
 
-/// The calibration in use, as it came.
+/// The current calibration and its bytes.
 pub(super) struct Calibration {
     pub(super) rig: Arc<Rig>,
     bytes: Vec<u8>,
@@ -30,7 +30,7 @@ pub struct Core {
     pub(super) topics: Topics,
     pub(super) outputs: VecDeque<Output>,
     pub(super) now: Timestamp,
-    /// From a file, before the first message.
+    /// Calibration from a file, before the first message.
     rig_at_start: Option<Vec<u8>>,
     pub(super) calibration: Option<Calibration>,
     pub(super) track: Option<Tracker>,
@@ -42,14 +42,14 @@ pub struct Core {
     pub(super) windows: Windows,
     pub(super) published: Published,
     pub(super) queue_dropped: u64,
-    /// What went wrong since the last window, for the governor.
+    /// What went wrong since the last window; input of the governor.
     pub(super) trouble: Option<&'static str>,
-    /// Capture times and arrivals of the last frames.
+    /// Capture and arrival times of the last frames.
     pub(super) arrivals: VecDeque<(Timestamp, Timestamp)>,
-    /// How long the solver took for the answer at hand, ns.
+    /// Solve time of the current answer, ns.
     pub(super) took_ns: i64,
     journal: Journal,
-    /// Id of this run, from the first message on; 0 before.
+    /// Id of this run, set at the first message; 0 before.
     pub(super) run_id: u64,
     next_second: Option<Timestamp>,
     wake: Option<Timestamp>,
@@ -90,7 +90,7 @@ impl Core {
         }
     }
 
-    /// Takes an input in; `now` is the node's clock, nanoseconds since 1970, and never goes back.
+    /// Handles an input. `now` is the node's clock, nanoseconds since 1970; it never goes back.
     pub fn handle(&mut self, now: Timestamp, input: Input) {
         self.now = self.now.max(now);
         let (settings, rig) = (&self.settings, self.rig_at_start.as_deref());
@@ -103,7 +103,7 @@ impl Core {
         if is_first {
             self.begin_anew();
         }
-        // Inputs after the end, such as the last solution, belong to the journal, too.
+        // Inputs after the end, such as the last solution, also belong to the journal.
         self.ended |= matches!(input, Input::End);
         let is_last = self.ended;
         if self.clock.is_known() {
@@ -153,7 +153,7 @@ impl Core {
         }
     }
 
-    /// Takes a calibration in; whether it is a new one that can be used.
+    /// Sets the calibration. Returns whether it is new and usable.
     pub(super) fn calibrate(&mut self, bytes: &[u8]) -> bool {
         if self.calibration.as_ref().is_some_and(|in_use| in_use.bytes == bytes) {
             return false;
@@ -187,7 +187,7 @@ impl Core {
         self.event(EventKind::Calibrated, None, detail);
     }
 
-    /// Forgets what happened before the first message: a replay knows only the calibration from a file.
+    /// Resets all state before the first message: a replay knows only the calibration from a file.
     fn begin_anew(&mut self) {
         self.next_second = Some(self.now + SECOND);
         let Some(rig) = self.rig_at_start.clone() else { return };
@@ -205,7 +205,7 @@ impl Core {
         self.events(EventKind::Dropped, None, count, detail);
     }
 
-    /// Counts an event of now and publishes it.
+    /// Counts and publishes an event that happens now.
     pub(super) fn event(&mut self, kind: EventKind, camera: Option<&str>, detail: String) {
         self.events(kind, camera, 1, detail);
     }
@@ -216,7 +216,7 @@ impl Core {
         self.emit(&event, camera);
     }
 
-    /// Counts an event that concerns the camera of that name, if it names one, and publishes it.
+    /// Counts and publishes an event; `camera` is the name of the camera that it concerns.
     pub(super) fn emit(&mut self, event: &tracker::Event, camera: Option<&str>) {
         if let Some(name) = camera
             && let Some(camera) = self.cameras.iter_mut().find(|camera| camera.name() == name)
@@ -233,13 +233,13 @@ impl Core {
         self.publish(self.topics.events(kind), capture, Content::Event(message));
     }
 
-    /// Publishes at once.
+    /// Publishes a message at once.
     pub(super) fn publish(&mut self, topic: String, capture: Timestamp, content: Content) {
         let publication = Publication { topic: topic.into(), capture, due: None, content };
         self.outputs.push_back(Output::Publish(publication));
     }
 
-    /// What is done once a second.
+    /// Work that is done once a second.
     fn seconds(&mut self, is_last: bool) {
         let next = *self.next_second.get_or_insert(self.now + SECOND);
         if self.now < next && !is_last {
@@ -312,7 +312,7 @@ impl Core {
 
     fn wake(&mut self) {
         let track = self.track.as_ref().and_then(Tracker::wake);
-        // The tracker waits for something else than time when that time is past.
+        // If its wake time is past, the tracker waits for an input and not for a time.
         let next = track.map(|capture| self.clock.node_time(capture)).filter(|at| *at > self.now);
         let next = next.into_iter();
         let Some(at) = next.chain(self.next_second).min() else { return };
@@ -323,7 +323,7 @@ impl Core {
     }
 }
 
-/// The performer's state as the status message names it.
+/// The tracker's state by its name in the status message.
 fn tracker_state(track: &Tracker) -> &'static str {
     match track.state() {
         Some(TrackingState::Tracking) => "tracking",

@@ -1,8 +1,8 @@
-//! The solver's processor core.
+//! A processor core for the solver.
 //!
-//! The scheduler lets a thread that computes finish its time slice, some milliseconds, before it
-//! wakes another one on the same core. So the solver gets a core of its own, and the thread that
-//! publishes on time, with all others of the process, keeps off it.
+//! The scheduler may let a busy thread finish its time slice, some milliseconds, before it wakes
+//! another thread on the same core. So the solver gets a core of its own, and all other threads of
+//! the process, including the one that publishes on time, stay off it.
 
 #[cfg(target_os = "linux")]
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
@@ -12,8 +12,8 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 pub struct SolverCore(usize);
 
 impl SolverCore {
-    /// Sets the last core that the process may use aside: this thread, and those that it starts
-    /// from now on, keep off it. `None` with fewer than two cores, or where the system refuses.
+    /// Reserves the last core that the process may use: this thread, and threads that it starts
+    /// later, stay off it. `None` with fewer than two cores, or if the system refuses.
     #[cfg(target_os = "linux")]
     pub fn reserve() -> Option<Self> {
         let mut allowed = sched_getaffinity(None).ok()?;
@@ -25,7 +25,7 @@ impl SolverCore {
         sched_setaffinity(None, &allowed).ok().map(|()| Self(last))
     }
 
-    /// None: this system has no affinity that is known here.
+    /// `None`: CPU affinity is not supported on this system.
     #[cfg(not(target_os = "linux"))]
     pub fn reserve() -> Option<Self> {
         None
@@ -41,7 +41,7 @@ impl SolverCore {
         let mut only = CpuSet::new();
         only.set(self.0);
         if let Err(error) = sched_setaffinity(None, &only) {
-            tracing::warn!("the solver shares its core: {error}");
+            tracing::warn!("the solver has no core of its own: {error}");
         }
     }
 }

@@ -1,11 +1,11 @@
-//! Why the node does not start, or does not go on.
+//! Why the node does not start, or stops.
 
 use std::io;
 
 use crate::io::bus::BusError;
 use crate::io::formats::ImportError;
 
-/// Why the node does not start, or does not go on.
+/// Why the node does not start, or stops.
 #[derive(Debug, thiserror::Error)]
 pub enum NodeError {
     /// A topic cannot be used.
@@ -20,30 +20,30 @@ pub enum NodeError {
          as 127.0.0.1:9464"
     )]
     Prometheus {
-        /// As given.
+        /// The address from the settings.
         address: String,
-        /// The system's reason.
+        /// The reason from the system.
         reason: String,
     },
-    /// What should be logged cannot be understood.
+    /// The log filter is not valid.
     #[error("{variable} is {value:?}: {reason}; use a level such as info, or off")]
     Log {
         /// The environment variable.
         variable: &'static str,
-        /// What it holds.
+        /// Its value.
         value: String,
         /// What is wrong with it.
         reason: String,
     },
-    /// The system does not give another thread.
+    /// The system refuses another thread.
     #[error("cannot start a thread: {0}; raise the limit of processes")]
     Thread(io::Error),
-    /// A thread ended before it should, by a fault of this program.
+    /// A thread ended too early, by a fault of this program.
     #[error(
         "the {thread} thread ended by itself; this is a fault of the program, please report it"
     )]
     Fault {
-        /// Which.
+        /// Name of the thread.
         thread: &'static str,
     },
 }

@@ -1,24 +1,24 @@
-//! Counts events, and puts floods of events together before they are published.
+//! Counts events, and bundles them when there are too many to publish one by one.
 
 use std::collections::BTreeMap;
 
 use crate::core::tracker::{Event, EventKind};
 use crate::io::wire;
 
-/// Events of one kind and camera that are published one by one in a second; more are put together.
+/// Events per second, kind and camera that are published one by one; more are bundled.
 const SINGLE: u64 = 8;
 
-/// Bundles of a second; beyond, cameras of all names share one for each kind.
+/// Most bundles in a second; beyond it, there is one bundle per kind for all cameras.
 const MOST_BUNDLES: usize = 256;
 
-/// What is put together of one kind and camera.
+/// Bundled events of one kind and camera.
 #[derive(Clone, Debug, Default)]
 struct Bundle {
     published: u64,
     waiting: Option<wire::Event>,
 }
 
-/// Counts of all events, and what waits to be published.
+/// Counts of all events, and bundles that wait to be published.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Events {
     counts: BTreeMap<EventKind, u64>,
@@ -26,8 +26,8 @@ pub(super) struct Events {
 }
 
 impl Events {
-    /// Counts an event that concerns the camera of that name, if it names one; the message if it is
-    /// to be published now.
+    /// Counts an event; `camera` is the name of the camera that it concerns. Returns the message
+    /// if it is to be published now.
     pub(super) fn add(&mut self, event: &Event, camera: Option<&str>) -> Option<wire::Event> {
         *self.counts.entry(event.kind).or_default() += event.count;
         let message = wire::Event::from_core(event, camera);
@@ -42,13 +42,13 @@ impl Events {
         None
     }
 
-    /// What was put together in the last second.
+    /// The bundles of the last second.
     pub(super) fn second(&mut self) -> Vec<(EventKind, wire::Event)> {
         let bundles = std::mem::take(&mut self.bundles).into_iter();
         bundles.filter_map(|((kind, _), bundle)| Some((kind, bundle.waiting?))).collect()
     }
 
-    /// How often each kind happened.
+    /// Number of events of each kind.
     pub(super) fn counts(&self) -> Vec<wire::EventCount> {
         let count = |(kind, &count): (&EventKind, &u64)| wire::EventCount {
             kind: kind.name().to_owned(),

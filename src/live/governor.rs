@@ -1,25 +1,25 @@
-//! How much effort the solver may make.
+//! Chooses the effort of the solver.
 //!
-//! Less when a window's solve takes longer than there is time for it, or poses had to be carried
-//! on, or the queue ran over; more again after a while in which there was time to spare. The
-//! latency stays as declared.
+//! Effort goes down when a solve takes longer than the available time, poses are coasted, or the
+//! queue overflows. It goes up again after many windows with time to spare. The latency stays as
+//! declared.
 
 use crate::core::tracker::Effort;
 
-/// Windows without trouble after which effort is raised again, one level.
+/// Windows without trouble before effort is raised by one level.
 const CALM: u32 = 60;
-/// A level is left when its solves take less than this part of the time there is.
+/// Effort is raised if solves take less than this part of the available time.
 const SPARE: f64 = 0.5;
-/// Windows after a change that are not judged: they may still carry the backlog.
+/// Windows after a change that are not judged, since they may still carry the backlog.
 const SETTLE: u32 = 3;
 
-/// The level of effort, and what speaks for another one.
+/// The current level of effort and the counters that change it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Governor {
     level: u32,
     calm: u32,
     settling: u32,
-    /// How often the level rose.
+    /// How often the level rose, that is, effort was reduced.
     pub(super) degradation_steps: u64,
 }
 
@@ -28,8 +28,8 @@ impl Governor {
         self.level
     }
 
-    /// A window was solved in `took` of the `available` nanoseconds; `trouble` names what else
-    /// went wrong since the last one. Gives the reason if the level changes.
+    /// Judges a window that was solved in `took` of the `available` nanoseconds; `trouble` names
+    /// what else went wrong since the last one. Returns the reason if the level changes.
     pub(super) fn solved(
         &mut self,
         took: i64,

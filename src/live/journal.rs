@@ -1,4 +1,4 @@
-//! The inputs of the core in order, so that a replay can repeat them.
+//! Records the inputs of the core in order, so that a replay can repeat them.
 
 use super::port::{Input, Settings};
 use crate::core::fnv::fnv1a;
@@ -9,20 +9,20 @@ use crate::io::wire::{
     StageChannel, Topic,
 };
 
-/// As many entries are written at once, whatever the time.
+/// This many entries are written at once, at any time.
 const MOST: usize = 4096;
-/// While the node is busy entries are written this often, ns.
+/// Interval between messages while the node is busy, ns.
 const PERIOD: i64 = 1_000_000_000;
 
-/// Id of a run that starts at that time: a hash of the time, the configuration, the weights and the
-/// calibration from a file. A replay, which has the same, gets the same id. Never 0.
+/// Id of a run: a hash of its start time, the configuration, the weights and the calibration from a
+/// file. A replay has the same inputs and gets the same id. Never 0.
 pub(super) fn run_id(start: Timestamp, settings: &Settings, rig: Option<&[u8]>) -> u64 {
     let time = start.ns().to_le_bytes();
     let (config, weights) = (settings.toml.as_bytes(), settings.weights.as_bytes());
     fnv1a(&[&time[..], config, weights, rig.unwrap_or_default()].concat()).max(1)
 }
 
-/// The instruction set, on which the last bits of numbers depend.
+/// The instruction set; the last bits of numbers depend on it.
 pub fn platform() -> String {
     #[allow(unused_mut)]
     let mut features: Vec<&str> = vec![std::env::consts::ARCH];
@@ -43,16 +43,16 @@ pub fn platform() -> String {
 pub(super) struct Journal {
     sequence: u64,
     entries: Vec<JournalEntry>,
-    /// All entries so far.
+    /// Number of entries so far.
     pub(super) count: u64,
-    /// Whether something but ticks waits.
+    /// Whether an entry other than a tick waits.
     is_busy: bool,
     written: Option<Timestamp>,
 }
 
 impl Journal {
-    /// Notes an input, before it is handled. Nothing is noted before the first message: until then
-    /// the core knows only `rig`, the calibration from a file.
+    /// Records an input before it is handled. Inputs before the first message are not recorded:
+    /// until then the core knows only `rig`, the calibration from a file.
     pub(super) fn note(&mut self, now: Timestamp, input: &Input, start: impl Fn() -> JournalStart) {
         if self.count == 0 {
             if !matches!(input, Input::Message { .. }) {
@@ -92,8 +92,8 @@ impl Journal {
         self.count += 1;
     }
 
-    /// A message, when it is time for one. While only time passes there is none, so that a recorder
-    /// that joins then still gets everything.
+    /// The next message, when it is due. There is none while only ticks arrive, so that a recorder
+    /// that joins in that time still gets everything.
     pub(super) fn take(&mut self, now: Timestamp, is_last: bool) -> Option<Message> {
         let is_time = self.is_busy && self.written.is_none_or(|written| now - written >= PERIOD);
         if self.entries.is_empty() || !(is_last || is_time || self.entries.len() >= MOST) {

@@ -1,20 +1,20 @@
-//! The latency that is declared: given, or found from the first windows.
+//! The declared latency: configured, or measured in the first windows.
 
 use crate::core::tracker::Latency;
 
-/// Windows whose solves are measured.
+/// Number of windows that are measured.
 const WINDOWS: usize = 5;
-/// The slowest of them times this is what a solve may take.
+/// Factor on the slowest solve time; gives the time reserved for a solve.
 const SOLVE_FACTOR: f64 = 2.0;
-/// What a solve may take at least, ns.
+/// Least time reserved for a solve, ns.
 const LEAST_SOLVE: i64 = 22_000_000;
-/// What the network may take at least, ns.
+/// Least time reserved for the network, ns.
 const LEAST_NETWORK: i64 = 2_000_000;
-/// Time for a solve where the latency is given, ns.
+/// Time reserved for a solve when the latency is configured, ns.
 const GIVEN_SOLVE: i64 = 10_000_000;
-/// From a solve's end to its first pose on the bus, ns.
+/// Time from the end of a solve to its first pose on the bus, ns.
 const PUBLISH: i64 = 4_000_000;
-/// Found latencies are whole multiples of this, ns.
+/// Measured latencies are rounded up to a multiple of this, ns.
 const ROUND: i64 = 1_000_000;
 
 /// Finds the latency to declare.
@@ -26,7 +26,7 @@ pub(super) struct Finder {
 }
 
 impl Finder {
-    /// For a latency of that many milliseconds, or 0 to find one.
+    /// For a configured latency in milliseconds; 0 to measure it.
     pub(super) fn new(given_ms: f64) -> Self {
         let given_ns = (given_ms > 0.0).then_some((given_ms * 1e6) as i64);
         Self { given_ns, solves: Vec::new(), found: None }
@@ -37,13 +37,13 @@ impl Finder {
         self.found.map(|latency| latency.declared_ns)
     }
 
-    /// What a solve may take, once the latency is declared, ns.
+    /// Time reserved for a solve, once the latency is declared, ns.
     pub(super) fn solve_ns(&self) -> Option<i64> {
         self.found.map(|latency| latency.reserve_ns - PUBLISH)
     }
 
-    /// A window was solved in `took`; `wait` is the time from its first pose to its end, `delay`
-    /// what the network takes, all in ns. Gives the latency and how it comes about, once.
+    /// Adds a window that was solved in `took`; `wait` is the time from its first pose to its end,
+    /// `delay` the delay of the network, all in ns. Returns the latency and its reason, once.
     pub(super) fn solved(&mut self, took: i64, wait: i64, delay: i64) -> Option<(Latency, String)> {
         if self.found.is_some() {
             return None;
@@ -55,7 +55,7 @@ impl Finder {
                 let why = format!("{:.1} ms as configured", ms(declared_ns));
                 let least = wait + GIVEN_SOLVE + delay + PUBLISH;
                 let why = match declared_ns < least {
-                    true => format!("{why}; below {:.1} ms poses will be carried on", ms(least)),
+                    true => format!("{why}; below {:.1} ms poses are coasted", ms(least)),
                     false => why,
                 };
                 (Latency { declared_ns, reserve_ns: GIVEN_SOLVE + PUBLISH }, why)
@@ -108,6 +108,6 @@ mod tests {
         let (latency, why) = Finder::new(250.0).solved(5 * MS, 150 * MS, 0).unwrap();
         assert_eq!((latency.declared_ns, &*why), (250 * MS, "250.0 ms as configured"));
         let (_, why) = Finder::new(100.0).solved(5 * MS, 150 * MS, 0).unwrap();
-        assert!(why.contains("carried on"), "{why}");
+        assert!(why.contains("coasted"), "{why}");
     }
 }

@@ -1,4 +1,4 @@
-//! Logs: one line an event on standard error, never waited for, and never a flood.
+//! Logs one line per event to standard error. It never blocks and limits the rate of lines.
 
 use std::collections::HashMap;
 use std::io::{self, Write};
@@ -12,27 +12,27 @@ use super::error::NodeError;
 use crate::core::time::Timestamp;
 use crate::io::wire::Event;
 
-/// The environment variable that says what is logged, such as `debug` or `warn,zenoh=info`.
+/// Environment variable with the log filter, such as `debug` or `warn,zenoh=info`.
 pub const VARIABLE: &str = "BUNDLEMOCAP_LOG";
 
-/// Lines of a kind and a camera in a second; more are counted.
+/// Most lines per second, kind and camera; the rest are counted.
 const LINES_A_SECOND: u32 = 5;
 const SECOND_NS: i64 = 1_000_000_000;
-/// Kinds and cameras told apart in a second at most.
+/// Most pairs of kind and camera that are counted separately in a second.
 const MOST_KEYS: usize = 256;
-/// Lines that wait for standard error at most.
+/// Most lines that wait for standard error.
 const MOST_WAITING: usize = 1024;
-/// How long standard error may take for what waits at the end.
+/// Longest wait for standard error at the end.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Writes out what waits when it is dropped.
+/// Flushes the waiting lines when it is dropped.
 pub struct LogGuard(Lines);
 
-/// Begins to log on standard error: what [`VARIABLE`] asks for, or else `info`; the transports'
-/// own words from `warn` up.
+/// Starts logging to standard error with the filter in [`VARIABLE`], by default `info`; the
+/// transports log from `warn` up.
 ///
 /// # Errors
-/// A text in [`VARIABLE`] that is no filter, or a thread that cannot be started.
+/// The text in [`VARIABLE`] is not a filter, or a thread cannot be started.
 pub fn start() -> Result<LogGuard, NodeError> {
     let asked = std::env::var(VARIABLE).unwrap_or_default();
     let filter = filter(&asked).map_err(|error| NodeError::Log {
@@ -43,7 +43,7 @@ pub fn start() -> Result<LogGuard, NodeError> {
     let lines = Lines::new(io::stderr()).map_err(NodeError::Thread)?;
     let colour = io::IsTerminal::is_terminal(&io::stderr());
     let subscriber = tracing_subscriber::fmt().compact().with_env_filter(filter);
-    // A second start in one process keeps the first.
+    // A second start in one process keeps the first logger.
     let _ = subscriber.with_target(false).with_ansi(colour).with_writer(lines.clone()).try_init();
     Ok(LogGuard(lines))
 }
@@ -59,13 +59,13 @@ impl Drop for LogGuard {
     }
 }
 
-/// A way to a slow writer that never waits: lines beyond [`MOST_WAITING`] are lost.
+/// Passes lines to a slow writer without blocking: lines beyond [`MOST_WAITING`] are lost.
 #[derive(Clone)]
 struct Lines(Sender<Line>);
 
 enum Line {
     Text(Vec<u8>),
-    /// Answer when everything before is written.
+    /// Asks for an answer when all earlier lines are written.
     Mark(Sender<()>),
 }
 
@@ -116,7 +116,7 @@ impl<'a> MakeWriter<'a> for Lines {
     }
 }
 
-/// Lines about the machine's events: a few of a kind and a camera each second, then a summary.
+/// Logs the node's events: a few lines per kind and camera in a second, then a summary.
 #[derive(Default)]
 pub struct EventLog {
     limiter: Limiter,
@@ -132,7 +132,7 @@ impl EventLog {
         }
     }
 
-    /// Sums up what was withheld, when its second is over.
+    /// Logs a summary of the withheld lines at the end of their second.
     pub fn end_seconds(&mut self, now: Timestamp) {
         for (kind, camera, count) in self.limiter.withheld(now) {
             let text = format!("and {count} more {} in the last second", spoken(&kind));
@@ -153,7 +153,7 @@ fn text(event: &Event) -> String {
     one_line(&text)
 }
 
-/// Without control characters, which may come from outside in names.
+/// Replaces control characters; names from outside may hold them.
 fn one_line(text: &str) -> String {
     let plain = |c: char| if c.is_control() { '\u{fffd}' } else { c };
     text.chars().map(plain).collect()
@@ -163,7 +163,7 @@ fn spoken(kind: &str) -> String {
     kind.replace('_', " ")
 }
 
-/// What is as it should be is information; everything else is a warning.
+/// Expected kinds are logged as information, all others as warnings.
 fn line(kind: &str, camera: Option<&str>, window: Option<u64>, text: &str) {
     let good = matches!(kind, "acquired" | "left" | "returned" | "calibrated" | "latency");
     if good {
@@ -173,10 +173,10 @@ fn line(kind: &str, camera: Option<&str>, window: Option<u64>, text: &str) {
     }
 }
 
-/// A kind, a camera, and how many were withheld.
+/// A kind, a camera, and the number of withheld lines.
 type Withheld = (String, Option<String>, u64);
 
-/// Counts lines by kind and camera, second by second.
+/// Counts lines by kind and camera in each second.
 #[derive(Default)]
 struct Limiter {
     seen: HashMap<(String, Option<String>), Seen>,
@@ -190,7 +190,7 @@ struct Seen {
 }
 
 impl Limiter {
-    /// Whether an event that stands for `count` may have a line; if not, it is counted.
+    /// Whether an event that stands for `count` events may be logged; otherwise it is counted.
     fn admits(&mut self, now: Timestamp, kind: &str, camera: Option<&str>, count: u64) -> bool {
         if self.seen.is_empty() {
             self.ends = now + SECOND_NS;
@@ -206,7 +206,7 @@ impl Limiter {
         admitted
     }
 
-    /// What was withheld in a second that is over, by kind, then camera.
+    /// Withheld lines of a past second, by kind, then camera.
     fn withheld(&mut self, now: Timestamp) -> Vec<Withheld> {
         if self.seen.is_empty() || now < self.ends {
             return Vec::new();
@@ -273,7 +273,7 @@ mod tests {
 
     #[test]
     fn a_writer_that_is_stuck_is_not_waited_for() {
-        /// Waits for a word before each line, and passes lines on.
+        /// Waits for a signal before each line, then passes it on.
         struct Stuck(Receiver<()>, Sender<Vec<u8>>);
         impl Write for Stuck {
             fn write(&mut self, text: &[u8]) -> io::Result<usize> {

@@ -1,4 +1,4 @@
-//! Messages from the bus become inputs of the tracker.
+//! Turns messages from the bus into inputs of the tracker.
 
 use std::sync::Arc;
 
@@ -9,13 +9,13 @@ use crate::core::detections::Detections;
 use crate::core::tracker::{self, EventKind};
 use crate::io::wire::{self, DecodeError, KeypointFrame, StageChannel, Topic};
 
-/// Larger messages are not used, bytes.
+/// Larger messages are rejected, bytes.
 const MOST_BYTES: usize = 1 << 20;
-/// People of a frame that are used.
+/// Most people of a frame that are used.
 const MOST_PEOPLE: usize = 64;
-/// Arrivals that are kept to find those of a frame set.
+/// Number of arrivals that are kept to find those of a frame set.
 const MOST_ARRIVALS: usize = 256;
-/// Longest name of an unknown camera in an event.
+/// Longest name of an unknown camera in an event, characters.
 const MOST_NAME: usize = 64;
 
 impl Core {
@@ -59,7 +59,7 @@ impl Core {
         }
     }
 
-    /// Checks a frame that came on the topic of `camera`.
+    /// Checks a frame that arrived on the topic of `camera`.
     fn frame(
         &mut self,
         camera: &str,
@@ -96,7 +96,8 @@ impl Core {
             }
             Arrival::NewClock => {
                 self.give(tracker::Input::Restart);
-                let detail = "most cameras jumped alike, the performer is searched anew".to_owned();
+                let detail =
+                    "most clocks jumped by the same amount; the tracker restarts".to_owned();
                 return self.event(EventKind::ClockJump, None, detail);
             }
         }

@@ -1,33 +1,33 @@
-//! A Prometheus endpoint, `GET /metrics`, from the last status of the core.
+//! A Prometheus endpoint, `GET /metrics`, that shows the last status of the core.
 //!
 //! | metric | labels | meaning |
 //! |---|---|---|
 //! | `bundlemocap_info` | `version` | 1 |
-//! | `bundlemocap_tracker_state` | `state` | 1 for the state that holds |
+//! | `bundlemocap_tracker_state` | `state` | 1 for the current state |
 //! | `bundlemocap_camera_frames_total` | `camera`, `outcome`: used, late, duplicate, out_of_order, missing, unusable | frames |
 //! | `bundlemocap_camera_rate_hertz` | `camera` | frames a second |
-//! | `bundlemocap_camera_age_seconds` | `camera` | since its last frame |
-//! | `bundlemocap_camera_offset_seconds` | `camera` | of its clock from the node's, with the way |
-//! | `bundlemocap_camera_drift_ppm` | `camera` | change of that |
-//! | `bundlemocap_camera_residual_pixels` | `camera` | median of the last window |
+//! | `bundlemocap_camera_age_seconds` | `camera` | time since its last frame |
+//! | `bundlemocap_camera_offset_seconds` | `camera` | offset of its clock from the node's, including the delay |
+//! | `bundlemocap_camera_drift_ppm` | `camera` | drift of that offset |
+//! | `bundlemocap_camera_residual_pixels` | `camera` | median residual of the last window |
 //! | `bundlemocap_camera_waited_for` | `camera` | 1 if windows wait for it |
 //! | `bundlemocap_windows_total` | `outcome`: tracked, coasted, lost | windows |
-//! | `bundlemocap_windows_incomplete_total` | | closed by their deadline |
-//! | `bundlemocap_window_iterations` | | median of the last windows |
-//! | `bundlemocap_window_solve_seconds` | `quantile`: 0.5, 0.99 | of the last windows |
-//! | `bundlemocap_declared_latency_seconds` | | 0 before it is known |
-//! | `bundlemocap_poses_total` | `outcome`: published, coasted (of those), missed, live | poses |
-//! | `bundlemocap_publish_deviation_seconds` | | histogram, from capture time + declared latency |
-//! | `bundlemocap_live_latency_seconds` | | histogram, from a frame set's last message |
-//! | `bundlemocap_effort_level` | | 0 is all that the settings ask for |
-//! | `bundlemocap_effort_raised_total` | | how often that rose |
+//! | `bundlemocap_windows_incomplete_total` | | windows closed by their deadline |
+//! | `bundlemocap_window_iterations` | | median iterations of the last windows |
+//! | `bundlemocap_window_solve_seconds` | `quantile`: 0.5, 0.99 | solve time of the last windows |
+//! | `bundlemocap_declared_latency_seconds` | | declared latency; 0 before it is known |
+//! | `bundlemocap_poses_total` | `outcome`: published, coasted (part of published), missed, live | poses; `live` are provisional |
+//! | `bundlemocap_publish_deviation_seconds` | | histogram of publish time minus due time |
+//! | `bundlemocap_live_latency_seconds` | | histogram of the time from a frame set's last message to its provisional pose |
+//! | `bundlemocap_effort_level` | | 0 is the full effort of the settings |
+//! | `bundlemocap_effort_raised_total` | | how often the level rose |
 //! | `bundlemocap_events_total` | `kind` | events |
 //! | `bundlemocap_queue_dropped_total` | | messages dropped by the full queue |
-//! | `bundlemocap_publish_failures_total` | | messages that the bus did not take |
-//! | `process_cpu_seconds_total` | | user and system |
-//! | `process_resident_memory_bytes` | | resident |
+//! | `bundlemocap_publish_failures_total` | | messages that could not be published |
+//! | `process_cpu_seconds_total` | | user and system time |
+//! | `process_resident_memory_bytes` | | resident memory |
 //!
-//! The status holds bins, not sums: the `_sum` of a histogram is estimated from the bins' middles.
+//! The status holds bins, not sums: a histogram's `_sum` is estimated from the middles of its bins.
 
 use std::fmt;
 use std::net::ToSocketAddrs;
@@ -51,7 +51,7 @@ const TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 pub(super) struct Endpoint {
     server: Arc<Server>,
     thread: Option<JoinHandle<()>>,
-    /// Where it listens.
+    /// The address on which it listens.
     pub(super) address: String,
 }
 
@@ -83,7 +83,7 @@ impl Drop for Endpoint {
     }
 }
 
-/// A reader that has gone away is no concern of ours.
+/// An error means that the client has disconnected; it is ignored.
 fn answer(request: Request, board: &Board) {
     let path = request.url().split('?').next().unwrap_or_default();
     if path != "/metrics" {
@@ -110,14 +110,14 @@ fn answer(request: Request, board: &Board) {
     };
 }
 
-/// What is known at one time.
+/// Input of one page of metrics.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
-    /// The last status of the core, once there is one.
+    /// The last status of the core, if there is one.
     pub status: Option<Status>,
     /// Messages that could not be published.
     pub failures: u64,
-    /// What this process has used, where the system says.
+    /// Resources of this process, if the system reports them.
     pub usage: Option<Usage>,
 }
 
@@ -125,7 +125,7 @@ impl Snapshot {
     /// As OpenMetrics text.
     ///
     /// # Errors
-    /// Never in practice: a string takes everything.
+    /// In practice none: writing into a string cannot fail.
     pub fn render(self) -> Result<String, fmt::Error> {
         let mut registry = Registry::default();
         registry.register_collector(Box::new(self));
@@ -142,7 +142,7 @@ impl Collector for Snapshot {
         sheet.gauges("bundlemocap_info", "The program", &[(vec![version], 1.0)])?;
         sheet.counter(
             "bundlemocap_publish_failures",
-            "Messages that the bus did not take",
+            "Messages that could not be published",
             self.failures,
         )?;
         if let Some(usage) = self.usage {
@@ -165,7 +165,7 @@ impl Sheet<'_> {
         let state = ("state", status.tracker_state.as_str());
         self.gauges("bundlemocap_tracker_state", "State of the tracker", &[(vec![state], 1.0)])?;
         let latency = status.declared_latency_ns as f64 / 1e9;
-        self.gauge("bundlemocap_declared_latency_seconds", "Declared and kept", latency)?;
+        self.gauge("bundlemocap_declared_latency_seconds", "Declared latency", latency)?;
         let help = "Messages dropped by the full queue";
         self.counter("bundlemocap_queue_dropped", help, status.queue_dropped)?;
         let events: Vec<_> = (status.events.iter())
@@ -194,7 +194,7 @@ impl Sheet<'_> {
                 })
             })
             .collect();
-        self.counters("bundlemocap_camera_frames", "Frames by what became of them", &frames)?;
+        self.counters("bundlemocap_camera_frames", "Frames by outcome", &frames)?;
         let mut each = |name: &str, help: &str, value: fn(&CameraCounters) -> f64| {
             let rows: Vec<_> = (cameras.iter())
                 .map(|camera| (vec![("camera", camera.camera.as_str())], value(camera)))
@@ -202,10 +202,14 @@ impl Sheet<'_> {
             self.gauges(name, help, &rows)
         };
         each("bundlemocap_camera_rate_hertz", "Frames a second", |c| c.rate_hz)?;
-        each("bundlemocap_camera_age_seconds", "Since the last frame", |c| c.age_s)?;
-        each("bundlemocap_camera_offset_seconds", "Of its clock from the node's", |c| c.offset_s)?;
-        each("bundlemocap_camera_drift_ppm", "Change of the offset", |c| c.drift_ppm)?;
-        each("bundlemocap_camera_residual_pixels", "Median of the last window", |c| c.residual_px)?;
+        each("bundlemocap_camera_age_seconds", "Time since the last frame", |c| c.age_s)?;
+        each("bundlemocap_camera_offset_seconds", "Offset of its clock from the node's", |c| {
+            c.offset_s
+        })?;
+        each("bundlemocap_camera_drift_ppm", "Drift of the offset", |c| c.drift_ppm)?;
+        each("bundlemocap_camera_residual_pixels", "Median residual of the last window", |c| {
+            c.residual_px
+        })?;
         each("bundlemocap_camera_waited_for", "1 if windows wait for it", |c| {
             f64::from(u8::from(c.waited_for))
         })
@@ -215,14 +219,14 @@ impl Sheet<'_> {
         let outcomes =
             [("tracked", windows.tracked), ("coasted", windows.coasted), ("lost", windows.lost)];
         let rows = outcomes.map(|(name, count)| (vec![("outcome", name)], count as f64));
-        self.counters("bundlemocap_windows", "Windows by what became of them", &rows)?;
+        self.counters("bundlemocap_windows", "Windows by outcome", &rows)?;
         let help = "Windows closed by their deadline";
         self.counter("bundlemocap_windows_incomplete", help, windows.incomplete)?;
-        let help = "Median of the last windows";
+        let help = "Median iterations of the last windows";
         self.gauge("bundlemocap_window_iterations", help, windows.iterations)?;
         let quantiles = [("0.5", windows.solve_p50_ms), ("0.99", windows.solve_p99_ms)];
         let rows = quantiles.map(|(quantile, ms)| (vec![("quantile", quantile)], ms / 1e3));
-        self.gauges("bundlemocap_window_solve_seconds", "Time of a window's solve", &rows)
+        self.gauges("bundlemocap_window_solve_seconds", "Solve time of the last windows", &rows)
     }
 
     fn playout(&mut self, playout: &PlayoutCounters) -> fmt::Result {
@@ -233,10 +237,10 @@ impl Sheet<'_> {
             ("live", playout.provisional),
         ];
         let rows = outcomes.map(|(name, count)| (vec![("outcome", name)], count as f64));
-        self.counters("bundlemocap_poses", "Poses by what became of them", &rows)?;
+        self.counters("bundlemocap_poses", "Poses by outcome", &rows)?;
         self.histogram(
             "bundlemocap_publish_deviation_seconds",
-            "From capture time + declared latency",
+            "Publish time minus due time",
             (&playout.deviation_bins_us, &playout.deviation_counts),
         )?;
         self.histogram(
@@ -248,7 +252,7 @@ impl Sheet<'_> {
 
     fn effort(&mut self, effort: &EffortStatus) -> fmt::Result {
         let level = f64::from(effort.level);
-        self.gauge("bundlemocap_effort_level", "0 is all that the settings ask for", level)?;
+        self.gauge("bundlemocap_effort_level", "0 is the full effort of the settings", level)?;
         self.counter(
             "bundlemocap_effort_raised",
             "How often the level rose",
@@ -256,7 +260,7 @@ impl Sheet<'_> {
         )
     }
 
-    /// `_total` is added to the name.
+    /// The encoder adds `_total` to the name.
     fn counter(&mut self, name: &str, help: &str, count: u64) -> fmt::Result {
         self.counters(name, help, &[(vec![], count as f64)])
     }
@@ -289,7 +293,7 @@ impl Sheet<'_> {
         Ok(())
     }
 
-    /// Bins by their upper ends, microseconds, and one more count than those.
+    /// Bins by their upper ends, microseconds; there is one more count than upper ends.
     fn histogram(&mut self, name: &str, help: &str, bins: (&[u32], &[u64])) -> fmt::Result {
         let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Histogram)?;
         let (ends, counts) = bins;
@@ -304,7 +308,7 @@ impl Sheet<'_> {
     }
 }
 
-/// The encoder writes values as they are; names of cameras may hold anything.
+/// Escapes label values, since names of cameras may hold any character.
 fn escaped<'a>(labels: &[(&'a str, &str)]) -> Vec<(&'a str, String)> {
     let escape = |value: &str| {
         value.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n").replace('\r', " ")
@@ -387,13 +391,13 @@ mod tests {
                 _ => name.to_owned(),
             })
             .collect();
-        let mut told: Vec<String> = (include_str!("metrics.rs").lines())
+        let mut documented: Vec<String> = (include_str!("metrics.rs").lines())
             .filter_map(|line| line.strip_prefix("//! | `")?.split('`').next())
             .map(str::to_owned)
             .collect();
         given.sort();
-        told.sort();
-        assert_eq!(given, told);
+        documented.sort();
+        assert_eq!(given, documented);
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! The live node: messages in, poses at a fixed latency out.
 //!
-//! [`Core`] does no I/O: messages, solutions and time are its inputs; jobs and publications are its
-//! outputs. The threads around it: the bus fills a bounded queue ([`Intake`]), the node loop gives
-//! inputs to the core and carries out its outputs, one thread solves, and one publishes poses when
-//! they are due ([`Schedule`]).
+//! [`Core`] does no I/O: its inputs are messages, solutions and time; its outputs are jobs and
+//! publications. The threads around it: the bus fills a bounded queue ([`Intake`]), the node loop
+//! passes inputs and outputs, one thread solves, and one thread publishes poses when they are due
+//! ([`Schedule`]).
 
 mod answers;
 mod board;

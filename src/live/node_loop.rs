@@ -1,5 +1,5 @@
-//! The thread of the node loop: waits for the next input, stamps it, gives it to the core, and carries
-//! out the outputs. It never waits for anything else.
+//! The thread of the node loop: waits for the next input, stamps it, passes it to the core, and
+//! handles the outputs. It never waits for anything else.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -21,7 +21,7 @@ use crate::core::tracker::{Job, Solution};
 use crate::io::bus::Sample;
 use crate::io::wire::{Rig, Schema, media_type};
 
-/// How long the thread sleeps at most when the core asks for no tick.
+/// Longest sleep when the core asks for no tick.
 const IDLE: Duration = Duration::from_secs(1);
 
 /// A solution from the solver's thread.
@@ -30,17 +30,17 @@ pub(super) struct Answer {
     pub(super) took_ns: u64,
 }
 
-/// Everything that can wake the node loop.
+/// All sources that can wake the node loop.
 pub(super) struct Inbox {
     pub(super) intake: Intake,
     pub(super) answers: Receiver<Answer>,
     pub(super) played: Receiver<Vec<i32>>,
     pub(super) rigs: Receiver<Vec<u8>>,
-    /// Stops the loop when told to, or when all senders are gone.
+    /// Stops the loop when asked to, or when all senders are gone.
     pub(super) stop: Receiver<()>,
 }
 
-/// The core, and all that carries out its outputs.
+/// The core, and everything that handles its outputs.
 pub(super) struct NodeLoop {
     pub(super) core: Core,
     pub(super) clock: WallClock,
@@ -62,7 +62,7 @@ pub(super) struct Progress {
     ended: bool,
 }
 
-/// What woke the loop.
+/// The reason for which the loop woke.
 enum Turn {
     Input(Input),
     Message(Message),
@@ -71,7 +71,7 @@ enum Turn {
 }
 
 impl NodeLoop {
-    /// Runs until it is stopped, and then until the last solution is there and the last pose is published.
+    /// Runs until it is stopped; then waits for the last solution and publishes the last pose.
     pub(super) fn run(mut self) -> Result<(), NodeError> {
         let ended = self.serve();
         self.playout.close();
@@ -134,7 +134,7 @@ impl NodeLoop {
         })
     }
 
-    /// Handles the messages that still wait, then the end.
+    /// Handles the queued messages, then the end.
     fn end(&mut self) {
         while let Some(message) = self.inbox.intake.try_take() {
             self.take_in(message);
@@ -154,7 +154,7 @@ impl NodeLoop {
         }
     }
 
-    /// Keeps the rig in use for whoever asks for it.
+    /// Stores the current rig on the board.
     fn offer_rig(&self) {
         let Some(payload) = self.core.rig() else { return };
         self.board.set_rig(Sample {
@@ -181,7 +181,7 @@ impl NodeLoop {
         self.progress.events.end_seconds(now);
     }
 
-    /// There is always room: the solver takes one job at a time, and the core has one out at most.
+    /// The channel always has room: the core has at most one job out.
     fn solve(&mut self, job: Box<Job>) {
         match self.jobs.try_send(job) {
             Ok(()) => self.progress.job_out = true,
@@ -199,7 +199,7 @@ impl NodeLoop {
         }
     }
 
-    /// Logs events, and keeps the status and the rig.
+    /// Logs events and stores the status and the rig.
     fn note(&mut self, content: Content, now: Timestamp) {
         match content {
             Content::Event(event) => self.progress.events.tell(now, &event),

@@ -1,5 +1,5 @@
-//! Encodes publications and puts them on the bus: one publisher a topic, opened when it is first
-//! needed. What cannot be published is counted and logged, and never ends the node.
+//! Encodes publications and puts them on the bus, with one publisher per topic, opened at first
+//! use. Failures are counted and logged; they never stop the node.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -10,11 +10,11 @@ use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Publisher};
 use crate::io::wire::media_type;
 
-/// Time before a topic that could not be opened is tried again, and time for which failures are
-/// put together into one line, nanoseconds.
+/// Time before opening a topic is tried again, and time over which failures share one log line,
+/// nanoseconds.
 const PATIENCE_NS: i64 = 1_000_000_000;
 
-/// Publishes for one thread.
+/// Publishes the messages of one thread.
 pub(super) struct Outlet {
     bus: Arc<dyn Bus>,
     lines: HashMap<Arc<str>, Line>,
@@ -23,23 +23,23 @@ pub(super) struct Outlet {
     quiet_until: Timestamp,
 }
 
-/// A topic's publisher, or when to try again.
+/// A topic's publisher, or the time of the next try.
 enum Line {
     Open { publisher: Box<dyn Publisher>, encoding: String },
     Shut { until: Timestamp },
 }
 
 impl Outlet {
-    /// Onto that bus; `failures` counts what could not be published.
+    /// Publishes on `bus`; `failures` counts messages that could not be published.
     pub(super) fn new(bus: Arc<dyn Bus>, failures: Arc<AtomicU64>) -> Self {
         let quiet_until = Timestamp::default();
         Self { bus, lines: HashMap::new(), failures, unsaid: 0, quiet_until }
     }
 
-    /// Opens a topic, so that the first message need not wait for that.
+    /// Opens a topic in advance, so that the first message does not wait for it.
     ///
     /// # Errors
-    /// When the bus does not take the topic.
+    /// The bus refuses the topic.
     pub(super) fn open(&mut self, topic: &str, schema: &str) -> Result<(), BusError> {
         let line =
             Line::Open { publisher: self.bus.publisher(topic)?, encoding: media_type(schema) };
@@ -47,7 +47,7 @@ impl Outlet {
         Ok(())
     }
 
-    /// Publishes.
+    /// Publishes a message.
     pub(super) fn put(&mut self, publication: &Publication, now: Timestamp) {
         if let Err(error) = self.try_put(publication, now) {
             self.failures.fetch_add(1, Ordering::Relaxed);
@@ -56,7 +56,7 @@ impl Outlet {
         }
     }
 
-    /// Fails without an error while the topic is not tried again.
+    /// Fails without an error until it is time to try the topic again.
     fn try_put(
         &mut self,
         publication: &Publication,
@@ -99,7 +99,7 @@ mod tests {
     use crate::live::Content;
     use std::sync::Mutex;
 
-    /// Remembers what was put; refuses topics that hold `shut`, and empty payloads.
+    /// Stores all messages; refuses topics that hold `shut`, and empty payloads.
     #[derive(Clone, Default)]
     struct Fake {
         opened: Arc<AtomicU64>,
@@ -135,7 +135,7 @@ mod tests {
         BusError::Name { name: "x".into(), what: "topic", reason: "it is refused".into() }
     }
 
-    /// A pose of that window; that of window 0 is encoded as no bytes.
+    /// A pose of that window; window 0 is encoded as no bytes.
     fn publication(topic: &str, window: u64) -> Publication {
         let content = Content::Pose(Pose { window, ..Pose::default() });
         Publication { topic: topic.into(), capture: Timestamp::from_ns(7), due: None, content }

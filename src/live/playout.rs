@@ -1,6 +1,6 @@
-//! Publishes poses at their due times: a heap by due time, and the thread that watches the clock.
+//! Publishes poses at their due times: a heap by due time, and a thread that watches the clock.
 //!
-//! The thread sleeps until shortly before the next due time, and spins for what is left.
+//! The thread sleeps until shortly before the next due time, then spins.
 
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
@@ -14,12 +14,12 @@ use super::publication::Publication;
 use super::wall::{HEAD_START, WallClock};
 use crate::core::time::Timestamp;
 
-/// How long deviations are gathered, nanoseconds.
+/// Time over which deviations are collected, nanoseconds.
 const BATCH_NS: i64 = 1_000_000_000;
-/// Deviations in a batch at most; a node that is behind gives them in parts.
+/// Most deviations in a batch; a node that is behind sends several batches.
 const BATCH_MOST: usize = 4096;
 
-/// Publications by due time, those of one time in the order in which they came.
+/// Publications by due time; those with equal due times stay in order of arrival.
 #[derive(Default)]
 pub struct Schedule {
     heap: BinaryHeap<Reverse<Entry>>,
@@ -33,7 +33,7 @@ struct Entry {
 }
 
 impl Schedule {
-    /// Takes one in; whether it is now the next.
+    /// Adds a publication. Returns whether it is now the next one.
     pub fn push(&mut self, due: Timestamp, publication: Publication) -> bool {
         let number = self.count;
         self.count += 1;
@@ -41,12 +41,12 @@ impl Schedule {
         self.heap.peek().is_some_and(|next| next.0.number == number)
     }
 
-    /// When the next is due.
+    /// Due time of the next publication.
     pub fn next_due(&self) -> Option<Timestamp> {
         self.heap.peek().map(|next| next.0.due)
     }
 
-    /// The next with its due time, if that has come.
+    /// The next publication and its due time, if it is due.
     pub fn take_due(&mut self, now: Timestamp) -> Option<(Timestamp, Publication)> {
         if self.next_due()? > now {
             return None;
@@ -81,7 +81,7 @@ impl PartialEq for Entry {
 
 impl Eq for Entry {}
 
-/// Deviations from due times, gathered for about a second.
+/// Deviations from due times, collected for about a second.
 #[derive(Default)]
 pub struct Deviations {
     batch: Vec<i32>,
@@ -89,7 +89,7 @@ pub struct Deviations {
 }
 
 impl Deviations {
-    /// One left at `left` that was due at `due`.
+    /// Adds a publication that left at `left` and was due at `due`.
     pub fn record(&mut self, due: Timestamp, left: Timestamp) {
         if self.batch.is_empty() {
             self.since = left;
@@ -98,7 +98,7 @@ impl Deviations {
         self.batch.push(us as i32);
     }
 
-    /// When the batch should be given on, if there is anything in it.
+    /// When the batch is complete; `None` if it is empty.
     pub fn full_at(&self) -> Option<Timestamp> {
         match self.batch.len() {
             0 => None,
@@ -107,18 +107,18 @@ impl Deviations {
         }
     }
 
-    /// The batch, if it is time; microseconds, positive is late.
+    /// The batch, if it is complete; microseconds, positive is late.
     pub fn take_full(&mut self, now: Timestamp) -> Option<Vec<i32>> {
         self.full_at().filter(|at| *at <= now).map(|_| std::mem::take(&mut self.batch))
     }
 
-    /// What there is.
+    /// The batch as it is.
     pub fn take(&mut self) -> Vec<i32> {
         std::mem::take(&mut self.batch)
     }
 }
 
-/// State that the thread of the node loop and the timer's thread share.
+/// State that the node loop and the timer thread share.
 #[derive(Default)]
 pub(super) struct Playout {
     waiting: Mutex<Waiting>,
@@ -132,20 +132,20 @@ struct Waiting {
 }
 
 impl Playout {
-    /// Publishes at that time. Returns at once.
+    /// Schedules a publication for its due time. Returns at once.
     pub(super) fn push(&self, due: Timestamp, publication: Publication) {
         if self.lock().schedule.push(due, publication) {
             self.changed.notify_one();
         }
     }
 
-    /// Nothing more will come; the thread ends when the last has left.
+    /// Ends the input; the thread ends after the last publication.
     pub(super) fn close(&self) {
         self.lock().closed = true;
         self.changed.notify_one();
     }
 
-    /// The thread's work: publishes until closed and empty.
+    /// The thread's loop: publishes until closed and empty.
     pub(super) fn run(
         self: Arc<Self>,
         clock: WallClock,
@@ -195,7 +195,7 @@ impl Playout {
         }
     }
 
-    /// Sleeps until something changed, for `pause` at most, or until a batch is full.
+    /// Sleeps until something changes, at most for `pause`, or until a batch is complete.
     fn sleep<'a>(
         &'a self,
         waiting: MutexGuard<'a, Waiting>,
@@ -203,7 +203,7 @@ impl Playout {
         pause: Option<Duration>,
         full_at: Option<Timestamp>,
     ) -> MutexGuard<'a, Waiting> {
-        // While poses are due, a batch is given on after the next of them.
+        // While poses are due, a batch is sent after the next of them.
         match pause.or_else(|| full_at.map(|at| clock.until(at))) {
             Some(pause) => {
                 let slept = self.changed.wait_timeout(waiting, pause);

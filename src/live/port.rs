@@ -19,42 +19,42 @@ pub enum Input {
     },
     /// A calibration from a file, as the bytes of a `Rig` message.
     RigFile(Vec<u8>),
-    /// The answer to the job that is out.
+    /// The solution of the current job.
     Solved {
-        /// The answer.
+        /// The solution.
         solution: Box<Solution>,
         /// How long the solver took, nanoseconds.
         took_ns: u64,
     },
     /// Time has passed.
     Tick,
-    /// So many messages were dropped, since the queue was full.
+    /// Number of messages that were dropped because the queue was full.
     Dropped(u64),
-    /// Final poses were published; the deviation of each from its due time, microseconds, positive is
+    /// Final poses were published: deviation of each from its due time, microseconds, positive is
     /// late.
     Played(Vec<i32>),
-    /// Nothing more will come.
+    /// The end of the input.
     End,
 }
 
-/// What the core asks for.
+/// Outputs of the core.
 #[derive(Clone, Debug)]
 pub enum Output {
-    /// A job to solve, at most one at a time.
+    /// A job to solve; at most one at a time.
     Solve(Box<Job>),
     /// A message to publish.
     Publish(Publication),
-    /// Asks for a [`Input::Tick`] at this time of the node's clock, unless another input comes after
-    /// it; replaces the time asked for before.
+    /// Asks for an [`Input::Tick`] at this time of the node's clock, unless another input comes
+    /// later than that. Replaces the time asked for before.
     Wake(Timestamp),
 }
 
-/// The settings of a core; the journal's first entry holds them.
+/// Settings of a core; the first entry of the journal holds them.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// Of the tracker.
+    /// Settings of the tracker.
     pub tracker: tracker::Config,
-    /// Of the node.
+    /// Settings of the node.
     pub node: Config,
     /// All settings as TOML.
     pub toml: String,

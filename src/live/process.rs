@@ -1,21 +1,21 @@
-//! What a process uses, from Linux' `/proc`.
+//! Resources that a process uses, from `/proc` of Linux.
 
 use std::fs;
 
-/// Clock ticks of `/proc/PID/stat` a second; Linux shows 100 to programs on every machine.
+/// Clock ticks per second in `/proc/PID/stat`; Linux uses 100 here on every system.
 const TICKS: f64 = 100.0;
 
-/// What a process has used.
+/// Resources that a process uses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Usage {
     /// Processor time of all its threads, user and system, seconds.
     pub cpu_s: f64,
-    /// Memory that is resident, bytes.
+    /// Resident memory, bytes.
     pub resident_bytes: u64,
 }
 
 impl Usage {
-    /// Of the process of that number, or of this one; `None` where the system does not say.
+    /// Usage of the process with that id, or of this one. `None` if the system does not report it.
     pub fn of(process: Option<u32>) -> Option<Self> {
         let folder = process.map_or_else(|| "self".to_owned(), |number| number.to_string());
         let read = |file: &str| fs::read_to_string(format!("/proc/{folder}/{file}")).ok();
@@ -26,7 +26,7 @@ impl Usage {
     }
 }
 
-/// Fields 14 and 15; the second field, the name in parentheses, may hold anything.
+/// Fields 14 and 15; the second field, the name in parentheses, may hold any character.
 fn cpu_s(stat: &str) -> Option<f64> {
     let mut after_name = stat.rsplit_once(')')?.1.split_whitespace().skip(11);
     let mut ticks = || after_name.next()?.parse::<f64>().ok();

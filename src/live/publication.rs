@@ -1,4 +1,4 @@
-//! What the core publishes: typed messages. The outlet encodes them, once.
+//! Typed messages that the core publishes. The outlet encodes each of them once.
 
 use std::sync::Arc;
 
@@ -8,9 +8,9 @@ use crate::io::wire::{Event, Journal, Keyframe, Pose, Rig, Schema, Skeleton, Sta
 /// A message to publish.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Publication {
-    /// Where.
+    /// The topic.
     pub topic: Arc<str>,
-    /// The capture time that it is about.
+    /// The capture time of the content.
     pub capture: Timestamp,
     /// When to publish it, on the node's clock; `None`: at once.
     pub due: Option<Timestamp>,
@@ -21,11 +21,11 @@ pub struct Publication {
 /// A message of the node.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Content {
-    /// Something that happened.
+    /// An event.
     Event(Event),
     /// Counters.
     Status(Box<Status>),
-    /// The calibration, from a file.
+    /// The calibration from a file.
     Rig(Rig),
     /// The body.
     Skeleton(Skeleton),

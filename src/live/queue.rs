@@ -1,12 +1,12 @@
-//! The queue between the bus and the node loop. Pushing never waits: when the queue is full, the
-//! oldest messages are dropped and counted.
+//! The queue between the bus and the node loop. `push` never blocks: when the queue is full, it
+//! drops and counts the oldest messages.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 
-/// Bytes that wait at most, whatever the number of messages.
+/// Most bytes that wait, at any number of messages.
 const MOST_BYTES: usize = 64 << 20;
 
 /// A message from the bus.
@@ -34,7 +34,7 @@ impl Intake {
         Self { sender, receiver, dropped: Arc::default(), bytes: Arc::default() }
     }
 
-    /// Puts a message at the end, without waiting; the oldest are dropped where there is no room.
+    /// Adds a message without blocking; drops the oldest messages if there is no room.
     pub fn push(&self, message: Message) {
         let mut waiting =
             self.bytes.fetch_add(message.payload.len(), Ordering::Relaxed) + message.payload.len();
@@ -48,24 +48,24 @@ impl Intake {
         }
     }
 
-    /// Where messages come out. Tell [`Intake::took`] of each.
+    /// The receiving end. Call [`Intake::took`] for each received message.
     pub fn receiver(&self) -> &Receiver<Message> {
         &self.receiver
     }
 
-    /// Makes room for the bytes of a message that was received.
+    /// Frees the bytes of a received message.
     pub fn took(&self, message: &Message) {
         self.bytes.fetch_sub(message.payload.len(), Ordering::Relaxed);
     }
 
-    /// The oldest message, if one waits.
+    /// The oldest message, if there is one.
     pub fn try_take(&self) -> Option<Message> {
         let message = self.receiver.try_recv().ok()?;
         self.took(&message);
         Some(message)
     }
 
-    /// How many were dropped since this was last asked.
+    /// Messages dropped since the last call.
     pub fn take_dropped(&self) -> u64 {
         match self.dropped.load(Ordering::Relaxed) {
             0 => 0,
@@ -73,12 +73,12 @@ impl Intake {
         }
     }
 
-    /// Messages that wait.
+    /// Number of queued messages.
     pub fn waiting(&self) -> usize {
         self.receiver.len()
     }
 
-    /// Whether there was one to drop.
+    /// Drops the oldest message; returns whether there was one.
     fn drop_oldest(&self) -> bool {
         let dropped = self.try_take().is_some();
         self.dropped.fetch_add(u64::from(dropped), Ordering::Relaxed);

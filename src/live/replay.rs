@@ -1,8 +1,8 @@
-//! Runs the core again on the recorded inputs of a node, and compares the outputs.
+//! Runs the core on the recorded inputs of a node and compares the outputs with the recording.
 //!
-//! The journal holds the order and the times of the inputs; the messages themselves are found by
-//! topic and hash. A job is solved when the journal says that its solution came. So the outputs are
-//! the same, byte for byte, on a processor of the same instruction set.
+//! The journal holds order and times of the inputs; the messages are found by topic and hash. A job
+//! is solved when the journal says that its solution arrived. So the outputs are equal, byte for
+//! byte, on a processor with the same instruction set.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -21,9 +21,9 @@ use crate::io::wire::{
 /// A message of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Recorded {
-    /// When it was recorded, or came out, on the node's clock.
+    /// When it was recorded or published, on the node's clock.
     pub time: Timestamp,
-    /// The capture time that it is about.
+    /// The capture time of its content.
     pub capture: Timestamp,
     /// Its topic.
     pub topic: Arc<str>,
@@ -33,23 +33,23 @@ pub struct Recorded {
     pub payload: Vec<u8>,
 }
 
-/// Why a recording cannot be run again.
+/// Why a recording cannot be replayed.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
-    /// No journal, or none of the stage and actor asked for.
+    /// No journal, or none of the given stage and actor.
     #[error(
         "there is no journal{asked}; give a recording of a node, made by `bundlemocap record`{found}"
     )]
     NoJournal {
-        /// The stage and actor asked for, as text; empty if none were.
+        /// The given stage and actor, as text; empty if none were given.
         asked: String,
-        /// The journals that are there, as text; empty if there are none.
+        /// The journals in the recording, as text; empty if there are none.
         found: String,
     },
     /// Journals of several nodes.
     #[error("there are journals of several nodes; choose one with --stage and --actor: {found}")]
     Several {
-        /// Their topics, with commas between.
+        /// Their topics, separated by commas.
         found: String,
     },
     /// The journal's beginning is missing.
@@ -61,23 +61,23 @@ pub enum ReplayError {
         /// Number of its first message.
         first: u64,
     },
-    /// An input of the node is not in the recording.
+    /// An input of the node is missing in the recording.
     #[error(
         "message {index} of the journal, {bytes_hash:016x} on {topic}, is not in the recording: it \
          was lost, or recording began after the cameras"
     )]
     Missing {
-        /// How many entries come before.
+        /// Number of entries before it.
         index: u64,
         /// Its topic.
         topic: String,
         /// Hash of its bytes.
         bytes_hash: u64,
     },
-    /// The journal does not fit the outputs of the core.
-    #[error("entry {index} of the journal makes no sense: {reason}")]
+    /// An entry of the journal contradicts the core's outputs.
+    #[error("entry {index} of the journal cannot be replayed: {reason}")]
     Senseless {
-        /// How many entries come before.
+        /// Number of entries before it.
         index: u64,
         /// What is wrong.
         reason: String,
@@ -87,22 +87,22 @@ pub enum ReplayError {
     Decode(#[from] DecodeError),
 }
 
-/// The replayed messages of one topic, compared with the recorded ones.
+/// Comparison of replayed and recorded messages of one topic.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Comparison {
     /// Messages in the recording.
     pub recorded: usize,
     /// Replayed messages.
     pub replayed: usize,
-    /// Those with the same bytes, in the same order.
+    /// Messages with the same bytes in the same order.
     pub equal: usize,
     /// Index of the first recorded message that was not replayed.
     pub differs_at: Option<usize>,
 }
 
 impl Comparison {
-    /// Every recorded message must be replayed, in order. The recording may have lost messages, and
-    /// may go on after the end of its journal.
+    /// Checks that every recorded message is replayed, in order. The recording may have lost
+    /// messages, and may continue after the end of its journal.
     fn of(recorded: &[&[u8]], replayed: &[&[u8]]) -> Self {
         let (mut rest, mut equal) = (replayed, 0);
         let mut differs_at = None;
@@ -122,7 +122,7 @@ impl Comparison {
         Self { recorded: recorded.len(), replayed: replayed.len(), equal, differs_at }
     }
 
-    /// Whether nothing differs.
+    /// Whether every recorded message was replayed with the same bytes.
     pub fn agrees(&self) -> bool {
         self.differs_at.is_none()
     }
@@ -140,25 +140,25 @@ pub struct Replayed {
     pub start: JournalStart,
     /// Entries of the journal.
     pub inputs: u64,
-    /// By topic, outputs of the core only.
+    /// Comparison by topic, outputs of the core only.
     pub topics: BTreeMap<String, Comparison>,
     /// All outputs, in order.
     pub outputs: Vec<Recorded>,
-    /// Whether the journal goes on to the node's end.
+    /// Whether the journal reaches the node's end.
     pub is_whole: bool,
 }
 
 impl Replayed {
-    /// The outputs on the topics that were compared; calibrations are inputs and not among them.
+    /// The outputs on the topics that were compared; calibrations are inputs and not included.
     pub fn outputs(&self) -> impl Iterator<Item = &Recorded> {
         self.outputs.iter().filter(|message| self.topics.contains_key(&*message.topic))
     }
 }
 
-/// Finds the node whose journal a recording holds.
+/// Finds the node whose journal is in a recording.
 ///
 /// # Errors
-/// No journal of the stage and actor asked for, or several.
+/// There is no journal of the given stage and actor, or there are several.
 pub fn find_node(
     messages: &[Recorded],
     stage: Option<&str>,
@@ -194,7 +194,7 @@ pub fn find_node(
 /// The journal of a recording, in order.
 ///
 /// # Errors
-/// None, one that cannot be decoded, or one without its beginning.
+/// There is no journal, it cannot be decoded, or its beginning is missing.
 pub fn journal(messages: &[Recorded], topics: &Topics) -> Result<Vec<JournalEntry>, ReplayError> {
     let topic = topics.journal();
     let missing = || ReplayError::NoJournal { asked: format!(" on {topic}"), found: String::new() };
@@ -213,10 +213,10 @@ pub fn journal(messages: &[Recorded], topics: &Topics) -> Result<Vec<JournalEntr
     Ok(parts.into_iter().flat_map(|part| part.entries).collect())
 }
 
-/// Runs a core again. `prepare` makes the settings and the solver from the first entry.
+/// Runs a core on a journal. `prepare` makes settings and solver from the first entry.
 ///
 /// # Errors
-/// A journal that is not whole, or messages that are missing.
+/// The journal is incomplete, or messages are missing.
 pub fn replay<E: From<ReplayError>>(
     messages: &[Recorded],
     topics: &Topics,
@@ -225,7 +225,7 @@ pub fn replay<E: From<ReplayError>>(
     let mut entries = journal(messages, topics)?.into_iter();
     let senseless = |reason: &str| ReplayError::Senseless { index: 0, reason: reason.to_owned() };
     let Some(JournalEntry { input: Some(Entry::Start(start)), .. }) = entries.next() else {
-        return Err(senseless("it is no start").into());
+        return Err(senseless("it is not a start").into());
     };
     let (settings, solver) = prepare(&start)?;
     let mut run = Run::new(messages, Core::new(settings), solver);
@@ -236,7 +236,7 @@ pub fn replay<E: From<ReplayError>>(
         run.give(begin, Input::RigFile(rig.clone()));
         run.outputs.clear();
     }
-    // The last answers and poses come after the end.
+    // The last answers and poses follow after the end.
     let is_whole = entries.iter().any(|entry| matches!(entry.input, Some(Entry::End(_))));
     let inputs = entries.len() as u64 + 1;
     for (index, entry) in (1..).zip(entries) {
@@ -249,7 +249,7 @@ pub fn replay<E: From<ReplayError>>(
     Ok(Replayed { start, inputs, topics, outputs, is_whole })
 }
 
-/// A core that gets the inputs of a journal.
+/// A core that gets its inputs from a journal.
 struct Run<'a> {
     core: Core,
     solver: Solver,
@@ -280,8 +280,8 @@ impl<'a> Run<'a> {
             Some(Entry::Dropped(count)) => Input::Dropped(count),
             Some(Entry::Played(played)) => Input::Played(played.deviation_us),
             Some(Entry::End(_)) => Input::End,
-            Some(Entry::Start(_)) => return Err(senseless("a second start".to_owned())),
-            None => return Err(senseless("of a later version".to_owned())),
+            Some(Entry::Start(_)) => return Err(senseless("it is a second start".to_owned())),
+            None => return Err(senseless("it is of a later version".to_owned())),
         })
     }
 
@@ -322,8 +322,8 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Compares replayed with recorded messages, topic by topic. Calibrations are inputs and left out;
-/// so are messages that were published before the journal began.
+/// Compares replayed with recorded messages, by topic. Skips calibrations, which are inputs, and
+/// messages that were published before the journal began.
 fn compare(
     recorded: &[Recorded],
     replayed: &[Recorded],

@@ -7,7 +7,7 @@ use crate::core::fnv::fnv1a;
 use crate::io::formats::{ImportError, Up, read_calibration};
 use crate::io::wire::{Rig, encode};
 
-/// A calibration file that is looked at again and again.
+/// A calibration file that is checked for changes.
 pub struct RigFile {
     path: PathBuf,
     up: Up,
@@ -15,12 +15,12 @@ pub struct RigFile {
     version: u64,
 }
 
-/// What changes with a file: when it was written, and its length.
+/// Time of the last change, and length of the file.
 type Stamp = (SystemTime, u64);
 
 impl RigFile {
-    /// Reads it for the first time: the bytes of a [`Rig`] message. Its version is a hash of the
-    /// cameras, so that it changes with them and is the same wherever the file is read.
+    /// Reads the file for the first time: the bytes of a [`Rig`] message. Its version is a hash of
+    /// the cameras, so it depends on their content only.
     ///
     /// # Errors
     /// As [`read_calibration`].
@@ -32,18 +32,18 @@ impl RigFile {
         Ok((file, encode(&rig)))
     }
 
-    /// Where it is.
+    /// Path of the file.
     pub fn path(&self) -> &std::path::Path {
         &self.path
     }
 
-    /// The new calibration, if the file has changed since the last look and holds another one.
+    /// The new calibration, if the file has changed since the last check and its content differs.
     ///
     /// # Errors
-    /// As [`read_calibration`]; the calibration read before is still good.
+    /// As [`read_calibration`]; the previous calibration stays valid.
     pub fn changed(&mut self) -> Result<Option<Vec<u8>>, ImportError> {
         let stamp = self.look();
-        // A file that is away is being replaced; the next look finds it.
+        // A missing file is just being replaced; the next check finds it.
         if stamp.is_none() || stamp == self.stamp {
             return Ok(None);
         }
@@ -68,7 +68,7 @@ impl RigFile {
     }
 }
 
-/// A hash of 32 bits, never 0, so that every language's numbers hold it.
+/// A 32-bit hash, never 0; every language's numbers can hold it.
 fn version(bytes: &[u8]) -> u64 {
     let hash = fnv1a(bytes);
     ((hash >> 32) ^ (hash & 0xffff_ffff)).max(1)

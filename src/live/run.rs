@@ -25,13 +25,13 @@ use crate::io::wire::{Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, 
 
 /// How often the calibration file is checked for changes.
 const LOOK: Duration = Duration::from_millis(500);
-/// Batches of deviations that wait for the node loop at most, one a second.
+/// Most batches of deviations that wait for the node loop; there is one per second.
 const BATCHES: usize = 64;
 
 /// A live node.
 pub struct Node;
 
-/// A node that runs. It stops when it is dropped; [`Running::stop`] waits for that.
+/// A running node. It stops when it is dropped; [`Running::stop`] also waits for the end.
 pub struct Running {
     inputs: Vec<Box<dyn Guard>>,
     rig_answer: Option<Box<dyn Guard>>,
@@ -46,12 +46,12 @@ pub struct Running {
 }
 
 impl Node {
-    /// Starts the threads and listens to the bus. `config` is that of the core; the solver moves to
-    /// `solver_core` if there is one.
+    /// Starts the threads and subscribes to the bus. `config` is the core's; the solver thread runs
+    /// on `solver_core` if there is one.
     ///
     /// # Errors
-    /// A bus that does not take the topics, a calibration file that cannot be used, an address
-    /// that is taken, or a system without threads to give.
+    /// The bus refuses the topics, the calibration file cannot be used, the address is in use, or
+    /// the system cannot start a thread.
     pub fn start(
         bus: Arc<dyn Bus>,
         core: Core,
@@ -131,26 +131,26 @@ impl Running {
         &self.over
     }
 
-    /// The last status, once there is one.
+    /// The last status, if there is one.
     pub fn status(&self) -> Option<Status> {
         self.board.status()
     }
 
-    /// Messages that the bus did not take.
+    /// Number of messages that could not be published.
     pub fn publish_failures(&self) -> u64 {
         self.board.publish_failures()
     }
 
-    /// Where the Prometheus endpoint listens, if there is one.
+    /// Address of the Prometheus endpoint, if there is one.
     pub fn prometheus(&self) -> Option<&str> {
         self.endpoint.as_ref().map(|endpoint| endpoint.address.as_str())
     }
 
-    /// Takes nothing more in, publishes what is left at its times, and ends every thread; the last
-    /// status.
+    /// Stops the input, publishes the remaining poses at their due times, and ends every thread.
+    /// Returns the last status.
     ///
     /// # Errors
-    /// A thread that ended before, by a fault.
+    /// A thread ended too early, by a fault.
     pub fn stop(self) -> Result<Option<Status>, NodeError> {
         drop(self.inputs);
         drop(self.stop);
@@ -192,7 +192,7 @@ fn loop_outlet(bus: &Arc<dyn Bus>, topics: &Topics, board: &Board) -> Result<Out
     Ok(outlet)
 }
 
-/// The thread that publishes poses when they are due; gives their deviations.
+/// Starts the thread that publishes poses when they are due and returns their deviations.
 fn start_playout(
     bus: &Arc<dyn Bus>,
     topics: &Topics,
@@ -210,7 +210,7 @@ fn start_playout(
     Ok(played)
 }
 
-/// The thread that solves one job at a time.
+/// Starts the thread that solves one job at a time.
 fn start_solver(
     mut solver: Solver,
     core: Option<SolverCore>,
@@ -235,7 +235,7 @@ fn start_solver(
     Ok((jobs, answers))
 }
 
-/// Reads the calibration file, and looks at it until `looking` is over.
+/// Starts the thread that reads the calibration file until `looking` closes.
 fn watch_rig(
     path: PathBuf,
     config: &Config,
@@ -255,7 +255,7 @@ fn watch_rig(
                     tracing::info!(path, "the calibration has changed");
                     unsent = Some(rig);
                 }
-                Err(error) => tracing::warn!("the calibration before is kept: {error}"),
+                Err(error) => tracing::warn!("the previous calibration is kept: {error}"),
             }
             if let Some(rig) = unsent.take()
                 && let Err(SendTimeoutError::Timeout(rig)) = sender.send_timeout(rig, LOOK)

@@ -1,27 +1,27 @@
-//! Counters of windows and of what was published, as they are put into a status.
+//! Counters of windows and publications for the status message.
 
 use std::collections::VecDeque;
 
 use crate::core::tracker::{Verdict, WindowReport};
 use crate::io::wire::{PlayoutCounters, WindowCounters};
 
-/// Windows over which times and iterations are summed up.
+/// Number of recent windows for solve times and iterations.
 const RECENT: usize = 256;
 /// Upper ends of the bins of deviations from due times, microseconds.
 const DEVIATION_BINS_US: [u32; 9] = [100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000];
-/// Upper ends of the bins of live latencies, microseconds.
+/// Upper ends of the bins of provisional latencies, microseconds.
 const LIVE_BINS_US: [u32; 9] = [1000, 2000, 3000, 5000, 7500, 10_000, 20_000, 50_000, 100_000];
 
 /// Counters of windows.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Windows {
     counters: WindowCounters,
-    /// Solve time in milliseconds and iterations of the last windows.
+    /// Solve time in milliseconds and iterations of the recent windows.
     recent: VecDeque<(f64, f64)>,
 }
 
 impl Windows {
-    /// A window was solved, in that time.
+    /// Counts a solved window.
     pub(super) fn solved(&mut self, report: &WindowReport, took_ns: i64) {
         let counter = match report.verdict {
             Verdict::Tracked => &mut self.counters.tracked,
@@ -37,7 +37,7 @@ impl Windows {
         }
     }
 
-    /// A window closed without a camera.
+    /// Counts a window that closed without a camera.
     pub(super) fn incomplete(&mut self) {
         self.counters.incomplete += 1;
     }
@@ -54,14 +54,14 @@ impl Windows {
     }
 }
 
-/// The value that a part of all is at or below; 0 of nothing.
+/// The quantile at `part`, 0 to 1; 0 if there are no values.
 pub(super) fn quantile(values: &mut [f64], part: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     let index = (values.len() as f64 * part).ceil() as usize;
     values.get(index.saturating_sub(1)).copied().unwrap_or(0.0)
 }
 
-/// Counters of what was published.
+/// Counters of publications.
 #[derive(Clone, Debug)]
 pub(super) struct Published {
     counters: PlayoutCounters,
@@ -79,7 +79,7 @@ impl Published {
         Self { counters }
     }
 
-    /// Final poses left, each so far off its due time.
+    /// Counts published final poses, each with its deviation from the due time.
     pub(super) fn played(&mut self, deviations_us: &[i32]) {
         self.counters.published += deviations_us.len() as u64;
         for deviation in deviations_us {
@@ -88,7 +88,7 @@ impl Published {
         }
     }
 
-    /// A provisional pose left so long after the last message of its frame set.
+    /// Counts a provisional pose; the latency is from the last message of its frame set.
     pub(super) fn provisional(&mut self, latency_us: u32) {
         self.counters.provisional += 1;
         self.counters.provisional_counts[bin(&LIVE_BINS_US, latency_us)] += 1;

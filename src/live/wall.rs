@@ -1,14 +1,14 @@
-//! The node's clock: the wall clock at the start, and from then on time that never goes back.
+//! The node's clock: starts at the wall clock's time and never goes back.
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::core::time::Timestamp;
 
-/// How long before a time a sleep should end: it overshoots by the kernel's timer slack, 50 us and
-/// a little.
+/// How early a sleep should end: it overshoots by the kernel's timer slack, slightly more than
+/// 50 us.
 pub(super) const HEAD_START: Duration = Duration::from_micros(100);
 
-/// Reads nanoseconds since 1970; a step of the system's clock after the start does not move it.
+/// Nanoseconds since 1970; a later change of the system's clock has no effect.
 #[derive(Clone, Copy, Debug)]
 pub struct WallClock {
     at_start: Timestamp,
@@ -16,18 +16,18 @@ pub struct WallClock {
 }
 
 impl WallClock {
-    /// A clock that agrees with the system's clock now.
+    /// Starts a clock at the system's current time.
     pub fn start() -> Self {
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         Self { at_start: Timestamp::from_ns(saturating_ns(since_1970)), start: Instant::now() }
     }
 
-    /// The time.
+    /// The current time.
     pub fn now(&self) -> Timestamp {
         self.at_start + saturating_ns(self.start.elapsed())
     }
 
-    /// Waits until then: sleeps, and spins for what a sleep cannot hit.
+    /// Waits until that time: sleeps, then spins for the rest.
     pub fn wait_until(&self, then: Timestamp) {
         let sleep = self.until(then).saturating_sub(HEAD_START);
         if !sleep.is_zero() {
@@ -38,13 +38,13 @@ impl WallClock {
         }
     }
 
-    /// How long it is until then; zero if it has passed.
+    /// Time left until then; zero if it has passed.
     pub fn until(&self, then: Timestamp) -> Duration {
         Duration::from_nanos(u64::try_from(then - self.now()).unwrap_or(0))
     }
 }
 
-/// Nanoseconds, at most what a stamp holds.
+/// Nanoseconds, limited to the range of a time stamp.
 pub(super) fn saturating_ns(duration: Duration) -> i64 {
     i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)
 }

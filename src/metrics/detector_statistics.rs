@@ -1,10 +1,10 @@
-//! How a detector errs, in figures: of a real recording against its solution, or of a synthetic one
-//! against its truth or its solution, so that the two can be set side by side.
+//! Statistics of a detector's errors: on a real recording against its solution, or on a synthetic
+//! one against its truth or its solution, so that the two can be compared.
 //!
-//! Residuals are detected minus projected, as a share of the person's height in that image (the
-//! larger side of the box around the projected joints), so that they hold at any distance and
-//! resolution. Against a solution they hold what the fit could not take up of the detector's errors,
-//! of the calibration's and of the clocks'; a fair comparison solves both recordings.
+//! Residuals are detected minus projected, divided by the person's height in that image (the
+//! larger side of the box around the projected joints), so they do not depend on distance and
+//! resolution. Against a solution they hold the errors of detector, calibration and clocks that the
+//! fit did not absorb; a fair comparison solves both recordings.
 
 use nalgebra::Vector2;
 
@@ -14,21 +14,21 @@ use crate::core::camera::{Camera, Rig};
 use crate::core::detections::{Detection, Detections, Keypoint, KeypointFormat, Person};
 use crate::core::time::Timestamp;
 
-/// Samples in a piece whose spectrum is taken.
+/// Samples in a segment of the spectrum.
 const PIECE: usize = 32;
-/// Pieces begin this many samples apart.
+/// Samples from one segment's start to the next.
 const HOP: usize = PIECE / 2;
-/// A detected person is the performer if the median residual is within this share of the height.
+/// A detected person is the performer if the median residual is below this share of the height.
 const GATE: f64 = 0.25;
-/// How many bins of confidence there are between 0 and 1.
+/// Number of confidence bins between 0 and 1.
 const BINS: usize = 10;
 
 /// One point in one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seen {
-    /// Detected minus projected, as a share of the person's height in the image.
+    /// Detected minus projected, divided by the person's height in the image.
     pub residual: Vector2<f64>,
-    /// Of the detection.
+    /// Confidence of the detection.
     pub confidence: f64,
 }
 
@@ -37,55 +37,55 @@ pub struct Seen {
 pub struct PointTrack {
     /// Index of the camera in the rig.
     pub camera: usize,
-    /// Which point it is.
+    /// The keypoint.
     pub keypoint: Keypoint,
-    /// Time in seconds and what was seen, frame by frame; `None` where the detector has no point
-    /// while it has the performer and the projection lies in the image.
+    /// Time in seconds and the detection, frame by frame; `None` where the detector has the
+    /// performer without this point and the projection lies in the image.
     pub samples: Vec<(f64, Option<Seen>)>,
 }
 
-/// The points of all cameras over time, and counts of what is no point.
+/// Tracks of the points of all cameras, and counts of frames and limb pairs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DetectorTracks {
-    /// Fitted points of each camera.
+    /// Tracks of the fitted points of each camera.
     pub tracks: Vec<PointTrack>,
-    /// Frames of any camera that were compared.
+    /// Frames of all cameras that were compared.
     pub frames: usize,
-    /// Those in which nobody was near the projected body.
+    /// Frames without a person near the projected body.
     pub without_performer: usize,
-    /// Those with another person beside the performer, or the performer in two.
+    /// Frames with another person beside the performer, or with the performer detected twice.
     pub with_others: usize,
-    /// Pairs of limb points (elbows, wrists, knees, ankles) that could have been told apart.
+    /// Pairs of limb points (elbows, wrists, knees, ankles) far enough apart to be distinguished.
     pub pairs: usize,
-    /// Those of them that lie better with left and right exchanged.
+    /// Pairs among them that fit better with left and right exchanged.
     pub inverted: usize,
 }
 
-/// A share of the points with a confidence within a bin.
+/// Points with a confidence in one bin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConfidenceBin {
     /// Lower and upper end.
     pub range: [f64; 2],
-    /// Share of all points seen.
+    /// Share of all detected points.
     pub share: f64,
-    /// Median size of the residual, share of the height; 0 for an empty bin.
+    /// Median size of the residual, as a share of the height; 0 for an empty bin.
     pub median_error: f64,
-    /// Mean size of the residual, share of the height; 0 for an empty bin.
+    /// Mean size of the residual, as a share of the height; 0 for an empty bin.
     pub mean_error: f64,
 }
 
-/// The figures. Sizes are shares of the person's height.
+/// Statistics of a detector. Sizes are shares of the person's height.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DetectorStatistics {
-    /// Points seen.
+    /// Number of detected points.
     pub points: usize,
     /// Median size of the residuals.
     pub residual_median: f64,
     /// 95th percentile of their size.
     pub residual_p95: f64,
-    /// Median over the tracks of the size of a track's median residual: what is systematic.
+    /// Systematic error: median over the tracks of the size of a track's median residual.
     pub systematic: f64,
-    /// Median over points of the size of what is left after the track's median is taken off.
+    /// Varying error: median size of residual minus the track's median residual.
     pub varying: f64,
     /// Median size of second differences of the residual between neighbouring frames.
     pub second_difference: f64,
@@ -95,23 +95,23 @@ pub struct DetectorStatistics {
     pub missing_run_s: f64,
     /// Share of frames without the performer.
     pub without_performer: f64,
-    /// Share of frames with others, or with the performer in two.
+    /// Share of frames with others, or with the performer detected twice.
     pub with_others: f64,
-    /// Share of limb pairs that lie better with left and right exchanged.
+    /// Share of limb pairs that fit better with left and right exchanged.
     pub inverted: f64,
-    /// Spectrum of the residuals: hertz, and the median over tracks and pieces of the power,
-    /// share^2 per hertz, both axes summed. Pieces of 32 frames without a gap, mean off, Hann's
-    /// window \[Welch 1967\]; the median, since a few gross errors would make up any mean.
+    /// Spectrum of the residuals: frequency in hertz, and median over tracks and segments of
+    /// the power in share^2 per hertz, both axes summed. Segments have 32 frames without a gap, are
+    /// centred and have a Hann window \[Welch 1967\]; the median resists a few gross errors.
     pub spectrum: Vec<(f64, f64)>,
     /// Error by confidence, ten bins from 0 to 1.
     pub by_confidence: Vec<ConfidenceBin>,
-    /// Median size of the residual of each point, all cameras.
+    /// Median size of the residual of each keypoint, all cameras.
     pub by_point: Vec<(Keypoint, f64)>,
 }
 
 impl DetectorTracks {
-    /// Compares `frames` with a body: `posture` is asked by capture time. Frames for which it has
-    /// none are left out. Of several persons that nearest to the projected body is taken.
+    /// Compares `frames` with a body; `posture` gives the body at a capture time, and frames
+    /// without one are skipped. Of several people, the one nearest to the projected body is used.
     pub fn compare<'a>(
         rig: &Rig,
         format: KeypointFormat,
@@ -194,7 +194,7 @@ impl DetectorTracks {
         }
     }
 
-    /// The figures; `None` where no point was seen. `fps`: frames a second of every camera.
+    /// The statistics; `None` without detected points. `fps`: frame rate of every camera.
     pub fn statistics(&self, fps: f64) -> Option<DetectorStatistics> {
         let seen: Vec<Seen> = self.tracks.iter().flat_map(|t| t.seen()).collect();
         let sizes: Vec<f64> = seen.iter().map(|s| s.residual.norm()).collect();
@@ -262,13 +262,13 @@ impl PointTrack {
         self.samples.iter().filter_map(|(_, seen)| *seen)
     }
 
-    /// Median residual, by axis.
+    /// Median residual of each axis.
     fn centre(&self) -> Vector2<f64> {
         let axis = |i: usize| median(&self.seen().map(|s| s.residual[i]).collect::<Vec<_>>());
         Vector2::new(axis(0).unwrap_or(0.0), axis(1).unwrap_or(0.0))
     }
 
-    /// Residuals of frames that follow each other without a gap.
+    /// Runs of residuals of consecutive frames, without gaps.
     fn runs(&self, fps: f64) -> Vec<Vec<Vector2<f64>>> {
         let mut runs: Vec<Vec<Vector2<f64>>> = Vec::new();
         let mut last = f64::NEG_INFINITY;
@@ -305,7 +305,7 @@ impl PointTrack {
     }
 }
 
-/// Points of limbs whose sides a detector confuses.
+/// Limb points whose sides a detector confuses.
 const PAIRS: [(Keypoint, Keypoint); 4] = [
     (Keypoint::LElbow, Keypoint::RElbow),
     (Keypoint::LWrist, Keypoint::RWrist),
@@ -342,7 +342,7 @@ fn performer<'a>(
                 Some((detected(person, point)?.pixel.coords - (*pixel)?).norm())
             })
             .collect();
-        // A person of a few points is near by chance.
+        // A person of few points may be near by chance.
         median(&distances).filter(|_| distances.len() >= points.len() / 3)
     };
     let near = frame.people.iter().filter_map(|person| Some((distance(person)?, person)));
@@ -350,7 +350,7 @@ fn performer<'a>(
     (nearest.0 <= gate).then_some(nearest.1)
 }
 
-/// Power of a piece, share^2 per hertz, at 1 to 16 times fps / 32.
+/// Power of a segment, share^2 per hertz, at 1 to 16 times fps / 32.
 fn power(piece: &[Vector2<f64>], fps: f64) -> [f64; PIECE / 2] {
     let mean = piece.iter().sum::<Vector2<f64>>() / PIECE as f64;
     let phase = |i: usize| std::f64::consts::TAU * i as f64 / PIECE as f64;

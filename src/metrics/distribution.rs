@@ -1,29 +1,29 @@
-//! Percentiles of a stream of values, in memory that does not grow with its length.
+//! Percentiles of a stream of values in bounded memory.
 
 use super::statistics::percentiles;
 
-/// Values that are kept as they are; beyond that the histogram takes over.
+/// Number of values that are stored exactly; beyond it, a histogram is used.
 const EXACT: usize = 1 << 17;
-/// Bits of a single-precision number below those that choose the bin: 1024 bins an octave.
+/// Low bits of a single-precision number that do not select the bin: 1024 bins per octave.
 const SHIFT: u32 = 13;
 /// The values of the first and the last bin: 2^-10 and 2^20.
 const RANGE: [f32; 2] = [9.765_625e-4, 1_048_576.0];
 
 /// The distribution of values that are 0 or above, for instance errors in pixels.
 ///
-/// Up to 131,072 values are kept, and percentiles are exact. Beyond that the values are counted in bins that are 0.1 % wide: a percentile is the middle of its bin, at most
-/// 0.05 % off. Values below 2^-10 or above 2^20 then count in the first or the last bin. Memory:
-/// at most 1 MB.
+/// Percentiles are exact for up to 131,072 values. Beyond that, values are counted in bins that are
+/// 0.1 % wide: a percentile is the middle of its bin, at most 0.05 % off, and values below 2^-10 or
+/// above 2^20 count in the first or last bin. Memory: at most 1 MB.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Distribution {
     exact: Vec<f64>,
-    /// Counts by bin; empty while the values are kept.
+    /// Counts by bin; empty while values are stored exactly.
     bins: Vec<u64>,
     count: u64,
 }
 
 impl Distribution {
-    /// Takes in a value; NaN is left out.
+    /// Adds a value; NaN is ignored.
     pub fn add(&mut self, value: f64) {
         if value.is_nan() {
             return;
@@ -42,12 +42,12 @@ impl Distribution {
         }
     }
 
-    /// How many values were taken in.
+    /// Number of added values.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// The middle value; `None` without values.
+    /// The median; `None` without values.
     pub fn median(&self) -> Option<f64> {
         self.percentiles([50.0]).map(|[median]| median)
     }
@@ -71,7 +71,7 @@ impl Distribution {
     }
 }
 
-/// The bits of positive numbers are in the order of the numbers.
+/// The bits of positive numbers have the same order as the numbers.
 fn bin_of(value: f64) -> usize {
     let bits = (value as f32).clamp(RANGE[0], RANGE[1]).to_bits();
     ((bits - RANGE[0].to_bits()) >> SHIFT) as usize
@@ -86,7 +86,7 @@ fn middle_of(bin: usize) -> f64 {
 mod tests {
     use super::*;
 
-    /// Values from 0 to 10, in no order.
+    /// Values from 0 to 10, unordered.
     fn values(count: usize) -> impl Iterator<Item = f64> {
         (0..count).map(move |i| 10.0 * ((i * 7919) % count) as f64 / count as f64)
     }

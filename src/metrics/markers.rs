@@ -23,21 +23,21 @@ pub const COMPARED: [Keypoint; 12] = [
 /// Positions of the [`COMPARED`] points in the world, metres; `None` where a point is missing.
 pub type MarkerPositions = [Option<Vector3<f64>>; COMPARED.len()];
 
-/// How far an estimate is from a reference, millimetres.
+/// Distance between an estimate and a reference, millimetres.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MarkerDistance {
-    /// Frames in which at least one point was compared.
+    /// Frames with at least one compared point.
     pub frames: usize,
-    /// Mean over all points and frames compared.
+    /// Mean over all compared points and frames.
     pub mean_mm: f64,
-    /// Mean of each point that was compared.
+    /// Mean of each compared point.
     pub per_keypoint_mm: Vec<(Keypoint, f64)>,
-    /// The frame with the largest distance between the middles of the two hips, and that
-    /// distance; `None` where the hips were never in both.
+    /// The frame with the largest distance between the two mid-hips, and that distance; `None`
+    /// if no frame has the hips in both.
     pub worst_mid_hip: Option<(u64, f64)>,
 }
 
-/// Adds up distances, frame by frame.
+/// Sums distances over frames.
 #[derive(Clone, Debug, Default)]
 pub struct MarkerDistances {
     sums: [(f64, usize); COMPARED.len()],
@@ -46,7 +46,7 @@ pub struct MarkerDistances {
 }
 
 impl MarkerDistances {
-    /// Takes in frame number `frame`.
+    /// Adds frame number `frame`.
     pub fn add(&mut self, frame: u64, estimate: &MarkerPositions, reference: &MarkerPositions) {
         let differences: MarkerPositions =
             std::array::from_fn(|i| Some(estimate[i]? - reference[i]?));
@@ -67,7 +67,7 @@ impl MarkerDistances {
         }
     }
 
-    /// The distances; `None` if nothing was compared.
+    /// The mean distances; `None` if nothing was compared.
     pub fn finish(&self) -> Option<MarkerDistance> {
         let count: usize = self.sums.iter().map(|sum| sum.1).sum();
         let per_keypoint_mm = COMPARED

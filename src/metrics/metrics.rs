@@ -1,4 +1,4 @@
-//! How far solved poses are from the truth, in the measures of \[Albanis 2023, sec. 4\].
+//! Errors of solved poses against the truth, with the metrics of \[Albanis 2023, sec. 4\].
 
 use std::borrow::Borrow;
 
@@ -9,17 +9,17 @@ use crate::core::body::{JOINTS, Joint, Posture};
 use crate::core::so3;
 use crate::core::time::Timestamp;
 
-/// Distances over which a joint counts as found, metres.
+/// Largest errors of a joint that counts as correct (PCK), metres.
 const PCK: [f64; 2] = [0.03, 0.07];
 
 /// Errors over frames and the 22 joints. With e = |P - P*| of one joint in one frame:
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PoseErrors {
-    /// How many frames were compared.
+    /// Number of compared frames.
     pub frames: usize,
     /// Mean of e, millimetres (MPJPE, absolute).
     pub mpjpe_mm: f64,
-    /// Mean of e after the pelvis is moved onto the true one, millimetres; the pelvis counts as 0.
+    /// Mean of e after aligning the pelvis with the true one, millimetres; the pelvis counts as 0.
     pub mpjpe_root_relative_mm: f64,
     /// sqrt(mean of e^2), millimetres.
     pub rmse_mm: f64,
@@ -36,8 +36,7 @@ pub struct PoseErrors {
     pub per_joint_mm: [f64; JOINTS],
 }
 
-/// Compares postures with the true ones of the same times, given as (estimate, truth).
-/// `None` without any.
+/// Errors of pairs (estimate, truth) of the same times. `None` without pairs.
 pub fn pose_errors<P: Borrow<Posture>>(
     pairs: impl IntoIterator<Item = (P, P)>,
 ) -> Option<PoseErrors> {
@@ -48,7 +47,7 @@ pub fn pose_errors<P: Borrow<Posture>>(
     sums.errors()
 }
 
-/// Adds up [`PoseErrors`], frame by frame.
+/// Sums [`PoseErrors`] over frames.
 #[derive(Clone, Debug, Default)]
 pub struct PoseErrorSums {
     frames: usize,
@@ -61,7 +60,7 @@ pub struct PoseErrorSums {
 }
 
 impl PoseErrorSums {
-    /// Takes in a frame.
+    /// Adds a frame.
     pub fn add(&mut self, estimate: &Posture, truth: &Posture) {
         self.frames += 1;
         let shift = truth.positions[0] - estimate.positions[0];
@@ -85,7 +84,7 @@ impl PoseErrorSums {
             .sum::<f64>();
     }
 
-    /// The errors over all frames so far; `None` without any.
+    /// The errors over all frames so far; `None` without frames.
     pub fn errors(&self) -> Option<PoseErrors> {
         let frames = self.frames as f64;
         let all = frames * JOINTS as f64;
@@ -107,18 +106,18 @@ fn local(posture: &Posture, joint: Joint, parent: Joint) -> Matrix3<f64> {
     posture.rotations[parent.index()].transpose() * posture.rotations[joint.index()]
 }
 
-/// Mean size of the joints' acceleration, m/s^2, over joints and inner frames of a run without
-/// gaps at `fps`: |P(t+1) - 2 P(t) + P(t-1)| fps^2. `None` for fewer than three frames.
+/// Mean size of the joints' acceleration, m/s^2, over joints and inner frames of a run
+/// without gaps at `fps`: |P(t+1) - 2 P(t) + P(t-1)| fps^2. `None` for fewer than three frames.
 pub fn mean_acceleration(postures: &[Posture], fps: f64) -> Option<f64> {
     mean_of_triples(postures.windows(3).map(|triple| acceleration(triple, fps)))
 }
 
-/// The mean of [`mean_acceleration`] over the runs without gaps of a stream of postures, weighted by
+/// [`mean_acceleration`] of a stream of postures: mean over its runs without gaps, weighted by
 /// their length.
 #[derive(Clone, Debug)]
 pub struct MeanAcceleration {
     fps: f64,
-    /// The postures of up to three frames in a row.
+    /// The last postures of the run, at most three.
     run: Vec<Posture>,
     last: Option<Timestamp>,
     sum: f64,
@@ -131,8 +130,8 @@ impl MeanAcceleration {
         Self { fps, run: Vec::with_capacity(3), last: None, sum: 0.0, count: 0.0 }
     }
 
-    /// Takes in the next posture in order of time; `None` if that frame has none that can be used.
-    /// More than 1.5 frame periods since the frame before are a gap.
+    /// Adds the next posture in order of time; `None` if the frame has no usable posture. A step of
+    /// more than 1.5 frame periods is a gap.
     pub fn add(&mut self, capture: Timestamp, posture: Option<Posture>) {
         let longest = (1.5e9 / self.fps) as i64;
         let gap = self.last.is_some_and(|last| capture - last >= longest);
@@ -151,14 +150,14 @@ impl MeanAcceleration {
         }
     }
 
-    /// The mean so far, m/s^2; `None` without three frames in a row.
+    /// The mean so far, m/s^2; `None` without three consecutive frames.
     pub fn mean(&self) -> Option<f64> {
         (self.count > 0.0).then(|| self.sum / self.count)
     }
 }
 
-/// Mean size of the difference between estimated and true acceleration of the joints, m/s^2;
-/// both runs are of the same times, without gaps. `None` for fewer than three frames.
+/// Mean size of the difference between estimated and true acceleration of the joints, m/s^2.
+/// Both runs have the same times and no gaps. `None` for fewer than three frames.
 pub fn acceleration_error(estimate: &[Posture], truth: &[Posture], fps: f64) -> Option<f64> {
     let triples = estimate.windows(3).zip(truth.windows(3));
     mean_of_triples(triples.map(|(estimate, truth)| {

@@ -1,20 +1,20 @@
 //! Metrics and references.
 //!
-//! With e = |P - P*| the distance of a joint from the true one, over frames and the 22 joints:
+//! e = |P - P*| is the distance of a joint from the true one, over frames and the 22 joints:
 //!
 //! | metric | formula | unit |
 //! |---|---|---|
 //! | MPJPE | mean of e | mm |
-//! | root-relative MPJPE | mean of e after the pelvis is moved onto the true one | mm |
+//! | root-relative MPJPE | mean of e after aligning the pelvis with the true one | mm |
 //! | RMSE | sqrt(mean of e^2) | mm |
 //! | MAE | mean angle between local rotations of joints 1 to 21 and the true ones | deg |
 //! | PCK@3, PCK@7 | share of joints with e <= 3 cm, 7 cm | % |
 //! | acceleration error | mean of \|P'' - P*''\|, P'' = (P(t+1) - 2 P(t) + P(t-1)) fps^2 | m/s^2 |
-//! | jump at borders | [`VelocityJump`]: mean \|v(t+) - v(t-)\| at borders over that elsewhere | 1 |
-//! | foot skate | [`foot_skate`]: horizontal speed of feet that truly stand | mm/s |
+//! | jump at borders | [`VelocityJump`]: mean \|v(t+) - v(t-)\| at window borders divided by that elsewhere | 1 |
+//! | foot skate | [`foot_skate`]: horizontal speed of feet whose true speed and height mean contact | mm/s |
 //! | drift | [`slope_interval`] of the frames' mean e over time | mm/min |
 //!
-//! Over several recordings, means have the intervals of [`mean_interval`].
+//! Means over several recordings have the intervals of [`mean_interval`].
 
 mod detector_statistics;
 mod distribution;

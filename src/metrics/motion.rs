@@ -1,4 +1,4 @@
-//! What a still picture does not show: kinks where windows meet, and feet that slide.
+//! Errors of motion: velocity jumps where windows meet, and feet that slide.
 
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -6,35 +6,35 @@ use serde::Serialize;
 use super::statistics::percentile;
 use crate::core::body::{JOINTS, Joint, Posture};
 
-/// A foot is on the ground while it is less than this above its floor, metres, ...
+/// Contact: the foot is less than this above its floor, metres, and ...
 const CONTACT_HEIGHT: f64 = 0.04;
-/// ... and truly slower than this, m/s.
+/// ... its true speed is below this, m/s.
 const CONTACT_SPEED: f64 = 0.2;
-/// A foot's floor is this percentile of its true heights: the lowest few are noise.
+/// The floor is this percentile of the foot's true heights: the lowest values are noise.
 const FLOOR_PERCENTILE: f64 = 5.0;
 /// The joints that touch the ground.
 const FEET: [Joint; 2] = [Joint::LFoot, Joint::RFoot];
 
-/// How the joints' velocity changes from frame to frame, where windows meet and elsewhere. With
-/// v(t+) - v(t-) = (P(t+1) - 2 P(t) + P(t-1)) fps of one joint, the mean of its size over joints
-/// and frames, m/s. Motion itself is in both alike, so their ratio is 1 without kinks.
+/// Velocity jumps from frame to frame at window borders and elsewhere: mean over joints and frames
+/// of |v(t+) - v(t-)|, m/s, with v(t+) - v(t-) = (P(t+1) - 2 P(t) + P(t-1)) fps. The motion itself
+/// adds to both alike, so their ratio is 1 without jumps at borders.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct VelocityJump {
-    /// At borders.
+    /// At window borders.
     pub border_m_s: f64,
     /// At all other frames.
     pub inside_m_s: f64,
 }
 
 impl VelocityJump {
-    /// Borders against inside; 1 is without kinks.
+    /// `border_m_s` / `inside_m_s`; 1 without jumps at borders.
     pub fn ratio(&self) -> f64 {
         self.border_m_s / self.inside_m_s
     }
 }
 
-/// Measures a run without gaps at `fps`; `borders` are indices into it. `None` if there is no
-/// border, or nothing else, among the inner frames.
+/// Measures a run without gaps at `fps`; `borders` are indices into it. `None` if the inner
+/// frames have no border, or only borders.
 pub fn velocity_jump(run: &[Posture], borders: &[usize], fps: f64) -> Option<VelocityJump> {
     let (mut at, mut inside) = ((0.0, 0usize), (0.0, 0usize));
     for (frame, jump) in velocity_jumps(run, fps) {
@@ -47,7 +47,7 @@ pub fn velocity_jump(run: &[Posture], borders: &[usize], fps: f64) -> Option<Vel
     })
 }
 
-/// The mean over joints of |v(t+) - v(t-)|, m/s, of every inner frame of a run without gaps.
+/// Mean over joints of |v(t+) - v(t-)|, m/s, at every inner frame of a run without gaps.
 pub fn velocity_jumps(run: &[Posture], fps: f64) -> impl Iterator<Item = (usize, f64)> + '_ {
     run.windows(3).enumerate().map(move |(before, triple)| {
         let at = |frame: usize, joint: usize| triple[frame].positions[joint];
@@ -56,21 +56,21 @@ pub fn velocity_jumps(run: &[Posture], fps: f64) -> impl Iterator<Item = (usize,
     })
 }
 
-/// How fast feet slide that stand.
+/// Speed of feet that should stand still.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FootSkate {
     /// Mean horizontal speed of the estimated foot joints in contact, mm/s.
     pub mm_s: f64,
-    /// The same of the true ones: what the motion itself has.
+    /// The same for the true joints: speed in the motion itself.
     pub truth_mm_s: f64,
-    /// Contacts: frames, each foot counted for itself.
+    /// Number of contacts: frames, counted for each foot.
     pub contacts: usize,
 }
 
-/// Compares two runs of the same times, without gaps, at `fps`. A foot is in contact in a frame
-/// if its true joint (l_foot, r_foot) is less than 4 cm above its floor, the 5th percentile of
-/// its true heights, and truly slower than 0.2 m/s. Speeds are |P(t+1) - P(t-1)| fps / 2.
-/// `None` without a contact.
+/// Foot skate of two runs of the same times, without gaps, at `fps`. Speeds are
+/// |P(t+1) - P(t-1)| fps / 2. A foot is in contact in a frame if its true joint (l_foot, r_foot) is
+/// less than 4 cm above its floor, the 5th percentile of its true heights, and its true speed is
+/// below 0.2 m/s. `None` without a contact.
 pub fn foot_skate(estimate: &[Posture], truth: &[Posture], fps: f64) -> Option<FootSkate> {
     let (mut sums, mut contacts) = ([0.0; 2], 0usize);
     for foot in FEET.map(Joint::index) {
@@ -104,7 +104,7 @@ mod tests {
 
     const FPS: f64 = 50.0;
 
-    /// The rest pose with its pelvis at those places along x, metres.
+    /// The rest pose with the pelvis at these positions along x, metres.
     fn run(x: &[f64]) -> Vec<Posture> {
         let at = |&x: &f64| {
             let mut pose = Pose::rest();
@@ -150,7 +150,7 @@ mod tests {
             posture.positions[Joint::LFoot.index()].y += 0.05;
         }
         let skate = foot_skate(&still, &lifted, FPS).unwrap();
-        // The right foot in 38 frames; the left in 18, less the two beside each change, in which
+        // The right foot in 38 frames; the left in 18, without the two beside each change, in which
         // it moves.
         assert_eq!(skate.contacts, 38 + 18 - 2);
     }

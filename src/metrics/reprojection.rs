@@ -1,4 +1,4 @@
-//! Reprojection error: how far a projected body lies from what the detectors said.
+//! Reprojection error: distance in the image between the projected body and the detections.
 
 use nalgebra::Point2;
 
@@ -10,9 +10,9 @@ use crate::core::detections::Detection;
 pub struct ReprojectionSample {
     /// Index of the camera in the rig.
     pub camera: usize,
-    /// Where the solved body's point is in the image, pixels.
+    /// Projection of the solved body's point, pixels.
     pub projected: Point2<f64>,
-    /// Where the detector saw it.
+    /// The detection.
     pub detected: Detection,
 }
 
@@ -20,18 +20,17 @@ pub struct ReprojectionSample {
 #[derive(Clone, Debug)]
 pub struct ReprojectionErrors {
     least_confidence: f64,
-    /// Single precision: a long recording has millions.
+    /// Single precision, since a long recording has millions of points.
     by_camera: Vec<Vec<f32>>,
 }
 
 impl ReprojectionErrors {
-    /// For that many cameras; points whose confidence is not above `least_confidence` are left
-    /// out.
+    /// For that many cameras; points with a confidence of `least_confidence` or less are skipped.
     pub fn new(cameras: usize, least_confidence: f64) -> Self {
         Self { least_confidence, by_camera: vec![Vec::new(); cameras] }
     }
 
-    /// Takes in one point; says whether it counts (confident, and of one of the cameras).
+    /// Adds a point. Returns whether it counts: confident, and of one of the cameras.
     pub fn add(&mut self, sample: &ReprojectionSample) -> bool {
         let confident = sample.detected.confidence > self.least_confidence;
         match self.by_camera.get_mut(sample.camera) {
@@ -43,22 +42,22 @@ impl ReprojectionErrors {
         }
     }
 
-    /// How many points count in a camera.
+    /// Number of counted points of a camera.
     pub fn count(&self, camera: usize) -> usize {
         self.by_camera.get(camera).map_or(0, Vec::len)
     }
 
-    /// The median of one camera, pixels; `None` where nothing was counted.
+    /// Median of one camera, pixels; `None` without counted points.
     pub fn median_of(&self, camera: usize) -> Option<f64> {
         median(&self.values(self.by_camera.get(camera)?))
     }
 
-    /// The median over all cameras' points, pixels.
+    /// Median over the points of all cameras, pixels.
     pub fn median(&self) -> Option<f64> {
         median(&self.values(&self.by_camera.concat()))
     }
 
-    /// The 25th, 50th and 75th percentile over all cameras' points, pixels.
+    /// 25th, 50th and 75th percentile over the points of all cameras, pixels.
     pub fn quartiles(&self) -> Option<[f64; 3]> {
         percentiles(&self.values(&self.by_camera.concat()), [25.0, 50.0, 75.0])
     }

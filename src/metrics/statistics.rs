@@ -1,12 +1,12 @@
 //! Order statistics, means and straight lines.
 
-/// The p-th percentile, p in \[0, 100\], between neighbours by linear interpolation
-/// (\[Hyndman 1996\], definition 7). `None` without values; NaN values are left out.
+/// The p-th percentile, p in \[0, 100\], with linear interpolation between neighbours
+/// (\[Hyndman 1996\], definition 7). NaN values are ignored. `None` without values.
 pub fn percentile(values: &[f64], p: f64) -> Option<f64> {
     percentiles(values, [p]).map(|[value]| value)
 }
 
-/// The middle value. `None` without values; NaN values are left out.
+/// The median. NaN values are ignored. `None` without values.
 pub fn median(values: &[f64]) -> Option<f64> {
     percentile(values, 50.0)
 }
@@ -28,21 +28,21 @@ pub fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// A straight line through points (x, y): y = `mean_y` + `slope` (x - `mean_x`).
+/// A straight line in x and y: y = `mean_y` + `slope` (x - `mean_x`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Line {
     /// Mean of x.
     pub mean_x: f64,
     /// Mean of y.
     pub mean_y: f64,
-    /// Change of y for each unit of x.
+    /// Change of y per unit of x.
     pub slope: f64,
     /// Sum of (x - mean x)^2.
     pub spread: f64,
 }
 
 impl Line {
-    /// The line with the least squared errors in y. `None` if all x are equal or there are no points.
+    /// Fits the line by least squares in y. `None` if all x are equal or there are no points.
     pub fn fit(points: impl Iterator<Item = (f64, f64)> + Clone) -> Option<Self> {
         let count = points.clone().count() as f64;
         let sum = points.clone().fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));

@@ -1,4 +1,4 @@
-//! What means and trends are worth: 95 % confidence intervals.
+//! 95 % confidence intervals of means and trends.
 
 use serde::Serialize;
 
@@ -20,14 +20,14 @@ impl Interval {
         Self { value, low: value - half, high: value + half }
     }
 
-    /// Whether 0 is inside.
+    /// Whether the interval contains 0.
     pub fn holds_zero(&self) -> bool {
         self.low <= 0.0 && self.high >= 0.0
     }
 }
 
-/// The mean of independent values: m +- t s / sqrt(n), with s the sample's standard deviation
-/// and t the 97.5th percentile of Student's distribution with n - 1 degrees of freedom. Of
+/// Mean of independent values: m +- t s / sqrt(n), with the sample's standard deviation s and
+/// the 97.5th percentile t of Student's distribution with n - 1 degrees of freedom. On
 /// differences it is the paired t interval. `None` for fewer than two values.
 pub fn mean_interval(values: &[f64]) -> Option<Interval> {
     let n = values.len();
@@ -40,11 +40,10 @@ pub fn mean_interval(values: &[f64]) -> Option<Interval> {
     Some(Interval::about(mean, student_975(n - 1) * deviation / (n as f64).sqrt()))
 }
 
-/// The slope of y over x by least squares on the means of `blocks` equal parts of the points,
-/// which come in order of x. Neighbouring frames err alike; means of parts that are longer than
-/// the errors last are nearly independent, so that their scatter about the line tells what the
-/// slope is worth: b +- t s / sqrt(sum (x - mean x)^2), with s^2 the squared residuals over
-/// n - 2. `None` for fewer than three parts or if all x are alike.
+/// Slope of y over x: least squares on the means of `blocks` equal parts of the points, which are
+/// in order of x. b +- t s / sqrt(sum (x - mean x)^2), with s^2 the squared residuals over n - 2.
+/// Errors of neighbouring frames are correlated; means of parts that are longer than this
+/// correlation are nearly independent. `None` for fewer than three parts or if all x are equal.
 pub fn slope_interval(points: &[(f64, f64)], blocks: usize) -> Option<Interval> {
     let length = points.len().checked_div(blocks).filter(|&length| length > 0)?;
     let means: Vec<(f64, f64)> = points.chunks_exact(length).take(blocks).map(centre).collect();
@@ -64,8 +63,8 @@ fn centre(points: &[(f64, f64)]) -> (f64, f64) {
     (sum.0 / n, sum.1 / n)
 }
 
-/// The 97.5th percentile of Student's distribution; from 11 degrees of freedom on by the
-/// expansion about the normal one in 1 / freedom, good to 0.0002.
+/// 97.5th percentile of Student's distribution; from 11 degrees of freedom on by the expansion in
+/// 1 / freedom about the normal distribution, accurate to 0.0002.
 fn student_975(freedom: usize) -> f64 {
     const FEW: [f64; 10] =
         [12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281];

@@ -413,7 +413,7 @@ fn recordings_whose_rig_or_keypoints_are_refused() {
     refused(BAD_CALIBRATION, singular, keypoints("body_25", 75), &["/rig", "cam02", "singular"]);
     let mut no_rotation = rig();
     no_rotation.cameras[2].camera_from_world_rotation = vec![0.0; 4];
-    let evidence = ["/rig", "rotation", "no direction", "calibration"];
+    let evidence = ["/rig", "rotation", "length zero", "calibration"];
     refused(BAD_CALIBRATION, no_rotation, keypoints("body_25", 75), &evidence);
     let mut alone = rig();
     alone.cameras.truncate(1);

@@ -463,21 +463,21 @@ fn bad_calibrations_are_refused_in_one_line() {
     for (text, says) in [
         (String::new(), "no table describes a camera"),
         ("[metadata]\nerror = 0.0".into(), "no table describes a camera"),
-        ("a = 1\n\u{1}".into(), "line 2 is no TOML"),
-        ("{\"people\": []}".into(), "line 1 is no TOML"),
+        ("a = 1\n\u{1}".into(), "line 2 is not TOML"),
+        ("{\"people\": []}".into(), "line 1 is not TOML"),
         (TOML.replace("size = [640, 480]\n", ""), "camera table cam_2: missing field `size`"),
-        (TOML.replace("[640, 480]", "[640, 0]"), "camera cam_2: the image size 640 x 0"),
+        (TOML.replace("[640, 480]", "[640, 0]"), "camera cam_2: image size 640 x 0"),
         (TOML.replace("0.003, 0.004]", "0.003, 0.004, 0.5]"), "4, 5 or 8 coefficients, not 6"),
         (TOML.replace("910.0", "0.0"), "camera cam_2: the intrinsic matrix is singular"),
         (TOML.replace("[0.1, 0.2, 3.0]", "[nan, 0.2, 3.0]"), "camera cam_10: the translation"),
         (TOML.replace("[cam_2]", "[cam_2]\nname = \"cam_10\""), "two cameras of the rig are named"),
         (one.into(), "at least two cameras, this one has 1"),
-        ("<calibration".into(), "no XML"),
+        ("<calibration".into(), "not XML"),
         ("<calibration/>".into(), "without an active <camera>"),
         (format!("{camera}</camera></calibration>"), "camera a: no <fov_video>"),
         (
             format!("{camera}<fov_video left=\"x\"/></camera></calibration>"),
-            "camera a: <fov_video> left is no number",
+            "camera a: <fov_video> left is not a number",
         ),
     ] {
         let error = calibration(&text, Up::Z).unwrap_err();

@@ -350,22 +350,22 @@ fn what_makes_no_sense_is_refused_by_message_and_field() {
     KeypointFrame.people.points: 50 entries, expected 51
     KeypointFrame.people.points: entry 1 is not a finite number
     KeypointFrame.people.points: point 0 has confidence -0.5
-    Pose.root_rotation: quaternion 0 has no direction
-    Pose.local_rotations: quaternion 2 has no direction
+    Pose.root_rotation: quaternion 0 has length zero
+    Pose.local_rotations: quaternion 2 has length zero
     Pose.root_position_m: entry 1 is not a finite number
     Pose.state: unknown state 0
     Skeleton.joint_names: joint 3 is "chest", not spine1
     Skeleton.parents: r_hip has parent 9
-    Skeleton.rest_offsets_m: l_hip is 10.000 mm from where the shape puts it: written for another template
+    Skeleton.rest_offsets_m: l_hip is 10.000 mm from the position that the shape gives; it was written for another template
     Rig.cameras: a rig needs at least two cameras, this one has 1; add calibrated cameras
     Rig.cameras.lens_coefficients: a Brown-Conrady lens has 4, 5 or 8 coefficients, not 3
     Rig.cameras.lens: camera right has the unknown lens 9
     Rig.cameras: camera right: the intrinsic matrix is singular or no pinhole matrix (fx 0, fy 910, determinant 0); it must be [fx s cx; 0 fy cy; 0 0 1] with positive fx and fy in pixels
     Event.kind: is empty
     RetargetedPose.state: unknown state 7
-    RetargetedPose.hips: 2 is none of the 2 joints
+    RetargetedPose.hips: 2 is not one of the 2 joints
     RetargetedPose.local_rotations: 7 entries, expected 8
-    RetargetedPose.local_rotations: quaternion 0 has no direction
+    RetargetedPose.local_rotations: quaternion 0 has length zero
     Pose: not a message of this schema: failed to decode Protobuf message: Pose.capture_time_ns: invalid wire type: LengthDelimited (expected Varint)"#]]
     .assert_eq(&messages.join("\n"));
 }

@@ -412,7 +412,7 @@ fn a_calibration_file_that_changes_is_taken_at_a_windows_edge() {
     let is_logged = || {
         let text = String::from_utf8(log.lock().unwrap().clone()).unwrap();
         let mut lines = text.lines();
-        lines.any(|line| line.contains("the calibration before is kept") && line.contains(&rig))
+        lines.any(|line| line.contains("the previous calibration is kept") && line.contains(&rig))
     };
     studio.play_until("a word about the malformed file", |_| is_logged());
     let malformed_until = studio.poses();

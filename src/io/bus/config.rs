@@ -1,4 +1,4 @@
-//! Which bus, and how it is opened.
+//! Settings of the bus, and how it is opened.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,15 +8,15 @@ use super::Iceoryx2;
 use super::Zenoh;
 use super::{Bus, BusError};
 
-/// Which bus, and the settings of each.
+/// Choice of the bus, and the settings of each kind.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// The transport.
     pub kind: Kind,
-    /// Of the network.
+    /// Settings of the network.
     pub zenoh: ZenohConfig,
-    /// Of the shared memory.
+    /// Settings of the shared memory.
     pub iceoryx2: Iceoryx2Config,
 }
 
@@ -33,7 +33,7 @@ pub enum Kind {
 
 #[cfg(not(all(feature = "zenoh", feature = "iceoryx2")))]
 impl Kind {
-    /// The name in settings, and of the feature.
+    /// The name in settings; also the name of the feature.
     fn name(self) -> &'static str {
         match self {
             Self::Zenoh => "zenoh",
@@ -42,25 +42,25 @@ impl Kind {
     }
 }
 
-/// Of the network.
+/// Settings of the network.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ZenohConfig {
-    /// What the node is in the network. Tools are always clients.
+    /// Role of the node in the network. Tools are always clients.
     pub mode: ZenohMode,
     /// Addresses on which the node can be reached.
     pub listen: Vec<String>,
     /// Addresses that the node and the tools connect to.
     pub connect: Vec<String>,
-    /// Whether others are looked for by multicast.
+    /// Whether other programs are searched by multicast.
     pub scouting: bool,
 }
 
-/// What a node is in a network.
+/// Role of a node in a network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ZenohMode {
-    /// Others connect to it, and hear each other through it.
+    /// Other programs connect to it; it forwards their samples.
     #[default]
     Router,
     /// Connects to other peers and routers directly.
@@ -80,11 +80,12 @@ impl Default for ZenohConfig {
     }
 }
 
-/// Of the shared memory.
+/// Settings of the shared memory.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Iceoryx2Config {
-    /// Begins the names of all resources. Programs with different prefixes do not see each other.
+    /// Prefix of the names of all resources. Programs with different prefixes do not see each
+    /// other.
     pub prefix: String,
 }
 
@@ -94,10 +95,10 @@ impl Default for Iceoryx2Config {
     }
 }
 
-/// Opens the bus as the node does.
+/// Opens the bus for the node.
 ///
 /// # Errors
-/// An address in use, a router that does not answer, or settings that the transport does not take.
+/// An address in use, a router that does not answer, or settings that the transport refuses.
 pub fn open_node(config: &Config) -> Result<Box<dyn Bus>, BusError> {
     match config.kind {
         #[cfg(feature = "zenoh")]
@@ -109,11 +110,11 @@ pub fn open_node(config: &Config) -> Result<Box<dyn Bus>, BusError> {
     }
 }
 
-/// Opens the bus as a tool beside a node does: it connects to `connect` or, if that is empty, to
-/// where the node listens.
+/// Opens the bus for a tool: it connects to `connect` or, if that is empty, to the addresses on
+/// which the node listens.
 ///
 /// # Errors
-/// Nobody answers within about two seconds, or settings that the transport does not take.
+/// No answer within about two seconds, or settings that the transport refuses.
 pub fn open_client(config: &Config) -> Result<Box<dyn Bus>, BusError> {
     match config.kind {
         #[cfg(feature = "zenoh")]

@@ -1,16 +1,16 @@
-//! Samples as bytes, for shared memory.
+//! Encoding of samples as bytes, for shared memory.
 
 use super::{BusError, Sample};
 use crate::core::time::Timestamp;
 
-/// Largest sample with its head, bytes.
+/// Largest sample with its header, bytes.
 const LARGEST: usize = 1 << 20;
 
-/// What a sample begins with: version, lengths of topic and encoding, capture time.
+/// The header: version, lengths of topic and encoding, capture time.
 const HEAD: usize = 12;
 const VERSION: u8 = 1;
 
-/// A sample as bytes.
+/// Encodes a sample.
 pub(super) fn frame(
     topic: &str,
     capture: Timestamp,
@@ -36,7 +36,7 @@ pub(super) fn frame(
     Ok(bytes)
 }
 
-/// The sample in `bytes`, if it is one.
+/// Decodes a sample; `None` if the bytes are not a sample.
 pub(super) fn parse(bytes: &[u8]) -> Option<Sample> {
     let (head, rest) = bytes.split_first_chunk::<HEAD>()?;
     let [VERSION, topic_bytes, e0, e1, capture @ ..] = *head else { return None };

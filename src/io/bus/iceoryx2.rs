@@ -1,18 +1,19 @@
 //! The bus over the shared memory of one host.
 //!
-//! Topics share a few services of iceoryx2, one for each size of history: streams (none), and
-//! states by how many samples are kept. A sample says itself what its topic is. So patterns need
-//! no list of topics, and a program has one port per kind of topic that it listens to.
+//! Topics share a few services of iceoryx2, one per size of history: streams (none), and states by
+//! the number of samples that are kept. Each sample holds its topic. So patterns need no list of
+//! topics, and a program has one port per class of topics that it subscribes to.
 //!
-//! An event wakes the receivers; nothing polls. A new subscriber announces itself by an event too,
-//! upon which publishers of states hand it their history. Every second each program removes what
-//! others left behind that were killed. A full buffer drops its oldest sample and never holds up
-//! the publisher.
+//! An event wakes the receivers; nothing polls. A new subscriber also announces itself by an event,
+//! and publishers of states then send it their history. Every second each program removes the
+//! leftovers of killed programs. A full buffer drops its oldest sample and never blocks the
+//! publisher.
 //!
-//! Differs from the network: no queries (late joiners have the history), no check that a node is
-//! there, at most 1 MiB a sample, and programs see each other only with equal prefix, on one host,
-//! and as users who may open each other's files. All must be of one version of this program, since
-//! limits are part of the services. 16 bytes a prefix stay in shared memory for good.
+//! Differences to the network: no queries (late joiners get the history), no check that a node is
+//! present, at most 1 MiB per sample, and programs see each other only with equal prefix, on one
+//! host, and as users who may open each other's files. All must have the same version of this
+//! program, since limits are part of the services. 16 bytes per prefix stay in shared memory for
+//! good. limits are part of the services. 16 bytes a prefix stay in shared memory for good.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -41,19 +42,19 @@ use crate::core::time::Timestamp;
 
 type Shm = ipc_threadsafe::Service;
 
-/// Samples kept for late joiners, by class of topics; the first is that of streams.
+/// Samples kept for late joiners, by class of topics; the first class is streams.
 const CLASSES: [usize; 5] = [0, 1, 8, 64, 256];
 
-/// The event that a subscriber joined; smaller numbers say in which class a sample came.
+/// Event id: a subscriber joined. Smaller ids are the class of a new sample.
 const JOINED: usize = CLASSES.len();
 
-/// How long a service that is just being made or removed by others is waited for.
+/// Longest wait for a service that others are creating or removing.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// How often the leftovers of killed programs are looked for.
+/// Interval of the search for leftovers of killed programs.
 const ROUND: Duration = Duration::from_secs(1);
 
-/// All limits in one place: they are part of the services, so every program must have the same.
+/// All limits: they are part of the services, so they must be equal in every program.
 struct Limits {
     history: usize,
     buffer: usize,
@@ -70,8 +71,8 @@ fn limits(class: usize) -> Limits {
 }
 
 impl Limits {
-    /// How many samples a publisher can have out. A subscriber's buffer holds the latest samples,
-    /// so all buffers hold the same ones, and this is far less than their sum.
+    /// Most samples in use per publisher. All subscribers' buffers hold the same latest samples, so
+    /// this is far less than their sum.
     fn samples(&self) -> usize {
         self.buffer + self.history + self.borrowed * self.subscribers + 8
     }
@@ -106,7 +107,7 @@ struct Shared {
     notifier: Notifier<Shm>,
     publishers: Mutex<Vec<Weak<Outlet>>>,
     subscribers: Mutex<[Option<Inlet>; CLASSES.len()]>,
-    /// Distributes to the sinks of this process, and remembers for those that join late.
+    /// Distributes samples to the sinks of this process, and stores states for late joiners.
     local: Memory,
     stop: AtomicBool,
     node: Node<Shm>,
@@ -120,7 +121,7 @@ struct Outlet {
 }
 
 impl Iceoryx2 {
-    /// Opens the bus. There is no node to be reached: whoever has the same prefix is on it.
+    /// Opens the bus. It needs no node: all programs with the same prefix share it.
     ///
     /// # Errors
     /// A prefix that cannot begin a file name, or shared memory that cannot be used.
@@ -166,8 +167,8 @@ fn settings(prefix: &str) -> Result<iceoryx2::config::Config, BusError> {
     Ok(config)
 }
 
-/// Tries until it works or the patience ends. Services are in between while others make or remove
-/// them, and killed programs hold places until they are cleared away.
+/// Retries until it succeeds or the wait is over. Services are unusable for a short time while
+/// others create or remove them, and killed programs hold resources until they are removed.
 fn persist<T, E: std::fmt::Display>(
     what: &str,
     mut attempt: impl FnMut() -> Result<T, E>,
@@ -240,7 +241,7 @@ impl Shared {
                 ROUND.saturating_sub(cleaned.elapsed()),
             );
             if let Err(error) = waited {
-                tracing::warn!("the bus cannot wait for events: {error}; it looks once a second");
+                tracing::warn!("the bus cannot wait for events: {error}; it checks once a second");
                 std::thread::sleep(ROUND);
             }
             let round = cleaned.elapsed() >= ROUND;
@@ -255,7 +256,7 @@ impl Shared {
         }
     }
 
-    /// Hands the history to subscribers that joined.
+    /// Sends the history to new subscribers.
     fn connect(&self) {
         let outlets: Vec<_> = {
             let mut publishers = lock(&self.publishers);
@@ -272,8 +273,8 @@ impl Shared {
         (0..CLASSES.len()).filter(|&c| with_history[c]).for_each(|class| self.notify(class));
     }
 
-    /// Gives all samples of a class that came to the sinks. They are taken and queued under one
-    /// lock, so that the order holds whoever drains, and delivered without it, since sinks may
+    /// Passes all received samples of a class to the sinks. They are taken and queued under one
+    /// lock, so that the order holds across threads, and delivered without it, since sinks may
     /// publish and subscribe.
     fn drain(&self, class: usize) {
         while self.take(class) {
@@ -281,7 +282,7 @@ impl Shared {
         }
     }
 
-    /// Takes one sample of a class; whether there was one.
+    /// Takes one sample of a class. Returns whether there was one.
     fn take(&self, class: usize) -> bool {
         let subscribers = lock(&self.subscribers);
         let Some(subscriber) = &subscribers[class] else { return false };
@@ -289,7 +290,7 @@ impl Shared {
             Ok(None) => return false,
             Ok(Some(sample)) => match parse(sample.payload()) {
                 Some(sample) => self.local.enqueue(&sample),
-                None => tracing::warn!("a sample in shared memory is not one of ours"),
+                None => tracing::warn!("a sample in shared memory has an unknown format"),
             },
             Err(error) => {
                 tracing::warn!("a sample in shared memory cannot be read: {error}");
@@ -299,14 +300,14 @@ impl Shared {
         true
     }
 
-    /// Wakes all receivers. One that cannot be woken looks by itself within a second.
+    /// Wakes all receivers. A receiver that cannot be woken checks by itself within a second.
     fn notify(&self, event: usize) {
         if let Err(error) = self.notifier.notify_with_custom_event_id(EventId::new(event)) {
             tracing::debug!("an event in shared memory did not reach all: {error}");
         }
     }
 
-    /// Makes the port that receives a class, if it is not there.
+    /// Creates the port that receives a class, if it does not exist.
     fn listen_to(&self, class: usize) -> Result<(), BusError> {
         let mut subscribers = lock(&self.subscribers);
         if subscribers[class].is_none() {
@@ -323,7 +324,7 @@ impl Drop for Inner {
         self.shared.stop.store(true, Ordering::Release);
         self.shared.notify(JOINED);
         let Some(thread) = self.thread.take() else { return };
-        // A sink may hold the last handle of its bus.
+        // A sink may own the last handle of its bus.
         if thread.thread().id() != std::thread::current().id() && thread.join().is_err() {
             tracing::error!("the receiving thread of the bus panicked");
         }
@@ -349,7 +350,7 @@ impl Publisher for Iceoryx2Publisher {
     }
 }
 
-/// Keeps a subscription, and the bus under it.
+/// Keeps a subscription and its bus alive.
 struct Subscribed {
     _local: Box<dyn Guard>,
     _inner: Arc<Inner>,
@@ -380,7 +381,7 @@ impl Bus for Iceoryx2 {
     fn subscribe(&self, pattern: &str, sink: Sink) -> Result<Box<dyn Guard>, BusError> {
         check_pattern(pattern)?;
         let shared = &self.inner.shared;
-        // What has come to this program already is history to this subscriber.
+        // Samples that this program has already received are history for this subscriber.
         classes(pattern).for_each(|class| shared.drain(class));
         let local = shared.local.subscribe(pattern, sink)?;
         classes(pattern).try_for_each(|class| shared.listen_to(class))?;

@@ -13,10 +13,10 @@ use crate::core::time::Timestamp;
 
 /// A bus inside a process; clones are the same bus.
 ///
-/// Sinks are called on the thread that publishes, before `put` returns. Only when another thread
-/// (or the sink itself) is just delivering, that one delivers this sample too; so the order is
-/// the same for all sinks, and a sink may publish. A sink that is being called while its guard is
-/// dropped finishes its call.
+/// Sinks are called on the thread that publishes, before `put` returns. If another thread (or the
+/// sink itself) is already delivering, that one also delivers this sample; so the order is the same
+/// for all sinks, and a sink may publish. A sink that is running while its guard is dropped
+/// finishes its call.
 #[derive(Clone, Default)]
 pub struct Memory {
     state: Arc<Mutex<State>>,
@@ -27,13 +27,13 @@ struct State {
     subscribers: Vec<Subscriber>,
     answers: Vec<Answering>,
     history: HashMap<Arc<str>, VecDeque<Sample>>,
-    /// What is to be delivered, in order.
+    /// Deliveries that wait, in order.
     due: VecDeque<(Sample, Target)>,
-    /// Whether a thread delivers.
+    /// Whether a thread is delivering.
     delivering: bool,
 }
 
-/// A sink with the switch that its guard turns off.
+/// A sink, and the switch that its guard turns off.
 type Target = (Arc<Sink>, Arc<AtomicBool>);
 
 struct Subscriber {
@@ -48,7 +48,7 @@ struct Answering {
 }
 
 impl Memory {
-    /// A bus that nobody is on.
+    /// A bus without subscribers.
     pub fn new() -> Self {
         Self::default()
     }
@@ -57,21 +57,21 @@ impl Memory {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Gives a sample to all who subscribed to its topic, and keeps it for late joiners if the
-    /// topic is a state.
+    /// Passes a sample to all subscribers of its topic; keeps it for late joiners if the topic is a
+    /// state.
     pub(super) fn publish(&self, sample: &Sample) {
         self.enqueue(sample);
         self.deliver();
     }
 
-    /// The first half of [`Memory::publish`]: no sink is called yet.
+    /// Queues a sample: the first half of [`Memory::publish`], which calls no sink.
     pub(super) fn enqueue(&self, sample: &Sample) {
         let mut state = self.lock();
         state.keep(sample);
         state.send(sample);
     }
 
-    /// Delivers what is due, unless another call is at it.
+    /// Delivers the queued samples, unless another call is delivering.
     pub(super) fn deliver(&self) {
         let Some(_turn) = Turn::take(self) else { return };
         loop {
@@ -105,7 +105,7 @@ impl State {
     }
 }
 
-/// The right to deliver; given back on a panic of a sink too.
+/// The right to deliver; it is released even if a sink panics.
 struct Turn<'a>(&'a Memory);
 
 impl<'a> Turn<'a> {

@@ -1,18 +1,17 @@
-//! The bus: bytes by topic, with the capture time that they are about.
+//! The bus: messages by topic, as bytes with a capture time.
 //!
 //! One small trait, [`Bus`], over a network (zenoh), over the shared memory of one host
 //! (iceoryx2), inside a process ([`Memory`]) and from a recording ([`Replay`]). Payloads are the
-//! same Protocol Buffers on each. What a topic needs of the transport follows from its name,
-//! [`delivery`]: streams may lose a sample rather than wait, states reach everyone, late joiners
-//! too.
+//! same Protocol Buffers on each. The topic's name sets its [`delivery`]: streams may lose samples
+//! but never wait; states reach every subscriber, including late joiners.
 //!
-//! Topics and patterns are made of parts between slashes; in a pattern, `*` stands for one part and
-//! `**` for any number of them, none too. What a name may hold is the same on every bus
+//! Topics and patterns consist of parts between slashes; in a pattern, `*` stands for one part and
+//! `**` for any number of parts, including none. The rules for names are the same on every bus
 //! ([`check_topic`], [`check_pattern`]).
 //!
-//! What all of them promise: payload, capture time and encoding arrive unchanged; samples of one
+//! All buses guarantee: payload, capture time and encoding arrive unchanged; samples of one
 //! publisher arrive in order; a late joiner gets the latest samples of states, first and in order,
-//! and none of streams. What they cannot is said at each.
+//! and no samples of streams. Each bus documents its limits.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -40,66 +39,66 @@ pub use replay::Replay;
 #[cfg(feature = "zenoh")]
 pub use zenoh::Zenoh;
 
-/// What travels on the bus.
+/// A message on the bus.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sample {
-    /// Where it was published.
+    /// The topic.
     pub topic: Arc<str>,
-    /// The capture time that it is about; 0 where a foreign publisher did not say.
+    /// Capture time of the content; 0 if a foreign publisher did not set it.
     pub capture: Timestamp,
-    /// What the payload is, such as `application/protobuf;bundlemocap.v1.Pose`; empty where a
-    /// foreign publisher did not say.
+    /// Type of the payload, such as `application/protobuf;bundlemocap.v1.Pose`; empty if a foreign
+    /// publisher did not set it.
     pub encoding: Arc<str>,
     /// The message.
     pub payload: Vec<u8>,
 }
 
-/// What a topic needs of the transport.
+/// How the transport must deliver a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Delivery {
-    /// Of use only while it is new: real-time priority, dropped rather than waited for.
+    /// Useful only while new: real-time priority, dropped rather than delayed.
     Stream,
     /// Reliable; this many of the latest samples are kept for late joiners.
     State {
-        /// How many.
+        /// Number of samples.
         history: usize,
     },
 }
 
-/// What is done with samples that come; called on a thread of the transport, so it must not wait.
+/// Handles received samples. It is called on a thread of the transport, so it must not block.
 pub type Sink = Box<dyn Fn(Sample) + Send + Sync>;
 
-/// What answers a query; the latest payload, if there is one.
+/// Answers a query with the latest payload, if there is one.
 pub type Answer = Box<dyn Fn() -> Option<Sample> + Send + Sync>;
 
 /// A way to move samples between nodes.
 pub trait Bus: Send + Sync {
-    /// Something to publish on one topic with.
+    /// A publisher for one topic.
     ///
     /// # Errors
-    /// A name that is no topic, or a transport that does not take it.
+    /// The name is not a topic, or the transport refuses it.
     fn publisher(&self, topic: &str) -> Result<Box<dyn Publisher>, BusError>;
 
-    /// Gives every sample on the topics that match to `sink`, until the guard is dropped.
+    /// Passes every sample on matching topics to `sink`, until the guard is dropped.
     ///
     /// # Errors
-    /// A text that is no pattern, or a transport that does not take it.
+    /// The text is not a pattern, or the transport refuses it.
     fn subscribe(&self, pattern: &str, sink: Sink) -> Result<Box<dyn Guard>, BusError>;
 
     /// Answers queries for a topic until the guard is dropped. `None`: this bus has no queries;
-    /// late joiners then rely on the history.
+    /// late joiners use the history.
     ///
     /// # Errors
-    /// A name that is no topic, or a transport that does not take it.
+    /// The name is not a topic, or the transport refuses it.
     fn answer(&self, topic: &str, answer: Answer) -> Result<Option<Box<dyn Guard>>, BusError> {
         let _ = (topic, answer);
         Ok(None)
     }
 
-    /// What answers to a query for the topics that match, within the time.
+    /// The answers to a query for matching topics that arrive within the time.
     ///
     /// # Errors
-    /// A text that is no pattern, or a transport that does not take it.
+    /// The text is not a pattern, or the transport refuses it.
     fn query(&self, pattern: &str, within: Duration) -> Result<Vec<Sample>, BusError> {
         let _ = (pattern, within);
         Ok(Vec::new())
@@ -108,17 +107,17 @@ pub trait Bus: Send + Sync {
 
 /// Publishes on one topic.
 pub trait Publisher: Send + Sync {
-    /// Sends a payload. Returns as soon as the transport has it.
+    /// Sends a payload. Returns as soon as the transport has taken it.
     ///
     /// # Errors
-    /// A transport that is closed or cannot take a payload of this size.
+    /// The transport is closed or the payload is too large.
     fn put(&self, capture: Timestamp, encoding: &str, payload: &[u8]) -> Result<(), BusError>;
 }
 
 /// Keeps a subscription or a queryable alive.
 pub trait Guard: Send {}
 
-/// The delivery that a topic needs. Topics that are not ours are streams.
+/// The delivery of a topic. Unknown topics are streams.
 pub fn delivery(topic: &str) -> Delivery {
     match Topic::parse(topic).ok().and_then(|topic| topic.history()) {
         Some(history) => Delivery::State { history },
@@ -126,74 +125,74 @@ pub fn delivery(topic: &str) -> Delivery {
     }
 }
 
-/// Why the bus does not do what it was asked.
+/// Why a call on the bus failed.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
-    /// A topic or a pattern that cannot be one.
-    #[error("{name:?} is no {what}: {reason}")]
+    /// A name that is not a topic or not a pattern.
+    #[error("{name:?} is not a {what}: {reason}")]
     Name {
-        /// As given.
+        /// The given name.
         name: String,
         /// `topic` or `pattern`.
         what: &'static str,
-        /// What is wrong with it.
+        /// What is wrong with the name.
         reason: String,
     },
-    /// An address to listen on that somebody has.
+    /// The listen address is in use.
     #[error(
         "cannot listen on {endpoint}: address in use; another node runs there, or choose another \
          with [bus.zenoh] listen"
     )]
     InUse {
-        /// As configured.
+        /// The address from the settings.
         endpoint: String,
     },
-    /// Addresses of which none answers.
+    /// No address answers.
     #[error(
         "nothing answers at {endpoints}; is `bundlemocap run` up? [bus.zenoh] connect says where \
          it is"
     )]
     NobodyAnswers {
-        /// As tried, with commas between.
+        /// The addresses that were tried, separated by commas.
         endpoints: String,
     },
-    /// A setting that the transport does not take.
+    /// A setting that the transport refuses.
     #[error("[bus] {key} = {value}: {reason}")]
     Setting {
         /// The key, such as `zenoh.listen`.
         key: &'static str,
-        /// As configured.
+        /// The value from the settings.
         value: String,
-        /// What is wrong with it.
+        /// What is wrong with the value.
         reason: String,
     },
-    /// A transport that this program was built without.
+    /// This program was built without the transport.
     #[error(
         "[bus] kind = {kind:?}: this program was built without it; build it with --features {kind}"
     )]
     NotBuilt {
-        /// Its name, also that of the feature.
+        /// Its name, also the name of the feature.
         kind: &'static str,
     },
-    /// A payload above what the bus carries.
+    /// A payload above the limit of the bus.
     #[error("{topic}: a payload of {bytes} bytes; this bus carries at most {most}")]
     TooLarge {
-        /// Where it was to go.
+        /// The topic.
         topic: String,
         /// Its size.
         bytes: usize,
         /// The limit.
         most: usize,
     },
-    /// The transport was closed.
+    /// The transport is closed.
     #[error("the bus is closed")]
     Closed,
     /// The transport failed.
     #[error("{what}: {reason}")]
     Transport {
-        /// What was tried.
+        /// What failed.
         what: String,
-        /// The transport's words.
+        /// The message from the transport.
         reason: String,
     },
 }

@@ -1,15 +1,15 @@
-//! What topics and patterns may be, the same on every bus.
+//! Rules for topics and patterns, the same on every bus.
 
 use super::BusError;
 
 /// Longest topic or pattern, bytes. Names of services in shared memory are limited.
 const LONGEST: usize = 200;
 
-/// Whether a name is a topic: parts between slashes, none of them empty, no `*`, `$`, `?` or `#`,
-/// none that begins with `@`, no control characters, at most 200 bytes.
+/// Checks a topic: parts between slashes, no empty part, no `*`, `$`, `?` or `#`, no part that
+/// begins with `@`, no control characters, at most 200 bytes.
 ///
 /// # Errors
-/// A name that is not, with the reason.
+/// The name is not a topic; the error holds the reason.
 pub fn check_topic(name: &str) -> Result<(), BusError> {
     check(name, "topic", |part| match part.contains('*') {
         true => Some("a topic has no *, only patterns have"),
@@ -17,13 +17,13 @@ pub fn check_topic(name: &str) -> Result<(), BusError> {
     })
 }
 
-/// Whether a name is a pattern: as a topic, but parts may also be `*` and `**`.
+/// Checks a pattern: like a topic, but parts may also be `*` and `**`.
 ///
 /// # Errors
-/// A name that is not, with the reason.
+/// The name is not a pattern; the error holds the reason.
 pub fn check_pattern(name: &str) -> Result<(), BusError> {
     check(name, "pattern", |part| match part.contains('*') && part != "*" && part != "**" {
-        true => Some("* and ** stand for whole parts"),
+        true => Some("* and ** must be whole parts"),
         false => None,
     })
 }
@@ -48,24 +48,24 @@ fn wrong_with(part: &str) -> Option<&'static str> {
     if part.is_empty() {
         Some("a part between slashes is empty")
     } else if part.contains(['$', '?', '#']) {
-        Some("$, ? and # have a meaning of their own on the network")
+        Some("$, ? and # are reserved on the network")
     } else if part.starts_with('@') {
-        Some("no part begins with @")
+        Some("a part begins with @")
     } else if part.contains(char::is_control) {
-        Some("it has control characters")
+        Some("it contains control characters")
     } else {
         None
     }
 }
 
-/// Whether a pattern matches a topic: `*` any one part, `**` any number of parts, none too.
+/// Whether a pattern matches a topic: `*` is one part, `**` any number of parts, including none.
 pub fn matches(pattern: &str, topic: &str) -> bool {
     let pattern: Vec<&str> = pattern.split('/').collect();
     let topic: Vec<&str> = topic.split('/').collect();
     matches_parts(&pattern, &topic)
 }
 
-/// Goes back only to the last `**`, so the time is at most the product of the lengths.
+/// Backtracks only to the last `**`, so the time is at most the product of the lengths.
 fn matches_parts(pattern: &[&str], topic: &[&str]) -> bool {
     let (mut p, mut t) = (0, 0);
     let mut back: Option<(usize, usize)> = None;
@@ -143,6 +143,6 @@ mod tests {
         }
         check_pattern("a/*/**/b").unwrap();
         let error = check_topic("a/*").unwrap_err().to_string();
-        assert_eq!(error, "\"a/*\" is no topic: a topic has no *, only patterns have");
+        assert_eq!(error, "\"a/*\" is not a topic: a topic has no *, only patterns have");
     }
 }

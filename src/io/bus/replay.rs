@@ -1,18 +1,18 @@
-//! A bus that plays what was recorded.
+//! A bus that plays a recording.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::{Answer, Bus, BusError, Guard, Memory, Publisher, Sample, Sink, check_topic};
 use crate::core::time::Timestamp;
 
-/// A bus over a recording: subscribers get what it holds, publishers add to another.
+/// A bus over a recording: subscribers get its samples, publications go to a second recording.
 ///
-/// Nothing happens until [`Replay::play`] is called. Then each sample, in the order of the
-/// recording, goes to all who subscribed, on the thread that plays and as fast as they take it.
-/// States are kept for those who subscribe later, as on the other buses.
+/// Nothing happens until [`Replay::play`] is called. It sends each sample, in the order of the
+/// recording, to all subscribers, on the calling thread and as fast as they take it. States are
+/// kept for those who subscribe later, as on the other buses.
 ///
-/// What is published goes to the writer only and never to subscribers: the recording holds the
-/// outputs of its time, and they would come twice.
+/// Publications go to the writer only and never to subscribers: the recording already holds the
+/// outputs, and they would arrive twice.
 pub struct Replay {
     memory: Memory,
     recording: Mutex<Box<dyn Iterator<Item = Sample> + Send>>,
@@ -22,7 +22,7 @@ pub struct Replay {
 type Writer = Arc<Mutex<Box<dyn FnMut(&Sample) + Send>>>;
 
 impl Replay {
-    /// Over the samples of a recording; what is published is given to `writer`.
+    /// Plays the samples of a recording; publications are passed to `writer`.
     pub fn new(
         recording: impl Iterator<Item = Sample> + Send + 'static,
         writer: impl FnMut(&Sample) + Send + 'static,
@@ -34,8 +34,8 @@ impl Replay {
         }
     }
 
-    /// Plays to the end of the recording and returns how many samples it played. If the recording
-    /// grew since, a further call goes on. Sinks must not call it.
+    /// Plays to the end of the recording and returns the number of played samples. If the recording
+    /// has grown since, another call continues. Sinks must not call it.
     pub fn play(&self) -> usize {
         let mut recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner);
         recording.by_ref().map(|sample| self.memory.publish(&sample)).count()

@@ -3,20 +3,20 @@
 //! | | streams | states |
 //! |---|---|---|
 //! | priority | real time, express | data |
-//! | a full queue | waits 20 ms once, then drops until it has room | the same; what is missed is asked for again |
+//! | a full queue | waits 20 ms once, then drops until it has room | the same; missed samples are requested again |
 //! | late joiners | nothing | the last samples, from the publisher's cache |
 //!
-//! States are not sent with congestion control *block*: one stalled receiver would hold up the
-//! node, and with it everybody's poses, for seconds. (With *drop*, a stopped receiver was measured to
-//! cost one put 20 ms, and the others nothing.) They carry sequence numbers, gaps are seen
-//! (at the latest by a heartbeat) and filled from the cache.
+//! States are not sent with congestion control *block*: one stalled receiver would block the node,
+//! and so everybody's poses, for seconds. (With *drop*, a stopped receiver cost one put 20 ms, and
+//! the others nothing, as measured.) They carry sequence numbers; gaps are detected (at the latest
+//! by a heartbeat) and filled from the cache.
 //!
-//! On the wire a sample is a zenoh sample: payload, encoding, and as attachment the capture time,
+//! On the wire a sample is a zenoh sample: payload, encoding, and the capture time as attachment,
 //! 8 bytes little endian. Samples of foreign publishers without attachment have capture time 0.
 //! Foreign publishers have no cache unless they are advanced publishers of zenoh-ext.
 //!
-//! Time stamps of zenoh are off: routers would stamp samples of all publishers with one clock, and
-//! zenoh-ext would take them for one source and drop what comes out of order.
+//! Zenoh's time stamps are off: routers would stamp samples of all publishers with one clock, and
+//! zenoh-ext would treat them as one source and drop samples that are out of order.
 
 use std::net::{TcpListener, ToSocketAddrs};
 use std::sync::Arc;
@@ -40,16 +40,16 @@ use super::{
 use crate::core::time::Timestamp;
 use crate::io::wire::Topic;
 
-/// How long a client tries to connect, milliseconds.
+/// Time in which a client tries to connect, milliseconds.
 const CONNECT_MS: u64 = 2000;
 
-/// How long a publisher waits when a queue is full before it drops, microseconds.
+/// Time that a publisher waits on a full queue before it drops, microseconds.
 const WAIT_BEFORE_DROP_US: u64 = 20_000;
 
-/// How long the caches of publishers may take to answer, when somebody joins late.
+/// Time that publishers' caches have to answer a late joiner.
 const HISTORY_WITHIN: Duration = Duration::from_secs(2);
 
-/// How often a publisher of states says how far it is, if it published.
+/// Interval at which a publisher of states sends its last sequence number, if it published.
 const HEARTBEAT: Duration = Duration::from_millis(500);
 
 /// The bus over a network.
@@ -57,7 +57,7 @@ pub struct Zenoh {
     session: Session,
 }
 
-/// What was sent last still leaves after the last put has returned.
+/// Delay before closing, so that the last samples are still sent.
 const LINGER: Duration = Duration::from_millis(150);
 
 impl Drop for Zenoh {
@@ -70,10 +70,10 @@ impl Drop for Zenoh {
 }
 
 impl Zenoh {
-    /// Opens a session as the node does: with the mode and the addresses of the settings.
+    /// Opens a session for the node: with the mode and the addresses of the settings.
     ///
     /// # Errors
-    /// An address in use, an address that is none, or, as a client, nobody who answers.
+    /// An address in use, an invalid address, or, as a client, no answer.
     pub fn open_node(config: &ZenohConfig) -> Result<Self, BusError> {
         let mode = match config.mode {
             ZenohMode::Router => "router",
@@ -84,11 +84,12 @@ impl Zenoh {
         open(mode, listen, &config.connect, config.scouting)
     }
 
-    /// Opens a session as a tool does: a client of `connect` or, if that is empty, of where the
-    /// node listens. With `scouting` and without `connect`, of whoever is found.
+    /// Opens a session for a tool: a client of `connect` or, if that is empty, of the addresses on
+    /// which the node listens. With `scouting` and without `connect`, a client of any node that is
+    /// found.
     ///
     /// # Errors
-    /// Nobody answers within about two seconds, or an address that is none.
+    /// No answer within about two seconds, or an invalid address.
     pub fn open_client(config: &ZenohConfig) -> Result<Self, BusError> {
         let connect: Vec<String> = match (config.connect.is_empty(), config.scouting) {
             (true, true) => Vec::new(),
@@ -98,13 +99,13 @@ impl Zenoh {
         open("client", &[], &connect, config.scouting && connect.is_empty())
     }
 
-    /// The addresses on which this session listens, with their real ports.
+    /// The addresses on which this session listens, with their actual ports.
     pub fn listens_on(&self) -> Vec<String> {
         self.session.info().locators().wait().iter().map(ToString::to_string).collect()
     }
 }
 
-/// The address by which a node that listens on all interfaces is reached on its own machine.
+/// The local address of a node that listens on all interfaces.
 fn reachable(endpoint: &str) -> String {
     endpoint.replacen("/0.0.0.0:", "/127.0.0.1:", 1).replacen("/[::]:", "/[::1]:", 1)
 }
@@ -121,7 +122,7 @@ fn open(
         return Err(BusError::Setting {
             key: "zenoh.connect",
             value: "[]".into(),
-            reason: "a client needs somebody to connect to; give an address, such as \
+            reason: "a client needs an address to connect to, such as \
                      tcp/127.0.0.1:7447"
                 .into(),
         });
@@ -136,7 +137,7 @@ fn check_endpoints(key: &'static str, endpoints: &[String]) -> Result<(), BusErr
     for endpoint in endpoints {
         if let Err(error) = endpoint.parse::<EndPoint>() {
             let reason = without_places(&error);
-            let reason = format!("{reason}; an address is such as tcp/127.0.0.1:7447");
+            let reason = format!("{reason}; give an address such as tcp/127.0.0.1:7447");
             return Err(BusError::Setting { key, value: endpoint.clone(), reason });
         }
         if !endpoint.starts_with("tcp/") && !endpoint.starts_with("udp/") {
@@ -195,7 +196,7 @@ fn why_not_open(mode: &str, listen: &[String], connect: &[String], error: &str) 
     BusError::NobodyAnswers { endpoints }
 }
 
-/// Whether somebody listens on an address of this machine.
+/// Whether an address of this host is in use.
 fn is_in_use(endpoint: &str) -> bool {
     let Some(address) = endpoint.strip_prefix("tcp/") else { return false };
     let Ok(mut addresses) = address.to_socket_addrs() else { return false };
@@ -284,7 +285,7 @@ impl Zenoh {
 }
 
 /// Whether a pattern matches topics of streams only: it is the name of a stream, perhaps with `*`
-/// for the names of stage, actor and camera.
+/// as the name of stage, actor and camera.
 fn is_of_streams(pattern: &str) -> bool {
     match Topic::parse(pattern) {
         Ok(topic) => topic.history().is_none(),
@@ -292,7 +293,7 @@ fn is_of_streams(pattern: &str) -> bool {
     }
 }
 
-/// An error of zenoh without the places in its sources, such as ` at /path/to/file.rs:12.`.
+/// The text of a zenoh error without source locations, such as ` at /path/to/file.rs:12.`.
 fn without_places(error: &dyn std::fmt::Display) -> String {
     let (text, is_digit) = (error.to_string(), |c: char| c.is_ascii_digit());
     let mut parts = text.split(" at ");
@@ -312,7 +313,7 @@ fn without_places(error: &dyn std::fmt::Display) -> String {
     clean
 }
 
-/// A pattern as zenoh wants it, such as `*/**` for `**/*`.
+/// A pattern in zenoh's canonical form, such as `*/**` for `**/*`.
 fn canonical(pattern: &str) -> Result<KeyExpr<'static>, BusError> {
     let key = OwnedKeyExpr::autocanonize(pattern.to_owned());
     key.map(KeyExpr::from).map_err(|error| BusError::Name {
@@ -379,7 +380,7 @@ impl Publisher for ZenohPublisher {
     }
 }
 
-/// Keeps a subscriber or a queryable, and the session under it.
+/// Keeps a subscriber or a queryable, and its session, alive.
 struct Alive<T> {
     _what: T,
     _session: Session,

@@ -19,44 +19,44 @@ pub use trc::{Trc, TrcError};
 use crate::core::camera::CameraError;
 use crate::core::detections::KeypointFormat;
 
-/// Why an export failed. Nothing is left behind: a file appears whole or not at all.
+/// Why an export failed. A file appears whole or not at all.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 #[allow(missing_docs)]
 pub enum ExportError {
     #[error("{path}: cannot be written: {source}; check that the folder exists and has room")]
     Write { path: PathBuf, source: std::io::Error },
-    #[error("{path}: pose {frame} holds a number that is not finite; leave lost poses out")]
+    #[error("{path}: pose {frame} has a value that is not finite; leave lost poses out")]
     NotFinite { path: PathBuf, frame: usize },
-    #[error("{path}: {fps} frames a second is no frame rate; give one above 0")]
+    #[error("{path}: frame rate {fps} is not valid; give one above 0")]
     FrameRate { path: PathBuf, fps: f64 },
 }
 
 impl ExportError {
-    /// A file at `path` that cannot be written.
+    /// The error for a file at `path` that cannot be written.
     pub(crate) fn write(path: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
         move |source| Self::Write { path: path.into(), source }
     }
 }
 
-/// Why something cannot be imported.
+/// Why an import failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImportError {
     /// A file or folder cannot be read.
     #[error("{}: cannot be read ({source}); check the path and its permissions", path.display())]
     Read {
-        /// Which.
+        /// Path of the file or folder.
         path: PathBuf,
-        /// Why.
+        /// The reason from the system.
         source: std::io::Error,
     },
-    /// The file is no calibration that is known here.
+    /// The file is not a known kind of calibration.
     #[error("{}: {what}; give a Pose2Sim or aniposelib TOML, or a Qualisys .qca.txt", path.display())]
     NotACalibration {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong, with the line or field.
+        /// The fault, with its line or field.
         what: String,
     },
     /// A calibrated camera, or the set of them, cannot be used.
@@ -64,7 +64,7 @@ pub enum ImportError {
     Camera {
         /// The calibration.
         path: PathBuf,
-        /// Which camera and what is wrong.
+        /// The camera and its fault.
         source: CameraError,
     },
     /// No subfolder holds JSON files.
@@ -76,7 +76,7 @@ pub enum ImportError {
         /// The folder.
         path: PathBuf,
     },
-    /// The subfolder of a calibrated camera holds no JSON.
+    /// The subfolder of a calibrated camera has no JSON file.
     #[error(
         "{}: the folder of camera {camera} holds no .json file; put its detections there, or \
          remove the camera from the calibration", path.display()
@@ -87,33 +87,33 @@ pub enum ImportError {
         /// The calibrated camera.
         camera: String,
     },
-    /// More folders than cameras.
+    /// There are more folders than cameras.
     #[error(
         "{}: no calibration for {folders}; calibrated are {cameras}; calibrate the camera or \
          move its folder away", path.display()
     )]
     CameraWithoutCalibration {
-        /// The folder of folders.
+        /// Folder with one subfolder per camera.
         path: PathBuf,
-        /// The folders left over.
+        /// Folders without a camera.
         folders: String,
         /// The calibrated cameras.
         cameras: String,
     },
-    /// More cameras than folders.
+    /// There are more cameras than folders.
     #[error(
         "{}: no folder for calibrated camera {cameras}; folders are {folders}; add its \
          detections or remove it from the calibration", path.display()
     )]
     CalibrationWithoutCamera {
-        /// The folder of folders.
+        /// Folder with one subfolder per camera.
         path: PathBuf,
-        /// The folders with JSON.
+        /// Folders with JSON files.
         folders: String,
-        /// The cameras left over.
+        /// Cameras without a folder.
         cameras: String,
     },
-    /// A file name without a number, or with one too large to be a time.
+    /// A file name without a number, or with a number that is too large for a time.
     #[error(
         "{}: no usable frame number in the file name; name files like cam01_000123_keypoints.json",
         path.display()
@@ -122,22 +122,22 @@ pub enum ImportError {
         /// The file.
         path: PathBuf,
     },
-    /// Two files of one camera with one frame number.
+    /// Two files of one camera with the same frame number.
     #[error(
-        "{}: frame {frame} is there twice ({first} and {second}); keep one recording per folder",
+        "{}: frame {frame} appears twice ({first} and {second}); keep one recording per folder",
         path.display()
     )]
     DuplicateFrame {
         /// The camera's folder.
         path: PathBuf,
-        /// The number.
+        /// The frame number.
         frame: u64,
-        /// One file name.
+        /// The first file name.
         first: String,
-        /// The other.
+        /// The second file name.
         second: String,
     },
-    /// A JSON file of something else, or broken.
+    /// A JSON file that is broken or not from OpenPose.
     #[error("{}: {what}; OpenPose writes {{\"people\": [{{\"pose_keypoints_2d\": [x, y, c, ...]}}]}}", path.display())]
     NotOpenpose {
         /// The file.
@@ -145,7 +145,7 @@ pub enum ImportError {
         /// What is wrong.
         what: String,
     },
-    /// The keypoints of a person do not fill the format.
+    /// The number of a person's values does not fit the format.
     #[error(
         "{}: person {person} has {found} numbers, {} needs {}; {fits}",
         path.display(), format.name(), 3 * format.len()
@@ -155,23 +155,23 @@ pub enum ImportError {
         path: PathBuf,
         /// Index of the person in the file.
         person: usize,
-        /// How many numbers there are.
+        /// How many numbers the person has.
         found: usize,
-        /// What was asked for.
+        /// The requested format.
         format: KeypointFormat,
-        /// Which formats have that length.
+        /// The formats with that length.
         fits: String,
     },
-    /// No keypoint format of that name.
+    /// An unknown keypoint format.
     #[error("unknown keypoint format {name}; known are {}", known_formats())]
     UnknownFormat {
-        /// What was given.
+        /// The given name.
         name: String,
     },
     /// A frame rate that is not positive and finite.
-    #[error("{fps} frames per second is no frame rate; give the cameras' rate, such as 60")]
+    #[error("frame rate {fps} is not valid; give the cameras' rate, such as 60")]
     FrameRate {
-        /// What was given.
+        /// The given rate.
         fps: f64,
     },
 }
@@ -182,7 +182,7 @@ impl ImportError {
     }
 }
 
-/// The keypoint format of that name (see [`KeypointFormat::name`]).
+/// The keypoint format with that name (see [`KeypointFormat::name`]).
 ///
 /// # Errors
 /// [`ImportError::UnknownFormat`], which lists the known ones.

@@ -1,4 +1,4 @@
-//! TRC files: marker trajectories of other tools, as a reference to compare with.
+//! Reads TRC files: marker trajectories of other tools, used as a reference.
 
 use std::path::{Path, PathBuf};
 
@@ -15,13 +15,13 @@ pub enum TrcError {
     Unreadable { path: PathBuf, source: std::io::Error },
     #[error("{path}: {source}")]
     InFile { path: PathBuf, source: Box<TrcError> },
-    #[error("line 1 does not begin with PathFileType: give a TRC file")]
+    #[error("line 1 does not begin with PathFileType; give a TRC file")]
     NotTrc,
-    #[error("line {line}: there is none; a TRC file has {what} there")]
+    #[error("line {line} is missing; a TRC file has {what} there")]
     TooShort { line: usize, what: &'static str },
     #[error("line {line}: no value for {field}: add it to lines 2 and 3")]
     NoField { line: usize, field: &'static str },
-    #[error("line {line}: units {units:?} are not known: use m, cm or mm")]
+    #[error("line {line}: units {units:?} are unknown; use m, cm or mm")]
     Units { line: usize, units: String },
     #[error("line {line}: {cell:?} is not a number")]
     NotANumber { line: usize, cell: String },
@@ -32,9 +32,9 @@ pub enum TrcError {
 /// Marker positions over time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trc {
-    /// Frames a second.
+    /// Frame rate, hertz.
     pub frame_rate: f64,
-    /// Frame of the original recording that row 0 is of (OrigDataStartFrame).
+    /// Frame number of row 0 in the original recording (OrigDataStartFrame).
     pub first_frame: u64,
     /// Names of the markers, in the order of the points.
     pub names: Vec<String>,
@@ -45,11 +45,11 @@ pub struct Trc {
 /// One row of a TRC file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrcRow {
-    /// The file's own frame number, which tools begin at 0 or at 1.
+    /// The file's frame number; tools begin at 0 or at 1.
     pub number: i64,
-    /// The file's own time, seconds.
+    /// The file's time, seconds.
     pub seconds: f64,
-    /// A position per marker, metres; `None` where a cell is empty or no number.
+    /// Position of each marker, metres; `None` if a cell is empty or not finite.
     pub points: Vec<Option<Vector3<f64>>>,
 }
 
@@ -62,7 +62,7 @@ impl Trc {
             .map_err(|source| TrcError::InFile { path: path.into(), source: Box::new(source) })
     }
 
-    /// Reads the text of a file.
+    /// Parses the text of a file.
     pub fn parse(text: &str) -> Result<Self, TrcError> {
         let lines: Vec<&str> = text.lines().collect();
         if !lines.first().is_some_and(|line| line.trim_start().starts_with("PathFileType")) {
@@ -86,7 +86,7 @@ impl Trc {
         Ok(Self { frame_rate: header.number("DataRate")?, first_frame, names, rows })
     }
 
-    /// Which column has a keypoint.
+    /// Column of a keypoint.
     pub fn column_of(&self, keypoint: Keypoint) -> Option<usize> {
         self.names.iter().position(|name| keypoint_of(name) == Some(keypoint))
     }
@@ -109,7 +109,7 @@ impl Header<'_> {
         value.parse().map_err(|_| TrcError::NotANumber { line: 3, cell: value.into() })
     }
 
-    /// Metres in the file's unit.
+    /// Length of the file's unit in metres.
     fn metres(&self) -> Result<f64, TrcError> {
         match self.value("Units")? {
             "m" => Ok(1.0),
@@ -120,7 +120,7 @@ impl Header<'_> {
     }
 }
 
-/// Names stand three cells apart from the third on; what follows the last name is empty.
+/// Names are in every third cell from the third on; cells after the last name are empty.
 fn marker_names(line: &str) -> Vec<String> {
     let names: Vec<String> =
         line.split('\t').skip(2).step_by(3).map(|name| name.trim().to_owned()).collect();

@@ -1,4 +1,4 @@
-//! Unpacking a chunk.
+//! Unpacks chunks.
 
 use mcap::McapError;
 use mcap::records::{Record, op};
@@ -6,7 +6,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 
 use super::RECORD_LIMIT;
 
-/// The options that every reading here shares: parts of a file, of bounded size.
+/// Options of every reader here: parts of a file, with a size limit.
 pub(super) fn options() -> LinearReaderOptions {
     LinearReaderOptions::default()
         .with_skip_start_magic(true)
@@ -15,7 +15,7 @@ pub(super) fn options() -> LinearReaderOptions {
         .with_record_length_limit(RECORD_LIMIT)
 }
 
-/// Feeds `bytes` to `reader` and each record that comes to `visit`.
+/// Feeds `bytes` to `reader` and passes each record to `visit`.
 pub(super) fn drive(
     reader: &mut LinearReader,
     mut bytes: &[u8],
@@ -35,8 +35,8 @@ pub(super) fn drive(
     Ok(())
 }
 
-/// The schemas, channels and messages in a chunk record (`bytes`: opcode, length and body), and
-/// what stopped the unpacking, if anything did. The check sum is the last thing checked.
+/// The schemas, channels and messages in a chunk record (`bytes`: opcode, length and body), and the
+/// error that stopped the unpacking, if any. The checksum is checked last.
 pub(super) fn unpack(bytes: &[u8]) -> (Vec<Record<'static>>, Option<McapError>) {
     let (mut records, mut unpacked) = (Vec::new(), 0);
     let mut reader = LinearReader::new_with_options(options());

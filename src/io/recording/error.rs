@@ -1,37 +1,37 @@
-//! What can go wrong with a recording, and what a damaged one lost.
+//! Errors of recordings, and the losses of damaged ones.
 
 use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a recording cannot be read or written at all.
+/// Why a recording cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// The file cannot be opened or read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's reason.
+        /// The reason from the system.
         source: io::Error,
     },
     /// The file cannot be written.
     #[error("cannot write {}: {source}; check that the folder exists and has room", path.display())]
     Write {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's reason.
+        /// The reason from the system.
         source: io::Error,
     },
-    /// The file is something else.
+    /// The file is not an MCAP recording.
     #[error("{} is not an MCAP recording: {found}; make one with `bundlemocap import`", path.display())]
     NotMcap {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What it begins with.
+        /// The first bytes of the file.
         found: String,
     },
-    /// The file is a recording of something else.
+    /// The recording holds no messages of ours.
     #[error(
         "{} holds no messages of bundlemocap.v1, but {}; make a recording of keypoints with \
          `bundlemocap import`",
@@ -39,22 +39,22 @@ pub enum RecordError {
         topic_list(topics)
     )]
     NoChannels {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Topic and schema of what it holds.
+        /// Topics and schemas in the file.
         topics: Vec<String>,
     },
-    /// A live recording that was cut short is where a new one would be written.
+    /// An unfinished live recording exists where a new one would be written.
     #[error(
-        "{} is there, from a recording that was not finished; `bundlemocap info` reads it; rename \
+        "{} exists, from a recording that was not finished; `bundlemocap info` reads it; rename \
          it to keep it, or remove it",
         part.display()
     )]
     LeftOver {
-        /// The file.
+        /// Path of the file.
         part: PathBuf,
     },
-    /// MCAP's log times are not negative.
+    /// A negative time; MCAP's log times cannot be negative.
     #[error("cannot record on {topic}: capture time {ns} ns is before the epoch; shift the epoch")]
     BeforeEpoch {
         /// The topic.
@@ -86,9 +86,9 @@ impl RecordError {
 /// A part of a file that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Damage {
-    /// Where the record that cannot be used begins, bytes from the start of the file.
+    /// Byte offset of the unusable record from the start of the file.
     pub offset: u64,
-    /// What is wrong there.
+    /// What is wrong.
     pub reason: String,
 }
 
@@ -98,21 +98,21 @@ impl std::fmt::Display for Damage {
     }
 }
 
-/// Messages of one topic that could not be used.
+/// Messages of one topic that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Undecodable {
-    /// How many.
+    /// Number of messages.
     pub count: u64,
-    /// What was wrong with the first.
+    /// What is wrong with the first.
     pub first: String,
 }
 
-/// What a reading lost.
+/// Losses of a read.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Report {
-    /// In the order of the file.
+    /// Damaged parts in the order of the file.
     pub damage: Vec<Damage>,
-    /// By topic.
+    /// Unusable messages by topic.
     pub undecodable: BTreeMap<String, Undecodable>,
 }
 
@@ -122,7 +122,7 @@ impl Report {
         self.damage.is_empty() && self.undecodable.is_empty()
     }
 
-    /// What was lost, a line each.
+    /// The losses, one line each.
     pub fn losses(&self) -> Vec<String> {
         let damage = self.damage.iter().map(ToString::to_string);
         let undecodable = self.undecodable.iter().map(|(topic, lost)| {
@@ -131,7 +131,7 @@ impl Report {
         damage.chain(undecodable).collect()
     }
 
-    /// Counts a message of `topic` that could not be used.
+    /// Counts a message of `topic` that cannot be used.
     pub fn reject(&mut self, topic: &str, reason: &dyn std::fmt::Display) {
         if let Some(undecodable) = self.undecodable.get_mut(topic) {
             undecodable.count += 1;

@@ -1,4 +1,4 @@
-//! What a recording holds, for `bundlemocap info`.
+//! Content of a recording, for `bundlemocap info`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,42 +9,42 @@ use super::reader::Reader;
 use crate::core::time::Timestamp;
 use crate::io::wire::{self, KeypointFrame};
 
-/// What a recording holds.
+/// Content of a recording.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Info {
     /// Size of the file, bytes.
     pub bytes: u64,
     /// Log times of the first and the last message.
     pub span: Option<[Timestamp; 2]>,
-    /// By topic.
+    /// Topics by name.
     pub topics: BTreeMap<String, TopicInfo>,
     /// Cameras with keypoints, by name.
     pub cameras: BTreeMap<String, CameraInfo>,
-    /// Cameras of the first rig, in its order; empty when there is no rig.
+    /// Cameras of the first rig, in its order; empty without a rig.
     pub rig: Vec<String>,
-    /// The first rig, as it is in the file.
+    /// The first rig message.
     pub first_rig: Option<wire::Rig>,
     /// Metadata records by name.
     pub metadata: BTreeMap<String, BTreeMap<String, String>>,
-    /// What was lost. From the index alone, damage inside chunks is not seen.
+    /// The losses. Damage inside chunks is not seen when only the index was read.
     pub report: Report,
-    /// Whether the whole file was read; else the counts are from the index at its end.
+    /// Whether the whole file was read; otherwise the counts are from the index at its end.
     pub scanned: bool,
 }
 
-/// What a topic holds.
+/// Content of a topic.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TopicInfo {
-    /// Name of the schema; empty if there is none.
+    /// Name of the schema; empty without a schema.
     pub schema: String,
-    /// Messages.
+    /// Number of messages.
     pub count: u64,
-    /// Messages a second, over the topic's own span if the file was scanned, else over the span
-    /// of the recording; `None` with fewer than two messages or no span.
+    /// Messages per second: over the topic's own span if the file was scanned, otherwise over the
+    /// span of the recording. `None` with fewer than two messages or no span.
     pub rate: Option<f64>,
 }
 
-/// What a camera's first frame says.
+/// Data from a camera's first frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraInfo {
     /// Name of the keypoint format.
@@ -54,7 +54,7 @@ pub struct CameraInfo {
 }
 
 impl Info {
-    /// From the first message to the last, seconds; 0 for an empty recording.
+    /// Time from the first message to the last, seconds; 0 for an empty recording.
     pub fn seconds(&self) -> f64 {
         self.span.map_or(0.0, |[first, last]| last.seconds_since(first))
     }
@@ -72,7 +72,7 @@ impl Info {
         }
     }
 
-    /// Keeps what a first frame or a first rig tells.
+    /// Stores data of a first frame or a first rig.
     fn note(&mut self, message: &Message) {
         match message {
             Message::Keypoints(frame) => self.note_camera(frame),
@@ -98,8 +98,8 @@ fn rate(count: u64, [first, last]: [Timestamp; 2]) -> Option<f64> {
     (count > 1 && seconds > 0.0).then(|| (count - 1) as f64 / seconds)
 }
 
-/// What the recording at `path` holds: from the index at its end when that is good, else by
-/// reading all of it.
+/// Content of the recording at `path`: from the index at its end if that is good, otherwise by
+/// reading the whole file.
 ///
 /// # Errors
 /// As [`Reader::open`].
@@ -107,7 +107,7 @@ pub fn summary(path: impl AsRef<Path>) -> Result<Info, RecordError> {
     summarise(&mut Reader::open(path)?)
 }
 
-/// As [`summary`], of a recording that is open and has not been read; it is rewound.
+/// As [`summary`], for an open recording that has not been read; rewinds it.
 ///
 /// # Errors
 /// As the iterator of [`Reader`].
@@ -137,7 +137,7 @@ fn from_index(reader: &Reader) -> Option<Info> {
     Some(info)
 }
 
-/// Adds what the first message of each camera and of the rig tell, reading no further.
+/// Adds data from the first message of each camera and of the rig, and stops reading there.
 fn first_messages(mut info: Info, reader: &mut Reader) -> Result<Info, RecordError> {
     let counted = |topic: &str| info.topics.get(topic).is_some_and(|topic| topic.count > 0);
     let wanted = [Kind::Keypoints, Kind::Rig];
@@ -157,7 +157,7 @@ fn first_messages(mut info: Info, reader: &mut Reader) -> Result<Info, RecordErr
     Ok(info)
 }
 
-/// What the recording at `path` holds, by reading all of it: finds all damage.
+/// Content of the recording at `path`, by reading the whole file; finds all damage.
 ///
 /// # Errors
 /// As [`Reader::open`] and the iterator.

@@ -1,4 +1,4 @@
-//! Messages of a recording, by schema and topic.
+//! Decodes messages of a recording by schema and topic.
 
 use std::sync::Arc;
 
@@ -14,34 +14,34 @@ use crate::io::wire::{
 /// A message of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
-    /// Where it was published.
+    /// The topic.
     pub topic: Arc<str>,
-    /// The time it is filed under: the capture time in files that were made offline, the arrival
-    /// on the node's clock in live ones.
+    /// Log time: the capture time in offline recordings, the arrival on the node's clock in live
+    /// ones.
     pub log_time: Timestamp,
-    /// What it says.
+    /// Its content.
     pub message: Message,
 }
 
-/// A message of a recording as its bytes are.
+/// An undecoded message of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RawEntry {
-    /// Where it was published.
+    /// The topic.
     pub topic: Arc<str>,
-    /// Full name of its schema; empty if it has none.
+    /// Full name of its schema; empty without a schema.
     pub schema: Arc<str>,
-    /// How the payload is encoded, in MCAP's words; `protobuf` for ours.
+    /// Encoding of the payload, by its name in MCAP; `protobuf` for ours.
     pub encoding: Arc<str>,
-    /// The time it is filed under, as in [`Entry`].
+    /// Log time, as in [`Entry`].
     pub log_time: Timestamp,
-    /// The capture time in our files.
+    /// Publish time: the capture time in our files.
     pub publish_time: Timestamp,
     /// The bytes.
     pub payload: Vec<u8>,
 }
 
-/// The content of a message. Each of ours is checked: its `to_core` succeeds (that of keypoints if
-/// the camera is known). As JSON it is as [`wire`](crate::io::wire) says, `null` if it is not ours.
+/// The content of a message. Ours are checked: their `to_core` succeeds (for keypoints, if the
+/// camera is known). [`wire`](crate::io::wire) defines the JSON; foreign messages are `null`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Message {
@@ -51,11 +51,11 @@ pub enum Message {
     Rig(Rig),
     /// A solved pose.
     Pose(Pose),
-    /// The end of a window.
+    /// A solved keyframe.
     Keyframe(Keyframe),
     /// The body that was solved for.
     Skeleton(Skeleton),
-    /// Something that happened.
+    /// An event.
     Event(Event),
     /// Counters.
     Status(Status),
@@ -70,7 +70,7 @@ pub enum Message {
     /// A message that is not ours.
     #[serde(serialize_with = "as_null")]
     Other {
-        /// Name of its schema; empty if it has none.
+        /// Name of its schema; empty without a schema.
         schema: String,
         /// The payload.
         data: Vec<u8>,
@@ -81,7 +81,7 @@ fn as_null<S: Serializer>(_: &str, _: &[u8], to: S) -> Result<S::Ok, S::Error> {
     to.serialize_none()
 }
 
-/// The messages that we know.
+/// The schemas that we decode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Keypoints,
@@ -118,7 +118,7 @@ pub(super) struct Channel {
     pub topic: Arc<str>,
     pub schema: Arc<str>,
     pub encoding: Arc<str>,
-    /// `None`: not ours.
+    /// `None` for a foreign schema.
     pub kind: Option<Kind>,
 }
 
@@ -130,21 +130,21 @@ impl Channel {
 }
 
 impl RawEntry {
-    /// What the message says, checked.
+    /// Decodes and checks the message.
     ///
     /// # Errors
-    /// A payload that is not sound.
+    /// The payload is not valid.
     pub fn message(&self) -> Result<Message, DecodeError> {
         Message::decode(&self.topic, &self.schema, &self.encoding, &self.payload)
     }
 }
 
 impl Message {
-    /// The message in `data`, checked; `schema` is its full name, `encoding` in MCAP's words, and
-    /// the topic tells truth from the rest.
+    /// Decodes and checks the message in `data`. `schema` is its full name, `encoding` its name in
+    /// MCAP; the topic separates truth from solved poses.
     ///
     /// # Errors
-    /// A payload that is not sound.
+    /// The payload is not valid.
     pub fn decode(
         topic: &str,
         schema: &str,

@@ -1,17 +1,17 @@
-//! Recordings: MCAP files in and out.
+//! Reads and writes recordings: MCAP files.
 //!
-//! [`Writer`] writes to a temporary file beside the target and renames it in `finish`. The same
-//! input gives the same bytes: log times are capture times, nothing asks a clock. A live recording
-//! ([`Writer::live`]) is written to `FILE.part` instead, which outlives a crash.
+//! [`Writer`] writes to a temporary file beside the target and renames it in `finish`. Equal input
+//! gives equal bytes: log times are capture times, and no clock is read. A live recording
+//! ([`Writer::live`]) is written to `FILE.part` instead, which survives a crash.
 //!
 //! [`Reader`] streams: it holds one chunk (at most 64 MiB) and the index at the end of the file.
-//! Damage never ends a reading early where more can be had:
-//! - a file that was cut: every whole message before the cut is given;
-//! - a chunk whose check sum or content is wrong is skipped, all of it;
-//! - where the record framing itself is broken, reading goes on at the next chunk that the index
-//!   at the end of the file knows; without an index it ends there.
+//! It reads past damage where it can:
+//! - truncated file: it returns every complete message before the end;
+//! - chunk with a wrong checksum or content: it skips the whole chunk;
+//! - broken record framing: it continues at the next chunk in the index at the end of the file;
+//!   without an index it stops there.
 //!
-//! What was lost is in [`Report`], each piece with its byte offset.
+//! [`Report`] lists the losses with their byte offsets.
 
 mod chunk;
 mod error;
@@ -31,5 +31,5 @@ pub use writer::{Provenance, Writer};
 
 /// Name of our metadata record.
 pub const METADATA: &str = "bundlemocap";
-/// Longest record, packed or unpacked, that is read into memory; bytes.
+/// Longest record, packed or unpacked, that is read into memory, bytes.
 const RECORD_LIMIT: usize = 64 << 20;

@@ -1,4 +1,4 @@
-//! Reading a recording, message by message.
+//! Reads a recording message by message.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -10,9 +10,9 @@ use super::message::{Channel, Entry, RawEntry};
 use super::scan::{RawMessage, Scan};
 use crate::core::time::Timestamp;
 
-/// Gives the messages of a recording in the order of the file, which is the order in which they
-/// were logged; cameras are interleaved as they were written, not sorted. After the last one,
-/// [`Reader::report`] says what was lost. Memory is bounded, see the module.
+/// Returns the messages of a recording in the order of the file, which is the order of logging;
+/// messages of different cameras are interleaved as written, not sorted. After the last one,
+/// [`Reader::report`] is complete. Memory is bounded, see the module.
 pub struct Reader {
     path: PathBuf,
     scan: Scan,
@@ -23,7 +23,7 @@ impl Reader {
     /// Opens a recording.
     ///
     /// # Errors
-    /// A file that cannot be read, is no MCAP, or by its index has no channel of ours.
+    /// The file cannot be read, is not MCAP, or has no channel of ours in its index.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, RecordError> {
         let path = path.as_ref();
         let read = RecordError::read(path);
@@ -45,13 +45,13 @@ impl Reader {
         Ok(reader)
     }
 
-    /// Whether the index describes channels and schemas, so that nothing is left to learn.
+    /// Whether the index describes channels and schemas, so that it is complete.
     fn index_tells_all(&self) -> bool {
         let Ok(Some(tail)) = &self.scan.tail else { return false };
         !tail.channels.is_empty() && tail.channels.values().all(|c| !c.schema.is_empty())
     }
 
-    /// Fails if every channel known so far is somebody else's.
+    /// Fails if all channels known so far are foreign.
     fn require_channels(&self) -> Result<(), RecordError> {
         if self.channels().any(|channel| channel.kind.is_some()) {
             return Ok(());
@@ -63,31 +63,31 @@ impl Reader {
         Err(RecordError::NoChannels { path: self.path.clone(), topics: topics.collect() })
     }
 
-    /// Goes back to the first message, in the same open file; [`Reader::report`] starts anew.
+    /// Returns to the first message in the same open file; [`Reader::report`] is reset.
     ///
     /// # Errors
-    /// A file that cannot be read.
+    /// The file cannot be read.
     pub fn rewind(&mut self) -> Result<(), RecordError> {
         self.done = false;
         self.scan.rewind().map_err(RecordError::read(&self.path))
     }
 
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What was lost so far; complete after the last message.
+    /// Losses so far; complete after the last message.
     pub fn report(&self) -> &Report {
         &self.scan.report
     }
 
-    /// Counts a message that the caller could not use, for instance of an unknown camera.
+    /// Counts a message that the caller cannot use, for instance of an unknown camera.
     pub fn reject(&mut self, topic: &str, reason: &dyn std::fmt::Display) {
         self.scan.report.reject(topic, reason);
     }
 
-    /// Metadata records by name. All of them when the file's index is good, else those passed so
+    /// Metadata records by name: all of them if the file's index is good, otherwise those read so
     /// far. Ours is [`super::METADATA`].
     pub fn metadata(&self) -> &BTreeMap<String, BTreeMap<String, String>> {
         &self.scan.metadata
@@ -101,7 +101,7 @@ impl Reader {
         &self.scan
     }
 
-    /// The next message as its bytes are, sound or not, in the order of the file.
+    /// The next message without decoding, valid or not, in the order of the file.
     ///
     /// # Errors
     /// As the iterator.
@@ -123,11 +123,11 @@ impl Reader {
         None
     }
 
-    /// The message with what its channel says, or `None` if the channel was lost.
+    /// The message with the data of its channel, or `None` if the channel was lost.
     fn described(&mut self, raw: RawMessage) -> Option<RawEntry> {
         let Some(channel) = self.scan.channels.get(&raw.channel) else {
             let topic = format!("channel {}", raw.channel);
-            self.scan.report.reject(&topic, &"its description was lost");
+            self.scan.report.reject(&topic, &"its channel record was lost");
             return None;
         };
         let time = |ns| Timestamp::from_ns(i64::try_from(ns).unwrap_or(i64::MAX));
@@ -141,7 +141,7 @@ impl Reader {
         })
     }
 
-    /// The end: a whole file without anything of ours is an error.
+    /// The end: a complete file without messages of ours is an error.
     fn end(&mut self) -> Option<RecordError> {
         self.done = true;
         if self.scan.report.damage.is_empty() { self.require_channels().err() } else { None }

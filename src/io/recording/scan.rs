@@ -1,4 +1,4 @@
-//! From the start of a file to its end, record by record, around damage.
+//! Reads a file record by record, and continues after damage.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
@@ -12,7 +12,7 @@ use super::error::{Damage, Report};
 use super::message::Channel;
 use super::tail::{RECORD_HEAD, Tail, read_metadata, read_tail};
 
-/// A message as it is in the file.
+/// A message as stored in the file.
 pub(super) struct RawMessage {
     pub channel: u16,
     pub log_time: u64,
@@ -24,16 +24,16 @@ pub(super) struct RawMessage {
 pub(super) struct Scan {
     file: BufReader<File>,
     size: u64,
-    /// Where the next record begins.
+    /// Offset of the next record.
     offset: u64,
-    /// Whether the data have ended and the (damaged) index follows.
+    /// Whether the data section has ended and the (damaged) index follows.
     past_data: bool,
     done: bool,
-    /// Opcode, length and body of the record at hand.
+    /// Opcode, length and body of the current record.
     record: Vec<u8>,
     pending: VecDeque<RawMessage>,
     schemas: BTreeMap<u16, String>,
-    /// The index; the error says why there is none.
+    /// The index; the error says why it cannot be used.
     pub tail: Result<Option<Tail>, Damage>,
     pub channels: BTreeMap<u16, Channel>,
     pub metadata: BTreeMap<String, BTreeMap<String, String>>,
@@ -41,7 +41,7 @@ pub(super) struct Scan {
 }
 
 impl Scan {
-    /// Begins after the magic, which the caller has checked.
+    /// Starts after the magic bytes, which the caller has checked.
     pub fn new(file: File) -> io::Result<Self> {
         let size = file.metadata()?.len();
         let mut file = BufReader::with_capacity(1 << 17, file);
@@ -65,7 +65,7 @@ impl Scan {
         Ok(scan)
     }
 
-    /// Goes back to the first message. What was lost is forgotten; channels and metadata stay.
+    /// Returns to the first message. Losses are reset; channels and metadata are kept.
     pub fn rewind(&mut self) -> io::Result<()> {
         self.offset = mcap::MAGIC.len() as u64;
         (self.past_data, self.done) = (false, false);
@@ -79,7 +79,7 @@ impl Scan {
         self.size
     }
 
-    /// Channels and metadata are known from the start when the index is good.
+    /// With a good index, channels and metadata are known from the start.
     fn adopt_tail(&mut self) -> io::Result<()> {
         let Ok(Some(tail)) = &self.tail else { return Ok(()) };
         self.channels = tail.channels.clone();
@@ -108,7 +108,7 @@ impl Scan {
         }
     }
 
-    /// Deals with the record at `offset`.
+    /// Handles the record at `offset`.
     fn step(&mut self) -> io::Result<()> {
         self.read(RECORD_HEAD)?;
         if self.record.len() < RECORD_HEAD as usize {
@@ -139,7 +139,7 @@ impl Scan {
         Ok(())
     }
 
-    /// Why no record of that opcode and length can be at `offset`; `left` bytes follow its head.
+    /// Why no record of that opcode and length can be at `offset`; `left` bytes follow its header.
     fn misframed(&self, opcode: u8, length: u64, left: u64) -> Option<String> {
         if matches!(opcode, 0 | 0x10..=0x7f) {
             return Some(format!("no record has the opcode {opcode:#04x}"));
@@ -150,14 +150,14 @@ impl Scan {
         }
         let next_chunk = tail.chunk_after(self.offset);
         if matches!(opcode, op::DATA_END | op::FOOTER) && next_chunk.is_some() {
-            return Some(format!("opcode {opcode:#04x} where the index has more chunks to come"));
+            return Some(format!("opcode {opcode:#04x} where the index lists more chunks"));
         }
         let end = self.offset.saturating_add(RECORD_HEAD).saturating_add(length);
         (length > left || next_chunk.is_some_and(|next| end > next))
             .then(|| format!("a record of {length} bytes does not fit here"))
     }
 
-    /// Goes on at the next chunk that the index knows.
+    /// Continues at the next chunk in the index.
     fn resume(&mut self, reason: String) -> io::Result<()> {
         self.report.damaged(self.offset, reason);
         let next = self.tail.as_ref().ok().and_then(Option::as_ref);
@@ -177,7 +177,7 @@ impl Scan {
         Ok(())
     }
 
-    /// The file ends inside a record, of which `left` bytes are there.
+    /// Ends the file inside a record, of which `left` bytes are present.
     fn cut_inside(&mut self, opcode: u8, left: u64) -> io::Result<()> {
         if opcode == op::CHUNK && left <= RECORD_LIMIT as u64 {
             self.read_more(left)?;
@@ -187,7 +187,7 @@ impl Scan {
         self.cut("the file ends inside a record")
     }
 
-    /// The footer, which is reached only when the index or the end of the data is not good.
+    /// Handles the footer, which is reached only if the index or the end of the data is damaged.
     fn finish(&mut self) {
         if let Err(damage) = &self.tail {
             self.report.damage.push(damage.clone());
@@ -211,7 +211,7 @@ impl Scan {
         };
         match result {
             Ok(records) => self.accept(records),
-            // Its length may be wrong too; the index is surer.
+            // Its length may also be wrong; the index is more reliable.
             Err(error) if opcode == op::CHUNK && matches!(self.tail, Ok(Some(_))) => {
                 return self.resume(format!("chunk skipped: {error}"));
             }
@@ -245,7 +245,7 @@ impl Scan {
         }
     }
 
-    /// A channel; what the data say goes before what the index says, unless the schema was lost.
+    /// Stores a channel; the data section has priority over the index, unless the schema was lost.
     fn learn(&mut self, channel: &mcap::records::Channel) {
         let schema = self.schemas.get(&channel.schema_id).cloned();
         let known = schema.is_some() || channel.schema_id == 0;
@@ -256,7 +256,7 @@ impl Scan {
         }
     }
 
-    /// Replaces `record` by the next `length` bytes, or fewer at the end of the file.
+    /// Replaces `record` by the next `length` bytes, fewer at the end of the file.
     fn read(&mut self, length: u64) -> io::Result<()> {
         self.record.clear();
         self.read_more(length)

@@ -1,4 +1,4 @@
-//! The index at the end of a file.
+//! Reads the index at the end of a file.
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -14,24 +14,24 @@ use super::message::Channel;
 
 /// Opcode and length of a record.
 pub(super) const RECORD_HEAD: u64 = 9;
-/// The record before the summary, which holds a check sum.
+/// The record before the summary, which holds a checksum.
 const DATA_END: u64 = RECORD_HEAD + 4;
 /// Footer record and closing magic.
 const FOOTER: u64 = RECORD_HEAD + 20 + mcap::MAGIC.len() as u64;
 
-/// What the end of a file says of the whole.
+/// Content of the index.
 #[derive(Debug, Default)]
 pub(super) struct Tail {
     pub channels: BTreeMap<u16, Channel>,
     pub statistics: Option<Statistics>,
-    /// Where chunks begin, ascending.
+    /// Offsets of the chunks, ascending.
     pub chunk_starts: Vec<u64>,
-    /// Where metadata records are: offset and length.
+    /// Metadata records: offset and length.
     pub metadata: Vec<(u64, u64)>,
 }
 
 impl Tail {
-    /// Where the first chunk after `offset` begins.
+    /// Offset of the first chunk after `offset`.
     pub fn chunk_after(&self, offset: u64) -> Option<u64> {
         let at = self.chunk_starts.partition_point(|&start| start <= offset);
         self.chunk_starts.get(at).copied()
@@ -61,7 +61,7 @@ impl Tail {
 }
 
 /// Reads the end of a file of `size` bytes. The inner error says what is wrong with it; `None`
-/// means that the file is whole but was written without an index.
+/// means that the file is complete but was written without an index.
 pub(super) fn read_tail(
     file: &mut (impl Read + Seek),
     size: u64,
@@ -75,7 +75,7 @@ pub(super) fn read_tail(
         return damage(footer_at, "the file became shorter");
     };
     if magic != mcap::MAGIC || head[0] != op::FOOTER {
-        return damage(footer_at, "the file does not end as a finished recording does");
+        return damage(footer_at, "the file does not end like a finished recording");
     }
     let Ok(Record::Footer(footer)) = mcap::parse_record(head[0], &head[RECORD_HEAD as usize..])
     else {
@@ -97,7 +97,7 @@ pub(super) fn read_tail(
     }))
 }
 
-/// The index in `bytes`: the record that ends the data, the summary, footer and magic.
+/// Parses the index in `bytes`: the record that ends the data, the summary, footer and magic.
 fn parse(bytes: &[u8]) -> Result<Tail, McapError> {
     let (mut tail, mut schemas) = (Tail::default(), BTreeMap::new());
     let options = options().with_validate_summary_section_crc(true).with_skip_end_magic(false);
@@ -110,7 +110,7 @@ fn parse(bytes: &[u8]) -> Result<Tail, McapError> {
     Ok(tail)
 }
 
-/// `length` bytes from `offset`; fewer if the file ends before.
+/// Reads `length` bytes from `offset`; fewer at the end of the file.
 fn read_at(file: &mut (impl Read + Seek), offset: u64, length: u64) -> io::Result<Vec<u8>> {
     file.seek(SeekFrom::Start(offset))?;
     let mut bytes = Vec::new();
@@ -118,7 +118,7 @@ fn read_at(file: &mut (impl Read + Seek), offset: u64, length: u64) -> io::Resul
     Ok(bytes)
 }
 
-/// The metadata record at (offset, length), if one is there.
+/// The metadata record at (offset, length), if there is one.
 pub(super) fn read_metadata(
     file: &mut (impl Read + Seek),
     (offset, length): (u64, u64),

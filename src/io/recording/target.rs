@@ -1,4 +1,4 @@
-//! Where a recording is while it is being written.
+//! The file of a recording while it is being written.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -8,29 +8,29 @@ use tempfile::NamedTempFile;
 
 use crate::io::new_file;
 
-/// The file before it is in its place.
+/// The file before it is renamed.
 #[derive(Debug)]
 pub(super) enum Target {
-    /// Gone if it is not put in its place.
+    /// Deleted unless it is renamed.
     Temporary(NamedTempFile),
-    /// Stays if it is not put in its place, under this name.
+    /// Kept under this name unless it is renamed.
     Part(File, PathBuf),
 }
 
 impl Target {
-    /// A temporary file in the folder of `path`, readable as any new file is.
+    /// A temporary file in the folder of `path`, with the permissions of a normal new file.
     pub fn temporary(path: &Path) -> io::Result<Self> {
         new_file::temporary(path).map(Self::Temporary)
     }
 
-    /// `path` with `.part` after it; fails if that is there already.
+    /// `path` with the suffix `.part`; fails if that file exists.
     pub fn part(path: &Path) -> io::Result<Self> {
         let part = part_of(path);
         let file = File::options().write(true).create_new(true).open(&part)?;
         Ok(Self::Part(file, part))
     }
 
-    /// Puts the file, all of it on the disk, in its place.
+    /// Syncs the file to disk and renames it.
     pub fn persist(self, path: &Path) -> io::Result<()> {
         match self {
             Self::Temporary(file) => {
@@ -45,7 +45,7 @@ impl Target {
     }
 }
 
-/// What a live recording is called until it is whole.
+/// Path of a live recording until it is finished.
 pub(super) fn part_of(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".part");

@@ -1,4 +1,4 @@
-//! Writing a recording.
+//! Writes a recording.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufWriter};
@@ -21,19 +21,19 @@ use crate::io::wire::{
     Topics, descriptor, encode,
 };
 
-/// Chunks close above this many bytes: what a cut or a flipped bit can cost, about a second of
-/// four cameras.
+/// Chunks close above this many bytes. A truncated file or a flipped bit loses at most a chunk,
+/// about a second of four cameras.
 const CHUNK_BYTES: u64 = 64 << 10;
 const ZSTD_LEVEL: u32 = 3;
 
-/// Where a recording comes from; kept in its metadata next to the version of this tool.
+/// Origin of a recording; stored in its metadata with the version of this tool.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Provenance {
     /// The configuration, TOML.
     pub config: String,
     /// Hash of the manifold's weights; empty if none were used.
     pub weights: String,
-    /// Anything else, by name. Nothing that changes from run to run, lest the bytes do.
+    /// Other entries by name. They must not change from run to run, or the bytes differ.
     pub more: BTreeMap<String, String>,
 }
 
@@ -54,21 +54,21 @@ struct OpenChannel {
     encoding: String,
 }
 
-/// A recording that is being written: beside its target, until [`Writer::finish`] renames it.
-/// Dropped before that, it leaves nothing; a live one leaves the part that was written.
+/// A recording that is being written beside its target, until [`Writer::finish`] renames it.
+/// Dropped before that, it leaves nothing; a live recording leaves its part file.
 pub struct Writer {
     path: PathBuf,
     topics: Topics,
-    /// By topic; nearly always one.
+    /// Channels by topic, usually one.
     channels: BTreeMap<String, Vec<OpenChannel>>,
     mcap: mcap::Writer<BufWriter<Target>>,
 }
 
 impl Writer {
-    /// Starts a recording that will be at `path`.
+    /// Starts a recording for `path`.
     ///
     /// # Errors
-    /// When the folder is not there or not writable.
+    /// The folder is missing or not writable.
     pub fn create(
         path: impl AsRef<Path>,
         topics: Topics,
@@ -79,12 +79,12 @@ impl Writer {
         Self::start(path, target, topics, provenance)
     }
 
-    /// Starts a live recording that will be at `path`. Until it is finished it is at `path` with
-    /// `.part` after it, where it can be read up to the last [`Writer::flush`] even when this
-    /// process was killed.
+    /// Starts a live recording for `path`. Until it is finished it is at `path` with the suffix
+    /// `.part`, where it can be read up to the last [`Writer::flush`], even if this process was
+    /// killed.
     ///
     /// # Errors
-    /// When the folder is not there or not writable, or when such a part is there already.
+    /// The folder is missing or not writable, or the part file exists.
     pub fn live(
         path: impl AsRef<Path>,
         topics: Topics,
@@ -113,7 +113,7 @@ impl Writer {
         Ok(Self { path: path.to_owned(), topics, channels: BTreeMap::new(), mcap })
     }
 
-    /// The calibration, valid from `at`.
+    /// Writes the calibration, valid from `at`.
     ///
     /// # Errors
     /// As [`Writer::write`].
@@ -121,7 +121,8 @@ impl Writer {
         self.write(&self.topics.rig(), at, &Rig::from_core(rig))
     }
 
-    /// What `camera` (its name) saw in an image of `image_size` pixels, width and height.
+    /// Writes the detections of `camera` (its name) in an image of `image_size` pixels, width and
+    /// height.
     ///
     /// # Errors
     /// As [`Writer::write`].
@@ -135,7 +136,7 @@ impl Writer {
         self.write(&self.topics.keypoints(camera), detections.capture, &frame)
     }
 
-    /// A pose that was solved offline. Live ones go through [`Writer::write`].
+    /// Writes a pose that was solved offline. Live poses use [`Writer::write`].
     ///
     /// # Errors
     /// As [`Writer::write`].
@@ -147,7 +148,7 @@ impl Writer {
         self.write(&self.topics.pose(), pose.capture, &Pose::from_core(pose, skeleton, None))
     }
 
-    /// A final keyframe; `weights` is the fingerprint of the decoder's weights, hexadecimal.
+    /// Writes a final keyframe; `weights` is the fingerprint of the decoder's weights, hexadecimal.
     ///
     /// # Errors
     /// As [`Writer::write`].
@@ -160,7 +161,7 @@ impl Writer {
         self.write(&self.topics.keyframe(), keyframe.capture, &message)
     }
 
-    /// The body, valid from `at`.
+    /// Writes the body, valid from `at`.
     ///
     /// # Errors
     /// As [`Writer::write`].
@@ -172,7 +173,7 @@ impl Writer {
         self.write(&self.topics.skeleton(), at, &Skeleton::from_core(skeleton))
     }
 
-    /// Something that happened.
+    /// Writes an event.
     ///
     /// # Errors
     /// As [`Writer::write`].
@@ -184,7 +185,7 @@ impl Writer {
         self.write(&topic, Timestamp::from_ns(event.capture_time_ns), event)
     }
 
-    /// Counters.
+    /// Writes counters.
     ///
     /// # Errors
     /// As [`Writer::write`].
@@ -192,7 +193,7 @@ impl Writer {
         self.write(&self.topics.status(), Timestamp::from_ns(status.capture_time_ns), status)
     }
 
-    /// The true pose, in a synthetic recording.
+    /// Writes the true pose of a synthetic recording.
     ///
     /// # Errors
     /// As [`Writer::write`].
@@ -204,7 +205,7 @@ impl Writer {
         self.write(&self.topics.truth(), pose.capture, &Pose::from_core(pose, skeleton, None))
     }
 
-    /// The true body, in a synthetic recording, valid from `at`.
+    /// Writes the true body of a synthetic recording, valid from `at`.
     ///
     /// # Errors
     /// As [`Writer::write`].
@@ -216,10 +217,10 @@ impl Writer {
         self.write(&self.topics.truth_skeleton(), at, &Skeleton::from_core(skeleton))
     }
 
-    /// Any message of ours, on any topic, filed under the time `at`.
+    /// Writes a message of ours on any topic, with log time `at`.
     ///
     /// # Errors
-    /// When the disk does not take it, or `at` is negative.
+    /// The disk is full or fails, or `at` is negative.
     pub fn write<T: Schema>(
         &mut self,
         topic: &str,
@@ -233,11 +234,11 @@ impl Writer {
             .map_err(|error| write_error(&self.path, error))
     }
 
-    /// A message as its bytes are. With the schema's descriptor if it is ours, else without a
-    /// schema. Times before the epoch are filed at the epoch.
+    /// Writes an undecoded message: with the schema's descriptor if it is ours, otherwise without
+    /// schema. Times before the epoch are set to the epoch.
     ///
     /// # Errors
-    /// When the disk does not take it.
+    /// The disk is full or fails.
     pub fn write_raw(&mut self, entry: &RawEntry) -> Result<(), RecordError> {
         let times = [entry.log_time, entry.publish_time];
         let times = times.map(|time| u64::try_from(time.ns()).unwrap_or(0));
@@ -286,18 +287,18 @@ impl Writer {
         Ok(id)
     }
 
-    /// Closes the open chunk and gives everything to the system, so that it outlives this process.
+    /// Closes the open chunk and passes all data to the system, so that it survives this process.
     ///
     /// # Errors
-    /// When the disk does not take it.
+    /// The disk is full or fails.
     pub fn flush(&mut self) -> Result<(), RecordError> {
         self.mcap.flush().map_err(|error| write_error(&self.path, error))
     }
 
-    /// Completes the recording and puts it in its place.
+    /// Completes the recording and moves it to its path.
     ///
     /// # Errors
-    /// When the disk does not take it; the target is then as it was.
+    /// The disk is full or fails; the target is then unchanged.
     pub fn finish(mut self) -> Result<(), RecordError> {
         let write = RecordError::write(&self.path);
         self.mcap.finish().map_err(|error| write_error(&self.path, error))?;
@@ -307,7 +308,7 @@ impl Writer {
     }
 }
 
-/// Everything that decides about bytes is set here, so that a default cannot change it.
+/// Sets every option that affects bytes, so that a new default cannot change them.
 fn options() -> WriteOptions {
     WriteOptions::new()
         .compression(Some(Compression::Zstd))

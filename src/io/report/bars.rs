@@ -1,10 +1,10 @@
-//! Horizontal bars as SVG: one value for each name, in groups.
+//! Horizontal bars as SVG: groups by name, one bar per series.
 
 use std::fmt::Write as _;
 
 use super::plot::{PALETTE, escape, tick_text, ticks};
 
-/// Inner coordinates; the page scales the picture.
+/// Coordinates inside the SVG; the page scales it.
 const WIDTH: f64 = 460.0;
 const LEFT: f64 = 150.0;
 const RIGHT: f64 = 46.0;
@@ -12,18 +12,18 @@ const BAR: f64 = 13.0;
 const GAP: f64 = 9.0;
 const BOTTOM: f64 = 36.0;
 
-/// Bars, a group for each name with a bar for each series.
+/// A group of bars per name, with one bar per series.
 #[derive(Clone, Debug, Default)]
 pub struct Bars {
     /// Heading.
     pub title: String,
     /// One sentence under the title.
     pub note: String,
-    /// What is measured, with its unit.
+    /// Measured quantity with its unit.
     pub label: String,
-    /// What the bars of a group stand for.
+    /// Names of the series.
     pub series: Vec<String>,
-    /// Name, and a value of each series; what is not finite has no bar.
+    /// Name and one value per series; values that are not finite have no bar.
     pub groups: Vec<(String, Vec<f64>)>,
 }
 
@@ -103,7 +103,7 @@ impl Bars {
     }
 }
 
-/// Three digits.
+/// Formats a value with three digits.
 fn value_text(value: f64) -> String {
     match value.abs() {
         size if size >= 99.95 => format!("{value:.0}"),

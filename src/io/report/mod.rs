@@ -1,4 +1,4 @@
-//! The report of a solve: plots and pictures as SVG, one HTML page.
+//! The report of a solve: one HTML page with plots and drawings as SVG.
 
 mod bars;
 mod page;

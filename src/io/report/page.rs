@@ -9,28 +9,28 @@ use crate::core::body::{Joint, Posture};
 use crate::io::formats::ExportError;
 use crate::io::new_file;
 
-/// Everything a report shows. What is empty is left out.
+/// Content of a report. Empty parts are left out.
 #[derive(Clone, Debug, Default)]
 pub struct ReportData {
     /// What was solved.
     pub title: String,
-    /// One line about it.
+    /// One line of description.
     pub subtitle: String,
-    /// The most important figures, as name and value.
+    /// The most important metrics, as name and value.
     pub facts: Vec<(String, String)>,
-    /// Tables that come first, over the whole width.
+    /// Tables at the top, over the whole width.
     pub leading: Vec<Table>,
-    /// Further figures, at the end.
+    /// Further metrics, at the end.
     pub tables: Vec<Table>,
-    /// Bars and curves of any kind, before the others.
+    /// Bars of any kind, before the other plots.
     pub bars: Vec<Bars>,
-    /// See `bars`.
+    /// Curves of any kind, before the other plots.
     pub plots: Vec<Plot>,
-    /// Pictures, see [`super::stick_figures`].
+    /// Stick figures, see [`super::stick_figures`].
     pub pictures: Vec<Picture>,
     /// Reprojection error of each camera.
     pub cameras: Vec<CameraErrors>,
-    /// Angles at joints; left and right of a joint share a plot.
+    /// Joint angles; left and right share a plot.
     pub angles: Vec<AngleTrack>,
     /// The windows in order of time.
     pub windows: Vec<WindowRow>,
@@ -43,59 +43,59 @@ pub struct Table {
     pub title: String,
     /// Names of the columns.
     pub header: Vec<String>,
-    /// Rows of as many cells.
+    /// Rows with one cell per column.
     pub rows: Vec<Vec<String>>,
 }
 
-/// An SVG and what it shows.
+/// An SVG with a heading.
 #[derive(Clone, Debug)]
 pub struct Picture {
     /// Heading.
     pub title: String,
-    /// A whole `<svg>` element, trusted.
+    /// A whole `<svg>` element, inserted without escaping.
     pub svg: String,
 }
 
 /// Reprojection errors of one camera over time.
 #[derive(Clone, Debug)]
 pub struct CameraErrors {
-    /// The camera.
+    /// Name of the camera.
     pub name: String,
-    /// By frame: seconds from the start; 25th, 50th and 75th percentile over the points, pixels,
-    /// NaN where nothing was detected.
+    /// Per frame: seconds from the start; 25th, 50th and 75th percentile over the points, pixels;
+    /// NaN without detections.
     pub frames: Vec<(f64, [f64; 3])>,
 }
 
-/// The angle at a joint over time.
+/// Angle at a joint over time.
 #[derive(Clone, Debug)]
 pub struct AngleTrack {
-    /// Which joint.
+    /// The joint.
     pub joint: Joint,
     /// Seconds from the start and degrees.
     pub degrees: Vec<(f64, f64)>,
 }
 
-/// One window of the solve.
+/// A window of the solve.
 #[derive(Clone, Copy, Debug)]
 pub struct WindowRow {
-    /// Seconds from the start of the recording.
+    /// Start, seconds from the start of the recording.
     pub start_s: f64,
-    /// Seconds from the start of the recording.
+    /// End, seconds from the start of the recording.
     pub end_s: f64,
-    /// Length of its keyframe's latent code.
+    /// Norm of its keyframe's latent code.
     pub latent_norm: f64,
-    /// Of the optimiser.
+    /// Iterations of the optimiser.
     pub iterations: usize,
-    /// At the end.
+    /// Final cost.
     pub cost: f64,
-    /// Time the solve took, milliseconds.
+    /// Solve time, milliseconds.
     pub solve_ms: f64,
-    /// Whether it was flagged as lost.
+    /// Whether the window is lost.
     pub lost: bool,
 }
 
-/// How far a joint is bent: the angle between the bone that ends in it and the one that leads
-/// on from it, degrees; 0 when straight. `None` at the pelvis and where no bone leads on.
+/// Flexion of a joint: the angle between the bone that ends in it and the bone that starts from it,
+/// degrees; 0 is straight. `None` at the pelvis and at joints without a next bone.
 pub fn flexion_deg(posture: &Posture, joint: Joint) -> Option<f64> {
     let parent = joint.parent()?;
     let child = Joint::ALL.into_iter().find(|child| child.parent() == Some(joint))?;
@@ -106,7 +106,7 @@ pub fn flexion_deg(posture: &Posture, joint: Joint) -> Option<f64> {
 /// Writes the report; the file appears whole or not at all.
 ///
 /// # Errors
-/// The folder cannot be written to.
+/// The folder is not writable.
 pub fn write_report(path: &Path, data: &ReportData) -> Result<(), ExportError> {
     new_file::write(path, html(data).as_bytes()).map_err(ExportError::write(path))
 }
@@ -178,7 +178,7 @@ fn plots(data: &ReportData) -> Vec<Plot> {
     plots
 }
 
-/// The spans of lost windows, neighbours joined.
+/// Time spans of lost windows; adjacent spans are merged.
 fn lost_stretches(windows: &[WindowRow]) -> Vec<(f64, f64)> {
     let mut spans: Vec<(f64, f64)> = Vec::new();
     for window in windows.iter().filter(|window| window.lost) {
@@ -200,14 +200,15 @@ fn reprojection(cameras: &[CameraErrors]) -> Plot {
     });
     Plot {
         title: "Reprojection error".into(),
-        note: "Median over the points of each camera; the band is the middle half.".into(),
+        note: "Median over the points of each camera; the band is the 25th to 75th percentile."
+            .into(),
         y_label: "error (px)".into(),
         series: series.collect(),
         ..Plot::default()
     }
 }
 
-/// One plot for each joint and its mirror.
+/// One plot per joint and its mirror.
 fn angles(tracks: &[AngleTrack]) -> Vec<Plot> {
     let mut plots: Vec<(Joint, Plot)> = Vec::new();
     for track in tracks {
@@ -233,7 +234,7 @@ fn angle_plot(joint: Joint, series: Series) -> Plot {
     let (first, rest) = name.split_at(1);
     Plot {
         title: format!("{}{rest} angle", first.to_uppercase()),
-        note: "How far it is bent; 0 is straight.".into(),
+        note: "Flexion; 0 is straight.".into(),
         y_label: "flexion (°)".into(),
         series: vec![series],
         ..Plot::default()
@@ -254,22 +255,20 @@ fn windows(rows: &[WindowRow]) -> Vec<Plot> {
         }
     };
     let mut cost =
-        plot("Window cost", "What is left of the objective in each window.", "cost", |row| {
-            row.cost
-        });
+        plot("Window cost", "Final value of the objective in each window.", "cost", |row| row.cost);
     cost.log = true;
     vec![
         plot(
             "Latent norm",
-            "Length of each keyframe's code; a long one is an unusual pose.",
+            "Norm of each keyframe's code; a large norm is an unusual pose.",
             "|z|",
             |row| row.latent_norm,
         ),
-        plot("Iterations", "Of the optimiser, by window.", "iterations", |row| {
+        plot("Iterations", "Iterations of the optimiser per window.", "iterations", |row| {
             row.iterations as f64
         }),
         cost,
-        plot("Solve time", "By window.", "time (ms)", |row| row.solve_ms),
+        plot("Solve time", "Solve time per window.", "time (ms)", |row| row.solve_ms),
     ]
 }
 

@@ -1,62 +1,62 @@
-//! Line plots as SVG, with a legend in HTML beside it so that it stays readable when small.
+//! Line plots as SVG; the legend is HTML beside it, so that it stays readable at small size.
 
 use std::fmt::Write as _;
 
-/// Inner coordinates; the page scales the picture.
+/// Coordinates inside the SVG; the page scales it.
 const WIDTH: f64 = 460.0;
 const HEIGHT: f64 = 250.0;
 const LEFT: f64 = 46.0;
 const RIGHT: f64 = 10.0;
 const TOP: f64 = 10.0;
 const BOTTOM: f64 = 40.0;
-/// More points than this are averaged in groups.
+/// Longer curves are averaged in groups.
 const MOST_POINTS: usize = 900;
-/// Colours that the colour-blind tell apart \[Okabe 2008\].
+/// Colours that colour-blind people can distinguish \[Okabe 2008\].
 pub(super) const PALETTE: [&str; 7] =
     ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444"];
 
-/// A curve. Points are (x, y) with x in ascending order; y that is not finite leaves a gap.
+/// A curve. Points are (x, y) with ascending x; a y that is not finite leaves a gap.
 #[derive(Clone, Debug, Default)]
 pub struct Series {
-    /// In the legend; none if empty.
+    /// Name in the legend; empty: not in the legend.
     pub name: String,
-    /// The curve.
+    /// Points of the curve.
     pub points: Vec<(f64, f64)>,
-    /// (x, low, high) of a band behind the curve.
+    /// Band behind the curve: (x, low, high).
     pub band: Vec<(f64, f64, f64)>,
-    /// Drawn in dashes.
+    /// Whether the line is dashed.
     pub dashed: bool,
     /// Index into the palette.
     pub colour: usize,
 }
 
-/// A plot of curves over a common axis.
+/// A plot of curves over one x axis.
 #[derive(Clone, Debug, Default)]
 pub struct Plot {
     /// Heading.
     pub title: String,
     /// One sentence under the title.
     pub note: String,
-    /// What is along x, with its unit.
+    /// Label of the x axis, with its unit.
     pub x_label: String,
-    /// What is along y, with its unit.
+    /// Label of the y axis, with its unit.
     pub y_label: String,
     /// The curves.
     pub series: Vec<Series>,
-    /// Parts of the x axis that are shaded.
+    /// Shaded parts of the x axis.
     pub shaded: Vec<(f64, f64)>,
-    /// What that means.
+    /// Meaning of the shading.
     pub shaded_name: String,
-    /// A logarithmic y axis.
+    /// Whether the y axis is logarithmic.
     pub log: bool,
 }
 
-/// Text made safe inside HTML and SVG.
+/// Escapes text for HTML and SVG.
 pub(super) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Where values fall in the picture.
+/// Maps values to coordinates in the SVG.
 struct Scale {
     x: (f64, f64),
     y: (f64, f64),
@@ -76,7 +76,7 @@ impl Scale {
             return Self { x: widen(x), y: widen((y.0.floor(), y.1.ceil())), log: true };
         }
         let (low, high) = range(ys).unwrap_or((0.0, 1.0));
-        // Quantities that are not far above zero are shown from zero.
+        // Values not far above zero are shown from zero.
         let low = if low > 0.0 && low < 0.6 * high { 0.0 } else { low };
         let step = tick_step(low, high);
         let y = ((low / step).floor() * step, (high / step).ceil() * step);
@@ -93,7 +93,7 @@ impl Scale {
         HEIGHT - BOTTOM - share * (HEIGHT - TOP - BOTTOM)
     }
 
-    /// Values at which the y axis is marked.
+    /// Tick values of the y axis.
     fn y_ticks(&self) -> Vec<f64> {
         if self.log {
             let decades = self.y.0.round() as i32..=self.y.1.round() as i32;
@@ -118,7 +118,7 @@ fn widen((low, high): (f64, f64)) -> (f64, f64) {
     if high > low { (low, high) } else { (low - 0.5, high + 0.5) }
 }
 
-/// 1, 2 or 5 times a power of ten, for about six marks.
+/// Tick step: 1, 2 or 5 times a power of ten, for about six ticks.
 fn tick_step(low: f64, high: f64) -> f64 {
     let rough = ((high - low) / 6.0).max(1e-9);
     let power = 10f64.powf(rough.log10().floor());
@@ -138,7 +138,7 @@ pub(super) fn ticks((low, high): (f64, f64)) -> Vec<f64> {
     (first..=last).map(|i| i as f64 * step).collect()
 }
 
-/// A number short enough for the margin: thousands from 10,000 on as k.
+/// Formats a number for the margin: 10,000 and above in thousands with k.
 pub(super) fn tick_text(value: f64) -> String {
     let size = value.abs();
     if (1e4..1e6).contains(&size) {
@@ -281,7 +281,7 @@ fn add_band(series: &Series, scale: &Scale, svg: &mut String) {
     }
 }
 
-/// Neighbouring points in groups, so that there are not too many.
+/// Groups of neighbouring points, to limit the number of points.
 fn groups<T>(points: &[T]) -> impl Iterator<Item = &[T]> {
     points.chunks(points.len().div_ceil(MOST_POINTS).max(1))
 }

@@ -1,4 +1,4 @@
-//! A picture of postures as stick figures, side by side, as one SVG.
+//! Draws postures as stick figures, side by side, in one SVG.
 
 use std::fmt::Write as _;
 
@@ -7,22 +7,22 @@ use nalgebra::{Vector2, Vector3};
 use super::plot::escape;
 use crate::core::body::{Joint, Posture};
 
-/// Inner units of a metre.
+/// SVG units per metre.
 const METRE: f64 = 120.0;
-/// Between neighbours and at the edges, metres.
+/// Gap between neighbours and at the edges, metres.
 const GAP: f64 = 0.18;
-/// The head is drawn as a disc of that radius, metres, ahead of and above its joint.
+/// Radius of the head's disc, metres; the disc is ahead of and above its joint.
 const HEAD_RADIUS: f64 = 0.105;
 const HEAD_OFFSET: Vector3<f64> = Vector3::new(0.0, 0.06, 0.02);
-/// From the wrist to the end of the hand that is drawn, in forearms.
+/// Length of the drawn hand, divided by the length of the forearm.
 const HAND: f64 = 0.3;
 
-/// How figures are drawn.
+/// View of the stick figures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StickFigures {
-    /// Where the viewer stands, as a turn about y from the front, radians.
+    /// Direction of the viewer: rotation about y from the front, radians.
     pub viewer: f64,
-    /// Whether the front is each body's own, or else +z of the world.
+    /// Whether the front is each body's own, otherwise it is +z of the world.
     pub turn_with_body: bool,
 }
 
@@ -32,8 +32,8 @@ impl Default for StickFigures {
     }
 }
 
-/// Draws the postures, each with a caption under it, on a floor at y = 0. A whole SVG file; an
-/// empty one without postures. Left limbs are blue, right ones orange.
+/// Draws the postures on a floor at y = 0, each with a caption below it. Returns a whole SVG file,
+/// an empty one without postures. Left limbs are blue, right limbs orange.
 pub fn stick_figures<'a>(
     figures: impl IntoIterator<Item = (&'a Posture, &'a str)>,
     how: &StickFigures,
@@ -65,11 +65,11 @@ pub fn stick_figures<'a>(
     )
 }
 
-/// A line or disc of a figure. Coordinates are to the right and up, metres.
+/// A line or disc of a stick figure. Coordinates are right and up, metres.
 struct Stroke {
     from: Vector2<f64>,
     to: Vector2<f64>,
-    /// Towards the viewer, metres.
+    /// Depth towards the viewer, metres.
     near: f64,
     /// Width of a line or diameter of a disc (`from` = `to`), metres.
     width: f64,
@@ -121,7 +121,7 @@ impl Figure {
         self.strokes.iter().map(|s| s.from.y.max(s.to.y) + s.width / 2.0).fold(0.0, f64::max)
     }
 
-    /// The leftmost and the rightmost place.
+    /// Smallest and largest horizontal coordinate.
     fn span(&self) -> (f64, f64) {
         self.strokes.iter().fold((f64::MAX, f64::MIN), |(low, high), s| {
             let half = s.width / 2.0;
@@ -133,7 +133,7 @@ impl Figure {
         let place = |p: &Vector2<f64>| ((p.x + shift) * METRE, -p.y * METRE);
         for stroke in &self.strokes {
             let ((x1, y1), (x2, y2)) = (place(&stroke.from), place(&stroke.to));
-            // A pale rim along each line shows which one is in front.
+            // A pale outline of each line shows which line is in front.
             for (colour, extra, cap) in [("#fff", 4.0, "butt"), (stroke.colour, 0.0, "round")] {
                 let _ = writeln!(
                     svg,

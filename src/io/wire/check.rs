@@ -1,18 +1,18 @@
-//! Checks of what came from the wire.
+//! Checks of data from the wire.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::DecodeError;
 use crate::core::so3;
 
-/// A field of a schema, to name it in errors.
+/// A field of a schema, named in errors.
 #[derive(Clone, Copy)]
 pub(super) struct Field {
     pub message: &'static str,
     pub field: &'static str,
 }
 
-/// Names a field.
+/// The field with that name.
 pub(super) const fn field(message: &'static str, field: &'static str) -> Field {
     Field { message, field }
 }
@@ -74,7 +74,7 @@ impl Field {
         {
             let xyzw = std::array::from_fn(|i| xyzw[i].into());
             *rotation = so3::rotation_from_xyzw(xyzw)
-                .ok_or_else(|| self.invalid(format!("quaternion {index} has no direction")))?;
+                .ok_or_else(|| self.invalid(format!("quaternion {index} has length zero")))?;
         }
         Ok(rotations)
     }

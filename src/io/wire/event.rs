@@ -1,4 +1,4 @@
-//! `Event` from [`tracker::Event`](crate::core::tracker::Event), and its checks.
+//! Converts [`tracker::Event`](crate::core::tracker::Event) to `Event`, and checks `Event`.
 
 use super::check::field;
 use super::{DecodeError, Event};
@@ -17,15 +17,15 @@ impl Event {
         }
     }
 
-    /// What happened; `None` for a kind that this version does not know.
+    /// The kind; `None` if this version does not know it.
     pub fn event_kind(&self) -> Option<EventKind> {
         EventKind::ALL.into_iter().find(|kind| kind.name() == self.kind)
     }
 
-    /// Checks what came from outside.
+    /// Checks a message from outside.
     ///
     /// # Errors
-    /// No kind, or a count of zero.
+    /// The kind is empty, or the count is zero.
     pub fn validated(self) -> Result<Self, DecodeError> {
         if self.kind.is_empty() {
             return Err(field("Event", "kind").invalid("is empty"));
@@ -37,8 +37,9 @@ impl Event {
     }
 }
 
-/// Whether events of that kind concern the performer, his windows or the node that solves them;
-/// else they concern cameras, clocks or queues, which all performers of a stage share.
+/// Whether events of that kind concern the performer, the performer's windows or the node that
+/// solves them. Other events concern cameras, clocks or queues, which all performers of a stage
+/// share.
 pub(super) const fn concerns_performer(kind: EventKind) -> bool {
     match kind {
         EventKind::Deadline

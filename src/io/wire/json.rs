@@ -1,8 +1,8 @@
 //! JSON of messages, for people and scripts.
 //!
-//! The types generated from the schemas implement `serde::Serialize`: names of fields are those of
-//! the schemas, and all fields are written, an optional field that is not set as `null`. `build.rs`
-//! attaches the functions below to the fields whose JSON differs from the plain number:
+//! The types generated from the schemas implement `serde::Serialize`: field names are those of the
+//! schemas, and all fields are written; an optional field that is not set is `null`. `build.rs`
+//! attaches the functions below to fields whose JSON is not the plain number:
 //!
 //! | field | JSON |
 //! |---|---|

@@ -1,4 +1,4 @@
-//! `Keyframe` messages to and from [`StampedKeyframe`].
+//! Converts `Keyframe` messages to and from [`StampedKeyframe`].
 
 use super::check::{Field, field};
 use super::{DecodeError, Keyframe};
@@ -11,13 +11,14 @@ const fn at(name: &'static str) -> Field {
     field("Keyframe", name)
 }
 
-/// Poses of one window, at most.
+/// Most poses in one window.
 const MOST_POSES: f64 = 1e5;
 
 impl Keyframe {
-    /// The message of a keyframe in full precision; of a
-    /// [quantised](manifold::Keyframe::quantised) one, bit for bit. `weights` is the fingerprint of the
-    /// decoder's weights, hexadecimal. The run id is 0, that of keyframes solved offline.
+    /// The message of a keyframe in full precision; for a
+    /// [quantised](manifold::Keyframe::quantised) keyframe it is exact to the bit. `weights` is the
+    /// fingerprint of the decoder's weights, hexadecimal. The run id is 0, as for offline
+    /// keyframes.
     pub fn from_core(stamped: &StampedKeyframe, weights: &str) -> Self {
         let keyframe = &stamped.keyframe;
         Self {
@@ -38,7 +39,7 @@ impl Keyframe {
         }
     }
 
-    /// The keyframe; the weights' fingerprint stays in the message.
+    /// The keyframe, without the fingerprint of the weights.
     ///
     /// # Errors
     /// Wrong lengths, numbers that are not finite, a quaternion of length zero.
@@ -71,12 +72,12 @@ impl Keyframe {
         }
     }
 
-    /// The grid; a window with more poses than anybody can decode is refused.
+    /// The grid; refuses a window with more poses than can be decoded.
     fn grid(&self) -> Result<Grid, DecodeError> {
         let period_ns = self.grid_period_ns;
         let span = self.capture_time_ns.saturating_sub(self.start_time_ns) as f64;
         if !(1e5..=1e18).contains(&period_ns) || span / period_ns > MOST_POSES {
-            let reason = format!("is {period_ns}, which is no period of a window of {span} ns");
+            let reason = format!("is {period_ns}, which does not fit a window of {span} ns");
             return Err(at("grid_period_ns").invalid(reason));
         }
         Ok(Grid { origin: Timestamp::from_ns(self.grid_origin_ns), period_ns })

@@ -1,4 +1,4 @@
-//! `KeypointFrame` to and from [`Detections`].
+//! Converts `KeypointFrame` to and from [`Detections`].
 
 use nalgebra::Point2;
 
@@ -9,11 +9,11 @@ use crate::core::time::Timestamp;
 
 const POINTS: Field = field("KeypointFrame", "people.points");
 const CAPTURE: Field = field("KeypointFrame", "capture_time_ns");
-/// Later stamps are no times: the year 2116 of the Unix epoch.
+/// Largest valid time: the year 2116 of the Unix epoch.
 const LATEST_NS: i64 = i64::MAX / 2;
 
 impl KeypointFrame {
-    /// What `camera` (its name) saw in an image of `image_size` pixels, width and height.
+    /// The detections of `camera` (its name) in an image of `image_size` pixels, width and height.
     /// Pixels and confidences are rounded to `f32`.
     pub fn from_core(detections: &Detections, camera: &str, image_size: [u32; 2]) -> Self {
         Self {
@@ -30,8 +30,8 @@ impl KeypointFrame {
     /// The detections; `index_of` maps a camera's name to its index in the rig.
     ///
     /// # Errors
-    /// A camera or format that is not known, a capture time before the epoch or beyond reason,
-    /// points that do not fit the format, numbers that are not finite, negative confidences.
+    /// An unknown camera or format, a capture time before the epoch or too large, points that do
+    /// not fit the format, numbers that are not finite, negative confidences.
     pub fn to_core(
         &self,
         index_of: impl FnOnce(&str) -> Option<usize>,
@@ -56,7 +56,7 @@ impl KeypointFrame {
     /// The format of the points.
     ///
     /// # Errors
-    /// When its name is not known.
+    /// The name is not known.
     pub fn keypoint_format(&self) -> Result<KeypointFormat, DecodeError> {
         KeypointFormat::from_name(&self.format)
             .ok_or_else(|| DecodeError::UnknownFormat { name: self.format.clone() })

@@ -1,8 +1,8 @@
-//! Wire types and their codecs; the schemas are in `schemas/`.
+//! Wire types and their conversions; the schemas are in `schemas/`.
 //!
 //! The types generated from the schemas are re-exported here. Each has `from_core`, which cannot
-//! fail, and `to_core`, which checks everything that came from outside: lengths, finite numbers,
-//! quaternions, names. Nothing from the wire panics.
+//! fail, and `to_core`, which checks all data from outside: lengths, finite numbers, quaternions,
+//! names. Invalid data never cause a panic.
 
 mod check;
 mod event;
@@ -29,12 +29,12 @@ pub use topic::{
 /// Why a message cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DecodeError {
-    /// Not Protocol Buffers, or cut short.
+    /// The bytes are not Protocol Buffers, or are incomplete.
     #[error("{message}: not a message of this schema: {reason}")]
     Malformed {
-        /// The schema that was expected.
+        /// The expected schema.
         message: &'static str,
-        /// What the decoder met.
+        /// The message from the decoder.
         reason: prost::DecodeError,
     },
     /// A list of the wrong length.
@@ -44,44 +44,44 @@ pub enum DecodeError {
         message: &'static str,
         /// The field.
         field: &'static str,
-        /// Entries that came.
+        /// Number of entries in the message.
         found: usize,
-        /// Entries that must come.
+        /// Expected number of entries.
         expected: usize,
     },
-    /// NaN or infinite.
+    /// A number that is NaN or infinite.
     #[error("{message}.{field}: entry {index} is not a finite number")]
     NotFinite {
         /// The schema.
         message: &'static str,
         /// The field.
         field: &'static str,
-        /// Which entry.
+        /// Index of the entry.
         index: usize,
     },
-    /// A keypoint format that is not known.
+    /// An unknown keypoint format.
     #[error(
         "KeypointFrame.format: unknown keypoint format {name:?}, use one of body_25, body_25b, \
          coco_17, halpe_26, coco_wholebody_133"
     )]
     UnknownFormat {
-        /// The name that came.
+        /// The name in the message.
         name: String,
     },
-    /// A camera that the rig does not have.
+    /// A camera that is not in the rig.
     #[error("KeypointFrame.camera: camera {name:?} is not in the rig, add its calibration")]
     UnknownCamera {
-        /// The name that came.
+        /// The name in the message.
         name: String,
     },
-    /// Any other value that makes no sense.
+    /// Any other invalid value.
     #[error("{message}.{field}: {reason}")]
     Invalid {
         /// The schema.
         message: &'static str,
         /// The field.
         field: &'static str,
-        /// What is wrong with it.
+        /// What is wrong with the value.
         reason: String,
     },
 }

@@ -1,4 +1,4 @@
-//! `Pose` to and from [`StampedPose`].
+//! Converts `Pose` to and from [`StampedPose`].
 
 use nalgebra::Vector3;
 
@@ -12,20 +12,20 @@ const fn at(name: &'static str) -> Field {
     field("Pose", name)
 }
 
-/// What a live node adds to a pose.
+/// Data that a live node adds to a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LiveStamp {
-    /// When the pose is due, on the cameras' clock; `None` for a provisional pose.
+    /// Due time on the cameras' clock; `None` for a provisional pose.
     pub due: Option<Timestamp>,
-    /// The latency that the node declares, nanoseconds.
+    /// Declared latency, nanoseconds.
     pub latency_ns: u64,
     /// Id of the node's run.
     pub run_id: u64,
 }
 
 impl Pose {
-    /// The pose, with the joint centres that `skeleton` gives it. Local rotations and joint
-    /// centres are rounded to `f32`. A pose without `live` was solved offline.
+    /// The message of a pose, with joint centres from `skeleton`. Local rotations and joint
+    /// centres are rounded to `f32`. Without `live`, the pose was solved offline.
     pub fn from_core(stamped: &StampedPose, skeleton: &Skeleton, live: Option<LiveStamp>) -> Self {
         let pose = &stamped.pose;
         let positions = pose.posture(skeleton).positions;
@@ -49,7 +49,7 @@ impl Pose {
     /// The pose.
     ///
     /// # Errors
-    /// Wrong lengths, numbers that are not finite, quaternions of length zero, no known state.
+    /// Wrong lengths, numbers that are not finite, quaternions of length zero, an unknown state.
     pub fn to_core(&self) -> Result<StampedPose, DecodeError> {
         let pose = body::Pose {
             root_rotation: at("root_rotation").rotation(&self.root_rotation)?,
@@ -67,10 +67,10 @@ impl Pose {
         })
     }
 
-    /// The joint centres in the world, metres.
+    /// Joint centres in the world, metres.
     ///
     /// # Errors
-    /// A wrong length or numbers that are not finite.
+    /// Wrong length, or numbers that are not finite.
     pub fn joint_positions(&self) -> Result<[Vector3<f64>; JOINTS], DecodeError> {
         at("joint_positions_m").vectors(&self.joint_positions_m)
     }

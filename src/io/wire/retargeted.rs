@@ -1,4 +1,4 @@
-//! Checks of `RetargetedPose`, which knows a skeleton that is not ours.
+//! Checks `RetargetedPose`, whose skeleton is not ours.
 
 use super::check::{Field, field};
 use super::{DecodeError, RetargetedPose, TrackingState};
@@ -9,11 +9,11 @@ const fn at(name: &'static str) -> Field {
 }
 
 impl RetargetedPose {
-    /// Checks what came from outside.
+    /// Checks a message from outside.
     ///
     /// # Errors
-    /// Wrong lengths, numbers that are not finite, quaternions of length zero, no known state, hips
-    /// that are no joint.
+    /// Wrong lengths, numbers that are not finite, quaternions of length zero, an unknown state,
+    /// hips that are not a joint.
     pub fn validated(self) -> Result<Self, DecodeError> {
         let joints = self.joint_names.len();
         match TrackingState::try_from(self.state) {
@@ -21,7 +21,7 @@ impl RetargetedPose {
             _ => return Err(at("state").invalid(format!("unknown state {}", self.state))),
         }
         if self.hips as usize >= joints {
-            let reason = format!("{} is none of the {joints} joints", self.hips);
+            let reason = format!("{} is not one of the {joints} joints", self.hips);
             return Err(at("hips").invalid(reason));
         }
         at("hips_position_m").vector(&self.hips_position_m)?;
@@ -29,7 +29,7 @@ impl RetargetedPose {
         at("local_rotations").finite(&self.local_rotations)?;
         for (index, xyzw) in self.local_rotations.as_chunks().0.iter().enumerate() {
             if so3::rotation_from_xyzw(xyzw.map(f64::from)).is_none() {
-                let reason = format!("quaternion {index} has no direction");
+                let reason = format!("quaternion {index} has length zero");
                 return Err(at("local_rotations").invalid(reason));
             }
         }

@@ -1,4 +1,4 @@
-//! `Rig` to and from [`camera::Rig`].
+//! Converts `Rig` to and from [`camera::Rig`].
 
 use nalgebra::Matrix3;
 
@@ -12,7 +12,7 @@ const fn at(name: &'static str) -> Field {
 }
 
 impl Rig {
-    /// The cameras, in full precision.
+    /// The message of a rig, in full precision.
     pub fn from_core(rig: &camera::Rig) -> Self {
         Self {
             version: rig.version,
@@ -23,8 +23,7 @@ impl Rig {
     /// The cameras.
     ///
     /// # Errors
-    /// Wrong lengths, numbers that are not finite, and everything that a
-    /// [`CameraError`] stands for.
+    /// Wrong lengths, numbers that are not finite, and every [`CameraError`].
     pub fn to_core(&self) -> Result<camera::Rig, DecodeError> {
         let cameras = self.cameras.iter().map(CalibratedCamera::to_core);
         let cameras = cameras.collect::<Result<_, _>>()?;
@@ -79,7 +78,7 @@ impl CalibratedCamera {
     }
 }
 
-/// An error that names the field and what the camera module says of it.
+/// An error with the name of the field and the message of the camera module.
 fn refused(name: &'static str) -> impl Fn(CameraError) -> DecodeError {
     move |error| at(name).invalid(error.to_string())
 }

@@ -7,16 +7,16 @@ use super::{
     Status, Topic,
 };
 
-/// How payloads are encoded, in MCAP's words.
+/// Encoding of payloads, by its name in MCAP.
 pub const ENCODING: &str = "protobuf";
-/// How [`Schema::DESCRIPTOR`] is encoded, in MCAP's words.
+/// Encoding of [`Schema::DESCRIPTOR`], by its name in MCAP.
 pub const SCHEMA_ENCODING: &str = "protobuf";
 
-/// A message of ours that has a topic.
+/// A message type of ours that is published on a topic.
 pub trait Schema: Message + Name + Default {
-    /// Its name with that of its package.
+    /// Full name, with the package.
     const FULL_NAME: &'static str;
-    /// The schema's serialised `FileDescriptorSet`, as MCAP wants it.
+    /// The schema's serialised `FileDescriptorSet`, as MCAP requires.
     const DESCRIPTOR: &'static [u8];
 }
 
@@ -46,7 +46,7 @@ schemas! {
     RetargetedPose: "retargeted_pose",
 }
 
-/// What stands before the schema in the encoding of a payload on the bus.
+/// Prefix of a payload's encoding on the bus; the name of the schema follows.
 const MEDIA_TYPE: &str = "application/protobuf";
 
 /// The encoding of a payload on the bus, from the full name of its schema.
@@ -54,13 +54,13 @@ pub fn media_type(schema: &str) -> String {
     format!("{MEDIA_TYPE};{schema}")
 }
 
-/// The descriptor of the schema of that full name, if it is ours.
+/// The descriptor of the schema with that full name, if it is ours.
 pub fn descriptor(schema: &str) -> Option<&'static [u8]> {
     SCHEMAS.iter().find(|(name, _)| *name == schema).map(|(_, descriptor)| *descriptor)
 }
 
-/// The full name of the schema of a payload on the bus, if it is one of ours: what its encoding
-/// says, or what belongs on its topic where the encoding names no schema.
+/// Full name of the schema of a payload on the bus, if it is ours: from its encoding, or from its
+/// topic if the encoding names no schema.
 pub fn schema_of(topic: &str, encoding: &str) -> Option<&'static str> {
     let named = encoding.strip_prefix(MEDIA_TYPE).and_then(|rest| rest.strip_prefix(';'));
     let wanted = match (named, encoding) {
@@ -73,15 +73,15 @@ pub fn schema_of(topic: &str, encoding: &str) -> Option<&'static str> {
     SCHEMAS.iter().find(|(name, _)| *name == wanted).map(|(name, _)| *name)
 }
 
-/// The message as bytes; the same message gives the same bytes.
+/// Encodes a message; equal messages give equal bytes.
 pub fn encode(message: &impl Schema) -> Vec<u8> {
     message.encode_to_vec()
 }
 
-/// The message in `bytes`; fields that this version does not know are skipped.
+/// Decodes a message; skips fields that this version does not know.
 ///
 /// # Errors
-/// When `bytes` are no message of that schema. What the fields hold is checked by `to_core`.
+/// `bytes` are not a message of that schema. `to_core` checks the values of the fields.
 pub fn decode<T: Schema>(bytes: &[u8]) -> Result<T, DecodeError> {
     T::decode(bytes).map_err(|reason| DecodeError::Malformed { message: T::NAME, reason })
 }

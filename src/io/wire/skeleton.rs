@@ -1,23 +1,23 @@
-//! `Skeleton` to and from [`body::Skeleton`].
+//! Converts `Skeleton` to and from [`body::Skeleton`].
 
 use super::check::{Field, field};
 use super::{DecodeError, Skeleton};
 use crate::core::body::{self, JOINTS, Joint, SHAPE_COEFFICIENTS, Shape};
 
-/// How far rest offsets may be from those that the shape gives, metres.
+/// Largest distance of rest offsets from those that the shape gives, metres.
 const OFFSET_TOLERANCE: f64 = 1e-6;
 
 const fn at(name: &'static str) -> Field {
     field("Skeleton", name)
 }
 
-/// The parent's index on the wire.
+/// Index of the parent on the wire.
 fn parent_index(joint: Joint) -> i32 {
     joint.parent().map_or(-1, |parent| parent.index() as i32)
 }
 
 impl Skeleton {
-    /// The joints, their rest offsets and the shape that they follow from.
+    /// The joints, their rest offsets and the shape.
     pub fn from_core(skeleton: &body::Skeleton) -> Self {
         let offsets = Joint::ALL.iter().flat_map(|&joint| skeleton.offset(joint).iter());
         Self {
@@ -28,11 +28,11 @@ impl Skeleton {
         }
     }
 
-    /// The body of that shape.
+    /// The body with that shape.
     ///
     /// # Errors
-    /// Other joints than ours, wrong lengths, numbers that are not finite, offsets that do not
-    /// follow from the shape.
+    /// Other joints than ours, wrong lengths, numbers that are not finite, offsets that do not fit
+    /// the shape.
     pub fn to_core(&self) -> Result<body::Skeleton, DecodeError> {
         self.check_joints()?;
         let offsets = at("rest_offsets_m").vectors::<JOINTS, _>(&self.rest_offsets_m)?;
@@ -42,7 +42,8 @@ impl Skeleton {
             let apart = (skeleton.offset(joint) - offset).norm();
             if apart > OFFSET_TOLERANCE {
                 let reason = format!(
-                    "{} is {:.3} mm from where the shape puts it: written for another template",
+                    "{} is {:.3} mm from the position that the shape gives; it was \
+                     written for another template",
                     joint.name(),
                     apart * 1e3
                 );

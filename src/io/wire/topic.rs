@@ -1,4 +1,4 @@
-//! Names of topics: the only place that knows their grammar.
+//! Names of topics; the grammar is defined only here.
 //!
 //! | topic | message |
 //! |---|---|
@@ -33,7 +33,7 @@ pub enum Topic<'a> {
     Stage {
         /// Name of the capture volume.
         stage: &'a str,
-        /// What is published there.
+        /// The kind of topic.
         channel: StageChannel<'a>,
     },
     /// A topic of one performer.
@@ -42,12 +42,12 @@ pub enum Topic<'a> {
         stage: &'a str,
         /// Name of the performer.
         actor: &'a str,
-        /// What is published there.
+        /// The kind of topic.
         channel: ActorChannel<'a>,
     },
 }
 
-/// What is published for a whole capture volume.
+/// Kinds of topics that belong to a whole capture volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum StageChannel<'a> {
     /// The calibration.
@@ -61,7 +61,7 @@ pub enum StageChannel<'a> {
     },
 }
 
-/// What is published for one performer.
+/// Kinds of topics that belong to one performer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ActorChannel<'a> {
     /// The body.
@@ -76,7 +76,7 @@ pub enum ActorChannel<'a> {
     Pose,
     /// Poses of the open window.
     Provisional,
-    /// The inputs of the node.
+    /// Inputs of the node.
     Journal,
     /// Poses on another skeleton.
     Retargeted {
@@ -89,10 +89,10 @@ pub enum ActorChannel<'a> {
     TruthSkeleton,
 }
 
-/// Why a text is no topic of ours.
+/// The text is not a topic of ours.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{text:?} is no topic of mocap; topics are mocap/STAGE/... and mocap/STAGE/actor/ACTOR/..., as \
+    "{text:?} is not a mocap topic; topics are mocap/STAGE/... and mocap/STAGE/actor/ACTOR/..., as \
      schemas/README.md lists them"
 )]
 pub struct TopicError {
@@ -101,11 +101,11 @@ pub struct TopicError {
 }
 
 impl<'a> Topic<'a> {
-    /// Reads a topic. Names may be anything but empty and have no slash, so `*` is read as a name
-    /// too; [`valid_name`] is the check for names that people choose.
+    /// Parses a topic. Names may be any text without a slash, but not empty; so `*` is also parsed
+    /// as a name. [`valid_name`] checks names that people choose.
     ///
     /// # Errors
-    /// When the text is none of the topics listed above.
+    /// The text is not one of the topics listed above.
     pub fn parse(text: &'a str) -> Result<Self, TopicError> {
         Self::of_parts(text).ok_or_else(|| TopicError { text: text.to_owned() })
     }
@@ -122,7 +122,7 @@ impl<'a> Topic<'a> {
         Some(Self::Stage { stage, channel: StageChannel::parse(rest)? })
     }
 
-    /// Full name of the schema of the messages on this topic.
+    /// Full name of the schema of messages on this topic.
     pub fn schema(&self) -> &'static str {
         match self {
             Self::Stage { channel, .. } => channel.schema(),
@@ -130,8 +130,8 @@ impl<'a> Topic<'a> {
         }
     }
 
-    /// How many of the last messages late joiners get; `None` for streams, whose messages are of
-    /// use only while they are new.
+    /// Number of last messages that late joiners get; `None` for streams, whose messages are useful
+    /// only while they are new.
     pub fn history(&self) -> Option<usize> {
         match self {
             Self::Stage { channel, .. } => match channel {
@@ -262,7 +262,7 @@ impl fmt::Display for ActorChannel<'_> {
     }
 }
 
-/// Why a name cannot be a part of a topic.
+/// Why a name cannot be part of a topic.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{name:?} cannot be a part of a topic; use letters, digits, `-`, `_` and `.`")]
 pub struct NameError {
@@ -270,8 +270,8 @@ pub struct NameError {
     pub name: String,
 }
 
-/// Checks a name that somebody chose for a stage, an actor or a skeleton: one or more of the ASCII
-/// letters and digits, `-`, `_` and `.`.
+/// Checks a name for a stage, an actor or a skeleton: one or more ASCII letters, digits, `-`, `_`
+/// and `.`.
 ///
 /// # Errors
 /// Any other name.
@@ -299,7 +299,7 @@ impl Default for Topics {
 }
 
 impl Topics {
-    /// The topics of that stage and actor.
+    /// The topics of this stage and actor.
     ///
     /// # Errors
     /// A name that [`valid_name`] refuses.
@@ -317,27 +317,27 @@ impl Topics {
         Topic::Actor { stage: &self.stage, actor: &self.actor, channel }.to_string()
     }
 
-    /// Of [`KeypointFrame`], one for each camera.
+    /// Topic of [`KeypointFrame`], one per camera.
     pub fn keypoints(&self, camera: &str) -> String {
         self.of_stage(StageChannel::Keypoints { camera })
     }
 
-    /// Of [`Rig`].
+    /// Topic of [`Rig`].
     pub fn rig(&self) -> String {
         self.of_stage(StageChannel::Rig)
     }
 
-    /// Of each [`Event`] that concerns no performer.
+    /// Topic of each [`Event`] that concerns no performer.
     pub fn stage_events(&self) -> String {
         self.of_stage(StageChannel::Events)
     }
 
-    /// Of each [`Event`] that concerns the performer.
+    /// Topic of each [`Event`] that concerns the performer.
     pub fn actor_events(&self) -> String {
         self.of_actor(ActorChannel::Events)
     }
 
-    /// Of each [`Event`] of that kind.
+    /// Topic of each [`Event`] of that kind.
     pub fn events(&self, kind: EventKind) -> String {
         match super::event::concerns_performer(kind) {
             true => self.actor_events(),
@@ -345,52 +345,52 @@ impl Topics {
         }
     }
 
-    /// Of final [`Pose`]s.
+    /// Topic of final [`Pose`]s.
     pub fn pose(&self) -> String {
         self.of_actor(ActorChannel::Pose)
     }
 
-    /// Of provisional [`Pose`]s, of the open window.
+    /// Topic of provisional [`Pose`]s, of the open window.
     pub fn provisional(&self) -> String {
         self.of_actor(ActorChannel::Provisional)
     }
 
-    /// Of [`RetargetedPose`], on the skeleton of that name.
+    /// Topic of [`RetargetedPose`], on the skeleton with that name.
     pub fn retargeted(&self, name: &str) -> String {
         self.of_actor(ActorChannel::Retargeted { name })
     }
 
-    /// Of [`Journal`].
+    /// Topic of [`Journal`].
     pub fn journal(&self) -> String {
         self.of_actor(ActorChannel::Journal)
     }
 
-    /// Of [`Keyframe`].
+    /// Topic of [`Keyframe`].
     pub fn keyframe(&self) -> String {
         self.of_actor(ActorChannel::Keyframe)
     }
 
-    /// Of [`Skeleton`].
+    /// Topic of [`Skeleton`].
     pub fn skeleton(&self) -> String {
         self.of_actor(ActorChannel::Skeleton)
     }
 
-    /// Of [`Status`].
+    /// Topic of [`Status`].
     pub fn status(&self) -> String {
         self.of_actor(ActorChannel::Status)
     }
 
-    /// Of the true [`Pose`] in a synthetic recording.
+    /// Topic of the true [`Pose`] in a synthetic recording.
     pub fn truth(&self) -> String {
         self.of_actor(ActorChannel::Truth)
     }
 
-    /// Of the true [`Skeleton`] in a synthetic recording.
+    /// Topic of the true [`Skeleton`] in a synthetic recording.
     pub fn truth_skeleton(&self) -> String {
         self.of_actor(ActorChannel::TruthSkeleton)
     }
 
-    /// All that a node publishes of its own; a rig is an input too and is not among them.
+    /// All topics that a node publishes; not the rig, which is also an input.
     pub fn outputs(&self) -> [String; 8] {
         [
             self.pose(),
@@ -404,14 +404,14 @@ impl Topics {
         ]
     }
 
-    /// Everything of the stage, as a pattern.
+    /// Pattern for all topics of the stage.
     pub fn all(&self) -> String {
         format!("{ROOT}/{}/**", self.stage)
     }
 }
 
-/// Whether a topic carries truth. Recordings made before skeletons belonged to an actor have the
-/// true one on `mocap/{stage}/truth/skeleton`.
+/// Whether a topic holds truth. Older recordings have the true skeleton on
+/// `mocap/{stage}/truth/skeleton`, without an actor.
 pub fn is_truth(topic: &str) -> bool {
     match Topic::parse(topic) {
         Ok(Topic::Actor { channel, .. }) => {
@@ -426,7 +426,7 @@ pub fn is_truth(topic: &str) -> bool {
 mod tests {
     use super::*;
 
-    /// Every topic, with what it must parse to.
+    /// Every topic, with the expected result of parsing.
     fn all() -> Vec<(&'static str, Topic<'static>)> {
         let of_stage = |text, channel| (text, Topic::Stage { stage: "s", channel });
         let of_actor = |text, channel| (text, Topic::Actor { stage: "s", actor: "a", channel });

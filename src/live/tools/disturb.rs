@@ -1,40 +1,39 @@
-//! A stream of frames disturbed on its way, as by a bad network; for tests and demonstrations.
+//! Disturbs a stream of frames like a bad network does; for tests and demonstrations.
 
 use crate::core::random::Draws;
 
-/// Sets these draws apart from others of the same seed.
+/// Separates these random numbers from others of the same seed.
 const STREAM: u64 = 0x6469_7374_7572_6264;
-/// What the draw of a delay is for.
+/// Index of the random number for the delay.
 const DELAY: u64 = 16;
 
-/// Shares of the frames that something happens to, each 0 to 1. At most one thing happens to a
-/// frame.
+/// Shares of frames that are disturbed, each 0 to 1. A frame has at most one disturbance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Disturbance {
-    /// Lost.
+    /// Share of lost frames.
     pub drop: f64,
-    /// Delayed by up to `late_ns`.
+    /// Share of frames delayed by up to `late_ns`.
     pub late: f64,
-    /// Sent twice, the second time at the time of the camera's next frame.
+    /// Share of frames sent twice, the second time together with the camera's next frame.
     pub duplicate: f64,
-    /// Sent after the camera's next frame.
+    /// Share of frames sent after the camera's next frame.
     pub reorder: f64,
     /// Longest delay, nanoseconds.
     pub late_ns: i64,
-    /// What happens to which frame follows from it.
+    /// Seed of the random choice.
     pub seed: u64,
 }
 
-/// A frame on its way.
+/// A frame to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sending {
-    /// Which frame.
+    /// Index of the frame.
     pub frame: usize,
     /// When it is sent, nanoseconds.
     pub due_ns: i64,
 }
 
-/// How many frames something happened to.
+/// Number of disturbed frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Disturbed {
     /// Lost.
@@ -47,7 +46,7 @@ pub struct Disturbed {
     pub reordered: u64,
 }
 
-/// What happens to a frame.
+/// Disturbance of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fate {
     Drop = 1,
@@ -57,8 +56,8 @@ enum Fate {
 }
 
 impl Disturbance {
-    /// When each frame of one camera is sent, in that order. `due_ns` are the times at which the
-    /// frames would be sent undisturbed, ascending; `stream` sets cameras and rounds apart.
+    /// Send times of the frames of one camera, in ascending order. `due_ns` are the undisturbed
+    /// send times, ascending; `stream` separates the random numbers of cameras and rounds.
     pub fn apply(&self, stream: u64, due_ns: &[i64], counts: &mut Disturbed) -> Vec<Sending> {
         let mut sent = Vec::with_capacity(due_ns.len());
         for (frame, &due) in due_ns.iter().enumerate() {
@@ -92,7 +91,7 @@ impl Disturbance {
         Draws { seed: self.seed ^ stream.rotate_left(32), stream: STREAM }
     }
 
-    /// What happens to a frame, if anything does.
+    /// The disturbance of a frame, if any.
     fn fate(&self, stream: u64, frame: u64) -> Option<Fate> {
         let draws = self.draws(stream);
         let shares = [

@@ -1,4 +1,4 @@
-//! Messages from the bus, in a queue of limited length.
+//! A queue of limited length for messages from the bus.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -15,16 +15,15 @@ const MESSAGES: usize = 16_384;
 /// Most bytes that wait.
 const BYTES: usize = 256 << 20;
 
-/// A message that came.
+/// A received message.
 #[derive(Clone, Debug)]
 pub(crate) struct Received {
     pub(crate) sample: Sample,
-    /// When it came, nanoseconds since 1970.
+    /// Arrival time, nanoseconds since 1970.
     pub(crate) arrival: Timestamp,
 }
 
-/// A subscription whose messages wait in a queue; those that come while it is full are dropped and
-/// counted.
+/// A subscription with a queue; messages that arrive while it is full are dropped and counted.
 pub(crate) struct Inbox {
     guards: Vec<Box<dyn Guard>>,
     queue: Receiver<Received>,
@@ -38,7 +37,7 @@ struct Count {
 }
 
 impl Inbox {
-    /// Subscribes to the topics that match.
+    /// Subscribes to the topics that match the pattern.
     pub(crate) fn open(bus: &dyn Bus, pattern: &str) -> Result<Self, BusError> {
         Self::of_size(bus, &[pattern], MESSAGES, BYTES)
     }
@@ -69,19 +68,19 @@ impl Inbox {
         Ok(Self { guards, queue, count })
     }
 
-    /// The next message, waiting for it no longer than that.
+    /// The next message; waits for it at most that long.
     pub(crate) fn next(&self, within: Duration) -> Option<Received> {
         let received = self.queue.recv_timeout(within).ok()?;
         self.count.waiting_bytes.fetch_sub(received.sample.payload.len(), Ordering::AcqRel);
         Some(received)
     }
 
-    /// Takes no more messages; those that wait can still be had.
+    /// Ends the subscription; queued messages can still be read.
     pub(crate) fn close(&mut self) {
         self.guards.clear();
     }
 
-    /// Messages that were dropped.
+    /// Number of dropped messages.
     pub(crate) fn dropped(&self) -> u64 {
         self.count.dropped.load(Ordering::Acquire)
     }
@@ -92,7 +91,7 @@ impl Count {
         let bytes = sample.payload.len();
         let waiting = self.waiting_bytes.fetch_add(bytes, Ordering::AcqRel);
         let received = Received { sample, arrival: self.clock.now() };
-        // A message that alone is larger than the limit still passes an empty queue.
+        // A single message above the limit still passes an empty queue.
         let is_full = waiting > 0 && waiting + bytes > most_bytes;
         if is_full || queue.try_send(received).is_err() {
             self.waiting_bytes.fetch_sub(bytes, Ordering::AcqRel);

@@ -1,4 +1,4 @@
-//! Tools beside the node: what they share of the bus.
+//! Tools that run beside the node, and the queue that they share.
 
 mod disturb;
 pub mod inbox;

@@ -1,4 +1,4 @@
-//! Sends a recording onto the bus, each frame at its time.
+//! Sends a recording to the bus, each frame at its time.
 
 use prost::Name as _;
 
@@ -8,25 +8,25 @@ use crate::io::bus::{Bus, BusError, Publisher};
 use crate::io::wire::{KeypointFrame, Rig, Topics, media_type};
 use crate::live::tools::{Disturbance, Disturbed};
 
-/// A clock to play by.
+/// A clock for playing.
 pub(crate) trait Clock {
-    /// Nanoseconds since 1970.
+    /// The current time, nanoseconds since 1970.
     fn now(&self) -> Timestamp;
 
-    /// Waits until that time; false if the wait was stopped before.
+    /// Waits until that time; false if the wait was stopped.
     fn wait_until(&self, time: Timestamp) -> bool;
 }
 
-/// How a recording is played.
+/// Settings of the playback.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Playing {
-    /// When the first frame of the recording is sent.
+    /// Send time of the first frame.
     pub(crate) start: Timestamp,
-    /// Seconds of the recording in a second.
+    /// Playback speed; 1 is real time.
     pub(crate) speed: f64,
     /// Whether payloads are sent unchanged, with their recorded capture times.
     pub(crate) keep_times: bool,
-    /// Whether the recording begins again after its end.
+    /// Whether the recording repeats after its end.
     pub(crate) repeat: bool,
     /// Whether the calibration is sent.
     pub(crate) rig: bool,
@@ -45,21 +45,21 @@ pub(crate) struct Sent {
     pub(crate) bytes: u64,
     /// Frames that were disturbed.
     pub(crate) disturbed: Disturbed,
-    /// The longest time after its due time that a frame was sent, ns.
+    /// Longest delay of a frame after its due time, ns.
     pub(crate) worst_late_ns: i64,
-    /// From the first frame to the last, ns.
+    /// Time from the first frame to the last, ns.
     pub(crate) lasted_ns: i64,
 }
 
 impl Sent {
-    /// Frames of all cameras.
+    /// Number of frames of all cameras.
     pub(crate) fn all(&self) -> u64 {
         self.frames.iter().sum()
     }
 }
 
-/// Sends a take until its end or until a wait of `clock` is stopped. `each` is called with the counts
-/// so far after each message.
+/// Sends a take until its end or until a wait of `clock` is stopped. Calls `each` with the current
+/// counts after each message.
 pub(crate) fn play(
     take: &Take,
     how: &Playing,
@@ -114,7 +114,7 @@ impl<'a> Player<'a> {
         })
     }
 
-    /// The time of the clock, from nanoseconds of the cameras' clock after the first frame.
+    /// Converts nanoseconds of the cameras' clock since the first frame to the node's clock.
     fn time(&self, cameras_ns: i64) -> Timestamp {
         self.how.start + (cameras_ns as f64 / self.how.speed).round() as i64
     }
@@ -163,7 +163,7 @@ mod tests {
     use crate::io::wire::decode;
     use crate::live::tools::take::tests::{PERIOD, file, of};
 
-    /// Stands at the time that was waited for last, and ends after a number of waits.
+    /// Jumps to each time that is waited for, and stops after a number of waits.
     struct Manual {
         now: Cell<Timestamp>,
         waits: Cell<u64>,
@@ -201,7 +201,7 @@ mod tests {
         (samples, guard.unwrap())
     }
 
-    /// What arrives when a take is played, and the report.
+    /// The messages that arrive when a take is played, and the report.
     fn played(take: &Take, how: &Playing, waits: u64) -> (Vec<Sample>, Sent) {
         let bus = Memory::new();
         let (samples, _guard) = heard(&bus);

@@ -1,4 +1,4 @@
-//! A recording as its cameras would send it.
+//! A recording, prepared for sending as its cameras would.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,16 +10,17 @@ use crate::io::recording::{Message, RawEntry, Reader, RecordError, Report};
 use crate::io::wire::{self, KeypointFrame, decode, encode};
 use crate::live::tools::{Disturbance, Disturbed};
 
-/// A frame that was captured up to this much before one that came earlier was out of order, and is
-/// sent after it; ns. One that was captured even earlier has another clock.
+/// A frame that was captured up to this much before an earlier frame of the file was out of order,
+/// and is sent after it; ns. A larger step back means another clock.
 const OUT_OF_ORDER_NS: i64 = 1_000_000_000;
-/// Frame period of a recording of one frame, ns.
+/// Frame period of a recording with one frame, ns.
 const FALLBACK_PERIOD_NS: i64 = 16_666_667;
 
 /// The frames of a recording, all in memory.
 #[derive(Debug, Default)]
 pub(crate) struct Take {
-    /// Calibrations with the capture time from which they hold; the first one holds from the start.
+    /// Calibrations, each with the capture time from which it is valid; the first is valid from the
+    /// start.
     rigs: Vec<(i64, Vec<u8>)>,
     pub(crate) cameras: Vec<CameraFrames>,
     /// First and last capture time of all cameras, ns.
@@ -33,9 +34,9 @@ pub(crate) struct Take {
 pub(crate) struct CameraFrames {
     pub(crate) name: String,
     frames: Vec<Frame>,
-    /// When each frame is sent, on the cameras' clock, ns; ascending.
+    /// Send times of the frames on the cameras' clock, ns; ascending.
     due: Vec<i64>,
-    /// Frame numbers of one round.
+    /// Number of frame numbers in one round.
     numbers: u64,
 }
 
@@ -67,20 +68,20 @@ pub(crate) enum TakeError {
         path: PathBuf,
         /// The name asked for.
         name: String,
-        /// The cameras of the recording, with commas between.
+        /// The cameras of the recording, separated by commas.
         known: String,
     },
 }
 
-/// Something to send.
+/// A message to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Due {
-    /// Nanoseconds of the cameras' clock from the first capture time of the first round on.
+    /// Send time on the cameras' clock, ns since the first capture time of the first round.
     pub(crate) at: i64,
     pub(crate) what: What,
 }
 
-/// What is to be sent.
+/// Content of a message to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum What {
     /// A calibration.
@@ -90,8 +91,8 @@ pub(crate) enum What {
 }
 
 impl Take {
-    /// Reads a recording; of its cameras only those named, all if none are. With it the damage of
-    /// the recording.
+    /// Reads the cameras in `only` from a recording; all cameras if `only` is empty. Also returns
+    /// the damage of the recording.
     pub(crate) fn read(path: &Path, only: &[String]) -> Result<(Self, Report), TakeError> {
         let mut reader = Reader::open(path)?;
         let mut gathered = Gathered::default();
@@ -118,7 +119,7 @@ impl Take {
         Ok(self)
     }
 
-    /// Frames of all cameras.
+    /// Number of frames of all cameras.
     pub(crate) fn frames(&self) -> usize {
         self.cameras.iter().map(|camera| camera.frames.len()).sum()
     }
@@ -128,12 +129,12 @@ impl Take {
         self.rigs.get(index).map(|(_, payload)| payload.as_slice())
     }
 
-    /// From the first frame of a round to the first of the next, ns.
+    /// Time from the first frame of a round to the first of the next, ns.
     fn round_ns(&self) -> i64 {
         self.span[1].saturating_sub(self.span[0]).saturating_add(self.period)
     }
 
-    /// What is sent in that round, from 0, in order.
+    /// The messages of that round, counted from 0, in order.
     pub(crate) fn round(
         &self,
         round: u64,
@@ -153,29 +154,29 @@ impl Take {
                 what: What::Frame { camera, frame: sending.frame, round },
             }));
         }
-        // Stable: frames of one camera keep their order.
+        // The sort is stable: frames of one camera keep their order.
         all.sort_by_key(|due| due.at);
         all
     }
 
-    /// When a round begins, ns from the beginning of the first.
+    /// Start of a round, ns since the start of the first.
     fn round_start(&self, round: u64) -> i64 {
         i64::try_from(round).unwrap_or(i64::MAX).saturating_mul(self.round_ns())
     }
 
-    /// When a frame was captured, ns from the first capture time of the first round.
+    /// Capture time of a frame, ns since the first capture time of the first round.
     pub(crate) fn captured(&self, camera: usize, frame: usize, round: u64) -> i64 {
         let capture = self.cameras[camera].frames[frame].capture;
         capture.saturating_sub(self.span[0]).saturating_add(self.round_start(round))
     }
 
-    /// The frame as it was recorded, and its capture time.
+    /// The recorded frame and its capture time.
     pub(crate) fn original(&self, camera: usize, frame: usize) -> (Timestamp, &[u8]) {
         let frame = &self.cameras[camera].frames[frame];
         (Timestamp::from_ns(frame.capture), &frame.payload)
     }
 
-    /// The frame as if captured at that time, with the frame number of that round.
+    /// The frame with a new capture time and the frame number of that round.
     pub(crate) fn stamped(
         &self,
         camera: usize,
@@ -185,7 +186,7 @@ impl Take {
     ) -> Vec<u8> {
         let camera = &self.cameras[camera];
         let payload = &camera.frames[frame].payload;
-        // It was decoded before, so this does not fail.
+        // Cannot fail: the frame was decoded before.
         let Ok(mut message) = decode::<KeypointFrame>(payload) else { return payload.clone() };
         message.capture_time_ns = capture.ns();
         message.frame = message.frame.wrapping_add(round.wrapping_mul(camera.numbers));
@@ -193,7 +194,7 @@ impl Take {
     }
 }
 
-/// A recording while it is read.
+/// State while a recording is read.
 #[derive(Default)]
 struct Gathered {
     /// Payloads, each with the number of frames before it.
@@ -204,7 +205,7 @@ struct Gathered {
 }
 
 impl Gathered {
-    /// Keeps inputs; what a node made of them, and truth, is passed over.
+    /// Stores inputs; skips outputs of a node, and truth.
     fn add(&mut self, raw: &RawEntry) -> Result<(), wire::DecodeError> {
         let is = |name: String| *raw.schema == name;
         if is(wire::Rig::full_name()) {
@@ -278,7 +279,7 @@ pub(crate) mod tests {
     /// Frame period, ns.
     pub(crate) const PERIOD: i64 = 10_000_000;
 
-    /// A recording of a rig and empty frames of cameras, captured at those periods, in that order.
+    /// A recording with a rig and empty frames of cameras at those periods, in that order.
     pub(crate) fn file(cameras: &[(&str, &[i64])]) -> (tempfile::TempDir, PathBuf) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("take.mcap");

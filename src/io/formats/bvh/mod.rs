@@ -1,4 +1,4 @@
-//! BVH files, read and written.
+//! Reads and writes BVH files.
 
 mod motion_file;
 mod read;

@@ -1,4 +1,4 @@
-//! A BVH file as it is written: head, frames, and their number at the end.
+//! Writes the parts of a BVH file: hierarchy, frames, and at the end their number.
 
 use std::fmt::Write as _;
 use std::io::{Seek, SeekFrom, Write};
@@ -8,15 +8,15 @@ use super::read::{Bvh, BvhJoint, Channel};
 use crate::io::formats::ExportError;
 use crate::io::new_file::NewFile;
 
-/// Digits kept for the number of frames, which is known at the end.
+/// Width of the number of frames, which is filled in at the end.
 const COUNT_DIGITS: usize = 12;
 
-/// A BVH file whose hierarchy is written and whose frames come.
+/// A BVH file with a complete hierarchy, ready for frames.
 #[derive(Debug)]
 pub(super) struct MotionFile {
     file: NewFile,
     frames: usize,
-    /// Where the number of frames stands.
+    /// Byte position of the number of frames.
     count_at: u64,
 }
 
@@ -33,7 +33,7 @@ impl MotionFile {
         Ok(Self { file, frames: 0, count_at: head.len() as u64 })
     }
 
-    /// Adds a frame, a line of numbers that are finite or not.
+    /// Adds a frame as a line of numbers; `finite` says whether all of them are finite.
     pub(super) fn write(&mut self, line: &str, finite: bool) -> Result<(), ExportError> {
         if !finite {
             let path = self.file.path().into();
@@ -57,11 +57,10 @@ impl MotionFile {
     }
 }
 
-/// Writes frames on the hierarchy of another BVH file: its names, offsets and channels, in its
-/// order, unit and axes.
+/// Writes frames on the hierarchy of another BVH file, with its names, offsets, channels, order,
+/// unit and axes.
 ///
-/// The file appears at its path when [`HierarchyWriter::finish`] succeeds; without it, there is
-/// none.
+/// The file appears at its path when [`HierarchyWriter::finish`] succeeds, and not before.
 #[derive(Debug)]
 pub struct HierarchyWriter(MotionFile);
 
@@ -69,12 +68,12 @@ impl HierarchyWriter {
     /// Begins a file with the hierarchy of `bvh`.
     ///
     /// # Errors
-    /// The folder cannot be written to, or `fps` is not above 0.
+    /// The folder is not writable, or `fps` is not above 0.
     pub fn create(path: &Path, bvh: &Bvh, fps: f64) -> Result<Self, ExportError> {
         MotionFile::create(path, &hierarchy(bvh.joints()), fps).map(Self)
     }
 
-    /// Adds a frame: the value of each channel, in the order of the hierarchy.
+    /// Adds a frame: the values of all channels, in the order of the hierarchy.
     ///
     /// # Errors
     /// The disk is full, or a value is not finite.
@@ -83,7 +82,7 @@ impl HierarchyWriter {
         self.0.write(&numbers.join(" "), values.iter().all(|value| value.is_finite()))
     }
 
-    /// Completes the file and puts it in its place.
+    /// Completes the file and moves it to its path.
     ///
     /// # Errors
     /// The disk is full, or the destination cannot be replaced.
@@ -92,7 +91,7 @@ impl HierarchyWriter {
     }
 }
 
-/// Parents come before their children, and what is below a joint right after it.
+/// Parents come before their children; a joint's descendants follow it directly.
 fn hierarchy(joints: &[BvhJoint]) -> String {
     let mut text = String::from("HIERARCHY\n");
     let mut open: Vec<usize> = Vec::new();

@@ -1,28 +1,28 @@
-//! BVH files as data: hierarchy and motion, no unit and no up axis.
+//! Reads BVH files: hierarchy and motion, in the file's unit and axes.
 //!
 //! A joint's local rotation is the product of its channels' rotations in the order in which the
 //! file lists them. Position channels replace the joint's offset on their axes.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-/// Why a text is not a BVH file that can be used.
+/// Why a text is not a valid BVH file.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum BvhError {
-    #[error("line {line}: `{found}` where {expected} should be; the file is no valid BVH")]
+    #[error("line {line}: `{found}` instead of {expected}; the file is not valid BVH")]
     Unexpected { line: usize, expected: &'static str, found: String },
-    #[error("the file ends where {expected} should be; it is cut short")]
+    #[error("the file ends before {expected}; it is incomplete")]
     Ends { expected: &'static str },
     #[error(
         "line {line}: the frame has {found} values but the hierarchy has {expected} channels; \
          the line is cut short or belongs to another skeleton"
     )]
     FrameLength { line: usize, found: usize, expected: usize },
-    #[error("{found} frames follow where `Frames:` says {declared}; the file is cut short")]
+    #[error("{found} frames follow where `Frames:` says {declared}; the file is incomplete")]
     FrameCount { found: usize, declared: usize },
 }
 
-/// What one number of a frame moves.
+/// Meaning of one number of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Channel {
     /// Position along axis 0, 1 or 2, in the file's unit.
@@ -36,7 +36,7 @@ pub enum Channel {
 pub struct BvhJoint {
     /// Name in the file.
     pub name: String,
-    /// Index of the parent, which comes earlier; `None` for the root.
+    /// Index of the parent, which comes earlier in the file; `None` for the root.
     pub parent: Option<usize>,
     /// Offset from the parent at zero rotation, in the file's unit.
     pub offset: Vector3<f64>,
@@ -58,7 +58,7 @@ pub struct Bvh {
 }
 
 impl Bvh {
-    /// Parses the text of a file that has one root.
+    /// Parses the text of a file with one root.
     pub fn parse(text: &str) -> Result<Self, BvhError> {
         let mut lines = Lines::new(text);
         let joints = hierarchy(&mut lines)?;
@@ -81,23 +81,23 @@ impl Bvh {
         &self.joints
     }
 
-    /// Index of the joint of that name.
+    /// Index of the joint with that name.
     pub fn joint(&self, name: &str) -> Option<usize> {
         self.joints.iter().position(|joint| joint.name == name)
     }
 
-    /// How many frames there are.
+    /// Number of frames.
     pub fn frames(&self) -> usize {
         self.frames
     }
 
-    /// Seconds from frame to frame.
+    /// Frame period, seconds.
     pub fn frame_time(&self) -> f64 {
         self.frame_time
     }
 
-    /// Rotation `parent_from_joint` and position in the parent's frame. `None` for a frame or
-    /// joint that the file does not have.
+    /// Rotation `parent_from_joint`, and position in the parent's frame. `None` if the file does
+    /// not have the frame or joint.
     pub fn local(&self, frame: usize, joint: usize) -> Option<(Matrix3<f64>, Vector3<f64>)> {
         let joint = self.joints.get(joint)?;
         let first = frame.checked_mul(self.channels)? + joint.first_value;
@@ -119,7 +119,7 @@ impl Bvh {
     }
 
     /// Rotation `world_from_joint` and position of every joint, in the file's world and unit.
-    /// `None` for a frame that the file does not have.
+    /// `None` if the file does not have the frame.
     pub fn posture(&self, frame: usize) -> Option<Vec<(Matrix3<f64>, Vector3<f64>)>> {
         let mut posture: Vec<(Matrix3<f64>, Vector3<f64>)> = Vec::with_capacity(self.joints.len());
         for (index, joint) in self.joints.iter().enumerate() {
@@ -136,7 +136,7 @@ impl Bvh {
     }
 }
 
-/// The words of a text with the number of the line each stands in.
+/// The words of a text with their line numbers.
 struct Lines<'a> {
     rest: std::iter::Peekable<std::iter::Enumerate<std::str::Lines<'a>>>,
     words: std::str::SplitWhitespace<'a>,
@@ -198,7 +198,7 @@ impl<'a> Lines<'a> {
     }
 }
 
-/// The joints from `HIERARCHY` to the brace that closes the root.
+/// Reads the joints from `HIERARCHY` to the closing brace of the root.
 fn hierarchy(lines: &mut Lines) -> Result<Vec<BvhJoint>, BvhError> {
     lines.keyword("HIERARCHY", "`HIERARCHY`")?;
     lines.keyword("ROOT", "`ROOT`")?;
@@ -221,7 +221,7 @@ fn hierarchy(lines: &mut Lines) -> Result<Vec<BvhJoint>, BvhError> {
     Ok(joints)
 }
 
-/// A joint's name, offset and channels; its brace stays open.
+/// Reads a joint's name, offset and channels; its brace stays open.
 fn open_joint(
     lines: &mut Lines,
     parent: Option<usize>,
@@ -265,7 +265,7 @@ fn end_site(lines: &mut Lines) -> Result<Vector3<f64>, BvhError> {
     Ok(offset)
 }
 
-/// All values, frame after frame; one line a frame.
+/// Reads all values, one line per frame.
 fn motion(lines: &mut Lines, channels: usize, declared: usize) -> Result<Vec<f64>, BvhError> {
     let mut values = Vec::new();
     let mut found = 0;

@@ -1,7 +1,7 @@
-//! BVH: centimetres, y up, +z forward, T-pose at zero rotation.
+//! Writes BVH: centimetres, y up, +z forward, T-pose at zero rotation.
 //!
-//! The format stores neither unit nor axes; these are what importers assume. Rotations are
-//! written as Z, X, Y: the local rotation is Rz(a) Rx(b) Ry(c).
+//! The format stores neither unit nor axes; these are what importers assume. The order of rotation
+//! channels is Z, X, Y: the local rotation is Rz(a) Rx(b) Ry(c).
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -15,17 +15,18 @@ use crate::core::so3;
 use crate::io::formats::ExportError;
 
 const CENTIMETRES: f64 = 100.0;
-/// From the wrist to the knuckles, in forearms.
+/// Length from wrist to knuckles, divided by the length of the forearm.
 const HAND: f64 = 0.33;
 /// Axes of the rotation channels.
 const ZXY: [usize; 3] = [2, 0, 1];
-/// Writes poses of one skeleton, at a constant frame rate, as they come.
+/// Writes poses of one skeleton, one by one, at a constant frame rate.
 ///
-/// The file appears at its path when [`BvhWriter::finish`] succeeds; without it, there is none.
+/// The file appears at its path when [`BvhWriter::finish`] succeeds, and not before.
 #[derive(Debug)]
 pub struct BvhWriter {
     file: MotionFile,
-    /// The angles written last, by joint, to carry on from.
+    /// The last written angles by joint, so that the next ones continue without jumps of 360
+    /// degrees.
     last: [[f64; 3]; JOINTS],
 }
 
@@ -33,7 +34,7 @@ impl BvhWriter {
     /// Begins a file with the hierarchy.
     ///
     /// # Errors
-    /// The folder cannot be written to, or `fps` is not above 0.
+    /// The folder is not writable, or `fps` is not above 0.
     pub fn create(path: &Path, skeleton: &Skeleton, fps: f64) -> Result<Self, ExportError> {
         let file = MotionFile::create(path, &hierarchy(skeleton), fps)?;
         Ok(Self { file, last: [[0.0; 3]; JOINTS] })
@@ -42,7 +43,7 @@ impl BvhWriter {
     /// Adds a frame.
     ///
     /// # Errors
-    /// The disk is full, or the pose holds a number that is not finite.
+    /// The disk is full, or the pose has a value that is not finite.
     pub fn write(&mut self, pose: &Pose) -> Result<(), ExportError> {
         let position = pose.root_position * CENTIMETRES;
         let mut line = format!("{:.4} {:.4} {:.4}", position.x, position.y, position.z);
@@ -59,7 +60,7 @@ impl BvhWriter {
         self.file.write(&line, finite)
     }
 
-    /// Completes the file and puts it in its place.
+    /// Completes the file and moves it to its path.
     ///
     /// # Errors
     /// The disk is full, or the destination cannot be replaced.
@@ -92,7 +93,7 @@ fn local(pose: &Pose, joint: Joint) -> &Matrix3<f64> {
     }
 }
 
-/// The joints depth first, as the hierarchy lists them and the motion follows.
+/// The joints depth first, the order of hierarchy and motion.
 fn hierarchy_order() -> [Joint; JOINTS] {
     fn visit(joint: Joint, order: &mut [Joint; JOINTS], next: &mut usize) {
         order[*next] = joint;
@@ -140,7 +141,7 @@ fn offset_line(metres: &Vector3<f64>) -> String {
     format!("OFFSET {:.5} {:.5} {:.5}", at.x, at.y, at.z)
 }
 
-/// Where the bone of a last joint ends, metres from it.
+/// End of the bone of a last joint, metres from the joint.
 fn end_site(skeleton: &Skeleton, joint: Joint) -> Option<Vector3<f64>> {
     let point = |keypoint| Some(Attachment::of(keypoint).offset(skeleton));
     match joint {

@@ -1,4 +1,4 @@
-//! Calibration files to a rig in our world.
+//! Reads calibration files into a rig in our world.
 
 use std::path::Path;
 
@@ -12,22 +12,22 @@ use super::ImportError;
 use crate::core::camera::{Camera, CameraError, Lens, Rig};
 use crate::core::so3;
 
-/// Which axis of the calibration's world points up. Ours is y.
+/// The axis of the calibration's world that points up. In our world it is y.
 ///
-/// From a z-up world we take x = y', y = z', z = x' (a cyclic permutation, which keeps the
-/// ground on the ground and the hands right): the axes Pose2Sim writes to TRC files.
+/// A z-up world is converted by x = y', y = z', z = x' (a cyclic permutation, which keeps the
+/// ground plane and the handedness). These are the axes that Pose2Sim writes to TRC files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Up {
-    /// The calibration's world is ours already.
+    /// Same axes as our world.
     Y,
-    /// As Qualisys and Pose2Sim have it.
+    /// z up, as in Qualisys and Pose2Sim.
     #[default]
     Z,
 }
 
 impl Up {
-    /// From `y` or `z`.
+    /// Parses `y` or `z`.
     pub fn from_name(name: &str) -> Option<Self> {
         match name {
             "y" => Some(Self::Y),
@@ -36,7 +36,7 @@ impl Up {
         }
     }
 
-    /// The rotation that takes our coordinates to the calibration's.
+    /// The rotation from our coordinates to the calibration's.
     pub fn calibration_from_world(self) -> Matrix3<f64> {
         match self {
             Self::Y => Matrix3::identity(),
@@ -45,7 +45,7 @@ impl Up {
     }
 }
 
-/// What a calibration file says of a camera, in the file's world.
+/// A camera of a calibration file, in the file's world.
 pub(super) struct Calibrated {
     pub name: String,
     pub size: [u32; 2],
@@ -57,20 +57,20 @@ pub(super) struct Calibrated {
     pub translation: Vector3<f64>,
 }
 
-/// Why the text of a calibration cannot be used.
+/// Why a calibration cannot be used.
 pub(super) enum Fault {
-    /// What is wrong with the file.
+    /// A fault of the file.
     Text(String),
-    /// What is wrong with a camera.
+    /// A fault of a camera.
     Camera(CameraError),
 }
 
-/// Reads a calibration: XML is taken as Qualisys', anything else as Pose2Sim's or aniposelib's
-/// TOML (lengths in metres). The rig has version 1 and its cameras are in natural order of
-/// their names for TOML, in the file's order for Qualisys.
+/// Reads a calibration: XML as Qualisys', any other text as TOML of Pose2Sim or aniposelib (lengths
+/// in metres). The rig has version 1. Its cameras are in natural order of their names for TOML, and
+/// in the file's order for Qualisys.
 ///
 /// # Errors
-/// A file that cannot be read or is no calibration, or cameras that cannot be used.
+/// The file cannot be read or is not a calibration, or its cameras cannot be used.
 pub fn read_calibration(path: &Path, up: Up) -> Result<Rig, ImportError> {
     let text = std::fs::read_to_string(path).map_err(|e| ImportError::read(path, e))?;
     rig_from_text(&text, up).map_err(|fault| match fault {
@@ -94,7 +94,7 @@ fn rig_from_text(text: &str, up: Up) -> Result<Rig, Fault> {
     cameras.and_then(|cameras| Rig::new(1, cameras)).map_err(Fault::Camera)
 }
 
-/// One table of a Pose2Sim or aniposelib file.
+/// A camera table of a Pose2Sim or aniposelib file.
 #[derive(Deserialize)]
 #[serde(rename = "camera")]
 struct CameraTable {
@@ -110,7 +110,7 @@ struct CameraTable {
     fisheye: bool,
 }
 
-/// Every table but `metadata` is a camera.
+/// Reads every table except `metadata` as a camera.
 fn toml_cameras(text: &str) -> Result<Vec<Calibrated>, Fault> {
     let tables: toml::Table =
         text.parse().map_err(|e: toml::de::Error| Fault::Text(toml_fault(text, &e)))?;
@@ -143,21 +143,21 @@ fn toml_camera(key: String, value: toml::Value) -> Result<Calibrated, Fault> {
     })
 }
 
-/// The message on one line, with the number of the line it is about.
+/// The error message on one line, with the line number of the fault.
 fn toml_fault(text: &str, error: &toml::de::Error) -> String {
     let message = error.message().lines().collect::<Vec<_>>().join(", ");
     let line = error.span().map(|span| text[..span.start.min(text.len())].lines().count().max(1));
     match line {
-        Some(line) => format!("line {line} is no TOML: {message}"),
-        None => format!("no TOML: {message}"),
+        Some(line) => format!("line {line} is not TOML: {message}"),
+        None => format!("not TOML: {message}"),
     }
 }
 
-/// Width and height as whole numbers; files hold them as reals.
+/// Width and height as integers; files store them as reals.
 pub(super) fn size_px(camera: &str, size: [f64; 2]) -> Result<[u32; 2], Fault> {
     let whole = |v: f64| v.fract() == 0.0 && (1.0..=1e6).contains(&v);
     if size.into_iter().all(whole) {
         return Ok(size.map(|v| v as u32));
     }
-    Err(Fault::Text(format!("camera {camera}: the image size {} x {} is none", size[0], size[1])))
+    Err(Fault::Text(format!("camera {camera}: image size {} x {} is not valid", size[0], size[1])))
 }

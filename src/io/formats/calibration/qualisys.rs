@@ -1,14 +1,15 @@
-//! Qualisys' `.qca.txt`, which is XML.
+//! Reads `.qca.txt` of Qualisys, which is XML.
 //!
-//! Per camera: `transform` holds the camera's position (mm) and a matrix whose rows are its
-//! axes in the world, with y up and z backwards (OpenCV's y and z are the opposite).
-//! `intrinsic` holds lengths in pixels times 64, the centre measured from the sensor's corner,
-//! and distortion coefficients, which have no unit.
+//! Per camera: `transform` holds the camera's position (mm) and a matrix whose rows are the
+//! camera's axes in the world, with y up and z backwards (opposite to OpenCV's y and z).
+//! `intrinsic` holds lengths in pixels times 64, the centre relative to the sensor's corner, and
+//! distortion coefficients without unit.
 //!
-//! Differs: Pose2Sim divides the distortion coefficients by 64 as well, so its TOML files have
-//! next to none. Here they are used as they stand. The detections of Pose2Sim's demo set cannot
-//! tell: robust triangulation of 12 limb joints leaves (median, mean) 13.93, 14.87 px either way
-//! in its balancing take; 9.04, 9.62 px as they stand and 8.91, 9.64 px divided in the static one.
+//! Difference to Pose2Sim: it also divides the distortion coefficients by 64, so its TOML files
+//! have almost no distortion. Here they are used unchanged. The detections of Pose2Sim's demo set
+//! do not decide: robust triangulation of 12 limb joints leaves (median, mean) 13.93, 14.87 px
+//! either way in its balancing take; 9.04, 9.62 px unchanged and 8.91, 9.64 px divided in the
+//! static one.
 
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
@@ -19,12 +20,12 @@ use crate::core::camera::Lens;
 /// Units of `intrinsic` per pixel.
 const SUBPIXELS: f64 = 64.0;
 
-/// The active video cameras, in the file's order.
+/// Reads the active video cameras, in the file's order.
 ///
-/// Files of mixed systems also list marker cameras; a model that names itself video (or none)
-/// is a video camera.
+/// Files of mixed systems also list marker cameras; a video camera has a model that contains
+/// "video", the model "none", or no model.
 pub(super) fn cameras(text: &str) -> Result<Vec<Calibrated>, Fault> {
-    let document = Document::parse(text).map_err(|e| Fault::Text(format!("no XML: {e}")))?;
+    let document = Document::parse(text).map_err(|e| Fault::Text(format!("not XML: {e}")))?;
     let nodes = document.descendants().filter(|n| n.has_tag_name("camera"));
     let active: Vec<Node> = nodes.filter(|n| n.attribute("active") != Some("0")).collect();
     let is_video = |n: &&Node| {
@@ -107,6 +108,6 @@ impl<'a> Fields<'a> {
         let (camera, tag) = (self.camera, self.tag);
         let fault = |what: &str| Fault::Text(format!("camera {camera}: <{tag}> {field} {what}"));
         let text = self.node.attribute(field).ok_or_else(|| fault("is missing"))?;
-        text.trim().parse().map_err(|_| fault("is no number"))
+        text.trim().parse().map_err(|_| fault("is not a number"))
     }
 }

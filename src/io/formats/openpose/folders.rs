@@ -1,16 +1,16 @@
-//! Which folder belongs to which calibrated camera.
+//! Assigns folders to calibrated cameras.
 
 use std::path::{Path, PathBuf};
 
 use crate::core::camera::Rig;
 use crate::io::formats::ImportError;
 
-/// How a folder and a camera were brought together.
+/// How a folder was assigned to a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MatchedBy {
-    /// Their names are the same but for case, separators, a suffix `json` and leading zeros.
+    /// By name, ignoring case, separators, a suffix `json` and leading zeros.
     Name,
-    /// What no name decided is paired in natural order of the names.
+    /// By natural order of the names, if names do not decide.
     Order,
 }
 
@@ -21,11 +21,11 @@ pub struct FolderMatch {
     pub folder: PathBuf,
     /// Index in the rig.
     pub camera: usize,
-    /// How this was decided.
+    /// How the camera was assigned.
     pub by: MatchedBy,
 }
 
-/// Orders names as people do: runs of digits by value, the rest by lower-case letters.
+/// Sort key for natural order: runs of digits by value, the rest as lower-case letters.
 pub(in crate::io::formats) fn natural_key(name: &str) -> Vec<(String, usize, String)> {
     let mut key = Vec::new();
     let mut rest = name;
@@ -41,7 +41,7 @@ pub(in crate::io::formats) fn natural_key(name: &str) -> Vec<(String, usize, Str
     key
 }
 
-/// `cam01_json`, `Cam-1` and `cam_01` all become `cam1`.
+/// A simplified name: `cam01_json`, `Cam-1` and `cam_01` all become `cam1`.
 fn plain_name(name: &str) -> String {
     let lower = name.to_lowercase();
     let stem = lower.strip_suffix("json").filter(|s| !s.is_empty()).unwrap_or(&lower);
@@ -57,17 +57,17 @@ fn plain_name(name: &str) -> String {
     plain
 }
 
-/// Pairs every folder with a camera: by name, then what is left by order.
+/// Pairs every folder with a camera: by name, then the rest by order.
 ///
 /// # Errors
-/// When their numbers differ; the error names what is left over.
+/// The numbers of folders and cameras differ; the error lists the rest.
 pub(super) fn match_folders(
     root: &Path,
     folders: Vec<PathBuf>,
     rig: &Rig,
 ) -> Result<Vec<FolderMatch>, ImportError> {
     let named: Vec<Option<usize>> = folders.iter().map(|f| by_name(f, rig)).collect();
-    // Where two folders bear one camera's name, neither name decides.
+    // If two folders have one camera's name, the name decides for neither.
     let alone = |c: &usize| named.iter().filter(|other| **other == Some(*c)).count() == 1;
     let camera_of: Vec<Option<usize>> = named.iter().map(|c| c.filter(alone)).collect();
     let mut free: Vec<usize> =
@@ -92,7 +92,7 @@ pub(super) fn match_folders(
     Ok(matches)
 }
 
-/// The camera whose name is the folder's, if there is exactly one.
+/// The camera with the folder's name, if there is exactly one.
 pub(super) fn by_name(folder: &Path, rig: &Rig) -> Option<usize> {
     let name = plain_name(&file_name(folder));
     let mut same = (0..rig.cameras.len()).filter(|&i| plain_name(&rig.cameras[i].name) == name);

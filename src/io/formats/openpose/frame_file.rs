@@ -1,4 +1,4 @@
-//! One OpenPose JSON file.
+//! Reads one OpenPose JSON file.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use super::CameraReport;
 use crate::core::detections::{Detection, KeypointFormat, Person};
 use crate::io::formats::ImportError;
 
-/// The part of the file that is used.
+/// The parts of the file that are used.
 #[derive(Deserialize)]
 #[serde(rename = "frame")]
 struct FrameFile {
@@ -19,17 +19,17 @@ struct FrameFile {
 #[derive(Deserialize)]
 #[serde(rename = "person")]
 struct RawPerson {
-    /// \[-1\] where the detector does not track.
+    /// \[-1\] if the detector does not track.
     #[serde(default)]
     person_id: serde_json::Value,
-    /// x, y, confidence per point. `None` stands for a number that is not finite.
+    /// x, y, confidence of each point. `None` is a number that is not finite.
     pose_keypoints_2d: Option<Vec<Option<f64>>>,
 }
 
-/// The people of a file; what was tolerated is added to the report.
+/// The people of a file; tolerated faults are counted in the report.
 ///
 /// # Errors
-/// Text that is not OpenPose's, or keypoints that do not fill the format.
+/// The text is not from OpenPose, or the keypoints do not fit the format.
 pub(super) fn people(
     path: &Path,
     bytes: &[u8],
@@ -72,7 +72,7 @@ fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<RawPerson>, ImportError> {
     file.people.ok_or_else(|| fault("not OpenPose's JSON (no list \"people\")".into()))
 }
 
-/// Python writes NaN, Infinity and -Infinity, which JSON does not know: null in their place.
+/// Python writes NaN, Infinity and -Infinity, which are not JSON; replaces them by null.
 fn without_non_finite(bytes: &[u8]) -> Vec<u8> {
     const WORDS: [&[u8]; 3] = [b"-Infinity", b"Infinity", b"NaN"];
     let mut out = Vec::with_capacity(bytes.len());
@@ -97,7 +97,7 @@ fn without_non_finite(bytes: &[u8]) -> Vec<u8> {
     out
 }
 
-/// A point; 0, 0 and a confidence that is not positive are OpenPose's ways to say "not seen".
+/// A point. OpenPose writes unseen points as 0, 0 or with a confidence that is not positive.
 fn detection(point: &[Option<f64>], report: &mut CameraReport) -> Option<Detection> {
     let [Some(x), Some(y), Some(confidence)] = *point else {
         report.non_finite_points += 1;

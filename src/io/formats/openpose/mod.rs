@@ -1,4 +1,4 @@
-//! A folder of OpenPose JSON folders as one stream.
+//! Reads folders of OpenPose JSON files as one stream.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -15,38 +15,38 @@ pub(super) use folders::natural_key;
 pub use folders::{FolderMatch, MatchedBy};
 use folders::{by_name, file_name, match_folders};
 
-/// What was found for one camera. Counts of files and gaps are known from the start, the others
+/// Content of one camera's folder. Counts of files and gaps are known from the start; the others
 /// grow while the stream is read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct CameraReport {
-    /// JSON files.
+    /// Number of JSON files.
     pub files: u64,
     /// Smallest frame number.
     pub first_frame: u64,
     /// Largest frame number.
     pub last_frame: u64,
-    /// Frame numbers between the first and the last that have no file.
+    /// Frame numbers without a file between the first and the last.
     pub gaps: u64,
-    /// Files without a byte; they count as frames in which nobody was seen.
+    /// Empty files; they count as frames without people.
     pub empty_files: u64,
-    /// Frames in which nobody was seen.
+    /// Frames without people.
     pub frames_without_people: u64,
     /// People kept.
     pub people: u64,
-    /// People left out since no point of theirs was seen.
+    /// People skipped because no point of theirs was seen.
     pub people_without_points: u64,
     /// Points kept.
     pub points: u64,
-    /// Points left out since a number was null, NaN or infinite.
+    /// Points skipped because a number was null, NaN or infinite.
     pub non_finite_points: u64,
-    /// Confidences above 1 that were set to 1.
+    /// Confidences above 1, set to 1.
     pub clamped_confidences: u64,
 }
 
 /// The files of one camera.
 struct CameraFiles {
     camera: usize,
-    /// By frame number.
+    /// Sorted by frame number.
     files: Vec<(u64, PathBuf)>,
     next: usize,
 }
@@ -59,10 +59,9 @@ impl CameraFiles {
 
 /// A folder with one subfolder of OpenPose JSON files per camera.
 ///
-/// An iterator of [`Detections`] in order of capture time, and of the camera's index where times
-/// are equal. Frame numbers are the last digits of the file names; the capture time is the frame
-/// number over the frame rate. Files are read one at a time, as they are asked for. After an
-/// error the iterator ends.
+/// An iterator of [`Detections`] in order of capture time, then of camera index. Frame numbers are
+/// the last digits of the file names; the capture time is the frame number divided by the frame
+/// rate. Each file is read when it is needed. After an error the iterator ends.
 pub struct OpenposeFolder {
     format: KeypointFormat,
     fps: f64,
@@ -76,8 +75,8 @@ impl OpenposeFolder {
     /// Lists the files and pairs the subfolders with the rig's cameras; reads no file yet.
     ///
     /// # Errors
-    /// A folder that cannot be read, holds no JSON, or does not fit the rig; file names without
-    /// frame numbers or with the same one; a frame rate that is none.
+    /// A folder that cannot be read, has no JSON, or does not fit the rig; file names without frame
+    /// numbers or with equal ones; an invalid frame rate.
     pub fn open(
         folder: &Path,
         rig: &Rig,
@@ -96,17 +95,17 @@ impl OpenposeFolder {
         Ok(Self { format, fps, cameras, matches, reports, failed: false })
     }
 
-    /// Which folder was taken for which camera, by the camera's index.
+    /// Folders and their cameras, by the camera's index.
     pub fn matches(&self) -> &[FolderMatch] {
         &self.matches
     }
 
-    /// What was found and tolerated so far, by the camera's index.
+    /// Content and tolerated faults so far, by the camera's index.
     pub fn reports(&self) -> &[CameraReport] {
         &self.reports
     }
 
-    /// How many files there are in all.
+    /// Number of files of all cameras.
     pub fn file_count(&self) -> u64 {
         self.reports.iter().map(|r| r.files).sum()
     }
@@ -173,7 +172,7 @@ fn camera_folders(root: &Path, rig: &Rig) -> Result<Vec<PathBuf>, ImportError> {
     Ok(folders)
 }
 
-/// The JSON files of a camera by frame number, each number once.
+/// The JSON files of a camera, sorted by frame number; numbers must be unique.
 fn frame_files(folder: &Path, fps: f64) -> Result<Vec<(u64, PathBuf)>, ImportError> {
     let mut files = Vec::new();
     for path in entries(folder)?.into_iter().filter(|path| is_json(path)) {
@@ -194,7 +193,7 @@ fn frame_files(folder: &Path, fps: f64) -> Result<Vec<(u64, PathBuf)>, ImportErr
     Ok(files)
 }
 
-/// Whether the frame's capture time can be told in nanoseconds.
+/// Whether the frame's capture time fits into nanoseconds.
 fn has_time(frame: u64, fps: f64) -> bool {
     Timestamp::of_frame(frame, fps) < Timestamp::from_ns(i64::MAX)
 }
@@ -215,7 +214,7 @@ fn counts(files: &[(u64, PathBuf)]) -> CameraReport {
     }
 }
 
-/// What a folder holds, but for hidden files.
+/// The entries of a folder, without hidden files.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, ImportError> {
     let fail = |e| ImportError::read(folder, e);
     let mut paths = Vec::new();
@@ -233,8 +232,8 @@ fn is_json(path: &Path) -> bool {
         && !path.is_dir()
 }
 
-/// The last run of digits of a name, its ending `.json` or `_keypoints.json` apart.
-/// `None` without digits, or with more than fit.
+/// The last run of digits of a name without its suffix `.json` or `_keypoints.json`. `None` without
+/// digits, or if the number is too large.
 fn frame_number(name: &str) -> Option<u64> {
     let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
     let stem = stem.strip_suffix("_keypoints").unwrap_or(stem);
