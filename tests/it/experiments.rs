@@ -192,6 +192,18 @@ fn the_program_repeats_itself_and_writes_its_folder() {
 }
 
 #[test]
+fn each_seed_of_the_protocol_is_a_pass() {
+    let place = tempfile::tempdir().unwrap();
+    std::fs::write(place.path().join("two.toml"), "seeds = [1, 2]").unwrap();
+    let tiny = "--rig ring3 --seconds 1.2 --methods muvs --noise clean --every 4";
+    let seeds = |results: &Value| results["levels"][0].to_string().matches("\"seed\":").count();
+    let (_, one) = done(place.path(), tiny);
+    let (_, two) = done(place.path(), &format!("{tiny} --protocol two.toml"));
+    assert!(seeds(&one) > 0);
+    assert_eq!(seeds(&two), 2 * seeds(&one));
+}
+
+#[test]
 fn drift_and_ablation_print_their_tables() {
     let place = tempfile::tempdir().unwrap();
     let tiny = "--rig ring3 --seconds 2 --noise clean --every 4";
