@@ -10,19 +10,19 @@ use crate::core::tracker;
 use crate::io::bus;
 use crate::live;
 
-/// All settings. `config/default.toml` holds the defaults with a comment each.
+/// All settings; `config/default.toml` explains each.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Of the tracking machine and of what it solves.
+    /// Of the tracker.
     pub tracker: tracker::Config,
     /// Of the live node.
     pub node: live::Config,
-    /// How the live node and the tools beside it exchange messages.
+    /// How the live node and the tools exchange messages.
     pub bus: bus::Config,
 }
 
-/// The defaults as a file with comments.
+/// The defaults, with comments.
 pub const DEFAULT_TOML: &str = include_str!("../config/default.toml");
 
 /// Why a configuration file cannot be used.
@@ -36,35 +36,35 @@ pub enum ConfigError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// No TOML, an unknown key, or a value of another kind.
+    /// Not TOML, an unknown key, or a value of the wrong type.
     #[error("{}, line {line}: {reason}; config/default.toml lists every key", path.display())]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// From 1.
+        /// The line, from 1.
         line: usize,
-        /// What is wrong, with the key.
+        /// The reason, with the key.
         reason: String,
     },
-    /// A number that makes no sense.
+    /// A number out of range.
     #[error("{}: {key} is {value}, but must be {allowed}", path.display())]
     OutOfRange {
         /// The file.
         path: PathBuf,
         /// Full name of the key.
         key: &'static str,
-        /// What the file says.
+        /// The value in the file.
         value: f64,
-        /// What it may say.
+        /// The allowed range.
         allowed: &'static str,
     },
 }
 
 impl Config {
-    /// Reads a file; keys that it does not have keep their defaults.
+    /// Reads a file; missing keys keep their defaults.
     ///
     /// # Errors
-    /// A file that cannot be read, unknown keys, values of another kind or out of range.
+    /// An unreadable file, unknown keys, values of the wrong type or out of range.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| ConfigError::Unreadable { path: path.into(), source })?;
@@ -94,7 +94,7 @@ impl Config {
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// The first number out of range: its key, its value and what is allowed.
+    /// The first number out of range: key, value and allowed range.
     fn out_of_range(&self) -> Option<(&'static str, f64, &'static str)> {
         let rate = self.tracker.frame_rate_hz;
         if rate != 0.0 && !is_frame_rate(rate) {
@@ -109,7 +109,7 @@ impl Config {
         wrong.map(|(key, value, _, allowed)| (key, value, allowed)).or_else(|| self.misfit())
     }
 
-    /// Published frames that do not fit the window and its keyframes.
+    /// `publish_frames` if it does not fit the window and its keyframes.
     fn misfit(&self) -> Option<(&'static str, f64, &'static str)> {
         let tracker::Config { window_frames, keyframe_frames, publish_frames, .. } = self.tracker;
         let fits =
@@ -173,15 +173,15 @@ impl Config {
     }
 }
 
-/// A key, its value, the range that is allowed, and the range in words.
+/// A key, its value, the allowed range, and that range in words.
 type Limit = (&'static str, f64, RangeInclusive<f64>, &'static str);
 
-/// Whether cameras may take that many frames a second: 1 to 1000.
+/// Whether a frame rate is allowed: 1 to 1000 Hz.
 pub fn is_frame_rate(hz: f64) -> bool {
     (1.0..=1000.0).contains(&hz)
 }
 
-/// The number of the line, from 1, that holds a byte.
+/// The line, from 1, that contains a byte.
 fn line_at(text: &str, byte: usize) -> usize {
     1 + text.bytes().take(byte).filter(|&b| b == b'\n').count()
 }
