@@ -14,9 +14,9 @@ use crate::live;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Of the tracker.
+    /// The tracker.
     pub tracker: tracker::Config,
-    /// Of the live node.
+    /// The live node.
     pub node: live::Config,
     /// How the live node and the tools exchange messages.
     pub bus: bus::Config,

@@ -161,7 +161,7 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
         Some(skeleton) => write(retarget, &skeleton, &poses, out).map(|()| Exit::Done),
         None => {
             let fix = "check --stage, --actor and whether the node runs";
-            complain("warning", &format!("{} is not written: no poses came; {fix}", out.display()));
+            complain("warning", &format!("{} not written: no poses arrived; {fix}", out.display()));
             Ok(Exit::InPart)
         }
     }

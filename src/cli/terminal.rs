@@ -15,7 +15,7 @@ pub(crate) fn tell(text: &str) -> bool {
     writeln!(std::io::stdout().lock(), "{text}").is_ok()
 }
 
-/// Prints one line to standard error.
+/// Prints `kind: text` to standard error.
 pub(crate) fn complain(kind: &str, text: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{kind}: {text}");
 }

@@ -110,7 +110,7 @@ pub(super) struct Figures {
     /// Whether the declared latency never changed.
     pub(super) latency_constant: bool,
     pub(super) poses: Poses,
-    /// Arrival of a pose against capture time + declared latency, absolute, milliseconds.
+    /// Absolute difference of arrival and due time, milliseconds.
     pub(super) arrival_deviation_ms: Option<Spread>,
     /// The same, measured by the node when it publishes: upper edges of the histogram's bins.
     pub(super) publish_deviation_ms: Option<Spread>,

@@ -50,7 +50,7 @@ impl NodeProcess {
         fs::write(&settings, config.to_toml()).map_err(|error| failed("write settings", error))?;
         let log = File::create(log_path(folder.path()))
             .map_err(|error| failed("write the node's log", error))?;
-        let program = std::env::current_exe().map_err(|error| failed("find itself", error))?;
+        let program = std::env::current_exe().map_err(|error| failed("find this program", error))?;
         let mut command = Command::new(program);
         if std::env::var_os(log::VARIABLE).is_none() {
             command.env(log::VARIABLE, "warn");
@@ -110,7 +110,7 @@ impl NodeProcess {
                 _ => std::thread::sleep(LOOK),
             }
         }
-        let message = format!("the node has not ended {PATIENCE:?} after SIGTERM");
+        let message = format!("the node has not stopped within {PATIENCE:?} of SIGTERM");
         Err(Failure::new(Exit::Unexpected, message))
     }
 
