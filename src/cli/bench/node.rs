@@ -50,7 +50,8 @@ impl NodeProcess {
         fs::write(&settings, config.to_toml()).map_err(|error| failed("write settings", error))?;
         let log = File::create(log_path(folder.path()))
             .map_err(|error| failed("write the node's log", error))?;
-        let program = std::env::current_exe().map_err(|error| failed("find this program", error))?;
+        let program =
+            std::env::current_exe().map_err(|error| failed("find this program", error))?;
         let mut command = Command::new(program);
         if std::env::var_os(log::VARIABLE).is_none() {
             command.env(log::VARIABLE, "warn");
