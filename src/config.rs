@@ -8,6 +8,7 @@ use thiserror::Error;
 
 use crate::core::tracker;
 use crate::io::bus;
+use crate::io::wire::{NameError, valid_name};
 use crate::live;
 
 /// All settings; `config/default.toml` explains each.
@@ -58,6 +59,16 @@ pub enum ConfigError {
         /// The allowed range.
         allowed: &'static str,
     },
+    /// A stage or an actor that cannot be part of a topic.
+    #[error("{}: {key}: {source}", path.display())]
+    Name {
+        /// The file.
+        path: PathBuf,
+        /// Full name of the key.
+        key: &'static str,
+        /// The name, and what it may hold.
+        source: NameError,
+    },
 }
 
 impl Config {
@@ -81,6 +92,14 @@ impl Config {
             let reason = error.message().replace('\n', " ");
             ConfigError::Malformed { path: path.into(), line, reason }
         })?;
+        for (key, name) in [("node.stage", &config.node.stage), ("node.actor", &config.node.actor)]
+        {
+            valid_name(name).map_err(|source| ConfigError::Name {
+                path: path.into(),
+                key,
+                source,
+            })?;
+        }
         match config.out_of_range() {
             Some((key, value, allowed)) => {
                 Err(ConfigError::OutOfRange { path: path.into(), key, value, allowed })
@@ -235,18 +254,29 @@ mod tests {
 
     #[test]
     fn errors_name_file_line_and_key() {
-        let unknown = parse("[track]\nwindow_frames = 10\nwindow_size = 3\n").unwrap_err();
+        let unknown = parse("[tracker]\nwindow_frames = 10\nwindow_size = 3\n").unwrap_err();
         assert!(
             unknown.contains("my.toml, line 3") && unknown.contains("window_size"),
             "{unknown}"
         );
-        let kind = parse("[track]\nwindow_frames = \"ten\"\n").unwrap_err();
+        let kind = parse("[tracker]\nwindow_frames = \"ten\"\n").unwrap_err();
         assert!(kind.contains("line 2"), "{kind}");
-        let zero = parse("[track]\nwindow_frames = 0\n").unwrap_err();
+        let zero = parse("[tracker]\nwindow_frames = 0\n").unwrap_err();
         assert!(zero.contains("tracker.window_frames is 0"), "{zero}");
         let negative = parse("[tracker.cost]\nscale_px = -1.0\n").unwrap_err();
         assert!(negative.contains("tracker.cost.scale_px is -1"), "{negative}");
         assert!(!kind.contains('\n') && !unknown.contains('\n'));
+    }
+
+    #[test]
+    fn names_that_no_topic_can_hold_are_refused() {
+        for key in ["stage", "actor"] {
+            let error = parse(&format!("[node]\n{key} = \"my stage/1\"\n")).unwrap_err();
+            assert!(
+                error.contains(&format!("node.{key}: ")) && error.contains("my stage/1"),
+                "{error}"
+            );
+        }
     }
 
     #[test]
@@ -277,22 +307,22 @@ mod tests {
             assert!(error.ends_with(&format!("but must be {allowed}")), "{error}");
         };
         for value in ["0.5", "1001.0", "-60.0", "inf", "nan"] {
-            refused("track", "frame_rate_hz", value, "0 (find it) or 1 to 1000");
+            refused("tracker", "frame_rate_hz", value, "0 (find it) or 1 to 1000");
         }
-        refused("track", "window_frames", "1001", "1 to 1000");
-        refused("track", "keyframe_frames", "0", "1 to 1000");
-        refused("track", "publish_frames", "0", "1 to 1000");
-        refused("track", "deadline_frames", "1001", "0 to 1000");
-        refused("track", "shape_windows", "0", "1 to 100");
-        refused("track", "shape_windows", "101", "1 to 100");
-        refused("track", "iterations", "0", "1 to 1000");
-        refused("track", "iterations", "1000000", "1 to 1000");
-        refused("track", "acquisition_iterations", "0", "1 to 1000");
-        refused("track", "provisional_iterations", "1001", "0 to 1000");
-        refused("track", "offset_windows", "1001", "0 to 1000");
-        refused("track", "coast_windows", "1001", "0 to 1000");
-        refused("track", "grace_windows", "0", "1 to 1000");
-        refused("track", "min_confidence", "1.5", "0 to 1");
+        refused("tracker", "window_frames", "1001", "1 to 1000");
+        refused("tracker", "keyframe_frames", "0", "1 to 1000");
+        refused("tracker", "publish_frames", "0", "1 to 1000");
+        refused("tracker", "deadline_frames", "1001", "0 to 1000");
+        refused("tracker", "shape_windows", "0", "1 to 100");
+        refused("tracker", "shape_windows", "101", "1 to 100");
+        refused("tracker", "iterations", "0", "1 to 1000");
+        refused("tracker", "iterations", "1000000", "1 to 1000");
+        refused("tracker", "acquisition_iterations", "0", "1 to 1000");
+        refused("tracker", "provisional_iterations", "1001", "0 to 1000");
+        refused("tracker", "offset_windows", "1001", "0 to 1000");
+        refused("tracker", "coast_windows", "1001", "0 to 1000");
+        refused("tracker", "grace_windows", "0", "1 to 1000");
+        refused("tracker", "min_confidence", "1.5", "0 to 1");
         refused("tracker.cost", "scale_px", "0.0", "a number above 0");
         refused("tracker.cost", "prior", "-1.0", "0 or a number above");
         refused("tracker.cost", "prior_dof", "nan", "0 or a number above");
@@ -305,7 +335,7 @@ mod tests {
         refused("node", "output_rate_hz", "0.5", "0 (the cameras') or 1 to 1000");
         refused("tracker.gate", "lost_observations", "-1.0", "0 or a number above");
         for rate in ["0.0", "1.0", "59.94", "1000.0"] {
-            parse(&format!("[track]\nframe_rate_hz = {rate}\n")).unwrap();
+            parse(&format!("[tracker]\nframe_rate_hz = {rate}\n")).unwrap();
         }
         parse("[tracker.cost]\nprior = 0.0\nshape_prior = 0.0\n").unwrap();
     }

@@ -89,6 +89,8 @@
 //! - \[Zhou 2019\] Zhou, Barnes, Lu, Yang, Li. On the continuity of rotation representations in
 //!   neural networks. CVPR 2019.
 
+#![cfg_attr(not(test), deny(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
 #[cfg(feature = "cli")]
 pub mod cli;
 #[cfg(feature = "live")]

@@ -254,7 +254,7 @@ mod tests {
     fn a_pose_is_printed_with_its_latencies() {
         let said = line(&of(&Topics::default().pose(), &pose()));
         for part in [
-            "00:00:01.251 stage/actor/actor/pose",
+            "00:00:01.251 mocap/stage/actor/actor/pose",
             "window 7, coasting",
             "latency 251.0 ms",
             "declared 250.0 ms, 1.00 ms late",

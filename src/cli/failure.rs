@@ -120,7 +120,9 @@ impl From<ConfigError> for Failure {
     fn from(error: ConfigError) -> Self {
         let exit = match &error {
             ConfigError::Unreadable { .. } => Exit::Unreadable,
-            ConfigError::Malformed { .. } | ConfigError::OutOfRange { .. } => Exit::Malformed,
+            ConfigError::Malformed { .. }
+            | ConfigError::OutOfRange { .. }
+            | ConfigError::Name { .. } => Exit::Malformed,
         };
         Self::new(exit, error.to_string())
     }

@@ -12,6 +12,8 @@ use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_r
 use serde_json::Value;
 use tempfile::TempDir;
 
+use crate::support::data;
+
 const UNREADABLE: i32 = 3;
 const MALFORMED: i32 = 4;
 const NOBODY_FOUND: i32 = 5;
@@ -535,16 +537,9 @@ fn motions_that_cannot_be_trained_on() {
     place.fails(MALFORMED, "train motions --out w.safetensors", &["a.bvh"]);
 }
 
-/// The folder of the real recordings, where there is one.
+/// Folder of the real recordings, if the data is available.
 fn real_set() -> Option<PathBuf> {
-    let data = std::env::var_os("BUNDLEMOCAP_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
-    let set = data.join("recordings/pose2sim");
-    if set.is_dir() {
-        return Some(set.canonicalize().unwrap());
-    }
-    println!("skipped: {} is not there; set BUNDLEMOCAP_DATA", set.display());
-    None
+    data("recordings/pose2sim")
 }
 
 /// Imports one of the real recordings; the reference of the same performer.

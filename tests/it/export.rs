@@ -78,7 +78,7 @@ fn another_parser_finds_the_joints_where_they_are() {
     let poses = motion(&skeleton);
     write_bvh(&path, &skeleton, 20.0, &poses).unwrap();
     let Some(lines) = read_elsewhere(&path) else {
-        println!("skipped: python3 with the package bvh (pip install bvh) is not there");
+        crate::support::skipped("python3 with the package bvh (pip install bvh) is not there");
         return;
     };
     let head: Vec<&str> = lines[0].split(' ').collect();

@@ -7,11 +7,14 @@ use std::path::{Path, PathBuf};
 use bundlemocap::core::camera::{Camera, Lens, Rig, View, triangulate_robust};
 use bundlemocap::core::detections::{Detections, Keypoint, KeypointFormat, Person};
 use bundlemocap::core::so3;
+use bundlemocap::io::formats::trc::Trc;
 use bundlemocap::io::formats::{
     ImportError, MatchedBy, OpenposeFolder, Up, keypoint_format, read_calibration,
 };
 use nalgebra::{Vector2, Vector3};
 use tempfile::TempDir;
+
+use crate::support::data;
 
 const LIMBS: [(Keypoint, &str); 12] = [
     (Keypoint::LShoulder, "LShoulder"),
@@ -28,16 +31,9 @@ const LIMBS: [(Keypoint, &str); 12] = [
     (Keypoint::RAnkle, "RAnkle"),
 ];
 
-/// The real set, where it is there.
+/// Folder of the real recordings, if the data is available.
 fn real_set() -> Option<PathBuf> {
-    let root = std::env::var_os("BUNDLEMOCAP_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
-    let set = root.join("recordings/pose2sim");
-    if !set.is_dir() {
-        println!("skipped: no real recordings (set BUNDLEMOCAP_DATA)");
-        return None;
-    }
-    Some(set)
+    data("recordings/pose2sim")
 }
 
 fn toml_rig(set: &Path) -> Rig {
@@ -518,5 +514,22 @@ fn a_qualisys_rotation_that_is_none_is_refused() {
     for r33 in [0.5, -1.0] {
         let error = calibration(&file(r33), Up::Y).unwrap_err();
         assert!(error.to_string().contains("camera b: the rotation is no rotation"), "{error}");
+    }
+}
+
+#[test]
+fn real_trc_files_are_read() {
+    let Some(set) = real_set() else { return };
+    let folder = set.join("balancing/pose-3d");
+    let read = |end: &str| {
+        let name = format!("S00_P00_T01_BalancingTrial_0-100{end}.trc");
+        Trc::read(&folder.join(name)).unwrap()
+    };
+    let (raw, augmented) = (read(""), read("_filt_butterworth_LSTM"));
+    assert_eq!((raw.rows.len(), raw.first_frame, raw.names.len()), (100, 0, 21));
+    assert_eq!((augmented.rows.len(), augmented.names.len()), (100, 64));
+    for keypoint in [Keypoint::LShoulder, Keypoint::RWrist, Keypoint::LHip, Keypoint::RAnkle] {
+        assert!(raw.column_of(keypoint).is_some());
+        assert_eq!(raw.column_of(keypoint), augmented.column_of(keypoint));
     }
 }

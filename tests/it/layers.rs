@@ -5,8 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Folders in which files may import each other in a circle, with the reason.
-const CIRCLES: [(&str, &str); 0] = [];
+/// Files that may import each other in a circle: the folder, the files, the reason.
+const CIRCLES: [(&str, &str, &str); 1] = [(
+    "core/tracker",
+    "playout, tracker, window",
+    "one state machine, `Tracker`, in several files",
+)];
 
 /// The place of each module in the table, and of each part as `module::part`.
 type Table = BTreeMap<String, usize>;
@@ -42,7 +46,8 @@ fn sources(folder: &Path) -> Vec<PathBuf> {
 
 /// The code without comments and without the tests at its end.
 fn code(text: &str) -> String {
-    let text = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
+    let text = text.split("\n#[cfg(test)]").next().unwrap_or_default();
+    let text = text.split("\n#[cfg(all(test,").next().unwrap_or_default();
     text.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n")
 }
 
@@ -200,12 +205,11 @@ fn files_of_a_folder_do_not_import_each_other_in_a_circle() {
     let mut wrong = Vec::new();
     for folder in folders {
         let name = folder.strip_prefix(&root).unwrap().display().to_string();
-        let excused = CIRCLES.iter().any(|(folder, _)| *folder == name);
-        let files = circles(&imports_within(&folder, &root));
-        match files.is_empty() {
-            false if !excused => wrong.push(format!("src/{name}: {}", files.join(", "))),
-            true if excused => wrong.push(format!("src/{name} has no circle: take its reason out")),
-            _ => {}
+        let excused = CIRCLES.iter().find(|(folder, ..)| *folder == name);
+        let expected = excused.map_or("", |(_, files, _)| files);
+        let found = circles(&imports_within(&folder, &root)).join(", ");
+        if found != expected {
+            wrong.push(format!("src/{name}: found {found:?}, expected {expected:?}"));
         }
     }
     assert!(wrong.is_empty(), "files that import each other in a circle:\n{}", wrong.join("\n"));

@@ -32,6 +32,7 @@ mod retarget;
 #[cfg(feature = "research")]
 mod slahmr;
 mod solve;
+mod support;
 #[cfg(feature = "research")]
 mod synth;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]

@@ -20,13 +20,13 @@ fn generated() -> Option<tempfile::TempDir> {
     match Command::new("python3").args(["-c", packages]).output() {
         Ok(output) if output.status.success() => {}
         Ok(_) => {
-            println!(
-                "skipped: pip install eclipse-zenoh protobuf grpcio-tools mcap zstandard lz4 first"
+            crate::support::skipped(
+                "pip install eclipse-zenoh protobuf grpcio-tools mcap zstandard lz4 first",
             );
             return None;
         }
         Err(_) => {
-            println!("skipped: python3 is not installed");
+            crate::support::skipped("python3 is not installed");
             return None;
         }
     }

@@ -362,12 +362,15 @@ fn another_implementation_reads_the_same() {
     let path = folder.path().join("whole.mcap");
     let Ok(output) = Command::new("python3").args(["-c", READ_WITH_PYTHON]).arg(path).output()
     else {
-        println!("skipped: python3 is not installed");
+        crate::support::skipped("python3 is not installed");
         return;
     };
     let said = String::from_utf8_lossy(&output.stdout);
     if said.starts_with("no package") {
-        println!("skipped: {} (pip install mcap mcap-protobuf-support)", said.trim());
+        crate::support::skipped(&format!(
+            "{} (pip install mcap mcap-protobuf-support)",
+            said.trim()
+        ));
         return;
     }
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

@@ -22,6 +22,8 @@ use bundlemocap::retarget::{Channels, Convention, Figure, Map, Retarget, Target}
 use expect_test::expect;
 use nalgebra::{Matrix3, Vector3};
 
+use crate::support::data;
+
 const ZYX: &str = "Zrotation Yrotation Xrotation";
 
 /// Bones of the limbs: from, to.
@@ -779,14 +781,7 @@ fn live_poses_are_retargeted_and_written_at_the_end() {
 
 /// Folder of the motion clips, if the data is available.
 fn corpus() -> Option<PathBuf> {
-    let root = std::env::var_os("BUNDLEMOCAP_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
-    let folder = root.join("motions/cmu");
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: no motion clips in {}; set BUNDLEMOCAP_DATA", folder.display());
-    None
+    data("motions/cmu")
 }
 
 #[test]

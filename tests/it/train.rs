@@ -12,6 +12,8 @@ use bundlemocap::research::train::{
 };
 use nalgebra::{Matrix3, Vector3};
 
+use crate::support::data;
+
 /// Name, parent index and offset of each joint.
 type Tree = &'static [(&'static str, usize, [f64; 3])];
 
@@ -318,15 +320,7 @@ fn bad_input_is_named() {
 
 /// Folder of the motion clips, if the data is available.
 fn corpus() -> Option<PathBuf> {
-    let root = std::env::var_os("BUNDLEMOCAP_DATA")
-        .map(PathBuf::from)
-        .unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"));
-    let folder = root.join("motions/cmu");
-    if !folder.is_dir() {
-        println!("skipped: no motion clips in {}", folder.display());
-        return None;
-    }
-    Some(folder)
+    data("motions/cmu")
 }
 
 /// Our joint, and the two ends of its bone in each of the two skeletons.
@@ -351,7 +345,7 @@ fn the_whole_corpus_is_read_and_limb_directions_match_the_files() {
     let Some(folder) = corpus() else { return };
     let clips = read_folder(&folder).unwrap();
     let frames: usize = clips.iter().map(|clip| clip.poses.len()).sum();
-    assert_eq!((clips.len(), frames), (165, 67_929));
+    assert_eq!((clips.len(), frames), (173, 86_321));
     assert_eq!(clips[0].poses[0].len(), 6 * BODY_JOINTS);
     for clip in clips.iter().step_by(7) {
         let text = std::fs::read_to_string(folder.join(format!("{}.bvh", clip.name))).unwrap();

@@ -11,21 +11,25 @@
 
 mod chain_rule;
 mod config;
+mod counts;
 mod frame_cost;
 mod marginal;
 mod observation;
 mod observation_batch;
 mod path;
 mod robust;
+mod scene;
 mod stiffness;
 mod unknowns;
 mod workspace;
 
 pub use config::Config;
+pub use counts::Counts;
 pub use marginal::Marginal;
 pub use observation::{FrameObservations, Observation};
-pub use path::{PathProblem, Scene};
+pub use path::PathProblem;
 pub use robust::GemanMcClure;
+pub use scene::Scene;
 pub use stiffness::Stiffness;
 pub use unknowns::{FreeBody, PathKeyframe};
-pub use workspace::{Counts, Workspace};
+pub use workspace::Workspace;

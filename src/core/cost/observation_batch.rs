@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::workspace::Counts;
+use super::counts::Counts;
 use crate::core::body::{BODY_JOINTS, Tangents};
 use crate::core::linalg;
 use crate::core::manifold::{Decoder, Jacobians, LATENT, Latent};

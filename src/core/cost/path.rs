@@ -10,26 +10,13 @@ use super::config::Config;
 use super::frame_cost::{self, Path};
 use super::observation::{FrameObservations, Observation};
 use super::robust::{GemanMcClure, StudentT};
+use super::scene::Scene;
 use super::unknowns::{FreeBody, KEYFRAME, PathKeyframe, Unknowns};
 use super::workspace::{Workspace, in_batches};
-use crate::core::body::{BodyPoint, SHAPE_COEFFICIENTS, Skeleton};
-use crate::core::camera::Rig;
-use crate::core::manifold::{Decoder, Keyframe, LATENT};
+use crate::core::body::{SHAPE_COEFFICIENTS, Skeleton};
+use crate::core::manifold::{Keyframe, LATENT};
 use crate::core::optimise::{Layout, NormalEquations, Problem};
 use crate::core::time::Timestamp;
-
-/// What a cost needs besides the unknowns.
-#[derive(Clone, Copy, Debug)]
-pub struct Scene<'a> {
-    /// The manifold.
-    pub decoder: &'a Decoder,
-    /// The cameras.
-    pub rig: &'a Rig,
-    /// The detector's points that are fitted.
-    pub points: &'a [BodyPoint],
-    /// Weights.
-    pub config: &'a Config,
-}
 
 /// The cost of a path, for an optimiser; [`PathProblem::solution`] turns its result into keyframes and
 /// body.

@@ -1,10 +1,9 @@
 //! Memory of a problem: its frames in two batches, which are computed one after the other or at the
 //! same time, with the same results.
 
-use std::ops::Add;
-
 use nalgebra::Vector3;
 
+use super::counts::Counts;
 use super::observation::FrameObservations;
 use super::observation_batch::ObservationBatch;
 
@@ -18,44 +17,6 @@ pub struct Workspace {
     pub(super) offsets: Vec<Vector3<f64>>,
     /// Memory of the chain rule of a block.
     pub(super) half: Vec<f64>,
-}
-
-/// Counts of what was computed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
-    /// Codes decoded.
-    pub decoded: usize,
-    /// Codes at which the decoder was linearised.
-    pub linearised: usize,
-    /// Gradients carried back through the decoder.
-    pub gradients: usize,
-    /// Frames whose Hessian was computed.
-    pub frames: usize,
-}
-
-impl Add for Counts {
-    type Output = Self;
-
-    fn add(self, other: Self) -> Self {
-        Self {
-            decoded: self.decoded + other.decoded,
-            linearised: self.linearised + other.linearised,
-            gradients: self.gradients + other.gradients,
-            frames: self.frames + other.frames,
-        }
-    }
-}
-
-impl Counts {
-    /// The counts since `before`.
-    pub fn since(self, before: Self) -> Self {
-        Self {
-            decoded: self.decoded - before.decoded,
-            linearised: self.linearised - before.linearised,
-            gradients: self.gradients - before.gradients,
-            frames: self.frames - before.frames,
-        }
-    }
 }
 
 /// The first batch holds a multiple of this many frames: so many codes go through a layer at once.

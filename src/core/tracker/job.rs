@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::effort::Effort;
-use super::noise::Noise;
+use super::noise::{Noise, Residual};
 use super::offset_estimator::OffsetEstimator;
 use crate::core::body::{Pose, Skeleton, TrackingState};
 use crate::core::camera::Rig;
@@ -179,21 +179,4 @@ impl Verdict {
             Self::Lost(_) => TrackingState::Lost,
         }
     }
-}
-
-/// The distance of a detected point from the solved body.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Residual {
-    /// Capture time of the detection.
-    pub capture: Timestamp,
-    /// Index of the camera.
-    pub camera: usize,
-    /// Index of the point in the format.
-    pub point: usize,
-    /// Distance in the image, pixels; infinite for a point behind the camera.
-    pub error_px: f64,
-    /// The same as a part of the performer's height in that image.
-    pub error_relative: f64,
-    /// The detector's confidence.
-    pub confidence: f64,
 }

@@ -4,13 +4,30 @@
 //! carry half the information, so the weights of prior and stiffness are proportional to the variance.
 
 use super::association::median;
-use super::job::Residual;
+use crate::core::time::Timestamp;
 
 /// The running mean covers about this many windows.
 const WINDOWS: f64 = 20.0;
 /// Limits of the weights' factor: small errors leave those of our model, and poses must still follow
 /// detections with large ones.
 const FACTORS: (f64, f64) = (0.3, 2.0);
+
+/// The distance of a detected point from the solved body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Residual {
+    /// Capture time of the detection.
+    pub capture: Timestamp,
+    /// Index of the camera.
+    pub camera: usize,
+    /// Index of the point in the format.
+    pub point: usize,
+    /// Distance in the image, pixels; infinite for a point behind the camera.
+    pub error_px: f64,
+    /// The same as a part of the performer's height in that image.
+    pub error_relative: f64,
+    /// The detector's confidence.
+    pub confidence: f64,
+}
 
 /// A running estimate of the detections' errors: the median distance from the solved body, pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

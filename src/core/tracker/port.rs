@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use super::event::Event;
-use super::job::{Job, Residual, Solution, Verdict};
+use super::job::{Job, Solution, Verdict};
+use super::noise::Residual;
 use crate::core::body::{Skeleton, StampedPose};
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;

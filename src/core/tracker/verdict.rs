@@ -2,7 +2,8 @@
 
 use super::association::{extent, median};
 use super::config::Gate;
-use super::job::{Job, Residual, Verdict};
+use super::job::{Job, Verdict};
+use super::noise::Residual;
 use crate::core::body::{BodyPoint, Pose, Skeleton};
 use crate::core::camera::Rig;
 use crate::core::cost::FrameObservations;

@@ -223,25 +223,4 @@ mod tests {
         let absent = Trc::read(Path::new("no/such.trc")).unwrap_err().to_string();
         assert!(absent.contains("no/such.trc"), "{absent}");
     }
-
-    #[test]
-    fn real_files_are_read() {
-        let data = std::env::var("BUNDLEMOCAP_DATA")
-            .unwrap_or(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared").into());
-        if !Path::new(&data).is_dir() {
-            return println!("skipped: {data} is not there");
-        }
-        let folder = Path::new(&data).join("recordings/pose2sim/balancing/pose-3d");
-        let read = |end: &str| {
-            let name = format!("S00_P00_T01_BalancingTrial_0-100{end}.trc");
-            Trc::read(&folder.join(name)).unwrap()
-        };
-        let (raw, augmented) = (read(""), read("_filt_butterworth_LSTM"));
-        assert_eq!((raw.rows.len(), raw.first_frame, raw.names.len()), (100, 0, 21));
-        assert_eq!((augmented.rows.len(), augmented.names.len()), (100, 64));
-        for keypoint in [Keypoint::LShoulder, Keypoint::RWrist, Keypoint::LHip, Keypoint::RAnkle] {
-            assert!(raw.column_of(keypoint).is_some());
-            assert_eq!(raw.column_of(keypoint), augmented.column_of(keypoint));
-        }
-    }
 }

@@ -153,7 +153,7 @@ impl<'a> Player<'a> {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "research"))]
 mod tests {
     use std::cell::Cell;
     use std::sync::{Arc, Mutex};

@@ -263,7 +263,7 @@ impl CameraFrames {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "research"))]
 pub(crate) mod tests {
     use std::path::PathBuf;
 

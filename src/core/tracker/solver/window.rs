@@ -10,7 +10,8 @@ use crate::core::cost::{self, FrameObservations, PathKeyframe, PathProblem, Scen
 use crate::core::manifold::TimedKeyframe;
 use crate::core::optimise::Summary;
 use crate::core::time::Timestamp;
-use crate::core::tracker::job::{Job, Outcome, ProvisionalFit, Residual, Tracked, Verdict};
+use crate::core::tracker::job::{Job, Outcome, ProvisionalFit, Tracked, Verdict};
+use crate::core::tracker::noise::Residual;
 use crate::core::tracker::offset_estimator::OffsetEstimator;
 use crate::core::tracker::verdict::{hidden, residuals, verdict};
 
