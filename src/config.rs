@@ -59,14 +59,14 @@ pub enum ConfigError {
         /// The allowed range.
         allowed: &'static str,
     },
-    /// A stage or an actor that cannot be part of a topic.
+    /// An invalid name of a stage or an actor.
     #[error("{}: {key}: {source}", path.display())]
     Name {
         /// The file.
         path: PathBuf,
         /// Full name of the key.
         key: &'static str,
-        /// The name, and what it may hold.
+        /// The name and the allowed characters.
         source: NameError,
     },
 }
@@ -117,11 +117,11 @@ impl Config {
     fn out_of_range(&self) -> Option<(&'static str, f64, &'static str)> {
         let rate = self.tracker.frame_rate_hz;
         if rate != 0.0 && !is_frame_rate(rate) {
-            return Some(("tracker.frame_rate_hz", rate, "0 (find it) or 1 to 1000"));
+            return Some(("tracker.frame_rate_hz", rate, "0 (estimated) or 1 to 1000"));
         }
         let rate = self.node.output_rate_hz;
         if rate != 0.0 && !is_frame_rate(rate) {
-            return Some(("node.output_rate_hz", rate, "0 (the cameras') or 1 to 1000"));
+            return Some(("node.output_rate_hz", rate, "0 (rate of the cameras) or 1 to 1000"));
         }
         let mut limits = self.counts().into_iter().chain(self.weights());
         let wrong = limits.find(|(_, value, range, _)| !range.contains(value));
@@ -167,7 +167,7 @@ impl Config {
     fn weights(&self) -> [Limit; 19] {
         let tracker::Config { cost, gate, min_confidence, .. } = self.tracker;
         let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
-        let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
+        let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or more");
         [
             from_0("tracker.reference_residual_px", self.tracker.reference_residual_px),
             ("tracker.min_confidence", min_confidence, 0.0..=1.0, "0 to 1"),
@@ -187,7 +187,7 @@ impl Config {
             above_0("tracker.gate.lost_residual", gate.lost_residual),
             above_0("tracker.gate.lost_latent", gate.lost_latent),
             from_0("tracker.gate.lost_observations", gate.lost_observations),
-            ("node.latency_ms", self.node.latency_ms, 0.0..=6e4, "0 (find it) to 60000"),
+            ("node.latency_ms", self.node.latency_ms, 0.0..=6e4, "0 (estimated) to 60000"),
         ]
     }
 }
@@ -307,7 +307,7 @@ mod tests {
             assert!(error.ends_with(&format!("but must be {allowed}")), "{error}");
         };
         for value in ["0.5", "1001.0", "-60.0", "inf", "nan"] {
-            refused("tracker", "frame_rate_hz", value, "0 (find it) or 1 to 1000");
+            refused("tracker", "frame_rate_hz", value, "0 (estimated) or 1 to 1000");
         }
         refused("tracker", "window_frames", "1001", "1 to 1000");
         refused("tracker", "keyframe_frames", "0", "1 to 1000");
@@ -324,16 +324,16 @@ mod tests {
         refused("tracker", "grace_windows", "0", "1 to 1000");
         refused("tracker", "min_confidence", "1.5", "0 to 1");
         refused("tracker.cost", "scale_px", "0.0", "a number above 0");
-        refused("tracker.cost", "prior", "-1.0", "0 or a number above");
-        refused("tracker.cost", "prior_dof", "nan", "0 or a number above");
-        refused("tracker.cost", "shape_prior", "inf", "0 or a number above");
-        refused("tracker.cost", "offset_prior", "-1.0", "0 or a number above");
-        refused("tracker.cost.stiffness", "turn", "-0.1", "0 or a number above");
+        refused("tracker.cost", "prior", "-1.0", "0 or more");
+        refused("tracker.cost", "prior_dof", "nan", "0 or more");
+        refused("tracker.cost", "shape_prior", "inf", "0 or more");
+        refused("tracker.cost", "offset_prior", "-1.0", "0 or more");
+        refused("tracker.cost.stiffness", "turn", "-0.1", "0 or more");
         refused("tracker.gate", "follow", "nan", "a number above 0");
         refused("node", "queue", "15", "16 to 1000000");
-        refused("node", "latency_ms", "-1.0", "0 (find it) to 60000");
-        refused("node", "output_rate_hz", "0.5", "0 (the cameras') or 1 to 1000");
-        refused("tracker.gate", "lost_observations", "-1.0", "0 or a number above");
+        refused("node", "latency_ms", "-1.0", "0 (estimated) to 60000");
+        refused("node", "output_rate_hz", "0.5", "0 (rate of the cameras) or 1 to 1000");
+        refused("tracker.gate", "lost_observations", "-1.0", "0 or more");
         for rate in ["0.0", "1.0", "59.94", "1000.0"] {
             parse(&format!("[tracker]\nframe_rate_hz = {rate}\n")).unwrap();
         }
