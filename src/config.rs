@@ -11,19 +11,19 @@ use crate::io::bus;
 use crate::io::wire::{NameError, valid_name};
 use crate::live;
 
-/// All settings. `config/default.toml` holds the defaults with a comment each.
+/// All settings; `config/default.toml` explains each.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Of the tracking machine and of what it solves.
+    /// The tracker.
     pub tracker: tracker::Config,
-    /// Of the live node.
+    /// The live node.
     pub node: live::Config,
-    /// How the live node and the tools beside it exchange messages.
+    /// How the live node and the tools exchange messages.
     pub bus: bus::Config,
 }
 
-/// The defaults as a file with comments.
+/// The defaults, with comments.
 pub const DEFAULT_TOML: &str = include_str!("../config/default.toml");
 
 /// Why a configuration file cannot be used.
@@ -37,45 +37,45 @@ pub enum ConfigError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// No TOML, an unknown key, or a value of another kind.
+    /// Not TOML, an unknown key, or a value of the wrong type.
     #[error("{}, line {line}: {reason}; config/default.toml lists every key", path.display())]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// From 1.
+        /// The line, from 1.
         line: usize,
-        /// What is wrong, with the key.
+        /// The reason, with the key.
         reason: String,
     },
-    /// A number that makes no sense.
+    /// A number out of range.
     #[error("{}: {key} is {value}, but must be {allowed}", path.display())]
     OutOfRange {
         /// The file.
         path: PathBuf,
         /// Full name of the key.
         key: &'static str,
-        /// What the file says.
+        /// The value in the file.
         value: f64,
-        /// What it may say.
+        /// The allowed range.
         allowed: &'static str,
     },
-    /// A stage or an actor that cannot be part of a topic.
+    /// An invalid name of a stage or an actor.
     #[error("{}: {key}: {source}", path.display())]
     Name {
         /// The file.
         path: PathBuf,
         /// Full name of the key.
         key: &'static str,
-        /// The name, and what it may hold.
+        /// The name and the allowed characters.
         source: NameError,
     },
 }
 
 impl Config {
-    /// Reads a file; keys that it does not have keep their defaults.
+    /// Reads a file; missing keys keep their defaults.
     ///
     /// # Errors
-    /// A file that cannot be read, unknown keys, values of another kind or out of range.
+    /// An unreadable file, unknown keys, values of the wrong type or out of range.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| ConfigError::Unreadable { path: path.into(), source })?;
@@ -113,22 +113,22 @@ impl Config {
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// The first number out of range: its key, its value and what is allowed.
+    /// The first number out of range: key, value and allowed range.
     fn out_of_range(&self) -> Option<(&'static str, f64, &'static str)> {
         let rate = self.tracker.frame_rate_hz;
         if rate != 0.0 && !is_frame_rate(rate) {
-            return Some(("tracker.frame_rate_hz", rate, "0 (find it) or 1 to 1000"));
+            return Some(("tracker.frame_rate_hz", rate, "0 (estimated) or 1 to 1000"));
         }
         let rate = self.node.output_rate_hz;
         if rate != 0.0 && !is_frame_rate(rate) {
-            return Some(("node.output_rate_hz", rate, "0 (the cameras') or 1 to 1000"));
+            return Some(("node.output_rate_hz", rate, "0 (rate of the cameras) or 1 to 1000"));
         }
         let mut limits = self.counts().into_iter().chain(self.weights());
         let wrong = limits.find(|(_, value, range, _)| !range.contains(value));
         wrong.map(|(key, value, _, allowed)| (key, value, allowed)).or_else(|| self.misfit())
     }
 
-    /// Published frames that do not fit the window and its keyframes.
+    /// `publish_frames` if it does not fit the window and its keyframes.
     fn misfit(&self) -> Option<(&'static str, f64, &'static str)> {
         let tracker::Config { window_frames, keyframe_frames, publish_frames, .. } = self.tracker;
         let fits =
@@ -167,7 +167,7 @@ impl Config {
     fn weights(&self) -> [Limit; 19] {
         let tracker::Config { cost, gate, min_confidence, .. } = self.tracker;
         let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
-        let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or a number above");
+        let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or more");
         [
             from_0("tracker.reference_residual_px", self.tracker.reference_residual_px),
             ("tracker.min_confidence", min_confidence, 0.0..=1.0, "0 to 1"),
@@ -187,20 +187,20 @@ impl Config {
             above_0("tracker.gate.lost_residual", gate.lost_residual),
             above_0("tracker.gate.lost_latent", gate.lost_latent),
             from_0("tracker.gate.lost_observations", gate.lost_observations),
-            ("node.latency_ms", self.node.latency_ms, 0.0..=6e4, "0 (find it) to 60000"),
+            ("node.latency_ms", self.node.latency_ms, 0.0..=6e4, "0 (estimated) to 60000"),
         ]
     }
 }
 
-/// A key, its value, the range that is allowed, and the range in words.
+/// A key, its value, the allowed range, and that range in words.
 type Limit = (&'static str, f64, RangeInclusive<f64>, &'static str);
 
-/// Whether cameras may take that many frames a second: 1 to 1000.
+/// Whether a frame rate is allowed: 1 to 1000 Hz.
 pub fn is_frame_rate(hz: f64) -> bool {
     (1.0..=1000.0).contains(&hz)
 }
 
-/// The number of the line, from 1, that holds a byte.
+/// The line, from 1, that contains a byte.
 fn line_at(text: &str, byte: usize) -> usize {
     1 + text.bytes().take(byte).filter(|&b| b == b'\n').count()
 }
@@ -307,7 +307,7 @@ mod tests {
             assert!(error.ends_with(&format!("but must be {allowed}")), "{error}");
         };
         for value in ["0.5", "1001.0", "-60.0", "inf", "nan"] {
-            refused("tracker", "frame_rate_hz", value, "0 (find it) or 1 to 1000");
+            refused("tracker", "frame_rate_hz", value, "0 (estimated) or 1 to 1000");
         }
         refused("tracker", "window_frames", "1001", "1 to 1000");
         refused("tracker", "keyframe_frames", "0", "1 to 1000");
@@ -324,16 +324,16 @@ mod tests {
         refused("tracker", "grace_windows", "0", "1 to 1000");
         refused("tracker", "min_confidence", "1.5", "0 to 1");
         refused("tracker.cost", "scale_px", "0.0", "a number above 0");
-        refused("tracker.cost", "prior", "-1.0", "0 or a number above");
-        refused("tracker.cost", "prior_dof", "nan", "0 or a number above");
-        refused("tracker.cost", "shape_prior", "inf", "0 or a number above");
-        refused("tracker.cost", "offset_prior", "-1.0", "0 or a number above");
-        refused("tracker.cost.stiffness", "turn", "-0.1", "0 or a number above");
+        refused("tracker.cost", "prior", "-1.0", "0 or more");
+        refused("tracker.cost", "prior_dof", "nan", "0 or more");
+        refused("tracker.cost", "shape_prior", "inf", "0 or more");
+        refused("tracker.cost", "offset_prior", "-1.0", "0 or more");
+        refused("tracker.cost.stiffness", "rotation", "-0.1", "0 or more");
         refused("tracker.gate", "follow", "nan", "a number above 0");
         refused("node", "queue", "15", "16 to 1000000");
-        refused("node", "latency_ms", "-1.0", "0 (find it) to 60000");
-        refused("node", "output_rate_hz", "0.5", "0 (the cameras') or 1 to 1000");
-        refused("tracker.gate", "lost_observations", "-1.0", "0 or a number above");
+        refused("node", "latency_ms", "-1.0", "0 (estimated) to 60000");
+        refused("node", "output_rate_hz", "0.5", "0 (rate of the cameras) or 1 to 1000");
+        refused("tracker.gate", "lost_observations", "-1.0", "0 or more");
         for rate in ["0.0", "1.0", "59.94", "1000.0"] {
             parse(&format!("[tracker]\nframe_rate_hz = {rate}\n")).unwrap();
         }

@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""A camera node: publishes the 2D keypoints that a detector finds.
+"""A camera node: publishes the 2D keypoints of a detector.
 
-Put `CameraNode` behind a detector of your own:
+Use `CameraNode` with your own detector:
 
     session = mocap.open_session()
     camera = CameraNode(session, "cam_1", size=(1920, 1080), format="body_25")
-    camera.publish(people, capture_time_ns)      # for every image, also when nobody is seen
+    camera.publish(people, capture_time_ns)      # for every image, even without people
 
-As a program it stands in for detectors: it takes the keypoints of a recording and publishes them
-in real time, as if they were taken now, with the recording's calibration:
+As a program it replaces detectors: it publishes the keypoints and the calibration of a recording in
+real time, with new capture times:
 
     pip install eclipse-zenoh protobuf grpcio-tools mcap zstandard lz4
     python generate.py
@@ -24,18 +24,17 @@ from rig_pb2 import Rig
 
 
 class CameraNode:
-    """One camera. `name` is the one in the calibration, `size` that of the image in pixels,
-    `format` the order of the points: body_25, body_25b, coco_17, halpe_26 or
-    coco_wholebody_133."""
+    """One camera. `name` is its name in the calibration, `size` the image size in pixels, `format` the
+    keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133."""
 
     def __init__(self, session, name, size, format, stage="stage"):
         self._name, self._size, self._format, self._frame = name, size, format, 0
         self._stream = mocap.Stream(session, f"mocap/{stage}/camera/{name}/keypoints")
 
     def publish(self, people, capture_time_ns):
-        """`people` holds for each person the points in the order of the format: x and y in pixels
-        and a confidence, which is 0 where the point is missing. `capture_time_ns` is the middle
-        of the exposure on a clock that all cameras share (PTP), not the time of detection."""
+        """`people` contains the points of each person in the order of the format: x and y in pixels
+        and a confidence, 0 for a missing point. `capture_time_ns` is the middle of the exposure on a
+        clock that all cameras share (PTP), not the time of detection."""
         frame = KeypointFrame(
             camera=self._name,
             frame=self._frame,
@@ -55,7 +54,7 @@ def triples(numbers):
 
 
 def recorded(path):
-    """The calibration of a recording, or None, and its keypoint frames by capture time."""
+    """The calibration of a recording, or None, and its keypoint frames in order of capture time."""
     from mcap.reader import make_reader
 
     rig, frames = None, []
@@ -74,7 +73,7 @@ def play(session, path, names, stage, seconds):
     rig, frames = recorded(path)
     frames = [frame for frame in frames if not names or frame.camera in names]
     if not frames:
-        raise SystemExit(f"{path}: no keypoints of the cameras asked for")
+        raise SystemExit(f"{path}: no keypoints of the requested cameras")
     start = time.time_ns() + 200_000_000
     if rig is not None:
         state = mocap.State(session, f"mocap/{stage}/rig")
@@ -93,11 +92,11 @@ def play(session, path, names, stage, seconds):
 
 
 def main():
-    parser = argparse.ArgumentParser(description="publishes the keypoints of a recording")
+    parser = argparse.ArgumentParser(description="Publishes the keypoints of a recording.")
     parser.add_argument("recording", help="an MCAP file")
-    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="where the node listens")
-    parser.add_argument("--camera", action="append", help="only this one; may be repeated")
-    parser.add_argument("--stage", default="stage", help="name of the capture volume, second part of the topics")
+    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="address of the node")
+    parser.add_argument("--camera", action="append", help="publish only this camera; may be repeated")
+    parser.add_argument("--stage", default="stage", help="name of the capture volume")
     parser.add_argument("--seconds", type=float, help="stop after this many seconds of the recording")
     args = parser.parse_args()
     with mocap.open_session(args.connect) as session:

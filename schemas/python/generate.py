@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Compiles ../*.proto to Python, into the folder `generated` beside this file or the one given.
+"""Compiles ../*.proto to Python in FOLDER; default: `generated` beside this file.
 
     pip install grpcio-tools
     python generate.py [FOLDER]

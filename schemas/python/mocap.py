@@ -1,7 +1,7 @@
-"""What Python nodes share: a session, topics, and samples with their capture time.
+"""Shared by Python nodes: sessions, publishers and subscribers.
 
-A sample is a zenoh sample whose payload is a message of ../*.proto, whose encoding names the
-message, and whose attachment is the capture time: 8 bytes, little endian, nanoseconds.
+The payload of a zenoh sample is a message of ../*.proto, its encoding names the message, its
+attachment is the capture time in nanoseconds: 8 bytes, little endian.
 """
 
 import pathlib
@@ -15,20 +15,20 @@ sys.path.append(str(pathlib.Path(__file__).resolve().parent / "generated"))
 
 
 def open_session(connect="tcp/127.0.0.1:7447"):
-    """A client of the node at this address."""
+    """A session as client of the node at this address."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["{connect}"]')
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("timestamping/enabled", "false")
-    # On a busy machine a full queue is waited for up to 20 ms before a message is dropped.
+    # Wait up to 20 ms for a full queue before a message is dropped.
     queue = "transport/link/tx/queue"
     config.insert_json5(f"{queue}/congestion_control/drop/wait_before_drop", "20000")
     return zenoh.open(config)
 
 
 class Stream:
-    """Publishes messages that are of use only while they are new."""
+    """Publishes messages that matter only while they are new."""
 
     def __init__(self, session, topic):
         self._publisher = session.declare_publisher(
@@ -43,7 +43,7 @@ class Stream:
 
 
 class State:
-    """Publishes messages of which late joiners get the last ones."""
+    """Publishes messages; late joiners get the last ones."""
 
     def __init__(self, session, topic, history=1):
         self._publisher = zenoh.ext.declare_advanced_publisher(
@@ -67,12 +67,12 @@ def _about(message, capture_time_ns):
 
 
 def subscribe_stream(session, topic, message_type, handle):
-    """Calls `handle(message)` for what is new. Keep what it returns."""
+    """Calls `handle(message)` for new messages. Keep the returned subscriber."""
     return session.declare_subscriber(topic, _decoding(message_type, handle))
 
 
 def subscribe_state(session, topic, message_type, handle):
-    """Calls `handle(message)` for the last messages and for what is new. Keep what it returns."""
+    """Calls `handle(message)` for the last and for new messages. Keep the returned subscriber."""
     return zenoh.ext.declare_advanced_subscriber(
         session,
         topic,

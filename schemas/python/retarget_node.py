@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""A retargeting node: receives skeleton and poses, and gives each pose to a function.
+"""A retargeting node: receives skeleton and poses and calls a function for each pose.
 
     pip install eclipse-zenoh protobuf grpcio-tools
     python generate.py
     python retarget_node.py --csv poses.csv
 
-As a program it writes one line a pose: capture time, state, declared latency, the pelvis in the world
+As a program it writes one line per pose: capture time, state, declared latency, the pelvis in the world
 (metres), and a quaternion x, y, z, w for each joint: world_from_pelvis, then parent_from_joint.
-To drive a character, call `receive` with a function of your own.
+To drive a character, call `receive` with your own function.
 """
 
 import argparse
@@ -21,8 +21,7 @@ from skeleton_pb2 import Skeleton
 
 
 def rotations(skeleton, pose):
-    """Quaternion x, y, z, w of each joint by name: the root in the world, others in their
-    parent."""
+    """Quaternion x, y, z, w of each joint by name: world_from_root, else parent_from_joint."""
     numbers = [*pose.root_rotation, *pose.local_rotations]
     return {
         name: tuple(numbers[4 * joint : 4 * joint + 4])
@@ -31,8 +30,8 @@ def rotations(skeleton, pose):
 
 
 def receive(session, handle, stage="stage", actor="actor", poses=None):
-    """Calls `handle(skeleton, pose)` on this thread for each pose, or for `poses` of them. Poses
-    before the first skeleton are left out."""
+    """Calls `handle(skeleton, pose)` on this thread for each pose, at most `poses` times. Poses before
+    the first skeleton are skipped."""
     inbox = queue.Queue()
     topics = f"mocap/{stage}/actor/{actor}"
     subscribers = [
@@ -52,7 +51,7 @@ def receive(session, handle, stage="stage", actor="actor", poses=None):
 
 
 class CsvWriter:
-    """Writes poses as lines."""
+    """Writes one CSV line per pose."""
 
     def __init__(self, file):
         self._file, self._writer, self._names = file, csv.writer(file), None
@@ -74,12 +73,12 @@ class CsvWriter:
 
 
 def main():
-    parser = argparse.ArgumentParser(description="writes poses as lines of numbers")
-    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="where the node listens")
-    parser.add_argument("--csv", help="the file to write; without it, standard output")
-    parser.add_argument("--stage", default="stage", help="second part of the topics")
-    parser.add_argument("--actor", default="actor", help="name of the performer, fourth part of the topics")
-    parser.add_argument("--poses", type=int, help="stop after this many")
+    parser = argparse.ArgumentParser(description="Writes poses as CSV.")
+    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="address of the node")
+    parser.add_argument("--csv", help="output file; default: standard output")
+    parser.add_argument("--stage", default="stage", help="name of the capture volume")
+    parser.add_argument("--actor", default="actor", help="name of the performer")
+    parser.add_argument("--poses", type=int, help="stop after this many poses")
     args = parser.parse_args()
     file = open(args.csv, "w", newline="") if args.csv else sys.stdout
     with file, mocap.open_session(args.connect) as session:

@@ -1,4 +1,4 @@
-//! The options that every tool on the bus has.
+//! The options of every tool on the bus.
 
 use std::path::PathBuf;
 
@@ -13,19 +13,19 @@ use crate::io::wire::{Topics, valid_name};
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Bus")]
 pub(super) struct BusArguments {
-    /// Settings file; config/default.toml lists all settings.
+    /// Settings file; config/default.toml lists every setting.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// The bus, instead of the configured one.
+    /// Bus; overrides the settings.
     #[arg(long, value_enum)]
     bus: Option<BusName>,
-    /// Address of the node, such as tcp/192.168.1.10:7447, instead of the configured one.
+    /// Address of the node, such as tcp/192.168.1.10:7447; overrides the settings.
     #[arg(long, value_name = "ENDPOINT")]
     connect: Vec<String>,
-    /// Name of the capture volume, instead of the configured one.
+    /// Name of the capture volume; overrides the settings.
     #[arg(long, value_name = "NAME")]
     stage: Option<String>,
-    /// Name of the performer, instead of the configured one.
+    /// Name of the performer; overrides the settings.
     #[arg(long, value_name = "NAME")]
     actor: Option<String>,
 }
@@ -48,7 +48,7 @@ impl BusName {
 }
 
 impl BusArguments {
-    /// The settings, with those of the arguments in their place.
+    /// The settings, overridden by the arguments.
     pub(super) fn settings(&self) -> Result<Config, Failure> {
         let mut config = self.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
         if let Some(bus) = self.bus {
@@ -71,17 +71,17 @@ impl BusArguments {
     }
 }
 
-/// Checks the value of an option that becomes a part of a topic.
+/// Checks a name that becomes a part of a topic.
 pub(super) fn check_name(option: &str, name: &str) -> Result<(), Failure> {
     valid_name(name).map_err(|error| Failure::new(Exit::Usage, format!("{option}: {error}")))
 }
 
-/// The topics of the settings' stage and actor.
+/// The topics of the configured stage and actor.
 pub(super) fn topics(config: &Config) -> Topics {
     Topics { stage: config.node.stage.clone(), actor: config.node.actor.clone() }
 }
 
-/// Opens the bus as a tool beside a node.
+/// Opens the bus as a client of a node.
 pub(super) fn open(config: &Config) -> Result<Box<dyn Bus>, Failure> {
     Ok(bus::open_client(&config.bus)?)
 }

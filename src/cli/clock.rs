@@ -1,4 +1,4 @@
-//! Stopping by signals, and the clock that `play` goes by.
+//! Stop requests by signals, and the clock of `play`.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,10 +11,10 @@ use crate::core::time::Timestamp;
 use crate::live::WallClock;
 use crate::live::tools::player::Clock;
 
-/// A request to stop is seen within this time.
+/// Longest time until a stop request is noticed.
 pub(crate) const ATTENTION: Duration = Duration::from_millis(20);
 
-/// Whether the program is asked to stop; clones share the request.
+/// A request to stop the program; clones share it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Stop(Arc<AtomicBool>);
 
@@ -24,7 +24,7 @@ impl Stop {
         let stop = Self::default();
         for signal in [SIGINT, SIGTERM] {
             let flag = || Arc::clone(&stop.0);
-            // In this order: the first signal finds the flag not set, and sets it.
+            // The order matters: the first signal finds the flag unset and sets it.
             signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, flag())
                 .and_then(|_| signal_hook::flag::register(signal, flag()))
                 .map_err(|error| {
@@ -35,19 +35,19 @@ impl Stop {
         Ok(stop)
     }
 
-    /// Asks to stop.
+    /// Requests a stop.
     #[cfg(test)]
     pub(crate) fn stop(&self) {
         self.0.store(true, Ordering::Release);
     }
 
-    /// Whether the program is asked to stop.
+    /// Whether a stop is requested.
     pub(crate) fn is_set(&self) -> bool {
         self.0.load(Ordering::Acquire)
     }
 }
 
-/// The clock of the node, whose waits end when the program is asked to stop.
+/// The clock of the node; its waits end at a stop request.
 pub(crate) struct SteadyClock {
     clock: WallClock,
     stop: Stop,

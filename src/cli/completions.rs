@@ -13,7 +13,7 @@ use super::terminal::say;
     after_help = "Example:\n  bundlemocap completions bash > ~/.local/share/bash-completion/completions/bundlemocap"
 )]
 pub(super) struct Arguments {
-    /// Which shell.
+    /// The shell.
     shell: Shell,
 }
 

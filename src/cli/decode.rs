@@ -18,32 +18,31 @@ use crate::io::wire::{self, Topic, Topics};
 /// Decode the poses of a recording from its keyframes alone.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-A keyframe, about 40 numbers a window, holds all that is needed: with the one before it and the
-weights of the manifold it gives every pose of the window, as the solver gave them.
+A keyframe has about 40 numbers per window. This keyframe, the previous one and the weights of the
+manifold give every pose of the window exactly as solved.
 
-Exit code 6 means that a keyframe is missing, so that the poses after it are missing too, or that the
-recording is damaged.
+Exit code 6: a keyframe and the poses after it are missing, or the recording is damaged.
 
 Examples:
   bundlemocap decode take1.mcap --out poses.mcap
   bundlemocap decode out/poses.mcap --out again.mcap --weights my.safetensors")]
 pub(super) struct Arguments {
-    /// A recording with keyframes: of `bundlemocap record` or `solve`.
+    /// Recording with keyframes, from `bundlemocap record` or `solve`.
     file: PathBuf,
-    /// The recording to write: skeleton and poses.
+    /// Recording to write, with skeleton and poses.
     #[arg(long, value_name = "MCAP")]
     out: PathBuf,
-    /// Weights of the manifold that was solved with; the embedded ones if not given.
+    /// Manifold weights of the solve; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
 }
 
-/// What was decoded.
+/// Counts of the decoded data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Decoded {
     keyframes: u64,
     poses: u64,
-    /// Windows whose first keyframe is missing.
+    /// Windows without their previous keyframe.
     cut_off: u64,
 }
 
@@ -78,7 +77,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     writer.finish()?;
     let Decoded { keyframes, poses, cut_off } = decoded;
     say(&format!("{}: {poses} poses from {keyframes} keyframes", arguments.out.display()));
-    let cut_off = (cut_off > 0).then(|| format!("{cut_off} windows have no keyframe before them"));
+    let cut_off = (cut_off > 0).then(|| format!("{cut_off} windows have no previous keyframe"));
     let wrong: Vec<String> = lost.into_iter().chain(cut_off).collect();
     if wrong.is_empty() {
         return Ok(Exit::Done);
@@ -87,15 +86,15 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     Ok(Exit::InPart)
 }
 
-/// Weights as keyframes name them.
+/// The fingerprint of the weights, as in keyframes.
 fn fingerprint(decoder: &Decoder) -> String {
     format!("{:016x}", decoder.fingerprint())
 }
 
 fn other_weights(path: &Path, keyframe: &wire::Keyframe, ours: &str) -> Failure {
     let message = format!(
-        "{}: keyframe of window {} was solved with the weights {}, these are {ours}; give the file \
-         with --weights",
+        "{}: the keyframe of window {} was solved with the weights {}, but these are {ours}; give \
+         the right ones with --weights",
         path.display(),
         keyframe.window,
         keyframe.weights
@@ -104,13 +103,13 @@ fn other_weights(path: &Path, keyframe: &wire::Keyframe, ours: &str) -> Failure 
 }
 
 fn without_keyframes(path: &Path, lost: &[String]) -> Failure {
-    let fix = "give a recording of `bundlemocap record` or the poses.mcap of `solve`";
+    let fix = "use a recording of `bundlemocap record` or the poses.mcap of `solve`";
     let lost = if lost.is_empty() { String::new() } else { format!(" ({})", lost.join("; ")) };
-    let message = format!("{} holds no keyframes that can be used{lost}; {fix}", path.display());
+    let message = format!("{} has no usable keyframes{lost}; {fix}", path.display());
     Failure::new(Exit::NotOurs, message)
 }
 
-/// The keyframes of one performer so far.
+/// Last keyframe and skeleton of one performer.
 #[derive(Default)]
 struct Performer {
     last: Option<StampedKeyframe>,
@@ -127,7 +126,7 @@ impl Performer {
         decoded: &mut Decoded,
     ) -> Result<(), Failure> {
         if self.last.as_ref() == Some(&keyframe) {
-            // A late joiner was given it a second time.
+            // A repetition for late joiners.
             return Ok(());
         }
         decoded.keyframes += 1;
@@ -157,8 +156,7 @@ impl Performer {
     }
 }
 
-/// The topics of the performer whose keyframes are on that topic; the default ones if it is no topic
-/// of ours.
+/// The topics of the performer with these keyframes; the default ones if the topic is unknown.
 fn topics_of(keyframes: &str) -> Topics {
     Topic::parse(keyframes).ok().and_then(|topic| topic.topics()).unwrap_or_default()
 }

@@ -18,14 +18,14 @@ use crate::io::recording::Message;
 use crate::io::wire::{DecodeError, ENCODING, Topics, schema_of};
 use crate::live::tools::inbox::{Inbox, Received};
 
-/// Print what is on the bus, one line a message.
+/// Print the messages on the bus, one per line.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-A line begins with the time of arrival (UTC) and the topic. Latency is arrival minus capture time, by
-the clock of this computer. For a final pose it also says the latency that the node declares, and how
-early or late the pose arrived against its due time, which is capture time plus declared latency.
+A line starts with the time of arrival (UTC) and the topic. Latency is arrival minus capture time on
+the clock of this computer. A final pose also shows its declared latency, and how early or late it
+arrived relative to its due time: capture time plus declared latency.
 
-With --json the fields of `message` have the names of schemas/*.proto; states are names, run ids and
+With --json the fields of `message` have the names of schemas/*.proto. States are names; run ids and
 hashes are hexadecimal.
 
 Examples:
@@ -35,16 +35,16 @@ Examples:
   bundlemocap echo keyframes --json | jq .message.z
   bundlemocap echo keypoints --connect tcp/192.168.1.10:7447")]
 pub(super) struct Arguments {
-    /// What to print.
+    /// The messages to print.
     #[arg(value_enum)]
     what: What,
-    /// One JSON object a line, with all fields.
+    /// Print one JSON object per line, with all fields.
     #[arg(long)]
     json: bool,
-    /// End after that many lines.
+    /// Stop after N lines.
     #[arg(long, value_name = "N")]
     count: Option<u64>,
-    /// Print messages and bytes a second of each topic instead, every second.
+    /// Print the message and byte rates of each topic instead, every second.
     #[arg(long)]
     hz: bool,
     #[command(flatten)]
@@ -63,15 +63,15 @@ enum What {
     Status,
     /// Events of the stage and of the performer.
     Events,
-    /// The solved keyframes.
+    /// Solved keyframes.
     Keyframes,
     /// The calibration.
     Rig,
-    /// The body.
+    /// The performer's skeleton.
     Skeleton,
-    /// The inputs of the node, as its journal has them.
+    /// The journal of the node's inputs.
     Journal,
-    /// Everything of the stage.
+    /// All messages of the stage.
     All,
 }
 
@@ -104,13 +104,13 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     };
     echo(&inbox, form, arguments.count.unwrap_or(u64::MAX), &stop, tell);
     if inbox.dropped() > 0 {
-        let fix = "the terminal is too slow; print less";
+        let fix = "the terminal is too slow; print fewer messages";
         complain("warning", &format!("{} messages were not printed: {fix}", inbox.dropped()));
     }
     Ok(Exit::Done)
 }
 
-/// How messages are printed.
+/// Output format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Form {
     Line,
@@ -118,7 +118,7 @@ enum Form {
     Rates { json: bool },
 }
 
-/// Prints until `count` lines are printed, `stop` is set, or `print` returns false.
+/// Prints until `count` lines, a stop request, or `print` returns false.
 fn echo(inbox: &Inbox, form: Form, count: u64, stop: &Stop, mut print: impl FnMut(&str) -> bool) {
     let (mut printed, mut rates, mut since) = (0, Rates::default(), Instant::now());
     while printed < count && !stop.is_set() {
@@ -144,7 +144,7 @@ fn echo(inbox: &Inbox, form: Form, count: u64, stop: &Stop, mut print: impl FnMu
     }
 }
 
-/// Messages and bytes by topic.
+/// Counts of messages and bytes by topic.
 #[derive(Default)]
 struct Rates(BTreeMap<Arc<str>, [u64; 2]>);
 
@@ -166,7 +166,7 @@ impl Rates {
             return Value::Object(topics.collect::<Map<_, _>>()).to_string();
         }
         let lines = rates.map(|(topic, messages, bytes)| {
-            format!("{messages:8.1} a second  {:9.1} kB/s  {topic}", bytes * 1e-3)
+            format!("{messages:8.1} Hz  {:9.1} kB/s  {topic}", bytes * 1e-3)
         });
         let text = lines.collect::<Vec<_>>().join("\n");
         if text.is_empty() { "nothing".to_owned() } else { text }
@@ -323,7 +323,7 @@ mod tests {
             rates.count(&received("mocap/stage/events", "", vec![0; 100]));
         }
         let text = rates.text(0.5, false);
-        assert!(text.contains("60.0 a second") && text.contains("6.0 kB/s"), "{text}");
+        assert!(text.contains("60.0 Hz") && text.contains("6.0 kB/s"), "{text}");
         assert_eq!(Rates::default().text(1.0, false), "nothing");
         assert_eq!(Rates::default().text(1.0, true), "{}");
     }

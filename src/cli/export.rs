@@ -22,15 +22,15 @@ Examples:
   bundlemocap export out/poses.mcap --picture take1.svg --figures 7")]
 #[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
 pub(super) struct Arguments {
-    /// The poses.mcap of a solve.
+    /// The poses.mcap of `bundlemocap solve`.
     file: PathBuf,
-    /// Biovision hierarchy: centimetres, y up, +z forward at rest.
+    /// BVH file to write: centimetres, y up, +z forward at rest.
     #[arg(long, value_name = "BVH", group = "what")]
     bvh: Option<PathBuf>,
-    /// A strip of stick figures.
+    /// Picture to write: a row of stick figures.
     #[arg(long, value_name = "SVG", group = "what")]
     picture: Option<PathBuf>,
-    /// How many figures the picture shows.
+    /// Number of stick figures in the picture.
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..))]
     figures: u8,
     /// Export the true poses of a synthetic recording instead.
@@ -47,7 +47,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     }
     if let Some(path) = &arguments.picture {
         text(path, &strip(&poses, &skeleton, usize::from(arguments.figures)))?;
-        say(&format!("{}: {} figures", path.display(), arguments.figures));
+        say(&format!("{}: {} stick figures", path.display(), arguments.figures));
     }
     if damage.is_empty() {
         return Ok(Exit::Done);
@@ -56,7 +56,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     Ok(Exit::InPart)
 }
 
-/// Writes poses, which are in order of capture time, as BVH; the number of frames.
+/// Writes poses, sorted by capture time, as BVH; returns the number of frames.
 fn write_bvh(
     path: &Path,
     poses: &[CompactPose],
@@ -70,12 +70,12 @@ fn write_bvh(
     Ok(states.frames())
 }
 
-/// What a solved recording holds.
+/// The content of a solved recording.
 pub(super) struct Solved {
     pub(super) skeleton: Skeleton,
-    /// In order of capture time, one for each.
+    /// Sorted by capture time, one per time.
     pub(super) poses: Vec<CompactPose>,
-    /// What was lost of the file.
+    /// Losses of a damaged file.
     pub(super) damage: Vec<String>,
 }
 
@@ -89,7 +89,7 @@ pub(super) fn read(file: &Path, truth: bool) -> Result<Solved, Failure> {
             (Message::Skeleton(wire), false) | (Message::TruthSkeleton(wire), true) => {
                 wire.to_core().map(|body| skeleton = Some(body))
             }
-            // Of a live recording: final poses supersede them.
+            // Final poses replace provisional ones.
             (Message::Pose(wire), false) if wire.provisional => Ok(()),
             (Message::Pose(wire), false) | (Message::TruthPose(wire), true) => {
                 wire.to_core().map(|pose| poses.push(CompactPose::from(&pose)))
@@ -106,9 +106,9 @@ pub(super) fn read(file: &Path, truth: bool) -> Result<Solved, Failure> {
         Some(skeleton) => Ok(Solved { skeleton, poses, damage }),
         None => {
             let fix = if truth {
-                "only recordings from `bundlemocap synth` hold a truth"
+                "only recordings of `bundlemocap synth` have true poses"
             } else {
-                "solve it first, and give the poses.mcap of `bundlemocap solve`"
+                "solve it first, then use the poses.mcap of `bundlemocap solve`"
             };
             let message = format!("{} holds no poses; {fix}", file.display());
             Err(Failure::new(Exit::NotOurs, message))
@@ -116,7 +116,7 @@ pub(super) fn read(file: &Path, truth: bool) -> Result<Solved, Failure> {
     }
 }
 
-/// Sorts by capture time; of poses of the same time, the one that was written last stays.
+/// Sorts by capture time and keeps the last of several poses of one time.
 pub(super) fn in_order(poses: &mut Vec<CompactPose>) {
     poses.sort_by_key(|pose| pose.capture);
     poses.dedup_by(|later, kept| {

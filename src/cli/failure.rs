@@ -1,4 +1,4 @@
-//! How a command ends: exit codes, and the one line that explains a failure.
+//! Exit codes, and errors in one line.
 
 use std::path::Path;
 
@@ -11,12 +11,12 @@ use crate::io::recording::RecordError;
 use crate::live::tools::take::TakeError;
 use crate::offline;
 
-/// Exit codes. The numbers are part of the interface: they are never given another meaning.
+/// Exit codes. The numbers are part of the interface: their meaning never changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub(crate) enum Exit {
     Done = 0,
-    /// Something that the user cannot have caused by input, such as a full disk.
+    /// Not caused by the input, such as a full disk.
     Unexpected = 1,
     /// Wrong arguments; clap uses the same number.
     Usage = 2,
@@ -38,22 +38,22 @@ pub(crate) enum Exit {
 pub(crate) const EXIT_CODES: &str = "\
 Exit codes:
    0  done
-   1  unexpected: the output cannot be written, or a fault of this program
+   1  unexpected: the output cannot be written, or a bug
    2  wrong arguments
    3  an input is missing or cannot be read
-   4  an input is malformed
-   5  nobody was found: no performer seen by two cameras
-   6  done in part: lost windows, or a damaged recording
-   7  a folder without detections
-   8  a camera without calibration, or a calibration without camera
-   9  a calibration that cannot be used
-  10  an unknown keypoint format, or one that does not fit the data
+   4  malformed input
+   5  nobody found: no performer in two cameras
+   6  partly done: lost windows, or a damaged recording
+   7  no detections in the folder
+   8  a camera without calibration, or the reverse
+   9  unusable calibration
+  10  unknown keypoint format, or not the format of the data
   11  weights of another shape or version
-  12  a recording without our channels
+  12  a recording without the required topics
   13  the bus cannot be opened or reached
-  14  a replay that differs from its recording";
+  14  the replay differs from the recording";
 
-/// The value of `--fps`, if it can be one.
+/// The value of `--fps`, if it is a valid frame rate.
 pub(crate) fn frame_rate_option(fps: f64) -> Result<f64, Failure> {
     if is_frame_rate(fps) {
         return Ok(fps);
@@ -74,12 +74,12 @@ impl Failure {
         Self { exit, message: message.into() }
     }
 
-    /// Weights that cannot be used.
+    /// Unusable weights.
     pub(crate) fn weights(path: &Path, source: &WeightsError) -> Self {
         Self::new(Exit::Weights, format!("{}: {source}", path.display()))
     }
 
-    /// The message in one line.
+    /// The message as one line.
     pub(crate) fn line(&self) -> String {
         self.message
             .split('\n')

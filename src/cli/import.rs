@@ -16,7 +16,7 @@ use crate::io::formats::{
 use crate::io::recording::{Provenance, Writer};
 use crate::io::wire::Topics;
 
-/// Turn other tools' detections and calibration into a recording.
+/// Convert detections and calibration of other tools to a recording.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:
@@ -35,8 +35,8 @@ enum Source {
 /// A folder with one subfolder of OpenPose JSON files per camera.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Capture time is the frame number in the file name over --fps. Subfolders are matched to calibrated
-cameras by name, then by order; the match is printed.
+Capture time is the frame number in the file name divided by --fps. Subfolders are matched to
+calibrated cameras by name, then by order; the matches are printed.
 
 Example:
   bundlemocap import openpose demo/pose --calibration demo/Calib_qualisys.toml \\
@@ -44,22 +44,22 @@ Example:
 struct Openpose {
     /// Folder with one subfolder per camera.
     folder: PathBuf,
-    /// Pose2Sim or aniposelib TOML, or Qualisys .qca.txt.
+    /// Calibration: Pose2Sim or aniposelib TOML, or Qualisys .qca.txt.
     #[arg(long)]
     calibration: PathBuf,
-    /// Frames a second of the cameras, 1 to 1000.
+    /// Frame rate of the cameras, 1 to 1000 Hz.
     #[arg(long, allow_negative_numbers = true)]
     fps: f64,
     /// Keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133.
     #[arg(long)]
     format: String,
-    /// The recording to write.
+    /// Recording to write.
     #[arg(long)]
     out: PathBuf,
-    /// Replace the recording if it is there.
+    /// Replace an existing recording.
     #[arg(long)]
     overwrite: bool,
-    /// The axis of the calibration's world that points up: y or z.
+    /// Up axis of the calibration's world: y or z.
     #[arg(long, default_value = "z", value_parser = up)]
     up: Up,
 }
@@ -94,8 +94,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 
 fn run_openpose(arguments: &Openpose) -> Ended {
     if arguments.out.exists() && !arguments.overwrite {
-        let fix = "choose another name, or give --overwrite";
-        let message = format!("{} is there; {fix}", arguments.out.display());
+        let fix = "choose another name, or use --overwrite";
+        let message = format!("{} exists; {fix}", arguments.out.display());
         return Err(Failure::new(Exit::Usage, message));
     }
     let fps = frame_rate_option(arguments.fps)?;
@@ -126,7 +126,7 @@ fn run_openpose(arguments: &Openpose) -> Ended {
         say(&format!("{}: {}", camera.name, found(report)));
     }
     if folder.frame_counts_differ() {
-        say("the cameras have different numbers of frames; missing ones are bridged");
+        say("the cameras have different numbers of frames; missing frames are bridged");
     }
     say(&format!("{}: {} files", arguments.out.display(), folder.file_count()));
     Ok(Exit::Done)
@@ -144,7 +144,7 @@ fn matches(folder: &OpenposeFolder, rig: &Rig) -> Vec<(String, String)> {
     rows.collect()
 }
 
-/// What was found, and what was tolerated.
+/// Counts of one camera, with all irregularities.
 fn found(report: &CameraReport) -> String {
     let mut text = format!(
         "{} files, frames {} to {}, {} people, {} points",
@@ -154,8 +154,8 @@ fn found(report: &CameraReport) -> String {
         (report.gaps, "frame numbers without a file"),
         (report.empty_files, "empty files"),
         (report.frames_without_people, "frames without people"),
-        (report.people_without_points, "people without points left out"),
-        (report.non_finite_points, "points without a number left out"),
+        (report.people_without_points, "skipped people without points"),
+        (report.non_finite_points, "skipped points that are not finite"),
         (report.clamped_confidences, "confidences above 1 set to 1"),
     ];
     for (count, what) in oddities.into_iter().filter(|(count, _)| *count > 0) {
@@ -164,7 +164,7 @@ fn found(report: &CameraReport) -> String {
     text
 }
 
-/// Where the recording comes from, without folders that say where somebody keeps files.
+/// The command, without the folders of its files.
 fn provenance(arguments: &Openpose) -> Provenance {
     let last = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let command = format!(

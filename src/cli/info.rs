@@ -10,22 +10,22 @@ use super::failure::{Exit, Failure};
 use super::terminal::{say, table};
 use crate::io::recording::{Info, METADATA, scan, summary};
 
-/// Show what a recording holds.
+/// Show the content of a recording.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 With --json: seconds (first to last message), bytes (of the file), rig (names of the calibrated
 cameras), cameras (by name: format, image_size [width, height] in pixels), topics (by name: schema,
-count, rate_hz or null), metadata (version, config, weights, command or null), damage (a text for
-each loss), checked (true if the whole file was read).
+count, rate_hz or null), metadata (version, config, weights, command or null), damage (one text per
+loss), checked (true if the whole file was read).
 
 Examples:
   bundlemocap info balancing.mcap
-  bundlemocap info balancing.mcap --check       read all of it, and say where it is damaged
+  bundlemocap info balancing.mcap --check       read the whole file and show any damage
   bundlemocap info out/poses.mcap --json")]
 pub(super) struct Arguments {
-    /// An MCAP recording of ours.
+    /// MCAP recording of this program.
     file: PathBuf,
-    /// Read the whole file, not the index at its end alone.
+    /// Read the whole file, not only its index.
     #[arg(long)]
     check: bool,
     /// Print one JSON object.
@@ -56,7 +56,7 @@ fn rows(info: &Info) -> Vec<(String, String)> {
         row(format!("camera {name}"), format!("{}, {width} x {height}", camera.format));
     }
     for (topic, held) in &info.topics {
-        let rate = held.rate.map_or_else(String::new, |rate| format!(", {rate:.1} a second"));
+        let rate = held.rate.map_or_else(String::new, |rate| format!(", {rate:.1} Hz"));
         row(topic.clone(), format!("{} x {}{rate}", held.count, held.schema));
     }
     for (key, value) in info.metadata.get(METADATA).into_iter().flatten() {

@@ -1,7 +1,7 @@
-//! The command line, one file a subcommand.
+//! The command line, one file per subcommand.
 //!
-//! Results go to standard output, progress and warnings to standard error. A failure is one line
-//! on standard error, `error: ...`, and an exit code of its own (see `--help`).
+//! Results go to standard output, progress and warnings to standard error. An error is one line on
+//! standard error, `error: ...`, and an exit code (see `--help`).
 
 mod bench;
 mod bus;
@@ -60,7 +60,7 @@ enum Command {
     Completions(completions::Arguments),
 }
 
-/// Parses the arguments of the process, runs the command, and says how it went.
+/// Parses the arguments, runs the command and returns its exit code.
 pub fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(arguments) => run::run(&arguments),
@@ -87,7 +87,7 @@ pub fn main() -> ExitCode {
     ExitCode::from(exit as u8)
 }
 
-/// How a command ends when it does not fail.
+/// The exit code of a command, or why it failed.
 type Ended = Result<Exit, Failure>;
 
 #[cfg(test)]

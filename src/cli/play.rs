@@ -15,19 +15,18 @@ use crate::live::tools::Disturbance;
 use crate::live::tools::player::{Clock, Playing, Sent, play};
 use crate::live::tools::take::Take;
 
-/// Time between opening the bus and the first frame, in which publishers and subscribers find each
-/// other.
+/// Time from opening the bus to the first frame, for publishers and subscribers to connect.
 const LEAD: Duration = Duration::from_millis(500);
 
-/// Play a recording onto the bus, as its cameras would.
+/// Publish the keypoints of a recording in real time, as its cameras would.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The calibration is sent first, then every frame at its time. Frames get new capture times on the clock
-of this computer: the first frame is captured when it is sent, the others as far apart as in the
-recording, divided by the speed. Outputs of a node and truth are not played. All frames are kept in
+The calibration is sent first, then every frame at its time. Frames get new capture times on the
+clock of this computer: the first is the time of sending, the intervals are those of the recording
+divided by the speed. Outputs of a node and ground truth are not played. All frames are kept in
 memory, about 1 kB each.
 
-To play each camera from another process or computer, give all of them the same --start-at.
+To play cameras from several processes or computers, use the same --start-at for all.
 
 Examples:
   bundlemocap play recordings/walk.mcap
@@ -35,25 +34,24 @@ Examples:
   bundlemocap play walk.mcap --connect tcp/192.168.1.10:7447 --camera cam0 --start-at 1795252800
   bundlemocap play walk.mcap --drop 0.02 --late 0.02 --duplicate 0.02 --reorder 0.02 --seed 1")]
 pub(super) struct Arguments {
-    /// An MCAP recording with keypoints.
+    /// MCAP recording with keypoints.
     file: PathBuf,
-    /// Seconds of the recording in a second, 0.01 to 100.
+    /// Playback speed relative to real time, 0.01 to 100.
     #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
     speed: f64,
-    /// Begin again at the end; capture times and frame numbers go on.
+    /// Restart at the end; capture times and frame numbers continue.
     #[arg(long = "loop", conflicts_with = "keep_times")]
     repeat: bool,
-    /// Send payloads as they were recorded, with their capture times.
+    /// Send the recorded payloads with their capture times unchanged.
     #[arg(long)]
     keep_times: bool,
     /// Do not send the calibration.
     #[arg(long)]
     only_keypoints: bool,
-    /// Play this camera only; may be given more than once.
+    /// Play only this camera; may be repeated.
     #[arg(long, value_name = "NAME")]
     camera: Vec<String>,
-    /// Send the recording's first frame at this time, seconds since 1970; else half a second from
-    /// now.
+    /// Time of the first frame, seconds since 1970; default: half a second from now.
     #[arg(long, value_name = "SECONDS")]
     start_at: Option<f64>,
     #[command(flatten)]
@@ -62,26 +60,26 @@ pub(super) struct Arguments {
     bus: BusArguments,
 }
 
-/// What happens to frames on their way.
+/// Disturbances of the frames.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Bad network")]
 struct Network {
-    /// Share of frames that are lost, 0 to 1.
+    /// Share of lost frames, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
     drop: f64,
-    /// Share of frames that are delayed.
+    /// Share of delayed frames, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
     late: f64,
     /// Longest delay, milliseconds, 0 to 60000.
     #[arg(long, value_name = "MS", default_value_t = 80.0, allow_negative_numbers = true)]
     late_ms: f64,
-    /// Share of frames that are sent twice.
+    /// Share of frames that are sent twice, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
     duplicate: f64,
-    /// Share of frames that are sent after the camera's next one.
+    /// Share of frames that are sent after the camera's next frame, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
     reorder: f64,
-    /// What happens to which frame follows from it.
+    /// Seed of the disturbances.
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
@@ -148,7 +146,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     Ok(Exit::Done)
 }
 
-/// When the first frame is sent.
+/// The time of the first frame.
 fn start(arguments: &Arguments, clock: &dyn Clock) -> Result<Timestamp, Failure> {
     let Some(seconds) = arguments.start_at else {
         return Ok(clock.now() + LEAD.as_nanos() as i64);
@@ -157,8 +155,8 @@ fn start(arguments: &Arguments, clock: &dyn Clock) -> Result<Timestamp, Failure>
     let ahead = start.seconds_since(clock.now());
     if !(0.0..=86_400.0).contains(&ahead) {
         let message = format!(
-            "--start-at is {ahead:.3} s from now, but must be from now to a day ahead, in seconds \
-             since 1970"
+            "--start-at is {ahead:.3} s from now, but must be 0 to 86400 s ahead, as seconds since \
+             1970"
         );
         return Err(Failure::new(Exit::Usage, message));
     }
@@ -176,18 +174,18 @@ fn rows(take: &Take, sent: &Sent) -> Vec<(String, String)> {
     if seconds > 0.0 {
         let rate = sent.all() as f64 / seconds;
         let kilobytes = sent.bytes as f64 / seconds * 1e-3;
-        row("rate", format!("{rate:.1} messages, {kilobytes:.0} kB a second for {seconds:.1} s"));
+        row("rate", format!("{rate:.1} messages/s, {kilobytes:.0} kB/s for {seconds:.1} s"));
     }
     let done = sent.disturbed;
     let disturbed = [
         ("lost", done.dropped),
         ("delayed", done.late),
         ("sent twice", done.duplicated),
-        ("sent after the next", done.reordered),
+        ("sent out of order", done.reordered),
     ];
     for (what, count) in disturbed.into_iter().filter(|(_, count)| *count > 0) {
-        row(what, format!("{count} frames, on purpose"));
+        row(what, format!("{count} frames, as requested"));
     }
-    row("sent late by at most", format!("{:.2} ms", sent.worst_late_ns as f64 * 1e-6));
+    row("largest delay of sending", format!("{:.2} ms", sent.worst_late_ns as f64 * 1e-6));
     rows
 }

@@ -18,35 +18,34 @@ use crate::io::recording::{Provenance, RawEntry, RecordError, Writer};
 use crate::io::wire::{ENCODING, schema_of};
 use crate::live::tools::inbox::{Inbox, Received};
 
-/// How often the file is brought up to date.
+/// How often the file is flushed.
 const FLUSH: Duration = Duration::from_secs(1);
 
-/// Record everything on the bus, inputs and outputs.
+/// Record all messages on the bus, inputs and outputs.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Payloads are kept byte for byte. A message is filed under the time it arrived here (log time), with
-its capture time beside it (publish time). Until it ends, by Ctrl-C or SIGTERM, the recording is at
-FILE.part, which can be read up to its last second whatever happens to this program.
+Payloads are kept byte for byte. The log time of a message is its arrival time here, the publish time
+is its capture time. Until Ctrl-C or SIGTERM the recording is at FILE.part; if this program dies, that
+file is readable up to its last second.
 
 Examples:
   bundlemocap record take1.mcap
   bundlemocap record inputs.mcap --topics 'mocap/stage/camera/**'
   bundlemocap record take1.mcap --connect tcp/192.168.1.10:7447")]
 pub(super) struct Arguments {
-    /// The recording to write.
+    /// Recording to write.
     file: PathBuf,
-    /// The topics to record; all of the stage if not given. `*` stands for one part, `**` for any
-    /// number of them.
+    /// Topics to record; default: all topics of the stage. `*` matches one part, `**` any number.
     #[arg(long, value_name = "PATTERN")]
     topics: Option<String>,
-    /// Replace the file if it is there.
+    /// Replace an existing file.
     #[arg(long)]
     overwrite: bool,
     #[command(flatten)]
     bus: BusArguments,
 }
 
-/// What was recorded.
+/// Counts of the recorded messages.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Recorded {
     /// Messages by topic.
@@ -55,15 +54,15 @@ pub(super) struct Recorded {
     pub(super) messages: u64,
     /// Bytes of payload.
     pub(super) bytes: u64,
-    /// Messages that came while the queue to the disk was full.
+    /// Messages that were dropped because the queue to the disk was full.
     pub(super) dropped: u64,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let path = &arguments.file;
     if path.exists() && !arguments.overwrite {
-        let fix = "choose another name, or give --overwrite";
-        return Err(Failure::new(Exit::Usage, format!("{} is there; {fix}", path.display())));
+        let fix = "choose another name, or use --overwrite";
+        return Err(Failure::new(Exit::Usage, format!("{} exists; {fix}", path.display())));
     }
     let config = arguments.bus.settings()?;
     let bus = open(&config)?;
@@ -71,7 +70,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let pattern = arguments.topics.clone().unwrap_or_else(|| topics(&config).all());
     let inbox = Inbox::open(&*bus, &pattern)?;
     let writer = start(path, &config, &pattern)?;
-    note(&format!("recording {pattern} to {}; Ctrl-C ends it", path.display()));
+    note(&format!("recording {pattern} to {}; stop with Ctrl-C", path.display()));
     let (begin, line) = (Instant::now(), ticker());
     let recorded = record(inbox, writer, &stop, |recorded| {
         line.set_message(progress(recorded, begin.elapsed()));
@@ -81,7 +80,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if recorded.dropped == 0 {
         return Ok(Exit::Done);
     }
-    let fix = "the disk is too slow; record fewer --topics, or on another disk";
+    let fix = "the disk is too slow; record fewer topics with --topics, or use another disk";
     complain("warning", &format!("{} messages were dropped: {fix}", recorded.dropped));
     Ok(Exit::InPart)
 }
@@ -95,8 +94,8 @@ fn start(path: &Path, config: &Config, pattern: &str) -> Result<Writer, Failure>
     Ok(Writer::live(path, topics(config), &provenance)?)
 }
 
-/// Writes what comes until `stop` is set, then what still waits, and finishes the file.
-/// `each_second` is called with the counts so far.
+/// Writes messages until a stop request, then the remaining ones, and finishes the file.
+/// `each_second` gets the counts so far.
 pub(super) fn record(
     mut inbox: Inbox,
     mut writer: Writer,
@@ -137,7 +136,7 @@ impl Recorded {
     }
 }
 
-/// How a message from the bus is filed.
+/// The recorded entry of a message.
 fn entry(Received { sample, arrival }: Received) -> RawEntry {
     let schema = schema_of(&sample.topic, &sample.encoding);
     let said_when = sample.capture > Timestamp::default();

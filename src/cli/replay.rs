@@ -14,35 +14,35 @@ use crate::io::recording::{Provenance, RawEntry, Reader, Writer};
 use crate::io::wire::{ENCODING, JournalStart, Pose, Topics, decode};
 use crate::live::{Recorded, ReplayError, Replayed, Settings, find_node, platform, replay};
 
-/// Run the node again on its recorded inputs, and compare its outputs.
+/// Run the node again on its recorded inputs and compare the outputs.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The recording must hold all inputs of the node since it started: start `record` before the cameras,
-and restart the node for another take. The journal of the node holds the order and the times of its
-inputs, and its settings. The same build on the same kind of processor gives the same bytes. The
-recording is held in memory.
+The recording must contain all inputs since the start of the node: start `record` before the cameras,
+and restart the node for each take. The node's journal contains its settings and the order and times
+of its inputs. The same build on the same kind of processor gives the same bytes. The recording is
+kept in memory.
 
-Exit code 14 means that the outputs differ from the recorded ones.
+Exit code 14: the outputs differ from the recorded ones.
 
 Examples:
   bundlemocap replay take1.mcap --verify
   bundlemocap replay take1.mcap --out again.mcap")]
 pub(super) struct Arguments {
-    /// A recording of `bundlemocap record`.
+    /// Recording of `bundlemocap record`.
     file: PathBuf,
     /// Compare the outputs with the recorded ones, byte for byte.
     #[arg(long)]
     verify: bool,
-    /// Write a recording of the same inputs and the new outputs.
+    /// Recording to write, with the same inputs and the new outputs.
     #[arg(long, value_name = "MCAP")]
     out: Option<PathBuf>,
-    /// Weights of the manifold that the node had; the embedded ones if not given.
+    /// Manifold weights of the node; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
-    /// The stage of the node, where the recording holds several.
+    /// Stage of the node, if the recording has several.
     #[arg(long, value_name = "NAME")]
     stage: Option<String>,
-    /// The performer of the node, where the recording holds several.
+    /// Performer of the node, if the recording has several.
     #[arg(long, value_name = "NAME")]
     actor: Option<String>,
 }
@@ -77,7 +77,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     verdict(arguments, &messages, &replayed, &topics.pose())
 }
 
-/// Every message of the file, in its order.
+/// All messages of the file, in file order.
 fn read(path: &Path) -> Result<Vec<Recorded>, Failure> {
     let mut reader = Reader::open(path)?;
     let mut messages = Vec::new();
@@ -91,7 +91,7 @@ fn read(path: &Path) -> Result<Vec<Recorded>, Failure> {
     Ok(messages)
 }
 
-/// The settings and the solver that the node had.
+/// The recorded settings and solver of the node.
 fn prepare(start: &JournalStart, weights: Option<&Path>) -> Result<(Settings, Solver), Failure> {
     let config = Config::parse(&start.config, Path::new("the journal's settings"))?;
     let decoder = decoder(weights)?;
@@ -99,7 +99,8 @@ fn prepare(start: &JournalStart, weights: Option<&Path>) -> Result<(Settings, So
     if start.weights != ours {
         let theirs = &start.weights;
         let message = format!(
-            "the node had the weights {theirs}, these are {ours}; give the file with --weights"
+            "the node used the weights {theirs}, but these are {ours}; give the right ones with \
+             --weights"
         );
         return Err(Failure::new(Exit::Weights, message));
     }
@@ -108,7 +109,7 @@ fn prepare(start: &JournalStart, weights: Option<&Path>) -> Result<(Settings, So
     Ok((settings, Solver::new(decoder, tracker)))
 }
 
-/// Writes the recorded inputs and the new outputs, by time.
+/// Writes the recorded inputs and the new outputs, sorted by time.
 fn write(path: &Path, messages: &[Recorded], replayed: &Replayed) -> Result<(), Failure> {
     let provenance = Provenance {
         config: replayed.start.config.clone(),
@@ -128,7 +129,7 @@ fn write(path: &Path, messages: &[Recorded], replayed: &Replayed) -> Result<(), 
     Ok(writer.finish()?)
 }
 
-/// A line for each topic.
+/// One line per topic.
 fn summary(replayed: &Replayed, with_recorded: bool) -> String {
     let mut rows = vec![("inputs".to_owned(), replayed.inputs.to_string())];
     rows.extend(replayed.topics.iter().map(|(topic, compared)| {
@@ -165,7 +166,7 @@ fn verdict(
         return Ok(Exit::Done);
     }
     if compared == 0 {
-        let message = format!("{file}: nothing to compare; record the node's outputs too");
+        let message = format!("{file} has no outputs of the node to compare; record them too");
         return Err(Failure::new(Exit::NotOurs, message));
     }
     let ours = platform();
@@ -181,7 +182,7 @@ fn verdict(
     Err(Failure::new(Exit::Differs, message))
 }
 
-/// The largest distance of a joint between poses of the same place in their topic, metres.
+/// The largest distance of a joint between recorded and replayed poses, metres.
 fn farthest(recorded: &[Recorded], replayed: &[Recorded], topic: &str) -> f64 {
     let joints = |message: &Recorded| decode::<Pose>(&message.payload).ok()?.joint_positions().ok();
     let of_topic = |message: &&Recorded| *message.topic == *topic;

@@ -18,39 +18,39 @@ use crate::offline::compact_pose::CompactPose;
 use crate::offline::poses::frame_rate;
 use crate::retarget::{Channels, Convention, Map, Retarget, RetargetError, Target};
 
-/// Put poses on another skeleton, live or from a recording.
+/// Retarget poses to another skeleton, live or from a recording.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The skeleton is the hierarchy of a BVH file; its frames are not used. Names of Mixamo, CMU,
-MotionBuilder, Unity, Daz, Unreal, Biped and our own are known; others are named in a TOML file:
+The skeleton is the hierarchy of a BVH file; its frames are not used. The joint names of Mixamo, CMU,
+MotionBuilder, Unity, Daz, Unreal, Biped and this program are known; a TOML file maps other names:
 
-  scale = 1.05                 of the movement; else the ratio of the leg lengths
-  unit = \"cm\"                  of the file: m, dm, cm, mm, inch, foot, or metres; else guessed
-  up = \"z\"                     of the file's world, y or z; else as the zero pose stands
+  scale = 1.05                 of the movement; default: the ratio of the leg lengths
+  unit = \"cm\"                  of the file: m, dm, cm, mm, inch, foot or metres; default: guessed
+  up = \"z\"                     of the file's world, y or z; default: from the zero pose
   [joints]
   left_knee = \"LeftLeg\"        ours = theirs; \"\" for none
 
-Live, poses go out on mocap/STAGE/actor/ACTOR/retargeted/NAME until Ctrl-C or SIGTERM. With --out
-they are kept until then, 90 MB for an hour at 60 Hz.
+Live poses are published on mocap/STAGE/actor/ACTOR/retargeted/NAME until Ctrl-C or SIGTERM. With
+--out they are kept in memory until then, 90 MB for an hour at 60 Hz.
 
 Examples:
   bundlemocap retarget --skeleton robot.bvh
   bundlemocap retarget --skeleton robot.bvh --map robot.toml --name robot --out take1.bvh
   bundlemocap retarget --skeleton robot.bvh --from out/poses.mcap --out take1.bvh")]
 pub(super) struct Arguments {
-    /// A BVH file with the skeleton.
+    /// BVH file with the skeleton.
     #[arg(long, value_name = "BVH")]
     skeleton: PathBuf,
-    /// What the file's joints are, in TOML.
+    /// Joint map of that file, TOML.
     #[arg(long, value_name = "TOML")]
     map: Option<PathBuf>,
-    /// The last part of the topic; the skeleton's file name if not given.
+    /// Last part of the topic; default: the name of the skeleton's file.
     #[arg(long)]
     name: Option<String>,
-    /// The BVH file to write.
+    /// BVH file to write.
     #[arg(long, value_name = "BVH")]
     out: Option<PathBuf>,
-    /// A solved recording instead of the bus.
+    /// Read a solved recording instead of the bus.
     #[arg(long, value_name = "MCAP", requires = "out")]
     from: Option<PathBuf>,
     #[command(flatten)]
@@ -86,12 +86,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     }
 }
 
-/// Whether two paths lead to the same file that is there.
+/// Whether two paths lead to the same existing file.
 fn is_same_file(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
-/// One line: how the skeleton is understood.
+/// One line about the skeleton and its joint map.
 fn summary(path: &Path, retarget: &Retarget) -> String {
     let target = retarget.target();
     let convention = target.convention().map_or("unknown", Convention::name);
@@ -110,7 +110,7 @@ fn offline(retarget: &mut Retarget, from: &Path, out: &Path) -> Ended {
     Ok(Exit::InPart)
 }
 
-/// Writes poses, which are in order, on the target.
+/// Writes the retargeted poses, sorted by capture time.
 fn write(
     retarget: &mut Retarget,
     skeleton: &Skeleton,
@@ -150,7 +150,7 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
     let bus = open(&config)?;
     let stop = Stop::on_signals()?;
     let live = Live::open(&*bus, &topics, &name)?;
-    note(&format!("{} to {}; Ctrl-C ends it", topics.pose(), topics.retargeted(&name)));
+    note(&format!("{} to {}; stop with Ctrl-C", topics.pose(), topics.retargeted(&name)));
     note(&summary(&arguments.skeleton, retarget));
     let served = live.serve(retarget, arguments.out.is_some(), &stop)?;
     say(&served.to_string());
@@ -160,14 +160,14 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
     match skeleton.filter(|_| !poses.is_empty()) {
         Some(skeleton) => write(retarget, &skeleton, &poses, out).map(|()| Exit::Done),
         None => {
-            let fix = "check --stage, --actor and that the node runs";
-            complain("warning", &format!("{} is not written: no poses came; {fix}", out.display()));
+            let fix = "check --stage, --actor and whether the node runs";
+            complain("warning", &format!("{} not written: no poses arrived; {fix}", out.display()));
             Ok(Exit::InPart)
         }
     }
 }
 
-/// The file's name without its ending, as a part of a topic.
+/// The file name without its extension, as a part of a topic.
 fn name_of(path: &Path) -> String {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let fine = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);

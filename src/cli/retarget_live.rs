@@ -1,4 +1,4 @@
-//! Poses from the bus, on another skeleton, back onto the bus.
+//! Live retargeting: poses from the bus, retargeted poses to the bus.
 
 use std::fmt;
 use std::time::Duration;
@@ -18,29 +18,29 @@ use crate::live::tools::inbox::{Inbox, Received};
 use crate::offline::compact_pose::CompactPose;
 use crate::retarget::Retarget;
 
-/// Subscriptions to poses and to the body that they are of, and where poses go.
+/// Subscriptions to poses and skeletons, and the publisher of retargeted poses.
 pub(super) struct Live {
     skeletons: Inbox,
     poses: Inbox,
     publisher: Box<dyn Publisher>,
 }
 
-/// What was done.
+/// Results of live retargeting.
 #[derive(Debug, Default)]
 pub(super) struct Served {
-    /// The body, as it was last.
+    /// The last skeleton.
     pub(super) skeleton: Option<Skeleton>,
-    /// The poses that were put on the target, as they came, if they were to be kept.
+    /// The source poses in order of arrival, if requested.
     pub(super) poses: Vec<CompactPose>,
-    /// Poses that went out.
+    /// Published poses.
     pub(super) published: u64,
-    /// Poses that came before the body was known.
+    /// Poses that arrived before the first skeleton.
     pub(super) early: u64,
-    /// Messages that make no sense.
+    /// Unusable messages.
     pub(super) unusable: u64,
-    /// Poses that the bus did not take; they are kept for the file all the same.
+    /// Poses that the bus refused; they are still kept for the file.
     pub(super) unsent: u64,
-    /// Messages that came while too many waited.
+    /// Messages that were dropped because the queue was full.
     pub(super) dropped: u64,
 }
 
@@ -49,10 +49,10 @@ impl fmt::Display for Served {
         let Self { published, early, unusable, unsent, dropped, .. } = self;
         write!(to, "{published} poses retargeted")?;
         let rest = [
-            (early, "came before the skeleton"),
-            (unusable, "messages could not be used"),
+            (early, "arrived before the skeleton"),
+            (unusable, "unusable messages"),
             (unsent, "could not be published"),
-            (dropped, "messages were dropped, this machine is too slow"),
+            (dropped, "messages dropped because this computer is too slow"),
         ];
         for (count, what) in rest.iter().filter(|(count, _)| **count > 0) {
             write!(to, ", {count} {what}")?;
@@ -62,7 +62,7 @@ impl fmt::Display for Served {
 }
 
 impl Live {
-    /// Subscribes; the body first, so that it is known when poses come.
+    /// Subscribes to skeletons first, so that the skeleton is known when poses arrive.
     pub(super) fn open(bus: &dyn Bus, topics: &Topics, name: &str) -> Result<Self, BusError> {
         Ok(Self {
             publisher: bus.publisher(&topics.retargeted(name))?,
@@ -71,7 +71,7 @@ impl Live {
         })
     }
 
-    /// Puts poses on the target until `stop` is set, then those that still wait.
+    /// Retargets poses until a stop request, then the remaining ones.
     pub(super) fn serve(
         mut self,
         retarget: &mut Retarget,
@@ -118,10 +118,10 @@ impl Live {
         let capture = Timestamp::from_ns(wire.capture_time_ns);
         match self.publisher.put(capture, &encoding, &encode(&message)) {
             Ok(()) => served.published += 1,
-            // What was received is still kept for the file.
+            // The pose is still kept for the file.
             Err(error) => {
                 if served.unsent == 0 {
-                    complain("warning", &format!("a pose is not published: {error}"));
+                    complain("warning", &format!("cannot publish a pose: {error}"));
                 }
                 served.unsent += 1;
             }
@@ -134,13 +134,13 @@ impl Live {
 }
 
 impl Served {
-    /// What is there, or a count; the first of them is said.
+    /// The value; errors are counted, and the first one is printed.
     fn usable<T>(&mut self, result: Result<T, DecodeError>) -> Option<T> {
         match result {
             Ok(value) => Some(value),
             Err(error) => {
                 if self.unusable == 0 {
-                    complain("warning", &format!("a message cannot be used: {error}"));
+                    complain("warning", &format!("unusable message: {error}"));
                 }
                 self.unusable += 1;
                 None
@@ -149,14 +149,14 @@ impl Served {
     }
 }
 
-/// The message, if it is of that schema.
+/// The message, if it has the schema.
 fn wire<T: Schema>(received: &Received) -> Result<T, DecodeError> {
     let sample = &received.sample;
     if schema_of(&sample.topic, &sample.encoding) != Some(T::full_name().as_str()) {
         return Err(DecodeError::Invalid {
             message: T::NAME,
             field: "encoding",
-            reason: format!("{:?} on {} is another schema's", sample.encoding, sample.topic),
+            reason: format!("{:?} on {} is of another schema", sample.encoding, sample.topic),
         });
     }
     decode(&sample.payload)
@@ -221,7 +221,7 @@ mod tests {
         stop.stop();
         let served = live.serve(&mut ours(), true, &stop).unwrap();
         assert_eq!((served.published, served.unusable, served.early), (2, 2, 0));
-        assert_eq!(served.to_string(), "2 poses retargeted, 2 messages could not be used");
+        assert_eq!(served.to_string(), "2 poses retargeted, 2 unusable messages");
         assert_eq!(served.poses.len(), 2);
         let came = came.lock().unwrap();
         assert_eq!(came.len(), 2);

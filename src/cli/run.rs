@@ -21,9 +21,9 @@ use crate::live::{Core, Node, NodeError, Running, Settings, SolverCore, log};
 /// Run the live node: keypoints from the bus in, poses at a fixed latency out.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Runs until Ctrl-C or SIGTERM, then publishes the remaining poses and ends; a second signal ends it at
-once. Events are logged on standard error, one line each. The environment variable BUNDLEMOCAP_LOG
-sets how much: a level (error, warn, info, debug, off) or a filter such as warn,zenoh=info.
+Runs until Ctrl-C or SIGTERM, then publishes the remaining poses and stops; a second signal stops it
+at once. Events are logged on standard error, one per line. The environment variable BUNDLEMOCAP_LOG
+sets the level (error, warn, info, debug, off) or a filter such as warn,zenoh=info.
 
 Examples:
   bundlemocap run
@@ -31,27 +31,27 @@ Examples:
   bundlemocap run --listen tcp/0.0.0.0:7447 --latency 220
   bundlemocap run --bus iceoryx2 --seconds 60")]
 pub(super) struct Arguments {
-    /// Settings; config/default.toml lists them all.
+    /// Settings file; config/default.toml lists every setting.
     config: Option<PathBuf>,
-    /// The bus, instead of the configured one.
+    /// Bus; overrides the settings.
     #[arg(long, value_enum)]
     bus: Option<BusName>,
-    /// Calibration file, instead of the configured one; without any, it comes from the bus.
+    /// Calibration file; overrides the settings. Without one, the calibration comes from the bus.
     #[arg(long, value_name = "FILE")]
     rig: Option<PathBuf>,
-    /// Weights of a manifold, from `bundlemocap train`; the embedded ones if not given.
+    /// Manifold weights of `bundlemocap train`; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
-    /// Declared latency, milliseconds, instead of the configured one; 0 finds it.
+    /// Declared latency, milliseconds; overrides the settings. 0: estimated.
     #[arg(long, value_name = "MS", allow_negative_numbers = true)]
     latency: Option<f64>,
-    /// Address on which the node listens, instead of the configured ones.
+    /// Address on which the node listens; overrides the settings.
     #[arg(long, value_name = "ENDPOINT")]
     listen: Vec<String>,
     /// Address of a Prometheus endpoint, such as 127.0.0.1:9464.
     #[arg(long, value_name = "ADDRESS")]
     prometheus: Option<String>,
-    /// End after so many seconds.
+    /// Stop after N seconds.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     seconds: Option<f64>,
 }
@@ -74,10 +74,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let decoder = decoder(arguments.weights.as_deref())?;
     let weights = format!("{:016x}", decoder.fingerprint());
     let _log = log::start()?;
-    // Before anything is opened, so that a signal never leaves something half open.
+    // Before anything is opened, so that a signal always ends in a clean stop.
     let stop = Stop::on_signals()?;
 
-    // Before the bus starts its threads, so that they do not use that core.
+    // Before the bus starts its threads, so that they do not use this core.
     let is_alone = config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
@@ -91,13 +91,13 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let running = Node::start(bus, core, solver, &config.node, solver_core)?;
     say_hello(&config, &running);
     let why = wait(&stop, running.over(), seconds);
-    tracing::info!("ending: {why}");
+    tracing::info!("stopping: {why}");
     let status = running.stop()?;
     say_goodbye(status.as_ref());
     Ok(Exit::Done)
 }
 
-/// The settings, with those of the arguments in their place.
+/// The settings, overridden by the arguments.
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     let mut config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
     if let Some(bus) = arguments.bus {
@@ -115,7 +115,7 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     if let Some(prometheus) = &arguments.prometheus {
         config.node.prometheus.clone_from(prometheus);
     }
-    // The arguments are checked as the settings of a file are.
+    // The arguments get the same checks as a file.
     Config::parse(&config.to_toml(), Path::new("the settings")).map_err(|error| {
         let message = error.to_string();
         match arguments.latency {
@@ -136,7 +136,7 @@ fn run_time(seconds: Option<f64>) -> Result<Option<Duration>, Failure> {
     }
 }
 
-/// Waits until the node should end; why.
+/// Waits until the node should stop; returns the reason.
 fn wait(stop: &Stop, over: &Receiver<()>, seconds: Option<Duration>) -> &'static str {
     let begin = Instant::now();
     loop {
@@ -144,7 +144,7 @@ fn wait(stop: &Stop, over: &Receiver<()>, seconds: Option<Duration>) -> &'static
             return "stopped by a signal";
         }
         if seconds.is_some_and(|seconds| begin.elapsed() >= seconds) {
-            return "the time is over";
+            return "the time of --seconds is over";
         }
         if over.recv_timeout(ATTENTION) == Err(RecvTimeoutError::Disconnected) {
             return "the node stopped by itself";

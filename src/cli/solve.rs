@@ -20,17 +20,17 @@ use crate::offline::{Observer, Options, Recording, Summary, solve};
 #[command(after_help = "\
 Writes to the folder DIR:
   poses.mcap         skeleton, rig, poses, keyframes and events
-  poses.bvh          poses in centimetres, y up, from the recording's first frame on; until the
-                     performer is found, the first pose is held, and over gaps the pose before
+  poses.bvh          poses in centimetres, y up, from the recording's first frame on; frames before
+                     the performer is found repeat the first pose, gaps repeat the previous pose
   poses.states.csv   first_frame,last_frame,state: runs of BVH frames, counted from 0, that are
-                     tracking, coasting (carried on without detections), lost (do not use) or held
-  report.html        figures and plots
+                     tracking, coasting (extrapolated), lost (do not use) or held (repeated)
+  report.html        metrics and plots
 
 The recording is streamed: memory does not grow with its length. Percentiles are exact up to
-131072 values (points or windows), beyond that within 0.05 %.
+131072 values (points or windows), and within 0.05 % above that.
 
-Exit code 6 means that windows are lost or that the recording is damaged: what could be solved is
-there, what could not is flagged.
+Exit code 6: windows are lost, or the recording is damaged. All solvable parts are written; lost
+poses are flagged.
 
 Examples:
   bundlemocap solve recordings/walk.mcap --out out
@@ -39,39 +39,39 @@ Examples:
   bundlemocap solve balancing.mcap --out out --reference pose2sim.trc
   bundlemocap solve balancing.mcap --out out --cameras cam01,cam02,cam04 --optimiser lbfgs")]
 pub(super) struct Arguments {
-    /// An MCAP recording with keypoints and a calibrated rig.
+    /// MCAP recording with keypoints and a calibrated rig.
     file: PathBuf,
-    /// The folder to write to; it is made if it is not there.
+    /// Output folder; created if missing.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Replace the files of an earlier solve in that folder.
+    /// Replace the files of an earlier solve.
     #[arg(long)]
     overwrite: bool,
-    /// Settings; config/default.toml lists them all.
+    /// Settings file; config/default.toml lists every setting.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Weights of a manifold, from `bundlemocap train`; the embedded ones if not given.
+    /// Manifold weights of `bundlemocap train`; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
-    /// Use these cameras only, by name.
+    /// Use only these cameras.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     cameras: Vec<String>,
-    /// Do not solve with this camera; report the error in it.
+    /// Solve without this camera and report its reprojection error.
     #[arg(long, value_name = "CAMERA")]
     hold_out: Option<String>,
     /// Report the distance to these marker positions (y up, frames as in the recording).
     #[arg(long, value_name = "TRC")]
     reference: Option<PathBuf>,
-    /// Frames a second of the cameras, 1 to 1000; found from the recording if not given.
+    /// Frame rate of the cameras, 1 to 1000 Hz; default: estimated from the recording.
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     fps: Option<f64>,
-    /// How latent codes are interpolated between keyframes.
+    /// Interpolation of latent codes between keyframes.
     #[arg(long, value_enum)]
     interpolation: Option<InterpolationName>,
     /// The optimiser of the windows.
     #[arg(long, value_enum)]
     optimiser: Option<OptimiserName>,
-    /// Print one JSON object, not the table.
+    /// Print one JSON object instead of the table.
     #[arg(long)]
     json: bool,
 }
@@ -88,7 +88,7 @@ enum OptimiserName {
     Lbfgs,
 }
 
-/// Shows how far the recording is read.
+/// A progress bar over the messages of the recording.
 struct Progress(ProgressBar);
 
 impl Observer for Progress {
@@ -167,7 +167,7 @@ fn tell(arguments: &Arguments, summary: &Summary) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Done, or done in part with a line that says so.
+/// Done, or partly done with a warning.
 fn ended(arguments: &Arguments, summary: &Summary) -> Exit {
     let without = summary.windows_without_performer;
     let mut parts = Vec::new();

@@ -17,7 +17,7 @@ use crate::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 /// Radius of the ring and height of its cameras, metres.
 pub(super) const RING: [f64; 2] = [4.0, 1.6];
 
-/// Make a synthetic recording with ground truth.
+/// Create a synthetic recording with ground truth.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

@@ -1,4 +1,4 @@
-//! What a person sees: lines, tables, progress. A closed pipe is not an error.
+//! Output to the terminal: lines, tables, progress. A closed pipe is not an error.
 
 use std::io::Write;
 use std::time::Duration;
@@ -10,12 +10,12 @@ pub(crate) fn say(text: &str) {
     let _ = tell(text);
 }
 
-/// Prints to standard output; false if nobody reads it any more.
+/// Prints to standard output; false if the pipe is closed.
 pub(crate) fn tell(text: &str) -> bool {
     writeln!(std::io::stdout().lock(), "{text}").is_ok()
 }
 
-/// Prints one line to standard error.
+/// Prints `kind: text` to standard error.
 pub(crate) fn complain(kind: &str, text: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{kind}: {text}");
 }
@@ -25,7 +25,7 @@ pub(crate) fn note(text: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{text}");
 }
 
-/// Rows of a name and a value, the values in one column.
+/// Rows of a name and a value, with aligned values.
 pub(crate) fn table(rows: &[(String, String)]) -> String {
     let width = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
     let lines = rows.iter().map(|(name, value)| {
@@ -35,7 +35,7 @@ pub(crate) fn table(rows: &[(String, String)]) -> String {
     lines.collect::<Vec<_>>().join("\n")
 }
 
-/// A bar on standard error, hidden when that is not a terminal.
+/// A progress bar on standard error, hidden if that is not a terminal.
 pub(crate) fn progress(total: u64, unit: &str) -> ProgressBar {
     let template = format!("{{bar:32}} {{pos}}/{{len}} {unit} {{msg}} {{eta}} left");
     let bar = ProgressBar::new(total);
@@ -46,8 +46,7 @@ pub(crate) fn progress(total: u64, unit: &str) -> ProgressBar {
     bar
 }
 
-/// A line on standard error that says how far something without an end is, hidden when that is not
-/// a terminal.
+/// A status line on standard error for work of unknown length, hidden if that is not a terminal.
 pub(crate) fn ticker() -> ProgressBar {
     let bar = ProgressBar::new_spinner();
     if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {

@@ -139,7 +139,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     say(&format!("trained on {clips} clips, {frames} frames, in {seconds:.0} s"));
     say(&format!("{}: {} parameters", options.out.display(), report.parameters));
     say_figures(&report.held_out);
-    say(&format!("to reproduce it: {}", report.command));
+    say(&format!("to reproduce: {}", report.command));
     Ok(Exit::Done)
 }
 
@@ -162,7 +162,7 @@ fn run_transition(arguments: &Arguments) -> Ended {
     say(&format!("{}: {} parameters", options.out.display(), report.parameters));
     say_transition_figures(&report.held_out);
     let manifold = manifold.map_or_else(String::new, |path| format!(" --manifold {}", name(path)));
-    say(&format!("to reproduce it: {}{manifold}", report.command));
+    say(&format!("to reproduce: {}{manifold}", report.command));
     Ok(Exit::Done)
 }
 

@@ -1,4 +1,4 @@
-//! Messages as a line of text.
+//! Messages as lines of text.
 
 use crate::core::time::Timestamp;
 use crate::io::recording::Message;
@@ -8,7 +8,7 @@ use crate::io::wire::{
     Status, TrackingState,
 };
 
-/// The main fields of a message; `None` for one that is not ours. `arrival` is when it was received.
+/// The main fields of a message; `None` for an unknown schema. `arrival` is the time of arrival.
 pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {
     Some(match message {
         Message::Keypoints(frame) => keypoints(frame, arrival),
@@ -90,8 +90,8 @@ fn keyframe(keyframe: &Keyframe, arrival: Timestamp) -> String {
     let span = keyframe.capture_time_ns.saturating_sub(keyframe.start_time_ns);
     let (window, root) = (keyframe.window, list(&keyframe.root_position_m, 3));
     let from = match span {
-        0 => "begins a path".to_owned(),
-        span => format!("{:.1} ms from the one before", ms(span)),
+        0 => "start of a path".to_owned(),
+        span => format!("{:.1} ms after the previous one", ms(span)),
     };
     let latency = latency(keyframe.capture_time_ns, arrival);
     format!("window {window}, {from}, |z| {norm:.2}, root {root} m, {latency}")

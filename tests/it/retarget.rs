@@ -737,7 +737,7 @@ fn live_poses_are_retargeted_and_written_at_the_end() {
     let mut errors = BufReader::new(child.0.stderr.take().unwrap());
     let mut line = String::new();
     errors.read_line(&mut line).unwrap();
-    assert!(line.contains("retargeted/my_robot; Ctrl-C ends it"), "{line}");
+    assert!(line.contains("retargeted/my_robot; stop with Ctrl-C"), "{line}");
     // The skeleton may arrive after the first pose: repeat the pose until there is a result.
     let poses = poses(&skeleton);
     let payload = |index: usize| {

@@ -1,4 +1,4 @@
-//! The cameras of `bench latency`: synthetic detections, sent in real time.
+//! The cameras of `bench latency`: synthetic detections in real time.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -15,20 +15,20 @@ use crate::io::wire::{self, KeypointFrame, Topics, encode};
 use crate::live::WallClock;
 use crate::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
-/// The procedural motion stands still every so many seconds; there it can be turned round.
+/// The procedural motion stands still at multiples of this time, seconds, and can be reversed there.
 const STANDS_EVERY: f64 = 13.0;
 const ENCODING: &str = "application/protobuf;bundlemocap.v1.KeypointFrame";
 
-/// What the cameras see, encoded beforehand but for the stamps.
+/// Keypoint messages, encoded in advance without frame number and capture time.
 pub(super) struct Cameras {
     rig: Rig,
     fps: f64,
-    /// Frame by frame, in each a message of every camera.
+    /// By frame, then by camera.
     frames: Vec<Vec<Vec<u8>>>,
 }
 
 impl Cameras {
-    /// Cameras on a ring that see the procedural motion, at least two frames of it.
+    /// Cameras on a ring around the procedural motion, at least two frames.
     pub(super) fn new(
         count: u8,
         fps: f64,
@@ -65,20 +65,20 @@ impl Cameras {
         encode(&wire::Rig::from_core(&self.rig))
     }
 
-    /// Bytes of a message on average.
+    /// Mean size of a message, bytes.
     pub(super) fn mean_bytes(&self) -> f64 {
         let (count, bytes) = (self.frames.iter().flatten())
             .fold((0usize, 0usize), |(count, bytes), message| (count + 1, bytes + message.len()));
         bytes as f64 / count.max(1) as f64
     }
 
-    /// Nanoseconds from a frame's capture to that of frame 0.
+    /// Capture time of a frame relative to frame 0, ns.
     fn since_start(&self, frame: u64) -> i64 {
         Timestamp::of_frame(frame, self.fps).ns()
     }
 
-    /// The message of a camera: forwards, backwards, forwards, with the stamps appended, which
-    /// Protocol Buffers takes as one message.
+    /// The message of a camera; the motion runs forwards, then backwards. Frame number and capture
+    /// time are appended, which Protocol Buffers decodes as one message.
     fn message(&self, frame: u64, camera: usize, capture: Timestamp) -> Vec<u8> {
         let last = self.frames.len() as u64 - 1;
         let at = frame % (2 * last);
@@ -90,12 +90,12 @@ impl Cameras {
     }
 }
 
-/// When each frame was sent, by its capture time.
+/// Capture time and sending time of each frame.
 #[derive(Clone, Default)]
 pub(super) struct Sent(Arc<Mutex<Vec<(Timestamp, Timestamp)>>>);
 
 impl Sent {
-    /// Capture times in order, each with the time at which the last camera's message was sent.
+    /// Capture times in order, each with the sending time of the last camera's message.
     pub(super) fn take(&self) -> Vec<(Timestamp, Timestamp)> {
         std::mem::take(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
@@ -105,7 +105,7 @@ impl Sent {
     }
 }
 
-/// Sends every frame of every camera at its time, in `frames` frames' time.
+/// Sends `frames` frames of every camera in real time.
 pub(super) fn send(
     cameras: &Cameras,
     bus: &dyn Bus,

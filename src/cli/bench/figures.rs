@@ -1,4 +1,4 @@
-//! The figures of `bench latency`: what was heard from the node, and what follows.
+//! The metrics of `bench latency`, from the messages of the node.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -11,7 +11,7 @@ use crate::io::wire::{Event, Pose, Status, Topics, decode};
 use crate::live::{Usage, WallClock};
 use crate::metrics::statistics::{Line, percentiles};
 
-/// A pose that came.
+/// A received pose.
 #[derive(Clone, Copy, Debug)]
 struct Arrival {
     capture: Timestamp,
@@ -19,7 +19,7 @@ struct Arrival {
     at: Timestamp,
 }
 
-/// What was heard from the node.
+/// The messages received from the node.
 #[derive(Clone, Default)]
 pub(super) struct Heard(Arc<Mutex<Notes>>);
 
@@ -32,7 +32,7 @@ struct Notes {
 }
 
 impl Heard {
-    /// Listens to the node.
+    /// Subscribes to the node.
     pub(super) fn listen(
         &self,
         bus: &dyn Bus,
@@ -58,17 +58,17 @@ impl Heard {
         ])
     }
 
-    /// Whether the node has said how it is.
+    /// Whether a status has arrived.
     pub(super) fn has_status(&self) -> bool {
         self.lock().status.is_some()
     }
 
-    /// When the first pose came.
+    /// Time of arrival of the first pose.
     pub(super) fn first_pose(&self) -> Option<Timestamp> {
         self.lock().poses.first().map(|arrival| arrival.at)
     }
 
-    /// The latency that the node declares, nanoseconds.
+    /// The declared latency of the node, ns.
     pub(super) fn latency_ns(&self) -> i64 {
         self.lock().poses.last().map_or(0, |arrival| arrival.latency_ns)
     }
@@ -88,7 +88,7 @@ fn arrival(sample: &Sample, at: Timestamp) -> Option<Arrival> {
     Some(Arrival { capture: Timestamp::from_ns(pose.capture_time_ns), latency_ns, at })
 }
 
-/// What was asked for.
+/// The load of the benchmark.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Load {
     pub(super) bus: String,
@@ -99,7 +99,7 @@ pub(super) struct Load {
     pub(super) window_span_ms: f64,
 }
 
-/// Everything measured. Field names are part of the interface.
+/// All metrics. Field names are part of the interface.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Figures {
     #[serde(flatten)]
@@ -110,17 +110,17 @@ pub(super) struct Figures {
     /// Whether the declared latency never changed.
     pub(super) latency_constant: bool,
     pub(super) poses: Poses,
-    /// Arrival of a pose against capture time + declared latency, absolute, milliseconds.
+    /// Absolute difference of arrival and due time, milliseconds.
     pub(super) arrival_deviation_ms: Option<Spread>,
-    /// The same as the node measures it when it publishes: upper ends of the histogram's bins.
+    /// The same, measured by the node when it publishes: upper edges of the histogram's bins.
     pub(super) publish_deviation_ms: Option<Spread>,
-    /// From the last camera's message to the provisional pose, after the acquisition, milliseconds.
+    /// From the last camera's message to the provisional pose, after acquisition, milliseconds.
     pub(super) live_ms: Option<Spread>,
     pub(super) live_poses: usize,
-    /// Processes that wanted a core, on average over a minute; above the number of cores the node
-    /// waited for others.
+    /// Mean number of runnable processes over a minute; above the number of cores the node had to
+    /// wait.
     pub(super) machine_load: Option<f64>,
-    /// Of one core.
+    /// Percent of one core.
     pub(super) cpu_percent: Option<f64>,
     pub(super) memory: Option<Memory>,
     pub(super) solve_ms: Option<[f64; 2]>,
@@ -130,7 +130,7 @@ pub(super) struct Figures {
     pub(super) events: BTreeMap<String, u64>,
 }
 
-/// Poses that came, of those that should have.
+/// Received and expected poses.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Poses {
     pub(super) expected: usize,
@@ -155,14 +155,14 @@ pub(super) struct Memory {
     pub(super) start: f64,
     pub(super) middle: f64,
     pub(super) end: f64,
-    /// Of a line through the second half, kB a minute.
+    /// Slope of a line through the second half, kB per minute.
     pub(super) slope_kb_min: f64,
 }
 
-/// What the node used, with the time.
+/// Resource usage of the node at a time.
 pub(super) type UsageAt = (Timestamp, Usage);
 
-/// What follows from what was heard.
+/// The metrics of the received messages.
 pub(super) fn figures(
     load: Load,
     heard: &Heard,
@@ -176,7 +176,7 @@ pub(super) fn figures(
     let first = notes.poses.first();
     let deviation = |a: &Arrival| ((a.at - a.capture - a.latency_ns) as f64 * 1e-6).abs();
     let mut events = BTreeMap::new();
-    // That the cameras are silent after their last frame is no news.
+    // Ignore events after the last frame, when the cameras are silent.
     let end = sent.last().map_or(0, |last| last.0.ns());
     for event in notes.events.iter().filter(|event| event.capture_time_ns <= end) {
         *events.entry(event.kind.clone()).or_default() += event.count;
@@ -205,8 +205,8 @@ pub(super) fn figures(
     }
 }
 
-/// From the first pose on, one is expected for each frame, but for those of the last two windows,
-/// which the end may cut.
+/// One pose per frame is expected from the first pose on, except for the last two windows, which the
+/// end may cut.
 fn poses(all: &[Arrival], sent: &[(Timestamp, Timestamp)], load: &Load) -> Poses {
     let end = sent.last().map(|sent| sent.0 + (-2e6 * load.window_span_ms) as i64);
     let range = all.first().map(|pose| pose.capture).zip(end);
@@ -224,7 +224,7 @@ fn poses(all: &[Arrival], sent: &[(Timestamp, Timestamp)], load: &Load) -> Poses
     }
 }
 
-/// Of each provisional pose after the acquisition, milliseconds since the last message of its frame set.
+/// Latency of each provisional pose after acquisition, from the last message of its frame set, ms.
 fn live(
     all: &[Arrival],
     from: Option<Timestamp>,
@@ -236,7 +236,7 @@ fn live(
     })
 }
 
-/// Processes that wanted a core in the last minute, on average, as Linux tells it.
+/// Load average of the last minute (Linux).
 fn machine_load() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/loadavg").ok()?;
     text.split_whitespace().next()?.parse().ok()
@@ -248,7 +248,7 @@ fn spread(values: impl Iterator<Item = f64>) -> Option<Spread> {
     Some(Spread { p50, p99, p99_9, max })
 }
 
-/// Upper ends of the bins that hold the percentiles, milliseconds; infinite for the open bin.
+/// Percentiles as upper edges of their bins, milliseconds; infinite for the open bin.
 fn of_bins(ends_us: &[u32], counts: &[u64]) -> Option<Spread> {
     let total: u64 = counts.iter().sum();
     let at = |percent: f64| {
@@ -280,7 +280,7 @@ fn memory(usage: &[UsageAt]) -> Option<Memory> {
     })
 }
 
-/// Bytes a second, by least squares.
+/// Slope by least squares, bytes per second.
 fn slope(usage: &[UsageAt]) -> f64 {
     let Some(first) = usage.first() else { return 0.0 };
     let points = usage.iter().map(|(at, u)| (at.seconds_since(first.0), u.resident_bytes as f64));
@@ -331,12 +331,12 @@ impl Figures {
                     number(self.declared_latency_ms, "ms")
                 ),
             ),
-            row("arrival from capture + latency", spread(self.arrival_deviation_ms)),
-            row("publishing from it, by the node", spread(self.publish_deviation_ms)),
-            row("provisional pose after last message", spread(self.live_ms)),
+            row("arrival, deviation from due time", spread(self.arrival_deviation_ms)),
+            row("publishing, deviation from due time", spread(self.publish_deviation_ms)),
+            row("provisional pose, latency", spread(self.live_ms)),
             row("provisional poses", self.live_poses.to_string()),
-            row("load of the machine", number(self.machine_load, "processes")),
-            row("cpu of the node", number(self.cpu_percent, "% of one core")),
+            row("load average", number(self.machine_load, "processes")),
+            row("CPU of the node", number(self.cpu_percent, "% of one core")),
             row("memory of the node", self.memory.map_or_else(none, Memory::text)),
             row(
                 "window solve",
@@ -346,7 +346,7 @@ impl Figures {
             row("dropped by the queue", self.dropped.to_string()),
             row(
                 "effort level",
-                format!("{}, raised {} times", self.effort_level, self.effort_raised),
+                format!("{}, increased {} times", self.effort_level, self.effort_raised),
             ),
             row("events", if events.is_empty() { none() } else { events.join(", ") }),
         ]
@@ -356,7 +356,7 @@ impl Figures {
 impl Memory {
     fn text(self) -> String {
         let Self { start, middle, end, slope_kb_min } = self;
-        format!("{start:.1}, {middle:.1}, {end:.1} MB; {slope_kb_min:+.1} kB a minute at the end")
+        format!("{start:.1}, {middle:.1}, {end:.1} MB; {slope_kb_min:+.1} kB/min at the end")
     }
 }
 

@@ -23,12 +23,12 @@ use cameras::{Cameras, Sent, send};
 use figures::{Figures, Heard, Load, UsageAt, figures};
 use node::{NodeProcess, PATIENCE, isolated};
 
-/// How often the node's use of the machine is looked at.
+/// How often the resource usage of the node is measured.
 const LOOK: Duration = Duration::from_millis(500);
-/// How long poses and the last status may take beyond the declared latency, at the end.
+/// Time for the last poses and status to arrive, beyond the declared latency.
 const TAIL: Duration = Duration::from_millis(1500);
 
-/// Measure the live node on this machine.
+/// Benchmark the live node on this computer.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Example:
@@ -43,12 +43,12 @@ enum What {
     Latency(Latency),
 }
 
-/// Run a node and synthetic cameras on this machine, and measure what comes out.
+/// Run a node with synthetic cameras and measure its latency and output.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The node is a process of its own, on a free port or with names of its own in shared memory. The
-cameras send in real time; a message leaves at its capture time. Poses count from the first one
-that is published; how long that took is the acquisition.
+The node runs in a separate process, on a free port or with its own names in shared memory. The
+cameras send each message at its capture time. Poses are counted from the first published one; the
+time before it is the acquisition.
 
 Examples:
   bundlemocap bench latency --bus zenoh --cameras 4 --fps 60 --seconds 60
@@ -57,28 +57,28 @@ struct Latency {
     /// The bus between the cameras and the node.
     #[arg(long, value_enum, default_value = "zenoh")]
     bus: BusName,
-    /// How many cameras stand around the performer, 2 to 64.
+    /// Number of cameras around the performer, 2 to 64.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=64))]
     cameras: u8,
-    /// Frames a second of every camera, 1 to 1000.
+    /// Frame rate of every camera, 1 to 1000 Hz.
     #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
     fps: f64,
-    /// How long the cameras send, 1 to 100000.
+    /// Duration, 1 to 100000 s.
     #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
     seconds: f64,
-    /// How the detectors err.
+    /// Noise level of the detectors.
     #[arg(long, value_enum, default_value_t = NoiseName::Studio)]
     noise: NoiseName,
     /// Keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133.
     #[arg(long, default_value = "body_25")]
     format: String,
-    /// Settings of the node; addresses, names and the calibration in it are not used.
+    /// Settings file of the node; its addresses, names and calibration are ignored.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Print one JSON object, not the table.
+    /// Print one JSON object instead of the table.
     #[arg(long)]
     json: bool,
-    /// Print the node's log, too, on standard error.
+    /// Also print the node's log on standard error.
     #[arg(long)]
     log: bool,
 }
@@ -110,7 +110,7 @@ fn measure(arguments: &Latency) -> Result<Figures, Failure> {
     let cameras = Cameras::new(arguments.cameras, fps, seconds, noise, format)?;
 
     let mut node = NodeProcess::start(&config, seconds + 60.0)?;
-    // Cameras and listeners keep off the core of the node's solver: they stand for other machines.
+    // Cameras and subscribers stay off the solver's core, because they represent other computers.
     let _ = config.node.solver_core.then(SolverCore::reserve);
     let bus = node.connect(&config)?;
     let heard = Heard::default();
@@ -131,7 +131,7 @@ fn measure(arguments: &Latency) -> Result<Figures, Failure> {
     Ok(figures(load, &heard, &sent.take(), &usage))
 }
 
-/// Lets the cameras send, and watches the node meanwhile.
+/// Sends the frames and measures the node meanwhile.
 fn play(
     arguments: &Latency,
     config: &Config,
@@ -165,7 +165,7 @@ fn play(
         }
         let sending = sending.join();
         sending.unwrap_or_else(|_| {
-            Err(Failure::new(Exit::Unexpected, "the cameras' thread ended by itself"))
+            Err(Failure::new(Exit::Unexpected, "the cameras' thread panicked"))
         })?;
         Ok(usage)
     });
@@ -179,7 +179,7 @@ fn wait_for_status(node: &mut NodeProcess, heard: &Heard) -> Result<(), Failure>
     while !heard.has_status() {
         node.check()?;
         if begin.elapsed() > PATIENCE {
-            let message = format!("the node has not told its status within {PATIENCE:?}");
+            let message = format!("the node has not published a status within {PATIENCE:?}");
             return Err(Failure::new(Exit::Unexpected, message));
         }
         std::thread::sleep(Duration::from_millis(20));

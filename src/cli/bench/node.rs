@@ -1,4 +1,4 @@
-//! The node of `bench latency`, as a process of its own.
+//! The node of `bench latency`, in a separate process.
 
 use std::fs::{self, File};
 use std::net::TcpListener;
@@ -13,17 +13,17 @@ use crate::config::Config;
 use crate::io::bus::{Bus, open_client};
 use crate::live::{Usage, log};
 
-/// How long the node may take to start, and to end.
+/// Longest time for the node to start, and to stop.
 pub(super) const PATIENCE: Duration = Duration::from_secs(10);
 const LOOK: Duration = Duration::from_millis(20);
 
-/// The node, as a process of its own; killed if it is dropped before it has ended.
+/// The process of the node; killed if dropped while it runs.
 pub(super) struct NodeProcess {
     child: Child,
     folder: tempfile::TempDir,
 }
 
-/// Settings under which no other node is met: a free port, a prefix of one's own.
+/// Settings isolated from other nodes: a free port, a unique prefix.
 pub(super) fn isolated(mut config: Config) -> Result<Config, Failure> {
     let free = TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr());
     let address = free.map_err(|error| {
@@ -40,7 +40,7 @@ pub(super) fn isolated(mut config: Config) -> Result<Config, Failure> {
 }
 
 impl NodeProcess {
-    /// Starts this program as a node that ends by itself after `seconds`, should nobody end it.
+    /// Starts this program as a node that stops after `seconds` at the latest.
     pub(super) fn start(config: &Config, seconds: f64) -> Result<Self, Failure> {
         let failed = |what: &str, error: std::io::Error| {
             Failure::new(Exit::Unexpected, format!("cannot {what}: {error}"))
@@ -50,7 +50,8 @@ impl NodeProcess {
         fs::write(&settings, config.to_toml()).map_err(|error| failed("write settings", error))?;
         let log = File::create(log_path(folder.path()))
             .map_err(|error| failed("write the node's log", error))?;
-        let program = std::env::current_exe().map_err(|error| failed("find itself", error))?;
+        let program =
+            std::env::current_exe().map_err(|error| failed("find this program", error))?;
         let mut command = Command::new(program);
         if std::env::var_os(log::VARIABLE).is_none() {
             command.env(log::VARIABLE, "warn");
@@ -65,7 +66,7 @@ impl NodeProcess {
         Ok(Self { child, folder })
     }
 
-    /// Connects to it as soon as it answers.
+    /// Connects to the node as soon as it answers.
     pub(super) fn connect(&mut self, config: &Config) -> Result<Box<dyn Bus>, Failure> {
         let begin = Instant::now();
         loop {
@@ -78,7 +79,7 @@ impl NodeProcess {
         }
     }
 
-    /// What the process has used so far.
+    /// The resource usage of the process so far.
     pub(super) fn usage(&self) -> Option<Usage> {
         Usage::of(Some(self.child.id()))
     }
@@ -91,12 +92,12 @@ impl NodeProcess {
         }
     }
 
-    /// Lines that the node has logged.
+    /// The node's log.
     pub(super) fn log(&self) -> String {
         fs::read_to_string(log_path(self.folder.path())).unwrap_or_default()
     }
 
-    /// Asks it to end, and waits for that.
+    /// Stops the node and waits until it has ended.
     pub(super) fn stop(mut self) -> Result<(), Failure> {
         self.check()?;
         if let Some(pid) = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw) {
@@ -110,13 +111,13 @@ impl NodeProcess {
                 _ => std::thread::sleep(LOOK),
             }
         }
-        let message = format!("the node has not ended {PATIENCE:?} after SIGTERM");
+        let message = format!("the node has not stopped within {PATIENCE:?} of SIGTERM");
         Err(Failure::new(Exit::Unexpected, message))
     }
 
     fn ended_early(&self, status: ExitStatus) -> Failure {
         let log = self.log();
-        let last = log.lines().last().unwrap_or("it said nothing");
+        let last = log.lines().last().unwrap_or("its log is empty");
         Failure::new(Exit::Unexpected, format!("the node ended ({status}): {last}"))
     }
 }

@@ -1,4 +1,4 @@
-//! Our settings varied one at a time.
+//! Ablation: our settings varied one at a time.
 
 use serde_json::{Value, json};
 
@@ -11,14 +11,14 @@ use crate::research::experiments::ablation::{FACTORS, Factor, Seen, both, factor
 use crate::research::experiments::summary::{Summary, summaries, table, to_json};
 use crate::research::experiments::{Run, View};
 
-/// A table for each factor, at the first level of noise.
+/// One table per factor, at the first noise level.
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let factors = factors(&arguments.ablation)?;
     let setup = Setup::new(arguments)?;
     let level = arguments.noise.first().map_or("studio", String::as_str);
     let view = setup.view(level)?;
     let mut report = ReportData {
-        title: "Our settings varied".into(),
+        title: "Ablation of our settings".into(),
         subtitle: format!("{}, noise {level}", setup.subtitle()),
         ..ReportData::default()
     };
@@ -45,7 +45,7 @@ fn factors(names: &[String]) -> Result<Vec<(&str, Factor)>, Failure> {
         for name in asked {
             let known = factor(name).ok_or_else(|| {
                 let known = FACTORS.join(", ");
-                let message = format!("--ablation {name} is not known; use all, {known}");
+                let message = format!("--ablation {name} is unknown; use all, {known}");
                 Failure::new(Exit::Usage, message)
             })?;
             found.push((name, known));

@@ -1,4 +1,4 @@
-//! The table of methods on motions with a known truth.
+//! Methods compared on synthetic recordings with ground truth.
 
 use serde_json::{Value, json};
 
@@ -15,7 +15,7 @@ use crate::research::experiments::summary::{
 use crate::research::experiments::{Case, Run, Sequence, View, methods, plots, true_heights};
 use crate::research::methods::{Method, Windows};
 
-/// A level of noise and what came of it.
+/// The results of a noise level.
 struct Level {
     view: View,
     cases: Vec<Case>,
@@ -24,7 +24,7 @@ struct Level {
     detector: Option<DetectorStatistics>,
 }
 
-/// Solves by every method at each level, prints and writes the tables.
+/// Solves with every method at each noise level; prints and writes the tables.
 pub(super) fn compare(arguments: &Arguments, names: &[String]) -> Result<(), Failure> {
     let setup = Setup::new(arguments)?;
     let mut levels = Vec::new();
@@ -74,7 +74,7 @@ fn solve(setup: &Setup, view: View, names: &[String]) -> Result<Level, Failure> 
     Ok(Level { view, cases, run, summaries, detector })
 }
 
-/// How the detectors err, against the true body.
+/// Errors of the detectors relative to the true body.
 fn statistics(sequence: &Sequence) -> Option<DetectorStatistics> {
     let Sequence { take, truth, skeleton } = sequence;
     let posture = |at| {
@@ -95,7 +95,7 @@ fn bars(levels: &[Level]) -> Vec<Bars> {
     ]
 }
 
-/// Curves of one case of a level.
+/// Adds the curves of one case of a level.
 fn add_curves(report: &mut ReportData, level: &Level) {
     let Level { view, cases, run, .. } = level;
     let Some(case) = middling(run) else { return };
@@ -110,7 +110,7 @@ fn add_curves(report: &mut ReportData, level: &Level) {
     }
 }
 
-/// A case in the middle by the first method's error: neither easy nor a failure.
+/// The case with the median error of the first method.
 fn middling(run: &Run) -> Option<usize> {
     let row = run.rows.first()?;
     let mut errors: Vec<(f64, usize)> = (row.results.iter().enumerate())
@@ -125,8 +125,8 @@ fn detector_table(levels: &[(&str, &DetectorStatistics)]) -> Table {
     const ROWS: [Row; 8] = [
         ("residual, median (% of height)", |s| 100.0 * s.residual_median),
         ("residual, 95th percentile (%)", |s| 100.0 * s.residual_p95),
-        ("of it constant, median (%)", |s| 100.0 * s.systematic),
-        ("of it varying, median (%)", |s| 100.0 * s.varying),
+        ("constant part, median (%)", |s| 100.0 * s.systematic),
+        ("varying part, median (%)", |s| 100.0 * s.varying),
         ("points missing (%)", |s| 100.0 * s.missing),
         ("mean gap (s)", |s| s.missing_run_s),
         ("frames without the performer (%)", |s| 100.0 * s.without_performer),
@@ -138,7 +138,7 @@ fn detector_table(levels: &[(&str, &DetectorStatistics)]) -> Table {
         let values = levels.iter().map(|(_, statistics)| number(Some(of(statistics)), 2));
         std::iter::once((*name).to_owned()).chain(values).collect()
     });
-    Table { title: "How the detectors err".into(), header, rows: rows.collect() }
+    Table { title: "Errors of the detectors".into(), header, rows: rows.collect() }
 }
 
 fn results(setup: &Setup, levels: &[Level]) -> Value {

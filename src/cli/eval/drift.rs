@@ -1,4 +1,4 @@
-//! Whether the error grows over a long take.
+//! Drift of the error over a long take.
 
 use serde_json::json;
 
@@ -9,7 +9,7 @@ use crate::cli::failure::{Exit, Failure};
 use crate::io::report::ReportData;
 use crate::research::experiments::{Case, drift, methods, plots};
 
-/// Solves one take of that many minutes at each level of noise.
+/// Solves one take of `minutes` at each noise level.
 pub(super) fn run(arguments: &Arguments, names: &[String], minutes: f64) -> Result<(), Failure> {
     within("--drift-minutes", minutes, 0.5, 600.0)?;
     let setup = Setup::new(arguments)?;
@@ -29,7 +29,7 @@ pub(super) fn run(arguments: &Arguments, names: &[String], minutes: f64) -> Resu
         let run = setup.solve(level, &[case], &make)?;
         let drifts = drift::drifts(&run);
         if drifts.is_empty() {
-            let message = format!("nobody was found at noise {level}; lower it");
+            let message = format!("nobody was found at noise {level}; use a lower level");
             return Err(Failure::new(Exit::NobodyFound, message));
         }
         report.leading.push(drift::table(&format!("Noise: {level}"), &drifts));

@@ -32,7 +32,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     Ok(Exit::Done)
 }
 
-/// The names of methods that are asked for, each checked, each once.
+/// The requested method names, checked and without duplicates.
 fn method_names(asked: &[String], otherwise: &[&str]) -> Result<Vec<String>, Failure> {
     let known = methods::names();
     let mut names: Vec<String> = Vec::new();
@@ -42,8 +42,7 @@ fn method_names(asked: &[String], otherwise: &[&str]) -> Result<Vec<String>, Fai
             "all" => names.extend(known.clone()),
             _ if known.iter().any(|one| one == name) => names.push(name.to_owned()),
             _ => {
-                let message =
-                    format!("--methods {name} is not known; use all, {}", known.join(", "));
+                let message = format!("--methods {name} is unknown; use all, {}", known.join(", "));
                 return Err(Failure::new(Exit::Usage, message));
             }
         }

@@ -1,4 +1,4 @@
-//! What `bundlemocap eval` writes: table.md, results.json, report.html.
+//! Output files of `bundlemocap eval`: table.md, results.json, report.html.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use crate::io::report::{ReportData, write_report};
 use crate::offline::output::{OutputFolder, text as file};
 use crate::research::experiments::summary::{markdown, text};
 
-/// Prints the tables that lead the report and writes the folder.
+/// Prints the leading tables of the report and writes the output folder.
 pub(super) fn write(out: &Path, report: &ReportData, results: &Value) -> Result<(), Failure> {
     let folder = OutputFolder::make(out)?;
     let tables: Vec<String> = report.leading.iter().map(markdown).collect();

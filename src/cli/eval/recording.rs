@@ -1,4 +1,4 @@
-//! Methods on a real recording.
+//! Methods compared on a real recording.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -56,15 +56,14 @@ impl Loaded {
         Ok(Self { take: Take { rig, format, fps, frames }, clock: clock.ok_or_else(short)? })
     }
 
-    /// How its detectors err, against our solution in place of the truth; `None` where nobody is
-    /// found.
+    /// Errors of its detectors relative to our solution; `None` if nobody is found.
     pub(super) fn detectors(&self, decoder: &Decoder) -> Option<DetectorStatistics> {
         let solved = Windows::default_settings().solve(&self.take, decoder)?;
         detectors(&self.take, &solved)
     }
 }
 
-/// Solves with all cameras, and without each in turn, by every method.
+/// Solves with every method, with all cameras and without each camera in turn.
 pub(super) fn run(arguments: &Arguments, names: &[String]) -> Result<(), Failure> {
     let Some(path) = &arguments.recording else { return Ok(()) };
     let decoder = decoder(arguments.weights.as_deref())?;
@@ -78,7 +77,7 @@ pub(super) fn run(arguments: &Arguments, names: &[String]) -> Result<(), Failure
         let reference = trc.as_ref().map(|trc| (trc, clock));
         match measure(&take, &make, &decoder, reference, &|| bar.inc(1))? {
             Some(score) => scores.push(score),
-            None => complain("warning", &format!("{}: nobody was found by {name}", path.display())),
+            None => complain("warning", &format!("{}: {name} found nobody", path.display())),
         }
     }
     bar.finish_and_clear();
@@ -105,7 +104,7 @@ pub(super) fn run(arguments: &Arguments, names: &[String]) -> Result<(), Failure
     write(&arguments.out, &report, &results)
 }
 
-/// The error in each camera that was held out.
+/// The error in each held-out camera.
 fn bars(scores: &[RealScore]) -> Bars {
     let Some(first) = scores.first() else { return Bars::default() };
     let group = |camera: &str| {
@@ -117,7 +116,7 @@ fn bars(scores: &[RealScore]) -> Bars {
     };
     Bars {
         title: "Held-out cameras".into(),
-        note: "Median distance of the limbs' points in a camera that had no part in solving."
+        note: "Median distance of the limbs' points in a camera that was not used in the solve."
             .into(),
         label: "error (px)".into(),
         series: scores.iter().map(|score| score.method.clone()).collect(),

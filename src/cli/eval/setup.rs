@@ -1,4 +1,4 @@
-//! What `bundlemocap eval` measures on: the protocol and the options over it.
+//! The protocol of `bundlemocap eval`, overridden by the options.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,30 +14,30 @@ use crate::research::experiments::{Case, Methods, Run, Subject, View, procedural
 use crate::research::synth::{Noise, Protocol, RigError, rig_named};
 use crate::research::train::{self, Clip, read_folder};
 
-/// Where the Human3.6M cameras are looked for, under `BUNDLEMOCAP_DATA` or `../shared`.
+/// File of the Human3.6M cameras in `BUNDLEMOCAP_DATA` or `../shared`.
 const H36M: &str = "recordings/h36m_rig/cameras.json";
-/// Motions of our own, where no folder is given.
+/// Number of procedural motions, used without a folder of clips.
 const PROCEDURAL: usize = 4;
 
-/// Everything that the measurements share.
+/// Shared by all measurements.
 pub(super) struct Setup {
-    /// The protocol with the options in it.
+    /// The protocol, overridden by the options.
     pub(super) protocol: Protocol,
     pub(super) decoder: Decoder,
     pub(super) subjects: Vec<Subject>,
-    /// Motions take turns with them.
+    /// Used in turn.
     rigs: Vec<Arc<Rig>>,
     format: KeypointFormat,
     jobs: usize,
 }
 
 impl Setup {
-    /// By the options, on those subjects if they are not named.
+    /// Reads protocol, weights, rigs and motions.
     pub(super) fn new(arguments: &Arguments) -> Result<Self, Failure> {
         let protocol = protocol(arguments)?;
         let seconds = protocol.sequence.seconds;
         let format = KeypointFormat::from_name(&protocol.format).ok_or_else(|| {
-            let message = format!("format {:?} of the protocol is not known", protocol.format);
+            let message = format!("format {:?} of the protocol is unknown", protocol.format);
             Failure::new(Exit::KeypointFormat, format!("{message}; use body_25 or halpe_26"))
         })?;
         let of_name = |name: &String| rig(name, arguments.h36m.as_deref()).map(Arc::new);
@@ -69,13 +69,12 @@ impl Setup {
             (None, "none") => Noise::none(),
             _ => {
                 let known: Vec<&str> = self.protocol.levels.keys().map(String::as_str).collect();
-                let message =
-                    format!("--noise {level} is not known; use none, {}", known.join(", "));
+                let message = format!("--noise {level} is unknown; use none, {}", known.join(", "));
                 return Err(Failure::new(Exit::Usage, message));
             }
         };
         let Some(rig) = self.rigs.first().map(Arc::clone) else {
-            let message = "the protocol names no rig; give one with --rig";
+            let message = "the protocol has no rig; give one with --rig";
             return Err(Failure::new(Exit::Usage, message));
         };
         Ok(View {
@@ -108,7 +107,7 @@ impl Setup {
         self.protocol.seeds.iter().flat_map(pass).collect()
     }
 
-    /// Solves cases by methods, with a bar.
+    /// Solves cases with methods; shows a progress bar.
     pub(super) fn solve(
         &self,
         what: &str,
@@ -172,7 +171,7 @@ fn protocol(arguments: &Arguments) -> Result<Protocol, Failure> {
     Ok(protocol)
 }
 
-/// A value if it is in its range.
+/// Checks the range of a value.
 pub(super) fn within(option: &str, value: f64, low: f64, high: f64) -> Result<f64, Failure> {
     if (low..=high).contains(&value) {
         return Ok(value);
@@ -193,7 +192,7 @@ fn read_protocol(path: &Path) -> Result<Protocol, Failure> {
     })
 }
 
-/// The cameras of a name, see [`rig_named`].
+/// The rig of a name; see [`rig_named`].
 pub(super) fn rig(name: &str, h36m: Option<&Path>) -> Result<Rig, Failure> {
     let known = h36m.map(Path::to_owned).or_else(known_h36m);
     rig_named(name, known.as_deref()).map_err(|error| match error {
@@ -215,7 +214,7 @@ fn usable(subjects: Vec<Subject>, protocol: &Protocol) -> Vec<Subject> {
     if !others.is_empty() {
         let names: Vec<&str> = others.iter().map(|subject| subject.name.as_str()).collect();
         eprintln!(
-            "left out: {}, since no {} s stay within {} m and move as people can",
+            "skipped {}: no {} s within {} m with plausible motion",
             names.join(", "),
             choice.least_seconds,
             choice.radius_m
@@ -229,7 +228,7 @@ fn known_h36m() -> Option<PathBuf> {
     Some(Path::new(&folder).join(H36M)).filter(|path| path.exists())
 }
 
-/// The clips of those subjects in a folder, or of all others; every so manieth.
+/// Every Nth clip of the named subjects in a folder, or of all others.
 fn clips(
     folder: &Path,
     named: &[String],
@@ -248,7 +247,7 @@ fn clips(
     let wanted = |clip: &Clip| named.contains(&clip.subject) != others;
     let chosen: Vec<Clip> = clips.into_iter().filter(wanted).step_by(every.max(1)).collect();
     if chosen.is_empty() {
-        let message = format!("{at}: no clip is left; it has those of {names}, see --subjects");
+        let message = format!("{at}: no clip is left; it has clips of {names}, see --subjects");
         return Err(Failure::new(Exit::NoDetections, message));
     }
     Ok(chosen)

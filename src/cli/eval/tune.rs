@@ -1,4 +1,4 @@
-//! A method's weights, tuned on the subjects that the evaluation does not use.
+//! Tuning of a method's weights, on subjects that the evaluation does not use.
 
 use serde_json::json;
 
@@ -10,7 +10,7 @@ use crate::io::report::ReportData;
 use crate::research::experiments::methods::names;
 use crate::research::experiments::sweep::{axes, table, tune};
 
-/// Goes along each weight of a method, at all levels of noise.
+/// Varies each weight of a method, at all noise levels.
 pub(super) fn run(arguments: &Arguments, method: &str) -> Result<(), Failure> {
     if axes(method).is_none() {
         let known = names().join(", ");
@@ -28,12 +28,12 @@ pub(super) fn run(arguments: &Arguments, method: &str) -> Result<(), Failure> {
     let names: Vec<&str> = levels.iter().map(|(level, _)| *level).collect();
     let whose = match arguments.motions {
         Some(_) => format!("all subjects but {}", setup.protocol.subjects.join(", ")),
-        None => "our own motion".into(),
+        None => "procedural motion".into(),
     };
     let report = ReportData {
         title: format!("Weights of {method}"),
         subtitle: format!("{} of {whose}", setup.subtitle()),
-        leading: vec![table("The best first", &names, &trials)],
+        leading: vec![table("Best weights first", &names, &trials)],
         ..ReportData::default()
     };
     let results = json!({

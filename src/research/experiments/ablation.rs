@@ -39,12 +39,12 @@ pub const FACTORS: [&str; 15] = [
     "keyframe",
     "interpolation",
     "stiffness",
-    "slack",
+    "robust_scale",
     "optimiser",
     "stop",
     "scale",
     "prior",
-    "freedom",
+    "prior_dof",
     "errors",
     "cameras",
     "noise",
@@ -74,16 +74,18 @@ pub fn factor(name: &str) -> Option<Factor> {
                 config.cost.stiffness = config.cost.stiffness.times(factor);
             })
         }
-        "slack" => numbers("slack px", &[3.0, 10.0, 30.0, 100.0, 1000.0], |config, scale| {
-            config.cost.stiffness.robust_scale_px = scale;
-        }),
+        "robust_scale" => {
+            numbers("robust scale px", &[3.0, 10.0, 30.0, 100.0, 1000.0], |config, scale| {
+                config.cost.stiffness.robust_scale_px = scale;
+            })
+        }
         "scale" => numbers("scale px", &[10.0, 15.0, 30.0, 50.0, 100.0], |config, scale| {
             config.cost.scale_px = scale;
         }),
         "prior" => numbers("prior", &[2.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, prior| {
             config.cost.prior = prior;
         }),
-        "freedom" => {
+        "prior_dof" => {
             numbers("prior's freedom", &[0.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, f| {
                 config.cost.prior_dof = f;
             })
