@@ -86,7 +86,7 @@ pub fn factor(name: &str) -> Option<Factor> {
             config.cost.prior = prior;
         }),
         "prior_dof" => {
-            numbers("prior's freedom", &[0.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, f| {
+            numbers("prior dof", &[0.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, f| {
                 config.cost.prior_dof = f;
             })
         }

@@ -54,12 +54,12 @@ pub fn axes(method: &str) -> Option<Vec<Axis>> {
         all(None, cost.prior, cost.scale_px)
     };
     let ours = |method: &Windows| {
-        let slack = method.config().cost.stiffness.robust_scale_px;
+        let robust_scale = method.config().cost.stiffness.robust_scale_px;
         let factor = |name| Axis { name, start: 1.0, factors: NARROW };
         let (latent, root) = (factor("stiffness"), factor("root stiffness"));
-        let slack =
-            Axis { name: "robust scale px", start: slack, factors: &[0.2, 0.5, 1.0, 2.0, 10.0] };
-        windows(method).map(|plain| [latent, root, slack].into_iter().chain(plain).collect())
+        let robust_scale =
+            Axis { name: "robust scale px", start: robust_scale, factors: &[0.2, 0.5, 1.0, 2.0, 10.0] };
+        windows(method).map(|plain| [latent, root, robust_scale].into_iter().chain(plain).collect())
     };
     match method {
         "muvs" => {
@@ -98,9 +98,9 @@ fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> 
     let (smoothness, prior, scale_px) = (of("smoothness"), of("prior"), of("scale px"));
     let windows = |method: Windows| {
         let config = method.config();
-        let (plain, slack) = (config.cost.stiffness, of("robust scale px"));
+        let (plain, robust_scale) = (config.cost.stiffness, of("robust scale px"));
         let stiffness = Stiffness {
-            robust_scale_px: if slack == 1.0 { plain.robust_scale_px } else { slack },
+            robust_scale_px: if robust_scale == 1.0 { plain.robust_scale_px } else { robust_scale },
             latent: plain.latent * of("stiffness"),
             ..plain.times(of("root stiffness"))
         };
