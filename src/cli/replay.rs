@@ -21,7 +21,7 @@ use crate::track::Solver;
 #[command(after_help = "\
 The recording must hold all that the node was told since it started: begin to record before the
 cameras play, and restart the node for another take. Its journal says in what order, at what times and with what iteration counts; the settings are in it
-too. The same build on the same kind of processor gives the same bytes. The recording is held in
+too. The same version gives the same bytes on every x86-64 processor. The recording is held in
 memory.
 
 Exit code 14 means that what came out differs from what was recorded.

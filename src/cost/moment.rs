@@ -14,7 +14,7 @@ use super::path::Scene;
 use super::robust::GemanMcClure;
 use super::unknowns::{KEYFRAME, Place, Unknowns};
 use crate::body::{BodyPoint, Joint, Posture, Tangents, Wrenches, forward, push_forward};
-use crate::gemm::{self, Accum};
+use crate::gemm;
 use crate::manifold::{LATENT, Latent};
 use crate::so3;
 
@@ -69,8 +69,7 @@ impl<'p> Path<'p> {
             if wanted == Wanted::Hessians {
                 lane.counts.moments += 1;
                 let (rows, gram) = (&lane.rows, &mut lane.grams[m * n * n..(m + 1) * n * n]);
-                let sizes = [n, rows.len() / n, n];
-                gemm::product_of_transpose(sizes, rows, rows, Accum::Replace, gram);
+                gemm::gram([rows.len() / n, n], rows, gram);
             }
         }
         if wanted >= Wanted::Gradients {

@@ -47,7 +47,7 @@ impl StudentT {
             return (square, 1.0);
         }
         let (freedom, all) = (self.freedom, self.freedom + LATENT as f64);
-        (all * (square / freedom).ln_1p(), all / (square + freedom))
+        (all * libm::log1p(square / freedom), all / (square + freedom))
     }
 }
 

@@ -128,7 +128,7 @@ impl Triple {
             rotation,
             position,
             weights: [weights.latent * latent, weights.turn * turn, weights.shift * shift],
-            cost: 0.5 * frames * scale * slack.iter().map(|slack| slack.ln()).sum::<f64>(),
+            cost: 0.5 * frames * scale * slack.iter().map(|slack| libm::log(*slack)).sum::<f64>(),
         }
     }
 

@@ -19,20 +19,9 @@ pub fn hash(bytes: &[u8]) -> u64 {
     })
 }
 
-/// The instruction set, on which the last bits of numbers depend.
-pub fn platform() -> String {
-    #[allow(unused_mut)]
-    let mut features: Vec<&str> = vec![std::env::consts::ARCH];
-    #[cfg(target_arch = "x86_64")]
-    {
-        let known = [
-            ("avx2", std::is_x86_feature_detected!("avx2")),
-            ("fma", std::is_x86_feature_detected!("fma")),
-            ("avx512f", std::is_x86_feature_detected!("avx512f")),
-        ];
-        features.extend(known.into_iter().filter(|(_, is_there)| *is_there).map(|(name, _)| name));
-    }
-    features.join(" ")
+/// The kind of processor. All of one kind give the same bits, whatever instructions they have.
+pub fn platform() -> &'static str {
+    std::env::consts::ARCH
 }
 
 /// Entries that wait to be published.
@@ -108,7 +97,7 @@ pub(super) fn start(settings: &Settings, rig: Option<&[u8]>) -> JournalStart {
         version: env!("CARGO_PKG_VERSION").into(),
         config: settings.toml.clone(),
         weights: settings.weights.clone(),
-        platform: platform(),
+        platform: platform().into(),
         rig: rig.map(<[u8]>::to_vec),
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! The journal says in what order and when the core got its inputs; the messages themselves are
 //! found by topic and hash. Jobs are solved when the journal says that their answer came, so the
-//! same outputs must follow, byte for byte, on a machine of the same instruction set.
+//! same outputs must follow, byte for byte.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;

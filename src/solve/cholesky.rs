@@ -8,29 +8,25 @@ use crate::gemm;
 #[derive(Clone, Debug)]
 pub struct Cholesky {
     lower: Banded<f32>,
-    memory: gemm::Memory,
 }
 
 impl Cholesky {
     /// Memory for factors of matrices that are laid out as `matrix` is.
     pub fn like(matrix: &Banded) -> Self {
-        Self {
-            lower: Banded::zeros(matrix.size(), matrix.blocks(), matrix.bandwidth()),
-            memory: gemm::Memory::of_cholesky(matrix.size()),
-        }
+        Self { lower: Banded::zeros(matrix.size(), matrix.blocks(), matrix.bandwidth()) }
     }
 
     /// Factorises A + diag(`damping`); gives a measure of the work, or `None` where that is not
     /// positive definite.
     pub fn factorise(&mut self, matrix: &Banded, damping: impl Fn(usize) -> f64) -> Option<usize> {
-        let Self { lower, memory } = self;
+        let Self { lower } = self;
         lower.round_from(matrix);
         (0..lower.dimension()).for_each(|i| lower.add_to_diagonal(i, damping(i) as f32));
         let (n, stride) = (lower.size(), lower.stride());
         let mut products = 0;
         for block in 0..lower.blocks() {
             let rows = lower.end(block * n) - block * n;
-            gemm::eliminate([n, rows - n], stride, lower.tail_mut(block), memory)?;
+            gemm::factor_block([n, rows - n], stride, lower.tail_mut(block))?;
             products += n * rows * rows;
         }
         Some(products)
@@ -42,7 +38,7 @@ impl Cholesky {
         for j in 0..self.lower.dimension() {
             let l = column(j);
             x[j] /= f64::from(l[0]);
-            gemm::add(-x[j], &l[1..], &mut x[j + 1..]);
+            gemm::axpy(-x[j], &l[1..], &mut x[j + 1..]);
         }
         for j in (0..self.lower.dimension()).rev() {
             let l = column(j);

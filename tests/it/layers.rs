@@ -116,6 +116,33 @@ fn modules_import_only_from_lower_layers() {
     assert!(wrong.is_empty(), "imports against the layers:\n{}", wrong.join("\n"));
 }
 
+/// Functions whose last bits depend on the system's library.
+const OF_THE_SYSTEM: [&str; 22] = [
+    "sin", "cos", "tan", "sin_cos", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp",
+    "exp2", "exp_m1", "ln", "ln_1p", "log", "log2", "log10", "powf", "cbrt", "hypot",
+];
+
+#[test]
+fn what_solves_asks_the_system_for_no_function_whose_bits_differ() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let table = table(&fs::read_to_string(root.join("lib.rs")).unwrap());
+    let solves = |path: &PathBuf| {
+        let inside = path.strip_prefix(&root).unwrap();
+        let module = inside.components().next().unwrap().as_os_str().to_str().unwrap();
+        // Recordings are made by the node.
+        let rank = table.get(module.trim_end_matches(".rs")).map_or(EDGES, |place| place.0);
+        rank < EDGES || module == "node"
+    };
+    for path in sources(&root).iter().filter(|path| solves(path)) {
+        let code = code(&fs::read_to_string(path).unwrap());
+        for name in OF_THE_SYSTEM {
+            let asked =
+                code.contains(&format!(".{name}(")) || code.contains(&format!("f64::{name}"));
+            assert!(!asked, "{}: use libm instead of `{name}`", path.display());
+        }
+    }
+}
+
 #[test]
 fn the_check_sees_what_it_must() {
     let table = table("//! | 0 | [`time`], [`so3`] | x |\n//! | 5 | [`bus`], [`record`] | y |");

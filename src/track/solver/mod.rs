@@ -371,7 +371,7 @@ impl Solver {
             let keyframe = match known.past {
                 [.., (t0, a), (t1, b)] => {
                     let ahead = capture.seconds_since(*t1);
-                    let s = DECAY * (1.0 - (-ahead / DECAY).exp()) / t1.seconds_since(*t0);
+                    let s = DECAY * (1.0 - libm::exp(-ahead / DECAY)) / t1.seconds_since(*t0);
                     interpolation.keyframe(a, b, 1.0 + s)
                 }
                 _ => known.at(capture, interpolation)?,
