@@ -12,6 +12,7 @@ use bundlemocap::core::cost::{
     Workspace,
 };
 use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
+use bundlemocap::core::linalg::{Accum, product};
 use bundlemocap::core::manifold::{
     Decoder, Interpolation, Jacobians, Keyframe, LATENT, TimedKeyframe,
 };
@@ -22,8 +23,6 @@ use bundlemocap::core::time::Timestamp;
 use bundlemocap::core::tracker::{self, Effort, Job, Noise, OffsetEstimator, Solver, Task};
 use bundlemocap::research::synth;
 use divan::Bencher;
-use faer::linalg::matmul::matmul;
-use faer::{Accum, Mat, Par};
 use nalgebra::{Point2, Vector2, Vector3};
 
 /// A window of a moving performer with disturbed detections.
@@ -308,13 +307,12 @@ fn operations(counts: Counts, points: usize) -> f64 {
 /// The most operations a second that one thread does in a large product.
 fn peak() -> f64 {
     const SIZE: usize = 768;
-    let ones = Mat::<f32>::full(SIZE, SIZE, 1.0);
-    let mut product = ones.clone();
+    let ones = vec![1.0_f32; SIZE * SIZE];
+    let mut out = ones.clone();
     let runs = (0..20).map(|_| {
         let start = Instant::now();
-        let (a, b) = (black_box(ones.as_ref()), ones.as_ref());
-        matmul(product.as_mut(), Accum::Replace, a, b, 1.0, Par::Seq);
-        black_box(&product);
+        product([SIZE; 3], black_box(&ones), &ones, Accum::Replace, &mut out);
+        black_box(&out);
         start.elapsed().as_secs_f64()
     });
     2.0 * (SIZE as f64).powi(3) / runs.fold(f64::INFINITY, f64::min)

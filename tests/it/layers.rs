@@ -158,6 +158,27 @@ fn modules_import_only_from_layers_above() {
     assert!(wrong.is_empty(), "imports against the layers:\n{}", wrong.join("\n"));
 }
 
+/// Functions whose last bits depend on the system's library.
+const OF_THE_SYSTEM: [&str; 22] = [
+    "sin", "cos", "tan", "sin_cos", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp",
+    "exp2", "exp_m1", "ln", "ln_1p", "log", "log2", "log10", "powf", "cbrt", "hypot",
+];
+
+/// The node makes recordings, so it belongs to what must give the same bits.
+#[test]
+fn core_and_node_call_no_function_of_the_system_whose_bits_differ() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let files = ["core", "io/wire", "live"].iter().flat_map(|room| sources(&root.join(room)));
+    for path in files.filter(|path| !path.ends_with("core/random.rs")) {
+        let code = code(&fs::read_to_string(&path).unwrap());
+        for name in OF_THE_SYSTEM {
+            let called =
+                code.contains(&format!(".{name}(")) || code.contains(&format!("f64::{name}"));
+            assert!(!called, "{}: use libm instead of `{name}`", path.display());
+        }
+    }
+}
+
 /// Who imports whom among the files and folders directly in `folder`.
 fn imports_within(folder: &Path, root: &Path) -> BTreeMap<String, BTreeSet<String>> {
     let base = module_of(folder.strip_prefix(root).unwrap());

@@ -168,8 +168,8 @@ fn a_take_over_iceoryx2_is_replayed_byte_for_byte() {
     assert_eq!(prefix.leftovers(), Vec::<String>::new());
 }
 
-/// The recording is kept with the outputs that belong to it. On another instruction set the last
-/// bits of numbers differ, and only then may they.
+/// The recording is kept with the outputs that belong to it. They were made on x86-64; on other kinds
+/// of processors the last bits of numbers may differ.
 #[test]
 fn the_disturbed_take_is_replayed_to_its_golden_bytes() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/disturbed.mcap");
@@ -177,7 +177,7 @@ fn the_disturbed_take_is_replayed_to_its_golden_bytes() {
     let (said, complained) =
         (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     if output.status.code() == Some(14) && complained.contains("recorded on ") {
-        println!("another instruction set, so distances are checked and not bytes: {complained}");
+        println!("another kind of processor, so distances are checked and not bytes: {complained}");
         let apart = complained.split("at most ").nth(1).and_then(|rest| rest.split(' ').next());
         assert!(apart.unwrap().parse::<f64>().unwrap() < 0.5, "{complained}");
         return;

@@ -14,7 +14,7 @@ use super::robust::GemanMcClure;
 use super::scene::Scene;
 use super::unknowns::{KEYFRAME, Place, Unknowns};
 use crate::core::body::{BodyPoint, Joint, Posture, Tangents, Wrenches, forward, push_forward};
-use crate::core::linalg::{self, Accum};
+use crate::core::linalg;
 use crate::core::manifold::{LATENT, Latent};
 use crate::core::so3;
 
@@ -74,8 +74,7 @@ impl<'p> Path<'p> {
             if wanted == Wanted::Hessians {
                 batch.counts.frames += 1;
                 let (rows, gram) = (&batch.rows, &mut batch.grams[m * n * n..(m + 1) * n * n]);
-                let sizes = [n, rows.len() / n, n];
-                linalg::product_of_transpose(sizes, rows, rows, Accum::Replace, gram);
+                linalg::gram([rows.len() / n, n], rows, gram);
             }
         }
         if wanted >= Wanted::Gradients {

@@ -75,7 +75,7 @@ impl Interpolation {
         let (_, dw0) = slerp_weight(1.0 - s, angle);
         let (w1, dw1) = slerp_weight(s, angle);
         let (n0, n1) = (norm(z0), norm(z1));
-        let (sin, cos) = angle.sin_cos();
+        let (sin, cos) = libm::sincos(angle);
         LatentTangent {
             scale: w1,
             across: std::array::from_fn(|i| dw0 * z0[i] + dw1 * z1[i]),
@@ -102,7 +102,7 @@ impl Interpolation {
             return None;
         }
         let dot: f64 = z0.iter().zip(z1).map(|(a, b)| a * b).sum();
-        let angle = (dot / (n0 * n1)).clamp(-1.0, 1.0).acos();
+        let angle = libm::acos((dot / (n0 * n1)).clamp(-1.0, 1.0));
         (angle > MIN_ANGLE).then_some(angle.min(MAX_ANGLE))
     }
 }
@@ -116,8 +116,8 @@ impl LatentTangent {
 
 /// sin(k a) / sin a and its derivative by a.
 fn slerp_weight(k: f64, angle: f64) -> (f64, f64) {
-    let (sin, cos) = angle.sin_cos();
-    let (sin_k, cos_k) = (k * angle).sin_cos();
+    let (sin, cos) = libm::sincos(angle);
+    let (sin_k, cos_k) = libm::sincos(k * angle);
     (sin_k / sin, (k * cos_k * sin - sin_k * cos) / (sin * sin))
 }
 

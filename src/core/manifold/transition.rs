@@ -112,7 +112,7 @@ impl Transition {
             }
         }
         let out = work.values.last().map_or(&[][..], |values| &values[..]);
-        let deviation = |v: f64| (0.5 * WIDEST * (v / WIDEST).tanh()).exp();
+        let deviation = |v: f64| libm::exp(0.5 * WIDEST * libm::tanh(v / WIDEST));
         (
             std::array::from_fn(|i| self.scale[i] * out[i]),
             std::array::from_fn(|i| self.scale[i] * deviation(out[MOVE + i])),
@@ -151,7 +151,9 @@ impl Transition {
     ) -> f64 {
         let (mean, deviation) = self.predict(&state_of(three[0], three[1], step), work);
         let found = move_of(three, step);
-        let of = |i: usize| 0.5 * ((found[i] - mean[i]) / deviation[i]).powi(2) + deviation[i].ln();
+        let of = |i: usize| {
+            0.5 * ((found[i] - mean[i]) / deviation[i]).powi(2) + libm::log(deviation[i])
+        };
         (0..MOVE).map(of).sum()
     }
 
@@ -205,7 +207,7 @@ pub fn state_of(a: &Keyframe, b: &Keyframe, step: f64) -> State {
         state[VELOCITY + i] = velocity[i];
         state[SPIN + i] = spin[i];
     }
-    state[STATE - 1] = (RATE * step).ln();
+    state[STATE - 1] = libm::log(RATE * step);
     state
 }
 

@@ -112,7 +112,7 @@ impl Playout {
         let Some((before_at, before)) = &self.last_two[0] else { return Some(last.clone()) };
         let step = at.seconds_since(*before_at);
         let ahead = capture.seconds_since(*at).max(0.0);
-        let s = DECAY * (1.0 - (-ahead / DECAY).exp()) / step;
+        let s = DECAY * (1.0 - libm::exp(-ahead / DECAY)) / step;
         Some(before.interpolate(last, 1.0 + s))
     }
 }

@@ -135,7 +135,7 @@ impl Solver {
                 [.., before, last] => {
                     let ahead = capture.seconds_since(last.capture);
                     let step = last.capture.seconds_since(before.capture);
-                    let s = DECAY * (1.0 - (-ahead / DECAY).exp()) / step;
+                    let s = DECAY * (1.0 - libm::exp(-ahead / DECAY)) / step;
                     interpolation.keyframe(&before.keyframe, &last.keyframe, 1.0 + s)
                 }
                 _ => known.at(capture, interpolation)?,
