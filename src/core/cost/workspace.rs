@@ -1,5 +1,5 @@
-//! Memory of a problem: its frames in two batches, which are computed one after the other or at the
-//! same time, with the same results.
+//! Memory of a problem: its frames in two batches. Computing them in sequence or in parallel gives
+//! the same results.
 
 use std::ops::Add;
 
@@ -8,11 +8,11 @@ use nalgebra::Vector3;
 use super::observation::FrameObservations;
 use super::observation_batch::ObservationBatch;
 
-/// Memory that problems use in turn; grows to the largest and stays.
+/// Memory for a series of problems; it grows to the largest and stays.
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
     pub(super) batches: [ObservationBatch; 2],
-    /// Whether the batches are computed at the same time.
+    /// Whether the batches are computed in parallel.
     in_parallel: bool,
     /// The points' offsets in their joints' frames, for the present shape.
     pub(super) offsets: Vec<Vector3<f64>>,
@@ -20,7 +20,7 @@ pub struct Workspace {
     pub(super) half: Vec<f64>,
 }
 
-/// Counts of what was computed.
+/// Counts of computations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Codes decoded.
@@ -58,7 +58,7 @@ impl Counts {
     }
 }
 
-/// The first batch holds a multiple of this many frames: so many codes go through a layer at once.
+/// The first batch holds a multiple of this many frames: a layer processes this many codes at once.
 const TOGETHER: usize = 4;
 
 /// The frames of the two batches; fewer than 8 are all in the second.
@@ -67,13 +67,13 @@ pub(super) fn in_batches(observations: &[FrameObservations]) -> [&[FrameObservat
 }
 
 impl Workspace {
-    /// Memory for problems whose batches are computed at the same time, in the `rayon` pool that the
-    /// problem is solved in.
+    /// Memory for problems whose batches are computed in parallel, in the `rayon` pool of the
+    /// caller.
     pub fn in_parallel() -> Self {
         Self { in_parallel: true, ..Self::default() }
     }
 
-    /// The counts since it was made.
+    /// The counts since the workspace was made.
     pub fn counts(&self) -> Counts {
         let [first, second] = &self.batches;
         first.counts + second.counts
@@ -84,7 +84,7 @@ impl Workspace {
         self.batches.iter().flat_map(|batch| &batch.costs).copied()
     }
 
-    /// Another problem begins.
+    /// Starts another problem.
     pub(super) fn forget(&mut self) {
         self.batches.iter_mut().for_each(ObservationBatch::forget);
     }
