@@ -16,8 +16,7 @@ pub struct Config {
     /// it.
     pub prior: f64,
     /// Degrees of freedom of the prior, a Student t: fewer penalise unusual poses less. 0 means
-    /// z
-    /// ^2.
+    /// |z|^2.
     pub prior_dof: f64,
     /// Weight of the squared shape coefficients, square pixels, while the shape is free.
     pub shape_prior: f64,

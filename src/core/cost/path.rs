@@ -153,13 +153,8 @@ impl<'a> PathProblem<'a> {
         cost + self.work.costs().sum::<f64>()
     }
 
-    /// 1/2 n prior rho(
-    /// z
-    /// ^2) of each free keyframe of n frames, 1/2 shape prior
-    /// shape
-    /// ^2, 1/2 offset prior
-    /// offsets
-    /// ^2, and the path's stiffness. Overwrites the `wanted` outputs.
+    /// 1/2 n prior rho(|z|^2) of each free keyframe of n frames, 1/2 shape prior |shape|^2,
+    /// 1/2 offset prior |offsets|^2, and the path's stiffness. Overwrites the `wanted` outputs.
     fn prior(&self, x: &[f64], wanted: &mut Wanted) -> f64 {
         let Config { prior, prior_dof, shape_prior, offset_prior, stiffness, .. } =
             *self.scene.config;

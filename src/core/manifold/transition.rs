@@ -5,12 +5,11 @@
 //! - The state describes a and b, independent of the person's position and heading: z_b, its rate
 //!   (z_b - z_a) / h, up in the pelvis R_b^T e_y, its velocity R_b^T (p_b - p_a) / h, its angular
 //!   velocity w_ab / h with w_ab = log(R_a^T R_b), and ln(60 h).
-//! - The move is the deviation of c from constant velocity, an acceleration: (z_c - 2 z_b + z_a) /
-//!   h^2, R_b^T (p_c - 2 p_b + p_a) / h^2 and (w_bc - w_ab) / h^2.
-//! - p(move
-//!   state) = N(mean, diag(deviation^2)). A network with SiLU between its layers gives 38 means m and
-//!   38 numbers v: mean = scale m, deviation = scale exp(v'/2), v' = 5 tanh(v / 5). So each deviation
-//!   is 0.08 to 12 times that of the corpus (scale).
+//! - The move is the deviation of c from constant velocity, an acceleration:
+//!   (z_c - 2 z_b + z_a) / h^2, R_b^T (p_c - 2 p_b + p_a) / h^2 and (w_bc - w_ab) / h^2.
+//! - p(move | state) = N(mean, diag(deviation^2)). A network with SiLU between its layers gives 38
+//!   means m and 38 numbers v: mean = scale m, deviation = scale exp(v'/2), v' = 5 tanh(v / 5). So
+//!   each deviation is 0.08 to 12 times that of the corpus (scale).
 //!
 //! The height over the floor is not in the state: the corpus's clips do not share a floor, and
 //! height changes with leg length.
