@@ -113,8 +113,9 @@ pub fn solve(
 }
 
 struct Outputs {
-    folder: OutputFolder,
     file: PoseFile,
+    // Dropped last: it goes only if it is empty.
+    folder: OutputFolder,
 }
 
 impl Outputs {

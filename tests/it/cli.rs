@@ -497,15 +497,15 @@ fn invalid_weights_and_settings_are_refused() {
 
     let config = format!("{solve} --config c.toml");
     place.fails(UNREADABLE, &config, &["c.toml"]);
-    place.write("c.toml", "[track]\nwindow = 3\n");
+    place.write("c.toml", "[tracker]\nwindow = 3\n");
     place.fails(MALFORMED, &config, &["c.toml, line 2", "window"]);
     let reference = format!("{solve} --reference r.trc");
     place.fails(UNREADABLE, &reference, &["r.trc"]);
     place.write("r.trc", "hello");
     place.fails(MALFORMED, &reference, &["r.trc", "PathFileType"]);
-    place.write("c.toml", "[track]\nwindow_frames = 100000\n");
+    place.write("c.toml", "[tracker]\nwindow_frames = 100000\n");
     place.fails(MALFORMED, &config, &["c.toml", "tracker.window_frames is 100000", "1 to 1000"]);
-    place.write("c.toml", "[track]\nframe_rate_hz = 1e9\n");
+    place.write("c.toml", "[tracker]\nframe_rate_hz = 1e9\n");
     place.fails(
         MALFORMED,
         &config,
@@ -587,7 +587,7 @@ fn three_cameras_predict_the_fourth_better_than_triangulation() {
     let place = Place::new();
     import_real(&place, &set, "balancing", "butterworth.trc");
     for (camera, pose2sim) in POSE2SIM_PX {
-        let solve = format!("solve take.mcap --out out --json --hold-out {camera}");
+        let solve = format!("solve take.mcap --out out --overwrite --json --hold-out {camera}");
         let figures: Value = serde_json::from_str(&place.done(&solve)).unwrap();
         at_most(&figures, "/hold_out/median_px", pose2sim);
     }
