@@ -66,6 +66,8 @@
 //!   Motion Capture from Sparse Multiview Videos. CVMP 2023.
 //! - \[Bell 1990\] Bell, Pedersen, Brand. A comparison of the accuracy of several hip center
 //!   location prediction methods. Journal of Biomechanics 23(6).
+//! - \[Boldo 2008\] Boldo, Melquiond. Emulation of a FMA and correctly rounded sums: proved algorithms
+//!   using rounding to odd. IEEE Transactions on Computers 57(4).
 //! - \[de Leva 1996\] de Leva. Adjustments to Zatsiorsky-Seluyanov's segment inertia parameters.
 //!   Journal of Biomechanics 29(9).
 //! - \[Gordon 2014\] Gordon et al. 2012 Anthropometric Survey of U.S. Army Personnel: Methods and

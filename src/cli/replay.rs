@@ -19,7 +19,7 @@ use crate::live::{Recorded, ReplayError, Replayed, Settings, find_node, platform
 #[command(after_help = "\
 The recording must contain all inputs since the start of the node: start `record` before the cameras,
 and restart the node for each take. The node's journal contains its settings and the order and times
-of its inputs. The same build on the same kind of processor gives the same bytes. The recording is
+of its inputs. The same version gives the same bytes on every x86-64 processor. The recording is
 kept in memory.
 
 Exit code 14: the outputs differ from the recorded ones.

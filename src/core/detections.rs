@@ -1,4 +1,4 @@
-//! What a 2D detector says: keypoint formats and detections.
+//! Keypoint formats and detections of a 2D detector.
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ pub enum KeypointFormat {
     CocoWholebody133,
 }
 
-/// An anatomical point that some detector finds, whatever its index in a format.
+/// An anatomical point, independent of its index in a format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs)]
 pub enum Keypoint {
@@ -33,7 +33,7 @@ pub enum Keypoint {
     HeadTop,
     /// Middle of the shoulders.
     Neck,
-    /// Where the neck meets the skull.
+    /// Top of the neck, at the skull.
     UpperNeck,
     MidHip,
     LShoulder,
@@ -57,8 +57,8 @@ pub enum Keypoint {
 }
 
 impl Keypoint {
-    /// The point of the left side that this one is or mirrors, and the side: 1 for left and middle, -1
-    /// for right.
+    /// The left-side point that is this one or its mirror image, and the side: 1 for left and
+    /// middle, -1 for right.
     pub fn of_left(self) -> (Self, f64) {
         let left = match self {
             REye => LEye,
@@ -95,7 +95,7 @@ const HALPE_26: [Keypoint; 26] = [
     LKnee, RKnee, LAnkle, RAnkle, HeadTop, Neck, MidHip, LBigToe, RBigToe, LSmallToe, RSmallToe,
     LHeel, RHeel,
 ];
-/// COCO-17 (a prefix) and the body and feet part of COCO-WholeBody-133.
+/// COCO-17 (the first points) and the body and feet of COCO-WholeBody-133.
 const COCO_FEET: [Keypoint; 23] = [
     Nose, LEye, REye, LEar, REar, LShoulder, RShoulder, LElbow, RElbow, LWrist, RWrist, LHip, RHip,
     LKnee, RKnee, LAnkle, RAnkle, LBigToe, LSmallToe, LHeel, RBigToe, RSmallToe, RHeel,
@@ -117,12 +117,12 @@ impl KeypointFormat {
         }
     }
 
-    /// The format of that name, if there is one.
+    /// The format with a name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|format| format.name() == name)
     }
 
-    /// How many points a person has in this format.
+    /// Number of points of a person in this format.
     #[allow(clippy::len_without_is_empty)] // A format always has points.
     pub const fn len(self) -> usize {
         match self {
@@ -131,7 +131,7 @@ impl KeypointFormat {
         }
     }
 
-    /// The anatomical point of each index, in order. Indices past the end are not used.
+    /// The anatomical point of each index, in order. Points after the last one are not used.
     pub const fn keypoints(self) -> &'static [Keypoint] {
         match self {
             Self::Body25 => &BODY_25,
@@ -142,7 +142,7 @@ impl KeypointFormat {
         }
     }
 
-    /// The index of an anatomical point, if the format has it.
+    /// The index of an anatomical point in the format.
     pub fn index_of(self, keypoint: Keypoint) -> Option<usize> {
         self.keypoints().iter().position(|&k| k == keypoint)
     }
@@ -153,11 +153,11 @@ impl KeypointFormat {
 pub struct Detection {
     /// Pixels, OpenCV's pixel centres, as detected (distorted).
     pub pixel: Point2<f64>,
-    /// In (0, 1]; larger detector scores are clamped on the way in.
+    /// In (0, 1]; larger detector scores are clamped at the input.
     pub confidence: f64,
 }
 
-/// One detected person: a point per index of the frame's format, `None` where not seen.
+/// One detected person: a point for each index of the frame's format, `None` if not seen.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Person {
     /// The detector's own tracking id, if it has one.
@@ -166,7 +166,7 @@ pub struct Person {
     pub points: Vec<Option<Detection>>,
 }
 
-/// What one camera's detector says of one frame.
+/// The detections of one camera in one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Detections {
     /// Index of the camera in the rig.
@@ -175,9 +175,9 @@ pub struct Detections {
     pub frame: u64,
     /// When the image was taken (middle of the exposure).
     pub capture: Timestamp,
-    /// The order of the points.
+    /// The order of the keypoints.
     pub format: KeypointFormat,
-    /// In no particular order; empty when nobody was seen.
+    /// In any order; empty if nobody was seen.
     pub people: Vec<Person>,
 }
 

@@ -1,4 +1,4 @@
-//! The solver without its surroundings: no I/O and no clock.
+//! The solver, without I/O and without a clock.
 
 pub mod body;
 pub mod camera;

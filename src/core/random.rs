@@ -1,14 +1,15 @@
-//! Random numbers by key: a number depends on its key, not on the order of the draws.
+//! Random numbers by key: a number depends on its key, and not on the order of the draws.
 
 use std::f64::consts::PI;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Length of a time cell, seconds; an occurrence lies within one cell.
+/// Length of a time cell, seconds; an event lies within one cell.
 const CELL: f64 = 2.0;
 
-/// 0 before 0, 1 after 1, with zero first and second derivatives at both: 6 x^5 - 15 x^4 + 10 x^3.
+/// Smooth step from 0 to 1 with zero first and second derivatives at both ends: 6 x^5 - 15 x^4 + 10
+/// x^3.
 pub fn smoothstep(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x * x * x * (x * (6.0 * x - 15.0) + 10.0)
@@ -19,7 +20,7 @@ pub fn smoothstep(x: f64) -> f64 {
 pub struct Draws {
     /// The seed.
     pub seed: u64,
-    /// Separates sources with the same seed.
+    /// Separates the sources of one seed.
     pub stream: u64,
 }
 
@@ -45,8 +46,8 @@ impl Draws {
         [radius * (2.0 * PI * v).cos(), radius * (2.0 * PI * v).sin()]
     }
 
-    /// Two standard normals that change smoothly with time: normals at knots every `knot_s`
-    /// seconds, blended with constant variance 1.
+    /// Two standard normals that change smoothly with time: normals every `knot_s` seconds, blended
+    /// with constant variance 1.
     pub fn smooth_normals(&self, topic: u64, seconds: f64, knot_s: f64) -> [f64; 2] {
         let at = seconds / knot_s;
         let knot = at.floor();
@@ -59,8 +60,8 @@ impl Draws {
         [0, 1].map(|i| (a[i] * (1.0 - w) + b[i] * w) / norm)
     }
 
-    /// For an event that begins `rate` times a second and lasts up to `longest_s` seconds: a number
-    /// in \[0, 1) drawn per occurrence if one is active at this time, else `None`.
+    /// Random events that start `rate` times a second and last up to `longest_s` seconds: the
+    /// event's own number in \[0, 1) if one is active at this time, else `None`.
     pub fn occurrence(&self, topic: u64, seconds: f64, rate: f64, longest_s: f64) -> Option<f64> {
         let cell = (seconds / CELL).floor();
         let mut rng = self.rng(topic, cell as i64 as u64);

@@ -4,6 +4,7 @@
 //! expressed in the rotated (body) frame, R exp(d); "left" ones in the outer frame, exp(d) R.
 //! Formulas: \[Sola 2018\], eq. 143 to 146.
 
+use libm::{atan2, cos, hypot, sin, sincos};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 /// Below this angle (radians) series replace the closed forms.
@@ -16,12 +17,21 @@ pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
 
 /// Rodrigues' formula: the rotation by |v| radians about v.
 pub fn exp(v: &Vector3<f64>) -> Matrix3<f64> {
-    Rotation3::new(*v).into_inner()
+    let angle = v.norm();
+    if angle == 0.0 { Matrix3::identity() } else { turn(&(v / angle), angle) }
+}
+
+/// The rotation by `angle` radians about an axis of length 1.
+fn turn(axis: &Vector3<f64>, angle: f64) -> Matrix3<f64> {
+    let (sin, cos) = sincos(angle);
+    Matrix3::from_diagonal_element(cos) + hat(axis) * sin + axis * axis.transpose() * (1.0 - cos)
 }
 
 /// The rotation vector of R, of length at most pi. At exactly pi one of the two is returned.
 pub fn log(r: &Matrix3<f64>) -> Vector3<f64> {
-    quaternion(r).scaled_axis()
+    let q = quaternion(r);
+    let (v, half_sine) = (q.imag(), q.imag().norm());
+    if half_sine == 0.0 { v } else { v * (2.0 * atan2(half_sine, q.w) / half_sine) }
 }
 
 /// The unit quaternion of R, with a real part that is not negative.
@@ -80,8 +90,8 @@ pub fn left_jacobian(v: &Vector3<f64>) -> Matrix3<f64> {
     }
     let a2 = angle * angle;
     Matrix3::identity()
-        + v_hat * ((1.0 - angle.cos()) / a2)
-        + v_hat * v_hat * ((angle - angle.sin()) / (a2 * angle))
+        + v_hat * ((1.0 - cos(angle)) / a2)
+        + v_hat * v_hat * ((angle - sin(angle)) / (a2 * angle))
 }
 
 /// The right Jacobian: exp(v + d) = exp(v) exp(Jr(v) d) to first order in d. 3x3.
@@ -98,7 +108,7 @@ pub fn right_jacobian_inverse(v: &Vector3<f64>) -> Matrix3<f64> {
         return Matrix3::identity() + v_hat * 0.5;
     }
     let half = 0.5 * angle;
-    let second = (1.0 - half * half.cos() / half.sin()) / (angle * angle);
+    let second = (1.0 - half * cos(half) / sin(half)) / (angle * angle);
     Matrix3::identity() + v_hat * 0.5 + v_hat * v_hat * second
 }
 
@@ -140,7 +150,7 @@ const GIMBAL: f64 = 1e-6;
 
 /// The rotation by `angle` radians about axis 0, 1 or 2.
 pub fn about(axis: usize, angle: f64) -> Matrix3<f64> {
-    Rotation3::from_axis_angle(&Vector3::ith_axis(axis), angle).into_inner()
+    turn(&Vector3::ith(axis, 1.0), angle)
 }
 
 /// The angles a, b, c of R = R_i(a) R_j(b) R_k(c), radians, about three different axes, that lie
@@ -150,15 +160,15 @@ pub fn angles(r: &Matrix3<f64>, axes: [usize; 3], last: [f64; 3]) -> [f64; 3] {
     use std::f64::consts::PI;
     let [i, j, k] = axes;
     let sign = if (i + 1) % 3 == j { 1.0 } else { -1.0 };
-    let cosine = r[(i, i)].hypot(r[(i, j)]);
-    let b = (sign * r[(i, k)]).atan2(cosine);
+    let cosine = hypot(r[(i, i)], r[(i, j)]);
+    let b = atan2(sign * r[(i, k)], cosine);
     let first = if cosine < GIMBAL {
         let (p, q) = ((i + 1) % 3, (i + 2) % 3);
         let outer = r * (about(j, b) * about(k, last[2])).transpose();
-        [outer[(q, p)].atan2(outer[(p, p)]), b, last[2]]
+        [atan2(outer[(q, p)], outer[(p, p)]), b, last[2]]
     } else {
-        let a = (-sign * r[(j, k)]).atan2(r[(k, k)]);
-        [a, b, (-sign * r[(i, j)]).atan2(r[(i, i)])]
+        let a = atan2(-sign * r[(j, k)], r[(k, k)]);
+        [a, b, atan2(-sign * r[(i, j)], r[(i, i)])]
     };
     let second = [first[0] + PI, PI - first[1], first[2] + PI];
     let [first, second] = [first, second].map(|angles| nearest_turns(angles, last));

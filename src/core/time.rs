@@ -4,7 +4,7 @@ use std::ops::{Add, Sub};
 
 use serde::{Deserialize, Serialize};
 
-/// Nanoseconds since an epoch that the recording's cameras share. Never a processing time.
+/// Nanoseconds since the common epoch of the recording's cameras. Never a processing time.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
@@ -22,18 +22,18 @@ impl Timestamp {
         self.0
     }
 
-    /// The capture time of frame `index` at `fps` frames a second, rounded to the nanosecond.
+    /// The capture time of frame `index` at `fps` frames per second, rounded to the nanosecond.
     pub fn of_frame(index: u64, fps: f64) -> Self {
         Self((index as f64 * 1e9 / fps).round() as i64)
     }
 
-    /// Seconds from `earlier` to `self` (negative if `self` is the earlier one).
+    /// Seconds from `earlier` to `self`; negative if `self` is earlier.
     pub fn seconds_since(self, earlier: Self) -> f64 {
         (self - earlier) as f64 * 1e-9
     }
 }
 
-/// Later by a number of nanoseconds; saturates.
+/// Adds nanoseconds; saturates.
 impl Add<i64> for Timestamp {
     type Output = Self;
     fn add(self, ns: i64) -> Self {
@@ -54,12 +54,12 @@ impl Sub for Timestamp {
 pub struct Grid {
     /// The time of k = 0.
     pub origin: Timestamp,
-    /// Nanoseconds from one to the next, above 0.
+    /// Nanoseconds between two times, above 0.
     pub period_ns: f64,
 }
 
 impl Grid {
-    /// The time of `k`.
+    /// The time with index `k`.
     pub fn time(&self, k: i64) -> Timestamp {
         self.origin + (k as f64 * self.period_ns).round() as i64
     }

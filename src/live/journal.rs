@@ -22,20 +22,9 @@ pub(super) fn run_id(start: Timestamp, settings: &Settings, rig: Option<&[u8]>) 
     fnv1a(&[&time[..], config, weights, rig.unwrap_or_default()].concat()).max(1)
 }
 
-/// The instruction set; the last bits of numbers depend on it.
-pub fn platform() -> String {
-    #[allow(unused_mut)]
-    let mut features: Vec<&str> = vec![std::env::consts::ARCH];
-    #[cfg(target_arch = "x86_64")]
-    {
-        let known = [
-            ("avx2", std::is_x86_feature_detected!("avx2")),
-            ("fma", std::is_x86_feature_detected!("fma")),
-            ("avx512f", std::is_x86_feature_detected!("avx512f")),
-        ];
-        features.extend(known.into_iter().filter(|(_, is_there)| *is_there).map(|(name, _)| name));
-    }
-    features.join(" ")
+/// The kind of processor. All of one kind give the same bits, whatever instructions they have.
+pub fn platform() -> &'static str {
+    std::env::consts::ARCH
 }
 
 /// Entries that wait to be published.
@@ -115,7 +104,7 @@ pub(super) fn start(settings: &Settings, rig: Option<&[u8]>, run_id: u64) -> Jou
         version: env!("CARGO_PKG_VERSION").into(),
         config: settings.toml.clone(),
         weights: settings.weights.clone(),
-        platform: platform(),
+        platform: platform().into(),
         rig: rig.map(<[u8]>::to_vec),
         run_id,
     }

@@ -2,7 +2,7 @@
 //!
 //! The journal holds order and times of the inputs; the messages are found by topic and hash. A job
 //! is solved when the journal says that its solution arrived. So the outputs are equal, byte for
-//! byte, on a processor with the same instruction set.
+//! byte.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Poses as BVH. The format has no times: frames lie one period apart, so gaps must be filled.
+//! Poses as BVH. The format has no times: frames are one period apart, so gaps must be filled.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -9,13 +9,13 @@ use crate::core::body::{Skeleton, TrackingState};
 use crate::core::time::Timestamp;
 use crate::io::formats::bvh::BvhWriter;
 
-/// Most time that is filled in a file, seconds.
+/// Longest total time that is filled in a file, seconds.
 const MOST_FILL_S: f64 = 600.0;
 /// Most frames that are filled in a file: that time at the highest frame rate.
 const MOST_FILL: f64 = 600_000.0;
 
-/// Decides how often a pose is repeated so that each frame of a file is at its time. A gap is more
-/// than 1.5 periods; ten minutes are filled in all.
+/// Computes how often a pose must be repeated so that each frame of a file is at its time. A gap is
+/// longer than 1.5 periods. At most ten minutes per file are filled.
 #[derive(Clone, Debug)]
 pub(crate) struct Fill {
     fps: f64,
@@ -27,20 +27,20 @@ pub(crate) struct Fill {
 }
 
 impl Fill {
-    /// Of a file of `fps` frames a second.
+    /// For a file of `fps` frames per second.
     pub(crate) fn new(fps: f64) -> Self {
         let left = (MOST_FILL_S * fps).min(MOST_FILL).floor();
         Self { fps, before: None, left, missing: 0.0 }
     }
 
-    /// Begins the file at that time: what comes before the first pose is a gap.
+    /// Starts the file at `start`: the time before the first pose is a gap.
     pub(crate) fn from(mut self, start: Timestamp) -> Self {
         let period = (1e9 / self.fps).round() as i64;
         self.before = Some(start + -period);
         self
     }
 
-    /// How many frames are missing before a pose captured at that time. Times come in order.
+    /// Number of missing frames before a pose. Capture times are in order.
     pub(crate) fn gap_before(&mut self, capture: Timestamp) -> usize {
         let wanted = self.before.map_or(0.0, |before| {
             let periods = (capture.ns() as f64 - before.ns() as f64) * 1e-9 * self.fps;
@@ -53,11 +53,11 @@ impl Fill {
         filled as usize
     }
 
-    /// A note on gaps in the file at `path` that were not filled, if there are any.
+    /// A note on the gaps in the file at `path` that were not filled, if there are any.
     pub(crate) fn note(&self, path: &Path) -> Option<String> {
         (self.missing > 0.0).then(|| {
             format!(
-                "{}: gaps of more than 10 minutes in all are not filled; the end is {:.1} s early",
+                "{}: only 10 minutes of gaps are filled; the file ends {:.1} s early",
                 path.display(),
                 self.missing / self.fps
             )
@@ -65,7 +65,7 @@ impl Fill {
     }
 }
 
-/// A BVH file that is written as poses come.
+/// A BVH file that is written pose by pose.
 pub(crate) struct BvhFile {
     writer: BvhWriter,
     fill: Fill,
@@ -74,8 +74,8 @@ pub(crate) struct BvhFile {
 }
 
 impl BvhFile {
-    /// The file starts at `start`, or at the first pose: until the first pose comes, that pose is
-    /// held; over a gap, the pose before it.
+    /// A file that starts at `start`, or else at the first pose. It repeats the first pose before
+    /// that pose's time, and the pose before a gap in the gap.
     pub(crate) fn create(
         path: &Path,
         skeleton: &Skeleton,
@@ -91,7 +91,7 @@ impl BvhFile {
         Ok(Self { writer, fill, last: None, states: States::default() })
     }
 
-    /// Adds a pose; poses come in order of capture time.
+    /// Adds a pose. Poses are in order of capture time.
     pub(crate) fn write(&mut self, pose: &CompactPose) -> Result<(), Error> {
         let gap = self.fill.gap_before(pose.capture);
         let held = self.last.as_ref().unwrap_or(pose).pose();
@@ -105,14 +105,14 @@ impl BvhFile {
         Ok(())
     }
 
-    /// Completes the file; the states of its frames, and the notes.
+    /// Completes the file. Returns the states of its frames and the notes.
     pub(crate) fn finish(self, path: &Path) -> Result<(States, Option<String>), Error> {
         self.writer.finish()?;
         Ok((self.states, self.fill.note(path)))
     }
 }
 
-/// A frame that repeats another.
+/// A frame that repeats another pose.
 const HELD: &str = "held";
 
 fn name_of(state: TrackingState) -> &'static str {
@@ -123,7 +123,7 @@ fn name_of(state: TrackingState) -> &'static str {
     }
 }
 
-/// What the frames of a BVH file are: runs of frames with the same state.
+/// The frames of a BVH file as runs with the same state.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct States {
     /// The number of frames of each run, and their state.
@@ -139,7 +139,7 @@ impl States {
         }
     }
 
-    /// Frames of the file.
+    /// Number of frames of the file.
     pub(crate) fn frames(&self) -> usize {
         self.runs.iter().map(|(frames, _)| frames).sum()
     }
@@ -167,7 +167,7 @@ mod tests {
         (gaps, fill.missing)
     }
 
-    /// Of frames at 50 Hz.
+    /// At 50 Hz.
     fn at_50(frames: &[f64]) -> (Vec<usize>, f64) {
         gaps(Fill::new(50.0), frames.iter().map(|frame| (frame * 2e7) as i64))
     }

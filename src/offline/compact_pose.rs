@@ -1,4 +1,4 @@
-//! Poses in about 400 bytes each.
+//! Poses of about 400 bytes each.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -6,7 +6,7 @@ use crate::core::body::{BODY_JOINTS, Pose, StampedPose, TrackingState};
 use crate::core::so3;
 use crate::core::time::Timestamp;
 
-/// A pose with its rotations as quaternions, those of the joints rounded to `f32`.
+/// A pose with quaternions; those of the joints are rounded to `f32`.
 #[derive(Clone, Debug)]
 pub(crate) struct CompactPose {
     pub(crate) capture: Timestamp,
@@ -21,7 +21,7 @@ impl CompactPose {
         self.state == TrackingState::Tracking
     }
 
-    /// The pose, if it can be used: if it was fitted to detections.
+    /// The pose, if it was fitted to detections; else `None`.
     pub(crate) fn usable(&self) -> Option<Pose> {
         self.is_tracked().then(|| self.pose())
     }
@@ -56,12 +56,12 @@ impl From<&StampedPose> for CompactPose {
 pub(crate) mod tests {
     use super::*;
 
-    /// The rest pose at a time, with its pelvis at that x, metres.
+    /// The tracked rest pose at a time; `x` is the pelvis position, metres.
     pub(crate) fn tracked(ns: i64, x: f64) -> CompactPose {
         in_state(ns, x, TrackingState::Tracking)
     }
 
-    /// The same in a state.
+    /// The same with another state.
     pub(crate) fn in_state(ns: i64, x: f64, state: TrackingState) -> CompactPose {
         let mut pose = Pose::rest();
         pose.root_position.x = x;

@@ -1,4 +1,4 @@
-//! The tracker driven by a recording: jobs are solved as they come, on this thread.
+//! Drives the tracker with a recording; jobs are solved at once, on this thread.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use crate::core::tracker::{Config, Input, Output, Solver, Task, Tracker};
 pub(crate) struct Driver {
     tracker: Tracker,
     solver: Solver,
-    /// Time of the last window's solve.
+    /// Solve time of the last window.
     pub(crate) window_solve: Duration,
 }
 
@@ -26,7 +26,7 @@ impl Driver {
         self.tracker.skeleton().cloned()
     }
 
-    /// Hands in an input, solves the jobs, and gives all other outputs to `take`.
+    /// Passes in an input, solves the jobs, and passes all other outputs to `take`.
     pub(crate) fn feed(
         &mut self,
         input: Input,

@@ -9,7 +9,7 @@ use crate::core::manifold::WeightsError;
 use crate::io::formats::ExportError;
 use crate::io::recording::RecordError;
 
-/// Why a recording cannot be solved. Nothing is written then.
+/// Why a recording cannot be solved. No file is written then.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 #[allow(missing_docs)]
@@ -18,12 +18,12 @@ pub enum Error {
     #[error(transparent)]
     Recording(#[from] RecordError),
     #[error(
-        "{} holds no keypoints but {held}; give a recording from `bundlemocap import` or \
+        "{} holds no keypoints but {held}; use a recording of `bundlemocap import` or \
          `bundlemocap synth`", path.display()
     )]
     NoKeypoints { path: PathBuf, held: String },
     #[error(
-        "{}: {topic}: {reason}; import it again with the --format that the keypoints are in",
+        "{}: {topic}: {reason}; import it again with the right --format",
         path.display()
     )]
     KeypointFormat { path: PathBuf, topic: String, reason: String },
@@ -32,12 +32,12 @@ pub enum Error {
     #[error("{}: {reason}; correct the calibration and import it again", path.display())]
     BadRig { path: PathBuf, reason: String },
     #[error(
-        "{}: camera {camera} was calibrated with images of {} x {}, its keypoints are of images \
-         of {} x {}; calibrate at the size that is detected in",
+        "{}: camera {camera} was calibrated with images of {} x {}, its keypoints come from images \
+         of {} x {}; calibrate at the detector's image size",
         path.display(), calibrated[0], calibrated[1], detected[0], detected[1]
     )]
     ImageSize { path: PathBuf, camera: String, calibrated: [u32; 2], detected: [u32; 2] },
-    /// The cameras that are chosen make no rig.
+    /// The chosen cameras are not a valid rig.
     #[error("{}: {source}", path.display())]
     Rig { path: PathBuf, source: CameraError },
     #[error(
@@ -56,10 +56,10 @@ pub enum Error {
     NobodyFound { path: PathBuf, evidence: String },
     #[error("the embedded weights: {0}")]
     Weights(#[from] WeightsError),
-    #[error("{} is there; choose another folder, or allow to replace it (--overwrite)", path.display())]
+    #[error("{} exists; choose another folder, or replace it with --overwrite", path.display())]
     Exists { path: PathBuf },
     #[error(
-        "cannot write {}: {source}; check that the folder exists, is writable and has room",
+        "cannot write {}: {source}; check that the folder exists, is writable and has space",
         path.display()
     )]
     Write { path: PathBuf, source: std::io::Error },

@@ -1,7 +1,7 @@
-//! Reprojection error in one camera, for instance in one that was held out of the solve.
+//! Reprojection error in one camera, for instance one that was held out of the solve.
 //!
-//! The body at the frame's capture time is projected and compared with the detected person that is
-//! nearest to it, point by point.
+//! The body at the frame's capture time is projected and compared, point by point, with the nearest
+//! detected person.
 
 use std::collections::VecDeque;
 
@@ -15,16 +15,16 @@ use crate::core::time::Timestamp;
 use crate::metrics::statistics::median;
 use crate::metrics::{COMPARED, Distribution};
 
-/// Detected points of at most this confidence are left out of reported errors.
+/// Detected points of at most this confidence are excluded from reported errors.
 pub const CONFIDENT: f64 = 0.3;
 
-/// A person is the performer when the median distance of the limbs' points is below this part
-/// of the performer's height in the image.
+/// A person is the performer if the median distance of the limbs' points is below this fraction of
+/// the performer's height in the image.
 const GATE: f64 = 0.25;
 /// Most frames that wait for poses.
 const WAITING: usize = 8192;
 
-/// The error in the camera that was held out.
+/// The error in the held-out camera.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HoldOut {
     /// The camera.
@@ -33,18 +33,18 @@ pub struct HoldOut {
     pub median_px: Option<f64>,
     /// Points of shoulders, elbows, wrists, hips, knees and ankles with confidence above 0.3.
     pub points: usize,
-    /// Frames in which the performer was detected.
+    /// Frames with the performer detected.
     pub frames: usize,
-    /// Frames with detections but without the performer among them.
+    /// Frames with detections but without the performer.
     pub frames_without_performer: usize,
 }
 
-/// Scores the frames of a camera with poses as they come; both come in order of time, either may
-/// come first. At most 8,192 frames wait for poses; then the oldest are left out.
+/// Compares the frames of a camera with poses in a stream; both are in order of time, either may
+/// come first. At most 8,192 frames wait for poses; then the oldest are dropped.
 pub struct HeldOut {
     camera: Camera,
     waiting: VecDeque<Detections>,
-    /// The newest pose; no pose if it cannot be used.
+    /// The newest pose; `None` if it cannot be used.
     before: Option<(Timestamp, Option<Pose>)>,
     errors: Distribution,
     frames: usize,
@@ -52,13 +52,13 @@ pub struct HeldOut {
 }
 
 impl HeldOut {
-    /// Of that camera.
+    /// The camera of the frames.
     pub fn new(camera: Camera) -> Self {
         let (waiting, errors) = (VecDeque::new(), Distribution::default());
         Self { camera, waiting, before: None, errors, frames: 0, without: 0 }
     }
 
-    /// Takes in a frame of the camera. Frames without a pose before and after are left out.
+    /// Adds a frame of the camera. Frames without a pose before and after are not counted.
     pub fn add_frame(&mut self, detections: Detections) {
         let after = |known: &Detections| known.capture <= detections.capture;
         let place = self.waiting.iter().rposition(after).map_or(0, |before| before + 1);
@@ -68,7 +68,7 @@ impl HeldOut {
         }
     }
 
-    /// Takes in the next pose, `None` if it cannot be used, with the newest body, and scores the
+    /// Adds the next pose (`None` if it cannot be used) with the newest body, and compares the
     /// frames up to it.
     pub fn add_pose(&mut self, capture: Timestamp, pose: Option<Pose>, skeleton: &Skeleton) {
         while self.waiting.front().is_some_and(|frame| frame.capture <= capture) {
@@ -97,7 +97,7 @@ impl HeldOut {
         }
     }
 
-    /// The score.
+    /// The result.
     pub fn finish(self) -> HoldOut {
         HoldOut {
             median_px: self.errors.median(),
@@ -110,7 +110,7 @@ impl HeldOut {
 }
 
 /// The pose at a time, from poses in order of time: slerp of the rotations, lerp of the position.
-/// `None` outside.
+/// `None` outside their range.
 pub fn pose_at(poses: &[(Timestamp, Pose)], at: Timestamp) -> Option<Pose> {
     let next = poses.partition_point(|(capture, _)| *capture < at);
     let (after, b) = poses.get(next)?;
@@ -121,9 +121,8 @@ pub fn pose_at(poses: &[(Timestamp, Pose)], at: Timestamp) -> Option<Pose> {
     Some(a.interpolate(b, (at - *before) as f64 / (*after - *before) as f64))
 }
 
-/// Distances of confident points of the person who is the performer, pixels: of those
-/// `keypoints` that the format has. `None` if the performer is not among the persons, by the
-/// limbs' points.
+/// Distances of the performer's confident points from the body, pixels, for the `keypoints` in the
+/// format. `None` if the limbs' points show that no person is the performer.
 pub fn distances(
     camera: &Camera,
     skeleton: &Skeleton,
@@ -156,7 +155,7 @@ fn to_person(
     distances.map(|difference| difference.norm()).collect()
 }
 
-/// The larger side of the box around the pixels.
+/// The longer side of the bounding box of the pixels.
 fn height(pixels: impl Iterator<Item = Vector2<f64>>) -> Option<f64> {
     let bounds = pixels.fold(None, |bounds, pixel| match bounds {
         None => Some((pixel, pixel)),

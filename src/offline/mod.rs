@@ -1,4 +1,4 @@
-//! A recording solved: opened once, streamed through the tracker, summarised, written.
+//! Solves a recording: opens it once, streams it through the tracker, summarises and writes.
 //!
 //! ```no_run
 //! use bundlemocap::offline::{self, Options, Recording};
@@ -11,9 +11,9 @@
 //! # }
 //! ```
 //!
-//! Memory does not grow with the recording's length: poses are written and compared as they come,
-//! errors are counted in [`Distribution`](crate::metrics::Distribution)s, and what the report plots
-//! is averaged over time beyond 4096 values.
+//! Memory does not grow with the recording's length: poses are written and compared one by one,
+//! errors are counted in [`Distribution`](crate::metrics::Distribution)s, and the plots of the
+//! report average over time beyond 4096 values.
 
 pub(crate) mod bvh;
 pub(crate) mod compact_pose;

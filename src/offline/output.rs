@@ -1,7 +1,7 @@
-//! What a solve writes: poses.mcap and poses.bvh while it solves, poses.states.csv and report.html
-//! at the end.
+//! The files of a solve: poses.mcap and poses.bvh are written during the solve, poses.states.csv
+//! and report.html at the end.
 //!
-//! All are made beside their places and renamed, so that a failure leaves none in part.
+//! Each is written to a temporary file and renamed, so that a failure leaves no partial file.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -26,10 +26,10 @@ use crate::io::wire::Topics;
 
 /// The files of a solve.
 pub(crate) const FILES: [&str; 4] = ["poses.mcap", "poses.bvh", "poses.states.csv", "report.html"];
-/// Stick figures in the report.
+/// Number of stick figures in the report.
 const STICK_FIGURES: usize = 9;
 
-/// A folder for outputs. If it had to be made and stays empty, it goes when this is dropped.
+/// A folder for outputs. If it was created here and stays empty, it is removed on drop.
 pub(crate) struct OutputFolder {
     path: PathBuf,
     made: bool,
@@ -43,7 +43,7 @@ impl OutputFolder {
         Ok(Self { path: path.to_owned(), made })
     }
 
-    /// Fails if one of these files is there.
+    /// Fails if one of these files exists.
     pub(crate) fn refuse_existing(path: &Path, files: &[&str]) -> Result<(), Error> {
         let there = files.iter().map(|name| path.join(name)).find(|path| path.exists());
         there.map_or(Ok(()), |path| Err(Error::Exists { path }))
@@ -57,13 +57,13 @@ impl OutputFolder {
 impl Drop for OutputFolder {
     fn drop(&mut self) {
         if self.made {
-            // Fails where there is something in it, as there should be.
+            // Fails if the folder is not empty, as intended.
             let _ = std::fs::remove_dir(&self.path);
         }
     }
 }
 
-/// Writes the tracker's outputs to poses.mcap as they come.
+/// Writes the tracker's outputs to poses.mcap one by one.
 pub(crate) struct PoseFile {
     writer: Writer,
     rig: Arc<Rig>,
@@ -74,7 +74,7 @@ pub(crate) struct PoseFile {
 }
 
 impl PoseFile {
-    /// `rig` is that of the recording, `solved` the cameras that the tracker has.
+    /// `rig` is that of the recording, `solved` that of the tracker.
     pub(crate) fn create(
         path: &Path,
         rig: &Arc<Rig>,
@@ -123,13 +123,13 @@ impl PoseFile {
         })?)
     }
 
-    /// Puts the file in its place.
+    /// Moves the file to its place.
     pub(crate) fn finish(self) -> Result<(), Error> {
         Ok(self.writer.finish()?)
     }
 }
 
-/// Writes a text; the file appears whole or not at all.
+/// Writes a text file, completely or not at all.
 pub(crate) fn text(path: &Path, text: &str) -> Result<(), Error> {
     new_file::write(path, text.as_bytes())
         .map_err(|source| Error::Write { path: path.to_owned(), source })
@@ -168,7 +168,7 @@ pub(super) fn report(
     Ok(write_report(path, &data)?)
 }
 
-/// Stick figures at `count` times, evenly spread.
+/// Stick figures at `count` times, evenly spaced.
 pub(crate) fn strip(poses: &[CompactPose], skeleton: &Skeleton, count: usize) -> String {
     let (last, count) = (poses.len().saturating_sub(1), count.min(poses.len()));
     let chosen = (0..count).map(|i| &poses[i * last / (count - 1).max(1)]);

@@ -1,4 +1,4 @@
-//! What is done with the poses of a solve, as they come.
+//! Processes the poses of a solve one by one.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -16,25 +16,25 @@ use crate::io::report::flexion_deg;
 use crate::metrics::MeanAcceleration;
 use crate::metrics::statistics::median;
 
-/// Poses from which the frame rate is found; they wait in memory until then.
+/// Number of first poses that give the frame rate; they wait in memory until then.
 const HEAD: usize = 4096;
 /// The frame rate of a single pose.
 const FALLBACK_FPS: f64 = 60.0;
-/// Joints whose angles the report shows.
+/// Joints with angles in the report.
 pub(crate) const BENT: [Joint; 4] = [Joint::LKnee, Joint::RKnee, Joint::LElbow, Joint::RElbow];
 
 impl Bin for CompactPose {
-    /// The first pose stays.
+    /// The first pose is kept.
     fn merge(&mut self, _next: Self) {}
 }
 
-/// The comparisons that wait for poses, and what they compare with.
+/// The comparisons that wait for poses, and their inputs.
 #[derive(Default)]
 pub(super) struct Comparisons<'a> {
     pub(super) truth: TruthComparison,
     pub(super) held_out: Option<HeldOut>,
     pub(super) reference: Option<ReferenceComparison<'a>>,
-    /// Of the first frame of the first camera.
+    /// The frame clock of the first camera, from its first frame.
     pub(super) clock: Option<FrameClock>,
 }
 
@@ -43,13 +43,13 @@ pub(super) struct Poses {
     bvh_path: Option<PathBuf>,
     /// The first capture time of the recording.
     pub(super) start: Option<Timestamp>,
-    /// The newest pose; one of the same time replaces it.
+    /// The newest pose; another of the same time replaces it.
     newest: Option<CompactPose>,
-    /// The poses before it, until the frame rate is found.
+    /// The poses before it, until the frame rate is known.
     head: Vec<CompactPose>,
     body: Option<Stream>,
     pub(super) count: usize,
-    /// Poses that are not tracked.
+    /// Number of poses that are not tracked.
     pub(super) flagged: usize,
     /// Poses for the stick figures.
     pub(super) shown: Series<CompactPose>,
@@ -57,14 +57,14 @@ pub(super) struct Poses {
     pub(super) angles: [Series<Mean<Timestamp, 1>>; BENT.len()],
 }
 
-/// What needs the frame rate.
+/// The consumers that need the frame rate.
 struct Stream {
     fps: f64,
     acceleration: MeanAcceleration,
     bvh: Option<BvhFile>,
 }
 
-/// What is known of all poses at the end.
+/// The results over all poses.
 #[derive(Default)]
 pub(super) struct PoseSummary {
     /// `None` for fewer than two poses.
@@ -75,7 +75,7 @@ pub(super) struct PoseSummary {
 }
 
 impl Poses {
-    /// Written as BVH to that path, if there is one.
+    /// Written as BVH to a path, if given.
     pub(super) fn new(bvh_path: Option<PathBuf>) -> Self {
         Self {
             bvh_path,
@@ -100,7 +100,7 @@ impl Poses {
         self.flagged + waiting.filter(|pose| !pose.is_tracked()).count()
     }
 
-    /// Takes in a pose; poses come in order of capture time.
+    /// Adds a pose. Poses are in order of capture time.
     pub(super) fn add(
         &mut self,
         pose: CompactPose,
@@ -117,7 +117,7 @@ impl Poses {
         }
     }
 
-    /// A pose that stays as it is.
+    /// Adds a pose that will not be replaced.
     fn settled(
         &mut self,
         pose: CompactPose,
@@ -131,7 +131,7 @@ impl Poses {
         if self.head.len() == HEAD { self.begin(skeleton, comparisons) } else { Ok(()) }
     }
 
-    /// Finds the frame rate and takes in the poses that waited for it.
+    /// Computes the frame rate and adds the poses that waited for it.
     fn begin(
         &mut self,
         skeleton: &Arc<Skeleton>,
@@ -175,7 +175,7 @@ impl Poses {
         Ok(())
     }
 
-    /// Takes in what waited and completes the BVH file.
+    /// Adds the waiting poses and completes the BVH file.
     pub(super) fn finish(
         &mut self,
         skeleton: &Arc<Skeleton>,
@@ -201,7 +201,7 @@ impl Poses {
     }
 }
 
-/// Poses a second, from the median distance in time; `None` for fewer than two.
+/// Poses per second, from the median interval; `None` for fewer than two.
 pub(crate) fn frame_rate(poses: &[CompactPose]) -> Option<f64> {
     let periods: Vec<f64> =
         poses.windows(2).map(|pair| (pair[1].capture - pair[0].capture) as f64).collect();

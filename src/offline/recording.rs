@@ -1,4 +1,4 @@
-//! A recording that is to be solved: its cameras, its detections, its truth.
+//! A recording to solve: its cameras, its detections, its truth.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,8 +13,8 @@ use crate::core::detections::Detections;
 use crate::io::recording::{CameraInfo, Info, Message, Reader, Report, summarise};
 use crate::io::wire;
 
-/// A recording with keypoints and a rig that fit each other. The file is opened once; its messages
-/// are streamed, so memory does not depend on its length.
+/// A recording with matching keypoints and rig. The file is opened once; its messages are streamed,
+/// so memory does not depend on its length.
 pub struct Recording {
     reader: Reader,
     rig: Arc<Rig>,
@@ -26,11 +26,11 @@ pub struct Recording {
 
 /// A message of a recording.
 pub(crate) enum Item {
-    /// What a camera saw; the index is that of the camera in the chosen rig.
+    /// A camera's detections; the camera index is that in the chosen rig.
     Detections(Detections),
-    /// What the held-out camera saw.
+    /// The held-out camera's detections.
     HeldOut(Detections),
-    /// The true body; comes before the true poses.
+    /// The true body, before the true poses.
     TrueBody(Box<Skeleton>),
     /// A true pose.
     TruePose(Box<StampedPose>),
@@ -40,8 +40,8 @@ impl Recording {
     /// Opens a recording and checks that its cameras fit its rig.
     ///
     /// # Errors
-    /// A file that cannot be read or is no recording of ours, one without keypoints or without a
-    /// rig, a camera that is not in the rig or has images of another size.
+    /// A file that cannot be read, a recording of another program, missing keypoints or rig, a
+    /// camera that is not in the rig or has images of another size.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, Error> {
         let mut reader = Reader::open(path)?;
         let info = summarise(&mut reader)?;
@@ -71,7 +71,7 @@ impl Recording {
         &self.rig
     }
 
-    /// The number of messages in it, as far as its index tells.
+    /// The number of messages, from the file's index.
     pub fn messages(&self) -> u64 {
         self.messages
     }
@@ -81,7 +81,7 @@ impl Recording {
         &self.format
     }
 
-    /// Every camera with keypoints must be in the rig, with images of the calibrated size.
+    /// Checks that every camera with keypoints is in the rig, with images of the calibrated size.
     fn check_cameras(&self, seen: &BTreeMap<String, CameraInfo>) -> Result<(), Error> {
         let path = || self.path().to_owned();
         for (name, info) in seen {
@@ -98,11 +98,11 @@ impl Recording {
         Ok(())
     }
 
-    /// The camera that the user means: the one of that name, else the only one whose name differs
-    /// only in case, in `_`, `-` or blanks, or in leading zeros.
+    /// The camera with a name; else the only one whose name differs just in case, in `_`, `-` or
+    /// blanks, or in leading zeros.
     ///
     /// # Errors
-    /// No camera, or several, fit.
+    /// No camera, or more than one, fits.
     pub fn camera(&self, name: &str) -> Result<&Camera, Error> {
         let cameras = &self.rig.cameras;
         let alike = || cameras.iter().filter(|camera| plain(&camera.name) == plain(name));
@@ -117,7 +117,7 @@ impl Recording {
         })
     }
 
-    /// The rig of the cameras in `only` (all if empty) without the one held out.
+    /// The rig of the cameras in `only` (all if empty), without the held-out one.
     ///
     /// # Errors
     /// An unknown camera, one without keypoints, or fewer than two cameras.
@@ -139,8 +139,8 @@ impl Recording {
         }
     }
 
-    /// Streams the recording from its start: every detection of a camera of `rig` and of the
-    /// held-out camera, and the truth if there is any. Says what was lost of the file.
+    /// Streams the recording from its start: the detections of all cameras of `rig` and of the
+    /// held-out camera, and the truth, if any. Returns a report of what was lost.
     pub(crate) fn stream(
         &mut self,
         rig: &Rig,
@@ -177,7 +177,7 @@ impl Recording {
     }
 }
 
-/// Why a recording in which no camera has keypoints cannot be solved.
+/// The error for a recording without keypoints of any camera.
 fn without_keypoints(path: &Path, info: &Info) -> Error {
     const SHOWN: usize = 8;
     let path = path.to_owned();
@@ -190,7 +190,7 @@ fn without_keypoints(path: &Path, info: &Info) -> Error {
     Error::NoKeypoints { path, held }
 }
 
-/// The first rig of a recording. It need not come before the first keypoints.
+/// The first rig of a recording. It may come after the first keypoints.
 fn first_rig(path: &Path, info: &Info) -> Result<Rig, Error> {
     let bad = |reason: String| Error::BadRig { path: path.to_owned(), reason };
     match &info.first_rig {
@@ -202,7 +202,7 @@ fn first_rig(path: &Path, info: &Info) -> Result<Rig, Error> {
     }
 }
 
-/// The first topic of a schema with messages that could not be used, and why the first could not.
+/// The first topic of a schema with unusable messages, and the reason of its first one.
 fn refused<T: Name>(info: &Info) -> Option<(&str, &str)> {
     let schema = T::full_name();
     let of_schema = |topic: &&String| info.topics.get(*topic).is_some_and(|t| t.schema == schema);
@@ -210,7 +210,7 @@ fn refused<T: Name>(info: &Info) -> Option<(&str, &str)> {
     Some((topic, &info.report.undecodable[topic].first))
 }
 
-/// A name without what differs between tools: case, separators, leading zeros of numbers.
+/// A name without the differences between tools: case, separators, leading zeros of numbers.
 fn plain(name: &str) -> String {
     let mut plain = String::new();
     let mut digits = String::new();

@@ -1,4 +1,4 @@
-//! Distance to a reference: marker positions that another tool found for the same recording.
+//! Distance from a reference: marker positions of another tool for the same recording.
 
 use serde::Serialize;
 
@@ -8,7 +8,7 @@ use crate::core::time::Timestamp;
 use crate::io::formats::Trc;
 use crate::metrics::{COMPARED, MarkerDistances, MarkerPositions};
 
-/// The clock of a recording's frame numbers: the capture time of one of its frames.
+/// The clock of a recording's frame numbers, from the capture time of one frame.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameClock {
     /// A frame number.
@@ -18,7 +18,7 @@ pub struct FrameClock {
 }
 
 impl FrameClock {
-    /// The clock by which `detections` were captured.
+    /// The clock of `detections`.
     pub fn of(detections: &Detections) -> Self {
         Self { frame: detections.frame, capture: detections.capture }
     }
@@ -30,23 +30,23 @@ impl FrameClock {
     }
 }
 
-/// How far the poses are from the reference.
+/// The distance of the poses from the reference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reference {
-    /// Frames compared.
+    /// Number of compared frames.
     pub frames: usize,
     /// Mean distance of shoulders, elbows, wrists, hips, knees and ankles, millimetres.
     pub mean_mm: f64,
     /// Largest distance between the middles of the hips, millimetres.
     pub worst_mid_hip_mm: Option<f64>,
-    /// The frame of the recording in which it is.
+    /// The frame of the recording with that largest distance.
     pub worst_mid_hip_frame: Option<u64>,
 }
 
-/// Compares poses with a TRC file as they come, in order of capture time.
+/// Compares poses with a TRC file in a stream, in order of capture time.
 ///
-/// Row i of the file is frame OrigDataStartFrame + i of the recording, whatever its own Frame#
-/// says, since tools begin that at 1. A row is compared with the first pose within a quarter of
+/// Row i of the file is frame OrigDataStartFrame + i of the recording; the file's own Frame# is
+/// ignored, since tools start it at 1. A row is compared with the first pose within a quarter of
 /// the file's frame period.
 pub struct ReferenceComparison<'a> {
     trc: &'a Trc,
@@ -57,13 +57,13 @@ pub struct ReferenceComparison<'a> {
 }
 
 impl<'a> ReferenceComparison<'a> {
-    /// With that file.
+    /// A comparison with a file.
     pub fn new(trc: &'a Trc) -> Self {
         let columns = COMPARED.map(|keypoint| trc.column_of(keypoint));
         Self { trc, columns, row: 0, distances: MarkerDistances::default() }
     }
 
-    /// Takes in the next pose, `None` if it cannot be used, with the newest body.
+    /// Adds the next pose (`None` if it cannot be used) with the newest body.
     pub fn add_pose(
         &mut self,
         clock: FrameClock,
@@ -130,7 +130,7 @@ mod tests {
             TrcRow { number: 1, seconds: 0.0, points: vec![hip] }
         };
         assert_eq!(COMPARED[7], Keypoint::RHip);
-        // Rows of the frames 6 to 9; frame 7 is captured at 100 ms, at 100 Hz.
+        // Rows of frames 6 to 9; frame 7 is captured at 100 ms, at 100 Hz.
         let rows = vec![row(Some(0.0)), row(Some(0.01)), row(None), row(Some(0.04))];
         let trc = Trc { frame_rate: 100.0, first_frame: 6, names: vec!["RHip".into()], rows };
         let clock = FrameClock { frame: 7, capture: Timestamp::from_ns(100_000_000) };
@@ -142,7 +142,7 @@ mod tests {
             comparison.add_pose(clock, capture, pose.as_ref(), &skeleton);
         }
         let reference = comparison.finish().unwrap();
-        // Frame 6 has no pose, frame 8 no marker; the frames 7 and 9 are 10 and 40 mm off.
+        // Frame 6 has no pose and frame 8 no marker; frames 7 and 9 are 10 and 40 mm off.
         assert_eq!(reference.frames, 2);
         assert!((reference.mean_mm - 25.0).abs() < 1e-9, "{reference:?}");
         assert_eq!(reference.worst_mid_hip_mm, None);

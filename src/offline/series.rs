@@ -1,11 +1,11 @@
-//! What plots show over time, in memory that does not grow with the recording's length.
+//! Plot values over time, in memory that does not grow with the recording's length.
 
 /// Most bins of a series.
 pub(crate) const LIMIT: usize = 4096;
 
-/// Something that can be put into one bin with what follows it.
+/// A value that can be merged with the following ones into one bin.
 pub(crate) trait Bin {
-    /// Takes in what follows.
+    /// Merges the next value.
     fn merge(&mut self, next: Self);
 }
 
@@ -13,9 +13,9 @@ pub(crate) trait Bin {
 #[derive(Clone, Debug)]
 pub(crate) struct Series<T> {
     bins: Vec<T>,
-    /// Values in a full bin.
+    /// Number of values in a full bin.
     size: usize,
-    /// Values in the last bin.
+    /// Number of values in the last bin.
     last: usize,
 }
 
@@ -26,7 +26,7 @@ impl<T> Default for Series<T> {
 }
 
 impl<T: Bin> Series<T> {
-    /// Takes in the next value.
+    /// Adds the next value.
     pub(crate) fn push(&mut self, value: T) {
         if self.last < self.size
             && let Some(bin) = self.bins.last_mut()
@@ -59,7 +59,7 @@ impl<T: Bin> Series<T> {
     }
 }
 
-/// The mean of values, and the time of the first.
+/// The mean of values, with the time of the first.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Mean<A, const N: usize> {
     pub(crate) at: A,

@@ -1,5 +1,5 @@
-//! The pipeline: a recording is streamed through the tracker; what comes out is written, compared
-//! and summarised as it comes.
+//! The pipeline: streams a recording through the tracker; writes, compares and summarises the
+//! outputs.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -22,45 +22,45 @@ use crate::core::tracker::{self, EventKind, Input, Output, Solver};
 use crate::io::formats::Trc;
 use crate::io::recording::{Provenance, Report};
 
-/// How a recording is solved. The defaults use all cameras, the embedded weights and the settings
-/// of `config/default.toml`, and write nothing.
+/// Options of a solve. The defaults use all cameras, the embedded weights and the settings of
+/// `config/default.toml`, and write nothing.
 #[derive(Clone, Default)]
 pub struct Options {
     /// Settings of the tracker.
     pub config: tracker::Config,
     /// Weights of the manifold; the embedded ones if `None`.
     pub decoder: Option<Decoder>,
-    /// Use these cameras only, by name; all if empty.
+    /// Use only the cameras with these names; all if empty.
     pub cameras: Vec<String>,
-    /// Do not solve with this camera; measure the error in it.
+    /// Hold this camera out of the solve and measure the error in it.
     pub hold_out: Option<String>,
-    /// Measure the distance to these marker positions (y up, frames as in the recording).
+    /// Measure the distance from these marker positions (y up, frames as in the recording).
     pub reference: Option<Trc>,
-    /// The folder for poses.mcap, poses.bvh, poses.states.csv and report.html; it is made if it is
-    /// not there. Nothing is written if `None`.
+    /// The folder for poses.mcap, poses.bvh, poses.states.csv and report.html; created if missing.
+    /// `None` writes nothing.
     pub out: Option<PathBuf>,
-    /// Replace these files if they are there.
+    /// Replace these files if they exist.
     pub overwrite: bool,
-    /// All settings as TOML, for the metadata of poses.mcap; those of `config` if `None`.
+    /// All settings as TOML, for the metadata of poses.mcap; `None`: those of `config`.
     pub config_toml: Option<String>,
 }
 
-/// What a caller may follow during a solve; `()` follows nothing.
+/// Observer of a solve; `()` ignores everything.
 pub trait Observer {
     /// A message of the recording was read.
     fn message(&mut self) {}
 
-    /// A final pose, in order of capture time, with the body it belongs to.
+    /// A final pose with its body. Poses are in order of capture time.
     fn pose(&mut self, _pose: &StampedPose, _skeleton: &Skeleton) {}
 }
 
 impl Observer for () {}
 
-/// Solves a recording in memory that does not grow with its length. The files appear when all of
-/// it has succeeded.
+/// Solves a recording in memory that does not grow with its length. The files appear only if the
+/// whole solve succeeds.
 ///
 /// # Errors
-/// See [`Error`]; among them a recording in which nobody is found.
+/// See [`Error`], for instance a recording without a performer.
 pub fn solve(
     recording: &mut Recording,
     options: &Options,
@@ -113,8 +113,9 @@ pub fn solve(
 }
 
 struct Outputs {
-    folder: OutputFolder,
     file: PoseFile,
+    // Dropped last: it goes only if it is empty.
+    folder: OutputFolder,
 }
 
 impl Outputs {
@@ -141,7 +142,7 @@ impl Outputs {
     }
 }
 
-/// A solve that is under way.
+/// A solve in progress.
 struct Run<'reference, 'file> {
     driver: Driver,
     collected: Collected<'reference>,
@@ -156,7 +157,7 @@ impl Run<'_, '_> {
         held_out: Option<&str>,
         observer: &mut dyn Observer,
     ) -> Result<Report, Error> {
-        // Both closures need the observer.
+        // Both closures use the observer.
         let observer = std::cell::RefCell::new(observer);
         let report = recording.stream(
             rig,
@@ -201,7 +202,7 @@ impl Run<'_, '_> {
     }
 }
 
-/// What came of a solve.
+/// The results of a solve.
 struct Collected<'a> {
     poses: Poses,
     windows: Windows,
@@ -284,13 +285,13 @@ impl Collected<'_> {
     }
 }
 
-/// What a recording that is not sorted by capture time loses.
+/// A note on the frames of a recording that is not sorted by capture time.
 fn out_of_time(late: u64, duplicate: u64) -> String {
     if late == 0 && duplicate == 0 {
         return String::new();
     }
     format!(
-        ", {late} frames came late and {duplicate} twice and were left out: is the recording \
+        ", {late} frames came late and {duplicate} came twice; they were not used: is the recording \
          sorted by capture time?"
     )
 }

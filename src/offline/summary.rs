@@ -11,23 +11,22 @@ use super::windows::Windows;
 use crate::core::camera::Rig;
 use crate::metrics::PoseErrors;
 
-/// Everything that was measured in a solve. Field names are part of the interface; README.md
-/// documents them. [`Display`](fmt::Display) prints the table.
+/// The measurements of a solve. Field names are part of the interface; README.md documents them.
+/// [`Display`](fmt::Display) prints the table.
 ///
-/// Percentiles are exact up to 131,072 values (points, windows), beyond that within 0.05 %; see
-/// [`Distribution`](crate::metrics::Distribution). The frame rate is found from the first 4096
-/// poses.
+/// Percentiles are exact up to 131,072 values (points, windows), and within 0.05 % beyond; see
+/// [`Distribution`](crate::metrics::Distribution). The frame rate comes from the first 4096 poses.
 #[derive(Clone, Debug, Serialize)]
 #[allow(missing_docs)]
 pub struct Summary {
     pub version: &'static str,
     pub recording: String,
-    /// Poses.
+    /// Number of poses.
     pub frames: usize,
-    /// Poses that are flagged: not fitted to detections.
+    /// Number of flagged poses: not fitted to detections.
     pub frames_lost: usize,
     pub windows: usize,
-    /// Windows whose poses are flagged.
+    /// Number of windows with flagged poses.
     pub lost: usize,
     pub windows_without_performer: u64,
     pub frame_rate_hz: Option<f64>,
@@ -39,11 +38,11 @@ pub struct Summary {
     pub reference: Option<Reference>,
     pub solve_ms: Option<SolveTime>,
     pub frames_per_second: f64,
-    /// How often each kind of event happened.
+    /// Number of events of each kind.
     pub events: BTreeMap<&'static str, u64>,
-    /// What was lost of the recording.
+    /// What was lost from the recording.
     pub damage: Vec<String>,
-    /// What else the user should know.
+    /// Other notes for the user.
     #[serde(skip)]
     pub notes: Vec<String>,
 }
@@ -79,7 +78,7 @@ impl fmt::Display for Summary {
 }
 
 impl Summary {
-    /// The few that matter most, as name and value.
+    /// The most important results, as name and value.
     pub(crate) fn headline(&self) -> Vec<(String, String)> {
         let mut facts = vec![
             ("frames".to_owned(), self.frames.to_string()),
@@ -139,7 +138,7 @@ impl Summary {
     }
 }
 
-/// Rows of a table being made.
+/// The rows of a table.
 #[derive(Default)]
 struct Rows(Vec<(String, String)>);
 

@@ -1,4 +1,4 @@
-//! Distance from the truth that a synthetic recording carries.
+//! Distance from the truth in a synthetic recording.
 
 use std::collections::VecDeque;
 
@@ -9,9 +9,9 @@ use crate::metrics::{PoseErrorSums, PoseErrors};
 /// Most poses that wait for the other side.
 const WAITING: usize = 16_384;
 
-/// Compares solved poses with true ones as they come; both come in order of capture time, either
-/// may come first. A pose counts if it is tracked and a true pose lies within a tenth of a frame
-/// period. At most 16,384 poses of a side wait for the other; then the oldest are left out.
+/// Compares solved poses with true ones in a stream; both are in order of capture time, either may
+/// come first. A pose counts if it is tracked and a true pose lies within a tenth of a frame
+/// period. At most 16,384 poses of a side wait; then the oldest are dropped.
 #[derive(Default)]
 pub(super) struct TruthComparison {
     body: Skeleton,
@@ -21,7 +21,7 @@ pub(super) struct TruthComparison {
 }
 
 impl TruthComparison {
-    /// The true body; it comes before the true poses.
+    /// Sets the true body; call it before the true poses.
     pub(super) fn set_body(&mut self, body: Skeleton) {
         self.body = body;
     }
@@ -35,7 +35,7 @@ impl TruthComparison {
         }
     }
 
-    /// Takes in a solved pose of a recording with `fps` frames a second.
+    /// Adds a solved pose of a recording with `fps` frames per second.
     pub(super) fn add_pose(&mut self, pose: &CompactPose, skeleton: &Skeleton, fps: f64) {
         self.poses.push_back(pose.clone());
         let tolerance = tolerance_ns(fps);
@@ -49,7 +49,7 @@ impl TruthComparison {
         }
     }
 
-    /// The errors; `None` where nothing could be compared.
+    /// The errors; `None` if nothing could be compared.
     pub(super) fn finish(mut self, skeleton: &Skeleton, fps: f64) -> Option<PoseErrors> {
         while !self.poses.is_empty() {
             self.compare_first(skeleton, tolerance_ns(fps));

@@ -1,4 +1,4 @@
-//! What the windows of a solve gave, in memory that does not grow with their number.
+//! The results of all windows of a solve, in memory that does not grow with their number.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use crate::core::tracker::{Residual, Verdict, WindowReport};
 use crate::metrics::Distribution;
 use crate::metrics::statistics::percentiles;
 
-/// A window as the report shows it, or the worst values of several in a row.
+/// A window in the report, or the worst values of several in a row.
 #[derive(Clone, Debug)]
 pub(crate) struct WindowSummary {
     pub(crate) start: Timestamp,
@@ -45,7 +45,7 @@ pub(crate) struct CameraErrors {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Windows {
     pub(crate) count: usize,
-    /// Windows whose poses are flagged.
+    /// Number of windows with flagged poses.
     pub(crate) lost: usize,
     pub(crate) series: Series<WindowSummary>,
     pub(crate) solve_ms: Distribution,
@@ -86,7 +86,7 @@ impl Windows {
             let mut seen: Vec<&Residual> = report.residuals.iter().filter(confident).collect();
             seen.sort_by_key(|residual| residual.capture);
             for residual in &seen {
-                // In single precision, as the figures of earlier versions.
+                // In single precision, like the results of earlier versions.
                 let error = f64::from(residual.error_px as f32);
                 errors.all.add(error);
                 self.errors_px.add(error);

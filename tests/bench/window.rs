@@ -1,4 +1,4 @@
-//! Speed of one window: four cameras, 25 points, ten frames; by one thread if not said otherwise.
+//! Speed of one window: four cameras, 25 points, ten frames; one thread unless stated otherwise.
 
 use std::fmt;
 use std::hint::black_box;
@@ -12,6 +12,7 @@ use bundlemocap::core::cost::{
     Workspace,
 };
 use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
+use bundlemocap::core::linalg::{Accum, product};
 use bundlemocap::core::manifold::{
     Decoder, Interpolation, Jacobians, Keyframe, LATENT, TimedKeyframe,
 };
@@ -22,8 +23,6 @@ use bundlemocap::core::time::Timestamp;
 use bundlemocap::core::tracker::{self, Effort, Job, Noise, OffsetEstimator, Solver, Task};
 use bundlemocap::research::synth;
 use divan::Bencher;
-use faer::linalg::matmul::matmul;
-use faer::{Accum, Mat, Par};
 use nalgebra::{Point2, Vector2, Vector3};
 
 /// A window of a moving performer with disturbed detections.
@@ -34,7 +33,7 @@ struct Case {
     skeleton: Skeleton,
     config: cost::Config,
     observations: Vec<FrameObservations>,
-    /// The truth of each frame, from that before the window on.
+    /// The true value of each frame, from the one before the window.
     truth: Vec<Keyframe>,
 }
 
@@ -48,7 +47,7 @@ fn keyframe(step: f64) -> Keyframe {
     }
 }
 
-/// How large a window is.
+/// Size of a window.
 #[derive(Clone, Copy)]
 struct Size {
     cameras: usize,
@@ -77,7 +76,7 @@ fn case(Size { cameras, format, frames }: Size) -> Case {
     let truth: Vec<Keyframe> = (0..=frames + 1)
         .map(|frame| {
             let s = (frame as f64 - 1.0) / 10.0;
-            // To and fro, so that long windows move as short ones do.
+            // Back and forth, so that long windows move like short ones.
             let s = if s > 1.0 { 1.0 - (s.rem_euclid(2.0) - 1.0).abs() } else { s };
             Interpolation::Slerp.keyframe(&keyframe(0.0), &keyframe(1.0), s)
         })
@@ -105,7 +104,7 @@ fn case(Size { cameras, format, frames }: Size) -> Case {
 }
 
 impl Case {
-    /// The window with a keyframe every so many frames, begun at the last one known.
+    /// The window with a keyframe every N frames, starting from the last known one.
     fn problem<'a>(&'a self, spacing: u64, work: &'a mut Workspace) -> PathProblem<'a> {
         let scene = Scene {
             decoder: &self.decoder,
@@ -132,7 +131,7 @@ impl Case {
         optimiser.minimise(&mut problem, &mut x, 30)
     }
 
-    /// Four iterations with a keyframe each frame, each begun two frames behind.
+    /// Four iterations with a keyframe each frame, each started from two frames earlier.
     fn iterate(&self, optimiser: &mut dyn Optimiser, work: &mut Workspace) -> Summary {
         let mut problem = self.problem(1, work);
         let mut x = problem.start_at(|k, _| self.truth[k - 2].clone());
@@ -140,7 +139,7 @@ impl Case {
     }
 }
 
-/// The window as a stream has it: the keyframes of its first half were solved with the one before.
+/// The window as in a stream: the keyframes of its first half were solved in the previous window.
 fn job(case: &Case, config: &tracker::Config) -> Job {
     let frames = case.observations.len() as u64;
     let timed = |frame: u64| {
@@ -181,7 +180,7 @@ fn job(case: &Case, config: &tracker::Config) -> Job {
     }
 }
 
-/// A job of the solver, with all that belongs to it: who is the performer, keyframes, poses, residuals.
+/// A whole job of the solver: association, keyframes, poses, residuals.
 #[divan::bench(name = "solver's job, by threads", args = [1, 2])]
 fn jobs(bencher: Bencher, threads: usize) {
     let case = case(USUAL);
@@ -228,7 +227,7 @@ fn window_gradient(bencher: Bencher) {
     bencher.bench_local(|| problem.gradient(&x, &mut gradient));
 }
 
-#[divan::bench(name = "window equations equations")]
+#[divan::bench(name = "window normal equations")]
 fn window_normal_equations(bencher: Bencher) {
     let (case, mut work) = (case(USUAL), Workspace::default());
     let mut problem = case.problem(1, &mut work);
@@ -248,7 +247,7 @@ fn window_factorisation(bencher: Bencher) {
     bencher.bench_local(|| factor.factorise(&equations.hessian, |_| 1.0));
 }
 
-/// What is measured by size: cameras, frames, points.
+/// The measured sizes: cameras, frames, points.
 fn sizes() -> impl Iterator<Item = Size> {
     let cameras = [2, 4, 8, 16, 32].map(|cameras| Size { cameras, ..USUAL });
     let frames = [5, 20, 40].map(|frames| Size { frames, ..USUAL });
@@ -256,7 +255,7 @@ fn sizes() -> impl Iterator<Item = Size> {
     cameras.into_iter().chain(frames).chain([whole_body])
 }
 
-/// How the time of four iterations grows with what is seen.
+/// Time of four iterations by the number of observations.
 #[divan::bench(name = "four iterations by size", args = sizes())]
 fn four_iterations(bencher: Bencher, size: Size) {
     let case = case(size);
@@ -284,7 +283,7 @@ fn decode_with_tangents(bencher: Bencher) {
     });
 }
 
-/// Floating-point operations of a window solve by what was done, products of matrices alone, all in f32; a
+/// Floating-point operations of a window solve from its counts, only matrix products, all in f32; a
 /// multiplication and an addition are two. Each Hessian counts as factorised once.
 fn operations(counts: Counts, points: usize) -> f64 {
     const HIDDEN: usize = 256;
@@ -305,22 +304,22 @@ fn operations(counts: Counts, points: usize) -> f64 {
     2.0 * products as f64
 }
 
-/// The most operations a second that one thread does in a large product.
+/// The peak rate of operations per second of one thread in a large product.
 fn peak() -> f64 {
     const SIZE: usize = 768;
-    let ones = Mat::<f32>::full(SIZE, SIZE, 1.0);
-    let mut product = ones.clone();
+    let ones = vec![1.0_f32; SIZE * SIZE];
+    let mut out = ones.clone();
     let runs = (0..20).map(|_| {
         let start = Instant::now();
-        let (a, b) = (black_box(ones.as_ref()), ones.as_ref());
-        matmul(product.as_mut(), Accum::Replace, a, b, 1.0, Par::Seq);
-        black_box(&product);
+        product([SIZE; 3], black_box(&ones), &ones, Accum::Replace, &mut out);
+        black_box(&out);
         start.elapsed().as_secs_f64()
     });
     2.0 * (SIZE as f64).powi(3) / runs.fold(f64::INFINITY, f64::min)
 }
 
-/// What part of the machine's peak a window solve reaches: its time at the peak over its time.
+/// The fraction of the processor's peak that a window solve reaches: its time at the peak over its
+/// time.
 fn arithmetic() {
     let case = case(USUAL);
     let mut optimiser = OptimiserKind::LevenbergMarquardt.optimiser(1e-3);

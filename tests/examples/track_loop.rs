@@ -1,4 +1,4 @@
-//! The tracker's loop by hand, as a program with its own input, output and threads drives it.
+//! The tracker's loop by hand, for programs with their own input, output and threads.
 //!
 //! ```text
 //! cargo run --release --example track_loop
@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// Gives the tracker an input, then does what it asks for until it asks for nothing more. A live
-/// program solves the jobs on another thread and gives the solutions back when they are there.
+/// program solves the jobs on another thread and returns the solutions when they are ready.
 fn drive(tracker: &mut Tracker, solver: &mut Solver, input: Input) {
     tracker.handle(input);
     while let Some(output) = tracker.poll() {

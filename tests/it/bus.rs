@@ -1,4 +1,4 @@
-//! One suite of checks over every bus, and what only one of them has.
+//! One suite of checks for every bus, and tests of single buses.
 
 use std::io::Read;
 use std::net::TcpListener;
@@ -14,18 +14,18 @@ use bundlemocap::io::bus::{
 };
 use zenoh::Wait;
 
-/// How long to wait for what must come.
+/// Longest wait for an expected message.
 const LONG: Duration = Duration::from_secs(20);
 
 const POSE: &str = "application/protobuf;bundlemocap.v1.Pose";
 
-/// Two ends of one bus, as two programs have them.
+/// Two ends of one bus, like those of two programs.
 trait Pair {
-    /// Where the checks publish.
+    /// The publishing end.
     fn near(&self) -> &dyn Bus;
-    /// Where they receive.
+    /// The receiving end.
     fn far(&self) -> &dyn Bus;
-    /// Makes what was published so far arrive, where that does not happen by itself.
+    /// Delivers the published messages, for a bus that does not do so itself.
     fn carry(&self) {}
     /// Whether queries are answered.
     fn has_queries(&self) -> bool {
@@ -50,7 +50,7 @@ impl Pair for InMemory {
     }
 }
 
-/// A node that is a router, and a tool.
+/// A node as the router, and a tool.
 struct NodeAndTool {
     node: Zenoh,
     tool: Zenoh,
@@ -73,7 +73,7 @@ impl Pair for NodeAndTool {
     }
 }
 
-/// Two tools that hear each other through a node.
+/// Two tools connected through a node.
 struct TwoTools {
     _node: Zenoh,
     tools: [Zenoh; 2],
@@ -105,7 +105,7 @@ fn at(node: &Zenoh) -> ZenohConfig {
     ZenohConfig { connect: node.listens_on(), ..ZenohConfig::default() }
 }
 
-/// Two programs on one host (here in one process, each with ports of its own).
+/// Two programs on one host (here in one process, each with its own ports).
 struct InSharedMemory {
     ends: Option<[Iceoryx2; 2]>,
     prefix: Prefix,
@@ -140,7 +140,7 @@ impl Drop for InSharedMemory {
     }
 }
 
-/// Begins the names of all that a test leaves in shared memory.
+/// Prefix of all names that a test leaves in shared memory.
 pub(crate) struct Prefix(pub(crate) String);
 
 impl Prefix {
@@ -154,7 +154,7 @@ impl Prefix {
         Iceoryx2Config { prefix: self.0.clone() }
     }
 
-    /// Files of iceoryx2 with this prefix, but for the one of 16 bytes that always stays.
+    /// Files of iceoryx2 with this prefix, except the one of 16 bytes that always stays.
     pub(crate) fn leftovers(&self) -> Vec<String> {
         self.files().filter(|file| !file.ends_with(".global_mgmt")).collect()
     }
@@ -175,7 +175,7 @@ impl Drop for Prefix {
     }
 }
 
-/// What is published is recorded, and played when it is to be carried.
+/// Messages are recorded, and then played for delivery.
 struct Recorded {
     recorder: Replay,
     player: Replay,
@@ -201,13 +201,13 @@ impl Pair for Recorded {
     fn carry(&self) {
         self.player.play();
     }
-    /// Its nodes answer in their own process, as in memory, but not across a recording.
+    /// Its nodes answer in their own process, as in memory, but not through a recording.
     fn has_queries(&self) -> bool {
         false
     }
 }
 
-/// A subscription whose samples can be waited for.
+/// A subscription with samples that can be waited for.
 struct Inbox {
     samples: Receiver<Sample>,
     guard: Box<dyn Guard>,
@@ -224,7 +224,7 @@ impl Inbox {
         self.samples.recv_timeout(LONG).expect("a sample within 20 s")
     }
 
-    /// The payloads up to the end that was put at this time.
+    /// The payloads up to the end message of this time.
     fn until(&self, end: i64) -> Vec<Vec<u8>> {
         let ends = |sample: &Sample| sample.payload == b"end" && sample.capture.ns() == end;
         std::iter::from_fn(|| Some(self.next()))
@@ -238,7 +238,7 @@ fn put(publisher: &dyn Publisher, capture: i64, payload: &[u8]) {
     publisher.put(Timestamp::from_ns(capture), POSE, payload).unwrap();
 }
 
-/// Publishes a message that no other is like, and says what it is.
+/// Publishes a unique message and returns it.
 fn put_end(pair: &dyn Pair, publisher: &dyn Publisher) -> i64 {
     static ENDS: AtomicI64 = AtomicI64::new(0);
     let end = ENDS.fetch_add(1, Ordering::Relaxed);
@@ -247,8 +247,8 @@ fn put_end(pair: &dyn Pair, publisher: &dyn Publisher) -> i64 {
     end
 }
 
-/// Publishes until the inbox hears it, and leaves the inbox empty. Twice: before a publisher knows
-/// who listens it sends to everybody, and only then to those that it knows of so far.
+/// Publishes until the inbox receives it, and empties the inbox. Twice: before a publisher knows
+/// its listeners it sends to everybody, then only to those it knows so far.
 fn connect(pair: &dyn Pair, publisher: &dyn Publisher, inbox: &Inbox) {
     let heard = || {
         let end = put_end(pair, publisher);
@@ -320,7 +320,7 @@ fn patterns_choose_topics(pair: &dyn Pair) {
         put(&**publisher, 1, topic.as_bytes());
     }
     pair.carry();
-    // Topics of one pattern need not arrive in the order in which they were published.
+    // Topics of one pattern may arrive in another order than they were published in.
     for (pattern, inbox) in &some {
         let expected: Vec<_> =
             topics.iter().filter(|topic| bundlemocap::io::bus::matches(pattern, topic)).collect();
@@ -505,7 +505,7 @@ fn a_port_in_use_is_named_with_the_fix() {
 }
 
 #[test]
-fn a_tool_without_a_node_says_where_it_looked() {
+fn a_tool_without_a_node_reports_the_address_it_tried() {
     let port = free_port();
     let config =
         ZenohConfig { listen: vec![format!("tcp/0.0.0.0:{port}")], ..ZenohConfig::default() };
@@ -520,7 +520,7 @@ fn a_tool_without_a_node_says_where_it_looked() {
 }
 
 #[test]
-fn addresses_that_are_none_are_refused() {
+fn invalid_addresses_are_refused() {
     for wrong in ["127.0.0.1:7447", "", "tcp", "tls/127.0.0.1:7447"] {
         let config = ZenohConfig { connect: vec![wrong.into()], ..ZenohConfig::default() };
         for opened in [Zenoh::open_node(&config), Zenoh::open_client(&config)] {
@@ -537,7 +537,7 @@ fn addresses_that_are_none_are_refused() {
 }
 
 #[test]
-fn a_payload_above_what_shared_memory_carries_is_refused() {
+fn a_payload_too_large_for_shared_memory_is_refused() {
     let pair = InSharedMemory::new();
     let publisher = pair.near().publisher("mocap/t/actor/a/pose").unwrap();
     let error = publisher.put(Timestamp::default(), POSE, &vec![0; 1 << 20]).unwrap_err();
@@ -546,7 +546,7 @@ fn a_payload_above_what_shared_memory_carries_is_refused() {
 }
 
 #[test]
-fn foreign_publishers_are_heard() {
+fn messages_of_foreign_publishers_are_received() {
     let node = node();
     let inboxes =
         ["mocap/f/rig", "mocap/f/actor/a/pose", "**"].map(|pattern| Inbox::open(&node, pattern));
@@ -601,7 +601,7 @@ fn a_tool_outlives_its_node() {
     hears(&second, "second");
 }
 
-/// A port that nobody listens on.
+/// A port without a listener.
 fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
@@ -609,7 +609,7 @@ fn free_port() -> u16 {
 const PREFIX: &str = "BUNDLEMOCAP_TEST_PREFIX";
 
 /// The other program of `either_side_may_be_killed`: answers pings with its process number, and
-/// says it on a state when it starts. Ends with its standard input.
+/// publishes it as a state when it starts. Ends with its standard input.
 #[test]
 #[ignore = "started by another test"]
 fn child() {
@@ -624,7 +624,7 @@ fn child() {
     std::io::stdin().read_to_end(&mut Vec::new()).unwrap();
 }
 
-/// Killed when it goes out of scope.
+/// Killed on drop.
 struct Killed(Child);
 
 impl Killed {
@@ -666,7 +666,7 @@ fn either_side_may_be_killed() {
         let late = Inbox::open(&bus, "mocap/c/rig");
         let of_this_child = |sample: &Sample| sample.payload == name.as_bytes();
         assert!(std::iter::from_fn(|| Some(late.next())).take(9).any(|s| of_this_child(&s)));
-        // And a program that joins when the child has been killed is not held up by what it left.
+        // A program that joins after the child was killed is not blocked by its remains.
         drop(child);
         let newcomer = Iceoryx2::open(&prefix.config()).unwrap();
         let inbox = Inbox::open(&newcomer, "c/ping");

@@ -121,7 +121,7 @@ fn undistortion_inverts_projection_over_the_whole_image() {
 }
 
 #[test]
-fn a_wide_fisheye_round_trips_close_to_its_plane() {
+fn a_wide_fisheye_round_trips_close_to_the_camera_plane() {
     let lens = Lens::fisheye(&[-0.01, 0.002, 0.0, 0.0]).unwrap();
     for degrees in [0.0, 1e-9, 1.0, 30.0, 60.0, 80.0, 88.0] {
         let n = Vector2::new(0.6, -0.8) * f64::to_radians(degrees).tan();
@@ -204,7 +204,7 @@ fn bad_cameras_and_rigs_are_refused_with_their_names() {
 }
 
 #[test]
-fn a_rounded_rotation_becomes_a_true_one() {
+fn a_rounded_rotation_is_orthonormalised() {
     let exact = so3::exp(&Vector3::new(0.3, -1.2, 0.4));
     let rounded = exact.map(|v| (v * 1e4).round() / 1e4);
     let camera =
@@ -228,7 +228,7 @@ fn triangulation_is_exact_on_clean_views() {
 }
 
 #[test]
-fn robust_triangulation_leaves_out_wrong_views() {
+fn robust_triangulation_rejects_wrong_views() {
     let point = Vector3::new(-0.3, 0.7, 0.2);
     let rig = ring(5);
     let mut views = views_of(&rig, &point);
@@ -240,7 +240,7 @@ fn robust_triangulation_leaves_out_wrong_views() {
 }
 
 #[test]
-fn many_views_are_sampled_and_the_seed_decides() {
+fn many_views_are_sampled_by_the_seed() {
     let point = Vector3::new(0.1, 1.1, 0.1);
     let rig = ring(21);
     let mut views = views_of(&rig, &point);
@@ -267,7 +267,7 @@ fn parallel_rays_single_views_and_points_behind_are_refused() {
     assert_eq!(triangulate_robust(&rig, &[], 10.0, 1), None);
     assert_eq!(triangulate(&rig, &[(9, Vector2::zeros(), 1.0), views[0]]), None);
 
-    // Rays of two neighbours that part in front of the cameras meet behind them.
+    // The rays of two neighbours that diverge in front of the cameras meet behind them.
     let pixel = |dx: f64| rig.cameras[0].centre + Vector2::new(dx, 0.0);
     let apart =
         [(0, pixel(0.0), 1.0), (1, rig.cameras[1].centre + Vector2::new(-6000.0, 0.0), 1.0)];

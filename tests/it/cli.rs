@@ -1,4 +1,4 @@
-//! The built program: a round trip, and every bad input ends in one line and a code of its own.
+//! The built program: a round trip; every bad input gives one line of error and its own exit code.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ const KEYPOINT_FORMAT: i32 = 10;
 const WEIGHTS: i32 = 11;
 const NOT_OURS: i32 = 12;
 
-/// A folder of its own, in which the program runs.
+/// A separate folder in which the program runs.
 struct Place(TempDir);
 
 impl Place {
@@ -52,7 +52,7 @@ impl Place {
             .unwrap()
     }
 
-    /// Runs and expects success; what was printed.
+    /// Runs and expects success; returns the standard output.
     fn done(&self, command: &str) -> String {
         let output = self.run(command);
         let errors = String::from_utf8_lossy(&output.stderr);
@@ -60,7 +60,8 @@ impl Place {
         String::from_utf8(output.stdout).unwrap()
     }
 
-    /// Runs and expects that code, one line of error that holds all of `evidence`, and no output.
+    /// Runs and expects that exit code, one line of error that holds all of `evidence`, and no
+    /// output.
     fn fails(&self, code: i32, command: &str, evidence: &[&str]) {
         let output = self.run(command);
         let errors = String::from_utf8(output.stderr).unwrap();
@@ -85,7 +86,7 @@ fn is_temporary(path: &Path) -> bool {
     path.file_name().unwrap().to_string_lossy().starts_with('.')
 }
 
-/// A calibration of cameras of those names, `width` pixels of focal length.
+/// A calibration of named cameras with a focal length of `width` pixels.
 fn calibration(names: &[&str], focal: f64) -> String {
     let camera = |(index, name): (usize, &&str)| {
         format!(
@@ -98,7 +99,7 @@ fn calibration(names: &[&str], focal: f64) -> String {
     names.iter().enumerate().map(camera).collect()
 }
 
-/// A Qualisys calibration of two cameras, the second with that corner in its rotation.
+/// A Qualisys calibration of two cameras; `r33` belongs to the second one's rotation.
 fn qualisys(r33: f64) -> String {
     let camera = |serial: &str, r33: f64| {
         format!(
@@ -115,7 +116,7 @@ fn qualisys(r33: f64) -> String {
     format!("<c><cameras>{}{}</cameras></c>", camera("a", 1.0), camera("b", r33))
 }
 
-/// One frame of two cameras, of people with that many numbers each.
+/// One frame of two cameras; each person has a given count of numbers.
 fn detections(place: &Place, cameras: &[&str], numbers: usize) {
     let points = vec!["1.0"; numbers].join(",");
     let people = match numbers {
@@ -132,7 +133,7 @@ fn detections(place: &Place, cameras: &[&str], numbers: usize) {
 
 const IMPORT: &str = "import openpose pose --calibration calib.toml --fps 60 --out out.mcap";
 
-/// A recording of the synthetic walk; detections pass through `keep` first.
+/// A recording of the synthetic walk; `keep` filters the detections.
 fn walk(
     path: &Path,
     frames: u64,
@@ -189,7 +190,7 @@ fn a_synthetic_walk_is_solved_and_exported() {
 }
 
 #[test]
-fn poses_carry_what_made_them() {
+fn poses_carry_their_provenance() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 30, |_| true);
     place.run("solve walk.mcap --out out --overwrite");
@@ -222,7 +223,7 @@ fn the_same_recording_gives_the_same_bytes() {
 }
 
 #[test]
-fn a_cut_recording_gives_what_is_left_of_it() {
+fn a_truncated_recording_is_solved_to_its_end() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 240, |_| true);
     let whole = fs::read(place.path("walk.mcap")).unwrap();
@@ -237,7 +238,7 @@ fn a_cut_recording_gives_what_is_left_of_it() {
 }
 
 #[test]
-fn windows_that_cannot_be_solved_are_counted_and_the_rest_is_given() {
+fn unsolvable_windows_are_counted_and_the_rest_is_solved() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 150, |detections| {
         if (60..90).contains(&detections.frame) {
@@ -257,7 +258,7 @@ fn windows_that_cannot_be_solved_are_counted_and_the_rest_is_given() {
 }
 
 #[test]
-fn files_that_are_missing_or_something_else() {
+fn missing_files_and_wrong_file_types_are_refused() {
     let place = Place::new();
     place.fails(UNREADABLE, "solve no.mcap --out out", &["no.mcap", "check the path"]);
     place.fails(UNREADABLE, "info no.mcap", &["no.mcap"]);
@@ -273,7 +274,7 @@ fn files_that_are_missing_or_something_else() {
 }
 
 #[test]
-fn recordings_without_our_channels() {
+fn recordings_without_our_channels_are_refused() {
     let place = Place::new();
     let mut foreign =
         mcap::Writer::new(fs::File::create(place.path("foreign.mcap")).unwrap()).unwrap();
@@ -308,7 +309,7 @@ fn recordings_without_our_channels() {
 }
 
 #[test]
-fn folders_that_cannot_be_imported() {
+fn invalid_folders_are_not_imported() {
     let place = Place::new();
     place.write("calib.toml", calibration(&["cam1", "cam2"], 600.0));
     let import = format!("{IMPORT} --format body_25");
@@ -327,7 +328,7 @@ fn folders_that_cannot_be_imported() {
 }
 
 #[test]
-fn calibrations_that_cannot_be_used() {
+fn invalid_calibrations_are_refused() {
     let place = Place::new();
     detections(&place, &["cam1", "cam2"], 75);
     let import = format!("{IMPORT} --format body_25");
@@ -348,7 +349,7 @@ fn calibrations_that_cannot_be_used() {
 }
 
 #[test]
-fn recordings_whose_cameras_do_not_fit_the_rig() {
+fn cameras_that_do_not_fit_the_rig_are_refused() {
     let place = Place::new();
     walk(&place.path("silent.mcap"), 20, |detections| detections.camera != 2);
     let evidence = ["silent.mcap", "cam03 has no keypoints", "--cameras"];
@@ -378,7 +379,7 @@ fn recordings_whose_cameras_do_not_fit_the_rig() {
     place.fails(BAD_CALIBRATION, "solve small.mcap --out out", &evidence);
 }
 
-/// A recording of one message of the rig and one of keypoints, sound or not.
+/// A recording of one rig message and one keypoint message, valid or not.
 fn one_frame(
     path: &Path,
     rig: &bundlemocap::io::wire::Rig,
@@ -392,7 +393,7 @@ fn one_frame(
 }
 
 #[test]
-fn recordings_whose_rig_or_keypoints_are_refused() {
+fn invalid_rigs_and_keypoints_in_recordings_are_refused() {
     use bundlemocap::io::wire::{DetectedPerson, KeypointFrame, Rig};
     let place = Place::new();
     let rig = || Rig::from_core(&ring_rig(4, 4.0, 1.6).unwrap());
@@ -425,7 +426,7 @@ fn recordings_whose_rig_or_keypoints_are_refused() {
 }
 
 #[test]
-fn keypoints_of_another_format() {
+fn keypoints_of_another_format_are_refused() {
     let place = Place::new();
     place.write("calib.toml", calibration(&["cam1", "cam2"], 600.0));
     detections(&place, &["cam1", "cam2"], 75);
@@ -436,7 +437,7 @@ fn keypoints_of_another_format() {
 }
 
 #[test]
-fn a_recording_in_which_nobody_is_seen_by_two_cameras() {
+fn a_recording_that_shows_nobody_is_refused() {
     let place = Place::new();
     place.write("calib.toml", calibration(&["cam1", "cam2"], 600.0));
     detections(&place, &["cam1", "cam2"], 0);
@@ -454,7 +455,7 @@ fn a_recording_in_which_nobody_is_seen_by_two_cameras() {
 }
 
 #[test]
-fn a_recording_that_is_not_sorted_says_how_many_frames_came_late() {
+fn an_unsorted_recording_reports_its_late_frames() {
     let place = Place::new();
     let rig = ring_rig(4, 4.0, 1.6).unwrap();
     let path = place.path("unsorted.mcap");
@@ -465,8 +466,8 @@ fn a_recording_that_is_not_sorted_says_how_many_frames_came_late() {
         all.push(detections.clone());
         true
     });
-    // One camera after the other, the first for longer: the others come after their windows are
-    // closed.
+    // One camera after the other, the first for longer: the frames of the others arrive after their
+    // windows are closed.
     all.retain(|detections| detections.camera == 0 || detections.frame < 60);
     all.sort_by_key(|detections| detections.camera);
     for detections in &all {
@@ -479,7 +480,7 @@ fn a_recording_that_is_not_sorted_says_how_many_frames_came_late() {
 }
 
 #[test]
-fn weights_and_settings_that_cannot_be_used() {
+fn invalid_weights_and_settings_are_refused() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 10, |_| true);
     let solve = "solve walk.mcap --out out --overwrite";
@@ -496,15 +497,15 @@ fn weights_and_settings_that_cannot_be_used() {
 
     let config = format!("{solve} --config c.toml");
     place.fails(UNREADABLE, &config, &["c.toml"]);
-    place.write("c.toml", "[track]\nwindow = 3\n");
+    place.write("c.toml", "[tracker]\nwindow = 3\n");
     place.fails(MALFORMED, &config, &["c.toml, line 2", "window"]);
     let reference = format!("{solve} --reference r.trc");
     place.fails(UNREADABLE, &reference, &["r.trc"]);
     place.write("r.trc", "hello");
     place.fails(MALFORMED, &reference, &["r.trc", "PathFileType"]);
-    place.write("c.toml", "[track]\nwindow_frames = 100000\n");
+    place.write("c.toml", "[tracker]\nwindow_frames = 100000\n");
     place.fails(MALFORMED, &config, &["c.toml", "tracker.window_frames is 100000", "1 to 1000"]);
-    place.write("c.toml", "[track]\nframe_rate_hz = 1e9\n");
+    place.write("c.toml", "[tracker]\nframe_rate_hz = 1e9\n");
     place.fails(
         MALFORMED,
         &config,
@@ -519,7 +520,7 @@ fn weights_and_settings_that_cannot_be_used() {
 }
 
 #[test]
-fn outputs_that_cannot_be_written() {
+fn unwritable_outputs_are_reported() {
     let place = Place::new();
     place.fails(1, "synth --out nowhere/walk.mcap", &["nowhere/walk.mcap", "folder exists"]);
     walk(&place.path("walk.mcap"), 10, |_| true);
@@ -528,7 +529,7 @@ fn outputs_that_cannot_be_written() {
 }
 
 #[test]
-fn motions_that_cannot_be_trained_on() {
+fn invalid_motions_are_not_used_for_training() {
     let place = Place::new();
     place.fails(UNREADABLE, "train motions --out w.safetensors", &["motions"]);
     fs::create_dir(place.path("motions")).unwrap();
@@ -542,7 +543,7 @@ fn real_set() -> Option<PathBuf> {
     data("recordings/pose2sim")
 }
 
-/// Imports one of the real recordings; the reference of the same performer.
+/// Imports one of the real recordings; returns the reference of the same performer.
 fn import_real(place: &Place, set: &Path, take: &str, reference: &str) -> PathBuf {
     let import = format!(
         "import openpose {0}/{take}/pose --calibration {0}/calibration/Calib_qualisys.toml \
@@ -562,7 +563,7 @@ fn at_most(figures: &Value, pointer: &str, limit: f64) {
 }
 
 #[test]
-fn the_real_recording_is_solved_as_well_as_we_say() {
+fn the_real_recording_is_solved_with_the_documented_accuracy() {
     let Some(set) = real_set() else { return };
     let place = Place::new();
     let reference = import_real(&place, &set, "balancing", "butterworth.trc");
@@ -581,19 +582,19 @@ const POSE2SIM_PX: [(&str, f64); 4] =
     [("cam01", 32.9), ("cam02", 14.2), ("cam03", 38.8), ("cam04", 20.3)];
 
 #[test]
-fn three_cameras_predict_the_fourth_better_than_triangulation_does() {
+fn three_cameras_predict_the_fourth_better_than_triangulation() {
     let Some(set) = real_set() else { return };
     let place = Place::new();
     import_real(&place, &set, "balancing", "butterworth.trc");
     for (camera, pose2sim) in POSE2SIM_PX {
-        let solve = format!("solve take.mcap --out out --json --hold-out {camera}");
+        let solve = format!("solve take.mcap --out out --overwrite --json --hold-out {camera}");
         let figures: Value = serde_json::from_str(&place.done(&solve)).unwrap();
         at_most(&figures, "/hold_out/median_px", pose2sim);
     }
 }
 
 #[test]
-fn the_performer_is_picked_and_not_the_bystander() {
+fn the_performer_is_selected_and_not_the_bystander() {
     let Some(set) = real_set() else { return };
     let place = Place::new();
     let reference = import_real(&place, &set, "two_people", "P2_0-100_filt_butterworth.trc");

@@ -1,4 +1,4 @@
-//! Methods measured against each other, on tiny takes of our own motion.
+//! Comparison of methods on short takes of our own motion.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -28,7 +28,7 @@ fn cases(noise: Noise) -> Vec<Case> {
     procedural(2, 1.2).iter().filter_map(|subject| Case::new(subject, &view)).collect()
 }
 
-/// Knows the truth; shifts it by so much, metres; has no poses of the first two frames.
+/// Returns the truth shifted by a distance, metres; has no poses for the first two frames.
 struct Oracle {
     poses: Vec<(Timestamp, Pose)>,
     skeleton: Arc<Skeleton>,
@@ -79,7 +79,7 @@ impl Method for Blind {
 }
 
 #[test]
-fn scores_are_those_of_a_method_whose_errors_are_known() {
+fn scores_match_the_known_errors_of_a_method() {
     let case = cases(Noise::none()).remove(0);
     let solves = AtomicUsize::new(0);
     let make = || -> Vec<Box<dyn Method>> {
@@ -110,7 +110,7 @@ fn scores_are_those_of_a_method_whose_errors_are_known() {
 }
 
 #[test]
-fn figures_do_not_depend_on_threads_and_failures_are_counted() {
+fn results_do_not_depend_on_threads_and_failures_are_counted() {
     let cases = cases(Noise::studio());
     assert_eq!(cases.len(), 2);
     let make = || -> Vec<Box<dyn Method>> {
@@ -127,7 +127,7 @@ fn figures_do_not_depend_on_threads_and_failures_are_counted() {
 }
 
 #[test]
-fn a_camera_is_held_out_whole() {
+fn a_held_out_camera_is_not_used_at_all() {
     let take = cases(Noise::none()).remove(0).make().take;
     let (rest, seen) = real::without_camera(&take, 1).unwrap();
     let names: Vec<&str> = rest.rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
@@ -163,7 +163,7 @@ fn eval(folder: &Path, arguments: &str) -> Output {
         .unwrap()
 }
 
-/// Runs and expects success; what was printed and the results.
+/// Runs and expects success; returns the standard output and the results.
 fn done(folder: &Path, arguments: &str) -> (String, Value) {
     let output = eval(folder, arguments);
     let errors = String::from_utf8_lossy(&output.stderr);
@@ -174,7 +174,7 @@ fn done(folder: &Path, arguments: &str) -> (String, Value) {
 }
 
 #[test]
-fn the_program_repeats_itself_and_writes_its_folder() {
+fn two_runs_give_the_same_results_folder() {
     let place = tempfile::tempdir().unwrap();
     let command = "--rig ring3 --seconds 1.2 --methods default,muvs --noise clean --every 2";
     let (printed, first) = done(place.path(), command);
@@ -218,7 +218,7 @@ fn drift_and_ablation_print_their_tables() {
 }
 
 #[test]
-fn wrong_arguments_end_in_one_line_with_a_fix() {
+fn wrong_arguments_give_a_one_line_error_with_a_fix() {
     let place = tempfile::tempdir().unwrap();
     let told = |arguments: &str, code: i32, part: &str| {
         let output = eval(place.path(), arguments);

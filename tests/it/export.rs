@@ -1,4 +1,4 @@
-//! BVH read back by somebody else's parser, and the report.
+//! BVH read by a parser of other authors, and the report.
 
 use std::path::Path;
 use std::process::Command;
@@ -12,7 +12,7 @@ use bundlemocap::io::report::{
 use bundlemocap::research::synth::{Motion, MotionStyle};
 
 /// Reads a BVH file with the PyPI package `bvh` and prints, for each frame, the positions of all
-/// joints by a forward kinematics that multiplies in channel order. Ends with 3 without the
+/// joints by a forward kinematics that multiplies in channel order. Exits with 3 without the
 /// package.
 const READER: &str = r#"
 import math, sys
@@ -59,7 +59,7 @@ fn motion(skeleton: &Skeleton) -> Vec<Pose> {
     (0..260).map(|frame| motion.pose(f64::from(frame) / 20.0)).collect()
 }
 
-/// Lines that [`READER`] prints, or nothing where it cannot run.
+/// The output lines of [`READER`]; empty if it cannot run.
 fn read_elsewhere(path: &Path) -> Option<Vec<String>> {
     let output = Command::new("python3").args(["-c", READER]).arg(path).output().ok()?;
     match output.status.code() {
@@ -71,7 +71,7 @@ fn read_elsewhere(path: &Path) -> Option<Vec<String>> {
 }
 
 #[test]
-fn another_parser_finds_the_joints_where_they_are() {
+fn another_parser_finds_the_same_joint_positions() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("walk.bvh");
     let skeleton = Skeleton::new(Shape([0.7, -0.5, 1.0, 0.0, 0.5, -1.0, 1.0, 0.3, 0.0, 1.0]));
@@ -99,7 +99,7 @@ fn another_parser_finds_the_joints_where_they_are() {
 }
 
 #[test]
-fn a_bvh_turns_without_jumps() {
+fn bvh_angles_have_no_jumps() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("walk.bvh");
     let skeleton = Skeleton::default();
@@ -119,7 +119,7 @@ fn a_bvh_turns_without_jumps() {
 }
 
 #[test]
-fn a_file_appears_whole_or_not_at_all() {
+fn a_file_is_written_completely_or_not_at_all() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bad.bvh");
     let mut pose = Pose::rest();
@@ -192,7 +192,7 @@ fn report() -> ReportData {
 
 /// Set BUNDLEMOCAP_KEEP_REPORT to a path to keep the page and look at it.
 #[test]
-fn the_report_is_one_file_that_needs_nothing_else() {
+fn the_report_is_one_self_contained_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("report.html");
     write_report(&path, &report()).unwrap();
@@ -217,7 +217,7 @@ fn the_report_is_one_file_that_needs_nothing_else() {
         roxmltree::Document::parse(&xml).unwrap();
     }
     assert_eq!(page.matches("<svg ").count(), 8);
-    // Three lost windows in a row are one stretch in each plot.
+    // Three lost windows in a row are one section in each plot.
     assert_eq!(page.matches("<rect x=").count(), 7);
     assert!(page.len() < 400_000, "{}", page.len());
 }

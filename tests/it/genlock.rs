@@ -1,4 +1,4 @@
-//! Cameras without genlock: what it is worth that an observation keeps its own capture time.
+//! Cameras without genlock: the gain from each observation's own capture time.
 
 use std::sync::Arc;
 
@@ -10,10 +10,10 @@ use bundlemocap::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
 use bundlemocap::metrics::pose_errors;
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
-/// Somebody who walks, seen by four genlocked cameras at twice the rate of the cameras in question,
-/// so that half a frame can be taken from it.
+/// A walk seen by four genlocked cameras at twice the rate of the tested cameras, so that half a
+/// frame can be taken from it.
 struct Walk {
-    /// Of the cameras in question.
+    /// Frame rate of the tested cameras.
     fps: f64,
     motion: Motion,
     skeleton: Skeleton,
@@ -35,8 +35,8 @@ impl Walk {
         Self { fps, motion, skeleton: recording.skeleton, frames, rig }
     }
 
-    /// Mean distance of joints from the truth, mm, of what the cameras' frames give: `of` chooses
-    /// and numbers them.
+    /// Mean distance of the solved joints from the truth, mm, for the frames of the cameras: `of`
+    /// selects and numbers them.
     fn error_mm(&self, of: impl Fn(&Detections) -> Option<Detections>) -> f64 {
         // Windows of a sixth of a second at any rate.
         let window_frames = (self.fps / 6.0).round() as usize;
@@ -61,7 +61,7 @@ impl Walk {
     }
 }
 
-/// The frame with the capture time of the frame grid of the cameras that is before or at it.
+/// The frame at the cameras' grid time at or before its own.
 fn snapped(frame: Detections, fps: f64) -> Detections {
     let grid = Grid { origin: Timestamp::default(), period_ns: 1e9 / fps };
     let capture = grid.time(grid.at_or_before(frame.capture + 1000));
@@ -69,7 +69,7 @@ fn snapped(frame: Detections, fps: f64) -> Detections {
 }
 
 #[test]
-fn cameras_half_a_frame_apart_are_better_at_their_own_times_than_on_a_grid() {
+fn own_capture_times_beat_a_common_grid_for_cameras_half_a_frame_apart() {
     let walk = Walk::new(30.0);
     let every_other = |frame: &Detections, phase: u64| {
         let number = frame.frame;

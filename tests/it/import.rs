@@ -1,4 +1,4 @@
-//! Calibrations and OpenPose folders: the real set, and small ones made here.
+//! Calibrations and OpenPose folders: the real data set, and small ones made here.
 
 use std::collections::HashMap;
 use std::fs;
@@ -83,7 +83,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Views of one keypoint by frame, of the surest person of each camera.
+/// Views of one keypoint by frame, of the most confident person of each camera.
 fn views_by_frame(folder: &Path, rig: &Rig, keypoint: Keypoint) -> Vec<Vec<View>> {
     let index = KeypointFormat::Body25b.index_of(keypoint).unwrap();
     let mut frames = vec![Vec::new(); 100];
@@ -120,7 +120,7 @@ fn triangulate_set(folder: &Path, rig: &Rig, threshold_px: f64) -> Fit {
     fit
 }
 
-/// Millimetres to the reference.
+/// Millimetres from the reference.
 fn distances(fit: &Fit, reference: &[HashMap<String, Vector3<f64>>]) -> Vec<f64> {
     fit.points.iter().map(|(m, frame, p)| (p - reference[*frame][*m]).norm() * 1e3).collect()
 }
@@ -136,14 +136,14 @@ fn both_calibrations_of_the_real_set_agree_and_stand_upright() {
         assert!((a.centre_in_world() - b.centre_in_world()).norm() < 1e-9);
         assert!(so3::angle_between(&a.rotation, &b.rotation) < 1e-7);
         assert!((a.matrix() - b.matrix()).amax() < 1e-9);
-        // 1.6 to 2.1 m above the ground, and looking down a little with the image upright.
+        // 1.6 to 2.1 m above the ground, looking down a little, with the image upright.
         assert!((1.6..2.2).contains(&a.centre_in_world().y), "{}", a.centre_in_world());
         assert!(a.rotation[(1, 1)] < -0.8, "{}", a.rotation);
     }
 }
 
 #[test]
-fn triangulated_limbs_of_the_real_set_are_where_the_reference_has_them() {
+fn triangulated_limbs_of_the_real_set_agree_with_the_reference() {
     let Some(set) = real_set() else { return };
     let fit = triangulate_set(&set.join("balancing/pose"), &toml_rig(&set), 60.0);
     let distances = distances(&fit, &butterworth(&set));
@@ -157,7 +157,7 @@ fn triangulated_limbs_of_the_real_set_are_where_the_reference_has_them() {
     assert!(distance < 25.0, "{distance} mm");
 }
 
-/// Why the Qualisys importer takes the distortion as it stands: the detections do not object.
+/// Why the Qualisys importer uses the distortion unchanged: the detections do not contradict it.
 #[test]
 fn the_real_set_cannot_tell_whether_qualisys_distortion_is_divided() {
     let Some(set) = real_set() else { return };
@@ -210,7 +210,7 @@ fn write(root: &Path, name: &str, text: &str) -> PathBuf {
     path
 }
 
-/// A person of COCO-17 whose first point is given and whose others are far from the origin.
+/// A person of COCO-17 with a given first point and the others far from the origin.
 fn person(first: &str) -> String {
     format!("{{\"person_id\":[-1],\"pose_keypoints_2d\":[{first}{}]}}", ",10,20,0.5".repeat(16))
 }
@@ -229,7 +229,7 @@ fn open_error(root: &Path, rig: &Rig) -> ImportError {
     error
 }
 
-/// The only error of a stream, after which it ends.
+/// The only error of a stream, which must be its last item.
 fn stream_error(root: &Path, rig: &Rig) -> ImportError {
     let mut stream = open(root, rig).unwrap();
     let error = stream.by_ref().find_map(Result::err).expect("an error");
@@ -252,7 +252,7 @@ fn two_cameras() -> (TempDir, Rig) {
 }
 
 #[test]
-fn uneven_folders_merge_by_capture_time_and_everything_odd_is_counted() {
+fn uneven_folders_merge_by_capture_time_and_faults_are_counted() {
     let root = TempDir::new().unwrap();
     let whole = frame(&[person("1,2,0.5")]);
     for (name, text) in [
@@ -317,7 +317,7 @@ fn folders_are_matched_by_name_then_by_order() {
 }
 
 #[test]
-fn folders_that_do_not_fit_are_refused() {
+fn folders_that_do_not_match_the_rig_are_refused() {
     let (root, rig) = two_cameras();
     let path = root.path();
     let error = open_error(&path.join("nowhere"), &rig);
@@ -352,7 +352,7 @@ fn folders_that_do_not_fit_are_refused() {
 }
 
 #[test]
-fn file_names_without_a_frame_number_or_with_the_same_are_refused() {
+fn missing_or_duplicate_frame_numbers_in_file_names_are_refused() {
     for (name, text) in [
         ("cam02_json/summary.json", "usable frame number"),
         ("cam02_json/99999999999999999999.json", "usable frame number"),
@@ -367,7 +367,7 @@ fn file_names_without_a_frame_number_or_with_the_same_are_refused() {
 }
 
 #[test]
-fn files_that_are_not_openposes_are_refused() {
+fn files_of_other_programs_than_openpose_are_refused() {
     for (text, says) in [
         ("{\"annotations\":[]}", "no list \"people\""),
         ("{\"people\":3}", "not OpenPose's JSON"),
@@ -386,7 +386,7 @@ fn files_that_are_not_openposes_are_refused() {
 }
 
 #[test]
-fn a_wrong_length_names_the_format_that_fits() {
+fn a_wrong_length_names_the_matching_format() {
     for (numbers, says) in [
         (75, "has 75 numbers, coco_17 needs 51; that length fits body_25 or body_25b"),
         (78, "that length fits halpe_26"),
@@ -457,7 +457,7 @@ fn a_toml_calibration_is_read_in_natural_order_and_turned_upright() {
 }
 
 #[test]
-fn bad_calibrations_are_refused_in_one_line() {
+fn bad_calibrations_give_a_one_line_error() {
     let one = TOML.split("[cam_2]").next().unwrap();
     let camera = "<calibration><camera serial=\"a\">";
     for (text, says) in [
@@ -489,7 +489,7 @@ fn bad_calibrations_are_refused_in_one_line() {
 }
 
 #[test]
-fn a_qualisys_rotation_that_is_none_is_refused() {
+fn an_invalid_qualisys_rotation_is_refused() {
     let camera = |serial: &str, r33: f64| {
         format!(
             "<camera active=\"1\" serial=\"{serial}\" viewrotation=\"0\">\

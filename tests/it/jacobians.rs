@@ -1,4 +1,4 @@
-//! Every Jacobian against central differences, through one helper.
+//! Every Jacobian against central differences, with one helper.
 
 use bundlemocap::core::body::{
     BODY_JOINTS, Joint, Shape, Skeleton, Tangents, forward, push_forward,
@@ -12,8 +12,8 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use crate::manifold::decoded;
 
-/// Central differences of fourth order of `f` at `x`: columns are the derivatives by each entry. The
-/// decoder has six digits, so a step through it must be some hundredths long.
+/// Central differences of fourth order of `f` at `x`: columns are the derivatives by each entry.
+/// The decoder has six digits, so a step through it must be some hundredths long.
 pub fn numeric_jacobian(x: &[f64], step: f64, f: impl Fn(&[f64]) -> Vec<f64>) -> DMatrix<f64> {
     let columns: Vec<_> = (0..x.len())
         .map(|i| {
@@ -28,7 +28,7 @@ pub fn numeric_jacobian(x: &[f64], step: f64, f: impl Fn(&[f64]) -> Vec<f64>) ->
     DMatrix::from_columns(&columns)
 }
 
-/// Accepts when every entry differs by at most `tolerance` times the largest entry (at least 1).
+/// Accepts if every entry differs by at most `tolerance` times the largest entry (at least 1).
 pub fn assert_jacobian(analytic: &DMatrix<f64>, numeric: &DMatrix<f64>, tolerance: f64) {
     assert_eq!(analytic.shape(), numeric.shape());
     let worst = (analytic - numeric).amax();

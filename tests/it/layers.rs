@@ -1,5 +1,5 @@
 //! The layers: a module imports only from modules above it in the table of `src/lib.rs`, and the
-//! files of a folder do not import each other in a circle.
+//! files of a folder have no import cycles.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -145,7 +145,7 @@ fn modules_import_only_from_layers_above() {
                 Some((to, _))
                     if table[&to] <= table[&from] || !to.contains("::") && to == module[0] => {}
                 Some((to, _)) => wrong.push(format!("{} imports `{to}`", inside.display())),
-                // A name that lib.rs or a face (mod.rs) gives out.
+                // A name that lib.rs or a mod.rs re-exports.
                 None if path.len() < 2 => {}
                 None => wrong.push(format!(
                     "{}: `{}` is not in the table",
@@ -156,6 +156,27 @@ fn modules_import_only_from_layers_above() {
         }
     }
     assert!(wrong.is_empty(), "imports against the layers:\n{}", wrong.join("\n"));
+}
+
+/// Functions whose last bits depend on the system's library.
+const OF_THE_SYSTEM: [&str; 22] = [
+    "sin", "cos", "tan", "sin_cos", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp",
+    "exp2", "exp_m1", "ln", "ln_1p", "log", "log2", "log10", "powf", "cbrt", "hypot",
+];
+
+/// The node makes recordings, so it belongs to what must give the same bits.
+#[test]
+fn core_and_node_call_no_function_of_the_system_whose_bits_differ() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let files = ["core", "io/wire", "live"].iter().flat_map(|room| sources(&root.join(room)));
+    for path in files.filter(|path| !path.ends_with("core/random.rs")) {
+        let code = code(&fs::read_to_string(&path).unwrap());
+        for name in OF_THE_SYSTEM {
+            let called =
+                code.contains(&format!(".{name}(")) || code.contains(&format!("f64::{name}"));
+            assert!(!called, "{}: use libm instead of `{name}`", path.display());
+        }
+    }
 }
 
 /// Who imports whom among the files and folders directly in `folder`.
@@ -183,7 +204,7 @@ fn imports_within(folder: &Path, root: &Path) -> BTreeMap<String, BTreeSet<Strin
     graph
 }
 
-/// The files in and between circles of imports; empty if there is no circle.
+/// The files in import cycles and between them; empty if there is no cycle.
 fn circles(graph: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
     let mut left = graph.clone();
     loop {
@@ -198,7 +219,7 @@ fn circles(graph: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
 }
 
 #[test]
-fn files_of_a_folder_do_not_import_each_other_in_a_circle() {
+fn files_of_a_folder_have_no_import_cycles() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let folders: BTreeSet<PathBuf> =
         sources(&root).iter().filter_map(|file| file.parent().map(Path::to_owned)).collect();
@@ -216,7 +237,7 @@ fn files_of_a_folder_do_not_import_each_other_in_a_circle() {
 }
 
 #[test]
-fn the_checks_see_what_they_must() {
+fn the_checks_find_violations() {
     let table = table(
         "//! # Layers\n//! | [`core`] | `time`, `so3` | x |\n//! | [`io`] | | y |\n//! # End",
     );

@@ -1,5 +1,5 @@
-//! The node's core in simulated time: cameras, a network, a solver and a clock that are all made up,
-//! so that every case is the same each time and none takes longer than its computing.
+//! The node's core in simulated time: simulated cameras, network, solver and clock, so that every
+//! run is the same and takes only its computing time.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -19,12 +19,12 @@ use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_r
 
 const MS: i64 = 1_000_000;
 const SECOND: i64 = 1000 * MS;
-/// When the cameras begin, on the node's clock.
+/// Start of the cameras on the node's clock.
 const START: i64 = 1_700_000_000 * SECOND;
-/// From the exposure to the arrival.
+/// Time from exposure to arrival.
 const NETWORK: i64 = 3 * MS;
 
-/// A message under way.
+/// A message in transit.
 #[derive(Clone, Debug)]
 struct Sent {
     arrival: Timestamp,
@@ -32,7 +32,7 @@ struct Sent {
     payload: Vec<u8>,
 }
 
-/// Everything that came out, with the time at which it left.
+/// All outputs, with their times.
 #[derive(Default)]
 struct Heard {
     messages: Vec<Recorded>,
@@ -73,9 +73,9 @@ struct World {
     solver: Solver,
     now: Timestamp,
     wake: Option<Timestamp>,
-    /// The answer that is being worked out, and when it is there.
+    /// The solution that is being computed, and its completion time.
     answer: Option<(Timestamp, Solution, i64)>,
-    /// How long the solver takes for a job.
+    /// The simulated solve time of a job.
     took: Box<dyn Fn(&Job) -> i64>,
     heard: Heard,
 }
@@ -107,7 +107,7 @@ impl World {
         }
     }
 
-    /// Plays messages, in order of arrival, and goes on for a while after the last.
+    /// Delivers messages in order of arrival, and continues for a while after the last.
     fn play(&mut self, mut sent: Vec<Sent>, until: Timestamp) {
         sent.sort_by_key(|message| message.arrival);
         let mut sent = sent.into_iter().peekable();
@@ -197,7 +197,7 @@ impl Studio {
         }
     }
 
-    /// The rig, and every frame on its way.
+    /// The rig, and every frame with its arrival time.
     fn messages(&self) -> Vec<Sent> {
         let frames = self.frames.iter().map(|frame| self.message(frame));
         std::iter::once(self.rig()).chain(frames).collect()
@@ -215,7 +215,7 @@ fn after(messages: Vec<Sent>, seconds: f64) -> World {
     world
 }
 
-/// Every pose is out at its capture time plus one latency, on an even grid.
+/// Every pose leaves at its capture time plus one latency, on an even grid.
 fn assert_on_time(heard: &Heard) {
     let poses = heard.poses();
     assert!(poses.len() > 60, "{} poses", poses.len());
@@ -236,23 +236,24 @@ fn poses_leave_at_one_latency_and_provisional_ones_at_once() {
     let world = after(Studio::new(4, 240).messages(), 4.0);
     let heard = &world.heard;
     assert_on_time(heard);
-    // 150 ms from the first pose to the end of a window, solve at least 22, network 3, publishing 4.
+    // 150 ms from the first pose to the end of a window, at least 22 to solve, 3 network, 4
+    // publishing.
     assert_eq!(heard.poses()[0].1.declared_latency_ns, 180 * MS as u64);
     let last = heard.poses().pop().unwrap().1;
     assert!(last.capture_time_ns >= START + 3_600 * MS, "{}", last.capture_time_ns);
     assert!(heard.poses().iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
-    // The first ones still wait for the windows that were gathered for the shape.
+    // The first ones wait for the windows collected for the shape.
     let mut live = heard.live();
     live.retain(|(time, _)| *time > heard.poses()[0].0);
     assert!(live.len() > 160, "{} provisional poses", live.len());
     for (time, pose) in &live {
         let waited = *time - Timestamp::from_ns(pose.capture_time_ns) - NETWORK;
-        // One millisecond for the fit; five where it had to wait for a window's solve.
+        // One millisecond for the fit; five if it had to wait for a window's solve.
         assert!((0..=6 * MS).contains(&waited), "{waited} ns");
         assert!(pose.provisional && pose.revision == 0 && pose.due_time_ns.is_none());
     }
     assert!(heard.poses().iter().all(|(_, pose)| !pose.provisional));
-    // Once the frames that were gathered for the shape are through, each was given before.
+    // After the frames collected for the shape, each had a provisional pose before.
     let caught_up = START + 550 * MS;
     let mut later = heard.poses().into_iter().filter(|(_, p)| p.capture_time_ns > caught_up);
     assert!(later.all(|(_, pose)| pose.revision == 1));
@@ -292,7 +293,7 @@ fn the_same_inputs_give_the_same_bytes() {
     for (topic, compared) in &replayed.topics {
         assert_eq!((compared.recorded, compared.differs_at), (compared.replayed, None), "{topic}");
     }
-    // Poses, keyframes, status and journal name the run, in the replay as in the recording.
+    // Poses, keyframes, status and journal carry the run id, in the replay as in the recording.
     let topics = Topics::default();
     let run_id = replayed.start.run_id;
     assert_ne!(run_id, 0);
@@ -303,7 +304,7 @@ fn the_same_inputs_give_the_same_bytes() {
     assert!(!keyframes.is_empty() && keyframes.iter().all(|(_, k)| k.run_id == run_id));
     assert_eq!(again.status().run_id, run_id);
     assert_eq!(again.poses().len(), replayed.topics[&topics.pose()].recorded);
-    // A change is found.
+    // A change is detected.
     let journal = Topics::default().journal();
     recorded.retain(|message| *message.topic != *journal || message.time < at(2.5));
     let pose = recorded.iter_mut().find(|message| *message.topic == *Topics::default().pose());
@@ -321,7 +322,7 @@ fn the_same_inputs_give_the_same_bytes() {
 }
 
 #[test]
-fn another_run_has_another_id() {
+fn each_run_has_its_own_id() {
     let run_id = |delay: i64| {
         let mut messages = Studio::new(2, 2).messages();
         messages.iter_mut().for_each(|sent| sent.arrival = sent.arrival + delay);
@@ -360,7 +361,7 @@ fn a_replay_finds_the_node_in_the_recording() {
 }
 
 #[test]
-fn a_silent_camera_is_given_up_and_taken_back_while_poses_go_on() {
+fn poses_continue_while_a_camera_is_silent_and_returns() {
     let studio = Studio::new(4, 360);
     let is_silent =
         |sent: &Sent| sent.topic.contains("cam03") && (at(2.0)..at(4.0)).contains(&sent.arrival);
@@ -377,7 +378,7 @@ fn a_silent_camera_is_given_up_and_taken_back_while_poses_go_on() {
 }
 
 #[test]
-fn overload_costs_effort_and_never_latency() {
+fn overload_lowers_effort_and_keeps_the_latency() {
     let studio = Studio::new(4, 1200);
     let mut world = World::new(&Config::default());
     // From the fourth second on each iteration takes 20 ms, of all frames; later it is as before.
@@ -441,7 +442,7 @@ fn a_new_calibration_is_used_from_a_window_on() {
     rig.version = 7;
     let (topic, arrival) = (Topics::default().rig(), at(2.51));
     messages.push(Sent { arrival, topic: topic.clone(), payload: encode(&rig) });
-    // Once more, and one that is none.
+    // Once more, and an invalid one.
     messages.push(Sent { arrival: at(3.0), topic: topic.clone(), payload: encode(&rig) });
     messages.push(Sent { arrival: at(3.1), topic, payload: vec![0xff; 9] });
     let world = after(messages, 5.0);
@@ -482,10 +483,10 @@ fn states_follow_the_performer() {
         let pose = poses.into_iter().find(|(_, pose)| pose.capture_time_ns >= capture);
         pose.unwrap().1.state()
     };
-    // The window in which the performer goes is fitted to what is left.
+    // The window in which the performer leaves is fitted to the remaining detections.
     assert_eq!(state(3.3), TrackingState::Coasting);
     assert_eq!(state(4.0), TrackingState::Lost);
-    // Frame 300 shows the performer again: 5.0 s, and there it is tracked.
+    // Frame 300 shows the performer again: at 5.0 s, and there it is tracked.
     assert_eq!(state(4.97), TrackingState::Lost);
     assert_eq!(state(5.0), TrackingState::Tracking);
 }
@@ -541,7 +542,7 @@ fn one_bad_camera_never_stops_the_others() {
 }
 
 #[test]
-fn a_clock_that_jumps_for_all_is_a_new_one() {
+fn a_jump_of_all_clocks_starts_a_new_time_line() {
     let studio = Studio::new(4, 480);
     let mut messages = vec![studio.rig()];
     for frame in &studio.frames {
@@ -557,7 +558,7 @@ fn a_clock_that_jumps_for_all_is_a_new_one() {
     let after_jump: Vec<_> =
         poses.iter().filter(|(_, pose)| pose.capture_time_ns < START).collect();
     assert!(after_jump.len() > 120, "{} poses after the jump", after_jump.len());
-    // Nobody shares that clock: the latency counts from the fastest arrival.
+    // The node does not share that clock: the latency counts from the fastest arrival.
     for (time, pose) in &after_jump {
         let latency = *time - Timestamp::from_ns(pose.capture_time_ns) - 3600 * SECOND;
         assert_eq!(latency, pose.declared_latency_ns as i64 + NETWORK);
@@ -582,7 +583,7 @@ fn a_camera_whose_clock_is_off_raises_an_alarm() {
 }
 
 #[test]
-fn two_publishers_of_one_camera_are_told() {
+fn two_publishers_of_one_camera_are_reported() {
     let studio = Studio::new(4, 240);
     let mut messages = studio.messages();
     for frame in studio.frames.iter().filter(|f| f.camera == 0 && f.frame > 60) {
@@ -597,10 +598,10 @@ fn two_publishers_of_one_camera_are_told() {
 }
 
 #[test]
-fn nothing_grows_with_time() {
+fn memory_does_not_grow_with_time() {
     let studio = Studio::new(4, 60);
     let mut world = World::new(&Config::default());
-    // The same second of frames over and over, with new times.
+    // The same second of frames repeated with new times.
     let round = |number: i64| -> Vec<Sent> {
         let frames = studio.frames.iter().map(|frame| {
             let mut frame = frame.clone();
@@ -624,7 +625,7 @@ fn nothing_grows_with_time() {
 }
 
 #[test]
-fn keyframes_hold_all_that_poses_are_made_of() {
+fn poses_can_be_decoded_from_keyframes_alone() {
     let world = after(Studio::new(4, 200).messages(), 4.0);
     let keyframes = world.heard.of::<wire::Keyframe>(&Topics::default().keyframe());
     assert!(keyframes.len() > 10);
@@ -653,7 +654,7 @@ fn keyframes_hold_all_that_poses_are_made_of() {
 }
 
 #[test]
-fn slow_detectors_are_waited_for() {
+fn windows_wait_for_slow_detectors() {
     let studio = Studio::new(4, 300);
     let mut messages = studio.messages();
     for message in &mut messages[1..] {
@@ -669,7 +670,7 @@ fn slow_detectors_are_waited_for() {
 }
 
 #[test]
-fn a_camera_whose_clock_is_ahead_does_not_close_the_others_windows() {
+fn a_camera_with_a_fast_clock_does_not_close_windows() {
     let studio = Studio::new(4, 300);
     let mut messages = vec![studio.rig()];
     for frame in &studio.frames {
@@ -687,7 +688,7 @@ fn a_camera_whose_clock_is_ahead_does_not_close_the_others_windows() {
 }
 
 #[test]
-fn the_status_goes_on_while_nobody_is_there_and_nothing_comes() {
+fn the_status_continues_without_a_performer_and_without_input() {
     let studio = Studio::new(4, 90);
     let mut frames = studio.frames.clone();
     frames.iter_mut().for_each(|frame| frame.people.clear());
@@ -702,7 +703,7 @@ fn the_status_goes_on_while_nobody_is_there_and_nothing_comes() {
 }
 
 #[test]
-fn a_solver_that_is_far_behind_goes_on_with_new_frames() {
+fn a_solver_that_is_far_behind_continues_with_new_frames() {
     let studio = Studio::new(4, 900);
     let mut world = World::new(&Config::default());
     let slow = |job: &Job| (at(3.0)..at(5.0)).contains(&job.end);

@@ -1,11 +1,11 @@
-//! The decoder against one that is written for clearness, in f64.
+//! The decoder against a simple implementation in f64.
 
 use bundlemocap::core::body::{BODY_JOINTS, Posture, Skeleton, forward};
 use bundlemocap::core::manifold::{Decoder, EMBEDDED, Jacobians, Keyframe, Latent};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use safetensors::SafeTensors;
 
-/// What the shipped weights make of a code, by their definition.
+/// The output of the shipped weights for a code, by their definition.
 pub fn decoded(z: &Latent) -> [Matrix3<f64>; BODY_JOINTS] {
     let tensors = SafeTensors::deserialize(EMBEDDED).unwrap();
     let numbers = |name: String| -> Option<DVector<f64>> {
@@ -32,7 +32,7 @@ pub fn decoded(z: &Latent) -> [Matrix3<f64>; BODY_JOINTS] {
 }
 
 #[test]
-fn joints_are_right_to_micrometres() {
+fn joints_are_accurate_to_micrometres() {
     let decoder = Decoder::embedded().unwrap();
     let codes: Vec<Latent> = (0..500)
         .map(|k| {
@@ -54,9 +54,9 @@ fn joints_are_right_to_micrometres() {
     assert!(0.0 < worst && worst < 2e-6, "{worst} m");
 }
 
-/// Poses do not depend on what else is decoded with them, as published ones must not.
+/// Poses do not depend on the other codes of a batch; published ones must not.
 #[test]
-fn a_pose_is_the_same_whatever_is_decoded_with_it() {
+fn a_pose_does_not_depend_on_its_batch() {
     let decoder = Decoder::embedded().unwrap();
     let keyframe = |k: usize| Keyframe {
         z: std::array::from_fn(|i| ((i + 2 * k) as f64 * 0.7).sin()),

@@ -205,7 +205,7 @@ fn hex(message: &impl Schema) -> String {
 }
 
 #[test]
-fn the_encoding_is_what_it_was() {
+fn the_encoding_has_not_changed() {
     expect_file!["../golden/keypoint_frame.snap"].assert_eq(&hex(&keypoints()));
     expect_file!["../golden/rig.snap"].assert_eq(&hex(&Rig::from_core(&rig())));
     expect_file!["../golden/pose.snap"].assert_eq(&hex(&published_pose()));
@@ -238,7 +238,7 @@ fn fields_of_a_later_version_are_skipped() {
     check(&retargeted());
 }
 
-/// Decodes `bytes` as every message; says how many conversions succeeded.
+/// Decodes `bytes` as every message; returns how many conversions succeeded.
 fn decode_as_everything(bytes: &[u8]) -> usize {
     let mut sound = 0;
     sound +=
@@ -294,7 +294,7 @@ fn no_bytes_panic() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_by_message_and_field() {
+fn invalid_values_are_refused_with_message_and_field() {
     let frame = |change: fn(&mut KeypointFrame)| {
         let mut frame = keypoints();
         change(&mut frame);
@@ -371,7 +371,7 @@ fn what_makes_no_sense_is_refused_by_message_and_field() {
 }
 
 #[test]
-fn a_missing_point_may_hold_anything_and_scores_above_one_are_clamped() {
+fn missing_points_are_ignored_and_scores_above_one_are_clamped() {
     let mut frame = keypoints();
     frame.people[0].points[..6].copy_from_slice(&[f32::NAN, f32::NAN, 0.0, 1.0, 2.0, 7.5]);
     let people = frame.to_core(|_| Some(0)).unwrap().people;

@@ -1,4 +1,4 @@
-//! The compared methods: derivatives of their terms, their solver, and each on a recording.
+//! The compared methods: derivatives of their terms, their solver, and each method on a recording.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ use nalgebra::{DMatrix, Vector2};
 use crate::jacobians::{assert_jacobian, numeric_jacobian};
 use crate::solve::{dense, frame, keyframe, observe, ring};
 
-/// A few frames that were seen with errors.
+/// A few frames with detection errors.
 struct Case {
     decoder: Decoder,
     rig: Rig,
@@ -104,7 +104,7 @@ fn gradients_of_terms_between_frames_match_central_differences() {
 }
 
 #[test]
-fn hessians_of_steps_are_exact_where_nothing_moves() {
+fn hessians_of_steps_are_exact_at_rest() {
     let mut case = Case::new(3);
     case.config.prior = 0.0;
     let (still, unseen) = (vec![keyframe(0.7, 0.8); 3], vec![Vec::new(); 3]);
@@ -125,7 +125,7 @@ fn hessians_of_steps_are_exact_where_nothing_moves() {
 }
 
 #[test]
-fn unknowns_that_are_not_free_stay_and_the_others_move() {
+fn fixed_unknowns_stay_and_free_ones_move() {
     let case = Case::new(3);
     let terms = every_term(3);
     for free in [[false, true], [true, false]] {
@@ -141,7 +141,7 @@ fn unknowns_that_are_not_free_stay_and_the_others_move() {
     }
 }
 
-/// A banded problem as one of a single block.
+/// A banded problem as a problem of one block.
 struct Dense<'a>(FramePath<'a>);
 
 impl Problem for Dense<'_> {
@@ -169,7 +169,7 @@ impl Problem for Dense<'_> {
 }
 
 #[test]
-fn banded_and_dense_normal_equations_lead_the_same_way() {
+fn banded_and_dense_normal_equations_give_the_same_steps() {
     let case = Case::new(5);
     let terms = every_term(5);
     let path = || case.path(&case.observations, &case.initial, &terms);
@@ -185,7 +185,7 @@ fn banded_and_dense_normal_equations_lead_the_same_way() {
     assert!(apart < 1e-3, "{apart}");
 }
 
-/// A second and a half of a walk before four cameras, with the postures of the truth.
+/// One and a half seconds of a walk seen by four cameras, with the true postures.
 fn recording() -> (Take, Vec<Posture>) {
     let skeleton = Skeleton::default();
     let motion = Motion::new(&skeleton, MotionStyle::default());
@@ -207,7 +207,7 @@ fn errors(take: &Take, truth: &[Posture], solved: &Solved) -> (f64, f64) {
 }
 
 #[test]
-fn every_method_solves_a_recording_and_those_over_time_are_smoother() {
+fn every_method_solves_a_recording_and_temporal_ones_are_smoother() {
     let (take, truth) = recording();
     let decoder = Decoder::embedded().unwrap();
     let mut alone = f64::INFINITY;
@@ -227,7 +227,7 @@ fn every_method_solves_a_recording_and_those_over_time_are_smoother() {
 }
 
 #[test]
-fn a_frame_that_shows_too_little_keeps_the_pose_before() {
+fn a_frame_with_too_few_detections_keeps_the_previous_pose() {
     let (mut take, _) = recording();
     let hidden = 50..53;
     let is_hidden = |frame: &u64| hidden.contains(frame);

@@ -25,10 +25,10 @@ use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_r
 use nalgebra::Rotation3;
 
 const FPS: f64 = 60.0;
-/// For what takes a moment; only a test that fails waits that long.
+/// Timeout of things that take a short time; only a failing test waits that long.
 const LONG: Duration = Duration::from_secs(60);
 
-/// Everything that came from the node.
+/// All messages from the node.
 #[derive(Default)]
 struct Heard {
     poses: Vec<Pose>,
@@ -39,7 +39,7 @@ struct Heard {
     keyframes: Vec<Keyframe>,
 }
 
-/// A node on a bus, cameras, and somebody who listens.
+/// A node on a bus, cameras, and a listener.
 struct Studio {
     bus: Memory,
     topics: Topics,
@@ -79,7 +79,7 @@ impl Studio {
         studio
     }
 
-    /// As [`Studio::new`], but the rig is up to somebody else.
+    /// [`Studio::new`] without a rig on the bus.
     fn without_rig() -> Self {
         let bus = Memory::new();
         let topics = Topics::default();
@@ -144,7 +144,7 @@ impl Studio {
         KeypointFrame { frame: self.frame, capture_time_ns: capture.ns(), ..seen }
     }
 
-    /// The cameras send a frame at its time.
+    /// All cameras send a frame at its time.
     fn send_frame(&mut self) {
         let capture = self.start + Timestamp::of_frame(self.frame, FPS).ns();
         self.clock.wait_until(capture);
@@ -157,7 +157,7 @@ impl Studio {
         self.frame += 1;
     }
 
-    /// The cameras send until what was heard is as wanted.
+    /// The cameras send until the received messages fulfil a condition.
     fn play_until(&mut self, what: &str, wanted: impl Fn(&Heard) -> bool) {
         let begin = Instant::now();
         while !wanted(&self.heard.lock().unwrap()) {
@@ -187,7 +187,7 @@ fn steps(poses: &[Pose]) -> Vec<i64> {
 }
 
 #[test]
-fn poses_leave_evenly_spaced_at_one_latency_and_live_ones_before() {
+fn poses_leave_evenly_at_one_latency_and_provisional_ones_before() {
     let mut studio = Studio::new();
     let node = start_node(&studio.bus, &Config::default()).unwrap();
     studio.play_until("90 poses", |heard| heard.poses.len() >= 90);
@@ -220,7 +220,7 @@ fn poses_leave_evenly_spaced_at_one_latency_and_live_ones_before() {
     assert_eq!(ends.count(), 1);
 }
 
-/// Messages that cannot be used, with a word for each.
+/// Unusable messages, each with a word of its error.
 fn bad_messages(studio: &Studio) -> Vec<(&'static str, String, Vec<u8>)> {
     let good = studio.message(0);
     let hour = 3_600_000_000_000;
@@ -257,7 +257,7 @@ fn bad_messages(studio: &Studio) -> Vec<(&'static str, String, Vec<u8>)> {
 }
 
 #[test]
-fn bad_messages_are_counted_and_the_poses_go_on() {
+fn bad_messages_are_counted_and_the_poses_continue() {
     let mut studio = Studio::new();
     let node = start_node(&studio.bus, &Config::default()).unwrap();
     studio.play_until("a pose", |heard| !heard.poses.is_empty());
@@ -286,7 +286,7 @@ fn bad_messages_are_counted_and_the_poses_go_on() {
 }
 
 #[test]
-fn a_full_queue_drops_the_oldest_and_says_how_many() {
+fn a_full_queue_drops_the_oldest_and_counts_them() {
     let mut studio = Studio::new();
     let config = Config { queue: 16, ..Config::default() };
     let node = start_node(&studio.bus, &config).unwrap();
@@ -303,7 +303,7 @@ fn a_full_queue_drops_the_oldest_and_says_how_many() {
 }
 
 #[test]
-fn a_node_without_input_says_how_it_is_and_ends() {
+fn a_node_without_input_reports_its_status_and_ends() {
     let studio = Studio { detections: Vec::new(), ..Studio::new() };
     let config = Config { prometheus: "127.0.0.1:0".into(), ..Config::default() };
     let node = start_node(&studio.bus, &config).unwrap();
@@ -327,7 +327,7 @@ fn a_node_without_input_says_how_it_is_and_ends() {
 }
 
 #[test]
-fn what_the_node_cannot_start_with_is_named() {
+fn errors_at_the_start_of_a_node_name_their_cause() {
     let bus = Memory::new();
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let prometheus = taken.local_addr().unwrap().to_string();
@@ -340,8 +340,8 @@ fn what_the_node_cannot_start_with_is_named() {
     assert!(message.contains("a/*"), "{message}");
 }
 
-/// A calibration file of those cameras, one of them moved along its axis, metres. Its world is
-/// ours.
+/// A calibration file of those cameras, one of them moved along its axis, metres. Its world frame
+/// is ours.
 fn calibration(rig: &Rig, forward: f64) -> String {
     let table = |(index, camera): (usize, &bundlemocap::core::camera::Camera)| {
         let row =
@@ -364,7 +364,7 @@ fn calibration(rig: &Rig, forward: f64) -> String {
     rig.cameras.iter().enumerate().map(table).collect()
 }
 
-/// Makes a file anew, beside its place and renamed, as tools do.
+/// Replaces a file by a temporary file and a rename, as tools do.
 fn replace(path: &Path, text: &str) {
     let beside = path.with_extension("new");
     std::fs::write(&beside, text).unwrap();
@@ -390,7 +390,7 @@ fn log_lines() -> &'static Mutex<Vec<u8>> {
 }
 
 #[test]
-fn a_calibration_file_that_changes_is_taken_at_a_windows_edge() {
+fn a_changed_calibration_file_is_used_from_the_next_window_on() {
     let log = log_lines();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("studio_rig.toml");
@@ -433,7 +433,7 @@ fn a_calibration_file_that_changes_is_taken_at_a_windows_edge() {
     assert!(edge > malformed_until + 30);
     assert!(versions[..edge].iter().all(|&version| version == first), "{versions:?}");
     assert!(versions[edge..].iter().all(|&version| version == second), "{versions:?}");
-    // The window before ends between the two poses.
+    // The previous window ends between the two poses.
     let keyframe = heard.keyframes.iter().rfind(|k| k.rig_version == first).unwrap();
     let around = [edge - 1, edge].map(|pose| heard.poses[pose].capture_time_ns);
     let end = keyframe.capture_time_ns;
@@ -449,7 +449,7 @@ fn program(arguments: &[&str]) -> (Option<i32>, String, String) {
 }
 
 #[test]
-fn ports_in_use_are_named_by_run() {
+fn run_names_a_port_in_use() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port().to_string();
     let (code, _, error) = program(&["run", "--listen", &format!("tcp/127.0.0.1:{port}")]);

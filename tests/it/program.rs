@@ -7,19 +7,19 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// For what takes a moment; only a test that fails waits that long.
+/// Timeout of things that take a short time; only a failing test waits that long.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A program that does not outlive the test.
+/// A program that ends with the test.
 pub struct Program {
     child: Child,
     said: Option<JoinHandle<String>>,
     lines: Receiver<String>,
-    /// Lines of standard error that were looked at.
+    /// Lines of standard error that were read.
     seen: Vec<String>,
 }
 
-/// What a program that ended has left.
+/// The results of a program that ended.
 pub struct Ended {
     pub code: Option<i32>,
     pub said: String,
@@ -27,7 +27,7 @@ pub struct Ended {
 }
 
 impl Program {
-    /// Starts it; what it prints is kept until the end.
+    /// Starts it; its output is kept until the end.
     pub fn start(command: &mut Command) -> Self {
         let piped = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = piped.spawn().unwrap();
@@ -95,14 +95,14 @@ impl Drop for Program {
     }
 }
 
-/// An address on which nobody listened a moment ago.
+/// An address without a listener, as of this call.
 pub fn free_address() -> String {
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     format!("tcp/127.0.0.1:{port}")
 }
 
-/// A node that listens, and its address. Another program may take the port first; then there is
-/// another.
+/// A node that listens, and its address. If another program takes the port first, it tries another
+/// one.
 pub fn listening_node(arguments: &[&str]) -> (Program, String) {
     for _ in 0..5 {
         let address = free_address();

@@ -1,4 +1,4 @@
-//! The Python nodes of `schemas/python` against our bus.
+//! The Python nodes of `schemas/python` with our bus.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -14,7 +14,7 @@ fn scripts() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/python")
 }
 
-/// Compiles the schemas into a folder; `None`, with the reason on the screen, without Python.
+/// Compiles the schemas into a folder; without Python prints the reason and returns `None`.
 fn generated() -> Option<tempfile::TempDir> {
     let packages = "import zenoh, google.protobuf, grpc_tools, mcap, zstandard";
     match Command::new("python3").args(["-c", packages]).output() {
@@ -55,7 +55,7 @@ fn node() -> (Zenoh, String) {
 }
 
 #[test]
-fn a_camera_in_python_is_heard() {
+fn messages_of_a_camera_in_python_are_received() {
     let Some(generated) = generated() else { return };
     let (node, at) = node();
     let (sender, samples) = channel::<Sample>();
@@ -77,7 +77,7 @@ fn a_camera_in_python_is_heard() {
     let rig: Rig = wire::decode(&rig.payload).unwrap();
     let cameras = rig.to_core().unwrap().cameras.len();
 
-    // On a busy machine a few frames may be dropped.
+    // On a busy computer a few frames may be dropped.
     assert!(frames.len() > cameras * 15 && frames.len() <= cameras * 31, "{}", frames.len());
     let mut last = vec![None; cameras];
     for sample in &frames {
@@ -95,7 +95,7 @@ fn a_camera_in_python_is_heard() {
     }
 }
 
-/// Ended when it goes out of scope.
+/// Ended on drop.
 struct Ended(Child);
 
 impl Drop for Ended {
@@ -114,7 +114,7 @@ fn a_subscriber_in_python_gets_skeleton_and_poses() {
         parents: vec![-1, 0],
         ..Skeleton::default()
     };
-    // Once, before anybody listens.
+    // Published once, before anybody listens.
     let publisher = node.publisher("mocap/take/actor/anna/skeleton").unwrap();
     let encoding = |name: &str| format!("application/protobuf;bundlemocap.v1.{name}");
     publisher.put(Timestamp::default(), &encoding("Skeleton"), &wire::encode(&skeleton)).unwrap();
@@ -162,14 +162,14 @@ fn pose_line(line: &str) -> (i64, String, Vec<[f64; 4]>) {
 }
 
 #[test]
-fn the_node_between_cameras_and_a_subscriber_in_python() {
+fn the_node_works_between_cameras_and_a_subscriber_in_python() {
     let Some(generated) = generated() else { return };
     let (node, at) = listening_node(&[]);
     let to_node = ["--connect", &at];
     let mut retarget = python(generated.path(), "retarget_node.py");
     let mut retarget = Program::start(retarget.args(to_node).args(["--poses", "70"]));
     let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
-    // The four seconds are enough unless the subscriber is slow to start.
+    // Four seconds are enough unless the subscriber is slow to start.
     for _ in 0..3 {
         if !retarget.is_over() {
             let mut cameras = python(generated.path(), "camera_node.py");

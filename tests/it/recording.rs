@@ -31,7 +31,7 @@ fn frame(index: u64, camera: usize) -> Detections {
     Detections { frame: index, camera, capture: Timestamp::of_frame(index, 60.0), ..detections }
 }
 
-/// A recording of two cameras with something on every topic.
+/// A recording of two cameras with a message on every topic.
 fn write_recording(path: &Path) {
     let provenance = Provenance {
         config: "window_frames = 10\n".into(),
@@ -99,7 +99,7 @@ fn is_prefix(part: &[Entry], whole: &[Entry]) -> bool {
     part.len() <= whole.len() && part == &whole[..part.len()]
 }
 
-/// Whether `part` is `whole` with one run of entries taken out.
+/// Whether `part` is `whole` without one run of entries.
 fn lacks_one_run(part: &[Entry], whole: &[Entry]) -> bool {
     let same = part.iter().zip(whole).take_while(|(a, b)| a == b).count();
     let (rest, lost) = (&part[same..], whole.len() - part.len());
@@ -107,7 +107,7 @@ fn lacks_one_run(part: &[Entry], whole: &[Entry]) -> bool {
 }
 
 #[test]
-fn everything_comes_back_in_the_order_of_writing() {
+fn messages_are_read_in_the_order_of_writing() {
     let (folder, _) = recording();
     let (entries, report) = read(&folder.path().join("whole.mcap")).unwrap();
     assert!(report.is_clean(), "{report:?}");
@@ -135,7 +135,7 @@ fn the_same_input_gives_the_same_bytes() {
 }
 
 #[test]
-fn a_recording_that_was_not_finished_leaves_nothing() {
+fn an_unfinished_recording_leaves_no_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("out.mcap");
     std::fs::write(&path, "as it was").unwrap();
@@ -147,7 +147,7 @@ fn a_recording_that_was_not_finished_leaves_nothing() {
 }
 
 #[test]
-fn a_cut_file_gives_a_prefix_and_the_place_of_the_cut() {
+fn a_truncated_file_gives_its_first_messages_and_the_place_of_the_cut() {
     let (folder, bytes) = recording();
     let (whole, _) = read_bytes(&folder, &bytes);
     let records = records(&bytes);
@@ -169,7 +169,7 @@ fn a_cut_file_gives_a_prefix_and_the_place_of_the_cut() {
 }
 
 #[test]
-fn a_flipped_byte_loses_its_chunk_only() {
+fn a_flipped_byte_loses_only_its_chunk() {
     let (folder, bytes) = recording();
     let (whole, _) = read_bytes(&folder, &bytes);
     let chunks = chunks(&bytes);
@@ -195,7 +195,7 @@ fn a_flipped_byte_loses_its_chunk_only() {
 }
 
 #[test]
-fn no_flipped_byte_panics_or_goes_unsaid_when_it_costs_messages() {
+fn flipped_bytes_never_panic_and_lost_messages_are_reported() {
     let (folder, bytes) = recording();
     let (whole, _) = read_bytes(&folder, &bytes);
     let mut rng = ChaCha8Rng::seed_from_u64(3);
@@ -212,7 +212,7 @@ fn no_flipped_byte_panics_or_goes_unsaid_when_it_costs_messages() {
 }
 
 #[test]
-fn damage_names_its_place() {
+fn damage_is_reported_with_its_place() {
     let damage = Damage { offset: 4711, reason: "chunk skipped".into() };
     assert_eq!(damage.to_string(), "damaged at byte 4711: chunk skipped");
 }
@@ -245,7 +245,7 @@ fn summaries_by_index_and_by_scan_agree() {
 }
 
 #[test]
-fn other_files_end_with_a_clear_error() {
+fn other_files_give_a_clear_error() {
     let folder = tempfile::tempdir().unwrap();
     let open = |name: &str, content: &[u8]| {
         let path = folder.path().join(name);
@@ -270,7 +270,7 @@ fn other_files_end_with_a_clear_error() {
     .assert_eq(&messages.join("\n"));
 }
 
-/// A recording by somebody else.
+/// A recording of another program.
 fn foreign() -> Vec<u8> {
     let mut file = std::io::Cursor::new(Vec::new());
     let mut writer = mcap::Writer::new(&mut file).unwrap();
@@ -287,7 +287,7 @@ fn foreign() -> Vec<u8> {
     file.into_inner()
 }
 
-/// The same file with a footer that tells of no summary.
+/// The same file with a footer without a summary.
 fn without_index(bytes: &[u8]) -> Vec<u8> {
     let (end, _, _) = records(bytes).into_iter().find(|record| record.1 == 0x0f).unwrap();
     let footer = [vec![2], 20_u64.to_le_bytes().to_vec(), vec![0; 20]].concat();
@@ -295,7 +295,7 @@ fn without_index(bytes: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn a_recording_without_an_index_is_read_all_the_same() {
+fn a_recording_without_an_index_can_be_read() {
     let (folder, bytes) = recording();
     let (whole, _) = read_bytes(&folder, &bytes);
     let (at, length) = chunks(&bytes)[2];
@@ -310,7 +310,7 @@ fn a_recording_without_an_index_is_read_all_the_same() {
 }
 
 #[test]
-fn messages_that_cannot_be_used_are_counted() {
+fn unusable_messages_are_counted() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("some.mcap");
     let topics = Topics::default();
@@ -357,7 +357,7 @@ for topic, count in sorted(counts.items()):
 "#;
 
 #[test]
-fn another_implementation_reads_the_same() {
+fn another_implementation_reads_the_same_messages() {
     let (folder, _) = recording();
     let path = folder.path().join("whole.mcap");
     let Ok(output) = Command::new("python3").args(["-c", READ_WITH_PYTHON]).arg(path).output()

@@ -66,7 +66,7 @@ fn our_file(skeleton: &Skeleton) -> String {
     std::fs::read_to_string(path).unwrap()
 }
 
-/// A joint of a synthetic skeleton: depth, name, offset.
+/// A row of a synthetic skeleton: depth, joint name, offset.
 type Row = (usize, String, Vector3<f64>);
 
 /// A BVH file without frames. Joints without children get an end site.
@@ -172,14 +172,14 @@ fn degrees(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     a.angle(b).to_degrees()
 }
 
-/// Position of the target's joint for ours, if there is one.
+/// Position of the target's joint that corresponds to ours, if there is one.
 fn at(retarget: &Retarget, figure: &Figure, joint: Joint) -> Option<Vector3<f64>> {
     Some(figure.positions[retarget.mapping().joint(joint)?])
 }
 
-/// The largest angle between a limb of the target and ours, degrees, and the largest difference in
-/// height of the lower ball of the foot, metres. Set BUNDLEMOCAP_KEEP_FIGURES to a folder to keep a
-/// picture of each target.
+/// The largest angle between a limb of the target and ours, degrees, and the largest height
+/// difference of the lower ball of the foot, metres. Set BUNDLEMOCAP_KEEP_FIGURES to a folder to
+/// keep a picture of each target.
 struct Worst {
     limbs: f64,
     floor: f64,
@@ -251,7 +251,7 @@ fn retargeting_to_our_own_skeleton_is_the_identity() {
 }
 
 #[test]
-fn a_file_on_our_own_skeleton_equals_that_of_export() {
+fn a_file_on_our_own_skeleton_equals_the_exported_one() {
     let folder = tempfile::tempdir().unwrap();
     let (exported, mapped) = (folder.path().join("a.bvh"), folder.path().join("b.bvh"));
     let skeleton = Skeleton::default();
@@ -281,7 +281,7 @@ fn write(path: &Path, retarget: &mut Retarget, skeleton: &Skeleton, poses: &[Pos
 }
 
 #[test]
-fn a_written_file_holds_the_figures_and_the_same_hierarchy() {
+fn a_written_file_holds_the_poses_and_the_same_hierarchy() {
     let skeleton = shaped();
     let poses = poses(&skeleton);
     // The same body with z up, facing -y; `up` is found automatically.
@@ -540,7 +540,7 @@ fn a_map_names_joints_scale_and_unit() {
 }
 
 #[test]
-fn errors_of_maps_and_skeletons_name_the_key_and_the_fix() {
+fn errors_in_maps_and_skeletons_name_the_key_and_the_fix() {
     let text = bvh_text(&mixamo(), ZYX);
     let wrong = |map: &str| try_retarget(&text, map).unwrap_err();
     let short = |error: String| match error.split_once("it has mixamorig:Hips, mixamorig:Spine, ") {
@@ -598,7 +598,7 @@ fn errors_of_maps_and_skeletons_name_the_key_and_the_fix() {
 }
 
 #[test]
-fn hinge_knees_keep_their_axis_and_the_feet_are_correct_again() {
+fn hinge_knees_keep_their_axis_and_the_feet_are_corrected() {
     let skeleton = Skeleton::default();
     let text = bvh_text(&mixamo(), ZYX);
     let joint = text.find("mixamorig:LeftLeg ").unwrap();
@@ -628,7 +628,7 @@ fn run(folder: &Path, line: &str) -> Output {
     program.unwrap()
 }
 
-/// A solved recording of poses at 30 Hz; the eleventh to the thirteenth are missing.
+/// A solved recording of poses at 30 Hz; poses 11 to 13 are missing.
 fn recording(path: &Path, skeleton: &Skeleton, poses: &[Pose]) {
     let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
     writer.skeleton(skeleton, Timestamp::default()).unwrap();
@@ -724,7 +724,7 @@ fn live_poses_are_retargeted_and_written_at_the_end() {
     let put = |topic: &str, capture: Timestamp, payload: &[u8]| {
         bus.publisher(topic).unwrap().put(capture, "", payload).unwrap();
     };
-    // Late joiners get it while its publisher lives.
+    // Late joiners receive it as long as its publisher lives.
     let body = bus.publisher(&topics.skeleton()).unwrap();
     let wire = encode(&wire::Skeleton::from_core(&skeleton));
     body.put(Timestamp::default(), "", &wire).unwrap();

@@ -1,4 +1,4 @@
-//! SLAHMR over a short synthetic take, against each frame by itself.
+//! SLAHMR on a short synthetic take, compared with a solve of each frame alone.
 
 use std::sync::Arc;
 

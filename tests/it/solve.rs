@@ -38,7 +38,7 @@ pub fn ring() -> Rig {
     Rig::new(1, (0..4).map(camera).collect()).unwrap()
 }
 
-/// A made-up keyframe; `size` scales its code.
+/// A constructed keyframe; `size` scales its code.
 pub fn keyframe(seed: f64, size: f64) -> Keyframe {
     let wave = |i: usize| ((i as f64 + 1.0) * seed).sin();
     Keyframe {
@@ -52,7 +52,7 @@ pub fn frame(i: usize) -> Timestamp {
     Timestamp::of_frame(i as u64, 60.0)
 }
 
-/// Exact observations of a posture, all confident.
+/// Exact observations of a posture, all with full confidence.
 pub fn observe(
     rig: &Rig,
     points: &[BodyPoint],
@@ -69,7 +69,7 @@ pub fn observe(
         .collect()
 }
 
-/// All of a matrix of which the lower half is kept.
+/// The full matrix from its lower half.
 pub fn dense(equations: &NormalEquations) -> DMatrix<f64> {
     let n = equations.hessian.dimension();
     DMatrix::from_fn(n, n, |i, j| equations.hessian.entry(i, j))
@@ -120,7 +120,8 @@ impl Case {
         Scene { decoder: &self.decoder, rig: &self.rig, points: &self.points, config }
     }
 
-    /// The first window's problem, from the true first keyframe and from `start` for the second.
+    /// The problem of the first window, from the true first keyframe and from `start` for the
+    /// second.
     fn window<'a>(
         &'a self,
         config: &'a cost::Config,
@@ -154,7 +155,7 @@ impl Case {
 }
 
 #[test]
-fn gradients_of_every_kind_of_path_match_central_differences() {
+fn gradients_of_all_kinds_of_paths_match_central_differences() {
     let mut case = Case::new(4);
     case.disturb();
     let config = cost::Config { prior: 5.0, ..cost::Config::default() };
@@ -213,7 +214,7 @@ fn the_hessian_is_exact_where_residuals_vanish() {
 }
 
 #[test]
-fn the_hessian_of_stiffness_is_exact_where_nothing_moves() {
+fn the_hessian_of_stiffness_is_exact_at_rest() {
     let case = Case::new(1);
     let (config, still) = (cost::Config::default(), case.truth[0].clone());
     let mut work = Workspace::default();
@@ -228,7 +229,7 @@ fn the_hessian_of_stiffness_is_exact_where_nothing_moves() {
 }
 
 #[test]
-fn the_marginal_step_of_the_marks_is_that_of_all_unknowns() {
+fn the_marginal_step_of_the_keypoint_offsets_is_that_of_all_unknowns() {
     let mut case = Case::new(2);
     case.disturb();
     let config = cost::Config::default();
@@ -244,7 +245,7 @@ fn the_marginal_step_of_the_marks_is_that_of_all_unknowns() {
 
     let mut equations = NormalEquations::zeros(problem.layout());
     problem.linearise(&x, &mut equations);
-    // The shape is held.
+    // The shape is fixed.
     let keyframe = x.len() - BODY_COEFFICIENTS;
     let is_free = |i: &usize| *i < keyframe || *i >= x.len() - OFFSETS;
     let kept: Vec<usize> = (0..x.len()).filter(is_free).collect();
@@ -277,9 +278,10 @@ fn both_optimisers_reach_the_same_minimum() {
     assert!(position < 1e-3, "{position}");
 }
 
-/// Carried Jacobians only steer: fewer are computed, and the same minimum is found.
+/// Carried Jacobians only set the direction of a step: fewer are computed, and the minimum is the
+/// same.
 #[test]
-fn carried_jacobians_lead_to_the_same_minimum() {
+fn carried_jacobians_give_the_same_minimum() {
     let mut case = Case::new(2);
     case.disturb();
     let minimum = |jacobian_reuse_radius: f64| {
@@ -299,7 +301,7 @@ fn carried_jacobians_lead_to_the_same_minimum() {
 }
 
 #[test]
-fn a_window_of_exact_observations_is_recovered() {
+fn a_window_is_recovered_from_exact_observations() {
     let case = Case::new(2);
     let config =
         cost::Config { prior: 1e-3, jacobian_reuse_radius: 0.0, ..cost::Config::default() };

@@ -68,11 +68,11 @@ fn the_motion_is_smooth_and_lively() {
 }
 
 #[test]
-fn planted_feet_do_not_slide() {
+fn standing_feet_do_not_slide() {
     let skeleton = Skeleton::default();
     let motion = Motion::new(&skeleton, MotionStyle::default());
     let heel = |t: f64| point(&skeleton, &motion.pose(t), Keypoint::LHeel);
-    // Both feet are planted while standing, squatting, reaching and waving.
+    // Both feet stand while the performer stands, squats, reaches and waves.
     for (from, to) in [(-0.3, -0.1), (6.0, 12.9)] {
         assert!((heel(from) - heel(to)).norm() < 0.01);
     }
@@ -130,7 +130,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 }
 
 #[test]
-fn without_noise_every_view_is_exact_and_nearly_complete() {
+fn views_without_noise_are_exact_and_nearly_complete() {
     let recording = walk(Noise::none());
     let (mut seen, mut all) = (0, 0);
     for frame in recording.detections() {

@@ -1,5 +1,5 @@
-//! A whole take with the built program: node, recorder and cameras as processes of their own, over
-//! each bus; what was recorded is then run again, byte for byte.
+//! A whole take with the built program: node, recorder and cameras as separate processes, over each
+//! bus. The recording is then replayed and compared byte for byte.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,11 +15,11 @@ use crate::program::{PATIENCE, Program, listening_node};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_bundlemocap");
 const NETWORK: &str = "--drop 0.02 --late 0.02 --duplicate 0.02 --reorder 0.02";
-/// A machine that is too busy loses messages of streams on their way to the recorder, which is no
-/// fault; then there is another take.
+/// A computer that is too busy loses messages on their way to the recorder; that is not a fault, so
+/// the take is repeated.
 const TAKES: usize = 3;
 
-/// A node, and the options that lead tools to it.
+/// A node, and the options that connect tools to it.
 struct Studio {
     folder: tempfile::TempDir,
     node: Program,
@@ -54,8 +54,8 @@ impl Studio {
         printed(line, &self.command(line).output().unwrap())
     }
 
-    /// Plays a recording over a bad network to the node, which is recorded, and ends everything:
-    /// the recording, and how many frames were sent.
+    /// Plays a recording to the node over a bad network while everything is recorded, then ends
+    /// all. Returns the recording and the number of frames sent.
     fn take(self) -> (tempfile::TempDir, PathBuf, usize) {
         let mut recorder = Program::start(&mut self.command("record take.mcap"));
         assert!(recorder.has_said("recording mocap/stage/**"));
@@ -65,7 +65,7 @@ impl Studio {
         let sent =
             of_camera.map(|line| line.split_whitespace().nth(2).unwrap().parse::<usize>().unwrap());
         let sent = sent.sum();
-        // A late joiner is told the node's state.
+        // A late joiner receives the node's state.
         assert!(self.done("echo status --count 1").contains("actor/status"));
 
         self.node.signal("INT");
@@ -89,7 +89,7 @@ fn printed(what: &str, output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).unwrap()
 }
 
-/// What can be read of a recording.
+/// The readable part of a recording.
 fn entries(path: &Path) -> Vec<RawEntry> {
     let Ok(mut reader) = Reader::open(path) else { return Vec::new() };
     std::iter::from_fn(|| reader.next_raw()).map_while(Result::ok).collect()
@@ -100,7 +100,7 @@ fn of<T: Schema>(entries: &[RawEntry], topic: &str) -> Vec<T> {
     of_topic.map(|entry| decode(&entry.payload).unwrap()).collect()
 }
 
-/// Waits until a recording that is being written holds the node's end.
+/// Waits until an unfinished recording holds the node's end.
 fn wait_for_the_end(part: &Path) {
     let begin = Instant::now();
     let has_ended = || {
@@ -113,7 +113,7 @@ fn wait_for_the_end(part: &Path) {
     }
 }
 
-/// Whether streams lost something on their way to the recorder.
+/// Whether messages were lost on their way to the recorder.
 fn is_lossy(entries: &[RawEntry], sent: usize) -> bool {
     let topics = Topics::default();
     let mut counts = BTreeMap::<&str, usize>::new();
@@ -129,7 +129,7 @@ fn is_lossy(entries: &[RawEntry], sent: usize) -> bool {
     frames < sent || found[1] < published[0] || found[2] < published[1]
 }
 
-/// A take that is whole, replayed and decoded.
+/// Takes until one is complete, then replays and decodes it.
 fn a_take_is_replayed(studio: impl Fn() -> Studio) {
     let whole = (0..TAKES).map(|_| studio().take());
     let whole = whole.map(|(folder, path, sent)| (folder, entries(&path), path, sent));
@@ -168,8 +168,8 @@ fn a_take_over_iceoryx2_is_replayed_byte_for_byte() {
     assert_eq!(prefix.leftovers(), Vec::<String>::new());
 }
 
-/// The recording is kept with the outputs that belong to it. On another instruction set the last
-/// bits of numbers differ, and only then may they.
+/// The recording is kept with the outputs that belong to it. They were made on x86-64; on other kinds
+/// of processors the last bits of numbers may differ.
 #[test]
 fn the_disturbed_take_is_replayed_to_its_golden_bytes() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/disturbed.mcap");
@@ -177,14 +177,14 @@ fn the_disturbed_take_is_replayed_to_its_golden_bytes() {
     let (said, complained) =
         (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     if output.status.code() == Some(14) && complained.contains("recorded on ") {
-        println!("another instruction set, so distances are checked and not bytes: {complained}");
+        println!("another kind of processor, so distances are checked and not bytes: {complained}");
         let apart = complained.split("at most ").nth(1).and_then(|rest| rest.split(' ').next());
         assert!(apart.unwrap().parse::<f64>().unwrap() < 0.5, "{complained}");
         return;
     }
     assert!(output.status.success(), "{said}{complained}");
     assert!(said.contains("are equal, byte for byte"), "{said}");
-    // It holds what it is for.
+    // It holds the cases that it was made for.
     let mut kinds: BTreeMap<String, u64> = BTreeMap::new();
     let mut reader = Reader::open(path).unwrap();
     while let Some(Ok(entry)) = reader.next_raw() {

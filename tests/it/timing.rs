@@ -1,5 +1,5 @@
-//! When the tracker opens and closes windows, wakes up and extrapolates: with solutions made by hand,
-//! without a solver.
+//! When the tracker opens and closes windows, wakes up and extrapolates: with solutions made by
+//! hand, without a solver.
 
 use std::sync::Arc;
 
@@ -25,7 +25,7 @@ fn ms(milliseconds: i64) -> Timestamp {
     Timestamp::from_ns(1_000_000 * milliseconds)
 }
 
-/// A tracker and what it put out, without the jobs that were solved.
+/// A tracker and its outputs, without the solved jobs.
 struct Timeline {
     tracker: Tracker,
     job: Option<Job>,
@@ -34,8 +34,8 @@ struct Timeline {
 }
 
 impl Timeline {
-    /// Windows of 10 frames of 20 ms, 5 of them final; 5 frames of grace; cameras are given up after
-    /// 2 windows.
+    /// Windows of 10 frames of 20 ms, 5 of them final; 5 frames of grace. Windows stop waiting for
+    /// a camera after 2 windows.
     fn new() -> Self {
         let config =
             Config { frame_rate_hz: 50.0, shape_windows: 1, grace_windows: 2, ..Config::default() };
@@ -70,14 +70,14 @@ impl Timeline {
         self.handle(Input::Detections(frame));
     }
 
-    /// Those frames of those cameras.
+    /// Some frames of some cameras.
     fn frames(&mut self, cameras: std::ops::Range<usize>, frames: std::ops::RangeInclusive<i64>) {
         for i in frames {
             cameras.clone().for_each(|camera| self.frame(camera, i));
         }
     }
 
-    /// Solves the job by hand: the performer stands still; gives the job back.
+    /// Solves the job by hand: the performer stands still. Returns the job.
     fn solve(&mut self) -> Job {
         let job = self.job.take().expect("a job is with the solver");
         self.answer(&job);
@@ -105,8 +105,8 @@ impl Timeline {
         self.handle(Input::Solved(Solution { number: job.number, outcome }));
     }
 
-    /// Acquires the performer at frame 0 and solves the first window: final up to frame 5, all cameras
-    /// up to frame 10.
+    /// Acquires the performer at frame 0 and solves the first window: final up to frame 5, all
+    /// cameras have sent frame 10.
     fn begin(mut self) -> Self {
         self.frames(0..CAMERAS, 0..=10);
         assert!(matches!(self.solve().task, Task::Acquire { .. }));
@@ -178,7 +178,7 @@ fn a_recording_waits_for_a_late_camera_until_the_others_pass_the_deadline() {
 }
 
 #[test]
-fn a_silent_camera_is_given_up_and_waited_for_again_when_it_returns() {
+fn windows_stop_waiting_for_a_silent_camera_until_it_returns() {
     let mut timeline = Timeline::new().begin();
     timeline.frames(0..CAMERAS - 1, 11..=25);
     assert_eq!([timeline.solve().end, timeline.solve().end], [at(15), at(20)]);
@@ -208,7 +208,7 @@ fn the_end_closes_the_open_window_at_the_last_frame() {
 }
 
 #[test]
-fn a_live_window_closes_by_the_clock_and_not_by_a_camera_that_is_ahead() {
+fn a_live_window_closes_by_the_clock_and_not_by_a_fast_camera() {
     let mut timeline = Timeline::new().live().begin();
     // Its start is frame 5, its end frame 15, its grace 5 frames.
     assert_eq!(timeline.tracker.wake(), Some(at(20) + 1000));
@@ -233,7 +233,8 @@ fn the_latency_limits_the_grace() {
         timeline.tracker.set_latency(Latency { declared_ns, reserve_ns });
         timeline.tracker.wake()
     };
-    // 300 ms less the window (200), its reserve (50), plus the period of the first pose (20): 70 ms.
+    // 300 ms minus the window (200) and its reserve (50), plus the period of the first pose (20):
+    // 70 ms.
     assert_eq!(wake(300, 50), Some(ms(370) + 1000));
     assert_eq!(wake(200, 50), Some(ms(300) + 1000), "no grace is left");
     assert_eq!(wake(1000, 50), Some(ms(400) + 1000), "never more than was asked for");

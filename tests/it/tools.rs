@@ -1,4 +1,4 @@
-//! The tools on the bus: the built program, beside a router that stands for the node.
+//! The tools on the bus: the built program, with a router in place of the node.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read};
@@ -25,7 +25,7 @@ fn router() -> Zenoh {
     Zenoh::open_node(&ZenohConfig { listen, ..ZenohConfig::default() }).unwrap()
 }
 
-/// A folder and the arguments that lead to the router.
+/// A folder and the arguments to reach the router.
 struct Place {
     folder: TempDir,
     router: Zenoh,
@@ -54,7 +54,7 @@ impl Place {
         String::from_utf8(output.stdout).unwrap()
     }
 
-    /// `record` with its first line of standard error read: it listens.
+    /// `record`, after its first line of standard error: it listens.
     fn recorder(&self, name: &str) -> Running {
         let mut command = self.command(&format!("record {name}"));
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
@@ -66,11 +66,11 @@ impl Place {
     }
 }
 
-/// A child that does not outlive the test.
+/// A child that ends with the test.
 struct Running(Child, BufReader<std::process::ChildStderr>);
 
 impl Running {
-    /// Sends SIGINT and waits; what was printed.
+    /// Sends SIGINT and waits; returns its output.
     fn interrupt(mut self) -> String {
         let pid = self.0.id().to_string();
         assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
@@ -90,7 +90,7 @@ impl Drop for Running {
     }
 }
 
-/// The synthetic walk, camera after camera as importers write it.
+/// The synthetic walk, one camera after the other, as importers write it.
 fn walk(path: &Path) {
     let rig = ring_rig(CAMERAS, 4.0, 1.6).unwrap();
     let skeleton = Skeleton::default();
@@ -118,7 +118,7 @@ fn raw(path: &Path) -> (Vec<RawEntry>, usize) {
     while let Some(entry) = reader.next_raw() {
         match entry {
             Ok(entry) => entries.push(entry),
-            // Of a file that is still empty.
+            // While the file is still empty.
             Err(_) => break,
         }
     }
@@ -134,7 +134,7 @@ fn payloads(path: &Path) -> BTreeMap<String, Vec<Vec<u8>>> {
     topics
 }
 
-/// Waits until a recording that is being written holds that many messages.
+/// Waits until an unfinished recording holds a number of messages.
 fn wait_for_messages(part: &Path, count: usize) {
     let begin = Instant::now();
     while raw(part).0.len() < count {
@@ -144,7 +144,7 @@ fn wait_for_messages(part: &Path, count: usize) {
 }
 
 #[test]
-fn what_is_played_is_recorded_byte_for_byte() {
+fn played_messages_are_recorded_byte_for_byte() {
     let place = Place::new();
     walk(&place.path("walk.mcap"));
     let recorder = place.recorder("take.mcap");
@@ -173,7 +173,7 @@ fn what_is_played_is_recorded_byte_for_byte() {
 }
 
 #[test]
-fn a_recording_outlives_a_kill() {
+fn a_recording_survives_a_kill() {
     let place = Place::new();
     let topics = Topics::default();
     let mut recorder = place.recorder("take.mcap");
@@ -223,14 +223,14 @@ fn fails(output: &Output, code: i32, evidence: &str) {
 }
 
 #[test]
-fn bad_arguments_and_a_bus_without_a_node_are_told_in_a_line() {
+fn bad_arguments_and_a_missing_node_give_a_one_line_error() {
     let folder = tempfile::tempdir().unwrap();
     walk(&folder.path().join("walk.mcap"));
     let run = |line: &str| {
         let mut command = Command::new(PROGRAM);
         command.args(line.split_whitespace()).current_dir(folder.path()).output().unwrap()
     };
-    // Nobody listens on a port that was free a moment ago.
+    // A port that was just free has no listener.
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     for line in ["play walk.mcap", "echo all", "record take.mcap"] {
         fails(&run(&format!("{line} --connect tcp/127.0.0.1:{port}")), 13, "nothing answers");
@@ -252,7 +252,7 @@ fn poses(path: &Path) -> BTreeMap<i64, wire::Pose> {
 }
 
 #[test]
-fn keyframes_alone_give_the_poses_that_were_solved() {
+fn keyframes_alone_give_the_solved_poses() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
@@ -261,7 +261,7 @@ fn keyframes_alone_give_the_poses_that_were_solved() {
         command.args(line.split_whitespace()).current_dir(folder.path()).output().unwrap()
     };
     assert!(run(&format!("solve {} --out out", walk.display())).status.success());
-    // Nothing but keyframes is left.
+    // Only keyframes are left.
     let mut keyframes =
         Writer::create(at("keyframes.mcap"), Topics::default(), &Provenance::default()).unwrap();
     let (entries, _) = raw(&at("out/poses.mcap"));
@@ -288,7 +288,7 @@ fn keyframes_alone_give_the_poses_that_were_solved() {
     assert_eq!(again.len(), solved.len());
 }
 
-/// A recording of the first keyframe, as if solved with other weights.
+/// A recording of the first keyframe with the hash of other weights.
 fn keyframes_of_other_weights(entries: &[RawEntry]) -> Vec<u8> {
     let first = entries.iter().find(|entry| entry.topic.ends_with("keyframe")).unwrap();
     let mut keyframe: wire::Keyframe = wire::decode(&first.payload).unwrap();

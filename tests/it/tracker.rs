@@ -1,4 +1,4 @@
-//! The tracking machine, driven by streams whose truth is known.
+//! The tracker on streams with a known truth.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ use crate::solve::{frame, keyframe, observe, ring};
 
 const FORMAT: KeypointFormat = KeypointFormat::Body25;
 
-/// Everything that a machine put out.
+/// All outputs of a tracker.
 #[derive(Default)]
 struct Run {
     poses: Vec<StampedPose>,
@@ -56,7 +56,7 @@ fn run(config: Config, frames: impl IntoIterator<Item = Detections>) -> Run {
     run
 }
 
-/// All jobs of a machine, with what came of them.
+/// All jobs of a tracker, with their solutions.
 fn solved(config: Config, frames: Vec<Detections>) -> Vec<(Job, Outcome)> {
     let mut tracker = Tracker::new(config, Arc::new(ring()));
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
@@ -82,7 +82,7 @@ fn truth(i: usize) -> Keyframe {
     Interpolation::Slerp.keyframe(&at(i / 10), &at(i / 10 + 1), (i % 10) as f64 / 10.0)
 }
 
-/// What the detectors of all cameras say of one frame.
+/// The detections of all cameras in one frame.
 fn detections(rig: &Rig, points: &[BodyPoint], seen: &[Observation], i: usize) -> Vec<Detections> {
     let of_camera = |camera: usize| {
         let mut person = Person { id: None, points: vec![None; FORMAT.len()] };
@@ -134,7 +134,7 @@ fn worst_errors(run: &Run) -> (f64, f64) {
     (metres, radians)
 }
 
-/// From the true body and first keyframe, livelier motions too.
+/// With the true body and first keyframe, also for fast motions.
 #[test]
 fn windows_follow_a_manifold_motion_exactly() {
     let decoder = Decoder::embedded().unwrap();
@@ -191,8 +191,8 @@ fn windows_follow_a_manifold_motion_exactly() {
     }
 }
 
-/// From nothing: the body and the first keyframe are found too. Of a motion near the middle of the
-/// manifold, since further out other codes with another body look the same to 0.02 px.
+/// Without start values: the body and the first keyframe are found too. The motion is near the
+/// middle of the manifold, since further out other codes with another body differ by only 0.02 px.
 #[test]
 fn a_perfect_recording_of_a_manifold_motion_is_recovered() {
     let run = run(config(), stream(41));
@@ -204,7 +204,7 @@ fn a_perfect_recording_of_a_manifold_motion_is_recovered() {
 }
 
 #[test]
-fn the_last_short_window_is_solved_too() {
+fn the_short_last_window_is_solved() {
     let run = run(config(), stream(37));
     assert_eq!(run.poses.len(), 37);
     assert_eq!(run.windows.len(), 4);
@@ -212,7 +212,7 @@ fn the_last_short_window_is_solved_too() {
 }
 
 #[test]
-fn order_within_a_window_does_not_matter_and_is_counted() {
+fn frames_out_of_order_within_a_window_are_used_and_counted() {
     let ordered = run(config(), stream(31));
     let mut frames = stream(31);
     for group in frames.chunks_mut(8) {
@@ -240,7 +240,7 @@ fn late_duplicate_and_missing_frames_are_counted() {
 }
 
 #[test]
-fn a_silent_camera_is_waited_for_only_so_long() {
+fn windows_wait_for_a_silent_camera_for_a_limited_time() {
     let frames = stream(61).into_iter().filter(|f| f.camera != 3 || f.frame < 20);
     let run = run(config(), frames);
     assert!(run.events[&EventKind::Deadline] >= 2);
@@ -249,7 +249,7 @@ fn a_silent_camera_is_waited_for_only_so_long() {
 }
 
 #[test]
-fn an_absence_is_coasted_then_flagged_and_the_performer_is_found_again() {
+fn an_absence_is_extrapolated_then_flagged_until_the_performer_returns() {
     let mut frames = stream(121);
     for frame in frames.iter_mut().filter(|f| (40..92).contains(&f.frame)) {
         frame.people.clear();
@@ -265,7 +265,7 @@ fn an_absence_is_coasted_then_flagged_and_the_performer_is_found_again() {
     assert_eq!(state(70), TrackingState::Coasting);
     assert_eq!(state(71), TrackingState::Lost);
     assert_eq!(state(91), TrackingState::Lost);
-    // From the very frame of the return on.
+    // From the first frame of the return on.
     assert!((92..121).all(|i| state(i) == TrackingState::Tracking));
     let mut times: Vec<_> = run.poses.iter().map(|pose| pose.capture).collect();
     times.dedup();
@@ -274,7 +274,7 @@ fn an_absence_is_coasted_then_flagged_and_the_performer_is_found_again() {
 }
 
 #[test]
-fn nobody_at_all_gives_no_pose_and_says_so() {
+fn a_stream_without_people_gives_no_pose_and_an_event() {
     let mut frames = stream(41);
     frames.iter_mut().for_each(|frame| frame.people.clear());
     let run = run(config(), frames);
@@ -301,7 +301,7 @@ fn a_bystander_in_some_views_is_not_followed() {
 }
 
 #[test]
-fn cameras_without_genlock_are_put_together() {
+fn frames_of_cameras_without_genlock_are_combined() {
     let (rig, decoder) = (ring(), Decoder::embedded().unwrap());
     let (points, skeleton) = (fitted_points(FORMAT), Skeleton::new(truth_shape()));
     let stagger = 16_666_667 / 5;
@@ -335,7 +335,7 @@ fn cameras_without_genlock_are_put_together() {
 }
 
 #[test]
-fn a_stray_time_stamp_does_not_break_the_stream() {
+fn a_wrong_time_stamp_does_not_break_the_stream() {
     let mut frames = stream(61);
     frames[100].capture = frames[100].capture + 3_600_000_000_000;
     let run = run(config(), frames);
@@ -356,7 +356,7 @@ fn a_performer_that_only_one_camera_sees_is_not_tracked() {
 }
 
 #[test]
-fn a_short_absence_is_coasted_over() {
+fn a_short_absence_is_extrapolated() {
     let mut frames = stream_of(81, |i| truth(i / 2));
     for frame in frames.iter_mut().filter(|f| (31..51).contains(&f.frame)) {
         frame.people.clear();
@@ -385,7 +385,7 @@ fn the_shape_waits_for_enough_frames() {
 }
 
 #[test]
-fn where_the_detector_marks_points_is_learnt() {
+fn keypoint_offsets_are_estimated() {
     let (rig, points, decoder) = (ring(), fitted_points(FORMAT), Decoder::embedded().unwrap());
     let marks = KeypointOffsets(std::array::from_fn(|i| 1.5 * (1.3 * i as f64).sin()));
     let (seen_as, body) = (Skeleton::default().with_keypoint_offsets(marks), Skeleton::default());
@@ -413,9 +413,9 @@ fn where_the_detector_marks_points_is_learnt() {
     assert!(with < 0.9 * without, "{with} {without}");
 }
 
-/// Within a window the performer goes further, and back, than the loss reaches.
+/// Within a window the performer moves further than the range of the loss, and back.
 #[test]
-fn quick_motion_is_followed() {
+fn fast_motion_is_tracked() {
     let truth = |i: usize| {
         let (x, y) = (0.4 * i as f64).sin_cos();
         let pose = truth(i / 4);
@@ -430,10 +430,10 @@ fn quick_motion_is_followed() {
     }
 }
 
-/// A window's first keyframe is half what the window before said of it, the last, where the next one
-/// begins, is its own.
+/// A window's first keyframes are blended with those of the previous window, with shares that fall
+/// to zero at the start of the next window.
 #[test]
-fn a_window_begins_near_what_the_last_one_said() {
+fn a_window_starts_blended_with_the_previous_one() {
     let config = Config { change_threshold: 0.0, iterations: 100, ..Config::default() };
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
     let (mut job, _) = solved(config, stream(61)).swap_remove(3);
@@ -452,10 +452,10 @@ fn a_window_begins_near_what_the_last_one_said() {
     }
 }
 
-/// Each window is solved with what the windows before it left of the detections, and what it leaves
-/// weighs its prior: nearly none of it where detections are exact.
+/// The residual level of earlier windows scales the prior of a window: for exact detections the
+/// prior is nearly zero.
 #[test]
-fn weights_go_by_how_the_detections_err() {
+fn weights_scale_with_the_residual_level() {
     let jobs = |reference_residual_px: f64| {
         let config = Config { reference_residual_px, ..Config::default() };
         let tracked = solved(config, stream(61)).into_iter().filter_map(|(job, outcome)| {
@@ -472,7 +472,7 @@ fn weights_go_by_how_the_detections_err() {
 }
 
 #[test]
-fn two_threads_give_the_same_answers() {
+fn two_threads_give_the_same_solutions() {
     let poses = |threads| run(Config { threads, ..Config::default() }, stream(61)).poses;
     let alone = poses(1);
     assert!(alone.len() > 50, "{}", alone.len());

@@ -1,4 +1,4 @@
-//! Training on synthetic motion, and reading the real corpus if it is available.
+//! Training on synthetic motion, and reading the real corpus if available.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -288,7 +288,7 @@ fn rest_pose_turns_and_missing_spine_joints() {
 }
 
 #[test]
-fn bad_input_is_named() {
+fn errors_name_the_bad_input() {
     let folder = folder();
     let options = || tiny(folder.path(), "c.safetensors");
     let message = |options: &Options| run(options, &mut |_| ()).unwrap_err().to_string();
@@ -318,7 +318,7 @@ fn bad_input_is_named() {
     assert!(error.contains("d.safetensors"), "{error}");
 }
 
-/// Folder of the motion clips, if the data is available.
+/// Folder of the motion clips, if available.
 fn corpus() -> Option<PathBuf> {
     data("motions/cmu")
 }

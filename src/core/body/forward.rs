@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::joints::{BODY_JOINTS, JOINTS, Joint};
 use super::skeleton::{SHAPE_COEFFICIENTS, Skeleton};
 
-/// Where every joint is, and how it is turned.
+/// Rotation and position of every joint in the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Posture {
     /// `world_from_joint` rotations.
@@ -37,8 +37,8 @@ pub fn forward(
     posture
 }
 
-/// Tangents of a posture by `columns` parameters, in f32: they steer, and six digits do. Row-major,
-/// `3 * JOINTS` rows each.
+/// Tangents of a posture by `columns` parameters. They are f32, since they only set the direction
+/// of a step. Row-major, `3 * JOINTS` rows each.
 #[derive(Clone, Debug)]
 pub struct Tangents {
     columns: usize,
@@ -49,19 +49,20 @@ pub struct Tangents {
 }
 
 impl Tangents {
-    /// All zero.
+    /// Tangents that are all zero.
     pub fn zeros(columns: usize) -> Self {
         let size = 3 * JOINTS * columns;
         Self { columns, turn: vec![0.0; size], shift: vec![0.0; size] }
     }
 
-    /// How many parameters there are.
+    /// Number of parameters.
     pub fn columns(&self) -> usize {
         self.columns
     }
 
-    /// How far a point of `joint`, at `arm` = G_j offset from its centre, moves along `direction`:
-    /// a row d . (dP_j + w_j x arm) = d . dP_j + (arm x d) . w_j, written to `out`.
+    /// Motion along `direction` of a point of `joint` at `arm` = G_j offset (world frame) from its
+    /// centre, by each parameter: d . (dP_j + w_j x arm) = d . dP_j + (arm x d) . w_j, written to
+    /// `out`.
     pub fn along(
         &self,
         joint: Joint,
@@ -125,12 +126,12 @@ crate::core::linalg::wide! {
     }
 }
 
-/// Fills `tangents` for joints 1 to 21, from what it holds for the pelvis (see
-/// [`Tangents::set_root_turn`]) and from the local tangents.
+/// Fills `tangents` for joints 1 to 21 from those of the pelvis (see [`Tangents::set_root_turn`])
+/// and from the local tangents.
 ///
 /// `local` is row-major, `3 * BODY_JOINTS` rows of `local_columns`: right tangents of each local
-/// rotation by the first `local_columns` parameters. `shape_column`, if given, is where the ten
-/// columns of the shape begin.
+/// rotation by the first `local_columns` parameters. `shape_column`, if given, is the first of the
+/// ten columns of the shape.
 ///
 /// w_j = w_parent + G_j d_j and dP_j = dP_parent + w_parent x (G_parent o_j).
 pub fn push_forward(
@@ -190,7 +191,7 @@ impl Tangents {
         self.shift[..3 * n].fill(0.0);
     }
 
-    /// The pelvis turns by `turn` (world-frame, 3x3) with the three parameters from `column` on.
+    /// The three parameters from `column` on turn the pelvis by `turn` (world frame, 3x3).
     pub fn set_root_turn(&mut self, column: usize, turn: &Matrix3<f64>) {
         for row in 0..3 {
             for k in 0..3 {
@@ -199,7 +200,7 @@ impl Tangents {
         }
     }
 
-    /// The pelvis moves by `scale` times the three parameters from `column` on.
+    /// The three parameters from `column` on move the pelvis by `scale` times their values.
     pub fn set_root_shift(&mut self, column: usize, scale: f32) {
         for row in 0..3 {
             self.shift[row * self.columns + column + row] = scale;
@@ -207,8 +208,8 @@ impl Tangents {
     }
 }
 
-/// The gradient of a cost by where the joints are and how they are turned, as forces and torques:
-/// what moves a joint moves all that hang on it.
+/// The gradient of a cost by joint positions and rotations, as forces and torques. A joint carries
+/// the forces on its descendants.
 #[derive(Clone, Debug)]
 pub struct Wrenches {
     force: [Vector3<f64>; JOINTS],
@@ -217,7 +218,7 @@ pub struct Wrenches {
 }
 
 impl Wrenches {
-    /// No force yet.
+    /// Forces and torques that are all zero.
     pub fn zeros() -> Self {
         Self { force: [Vector3::zeros(); JOINTS], torque: [Vector3::zeros(); JOINTS] }
     }
@@ -228,7 +229,7 @@ impl Wrenches {
         self.torque[joint.index()] += arm.cross(gradient);
     }
 
-    /// Adds to each joint what acts on those that hang on it, from the tips to the pelvis.
+    /// Adds to each joint the forces on its children, from the tips to the pelvis.
     pub fn gather(&mut self, posture: &Posture) {
         for joint in Joint::ALL[1..].iter().rev() {
             let Some(parent) = joint.parent().map(Joint::index) else { continue };
@@ -239,13 +240,13 @@ impl Wrenches {
         }
     }
 
-    /// Once gathered: the gradient by a move of `joint` with all that hangs on it, world frame.
+    /// After gathering: the gradient by a translation of `joint` with its descendants, world frame.
     pub fn force(&self, joint: Joint) -> &Vector3<f64> {
         &self.force[joint.index()]
     }
 
-    /// Once gathered: the gradient by the left (world-frame) turn of `joint`. Its rotation times
-    /// the local right tangent is such a turn.
+    /// After gathering: the gradient by the left (world-frame) rotation vector of `joint`. The
+    /// rotation of a joint times its local right tangent is such a vector.
     pub fn torque(&self, joint: Joint) -> &Vector3<f64> {
         &self.torque[joint.index()]
     }

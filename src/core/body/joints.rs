@@ -1,11 +1,11 @@
 //! The 22 joints, in the order of the SMPL-X body.
 
-/// Joints, the pelvis included.
+/// Number of joints, with the pelvis.
 pub const JOINTS: usize = 22;
-/// Joints whose local rotation the manifold gives: all but the pelvis.
+/// Number of joints with a local rotation from the manifold: all but the pelvis.
 pub const BODY_JOINTS: usize = JOINTS - 1;
-/// No joint moves faster than this, m/s: where one does, a capture leaps, as from the reference pose that
-/// many files begin with.
+/// Upper bound of a joint's speed, m/s. A faster joint shows a jump in the capture, such as the one
+/// after the reference pose at the start of many files.
 pub const FASTEST: f64 = 15.0;
 
 /// A joint of the body. The discriminant is its index everywhere.

@@ -1,4 +1,4 @@
-//! Keypoint offsets: the difference between where a detector places a keypoint and where our body has it.
+//! Keypoint offsets: the difference between a keypoint of the detector and that of our body.
 //!
 //! Detectors have systematic errors: knees a little to the front, hips too high. An offset is a vector in
 //! the joint's frame, the same in every view and at all times. Left and right offsets mirror each other,
@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 
 use crate::core::detections::Keypoint;
 
-/// Keypoints with an offset: those that are fitted, of the left side and of the middle.
+/// Keypoints with an offset: the fitted ones of the left side and of the middle.
 const POINTS: [Keypoint; 13] = [
     Keypoint::Nose,
     Keypoint::LEye,
@@ -28,10 +28,10 @@ const POINTS: [Keypoint; 13] = [
 /// Count of all coordinates: x, y and z of each keypoint.
 pub const OFFSETS: usize = 3 * POINTS.len();
 
-/// Metres of a coordinate of 1.
+/// Metres per unit of an offset's coordinate.
 const UNIT: f64 = 0.012;
 
-/// The offsets of all keypoints, in units of 12 mm; zero is where our body has them.
+/// The offsets of all keypoints, in units of 12 mm; zero for the keypoints of our body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KeypointOffsets(pub [f64; OFFSETS]);
 
@@ -41,7 +41,7 @@ impl Default for KeypointOffsets {
     }
 }
 
-/// Where the offset of a keypoint is stored.
+/// Position of a keypoint's offset in the vector of all offsets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Slot {
     first: usize,
@@ -50,7 +50,7 @@ pub(super) struct Slot {
 }
 
 impl Slot {
-    /// `None` for points that are not fitted.
+    /// `None` for keypoints that are not fitted.
     pub(super) fn of(keypoint: Keypoint) -> Option<Self> {
         let (left, side) = keypoint.of_left();
         let number = POINTS.iter().position(|&point| point == left)?;

@@ -1,11 +1,10 @@
-//! Where detectors' points sit on the body, and how much each counts in the fit.
+//! The positions of detector keypoints on the body, and their weights in the fit.
 //!
-//! Each point is an offset in the frame of one joint, scaled by the shape as its part of the
-//! body is. Detectors mark what annotators saw, not joint centres: their hips lie higher and
-//! wider than the hip joints and their necks differ between data sets, so such points carry an
-//! offset of their own and a smaller weight \[Pavlakos 2019, sec. 3.2\]. Offsets of nose, head top,
-//! toes and heels were adjusted, by up to 2 cm, to where OpenPose's BODY_25B put them on one
-//! performer.
+//! Each keypoint is an offset in the frame of one joint, scaled by the shape like its part of the
+//! body. Detectors do not find joint centres: their hips lie higher and wider than the hip joints,
+//! and their necks differ between data sets. Such keypoints have an offset and a smaller weight
+//! \[Pavlakos 2019, sec. 3.2\]. The offsets of nose, head top, toes and heels were adjusted by up
+//! to 2 cm to OpenPose BODY_25B on one performer.
 
 use nalgebra::Vector3;
 
@@ -15,12 +14,12 @@ use super::keypoint_offsets::Slot;
 use super::skeleton::{BODY_COEFFICIENTS, Part, SHAPE_COEFFICIENTS, ShapeCoefficient, Skeleton};
 use crate::core::detections::{Keypoint, KeypointFormat};
 
-/// Where a detector's point sits on the body.
+/// The position of a keypoint on the body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Attachment {
-    /// The joint that carries the point.
+    /// The joint that carries the keypoint.
     pub joint: Joint,
-    /// Weight of the point in the fit; 0 where it is not fitted.
+    /// Weight of the keypoint in the fit; 0 if it is not fitted.
     pub weight: f64,
     template: Vector3<f64>,
     part: Part,
@@ -28,7 +27,7 @@ pub struct Attachment {
 }
 
 impl Attachment {
-    /// Where `keypoint` sits.
+    /// The attachment of `keypoint`.
     pub fn of(keypoint: Keypoint) -> Self {
         let (joint, template, part, weight) = table(keypoint);
         Self {
@@ -48,13 +47,13 @@ impl Attachment {
         self.part.scaled(&self.template, body.shape()) + offset
     }
 
-    /// Where the point is in the world, metres.
+    /// The keypoint in the world, metres.
     pub fn position(&self, posture: &Posture, body: &Skeleton) -> Vector3<f64> {
         let joint = self.joint.index();
         posture.positions[joint] + posture.rotations[joint] * self.offset(body)
     }
 
-    /// Derivative of [`Attachment::offset`] by each coefficient of the body.
+    /// Derivative of [`Attachment::offset`] by each body coefficient.
     pub fn offset_by_body(&self) -> [Vector3<f64>; BODY_COEFFICIENTS] {
         let mut all = [Vector3::zeros(); BODY_COEFFICIENTS];
         let (by_shape, by_offsets) = all.split_at_mut(SHAPE_COEFFICIENTS);
@@ -68,18 +67,18 @@ impl Attachment {
     }
 }
 
-/// A detector's point that is fitted.
+/// A keypoint that is fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyPoint {
     /// Index in the detector's format.
     pub index: usize,
-    /// Which point it is.
+    /// The keypoint.
     pub keypoint: Keypoint,
-    /// Where it sits.
+    /// Its position on the body.
     pub attachment: Attachment,
 }
 
-/// The points of `format` that have a weight, in the order of the format.
+/// The keypoints of `format` with a weight above 0, in the order of the format.
 pub fn fitted_points(format: KeypointFormat) -> Vec<BodyPoint> {
     format
         .keypoints()

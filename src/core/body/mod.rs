@@ -1,4 +1,4 @@
-//! The body: a skeleton with shape, its forward kinematics, and where detectors' points sit on it.
+//! The body: a skeleton with shape, its forward kinematics, and the detector keypoints on it.
 //!
 //! Rest pose: T-pose, y up, +z forward, +x the subject's left, metres.
 

@@ -59,18 +59,18 @@ pub enum TrackingState {
 /// A pose at a capture time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StampedPose {
-    /// The time the pose is of.
+    /// The capture time.
     pub capture: Timestamp,
     /// The pose.
     pub pose: Pose,
-    /// How far it can be trusted.
+    /// The quality of the pose.
     pub state: TrackingState,
-    /// Number of the window it comes from, from 0.
+    /// Number of its window, from 0.
     pub window: u64,
-    /// Version of the rig it was solved with.
+    /// Version of the rig of the solve.
     pub rig_version: u64,
-    /// Whether it comes from a window that was still open.
+    /// Whether its window was still open.
     pub provisional: bool,
-    /// Counts up when a pose of the same capture time is given anew.
+    /// Revision: counts up with each new pose of the same capture time.
     pub revision: u32,
 }

@@ -6,22 +6,22 @@
 //! 0.36 of the pelvic width from the midline \[Bell 1990\]; breadths from \[Gordon 2014\]. The
 //! spine is divided so that its joints lie near L4, T12 and T9.
 //!
-//! A coefficient of 1 is one standard deviation in adults, both sexes together, rounded from
-//! the coefficients of variation in \[Gordon 2014\]; that of a segment is what is left of its
-//! variation once stature is accounted for.
+//! A coefficient of 1 is one standard deviation of adults, both sexes together, rounded from the
+//! coefficients of variation in \[Gordon 2014\]. The coefficient of a segment covers the variation
+//! that stature does not explain.
 
 use nalgebra::Vector3;
 
 use super::joints::{JOINTS, Joint};
 use super::keypoint_offsets::{KeypointOffsets, OFFSETS};
 
-/// How many shape coefficients there are.
+/// Number of shape coefficients.
 pub const SHAPE_COEFFICIENTS: usize = 10;
 
-/// Numbers that a body is made of: the shape, then the keypoint offsets.
+/// Number of body coefficients: the shape, then the keypoint offsets.
 pub const BODY_COEFFICIENTS: usize = SHAPE_COEFFICIENTS + OFFSETS;
 
-/// What a shape coefficient changes.
+/// A shape coefficient.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)]
 #[repr(usize)]
@@ -74,7 +74,7 @@ impl ShapeCoefficient {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shape(pub [f64; SHAPE_COEFFICIENTS]);
 
-/// The part of the body that an offset belongs to: it decides how shape scales the offset.
+/// The part of the body that an offset belongs to; it sets how shape scales the offset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Part {
     Trunk,
@@ -143,7 +143,7 @@ fn template_of(joint: Joint) -> ([f64; 3], Part) {
     }
 }
 
-/// A body of one shape: each joint's offset from its parent, and where the detector sees its keypoints.
+/// A body of one shape: each joint's offset from its parent, and the keypoint offsets.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Skeleton {
     shape: Shape,
@@ -153,7 +153,7 @@ pub struct Skeleton {
 }
 
 impl Skeleton {
-    /// The body of that shape.
+    /// The body with a shape and without keypoint offsets.
     pub fn new(shape: Shape) -> Self {
         let template = Joint::ALL.map(|joint| {
             let (offset, part) = template_of(joint);
@@ -168,27 +168,27 @@ impl Skeleton {
         }
     }
 
-    /// The shape it was made of.
+    /// The shape.
     pub fn shape(&self) -> &Shape {
         &self.shape
     }
 
-    /// The same body with those keypoint offsets.
+    /// The same body with other keypoint offsets.
     pub fn with_keypoint_offsets(self, keypoint_offsets: KeypointOffsets) -> Self {
         Self { keypoint_offsets, ..self }
     }
 
-    /// Where the detector sees its keypoints.
+    /// The keypoint offsets.
     pub fn keypoint_offsets(&self) -> &KeypointOffsets {
         &self.keypoint_offsets
     }
 
-    /// All its numbers: the shape, then the keypoint offsets.
+    /// All coefficients: the shape, then the keypoint offsets.
     pub fn coefficients(&self) -> impl Iterator<Item = f64> {
         self.shape.0.into_iter().chain(self.keypoint_offsets.0)
     }
 
-    /// The body with these numbers in place of its first ones.
+    /// The same body with `values` as its first coefficients.
     pub fn with_coefficients(&self, values: &[f64]) -> Self {
         let (mut shape, mut keypoint_offsets) = (self.shape, self.keypoint_offsets);
         let all = shape.0.iter_mut().chain(&mut keypoint_offsets.0);

@@ -104,7 +104,7 @@ impl Lens {
                 let (g, by_r2) = brown_radial(k, r * r);
                 let below = 1.0 + r * r * (k[5] + r * r * (k[6] + r * r * k[7]));
                 let upright = |i: usize| {
-                    let (sin, cos) = (i as f64 * TAU / SCAN_DIRECTIONS as f64).sin_cos();
+                    let (sin, cos) = libm::sincos(i as f64 * TAU / SCAN_DIRECTIONS as f64);
                     self.distort_with_jacobian(&Vector2::new(r * cos, r * sin)).1.determinant()
                         > 0.0
                 };
@@ -113,7 +113,7 @@ impl Lens {
                     && g + 2.0 * r * r * by_r2 > 0.0
                     && (0..SCAN_DIRECTIONS).all(upright)
             }
-            Self::Fisheye(k) => fisheye_angle(k, r.atan()).1 > 0.0,
+            Self::Fisheye(k) => fisheye_angle(k, libm::atan(r)).1 > 0.0,
         }
     }
 
@@ -242,7 +242,7 @@ fn fisheye_gain(k: &[f64; 4], r: f64) -> (f64, f64) {
         // atan r (1 + k1 atan^2 r) / r = 1 + (k1 - 1/3) r^2 + ...
         return (1.0 + (k[0] - 1.0 / 3.0) * r * r, 2.0 * (k[0] - 1.0 / 3.0));
     }
-    let (distorted, by_angle) = fisheye_angle(k, r.atan());
+    let (distorted, by_angle) = fisheye_angle(k, libm::atan(r));
     let gain = distorted / r;
     (gain, (by_angle / (1.0 + r * r) - gain) / (r * r))
 }
@@ -250,7 +250,7 @@ fn fisheye_gain(k: &[f64; 4], r: f64) -> (f64, f64) {
 /// Newton on the angle, kept in a bracket that is bisected when a step leaves it.
 fn undistort_fisheye(k: &[f64; 4], d: &Vector2<f64>, limit: f64) -> Option<Vector2<f64>> {
     let target = d.norm();
-    let (mut low, mut high) = (0.0, limit.atan());
+    let (mut low, mut high) = (0.0, libm::atan(limit));
     if target >= fisheye_angle(k, high).0 {
         return None;
     }
@@ -274,6 +274,6 @@ fn undistort_fisheye(k: &[f64; 4], d: &Vector2<f64>, limit: f64) -> Option<Vecto
         return None;
     }
     // At the axis tan(a) / a is 1.
-    let gain = if target < 1e-12 { 1.0 } else { angle.tan() / target };
+    let gain = if target < 1e-12 { 1.0 } else { libm::tan(angle) / target };
     Some(d * gain)
 }

@@ -16,9 +16,9 @@ pub use triangulate::{Triangulated, View, triangulate, triangulate_robust};
 
 use crate::core::so3;
 
-/// Points nearer to the camera's plane than this (metres) are not projected.
+/// Points closer to the camera plane than this (metres) are not projected.
 const NEAR: f64 = 1e-3;
-/// Largest entry of R^T R - I that still counts as a rotation (files hold rounded numbers).
+/// Largest entry of R^T R - I of a valid rotation (files hold rounded numbers).
 const ROTATION_TOLERANCE: f64 = 1e-3;
 /// A focal length below this many pixels makes the intrinsic matrix singular.
 const MIN_FOCAL_PX: f64 = 1e-6;
@@ -77,23 +77,23 @@ pub enum CameraError {
         /// Pixels.
         height: u32,
     },
-    /// The lens model has another number of coefficients.
+    /// The number of coefficients does not fit the lens model.
     #[error("a {model} lens has {expected} coefficients, not {found}")]
     CoefficientCount {
         /// The lens model.
         model: &'static str,
-        /// The counts that can be used.
+        /// The valid counts.
         expected: &'static str,
-        /// The count that was given.
+        /// The given count.
         found: usize,
     },
-    /// A rig of one camera, or of none.
+    /// A rig has fewer than two cameras.
     #[error("a rig needs at least two cameras, this one has {found}; add calibrated cameras")]
     TooFewCameras {
-        /// How many there are.
+        /// The number of cameras.
         found: usize,
     },
-    /// Two cameras of one name.
+    /// Two cameras have the same name.
     #[error("two cameras of the rig are named {name}; give each a name of its own")]
     DuplicateName {
         /// The name.
@@ -101,7 +101,7 @@ pub enum CameraError {
     },
 }
 
-/// A calibrated camera that stands still.
+/// A calibrated camera that does not move.
 ///
 /// pixel = focal * distort(normalised) + centre, with x also moved by skew * distorted y;
 /// normalised = (x / z, y / z) of rotation * point + translation.
@@ -123,23 +123,23 @@ pub struct Camera {
     pub rotation: Matrix3<f64>,
     /// camera_from_world, metres.
     pub translation: Vector3<f64>,
-    /// Not public, since the next two follow from it.
+    /// Private, because the next two follow from it.
     lens: Lens,
-    /// Whether the lens is ideal, so that distortion costs nothing.
+    /// Whether the lens has no distortion.
     ideal: bool,
-    /// Square of the normalised radius up to which the lens is one-to-one.
+    /// Square of the normalised radius up to which the lens model is one-to-one.
     limit_squared: f64,
 }
 
 impl Camera {
-    /// Checks everything and makes a camera.
+    /// Makes a camera after checking all values.
     ///
     /// `size` is width and height in pixels; `matrix` is \[fx s cx; 0 fy cy; 0 0 1\] in pixels;
     /// `rotation` and `translation` (metres) are camera_from_world. A rotation that is rounded
     /// is replaced by the nearest one.
     ///
     /// # Errors
-    /// Numbers that are not finite, an empty image, a singular matrix, no rotation.
+    /// Numbers that are not finite, an empty image, a singular matrix, an invalid rotation.
     pub fn new(
         name: impl Into<String>,
         size: [u32; 2],
@@ -190,8 +190,8 @@ impl Camera {
         Matrix3::new(f.x, self.skew, c.x, 0.0, f.y, c.y, 0.0, 0.0, 1.0)
     }
 
-    /// The pixel of a world point (metres). `None` behind the camera (or within a millimetre of
-    /// its plane), and where the distortion model folds back. The pixel may be off the image.
+    /// The pixel of a world point (metres), perhaps outside the image. `None` behind the camera,
+    /// within a millimetre of its plane, or where the distortion model folds back.
     #[inline]
     pub fn project(&self, world_point: &Vector3<f64>) -> Option<Vector2<f64>> {
         let p = self.rotation * world_point + self.translation;
@@ -239,19 +239,19 @@ impl Camera {
         self.lens.undistort(&Vector2::new(x, y), self.limit_squared.sqrt())
     }
 
-    /// Where the camera stands, world, metres: -R^T t.
+    /// The camera centre in the world, metres: -R^T t.
     pub fn centre_in_world(&self) -> Vector3<f64> {
         -self.rotation.tr_mul(&self.translation)
     }
 
-    /// The unit direction in the world in which a pixel looks, from
-    /// [`Camera::centre_in_world`]. `None` as for [`Camera::undistort`].
+    /// The unit direction of a pixel's ray in the world, from [`Camera::centre_in_world`]. `None`
+    /// as for [`Camera::undistort`].
     pub fn ray(&self, pixel: &Vector2<f64>) -> Option<Vector3<f64>> {
         let n = self.undistort(pixel)?;
         Some(self.rotation.tr_mul(&Vector3::new(n.x, n.y, 1.0)).normalize())
     }
 
-    /// How far in front of the camera a world point is, metres along its optical axis.
+    /// Depth of a world point along the optical axis, metres.
     pub fn depth(&self, world_point: &Vector3<f64>) -> f64 {
         self.rotation.row(2).tr_dot(world_point) + self.translation.z
     }

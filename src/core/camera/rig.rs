@@ -2,18 +2,18 @@
 
 use super::{Camera, CameraError};
 
-/// Cameras that share a world.
+/// Cameras with a common world frame.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Rig {
-    /// Of the calibration; a new calibration has a larger one.
+    /// Version of the calibration; a new calibration has a larger one.
     pub version: u64,
-    /// At least two, with names of their own. Other parts speak of a camera by its index here.
+    /// At least two cameras with unique names. Other modules refer to a camera by its index here.
     pub cameras: Vec<Camera>,
 }
 
 impl Rig {
-    /// Checks that there are at least two cameras and that no name is there twice.
+    /// Makes a rig. Checks that it has at least two cameras, with unique names.
     ///
     /// # Errors
     /// [`CameraError::TooFewCameras`] or [`CameraError::DuplicateName`].
@@ -29,7 +29,7 @@ impl Rig {
         Ok(Self { version, cameras })
     }
 
-    /// The index of the camera of that name.
+    /// The index of the camera with a name.
     pub fn index_of(&self, name: &str) -> Option<usize> {
         self.cameras.iter().position(|camera| camera.name == name)
     }

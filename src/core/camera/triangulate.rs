@@ -194,7 +194,7 @@ fn well_posed(
         && chosen
             .iter()
             .enumerate()
-            .any(|(at, i)| chosen[..at].iter().any(|j| parallax(i, j) > MIN_PARALLAX.sin()))
+            .any(|(at, i)| chosen[..at].iter().any(|j| parallax(i, j) > libm::sin(MIN_PARALLAX)))
 }
 
 /// Steps on sum confidence |pixel - projection|^2, kept only while they bring it down.

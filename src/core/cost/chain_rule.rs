@@ -9,10 +9,10 @@ use crate::core::manifold::{Interpolation, LATENT, LatentTangent};
 use crate::core::optimise::BlockBanded;
 use crate::core::so3;
 
-/// The derivative of a frame's coordinates (code, rotation, position) by a keyframe's.
+/// Derivative of a frame's coordinates (code, rotation, position) by those of a keyframe.
 #[derive(Clone, Debug)]
 pub(super) struct KeyframeTangent {
-    /// Number of the keyframe among the free ones.
+    /// Index of the keyframe among the free ones.
     pub(super) keyframe: usize,
     pub(super) code: LatentTangent,
     /// Left (world-frame) tangent of the frame's rotation by the keyframe's rotation vector.
@@ -21,7 +21,7 @@ pub(super) struct KeyframeTangent {
     pub(super) position: f64,
 }
 
-/// The derivatives by the free keyframes around a frame, the later one first.
+/// The derivatives by the free keyframes next to a frame, the later one first.
 pub(super) fn keyframe_tangents(
     unknowns: &Unknowns,
     interpolation: Interpolation,
@@ -49,7 +49,7 @@ pub(super) fn keyframe_tangents(
 }
 
 impl KeyframeTangent {
-    /// out = D^T v, with v a gradient by the frame's coordinates and D this derivative.
+    /// out = D^T v: v is a gradient by the frame's coordinates, D this derivative.
     pub(super) fn pull_back<T: Copy + Into<f64>>(&self, v: &[T], out: &mut [f64; KEYFRAME]) {
         let (code, root) = v.split_at(LATENT);
         let across: f64 = code.iter().zip(&self.code.across).map(|(&a, b)| a.into() * b).sum();
@@ -61,8 +61,8 @@ impl KeyframeTangent {
         (0..3).for_each(|k| out[LATENT + 3 + k] = self.position * root[3 + k].into());
     }
 
-    /// Adds D^T H D' to the block of this keyframe and of `other`, which is not later. `gram` is H,
-    /// `columns` wide; `half` is memory.
+    /// Adds D^T H D' to the block of this keyframe and of `other`, which is not later. `gram` is H
+    /// with `columns` columns; `half` is scratch memory.
     pub(super) fn add_block(
         &self,
         other: &Self,
@@ -71,7 +71,8 @@ impl KeyframeTangent {
         half: &mut Vec<f64>,
         hessian: &mut BlockBanded,
     ) {
-        // H is symmetric: its rows pulled back are the columns of H D', so `half` is D'^T H.
+        // H is symmetric, so the product of its rows with D' is the columns of H D': `half` is D'^T
+        // H.
         half.resize(KEYFRAME * KEYFRAME, 0.0);
         let mut pulled = [0.0; KEYFRAME];
         for (i, row) in gram.chunks_exact(columns).take(KEYFRAME).enumerate() {
@@ -86,13 +87,13 @@ impl KeyframeTangent {
     }
 }
 
-/// The unknowns of a free keyframe, by its number among the free ones.
+/// The unknowns of a free keyframe, by its index among the free ones.
 pub(super) fn block(keyframe: usize) -> Range<usize> {
     keyframe * KEYFRAME..(keyframe + 1) * KEYFRAME
 }
 
-/// A lower triangular L with L L^T = A, for A positive semidefinite. A pivot that vanishes gives a zero
-/// column, as along the ray of a point that one camera sees.
+/// A lower triangular L with L L^T = A, for A positive semidefinite. A zero pivot gives a zero
+/// column, for instance along the ray of a point that only one camera sees.
 pub(super) fn semidefinite_cholesky(a: &Matrix3<f64>) -> Matrix3<f64> {
     let floor = 1e-12 * a.trace();
     let mut rest = *a;

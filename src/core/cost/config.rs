@@ -5,28 +5,30 @@ use serde::{Deserialize, Serialize};
 use super::stiffness::Stiffness;
 use crate::core::manifold::Interpolation;
 
-/// Weights of the cost. The defaults come from the sweep in DESIGN.md.
+/// Weights of the cost. The defaults come from the sweep in src/research/RESULTS.md.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Scale s of the Geman-McClure loss, pixels: an error of s counts a quarter of its square.
+    /// Scale s of the Geman-McClure loss, pixels: the loss of an error of s is a quarter of its
+    /// square.
     pub scale_px: f64,
-    /// Weight of the prior on z per frame, square pixels; a keyframe counts for the frames up to it.
+    /// Weight of the prior on z per frame, square pixels; a keyframe stands for the frames up to
+    /// it.
     pub prior: f64,
-    /// Degrees of freedom of the prior, a Student t: with fewer, unusual poses are penalised less. 0 for
-    /// |z|^2 itself.
+    /// Degrees of freedom of the prior, a Student t: fewer penalise unusual poses less. 0 means
+    /// |z|^2.
     pub prior_dof: f64,
     /// Weight of the squared shape coefficients, square pixels, while the shape is free.
     pub shape_prior: f64,
     /// Weight of the squared keypoint offsets, square pixels for each (12 mm)^2, while they are free.
     pub offset_prior: f64,
-    /// The distance between codes up to which a Jacobian of the decoder is reused, where it only steers
-    /// the steps. Use 0 for problems that the data hardly determine, as with a prior near 0: they need
-    /// exact steps. Differs: the paper needs no Jacobians.
+    /// The distance between codes up to which a Jacobian of the decoder is reused; it only sets the
+    /// direction of a step. Use 0 for problems that the data hardly determine, such as a prior near
+    /// 0: they need exact steps. Differs: the paper needs no Jacobians.
     pub jacobian_reuse_radius: f64,
     /// How latent codes are interpolated between keyframes.
     pub interpolation: Interpolation,
-    /// Weights of accelerations along the keyframes.
+    /// Weights of the accelerations at the keyframes.
     pub stiffness: Stiffness,
 }
 

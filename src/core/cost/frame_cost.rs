@@ -1,9 +1,9 @@
-//! The terms of frames: what the cameras saw of the body's points.
+//! The reprojection terms of frames.
 //!
 //! All views of a point share the point's Jacobian: their 2D terms are first summed to a gradient
-//! and a 3x3 curvature in the world. The gradient acts on the body as a force, which goes back
-//! through joints and decoder; a triangular root of the curvature gives three rows of the Jacobian.
-//! So the normal equations cost no more for eight cameras than for two.
+//! and a 3x3 curvature in the world. The gradient acts on the body as a force and is propagated
+//! back through joints and decoder; a triangular root of the curvature gives three rows of the
+//! Jacobian. So the normal equations cost no more for eight cameras than for two.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -14,11 +14,11 @@ use super::robust::GemanMcClure;
 use super::scene::Scene;
 use super::unknowns::{KEYFRAME, Place, Unknowns};
 use crate::core::body::{BodyPoint, Joint, Posture, Tangents, Wrenches, forward, push_forward};
-use crate::core::linalg::{self, Accum};
+use crate::core::linalg;
 use crate::core::manifold::{LATENT, Latent};
 use crate::core::so3;
 
-/// What to compute of frames.
+/// What to compute for frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Wanted {
     Cost,
@@ -27,7 +27,7 @@ pub(super) enum Wanted {
     Hessians,
 }
 
-/// A path, as its frames need it.
+/// The data of a path that its frames need.
 #[derive(Clone, Copy)]
 pub(super) struct Path<'p> {
     pub(super) scene: Scene<'p>,
@@ -38,7 +38,7 @@ pub(super) struct Path<'p> {
 }
 
 impl<'p> Path<'p> {
-    /// Computes what is wanted of all frames of a batch; the results stay in the batch.
+    /// Computes `wanted` for all frames of a batch; the results stay in the batch.
     pub(super) fn compute(
         &self,
         observations: &[FrameObservations],
@@ -52,7 +52,7 @@ impl<'p> Path<'p> {
         let n = self.unknowns.coordinates();
         batch.decode(self.scene.decoder, observations.iter().map(|frame| self.code(frame)));
         if wanted == Wanted::Hessians {
-            // The Hessian by the body is used for itself, not only to steer.
+            // The Hessian by the body is used as a result, so it must be exact.
             let radius =
                 if self.unknowns.body == 0 { self.scene.config.jacobian_reuse_radius } else { 0.0 };
             batch.linearise(self.scene.decoder, radius);
@@ -74,8 +74,7 @@ impl<'p> Path<'p> {
             if wanted == Wanted::Hessians {
                 batch.counts.frames += 1;
                 let (rows, gram) = (&batch.rows, &mut batch.grams[m * n * n..(m + 1) * n * n]);
-                let sizes = [n, rows.len() / n, n];
-                linalg::product_of_transpose(sizes, rows, rows, Accum::Replace, gram);
+                linalg::gram([rows.len() / n, n], rows, gram);
             }
         }
         if wanted >= Wanted::Gradients {
@@ -134,7 +133,7 @@ impl<'p> Path<'p> {
         frame.by_point().map(cost).sum()
     }
 
-    /// The same; writes the gradient of frame `m` to the batch, and its rows if they are wanted.
+    /// Also writes the gradient of frame `m` to the batch, and its rows if they are wanted.
     fn add(
         &self,
         frame: &FrameObservations,
@@ -170,7 +169,7 @@ impl<'p> Path<'p> {
         cost
     }
 
-    /// The point that was seen, and where it is from its joint's centre (world frame).
+    /// The observed point, and its position from its joint's centre (world frame).
     fn point(&self, views: &[Observation], posture: &Posture) -> (&'p BodyPoint, Vector3<f64>) {
         let point = &self.scene.points[views[0].point];
         let rotation = &posture.rotations[point.attachment.joint.index()];
@@ -188,7 +187,8 @@ impl<'p> Path<'p> {
         views.iter().map(cost).sum()
     }
 
-    /// Cost of a point's views, its gradient and Gauss-Newton curvature by the point's position.
+    /// Cost of a point's views, with its gradient and Gauss-Newton curvature by the point's
+    /// position.
     fn point_terms(
         &self,
         views: &[Observation],
@@ -211,7 +211,7 @@ impl<'p> Path<'p> {
         (cost, gradient, curvature)
     }
 
-    /// Adds three rows: L^T J, where L L^T is the curvature and J the point's Jacobian.
+    /// Adds three rows L^T J: L L^T is the curvature, J the point's Jacobian.
     fn add_rows(
         &self,
         point: &BodyPoint,
@@ -237,7 +237,7 @@ impl<'p> Path<'p> {
         }
     }
 
-    /// The gradient by the coordinates of frame `m`, without the code, and by its local rotations.
+    /// The gradient of frame `m` by its coordinates without the code, and by its local rotations.
     fn add_wrenches(
         &self,
         posture: &Posture,
@@ -264,8 +264,8 @@ impl<'p> Path<'p> {
     }
 }
 
-/// Adds the derivative along `direction` (world frame) of an offset that `rotation` turns, by the
-/// body's coefficients.
+/// Adds the derivative, by the body's coefficients, of an offset rotated by `rotation`, along
+/// `direction` (world frame).
 fn add_by_body(
     by_body: &[Vector3<f64>],
     rotation: &Matrix3<f64>,

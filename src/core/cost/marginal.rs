@@ -23,25 +23,22 @@ impl PathProblem<'_> {
         let mut equations = NormalEquations::zeros(self.layout());
         self.linearise(x, &mut equations);
         let (total, keyframes) = (x.len(), self.unknowns.body_at());
-        let entry = |i: usize, j: usize| equations.hessian.entry(i, j);
-        let first = total - count;
-        let within: Vec<f64> =
-            (0..keyframes).flat_map(|i| (0..keyframes).map(move |j| entry(i, j))).collect();
-        // The coefficients' columns, then the gradient.
-        let across = DMatrix::from_fn(keyframes, count + 1, |i, j| {
-            if j < count { entry(i, first + j) } else { equations.gradient[i] }
-        });
-        let rows = across.transpose();
-        let moved = linalg::solve_symmetric(keyframes, &within, count + 1, rows.as_slice())?;
-        let moved = DMatrix::from_row_slice(keyframes, count + 1, &moved);
-        let taken = across.columns(0, count).tr_mul(&moved);
+        // The keyframes, the coefficients, and the gradient as one more row: factorising the first
+        // leaves the Schur complement in place of the rest. Column-major, the lower half.
+        let place = |i: usize| if i < keyframes { i } else { i - keyframes + total - count };
+        let rows = keyframes + count + 1;
+        let mut lower = vec![0.0; rows * rows];
+        for (j, column) in lower.chunks_exact_mut(rows).take(rows - 1).enumerate() {
+            for (i, entry) in column[..rows - 1].iter_mut().enumerate().skip(j) {
+                *entry = equations.hessian.entry(place(i), place(j));
+            }
+            column[rows - 1] = equations.gradient[place(j)];
+        }
+        linalg::factor_block([keyframes, count + 1], rows, &mut lower)?;
+        let left = |i: usize, j: usize| lower[keyframes + i + (keyframes + j) * rows];
         Some(Marginal {
-            hessian: DMatrix::from_fn(count, count, |i, j| {
-                entry(first + i, first + j) - taken[(i, j)]
-            }),
-            gradient: DVector::from_fn(count, |i, _| {
-                equations.gradient[first + i] - taken[(i, count)]
-            }),
+            hessian: DMatrix::from_fn(count, count, |i, j| left(i.max(j), i.min(j))),
+            gradient: DVector::from_fn(count, |j, _| left(count, j)),
         })
     }
 }

@@ -5,9 +5,9 @@
 //! cost = 1/2 sum over observations of w rho(|pixel(t) - detected|^2)
 //! + 1/2 prior sum of n_k |z_k|^2 + 1/2 sum of n_k stiffness |acceleration at k|^2
 //!
-//! with rho the Geman-McClure loss, w the detector's confidence times the point's weight, and n_k
-//! the frames that keyframe k stands for. The path is evaluated at each observation's own capture
-//! time. Differs: the paper evaluates it at the frames of genlocked cameras, and has no stiffness.
+//! rho is the Geman-McClure loss, w the detector's confidence times the point's weight, and n_k the
+//! number of frames of keyframe k. The path is evaluated at each observation's own capture time.
+//! Differs: the paper evaluates it at the frames of genlocked cameras, and has no stiffness.
 
 mod chain_rule;
 mod config;

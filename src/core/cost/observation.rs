@@ -1,4 +1,4 @@
-//! What was seen of the performer, grouped by capture time.
+//! Observations of the performer, grouped by capture time.
 
 use nalgebra::Vector2;
 
@@ -11,18 +11,18 @@ pub struct Observation {
     pub point: usize,
     /// Index of the camera in the rig.
     pub camera: usize,
-    /// Where it was detected, pixels.
+    /// The detected position, pixels.
     pub pixel: Vector2<f64>,
     /// The detector's confidence, (0, 1].
     pub confidence: f64,
 }
 
-/// Everything seen at one capture time.
+/// All observations of one capture time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameObservations {
     /// The capture time.
     pub capture: Timestamp,
-    /// Sorted by point, so that the views of a point stand together.
+    /// Sorted by point, so that the views of a point are adjacent.
     observations: Vec<Observation>,
 }
 

@@ -1,4 +1,4 @@
-//! Memory of consecutive frames of a path, with the decoder's Jacobians at their codes.
+//! Memory for consecutive frames of a path, with the decoder's Jacobians at their codes.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -11,14 +11,14 @@ use crate::core::so3;
 /// Rows of the derivatives of the local rotations.
 pub(super) const LOCAL_ROWS: usize = 3 * BODY_JOINTS;
 
-/// Size of a frame's Jacobian of the decoder.
+/// Size of a frame's decoder Jacobian.
 const SIZE: usize = LOCAL_ROWS * LATENT;
 
-/// A Jacobian is carried from one iteration to the next at most this often, so that small steps soon
-/// become exact again.
+/// A Jacobian is carried from one iteration to the next at most this often, so that it becomes
+/// exact after a few small steps.
 const OLDEST: usize = 2;
 
-/// A step shorter than this leaves a Jacobian as it is: six digits of rotation cannot improve it.
+/// A shorter step leaves a Jacobian as it is: an update cannot improve six digits of rotation.
 const SHORTEST: f64 = 1e-2;
 
 /// Consecutive frames. A batch needs nothing from other batches.
@@ -27,18 +27,18 @@ pub(super) struct ObservationBatch {
     /// The code of each frame, as decoded.
     codes: Vec<Latent>,
     jacobians: Jacobians,
-    /// Where each frame's Jacobian is taken.
+    /// The code at which each frame's Jacobian is taken.
     linearised: Vec<Option<Linearised>>,
-    /// The source of each, and how far it will have been carried.
+    /// The source of each Jacobian, and the length of its way after this update.
     plan: Vec<(Source, f64)>,
     /// Right tangents of the local rotations by the code there, 63 x 32 for each frame.
     by_code: Vec<f32>,
     pub(super) tangents: Option<Tangents>,
-    /// Weighted rows of the frame at hand, (3 per point) x (coordinates of the frame).
+    /// Weighted rows of the present frame, (3 per point) x (coordinates of the frame).
     pub(super) rows: Vec<f32>,
     /// Gradient by the local rotations (right tangents), 63 for each frame.
     pub(super) by_rotation: Vec<f64>,
-    /// The same by the codes, 32 for each frame.
+    /// Gradient by the codes, 32 for each frame.
     code_gradients: Vec<f64>,
     /// The cost of each frame.
     pub(super) costs: Vec<f64>,
@@ -46,22 +46,22 @@ pub(super) struct ObservationBatch {
     pub(super) gradients: Vec<f64>,
     /// Hessian by each frame's coordinates.
     pub(super) grams: Vec<f32>,
-    /// The counts since it was made.
+    /// The counts since the batch was made.
     pub(super) counts: Counts,
 }
 
-/// Where a Jacobian of the decoder is taken.
+/// A code at which a Jacobian of the decoder is taken.
 #[derive(Clone, Debug)]
 struct Linearised {
     code: Latent,
     rotations: [Matrix3<f64>; BODY_JOINTS],
-    /// How far it was carried since the decoder gave it.
+    /// Length of its way since the decoder computed it.
     carried: f64,
-    /// How often it was carried to the next iteration of its frame.
+    /// Number of times it was carried to the next iteration of its frame.
     age: usize,
 }
 
-/// Where a frame's Jacobian comes from.
+/// The source of a frame's Jacobian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Source {
     /// The frame's own, from the iteration before.
@@ -72,13 +72,13 @@ enum Source {
 }
 
 impl ObservationBatch {
-    /// Another problem begins.
+    /// Starts another problem.
     pub(super) fn forget(&mut self) {
         self.codes.clear();
         self.linearised.clear();
     }
 
-    /// Decodes the codes of all frames at once, unless they are those decoded last.
+    /// Decodes the codes of all frames at once, unless they are the last decoded ones.
     pub(super) fn decode(
         &mut self,
         decoder: &Decoder,
@@ -96,14 +96,14 @@ impl ObservationBatch {
         }
     }
 
-    /// The local rotations of frame `m`, once decoded.
+    /// The local rotations of frame `m`, after decoding.
     pub(super) fn rotations(&self, m: usize) -> [Matrix3<f64>; BODY_JOINTS] {
         self.jacobians.rotations(m)
     }
 
-    /// Provides the decoder's Jacobian at the code of each frame: the frame's own, or that of the frame
-    /// before, carried there by a secant; or a new one if both come from codes further than `radius`
-    /// away, along the way, or were carried too often.
+    /// Provides the decoder's Jacobian at the code of each frame: the frame's own or that of the
+    /// frame before, updated by a secant. Computes a new one if both were carried further than
+    /// `radius` (length of the way) or too often.
     pub(super) fn linearise(&mut self, decoder: &Decoder, radius: f64) {
         let Self { codes, linearised, plan, jacobians, by_code, counts, .. } = self;
         by_code.resize(codes.len() * SIZE, 0.0);
@@ -148,13 +148,13 @@ impl ObservationBatch {
         }
     }
 
-    /// Right tangents of the local rotations of frame `m` by its code, once linearised: 63 x 32.
+    /// Right tangents of the local rotations of frame `m` by its code, after linearising: 63 x 32.
     pub(super) fn by_code(&self, m: usize) -> &[f32] {
         &self.by_code[m * SIZE..(m + 1) * SIZE]
     }
 
-    /// Completes the gradients, of `coordinates` numbers for each frame: the part by the code comes from
-    /// the gradient by the local rotations.
+    /// Completes the gradients, `coordinates` numbers for each frame: computes the part by the code
+    /// from the gradient by the local rotations.
     pub(super) fn pull_back(&mut self, decoder: &Decoder, coordinates: usize) {
         self.counts.gradients += self.codes.len();
         decoder.pull_back(&self.by_rotation, &mut self.jacobians, &mut self.code_gradients);
@@ -169,8 +169,8 @@ fn distance(a: &Latent, b: &Latent) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
-/// Broyden's update of a Jacobian: the smallest change that makes it predict how the rotations turned
-/// with the step \[Broyden 1965\].
+/// Broyden's update of a Jacobian: the smallest change that makes it predict the measured rotations
+/// of the step \[Broyden 1965\].
 fn secant(
     step: &Latent,
     from: &[Matrix3<f64>; BODY_JOINTS],
@@ -185,11 +185,11 @@ fn secant(
 }
 
 linalg::wide! {
-    /// Changes three rows so that row . step is how far a joint turned.
+    /// Changes three rows so that row . step is the rotation of a joint.
     fn broyden_update(step: &[f32; LATENT], turned: &Vector3<f32>, rows: &mut [f32]) {
         let square: f32 = step.iter().map(|s| s * s).sum();
         for (turned, row) in turned.iter().zip(rows.chunks_exact_mut(LATENT)) {
-            // Eight running sums, so that no addition waits for the one before.
+            // Eight running sums, so that the additions are independent.
             let mut predicted = [0.0; 8];
             for (row, step) in row.chunks_exact(8).zip(step.chunks_exact(8)) {
                 (0..8).for_each(|k| predicted[k] += row[k] * step[k]);

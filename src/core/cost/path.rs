@@ -1,9 +1,9 @@
 //! The cost of a path through keyframes, with its gradient and Gauss-Newton Hessian.
 //!
-//! Each frame is linearised in its own coordinates: code, rotation and position at its time, and the
-//! body. The chain rule takes the result to the unknowns of the two keyframes around it, by the
-//! derivative of the interpolation. All keyframes share a free body: then the normal equations are one
-//! dense block; else they are banded, with a block for each free keyframe.
+//! Each frame is linearised in its own coordinates: code, rotation and position at its time, and
+//! the body. The chain rule maps the result to the unknowns of the two keyframes around it, with
+//! the derivative of the interpolation. If the body is free, all keyframes share it, and the normal
+//! equations are one dense block; otherwise they are banded, with a block for each free keyframe.
 
 use super::chain_rule::{KeyframeTangent, block, keyframe_tangents};
 use super::config::Config;
@@ -62,9 +62,9 @@ impl Wanted<'_> {
 }
 
 impl<'a> PathProblem<'a> {
-    /// The problem of a path through the keyframes `path`, in order of time; with a single keyframe the
-    /// path is constant. The `free` coefficients of the body are solved for too, from those of
-    /// `skeleton`.
+    /// The problem of a path through the keyframes `path`, in order of time. With a single keyframe
+    /// the path is constant. The `free` coefficients of the body are unknowns too, and start from
+    /// those of `skeleton`.
     pub fn new(
         scene: Scene<'a>,
         path: Vec<PathKeyframe>,
@@ -89,7 +89,7 @@ impl<'a> PathProblem<'a> {
     }
 
     /// The cost of the observations up to a time, and of those after it, at the last evaluation, as
-    /// parts of the largest possible cost: that of a body far from all of them.
+    /// fractions of the largest possible cost (a body far from all of them).
     pub fn misfits(&self, time: Timestamp) -> [f64; 2] {
         let (mut costs, mut most) = ([0.0; 2], [0.0; 2]);
         let weight = |seen: &Observation| {
@@ -109,7 +109,7 @@ impl<'a> PathProblem<'a> {
         self.unknowns.start()
     }
 
-    /// The unknowns to start from, with `value` for each free keyframe; it gets the index in the path.
+    /// The unknowns to start from: `value` gives each free keyframe, from its index in the path.
     pub fn start_at(&self, value: impl Fn(usize, &PathKeyframe) -> Keyframe) -> Vec<f64> {
         self.unknowns.start_at(value)
     }
@@ -140,8 +140,8 @@ impl<'a> PathProblem<'a> {
         cost + self.work.costs().sum::<f64>()
     }
 
-    /// 1/2 n prior rho(|z|^2) of each free keyframe that stands for n frames, 1/2 shape prior |shape|^2,
-    /// 1/2 offset prior |offsets|^2, and the path's stiffness. Overwrites what is wanted.
+    /// 1/2 n prior rho(|z|^2) of each free keyframe of n frames, 1/2 shape prior |shape|^2,
+    /// 1/2 offset prior |offsets|^2, and the path's stiffness. Overwrites the `wanted` outputs.
     fn prior(&self, x: &[f64], wanted: &mut Wanted) -> f64 {
         let Config { prior, prior_dof, shape_prior, offset_prior, stiffness, .. } =
             *self.scene.config;
@@ -231,7 +231,7 @@ impl<'a> PathProblem<'a> {
     }
 }
 
-/// Adds the rows of a frame's Hessian that belong to the body.
+/// Adds the body's rows of a frame's Hessian.
 fn add_body_rows(
     unknowns: &Unknowns,
     tangents: &[Option<KeyframeTangent>],
@@ -258,7 +258,7 @@ fn square(v: &[f64]) -> f64 {
     v.iter().map(|v| v * v).sum()
 }
 
-/// out += v, as far as v goes.
+/// out += v, over the length of v.
 fn add<T: Copy + Into<f64>>(out: &mut [f64], v: &[T]) {
     out.iter_mut().zip(v).for_each(|(out, &v)| *out += v.into());
 }

@@ -47,7 +47,7 @@ impl StudentT {
             return (square, 1.0);
         }
         let (dof, all) = (self.dof, self.dof + LATENT as f64);
-        (all * (square / dof).ln_1p(), all / (square + dof))
+        (all * libm::log1p(square / dof), all / (square + dof))
     }
 }
 

@@ -138,7 +138,7 @@ impl Triple {
                 weights.rotation * by_rotation,
                 weights.position * by_position,
             ],
-            cost: 0.5 * frames * scale * ratios.iter().map(|ratio| ratio.ln()).sum::<f64>(),
+            cost: 0.5 * frames * scale * ratios.iter().map(|ratio| libm::log(*ratio)).sum::<f64>(),
         }
     }
 

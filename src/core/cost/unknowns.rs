@@ -11,39 +11,39 @@ use crate::core::manifold::{Keyframe, LATENT, TimedKeyframe};
 use crate::core::so3;
 use crate::core::time::Timestamp;
 
-/// Unknowns of one keyframe.
+/// Number of unknowns of one keyframe.
 pub(super) const KEYFRAME: usize = LATENT + 6;
 
-/// A frame this close to a keyframe, as a part of the time between two keyframes, takes its values.
+/// A frame takes the values of a keyframe within this fraction of the keyframe interval.
 const AT_KEYFRAME: f64 = 1e-4;
 
-/// A keyframe of a path that is solved.
+/// A keyframe of the path to solve.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathKeyframe {
-    /// Its time, and its value or the value to start from.
+    /// Its time, and its value or start value.
     pub timed: TimedKeyframe,
-    /// Whether it is solved for.
+    /// Whether it is an unknown.
     pub free: bool,
-    /// Number of nominal frames that it stands for: the factor of its prior and its stiffness.
+    /// Its number of nominal frames: the factor of its prior and its stiffness.
     pub frames: f64,
 }
 
 impl PathKeyframe {
-    /// One that is solved for, from that value, and stands for so many nominal frames.
+    /// A keyframe to solve, with its start value and its number of nominal frames.
     pub fn free(timed: TimedKeyframe, frames: f64) -> Self {
         Self { timed, free: true, frames }
     }
 
-    /// One that keeps its value.
+    /// A keyframe with a fixed value.
     pub fn fixed(timed: TimedKeyframe) -> Self {
         Self { timed, free: false, frames: 0.0 }
     }
 }
 
-/// The coefficients of the body that are solved for, besides the keyframes.
+/// The body coefficients that are unknowns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FreeBody {
-    /// Nothing.
+    /// None.
     Fixed,
     /// The shape.
     Shape,
@@ -51,19 +51,19 @@ pub enum FreeBody {
     ShapeAndOffsets,
 }
 
-/// The keyframes and the body that the unknowns stand for.
+/// The values of the unknowns: the keyframes and the body.
 #[derive(Clone, Debug)]
 pub(super) struct Unknowns {
     initial: Vec<PathKeyframe>,
     pub(super) keyframes: Vec<Keyframe>,
-    /// The rotation vector of each keyframe; zero where it is fixed.
+    /// The rotation vector of each keyframe; zero if it is fixed.
     pub(super) rotation_vectors: Vec<Vector3<f64>>,
     pub(super) skeleton: Skeleton,
-    /// How many coefficients of the body are solved for.
+    /// Number of free body coefficients.
     pub(super) body: usize,
 }
 
-/// A frame's place on the path: the two keyframes around it, and how far it is between them.
+/// A frame's place on the path: the two keyframes around it, and its position between them.
 #[derive(Clone, Copy)]
 pub(super) struct Place {
     pub(super) from: usize,
@@ -86,12 +86,12 @@ impl Unknowns {
         }
     }
 
-    /// How many there are.
+    /// Number of unknowns.
     pub(super) fn count(&self) -> usize {
         self.body_at() + self.body
     }
 
-    /// Number of a frame's own coordinates: code, rotation and position at its time, and the body.
+    /// Number of a frame's coordinates: code, rotation and position at its time, and the body.
     pub(super) fn coordinates(&self) -> usize {
         KEYFRAME + self.body
     }
@@ -110,27 +110,27 @@ impl Unknowns {
         }
     }
 
-    /// Whether a keyframe is solved for.
+    /// Whether a keyframe is an unknown.
     pub(super) fn is_free(&self, keyframe: usize) -> bool {
         self.initial[keyframe].free
     }
 
-    /// The number of a keyframe among those that are solved for.
+    /// The index of a keyframe among the free ones.
     pub(super) fn number(&self, keyframe: usize) -> usize {
         self.initial[..keyframe].iter().filter(|at| at.free).count()
     }
 
-    /// Where a keyframe is on the time axis.
+    /// The time of a keyframe.
     pub(super) fn capture(&self, keyframe: usize) -> Timestamp {
         self.initial[keyframe].timed.capture
     }
 
-    /// Number of nominal frames that a keyframe stands for.
+    /// Number of nominal frames of a keyframe.
     pub(super) fn frames(&self, keyframe: usize) -> f64 {
         self.initial[keyframe].frames
     }
 
-    /// The same of each keyframe that is solved for.
+    /// Number of nominal frames of each free keyframe.
     pub(super) fn free_frames(&self) -> impl Iterator<Item = f64> + '_ {
         self.initial.iter().filter(|at| at.free).map(|at| at.frames)
     }
@@ -160,7 +160,7 @@ impl Unknowns {
         x
     }
 
-    /// Moves the keyframes and the body to where `x` says.
+    /// Sets the keyframes and the body to the values `x`.
     pub(super) fn take(&mut self, x: &[f64]) {
         let mut rest = x;
         for (k, at) in self.initial.iter().enumerate().filter(|(_, at)| at.free) {
@@ -178,7 +178,7 @@ impl Unknowns {
         }
     }
 
-    /// The place of a capture time on the path; at a keyframe, if it is within a part in 10 000.
+    /// The place of a capture time on the path; a keyframe, if it is within a part in 10 000.
     pub(super) fn place(&self, capture: Timestamp) -> Place {
         let last = self.initial.len() - 1;
         if last == 0 {

@@ -1,5 +1,5 @@
-//! Memory of a problem: its frames in two batches, which are computed one after the other or at the
-//! same time, with the same results.
+//! Memory of a problem: its frames in two batches. Computing them in sequence or in parallel gives
+//! the same results.
 
 use nalgebra::Vector3;
 
@@ -7,11 +7,11 @@ use super::counts::Counts;
 use super::observation::FrameObservations;
 use super::observation_batch::ObservationBatch;
 
-/// Memory that problems use in turn; grows to the largest and stays.
+/// Memory for a series of problems; it grows to the largest and stays.
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
     pub(super) batches: [ObservationBatch; 2],
-    /// Whether the batches are computed at the same time.
+    /// Whether the batches are computed in parallel.
     in_parallel: bool,
     /// The points' offsets in their joints' frames, for the present shape.
     pub(super) offsets: Vec<Vector3<f64>>,
@@ -28,13 +28,13 @@ pub(super) fn in_batches(observations: &[FrameObservations]) -> [&[FrameObservat
 }
 
 impl Workspace {
-    /// Memory for problems whose batches are computed at the same time, in the `rayon` pool that the
-    /// problem is solved in.
+    /// Memory for problems whose batches are computed in parallel, in the `rayon` pool of the
+    /// caller.
     pub fn in_parallel() -> Self {
         Self { in_parallel: true, ..Self::default() }
     }
 
-    /// The counts since it was made.
+    /// The counts since the workspace was made.
     pub fn counts(&self) -> Counts {
         let [first, second] = &self.batches;
         first.counts + second.counts
@@ -45,7 +45,7 @@ impl Workspace {
         self.batches.iter().flat_map(|batch| &batch.costs).copied()
     }
 
-    /// Another problem begins.
+    /// Starts another problem.
     pub(super) fn forget(&mut self) {
         self.batches.iter_mut().for_each(ObservationBatch::forget);
     }

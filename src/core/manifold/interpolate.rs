@@ -4,8 +4,8 @@
 //! z(s) = sin((1 - s) a) / sin a * z0 + sin(s a) / sin a * z1, with a the angle between z0 and
 //! z1; the rotation along a slerp, the position along a line.
 //!
-//! Near a = 0 the weights are those of the line. Near a = pi they would grow without bound, so
-//! a is held at [`MAX_ANGLE`] there: the path stays continuous and meets both ends.
+//! Near a = 0 the weights are those of the line. Near a = pi they would become infinite, so a is
+//! limited to [`MAX_ANGLE`]: the path stays continuous and meets both ends.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,12 +14,12 @@ use crate::core::so3;
 
 /// Below this angle between codes (radians) the path is a line.
 const MIN_ANGLE: f64 = 1e-4;
-/// Above this angle (radians) the weights no longer follow the angle.
+/// Above this angle (radians) the weights no longer change with the angle.
 const MAX_ANGLE: f64 = 0.9 * std::f64::consts::PI;
 /// Codes shorter than this have no direction.
 const MIN_NORM: f64 = 1e-9;
 
-/// How the latent code runs between two keyframes.
+/// Interpolation of the latent code between two keyframes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Interpolation {
@@ -50,12 +50,12 @@ impl Interpolation {
         }
     }
 
-    /// The one with that name.
+    /// The interpolation with a name.
     pub fn named(name: &str) -> Option<Self> {
         [Self::Slerp, Self::Lerp].into_iter().find(|one| one.name() == name)
     }
 
-    /// The code at `s`, 0 at `z0` and 1 at `z1`. Values outside go on along the path.
+    /// The code at `s`, 0 at `z0` and 1 at `z1`. Other values extrapolate.
     pub fn latent(self, z0: &Latent, z1: &Latent, s: f64) -> Latent {
         let (w0, w1) = match self.angle(z0, z1) {
             Some(angle) => (slerp_weight(1.0 - s, angle).0, slerp_weight(s, angle).0),
@@ -75,7 +75,7 @@ impl Interpolation {
         let (_, dw0) = slerp_weight(1.0 - s, angle);
         let (w1, dw1) = slerp_weight(s, angle);
         let (n0, n1) = (norm(z0), norm(z1));
-        let (sin, cos) = angle.sin_cos();
+        let (sin, cos) = libm::sincos(angle);
         LatentTangent {
             scale: w1,
             across: std::array::from_fn(|i| dw0 * z0[i] + dw1 * z1[i]),
@@ -83,7 +83,7 @@ impl Interpolation {
         }
     }
 
-    /// The pose parameters at `s` between two keyframes.
+    /// The keyframe values at `s` between two keyframes.
     pub fn keyframe(self, from: &Keyframe, to: &Keyframe, s: f64) -> Keyframe {
         Keyframe {
             z: self.latent(&from.z, &to.z, s),
@@ -92,7 +92,7 @@ impl Interpolation {
         }
     }
 
-    /// The angle that the weights follow; `None` where they are those of a line.
+    /// The angle of the slerp weights; `None` for the weights of a line.
     fn angle(self, z0: &Latent, z1: &Latent) -> Option<f64> {
         if self == Self::Lerp {
             return None;
@@ -102,7 +102,7 @@ impl Interpolation {
             return None;
         }
         let dot: f64 = z0.iter().zip(z1).map(|(a, b)| a * b).sum();
-        let angle = (dot / (n0 * n1)).clamp(-1.0, 1.0).acos();
+        let angle = libm::acos((dot / (n0 * n1)).clamp(-1.0, 1.0));
         (angle > MIN_ANGLE).then_some(angle.min(MAX_ANGLE))
     }
 }
@@ -116,8 +116,8 @@ impl LatentTangent {
 
 /// sin(k a) / sin a and its derivative by a.
 fn slerp_weight(k: f64, angle: f64) -> (f64, f64) {
-    let (sin, cos) = angle.sin_cos();
-    let (sin_k, cos_k) = (k * angle).sin_cos();
+    let (sin, cos) = libm::sincos(angle);
+    let (sin_k, cos_k) = libm::sincos(k * angle);
     (sin_k / sin, (k * cos_k * sin - sin_k * cos) / (sin * sin))
 }
 

@@ -1,4 +1,4 @@
-//! Keyframes: the value, the value at a time, and the value that a tracker publishes.
+//! Keyframes: a value, a value with its time, and the keyframe that a tracker publishes.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -7,7 +7,7 @@ use crate::core::body::{Pose, Shape, StampedPose, TrackingState};
 use crate::core::so3;
 use crate::core::time::{Grid, Timestamp};
 
-/// A latent code and the position of the pelvis: what a window is solved for.
+/// A latent code and the pelvis: the unknowns of a window.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Keyframe {
     /// Latent code.
@@ -19,7 +19,7 @@ pub struct Keyframe {
 }
 
 impl Keyframe {
-    /// The nearest keyframe that a message holds bit for bit, so that every receiver decodes the same
+    /// The nearest keyframe that a message holds exactly, so that every receiver decodes the same
     /// poses; see [`so3::quantised`].
     pub fn quantised(self) -> Self {
         Self { root_rotation: so3::quantised(&self.root_rotation), ..self }
@@ -42,41 +42,41 @@ impl TimedKeyframe {
     }
 }
 
-/// A final keyframe, with all that a receiver needs to decode poses from it and the one before.
+/// A final keyframe, with all data to decode the poses between it and the keyframe before.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StampedKeyframe {
     /// Its capture time.
     pub capture: Timestamp,
-    /// The capture time of the keyframe before it; equal to `capture` where a path begins.
+    /// The capture time of the keyframe before; equal to `capture` at the start of a path.
     pub start: Timestamp,
-    /// Number of the window that it comes from, from 0.
+    /// Number of its window, from 0.
     pub window: u64,
     /// Its value.
     pub keyframe: Keyframe,
-    /// The body shape that it was solved with.
+    /// The body shape of its solve.
     pub shape: Shape,
-    /// How the latent code is interpolated from the keyframe before.
+    /// The interpolation of the latent code from the keyframe before.
     pub interpolation: Interpolation,
     /// The times of poses.
     pub grid: Grid,
-    /// How far the poses since `start` can be trusted.
+    /// The quality of the poses since `start`.
     pub state: TrackingState,
-    /// Version of the rig that it was solved with.
+    /// Version of the rig of its solve.
     pub rig_version: u64,
 }
 
 impl StampedKeyframe {
-    /// Whether a path begins here, so that no keyframe before it is needed.
+    /// Whether a path begins here; the keyframe before is then not needed.
     pub fn begins(&self) -> bool {
         self.start == self.capture
     }
 
-    /// The poses on the grid after the keyframe `before`, up to this one:
-    /// pose(t) = decoder(path((t - start) / (capture - start))). Where a path begins, the one pose at
-    /// `capture`; `before` is not used.
+    /// The poses on the grid after the keyframe `before`, up to this one: pose(t) = decoder(path((t
+    /// - start) / (capture - start))). At the start of a path, the one pose at `capture`; `before`
+    /// is not used.
     ///
-    /// `decoder` must have the weights that the keyframes were solved with. `None` if `before` is not
-    /// the keyframe at `start`.
+    /// `decoder` must have the weights of the solve. `None` if `before` is not the keyframe at
+    /// `start`.
     pub fn poses(&self, before: Option<&Self>, decoder: &Decoder) -> Option<Vec<StampedPose>> {
         if self.begins() {
             return Some(vec![self.stamped(self.capture, decoder.pose(&self.keyframe))]);

@@ -15,7 +15,7 @@ pub use transition::{
 };
 pub use weights::WeightsError;
 
-/// Numbers in a latent code.
+/// Size of a latent code.
 pub const LATENT: usize = 32;
 
 /// A latent code z.

@@ -1,18 +1,18 @@
-//! How likely a motion goes on as it does: a Gaussian model of one frame by the two before it.
+//! Transition model: a Gaussian of a keyframe, given the two keyframes before it.
 //!
-//! Of three keyframes a, b, c that are h seconds apart, with codes z, rotations R and positions p:
+//! For three keyframes a, b, c at steps of h seconds, with codes z, rotations R and positions p:
 //!
-//! - The state is what a and b show, the same wherever the person stands and faces: z_b, its rate
+//! - The state describes a and b, independent of the person's position and heading: z_b, its rate
 //!   (z_b - z_a) / h, up in the pelvis R_b^T e_y, its velocity R_b^T (p_b - p_a) / h, its angular
 //!   velocity w_ab / h with w_ab = log(R_a^T R_b), and ln(60 h).
-//! - The move is how c leaves the constant velocity, an acceleration: (z_c - 2 z_b + z_a) / h^2,
-//!   R_b^T (p_c - 2 p_b + p_a) / h^2 and (w_bc - w_ab) / h^2.
-//! - p(move | state) = N(mean, diag(deviation^2)). A network with SiLU between its layers gives
-//!   38 means m and 38 numbers v: mean = scale m, deviation = scale exp(v'/2),
-//!   v' = 5 tanh(v / 5), so that no deviation leaves 0.08 to 12 times the corpus's own (scale).
+//! - The move is the deviation of c from constant velocity, an acceleration:
+//!   (z_c - 2 z_b + z_a) / h^2, R_b^T (p_c - 2 p_b + p_a) / h^2 and (w_bc - w_ab) / h^2.
+//! - p(move | state) = N(mean, diag(deviation^2)). A network with SiLU between its layers gives 38
+//!   means m and 38 numbers v: mean = scale m, deviation = scale exp(v'/2), v' = 5 tanh(v / 5). So
+//!   each deviation is 0.08 to 12 times that of the corpus (scale).
 //!
-//! The height over the floor is no part of the state: the corpus's clips do not share a floor,
-//! and bodies with other legs have other heights.
+//! The height over the floor is not in the state: the corpus's clips do not share a floor, and
+//! height changes with leg length.
 
 use std::sync::Arc;
 
@@ -24,24 +24,24 @@ use super::{Decoder, Keyframe, LATENT, activation};
 use crate::core::linalg::{self, Accum};
 use crate::core::so3;
 
-/// Numbers of a state.
+/// Size of a state.
 pub const STATE: usize = 2 * LATENT + 10;
-/// Numbers of a move: code, position, rotation.
+/// Size of a move: code, position, rotation.
 pub const MOVE: usize = LATENT + 6;
-/// Unknowns of three keyframes: of each the code, a left tangent of its rotation, its position.
+/// Unknowns of three keyframes: for each its code, a left tangent of its rotation, its position.
 pub const THREE: usize = 3 * KEYFRAME;
 
-/// What two keyframes show; see the module.
+/// The state of two keyframes; see the module.
 pub type State = [f64; STATE];
-/// How the third goes on; see the module.
+/// The move to the third keyframe; see the module.
 pub type Move = [f64; MOVE];
 
 const KEYFRAME: usize = LATENT + 6;
-/// What the metadata calls the format.
+/// The format's name in the metadata.
 const FORMAT: &str = "bundlemocap-transition";
 /// The rate at which ln(60 h) is zero.
 const RATE: f64 = 60.0;
-/// Greatest size of the log variance, against the corpus's own.
+/// Largest absolute log variance, relative to that of the corpus.
 const WIDEST: f64 = 5.0;
 
 /// Where the parts of a state begin.
@@ -84,12 +84,12 @@ impl Transition {
         })
     }
 
-    /// The model that ships with the program; see `src/manifold/MODEL_CARD.md`.
+    /// The embedded model; see `src/core/manifold/MODEL_CARD.md`.
     pub fn embedded() -> Result<Self, WeightsError> {
         Self::from_bytes(include_bytes!("transition.safetensors"))
     }
 
-    /// Whether it was trained on codes of that decoder's manifold.
+    /// Whether it was trained on codes of a decoder.
     pub fn fits(&self, decoder: &Decoder) -> bool {
         self.manifold == format!("{:016x}", decoder.fingerprint())
     }
@@ -112,14 +112,14 @@ impl Transition {
             }
         }
         let out = work.values.last().map_or(&[][..], |values| &values[..]);
-        let deviation = |v: f64| (0.5 * WIDEST * (v / WIDEST).tanh()).exp();
+        let deviation = |v: f64| libm::exp(0.5 * WIDEST * libm::tanh(v / WIDEST));
         (
             std::array::from_fn(|i| self.scale[i] * out[i]),
             std::array::from_fn(|i| self.scale[i] * deviation(out[MOVE + i])),
         )
     }
 
-    /// The derivative of the mean last predicted by the state: 38 x 74, row-major.
+    /// The derivative of the last predicted mean by the state: 38 x 74, row-major.
     fn mean_tangent<'w>(&self, work: &'w mut TransitionWork) -> &'w [f32] {
         let last = self.layers.len() - 1;
         for (n, layer) in self.layers.iter().enumerate().rev() {
@@ -151,11 +151,13 @@ impl Transition {
     ) -> f64 {
         let (mean, deviation) = self.predict(&state_of(three[0], three[1], step), work);
         let found = move_of(three, step);
-        let of = |i: usize| 0.5 * ((found[i] - mean[i]) / deviation[i]).powi(2) + deviation[i].ln();
+        let of = |i: usize| {
+            0.5 * ((found[i] - mean[i]) / deviation[i]).powi(2) + libm::log(deviation[i])
+        };
         (0..MOVE).map(of).sum()
     }
 
-    /// The move less its mean, by those deviations.
+    /// The move minus its mean, divided by the deviations.
     pub fn residual(
         &self,
         three: [&Keyframe; 3],
@@ -168,8 +170,8 @@ impl Transition {
         std::array::from_fn(|i| (found[i] - mean[i]) / deviation[i])
     }
 
-    /// As [`Transition::residual`], with its derivative by the three keyframes, the deviations
-    /// held: 38 x 114, row-major.
+    /// [`Transition::residual`] with its derivative by the three keyframes at fixed deviations: 38
+    /// x 114, row-major.
     pub fn residual_with_tangent(
         &self,
         three: [&Keyframe; 3],
@@ -189,7 +191,7 @@ impl Transition {
     }
 }
 
-/// What a and b show, `step` seconds apart.
+/// The state of a and b, `step` seconds apart.
 pub fn state_of(a: &Keyframe, b: &Keyframe, step: f64) -> State {
     let mut state = [0.0; STATE];
     for i in 0..LATENT {
@@ -205,11 +207,11 @@ pub fn state_of(a: &Keyframe, b: &Keyframe, step: f64) -> State {
         state[VELOCITY + i] = velocity[i];
         state[SPIN + i] = spin[i];
     }
-    state[STATE - 1] = (RATE * step).ln();
+    state[STATE - 1] = libm::log(RATE * step);
     state
 }
 
-/// How c goes on after a and b, each `step` seconds after the one before.
+/// The move to c after a and b, each `step` seconds after the one before.
 pub fn move_of([a, b, c]: [&Keyframe; 3], step: f64) -> Move {
     let per = step.powi(-2);
     let bend = c.root_position - b.root_position * 2.0 + a.root_position;
@@ -227,7 +229,7 @@ pub fn move_of([a, b, c]: [&Keyframe; 3], step: f64) -> Move {
 struct Turns {
     /// v by R_b's left tangent: R_b^T \[u\]x.
     moved: Matrix3<f64>,
-    /// w by R_b's left tangent, and less w by R_a's: Jr(w)^-1 R_b^T.
+    /// w by R_b's left tangent, and the negative of w by R_a's: Jr(w)^-1 R_b^T.
     turned: Matrix3<f64>,
 }
 

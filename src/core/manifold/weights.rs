@@ -25,14 +25,14 @@ pub enum WeightsError {
     NotSafetensors(#[from] safetensors::SafeTensorError),
     /// Another kind or version of file.
     #[error(
-        "the weights' metadata has {key} = {found:?}, expected {expected:?}: train anew with this version's `bundlemocap train`"
+        "the weights' metadata has {key} = {found:?}, expected {expected:?}: train again with this version's `bundlemocap train`"
     )]
     Metadata {
         /// Metadata key.
         key: &'static str,
-        /// What the file says.
+        /// The value in the file.
         found: Option<String>,
-        /// What this version reads.
+        /// The expected value.
         expected: &'static str,
     },
     /// A tensor has another shape or type.
@@ -40,9 +40,9 @@ pub enum WeightsError {
     Shape {
         /// Tensor name.
         name: String,
-        /// What the file has.
+        /// The tensor in the file.
         found: String,
-        /// What fits.
+        /// The expected tensor.
         expected: String,
     },
     /// A tensor holds a number that is not finite.
@@ -63,7 +63,7 @@ pub(super) struct Layer {
 }
 
 impl Layer {
-    /// The weight as [in, out]: in that order rows are multiplied soonest.
+    /// The weight as [in, out], the fastest order for products with rows.
     pub fn transposed<T: From<f32>>(&self) -> Vec<T> {
         let column = |input| self.weight.iter().skip(input).step_by(self.inputs);
         (0..self.inputs).flat_map(column).map(|&w| T::from(w)).collect()
@@ -76,7 +76,7 @@ pub(super) fn decoder_layers(bytes: &[u8]) -> Result<Vec<Layer>, WeightsError> {
     layers(&SafeTensors::deserialize(bytes)?, "decoder", LATENT, OUTPUTS)
 }
 
-/// The metadata of a file of that format, in the version that is read here.
+/// The metadata of a file, after a check of its format and version.
 pub(super) fn checked_metadata(
     bytes: &[u8],
     format: &'static str,
@@ -92,7 +92,7 @@ pub(super) fn checked_metadata(
     Ok(metadata)
 }
 
-/// The layers of the network of that name, from its first to its last width.
+/// The layers of the network `name`, from its first to its last width.
 pub(super) fn layers(
     tensors: &SafeTensors,
     network: &str,
@@ -132,7 +132,7 @@ fn layer(
     Ok(Layer { inputs, outputs, weight, bias })
 }
 
-/// The numbers of a tensor of that shape.
+/// The values of a tensor of that shape.
 pub(super) fn numbers(
     tensors: &SafeTensors,
     name: &str,

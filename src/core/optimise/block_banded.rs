@@ -1,11 +1,11 @@
-//! Symmetric matrices of square blocks that vanish away from the diagonal.
+//! Symmetric block-banded matrices.
 
 use std::ops::Range;
 
 use nalgebra::RealField;
 
-/// The lower half of a symmetric matrix of `blocks` x `blocks` square blocks of `size`, in which
-/// block (i, j) vanishes where |i - j| exceeds the bandwidth.
+/// The lower half of a symmetric matrix of `blocks` x `blocks` square blocks of `size` rows. Block
+/// (i, j) is zero if |i - j| exceeds the bandwidth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlockBanded<T = f64> {
     size: usize,
@@ -17,7 +17,7 @@ pub struct BlockBanded<T = f64> {
 }
 
 impl<T: RealField + Copy> BlockBanded<T> {
-    /// All zero. `bandwidth` counts blocks beside the diagonal one.
+    /// A zero matrix. `bandwidth` is the number of blocks beside the diagonal one.
     pub fn zeros(size: usize, blocks: usize, bandwidth: usize) -> Self {
         let data = vec![T::zero(); size * blocks * (size * (bandwidth + 1) + 1)];
         Self { size, blocks, bandwidth, data }
@@ -28,7 +28,7 @@ impl<T: RealField + Copy> BlockBanded<T> {
         self.size
     }
 
-    /// How many block rows there are.
+    /// Number of block rows.
     pub fn blocks(&self) -> usize {
         self.blocks
     }
@@ -48,18 +48,18 @@ impl<T: RealField + Copy> BlockBanded<T> {
         self.data.fill(T::zero());
     }
 
-    /// How far apart in memory two columns are.
+    /// Distance of two columns in memory.
     pub(super) fn stride(&self) -> usize {
         self.size * (self.bandwidth + 1)
     }
 
-    /// What is in memory from the first entry of a block on the diagonal.
+    /// The memory from the first entry of a block on the diagonal.
     pub(super) fn tail_mut(&mut self, block: usize) -> &mut [T] {
         let first = block * self.size * (self.stride() + 1);
         &mut self.data[first..]
     }
 
-    /// The row after the last that a column has entries in.
+    /// One past the last row of a column's band.
     pub(super) fn end(&self, column: usize) -> usize {
         self.size * (column / self.size + 1 + self.bandwidth).min(self.blocks)
     }
@@ -70,19 +70,19 @@ impl<T: RealField + Copy> BlockBanded<T> {
         first + rows.start..first + rows.end
     }
 
-    /// Entries of a column, in rows that the band has there. Above the diagonal nothing counts, but
-    /// within a block on the diagonal it may be written.
+    /// Entries of a column, in the rows of the band. Entries above the diagonal are ignored, but
+    /// those of a diagonal block may be written.
     pub fn column(&self, rows: Range<usize>, column: usize) -> &[T] {
         &self.data[self.at(&rows, column)]
     }
 
-    /// As [`BlockBanded::column`], to change it.
+    /// [`BlockBanded::column`], mutable.
     pub fn column_mut(&mut self, rows: Range<usize>, column: usize) -> &mut [T] {
         let at = self.at(&rows, column);
         &mut self.data[at]
     }
 
-    /// An entry; those far from the diagonal are zero.
+    /// An entry; zero outside the band.
     pub fn entry(&self, i: usize, j: usize) -> T {
         let (i, j) = (i.max(j), i.min(j));
         if i < self.end(j) { self.column(i..i + 1, j)[0] } else { T::zero() }
@@ -99,7 +99,7 @@ impl<T: RealField + Copy> BlockBanded<T> {
         self.data[at] += value;
     }
 
-    /// Makes row and column i those of the identity, so that unknown i keeps its place.
+    /// Makes row and column i those of the identity, so that unknown i stays fixed.
     pub fn pin(&mut self, i: usize) {
         let first = (i / self.size).saturating_sub(self.bandwidth) * self.size;
         (first..i).for_each(|column| self.column_mut(i..i + 1, column).fill(T::zero()));
@@ -109,7 +109,7 @@ impl<T: RealField + Copy> BlockBanded<T> {
 }
 
 impl BlockBanded<f32> {
-    /// Takes the entries of another matrix of the same layout, rounded.
+    /// Copies the entries of a matrix of the same layout, rounded.
     pub fn round_from(&mut self, other: &BlockBanded) {
         self.data.iter_mut().zip(&other.data).for_each(|(mine, other)| *mine = *other as f32);
     }

@@ -8,16 +8,12 @@ use crate::core::linalg;
 #[derive(Clone, Debug)]
 pub struct Cholesky {
     lower: BlockBanded<f32>,
-    memory: linalg::Memory,
 }
 
 impl Cholesky {
     /// Memory for factors of matrices that are laid out as `matrix` is.
     pub fn like(matrix: &BlockBanded) -> Self {
-        Self {
-            lower: BlockBanded::zeros(matrix.size(), matrix.blocks(), matrix.bandwidth()),
-            memory: linalg::Memory::of_cholesky(matrix.size()),
-        }
+        Self { lower: BlockBanded::zeros(matrix.size(), matrix.blocks(), matrix.bandwidth()) }
     }
 
     /// Factorises A + diag(`damping`); gives a measure of the work, or `None` where that is not
@@ -27,14 +23,14 @@ impl Cholesky {
         matrix: &BlockBanded,
         damping: impl Fn(usize) -> f64,
     ) -> Option<usize> {
-        let Self { lower, memory } = self;
+        let Self { lower } = self;
         lower.round_from(matrix);
         (0..lower.dimension()).for_each(|i| lower.add_to_diagonal(i, damping(i) as f32));
         let (n, stride) = (lower.size(), lower.stride());
         let mut products = 0;
         for block in 0..lower.blocks() {
             let rows = lower.end(block * n) - block * n;
-            linalg::eliminate([n, rows - n], stride, lower.tail_mut(block), memory)?;
+            linalg::factor_block([n, rows - n], stride, lower.tail_mut(block))?;
             products += n * rows * rows;
         }
         Some(products)
@@ -46,7 +42,7 @@ impl Cholesky {
         for j in 0..self.lower.dimension() {
             let l = column(j);
             x[j] /= f64::from(l[0]);
-            linalg::add(-x[j], &l[1..], &mut x[j + 1..]);
+            linalg::axpy(-x[j], &l[1..], &mut x[j + 1..]);
         }
         for j in (0..self.lower.dimension()).rev() {
             let l = column(j);

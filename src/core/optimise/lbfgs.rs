@@ -1,7 +1,7 @@
 //! L-BFGS with a strong Wolfe line search \[Nocedal 2006, alg. 7.4, 3.5 and 3.6\].
 //!
-//! Constants as PyTorch's, which the paper used: c1 = 1e-4, c2 = 0.9, at most 25 trials in a
-//! line search, 100 pairs kept, first step min(1, 1 / |g|_1), a pair kept when y . s > 1e-10.
+//! The constants are those of PyTorch, which the paper used: c1 = 1e-4, c2 = 0.9, at most 25 trials
+//! in a line search, 100 pairs kept, first step min(1, 1 / |g|_1), a pair kept if y . s > 1e-10.
 
 use std::collections::VecDeque;
 
@@ -16,9 +16,9 @@ const MIN_CURVATURE: f64 = 1e-10;
 /// L-BFGS with a strong Wolfe line search.
 #[derive(Clone, Debug)]
 pub struct Lbfgs {
-    /// Stop when a step lowers the cost by less than this part of it.
+    /// Stop if a step lowers the cost by less than this fraction of it.
     pub change_threshold: f64,
-    /// Stop when no entry of the gradient exceeds this.
+    /// Stop if no entry of the gradient exceeds this.
     pub gradient_threshold: f64,
 }
 
@@ -138,7 +138,7 @@ impl Line<'_> {
         Trial { step, cost, slope: dot(&gradient, self.direction), gradient }
     }
 
-    /// Brackets a step that meets the strong Wolfe conditions, then zooms in on it.
+    /// Brackets a step that satisfies the strong Wolfe conditions, then zooms in on it.
     fn search(&mut self, start: &Trial, first: f64) -> Trial {
         let mut previous = start.clone();
         let mut step = first;
@@ -192,7 +192,7 @@ impl Line<'_> {
     }
 }
 
-/// The minimum of the cubic through two points and slopes, held between `low` and `high`.
+/// The minimum of the cubic through two points and slopes, clamped between `low` and `high`.
 fn cubic_minimum(p: &Trial, q: &Trial, low: f64, high: f64) -> f64 {
     let (p, q) = if p.step <= q.step { (p, q) } else { (q, p) };
     let d1 = p.slope + q.slope - 3.0 * (p.cost - q.cost) / (p.step - q.step);

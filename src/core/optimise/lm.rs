@@ -1,39 +1,39 @@
-//! Levenberg-Marquardt with the nonlinear gain ratio \[Nielsen 1999\], over banded normal equations:
-//! the time of a step is linear in the number of blocks. Where the cost changes little from step to step,
-//! so does its Hessian: then a step uses the last factor with the new gradient (a chord step), which
-//! takes a fraction of the time and ends at the same place.
+//! Levenberg-Marquardt with the nonlinear gain ratio \[Nielsen 1999\], over banded normal
+//! equations: the time of a step is linear in the number of blocks. If the cost changes little from
+//! step to step, so does its Hessian: then a step reuses the last factor with the new gradient (a
+//! chord step), which takes a fraction of the time and converges to the same minimum.
 
 use super::{Cholesky, NormalEquations, Optimiser, Problem, Summary, Termination};
 
-/// Levenberg-Marquardt: solves (H + mu D) step = -g with D the diagonal of H, and accepts a step
-/// when the cost really falls, however the model predicted it.
+/// Levenberg-Marquardt: solves (H + mu D) step = -g, D the diagonal of H, and accepts a step if the
+/// cost falls, whatever the model predicted.
 #[derive(Clone, Debug)]
 pub struct LevenbergMarquardt {
     /// First damping, relative to the diagonal.
     pub initial_damping: f64,
-    /// Stop when an accepted step lowers the cost by less than this part of it.
+    /// Stop if an accepted step lowers the cost by less than this fraction of it.
     pub change_threshold: f64,
-    /// Stop when no entry of the gradient exceeds this.
+    /// Stop if no entry of the gradient exceeds this.
     pub gradient_threshold: f64,
     memory: Option<Memory>,
 }
 
-/// Damping above which no step is tried any more.
+/// Above this damping no step is tried any more.
 const MAX_DAMPING: f64 = 1e12;
-/// A step that changes the cost by less than this part of it may be followed by a chord step.
+/// After a relative change of the cost below this, a chord step may follow.
 const CHORD_CHANGE: f64 = 0.5;
-/// So may one whose model predicted the change no worse than this.
+/// A chord step may also follow if the relative error of the predicted change is at most this.
 const CHORD_GAIN: f64 = 0.5;
-/// Keeps the damped diagonal positive where the Hessian's is zero.
+/// Keeps the damped diagonal positive where that of the Hessian is zero.
 const MIN_DIAGONAL: f64 = 1e-9;
 
-/// What a solve needs; kept for the next one of the same layout.
+/// Memory of a solve, reused for the next one of the same layout.
 #[derive(Clone, Debug)]
 struct Memory {
     equations: NormalEquations,
-    /// Of the damped Hessian.
+    /// Factor of the damped Hessian.
     factor: Cholesky,
-    /// That of the factor.
+    /// Damping of the factor.
     damping: f64,
     step: Vec<f64>,
     trial: Vec<f64>,
@@ -47,7 +47,7 @@ impl Default for LevenbergMarquardt {
 }
 
 impl LevenbergMarquardt {
-    /// Stops when an accepted step lowers the cost by less than this part of it.
+    /// Stops if an accepted step lowers the cost by less than this fraction of it.
     pub fn new(change_threshold: f64) -> Self {
         Self { change_threshold, ..Self::default() }
     }
@@ -61,19 +61,19 @@ impl Memory {
         Self { factor, damping: 0.0, equations, step: vec![0.0; n], trial: vec![0.0; n] }
     }
 
-    /// Factorises the damped Hessian; `None` where it is not positive definite.
+    /// Factorises the damped Hessian; `None` if it is not positive definite.
     fn factorise(&mut self, damping: f64) -> Option<()> {
         let Self { equations, factor, .. } = self;
         self.damping = damping;
         factor.factorise(&equations.hessian, |i| damping * scale(equations, i)).map(|_| ())
     }
 
-    /// Solves for the step; the decrease that the model predicts.
+    /// Solves for the step; returns the predicted decrease.
     fn solve(&mut self) -> f64 {
         let Self { equations, factor, damping, step, .. } = self;
         step.iter_mut().zip(&equations.gradient).for_each(|(step, g)| *step = -g);
         factor.solve(step);
-        // With H step = -g - mu D step, the decrease is 1/2 step . (mu D step - g).
+        // Since H step = -g - mu D step, the decrease is 1/2 step . (mu D step - g).
         let decrease = step.iter().zip(&equations.gradient).enumerate();
         decrease.map(|(i, (s, g))| 0.5 * s * (*damping * scale(equations, i) * s - g)).sum()
     }
@@ -164,8 +164,7 @@ impl LevenbergMarquardt {
     }
 }
 
-/// What the damping is multiplied by after a step that lowered the cost by `gain` times what the
-/// model predicted.
+/// Factor of the damping after a step that lowered the cost by `gain` times the prediction.
 fn next_damping(gain: f64) -> f64 {
     (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(1.0 / 10.0, 2.0)
 }

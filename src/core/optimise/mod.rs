@@ -1,8 +1,8 @@
-//! Optimisers that know no bodies: they minimise a [`Problem`] over a vector of numbers.
+//! Optimisers that minimise a [`Problem`] over a vector of numbers. They know nothing of bodies.
 //!
-//! [`LevenbergMarquardt`] uses normal equations whose robust weights the problem renews at each
-//! linearisation (IRLS); [`Lbfgs`] uses gradients alone. Both stop with a [`Termination`] that
-//! holds what was measured.
+//! [`LevenbergMarquardt`] uses normal equations; the problem renews their robust weights at each
+//! linearisation (IRLS). [`Lbfgs`] uses gradients alone. Both stop with a [`Termination`] that
+//! holds the measured values.
 
 mod block_banded;
 mod cholesky;
@@ -22,14 +22,14 @@ pub use termination::{Summary, Termination};
 
 /// A cost of some unknowns.
 pub trait Problem {
-    /// How the unknowns hang together.
+    /// The block structure of the unknowns.
     fn layout(&self) -> Layout;
 
     /// The cost at `x`.
     fn cost(&mut self, x: &[f64]) -> f64;
 
-    /// The cost at `x`; its gradient and a Gauss-Newton approximation of its Hessian go to
-    /// `normal`, which is overwritten.
+    /// The cost at `x`; overwrites `normal` with the gradient and a Gauss-Newton approximation of
+    /// the Hessian.
     fn linearise(&mut self, x: &[f64], equations: &mut NormalEquations) -> f64;
 
     /// The cost at `x`, with its gradient alone.
@@ -47,15 +47,15 @@ pub enum OptimiserKind {
     Lbfgs,
 }
 
-/// Something that minimises problems. It keeps its memory between calls.
+/// An optimiser. It keeps its memory between calls.
 pub trait Optimiser: Send {
     /// Minimises from `x`, in place, in at most `iterations` iterations.
     fn minimise(&mut self, problem: &mut dyn Problem, x: &mut [f64], iterations: usize) -> Summary;
 }
 
 impl OptimiserKind {
-    /// An optimiser of that kind that stops when a step lowers the cost by less than
-    /// `change_threshold` of it.
+    /// An optimiser of a kind that stops if a step lowers the cost by less than `change_threshold`
+    /// of it.
     pub fn optimiser(self, change_threshold: f64) -> Box<dyn Optimiser> {
         match self {
             Self::LevenbergMarquardt => Box::new(LevenbergMarquardt::new(change_threshold)),

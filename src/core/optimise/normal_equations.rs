@@ -1,31 +1,31 @@
-//! NormalEquations equations of a problem whose unknowns come in equal blocks.
+//! The normal equations of a problem whose unknowns form equal blocks.
 
 use super::block_banded::BlockBanded;
 
-/// How the unknowns of a problem hang together: equal blocks, of which only near ones share a term.
+/// The block structure of the unknowns: equal blocks, of which only near ones share a term.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
     /// Unknowns of a block.
     pub size: usize,
-    /// How many blocks there are.
+    /// Number of blocks.
     pub blocks: usize,
-    /// How many blocks apart two can be that share a term.
+    /// Largest distance of two blocks that share a term.
     pub bandwidth: usize,
 }
 
 impl Layout {
-    /// One block of `size` unknowns that all hang together.
+    /// One dense block of `size` unknowns.
     pub fn dense(size: usize) -> Self {
         Self { size, blocks: 1, bandwidth: 0 }
     }
 
-    /// How many unknowns there are.
+    /// Number of unknowns.
     pub fn dimension(&self) -> usize {
         self.size * self.blocks
     }
 }
 
-/// NormalEquations equations.
+/// Normal equations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NormalEquations {
     /// The gradient.
@@ -41,7 +41,7 @@ impl NormalEquations {
         Self { gradient: vec![0.0; layout.dimension()], hessian }
     }
 
-    /// What they are made for.
+    /// The layout of the unknowns.
     pub fn layout(&self) -> Layout {
         let Self { hessian, .. } = self;
         let (size, blocks, bandwidth) = (hessian.size(), hessian.blocks(), hessian.bandwidth());
@@ -54,9 +54,9 @@ impl NormalEquations {
         self.hessian.clear();
     }
 
-    /// Adds the term 1/2 weight |r|^2 of a residual that depends on some blocks: gives each block's
-    /// number with its Jacobian, row-major, as many rows as `residual` has. Blocks are in
-    /// ascending order and lie within the bandwidth.
+    /// Adds the term 1/2 weight |r|^2 of a residual: `blocks` gives the index of each block it
+    /// depends on with its Jacobian, row-major, one row per entry of `residual`. The blocks are in
+    /// ascending order and within the bandwidth.
     pub fn add(&mut self, weight: f64, residual: &[f64], by: &[(usize, &[f64])]) {
         let size = self.hessian.size();
         for (i, &(row, left)) in by.iter().enumerate() {
@@ -76,7 +76,7 @@ impl NormalEquations {
         }
     }
 
-    /// Keeps unknown i where it is.
+    /// Keeps unknown i fixed.
     pub fn pin(&mut self, i: usize) {
         self.gradient[i] = 0.0;
         self.hessian.pin(i);

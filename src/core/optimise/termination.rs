@@ -10,7 +10,7 @@ pub enum Termination {
         /// Threshold.
         threshold: f64,
     },
-    /// The cost changed by less than this part of itself.
+    /// The relative change of the cost fell below the threshold.
     SmallChange {
         /// Relative change.
         value: f64,
@@ -19,7 +19,7 @@ pub enum Termination {
     },
     /// No step lowers the cost any more.
     NoDescent {
-        /// The damping or step length at which it gave up.
+        /// The damping or step length of the last trial.
         value: f64,
     },
     /// The budget is used up.
@@ -44,7 +44,7 @@ impl Termination {
     }
 }
 
-/// What an optimiser did.
+/// The result of an optimiser.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
     /// Cost before.
@@ -60,7 +60,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// After the first evaluation, with a budget of `iterations`.
+    /// The state after the first evaluation, with a budget of `iterations`.
     pub(super) const fn at_start(cost: f64, iterations: usize) -> Self {
         Self {
             initial_cost: cost,

@@ -1,4 +1,4 @@
-//! Finding the performer in one frame set, with no pose known: association across views,
+//! Finding the performer in one frame set without a known pose: association across views,
 //! triangulation, the root from the torso, then a fit in two stages.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -17,7 +17,7 @@ use crate::core::time::Timestamp;
 
 /// People with fewer points are ignored.
 const MIN_POINTS: usize = 6;
-/// At most this many people of a view are tried.
+/// Only this many people of a view are tried.
 const MOST_PEOPLE: usize = 8;
 /// Distance from hips to shoulders, metres. Outside this range the views show different people.
 const TRUNK_LENGTH: std::ops::Range<f64> = 0.25..0.85;
@@ -28,12 +28,12 @@ const FIRST_STAGE: f64 = 5.0;
 #[derive(Clone, Debug)]
 pub(super) struct SeenPerformer {
     observations: Vec<Observation>,
-    /// Per fitted point, in the world.
+    /// A point per fitted keypoint, in the world.
     points: Vec<Option<Vector3<f64>>>,
     score: f64,
 }
 
-/// One person in one view: a pixel and a confidence per fitted point.
+/// One person in one view: a pixel and a confidence per fitted keypoint.
 struct Candidate {
     camera: usize,
     seen: Vec<Option<(Vector2<f64>, f64)>>,
@@ -50,8 +50,8 @@ impl Candidate {
         (seen.iter().flatten().count() >= MIN_POINTS).then_some(Self { camera, seen, extent })
     }
 
-    /// How well `points` project onto this person: the median error as a part of the person's
-    /// height, and the number of points within `gate` times the person's height in pixels.
+    /// The fit of the projected `points` to this person: the median error as a fraction of the
+    /// person's height, and the number of points within `gate` times that height, pixels.
     fn agreement(
         &self,
         rig: &Rig,
@@ -73,12 +73,12 @@ impl Candidate {
     }
 }
 
-/// The best-supported person in a frame set, seen by at least two cameras.
+/// The best-supported person of a frame set, seen by at least two cameras.
 ///
-/// Every pair of detections in two views proposes points in space; a proposal is scored by the
-/// number of points that agree, over all views, each view with the detection that agrees best
-/// and weighted by its height in pixels: cameras are pointed at the performer, who fills the
-/// image, and bystanders are small. Confidence says little here, since it differs between people.
+/// Every pair of detections in two views proposes points in space. A proposal's score is the number
+/// of points that agree, over all views, from the detection of each view that agrees best. Views
+/// are weighted by its height in pixels: the performer fills the image, and bystanders are small.
+/// Confidence is not used, since it differs between people.
 pub(super) fn find_performer(
     frames: &[&Detections],
     rig: &Rig,
@@ -197,7 +197,7 @@ impl Torso {
         Some(Self { mid_hip, up: (ls + rs) / 2.0 - mid_hip, left: (ls - rs) + (lh - rh) })
     }
 
-    /// The pelvis: y along the trunk, x to the left, hips where the detector saw them.
+    /// The pelvis frame: y along the trunk, x to the left, hips as detected.
     fn root(&self, body: &Skeleton) -> Option<(Matrix3<f64>, Vector3<f64>)> {
         let y = self.up.try_normalize(1e-6)?;
         let x = (self.left - y * y.dot(&self.left)).try_normalize(1e-6)?;
@@ -208,9 +208,9 @@ impl Torso {
     }
 }
 
-/// Fits a keyframe, and the body as far as it is `free`, to one frame set in two stages: with a wide
-/// loss from z = 0 and the root from the torso, then with the cost itself. `None` where the torso is not
-/// triangulated.
+/// Fits a keyframe, and the `free` coefficients of the body, to one frame set in two stages: with a
+/// wide loss from z = 0 and the root from the torso, then with the cost itself. `None` if the torso
+/// is not triangulated.
 pub(super) fn fit(
     seen: &SeenPerformer,
     scene: Scene,

@@ -41,7 +41,7 @@ impl Tracker {
         let at = first.capture;
         self.repeat_last_pose(window.start, at + -self.tolerance());
         if self.skeleton.is_none() && !self.ended && at > window.start + self.span() {
-            // Too few frames are left for the shape: collect them anew from here.
+            // Too few frames are left for the shape: collect frames again from here.
             self.close_until(at + -self.tolerance());
             self.start_windows_at(Some(at));
             return;
@@ -60,7 +60,7 @@ impl Tracker {
         self.phase = Phase::Tracking { past: vec![first], coasted: 0 };
     }
 
-    /// Goes on searching one window later.
+    /// Continues the search one window later.
     fn nobody_found(&mut self, window: Window) {
         let span = self.span();
         let end = window.end.min(window.start + span);
@@ -69,7 +69,7 @@ impl Tracker {
         self.event(EventKind::NobodyFound, end, None, "no person seen by two cameras".to_owned());
         let saw_nothing = self.intake.first().is_none_or(|first| first > end + span);
         self.close_until(end + self.tolerance());
-        // The grid of pose times goes on, but skips a gap in the stream.
+        // Keeps the grid of pose times, but skips a gap in the stream.
         match saw_nothing {
             true => self.start_windows_at(self.intake.first()),
             false => self.start = Some(end),
@@ -111,7 +111,7 @@ impl Tracker {
         self.window += 1;
     }
 
-    /// Publishes the newest pose as a provisional one, if there is none yet, and the final ones.
+    /// Publishes the newest pose as a provisional one if it has none yet, and then the final poses.
     fn publish_poses(
         &mut self,
         window: Window,
@@ -143,7 +143,8 @@ impl Tracker {
         }
     }
 
-    /// The phase after a window in that state, with its final keyframes and those ahead.
+    /// The phase after a window with that verdict, from its final keyframes and the look-ahead
+    /// ones.
     fn enter_phase(
         &mut self,
         done: Vec<TimedKeyframe>,
@@ -166,7 +167,7 @@ impl Tracker {
             TrackingState::Lost => self.ahead.clear(),
         }
         if !self.is_proven {
-            // The body was found together with a pose that was wrong at once.
+            // The body was found together with a wrong pose.
             (self.skeleton, self.phase) = (None, Phase::Searching);
         }
     }

@@ -1,4 +1,4 @@
-//! Which of the detected people is the performer.
+//! Selects the performer among the detected people.
 //!
 //! A view may hold bystanders, several detections that are parts of the performer, or nobody.
 //! While tracking, each view is followed from frame to frame: the detection nearest to the last
@@ -14,11 +14,11 @@ use crate::core::cost::{FrameObservations, Observation};
 use crate::core::detections::{Detections, Person};
 use crate::core::time::Timestamp;
 
-/// Frames this close in time, ns, are put together: cameras on one clock differ by microseconds, and at
-/// 5 m/s this is half a millimetre. Each capture time costs a decoding.
+/// Frames closer in time than this, ns, are merged: cameras on one clock differ by microseconds,
+/// and at 5 m/s this is half a millimetre. Each capture time costs a decoding.
 const SAME_TIME: i64 = 100_000;
 
-/// Where each fitted point of the performer is expected in a view.
+/// The expected pixel of each fitted keypoint of the performer in a view.
 type Expected = Vec<Option<Vector2<f64>>>;
 
 /// Height of a set of points in the image, pixels: the longer side of their bounding box.
@@ -32,8 +32,8 @@ pub(super) fn extent(points: impl Iterator<Item = Vector2<f64>>) -> f64 {
     (high - low).max().max(0.0)
 }
 
-/// What was seen of the performer in `frames`, which are in order of capture time, each view
-/// followed from where `pose` is in it; grouped by capture time.
+/// The performer's observations in `frames` (in order of capture time), grouped by capture time.
+/// Each view is followed from its projection of `pose`.
 pub fn follow<'d>(
     frames: impl Iterator<Item = &'d Detections>,
     points: &[BodyPoint],
@@ -59,8 +59,8 @@ struct Follower<'a> {
 }
 
 impl Follower<'_> {
-    /// What was seen of the performer in `frames`, which are in order of capture time, grouped
-    /// by capture time, to [`SAME_TIME`].
+    /// The performer's observations in `frames` (in order of capture time), grouped by capture time
+    /// within [`SAME_TIME`].
     fn observations<'d>(
         &mut self,
         frames: impl Iterator<Item = &'d Detections>,
@@ -98,7 +98,7 @@ impl Follower<'_> {
         seen
     }
 
-    /// The median distance of a person's points to where they are expected, pixels.
+    /// The median distance of a person's points from the expected ones, pixels.
     fn distance(&self, person: &Person, expected: &Expected) -> Option<f64> {
         let mut distances: Vec<f64> = self
             .points
@@ -127,7 +127,7 @@ impl Follower<'_> {
     }
 }
 
-/// A person's detection of a point, if it is confident enough.
+/// A person's detection of a point, if its confidence is sufficient.
 pub(super) fn usable<'p>(
     person: &'p Person,
     point: &BodyPoint,
@@ -137,7 +137,7 @@ pub(super) fn usable<'p>(
     (seen.confidence >= config.min_confidence).then_some(seen)
 }
 
-/// The median; of an even number, the upper of the two in the middle.
+/// The median; of an even count, the upper of the two in the middle.
 pub(super) fn median(values: &mut [f64]) -> f64 {
     if values.is_empty() {
         return 0.0;

@@ -11,16 +11,16 @@ use crate::core::optimise::OptimiserKind;
 pub struct Config {
     /// Frames per second of the cameras; 0 estimates it from the first frames.
     pub frame_rate_hz: f64,
-    /// Nominal frames in a window: its keyframes are solved together.
+    /// Nominal frames in a window; the keyframes of a window are solved together.
     pub window_frames: usize,
     /// Nominal frames from one keyframe to the next, at most a window.
     pub keyframe_frames: usize,
-    /// Nominal frames of a window, from its start, that are final. The next window starts after them;
-    /// the others are look-ahead. A multiple of `keyframe_frames`, at most a window.
+    /// Nominal frames of a window, from its start, that are final. The next window starts after
+    /// them; the rest is look-ahead. A multiple of `keyframe_frames`, at most a window.
     pub publish_frames: usize,
     /// Nominal frames that a window waits for a late camera.
     pub deadline_frames: usize,
-    /// Windows that are collected before the first solve; the shape is solved from them.
+    /// Windows that are collected before the first solve; they determine the shape.
     pub shape_windows: usize,
     /// Most iterations of a window's solve.
     pub iterations: usize,
@@ -29,17 +29,18 @@ pub struct Config {
     /// Update the keypoint offsets every this many windows, at most 25 times; 0 keeps them at zero.
     /// Differs: the paper has none.
     pub offset_windows: usize,
-    /// The median error of the detections, pixels, at which the weights of prior and stiffness hold as
-    /// they are. At other errors they are scaled by the square of the ratio; 0 never scales. Differs:
-    /// the paper has fixed weights.
+    /// The median error of the detections, pixels, at which the weights of prior and stiffness are
+    /// used unchanged. At other errors they are scaled by the square of the ratio; 0 never scales.
+    /// Differs: the paper has fixed weights.
     pub reference_residual_px: f64,
-    /// Windows in a row that are extrapolated while too little is seen, before the performer is lost.
+    /// Number of windows in a row that are extrapolated for lack of detections, before the
+    /// performer is lost.
     pub coast_windows: usize,
-    /// A camera is no longer waited for after this many windows in a row that closed without it.
+    /// Windows stop waiting for a camera after this many windows in a row closed without it.
     pub grace_windows: usize,
     /// Iterations of each stage of the acquisition.
     pub acquisition_iterations: usize,
-    /// An optimiser stops when a step lowers the cost by less than this fraction.
+    /// An optimiser stops if a step lowers the cost by less than this fraction.
     pub change_threshold: f64,
     /// The optimiser of the windows.
     pub optimiser: OptimiserKind,
@@ -53,21 +54,21 @@ pub struct Config {
     pub gate: Gate,
 }
 
-/// Gates of association and of the verdict on a window. Lengths in the image are parts of the
+/// Gates of association and of the verdict on a window. Lengths in the image are fractions of the
 /// performer's height in that image, so that they hold at any distance and resolution.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Gate {
     /// A triangulated point agrees with a view within this part of the person's height.
     pub agree: f64,
-    /// A detected person is the performer when half of its points lie within this of where the
-    /// performer was expected.
+    /// A detected person is the performer if half of its points lie within this of their expected
+    /// positions.
     pub follow: f64,
-    /// A window is lost when the median residual exceeds this.
+    /// A window is lost if the median residual exceeds this.
     pub lost_residual: f64,
-    /// A window is lost when |z| exceeds this.
+    /// A window is lost if |z| exceeds this.
     pub lost_latent: f64,
-    /// A window is lost when fewer observations a frame than this are left.
+    /// A window is lost if it has fewer observations per frame than this.
     pub lost_observations: f64,
 }
 
@@ -123,7 +124,7 @@ impl Config {
         }
     }
 
-    /// The coefficients of the body that the first windows are solved for.
+    /// The body coefficients that the first windows solve.
     pub(super) fn free_body(&self) -> FreeBody {
         if self.offset_windows > 0 { FreeBody::ShapeAndOffsets } else { FreeBody::Shape }
     }

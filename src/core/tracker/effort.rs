@@ -9,7 +9,7 @@ pub struct Effort {
     pub iterations: usize,
     /// Most iterations of a provisional fit of the open window; 0: no fit.
     pub provisional_iterations: usize,
-    /// Every how many frames of a camera one is used.
+    /// Use every Nth frame of a camera.
     pub stride: usize,
 }
 
@@ -17,7 +17,7 @@ impl Effort {
     /// The number of steps by which effort can be lowered.
     pub const LEVELS: u32 = 6;
 
-    /// The effort that the settings ask for.
+    /// The effort in the settings.
     pub fn full(config: &Config) -> Self {
         Self {
             iterations: config.iterations,
@@ -26,8 +26,8 @@ impl Effort {
         }
     }
 
-    /// The effort at a level, less with each: first fewer iterations, then fewer frames. The keyframes
-    /// stay where they are, so that the latency does not grow.
+    /// The effort at a degradation level: higher levels first use fewer iterations, then fewer
+    /// frames. The keyframes stay the same, so that the latency does not grow.
     pub fn at(level: u32, config: &Config) -> Self {
         let full = Self::full(config);
         let part = |count: usize, of: usize| (count / of).max(1).min(count);

@@ -1,4 +1,4 @@
-//! Events: everything that goes wrong with the input or a window is reported and counted.
+//! Events: every fault of the input or of a window is reported and counted.
 
 use crate::core::time::Timestamp;
 
@@ -7,9 +7,9 @@ use crate::core::time::Timestamp;
 pub enum EventKind {
     /// Detections arrived after their window was closed; they are not used.
     Late,
-    /// A frame came twice; the second is not used.
+    /// A frame arrived twice; the second is not used.
     Duplicate,
-    /// A frame came after a later one of its camera; it is used.
+    /// A frame arrived after a later one of its camera; it is used.
     OutOfOrder,
     /// Frames are missing in a camera's count.
     Missing,
@@ -21,15 +21,15 @@ pub enum EventKind {
     Acquired,
     /// Nobody was found in a window while searching.
     NobodyFound,
-    /// A window fitted badly; its poses are flagged and the performer is searched anew.
+    /// A window fitted badly; its poses are flagged and the search starts again.
     Lost,
-    /// Too little was seen of the performer in a window; the motion was extrapolated.
+    /// Too little of the performer was seen in a window; the motion was extrapolated.
     Coasted,
-    /// The performer was not seen for too long and is searched anew.
+    /// The performer was not seen for too long; the search starts again.
     Left,
-    /// A camera is no longer waited for.
+    /// Windows no longer wait for a camera.
     Silent,
-    /// A camera that was silent is waited for again.
+    /// Windows wait again for a camera that was silent.
     Returned,
     /// A pose was due before its window was solved; an extrapolated one took its place.
     Overdue,
@@ -39,7 +39,7 @@ pub enum EventKind {
     Latency,
     /// The solver's effort changed.
     Effort,
-    /// A camera's clock differs from the others', or agrees again.
+    /// A camera's clock differs from the others, or agrees again.
     ClockOffset,
     /// Capture times jumped; the frames are not used.
     ClockJump,
@@ -107,18 +107,18 @@ impl EventKind {
     }
 }
 
-/// Something that happened, with its evidence.
+/// An event with its evidence.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Event {
-    /// The capture time it is about.
+    /// The capture time of the event.
     pub capture: Timestamp,
-    /// What happened.
+    /// The kind.
     pub kind: EventKind,
-    /// Index of the camera, where one is to blame.
+    /// Index of the camera, if one is concerned.
     pub camera: Option<usize>,
     /// The window, where one is concerned.
     pub window: Option<u64>,
-    /// How often; frames for `Missing`.
+    /// Number of occurrences; for `Missing`, number of frames.
     pub count: u64,
     /// The measured values and thresholds.
     pub detail: String,

@@ -1,4 +1,4 @@
-//! Detections between arrival and use: ordered by capture time, each frame once.
+//! The buffer of detections between arrival and use: ordered by capture time, each frame once.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use super::event::{Event, EventKind};
 use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::time::Timestamp;
 
-/// A camera's rate is estimated once it has shown this many frames.
+/// Frames of a camera that are needed to estimate its rate.
 const RATE_FRAMES: usize = 5;
 /// Usual frame rates; a measured rate within [`SAME_RATE`] of one is replaced by it.
 const COMMON_RATES_HZ: [f64; 14] = [
@@ -31,7 +31,7 @@ const SAME_RATE: f64 = 3e-4;
 const RATES_HZ: std::ops::RangeInclusive<f64> = 1.0..=1000.0;
 /// A frame counter is used if its period is this close to the median step in time.
 const SAME_STEP: f64 = 0.2;
-/// A capture time this far past all others, ns, is accepted only once a second one is near it.
+/// A capture time this far after all others, ns, is accepted only if a second one is near it.
 const MAX_JUMP: i64 = 5_000_000_000;
 /// If more frames than this seem to be missing at once, the counter has jumped.
 const MAX_MISSING: u64 = 1_000_000;
@@ -51,9 +51,9 @@ pub(super) struct Intake {
     frames: BTreeMap<(Timestamp, usize, u64), Arc<Detections>>,
     cameras: Vec<Seen>,
     format: Option<KeypointFormat>,
-    /// Frames up to here are no longer used.
+    /// Frames up to this time are no longer used.
     closed: Option<Timestamp>,
-    /// A capture time far past all others, not accepted yet.
+    /// A capture time far after all others, not accepted yet.
     stray: Option<Timestamp>,
 }
 
@@ -68,7 +68,7 @@ impl Intake {
         }
     }
 
-    /// Adds a frame; an event if something is wrong with it.
+    /// Adds a frame; returns an event if the frame has a fault.
     pub(super) fn add(&mut self, frame: Detections) -> Option<Event> {
         let event = |kind, detail: String| {
             Some(Event {
@@ -121,8 +121,8 @@ impl Intake {
         found
     }
 
-    /// The format in use after `camera` spoke for `format`: the first one, until more cameras speak
-    /// for another.
+    /// The format in use after a frame of `camera` in `format`: the first one, until more cameras
+    /// send another.
     fn vote(&mut self, camera: usize, format: KeypointFormat) -> KeypointFormat {
         self.cameras[camera].format = Some(format);
         let votes = |format| self.cameras.iter().filter(|c| c.format == Some(format)).count();
@@ -135,7 +135,7 @@ impl Intake {
         new
     }
 
-    /// The order of the points, once something came.
+    /// The order of the keypoints, after the first frame.
     pub(super) fn format(&self) -> Option<KeypointFormat> {
         self.format
     }
@@ -155,8 +155,8 @@ impl Intake {
         self.cameras.iter().filter_map(|seen| seen.watermark).max()
     }
 
-    /// The latest capture time that two cameras have reached: a single camera whose clock is ahead does
-    /// not count. With one camera, its own.
+    /// The latest capture time that two cameras have reached, so that a single camera with a fast
+    /// clock does not count. With one camera, its own.
     pub(super) fn front(&self) -> Option<Timestamp> {
         let mut watermarks: Vec<_> =
             self.cameras.iter().filter_map(|seen| seen.watermark).collect();
@@ -164,13 +164,13 @@ impl Intake {
         watermarks.iter().rev().nth(1).or(watermarks.last()).copied()
     }
 
-    /// Cameras that have not shown a frame at or after `time`.
+    /// Cameras without a frame at or after `time`.
     pub(super) fn behind(&self, time: Timestamp) -> impl Iterator<Item = usize> {
         let is_behind = move |seen: &Seen| seen.watermark.is_none_or(|watermark| watermark < time);
         (0..).zip(&self.cameras).filter(move |(_, seen)| is_behind(seen)).map(|(camera, _)| camera)
     }
 
-    /// The nominal frame period, ns, of the fastest camera that has shown enough frames.
+    /// The nominal frame period, ns, of the fastest camera with a known rate.
     pub(super) fn frame_period(&self) -> Option<f64> {
         let periods = (0..self.cameras.len()).filter_map(|camera| self.period_of(camera));
         periods.min_by(f64::total_cmp).map(|period| {
@@ -180,8 +180,8 @@ impl Intake {
         })
     }
 
-    /// The usual step between a camera's capture times; from its counter, where that agrees,
-    /// since it bridges lost frames and averages jitter.
+    /// The usual step between a camera's capture times; from its frame counter, if that agrees,
+    /// since the counter bridges lost frames and averages jitter.
     fn period_of(&self, camera: usize) -> Option<f64> {
         let mine: Vec<_> = self.frames.keys().filter(|(_, c, _)| *c == camera).collect();
         let (first, last) = (mine.first()?, mine.last()?);
@@ -203,7 +203,7 @@ impl Intake {
             .collect()
     }
 
-    /// The latest capture time that a camera has shown.
+    /// The latest capture time of a camera.
     pub(super) fn watermark(&self, camera: usize) -> Option<Timestamp> {
         self.cameras.get(camera)?.watermark
     }
@@ -213,7 +213,7 @@ impl Intake {
         self.cameras.get(camera).map_or(0, |seen| seen.used)
     }
 
-    /// Whether anybody is in the frames of the buffer.
+    /// Whether the frames in the buffer show anybody.
     pub(super) fn shows_somebody(&self) -> bool {
         self.frames.values().any(|frame| !frame.people.is_empty())
     }

@@ -15,7 +15,7 @@ use crate::core::time::Timestamp;
 /// A job for the solver.
 #[derive(Clone, Debug)]
 pub struct Job {
-    /// Number of the job, from 0; its solution has the same one.
+    /// Number of the job, from 0; its solution has the same number.
     pub number: u64,
     /// Number of the window, from 0.
     pub window: u64,
@@ -27,21 +27,22 @@ pub struct Job {
     pub publish: Timestamp,
     /// Times of its keyframes; `publish` and `end` are among them.
     pub keyframe_times: Vec<Timestamp>,
-    /// Times at which final poses are wanted, after `start`.
+    /// Times of the requested final poses, after `start`.
     pub pose_times: Vec<Timestamp>,
     /// Detections in order of capture time.
     pub frames: Vec<Arc<Detections>>,
-    /// The order of the detectors' points.
+    /// The order of the keypoints.
     pub format: KeypointFormat,
     /// The cameras.
     pub rig: Arc<Rig>,
-    /// Nominal frame period, ns, even. Detections of less than half of it apart belong to one frame set.
+    /// Nominal frame period, ns, even. Detections less than half of it apart belong to one frame
+    /// set.
     pub frame_period: i64,
-    /// The work to spend.
+    /// The effort of the solve.
     pub effort: Effort,
-    /// Errors of the detections in the windows before.
+    /// Residual level of the windows before.
     pub noise: Noise,
-    /// What to solve, and from what.
+    /// The kind of the job, with its start values.
     pub task: Task,
 }
 
@@ -60,7 +61,7 @@ impl Job {
         })
     }
 
-    /// How many nominal frames those are, at least 1.
+    /// Number of nominal frames to use, at least 1.
     pub(super) fn used_count(&self) -> usize {
         let period = self.frame_period.max(1);
         let frames = (self.end - self.start + period / 2) / period;
@@ -68,7 +69,7 @@ impl Job {
     }
 }
 
-/// The kind of a job, with what is known before.
+/// The kind of a job, with its known values.
 #[derive(Clone, Debug)]
 pub enum Task {
     /// Find the performer, and the body shape if it is not known.
@@ -78,7 +79,7 @@ pub enum Task {
     },
     /// Solve the window's keyframes.
     Track {
-        /// The last keyframes that are final, at most two, the last at the window's start.
+        /// The last final keyframes, at most two, the last at the window's start.
         past: Vec<TimedKeyframe>,
         /// Keyframes of the window from earlier solves, to start from.
         ahead: Vec<TimedKeyframe>,
@@ -86,7 +87,7 @@ pub enum Task {
         skeleton: Arc<Skeleton>,
         /// The keypoint offsets so far.
         estimator: Arc<OffsetEstimator>,
-        /// Windows in a row, before this one, in which too little was seen.
+        /// Number of windows in a row before this one with too few detections.
         coasted: usize,
     },
     /// Fit the open window up to its newest frame set.
@@ -121,7 +122,7 @@ pub enum Outcome {
         /// The pose of the first keyframe.
         pose: Box<Pose>,
     },
-    /// Nobody was seen well enough by two cameras.
+    /// No person was seen well enough by two cameras.
     NobodyFound,
     /// A window was solved; see the verdict.
     Tracked(Box<Tracked>),
@@ -136,7 +137,7 @@ pub struct ProvisionalFit {
     pub keyframes: Vec<TimedKeyframe>,
     /// The pose of the last one.
     pub pose: Pose,
-    /// Whether too little was seen; then the motion was extrapolated.
+    /// Whether too little was seen; the motion is then extrapolated.
     pub hidden: bool,
 }
 
@@ -149,7 +150,7 @@ pub struct Tracked {
     pub poses: Vec<Pose>,
     /// The pose at its end.
     pub newest: Pose,
-    /// What the optimiser did, if the window was solved.
+    /// The result of the optimiser, if the window was solved.
     pub summary: Option<Summary>,
     /// The distance of each observation up to the job's `publish` from the solved body.
     pub residuals: Vec<Residual>,
@@ -166,7 +167,7 @@ pub enum Verdict {
     Tracked,
     /// Too little was seen; the motion was extrapolated.
     Coasted(String),
-    /// The fit is bad, or nothing was seen for too long.
+    /// The fit is bad, or too little was seen for too long.
     Lost(String),
 }
 

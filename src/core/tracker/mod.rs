@@ -1,16 +1,16 @@
 //! Tracking one performer, without I/O.
 //!
-//! Give an input to [`Tracker::handle`], then call [`Tracker::poll`] until it returns `None`. The tracker
-//! reads no clock, no file and no socket. Solving is I/O too: [`Output::Solve`] holds a [`Job`],
-//! [`Solver::solve`] solves it, on any thread, and the solution goes back as [`Input::Solved`]. The same
-//! inputs in the same order give the same outputs, byte for byte. On one thread,
-//! [`Tracker::poll_and_solve`] does both, and [`run_to_end`] runs a whole recording.
+//! Give an input to [`Tracker::handle`], then call [`Tracker::poll`] until it returns `None`. The
+//! tracker reads no clock, no file and no socket. It does not solve either: [`Output::Solve`] holds
+//! a [`Job`], [`Solver::solve`] solves it on any thread, and the solution goes back as
+//! [`Input::Solved`]. The same inputs in the same order give the same outputs, byte for byte. On
+//! one thread, [`Tracker::poll_and_solve`] does both, and [`run_to_end`] runs a whole recording.
 //!
-//! A window is `window_frames` nominal frame periods long. When it is solved, its first
-//! `publish_frames` are final, and the next window starts after them. A window closes when every camera
-//! has shown a frame at its end or later, or when its deadline passes: `deadline_frames` after its end,
-//! on the newest capture time or, live, on the clock of [`Input::Tick`]. At most one job is with the
-//! solver at a time.
+//! A window is `window_frames` nominal frame periods long. After its solve, its first
+//! `publish_frames` are final, and the next window starts after them. A window closes when every
+//! camera has sent a frame at its end or later, or when its deadline passes: `deadline_frames`
+//! after its end, measured on the newest capture time or, live, on the clock of [`Input::Tick`].
+//! The solver has at most one job at a time.
 
 mod acquire;
 mod apply;

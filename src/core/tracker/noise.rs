@@ -1,4 +1,4 @@
-//! The residual level of the detections, which scales prior and stiffness.
+//! The residual level of the detections, which scales the prior and the stiffness.
 //!
 //! The cost is in square pixels. If the errors of a detector have twice the variance, its detections
 //! carry half the information, so the weights of prior and stiffness are proportional to the variance.
@@ -6,10 +6,10 @@
 use super::association::median;
 use crate::core::time::Timestamp;
 
-/// The running mean covers about this many windows.
+/// Number of windows that the running mean covers, about.
 const WINDOWS: f64 = 20.0;
-/// Limits of the weights' factor: small errors leave those of our model, and poses must still follow
-/// detections with large ones.
+/// Limits of the weights' factor: small errors leave the errors of our model, and with large errors
+/// poses must still follow the detections.
 const FACTORS: (f64, f64) = (0.3, 2.0);
 
 /// The distance of a detected point from the solved body.
@@ -39,7 +39,7 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// With the residuals of a solved window added.
+    /// The estimate after the residuals of one more solved window.
     pub(super) fn with(self, residuals: &[Residual]) -> Self {
         if residuals.is_empty() {
             return self;
@@ -50,8 +50,8 @@ impl Noise {
         Self { square, windows }
     }
 
-    /// The factor of weights that are meant for median errors of `usual_px`; 1 before the first window
-    /// or if `usual_px` is 0.
+    /// The factor of weights that were tuned for median errors of `usual_px`; 1 before the first
+    /// window or if `usual_px` is 0.
     pub(super) fn factor(&self, usual_px: f64) -> f64 {
         if self.windows == 0.0 || usual_px == 0.0 {
             return 1.0;
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_go_with_the_variance_of_the_errors() {
+    fn weights_scale_with_the_variance_of_the_errors() {
         let unknown = Noise::default();
         assert_eq!((unknown.factor(10.0), unknown.with(&[])), (1.0, unknown));
         let known = |error: f64| (0..30).fold(unknown, |noise, _| noise.with(&window(error)));
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_long_ago_is_forgotten() {
+    fn old_windows_lose_their_weight() {
         let before = (0..50).fold(Noise::default(), |noise, _| noise.with(&window(12.0)));
         let after = (0..100).fold(before, |noise, _| noise.with(&window(8.0)));
         assert!((after.factor(10.0) - 0.64).abs() < 0.02, "{after:?}");

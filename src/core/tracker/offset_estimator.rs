@@ -1,23 +1,23 @@
 //! Estimates the keypoint offsets while the performer moves.
 //!
-//! Some of the solved windows give a quadratic model of their cost by the offsets, with the keyframes
-//! eliminated ([`Marginal`]). The offsets minimise the sum of these models and a prior. The prior's weight
-//! is estimated with them (empirical Bayes): with a detector that agrees with our body they stay small.
-//! After [`WINDOWS`] windows the offsets are fixed: later updates would follow errors of our model and
-//! drift.
+//! Some of the solved windows give a quadratic model of their cost by the offsets, with the
+//! keyframes eliminated ([`Marginal`]). The offsets minimise the sum of these models and a prior.
+//! The prior's weight is estimated with them (empirical Bayes), so the offsets stay small for a
+//! detector that agrees with our body. After [`WINDOWS`] windows the offsets are fixed: later
+//! updates would follow errors of our model and drift.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::core::body::{KeypointOffsets, OFFSETS};
 use crate::core::cost::Marginal;
 
-/// Weight of a window: the errors of neighbouring frames are correlated.
+/// Weight of a window; below 1, because the errors of neighbouring frames are correlated.
 const SHARE: f64 = 0.8;
 /// Number of windows that are used.
 const WINDOWS: usize = 25;
 /// Variance of the detectors' errors, square pixels.
 const NOISE: f64 = 50.0;
-/// Rounds of estimating offsets and prior in turn.
+/// Rounds that estimate the offsets and the prior in turn.
 const ROUNDS: usize = 5;
 
 /// The estimate of the keypoint offsets.
@@ -47,7 +47,7 @@ impl OffsetEstimator {
         self.windows >= WINDOWS
     }
 
-    /// The estimate with a window added that was solved with the offsets `at`. `prior` is the first
+    /// The estimate after one more window, solved with the offsets `at`. `prior` is the first
     /// weight of the squared offsets. `None` if the sum has no minimum.
     pub fn with(&self, marginal: &Marginal, at: &KeypointOffsets, prior: f64) -> Option<Self> {
         let at = DVector::from_column_slice(&at.0);
@@ -59,8 +59,8 @@ impl OffsetEstimator {
     }
 }
 
-/// The offsets m that minimise 1/2 m^T information m - pull^T m + 1/2 prior |m|^2, with the prior
-/// estimated from them.
+/// The offsets m that minimise 1/2 m^T information m - pull^T m + 1/2 prior |m|^2, with an estimate
+/// of the prior.
 fn estimate(
     information: &DMatrix<f64>,
     pull: &DVector<f64>,
@@ -80,7 +80,7 @@ fn estimate(
 mod tests {
     use super::*;
 
-    /// The model of a window whose minimum is at `wanted`, as seen from `at`.
+    /// A window's model with its minimum at `wanted`, expanded at `at`.
     fn window(wanted: &KeypointOffsets, at: &KeypointOffsets, weight: f64) -> Marginal {
         let off = std::array::from_fn::<f64, OFFSETS, _>(|i| weight * (at.0[i] - wanted.0[i]));
         Marginal {
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn offsets_go_to_the_minimum_of_the_windows() {
+    fn offsets_converge_to_the_minimum_of_the_windows() {
         let wanted = KeypointOffsets(std::array::from_fn(|i| (i as f64).sin()));
         let mut estimator = OffsetEstimator::default();
         let before = distance(&estimator.offsets, &wanted);
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn small_offsets_are_held_smaller() {
+    fn the_prior_shrinks_small_offsets() {
         let wanted = KeypointOffsets([0.05; OFFSETS]);
         let marginal = window(&wanted, &KeypointOffsets::default(), 10.0);
         let estimator =

@@ -1,8 +1,8 @@
-//! When poses leave the tracker, and which pose takes the place of one that is not solved in time.
+//! When poses are published, and the replacement of a pose that is not solved in time.
 //!
-//! Offline, every pose leaves as soon as it is solved. Live, the pose of capture time t is due at
-//! t + the declared latency. A pose leaves by then for each time of the output grid: if its window is not
-//! solved, the motion is extrapolated and the pose is flagged.
+//! Offline, every pose is published as soon as it is solved. Live, the pose of capture time t is
+//! due at t + the declared latency. Each time of the output grid gets a pose by its due time: if
+//! its window is not solved, the motion is extrapolated and the pose is flagged.
 
 use std::collections::BTreeSet;
 
@@ -12,46 +12,46 @@ use super::tracker::{Phase, Tracker};
 use crate::core::body::{Pose, StampedPose, TrackingState};
 use crate::core::time::{Grid, Timestamp};
 
-/// This long before its due time, ns, a pose is extrapolated, so that its message arrives in time.
+/// A pose is extrapolated this long before its due time, ns, so that its message arrives in time.
 pub(super) const MARGIN: i64 = 3_000_000;
-/// Time constant with which an extrapolated motion comes to rest, seconds.
+/// Time constant of the decay of an extrapolated motion, seconds.
 const DECAY: f64 = 0.1;
 /// A live tracker that is this far behind, ns, skips the poses in between.
 const MAX_CATCH_UP: i64 = 1_000_000_000;
 
-/// How a live tracker differs from one that solves a recording.
+/// Settings of a live tracker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Live {
-    /// Whether the open window is fitted and its newest pose published, flagged provisional.
+    /// Whether the open window is fitted and its newest pose published as provisional.
     pub provisional: bool,
     /// Poses per second; 0: one for each nominal frame.
     pub output_rate_hz: f64,
 }
 
-/// The latency that a live tracker keeps.
+/// The latency of a live tracker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Latency {
     /// From the capture of a pose to its publication, ns.
     pub declared_ns: i64,
-    /// The part of it for solving and publishing, ns: a window closes at least this long before its
+    /// The share for solving and publishing, ns: a window closes at least this long before its
     /// first pose is due.
     pub reserve_ns: i64,
 }
 
-/// The poses that were published, and those that others are extrapolated from.
+/// The published poses, and the poses to extrapolate from.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Playout {
     /// The capture time of the last final pose that was published.
     published: Option<Timestamp>,
-    /// The last two final poses that are known.
+    /// The last two known final poses.
     last_two: [Option<(Timestamp, Pose)>; 2],
     /// The newest provisional pose.
     newest: Option<(Timestamp, Pose)>,
-    /// Capture times of provisional poses whose final ones are still to come.
+    /// Capture times of provisional poses without a final one yet.
     provisional: BTreeSet<Timestamp>,
-    /// Number of poses that were extrapolated because no solved one was there.
+    /// Number of poses that were extrapolated because no solved pose was there in time.
     pub(super) extrapolated: u64,
-    /// Number of poses that were solved only after they were due.
+    /// Number of poses that were solved after they were due.
     pub(super) missed: u64,
 }
 
@@ -73,36 +73,36 @@ impl Playout {
         self.provisional.insert(capture);
     }
 
-    /// Whether the final pose of that time replaces a provisional one. To be asked once for each time,
-    /// in order of time.
+    /// Whether the final pose of a time replaces a provisional one. Call it once for each time, in
+    /// order of time.
     fn supersedes(&mut self, capture: Timestamp) -> bool {
         let later = self.provisional.split_off(&capture);
         self.provisional = later;
         self.provisional.remove(&capture)
     }
 
-    /// The last pose begins a path: nothing is extrapolated from the pose before it.
+    /// The last pose begins a path: do not extrapolate from the pose before it.
     pub(super) fn begin_path(&mut self) {
         self.last_two[0] = None;
     }
 
-    /// The last final pose that is known.
+    /// The last known final pose.
     fn last(&self) -> Option<&Pose> {
         self.last_two[1].as_ref().map(|(_, pose)| pose)
     }
 
-    /// The time of the pose after the last one published.
+    /// The time of the next pose to publish.
     fn next(&self, grid: &Grid) -> Option<Timestamp> {
         self.published.map(|last| grid.time(grid.at_or_before(last + same_time(grid)) + 1))
     }
 
-    /// Whether the pose of that time was published, perhaps at the time of another grid.
+    /// Whether the pose of a time was published, perhaps at a time of another grid.
     fn is_published(&self, capture: Timestamp, grid: &Grid) -> bool {
         self.published.is_some_and(|last| last + same_time(grid) >= capture)
     }
 
-    /// A pose at `capture` from those that are known: interpolated towards the newest provisional one,
-    /// else extrapolated.
+    /// A pose at `capture`: interpolated towards the newest provisional pose, or else extrapolated
+    /// from the known ones.
     fn extrapolate(&self, capture: Timestamp) -> Option<Pose> {
         let (at, last) = self.last_two[1].as_ref()?;
         if let Some((newest_at, newest)) = self.newest.as_ref().filter(|(newest, _)| newest > at) {
@@ -112,18 +112,18 @@ impl Playout {
         let Some((before_at, before)) = &self.last_two[0] else { return Some(last.clone()) };
         let step = at.seconds_since(*before_at);
         let ahead = capture.seconds_since(*at).max(0.0);
-        let s = DECAY * (1.0 - (-ahead / DECAY).exp()) / step;
+        let s = DECAY * (1.0 - libm::exp(-ahead / DECAY)) / step;
         Some(before.interpolate(last, 1.0 + s))
     }
 }
 
-/// Times less than this apart, ns, are those of the same pose.
+/// Times less than this apart, ns, belong to the same pose.
 fn same_time(grid: &Grid) -> i64 {
     (grid.period_ns / 4.0) as i64
 }
 
 impl Tracker {
-    /// Publishes a final pose. Live, only if it is not due yet and its time has no pose.
+    /// Publishes a final pose. Live, only if it is not overdue and its time has no pose.
     pub(super) fn publish_final(&mut self, capture: Timestamp, pose: &Pose, state: TrackingState) {
         self.playout.add_final(capture, pose);
         if self.live.is_some() {
@@ -138,7 +138,7 @@ impl Tracker {
         self.push_pose(capture, pose.clone(), state, false);
     }
 
-    /// Publishes a provisional pose of a live tracker, if they are wanted.
+    /// Publishes a provisional pose of a live tracker, if enabled.
     pub(super) fn publish_provisional(
         &mut self,
         capture: Timestamp,
@@ -173,7 +173,7 @@ impl Tracker {
         })));
     }
 
-    /// Repeats the last pose, flagged lost, at the times of poses after `start` up to `end`.
+    /// Repeats the last pose, flagged lost, at the pose times after `start` up to `end`.
     pub(super) fn repeat_last_pose(&mut self, start: Timestamp, end: Timestamp) {
         let (Some(last), Some(grid)) = (self.playout.last().cloned(), self.output_grid()) else {
             return;
@@ -209,7 +209,7 @@ impl Tracker {
         }
     }
 
-    /// Leaves out the poses from `capture` to `until`.
+    /// Skips the poses from `capture` to `until`.
     fn skip_poses(&mut self, capture: Timestamp, until: Timestamp) {
         let grid = self.output_grid();
         let skipped = grid.map_or(1, |g| g.at_or_before(until) - g.at_or_before(capture) + 1);

@@ -17,12 +17,13 @@ use crate::core::time::Timestamp;
 pub enum Input {
     /// A camera's detections.
     Detections(Detections),
-    /// A new calibration. With the same cameras, it is used from the next window on; with others, the
-    /// tracker starts anew.
+    /// A new calibration. With the same cameras it is used from the next window on; with other
+    /// cameras the tracker restarts.
     Rig(Arc<Rig>),
-    /// The capture clock jumped: the tracker forgets all frames and searches anew. The body stays known.
+    /// The capture clock jumped: the tracker forgets all frames and searches again. It keeps the
+    /// body.
     Restart,
-    /// The solution of the job that is with the solver.
+    /// The solution of the solver's job.
     Solved(Solution),
     /// The capture clock has reached this time.
     Tick(Timestamp),
@@ -35,7 +36,7 @@ pub enum Input {
 pub enum Output {
     /// A job to solve.
     Solve(Box<Job>),
-    /// The body, each time its shape is found.
+    /// The body, after each solve of its shape.
     Skeleton(Arc<Skeleton>),
     /// A pose, in order of capture time.
     Pose(Box<StampedPose>),
@@ -43,7 +44,7 @@ pub enum Output {
     Keyframe(Box<StampedKeyframe>),
     /// The result of a window.
     Window(Box<WindowReport>),
-    /// Something that happened.
+    /// An event.
     Event(Event),
 }
 
@@ -56,7 +57,7 @@ pub struct WindowReport {
     pub start: Timestamp,
     /// End of that part, inclusive.
     pub end: Timestamp,
-    /// What the optimiser did, if the window was solved.
+    /// The result of the optimiser, if the window was solved.
     pub summary: Option<Summary>,
     /// Euclidean length of the last keyframe's latent code.
     pub latent_norm: f64,

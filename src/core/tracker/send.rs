@@ -10,7 +10,7 @@ use super::window::Window;
 use crate::core::time::Timestamp;
 
 impl Tracker {
-    /// Sends the job of a complete window: an acquisition, or its solve.
+    /// Sends the job of a complete window: an acquisition or a solve.
     pub(super) fn send_window(&mut self, window: Window) {
         if let Some(rig) = self.next_rig.take() {
             let detail = format!("calibration {} from here on", rig.version);
@@ -30,8 +30,8 @@ impl Tracker {
         self.send(window, task);
     }
 
-    /// Sends a fit of the window up to the last frame set that is complete at `complete_until`, if
-    /// that is a new one; whether it did.
+    /// Sends a provisional fit up to the last frame set that is complete at `complete_until`, if
+    /// that set is new. Returns whether it did.
     pub(super) fn send_provisional(&mut self, window: Window, complete_until: Timestamp) -> bool {
         let Phase::Tracking { past, coasted: 0 } = &self.phase else { return false };
         let (Some(skeleton), Some(grid)) = (self.skeleton.clone(), self.frames) else {
@@ -53,7 +53,7 @@ impl Tracker {
         self.send(Window { end, publish: end, ..window }, task)
     }
 
-    /// Sends a job, unless no frame has come yet; whether it did.
+    /// Sends a job, unless no frame has arrived yet. Returns whether it did.
     fn send(&mut self, window: Window, task: Task) -> bool {
         let Some(format) = self.intake.format() else { return false };
         let number = self.jobs;

@@ -1,4 +1,4 @@
-//! Threads that solve together.
+//! Threads that solve in parallel.
 
 use std::hint::spin_loop;
 use std::sync::Mutex;
@@ -15,8 +15,8 @@ impl SpinPool {
         ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build().map(Self)
     }
 
-    /// Runs `work` on one of the threads. The others take what it gives to `rayon`. They stay awake
-    /// meanwhile, since waking them takes as long as a part of the work.
+    /// Runs `work` on one of the threads; the others take its `rayon` tasks. They stay awake
+    /// meanwhile, since waking them takes as long as a task.
     pub(super) fn run(&self, work: impl FnMut() + Send) {
         let (work, is_over) = (Mutex::new(work), AtomicBool::new(false));
         self.0.broadcast(|thread| {

@@ -27,12 +27,12 @@ pub(super) enum Phase {
     Tracking {
         /// The last final keyframes, at most two.
         past: Vec<TimedKeyframe>,
-        /// Windows in a row that were extrapolated.
+        /// Number of windows in a row that were extrapolated.
         coasted: usize,
     },
 }
 
-/// The job that is with the solver.
+/// The solver's job.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PendingJob {
     pub(super) number: u64,
@@ -57,19 +57,19 @@ pub struct Tracker {
     pub(super) skeleton: Option<Arc<Skeleton>>,
     pub(super) estimator: Arc<OffsetEstimator>,
     pub(super) noise: Noise,
-    /// Whether a window was ever tracked with this body.
+    /// Whether any window was tracked with this body.
     pub(super) is_proven: bool,
     /// Start of the open window.
     pub(super) start: Option<Timestamp>,
     /// Nominal frame period, ns.
     pub(super) period: Option<f64>,
-    /// Nominal frame times; windows begin and end on it.
+    /// The grid of nominal frame times; windows begin and end on it.
     pub(super) frames: Option<Grid>,
-    /// The capture clock, as far as ticks have told it.
+    /// The capture clock at the last tick.
     pub(super) now: Option<Timestamp>,
     pub(super) ended: bool,
     pub(super) pending: Option<PendingJob>,
-    /// The job that was pending at a restart: its solution is dropped, but comes before the next job.
+    /// The pending job at a restart: its solution is dropped, but must arrive before the next job.
     pub(super) abandoned: Option<u64>,
     /// Whether the open window is complete and its last provisional fit is with the solver.
     pub(super) is_closing: bool,
@@ -86,7 +86,7 @@ pub struct Tracker {
 }
 
 impl Tracker {
-    /// A tracker that solves a recording of those cameras.
+    /// A tracker for a recording of the cameras of `rig`.
     pub fn new(config: Config, rig: Arc<Rig>) -> Self {
         let cameras = rig.cameras.len();
         Self {
@@ -121,14 +121,14 @@ impl Tracker {
         }
     }
 
-    /// The same for a live node: each pose leaves by its due time, solved or extrapolated.
+    /// A tracker for a live node: it publishes each pose by its due time, solved or extrapolated.
     #[must_use]
     pub fn live(mut self, live: Live) -> Self {
         self.live = Some(live);
         self
     }
 
-    /// Sets the work for each job, from the next job on.
+    /// Sets the effort from the next job on.
     pub fn set_effort(&mut self, effort: Effort) {
         self.effort = effort;
     }
@@ -166,11 +166,11 @@ impl Tracker {
         self.outputs.pop_front()
     }
 
-    /// The next output that is no job. Jobs are solved on this thread by `solve` and their solutions
-    /// handled at once.
+    /// The next output that is not a job. `solve` solves the jobs on this thread; their solutions
+    /// are handled at once.
     ///
-    /// With [`Tracker::handle`] before it, this is the whole run loop of a program that solves on one
-    /// thread: `while let Some(output) = tracker.poll_and_solve(|job| solver.solve(job)) { ... }`.
+    /// With [`Tracker::handle`], this is the whole run loop of a program that solves on one thread:
+    /// `while let Some(output) = tracker.poll_and_solve(|job| solver.solve(job)) { ... }`.
     pub fn poll_and_solve(&mut self, mut solve: impl FnMut(&Job) -> Solution) -> Option<Output> {
         loop {
             match self.poll()? {
@@ -180,8 +180,8 @@ impl Tracker {
         }
     }
 
-    /// The capture time at which a live tracker wants an [`Input::Tick`], if no other input comes
-    /// before it.
+    /// The capture time at which a live tracker needs an [`Input::Tick`], if no other input arrives
+    /// before.
     pub fn wake(&self) -> Option<Timestamp> {
         let due = self.due().map(|due| due + -MARGIN);
         let length = self.open_frames() as f64 * self.frame_period();
@@ -220,7 +220,7 @@ impl Tracker {
         self.period.unwrap_or(FALLBACK_PERIOD)
     }
 
-    /// The times of poses, once a performer was found.
+    /// The times of poses, after a performer was found.
     pub fn output_grid(&self) -> Option<Grid> {
         let frames = self.frames?;
         let rate = self.live.map_or(0.0, |live| live.output_rate_hz);
@@ -237,8 +237,8 @@ impl Tracker {
         self.waiting.is_waited_for(camera)
     }
 
-    /// Number of poses that were extrapolated because no solved one was there in time, and of poses
-    /// that were solved too late.
+    /// Number of poses that were extrapolated because no solved pose was there in time, and number
+    /// of poses that were solved too late.
     pub fn extrapolated_and_missed(&self) -> (u64, u64) {
         (self.playout.extrapolated, self.playout.missed)
     }
@@ -263,7 +263,8 @@ impl Tracker {
         self.restart();
     }
 
-    /// Forgets everything but the body, the numbers of windows and jobs, and what was set from outside.
+    /// Forgets everything except the body, the numbers of windows and jobs, and the values of the
+    /// setters.
     fn restart(&mut self) {
         let fresh = Self::new(self.config, Arc::clone(&self.rig));
         let old = std::mem::replace(self, fresh);
@@ -303,8 +304,8 @@ impl Tracker {
     }
 }
 
-/// Solves a whole recording on this thread: gives the tracker all `frames`, in order of arrival, then
-/// the end, and passes every output but the jobs to `sink`.
+/// Solves a whole recording on this thread: gives the tracker all `frames` in order of arrival,
+/// then the end, and passes every output except jobs to `sink`.
 pub fn run_to_end(
     tracker: &mut Tracker,
     solver: &mut super::Solver,

@@ -1,4 +1,4 @@
-//! The verdict on a window: whether enough was seen, and how well it fits.
+//! The verdict on a window: whether enough was seen, and the quality of the fit.
 
 use super::association::{extent, median};
 use super::config::Gate;
@@ -50,7 +50,7 @@ pub(super) fn verdict(gate: &Gate, keyframes: &[TimedKeyframe], residuals: &[Res
     }
 }
 
-/// The distance of each observation from the body in the pose of its frame.
+/// The distance of each observation from the body at the pose of its frame.
 pub(super) fn residuals<'m>(
     observations: impl Iterator<Item = (&'m FrameObservations, Pose)>,
     points: &[BodyPoint],

@@ -1,10 +1,10 @@
 //! Which cameras a window waits for.
 
-/// The cameras that windows wait for: all but those without which `grace_windows` windows in a row
-/// have closed.
+/// The cameras that windows wait for: all except those that were absent from the last
+/// `grace_windows` windows.
 #[derive(Clone, Debug)]
 pub(super) struct Waiting {
-    /// Windows in a row that closed without the camera.
+    /// Number of windows in a row that closed without the camera.
     missed: Vec<usize>,
     grace_windows: usize,
 }
@@ -14,7 +14,7 @@ impl Waiting {
         Self { missed: vec![0; cameras], grace_windows }
     }
 
-    /// Whether windows wait for that camera.
+    /// Whether windows wait for a camera.
     pub(super) fn is_waited_for(&self, camera: usize) -> bool {
         self.missed.get(camera).is_some_and(|&missed| missed < self.grace_windows.max(1))
     }
@@ -24,7 +24,7 @@ impl Waiting {
         (0..self.missed.len()).any(|camera| self.is_waited_for(camera))
     }
 
-    /// A window closed without the cameras `behind`. Returns those that are no longer waited for.
+    /// A window closed without the cameras `behind`. Returns those that windows stop waiting for.
     pub(super) fn closed_without(&mut self, behind: &[usize]) -> Vec<usize> {
         let mut silent = Vec::new();
         for camera in 0..self.missed.len() {
@@ -40,7 +40,7 @@ impl Waiting {
         silent
     }
 
-    /// The camera has sent a frame; returns whether it was silent before.
+    /// A camera has sent a frame. Returns whether it was silent before.
     pub(super) fn returned(&mut self, camera: usize) -> bool {
         let was_silent = !self.is_waited_for(camera);
         if let Some(missed) = self.missed.get_mut(camera) {
@@ -55,7 +55,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_silent_camera_is_given_up_and_taken_back() {
+    fn windows_stop_waiting_for_a_silent_camera_until_it_returns() {
         let mut waiting = Waiting::new(2, 2);
         assert!(waiting.closed_without(&[1]).is_empty());
         assert!(waiting.closed_without(&[]).is_empty());

@@ -5,10 +5,10 @@ use super::port::Output;
 use super::tracker::{Phase, Tracker};
 use crate::core::time::{Grid, Timestamp};
 
-/// Frame period of a recording that is too short to show it, ns: 60 frames per second.
+/// Frame period of a recording that is too short to estimate one, ns: 60 frames per second.
 pub(super) const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
-/// A live tracker whose open window ended longer ago than this, ns, drops it and goes on with newer
-/// frames.
+/// A live tracker drops an open window that ended longer ago than this, ns, and continues with
+/// newer frames.
 const MAX_BACKLOG: i64 = 1_000_000_000;
 
 /// A window that is open.
@@ -21,7 +21,7 @@ pub(super) struct Window {
 }
 
 impl Tracker {
-    /// Sends the job of the open window once the window is complete, or that of a provisional fit.
+    /// Sends the job of the open window if the window is complete, else a provisional fit.
     pub(super) fn advance(&mut self) {
         if self.pending.is_some() || self.abandoned.is_some() {
             return;
@@ -42,13 +42,12 @@ impl Tracker {
         }
     }
 
-    /// Whether the cameras are less than half a window further than `end`.
+    /// Whether the cameras are less than half a window after `end`.
     pub(super) fn is_newest(&self, end: Timestamp) -> bool {
         self.intake.front().is_none_or(|at| at - end < self.span() / 2)
     }
 
-    /// Live: drops frames that have waited for so long that nobody needs their poses, and searches
-    /// anew after them.
+    /// Live: drops frames whose poses are too old to be of use, and searches again after them.
     fn skip_backlog(&mut self) {
         let (Some(now), Some(start)) = (self.now.filter(|_| self.live.is_some()), self.start)
         else {
@@ -69,15 +68,15 @@ impl Tracker {
         self.counted_event(EventKind::Dropped, until, None, waiting.max(1), detail);
     }
 
-    /// Nominal frames of the open window: those of several windows while the shape is not known.
+    /// Nominal frames of the open window: several windows as long as the shape is unknown.
     pub(super) fn open_frames(&self) -> usize {
         let is_first = matches!(self.phase, Phase::Searching) && self.skeleton.is_none();
         let windows = if is_first { self.config.shape_windows.max(1) } else { 1 };
         self.config.window() * windows
     }
 
-    /// Until the performer is known, the frame rate is that of the fastest camera so far: live cameras
-    /// start one by one, perhaps the slowest first.
+    /// Until the performer is found, the frame rate is that of the fastest camera so far: live
+    /// cameras start one by one, perhaps the slowest first.
     fn watch_rate(&mut self) {
         let is_open = self.live.is_some() && self.skeleton.is_none();
         if !is_open || self.config.frame_rate_hz > 0.0 || self.period.is_none() {
@@ -89,7 +88,7 @@ impl Tracker {
         }
     }
 
-    /// The window that is open, on the frame grid; `None` while no frame or no frame rate is known.
+    /// The open window, on the frame grid; `None` until a frame and the frame rate are known.
     fn open_window(&mut self) -> Option<Window> {
         let start = self.start.or_else(|| self.intake.first())?;
         self.watch_rate();
@@ -128,8 +127,8 @@ impl Tracker {
         self.period.map_or(0, |period| (period / 4.0) as i64)
     }
 
-    /// How long after its end a window waits for cameras that are behind, ns: `deadline_frames` and the
-    /// usual delay, at most what the latency leaves.
+    /// How long after its end a window waits for late cameras, ns: `deadline_frames` plus the usual
+    /// delay, limited by the latency.
     pub(super) fn grace(&self) -> i64 {
         let asked = (self.config.deadline_frames as f64 * self.frame_period()) as i64;
         let asked = asked + self.delay_ns;
@@ -140,13 +139,13 @@ impl Tracker {
         asked.min(left.max(0))
     }
 
-    /// Closes the window at `end` if all cameras that are waited for have passed it, or its deadline
-    /// has; whether it did. Reports the cameras that it closes without.
+    /// Closes the window at `end` if all expected cameras have passed it or its deadline has
+    /// passed. Returns whether it did. Reports the missing cameras.
     fn try_close_window(&mut self, end: Timestamp) -> bool {
         let border = end + -self.tolerance();
         let behind: Vec<usize> = self.intake.behind(border).collect();
         let waited_for = behind.iter().any(|&camera| self.waiting.is_waited_for(camera));
-        // Live by the clock alone: one camera's clock may be ahead.
+        // Live, only the clock counts: one camera's clock may be fast.
         let clock = if self.live.is_some() { self.now } else { self.intake.newest() };
         let is_overdue = clock.max(self.now) >= Some(end + self.grace());
         if !(self.ended || (!waited_for && self.waiting.any()) || is_overdue) {
@@ -158,7 +157,8 @@ impl Tracker {
         true
     }
 
-    /// Reports the cameras that a window closes without, and stops waiting for those that stay away.
+    /// Reports the cameras that a window closes without, and stops waiting for those that stay
+    /// silent.
     fn close_without(&mut self, behind: &[usize], end: Timestamp) {
         for &camera in behind {
             if self.waiting.is_waited_for(camera) {
@@ -175,8 +175,8 @@ impl Tracker {
         }
     }
 
-    /// The capture time up to which frame sets are complete: all cameras that are waited for have
-    /// reached it, or the cameras in front are a frame further.
+    /// The capture time up to which frame sets are complete: all expected cameras have reached it,
+    /// or the first cameras are one frame past it.
     fn complete_until(&self) -> Option<Timestamp> {
         let cameras = (0..self.rig.cameras.len()).filter(|&c| self.waiting.is_waited_for(c));
         let complete = cameras.map(|camera| self.intake.watermark(camera)).min().flatten();
@@ -184,7 +184,7 @@ impl Tracker {
         complete.max(moved_on)
     }
 
-    /// The next window begins there, or with the next frame that comes; the grid begins anew.
+    /// The next window begins at a given time or with the next frame; the grid begins again.
     pub(super) fn start_windows_at(&mut self, start: Option<Timestamp>) {
         self.start = start;
         self.ahead.clear();
@@ -194,7 +194,7 @@ impl Tracker {
         }
     }
 
-    /// Drops the frames up to `end` and refuses later ones of that time.
+    /// Drops the frames up to `end` and refuses later arrivals of that time.
     pub(super) fn close_until(&mut self, end: Timestamp) {
         for event in self.intake.close(end) {
             self.outputs.push_back(Output::Event(Event { window: Some(self.window), ..event }));

@@ -86,9 +86,9 @@ fn class(topic: &str) -> usize {
 
 /// The classes of all topics that a pattern may match.
 fn classes(pattern: &str) -> std::ops::Range<usize> {
-    match pattern.rsplit('/').next() {
-        Some(last) if !last.contains('*') => class(last)..class(last) + 1,
-        _ => 0..CLASSES.len(),
+    match pattern.contains('*') {
+        true => 0..CLASSES.len(),
+        false => class(pattern)..class(pattern) + 1,
     }
 }
 

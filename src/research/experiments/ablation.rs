@@ -1,4 +1,4 @@
-//! Our settings, one varied at a time.
+//! Varies one of our settings at a time.
 
 use crate::core::camera::CameraError;
 use crate::core::manifold::Interpolation;
@@ -9,26 +9,26 @@ use crate::research::methods::{Method, Windows};
 use super::case::View;
 use super::named::Named;
 
-/// What of a view is varied.
+/// A varied property of a view.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Seen {
-    /// Cameras on a ring.
+    /// Number of cameras on a ring.
     Cameras(usize),
-    /// A level of noise.
+    /// Noise level.
     Noise(&'static str),
-    /// Frames a second.
+    /// Frames per second.
     Fps(f64),
 }
 
-/// A setting under its name.
+/// A name and the settings it stands for.
 type Setting = (String, Config);
 
 /// What is varied.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Factor {
-    /// A setting of ours: rows of one table.
+    /// One of our settings: the rows of one table.
     Settings(Vec<Setting>),
-    /// How the motion is seen: rows by the paper's settings and by ours.
+    /// The view of the motion: rows with the paper's settings and with ours.
     Views(Vec<(String, Seen)>),
 }
 
@@ -51,10 +51,10 @@ pub const FACTORS: [&str; 15] = [
     "fps",
 ];
 
-/// Changes of the cost that are too small to go on.
+/// Thresholds on the relative change of the cost for the optimiser to stop.
 const STOPS: [f64; 6] = [0.0005, 0.002, 0.004, 0.008, 0.016, 0.032];
 
-/// The factor of that name.
+/// The factor with a name.
 pub fn factor(name: &str) -> Option<Factor> {
     Some(match name {
         "window" => numbers("window", &[3.0, 5.0, 8.0, 10.0, 15.0, 20.0], |config, frames| {
@@ -132,7 +132,7 @@ fn numbers(name: &str, values: &[f64], set: fn(&mut Config, f64)) -> Factor {
     Factor::Settings(values.iter().map(of).collect())
 }
 
-/// A setting's name and what it changes.
+/// A setting's name and its change.
 type Change<'a> = (&'a str, fn(&mut Config));
 
 fn named(settings: &[Change]) -> Factor {
@@ -155,7 +155,7 @@ pub fn methods(settings: &[Setting]) -> Vec<Box<dyn Method>> {
     settings.iter().map(row).collect()
 }
 
-/// The paper's settings and ours, marked with what is varied.
+/// The paper's settings and ours, labelled with the varied property.
 pub fn both(name: &str) -> Vec<Box<dyn Method>> {
     let of = |method: Windows| {
         let label = format!("{name}: {}", method.name());
@@ -164,7 +164,8 @@ pub fn both(name: &str) -> Vec<Box<dyn Method>> {
     vec![of(Windows::paper()), of(Windows::default_settings())]
 }
 
-/// The view with cameras or frame rate varied; noise is the caller's, by its protocol.
+/// The view with another number of cameras or frame rate; the protocol of the caller sets the
+/// noise.
 ///
 /// # Errors
 /// None with the numbers of [`factor`].

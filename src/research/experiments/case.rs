@@ -1,4 +1,4 @@
-//! What methods are measured on: motions with a known truth, seen by noisy detectors.
+//! Test cases: motions with a known truth, seen by noisy detectors.
 
 use std::sync::Arc;
 
@@ -13,46 +13,46 @@ use crate::research::synth::{
 };
 use crate::research::train;
 
-/// Seconds over which one clip turns into the next.
+/// Blend time from one clip to the next, seconds.
 const BLEND_S: f64 = 0.5;
 
-/// How a motion is seen.
+/// The view of a motion.
 #[derive(Clone, Debug)]
 pub struct View {
-    /// What tables call it.
+    /// The name in tables.
     pub name: String,
     /// The cameras.
     pub rig: Arc<Rig>,
-    /// What the detectors mark.
+    /// The keypoint positions of the detectors.
     pub format: KeypointFormat,
-    /// How they err.
+    /// The noise of the detectors.
     pub noise: Noise,
-    /// The stretch of the motion, the frame rate, and the bodies.
+    /// The section of the motion, the frame rate, and the bodies.
     pub choice: SequenceChoice,
-    /// Of all that is random.
+    /// The seed of all random numbers.
     pub seed: u64,
 }
 
 /// A motion.
 #[derive(Clone, Debug)]
 pub struct Subject {
-    /// What tables call it.
+    /// The name in tables.
     pub name: String,
-    /// Sets its body and its detectors' errors apart from those of others.
+    /// Gives the motion its own body and detector errors.
     pub index: usize,
     /// Poses at [`train::FPS`].
     pub poses: Arc<Vec<Pose>>,
 }
 
 impl Subject {
-    /// The stretch of its motion that is used, on a body of its own; `None` where none fits, see
+    /// The section of its motion that is used, on its own body; `None` if no section fits, see
     /// [`sequence`].
     pub fn stretch(&self, choice: &SequenceChoice, seed: u64) -> Option<synth::Sequence> {
         sequence(&self.poses, train::FPS, choice, Protocol::seed_of(seed, self.index))
     }
 }
 
-/// A motion seen in one way: enough to make its [`Sequence`], the same each time.
+/// A motion with a view: the inputs of its [`Sequence`], which is the same each time.
 #[derive(Clone, Debug)]
 pub struct Case {
     name: CaseName,
@@ -65,7 +65,7 @@ pub struct Case {
 /// A take and its truth.
 #[derive(Clone, Debug)]
 pub struct Sequence {
-    /// What the methods are given.
+    /// The input of the methods.
     pub take: Take,
     /// The true pose of each nominal frame.
     pub truth: Vec<StampedPose>,
@@ -73,18 +73,17 @@ pub struct Sequence {
     pub skeleton: Skeleton,
 }
 
-/// What of a case is written down.
+/// The description of a case for the results.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CaseName {
     /// The motion.
     pub sequence: String,
-    /// Of its body, heading and noise.
+    /// Seed of its body, heading and noise.
     pub seed: u64,
 }
 
 impl Case {
-    /// A subject seen in that way; `None` where no stretch of its motion fits, see
-    /// [`Subject::stretch`].
+    /// A subject with a view; `None` if no section of its motion fits, see [`Subject::stretch`].
     pub fn new(subject: &Subject, view: &View) -> Option<Self> {
         let seed = Protocol::seed_of(view.seed, subject.index);
         let made = subject.stretch(&view.choice, view.seed)?;
@@ -97,16 +96,15 @@ impl Case {
         })
     }
 
-    /// One motion of that many seconds on one body: the subjects one after the other, from the
-    /// first again when they end. Each begins where the one before ended, with half a second
-    /// from one to the next. `None` if no subject fits.
+    /// One motion of `seconds` on one body: the subjects in turn, repeated as needed. Each begins
+    /// where the one before ended, with a blend of half a second. `None` if no subject fits.
     pub fn endless(subjects: &[Subject], view: &View, seconds: f64) -> Option<Self> {
         let seed = Protocol::seed_of(view.seed, 0);
         let part = |subject: &Subject| sequence(&subject.poses, train::FPS, &view.choice, seed);
         let parts: Vec<_> = subjects.iter().filter_map(part).collect();
         let skeleton = parts.first()?.skeleton.clone();
         let poses = joined(parts.iter().map(|part| &part.poses[..]), seconds);
-        let name = format!("{} motions without end", parts.len());
+        let name = format!("{} motions in turn", parts.len());
         Some(Self {
             name: CaseName { sequence: name, seed },
             view: view.clone(),
@@ -121,7 +119,7 @@ impl Case {
         &self.name
     }
 
-    /// Makes it.
+    /// Makes the sequence.
     pub fn make(&self) -> Sequence {
         let View { rig, noise, choice, format, .. } = &self.view;
         let motion = through(Vec::clone(&self.poses), train::FPS);
@@ -142,7 +140,7 @@ impl Case {
     }
 }
 
-/// The motions of those clips.
+/// The motions of some clips.
 pub fn subjects<'a>(clips: impl IntoIterator<Item = &'a train::Clip>) -> Vec<Subject> {
     let subject = |(index, clip): (usize, &train::Clip)| {
         let poses = (0..clip.poses.len()).filter_map(|frame| clip.pose(frame)).collect();
@@ -151,7 +149,7 @@ pub fn subjects<'a>(clips: impl IntoIterator<Item = &'a train::Clip>) -> Vec<Sub
     (1..).zip(clips).map(subject).collect()
 }
 
-/// Our own motion of that many seconds, `count` times, each in another style; needs no files.
+/// Our own motion of `seconds`, `count` times, each in another style; needs no files.
 pub fn procedural(count: usize, seconds: f64) -> Vec<Subject> {
     let subject = |index: usize| {
         let plain = MotionStyle::default();
@@ -169,7 +167,7 @@ pub fn procedural(count: usize, seconds: f64) -> Vec<Subject> {
     (1..=count).map(subject).collect()
 }
 
-/// Parts one after the other, with a blend from each to the next, until there are enough.
+/// Repeats the parts in turn, with a blend between them, until there are enough frames.
 fn joined<'a>(parts: impl Iterator<Item = &'a [Pose]> + Clone, seconds: f64) -> Vec<Pose> {
     let wanted = (seconds * train::FPS).ceil() as usize;
     let blend = (BLEND_S * train::FPS).round() as usize;
@@ -188,7 +186,7 @@ fn joined<'a>(parts: impl Iterator<Item = &'a [Pose]> + Clone, seconds: f64) -> 
     poses
 }
 
-/// From 0 to 1 without a kink at either end.
+/// Smooth step from 0 to 1.
 fn smooth(share: f64) -> f64 {
     share * share * (3.0 - 2.0 * share)
 }

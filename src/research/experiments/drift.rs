@@ -6,9 +6,9 @@ use super::run::Run;
 use crate::io::report::Table;
 use crate::metrics::{Interval, slope_interval};
 
-/// Seconds of a block whose mean counts as one value: longer than a motion's own ups and downs.
+/// Length of a block, seconds, whose mean is one value; longer than the variations of a motion.
 const BLOCK_S: f64 = 20.0;
-/// At least so many blocks.
+/// Minimum number of blocks.
 const BLOCKS: usize = 8;
 
 /// The trend of one method's error.
@@ -18,17 +18,17 @@ pub struct Drift {
     pub method: String,
     /// Mean joint error over all frames, millimetres.
     pub mpjpe_mm: f64,
-    /// Millimetres a minute, from block means, see [`slope_interval`].
+    /// Slope in millimetres per minute, from block means; see [`slope_interval`].
     pub slope_mm_per_min: Option<Interval>,
-    /// Parts of the take whose means count.
+    /// Number of blocks.
     pub blocks: usize,
-    /// Frames with a pose.
+    /// Number of frames with a pose.
     pub frames: usize,
     /// Share of the frames that have a pose, percent.
     pub covered_percent: f64,
 }
 
-/// The trend of each method on the first case; methods that found nobody are left out.
+/// The trend of each method on the first case; methods that found nobody are omitted.
 pub fn drifts(run: &Run) -> Vec<Drift> {
     let of_row = |row: &super::run::Row| {
         let (score, trace) = row.results.first()?.as_ref()?;

@@ -2,8 +2,7 @@
 
 pub use crate::research::methods::named;
 
-/// The paper's method and ours, the ones that real recordings are solved with if no others are
-/// named.
+/// The default methods for real recordings: the paper's and ours.
 pub const OURS: [&str; 2] = ["paper", "default"];
 
 /// The names that [`named`] knows, in the order of the table.

@@ -1,9 +1,8 @@
-//! Methods measured against each other: takes in, tables and plots out.
+//! Compares methods: takes in, tables and plots out.
 //!
-//! A [`Case`] is a motion with a known truth and how it is seen; [`run`] solves cases by every
-//! method; [`summary`] makes the tables, [`plots`] the pictures. Everything follows from seeds:
-//! two runs give the same figures, but for the times. [`real`] does the same on a recording
-//! without a truth.
+//! A [`Case`] is a motion with a known truth and a view; [`run`] solves cases with every method;
+//! [`summary`] makes the tables, [`plots`] the plots. Everything follows from seeds: two runs give
+//! the same results except for the times. [`real`] compares methods on a recording without a truth.
 
 pub mod ablation;
 mod case;

@@ -1,4 +1,4 @@
-//! A method under another name.
+//! A method with another name.
 
 use crate::core::manifold::Decoder;
 use crate::research::methods::{Delay, Method, Solved, Take};
@@ -10,7 +10,7 @@ pub struct Named {
 }
 
 impl Named {
-    /// That method under that name.
+    /// A method with another name.
     pub fn boxed(name: impl Into<String>, method: Box<dyn Method>) -> Box<dyn Method> {
         Box::new(Self { name: name.into(), method })
     }

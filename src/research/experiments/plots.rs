@@ -1,4 +1,4 @@
-//! The pictures of a run.
+//! The plots of a run.
 
 use super::run::{Row, Run};
 use super::score::{REACH, Trace};
@@ -7,14 +7,14 @@ use crate::core::body::{JOINTS, Joint};
 use crate::io::report::{Bars, Plot, Series};
 use crate::metrics::{ConfidenceBin, DetectorStatistics};
 
-/// The joint whose path is shown.
+/// The joint of the path plot.
 const SHOWN: Joint = Joint::LWrist;
-/// Seconds of its path.
+/// Length of the shown path, seconds.
 const SHOWN_S: f64 = 2.0;
-/// Frames over which the error over time is averaged.
+/// Number of frames in the moving mean of the error.
 const SMOOTHED: usize = 5;
 
-/// Bars of a mean by method, a series for each level, given as name and means.
+/// Bars of a mean by method, one series for each level, given as name and means.
 pub fn bars(title: &str, label: &str, key: &str, levels: &[(&str, &[Summary])]) -> Bars {
     let Some((_, first)) = levels.first() else { return Bars::default() };
     let value = |summaries: &[Summary], index: usize| {
@@ -55,7 +55,7 @@ pub fn errors(run: &Run, case: usize) -> Plot {
     }
 }
 
-/// How velocities change around borders, over all cases.
+/// Velocity jumps near borders, over all cases.
 pub fn borders(run: &Run) -> Plot {
     let series = run.rows.iter().enumerate().filter_map(|(index, row)| {
         let mut sums = [(0.0, 0usize); 2 * REACH + 1];
@@ -81,7 +81,7 @@ pub fn borders(run: &Run) -> Plot {
     }
 }
 
-/// The height of a wrist on one case: the truth and the methods of those names.
+/// The height of a wrist on one case: the truth and the named methods.
 pub fn path(run: &Run, case: usize, truth: &[(f64, [f32; JOINTS])], methods: &[&str]) -> Plot {
     let joint = SHOWN.index();
     let (from, to) = liveliest(truth, joint);
@@ -101,7 +101,7 @@ pub fn path(run: &Run, case: usize, truth: &[(f64, [f32; JOINTS])], methods: &[&
         .extend(chosen.map(|(index, row, trace)| curve(&row.method, index, part(&trace.heights))));
     Plot {
         title: "Height of the left wrist".into(),
-        note: format!("Its liveliest {SHOWN_S} s of {}.", name(run, case)),
+        note: format!("The {SHOWN_S} s with the most movement in {}.", name(run, case)),
         x_label: "time (s)".into(),
         y_label: "height (m)".into(),
         series,
@@ -109,7 +109,7 @@ pub fn path(run: &Run, case: usize, truth: &[(f64, [f32; JOINTS])], methods: &[&
     }
 }
 
-/// The stretch in which a joint's height changes most.
+/// The section in which a joint's height changes most.
 fn liveliest(truth: &[(f64, [f32; JOINTS])], joint: usize) -> (f64, f64) {
     let (mut best, mut start) = (f32::NEG_INFINITY, 0);
     let mut end = 0;
@@ -149,7 +149,7 @@ pub fn detector_spectrum(levels: &[(&str, &DetectorStatistics)]) -> Plot {
     });
     Plot {
         title: "Jitter of the detectors".into(),
-        note: "Power of the distances from the body's points, in shares of its height.".into(),
+        note: "Power of the distances from the body's points, as fractions of its height.".into(),
         x_label: "frequency (Hz)".into(),
         y_label: "power (1/Hz)".into(),
         series: series.collect(),
@@ -168,7 +168,7 @@ pub fn detector_confidence(levels: &[(&str, &DetectorStatistics)]) -> Plot {
     });
     Plot {
         title: "Error of the detectors by confidence".into(),
-        note: "Median distance from the body's point, of bins with a thousandth of the points."
+        note: "Median distance from the body's point, in bins with over 0.1 % of the points."
             .into(),
         x_label: "confidence".into(),
         y_label: "error (% of height)".into(),
@@ -177,7 +177,7 @@ pub fn detector_confidence(levels: &[(&str, &DetectorStatistics)]) -> Plot {
     }
 }
 
-/// Error over a long take, a second averaged, of every method.
+/// Error over a long take, means over one second, of every method.
 pub fn long_errors(run: &Run, fps: f64) -> Plot {
     let second = fps.round().max(1.0) as usize;
     let series = traces(run, 0).map(|(index, row, trace)| {
@@ -185,7 +185,7 @@ pub fn long_errors(run: &Run, fps: f64) -> Plot {
     });
     Plot {
         title: "Error over a long take".into(),
-        note: "Mean over the joints, a second averaged.".into(),
+        note: "Mean over the joints, averaged over one second.".into(),
         x_label: "time (min)".into(),
         y_label: "error (mm)".into(),
         series: series

@@ -1,4 +1,4 @@
-//! Methods on a real recording: there is no truth, so the cameras and a reference judge.
+//! Methods on a real recording without a truth: measured by its cameras and a reference.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,33 +20,33 @@ use crate::offline::{
 };
 use crate::research::methods::{Delay, Method, Solved, Take};
 
-/// What one method made of a recording.
+/// The results of one method on a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RealScore {
     /// The method.
     pub method: String,
-    /// How many frames a pose waits for; `None` until the recording's end.
+    /// Delay of a pose in frames; `None` until the recording's end.
     pub delay_frames: Option<usize>,
-    /// Poses.
+    /// Number of poses.
     pub frames: usize,
-    /// Median distance of the detected points that are fitted, confidence above 0.3, pixels.
+    /// Median distance of the fitted keypoints with confidence above 0.3, pixels.
     pub reprojection_px: Option<f64>,
     /// The same by camera.
     pub cameras_px: BTreeMap<String, Option<f64>>,
-    /// The error in each camera when it has no part in solving; empty for two cameras.
+    /// The error in each camera when it is held out of the solve; empty for two cameras.
     pub hold_out: Vec<HoldOut>,
-    /// The distance to the reference, where there is one.
+    /// The distance from the reference, if there is one.
     pub reference: Option<Reference>,
-    /// Mean size of the joints' acceleration, m/s^2.
+    /// Mean magnitude of the joints' acceleration, m/s^2.
     pub mean_acceleration_m_s2: Option<f64>,
-    /// Mean wall time a frame, milliseconds.
+    /// Mean wall time per frame, milliseconds.
     pub ms_per_frame: f64,
 }
 
-/// The take without one camera, and what that camera saw (as camera 0).
+/// The take without one camera, and the detections of that camera (as camera 0).
 ///
 /// # Errors
-/// Fewer than two cameras are left.
+/// Fewer than two cameras remain.
 pub fn without_camera(take: &Take, camera: usize) -> Result<(Take, Vec<Detections>), CameraError> {
     let kept = |index: &usize| *index != camera;
     let cameras = (0..take.rig.cameras.len()).filter(kept);
@@ -66,8 +66,8 @@ pub fn without_camera(take: &Take, camera: usize) -> Result<(Take, Vec<Detection
     Ok((Take { rig, frames, ..take.clone() }, seen))
 }
 
-/// Frames a second of the first camera, from the median distance in time; `None` for fewer than
-/// two of its frames.
+/// Frames per second of the first camera, from the median interval; `None` for fewer than two
+/// frames.
 pub fn frame_rate(frames: &[Detections]) -> Option<f64> {
     let times: Vec<Timestamp> =
         frames.iter().filter(|frame| frame.camera == 0).map(|frame| frame.capture).collect();
@@ -75,10 +75,10 @@ pub fn frame_rate(frames: &[Detections]) -> Option<f64> {
     median(&periods).filter(|period| *period > 0.0).map(|period| 1e9 / period)
 }
 
-/// Solves and measures; `None` where nobody is found. `each` is called after each solve.
+/// Solves and measures; `None` if nobody is found. `each` is called after each solve.
 ///
 /// # Errors
-/// A rig of fewer than two cameras.
+/// The rig has fewer than two cameras.
 pub fn measure(
     take: &Take,
     make: &dyn Fn() -> Box<dyn Method>,
@@ -134,7 +134,7 @@ fn reprojection(take: &Take, solved: &Solved) -> (Option<f64>, BTreeMap<String, 
     (median(&errors.concat()), cameras.collect())
 }
 
-/// Mean joint acceleration over the runs of poses without gaps, m/s^2.
+/// Mean joint acceleration over sections of poses without gaps, m/s^2.
 pub fn acceleration(solved: &Solved, fps: f64) -> Option<f64> {
     let mut acceleration = MeanAcceleration::new(fps);
     for (capture, pose) in &solved.poses {
@@ -143,7 +143,7 @@ pub fn acceleration(solved: &Solved, fps: f64) -> Option<f64> {
     acceleration.mean()
 }
 
-/// The distance to the reference; `None` if no row of it has a pose.
+/// The distance from the reference; `None` if no row of it has a pose.
 fn compare(trc: &Trc, clock: FrameClock, solved: &Solved) -> Option<Reference> {
     let mut comparison = ReferenceComparison::new(trc);
     for (capture, pose) in &solved.poses {
@@ -152,7 +152,7 @@ fn compare(trc: &Trc, clock: FrameClock, solved: &Solved) -> Option<Reference> {
     comparison.finish()
 }
 
-/// The error in a camera that has no part in a solve.
+/// The error in a held-out camera.
 fn held_out(camera: &Camera, seen: Vec<Detections>, solved: &Solved) -> HoldOut {
     let mut held_out = HeldOut::new(camera.clone());
     let mut seen = seen.into_iter().peekable();
@@ -165,14 +165,14 @@ fn held_out(camera: &Camera, seen: Vec<Detections>, solved: &Solved) -> HoldOut 
     held_out.finish()
 }
 
-/// How a recording's detectors err, against a solved body in place of the true one.
+/// Statistics of a recording's detector errors, with a solved body as the truth.
 pub fn detectors(take: &Take, solved: &Solved) -> Option<DetectorStatistics> {
     let posture = |at| Some(pose_at(&solved.poses, at)?.posture(&solved.skeleton));
     DetectorTracks::compare(&take.rig, take.format, &take.frames, &solved.skeleton, posture)
         .statistics(take.fps)
 }
 
-/// The table, a row for each method.
+/// The table, one row per method.
 pub fn table(title: &str, scores: &[RealScore]) -> Table {
     let mut header: Vec<String> =
         ["method", "delay", "frames", "reprojection px"].map(str::to_owned).into();

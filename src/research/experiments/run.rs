@@ -1,4 +1,4 @@
-//! Every method over every case.
+//! Solves every case with every method.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -9,21 +9,21 @@ use super::score::{Score, Trace, score};
 use crate::core::manifold::Decoder;
 use crate::research::methods::{Delay, Method};
 
-/// Makes the methods; each case has its own, so that none remembers another case.
+/// Makes the methods. Each case has its own, so that no state passes between cases.
 pub type Methods<'a> = dyn Fn() -> Vec<Box<dyn Method>> + Sync + 'a;
 
-/// What one method made of all cases.
+/// The results of one method on all cases.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
     /// The method's name.
     pub method: String,
-    /// How long a pose waits for later frames.
+    /// Delay of a pose.
     pub delay: Delay,
-    /// By case; `None` where nobody was found.
+    /// By case; `None` if nobody was found.
     pub results: Vec<Option<(Score, Trace)>>,
 }
 
-/// What all methods made of all cases.
+/// The results of all methods on all cases.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
     /// The cases.
@@ -32,8 +32,8 @@ pub struct Run {
     pub rows: Vec<Row>,
 }
 
-/// Solves every case by every method on `jobs` threads; the figures but for the times do not
-/// depend on how many. `each` is called after each solve.
+/// Solves every case with every method on `jobs` threads; the results except for the times do not
+/// depend on `jobs`. `each` is called after each solve.
 pub fn run(
     cases: &[Case],
     methods: &Methods,
@@ -91,14 +91,14 @@ impl Row {
         Self { method: method.name(), delay: method.delay(), results: Vec::new() }
     }
 
-    /// Cases in which nobody was found.
+    /// Number of cases without a performer found.
     pub fn failed(&self) -> usize {
         self.results.iter().filter(|result| result.is_none()).count()
     }
 }
 
 impl Run {
-    /// The scores of each method, in the cases that all methods solved.
+    /// The scores of each method in the cases that all methods solved.
     pub fn common(&self) -> Vec<Vec<&Score>> {
         let solved_by_all = |case: &usize| self.rows.iter().all(|row| row.results[*case].is_some());
         let cases: Vec<usize> = (0..self.cases.len()).filter(solved_by_all).collect();

@@ -1,4 +1,4 @@
-//! How well a method solved a sequence.
+//! Scores a method on a sequence.
 
 use serde::Serialize;
 
@@ -8,14 +8,14 @@ use crate::core::time::Timestamp;
 use crate::metrics;
 use crate::research::methods::Solved;
 
-/// Frames before and after a border that [`Trace::around_borders`] goes to.
+/// Frames before and after a border in [`Trace::around_borders`].
 pub const REACH: usize = 10;
 
-/// The figures of a method on a sequence. See [`crate::metrics`] for the formulas.
+/// The metrics of a method on a sequence. See [`crate::metrics`] for the formulas.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[allow(missing_docs)]
 pub struct Score {
-    /// Frames compared.
+    /// Number of compared frames.
     pub frames: usize,
     /// Share of the sequence's frames that have a pose, percent.
     pub covered_percent: f64,
@@ -29,16 +29,16 @@ pub struct Score {
     pub acceleration_error_m_s2: f64,
     /// `None` for a method without borders.
     pub velocity_jump: Option<metrics::VelocityJump>,
-    /// `None` where no foot stands.
+    /// `None` if no foot stands.
     pub foot_skate: Option<metrics::FootSkate>,
-    /// Mean wall time a frame, milliseconds. The only figure that differs from run to run.
+    /// Mean wall time per frame, milliseconds. The only metric that differs from run to run.
     pub ms_per_frame: f64,
 }
 
-/// What plots show of a method on a sequence.
+/// The plot data of a method on a sequence.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Trace {
-    /// Seconds from the start and mean joint error, millimetres, of every frame compared.
+    /// Seconds from the start and mean joint error, millimetres, of every compared frame.
     pub error_mm: Vec<(f64, f64)>,
     /// Seconds from the start and height of each joint, metres.
     pub heights: Vec<(f64, [f32; JOINTS])>,
@@ -47,7 +47,7 @@ pub struct Trace {
     pub around_borders: [(f64, usize); 2 * REACH + 1],
 }
 
-/// Compares poses with the truth of the same frames; `None` if there are fewer than three.
+/// Compares poses with the truth of the same frames; `None` for fewer than three.
 pub fn score(sequence: &Sequence, solved: &Solved, ms_per_frame: f64) -> Option<(Score, Trace)> {
     let fps = sequence.take.fps;
     let runs = Runs::new(sequence, solved)?;
@@ -104,7 +104,7 @@ impl Runs {
             let near = (truth.capture - at).abs() < (0.1e9 / fps) as i64;
             near.then_some(frame as usize)
         };
-        // The last pose of a frame counts.
+        // The last pose of a frame is used.
         let mut by_frame = vec![None; sequence.truth.len()];
         for (at, pose) in &solved.poses {
             if let Some(frame) = frame_of(*at) {

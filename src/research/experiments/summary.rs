@@ -1,4 +1,4 @@
-//! Means over sequences, and what the differences between methods are worth.
+//! Means over sequences, and the significance of differences between methods.
 
 use std::collections::BTreeMap;
 
@@ -19,7 +19,7 @@ pub struct Metric {
     pub title: &'static str,
     /// Digits after the point.
     pub digits: usize,
-    /// Of a sequence.
+    /// The value for a sequence.
     pub of: fn(&Score) -> Option<f64>,
 }
 
@@ -63,8 +63,8 @@ pub const METRICS: [Metric; 11] = [
     Metric { key: "ms_per_frame", title: "ms/frame", digits: 2, of: |s| Some(s.ms_per_frame) },
 ];
 
-/// The metrics whose differences are shown: the five of the paper's table, root-relative MPJPE
-/// and the acceleration error.
+/// The metrics with differences: the five of the paper's table, root-relative MPJPE and the
+/// acceleration error.
 const COMPARED: usize = 7;
 
 /// The means of one method.
@@ -72,16 +72,16 @@ const COMPARED: usize = 7;
 pub struct Summary {
     /// The method.
     pub method: String,
-    /// How many frames a pose waits for; `None` until the recording's end.
+    /// Delay of a pose in frames; `None` until the recording's end.
     pub delay_frames: Option<usize>,
-    /// Sequences in which nobody was found; they are in nobody's means.
+    /// Number of sequences in which nobody was found; all means leave these out.
     pub failed: usize,
     /// Mean over the sequences, by [`Metric::key`].
     pub mean: BTreeMap<&'static str, f64>,
-    /// Mean of jumps at borders over that elsewhere.
+    /// Mean jump at borders divided by that elsewhere.
     pub velocity_jump_ratio: Option<f64>,
-    /// Mean difference from the method that is compared with, over the same sequences, with the
-    /// 95 % interval of the paired t test.
+    /// Mean difference from the reference method over the same sequences, with the 95 % interval of
+    /// the paired t test.
     pub difference: BTreeMap<&'static str, Interval>,
 }
 
@@ -180,7 +180,7 @@ pub fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or("–".into(), |value| format!("{value:.digits$}"))
 }
 
-/// Every figure: means, differences and each sequence.
+/// All results: means, differences and each sequence.
 pub fn to_json(run: &Run, summaries: &[Summary]) -> Value {
     let methods: Vec<Value> = run
         .rows
@@ -201,7 +201,7 @@ pub fn to_json(run: &Run, summaries: &[Summary]) -> Value {
     Value::from(methods)
 }
 
-/// A table as Markdown, its heading included.
+/// A table as Markdown, with its heading.
 pub fn markdown(table: &Table) -> String {
     let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
     let rule: String =
@@ -210,7 +210,7 @@ pub fn markdown(table: &Table) -> String {
     format!("## {}\n\n{}{rule}|\n{rows}", table.title, line(&table.header))
 }
 
-/// A table as text in columns, the first one flush left.
+/// A table as text in columns; the first is left-aligned.
 pub fn text(table: &Table) -> String {
     let all = || std::iter::once(&table.header).chain(&table.rows);
     let width = |column: usize| {
@@ -270,7 +270,7 @@ mod tests {
         assert_eq!((summaries[0].failed, summaries[1].failed), (0, 1));
         let difference = summaries[1].difference["mpjpe_mm"];
         assert!((difference.value - 2.0).abs() < 1e-12);
-        // s = 1 of the differences 1, 2, 3; t(2) = 4.3027.
+        // s = 1 for the differences 1, 2, 3; t(2) = 4.3027.
         assert!((difference.high - 2.0 - 4.3027 / 3f64.sqrt()).abs() < 1e-3);
         let text = text(&table("t", &summaries));
         assert!(text.lines().nth(1).is_some_and(|line| line.ends_with("failed")), "{text}");

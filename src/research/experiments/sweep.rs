@@ -1,8 +1,8 @@
-//! One sweep for all methods, so that each has weights that were chosen by the same rule.
+//! Tunes the weights of all methods by the same rule.
 //!
-//! The weights of a method are axes (see [`axes`]), begun at its defaults. Along one axis after
-//! the other the value is tried with each factor, the others held; the best is kept. Two rounds.
-//! What is best is judged by MPJPE and MAE on motions that the evaluation does not use.
+//! The weights of a method are axes (see [`axes`]) that start at its defaults. Coordinate search:
+//! for one axis after the other, each factor is tried with the other axes fixed, and the best is
+//! kept. Two rounds. The score uses MPJPE and MAE on motions that the evaluation does not use.
 
 use serde::Serialize;
 
@@ -19,21 +19,21 @@ use crate::research::methods::{
     SlahmrWeights, Windows,
 };
 
-/// Times each axis is gone along.
+/// Number of passes over all axes.
 const ROUNDS: usize = 2;
-/// Millimetres that a degree of MAE counts as.
+/// Millimetres per degree of MAE in the score.
 const MM_PER_DEGREE: f64 = 2.0;
-/// What a motion counts as in which nobody was found.
+/// Score of a motion in which nobody was found.
 const FAILED: f64 = 200.0;
 
 /// A weight of a method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Axis {
-    /// What tables call it.
+    /// The name in tables.
     pub name: &'static str,
     /// The method's default.
     pub start: f64,
-    /// What it is multiplied with.
+    /// Factors of the start value.
     pub factors: &'static [f64],
 }
 
@@ -41,7 +41,7 @@ const WIDE: &[f64] = &[0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0];
 const NARROW: &[f64] = &[0.1, 0.3, 1.0, 3.0];
 const SCALE: &[f64] = &[0.5, 1.0, 2.0, 4.0];
 
-/// The weights of a method that are tuned; `None` for a name that is not known.
+/// The tuned weights of a method; `None` for an unknown name.
 pub fn axes(method: &str) -> Option<Vec<Axis>> {
     let all = |smoothness: Option<(&'static str, f64)>, prior: f64, scale: f64| {
         let smoothness = smoothness.map(|(name, start)| Axis { name, start, factors: WIDE });
@@ -89,7 +89,7 @@ pub fn axes(method: &str) -> Option<Vec<Axis>> {
     }
 }
 
-/// The method with values of its [`axes`], in their order, named by them.
+/// The method with values for its [`axes`], in their order, and a name made from them.
 fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> {
     let of = |name: &str| {
         let index = axes.iter().position(|axis| axis.name == name);
@@ -154,9 +154,9 @@ fn label(axes: &[Axis], values: &[f64]) -> String {
 pub struct Trial {
     /// In the order of the axes.
     pub values: Vec<f64>,
-    /// What it was called.
+    /// The name of the tuned method.
     pub name: String,
-    /// The judgement; less is better.
+    /// The score; lower is better.
     pub judged: f64,
     /// Mean MPJPE, millimetres, by run.
     pub mpjpe_mm: Vec<Option<f64>>,
@@ -164,8 +164,8 @@ pub struct Trial {
     pub mae_deg: Vec<Option<f64>>,
 }
 
-/// Tunes a method: `solve` is given methods and returns their runs, one for each level of noise.
-/// All trials, the best first; none for a name that is not known.
+/// Tunes a method: `solve` solves with some methods and returns their runs, one for each noise
+/// level. Returns all trials, the best first; none for an unknown name.
 ///
 /// # Errors
 /// Those of `solve`.
@@ -214,9 +214,8 @@ fn trial(axes: &[Axis], values: Vec<f64>, row: usize, runs: &[Run]) -> Trial {
     }
 }
 
-/// The judgement of a row: the mean over motions and levels of MPJPE in mm plus 2 mm for each
-/// degree of MAE, so that neither places nor twists are bought with the other; 200 where nobody
-/// was found.
+/// The score of a row: the mean over motions and levels of MPJPE in mm plus 2 mm per degree of MAE,
+/// so that neither position nor rotation is traded for the other; 200 if nobody was found.
 fn judge(runs: &[Run], row: usize) -> f64 {
     let results = runs.iter().flat_map(|run| &run.rows[row].results);
     let of = |result: &Option<(super::Score, super::Trace)>| {

@@ -131,7 +131,7 @@ impl LowFrequency {
         let cosine = |k: usize, t: usize| {
             let scale = if k == 0 { 1.0 } else { 2.0 } / frames as f64;
             let phase = std::f64::consts::PI * k as f64 * (t as f64 + 0.5) / frames as f64;
-            scale.sqrt() * phase.cos()
+            scale.sqrt() * libm::cos(phase)
         };
         let row = |t: usize| (0..components.min(frames)).map(|k| cosine(k, t)).collect();
         Self { weight, basis: (0..frames).map(row).collect() }

@@ -14,12 +14,12 @@ use crate::core::time::Timestamp;
 use crate::core::tracker::acquire::{find_performer, fit};
 use crate::core::tracker::job::{Job, Outcome};
 
-/// The shape is solved with at most this many keyframes.
+/// Most keyframes in the solve of the shape.
 const SHAPE_KEYFRAMES: usize = 10;
 
 impl Solver {
-    /// Finds the performer in the first frame set that shows one, and the shape, if it is not known,
-    /// from all the job's windows.
+    /// Finds the performer in the first frame set that shows one; if the shape is unknown, solves
+    /// it from all windows of the job.
     pub(super) fn acquire(
         &mut self,
         job: &Job,
@@ -51,8 +51,8 @@ impl Solver {
         Outcome::NobodyFound
     }
 
-    /// Refines the first keyframe and the shape over all the job's windows at once. The keyframes after
-    /// the first are solved one after the other before that.
+    /// Refines the first keyframe and the shape over all windows of the job at once. Before that,
+    /// the later keyframes are solved one after the other.
     fn fit_shape(
         &mut self,
         job: &Job,
@@ -67,7 +67,8 @@ impl Solver {
         let frames = spacing as f64;
         let used = job.frames.iter().filter(|frame| frame.capture >= first.capture);
         let mut observations = self.follow(used, points, &job.rig, &first.keyframe, rough);
-        // Only the shape and the first keyframe are kept: few keyframes and no stiffness will do.
+        // Only the shape and the first keyframe are kept, so few keyframes and no stiffness are
+        // enough.
         let cost = cost::Config { stiffness: Stiffness::NONE, ..self.config.cost };
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
         let times = (0..=steps).map(|k| first.capture + step * k).collect::<Vec<_>>();
@@ -97,8 +98,8 @@ impl Solver {
     }
 }
 
-/// Keyframes from `first` on, at those of the `times` after it that are reached by observations, each
-/// solved alone from the one before. Each counts for `frames` nominal frames.
+/// Keyframes from `first` on, at the keyframe times among `times` that observations reach. Each is
+/// solved alone, starting from the one before. Each stands for `frames` nominal frames.
 fn path_by_steps(
     scene: Scene,
     skeleton: &Skeleton,
@@ -124,8 +125,8 @@ fn path_by_steps(
     path
 }
 
-/// Groups frames into sets: a set holds frames of different cameras, at most `half_period` ns after its
-/// first.
+/// Groups frames into sets: a set holds frames of different cameras, at most `half_period` ns after
+/// its first frame.
 fn frame_sets(frames: &[Arc<Detections>], half_period: i64) -> Vec<(Timestamp, Vec<&Detections>)> {
     let mut sets: Vec<(Timestamp, Vec<&Detections>)> = Vec::new();
     for frame in frames {

@@ -1,4 +1,4 @@
-//! Solving keyframes of a window together.
+//! Solves the keyframes of a window together.
 
 use super::Solver;
 use super::known::Known;
@@ -10,13 +10,13 @@ use crate::core::time::Timestamp;
 use crate::core::tracker::config::Config;
 use crate::core::tracker::job::Job;
 
-/// The start of a window is too far from the detections if its new frames cost this much more than the
-/// known ones, as a part of the largest possible cost.
+/// A window's start values are too far from the detections if its new frames cost this much more
+/// than the known ones, as a fraction of the largest possible cost.
 const FAR: f64 = 0.3;
-/// One keyframe after the other is solved roughly, with a loss that reaches far.
+/// Then its keyframes are solved roughly, one after the other, with a wide loss.
 const ONE_BY_ONE: Steps = Steps { iterations: 1, scale_factor: 3.0 };
 
-/// How keyframes are solved.
+/// Settings of a keyframe solve.
 #[derive(Clone, Copy)]
 pub(super) struct Steps {
     /// Most iterations.
@@ -77,8 +77,8 @@ impl Solver {
         )
     }
 
-    /// The keyframes of a window with its new ones roughly solved, one after the other: for quick
-    /// motion, where the body leaves the reach of the loss within a window.
+    /// The keyframes of a window, the new ones solved roughly, one after the other. For quick
+    /// motion: there the body leaves the range of the loss within a window.
     fn one_by_one(
         &mut self,
         job: &Job,
@@ -98,7 +98,7 @@ impl Solver {
         path.split_off(known.past.len())
     }
 
-    /// The cost's weights; those of prior and stiffness scaled with the variance of the detections.
+    /// The cost's weights, with prior and stiffness scaled by the variance of the detections.
     pub(super) fn cost(&self, job: &Job) -> cost::Config {
         let Config { cost, reference_residual_px, .. } = self.config;
         let factor = job.noise.factor(reference_residual_px);
@@ -107,7 +107,7 @@ impl Solver {
     }
 }
 
-/// The path of a window: the final keyframes, fixed, then free ones at `times`, from what is known.
+/// The path of a window: the fixed final keyframes, then free ones at `times`, from known values.
 fn path(
     job: &Job,
     known: Known,
@@ -126,7 +126,8 @@ fn path(
     path
 }
 
-/// A start value: the code of the last keyframe, and the root's motion over the last two continued.
+/// A start value: the code of the last keyframe, and the root's motion over the last two,
+/// extrapolated.
 fn extrapolated_root(
     [before, last]: [&TimedKeyframe; 2],
     interpolation: Interpolation,

@@ -1,4 +1,4 @@
-//! What is known of a window before it is solved.
+//! The known values of a window before its solve.
 
 use crate::core::body::Skeleton;
 use crate::core::cost::PathKeyframe;
@@ -6,7 +6,7 @@ use crate::core::manifold::{Interpolation, Keyframe, TimedKeyframe};
 use crate::core::time::Timestamp;
 use crate::core::tracker::job::Job;
 
-/// The keyframes and the body that are known before a window is solved.
+/// The known keyframes and the known body of a window before its solve.
 #[derive(Clone, Copy)]
 pub(super) struct Known<'a> {
     /// The last final keyframes; the very last is at the window's start.
@@ -23,7 +23,7 @@ impl Known<'_> {
         last.map_or(job.start, |last| last.capture)
     }
 
-    /// The final keyframes, as fixed ones of a path.
+    /// The final keyframes, as fixed keyframes of a path.
     pub(super) fn fixed(&self) -> impl Iterator<Item = PathKeyframe> {
         self.past.iter().cloned().map(PathKeyframe::fixed)
     }
@@ -35,7 +35,7 @@ impl Known<'_> {
         Some([before, last])
     }
 
-    /// The keyframe at that time: interpolated; after the last one, the last one.
+    /// The keyframe at a time: interpolated; after the last one, the last one.
     pub(super) fn at(&self, time: Timestamp, interpolation: Interpolation) -> Option<Keyframe> {
         let mut earlier = self.past.last()?;
         for later in self.ahead {

@@ -1,4 +1,4 @@
-//! The solver: solves jobs, keeps nothing but memory.
+//! The solver: solves jobs. It keeps only scratch memory.
 
 mod acquisition;
 mod keyframes;
@@ -20,7 +20,8 @@ use crate::core::optimise::Optimiser;
 use crate::core::time::Timestamp;
 use known::Known;
 
-/// An acquisition goes on until a step lowers the cost by less than this part: the shape comes from it.
+/// The acquisition stops if a step lowers the cost by less than this fraction; small, because the
+/// shape comes from it.
 const ACQUISITION_CHANGE: f64 = 1e-4;
 
 /// Solves jobs. The same job always gives the same solution.
@@ -30,13 +31,13 @@ pub struct Solver {
     optimiser: Box<dyn Optimiser>,
     acquisition_optimiser: Box<dyn Optimiser>,
     work: Workspace,
-    /// The threads that solve together; `None` if the calling thread solves alone.
+    /// The pool of solver threads; `None` if the calling thread solves alone.
     pool: Option<SpinPool>,
 }
 
 impl Solver {
-    /// A solver on that manifold. Starts the threads that `config` asks for; if the system refuses
-    /// them, it solves on the calling thread.
+    /// A solver with a manifold. Starts the threads in `config`; if the system refuses them, it
+    /// solves on the calling thread.
     pub fn new(decoder: Decoder, config: Config) -> Self {
         let optimiser = config.optimiser.optimiser(config.change_threshold);
         let change = config.change_threshold.min(ACQUISITION_CHANGE);
@@ -84,7 +85,7 @@ impl Solver {
         }
     }
 
-    /// The performer's observations in `frames`, followed from where `keyframe` is.
+    /// The performer's observations in `frames`, followed from the pose of `keyframe`.
     fn follow<'d>(
         &self,
         frames: impl Iterator<Item = &'d Arc<Detections>>,
@@ -97,7 +98,7 @@ impl Solver {
         follow(frames, points, rig, &self.decoder.pose(keyframe), skeleton, &self.config)
     }
 
-    /// The poses at `times` of a window whose keyframes are known. Equal times are decoded once.
+    /// The poses at `times` of a window with known keyframes. Equal times are decoded once.
     fn poses_at(&self, window: Known, times: impl Iterator<Item = Timestamp>) -> Vec<Pose> {
         let interpolation = self.config.cost.interpolation;
         let times: Vec<Timestamp> = times.collect();

@@ -1,4 +1,4 @@
-//! Solving a window, and a provisional fit of the open one.
+//! Solves a window, and fits the open one provisionally.
 
 use std::sync::Arc;
 
@@ -15,17 +15,18 @@ use crate::core::tracker::noise::Residual;
 use crate::core::tracker::offset_estimator::OffsetEstimator;
 use crate::core::tracker::verdict::{hidden, residuals, verdict};
 
-/// Time constant with which an extrapolated motion comes to rest, seconds.
+/// Time constant of the decay of an extrapolated motion, seconds.
 const DECAY: f64 = 0.1;
-/// Known keyframes of the open window that a provisional fit solves again, besides the new ones.
+/// Number of known keyframes of the open window that a provisional fit solves again with the new
+/// ones.
 const PROVISIONAL_KEYFRAMES: usize = 2;
-/// Share of the window before in a window's first keyframe.
+/// Share of the previous window in a window's first keyframe.
 const BLEND: f64 = 0.5;
-/// Factor of the prior on codes where keypoint offsets are estimated.
+/// Factor of the prior on codes when keypoint offsets are estimated.
 const OFFSET_PRIOR_FACTOR: f64 = 0.1;
 
 impl Solver {
-    /// Solves the keyframes of a window, and judges it.
+    /// Solves the keyframes of a window and gives the verdict on them.
     pub(super) fn track(
         &mut self,
         job: &Job,
@@ -38,7 +39,7 @@ impl Solver {
         let observations =
             self.follow(job.used_frames(), points, &job.rig, &from.keyframe, skeleton);
         if let Some(hidden) = hidden(&self.config.gate, job, &observations) {
-            // After a window without the performer, somebody may be seen elsewhere.
+            // After a window without the performer, there may be a person elsewhere.
             let found = (coasted > 0).then(|| self.acquire(job, points, Some(skeleton)));
             let found = found.filter(|found| matches!(found, Outcome::Acquired { .. }));
             return found.unwrap_or_else(|| self.coast(job, known, coasted, hidden));
@@ -77,7 +78,7 @@ impl Solver {
         (residuals(seen.into_iter().zip(poses), points, &job.rig, solved.skeleton), wanted)
     }
 
-    /// The estimate of the keypoint offsets with a solved window added.
+    /// The estimate of the keypoint offsets after one more solved window.
     fn estimate_offsets(
         &mut self,
         job: &Job,
@@ -86,7 +87,7 @@ impl Solver {
         observations: &[FrameObservations],
         estimator: &OffsetEstimator,
     ) -> Option<OffsetEstimator> {
-        // The prior pulls poses away from the detections; that must not end up in the offsets.
+        // The prior pulls poses away from the detections; the offsets must not absorb that.
         let cost = self.cost(job);
         let cost =
             cost::Config { prior: OFFSET_PRIOR_FACTOR * cost.prior, offset_prior: 0.0, ..cost };
@@ -101,8 +102,8 @@ impl Solver {
         estimator.with(&marginal, solved.skeleton.keypoint_offsets(), prior)
     }
 
-    /// Blends the first final keyframes with those of the window before, each less than the one
-    /// before it, so that the path has no kink where two windows meet.
+    /// Blends the first final keyframes with those of the previous window, with decreasing shares,
+    /// so that the path has no kink between windows.
     fn blend(
         &self,
         job: &Job,
@@ -123,7 +124,7 @@ impl Solver {
         keyframes
     }
 
-    /// A window in which too little is seen: the motion is extrapolated and comes to rest.
+    /// A window with too few detections: the motion is extrapolated and comes to rest.
     fn coast(&self, job: &Job, known: Known, coasted: usize, hidden: String) -> Outcome {
         let verdict = match coasted < self.config.coast_windows {
             true => Verdict::Coasted(hidden),
@@ -135,7 +136,7 @@ impl Solver {
                 [.., before, last] => {
                     let ahead = capture.seconds_since(last.capture);
                     let step = last.capture.seconds_since(before.capture);
-                    let s = DECAY * (1.0 - (-ahead / DECAY).exp()) / step;
+                    let s = DECAY * (1.0 - libm::exp(-ahead / DECAY)) / step;
                     interpolation.keyframe(&before.keyframe, &last.keyframe, 1.0 + s)
                 }
                 _ => known.at(capture, interpolation)?,
@@ -149,8 +150,8 @@ impl Solver {
         Outcome::Tracked(Box::new(tracked(known, poses, None, Vec::new(), verdict)))
     }
 
-    /// Fits the open window up to its newest frame set. Only the last known keyframes and the new ones
-    /// are free; the window's own solve frees the others.
+    /// Fits the open window up to its newest frame set. Only the last known keyframes and the new
+    /// ones are free; the window's own solve frees the others.
     pub(super) fn provisional(&mut self, job: &Job, points: &[BodyPoint], known: Known) -> Outcome {
         let Some(from) = known.past.last() else { return Outcome::NobodyFound };
         let observations =
