@@ -5,8 +5,6 @@
 //! steps; its sum replaces the element, is added to it or subtracted from it, and the next begins.
 //! Neither the tiles in which elements are computed nor the registers they are in change a bit of it.
 
-#[cfg(target_arch = "x86_64")]
-use std::arch::x86_64::*;
 use std::ops::Range;
 
 use nalgebra::RealField;
@@ -15,38 +13,25 @@ use super::{Accum, Path};
 
 /// Steps of a chain.
 pub(super) const DEPTH: usize = 256;
-/// Columns of a tile.
-const COLUMNS: usize = 2 * LANES;
-/// Numbers that are loaded at once.
-const LANES: usize = 8;
-/// Rows of the largest tile, which takes 12 registers of 8 numbers.
-const ROWS: usize = 12;
+/// Rows of the largest tile; two registers wide, its sums take 12 registers.
+const ROWS: usize = 6;
 /// With more tiles in a strip of columns than this, it pays to copy the strip to one place first.
 const FEW: usize = 16;
 
-type Sums<T> = [[T; COLUMNS]; ROWS];
-
 /// Numbers that products are made of.
 pub trait Real: RealField + Copy {
-    /// Those of a register of AVX2.
-    #[cfg(target_arch = "x86_64")]
-    #[doc(hidden)]
-    type Avx2: Lanes<Self>;
-
-    /// Rows of a tile at most.
-    #[doc(hidden)]
-    const ROWS: usize;
-
     /// sum + a b.
     #[doc(hidden)]
     fn step(a: Self, b: Self, sum: Self) -> Self;
+
+    /// out takes a b, by a processor that has AVX2.
+    #[cfg(target_arch = "x86_64")]
+    #[doc(hidden)]
+    #[allow(private_interfaces, unsafe_code)]
+    unsafe fn by_avx2(size: [usize; 3], a: View<Self>, b: View<Self>, out: Target<Self>);
 }
 
 impl Real for f32 {
-    #[cfg(target_arch = "x86_64")]
-    type Avx2 = std::arch::x86_64::__m256;
-    const ROWS: usize = ROWS;
-
     #[inline(always)]
     fn step(a: f32, b: f32, sum: f32) -> f32 {
         match cfg!(any(target_feature = "fma", target_arch = "aarch64")) {
@@ -54,22 +39,37 @@ impl Real for f32 {
             false => mul_add(a, b, sum),
         }
     }
+
+    #[cfg(target_arch = "x86_64")]
+    #[allow(private_interfaces, unsafe_code)]
+    #[target_feature(enable = "avx2,fma")]
+    unsafe fn by_avx2(size: [usize; 3], a: View<f32>, b: View<f32>, out: Target<f32>) {
+        by_tiles::<f32, 16>(ROWS, size, a, b, out, |size, a, b, out| {
+            avx2::tile_f32(size, a, b, out)
+        });
+    }
 }
 
 impl Real for f64 {
-    #[cfg(target_arch = "x86_64")]
-    type Avx2 = [f64; LANES];
-    const ROWS: usize = 1;
-
     #[inline(always)]
     fn step(a: f64, b: f64, sum: f64) -> f64 {
         sum + a * b
     }
+
+    #[cfg(target_arch = "x86_64")]
+    #[allow(private_interfaces, unsafe_code)]
+    #[target_feature(enable = "avx2,fma")]
+    unsafe fn by_avx2(size: [usize; 3], a: View<f64>, b: View<f64>, out: Target<f64>) {
+        by_tiles::<f64, 8>(ROWS, size, a, b, out, |size, a, b, out| {
+            avx2::tile_f64(size, a, b, out)
+        });
+    }
 }
 
-/// Eight numbers, with which the same is done.
-#[doc(hidden)]
-pub trait Lanes<T>: Copy {
+/// Several numbers, with which the same is done.
+trait Lanes<T>: Copy {
+    /// How many.
+    const COUNT: usize;
     /// All alike.
     fn splat(value: T) -> Self;
     /// The first of a slice.
@@ -80,15 +80,17 @@ pub trait Lanes<T>: Copy {
     fn store(self, to: &mut [T]);
 }
 
-impl<T: Real> Lanes<T> for [T; LANES] {
+impl<T: Real> Lanes<T> for [T; 8] {
+    const COUNT: usize = 8;
+
     #[inline(always)]
     fn splat(value: T) -> Self {
-        [value; LANES]
+        [value; 8]
     }
 
     #[inline(always)]
     fn load(from: &[T]) -> Self {
-        std::array::from_fn(|i| from[..LANES][i])
+        std::array::from_fn(|i| from[..8][i])
     }
 
     #[inline(always)]
@@ -98,7 +100,7 @@ impl<T: Real> Lanes<T> for [T; LANES] {
 
     #[inline(always)]
     fn store(self, to: &mut [T]) {
-        to[..LANES].copy_from_slice(&self);
+        to[..8].copy_from_slice(&self);
     }
 }
 
@@ -142,9 +144,16 @@ pub(super) struct Target<'a, T> {
 }
 
 impl<T: Real> Target<'_, T> {
+    /// What begins at an entry, all of it.
+    fn from(&mut self, row: usize, column: usize) -> Target<'_, T> {
+        let (stride, accum) = (self.stride, self.accum);
+        let data = &mut self.data[row * stride + column..];
+        Target { data, stride, accum, upper: false }
+    }
+
     /// Takes those of a row's sums that are of `columns`; the first is of column `first`.
     #[inline(always)]
-    fn take(&mut self, row: usize, columns: Range<usize>, first: usize, sums: &[T; COLUMNS]) {
+    fn take(&mut self, row: usize, columns: Range<usize>, first: usize, sums: &[T]) {
         let start = if self.upper { columns.start.max(row) } else { columns.start };
         if start < columns.end {
             let sums = &sums[start - first..columns.end - first];
@@ -167,43 +176,50 @@ pub(super) fn multiply<T: Real>(
     out: Target<T>,
 ) {
     match path {
-        Path::Plain => by_tiles(1, size, a, b, out, tile::<T, [T; LANES], 1>),
+        // One row at a time, for registers are few.
+        Path::Plain => by_tiles::<T, 16>(1, size, a, b, out, tile::<T, [T; 8]>),
         // SAFETY: the processor has AVX2 and FMA.
         #[cfg(target_arch = "x86_64")]
         #[allow(unsafe_code)]
-        Path::Avx2 => unsafe { avx2::multiply(size, a, b, out) },
-        // SAFETY: the processor has AVX-512 with short registers too.
-        #[cfg(target_arch = "x86_64")]
-        #[allow(unsafe_code)]
-        Path::Avx512 => unsafe { avx512::multiply(size, a, b, out) },
+        Path::Avx2 => unsafe { T::by_avx2(size, a, b, out) },
     }
 }
 
+/// The same in tiles of so many rows at most, C columns wide.
 #[inline(always)]
-fn by_tiles<T: Real>(
+fn by_tiles<T: Real, const C: usize>(
     most: usize,
     [m, k, n]: [usize; 3],
     a: View<T>,
     b: View<T>,
     mut out: Target<T>,
-    tile: impl Fn([usize; 2], View<T>, View<T>, &mut Sums<T>),
+    tile: impl Fn([usize; 2], View<T>, View<T>, Target<T>),
 ) {
-    let (mut packed, mut sums) = (None, [[T::zero(); COLUMNS]; ROWS]);
-    let tiles = m.div_ceil(most.min(T::ROWS));
+    let (mut packed, mut sums) = (None, [[T::zero(); C]; ROWS]);
+    let tiles = m.div_ceil(most);
     for begin in (0..k.max(1)).step_by(DEPTH) {
         let depth = DEPTH.min(k - begin);
-        for new in (0..n).step_by(COLUMNS) {
+        for new in (0..n).step_by(C) {
             // The last strip is as wide as the others and overlaps the one before.
-            let (first, end) = (new.min(n.saturating_sub(COLUMNS)), n.min(new + COLUMNS));
+            let (first, end) = (new.min(n.saturating_sub(C)), n.min(new + C));
             let mut strip = b.from(begin, first);
-            if b.column != 1 || end - first < COLUMNS || tiles > FEW {
-                let packed = packed.get_or_insert([[T::zero(); COLUMNS]; DEPTH]);
+            if b.column != 1 || end - first < C || tiles > FEW {
+                let packed = packed.get_or_insert([[T::zero(); C]; DEPTH]);
                 strip = pack(strip, end - first, &mut packed[..depth]);
             }
             for number in 0..tiles {
                 let rows = number * m / tiles..(number + 1) * m / tiles;
-                if !(out.upper && rows.start >= end) {
-                    tile([rows.len(), depth], a.from(rows.start, begin), strip, &mut sums);
+                if out.upper && rows.start >= end {
+                    continue;
+                }
+                let (size, a) = ([rows.len(), depth], a.from(rows.start, begin));
+                let is_whole = end - new == C && !(out.upper && rows.end > new + 1);
+                if is_whole {
+                    tile(size, a, strip, out.from(rows.start, new));
+                } else {
+                    let data = sums.as_flattened_mut();
+                    let (stride, accum) = (C, Accum::Replace);
+                    tile(size, a, strip, Target { data, stride, accum, upper: false });
                     rows.zip(&sums).for_each(|(row, sums)| out.take(row, new..end, first, sums));
                 }
             }
@@ -216,37 +232,35 @@ fn by_tiles<T: Real>(
 
 /// Copies so many columns to one place; the others stay zero.
 #[inline(always)]
-fn pack<'p, T: Real>(strip: View<T>, width: usize, packed: &'p mut [[T; COLUMNS]]) -> View<'p, T> {
+fn pack<'p, T: Real, const C: usize>(
+    strip: View<T>,
+    width: usize,
+    packed: &'p mut [[T; C]],
+) -> View<'p, T> {
     for (k, out) in packed.iter_mut().enumerate() {
         let row = &strip.data[k * strip.row..];
         match (strip.column, width) {
-            (1, COLUMNS) => out.copy_from_slice(&row[..COLUMNS]),
+            (1, width) if width == C => out.copy_from_slice(&row[..C]),
             (column, _) => {
                 let row = row.iter().step_by(column).take(width);
                 out.iter_mut().zip(row).for_each(|(out, v)| *out = *v);
             }
         }
     }
-    View { data: packed.as_flattened(), row: COLUMNS, column: 1 }
+    View { data: packed.as_flattened(), row: C, column: 1 }
 }
 
 /// The sums of a tile over the first `depth` columns of a and rows of b.
 #[inline(always)]
-fn tile<T: Real, L: Lanes<T>, const MOST: usize>(
-    [rows, depth]: [usize; 2],
-    a: View<T>,
-    b: View<T>,
-    sums: &mut Sums<T>,
-) {
-    macro_rules! of {
-        ($($count:literal)*) => {
-            match rows {
-                $($count if MOST.min(T::ROWS) >= $count => chains::<T, L, $count>(depth, a, b, sums),)*
-                _ => chains::<T, L, 1>(depth, a, b, sums),
-            }
-        };
+fn tile<T: Real, L: Lanes<T>>([rows, depth]: [usize; 2], a: View<T>, b: View<T>, out: Target<T>) {
+    match rows {
+        2 => chains::<T, L, 2>(depth, a, b, out),
+        3 => chains::<T, L, 3>(depth, a, b, out),
+        4 => chains::<T, L, 4>(depth, a, b, out),
+        5 => chains::<T, L, 5>(depth, a, b, out),
+        6 => chains::<T, L, 6>(depth, a, b, out),
+        _ => chains::<T, L, 1>(depth, a, b, out),
     }
-    of!(2 3 4 5 6 7 8 9 10 11 12)
 }
 
 /// The sums of R rows, which stay in registers.
@@ -255,7 +269,7 @@ fn chains<T: Real, L: Lanes<T>, const R: usize>(
     depth: usize,
     a: View<T>,
     b: View<T>,
-    out: &mut Sums<T>,
+    out: Target<T>,
 ) {
     if a.column == 1 {
         let rows: &[&[T]; R] = &std::array::from_fn(|row| &a.data[row * a.row..][..depth]);
@@ -274,79 +288,98 @@ fn chains<T: Real, L: Lanes<T>, const R: usize>(
 #[inline(always)]
 fn chains_of<'b, T: Real, L: Lanes<T>, const R: usize>(
     both: impl Iterator<Item = (impl Fn(usize) -> T, &'b [T])>,
-    out: &mut Sums<T>,
+    out: Target<T>,
 ) {
     let mut sums = [[L::splat(T::zero()); 2]; R];
     for (a, b) in both {
-        let b = &b[..COLUMNS];
-        let (left, right) = (L::load(b), L::load(&b[LANES..]));
+        let b = &b[..2 * L::COUNT];
+        let (left, right) = (L::load(b), L::load(&b[L::COUNT..]));
         for row in 0..R {
             let a = L::splat(a(row));
             sums[row][0] = sums[row][0].step(a, left);
             sums[row][1] = sums[row][1].step(a, right);
         }
     }
+    // Times one or minus one: so it is added or subtracted with one rounding.
+    let sign = L::splat(if out.accum == Accum::Subtract { -T::one() } else { T::one() });
     for row in 0..R {
-        sums[row][0].store(&mut out[row]);
-        sums[row][1].store(&mut out[row][LANES..]);
+        let out_row = &mut out.data[row * out.stride..][..2 * L::COUNT];
+        for half in 0..2 {
+            let (out_half, sum) = (&mut out_row[half * L::COUNT..], sums[row][half]);
+            let is_new = out.accum == Accum::Replace;
+            let sum = if is_new { sum } else { L::load(out_half).step(sign, sum) };
+            sum.store(out_half);
+        }
     }
 }
 
 /// By registers of 256 bits, with a fused step in f32.
 #[cfg(target_arch = "x86_64")]
-macro_rules! wide_path {
-    ($name:ident, $features:literal, $rows:literal) => {
-        mod $name {
-            use super::{Real, Sums, Target, View, by_tiles};
+mod avx2 {
+    use std::arch::x86_64::*;
 
-            #[target_feature(enable = $features)]
-            pub(super) fn multiply<T: Real>(
-                size: [usize; 3],
-                a: View<T>,
-                b: View<T>,
-                out: Target<T>,
-            ) {
-                by_tiles($rows, size, a, b, out, |size, a, b, sums| tile(size, a, b, sums));
-            }
+    use super::{Lanes, Target, View, tile};
 
-            /// By itself, for the compiler keeps its loops' variables in registers then.
-            #[target_feature(enable = $features)]
+    macro_rules! lanes {
+        ($number:ty, $lanes:ty, $tile:ident, $splat:ident, $load:ident, $store:ident, $step:expr) => {
+            // By itself, for the compiler keeps its loops' variables in registers then.
+            #[target_feature(enable = "avx2,fma")]
             #[inline(never)]
-            fn tile<T: Real>(size: [usize; 2], a: View<T>, b: View<T>, sums: &mut Sums<T>) {
-                super::tile::<T, T::Avx2, $rows>(size, a, b, sums);
+            pub(super) fn $tile(
+                size: [usize; 2],
+                a: View<$number>,
+                b: View<$number>,
+                out: Target<$number>,
+            ) {
+                tile::<$number, $lanes>(size, a, b, out);
             }
-        }
-    };
-}
-#[cfg(target_arch = "x86_64")]
-wide_path!(avx2, "avx2,fma", 6);
-#[cfg(target_arch = "x86_64")]
-wide_path!(avx512, "avx2,fma,avx512f,avx512vl", 12);
 
-// SAFETY, for all below: only `multiply` uses these, so the processor has AVX2 and FMA; what is loaded
-// and stored lies within slices of the right length.
-#[allow(unsafe_code)]
-#[cfg(target_arch = "x86_64")]
-impl Lanes<f32> for __m256 {
-    #[inline(always)]
-    fn splat(value: f32) -> Self {
-        unsafe { _mm256_set1_ps(value) }
-    }
+            // SAFETY: only the function above uses these, so the processor has AVX2 and FMA; what is
+            // loaded and stored lies within slices of the right length.
+            #[allow(unsafe_code)]
+            impl Lanes<$number> for $lanes {
+                const COUNT: usize = size_of::<$lanes>() / size_of::<$number>();
 
-    #[inline(always)]
-    fn load(from: &[f32]) -> Self {
-        unsafe { _mm256_loadu_ps(from[..LANES].as_ptr()) }
-    }
+                #[inline(always)]
+                fn splat(value: $number) -> Self {
+                    unsafe { $splat(value) }
+                }
 
-    #[inline(always)]
-    fn step(self, a: Self, b: Self) -> Self {
-        unsafe { _mm256_fmadd_ps(a, b, self) }
-    }
+                #[inline(always)]
+                fn load(from: &[$number]) -> Self {
+                    unsafe { $load(from[..Self::COUNT].as_ptr()) }
+                }
 
-    #[inline(always)]
-    fn store(self, to: &mut [f32]) {
-        unsafe { _mm256_storeu_ps(to[..LANES].as_mut_ptr(), self) }
+                #[inline(always)]
+                fn step(self, a: Self, b: Self) -> Self {
+                    unsafe { $step(a, b, self) }
+                }
+
+                #[inline(always)]
+                fn store(self, to: &mut [$number]) {
+                    unsafe { $store(to[..Self::COUNT].as_mut_ptr(), self) }
+                }
+            }
+        };
     }
+    lanes!(
+        f32,
+        __m256,
+        tile_f32,
+        _mm256_set1_ps,
+        _mm256_loadu_ps,
+        _mm256_storeu_ps,
+        _mm256_fmadd_ps
+    );
+    lanes!(
+        f64,
+        __m256d,
+        tile_f64,
+        _mm256_set1_pd,
+        _mm256_loadu_pd,
+        _mm256_storeu_pd,
+        |a, b, sum| { _mm256_add_pd(sum, _mm256_mul_pd(a, b)) }
+    );
 }
 
 #[cfg(test)]

@@ -85,11 +85,9 @@ pub fn factor(name: &str) -> Option<Factor> {
         "prior" => numbers("prior", &[2.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, prior| {
             config.cost.prior = prior;
         }),
-        "prior_dof" => {
-            numbers("prior dof", &[0.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, f| {
-                config.cost.prior_dof = f;
-            })
-        }
+        "prior_dof" => numbers("prior dof", &[0.0, 5.0, 10.0, 20.0, 50.0, 100.0], |config, f| {
+            config.cost.prior_dof = f;
+        }),
         "errors" => numbers("weights for px", &[0.0, 3.5, 5.0, 7.0, 10.0, 14.0], |config, px| {
             config.reference_residual_px = px;
         }),

@@ -57,8 +57,11 @@ pub fn axes(method: &str) -> Option<Vec<Axis>> {
         let robust_scale = method.config().cost.stiffness.robust_scale_px;
         let factor = |name| Axis { name, start: 1.0, factors: NARROW };
         let (latent, root) = (factor("stiffness"), factor("root stiffness"));
-        let robust_scale =
-            Axis { name: "robust scale px", start: robust_scale, factors: &[0.2, 0.5, 1.0, 2.0, 10.0] };
+        let robust_scale = Axis {
+            name: "robust scale px",
+            start: robust_scale,
+            factors: &[0.2, 0.5, 1.0, 2.0, 10.0],
+        };
         windows(method).map(|plain| [latent, root, robust_scale].into_iter().chain(plain).collect())
     };
     match method {
