@@ -6,7 +6,7 @@
 //! ```
 //! use std::sync::Arc;
 //!
-//! use bundlemocap::{Input, Output, Rig, Solver, StampedPose, Tracker, TrackerConfig};
+//! use bundlemocap::{Input, Output, Rig, Solver, Tracker, TrackerConfig};
 //! # use bundlemocap::{Detections, WeightsError};
 //!
 //! # fn run(rig: Arc<Rig>, frames: impl Iterator<Item = Detections>) -> Result<(), WeightsError> {
@@ -18,7 +18,7 @@
 //!     while let Some(output) = tracker.poll() {
 //!         match output {
 //!             Output::Solve(job) => tracker.handle(Input::Solved(solver.solve(&job))),
-//!             Output::Pose(pose) => println!("{}: {}", pose.capture, pose.pose.root_position),
+//!             Output::Pose(pose) => println!("{} ns: {}", pose.capture.ns(), pose.pose.root_position),
 //!             _ => {}
 //!         }
 //!     }

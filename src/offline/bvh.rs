@@ -140,6 +140,7 @@ impl States {
     }
 
     /// Number of frames of the file.
+    #[cfg(any(test, feature = "cli"))]
     pub(crate) fn frames(&self) -> usize {
         self.runs.iter().map(|(frames, _)| frames).sum()
     }

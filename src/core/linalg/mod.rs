@@ -30,7 +30,7 @@ pub(crate) enum Path {
 impl Path {
     /// That of this processor.
     pub(crate) fn here() -> Self {
-        #[cfg(test)]
+        #[cfg(all(test, feature = "research"))]
         if let Some(path) = tests::FORCED.get() {
             return path;
         }

@@ -197,6 +197,7 @@ pub enum BusError {
     },
 }
 
+#[cfg(any(feature = "zenoh", feature = "iceoryx2"))]
 impl BusError {
     fn transport(what: impl Into<String>, reason: impl std::fmt::Display) -> Self {
         Self::Transport { what: what.into(), reason: reason.to_string() }

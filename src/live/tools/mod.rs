@@ -1,8 +1,11 @@
 //! Tools that run beside the node, and the queue that they share.
 
 mod disturb;
+#[cfg(feature = "cli")]
 pub mod inbox;
+#[cfg(feature = "cli")]
 pub mod player;
+#[cfg(feature = "cli")]
 pub mod take;
 
 pub use disturb::{Disturbance, Disturbed, Sending};
