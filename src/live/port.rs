@@ -39,6 +39,8 @@ pub enum Input {
 
 /// Outputs of the core.
 #[derive(Clone, Debug)]
+// Each is moved once, some hundred times a second.
+#[allow(clippy::large_enum_variant)]
 pub enum Output {
     /// A job to solve; at most one at a time.
     Solve(Box<Job>),

@@ -57,10 +57,10 @@ impl Distribution {
         if self.bins.is_empty() {
             return percentiles(&self.exact, p);
         }
-        Some(p.map(|p| self.from_bins(p)))
+        Some(p.map(|p| self.percentile_of_bins(p)))
     }
 
-    fn from_bins(&self, p: f64) -> f64 {
+    fn percentile_of_bins(&self, p: f64) -> f64 {
         let rank = (p.clamp(0.0, 100.0) / 100.0 * (self.count - 1) as f64).round() as u64;
         let mut before = 0;
         let bin = self.bins.iter().position(|count| {

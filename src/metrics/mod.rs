@@ -19,8 +19,8 @@
 mod detector_statistics;
 mod distribution;
 mod markers;
-mod metrics;
 mod motion;
+mod pose_errors;
 mod reprojection;
 pub mod statistics;
 mod trend;
@@ -30,9 +30,9 @@ pub use detector_statistics::{
 };
 pub use distribution::Distribution;
 pub use markers::{COMPARED, MarkerDistance, MarkerDistances, MarkerPositions};
-pub use metrics::{
+pub use motion::{FootSkate, VelocityJump, foot_skate, velocity_jump, velocity_jumps};
+pub use pose_errors::{
     MeanAcceleration, PoseErrorSums, PoseErrors, acceleration_error, mean_acceleration, pose_errors,
 };
-pub use motion::{FootSkate, VelocityJump, foot_skate, velocity_jump, velocity_jumps};
 pub use reprojection::{ReprojectionErrors, ReprojectionSample};
 pub use trend::{Interval, mean_interval, slope_interval};

@@ -286,6 +286,8 @@ fn chains<T: Real, L: Lanes<T>, const R: usize>(
 
 /// The same, of columns of a by their rows and rows of b.
 #[inline(always)]
+// The compiler keeps the sums in registers where they are indexed.
+#[allow(clippy::needless_range_loop)]
 fn chains_of<'b, T: Real, L: Lanes<T>, const R: usize>(
     both: impl Iterator<Item = (impl Fn(usize) -> T, &'b [T])>,
     out: Target<T>,

@@ -264,11 +264,13 @@ mod tests {
         [3, 0, 5],
     ];
 
+    type Product = fn([usize; 3], &[f32], &[f32], Accum, &mut [f32]);
+
     #[test]
     fn products_are_chains_of_fused_steps_on_every_path() {
         for [m, k, n] in SIZES {
             let (a, b, start) = (wave(m * k, 0.7), wave(k * n, 0.3), wave(m * n, 0.9));
-            let by = |product: fn([usize; 3], &[f32], &[f32], Accum, &mut [f32])| {
+            let by = |product: Product| {
                 on_each_path(|| {
                     let mut out = start.clone();
                     product([m, k, n], &a, &b, Accum::Add, &mut out);

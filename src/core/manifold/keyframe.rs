@@ -71,9 +71,9 @@ impl StampedKeyframe {
         self.start == self.capture
     }
 
-    /// The poses on the grid after the keyframe `before`, up to this one: pose(t) = decoder(path((t
-    /// - start) / (capture - start))). At the start of a path, the one pose at `capture`; `before`
-    /// is not used.
+    /// The poses on the grid after the keyframe `before`, up to this one: pose(t) = decoder(path(s))
+    /// with s = (t - start) / (capture - start). At the start of a path, the one pose at `capture`;
+    /// `before` is not used.
     ///
     /// `decoder` must have the weights of the solve. `None` if `before` is not the keyframe at
     /// `start`.

@@ -6,7 +6,7 @@ use super::event::EventKind;
 use super::job::{Outcome, ProvisionalFit, Solution, Tracked, Verdict};
 use super::noise::Noise;
 use super::port::{Output, WindowReport};
-use super::tracker::{PendingJob, Phase, Tracker};
+use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
 use crate::core::body::{Pose, Skeleton, TrackingState};
 use crate::core::manifold::{self, StampedKeyframe, TimedKeyframe};

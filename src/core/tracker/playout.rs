@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 
 use super::event::EventKind;
 use super::port::Output;
-use super::tracker::{Phase, Tracker};
+use super::state_machine::{Phase, Tracker};
 use crate::core::body::{Pose, StampedPose, TrackingState};
 use crate::core::time::{Grid, Timestamp};
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::event::EventKind;
 use super::job::{Job, Task};
 use super::port::Output;
-use super::tracker::{PendingJob, Phase, Tracker};
+use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
 use crate::core::time::Timestamp;
 

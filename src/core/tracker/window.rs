@@ -2,7 +2,7 @@
 
 use super::event::{Event, EventKind};
 use super::port::Output;
-use super::tracker::{Phase, Tracker};
+use super::state_machine::{Phase, Tracker};
 use crate::core::time::{Grid, Timestamp};
 
 /// Frame period of a recording that is too short to estimate one, ns: 60 frames per second.
