@@ -123,7 +123,7 @@ const PANEL: usize = 6;
 /// the factor and takes from the rest what they account for. `None` where no factor is.
 ///
 /// What earlier columns account for is taken from a column at once, by a product; within a panel of
-/// [`PANEL`] columns, one column after the other.
+/// `PANEL` columns, one column after the other.
 pub fn factor_block<T: Real>([n, below]: [usize; 2], stride: usize, lower: &mut [T]) -> Option<()> {
     let rows = n + below;
     for first in (0..n).step_by(PANEL) {
