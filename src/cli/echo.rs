@@ -220,6 +220,7 @@ fn time_of_day(time: Timestamp) -> String {
 mod tests {
     use super::*;
     use crate::core::body::{Pose as BodyPose, Skeleton, StampedPose, TrackingState};
+    use crate::core::time::Nanos;
     use crate::io::bus::{Bus, Memory};
     use crate::io::wire::{Event, KeypointFrame, LiveStamp, Pose, Schema, encode, media_type};
 
@@ -235,15 +236,15 @@ mod tests {
             provisional: false,
             revision: 0,
         };
-        let due = Some(CAPTURE + 250_000_000);
-        let live = LiveStamp { due, latency_ns: 250_000_000, run_id: 0xab };
+        let due = Some(CAPTURE + Nanos::from_ms(250));
+        let live = LiveStamp { due, latency: Nanos::from_ms(250), run_id: 0xab };
         Pose::from_core(&stamped, &Skeleton::default(), Some(live))
     }
 
     fn received(topic: &str, encoding: &str, payload: Vec<u8>) -> Received {
         let (topic, encoding) = (topic.into(), encoding.into());
         let sample = crate::io::bus::Sample { topic, capture: CAPTURE, encoding, payload };
-        Received { sample, arrival: CAPTURE + 251_000_000 }
+        Received { sample, arrival: CAPTURE + Nanos::from_ms(251) }
     }
 
     fn of<T: Schema>(topic: &str, message: &T) -> Received {
@@ -262,7 +263,7 @@ mod tests {
             assert!(said.contains(part), "{part:?} is not in {said}");
         }
         let mut early = of(&Topics::default().pose(), &pose());
-        early.arrival = CAPTURE + 249_500_000;
+        early.arrival = CAPTURE + Nanos::new(249_500_000);
         assert!(line(&early).contains("declared 250.0 ms, 0.50 ms early"), "{}", line(&early));
         let object = json_line(&of(&Topics::default().pose(), &pose()));
         assert_eq!(object["message"]["due_time_ns"], 1_250_000_000);

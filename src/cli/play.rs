@@ -10,7 +10,7 @@ use super::bus::{BusArguments, open, topics};
 use super::clock::{SteadyClock, Stop};
 use super::failure::{Exit, Failure};
 use super::terminal::{complain, progress, say, table, ticker};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::live::tools::Disturbance;
 use crate::live::tools::player::{Clock, Playing, Sent, play};
 use crate::live::tools::take::Take;
@@ -97,7 +97,14 @@ impl Network {
             in_range(option, share, 0.0..=1.0, "0 to 1")?;
         }
         in_range("--late-ms", late_ms, 0.0..=6e4, "0 to 60000")?;
-        Ok(Disturbance { drop, late, duplicate, reorder, late_ns: (late_ms * 1e6) as i64, seed })
+        Ok(Disturbance {
+            drop,
+            late,
+            duplicate,
+            reorder,
+            longest_delay: Nanos::new((late_ms * 1e6) as i64),
+            seed,
+        })
     }
 }
 
@@ -149,7 +156,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 /// The time of the first frame.
 fn start(arguments: &Arguments, clock: &dyn Clock) -> Result<Timestamp, Failure> {
     let Some(seconds) = arguments.start_at else {
-        return Ok(clock.now() + LEAD.as_nanos() as i64);
+        return Ok(clock.now() + LEAD.into());
     };
     let start = Timestamp::from_ns((seconds * 1e9).round() as i64);
     let ahead = start.seconds_since(clock.now());
@@ -170,7 +177,7 @@ fn rows(take: &Take, sent: &Sent) -> Vec<(String, String)> {
         row(&format!("camera {}", camera.name), format!("{frames} frames"));
     }
     row("calibrations", sent.rigs.to_string());
-    let seconds = sent.lasted_ns as f64 * 1e-9;
+    let seconds = sent.lasted.seconds();
     if seconds > 0.0 {
         let rate = sent.all() as f64 / seconds;
         let kilobytes = sent.bytes as f64 / seconds * 1e-3;
@@ -186,6 +193,6 @@ fn rows(take: &Take, sent: &Sent) -> Vec<(String, String)> {
     for (what, count) in disturbed.into_iter().filter(|(_, count)| *count > 0) {
         row(what, format!("{count} frames, as requested"));
     }
-    row("largest delay of sending", format!("{:.2} ms", sent.worst_late_ns as f64 * 1e-6));
+    row("largest delay of sending", format!("{:.2}", sent.worst_delay));
     rows
 }

@@ -1,6 +1,6 @@
 //! Messages as lines of text.
 
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::io::recording::Message;
 use crate::io::wire::journal_entry::Input;
 use crate::io::wire::{
@@ -29,12 +29,8 @@ pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {
     })
 }
 
-fn ms(ns: i64) -> f64 {
-    ns as f64 * 1e-6
-}
-
 fn latency(capture_ns: i64, arrival: Timestamp) -> String {
-    format!("latency {:.1} ms", ms(arrival - Timestamp::from_ns(capture_ns)))
+    format!("latency {}", arrival - Timestamp::from_ns(capture_ns))
 }
 
 fn list(numbers: &[f64], digits: usize) -> String {
@@ -67,10 +63,10 @@ fn pose(pose: &Pose, arrival: Timestamp) -> String {
         (false, revision) => format!("revision {revision}, "),
     };
     let punctuality = pose.due_time_ns.map_or_else(String::new, |due| {
-        let declared = i64::try_from(pose.declared_latency_ns).unwrap_or(i64::MAX);
+        let declared = Nanos::new(i64::try_from(pose.declared_latency_ns).unwrap_or(i64::MAX));
         let late = arrival - Timestamp::from_ns(due);
-        let word = if late < 0 { "early" } else { "late" };
-        format!(", declared {:.1} ms, {:.2} ms {word}", ms(declared), ms(late.abs()))
+        let word = if late < Nanos::ZERO { "early" } else { "late" };
+        format!(", declared {declared}, {:.2} {word}", late.abs())
     });
     let root = list(&pose.root_position_m, 3);
     let (window, state) = (pose.window, state(pose.state));
@@ -91,7 +87,7 @@ fn keyframe(keyframe: &Keyframe, arrival: Timestamp) -> String {
     let (window, root) = (keyframe.window, list(&keyframe.root_position_m, 3));
     let from = match span {
         0 => "start of a path".to_owned(),
-        span => format!("{:.1} ms after the previous one", ms(span)),
+        span => format!("{} after the previous one", Nanos::new(span)),
     };
     let latency = latency(keyframe.capture_time_ns, arrival);
     format!("window {window}, {from}, |z| {norm:.2}, root {root} m, {latency}")

@@ -8,15 +8,15 @@ use super::publication::{Content, Publication};
 use super::status::quantile;
 use crate::core::body::StampedPose;
 use crate::core::manifold::StampedKeyframe;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{
     self, Effort, Event, EventKind, Outcome, Solution, Tracker, Verdict, WindowReport,
 };
 use crate::io::wire::{self, LiveStamp};
 
 impl Core {
-    pub(super) fn solved(&mut self, solution: Solution, took_ns: u64) {
-        self.took_ns = i64::try_from(took_ns).unwrap_or(i64::MAX);
+    pub(super) fn solved(&mut self, solution: Solution, took: Nanos) {
+        self.took = took;
         let is_tracked = matches!(
             &solution.outcome,
             Outcome::Tracked(tracked) if tracked.verdict == Verdict::Tracked
@@ -30,17 +30,20 @@ impl Core {
     /// Declares the latency and adjusts the effort after a solved window.
     fn settle(&mut self) {
         let Some(track) = &mut self.track else { return };
-        let period = track.output_grid().map_or(0, |grid| grid.period_ns as i64);
+        let period = Nanos::new(track.output_grid().map_or(0, |grid| grid.period_ns as i64));
         let wait = track.span() - period;
-        let delay = if self.latency.declared_ns().is_none() { self.clock.delay_p999() } else { 0 };
-        if let Some((latency, why)) = self.latency.solved(self.took_ns, wait, delay) {
+        let delay = match self.latency.declared() {
+            Some(_) => Nanos::ZERO,
+            None => self.clock.delay_p999(),
+        };
+        if let Some((latency, why)) = self.latency.solved(self.took, wait, delay) {
             track.set_latency(latency);
             self.event(EventKind::Latency, None, why);
             return;
         }
-        let Some(available) = self.latency.solve_ns() else { return };
+        let Some(available) = self.latency.solve_time() else { return };
         let trouble = self.trouble.take();
-        let Some(why) = self.governor.solved(self.took_ns, available, trouble) else { return };
+        let Some(why) = self.governor.solved(self.took, available, trouble) else { return };
         let level = self.governor.level();
         let effort = Effort::at(level, &self.settings.tracker);
         track.set_effort(effort);
@@ -69,8 +72,8 @@ impl Core {
     }
 
     fn pose(&mut self, pose: &StampedPose) {
-        let Some(latency_ns) = self.latency.declared_ns() else { return };
-        let due = pose.capture + latency_ns;
+        let Some(latency) = self.latency.declared() else { return };
+        let due = pose.capture + latency;
         let Some(message) = self.pose_message(pose, Some(due)) else { return };
         self.outputs.push_back(Output::Publish(Publication {
             topic: self.topics.pose().into(),
@@ -82,9 +85,10 @@ impl Core {
 
     fn provisional(&mut self, pose: &StampedPose) {
         let half = self.track.as_ref().map_or(0, |track| track.frame_period() as i64 / 2);
+        let half = Nanos::new(half);
         let of_set = self.arrivals.iter().filter(|(at, _)| (*at - pose.capture).abs() <= half);
         if let Some((_, arrival)) = of_set.max_by_key(|(_, arrival)| *arrival) {
-            let latency = (self.now - *arrival) / 1000;
+            let latency = (self.now - *arrival).ns() / 1000;
             self.published.provisional(u32::try_from(latency).unwrap_or(u32::MAX));
         }
         let Some(message) = self.pose_message(pose, None) else { return };
@@ -93,8 +97,8 @@ impl Core {
 
     fn pose_message(&self, pose: &StampedPose, due: Option<Timestamp>) -> Option<wire::Pose> {
         let skeleton = self.track.as_ref().and_then(Tracker::skeleton)?;
-        let latency_ns = self.latency.declared_ns().unwrap_or(0).max(0) as u64;
-        let live = LiveStamp { due, latency_ns, run_id: self.run_id };
+        let latency = self.latency.declared().unwrap_or_default();
+        let live = LiveStamp { due, latency, run_id: self.run_id };
         Some(wire::Pose::from_core(pose, skeleton, Some(live)))
     }
 
@@ -108,7 +112,7 @@ impl Core {
     }
 
     fn window(&mut self, report: &WindowReport) {
-        self.windows.solved(report, self.took_ns);
+        self.windows.solved(report, self.took);
         let mut errors: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
         for residual in report.residuals.iter().filter(|residual| residual.error_px.is_finite()) {
             errors.entry(residual.camera).or_default().push(residual.error_px);

@@ -1,12 +1,11 @@
 //! Per camera: counters, frame rate, and signs of a second publisher.
 
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::EventKind;
 use crate::io::wire::CameraCounters;
 
 /// This many conflicts in a second between frame numbers and capture times mean two publishers.
 const CONFLICTS: u32 = 3;
-const SECOND: f64 = 1e9;
 /// Weight of the last second in the smoothed rate.
 const RATE_WEIGHT: f64 = 0.5;
 
@@ -73,11 +72,11 @@ impl Camera {
     }
 
     /// Updates the rate; called once a second.
-    pub(super) fn second(&mut self, passed_ns: i64) {
+    pub(super) fn second(&mut self, passed: Nanos) {
         if self.last.is_none() {
             return;
         }
-        let rate = self.recent as f64 * SECOND / passed_ns.max(1) as f64;
+        let rate = self.recent as f64 * 1e9 / passed.ns().max(1) as f64;
         let last = self.rate.unwrap_or(rate);
         self.rate = Some(last + RATE_WEIGHT * (rate - last));
         (self.recent, self.odd) = (0, 0);

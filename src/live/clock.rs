@@ -10,34 +10,35 @@
 //! between the clocks.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::metrics::statistics::Line;
 
 /// Number of minima that are kept, one per second.
 const KEPT: usize = 30;
 /// Number of minima that the line fit needs.
 const LINE: usize = 5;
-/// Cameras with delays in this range (ns) share the node's clock.
-const SHARED: std::ops::Range<i64> = -500_000_000..2_000_000_000;
-/// A frame that arrives this much too early (ns) has a wrong time: the clock has jumped.
-const EARLY: i64 = -500_000_000;
-/// A frame that arrives this much too late (ns) has a wrong time.
-const LATE: i64 = 5_000_000_000;
-/// Jumps that differ by less than this (ns) are the same jump.
-const SAME_JUMP: i64 = 100_000_000;
+/// Cameras with delays in this range share the node's clock.
+const SHARED: Range<Nanos> = Nanos::from_ms(-500)..Nanos::from_ms(2000);
+/// A frame that arrives this much too early has a wrong time: the clock has jumped.
+const EARLY: Nanos = Nanos::from_ms(-500);
+/// A frame that arrives this much too late has a wrong time.
+const LATE: Nanos = Nanos::from_ms(5000);
+/// Jumps that differ by less than this are the same jump.
+const SAME_JUMP: Nanos = Nanos::from_ms(100);
+/// A foreign clock is followed by at most this a second, so that poses stay evenly spaced.
+const STEP: Nanos = Nanos::new(500_000);
 /// Number of consecutive frames that confirm a jump.
 const SURE: u32 = 3;
-
-const SECOND: i64 = 1_000_000_000;
 
 /// Result of the check of a frame's capture time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Arrival {
     /// As expected.
     Usual,
-    /// Differs from the camera's earlier frames or from the other cameras by this, ns.
-    Jumped(i64),
+    /// Differs from the camera's earlier frames or from the other cameras by this.
+    Jumped(Nanos),
     /// Most cameras have jumped by the same amount: the clock was replaced.
     NewClock,
 }
@@ -45,15 +46,15 @@ pub(super) enum Arrival {
 /// Offset and drift of one camera.
 #[derive(Clone, Debug, Default)]
 struct Camera {
-    /// Second of the node's clock and smallest offset in it, ns.
-    smallest: VecDeque<(i64, i64)>,
-    /// A possible jump: its offset (ns), number of frames that support it, time of the last one.
-    jump: Option<(i64, u32, Timestamp)>,
+    /// Second of the node's clock and smallest offset in it.
+    smallest: VecDeque<(i64, Nanos)>,
+    /// A possible jump: its offset, number of frames that support it, time of the last one.
+    jump: Option<(Nanos, u32, Timestamp)>,
 }
 
 impl Camera {
-    fn note(&mut self, now: Timestamp, offset: i64) {
-        let second = now.ns().div_euclid(SECOND);
+    fn note(&mut self, now: Timestamp, offset: Nanos) {
+        let second = second(now);
         match self.smallest.back_mut() {
             Some((last, smallest)) if *last == second => *smallest = offset.min(*smallest),
             _ => self.smallest.push_back((second, offset)),
@@ -68,16 +69,16 @@ impl Camera {
         let &(origin, base) = self.smallest.back()?;
         if self.smallest.len() < LINE {
             let smallest = self.smallest.iter().map(|(_, offset)| *offset).min()?;
-            return Some((smallest as f64, 0.0));
+            return Some((smallest.ns() as f64, 0.0));
         }
         let points = self
             .smallest
             .iter()
-            .map(|&(second, offset)| ((second - origin) as f64 + 0.5, (offset - base) as f64));
+            .map(|&(second, offset)| ((second - origin) as f64 + 0.5, (offset - base).ns() as f64));
         let Line { mean_x, mean_y, slope, .. } = Line::fit(points)?;
-        let at = (now.ns() as f64 / SECOND as f64) - origin as f64;
+        let at = (now.ns() as f64 / 1e9) - origin as f64;
         // ns per second are 1e-9; the drift is in 1e-6.
-        Some((base as f64 + mean_y + slope * (at - mean_x), slope * 1e-3))
+        Some((base.ns() as f64 + mean_y + slope * (at - mean_x), slope * 1e-3))
     }
 }
 
@@ -85,11 +86,11 @@ impl Camera {
 #[derive(Clone, Debug)]
 pub(super) struct Clock {
     cameras: Vec<Camera>,
-    /// Node's clock minus capture clock, ns; `None` before the first frame.
-    base: Option<i64>,
+    /// Node's clock minus capture clock; `None` before the first frame.
+    base: Option<Nanos>,
     is_shared: bool,
-    /// Delays of the first frames above the base, ns.
-    delays: Vec<i64>,
+    /// Delays of the first frames above the base.
+    delays: Vec<Nanos>,
 }
 
 /// Number of delays that are kept for a percentile.
@@ -105,7 +106,7 @@ impl Clock {
     pub(super) fn arrive(&mut self, camera: usize, now: Timestamp, capture: Timestamp) -> Arrival {
         let offset = now - capture;
         if let Some(expected) = self.expected(camera) {
-            let by = offset.saturating_sub(expected);
+            let by = offset - expected;
             if !(EARLY..LATE).contains(&by) {
                 return self.jumped(camera, now, offset, by);
             }
@@ -121,7 +122,7 @@ impl Clock {
             Some(base) => base,
             None => {
                 self.is_shared = SHARED.contains(&offset);
-                if self.is_shared { 0 } else { offset }
+                if self.is_shared { Nanos::ZERO } else { offset }
             }
         };
         self.base = Some(base);
@@ -132,29 +133,29 @@ impl Clock {
     }
 
     /// The expected offset of a camera's frames: its own, or else that of the other cameras.
-    fn expected(&self, camera: usize) -> Option<i64> {
+    fn expected(&self, camera: usize) -> Option<Nanos> {
         let last = |camera: &Camera| camera.smallest.back().map(|(_, offset)| *offset);
         if let Some(own) = self.cameras.get(camera).and_then(last) {
             return Some(own);
         }
-        let mut others: Vec<i64> = self.cameras.iter().filter_map(last).collect();
+        let mut others: Vec<Nanos> = self.cameras.iter().filter_map(last).collect();
         others.sort_unstable();
         others.get(others.len() / 2).copied()
     }
 
-    fn jumped(&mut self, camera: usize, now: Timestamp, offset: i64, by: i64) -> Arrival {
+    fn jumped(&mut self, camera: usize, now: Timestamp, offset: Nanos, by: Nanos) -> Arrival {
         let Some(own) = self.cameras.get_mut(camera) else { return Arrival::Jumped(by) };
         let count = match own.jump {
             Some((before, count, _)) if (before - offset).abs() < SAME_JUMP => count + 1,
             _ => 1,
         };
         own.jump = Some((offset, count, now));
-        let recent = |jump: &(i64, u32, Timestamp)| now - jump.2 < 2 * SECOND;
+        let recent = |jump: &(Nanos, u32, Timestamp)| now - jump.2 < Nanos::SECOND * 2;
         let jumps = self.cameras.iter().filter_map(|camera| camera.jump).filter(recent);
         let alike = jumps
-            .filter(|(other, count, _)| *count >= SURE && (other - offset).abs() < SAME_JUMP)
+            .filter(|(other, count, _)| *count >= SURE && (*other - offset).abs() < SAME_JUMP)
             .count();
-        let second = now.ns().div_euclid(SECOND);
+        let second = second(now);
         let is_active = |camera: &&Camera| {
             let seen = camera.smallest.back().is_some_and(|(last, _)| second - last <= 1);
             seen || camera.jump.as_ref().is_some_and(recent)
@@ -174,27 +175,28 @@ impl Clock {
 
     /// Converts node time to capture time. They are equal until the first frame.
     pub(super) fn capture_time(&self, node: Timestamp) -> Timestamp {
-        node + -self.base.unwrap_or(0)
+        node - self.base.unwrap_or_default()
     }
 
     /// Converts capture time to node time.
     pub(super) fn node_time(&self, capture: Timestamp) -> Timestamp {
-        capture + self.base.unwrap_or(0)
+        capture + self.base.unwrap_or_default()
     }
 
-    /// 99.9th percentile of the frames' delays so far, ns.
-    pub(super) fn delay_p999(&self) -> i64 {
+    /// 99.9th percentile of the frames' delays so far.
+    pub(super) fn delay_p999(&self) -> Nanos {
         let mut sorted = self.delays.clone();
         sorted.sort_unstable();
         let index = (sorted.len() as f64 * 0.999).ceil() as usize;
-        sorted.get(index.saturating_sub(1)).copied().unwrap_or(0).max(0)
+        sorted.get(index.saturating_sub(1)).copied().unwrap_or_default().max(Nanos::ZERO)
     }
 
-    /// Shortest delay from capture to arrival for the slowest camera, ns.
-    pub(super) fn usual_delay(&self) -> i64 {
+    /// Shortest delay from capture to arrival for the slowest camera.
+    pub(super) fn usual_delay(&self) -> Nanos {
         let last = |camera: &Camera| camera.smallest.back().map(|(_, offset)| *offset);
         let slowest = self.cameras.iter().filter_map(last).max();
-        slowest.map_or(0, |offset| (offset - self.base.unwrap_or(0)).max(0))
+        let base = self.base.unwrap_or_default();
+        slowest.map_or(Nanos::ZERO, |offset| (offset - base).max(Nanos::ZERO))
     }
 
     /// Offset of a camera's clock from the node's, seconds, and drift, parts per million.
@@ -220,12 +222,17 @@ impl Clock {
             return;
         }
         let offsets = (0..self.cameras.len()).filter_map(|c| self.cameras[c].line(now));
-        let smallest = offsets.map(|(offset, _)| offset as i64).min();
+        let smallest = offsets.map(|(offset, _)| Nanos::new(offset as i64)).min();
         if let (Some(base), Some(smallest)) = (&mut self.base, smallest) {
-            // At most 0.5 ms per second, so that poses stay evenly spaced.
-            *base += (smallest - *base).clamp(-500_000, 500_000);
+            let step = (smallest - *base).clamp(-STEP, STEP);
+            *base = *base + step;
         }
     }
+}
+
+/// Whole seconds of a time.
+fn second(time: Timestamp) -> i64 {
+    time.ns().div_euclid(Nanos::SECOND.ns())
 }
 
 #[cfg(test)]
@@ -233,7 +240,7 @@ mod tests {
     use super::*;
 
     fn at(seconds: f64) -> Timestamp {
-        Timestamp::from_ns(1_700_000_000 * SECOND + (seconds * 1e9) as i64)
+        Timestamp::from_ns(1_700_000_000_000_000_000 + (seconds * 1e9) as i64)
     }
 
     fn feed(
@@ -272,7 +279,7 @@ mod tests {
         let mut clock = Clock::new(1);
         feed(&mut clock, 0, 0.0..2.0, |_| 1e6);
         let error = clock.node_time(at(1.0 - 1e6)) - at(1.0);
-        assert!(error.abs() < 1000, "{error} ns");
+        assert!(error.abs() < Nanos::new(1000), "{error:.4}");
     }
 
     #[test]
@@ -281,11 +288,11 @@ mod tests {
         for camera in 0..3 {
             feed(&mut clock, camera, 0.0..2.0, |_| 0.0);
         }
-        let hour = 3600 * SECOND;
+        let hour = Nanos::SECOND * 3600;
         for i in 0..10 {
             let now = at(2.0 + 0.02 * f64::from(i));
             assert!(matches!(clock.arrive(0, now, now + hour), Arrival::Jumped(_)));
-            assert!(matches!(clock.arrive(0, now, now + -hour), Arrival::Jumped(_)));
+            assert!(matches!(clock.arrive(0, now, now - hour), Arrival::Jumped(_)));
             assert_eq!(clock.arrive(1, now, now), Arrival::Usual);
         }
         let mut last = Arrival::Usual;

@@ -14,7 +14,7 @@ use super::publication::{Content, Publication};
 use super::status::{Published, Windows};
 use crate::core::body::TrackingState;
 use crate::core::camera::Rig;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, EventKind, Live, Tracker};
 use crate::io::wire::{self, Topics};
 
@@ -46,8 +46,8 @@ pub struct Core {
     pub(super) trouble: Option<&'static str>,
     /// Capture and arrival times of the last frames.
     pub(super) arrivals: VecDeque<(Timestamp, Timestamp)>,
-    /// Solve time of the current answer, ns.
-    pub(super) took_ns: i64,
+    /// Solve time of the current answer.
+    pub(super) took: Nanos,
     journal: Journal,
     /// Id of this run, set at the first message; 0 before.
     pub(super) run_id: u64,
@@ -55,8 +55,6 @@ pub struct Core {
     wake: Option<Timestamp>,
     ended: bool,
 }
-
-const SECOND: i64 = 1_000_000_000;
 
 impl Core {
     /// A core that waits for a rig and for keypoints.
@@ -81,7 +79,7 @@ impl Core {
             queue_dropped: 0,
             trouble: None,
             arrivals: VecDeque::new(),
-            took_ns: 0,
+            took: Nanos::ZERO,
             journal: Journal::default(),
             run_id: 0,
             next_second: None,
@@ -112,7 +110,7 @@ impl Core {
         match input {
             Input::Message { topic, payload } => self.message(&topic, &payload),
             Input::RigFile(bytes) => self.rig_file(bytes),
-            Input::Solved { solution, took_ns } => self.solved(*solution, took_ns),
+            Input::Solved { solution, took } => self.solved(*solution, took),
             Input::Tick => {}
             Input::Dropped(count) => self.dropped(count),
             Input::Played(deviations_us) => self.published.played(&deviations_us),
@@ -189,7 +187,7 @@ impl Core {
 
     /// Resets all state before the first message: a replay knows only the calibration from a file.
     fn begin_anew(&mut self) {
-        self.next_second = Some(self.now + SECOND);
+        self.next_second = Some(self.now + Nanos::SECOND);
         let Some(rig) = self.rig_at_start.clone() else { return };
         (self.calibration, self.track) = (None, None);
         (self.cameras, self.counts) = (Vec::new(), Events::default());
@@ -241,12 +239,12 @@ impl Core {
 
     /// Work that is done once a second.
     fn seconds(&mut self, is_last: bool) {
-        let next = *self.next_second.get_or_insert(self.now + SECOND);
+        let next = *self.next_second.get_or_insert(self.now + Nanos::SECOND);
         if self.now < next && !is_last {
             return;
         }
-        let passed = (self.now - next + SECOND).max(1);
-        self.next_second = Some(self.now + SECOND);
+        let passed = (self.now - next + Nanos::SECOND).max(Nanos::new(1));
+        self.next_second = Some(self.now + Nanos::SECOND);
         for (kind, message) in self.counts.second() {
             self.publish_event(kind, message);
         }
@@ -294,7 +292,7 @@ impl Core {
             node_time_ns: self.now.ns(),
             inputs: self.journal.count,
             tracker_state: track.map_or("searching", tracker_state).to_owned(),
-            declared_latency_ns: self.latency.declared_ns().unwrap_or(0).max(0) as u64,
+            declared_latency_ns: self.latency.declared().unwrap_or_default().ns().unsigned_abs(),
             playout: Some(
                 self.published.counters(track.map_or((0, 0), Tracker::extrapolated_and_missed)),
             ),

@@ -2,7 +2,7 @@
 
 use super::port::{Input, Settings};
 use crate::core::fnv::fnv1a;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::io::wire::journal_entry::Input as Entry;
 use crate::io::wire::{
     Journal as Message, JournalEntry, JournalMessage, JournalPlayed, JournalSolved, JournalStart,
@@ -11,8 +11,8 @@ use crate::io::wire::{
 
 /// This many entries are written at once, at any time.
 const MOST: usize = 4096;
-/// Interval between messages while the node is busy, ns.
-const PERIOD: i64 = 1_000_000_000;
+/// Interval between messages while the node is busy.
+const PERIOD: Nanos = Nanos::SECOND;
 
 /// Id of a run: a hash of its start time, the configuration, the weights and the calibration from a
 /// file. A replay has the same inputs and gets the same id. Never 0.
@@ -63,9 +63,10 @@ impl Journal {
                 hash: fnv1a(payload),
                 payload: Some(payload.clone()),
             }),
-            Input::Solved { solution, took_ns } => {
-                Entry::Solved(JournalSolved { job: solution.number, took_ns: *took_ns })
-            }
+            Input::Solved { solution, took } => Entry::Solved(JournalSolved {
+                job: solution.number,
+                took_ns: took.ns().unsigned_abs(),
+            }),
             Input::Tick => Entry::Tick(true),
             Input::Dropped(count) => Entry::Dropped(*count),
             Input::Played(deviation_us) => {

@@ -1,82 +1,86 @@
 //! The declared latency: configured, or measured in the first windows.
 
+use crate::core::time::Nanos;
 use crate::core::tracker::Latency;
 
 /// Number of windows that are measured.
 const WINDOWS: usize = 5;
 /// Factor on the slowest solve time; gives the time reserved for a solve.
-const SOLVE_FACTOR: f64 = 2.0;
-/// Least time reserved for a solve, ns.
-const LEAST_SOLVE: i64 = 22_000_000;
-/// Least time reserved for the network, ns.
-const LEAST_NETWORK: i64 = 2_000_000;
-/// Time reserved for a solve when the latency is configured, ns.
-const GIVEN_SOLVE: i64 = 10_000_000;
-/// Time from the end of a solve to its first pose on the bus, ns.
-const PUBLISH: i64 = 4_000_000;
-/// Measured latencies are rounded up to a multiple of this, ns.
-const ROUND: i64 = 1_000_000;
+const SOLVE_FACTOR: i64 = 2;
+/// Least time reserved for a solve.
+const LEAST_SOLVE: Nanos = Nanos::from_ms(22);
+/// Least time reserved for the network.
+const LEAST_NETWORK: Nanos = Nanos::from_ms(2);
+/// Time reserved for a solve when the latency is configured.
+const GIVEN_SOLVE: Nanos = Nanos::from_ms(10);
+/// Time from the end of a solve to its first pose on the bus.
+const PUBLISH: Nanos = Nanos::from_ms(4);
+/// Measured latencies are rounded up to a multiple of this.
+const ROUND: Nanos = Nanos::from_ms(1);
 
 /// Finds the latency to declare.
 #[derive(Clone, Debug)]
 pub(super) struct Finder {
-    given_ns: Option<i64>,
-    solves: Vec<i64>,
+    given: Option<Nanos>,
+    solves: Vec<Nanos>,
     found: Option<Latency>,
 }
 
 impl Finder {
     /// For a configured latency in milliseconds; 0 to measure it.
     pub(super) fn new(given_ms: f64) -> Self {
-        let given_ns = (given_ms > 0.0).then_some((given_ms * 1e6) as i64);
-        Self { given_ns, solves: Vec::new(), found: None }
+        let given = (given_ms > 0.0).then(|| Nanos::new((given_ms * 1e6) as i64));
+        Self { given, solves: Vec::new(), found: None }
     }
 
-    /// The latency, once it is declared, ns.
-    pub(super) fn declared_ns(&self) -> Option<i64> {
-        self.found.map(|latency| latency.declared_ns)
+    /// The latency, once it is declared.
+    pub(super) fn declared(&self) -> Option<Nanos> {
+        self.found.map(|latency| latency.declared)
     }
 
-    /// Time reserved for a solve, once the latency is declared, ns.
-    pub(super) fn solve_ns(&self) -> Option<i64> {
-        self.found.map(|latency| latency.reserve_ns - PUBLISH)
+    /// Time reserved for a solve, once the latency is declared.
+    pub(super) fn solve_time(&self) -> Option<Nanos> {
+        self.found.map(|latency| latency.reserve - PUBLISH)
     }
 
     /// Adds a window that was solved in `took`; `wait` is the time from its first pose to its end,
-    /// `delay` the delay of the network, all in ns. Returns the latency and its reason, once.
-    pub(super) fn solved(&mut self, took: i64, wait: i64, delay: i64) -> Option<(Latency, String)> {
+    /// `delay` the delay of the network. Returns the latency and its reason, once.
+    pub(super) fn solved(
+        &mut self,
+        took: Nanos,
+        wait: Nanos,
+        delay: Nanos,
+    ) -> Option<(Latency, String)> {
         if self.found.is_some() {
             return None;
         }
         self.solves.push(took);
-        let ms = |ns: i64| ns as f64 * 1e-6;
-        let (latency, why) = match self.given_ns {
-            Some(declared_ns) => {
-                let why = format!("{:.1} ms as configured", ms(declared_ns));
+        let (latency, why) = match self.given {
+            Some(declared) => {
+                let why = format!("{declared} as configured");
                 let least = wait + GIVEN_SOLVE + delay + PUBLISH;
-                let why = match declared_ns < least {
-                    true => format!("{why}; below {:.1} ms poses are coasted", ms(least)),
+                let why = match declared < least {
+                    true => format!("{why}; below {least} poses are coasted"),
                     false => why,
                 };
-                (Latency { declared_ns, reserve_ns: GIVEN_SOLVE + PUBLISH }, why)
+                (Latency { declared, reserve: GIVEN_SOLVE + PUBLISH }, why)
             }
             None if self.solves.len() < WINDOWS => return None,
             None => {
-                let slowest = self.solves.iter().max().copied().unwrap_or(0);
-                let solve = ((slowest as f64 * SOLVE_FACTOR) as i64).max(LEAST_SOLVE).min(wait);
+                let slowest = self.solves.iter().max().copied().unwrap_or_default();
+                let solve = (slowest * SOLVE_FACTOR).max(LEAST_SOLVE).min(wait);
                 let network = delay.max(LEAST_NETWORK);
                 let latency = wait + solve + network + PUBLISH;
-                let declared_ns = (latency + ROUND - 1) / ROUND * ROUND;
+                let declared = ROUND * ((latency.ns() - 1) / ROUND.ns() + 1);
                 let why = format!(
-                    "{:.0} ms: window from its first pose {:.1}, solve {:.1}, network {:.1}, \
+                    "{declared:.0}: window from its first pose {:.1}, solve {:.1}, network {:.1}, \
                      publishing {:.1}",
-                    ms(declared_ns),
-                    ms(wait),
-                    ms(solve),
-                    ms(network),
-                    ms(PUBLISH)
+                    wait.ms(),
+                    solve.ms(),
+                    network.ms(),
+                    PUBLISH.ms()
                 );
-                (Latency { declared_ns, reserve_ns: solve + PUBLISH }, why)
+                (Latency { declared, reserve: solve + PUBLISH }, why)
             }
         };
         self.found = Some(latency);
@@ -88,26 +92,26 @@ impl Finder {
 mod tests {
     use super::*;
 
-    const MS: i64 = 1_000_000;
+    const MS: Nanos = Nanos::from_ms(1);
 
     #[test]
     fn a_latency_is_found_once_from_the_slowest_of_the_first_windows() {
         let mut finder = Finder::new(0.0);
         for took in [5, 20, 6, 5] {
-            assert!(finder.solved(took * MS, 150 * MS, 3 * MS).is_none());
+            assert!(finder.solved(MS * took, MS * 150, MS * 3).is_none());
         }
-        let (latency, why) = finder.solved(5 * MS, 150 * MS, 3 * MS).unwrap();
-        assert_eq!(latency.declared_ns, 197 * MS);
+        let (latency, why) = finder.solved(MS * 5, MS * 150, MS * 3).unwrap();
+        assert_eq!(latency.declared, MS * 197);
         assert!(why.starts_with("197 ms: window from its first pose 150.0, solve 40.0"), "{why}");
-        assert!(finder.solved(90 * MS, 150 * MS, 3 * MS).is_none());
-        assert_eq!(finder.declared_ns(), Some(197 * MS));
+        assert!(finder.solved(MS * 90, MS * 150, MS * 3).is_none());
+        assert_eq!(finder.declared(), Some(MS * 197));
     }
 
     #[test]
     fn a_given_latency_holds_and_says_when_it_is_too_short() {
-        let (latency, why) = Finder::new(250.0).solved(5 * MS, 150 * MS, 0).unwrap();
-        assert_eq!((latency.declared_ns, &*why), (250 * MS, "250.0 ms as configured"));
-        let (_, why) = Finder::new(100.0).solved(5 * MS, 150 * MS, 0).unwrap();
+        let (latency, why) = Finder::new(250.0).solved(MS * 5, MS * 150, Nanos::ZERO).unwrap();
+        assert_eq!((latency.declared, &*why), (MS * 250, "250.0 ms as configured"));
+        let (_, why) = Finder::new(100.0).solved(MS * 5, MS * 150, Nanos::ZERO).unwrap();
         assert!(why.contains("coasted"), "{why}");
     }
 }

@@ -9,7 +9,7 @@ use tracing_subscriber::filter::{EnvFilter, ParseError};
 use tracing_subscriber::fmt::MakeWriter;
 
 use super::error::NodeError;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::io::wire::Event;
 
 /// Environment variable with the log filter, such as `debug` or `warn,zenoh=info`.
@@ -17,7 +17,6 @@ pub const VARIABLE: &str = "BUNDLEMOCAP_LOG";
 
 /// Most lines per second, kind and camera; the rest are counted.
 const LINES_A_SECOND: u32 = 5;
-const SECOND_NS: i64 = 1_000_000_000;
 /// Most pairs of kind and camera that are counted separately in a second.
 const MOST_KEYS: usize = 256;
 /// Most lines that wait for standard error.
@@ -193,7 +192,7 @@ impl Limiter {
     /// Whether an event that stands for `count` events may be logged; otherwise it is counted.
     fn admits(&mut self, now: Timestamp, kind: &str, camera: Option<&str>, count: u64) -> bool {
         if self.seen.is_empty() {
-            self.ends = now + SECOND_NS;
+            self.ends = now + Nanos::SECOND;
         }
         let mut key = (kind.to_owned(), camera.map(str::to_owned));
         if self.seen.len() >= MOST_KEYS && !self.seen.contains_key(&key) {

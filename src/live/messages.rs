@@ -88,8 +88,8 @@ impl Core {
         let name = camera.name().to_owned();
         match self.clock.arrive(index, now, capture) {
             Arrival::Usual => {}
-            Arrival::Jumped(by_ns) => {
-                let by = by_ns as f64 * 1e-9;
+            Arrival::Jumped(by) => {
+                let by = by.seconds();
                 let (by, than) = if by < 0.0 { (-by, "ahead of") } else { (by, "behind") };
                 let detail = format!("frame {} is {by:.1} s {than} the clock", frame.frame);
                 return self.event(EventKind::ClockJump, Some(&name), detail);

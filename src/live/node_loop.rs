@@ -16,7 +16,7 @@ use super::port::{Input, Output};
 use super::publication::{Content, Publication};
 use super::queue::{Intake, Message};
 use super::wall::WallClock;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{Job, Solution};
 use crate::io::bus::Sample;
 use crate::io::wire::{Rig, Schema, media_type};
@@ -27,7 +27,7 @@ const IDLE: Duration = Duration::from_secs(1);
 /// A solution from the solver's thread.
 pub(super) struct Answer {
     pub(super) solution: Box<Solution>,
-    pub(super) took_ns: u64,
+    pub(super) took: Nanos,
 }
 
 /// All sources that can wake the node loop.
@@ -112,11 +112,11 @@ impl NodeLoop {
                 Err(_) => Turn::Stop,
             },
             recv(inbox.answers) -> answer => {
-                let Ok(Answer { solution, took_ns }) = answer else {
+                let Ok(Answer { solution, took }) = answer else {
                     return Err(NodeError::Fault { thread: "solver" });
                 };
                 self.progress.job_out = false;
-                Turn::Input(Input::Solved { solution, took_ns })
+                Turn::Input(Input::Solved { solution, took })
             }
             recv(inbox.played) -> deviations => match deviations {
                 Ok(deviations) => Turn::Input(Input::Played(deviations)),

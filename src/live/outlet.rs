@@ -6,13 +6,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::publication::Publication;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::io::bus::{Bus, BusError, Publisher};
 use crate::io::wire::media_type;
 
 /// Time before opening a topic is tried again, and time over which failures share one log line,
 /// nanoseconds.
-const PATIENCE_NS: i64 = 1_000_000_000;
+const PATIENCE: Nanos = Nanos::SECOND;
 
 /// Publishes the messages of one thread.
 pub(super) struct Outlet {
@@ -68,7 +68,7 @@ impl Outlet {
             Some(line @ Line::Open { .. }) => line,
             Some(Line::Shut { .. }) | None => {
                 if let Err(error) = self.open(topic, publication.content.schema()) {
-                    let until = now + PATIENCE_NS;
+                    let until = now + PATIENCE;
                     self.lines.insert(Arc::clone(topic), Line::Shut { until });
                     return Err(Some(error));
                 }
@@ -85,7 +85,7 @@ impl Outlet {
             return;
         }
         let Some(error) = error else { return };
-        self.quiet_until = now + PATIENCE_NS;
+        self.quiet_until = now + PATIENCE;
         tracing::warn!(topic, messages = self.unsaid, "cannot publish: {error}");
         self.unsaid = 0;
     }

@@ -12,10 +12,10 @@ use crossbeam_channel::Sender;
 use super::outlet::Outlet;
 use super::publication::Publication;
 use super::wall::{HEAD_START, WallClock};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
-/// Time over which deviations are collected, nanoseconds.
-const BATCH_NS: i64 = 1_000_000_000;
+/// Time over which deviations are collected.
+const BATCH: Nanos = Nanos::SECOND;
 /// Most deviations in a batch; a node that is behind sends several batches.
 const BATCH_MOST: usize = 4096;
 
@@ -94,7 +94,7 @@ impl Deviations {
         if self.batch.is_empty() {
             self.since = left;
         }
-        let us = ((left - due) / 1000).clamp(i32::MIN.into(), i32::MAX.into());
+        let us = ((left - due).ns() / 1000).clamp(i32::MIN.into(), i32::MAX.into());
         self.batch.push(us as i32);
     }
 
@@ -103,7 +103,7 @@ impl Deviations {
         match self.batch.len() {
             0 => None,
             n if n >= BATCH_MOST => Some(self.since),
-            _ => Some(self.since + BATCH_NS),
+            _ => Some(self.since + BATCH),
         }
     }
 
@@ -262,9 +262,9 @@ mod tests {
         deviations.record(at(1_000_000), at(1_500_000));
         deviations.record(at(2_000_000), at(1_990_000));
         deviations.record(at(0), at(i64::MAX));
-        assert_eq!(deviations.full_at(), Some(at(1_500_000 + BATCH_NS)));
-        assert_eq!(deviations.take_full(at(BATCH_NS)), None);
-        let batch = deviations.take_full(at(1_500_000 + BATCH_NS));
+        assert_eq!(deviations.full_at(), Some(at(1_500_000) + BATCH));
+        assert_eq!(deviations.take_full(at(0) + BATCH), None);
+        let batch = deviations.take_full(at(1_500_000) + BATCH);
         assert_eq!(batch, Some(vec![500, -10, i32::MAX]));
         (0..BATCH_MOST).for_each(|_| deviations.record(at(0), at(5)));
         assert_eq!(deviations.take_full(at(5)).map(|batch| batch.len()), Some(BATCH_MOST));

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::config::Config;
 use super::publication::Publication;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, Job, Solution};
 
 /// An input of the core.
@@ -24,7 +24,7 @@ pub enum Input {
         /// The solution.
         solution: Box<Solution>,
         /// How long the solver took, nanoseconds.
-        took_ns: u64,
+        took: Nanos,
     },
     /// Time has passed.
     Tick,

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use super::core::Core;
 use super::port::{Input, Output, Settings};
 use crate::core::fnv::fnv1a;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{Job, Solver};
 use crate::io::wire::journal_entry::Input as Entry;
 use crate::io::wire::{
@@ -274,7 +274,10 @@ impl<'a> Run<'a> {
                 let job = self.job.take().filter(|job| job.number == solved.job);
                 let job = job.ok_or_else(|| senseless(format!("job {} is not out", solved.job)))?;
                 let solution = Box::new(self.solver.solve(&job));
-                Input::Solved { solution, took_ns: solved.took_ns }
+                Input::Solved {
+                    solution,
+                    took: Nanos::new(i64::try_from(solved.took_ns).unwrap_or(i64::MAX)),
+                }
             }
             Some(Entry::Tick(_)) => Input::Tick,
             Some(Entry::Dropped(count)) => Input::Dropped(count),

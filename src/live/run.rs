@@ -18,7 +18,8 @@ use super::outlet::Outlet;
 use super::playout::Playout;
 use super::queue::{Intake, Message};
 use super::rig_file::RigFile;
-use super::wall::{WallClock, saturating_ns};
+use super::wall::WallClock;
+use crate::core::time::Nanos;
 use crate::core::tracker::{Job, Solver};
 use crate::io::bus::{Bus, Guard};
 use crate::io::wire::{Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, Topics};
@@ -225,8 +226,8 @@ fn start_solver(
         for job in work {
             let begin = Instant::now();
             let solution = Box::new(solver.solve(&job));
-            let took_ns = u64::try_from(saturating_ns(begin.elapsed())).unwrap_or(0);
-            if sender.send(Answer { solution, took_ns }).is_err() {
+            let took = Nanos::from(begin.elapsed());
+            if sender.send(Answer { solution, took }).is_err() {
                 return;
             }
         }

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use crate::core::time::Nanos;
 use crate::core::tracker::{Verdict, WindowReport};
 use crate::io::wire::{PlayoutCounters, WindowCounters};
 
@@ -22,7 +23,7 @@ pub(super) struct Windows {
 
 impl Windows {
     /// Counts a solved window.
-    pub(super) fn solved(&mut self, report: &WindowReport, took_ns: i64) {
+    pub(super) fn solved(&mut self, report: &WindowReport, took: Nanos) {
         let counter = match report.verdict {
             Verdict::Tracked => &mut self.counters.tracked,
             Verdict::Coasted(_) => &mut self.counters.coasted,
@@ -31,7 +32,7 @@ impl Windows {
         *counter += 1;
         let Some(summary) = report.summary else { return };
         self.counters.termination = summary.termination.name().to_owned();
-        self.recent.push_back((took_ns as f64 * 1e-6, summary.iterations as f64));
+        self.recent.push_back((took.ms(), summary.iterations as f64));
         while self.recent.len() > RECENT {
             self.recent.pop_front();
         }

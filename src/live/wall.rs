@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
 /// How early a sleep should end: it overshoots by the kernel's timer slack, slightly more than
 /// 50 us.
@@ -19,12 +19,12 @@ impl WallClock {
     /// Starts a clock at the system's current time.
     pub fn start() -> Self {
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Self { at_start: Timestamp::from_ns(saturating_ns(since_1970)), start: Instant::now() }
+        Self { at_start: Timestamp::default() + Nanos::from(since_1970), start: Instant::now() }
     }
 
     /// The current time.
     pub fn now(&self) -> Timestamp {
-        self.at_start + saturating_ns(self.start.elapsed())
+        self.at_start + Nanos::from(self.start.elapsed())
     }
 
     /// Waits until that time: sleeps, then spins for the rest.
@@ -40,13 +40,8 @@ impl WallClock {
 
     /// Time left until then; zero if it has passed.
     pub fn until(&self, then: Timestamp) -> Duration {
-        Duration::from_nanos(u64::try_from(then - self.now()).unwrap_or(0))
+        Duration::from_nanos(u64::try_from((then - self.now()).ns()).unwrap_or(0))
     }
-}
-
-/// Nanoseconds, limited to the range of a time stamp.
-pub(super) fn saturating_ns(duration: Duration) -> i64 {
-    i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)
 }
 
 #[cfg(test)]
@@ -59,6 +54,6 @@ mod tests {
         let (first, second) = (clock.now(), clock.now());
         assert!(second >= first && first.ns() > 1_500_000_000_000_000_000);
         assert_eq!(clock.until(first), Duration::ZERO);
-        assert!(clock.until(second + 3_600_000_000_000) > Duration::from_secs(3000));
+        assert!(clock.until(second + Nanos::SECOND * 3600) > Duration::from_secs(3000));
     }
 }

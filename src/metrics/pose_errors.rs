@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::core::body::{JOINTS, Joint, Posture};
 use crate::core::so3;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
 /// Largest errors of a joint that counts as correct (PCK), metres.
 const PCK: [f64; 2] = [0.03, 0.07];
@@ -133,7 +133,7 @@ impl MeanAcceleration {
     /// Adds the next posture in order of time; `None` if the frame has no usable posture. A step of
     /// more than 1.5 frame periods is a gap.
     pub fn add(&mut self, capture: Timestamp, posture: Option<Posture>) {
-        let longest = (1.5e9 / self.fps) as i64;
+        let longest = Nanos::new((1.5e9 / self.fps) as i64);
         let gap = self.last.is_some_and(|last| capture - last >= longest);
         if gap || posture.is_none() {
             self.run.clear();

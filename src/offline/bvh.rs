@@ -6,7 +6,7 @@ use std::path::Path;
 use super::Error;
 use super::compact_pose::CompactPose;
 use crate::core::body::{Skeleton, TrackingState};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::io::formats::bvh::BvhWriter;
 
 /// Longest total time that is filled in a file, seconds.
@@ -35,8 +35,8 @@ impl Fill {
 
     /// Starts the file at `start`: the time before the first pose is a gap.
     pub(crate) fn from(mut self, start: Timestamp) -> Self {
-        let period = (1e9 / self.fps).round() as i64;
-        self.before = Some(start + -period);
+        let period = Nanos::rounded(1e9 / self.fps);
+        self.before = Some(start - period);
         self
     }
 

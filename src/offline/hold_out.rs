@@ -77,7 +77,7 @@ impl HeldOut {
             let pose = match (&self.before, &pose) {
                 (_, Some(pose)) if at == capture => pose.clone(),
                 (Some((before, Some(a))), Some(b)) if at > *before => {
-                    let s = (at - *before) as f64 / (capture - *before) as f64;
+                    let s = at.fraction(*before, capture);
                     a.interpolate(b, s)
                 }
                 _ => continue,
@@ -118,7 +118,7 @@ pub fn pose_at(poses: &[(Timestamp, Pose)], at: Timestamp) -> Option<Pose> {
         return Some(b.clone());
     }
     let (before, a) = poses.get(next.checked_sub(1)?)?;
-    Some(a.interpolate(b, (at - *before) as f64 / (*after - *before) as f64))
+    Some(a.interpolate(b, at.fraction(*before, *after)))
 }
 
 /// Distances of the performer's confident points from the body, pixels, for the `keypoints` in the

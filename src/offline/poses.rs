@@ -204,6 +204,6 @@ impl Poses {
 /// Poses per second, from the median interval; `None` for fewer than two.
 pub(crate) fn frame_rate(poses: &[CompactPose]) -> Option<f64> {
     let periods: Vec<f64> =
-        poses.windows(2).map(|pair| (pair[1].capture - pair[0].capture) as f64).collect();
+        poses.windows(2).map(|pair| (pair[1].capture - pair[0].capture).ns() as f64).collect();
     median(&periods).filter(|period| *period > 0.0).map(|period| 1e9 / period)
 }

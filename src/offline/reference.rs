@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use crate::core::body::{Attachment, Pose, Skeleton};
 use crate::core::detections::Detections;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::io::formats::Trc;
 use crate::metrics::{COMPARED, MarkerDistances, MarkerPositions};
 
@@ -26,7 +26,7 @@ impl FrameClock {
     /// The capture time of frame number `frame` at `fps`.
     fn time_of(self, frame: u64, fps: f64) -> Timestamp {
         let frames = frame as f64 - self.frame as f64;
-        self.capture + (frames * 1e9 / fps).round() as i64
+        self.capture + Nanos::rounded(frames * 1e9 / fps)
     }
 }
 
@@ -71,7 +71,7 @@ impl<'a> ReferenceComparison<'a> {
         pose: Option<&Pose>,
         skeleton: &Skeleton,
     ) {
-        let tolerance = (0.25e9 / self.trc.frame_rate) as i64;
+        let tolerance = Nanos::new((0.25e9 / self.trc.frame_rate) as i64);
         let mut estimate = None;
         while self.row < self.trc.rows.len() {
             let frame = self.trc.first_frame + self.row as u64;

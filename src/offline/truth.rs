@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 
 use super::compact_pose::CompactPose;
 use crate::core::body::Skeleton;
+use crate::core::time::Nanos;
 use crate::metrics::{PoseErrorSums, PoseErrors};
 
 /// Most poses that wait for the other side.
@@ -38,7 +39,7 @@ impl TruthComparison {
     /// Adds a solved pose of a recording with `fps` frames per second.
     pub(super) fn add_pose(&mut self, pose: &CompactPose, skeleton: &Skeleton, fps: f64) {
         self.poses.push_back(pose.clone());
-        let tolerance = tolerance_ns(fps);
+        let tolerance = tolerance(fps);
         let is_covered = |pose: &CompactPose, truths: &VecDeque<CompactPose>| {
             truths.back().is_some_and(|truth| truth.capture > pose.capture + tolerance)
         };
@@ -52,12 +53,12 @@ impl TruthComparison {
     /// The errors; `None` if nothing could be compared.
     pub(super) fn finish(mut self, skeleton: &Skeleton, fps: f64) -> Option<PoseErrors> {
         while !self.poses.is_empty() {
-            self.compare_first(skeleton, tolerance_ns(fps));
+            self.compare_first(skeleton, tolerance(fps));
         }
         self.sums.errors()
     }
 
-    fn compare_first(&mut self, skeleton: &Skeleton, tolerance: i64) {
+    fn compare_first(&mut self, skeleton: &Skeleton, tolerance: Nanos) {
         let Some(pose) = self.poses.pop_front() else { return };
         while self.truths.front().is_some_and(|truth| truth.capture + tolerance < pose.capture) {
             self.truths.pop_front();
@@ -69,8 +70,8 @@ impl TruthComparison {
     }
 }
 
-fn tolerance_ns(fps: f64) -> i64 {
-    (0.1e9 / fps) as i64
+fn tolerance(fps: f64) -> Nanos {
+    Nanos::new((0.1e9 / fps) as i64)
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ use bundlemocap::core::manifold::{
 use bundlemocap::core::optimise::{
     Cholesky, NormalEquations, Optimiser, OptimiserKind, Problem, Summary,
 };
-use bundlemocap::core::time::Timestamp;
+use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{self, Effort, Job, Noise, OffsetEstimator, Solver, Task};
 use bundlemocap::research::synth;
 use divan::Bencher;
@@ -167,7 +167,7 @@ fn job(case: &Case, config: &tracker::Config) -> Job {
         frames: case.observations.iter().flat_map(of_moment).collect(),
         format: USUAL.format,
         rig: Arc::new(case.rig.clone()),
-        frame_period: 16_666_666,
+        frame_period: Nanos::new(16_666_666),
         effort: Effort::full(config),
         noise: Noise::default(),
         task: Task::Track {

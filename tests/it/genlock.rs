@@ -5,7 +5,7 @@ use std::sync::Arc;
 use bundlemocap::core::body::{Posture, Skeleton, TrackingState};
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::manifold::Decoder;
-use bundlemocap::core::time::{Grid, Timestamp};
+use bundlemocap::core::time::{Grid, Nanos, Timestamp};
 use bundlemocap::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
 use bundlemocap::metrics::pose_errors;
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
@@ -64,7 +64,7 @@ impl Walk {
 /// The frame at the cameras' grid time at or before its own.
 fn snapped(frame: Detections, fps: f64) -> Detections {
     let grid = Grid { origin: Timestamp::default(), period_ns: 1e9 / fps };
-    let capture = grid.time(grid.at_or_before(frame.capture + 1000));
+    let capture = grid.time(grid.at_or_before(frame.capture + Nanos::new(1000)));
     Detections { capture, ..frame }
 }
 

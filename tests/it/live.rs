@@ -9,7 +9,7 @@ use bundlemocap::core::body::Skeleton;
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::manifold::Decoder;
-use bundlemocap::core::time::Timestamp;
+use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{Job, Solution, Solver, Task};
 use bundlemocap::io::wire::{
     self, Event, KeypointFrame, Pose, Schema, Status, Topics, TrackingState, decode, encode,
@@ -17,12 +17,12 @@ use bundlemocap::io::wire::{
 use bundlemocap::live::{Core, Input, Output, Recorded, Settings, find_node, replay};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
-const MS: i64 = 1_000_000;
-const SECOND: i64 = 1000 * MS;
+const MS: Nanos = Nanos::from_ms(1);
+const SECOND: Nanos = Nanos::SECOND;
 /// Start of the cameras on the node's clock.
-const START: i64 = 1_700_000_000 * SECOND;
+const START: Timestamp = Timestamp::from_ns(1_700_000_000_000_000_000);
 /// Time from exposure to arrival.
-const NETWORK: i64 = 3 * MS;
+const NETWORK: Nanos = Nanos::from_ms(3);
 
 /// A message in transit.
 #[derive(Clone, Debug)]
@@ -74,9 +74,9 @@ struct World {
     now: Timestamp,
     wake: Option<Timestamp>,
     /// The solution that is being computed, and its completion time.
-    answer: Option<(Timestamp, Solution, i64)>,
+    answer: Option<(Timestamp, Solution, Nanos)>,
     /// The simulated solve time of a job.
-    took: Box<dyn Fn(&Job) -> i64>,
+    took: Box<dyn Fn(&Job) -> Nanos>,
     heard: Heard,
 }
 
@@ -95,12 +95,12 @@ impl World {
         Self {
             core: Core::new(settings(config, &decoder)),
             solver: Solver::new(decoder, config.tracker),
-            now: Timestamp::from_ns(START - SECOND),
+            now: START - SECOND,
             wake: None,
             answer: None,
             took: Box::new(|job| match job.task {
-                Task::Acquire { .. } => 40 * MS,
-                Task::Track { .. } => 5 * MS,
+                Task::Acquire { .. } => MS * 40,
+                Task::Track { .. } => MS * 5,
                 Task::Provisional { .. } => MS,
             }),
             heard: Heard::default(),
@@ -118,8 +118,8 @@ impl World {
             let Some(next) = next.filter(|next| *next <= until) else { break };
             self.now = self.now.max(next);
             let input = if answer == Some(next) {
-                let (_, solution, took_ns) = self.answer.take().unwrap();
-                Input::Solved { solution: Box::new(solution), took_ns: took_ns as u64 }
+                let (_, solution, took) = self.answer.take().unwrap();
+                Input::Solved { solution: Box::new(solution), took }
             } else if arrival == Some(next) {
                 let message = sent.next().unwrap();
                 Input::Message { topic: message.topic.into(), payload: message.payload }
@@ -136,7 +136,7 @@ impl World {
         self.core.handle(self.now, input);
         while let Some(output) = self.core.poll() {
             match output {
-                Output::Wake(at) => self.wake = Some(at.max(self.now + 1)),
+                Output::Wake(at) => self.wake = Some(at.max(self.now + Nanos::new(1))),
                 Output::Solve(job) => {
                     assert!(self.answer.is_none(), "two jobs at once");
                     let took = (self.took)(&job);
@@ -155,9 +155,9 @@ impl World {
 
     fn end(&mut self) {
         self.tell(Input::End);
-        while let Some((at, solution, took_ns)) = self.answer.take() {
+        while let Some((at, solution, took)) = self.answer.take() {
             self.now = self.now.max(at);
-            self.tell(Input::Solved { solution: Box::new(solution), took_ns: took_ns as u64 });
+            self.tell(Input::Solved { solution: Box::new(solution), took });
         }
     }
 }
@@ -176,14 +176,14 @@ impl Studio {
         let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
         recording.frames = frames;
         recording.noise = Noise::jitter_only();
-        recording.start = Timestamp::from_ns(START);
+        recording.start = START;
         let frames = recording.detections().collect();
         Self { rig: recording.rig, frames }
     }
 
     fn rig(&self) -> Sent {
         let payload = encode(&wire::Rig::from_core(&self.rig));
-        let arrival = Timestamp::from_ns(START - SECOND / 2);
+        let arrival = START - SECOND / 2;
         Sent { arrival, topic: Topics::default().rig(), payload }
     }
 
@@ -205,7 +205,7 @@ impl Studio {
 }
 
 fn at(seconds: f64) -> Timestamp {
-    Timestamp::from_ns(START + (seconds * 1e9) as i64)
+    START + Nanos::new((seconds * 1e9) as i64)
 }
 
 /// A world after those messages.
@@ -219,11 +219,11 @@ fn after(messages: Vec<Sent>, seconds: f64) -> World {
 fn assert_on_time(heard: &Heard) {
     let poses = heard.poses();
     assert!(poses.len() > 60, "{} poses", poses.len());
-    let latency = poses[0].1.declared_latency_ns as i64;
+    let latency = Nanos::new(poses[0].1.declared_latency_ns as i64);
     for (time, pose) in &poses {
         assert_eq!(*time - Timestamp::from_ns(pose.capture_time_ns), latency);
         assert_eq!(pose.due_time_ns, Some(time.ns()));
-        assert_eq!(pose.declared_latency_ns as i64, latency);
+        assert_eq!(Nanos::new(pose.declared_latency_ns as i64), latency);
     }
     for pair in poses.windows(2) {
         let step = pair[1].1.capture_time_ns - pair[0].1.capture_time_ns;
@@ -238,9 +238,9 @@ fn poses_leave_at_one_latency_and_provisional_ones_at_once() {
     assert_on_time(heard);
     // 150 ms from the first pose to the end of a window, at least 22 to solve, 3 network, 4
     // publishing.
-    assert_eq!(heard.poses()[0].1.declared_latency_ns, 180 * MS as u64);
+    assert_eq!(heard.poses()[0].1.declared_latency_ns, 180_000_000);
     let last = heard.poses().pop().unwrap().1;
-    assert!(last.capture_time_ns >= START + 3_600 * MS, "{}", last.capture_time_ns);
+    assert!(last.capture_time_ns >= (START + MS * 3_600).ns(), "{}", last.capture_time_ns);
     assert!(heard.poses().iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
     // The first ones wait for the windows collected for the shape.
     let mut live = heard.live();
@@ -249,12 +249,12 @@ fn poses_leave_at_one_latency_and_provisional_ones_at_once() {
     for (time, pose) in &live {
         let waited = *time - Timestamp::from_ns(pose.capture_time_ns) - NETWORK;
         // One millisecond for the fit; five if it had to wait for a window's solve.
-        assert!((0..=6 * MS).contains(&waited), "{waited} ns");
+        assert!((Nanos::ZERO..=MS * 6).contains(&waited), "{waited}");
         assert!(pose.provisional && pose.revision == 0 && pose.due_time_ns.is_none());
     }
     assert!(heard.poses().iter().all(|(_, pose)| !pose.provisional));
     // After the frames collected for the shape, each had a provisional pose before.
-    let caught_up = START + 550 * MS;
+    let caught_up = (START + MS * 550).ns();
     let mut later = heard.poses().into_iter().filter(|(_, p)| p.capture_time_ns > caught_up);
     assert!(later.all(|(_, pose)| pose.revision == 1));
     assert_eq!(heard.status().tracker_state, "tracking");
@@ -266,7 +266,7 @@ fn poses_leave_at_one_latency_and_provisional_ones_at_once() {
 fn the_same_inputs_give_the_same_bytes() {
     let mut messages = Studio::new(4, 150).messages();
     for index in (40..messages.len()).step_by(17) {
-        messages[index].arrival = messages[index].arrival + 90 * MS;
+        messages[index].arrival = messages[index].arrival + MS * 90;
         let twin = messages[index].clone();
         messages.push(twin);
     }
@@ -323,7 +323,7 @@ fn the_same_inputs_give_the_same_bytes() {
 
 #[test]
 fn each_run_has_its_own_id() {
-    let run_id = |delay: i64| {
+    let run_id = |delay: Nanos| {
         let mut messages = Studio::new(2, 2).messages();
         messages.iter_mut().for_each(|sent| sent.arrival = sent.arrival + delay);
         let mut world = after(messages, 2.0);
@@ -334,8 +334,8 @@ fn each_run_has_its_own_id() {
             other => panic!("the journal begins with {other:?}"),
         }
     };
-    assert_eq!(run_id(0), run_id(0));
-    assert_ne!(run_id(0), run_id(1));
+    assert_eq!(run_id(Nanos::ZERO), run_id(Nanos::ZERO));
+    assert_ne!(run_id(Nanos::ZERO), run_id(Nanos::new(1)));
 }
 
 #[test]
@@ -387,8 +387,8 @@ fn overload_lowers_effort_and_keeps_the_latency() {
         let Task::Track { .. } = job.task else { return MS };
         let iterations = job.effort.iterations.min(12) as i64;
         match slow(job) {
-            true => iterations * 20 * MS / job.effort.stride as i64,
-            false => 3 * MS,
+            true => MS * 20 * iterations / job.effort.stride as i64,
+            false => MS * 3,
         }
     });
     world.play(studio.messages(), at(20.0));
@@ -409,7 +409,7 @@ fn overload_lowers_effort_and_keeps_the_latency() {
 fn a_solver_that_hangs_does_not_stop_the_poses() {
     let studio = Studio::new(4, 300);
     let mut world = World::new(&Config::default());
-    world.took = Box::new(|job| if job.window == 12 { 900 * MS } else { 3 * MS });
+    world.took = Box::new(|job| if job.window == 12 { MS * 900 } else { MS * 3 });
     world.play(studio.messages(), at(5.0));
     assert_on_time(&world.heard);
     let states: Vec<TrackingState> =
@@ -451,7 +451,7 @@ fn a_new_calibration_is_used_from_a_window_on() {
     let first = poses.iter().position(|(_, pose)| pose.rig_version == 7).unwrap();
     assert_eq!(poses[first - 1].1.window + 1, poses[first].1.window, "at a window's edge");
     assert!(poses[first..].iter().all(|(_, pose)| pose.rig_version == 7));
-    assert!((poses[first].1.capture_time_ns - arrival.ns()).abs() < 340 * MS);
+    assert!((Timestamp::from_ns(poses[first].1.capture_time_ns) - arrival).abs() < MS * 340);
     let events = world.heard.events();
     assert_eq!((events["calibrated"], events["unusable"]), (2, 1));
 }
@@ -494,7 +494,7 @@ fn states_follow_the_performer() {
 #[test]
 fn one_bad_camera_never_stops_the_others() {
     let studio = Studio::new(4, 360);
-    let hour = 3600 * SECOND;
+    let hour = SECOND * 3600;
     let bad = |index: usize, frame: &Detections| -> Vec<u8> {
         let camera = &studio.rig.cameras[frame.camera];
         let mut message =
@@ -503,8 +503,8 @@ fn one_bad_camera_never_stops_the_others() {
             0 => return vec![0xff; 40],
             1 => message.people[0].points[3] = f32::NAN,
             2 => message.people[0].points[4] = f32::INFINITY,
-            3 => message.capture_time_ns += hour,
-            4 => message.capture_time_ns -= hour,
+            3 => message.capture_time_ns += hour.ns(),
+            4 => message.capture_time_ns -= hour.ns(),
             5 => message.format = "my_format".into(),
             6 => message.camera = "somebody".into(),
             _ => message.people = vec![wire::DetectedPerson::default(); 1_000_000],
@@ -549,19 +549,19 @@ fn a_jump_of_all_clocks_starts_a_new_time_line() {
         let arrival = frame.capture + NETWORK;
         let mut jumped = frame.clone();
         if frame.frame >= 240 {
-            jumped.capture = frame.capture + -3600 * SECOND;
+            jumped.capture = frame.capture - SECOND * 3600;
         }
         messages.push(Sent { arrival, ..studio.message(&jumped) });
     }
     let world = after(messages, 8.0);
     let poses = world.heard.poses();
     let after_jump: Vec<_> =
-        poses.iter().filter(|(_, pose)| pose.capture_time_ns < START).collect();
+        poses.iter().filter(|(_, pose)| pose.capture_time_ns < START.ns()).collect();
     assert!(after_jump.len() > 120, "{} poses after the jump", after_jump.len());
     // The node does not share that clock: the latency counts from the fastest arrival.
     for (time, pose) in &after_jump {
-        let latency = *time - Timestamp::from_ns(pose.capture_time_ns) - 3600 * SECOND;
-        assert_eq!(latency, pose.declared_latency_ns as i64 + NETWORK);
+        let latency = *time - Timestamp::from_ns(pose.capture_time_ns) - SECOND * 3600;
+        assert_eq!(latency, Nanos::new(pose.declared_latency_ns as i64) + NETWORK);
     }
     assert!(world.heard.events()["clock_jump"] >= 4);
 }
@@ -571,7 +571,7 @@ fn a_camera_whose_clock_is_off_raises_an_alarm() {
     let studio = Studio::new(4, 360);
     let mut messages = studio.messages();
     for message in messages.iter_mut().filter(|m| m.topic.contains("cam02")) {
-        message.arrival = message.arrival + 6 * MS;
+        message.arrival = message.arrival + MS * 6;
     }
     let world = after(messages, 6.0);
     let events = world.heard.details("clock_offset");
@@ -588,7 +588,7 @@ fn two_publishers_of_one_camera_are_reported() {
     let mut messages = studio.messages();
     for frame in studio.frames.iter().filter(|f| f.camera == 0 && f.frame > 60) {
         let mut other = frame.clone();
-        (other.frame, other.capture) = (frame.frame + 5000, frame.capture + 4 * MS);
+        (other.frame, other.capture) = (frame.frame + 5000, frame.capture + MS * 4);
         messages.push(studio.message(&other));
     }
     let world = after(messages, 4.0);
@@ -605,7 +605,7 @@ fn memory_does_not_grow_with_time() {
     let round = |number: i64| -> Vec<Sent> {
         let frames = studio.frames.iter().map(|frame| {
             let mut frame = frame.clone();
-            frame.capture = frame.capture + number * SECOND;
+            frame.capture = frame.capture + SECOND * number;
             frame.frame += 60 * number as u64;
             studio.message(&frame)
         });
@@ -640,7 +640,7 @@ fn poses_can_be_decoded_from_keyframes_alone() {
         let skeleton = Skeleton::new(to.shape);
         for capture in to.grid.between(to.start, to.capture) {
             let Some(published) = poses.get(&capture.ns()) else { continue };
-            let s = (capture - to.start) as f64 / (to.capture - to.start) as f64;
+            let s = capture.fraction(to.start, to.capture);
             let keyframe = to.interpolation.keyframe(&from.keyframe, &to.keyframe, s);
             let positions = decoder.pose(&keyframe).posture(&skeleton).positions;
             let told = published.joint_positions().unwrap();
@@ -658,12 +658,12 @@ fn windows_wait_for_slow_detectors() {
     let studio = Studio::new(4, 300);
     let mut messages = studio.messages();
     for message in &mut messages[1..] {
-        message.arrival = message.arrival + 250 * MS;
+        message.arrival = message.arrival + MS * 250;
     }
     let world = after(messages, 5.2);
     assert_on_time(&world.heard);
-    let latency = world.heard.poses()[0].1.declared_latency_ns as i64;
-    assert!((400 * MS..450 * MS).contains(&latency), "{latency} ns");
+    let latency = Nanos::new(world.heard.poses()[0].1.declared_latency_ns as i64);
+    assert!((MS * 400..MS * 450).contains(&latency), "{latency}");
     assert!(world.heard.poses().iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
     let events = world.heard.events();
     assert!(!events.contains_key("late") && !events.contains_key("deadline"), "{events:?}");
@@ -675,7 +675,7 @@ fn a_camera_with_a_fast_clock_does_not_close_windows() {
     let mut messages = vec![studio.rig()];
     for frame in &studio.frames {
         let arrival = frame.capture + NETWORK;
-        let ahead = if frame.camera == 2 { 300 * MS } else { 0 };
+        let ahead = if frame.camera == 2 { MS * 300 } else { Nanos::ZERO };
         let stamped = Detections { capture: frame.capture + ahead, ..frame.clone() };
         messages.push(Sent { arrival, ..studio.message(&stamped) });
     }
@@ -697,7 +697,7 @@ fn the_status_continues_without_a_performer_and_without_input() {
     let world = after(messages, 10.0);
     let times: Vec<Timestamp> =
         world.heard.of::<Status>(&Topics::default().status()).iter().map(|(at, _)| *at).collect();
-    assert!(times.windows(2).all(|pair| pair[1] - pair[0] < SECOND + 50 * MS), "{times:?}");
+    assert!(times.windows(2).all(|pair| pair[1] - pair[0] < SECOND + MS * 50), "{times:?}");
     assert!(*times.last().unwrap() > at(8.9));
     assert!(world.heard.poses().is_empty());
 }
@@ -707,7 +707,7 @@ fn a_solver_that_is_far_behind_continues_with_new_frames() {
     let studio = Studio::new(4, 900);
     let mut world = World::new(&Config::default());
     let slow = |job: &Job| (at(3.0)..at(5.0)).contains(&job.end);
-    world.took = Box::new(move |job| if slow(job) { 2500 * MS } else { 3 * MS });
+    world.took = Box::new(move |job| if slow(job) { MS * 2500 } else { MS * 3 });
     world.play(studio.messages(), at(15.0));
     assert_on_time(&world.heard);
     let events = world.heard.events();

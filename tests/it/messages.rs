@@ -5,7 +5,7 @@ use bundlemocap::core::camera::{self, Camera, Lens};
 use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
 use bundlemocap::core::manifold;
 use bundlemocap::core::so3;
-use bundlemocap::core::time::{Grid, Timestamp};
+use bundlemocap::core::time::{Grid, Nanos, Timestamp};
 use bundlemocap::io::wire::{
     CameraCounters, DecodeError, Event, Keyframe, KeypointFrame, LiveStamp, Pose, RetargetedPose,
     Rig, Schema, Skeleton, Status, WindowCounters, decode, encode,
@@ -140,7 +140,7 @@ fn keypoints() -> KeypointFrame {
 
 fn published_pose() -> Pose {
     let due = Some(Timestamp::from_ns(-1));
-    let live = LiveStamp { due, latency_ns: 250_000_000, run_id: 0x0123_4567_89ab_cdef };
+    let live = LiveStamp { due, latency: Nanos::from_ms(250), run_id: 0x0123_4567_89ab_cdef };
     Pose::from_core(&stamped_pose(4), &skeleton(), Some(live))
 }
 

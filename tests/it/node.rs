@@ -11,7 +11,7 @@ use bundlemocap::core::body::Skeleton;
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::manifold::Decoder;
-use bundlemocap::core::time::Timestamp;
+use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{self, Solver};
 use bundlemocap::io::bus::{Bus, Guard, Memory, Publisher};
 use bundlemocap::io::formats::Up;
@@ -136,7 +136,7 @@ impl Studio {
 
     /// The next message of a camera.
     fn message(&self, camera: usize) -> KeypointFrame {
-        let capture = self.start + Timestamp::of_frame(self.frame, FPS).ns();
+        let capture = self.start + Nanos::of_frames(self.frame, FPS);
         let last = self.detections.len() as u64 - 1;
         let at = self.frame % (2 * last);
         let detections = &self.detections[at.min(2 * last - at) as usize][camera];
@@ -146,7 +146,7 @@ impl Studio {
 
     /// All cameras send a frame at its time.
     fn send_frame(&mut self) {
-        let capture = self.start + Timestamp::of_frame(self.frame, FPS).ns();
+        let capture = self.start + Nanos::of_frames(self.frame, FPS);
         self.clock.wait_until(capture);
         for (camera, publisher) in self.publishers.iter().enumerate() {
             let bytes = encode(&self.message(camera));

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use bundlemocap::core::body::{Pose, Posture, Skeleton, StampedPose};
 use bundlemocap::core::manifold::Decoder;
+use bundlemocap::core::time::Nanos;
 use bundlemocap::metrics;
 use bundlemocap::research::methods::{Solved, Take, named};
 use bundlemocap::research::synth::{Motion, MotionStyle, Recording, ring_rig};
@@ -12,7 +13,7 @@ use bundlemocap::research::synth::{Motion, MotionStyle, Recording, ring_rig};
 fn errors<M: Fn(f64) -> Pose>(recording: &Recording<M>, solved: &Solved) -> (f64, f64) {
     let truth: Vec<StampedPose> = recording.poses().collect();
     let pairs = solved.poses.iter().filter_map(|(at, pose)| {
-        let truth = truth.iter().find(|truth| (truth.capture - *at).abs() < 1_000_000)?;
+        let truth = truth.iter().find(|truth| (truth.capture - *at).abs() < Nanos::from_ms(1))?;
         Some((pose.posture(&solved.skeleton), truth.pose.posture(&recording.skeleton)))
     });
     let (found, truth): (Vec<Posture>, Vec<Posture>) = pairs.unzip();

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use bundlemocap::core::body::{Pose, Skeleton, StampedPose, TrackingState};
 use bundlemocap::core::detections::{Detections, KeypointFormat};
 use bundlemocap::core::manifold::{Keyframe, TimedKeyframe};
-use bundlemocap::core::time::Timestamp;
+use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{
     Config, Event, EventKind, Input, Job, Latency, Live, Outcome, Output, Solution, Task, Tracked,
     Tracker, Verdict,
@@ -15,6 +15,8 @@ use bundlemocap::core::tracker::{
 use crate::solve::{keyframe, ring};
 
 const CAMERAS: usize = 4;
+/// The tracker wakes this much after the end of a wait, since the times of a grid are rounded.
+const ROUNDING: Nanos = Nanos::new(1000);
 
 /// Capture time of frame `i` at 50 frames per second.
 fn at(i: i64) -> Timestamp {
@@ -158,7 +160,7 @@ fn a_frame_within_a_quarter_period_of_the_end_closes_the_window() {
         timeline.frames(0..CAMERAS, 11..=14);
         for camera in 0..CAMERAS {
             let (format, people) = (KeypointFormat::Body25, Vec::new());
-            let capture = at(15) + -1_000_000 * ms_before_end;
+            let capture = at(15) - Nanos::from_ms(ms_before_end);
             let frame = Detections { camera, frame: 15, capture, format, people };
             timeline.handle(Input::Detections(frame));
         }
@@ -211,12 +213,12 @@ fn the_end_closes_the_open_window_at_the_last_frame() {
 fn a_live_window_closes_by_the_clock_and_not_by_a_fast_camera() {
     let mut timeline = Timeline::new().live().begin();
     // Its start is frame 5, its end frame 15, its grace 5 frames.
-    assert_eq!(timeline.tracker.wake(), Some(at(20) + 1000));
-    timeline.tracker.set_delay(30_000_000);
-    assert_eq!(timeline.tracker.wake(), Some(at(20) + 30_001_000), "the usual delay is added");
-    timeline.tracker.set_delay(0);
+    assert_eq!(timeline.tracker.wake(), Some(at(20) + ROUNDING));
+    timeline.tracker.set_delay(Nanos::from_ms(30));
+    assert_eq!(timeline.tracker.wake(), Some(ms(430) + ROUNDING), "the usual delay is added");
+    timeline.tracker.set_delay(Nanos::ZERO);
     timeline.frame(0, 40);
-    timeline.handle(Input::Tick(at(20) + -1));
+    timeline.handle(Input::Tick(at(20) - Nanos::new(1)));
     assert!(timeline.job.is_none());
     timeline.handle(Input::Tick(at(20)));
     let job = timeline.job.as_ref().expect("the deadline has passed");
@@ -229,28 +231,29 @@ fn a_live_window_closes_by_the_clock_and_not_by_a_fast_camera() {
 fn the_latency_limits_the_grace() {
     let mut timeline = Timeline::new().live().begin();
     let mut wake = |declared: i64, reserve: i64| {
-        let [declared_ns, reserve_ns] = [declared, reserve].map(|value| 1_000_000 * value);
-        timeline.tracker.set_latency(Latency { declared_ns, reserve_ns });
+        let [declared, reserve] = [declared, reserve].map(Nanos::from_ms);
+        timeline.tracker.set_latency(Latency { declared, reserve });
         timeline.tracker.wake()
     };
     // 300 ms minus the window (200) and its reserve (50), plus the period of the first pose (20):
     // 70 ms.
-    assert_eq!(wake(300, 50), Some(ms(370) + 1000));
-    assert_eq!(wake(200, 50), Some(ms(300) + 1000), "no grace is left");
-    assert_eq!(wake(1000, 50), Some(ms(400) + 1000), "never more than was asked for");
+    assert_eq!(wake(300, 50), Some(ms(370) + ROUNDING));
+    assert_eq!(wake(200, 50), Some(ms(300) + ROUNDING), "no grace is left");
+    assert_eq!(wake(1000, 50), Some(ms(400) + ROUNDING), "never more than was asked for");
 }
 
 #[test]
 fn a_pose_that_is_not_solved_when_due_is_extrapolated() {
     let mut timeline = Timeline::new().live();
-    timeline.tracker.set_latency(Latency { declared_ns: 300_000_000, reserve_ns: 50_000_000 });
+    let latency = Latency { declared: Nanos::from_ms(300), reserve: Nanos::from_ms(50) };
+    timeline.tracker.set_latency(latency);
     let mut timeline = timeline.begin();
     assert_eq!(timeline.poses.len(), 6, "frames 0 to 5");
     timeline.handle(Input::Tick(ms(370)));
     let job = timeline.job.take().expect("the deadline has passed");
     // Frame 6 is due at 120 + 300 ms, and extrapolated 3 ms before that.
     assert_eq!(timeline.tracker.wake(), Some(ms(417)));
-    timeline.handle(Input::Tick(ms(417) + -1));
+    timeline.handle(Input::Tick(ms(417) - Nanos::new(1)));
     assert_eq!(timeline.poses.len(), 6);
     timeline.handle(Input::Tick(ms(417)));
     let pose = timeline.poses.last().unwrap();

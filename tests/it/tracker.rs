@@ -12,6 +12,7 @@ use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Perso
 use bundlemocap::core::manifold::{Decoder, Interpolation, Keyframe, TimedKeyframe};
 use bundlemocap::core::optimise::OptimiserKind;
 use bundlemocap::core::so3;
+use bundlemocap::core::time::Nanos;
 use bundlemocap::core::tracker::{
     Config, Effort, EventKind, Input, Job, Noise, Outcome, Output, Solver, Task, Tracker, Verdict,
     WindowReport, run_to_end,
@@ -165,7 +166,7 @@ fn windows_follow_a_manifold_motion_exactly() {
                     .collect(),
                 format: FORMAT,
                 rig: Arc::clone(&rig),
-                frame_period: 16_666_666,
+                frame_period: Nanos::new(16_666_666),
                 effort: Effort::full(&config()),
                 noise: Noise::default(),
                 task: Task::Track {
@@ -258,8 +259,9 @@ fn an_absence_is_extrapolated_then_flagged_until_the_performer_returns() {
     assert_eq!(run.events[&EventKind::Coasted], 3);
     assert_eq!(run.events[&EventKind::Left], 1);
     assert_eq!(run.events[&EventKind::Acquired], 2);
-    let state =
-        |i: usize| run.poses.iter().find(|p| (p.capture - frame(i)).abs() < 10).unwrap().state;
+    let state = |i: usize| {
+        run.poses.iter().find(|p| (p.capture - frame(i)).abs() < Nanos::new(10)).unwrap().state
+    };
     assert_eq!(state(39), TrackingState::Tracking);
     assert_eq!(state(41), TrackingState::Coasting);
     assert_eq!(state(70), TrackingState::Coasting);
@@ -304,13 +306,13 @@ fn a_bystander_in_some_views_is_not_followed() {
 fn frames_of_cameras_without_genlock_are_combined() {
     let (rig, decoder) = (ring(), Decoder::embedded().unwrap());
     let (points, skeleton) = (fitted_points(FORMAT), Skeleton::new(truth_shape()));
-    let stagger = 16_666_667 / 5;
+    let stagger = Nanos::new(16_666_667) / 5;
     let mut frames = stream(41);
     for frame in &mut frames {
         // Each camera sees the pose of its own time.
-        let late = frame.camera as i64 * stagger;
+        let late = stagger * frame.camera as i64;
         frame.capture = frame.capture + late;
-        let s = (frame.frame % 10) as f64 / 10.0 + late as f64 * 6e-9;
+        let s = (frame.frame % 10) as f64 / 10.0 + late.seconds() * 6.0;
         let k = frame.frame as usize / 10 * 10;
         let at = Interpolation::Slerp.keyframe(&truth(k), &truth(k + 10), s);
         let posture = decoder.pose(&at).posture(&skeleton);
@@ -337,7 +339,7 @@ fn frames_of_cameras_without_genlock_are_combined() {
 #[test]
 fn a_wrong_time_stamp_does_not_break_the_stream() {
     let mut frames = stream(61);
-    frames[100].capture = frames[100].capture + 3_600_000_000_000;
+    frames[100].capture = frames[100].capture + Nanos::SECOND * 3600;
     let run = run(config(), frames);
     assert_eq!(run.events[&EventKind::Unusable], 1);
     assert_eq!(run.poses.len(), 61);
@@ -381,7 +383,7 @@ fn the_shape_waits_for_enough_frames() {
         let difference = found.offset(joint).norm() - truth.offset(joint).norm();
         assert!(difference.abs() < 5e-3, "{} {difference} m", joint.name());
     }
-    assert!((run.poses[0].capture - frame(25)).abs() < 10);
+    assert!((run.poses[0].capture - frame(25)).abs() < Nanos::new(10));
 }
 
 #[test]

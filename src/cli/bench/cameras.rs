@@ -9,7 +9,7 @@ use crate::cli::synth::RING;
 use crate::core::body::{Shape, Skeleton};
 use crate::core::camera::Rig;
 use crate::core::detections::KeypointFormat;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::io::bus::{Bus, Publisher};
 use crate::io::wire::{self, KeypointFrame, Topics, encode};
 use crate::live::WallClock;
@@ -72,9 +72,9 @@ impl Cameras {
         bytes as f64 / count.max(1) as f64
     }
 
-    /// Capture time of a frame relative to frame 0, ns.
-    fn since_start(&self, frame: u64) -> i64 {
-        Timestamp::of_frame(frame, self.fps).ns()
+    /// Capture time of a frame relative to frame 0.
+    fn since_start(&self, frame: u64) -> Nanos {
+        Nanos::of_frames(frame, self.fps)
     }
 
     /// The message of a camera; the motion runs forwards, then backwards. Frame number and capture
@@ -117,7 +117,7 @@ pub(super) fn send(
     let publishers = (cameras.rig.cameras.iter())
         .map(|camera| bus.publisher(&topics.keypoints(&camera.name)))
         .collect::<Result<Vec<Box<dyn Publisher>>, _>>()?;
-    let start = clock.now() + 100_000_000;
+    let start = clock.now() + Nanos::from_ms(100);
     for frame in 0..frames {
         let capture = start + cameras.since_start(frame);
         let messages: Vec<Vec<u8>> =

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
 
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::io::bus::{Bus, BusError, Guard, Sample};
 use crate::io::wire::{Event, Pose, Status, Topics, decode};
 use crate::live::{Usage, WallClock};
@@ -15,7 +15,7 @@ use crate::metrics::statistics::{Line, percentiles};
 #[derive(Clone, Copy, Debug)]
 struct Arrival {
     capture: Timestamp,
-    latency_ns: i64,
+    latency: Nanos,
     at: Timestamp,
 }
 
@@ -68,9 +68,9 @@ impl Heard {
         self.lock().poses.first().map(|arrival| arrival.at)
     }
 
-    /// The declared latency of the node, ns.
-    pub(super) fn latency_ns(&self) -> i64 {
-        self.lock().poses.last().map_or(0, |arrival| arrival.latency_ns)
+    /// The declared latency of the node.
+    pub(super) fn latency(&self) -> Nanos {
+        self.lock().poses.last().map_or(Nanos::ZERO, |arrival| arrival.latency)
     }
 
     fn lock(&self) -> MutexGuard<'_, Notes> {
@@ -84,8 +84,8 @@ fn note_event(notes: &mut Notes, sample: &Sample, _: Timestamp) {
 
 fn arrival(sample: &Sample, at: Timestamp) -> Option<Arrival> {
     let pose: Pose = decode(&sample.payload).ok()?;
-    let latency_ns = i64::try_from(pose.declared_latency_ns).ok()?;
-    Some(Arrival { capture: Timestamp::from_ns(pose.capture_time_ns), latency_ns, at })
+    let latency = Nanos::new(i64::try_from(pose.declared_latency_ns).ok()?);
+    Some(Arrival { capture: Timestamp::from_ns(pose.capture_time_ns), latency, at })
 }
 
 /// The load of the benchmark.
@@ -174,7 +174,7 @@ pub(super) fn figures(
     let playout = status.playout.clone().unwrap_or_default();
     let effort = status.effort.unwrap_or_default();
     let first = notes.poses.first();
-    let deviation = |a: &Arrival| ((a.at - a.capture - a.latency_ns) as f64 * 1e-6).abs();
+    let deviation = |a: &Arrival| (a.at - a.capture - a.latency).ms().abs();
     let mut events = BTreeMap::new();
     // Ignore events after the last frame, when the cameras are silent.
     let end = sent.last().map_or(0, |last| last.0.ns());
@@ -185,9 +185,9 @@ pub(super) fn figures(
     Figures {
         acquisition_s: first
             .zip(sent.first())
-            .map(|(pose, sent)| (pose.at - sent.0 - pose.latency_ns) as f64 * 1e-9),
-        declared_latency_ms: first.map(|pose| pose.latency_ns as f64 * 1e-6),
-        latency_constant: notes.poses.windows(2).all(|p| p[0].latency_ns == p[1].latency_ns),
+            .map(|(pose, sent)| (pose.at - sent.0 - pose.latency).seconds()),
+        declared_latency_ms: first.map(|pose| pose.latency.ms()),
+        latency_constant: notes.poses.windows(2).all(|p| p[0].latency == p[1].latency),
         poses: poses(&notes.poses, sent, &load),
         arrival_deviation_ms: spread(notes.poses.iter().map(deviation)),
         publish_deviation_ms: of_bins(&playout.deviation_bins_us, &playout.deviation_counts),
@@ -208,7 +208,7 @@ pub(super) fn figures(
 /// One pose per frame is expected from the first pose on, except for the last two windows, which the
 /// end may cut.
 fn poses(all: &[Arrival], sent: &[(Timestamp, Timestamp)], load: &Load) -> Poses {
-    let end = sent.last().map(|sent| sent.0 + (-2e6 * load.window_span_ms) as i64);
+    let end = sent.last().map(|sent| sent.0 - Nanos::new((2e6 * load.window_span_ms) as i64));
     let range = all.first().map(|pose| pose.capture).zip(end);
     let inside = |at: Timestamp| range.is_some_and(|(first, end)| first <= at && at < end);
     let expected = sent.iter().filter(|sent| inside(sent.0)).count();
@@ -232,7 +232,7 @@ fn live(
 ) -> impl Iterator<Item = f64> {
     all.iter().filter(move |pose| from.is_some_and(|from| pose.at >= from)).filter_map(|pose| {
         let frame = sent.binary_search_by_key(&pose.capture, |sent| sent.0).ok()?;
-        Some((pose.at - sent[frame].1) as f64 * 1e-6)
+        Some((pose.at - sent[frame].1).ms())
     })
 }
 
@@ -386,8 +386,11 @@ mod tests {
     #[test]
     fn poses_before_the_first_and_in_the_last_windows_are_not_expected() {
         let sent: Vec<_> = (0..100).map(|i| (ms(10 * i), ms(10 * i + 1))).collect();
-        let pose =
-            |i: i64| Arrival { capture: ms(10 * i), latency_ns: 30_000_000, at: ms(10 * i + 31) };
+        let pose = |i: i64| Arrival {
+            capture: ms(10 * i),
+            latency: Nanos::from_ms(30),
+            at: ms(10 * i + 31),
+        };
         let heard = Heard::default();
         let order = (20..90).filter(|i| *i != 50).chain([60]);
         heard.lock().poses.extend(order.map(pose));

@@ -170,7 +170,7 @@ fn play(
         Ok(usage)
     });
     bar.finish_and_clear();
-    std::thread::sleep(Duration::from_nanos(heard.latency_ns().unsigned_abs()) + TAIL);
+    std::thread::sleep(Duration::from_nanos(heard.latency().ns().unsigned_abs()) + TAIL);
     usage
 }
 

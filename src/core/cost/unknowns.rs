@@ -187,7 +187,7 @@ impl Unknowns {
         let to =
             self.initial[1..last].iter().take_while(|at| at.timed.capture < capture).count() + 1;
         let (t0, t1) = (self.capture(to - 1), self.capture(to));
-        match (capture - t0) as f64 / (t1 - t0).max(1) as f64 {
+        match capture.fraction(t0, t1) {
             s if s.abs() < AT_KEYFRAME => Place { from: to - 1, to: to - 1, s: 1.0 },
             s if (s - 1.0).abs() < AT_KEYFRAME => Place { from: to, to, s: 1.0 },
             s => Place { from: to - 1, to, s },

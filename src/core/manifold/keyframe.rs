@@ -82,9 +82,8 @@ impl StampedKeyframe {
             return Some(vec![self.stamped(self.capture, decoder.pose(&self.keyframe))]);
         }
         let from = &before.filter(|before| before.capture == self.start)?.keyframe;
-        let span = (self.capture - self.start).max(1) as f64;
         let at = |capture: Timestamp| {
-            let s = (capture - self.start) as f64 / span;
+            let s = capture.fraction(self.start, self.capture);
             let keyframe = self.interpolation.keyframe(from, &self.keyframe, s);
             self.stamped(capture, decoder.pose(&keyframe))
         };

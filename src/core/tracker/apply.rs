@@ -39,10 +39,10 @@ impl Tracker {
         pose: &Pose,
     ) {
         let at = first.capture;
-        self.repeat_last_pose(window.start, at + -self.tolerance());
+        self.repeat_last_pose(window.start, at - self.tolerance());
         if self.skeleton.is_none() && !self.ended && at > window.start + self.span() {
             // Too few frames are left for the shape: collect frames again from here.
-            self.close_until(at + -self.tolerance());
+            self.close_until(at - self.tolerance());
             self.start_windows_at(Some(at));
             return;
         }

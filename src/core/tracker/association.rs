@@ -12,11 +12,11 @@ use crate::core::body::{BodyPoint, Pose, Skeleton};
 use crate::core::camera::{Camera, Rig};
 use crate::core::cost::{FrameObservations, Observation};
 use crate::core::detections::{Detections, Person};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
 /// Frames closer in time than this, ns, are merged: cameras on one clock differ by microseconds,
 /// and at 5 m/s this is half a millimetre. Each capture time costs a decoding.
-const SAME_TIME: i64 = 100_000;
+const SAME_TIME: Nanos = Nanos::new(100_000);
 
 /// The expected pixel of each fitted keypoint of the performer in a view.
 type Expected = Vec<Option<Vector2<f64>>>;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::event::{Event, EventKind};
 use crate::core::detections::{Detections, KeypointFormat};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
 /// Frames of a camera that are needed to estimate its rate.
 const RATE_FRAMES: usize = 5;
@@ -32,7 +32,7 @@ const RATES_HZ: std::ops::RangeInclusive<f64> = 1.0..=1000.0;
 /// A frame counter is used if its period is this close to the median step in time.
 const SAME_STEP: f64 = 0.2;
 /// A capture time this far after all others, ns, is accepted only if a second one is near it.
-const MAX_JUMP: i64 = 5_000_000_000;
+const MAX_JUMP: Nanos = Nanos::from_ms(5000);
 /// If more frames than this seem to be missing at once, the counter has jumped.
 const MAX_MISSING: u64 = 1_000_000;
 
@@ -98,7 +98,7 @@ impl Intake {
         if let Some(newest) = newest.filter(|newest| frame.capture - *newest > MAX_JUMP) {
             let last = self.stray.replace(frame.capture);
             if last.is_none_or(|last| (frame.capture - last).abs() > MAX_JUMP) {
-                let ahead = (frame.capture - newest) as f64 * 1e-9;
+                let ahead = frame.capture.seconds_since(newest);
                 return event(EventKind::Unusable, format!("{ahead:.1} s ahead of all others"));
             }
         }
@@ -113,7 +113,7 @@ impl Intake {
         let found = match watermark {
             Some(watermark) if frame.capture < watermark => {
                 let behind = watermark - frame.capture;
-                event(EventKind::OutOfOrder, format!("{:.1} ms behind", behind as f64 * 1e-6))
+                event(EventKind::OutOfOrder, format!("{behind} behind"))
             }
             _ => None,
         };
@@ -185,13 +185,13 @@ impl Intake {
     fn period_of(&self, camera: usize) -> Option<f64> {
         let mine: Vec<_> = self.frames.keys().filter(|(_, c, _)| *c == camera).collect();
         let (first, last) = (mine.first()?, mine.last()?);
-        let mut steps: Vec<f64> = mine.windows(2).map(|p| (p[1].0 - p[0].0) as f64).collect();
+        let mut steps: Vec<f64> = mine.windows(2).map(|p| (p[1].0 - p[0].0).ns() as f64).collect();
         if mine.len() < RATE_FRAMES {
             return None;
         }
         let step = super::association::median(&mut steps);
         let counted = last.2.checked_sub(first.2).filter(|count| *count > 0);
-        let by_counter = counted.map(|count| (last.0 - first.0) as f64 / count as f64);
+        let by_counter = counted.map(|count| (last.0 - first.0).ns() as f64 / count as f64);
         Some(by_counter.filter(|p| (p / step - 1.0).abs() < SAME_STEP).unwrap_or(step))
     }
 
@@ -227,7 +227,7 @@ impl Intake {
     /// camera whose frame counter has gaps.
     pub(super) fn close(&mut self, end: Timestamp) -> Vec<Event> {
         self.refuse(end);
-        let rest = self.frames.split_off(&(end + 1, 0, 0));
+        let rest = self.frames.split_off(&(end + Nanos::new(1), 0, 0));
         let used = std::mem::replace(&mut self.frames, rest);
         let mut missing = Vec::new();
         for (camera, seen) in self.cameras.iter_mut().enumerate() {

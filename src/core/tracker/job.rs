@@ -10,7 +10,7 @@ use crate::core::camera::Rig;
 use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::manifold::TimedKeyframe;
 use crate::core::optimise::Summary;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
 /// A job for the solver.
 #[derive(Clone, Debug)]
@@ -35,9 +35,9 @@ pub struct Job {
     pub format: KeypointFormat,
     /// The cameras.
     pub rig: Arc<Rig>,
-    /// Nominal frame period, ns, even. Detections less than half of it apart belong to one frame
-    /// set.
-    pub frame_period: i64,
+    /// Nominal frame period, an even number of nanoseconds. Detections less than half of it apart
+    /// belong to one frame set.
+    pub frame_period: Nanos,
     /// The effort of the solve.
     pub effort: Effort,
     /// Residual level of the windows before.
@@ -47,24 +47,25 @@ pub struct Job {
 }
 
 impl Job {
-    /// Half of the nominal frame period, ns.
-    pub(super) fn half_period(&self) -> i64 {
+    /// Half of the nominal frame period.
+    pub(super) fn half_period(&self) -> Nanos {
         self.frame_period / 2
     }
 
     /// The frames to use, counted back from the end.
     pub(super) fn used_frames(&self) -> impl Iterator<Item = &Arc<Detections>> {
-        let (stride, period) = (self.effort.stride.max(1) as i64, self.frame_period.max(1));
+        let (stride, period) = (self.effort.stride.max(1) as i64, self.frame_period.ns().max(1));
         self.frames.iter().filter(move |frame| {
-            let back = (self.end - frame.capture + period / 2).div_euclid(period);
+            let back = (self.end - frame.capture).ns() + period / 2;
+            let back = back.div_euclid(period);
             back % stride == 0
         })
     }
 
     /// Number of nominal frames to use, at least 1.
     pub(super) fn used_count(&self) -> usize {
-        let period = self.frame_period.max(1);
-        let frames = (self.end - self.start + period / 2) / period;
+        let period = self.frame_period.ns().max(1);
+        let frames = ((self.end - self.start).ns() + period / 2) / period;
         (frames.max(1) as usize).div_ceil(self.effort.stride.max(1))
     }
 }

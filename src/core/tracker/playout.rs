@@ -10,14 +10,14 @@ use super::event::EventKind;
 use super::port::Output;
 use super::state_machine::{Phase, Tracker};
 use crate::core::body::{Pose, StampedPose, TrackingState};
-use crate::core::time::{Grid, Timestamp};
+use crate::core::time::{Grid, Nanos, Timestamp};
 
-/// A pose is extrapolated this long before its due time, ns, so that its message arrives in time.
-pub(super) const MARGIN: i64 = 3_000_000;
+/// A pose is extrapolated this long before its due time, so that its message arrives in time.
+pub(super) const MARGIN: Nanos = Nanos::from_ms(3);
 /// Time constant of the decay of an extrapolated motion, seconds.
 const DECAY: f64 = 0.1;
-/// A live tracker that is this far behind, ns, skips the poses in between.
-const MAX_CATCH_UP: i64 = 1_000_000_000;
+/// A live tracker that is this far behind skips the poses in between.
+const MAX_CATCH_UP: Nanos = Nanos::SECOND;
 
 /// Settings of a live tracker.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,11 +31,11 @@ pub struct Live {
 /// The latency of a live tracker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Latency {
-    /// From the capture of a pose to its publication, ns.
-    pub declared_ns: i64,
-    /// The share for solving and publishing, ns: a window closes at least this long before its
+    /// From the capture of a pose to its publication.
+    pub declared: Nanos,
+    /// The share for solving and publishing: a window closes at least this long before its
     /// first pose is due.
-    pub reserve_ns: i64,
+    pub reserve: Nanos,
 }
 
 /// The published poses, and the poses to extrapolate from.
@@ -106,7 +106,7 @@ impl Playout {
     fn extrapolate(&self, capture: Timestamp) -> Option<Pose> {
         let (at, last) = self.last_two[1].as_ref()?;
         if let Some((newest_at, newest)) = self.newest.as_ref().filter(|(newest, _)| newest > at) {
-            let s = (capture - *at) as f64 / (*newest_at - *at) as f64;
+            let s = capture.fraction(*at, *newest_at);
             return Some(last.interpolate(newest, s.clamp(0.0, 1.0)));
         }
         let Some((before_at, before)) = &self.last_two[0] else { return Some(last.clone()) };
@@ -117,9 +117,9 @@ impl Playout {
     }
 }
 
-/// Times less than this apart, ns, belong to the same pose.
-fn same_time(grid: &Grid) -> i64 {
-    (grid.period_ns / 4.0) as i64
+/// Times less than this apart belong to the same pose.
+fn same_time(grid: &Grid) -> Nanos {
+    Nanos::new((grid.period_ns / 4.0) as i64)
 }
 
 impl Tracker {
@@ -128,7 +128,7 @@ impl Tracker {
         self.playout.add_final(capture, pose);
         if self.live.is_some() {
             let Some(latency) = self.latency else { return };
-            let is_due = self.now.is_some_and(|now| now > capture + latency.declared_ns);
+            let is_due = self.now.is_some_and(|now| now > capture + latency.declared);
             let grid = self.output_grid();
             if is_due || grid.is_some_and(|grid| self.playout.is_published(capture, &grid)) {
                 self.playout.missed += u64::from(self.playout.published.is_some());
@@ -186,16 +186,16 @@ impl Tracker {
     /// When the next pose is due, on the capture clock; `None` while no window is open.
     pub(super) fn due(&self) -> Option<Timestamp> {
         let next = self.start.and(self.playout.next(&self.output_grid()?))?;
-        Some(next + self.latency?.declared_ns)
+        Some(next + self.latency?.declared)
     }
 
     /// Live: extrapolates the poses that are due and not solved.
     pub(super) fn play(&mut self) {
         let (Some(now), Some(latency)) = (self.now, self.latency) else { return };
         while let Some(due) = self.due().filter(|due| *due <= now + MARGIN) {
-            let capture = due + -latency.declared_ns;
+            let capture = due - latency.declared;
             if now - due > MAX_CATCH_UP {
-                return self.skip_poses(capture, now + -latency.declared_ns);
+                return self.skip_poses(capture, now - latency.declared);
             }
             let Some(pose) = self.playout.extrapolate(capture) else { return };
             let state = match self.phase {

@@ -7,7 +7,7 @@ use super::job::{Job, Task};
 use super::port::Output;
 use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
 impl Tracker {
     /// Sends the job of a complete window: an acquisition or a solve.
@@ -72,7 +72,7 @@ impl Tracker {
             frames: self.intake.up_to(window.end + self.tolerance()),
             format,
             rig: Arc::clone(&self.rig),
-            frame_period: 2 * ((self.period.unwrap_or(0.0) / 2.0) as i64),
+            frame_period: Nanos::new((self.period.unwrap_or(0.0) / 2.0) as i64) * 2,
             effort: self.effort,
             noise: self.noise,
             task,

@@ -18,7 +18,7 @@ use crate::core::body::{Skeleton, TrackingState};
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::manifold::TimedKeyframe;
-use crate::core::time::{Grid, Timestamp};
+use crate::core::time::{Grid, Nanos, Timestamp};
 
 /// Whether the performer is known.
 #[derive(Clone, Debug)]
@@ -49,8 +49,8 @@ pub struct Tracker {
     pub(super) next_rig: Option<Arc<Rig>>,
     pub(super) effort: Effort,
     pub(super) latency: Option<Latency>,
-    /// Usual time from the capture of a frame to its arrival, ns.
-    pub(super) delay_ns: i64,
+    /// Usual time from the capture of a frame to its arrival.
+    pub(super) delay: Nanos,
     pub(super) intake: Intake,
     pub(super) waiting: Waiting,
     pub(super) phase: Phase,
@@ -95,7 +95,7 @@ impl Tracker {
             next_rig: None,
             effort: Effort::full(&config),
             latency: None,
-            delay_ns: 0,
+            delay: Nanos::ZERO,
             intake: Intake::new(cameras),
             waiting: Waiting::new(cameras, config.grace_windows),
             phase: Phase::Searching,
@@ -138,10 +138,10 @@ impl Tracker {
         self.latency = Some(latency);
     }
 
-    /// Sets the usual time from the capture of a frame to its arrival, ns, of a live tracker; negative
+    /// Sets the usual time from the capture of a frame to its arrival, of a live tracker; negative
     /// values count as 0. Takes effect at the next [`Tracker::handle`].
-    pub fn set_delay(&mut self, delay_ns: i64) {
-        self.delay_ns = delay_ns.max(0);
+    pub fn set_delay(&mut self, delay: Nanos) {
+        self.delay = delay.max(Nanos::ZERO);
     }
 
     /// Processes an input. Call [`Tracker::poll`] until it is empty before the next one.
@@ -183,11 +183,12 @@ impl Tracker {
     /// The capture time at which a live tracker needs an [`Input::Tick`], if no other input arrives
     /// before.
     pub fn wake(&self) -> Option<Timestamp> {
-        let due = self.due().map(|due| due + -MARGIN);
+        let due = self.due().map(|due| due - MARGIN);
         let length = self.open_frames() as f64 * self.frame_period();
-        let end = self.start.filter(|_| self.pending.is_none()).map(|start| start + length as i64);
+        let length = Nanos::new(length as i64);
+        let end = self.start.filter(|_| self.pending.is_none()).map(|start| start + length);
         // A little later, since the grid's times are rounded.
-        due.into_iter().chain(end.map(|end| end + self.grace() + 1000)).min()
+        due.into_iter().chain(end.map(|end| end + self.grace() + Nanos::new(1000))).min()
     }
 
     /// The state of the performer: `Lost` if the body is known but nobody is tracked, `None` before the
@@ -210,9 +211,9 @@ impl Tracker {
         self.skeleton.as_ref()
     }
 
-    /// Length of a window, ns; at 60 frames per second until the cameras' rate is known.
-    pub fn span(&self) -> i64 {
-        (self.config.window() as f64 * self.frame_period()).round() as i64
+    /// Length of a window; at 60 frames per second until the cameras' rate is known.
+    pub fn span(&self) -> Nanos {
+        Nanos::rounded(self.config.window() as f64 * self.frame_period())
     }
 
     /// Nominal frame period, ns; of 60 frames per second until the cameras' rate is known.
@@ -273,7 +274,7 @@ impl Tracker {
         self.is_proven = old.is_proven;
         (self.effort, self.latency) = (old.effort, old.latency);
         (self.jobs, self.window) = (old.jobs, old.window + 1);
-        (self.delay_ns, self.ended) = (old.delay_ns, old.ended);
+        (self.delay, self.ended) = (old.delay, old.ended);
         self.abandoned = old.pending.map(|job| job.number).or(old.abandoned);
         (self.next_rig, self.outputs) = (old.next_rig, old.outputs);
         self.playout.extrapolated = old.playout.extrapolated;

@@ -3,13 +3,13 @@
 use super::event::{Event, EventKind};
 use super::port::Output;
 use super::state_machine::{Phase, Tracker};
-use crate::core::time::{Grid, Timestamp};
+use crate::core::time::{Grid, Nanos, Timestamp};
 
 /// Frame period of a recording that is too short to estimate one, ns: 60 frames per second.
 pub(super) const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
-/// A live tracker drops an open window that ended longer ago than this, ns, and continues with
+/// A live tracker drops an open window that ended longer ago than this and continues with
 /// newer frames.
-const MAX_BACKLOG: i64 = 1_000_000_000;
+const MAX_BACKLOG: Nanos = Nanos::SECOND;
 
 /// A window that is open.
 #[derive(Clone, Copy, Debug)]
@@ -53,17 +53,17 @@ impl Tracker {
         else {
             return;
         };
-        let end = start + self.open_frames() as i64 * self.frame_period() as i64;
+        let end = start + Nanos::new(self.frame_period() as i64) * self.open_frames() as i64;
         if self.ended || now - end <= MAX_BACKLOG + self.grace() {
             return;
         }
-        let until = now + -(self.delay_ns + self.span());
+        let until = now - (self.delay + self.span());
         let waiting = self.intake.up_to(until).len() as u64;
         self.close_until(until);
         self.phase = Phase::Searching;
         self.is_closing = false;
         self.start_windows_at(self.intake.first());
-        let behind = (now - end) as f64 * 1e-9;
+        let behind = now.seconds_since(end);
         let detail = format!("{behind:.1} s behind, searching anew");
         self.counted_event(EventKind::Dropped, until, None, waiting.max(1), detail);
     }
@@ -122,27 +122,28 @@ impl Tracker {
         Some(Window { start, end, publish })
     }
 
-    /// Frames up to this long after a window's end belong to it, ns: a quarter of the frame period.
-    pub(super) fn tolerance(&self) -> i64 {
-        self.period.map_or(0, |period| (period / 4.0) as i64)
+    /// Frames up to this long after a window's end belong to it: a quarter of the frame period.
+    pub(super) fn tolerance(&self) -> Nanos {
+        Nanos::new(self.period.map_or(0, |period| (period / 4.0) as i64))
     }
 
-    /// How long after its end a window waits for late cameras, ns: `deadline_frames` plus the usual
+    /// How long after its end a window waits for late cameras: `deadline_frames` plus the usual
     /// delay, limited by the latency.
-    pub(super) fn grace(&self) -> i64 {
+    pub(super) fn grace(&self) -> Nanos {
         let asked = (self.config.deadline_frames as f64 * self.frame_period()) as i64;
-        let asked = asked + self.delay_ns;
+        let asked = Nanos::new(asked) + self.delay;
         let Some(latency) = self.latency else { return asked };
         // The window's first pose is one output period after its start.
         let output = self.output_grid().map_or(0.0, |grid| grid.period_ns) as i64;
-        let left = latency.declared_ns - self.span() + output - latency.reserve_ns;
-        asked.min(left.max(0))
+        let output = Nanos::new(output);
+        let left = latency.declared - self.span() + output - latency.reserve;
+        asked.min(left.max(Nanos::ZERO))
     }
 
     /// Closes the window at `end` if all expected cameras have passed it or its deadline has
     /// passed. Returns whether it did. Reports the missing cameras.
     fn try_close_window(&mut self, end: Timestamp) -> bool {
-        let border = end + -self.tolerance();
+        let border = end - self.tolerance();
         let behind: Vec<usize> = self.intake.behind(border).collect();
         let waited_for = behind.iter().any(|&camera| self.waiting.is_waited_for(camera));
         // Live, only the clock counts: one camera's clock may be fast.
@@ -162,7 +163,7 @@ impl Tracker {
     fn close_without(&mut self, behind: &[usize], end: Timestamp) {
         for &camera in behind {
             if self.waiting.is_waited_for(camera) {
-                let waited = self.grace() / 1_000_000;
+                let waited = self.grace().ns() / 1_000_000;
                 let detail =
                     format!("late: the window closed {waited} ms after its end without it");
                 self.event(EventKind::Deadline, end, Some(camera), detail);
@@ -180,7 +181,7 @@ impl Tracker {
     fn complete_until(&self) -> Option<Timestamp> {
         let cameras = (0..self.rig.cameras.len()).filter(|&c| self.waiting.is_waited_for(c));
         let complete = cameras.map(|camera| self.intake.watermark(camera)).min().flatten();
-        let moved_on = self.intake.front().map(|at| at + -(self.frame_period() as i64));
+        let moved_on = self.intake.front().map(|at| at - Nanos::new(self.frame_period() as i64));
         complete.max(moved_on)
     }
 

@@ -6,7 +6,7 @@ use super::check::{Field, field};
 use super::{DecodeError, Pose, TrackingState as WireState};
 use crate::core::body::{self, BODY_JOINTS, JOINTS, Skeleton, StampedPose, TrackingState};
 use crate::core::so3;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
 const fn at(name: &'static str) -> Field {
     field("Pose", name)
@@ -18,7 +18,7 @@ pub struct LiveStamp {
     /// Due time on the cameras' clock; `None` for a provisional pose.
     pub due: Option<Timestamp>,
     /// Declared latency, nanoseconds.
-    pub latency_ns: u64,
+    pub latency: Nanos,
     /// Id of the node's run.
     pub run_id: u64,
 }
@@ -32,7 +32,7 @@ impl Pose {
         Self {
             capture_time_ns: stamped.capture.ns(),
             due_time_ns: live.and_then(|live| live.due).map(Timestamp::ns),
-            declared_latency_ns: live.map_or(0, |live| live.latency_ns),
+            declared_latency_ns: live.map_or(0, |live| live.latency.ns().unsigned_abs()),
             state: wire_state(stamped.state).into(),
             root_position_m: pose.root_position.iter().copied().collect(),
             root_rotation: so3::xyzw_from_rotation(&pose.root_rotation).to_vec(),

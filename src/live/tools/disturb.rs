@@ -1,6 +1,7 @@
 //! Disturbs a stream of frames like a bad network does; for tests and demonstrations.
 
 use crate::core::random::Draws;
+use crate::core::time::{Nanos, Timestamp};
 
 /// Separates these random numbers from others of the same seed.
 const STREAM: u64 = 0x6469_7374_7572_6264;
@@ -12,14 +13,14 @@ const DELAY: u64 = 16;
 pub struct Disturbance {
     /// Share of lost frames.
     pub drop: f64,
-    /// Share of frames delayed by up to `late_ns`.
+    /// Share of frames delayed by up to `longest_delay`.
     pub late: f64,
     /// Share of frames sent twice, the second time together with the camera's next frame.
     pub duplicate: f64,
     /// Share of frames sent after the camera's next frame.
     pub reorder: f64,
-    /// Longest delay, nanoseconds.
-    pub late_ns: i64,
+    /// Longest delay of a late frame.
+    pub longest_delay: Nanos,
     /// Seed of the random choice.
     pub seed: u64,
 }
@@ -29,8 +30,8 @@ pub struct Disturbance {
 pub struct Sending {
     /// Index of the frame.
     pub frame: usize,
-    /// When it is sent, nanoseconds.
-    pub due_ns: i64,
+    /// When it is sent.
+    pub due: Timestamp,
 }
 
 /// Number of disturbed frames.
@@ -56,20 +57,22 @@ enum Fate {
 }
 
 impl Disturbance {
-    /// Send times of the frames of one camera, in ascending order. `due_ns` are the undisturbed
+    /// Send times of the frames of one camera, in ascending order. `due` are the undisturbed
     /// send times, ascending; `stream` separates the random numbers of cameras and rounds.
-    pub fn apply(&self, stream: u64, due_ns: &[i64], counts: &mut Disturbed) -> Vec<Sending> {
-        let mut sent = Vec::with_capacity(due_ns.len());
-        for (frame, &due) in due_ns.iter().enumerate() {
-            let next = due_ns.get(frame + 1).copied();
-            let mut send = |due_ns, order| sent.push((due_ns, order, frame));
+    pub fn apply(&self, stream: u64, due: &[Timestamp], counts: &mut Disturbed) -> Vec<Sending> {
+        let all = due;
+        let mut sent = Vec::with_capacity(all.len());
+        for (frame, &due) in all.iter().enumerate() {
+            let next = all.get(frame + 1).copied();
+            let mut send = |due, order| sent.push((due, order, frame));
             let (order, behind) = (2 * frame as u64, 2 * frame as u64 + 3);
             match self.fate(stream, frame as u64) {
                 Some(Fate::Drop) => counts.dropped += 1,
                 Some(Fate::Late) => {
                     counts.late += 1;
                     let part = self.draws(stream).uniform(DELAY, frame as u64);
-                    send(due.saturating_add((part * self.late_ns as f64) as i64), order);
+                    let delay = part * self.longest_delay.ns() as f64;
+                    send(due + Nanos::new(delay as i64), order);
                 }
                 Some(Fate::Duplicate) => {
                     counts.duplicated += 1;
@@ -84,7 +87,7 @@ impl Disturbance {
             }
         }
         sent.sort_unstable();
-        sent.into_iter().map(|(due_ns, _, frame)| Sending { frame, due_ns }).collect()
+        sent.into_iter().map(|(due, _, frame)| Sending { frame, due }).collect()
     }
 
     fn draws(&self, stream: u64) -> Draws {
@@ -112,10 +115,11 @@ mod tests {
     const PERIOD: i64 = 10;
 
     fn apply(disturbance: Disturbance, stream: u64) -> (Vec<(usize, i64)>, Disturbed) {
-        let due: Vec<i64> = (0..1000).map(|frame| frame * PERIOD).collect();
+        let due: Vec<Timestamp> =
+            (0..1000).map(|frame| Timestamp::from_ns(frame * PERIOD)).collect();
         let mut counts = Disturbed::default();
         let sent = disturbance.apply(stream, &due, &mut counts);
-        (sent.into_iter().map(|sending| (sending.frame, sending.due_ns)).collect(), counts)
+        (sent.into_iter().map(|sending| (sending.frame, sending.due.ns())).collect(), counts)
     }
 
     #[test]
@@ -138,8 +142,10 @@ mod tests {
 
     #[test]
     fn late_frames_come_later_by_no_more_than_the_limit() {
-        let (sent, counts) =
-            apply(Disturbance { late: 0.2, late_ns: 35, ..Disturbance::default() }, 0);
+        let (sent, counts) = apply(
+            Disturbance { late: 0.2, longest_delay: Nanos::new(35), ..Disturbance::default() },
+            0,
+        );
         assert_eq!(sent.len(), 1000);
         assert!(sent.is_sorted_by_key(|&(_, due)| due));
         let delays: Vec<i64> =

@@ -3,7 +3,7 @@
 use prost::Name as _;
 
 use super::take::{Due, Take, What};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::io::bus::{Bus, BusError, Publisher};
 use crate::io::wire::{KeypointFrame, Rig, Topics, media_type};
 use crate::live::tools::{Disturbance, Disturbed};
@@ -45,10 +45,10 @@ pub(crate) struct Sent {
     pub(crate) bytes: u64,
     /// Frames that were disturbed.
     pub(crate) disturbed: Disturbed,
-    /// Longest delay of a frame after its due time, ns.
-    pub(crate) worst_late_ns: i64,
-    /// Time from the first frame to the last, ns.
-    pub(crate) lasted_ns: i64,
+    /// Longest delay of a frame after its due time.
+    pub(crate) worst_delay: Nanos,
+    /// Time from the first frame to the last.
+    pub(crate) lasted: Nanos,
 }
 
 impl Sent {
@@ -114,9 +114,9 @@ impl<'a> Player<'a> {
         })
     }
 
-    /// Converts nanoseconds of the cameras' clock since the first frame to the node's clock.
-    fn time(&self, cameras_ns: i64) -> Timestamp {
-        self.how.start + (cameras_ns as f64 / self.how.speed).round() as i64
+    /// Converts a time of the cameras' clock since the first frame to the node's clock.
+    fn time(&self, since_start: Nanos) -> Timestamp {
+        self.how.start + Nanos::rounded(since_start.ns() as f64 / self.how.speed)
     }
 
     fn rig(&mut self, index: usize, now: Timestamp) -> Result<(), BusError> {
@@ -147,8 +147,8 @@ impl<'a> Player<'a> {
         };
         self.sent.bytes += bytes as u64;
         self.sent.frames[camera] += 1;
-        self.sent.worst_late_ns = self.sent.worst_late_ns.max(late);
-        self.sent.lasted_ns = now - self.how.start;
+        self.sent.worst_delay = self.sent.worst_delay.max(late);
+        self.sent.lasted = now - self.how.start;
         Ok(())
     }
 }
@@ -185,7 +185,7 @@ mod tests {
 
     fn how() -> Playing {
         Playing {
-            start: NOW + 500,
+            start: NOW + Nanos::new(500),
             speed: 1.0,
             keep_times: false,
             repeat: false,
@@ -225,15 +225,16 @@ mod tests {
         let cameras: Vec<&str> = frames.iter().map(|f| f.camera.as_str()).collect();
         assert_eq!(cameras, ["b", "a", "b", "a", "b", "a"]);
         let start = how().start.ns();
-        let times: Vec<i64> = frames.iter().map(|f| (f.capture_time_ns - start) / PERIOD).collect();
+        let times: Vec<i64> =
+            frames.iter().map(|f| (f.capture_time_ns - start) / PERIOD.ns()).collect();
         assert_eq!(times, [0, 1, 2, 3, 4, 5]);
         for (sample, frame) in samples[1..].iter().zip(&frames) {
             assert_eq!(sample.capture.ns(), frame.capture_time_ns);
             assert_eq!(*sample.topic, Topics::default().keypoints(&frame.camera));
             assert_eq!(&*sample.encoding, "application/protobuf;bundlemocap.v1.KeypointFrame");
         }
-        assert_eq!((sent.frames, sent.rigs, sent.worst_late_ns), (vec![3, 3], 1, 0));
-        assert_eq!(sent.lasted_ns, 5 * PERIOD);
+        assert_eq!((sent.frames, sent.rigs, sent.worst_delay), (vec![3, 3], 1, Nanos::ZERO));
+        assert_eq!(sent.lasted, PERIOD * 5);
     }
 
     #[test]
@@ -251,14 +252,14 @@ mod tests {
         for (sample, raw) in samples.iter().zip(recorded) {
             assert_eq!((&sample.payload, sample.capture), (&raw.payload, raw.publish_time));
         }
-        assert_eq!((sent.rigs, sent.lasted_ns), (0, 2 * PERIOD / 4));
+        assert_eq!((sent.rigs, sent.lasted), (0, PERIOD / 2));
     }
 
     #[test]
     fn speed_scales_the_distance_of_captures() {
         let take = of(&file(&[("a", &[0, 1, 3])]), &[]);
         let (samples, _) = played(&take, &Playing { speed: 0.5, ..how() }, u64::MAX);
-        let times = samples[1..].iter().map(|s| (s.capture - how().start) / PERIOD);
+        let times = samples[1..].iter().map(|s| (s.capture - how().start).ns() / PERIOD.ns());
         assert_eq!(times.collect::<Vec<_>>(), [0, 2, 6]);
     }
 
@@ -271,7 +272,7 @@ mod tests {
         let first = frames[0].frame;
         for (index, frame) in frames.iter().enumerate() {
             assert_eq!(frame.frame, first + index as u64);
-            assert_eq!(frame.capture_time_ns, how().start.ns() + index as i64 * PERIOD);
+            assert_eq!(frame.capture_time_ns, how().start.ns() + index as i64 * PERIOD.ns());
         }
     }
 
@@ -279,7 +280,7 @@ mod tests {
     fn a_camera_alone_keeps_its_place_in_time() {
         let path = file(&[("a", &[0, 2]), ("b", &[1, 3])]);
         let (samples, _) = played(&of(&path, &["b"]), &how(), u64::MAX);
-        let times = samples[1..].iter().map(|s| (s.capture - how().start) / PERIOD);
+        let times = samples[1..].iter().map(|s| (s.capture - how().start).ns() / PERIOD.ns());
         assert_eq!(times.collect::<Vec<_>>(), [1, 3]);
         let error = Take::read(&path.1, &["c".to_owned()]).unwrap_err().to_string();
         assert!(error.contains("\"c\"") && error.contains("a, b"), "{error}");
@@ -290,10 +291,10 @@ mod tests {
         let take = of(&file(&[("a", &[0, 2, 1, 3])]), &[]);
         let (samples, _) = played(&take, &how(), u64::MAX);
         let times = |samples: &[Sample]| -> Vec<i64> {
-            samples[1..].iter().map(|s| (s.capture - how().start) / PERIOD).collect()
+            samples[1..].iter().map(|s| (s.capture - how().start).ns() / PERIOD.ns()).collect()
         };
         assert_eq!(times(&samples), [0, 2, 1, 3]);
-        let hour = 3600 * 1_000_000_000 / PERIOD;
+        let hour = 3600 * 1_000_000_000 / PERIOD.ns();
         let take = of(&file(&[("a", &[0, hour, 1, 2])]), &[]);
         let (samples, _) = played(&take, &how(), u64::MAX);
         assert_eq!(times(&samples), [0, 1, 2, hour]);

@@ -5,28 +5,28 @@ use std::path::{Path, PathBuf};
 
 use prost::Name as _;
 
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::io::recording::{Message, RawEntry, Reader, RecordError, Report};
 use crate::io::wire::{self, KeypointFrame, decode, encode};
 use crate::live::tools::{Disturbance, Disturbed};
 
 /// A frame that was captured up to this much before an earlier frame of the file was out of order,
-/// and is sent after it; ns. A larger step back means another clock.
-const OUT_OF_ORDER_NS: i64 = 1_000_000_000;
-/// Frame period of a recording with one frame, ns.
-const FALLBACK_PERIOD_NS: i64 = 16_666_667;
+/// and is sent after it. A larger step back means another clock.
+const OUT_OF_ORDER: Nanos = Nanos::SECOND;
+/// Frame period of a recording with one frame.
+const FALLBACK_PERIOD: Nanos = Nanos::new(16_666_667);
 
 /// The frames of a recording, all in memory.
 #[derive(Debug, Default)]
 pub(crate) struct Take {
     /// Calibrations, each with the capture time from which it is valid; the first is valid from the
     /// start.
-    rigs: Vec<(i64, Vec<u8>)>,
+    rigs: Vec<(Timestamp, Vec<u8>)>,
     pub(crate) cameras: Vec<CameraFrames>,
-    /// First and last capture time of all cameras, ns.
-    span: [i64; 2],
-    /// Mean frame period of the fastest camera, ns.
-    period: i64,
+    /// First and last capture time of all cameras.
+    span: [Timestamp; 2],
+    /// Mean frame period of the fastest camera.
+    period: Nanos,
 }
 
 /// The frames of one camera, in the order of the file.
@@ -34,15 +34,15 @@ pub(crate) struct Take {
 pub(crate) struct CameraFrames {
     pub(crate) name: String,
     frames: Vec<Frame>,
-    /// Send times of the frames on the cameras' clock, ns; ascending.
-    due: Vec<i64>,
+    /// Send times of the frames on the cameras' clock; ascending.
+    due: Vec<Timestamp>,
     /// Number of frame numbers in one round.
     numbers: u64,
 }
 
 #[derive(Debug)]
 struct Frame {
-    capture: i64,
+    capture: Timestamp,
     payload: Vec<u8>,
 }
 
@@ -76,8 +76,8 @@ pub(crate) enum TakeError {
 /// A message to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Due {
-    /// Send time on the cameras' clock, ns since the first capture time of the first round.
-    pub(crate) at: i64,
+    /// Send time on the cameras' clock, since the first capture time of the first round.
+    pub(crate) at: Nanos,
     pub(crate) what: What,
 }
 
@@ -129,9 +129,9 @@ impl Take {
         self.rigs.get(index).map(|(_, payload)| payload.as_slice())
     }
 
-    /// Time from the first frame of a round to the first of the next, ns.
-    fn round_ns(&self) -> i64 {
-        self.span[1].saturating_sub(self.span[0]).saturating_add(self.period)
+    /// Time from the first frame of a round to the first of the next.
+    fn round_length(&self) -> Nanos {
+        self.span[1] - self.span[0] + self.period
     }
 
     /// The messages of that round, counted from 0, in order.
@@ -141,16 +141,16 @@ impl Take {
         disturbance: &Disturbance,
         counts: &mut Disturbed,
     ) -> Vec<Due> {
-        let start = self.round_start(round).saturating_sub(self.span[0]);
+        let since_start = |at| at - self.span[0] + self.round_start(round);
         let rigs = self.rigs.iter().enumerate().skip(1);
         let mut all: Vec<Due> = rigs
-            .map(|(index, (at, _))| Due { at: at.saturating_add(start), what: What::Rig(index) })
+            .map(|(index, (at, _))| Due { at: since_start(*at), what: What::Rig(index) })
             .collect();
         for (camera, frames) in self.cameras.iter().enumerate() {
             let stream = (round << 16) + camera as u64;
             let sent = disturbance.apply(stream, &frames.due, counts).into_iter();
             all.extend(sent.map(|sending| Due {
-                at: sending.due_ns.saturating_add(start),
+                at: since_start(sending.due),
                 what: What::Frame { camera, frame: sending.frame, round },
             }));
         }
@@ -159,21 +159,21 @@ impl Take {
         all
     }
 
-    /// Start of a round, ns since the start of the first.
-    fn round_start(&self, round: u64) -> i64 {
-        i64::try_from(round).unwrap_or(i64::MAX).saturating_mul(self.round_ns())
+    /// Start of a round, since the start of the first.
+    fn round_start(&self, round: u64) -> Nanos {
+        self.round_length() * i64::try_from(round).unwrap_or(i64::MAX)
     }
 
-    /// Capture time of a frame, ns since the first capture time of the first round.
-    pub(crate) fn captured(&self, camera: usize, frame: usize, round: u64) -> i64 {
+    /// Capture time of a frame, since the first capture time of the first round.
+    pub(crate) fn captured(&self, camera: usize, frame: usize, round: u64) -> Nanos {
         let capture = self.cameras[camera].frames[frame].capture;
-        capture.saturating_sub(self.span[0]).saturating_add(self.round_start(round))
+        capture - self.span[0] + self.round_start(round)
     }
 
     /// The recorded frame and its capture time.
     pub(crate) fn original(&self, camera: usize, frame: usize) -> (Timestamp, &[u8]) {
         let frame = &self.cameras[camera].frames[frame];
-        (Timestamp::from_ns(frame.capture), &frame.payload)
+        (frame.capture, &frame.payload)
     }
 
     /// The frame with a new capture time and the frame number of that round.
@@ -201,7 +201,7 @@ struct Gathered {
     rigs: Vec<(usize, Vec<u8>)>,
     cameras: BTreeMap<String, Vec<(u64, Frame)>>,
     /// Capture times in the order of the file.
-    captures: Vec<i64>,
+    captures: Vec<Timestamp>,
 }
 
 impl Gathered {
@@ -214,7 +214,8 @@ impl Gathered {
         } else if is(KeypointFrame::full_name())
             && let Message::Keypoints(message) = raw.message()?
         {
-            let (capture, payload) = (message.capture_time_ns, raw.payload.clone());
+            let capture = Timestamp::from_ns(message.capture_time_ns);
+            let payload = raw.payload.clone();
             self.captures.push(capture);
             let frames = self.cameras.entry(message.camera).or_default();
             frames.push((message.frame, Frame { capture, payload }));
@@ -223,12 +224,12 @@ impl Gathered {
     }
 
     fn take(self) -> Take {
-        let first = self.captures.iter().copied().min().unwrap_or(0);
-        let last = self.captures.iter().copied().max().unwrap_or(0);
+        let first = self.captures.iter().copied().min().unwrap_or_default();
+        let last = self.captures.iter().copied().max().unwrap_or_default();
         let busiest = self.cameras.values().map(Vec::len).max().unwrap_or(0);
         let period = match i64::try_from(busiest) {
-            Ok(frames) if frames > 1 => last.saturating_sub(first) / (frames - 1),
-            _ => FALLBACK_PERIOD_NS,
+            Ok(frames) if frames > 1 => (last - first) / (frames - 1),
+            _ => FALLBACK_PERIOD,
         };
         let holds_from = |before: usize| self.captures.get(before).copied().unwrap_or(last);
         Take {
@@ -244,10 +245,10 @@ impl CameraFrames {
     fn new((name, frames): (String, Vec<(u64, Frame)>)) -> Self {
         let numbers = || frames.iter().map(|(number, _)| *number);
         let [least, most] = [numbers().min(), numbers().max()].map(Option::unwrap_or_default);
-        let mut newest = i64::MIN;
+        let mut newest = Timestamp::from_ns(i64::MIN);
         let mut due = Vec::with_capacity(frames.len());
         for (_, frame) in &frames {
-            let out_of_order = frame.capture < newest && newest - frame.capture <= OUT_OF_ORDER_NS;
+            let out_of_order = frame.capture < newest && newest - frame.capture <= OUT_OF_ORDER;
             newest = if out_of_order { newest } else { frame.capture };
             due.push(newest);
         }
@@ -274,23 +275,22 @@ pub(crate) mod tests {
     use crate::io::wire::Topics;
     use crate::research::synth::ring_rig;
 
-    /// Capture time of frame 0, ns.
-    const START: i64 = 7_000_000_000;
-    /// Frame period, ns.
-    pub(crate) const PERIOD: i64 = 10_000_000;
+    /// Capture time of frame 0.
+    const START: Timestamp = Timestamp::from_ns(7_000_000_000);
+    pub(crate) const PERIOD: Nanos = Nanos::from_ms(10);
 
     /// A recording with a rig and empty frames of cameras at those periods, in that order.
     pub(crate) fn file(cameras: &[(&str, &[i64])]) -> (tempfile::TempDir, PathBuf) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("take.mcap");
         let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
-        writer.rig(&ring_rig(2, 4.0, 1.6).unwrap(), Timestamp::from_ns(START)).unwrap();
+        writer.rig(&ring_rig(2, 4.0, 1.6).unwrap(), START).unwrap();
         for (camera, (name, periods)) in cameras.iter().enumerate() {
             for (frame, period) in periods.iter().enumerate() {
                 let detections = Detections {
                     camera,
                     frame: 100 + frame as u64,
-                    capture: Timestamp::from_ns(START + period * PERIOD),
+                    capture: START + PERIOD * *period,
                     format: KeypointFormat::Body25,
                     people: Vec::new(),
                 };
@@ -314,7 +314,7 @@ pub(crate) mod tests {
         let mut frame = Detections {
             camera: 0,
             frame: 0,
-            capture: Timestamp::from_ns(START),
+            capture: START,
             format: KeypointFormat::Body25,
             people: Vec::new(),
         };
@@ -331,6 +331,9 @@ pub(crate) mod tests {
         let what: Vec<What> = round.iter().map(|due| due.what).collect();
         let frame = |frame| What::Frame { camera: 0, frame, round: 0 };
         assert_eq!(what, [frame(0), What::Rig(1), frame(1)]);
-        assert_eq!(round.iter().map(|due| due.at).collect::<Vec<_>>(), [0, PERIOD, PERIOD]);
+        assert_eq!(
+            round.iter().map(|due| due.at).collect::<Vec<_>>(),
+            [Nanos::ZERO, PERIOD, PERIOD]
+        );
     }
 }

@@ -71,7 +71,7 @@ pub fn without_camera(take: &Take, camera: usize) -> Result<(Take, Vec<Detection
 pub fn frame_rate(frames: &[Detections]) -> Option<f64> {
     let times: Vec<Timestamp> =
         frames.iter().filter(|frame| frame.camera == 0).map(|frame| frame.capture).collect();
-    let periods: Vec<f64> = times.windows(2).map(|pair| (pair[1] - pair[0]) as f64).collect();
+    let periods: Vec<f64> = times.windows(2).map(|pair| (pair[1] - pair[0]).ns() as f64).collect();
     median(&periods).filter(|period| *period > 0.0).map(|period| 1e9 / period)
 }
 

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::case::Sequence;
 use crate::core::body::{JOINTS, Joint, Posture};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::metrics;
 use crate::research::methods::Solved;
 
@@ -101,7 +101,7 @@ impl Runs {
         let frame_of = |at: Timestamp| -> Option<usize> {
             let frame = (at.seconds_since(first) * fps).round();
             let truth = sequence.truth.get(frame as usize).filter(|_| frame >= 0.0)?;
-            let near = (truth.capture - at).abs() < (0.1e9 / fps) as i64;
+            let near = (truth.capture - at).abs() < Nanos::new((0.1e9 / fps) as i64);
             near.then_some(frame as usize)
         };
         // The last pose of a frame is used.

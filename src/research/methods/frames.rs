@@ -5,7 +5,7 @@ use crate::core::body::BodyPoint;
 use crate::core::cost::FrameObservations;
 use crate::core::detections::Detections;
 use crate::core::manifold::{Decoder, Keyframe};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, Config};
 
 /// A view counts if it has at least this many points.
@@ -26,7 +26,7 @@ impl<'a> Cut<'a> {
         let period = 1e9 / take.fps;
         let mut frames: Vec<Vec<&Detections>> = Vec::new();
         for detections in &take.frames {
-            let index = ((detections.capture - at) as f64 / period).round();
+            let index = ((detections.capture - at).ns() as f64 / period).round();
             if index >= 0.0 {
                 let index = index as usize;
                 if frames.len() <= index {
@@ -35,7 +35,7 @@ impl<'a> Cut<'a> {
                 frames[index].push(detections);
             }
         }
-        let time = |frame: usize| at + (frame as f64 * period).round() as i64;
+        let time = |frame: usize| at + Nanos::rounded(frame as f64 * period);
         Self { times: (0..frames.len()).map(time).collect(), frames }
     }
 

@@ -8,7 +8,7 @@ use crate::core::body::{Pose, Skeleton, StampedPose, TrackingState};
 use crate::core::camera::Rig;
 use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::so3;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
 /// A motion with its body, cameras and detectors. `M` maps seconds from the start to a pose.
 #[derive(Clone, Debug)]
@@ -56,10 +56,10 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
     /// The true poses at the nominal frame times, the capture times of camera 0.
     pub fn poses(&self) -> impl Iterator<Item = StampedPose> + '_ {
         (0..self.frames).map(|frame| {
-            let since_start = Timestamp::of_frame(frame, self.fps);
+            let since_start = Nanos::of_frames(frame, self.fps);
             StampedPose {
-                capture: self.start + since_start.ns(),
-                pose: (self.motion)(since_start.ns() as f64 * 1e-9),
+                capture: self.start + since_start,
+                pose: (self.motion)(since_start.seconds()),
                 state: TrackingState::Tracking,
                 window: 0,
                 rig_version: self.rig.version,
@@ -87,10 +87,10 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
 
     fn frame(&self, detector: &Detector, camera: usize, cameras: usize, frame: u64) -> Detections {
         let late = self.stagger / self.fps * camera as f64 / cameras as f64;
-        let since_start = Timestamp::of_frame(frame, self.fps) + (late * 1e9).round() as i64;
-        let seconds = since_start.ns() as f64 * 1e-9;
+        let since_start = Nanos::of_frames(frame, self.fps) + Nanos::rounded(late * 1e9);
+        let seconds = since_start.seconds();
         let posture = (self.motion)(seconds).posture(&self.skeleton);
-        let capture = self.start + since_start.ns();
+        let capture = self.start + since_start;
         detector.detect(frame, capture, seconds, (&self.skeleton, &posture))
     }
 }

@@ -10,7 +10,7 @@ use crate::core::cost::{
 };
 use crate::core::detections::Detections;
 use crate::core::manifold::{Keyframe, TimedKeyframe};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::acquire::{find_performer, fit};
 use crate::core::tracker::job::{Job, Outcome};
 
@@ -63,7 +63,7 @@ impl Solver {
         let frames = self.config.window() * self.config.shape_windows.max(1);
         let spacing = frames.div_ceil(SHAPE_KEYFRAMES).max(self.config.keyframe());
         let steps = frames.div_ceil(spacing) as i64;
-        let step = ((job.end - job.start) / steps).max(1);
+        let step = ((job.end - job.start) / steps).max(Nanos::new(1));
         let frames = spacing as f64;
         let used = job.frames.iter().filter(|frame| frame.capture >= first.capture);
         let mut observations = self.follow(used, points, &job.rig, &first.keyframe, rough);
@@ -125,9 +125,12 @@ fn path_by_steps(
     path
 }
 
-/// Groups frames into sets: a set holds frames of different cameras, at most `half_period` ns after
+/// Groups frames into sets: a set holds frames of different cameras, at most `half_period` after
 /// its first frame.
-fn frame_sets(frames: &[Arc<Detections>], half_period: i64) -> Vec<(Timestamp, Vec<&Detections>)> {
+fn frame_sets(
+    frames: &[Arc<Detections>],
+    half_period: Nanos,
+) -> Vec<(Timestamp, Vec<&Detections>)> {
     let mut sets: Vec<(Timestamp, Vec<&Detections>)> = Vec::new();
     for frame in frames {
         match sets.last_mut() {

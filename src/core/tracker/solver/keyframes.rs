@@ -115,11 +115,11 @@ fn path(
     interpolation: Interpolation,
 ) -> Vec<PathKeyframe> {
     let mut path: Vec<PathKeyframe> = known.fixed().collect();
-    let period = job.frame_period.max(1) as f64;
+    let period = job.frame_period.ns().max(1) as f64;
     let mut before = known.past.last().map_or(job.start, |last| last.capture);
     for capture in times {
         let Some(keyframe) = known.at(capture, interpolation) else { continue };
-        let frames = (capture - before) as f64 / period;
+        let frames = (capture - before).ns() as f64 / period;
         path.push(PathKeyframe::free(TimedKeyframe::new(capture, keyframe), frames));
         before = capture;
     }
@@ -137,8 +137,7 @@ fn extrapolated_root(
     if at.capture <= last.capture {
         return at.keyframe.clone();
     }
-    let span = (last.capture - before.capture).max(1) as f64;
-    let s = (at.capture - before.capture) as f64 / span;
+    let s = at.capture.fraction(before.capture, last.capture);
     let z = last.keyframe.z;
     Keyframe { z, ..interpolation.keyframe(&before.keyframe, &last.keyframe, s) }
 }

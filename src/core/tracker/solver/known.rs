@@ -40,8 +40,7 @@ impl Known<'_> {
         let mut earlier = self.past.last()?;
         for later in self.ahead {
             if time <= later.capture {
-                let span = (later.capture - earlier.capture).max(1) as f64;
-                let s = (time - earlier.capture) as f64 / span;
+                let s = time.fraction(earlier.capture, later.capture);
                 let s = s.max(0.0);
                 return Some(interpolation.keyframe(&earlier.keyframe, &later.keyframe, s));
             }
