@@ -1,11 +1,11 @@
 //! The configuration file: every module's `Config` in one tree.
 
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::core::limits::OutOfRange;
 use crate::core::tracker;
 use crate::io::bus;
 use crate::io::wire::{NameError, valid_name};
@@ -48,16 +48,12 @@ pub enum ConfigError {
         reason: String,
     },
     /// A number out of range.
-    #[error("{}: {key} is {value}, but must be {allowed}", path.display())]
+    #[error("{}: {error}", path.display())]
     OutOfRange {
         /// The file.
         path: PathBuf,
-        /// Full name of the key.
-        key: &'static str,
-        /// The value in the file.
-        value: f64,
-        /// The allowed range.
-        allowed: &'static str,
+        /// The key, its value and its range.
+        error: OutOfRange,
     },
     /// An invalid name of a stage or an actor.
     #[error("{}: {key}: {source}", path.display())]
@@ -100,104 +96,20 @@ impl Config {
                 source,
             })?;
         }
-        match config.out_of_range() {
-            Some((key, value, allowed)) => {
-                Err(ConfigError::OutOfRange { path: path.into(), key, value, allowed })
-            }
-            None => Ok(config),
+        let checked = [("tracker", config.tracker.validate()), ("node", config.node.validate())];
+        for (table, result) in checked {
+            result.map_err(|error| ConfigError::OutOfRange {
+                path: path.into(),
+                error: error.in_table(table),
+            })?;
         }
+        Ok(config)
     }
 
     /// The settings as TOML, without comments.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).unwrap_or_default()
     }
-
-    /// The first number out of range: key, value and allowed range.
-    fn out_of_range(&self) -> Option<(&'static str, f64, &'static str)> {
-        let rate = self.tracker.frame_rate_hz;
-        if rate != 0.0 && !is_frame_rate(rate) {
-            return Some(("tracker.frame_rate_hz", rate, "0 (estimated) or 1 to 1000"));
-        }
-        let rate = self.node.output_rate_hz;
-        if rate != 0.0 && !is_frame_rate(rate) {
-            return Some(("node.output_rate_hz", rate, "0 (rate of the cameras) or 1 to 1000"));
-        }
-        let mut limits = self.counts().into_iter().chain(self.weights());
-        let wrong = limits.find(|(_, value, range, _)| !range.contains(value));
-        wrong.map(|(key, value, _, allowed)| (key, value, allowed)).or_else(|| self.misfit())
-    }
-
-    /// `publish_frames` if it does not fit the window and its keyframes.
-    fn misfit(&self) -> Option<(&'static str, f64, &'static str)> {
-        let tracker::Config { window_frames, keyframe_frames, publish_frames, .. } = self.tracker;
-        let fits =
-            publish_frames <= window_frames && publish_frames.is_multiple_of(keyframe_frames);
-        let allowed = "a multiple of tracker.keyframe_frames, at most tracker.window_frames";
-        (!fits).then_some(("tracker.publish_frames", publish_frames as f64, allowed))
-    }
-
-    fn counts(&self) -> [Limit; 13] {
-        let Self { tracker, node, .. } = self;
-        let count =
-            |key, value: usize, most: f64, allowed| (key, value as f64, 1.0..=most, allowed);
-        let or_none = |key, value: usize| (key, value as f64, 0.0..=1e3, "0 to 1000");
-        [
-            count("tracker.window_frames", tracker.window_frames, 1e3, "1 to 1000"),
-            count("tracker.keyframe_frames", tracker.keyframe_frames, 1e3, "1 to 1000"),
-            count("tracker.publish_frames", tracker.publish_frames, 1e3, "1 to 1000"),
-            or_none("tracker.deadline_frames", tracker.deadline_frames),
-            count("tracker.shape_windows", tracker.shape_windows, 1e2, "1 to 100"),
-            count("tracker.iterations", tracker.iterations, 1e3, "1 to 1000"),
-            count(
-                "tracker.acquisition_iterations",
-                tracker.acquisition_iterations,
-                1e3,
-                "1 to 1000",
-            ),
-            or_none("tracker.provisional_iterations", tracker.provisional_iterations),
-            or_none("tracker.offset_windows", tracker.offset_windows),
-            or_none("tracker.coast_windows", tracker.coast_windows),
-            count("tracker.grace_windows", tracker.grace_windows, 1e3, "1 to 1000"),
-            ("tracker.threads", tracker.threads as f64, 1.0..=2.0, "1 or 2"),
-            ("node.queue", node.queue as f64, 16.0..=1e6, "16 to 1000000"),
-        ]
-    }
-
-    fn weights(&self) -> [Limit; 19] {
-        let tracker::Config { cost, gate, min_confidence, .. } = self.tracker;
-        let above_0 = |key, value| (key, value, f64::MIN_POSITIVE..=f64::MAX, "a number above 0");
-        let from_0 = |key, value| (key, value, 0.0..=f64::MAX, "0 or more");
-        [
-            from_0("tracker.reference_residual_px", self.tracker.reference_residual_px),
-            ("tracker.min_confidence", min_confidence, 0.0..=1.0, "0 to 1"),
-            above_0("tracker.cost.scale_px", cost.scale_px),
-            from_0("tracker.change_threshold", self.tracker.change_threshold),
-            from_0("tracker.cost.prior", cost.prior),
-            from_0("tracker.cost.prior_dof", cost.prior_dof),
-            from_0("tracker.cost.shape_prior", cost.shape_prior),
-            from_0("tracker.cost.offset_prior", cost.offset_prior),
-            from_0("tracker.cost.jacobian_reuse_radius", cost.jacobian_reuse_radius),
-            from_0("tracker.cost.stiffness.latent", cost.stiffness.latent),
-            from_0("tracker.cost.stiffness.rotation", cost.stiffness.rotation),
-            from_0("tracker.cost.stiffness.position", cost.stiffness.position),
-            above_0("tracker.cost.stiffness.robust_scale_px", cost.stiffness.robust_scale_px),
-            above_0("tracker.gate.agree", gate.agree),
-            above_0("tracker.gate.follow", gate.follow),
-            above_0("tracker.gate.lost_residual", gate.lost_residual),
-            above_0("tracker.gate.lost_latent", gate.lost_latent),
-            from_0("tracker.gate.lost_observations", gate.lost_observations),
-            ("node.latency_ms", self.node.latency_ms, 0.0..=6e4, "0 (estimated) to 60000"),
-        ]
-    }
-}
-
-/// A key, its value, the allowed range, and that range in words.
-type Limit = (&'static str, f64, RangeInclusive<f64>, &'static str);
-
-/// Whether a frame rate is allowed: 1 to 1000 Hz.
-pub fn is_frame_rate(hz: f64) -> bool {
-    (1.0..=1000.0).contains(&hz)
 }
 
 /// The line, from 1, that contains a byte.
@@ -284,7 +196,7 @@ mod tests {
         for text in ["publish_frames = 11", "keyframe_frames = 2", "window_frames = 4"] {
             let error = parse(&format!("[tracker]\n{text}\n")).unwrap_err();
             assert!(error.contains("tracker.publish_frames is "), "{error}");
-            assert!(error.ends_with("tracker.keyframe_frames, at most tracker.window_frames"));
+            assert!(error.ends_with("a multiple of keyframe_frames, at most window_frames"));
         }
         let paper = Config { tracker: tracker::Config::paper(), ..Config::default() };
         assert_eq!(parse(&paper.to_toml()), Ok(paper));

@@ -8,8 +8,8 @@ use super::Ended;
 use super::failure::{Exit, Failure};
 use super::terminal::{progress, say};
 use crate::research::train::{
-    Figures, Options, TrainError, TransitionFigures, evaluate, evaluate_transition, run as train,
-    train_transition,
+    HeldOutErrors, Options, TrainError, TransitionScores, evaluate, evaluate_transition,
+    run as train, train_transition,
 };
 
 /// Options that do not apply to a transition model.
@@ -124,7 +124,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         return run_transition(arguments);
     }
     if let Some(weights) = &arguments.evaluate {
-        say_figures(&evaluate(weights, &arguments.motions, &arguments.test_subjects)?);
+        say_errors(&evaluate(weights, &arguments.motions, &arguments.test_subjects)?);
         return Ok(Exit::Done);
     }
     let options = options(arguments);
@@ -138,7 +138,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let seconds = report.duration.as_secs_f64();
     say(&format!("trained on {clips} clips, {frames} frames, in {seconds:.0} s"));
     say(&format!("{}: {} parameters", options.out.display(), report.parameters));
-    say_figures(&report.held_out);
+    say_errors(&report.held_out);
     say(&format!("to reproduce: {}", report.command));
     Ok(Exit::Done)
 }
@@ -147,7 +147,7 @@ fn run_transition(arguments: &Arguments) -> Ended {
     let manifold = arguments.manifold.as_deref();
     if let Some(weights) = &arguments.evaluate {
         let (motions, subjects) = (&arguments.motions, &arguments.test_subjects);
-        say_transition_figures(&evaluate_transition(weights, manifold, motions, subjects)?);
+        say_transition(&evaluate_transition(weights, manifold, motions, subjects)?);
         return Ok(Exit::Done);
     }
     let options = options(arguments);
@@ -160,7 +160,7 @@ fn run_transition(arguments: &Arguments) -> Ended {
     let seconds = report.duration.as_secs_f64();
     say(&format!("trained on {} transitions in {seconds:.0} s", report.transitions));
     say(&format!("{}: {} parameters", options.out.display(), report.parameters));
-    say_transition_figures(&report.held_out);
+    say_transition(&report.held_out);
     let manifold = manifold.map_or_else(String::new, |path| format!(" --manifold {}", name(path)));
     say(&format!("to reproduce: {}{manifold}", report.command));
     Ok(Exit::Done)
@@ -195,7 +195,7 @@ fn options(arguments: &Arguments) -> Options {
 }
 
 /// Prints one line per subject.
-fn say_figures(rows: &[Figures]) {
+fn say_errors(rows: &[HeldOutErrors]) {
     if rows.is_empty() {
         return;
     }
@@ -215,7 +215,7 @@ fn say_figures(rows: &[Figures]) {
 }
 
 /// Prints one line per frame rate.
-fn say_transition_figures(rows: &[TransitionFigures]) {
+fn say_transition(rows: &[TransitionScores]) {
     if rows.is_empty() {
         return;
     }

@@ -5,6 +5,7 @@ pub mod camera;
 pub mod cost;
 pub mod detections;
 pub mod fnv;
+pub mod limits;
 pub mod linalg;
 pub mod manifold;
 pub mod optimise;

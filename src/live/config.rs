@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::core::limits::{Limit, OutOfRange, check};
 use crate::io::formats::Up;
 
 /// Settings of the live node.
@@ -45,5 +46,21 @@ impl Default for Config {
             queue: 4096,
             prometheus: String::new(),
         }
+    }
+}
+
+impl Config {
+    /// Checks the ranges of all numbers.
+    ///
+    /// # Errors
+    /// The first number that is out of range.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        let (latency, queue) = (self.latency_ms, self.queue as f64);
+        let rate = "0 (rate of the cameras) or 1 to 1000";
+        check([
+            Limit::rate_or_0("output_rate_hz", self.output_rate_hz, rate),
+            Limit("queue", queue, 16.0..=1e6, "16 to 1000000"),
+            Limit("latency_ms", latency, 0.0..=6e4, "0 (estimated) to 60000"),
+        ])
     }
 }

@@ -20,7 +20,7 @@
 //! | `bundlemocap_publish_deviation_seconds` | | histogram of publish time minus due time |
 //! | `bundlemocap_live_latency_seconds` | | histogram of the time from a frame set's last message to its provisional pose |
 //! | `bundlemocap_effort_level` | | 0 is the full effort of the settings |
-//! | `bundlemocap_effort_raised_total` | | how often the level rose |
+//! | `bundlemocap_degradation_steps_total` | | how often the level rose |
 //! | `bundlemocap_events_total` | `kind` | events |
 //! | `bundlemocap_queue_dropped_total` | | messages dropped by the full queue |
 //! | `bundlemocap_publish_failures_total` | | messages that could not be published |
@@ -254,7 +254,7 @@ impl Sheet<'_> {
         let level = f64::from(effort.level);
         self.gauge("bundlemocap_effort_level", "0 is the full effort of the settings", level)?;
         self.counter(
-            "bundlemocap_effort_raised",
+            "bundlemocap_degradation_steps",
             "How often the level rose",
             effort.degradation_steps,
         )

@@ -13,7 +13,7 @@ use crate::core::time::{Nanos, Timestamp};
 const PCK: [f64; 2] = [0.03, 0.07];
 
 /// Errors over frames and the 22 joints. With e = |P - P*| of one joint in one frame:
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct PoseErrors {
     /// Number of compared frames.
     pub frames: usize,

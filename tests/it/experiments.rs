@@ -93,13 +93,15 @@ fn scores_match_the_known_errors_of_a_method() {
     assert_eq!(solves.into_inner(), 2);
     let score = |row: usize| &found.rows[row].results[0].as_ref().unwrap().0;
     let (exact, shifted) = (score(0), score(1));
-    assert!(exact.mpjpe_mm < 1e-9 && exact.acceleration_error_m_s2 < 1e-6);
+    assert!(exact.pose.mpjpe_mm < 1e-9 && exact.acceleration_error_m_s2 < 1e-6);
     let all = case.make().truth.len();
-    assert_eq!((exact.frames, exact.pck3_percent), (all - 2, 100.0));
+    assert_eq!((exact.pose.frames, exact.pose.pck3_percent), (all - 2, 100.0));
     assert!((exact.covered_percent - 100.0 * (all - 2) as f64 / all as f64).abs() < 1e-9);
-    assert!((shifted.mpjpe_mm - 50.0).abs() < 1e-6 && (shifted.rmse_mm - 50.0).abs() < 1e-6);
-    assert!(shifted.mpjpe_root_relative_mm < 1e-6);
-    assert_eq!((shifted.pck3_percent, shifted.pck7_percent), (0.0, 100.0));
+    assert!(
+        (shifted.pose.mpjpe_mm - 50.0).abs() < 1e-6 && (shifted.pose.rmse_mm - 50.0).abs() < 1e-6
+    );
+    assert!(shifted.pose.mpjpe_root_relative_mm < 1e-6);
+    assert_eq!((shifted.pose.pck3_percent, shifted.pose.pck7_percent), (0.0, 100.0));
     let jump = exact.velocity_jump.unwrap();
     assert!(jump.ratio() < 5.0, "a true motion has no kinks: {jump:?}");
     let skate = exact.foot_skate.unwrap();

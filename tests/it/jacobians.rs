@@ -152,8 +152,8 @@ fn joints_and_points_by_rotations_root_and_shape() {
     let posture = forward(&skeleton, &root, &base, &local);
     let identity = DMatrix::<f32>::identity(locals, locals);
     let mut tangents = Tangents::zeros(n);
-    tangents.set_root_turn(locals, &Matrix3::identity());
-    tangents.set_root_shift(locals + 3, 1.0);
+    tangents.set_root_rotation(locals, &Matrix3::identity());
+    tangents.set_root_position(locals + 3, 1.0);
     push_forward(&skeleton, &posture, identity.as_slice(), locals, Some(locals + 6), &mut tangents);
     for joint in [Joint::Pelvis, Joint::LFoot, Joint::Head, Joint::RWrist] {
         let mut rows = vec![0.0; 3 * n];

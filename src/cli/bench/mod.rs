@@ -1,8 +1,8 @@
 //! `bundlemocap bench`
 
 mod cameras;
-mod figures;
 mod node;
+mod report;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -20,8 +20,8 @@ use crate::io::formats::keypoint_format;
 use crate::io::wire::Topics;
 use crate::live::{SolverCore, WallClock};
 use cameras::{Cameras, Sent, send};
-use figures::{Figures, Heard, Load, UsageAt, figures};
 use node::{NodeProcess, PATIENCE, isolated};
+use report::{Heard, Load, Report, UsageAt, report};
 
 /// How often the resource usage of the node is measured.
 const LOOK: Duration = Duration::from_millis(500);
@@ -85,17 +85,17 @@ struct Latency {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let What::Latency(latency) = &arguments.what;
-    let figures = measure(latency)?;
+    let report = measure(latency)?;
     if latency.json {
-        let text = serde_json::to_string_pretty(&figures);
+        let text = serde_json::to_string_pretty(&report);
         say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
     } else {
-        say(&table(&figures.rows()));
+        say(&table(&report.rows()));
     }
     Ok(Exit::Done)
 }
 
-fn measure(arguments: &Latency) -> Result<Figures, Failure> {
+fn measure(arguments: &Latency) -> Result<Report, Failure> {
     let fps = frame_rate_option(arguments.fps)?;
     let seconds = arguments.seconds;
     if !(1.0..=1e5).contains(&seconds) {
@@ -128,7 +128,7 @@ fn measure(arguments: &Latency) -> Result<Figures, Failure> {
         message_bytes: cameras.mean_bytes(),
         window_span_ms: 1e3 * config.tracker.window_frames as f64 / fps,
     };
-    Ok(figures(load, &heard, &sent.take(), &usage))
+    Ok(report(load, &heard, &sent.take(), &usage))
 }
 
 /// Sends the frames and measures the node meanwhile.

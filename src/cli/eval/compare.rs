@@ -114,7 +114,7 @@ fn add_curves(report: &mut ReportData, level: &Level) {
 fn middling(run: &Run) -> Option<usize> {
     let row = run.rows.first()?;
     let mut errors: Vec<(f64, usize)> = (row.results.iter().enumerate())
-        .filter_map(|(case, result)| Some((result.as_ref()?.0.mpjpe_mm, case)))
+        .filter_map(|(case, result)| Some((result.as_ref()?.0.pose.mpjpe_mm, case)))
         .collect();
     errors.sort_by(|a, b| a.0.total_cmp(&b.0));
     errors.get(errors.len() / 2).map(|(_, case)| *case)

@@ -43,16 +43,16 @@ pub fn forward(
 pub struct Tangents {
     columns: usize,
     /// Left (world-frame) angular tangents, rows 3 j to 3 j + 2 for joint j.
-    turn: Vec<f32>,
+    rotation: Vec<f32>,
     /// Derivatives of the joint centres, same rows.
-    shift: Vec<f32>,
+    position: Vec<f32>,
 }
 
 impl Tangents {
     /// Tangents that are all zero.
     pub fn zeros(columns: usize) -> Self {
         let size = 3 * JOINTS * columns;
-        Self { columns, turn: vec![0.0; size], shift: vec![0.0; size] }
+        Self { columns, rotation: vec![0.0; size], position: vec![0.0; size] }
     }
 
     /// Number of parameters.
@@ -71,35 +71,35 @@ impl Tangents {
         out: &mut [f32],
     ) {
         let rows = joint.index() * 3 * self.columns..(joint.index() + 1) * 3 * self.columns;
-        let (turn, shift) = (&self.turn[rows.clone()], &self.shift[rows]);
-        contract(turn, &arm.cross(direction).cast(), shift, &direction.cast(), out);
+        let (rotation, position) = (&self.rotation[rows.clone()], &self.position[rows]);
+        contract(rotation, &arm.cross(direction).cast(), position, &direction.cast(), out);
     }
 
     /// The derivative of the centre of `joint`, 3 x columns, row-major.
-    pub fn shift(&self, joint: Joint) -> &[f32] {
-        &self.shift[joint.index() * 3 * self.columns..][..3 * self.columns]
+    pub fn position(&self, joint: Joint) -> &[f32] {
+        &self.position[joint.index() * 3 * self.columns..][..3 * self.columns]
     }
 
     /// The world-frame angular tangent of `joint` by parameter `column`.
-    pub fn turn_of(&self, joint: Joint, column: usize) -> Vector3<f64> {
+    pub fn rotation_of(&self, joint: Joint, column: usize) -> Vector3<f64> {
         let at = joint.index() * 3 * self.columns + column;
-        Vector3::from_fn(|row, _| f64::from(self.turn[at + row * self.columns]))
+        Vector3::from_fn(|row, _| f64::from(self.rotation[at + row * self.columns]))
     }
 }
 
 crate::core::linalg::wide! {
-    /// out = torque^T turn + force^T shift, for 3 x n blocks.
+    /// out = torque^T rotation + force^T position, for 3 x n blocks.
     fn contract(
-        turn: &[f32],
+        rotation: &[f32],
         torque: &Vector3<f32>,
-        shift: &[f32],
+        position: &[f32],
         force: &Vector3<f32>,
         out: &mut [f32],
     ) {
-        let n = turn.len() / 3;
-        let (out, (tx, rest)) = (&mut out[..n], turn.split_at(n));
+        let n = rotation.len() / 3;
+        let (out, (tx, rest)) = (&mut out[..n], rotation.split_at(n));
         let (ty, tz) = rest.split_at(n);
-        let (sx, rest) = shift.split_at(n);
+        let (sx, rest) = position.split_at(n);
         let ((sy, sz), tz) = (rest.split_at(n), &tz[..n]);
         let sz = &sz[..n];
         for (c, out) in out.iter_mut().enumerate() {
@@ -110,11 +110,11 @@ crate::core::linalg::wide! {
 }
 
 crate::core::linalg::wide! {
-    /// out = shift + turn x arm, for 3 x n blocks.
-    fn add_moved(shift: &[f32], turn: &[f32], arm: &Vector3<f32>, n: usize, out: &mut [f32]) {
-        let (wx, rest) = turn.split_at(n);
+    /// out = position + rotation x arm, for 3 x n blocks.
+    fn add_moved(position: &[f32], rotation: &[f32], arm: &Vector3<f32>, n: usize, out: &mut [f32]) {
+        let (wx, rest) = rotation.split_at(n);
         let (wy, wz) = rest.split_at(n);
-        let (sx, rest) = shift.split_at(n);
+        let (sx, rest) = position.split_at(n);
         let (sy, sz) = rest.split_at(n);
         let (ox, rest) = out.split_at_mut(n);
         let (oy, oz) = rest.split_at_mut(n);
@@ -126,7 +126,7 @@ crate::core::linalg::wide! {
     }
 }
 
-/// Fills `tangents` for joints 1 to 21 from those of the pelvis (see [`Tangents::set_root_turn`])
+/// Fills `tangents` for joints 1 to 21 from those of the pelvis (see [`Tangents::set_root_rotation`])
 /// and from the local tangents.
 ///
 /// `local` is row-major, `3 * BODY_JOINTS` rows of `local_columns`: right tangents of each local
@@ -146,17 +146,23 @@ pub fn push_forward(
     for joint in &Joint::ALL[1..] {
         let Some(parent) = joint.parent().map(Joint::index) else { continue };
         let (j, block) = (joint.index(), 3 * n);
-        let (done, here) = tangents.turn.split_at_mut(j * block);
-        let parent_turn = &done[parent * block..(parent + 1) * block];
-        here[..block].copy_from_slice(parent_turn);
+        let (done, here) = tangents.rotation.split_at_mut(j * block);
+        let parent_tangents = &done[parent * block..(parent + 1) * block];
+        here[..block].copy_from_slice(parent_tangents);
         let rows = &local[(j - 1) * 3 * local_columns..j * 3 * local_columns];
         let m = local_columns;
         add_rotated(&posture.rotations[j].cast(), rows, m, n, &mut here[..block]);
 
         let parent_rotation = &posture.rotations[parent];
         let arm = parent_rotation * skeleton.offset(*joint);
-        let (done, here) = tangents.shift.split_at_mut(j * block);
-        add_moved(&done[parent * block..(parent + 1) * block], parent_turn, &arm.cast(), n, here);
+        let (done, here) = tangents.position.split_at_mut(j * block);
+        add_moved(
+            &done[parent * block..(parent + 1) * block],
+            parent_tangents,
+            &arm.cast(),
+            n,
+            here,
+        );
         if let Some(first) = shape_column {
             let by_shape = skeleton.offset_by_shape(*joint);
             for (k, offset) in by_shape.iter().enumerate().take(SHAPE_COEFFICIENTS) {
@@ -170,13 +176,13 @@ pub fn push_forward(
 }
 
 crate::core::linalg::wide! {
-    /// turn (3 x n) += G rows (3 x m), in the first m columns.
-    fn add_rotated(g: &Matrix3<f32>, rows: &[f32], m: usize, n: usize, turn: &mut [f32]) {
+    /// rotation (3 x n) += G rows (3 x m), in the first m columns.
+    fn add_rotated(g: &Matrix3<f32>, rows: &[f32], m: usize, n: usize, rotation: &mut [f32]) {
         let (x, rest) = rows.split_at(m);
         let (y, z) = rest.split_at(m);
         for row in 0..3 {
             let (gx, gy, gz) = (g[(row, 0)], g[(row, 1)], g[(row, 2)]);
-            for (c, out) in turn[row * n..row * n + m].iter_mut().enumerate() {
+            for (c, out) in rotation[row * n..row * n + m].iter_mut().enumerate() {
                 *out += gx * x[c] + gy * y[c] + gz * z[c];
             }
         }
@@ -187,23 +193,23 @@ impl Tangents {
     /// Sets the pelvis' tangents to zero.
     pub fn clear_root(&mut self) {
         let n = self.columns;
-        self.turn[..3 * n].fill(0.0);
-        self.shift[..3 * n].fill(0.0);
+        self.rotation[..3 * n].fill(0.0);
+        self.position[..3 * n].fill(0.0);
     }
 
-    /// The three parameters from `column` on turn the pelvis by `turn` (world frame, 3x3).
-    pub fn set_root_turn(&mut self, column: usize, turn: &Matrix3<f64>) {
+    /// The three parameters from `column` on rotate the pelvis by `rotation` (world frame, 3x3).
+    pub fn set_root_rotation(&mut self, column: usize, rotation: &Matrix3<f64>) {
         for row in 0..3 {
             for k in 0..3 {
-                self.turn[row * self.columns + column + k] = turn[(row, k)] as f32;
+                self.rotation[row * self.columns + column + k] = rotation[(row, k)] as f32;
             }
         }
     }
 
     /// The three parameters from `column` on move the pelvis by `scale` times their values.
-    pub fn set_root_shift(&mut self, column: usize, scale: f32) {
+    pub fn set_root_position(&mut self, column: usize, scale: f32) {
         for row in 0..3 {
-            self.shift[row * self.columns + column + row] = scale;
+            self.position[row * self.columns + column + row] = scale;
         }
     }
 }

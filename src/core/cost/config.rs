@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::stiffness::Stiffness;
+use crate::core::limits::{Limit, OutOfRange, check};
 use crate::core::manifold::Interpolation;
 
 /// Weights of the cost. The defaults come from the sweep in src/research/RESULTS.md.
@@ -44,5 +45,26 @@ impl Default for Config {
             interpolation: Interpolation::Slerp,
             stiffness: Stiffness::default(),
         }
+    }
+}
+
+impl Config {
+    /// Checks the ranges of all numbers.
+    ///
+    /// # Errors
+    /// The first number that is out of range.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        check([
+            Limit::above_0("scale_px", self.scale_px),
+            Limit::from_0("prior", self.prior),
+            Limit::from_0("prior_dof", self.prior_dof),
+            Limit::from_0("shape_prior", self.shape_prior),
+            Limit::from_0("offset_prior", self.offset_prior),
+            Limit::from_0("jacobian_reuse_radius", self.jacobian_reuse_radius),
+            Limit::from_0("stiffness.latent", self.stiffness.latent),
+            Limit::from_0("stiffness.rotation", self.stiffness.rotation),
+            Limit::from_0("stiffness.position", self.stiffness.position),
+            Limit::above_0("stiffness.robust_scale_px", self.stiffness.robust_scale_px),
+        ])
     }
 }

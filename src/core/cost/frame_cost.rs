@@ -115,8 +115,8 @@ impl<'p> Path<'p> {
             .filter(|t| t.columns() == columns)
             .unwrap_or_else(|| Tangents::zeros(columns));
         tangents.clear_root();
-        tangents.set_root_turn(LATENT, &self.unknowns.root_tangent(place));
-        tangents.set_root_shift(LATENT + 3, 1.0);
+        tangents.set_root_rotation(LATENT, &self.unknowns.root_tangent(place));
+        tangents.set_root_position(LATENT + 3, 1.0);
         let shape_column = (self.unknowns.body > 0).then_some(KEYFRAME);
         let skeleton = &self.unknowns.skeleton;
         push_forward(skeleton, posture, batch.by_code(m), LATENT, shape_column, &mut tangents);

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::core::cost::{self, FreeBody, Stiffness};
+use crate::core::limits::{Limit, OutOfRange, check};
 use crate::core::optimise::OptimiserKind;
 
 /// Settings of tracker and solver.
@@ -124,6 +125,39 @@ impl Config {
         }
     }
 
+    /// Checks the ranges of all numbers, and that published frames fit the window and its keyframes.
+    ///
+    /// # Errors
+    /// The first number that is out of range.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        check([
+            Limit::rate_or_0("frame_rate_hz", self.frame_rate_hz, "0 (estimated) or 1 to 1000"),
+            Limit::one_to_1000("window_frames", self.window_frames),
+            Limit::one_to_1000("keyframe_frames", self.keyframe_frames),
+            Limit::one_to_1000("publish_frames", self.publish_frames),
+            Limit::up_to_1000("deadline_frames", self.deadline_frames),
+            Limit("shape_windows", self.shape_windows as f64, 1.0..=1e2, "1 to 100"),
+            Limit::one_to_1000("iterations", self.iterations),
+            Limit::one_to_1000("acquisition_iterations", self.acquisition_iterations),
+            Limit::up_to_1000("provisional_iterations", self.provisional_iterations),
+            Limit::up_to_1000("offset_windows", self.offset_windows),
+            Limit::up_to_1000("coast_windows", self.coast_windows),
+            Limit::one_to_1000("grace_windows", self.grace_windows),
+            Limit("threads", self.threads as f64, 1.0..=2.0, "1 or 2"),
+            Limit::from_0("reference_residual_px", self.reference_residual_px),
+            Limit("min_confidence", self.min_confidence, 0.0..=1.0, "0 to 1"),
+            Limit::from_0("change_threshold", self.change_threshold),
+        ])?;
+        self.cost.validate().map_err(|error| error.in_table("cost"))?;
+        self.gate.validate().map_err(|error| error.in_table("gate"))?;
+        let published = self.publish_frames;
+        if published <= self.window_frames && published.is_multiple_of(self.keyframe_frames) {
+            return Ok(());
+        }
+        let allowed = "a multiple of keyframe_frames, at most window_frames";
+        Err(OutOfRange { key: "publish_frames".into(), value: published as f64, allowed })
+    }
+
     /// The body coefficients that the first windows solve.
     pub(super) fn free_body(&self) -> FreeBody {
         if self.offset_windows > 0 { FreeBody::ShapeAndOffsets } else { FreeBody::Shape }
@@ -146,6 +180,22 @@ impl Config {
             return self.window();
         }
         keyframes.max(1) * self.keyframe()
+    }
+}
+
+impl Gate {
+    /// Checks the ranges of all numbers.
+    ///
+    /// # Errors
+    /// The first number that is out of range.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        check([
+            Limit::above_0("agree", self.agree),
+            Limit::above_0("follow", self.follow),
+            Limit::above_0("lost_residual", self.lost_residual),
+            Limit::above_0("lost_latent", self.lost_latent),
+            Limit::from_0("lost_observations", self.lost_observations),
+        ])
     }
 }
 

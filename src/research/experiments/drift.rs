@@ -38,10 +38,10 @@ pub fn drifts(run: &Run) -> Vec<Drift> {
         let blocks = ((seconds / BLOCK_S).round() as usize).max(BLOCKS);
         Some(Drift {
             method: row.method.clone(),
-            mpjpe_mm: score.mpjpe_mm,
+            mpjpe_mm: score.pose.mpjpe_mm,
             slope_mm_per_min: slope_interval(&minutes, blocks),
             blocks,
-            frames: score.frames,
+            frames: score.pose.frames,
             covered_percent: score.covered_percent,
         })
     };

@@ -15,17 +15,11 @@ pub const REACH: usize = 10;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[allow(missing_docs)]
 pub struct Score {
-    /// Number of compared frames.
-    pub frames: usize,
+    /// Errors of the compared frames.
+    #[serde(flatten)]
+    pub pose: metrics::PoseErrors,
     /// Share of the sequence's frames that have a pose, percent.
     pub covered_percent: f64,
-    pub mpjpe_mm: f64,
-    pub mpjpe_root_relative_mm: f64,
-    pub rmse_mm: f64,
-    pub mae_deg: f64,
-    pub root_deg: f64,
-    pub pck3_percent: f64,
-    pub pck7_percent: f64,
     pub acceleration_error_m_s2: f64,
     /// `None` for a method without borders.
     pub velocity_jump: Option<metrics::VelocityJump>,
@@ -54,15 +48,8 @@ pub fn score(sequence: &Sequence, solved: &Solved, ms_per_frame: f64) -> Option<
     let Runs { estimates, truths, borders, .. } = &runs;
     let errors = metrics::pose_errors(estimates.iter().zip(truths))?;
     let score = Score {
-        frames: errors.frames,
         covered_percent: 100.0 * errors.frames as f64 / sequence.truth.len() as f64,
-        mpjpe_mm: errors.mpjpe_mm,
-        mpjpe_root_relative_mm: errors.mpjpe_root_relative_mm,
-        rmse_mm: errors.rmse_mm,
-        mae_deg: errors.mae_deg,
-        root_deg: errors.root_deg,
-        pck3_percent: errors.pck3_percent,
-        pck7_percent: errors.pck7_percent,
+        pose: errors,
         acceleration_error_m_s2: metrics::acceleration_error(estimates, truths, fps)?,
         velocity_jump: metrics::velocity_jump(estimates, borders, fps),
         foot_skate: metrics::foot_skate(estimates, truths, fps),

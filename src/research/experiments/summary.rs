@@ -25,17 +25,17 @@ pub struct Metric {
 
 /// The metrics, in the order of the columns.
 pub const METRICS: [Metric; 11] = [
-    Metric { key: "mpjpe_mm", title: "MPJPE mm", digits: 1, of: |s| Some(s.mpjpe_mm) },
+    Metric { key: "mpjpe_mm", title: "MPJPE mm", digits: 1, of: |s| Some(s.pose.mpjpe_mm) },
     Metric {
         key: "mpjpe_root_relative_mm",
         title: "root-rel. mm",
         digits: 1,
-        of: |s| Some(s.mpjpe_root_relative_mm),
+        of: |s| Some(s.pose.mpjpe_root_relative_mm),
     },
-    Metric { key: "rmse_mm", title: "RMSE mm", digits: 1, of: |s| Some(s.rmse_mm) },
-    Metric { key: "mae_deg", title: "MAE °", digits: 2, of: |s| Some(s.mae_deg) },
-    Metric { key: "pck3_percent", title: "PCK@3 %", digits: 1, of: |s| Some(s.pck3_percent) },
-    Metric { key: "pck7_percent", title: "PCK@7 %", digits: 1, of: |s| Some(s.pck7_percent) },
+    Metric { key: "rmse_mm", title: "RMSE mm", digits: 1, of: |s| Some(s.pose.rmse_mm) },
+    Metric { key: "mae_deg", title: "MAE °", digits: 2, of: |s| Some(s.pose.mae_deg) },
+    Metric { key: "pck3_percent", title: "PCK@3 %", digits: 1, of: |s| Some(s.pose.pck3_percent) },
+    Metric { key: "pck7_percent", title: "PCK@7 %", digits: 1, of: |s| Some(s.pose.pck7_percent) },
     Metric {
         key: "acceleration_error_m_s2",
         title: "accel. err. m/s²",
@@ -231,20 +231,14 @@ pub fn text(table: &Table) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::metrics::PoseErrors;
     use crate::research::experiments::case::CaseName;
     use crate::research::experiments::score::Trace;
 
     fn score(mpjpe_mm: f64) -> Score {
         Score {
-            frames: 10,
+            pose: PoseErrors { frames: 10, mpjpe_mm, ..PoseErrors::default() },
             covered_percent: 100.0,
-            mpjpe_mm,
-            mpjpe_root_relative_mm: 0.0,
-            rmse_mm: 0.0,
-            mae_deg: 0.0,
-            root_deg: 0.0,
-            pck3_percent: 0.0,
-            pck7_percent: 0.0,
             acceleration_error_m_s2: 0.0,
             velocity_jump: None,
             foot_skate: None,

@@ -212,8 +212,8 @@ fn trial(axes: &[Axis], values: Vec<f64>, row: usize, runs: &[Run]) -> Trial {
         name: label(axes, &values),
         values,
         judged: judge(runs, row),
-        mpjpe_mm: runs.iter().map(|run| scores(run, |s| s.mpjpe_mm)).collect(),
-        mae_deg: runs.iter().map(|run| scores(run, |s| s.mae_deg)).collect(),
+        mpjpe_mm: runs.iter().map(|run| scores(run, |s| s.pose.mpjpe_mm)).collect(),
+        mae_deg: runs.iter().map(|run| scores(run, |s| s.pose.mae_deg)).collect(),
     }
 }
 
@@ -222,7 +222,7 @@ fn trial(axes: &[Axis], values: Vec<f64>, row: usize, runs: &[Run]) -> Trial {
 fn judge(runs: &[Run], row: usize) -> f64 {
     let results = runs.iter().flat_map(|run| &run.rows[row].results);
     let of = |result: &Option<(super::Score, super::Trace)>| {
-        result.as_ref().map_or(FAILED, |(s, _)| s.mpjpe_mm + MM_PER_DEGREE * s.mae_deg)
+        result.as_ref().map_or(FAILED, |(s, _)| s.pose.mpjpe_mm + MM_PER_DEGREE * s.pose.mae_deg)
     };
     mean(&results.map(of).collect::<Vec<_>>()).unwrap_or(FAILED)
 }

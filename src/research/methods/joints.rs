@@ -53,8 +53,8 @@ impl Joints {
                 if jacobians {
                     work.local_tangents(n, &mut local_tangents);
                     tangents.clear_root();
-                    tangents.set_root_turn(LATENT, &so3::left_jacobian(turn));
-                    tangents.set_root_shift(LATENT + 3, 1.0);
+                    tangents.set_root_rotation(LATENT, &so3::left_jacobian(turn));
+                    tangents.set_root_position(LATENT + 3, 1.0);
                     let local = &local_tangents;
                     push_forward(skeleton, &posture, local, LATENT, None, &mut tangents);
                     joints.add_rows(&tangents);
@@ -69,7 +69,7 @@ impl Joints {
         self.jacobians.resize(at + COORDINATES * UNKNOWNS, 0.0);
         let rows = self.jacobians[at..].chunks_exact_mut(3 * UNKNOWNS);
         for (joint, rows) in Joint::ALL.into_iter().zip(rows) {
-            let shift = tangents.shift(joint).iter().copied();
+            let shift = tangents.position(joint).iter().copied();
             rows.iter_mut().zip(shift).for_each(|(row, v)| *row = v.into());
         }
     }

@@ -25,7 +25,7 @@ const GROUP: usize = 512;
 
 /// Metrics on one subject's clips, means over frames.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Figures {
+pub struct HeldOutErrors {
     /// The subject; `all` for the mean over all frames.
     pub subject: String,
     /// Number of frames.
@@ -46,7 +46,7 @@ pub struct Figures {
 }
 
 /// Metrics of every subject in `clips`, sorted, then of all together.
-pub fn figures(model: &Model, clips: &[Clip]) -> Vec<Figures> {
+pub fn held_out_errors(model: &Model, clips: &[Clip]) -> Vec<HeldOutErrors> {
     let tree = Tree::new(&Skeleton::default());
     let mut all = Sums::default();
     let mut rows = Vec::new();
@@ -55,15 +55,15 @@ pub fn figures(model: &Model, clips: &[Clip]) -> Vec<Figures> {
         for clip in clips.iter().filter(|clip| clip.subject == name) {
             add_clip(model, &tree, clip, &mut sums);
         }
-        rows.push(sums.figures(name, model.latent()));
+        rows.push(sums.errors(name, model.latent()));
         all.add(&sums);
     }
-    rows.push(all.figures("all", model.latent()));
+    rows.push(all.errors("all", model.latent()));
     rows
 }
 
 /// The metrics as a text table with a header line.
-pub fn table(figures: &[Figures]) -> String {
+pub fn table(rows: &[HeldOutErrors]) -> String {
     let mut text = format!(
         "{:<8} {:>7} {:>12} {:>10} {:>11} {:>14} {:>9} {:>13}\n",
         "subject",
@@ -75,7 +75,7 @@ pub fn table(figures: &[Figures]) -> String {
         "mean z^2",
         "std of z",
     );
-    for row in figures {
+    for row in rows {
         text += &format!(
             "{:<8} {:>7} {:>12.2} {:>10.2} {:>11.2} {:>14.2} {:>9.2} {:>5.2} to {:>4.2}\n",
             row.subject,
@@ -118,14 +118,14 @@ impl Sums {
         }
     }
 
-    fn figures(&self, subject: &str, latent: usize) -> Figures {
+    fn errors(&self, subject: &str, latent: usize) -> HeldOutErrors {
         let frames = self.frames.max(1) as f64;
         let pairs = self.pairs.max(1) as f64;
         let spreads = (0..latent).map(|index| {
             let mean = self.code[index] / frames;
             (self.code_square[index] / frames - mean * mean).max(0.0).sqrt()
         });
-        Figures {
+        HeldOutErrors {
             subject: subject.to_owned(),
             frames: self.frames,
             rotation_deg: (self.rotation / frames).to_degrees(),

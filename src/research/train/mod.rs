@@ -39,11 +39,11 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 pub use corpus::{Clip, FPS, POSE, PoseVector, Root, mirrored, pose_vector, read_folder, subjects};
-pub use evaluate::{Figures, SPAN, table};
+pub use evaluate::{HeldOutErrors, SPAN, table};
 pub use model::Losses;
 pub use options::Options;
 pub use transition::{
-    TransitionFigures, TransitionReport, evaluate as evaluate_transition,
+    TransitionReport, TransitionScores, evaluate as evaluate_transition,
     keyframes as transition_keyframes, run as train_transition,
 };
 
@@ -109,7 +109,7 @@ pub struct Progress {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
     /// Held-out metrics by subject, then `all`; empty without test subjects.
-    pub held_out: Vec<Figures>,
+    pub held_out: Vec<HeldOutErrors>,
     /// Share of joint rotations decoded from codes of N(0, I) whose angle exceeds the largest angle
     /// of that joint in the training clips.
     pub prior_outside: f64,
@@ -137,7 +137,7 @@ pub fn run(options: &Options, progress: &mut dyn FnMut(Progress)) -> Result<Repo
     let (held_out, training) = split(clips, &options.test_subjects)?;
     let model = fit(options, &training, progress)?;
     let held_out =
-        if held_out.is_empty() { Vec::new() } else { evaluate::figures(&model, &held_out) };
+        if held_out.is_empty() { Vec::new() } else { evaluate::held_out_errors(&model, &held_out) };
     let command = command(options);
     file::write(&options.out, &model, &metadata(options, &training, &held_out, &command))?;
     Ok(Report {
@@ -160,10 +160,10 @@ pub fn evaluate(
     weights: &Path,
     motions: &Path,
     subjects: &[String],
-) -> Result<Vec<Figures>, TrainError> {
+) -> Result<Vec<HeldOutErrors>, TrainError> {
     let model = file::read(weights)?;
     let (chosen, rest) = split(read_folder(motions)?, subjects)?;
-    Ok(evaluate::figures(&model, if subjects.is_empty() { &rest } else { &chosen }))
+    Ok(evaluate::held_out_errors(&model, if subjects.is_empty() { &rest } else { &chosen }))
 }
 
 /// Splits clips into those of `subjects` and the others.
@@ -257,7 +257,7 @@ impl Reporter {
 fn metadata(
     options: &Options,
     training: &[Clip],
-    held_out: &[Figures],
+    held_out: &[HeldOutErrors],
     command: &str,
 ) -> BTreeMap<&'static str, String> {
     let mut metadata = BTreeMap::from([

@@ -1,8 +1,8 @@
 //! Trains the transition model `crate::core::manifold::Transition` on the corpus, in the codes of a
 //! trained manifold. The loss is the negative log likelihood.
 
-mod figures;
 mod samples;
+mod scores;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -21,7 +21,7 @@ use super::{REPORT_EVERY, TrainError, read_folder, split};
 use crate::core::manifold::{Decoder, EMBEDDED, Keyframe, MOVE, STATE, Transition};
 use samples::{RATES, Samples};
 
-pub use figures::TransitionFigures;
+pub use scores::TransitionScores;
 
 /// Name of the format in the metadata.
 const FORMAT: &str = "bundlemocap-transition";
@@ -32,7 +32,7 @@ const WIDEST: f32 = 5.0;
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransitionReport {
     /// Held-out metrics by frame rate; empty without test subjects.
-    pub held_out: Vec<TransitionFigures>,
+    pub held_out: Vec<TransitionScores>,
     /// Number of training transitions, with mirror images and all frame rates.
     pub transitions: usize,
     /// Number of trained parameters.
@@ -94,7 +94,7 @@ pub fn evaluate(
     manifold: Option<&Path>,
     motions: &Path,
     subjects: &[String],
-) -> Result<Vec<TransitionFigures>, TrainError> {
+) -> Result<Vec<TransitionScores>, TrainError> {
     let read = |source| TrainError::Read { path: weights.to_owned(), source };
     let bytes = std::fs::read(weights).map_err(read)?;
     let trained = Transition::from_bytes(&bytes).map_err(|error| malformed(weights, error))?;
@@ -134,13 +134,13 @@ fn figures_of(
     model: &Model,
     training: &[Clip],
     held_out: &[Clip],
-) -> Vec<TransitionFigures> {
+) -> Vec<TransitionScores> {
     if held_out.is_empty() {
         return Vec::new();
     }
     let rows = RATES.iter().map(|&fps| {
         let known = Samples::of(model, training, fps, true);
-        TransitionFigures::of(trained, fps, &known, &Samples::of(model, held_out, fps, false))
+        TransitionScores::of(trained, fps, &known, &Samples::of(model, held_out, fps, false))
     });
     rows.collect()
 }

@@ -6,7 +6,7 @@ use crate::core::manifold::{LATENT, MOVE, STATE, State, Transition, TransitionWo
 /// Metrics at one frame rate: negative log likelihood of the held-out moves, nats per component,
 /// and the share of the moves' mean square that the predicted mean explains.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct TransitionFigures {
+pub struct TransitionScores {
     /// Frame rate, Hz.
     pub fps: f64,
     /// Number of held-out transitions.
@@ -24,15 +24,15 @@ pub struct TransitionFigures {
     pub within: f64,
 }
 
-impl TransitionFigures {
+impl TransitionScores {
     /// Metrics of a model on `held_out`; the baselines are fitted to `known`.
     pub fn of(model: &Transition, fps: f64, known: &Samples, held_out: &Samples) -> Self {
-        let mut figures = Self { fps, transitions: held_out.len(), ..Self::default() };
-        figures.constant_velocity = reference(known, held_out, |_, found, i| found[i]);
+        let mut scores = Self { fps, transitions: held_out.len(), ..Self::default() };
+        scores.constant_velocity = reference(known, held_out, |_, found, i| found[i]);
         // c - b in the units of a move: the move plus the velocity.
         let stay =
             |state: &[f32], found: &[f32], i: usize| f64::from(found[i]) + moving(state, i) * fps;
-        figures.stay_put = reference(known, held_out, stay);
+        scores.stay_put = reference(known, held_out, stay);
         let mut work = TransitionWork::default();
         let (mut left, mut all, mut inside) = ([0.0; MOVE], [0.0; MOVE], 0);
         for (state, found) in held_out.rows() {
@@ -40,20 +40,20 @@ impl TransitionFigures {
             let (mean, deviation) = model.predict(&state, &mut work);
             for i in 0..MOVE {
                 let off = f64::from(found[i]) - mean[i];
-                figures.model += nats(off, deviation[i]);
+                scores.model += nats(off, deviation[i]);
                 left[i] += off * off;
                 all[i] += f64::from(found[i]).powi(2);
                 inside += usize::from(off.abs() < deviation[i]);
             }
         }
         let count = (MOVE * held_out.len().max(1)) as f64;
-        figures.model /= count;
-        figures.within = inside as f64 / count;
+        scores.model /= count;
+        scores.within = inside as f64 / count;
         let parts = [0..LATENT, LATENT..LATENT + 3, LATENT + 3..MOVE];
-        figures.predicted = parts.map(|part| {
+        scores.predicted = parts.map(|part| {
             1.0 - left[part.clone()].iter().sum::<f64>() / all[part].iter().sum::<f64>().max(1e-12)
         });
-        figures
+        scores
     }
 }
 

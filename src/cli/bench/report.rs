@@ -26,7 +26,7 @@ pub(super) struct Heard(Arc<Mutex<Notes>>);
 #[derive(Default)]
 struct Notes {
     poses: Vec<Arrival>,
-    live: Vec<Arrival>,
+    provisional: Vec<Arrival>,
     status: Option<Status>,
     events: Vec<Event>,
 }
@@ -49,7 +49,9 @@ impl Heard {
         };
         Ok(vec![
             on(topics.pose(), |notes, sample, at| notes.poses.extend(arrival(sample, at)))?,
-            on(topics.provisional(), |notes, sample, at| notes.live.extend(arrival(sample, at)))?,
+            on(topics.provisional(), |notes, sample, at| {
+                notes.provisional.extend(arrival(sample, at))
+            })?,
             on(topics.status(), |notes, sample, _| {
                 notes.status = decode(&sample.payload).ok().or(notes.status.take());
             })?,
@@ -101,7 +103,7 @@ pub(super) struct Load {
 
 /// All metrics. Field names are part of the interface.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Figures {
+pub(super) struct Report {
     #[serde(flatten)]
     pub(super) load: Load,
     /// From the first keypoints to the first pose, without the declared latency.
@@ -115,8 +117,8 @@ pub(super) struct Figures {
     /// The same, measured by the node when it publishes: upper edges of the histogram's bins.
     pub(super) publish_deviation_ms: Option<Spread>,
     /// From the last camera's message to the provisional pose, after acquisition, milliseconds.
-    pub(super) live_ms: Option<Spread>,
-    pub(super) live_poses: usize,
+    pub(super) provisional_ms: Option<Spread>,
+    pub(super) provisional_poses: usize,
     /// Mean number of runnable processes over a minute; above the number of cores the node had to
     /// wait.
     pub(super) machine_load: Option<f64>,
@@ -126,7 +128,7 @@ pub(super) struct Figures {
     pub(super) solve_ms: Option<[f64; 2]>,
     pub(super) dropped: u64,
     pub(super) effort_level: u32,
-    pub(super) effort_raised: u64,
+    pub(super) degradation_steps: u64,
     pub(super) events: BTreeMap<String, u64>,
 }
 
@@ -163,12 +165,12 @@ pub(super) struct Memory {
 pub(super) type UsageAt = (Timestamp, Usage);
 
 /// The metrics of the received messages.
-pub(super) fn figures(
+pub(super) fn report(
     load: Load,
     heard: &Heard,
     sent: &[(Timestamp, Timestamp)],
     usage: &[UsageAt],
-) -> Figures {
+) -> Report {
     let notes = heard.lock();
     let status = notes.status.clone().unwrap_or_default();
     let playout = status.playout.clone().unwrap_or_default();
@@ -182,7 +184,7 @@ pub(super) fn figures(
         *events.entry(event.kind.clone()).or_default() += event.count;
     }
     let windows = status.windows.unwrap_or_default();
-    Figures {
+    Report {
         acquisition_s: first
             .zip(sent.first())
             .map(|(pose, sent)| (pose.at - sent.0 - pose.latency).seconds()),
@@ -191,15 +193,15 @@ pub(super) fn figures(
         poses: poses(&notes.poses, sent, &load),
         arrival_deviation_ms: spread(notes.poses.iter().map(deviation)),
         publish_deviation_ms: of_bins(&playout.deviation_bins_us, &playout.deviation_counts),
-        live_ms: spread(live(&notes.live, first.map(|pose| pose.at), sent)),
-        live_poses: notes.live.len(),
+        provisional_ms: spread(provisional(&notes.provisional, first.map(|pose| pose.at), sent)),
+        provisional_poses: notes.provisional.len(),
         machine_load: machine_load(),
         cpu_percent: cpu_percent(usage),
         memory: memory(usage),
         solve_ms: (windows.tracked > 0).then_some([windows.solve_p50_ms, windows.solve_p99_ms]),
         dropped: status.queue_dropped,
         effort_level: effort.level,
-        effort_raised: effort.degradation_steps,
+        degradation_steps: effort.degradation_steps,
         events,
         load,
     }
@@ -225,7 +227,7 @@ fn poses(all: &[Arrival], sent: &[(Timestamp, Timestamp)], load: &Load) -> Poses
 }
 
 /// Latency of each provisional pose after acquisition, from the last message of its frame set, ms.
-fn live(
+fn provisional(
     all: &[Arrival],
     from: Option<Timestamp>,
     sent: &[(Timestamp, Timestamp)],
@@ -287,7 +289,7 @@ fn slope(usage: &[UsageAt]) -> f64 {
     Line::fit(points).map_or(0.0, |line| line.slope)
 }
 
-impl Figures {
+impl Report {
     /// Rows of a table.
     pub(super) fn rows(&self) -> Vec<(String, String)> {
         let none = || "none".to_owned();
@@ -333,8 +335,8 @@ impl Figures {
             ),
             row("arrival, deviation from due time", spread(self.arrival_deviation_ms)),
             row("publishing, deviation from due time", spread(self.publish_deviation_ms)),
-            row("provisional pose, latency", spread(self.live_ms)),
-            row("provisional poses", self.live_poses.to_string()),
+            row("provisional pose, latency", spread(self.provisional_ms)),
+            row("provisional poses", self.provisional_poses.to_string()),
             row("load average", number(self.machine_load, "processes")),
             row("CPU of the node", number(self.cpu_percent, "% of one core")),
             row("memory of the node", self.memory.map_or_else(none, Memory::text)),
@@ -346,7 +348,7 @@ impl Figures {
             row("dropped by the queue", self.dropped.to_string()),
             row(
                 "effort level",
-                format!("{}, increased {} times", self.effort_level, self.effort_raised),
+                format!("{}, increased {} times", self.effort_level, self.degradation_steps),
             ),
             row("events", if events.is_empty() { none() } else { events.join(", ") }),
         ]
@@ -394,17 +396,20 @@ mod tests {
         let heard = Heard::default();
         let order = (20..90).filter(|i| *i != 50).chain([60]);
         heard.lock().poses.extend(order.map(pose));
-        heard.lock().live.extend((30..40).map(|i| Arrival { at: ms(10 * i + 5), ..pose(i) }));
-        let figures = figures(load(), &heard, &sent, &[usage(0, 1.0, 0), usage(10, 2.0, 0)]);
-        let Poses { expected, published, duplicate, out_of_order, .. } = figures.poses;
+        heard
+            .lock()
+            .provisional
+            .extend((30..40).map(|i| Arrival { at: ms(10 * i + 5), ..pose(i) }));
+        let report = report(load(), &heard, &sent, &[usage(0, 1.0, 0), usage(10, 2.0, 0)]);
+        let Poses { expected, published, duplicate, out_of_order, .. } = report.poses;
         assert_eq!((expected, published, duplicate, out_of_order), (75, 69, 1, 1));
-        assert_eq!(figures.declared_latency_ms, Some(30.0));
-        assert!(figures.latency_constant);
-        assert!((figures.acquisition_s.unwrap() - 0.201).abs() < 1e-9);
-        assert!((figures.arrival_deviation_ms.unwrap().p99_9 - 1.0).abs() < 1e-9);
-        assert!((figures.live_ms.unwrap().max - 4.0).abs() < 1e-9);
-        assert_eq!(figures.cpu_percent, Some(10.0));
-        assert!(figures.rows().iter().any(|(_, value)| value.contains("69 of 75")));
+        assert_eq!(report.declared_latency_ms, Some(30.0));
+        assert!(report.latency_constant);
+        assert!((report.acquisition_s.unwrap() - 0.201).abs() < 1e-9);
+        assert!((report.arrival_deviation_ms.unwrap().p99_9 - 1.0).abs() < 1e-9);
+        assert!((report.provisional_ms.unwrap().max - 4.0).abs() < 1e-9);
+        assert_eq!(report.cpu_percent, Some(10.0));
+        assert!(report.rows().iter().any(|(_, value)| value.contains("69 of 75")));
     }
 
     #[test]
