@@ -9,6 +9,7 @@ use bundlemocap::core::body::{Pose, Skeleton};
 use bundlemocap::core::detections::KeypointFormat;
 use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::time::Timestamp;
+use bundlemocap::research::experiments::ablation::FACTORS;
 use bundlemocap::research::experiments::summary::{summaries, to_json};
 use bundlemocap::research::experiments::{Case, View, drift, procedural, real, run};
 use bundlemocap::research::methods::{Delay, Method, Solved, Take, Windows};
@@ -217,6 +218,16 @@ fn drift_and_ablation_print_their_tables() {
         printed.contains("keyframe each frame (default)") && printed.contains("lerp"),
         "{printed}"
     );
+}
+
+#[test]
+fn every_factor_of_an_ablation_is_in_its_help() {
+    let place = tempfile::tempdir().unwrap();
+    let help = eval(place.path(), "--help");
+    let help = String::from_utf8(help.stdout).unwrap();
+    for factor in FACTORS {
+        assert!(help.contains(factor), "{factor}: {help}");
+    }
 }
 
 #[test]

@@ -21,6 +21,7 @@ use nalgebra::{DMatrix, Vector2};
 
 use crate::jacobians::{assert_jacobian, numeric_jacobian};
 use crate::solve::{dense, frame, keyframe, observe, ring};
+use crate::support::pinned;
 
 /// A few frames with detection errors.
 struct Case {
@@ -207,6 +208,18 @@ fn errors(take: &Take, truth: &[Posture], solved: &Solved) -> (f64, f64) {
     (errors.mpjpe_mm, metrics::acceleration_error(&found, &truth[first..], take.fps).unwrap())
 }
 
+/// MPJPE on that walk.
+const MEASURED_MM: [(&str, f64); 8] = [
+    ("muvs", 14.41),
+    ("dct", 13.66),
+    ("etc", 13.59),
+    ("dmmr", 13.60),
+    ("slahmr", 15.49),
+    ("paper", 18.34),
+    ("paper-lm", 15.84),
+    ("default", 12.88),
+];
+
 #[test]
 fn every_method_solves_a_recording_and_temporal_ones_are_smoother() {
     let (take, truth) = recording();
@@ -216,7 +229,8 @@ fn every_method_solves_a_recording_and_temporal_ones_are_smoother() {
         let solved = method.solve(&take, &decoder).unwrap();
         let (mpjpe, acceleration) = errors(&take, &truth, &solved);
         println!("{name}: {mpjpe:.1} mm, {acceleration:.1} m/s^2");
-        assert!(mpjpe < 40.0, "{name}: {mpjpe} mm");
+        let measured = MEASURED_MM.into_iter().find(|(of, _)| of == name).unwrap().1;
+        pinned(name, mpjpe, measured);
         let steps = solved.poses.windows(2).map(|pair| pair[1].0 - pair[0].0);
         assert!(
             steps.into_iter().all(|step| (step - Nanos::of_frames(1, 60.0)).abs() < Nanos::new(10)),

@@ -699,6 +699,11 @@ fn unusable_input_gives_a_one_line_error() {
     fails(3, "--from absent.mcap --skeleton robot.bvh", "absent.mcap");
     fails(12, "--from empty.mcap --skeleton robot.bvh", "holds no poses");
     fails(2, "--skeleton robot.bvh --name a/b", "--name");
+
+    let onto_itself = "retarget --from empty.mcap --skeleton robot.bvh --out ./robot.bvh";
+    assert_eq!(run(folder.path(), onto_itself).status.code(), Some(2));
+    let robot = std::fs::read_to_string(folder.path().join("robot.bvh")).unwrap();
+    assert_eq!(robot, bvh_text(&mixamo(), ZYX));
 }
 
 /// A child process that ends with the test.

@@ -1,4 +1,4 @@
-//! What the tests share: the folder of real data, and the count of skipped tests.
+//! What the tests share: the folder of real data, the count of skipped tests, and pinned numbers.
 
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -27,4 +27,11 @@ pub fn skipped(reason: &str) {
         let mut file = OpenOptions::new().create(true).append(true).open(file).unwrap();
         writeln!(file, "{reason}").unwrap();
     }
+}
+
+/// Checks a number that is the same in every run against the one that was measured. 4 % of slack is
+/// for small changes of the program; a larger change, also to the better, is to be written down here.
+pub fn pinned(what: &str, value: f64, measured: f64) {
+    let change = value / measured - 1.0;
+    assert!(change.abs() < 0.04, "{what} is {value:.3}, {measured} was measured before");
 }

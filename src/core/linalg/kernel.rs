@@ -1,9 +1,9 @@
 //! Products of dense matrices with the same bits on every processor.
 //!
-//! An element of a product is the sum of a_ik b_kj with k ascending, begun at zero: one chain of steps,
-//! in f32 with one rounding each (a fused multiply-add), in f64 with two. A chain ends after [`DEPTH`]
-//! steps; its sum replaces the element, is added to it or subtracted from it, and the next begins.
-//! Neither the tiles in which elements are computed nor the registers they are in change a bit of it.
+//! An entry of a product is a chain: sum = a_ik b_kj + sum for ascending k, starting at zero. A step
+//! has one rounding in f32 (a fused multiply-add) and two in f64. A chain ends after [`DEPTH`] steps;
+//! its sum is then written to the output, added or subtracted, and the next chain starts. So the bits
+//! of an entry do not depend on the size of the tiles or of the registers.
 
 use std::ops::Range;
 
@@ -11,24 +11,30 @@ use nalgebra::RealField;
 
 use super::{Accum, Path};
 
-/// Steps of a chain.
+/// Number of steps in a chain.
 pub(super) const DEPTH: usize = 256;
-/// Rows of the largest tile; two registers wide, its sums take 12 registers.
+/// Rows of the largest tile. A tile is two registers wide, so its sums take 12 registers.
 const ROWS: usize = 6;
-/// With more tiles in a strip of columns than this, it pays to copy the strip to one place first.
+/// A strip of columns with more tiles than this is first copied to contiguous memory.
 const FEW: usize = 16;
 
-/// Numbers that products are made of.
+/// The numbers of a matrix: f32 or f64.
 pub trait Real: RealField + Copy {
     /// sum + a b.
     #[doc(hidden)]
     fn step(a: Self, b: Self, sum: Self) -> Self;
 
-    /// out takes a b, by a processor that has AVX2.
+    /// [`multiply`] with AVX2. The processor must have AVX2 and FMA.
     #[cfg(target_arch = "x86_64")]
     #[doc(hidden)]
     #[allow(private_interfaces, unsafe_code)]
     unsafe fn by_avx2(size: [usize; 3], a: View<Self>, b: View<Self>, out: Target<Self>);
+
+    /// [`multiply`] with AVX-512. The processor must have it.
+    #[cfg(target_arch = "x86_64")]
+    #[doc(hidden)]
+    #[allow(private_interfaces, unsafe_code)]
+    unsafe fn by_avx512(size: [usize; 3], a: View<Self>, b: View<Self>, out: Target<Self>);
 }
 
 impl Real for f32 {
@@ -45,7 +51,16 @@ impl Real for f32 {
     #[target_feature(enable = "avx2,fma")]
     unsafe fn by_avx2(size: [usize; 3], a: View<f32>, b: View<f32>, out: Target<f32>) {
         by_tiles::<f32, 16>(ROWS, size, a, b, out, |size, a, b, out| {
-            avx2::tile_f32(size, a, b, out)
+            wide_256::tile_f32(size, a, b, out)
+        });
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[allow(private_interfaces, unsafe_code)]
+    #[target_feature(enable = "avx512f")]
+    unsafe fn by_avx512(size: [usize; 3], a: View<f32>, b: View<f32>, out: Target<f32>) {
+        by_tiles::<f32, 32>(ROWS, size, a, b, out, |size, a, b, out| {
+            wide_512::tile_f32(size, a, b, out)
         });
     }
 }
@@ -61,22 +76,31 @@ impl Real for f64 {
     #[target_feature(enable = "avx2,fma")]
     unsafe fn by_avx2(size: [usize; 3], a: View<f64>, b: View<f64>, out: Target<f64>) {
         by_tiles::<f64, 8>(ROWS, size, a, b, out, |size, a, b, out| {
-            avx2::tile_f64(size, a, b, out)
+            wide_256::tile_f64(size, a, b, out)
+        });
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[allow(private_interfaces, unsafe_code)]
+    #[target_feature(enable = "avx512f")]
+    unsafe fn by_avx512(size: [usize; 3], a: View<f64>, b: View<f64>, out: Target<f64>) {
+        by_tiles::<f64, 16>(ROWS, size, a, b, out, |size, a, b, out| {
+            wide_512::tile_f64(size, a, b, out)
         });
     }
 }
 
-/// Several numbers, with which the same is done.
+/// A register of several numbers.
 trait Lanes<T>: Copy {
-    /// How many.
+    /// Number of entries.
     const COUNT: usize;
-    /// All alike.
+    /// The same number in every entry.
     fn splat(value: T) -> Self;
-    /// The first of a slice.
+    /// Loads the first entries of a slice.
     fn load(from: &[T]) -> Self;
     /// self + a b.
     fn step(self, a: Self, b: Self) -> Self;
-    /// To the first of a slice.
+    /// Stores to the first entries of a slice.
     fn store(self, to: &mut [T]);
 }
 
@@ -104,9 +128,9 @@ impl<T: Real> Lanes<T> for [T; 8] {
     }
 }
 
-/// [`f32::mul_add`] without an instruction for it, so that several are computed at once: in f64 the
-/// product is exact and the sum is rounded to odd, which makes the second rounding that of the exact
-/// sum \[Boldo 2008\].
+/// [`f32::mul_add`] for processors without that instruction; the compiler can vectorise it. The
+/// product is exact in f64 and the sum is rounded to odd, so rounding it to f32 gives the same as
+/// rounding the exact sum \[Boldo 2008\].
 #[inline(always)]
 fn mul_add(a: f32, b: f32, c: f32) -> f32 {
     let (product, c) = (f64::from(a) * f64::from(b), f64::from(c));
@@ -119,7 +143,7 @@ fn mul_add(a: f32, b: f32, c: f32) -> f32 {
     f64::from_bits(sum.to_bits().wrapping_add(away.wrapping_sub(1) * (is_even & is_inexact))) as f32
 }
 
-/// A matrix whose entry (i, j) is at i * `row` + j * `column`; one of them is 1.
+/// A matrix whose entry (i, j) is at i * `row` + j * `column`; one of the two is 1.
 #[derive(Clone, Copy)]
 pub(super) struct View<'a, T> {
     pub(super) data: &'a [T],
@@ -134,26 +158,26 @@ impl<'a, T> View<'a, T> {
     }
 }
 
-/// Where a product goes: row-major, its rows `stride` apart.
+/// The output of a product: row-major, its rows `stride` apart.
 pub(super) struct Target<'a, T> {
     pub(super) data: &'a mut [T],
     pub(super) stride: usize,
     pub(super) accum: Accum,
-    /// Whether only entries (i, j) with j >= i are wanted.
+    /// Whether only the entries (i, j) with j >= i are computed.
     pub(super) upper: bool,
 }
 
 impl<T: Real> Target<'_, T> {
-    /// What begins at an entry, all of it.
+    /// The part from an entry on, including its lower half.
     fn from(&mut self, row: usize, column: usize) -> Target<'_, T> {
         let (stride, accum) = (self.stride, self.accum);
         let data = &mut self.data[row * stride + column..];
         Target { data, stride, accum, upper: false }
     }
 
-    /// Takes those of a row's sums that are of `columns`; the first is of column `first`.
+    /// Writes the sums of `columns` to a row; the first of `sums` belongs to column `first`.
     #[inline(always)]
-    fn take(&mut self, row: usize, columns: Range<usize>, first: usize, sums: &[T]) {
+    fn write(&mut self, row: usize, columns: Range<usize>, first: usize, sums: &[T]) {
         let start = if self.upper { columns.start.max(row) } else { columns.start };
         if start < columns.end {
             let sums = &sums[start - first..columns.end - first];
@@ -167,7 +191,7 @@ impl<T: Real> Target<'_, T> {
     }
 }
 
-/// out (m x n) takes a (m x k) b (k x n).
+/// out (m x n) = a (m x k) b (k x n), or as its `accum` says.
 pub(super) fn multiply<T: Real>(
     path: Path,
     size: [usize; 3],
@@ -176,16 +200,20 @@ pub(super) fn multiply<T: Real>(
     out: Target<T>,
 ) {
     match path {
-        // One row at a time, for registers are few.
+        // One row at a time, because there are few registers.
         Path::Plain => by_tiles::<T, 16>(1, size, a, b, out, tile::<T, [T; 8]>),
         // SAFETY: the processor has AVX2 and FMA.
         #[cfg(target_arch = "x86_64")]
         #[allow(unsafe_code)]
         Path::Avx2 => unsafe { T::by_avx2(size, a, b, out) },
+        // SAFETY: the processor has AVX-512.
+        #[cfg(target_arch = "x86_64")]
+        #[allow(unsafe_code)]
+        Path::Avx512 => unsafe { T::by_avx512(size, a, b, out) },
     }
 }
 
-/// The same in tiles of so many rows at most, C columns wide.
+/// [`multiply`] in tiles of at most `most` rows and C columns.
 #[inline(always)]
 fn by_tiles<T: Real, const C: usize>(
     most: usize,
@@ -200,7 +228,7 @@ fn by_tiles<T: Real, const C: usize>(
     for begin in (0..k.max(1)).step_by(DEPTH) {
         let depth = DEPTH.min(k - begin);
         for new in (0..n).step_by(C) {
-            // The last strip is as wide as the others and overlaps the one before.
+            // The last strip is as wide as the others, so it overlaps the one before.
             let (first, end) = (new.min(n.saturating_sub(C)), n.min(new + C));
             let mut strip = b.from(begin, first);
             if b.column != 1 || end - first < C || tiles > FEW {
@@ -220,7 +248,7 @@ fn by_tiles<T: Real, const C: usize>(
                     let data = sums.as_flattened_mut();
                     let (stride, accum) = (C, Accum::Replace);
                     tile(size, a, strip, Target { data, stride, accum, upper: false });
-                    rows.zip(&sums).for_each(|(row, sums)| out.take(row, new..end, first, sums));
+                    rows.zip(&sums).for_each(|(row, sums)| out.write(row, new..end, first, sums));
                 }
             }
         }
@@ -230,7 +258,7 @@ fn by_tiles<T: Real, const C: usize>(
     }
 }
 
-/// Copies so many columns to one place; the others stay zero.
+/// Copies the first `width` columns of a strip to contiguous memory; the others stay zero.
 #[inline(always)]
 fn pack<'p, T: Real, const C: usize>(
     strip: View<T>,
@@ -250,7 +278,7 @@ fn pack<'p, T: Real, const C: usize>(
     View { data: packed.as_flattened(), row: C, column: 1 }
 }
 
-/// The sums of a tile over the first `depth` columns of a and rows of b.
+/// Computes a tile over the first `depth` columns of a and rows of b.
 #[inline(always)]
 fn tile<T: Real, L: Lanes<T>>([rows, depth]: [usize; 2], a: View<T>, b: View<T>, out: Target<T>) {
     match rows {
@@ -263,7 +291,7 @@ fn tile<T: Real, L: Lanes<T>>([rows, depth]: [usize; 2], a: View<T>, b: View<T>,
     }
 }
 
-/// The sums of R rows, which stay in registers.
+/// Computes a tile of R rows. The sums stay in registers.
 #[inline(always)]
 fn chains<T: Real, L: Lanes<T>, const R: usize>(
     depth: usize,
@@ -284,7 +312,7 @@ fn chains<T: Real, L: Lanes<T>, const R: usize>(
     }
 }
 
-/// The same, of columns of a by their rows and rows of b.
+/// Computes a tile from the columns of a, read by row, and the rows of b.
 #[inline(always)]
 // The compiler keeps the sums in registers where they are indexed.
 #[allow(clippy::needless_range_loop)]
@@ -302,7 +330,7 @@ fn chains_of<'b, T: Real, L: Lanes<T>, const R: usize>(
             sums[row][1] = sums[row][1].step(a, right);
         }
     }
-    // Times one or minus one: so it is added or subtracted with one rounding.
+    // A step with 1 or -1 adds or subtracts with one rounding.
     let sign = L::splat(if out.accum == Accum::Subtract { -T::one() } else { T::one() });
     for row in 0..R {
         let out_row = &mut out.data[row * out.stride..][..2 * L::COUNT];
@@ -315,72 +343,89 @@ fn chains_of<'b, T: Real, L: Lanes<T>, const R: usize>(
     }
 }
 
-/// By registers of 256 bits, with a fused step in f32.
+/// Tiles in wide registers, with a fused step in f32.
 #[cfg(target_arch = "x86_64")]
-mod avx2 {
+macro_rules! lanes {
+    (
+        $features:literal, $number:ty, $lanes:ty,
+        $tile:ident, $splat:ident, $load:ident, $store:ident, $step:expr
+    ) => {
+        // A function of its own: then the compiler keeps the variables of its loops in registers.
+        #[target_feature(enable = $features)]
+        #[inline(never)]
+        pub(super) fn $tile(
+            size: [usize; 2],
+            a: View<$number>,
+            b: View<$number>,
+            out: Target<$number>,
+        ) {
+            tile::<$number, $lanes>(size, a, b, out);
+        }
+
+        // SAFETY: only the function above uses these, so the processor has the features. Loads and
+        // stores stay within slices of the right length.
+        #[allow(unsafe_code)]
+        impl Lanes<$number> for $lanes {
+            const COUNT: usize = size_of::<$lanes>() / size_of::<$number>();
+
+            #[inline(always)]
+            fn splat(value: $number) -> Self {
+                unsafe { $splat(value) }
+            }
+
+            #[inline(always)]
+            fn load(from: &[$number]) -> Self {
+                unsafe { $load(from[..Self::COUNT].as_ptr()) }
+            }
+
+            #[inline(always)]
+            fn step(self, a: Self, b: Self) -> Self {
+                unsafe { $step(a, b, self) }
+            }
+
+            #[inline(always)]
+            fn store(self, to: &mut [$number]) {
+                unsafe { $store(to[..Self::COUNT].as_mut_ptr(), self) }
+            }
+        }
+    };
+}
+
+/// Registers of 256 bits.
+#[cfg(target_arch = "x86_64")]
+#[rustfmt::skip]
+mod wide_256 {
     use std::arch::x86_64::*;
 
     use super::{Lanes, Target, View, tile};
 
-    macro_rules! lanes {
-        ($number:ty, $lanes:ty, $tile:ident, $splat:ident, $load:ident, $store:ident, $step:expr) => {
-            // By itself, for the compiler keeps its loops' variables in registers then.
-            #[target_feature(enable = "avx2,fma")]
-            #[inline(never)]
-            pub(super) fn $tile(
-                size: [usize; 2],
-                a: View<$number>,
-                b: View<$number>,
-                out: Target<$number>,
-            ) {
-                tile::<$number, $lanes>(size, a, b, out);
-            }
-
-            // SAFETY: only the function above uses these, so the processor has AVX2 and FMA; what is
-            // loaded and stored lies within slices of the right length.
-            #[allow(unsafe_code)]
-            impl Lanes<$number> for $lanes {
-                const COUNT: usize = size_of::<$lanes>() / size_of::<$number>();
-
-                #[inline(always)]
-                fn splat(value: $number) -> Self {
-                    unsafe { $splat(value) }
-                }
-
-                #[inline(always)]
-                fn load(from: &[$number]) -> Self {
-                    unsafe { $load(from[..Self::COUNT].as_ptr()) }
-                }
-
-                #[inline(always)]
-                fn step(self, a: Self, b: Self) -> Self {
-                    unsafe { $step(a, b, self) }
-                }
-
-                #[inline(always)]
-                fn store(self, to: &mut [$number]) {
-                    unsafe { $store(to[..Self::COUNT].as_mut_ptr(), self) }
-                }
-            }
-        };
-    }
     lanes!(
-        f32,
-        __m256,
-        tile_f32,
-        _mm256_set1_ps,
-        _mm256_loadu_ps,
-        _mm256_storeu_ps,
-        _mm256_fmadd_ps
+        "avx2,fma", f32, __m256,
+        tile_f32, _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_fmadd_ps
     );
     lanes!(
-        f64,
-        __m256d,
-        tile_f64,
-        _mm256_set1_pd,
-        _mm256_loadu_pd,
-        _mm256_storeu_pd,
-        |a, b, sum| { _mm256_add_pd(sum, _mm256_mul_pd(a, b)) }
+        "avx2,fma", f64, __m256d,
+        tile_f64, _mm256_set1_pd, _mm256_loadu_pd, _mm256_storeu_pd,
+        |a, b, sum| _mm256_add_pd(sum, _mm256_mul_pd(a, b))
+    );
+}
+
+/// Registers of 512 bits.
+#[cfg(target_arch = "x86_64")]
+#[rustfmt::skip]
+mod wide_512 {
+    use std::arch::x86_64::*;
+
+    use super::{Lanes, Target, View, tile};
+
+    lanes!(
+        "avx512f", f32, __m512,
+        tile_f32, _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps, _mm512_fmadd_ps
+    );
+    lanes!(
+        "avx512f", f64, __m512d,
+        tile_f64, _mm512_set1_pd, _mm512_loadu_pd, _mm512_storeu_pd,
+        |a, b, sum| _mm512_add_pd(sum, _mm512_mul_pd(a, b))
     );
 }
 

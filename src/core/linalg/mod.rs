@@ -1,34 +1,38 @@
-//! Dense products and Cholesky factors on slices, and loops in wide registers. They allocate nothing,
-//! and their results have the same bits on every processor: see `kernel` for products.
+//! Products and Cholesky factors of dense matrices in slices, without allocation.
+//!
+//! Results have the same bits on every processor; `kernel` explains how.
 
 mod kernel;
 
 pub use kernel::Real;
 use kernel::{Target, View, multiply};
 
-/// What a product does to what is there.
+/// How a product changes the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Accum {
-    /// It takes its place.
+    /// out = a b.
     Replace,
-    /// It is added.
+    /// out += a b.
     Add,
-    /// It is subtracted.
+    /// out -= a b.
     Subtract,
 }
 
-/// Which instructions a processor has, as far as we use them. All give the same bits.
+/// The instructions that are used. All give the same bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Path {
-    /// Those that every processor of its kind has.
+    /// The instructions that every processor of the architecture has.
     Plain,
-    /// AVX2 and fused multiply-adds too.
+    /// Also AVX2 and fused multiply-adds.
     #[cfg(target_arch = "x86_64")]
     Avx2,
+    /// Also AVX-512.
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
 }
 
 impl Path {
-    /// That of this processor.
+    /// The fastest path of this processor.
     pub(crate) fn here() -> Self {
         #[cfg(all(test, feature = "research"))]
         if let Some(path) = tests::FORCED.get() {
@@ -36,15 +40,16 @@ impl Path {
         }
         #[cfg(target_arch = "x86_64")]
         if std::is_x86_feature_detected!("avx2") && std::is_x86_feature_detected!("fma") {
-            return Self::Avx2;
+            let has_512 = std::is_x86_feature_detected!("avx512f");
+            return if has_512 { Self::Avx512 } else { Self::Avx2 };
         }
         Self::Plain
     }
 }
 
-/// Defines a function that is compiled twice, for any processor and for one with AVX2, and chooses as it
-/// runs. Both do the same operations in the same order, so the results do not depend on the processor.
-/// What it calls must be inlined into it.
+/// Compiles a function twice, with and without AVX2, and chooses at run time. Both versions do the
+/// same operations in the same order, so the result does not depend on the processor. Functions that
+/// it calls must be inlined.
 macro_rules! wide {
     (
         $(#[$attribute:meta])*
@@ -57,7 +62,7 @@ macro_rules! wide {
             {
                 #[target_feature(enable = "avx2")]
                 fn avx2($($argument: $type),*) $(-> $output)? $body
-                if $crate::core::linalg::Path::here() == $crate::core::linalg::Path::Avx2 {
+                if $crate::core::linalg::Path::here() != $crate::core::linalg::Path::Plain {
                     // SAFETY: the processor has AVX2.
                     #[allow(unsafe_code, clippy::let_unit_value)]
                     let output = unsafe { avx2($($argument),*) };
@@ -70,14 +75,14 @@ macro_rules! wide {
 }
 pub(crate) use wide;
 
-/// out (m x n) takes a (m x k) b (k x n).
+/// out (m x n) = a (m x k) b (k x n), or as `accum` says. All matrices are row-major.
 pub fn product<T: Real>([m, k, n]: [usize; 3], a: &[T], b: &[T], accum: Accum, out: &mut [T]) {
     let (a, b) = (View { data: a, row: k, column: 1 }, View { data: b, row: n, column: 1 });
     let out = Target { data: out, stride: n, accum, upper: false };
     multiply(Path::here(), [m, k, n], a, b, out);
 }
 
-/// out (m x n) takes a (m x k) b^T, with b of n x k.
+/// out (m x n) = a (m x k) b^T, or as `accum` says; b is n x k.
 pub fn product_with_transpose<T: Real>(
     [m, k, n]: [usize; 3],
     a: &[T],
@@ -90,7 +95,7 @@ pub fn product_with_transpose<T: Real>(
     multiply(Path::here(), [m, k, n], a, b, out);
 }
 
-/// out (m x n) takes a^T b, with a of k x m and b of k x n.
+/// out (m x n) = a^T b, or as `accum` says; a is k x m, b is k x n.
 pub fn product_of_transpose<T: Real>(
     [m, k, n]: [usize; 3],
     a: &[T],
@@ -103,7 +108,7 @@ pub fn product_of_transpose<T: Real>(
     multiply(Path::here(), [m, k, n], a, b, out);
 }
 
-/// out (n x n) is a^T a, with a of k x n.
+/// out (n x n) = a^T a; a is k x n.
 pub fn gram<T: Real>([k, n]: [usize; 2], a: &[T], out: &mut [T]) {
     let of = View { data: a, row: 1, column: n };
     let by = View { data: a, row: n, column: 1 };
@@ -115,15 +120,15 @@ pub fn gram<T: Real>([k, n]: [usize; 2], a: &[T], out: &mut [T]) {
     }
 }
 
-/// Columns of a factor that are made together.
+/// Number of columns that are factorised together.
 const PANEL: usize = 6;
 
-/// One block of a Cholesky factorisation: of a symmetric matrix of n + `below` rows, of which only the
-/// lower half is used, column-major with its columns `stride` apart, makes the first n columns those of
-/// the factor and takes from the rest what they account for. `None` where no factor is.
+/// Factorises the first n columns of a symmetric matrix of n + `below` rows (Cholesky) and replaces
+/// the rest by its Schur complement. `None` if the matrix is not positive definite.
 ///
-/// What earlier columns account for is taken from a column at once, by a product; within a panel of
-/// `PANEL` columns, one column after the other.
+/// `lower` is column-major, its columns `stride` apart; only the lower half is used. Panels of
+/// `PANEL` columns are updated by a product with all earlier columns, then factorised column by
+/// column.
 pub fn factor_block<T: Real>([n, below]: [usize; 2], stride: usize, lower: &mut [T]) -> Option<()> {
     let rows = n + below;
     for first in (0..n).step_by(PANEL) {
@@ -135,7 +140,7 @@ pub fn factor_block<T: Real>([n, below]: [usize; 2], stride: usize, lower: &mut 
     Some(())
 }
 
-/// Takes from so many columns what all before them account for.
+/// Subtracts the product of all earlier columns from a panel.
 fn subtract_earlier<T: Real>(
     first: usize,
     columns: usize,
@@ -155,7 +160,7 @@ fn subtract_earlier<T: Real>(
     multiply(Path::here(), [columns, first, rows - first], a, b, out);
 }
 
-/// The columns of a factor from those that earlier columns have left.
+/// Factorises a panel after the earlier columns were subtracted.
 fn factor_panel<T: Real>(
     columns: usize,
     rows: usize,
@@ -178,15 +183,14 @@ fn factor_panel<T: Real>(
 }
 
 wide! {
-    /// out += factor v, as far as v goes.
+    /// out += factor v, for the entries of v.
     pub fn axpy(factor: f64, v: &[f32], out: &mut [f64]) {
         out.iter_mut().zip(v).for_each(|(out, v)| *out += factor * f64::from(*v));
     }
 }
 
 wide! {
-    /// The scalar product of v and w, as far as v goes: sums of every eighth product, so that none waits
-    /// for the one before.
+    /// The scalar product of v and the first entries of w. Eight partial sums run side by side.
     pub fn dot(v: &[f32], w: &[f64]) -> f64 {
         let mut sums = [0.0; 8];
         let (v, w) = (v.chunks_exact(8), w[..v.len()].chunks_exact(8));
@@ -212,13 +216,17 @@ mod tests {
     use crate::research::synth::{Noise, SequenceChoice, rig_named};
 
     thread_local! {
-        /// The path of this thread, whatever the processor.
+        /// The path that a test chose for this thread.
         pub(super) static FORCED: Cell<Option<Path>> = const { Cell::new(None) };
     }
 
-    /// What `make` gives on each path that this processor has.
+    /// The result of `make` on each path of this processor.
     fn on_each_path<T>(make: impl Fn() -> T) -> Vec<T> {
         let mut paths = vec![Path::Plain, Path::here()];
+        #[cfg(target_arch = "x86_64")]
+        if Path::here() == Path::Avx512 {
+            paths.push(Path::Avx2);
+        }
         paths.dedup();
         let on = |path: Path| {
             FORCED.set(Some(path));
@@ -233,7 +241,7 @@ mod tests {
         (0..count).map(|i| (i as f32 * step).sin() * 3.0 + 0.1).collect()
     }
 
-    /// a (m x k) b (k x n), or that of transposes, by the definition in `kernel`.
+    /// a (m x k) b (k x n) by the definition in `kernel`; `a` and `b` read the entries.
     fn by_definition(
         [m, k, n]: [usize; 3],
         a: impl Fn(usize, usize) -> f32,
@@ -250,7 +258,7 @@ mod tests {
         (0..m * n).map(entry).collect()
     }
 
-    /// Of the decoder, of Gram matrices, and odd ones.
+    /// Sizes of the decoder and of Gram matrices, and odd sizes.
     const SIZES: [[usize; 3]; 10] = [
         [8, 32, 256],
         [10, 256, 126],

@@ -140,8 +140,8 @@ fn check_endpoints(key: &'static str, endpoints: &[String]) -> Result<(), BusErr
             let reason = format!("{reason}; give an address such as tcp/127.0.0.1:7447");
             return Err(BusError::Setting { key, value: endpoint.clone(), reason });
         }
-        if !endpoint.starts_with("tcp/") && !endpoint.starts_with("udp/") {
-            let reason = "only tcp/ and udp/ are built in".into();
+        if !endpoint.starts_with("tcp/") {
+            let reason = "only tcp/ is built in".into();
             return Err(BusError::Setting { key, value: endpoint.clone(), reason });
         }
     }
