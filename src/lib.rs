@@ -68,6 +68,8 @@
 //!   location prediction methods. Journal of Biomechanics 23(6).
 //! - \[Boldo 2008\] Boldo, Melquiond. Emulation of a FMA and correctly rounded sums: proved algorithms
 //!   using rounding to odd. IEEE Transactions on Computers 57(4).
+//! - \[Broyden 1965\] Broyden. A class of methods for solving nonlinear simultaneous equations.
+//!   Mathematics of Computation 19.
 //! - \[de Leva 1996\] de Leva. Adjustments to Zatsiorsky-Seluyanov's segment inertia parameters.
 //!   Journal of Biomechanics 29(9).
 //! - \[Gordon 2014\] Gordon et al. 2012 Anthropometric Survey of U.S. Army Personnel: Methods and
@@ -75,6 +77,8 @@
 //! - \[Hyndman 1996\] Hyndman, Fan. Sample quantiles in statistical packages. The American
 //!   Statistician 50(4).
 //! - \[Kingma 2014\] Kingma, Welling. Auto-encoding variational Bayes. ICLR 2014.
+//! - \[Lange 1989\] Lange, Little, Taylor. Robust statistical modeling using the t distribution.
+//!   Journal of the American Statistical Association 84.
 //! - \[Loshchilov 2019\] Loshchilov, Hutter. Decoupled weight decay regularization. ICLR 2019.
 //! - \[Nielsen 1999\] Nielsen. Damping parameter in Marquardt's method. IMM-REP-1999-05, DTU.
 //! - \[Nocedal 2006\] Nocedal, Wright. Numerical Optimization, 2nd edition. Springer.
@@ -111,7 +115,7 @@ pub use crate::core::body::{Joint, Pose, Skeleton, StampedPose, TrackingState};
 pub use crate::core::camera::{Camera, CameraError, Lens, Rig};
 pub use crate::core::detections::{Detection, Detections, Keypoint, KeypointFormat, Person};
 pub use crate::core::manifold::{Decoder, WeightsError};
-pub use crate::core::time::Timestamp;
+pub use crate::core::time::{Nanos, Timestamp};
 pub use crate::core::tracker::{
     Config as TrackerConfig, Event, Input, Job, Output, Solution, Solver, Tracker,
 };

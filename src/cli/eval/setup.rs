@@ -209,7 +209,7 @@ pub(super) fn rig(name: &str, h36m: Option<&Path>) -> Result<Rig, Failure> {
 fn usable(subjects: Vec<Subject>, protocol: &Protocol) -> Vec<Subject> {
     let Protocol { sequence: choice, seeds, .. } = protocol;
     let is_usable =
-        |subject: &Subject| seeds.iter().any(|&seed| subject.stretch(choice, seed).is_some());
+        |subject: &Subject| seeds.iter().any(|&seed| subject.section(choice, seed).is_some());
     let (usable, others): (Vec<_>, Vec<_>) = subjects.into_iter().partition(is_usable);
     if !others.is_empty() {
         let names: Vec<&str> = others.iter().map(|subject| subject.name.as_str()).collect();

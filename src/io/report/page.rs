@@ -166,7 +166,7 @@ fn table_html(table: &Table) -> String {
 }
 
 fn plots(data: &ReportData) -> Vec<Plot> {
-    let shaded: Vec<(f64, f64)> = lost_stretches(&data.windows);
+    let shaded: Vec<(f64, f64)> = lost_intervals(&data.windows);
     let mut plots = vec![reprojection(&data.cameras)];
     plots.extend(angles(&data.angles));
     plots.extend(windows(&data.windows));
@@ -179,7 +179,7 @@ fn plots(data: &ReportData) -> Vec<Plot> {
 }
 
 /// Time spans of lost windows; adjacent spans are merged.
-fn lost_stretches(windows: &[WindowRow]) -> Vec<(f64, f64)> {
+fn lost_intervals(windows: &[WindowRow]) -> Vec<(f64, f64)> {
     let mut spans: Vec<(f64, f64)> = Vec::new();
     for window in windows.iter().filter(|window| window.lost) {
         match spans.last_mut() {
@@ -290,13 +290,13 @@ mod tests {
     }
 
     #[test]
-    fn neighbouring_lost_windows_are_one_stretch() {
+    fn neighbouring_lost_windows_are_one_interval() {
         let windows: Vec<WindowRow> = [false, true, true, false, true]
             .iter()
             .enumerate()
             .map(|(i, &l)| window(i, l))
             .collect();
-        assert_eq!(lost_stretches(&windows), [(1.0, 3.0), (4.0, 5.0)]);
+        assert_eq!(lost_intervals(&windows), [(1.0, 3.0), (4.0, 5.0)]);
     }
 
     #[test]

@@ -47,7 +47,7 @@ pub struct Subject {
 impl Subject {
     /// The section of its motion that is used, on its own body; `None` if no section fits, see
     /// [`sequence`].
-    pub fn stretch(&self, choice: &SequenceChoice, seed: u64) -> Option<synth::Sequence> {
+    pub fn section(&self, choice: &SequenceChoice, seed: u64) -> Option<synth::Sequence> {
         sequence(&self.poses, train::FPS, choice, Protocol::seed_of(seed, self.index))
     }
 }
@@ -83,10 +83,10 @@ pub struct CaseName {
 }
 
 impl Case {
-    /// A subject with a view; `None` if no section of its motion fits, see [`Subject::stretch`].
+    /// A subject with a view; `None` if no section of its motion fits, see [`Subject::section`].
     pub fn new(subject: &Subject, view: &View) -> Option<Self> {
         let seed = Protocol::seed_of(view.seed, subject.index);
-        let made = subject.stretch(&view.choice, view.seed)?;
+        let made = subject.section(&view.choice, view.seed)?;
         Some(Self {
             name: CaseName { sequence: subject.name.clone(), seed },
             view: view.clone(),
