@@ -31,6 +31,7 @@ pub fn skipped(reason: &str) {
 
 /// Checks a number that is the same in every run against the one that was measured. 4 % of slack is
 /// for small changes of the program; a larger change, also to the better, is to be written down here.
+#[cfg(feature = "research")]
 pub fn pinned(what: &str, value: f64, measured: f64) {
     let change = value / measured - 1.0;
     assert!(change.abs() < 0.04, "{what} is {value:.3}, {measured} was measured before");
