@@ -231,7 +231,7 @@ mod tests {
         refused("tracker", "iterations", "1000000", "1 to 1000");
         refused("tracker", "acquisition_iterations", "0", "1 to 1000");
         refused("tracker", "provisional_iterations", "1001", "0 to 1000");
-        refused("tracker", "offset_windows", "1001", "0 to 1000");
+        refused("tracker", "body_windows", "1001", "0 to 1000");
         refused("tracker", "coast_windows", "1001", "0 to 1000");
         refused("tracker", "grace_windows", "0", "1 to 1000");
         refused("tracker", "min_confidence", "1.5", "0 to 1");

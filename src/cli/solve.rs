@@ -112,7 +112,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         overwrite: arguments.overwrite,
         config_toml: Some(config.to_toml()),
     };
-    let mut progress = Progress(progress(recording.messages(), "messages"));
+    let mut progress = Progress(progress(options.passes() * recording.messages(), "messages"));
     let summary = solve(&mut recording, &options, &mut progress)?;
     progress.0.finish_and_clear();
     tell(arguments, &summary)?;

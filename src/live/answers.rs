@@ -59,6 +59,7 @@ impl Core {
                 tracker::Output::Solve(job) => self.outputs.push_back(Output::Solve(job)),
                 tracker::Output::Skeleton(skeleton) => {
                     let message = wire::Skeleton::from_core(&skeleton);
+                    self.skeleton = Some(skeleton);
                     let now = self.clock.capture_time(self.now);
                     self.publish(self.topics.skeleton(), now, Content::Skeleton(message));
                 }
@@ -96,14 +97,14 @@ impl Core {
     }
 
     fn pose_message(&self, pose: &StampedPose, due: Option<Timestamp>) -> Option<wire::Pose> {
-        let skeleton = self.track.as_ref().and_then(Tracker::skeleton)?;
+        let skeleton = self.skeleton.as_ref()?;
         let latency = self.latency.declared().unwrap_or_default();
         let live = LiveStamp { due, latency, run_id: self.run_id };
         Some(wire::Pose::from_core(pose, skeleton, Some(live)))
     }
 
     fn keyframe(&mut self, keyframe: &StampedKeyframe) {
-        if self.track.as_ref().and_then(Tracker::skeleton).is_none() {
+        if self.skeleton.is_none() {
             return;
         }
         let message = wire::Keyframe::from_core(keyframe, &self.settings.weights);

@@ -12,7 +12,7 @@ use super::latency::Finder;
 use super::port::{Input, Output, Settings};
 use super::publication::{Content, Publication};
 use super::status::{Published, Windows};
-use crate::core::body::TrackingState;
+use crate::core::body::{Skeleton, TrackingState};
 use crate::core::camera::Rig;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, EventKind, Live, Tracker};
@@ -34,6 +34,8 @@ pub struct Core {
     rig_at_start: Option<Vec<u8>>,
     pub(super) calibration: Option<Calibration>,
     pub(super) track: Option<Tracker>,
+    /// The body of the next pose.
+    pub(super) skeleton: Option<Arc<Skeleton>>,
     pub(super) cameras: Vec<Camera>,
     pub(super) clock: Clock,
     pub(super) latency: Finder,
@@ -70,6 +72,7 @@ impl Core {
             rig_at_start: None,
             calibration: None,
             track: None,
+            skeleton: None,
             cameras: Vec::new(),
             clock: Clock::new(0),
             governor: Governor::default(),
@@ -181,6 +184,7 @@ impl Core {
         let node = &self.settings.node;
         let live = Live { provisional: node.provisional, output_rate_hz: node.output_rate_hz };
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
+        self.skeleton = None;
         self.track = Some(Tracker::new(self.settings.tracker, rig).live(live));
         self.event(EventKind::Calibrated, None, detail);
     }

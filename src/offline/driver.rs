@@ -17,8 +17,19 @@ pub(crate) struct Driver {
 }
 
 impl Driver {
-    pub(crate) fn new(config: Config, rig: Arc<Rig>, solver: Solver) -> Self {
-        Self { tracker: Tracker::new(config, rig), solver, window_solve: Duration::ZERO }
+    /// Tracks a performer with that body; an unknown body is estimated.
+    pub(crate) fn new(
+        config: Config,
+        rig: Arc<Rig>,
+        solver: Solver,
+        body: Option<Arc<Skeleton>>,
+    ) -> Self {
+        let tracker = Tracker::new(config, rig);
+        let tracker = match body {
+            Some(body) => tracker.with_body(body),
+            None => tracker,
+        };
+        Self { tracker, solver, window_solve: Duration::ZERO }
     }
 
     /// The body with the newest keypoint offsets.

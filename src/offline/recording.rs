@@ -19,6 +19,8 @@ pub struct Recording {
     reader: Reader,
     rig: Arc<Rig>,
     messages: u64,
+    /// Frames of the busiest camera.
+    frames: u64,
     format: String,
     /// Calibrated cameras of a whole file that have no keypoints.
     silent: Vec<String>,
@@ -51,12 +53,15 @@ impl Recording {
         }
         let rig = Arc::new(first_rig(path, &info)?);
         let messages = info.topics.values().map(|topic| topic.count).sum();
+        let keypoints = wire::KeypointFrame::full_name();
+        let of_cameras = info.topics.values().filter(|topic| topic.schema == keypoints);
+        let frames = of_cameras.map(|topic| topic.count).max().unwrap_or(0);
         let format = info.cameras.values().map(|camera| camera.format.clone()).next();
         let format = format.unwrap_or_default();
         let names = rig.cameras.iter().map(|camera| camera.name.clone());
         let is_silent = |name: &String| info.report.is_clean() && !info.cameras.contains_key(name);
         let silent = names.filter(is_silent).collect();
-        let recording = Self { reader, rig, messages, format, silent };
+        let recording = Self { reader, rig, messages, frames, format, silent };
         recording.check_cameras(&info.cameras)?;
         Ok(recording)
     }
@@ -74,6 +79,11 @@ impl Recording {
     /// The number of messages, from the file's index.
     pub fn messages(&self) -> u64 {
         self.messages
+    }
+
+    /// Number of frames of the busiest camera.
+    pub fn frames(&self) -> u64 {
+        self.frames
     }
 
     /// Name of the keypoint format.

@@ -45,9 +45,17 @@ pub struct Options {
     pub config_toml: Option<String>,
 }
 
+impl Options {
+    /// How often the recording is read: a first pass estimates the body, if that is not switched
+    /// off.
+    pub fn passes(&self) -> u64 {
+        1 + u64::from(self.config.body_windows > 0)
+    }
+}
+
 /// Observer of a solve; `()` ignores everything.
 pub trait Observer {
-    /// A message of the recording was read.
+    /// A message of the recording was read. This happens [`Options::passes`] times for each.
     fn message(&mut self) {}
 
     /// A final pose with its body. Poses are in order of capture time.
@@ -75,10 +83,12 @@ pub fn solve(
     };
     let outputs = options.out.as_ref().map(|_| Outputs::create(recording, options, &rig, &decoder));
     let mut outputs = outputs.transpose()?;
+    let begin = Instant::now();
+    let body = find_body(recording, &rig, options.config, &decoder, observer)?;
     let solver = Solver::new(decoder, options.config);
     let bvh = outputs.as_ref().map(|outputs| outputs.folder.file("poses.bvh"));
     let mut run = Run {
-        driver: Driver::new(options.config, Arc::clone(&rig), solver),
+        driver: Driver::new(options.config, Arc::clone(&rig), solver, body),
         collected: Collected {
             poses: Poses::new(bvh),
             windows: Windows::of_cameras(rig.cameras.len()),
@@ -91,7 +101,6 @@ pub fn solve(
         },
         file: outputs.as_mut().map(|outputs| &mut outputs.file),
     };
-    let begin = Instant::now();
     let held_out = held_out.map(|camera| camera.name);
     let report = run.stream(recording, &rig, held_out.as_deref(), observer)?;
     let Run { driver, mut collected, .. } = run;
@@ -110,6 +119,37 @@ pub fn solve(
         outputs.file.finish()?;
     }
     Ok(summary)
+}
+
+/// The first pass: estimates the body from windows of the whole recording. `None` if the body is not
+/// estimated, or nobody is found.
+fn find_body(
+    recording: &mut Recording,
+    rig: &Arc<Rig>,
+    config: tracker::Config,
+    decoder: &Decoder,
+    observer: &mut dyn Observer,
+) -> Result<Option<Arc<Skeleton>>, Error> {
+    if config.body_windows == 0 {
+        return Ok(None);
+    }
+    let windows = recording.frames() as usize / config.publish_frames.max(1);
+    let body_windows = (windows / tracker::BODY_WINDOWS).max(1);
+    let config = tracker::Config { body_windows, ..config };
+    let solver = Solver::new(decoder.clone(), config);
+    let mut driver = Driver::new(config, Arc::clone(rig), solver, None);
+    let mut feed = |input| driver.feed(input, |_, _| Ok(()));
+    recording.stream(
+        rig,
+        None,
+        || observer.message(),
+        |item| match item {
+            Item::Detections(detections) => feed(Input::Detections(detections)),
+            _ => Ok(()),
+        },
+    )?;
+    feed(Input::End)?;
+    Ok(driver.skeleton())
 }
 
 struct Outputs {

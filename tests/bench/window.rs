@@ -20,7 +20,7 @@ use bundlemocap::core::optimise::{
     Cholesky, NormalEquations, Optimiser, OptimiserKind, Problem, Summary,
 };
 use bundlemocap::core::time::{Nanos, Timestamp};
-use bundlemocap::core::tracker::{self, Effort, Job, Noise, OffsetEstimator, Solver, Task};
+use bundlemocap::core::tracker::{self, BodyEstimator, Effort, Job, Noise, Solver, Task};
 use bundlemocap::research::synth;
 use divan::Bencher;
 use nalgebra::{Point2, Vector2, Vector3};
@@ -174,7 +174,7 @@ fn job(case: &Case, config: &tracker::Config) -> Job {
             past: vec![timed(0), timed(1)],
             ahead: (2..=1 + frames / 2).map(timed).collect(),
             skeleton: Arc::new(case.skeleton.clone()),
-            estimator: Arc::new(OffsetEstimator::default()),
+            estimator: Arc::new(BodyEstimator::default()),
             coasted: 0,
         },
     }

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use bundlemocap::core::body::Skeleton;
+use bundlemocap::core::body::{Joint, Pose, Shape, Skeleton};
 use bundlemocap::core::time::Timestamp;
 use bundlemocap::io::recording::{Message, Provenance, Reader, Writer};
 use bundlemocap::io::wire::Topics;
@@ -148,7 +148,7 @@ fn synthetic(
     path: &Path,
     frames: u64,
     noise: Noise,
-    mut keep: impl FnMut(&mut bundlemocap::core::detections::Detections) -> bool,
+    keep: impl FnMut(&mut bundlemocap::core::detections::Detections) -> bool,
 ) {
     let rig = ring_rig(4, 4.0, 1.6).unwrap();
     let skeleton = Skeleton::default();
@@ -156,6 +156,14 @@ fn synthetic(
     let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
     recording.frames = frames;
     recording.noise = noise;
+    save(path, &recording, keep);
+}
+
+fn save<M: Fn(f64) -> Pose>(
+    path: &Path,
+    recording: &Recording<M>,
+    mut keep: impl FnMut(&mut bundlemocap::core::detections::Detections) -> bool,
+) {
     let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
     writer.rig(&recording.rig, Timestamp::default()).unwrap();
     for mut detections in recording.detections() {
@@ -182,7 +190,7 @@ fn a_synthetic_walk_is_solved_and_exported() {
     assert_eq!(figures["reprojection"]["cameras"].as_object().unwrap().len(), 3);
     assert_eq!(figures["hold_out"]["camera"], "cam03");
     pinned("hold-out, px", number(&figures, "/hold_out/median_px"), 3.508);
-    pinned("MPJPE, mm", number(&figures, "/truth/mpjpe_mm"), 7.348);
+    pinned("MPJPE, mm", number(&figures, "/truth/mpjpe_mm"), 7.831);
     assert!(figures["solve_ms"]["p50"].as_f64().unwrap() > 0.0);
     for name in ["poses.mcap", "poses.bvh", "report.html"] {
         assert!(fs::metadata(place.path("out").join(name)).unwrap().len() > 1000, "{name}");
@@ -206,14 +214,50 @@ fn a_held_out_camera_is_compared_with_the_learnt_offsets() {
     let place = Place::new();
     let biased = Noise { bias_m: 0.03, ..Noise::none() };
     synthetic(&place.path("walk.mcap"), 360, biased, |_| true);
-    place.write("plain.toml", "[tracker]\noffset_windows = 0\n");
+    place.write("plain.toml", "[tracker]\nbody_windows = 0\n");
     let held_out = |options: &str| {
         let solve =
             format!("solve walk.mcap --out out --overwrite --json --hold-out cam03 {options}");
         number(&serde_json::from_str(&place.done(&solve)).unwrap(), "/hold_out/median_px")
     };
-    pinned("hold-out with offsets, px", held_out(""), 0.592);
+    pinned("hold-out with offsets, px", held_out(""), 0.468);
     pinned("hold-out without offsets, px", held_out("--config plain.toml"), 3.063);
+}
+
+/// Two takes of one tall performer with long legs and short arms, whose detector has its own places
+/// for keypoints.
+#[test]
+fn the_body_of_a_performer_is_right_and_the_same_in_two_takes() {
+    let place = Place::new();
+    let body = Skeleton::new(Shape([1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, -1.0, -1.0, 0.0]));
+    let found = [1.0, 0.4].map(|liveliness| {
+        let style = MotionStyle { liveliness, step_length: 0.5, ..MotionStyle::default() };
+        let motion = Motion::new(&body, style);
+        let rig = ring_rig(4, 4.0, 1.6).unwrap();
+        let mut take = Recording::new(rig, body.clone(), |seconds| motion.pose(seconds));
+        take.frames = 480;
+        take.noise = Noise { bias_m: 0.01, ..Noise::jitter_only() };
+        save(&place.path("take.mcap"), &take, |_| true);
+        place.done("solve take.mcap --out out --overwrite");
+        let mut reader = Reader::open(place.path("out/poses.mcap")).unwrap();
+        let bodies: Vec<Skeleton> = reader
+            .by_ref()
+            .filter_map(|entry| match entry.unwrap().message {
+                Message::Skeleton(skeleton) => Some(skeleton.to_core().unwrap()),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(bodies.len(), 1, "one body for the whole take");
+        bodies.into_iter().next().unwrap()
+    });
+    for joint in [Joint::LKnee, Joint::LAnkle, Joint::LElbow, Joint::LWrist] {
+        let millimetres = |body: &Skeleton| 1e3 * body.offset(joint).norm();
+        let [one, other] = [0, 1].map(|take| millimetres(&found[take]));
+        let truth = millimetres(&body);
+        println!("{}: {one:.1} and {other:.1}, truth {truth:.1} mm", joint.name());
+        assert!((one - other).abs() < 8.0, "{}: {one} and {other} mm", joint.name());
+        assert!((one - truth).abs() < 12.0, "{}: {one}, truth {truth} mm", joint.name());
+    }
 }
 
 #[test]
@@ -623,18 +667,18 @@ fn the_real_recording_is_solved_with_the_documented_accuracy() {
     let figures: Value = serde_json::from_str(&place.done(&solve)).unwrap();
     assert_eq!((&figures["frames"], &figures["frames_lost"]), (&100.into(), &0.into()));
     assert_eq!(figures["reference"]["frames"], 100);
-    pinned("residual, px", number(&figures, "/reprojection/median_px"), 11.81);
-    pinned("reference, mm", number(&figures, "/reference/mean_mm"), 22.89);
+    pinned("residual, px", number(&figures, "/reprojection/median_px"), 11.45);
+    pinned("reference, mm", number(&figures, "/reference/mean_mm"), 23.0);
     pinned("worst mid hip, mm", number(&figures, "/reference/worst_mid_hip_mm"), 55.19);
-    pinned("acceleration", number(&figures, "/mean_acceleration_m_s2"), 5.919);
+    pinned("acceleration", number(&figures, "/mean_acceleration_m_s2"), 6.02);
 }
 
 /// Median pixels in each camera: what was measured, and Pose2Sim 0.10.49 on the same detections.
 const HELD_OUT_PX: [(&str, f64, f64); 4] = [
-    ("cam01", 29.35, 32.9),
-    ("cam02", 13.77, 14.2),
-    ("cam03", 37.87, 38.8),
-    ("cam04", 17.72, 20.3),
+    ("cam01", 29.71, 32.9),
+    ("cam02", 13.38, 14.2),
+    ("cam03", 38.32, 38.8),
+    ("cam04", 18.06, 20.3),
 ];
 
 #[test]

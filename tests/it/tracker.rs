@@ -399,8 +399,8 @@ fn keypoint_offsets_are_estimated() {
             detections(&rig, &points, &observe(&rig, &points, &posture, &seen_as), i)
         })
         .collect();
-    let error = |offset_windows: usize| {
-        let run = run(Config { offset_windows, ..Config::default() }, frames.clone());
+    let error = |body_windows: usize| {
+        let run = run(Config { body_windows, ..Config::default() }, frames.clone());
         let skeleton = run.skeleton.unwrap();
         let late = run.poses.iter().skip(120).map(|pose| {
             let i = (pose.capture.ns() as f64 * 60e-9).round() as usize;

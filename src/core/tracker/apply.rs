@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::body_estimator::BodyEstimator;
 use super::event::EventKind;
 use super::job::{Outcome, ProvisionalFit, Solution, Tracked, Verdict};
 use super::noise::Noise;
@@ -79,11 +80,6 @@ impl Tracker {
 
     fn tracked(&mut self, window: Window, tracked: Tracked) {
         self.close_until(window.publish + self.tolerance());
-        if let (Some(estimator), Some(skeleton)) = (tracked.estimator, &self.skeleton) {
-            self.skeleton =
-                Some(Arc::new(Skeleton::clone(skeleton).with_keypoint_offsets(estimator.offsets)));
-            self.estimator = estimator;
-        }
         let state = tracked.verdict.state();
         if state == TrackingState::Tracking {
             self.noise = self.noise.with(&tracked.residuals);
@@ -106,9 +102,20 @@ impl Tracker {
             residuals: tracked.residuals,
             verdict: tracked.verdict,
         })));
+        if let Some(estimator) = tracked.estimator {
+            self.improve_body(estimator);
+        }
         self.enter_phase(done, ahead, state);
         self.start = Some(window.publish);
         self.window += 1;
+    }
+
+    /// Uses the estimator's body from the next window on, if it has a new one.
+    fn improve_body(&mut self, estimator: Arc<BodyEstimator>) {
+        let body = self.skeleton.as_ref().and_then(|body| estimator.new_body(body)).map(Arc::new);
+        self.outputs.extend(body.clone().map(Output::Skeleton));
+        self.skeleton = body.or(self.skeleton.take());
+        self.estimator = estimator;
     }
 
     /// Publishes the newest pose as a provisional one if it has none yet, and then the final poses.

@@ -27,9 +27,10 @@ pub struct Config {
     pub iterations: usize,
     /// Most iterations of a provisional fit of the open window.
     pub provisional_iterations: usize,
-    /// Update the keypoint offsets every this many windows, at most 25 times; 0 keeps them at zero.
-    /// Differs: the paper has none.
-    pub offset_windows: usize,
+    /// Use every this many windows to estimate the body (shape and keypoint offsets), at most 25
+    /// windows; 0 keeps the shape of the first windows and no offsets. Differs: the paper keeps the
+    /// shape and has no offsets.
+    pub body_windows: usize,
     /// The median error of the detections, pixels, at which the weights of prior and stiffness are
     /// used unchanged. At other errors they are scaled by the square of the ratio; 0 never scales.
     /// Differs: the paper has fixed weights.
@@ -84,7 +85,7 @@ impl Default for Config {
             shape_windows: 3,
             iterations: 6,
             provisional_iterations: 3,
-            offset_windows: 4,
+            body_windows: 4,
             reference_residual_px: 7.0,
             coast_windows: 6,
             grace_windows: 6,
@@ -109,7 +110,7 @@ impl Config {
             iterations: 30,
             change_threshold: 1e-9,
             optimiser: OptimiserKind::Lbfgs,
-            offset_windows: 0,
+            body_windows: 0,
             reference_residual_px: 0.0,
             coast_windows: 3,
             grace_windows: 3,
@@ -140,7 +141,7 @@ impl Config {
             Limit::one_to_1000("iterations", self.iterations),
             Limit::one_to_1000("acquisition_iterations", self.acquisition_iterations),
             Limit::up_to_1000("provisional_iterations", self.provisional_iterations),
-            Limit::up_to_1000("offset_windows", self.offset_windows),
+            Limit::up_to_1000("body_windows", self.body_windows),
             Limit::up_to_1000("coast_windows", self.coast_windows),
             Limit::one_to_1000("grace_windows", self.grace_windows),
             Limit("threads", self.threads as f64, 1.0..=2.0, "1 or 2"),
@@ -160,7 +161,7 @@ impl Config {
 
     /// The body coefficients that the first windows solve.
     pub(super) fn free_body(&self) -> FreeBody {
-        if self.offset_windows > 0 { FreeBody::ShapeAndOffsets } else { FreeBody::Shape }
+        if self.body_windows > 0 { FreeBody::ShapeAndOffsets } else { FreeBody::Shape }
     }
 
     /// Nominal frames of a window.

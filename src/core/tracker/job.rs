@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
+use super::body_estimator::BodyEstimator;
 use super::effort::Effort;
 use super::noise::{Noise, Residual};
-use super::offset_estimator::OffsetEstimator;
 use crate::core::body::{Pose, Skeleton, TrackingState};
 use crate::core::camera::Rig;
 use crate::core::detections::{Detections, KeypointFormat};
@@ -87,7 +87,7 @@ pub enum Task {
         /// The body.
         skeleton: Arc<Skeleton>,
         /// The keypoint offsets so far.
-        estimator: Arc<OffsetEstimator>,
+        estimator: Arc<BodyEstimator>,
         /// Number of windows in a row before this one with too few detections.
         coasted: usize,
     },
@@ -158,7 +158,7 @@ pub struct Tracked {
     /// Whether the poses can be used.
     pub verdict: Verdict,
     /// The keypoint offsets from here on, if this window updated them.
-    pub estimator: Option<Arc<OffsetEstimator>>,
+    pub estimator: Option<Arc<BodyEstimator>>,
 }
 
 /// Whether the poses of a window can be used, and if not, the reason.

@@ -15,13 +15,13 @@
 mod acquire;
 mod apply;
 mod association;
+mod body_estimator;
 mod config;
 mod effort;
 mod event;
 mod intake;
 mod job;
 mod noise;
-mod offset_estimator;
 mod playout;
 mod port;
 mod send;
@@ -33,12 +33,12 @@ mod waiting;
 mod window;
 
 pub use association::follow;
+pub use body_estimator::{BodyEstimator, WINDOWS as BODY_WINDOWS};
 pub use config::{Config, Gate};
 pub use effort::Effort;
 pub use event::{Event, EventKind};
 pub use job::{Job, Outcome, ProvisionalFit, Solution, Task, Tracked, Verdict};
 pub use noise::{Noise, Residual};
-pub use offset_estimator::OffsetEstimator;
 pub use playout::{Latency, Live};
 pub use port::{Input, Output, WindowReport};
 pub use solver::Solver;

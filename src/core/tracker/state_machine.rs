@@ -3,13 +3,13 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use super::body_estimator::BodyEstimator;
 use super::config::Config;
 use super::effort::Effort;
 use super::event::{Event, EventKind};
 use super::intake::Intake;
 use super::job::{Job, Solution};
 use super::noise::Noise;
-use super::offset_estimator::OffsetEstimator;
 use super::playout::{Latency, Live, MARGIN, Playout};
 use super::port::{Input, Output};
 use super::waiting::Waiting;
@@ -55,7 +55,7 @@ pub struct Tracker {
     pub(super) waiting: Waiting,
     pub(super) phase: Phase,
     pub(super) skeleton: Option<Arc<Skeleton>>,
-    pub(super) estimator: Arc<OffsetEstimator>,
+    pub(super) estimator: Arc<BodyEstimator>,
     pub(super) noise: Noise,
     /// Whether any window was tracked with this body.
     pub(super) is_proven: bool,
@@ -142,6 +142,15 @@ impl Tracker {
     /// values count as 0. Takes effect at the next [`Tracker::handle`].
     pub fn set_delay(&mut self, delay: Nanos) {
         self.delay = delay.max(Nanos::ZERO);
+    }
+
+    /// Tracks a performer whose body is known. The body is not estimated.
+    #[must_use]
+    pub fn with_body(mut self, body: Arc<Skeleton>) -> Self {
+        self.outputs.push_back(Output::Skeleton(Arc::clone(&body)));
+        (self.skeleton, self.is_proven) = (Some(body), true);
+        self.estimator = Arc::new(BodyEstimator::of_known_body());
+        self
     }
 
     /// Processes an input. Call [`Tracker::poll`] until it is empty before the next one.
@@ -272,6 +281,9 @@ impl Tracker {
         self.live = old.live;
         self.skeleton = old.skeleton.filter(|_| old.is_proven);
         self.is_proven = old.is_proven;
+        if self.skeleton.is_some() {
+            self.estimator = old.estimator;
+        }
         (self.effort, self.latency) = (old.effort, old.latency);
         (self.jobs, self.window) = (old.jobs, old.window + 1);
         (self.delay, self.ended) = (old.delay, old.ended);

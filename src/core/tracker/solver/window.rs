@@ -5,14 +5,14 @@ use std::sync::Arc;
 use super::Solver;
 use super::keyframes::{Steps, between};
 use super::known::Known;
-use crate::core::body::{BodyPoint, OFFSETS, Pose, Skeleton};
+use crate::core::body::{BODY_COEFFICIENTS, BodyPoint, Pose, Skeleton};
 use crate::core::cost::{self, FrameObservations, PathKeyframe, PathProblem, Scene};
 use crate::core::manifold::TimedKeyframe;
 use crate::core::optimise::Summary;
 use crate::core::time::Timestamp;
+use crate::core::tracker::body_estimator::BodyEstimator;
 use crate::core::tracker::job::{Job, Outcome, ProvisionalFit, Tracked, Verdict};
 use crate::core::tracker::noise::Residual;
-use crate::core::tracker::offset_estimator::OffsetEstimator;
 use crate::core::tracker::verdict::{hidden, residuals, verdict};
 
 /// Time constant of the decay of an extrapolated motion, seconds.
@@ -22,8 +22,8 @@ const DECAY: f64 = 0.1;
 const PROVISIONAL_KEYFRAMES: usize = 2;
 /// Share of the previous window in a window's first keyframe.
 const BLEND: f64 = 0.5;
-/// Factor of the prior on codes when keypoint offsets are estimated.
-const OFFSET_PRIOR_FACTOR: f64 = 0.1;
+/// Factor of the prior on codes when the body is estimated.
+const CODE_PRIOR_FACTOR: f64 = 0.1;
 
 impl Solver {
     /// Solves the keyframes of a window and gives the verdict on them.
@@ -32,7 +32,7 @@ impl Solver {
         job: &Job,
         points: &[BodyPoint],
         known: Known,
-        (skeleton, estimator): (&Arc<Skeleton>, &OffsetEstimator),
+        (skeleton, estimator): (&Arc<Skeleton>, &BodyEstimator),
         coasted: usize,
     ) -> Outcome {
         let Some(from) = known.past.last() else { return Outcome::NobodyFound };
@@ -51,11 +51,11 @@ impl Solver {
         let (residuals, poses) = self.judge(job, points, solved, &observations);
         let verdict = verdict(&self.config.gate, &keyframes, &residuals);
         let is_estimating = matches!(verdict, Verdict::Tracked)
-            && self.config.offset_windows > 0
+            && self.config.body_windows > 0
             && !estimator.is_complete()
-            && job.window.is_multiple_of(self.config.offset_windows as u64);
+            && job.window.is_multiple_of(self.config.body_windows as u64);
         let estimator = is_estimating
-            .then(|| self.estimate_offsets(job, points, solved, &observations, estimator))
+            .then(|| self.estimate_body(job, points, solved, &observations, estimator))
             .flatten();
         let tracked = tracked(solved, poses, Some(summary), residuals, verdict);
         Outcome::Tracked(Box::new(Tracked { estimator: estimator.map(Arc::new), ..tracked }))
@@ -78,28 +78,30 @@ impl Solver {
         (residuals(seen.into_iter().zip(poses), points, &job.rig, solved.skeleton), wanted)
     }
 
-    /// The estimate of the keypoint offsets after one more solved window.
-    fn estimate_offsets(
+    /// The estimate of the body after one more solved window.
+    fn estimate_body(
         &mut self,
         job: &Job,
         points: &[BodyPoint],
         solved: Known,
         observations: &[FrameObservations],
-        estimator: &OffsetEstimator,
-    ) -> Option<OffsetEstimator> {
-        // The prior pulls poses away from the detections; the offsets must not absorb that.
+        estimator: &BodyEstimator,
+    ) -> Option<BodyEstimator> {
+        // The prior pulls poses away from the detections; the body must not absorb that.
         let cost = self.cost(job);
-        let cost =
-            cost::Config { prior: OFFSET_PRIOR_FACTOR * cost.prior, offset_prior: 0.0, ..cost };
+        let prior = CODE_PRIOR_FACTOR * cost.prior;
+        // The estimator has the priors of the body.
+        let cost = cost::Config { prior, offset_prior: 0.0, shape_prior: 0.0, ..cost };
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
         let frames = self.config.keyframe() as f64;
         let ahead = solved.ahead.iter().cloned().map(|at| PathKeyframe::free(at, frames));
         let path = solved.fixed().chain(ahead).collect();
         let (free, work) = (self.config.free_body(), &mut self.work);
         let mut problem = PathProblem::new(scene, path, solved.skeleton, free, observations, work);
-        let marginal = problem.marginal(&problem.start(), OFFSETS)?;
+        let marginal = problem.marginal(&problem.start(), BODY_COEFFICIENTS)?;
+        let noise = job.noise.factor(self.config.reference_residual_px);
         let prior = self.config.cost.offset_prior;
-        estimator.with(&marginal, solved.skeleton.keypoint_offsets(), prior)
+        estimator.with(&marginal, solved.skeleton, noise, prior)
     }
 
     /// Blends the first final keyframes with those of the previous window, with decreasing shares,
