@@ -56,9 +56,9 @@ pub(super) struct Arguments {
     /// Use only these cameras.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     cameras: Vec<String>,
-    /// Solve without this camera and report its reprojection error.
-    #[arg(long, value_name = "CAMERA")]
-    hold_out: Option<String>,
+    /// Solve without these cameras and report their reprojection errors.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    hold_out: Vec<String>,
     /// Report the distance to these marker positions (y up, frames as in the recording).
     #[arg(long, value_name = "TRC")]
     reference: Option<PathBuf>,

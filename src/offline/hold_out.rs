@@ -24,12 +24,13 @@ const GATE: f64 = 0.25;
 /// Most frames that wait for poses.
 const WAITING: usize = 8192;
 
-/// The error in the held-out camera.
+/// The error in one or more held-out cameras.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HoldOut {
-    /// The camera.
+    /// The camera, or all cameras, separated by commas.
     pub camera: String,
-    /// Median distance over the points, pixels; null if there were none.
+    /// Median distance over the points, pixels; null if there were none. The mean over the cameras
+    /// that have one.
     pub median_px: Option<f64>,
     /// Points of shoulders, elbows, wrists, hips, knees and ankles with confidence above 0.3.
     pub points: usize,
@@ -37,6 +38,23 @@ pub struct HoldOut {
     pub frames: usize,
     /// Frames with detections but without the performer.
     pub frames_without_performer: usize,
+}
+
+impl HoldOut {
+    /// All cameras as one: the mean of the medians, and sums. `None` without cameras.
+    pub fn of_all(cameras: &[Self]) -> Option<Self> {
+        let names: Vec<&str> = cameras.iter().map(|held| held.camera.as_str()).collect();
+        let medians: Vec<f64> = cameras.iter().filter_map(|held| held.median_px).collect();
+        let mean = medians.iter().sum::<f64>() / medians.len() as f64;
+        let sum = |of: fn(&Self) -> usize| cameras.iter().map(of).sum();
+        (!names.is_empty()).then(|| Self {
+            camera: names.join(","),
+            median_px: (!medians.is_empty()).then_some(mean),
+            points: sum(|held| held.points),
+            frames: sum(|held| held.frames),
+            frames_without_performer: sum(|held| held.frames_without_performer),
+        })
+    }
 }
 
 /// Compares the frames of a camera with poses in a stream; both are in order of time, either may

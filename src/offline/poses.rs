@@ -32,7 +32,7 @@ impl Bin for CompactPose {
 #[derive(Default)]
 pub(super) struct Comparisons<'a> {
     pub(super) truth: TruthComparison,
-    pub(super) held_out: Option<HeldOut>,
+    pub(super) held_out: Vec<HeldOut>,
     pub(super) reference: Option<ReferenceComparison<'a>>,
     /// The frame clock of the first camera, from its first frame.
     pub(super) clock: Option<FrameClock>,
@@ -165,7 +165,7 @@ impl Poses {
             bvh.write(pose)?;
         }
         comparisons.truth.add_pose(pose, skeleton, body.fps);
-        if let Some(held_out) = &mut comparisons.held_out {
+        for held_out in &mut comparisons.held_out {
             held_out.add_pose(capture, pose.usable(), skeleton);
         }
         if let (Some(reference), Some(clock)) = (&mut comparisons.reference, comparisons.clock) {

@@ -30,7 +30,7 @@ pub struct Recording {
 pub(crate) enum Item {
     /// A camera's detections; the camera index is that in the chosen rig.
     Detections(Detections),
-    /// The held-out camera's detections.
+    /// Detections of a held-out camera; the camera index is that in the list of held-out cameras.
     HeldOut(Detections),
     /// The true body, before the true poses.
     TrueBody(Box<Skeleton>),
@@ -127,11 +127,11 @@ impl Recording {
         })
     }
 
-    /// The rig of the cameras in `only` (all if empty), without the held-out one.
+    /// The rig of the cameras in `only` (all if empty), without the held-out ones.
     ///
     /// # Errors
     /// An unknown camera, one without keypoints, or fewer than two cameras.
-    pub fn chosen(&self, only: &[String], held_out: Option<&Camera>) -> Result<Rig, Error> {
+    pub fn chosen(&self, only: &[String], held_out: &[Camera]) -> Result<Rig, Error> {
         let path = || self.path().to_owned();
         let mut wanted = Vec::new();
         for name in only {
@@ -139,7 +139,7 @@ impl Recording {
         }
         let chosen = self.rig.cameras.iter().filter(|camera| {
             (wanted.is_empty() || wanted.contains(&camera.name.as_str()))
-                && held_out.is_none_or(|held_out| held_out.name != camera.name)
+                && held_out.iter().all(|held_out| held_out.name != camera.name)
         });
         let rig = Rig::new(self.rig.version, chosen.cloned().collect())
             .map_err(|source| Error::Rig { path: path(), source })?;
@@ -150,11 +150,11 @@ impl Recording {
     }
 
     /// Streams the recording from its start: the detections of all cameras of `rig` and of the
-    /// held-out camera, and the truth, if any. Returns a report of what was lost.
+    /// held-out cameras, and the truth, if any. Returns a report of what was lost.
     pub(crate) fn stream(
         &mut self,
         rig: &Rig,
-        held_out: Option<&str>,
+        held_out: &[Camera],
         mut each_message: impl FnMut(),
         mut take: impl FnMut(Item) -> Result<(), Error>,
     ) -> Result<Report, Error> {
@@ -165,10 +165,13 @@ impl Recording {
             let item = match entry.message {
                 Message::Keypoints(frame) => match rig.index_of(&frame.camera) {
                     Some(camera) => frame.to_core(|_| Some(camera)).map(Item::Detections),
-                    None if Some(frame.camera.as_str()) == held_out => {
-                        frame.to_core(|_| Some(0)).map(Item::HeldOut)
+                    None => {
+                        let mut names = held_out.iter().map(|camera| &camera.name);
+                        let Some(camera) = names.position(|name| *name == frame.camera) else {
+                            continue;
+                        };
+                        frame.to_core(|_| Some(camera)).map(Item::HeldOut)
                     }
-                    None => continue,
                 },
                 Message::TruthSkeleton(body) => {
                     body.to_core().map(|body| Item::TrueBody(Box::new(body)))

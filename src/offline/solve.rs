@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use super::Error;
 use super::driver::Driver;
-use super::hold_out::HeldOut;
+use super::hold_out::{HeldOut, HoldOut};
 use super::output::{self, FILES, OutputFolder, PoseFile};
 use super::poses::{Comparisons, PoseSummary, Poses};
 use super::recording::{Item, Recording};
@@ -16,7 +16,7 @@ use super::reference::{FrameClock, ReferenceComparison};
 use super::summary::{Reprojection, SolveTime, Summary};
 use super::windows::Windows;
 use crate::core::body::{Skeleton, StampedPose};
-use crate::core::camera::Rig;
+use crate::core::camera::{Camera, Rig};
 use crate::core::manifold::Decoder;
 use crate::core::tracker::{self, EventKind, Input, Output, Solver};
 use crate::io::formats::Trc;
@@ -32,8 +32,8 @@ pub struct Options {
     pub decoder: Option<Decoder>,
     /// Use only the cameras with these names; all if empty.
     pub cameras: Vec<String>,
-    /// Hold this camera out of the solve and measure the error in it.
-    pub hold_out: Option<String>,
+    /// Hold these cameras out of the solve and measure the error in them.
+    pub hold_out: Vec<String>,
     /// Measure the distance from these marker positions (y up, frames as in the recording).
     pub reference: Option<Trc>,
     /// The folder for poses.mcap, poses.bvh, poses.states.csv and report.html; created if missing.
@@ -74,9 +74,9 @@ pub fn solve(
     options: &Options,
     observer: &mut dyn Observer,
 ) -> Result<Summary, Error> {
-    let held_out = options.hold_out.as_deref().map(|name| recording.camera(name).cloned());
-    let held_out = held_out.transpose()?;
-    let rig = Arc::new(recording.chosen(&options.cameras, held_out.as_ref())?);
+    let held_out = options.hold_out.iter().map(|name| recording.camera(name).cloned());
+    let held_out: Vec<Camera> = held_out.collect::<Result<_, _>>()?;
+    let rig = Arc::new(recording.chosen(&options.cameras, &held_out)?);
     let decoder = match &options.decoder {
         Some(decoder) => decoder.clone(),
         None => Decoder::embedded()?,
@@ -94,15 +94,14 @@ pub fn solve(
             windows: Windows::of_cameras(rig.cameras.len()),
             events: BTreeMap::new(),
             comparisons: Comparisons {
-                held_out: held_out.clone().map(HeldOut::new),
+                held_out: held_out.iter().cloned().map(HeldOut::new).collect(),
                 reference: options.reference.as_ref().map(ReferenceComparison::new),
                 ..Comparisons::default()
             },
         },
         file: outputs.as_mut().map(|outputs| &mut outputs.file),
     };
-    let held_out = held_out.map(|camera| camera.name);
-    let report = run.stream(recording, &rig, held_out.as_deref(), observer)?;
+    let report = run.stream(recording, &rig, &held_out, observer)?;
     let Run { driver, mut collected, .. } = run;
     let skeleton = driver.skeleton().filter(|_| collected.poses.found_somebody());
     let Some(skeleton) = skeleton else { return Err(collected.nobody(recording, &rig)) };
@@ -141,7 +140,7 @@ fn find_body(
     let mut feed = |input| driver.feed(input, |_, _| Ok(()));
     recording.stream(
         rig,
-        None,
+        &[],
         || observer.message(),
         |item| match item {
             Item::Detections(detections) => feed(Input::Detections(detections)),
@@ -194,7 +193,7 @@ impl Run<'_, '_> {
         &mut self,
         recording: &mut Recording,
         rig: &Rig,
-        held_out: Option<&str>,
+        held_out: &[Camera],
         observer: &mut dyn Observer,
     ) -> Result<Report, Error> {
         // Both closures use the observer.
@@ -223,7 +222,7 @@ impl Run<'_, '_> {
                 self.feed(Input::Detections(detections), observer)?;
             }
             Item::HeldOut(detections) => {
-                if let Some(held_out) = &mut comparisons.held_out {
+                if let Some(held_out) = comparisons.held_out.get_mut(detections.camera) {
                     held_out.add_frame(detections);
                 }
             }
@@ -284,6 +283,8 @@ impl Collected<'_> {
         seconds: f64,
     ) -> (Self, Summary) {
         let comparisons = std::mem::take(&mut self.comparisons);
+        let held_out: Vec<HoldOut> =
+            comparisons.held_out.into_iter().map(HeldOut::finish).collect();
         let frames = self.poses.count;
         let summary = Summary {
             version: env!("CARGO_PKG_VERSION"),
@@ -295,7 +296,8 @@ impl Collected<'_> {
             windows_without_performer: self.count(EventKind::NobodyFound),
             frame_rate_hz: poses.fps,
             reprojection: Reprojection::new(&self.windows, rig),
-            hold_out: comparisons.held_out.map(HeldOut::finish),
+            hold_out: HoldOut::of_all(&held_out),
+            hold_out_cameras: held_out,
             mean_acceleration_m_s2: poses.acceleration,
             truth: poses.fps.and_then(|fps| comparisons.truth.finish(skeleton, fps)),
             reference: comparisons.reference.and_then(|reference| reference.finish()),

@@ -32,6 +32,8 @@ pub struct Summary {
     pub frame_rate_hz: Option<f64>,
     pub reprojection: Reprojection,
     pub hold_out: Option<HoldOut>,
+    /// The same for each held-out camera.
+    pub hold_out_cameras: Vec<HoldOut>,
     pub mean_acceleration_m_s2: Option<f64>,
     /// Distance from the truth of a synthetic recording.
     pub truth: Option<PoseErrors>,
@@ -115,7 +117,10 @@ impl Summary {
         for (camera, error) in &self.reprojection.cameras {
             rows.add(&format!("  {camera}"), px(*error));
         }
-        self.hold_out.iter().for_each(|held| rows.add_hold_out(held));
+        self.hold_out_cameras.iter().for_each(|held| rows.add_hold_out(held));
+        if let Some(all) = self.hold_out.as_ref().filter(|_| self.hold_out_cameras.len() > 1) {
+            rows.add("hold-out, mean of the medians", px(all.median_px));
+        }
         rows.add("mean joint acceleration", unit(self.mean_acceleration_m_s2, 2, "m/s²"));
         self.truth.iter().for_each(|truth| rows.add_truth(truth));
         self.reference.iter().for_each(|reference| rows.add_reference(reference));

@@ -196,6 +196,15 @@ fn a_synthetic_walk_is_solved_and_exported() {
         assert!(fs::metadata(place.path("out").join(name)).unwrap().len() > 1000, "{name}");
     }
 
+    let two = place.done("solve walk.mcap --out out --overwrite --json --hold-out cam03,cam01");
+    let two: Value = serde_json::from_str(&two).unwrap();
+    assert_eq!(two["hold_out"]["camera"], "cam03,cam01");
+    let each = two["hold_out_cameras"].as_array().unwrap();
+    let median = |camera: &Value| camera["median_px"].as_f64().unwrap();
+    let mean = (median(&each[0]) + median(&each[1])) / 2.0;
+    assert!((median(&two["hold_out"]) - mean).abs() < 1e-9, "{two}");
+    assert_eq!(two["reprojection"]["cameras"].as_object().unwrap().len(), 2);
+
     let table = place.done("solve walk.mcap --out out --overwrite --hold-out cam03");
     for row in ["hold-out cam03, median", "frames without the performer"] {
         assert!(table.contains(row), "{table}");

@@ -31,11 +31,11 @@ impl Loaded {
     /// All cameras with keypoints.
     pub(super) fn read(path: &Path) -> Result<Self, Failure> {
         let mut recording = Recording::open(path)?;
-        let rig = Arc::new(recording.chosen(&[], None)?);
+        let rig = Arc::new(recording.chosen(&[], &[])?);
         let (mut frames, mut clock) = (Vec::new(), None);
         recording.stream(
             &rig,
-            None,
+            &[],
             || {},
             |item| {
                 if let Item::Detections(detections) = item {
