@@ -190,7 +190,7 @@ fn a_synthetic_walk_is_solved_and_exported() {
     assert_eq!(figures["reprojection"]["cameras"].as_object().unwrap().len(), 3);
     assert_eq!(figures["hold_out"]["camera"], "cam03");
     pinned("hold-out, px", number(&figures, "/hold_out/median_px"), 3.508);
-    pinned("MPJPE, mm", number(&figures, "/truth/mpjpe_mm"), 7.831);
+    pinned("MPJPE, mm", number(&figures, "/truth/mpjpe_mm"), 7.067);
     assert!(figures["solve_ms"]["p50"].as_f64().unwrap() > 0.0);
     for name in ["poses.mcap", "poses.bvh", "report.html"] {
         assert!(fs::metadata(place.path("out").join(name)).unwrap().len() > 1000, "{name}");
@@ -229,7 +229,7 @@ fn a_held_out_camera_is_compared_with_the_learnt_offsets() {
             format!("solve walk.mcap --out out --overwrite --json --hold-out cam03 {options}");
         number(&serde_json::from_str(&place.done(&solve)).unwrap(), "/hold_out/median_px")
     };
-    pinned("hold-out with offsets, px", held_out(""), 0.468);
+    pinned("hold-out with offsets, px", held_out(""), 0.534);
     pinned("hold-out without offsets, px", held_out("--config plain.toml"), 3.063);
 }
 
@@ -712,5 +712,5 @@ fn the_performer_is_selected_and_not_the_bystander() {
     let solve = format!("solve take.mcap --out out --json --reference {}", reference.display());
     let figures: Value = serde_json::from_str(&place.done(&solve)).unwrap();
     assert_eq!((&figures["frames"], &figures["frames_lost"]), (&100.into(), &0.into()));
-    pinned("worst mid hip, mm", number(&figures, "/reference/worst_mid_hip_mm"), 55.40);
+    pinned("worst mid hip, mm", number(&figures, "/reference/worst_mid_hip_mm"), 52.52);
 }

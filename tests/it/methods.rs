@@ -217,7 +217,7 @@ const MEASURED_MM: [(&str, f64); 8] = [
     ("slahmr", 15.49),
     ("paper", 18.34),
     ("paper-lm", 15.84),
-    ("default", 12.88),
+    ("default", 14.39),
 ];
 
 #[test]

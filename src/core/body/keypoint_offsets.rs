@@ -31,9 +31,24 @@ pub const OFFSETS: usize = 3 * POINTS.len();
 /// Metres per unit of an offset's coordinate.
 const UNIT: f64 = 0.012;
 
+/// Precision of the prior at elbows, wrists, knees and ankles, relative to other keypoints.
+const PRECISE: f64 = 8.0;
+
 /// The offsets of all keypoints, in units of 12 mm; zero for the keypoints of our body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KeypointOffsets(pub [f64; OFFSETS]);
+
+impl KeypointOffsets {
+    /// Relative precision of the prior of each coordinate. Detectors agree best with anatomy at
+    /// elbows, wrists, knees and ankles. What they see there otherwise is the length of a bone.
+    pub fn prior_precisions() -> [f64; OFFSETS] {
+        use Keypoint::{LAnkle, LElbow, LKnee, LWrist};
+        std::array::from_fn(|i| match POINTS[i / 3] {
+            LElbow | LWrist | LKnee | LAnkle => PRECISE,
+            _ => 1.0,
+        })
+    }
+}
 
 impl Default for KeypointOffsets {
     fn default() -> Self {
