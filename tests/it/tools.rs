@@ -174,27 +174,41 @@ fn played_messages_are_recorded_byte_for_byte() {
 
 #[test]
 fn a_recording_survives_a_kill() {
+    /// Count of the events that are sent until the first arrives.
+    const PROBE: u64 = 1000;
     let place = Place::new();
     let topics = Topics::default();
     let mut recorder = place.recorder("take.mcap");
     let publisher = place.router.publisher(&topics.stage_events()).unwrap();
     let encoding = media_type("bundlemocap.v1.Event");
-    for count in 1..=40 {
+    let put = |count| {
         let event = wire::Event { kind: "late".into(), count, ..wire::Event::default() };
         publisher.put(Timestamp::from_ns(5), &encoding, &encode(&event)).unwrap();
-    }
+    };
     let part = place.path("take.mcap.part");
-    wait_for_messages(&part, 40);
+    // The subscription may reach the publisher a moment after the recorder has started.
+    let begin = Instant::now();
+    while raw(&part).0.is_empty() {
+        assert!(begin.elapsed() < PATIENCE, "no message");
+        put(PROBE);
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    (1..=40).for_each(put);
+    let count = |entry: &RawEntry| match entry.message().unwrap() {
+        bundlemocap::io::recording::Message::Event(event) => event.count,
+        other => panic!("{other:?}"),
+    };
+    while raw(&part).0.last().map(count) != Some(40) {
+        assert!(begin.elapsed() < PATIENCE, "not all messages");
+        std::thread::sleep(Duration::from_millis(50));
+    }
     recorder.0.kill().unwrap();
     recorder.0.wait().unwrap();
 
     assert!(!place.path("take.mcap").exists());
     let (entries, damage) = raw(&part);
     assert_eq!(damage, 1);
-    let counts = entries.iter().map(|entry| match entry.message().unwrap() {
-        bundlemocap::io::recording::Message::Event(event) => event.count,
-        other => panic!("{other:?}"),
-    });
+    let counts = entries.iter().map(count).filter(|count| *count != PROBE);
     assert_eq!(counts.collect::<Vec<_>>(), (1..=40).collect::<Vec<_>>());
     fails(&place.command("record take.mcap").output().unwrap(), 1, "take.mcap.part");
 }

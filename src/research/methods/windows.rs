@@ -65,7 +65,7 @@ impl Method for Windows {
             Output::Skeleton(skeleton) => body = Some(skeleton),
             _ => {}
         });
-        // The tracker's body has the keypoint offsets that were estimated.
+        // All poses are scored with the last body.
         let skeleton = tracker.skeleton().cloned().or(body)?;
         Some(Solved { skeleton, poses, borders })
     }
