@@ -39,8 +39,9 @@ const PRECISE: f64 = 8.0;
 pub struct KeypointOffsets(pub [f64; OFFSETS]);
 
 impl KeypointOffsets {
-    /// Relative precision of the prior of each coordinate. Detectors agree best with anatomy at
-    /// elbows, wrists, knees and ankles. What they see there otherwise is the length of a bone.
+    /// Relative precision (no unit) of the prior of each coordinate. It is higher at elbows, wrists,
+    /// knees and ankles: detectors are most exact there, and a large offset would hide a wrong bone
+    /// length.
     pub fn prior_precisions() -> [f64; OFFSETS] {
         use Keypoint::{LAnkle, LElbow, LKnee, LWrist};
         std::array::from_fn(|i| match POINTS[i / 3] {

@@ -14,7 +14,7 @@ use crate::core::cost::{FrameObservations, Observation};
 use crate::core::detections::{Detections, Person};
 use crate::core::time::{Nanos, Timestamp};
 
-/// Frames closer in time than this, ns, are merged: cameras on one clock differ by microseconds,
+/// Frames closer in time than this are merged: cameras on one clock differ by microseconds,
 /// and at 5 m/s this is half a millimetre. Each capture time costs a decoding.
 const SAME_TIME: Nanos = Nanos::new(100_000);
 

@@ -21,8 +21,8 @@ const SHARE: f64 = 0.8;
 pub const WINDOWS: usize = 25;
 /// Variance of the detectors' errors at the reference level, square pixels.
 const NOISE: f64 = 50.0;
-/// Precision of the shape's prior; above the 1 of adults, because the errors of all windows are
-/// correlated.
+/// Precision of the shape's prior. Adults have 1; it is higher because the errors of different
+/// windows are correlated.
 const SHAPE_PRECISION: f64 = 6.0;
 /// Rounds that estimate the body and the prior of the offsets in turn.
 const ROUNDS: usize = 5;
