@@ -19,6 +19,10 @@ use crate::core::cost::Marginal;
 const SHARE: f64 = 0.8;
 /// Number of windows that are used.
 pub const WINDOWS: usize = 25;
+/// A new body is used after each of this many windows.
+const EARLY_WINDOWS: usize = 8;
+/// After them, a new body is used every this many windows.
+const INTERVAL: usize = 4;
 /// Variance of the detectors' errors at the reference level, square pixels.
 const NOISE: f64 = 50.0;
 /// Precision of the shape's prior. Adults have 1; it is higher because the errors of different
@@ -59,9 +63,10 @@ impl BodyEstimator {
         self.windows >= WINDOWS
     }
 
-    /// The new body, if it is time for one: after each of the first windows, then rarely.
+    /// The new body, if it is time for one.
     pub(super) fn new_body(&self, body: &Skeleton) -> Option<Skeleton> {
-        let is_due = self.windows < 8 || self.windows.is_multiple_of(4) || self.is_complete();
+        let is_early = self.windows <= EARLY_WINDOWS;
+        let is_due = is_early || self.windows.is_multiple_of(INTERVAL) || self.is_complete();
         is_due.then(|| body.with_coefficients(&self.coefficients))
     }
 
