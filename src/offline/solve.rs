@@ -17,6 +17,7 @@ use super::summary::{Reprojection, SolveTime, Summary};
 use super::windows::Windows;
 use crate::core::body::{Skeleton, StampedPose};
 use crate::core::camera::{Camera, Rig};
+use crate::core::cost;
 use crate::core::manifold::Decoder;
 use crate::core::tracker::{self, EventKind, Input, Output, Solver};
 use crate::io::formats::Trc;
@@ -120,6 +121,9 @@ pub fn solve(
     Ok(summary)
 }
 
+/// An optimiser of the first pass stops if a step lowers the cost by less than this fraction.
+const BODY_CHANGE: f64 = 0.03;
+
 /// The first pass: estimates the body from windows of the whole recording. `None` if the body is not
 /// estimated, or nobody is found.
 fn find_body(
@@ -134,7 +138,10 @@ fn find_body(
     }
     let windows = recording.frames() as usize / config.publish_frames.max(1);
     let body_windows = (windows / tracker::BODY_WINDOWS).max(1);
-    let config = tracker::Config { body_windows, ..config };
+    // The body needs no corrections, and no exact poses.
+    let cost = cost::Config { correction_prior: 0.0, ..config.cost };
+    let change_threshold = config.change_threshold.max(BODY_CHANGE);
+    let config = tracker::Config { body_windows, change_threshold, cost, ..config };
     let solver = Solver::new(decoder.clone(), config);
     let mut driver = Driver::new(config, Arc::clone(rig), solver, None);
     let mut feed = |input| driver.feed(input, |_, _| Ok(()));

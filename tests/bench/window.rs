@@ -44,6 +44,7 @@ fn keyframe(step: f64) -> Keyframe {
         }),
         root_rotation: bundlemocap::core::so3::exp(&Vector3::new(0.0, 0.2 * step, 0.05 * step)),
         root_position: Vector3::new(0.2 * step, 1.0, 0.05 * step),
+        correction: Default::default(),
     }
 }
 

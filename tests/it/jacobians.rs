@@ -177,6 +177,7 @@ fn transition_residuals_by_three_keyframes() {
         z: std::array::from_fn(|i| wave(i, 0.7) + 0.05 * k as f64 * wave(i, 1.3)),
         root_rotation: so3::exp(&Vector3::new(0.2 + 0.03 * k as f64, 0.9, -0.4 * k as f64)),
         root_position: Vector3::new(0.5, 1.0 - 0.01 * k as f64, 0.02 * (k * k) as f64),
+        correction: Default::default(),
     });
     let of = |k: &[Keyframe; 3]| [k[0].clone(), k[1].clone(), k[2].clone()];
     let [a, b, c] = &keyframes;

@@ -62,6 +62,7 @@ fn a_pose_does_not_depend_on_its_batch() {
         z: std::array::from_fn(|i| ((i + 2 * k) as f64 * 0.7).sin()),
         root_rotation: Matrix3::identity(),
         root_position: Vector3::zeros(),
+        correction: Default::default(),
     };
     let keyframes: Vec<_> = (0..13).map(keyframe).collect();
     let together = decoder.poses(&keyframes);

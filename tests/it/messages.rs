@@ -76,6 +76,7 @@ pub fn keyframe() -> manifold::StampedKeyframe {
             z: std::array::from_fn(|i| (i as f64 - 16.0) / 8.0),
             root_rotation: so3::exp(&Vector3::new(0.0, 3.0, 0.5)),
             root_position: Vector3::new(1.0, 0.875, -0.5),
+            correction: Default::default(),
         },
         shape: *skeleton().shape(),
         start: Timestamp::from_ns(7_833_333_333),

@@ -5,10 +5,13 @@ use bundlemocap::core::body::{
 };
 use bundlemocap::core::camera::{Camera, Lens, Rig};
 use bundlemocap::core::cost::{
-    self, FrameObservations, FreeBody, Observation, PathKeyframe, PathProblem, Scene, Workspace,
+    self, CorrectionProblem, FrameObservations, FreeBody, Observation, PathKeyframe, PathProblem,
+    Scene, Workspace,
 };
 use bundlemocap::core::detections::KeypointFormat;
-use bundlemocap::core::manifold::{Decoder, Interpolation, Keyframe, LATENT, TimedKeyframe};
+use bundlemocap::core::manifold::{
+    CORRECTION, Correction, Decoder, Interpolation, Keyframe, LATENT, TimedKeyframe,
+};
 use bundlemocap::core::optimise::{NormalEquations, OptimiserKind, Problem};
 use bundlemocap::core::so3;
 use bundlemocap::core::time::Timestamp;
@@ -45,6 +48,7 @@ pub fn keyframe(seed: f64, size: f64) -> Keyframe {
         z: std::array::from_fn(|i| size * wave(i)),
         root_rotation: so3::exp(&Vector3::new(0.1 * wave(1), 1.5 * seed, 0.1 * wave(2))),
         root_position: Vector3::new(0.3 * wave(3), 1.0, 0.3 * wave(4)),
+        correction: Correction::default(),
     }
 }
 
@@ -226,6 +230,27 @@ fn the_hessian_of_stiffness_is_exact_at_rest() {
     let problem =
         PathProblem::new(scene, path.collect(), &case.skeleton, FreeBody::Fixed, &[], &mut work);
     assert_hessian(problem, 1e-5);
+}
+
+/// Of a path with a fixed keyframe, and frames on and between keyframes.
+#[test]
+fn the_gradient_of_corrections_matches_central_differences() {
+    let mut case = Case::new(4);
+    case.disturb();
+    let config = cost::Config::default();
+    let path = case.path(&[false, true, true, true], &case.truth[1]);
+    let observations = &case.observations;
+    let poses = observations.iter().map(|_| case.decoder.pose(&case.truth[1])).collect();
+    let problem =
+        CorrectionProblem::new(case.scene(&config), path, &case.skeleton, observations, poses);
+    let x: Vec<f64> = (0..3 * CORRECTION).map(|i| 0.1 * (1.3 * i as f64).sin()).collect();
+    let mut equations = NormalEquations::zeros(problem.layout());
+    let problem = std::cell::RefCell::new(problem);
+    problem.borrow_mut().linearise(&x, &mut equations);
+    let numeric = numeric_jacobian(&x, 1e-4, |x| {
+        vec![problem.borrow_mut().linearise(x, &mut equations.clone())]
+    });
+    assert_jacobian(&DMatrix::from_row_slice(1, x.len(), &equations.gradient), &numeric, 1e-6);
 }
 
 #[test]

@@ -4,12 +4,15 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bundlemocap::core::body::{
-    BodyPoint, Joint, KeypointOffsets, Shape, Skeleton, StampedPose, TrackingState, fitted_points,
+    BODY_JOINTS, BodyPoint, Joint, KeypointOffsets, Shape, Skeleton, StampedPose, TrackingState,
+    fitted_points,
 };
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::cost::Observation;
 use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
-use bundlemocap::core::manifold::{Decoder, Interpolation, Keyframe, TimedKeyframe};
+use bundlemocap::core::manifold::{
+    CORRECTED, Correction, Decoder, Interpolation, Keyframe, TimedKeyframe,
+};
 use bundlemocap::core::optimise::OptimiserKind;
 use bundlemocap::core::so3;
 use bundlemocap::core::time::Nanos;
@@ -44,7 +47,14 @@ fn config() -> Config {
 }
 
 fn run(config: Config, frames: impl IntoIterator<Item = Detections>) -> Run {
-    let mut tracker = Tracker::new(config, Arc::new(ring()));
+    run_with(Tracker::new(config, Arc::new(ring())), config, frames)
+}
+
+fn run_with(
+    mut tracker: Tracker,
+    config: Config,
+    frames: impl IntoIterator<Item = Detections>,
+) -> Run {
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
     let mut run = Run::default();
     run_to_end(&mut tracker, &mut solver, frames, |output| match output {
@@ -115,6 +125,9 @@ fn stream_of(frames: usize, truth: impl Fn(usize) -> Keyframe) -> Vec<Detections
     all
 }
 
+/// Number of local rotations that keypoints show: all but those of the wrists, the last two.
+const SHOWN: usize = BODY_JOINTS - 2;
+
 /// Largest joint error in metres and largest local rotation error in radians, against the truth.
 fn worst_errors(run: &Run) -> (f64, f64) {
     let decoder = Decoder::embedded().unwrap();
@@ -128,7 +141,7 @@ fn worst_errors(run: &Run) -> (f64, f64) {
         for j in 0..a.positions.len() {
             metres = metres.max((a.positions[j] - b.positions[j]).norm());
         }
-        for (a, b) in pose.pose.local.iter().zip(&expected.local) {
+        for (a, b) in pose.pose.local.iter().zip(&expected.local).take(SHOWN) {
             radians = radians.max(so3::angle_between(a, b));
         }
     }
@@ -180,11 +193,11 @@ fn windows_follow_a_manifold_motion_exactly() {
             let Outcome::Tracked(tracked) = solver.solve(&job).outcome else { panic!("no window") };
             for (i, pose) in (1..).zip(&tracked.poses) {
                 let (found, expected) = (pose.posture(&skeleton), posture(i));
-                for j in 0..found.positions.len() {
+                for j in 0..=SHOWN {
                     let metres = (found.positions[j] - expected.positions[j]).norm();
                     assert!(metres < 1e-3, "seed {seed}, window {window}: {metres} m");
                     let angle = so3::angle_between(&found.rotations[j], &expected.rotations[j]);
-                    assert!(angle.to_degrees() < 0.5, "seed {seed}, window {window}: {angle} rad");
+                    assert!(angle.to_degrees() < 1.0, "seed {seed}, window {window}: {angle} rad");
                 }
             }
             from = tracked.keyframes.into_iter().next().unwrap().keyframe;
@@ -430,6 +443,65 @@ fn fast_motion_is_tracked() {
         let off = (pose.pose.root_position - truth(i).root_position).norm();
         assert!(off < 0.3, "{off} m in frame {i}");
     }
+}
+
+/// Mean distance of the joints from the truth, metres, in the poses from `first` on.
+fn mean_error(run: &Run, first: usize, truth: impl Fn(usize) -> Keyframe) -> f64 {
+    let (decoder, body) = (Decoder::embedded().unwrap(), Skeleton::new(truth_shape()));
+    let skeleton = run.skeleton.as_ref().unwrap();
+    let (mut sum, mut count) = (0.0, 0.0);
+    for pose in &run.poses {
+        let i = (pose.capture.ns() as f64 * 60e-9).round() as usize;
+        if i >= first {
+            let (a, b) = (pose.pose.posture(skeleton), decoder.pose(&truth(i)).posture(&body));
+            let pairs = a.positions.iter().zip(&b.positions);
+            sum += pairs.map(|(a, b)| (a - b).norm()).sum::<f64>();
+            count += a.positions.len() as f64;
+        }
+    }
+    sum / count
+}
+
+/// A knee bends to the side by eleven degrees.
+#[test]
+fn corrections_follow_poses_beside_the_manifold() {
+    let knee = CORRECTED.iter().position(|joint| *joint == Joint::LKnee).unwrap();
+    let off = |i: usize| {
+        let mut correction = Correction::default();
+        correction.0[3 * knee + 2] = 0.2;
+        Keyframe { correction, ..truth(i) }
+    };
+    let error = |correction_prior: f64| {
+        let mut config = Config::default();
+        config.cost.correction_prior = correction_prior;
+        let body = Arc::new(Skeleton::new(truth_shape()));
+        let tracker = Tracker::new(config, Arc::new(ring())).with_body(body);
+        mean_error(&run_with(tracker, config, stream_of(121, off)), 0, off)
+    };
+    let (without, with) = (error(0.0), error(Config::default().cost.correction_prior));
+    assert!(with < 0.85 * without, "{with} {without}");
+}
+
+/// In the first second every view takes left for right.
+#[test]
+fn a_wrong_start_heals() {
+    let still = |_: usize| truth(0);
+    let swapped = |frame: &mut Detections| {
+        for person in &mut frame.people {
+            let points = person.points.clone();
+            let sides: Vec<_> = FORMAT.keypoints().iter().map(|point| point.of_left()).collect();
+            for (index, (left, side)) in sides.iter().enumerate() {
+                if let Some(other) = sides.iter().position(|other| *other == (*left, -side)) {
+                    person.points[other] = points[index];
+                }
+            }
+        }
+    };
+    let mut frames = stream_of(241, still);
+    frames.iter_mut().filter(|detections| detections.frame < 60).for_each(swapped);
+    let found = run(Config::default(), frames);
+    let error = mean_error(&found, 180, still);
+    assert!(error < 0.05, "{error} m two seconds later");
 }
 
 /// A window's first keyframes are blended with those of the previous window, with shares that fall

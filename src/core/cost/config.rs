@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::robust::LossKind;
 use super::stiffness::Stiffness;
 use crate::core::limits::{Limit, OutOfRange, check};
 use crate::core::manifold::Interpolation;
@@ -10,8 +11,9 @@ use crate::core::manifold::Interpolation;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Scale s of the Geman-McClure loss, pixels: the loss of an error of s is a quarter of its
-    /// square.
+    /// The loss of reprojection errors. Differs: the paper has Geman-McClure.
+    pub loss: LossKind,
+    /// Scale s of the loss, pixels; the largest one where the tracker finds it from the detections.
     pub scale_px: f64,
     /// Weight of the prior on z per frame, square pixels; a keyframe stands for the frames up to
     /// it.
@@ -27,6 +29,9 @@ pub struct Config {
     /// direction of a step. Use 0 for problems that the data hardly determine, such as a prior near
     /// 0: they need exact steps. Differs: the paper needs no Jacobians.
     pub jacobian_reuse_radius: f64,
+    /// Weight of the squared corrections of joints beside the manifold, square pixels per rad^2 and
+    /// frame; 0 has no corrections. Differs: the paper has none.
+    pub correction_prior: f64,
     /// How latent codes are interpolated between keyframes.
     pub interpolation: Interpolation,
     /// Weights of the accelerations at the keyframes.
@@ -36,12 +41,14 @@ pub struct Config {
 impl Default for Config {
     fn default() -> Self {
         Self {
+            loss: LossKind::Cauchy,
             scale_px: 30.0,
             prior: 20.0,
             prior_dof: 50.0,
             shape_prior: 1000.0,
             offset_prior: 300.0,
             jacobian_reuse_radius: 0.7,
+            correction_prior: 6000.0,
             interpolation: Interpolation::Slerp,
             stiffness: Stiffness::default(),
         }
@@ -61,9 +68,11 @@ impl Config {
             Limit::from_0("shape_prior", self.shape_prior),
             Limit::from_0("offset_prior", self.offset_prior),
             Limit::from_0("jacobian_reuse_radius", self.jacobian_reuse_radius),
+            Limit::from_0("correction_prior", self.correction_prior),
             Limit::from_0("stiffness.latent", self.stiffness.latent),
             Limit::from_0("stiffness.rotation", self.stiffness.rotation),
             Limit::from_0("stiffness.position", self.stiffness.position),
+            Limit::from_0("stiffness.correction", self.stiffness.correction),
             Limit::above_0("stiffness.robust_scale_px", self.stiffness.robust_scale_px),
         ])
     }

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::chain_rule::semidefinite_cholesky;
 use super::observation::{FrameObservations, Observation};
 use super::observation_batch::{LOCAL_ROWS, ObservationBatch};
-use super::robust::GemanMcClure;
+use super::reprojection::Reprojection;
 use super::scene::Scene;
 use super::unknowns::{KEYFRAME, Place, Unknowns};
 use crate::core::body::{BodyPoint, Joint, Posture, Tangents, Wrenches, forward, push_forward};
@@ -32,7 +32,7 @@ pub(super) enum Wanted {
 pub(super) struct Path<'p> {
     pub(super) scene: Scene<'p>,
     pub(super) unknowns: &'p Unknowns,
-    pub(super) loss: GemanMcClure,
+    pub(super) reprojection: Reprojection<'p>,
     /// The points' offsets in their joints' frames.
     pub(super) offsets: &'p [Vector3<f64>],
 }
@@ -128,7 +128,7 @@ impl<'p> Path<'p> {
         let cost = |views: &[Observation]| {
             let (point, arm) = self.point(views, posture);
             let position = posture.positions[point.attachment.joint.index()] + arm;
-            point.attachment.weight * self.point_cost(views, &position)
+            point.attachment.weight * self.reprojection.cost(views, &position)
         };
         frame.by_point().map(cost).sum()
     }
@@ -151,7 +151,7 @@ impl<'p> Path<'p> {
             let (point, arm) = self.point(views, posture);
             let (joint, weight) = (point.attachment.joint, point.attachment.weight);
             let position = posture.positions[joint.index()] + arm;
-            let (value, gradient, curvature) = self.point_terms(views, &position);
+            let (value, gradient, curvature) = self.reprojection.terms(views, &position);
             let (gradient, curvature) = (gradient * weight, curvature * weight);
             cost += weight * value;
             wrenches.add(joint, &arm, &gradient);
@@ -174,41 +174,6 @@ impl<'p> Path<'p> {
         let point = &self.scene.points[views[0].point];
         let rotation = &posture.rotations[point.attachment.joint.index()];
         (point, rotation * self.offsets[views[0].point])
-    }
-
-    fn point_cost(&self, views: &[Observation], position: &Vector3<f64>) -> f64 {
-        let cost = |view: &Observation| {
-            let seen = self.scene.rig.cameras[view.camera].project(position);
-            let rho = seen.map_or(self.loss.ceiling(), |pixel| {
-                self.loss.rho((pixel - view.pixel).norm_squared()).0
-            });
-            0.5 * view.confidence * rho
-        };
-        views.iter().map(cost).sum()
-    }
-
-    /// Cost of a point's views, with its gradient and Gauss-Newton curvature by the point's
-    /// position.
-    fn point_terms(
-        &self,
-        views: &[Observation],
-        position: &Vector3<f64>,
-    ) -> (f64, Vector3<f64>, Matrix3<f64>) {
-        let (mut cost, mut gradient, mut curvature) = (0.0, Vector3::zeros(), Matrix3::zeros());
-        for view in views {
-            let camera = &self.scene.rig.cameras[view.camera];
-            let Some((pixel, jacobian)) = camera.project_with_jacobian(position) else {
-                cost += 0.5 * view.confidence * self.loss.ceiling();
-                continue;
-            };
-            let residual = pixel - view.pixel;
-            let (rho, slope) = self.loss.rho(residual.norm_squared());
-            cost += 0.5 * view.confidence * rho;
-            let weighted = jacobian.transpose() * (view.confidence * slope);
-            gradient += weighted * residual;
-            curvature += weighted * jacobian;
-        }
-        (cost, gradient, curvature)
     }
 
     /// Adds three rows L^T J: L L^T is the curvature, J the point's Jacobian.

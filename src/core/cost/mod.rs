@@ -5,18 +5,20 @@
 //! cost = 1/2 sum over observations of w rho(|pixel(t) - detected|^2)
 //! + 1/2 prior sum of n_k |z_k|^2 + 1/2 sum of n_k stiffness |acceleration at k|^2
 //!
-//! rho is the Geman-McClure loss, w the detector's confidence times the point's weight, and n_k the
+//! rho is a robust loss ([`LossKind`]), w the detector's confidence times the point's weight, and n_k the
 //! number of frames of keyframe k. The path is evaluated at each observation's own capture time.
 //! Differs: the paper evaluates it at the frames of genlocked cameras, and has no stiffness.
 
 mod chain_rule;
 mod config;
+mod correction;
 mod counts;
 mod frame_cost;
 mod marginal;
 mod observation;
 mod observation_batch;
 mod path;
+mod reprojection;
 mod robust;
 mod scene;
 mod stiffness;
@@ -24,11 +26,12 @@ mod unknowns;
 mod workspace;
 
 pub use config::Config;
+pub use correction::CorrectionProblem;
 pub use counts::Counts;
 pub use marginal::Marginal;
 pub use observation::{FrameObservations, Observation};
 pub use path::PathProblem;
-pub use robust::GemanMcClure;
+pub use robust::{Loss, LossKind};
 pub use scene::Scene;
 pub use stiffness::Stiffness;
 pub use unknowns::{FreeBody, PathKeyframe};

@@ -9,7 +9,8 @@ use super::chain_rule::{KeyframeTangent, block, keyframe_tangents};
 use super::config::Config;
 use super::frame_cost::{self, Path};
 use super::observation::{FrameObservations, Observation};
-use super::robust::{GemanMcClure, StudentT};
+use super::reprojection::Reprojection;
+use super::robust::{Loss, StudentT};
 use super::scene::Scene;
 use super::unknowns::{FreeBody, KEYFRAME, PathKeyframe, Unknowns};
 use super::workspace::{Workspace, in_batches};
@@ -26,7 +27,7 @@ pub struct PathProblem<'a> {
     observations: &'a [FrameObservations],
     work: &'a mut Workspace,
     pub(super) unknowns: Unknowns,
-    loss: GemanMcClure,
+    loss: Loss,
 }
 
 /// What to compute besides the cost.
@@ -76,7 +77,7 @@ impl<'a> PathProblem<'a> {
         work.forget();
         Self {
             unknowns: Unknowns::new(path, skeleton, free),
-            loss: GemanMcClure::new(scene.config.scale_px),
+            loss: Loss::new(scene.config.loss, scene.config.scale_px),
             scene,
             observations,
             work,
@@ -85,7 +86,7 @@ impl<'a> PathProblem<'a> {
 
     /// Changes the scale of the loss, pixels.
     pub fn set_scale(&mut self, scale_px: f64) {
-        self.loss = GemanMcClure::new(scale_px);
+        self.loss = Loss::new(self.scene.config.loss, scale_px);
     }
 
     /// The cost of the observations up to a time, and of those after it, at the last evaluation, as
@@ -124,12 +125,17 @@ impl<'a> PathProblem<'a> {
         self.unknowns.take(x);
         let cost = self.prior(x, &mut wanted);
         let Self { scene, unknowns, loss, observations, work, .. } = self;
-        let (scene, unknowns, loss, for_frames) = (*scene, &*unknowns, *loss, wanted.for_frames());
+        let reprojection = Reprojection { rig: scene.rig, loss: *loss };
+        let (scene, unknowns, for_frames) = (*scene, &*unknowns, wanted.for_frames());
         let offsets = scene.points.iter().map(|point| point.attachment.offset(&unknowns.skeleton));
         work.offsets.clear();
         work.offsets.extend(offsets);
         work.compute(observations, |observations, offsets, batch| {
-            Path { scene, unknowns, loss, offsets }.compute(observations, for_frames, batch);
+            Path { scene, unknowns, reprojection, offsets }.compute(
+                observations,
+                for_frames,
+                batch,
+            );
         });
         if let Some(gradient) = wanted.gradient() {
             self.scatter_gradients(gradient);

@@ -1,28 +1,49 @@
 //! The robust loss, and the prior on codes.
 
+use serde::{Deserialize, Serialize};
+
 use crate::core::manifold::LATENT;
 
-/// Geman-McClure: rho(q) = s^2 q / (q + s^2), with q a squared residual.
+/// The kind of a robust loss rho(q) of a squared residual q, with a scale s.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LossKind {
+    /// rho(q) = s^2 ln(1 + q / s^2): large errors never lose all their force, so a limb finds back.
+    #[default]
+    Cauchy,
+    /// rho(q) = s^2 q / (q + s^2), the paper's.
+    #[serde(rename = "geman_mcclure")]
+    GemanMcClure,
+}
+
+/// A robust loss with its scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GemanMcClure {
+pub struct Loss {
+    kind: LossKind,
     square_scale: f64,
 }
 
-impl GemanMcClure {
+/// An error of this many scales stands for a body far from the detections.
+const FAR: f64 = 7.0;
+
+impl Loss {
     /// With scale s, in the residual's unit.
-    pub fn new(scale: f64) -> Self {
-        Self { square_scale: scale * scale }
+    pub fn new(kind: LossKind, scale: f64) -> Self {
+        Self { kind, square_scale: scale * scale }
     }
 
-    /// rho and its derivative, which is the IRLS weight (s^2 / (q + s^2))^2.
+    /// rho and its derivative, which is the IRLS weight: s^2 / (q + s^2), for Geman-McClure its square.
     pub fn rho(&self, square: f64) -> (f64, f64) {
         let ratio = self.square_scale / (square + self.square_scale);
-        (ratio * square, ratio * ratio)
+        match self.kind {
+            LossKind::Cauchy => (-self.square_scale * libm::log(ratio), ratio),
+            LossKind::GemanMcClure => (ratio * square, ratio * ratio),
+        }
     }
 
-    /// The value that rho tends to for large residuals.
+    /// The loss of a point behind the camera: of an error of seven scales.
     pub fn ceiling(&self) -> f64 {
-        self.square_scale
+        self.rho(FAR * FAR * self.square_scale).0
     }
 }
 
@@ -56,11 +77,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn small_errors_count_squared_and_large_ones_are_capped() {
-        let loss = GemanMcClure::new(30.0);
-        assert!((loss.rho(1.0).0 - 1.0).abs() < 2e-3);
-        assert_eq!(loss.rho(900.0), (450.0, 0.25));
-        assert!(loss.rho(1e9).0 < loss.ceiling());
+    fn small_errors_count_squared_and_large_ones_less() {
+        for kind in [LossKind::Cauchy, LossKind::GemanMcClure] {
+            let loss = Loss::new(kind, 30.0);
+            assert!((loss.rho(1.0).0 - 1.0).abs() < 2e-3, "{kind:?}");
+            for error in [3.0_f64, 30.0, 300.0] {
+                let q = error * error;
+                let step = (loss.rho(1.0001 * q).0 - loss.rho(0.9999 * q).0) / (2e-4 * q);
+                assert!((step / loss.rho(q).1 - 1.0).abs() < 1e-6, "{kind:?} {error}");
+            }
+        }
+        assert_eq!(Loss::new(LossKind::GemanMcClure, 30.0).rho(900.0), (450.0, 0.25));
+        assert_eq!(Loss::new(LossKind::Cauchy, 30.0).rho(900.0).1, 0.5);
     }
 
     #[test]

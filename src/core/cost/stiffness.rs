@@ -28,27 +28,31 @@ pub struct Stiffness {
     pub rotation: f64,
     /// Of the root's position, square pixels per (m/s^2)^2.
     pub position: f64,
+    /// Of the corrections of joints, square pixels per (rad/s^2)^2.
+    pub correction: f64,
     /// Scale s, pixels: an acceleration of this weighted size has half of its weight left.
     pub robust_scale_px: f64,
 }
 
 impl Default for Stiffness {
     fn default() -> Self {
-        Self { latent: 1e-3, rotation: 0.04, position: 0.4, robust_scale_px: 30.0 }
+        Self { latent: 1e-3, rotation: 0.04, position: 0.4, correction: 0.1, robust_scale_px: 30.0 }
     }
 }
 
 impl Stiffness {
     /// No such term, as in the paper.
-    pub const NONE: Self = Self { latent: 0.0, rotation: 0.0, position: 0.0, robust_scale_px: 1.0 };
+    pub const NONE: Self =
+        Self { latent: 0.0, rotation: 0.0, position: 0.0, correction: 0.0, robust_scale_px: 1.0 };
 
     /// All weights times `factor`.
     pub fn times(self, factor: f64) -> Self {
-        let Self { latent, rotation, position, .. } = self;
+        let Self { latent, rotation, position, correction, .. } = self;
         Self {
             latent: latent * factor,
             rotation: rotation * factor,
             position: position * factor,
+            correction: correction * factor,
             ..self
         }
     }
@@ -88,6 +92,13 @@ impl Stiffness {
     }
 }
 
+/// The factors c0, c1, c2 of three values in their acceleration, 1/s^2, from the times between them,
+/// seconds.
+pub(super) fn acceleration_factors(first: f64, second: f64) -> [f64; 3] {
+    let [c0, c2] = [first, second].map(|t| 2.0 / ((first + second) * t));
+    [c0, -c0 - c2, c2]
+}
+
 /// Three keyframes in a row, and the acceleration over them.
 struct Triple {
     keyframes: [usize; 3],
@@ -109,8 +120,7 @@ impl Triple {
         let [k0, k1, k2] = keyframes.map(|k| &path.keyframes[k]);
         let [t0, t1, t2] = keyframes.map(|k| path.capture(k));
         let (first, second) = (t1.seconds_since(t0), t2.seconds_since(t1));
-        let [c0, c2] = [first, second].map(|t| 2.0 / ((first + second) * t));
-        let c1 = -c0 - c2;
+        let [c0, c1, c2] = acceleration_factors(first, second);
         let turn =
             |a: &Keyframe, b: &Keyframe| so3::turn_between(&a.root_rotation, &b.root_rotation);
         let (early, late) = (turn(k0, k1), turn(k1, k2));

@@ -86,10 +86,11 @@ impl Decoder {
             let mut codes = [[0.0; LATENT]; BATCH];
             codes.iter_mut().zip(keyframes).for_each(|(code, keyframe)| *code = keyframe.z);
             self.values(&codes, &mut work);
-            poses.extend(keyframes.iter().enumerate().map(|(n, keyframe)| Pose {
-                root_rotation: keyframe.root_rotation,
-                root_position: keyframe.root_position,
-                local: work.rotations(n),
+            poses.extend(keyframes.iter().enumerate().map(|(n, keyframe)| {
+                let mut local = work.rotations(n);
+                keyframe.correction.apply(&mut local);
+                let Keyframe { root_rotation, root_position, .. } = *keyframe;
+                Pose { root_rotation, root_position, local }
             }));
         }
         poses

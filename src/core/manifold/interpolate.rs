@@ -89,6 +89,7 @@ impl Interpolation {
             z: self.latent(&from.z, &to.z, s),
             root_rotation: so3::slerp(&from.root_rotation, &to.root_rotation, s),
             root_position: from.root_position.lerp(&to.root_position, s),
+            correction: from.correction.lerp(&to.correction, s),
         }
     }
 

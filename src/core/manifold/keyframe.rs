@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{Decoder, Interpolation, Latent};
+use super::{Correction, Decoder, Interpolation, Latent};
 use crate::core::body::{Pose, Shape, StampedPose, TrackingState};
 use crate::core::so3;
 use crate::core::time::{Grid, Timestamp};
@@ -16,13 +16,16 @@ pub struct Keyframe {
     pub root_rotation: Matrix3<f64>,
     /// The pelvis in the world, metres.
     pub root_position: Vector3<f64>,
+    /// Rotations of joints beside the manifold.
+    pub correction: Correction,
 }
 
 impl Keyframe {
     /// The nearest keyframe that a message holds exactly, so that every receiver decodes the same
     /// poses; see [`so3::quantised`].
     pub fn quantised(self) -> Self {
-        Self { root_rotation: so3::quantised(&self.root_rotation), ..self }
+        let root_rotation = so3::quantised(&self.root_rotation);
+        Self { root_rotation, correction: self.correction.quantised(), ..self }
     }
 }
 

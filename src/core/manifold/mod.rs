@@ -1,12 +1,14 @@
 //! The pose manifold: decoder, weights, interpolation, transitions.
 
 pub(crate) mod activation;
+mod correction;
 mod decoder;
 mod interpolate;
 mod keyframe;
 mod transition;
 mod weights;
 
+pub use correction::{CORRECTED, CORRECTION, Correction};
 pub use decoder::{Decoder, EMBEDDED, Jacobians};
 pub use interpolate::{Interpolation, LatentTangent};
 pub use keyframe::{Keyframe, StampedKeyframe, TimedKeyframe};

@@ -11,7 +11,7 @@ use crate::core::cost::{
     self, FrameObservations, FreeBody, Observation, PathKeyframe, PathProblem, Scene, Workspace,
 };
 use crate::core::detections::{Detections, Keypoint, Person};
-use crate::core::manifold::{Keyframe, LATENT, TimedKeyframe};
+use crate::core::manifold::{Correction, Keyframe, LATENT, TimedKeyframe};
 use crate::core::optimise::Optimiser;
 use crate::core::time::Timestamp;
 
@@ -223,7 +223,12 @@ pub(super) fn fit(
     let torso = Torso::of(scene.points, &seen.points)?;
     let (root_rotation, root_position) = torso.root(skeleton)?;
     let observations = [FrameObservations::new(Timestamp::default(), seen.observations.clone())];
-    let mut keyframe = Keyframe { z: [0.0; LATENT], root_rotation, root_position };
+    let mut keyframe = Keyframe {
+        z: [0.0; LATENT],
+        root_rotation,
+        root_position,
+        correction: Correction::default(),
+    };
     let mut skeleton = skeleton.clone();
     let loose = cost::Config {
         scale_px: scene.config.scale_px * FIRST_STAGE,

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::core::cost::{self, FreeBody, Stiffness};
+use crate::core::cost::{self, FreeBody, LossKind, Stiffness};
 use crate::core::limits::{Limit, OutOfRange, check};
 use crate::core::optimise::OptimiserKind;
 
@@ -35,6 +35,9 @@ pub struct Config {
     /// used unchanged. At other errors they are scaled by the square of the ratio; 0 never scales.
     /// Differs: the paper has fixed weights.
     pub reference_residual_px: f64,
+    /// Scale of the loss relative to the median error of the detections; between 6 pixels and
+    /// `cost.scale_px`. 0 always uses `cost.scale_px`, as the paper does.
+    pub relative_scale: f64,
     /// Number of windows in a row that are extrapolated for lack of detections, before the
     /// performer is lost.
     pub coast_windows: usize,
@@ -87,6 +90,7 @@ impl Default for Config {
             provisional_iterations: 3,
             body_windows: 4,
             reference_residual_px: 7.0,
+            relative_scale: 1.3,
             coast_windows: 6,
             grace_windows: 6,
             acquisition_iterations: 30,
@@ -112,13 +116,16 @@ impl Config {
             optimiser: OptimiserKind::Lbfgs,
             body_windows: 0,
             reference_residual_px: 0.0,
+            relative_scale: 0.0,
             coast_windows: 3,
             grace_windows: 3,
             cost: cost::Config {
                 prior: 90.0,
                 prior_dof: 0.0,
+                loss: LossKind::GemanMcClure,
                 scale_px: 60.0,
                 jacobian_reuse_radius: 0.0,
+                correction_prior: 0.0,
                 stiffness: Stiffness::NONE,
                 ..Default::default()
             },
@@ -146,6 +153,7 @@ impl Config {
             Limit::one_to_1000("grace_windows", self.grace_windows),
             Limit("threads", self.threads as f64, 1.0..=2.0, "1 or 2"),
             Limit::from_0("reference_residual_px", self.reference_residual_px),
+            Limit::from_0("relative_scale", self.relative_scale),
             Limit("min_confidence", self.min_confidence, 0.0..=1.0, "0 to 1"),
             Limit::from_0("change_threshold", self.change_threshold),
         ])?;

@@ -10,7 +10,7 @@ use crate::core::time::Timestamp;
 const WINDOWS: f64 = 20.0;
 /// Limits of the weights' factor: small errors leave the errors of our model, and with large errors
 /// poses must still follow the detections.
-const FACTORS: (f64, f64) = (0.3, 2.0);
+const FACTORS: (f64, f64) = (0.08, 2.0);
 
 /// The distance of a detected point from the solved body.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,6 +48,11 @@ impl Noise {
         let windows = (self.windows + 1.0).min(WINDOWS);
         let square = self.square + (error * error - self.square) / windows;
         Self { square, windows }
+    }
+
+    /// The median error of the detections, pixels; `None` before the first window.
+    pub(super) fn error_px(&self) -> Option<f64> {
+        (self.windows > 0.0).then(|| libm::sqrt(self.square))
     }
 
     /// The factor of weights that were tuned for median errors of `usual_px`; 1 before the first

@@ -3,7 +3,7 @@
 use super::check::{Field, field};
 use super::{DecodeError, Keyframe};
 use crate::core::body::{SHAPE_COEFFICIENTS, Shape};
-use crate::core::manifold::{self, Interpolation, LATENT, StampedKeyframe};
+use crate::core::manifold::{self, CORRECTION, Correction, Interpolation, LATENT, StampedKeyframe};
 use crate::core::so3;
 use crate::core::time::{Grid, Timestamp};
 
@@ -27,6 +27,7 @@ impl Keyframe {
             z: keyframe.z.to_vec(),
             root_rotation: so3::quantised_xyzw(&keyframe.root_rotation).to_vec(),
             root_position_m: keyframe.root_position.iter().copied().collect(),
+            correction: wire_correction(&keyframe.correction),
             shape: stamped.shape.0.to_vec(),
             start_time_ns: stamped.start.ns(),
             interpolation: stamped.interpolation.name().to_owned(),
@@ -51,6 +52,7 @@ impl Keyframe {
                 z: at("z").numbers::<LATENT, _>(&self.z)?,
                 root_rotation: at("root_rotation").rotation(&self.root_rotation)?,
                 root_position: at("root_position_m").vector(&self.root_position_m)?,
+                correction: self.core_correction()?,
             },
             shape: Shape(at("shape").numbers::<SHAPE_COEFFICIENTS, _>(&self.shape)?),
             start: self.start()?,
@@ -63,6 +65,14 @@ impl Keyframe {
                 .ok_or_else(|| at("state").invalid(format!("unknown state {}", self.state)))?,
             rig_version: self.rig_version,
         })
+    }
+
+    /// Zero if there is none.
+    fn core_correction(&self) -> Result<Correction, DecodeError> {
+        match self.correction.is_empty() {
+            true => Ok(Correction::default()),
+            false => Ok(Correction(at("correction").numbers::<CORRECTION, _>(&self.correction)?)),
+        }
     }
 
     fn start(&self) -> Result<Timestamp, DecodeError> {
@@ -81,5 +91,13 @@ impl Keyframe {
             return Err(at("grid_period_ns").invalid(reason));
         }
         Ok(Grid { origin: Timestamp::from_ns(self.grid_origin_ns), period_ns })
+    }
+}
+
+/// Empty for none, as in recordings from before there were corrections.
+fn wire_correction(correction: &Correction) -> Vec<f32> {
+    match *correction == Correction::default() {
+        true => Vec::new(),
+        false => correction.0.iter().map(|&c| c as f32).collect(),
     }
 }

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use super::joints::{Joints, UNKNOWNS};
 use crate::core::body::Skeleton;
 use crate::core::cost::{FrameObservations, FreeBody, PathKeyframe, PathProblem, Scene, Workspace};
-use crate::core::manifold::{Keyframe, LATENT, TimedKeyframe};
+use crate::core::manifold::{Correction, Keyframe, LATENT, TimedKeyframe};
 use crate::core::optimise::{Layout, NormalEquations, Problem};
 use crate::core::so3;
 use crate::core::time::Timestamp;
@@ -93,6 +93,7 @@ impl<'a> FramePath<'a> {
             z: std::array::from_fn(|i| x[i]),
             root_rotation: so3::exp(turn) * initial.root_rotation,
             root_position: Vector3::from_column_slice(&x[LATENT + 3..]),
+            correction: Correction::default(),
         };
         let frames = x.chunks_exact(UNKNOWNS).zip(self.initial).zip(&turns);
         let keyframes: Vec<_> = frames.map(keyframe).collect();

@@ -203,6 +203,7 @@ impl Term for Transitions<'_> {
 mod tests {
     use super::super::joints::Joints;
     use super::*;
+    use crate::core::manifold::Correction;
     use crate::core::optimise::Layout;
     use nalgebra::Vector3;
 
@@ -218,6 +219,7 @@ mod tests {
             z: std::array::from_fn(|i| x[i]),
             root_rotation: so3::exp(&turns[k]) * so3::exp(&Vector3::new(0.1, 0.1 * k as f64, 0.3)),
             root_position: Vector3::from_column_slice(&x[LATENT + 3..]),
+            correction: Correction::default(),
         };
         let keyframes = x.chunks_exact(UNKNOWNS).enumerate().map(keyframe).collect();
         State { keyframes, turns, joints: Joints::default() }

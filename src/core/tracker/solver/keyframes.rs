@@ -16,6 +16,9 @@ const FAR: f64 = 0.3;
 /// Then its keyframes are solved roughly, one after the other, with a wide loss.
 const ONE_BY_ONE: Steps = Steps { iterations: 1, scale_factor: 3.0 };
 
+/// Smallest scale of a loss that follows the detections, pixels: below it are the errors of our model.
+const LEAST_SCALE_PX: f64 = 6.0;
+
 /// Settings of a keyframe solve.
 #[derive(Clone, Copy)]
 pub(super) struct Steps {
@@ -98,12 +101,18 @@ impl Solver {
         path.split_off(known.past.len())
     }
 
-    /// The cost's weights, with prior and stiffness scaled by the variance of the detections.
+    /// The cost's weights, with priors and stiffness scaled by the variance of the detections, and the
+    /// loss by their median error.
     pub(super) fn cost(&self, job: &Job) -> cost::Config {
-        let Config { cost, reference_residual_px, .. } = self.config;
+        let Config { cost, reference_residual_px, relative_scale, .. } = self.config;
         let factor = job.noise.factor(reference_residual_px);
+        let error_px = job.noise.error_px().filter(|_| relative_scale > 0.0);
+        let scale_px = error_px.map_or(cost.scale_px, |error_px| {
+            (relative_scale * error_px).max(LEAST_SCALE_PX).min(cost.scale_px)
+        });
         let (prior, stiffness) = (cost.prior * factor, cost.stiffness.times(factor));
-        cost::Config { prior, stiffness, ..cost }
+        let correction_prior = cost.correction_prior * factor;
+        cost::Config { scale_px, prior, correction_prior, stiffness, ..cost }
     }
 }
 

@@ -6,7 +6,7 @@ use super::super::corpus::{Clip, FPS, Frame, mirrored, pose_vector, resampled};
 use super::super::evaluate::encode;
 use super::super::model::Model;
 use crate::core::body::FASTEST;
-use crate::core::manifold::{Keyframe, MOVE, STATE, move_of, state_of};
+use crate::core::manifold::{Correction, Keyframe, MOVE, STATE, move_of, state_of};
 
 /// Frame rates of the samples, Hz.
 pub const RATES: [f64; 3] = [30.0, 50.0, 60.0];
@@ -82,6 +82,7 @@ pub fn keyframes(model: &Model, clip: &Clip, fps: f64, mirror: bool) -> Vec<Keyf
             z: code.map(f64::from),
             root_rotation: flip * rotation * flip,
             root_position: flip * position,
+            correction: Correction::default(),
         })
         .collect()
 }
