@@ -31,7 +31,7 @@ mod truth;
 mod windows;
 
 pub use error::Error;
-pub use hold_out::{CONFIDENT, HeldOut, HoldOut, distances, pose_at};
+pub use hold_out::{CONFIDENT, HeldOut, HoldOut, Located, distances, pose_at};
 pub use recording::Recording;
 pub use reference::{FrameClock, Reference, ReferenceComparison};
 pub use solve::{Observer, Options, solve};

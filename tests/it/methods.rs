@@ -13,8 +13,8 @@ use bundlemocap::core::optimise::{
 use bundlemocap::core::time::Nanos;
 use bundlemocap::metrics;
 use bundlemocap::research::methods::{
-    self, Delay, FramePath, JointSteps, KeyframeSteps, LowFrequency, Method, MuVs, Solved, Take,
-    Term, UNKNOWNS,
+    self, Delay, FramePath, JointSteps, KeyframeSteps, LowFrequency, Method, Motion as Solution,
+    MuVs, Solved, Take, Term, UNKNOWNS,
 };
 use bundlemocap::research::synth::{Motion, MotionStyle, Recording, ring_rig};
 use nalgebra::{DMatrix, Vector2};
@@ -202,8 +202,10 @@ fn recording() -> (Take, Vec<Posture>) {
 
 /// MPJPE in mm and acceleration error in m/s^2.
 fn errors(take: &Take, truth: &[Posture], solved: &Solved) -> (f64, f64) {
-    let first = truth.len() - solved.poses.len();
-    let found: Vec<_> = solved.poses.iter().map(|(_, p)| p.posture(&solved.skeleton)).collect();
+    let frames = solved.motion.times().len();
+    let first = truth.len() - frames;
+    let bodies = (0..frames).filter_map(|frame| solved.motion.frame(frame));
+    let found: Vec<_> = bodies.filter_map(|body| body.posture().cloned()).collect();
     let errors = metrics::pose_errors(found.iter().zip(&truth[first..])).unwrap();
     (errors.mpjpe_mm, metrics::acceleration_error(&found, &truth[first..], take.fps).unwrap())
 }
@@ -231,7 +233,8 @@ fn every_method_solves_a_recording_and_temporal_ones_are_smoother() {
         println!("{name}: {mpjpe:.1} mm, {acceleration:.1} m/s^2");
         let measured = MEASURED_MM.into_iter().find(|(of, _)| of == name).unwrap().1;
         pinned(name, mpjpe, measured);
-        let steps = solved.poses.windows(2).map(|pair| pair[1].0 - pair[0].0);
+        let times = solved.motion.times();
+        let steps = times.windows(2).map(|pair| pair[1] - pair[0]);
         assert!(
             steps.into_iter().all(|step| (step - Nanos::of_frames(1, 60.0)).abs() < Nanos::new(10)),
             "{name}"
@@ -255,7 +258,8 @@ fn a_frame_with_too_few_detections_keeps_the_previous_pose() {
     let mut method = MuVs::default();
     assert_eq!(method.delay(), Delay::Frames(0));
     let solved = method.solve(&take, &Decoder::embedded().unwrap()).unwrap();
-    for pair in solved.poses.windows(2) {
+    let Solution::Poses(_, poses) = solved.motion else { panic!("no poses") };
+    for pair in poses.windows(2) {
         let frame = frame_of(pair[1].0) as u64;
         assert_eq!(pair[0].1 == pair[1].1, is_hidden(&frame), "frame {frame}");
     }

@@ -12,9 +12,11 @@ use bundlemocap::research::synth::{Motion, MotionStyle, Recording, ring_rig};
 /// Mean joint error, mm, and acceleration error, m/s^2, against the true poses.
 fn errors<M: Fn(f64) -> Pose>(recording: &Recording<M>, solved: &Solved) -> (f64, f64) {
     let truth: Vec<StampedPose> = recording.poses().collect();
-    let pairs = solved.poses.iter().filter_map(|(at, pose)| {
+    let times = solved.motion.times();
+    let pairs = times.iter().enumerate().filter_map(|(frame, at)| {
         let truth = truth.iter().find(|truth| (truth.capture - *at).abs() < Nanos::from_ms(1))?;
-        Some((pose.posture(&solved.skeleton), truth.pose.posture(&recording.skeleton)))
+        let found = solved.motion.frame(frame)?.posture()?.clone();
+        Some((found, truth.pose.posture(&recording.skeleton)))
     });
     let (found, truth): (Vec<Posture>, Vec<Posture>) = pairs.unzip();
     assert!(found.len() > 40, "{} of 60 frames", found.len());

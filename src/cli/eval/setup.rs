@@ -11,7 +11,7 @@ use crate::core::camera::Rig;
 use crate::core::detections::KeypointFormat;
 use crate::core::manifold::Decoder;
 use crate::research::experiments::{Case, Methods, Run, Subject, View, procedural, run, subjects};
-use crate::research::synth::{Noise, Protocol, RigError, rig_named};
+use crate::research::synth::{Body, Noise, Protocol, RigError, rig_named};
 use crate::research::train::{self, Clip, read_folder};
 
 /// File of the Human3.6M cameras in `BUNDLEMOCAP_DATA` or `../shared`.
@@ -155,6 +155,10 @@ fn protocol(arguments: &Arguments) -> Result<Protocol, Failure> {
     }
     if !arguments.rig.is_empty() {
         protocol.rigs.clone_from(&arguments.rig);
+    }
+    if let Some(body) = Body::ALL.into_iter().find(|b| arguments.body.as_deref() == Some(b.name()))
+    {
+        protocol.sequence.body = body;
     }
     if let Some(fps) = arguments.fps {
         protocol.sequence.fps = frame_rate_option(fps)?;

@@ -13,6 +13,7 @@ use crate::core::cost::Stiffness;
 use crate::core::manifold::Transition;
 use crate::core::tracker::Config;
 use crate::io::report::Table;
+use crate::metrics::PoseErrors;
 use crate::metrics::statistics::mean;
 use crate::research::methods::{
     Dct, DctWeights, Dmmr, DmmrWeights, Etc, EtcWeights, Method, MuVs, MuVsWeights, Slahmr,
@@ -203,17 +204,18 @@ pub fn tune<E>(
 }
 
 fn trial(axes: &[Axis], values: Vec<f64>, row: usize, runs: &[Run]) -> Trial {
-    let scores = |run: &Run, of: fn(&super::Score) -> f64| {
+    let scores = |run: &Run, of: fn(&PoseErrors) -> f64| {
+        let found = run.rows[row].results.iter().flatten();
         let found: Vec<f64> =
-            run.rows[row].results.iter().flatten().map(|(score, _)| of(score)).collect();
+            found.filter_map(|(score, _)| Some(of(score.pose.as_ref()?))).collect();
         mean(&found)
     };
     Trial {
         name: label(axes, &values),
         values,
         judged: judge(runs, row),
-        mpjpe_mm: runs.iter().map(|run| scores(run, |s| s.pose.mpjpe_mm)).collect(),
-        mae_deg: runs.iter().map(|run| scores(run, |s| s.pose.mae_deg)).collect(),
+        mpjpe_mm: runs.iter().map(|run| scores(run, |pose| pose.mpjpe_mm)).collect(),
+        mae_deg: runs.iter().map(|run| scores(run, |pose| pose.mae_deg)).collect(),
     }
 }
 
@@ -222,7 +224,8 @@ fn trial(axes: &[Axis], values: Vec<f64>, row: usize, runs: &[Run]) -> Trial {
 fn judge(runs: &[Run], row: usize) -> f64 {
     let results = runs.iter().flat_map(|run| &run.rows[row].results);
     let of = |result: &Option<(super::Score, super::Trace)>| {
-        result.as_ref().map_or(FAILED, |(s, _)| s.pose.mpjpe_mm + MM_PER_DEGREE * s.pose.mae_deg)
+        let pose = result.as_ref().and_then(|(score, _)| score.pose.as_ref());
+        pose.map_or(FAILED, |pose| pose.mpjpe_mm + MM_PER_DEGREE * pose.mae_deg)
     };
     mean(&results.map(of).collect::<Vec<_>>()).unwrap_or(FAILED)
 }

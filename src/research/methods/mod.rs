@@ -21,6 +21,7 @@ mod muvs;
 mod path;
 mod registry;
 mod slahmr;
+mod solved;
 mod start;
 mod terms;
 mod windows;
@@ -36,15 +37,14 @@ pub use muvs::{MuVs, MuVsWeights};
 pub use path::{FramePath, State, Term};
 pub use registry::{NAMES, all, named};
 pub use slahmr::{Slahmr, SlahmrWeights};
+pub use solved::{Body, Motion, Solved};
 pub use start::{Start, start};
 pub use terms::{JointSteps, KeyframeSteps, LowFrequency};
 pub use windows::Windows;
 
-use crate::core::body::{Pose, Skeleton};
 use crate::core::camera::Rig;
 use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::manifold::Decoder;
-use crate::core::time::Timestamp;
 
 /// The input of every method: the detections of one recording.
 #[derive(Clone, Debug)]
@@ -57,17 +57,6 @@ pub struct Take {
     pub fps: f64,
     /// Detections in order of capture time.
     pub frames: Vec<Detections>,
-}
-
-/// The result of a method.
-#[derive(Clone, Debug)]
-pub struct Solved {
-    /// The body.
-    pub skeleton: Arc<Skeleton>,
-    /// Poses in order of capture time, one per nominal frame, starting at the first keyframe.
-    pub poses: Vec<(Timestamp, Pose)>,
-    /// Capture times of the borders between pieces that were solved separately.
-    pub borders: Vec<Timestamp>,
 }
 
 /// How long a pose waits for later frames.

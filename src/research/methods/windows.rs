@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{Delay, Method, Solved, Take};
+use super::{Delay, Method, Motion, Solved, Take};
 use crate::core::cost;
 use crate::core::manifold::Decoder;
 use crate::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
@@ -67,6 +67,6 @@ impl Method for Windows {
         });
         // All poses are scored with the last body.
         let skeleton = tracker.skeleton().cloned().or(body)?;
-        Some(Solved { skeleton, poses, borders })
+        Some(Solved { motion: Motion::Poses(skeleton, poses), borders })
     }
 }

@@ -2,10 +2,11 @@
 
 use nalgebra::{Point2, Vector2, Vector3};
 
+use super::body::Body;
 use super::motion::{Motion, MotionStyle};
 use super::noise::Noise;
 use super::points::{Region, along, difficulty, limb_of, mirrored};
-use crate::core::body::{Attachment, Posture, Skeleton};
+use crate::core::body::{Posture, Skeleton};
 use crate::core::camera::Camera;
 use crate::core::detections::{Detection, Detections, Keypoint, KeypointFormat, Person};
 use crate::core::random::Draws;
@@ -30,6 +31,7 @@ mod topic {
     pub(super) const WANDER: u64 = 700;
     pub(super) const GUESS: u64 = 800;
     pub(super) const BIAS: u64 = 900;
+    pub(super) const SIDE: u64 = 950;
     /// Added for the bystander's points.
     pub(super) const OF_STRANGER: u64 = 1000;
 }
@@ -41,6 +43,7 @@ pub(super) struct Detector<'a> {
     index: usize,
     format: KeypointFormat,
     noise: &'a Noise,
+    body: Body,
     draws: Draws,
     /// Systematic offset of each point of the format, in its joint's frame, metres.
     biases: Vec<Vector3<f64>>,
@@ -53,15 +56,16 @@ impl<'a> Detector<'a> {
         index: usize,
         format: KeypointFormat,
         noise: &'a Noise,
+        body: Body,
         seed: u64,
     ) -> Self {
         // Draws that all cameras share.
         let shared = Draws { seed, stream: u64::MAX };
         let points = format.keypoints().iter();
-        let biases = points.map(|&keypoint| bias(keypoint, &shared) * noise.bias_m).collect();
+        let biases = points.map(|&keypoint| bias(keypoint, body, &shared) * noise.bias_m).collect();
         let stranger = stranger(shared);
         let draws = Draws { seed, stream: index as u64 };
-        Self { camera, index, format, noise, draws, biases, stranger }
+        Self { camera, index, format, noise, body, draws, biases, stranger }
     }
 
     /// The detections of the body in one frame, captured at `seconds`.
@@ -125,9 +129,9 @@ impl<'a> Detector<'a> {
 
     /// Where the detector places a point, world frame, metres: the true point plus its bias.
     fn believed(&self, keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
-        let joint = Attachment::of(keypoint).joint.index();
+        let (joint, offset) = self.body.place(keypoint, skeleton);
         let bias = self.format.index_of(keypoint).map_or(Vector3::zeros(), |i| self.biases[i]);
-        position(keypoint, skeleton, posture) + posture.rotations[joint] * bias
+        posture.positions[joint.index()] + posture.rotations[joint.index()] * (offset + bias)
     }
 
     /// The detection of one point, given its pixel without random errors.
@@ -214,22 +218,25 @@ struct At {
     base: u64,
 }
 
-/// Position of a keypoint: P_j + G_j offset, world frame, metres.
+/// Position of a keypoint on a body of our model, world frame, metres.
 pub fn position(keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
-    let attachment = Attachment::of(keypoint);
-    let joint = attachment.joint.index();
-    posture.positions[joint] + posture.rotations[joint] * attachment.offset(skeleton)
+    Body::Own.position(keypoint, skeleton, posture)
 }
 
-/// A standard normal offset for a point; left and right mirror each other.
-fn bias(keypoint: Keypoint, draws: &Draws) -> Vector3<f64> {
+/// A standard normal offset for a point; left and right mirror each other, as far as those of `body`
+/// do.
+fn bias(keypoint: Keypoint, body: Body, draws: &Draws) -> Vector3<f64> {
     let (left, side) = keypoint.of_left();
-    let [x, y] = draws.normals(topic::BIAS, left as u64);
-    let [z, _] = draws.normals(topic::BIAS + 1, left as u64);
+    let normals = |topic: u64, key: Keypoint| {
+        let [x, y] = draws.normals(topic, key as u64);
+        Vector3::new(x, y, draws.normals(topic + 1, key as u64)[0])
+    };
+    let (both, own) = (normals(topic::BIAS, left), normals(topic::SIDE, keypoint));
+    let drawn = both * (1.0 - body.asymmetry()).sqrt() + own * body.asymmetry().sqrt();
     // Points on the midline have no sideways offset.
     let middle = matches!(left, Keypoint::Nose | Keypoint::HeadTop | Keypoint::MidHip)
         || matches!(left, Keypoint::Neck | Keypoint::UpperNeck);
-    Vector3::new(if middle { 0.0 } else { side * x }, y, z)
+    Vector3::new(if middle { 0.0 } else { side * drawn.x }, drawn.y, drawn.z)
 }
 
 /// The index of the limb that a point is on, 0 to 3.
