@@ -120,6 +120,14 @@ pub fn solve(
     Ok(summary)
 }
 
+/// The settings of a pass over `frames` frames that only estimates the body, from windows of the
+/// whole recording. `None` if the body is not estimated.
+pub fn first_pass(config: tracker::Config, frames: usize) -> Option<tracker::Config> {
+    let windows = frames / config.publish_frames.max(1);
+    let body_windows = (windows / tracker::BODY_WINDOWS).max(1);
+    (config.body_windows > 0).then_some(tracker::Config { body_windows, ..config })
+}
+
 /// The first pass: estimates the body from windows of the whole recording. `None` if the body is not
 /// estimated, or nobody is found.
 fn find_body(
@@ -129,12 +137,7 @@ fn find_body(
     decoder: &Decoder,
     observer: &mut dyn Observer,
 ) -> Result<Option<Arc<Skeleton>>, Error> {
-    if config.body_windows == 0 {
-        return Ok(None);
-    }
-    let windows = recording.frames() as usize / config.publish_frames.max(1);
-    let body_windows = (windows / tracker::BODY_WINDOWS).max(1);
-    let config = tracker::Config { body_windows, ..config };
+    let Some(config) = first_pass(config, recording.frames() as usize) else { return Ok(None) };
     let solver = Solver::new(decoder.clone(), config);
     let mut driver = Driver::new(config, Arc::clone(rig), solver, None);
     let mut feed = |input| driver.feed(input, |_, _| Ok(()));

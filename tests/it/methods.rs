@@ -197,7 +197,7 @@ fn recording() -> (Take, Vec<Posture>) {
     let truth = recording.poses().map(|pose| pose.pose.posture(&skeleton)).collect();
     let frames = recording.detections().collect();
     let format = KeypointFormat::Body25;
-    (Take { rig: Arc::new(rig), format, fps: recording.fps, frames }, truth)
+    (Take::new(Arc::new(rig), format, recording.fps, frames), truth)
 }
 
 /// MPJPE in mm and acceleration error in m/s^2.

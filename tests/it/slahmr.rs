@@ -32,12 +32,8 @@ fn slahmr_is_smoother_than_each_frame_alone_and_not_much_worse() {
     let rig = ring_rig(4, 4.0, 1.6).unwrap();
     let mut recording = Recording::new(rig.clone(), skeleton, |t| motion.pose(t));
     (recording.fps, recording.frames) = (50.0, 60);
-    let take = Take {
-        rig: Arc::new(rig),
-        format: recording.format,
-        fps: recording.fps,
-        frames: recording.detections().collect(),
-    };
+    let frames = recording.detections().collect();
+    let take = Take::new(Arc::new(rig), recording.format, recording.fps, frames);
     let solve = |name: &str| {
         let solved = named(name).unwrap().solve(&take, &decoder).unwrap();
         errors(&recording, &solved)

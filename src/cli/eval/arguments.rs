@@ -67,7 +67,8 @@ pub(in crate::cli) struct Arguments {
     /// Noise levels of the detectors: none, or a level of the protocol (clean, studio, sparse).
     #[arg(long, value_name = "LEVELS", value_delimiter = ',', default_values = ["studio", "sparse"])]
     pub(in crate::cli) noise: Vec<String>,
-    /// Methods by name, or all; default with --recording: paper and default.
+    /// Methods by name, all compared ones, or ladder: the steps from the paper's path to the default.
+    /// With --recording by default triangulation, paper-body and default.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(in crate::cli) methods: Vec<String>,
     /// Seed of all random draws; replaces the seeds of the protocol, [1].

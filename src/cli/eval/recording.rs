@@ -61,7 +61,7 @@ impl Loaded {
         let format = KeypointFormat::from_name(recording.format()).ok_or_else(short)?;
         let fps = frame_rate(&frames).ok_or_else(short)?;
         Ok(Self {
-            take: Take { rig, format, fps, frames },
+            take: Take::new(rig, format, fps, frames),
             held_out: cameras.into_iter().zip(seen).collect(),
             clock: clock.ok_or_else(short)?,
         })
@@ -75,12 +75,13 @@ pub(super) fn run(arguments: &Arguments, names: &[String]) -> Result<(), Failure
     let trc = arguments.reference.as_deref().map(Trc::read).transpose()?;
     let Loaded { take, held_out, clock } =
         Loaded::read(path, &arguments.cameras, &arguments.hold_out)?;
+    let take = take.with_body(&decoder);
     let cameras = take.rig.cameras.len();
     let solves = if held_out.is_empty() { cameras + 1 } else { 1 };
     let bar = progress((names.len() * solves) as u64, "solves");
     let mut scores = Vec::new();
     for name in names {
-        let make = || methods::named(name).unwrap_or_else(|| Box::new(Windows::paper()));
+        let make = || methods::named(name).unwrap_or_else(|| Box::new(Windows::default_settings()));
         let reference = trc.as_ref().map(|trc| (trc, clock));
         match measure(&take, &held_out, &make, &decoder, reference, &|| bar.inc(1))? {
             Some(score) => scores.push(score),

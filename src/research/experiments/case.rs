@@ -156,7 +156,7 @@ impl Case {
         recording.format = *format;
         recording.noise = noise.clone();
         let frames = recording.detections().collect();
-        let take = Take { rig: Arc::clone(rig), format: *format, fps: choice.fps, frames };
+        let take = Take::new(Arc::clone(rig), *format, choice.fps, frames);
         let truth = recording.poses().collect();
         recording.noise = Noise { bias_m: noise.bias_m, ..Noise::none() };
         Sequence {

@@ -105,7 +105,7 @@ pub fn measure(
         held_out.iter().map(|(camera, seen)| error_in(camera, seen, &solved)).collect();
     for camera in (0..cameras).filter(|_| held_out.is_empty() && cameras > 2) {
         let (rest, seen) = without_camera(take, camera)?;
-        if let Some(solved) = make().solve(&rest, decoder) {
+        if let Some(solved) = make().solve(&rest.with_body(decoder), decoder) {
             hold_out.push(error_in(&take.rig.cameras[camera], &seen, &solved));
         }
         each();

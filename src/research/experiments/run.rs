@@ -51,7 +51,8 @@ pub fn run(
             let index = next.fetch_add(1, Ordering::Relaxed);
             cases.get(index).map(|case| (index, case))
         } {
-            let sequence = case.make();
+            let mut sequence = case.make();
+            sequence.take = sequence.take.with_body(decoder);
             let solve = |mut method: Box<dyn Method>| {
                 let begin = Instant::now();
                 let solved = method.solve(&sequence.take, decoder);

@@ -38,6 +38,10 @@ pub struct Axis {
     pub factors: &'static [f64],
 }
 
+/// The methods with weights to tune.
+pub const TUNABLE: [&str; 8] =
+    ["muvs", "dct", "etc", "dmmr", "slahmr", "paper", "tuned", "default"];
+
 const WIDE: &[f64] = &[0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0];
 const NARROW: &[f64] = &[0.1, 0.3, 1.0, 3.0];
 const SCALE: &[f64] = &[0.5, 1.0, 2.0, 4.0];
@@ -87,7 +91,7 @@ pub fn axes(method: &str) -> Option<Vec<Axis>> {
             all(Some(("transition", transition)), prior, scale_px)
         }
         "paper" => windows(&Windows::paper()),
-        "paper-lm" => windows(&Windows::paper_with_our_optimiser()),
+        "tuned" => windows(&Windows::tuned()),
         "default" => ours(&Windows::default_settings()),
         _ => None,
     }
@@ -140,7 +144,7 @@ fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> 
             Box::new(Slahmr::new(weights, Transition::embedded().ok()?))
         }
         "paper" => windows(Windows::paper()),
-        "paper-lm" => windows(Windows::paper_with_our_optimiser()),
+        "tuned" => windows(Windows::tuned()),
         "default" => windows(Windows::default_settings()),
         _ => return None,
     };
@@ -249,11 +253,10 @@ pub fn table(title: &str, levels: &[&str], trials: &[Trial]) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::research::methods::NAMES;
 
     #[test]
     fn every_method_of_ours_has_axes_and_can_be_made() {
-        for name in NAMES {
+        for name in TUNABLE {
             let axes = axes(name).unwrap();
             let values: Vec<f64> = axes.iter().map(|axis| axis.start).collect();
             let made = with(name, &axes, &values).unwrap();
