@@ -198,6 +198,34 @@ fn two_runs_give_the_same_results_folder() {
 }
 
 #[test]
+fn several_cameras_of_a_recording_are_held_out_at_once() {
+    let place = tempfile::tempdir().unwrap();
+    let synth = ["synth", "--out", "take.mcap", "--seconds", "2", "--cameras", "5"];
+    let program = Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
+        .args(synth)
+        .current_dir(place.path())
+        .output();
+    assert!(program.unwrap().status.success());
+    let methods = "--recording take.mcap --methods triangulation,default";
+    let (_, all) = done(place.path(), &format!("{methods} --hold-out cam02,cam05"));
+    let (_, few) = done(
+        place.path(),
+        &format!("{methods} --cameras cam01,cam03,cam04 --hold-out cam02,cam05"),
+    );
+    assert_eq!(all["methods"], few["methods"], "the held-out cameras are not used");
+    for method in all["methods"].as_array().unwrap() {
+        let held_out = method["hold_out"].as_array().unwrap();
+        let cameras: Vec<&str> =
+            held_out.iter().map(|held| held["camera"].as_str().unwrap()).collect();
+        assert_eq!(cameras, ["cam02", "cam05"]);
+        let mean =
+            held_out.iter().map(|held| held["median_px"].as_f64().unwrap()).sum::<f64>() / 2.0;
+        assert!((method["hold_out_px"].as_f64().unwrap() - mean).abs() < 1e-9 && mean < 15.0);
+        assert_eq!(method["cameras_px"].as_object().map(serde_json::Map::len), Some(3));
+    }
+}
+
+#[test]
 fn each_seed_of_the_protocol_is_a_pass() {
     let place = tempfile::tempdir().unwrap();
     std::fs::write(place.path().join("two.toml"), "seeds = [1, 2]").unwrap();
@@ -243,7 +271,9 @@ fn wrong_arguments_give_a_one_line_error_with_a_fix() {
         assert!(errors.contains(part), "{arguments}: {errors}");
         assert!(!place.path().join("eval").exists(), "{arguments}");
     };
-    told("--methods guess", 2, "use all, muvs");
+    told("--methods guess", 2, "use all, ladder, triangulation");
+    told("--rig ring3 --body foreign", 2, "--motions");
+    told("--rig ring3 --hold-out cam01", 2, "--recording");
     told("--rig ring3 --noise loud", 2, "sparse");
     told("--rig round", 2, "ring2");
     told("--rig ring3 --seconds 0", 2, "--seconds is 0");

@@ -123,11 +123,14 @@ fn middling(run: &Run) -> Option<usize> {
 
 fn detector_table(levels: &[(&str, &DetectorStatistics)]) -> Table {
     type Row = (&'static str, fn(&DetectorStatistics) -> f64);
-    const ROWS: [Row; 8] = [
+    const ROWS: [Row; 11] = [
         ("residual, median (% of height)", |s| 100.0 * s.residual_median),
         ("residual, 95th percentile (%)", |s| 100.0 * s.residual_p95),
+        ("residual of the best view, median (%)", |s| 100.0 * s.by_camera.first().unwrap_or(&0.0)),
+        ("residual of the worst view, median (%)", |s| 100.0 * s.by_camera.last().unwrap_or(&0.0)),
         ("constant part, median (%)", |s| 100.0 * s.systematic),
         ("varying part, median (%)", |s| 100.0 * s.varying),
+        ("second difference, median (%)", |s| 100.0 * s.second_difference),
         ("points missing (%)", |s| 100.0 * s.missing),
         ("mean gap (s)", |s| s.missing_run_s),
         ("frames without the performer (%)", |s| 100.0 * s.without_performer),

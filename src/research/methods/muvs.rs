@@ -1,8 +1,8 @@
 //! MuVS: every frame on its own \[Huang 2017, the first stage\].
 //!
 //! cost = data term + prior on z of one frame, starting from the solution of the frame before.
-//! Differences: the publication fits SMPL with silhouettes and its own pose prior. Here all methods
-//! share body, manifold and data term.
+//! Differences: the publication fits SMPL with silhouettes and its own pose prior, and starts from a
+//! regressor's poses. Here all methods share body, manifold and data term.
 
 use std::sync::Arc;
 

@@ -32,6 +32,7 @@ mod topic {
     pub(super) const GUESS: u64 = 800;
     pub(super) const BIAS: u64 = 900;
     pub(super) const SIDE: u64 = 950;
+    pub(super) const VIEW: u64 = 990;
     /// Added for the bystander's points.
     pub(super) const OF_STRANGER: u64 = 1000;
 }
@@ -44,6 +45,8 @@ pub(super) struct Detector<'a> {
     format: KeypointFormat,
     noise: &'a Noise,
     body: Body,
+    /// Standard deviation of the slow shifts of this view.
+    wander: f64,
     draws: Draws,
     /// Systematic offset of each point of the format, in its joint's frame, metres.
     biases: Vec<Vector3<f64>>,
@@ -65,7 +68,8 @@ impl<'a> Detector<'a> {
         let biases = points.map(|&keypoint| bias(keypoint, body, &shared) * noise.bias_m).collect();
         let stranger = stranger(shared);
         let draws = Draws { seed, stream: index as u64 };
-        Self { camera, index, format, noise, body, draws, biases, stranger }
+        let wander = noise.wander * (noise.view_spread * draws.normals(topic::VIEW, 0)[0]).exp();
+        Self { camera, index, format, noise, body, wander, draws, biases, stranger }
     }
 
     /// The detections of the body in one frame, captured at `seconds`.
@@ -124,6 +128,11 @@ impl<'a> Detector<'a> {
             let at = At { frame, seconds, keypoint: self.format.keypoints()[index], size, base };
             points[index] = exact.and_then(|pixel| self.point(&at, index as u64, pixel));
         }
+        if self.noise.one_confidence {
+            let known = || points.iter().flatten().map(|seen: &Detection| seen.confidence);
+            let mean = known().sum::<f64>() / known().count().max(1) as f64;
+            points.iter_mut().flatten().for_each(|seen| seen.confidence = mean);
+        }
         Person { id: None, points }
     }
 
@@ -149,7 +158,7 @@ impl<'a> Detector<'a> {
         let slow = smooth(topic::SLOW, noise.correlation_s);
         let unit = (slow * (1.0 - noise.new_share).sqrt() + fast * noise.new_share.sqrt())
             * (hardness * difficulty(at.keypoint));
-        let wander = smooth(topic::WANDER, noise.wander_s) * noise.wander;
+        let wander = smooth(topic::WANDER, noise.wander_s) * self.wander;
         let mut error = (unit * noise.jitter + wander) * at.size;
         let chance = uniform(topic::CONFIDENCE);
         let mut confidence = noise.confidence - noise.doubt * (0.7 * unit.norm() + 0.6 * chance);

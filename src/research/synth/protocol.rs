@@ -62,8 +62,13 @@ pub struct Protocol {
 
 impl Default for Protocol {
     fn default() -> Self {
-        let levels =
-            [("clean", Noise::clean()), ("studio", Noise::studio()), ("sparse", Noise::sparse())];
+        let levels = [
+            ("clean", Noise::clean()),
+            ("studio", Noise::studio()),
+            ("sparse", Noise::sparse()),
+            ("uniform", Noise::uniform()),
+            ("systematic", Noise::systematic()),
+        ];
         let owned = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
         Self {
             subjects: owned(&["07", "10"]),
