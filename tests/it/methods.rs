@@ -218,9 +218,9 @@ const MEASURED_MM: [(&str, f64); 10] = [
     ("dmmr", 13.60),
     ("slahmr", 15.49),
     ("paper", 17.61),
-    ("paper-converged", 15.84),
-    ("paper-body", 15.84),
-    ("fixed", 14.39),
+    ("paper-converged", 16.26),
+    ("paper-body", 16.26),
+    ("fixed", 14.16),
     ("default", 14.39),
 ];
 
@@ -265,7 +265,8 @@ fn triangulation_recovers_exact_points() {
     let take = Take::new(Arc::new(rig), KeypointFormat::Body25, recording.fps, frames);
     // Hardly a filter at 60 frames/s.
     let all_pass = Filter::Butterworth { cutoff_hz: 29.0 };
-    let solved = Triangulation::new(all_pass).solve(&take, &Decoder::embedded().unwrap()).unwrap();
+    let mut method = Triangulation::new(all_pass, 15.0);
+    let solved = method.solve(&take, &Decoder::embedded().unwrap()).unwrap();
     let times = solved.motion.times();
     assert!(times.len() > 30, "{}", times.len());
     for (frame, at) in times.into_iter().enumerate() {

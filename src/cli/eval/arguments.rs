@@ -28,7 +28,7 @@ Examples:
   bundlemocap eval --rig ring4 --methods default --seconds 5
   bundlemocap eval --motions motions/ --body foreign --noise uniform
   bundlemocap eval --recording balancing.mcap --reference pose2sim.trc
-  bundlemocap eval --recording walk.mcap --cameras c1,c2,c3 --hold-out c3 --methods all
+  bundlemocap eval --recording walk.mcap --hold-out c4,c5 --methods all
   bundlemocap eval --motions motions/ --drift-minutes 10
   bundlemocap eval --motions motions/ --ablation window,cameras --every 4
   bundlemocap eval --motions motions/ --tune default --every 12")]

@@ -29,7 +29,8 @@ pub struct RealScore {
     pub delay_frames: Option<usize>,
     /// Number of poses.
     pub frames: usize,
-    /// Median distance of the fitted keypoints with confidence above 0.3, pixels.
+    /// Median distance of the fitted keypoints with confidence above 0.3, pixels; without a body, of
+    /// the limb keypoints.
     pub reprojection_px: Option<f64>,
     /// The same by camera.
     pub cameras_px: BTreeMap<String, Option<f64>>,

@@ -91,22 +91,22 @@ pub fn score(
     let runs = Runs::new(sequence, solved, frames, &entries);
     let joints: Vec<MarkerPositions> = runs.bodies.iter().map(Body::limb_joints).collect();
     let true_joints: Vec<MarkerPositions> = runs.truths.iter().map(limb_joints).collect();
-    let (estimates, truths) = (&runs.postures, &runs.truths);
-    let is_own = sequence.body == synth::Body::Own && !estimates.is_empty();
+    let (estimates, truths) = (&runs.postures[..], &runs.truths[..]);
+    // All joints of a foreign body are not comparable.
+    let comparable = if sequence.body == synth::Body::Own { estimates } else { &[] };
     let covered = entries.iter().flatten().count();
     let score = Score {
         limbs: metrics::limb_errors(&joints, &true_joints, fps)?,
         held_out_px: runs.held_out_px(sequence),
-        pose: metrics::pose_errors(estimates.iter().zip(truths)).filter(|_| is_own),
-        acceleration_error_m_s2: metrics::acceleration_error(estimates, truths, fps)
-            .filter(|_| is_own),
-        foot_skate: metrics::foot_skate(estimates, truths, fps).filter(|_| is_own),
+        pose: metrics::pose_errors(comparable.iter().zip(truths)),
+        acceleration_error_m_s2: metrics::acceleration_error(comparable, truths, fps),
+        foot_skate: metrics::foot_skate(comparable, truths, fps),
         velocity_jump: metrics::velocity_jump(estimates, truths, &runs.borders, fps),
         compared_frames: runs.frames.len(),
         covered_percent: 100.0 * covered as f64 / sequence.truth.len() as f64,
         ms_per_frame,
     };
-    let trace = runs.trace(sequence, is_own, &joints, &true_joints);
+    let trace = runs.trace(fps, comparable, &joints, &true_joints);
     Some((score, trace))
 }
 
@@ -176,16 +176,15 @@ impl Runs {
 
     fn trace(
         &self,
-        sequence: &Sequence,
-        is_own: bool,
+        fps: f64,
+        comparable: &[Posture],
         joints: &[MarkerPositions],
         true_joints: &[MarkerPositions],
     ) -> Trace {
         let mut trace = Trace::default();
-        let fps = sequence.take.fps;
         let truths = self.truths.iter().zip(true_joints);
         for (index, (&frame, (truth, true_joints))) in self.frames.iter().zip(truths).enumerate() {
-            let errors: Vec<f64> = match self.postures.get(index).filter(|_| is_own) {
+            let errors: Vec<f64> = match comparable.get(index) {
                 Some(posture) => distances(&posture.positions, &truth.positions).collect(),
                 None => {
                     let pairs = joints[index].iter().zip(true_joints);

@@ -190,6 +190,7 @@ pub fn to_json(run: &Run, summaries: &[Summary]) -> Value {
             let sequences = run.cases.iter().zip(&row.results).map(|(case, result)| {
                 json!({
                     "sequence": case.sequence,
+                    "subject": case.subject,
                     "seed": case.seed,
                     "score": result.as_ref().map(|(score, _)| score),
                 })

@@ -16,8 +16,8 @@ use crate::io::report::Table;
 use crate::metrics::PoseErrors;
 use crate::metrics::statistics::mean;
 use crate::research::methods::{
-    Dct, DctWeights, Dmmr, DmmrWeights, Etc, EtcWeights, Method, MuVs, MuVsWeights, Slahmr,
-    SlahmrWeights, Windows,
+    Dct, DctWeights, Dmmr, DmmrWeights, Etc, EtcWeights, Filter, Method, MuVs, MuVsWeights, Slahmr,
+    SlahmrWeights, Triangulation, Windows,
 };
 
 /// Number of passes over all axes.
@@ -39,8 +39,8 @@ pub struct Axis {
 }
 
 /// The methods with weights to tune.
-pub const TUNABLE: [&str; 8] =
-    ["muvs", "dct", "etc", "dmmr", "slahmr", "paper", "tuned", "default"];
+pub const TUNABLE: [&str; 9] =
+    ["triangulation", "muvs", "dct", "etc", "dmmr", "slahmr", "paper", "tuned", "default"];
 
 const WIDE: &[f64] = &[0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0];
 const NARROW: &[f64] = &[0.1, 0.3, 1.0, 3.0];
@@ -70,6 +70,10 @@ pub fn axes(method: &str) -> Option<Vec<Axis>> {
         windows(method).map(|plain| [latent, root, robust_scale].into_iter().chain(plain).collect())
     };
     match method {
+        "triangulation" => Some(vec![
+            Axis { name: "cut-off Hz", start: 6.0, factors: &[0.5, 1.0, 1.5] },
+            Axis { name: "views within px", start: 15.0, factors: SCALE },
+        ]),
         "muvs" => {
             let MuVsWeights { prior, scale_px, .. } = MuVsWeights::default();
             all(None, prior, scale_px)
@@ -116,6 +120,10 @@ fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> 
         Box::new(Windows::new("", Config { cost, ..config }))
     };
     let made: Box<dyn Method> = match method {
+        "triangulation" => {
+            let filter = Filter::Butterworth { cutoff_hz: of("cut-off Hz") };
+            Box::new(Triangulation::new(filter, of("views within px")))
+        }
         "muvs" => Box::new(MuVs::new(MuVsWeights { prior, scale_px, ..Default::default() })),
         "dct" => {
             Box::new(Dct::new(DctWeights { smoothness, prior, scale_px, ..Default::default() }))
@@ -224,12 +232,15 @@ fn trial(axes: &[Axis], values: Vec<f64>, row: usize, runs: &[Run]) -> Trial {
 }
 
 /// The score of a row: the mean over motions and levels of MPJPE in mm plus 2 mm per degree of MAE,
-/// so that neither position nor rotation is traded for the other; 200 if nobody was found.
+/// so that neither position nor rotation is traded for the other; the error of the limb joints in mm
+/// without a body; 200 if nobody was found.
 fn judge(runs: &[Run], row: usize) -> f64 {
     let results = runs.iter().flat_map(|run| &run.rows[row].results);
     let of = |result: &Option<(super::Score, super::Trace)>| {
-        let pose = result.as_ref().and_then(|(score, _)| score.pose.as_ref());
-        pose.map_or(FAILED, |pose| pose.mpjpe_mm + MM_PER_DEGREE * pose.mae_deg)
+        result.as_ref().map_or(FAILED, |(score, _)| match &score.pose {
+            Some(pose) => pose.mpjpe_mm + MM_PER_DEGREE * pose.mae_deg,
+            None => score.limbs.limb_mm,
+        })
     };
     mean(&results.map(of).collect::<Vec<_>>()).unwrap_or(FAILED)
 }
@@ -260,7 +271,7 @@ mod tests {
             let axes = axes(name).unwrap();
             let values: Vec<f64> = axes.iter().map(|axis| axis.start).collect();
             let made = with(name, &axes, &values).unwrap();
-            assert!(made.name().contains("prior"), "{}", made.name());
+            assert!(made.name().contains(axes[0].name), "{}", made.name());
         }
         assert_eq!(axes("guess"), None);
     }

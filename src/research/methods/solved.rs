@@ -41,7 +41,7 @@ impl Motion {
     pub fn frame(&self, index: usize) -> Option<Body> {
         Some(match self {
             Self::Poses(skeleton, poses) => Body::posed(skeleton, &poses.get(index)?.1),
-            Self::Points(frames) => Body::Points(frames.get(index)?.1),
+            Self::Points(frames) => Body::Points(Box::new(frames.get(index)?.1)),
         })
     }
 
@@ -53,11 +53,12 @@ impl Motion {
                 let next = frames.partition_point(|(capture, _)| *capture < at);
                 let (after, b) = frames.get(next)?;
                 if *after == at {
-                    return Some(Body::Points(*b));
+                    return Some(Body::Points(Box::new(*b)));
                 }
                 let (before, a) = frames.get(next.checked_sub(1)?)?;
                 let s = at.fraction(*before, *after);
-                Some(Body::Points(std::array::from_fn(|i| Some(a[i]?.lerp(&b[i]?, s)))))
+                let point = |i: usize| Some(a[i]?.lerp(&b[i]?, s));
+                Some(Body::Points(Box::new(std::array::from_fn(point))))
             }
         }
     }
@@ -69,7 +70,7 @@ pub enum Body {
     /// A body in a posture.
     Posed(Arc<Skeleton>, Box<Posture>),
     /// The detector's limb keypoints.
-    Points(MarkerPositions),
+    Points(Box<MarkerPositions>),
 }
 
 impl Body {
@@ -89,7 +90,7 @@ impl Body {
     pub fn limb_joints(&self) -> MarkerPositions {
         match self {
             Self::Posed(_, posture) => limb_joints(posture),
-            Self::Points(points) => *points,
+            Self::Points(points) => **points,
         }
     }
 }
@@ -108,6 +109,6 @@ impl Located for Body {
             Self::Points(points) => (None, Some(points)),
         };
         let joints = posture.into_iter().flat_map(|posture| posture.positions);
-        joints.chain(points.into_iter().flatten().flatten().copied())
+        joints.chain(points.into_iter().flat_map(|points| points.iter().flatten().copied()))
     }
 }

@@ -16,29 +16,63 @@ use crate::core::cost::FrameObservations;
 use crate::core::manifold::Decoder;
 use crate::metrics::{COMPARED, MarkerPositions};
 
-/// A view that is farther off, pixels, is left out.
+/// A view that is farther off, pixels, is left out: Pose2Sim's threshold.
 const AGREE_PX: f64 = 15.0;
 
 /// Triangulated and smoothed limb keypoints.
 #[derive(Clone, Copy, Debug)]
 pub struct Triangulation {
     filter: Filter,
+    agree_px: f64,
 }
 
 impl Triangulation {
-    /// With a filter.
-    pub fn new(filter: Filter) -> Self {
-        Self { filter }
+    /// With a filter and the largest distance of a view, pixels.
+    pub fn new(filter: Filter, agree_px: f64) -> Self {
+        Self { filter, agree_px }
     }
 
     /// With Pose2Sim's filter: Butterworth at 6 Hz.
     pub fn butterworth() -> Self {
-        Self::new(Filter::Butterworth { cutoff_hz: 6.0 })
+        Self::new(Filter::Butterworth { cutoff_hz: 6.0 }, AGREE_PX)
     }
 
     /// With a Kalman smoother.
     pub fn kalman() -> Self {
-        Self::new(Filter::Kalman { noise_m: 0.01, acceleration_m_s2: 20.0 })
+        Self::new(Filter::Kalman { noise_m: 0.01, acceleration_m_s2: 20.0 }, AGREE_PX)
+    }
+
+    /// The limb keypoints of a frame; `indices` gives the place of each fitted point among them.
+    fn points(
+        &self,
+        rig: &Rig,
+        seen: &[FrameObservations],
+        indices: &[Option<usize>],
+    ) -> MarkerPositions {
+        let mut views: [Vec<View>; COMPARED.len()] = Default::default();
+        for observation in seen.iter().flat_map(FrameObservations::observations) {
+            if let Some(index) = indices[observation.point] {
+                views[index].push((observation.camera, observation.pixel, observation.confidence));
+            }
+        }
+        views.map(|views| self.agreeing(rig, views))
+    }
+
+    /// The point of the views that agree.
+    fn agreeing(&self, rig: &Rig, mut views: Vec<View>) -> Option<Vector3<f64>> {
+        loop {
+            let point = triangulate(rig, &views)?;
+            let error = |(camera, pixel, _): &View| -> f64 {
+                let projected: Option<Vector2<f64>> = rig.cameras[*camera].project(&point);
+                projected.map_or(f64::INFINITY, |projected| (projected - pixel).norm())
+            };
+            let errors = views.iter().map(error).enumerate();
+            let (worst, error) = errors.max_by(|a, b| a.1.total_cmp(&b.1))?;
+            if error <= self.agree_px || views.len() <= 2 {
+                return Some(point);
+            }
+            views.remove(worst);
+        }
     }
 }
 
@@ -59,8 +93,9 @@ impl Method for Triangulation {
         };
         let indices: Vec<Option<usize>> =
             (0..fitted_points(take.format).len()).map(index).collect();
-        let raw: Vec<MarkerPositions> =
-            found.observations.iter().map(|seen| points(&take.rig, seen, &indices)).collect();
+        let raw: Vec<MarkerPositions> = (found.observations.iter())
+            .map(|seen| self.points(&take.rig, seen, &indices))
+            .collect();
         let mut smooth = vec![[None; COMPARED.len()]; raw.len()];
         for point in 0..COMPARED.len() {
             let track: Vec<_> = raw.iter().map(|points| points[point]).collect();
@@ -75,34 +110,6 @@ impl Method for Triangulation {
         }
         let motion = Motion::Points(found.times.into_iter().zip(smooth).collect());
         Some(Solved { motion, borders: Vec::new() })
-    }
-}
-
-/// The limb keypoints of a frame; `indices` gives the place of each fitted point among them.
-fn points(rig: &Rig, seen: &[FrameObservations], indices: &[Option<usize>]) -> MarkerPositions {
-    let mut views: [Vec<View>; COMPARED.len()] = Default::default();
-    for observation in seen.iter().flat_map(FrameObservations::observations) {
-        if let Some(index) = indices[observation.point] {
-            views[index].push((observation.camera, observation.pixel, observation.confidence));
-        }
-    }
-    views.map(|views| agreeing(rig, views))
-}
-
-/// The point of the views that agree.
-fn agreeing(rig: &Rig, mut views: Vec<View>) -> Option<Vector3<f64>> {
-    loop {
-        let point = triangulate(rig, &views)?;
-        let error = |(camera, pixel, _): &View| -> f64 {
-            let projected: Option<Vector2<f64>> = rig.cameras[*camera].project(&point);
-            projected.map_or(f64::INFINITY, |projected| (projected - pixel).norm())
-        };
-        let errors = views.iter().map(error).enumerate();
-        let (worst, error) = errors.max_by(|a, b| a.1.total_cmp(&b.1))?;
-        if error <= AGREE_PX || views.len() <= 2 {
-            return Some(point);
-        }
-        views.remove(worst);
     }
 }
 
