@@ -64,7 +64,8 @@ pub(in crate::cli) struct Arguments {
     /// File with the Human3.6M cameras.
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) h36m: Option<PathBuf>,
-    /// Noise levels of the detectors: none, or a level of the protocol (clean, studio, sparse).
+    /// Noise levels of the detectors: none, or a level of the protocol (clean, studio, sparse,
+    /// uniform, systematic).
     #[arg(long, value_name = "LEVELS", value_delimiter = ',', default_values = ["studio", "sparse"])]
     pub(in crate::cli) noise: Vec<String>,
     /// Methods by name, all compared ones, or ladder: the steps from the paper's path to the default.

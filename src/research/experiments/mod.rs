@@ -19,4 +19,4 @@ pub mod sweep;
 pub use case::{Case, CaseName, Sequence, Subject, View, procedural, subjects};
 pub use named::Named;
 pub use run::{Methods, Row, Run, run};
-pub use score::{REACH, Score, Trace, entries, score, true_heights};
+pub use score::{REACH, Score, Trace, score, true_heights};

@@ -164,7 +164,7 @@ fn compare(trc: &Trc, clock: FrameClock, solved: &Solved) -> Option<Reference> {
 }
 
 /// The error in a held-out camera.
-pub fn error_in(camera: &Camera, seen: &[Detections], solved: &Solved) -> HoldOut {
+fn error_in(camera: &Camera, seen: &[Detections], solved: &Solved) -> HoldOut {
     let mut held_out = HeldOut::new(camera.clone());
     for frame in seen {
         if let Some(body) = solved.motion.at(frame.capture) {

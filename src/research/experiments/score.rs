@@ -59,7 +59,7 @@ pub struct Trace {
 pub type Heights = [Option<f32>; LIMB_JOINTS.len()];
 
 /// For each frame of a sequence, the index of the motion's last entry for it.
-pub fn entries(sequence: &Sequence, motion: &Motion) -> Vec<Option<usize>> {
+pub(super) fn entries(sequence: &Sequence, motion: &Motion) -> Vec<Option<usize>> {
     let mut entries = vec![None; sequence.truth.len()];
     for (index, at) in motion.times().into_iter().enumerate() {
         if let Some(frame) = frame_of(sequence, at) {

@@ -9,7 +9,7 @@ use super::run::{Row, Run, Scored};
 use super::score::Score;
 use crate::io::report::Table;
 use crate::metrics::statistics::mean;
-use crate::metrics::{Interval, mean_interval};
+use crate::metrics::{Interval, PoseErrors, mean_interval};
 use crate::research::methods::Delay;
 
 /// A column of the table.
@@ -25,10 +25,8 @@ pub struct Metric {
 }
 
 /// A metric of all joints, which only results with a body of ours have.
-macro_rules! pose {
-    ($field:ident) => {
-        |s| s.pose.as_ref().map(|pose| pose.$field)
-    };
+fn pose(score: &Score, of: fn(&PoseErrors) -> f64) -> Option<f64> {
+    score.pose.as_ref().map(of)
 }
 
 const fn metric(
@@ -44,11 +42,11 @@ const fn metric(
 pub const METRICS: [Metric; 15] = [
     metric("limb_mm", "limb joints mm", 1, |s| Some(s.limbs.limb_mm)),
     metric("held_out_px", "held out px", 2, |s| s.held_out_px),
-    metric("mpjpe_mm", "MPJPE mm", 1, pose!(mpjpe_mm)),
-    metric("rmse_mm", "RMSE mm", 1, pose!(rmse_mm)),
-    metric("mae_deg", "MAE °", 2, pose!(mae_deg)),
-    metric("pck3_percent", "PCK@3 %", 1, pose!(pck3_percent)),
-    metric("pck7_percent", "PCK@7 %", 1, pose!(pck7_percent)),
+    metric("mpjpe_mm", "MPJPE mm", 1, |s| pose(s, |pose| pose.mpjpe_mm)),
+    metric("rmse_mm", "RMSE mm", 1, |s| pose(s, |pose| pose.rmse_mm)),
+    metric("mae_deg", "MAE °", 2, |s| pose(s, |pose| pose.mae_deg)),
+    metric("pck3_percent", "PCK@3 %", 1, |s| pose(s, |pose| pose.pck3_percent)),
+    metric("pck7_percent", "PCK@7 %", 1, |s| pose(s, |pose| pose.pck7_percent)),
     metric("limb_acceleration_error_m_s2", "accel. err. m/s²", 1, |s| {
         s.limbs.limb_acceleration_error_m_s2
     }),
@@ -59,7 +57,9 @@ pub const METRICS: [Metric; 15] = [
     metric("limb_medium_mm", "medium mm", 1, |s| s.limbs.limb_by_speed_mm[1]),
     metric("limb_fast_mm", "fast mm", 1, |s| s.limbs.limb_by_speed_mm[2]),
     metric("foot_skate_mm_s", "skate mm/s", 0, |s| s.foot_skate.map(|skate| skate.mm_s)),
-    metric("mpjpe_root_relative_mm", "root-rel. mm", 1, pose!(mpjpe_root_relative_mm)),
+    metric("mpjpe_root_relative_mm", "root-rel. mm", 1, |s| {
+        pose(s, |pose| pose.mpjpe_root_relative_mm)
+    }),
     metric("ms_per_frame", "ms/frame", 2, |s| Some(s.ms_per_frame)),
 ];
 
@@ -232,7 +232,7 @@ pub fn text(table: &Table) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::{LimbErrors, PoseErrors};
+    use crate::metrics::LimbErrors;
     use crate::research::experiments::case::CaseName;
     use crate::research::experiments::score::Trace;
 

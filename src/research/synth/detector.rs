@@ -140,7 +140,8 @@ impl<'a> Detector<'a> {
     fn believed(&self, keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
         let (joint, offset) = self.body.place(keypoint, skeleton);
         let bias = self.format.index_of(keypoint).map_or(Vector3::zeros(), |i| self.biases[i]);
-        posture.positions[joint.index()] + posture.rotations[joint.index()] * (offset + bias)
+        let rotation = posture.rotations[joint.index()];
+        posture.positions[joint.index()] + rotation * offset + rotation * bias
     }
 
     /// The detection of one point, given its pixel without random errors.
