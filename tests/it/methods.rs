@@ -217,7 +217,7 @@ const MEASURED_MM: [(&str, f64); 10] = [
     ("etc", 13.59),
     ("dmmr", 13.60),
     ("slahmr", 15.49),
-    ("paper", 17.61),
+    ("paper", 17.70),
     ("paper-converged", 16.26),
     ("paper-body", 16.26),
     ("fixed", 14.16),

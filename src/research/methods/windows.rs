@@ -9,7 +9,7 @@ use crate::core::manifold::Decoder;
 use crate::core::optimise::OptimiserKind;
 use crate::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
 
-/// Prior and loss scale, pixels, as published in \[Albanis 2023\].
+/// Prior of a keyframe and loss scale, pixels, as published in \[Albanis 2023\].
 const PUBLISHED: (f64, f64) = (10.76, 100.0);
 /// Iterations and relative change of the cost that let Levenberg-Marquardt converge.
 const CONVERGED: (usize, f64) = (100, 1e-6);
@@ -43,6 +43,8 @@ impl Windows {
     pub fn paper() -> Self {
         let paper = Config::paper();
         let (prior, scale_px) = PUBLISHED;
+        // Our prior is of a frame, and a keyframe counts for its frames.
+        let prior = prior / paper.keyframe_frames as f64;
         let cost = cost::Config { prior, scale_px, ..paper.cost };
         Self::new("BundleMoCap (paper)", Config { cost, ..paper }).with_own_body()
     }
