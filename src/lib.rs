@@ -83,6 +83,8 @@
 //! - \[Nielsen 1999\] Nielsen. Damping parameter in Marquardt's method. IMM-REP-1999-05, DTU.
 //! - \[Nocedal 2006\] Nocedal, Wright. Numerical Optimization, 2nd edition. Springer.
 //! - \[Okabe 2008\] Okabe, Ito. Color universal design. University of Tokyo.
+//! - \[Pagnon 2022\] Pagnon, Domalain, Reveret. Pose2Sim: an open-source Python package for multiview
+//!   markerless kinematics. Journal of Open Source Software 7(77).
 //! - \[Pavlakos 2019\] Pavlakos et al. Expressive body capture: 3D hands, face, and body from a
 //!   single image. CVPR 2019.
 //! - \[Sola 2018\] Sola, Deray, Atchuthan. A micro Lie theory for state estimation in robotics.

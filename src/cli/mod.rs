@@ -50,7 +50,7 @@ enum Command {
     Decode(decode::Arguments),
     Retarget(retarget::Arguments),
     Bench(bench::Arguments),
-    Eval(eval::Arguments),
+    Eval(Box<eval::Arguments>),
     Solve(solve::Arguments),
     Import(import::Arguments),
     Info(info::Arguments),

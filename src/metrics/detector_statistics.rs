@@ -105,6 +105,8 @@ pub struct DetectorStatistics {
     pub spectrum: Vec<(f64, f64)>,
     /// Error by confidence, ten bins from 0 to 1.
     pub by_confidence: Vec<ConfidenceBin>,
+    /// Median size of the residual in each camera that has one, sorted.
+    pub by_camera: Vec<f64>,
     /// Median size of the residual of each keypoint, all cameras.
     pub by_point: Vec<(Keypoint, f64)>,
 }
@@ -225,6 +227,7 @@ impl DetectorTracks {
             inverted: share(self.inverted, self.pairs),
             spectrum: self.spectrum(fps),
             by_confidence: by_confidence(&seen),
+            by_camera: self.by_camera(),
             by_point: self.by_point(),
         })
     }
@@ -243,6 +246,17 @@ impl DetectorTracks {
         (0..PIECE / 2)
             .map(|bin| ((bin + 1) as f64 * fps / PIECE as f64, median(&at(bin)).unwrap_or(0.0)))
             .collect()
+    }
+
+    fn by_camera(&self) -> Vec<f64> {
+        let cameras = self.tracks.chunk_by(|a, b| a.camera == b.camera);
+        let size = |tracks: &[PointTrack]| {
+            let seen = tracks.iter().flat_map(PointTrack::seen);
+            median(&seen.map(|seen| seen.residual.norm()).collect::<Vec<_>>())
+        };
+        let mut sizes: Vec<f64> = cameras.filter_map(size).collect();
+        sizes.sort_by(f64::total_cmp);
+        sizes
     }
 
     fn by_point(&self) -> Vec<(Keypoint, f64)> {

@@ -5,12 +5,13 @@
 //! | metric | formula | unit |
 //! |---|---|---|
 //! | MPJPE | mean of e | mm |
+//! | limb joints | mean of e over shoulders, elbows, wrists, hips, knees and ankles; see [`LimbErrors`] | mm |
 //! | root-relative MPJPE | mean of e after aligning the pelvis with the true one | mm |
 //! | RMSE | sqrt(mean of e^2) | mm |
 //! | MAE | mean angle between local rotations of joints 1 to 21 and the true ones | deg |
 //! | PCK@3, PCK@7 | share of joints with e <= 3 cm, 7 cm | % |
 //! | acceleration error | mean of \|P'' - P*''\|, P'' = (P(t+1) - 2 P(t) + P(t-1)) fps^2 | m/s^2 |
-//! | jump at borders | [`VelocityJump`]: mean \|v(t+) - v(t-)\| at window borders divided by that elsewhere | 1 |
+//! | jump at borders | [`VelocityJump`]: mean \|v(t+) - v(t-)\| at window borders, less that of the true motion there | m/s |
 //! | foot skate | [`foot_skate`]: horizontal speed of feet whose true speed and height mean contact | mm/s |
 //! | drift | [`slope_interval`] of the frames' mean e over time | mm/min |
 //!
@@ -18,6 +19,7 @@
 
 mod detector_statistics;
 mod distribution;
+mod limbs;
 mod markers;
 mod motion;
 mod pose_errors;
@@ -29,6 +31,7 @@ pub use detector_statistics::{
     ConfidenceBin, DetectorStatistics, DetectorTracks, PointTrack, Seen,
 };
 pub use distribution::Distribution;
+pub use limbs::{LIMB_JOINTS, LimbErrors, SPEEDS_M_S, limb_errors, limb_joints};
 pub use markers::{COMPARED, MarkerDistance, MarkerDistances, MarkerPositions};
 pub use motion::{FootSkate, VelocityJump, foot_skate, velocity_jump, velocity_jumps};
 pub use pose_errors::{

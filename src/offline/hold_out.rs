@@ -5,10 +5,10 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 use serde::Serialize;
 
-use crate::core::body::{Attachment, Pose, Skeleton};
+use crate::core::body::{Attachment, Pose, Posture, Skeleton};
 use crate::core::camera::Camera;
 use crate::core::detections::{Detections, Keypoint, KeypointFormat, Person};
 use crate::core::time::Timestamp;
@@ -100,13 +100,14 @@ impl HeldOut {
                 }
                 _ => continue,
             };
-            self.score(&frame, &pose, skeleton);
+            self.compare(&frame, &(skeleton, &pose.posture(skeleton)));
         }
         self.before = Some((capture, pose));
     }
 
-    fn score(&mut self, frame: &Detections, pose: &Pose, skeleton: &Skeleton) {
-        match distances(&self.camera, skeleton, pose, frame, &COMPARED) {
+    /// Compares a frame with the body at its capture time.
+    pub fn compare(&mut self, frame: &Detections, body: &impl Located) {
+        match distances(&self.camera, body, frame, &COMPARED) {
             Some(found) => {
                 self.frames += 1;
                 found.into_iter().for_each(|error| self.errors.add(error));
@@ -139,19 +140,34 @@ pub fn pose_at(poses: &[(Timestamp, Pose)], at: Timestamp) -> Option<Pose> {
     Some(a.interpolate(b, at.fraction(*before, *after)))
 }
 
+/// Something with keypoints in the world, metres.
+pub trait Located {
+    /// A keypoint; `None` if its place is not known.
+    fn keypoint(&self, keypoint: Keypoint) -> Option<Vector3<f64>>;
+    /// Points whose box in the image gives the performer's height.
+    fn extent(&self) -> impl Iterator<Item = Vector3<f64>>;
+}
+
+impl Located for (&Skeleton, &Posture) {
+    fn keypoint(&self, keypoint: Keypoint) -> Option<Vector3<f64>> {
+        Some(Attachment::of(keypoint).position(self.1, self.0))
+    }
+
+    fn extent(&self) -> impl Iterator<Item = Vector3<f64>> {
+        self.1.positions.iter().copied()
+    }
+}
+
 /// Distances of the performer's confident points from the body, pixels, for the `keypoints` in the
 /// format. `None` if the limbs' points show that no person is the performer.
 pub fn distances(
     camera: &Camera,
-    skeleton: &Skeleton,
-    pose: &Pose,
+    body: &impl Located,
     detections: &Detections,
     keypoints: &[Keypoint],
 ) -> Option<Vec<f64>> {
-    let posture = pose.posture(skeleton);
-    let project =
-        |keypoint: Keypoint| camera.project(&Attachment::of(keypoint).position(&posture, skeleton));
-    let seen = posture.positions.iter().filter_map(|joint| camera.project(joint));
+    let project = |keypoint: Keypoint| camera.project(&body.keypoint(keypoint)?);
+    let seen = body.extent().filter_map(|point| camera.project(&point));
     let gate = GATE * height(seen)?;
     let to = |person, points: &[Keypoint]| to_person(&project, person, detections.format, points);
     let candidates = detections.people.iter().filter_map(|p| Some((median(&to(p, &COMPARED))?, p)));

@@ -31,8 +31,8 @@ mod truth;
 mod windows;
 
 pub use error::Error;
-pub use hold_out::{CONFIDENT, HeldOut, HoldOut, distances, pose_at};
+pub use hold_out::{CONFIDENT, HeldOut, HoldOut, Located, distances, pose_at};
 pub use recording::Recording;
 pub use reference::{FrameClock, Reference, ReferenceComparison};
-pub use solve::{Observer, Options, solve};
+pub use solve::{Observer, Options, first_pass, solve};
 pub use summary::{Reprojection, SolveTime, Summary};

@@ -169,7 +169,9 @@ impl Poses {
             held_out.add_pose(capture, pose.usable(), skeleton);
         }
         if let (Some(reference), Some(clock)) = (&mut comparisons.reference, comparisons.clock) {
-            reference.add_pose(clock, capture, pose.usable().as_ref(), skeleton);
+            let posture = pose.usable().map(|pose| pose.posture(skeleton));
+            let body = posture.as_ref().map(|posture| (&**skeleton, posture));
+            reference.add(clock, capture, body.as_ref());
         }
         self.shown.push(pose.clone());
         Ok(())

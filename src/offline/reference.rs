@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::core::body::{Attachment, Pose, Skeleton};
+use super::hold_out::Located;
 use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::formats::Trc;
@@ -63,14 +63,8 @@ impl<'a> ReferenceComparison<'a> {
         Self { trc, columns, row: 0, distances: MarkerDistances::default() }
     }
 
-    /// Adds the next pose (`None` if it cannot be used) with the newest body.
-    pub fn add_pose(
-        &mut self,
-        clock: FrameClock,
-        capture: Timestamp,
-        pose: Option<&Pose>,
-        skeleton: &Skeleton,
-    ) {
+    /// Adds the next body (`None` if it cannot be used).
+    pub fn add(&mut self, clock: FrameClock, capture: Timestamp, body: Option<&impl Located>) {
         let tolerance = Nanos::new((0.25e9 / self.trc.frame_rate) as i64);
         let mut estimate = None;
         while self.row < self.trc.rows.len() {
@@ -80,9 +74,9 @@ impl<'a> ReferenceComparison<'a> {
                 return;
             }
             if capture - at <= tolerance
-                && let Some(pose) = pose
+                && let Some(body) = body
             {
-                let estimate = estimate.get_or_insert_with(|| positions(pose, skeleton));
+                let estimate = estimate.get_or_insert_with(|| positions(body));
                 self.distances.add(frame, estimate, &self.reference());
             }
             self.row += 1;
@@ -106,14 +100,14 @@ impl<'a> ReferenceComparison<'a> {
     }
 }
 
-fn positions(pose: &Pose, skeleton: &Skeleton) -> MarkerPositions {
-    let posture = pose.posture(skeleton);
-    COMPARED.map(|keypoint| Some(Attachment::of(keypoint).position(&posture, skeleton)))
+fn positions(body: &impl Located) -> MarkerPositions {
+    COMPARED.map(|keypoint| body.keypoint(keypoint))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::body::{Pose, Skeleton};
     use crate::core::detections::Keypoint;
     use crate::io::formats::trc::TrcRow;
 
@@ -123,10 +117,10 @@ mod tests {
         let at = |x: f64| {
             let mut pose = Pose::rest();
             pose.root_position.x = x;
-            pose
+            pose.posture(&skeleton)
         };
         let row = |x: Option<f64>| {
-            let hip = x.and_then(|x| positions(&at(x), &skeleton)[7]);
+            let hip = x.and_then(|x| positions(&(&skeleton, &at(x)))[7]);
             TrcRow { number: 1, seconds: 0.0, points: vec![hip] }
         };
         assert_eq!(COMPARED[7], Keypoint::RHip);
@@ -137,9 +131,9 @@ mod tests {
         let mut comparison = ReferenceComparison::new(&trc);
         assert_eq!(comparison.finish(), None);
         for (ms, usable) in [(101, true), (110, true), (118, true), (200, false)] {
-            let pose = usable.then(|| at(0.0));
+            let posture = at(0.0);
             let capture = Timestamp::from_ns(ms * 1_000_000);
-            comparison.add_pose(clock, capture, pose.as_ref(), &skeleton);
+            comparison.add(clock, capture, usable.then_some(&(&skeleton, &posture)));
         }
         let reference = comparison.finish().unwrap();
         // Frame 6 has no pose and frame 8 no marker; frames 7 and 9 are 10 and 40 mm off.

@@ -122,7 +122,19 @@ pub fn solve(
 }
 
 /// An optimiser of the first pass stops if a step lowers the cost by less than this fraction.
-const BODY_CHANGE: f64 = 0.03;
+const FIRST_PASS_CHANGE: f64 = 0.03;
+
+/// The settings of a pass over `frames` frames that only estimates the body, from windows of the
+/// whole recording. The body needs no corrections, and no exact poses. `None` if the body is not
+/// estimated.
+pub fn first_pass(config: tracker::Config, frames: usize) -> Option<tracker::Config> {
+    let windows = frames / config.publish_frames.max(1);
+    let body_windows = (windows / tracker::BODY_WINDOWS).max(1);
+    let cost = cost::Config { correction_prior: 0.0, ..config.cost };
+    let change_threshold = config.change_threshold.max(FIRST_PASS_CHANGE);
+    let first = tracker::Config { body_windows, change_threshold, cost, ..config };
+    (config.body_windows > 0).then_some(first)
+}
 
 /// The first pass: estimates the body from windows of the whole recording. `None` if the body is not
 /// estimated, or nobody is found.
@@ -133,15 +145,7 @@ fn find_body(
     decoder: &Decoder,
     observer: &mut dyn Observer,
 ) -> Result<Option<Arc<Skeleton>>, Error> {
-    if config.body_windows == 0 {
-        return Ok(None);
-    }
-    let windows = recording.frames() as usize / config.publish_frames.max(1);
-    let body_windows = (windows / tracker::BODY_WINDOWS).max(1);
-    // The body needs no corrections, and no exact poses.
-    let cost = cost::Config { correction_prior: 0.0, ..config.cost };
-    let change_threshold = config.change_threshold.max(BODY_CHANGE);
-    let config = tracker::Config { body_windows, change_threshold, cost, ..config };
+    let Some(config) = first_pass(config, recording.frames() as usize) else { return Ok(None) };
     let solver = Solver::new(decoder.clone(), config);
     let mut driver = Driver::new(config, Arc::clone(rig), solver, None);
     let mut feed = |input| driver.feed(input, |_, _| Ok(()));

@@ -12,7 +12,7 @@ use bundlemocap::core::time::Timestamp;
 use bundlemocap::research::experiments::ablation::FACTORS;
 use bundlemocap::research::experiments::summary::{summaries, to_json};
 use bundlemocap::research::experiments::{Case, View, drift, procedural, real, run};
-use bundlemocap::research::methods::{Delay, Method, Solved, Take, Windows};
+use bundlemocap::research::methods::{Delay, Method, Motion, Solved, Take, Windows};
 use bundlemocap::research::synth::{Noise, SequenceChoice, rig_named};
 use serde_json::Value;
 
@@ -58,7 +58,7 @@ impl Method for Oracle {
         poses.drain(..2);
         poses.iter_mut().for_each(|(_, pose)| pose.root_position.x += self.shift);
         let borders = vec![poses[30].0, poses[40].0];
-        Some(Solved { skeleton: Arc::clone(&self.skeleton), poses, borders })
+        Some(Solved { motion: Motion::Poses(Arc::clone(&self.skeleton), poses), borders })
     }
 }
 
@@ -94,17 +94,20 @@ fn scores_match_the_known_errors_of_a_method() {
     assert_eq!(solves.into_inner(), 2);
     let score = |row: usize| &found.rows[row].results[0].as_ref().unwrap().0;
     let (exact, shifted) = (score(0), score(1));
-    assert!(exact.pose.mpjpe_mm < 1e-9 && exact.acceleration_error_m_s2 < 1e-6);
+    let [exact_pose, shifted_pose] = [exact, shifted].map(|score| score.pose.as_ref().unwrap());
+    assert!(exact_pose.mpjpe_mm < 1e-9 && exact.acceleration_error_m_s2.unwrap() < 1e-6);
+    assert!(exact.limbs.limb_mm < 1e-9 && exact.held_out_px.unwrap() < 1e-6);
     let all = case.make().truth.len();
-    assert_eq!((exact.pose.frames, exact.pose.pck3_percent), (all - 2, 100.0));
+    assert_eq!((exact_pose.frames, exact_pose.pck3_percent), (all - 2, 100.0));
     assert!((exact.covered_percent - 100.0 * (all - 2) as f64 / all as f64).abs() < 1e-9);
     assert!(
-        (shifted.pose.mpjpe_mm - 50.0).abs() < 1e-6 && (shifted.pose.rmse_mm - 50.0).abs() < 1e-6
+        (shifted_pose.mpjpe_mm - 50.0).abs() < 1e-6 && (shifted_pose.rmse_mm - 50.0).abs() < 1e-6
     );
-    assert!(shifted.pose.mpjpe_root_relative_mm < 1e-6);
-    assert_eq!((shifted.pose.pck3_percent, shifted.pose.pck7_percent), (0.0, 100.0));
+    assert!((shifted.limbs.limb_mm - 50.0).abs() < 1e-6 && shifted.held_out_px.unwrap() > 5.0);
+    assert!(shifted_pose.mpjpe_root_relative_mm < 1e-6);
+    assert_eq!((shifted_pose.pck3_percent, shifted_pose.pck7_percent), (0.0, 100.0));
     let jump = exact.velocity_jump.unwrap();
-    assert!(jump.ratio() < 5.0, "a true motion has no kinks: {jump:?}");
+    assert!(jump.excess_m_s.abs() < 1e-9, "the true motion has its own jumps: {jump:?}");
     let skate = exact.foot_skate.unwrap();
     assert!((skate.mm_s - skate.truth_mm_s).abs() < 1e-6);
 
@@ -195,6 +198,34 @@ fn two_runs_give_the_same_results_folder() {
 }
 
 #[test]
+fn several_cameras_of_a_recording_are_held_out_at_once() {
+    let place = tempfile::tempdir().unwrap();
+    let synth = ["synth", "--out", "take.mcap", "--seconds", "2", "--cameras", "5"];
+    let program = Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
+        .args(synth)
+        .current_dir(place.path())
+        .output();
+    assert!(program.unwrap().status.success());
+    let methods = "--recording take.mcap --methods triangulation,default";
+    let (_, all) = done(place.path(), &format!("{methods} --hold-out cam02,cam05"));
+    let (_, few) = done(
+        place.path(),
+        &format!("{methods} --cameras cam01,cam03,cam04 --hold-out cam02,cam05"),
+    );
+    assert_eq!(all["methods"], few["methods"], "the held-out cameras are not used");
+    for method in all["methods"].as_array().unwrap() {
+        let held_out = method["hold_out"].as_array().unwrap();
+        let cameras: Vec<&str> =
+            held_out.iter().map(|held| held["camera"].as_str().unwrap()).collect();
+        assert_eq!(cameras, ["cam02", "cam05"]);
+        let mean =
+            held_out.iter().map(|held| held["median_px"].as_f64().unwrap()).sum::<f64>() / 2.0;
+        assert!((method["hold_out_px"].as_f64().unwrap() - mean).abs() < 1e-9 && mean < 15.0);
+        assert_eq!(method["cameras_px"].as_object().map(serde_json::Map::len), Some(3));
+    }
+}
+
+#[test]
 fn each_seed_of_the_protocol_is_a_pass() {
     let place = tempfile::tempdir().unwrap();
     std::fs::write(place.path().join("two.toml"), "seeds = [1, 2]").unwrap();
@@ -240,7 +271,9 @@ fn wrong_arguments_give_a_one_line_error_with_a_fix() {
         assert!(errors.contains(part), "{arguments}: {errors}");
         assert!(!place.path().join("eval").exists(), "{arguments}");
     };
-    told("--methods guess", 2, "use all, muvs");
+    told("--methods guess", 2, "use all, ladder, triangulation");
+    told("--rig ring3 --body foreign", 2, "--motions");
+    told("--rig ring3 --hold-out cam01", 2, "--recording");
     told("--rig ring3 --noise loud", 2, "sparse");
     told("--rig round", 2, "ring2");
     told("--rig ring3 --seconds 0", 2, "--seconds is 0");

@@ -12,9 +12,11 @@ use bundlemocap::research::synth::{Motion, MotionStyle, Recording, ring_rig};
 /// Mean joint error, mm, and acceleration error, m/s^2, against the true poses.
 fn errors<M: Fn(f64) -> Pose>(recording: &Recording<M>, solved: &Solved) -> (f64, f64) {
     let truth: Vec<StampedPose> = recording.poses().collect();
-    let pairs = solved.poses.iter().filter_map(|(at, pose)| {
+    let times = solved.motion.times();
+    let pairs = times.iter().enumerate().filter_map(|(frame, at)| {
         let truth = truth.iter().find(|truth| (truth.capture - *at).abs() < Nanos::from_ms(1))?;
-        Some((pose.posture(&solved.skeleton), truth.pose.posture(&recording.skeleton)))
+        let found = solved.motion.frame(frame)?.posture()?.clone();
+        Some((found, truth.pose.posture(&recording.skeleton)))
     });
     let (found, truth): (Vec<Posture>, Vec<Posture>) = pairs.unzip();
     assert!(found.len() > 40, "{} of 60 frames", found.len());
@@ -30,12 +32,8 @@ fn slahmr_is_smoother_than_each_frame_alone_and_not_much_worse() {
     let rig = ring_rig(4, 4.0, 1.6).unwrap();
     let mut recording = Recording::new(rig.clone(), skeleton, |t| motion.pose(t));
     (recording.fps, recording.frames) = (50.0, 60);
-    let take = Take {
-        rig: Arc::new(rig),
-        format: recording.format,
-        fps: recording.fps,
-        frames: recording.detections().collect(),
-    };
+    let frames = recording.detections().collect();
+    let take = Take::new(Arc::new(rig), recording.format, recording.fps, frames);
     let solve = |name: &str| {
         let solved = named(name).unwrap().solve(&take, &decoder).unwrap();
         errors(&recording, &solved)

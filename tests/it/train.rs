@@ -276,6 +276,36 @@ fn splayed_legs_are_straightened_and_other_joints_stay() {
 }
 
 #[test]
+fn the_own_skeleton_of_a_clip_has_the_bones_of_its_file() {
+    let place = folder();
+    let clips = read_folder(place.path()).unwrap();
+    let files = [
+        ("01_01", "01_01.bvh", 0.01, ["rShin", "rFoot", "lForeArm", "lHand"]),
+        (
+            "act_walk_1",
+            "more/act_walk_1.bvh",
+            0.056444,
+            ["RightLeg", "RightFoot", "LeftForeArm", "LeftHand"],
+        ),
+    ];
+    for (name, path, metres, names) in files {
+        let clip = clips.iter().find(|clip| clip.name == name).unwrap();
+        let text = std::fs::read_to_string(place.path().join(path)).unwrap();
+        let bvh = Bvh::parse(&text).unwrap();
+        let (theirs, ours) =
+            (bvh.posture(7).unwrap(), clip.pose(7).unwrap().posture(&clip.skeleton));
+        let [knee, ankle, elbow, wrist] = names.map(|name| theirs[bvh.joint(name).unwrap()].1);
+        let at = |joint: Joint| ours.positions[joint.index()];
+        for (bone, file) in [
+            (at(Joint::RAnkle) - at(Joint::RKnee), ankle - knee),
+            (at(Joint::LWrist) - at(Joint::LElbow), wrist - elbow),
+        ] {
+            assert!((bone - file * metres).norm() < 1e-5, "{name}: {bone} {file}");
+        }
+    }
+}
+
+#[test]
 fn rest_pose_turns_and_missing_spine_joints() {
     let folder = tempfile::tempdir().unwrap();
     let text = bvh_text(HIP, 1, |_, value| if value == 3 { 30.0 } else { 0.0 });

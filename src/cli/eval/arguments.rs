@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::research::synth::Body;
+
 /// Compare methods on synthetic recordings with ground truth, or on a real recording.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -24,7 +26,9 @@ Examples:
   bundlemocap eval --motions motions/ --rig h36m --noise sparse --methods all --out eval
   bundlemocap eval --motions motions/ --methods paper,default --every 3 --rig ring4
   bundlemocap eval --rig ring4 --methods default --seconds 5
+  bundlemocap eval --motions motions/ --body foreign --noise uniform
   bundlemocap eval --recording balancing.mcap --reference pose2sim.trc
+  bundlemocap eval --recording walk.mcap --hold-out c4,c5 --methods all
   bundlemocap eval --motions motions/ --drift-minutes 10
   bundlemocap eval --motions motions/ --ablation window,cameras --every 4
   bundlemocap eval --motions motions/ --tune default --every 12")]
@@ -41,6 +45,10 @@ pub(in crate::cli) struct Arguments {
     /// Subjects whose clips are used [protocol: 07,10].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(in crate::cli) subjects: Vec<String>,
+    /// Bodies of the performers: own, shapes of our body model, or foreign, each clip's own skeleton
+    /// with keypoints at its joints [protocol: own].
+    #[arg(long, value_name = "KIND", value_parser = Body::ALL.map(Body::name))]
+    pub(in crate::cli) body: Option<String>,
     /// Use every Nth clip.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(in crate::cli) every: usize,
@@ -56,10 +64,12 @@ pub(in crate::cli) struct Arguments {
     /// File with the Human3.6M cameras.
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) h36m: Option<PathBuf>,
-    /// Noise levels of the detectors: none, or a level of the protocol (clean, studio, sparse).
+    /// Noise levels of the detectors: none, or a level of the protocol (clean, studio, sparse,
+    /// uniform, systematic).
     #[arg(long, value_name = "LEVELS", value_delimiter = ',', default_values = ["studio", "sparse"])]
     pub(in crate::cli) noise: Vec<String>,
-    /// Methods by name, or all; default with --recording: paper and default.
+    /// Methods by name, all compared ones, or ladder: the steps from the paper's path to the default.
+    /// With --recording by default triangulation, paper-body and default.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(in crate::cli) methods: Vec<String>,
     /// Seed of all random draws; replaces the seeds of the protocol, [1].
@@ -74,6 +84,13 @@ pub(in crate::cli) struct Arguments {
     /// Solve this recording instead of synthetic ones.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["motions", "drift_minutes", "ablation", "tune"])]
     pub(in crate::cli) recording: Option<PathBuf>,
+    /// Use only these cameras of the recording.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "recording")]
+    pub(in crate::cli) cameras: Vec<String>,
+    /// Solve without these cameras of the recording and report the error in them; default: without
+    /// each camera in turn.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "recording")]
+    pub(in crate::cli) hold_out: Vec<String>,
     /// Report the distance to these marker positions (y up, frames as in the recording).
     #[arg(long, value_name = "TRC", requires = "recording")]
     pub(in crate::cli) reference: Option<PathBuf>,

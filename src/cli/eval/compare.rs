@@ -7,13 +7,15 @@ use super::output::write;
 use super::recording::Loaded;
 use super::setup::Setup;
 use crate::cli::failure::Failure;
+use crate::core::manifold::Decoder;
 use crate::io::report::{Bars, ReportData, Table};
-use crate::metrics::{DetectorStatistics, DetectorTracks};
+use crate::metrics::DetectorStatistics;
+use crate::research::experiments::real::detectors;
 use crate::research::experiments::summary::{
     Summary, differences, number, summaries, table, to_json,
 };
-use crate::research::experiments::{Case, Run, Sequence, View, methods, plots, true_heights};
-use crate::research::methods::{Method, Windows};
+use crate::research::experiments::{Case, Run, View, methods, plots, true_heights};
+use crate::research::methods::{Method, Take, Windows};
 
 /// The results of a noise level.
 struct Level {
@@ -50,7 +52,7 @@ pub(super) fn compare(arguments: &Arguments, names: &[String]) -> Result<(), Fai
         add_curves(&mut report, level);
     }
     let real = match &arguments.beside {
-        Some(path) => Loaded::read(path)?.detectors(&setup.decoder),
+        Some(path) => of_detectors(&Loaded::read(path, &[], &[])?.take, &setup.decoder),
         None => None,
     };
     let detectors: Vec<(&str, &DetectorStatistics)> = levels
@@ -70,28 +72,27 @@ fn solve(setup: &Setup, view: View, names: &[String]) -> Result<Level, Failure> 
     let run = setup.solve(&view.name, &cases, &make)?;
     let against = run.row(&Windows::default_settings().name()).unwrap_or(0);
     let summaries = summaries(&run, against);
-    let detector = cases.first().and_then(|case| statistics(&case.make()));
+    let detector = cases.first().and_then(|case| of_detectors(&case.make().take, &setup.decoder));
     Ok(Level { view, cases, run, summaries, detector })
 }
 
-/// Errors of the detectors relative to the true body.
-fn statistics(sequence: &Sequence) -> Option<DetectorStatistics> {
-    let Sequence { take, truth, skeleton } = sequence;
-    let posture = |at| {
-        let index = truth.binary_search_by_key(&at, |pose| pose.capture).ok()?;
-        Some(truth[index].pose.posture(skeleton))
-    };
-    let tracks = DetectorTracks::compare(&take.rig, take.format, &take.frames, skeleton, posture);
-    tracks.statistics(take.fps)
+/// Errors of the detectors relative to our solution; `None` if nobody is found.
+fn of_detectors(take: &Take, decoder: &Decoder) -> Option<DetectorStatistics> {
+    detectors(take, &Windows::default_settings().solve(take, decoder)?)
 }
 
 fn bars(levels: &[Level]) -> Vec<Bars> {
     let named: Vec<(&str, &[Summary])> =
         levels.iter().map(|level| (level.view.name.as_str(), &level.summaries[..])).collect();
-    let (mpjpe, error) = ("mpjpe_mm", "acceleration_error_m_s2");
+    let bars = |title: &str, label: &str, key: &str| plots::bars(title, label, key, &named);
     vec![
-        plots::bars("MPJPE by method", "MPJPE (mm)", mpjpe, &named),
-        plots::bars("Acceleration error by method", "acceleration error (m/s²)", error, &named),
+        bars("Error of the limb joints by method", "error (mm)", "limb_mm"),
+        bars("Error in held-out cameras by method", "error (px)", "held_out_px"),
+        bars(
+            "Acceleration error by method",
+            "acceleration error (m/s²)",
+            "limb_acceleration_error_m_s2",
+        ),
     ]
 }
 
@@ -114,7 +115,7 @@ fn add_curves(report: &mut ReportData, level: &Level) {
 fn middling(run: &Run) -> Option<usize> {
     let row = run.rows.first()?;
     let mut errors: Vec<(f64, usize)> = (row.results.iter().enumerate())
-        .filter_map(|(case, result)| Some((result.as_ref()?.0.pose.mpjpe_mm, case)))
+        .filter_map(|(case, result)| Some((result.as_ref()?.0.limbs.limb_mm, case)))
         .collect();
     errors.sort_by(|a, b| a.0.total_cmp(&b.0));
     errors.get(errors.len() / 2).map(|(_, case)| *case)
@@ -122,11 +123,14 @@ fn middling(run: &Run) -> Option<usize> {
 
 fn detector_table(levels: &[(&str, &DetectorStatistics)]) -> Table {
     type Row = (&'static str, fn(&DetectorStatistics) -> f64);
-    const ROWS: [Row; 8] = [
+    const ROWS: [Row; 11] = [
         ("residual, median (% of height)", |s| 100.0 * s.residual_median),
         ("residual, 95th percentile (%)", |s| 100.0 * s.residual_p95),
+        ("residual of the best view, median (%)", |s| 100.0 * s.by_camera.first().unwrap_or(&0.0)),
+        ("residual of the worst view, median (%)", |s| 100.0 * s.by_camera.last().unwrap_or(&0.0)),
         ("constant part, median (%)", |s| 100.0 * s.systematic),
         ("varying part, median (%)", |s| 100.0 * s.varying),
+        ("second difference, median (%)", |s| 100.0 * s.second_difference),
         ("points missing (%)", |s| 100.0 * s.missing),
         ("mean gap (s)", |s| s.missing_run_s),
         ("frames without the performer (%)", |s| 100.0 * s.without_performer),

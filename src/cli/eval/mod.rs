@@ -20,7 +20,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let names = method_names(&arguments.methods, &methods::OURS)?;
         recording::run(arguments, &names)?;
     } else if let Some(minutes) = arguments.drift_minutes {
-        let names = method_names(&arguments.methods, &["default"])?;
+        let names = method_names(&arguments.methods, &["live"])?;
         drift::run(arguments, &names, minutes)?;
     } else if !arguments.ablation.is_empty() {
         ablation::run(arguments)?;
@@ -34,24 +34,24 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 
 /// The requested method names, checked and without duplicates.
 fn method_names(asked: &[String], otherwise: &[&str]) -> Result<Vec<String>, Failure> {
-    let known = methods::names();
-    let mut names: Vec<String> = Vec::new();
     let asked: Vec<&str> = asked.iter().map(String::as_str).collect();
-    for &name in if asked.is_empty() { otherwise } else { &asked[..] } {
-        match name {
-            "all" => names.extend(known.clone()),
-            _ if known.iter().any(|one| one == name) => names.push(name.to_owned()),
-            _ => {
-                let message = format!("--methods {name} is unknown; use all, {}", known.join(", "));
+    let mut names: Vec<String> = Vec::new();
+    for name in if asked.is_empty() { otherwise } else { &asked[..] } {
+        let of_name = match *name {
+            "all" => methods::NAMES,
+            "ladder" => methods::LADDER,
+            _ => std::slice::from_ref(name),
+        };
+        for &name in of_name {
+            if methods::named(name).is_none() {
+                let known = methods::known().join(", ");
+                let message = format!("--methods {name} is unknown; use all, ladder, {known}");
                 return Err(Failure::new(Exit::Usage, message));
+            }
+            if !names.iter().any(|known| known == name) {
+                names.push(name.to_owned());
             }
         }
     }
-    let mut once: Vec<String> = Vec::new();
-    for name in names {
-        if !once.contains(&name) {
-            once.push(name);
-        }
-    }
-    Ok(once)
+    Ok(names)
 }

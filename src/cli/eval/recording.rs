@@ -11,38 +11,45 @@ use crate::cli::failure::{Exit, Failure};
 use crate::cli::solve::decoder;
 use crate::cli::terminal::{complain, progress};
 use crate::core::detections::KeypointFormat;
-use crate::core::manifold::Decoder;
 use crate::io::formats::Trc;
 use crate::io::report::{Bars, ReportData};
-use crate::metrics::DetectorStatistics;
 use crate::offline::recording::Item;
 use crate::offline::{FrameClock, Recording};
 use crate::research::experiments::methods;
-use crate::research::experiments::real::{RealScore, detectors, frame_rate, measure, table};
-use crate::research::methods::{Method, Take, Windows};
+use crate::research::experiments::real::{HeldOutCamera, RealScore, frame_rate, measure, table};
+use crate::research::methods::{Take, Windows};
 
 /// A recording in memory.
 pub(super) struct Loaded {
-    take: Take,
+    pub(super) take: Take,
+    /// Cameras that no method sees.
+    held_out: Vec<HeldOutCamera>,
     clock: FrameClock,
 }
 
 impl Loaded {
-    /// All cameras with keypoints.
-    pub(super) fn read(path: &Path) -> Result<Self, Failure> {
+    /// The named cameras (all with keypoints if there are none), and those that are held out.
+    pub(super) fn read(path: &Path, only: &[String], hold_out: &[String]) -> Result<Self, Failure> {
         let mut recording = Recording::open(path)?;
-        let rig = Arc::new(recording.chosen(&[], &[])?);
+        let cameras = hold_out.iter().map(|name| recording.camera(name).cloned());
+        let cameras = cameras.collect::<Result<Vec<_>, _>>()?;
+        let rig = Arc::new(recording.chosen(only, &cameras)?);
         let (mut frames, mut clock) = (Vec::new(), None);
+        let mut seen = vec![Vec::new(); cameras.len()];
         recording.stream(
             &rig,
-            &[],
+            &cameras,
             || {},
             |item| {
-                if let Item::Detections(detections) = item {
-                    if detections.camera == 0 {
-                        clock.get_or_insert(FrameClock::of(&detections));
+                match item {
+                    Item::Detections(detections) => {
+                        if detections.camera == 0 {
+                            clock.get_or_insert(FrameClock::of(&detections));
+                        }
+                        frames.push(detections);
                     }
-                    frames.push(detections);
+                    Item::HeldOut(detections) => seen[detections.camera].push(detections),
+                    Item::TrueBody(_) | Item::TruePose(_) => {}
                 }
                 Ok(())
             },
@@ -53,29 +60,30 @@ impl Loaded {
         };
         let format = KeypointFormat::from_name(recording.format()).ok_or_else(short)?;
         let fps = frame_rate(&frames).ok_or_else(short)?;
-        Ok(Self { take: Take { rig, format, fps, frames }, clock: clock.ok_or_else(short)? })
-    }
-
-    /// Errors of its detectors relative to our solution; `None` if nobody is found.
-    pub(super) fn detectors(&self, decoder: &Decoder) -> Option<DetectorStatistics> {
-        let solved = Windows::default_settings().solve(&self.take, decoder)?;
-        detectors(&self.take, &solved)
+        Ok(Self {
+            take: Take::new(rig, format, fps, frames),
+            held_out: cameras.into_iter().zip(seen).collect(),
+            clock: clock.ok_or_else(short)?,
+        })
     }
 }
 
-/// Solves with every method, with all cameras and without each camera in turn.
+/// Solves with every method; without named hold-outs, also without each camera in turn.
 pub(super) fn run(arguments: &Arguments, names: &[String]) -> Result<(), Failure> {
     let Some(path) = &arguments.recording else { return Ok(()) };
     let decoder = decoder(arguments.weights.as_deref())?;
     let trc = arguments.reference.as_deref().map(Trc::read).transpose()?;
-    let Loaded { take, clock } = Loaded::read(path)?;
+    let Loaded { take, held_out, clock } =
+        Loaded::read(path, &arguments.cameras, &arguments.hold_out)?;
+    let take = take.with_body(&decoder);
     let cameras = take.rig.cameras.len();
-    let bar = progress((names.len() * (cameras + 1)) as u64, "solves");
+    let solves = if held_out.is_empty() { cameras + 1 } else { 1 };
+    let bar = progress((names.len() * solves) as u64, "solves");
     let mut scores = Vec::new();
     for name in names {
-        let make = || methods::named(name).unwrap_or_else(|| Box::new(Windows::paper()));
+        let make = || methods::named(name).unwrap_or_else(|| Box::new(Windows::default_settings()));
         let reference = trc.as_ref().map(|trc| (trc, clock));
-        match measure(&take, &make, &decoder, reference, &|| bar.inc(1))? {
+        match measure(&take, &held_out, &make, &decoder, reference, &|| bar.inc(1))? {
             Some(score) => scores.push(score),
             None => complain("warning", &format!("{}: {name} found nobody", path.display())),
         }

@@ -11,7 +11,7 @@ use crate::core::camera::Rig;
 use crate::core::detections::KeypointFormat;
 use crate::core::manifold::Decoder;
 use crate::research::experiments::{Case, Methods, Run, Subject, View, procedural, run, subjects};
-use crate::research::synth::{Noise, Protocol, RigError, rig_named};
+use crate::research::synth::{Body, Noise, Protocol, RigError, rig_named};
 use crate::research::train::{self, Clip, read_folder};
 
 /// File of the Human3.6M cameras in `BUNDLEMOCAP_DATA` or `../shared`.
@@ -40,6 +40,10 @@ impl Setup {
             let message = format!("format {:?} of the protocol is unknown", protocol.format);
             Failure::new(Exit::KeypointFormat, format!("{message}; use body_25 or halpe_26"))
         })?;
+        if protocol.sequence.body == Body::Foreign && arguments.motions.is_none() {
+            let message = "foreign bodies are the skeletons of clips; give clips with --motions";
+            return Err(Failure::new(Exit::Usage, message));
+        }
         let of_name = |name: &String| rig(name, arguments.h36m.as_deref()).map(Arc::new);
         let subjects = match &arguments.motions {
             Some(folder) => {
@@ -135,8 +139,9 @@ impl Setup {
         let Protocol { sequence, rigs, seeds, .. } = &self.protocol;
         let seeds: Vec<String> = seeds.iter().map(u64::to_string).collect();
         format!(
-            "{} motions, up to {} s at {} fps, cameras {}, seed {}",
+            "{} motions of {} bodies, up to {} s at {} fps, cameras {}, seed {}",
             self.subjects.len(),
+            sequence.body.name(),
             sequence.seconds,
             sequence.fps,
             rigs.join(" and "),
@@ -155,6 +160,10 @@ fn protocol(arguments: &Arguments) -> Result<Protocol, Failure> {
     }
     if !arguments.rig.is_empty() {
         protocol.rigs.clone_from(&arguments.rig);
+    }
+    if let Some(body) = Body::ALL.into_iter().find(|b| arguments.body.as_deref() == Some(b.name()))
+    {
+        protocol.sequence.body = body;
     }
     if let Some(fps) = arguments.fps {
         protocol.sequence.fps = frame_rate_option(fps)?;

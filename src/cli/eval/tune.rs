@@ -7,13 +7,12 @@ use super::output::write;
 use super::setup::Setup;
 use crate::cli::failure::{Exit, Failure};
 use crate::io::report::ReportData;
-use crate::research::experiments::methods::names;
-use crate::research::experiments::sweep::{axes, table, tune};
+use crate::research::experiments::sweep::{TUNABLE, axes, table, tune};
 
 /// Varies each weight of a method, at all noise levels.
 pub(super) fn run(arguments: &Arguments, method: &str) -> Result<(), Failure> {
     if axes(method).is_none() {
-        let known = names().join(", ");
+        let known = TUNABLE.join(", ");
         let message = format!("--tune {method} has no weights to tune; use one of {known}");
         return Err(Failure::new(Exit::Usage, message));
     }

@@ -178,6 +178,13 @@ impl Skeleton {
         Self { keypoint_offsets, ..self }
     }
 
+    /// A body of another origin: its joints' offsets from their parents in the rest pose, metres,
+    /// which no shape coefficient moves.
+    pub fn with_joint_offsets(offsets: [Vector3<f64>; JOINTS]) -> Self {
+        let offsets_by_shape = [[Vector3::zeros(); SHAPE_COEFFICIENTS]; JOINTS];
+        Self { offsets, offsets_by_shape, ..Self::default() }
+    }
+
     /// The keypoint offsets.
     pub fn keypoint_offsets(&self) -> &KeypointOffsets {
         &self.keypoint_offsets

@@ -5,16 +5,19 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use crate::core::body::{Pose, Skeleton, StampedPose};
-use crate::core::camera::Rig;
-use crate::core::detections::KeypointFormat;
+use crate::core::camera::{Camera, Rig};
+use crate::core::detections::{Detections, KeypointFormat};
 use crate::research::methods::Take;
 use crate::research::synth::{
-    self, Motion, MotionStyle, Noise, Protocol, Recording, SequenceChoice, sequence, through,
+    self, Body, Motion, MotionStyle, Noise, Protocol, Recording, SequenceChoice, ring_rig,
+    sequence, through,
 };
 use crate::research::train;
 
 /// Blend time from one clip to the next, seconds.
 const BLEND_S: f64 = 0.5;
+/// Cameras that no method sees: number on a ring, its radius and their height, metres.
+const HELD_OUT: (usize, f64, f64) = (5, 4.0, 2.2);
 
 /// The view of a motion.
 #[derive(Clone, Debug)]
@@ -36,19 +39,30 @@ pub struct View {
 /// A motion.
 #[derive(Clone, Debug)]
 pub struct Subject {
-    /// The name in tables.
+    /// The name in tables; it gives the motion its own body and detector errors.
     pub name: String,
-    /// Gives the motion its own body and detector errors.
-    pub index: usize,
+    /// The performer's name.
+    pub subject: String,
+    /// The skeleton of the motion's file, if it has one.
+    pub skeleton: Option<Skeleton>,
     /// Poses at [`train::FPS`].
     pub poses: Arc<Vec<Pose>>,
 }
 
 impl Subject {
     /// The section of its motion that is used, on its own body; `None` if no section fits, see
-    /// [`sequence`].
+    /// [`sequence`], or if the file's skeleton is asked for and there is none.
     pub fn section(&self, choice: &SequenceChoice, seed: u64) -> Option<synth::Sequence> {
-        sequence(&self.poses, train::FPS, choice, Protocol::seed_of(seed, self.index))
+        let seed = Protocol::seed_of(seed, &self.name);
+        self.section_of_seed(choice, seed)
+    }
+
+    fn section_of_seed(&self, choice: &SequenceChoice, seed: u64) -> Option<synth::Sequence> {
+        let foreign = match choice.body {
+            Body::Own => None,
+            Body::Foreign => Some(self.skeleton.as_ref()?),
+        };
+        sequence(&self.poses, train::FPS, choice, seed, foreign)
     }
 }
 
@@ -71,6 +85,11 @@ pub struct Sequence {
     pub truth: Vec<StampedPose>,
     /// The true body.
     pub skeleton: Skeleton,
+    /// Its kind. Only the limb joints of a foreign body are compared.
+    pub body: Body,
+    /// Cameras that no method sees, with the detector's places of the points, without its random
+    /// errors.
+    pub held_out: Vec<(Camera, Vec<Detections>)>,
 }
 
 /// The description of a case for the results.
@@ -78,6 +97,8 @@ pub struct Sequence {
 pub struct CaseName {
     /// The motion.
     pub sequence: String,
+    /// Whose motion it is.
+    pub subject: String,
     /// Seed of its body, heading and noise.
     pub seed: u64,
 }
@@ -85,10 +106,14 @@ pub struct CaseName {
 impl Case {
     /// A subject with a view; `None` if no section of its motion fits, see [`Subject::section`].
     pub fn new(subject: &Subject, view: &View) -> Option<Self> {
-        let seed = Protocol::seed_of(view.seed, subject.index);
+        let seed = Protocol::seed_of(view.seed, &subject.name);
         let made = subject.section(&view.choice, view.seed)?;
         Some(Self {
-            name: CaseName { sequence: subject.name.clone(), seed },
+            name: CaseName {
+                sequence: subject.name.clone(),
+                subject: subject.subject.clone(),
+                seed,
+            },
             view: view.clone(),
             skeleton: made.skeleton,
             poses: Arc::new(made.poses),
@@ -99,14 +124,14 @@ impl Case {
     /// One motion of `seconds` on one body: the subjects in turn, repeated as needed. Each begins
     /// where the one before ended, with a blend of half a second. `None` if no subject fits.
     pub fn endless(subjects: &[Subject], view: &View, seconds: f64) -> Option<Self> {
-        let seed = Protocol::seed_of(view.seed, 0);
-        let part = |subject: &Subject| sequence(&subject.poses, train::FPS, &view.choice, seed);
+        let seed = Protocol::seed_of(view.seed, "");
+        let part = |subject: &Subject| subject.section_of_seed(&view.choice, seed);
         let parts: Vec<_> = subjects.iter().filter_map(part).collect();
         let skeleton = parts.first()?.skeleton.clone();
         let poses = joined(parts.iter().map(|part| &part.poses[..]), seconds);
         let name = format!("{} motions in turn", parts.len());
         Some(Self {
-            name: CaseName { sequence: name, seed },
+            name: CaseName { subject: name.clone(), sequence: name, seed },
             view: view.clone(),
             skeleton,
             frames: (poses.len() as f64 / train::FPS * view.choice.fps).floor() as u64,
@@ -124,29 +149,45 @@ impl Case {
         let View { rig, noise, choice, format, .. } = &self.view;
         let motion = through(Vec::clone(&self.poses), train::FPS);
         let mut recording = Recording::new(Rig::clone(rig), self.skeleton.clone(), motion);
+        recording.body = choice.body;
         recording.fps = choice.fps;
         recording.frames = self.frames;
         recording.seed = self.name.seed;
         recording.format = *format;
         recording.noise = noise.clone();
-        let take = Take {
-            rig: Arc::clone(rig),
-            format: *format,
-            fps: choice.fps,
-            frames: recording.detections().collect(),
-        };
+        let frames = recording.detections().collect();
+        let take = Take::new(Arc::clone(rig), *format, choice.fps, frames);
         let truth = recording.poses().collect();
-        Sequence { take, truth, skeleton: self.skeleton.clone() }
+        recording.noise = Noise { bias_m: noise.bias_m, ..Noise::none() };
+        Sequence {
+            take,
+            truth,
+            skeleton: self.skeleton.clone(),
+            body: choice.body,
+            held_out: held_out(recording),
+        }
     }
+}
+
+/// The cameras that no method sees, with their detections of a recording's motion.
+fn held_out<M: Fn(f64) -> Pose>(mut recording: Recording<M>) -> Vec<(Camera, Vec<Detections>)> {
+    let (count, radius, height) = HELD_OUT;
+    let Ok(rig) = ring_rig(count, radius, height) else { return Vec::new() };
+    let mut seen = vec![Vec::new(); count];
+    recording.rig = rig.clone();
+    recording.detections().for_each(|frame| seen[frame.camera].push(frame));
+    rig.cameras.into_iter().zip(seen).collect()
 }
 
 /// The motions of some clips.
 pub fn subjects<'a>(clips: impl IntoIterator<Item = &'a train::Clip>) -> Vec<Subject> {
-    let subject = |(index, clip): (usize, &train::Clip)| {
-        let poses = (0..clip.poses.len()).filter_map(|frame| clip.pose(frame)).collect();
-        Subject { name: clip.name.clone(), index, poses: Arc::new(poses) }
+    let subject = |clip: &train::Clip| Subject {
+        name: clip.name.clone(),
+        subject: clip.subject.clone(),
+        skeleton: Some(clip.skeleton.clone()),
+        poses: Arc::new((0..clip.poses.len()).filter_map(|frame| clip.pose(frame)).collect()),
     };
-    (1..).zip(clips).map(subject).collect()
+    clips.into_iter().map(subject).collect()
 }
 
 /// Our own motion of `seconds`, `count` times, each in another style; needs no files.
@@ -162,7 +203,8 @@ pub fn procedural(count: usize, seconds: f64) -> Vec<Subject> {
         let motion = Motion::new(&Skeleton::default(), style);
         let frames = (seconds * train::FPS).ceil() as usize + 1;
         let poses = (0..frames).map(|frame| motion.pose(frame as f64 / train::FPS)).collect();
-        Subject { name: format!("procedural {index}"), index, poses: Arc::new(poses) }
+        let name = format!("procedural {index}");
+        Subject { subject: name.clone(), name, skeleton: None, poses: Arc::new(poses) }
     };
     (1..=count).map(subject).collect()
 }
@@ -205,7 +247,16 @@ mod tests {
             pose
         };
         let poses = Arc::new((0..frames).map(pose).collect());
-        Subject { name: name.into(), index: 1, poses }
+        Subject { name: name.into(), subject: name.into(), skeleton: None, poses }
+    }
+
+    #[test]
+    fn a_case_depends_on_its_motion_and_not_on_the_others() {
+        let choice = SequenceChoice { least_seconds: 0.5, ..SequenceChoice::default() };
+        let [one, other] = ["a", "b"].map(|name| subject(name, 0.0, 120));
+        let shape = |subject: &Subject| *subject.section(&choice, 1).unwrap().skeleton.shape();
+        assert_eq!(shape(&one), shape(&subject("a", 0.0, 120)));
+        assert_ne!(shape(&one), shape(&other));
     }
 
     #[test]

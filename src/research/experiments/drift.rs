@@ -16,8 +16,9 @@ const BLOCKS: usize = 8;
 pub struct Drift {
     /// The method.
     pub method: String,
-    /// Mean joint error over all frames, millimetres.
-    pub mpjpe_mm: f64,
+    /// Mean error over all frames, millimetres, of all joints or, where only they are compared, of
+    /// the limb joints.
+    pub error_mm: f64,
     /// Slope in millimetres per minute, from block means; see [`slope_interval`].
     pub slope_mm_per_min: Option<Interval>,
     /// Number of blocks.
@@ -38,10 +39,10 @@ pub fn drifts(run: &Run) -> Vec<Drift> {
         let blocks = ((seconds / BLOCK_S).round() as usize).max(BLOCKS);
         Some(Drift {
             method: row.method.clone(),
-            mpjpe_mm: score.pose.mpjpe_mm,
+            error_mm: score.pose.as_ref().map_or(score.limbs.limb_mm, |pose| pose.mpjpe_mm),
             slope_mm_per_min: slope_interval(&minutes, blocks),
             blocks,
-            frames: score.pose.frames,
+            frames: score.compared_frames,
             covered_percent: score.covered_percent,
         })
     };
@@ -50,14 +51,14 @@ pub fn drifts(run: &Run) -> Vec<Drift> {
 
 /// The table of trends.
 pub fn table(title: &str, drifts: &[Drift]) -> Table {
-    let header = ["method", "frames", "MPJPE mm", "slope mm/min", "95 % interval", "grows"];
+    let header = ["method", "frames", "error mm", "slope mm/min", "95 % interval", "grows"];
     let row = |drift: &Drift| {
         let slope = drift.slope_mm_per_min;
         let text = |value: Option<String>| value.unwrap_or_else(|| "–".into());
         vec![
             drift.method.clone(),
             drift.frames.to_string(),
-            format!("{:.1}", drift.mpjpe_mm),
+            format!("{:.1}", drift.error_mm),
             text(slope.map(|slope| format!("{:+.3}", slope.value))),
             text(slope.map(|slope| format!("[{:.3}, {:.3}]", slope.low, slope.high))),
             text(slope.map(|slope| if slope.low > 0.0 { "yes" } else { "no" }.into())),

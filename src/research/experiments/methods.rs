@@ -1,11 +1,12 @@
 //! Methods by name.
 
-pub use crate::research::methods::named;
+pub use crate::research::methods::{LADDER, NAMES, named};
 
-/// The default methods for real recordings: the paper's and ours.
-pub const OURS: [&str; 2] = ["paper", "default"];
+/// The default methods for real recordings: triangulation, the paper's and ours.
+pub const OURS: [&str; 3] = ["triangulation", "paper-body", "default"];
 
-/// The names that [`named`] knows, in the order of the table.
-pub fn names() -> Vec<String> {
-    crate::research::methods::NAMES.iter().map(|&name| name.to_owned()).collect()
+/// All names in tables, without duplicates.
+pub fn known() -> Vec<&'static str> {
+    let steps = LADDER.iter().filter(|name| !NAMES.contains(name));
+    NAMES.iter().chain(steps).copied().collect()
 }

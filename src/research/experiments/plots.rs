@@ -1,14 +1,13 @@
 //! The plots of a run.
 
 use super::run::{Row, Run};
-use super::score::{REACH, Trace};
+use super::score::{Heights, REACH, Trace};
 use super::summary::Summary;
-use crate::core::body::{JOINTS, Joint};
 use crate::io::report::{Bars, Plot, Series};
 use crate::metrics::{ConfidenceBin, DetectorStatistics};
 
-/// The joint of the path plot.
-const SHOWN: Joint = Joint::LWrist;
+/// The limb joint of the path plot: the left wrist.
+const SHOWN: usize = 4;
 /// Length of the shown path, seconds.
 const SHOWN_S: f64 = 2.0;
 /// Number of frames in the moving mean of the error.
@@ -82,12 +81,11 @@ pub fn borders(run: &Run) -> Plot {
 }
 
 /// The height of a wrist on one case: the truth and the named methods.
-pub fn path(run: &Run, case: usize, truth: &[(f64, [f32; JOINTS])], methods: &[&str]) -> Plot {
-    let joint = SHOWN.index();
-    let (from, to) = liveliest(truth, joint);
-    let part = |points: &[(f64, [f32; JOINTS])]| -> Vec<(f64, f64)> {
+pub fn path(run: &Run, case: usize, truth: &[(f64, Heights)], methods: &[&str]) -> Plot {
+    let (from, to) = liveliest(truth);
+    let part = |points: &[(f64, Heights)]| -> Vec<(f64, f64)> {
         let inside = points.iter().filter(|(at, _)| (from..=to).contains(at));
-        inside.map(|(at, heights)| (*at, f64::from(heights[joint]))).collect()
+        inside.filter_map(|(at, heights)| Some((*at, f64::from(heights[SHOWN]?)))).collect()
     };
     let mut series = vec![Series {
         name: "truth".into(),
@@ -109,16 +107,16 @@ pub fn path(run: &Run, case: usize, truth: &[(f64, [f32; JOINTS])], methods: &[&
     }
 }
 
-/// The section in which a joint's height changes most.
-fn liveliest(truth: &[(f64, [f32; JOINTS])], joint: usize) -> (f64, f64) {
+/// The section in which the joint's height changes most.
+fn liveliest(truth: &[(f64, Heights)]) -> (f64, f64) {
     let (mut best, mut start) = (f32::NEG_INFINITY, 0);
     let mut end = 0;
     for first in 0..truth.len() {
         while end < truth.len() && truth[end].0 <= truth[first].0 + SHOWN_S {
             end += 1;
         }
-        let travel: f32 =
-            truth[first..end].windows(2).map(|p| (p[1].1[joint] - p[0].1[joint]).abs()).sum();
+        let step = |p: &[(f64, Heights)]| Some((p[1].1[SHOWN]? - p[0].1[SHOWN]?).abs());
+        let travel: f32 = truth[first..end].windows(2).filter_map(step).sum();
         if travel > best {
             (best, start) = (travel, first);
         }

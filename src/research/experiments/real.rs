@@ -18,7 +18,7 @@ use crate::metrics::{DetectorStatistics, DetectorTracks, MeanAcceleration};
 use crate::offline::{
     FrameClock, HeldOut, HoldOut, Reference, ReferenceComparison, distances, pose_at,
 };
-use crate::research::methods::{Delay, Method, Solved, Take};
+use crate::research::methods::{Delay, Method, Motion, Solved, Take};
 
 /// The results of one method on a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -29,12 +29,16 @@ pub struct RealScore {
     pub delay_frames: Option<usize>,
     /// Number of poses.
     pub frames: usize,
-    /// Median distance of the fitted keypoints with confidence above 0.3, pixels.
+    /// Median distance of the fitted keypoints with confidence above 0.3, pixels; without a body, of
+    /// the limb keypoints.
     pub reprojection_px: Option<f64>,
     /// The same by camera.
     pub cameras_px: BTreeMap<String, Option<f64>>,
-    /// The error in each camera when it is held out of the solve; empty for two cameras.
+    /// The error in each held-out camera: those of the take together, or each camera in turn; empty
+    /// for two cameras.
     pub hold_out: Vec<HoldOut>,
+    /// Mean of their medians, pixels.
+    pub hold_out_px: Option<f64>,
     /// The distance from the reference, if there is one.
     pub reference: Option<Reference>,
     /// Mean magnitude of the joints' acceleration, m/s^2.
@@ -75,12 +79,17 @@ pub fn frame_rate(frames: &[Detections]) -> Option<f64> {
     median(&periods).filter(|period| *period > 0.0).map(|period| 1e9 / period)
 }
 
-/// Solves and measures; `None` if nobody is found. `each` is called after each solve.
+/// A camera that no method sees, and its detections in order of capture time.
+pub type HeldOutCamera = (Camera, Vec<Detections>);
+
+/// Solves and measures; `None` if nobody is found. Without `held_out` cameras, each camera of the
+/// take is held out in turn. `each` is called after each solve.
 ///
 /// # Errors
 /// The rig has fewer than two cameras.
 pub fn measure(
     take: &Take,
+    held_out: &[HeldOutCamera],
     make: &dyn Fn() -> Box<dyn Method>,
     decoder: &Decoder,
     reference: Option<(&Trc, FrameClock)>,
@@ -93,16 +102,17 @@ pub fn measure(
     each();
     let Some(solved) = solved else { return Ok(None) };
     let cameras = take.rig.cameras.len();
-    let mut hold_out = Vec::new();
-    for camera in (0..cameras).filter(|_| cameras > 2) {
+    let mut hold_out: Vec<HoldOut> =
+        held_out.iter().map(|(camera, seen)| error_in(camera, seen, &solved)).collect();
+    for camera in (0..cameras).filter(|_| held_out.is_empty() && cameras > 2) {
         let (rest, seen) = without_camera(take, camera)?;
-        if let Some(solved) = make().solve(&rest, decoder) {
-            hold_out.push(held_out(&take.rig.cameras[camera], seen, &solved));
+        if let Some(solved) = make().solve(&rest.with_body(decoder), decoder) {
+            hold_out.push(error_in(&take.rig.cameras[camera], &seen, &solved));
         }
         each();
     }
     let (all, cameras_px) = reprojection(take, &solved);
-    let frames = solved.poses.len();
+    let frames = solved.motion.times().len();
     Ok(Some(RealScore {
         method: method.name(),
         delay_frames: match method.delay() {
@@ -112,6 +122,7 @@ pub fn measure(
         frames,
         reprojection_px: all,
         cameras_px,
+        hold_out_px: HoldOut::of_all(&hold_out).and_then(|all| all.median_px),
         hold_out,
         reference: reference.and_then(|(trc, clock)| compare(trc, clock, &solved)),
         mean_acceleration_m_s2: acceleration(&solved, take.fps),
@@ -125,8 +136,8 @@ fn reprojection(take: &Take, solved: &Solved) -> (Option<f64>, BTreeMap<String, 
     let mut errors = vec![Vec::new(); take.rig.cameras.len()];
     for detections in &take.frames {
         let Some(camera) = take.rig.cameras.get(detections.camera) else { continue };
-        let Some(pose) = pose_at(&solved.poses, detections.capture) else { continue };
-        let found = distances(camera, &solved.skeleton, &pose, detections, &keypoints);
+        let Some(body) = solved.motion.at(detections.capture) else { continue };
+        let found = distances(camera, &body, detections, &keypoints);
         errors[detections.camera].extend(found.into_iter().flatten());
     }
     let cameras = take.rig.cameras.iter().zip(&errors);
@@ -134,11 +145,11 @@ fn reprojection(take: &Take, solved: &Solved) -> (Option<f64>, BTreeMap<String, 
     (median(&errors.concat()), cameras.collect())
 }
 
-/// Mean joint acceleration over sections of poses without gaps, m/s^2.
+/// Mean joint acceleration over sections of poses without gaps, m/s^2; `None` without a body.
 pub fn acceleration(solved: &Solved, fps: f64) -> Option<f64> {
     let mut acceleration = MeanAcceleration::new(fps);
-    for (capture, pose) in &solved.poses {
-        acceleration.add(*capture, Some(pose.posture(&solved.skeleton)));
+    for (frame, capture) in solved.motion.times().into_iter().enumerate() {
+        acceleration.add(capture, solved.motion.frame(frame)?.posture().cloned());
     }
     acceleration.mean()
 }
@@ -146,29 +157,29 @@ pub fn acceleration(solved: &Solved, fps: f64) -> Option<f64> {
 /// The distance from the reference; `None` if no row of it has a pose.
 fn compare(trc: &Trc, clock: FrameClock, solved: &Solved) -> Option<Reference> {
     let mut comparison = ReferenceComparison::new(trc);
-    for (capture, pose) in &solved.poses {
-        comparison.add_pose(clock, *capture, Some(pose), &solved.skeleton);
+    for (frame, capture) in solved.motion.times().into_iter().enumerate() {
+        comparison.add(clock, capture, solved.motion.frame(frame).as_ref());
     }
     comparison.finish()
 }
 
 /// The error in a held-out camera.
-fn held_out(camera: &Camera, seen: Vec<Detections>, solved: &Solved) -> HoldOut {
+fn error_in(camera: &Camera, seen: &[Detections], solved: &Solved) -> HoldOut {
     let mut held_out = HeldOut::new(camera.clone());
-    let mut seen = seen.into_iter().peekable();
-    for (capture, pose) in &solved.poses {
-        while let Some(frame) = seen.next_if(|frame| frame.capture <= *capture) {
-            held_out.add_frame(frame);
+    for frame in seen {
+        if let Some(body) = solved.motion.at(frame.capture) {
+            held_out.compare(frame, &body);
         }
-        held_out.add_pose(*capture, Some(pose.clone()), &solved.skeleton);
     }
     held_out.finish()
 }
 
-/// Statistics of a recording's detector errors, with a solved body as the truth.
+/// Statistics of a recording's detector errors, with a solved body as the truth; `None` without a
+/// body.
 pub fn detectors(take: &Take, solved: &Solved) -> Option<DetectorStatistics> {
-    let posture = |at| Some(pose_at(&solved.poses, at)?.posture(&solved.skeleton));
-    DetectorTracks::compare(&take.rig, take.format, &take.frames, &solved.skeleton, posture)
+    let Motion::Poses(skeleton, poses) = &solved.motion else { return None };
+    let posture = |at| Some(pose_at(poses, at)?.posture(skeleton));
+    DetectorTracks::compare(&take.rig, take.format, &take.frames, skeleton, posture)
         .statistics(take.fps)
 }
 
@@ -180,6 +191,7 @@ pub fn table(title: &str, scores: &[RealScore]) -> Table {
     let cameras: Vec<&str> =
         held_out.into_iter().flatten().map(|held| held.camera.as_str()).collect();
     header.extend(cameras.iter().map(|camera| format!("without {camera} px")));
+    header.push("held out px".into());
     header.extend(["reference mm", "accel. m/s²", "ms/frame"].map(str::to_owned));
     let row = |score: &RealScore| {
         let delay = score.delay_frames.map_or("all".into(), |frames| frames.to_string());
@@ -193,6 +205,7 @@ pub fn table(title: &str, scores: &[RealScore]) -> Table {
             let held = score.hold_out.iter().find(|held| held.camera == *camera);
             number(held.and_then(|held| held.median_px), 2)
         }));
+        cells.push(number(score.hold_out_px, 2));
         cells.push(number(score.reference.as_ref().map(|reference| reference.mean_mm), 1));
         cells.push(number(score.mean_acceleration_m_s2, 2));
         cells.push(number(Some(score.ms_per_frame), 2));

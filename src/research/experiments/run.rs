@@ -5,9 +5,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 use super::case::{Case, CaseName, Sequence};
-use super::score::{Score, Trace, score};
+use super::score::{Score, Trace, entries, score};
 use crate::core::manifold::Decoder;
-use crate::research::methods::{Delay, Method};
+use crate::research::methods::{Delay, Method, Solved};
 
 /// Makes the methods. Each case has its own, so that no state passes between cases.
 pub type Methods<'a> = dyn Fn() -> Vec<Box<dyn Method>> + Sync + 'a;
@@ -22,6 +22,9 @@ pub struct Row {
     /// By case; `None` if nobody was found.
     pub results: Vec<Option<(Score, Trace)>>,
 }
+
+/// A subject's name and the score on one of its cases.
+pub(super) type Scored<'a> = (&'a str, &'a Score);
 
 /// The results of all methods on all cases.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,13 +51,17 @@ pub fn run(
             let index = next.fetch_add(1, Ordering::Relaxed);
             cases.get(index).map(|case| (index, case))
         } {
-            let sequence = case.make();
+            let mut sequence = case.make();
+            sequence.take = sequence.take.with_body(decoder);
             let solve = |mut method: Box<dyn Method>| {
-                let result = solve(&sequence, method.as_mut(), decoder);
+                let begin = Instant::now();
+                let solved = method.solve(&sequence.take, decoder);
+                let ms = begin.elapsed().as_secs_f64() * 1e3;
                 each();
-                result
+                solved.map(|solved| (solved, ms / sequence.truth.len().max(1) as f64))
             };
-            let of_case = methods().into_iter().map(solve).collect();
+            let solved: Vec<_> = methods().into_iter().map(solve).collect();
+            let of_case = scores(&sequence, &solved);
             if let Ok(mut results) = results.lock() {
                 results[index] = of_case;
             }
@@ -75,15 +82,17 @@ pub fn run(
     Run { cases: cases.iter().map(|case| case.name().clone()).collect(), rows }
 }
 
-fn solve(
-    sequence: &Sequence,
-    method: &mut dyn Method,
-    decoder: &Decoder,
-) -> Option<(Score, Trace)> {
-    let begin = Instant::now();
-    let solved = method.solve(&sequence.take, decoder)?;
-    let ms = begin.elapsed().as_secs_f64() * 1e3;
-    score(sequence, &solved, ms / sequence.truth.len().max(1) as f64)
+/// The scores of each result, with its milliseconds per frame, in the frames that all of them have.
+fn scores(sequence: &Sequence, solved: &[Option<(Solved, f64)>]) -> Vec<Option<(Score, Trace)>> {
+    let entries: Vec<_> =
+        solved.iter().flatten().map(|(solved, _)| entries(sequence, &solved.motion)).collect();
+    let in_all = |frame: &usize| entries.iter().all(|entries| entries[*frame].is_some());
+    let frames: Vec<usize> = (0..sequence.truth.len()).filter(in_all).collect();
+    let of = |result: &Option<(Solved, f64)>| {
+        let (solved, ms) = result.as_ref()?;
+        score(sequence, solved, &frames, *ms)
+    };
+    solved.iter().map(of).collect()
 }
 
 impl Row {
@@ -98,12 +107,11 @@ impl Row {
 }
 
 impl Run {
-    /// The scores of each method in the cases that all methods solved.
-    pub fn common(&self) -> Vec<Vec<&Score>> {
+    /// The scores of each method in the cases that all methods solved, with the cases' subjects.
+    pub(super) fn common(&self) -> Vec<Vec<Scored<'_>>> {
         let solved_by_all = |case: &usize| self.rows.iter().all(|row| row.results[*case].is_some());
         let cases: Vec<usize> = (0..self.cases.len()).filter(solved_by_all).collect();
-        let of_row = |row| scores_of(row, &cases);
-        self.rows.iter().map(of_row).collect()
+        self.rows.iter().map(|row| scored(row, &self.cases, &cases)).collect()
     }
 
     /// The row of a method.
@@ -112,6 +120,7 @@ impl Run {
     }
 }
 
-fn scores_of<'a>(row: &'a Row, cases: &[usize]) -> Vec<&'a Score> {
-    cases.iter().filter_map(|&case| row.results[case].as_ref()).map(|(score, _)| score).collect()
+fn scored<'a>(row: &'a Row, cases: &'a [CaseName], chosen: &[usize]) -> Vec<Scored<'a>> {
+    let of = |&case: &usize| Some((&*cases[case].subject, &row.results[case].as_ref()?.0));
+    chosen.iter().filter_map(of).collect()
 }

@@ -1,12 +1,16 @@
 //! Scores a method on a sequence.
 
+use nalgebra::Vector3;
 use serde::Serialize;
 
 use super::case::Sequence;
-use crate::core::body::{JOINTS, Joint, Posture};
+use crate::core::body::Posture;
 use crate::core::time::{Nanos, Timestamp};
-use crate::metrics;
-use crate::research::methods::Solved;
+use crate::metrics::statistics::mean;
+use crate::metrics::{self, LIMB_JOINTS, MarkerPositions, limb_joints};
+use crate::offline::{HeldOut, HoldOut};
+use crate::research::methods::{Body, Motion, Solved};
+use crate::research::synth;
 
 /// Frames before and after a border in [`Trace::around_borders`].
 pub const REACH: usize = 10;
@@ -15,16 +19,25 @@ pub const REACH: usize = 10;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[allow(missing_docs)]
 pub struct Score {
-    /// Errors of the compared frames.
+    /// Errors of the limb joints in the compared frames. Without a body these are distances of the
+    /// detector's points from the joint centres, so they include the detector's systematic offsets.
     #[serde(flatten)]
-    pub pose: metrics::PoseErrors,
-    /// Share of the sequence's frames that have a pose, percent.
-    pub covered_percent: f64,
-    pub acceleration_error_m_s2: f64,
-    /// `None` for a method without borders.
-    pub velocity_jump: Option<metrics::VelocityJump>,
-    /// `None` if no foot stands.
+    pub limbs: metrics::LimbErrors,
+    /// Mean over the cameras that no method sees of the median distance of the limb keypoints from
+    /// the detector's places of them, without its random errors, pixels.
+    pub held_out_px: Option<f64>,
+    /// Errors of all joints; here and below `None` without a body and for a foreign true body.
+    #[serde(flatten)]
+    pub pose: Option<metrics::PoseErrors>,
+    pub acceleration_error_m_s2: Option<f64>,
+    /// `None` also if no foot stands.
     pub foot_skate: Option<metrics::FootSkate>,
+    /// `None` without a body, and for a method without borders.
+    pub velocity_jump: Option<metrics::VelocityJump>,
+    /// Number of compared frames: those of all methods.
+    pub compared_frames: usize,
+    /// Share of the sequence's frames that the method has, percent.
+    pub covered_percent: f64,
     /// Mean wall time per frame, milliseconds. The only metric that differs from run to run.
     pub ms_per_frame: f64,
 }
@@ -32,95 +45,157 @@ pub struct Score {
 /// The plot data of a method on a sequence.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Trace {
-    /// Seconds from the start and mean joint error, millimetres, of every compared frame.
+    /// Seconds from the start and mean error, millimetres, of every compared frame: over all joints,
+    /// or over the limb joints where only they are compared.
     pub error_mm: Vec<(f64, f64)>,
-    /// Seconds from the start and height of each joint, metres.
-    pub heights: Vec<(f64, [f32; JOINTS])>,
+    /// Seconds from the start and height of each limb joint, metres.
+    pub heights: Vec<(f64, Heights)>,
     /// Sum and count of the mean velocity jump by frames from the nearest border,
     /// from -[`REACH`] to [`REACH`].
     pub around_borders: [(f64, usize); 2 * REACH + 1],
 }
 
-/// Compares poses with the truth of the same frames; `None` for fewer than three.
-pub fn score(sequence: &Sequence, solved: &Solved, ms_per_frame: f64) -> Option<(Score, Trace)> {
+/// Height of each limb joint, metres; `None` where it is not known.
+pub type Heights = [Option<f32>; LIMB_JOINTS.len()];
+
+/// For each frame of a sequence, the index of the motion's last entry for it.
+pub(super) fn entries(sequence: &Sequence, motion: &Motion) -> Vec<Option<usize>> {
+    let mut entries = vec![None; sequence.truth.len()];
+    for (index, at) in motion.times().into_iter().enumerate() {
+        if let Some(frame) = frame_of(sequence, at) {
+            entries[frame] = Some(index);
+        }
+    }
+    entries
+}
+
+/// The frame of a sequence within a tenth of a period of a time.
+fn frame_of(sequence: &Sequence, at: Timestamp) -> Option<usize> {
+    let (first, fps) = (sequence.truth.first()?.capture, sequence.take.fps);
+    let frame = (at.seconds_since(first) * fps).round();
+    let truth = sequence.truth.get(frame as usize).filter(|_| frame >= 0.0)?;
+    let near = (truth.capture - at).abs() < Nanos::new((0.1e9 / fps) as i64);
+    near.then_some(frame as usize)
+}
+
+/// Compares a motion with the truth in the given frames of a sequence, those of all methods. `None`
+/// if the motion has none of them.
+pub fn score(
+    sequence: &Sequence,
+    solved: &Solved,
+    frames: &[usize],
+    ms_per_frame: f64,
+) -> Option<(Score, Trace)> {
     let fps = sequence.take.fps;
-    let runs = Runs::new(sequence, solved)?;
-    let Runs { estimates, truths, borders, .. } = &runs;
-    let errors = metrics::pose_errors(estimates.iter().zip(truths))?;
+    let entries = entries(sequence, &solved.motion);
+    let runs = Runs::new(sequence, solved, frames, &entries);
+    let joints: Vec<MarkerPositions> = runs.bodies.iter().map(Body::limb_joints).collect();
+    let true_joints: Vec<MarkerPositions> = runs.truths.iter().map(limb_joints).collect();
+    let (estimates, truths) = (&runs.postures[..], &runs.truths[..]);
+    // All joints of a foreign body are not comparable.
+    let comparable = if sequence.body == synth::Body::Own { estimates } else { &[] };
+    let covered = entries.iter().flatten().count();
     let score = Score {
-        covered_percent: 100.0 * errors.frames as f64 / sequence.truth.len() as f64,
-        pose: errors,
-        acceleration_error_m_s2: metrics::acceleration_error(estimates, truths, fps)?,
-        velocity_jump: metrics::velocity_jump(estimates, borders, fps),
-        foot_skate: metrics::foot_skate(estimates, truths, fps),
+        limbs: metrics::limb_errors(&joints, &true_joints, fps)?,
+        held_out_px: runs.held_out_px(sequence),
+        pose: metrics::pose_errors(comparable.iter().zip(truths)),
+        acceleration_error_m_s2: metrics::acceleration_error(comparable, truths, fps),
+        foot_skate: metrics::foot_skate(comparable, truths, fps),
+        velocity_jump: metrics::velocity_jump(estimates, truths, &runs.borders, fps),
+        compared_frames: runs.frames.len(),
+        covered_percent: 100.0 * covered as f64 / sequence.truth.len() as f64,
         ms_per_frame,
     };
-    let trace = runs.trace(fps);
+    let trace = runs.trace(fps, comparable, &joints, &true_joints);
     Some((score, trace))
 }
 
-/// Seconds and height of every joint of the truth.
-pub fn true_heights(sequence: &Sequence) -> Vec<(f64, [f32; JOINTS])> {
+/// Seconds and height of the limb joints of the truth.
+pub fn true_heights(sequence: &Sequence) -> Vec<(f64, Heights)> {
     let Some(first) = sequence.truth.first().map(|pose| pose.capture) else { return Vec::new() };
     let height = |pose: &crate::core::body::StampedPose| {
-        (pose.capture.seconds_since(first), heights(&pose.pose.posture(&sequence.skeleton)))
+        let joints = limb_joints(&pose.pose.posture(&sequence.skeleton));
+        (pose.capture.seconds_since(first), heights(&joints))
     };
     sequence.truth.iter().map(height).collect()
 }
 
-fn heights(posture: &Posture) -> [f32; JOINTS] {
-    Joint::ALL.map(|joint| posture.positions[joint.index()].y as f32)
+fn heights(joints: &MarkerPositions) -> Heights {
+    joints.map(|joint| joint.map(|joint| joint.y as f32))
 }
 
 /// Estimate and truth of the same frames, in order.
 struct Runs {
-    seconds: Vec<f64>,
-    estimates: Vec<Posture>,
+    /// Frames of the sequence.
+    frames: Vec<usize>,
+    bodies: Vec<Body>,
+    /// Postures of the bodies; empty without a body.
+    postures: Vec<Posture>,
     truths: Vec<Posture>,
     /// Indices of frames.
     borders: Vec<usize>,
 }
 
 impl Runs {
-    fn new(sequence: &Sequence, solved: &Solved) -> Option<Self> {
-        let first = sequence.truth.first()?.capture;
-        let fps = sequence.take.fps;
-        let frame_of = |at: Timestamp| -> Option<usize> {
-            let frame = (at.seconds_since(first) * fps).round();
-            let truth = sequence.truth.get(frame as usize).filter(|_| frame >= 0.0)?;
-            let near = (truth.capture - at).abs() < Nanos::new((0.1e9 / fps) as i64);
-            near.then_some(frame as usize)
+    fn new(
+        sequence: &Sequence,
+        solved: &Solved,
+        frames: &[usize],
+        entries: &[Option<usize>],
+    ) -> Self {
+        let found = frames.iter().filter_map(|&frame| {
+            let body = solved.motion.frame((*entries.get(frame)?)?)?;
+            Some((frame, body, sequence.truth[frame].pose.posture(&sequence.skeleton)))
+        });
+        let found: Vec<_> = found.collect();
+        let borders: Vec<usize> =
+            solved.borders.iter().filter_map(|at| frame_of(sequence, *at)).collect();
+        let is_border = |(_, (frame, ..)): &(usize, &(usize, Body, Posture))| {
+            borders.binary_search(frame).is_ok()
         };
-        // The last pose of a frame is used.
-        let mut by_frame = vec![None; sequence.truth.len()];
-        for (at, pose) in &solved.poses {
-            if let Some(frame) = frame_of(*at) {
-                by_frame[frame] = Some(pose);
-            }
+        Self {
+            borders: found.iter().enumerate().filter(is_border).map(|(index, _)| index).collect(),
+            postures: found.iter().filter_map(|(_, body, _)| body.posture().cloned()).collect(),
+            frames: found.iter().map(|(frame, ..)| *frame).collect(),
+            truths: found.iter().map(|(.., truth)| truth.clone()).collect(),
+            bodies: found.into_iter().map(|(_, body, _)| body).collect(),
         }
-        let mut runs = Self { seconds: vec![], estimates: vec![], truths: vec![], borders: vec![] };
-        let borders: Vec<usize> = solved.borders.iter().copied().filter_map(frame_of).collect();
-        for (frame, (pose, truth)) in by_frame.iter().zip(&sequence.truth).enumerate() {
-            let Some(pose) = pose else { continue };
-            if borders.binary_search(&frame).is_ok() {
-                runs.borders.push(runs.estimates.len());
-            }
-            runs.seconds.push(truth.capture.seconds_since(first));
-            runs.estimates.push(pose.posture(&solved.skeleton));
-            runs.truths.push(truth.pose.posture(&sequence.skeleton));
-        }
-        Some(runs)
     }
 
-    fn trace(&self, fps: f64) -> Trace {
+    fn held_out_px(&self, sequence: &Sequence) -> Option<f64> {
+        let error = |(camera, seen): &(_, Vec<_>)| {
+            let mut held_out = HeldOut::new(Clone::clone(camera));
+            for (&frame, body) in self.frames.iter().zip(&self.bodies) {
+                held_out.compare(&seen[frame], body);
+            }
+            held_out.finish()
+        };
+        let cameras: Vec<HoldOut> = sequence.held_out.iter().map(error).collect();
+        HoldOut::of_all(&cameras)?.median_px
+    }
+
+    fn trace(
+        &self,
+        fps: f64,
+        comparable: &[Posture],
+        joints: &[MarkerPositions],
+        true_joints: &[MarkerPositions],
+    ) -> Trace {
         let mut trace = Trace::default();
-        for ((&at, estimate), truth) in self.seconds.iter().zip(&self.estimates).zip(&self.truths) {
-            let pairs = estimate.positions.iter().zip(&truth.positions);
-            let error = pairs.map(|(a, b)| (a - b).norm()).sum::<f64>() / JOINTS as f64;
-            trace.error_mm.push((at, 1e3 * error));
-            trace.heights.push((at, heights(estimate)));
+        let truths = self.truths.iter().zip(true_joints);
+        for (index, (&frame, (truth, true_joints))) in self.frames.iter().zip(truths).enumerate() {
+            let errors: Vec<f64> = match comparable.get(index) {
+                Some(posture) => distances(&posture.positions, &truth.positions).collect(),
+                None => {
+                    let pairs = joints[index].iter().zip(true_joints);
+                    pairs.filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect()
+                }
+            };
+            let at = frame as f64 / fps;
+            trace.error_mm.extend(mean(&errors).map(|error| (at, 1e3 * error)));
+            trace.heights.push((at, heights(&joints[index])));
         }
-        let jumps: Vec<(usize, f64)> = metrics::velocity_jumps(&self.estimates, fps).collect();
+        let jumps: Vec<(usize, f64)> = metrics::velocity_jumps(&self.postures, fps).collect();
         for &border in &self.borders {
             for (slot, sum) in trace.around_borders.iter_mut().enumerate() {
                 let frame = (border + slot).checked_sub(REACH + 1);
@@ -131,4 +206,8 @@ impl Runs {
         }
         trace
     }
+}
+
+fn distances<'a>(a: &'a [Vector3<f64>], b: &'a [Vector3<f64>]) -> impl Iterator<Item = f64> + 'a {
+    a.iter().zip(b).map(|(a, b)| (a - b).norm())
 }

@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::run::{Row, Run};
+use super::run::{Row, Run, Scored};
 use super::score::Score;
 use crate::io::report::Table;
-use crate::metrics::{Interval, mean_interval};
+use crate::metrics::statistics::mean;
+use crate::metrics::{Interval, PoseErrors, mean_interval};
 use crate::research::methods::Delay;
 
 /// A column of the table.
@@ -23,49 +24,48 @@ pub struct Metric {
     pub of: fn(&Score) -> Option<f64>,
 }
 
+/// A metric of all joints, which only results with a body of ours have.
+fn pose(score: &Score, of: fn(&PoseErrors) -> f64) -> Option<f64> {
+    score.pose.as_ref().map(of)
+}
+
+const fn metric(
+    key: &'static str,
+    title: &'static str,
+    digits: usize,
+    of: fn(&Score) -> Option<f64>,
+) -> Metric {
+    Metric { key, title, digits, of }
+}
+
 /// The metrics, in the order of the columns.
-pub const METRICS: [Metric; 11] = [
-    Metric { key: "mpjpe_mm", title: "MPJPE mm", digits: 1, of: |s| Some(s.pose.mpjpe_mm) },
-    Metric {
-        key: "mpjpe_root_relative_mm",
-        title: "root-rel. mm",
-        digits: 1,
-        of: |s| Some(s.pose.mpjpe_root_relative_mm),
-    },
-    Metric { key: "rmse_mm", title: "RMSE mm", digits: 1, of: |s| Some(s.pose.rmse_mm) },
-    Metric { key: "mae_deg", title: "MAE °", digits: 2, of: |s| Some(s.pose.mae_deg) },
-    Metric { key: "pck3_percent", title: "PCK@3 %", digits: 1, of: |s| Some(s.pose.pck3_percent) },
-    Metric { key: "pck7_percent", title: "PCK@7 %", digits: 1, of: |s| Some(s.pose.pck7_percent) },
-    Metric {
-        key: "acceleration_error_m_s2",
-        title: "accel. err. m/s²",
-        digits: 1,
-        of: |s| Some(s.acceleration_error_m_s2),
-    },
-    Metric {
-        key: "velocity_jump_border_m_s",
-        title: "jump at border m/s",
-        digits: 3,
-        of: |s| s.velocity_jump.map(|jump| jump.border_m_s),
-    },
-    Metric {
-        key: "velocity_jump_inside_m_s",
-        title: "inside m/s",
-        digits: 3,
-        of: |s| s.velocity_jump.map(|jump| jump.inside_m_s),
-    },
-    Metric {
-        key: "foot_skate_mm_s",
-        title: "skate mm/s",
-        digits: 0,
-        of: |s| s.foot_skate.map(|skate| skate.mm_s),
-    },
-    Metric { key: "ms_per_frame", title: "ms/frame", digits: 2, of: |s| Some(s.ms_per_frame) },
+pub const METRICS: [Metric; 15] = [
+    metric("limb_mm", "limb joints mm", 1, |s| Some(s.limbs.limb_mm)),
+    metric("held_out_px", "held out px", 2, |s| s.held_out_px),
+    metric("mpjpe_mm", "MPJPE mm", 1, |s| pose(s, |pose| pose.mpjpe_mm)),
+    metric("rmse_mm", "RMSE mm", 1, |s| pose(s, |pose| pose.rmse_mm)),
+    metric("mae_deg", "MAE °", 2, |s| pose(s, |pose| pose.mae_deg)),
+    metric("pck3_percent", "PCK@3 %", 1, |s| pose(s, |pose| pose.pck3_percent)),
+    metric("pck7_percent", "PCK@7 %", 1, |s| pose(s, |pose| pose.pck7_percent)),
+    metric("limb_acceleration_error_m_s2", "accel. err. m/s²", 1, |s| {
+        s.limbs.limb_acceleration_error_m_s2
+    }),
+    metric("velocity_jump_excess_m_s", "border excess m/s", 3, |s| {
+        s.velocity_jump.map(|jump| jump.excess_m_s)
+    }),
+    metric("limb_slow_mm", "slow mm", 1, |s| s.limbs.limb_by_speed_mm[0]),
+    metric("limb_medium_mm", "medium mm", 1, |s| s.limbs.limb_by_speed_mm[1]),
+    metric("limb_fast_mm", "fast mm", 1, |s| s.limbs.limb_by_speed_mm[2]),
+    metric("foot_skate_mm_s", "skate mm/s", 0, |s| s.foot_skate.map(|skate| skate.mm_s)),
+    metric("mpjpe_root_relative_mm", "root-rel. mm", 1, |s| {
+        pose(s, |pose| pose.mpjpe_root_relative_mm)
+    }),
+    metric("ms_per_frame", "ms/frame", 2, |s| Some(s.ms_per_frame)),
 ];
 
-/// The metrics with differences: the five of the paper's table, root-relative MPJPE and the
-/// acceleration error.
-const COMPARED: usize = 7;
+/// The first metrics, which have differences: limb joints, held-out cameras, the five of the paper's
+/// table, and the acceleration error.
+const COMPARED: usize = 8;
 
 /// The means of one method.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -78,10 +78,9 @@ pub struct Summary {
     pub failed: usize,
     /// Mean over the sequences, by [`Metric::key`].
     pub mean: BTreeMap<&'static str, f64>,
-    /// Mean jump at borders divided by that elsewhere.
-    pub velocity_jump_ratio: Option<f64>,
     /// Mean difference from the reference method over the same sequences, with the 95 % interval of
-    /// the paired t test.
+    /// the paired t test over the means of the subjects: sequences of one subject are alike. Empty
+    /// for one subject.
     pub difference: BTreeMap<&'static str, Interval>,
 }
 
@@ -93,21 +92,27 @@ pub fn summaries(run: &Run, against: usize) -> Vec<Summary> {
     each.map(|(row, scores)| summary(row, scores, &reference)).collect()
 }
 
-fn summary(row: &Row, scores: &[&Score], reference: &[&Score]) -> Summary {
-    let mut mean = BTreeMap::new();
+/// The interval of paired differences, over the means of the subjects.
+fn over_subjects<'a>(values: impl Iterator<Item = (&'a str, f64)>) -> Option<Interval> {
+    let mut subjects = BTreeMap::<&str, Vec<f64>>::new();
+    values.for_each(|(subject, value)| subjects.entry(subject).or_default().push(value));
+    let means: Vec<f64> = subjects.values().filter_map(|values| mean(values)).collect();
+    mean_interval(&means)
+}
+
+fn summary(row: &Row, scores: &[Scored], reference: &[Scored]) -> Summary {
+    let mut means = BTreeMap::new();
     for metric in &METRICS {
-        let values: Vec<f64> = scores.iter().copied().filter_map(metric.of).collect();
-        if !values.is_empty() {
-            mean.insert(metric.key, values.iter().sum::<f64>() / values.len() as f64);
-        }
+        let values: Vec<f64> = scores.iter().filter_map(|(_, score)| (metric.of)(score)).collect();
+        means.extend(mean(&values).map(|mean| (metric.key, mean)));
     }
     let difference = |metric: &Metric| {
         let pairs = scores.iter().zip(reference);
-        let values: Vec<f64> =
-            pairs.filter_map(|(a, b)| Some((metric.of)(a)? - (metric.of)(b)?)).collect();
-        Some((metric.key, mean_interval(&values)?))
+        let values = pairs.filter_map(|((subject, a), (_, b))| {
+            Some((*subject, (metric.of)(a)? - (metric.of)(b)?))
+        });
+        Some((metric.key, over_subjects(values)?))
     };
-    let jump = |key| mean.get(key).copied();
     Summary {
         method: row.method.clone(),
         delay_frames: match row.delay {
@@ -115,21 +120,15 @@ fn summary(row: &Row, scores: &[&Score], reference: &[&Score]) -> Summary {
             Delay::Recording => None,
         },
         failed: row.failed(),
-        velocity_jump_ratio: jump("velocity_jump_border_m_s")
-            .zip(jump("velocity_jump_inside_m_s"))
-            .map(|(at, inside)| at / inside),
         difference: METRICS[..COMPARED].iter().filter_map(difference).collect(),
-        mean,
+        mean: means,
     }
 }
 
 /// The table of means.
 pub fn table(title: &str, summaries: &[Summary]) -> Table {
-    let shown: Vec<&Metric> =
-        METRICS.iter().filter(|metric| !metric.key.starts_with("velocity_jump")).collect();
     let mut header = vec!["method".to_owned(), "delay".to_owned()];
-    header.extend(shown.iter().map(|metric| metric.title.to_owned()));
-    header.push("jump ratio".into());
+    header.extend(METRICS.iter().map(|metric| metric.title.to_owned()));
     let failed = summaries.iter().any(|summary| summary.failed > 0);
     if failed {
         header.push("failed".into());
@@ -137,9 +136,8 @@ pub fn table(title: &str, summaries: &[Summary]) -> Table {
     let row = |summary: &Summary| {
         let delay = summary.delay_frames.map_or("all".into(), |frames| frames.to_string());
         let mut cells = vec![summary.method.clone(), delay];
-        let mean = |metric: &&Metric| number(summary.mean.get(metric.key).copied(), metric.digits);
-        cells.extend(shown.iter().map(mean));
-        cells.push(number(summary.velocity_jump_ratio, 2));
+        let mean = |metric: &Metric| number(summary.mean.get(metric.key).copied(), metric.digits);
+        cells.extend(METRICS.iter().map(mean));
         if failed {
             cells.push(summary.failed.to_string());
         }
@@ -163,7 +161,9 @@ pub fn differences(against: &str, summaries: &[Summary]) -> Table {
     };
     let others = summaries.iter().filter(|summary| summary.method != against);
     Table {
-        title: format!("Difference from {against}, with its 95 % interval (paired over sequences)"),
+        title: format!(
+            "Difference from {against}, with its 95 % interval (paired, over the means of the subjects)"
+        ),
         header,
         rows: others.map(row).collect(),
     }
@@ -190,6 +190,7 @@ pub fn to_json(run: &Run, summaries: &[Summary]) -> Value {
             let sequences = run.cases.iter().zip(&row.results).map(|(case, result)| {
                 json!({
                     "sequence": case.sequence,
+                    "subject": case.subject,
                     "seed": case.seed,
                     "score": result.as_ref().map(|(score, _)| score),
                 })
@@ -231,15 +232,18 @@ pub fn text(table: &Table) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::PoseErrors;
+    use crate::metrics::LimbErrors;
     use crate::research::experiments::case::CaseName;
     use crate::research::experiments::score::Trace;
 
     fn score(mpjpe_mm: f64) -> Score {
         Score {
-            pose: PoseErrors { frames: 10, mpjpe_mm, ..PoseErrors::default() },
+            limbs: LimbErrors::default(),
+            held_out_px: None,
+            pose: Some(PoseErrors { frames: 10, mpjpe_mm, ..PoseErrors::default() }),
+            compared_frames: 10,
             covered_percent: 100.0,
-            acceleration_error_m_s2: 0.0,
+            acceleration_error_m_s2: None,
             velocity_jump: None,
             foot_skate: None,
             ms_per_frame: 1.0,
@@ -257,17 +261,22 @@ mod tests {
             row("a", [Some(10.0), Some(20.0), Some(90.0), Some(30.0)]),
             row("b", [Some(11.0), Some(22.0), None, Some(33.0)]),
         ];
-        let case = |index: u64| CaseName { sequence: index.to_string(), seed: index };
+        // The difference of a subject with two sequences counts once.
+        let case = |index: u64| CaseName {
+            sequence: index.to_string(),
+            subject: ["x", "y", "y", "y"][index as usize].into(),
+            seed: index,
+        };
         let run = Run { cases: (0..4).map(case).collect(), rows };
         let summaries = summaries(&run, 0);
         assert_eq!(summaries[0].mean["mpjpe_mm"], 20.0);
         assert_eq!((summaries[0].failed, summaries[1].failed), (0, 1));
         let difference = summaries[1].difference["mpjpe_mm"];
-        assert!((difference.value - 2.0).abs() < 1e-12);
-        // s = 1 for the differences 1, 2, 3; t(2) = 4.3027.
-        assert!((difference.high - 2.0 - 4.3027 / 3f64.sqrt()).abs() < 1e-3);
+        // 1 of x, the mean of 2 and 3 of y; s = 1.5 / sqrt(2), t(1) = 12.706.
+        assert!((difference.value - 1.75).abs() < 1e-12);
+        assert!((difference.high - 1.75 - 12.706 * 0.75).abs() < 1e-2);
         let text = text(&table("t", &summaries));
         assert!(text.lines().nth(1).is_some_and(|line| line.ends_with("failed")), "{text}");
-        assert!(markdown(&differences("a", &summaries)).contains("| b | +2.0 [-0.5, 4.5] |"));
+        assert!(markdown(&differences("a", &summaries)).contains("| +1.8 [-7.8, 11.3] |"));
     }
 }

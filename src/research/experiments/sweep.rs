@@ -13,10 +13,11 @@ use crate::core::cost::Stiffness;
 use crate::core::manifold::Transition;
 use crate::core::tracker::Config;
 use crate::io::report::Table;
+use crate::metrics::PoseErrors;
 use crate::metrics::statistics::mean;
 use crate::research::methods::{
-    Dct, DctWeights, Dmmr, DmmrWeights, Etc, EtcWeights, Method, MuVs, MuVsWeights, Slahmr,
-    SlahmrWeights, Windows,
+    Dct, DctWeights, Dmmr, DmmrWeights, Etc, EtcWeights, Filter, Method, MuVs, MuVsWeights, Slahmr,
+    SlahmrWeights, Triangulation, Windows,
 };
 
 /// Number of passes over all axes.
@@ -36,6 +37,10 @@ pub struct Axis {
     /// Factors of the start value.
     pub factors: &'static [f64],
 }
+
+/// The methods with weights to tune.
+pub const TUNABLE: [&str; 9] =
+    ["triangulation", "muvs", "dct", "etc", "dmmr", "slahmr", "paper", "tuned", "default"];
 
 const WIDE: &[f64] = &[0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0];
 const NARROW: &[f64] = &[0.1, 0.3, 1.0, 3.0];
@@ -65,6 +70,10 @@ pub fn axes(method: &str) -> Option<Vec<Axis>> {
         windows(method).map(|plain| [latent, root, robust_scale].into_iter().chain(plain).collect())
     };
     match method {
+        "triangulation" => Some(vec![
+            Axis { name: "cut-off Hz", start: 6.0, factors: &[0.5, 1.0, 1.5] },
+            Axis { name: "views within px", start: 15.0, factors: SCALE },
+        ]),
         "muvs" => {
             let MuVsWeights { prior, scale_px, .. } = MuVsWeights::default();
             all(None, prior, scale_px)
@@ -86,7 +95,7 @@ pub fn axes(method: &str) -> Option<Vec<Axis>> {
             all(Some(("transition", transition)), prior, scale_px)
         }
         "paper" => windows(&Windows::paper()),
-        "paper-lm" => windows(&Windows::paper_with_our_optimiser()),
+        "tuned" => windows(&Windows::tuned()),
         "default" => ours(&Windows::default_settings()),
         _ => None,
     }
@@ -111,6 +120,10 @@ fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> 
         Box::new(Windows::new("", Config { cost, ..config }))
     };
     let made: Box<dyn Method> = match method {
+        "triangulation" => {
+            let filter = Filter::Butterworth { cutoff_hz: of("cut-off Hz") };
+            Box::new(Triangulation::new(filter, of("views within px")))
+        }
         "muvs" => Box::new(MuVs::new(MuVsWeights { prior, scale_px, ..Default::default() })),
         "dct" => {
             Box::new(Dct::new(DctWeights { smoothness, prior, scale_px, ..Default::default() }))
@@ -139,7 +152,7 @@ fn with(method: &str, axes: &[Axis], values: &[f64]) -> Option<Box<dyn Method>> 
             Box::new(Slahmr::new(weights, Transition::embedded().ok()?))
         }
         "paper" => windows(Windows::paper()),
-        "paper-lm" => windows(Windows::paper_with_our_optimiser()),
+        "tuned" => windows(Windows::tuned()),
         "default" => windows(Windows::default_settings()),
         _ => return None,
     };
@@ -203,26 +216,31 @@ pub fn tune<E>(
 }
 
 fn trial(axes: &[Axis], values: Vec<f64>, row: usize, runs: &[Run]) -> Trial {
-    let scores = |run: &Run, of: fn(&super::Score) -> f64| {
+    let scores = |run: &Run, of: fn(&PoseErrors) -> f64| {
+        let found = run.rows[row].results.iter().flatten();
         let found: Vec<f64> =
-            run.rows[row].results.iter().flatten().map(|(score, _)| of(score)).collect();
+            found.filter_map(|(score, _)| Some(of(score.pose.as_ref()?))).collect();
         mean(&found)
     };
     Trial {
         name: label(axes, &values),
         values,
         judged: judge(runs, row),
-        mpjpe_mm: runs.iter().map(|run| scores(run, |s| s.pose.mpjpe_mm)).collect(),
-        mae_deg: runs.iter().map(|run| scores(run, |s| s.pose.mae_deg)).collect(),
+        mpjpe_mm: runs.iter().map(|run| scores(run, |pose| pose.mpjpe_mm)).collect(),
+        mae_deg: runs.iter().map(|run| scores(run, |pose| pose.mae_deg)).collect(),
     }
 }
 
 /// The score of a row: the mean over motions and levels of MPJPE in mm plus 2 mm per degree of MAE,
-/// so that neither position nor rotation is traded for the other; 200 if nobody was found.
+/// so that neither position nor rotation is traded for the other; the error of the limb joints in mm
+/// without a body; 200 if nobody was found.
 fn judge(runs: &[Run], row: usize) -> f64 {
     let results = runs.iter().flat_map(|run| &run.rows[row].results);
     let of = |result: &Option<(super::Score, super::Trace)>| {
-        result.as_ref().map_or(FAILED, |(s, _)| s.pose.mpjpe_mm + MM_PER_DEGREE * s.pose.mae_deg)
+        result.as_ref().map_or(FAILED, |(score, _)| match &score.pose {
+            Some(pose) => pose.mpjpe_mm + MM_PER_DEGREE * pose.mae_deg,
+            None => score.limbs.limb_mm,
+        })
     };
     mean(&results.map(of).collect::<Vec<_>>()).unwrap_or(FAILED)
 }
@@ -246,15 +264,14 @@ pub fn table(title: &str, levels: &[&str], trials: &[Trial]) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::research::methods::NAMES;
 
     #[test]
     fn every_method_of_ours_has_axes_and_can_be_made() {
-        for name in NAMES {
+        for name in TUNABLE {
             let axes = axes(name).unwrap();
             let values: Vec<f64> = axes.iter().map(|axis| axis.start).collect();
             let made = with(name, &axes, &values).unwrap();
-            assert!(made.name().contains("prior"), "{}", made.name());
+            assert!(made.name().contains(axes[0].name), "{}", made.name());
         }
         assert_eq!(axes("guess"), None);
     }

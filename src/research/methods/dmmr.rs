@@ -10,7 +10,8 @@
 //! 3. all unknowns, with the same loss,
 //! 4. all unknowns, with the final loss.
 //!
-//! Differences: the publication also solves for cameras and several people. Its codes come from a
+//! Differences: the publication also solves for cameras and several people, in segments of 64 frames
+//! and with a penalty on joint velocities. Its codes come from a
 //! motion prior that is trained to be smooth; here they are codes of single poses. Its stages go
 //! from root and cameras to all unknowns, each with its own weights; here all stages share the
 //! weights and differ in the free unknowns and in the loss.

@@ -1,8 +1,8 @@
 //! ETC: all frames at once, with a penalty on joint velocity \[Arnab 2019\].
 //!
 //! cost = data term + prior of every frame + 1/2 smoothness sum of |P_j(t + 1) - P_j(t)|^2 over
-//! joints and frames, starting from the per-frame solutions. Differences: the publication uses one
-//! camera, so it also keeps the joints near a network's 3D joints and the camera's scale constant.
+//! joints and frames, starting from the per-frame solutions. Differences: the publication starts from
+//! the poses of a regressor. It uses one camera, so it also keeps the joints near a network's 3D joints and the camera's scale constant.
 //! Several views need neither.
 
 use serde::{Deserialize, Serialize};

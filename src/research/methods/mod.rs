@@ -1,7 +1,8 @@
 //! Our method and the published methods that it is compared with.
 //!
-//! All get the same [`Take`] and share body, manifold, cameras, data term, optimiser, acquisition
-//! and association. They differ in the temporal term:
+//! All get the same [`Take`] and share cameras, acquisition and association; all but triangulation
+//! share body, manifold and data term, and all but the paper's rows the optimiser. Weights are fixed,
+//! but for the default's, which follow the detector. The methods differ in the temporal term:
 //!
 //! | method | unknowns | temporal term |
 //! |---|---|---|
@@ -10,19 +11,23 @@
 //! | [`Etc`] | a keyframe per frame, all at once | joint velocity |
 //! | [`Dmmr`] | a keyframe per frame, in segments | velocity of codes and roots |
 //! | [`Slahmr`] | a latent keyframe per frame, all at once | joint velocity, then motion prior |
+//! | [`Triangulation`] | limb keypoints, no body | a filter of each track |
 //! | [`Windows`] | a latent keyframe at each window border | the path between keyframes |
 
 mod dct;
 mod dmmr;
 mod etc;
+mod filter;
 mod frames;
 mod joints;
 mod muvs;
 mod path;
 mod registry;
 mod slahmr;
+mod solved;
 mod start;
 mod terms;
+mod triangulation;
 mod windows;
 
 use std::sync::Arc;
@@ -30,21 +35,25 @@ use std::sync::Arc;
 pub use dct::{Dct, DctWeights};
 pub use dmmr::{Dmmr, DmmrWeights};
 pub use etc::{Etc, EtcWeights};
+pub use filter::Filter;
 pub use joints::UNKNOWNS;
 pub use joints::{COORDINATES, Joints};
 pub use muvs::{MuVs, MuVsWeights};
 pub use path::{FramePath, State, Term};
-pub use registry::{NAMES, all, named};
+pub use registry::{LADDER, NAMES, all, named};
 pub use slahmr::{Slahmr, SlahmrWeights};
+pub use solved::{Body, Motion, Solved};
 pub use start::{Start, start};
 pub use terms::{JointSteps, KeyframeSteps, LowFrequency};
+pub use triangulation::Triangulation;
 pub use windows::Windows;
 
-use crate::core::body::{Pose, Skeleton};
+use crate::core::body::Skeleton;
 use crate::core::camera::Rig;
 use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::manifold::Decoder;
-use crate::core::time::Timestamp;
+use crate::core::tracker::{Config, Solver, Tracker, run_to_end};
+use crate::offline::first_pass;
 
 /// The input of every method: the detections of one recording.
 #[derive(Clone, Debug)]
@@ -57,17 +66,29 @@ pub struct Take {
     pub fps: f64,
     /// Detections in order of capture time.
     pub frames: Vec<Detections>,
+    /// The body that methods use instead of one that they find themselves.
+    pub body: Option<Arc<Skeleton>>,
 }
 
-/// The result of a method.
-#[derive(Clone, Debug)]
-pub struct Solved {
-    /// The body.
-    pub skeleton: Arc<Skeleton>,
-    /// Poses in order of capture time, one per nominal frame, starting at the first keyframe.
-    pub poses: Vec<(Timestamp, Pose)>,
-    /// Capture times of the borders between pieces that were solved separately.
-    pub borders: Vec<Timestamp>,
+impl Take {
+    /// A take without a body.
+    pub fn new(rig: Arc<Rig>, format: KeypointFormat, fps: f64, frames: Vec<Detections>) -> Self {
+        Self { rig, format, fps, frames, body: None }
+    }
+
+    /// The take with the body that `solve` finds in its first pass, with the default settings; without
+    /// one if nobody is found.
+    pub fn with_body(mut self, decoder: &Decoder) -> Self {
+        let config = Config { frame_rate_hz: self.fps, ..Config::default() };
+        let frames = self.frames.iter().filter(|frame| frame.camera == 0).count();
+        self.body = first_pass(config, frames).and_then(|config| {
+            let mut tracker = Tracker::new(config, Arc::clone(&self.rig));
+            let mut solver = Solver::new(decoder.clone(), config);
+            run_to_end(&mut tracker, &mut solver, self.frames.iter().cloned(), |_| {});
+            tracker.skeleton().cloned()
+        });
+        self
+    }
 }
 
 /// How long a pose waits for later frames.

@@ -1,13 +1,15 @@
 //! MuVS: every frame on its own \[Huang 2017, the first stage\].
 //!
 //! cost = data term + prior on z of one frame, starting from the solution of the frame before.
-//! Differences: the publication fits SMPL with silhouettes and its own pose prior. Here all methods
-//! share body, manifold and data term.
+//! Differences: the publication fits SMPL with silhouettes and its own pose prior, and starts from a
+//! regressor's poses. Here all methods share body, manifold and data term.
+
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use super::frames::{Cut, Given, is_enough};
-use super::{Delay, Method, Solved, Start, Take, start};
+use super::{Delay, Method, Motion, Solved, Start, Take, start};
 use crate::core::body::fitted_points;
 use crate::core::cost::{
     self, FrameObservations, FreeBody, PathKeyframe, PathProblem, Scene, Workspace,
@@ -98,8 +100,10 @@ impl PerFrame {
     ) -> Solved {
         let pose = |(at, keyframe): (&Timestamp, &Keyframe)| (*at, decoder.pose(keyframe));
         Solved {
-            skeleton: self.start.skeleton.clone(),
-            poses: self.times.iter().zip(keyframes).map(pose).collect(),
+            motion: Motion::Poses(
+                Arc::clone(&self.start.skeleton),
+                self.times.iter().zip(keyframes).map(pose).collect(),
+            ),
             borders: self.times.iter().copied().step_by(segment).skip(1).collect(),
         }
     }

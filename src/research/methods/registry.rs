@@ -1,28 +1,65 @@
 //! The methods by name.
 
-use super::{Dct, Dmmr, Etc, Method, MuVs, Slahmr, SlahmrWeights, Windows};
+use super::{
+    Dct, DctWeights, Dmmr, Etc, Method, MuVs, Slahmr, SlahmrWeights, Triangulation, Windows,
+};
 use crate::core::manifold::Transition;
 
-/// The names that [`named`] accepts, in table order.
-pub const NAMES: &[&str] =
-    &["muvs", "dct", "etc", "dmmr", "slahmr", "paper", "paper-lm", "default"];
+/// The compared methods, in table order.
+pub const NAMES: &[&str] = &[
+    "triangulation",
+    "triangulation-kalman",
+    "muvs",
+    "dct",
+    "etc",
+    "dmmr",
+    "slahmr",
+    "paper",
+    "paper-converged",
+    "paper-body",
+    "fixed",
+    "default",
+];
+
+/// The steps from the paper's path to the default settings, each with one more change.
+pub const LADDER: &[&str] = &[
+    "paper",
+    "paper-converged",
+    "paper-body",
+    "tuned",
+    "frames",
+    "overlapping",
+    "fixed",
+    "default",
+    "live",
+];
 
 /// Every method with its default weights, in the order of [`NAMES`].
 pub fn all() -> Vec<Box<dyn Method>> {
     NAMES.iter().filter_map(|name| named(name)).collect()
 }
 
-/// The method of that name with its default weights; `None` if the name is unknown.
+/// The method of that name with its default weights; `None` if the name is unknown. `dct-300` is DCT
+/// with ten times its iterations.
 pub fn named(name: &str) -> Option<Box<dyn Method>> {
     Some(match name {
+        "triangulation" => Box::new(Triangulation::butterworth()),
+        "triangulation-kalman" => Box::new(Triangulation::kalman()),
         "muvs" => Box::new(MuVs::default()),
         "dct" => Box::new(Dct::default()),
+        "dct-300" => Box::new(Dct::new(DctWeights { iterations: 300, ..DctWeights::default() })),
         "etc" => Box::new(Etc::default()),
         "dmmr" => Box::new(Dmmr::default()),
         "slahmr" => Box::new(Slahmr::new(SlahmrWeights::default(), Transition::embedded().ok()?)),
         "paper" => Box::new(Windows::paper()),
-        "paper-lm" => Box::new(Windows::paper_with_our_optimiser()),
+        "paper-converged" => Box::new(Windows::paper_converged()),
+        "paper-body" => Box::new(Windows::paper_with_body()),
+        "tuned" => Box::new(Windows::tuned()),
+        "frames" => Box::new(Windows::frames()),
+        "overlapping" => Box::new(Windows::overlapping()),
+        "fixed" => Box::new(Windows::fixed()),
         "default" => Box::new(Windows::default_settings()),
+        "live" => Box::new(Windows::live()),
         _ => return None,
     })
 }

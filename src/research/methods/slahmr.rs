@@ -114,7 +114,7 @@ fn minimised<'a>(
 
 impl Method for Slahmr {
     fn name(&self) -> String {
-        "SLAHMR".to_owned()
+        "SLAHMR-like".to_owned()
     }
 
     fn delay(&self) -> Delay {

@@ -15,14 +15,17 @@ pub struct Start {
     pub at: Timestamp,
     /// The first keyframe.
     pub keyframe: Keyframe,
-    /// The body, solved from the first windows.
+    /// The body: the take's, or one solved from the first windows.
     pub skeleton: Arc<Skeleton>,
 }
 
-/// Finds the performer as the tracker does; `None` if nobody is found.
+/// Finds the performer as the tracker does, with the take's body if it has one; `None` if nobody is found.
 pub fn start(take: &Take, decoder: &Decoder, config: &Config) -> Option<Start> {
     let config = Config { frame_rate_hz: take.fps, ..*config };
     let mut tracker = Tracker::new(config, Arc::clone(&take.rig));
+    if let Some(body) = &take.body {
+        tracker = tracker.with_body(Arc::clone(body));
+    }
     let mut solver = Solver::new(decoder.clone(), config);
     for input in take.frames.iter().cloned().map(Input::Detections).chain([Input::End]) {
         tracker.handle(input);

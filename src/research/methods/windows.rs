@@ -1,23 +1,36 @@
-//! BundleMoCap: one latent keyframe per window, by the tracker itself.
+//! BundleMoCap: one latent keyframe per window, by the tracker itself; and the steps from there to the
+//! default settings.
 
 use std::sync::Arc;
 
-use super::{Delay, Method, Solved, Take};
+use super::{Delay, Method, Motion, Solved, Take};
 use crate::core::cost;
 use crate::core::manifold::Decoder;
+use crate::core::optimise::OptimiserKind;
 use crate::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
+
+/// Prior of a keyframe and loss scale, pixels, as published in \[Albanis 2023\].
+const PUBLISHED: (f64, f64) = (10.76, 100.0);
+/// Iterations and relative change of the cost that let Levenberg-Marquardt converge.
+const CONVERGED: (usize, f64) = (100, 1e-6);
 
 /// The tracker with those settings.
 #[derive(Clone, Debug)]
 pub struct Windows {
     name: String,
     config: Config,
+    own_body: bool,
 }
 
 impl Windows {
-    /// The tracker with settings under a name.
+    /// The tracker with settings under a name, and with the body of the take.
     pub fn new(name: &str, config: Config) -> Self {
-        Self { name: name.to_owned(), config }
+        Self { name: name.to_owned(), config, own_body: false }
+    }
+
+    /// The tracker with a body that it finds in one pass, as the live node does.
+    pub fn with_own_body(self) -> Self {
+        Self { own_body: true, ..self }
     }
 
     /// The tracker's settings.
@@ -25,23 +38,65 @@ impl Windows {
         self.config
     }
 
-    /// The settings of the paper; see [`Config::paper`].
+    /// The publication: its prior and loss scale, 30 iterations of L-BFGS, the shape of its first
+    /// windows and no keypoint offsets.
     pub fn paper() -> Self {
-        Self::new("BundleMoCap (paper)", Config::paper())
+        let paper = Config::paper();
+        let (prior, scale_px) = PUBLISHED;
+        // Our prior is of a frame, and a keyframe counts for its frames.
+        let prior = prior / paper.keyframe_frames as f64;
+        let cost = cost::Config { prior, scale_px, ..paper.cost };
+        Self::new("BundleMoCap (paper)", Config { cost, ..paper }).with_own_body()
     }
 
-    /// The paper's windows and path with Levenberg-Marquardt, the optimiser of all other methods.
-    pub fn paper_with_our_optimiser() -> Self {
-        let Config { optimiser, change_threshold, .. } = Config::default();
-        let paper = Config::paper();
-        let cost = cost::Config { prior: 30.0, ..paper.cost };
-        let config = Config { optimiser, change_threshold, cost, ..paper };
-        Self::new("BundleMoCap (paper, LM)", config)
+    /// The publication at its minimum: with Levenberg-Marquardt and more iterations.
+    pub fn paper_converged() -> Self {
+        let (iterations, change_threshold) = CONVERGED;
+        let optimiser = OptimiserKind::LevenbergMarquardt;
+        let config = Config { optimiser, iterations, change_threshold, ..Self::paper().config };
+        Self::new("BundleMoCap (paper, converged)", config).with_own_body()
+    }
+
+    /// The same with the body of the take.
+    pub fn paper_with_body() -> Self {
+        Self::new("BundleMoCap (paper, converged, body)", Self::paper_converged().config)
+    }
+
+    /// The same with the weights of a sweep.
+    pub fn tuned() -> Self {
+        let config = Self::paper_converged().config;
+        let cost = cost::Config { prior: 30.0, scale_px: 60.0, ..config.cost };
+        Self::new("+ tuned weights", Config { cost, ..config })
+    }
+
+    /// A keyframe in each frame, with the stiffness, prior and loss scale of the default.
+    pub fn frames() -> Self {
+        let config = Self::fixed().config;
+        let cost = cost::Config { prior_dof: 0.0, ..config.cost };
+        let publish_frames = config.window_frames;
+        Self::new("+ keyframe in each frame, stiffness", Config { publish_frames, cost, ..config })
+    }
+
+    /// The same with windows that overlap.
+    pub fn overlapping() -> Self {
+        let Config { publish_frames, .. } = Config::default();
+        Self::new("+ windows overlap", Config { publish_frames, ..Self::frames().config })
+    }
+
+    /// The default with fixed weights.
+    pub fn fixed() -> Self {
+        let config = Config { reference_residual_px: 0.0, ..Config::default() };
+        Self::new("bundlemocap (fixed weights)", config)
     }
 
     /// The program's default settings.
     pub fn default_settings() -> Self {
         Self::new("bundlemocap (default)", Config::default())
+    }
+
+    /// The default settings in one pass.
+    pub fn live() -> Self {
+        Self::new("bundlemocap (live)", Config::default()).with_own_body()
     }
 }
 
@@ -57,6 +112,9 @@ impl Method for Windows {
     fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
         let config = Config { frame_rate_hz: take.fps, ..self.config };
         let mut tracker = Tracker::new(config, Arc::clone(&take.rig));
+        if let Some(body) = take.body.as_ref().filter(|_| !self.own_body) {
+            tracker = tracker.with_body(Arc::clone(body));
+        }
         let mut solver = Solver::new(decoder.clone(), config);
         let (mut poses, mut borders, mut body) = (Vec::new(), Vec::new(), None);
         run_to_end(&mut tracker, &mut solver, take.frames.iter().cloned(), |output| match output {
@@ -67,6 +125,7 @@ impl Method for Windows {
         });
         // All poses are scored with the last body.
         let skeleton = tracker.skeleton().cloned().or(body)?;
-        Some(Solved { skeleton, poses, borders })
+        let is_found = !poses.is_empty();
+        is_found.then_some(Solved { motion: Motion::Poses(skeleton, poses), borders })
     }
 }

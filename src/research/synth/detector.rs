@@ -2,10 +2,11 @@
 
 use nalgebra::{Point2, Vector2, Vector3};
 
+use super::body::Body;
 use super::motion::{Motion, MotionStyle};
 use super::noise::Noise;
 use super::points::{Region, along, difficulty, limb_of, mirrored};
-use crate::core::body::{Attachment, Posture, Skeleton};
+use crate::core::body::{Posture, Skeleton};
 use crate::core::camera::Camera;
 use crate::core::detections::{Detection, Detections, Keypoint, KeypointFormat, Person};
 use crate::core::random::Draws;
@@ -30,6 +31,8 @@ mod topic {
     pub(super) const WANDER: u64 = 700;
     pub(super) const GUESS: u64 = 800;
     pub(super) const BIAS: u64 = 900;
+    pub(super) const SIDE: u64 = 950;
+    pub(super) const VIEW: u64 = 990;
     /// Added for the bystander's points.
     pub(super) const OF_STRANGER: u64 = 1000;
 }
@@ -41,6 +44,9 @@ pub(super) struct Detector<'a> {
     index: usize,
     format: KeypointFormat,
     noise: &'a Noise,
+    body: Body,
+    /// Standard deviation of the slow shifts of this view.
+    wander: f64,
     draws: Draws,
     /// Systematic offset of each point of the format, in its joint's frame, metres.
     biases: Vec<Vector3<f64>>,
@@ -53,15 +59,17 @@ impl<'a> Detector<'a> {
         index: usize,
         format: KeypointFormat,
         noise: &'a Noise,
+        body: Body,
         seed: u64,
     ) -> Self {
         // Draws that all cameras share.
         let shared = Draws { seed, stream: u64::MAX };
         let points = format.keypoints().iter();
-        let biases = points.map(|&keypoint| bias(keypoint, &shared) * noise.bias_m).collect();
+        let biases = points.map(|&keypoint| bias(keypoint, body, &shared) * noise.bias_m).collect();
         let stranger = stranger(shared);
         let draws = Draws { seed, stream: index as u64 };
-        Self { camera, index, format, noise, draws, biases, stranger }
+        let wander = noise.wander * (noise.view_spread * draws.normals(topic::VIEW, 0)[0]).exp();
+        Self { camera, index, format, noise, body, wander, draws, biases, stranger }
     }
 
     /// The detections of the body in one frame, captured at `seconds`.
@@ -120,14 +128,20 @@ impl<'a> Detector<'a> {
             let at = At { frame, seconds, keypoint: self.format.keypoints()[index], size, base };
             points[index] = exact.and_then(|pixel| self.point(&at, index as u64, pixel));
         }
+        if self.noise.one_confidence {
+            let known = || points.iter().flatten().map(|seen: &Detection| seen.confidence);
+            let mean = known().sum::<f64>() / known().count().max(1) as f64;
+            points.iter_mut().flatten().for_each(|seen| seen.confidence = mean);
+        }
         Person { id: None, points }
     }
 
     /// Where the detector places a point, world frame, metres: the true point plus its bias.
     fn believed(&self, keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
-        let joint = Attachment::of(keypoint).joint.index();
+        let (joint, offset) = self.body.place(keypoint, skeleton);
         let bias = self.format.index_of(keypoint).map_or(Vector3::zeros(), |i| self.biases[i]);
-        position(keypoint, skeleton, posture) + posture.rotations[joint] * bias
+        let rotation = posture.rotations[joint.index()];
+        posture.positions[joint.index()] + rotation * offset + rotation * bias
     }
 
     /// The detection of one point, given its pixel without random errors.
@@ -145,7 +159,7 @@ impl<'a> Detector<'a> {
         let slow = smooth(topic::SLOW, noise.correlation_s);
         let unit = (slow * (1.0 - noise.new_share).sqrt() + fast * noise.new_share.sqrt())
             * (hardness * difficulty(at.keypoint));
-        let wander = smooth(topic::WANDER, noise.wander_s) * noise.wander;
+        let wander = smooth(topic::WANDER, noise.wander_s) * self.wander;
         let mut error = (unit * noise.jitter + wander) * at.size;
         let chance = uniform(topic::CONFIDENCE);
         let mut confidence = noise.confidence - noise.doubt * (0.7 * unit.norm() + 0.6 * chance);
@@ -214,22 +228,25 @@ struct At {
     base: u64,
 }
 
-/// Position of a keypoint: P_j + G_j offset, world frame, metres.
+/// Position of a keypoint on a body of our model, world frame, metres.
 pub fn position(keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
-    let attachment = Attachment::of(keypoint);
-    let joint = attachment.joint.index();
-    posture.positions[joint] + posture.rotations[joint] * attachment.offset(skeleton)
+    Body::Own.position(keypoint, skeleton, posture)
 }
 
-/// A standard normal offset for a point; left and right mirror each other.
-fn bias(keypoint: Keypoint, draws: &Draws) -> Vector3<f64> {
+/// A standard normal offset for a point; left and right mirror each other, as far as those of `body`
+/// do.
+fn bias(keypoint: Keypoint, body: Body, draws: &Draws) -> Vector3<f64> {
     let (left, side) = keypoint.of_left();
-    let [x, y] = draws.normals(topic::BIAS, left as u64);
-    let [z, _] = draws.normals(topic::BIAS + 1, left as u64);
+    let normals = |topic: u64, key: Keypoint| {
+        let [x, y] = draws.normals(topic, key as u64);
+        Vector3::new(x, y, draws.normals(topic + 1, key as u64)[0])
+    };
+    let (both, own) = (normals(topic::BIAS, left), normals(topic::SIDE, keypoint));
+    let drawn = both * (1.0 - body.asymmetry()).sqrt() + own * body.asymmetry().sqrt();
     // Points on the midline have no sideways offset.
     let middle = matches!(left, Keypoint::Nose | Keypoint::HeadTop | Keypoint::MidHip)
         || matches!(left, Keypoint::Neck | Keypoint::UpperNeck);
-    Vector3::new(if middle { 0.0 } else { side * x }, y, z)
+    Vector3::new(if middle { 0.0 } else { side * drawn.x }, drawn.y, drawn.z)
 }
 
 /// The index of the limb that a point is on, 0 to 3.

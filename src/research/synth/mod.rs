@@ -18,6 +18,7 @@
 //! # Ok::<(), bundlemocap::core::camera::CameraError>(())
 //! ```
 
+mod body;
 mod curves;
 mod detector;
 mod h36m;
@@ -31,6 +32,7 @@ mod rigs;
 mod ring;
 mod sequence;
 
+pub use body::Body;
 pub use detector::position;
 pub use h36m::{H36mError, h36m_rig};
 pub use motion::{Motion, MotionStyle};

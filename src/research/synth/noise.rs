@@ -25,14 +25,20 @@ pub struct Noise {
     pub wander: f64,
     /// Time over which this shift changes, seconds.
     pub wander_s: f64,
+    /// Differences of the views: standard deviation of the logarithm of a camera's factor on the slow
+    /// shifts.
+    pub view_spread: f64,
     /// Systematic offset of a point on the body: standard deviation along each axis in the frame of
     /// the point's joint, metres. The offset is the same in every view for a whole recording; left
-    /// and right mirror each other, because detectors are trained on mirrored images.
+    /// and right mirror each other, because detectors are trained on mirrored images, as far as
+    /// [`Body`](super::Body) says.
     pub bias_m: f64,
     /// Confidence of a point without jitter.
     pub confidence: f64,
     /// Loss of confidence for an error of one standard deviation at usual difficulty.
     pub doubt: f64,
+    /// Whether all points of a person in a frame have the mean of their confidences.
+    pub one_confidence: bool,
     /// Probability that a point is missing at usual difficulty; grows with the square of the
     /// difficulty.
     pub missing: f64,
@@ -71,21 +77,6 @@ impl Default for Noise {
 }
 
 impl Noise {
-    /// Names of the levels, for settings and the command line.
-    pub const LEVELS: [&'static str; 5] = ["none", "jitter", "clean", "studio", "sparse"];
-
-    /// The level of that name; `None` if it is unknown.
-    pub fn level(name: &str) -> Option<Self> {
-        Some(match name {
-            "none" => Self::none(),
-            "jitter" => Self::jitter_only(),
-            "clean" => Self::clean(),
-            "studio" => Self::studio(),
-            "sparse" => Self::sparse(),
-            _ => return None,
-        })
-    }
-
     /// Exact projections with confidence 1; only points outside the image are missing.
     pub fn none() -> Self {
         Self {
@@ -96,9 +87,11 @@ impl Noise {
             hardness_s: 0.5,
             wander: 0.0,
             wander_s: 1.0,
+            view_spread: 0.0,
             bias_m: 0.0,
             confidence: 1.0,
             doubt: 0.0,
+            one_confidence: false,
             missing: 0.0,
             outliers: 0.0,
             occlusions: 0.0,
@@ -143,9 +136,11 @@ impl Noise {
             hardness_s: 0.5,
             wander: 0.008,
             wander_s: 1.0,
+            view_spread: 0.0,
             bias_m: 0.012,
             confidence: 0.75,
             doubt: 0.12,
+            one_confidence: false,
             missing: 0.015,
             outliers: 0.003,
             occlusions: 0.15,
@@ -161,6 +156,35 @@ impl Noise {
             blanks: 0.02,
             blank_s: 0.1,
         }
+    }
+
+    /// The detector of the two takes of mohamdev/pykinematics in `src/research/RESULTS.md`, without
+    /// their errors of views: one confidence for all points, guesses instead of missing points.
+    pub fn uniform() -> Self {
+        Self {
+            jitter: 0.0022,
+            new_share: 0.5,
+            wander: 0.003,
+            confidence: 0.9,
+            doubt: 0.02,
+            one_confidence: true,
+            occlusions: 0.2,
+            hallucinated: 1.0,
+            hallucination: 0.06,
+            missing: 0.0,
+            outliers: 0.0,
+            swaps: 0.0,
+            strangers: 0.0,
+            splits: 0.0,
+            blanks: 0.0,
+            ..Self::studio()
+        }
+    }
+
+    /// The detector of those takes: [`Noise::uniform`] with errors that differ from view to view and
+    /// hardly change.
+    pub fn systematic() -> Self {
+        Self { wander: 0.0055, wander_s: 8.0, view_spread: 0.4, ..Self::uniform() }
     }
 
     /// Few cameras, and a detector far from its training data.

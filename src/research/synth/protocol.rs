@@ -4,12 +4,16 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::body::Body;
 use super::noise::Noise;
+use crate::core::fnv::fnv1a;
 
 /// How test sequences are cut from motions; see [`sequence`](super::sequence).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SequenceChoice {
+    /// The kind of the performer's body.
+    pub body: Body,
     /// Frame rate of the cameras, Hz.
     pub fps: f64,
     /// Longest sequence, seconds.
@@ -27,6 +31,7 @@ pub struct SequenceChoice {
 impl Default for SequenceChoice {
     fn default() -> Self {
         Self {
+            body: Body::Own,
             fps: 50.0,
             seconds: 8.0,
             least_seconds: 1.5,
@@ -47,7 +52,7 @@ pub struct Protocol {
     pub rigs: Vec<String>,
     /// Keypoint format of the detectors.
     pub format: String,
-    /// One pass over all motions per seed; a sequence's seed also depends on its index.
+    /// One pass over all motions per seed; a sequence's seed also depends on its name.
     pub seeds: Vec<u64>,
     /// How sequences are made.
     pub sequence: SequenceChoice,
@@ -57,8 +62,13 @@ pub struct Protocol {
 
 impl Default for Protocol {
     fn default() -> Self {
-        let levels =
-            [("clean", Noise::clean()), ("studio", Noise::studio()), ("sparse", Noise::sparse())];
+        let levels = [
+            ("clean", Noise::clean()),
+            ("studio", Noise::studio()),
+            ("sparse", Noise::sparse()),
+            ("uniform", Noise::uniform()),
+            ("systematic", Noise::systematic()),
+        ];
         let owned = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
         Self {
             subjects: owned(&["07", "10"]),
@@ -72,10 +82,10 @@ impl Default for Protocol {
 }
 
 impl Protocol {
-    /// The seed of sequence `index` in the pass of `seed`, for [`sequence`](super::sequence) and
-    /// the detectors.
-    pub fn seed_of(seed: u64, index: usize) -> u64 {
-        seed.wrapping_mul(1_000_003).wrapping_add(index as u64)
+    /// The seed of the motion `name` in the pass of `seed`, for [`sequence`](super::sequence) and
+    /// the detectors. It does not depend on the other motions.
+    pub fn seed_of(seed: u64, name: &str) -> u64 {
+        seed.wrapping_mul(1_000_003) ^ fnv1a(name.as_bytes())
     }
 }
 

@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::body::Body;
 use super::detector::Detector;
 use super::noise::Noise;
 use crate::core::body::{Pose, Skeleton, StampedPose, TrackingState};
@@ -17,6 +18,8 @@ pub struct Recording<M> {
     pub rig: Rig,
     /// The performer's true body.
     pub skeleton: Skeleton,
+    /// Its kind, which tells where detectors see its keypoints.
+    pub body: Body,
     /// The true motion.
     pub motion: M,
     /// Frame rate of every camera, Hz.
@@ -42,6 +45,7 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
         Self {
             rig,
             skeleton,
+            body: Body::Own,
             motion,
             fps: 60.0,
             frames: 300,
@@ -73,7 +77,7 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
     pub fn detections(&self) -> impl Iterator<Item = Detections> + '_ {
         let detectors: Vec<Detector> = (self.rig.cameras.iter().enumerate())
             .map(|(index, camera)| {
-                Detector::new(camera, index, self.format, &self.noise, self.seed)
+                Detector::new(camera, index, self.format, &self.noise, self.body, self.seed)
             })
             .collect();
         let cameras = detectors.len();

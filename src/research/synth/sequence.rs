@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::detector::position;
+use super::body::Body;
 use super::motion::about_y;
 use super::protocol::SequenceChoice;
 use crate::core::body::{FASTEST, JOINTS, Joint, Pose, SHAPE_COEFFICIENTS, Shape, Skeleton};
@@ -47,9 +47,10 @@ pub struct Sequence {
 
 /// A test sequence from poses at `source_fps` (y up, metres, on the mean body).
 ///
-/// - Body: ten random shape coefficients, normal and clipped. The motion of the pelvis is scaled by
-///   the length of the legs. The lower foot stands on the floor: the lowest tenth of the soles'
-///   lower ends is below y = 0, on the mean body and on this one.
+/// - Body: ten random shape coefficients, normal and clipped; or the motion's own skeleton,
+///   `foreign`. The motion of the pelvis is scaled by the length of the legs. The lower foot stands
+///   on the floor: the lowest tenth of the soles' lower ends is below y = 0, on the mean body and on
+///   this one.
 /// - Section: at most `choice.seconds` long, within `choice.radius_m` of its own middle, nearest to
 ///   the middle of the motion; if there is none, the longest shorter one. It contains no jump (a
 ///   joint faster than 15 m/s), and the pelvis accelerates by at most 40 m/s^2 in the mean: beyond
@@ -62,13 +63,20 @@ pub fn sequence(
     source_fps: f64,
     choice: &SequenceChoice,
     seed: u64,
+    foreign: Option<&Skeleton>,
 ) -> Option<Sequence> {
     let draws = Draws { seed, stream: STREAM };
-    let skeleton = Skeleton::new(shape(&draws, choice));
     let mean = Skeleton::default();
-    let scale = standing_height(&skeleton) / standing_height(&mean);
+    let (skeleton, scale) = match foreign {
+        Some(skeleton) => (skeleton.clone(), leg(skeleton) / leg(&mean)),
+        None => {
+            let skeleton = Skeleton::new(shape(&draws, choice));
+            let scale = standing_height(&skeleton) / standing_height(&mean);
+            (skeleton, scale)
+        }
+    };
     let mut scaled: Vec<Pose> = poses.to_vec();
-    let floor = floor(&scaled, &mean)?;
+    let floor = floor(&scaled, &mean, Body::Own)?;
     for pose in &mut scaled {
         pose.root_position.y -= floor;
         pose.root_position *= scale;
@@ -78,7 +86,8 @@ pub fn sequence(
     let mut poses = scaled.split_off(first);
     poses.truncate(count);
 
-    let lift = self::floor(&poses, &skeleton)?;
+    let body = if foreign.is_some() { Body::Foreign } else { Body::Own };
+    let lift = self::floor(&poses, &skeleton, body)?;
     let turn = about_y(std::f64::consts::TAU * draws.uniform(topic::HEADING, 0));
     for pose in &mut poses {
         pose.root_position = turn * (pose.root_position - middle - Vector3::y() * lift);
@@ -103,12 +112,19 @@ fn standing_height(skeleton: &Skeleton) -> f64 {
     -[Joint::LHip, Joint::LKnee, Joint::LAnkle].iter().map(|&j| skeleton.offset(j).y).sum::<f64>()
 }
 
+/// Length of a leg, metres: thigh and shank, by which clips are scaled.
+fn leg(skeleton: &Skeleton) -> f64 {
+    skeleton.offset(Joint::LKnee).norm() + skeleton.offset(Joint::LAnkle).norm()
+}
+
 /// Height of the floor: the lowest tenth of the soles' lowest points is below it.
-fn floor(poses: &[Pose], skeleton: &Skeleton) -> Option<f64> {
+fn floor(poses: &[Pose], skeleton: &Skeleton, body: Body) -> Option<f64> {
     let mut lowest: Vec<f64> = (poses.iter())
         .map(|pose| {
             let posture = pose.posture(skeleton);
-            SOLE.map(|k| position(k, skeleton, &posture).y).into_iter().fold(f64::MAX, f64::min)
+            SOLE.map(|k| body.position(k, skeleton, &posture).y)
+                .into_iter()
+                .fold(f64::MAX, f64::min)
         })
         .collect();
     lowest.sort_by(f64::total_cmp);
@@ -188,12 +204,12 @@ mod tests {
         };
         let mut poses: Vec<Pose> = (0..200).map(|frame| at(0.005 * f64::from(frame))).collect();
         let choice = SequenceChoice { least_seconds: 1.0, ..SequenceChoice::default() };
-        assert_eq!(sequence(&poses, 60.0, &choice, 1).unwrap().first, 0);
+        assert_eq!(sequence(&poses, 60.0, &choice, 1, None).unwrap().first, 0);
         poses[0] = at(-0.5);
-        let cut = sequence(&poses, 60.0, &choice, 1).unwrap();
+        let cut = sequence(&poses, 60.0, &choice, 1, None).unwrap();
         assert!(cut.first >= 1 && cut.poses.len() > 180, "{} {}", cut.first, cut.poses.len());
         poses[100] = at(9.0);
-        let cut = sequence(&poses, 60.0, &choice, 1).unwrap();
+        let cut = sequence(&poses, 60.0, &choice, 1, None).unwrap();
         assert!(cut.first > 100 || cut.first + cut.poses.len() <= 100, "{}", cut.first);
     }
 
@@ -209,7 +225,7 @@ mod tests {
                 pose
             };
             let poses: Vec<Pose> = (0..200).map(at).collect();
-            sequence(&poses, 60.0, &choice, 1)
+            sequence(&poses, 60.0, &choice, 1, None)
         };
         assert!(shaken(0.1).is_some());
         assert!(shaken(0.25).is_none());

@@ -30,6 +30,9 @@ pub struct Clip {
     pub poses: Vec<PoseVector>,
     /// Pelvis of each pose: rotation, and position in metres at the scale of our mean body.
     pub roots: Vec<Root>,
+    /// The file's own skeleton with our joints: its poses have the file's joint centres, but for the
+    /// head of files with a second neck joint.
+    pub skeleton: Skeleton,
 }
 
 /// Rotation and position of the pelvis in the world.
@@ -57,6 +60,8 @@ impl Clip {
 /// The joints of a BVH skeleton that correspond to ours, by our index.
 struct Source {
     names: [&'static str; JOINTS],
+    /// Metres per unit of the file.
+    unit: f64,
     /// Whether the rest pose has splayed legs, which must be straightened.
     splayed: bool,
 }
@@ -68,6 +73,7 @@ const HIP: Source = Source {
         "chest", "lFoot", "rFoot", "neck", "lCollar", "rCollar", "head", "lShldr", "rShldr",
         "lForeArm", "rForeArm", "lHand", "rHand",
     ],
+    unit: 0.01,
     splayed: false,
 };
 
@@ -97,6 +103,7 @@ const HIPS: Source = Source {
         "LeftHand",
         "RightHand",
     ],
+    unit: 0.056444,
     splayed: true,
 };
 
@@ -136,7 +143,8 @@ fn read_clip(path: &Path) -> Result<Clip, TrainError> {
     let retarget = Retarget::of(&bvh)
         .map_err(|joint| TrainError::Joint { path: path.to_owned(), joint: joint.to_owned() })?;
     let (roots, poses) = retarget.frames(&bvh).into_iter().unzip();
-    Ok(Clip { subject: subject_of(&name), name, poses, roots })
+    let skeleton = retarget.skeleton(&bvh);
+    Ok(Clip { subject: subject_of(&name), name, poses, roots, skeleton })
 }
 
 fn subject_of(name: &str) -> String {
@@ -160,6 +168,8 @@ struct Retarget {
     rest: [Matrix3<f64>; JOINTS],
     /// Metres of our mean body per unit of the file, from the leg lengths.
     scale: f64,
+    /// Metres per unit of the file.
+    unit: f64,
 }
 
 impl Retarget {
@@ -178,7 +188,22 @@ impl Retarget {
         let length = |joint: Joint| bvh.joints()[joints[joint.index()]].offset.norm();
         let theirs = length(Joint::LKnee) + length(Joint::LAnkle);
         let ours = body.offset(Joint::LKnee).norm() + body.offset(Joint::LAnkle).norm();
-        Ok(Self { joints, rest, scale: ours / theirs.max(1e-6) })
+        Ok(Self { joints, rest, scale: ours / theirs.max(1e-6), unit: source.unit })
+    }
+
+    /// The file's skeleton: offsets C_parent^T o of our joints, with the offset o from the file's
+    /// joint of our parent to that of our joint.
+    fn skeleton(&self, bvh: &Bvh) -> Skeleton {
+        Skeleton::with_joint_offsets(Joint::ALL.map(|joint| {
+            let Some(parent) = joint.parent() else { return Vector3::zeros() };
+            let (mut at, end) = (self.joints[joint.index()], self.joints[parent.index()]);
+            let mut offset = Vector3::zeros();
+            while let (true, Some(next)) = (at != end, bvh.joints()[at].parent) {
+                offset += bvh.joints()[at].offset;
+                at = next;
+            }
+            self.rest[parent.index()].tr_mul(&offset) * self.unit
+        }))
     }
 
     /// Pelvis and our local rotations (G_parent C_parent)^T G_j C_j, with the file's global

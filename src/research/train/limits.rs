@@ -84,6 +84,7 @@ const _: () = assert!(POSE == 6 * BODY_JOINTS);
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::body::Skeleton;
 
     fn corpus() -> Vec<Clip> {
         let pose = |i: usize| std::array::from_fn(|k| 0.3 * ((i * 7 + k * k) as f32).sin());
@@ -92,6 +93,7 @@ mod tests {
             subject: "a".to_owned(),
             poses: (0..500).map(pose).collect(),
             roots: Vec::new(),
+            skeleton: Skeleton::default(),
         }]
     }
 

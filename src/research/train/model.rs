@@ -408,6 +408,7 @@ mod tests {
         Clip {
             name: "01_01".into(),
             subject: "01".into(),
+            skeleton: Skeleton::default(),
             poses: (0..60).map(pose).collect(),
             roots: Vec::new(),
         }

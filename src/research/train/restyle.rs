@@ -38,12 +38,19 @@ pub fn restyled(pose: &PoseVector, from: &MeanPose, to: &MeanPose, gain: f64) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::body::Skeleton;
 
     fn clip(about: &Vector3<f64>, swing: f64) -> Clip {
         let turn = |angle: f64| so3::exp(about) * so3::exp(&(Vector3::x() * angle));
         let angles = [-swing, 0.0, swing];
         let poses = angles.map(|angle| pose_vector(&[turn(angle); BODY_JOINTS])).to_vec();
-        Clip { name: "01_01".into(), subject: "01".into(), poses, roots: Vec::new() }
+        Clip {
+            name: "01_01".into(),
+            subject: "01".into(),
+            poses,
+            roots: Vec::new(),
+            skeleton: Skeleton::default(),
+        }
     }
 
     #[test]

@@ -1,0 +1,90 @@
+//! The two kinds of performers: bodies of our model, and bodies that our model does not know.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use crate::core::body::{Attachment, Joint, Posture, Skeleton};
+use crate::core::detections::Keypoint;
+
+/// Whose bones a performer has, and where detectors see its keypoints.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Body {
+    /// A random shape of our body model, and our places of keypoints. Systematic offsets mirror each
+    /// other.
+    #[default]
+    Own,
+    /// The skeleton of the motion's file, and keypoints at its joints. Half of the variance of the
+    /// systematic offsets is the same on both sides, mirrored; the rest is each side's own. No joint
+    /// but the limbs' has a counterpart in our model.
+    Foreign,
+}
+
+impl Body {
+    /// Every kind.
+    pub const ALL: [Self; 2] = [Self::Own, Self::Foreign];
+
+    /// The name in settings.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Own => "own",
+            Self::Foreign => "foreign",
+        }
+    }
+
+    /// Share of the variance of a systematic offset that left and right do not have in common.
+    pub(super) const fn asymmetry(self) -> f64 {
+        match self {
+            Self::Own => 0.0,
+            Self::Foreign => 0.5,
+        }
+    }
+
+    /// The joint that carries a keypoint, and the keypoint's offset in the joint's frame, metres.
+    pub(super) fn place(self, keypoint: Keypoint, skeleton: &Skeleton) -> (Joint, Vector3<f64>) {
+        match self {
+            Self::Own => {
+                let attachment = Attachment::of(keypoint);
+                (attachment.joint, attachment.offset(skeleton))
+            }
+            Self::Foreign => foreign(keypoint),
+        }
+    }
+
+    /// Position of a keypoint: P_j + G_j offset, world frame, metres.
+    pub(super) fn position(
+        self,
+        keypoint: Keypoint,
+        skeleton: &Skeleton,
+        posture: &Posture,
+    ) -> Vector3<f64> {
+        let (joint, offset) = self.place(keypoint, skeleton);
+        posture.positions[joint.index()] + posture.rotations[joint.index()] * offset
+    }
+}
+
+/// Limb keypoints are at the joints. The points of head and feet are at usual distances of an adult.
+fn foreign(keypoint: Keypoint) -> (Joint, Vector3<f64>) {
+    use Keypoint as K;
+    let (left, side) = keypoint.of_left();
+    let (joint, [x, y, z]) = match left {
+        K::Nose => (Joint::Head, [0.0, 0.045, 0.125]),
+        K::LEye => (Joint::Head, [0.031, 0.075, 0.098]),
+        K::LEar => (Joint::Head, [0.078, 0.050, 0.005]),
+        K::HeadTop => (Joint::Head, [0.0, 0.180, 0.020]),
+        K::UpperNeck => (Joint::Neck, [0.0, 0.050, 0.0]),
+        K::Neck => (Joint::Neck, [0.0, -0.030, 0.020]),
+        K::MidHip => (Joint::Pelvis, [0.0, 0.0, 0.0]),
+        K::LShoulder => (Joint::LShoulder, [0.0; 3]),
+        K::LElbow => (Joint::LElbow, [0.0; 3]),
+        K::LWrist => (Joint::LWrist, [0.0; 3]),
+        K::LHip => (Joint::LHip, [0.0; 3]),
+        K::LKnee => (Joint::LKnee, [0.0; 3]),
+        K::LAnkle => (Joint::LAnkle, [0.0; 3]),
+        K::LBigToe => (Joint::LAnkle, [0.0, -0.070, 0.180]),
+        K::LSmallToe => (Joint::LAnkle, [0.050, -0.070, 0.140]),
+        _ => (Joint::LAnkle, [0.0, -0.060, -0.045]),
+    };
+    let joint = if side < 0.0 { joint.mirrored() } else { joint };
+    (joint, Vector3::new(side * x, y, z))
+}
