@@ -253,7 +253,10 @@ impl Tracker {
         (self.playout.extrapolated, self.playout.missed)
     }
 
-    fn add(&mut self, frame: Detections) {
+    fn add(&mut self, mut frame: Detections) {
+        if let Some(camera) = self.rig.cameras.get(frame.camera) {
+            frame.capture = frame.capture + camera.time_offset;
+        }
         let (camera, capture) = (frame.camera, frame.capture);
         let event = self.intake.add(frame);
         let is_used = event.as_ref().is_none_or(|event| event.kind == EventKind::OutOfOrder);
