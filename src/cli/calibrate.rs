@@ -91,11 +91,7 @@ fn conclusion(found: &CheckedCameras, out: &Path) -> String {
     let shifted = found.offsets.iter().filter(|offset| offset.applied);
     let mut changes: Vec<String> =
         corrected.map(|camera| format!("{} corrected", camera.camera)).collect();
-    changes.extend(
-        shifted.map(|offset| {
-            format!("{} shifted in time by {:+.1} ms", offset.camera, offset.offset_ms)
-        }),
-    );
+    changes.extend(shifted.map(|offset| format!("{} shifted by {offset}", offset.camera)));
     match changes.is_empty() {
         true => format!("nothing to correct; {} is the recording's calibration", out.display()),
         false => format!("{}: {}", out.display(), changes.join(", ")),

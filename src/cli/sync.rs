@@ -72,13 +72,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 }
 
 fn row(found: &CameraOffset) -> (String, String) {
-    let CameraOffset { camera, offset_ms, offset_frames, error_frames, verdict, .. } = found;
-    let verdict = match *verdict {
+    let verdict = match found.verdict {
         "in_sync" => "in sync",
         "unknown" => "unknown: too little motion",
         shifted => shifted,
     };
-    let value =
-        format!("{offset_ms:+.1} ms, {offset_frames:+.2} ± {error_frames:.2} frames, {verdict}");
-    (camera.clone(), value)
+    (found.camera.clone(), format!("{found}, {verdict}"))
 }

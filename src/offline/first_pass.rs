@@ -1,6 +1,7 @@
 //! The first pass over a recording: it estimates the body, and the cameras' time offsets.
 
 use std::collections::VecDeque;
+use std::fmt;
 use std::sync::Arc;
 
 use serde::Serialize;
@@ -24,11 +25,11 @@ const WAITING: usize = 8192;
 pub struct CameraOffset {
     /// The camera.
     pub camera: String,
-    /// The estimate, milliseconds.
-    pub offset_ms: f64,
+    /// The estimate, milliseconds; `None` if it is unknown.
+    pub offset_ms: Option<f64>,
     /// The same in nominal frames.
-    pub offset_frames: f64,
-    /// Its standard error, nominal frames.
+    pub offset_frames: Option<f64>,
+    /// Its standard error, nominal frames; at most 6.
     pub error_frames: f64,
     /// `in_sync`, `shifted`, or `unknown` if too little moves to tell.
     pub verdict: &'static str,
@@ -41,8 +42,8 @@ impl CameraOffset {
         let frames = |time: Nanos| time.ns() as f64 / period.ns() as f64;
         Self {
             camera: camera.name.clone(),
-            offset_ms: found.offset.ms(),
-            offset_frames: frames(found.offset),
+            offset_ms: found.offset.map(Nanos::ms),
+            offset_frames: found.offset.map(frames),
             error_frames: frames(found.error),
             verdict: match found.verdict {
                 OffsetVerdict::InSync => "in_sync",
@@ -184,6 +185,17 @@ pub struct CameraCorrection {
     pub camera: String,
     /// The correction.
     pub correction: Correction,
+}
+
+/// As `+1.0 ms (+0.06 ± 0.02 frames)`.
+impl fmt::Display for CameraOffset {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let error = self.error_frames;
+        match self.offset_ms.zip(self.offset_frames) {
+            Some((ms, frames)) => write!(f, "{ms:+.1} ms ({frames:+.2} ± {error:.2} frames)"),
+            None => write!(f, "± {error:.2} frames"),
+        }
+    }
 }
 
 /// The cameras of a recording checked against the performer's motion.

@@ -158,10 +158,7 @@ impl Rows {
     }
 
     fn add_time_offset(&mut self, found: &CameraOffset) {
-        let CameraOffset { camera, offset_ms, offset_frames, error_frames, .. } = found;
-        let value =
-            format!("{offset_ms:+.1} ms ({offset_frames:+.2} ± {error_frames:.2} frames) applied");
-        self.add(&format!("time offset {camera}"), value);
+        self.add(&format!("time offset {}", found.camera), format!("{found}, applied"));
     }
 
     fn add_hold_out(&mut self, held: &HoldOut) {

@@ -98,6 +98,16 @@ impl Tracks {
         }
     }
 
+    /// Takes out the first section, once a later one has begun.
+    pub(super) fn take_complete(&mut self) -> Option<Self> {
+        let first = self.sections.pop_first()?;
+        if self.sections.is_empty() {
+            self.sections.extend([first]);
+            return None;
+        }
+        Some(Self { sections: [first].into(), ..*self })
+    }
+
     /// The smoothed tracks of each camera, section by section, at steps of that length.
     pub(super) fn smoothed(&self, cameras: &[Camera], step: Nanos) -> Vec<Vec<Track>> {
         let start = self.start.unwrap_or_default();
