@@ -203,7 +203,7 @@ impl fmt::Display for CameraOffset {
 pub struct CheckedCameras {
     /// The cameras with the significant offsets and corrections.
     pub rig: Rig,
-    /// Their time offsets; none without [`Options::no_sync`] switched off.
+    /// Their time offsets; none with [`Options::no_sync`].
     pub offsets: Vec<CameraOffset>,
     /// Their corrections, if asked for.
     pub corrections: Vec<CameraCorrection>,
@@ -222,6 +222,11 @@ pub fn check_cameras(
 ) -> Result<CheckedCameras, Error> {
     let mut rig = recording.chosen(&options.cameras, &[])?;
     let pass = FirstPass::run(recording, options, &mut rig, &mut [], observer)?;
+    if pass.body().is_none() {
+        let evidence =
+            "no performer is seen by two cameras at once; check the calibration".to_owned();
+        return Err(Error::NobodyFound { path: recording.path().to_owned(), evidence });
+    }
     let mut corrections = Vec::new();
     if refine {
         let found;

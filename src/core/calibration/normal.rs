@@ -166,15 +166,14 @@ impl Normal {
     ) -> Vec<Estimate> {
         let known = Estimate { offset: 0.0, error: 0.0, verdict: OffsetVerdict::InSync };
         let mut found = vec![known; offsets.len()];
-        while !free.is_empty() {
-            let start = offsets.clone();
-            let errors = Self::minimise(&mut linearise, &mut offsets, &free);
-            for (&i, error) in free.iter().zip(errors) {
-                let is_near = (offsets[i] - start[i]).abs() < NEAR;
-                let error = if is_near { error } else { error.max(REACH as f64) };
-                let verdict = verdict(offsets[i], error);
-                found[i] = Estimate { offset: offsets[i], error, verdict };
-            }
+        Self::minimise_into(&mut found, &mut linearise, &mut offsets, &free);
+        // Near the minimum the cost is about quadratic.
+        let (minimum, normal) = (offsets.clone(), linearise(&offsets));
+        let mut quadratic = |offsets: &[f64]| {
+            let moved: Vec<f64> = offsets.iter().zip(&minimum).map(|(o, m)| o - m).collect();
+            normal.at(&moved)
+        };
+        loop {
             let significance = |i: usize| match found[i].verdict {
                 OffsetVerdict::Unknown => -found[i].error,
                 _ => found[i].offset.abs() / found[i].error,
@@ -184,8 +183,29 @@ impl Normal {
             let Some(&least) = least else { break };
             offsets[least] = 0.0;
             free.retain(|&i| i != least);
+            Self::minimise_into(&mut found, &mut quadratic, &mut offsets, &free);
         }
+        Self::minimise_into(&mut found, &mut linearise, &mut offsets, &free);
         found
+    }
+
+    /// Minimises over the `free` offsets and stores what is found.
+    fn minimise_into(
+        found: &mut [Estimate],
+        linearise: &mut impl FnMut(&[f64]) -> Self,
+        offsets: &mut [f64],
+        free: &[usize],
+    ) {
+        if free.is_empty() {
+            return;
+        }
+        let start = offsets.to_vec();
+        let errors = Self::minimise(linearise, offsets, free);
+        for (&i, error) in free.iter().zip(errors) {
+            let is_near = (offsets[i] - start[i]).abs() < NEAR;
+            let error = if is_near { error } else { error.max(REACH as f64) };
+            found[i] = Estimate { offset: offsets[i], error, verdict: verdict(offsets[i], error) };
+        }
     }
 }
 

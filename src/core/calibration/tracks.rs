@@ -174,10 +174,12 @@ fn smoothed(samples: &[Sample], camera: &Camera, begin: Timestamp, step: Nanos) 
             });
             let (pixel, change) = quadratic(points)?;
             let change = change * (step.ns() as f64 / reach.ns() as f64);
-            // The lens bends little within half a step.
-            let [before, at, after] =
-                [-0.5, 0.0, 0.5].map(|s| camera.undistort(&(pixel + change * s)));
-            Some(Moving { at: at?, change: after? - before? })
+            let normalised = camera.undistort(&pixel)?;
+            // The lens bends little within a step.
+            Some(Moving {
+                at: normalised,
+                change: camera.undistort(&(pixel + change))? - normalised,
+            })
         })
     };
     (0..steps).map(at_step).collect()

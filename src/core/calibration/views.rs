@@ -32,12 +32,14 @@ impl Views {
         Self { sections, pairs, cameras: cameras.len() }
     }
 
-    /// The epipolar distances of a limb in a block at several lags, for the steps that have all.
+    /// The epipolar distances of a limb in a block at several lags, for every `stride`th step, if it
+    /// has all.
     fn distances<const N: usize>(
         &self,
         pair: &Pair,
         [section, block, limb]: [usize; 3],
         lags: [f64; N],
+        stride: usize,
     ) -> Vec<[f64; N]> {
         let (a, b) = (&self.sections[section][pair.a], &self.sections[section][pair.b]);
         let steps = a.len() / BLOCKS;
@@ -46,13 +48,13 @@ impl Views {
             Some(pair.distance(&at(a, limb, before)?, &at(b, limb, after)?))
         };
         let mut found = Vec::new();
-        for k in block * steps..(block + 1) * steps {
+        for k in (block * steps..(block + 1) * steps).step_by(stride) {
             let all = lags.map(|lag| distance(k, lag));
             if all.iter().all(Option::is_some) {
                 found.push(all.map(Option::unwrap_or_default));
             }
         }
-        if 2 * found.len() < steps { Vec::new() } else { found }
+        if 2 * stride * found.len() < steps { Vec::new() } else { found }
     }
 
     /// All blocks of a limb: section, block, limb.
@@ -61,12 +63,13 @@ impl Views {
         sections.flat_map(move |section| (0..BLOCKS).map(move |block| [section, block, limb]))
     }
 
-    /// The distances of a pair's limb at a lag from the median of their block, without sign.
+    /// The distances of a pair's limb at a lag from the median of their block, without sign, for every
+    /// second step.
     pub(super) fn deviations(&self, pair: &Pair, limb: usize, lag: f64) -> Vec<f64> {
         let mut all = Vec::new();
         for block in self.blocks(limb) {
             let mut distances: Vec<f64> =
-                self.distances(pair, block, [lag]).into_iter().flatten().collect();
+                self.distances(pair, block, [lag], 2).into_iter().flatten().collect();
             let Some(middle) = median(&mut distances) else { continue };
             all.extend(distances.iter().map(|distance| (distance - middle).abs()));
         }
@@ -96,7 +99,7 @@ impl Views {
         for (pair, scales) in self.pairs.iter().zip(scales) {
             let scale = scales[block[2]];
             let lag = offsets[pair.a] - offsets[pair.b];
-            let distances = self.distances(pair, block, [lag - 1.0, lag, lag + 1.0]);
+            let distances = self.distances(pair, block, [lag - 1.0, lag, lag + 1.0], 1);
             if distances.is_empty() || scale <= 0.0 {
                 continue;
             }
