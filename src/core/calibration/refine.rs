@@ -158,7 +158,7 @@ impl<'a> Problem<'a> {
     }
 
     /// The residual of a view, pixels, and its derivatives by the point in the camera's frame and by
-    /// the focal length. `None` behind the camera.
+    /// a factor of the focal length. `None` behind the camera.
     fn residual(
         &self,
         (i, observed): &(usize, Vector2<f64>),
@@ -172,7 +172,7 @@ impl<'a> Problem<'a> {
         let (scale, focal) = (camera.focal.x / original.focal.x, original.focal.mean());
         let seen = q.xy() / q.z;
         let by_q = Matrix2x3::new(1.0, 0.0, -seen.x, 0.0, 1.0, -seen.y) * (-focal * scale / q.z);
-        Some(((observed - seen * scale) * focal, by_q, seen * -focal))
+        Some(((observed - seen * scale) * focal, by_q, seen * (-focal * scale)))
     }
 
     /// Weight of a residual: 1 / sigma^2, less for large ones.
@@ -242,7 +242,6 @@ impl<'a> Problem<'a> {
         let (mut hessian, zeros) = (DMatrix::zeros(n, n), DVector::zeros(n));
         let mut gradients = vec![zeros; LIMBS.len()];
         for Point { limb, views } in &self.points {
-            // Views that see it, with weight, residual, and derivatives by camera and point.
             let Some(point) = self.triangulate(views) else { continue };
             let mut terms = Vec::new();
             let mut by_points = Matrix3::zeros();
@@ -250,13 +249,9 @@ impl<'a> Problem<'a> {
                 let Some((residual, by_q, by_focal)) = self.residual(view, &point) else {
                     continue;
                 };
-                let camera = &self.cameras[view.0];
-                let q = camera.rotation * point + camera.translation;
-                let mut by_camera = SMatrix::<f64, 2, UNKNOWNS>::zeros();
-                by_camera.fixed_columns_mut::<3>(0).copy_from(&(by_q * -so3::hat(&q)));
-                by_camera.fixed_columns_mut::<3>(3).copy_from(&-by_q);
-                by_camera.set_column(6, &by_focal);
-                let by_point = by_q * camera.rotation;
+                let Camera { rotation, translation, .. } = &self.cameras[view.0];
+                let by_camera = by_camera(&(rotation * point + translation), &by_q, &by_focal);
+                let by_point = by_q * rotation;
                 let weight = self.weight(view.0, &residual);
                 by_points += by_point.tr_mul(&by_point) * weight;
                 terms.push((view.0 * UNKNOWNS, weight, residual, by_camera, by_point));
@@ -308,6 +303,20 @@ impl<'a> Problem<'a> {
         Some((step, gain, factor.solve(&half.transpose())))
     }
 
+    /// Gauss-Newton steps of some cameras. Returns their standard errors.
+    fn adjust(&mut self, free: &[usize]) -> Option<Vec<[f64; 3]>> {
+        let mut errors = None;
+        for _ in 0..STEPS {
+            let (step, _, covariance) = self.step(&self.linearise(), free)?;
+            for (index, &i) in free.iter().enumerate() {
+                self.apply(i, &step.fixed_rows::<UNKNOWNS>(index * UNKNOWNS).into());
+            }
+            self.measure_sigma();
+            errors = Some((0..free.len()).map(|index| of_parts(&covariance, index)).collect());
+        }
+        errors
+    }
+
     /// Sets one more camera free and corrects it, if that is significant: its index, and the standard
     /// errors of all free cameras. Otherwise nothing changes.
     fn next(&mut self, free: &[usize]) -> Option<(usize, Vec<[f64; 3]>)> {
@@ -318,21 +327,12 @@ impl<'a> Problem<'a> {
         let camera = gains.max_by(|a, b| a.0.total_cmp(&b.0))?.1;
         let all = [free, &[camera]].concat();
         let start = (self.cameras.clone(), self.sigma.clone());
-        let mut errors = Vec::new();
-        for _ in 0..STEPS {
-            let (step, _, covariance) = self.step(&self.linearise(), &all)?;
-            for (index, &i) in all.iter().enumerate() {
-                let step = step.fixed_rows::<UNKNOWNS>(index * UNKNOWNS);
-                self.apply(i, &step.into());
-            }
-            self.measure_sigma();
-            errors =
-                all.iter().enumerate().map(|(index, _)| of_parts(&covariance, index)).collect();
-        }
-        let is_significant = all.iter().zip(&errors).all(|(&i, errors)| {
-            let sizes = parts(&self.change(i));
-            (0..3).any(|k| sizes[k].abs() > (SIGNIFICANT * errors[k]).max(LEAST[k]))
-        });
+        let errors = self.adjust(&all).unwrap_or_default();
+        let is_significant = errors.len() == all.len()
+            && all.iter().zip(&errors).all(|(&i, errors)| {
+                let sizes = parts(&self.change(i));
+                (0..3).any(|k| sizes[k].abs() > (SIGNIFICANT * errors[k]).max(LEAST[k]))
+            });
         let is_better = self.disagreements().iter().zip(&before).enumerate().all(|(i, (a, b))| {
             let factor = if i == camera { BETTER } else { NOT_WORSE };
             (*a).zip(*b).map_or(i != camera, |(after, before)| after < factor * before)
@@ -345,13 +345,55 @@ impl<'a> Problem<'a> {
     }
 }
 
+/// The derivative of a residual by a camera's unknowns, from those by q and by a factor of the focal
+/// length.
+fn by_camera(
+    q: &Vector3<f64>,
+    by_q: &Matrix2x3<f64>,
+    by_focal: &Vector2<f64>,
+) -> SMatrix<f64, 2, UNKNOWNS> {
+    let mut by_camera = SMatrix::<f64, 2, UNKNOWNS>::zeros();
+    by_camera.fixed_columns_mut::<3>(0).copy_from(&(by_q * -so3::hat(q)));
+    by_camera.fixed_columns_mut::<3>(3).copy_from(&-by_q);
+    by_camera.set_column(6, by_focal);
+    by_camera
+}
+
 /// Standard errors of rotation, shift and focal length of the camera at that place.
 fn of_parts(covariance: &DMatrix<f64>, place: usize) -> [f64; 3] {
     let few = LIMBS.len() as f64 / (LIMBS.len() - 1) as f64;
     let sum = |from: usize, to: usize| {
-        let variances =
-            (from..to).map(|k| covariance[(place * UNKNOWNS + k, place * UNKNOWNS + k)]);
+        let variances = (from..to).map(|k| covariance.diagonal()[place * UNKNOWNS + k]);
         (few * variances.sum::<f64>().max(0.0)).sqrt()
     };
     [sum(0, 3), sum(3, 6), sum(6, 7)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::camera::Lens;
+
+    #[test]
+    fn derivatives_match_central_differences() {
+        let matrix = Matrix3::new(900.0, 0.0, 400.0, 0.0, 900.0, 300.0, 0.0, 0.0, 1.0);
+        let (turn, shift) = (so3::exp(&Vector3::new(0.2, -0.4, 0.1)), Vector3::new(0.3, 0.1, 4.0));
+        let camera = Camera::new("a", [800, 600], &matrix, Lens::IDEAL, turn, shift).unwrap();
+        let original = [camera];
+        let (view, point) = ((0, Vector2::new(0.1, -0.2)), Vector3::new(0.3, 0.9, -0.5));
+        let at = |change: &Change| {
+            let (cameras, points, sigma) = (original.to_vec(), Vec::new(), vec![1.0]);
+            let mut problem = Problem { original: &original, cameras, points, sigma };
+            problem.apply(0, change);
+            let (residual, by_q, by_focal) = problem.residual(&view, &point).unwrap();
+            (residual, by_camera(&(turn * point + shift), &by_q, &by_focal))
+        };
+        let analytic = at(&Change::zeros()).1;
+        for k in 0..UNKNOWNS {
+            let mut step = Change::zeros();
+            step[k] = 1e-5;
+            let numeric = (at(&step).0 - at(&-step).0) / 2e-5;
+            assert!((analytic.column(k) - numeric).amax() < 1e-4, "{k}: {analytic} {numeric}");
+        }
+    }
 }
