@@ -64,7 +64,7 @@ struct Openpose {
     up: Up,
 }
 
-fn up(name: &str) -> Result<Up, String> {
+pub(super) fn up(name: &str) -> Result<Up, String> {
     Up::from_name(name).ok_or_else(|| "use y or z".to_owned())
 }
 

@@ -5,6 +5,7 @@
 
 mod bench;
 mod bus;
+mod calibrate;
 pub(crate) mod clock;
 mod completions;
 mod decode;
@@ -21,6 +22,7 @@ mod retarget;
 mod retarget_live;
 mod run;
 mod solve;
+mod sync;
 mod synth;
 pub(crate) mod terminal;
 mod train;
@@ -52,6 +54,8 @@ enum Command {
     Bench(bench::Arguments),
     Eval(Box<eval::Arguments>),
     Solve(solve::Arguments),
+    Sync(sync::Arguments),
+    Calibrate(calibrate::Arguments),
     Import(import::Arguments),
     Info(info::Arguments),
     Synth(synth::Arguments),
@@ -73,6 +77,8 @@ pub fn main() -> ExitCode {
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Solve(arguments) => solve::run(&arguments),
+        Command::Sync(arguments) => sync::run(&arguments),
+        Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Synth(arguments) => synth::run(&arguments),

@@ -11,7 +11,7 @@ use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
 use crate::core::manifold::{Decoder, Interpolation};
 use crate::core::optimise::OptimiserKind;
-use crate::io::formats::Trc;
+use crate::io::formats::{Trc, Up, read_calibration};
 use crate::offline::output::FILES;
 use crate::offline::{Observer, Options, Recording, Summary, solve};
 
@@ -53,6 +53,12 @@ pub(super) struct Arguments {
     /// Manifold weights of `bundlemocap train`; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
+    /// Calibration to use instead of the recording's, such as one of `sync` or `calibrate`.
+    #[arg(long, value_name = "FILE")]
+    rig: Option<PathBuf>,
+    /// Up axis of the world of --rig: y or z.
+    #[arg(long, default_value = "z", value_parser = super::import::up)]
+    up: Up,
     /// Use only these cameras.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     cameras: Vec<String>,
@@ -62,6 +68,9 @@ pub(super) struct Arguments {
     /// Report the distance to these marker positions (y up, frames as in the recording).
     #[arg(long, value_name = "TRC")]
     reference: Option<PathBuf>,
+    /// Use the capture times as they are; default: correct those of cameras that are shifted.
+    #[arg(long)]
+    no_sync: bool,
     /// Frame rate of the cameras, 1 to 1000 Hz; default: estimated from the recording.
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     fps: Option<f64>,
@@ -89,7 +98,7 @@ enum OptimiserName {
 }
 
 /// A progress bar over the messages of the recording.
-struct Progress(ProgressBar);
+pub(super) struct Progress(pub(super) ProgressBar);
 
 impl Observer for Progress {
     fn message(&mut self) {
@@ -102,6 +111,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let decoder = decoder(arguments.weights.as_deref())?;
     let reference = arguments.reference.as_deref().map(Trc::read).transpose()?;
     let mut recording = Recording::open(&arguments.file)?;
+    if let Some(rig) = &arguments.rig {
+        recording = recording.with_rig(read_calibration(rig, arguments.up)?)?;
+    }
     let options = Options {
         config: config.tracker,
         decoder: Some(decoder),
@@ -110,6 +122,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         reference,
         out: Some(arguments.out.clone()),
         overwrite: arguments.overwrite,
+        no_sync: arguments.no_sync,
         config_toml: Some(config.to_toml()),
     };
     let mut progress = Progress(progress(options.passes() * recording.messages(), "messages"));

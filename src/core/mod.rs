@@ -1,6 +1,7 @@
 //! The solver, without I/O and without a clock.
 
 pub mod body;
+pub mod calibration;
 pub mod camera;
 pub mod cost;
 pub mod detections;

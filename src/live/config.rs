@@ -24,6 +24,8 @@ pub struct Config {
     pub output_rate_hz: f64,
     /// Whether provisional poses of the open window are solved and published.
     pub provisional: bool,
+    /// Whether the cameras' time offsets are estimated from the motion and corrected.
+    pub time_offsets: bool,
     /// Whether the solver gets a processor core of its own, so that poses are published on time.
     pub solver_core: bool,
     /// Largest number of queued messages; beyond it, the oldest are dropped.
@@ -42,6 +44,7 @@ impl Default for Config {
             latency_ms: 0.0,
             output_rate_hz: 0.0,
             provisional: true,
+            time_offsets: true,
             solver_core: true,
             queue: 4096,
             prometheus: String::new(),

@@ -182,7 +182,11 @@ impl Core {
 
     fn begin(&mut self, rig: Arc<Rig>) {
         let node = &self.settings.node;
-        let live = Live { provisional: node.provisional, output_rate_hz: node.output_rate_hz };
+        let live = Live {
+            provisional: node.provisional,
+            time_offsets: node.time_offsets,
+            output_rate_hz: node.output_rate_hz,
+        };
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
         self.skeleton = None;
         self.track = Some(Tracker::new(self.settings.tracker, rig).live(live));

@@ -5,20 +5,7 @@ use nalgebra::Vector3;
 use crate::core::detections::Keypoint;
 
 /// The points that are compared with a reference.
-pub const COMPARED: [Keypoint; 12] = [
-    Keypoint::LShoulder,
-    Keypoint::RShoulder,
-    Keypoint::LElbow,
-    Keypoint::RElbow,
-    Keypoint::LWrist,
-    Keypoint::RWrist,
-    Keypoint::LHip,
-    Keypoint::RHip,
-    Keypoint::LKnee,
-    Keypoint::RKnee,
-    Keypoint::LAnkle,
-    Keypoint::RAnkle,
-];
+pub use crate::core::calibration::LIMBS as COMPARED;
 
 /// Positions of the [`COMPARED`] points in the world, metres; `None` where a point is missing.
 pub type MarkerPositions = [Option<Vector3<f64>>; COMPARED.len()];

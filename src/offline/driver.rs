@@ -37,6 +37,11 @@ impl Driver {
         self.tracker.skeleton().cloned()
     }
 
+    /// Nominal frame period, ns.
+    pub(crate) fn frame_period(&self) -> f64 {
+        self.tracker.frame_period()
+    }
+
     /// Passes in an input, solves the jobs, and passes all other outputs to `take`.
     pub(crate) fn feed(
         &mut self,

@@ -77,7 +77,8 @@ impl HeldOut {
     }
 
     /// Adds a frame of the camera. Frames without a pose before and after are not counted.
-    pub fn add_frame(&mut self, detections: Detections) {
+    pub fn add_frame(&mut self, mut detections: Detections) {
+        detections.capture = detections.capture + self.camera.time_offset;
         let after = |known: &Detections| known.capture <= detections.capture;
         let place = self.waiting.iter().rposition(after).map_or(0, |before| before + 1);
         self.waiting.insert(place, detections);

@@ -19,7 +19,9 @@ pub(crate) mod bvh;
 pub(crate) mod compact_pose;
 mod driver;
 mod error;
+mod first_pass;
 mod hold_out;
+mod options;
 pub(crate) mod output;
 pub(crate) mod poses;
 pub(crate) mod recording;
@@ -31,8 +33,12 @@ mod truth;
 mod windows;
 
 pub use error::Error;
+pub use first_pass::{
+    CameraCorrection, CameraOffset, CheckedCameras, check_cameras, first_pass_settings,
+};
 pub use hold_out::{CONFIDENT, HeldOut, HoldOut, Located, distances, pose_at};
+pub use options::{Observer, Options};
 pub use recording::Recording;
 pub use reference::{FrameClock, Reference, ReferenceComparison};
-pub use solve::{Observer, Options, first_pass, solve};
+pub use solve::solve;
 pub use summary::{Reprojection, SolveTime, Summary};

@@ -24,6 +24,8 @@ pub struct Recording {
     format: String,
     /// Calibrated cameras of a whole file that have no keypoints.
     silent: Vec<String>,
+    /// Cameras with keypoints.
+    seen: BTreeMap<String, CameraInfo>,
 }
 
 /// A message of a recording.
@@ -61,9 +63,20 @@ impl Recording {
         let names = rig.cameras.iter().map(|camera| camera.name.clone());
         let is_silent = |name: &String| info.report.is_clean() && !info.cameras.contains_key(name);
         let silent = names.filter(is_silent).collect();
-        let recording = Self { reader, rig, messages, frames, format, silent };
-        recording.check_cameras(&info.cameras)?;
+        let seen = info.cameras;
+        let recording = Self { reader, rig, messages, frames, format, silent, seen };
+        recording.check_cameras()?;
         Ok(recording)
+    }
+
+    /// Uses another calibration than the recording's.
+    ///
+    /// # Errors
+    /// It does not fit the cameras with keypoints.
+    pub fn with_rig(mut self, rig: Rig) -> Result<Self, Error> {
+        self.rig = Arc::new(rig);
+        self.check_cameras()?;
+        Ok(self)
     }
 
     /// The file.
@@ -92,9 +105,9 @@ impl Recording {
     }
 
     /// Checks that every camera with keypoints is in the rig, with images of the calibrated size.
-    fn check_cameras(&self, seen: &BTreeMap<String, CameraInfo>) -> Result<(), Error> {
+    fn check_cameras(&self) -> Result<(), Error> {
         let path = || self.path().to_owned();
-        for (name, info) in seen {
+        for (name, info) in &self.seen {
             let Some(index) = self.rig.index_of(name) else {
                 return Err(Error::Uncalibrated { path: path(), camera: name.clone() });
             };

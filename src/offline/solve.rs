@@ -2,68 +2,26 @@
 //! outputs.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
 use super::Error;
 use super::driver::Driver;
+use super::first_pass::{CameraOffset, FirstPass};
 use super::hold_out::{HeldOut, HoldOut};
+use super::options::{Observer, Options};
 use super::output::{self, FILES, OutputFolder, PoseFile};
 use super::poses::{Comparisons, PoseSummary, Poses};
 use super::recording::{Item, Recording};
 use super::reference::{FrameClock, ReferenceComparison};
 use super::summary::{Reprojection, SolveTime, Summary};
 use super::windows::Windows;
-use crate::core::body::{Skeleton, StampedPose};
+use crate::core::body::Skeleton;
 use crate::core::camera::{Camera, Rig};
-use crate::core::cost;
 use crate::core::manifold::Decoder;
-use crate::core::tracker::{self, EventKind, Input, Output, Solver};
-use crate::io::formats::Trc;
+use crate::core::tracker::{EventKind, Input, Output, Solver};
 use crate::io::recording::{Provenance, Report};
-
-/// Options of a solve. The defaults use all cameras, the embedded weights and the settings of
-/// `config/default.toml`, and write nothing.
-#[derive(Clone, Default)]
-pub struct Options {
-    /// Settings of the tracker.
-    pub config: tracker::Config,
-    /// Weights of the manifold; the embedded ones if `None`.
-    pub decoder: Option<Decoder>,
-    /// Use only the cameras with these names; all if empty.
-    pub cameras: Vec<String>,
-    /// Hold these cameras out of the solve and measure the error in them.
-    pub hold_out: Vec<String>,
-    /// Measure the distance from these marker positions (y up, frames as in the recording).
-    pub reference: Option<Trc>,
-    /// The folder for poses.mcap, poses.bvh, poses.states.csv and report.html; created if missing.
-    /// `None` writes nothing.
-    pub out: Option<PathBuf>,
-    /// Replace these files if they exist.
-    pub overwrite: bool,
-    /// All settings as TOML, for the metadata of poses.mcap; `None`: those of `config`.
-    pub config_toml: Option<String>,
-}
-
-impl Options {
-    /// How often the recording is read: a first pass estimates the body, if that is not switched
-    /// off.
-    pub fn passes(&self) -> u64 {
-        1 + u64::from(self.config.body_windows > 0)
-    }
-}
-
-/// Observer of a solve; `()` ignores everything.
-pub trait Observer {
-    /// A message of the recording was read. This happens [`Options::passes`] times for each.
-    fn message(&mut self) {}
-
-    /// A final pose with its body. Poses are in order of capture time.
-    fn pose(&mut self, _pose: &StampedPose, _skeleton: &Skeleton) {}
-}
-
-impl Observer for () {}
 
 /// Solves a recording in memory that does not grow with its length. The files appear only if the
 /// whole solve succeeds.
@@ -75,17 +33,14 @@ pub fn solve(
     options: &Options,
     observer: &mut dyn Observer,
 ) -> Result<Summary, Error> {
-    let held_out = options.hold_out.iter().map(|name| recording.camera(name).cloned());
-    let held_out: Vec<Camera> = held_out.collect::<Result<_, _>>()?;
-    let rig = Arc::new(recording.chosen(&options.cameras, &held_out)?);
-    let decoder = match &options.decoder {
-        Some(decoder) => decoder.clone(),
-        None => Decoder::embedded()?,
-    };
-    let outputs = options.out.as_ref().map(|_| Outputs::create(recording, options, &rig, &decoder));
-    let mut outputs = outputs.transpose()?;
+    let decoder = options.decoder()?;
+    let folder = options.out.as_deref().map(|path| output_folder(path, options.overwrite));
+    let folder = folder.transpose()?;
     let begin = Instant::now();
-    let body = find_body(recording, &rig, options.config, &decoder, observer)?;
+    let Prepared { rig, held_out, body, offsets } = prepare(recording, options, observer)?;
+    let all = Arc::new(with_solved(recording.rig(), &rig.cameras, &held_out));
+    let outputs = folder.map(|folder| Outputs::create(folder, &all, options, &rig, &decoder));
+    let mut outputs = outputs.transpose()?;
     let solver = Solver::new(decoder, options.config);
     let bvh = outputs.as_ref().map(|outputs| outputs.folder.file("poses.bvh"));
     let mut run = Run {
@@ -111,6 +66,7 @@ pub fn solve(
     let seconds = begin.elapsed().as_secs_f64();
     let (collected, summary) =
         collected.summarise(recording, &rig, &skeleton, poses, &report, seconds);
+    let summary = Summary { time_offsets: offsets, ..summary };
     if let Some(outputs) = outputs {
         let Collected { poses, windows, .. } = &collected;
         output::text(&outputs.folder.file("poses.states.csv"), &states)?;
@@ -121,45 +77,46 @@ pub fn solve(
     Ok(summary)
 }
 
-/// An optimiser of the first pass stops if a step lowers the cost by less than this fraction.
-const FIRST_PASS_CHANGE: f64 = 0.03;
-
-/// The settings of a pass over `frames` frames that only estimates the body, from windows of the
-/// whole recording. The body needs no corrections, and no exact poses. `None` if the body is not
-/// estimated.
-pub fn first_pass(config: tracker::Config, frames: usize) -> Option<tracker::Config> {
-    let windows = frames / config.publish_frames.max(1);
-    let body_windows = (windows / tracker::BODY_WINDOWS).max(1);
-    let cost = cost::Config { correction_prior: 0.0, ..config.cost };
-    let change_threshold = config.change_threshold.max(FIRST_PASS_CHANGE);
-    let first = tracker::Config { body_windows, change_threshold, cost, ..config };
-    (config.body_windows > 0).then_some(first)
+fn output_folder(path: &Path, overwrite: bool) -> Result<OutputFolder, Error> {
+    if !overwrite {
+        OutputFolder::refuse_existing(path, &FILES)?;
+    }
+    OutputFolder::make(path)
 }
 
-/// The first pass: estimates the body from windows of the whole recording. `None` if the body is not
-/// estimated, or nobody is found.
-fn find_body(
+/// What is known before the second pass.
+struct Prepared {
+    rig: Arc<Rig>,
+    held_out: Vec<Camera>,
+    body: Option<Arc<Skeleton>>,
+    offsets: Vec<CameraOffset>,
+}
+
+/// The first pass, if it is not switched off: estimates the body and the time offsets.
+fn prepare(
     recording: &mut Recording,
-    rig: &Arc<Rig>,
-    config: tracker::Config,
-    decoder: &Decoder,
+    options: &Options,
     observer: &mut dyn Observer,
-) -> Result<Option<Arc<Skeleton>>, Error> {
-    let Some(config) = first_pass(config, recording.frames() as usize) else { return Ok(None) };
-    let solver = Solver::new(decoder.clone(), config);
-    let mut driver = Driver::new(config, Arc::clone(rig), solver, None);
-    let mut feed = |input| driver.feed(input, |_, _| Ok(()));
-    recording.stream(
-        rig,
-        &[],
-        || observer.message(),
-        |item| match item {
-            Item::Detections(detections) => feed(Input::Detections(detections)),
-            _ => Ok(()),
-        },
-    )?;
-    feed(Input::End)?;
-    Ok(driver.skeleton())
+) -> Result<Prepared, Error> {
+    let held_out = options.hold_out.iter().map(|name| recording.camera(name).cloned());
+    let mut held_out: Vec<Camera> = held_out.collect::<Result<_, _>>()?;
+    let mut rig = recording.chosen(&options.cameras, &held_out)?;
+    let (mut body, mut offsets) = (None, Vec::new());
+    if options.passes() > 1 {
+        let first = FirstPass::run(recording, options, &mut rig, &mut held_out, observer)?;
+        (body, offsets) = (first.body(), first.offsets);
+    }
+    Ok(Prepared { rig: Arc::new(rig), held_out, body, offsets })
+}
+
+/// The rig with the cameras of a solve in place of its own.
+fn with_solved(rig: &Rig, solved: &[Camera], held_out: &[Camera]) -> Rig {
+    let mut rig = rig.clone();
+    for solved in solved.iter().chain(held_out) {
+        let own = rig.cameras.iter_mut().filter(|camera| camera.name == solved.name);
+        own.for_each(|camera| camera.clone_from(solved));
+    }
+    rig
 }
 
 struct Outputs {
@@ -170,16 +127,12 @@ struct Outputs {
 
 impl Outputs {
     fn create(
-        recording: &Recording,
+        folder: OutputFolder,
+        all: &Arc<Rig>,
         options: &Options,
         rig: &Rig,
         decoder: &Decoder,
     ) -> Result<Self, Error> {
-        let path = options.out.clone().unwrap_or_default();
-        if !options.overwrite {
-            OutputFolder::refuse_existing(&path, &FILES)?;
-        }
-        let folder = OutputFolder::make(&path)?;
         let own = || toml::to_string(&options.config).unwrap_or_default();
         let provenance = Provenance {
             config: options.config_toml.clone().unwrap_or_else(own),
@@ -187,7 +140,7 @@ impl Outputs {
             ..Provenance::default()
         };
         let path = folder.file("poses.mcap");
-        let file = PoseFile::create(&path, recording.rig(), rig, &provenance)?;
+        let file = PoseFile::create(&path, all, rig, &provenance)?;
         Ok(Self { folder, file })
     }
 }
@@ -316,6 +269,7 @@ impl Collected<'_> {
             frames_per_second: frames as f64 / seconds.max(1e-9),
             events: EventKind::ALL.map(|kind| (kind.name(), self.count(kind))).into(),
             damage: report.losses(),
+            time_offsets: Vec::new(),
             notes: poses.note.into_iter().collect(),
         };
         (self, summary)

@@ -5,6 +5,7 @@ use std::fmt;
 
 use serde::Serialize;
 
+use super::first_pass::CameraOffset;
 use super::hold_out::HoldOut;
 use super::reference::Reference;
 use super::windows::Windows;
@@ -42,6 +43,8 @@ pub struct Summary {
     pub frames_per_second: f64,
     /// Number of events of each kind.
     pub events: BTreeMap<&'static str, u64>,
+    /// The cameras' time offsets; empty if they were not estimated.
+    pub time_offsets: Vec<CameraOffset>,
     /// What was lost from the recording.
     pub damage: Vec<String>,
     /// Other notes for the user.
@@ -117,6 +120,8 @@ impl Summary {
         for (camera, error) in &self.reprojection.cameras {
             rows.add(&format!("  {camera}"), px(*error));
         }
+        let shifted = self.time_offsets.iter().filter(|offset| offset.applied);
+        shifted.for_each(|offset| rows.add_time_offset(offset));
         self.hold_out_cameras.iter().for_each(|held| rows.add_hold_out(held));
         if let Some(all) = self.hold_out.as_ref().filter(|_| self.hold_out_cameras.len() > 1) {
             rows.add("hold-out, mean of the medians", px(all.median_px));
@@ -150,6 +155,10 @@ struct Rows(Vec<(String, String)>);
 impl Rows {
     fn add(&mut self, name: &str, value: String) {
         self.0.push((name.to_owned(), value));
+    }
+
+    fn add_time_offset(&mut self, found: &CameraOffset) {
+        self.add(&format!("time offset {}", found.camera), format!("{found}, applied"));
     }
 
     fn add_hold_out(&mut self, held: &HoldOut) {

@@ -270,6 +270,43 @@ fn the_body_of_a_performer_is_right_and_the_same_in_two_takes() {
 }
 
 #[test]
+fn a_good_rig_is_written_as_it_is_and_can_be_solved_with() {
+    let place = Place::new();
+    place.done("synth --out walk.mcap --seconds 4");
+    let offsets = place.done("sync walk.mcap --out synced.toml");
+    assert_eq!(offsets.matches("in sync").count(), 4, "{offsets}");
+    let corrections = place.done("calibrate --refine walk.mcap --out refined.toml");
+    assert!(corrections.contains("nothing to correct"), "{corrections}");
+    let text = |name: &str| fs::read_to_string(place.path(name)).unwrap();
+    assert_eq!(text("synced.toml"), text("refined.toml"));
+
+    for command in ["sync walk.mcap", "calibrate --refine walk.mcap"] {
+        place.fails(
+            USAGE,
+            &format!("{command} --out synced.toml"),
+            &["synced.toml", "--overwrite"],
+        );
+    }
+    place.write("other.toml", text("synced.toml").replace("cam04", "cam05"));
+    place.fails(CAMERA_MISMATCH, "solve walk.mcap --out out --rig other.toml", &["cam04"]);
+    place.done("solve walk.mcap --out out --rig refined.toml");
+}
+
+#[test]
+fn the_real_recording_has_no_time_offset_but_a_turned_camera() {
+    let Some(set) = real_set() else { return };
+    let place = Place::new();
+    import_real(&place, &set, "balancing", "butterworth.trc");
+    let offsets: Value = serde_json::from_str(&place.done("sync take.mcap --json")).unwrap();
+    assert!(offsets.as_array().unwrap().iter().all(|offset| offset["applied"] == false));
+    let corrections = place.done("calibrate --refine take.mcap --out rig.toml");
+    assert!(corrections.trim_end().ends_with("rig.toml: cam_01 corrected"), "{corrections}");
+    let figures = place.done("solve take.mcap --out out --rig rig.toml --hold-out cam_01 --json");
+    let figures: Value = serde_json::from_str(&figures).unwrap();
+    pinned("held-out camera 1, px", number(&figures, "/hold_out/median_px"), 12.98);
+}
+
+#[test]
 fn existing_outputs_are_kept_unless_told_otherwise() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 30, |_| true);

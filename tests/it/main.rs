@@ -2,6 +2,8 @@
 
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod bus;
+#[cfg(feature = "research")]
+mod calibration;
 mod camera;
 #[cfg(feature = "cli")]
 mod cli;

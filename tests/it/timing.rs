@@ -47,7 +47,11 @@ impl Timeline {
     }
 
     fn live(mut self) -> Self {
-        self.tracker = self.tracker.live(Live { provisional: false, output_rate_hz: 0.0 });
+        self.tracker = self.tracker.live(Live {
+            provisional: false,
+            time_offsets: false,
+            output_rate_hz: 0.0,
+        });
         self
     }
 

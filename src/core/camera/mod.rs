@@ -15,6 +15,7 @@ pub use rig::Rig;
 pub use triangulate::{Triangulated, View, triangulate, triangulate_robust};
 
 use crate::core::so3;
+use crate::core::time::Nanos;
 
 /// Points closer to the camera plane than this (metres) are not projected.
 const NEAR: f64 = 1e-3;
@@ -123,6 +124,8 @@ pub struct Camera {
     pub rotation: Matrix3<f64>,
     /// camera_from_world, metres.
     pub translation: Vector3<f64>,
+    /// Added to the capture times of the camera's frames, to agree with the other cameras.
+    pub time_offset: Nanos,
     /// Private, because the next two follow from it.
     lens: Lens,
     /// Whether the lens has no distortion.
@@ -173,6 +176,7 @@ impl Camera {
             skew: matrix[(0, 1)],
             rotation,
             translation,
+            time_offset: Nanos::ZERO,
             lens,
             ideal: lens.is_ideal(),
             limit_squared: limit * limit,

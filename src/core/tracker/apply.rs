@@ -10,8 +10,9 @@ use super::port::{Output, WindowReport};
 use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
 use crate::core::body::{Pose, Skeleton, TrackingState};
+use crate::core::calibration::TimeOffset;
 use crate::core::manifold::{self, StampedKeyframe, TimedKeyframe};
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
 impl Tracker {
     /// Applies the solution of the pending job; any other is ignored.
@@ -79,6 +80,9 @@ impl Tracker {
     }
 
     fn tracked(&mut self, window: Window, tracked: Tracked) {
+        if tracked.verdict == Verdict::Tracked {
+            self.correct_clocks(window, &tracked.newest);
+        }
         self.close_until(window.publish + self.tolerance());
         let state = tracked.verdict.state();
         if state == TrackingState::Tracking {
@@ -108,6 +112,21 @@ impl Tracker {
         self.enter_phase(done, ahead, state);
         self.start = Some(window.publish);
         self.window += 1;
+    }
+
+    /// Live: corrects the time offsets of cameras, as the performer's motion shows them.
+    fn correct_clocks(&mut self, window: Window, pose: &Pose) {
+        let is_on = self.live.is_some_and(|live| live.time_offsets);
+        let Some(skeleton) = self.skeleton.clone().filter(|_| is_on) else { return };
+        for frame in self.intake.up_to(window.publish + self.tolerance()) {
+            self.offsets.add(&frame, &self.rig, pose, &skeleton);
+        }
+        let step = Nanos::rounded(self.frame_period());
+        let found = self.offsets.correct(Arc::make_mut(&mut self.rig), step);
+        if let Some((camera, TimeOffset { offset: Some(offset), .. })) = found {
+            let detail = format!("about {offset:.0}, corrected step by step");
+            self.event(EventKind::TimeOffset, window.publish, Some(camera), detail);
+        }
     }
 
     /// Uses the estimator's body from the next window on, if it has a new one.

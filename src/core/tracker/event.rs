@@ -41,6 +41,9 @@ pub enum EventKind {
     Effort,
     /// A camera's clock differs from the others, or agrees again.
     ClockOffset,
+    /// A camera's capture times are shifted against the others', as the motion shows; they are being
+    /// corrected.
+    TimeOffset,
     /// Capture times jumped; the frames are not used.
     ClockJump,
     /// A frame shows more people than are used.
@@ -53,7 +56,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 23] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -72,6 +75,7 @@ impl EventKind {
         Self::Latency,
         Self::Effort,
         Self::ClockOffset,
+        Self::TimeOffset,
         Self::ClockJump,
         Self::Crowd,
         Self::Conflict,
@@ -99,6 +103,7 @@ impl EventKind {
             Self::Latency => "latency",
             Self::Effort => "effort",
             Self::ClockOffset => "clock_offset",
+            Self::TimeOffset => "time_offset",
             Self::ClockJump => "clock_jump",
             Self::Crowd => "crowd",
             Self::Conflict => "conflict",

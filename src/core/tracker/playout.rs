@@ -24,6 +24,8 @@ const MAX_CATCH_UP: Nanos = Nanos::SECOND;
 pub struct Live {
     /// Whether the open window is fitted and its newest pose published as provisional.
     pub provisional: bool,
+    /// Whether the cameras' time offsets are estimated and corrected.
+    pub time_offsets: bool,
     /// Poses per second; 0: one for each nominal frame.
     pub output_rate_hz: f64,
 }

@@ -14,7 +14,9 @@ impl Tracker {
     pub(super) fn send_window(&mut self, window: Window) {
         if let Some(rig) = self.next_rig.take() {
             let detail = format!("calibration {} from here on", rig.version);
-            self.rig = rig;
+            let mut rig = Arc::unwrap_or_clone(rig);
+            self.offsets.calibrate(&mut rig);
+            self.rig = Arc::new(rig);
             self.event(EventKind::Calibrated, window.start, None, detail);
         }
         let task = match &self.phase {

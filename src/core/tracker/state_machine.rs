@@ -15,6 +15,7 @@ use super::port::{Input, Output};
 use super::waiting::Waiting;
 use super::window::{FALLBACK_PERIOD, Window};
 use crate::core::body::{Skeleton, TrackingState};
+use crate::core::calibration::LiveOffsets;
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::manifold::TimedKeyframe;
@@ -82,6 +83,7 @@ pub struct Tracker {
     /// The time of the last provisional pose.
     pub(super) newest: Option<Timestamp>,
     pub(super) playout: Playout,
+    pub(super) offsets: LiveOffsets,
     pub(super) outputs: VecDeque<Output>,
 }
 
@@ -117,6 +119,7 @@ impl Tracker {
             ahead: Vec::new(),
             newest: None,
             playout: Playout::default(),
+            offsets: LiveOffsets::new(cameras),
             outputs: VecDeque::new(),
         }
     }
@@ -215,6 +218,11 @@ impl Tracker {
         self.intake.shows_somebody()
     }
 
+    /// The cameras, with the time offsets in use.
+    pub fn rig(&self) -> &Arc<Rig> {
+        &self.rig
+    }
+
     /// The body, once it is known.
     pub fn skeleton(&self) -> Option<&Arc<Skeleton>> {
         self.skeleton.as_ref()
@@ -253,7 +261,10 @@ impl Tracker {
         (self.playout.extrapolated, self.playout.missed)
     }
 
-    fn add(&mut self, frame: Detections) {
+    fn add(&mut self, mut frame: Detections) {
+        if let Some(camera) = self.rig.cameras.get(frame.camera) {
+            frame.capture = frame.capture + camera.time_offset;
+        }
         let (camera, capture) = (frame.camera, frame.capture);
         let event = self.intake.add(frame);
         let is_used = event.as_ref().is_none_or(|event| event.kind == EventKind::OutOfOrder);
@@ -269,6 +280,7 @@ impl Tracker {
             self.next_rig = Some(rig);
             return;
         }
+        self.offsets = LiveOffsets::new(rig.cameras.len());
         self.rig = rig;
         self.restart();
     }
@@ -278,7 +290,7 @@ impl Tracker {
     fn restart(&mut self) {
         let fresh = Self::new(self.config, Arc::clone(&self.rig));
         let old = std::mem::replace(self, fresh);
-        self.live = old.live;
+        (self.live, self.offsets) = (old.live, old.offsets);
         self.skeleton = old.skeleton.filter(|_| old.is_proven);
         self.is_proven = old.is_proven;
         if self.skeleton.is_some() {

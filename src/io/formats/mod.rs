@@ -12,7 +12,7 @@ pub mod trc;
 
 use std::path::{Path, PathBuf};
 
-pub use self::calibration::{Up, read_calibration};
+pub use self::calibration::{Up, read_calibration, write_calibration};
 pub use openpose::{CameraReport, FolderMatch, MatchedBy, OpenposeFolder};
 pub use trc::{Trc, TrcError};
 

@@ -60,6 +60,7 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Returned
         | EventKind::Calibrated
         | EventKind::ClockOffset
+        | EventKind::TimeOffset
         | EventKind::ClockJump
         | EventKind::Crowd
         | EventKind::Conflict

@@ -6,6 +6,7 @@ use super::check::{Field, field};
 use super::{CalibratedCamera, DecodeError, LensKind, Rig};
 use crate::core::camera::{self, Camera, CameraError, Lens};
 use crate::core::so3;
+use crate::core::time::Nanos;
 
 const fn at(name: &'static str) -> Field {
     field("Rig", name)
@@ -48,6 +49,7 @@ impl CalibratedCamera {
             camera_from_world_rotation: so3::xyzw_from_rotation(&camera.rotation).to_vec(),
             camera_from_world_translation_m: camera.translation.iter().copied().collect(),
             skew_px: camera.skew,
+            time_offset_ns: camera.time_offset.ns(),
         }
     }
 
@@ -60,8 +62,11 @@ impl CalibratedCamera {
         let translation = at("cameras.camera_from_world_translation_m")
             .vector(&self.camera_from_world_translation_m)?;
         let size = [self.width, self.height];
-        Camera::new(&self.name, size, &matrix, self.lens_to_core()?, rotation, translation)
-            .map_err(refused("cameras"))
+        let lens = self.lens_to_core()?;
+        let mut camera = Camera::new(&self.name, size, &matrix, lens, rotation, translation)
+            .map_err(refused("cameras"))?;
+        camera.time_offset = Nanos::new(self.time_offset_ns);
+        Ok(camera)
     }
 
     fn lens_to_core(&self) -> Result<Lens, DecodeError> {

@@ -53,7 +53,7 @@ use crate::core::camera::Rig;
 use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::manifold::Decoder;
 use crate::core::tracker::{Config, Solver, Tracker, run_to_end};
-use crate::offline::first_pass;
+use crate::offline::first_pass_settings;
 
 /// The input of every method: the detections of one recording.
 #[derive(Clone, Debug)]
@@ -81,12 +81,11 @@ impl Take {
     pub fn with_body(mut self, decoder: &Decoder) -> Self {
         let config = Config { frame_rate_hz: self.fps, ..Config::default() };
         let frames = self.frames.iter().filter(|frame| frame.camera == 0).count();
-        self.body = first_pass(config, frames).and_then(|config| {
-            let mut tracker = Tracker::new(config, Arc::clone(&self.rig));
-            let mut solver = Solver::new(decoder.clone(), config);
-            run_to_end(&mut tracker, &mut solver, self.frames.iter().cloned(), |_| {});
-            tracker.skeleton().cloned()
-        });
+        let config = first_pass_settings(config, frames);
+        let mut tracker = Tracker::new(config, Arc::clone(&self.rig));
+        let mut solver = Solver::new(decoder.clone(), config);
+        run_to_end(&mut tracker, &mut solver, self.frames.iter().cloned(), |_| {});
+        self.body = tracker.skeleton().cloned();
         self
     }
 }

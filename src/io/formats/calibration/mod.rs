@@ -5,12 +5,16 @@ use std::path::Path;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::openpose::natural_key;
 mod qualisys;
+mod write;
+
+pub use write::write_calibration;
 
 use super::ImportError;
+use super::openpose::natural_key;
 use crate::core::camera::{Camera, CameraError, Lens, Rig};
 use crate::core::so3;
+use crate::core::time::Nanos;
 
 /// The axis of the calibration's world that points up. In our world it is y.
 ///
@@ -55,6 +59,7 @@ pub(super) struct Calibrated {
     pub rotation: Matrix3<f64>,
     /// camera_from_calibration, metres.
     pub translation: Vector3<f64>,
+    pub time_offset: Nanos,
 }
 
 /// Why a calibration cannot be used.
@@ -88,7 +93,9 @@ fn rig_from_text(text: &str, up: Up) -> Result<Rig, Fault> {
     };
     let camera = |c: Calibrated| {
         let rotation = c.rotation * up.calibration_from_world();
-        Camera::new(c.name, c.size, &c.matrix, c.lens, rotation, c.translation)
+        let mut camera = Camera::new(c.name, c.size, &c.matrix, c.lens, rotation, c.translation)?;
+        camera.time_offset = c.time_offset;
+        Ok(camera)
     };
     let cameras = calibrated.into_iter().map(camera).collect::<Result<_, _>>();
     cameras.and_then(|cameras| Rig::new(1, cameras)).map_err(Fault::Camera)
@@ -108,6 +115,9 @@ struct CameraTable {
     translation: [f64; 3],
     #[serde(default)]
     fisheye: bool,
+    /// Added to capture times, milliseconds.
+    #[serde(default)]
+    time_offset_ms: f64,
 }
 
 /// Reads every table except `metadata` as a camera.
@@ -139,6 +149,7 @@ fn toml_camera(key: String, value: toml::Value) -> Result<Calibrated, Fault> {
         lens: lens.map_err(|e| Fault::Text(format!("camera {name}: {e}")))?,
         rotation: so3::exp(&Vector3::from(table.rotation)),
         translation: Vector3::from(table.translation),
+        time_offset: Nanos::rounded(table.time_offset_ms * 1e6),
         name,
     })
 }

@@ -16,6 +16,7 @@ use roxmltree::{Document, Node};
 
 use super::{Calibrated, Fault, size_px};
 use crate::core::camera::Lens;
+use crate::core::time::Nanos;
 
 /// Units of `intrinsic` per pixel.
 const SUBPIXELS: f64 = 64.0;
@@ -53,7 +54,8 @@ fn camera(node: &Node) -> Result<Calibrated, Fault> {
     let size = [view.number("right")? - left + 1.0, view.number("bottom")? - top + 1.0];
     let (rotation, translation) = extrinsics(&fields("transform")?)?;
     let (matrix, lens) = intrinsics(&fields("intrinsic")?, left, top)?;
-    Ok(Calibrated { size: size_px(&name, size)?, name, matrix, lens, rotation, translation })
+    let (size, time_offset) = (size_px(&name, size)?, Nanos::ZERO);
+    Ok(Calibrated { size, name, matrix, lens, rotation, translation, time_offset })
 }
 
 /// camera_from_calibration.

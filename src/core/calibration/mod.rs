@@ -1,0 +1,19 @@
+//! Cameras in time and in place: what the performer's motion says about the cameras' clocks and
+//! poses.
+//!
+//! [`Tracks`] collect the performer's limbs in each view. [`time_offsets`] compares pairs of views,
+//! [`LiveOffsets`] does so while the cameras run, [`refine`] adjusts the cameras to triangulated limbs.
+
+mod epipolar;
+mod live_offsets;
+mod normal;
+mod refine;
+mod time_offsets;
+mod tracks;
+mod views;
+
+pub use live_offsets::LiveOffsets;
+pub use normal::OffsetVerdict;
+pub use refine::{Correction, refine};
+pub use time_offsets::{TimeOffset, time_offsets};
+pub use tracks::{LIMBS, Tracks};

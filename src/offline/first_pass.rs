@@ -1,0 +1,254 @@
+//! The first pass over a recording: it estimates the body, and the cameras' time offsets.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use super::Error;
+use super::driver::Driver;
+use super::options::{Observer, Options};
+use super::recording::{Item, Recording};
+use crate::core::body::{Skeleton, TrackingState};
+use crate::core::calibration::{self, Correction, OffsetVerdict, TimeOffset, Tracks};
+use crate::core::camera::{Camera, Rig};
+use crate::core::cost;
+use crate::core::detections::Detections;
+use crate::core::time::Nanos;
+use crate::core::tracker::{self, Input, Output, Solver};
+
+/// Most frames that wait for their poses.
+const WAITING: usize = 8192;
+
+/// An optimiser of the first pass stops if a step lowers the cost by less than this fraction.
+const COARSE_CHANGE: f64 = 0.03;
+
+/// The settings of a first pass over `frames` frames: the body is estimated from windows of the whole
+/// recording. It needs no corrections, and no exact poses.
+pub fn first_pass_settings(config: tracker::Config, frames: usize) -> tracker::Config {
+    let windows = frames / config.publish_frames.max(1);
+    let body_windows = (windows / tracker::BODY_WINDOWS).max(1);
+    let cost = cost::Config { correction_prior: 0.0, ..config.cost };
+    let change_threshold = config.change_threshold.max(COARSE_CHANGE);
+    tracker::Config { body_windows, change_threshold, cost, ..config }
+}
+
+/// A camera's time offset: what is added to its capture times to agree with the other cameras.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CameraOffset {
+    /// The camera.
+    pub camera: String,
+    /// The estimate, milliseconds; `None` if it is unknown.
+    pub offset_ms: Option<f64>,
+    /// The same in nominal frames.
+    pub offset_frames: Option<f64>,
+    /// Its standard error, nominal frames; at most 6.
+    pub error_frames: f64,
+    /// `in_sync`, `shifted`, or `unknown` if too little moves to tell.
+    pub verdict: &'static str,
+    /// Whether the offset is significant and in use.
+    pub applied: bool,
+}
+
+impl CameraOffset {
+    fn new(camera: &Camera, found: &TimeOffset, period: Nanos) -> Self {
+        let frames = |time: Nanos| time.ns() as f64 / period.ns() as f64;
+        Self {
+            camera: camera.name.clone(),
+            offset_ms: found.offset.map(Nanos::ms),
+            offset_frames: found.offset.map(frames),
+            error_frames: frames(found.error),
+            verdict: match found.verdict {
+                OffsetVerdict::InSync => "in_sync",
+                OffsetVerdict::Shifted => "shifted",
+                OffsetVerdict::Unknown => "unknown",
+            },
+            applied: found.verdict == OffsetVerdict::Shifted,
+        }
+    }
+}
+
+/// A first pass over a recording.
+pub(super) struct FirstPass {
+    driver: Driver,
+    /// Views of the rig's cameras, then of the held-out ones.
+    tracks: Tracks,
+    cameras: Vec<Camera>,
+    waiting: VecDeque<Detections>,
+    /// Of all cameras; empty if they were not estimated.
+    pub(super) offsets: Vec<CameraOffset>,
+}
+
+impl FirstPass {
+    /// Streams a recording through the tracker and adds the significant time offsets to the cameras.
+    /// If a camera of the rig is shifted, the recording is streamed again.
+    pub(super) fn run(
+        recording: &mut Recording,
+        options: &Options,
+        rig: &mut Rig,
+        held_out: &mut [Camera],
+        observer: &mut dyn Observer,
+    ) -> Result<Self, Error> {
+        let mut pass = Self::new(options, recording.frames(), rig, held_out)?;
+        pass.stream(recording, rig, held_out, observer)?;
+        if options.no_sync {
+            return Ok(pass);
+        }
+        let offsets = pass.apply_time_offsets(rig, held_out);
+        if offsets.iter().take(rig.cameras.len()).any(|offset| offset.applied) {
+            pass = Self::new(options, recording.frames(), rig, held_out)?;
+            pass.stream(recording, rig, held_out, observer)?;
+        }
+        Ok(Self { offsets, ..pass })
+    }
+
+    fn new(options: &Options, frames: u64, rig: &Rig, held_out: &[Camera]) -> Result<Self, Error> {
+        let config = first_pass_settings(options.config, frames as usize);
+        let solver = Solver::new(options.decoder()?, config);
+        let cameras: Vec<Camera> = rig.cameras.iter().chain(held_out).cloned().collect();
+        Ok(Self {
+            driver: Driver::new(config, Arc::new(rig.clone()), solver, None),
+            tracks: Tracks::new(cameras.len()),
+            cameras,
+            waiting: VecDeque::new(),
+            offsets: Vec::new(),
+        })
+    }
+
+    fn stream(
+        &mut self,
+        recording: &mut Recording,
+        rig: &Rig,
+        held_out: &[Camera],
+        observer: &mut dyn Observer,
+    ) -> Result<(), Error> {
+        let message = || observer.message();
+        let solved = rig.cameras.len();
+        recording.stream(rig, held_out, message, |item| match item {
+            Item::Detections(frame) => {
+                self.wait(frame.clone());
+                self.feed(Input::Detections(frame))
+            }
+            Item::HeldOut(frame) => {
+                self.wait(Detections { camera: solved + frame.camera, ..frame });
+                Ok(())
+            }
+            _ => Ok(()),
+        })?;
+        self.feed(Input::End)
+    }
+
+    fn wait(&mut self, mut frame: Detections) {
+        frame.capture = frame.capture + self.cameras[frame.camera].time_offset;
+        self.waiting.push_back(frame);
+        if self.waiting.len() > WAITING {
+            self.waiting.pop_front();
+        }
+    }
+
+    /// Passes in an input; the frames up to each pose show the performer in about that pose.
+    fn feed(&mut self, input: Input) -> Result<(), Error> {
+        let Self { driver, tracks, cameras, waiting, .. } = self;
+        driver.feed(input, |driver, output| {
+            let (Output::Pose(pose), Some(body)) = (output, driver.skeleton()) else {
+                return Ok(());
+            };
+            while waiting.front().is_some_and(|frame| frame.capture <= pose.capture) {
+                let Some(frame) = waiting.pop_front() else { break };
+                if pose.state == TrackingState::Tracking {
+                    tracks.add(&frame, &cameras[frame.camera], &pose.pose, &body);
+                }
+            }
+            Ok(())
+        })
+    }
+
+    /// The body; `None` if nobody was found.
+    pub(super) fn body(&self) -> Option<Arc<Skeleton>> {
+        self.driver.skeleton()
+    }
+
+    /// Estimates the time offsets, and adds the significant ones to the cameras: those of the rig
+    /// from their own views, then those of held-out cameras relative to them.
+    fn apply_time_offsets(&self, rig: &mut Rig, held_out: &mut [Camera]) -> Vec<CameraOffset> {
+        let period = Nanos::rounded(self.driver.frame_period());
+        let solved = rig.cameras.len();
+        let estimate = |count: usize, known: &[Nanos]| {
+            calibration::time_offsets(&self.tracks, &self.cameras[..count], period, known)
+        };
+        let mut found = estimate(solved, &[]);
+        if !held_out.is_empty() {
+            let known: Vec<Nanos> = found.iter().map(TimeOffset::applied).collect();
+            found.extend(estimate(self.cameras.len(), &known).split_off(solved));
+        }
+        for (camera, found) in rig.cameras.iter_mut().chain(held_out).zip(&found) {
+            camera.time_offset = camera.time_offset + found.applied();
+        }
+        let all = self.cameras.iter().zip(&found);
+        all.map(|(camera, found)| CameraOffset::new(camera, found, period)).collect()
+    }
+}
+
+/// A camera's small correction.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraCorrection {
+    /// The camera.
+    pub camera: String,
+    /// The correction.
+    pub correction: Correction,
+}
+
+/// As `+1.0 ms (+0.06 ± 0.02 frames)`.
+impl fmt::Display for CameraOffset {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let error = self.error_frames;
+        match self.offset_ms.zip(self.offset_frames) {
+            Some((ms, frames)) => write!(f, "{ms:+.1} ms ({frames:+.2} ± {error:.2} frames)"),
+            None => write!(f, "± {error:.2} frames"),
+        }
+    }
+}
+
+/// The cameras of a recording checked against the performer's motion.
+#[derive(Clone, Debug)]
+pub struct CheckedCameras {
+    /// The cameras with the significant offsets and corrections.
+    pub rig: Rig,
+    /// Their time offsets; none with [`Options::no_sync`].
+    pub offsets: Vec<CameraOffset>,
+    /// Their corrections, if asked for.
+    pub corrections: Vec<CameraCorrection>,
+}
+
+/// Estimates the time offsets of a recording's cameras and, if wanted, corrects the cameras after
+/// that.
+///
+/// # Errors
+/// As [`solve`](super::solve).
+pub fn check_cameras(
+    recording: &mut Recording,
+    options: &Options,
+    refine: bool,
+    observer: &mut dyn Observer,
+) -> Result<CheckedCameras, Error> {
+    let mut rig = recording.chosen(&options.cameras, &[])?;
+    let pass = FirstPass::run(recording, options, &mut rig, &mut [], observer)?;
+    if pass.body().is_none() {
+        let evidence =
+            "no performer is seen by two cameras at once; check the calibration".to_owned();
+        return Err(Error::NobodyFound { path: recording.path().to_owned(), evidence });
+    }
+    let mut corrections = Vec::new();
+    if refine {
+        let found;
+        (rig.cameras, found) = calibration::refine(&pass.tracks, &rig.cameras);
+        let all = rig.cameras.iter().zip(found);
+        let named = |(camera, correction): (&Camera, _)| CameraCorrection {
+            camera: camera.name.clone(),
+            correction,
+        };
+        corrections = all.map(named).collect();
+    }
+    Ok(CheckedCameras { rig, offsets: pass.offsets, corrections })
+}

@@ -1,0 +1,57 @@
+//! What a solve is told, and who watches it.
+
+use std::path::PathBuf;
+
+use crate::core::body::{Skeleton, StampedPose};
+use crate::core::manifold::{Decoder, WeightsError};
+use crate::core::tracker;
+use crate::io::formats::Trc;
+
+/// Options of a solve. The defaults use all cameras, the embedded weights and the settings of
+/// `config/default.toml`, and write nothing.
+#[derive(Clone, Default)]
+pub struct Options {
+    /// Settings of the tracker.
+    pub config: tracker::Config,
+    /// Weights of the manifold; the embedded ones if `None`.
+    pub decoder: Option<Decoder>,
+    /// Use only the cameras with these names; all if empty.
+    pub cameras: Vec<String>,
+    /// Hold these cameras out of the solve and measure the error in them.
+    pub hold_out: Vec<String>,
+    /// Measure the distance from these marker positions (y up, frames as in the recording).
+    pub reference: Option<Trc>,
+    /// The folder for poses.mcap, poses.bvh, poses.states.csv and report.html; created if missing.
+    /// `None` writes nothing.
+    pub out: Option<PathBuf>,
+    /// Replace these files if they exist.
+    pub overwrite: bool,
+    /// Use the capture times as they are: estimate no time offsets.
+    pub no_sync: bool,
+    /// All settings as TOML, for the metadata of poses.mcap; `None`: those of `config`.
+    pub config_toml: Option<String>,
+}
+
+impl Options {
+    /// How often the recording is read: a first pass estimates the body and the time offsets, if the
+    /// body is not switched off. It is repeated if a camera is shifted.
+    pub fn passes(&self) -> u64 {
+        1 + u64::from(self.config.body_windows > 0)
+    }
+
+    pub(super) fn decoder(&self) -> Result<Decoder, WeightsError> {
+        self.decoder.clone().map_or_else(Decoder::embedded, Ok)
+    }
+}
+
+/// Observer of a solve; `()` ignores everything.
+pub trait Observer {
+    /// A message of the recording was read. This happens [`Options::passes`] times for each,
+    /// or once more.
+    fn message(&mut self) {}
+
+    /// A final pose with its body. Poses are in order of capture time.
+    fn pose(&mut self, _pose: &StampedPose, _skeleton: &Skeleton) {}
+}
+
+impl Observer for () {}

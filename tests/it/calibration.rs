@@ -1,0 +1,195 @@
+//! Cameras in time and in place: clocks that are shifted and cameras that are turned are found from
+//! the performer's motion, and nothing is changed where nothing is wrong.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use bundlemocap::core::body::{Pose, Skeleton};
+use bundlemocap::core::camera::Rig;
+use bundlemocap::core::manifold::Decoder;
+use bundlemocap::core::so3;
+use bundlemocap::core::time::Nanos;
+use bundlemocap::core::tracker::{Config, EventKind, Live, Output, Solver, Tracker, run_to_end};
+use bundlemocap::io::formats::{Up, read_calibration, write_calibration};
+use bundlemocap::io::recording::{Provenance, Writer};
+use bundlemocap::io::wire::Topics;
+use bundlemocap::offline::{self, CheckedCameras, Options, check_cameras, solve};
+use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+use nalgebra::Vector3;
+
+const FPS: f64 = 60.0;
+
+/// A recording of eight seconds of walking and squatting.
+struct Take {
+    folder: tempfile::TempDir,
+    rig: Rig,
+}
+
+impl Take {
+    fn recording(&self) -> offline::Recording {
+        offline::Recording::open(self.folder.path().join("take.mcap")).unwrap()
+    }
+
+    fn checked(&self, refine: bool) -> CheckedCameras {
+        check_cameras(&mut self.recording(), &Options::default(), refine, &mut ()).unwrap()
+    }
+}
+
+/// A take whose cameras stamp their frames late by `late` frames. `written` changes the calibration
+/// in the recording.
+fn take(late: &[f64], noise: Noise, moves: bool, written: impl Fn(&mut Rig)) -> Take {
+    let folder = tempfile::tempdir().unwrap();
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let pose = |seconds: f64| -> Pose { motion.pose(if moves { seconds } else { 0.0 }) };
+    let rig = ring_rig(late.len(), 4.0, 1.6).unwrap();
+    let mut recording = Recording::new(rig.clone(), skeleton, pose);
+    (recording.frames, recording.noise) = (480, noise);
+    let mut in_file = rig.clone();
+    written(&mut in_file);
+
+    let path = folder.path().join("take.mcap");
+    let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
+    writer.rig(&in_file, recording.start).unwrap();
+    for mut frame in recording.detections() {
+        let camera = &rig.cameras[frame.camera];
+        let late = Nanos::rounded((late[frame.camera] + 10.0) * 1e9 / FPS);
+        frame.capture = frame.capture + late;
+        writer.keypoints(&frame, &camera.name, [camera.width, camera.height]).unwrap();
+    }
+    writer.finish().unwrap();
+    Take { folder, rig }
+}
+
+fn as_it_is(_: &mut Rig) {}
+
+/// Turns the third camera about its centre by one degree.
+fn turned(rig: &mut Rig) {
+    let camera = &mut rig.cameras[2];
+    let centre = camera.centre_in_world();
+    let axis = Vector3::new(0.6, 0.8, 0.0);
+    camera.rotation = so3::exp(&(axis * 1f64.to_radians())) * camera.rotation;
+    camera.translation = -(camera.rotation * centre);
+}
+
+#[test]
+fn shifted_clocks_are_found_to_a_tenth_of_a_frame() {
+    for late in [[0.3, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, -3.0], [0.0, 0.0, 5.0, 0.0]] {
+        let checked = take(&late, Noise::clean(), true, as_it_is).checked(false);
+        for (found, late) in checked.offsets.iter().zip(late) {
+            println!("{late}: {found}");
+            assert_eq!(found.applied, late != 0.0, "{late}: {found}");
+            let off = found.offset_frames.unwrap() + late;
+            assert!(off.abs() < 0.1 || !found.applied, "{late}: {found}");
+        }
+    }
+}
+
+#[test]
+fn clocks_that_agree_stay_as_they_are_under_studio_noise() {
+    let checked = take(&[0.0; 4], Noise::studio(), true, as_it_is).checked(false);
+    println!("{:?}", checked.offsets);
+    assert!(checked.offsets.iter().all(|found| !found.applied), "{:?}", checked.offsets);
+    assert!(checked.rig.cameras.iter().all(|camera| camera.time_offset == Nanos::ZERO));
+}
+
+#[test]
+fn nothing_is_said_of_clocks_where_nobody_moves() {
+    for noise in [Noise::jitter_only(), Noise::studio()] {
+        let checked = take(&[0.0, 5.0, 0.0, 0.0], noise, false, as_it_is).checked(false);
+        println!("{:?}", checked.offsets);
+        assert!(checked.offsets.iter().all(|found| found.verdict == "unknown"));
+    }
+}
+
+#[test]
+fn a_live_tracker_corrects_a_shifted_clock_slowly() {
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let rig = Arc::new(ring_rig(4, 4.0, 1.6).unwrap());
+    let mut recording = Recording::new((*rig).clone(), skeleton, |seconds| motion.pose(seconds));
+    (recording.frames, recording.noise) = (2400, Noise::clean());
+    let config = Config { frame_rate_hz: FPS, ..Config::default() };
+    let live = Live { provisional: false, time_offsets: true, output_rate_hz: 0.0 };
+    let mut tracker = Tracker::new(config, rig).live(live);
+    let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
+    let frames = recording.detections().map(|mut frame| {
+        let late = Nanos::rounded(if frame.camera == 1 { 2e9 / FPS } else { 0.0 });
+        frame.capture = frame.capture + late;
+        frame
+    });
+    let mut events = Vec::new();
+    run_to_end(&mut tracker, &mut solver, frames, |output| match output {
+        Output::Event(event) if event.kind == EventKind::TimeOffset => events.push(event),
+        _ => {}
+    });
+    println!("{events:?}");
+    assert_eq!(events.iter().map(|event| event.camera).collect::<Vec<_>>(), [Some(1)]);
+    for (i, camera) in tracker.rig().cameras.iter().enumerate() {
+        let frames = camera.time_offset.seconds() * FPS;
+        println!("{}: {frames:+.2} frames", camera.name);
+        let truth = if i == 1 { -2.0 } else { 0.0 };
+        assert!((frames - truth).abs() < 0.2, "{}: {frames}", camera.name);
+    }
+}
+
+#[test]
+fn a_held_out_camera_is_shifted_by_the_others() {
+    let take = take(&[0.0, 0.0, 0.0, -3.0], Noise::clean(), true, as_it_is);
+    let error = |no_sync: bool| {
+        let options = Options { hold_out: vec!["cam04".into()], no_sync, ..Options::default() };
+        solve(&mut take.recording(), &options, &mut ())
+            .unwrap()
+            .hold_out
+            .unwrap()
+            .median_px
+            .unwrap()
+    };
+    let (with, without) = (error(false), error(true));
+    println!("held out: {with:.2} px, without the offset {without:.2} px");
+    assert!(with < 0.7 * without, "{with} px, {without} px");
+}
+
+#[test]
+fn a_camera_turned_by_a_degree_is_corrected() {
+    for noise in [Noise::clean(), Noise::studio()] {
+        let take = take(&[0.0; 4], noise, true, turned);
+        let checked = take.checked(true);
+        println!("{:?}", checked.corrections);
+        for (i, (camera, truth)) in checked.rig.cameras.iter().zip(&take.rig.cameras).enumerate() {
+            let off = so3::angle_between(&camera.rotation, &truth.rotation).to_degrees();
+            assert!(off < 0.2, "{}: {off} degrees", camera.name);
+            assert_eq!(checked.corrections[i].correction.significant, i == 2);
+            assert_eq!(*camera == take.recording().rig().cameras[i], i != 2);
+        }
+    }
+}
+
+#[test]
+fn a_good_calibration_stays_as_it_is() {
+    for noise in [Noise::clean(), Noise::studio()] {
+        let take = take(&[0.0; 4], noise, true, as_it_is);
+        let checked = take.checked(true);
+        println!("{:?}", checked.corrections);
+        assert_eq!(checked.rig, **take.recording().rig());
+    }
+}
+
+#[test]
+fn a_written_calibration_reads_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut rig = ring_rig(3, 4.0, 1.6).unwrap();
+    rig.cameras[1].time_offset = Nanos::new(-5_123_457);
+    for up in [Up::Y, Up::Z] {
+        let path: &Path = &folder.path().join("rig.toml");
+        write_calibration(path, &rig, up).unwrap();
+        let read = read_calibration(path, up).unwrap();
+        for (read, camera) in read.cameras.iter().zip(&rig.cameras) {
+            assert!((read.rotation - camera.rotation).amax() < 1e-12);
+            assert_eq!(read.matrix(), camera.matrix());
+            assert_eq!(read.lens(), camera.lens());
+            assert_eq!(read.translation, camera.translation);
+            assert_eq!((&read.name, read.time_offset), (&camera.name, camera.time_offset));
+        }
+    }
+}
