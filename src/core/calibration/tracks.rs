@@ -27,7 +27,7 @@ pub const LIMBS: [Keypoint; 12] = [
 /// Length of a section.
 const SECTION: Nanos = Nanos::from_ms(2000);
 /// More sections than this are thinned out to half.
-const MOST_SECTIONS: usize = 24;
+const MOST_SECTIONS: usize = 12;
 /// Points of at most this confidence are not used.
 const CONFIDENT: f64 = 0.3;
 /// A person is the performer if the median distance of the limbs is below this fraction of the
@@ -47,7 +47,7 @@ struct Sample {
 }
 
 /// The performer's limbs in each view, in sections of two seconds, spread over the whole time. At
-/// most 24 sections are kept.
+/// most 12 sections are kept.
 #[derive(Clone, Debug)]
 pub struct Tracks {
     cameras: usize,

@@ -94,7 +94,7 @@ impl Default for Config {
             coast_windows: 6,
             grace_windows: 6,
             acquisition_iterations: 30,
-            change_threshold: 8e-3,
+            change_threshold: 2e-2,
             optimiser: OptimiserKind::LevenbergMarquardt,
             threads: 1,
             cost: cost::Config::default(),
