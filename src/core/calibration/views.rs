@@ -64,12 +64,12 @@ impl Views {
     }
 
     /// The distances of a pair's limb at a lag from the median of their block, without sign, for every
-    /// fourth step.
+    /// second step.
     pub(super) fn deviations(&self, pair: &Pair, limb: usize, lag: f64) -> Vec<f64> {
         let mut all = Vec::new();
         for block in self.blocks(limb) {
             let mut distances: Vec<f64> =
-                self.distances(pair, block, [lag], 4).into_iter().flatten().collect();
+                self.distances(pair, block, [lag], 2).into_iter().flatten().collect();
             let Some(middle) = median(&mut distances) else { continue };
             all.extend(distances.iter().map(|distance| (distance - middle).abs()));
         }

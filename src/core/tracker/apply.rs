@@ -53,7 +53,11 @@ impl Tracker {
             self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
             (self.estimator, self.noise) = (Arc::default(), Noise::default());
         }
-        self.event(EventKind::Acquired, at, None, "performer found".to_owned());
+        let detail = match self.phase {
+            Phase::Tracking { coasted: 0, .. } => "a fresh fit replaces a wrong pose",
+            _ => "performer found",
+        };
+        self.event(EventKind::Acquired, at, None, detail.to_owned());
         self.skeleton = Some(skeleton);
         self.start_windows_at(Some(at));
         self.publish_keyframe(at, &first, TrackingState::Tracking);

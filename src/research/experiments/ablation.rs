@@ -52,7 +52,7 @@ pub const FACTORS: [&str; 15] = [
 ];
 
 /// Thresholds on the relative change of the cost for the optimiser to stop.
-const STOPS: [f64; 6] = [0.0005, 0.002, 0.004, 0.008, 0.016, 0.032];
+const STOPS: [f64; 6] = [0.0005, 0.002, 0.005, 0.01, 0.02, 0.04];
 
 /// The factor with a name.
 pub fn factor(name: &str) -> Option<Factor> {

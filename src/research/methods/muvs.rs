@@ -112,7 +112,8 @@ impl PerFrame {
 impl MuVsWeights {
     pub(super) fn cost(&self) -> cost::Config {
         let (prior, scale_px) = (self.prior, self.scale_px);
-        cost::Config { prior, prior_dof: 0.0, scale_px, ..cost::Config::default() }
+        let loss = cost::LossKind::GemanMcClure;
+        cost::Config { loss, prior, prior_dof: 0.0, scale_px, ..cost::Config::default() }
     }
 }
 

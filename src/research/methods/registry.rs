@@ -30,6 +30,8 @@ pub const LADDER: &[&str] = &[
     "frames",
     "overlapping",
     "fixed",
+    "weighted",
+    "on-manifold",
     "default",
     "live",
 ];
@@ -58,6 +60,8 @@ pub fn named(name: &str) -> Option<Box<dyn Method>> {
         "frames" => Box::new(Windows::frames()),
         "overlapping" => Box::new(Windows::overlapping()),
         "fixed" => Box::new(Windows::fixed()),
+        "weighted" => Box::new(Windows::weighted()),
+        "on-manifold" => Box::new(Windows::on_manifold()),
         "default" => Box::new(Windows::default_settings()),
         "live" => Box::new(Windows::live()),
         _ => return None,

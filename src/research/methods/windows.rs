@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use super::{Delay, Method, Motion, Solved, Take};
-use crate::core::cost;
+use crate::core::cost::{self, LossKind};
 use crate::core::manifold::Decoder;
 use crate::core::optimise::OptimiserKind;
 use crate::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
@@ -83,10 +83,25 @@ impl Windows {
         Self::new("+ windows overlap", Config { publish_frames, ..Self::frames().config })
     }
 
-    /// The default with fixed weights.
+    /// The default with fixed weights, and on the manifold.
     pub fn fixed() -> Self {
-        let config = Config { reference_residual_px: 0.0, ..Config::default() };
+        let config = Self::weighted().config;
+        let config = Config { reference_residual_px: 0.0, ..config };
         Self::new("bundlemocap (fixed weights)", config)
+    }
+
+    /// The same with weights that follow the detector.
+    pub fn weighted() -> Self {
+        let config = Self::on_manifold().config;
+        let cost = cost::Config { loss: LossKind::GemanMcClure, ..config.cost };
+        Self::new("+ weights follow the detector", Config { relative_scale: 0.0, cost, ..config })
+    }
+
+    /// The same with a Cauchy loss whose scale follows the detector.
+    pub fn on_manifold() -> Self {
+        let config = Config::default();
+        let cost = cost::Config { correction_prior: 0.0, ..config.cost };
+        Self::new("+ Cauchy loss, its scale follows the detector", Config { cost, ..config })
     }
 
     /// The program's default settings.
