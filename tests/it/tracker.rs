@@ -502,7 +502,7 @@ fn a_fresh_fit_replaces_a_wrong_minimum() {
     };
     let Outcome::Tracked(tracked) = outcome(7) else { panic!("not tracked") };
     assert!(tracked.poses.iter().all(|pose| turned(pose) > 2.0));
-    // Every eighth window is tested.
+    // `fresh_fit_windows` is 8.
     let Outcome::Acquired { pose, .. } = outcome(8) else { panic!("not replaced") };
     assert!(turned(&pose) < 0.1, "{} rad", turned(&pose));
 }

@@ -41,6 +41,10 @@ pub struct Config {
     /// Number of windows in a row that are extrapolated for lack of detections, before the
     /// performer is lost.
     pub coast_windows: usize,
+    /// Every this many windows, if some point lies far from two views all the time, a fresh fit is
+    /// tried, and replaces the pose if it costs clearly less; 0 never tries. Differs: the paper never
+    /// does.
+    pub fresh_fit_windows: usize,
     /// Windows stop waiting for a camera after this many windows in a row closed without it.
     pub grace_windows: usize,
     /// Iterations of each stage of the acquisition.
@@ -92,6 +96,7 @@ impl Default for Config {
             reference_residual_px: 7.0,
             relative_scale: 1.3,
             coast_windows: 6,
+            fresh_fit_windows: 8,
             grace_windows: 6,
             acquisition_iterations: 30,
             change_threshold: 2e-2,
@@ -118,6 +123,7 @@ impl Config {
             reference_residual_px: 0.0,
             relative_scale: 0.0,
             coast_windows: 3,
+            fresh_fit_windows: 0,
             grace_windows: 3,
             cost: cost::Config {
                 prior: 90.0,
@@ -150,6 +156,7 @@ impl Config {
             Limit::up_to_1000("provisional_iterations", self.provisional_iterations),
             Limit::up_to_1000("body_windows", self.body_windows),
             Limit::up_to_1000("coast_windows", self.coast_windows),
+            Limit::up_to_1000("fresh_fit_windows", self.fresh_fit_windows),
             Limit::one_to_1000("grace_windows", self.grace_windows),
             Limit("threads", self.threads as f64, 1.0..=2.0, "1 or 2"),
             Limit::from_0("reference_residual_px", self.reference_residual_px),

@@ -1,6 +1,7 @@
 //! The solver: solves jobs. It keeps only scratch memory.
 
 mod acquisition;
+mod fresh_fit;
 mod keyframes;
 mod known;
 mod window;

@@ -7,12 +7,11 @@ use super::keyframes::{Steps, between};
 use super::known::Known;
 use crate::core::body::{BODY_COEFFICIENTS, BodyPoint, Pose, Skeleton};
 use crate::core::cost::{
-    self, CorrectionProblem, FrameObservations, Loss, PathKeyframe, PathProblem, Scene,
+    self, CorrectionProblem, FrameObservations, PathKeyframe, PathProblem, Scene,
 };
 use crate::core::manifold::{Correction, Keyframe, TimedKeyframe};
 use crate::core::optimise::Summary;
 use crate::core::time::Timestamp;
-use crate::core::tracker::association::median;
 use crate::core::tracker::body_estimator::BodyEstimator;
 use crate::core::tracker::job::{Job, Outcome, ProvisionalFit, Tracked, Verdict};
 use crate::core::tracker::noise::Residual;
@@ -28,12 +27,6 @@ const BLEND: f64 = 0.5;
 /// Smallest variance of the detections, relative to the reference level, when the body is estimated:
 /// much of their error is constant.
 const LEAST_BODY_NOISE: f64 = 0.3;
-/// A solution is tested every this many windows.
-const ESCAPE_WINDOWS: u64 = 8;
-/// A point this many scales of the loss from a view is far from it.
-const MISPLACED: f64 = 4.0;
-/// A fresh fit replaces the solution below this part of its cost.
-const BETTER: f64 = 0.8;
 /// Factor of the prior on codes when the body is estimated.
 const CODE_PRIOR_FACTOR: f64 = 0.1;
 
@@ -59,7 +52,7 @@ impl Solver {
         let (times, steps) = (&job.keyframe_times, Steps::of(job.effort.iterations));
         let (keyframes, summary) = self.keyframes(job, points, known, times, &observations, steps);
         let solved = Known { ahead: &keyframes, ..known };
-        if let Some(found) = self.escape(job, points, solved, skeleton, &observations) {
+        if let Some(found) = self.fresh_fit(job, points, solved, skeleton, &observations) {
             return found;
         }
         let keyframes = self.correct(job, points, known, keyframes, &observations);
@@ -76,57 +69,6 @@ impl Solver {
             .flatten();
         let tracked = tracked(solved, poses, Some(summary), residuals, verdict);
         Outcome::Tracked(Box::new(Tracked { estimator: estimator.map(Arc::new), ..tracked }))
-    }
-
-    /// A fresh fit of the performer, where the solved window is a wrong minimum: some point lies far
-    /// from several views all the time, and the fresh fit costs less. `None` otherwise.
-    fn escape(
-        &mut self,
-        job: &Job,
-        points: &[BodyPoint],
-        solved: Known,
-        skeleton: &Arc<Skeleton>,
-        observations: &[FrameObservations],
-    ) -> Option<Outcome> {
-        let is_due = job.window.is_multiple_of(ESCAPE_WINDOWS);
-        if !is_due || self.misfit(job, points, solved, observations).1 == 0 {
-            return None;
-        }
-        let found = self.acquire(job, points, Some(skeleton));
-        let Outcome::Acquired { first, .. } = &found else { return None };
-        let at = first.capture;
-        let there = between(observations, [at - job.half_period(), at + job.half_period()]);
-        let fresh = Known { past: std::slice::from_ref(first), ahead: &[], ..solved };
-        let [known, fresh] = [solved, fresh].map(|path| self.misfit(job, points, path, there).0);
-        (fresh < BETTER * known).then_some(found)
-    }
-
-    /// The reprojection cost of a window, and its number of points that lie far from two views or
-    /// more in the median.
-    fn misfit(
-        &self,
-        job: &Job,
-        points: &[BodyPoint],
-        solved: Known,
-        observations: &[FrameObservations],
-    ) -> (f64, usize) {
-        let cost = self.cost(job);
-        let loss = Loss::new(cost.loss, cost.scale_px);
-        let poses = self.poses_at(solved, observations.iter().map(|frame| frame.capture));
-        let all = residuals(observations.iter().zip(poses), points, &job.rig, solved.skeleton);
-        let total = all.iter().map(|r| r.confidence * loss.rho(r.error_px * r.error_px).0).sum();
-        let is_far = |point: usize, camera: usize| {
-            let mut errors: Vec<f64> = all
-                .iter()
-                .filter(|r| r.point == point && r.camera == camera)
-                .map(|r| r.error_px)
-                .collect();
-            median(&mut errors) > MISPLACED * cost.scale_px
-        };
-        let far = |point: &&BodyPoint| {
-            (0..job.rig.cameras.len()).filter(|&camera| is_far(point.index, camera)).count() >= 2
-        };
-        (total, points.iter().filter(far).count())
     }
 
     /// Adds corrections beside the manifold to solved keyframes.
