@@ -99,7 +99,7 @@ impl Views {
         for (pair, scales) in self.pairs.iter().zip(scales) {
             let scale = scales[block[2]];
             let lag = offsets[pair.a] - offsets[pair.b];
-            let distances = self.distances(pair, block, [lag - 1.0, lag, lag + 1.0], 1);
+            let distances = self.distances(pair, block, [lag - 1.0, lag, lag + 1.0], 2);
             if distances.is_empty() || scale <= 0.0 {
                 continue;
             }
