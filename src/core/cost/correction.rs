@@ -1,10 +1,10 @@
 //! Corrections: small rotations of joints beside the manifold.
 //!
-//! The path on the manifold is known. The unknowns are the corrections c_k of its free keyframes; between
-//! keyframes they run along lines. They minimise the cost of the observations plus a prior
+//! The path on the manifold is known. The unknowns are the corrections c_k of its free keyframes;
+//! between keyframes they run along lines. They minimise the cost of the observations plus a prior
 //! 1/2 n_k correction_prior |c_k|^2 and 1/2 n_k stiffness |acceleration of c at k|^2. The prior is
 //! stiff, so corrections stay a few degrees, and zero where nothing is seen. The problem is nearly
-//! quadratic: [`ROUNDS`] steps with renewed weights of the loss (IRLS) solve it.
+//! quadratic: one Gauss-Newton step from the corrections of the window before solves it.
 
 use nalgebra::Vector3;
 
@@ -21,9 +21,6 @@ use crate::core::manifold::{CORRECTION, Correction, TimedKeyframe};
 use crate::core::optimise::{Cholesky, Layout, NormalEquations};
 use crate::core::so3;
 use crate::core::time::Timestamp;
-
-/// Steps of the solve.
-const ROUNDS: usize = 1;
 
 /// The cost of the corrections of a path.
 #[derive(Debug)]
@@ -46,7 +43,7 @@ pub struct CorrectionProblem<'a> {
 /// Memory of a frame.
 #[derive(Debug)]
 struct Work {
-    /// Right tangents of the local rotations by the correction, 63 x 36.
+    /// Right tangents of the local rotations by the correction, 63 x 48.
     by_correction: Vec<f32>,
     tangents: Tangents,
     rows: Vec<f32>,
@@ -92,14 +89,10 @@ impl<'a> CorrectionProblem<'a> {
         let mut equations = NormalEquations::zeros(self.layout());
         let mut factor = Cholesky::like(&equations.hessian);
         let mut x = self.start();
-        for _ in 0..ROUNDS {
-            self.linearise(&x, &mut equations);
-            if factor.factorise(&equations.hessian, |_| 0.0).is_none() {
-                break;
-            }
-            let mut step = equations.gradient.clone();
-            factor.solve(&mut step);
-            x.iter_mut().zip(&step).for_each(|(x, step)| *x -= step);
+        self.linearise(&x, &mut equations);
+        if factor.factorise(&equations.hessian, |_| 0.0).is_some() {
+            factor.solve(&mut equations.gradient);
+            x.iter_mut().zip(&equations.gradient).for_each(|(x, step)| *x -= step);
         }
         let free = self.path.into_iter().skip(self.fixed).zip(x.chunks_exact(CORRECTION));
         let corrected = free.map(|(PathKeyframe { mut timed, .. }, x)| {

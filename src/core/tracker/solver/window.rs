@@ -81,7 +81,7 @@ impl Solver {
         observations: &[FrameObservations],
     ) -> Vec<TimedKeyframe> {
         let cost = self.cost(job);
-        if cost.correction_prior == 0.0 {
+        if cost.correction_prior == 0.0 || keyframes.is_empty() {
             return keyframes;
         }
         let start = known.past.last().map_or(job.start, |last| last.capture);
