@@ -47,16 +47,27 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     refuse_existing(&arguments.out, arguments.overwrite)?;
-    let config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
-    let mut recording = Recording::open(&arguments.refine)?;
-    let options = Options { config: config.tracker, ..Options::default() };
-    let mut bar = Progress(progress(recording.messages(), "messages"));
-    let found = check_cameras(&mut recording, &options, true, &mut bar)?;
-    bar.0.finish_and_clear();
+    let found = checked(&arguments.refine, arguments.config.as_deref(), true)?;
     say(&table(&found.corrections.iter().flat_map(rows).collect::<Vec<_>>()));
     say(&conclusion(&found, &arguments.out));
     write_calibration(&arguments.out, &found.rig, arguments.up)?;
     Ok(Exit::Done)
+}
+
+/// The cameras of a recording checked with the settings of a file, with progress; corrected too, with
+/// `refine`.
+pub(super) fn checked(
+    recording: &Path,
+    config: Option<&Path>,
+    refine: bool,
+) -> Result<CheckedCameras, Failure> {
+    let config = config.map(Config::load).transpose()?.unwrap_or_default();
+    let mut recording = Recording::open(recording)?;
+    let options = Options { config: config.tracker, ..Options::default() };
+    let mut bar = Progress(progress(recording.messages(), "messages"));
+    let found = check_cameras(&mut recording, &options, refine, &mut bar)?;
+    bar.0.finish_and_clear();
+    Ok(found)
 }
 
 /// Fails if the file exists and may not be replaced.

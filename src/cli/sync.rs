@@ -5,13 +5,11 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Ended;
-use super::calibrate::refuse_existing;
+use super::calibrate::{checked, refuse_existing};
 use super::failure::{Exit, Failure};
-use super::solve::Progress;
-use super::terminal::{progress, say, table};
-use crate::config::Config;
+use super::terminal::{say, table};
 use crate::io::formats::{Up, write_calibration};
-use crate::offline::{CameraOffset, Options, Recording, check_cameras};
+use crate::offline::CameraOffset;
 
 /// Estimate the time offsets of a recording's cameras from the performer's motion.
 #[derive(Debug, Args)]
@@ -53,12 +51,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(out) = &arguments.out {
         refuse_existing(out, arguments.overwrite)?;
     }
-    let config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
-    let mut recording = Recording::open(&arguments.file)?;
-    let options = Options { config: config.tracker, ..Options::default() };
-    let mut bar = Progress(progress(recording.messages(), "messages"));
-    let found = check_cameras(&mut recording, &options, false, &mut bar)?;
-    bar.0.finish_and_clear();
+    let found = checked(&arguments.file, arguments.config.as_deref(), false)?;
     if arguments.json {
         let text = serde_json::to_string_pretty(&found.offsets);
         say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);

@@ -46,11 +46,13 @@ struct Work {
     /// Right tangents of the local rotations by the correction, 63 x 48.
     by_correction: Vec<f32>,
     tangents: Tangents,
+    /// Weighted rows of the frame, three per point, each of 48.
     rows: Vec<f32>,
+    /// Hessian of the frame, 48 x 48.
     gram: Vec<f32>,
 }
 
-/// The keyframes around a frame with their shares in its correction.
+/// The two keyframes around a frame, by index in the path, with their shares in its correction.
 type Shares = [(usize, f64); 2];
 
 impl<'a> CorrectionProblem<'a> {

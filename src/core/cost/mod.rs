@@ -5,7 +5,7 @@
 //! cost = 1/2 sum over observations of w rho(|pixel(t) - detected|^2)
 //! + 1/2 prior sum of n_k |z_k|^2 + 1/2 sum of n_k stiffness |acceleration at k|^2
 //!
-//! rho is a robust loss ([`LossKind`]), w the detector's confidence times the point's weight, and n_k the
+//! rho is a robust loss ([`LossKind`]), w the detector's confidence times the point's weight, n_k the
 //! number of frames of keyframe k. The path is evaluated at each observation's own capture time.
 //! Differs: the paper evaluates it at the frames of genlocked cameras, and has no stiffness.
 
