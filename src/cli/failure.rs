@@ -95,7 +95,7 @@ impl From<RecordError> for Failure {
         let exit = match &error {
             RecordError::Read { .. } => Exit::Unreadable,
             RecordError::NotMcap { .. } => Exit::Malformed,
-            RecordError::NoChannels { .. } => Exit::NotOurs,
+            RecordError::NoChannels { .. } | RecordError::NoBody { .. } => Exit::NotOurs,
             RecordError::BeforeEpoch { .. } => Exit::Malformed,
             RecordError::Write { .. } | RecordError::LeftOver { .. } => Exit::Unexpected,
         };

@@ -105,7 +105,13 @@ fn prepare(start: &JournalStart, weights: Option<&Path>) -> Result<(Settings, So
         return Err(Failure::new(Exit::Weights, message));
     }
     let (tracker, node) = (config.tracker, config.node.clone());
-    let settings = Settings { tracker, node, toml: start.config.clone(), weights: ours };
+    let settings = Settings {
+        tracker,
+        node,
+        toml: start.config.clone(),
+        weights: ours,
+        body: start.body.clone(),
+    };
     Ok((settings, Solver::new(decoder, tracker)))
 }
 

@@ -15,7 +15,8 @@ use super::solve::decoder;
 use crate::config::Config;
 use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind};
-use crate::io::wire::Status;
+use crate::io::recording::last_body;
+use crate::io::wire::{self, Status, encode};
 use crate::live::{Core, Node, NodeError, Running, Settings, SolverCore, log};
 
 /// Run the live node: keypoints from the bus in, poses at a fixed latency out.
@@ -28,6 +29,7 @@ sets the level (error, warn, info, debug, off) or a filter such as warn,zenoh=in
 Examples:
   bundlemocap run
   bundlemocap run studio.toml --rig Calib_qualisys.toml --prometheus 127.0.0.1:9464
+  bundlemocap run studio.toml --body take1/poses.mcap
   bundlemocap run --listen tcp/0.0.0.0:7447 --latency 220
   bundlemocap run --bus iceoryx2 --seconds 60")]
 pub(super) struct Arguments {
@@ -39,6 +41,10 @@ pub(super) struct Arguments {
     /// Calibration file; overrides the settings. Without one, the calibration comes from the bus.
     #[arg(long, value_name = "FILE")]
     rig: Option<PathBuf>,
+    /// Recording that holds the performer's body; overrides the settings. Without one, the body is
+    /// estimated.
+    #[arg(long, value_name = "FILE")]
+    body: Option<PathBuf>,
     /// Manifold weights of `bundlemocap train`; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
@@ -73,6 +79,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let seconds = run_time(arguments.seconds)?;
     let decoder = decoder(arguments.weights.as_deref())?;
     let weights = format!("{:016x}", decoder.fingerprint());
+    let body = match config.node.body.as_str() {
+        "" => None,
+        path => Some(encode(&wire::Skeleton::from_core(&last_body(Path::new(path))?))),
+    };
     let _log = log::start()?;
     // Before anything is opened, so that a signal always ends in a clean stop.
     let stop = Stop::on_signals()?;
@@ -87,6 +97,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         node: config.node.clone(),
         toml: config.to_toml(),
         weights,
+        body,
     });
     let running = Node::start(bus, core, solver, &config.node, solver_core)?;
     say_hello(&config, &running);
@@ -105,6 +116,9 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     }
     if let Some(rig) = &arguments.rig {
         config.node.rig = rig.display().to_string();
+    }
+    if let Some(body) = &arguments.body {
+        config.node.body = body.display().to_string();
     }
     if let Some(latency) = arguments.latency {
         config.node.latency_ms = latency;

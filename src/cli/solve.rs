@@ -1,6 +1,7 @@
 //! `bundlemocap solve`
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
@@ -12,6 +13,7 @@ use crate::config::Config;
 use crate::core::manifold::{Decoder, Interpolation};
 use crate::core::optimise::OptimiserKind;
 use crate::io::formats::{Trc, Up, read_calibration};
+use crate::io::recording::last_body;
 use crate::offline::output::FILES;
 use crate::offline::{Observer, Options, Recording, Summary, solve};
 
@@ -36,6 +38,7 @@ Examples:
   bundlemocap solve recordings/walk.mcap --out out
   bundlemocap solve balancing.mcap --out out --json
   bundlemocap solve balancing.mcap --out out --hold-out cam01
+  bundlemocap solve balancing.mcap --out out --body static/poses.mcap
   bundlemocap solve balancing.mcap --out out --reference pose2sim.trc
   bundlemocap solve balancing.mcap --out out --cameras cam01,cam02,cam04 --optimiser lbfgs")]
 pub(super) struct Arguments {
@@ -65,6 +68,10 @@ pub(super) struct Arguments {
     /// Solve without these cameras and report their reprojection errors.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     hold_out: Vec<String>,
+    /// Recording that holds the performer's body, such as an earlier poses.mcap; default: the body is
+    /// estimated.
+    #[arg(long, value_name = "FILE")]
+    body: Option<PathBuf>,
     /// Report the distance to these marker positions (y up, frames as in the recording).
     #[arg(long, value_name = "TRC")]
     reference: Option<PathBuf>,
@@ -109,6 +116,7 @@ impl Observer for Progress {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let config = settings(arguments)?;
     let decoder = decoder(arguments.weights.as_deref())?;
+    let body = arguments.body.as_deref().map(last_body).transpose()?.map(Arc::new);
     let reference = arguments.reference.as_deref().map(Trc::read).transpose()?;
     let mut recording = Recording::open(&arguments.file)?;
     if let Some(rig) = &arguments.rig {
@@ -120,6 +128,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         cameras: arguments.cameras.clone(),
         hold_out: arguments.hold_out.clone(),
         reference,
+        body,
         out: Some(arguments.out.clone()),
         overwrite: arguments.overwrite,
         no_sync: arguments.no_sync,

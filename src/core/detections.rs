@@ -57,6 +57,14 @@ pub enum Keypoint {
 }
 
 impl Keypoint {
+    /// 1 on the left, -1 on the right, 0 in the middle.
+    pub fn side(self) -> f64 {
+        match (self, self.of_left()) {
+            (Nose | HeadTop | Neck | UpperNeck | MidHip, _) => 0.0,
+            (_, (_, side)) => side,
+        }
+    }
+
     /// The left-side point that is this one or its mirror image, and the side: 1 for left and
     /// middle, -1 for right.
     pub fn of_left(self) -> (Self, f64) {

@@ -17,6 +17,9 @@ pub struct Config {
     pub rig: String,
     /// The axis of that file's world that points up.
     pub rig_up: Up,
+    /// Recording that holds the performer's body, such as a poses.mcap of `solve`. Empty: the body is
+    /// estimated.
+    pub body: String,
     /// Declared latency, milliseconds: a pose of capture time t is published at t plus this. 0: the
     /// node measures it in the first windows.
     pub latency_ms: f64,
@@ -41,6 +44,7 @@ impl Default for Config {
             actor: "actor".into(),
             rig: String::new(),
             rig_up: Up::default(),
+            body: String::new(),
             latency_ms: 0.0,
             output_rate_hz: 0.0,
             provisional: true,

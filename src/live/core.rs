@@ -189,8 +189,18 @@ impl Core {
         };
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
         self.skeleton = None;
-        self.track = Some(Tracker::new(self.settings.tracker, rig).live(live));
+        let tracker = Tracker::new(self.settings.tracker, rig).live(live);
+        self.track = Some(match self.body() {
+            Some(body) => tracker.with_body_to_check(body),
+            None => tracker,
+        });
         self.event(EventKind::Calibrated, None, detail);
+    }
+
+    /// The body that was given.
+    fn body(&self) -> Option<Arc<Skeleton>> {
+        let body = wire::decode::<wire::Skeleton>(self.settings.body.as_deref()?).ok()?;
+        body.to_core().ok().map(Arc::new)
     }
 
     /// Resets all state before the first message: a replay knows only the calibration from a file.

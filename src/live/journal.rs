@@ -14,12 +14,13 @@ const MOST: usize = 4096;
 /// Interval between messages while the node is busy.
 const PERIOD: Nanos = Nanos::SECOND;
 
-/// Id of a run: a hash of its start time, the configuration, the weights and the calibration from a
-/// file. A replay has the same inputs and gets the same id. Never 0.
+/// Id of a run: a hash of its start time, the configuration, the weights, the calibration from a file
+/// and the given body. A replay has the same inputs and gets the same id. Never 0.
 pub(super) fn run_id(start: Timestamp, settings: &Settings, rig: Option<&[u8]>) -> u64 {
     let time = start.ns().to_le_bytes();
     let (config, weights) = (settings.toml.as_bytes(), settings.weights.as_bytes());
-    fnv1a(&[&time[..], config, weights, rig.unwrap_or_default()].concat()).max(1)
+    let body = settings.body.as_deref().unwrap_or_default();
+    fnv1a(&[&time[..], config, weights, rig.unwrap_or_default(), body].concat()).max(1)
 }
 
 /// The kind of processor. All of one kind give the same bits, whatever instructions they have.
@@ -108,5 +109,6 @@ pub(super) fn start(settings: &Settings, rig: Option<&[u8]>, run_id: u64) -> Jou
         platform: platform().into(),
         rig: rig.map(<[u8]>::to_vec),
         run_id,
+        body: settings.body.clone(),
     }
 }

@@ -62,4 +62,6 @@ pub struct Settings {
     pub toml: String,
     /// Fingerprint of the weights, hexadecimal.
     pub weights: String,
+    /// The performer's body if it is known, as the bytes of a `Skeleton` message.
+    pub body: Option<Vec<u8>>,
 }

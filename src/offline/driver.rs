@@ -5,8 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::Error;
 use crate::core::body::Skeleton;
-use crate::core::camera::Rig;
-use crate::core::tracker::{Config, Input, Output, Solver, Task, Tracker};
+use crate::core::tracker::{Input, Output, Solver, Task, Tracker};
 
 /// The tracker and its solver.
 pub(crate) struct Driver {
@@ -17,18 +16,7 @@ pub(crate) struct Driver {
 }
 
 impl Driver {
-    /// Tracks a performer with that body; an unknown body is estimated.
-    pub(crate) fn new(
-        config: Config,
-        rig: Arc<Rig>,
-        solver: Solver,
-        body: Option<Arc<Skeleton>>,
-    ) -> Self {
-        let tracker = Tracker::new(config, rig);
-        let tracker = match body {
-            Some(body) => tracker.with_body(body),
-            None => tracker,
-        };
+    pub(crate) fn new(tracker: Tracker, solver: Solver) -> Self {
         Self { tracker, solver, window_solve: Duration::ZERO }
     }
 

@@ -16,7 +16,7 @@ use crate::core::camera::{Camera, Rig};
 use crate::core::cost;
 use crate::core::detections::Detections;
 use crate::core::time::Nanos;
-use crate::core::tracker::{self, Input, Output, Solver};
+use crate::core::tracker::{self, EventKind, Input, Output, Solver, Tracker};
 
 /// Most frames that wait for their poses.
 const WAITING: usize = 8192;
@@ -78,6 +78,8 @@ pub(super) struct FirstPass {
     waiting: VecDeque<Detections>,
     /// Of all cameras; empty if they were not estimated.
     pub(super) offsets: Vec<CameraOffset>,
+    /// Whether the known body did not fit and was estimated anew.
+    pub(super) is_body_wrong: bool,
 }
 
 impl FirstPass {
@@ -106,13 +108,19 @@ impl FirstPass {
     fn new(options: &Options, frames: u64, rig: &Rig, held_out: &[Camera]) -> Result<Self, Error> {
         let config = first_pass_settings(options.config, frames as usize);
         let solver = Solver::new(options.decoder()?, config);
+        let tracker = Tracker::new(config, Arc::new(rig.clone()));
+        let tracker = match options.body.clone() {
+            Some(body) => tracker.with_body_to_check(body),
+            None => tracker,
+        };
         let cameras: Vec<Camera> = rig.cameras.iter().chain(held_out).cloned().collect();
         Ok(Self {
-            driver: Driver::new(config, Arc::new(rig.clone()), solver, None),
+            driver: Driver::new(tracker, solver),
             tracks: Tracks::new(cameras.len()),
             cameras,
             waiting: VecDeque::new(),
             offsets: Vec::new(),
+            is_body_wrong: false,
         })
     }
 
@@ -149,8 +157,11 @@ impl FirstPass {
 
     /// Passes in an input; the frames up to each pose show the performer in about that pose.
     fn feed(&mut self, input: Input) -> Result<(), Error> {
-        let Self { driver, tracks, cameras, waiting, .. } = self;
+        let Self { driver, tracks, cameras, waiting, is_body_wrong, .. } = self;
         driver.feed(input, |driver, output| {
+            if let Output::Event(event) = output {
+                *is_body_wrong |= event.kind == EventKind::Body;
+            }
             let (Output::Pose(pose), Some(body)) = (output, driver.skeleton()) else {
                 return Ok(());
             };

@@ -1,6 +1,7 @@
 //! What a solve is told, and who watches it.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use crate::core::body::{Skeleton, StampedPose};
 use crate::core::manifold::{Decoder, WeightsError};
@@ -26,6 +27,8 @@ pub struct Options {
     pub out: Option<PathBuf>,
     /// Replace these files if they exist.
     pub overwrite: bool,
+    /// The performer's body, if it is known; otherwise it is estimated.
+    pub body: Option<Arc<Skeleton>>,
     /// Use the capture times as they are: estimate no time offsets.
     pub no_sync: bool,
     /// All settings as TOML, for the metadata of poses.mcap; `None`: those of `config`.

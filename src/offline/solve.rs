@@ -20,7 +20,7 @@ use super::windows::Windows;
 use crate::core::body::Skeleton;
 use crate::core::camera::{Camera, Rig};
 use crate::core::manifold::Decoder;
-use crate::core::tracker::{EventKind, Input, Output, Solver};
+use crate::core::tracker::{EventKind, Input, Output, Solver, Tracker};
 use crate::io::recording::{Provenance, Report};
 
 /// Solves a recording in memory that does not grow with its length. The files appear only if the
@@ -37,14 +37,20 @@ pub fn solve(
     let folder = options.out.as_deref().map(|path| output_folder(path, options.overwrite));
     let folder = folder.transpose()?;
     let begin = Instant::now();
-    let Prepared { rig, held_out, body, offsets } = prepare(recording, options, observer)?;
+    let Prepared { rig, held_out, body, offsets, is_body_wrong } =
+        prepare(recording, options, observer)?;
     let all = Arc::new(with_solved(recording.rig(), &rig.cameras, &held_out));
     let outputs = folder.map(|folder| Outputs::create(folder, &all, options, &rig, &decoder));
     let mut outputs = outputs.transpose()?;
     let solver = Solver::new(decoder, options.config);
     let bvh = outputs.as_ref().map(|outputs| outputs.folder.file("poses.bvh"));
+    let tracker = Tracker::new(options.config, Arc::clone(&rig));
+    let tracker = match body {
+        Some(body) => tracker.with_body(body),
+        None => tracker,
+    };
     let mut run = Run {
-        driver: Driver::new(options.config, Arc::clone(&rig), solver, body),
+        driver: Driver::new(tracker, solver),
         collected: Collected {
             poses: Poses::new(bvh),
             windows: Windows::of_cameras(rig.cameras.len()),
@@ -66,7 +72,10 @@ pub fn solve(
     let seconds = begin.elapsed().as_secs_f64();
     let (collected, summary) =
         collected.summarise(recording, &rig, &skeleton, poses, &report, seconds);
-    let summary = Summary { time_offsets: offsets, ..summary };
+    let mut summary = Summary { time_offsets: offsets, ..summary };
+    if is_body_wrong {
+        summary.notes.push(BODY_IS_WRONG.to_owned());
+    }
     if let Some(outputs) = outputs {
         let Collected { poses, windows, .. } = &collected;
         output::text(&outputs.folder.file("poses.states.csv"), &states)?;
@@ -76,6 +85,10 @@ pub fn solve(
     }
     Ok(summary)
 }
+
+/// A note for the user.
+const BODY_IS_WRONG: &str =
+    "the given body fits worse than one from these detections; it was estimated anew";
 
 fn output_folder(path: &Path, overwrite: bool) -> Result<OutputFolder, Error> {
     if !overwrite {
@@ -90,6 +103,7 @@ struct Prepared {
     held_out: Vec<Camera>,
     body: Option<Arc<Skeleton>>,
     offsets: Vec<CameraOffset>,
+    is_body_wrong: bool,
 }
 
 /// The first pass, if it is not switched off: estimates the body and the time offsets.
@@ -101,12 +115,12 @@ fn prepare(
     let held_out = options.hold_out.iter().map(|name| recording.camera(name).cloned());
     let mut held_out: Vec<Camera> = held_out.collect::<Result<_, _>>()?;
     let mut rig = recording.chosen(&options.cameras, &held_out)?;
-    let (mut body, mut offsets) = (None, Vec::new());
+    let (mut body, mut offsets, mut is_body_wrong) = (options.body.clone(), Vec::new(), false);
     if options.passes() > 1 {
         let first = FirstPass::run(recording, options, &mut rig, &mut held_out, observer)?;
-        (body, offsets) = (first.body(), first.offsets);
+        (body, offsets, is_body_wrong) = (first.body(), first.offsets, first.is_body_wrong);
     }
-    Ok(Prepared { rig: Arc::new(rig), held_out, body, offsets })
+    Ok(Prepared { rig: Arc::new(rig), held_out, body, offsets, is_body_wrong })
 }
 
 /// The rig with the cameras of a solve in place of its own.

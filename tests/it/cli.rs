@@ -238,7 +238,8 @@ fn a_held_out_camera_is_compared_with_the_learnt_offsets() {
 #[test]
 fn the_body_of_a_performer_is_right_and_the_same_in_two_takes() {
     let place = Place::new();
-    let body = Skeleton::new(Shape([1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, -1.0, -1.0, 0.0]));
+    let body =
+        Skeleton::new(Shape::symmetric([1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, -1.0, -1.0, 0.0]));
     let found = [1.0, 0.4].map(|liveliness| {
         let style = MotionStyle { liveliness, step_length: 0.5, ..MotionStyle::default() };
         let motion = Motion::new(&body, style);

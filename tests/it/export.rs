@@ -74,7 +74,8 @@ fn read_elsewhere(path: &Path) -> Option<Vec<String>> {
 fn another_parser_finds_the_same_joint_positions() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("walk.bvh");
-    let skeleton = Skeleton::new(Shape([0.7, -0.5, 1.0, 0.0, 0.5, -1.0, 1.0, 0.3, 0.0, 1.0]));
+    let skeleton =
+        Skeleton::new(Shape::symmetric([0.7, -0.5, 1.0, 0.0, 0.5, -1.0, 1.0, 0.3, 0.0, 1.0]));
     let poses = motion(&skeleton);
     write_bvh(&path, &skeleton, 20.0, &poses).unwrap();
     let Some(lines) = read_elsewhere(&path) else {

@@ -86,6 +86,7 @@ fn settings(config: &Config, decoder: &Decoder) -> Settings {
         node: config.node.clone(),
         toml: config.to_toml(),
         weights: format!("{:016x}", decoder.fingerprint()),
+        body: None,
     }
 }
 

@@ -65,6 +65,7 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
         node: config.clone(),
         toml: String::new(),
         weights: format!("{:016x}", decoder.fingerprint()),
+        body: None,
     };
     let core = Core::new(settings);
     Node::start(Arc::new(bus.clone()), core, Solver::new(decoder, track), config, None)

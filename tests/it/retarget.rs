@@ -45,7 +45,7 @@ fn poses(skeleton: &Skeleton) -> Vec<Pose> {
 }
 
 fn shaped() -> Skeleton {
-    Skeleton::new(Shape([0.7, -0.5, 1.0, 0.0, 0.5, -1.0, 1.0, 0.3, 0.0, 1.0]))
+    Skeleton::new(Shape::symmetric([0.7, -0.5, 1.0, 0.0, 0.5, -1.0, 1.0, 0.3, 0.0, 1.0]))
 }
 
 fn retarget(text: &str, map: &str) -> Retarget {

@@ -24,7 +24,7 @@ fn point(skeleton: &Skeleton, pose: &Pose, keypoint: Keypoint) -> Vector3<f64> {
 }
 
 fn shapes() -> [Skeleton; 3] {
-    [Shape::default(), Shape([1.5; 10]), Shape([-1.0; 10])].map(Skeleton::new)
+    [Shape::default(), Shape::symmetric([1.5; 10]), Shape::symmetric([-1.0; 10])].map(Skeleton::new)
 }
 
 #[test]

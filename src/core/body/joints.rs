@@ -37,6 +37,8 @@ pub enum Joint {
     RWrist,
 }
 
+use std::cmp::Ordering;
+
 use Joint::*;
 
 impl Joint {
@@ -95,6 +97,15 @@ impl Joint {
             LWrist => RWrist,
             RWrist => LWrist,
             Pelvis | Spine1 | Spine2 | Spine3 | Neck | Head => self,
+        }
+    }
+
+    /// 1 on the left, -1 on the right, 0 on the midline.
+    pub fn side(self) -> f64 {
+        match self.cmp(&self.mirrored()) {
+            Ordering::Less => 1.0,
+            Ordering::Equal => 0.0,
+            Ordering::Greater => -1.0,
         }
     }
 

@@ -1,12 +1,16 @@
 //! Keypoint offsets: the difference between a keypoint of the detector and that of our body.
 //!
 //! Detectors have systematic errors: knees a little to the front, hips too high. An offset is a vector in
-//! the joint's frame, the same in every view and at all times. Left and right offsets mirror each other,
-//! since detectors are trained on mirrored images.
+//! the joint's frame, the same in every view and at all times. Left and right offsets nearly mirror each
+//! other, since detectors are trained on mirrored images: left = s + d, right = the mirror image of
+//! s - d, with a strong prior on d.
+
+use std::array::from_fn;
 
 use nalgebra::Vector3;
 
-use crate::core::detections::Keypoint;
+use crate::core::detections::Keypoint::{self, LAnkle, LElbow, LKnee, LWrist};
+use crate::core::detections::KeypointFormat;
 
 /// Keypoints with an offset: the fitted ones of the left side and of the middle.
 const POINTS: [Keypoint; 13] = [
@@ -25,29 +29,67 @@ const POINTS: [Keypoint; 13] = [
     Keypoint::LHeel,
 ];
 
-/// Count of all coordinates: x, y and z of each keypoint.
-pub const OFFSETS: usize = 3 * POINTS.len();
+/// Count of the coordinates that mirror each other: x, y and z of each keypoint.
+pub const SYMMETRIC_OFFSETS: usize = 3 * POINTS.len();
+
+/// Count of all coordinates: the symmetric ones, then half of the difference of left and right.
+pub const OFFSETS: usize = 2 * SYMMETRIC_OFFSETS;
 
 /// Metres per unit of an offset's coordinate.
 const UNIT: f64 = 0.012;
 
-/// Precision of the prior at elbows, wrists, knees and ankles, relative to other keypoints.
-const PRECISE: f64 = 8.0;
+/// Precision of the prior of the half differences between left and right, relative to the symmetric
+/// offsets.
+const EQUAL_SIDES: f64 = 128.0;
 
-/// The offsets of all keypoints, in units of 12 mm; zero for the keypoints of our body.
+/// The offsets of all keypoints, in units of 12 mm; zero for the keypoints of our body. First x, y
+/// and z of s for each keypoint, then those of d; see above.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KeypointOffsets(pub [f64; OFFSETS]);
 
-impl KeypointOffsets {
-    /// Relative precision (no unit) of the prior of each coordinate. It is higher at elbows, wrists,
-    /// knees and ankles: detectors are most exact there, and a large offset would hide a wrong bone
-    /// length.
-    pub fn prior_precisions() -> [f64; OFFSETS] {
-        use Keypoint::{LAnkle, LElbow, LKnee, LWrist};
-        std::array::from_fn(|i| match POINTS[i / 3] {
-            LElbow | LWrist | LKnee | LAnkle => PRECISE,
+/// The prior of keypoint offsets.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OffsetPrior {
+    /// Means, in the units of [`KeypointOffsets`].
+    pub means: [f64; OFFSETS],
+    /// Relative precisions, no unit.
+    pub precisions: [f64; OFFSETS],
+}
+
+impl OffsetPrior {
+    /// The prior for detectors of a format. Elbows, wrists, knees and ankles have higher precisions:
+    /// detectors are most exact there, and a large offset would hide a wrong bone length.
+    pub fn of(format: KeypointFormat) -> Self {
+        let precise = |point| match (format, point) {
+            (KeypointFormat::Halpe26, LElbow | LWrist) => 20.0,
+            (_, LElbow | LWrist | LKnee | LAnkle) => 8.0,
             _ => 1.0,
-        })
+        };
+        let mean = |point, axis| match (format, point, axis) {
+            // Measured: 27 mm below the knee joint, on both sides of one performer.
+            (KeypointFormat::Halpe26, LKnee, 1) => -0.019 / UNIT,
+            _ => 0.0,
+        };
+        let symmetric = |i: usize| i < SYMMETRIC_OFFSETS;
+        let point = |i: usize| POINTS[i % SYMMETRIC_OFFSETS / 3];
+        Self {
+            means: from_fn(|i| if symmetric(i) { mean(point(i), i % 3) } else { 0.0 }),
+            precisions: from_fn(|i| {
+                precise(point(i)) * if symmetric(i) { 1.0 } else { EQUAL_SIDES }
+            }),
+        }
+    }
+}
+
+impl KeypointOffsets {
+    /// The offsets from their coordinates, metres.
+    pub fn of_metres(metres: [f64; OFFSETS]) -> Self {
+        Self(metres.map(|coordinate| coordinate / UNIT))
+    }
+
+    /// The coordinates, metres.
+    pub fn metres(&self) -> [f64; OFFSETS] {
+        self.0.map(|coordinate| coordinate * UNIT)
     }
 }
 
@@ -63,6 +105,8 @@ pub(super) struct Slot {
     first: usize,
     /// 1 for left and middle, -1 for right: the sign of x.
     side: f64,
+    /// Sign of the half difference: 1 for left, 0 for middle, -1 for right.
+    difference: f64,
 }
 
 impl Slot {
@@ -70,19 +114,25 @@ impl Slot {
     pub(super) fn of(keypoint: Keypoint) -> Option<Self> {
         let (left, side) = keypoint.of_left();
         let number = POINTS.iter().position(|&point| point == left)?;
-        Some(Self { first: 3 * number, side })
+        Some(Self { first: 3 * number, side, difference: keypoint.side() })
     }
 
     /// The offset in the joint's frame, metres.
     pub(super) fn offset(self, offsets: &KeypointOffsets) -> Vector3<f64> {
-        let [x, y, z] = [0, 1, 2].map(|axis| offsets.0[self.first + axis] * UNIT);
+        let [x, y, z] = [0, 1, 2].map(|axis| {
+            let at = self.first + axis;
+            (offsets.0[at] + self.difference * offsets.0[SYMMETRIC_OFFSETS + at]) * UNIT
+        });
         Vector3::new(self.side * x, y, z)
     }
 
     /// Writes the derivative of [`Slot::offset`] by each coordinate of the offsets.
     pub(super) fn derivative(self, out: &mut [Vector3<f64>]) {
-        out[self.first].x = self.side * UNIT;
-        out[self.first + 1].y = UNIT;
-        out[self.first + 2].z = UNIT;
+        for (first, sign) in [(self.first, 1.0), (SYMMETRIC_OFFSETS + self.first, self.difference)]
+        {
+            out[first].x = self.side * sign * UNIT;
+            out[first + 1].y = sign * UNIT;
+            out[first + 2].z = sign * UNIT;
+        }
     }
 }

@@ -3,7 +3,8 @@
 //! Each keypoint is an offset in the frame of one joint, scaled by the shape like its part of the
 //! body. Detectors do not find joint centres: their hips lie higher and wider than the hip joints,
 //! and their necks differ between data sets. Such keypoints have an offset and a smaller weight
-//! \[Pavlakos 2019, sec. 3.2\]. The offsets of nose, head top, toes and heels were adjusted by up
+//! \[Pavlakos 2019, sec. 3.2\]. A detected knee moves with the thigh when the knee bends, not with
+//! the shank. The offsets of nose, head top, toes and heels were adjusted by up
 //! to 2 cm to OpenPose BODY_25B on one performer.
 
 use nalgebra::Vector3;
@@ -23,6 +24,8 @@ pub struct Attachment {
     pub weight: f64,
     template: Vector3<f64>,
     part: Part,
+    /// 1 on the left, -1 on the right, 0 in the middle.
+    side: f64,
     offset_slot: Option<Slot>,
 }
 
@@ -35,6 +38,7 @@ impl Attachment {
             weight,
             template: Vector3::from(template),
             part,
+            side: keypoint.side(),
             offset_slot: Slot::of(keypoint),
         }
     }
@@ -44,7 +48,7 @@ impl Attachment {
         let offset = self
             .offset_slot
             .map_or_else(Vector3::zeros, |slot| slot.offset(body.keypoint_offsets()));
-        self.part.scaled(&self.template, body.shape()) + offset
+        self.part.scaled(&self.template, self.side, body.shape()) + offset
     }
 
     /// The keypoint in the world, metres.
@@ -58,7 +62,7 @@ impl Attachment {
         let mut all = [Vector3::zeros(); BODY_COEFFICIENTS];
         let (by_shape, by_offsets) = all.split_at_mut(SHAPE_COEFFICIENTS);
         for (out, by) in by_shape.iter_mut().zip(ShapeCoefficient::ALL) {
-            *out = self.part.derivative(&self.template, by);
+            *out = self.part.derivative(&self.template, self.side, by);
         }
         if let Some(slot) = self.offset_slot {
             slot.derivative(by_offsets);
@@ -108,7 +112,7 @@ fn table(keypoint: Keypoint) -> (Joint, [f64; 3], Part, f64) {
         K::LElbow | K::RElbow => (Joint::LElbow, [0.0, 0.0, 0.0], Part::UpperArm, 1.0),
         K::LWrist | K::RWrist => (Joint::LWrist, [0.0, 0.0, 0.0], Part::Forearm, 1.0),
         K::LHip | K::RHip => (Joint::Pelvis, [0.100, -0.062, 0.012], Part::Hip, 0.6),
-        K::LKnee | K::RKnee => (Joint::LKnee, [0.0, 0.0, 0.010], Part::Thigh, 1.0),
+        K::LKnee | K::RKnee => (Joint::LHip, [0.0, -0.409, 0.015], Part::Thigh, 1.0),
         K::LAnkle | K::RAnkle => (Joint::LAnkle, [0.0, 0.0, 0.0], Part::Shank, 1.0),
         K::LBigToe | K::RBigToe => (Joint::LFoot, [-0.004, -0.011, 0.061], Part::Foot, 1.0),
         K::LSmallToe | K::RSmallToe => (Joint::LFoot, [0.034, -0.016, 0.018], Part::Foot, 1.0),
@@ -122,7 +126,7 @@ fn table(keypoint: Keypoint) -> (Joint, [f64; 3], Part, f64) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::keypoint_offsets::KeypointOffsets;
+    use super::super::keypoint_offsets::{KeypointOffsets, SYMMETRIC_OFFSETS};
     use super::*;
 
     #[test]
@@ -138,7 +142,8 @@ mod tests {
 
     #[test]
     fn left_and_right_mirror_each_other() {
-        let offsets = KeypointOffsets(std::array::from_fn(|i| 0.1 * i as f64));
+        let both = |i| if i < SYMMETRIC_OFFSETS { 0.1 * i as f64 } else { 0.0 };
+        let offsets = KeypointOffsets(std::array::from_fn(both));
         let body = Skeleton::default().with_keypoint_offsets(offsets);
         for (l, r) in [(Keypoint::LHip, Keypoint::RHip), (Keypoint::LBigToe, Keypoint::RBigToe)] {
             let (l, r) = (Attachment::of(l), Attachment::of(r));
@@ -146,5 +151,30 @@ mod tests {
             assert_eq!(l.joint.mirrored(), r.joint);
             assert_eq!((-a.x, a.y, a.z), (b.x, b.y, b.z));
         }
+    }
+
+    #[test]
+    fn differences_of_the_sides_move_left_and_right_apart() {
+        let differences = |i| if i < SYMMETRIC_OFFSETS { 0.0 } else { 0.1 * i as f64 };
+        let offsets = KeypointOffsets(std::array::from_fn(differences));
+        let (plain, body) =
+            (Skeleton::default(), Skeleton::default().with_keypoint_offsets(offsets));
+        let moved = |keypoint| {
+            let attachment = Attachment::of(keypoint);
+            attachment.offset(&body) - attachment.offset(&plain)
+        };
+        let (l, r) = (moved(Keypoint::LWrist), moved(Keypoint::RWrist));
+        assert!(l.norm() > 0.01);
+        assert!((l - Vector3::new(r.x, -r.y, -r.z)).norm() < 1e-12, "{l} {r}");
+        assert_eq!(moved(Keypoint::Nose), Vector3::zeros());
+    }
+
+    #[test]
+    fn an_offset_of_the_knee_turns_with_the_thigh() {
+        let body = Skeleton::default();
+        let knee = Attachment::of(Keypoint::LKnee);
+        assert_eq!(knee.joint, Joint::LHip);
+        let from_joint = knee.offset(&body) - body.offset(Joint::LKnee);
+        assert!((from_joint - Vector3::new(0.0, 0.0, 0.010)).norm() < 1e-12, "{from_joint}");
     }
 }

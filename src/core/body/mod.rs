@@ -11,7 +11,9 @@ mod skeleton;
 
 pub use forward::{Posture, Tangents, Wrenches, forward, push_forward};
 pub use joints::{BODY_JOINTS, FASTEST, JOINTS, Joint};
-pub use keypoint_offsets::{KeypointOffsets, OFFSETS};
+pub use keypoint_offsets::{KeypointOffsets, OFFSETS, OffsetPrior, SYMMETRIC_OFFSETS};
 pub use keypoints::{Attachment, BodyPoint, fitted_points};
 pub use pose::{Pose, StampedPose, TrackingState};
-pub use skeleton::{BODY_COEFFICIENTS, SHAPE_COEFFICIENTS, Shape, ShapeCoefficient, Skeleton};
+pub use skeleton::{
+    BODY_COEFFICIENTS, SHAPE_COEFFICIENTS, SYMMETRIC_SHAPE, Shape, ShapeCoefficient, Skeleton,
+};

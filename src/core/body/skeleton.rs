@@ -1,4 +1,4 @@
-//! Our own T-pose template and the ten shape coefficients that move its joints.
+//! Our own T-pose template and the shape coefficients that move its joints.
 //!
 //! The template is a mean adult, halfway between the sexes, of stature 1.72 m. Joint-to-joint
 //! lengths of thigh, shank, upper arm, forearm and trunk are rounded from \[de Leva 1996, tables 2
@@ -8,15 +8,19 @@
 //!
 //! A coefficient of 1 is one standard deviation of adults, both sexes together, rounded from the
 //! coefficients of variation in \[Gordon 2014\]. The coefficient of a segment covers the variation
-//! that stature does not explain.
+//! that stature does not explain. The last coefficients make a segment longer on the left and
+//! shorter on the right: legs differ by some 4 mm \[Knutson 2005\].
 
 use nalgebra::Vector3;
 
 use super::joints::{JOINTS, Joint};
 use super::keypoint_offsets::{KeypointOffsets, OFFSETS};
 
+/// Number of shape coefficients that change both sides alike.
+pub const SYMMETRIC_SHAPE: usize = 10;
+
 /// Number of shape coefficients.
-pub const SHAPE_COEFFICIENTS: usize = 10;
+pub const SHAPE_COEFFICIENTS: usize = 17;
 
 /// Number of body coefficients: the shape, then the keypoint offsets.
 pub const BODY_COEFFICIENTS: usize = SHAPE_COEFFICIENTS + OFFSETS;
@@ -36,6 +40,13 @@ pub enum ShapeCoefficient {
     UpperArm,
     Forearm,
     Head,
+    ThighSides,
+    ShankSides,
+    FootSides,
+    ShoulderSides,
+    HipSides,
+    UpperArmSides,
+    ForearmSides,
 }
 
 use ShapeCoefficient as C;
@@ -53,6 +64,13 @@ impl ShapeCoefficient {
         C::UpperArm,
         C::Forearm,
         C::Head,
+        C::ThighSides,
+        C::ShankSides,
+        C::FootSides,
+        C::ShoulderSides,
+        C::HipSides,
+        C::UpperArmSides,
+        C::ForearmSides,
     ];
 
     /// Relative change of a length for a coefficient of 1.
@@ -66,13 +84,24 @@ impl ShapeCoefficient {
             C::HipBreadth => 0.070,
             C::UpperArm | C::Forearm => 0.035,
             C::Head => 0.040,
+            C::ShoulderSides | C::HipSides => 0.014,
+            C::ThighSides | C::ShankSides | C::FootSides | C::UpperArmSides | C::ForearmSides => {
+                0.007
+            }
         }
     }
 }
 
-/// Ten coefficients in standard deviations; all zero is the template.
+/// All coefficients in standard deviations; all zero is the template.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shape(pub [f64; SHAPE_COEFFICIENTS]);
+
+impl Shape {
+    /// A shape of equal sides.
+    pub fn symmetric(values: [f64; SYMMETRIC_SHAPE]) -> Self {
+        Self(std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0)))
+    }
+}
 
 /// The part of the body that an offset belongs to; it sets how shape scales the offset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,8 +118,9 @@ pub(super) enum Part {
 }
 
 impl Part {
-    /// Relative change of an offset's x, y and z for a change of 1 in `coefficient`.
-    fn scale(self, coefficient: ShapeCoefficient) -> Vector3<f64> {
+    /// Relative change of an offset's x, y and z for a change of 1 in `coefficient`. `side` is 1 on
+    /// the left, -1 on the right and 0 in the middle.
+    fn scale(self, coefficient: ShapeCoefficient, side: f64) -> Vector3<f64> {
         let axes = match (self, coefficient) {
             (_, C::Stature)
             | (Self::Thigh, C::Thigh)
@@ -101,21 +131,32 @@ impl Part {
             | (Self::Head, C::Head) => Vector3::new(1.0, 1.0, 1.0),
             (Self::Trunk | Self::Shoulder, C::Trunk) => Vector3::new(0.0, 1.0, 1.0),
             (Self::Shoulder, C::ShoulderBreadth) | (Self::Hip, C::HipBreadth) => Vector3::x(),
+            (Self::Shoulder, C::ShoulderSides) | (Self::Hip, C::HipSides) => Vector3::x() * side,
+            (Self::Thigh, C::ThighSides)
+            | (Self::Shank, C::ShankSides)
+            | (Self::Foot, C::FootSides)
+            | (Self::UpperArm, C::UpperArmSides)
+            | (Self::Forearm, C::ForearmSides) => Vector3::new(side, side, side),
             _ => Vector3::zeros(),
         };
         axes * coefficient.spread()
     }
 
     /// `template` under `shape`: template * (1 + sum of coefficient * scale), per axis.
-    pub(super) fn scaled(self, template: &Vector3<f64>, shape: &Shape) -> Vector3<f64> {
+    pub(super) fn scaled(self, template: &Vector3<f64>, side: f64, shape: &Shape) -> Vector3<f64> {
         C::ALL.iter().zip(shape.0).fold(*template, |offset, (&coefficient, value)| {
-            offset + self.derivative(template, coefficient) * value
+            offset + self.derivative(template, side, coefficient) * value
         })
     }
 
     /// The derivative of [`Part::scaled`] by one coefficient; constant, since it is linear.
-    pub(super) fn derivative(self, template: &Vector3<f64>, by: ShapeCoefficient) -> Vector3<f64> {
-        template.component_mul(&self.scale(by))
+    pub(super) fn derivative(
+        self,
+        template: &Vector3<f64>,
+        side: f64,
+        by: ShapeCoefficient,
+    ) -> Vector3<f64> {
+        template.component_mul(&self.scale(by, side))
     }
 }
 
@@ -157,14 +198,14 @@ impl Skeleton {
     pub fn new(shape: Shape) -> Self {
         let template = Joint::ALL.map(|joint| {
             let (offset, part) = template_of(joint);
-            (Vector3::from(offset), part)
+            (Vector3::from(offset), part, joint.side())
         });
         Self {
             shape,
             keypoint_offsets: KeypointOffsets::default(),
-            offsets: template.map(|(offset, part)| part.scaled(&offset, &shape)),
+            offsets: template.map(|(offset, part, side)| part.scaled(&offset, side, &shape)),
             offsets_by_shape: template
-                .map(|(offset, part)| C::ALL.map(|by| part.derivative(&offset, by))),
+                .map(|(offset, part, side)| C::ALL.map(|by| part.derivative(&offset, side, by))),
         }
     }
 
@@ -250,6 +291,17 @@ mod tests {
                 assert!((change - expected).abs() < 1e-12, "{} {change}", joint.name());
             }
         }
+    }
+
+    #[test]
+    fn sides_change_left_and_right_in_opposite_directions() {
+        let mut shape = Shape::default();
+        shape.0[ShapeCoefficient::ThighSides as usize] = 2.0;
+        let (body, template) = (Skeleton::new(shape), Skeleton::default());
+        let change = |joint| length(&body, joint) / length(&template, joint) - 1.0;
+        assert!((change(Joint::LKnee) - 0.014).abs() < 1e-12);
+        assert!((change(Joint::RKnee) + 0.014).abs() < 1e-12);
+        assert_eq!((change(Joint::LAnkle), change(Joint::RElbow)), (0.0, 0.0));
     }
 
     #[test]

@@ -14,6 +14,9 @@ use crate::core::calibration::TimeOffset;
 use crate::core::manifold::{self, StampedKeyframe, TimedKeyframe};
 use crate::core::time::{Nanos, Timestamp};
 
+/// A body is checked if the detections fit it this many times worse than at first.
+const DOUBT: f64 = 1.4;
+
 impl Tracker {
     /// Applies the solution of the pending job; any other is ignored.
     pub(super) fn apply(&mut self, solution: Solution) {
@@ -49,13 +52,17 @@ impl Tracker {
             return;
         }
         self.close_until(at + self.tolerance());
+        let is_in_view = matches!(self.phase, Phase::Tracking { coasted: 0, .. });
         if self.skeleton.is_none() {
             self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
             (self.estimator, self.noise) = (Arc::default(), Noise::default());
+        } else if self.config.body_windows > 0 && !is_in_view {
+            // It may be another performer.
+            self.estimator = Arc::new(self.estimator.after_a_break());
         }
-        let detail = match self.phase {
-            Phase::Tracking { coasted: 0, .. } => "a fresh fit replaces a wrong pose",
-            _ => "performer found",
+        let detail = match is_in_view {
+            true => "a fresh fit replaces a wrong pose",
+            false => "performer found",
         };
         self.event(EventKind::Acquired, at, None, detail.to_owned());
         self.skeleton = Some(skeleton);
@@ -91,6 +98,7 @@ impl Tracker {
         let state = tracked.verdict.state();
         if state == TrackingState::Tracking {
             self.noise = self.noise.with(&tracked.residuals);
+            self.doubt_body();
         }
         self.publish_poses(window, &tracked.newest, &tracked.poses, state);
         let (done, ahead): (Vec<_>, Vec<_>) =
@@ -111,7 +119,7 @@ impl Tracker {
             verdict: tracked.verdict,
         })));
         if let Some(estimator) = tracked.estimator {
-            self.improve_body(estimator);
+            self.improve_body(window.publish, estimator);
         }
         self.enter_phase(done, ahead, state);
         self.start = Some(window.publish);
@@ -133,8 +141,25 @@ impl Tracker {
         }
     }
 
+    /// Checks a complete body again if the detections fit it worse than at first.
+    fn doubt_body(&mut self) {
+        if self.config.body_windows == 0 || !self.estimator.is_complete() {
+            self.first_fit = None;
+            return;
+        }
+        let fit = self.noise.relative();
+        let first = *self.first_fit.get_or_insert(fit);
+        if fit > DOUBT * first {
+            self.estimator = Arc::new(BodyEstimator::check());
+        }
+    }
+
     /// Uses the estimator's body from the next window on, if it has a new one.
-    fn improve_body(&mut self, estimator: Arc<BodyEstimator>) {
+    fn improve_body(&mut self, at: Timestamp, estimator: Arc<BodyEstimator>) {
+        if self.estimator.is_check() && !estimator.is_check() {
+            let detail = "another body fits clearly better, it is estimated anew".to_owned();
+            self.event(EventKind::Body, at, None, detail);
+        }
         let body = self.skeleton.as_ref().and_then(|body| estimator.new_body(body)).map(Arc::new);
         self.outputs.extend(body.clone().map(Output::Skeleton));
         self.skeleton = body.or(self.skeleton.take());

@@ -6,12 +6,13 @@
 //! detections cannot tell apart. The prior of the shape is the variation of adults. The prior of the
 //! offsets is estimated with them (empirical Bayes), so the offsets stay small for a detector that
 //! agrees with our body. After [`WINDOWS`] windows the body is fixed: later updates would follow
-//! errors of our model and drift.
+//! errors of our model and drift. A known body is checked: if some windows agree on another one, the
+//! estimate begins anew.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::core::body::{
-    BODY_COEFFICIENTS, KeypointOffsets, OFFSETS, SHAPE_COEFFICIENTS, Skeleton,
+    BODY_COEFFICIENTS, OffsetPrior, SHAPE_COEFFICIENTS, SYMMETRIC_OFFSETS, Skeleton,
 };
 use crate::core::cost::Marginal;
 
@@ -28,6 +29,13 @@ const NOISE: f64 = 50.0;
 /// Precision of the shape's prior. Adults have 1; it is higher because the errors of different
 /// windows are correlated.
 const SHAPE_PRECISION: f64 = 6.0;
+/// Number of windows that check a known body.
+const CHECKS: usize = 8;
+/// A body is wrong if another one fits the windows of a check better by this much a window: the
+/// squared distance by their information, in variances of the detections. Measured: up to 70 for the
+/// body of the same take or the true one, 140 to 310 for the same performer's body of another take,
+/// where the detector errs otherwise, 130 to 1,300 for other performers.
+const WRONG: f64 = 120.0;
 /// Rounds that estimate the body and the prior of the offsets in turn.
 const ROUNDS: usize = 5;
 
@@ -37,6 +45,8 @@ pub struct BodyEstimator {
     information: DMatrix<f64>,
     pull: DVector<f64>,
     windows: usize,
+    /// Whether a known body is checked.
+    is_check: bool,
     /// Shape and keypoint offsets, see [`Skeleton::coefficients`].
     coefficients: Vec<f64>,
 }
@@ -47,73 +57,100 @@ impl Default for BodyEstimator {
             information: DMatrix::zeros(BODY_COEFFICIENTS, BODY_COEFFICIENTS),
             pull: DVector::zeros(BODY_COEFFICIENTS),
             windows: 0,
+            is_check: false,
             coefficients: Vec::new(),
         }
     }
 }
 
 impl BodyEstimator {
-    /// For a body that is known and is not estimated.
-    pub(super) fn of_known_body() -> Self {
+    /// Checks a known body.
+    pub(super) fn check() -> Self {
+        Self { is_check: true, ..Self::default() }
+    }
+
+    /// Neither estimates nor checks.
+    pub(super) fn complete() -> Self {
         Self { windows: WINDOWS, ..Self::default() }
+    }
+
+    /// The estimator when a performer is found again: a complete body is checked, else the estimate
+    /// begins anew.
+    pub(super) fn after_a_break(&self) -> Self {
+        if self.is_check || self.is_complete() { Self::check() } else { Self::default() }
     }
 
     /// Whether the body is fixed from here on.
     pub fn is_complete(&self) -> bool {
-        self.windows >= WINDOWS
+        self.windows >= if self.is_check { CHECKS } else { WINDOWS }
+    }
+
+    /// Whether a known body is checked.
+    pub fn is_check(&self) -> bool {
+        self.is_check
     }
 
     /// The new body, if it is time for one.
     pub(super) fn new_body(&self, body: &Skeleton) -> Option<Skeleton> {
         let is_early = self.windows <= EARLY_WINDOWS;
         let is_due = is_early || self.windows.is_multiple_of(INTERVAL) || self.is_complete();
-        is_due.then(|| body.with_coefficients(&self.coefficients))
+        (is_due && !self.is_check).then(|| body.with_coefficients(&self.coefficients))
     }
 
     /// The estimate after one more window, which was solved with the body `at`. `noise` is the
-    /// variance of the detections' errors relative to the reference level; `offset_prior` is the
-    /// first weight of the squared offsets. `None` if the sum has no minimum.
+    /// variance of the detections' errors relative to the reference level; `weight` is the first
+    /// weight of the prior of the offsets. `None` if the sum has no minimum.
     pub fn with(
         &self,
         marginal: &Marginal,
         at: &Skeleton,
         noise: f64,
-        offset_prior: f64,
+        (prior, weight): (&OffsetPrior, f64),
     ) -> Option<Self> {
         let at = DVector::from_iterator(BODY_COEFFICIENTS, at.coefficients());
-        let pull = &self.pull + (&marginal.hessian * at - &marginal.gradient) * SHARE;
+        let pull = &self.pull + (&marginal.hessian * &at - &marginal.gradient) * SHARE;
         let information = &self.information + &marginal.hessian * SHARE;
-        let body = estimate(&information, &pull, NOISE * noise, offset_prior)?;
+        let body = estimate(&information, &pull, NOISE * noise, prior, weight)?;
+        let windows = self.windows + 1;
+        let change = &body - at;
+        let distance = change.dot(&(&information * &change)) / (NOISE * noise);
+        let is_wrong = windows > 1 && distance > WRONG * windows as f64;
+        let is_check = self.is_check && !is_wrong;
         let coefficients = body.iter().copied().collect();
-        Some(Self { information, pull, windows: self.windows + 1, coefficients })
+        Some(Self { information, pull, windows, is_check, coefficients })
     }
 }
 
 /// The body b = (shape, offsets m) that minimises
 /// 1/2 b^T information b - pull^T b + 1/2 noise SHAPE_PRECISION |shape|^2
-/// + 1/2 offset_prior sum of precision m^2, with an estimate of offset_prior.
+/// + 1/2 weight sum of precision (m - mean)^2, with an estimate of the weight.
 fn estimate(
     information: &DMatrix<f64>,
     pull: &DVector<f64>,
     noise: f64,
-    mut offset_prior: f64,
+    prior: &OffsetPrior,
+    mut weight: f64,
 ) -> Option<DVector<f64>> {
-    let precisions = KeypointOffsets::prior_precisions();
     let mut body = DVector::zeros(BODY_COEFFICIENTS);
     for _ in 0..ROUNDS {
-        let mut posterior = information.clone();
+        let (mut posterior, mut pull) = (information.clone(), pull.clone());
         for i in 0..SHAPE_COEFFICIENTS {
             posterior[(i, i)] += noise * SHAPE_PRECISION;
         }
-        for (i, precision) in precisions.into_iter().enumerate() {
-            posterior[(SHAPE_COEFFICIENTS + i, SHAPE_COEFFICIENTS + i)] += offset_prior * precision;
+        let offsets = prior.means.iter().zip(prior.precisions).enumerate();
+        for (i, (mean, precision)) in offsets {
+            let i = SHAPE_COEFFICIENTS + i;
+            posterior[(i, i)] += weight * precision;
+            pull[i] += weight * precision * mean;
         }
         let factor = posterior.cholesky()?;
-        body = factor.solve(pull);
+        body = factor.solve(&pull);
         let variances = factor.inverse().diagonal();
-        let spread = noise * variances.rows(SHAPE_COEFFICIENTS, OFFSETS).sum();
-        let offsets = body.rows(SHAPE_COEFFICIENTS, OFFSETS);
-        offset_prior = noise * OFFSETS as f64 / (offsets.norm_squared() + spread);
+        let both_sides =
+            |v: &DVector<f64>| v.rows(SHAPE_COEFFICIENTS, SYMMETRIC_OFFSETS).into_owned();
+        let means = DVector::from_column_slice(&prior.means[..SYMMETRIC_OFFSETS]);
+        let square = (both_sides(&body) - means).norm_squared();
+        weight = noise * SYMMETRIC_OFFSETS as f64 / (square + noise * both_sides(&variances).sum());
     }
     Some(body)
 }
@@ -121,10 +158,15 @@ fn estimate(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core::body::{Attachment, SYMMETRIC_SHAPE};
+    use crate::core::detections::{Keypoint, KeypointFormat};
 
-    /// A body with all coefficients of that function of their index.
+    /// A body with all coefficients that change both sides alike of that function of their index.
     fn body(of: impl Fn(usize) -> f64) -> Skeleton {
-        let values: Vec<f64> = (0..BODY_COEFFICIENTS).map(of).collect();
+        let offsets = SHAPE_COEFFICIENTS..SHAPE_COEFFICIENTS + SYMMETRIC_OFFSETS;
+        let is_symmetric = |i: &usize| *i < SYMMETRIC_SHAPE || offsets.contains(i);
+        let value = |i: usize| if is_symmetric(&i) { of(i) } else { 0.0 };
+        let values: Vec<f64> = (0..BODY_COEFFICIENTS).map(value).collect();
         Skeleton::default().with_coefficients(&values)
     }
 
@@ -135,6 +177,10 @@ mod tests {
             hessian: DMatrix::identity(BODY_COEFFICIENTS, BODY_COEFFICIENTS) * weight,
             gradient: DVector::from_iterator(BODY_COEFFICIENTS, off),
         }
+    }
+
+    fn prior() -> OffsetPrior {
+        OffsetPrior::of(KeypointFormat::Body25)
     }
 
     fn distance(a: &Skeleton, b: &Skeleton) -> f64 {
@@ -149,7 +195,7 @@ mod tests {
         for n in 1..=WINDOWS {
             assert!(!estimator.is_complete(), "{n}");
             let marginal = window(&wanted, &found, 100.0);
-            estimator = estimator.with(&marginal, &found, 1.0, 300.0).unwrap();
+            estimator = estimator.with(&marginal, &found, 1.0, (&prior(), 300.0)).unwrap();
             if let Some(body) = estimator.new_body(&found) {
                 changes.push(n);
                 found = body;
@@ -165,7 +211,8 @@ mod tests {
     fn the_priors_shrink_what_the_detections_hardly_tell() {
         let template = Skeleton::default();
         let marginal = window(&body(|_| 0.05), &template, 10.0);
-        let estimator = BodyEstimator::default().with(&marginal, &template, 1.0, 300.0).unwrap();
+        let estimator =
+            BodyEstimator::default().with(&marginal, &template, 1.0, (&prior(), 300.0)).unwrap();
         let found = estimator.new_body(&template).unwrap();
         assert!(found.coefficients().all(|c| (0.0..0.01).contains(&c)), "{found:?}");
     }
@@ -182,11 +229,52 @@ mod tests {
         let mut gradient = DVector::zeros(BODY_COEFFICIENTS);
         (gradient[shape], gradient[offset]) = (-1e5, -1e5);
         let told = Marginal { hessian, gradient };
-        let estimator = BodyEstimator::default().with(&told, &template, 1.0, 300.0).unwrap();
+        let estimator =
+            BodyEstimator::default().with(&told, &template, 1.0, (&prior(), 300.0)).unwrap();
         let found: Vec<f64> = estimator.new_body(&template).unwrap().coefficients().collect();
         assert!((found[shape] + found[offset] - 1.0).abs() < 0.01, "{found:?}");
         assert!(found[shape] > 0.0 && found[offset] > 0.0, "{found:?}");
         let others = (0..BODY_COEFFICIENTS).filter(|i| *i != shape && *i != offset);
         assert!(others.into_iter().all(|i| found[i].abs() < 1e-9), "{found:?}");
+    }
+
+    #[test]
+    fn a_known_body_is_replaced_if_windows_agree_on_another() {
+        let known = body(|i| (i as f64).sin());
+        let checked = |wanted: &Skeleton| {
+            let estimates = (1..=CHECKS).scan(BodyEstimator::check(), |estimator, _| {
+                let window = window(wanted, &known, 1000.0);
+                *estimator = estimator.with(&window, &known, 1.0, (&prior(), 300.0)).unwrap();
+                Some(estimator.clone())
+            });
+            estimates.collect::<Vec<_>>()
+        };
+        let right = checked(&known);
+        assert!(right.iter().all(|one| one.new_body(&known).is_none()));
+        assert!(right[CHECKS - 1].is_complete() && !right[CHECKS - 2].is_complete());
+        let other = body(|i| 4.0 * (i as f64).cos());
+        let wrong = checked(&other);
+        assert_eq!(wrong[0].new_body(&known), None, "one window is not enough");
+        let found = wrong[1].new_body(&known).unwrap();
+        assert!(!wrong[1].is_check());
+        assert!(distance(&found, &other) < 0.3 * distance(&known, &other));
+    }
+
+    #[test]
+    fn halpe_knees_are_expected_below_the_joint() {
+        let nothing = Marginal {
+            hessian: DMatrix::zeros(BODY_COEFFICIENTS, BODY_COEFFICIENTS),
+            gradient: DVector::zeros(BODY_COEFFICIENTS),
+        };
+        let knee = |format| {
+            let prior = OffsetPrior::of(format);
+            let found =
+                BodyEstimator::default().with(&nothing, &Skeleton::default(), 1.0, (&prior, 300.0));
+            let found = found.unwrap().new_body(&Skeleton::default()).unwrap();
+            Attachment::of(Keypoint::RKnee).offset(&found)
+                - Attachment::of(Keypoint::RKnee).offset(&Skeleton::default())
+        };
+        assert!((knee(KeypointFormat::Halpe26).y + 0.019).abs() < 1e-9);
+        assert_eq!(knee(KeypointFormat::Body25).norm(), 0.0);
     }
 }

@@ -44,6 +44,8 @@ pub enum EventKind {
     /// A camera's capture times are shifted against the others', as the motion shows; they are being
     /// corrected.
     TimeOffset,
+    /// The known body does not fit the performer; it is estimated anew.
+    Body,
     /// Capture times jumped; the frames are not used.
     ClockJump,
     /// A frame shows more people than are used.
@@ -56,7 +58,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 23] = [
+    pub const ALL: [Self; 24] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -76,6 +78,7 @@ impl EventKind {
         Self::Effort,
         Self::ClockOffset,
         Self::TimeOffset,
+        Self::Body,
         Self::ClockJump,
         Self::Crowd,
         Self::Conflict,
@@ -104,6 +107,7 @@ impl EventKind {
             Self::Effort => "effort",
             Self::ClockOffset => "clock_offset",
             Self::TimeOffset => "time_offset",
+            Self::Body => "body",
             Self::ClockJump => "clock_jump",
             Self::Crowd => "crowd",
             Self::Conflict => "conflict",

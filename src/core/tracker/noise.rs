@@ -34,6 +34,8 @@ pub struct Residual {
 pub struct Noise {
     /// Mean of the windows' squared median errors, square pixels.
     square: f64,
+    /// Mean of the windows' median errors as parts of the performer's height.
+    relative: f64,
     /// Number of windows in it, at most [`WINDOWS`].
     windows: f64,
 }
@@ -44,15 +46,25 @@ impl Noise {
         if residuals.is_empty() {
             return self;
         }
-        let error = median(&mut residuals.iter().map(|r| r.error_px).collect::<Vec<_>>());
+        let typical = |error: fn(&Residual) -> f64| {
+            median(&mut residuals.iter().map(error).collect::<Vec<_>>())
+        };
+        let (error, relative) = (typical(|r| r.error_px), typical(|r| r.error_relative));
         let windows = (self.windows + 1.0).min(WINDOWS);
         let square = self.square + (error * error - self.square) / windows;
-        Self { square, windows }
+        let relative = self.relative + (relative - self.relative) / windows;
+        Self { square, relative, windows }
     }
 
     /// The median error of the detections, pixels; `None` before the first window.
     pub(super) fn error_px(&self) -> Option<f64> {
         (self.windows > 0.0).then(|| libm::sqrt(self.square))
+    }
+
+    /// The median error of the detections as a part of the performer's height; 0 before the first
+    /// window.
+    pub(super) fn relative(&self) -> f64 {
+        self.relative
     }
 
     /// The factor of weights that were tuned for median errors of `usual_px`; 1 before the first

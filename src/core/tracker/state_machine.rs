@@ -58,6 +58,8 @@ pub struct Tracker {
     pub(super) skeleton: Option<Arc<Skeleton>>,
     pub(super) estimator: Arc<BodyEstimator>,
     pub(super) noise: Noise,
+    /// Relative error of the detections when the body was complete.
+    pub(super) first_fit: Option<f64>,
     /// Whether any window was tracked with this body.
     pub(super) is_proven: bool,
     /// Start of the open window.
@@ -104,6 +106,7 @@ impl Tracker {
             skeleton: None,
             estimator: Arc::default(),
             noise: Noise::default(),
+            first_fit: None,
             is_proven: false,
             start: None,
             period: (config.frame_rate_hz > 0.0).then(|| 1e9 / config.frame_rate_hz),
@@ -149,10 +152,19 @@ impl Tracker {
 
     /// Tracks a performer whose body is known. The body is not estimated.
     #[must_use]
-    pub fn with_body(mut self, body: Arc<Skeleton>) -> Self {
+    pub fn with_body(self, body: Arc<Skeleton>) -> Self {
+        let tracker = self.with_body_to_check(body);
+        let config = Config { body_windows: 0, ..tracker.config };
+        Self { config, estimator: Arc::new(BodyEstimator::complete()), ..tracker }
+    }
+
+    /// Tracks a performer whose body is known. It is checked in the first windows, and estimated anew
+    /// if it does not fit.
+    #[must_use]
+    pub fn with_body_to_check(mut self, body: Arc<Skeleton>) -> Self {
         self.outputs.push_back(Output::Skeleton(Arc::clone(&body)));
         (self.skeleton, self.is_proven) = (Some(body), true);
-        self.estimator = Arc::new(BodyEstimator::of_known_body());
+        self.estimator = Arc::new(BodyEstimator::check());
         self
     }
 

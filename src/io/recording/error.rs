@@ -44,6 +44,15 @@ pub enum RecordError {
         /// Topics and schemas in the file.
         topics: Vec<String>,
     },
+    /// The recording holds no body.
+    #[error(
+        "{} holds no body; give the poses.mcap of `bundlemocap solve` or a recorded live take",
+        path.display()
+    )]
+    NoBody {
+        /// Path of the file.
+        path: PathBuf,
+    },
     /// An unfinished live recording exists where a new one would be written.
     #[error(
         "{} exists, from a recording that was not finished; `bundlemocap info` reads it; rename \

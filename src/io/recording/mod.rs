@@ -13,6 +13,7 @@
 //!
 //! [`Report`] lists the losses with their byte offsets.
 
+mod body;
 mod chunk;
 mod error;
 mod info;
@@ -23,6 +24,7 @@ mod tail;
 mod target;
 mod writer;
 
+pub use body::last_body;
 pub use error::{Damage, RecordError, Report, Undecodable};
 pub use info::{CameraInfo, Info, TopicInfo, scan, summarise, summary};
 pub use message::{Entry, Message, RawEntry};

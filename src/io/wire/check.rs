@@ -51,6 +51,19 @@ impl Field {
         Ok(std::array::from_fn(|index| values[index].into()))
     }
 
+    /// N finite numbers, or only the first `least`; the others are 0.
+    pub(super) fn padded<const N: usize, T: Copy + Into<f64>>(
+        self,
+        values: &[T],
+        least: usize,
+    ) -> Result<[f64; N], DecodeError> {
+        if values.len() != least {
+            return self.numbers(values);
+        }
+        self.finite(values)?;
+        Ok(std::array::from_fn(|index| values.get(index).map_or(0.0, |&value| value.into())))
+    }
+
     /// Exactly N points of three finite numbers.
     pub(super) fn vectors<const N: usize, T: Copy + Into<f64>>(
         self,

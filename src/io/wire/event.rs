@@ -50,7 +50,8 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Left
         | EventKind::Overdue
         | EventKind::Latency
-        | EventKind::Effort => true,
+        | EventKind::Effort
+        | EventKind::Body => true,
         EventKind::Late
         | EventKind::Duplicate
         | EventKind::OutOfOrder

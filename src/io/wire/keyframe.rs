@@ -2,7 +2,7 @@
 
 use super::check::{Field, field};
 use super::{DecodeError, Keyframe};
-use crate::core::body::{SHAPE_COEFFICIENTS, Shape};
+use crate::core::body::{SYMMETRIC_SHAPE, Shape};
 use crate::core::manifold::{self, CORRECTION, Correction, Interpolation, LATENT, StampedKeyframe};
 use crate::core::so3;
 use crate::core::time::{Grid, Timestamp};
@@ -54,7 +54,7 @@ impl Keyframe {
                 root_position: at("root_position_m").vector(&self.root_position_m)?,
                 correction: self.core_correction()?,
             },
-            shape: Shape(at("shape").numbers::<SHAPE_COEFFICIENTS, _>(&self.shape)?),
+            shape: Shape(at("shape").padded(&self.shape, SYMMETRIC_SHAPE)?),
             start: self.start()?,
             interpolation: Interpolation::named(&self.interpolation).ok_or_else(|| {
                 let name = &self.interpolation;

@@ -2,7 +2,7 @@
 
 use super::check::{Field, field};
 use super::{DecodeError, Skeleton};
-use crate::core::body::{self, JOINTS, Joint, SHAPE_COEFFICIENTS, Shape};
+use crate::core::body::{self, JOINTS, Joint, KeypointOffsets, SYMMETRIC_SHAPE, Shape};
 
 /// Largest distance of rest offsets from those that the shape gives, metres.
 const OFFSET_TOLERANCE: f64 = 1e-6;
@@ -17,7 +17,7 @@ fn parent_index(joint: Joint) -> i32 {
 }
 
 impl Skeleton {
-    /// The joints, their rest offsets and the shape.
+    /// The joints, their rest offsets, the shape and the keypoint offsets.
     pub fn from_core(skeleton: &body::Skeleton) -> Self {
         let offsets = Joint::ALL.iter().flat_map(|&joint| skeleton.offset(joint).iter());
         Self {
@@ -25,10 +25,11 @@ impl Skeleton {
             parents: Joint::ALL.map(parent_index).to_vec(),
             rest_offsets_m: offsets.copied().collect(),
             shape: skeleton.shape().0.to_vec(),
+            keypoint_offsets_m: skeleton.keypoint_offsets().metres().to_vec(),
         }
     }
 
-    /// The body with that shape.
+    /// The body with that shape and those keypoint offsets.
     ///
     /// # Errors
     /// Other joints than ours, wrong lengths, numbers that are not finite, offsets that do not fit
@@ -36,7 +37,7 @@ impl Skeleton {
     pub fn to_core(&self) -> Result<body::Skeleton, DecodeError> {
         self.check_joints()?;
         let offsets = at("rest_offsets_m").vectors::<JOINTS, _>(&self.rest_offsets_m)?;
-        let shape = Shape(at("shape").numbers::<SHAPE_COEFFICIENTS, _>(&self.shape)?);
+        let shape = Shape(at("shape").padded(&self.shape, SYMMETRIC_SHAPE)?);
         let skeleton = body::Skeleton::new(shape);
         for (joint, offset) in Joint::ALL.into_iter().zip(offsets) {
             let apart = (skeleton.offset(joint) - offset).norm();
@@ -50,7 +51,8 @@ impl Skeleton {
                 return Err(at("rest_offsets_m").invalid(reason));
             }
         }
-        Ok(skeleton)
+        let offsets = at("keypoint_offsets_m").padded(&self.keypoint_offsets_m, 0)?;
+        Ok(skeleton.with_keypoint_offsets(KeypointOffsets::of_metres(offsets)))
     }
 
     fn check_joints(&self) -> Result<(), DecodeError> {

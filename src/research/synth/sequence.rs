@@ -5,7 +5,9 @@ use nalgebra::Vector3;
 use super::body::Body;
 use super::motion::about_y;
 use super::protocol::SequenceChoice;
-use crate::core::body::{FASTEST, JOINTS, Joint, Pose, SHAPE_COEFFICIENTS, Shape, Skeleton};
+use crate::core::body::{
+    FASTEST, JOINTS, Joint, Pose, SHAPE_COEFFICIENTS, SYMMETRIC_SHAPE, Shape, Skeleton,
+};
 use crate::core::detections::Keypoint;
 use crate::core::random::Draws;
 
@@ -99,7 +101,7 @@ pub fn sequence(
 
 fn shape(draws: &Draws, choice: &SequenceChoice) -> Shape {
     let mut values = [0.0; SHAPE_COEFFICIENTS];
-    for (pair, values) in values.chunks_mut(2).enumerate() {
+    for (pair, values) in values[..SYMMETRIC_SHAPE].chunks_mut(2).enumerate() {
         for (value, normal) in values.iter_mut().zip(draws.normals(topic::SHAPE, pair as u64)) {
             *value = (choice.shape_spread * normal).clamp(-choice.shape_limit, choice.shape_limit);
         }

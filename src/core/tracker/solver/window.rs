@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::Solver;
 use super::keyframes::{Steps, between};
 use super::known::Known;
-use crate::core::body::{BODY_COEFFICIENTS, BodyPoint, Pose, Skeleton};
+use crate::core::body::{BODY_COEFFICIENTS, BodyPoint, OffsetPrior, Pose, Skeleton};
 use crate::core::cost::{
     self, CorrectionProblem, FrameObservations, PathKeyframe, PathProblem, Scene,
 };
@@ -135,7 +135,7 @@ impl Solver {
         let (free, work) = (self.config.free_body(), &mut self.work);
         let mut problem = PathProblem::new(scene, path, solved.skeleton, free, observations, work);
         let marginal = problem.marginal(&problem.start(), BODY_COEFFICIENTS)?;
-        let prior = self.config.cost.offset_prior;
+        let prior = (&OffsetPrior::of(job.format), self.config.cost.offset_prior);
         estimator.with(&marginal, solved.skeleton, noise, prior)
     }
 
