@@ -1,7 +1,7 @@
 //! Every Jacobian against central differences, with one helper.
 
 use bundlemocap::core::body::{
-    BODY_JOINTS, Joint, Shape, Skeleton, Tangents, forward, push_forward,
+    BODY_JOINTS, Joint, SHAPE_COEFFICIENTS, Shape, Skeleton, Tangents, forward, push_forward,
 };
 use bundlemocap::core::manifold::{
     Decoder, Interpolation, Jacobians, Keyframe, LATENT, Latent, MOVE, THREE, Transition,
@@ -134,7 +134,7 @@ fn joints_and_points_by_rotations_root_and_shape() {
     let local: [Matrix3<f64>; BODY_JOINTS] =
         std::array::from_fn(|j| so3::exp(&Vector3::new(wave(j, 0.3), wave(j, 0.5), wave(j, 0.8))));
     let locals = 3 * BODY_JOINTS;
-    let n = locals + 16;
+    let n = locals + 6 + SHAPE_COEFFICIENTS;
     let arm = Vector3::new(0.03, -0.1, 0.07);
 
     let point = |x: &[f64], joint: Joint| {

@@ -1,6 +1,8 @@
 //! Wire types: round trips, byte goldens, unknown fields, hostile bytes.
 
-use bundlemocap::core::body::{self, BODY_JOINTS, Shape, StampedPose, TrackingState};
+use bundlemocap::core::body::{
+    self, BODY_JOINTS, KeypointOffsets, SYMMETRIC_SHAPE, Shape, StampedPose, TrackingState,
+};
 use bundlemocap::core::camera::{self, Camera, Lens};
 use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
 use bundlemocap::core::manifold;
@@ -46,7 +48,7 @@ pub fn rig() -> camera::Rig {
 }
 
 pub fn skeleton() -> body::Skeleton {
-    body::Skeleton::new(Shape(std::array::from_fn(|i| 0.5 - 0.1 * i as f64)))
+    body::Skeleton::new(Shape::symmetric(std::array::from_fn(|i| 0.5 - 0.1 * i as f64)))
 }
 
 pub fn stamped_pose(window: u64) -> StampedPose {
@@ -216,6 +218,27 @@ fn the_encoding_has_not_changed() {
     expect_file!["../golden/event.snap"].assert_eq(&hex(&event()));
     expect_file!["../golden/status.snap"].assert_eq(&hex(&status()));
     expect_file!["../golden/retargeted_pose.snap"].assert_eq(&hex(&retargeted()));
+}
+
+#[test]
+fn a_body_keeps_its_sides_and_its_keypoint_offsets() {
+    let offsets = KeypointOffsets(std::array::from_fn(|i| 0.1 * (i as f64).sin()));
+    let shape = Shape(std::array::from_fn(|i| 0.3 * (i as f64).cos()));
+    let body = body::Skeleton::new(shape).with_keypoint_offsets(offsets);
+    let found = through_bytes(&Skeleton::from_core(&body)).to_core().unwrap();
+    assert_eq!(found.shape(), body.shape());
+    let metres = |body: &body::Skeleton| body.keypoint_offsets().metres();
+    let pairs = metres(&found).into_iter().zip(metres(&body));
+    assert!(pairs.into_iter().all(|(a, b)| (a - b).abs() < 1e-12));
+}
+
+/// Bodies of equal sides, without keypoint offsets.
+#[test]
+fn bodies_of_earlier_versions_are_read() {
+    let wire = Skeleton::from_core(&skeleton());
+    let shape = wire.shape[..SYMMETRIC_SHAPE].to_vec();
+    let earlier = Skeleton { shape, keypoint_offsets_m: Vec::new(), ..wire };
+    assert_eq!(through_bytes(&earlier).to_core().unwrap(), skeleton());
 }
 
 #[test]

@@ -92,7 +92,8 @@ impl Case {
     /// Keyframes ten frames apart with exact observations of every frame.
     fn new(keyframes: usize) -> Self {
         let decoder = Decoder::embedded().unwrap();
-        let skeleton = Skeleton::new(Shape(std::array::from_fn(|i| 0.5 * (i as f64).cos())));
+        let skeleton =
+            Skeleton::new(Shape::symmetric(std::array::from_fn(|i| 0.5 * (i as f64).cos())));
         let (rig, points) = (ring(), fitted_points(KeypointFormat::Body25));
         let truth: Vec<_> = (0..keyframes).map(|k| keyframe(0.7 + 0.02 * k as f64, 0.8)).collect();
         let observations = (1..=10 * (keyframes - 1).max(1))

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bundlemocap::core::body::{
-    BODY_JOINTS, BodyPoint, Joint, KeypointOffsets, Pose, Shape, Skeleton, StampedPose,
-    TrackingState, fitted_points,
+    BODY_JOINTS, BodyPoint, Joint, KeypointOffsets, Pose, SYMMETRIC_OFFSETS, Shape, Skeleton,
+    StampedPose, TrackingState, fitted_points,
 };
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::cost::Observation;
@@ -85,7 +85,7 @@ fn solved(config: Config, frames: Vec<Detections>) -> Vec<(Job, Outcome)> {
 }
 
 fn truth_shape() -> Shape {
-    Shape(std::array::from_fn(|i| 0.6 * (i as f64 * 1.7).sin()))
+    Shape::symmetric(std::array::from_fn(|i| 0.6 * (i as f64 * 1.7).sin()))
 }
 
 fn truth(i: usize) -> Keyframe {
@@ -402,7 +402,8 @@ fn the_shape_waits_for_enough_frames() {
 #[test]
 fn keypoint_offsets_are_estimated() {
     let (rig, points, decoder) = (ring(), fitted_points(FORMAT), Decoder::embedded().unwrap());
-    let marks = KeypointOffsets(std::array::from_fn(|i| 1.5 * (1.3 * i as f64).sin()));
+    let marks = |i| if i < SYMMETRIC_OFFSETS { 1.5 * (1.3 * i as f64).sin() } else { 0.0 };
+    let marks = KeypointOffsets(std::array::from_fn(marks));
     let (seen_as, body) = (Skeleton::default().with_keypoint_offsets(marks), Skeleton::default());
     let step =
         |i: usize| keyframe(0.7 + 0.02 * i as f64 / 10.0, 0.25 + 0.1 * (i as f64 / 9.0).sin());
@@ -426,6 +427,62 @@ fn keypoint_offsets_are_estimated() {
     };
     let (without, with) = (error(0), error(4));
     assert!(with < 0.9 * without, "{with} {without}");
+}
+
+#[test]
+fn a_wrong_body_is_replaced_within_two_seconds() {
+    let moves = |i: usize| {
+        let at = |k: usize| keyframe(0.7 + 0.02 * k as f64, 0.25 + 0.1 * (k as f64 / 9.0).sin());
+        Interpolation::Slerp.keyframe(&at(i / 10), &at(i / 10 + 1), (i % 10) as f64 / 10.0)
+    };
+    let frames = stream_of(240, moves);
+    let tracked = |body: Skeleton| {
+        let config = Config::default();
+        let tracker = Tracker::new(config, Arc::new(ring())).with_body_to_check(Arc::new(body));
+        let mut found = Vec::new();
+        let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
+        run_to_end(&mut { tracker }, &mut solver, frames.clone(), |output| {
+            if let Output::Event(event) = output
+                && event.kind == EventKind::Body
+            {
+                found.push(event.capture);
+            }
+        });
+        found
+    };
+    let right = Skeleton::new(truth_shape());
+    assert_eq!(tracked(right), []);
+    let wrong = Skeleton::new(Shape(truth_shape().0.map(|c| 2.0 - c)));
+    let found = tracked(wrong);
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert!(found[0].seconds_since(frame(0)) < 2.0, "{found:?}");
+}
+
+/// The frame with left and right exchanged.
+fn with_swapped_sides(mut frame: Detections) -> Detections {
+    let keypoints = FORMAT.keypoints();
+    let mirrored = |k: usize| {
+        let (left, side) = keypoints[k].of_left();
+        keypoints.iter().position(|other| other.of_left() == (left, -side)).unwrap_or(k)
+    };
+    for person in &mut frame.people {
+        let seen = person.points.clone();
+        (0..seen.len()).for_each(|k| person.points[k] = seen[mirrored(k)]);
+    }
+    frame
+}
+
+#[test]
+fn a_start_with_swapped_sides_heals() {
+    for swapped in [1, 10, 30] {
+        let turn = |frame: Detections| match frame.frame < swapped {
+            true => with_swapped_sides(frame),
+            false => frame,
+        };
+        let run = run(Config::default(), stream(181).into_iter().map(turn));
+        let error = mean_error(&run, swapped as usize + 60, truth);
+        assert!(error < 8e-3, "{swapped} frames: {error} m");
+    }
 }
 
 /// Within a window the performer moves further than the range of the loss, and back.

@@ -1,6 +1,8 @@
 //! Finding the performer in one frame set without a known pose: association across views,
 //! triangulation, the root from the torso, then a fit in two stages.
 
+use std::f64::consts::TAU;
+
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::association::{extent, median, usable};
@@ -11,8 +13,9 @@ use crate::core::cost::{
     self, FrameObservations, FreeBody, Observation, PathKeyframe, PathProblem, Scene, Workspace,
 };
 use crate::core::detections::{Detections, Keypoint, Person};
-use crate::core::manifold::{Correction, Keyframe, LATENT, TimedKeyframe};
+use crate::core::manifold::{Correction, Keyframe, LATENT, Latent, TimedKeyframe};
 use crate::core::optimise::Optimiser;
+use crate::core::random::Draws;
 use crate::core::time::Timestamp;
 
 /// People with fewer points are ignored.
@@ -23,6 +26,12 @@ const MOST_PEOPLE: usize = 8;
 const TRUNK_LENGTH: std::ops::Range<f64> = 0.25..0.85;
 /// Factor of the loss's scale and of the prior in the first stage.
 const FIRST_STAGE: f64 = 5.0;
+/// Number of random poses that are compared with the triangulated points.
+const SAMPLES: u64 = 512;
+/// Number of these poses that a fit starts from.
+const NEAREST: usize = 2;
+/// A point of the body this far from its triangulated point is not found, metres.
+const FAR: f64 = 0.4;
 
 /// The performer in one frame set: the observations of all views, and the triangulated points.
 #[derive(Clone, Debug)]
@@ -209,8 +218,8 @@ impl Torso {
 }
 
 /// Fits a keyframe, and the `free` coefficients of the body, to one frame set in two stages: with a
-/// wide loss from z = 0 and the root from the torso, then with the cost itself. `None` if the torso
-/// is not triangulated.
+/// wide loss from several [`starts`], then with the cost itself from the best of them. `None` if the
+/// torso is not triangulated.
 pub(super) fn fit(
     seen: &SeenPerformer,
     scene: Scene,
@@ -220,31 +229,116 @@ pub(super) fn fit(
     optimiser: &mut dyn Optimiser,
     work: &mut Workspace,
 ) -> Option<(Keyframe, Skeleton)> {
-    let torso = Torso::of(scene.points, &seen.points)?;
-    let (root_rotation, root_position) = torso.root(skeleton)?;
     let observations = [FrameObservations::new(Timestamp::default(), seen.observations.clone())];
-    let mut keyframe = Keyframe {
-        z: [0.0; LATENT],
-        root_rotation,
-        root_position,
-        correction: Correction::default(),
-    };
-    let mut skeleton = skeleton.clone();
     let loose = cost::Config {
         scale_px: scene.config.scale_px * FIRST_STAGE,
         prior: scene.config.prior * FIRST_STAGE,
         ..*scene.config
     };
-    for stage in [&loose, scene.config] {
-        let at = TimedKeyframe::new(Timestamp::default(), keyframe);
+    let mut solve = |stage: &cost::Config, start: Keyframe, skeleton: &Skeleton, iterations| {
+        let at = TimedKeyframe::new(Timestamp::default(), start);
         let path = vec![PathKeyframe::free(at, 1.0)];
         let scene = Scene { config: stage, ..scene };
-        let mut problem = PathProblem::new(scene, path, &skeleton, free, &observations, work);
+        let mut problem = PathProblem::new(scene, path, skeleton, free, &observations, work);
         let mut x = problem.start();
-        optimiser.minimise(&mut problem, &mut x, config.acquisition_iterations);
-        let (keyframes, fitted) = problem.solution(&x);
-        keyframe = keyframes.into_iter().next()?;
-        skeleton = fitted;
+        let cost = optimiser.minimise(&mut problem, &mut x, iterations).final_cost;
+        let (mut keyframes, fitted) = problem.solution(&x);
+        Some((cost, keyframes.pop()?, fitted))
+    };
+    let most = config.acquisition_iterations;
+    let roughly = starts(seen, scene, skeleton)?
+        .into_iter()
+        .filter_map(|start| solve(&loose, start, skeleton, most.div_ceil(3)));
+    let (_, rough, _) = roughly.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let (_, keyframe, fitted) = solve(&loose, rough, skeleton, most)?;
+    let (_, keyframe, fitted) = solve(scene.config, keyframe, &fitted, most)?;
+    Some((keyframe, fitted))
+}
+
+/// Keyframes to start from, with the root from the torso: the mean pose, the same with the other
+/// facing (left and right may be swapped), and the poses among [`SAMPLES`] of the prior that are
+/// nearest to the triangulated points, such as crouched or seated ones. `None` if the torso is not
+/// triangulated.
+fn starts(seen: &SeenPerformer, scene: Scene, skeleton: &Skeleton) -> Option<Vec<Keyframe>> {
+    let torso = Torso::of(scene.points, &seen.points)?;
+    let (root_rotation, root_position) = torso.root(skeleton)?;
+    let start = |z| Keyframe { z, root_rotation, root_position, correction: Correction::default() };
+    let mean = start([0.0; LATENT]);
+    let turn = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, -1.0));
+    let turned = Keyframe { root_rotation: root_rotation * turn, ..mean.clone() };
+    let samples: Vec<Keyframe> = (0..SAMPLES).map(|n| start(random_code(n))).collect();
+    let poses = scene.decoder.poses(&samples);
+    let distances = poses.iter().map(|pose| {
+        let posture = pose.posture(skeleton);
+        let distance = |(point, seen): (&BodyPoint, &Option<Vector3<f64>>)| {
+            let body = point.attachment.position(&posture, skeleton);
+            seen.map_or(0.0, |seen| (seen - body).norm().min(FAR))
+        };
+        scene.points.iter().zip(&seen.points).map(distance).sum::<f64>()
+    });
+    let mut nearest: Vec<(f64, Keyframe)> = distances.zip(samples).collect();
+    nearest.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let nearest = nearest.into_iter().take(NEAREST).map(|(_, start)| start);
+    Some([mean, turned].into_iter().chain(nearest).collect())
+}
+
+/// Sample `n` of the prior on codes, always the same.
+fn random_code(n: u64) -> Latent {
+    let draws = Draws { seed: n, stream: 0 };
+    std::array::from_fn(|i| {
+        let uniform = |topic| draws.uniform(topic, i as u64);
+        let radius = libm::sqrt(-2.0 * libm::log(1.0 - uniform(0)));
+        radius * libm::cos(TAU * uniform(1))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::body::{Pose, fitted_points};
+    use crate::core::camera::Rig;
+    use crate::core::detections::KeypointFormat;
+    use crate::core::manifold::Decoder;
+
+    /// The triangulated points of a pose, with the starts for them.
+    fn starts_of(pose: &Pose) -> Vec<Keyframe> {
+        let (decoder, body) = (Decoder::embedded().unwrap(), Skeleton::default());
+        let points = fitted_points(KeypointFormat::Body25);
+        let posture = pose.posture(&body);
+        let seen = points.iter().map(|p| Some(p.attachment.position(&posture, &body))).collect();
+        let seen = SeenPerformer { observations: Vec::new(), points: seen, score: 0.0 };
+        let (rig, config) = (Rig { version: 0, cameras: Vec::new() }, cost::Config::default());
+        let scene = Scene { decoder: &decoder, rig: &rig, points: &points, config: &config };
+        starts(&seen, scene, &body).unwrap()
     }
-    Some((keyframe, skeleton))
+
+    /// Bent poses: the codes are three times as long as usual ones.
+    #[test]
+    fn a_start_is_near_an_unusual_pose() {
+        let (decoder, body) = (Decoder::embedded().unwrap(), Skeleton::default());
+        let posture = |at: &Keyframe| decoder.pose(at).posture(&body);
+        let (mut mean, mut nearest) = (0.0, 0.0);
+        for n in 500..520 {
+            let z = random_code(n).map(|z| 3.0 * z);
+            let at = Keyframe { z, ..starts_of(&Pose::rest()).swap_remove(0) };
+            let far = |start: &Keyframe| {
+                let pairs = posture(start).positions.into_iter().zip(posture(&at).positions);
+                pairs.map(|(a, b)| (a - b).norm()).sum::<f64>()
+            };
+            let starts = starts_of(&decoder.pose(&at));
+            assert_eq!(starts.len(), 2 + NEAREST);
+            mean += far(&starts[0]);
+            nearest += far(&starts[2]);
+        }
+        assert!(nearest < 0.9 * mean, "{nearest} {mean}");
+    }
+
+    #[test]
+    fn one_start_faces_the_other_way() {
+        let found = starts_of(&Pose::rest());
+        let [facing, turned] = [0, 1].map(|k| found[k].root_rotation);
+        assert!((facing - Matrix3::identity()).norm() < 0.2, "{facing}");
+        assert!((facing.column(1) - turned.column(1)).norm() < 1e-12);
+        assert!((facing.column(2) + turned.column(2)).norm() < 1e-12);
+    }
 }

@@ -56,8 +56,8 @@ impl Tracker {
         if self.skeleton.is_none() {
             self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
             (self.estimator, self.noise) = (Arc::default(), Noise::default());
-        } else if self.config.body_windows > 0 && !is_in_view {
-            // It may be another performer.
+        } else if self.config.body_windows > 0 && (!is_in_view || self.estimator.is_early()) {
+            // It may be another performer, or the estimate is from a wrong pose.
             self.estimator = Arc::new(self.estimator.after_a_break());
         }
         let detail = match is_in_view {
@@ -219,7 +219,10 @@ impl Tracker {
             TrackingState::Coasting => {
                 self.phase = Phase::Tracking { past, coasted: coasted + 1 };
             }
-            TrackingState::Lost => self.ahead.clear(),
+            TrackingState::Lost => {
+                self.ahead.clear();
+                self.is_proven &= self.config.body_windows == 0 || !self.estimator.is_early();
+            }
         }
         if !self.is_proven {
             // The body was found together with a wrong pose.

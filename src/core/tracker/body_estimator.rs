@@ -74,6 +74,11 @@ impl BodyEstimator {
         Self { windows: WINDOWS, ..Self::default() }
     }
 
+    /// Whether the body may still change a lot.
+    pub(super) fn is_early(&self) -> bool {
+        !self.is_check && self.windows <= EARLY_WINDOWS
+    }
+
     /// The estimator when a performer is found again: a complete body is checked, else the estimate
     /// begins anew.
     pub(super) fn after_a_break(&self) -> Self {
@@ -92,8 +97,7 @@ impl BodyEstimator {
 
     /// The new body, if it is time for one.
     pub(super) fn new_body(&self, body: &Skeleton) -> Option<Skeleton> {
-        let is_early = self.windows <= EARLY_WINDOWS;
-        let is_due = is_early || self.windows.is_multiple_of(INTERVAL) || self.is_complete();
+        let is_due = self.is_early() || self.windows.is_multiple_of(INTERVAL) || self.is_complete();
         (is_due && !self.is_check).then(|| body.with_coefficients(&self.coefficients))
     }
 
