@@ -222,7 +222,7 @@ impl Solver {
         let start = past.last().map_or(job.start, |last| last.capture);
         let recent = between(observations, [start, job.end].map(|at| at + job.half_period()));
         let window = Known { past, ahead, ..known };
-        let steps = Steps::of(job.effort.provisional_iterations);
+        let steps = Steps::of(job.effort.provisional_iterations.max(1));
         let (solved, _) = self.keyframes(job, points, window, &job.keyframe_times, recent, steps);
         kept.iter().cloned().chain(solved).collect()
     }
