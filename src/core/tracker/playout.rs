@@ -24,8 +24,8 @@ pub(super) const MARGIN: Nanos = Nanos::from_ms(3);
 /// Time constant of the decay of an extrapolated motion, seconds.
 const DECAY: f64 = 0.1;
 /// Time constant of the offset of provisional poses from the newest fit, seconds, at the reference
-/// error of the detections. Larger errors need more smoothing.
-const OFFSET_DECAY: f64 = 0.025;
+/// error of the detections. Smaller errors need less smoothing.
+const OFFSET_DECAY: f64 = 0.03;
 /// A live tracker that is this far behind skips the poses in between.
 const MAX_CATCH_UP: Nanos = Nanos::SECOND;
 
@@ -165,16 +165,20 @@ impl Tracker {
     }
 
     /// The times of the final poses of a provisional fit of `window` up to its end: those without a
-    /// pose that have their look-ahead.
+    /// pose that have their look-ahead, or all but less than a frame of it.
     pub(super) fn final_times(&self, window: Window) -> Vec<Timestamp> {
         let (Some(frames), Some(grid)) = (self.look_ahead(), self.output_grid()) else {
             return Vec::new();
         };
-        let until = window.end - Nanos::rounded(frames as f64 * self.frame_period());
-        let until = until + same_time(&grid);
-        let first = self.playout.published.unwrap_or(until - Nanos::rounded(grid.period_ns));
-        let after = first.max(window.start) + same_time(&grid);
-        grid.between(after, until).collect()
+        let ahead = |frames: usize| Nanos::rounded(frames as f64 * self.frame_period());
+        // The times of a grid are rounded.
+        let until = match frames {
+            0 => window.end + Nanos::new(1000),
+            _ => window.end - ahead(frames - 1) - Nanos::new(1000),
+        };
+        let published = self.playout.published.map(|last| last + same_time(&grid));
+        let after = published.unwrap_or(until - Nanos::rounded(grid.period_ns));
+        grid.between(after.max(window.start + same_time(&grid)), until).collect()
     }
 
     /// The times of a provisional fit's poses: its end and the final ones, and the last published
@@ -188,7 +192,7 @@ impl Tracker {
     /// Publishes the poses of a provisional fit of `window` up to its end.
     pub(super) fn publish_fit(&mut self, window: Window, fit: &[PoseAt], state: TrackingState) {
         let noise = self.noise.factor(self.config.reference_residual_px);
-        let decay = OFFSET_DECAY * libm::sqrt(noise);
+        let decay = OFFSET_DECAY * libm::sqrt(noise.min(1.0));
         if let Some(newest) = self.playout.provisionals.continued(window.end, fit, decay) {
             self.publish_provisional(window.end, &newest, state);
         }

@@ -87,3 +87,63 @@ impl Published {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP: i64 = 20_000_000;
+
+    fn at(frame: i64, x: f64) -> PoseAt {
+        let mut pose = Pose::rest();
+        pose.root_position.x = x;
+        pose.local[3] = so3::exp(&nalgebra::Vector3::new(0.0, x, 0.0));
+        (Timestamp::from_ns(STEP * frame), pose)
+    }
+
+    /// Publishes the poses `of` a fit at frames 0 to 9; the first two of them are given.
+    fn shown(first: [f64; 2], of: fn(i64) -> f64) -> Vec<f64> {
+        let mut published = Published::default();
+        let fit: Vec<PoseAt> = (0..10).map(|frame| at(frame, of(frame))).collect();
+        let mut shown = first.to_vec();
+        for (frame, x) in (0..).zip(first) {
+            let (time, pose) = at(frame, x);
+            published.add(time, &pose);
+        }
+        for (time, _) in &fit[2..] {
+            let pose = published.continued(*time, &fit, 0.03).unwrap();
+            let turn = so3::log(&pose.local[3]).y;
+            assert!((turn - pose.root_position.x).abs() < 1e-9, "{turn}");
+            shown.push(pose.root_position.x);
+            published.add(*time, &pose);
+        }
+        shown
+    }
+
+    #[test]
+    fn a_motion_comes_back_to_the_fit_without_a_jump() {
+        let still = shown([0.1, 0.1], |_| 0.0);
+        let steps: Vec<f64> = still.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert!(steps[1..].iter().all(|step| (-0.04..0.0).contains(step)), "{still:?}");
+        assert!(still[9].abs() < 0.01, "{still:?}");
+    }
+
+    #[test]
+    fn a_motion_on_the_fit_stays_on_it() {
+        let of = |frame: i64| 0.01 * frame as f64;
+        let moving = shown([0.0, 0.01], of);
+        assert!((0..).zip(moving).all(|(frame, x)| (x - of(frame)).abs() < 1e-12));
+    }
+
+    #[test]
+    fn a_path_that_begins_is_the_fit() {
+        let mut published = Published::default();
+        let fit = [at(0, 0.0), at(1, 0.0), at(2, 0.0)];
+        for (time, pose) in [at(0, 1.0), at(1, 1.0)] {
+            published.add(time, &pose);
+        }
+        published.begin_path();
+        assert_eq!(published.continued(fit[2].0, &fit, 0.03).as_ref(), Some(&fit[2].1));
+        assert_eq!(published.continued(at(3, 0.0).0, &fit, 0.03), None);
+    }
+}

@@ -187,7 +187,8 @@ impl Tracker {
         let complete = cameras.map(|camera| self.intake.watermark(camera)).min().flatten();
         let front = self.intake.front();
         let moved_on = front.map(|at| at - Nanos::new(self.frame_period() as i64));
-        let overdue = self.now.filter(|_| self.look_ahead().is_some()).map(|now| now - self.grace());
+        let overdue =
+            self.now.filter(|_| self.look_ahead().is_some()).map(|now| now - self.grace());
         complete.max(moved_on).max(overdue.min(front))
     }
 

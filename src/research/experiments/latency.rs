@@ -8,7 +8,11 @@ const PLOTTED: [(&str, &str, &str); 4] = [
     ("mpjpe_mm", "Error by latency", "MPJPE (mm)"),
     ("limb_mm", "Error of the limb joints by latency", "error (mm)"),
     ("limb_acceleration_error_m_s2", "Acceleration error by latency", "acceleration error (m/s²)"),
-    ("velocity_jump_excess_m_s", "Velocity jump at borders by latency", "excess over the truth (m/s)"),
+    (
+        "velocity_jump_excess_m_s",
+        "Velocity jump at borders by latency",
+        "excess over the truth (m/s)",
+    ),
 ];
 
 /// A plot of each metric against the latency, in milliseconds. A level is its name and summaries: one
@@ -29,5 +33,9 @@ pub fn plots(latencies_ms: &[f64], levels: &[(&str, Vec<Summary>)]) -> Vec<Plot>
         series: levels.iter().enumerate().map(|level| curve(key, level)).collect(),
         ..Plot::default()
     };
-    PLOTTED.map(plot).into_iter().filter(|plot| plot.series.iter().any(|s| !s.points.is_empty())).collect()
+    PLOTTED
+        .map(plot)
+        .into_iter()
+        .filter(|plot| plot.series.iter().any(|s| !s.points.is_empty()))
+        .collect()
 }

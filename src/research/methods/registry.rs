@@ -1,7 +1,8 @@
 //! The methods by name.
 
 use super::{
-    Dct, DctWeights, Dmmr, Etc, LiveTracker, Method, MuVs, Slahmr, SlahmrWeights, Triangulation, Windows,
+    Dct, DctWeights, Dmmr, Etc, LiveTracker, Method, MuVs, Slahmr, SlahmrWeights, Triangulation,
+    Windows,
 };
 use crate::core::manifold::Transition;
 
