@@ -243,7 +243,8 @@ mod tests {
         refused("tracker.cost.stiffness", "rotation", "-0.1", "0 or more");
         refused("tracker.gate", "follow", "nan", "a number above 0");
         refused("node", "queue", "15", "16 to 1000000");
-        refused("node", "latency_ms", "-1.0", "0 (estimated) to 60000");
+        refused("node", "latency_ms", "-1.0", "0 (estimated) or 6 to 60000");
+        refused("node", "latency_ms", "5.0", "0 (estimated) or 6 to 60000");
         refused("node", "output_rate_hz", "0.5", "0 (rate of the cameras) or 1 to 1000");
         refused("tracker.gate", "lost_observations", "-1.0", "0 or more");
         for rate in ["0.0", "1.0", "59.94", "1000.0"] {

@@ -30,7 +30,7 @@ Examples:
   bundlemocap run
   bundlemocap run studio.toml --rig Calib_qualisys.toml --prometheus 127.0.0.1:9464
   bundlemocap run studio.toml --body take1/poses.mcap
-  bundlemocap run --listen tcp/0.0.0.0:7447 --latency 220
+  bundlemocap run --listen tcp/0.0.0.0:7447 --latency 50
   bundlemocap run --bus iceoryx2 --seconds 60")]
 pub(super) struct Arguments {
     /// Settings file; config/default.toml lists every setting.
@@ -48,7 +48,8 @@ pub(super) struct Arguments {
     /// Manifold weights of `bundlemocap train`; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
-    /// Declared latency, milliseconds; overrides the settings. 0: estimated.
+    /// Declared latency, milliseconds, from 6; overrides the settings. Poses of a short latency have less
+    /// look-ahead. 0: estimated.
     #[arg(long, value_name = "MS", allow_negative_numbers = true)]
     latency: Option<f64>,
     /// Address on which the node listens; overrides the settings.

@@ -30,18 +30,20 @@ impl Core {
     /// Declares the latency and adjusts the effort after a solved window.
     fn settle(&mut self) {
         let Some(track) = &mut self.track else { return };
-        let period = Nanos::new(track.output_grid().map_or(0, |grid| grid.period_ns as i64));
-        let wait = track.span() - period;
+        let output = Nanos::new(track.output_grid().map_or(0, |grid| grid.period_ns as i64));
+        let (wait, period) = (track.span() - output, Nanos::rounded(track.frame_period()));
         let delay = match self.latency.declared() {
             Some(_) => Nanos::ZERO,
             None => self.clock.delay_p999(),
         };
-        if let Some((latency, why)) = self.latency.solved(self.took, wait, delay) {
+        let config = &self.settings.tracker;
+        if let Some((latency, why)) = self.latency.solved(self.took, [wait, delay, period], config)
+        {
             track.set_latency(latency);
             self.event(EventKind::Latency, None, why);
             return;
         }
-        let Some(available) = self.latency.solve_time() else { return };
+        let Some(available) = self.latency.solve_time(period) else { return };
         let trouble = self.trouble.take();
         let Some(why) = self.governor.solved(self.took, available, trouble) else { return };
         let level = self.governor.level();

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::core::limits::{Limit, OutOfRange, check};
+use crate::core::tracker::Latency;
 use crate::io::formats::Up;
 
 /// Settings of the live node.
@@ -20,8 +21,9 @@ pub struct Config {
     /// Recording that holds the performer's body, such as a poses.mcap of `solve`. Empty: the body is
     /// estimated.
     pub body: String,
-    /// Declared latency, milliseconds: a pose of capture time t is published at t plus this. 0: the
-    /// node measures it in the first windows.
+    /// Declared latency, milliseconds: a pose of capture time t is published at t plus this. A
+    /// latency too short for windows gives poses with less look-ahead. 0: the node measures one in
+    /// the first windows.
     pub latency_ms: f64,
     /// Poses per second. 0: the frame rate of the fastest camera.
     pub output_rate_hz: f64,
@@ -63,11 +65,12 @@ impl Config {
     /// The first number that is out of range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
         let (latency, queue) = (self.latency_ms, self.queue as f64);
+        let least = if latency == 0.0 { 0.0 } else { Latency::LEAST.ms() };
         let rate = "0 (rate of the cameras) or 1 to 1000";
         check([
             Limit::rate_or_0("output_rate_hz", self.output_rate_hz, rate),
             Limit("queue", queue, 16.0..=1e6, "16 to 1000000"),
-            Limit("latency_ms", latency, 0.0..=6e4, "0 (estimated) to 60000"),
+            Limit("latency_ms", latency, least..=6e4, "0 (estimated) or 6 to 60000"),
         ])
     }
 }

@@ -1,7 +1,7 @@
 //! The declared latency: configured, or measured in the first windows.
 
 use crate::core::time::Nanos;
-use crate::core::tracker::Latency;
+use crate::core::tracker::{Config, Latency};
 
 /// Number of windows that are measured.
 const WINDOWS: usize = 5;
@@ -38,18 +38,21 @@ impl Finder {
         self.found.map(|latency| latency.declared)
     }
 
-    /// Time reserved for a solve, once the latency is declared.
-    pub(super) fn solve_time(&self) -> Option<Nanos> {
-        self.found.map(|latency| latency.reserve - PUBLISH)
+    /// Time that a window's solve may take, once the latency is declared: the time reserved for it,
+    /// or, if no pose waits for it, half of a frame `period`.
+    pub(super) fn solve_time(&self, period: Nanos) -> Option<Nanos> {
+        let latency = self.found?;
+        Some(latency.look_ahead.map_or(latency.reserve - PUBLISH, |_| period / 2))
     }
 
     /// Adds a window that was solved in `took`; `wait` is the time from its first pose to its end,
-    /// `delay` the delay of the network. Returns the latency and its reason, once.
+    /// `delay` the delay of the network, `period` that of frames. Returns the latency and its
+    /// reason, once.
     pub(super) fn solved(
         &mut self,
         took: Nanos,
-        wait: Nanos,
-        delay: Nanos,
+        [wait, delay, period]: [Nanos; 3],
+        config: &Config,
     ) -> Option<(Latency, String)> {
         if self.found.is_some() {
             return None;
@@ -57,13 +60,18 @@ impl Finder {
         self.solves.push(took);
         let (latency, why) = match self.given {
             Some(declared) => {
-                let why = format!("{declared} as configured");
-                let least = wait + GIVEN_SOLVE + delay + PUBLISH;
-                let why = match declared < least {
-                    true => format!("{why}; below {least} poses are coasted"),
-                    false => why,
+                let waits = [wait, GIVEN_SOLVE + PUBLISH, delay];
+                let latency = Latency::new(declared, waits, period, config);
+                let least = Latency::LEAST + delay;
+                let why = match latency.look_ahead {
+                    _ if declared < least => format!(
+                        "{declared} as configured is too short: poses are extrapolated; the \
+                         smallest possible latency is {least}, {delay} of it network"
+                    ),
+                    Some(frames) => format!("{declared} as configured: look-ahead {frames} frames"),
+                    None => format!("{declared} as configured"),
                 };
-                (Latency { declared, reserve: GIVEN_SOLVE + PUBLISH }, why)
+                (latency, why)
             }
             None if self.solves.len() < WINDOWS => return None,
             None => {
@@ -80,7 +88,7 @@ impl Finder {
                     network.ms(),
                     PUBLISH.ms()
                 );
-                (Latency { declared, reserve: solve + PUBLISH }, why)
+                (Latency { declared, reserve: solve + PUBLISH, look_ahead: None }, why)
             }
         };
         self.found = Some(latency);
@@ -94,24 +102,42 @@ mod tests {
 
     const MS: Nanos = Nanos::from_ms(1);
 
+    fn solved(finder: &mut Finder, took: i64, delay: i64) -> Option<(Latency, String)> {
+        finder.solved(MS * took, [MS * 150, MS * delay, MS * 16], &Config::default())
+    }
+
     #[test]
     fn a_latency_is_found_once_from_the_slowest_of_the_first_windows() {
         let mut finder = Finder::new(0.0);
         for took in [5, 20, 6, 5] {
-            assert!(finder.solved(MS * took, MS * 150, MS * 3).is_none());
+            assert!(solved(&mut finder, took, 3).is_none());
         }
-        let (latency, why) = finder.solved(MS * 5, MS * 150, MS * 3).unwrap();
-        assert_eq!(latency.declared, MS * 197);
+        let (latency, why) = solved(&mut finder, 5, 3).unwrap();
+        assert_eq!((latency.declared, latency.look_ahead), (MS * 197, None));
         assert!(why.starts_with("197 ms: window from its first pose 150.0, solve 40.0"), "{why}");
-        assert!(finder.solved(MS * 90, MS * 150, MS * 3).is_none());
+        assert!(solved(&mut finder, 90, 3).is_none());
         assert_eq!(finder.declared(), Some(MS * 197));
+        assert_eq!(finder.solve_time(MS * 16), Some(MS * 40));
     }
 
     #[test]
-    fn a_given_latency_holds_and_says_when_it_is_too_short() {
-        let (latency, why) = Finder::new(250.0).solved(MS * 5, MS * 150, Nanos::ZERO).unwrap();
+    fn a_given_latency_holds_with_the_look_ahead_that_it_allows() {
+        let of = |given: f64, delay: i64| solved(&mut Finder::new(given), 5, delay).unwrap();
+        let (latency, why) = of(250.0, 0);
         assert_eq!((latency.declared, &*why), (MS * 250, "250.0 ms as configured"));
-        let (_, why) = Finder::new(100.0).solved(MS * 5, MS * 150, Nanos::ZERO).unwrap();
-        assert!(why.contains("coasted"), "{why}");
+        // Eight to solve and publish, two of network.
+        for (given, frames) in [(6.0, 0), (25.0, 0), (26.0, 1), (41.0, 1), (100.0, 5), (163.0, 5)] {
+            let (latency, why) = of(given, if given > 6.0 { 2 } else { 0 });
+            assert_eq!(latency.look_ahead, Some(frames), "{why}");
+            assert!(why.ends_with(&format!("look-ahead {frames} frames")), "{why}");
+        }
+        assert_eq!(of(164.0, 0).0.look_ahead, None);
+    }
+
+    #[test]
+    fn a_latency_that_is_too_short_is_reported_with_the_smallest_possible_one() {
+        let (latency, why) = solved(&mut Finder::new(10.0), 5, 20).unwrap();
+        assert_eq!((latency.declared, latency.look_ahead), (MS * 10, Some(0)));
+        assert!(why.contains("the smallest possible latency is 26.0 ms"), "{why}");
     }
 }

@@ -8,25 +8,30 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use bundlemocap::core::body::{Pose, Skeleton};
 use bundlemocap::core::detections::KeypointFormat;
 use bundlemocap::core::manifold::Decoder;
-use bundlemocap::core::time::Timestamp;
+use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::research::experiments::ablation::FACTORS;
 use bundlemocap::research::experiments::summary::{summaries, to_json};
-use bundlemocap::research::experiments::{Case, View, drift, procedural, real, run};
-use bundlemocap::research::methods::{Delay, Method, Motion, Solved, Take, Windows};
+use bundlemocap::research::experiments::{Case, Score, View, drift, procedural, real, run};
+use bundlemocap::research::methods::{Delay, LiveTracker, Method, Motion, Solved, Take, Windows};
 use bundlemocap::research::synth::{Noise, SequenceChoice, rig_named};
 use serde_json::Value;
 
 /// Two motions of 1.2 s before three cameras.
 fn cases(noise: Noise) -> Vec<Case> {
+    cases_of("ring3", 1.2, noise)
+}
+
+/// Two motions of some seconds before the cameras of a rig.
+fn cases_of(rig: &str, seconds: f64, noise: Noise) -> Vec<Case> {
     let view = View {
         name: "tiny".into(),
-        rig: Arc::new(rig_named("ring3", None).unwrap()),
+        rig: Arc::new(rig_named(rig, None).unwrap()),
         format: KeypointFormat::Body25,
         noise,
-        choice: SequenceChoice { seconds: 1.2, least_seconds: 0.5, ..SequenceChoice::default() },
+        choice: SequenceChoice { seconds, least_seconds: 0.5, ..SequenceChoice::default() },
         seed: 3,
     };
-    procedural(2, 1.2).iter().filter_map(|subject| Case::new(subject, &view)).collect()
+    procedural(2, seconds).iter().filter_map(|subject| Case::new(subject, &view)).collect()
 }
 
 /// Returns the truth shifted by a distance, metres; has no poses for the first two frames.
@@ -252,6 +257,39 @@ fn drift_and_ablation_print_their_tables() {
 }
 
 #[test]
+fn latencies_print_their_table_and_plots() {
+    let place = tempfile::tempdir().unwrap();
+    let tiny = "--rig ring3 --seconds 2 --noise clean --every 4 --latencies 20,50";
+    let (printed, results) = done(place.path(), tiny);
+    assert!(printed.contains("live, provisional") && printed.contains("live, 50 ms"), "{printed}");
+    assert_eq!(results["levels"][0]["methods"].as_array().map(Vec::len), Some(3));
+    let report = std::fs::read_to_string(place.path().join("eval/report.html")).unwrap();
+    assert!(report.contains("Acceleration error by latency"));
+}
+
+#[test]
+fn provisional_poses_are_nearly_as_smooth_as_final_ones() {
+    for noise in [Noise::studio(), Noise::systematic()] {
+        let methods = || -> Vec<Box<dyn Method>> {
+            let latency = Nanos::from_ms(200);
+            vec![Box::new(LiveTracker::Provisional), Box::new(LiveTracker::Final(latency))]
+        };
+        let run =
+            run(&cases_of("ring4", 4.0, noise), &methods, &Decoder::embedded().unwrap(), 1, &|| {});
+        let mean = |row: usize, of: fn(&Score) -> f64| {
+            let scores = run.rows[row].results.iter().map(|result| of(&result.as_ref().unwrap().0));
+            scores.sum::<f64>()
+        };
+        let acceleration = |score: &Score| score.limbs.limb_acceleration_error_m_s2.unwrap();
+        let ratio = mean(0, acceleration) / mean(1, acceleration);
+        assert!(ratio < 2.0, "{ratio}");
+        let error = |score: &Score| score.limbs.limb_mm;
+        let ratio = mean(0, error) / mean(1, error);
+        assert!(ratio < 1.2, "{ratio}");
+    }
+}
+
+#[test]
 fn every_factor_of_an_ablation_is_in_its_help() {
     let place = tempfile::tempdir().unwrap();
     let help = eval(place.path(), "--help");
@@ -280,6 +318,7 @@ fn wrong_arguments_give_a_one_line_error_with_a_fix() {
     told("--rig ring3 --fps 0", 2, "--fps is 0");
     told("--rig ring3 --ablation shoes", 2, "window");
     told("--rig ring3 --tune shoes", 2, "muvs");
+    told("--rig ring3 --latencies 5", 2, "--latencies is 5, but must be 6 to");
     told("--rig ring3 --motions none/", 3, "none");
     told("--rig ring3 --protocol none.toml", 3, "none.toml");
     told("--rig ring3 --jobs 0", 2, "--jobs");

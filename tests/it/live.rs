@@ -263,6 +263,74 @@ fn poses_leave_at_one_latency_and_provisional_ones_at_once() {
     assert_eq!((playout.coasted, playout.missed), (0, 0));
 }
 
+/// The messages of a studio at a declared latency.
+fn at_latency(latency_ms: f64, messages: Vec<Sent>, seconds: f64) -> World {
+    let mut config = Config::default();
+    config.node.latency_ms = latency_ms;
+    let mut world = World::new(&config);
+    world.play(messages, at(seconds));
+    assert_on_time(&world.heard);
+    world
+}
+
+/// Every pose is solved, none extrapolated.
+fn assert_solved(heard: &Heard) {
+    assert!(heard.poses().iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
+    let playout = heard.status().playout.unwrap();
+    assert_eq!((playout.coasted, playout.missed), (0, 0), "{:?}", heard.details("latency"));
+}
+
+#[test]
+fn any_latency_gives_solved_poses() {
+    let studio = Studio::new(4, 240);
+    for (latency_ms, look_ahead) in [(10.0, 0), (16.7, 0), (50.0, 2), (120.0, 5)] {
+        let world = at_latency(latency_ms, studio.messages(), 4.0);
+        assert_solved(&world.heard);
+        let why = world.heard.details("latency");
+        assert!(why[0].ends_with(&format!("look-ahead {look_ahead} frames")), "{why:?}");
+        let last = world.heard.poses().pop().unwrap().1.capture_time_ns;
+        assert!(last >= (at(4.0) - Nanos::rounded(1e6 * latency_ms) - MS * 40).ns(), "{last}");
+    }
+}
+
+#[test]
+fn short_latencies_do_not_wait_for_missing_frames() {
+    let studio = Studio::new(4, 240);
+    let is_missing = |frame: &&Detections| frame.camera == 1 && frame.frame.is_multiple_of(3);
+    let frames = studio.frames.iter().filter(|frame| !is_missing(frame));
+    let messages = frames.map(|frame| studio.message(frame)).chain([studio.rig()]);
+    let messages: Vec<Sent> = messages.collect();
+    for latency_ms in [12.0, 50.0] {
+        assert_solved(&at_latency(latency_ms, messages.clone(), 4.0).heard);
+    }
+}
+
+#[test]
+fn short_latencies_follow_the_performer_out_and_in() {
+    let studio = Studio::new(4, 480);
+    let mut frames = studio.frames.clone();
+    let away = frames.iter_mut().filter(|frame| (120..240).contains(&frame.frame));
+    away.for_each(|frame| frame.people.clear());
+    let messages = frames.iter().map(|frame| studio.message(frame)).chain([studio.rig()]);
+    let world = at_latency(50.0, messages.collect(), 8.0);
+    let state = |seconds: f64| {
+        let capture = at(seconds).ns();
+        let poses = world.heard.poses();
+        poses.into_iter().find(|(_, pose)| pose.capture_time_ns >= capture).unwrap().1.state()
+    };
+    let states = [1.5, 2.3, 3.5, 5.0].map(state);
+    use TrackingState::{Coasting, Lost, Tracking};
+    assert_eq!(states, [Tracking, Coasting, Lost, Tracking]);
+}
+
+#[test]
+fn an_impossible_latency_is_reported_with_the_smallest_possible_one() {
+    let world = at_latency(7.0, Studio::new(4, 240).messages(), 4.0);
+    let why = world.heard.details("latency");
+    // Three of network, six to solve and publish.
+    assert!(why[0].contains("too short") && why[0].contains("latency is 9.0 ms"), "{why:?}");
+}
+
 #[test]
 fn the_same_inputs_give_the_same_bytes() {
     let mut messages = Studio::new(4, 150).messages();
@@ -422,17 +490,19 @@ fn a_solver_that_hangs_does_not_stop_the_poses() {
 
 #[test]
 fn the_output_may_have_another_rate() {
-    let mut config = Config::default();
-    config.node.output_rate_hz = 90.0;
-    let mut world = World::new(&config);
-    world.play(Studio::new(4, 240).messages(), at(4.0));
-    let poses = world.heard.poses();
-    assert!(poses.len() > 240, "{}", poses.len());
-    for pair in poses.windows(2) {
-        let step = pair[1].1.capture_time_ns - pair[0].1.capture_time_ns;
-        assert!((step - 11_111_111).abs() <= 1, "{step}");
+    for latency_ms in [0.0, 50.0] {
+        let mut config = Config::default();
+        (config.node.output_rate_hz, config.node.latency_ms) = (90.0, latency_ms);
+        let mut world = World::new(&config);
+        world.play(Studio::new(4, 240).messages(), at(4.0));
+        let poses = world.heard.poses();
+        assert!(poses.len() > 240, "{}", poses.len());
+        for pair in poses.windows(2) {
+            let step = pair[1].1.capture_time_ns - pair[0].1.capture_time_ns;
+            assert!((step - 11_111_111).abs() <= 1, "{step}");
+        }
+        assert!(poses.iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
     }
-    assert!(poses.iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
 }
 
 #[test]

@@ -17,8 +17,8 @@ use bundlemocap::io::bus::{Bus, Guard, Memory, Publisher};
 use bundlemocap::io::formats::Up;
 use bundlemocap::io::wire::journal_entry::Input as JournalInput;
 use bundlemocap::io::wire::{
-    self, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, Status, Topics, decode,
-    encode,
+    self, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, Status, Topics,
+    TrackingState, decode, encode,
 };
 use bundlemocap::live::{Config, Core, Node, NodeError, Running, Settings, WallClock};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
@@ -219,6 +219,21 @@ fn poses_leave_evenly_at_one_latency_and_provisional_ones_before() {
     assert_eq!(heard.journal.len() as u64, status.inputs);
     let ends = heard.journal.iter().filter(|entry| entry.input == Some(JournalInput::End(true)));
     assert_eq!(ends.count(), 1);
+}
+
+#[test]
+fn a_short_latency_gives_solved_poses() {
+    let mut studio = Studio::new();
+    let config = Config { latency_ms: 50.0, ..Config::default() };
+    let node = start_node(&studio.bus, &config).unwrap();
+    let is_solved = |pose: &&Pose| pose.state() == TrackingState::Tracking;
+    studio
+        .play_until("60 solved poses", |heard| heard.poses.iter().filter(is_solved).count() >= 60);
+    node.stop().unwrap();
+    let heard = studio.heard.lock().unwrap();
+    assert!(heard.poses.iter().all(|pose| pose.declared_latency_ns == 50_000_000));
+    let latency = heard.events.iter().find(|event| event.kind == "latency").unwrap();
+    assert!(latency.detail.contains("50.0 ms as configured"), "{latency:?}");
 }
 
 /// Unusable messages, each with a word of its error.

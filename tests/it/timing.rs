@@ -236,7 +236,7 @@ fn the_latency_limits_the_grace() {
     let mut timeline = Timeline::new().live().begin();
     let mut wake = |declared: i64, reserve: i64| {
         let [declared, reserve] = [declared, reserve].map(Nanos::from_ms);
-        timeline.tracker.set_latency(Latency { declared, reserve });
+        timeline.tracker.set_latency(Latency { declared, reserve, look_ahead: None });
         timeline.tracker.wake()
     };
     // 300 ms minus the window (200) and its reserve (50), plus the period of the first pose (20):
@@ -249,7 +249,8 @@ fn the_latency_limits_the_grace() {
 #[test]
 fn a_pose_that_is_not_solved_when_due_is_extrapolated() {
     let mut timeline = Timeline::new().live();
-    let latency = Latency { declared: Nanos::from_ms(300), reserve: Nanos::from_ms(50) };
+    let [declared, reserve] = [300, 50].map(Nanos::from_ms);
+    let latency = Latency { declared, reserve, look_ahead: None };
     timeline.tracker.set_latency(latency);
     let mut timeline = timeline.begin();
     assert_eq!(timeline.poses.len(), 6, "frames 0 to 5");

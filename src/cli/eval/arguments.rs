@@ -16,8 +16,8 @@ except for the times.
 
 --recording solves a real recording instead and reports the reprojection error, the error in each
 camera when held out, and the distance to a reference. --drift-minutes measures the error over a long
-motion, --ablation varies our settings one at a time, --tune searches a method's weights on all
-other subjects.
+motion, --latencies the live tracker's at declared latencies, in simulated time, --ablation varies
+our settings one at a time, --tune searches a method's weights on all other subjects.
 
 Without --h36m the Human3.6M cameras are read from the folder of the variable BUNDLEMOCAP_DATA;
 default: ../shared.
@@ -30,6 +30,7 @@ Examples:
   bundlemocap eval --recording balancing.mcap --reference pose2sim.trc
   bundlemocap eval --recording walk.mcap --hold-out c4,c5 --methods all
   bundlemocap eval --motions motions/ --drift-minutes 10
+  bundlemocap eval --motions motions/ --latencies 20,35,50,75,100,150,200 --every 3
   bundlemocap eval --motions motions/ --ablation window,cameras --every 4
   bundlemocap eval --motions motions/ --tune default --every 12")]
 pub(in crate::cli) struct Arguments {
@@ -100,6 +101,9 @@ pub(in crate::cli) struct Arguments {
     /// Measure how the error changes over MINUTES.
     #[arg(long, value_name = "MINUTES", conflicts_with_all = ["ablation", "tune"])]
     pub(in crate::cli) drift_minutes: Option<f64>,
+    /// Measure final poses at these declared latencies, milliseconds, and provisional ones.
+    #[arg(long, value_name = "MS", value_delimiter = ',', conflicts_with_all = ["drift_minutes", "ablation", "tune"])]
+    pub(in crate::cli) latencies: Vec<f64>,
     /// Vary our settings one at a time: all, or some of window, publish, keyframe, interpolation,
     /// stiffness, robust_scale, optimiser, stop, scale, prior, prior_dof, errors, cameras, noise, fps.
     #[arg(long, value_name = "FACTORS", value_delimiter = ',', conflicts_with = "tune")]

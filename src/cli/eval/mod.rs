@@ -4,6 +4,7 @@ mod ablation;
 mod arguments;
 mod compare;
 mod drift;
+mod latency;
 mod output;
 mod recording;
 mod setup;
@@ -17,11 +18,16 @@ use compare::compare;
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     if arguments.recording.is_some() {
-        let names = method_names(&arguments.methods, &methods::OURS)?;
+        let names = match &arguments.latencies[..] {
+            [] => method_names(&arguments.methods, &methods::OURS)?,
+            latencies => latency::names(latencies)?,
+        };
         recording::run(arguments, &names)?;
     } else if let Some(minutes) = arguments.drift_minutes {
         let names = method_names(&arguments.methods, &["live"])?;
         drift::run(arguments, &names, minutes)?;
+    } else if !arguments.latencies.is_empty() {
+        latency::run(arguments)?;
     } else if !arguments.ablation.is_empty() {
         ablation::run(arguments)?;
     } else if let Some(method) = &arguments.tune {

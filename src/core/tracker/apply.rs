@@ -32,7 +32,7 @@ impl Tracker {
             }
             Outcome::NobodyFound => self.nobody_found(window),
             Outcome::Tracked(tracked) => self.tracked(window, *tracked),
-            Outcome::Provisional(fit) => self.fitted(window.end, *fit),
+            Outcome::Provisional(fit) => self.fitted(window, *fit),
         }
     }
 
@@ -231,10 +231,10 @@ impl Tracker {
     }
 
     /// A provisional fit of the open window.
-    fn fitted(&mut self, at: Timestamp, fit: ProvisionalFit) {
+    fn fitted(&mut self, window: Window, fit: ProvisionalFit) {
         let state = if fit.hidden { TrackingState::Coasting } else { TrackingState::Tracking };
-        self.publish_provisional(at, &fit.pose, state);
-        self.newest = Some(at);
+        self.publish_fit(window, &fit.poses, state);
+        self.newest = Some(window.end);
         self.ahead = fit.keyframes;
     }
 

@@ -27,7 +27,7 @@ pub struct Job {
     pub publish: Timestamp,
     /// Times of its keyframes; `publish` and `end` are among them.
     pub keyframe_times: Vec<Timestamp>,
-    /// Times of the requested final poses, after `start`.
+    /// Times of the requested poses; those of a window are after `start`.
     pub pose_times: Vec<Timestamp>,
     /// Detections in order of capture time.
     pub frames: Vec<Arc<Detections>>,
@@ -99,6 +99,8 @@ pub enum Task {
         ahead: Vec<TimedKeyframe>,
         /// The body.
         skeleton: Arc<Skeleton>,
+        /// Number of the last known keyframes that are solved again with the new ones.
+        again: usize,
     },
 }
 
@@ -131,13 +133,16 @@ pub enum Outcome {
     Provisional(Box<ProvisionalFit>),
 }
 
+/// A pose and its capture time.
+pub type PoseAt = (Timestamp, Pose);
+
 /// A provisional fit of the open window.
 #[derive(Clone, Debug)]
 pub struct ProvisionalFit {
     /// The keyframes after its start.
     pub keyframes: Vec<TimedKeyframe>,
-    /// The pose of the last one.
-    pub pose: Pose,
+    /// Poses at the job's times, which are not all after its start.
+    pub poses: Vec<PoseAt>,
     /// Whether too little was seen; the motion is then extrapolated.
     pub hidden: bool,
 }

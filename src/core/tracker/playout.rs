@@ -2,13 +2,20 @@
 //!
 //! Offline, every pose is published as soon as it is solved. Live, the pose of capture time t is
 //! due at t + the declared latency. Each time of the output grid gets a pose by its due time: if
-//! its window is not solved, the motion is extrapolated and the pose is flagged.
+//! it is not solved, the motion is extrapolated and the pose is flagged.
+//!
+//! A latency that is long enough for windows gives the poses of their solves. With a shorter one, the
+//! poses come from the provisional fits, as many frames later as the latency allows.
 
 use std::collections::BTreeSet;
 
+use super::config::Config;
 use super::event::EventKind;
+use super::job::PoseAt;
 use super::port::Output;
+use super::published::Published;
 use super::state_machine::{Phase, Tracker};
+use super::window::Window;
 use crate::core::body::{Pose, StampedPose, TrackingState};
 use crate::core::time::{Grid, Nanos, Timestamp};
 
@@ -16,6 +23,9 @@ use crate::core::time::{Grid, Nanos, Timestamp};
 pub(super) const MARGIN: Nanos = Nanos::from_ms(3);
 /// Time constant of the decay of an extrapolated motion, seconds.
 const DECAY: f64 = 0.1;
+/// Time constant of the offset of provisional poses from the newest fit, seconds, at the reference
+/// error of the detections. Smaller errors need less smoothing.
+const OFFSET_DECAY: f64 = 0.03;
 /// A live tracker that is this far behind skips the poses in between.
 const MAX_CATCH_UP: Nanos = Nanos::SECOND;
 
@@ -35,9 +45,36 @@ pub struct Live {
 pub struct Latency {
     /// From the capture of a pose to its publication.
     pub declared: Nanos,
-    /// The share for solving and publishing: a window closes at least this long before its
-    /// first pose is due.
+    /// The share for solving and publishing: a window or a frame set closes at least this long
+    /// before its first pose is due.
     pub reserve: Nanos,
+    /// Frames after a pose that it waits for; `None`: all frames of its window.
+    pub look_ahead: Option<usize>,
+}
+
+impl Latency {
+    /// The smallest latency without delay: the least time to solve and publish a provisional fit.
+    pub const LEAST: Nanos = Nanos::from_ms(6);
+    /// Usual time to solve and publish a provisional fit.
+    const FIT_RESERVE: Nanos = Nanos::from_ms(8);
+
+    /// A declared latency with as much look-ahead as it allows. `wait` is the time from the first
+    /// pose of a window to its end, `reserve` is the time to solve and publish a window, `delay`
+    /// that from the capture of a frame to its arrival.
+    pub fn new(
+        declared: Nanos,
+        [wait, reserve, delay]: [Nanos; 3],
+        period: Nanos,
+        config: &Config,
+    ) -> Self {
+        if declared >= wait + reserve + delay {
+            return Self { declared, reserve, look_ahead: None };
+        }
+        let reserve = (declared - delay).clamp(Self::LEAST, Self::FIT_RESERVE);
+        let frames = (declared - delay - reserve).ns() / period.ns().max(1);
+        let most = config.window() - config.publish();
+        Self { declared, reserve, look_ahead: Some((frames.max(0) as usize).min(most)) }
+    }
 }
 
 /// The published poses, and the poses to extrapolate from.
@@ -45,10 +82,10 @@ pub struct Latency {
 pub(super) struct Playout {
     /// The capture time of the last final pose that was published.
     published: Option<Timestamp>,
-    /// The last two known final poses.
-    last_two: [Option<(Timestamp, Pose)>; 2],
-    /// The newest provisional pose.
-    newest: Option<(Timestamp, Pose)>,
+    /// The known final poses.
+    finals: Published,
+    /// The provisional poses.
+    provisionals: Published,
     /// Capture times of provisional poses without a final one yet.
     provisional: BTreeSet<Timestamp>,
     /// Number of poses that were extrapolated because no solved pose was there in time.
@@ -58,23 +95,6 @@ pub(super) struct Playout {
 }
 
 impl Playout {
-    /// Keeps a final pose.
-    fn add_final(&mut self, capture: Timestamp, pose: &Pose) {
-        if self.last_two[1].as_ref().is_none_or(|(last, _)| capture > *last) {
-            self.last_two.swap(0, 1);
-            self.last_two[1] = Some((capture, pose.clone()));
-        }
-        if self.newest.as_ref().is_some_and(|(newest, _)| *newest <= capture) {
-            self.newest = None;
-        }
-    }
-
-    /// Keeps a provisional pose.
-    fn add_provisional(&mut self, capture: Timestamp, pose: &Pose) {
-        self.newest = Some((capture, pose.clone()));
-        self.provisional.insert(capture);
-    }
-
     /// Whether the final pose of a time replaces a provisional one. Call it once for each time, in
     /// order of time.
     fn supersedes(&mut self, capture: Timestamp) -> bool {
@@ -83,14 +103,10 @@ impl Playout {
         self.provisional.remove(&capture)
     }
 
-    /// The last pose begins a path: do not extrapolate from the pose before it.
+    /// The last final pose begins a path: do not continue from the poses before it.
     pub(super) fn begin_path(&mut self) {
-        self.last_two[0] = None;
-    }
-
-    /// The last known final pose.
-    fn last(&self) -> Option<&Pose> {
-        self.last_two[1].as_ref().map(|(_, pose)| pose)
+        self.finals.begin_path();
+        self.provisionals = Published::default();
     }
 
     /// The time of the next pose to publish.
@@ -106,12 +122,13 @@ impl Playout {
     /// A pose at `capture`: interpolated towards the newest provisional pose, or else extrapolated
     /// from the known ones.
     fn extrapolate(&self, capture: Timestamp) -> Option<Pose> {
-        let (at, last) = self.last_two[1].as_ref()?;
-        if let Some((newest_at, newest)) = self.newest.as_ref().filter(|(newest, _)| newest > at) {
+        let (at, last) = self.finals.last()?;
+        let newest = self.provisionals.last().filter(|(newest, _)| newest > at);
+        if let Some((newest_at, newest)) = newest {
             let s = capture.fraction(*at, *newest_at);
             return Some(last.interpolate(newest, s.clamp(0.0, 1.0)));
         }
-        let Some((before_at, before)) = &self.last_two[0] else { return Some(last.clone()) };
+        let Some((before_at, before)) = self.finals.before() else { return Some(last.clone()) };
         let step = at.seconds_since(*before_at);
         let ahead = capture.seconds_since(*at).max(0.0);
         let s = DECAY * (1.0 - libm::exp(-ahead / DECAY)) / step;
@@ -127,17 +144,65 @@ fn same_time(grid: &Grid) -> Nanos {
 impl Tracker {
     /// Publishes a final pose. Live, only if it is not overdue and its time has no pose.
     pub(super) fn publish_final(&mut self, capture: Timestamp, pose: &Pose, state: TrackingState) {
-        self.playout.add_final(capture, pose);
+        self.playout.finals.add(capture, pose);
         if self.live.is_some() {
             let Some(latency) = self.latency else { return };
             let is_due = self.now.is_some_and(|now| now > capture + latency.declared);
             let grid = self.output_grid();
             if is_due || grid.is_some_and(|grid| self.playout.is_published(capture, &grid)) {
-                self.playout.missed += u64::from(self.playout.published.is_some());
+                // A window's poses have been published before if the look-ahead is shorter.
+                let is_miss = latency.look_ahead.is_none() && self.playout.published.is_some();
+                self.playout.missed += u64::from(is_miss);
                 return;
             }
         }
         self.push_pose(capture, pose.clone(), state, false);
+    }
+
+    /// The frames after a pose that it waits for, where poses come from provisional fits.
+    pub(super) fn look_ahead(&self) -> Option<usize> {
+        self.latency.filter(|_| self.live.is_some())?.look_ahead
+    }
+
+    /// The times of the final poses of a provisional fit of `window` up to its end: those without a
+    /// pose that have their look-ahead, or all but less than a frame of it.
+    pub(super) fn final_times(&self, window: Window) -> Vec<Timestamp> {
+        let (Some(frames), Some(grid)) = (self.look_ahead(), self.output_grid()) else {
+            return Vec::new();
+        };
+        let ahead = |frames: usize| Nanos::rounded(frames as f64 * self.frame_period());
+        // The times of a grid are rounded.
+        let until = match frames {
+            0 => window.end + Nanos::new(1000),
+            _ => window.end - ahead(frames - 1) - Nanos::new(1000),
+        };
+        let published = self.playout.published.map(|last| last + same_time(&grid));
+        let after = published.unwrap_or(until - Nanos::rounded(grid.period_ns));
+        grid.between(after.max(window.start + same_time(&grid)), until).collect()
+    }
+
+    /// The times of a provisional fit's poses: its end and the final ones, and the last published
+    /// ones before them.
+    pub(super) fn fit_times(&self, window: Window) -> Vec<Timestamp> {
+        let Playout { finals, provisionals, .. } = &self.playout;
+        let before = finals.times().chain(provisionals.times());
+        before.chain(self.final_times(window)).chain([window.end]).collect()
+    }
+
+    /// Publishes the poses of a provisional fit of `window` up to its end.
+    pub(super) fn publish_fit(&mut self, window: Window, fit: &[PoseAt], state: TrackingState) {
+        let noise = self.noise.factor(self.config.reference_residual_px);
+        let decay = OFFSET_DECAY * libm::sqrt(noise.min(1.0));
+        if let Some(newest) = self.playout.provisionals.continued(window.end, fit, decay) {
+            self.publish_provisional(window.end, &newest, state);
+        }
+        // Fits revise poses with look-ahead less.
+        let decay = decay / (1.0 + 0.5 * self.look_ahead().unwrap_or(0) as f64);
+        for capture in self.final_times(window) {
+            if let Some(pose) = self.playout.finals.continued(capture, fit, decay) {
+                self.publish_final(capture, &pose, state);
+            }
+        }
     }
 
     /// Publishes a provisional pose of a live tracker, if enabled.
@@ -148,7 +213,8 @@ impl Tracker {
         state: TrackingState,
     ) {
         if self.live.is_some_and(|live| live.provisional) {
-            self.playout.add_provisional(capture, pose);
+            self.playout.provisionals.add(capture, pose);
+            self.playout.provisional.insert(capture);
             self.push_pose(capture, pose.clone(), state, true);
         }
     }
@@ -177,9 +243,8 @@ impl Tracker {
 
     /// Repeats the last pose, flagged lost, at the pose times after `start` up to `end`.
     pub(super) fn repeat_last_pose(&mut self, start: Timestamp, end: Timestamp) {
-        let (Some(last), Some(grid)) = (self.playout.last().cloned(), self.output_grid()) else {
-            return;
-        };
+        let last = self.playout.finals.last().map(|(_, pose)| pose.clone());
+        let (Some(last), Some(grid)) = (last, self.output_grid()) else { return };
         for capture in grid.between(start, end) {
             self.publish_final(capture, &last, TrackingState::Lost);
         }

@@ -9,6 +9,10 @@ use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
 use crate::core::time::{Nanos, Timestamp};
 
+/// Number of known keyframes of the open window that a provisional fit solves again with the new
+/// ones, besides those of its look-ahead.
+const SOLVED_AGAIN: usize = 3;
+
 impl Tracker {
     /// Sends the job of a complete window: an acquisition or a solve.
     pub(super) fn send_window(&mut self, window: Window) {
@@ -39,19 +43,22 @@ impl Tracker {
         let (Some(skeleton), Some(grid)) = (self.skeleton.clone(), self.frames) else {
             return false;
         };
-        if self.effort.provisional_iterations == 0
-            || !self.live.is_some_and(|live| live.provisional)
-        {
+        let is_needed = self.look_ahead().is_some();
+        let is_wanted = self.live.is_some_and(|live| live.provisional);
+        if !is_needed && (self.effort.provisional_iterations == 0 || !is_wanted) {
             return false;
         }
         let k = grid.at_or_before(complete_until + self.tolerance());
         let end = grid.time(k).min(window.end);
         let last = self.newest.unwrap_or(window.start).max(window.start);
         let from_start = k - grid.nearest(window.start);
-        if end <= last || from_start % self.effort.stride.max(1) as i64 != 0 {
+        let stride = if is_needed { 1 } else { self.effort.stride.max(1) };
+        if end <= last || from_start % stride as i64 != 0 {
             return false;
         }
-        let task = Task::Provisional { past: past.clone(), ahead: self.ahead.clone(), skeleton };
+        let again = SOLVED_AGAIN + self.look_ahead().unwrap_or(0);
+        let (past, ahead) = (past.clone(), self.ahead.clone());
+        let task = Task::Provisional { past, ahead, skeleton, again };
         self.send(Window { end, publish: end, ..window }, task)
     }
 
@@ -61,7 +68,11 @@ impl Tracker {
         let number = self.jobs;
         self.jobs += 1;
         self.pending = Some(PendingJob { number, window });
-        let output_grid = self.output_grid();
+        let pose_times = match (&task, self.output_grid()) {
+            (Task::Provisional { .. }, _) => self.fit_times(window),
+            (_, Some(grid)) => grid.between(window.start, window.publish).collect(),
+            (_, None) => Vec::new(),
+        };
         self.outputs.push_back(Output::Solve(Box::new(Job {
             number,
             window: self.window,
@@ -69,8 +80,7 @@ impl Tracker {
             end: window.end,
             publish: window.publish,
             keyframe_times: self.keyframe_times(window),
-            pose_times: output_grid
-                .map_or_else(Vec::new, |grid| grid.between(window.start, window.publish).collect()),
+            pose_times,
             frames: self.intake.up_to(window.end + self.tolerance()),
             format,
             rig: Arc::clone(&self.rig),

@@ -208,11 +208,15 @@ impl Tracker {
     /// before.
     pub fn wake(&self) -> Option<Timestamp> {
         let due = self.due().map(|due| due - MARGIN);
-        let length = self.open_frames() as f64 * self.frame_period();
-        let length = Nanos::new(length as i64);
-        let end = self.start.filter(|_| self.pending.is_none()).map(|start| start + length);
-        // A little later, since the grid's times are rounded.
-        due.into_iter().chain(end.map(|end| end + self.grace() + Nanos::new(1000))).min()
+        let after = |start: Option<Timestamp>, frames: usize| {
+            let length = Nanos::new((frames as f64 * self.frame_period()) as i64);
+            // A little later, since the grid's times are rounded.
+            let wait = length + self.grace() + Nanos::new(1000);
+            start.filter(|_| self.pending.is_none()).map(|start| start + wait)
+        };
+        let fitted = self.look_ahead().and(self.newest.max(self.start));
+        let fit = after(fitted, 1).filter(|at| Some(*at) > self.now);
+        due.into_iter().chain(fit).chain(after(self.start, self.open_frames())).min()
     }
 
     /// The state of the performer: `Lost` if the body is known but nobody is tracked, `None` before the

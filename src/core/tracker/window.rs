@@ -135,8 +135,11 @@ impl Tracker {
         let Some(latency) = self.latency else { return asked };
         // The window's first pose is one output period after its start.
         let output = self.output_grid().map_or(0.0, |grid| grid.period_ns) as i64;
-        let output = Nanos::new(output);
-        let left = latency.declared - self.span() + output - latency.reserve;
+        let wait = match self.look_ahead() {
+            Some(frames) => Nanos::rounded(frames as f64 * self.frame_period()),
+            None => self.span() - Nanos::new(output),
+        };
+        let left = latency.declared - wait - latency.reserve;
         asked.min(left.max(Nanos::ZERO))
     }
 
@@ -177,12 +180,16 @@ impl Tracker {
     }
 
     /// The capture time up to which frame sets are complete: all expected cameras have reached it,
-    /// or the first cameras are one frame past it.
+    /// or the first cameras are one frame past it. Where poses come from provisional fits, frame sets
+    /// wait no longer than windows do.
     fn complete_until(&self) -> Option<Timestamp> {
         let cameras = (0..self.rig.cameras.len()).filter(|&c| self.waiting.is_waited_for(c));
         let complete = cameras.map(|camera| self.intake.watermark(camera)).min().flatten();
-        let moved_on = self.intake.front().map(|at| at - Nanos::new(self.frame_period() as i64));
-        complete.max(moved_on)
+        let front = self.intake.front();
+        let moved_on = front.map(|at| at - Nanos::new(self.frame_period() as i64));
+        let overdue =
+            self.now.filter(|_| self.look_ahead().is_some()).map(|now| now - self.grace());
+        complete.max(moved_on).max(overdue.min(front))
     }
 
     /// The next window begins at a given time or with the next frame; the grid begins again.

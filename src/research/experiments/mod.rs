@@ -7,6 +7,7 @@
 pub mod ablation;
 mod case;
 pub mod drift;
+pub mod latency;
 pub mod methods;
 mod named;
 pub mod plots;

@@ -1,7 +1,8 @@
 //! The methods by name.
 
 use super::{
-    Dct, DctWeights, Dmmr, Etc, Method, MuVs, Slahmr, SlahmrWeights, Triangulation, Windows,
+    Dct, DctWeights, Dmmr, Etc, LiveTracker, Method, MuVs, Slahmr, SlahmrWeights, Triangulation,
+    Windows,
 };
 use crate::core::manifold::Transition;
 
@@ -42,7 +43,7 @@ pub fn all() -> Vec<Box<dyn Method>> {
 }
 
 /// The method of that name with its default weights; `None` if the name is unknown. `dct-300` is DCT
-/// with ten times its iterations.
+/// with ten times its iterations, `live-50` the live tracker at a latency of 50 ms.
 pub fn named(name: &str) -> Option<Box<dyn Method>> {
     Some(match name {
         "triangulation" => Box::new(Triangulation::butterworth()),
@@ -64,6 +65,7 @@ pub fn named(name: &str) -> Option<Box<dyn Method>> {
         "on-manifold" => Box::new(Windows::on_manifold()),
         "default" => Box::new(Windows::default_settings()),
         "live" => Box::new(Windows::live()),
-        _ => return None,
+        "provisional" => Box::new(LiveTracker::Provisional),
+        _ => Box::new(LiveTracker::at(name.strip_prefix("live-")?)?),
     })
 }

@@ -35,10 +35,12 @@ impl Known<'_> {
         Some([before, last])
     }
 
-    /// The keyframe at a time: interpolated; after the last one, the last one.
+    /// The keyframe at a time: interpolated; before the first one the first, after the last one the
+    /// last.
     pub(super) fn at(&self, time: Timestamp, interpolation: Interpolation) -> Option<Keyframe> {
-        let mut earlier = self.past.last()?;
-        for later in self.ahead {
+        let mut path = self.past.iter().chain(self.ahead);
+        let mut earlier = path.next()?;
+        for later in path {
             if time <= later.capture {
                 let s = time.fraction(earlier.capture, later.capture);
                 let s = s.max(0.0);

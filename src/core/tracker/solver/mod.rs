@@ -80,8 +80,8 @@ impl Solver {
                 let known = Known { past, ahead, skeleton };
                 self.track(job, &points, known, (skeleton, estimator), *coasted)
             }
-            Task::Provisional { past, ahead, skeleton } => {
-                self.provisional(job, &points, Known { past, ahead, skeleton })
+            Task::Provisional { past, ahead, skeleton, again } => {
+                self.provisional(job, &points, Known { past, ahead, skeleton }, *again)
             }
         }
     }

@@ -19,9 +19,6 @@ use crate::core::tracker::verdict::{hidden, residuals, verdict};
 
 /// Time constant of the decay of an extrapolated motion, seconds.
 const DECAY: f64 = 0.1;
-/// Number of known keyframes of the open window that a provisional fit solves again with the new
-/// ones.
-const PROVISIONAL_KEYFRAMES: usize = 2;
 /// Share of the previous window in a window's first keyframe.
 const BLEND: f64 = 0.5;
 /// Smallest variance of the detections, relative to the reference level, when the body is estimated:
@@ -189,18 +186,25 @@ impl Solver {
 
     /// Fits the open window up to its newest frame set. Only the last known keyframes and the new
     /// ones are free; the window's own solve frees the others.
-    pub(super) fn provisional(&mut self, job: &Job, points: &[BodyPoint], known: Known) -> Outcome {
+    pub(super) fn provisional(
+        &mut self,
+        job: &Job,
+        points: &[BodyPoint],
+        known: Known,
+        again: usize,
+    ) -> Outcome {
         let Some(from) = known.past.last() else { return Outcome::NobodyFound };
         let observations =
             self.follow(job.used_frames(), points, &job.rig, &from.keyframe, known.skeleton);
         let hidden = hidden(&self.config.gate, job, &observations).is_some();
         let keyframes = match hidden {
             true => known.ahead.to_vec(),
-            false => self.fit_newest(job, points, known, &observations),
+            false => self.fit_newest(job, points, known, again, &observations),
         };
         let solved = Known { ahead: &keyframes, ..known };
-        let pose = self.poses_at(solved, [job.end].into_iter()).pop().unwrap_or_else(Pose::rest);
-        Outcome::Provisional(Box::new(ProvisionalFit { keyframes, pose, hidden }))
+        let times = job.pose_times.iter().copied();
+        let poses = times.clone().zip(self.poses_at(solved, times)).collect();
+        Outcome::Provisional(Box::new(ProvisionalFit { keyframes, poses, hidden }))
     }
 
     fn fit_newest(
@@ -208,16 +212,17 @@ impl Solver {
         job: &Job,
         points: &[BodyPoint],
         known: Known,
+        again: usize,
         observations: &[FrameObservations],
     ) -> Vec<TimedKeyframe> {
-        let kept = known.ahead.len().saturating_sub(PROVISIONAL_KEYFRAMES);
+        let kept = known.ahead.len().saturating_sub(again);
         let (kept, ahead) = known.ahead.split_at(kept);
         let path = [known.past, kept].concat();
         let past = &path[path.len().saturating_sub(2)..];
         let start = past.last().map_or(job.start, |last| last.capture);
         let recent = between(observations, [start, job.end].map(|at| at + job.half_period()));
         let window = Known { past, ahead, ..known };
-        let steps = Steps::of(job.effort.provisional_iterations);
+        let steps = Steps::of(job.effort.provisional_iterations.max(1));
         let (solved, _) = self.keyframes(job, points, window, &job.keyframe_times, recent, steps);
         kept.iter().cloned().chain(solved).collect()
     }
