@@ -2,12 +2,15 @@
 //!
 //! The cost is in square pixels. If the errors of a detector have twice the variance, its detections
 //! carry half the information, so the weights of prior and stiffness are proportional to the variance.
+//! They are also proportional to the mean confidence: a detector's scale of confidences has no meaning.
 
 use super::association::median;
 use crate::core::time::Timestamp;
 
 /// Number of windows that the running mean covers, about.
 const WINDOWS: f64 = 20.0;
+/// Mean confidence for which the weights were tuned.
+const USUAL_CONFIDENCE: f64 = 0.6;
 /// Limits of the weights' factor: small errors leave the errors of our model, and with large errors
 /// poses must still follow the detections.
 const FACTORS: (f64, f64) = (0.08, 2.0);
@@ -36,6 +39,8 @@ pub struct Noise {
     square: f64,
     /// Mean of the windows' median errors as parts of the performer's height.
     relative: f64,
+    /// Mean confidence of the detections.
+    confidence: f64,
     /// Number of windows in it, at most [`WINDOWS`].
     windows: f64,
 }
@@ -53,7 +58,10 @@ impl Noise {
         let windows = (self.windows + 1.0).min(WINDOWS);
         let square = self.square + (error * error - self.square) / windows;
         let relative = self.relative + (relative - self.relative) / windows;
-        Self { square, relative, windows }
+        let confidence =
+            residuals.iter().map(|r| r.confidence).sum::<f64>() / residuals.len() as f64;
+        let confidence = self.confidence + (confidence - self.confidence) / windows;
+        Self { square, relative, confidence, windows }
     }
 
     /// The median error of the detections, pixels; `None` before the first window.
@@ -67,13 +75,15 @@ impl Noise {
         self.relative
     }
 
-    /// The factor of weights that were tuned for median errors of `usual_px`; 1 before the first
+    /// The factor of weights that were tuned for median errors of `usual_px` and
+    /// [`USUAL_CONFIDENCE`]; 1 before the first
     /// window or if `usual_px` is 0.
     pub(super) fn factor(&self, usual_px: f64) -> f64 {
         if self.windows == 0.0 || usual_px == 0.0 {
             return 1.0;
         }
-        (self.square / (usual_px * usual_px)).clamp(FACTORS.0, FACTORS.1)
+        let variance = self.square / (usual_px * usual_px);
+        (variance * self.confidence / USUAL_CONFIDENCE).clamp(FACTORS.0, FACTORS.1)
     }
 }
 
@@ -89,7 +99,7 @@ mod tests {
             point: k,
             error_px: if k == 0 { 500.0 } else { error_px },
             error_relative: 0.01,
-            confidence: 1.0,
+            confidence: USUAL_CONFIDENCE,
         };
         (0..9).map(residual).collect()
     }
@@ -103,6 +113,14 @@ mod tests {
         assert!((known(12.0).factor(10.0) - 1.44).abs() < 1e-12);
         assert_eq!([known(0.1), known(90.0)].map(|n| n.factor(10.0)), [FACTORS.0, FACTORS.1]);
         assert_eq!(known(12.0).factor(0.0), 1.0);
+    }
+
+    #[test]
+    fn weights_scale_with_the_confidence() {
+        let halved = |r: Residual| Residual { confidence: 0.5 * r.confidence, ..r };
+        let [usual, low] = [window(10.0), window(10.0).into_iter().map(halved).collect()]
+            .map(|residuals| Noise::default().with(&residuals).factor(10.0));
+        assert!((low / usual - 0.5).abs() < 1e-12, "{low} {usual}");
     }
 
     #[test]
