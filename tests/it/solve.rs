@@ -241,8 +241,9 @@ fn the_gradient_of_corrections_matches_central_differences() {
     let path = case.path(&[false, true, true, true], &case.truth[1]);
     let observations = &case.observations;
     let poses = observations.iter().map(|_| case.decoder.pose(&case.truth[1])).collect();
+    let stand = path.iter().map(|_| case.decoder.pose(&case.truth[1])).collect();
     let problem =
-        CorrectionProblem::new(case.scene(&config), path, &case.skeleton, observations, poses);
+        CorrectionProblem::new(case.scene(&config), path, &case.skeleton, observations, poses, stand);
     let x: Vec<f64> = (0..3 * CORRECTION).map(|i| 0.1 * (1.3 * i as f64).sin()).collect();
     let mut equations = NormalEquations::zeros(problem.layout());
     let problem = std::cell::RefCell::new(problem);
