@@ -35,7 +35,7 @@ pub struct Config {
     /// Weight of the squared velocities of standing feet, square pixels per (m/s)^2 and frame; 0 lets
     /// feet slide. Part of the corrections. Differs: the paper has none.
     pub foot_contact: f64,
-    /// The speed of a foot that has a quarter of this weight, m/s.
+    /// The speed from which a foot does not stand, m/s.
     pub foot_contact_speed: f64,
     /// How latent codes are interpolated between keyframes.
     pub interpolation: Interpolation,
@@ -54,7 +54,7 @@ impl Default for Config {
             offset_prior: 300.0,
             jacobian_reuse_radius: 0.7,
             correction_prior: 6000.0,
-            foot_contact: 4000.0,
+            foot_contact: 1e4,
             foot_contact_speed: 0.3,
             interpolation: Interpolation::Slerp,
             stiffness: Stiffness::default(),

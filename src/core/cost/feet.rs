@@ -1,8 +1,9 @@
 //! Feet that stand: velocities of ankles and feet have a cost while they are slow.
 //!
 //! Between two keyframes, t seconds apart, a joint at P has the velocity v = (P_k - P_(k-1)) / t. It
-//! costs 1/2 n_k w c |v|^2, as in \[Ye 2023\]. The contact c = 1 / (1 + (u / s)^2)^2 follows the speed
-//! u of the joint on the path before its correction, over some keyframes before and after. Standing
+//! costs 1/2 n_k w c |v|^2, as in \[Ye 2023\]. The contact c = (1 - (u / s)^2)^2, and 0 from u = s on,
+//! follows the speed u of the joint on the path before correction, from two keyframes before to two
+//! after. Standing
 //! feet stay where the detections show them on average, on whatever they stand; there is no floor.
 
 use nalgebra::{Matrix3, Vector3};
@@ -49,7 +50,7 @@ impl Feet {
             FEET.map(|joint| {
                 let [start, end] = [from, to].map(|k| postures[k].positions[joint.index()]);
                 let ratio = (end - start).norm_squared() / (seconds * speed).powi(2);
-                if k == 0 { 0.0 } else { 1.0 / (1.0 + ratio).powi(2) }
+                if k == 0 { 0.0 } else { (1.0 - ratio).max(0.0).powi(2) }
             })
         };
         Self { contacts: (0..postures.len()).map(contact).collect(), poses }

@@ -32,6 +32,7 @@ pub const LADDER: &[&str] = &[
     "fixed",
     "weighted",
     "on-manifold",
+    "feet-slide",
     "default",
     "live",
 ];
@@ -62,6 +63,7 @@ pub fn named(name: &str) -> Option<Box<dyn Method>> {
         "fixed" => Box::new(Windows::fixed()),
         "weighted" => Box::new(Windows::weighted()),
         "on-manifold" => Box::new(Windows::on_manifold()),
+        "feet-slide" => Box::new(Windows::feet_slide()),
         "default" => Box::new(Windows::default_settings()),
         "live" => Box::new(Windows::live()),
         _ => return None,
