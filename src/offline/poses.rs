@@ -13,8 +13,8 @@ use super::truth::TruthComparison;
 use crate::core::body::{Joint, Skeleton};
 use crate::core::time::Timestamp;
 use crate::io::report::flexion_deg;
-use crate::metrics::{FootSkate, FootSkateSums, MeanAcceleration};
 use crate::metrics::statistics::median;
+use crate::metrics::{FootSkate, FootSkateSums, MeanAcceleration};
 
 /// Number of first poses that give the frame rate; they wait in memory until then.
 const HEAD: usize = 4096;

@@ -177,7 +177,8 @@ impl Rows {
 
     fn add_foot_skate(&mut self, skate: &FootSkate) {
         let FootSkate { mm_s, truth_mm_s, contact_percent, .. } = skate;
-        let truth = truth_mm_s.map_or_else(String::new, |truth| format!(" (truth {truth:.0} mm/s)"));
+        let truth =
+            truth_mm_s.map_or_else(String::new, |truth| format!(" (truth {truth:.0} mm/s)"));
         let value = format!("{mm_s:.0} mm/s{truth}, {contact_percent:.0} % contact");
         self.add("foot skate", value);
     }

@@ -99,7 +99,9 @@ mod tests {
         let compare = |add: &dyn Fn(&mut TruthComparison)| {
             let mut comparison = TruthComparison::default();
             add(&mut comparison);
-            comparison.finish(&body, 50.0).map(|(errors, _)| (errors.frames, errors.mpjpe_mm.round()))
+            comparison
+                .finish(&body, 50.0)
+                .map(|(errors, _)| (errors.frames, errors.mpjpe_mm.round()))
         };
         let truths = |c: &mut TruthComparison| (0..100).for_each(|i| c.add_truth(truth(i)));
         let poses = |c: &mut TruthComparison| {

@@ -124,7 +124,8 @@ impl<'a> CorrectionProblem<'a> {
         equations.clear();
         let mut cost = self.add_regularisers(x, equations);
         let weight = self.scene.config.foot_contact;
-        cost += self.feet.add(&self.path, self.skeleton, |k| self.correction(k, x), weight, equations);
+        cost +=
+            self.feet.add(&self.path, self.skeleton, |k| self.correction(k, x), weight, equations);
         for m in 0..self.observations.len() {
             let shares = self.shares(self.observations[m].capture);
             let [(from, _), (to, s)] = shares;

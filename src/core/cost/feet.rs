@@ -77,10 +77,11 @@ impl Feet {
                 let moved = to.position - from.position;
                 cost += 0.5 * scale * moved.norm_squared();
                 let ends = [(k - 1, from, -1.0), (k, to, 1.0)];
-                let free = ends.into_iter().filter(|(k, ..)| *k >= fixed).flat_map(|(k, at, sign)| {
-                    let row = move |i: usize| (k - fixed) * CORRECTION + 3 * i;
-                    at.by.iter().map(move |(i, by)| (k, row(*i), by * sign))
-                });
+                let free =
+                    ends.into_iter().filter(|(k, ..)| *k >= fixed).flat_map(|(k, at, sign)| {
+                        let row = move |i: usize| (k - fixed) * CORRECTION + 3 * i;
+                        at.by.iter().map(move |(i, by)| (k, row(*i), by * sign))
+                    });
                 for (k, row, by) in free.clone() {
                     let gradient = by.tr_mul(&moved) * scale;
                     let out = equations.gradient[row..row + 3].iter_mut();
