@@ -106,7 +106,7 @@ impl FootSkateSums {
                 below as f64 >= BELOW_FLOOR * frames as f64
             });
             let Some((&floor, _)) = floor else { continue };
-            for (_, bin) in heights.range(..floor + CONTACT_HEIGHT) {
+            for (_, bin) in heights.range(..floor.saturating_add(CONTACT_HEIGHT)) {
                 contacts += bin.slow;
                 (0..2).for_each(|run| sums[run] += bin.sums[run]);
             }

@@ -2,9 +2,10 @@
 //!
 //! The path on the manifold is known. The unknowns are the corrections c_k of its free keyframes;
 //! between keyframes they run along lines. They minimise the cost of the observations plus a prior
-//! 1/2 n_k correction_prior |c_k|^2 and 1/2 n_k stiffness |acceleration of c at k|^2. The prior is
-//! stiff, so corrections stay a few degrees, and zero where nothing is seen. The problem is nearly
-//! quadratic: one Gauss-Newton step from the corrections of the window before solves it.
+//! 1/2 n_k correction_prior |c_k|^2, 1/2 n_k stiffness |acceleration of c at k|^2 and a cost of the
+//! velocities of standing feet ([`Feet`]). The prior is stiff, so corrections stay a few degrees, and
+//! zero where nothing is seen. The problem is nearly quadratic: one Gauss-Newton step from the
+//! corrections of the window before solves it.
 
 use nalgebra::Vector3;
 

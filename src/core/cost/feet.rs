@@ -1,10 +1,10 @@
 //! Feet that stand: velocities of ankles and feet have a cost while they are slow.
 //!
 //! Between two keyframes, t seconds apart, a joint at P has the velocity v = (P_k - P_(k-1)) / t. It
-//! costs 1/2 n_k w c |v|^2, as in \[Ye 2023\]. The contact c = (1 - (u / s)^2)^2, and 0 from u = s on,
-//! follows the speed u of the joint on the path before correction, from two keyframes before to two
-//! after. Standing
-//! feet stay where the detections show them on average, on whatever they stand; there is no floor.
+//! costs 1/2 n_k w c |v|^2, as in \[Ye 2023\]. The contact is c = (1 - (u / s)^2)^2, and 0 for u > s:
+//! u is the joint's speed on the path before correction, from two keyframes before to two after.
+//! Standing feet stay where the detections show them on average, on whatever they stand; no floor is
+//! needed.
 
 use nalgebra::{Matrix3, Vector3};
 
