@@ -87,6 +87,7 @@
 //!   markerless kinematics. Journal of Open Source Software 7(77).
 //! - \[Pavlakos 2019\] Pavlakos et al. Expressive body capture: 3D hands, face, and body from a
 //!   single image. CVPR 2019.
+//! - \[Rempe 2021\] Rempe et al. HuMoR: 3D human motion model for robust pose estimation. ICCV 2021.
 //! - \[Sola 2018\] Sola, Deray, Atchuthan. A micro Lie theory for state estimation in robotics.
 //!   arXiv:1812.01537.
 //! - \[Welch 1967\] Welch. The use of fast Fourier transform for the estimation of power spectra.

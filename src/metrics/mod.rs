@@ -12,13 +12,14 @@
 //! | PCK@3, PCK@7 | share of joints with e <= 3 cm, 7 cm | % |
 //! | acceleration error | mean of \|P'' - P*''\|, P'' = (P(t+1) - 2 P(t) + P(t-1)) fps^2 | m/s^2 |
 //! | jump at borders | [`VelocityJump`]: mean \|v(t+) - v(t-)\| at window borders, less that of the true motion there | m/s |
-//! | foot skate | [`foot_skate`]: horizontal speed of feet whose true speed and height mean contact | mm/s |
+//! | foot skate | [`foot_skate`]: mean horizontal speed of ankles and feet whose true speed and height mean contact | mm/s |
 //! | drift | [`slope_interval`] of the frames' mean e over time | mm/min |
 //!
 //! Means over several recordings have the intervals of [`mean_interval`].
 
 mod detector_statistics;
 mod distribution;
+mod feet;
 mod limbs;
 mod markers;
 mod motion;
@@ -31,9 +32,10 @@ pub use detector_statistics::{
     ConfidenceBin, DetectorStatistics, DetectorTracks, PointTrack, Seen,
 };
 pub use distribution::Distribution;
+pub use feet::{FootSkate, FootSkateSums, foot_skate};
 pub use limbs::{LIMB_JOINTS, LimbErrors, SPEEDS_M_S, limb_errors, limb_joints};
 pub use markers::{COMPARED, MarkerDistance, MarkerDistances, MarkerPositions};
-pub use motion::{FootSkate, VelocityJump, foot_skate, velocity_jump, velocity_jumps};
+pub use motion::{VelocityJump, velocity_jump, velocity_jumps};
 pub use pose_errors::{
     MeanAcceleration, PoseErrorSums, PoseErrors, acceleration_error, mean_acceleration, pose_errors,
 };

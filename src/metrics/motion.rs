@@ -1,19 +1,9 @@
-//! Errors of motion: velocity jumps where windows meet, and feet that slide.
+//! Velocity jumps where windows meet.
 
-use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::statistics::{mean, percentile};
-use crate::core::body::{JOINTS, Joint, Posture};
-
-/// Contact: the foot is less than this above its floor, metres, and ...
-const CONTACT_HEIGHT: f64 = 0.04;
-/// ... its true speed is below this, m/s.
-const CONTACT_SPEED: f64 = 0.2;
-/// The floor is this percentile of the foot's true heights: the lowest values are noise.
-const FLOOR_PERCENTILE: f64 = 5.0;
-/// The joints that touch the ground.
-const FEET: [Joint; 2] = [Joint::LFoot, Joint::RFoot];
+use super::statistics::mean;
+use crate::core::body::{JOINTS, Posture};
 
 /// Velocity jumps from frame to frame at window borders and elsewhere: mean over joints and frames
 /// of |v(t+) - v(t-)|, m/s, with v(t+) - v(t-) = (P(t+1) - 2 P(t) + P(t-1)) fps.
@@ -53,49 +43,10 @@ pub fn velocity_jumps(run: &[Posture], fps: f64) -> impl Iterator<Item = (usize,
     })
 }
 
-/// Speed of feet that should stand still.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct FootSkate {
-    /// Mean horizontal speed of the estimated foot joints in contact, mm/s.
-    pub mm_s: f64,
-    /// The same for the true joints: speed in the motion itself.
-    pub truth_mm_s: f64,
-    /// Number of contacts: frames, counted for each foot.
-    pub contacts: usize,
-}
-
-/// Foot skate of two runs of the same times, without gaps, at `fps`. Speeds are
-/// |P(t+1) - P(t-1)| fps / 2. A foot is in contact in a frame if its true joint (l_foot, r_foot) is
-/// less than 4 cm above its floor, the 5th percentile of its true heights, and its true speed is
-/// below 0.2 m/s. `None` without a contact.
-pub fn foot_skate(estimate: &[Posture], truth: &[Posture], fps: f64) -> Option<FootSkate> {
-    let (mut sums, mut contacts) = ([0.0; 2], 0usize);
-    for foot in FEET.map(Joint::index) {
-        let heights: Vec<f64> = truth.iter().map(|posture| posture.positions[foot].y).collect();
-        let floor = percentile(&heights, FLOOR_PERCENTILE)?;
-        let velocity = |run: &[Posture], frame: usize| {
-            (run[frame + 1].positions[foot] - run[frame - 1].positions[foot]) * (0.5 * fps)
-        };
-        let last = estimate.len().min(truth.len()).saturating_sub(1);
-        for (frame, height) in heights.iter().enumerate().take(last).skip(1) {
-            let true_velocity = velocity(truth, frame);
-            if height - floor < CONTACT_HEIGHT && true_velocity.norm() < CONTACT_SPEED {
-                sums[0] += horizontal(&velocity(estimate, frame));
-                sums[1] += horizontal(&true_velocity);
-                contacts += 1;
-            }
-        }
-    }
-    let mean = |sum: f64| 1e3 * sum / contacts as f64;
-    (contacts > 0).then(|| FootSkate { mm_s: mean(sums[0]), truth_mm_s: mean(sums[1]), contacts })
-}
-
-fn horizontal(velocity: &Vector3<f64>) -> f64 {
-    velocity.xz().norm()
-}
-
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
     use crate::core::body::{Pose, Skeleton};
 
@@ -127,29 +78,5 @@ mod tests {
         assert_eq!(velocity_jump(&run, &run, &[], FPS), None);
         assert_eq!(velocity_jump(&run, &run, &[0, 5], FPS), None, "the ends have no jump");
         assert_eq!(velocity_jump(&run[..2], &run[..2], &[1], FPS), None);
-    }
-
-    #[test]
-    fn feet_slide_when_they_should_stand() {
-        let still = run(&[0.0; 5]);
-        let sliding = run(&[0.0, 0.002, 0.004, 0.006, 0.008]);
-        let skate = foot_skate(&sliding, &still, FPS).unwrap();
-        close(skate.mm_s, 2.0 * FPS);
-        close(skate.truth_mm_s, 0.0);
-        assert_eq!(skate.contacts, 6);
-        assert_eq!(foot_skate(&still, &run(&[0.0, 0.1, 0.2, 0.3, 0.4]), FPS), None, "all move");
-    }
-
-    #[test]
-    fn a_lifted_foot_is_no_contact() {
-        let still = run(&[0.0; 40]);
-        let mut lifted = still.clone();
-        for posture in &mut lifted[10..30] {
-            posture.positions[Joint::LFoot.index()].y += 0.05;
-        }
-        let skate = foot_skate(&still, &lifted, FPS).unwrap();
-        // The right foot in 38 frames; the left in 18, without the two beside each change, in which
-        // it moves.
-        assert_eq!(skate.contacts, 38 + 18 - 2);
     }
 }

@@ -13,8 +13,8 @@ use super::truth::TruthComparison;
 use crate::core::body::{Joint, Skeleton};
 use crate::core::time::Timestamp;
 use crate::io::report::flexion_deg;
-use crate::metrics::MeanAcceleration;
 use crate::metrics::statistics::median;
+use crate::metrics::{FootSkate, FootSkateSums, MeanAcceleration};
 
 /// Number of first poses that give the frame rate; they wait in memory until then.
 const HEAD: usize = 4096;
@@ -61,6 +61,7 @@ pub(super) struct Poses {
 struct Stream {
     fps: f64,
     acceleration: MeanAcceleration,
+    feet: FootSkateSums,
     bvh: Option<BvhFile>,
 }
 
@@ -70,6 +71,8 @@ pub(super) struct PoseSummary {
     /// `None` for fewer than two poses.
     pub(super) fps: Option<f64>,
     pub(super) acceleration: Option<f64>,
+    /// With contacts by the poses themselves.
+    pub(super) feet: Option<FootSkate>,
     pub(super) states: States,
     pub(super) note: Option<String>,
 }
@@ -141,7 +144,8 @@ impl Poses {
         let fps = frame_rate(&head).unwrap_or(FALLBACK_FPS);
         let create = |path: &PathBuf| BvhFile::create(path, skeleton, fps, self.start);
         let bvh = self.bvh_path.as_ref().map(create).transpose()?;
-        self.body = Some(Stream { fps, acceleration: MeanAcceleration::new(fps), bvh });
+        let (acceleration, feet) = (MeanAcceleration::new(fps), FootSkateSums::new(fps));
+        self.body = Some(Stream { fps, acceleration, feet, bvh });
         head.iter().try_for_each(|pose| self.stream(pose, skeleton, comparisons))
     }
 
@@ -159,6 +163,10 @@ impl Poses {
             if let Some(degrees) = flexion_deg(&posture, joint) {
                 series.push(Mean::new(capture, [degrees]));
             }
+        }
+        match pose.is_tracked() {
+            true => body.feet.add(&posture, None),
+            false => body.feet.gap(),
         }
         body.acceleration.add(capture, pose.is_tracked().then_some(posture));
         if let Some(bvh) = &mut body.bvh {
@@ -189,7 +197,7 @@ impl Poses {
         if self.body.is_none() {
             self.begin(skeleton, comparisons)?;
         }
-        let Some(Stream { fps, acceleration, bvh }) = self.body.take() else {
+        let Some(Stream { fps, acceleration, feet, bvh }) = self.body.take() else {
             return Ok(PoseSummary::default());
         };
         let path = self.bvh_path.as_deref().unwrap_or(Path::new(""));
@@ -198,8 +206,8 @@ impl Poses {
             None => Default::default(),
         };
         let several = self.count > 1;
-        let acceleration = acceleration.mean();
-        Ok(PoseSummary { fps: several.then_some(fps), acceleration, states, note })
+        let (acceleration, feet) = (acceleration.mean(), feet.finish());
+        Ok(PoseSummary { fps: several.then_some(fps), acceleration, feet, states, note })
     }
 }
 

@@ -264,6 +264,8 @@ impl Collected<'_> {
         let held_out: Vec<HoldOut> =
             comparisons.held_out.into_iter().map(HeldOut::finish).collect();
         let frames = self.poses.count;
+        let truth = poses.fps.and_then(|fps| comparisons.truth.finish(skeleton, fps));
+        let (truth, true_skate) = truth.unzip();
         let summary = Summary {
             version: env!("CARGO_PKG_VERSION"),
             recording: recording.path().display().to_string(),
@@ -277,7 +279,8 @@ impl Collected<'_> {
             hold_out: HoldOut::of_all(&held_out),
             hold_out_cameras: held_out,
             mean_acceleration_m_s2: poses.acceleration,
-            truth: poses.fps.and_then(|fps| comparisons.truth.finish(skeleton, fps)),
+            foot_skate: true_skate.unwrap_or(poses.feet),
+            truth,
             reference: comparisons.reference.and_then(|reference| reference.finish()),
             solve_ms: SolveTime::new(&self.windows),
             frames_per_second: frames as f64 / seconds.max(1e-9),

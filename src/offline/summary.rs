@@ -10,7 +10,7 @@ use super::hold_out::HoldOut;
 use super::reference::Reference;
 use super::windows::Windows;
 use crate::core::camera::Rig;
-use crate::metrics::PoseErrors;
+use crate::metrics::{FootSkate, PoseErrors};
 
 /// The measurements of a solve. Field names are part of the interface; README.md documents them.
 /// [`Display`](fmt::Display) prints the table.
@@ -36,6 +36,8 @@ pub struct Summary {
     /// The same for each held-out camera.
     pub hold_out_cameras: Vec<HoldOut>,
     pub mean_acceleration_m_s2: Option<f64>,
+    /// Contacts are those of the truth; without one, those of the poses themselves.
+    pub foot_skate: Option<FootSkate>,
     /// Distance from the truth of a synthetic recording.
     pub truth: Option<PoseErrors>,
     pub reference: Option<Reference>,
@@ -92,6 +94,9 @@ impl Summary {
             ("joint acceleration".to_owned(), unit(self.mean_acceleration_m_s2, 1, "m/s²")),
         ];
         let mut fact = |name: &str, value: String| facts.push((name.to_owned(), value));
+        if let Some(skate) = &self.foot_skate {
+            fact("foot skate", format!("{:.0} mm/s", skate.mm_s));
+        }
         if let Some(held) = &self.hold_out {
             fact(&format!("hold-out {}", held.camera), px(held.median_px));
         }
@@ -127,6 +132,7 @@ impl Summary {
             rows.add("hold-out, mean of the medians", px(all.median_px));
         }
         rows.add("mean joint acceleration", unit(self.mean_acceleration_m_s2, 2, "m/s²"));
+        self.foot_skate.iter().for_each(|skate| rows.add_foot_skate(skate));
         self.truth.iter().for_each(|truth| rows.add_truth(truth));
         self.reference.iter().for_each(|reference| rows.add_reference(reference));
         if let Some(SolveTime { p50, p99 }) = self.solve_ms {
@@ -167,6 +173,14 @@ impl Rows {
         self.add(&format!("hold-out {camera}, median"), value);
         let without = held.frames_without_performer;
         self.add("  frames without the performer", without.to_string());
+    }
+
+    fn add_foot_skate(&mut self, skate: &FootSkate) {
+        let FootSkate { mm_s, truth_mm_s, contact_percent, .. } = skate;
+        let truth =
+            truth_mm_s.map_or_else(String::new, |truth| format!(" (truth {truth:.0} mm/s)"));
+        let value = format!("{mm_s:.0} mm/s{truth}, {contact_percent:.0} % contact");
+        self.add("foot skate", value);
     }
 
     fn add_truth(&mut self, truth: &PoseErrors) {

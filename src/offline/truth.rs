@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use super::compact_pose::CompactPose;
 use crate::core::body::Skeleton;
 use crate::core::time::Nanos;
-use crate::metrics::{PoseErrorSums, PoseErrors};
+use crate::metrics::{FootSkate, FootSkateSums, PoseErrorSums, PoseErrors};
 
 /// Most poses that wait for the other side.
 const WAITING: usize = 16_384;
@@ -19,6 +19,7 @@ pub(super) struct TruthComparison {
     truths: VecDeque<CompactPose>,
     poses: VecDeque<CompactPose>,
     sums: PoseErrorSums,
+    feet: Option<FootSkateSums>,
 }
 
 impl TruthComparison {
@@ -40,6 +41,7 @@ impl TruthComparison {
     pub(super) fn add_pose(&mut self, pose: &CompactPose, skeleton: &Skeleton, fps: f64) {
         self.poses.push_back(pose.clone());
         let tolerance = tolerance(fps);
+        self.feet.get_or_insert_with(|| FootSkateSums::new(fps));
         let is_covered = |pose: &CompactPose, truths: &VecDeque<CompactPose>| {
             truths.back().is_some_and(|truth| truth.capture > pose.capture + tolerance)
         };
@@ -50,12 +52,16 @@ impl TruthComparison {
         }
     }
 
-    /// The errors; `None` if nothing could be compared.
-    pub(super) fn finish(mut self, skeleton: &Skeleton, fps: f64) -> Option<PoseErrors> {
+    /// The errors and the foot skate; `None` if nothing could be compared.
+    pub(super) fn finish(
+        mut self,
+        skeleton: &Skeleton,
+        fps: f64,
+    ) -> Option<(PoseErrors, Option<FootSkate>)> {
         while !self.poses.is_empty() {
             self.compare_first(skeleton, tolerance(fps));
         }
-        self.sums.errors()
+        Some((self.sums.errors()?, self.feet.and_then(|feet| feet.finish())))
     }
 
     fn compare_first(&mut self, skeleton: &Skeleton, tolerance: Nanos) {
@@ -65,7 +71,11 @@ impl TruthComparison {
         }
         let near = self.truths.front().filter(|truth| truth.capture - pose.capture <= tolerance);
         if let (Some(truth), Some(usable)) = (near, pose.usable()) {
-            self.sums.add(&usable.posture(skeleton), &truth.pose().posture(&self.body));
+            let (solved, truth) = (usable.posture(skeleton), truth.pose().posture(&self.body));
+            self.sums.add(&solved, &truth);
+            self.feet.iter_mut().for_each(|feet| feet.add(&solved, Some(&truth)));
+        } else {
+            self.feet.iter_mut().for_each(FootSkateSums::gap);
         }
     }
 }
@@ -89,7 +99,9 @@ mod tests {
         let compare = |add: &dyn Fn(&mut TruthComparison)| {
             let mut comparison = TruthComparison::default();
             add(&mut comparison);
-            comparison.finish(&body, 50.0).map(|errors| (errors.frames, errors.mpjpe_mm.round()))
+            comparison
+                .finish(&body, 50.0)
+                .map(|(errors, _)| (errors.frames, errors.mpjpe_mm.round()))
         };
         let truths = |c: &mut TruthComparison| (0..100).for_each(|i| c.add_truth(truth(i)));
         let poses = |c: &mut TruthComparison| {
@@ -105,6 +117,7 @@ mod tests {
             interleaved.add_pose(&solved(i), &body, 50.0);
         }
         assert!(interleaved.truths.len() < 4 && interleaved.poses.len() < 4);
-        assert_eq!(interleaved.finish(&body, 50.0).unwrap().frames, 100_000);
+        let (errors, feet) = interleaved.finish(&body, 50.0).unwrap();
+        assert_eq!((errors.frames, feet.unwrap().contacts), (100_000, 4 * 99_998));
     }
 }

@@ -217,6 +217,23 @@ fn a_synthetic_walk_is_solved_and_exported() {
     assert!(fs::read_to_string(place.path("strip.svg")).unwrap().starts_with("<svg"));
 }
 
+#[test]
+fn feet_of_a_walk_stand() {
+    let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
+    let place = Place::new();
+    fs::write(place.path("slide.toml"), "[tracker.cost]\nfoot_contact = 0.0\n").unwrap();
+    let solve = |options: &str| -> Value {
+        let figures = format!("solve {} --out out --overwrite --json {options}", walk.display());
+        serde_json::from_str(&place.done(&figures)).unwrap()
+    };
+    let [standing, sliding] = ["", "--config slide.toml"].map(solve);
+    pinned("true skate, mm/s", number(&standing, "/foot_skate/truth_mm_s"), 32.0);
+    pinned("foot skate, mm/s", number(&standing, "/foot_skate/mm_s"), 46.0);
+    pinned("foot skate of feet that may slide, mm/s", number(&sliding, "/foot_skate/mm_s"), 126.0);
+    let mpjpe = |figures| number(figures, "/truth/mpjpe_mm");
+    assert!(mpjpe(&standing) < mpjpe(&sliding), "{standing} {sliding}");
+}
+
 /// The summary uses the newest keypoint offsets. The first skeleton has none, as without offsets.
 #[test]
 fn a_held_out_camera_is_compared_with_the_learnt_offsets() {

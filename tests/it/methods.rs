@@ -221,7 +221,7 @@ const MEASURED_MM: [(&str, f64); 10] = [
     ("paper-converged", 16.26),
     ("paper-body", 16.26),
     ("fixed", 14.16),
-    ("default", 14.39),
+    ("default", 13.23),
 ];
 
 #[test]

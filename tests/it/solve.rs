@@ -1,7 +1,7 @@
 //! The window problem: its derivatives, its two optimisers, and exact recovery.
 
 use bundlemocap::core::body::{
-    BODY_COEFFICIENTS, BodyPoint, OFFSETS, Posture, Shape, Skeleton, fitted_points,
+    BODY_COEFFICIENTS, BodyPoint, Joint, OFFSETS, Posture, Shape, Skeleton, fitted_points,
 };
 use bundlemocap::core::camera::{Camera, Lens, Rig};
 use bundlemocap::core::cost::{
@@ -242,8 +242,15 @@ fn the_gradient_of_corrections_matches_central_differences() {
     let path = case.path(&[false, true, true, true], &case.truth[1]);
     let observations = &case.observations;
     let poses = observations.iter().map(|_| case.decoder.pose(&case.truth[1])).collect();
-    let problem =
-        CorrectionProblem::new(case.scene(&config), path, &case.skeleton, observations, poses);
+    let stand = path.iter().map(|_| case.decoder.pose(&case.truth[1])).collect();
+    let problem = CorrectionProblem::new(
+        case.scene(&config),
+        path,
+        &case.skeleton,
+        observations,
+        poses,
+        stand,
+    );
     let x: Vec<f64> = (0..3 * CORRECTION).map(|i| 0.1 * (1.3 * i as f64).sin()).collect();
     let mut equations = NormalEquations::zeros(problem.layout());
     let problem = std::cell::RefCell::new(problem);
@@ -252,6 +259,42 @@ fn the_gradient_of_corrections_matches_central_differences() {
         vec![problem.borrow_mut().linearise(x, &mut equations.clone())]
     });
     assert_jacobian(&DMatrix::from_row_slice(1, x.len(), &equations.gradient), &numeric, 1e-6);
+}
+
+/// The speed of each foot in m/s after corrections without observations; the whole body moves at
+/// `speed`.
+fn foot_speeds(speed: f64, foot_contact: f64) -> [f64; 2] {
+    let case = Case::new(1);
+    let config = cost::Config { foot_contact, ..cost::Config::default() };
+    let path: Vec<PathKeyframe> = (0..10)
+        .map(|k| {
+            let mut keyframe = case.truth[0].clone();
+            keyframe.root_position.x += speed * k as f64 / 60.0;
+            PathKeyframe { timed: TimedKeyframe::new(frame(k), keyframe), free: k > 1, frames: 1.0 }
+        })
+        .collect();
+    let stand = path.iter().map(|at| case.decoder.pose(&at.timed.keyframe)).collect();
+    let scene = case.scene(&config);
+    let problem = CorrectionProblem::new(scene, path, &case.skeleton, &[], Vec::new(), stand);
+    let solved = problem.solve();
+    let postures: Vec<Posture> =
+        solved.iter().map(|at| case.decoder.pose(&at.keyframe).posture(&case.skeleton)).collect();
+    [Joint::LFoot, Joint::RFoot].map(|foot| {
+        let [a, b] = [4, 5].map(|k: usize| postures[k].positions[foot.index()]);
+        60.0 * (b - a).norm()
+    })
+}
+
+#[test]
+fn slow_feet_stand_and_fast_feet_move() {
+    for speed in foot_speeds(0.1, 1e4) {
+        assert!(speed < 0.01, "{speed}");
+    }
+    for (speed, foot_contact) in [(0.1, 0.0), (0.5, 1e4)] {
+        for found in foot_speeds(speed, foot_contact) {
+            assert!((found - speed).abs() < 1e-3, "{found} is not {speed}");
+        }
+    }
 }
 
 #[test]

@@ -105,7 +105,8 @@ pub(in crate::cli) struct Arguments {
     #[arg(long, value_name = "MS", value_delimiter = ',', conflicts_with_all = ["drift_minutes", "ablation", "tune"])]
     pub(in crate::cli) latencies: Vec<f64>,
     /// Vary our settings one at a time: all, or some of window, publish, keyframe, interpolation,
-    /// stiffness, robust_scale, optimiser, stop, scale, prior, prior_dof, errors, cameras, noise, fps.
+    /// stiffness, robust_scale, optimiser, stop, scale, prior, prior_dof, errors, foot_contact,
+    /// foot_contact_speed, cameras, noise, fps.
     #[arg(long, value_name = "FACTORS", value_delimiter = ',', conflicts_with = "tune")]
     pub(in crate::cli) ablation: Vec<String>,
     /// Tune the weights of a method, on the subjects that are not named.

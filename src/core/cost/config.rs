@@ -32,6 +32,11 @@ pub struct Config {
     /// Weight of the squared corrections of joints beside the manifold, square pixels per rad^2 and
     /// frame; 0 has no corrections. Differs: the paper has none.
     pub correction_prior: f64,
+    /// Weight of the squared velocities of standing feet, square pixels per (m/s)^2 and frame; 0 lets
+    /// feet slide. Part of the corrections. Differs: the paper has none.
+    pub foot_contact: f64,
+    /// The speed from which a foot does not stand, m/s.
+    pub foot_contact_speed: f64,
     /// How latent codes are interpolated between keyframes.
     pub interpolation: Interpolation,
     /// Weights of the accelerations at the keyframes.
@@ -49,6 +54,8 @@ impl Default for Config {
             offset_prior: 300.0,
             jacobian_reuse_radius: 0.7,
             correction_prior: 6000.0,
+            foot_contact: 1e4,
+            foot_contact_speed: 0.3,
             interpolation: Interpolation::Slerp,
             stiffness: Stiffness::default(),
         }
@@ -69,6 +76,8 @@ impl Config {
             Limit::from_0("offset_prior", self.offset_prior),
             Limit::from_0("jacobian_reuse_radius", self.jacobian_reuse_radius),
             Limit::from_0("correction_prior", self.correction_prior),
+            Limit::from_0("foot_contact", self.foot_contact),
+            Limit::above_0("foot_contact_speed", self.foot_contact_speed),
             Limit::from_0("stiffness.latent", self.stiffness.latent),
             Limit::from_0("stiffness.rotation", self.stiffness.rotation),
             Limit::from_0("stiffness.position", self.stiffness.position),

@@ -2,13 +2,15 @@
 //!
 //! The path on the manifold is known. The unknowns are the corrections c_k of its free keyframes;
 //! between keyframes they run along lines. They minimise the cost of the observations plus a prior
-//! 1/2 n_k correction_prior |c_k|^2 and 1/2 n_k stiffness |acceleration of c at k|^2. The prior is
-//! stiff, so corrections stay a few degrees, and zero where nothing is seen. The problem is nearly
-//! quadratic: one Gauss-Newton step from the corrections of the window before solves it.
+//! 1/2 n_k correction_prior |c_k|^2, 1/2 n_k stiffness |acceleration of c at k|^2 and a cost of the
+//! velocities of standing feet ([`Feet`]). The prior is stiff, so corrections stay a few degrees, and
+//! zero where nothing is seen. The problem is nearly quadratic: one Gauss-Newton step from the
+//! corrections of the window before solves it.
 
 use nalgebra::Vector3;
 
 use super::chain_rule::semidefinite_cholesky;
+use super::feet::Feet;
 use super::observation::FrameObservations;
 use super::reprojection::Reprojection;
 use super::robust::Loss;
@@ -37,6 +39,7 @@ pub struct CorrectionProblem<'a> {
     observations: &'a [FrameObservations],
     /// The pose on the manifold at each frame, without correction.
     poses: Vec<Pose>,
+    feet: Feet,
     work: Work,
 }
 
@@ -57,19 +60,21 @@ type Shares = [(usize, f64); 2];
 
 impl<'a> CorrectionProblem<'a> {
     /// The problem of a path, fixed keyframes first, with the `poses` on the manifold at the times of
-    /// the observations.
+    /// the observations, and at those of the keyframes; without the latter, feet may slide.
     pub fn new(
         scene: Scene<'a>,
         path: Vec<PathKeyframe>,
         skeleton: &'a Skeleton,
         observations: &'a [FrameObservations],
         poses: Vec<Pose>,
+        keyframe_poses: Vec<Pose>,
     ) -> Self {
         let loss = Loss::new(scene.config.loss, scene.config.scale_px);
         let mut tangents = Tangents::zeros(CORRECTION);
         tangents.clear_root();
         Self {
             reprojection: Reprojection { rig: scene.rig, loss },
+            feet: Feet::new(&path, keyframe_poses, skeleton, scene.config.foot_contact_speed),
             fixed: path.iter().filter(|at| !at.free).count(),
             path,
             skeleton,
@@ -119,6 +124,9 @@ impl<'a> CorrectionProblem<'a> {
     pub fn linearise(&mut self, x: &[f64], equations: &mut NormalEquations) -> f64 {
         equations.clear();
         let mut cost = self.add_regularisers(x, equations);
+        let weight = self.scene.config.foot_contact;
+        cost +=
+            self.feet.add(&self.path, self.skeleton, |k| self.correction(k, x), weight, equations);
         for m in 0..self.observations.len() {
             let shares = self.shares(self.observations[m].capture);
             let [(from, _), (to, s)] = shares;

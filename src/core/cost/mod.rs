@@ -13,6 +13,7 @@ mod chain_rule;
 mod config;
 mod correction;
 mod counts;
+mod feet;
 mod frame_cost;
 mod marginal;
 mod observation;

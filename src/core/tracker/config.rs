@@ -132,6 +132,7 @@ impl Config {
                 scale_px: 60.0,
                 jacobian_reuse_radius: 0.0,
                 correction_prior: 0.0,
+                foot_contact: 0.0,
                 stiffness: Stiffness::NONE,
                 ..Default::default()
             },

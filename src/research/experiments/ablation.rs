@@ -33,7 +33,7 @@ pub enum Factor {
 }
 
 /// The names that [`factor`] knows.
-pub const FACTORS: [&str; 15] = [
+pub const FACTORS: [&str; 17] = [
     "window",
     "publish",
     "keyframe",
@@ -46,6 +46,8 @@ pub const FACTORS: [&str; 15] = [
     "prior",
     "prior_dof",
     "errors",
+    "foot_contact",
+    "foot_contact_speed",
     "cameras",
     "noise",
     "fps",
@@ -91,6 +93,16 @@ pub fn factor(name: &str) -> Option<Factor> {
         "errors" => numbers("weights for px", &[0.0, 3.5, 5.0, 7.0, 10.0, 14.0], |config, px| {
             config.reference_residual_px = px;
         }),
+        "foot_contact" => {
+            numbers("foot contact", &[0.0, 1e3, 4e3, 1e4, 4e4, 1e5], |config, weight| {
+                config.cost.foot_contact = weight;
+            })
+        }
+        "foot_contact_speed" => {
+            numbers("foot contact below m/s", &[0.1, 0.2, 0.3, 0.5, 0.8], |config, speed| {
+                config.cost.foot_contact_speed = speed;
+            })
+        }
         "optimiser" => named(&[
             ("Levenberg-Marquardt", |config| {
                 config.optimiser = optimise::OptimiserKind::LevenbergMarquardt

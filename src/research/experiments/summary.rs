@@ -39,7 +39,7 @@ const fn metric(
 }
 
 /// The metrics, in the order of the columns.
-pub const METRICS: [Metric; 15] = [
+pub const METRICS: [Metric; 16] = [
     metric("limb_mm", "limb joints mm", 1, |s| Some(s.limbs.limb_mm)),
     metric("held_out_px", "held out px", 2, |s| s.held_out_px),
     metric("mpjpe_mm", "MPJPE mm", 1, |s| pose(s, |pose| pose.mpjpe_mm)),
@@ -57,6 +57,7 @@ pub const METRICS: [Metric; 15] = [
     metric("limb_medium_mm", "medium mm", 1, |s| s.limbs.limb_by_speed_mm[1]),
     metric("limb_fast_mm", "fast mm", 1, |s| s.limbs.limb_by_speed_mm[2]),
     metric("foot_skate_mm_s", "skate mm/s", 0, |s| s.foot_skate.map(|skate| skate.mm_s)),
+    metric("true_foot_skate_mm_s", "true skate mm/s", 0, |s| s.foot_skate?.truth_mm_s),
     metric("mpjpe_root_relative_mm", "root-rel. mm", 1, |s| {
         pose(s, |pose| pose.mpjpe_root_relative_mm)
     }),

@@ -33,6 +33,7 @@ pub const LADDER: &[&str] = &[
     "fixed",
     "weighted",
     "on-manifold",
+    "feet-slide",
     "default",
     "live",
 ];
@@ -63,6 +64,7 @@ pub fn named(name: &str) -> Option<Box<dyn Method>> {
         "fixed" => Box::new(Windows::fixed()),
         "weighted" => Box::new(Windows::weighted()),
         "on-manifold" => Box::new(Windows::on_manifold()),
+        "feet-slide" => Box::new(Windows::feet_slide()),
         "default" => Box::new(Windows::default_settings()),
         "live" => Box::new(Windows::live()),
         "provisional" => Box::new(LiveTracker::Provisional),

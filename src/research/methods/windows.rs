@@ -99,9 +99,16 @@ impl Windows {
 
     /// The same with a Cauchy loss whose scale follows the detector.
     pub fn on_manifold() -> Self {
-        let config = Config::default();
+        let config = Self::feet_slide().config;
         let cost = cost::Config { correction_prior: 0.0, ..config.cost };
         Self::new("+ Cauchy loss, its scale follows the detector", Config { cost, ..config })
+    }
+
+    /// The same with corrections of joints: the default without contacts of the feet.
+    pub fn feet_slide() -> Self {
+        let config = Config::default();
+        let cost = cost::Config { foot_contact: 0.0, ..config.cost };
+        Self::new("+ corrections of joints", Config { cost, ..config })
     }
 
     /// The program's default settings.

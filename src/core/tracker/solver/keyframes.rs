@@ -111,8 +111,9 @@ impl Solver {
             (relative_scale * error_px).max(LEAST_SCALE_PX).min(cost.scale_px)
         });
         let (prior, stiffness) = (cost.prior * factor, cost.stiffness.times(factor));
-        let correction_prior = cost.correction_prior * factor;
-        cost::Config { scale_px, prior, correction_prior, stiffness, ..cost }
+        let [correction_prior, foot_contact] =
+            [cost.correction_prior, cost.foot_contact].map(|weight| weight * factor);
+        cost::Config { scale_px, prior, correction_prior, foot_contact, stiffness, ..cost }
     }
 }
 

@@ -83,14 +83,18 @@ impl Solver {
         }
         let start = known.past.last().map_or(job.start, |last| last.capture);
         let seen = between(observations, [start, job.end].map(|at| at + job.half_period()));
-        let [past, ahead] = [known.past, &keyframes].map(on_manifold);
-        let solved = Known { past: &past, ahead: &ahead, ..known };
-        let poses = self.poses_at(solved, seen.iter().map(|frame| frame.capture));
+        let all = on_manifold(&[known.past, &keyframes].concat());
+        let (first, others) = all.split_at(1);
+        let solved = Known { past: first, ahead: others, ..known };
+        let (times, stands) = (seen.iter().map(|frame| frame.capture), cost.foot_contact > 0.0);
+        let standing = all.iter().filter(|_| stands).map(|at| at.capture);
+        let mut poses = self.poses_at(solved, times.chain(standing));
+        let standing = poses.split_off(seen.len());
         let frames = self.config.keyframe() as f64;
         let free = keyframes.into_iter().map(|at| PathKeyframe::free(at, frames));
         let path = known.fixed().chain(free).collect();
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
-        CorrectionProblem::new(scene, path, known.skeleton, seen, poses).solve()
+        CorrectionProblem::new(scene, path, known.skeleton, seen, poses, standing).solve()
     }
 
     /// The residuals of the final part of a solved window, and the poses at [`wanted_times`].
