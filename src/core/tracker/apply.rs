@@ -221,7 +221,8 @@ impl Tracker {
             }
             TrackingState::Lost => {
                 self.ahead.clear();
-                self.is_proven &= self.config.body_windows == 0 || !self.estimator.is_early();
+                let is_misfit = coasted == 0 && self.config.body_windows > 0;
+                self.is_proven &= !is_misfit || !self.estimator.is_early();
             }
         }
         if !self.is_proven {

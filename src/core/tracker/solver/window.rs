@@ -228,6 +228,7 @@ impl Solver {
         let window = Known { past, ahead, ..known };
         let steps = Steps::of(job.effort.provisional_iterations.max(1));
         let (solved, _) = self.keyframes(job, points, window, &job.keyframe_times, recent, steps);
+        let solved = self.correct(job, points, window, solved, recent);
         kept.iter().cloned().chain(solved).collect()
     }
 }
