@@ -247,7 +247,7 @@ fn a_held_out_camera_is_compared_with_the_learnt_offsets() {
         number(&serde_json::from_str(&place.done(&solve)).unwrap(), "/hold_out/median_px")
     };
     pinned("hold-out with offsets, px", held_out(""), 0.183);
-    pinned("hold-out without offsets, px", held_out("--config plain.toml"), 2.524);
+    pinned("hold-out without offsets, px", held_out("--config plain.toml"), 3.724);
 }
 
 /// Two takes of one tall performer with long legs and short arms, whose detector has its own places
@@ -734,7 +734,7 @@ fn the_real_recording_is_solved_with_the_documented_accuracy() {
     pinned("residual, px", number(&figures, "/reprojection/median_px"), 11.45);
     pinned("reference, mm", number(&figures, "/reference/mean_mm"), 23.0);
     pinned("worst mid hip, mm", number(&figures, "/reference/worst_mid_hip_mm"), 50.60);
-    pinned("acceleration", number(&figures, "/mean_acceleration_m_s2"), 6.02);
+    pinned("acceleration", number(&figures, "/mean_acceleration_m_s2"), 5.47);
 }
 
 /// Median pixels in each camera: what was measured, and Pose2Sim 0.10.49 on the same detections.
@@ -767,5 +767,5 @@ fn the_performer_is_selected_and_not_the_bystander() {
     let solve = format!("solve take.mcap --out out --json --reference {}", reference.display());
     let figures: Value = serde_json::from_str(&place.done(&solve)).unwrap();
     assert_eq!((&figures["frames"], &figures["frames_lost"]), (&100.into(), &0.into()));
-    pinned("worst mid hip, mm", number(&figures, "/reference/worst_mid_hip_mm"), 52.52);
+    pinned("worst mid hip, mm", number(&figures, "/reference/worst_mid_hip_mm"), 55.22);
 }

@@ -217,9 +217,9 @@ const MEASURED_MM: [(&str, f64); 10] = [
     ("etc", 13.59),
     ("dmmr", 13.60),
     ("slahmr", 15.49),
-    ("paper", 17.70),
-    ("paper-converged", 16.26),
-    ("paper-body", 16.26),
+    ("paper", 18.40),
+    ("paper-converged", 17.02),
+    ("paper-body", 17.02),
     ("fixed", 14.16),
     ("default", 13.23),
 ];

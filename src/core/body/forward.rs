@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::joints::{BODY_JOINTS, JOINTS, Joint};
-use super::skeleton::{SHAPE_COEFFICIENTS, Skeleton};
+use super::skeleton::Skeleton;
 
 /// Rotation and position of every joint in the world.
 #[derive(Clone, Debug, PartialEq)]
@@ -131,7 +131,7 @@ crate::core::linalg::wide! {
 ///
 /// `local` is row-major, `3 * BODY_JOINTS` rows of `local_columns`: right tangents of each local
 /// rotation by the first `local_columns` parameters. `shape_column`, if given, is the first of the
-/// ten columns of the shape.
+/// columns of the shape; those without a column are left out.
 ///
 /// w_j = w_parent + G_j d_j and dP_j = dP_parent + w_parent x (G_parent o_j).
 pub fn push_forward(
@@ -165,7 +165,7 @@ pub fn push_forward(
         );
         if let Some(first) = shape_column {
             let by_shape = skeleton.offset_by_shape(*joint);
-            for (k, offset) in by_shape.iter().enumerate().take(SHAPE_COEFFICIENTS) {
+            for (k, offset) in by_shape.iter().enumerate().take(n - first) {
                 let moved = parent_rotation * offset;
                 for row in 0..3 {
                     here[row * n + first + k] += moved[row] as f32;

@@ -1,12 +1,12 @@
 //! The unknowns of a path.
 //!
 //! In this order: for each free keyframe its code (32), a rotation vector w (3) with
-//! R = exp(w) R_initial, and its position (3); then the shape (10) and the keypoint offsets (39),
-//! if they are free.
+//! R = exp(w) R_initial, and its position (3); then, if they are free, the shape (17 coefficients, or
+//! the 10 of equal sides) and the keypoint offsets (78).
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::core::body::{BODY_COEFFICIENTS, SHAPE_COEFFICIENTS, Skeleton};
+use crate::core::body::{BODY_COEFFICIENTS, SYMMETRIC_SHAPE, Skeleton};
 use crate::core::manifold::{Keyframe, LATENT, TimedKeyframe};
 use crate::core::so3;
 use crate::core::time::Timestamp;
@@ -45,9 +45,9 @@ impl PathKeyframe {
 pub enum FreeBody {
     /// None.
     Fixed,
-    /// The shape.
+    /// The shape, equal on both sides.
     Shape,
-    /// The shape and the keypoint offsets.
+    /// The whole shape and the keypoint offsets.
     ShapeAndOffsets,
 }
 
@@ -80,7 +80,7 @@ impl Unknowns {
             skeleton: skeleton.clone(),
             body: match free {
                 FreeBody::Fixed => 0,
-                FreeBody::Shape => SHAPE_COEFFICIENTS,
+                FreeBody::Shape => SYMMETRIC_SHAPE,
                 FreeBody::ShapeAndOffsets => BODY_COEFFICIENTS,
             },
         }

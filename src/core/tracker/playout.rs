@@ -25,7 +25,7 @@ pub(super) const MARGIN: Nanos = Nanos::from_ms(3);
 const DECAY: f64 = 0.1;
 /// Time constant of the offset of provisional poses from the newest fit, seconds, at the reference
 /// error of the detections. Smaller errors need less smoothing.
-const OFFSET_DECAY: f64 = 0.035;
+const OFFSET_DECAY: f64 = 0.042;
 /// A live tracker that is this far behind skips the poses in between.
 const MAX_CATCH_UP: Nanos = Nanos::SECOND;
 
