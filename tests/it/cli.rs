@@ -250,6 +250,34 @@ fn a_held_out_camera_is_compared_with_the_learnt_offsets() {
     pinned("hold-out without offsets, px", held_out("--config plain.toml"), 3.724);
 }
 
+#[test]
+fn a_given_body_is_used_unless_it_is_wrong() {
+    let place = Place::new();
+    synthetic(&place.path("walk.mcap"), 240, Noise::jitter_only(), |_| true);
+    synthetic(&place.path("short.mcap"), 60, Noise::jitter_only(), |_| true);
+    let body = Skeleton::new(Shape::symmetric([2.5; 10]));
+    let motion = Motion::new(&body, MotionStyle::default());
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let mut tall = Recording::new(rig, body, |seconds| motion.pose(seconds));
+    tall.frames = 60;
+    save(&place.path("tall.mcap"), &tall, |_| true);
+    place.done("solve walk.mcap --out right");
+    place.done("solve tall.mcap --out wrong");
+    let notes = |body: &str| {
+        let solve = format!("solve short.mcap --out again --overwrite --json --body {body}");
+        let figures: Value = serde_json::from_str(&place.done(&solve)).unwrap();
+        assert!(number(&figures, "/reprojection/median_px") < 4.0, "{body}: {figures}");
+        figures["notes"].to_string()
+    };
+    let right = notes("right/poses.mcap");
+    assert!(!right.contains("body"), "{right}");
+    let wrong = notes("wrong/poses.mcap");
+    assert!(wrong.contains("the given body fits worse"), "{wrong}");
+    place.fails(3, "solve short.mcap --out out --body nothing.mcap", &["nothing.mcap"]);
+    let evidence = ["walk.mcap holds no body", "give the poses.mcap of `bundlemocap solve`"];
+    place.fails(12, "solve short.mcap --out out --body walk.mcap", &evidence);
+}
+
 /// Two takes of one tall performer with long legs and short arms, whose detector has its own places
 /// for keypoints.
 #[test]

@@ -333,15 +333,33 @@ fn an_impossible_latency_is_reported_with_the_smallest_possible_one() {
 
 #[test]
 fn the_same_inputs_give_the_same_bytes() {
+    let body = wire::Skeleton::from_core(&Skeleton::default());
+    for body in [None, Some(encode(&body))] {
+        replays_to_the_same_bytes(body);
+    }
+}
+
+/// Replays a run of a node that was given that body, as it was and with a changed pose.
+fn replays_to_the_same_bytes(body: Option<Vec<u8>>) {
     let mut messages = Studio::new(4, 150).messages();
     for index in (40..messages.len()).step_by(17) {
         messages[index].arrival = messages[index].arrival + MS * 90;
         let twin = messages[index].clone();
         messages.push(twin);
     }
-    let mut world = World::new(&Config::default());
+    let decoder = Decoder::embedded().unwrap();
+    let with_body = |config: &Config, body: &Option<Vec<u8>>| Settings {
+        body: body.clone(),
+        ..settings(config, &decoder)
+    };
+    let config = Config::default();
+    let core = Core::new(with_body(&config, &body));
+    let mut world = World { core, ..World::new(&config) };
     world.play(messages.clone(), at(3.0));
     world.end();
+    let skeletons = world.heard.of::<wire::Skeleton>(&Topics::default().skeleton());
+    let is_given = |(_, first): &(Timestamp, wire::Skeleton)| body == Some(encode(first));
+    assert_eq!(skeletons.first().is_some_and(is_given), body.is_some());
     let mut recorded = world.heard.messages;
     recorded.extend(messages.into_iter().map(|sent| Recorded {
         time: sent.arrival,
@@ -350,11 +368,10 @@ fn the_same_inputs_give_the_same_bytes() {
         schema: "".into(),
         payload: sent.payload,
     }));
-    let decoder = Decoder::embedded().unwrap();
     let replayed = replay(&recorded, &Topics::default(), |start| {
         let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
         let solver = Solver::new(decoder.clone(), config.tracker);
-        Ok::<_, bundlemocap::live::ReplayError>((settings(&config, &decoder), solver))
+        Ok::<_, bundlemocap::live::ReplayError>((with_body(&config, &start.body), solver))
     })
     .unwrap();
     assert!(replayed.is_whole);
@@ -381,7 +398,7 @@ fn the_same_inputs_give_the_same_bytes() {
     let replayed = replay(&recorded, &Topics::default(), |start| {
         let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
         let solver = Solver::new(decoder.clone(), config.tracker);
-        Ok::<_, bundlemocap::live::ReplayError>((settings(&config, &decoder), solver))
+        Ok::<_, bundlemocap::live::ReplayError>((with_body(&config, &start.body), solver))
     })
     .unwrap();
     assert!(!replayed.is_whole);
