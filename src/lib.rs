@@ -77,6 +77,8 @@
 //! - \[Hyndman 1996\] Hyndman, Fan. Sample quantiles in statistical packages. The American
 //!   Statistician 50(4).
 //! - \[Kingma 2014\] Kingma, Welling. Auto-encoding variational Bayes. ICLR 2014.
+//! - \[Knutson 2005\] Knutson. Anatomic and functional leg-length inequality. Chiropractic &
+//!   Osteopathy 13:11.
 //! - \[Lange 1989\] Lange, Little, Taylor. Robust statistical modeling using the t distribution.
 //!   Journal of the American Statistical Association 84.
 //! - \[Loshchilov 2019\] Loshchilov, Hutter. Decoupled weight decay regularization. ICLR 2019.

@@ -48,8 +48,8 @@ pub(super) struct Arguments {
     /// Manifold weights of `bundlemocap train`; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
-    /// Declared latency, milliseconds, from 6; overrides the settings. Poses of a short latency have less
-    /// look-ahead. 0: estimated.
+    /// Declared latency, milliseconds, from 6; overrides the settings. Poses of a short latency have
+    /// less look-ahead. 0: estimated.
     #[arg(long, value_name = "MS", allow_negative_numbers = true)]
     latency: Option<f64>,
     /// Address on which the node listens; overrides the settings.

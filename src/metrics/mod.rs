@@ -13,6 +13,7 @@
 //! | acceleration error | mean of \|P'' - P*''\|, P'' = (P(t+1) - 2 P(t) + P(t-1)) fps^2 | m/s^2 |
 //! | jump at borders | [`VelocityJump`]: mean \|v(t+) - v(t-)\| at window borders, less that of the true motion there | m/s |
 //! | foot skate | [`foot_skate`]: mean horizontal speed of ankles and feet whose true speed and height mean contact | mm/s |
+//! | floor | [`Floor`]: median height of standing feet | m |
 //! | drift | [`slope_interval`] of the frames' mean e over time | mm/min |
 //!
 //! Means over several recordings have the intervals of [`mean_interval`].
@@ -20,6 +21,7 @@
 mod detector_statistics;
 mod distribution;
 mod feet;
+mod floor;
 mod limbs;
 mod markers;
 mod motion;
@@ -33,6 +35,7 @@ pub use detector_statistics::{
 };
 pub use distribution::Distribution;
 pub use feet::{FootSkate, FootSkateSums, foot_skate};
+pub use floor::Floor;
 pub use limbs::{LIMB_JOINTS, LimbErrors, SPEEDS_M_S, limb_errors, limb_joints};
 pub use markers::{COMPARED, MarkerDistance, MarkerDistances, MarkerPositions};
 pub use motion::{VelocityJump, velocity_jump, velocity_jumps};

@@ -14,7 +14,7 @@ use crate::core::body::{Joint, Skeleton};
 use crate::core::time::Timestamp;
 use crate::io::report::flexion_deg;
 use crate::metrics::statistics::median;
-use crate::metrics::{FootSkate, FootSkateSums, MeanAcceleration};
+use crate::metrics::{Floor, FootSkate, FootSkateSums, MeanAcceleration};
 
 /// Number of first poses that give the frame rate; they wait in memory until then.
 const HEAD: usize = 4096;
@@ -62,6 +62,7 @@ struct Stream {
     fps: f64,
     acceleration: MeanAcceleration,
     feet: FootSkateSums,
+    floor: Floor,
     bvh: Option<BvhFile>,
 }
 
@@ -73,6 +74,7 @@ pub(super) struct PoseSummary {
     pub(super) acceleration: Option<f64>,
     /// With contacts by the poses themselves.
     pub(super) feet: Option<FootSkate>,
+    pub(super) floor: Option<f64>,
     pub(super) states: States,
     pub(super) note: Option<String>,
 }
@@ -145,7 +147,7 @@ impl Poses {
         let create = |path: &PathBuf| BvhFile::create(path, skeleton, fps, self.start);
         let bvh = self.bvh_path.as_ref().map(create).transpose()?;
         let (acceleration, feet) = (MeanAcceleration::new(fps), FootSkateSums::new(fps));
-        self.body = Some(Stream { fps, acceleration, feet, bvh });
+        self.body = Some(Stream { fps, acceleration, feet, floor: Floor::default(), bvh });
         head.iter().try_for_each(|pose| self.stream(pose, skeleton, comparisons))
     }
 
@@ -165,8 +167,14 @@ impl Poses {
             }
         }
         match pose.is_tracked() {
-            true => body.feet.add(&posture, None),
-            false => body.feet.gap(),
+            true => {
+                body.feet.add(&posture, None);
+                body.floor.add(&posture, skeleton, body.fps);
+            }
+            false => {
+                body.feet.gap();
+                body.floor.gap();
+            }
         }
         body.acceleration.add(capture, pose.is_tracked().then_some(posture));
         if let Some(bvh) = &mut body.bvh {
@@ -197,7 +205,7 @@ impl Poses {
         if self.body.is_none() {
             self.begin(skeleton, comparisons)?;
         }
-        let Some(Stream { fps, acceleration, feet, bvh }) = self.body.take() else {
+        let Some(Stream { fps, acceleration, feet, floor, bvh }) = self.body.take() else {
             return Ok(PoseSummary::default());
         };
         let path = self.bvh_path.as_deref().unwrap_or(Path::new(""));
@@ -206,8 +214,8 @@ impl Poses {
             None => Default::default(),
         };
         let several = self.count > 1;
-        let (acceleration, feet) = (acceleration.mean(), feet.finish());
-        Ok(PoseSummary { fps: several.then_some(fps), acceleration, feet, states, note })
+        let (acceleration, feet, floor) = (acceleration.mean(), feet.finish(), floor.height());
+        Ok(PoseSummary { fps: several.then_some(fps), acceleration, feet, floor, states, note })
     }
 }
 

@@ -118,7 +118,8 @@ fn prepare(
     let (mut body, mut offsets, mut is_body_wrong) = (options.body.clone(), Vec::new(), false);
     if options.passes() > 1 {
         let first = FirstPass::run(recording, options, &mut rig, &mut held_out, observer)?;
-        (body, offsets, is_body_wrong) = (first.body(), first.offsets, first.is_body_wrong);
+        is_body_wrong = first.is_body_wrong && options.body.is_some();
+        (body, offsets) = (first.body(), first.offsets);
     }
     Ok(Prepared { rig: Arc::new(rig), held_out, body, offsets, is_body_wrong })
 }
@@ -280,6 +281,7 @@ impl Collected<'_> {
             hold_out_cameras: held_out,
             mean_acceleration_m_s2: poses.acceleration,
             foot_skate: true_skate.unwrap_or(poses.feet),
+            floor_m: poses.floor,
             truth,
             reference: comparisons.reference.and_then(|reference| reference.finish()),
             solve_ms: SolveTime::new(&self.windows),

@@ -38,6 +38,8 @@ pub struct Summary {
     pub mean_acceleration_m_s2: Option<f64>,
     /// Contacts are those of the truth; without one, those of the poses themselves.
     pub foot_skate: Option<FootSkate>,
+    /// Median height of standing feet above y = 0, metres; `None` if they hardly stand.
+    pub floor_m: Option<f64>,
     /// Distance from the truth of a synthetic recording.
     pub truth: Option<PoseErrors>,
     pub reference: Option<Reference>,
@@ -133,6 +135,9 @@ impl Summary {
         }
         rows.add("mean joint acceleration", unit(self.mean_acceleration_m_s2, 2, "m/s²"));
         self.foot_skate.iter().for_each(|skate| rows.add_foot_skate(skate));
+        if let Some(floor) = self.floor_m {
+            rows.add("floor", format!("{floor:.2} m"));
+        }
         self.truth.iter().for_each(|truth| rows.add_truth(truth));
         self.reference.iter().for_each(|reference| rows.add_reference(reference));
         if let Some(SolveTime { p50, p99 }) = self.solve_ms {

@@ -230,6 +230,8 @@ fn feet_of_a_walk_stand() {
     pinned("true skate, mm/s", number(&standing, "/foot_skate/truth_mm_s"), 32.0);
     pinned("foot skate, mm/s", number(&standing, "/foot_skate/mm_s"), 46.0);
     pinned("foot skate of feet that may slide, mm/s", number(&sliding, "/foot_skate/mm_s"), 126.0);
+    let floor = number(&standing, "/floor_m");
+    assert!((-0.05..0.05).contains(&floor), "{floor}");
     let mpjpe = |figures| number(figures, "/truth/mpjpe_mm");
     assert!(mpjpe(&standing) < mpjpe(&sliding), "{standing} {sliding}");
 }

@@ -275,6 +275,7 @@ fn at_latency(latency_ms: f64, messages: Vec<Sent>, seconds: f64) -> World {
 
 /// Every pose is solved, none extrapolated.
 fn assert_solved(heard: &Heard) {
+    assert!(heard.poses().len() > 100, "{} poses", heard.poses().len());
     assert!(heard.poses().iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
     let playout = heard.status().playout.unwrap();
     assert_eq!((playout.coasted, playout.missed), (0, 0), "{:?}", heard.details("latency"));

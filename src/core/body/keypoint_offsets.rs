@@ -57,7 +57,7 @@ pub struct OffsetPrior {
 }
 
 impl OffsetPrior {
-    /// The prior for detectors of a format. Elbows, wrists, knees and ankles have higher precisions:
+    /// The prior for detectors of a format: means where they were measured, else 0. Elbows, wrists, knees and ankles have higher precisions:
     /// detectors are most exact there, and a large offset would hide a wrong bone length.
     pub fn of(format: KeypointFormat) -> Self {
         let precise = |point| match (format, point) {
@@ -66,7 +66,8 @@ impl OffsetPrior {
             _ => 1.0,
         };
         let mean = |point, axis| match (format, point, axis) {
-            // Measured: 27 mm below the knee joint, on both sides of one performer.
+            // 27 mm below the knee joint were measured, on both sides of one performer. 0.7 of it is
+            // the mean, since others may differ.
             (KeypointFormat::Halpe26, LKnee, 1) => -0.019 / UNIT,
             _ => 0.0,
         };

@@ -1,5 +1,5 @@
 //! Finding the performer in one frame set without a known pose: association across views,
-//! triangulation, the root from the torso, then a fit in two stages.
+//! triangulation, the root from the torso, then a fit from several starts.
 
 use std::f64::consts::TAU;
 
@@ -217,9 +217,9 @@ impl Torso {
     }
 }
 
-/// Fits a keyframe, and the `free` coefficients of the body, to one frame set in two stages: with a
-/// wide loss from several [`starts`], then with the cost itself from the best of them. `None` if the
-/// torso is not triangulated.
+/// Fits a keyframe, and the `free` coefficients of the body, to one frame set: roughly from several
+/// [`starts`], then from the best of these fits with a wide loss and at last with the cost itself.
+/// `None` if the torso is not triangulated.
 pub(super) fn fit(
     seen: &SeenPerformer,
     scene: Scene,

@@ -108,6 +108,7 @@ impl Tracker {
             self.publish_keyframe(start, at, state);
             start = at.capture;
         }
+        let is_fitted = !tracked.residuals.is_empty();
         self.report_verdict(window.publish, &tracked.verdict);
         self.outputs.push_back(Output::Window(Box::new(WindowReport {
             window: self.window,
@@ -121,7 +122,7 @@ impl Tracker {
         if let Some(estimator) = tracked.estimator {
             self.improve_body(window.publish, estimator);
         }
-        self.enter_phase(done, ahead, state);
+        self.enter_phase(done, ahead, state, is_fitted);
         self.start = Some(window.publish);
         self.window += 1;
     }
@@ -205,7 +206,11 @@ impl Tracker {
         done: Vec<TimedKeyframe>,
         ahead: Vec<TimedKeyframe>,
         state: TrackingState,
+        is_fitted: bool,
     ) {
+        if state != TrackingState::Tracking {
+            self.playout.forget_provisionals();
+        }
         let previous = std::mem::replace(&mut self.phase, Phase::Searching);
         let Phase::Tracking { mut past, coasted } = previous else { return };
         past.extend(done);
@@ -221,8 +226,8 @@ impl Tracker {
             }
             TrackingState::Lost => {
                 self.ahead.clear();
-                let is_misfit = coasted == 0 && self.config.body_windows > 0;
-                self.is_proven &= !is_misfit || !self.estimator.is_early();
+                let is_estimated = self.config.body_windows > 0;
+                self.is_proven &= !(is_fitted && is_estimated && self.estimator.is_early());
             }
         }
         if !self.is_proven {

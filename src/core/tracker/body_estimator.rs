@@ -102,7 +102,7 @@ impl BodyEstimator {
     }
 
     /// The estimate after one more window, which was solved with the body `at`. `noise` is the
-    /// variance of the detections' errors relative to the reference level; `weight` is the first
+    /// variance of the detections' errors relative to the reference level, times the confidence; `weight` is the first
     /// weight of the prior of the offsets. `None` if the sum has no minimum.
     pub fn with(
         &self,
@@ -133,8 +133,10 @@ fn estimate(
     pull: &DVector<f64>,
     noise: f64,
     prior: &OffsetPrior,
-    mut weight: f64,
+    weight: f64,
 ) -> Option<DVector<f64>> {
+    // Some coordinates are seen by no keypoint: their prior alone determines them.
+    let mut weight = weight.max(1.0);
     let mut body = DVector::zeros(BODY_COEFFICIENTS);
     for _ in 0..ROUNDS {
         let (mut posterior, mut pull) = (information.clone(), pull.clone());

@@ -24,7 +24,7 @@ pub(super) const MARGIN: Nanos = Nanos::from_ms(3);
 /// Time constant of the decay of an extrapolated motion, seconds.
 const DECAY: f64 = 0.1;
 /// Time constant of the offset of provisional poses from the newest fit, seconds, at the reference
-/// error of the detections. Smaller errors need less smoothing.
+/// error of the detections times their confidence. Smaller errors need less smoothing.
 const OFFSET_DECAY: f64 = 0.042;
 /// A live tracker that is this far behind skips the poses in between.
 const MAX_CATCH_UP: Nanos = Nanos::SECOND;
@@ -82,8 +82,10 @@ impl Latency {
 pub(super) struct Playout {
     /// The capture time of the last final pose that was published.
     published: Option<Timestamp>,
-    /// The known final poses.
+    /// The known final poses, published or not.
     finals: Published,
+    /// The published final poses.
+    shown: Published,
     /// The provisional poses.
     provisionals: Published,
     /// Capture times of provisional poses without a final one yet.
@@ -106,6 +108,12 @@ impl Playout {
     /// The last final pose begins a path: do not continue from the poses before it.
     pub(super) fn begin_path(&mut self) {
         self.finals.begin_path();
+        self.shown.begin_path();
+        self.forget_provisionals();
+    }
+
+    /// The provisional poses begin anew.
+    pub(super) fn forget_provisionals(&mut self) {
         self.provisionals = Published::default();
     }
 
@@ -184,8 +192,8 @@ impl Tracker {
     /// The times of a provisional fit's poses: its end and the final ones, and the last published
     /// ones before them.
     pub(super) fn fit_times(&self, window: Window) -> Vec<Timestamp> {
-        let Playout { finals, provisionals, .. } = &self.playout;
-        let before = finals.times().chain(provisionals.times());
+        let Playout { shown, provisionals, .. } = &self.playout;
+        let before = shown.times().chain(provisionals.times());
         before.chain(self.final_times(window)).chain([window.end]).collect()
     }
 
@@ -199,7 +207,7 @@ impl Tracker {
         // Fits revise poses with look-ahead less.
         let decay = decay / (1.0 + 0.5 * self.look_ahead().unwrap_or(0) as f64);
         for capture in self.final_times(window) {
-            if let Some(pose) = self.playout.finals.continued(capture, fit, decay) {
+            if let Some(pose) = self.playout.shown.continued(capture, fit, decay) {
                 self.publish_final(capture, &pose, state);
             }
         }
@@ -228,6 +236,7 @@ impl Tracker {
     ) {
         if !provisional {
             self.playout.published = Some(capture);
+            self.playout.shown.add(capture, &pose);
         }
         let supersedes = !provisional && self.playout.supersedes(capture);
         self.outputs.push_back(Output::Pose(Box::new(StampedPose {

@@ -15,8 +15,8 @@ pub fn last_body(path: &Path) -> Result<Skeleton, RecordError> {
     let (mut solved, mut truth) = (None, None);
     for entry in Reader::open(path)? {
         match entry?.message {
-            Message::Skeleton(body) => solved = body.to_core().ok(),
-            Message::TruthSkeleton(body) => truth = body.to_core().ok(),
+            Message::Skeleton(body) => solved = body.to_core().ok().or(solved),
+            Message::TruthSkeleton(body) => truth = body.to_core().ok().or(truth),
             _ => {}
         }
     }

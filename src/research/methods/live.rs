@@ -45,6 +45,7 @@ impl Method for LiveTracker {
         }
     }
 
+    /// Of a final pose at most a window, whatever the latency.
     fn delay(&self) -> Delay {
         match self {
             Self::Final(_) => Delay::Frames(Config::default().window_frames),

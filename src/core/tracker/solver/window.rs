@@ -206,7 +206,7 @@ impl Solver {
             false => self.fit_newest(job, points, known, again, &observations),
         };
         let solved = Known { ahead: &keyframes, ..known };
-        let times = job.pose_times.iter().copied();
+        let times = job.pose_times.iter().copied().filter(|time| *time >= known.past[0].capture);
         let poses = times.clone().zip(self.poses_at(solved, times)).collect();
         Outcome::Provisional(Box::new(ProvisionalFit { keyframes, poses, hidden }))
     }
