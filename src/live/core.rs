@@ -190,10 +190,7 @@ impl Core {
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
         self.skeleton = None;
         let tracker = Tracker::new(self.settings.tracker, rig).live(live);
-        self.track = Some(match self.body() {
-            Some(body) => tracker.with_body_to_check(body),
-            None => tracker,
-        });
+        self.track = Some(tracker.with_body_to_check(self.body()));
         self.event(EventKind::Calibrated, None, detail);
     }
 

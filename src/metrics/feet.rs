@@ -5,10 +5,8 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::core::body::{Joint, Posture};
+use crate::core::body::{FEET, Posture};
 
-/// The joints that stand on the ground.
-const FEET: [Joint; 4] = [Joint::LAnkle, Joint::RAnkle, Joint::LFoot, Joint::RFoot];
 /// Contact: the joint is less than this above its floor, millimetres, and ...
 const CONTACT_HEIGHT: i64 = 40;
 /// ... its speed is below this, m/s.

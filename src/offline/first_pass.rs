@@ -109,10 +109,7 @@ impl FirstPass {
         let config = first_pass_settings(options.config, frames as usize);
         let solver = Solver::new(options.decoder()?, config);
         let tracker = Tracker::new(config, Arc::new(rig.clone()));
-        let tracker = match options.body.clone() {
-            Some(body) => tracker.with_body_to_check(body),
-            None => tracker,
-        };
+        let tracker = tracker.with_body_to_check(options.body.clone());
         let cameras: Vec<Camera> = rig.cameras.iter().chain(held_out).cloned().collect();
         Ok(Self {
             driver: Driver::new(tracker, solver),

@@ -44,11 +44,7 @@ pub fn solve(
     let mut outputs = outputs.transpose()?;
     let solver = Solver::new(decoder, options.config);
     let bvh = outputs.as_ref().map(|outputs| outputs.folder.file("poses.bvh"));
-    let tracker = Tracker::new(options.config, Arc::clone(&rig));
-    let tracker = match body {
-        Some(body) => tracker.with_body(body),
-        None => tracker,
-    };
+    let tracker = Tracker::new(options.config, Arc::clone(&rig)).with_body(body);
     let mut run = Run {
         driver: Driver::new(tracker, solver),
         collected: Collected {

@@ -102,7 +102,12 @@ pub(in crate::cli) struct Arguments {
     #[arg(long, value_name = "MINUTES", conflicts_with_all = ["ablation", "tune"])]
     pub(in crate::cli) drift_minutes: Option<f64>,
     /// Measure final poses at these declared latencies, milliseconds, and provisional ones.
-    #[arg(long, value_name = "MS", value_delimiter = ',', conflicts_with_all = ["methods", "drift_minutes", "ablation", "tune"])]
+    #[arg(
+        long,
+        value_name = "MS",
+        value_delimiter = ',',
+        conflicts_with_all = ["methods", "drift_minutes", "ablation", "tune"]
+    )]
     pub(in crate::cli) latencies: Vec<f64>,
     /// Vary our settings one at a time: all, or some of window, publish, keyframe, interpolation,
     /// stiffness, robust_scale, optimiser, stop, scale, prior, prior_dof, errors, foot_contact,

@@ -1,5 +1,7 @@
 //! The 22 joints, in the order of the SMPL-X body.
 
+use std::cmp::Ordering;
+
 /// Number of joints, with the pelvis.
 pub const JOINTS: usize = 22;
 /// Number of joints with a local rotation from the manifold: all but the pelvis.
@@ -37,9 +39,10 @@ pub enum Joint {
     RWrist,
 }
 
-use std::cmp::Ordering;
-
 use Joint::*;
+
+/// The joints that stand on the ground: ankles and feet.
+pub const FEET: [Joint; 4] = [LAnkle, RAnkle, LFoot, RFoot];
 
 impl Joint {
     /// Every joint, parents before children.

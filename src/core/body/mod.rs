@@ -10,7 +10,7 @@ mod pose;
 mod skeleton;
 
 pub use forward::{Posture, Tangents, Wrenches, forward, push_forward};
-pub use joints::{BODY_JOINTS, FASTEST, JOINTS, Joint};
+pub use joints::{BODY_JOINTS, FASTEST, FEET, JOINTS, Joint};
 pub use keypoint_offsets::{KeypointOffsets, OFFSETS, OffsetPrior, SYMMETRIC_OFFSETS};
 pub use keypoints::{Attachment, BodyPoint, fitted_points};
 pub use pose::{Pose, StampedPose, TrackingState};

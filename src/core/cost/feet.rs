@@ -9,13 +9,11 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::unknowns::PathKeyframe;
-use crate::core::body::{Joint, Pose, Posture, Skeleton};
+use crate::core::body::{FEET, Pose, Posture, Skeleton};
 use crate::core::manifold::{CORRECTED, CORRECTION, Correction};
 use crate::core::optimise::NormalEquations;
 use crate::core::so3;
 
-/// The joints that stand.
-const FEET: [Joint; 4] = [Joint::LAnkle, Joint::RAnkle, Joint::LFoot, Joint::RFoot];
 /// Keyframes before and after the two of a velocity whose distance gives the contact.
 const REACH: usize = 2;
 

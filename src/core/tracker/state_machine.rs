@@ -150,18 +150,20 @@ impl Tracker {
         self.delay = delay.max(Nanos::ZERO);
     }
 
-    /// Tracks a performer whose body is known. The body is not estimated.
+    /// Tracks a performer whose body is known, if there is one. The body is not estimated.
     #[must_use]
-    pub fn with_body(self, body: Arc<Skeleton>) -> Self {
+    pub fn with_body(self, body: impl Into<Option<Arc<Skeleton>>>) -> Self {
+        let Some(body) = body.into() else { return self };
         let tracker = self.with_body_to_check(body);
         let config = Config { body_windows: 0, ..tracker.config };
         Self { config, estimator: Arc::new(BodyEstimator::complete()), ..tracker }
     }
 
-    /// Tracks a performer whose body is known. It is checked in the first windows, and estimated anew
-    /// if it does not fit.
+    /// Tracks a performer whose body is known, if there is one. It is checked in the first windows, and
+    /// estimated anew if it does not fit.
     #[must_use]
-    pub fn with_body_to_check(mut self, body: Arc<Skeleton>) -> Self {
+    pub fn with_body_to_check(mut self, body: impl Into<Option<Arc<Skeleton>>>) -> Self {
+        let Some(body) = body.into() else { return self };
         self.outputs.push_back(Output::Skeleton(Arc::clone(&body)));
         (self.skeleton, self.is_proven) = (Some(body), true);
         self.estimator = Arc::new(BodyEstimator::check());

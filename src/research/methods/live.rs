@@ -56,10 +56,8 @@ impl Method for LiveTracker {
     fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
         let config = Config { frame_rate_hz: take.fps, ..Config::default() };
         let live = Live { provisional: true, time_offsets: false, output_rate_hz: 0.0 };
-        let mut tracker = Tracker::new(config, Arc::clone(&take.rig)).live(live);
-        if let Some(body) = &take.body {
-            tracker = tracker.with_body(Arc::clone(body));
-        }
+        let tracker = Tracker::new(config, Arc::clone(&take.rig)).live(live);
+        let mut tracker = tracker.with_body(take.body.clone());
         tracker.set_latency(self.latency(&config, take.fps));
         let mut solver = Solver::new(decoder.clone(), config);
         let (mut poses, mut borders) = (Vec::new(), Vec::new());

@@ -22,10 +22,7 @@ pub struct Start {
 /// Finds the performer as the tracker does, with the take's body if it has one; `None` if nobody is found.
 pub fn start(take: &Take, decoder: &Decoder, config: &Config) -> Option<Start> {
     let config = Config { frame_rate_hz: take.fps, ..*config };
-    let mut tracker = Tracker::new(config, Arc::clone(&take.rig));
-    if let Some(body) = &take.body {
-        tracker = tracker.with_body(Arc::clone(body));
-    }
+    let mut tracker = Tracker::new(config, Arc::clone(&take.rig)).with_body(take.body.clone());
     let mut solver = Solver::new(decoder.clone(), config);
     for input in take.frames.iter().cloned().map(Input::Detections).chain([Input::End]) {
         tracker.handle(input);

@@ -133,10 +133,8 @@ impl Method for Windows {
 
     fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
         let config = Config { frame_rate_hz: take.fps, ..self.config };
-        let mut tracker = Tracker::new(config, Arc::clone(&take.rig));
-        if let Some(body) = take.body.as_ref().filter(|_| !self.own_body) {
-            tracker = tracker.with_body(Arc::clone(body));
-        }
+        let body = take.body.clone().filter(|_| !self.own_body);
+        let mut tracker = Tracker::new(config, Arc::clone(&take.rig)).with_body(body);
         let mut solver = Solver::new(decoder.clone(), config);
         let (mut poses, mut borders, mut body) = (Vec::new(), Vec::new(), None);
         run_to_end(&mut tracker, &mut solver, take.frames.iter().cloned(), |output| match output {
