@@ -123,7 +123,7 @@ impl FootSkateSums {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::body::{Pose, Skeleton};
+    use crate::core::body::{Joint, Pose, Skeleton};
 
     const FPS: f64 = 50.0;
 
