@@ -31,6 +31,8 @@ pub struct Config {
     pub provisional: bool,
     /// Whether the cameras' time offsets are estimated from the motion and corrected.
     pub time_offsets: bool,
+    /// Whether cameras that were moved are found and left out.
+    pub watch_cameras: bool,
     /// Whether the solver gets a processor core of its own, so that poses are published on time.
     pub solver_core: bool,
     /// Largest number of queued messages; beyond it, the oldest are dropped.
@@ -51,6 +53,7 @@ impl Default for Config {
             output_rate_hz: 0.0,
             provisional: true,
             time_offsets: true,
+            watch_cameras: true,
             solver_core: true,
             queue: 4096,
             prometheus: String::new(),

@@ -185,6 +185,7 @@ impl Core {
         let live = Live {
             provisional: node.provisional,
             time_offsets: node.time_offsets,
+            watch_cameras: node.watch_cameras,
             output_rate_hz: node.output_rate_hz,
         };
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());

@@ -5,10 +5,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use bundlemocap::core::body::{Pose, Skeleton};
-use bundlemocap::core::camera::Rig;
+use bundlemocap::core::camera::{Camera, Rig};
 use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::so3;
-use bundlemocap::core::time::Nanos;
+use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{Config, EventKind, Live, Output, Solver, Tracker, run_to_end};
 use bundlemocap::io::formats::{Up, read_calibration, write_calibration};
 use bundlemocap::io::recording::{Provenance, Writer};
@@ -65,7 +65,11 @@ fn as_it_is(_: &mut Rig) {}
 
 /// Turns the third camera about its centre by one degree.
 fn turned(rig: &mut Rig) {
-    let camera = &mut rig.cameras[2];
+    turn(&mut rig.cameras[2]);
+}
+
+/// Turns a camera about its centre by one degree.
+fn turn(camera: &mut Camera) {
     let centre = camera.centre_in_world();
     let axis = Vector3::new(0.6, 0.8, 0.0);
     camera.rotation = so3::exp(&(axis * 1f64.to_radians())) * camera.rotation;
@@ -110,7 +114,8 @@ fn a_live_tracker_corrects_a_shifted_clock_slowly() {
     let mut recording = Recording::new((*rig).clone(), skeleton, |seconds| motion.pose(seconds));
     (recording.frames, recording.noise) = (2400, Noise::clean());
     let config = Config { frame_rate_hz: FPS, ..Config::default() };
-    let live = Live { provisional: false, time_offsets: true, output_rate_hz: 0.0 };
+    let live =
+        Live { provisional: false, time_offsets: true, watch_cameras: false, output_rate_hz: 0.0 };
     let mut tracker = Tracker::new(config, rig).live(live);
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
     let frames = recording.detections().map(|mut frame| {
@@ -130,6 +135,87 @@ fn a_live_tracker_corrects_a_shifted_clock_slowly() {
         println!("{}: {frames:+.2} frames", camera.name);
         let truth = if i == 1 { -2.0 } else { 0.0 };
         assert!((frames - truth).abs() < 0.2, "{}: {frames}", camera.name);
+    }
+}
+
+/// The events of cameras that a live tracker finds moved, with their seconds. The true cameras are
+/// those of `rigs`, each from its second on; the tracker's rig is the first one.
+fn watched(noise: &Noise, rigs: &[(f64, Rig)], seconds: f64) -> Vec<(f64, Option<usize>)> {
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let of_rig = |(begin, rig): &(f64, Rig)| {
+        let motion = |seconds| motion.pose(seconds);
+        let mut recording = Recording::new(rig.clone(), skeleton.clone(), motion);
+        recording.frames = (seconds * recording.fps) as u64;
+        recording.noise = noise.clone();
+        let begin = Timestamp::default() + Nanos::rounded(begin * 1e9);
+        let frames = recording.detections();
+        frames.filter(|f| f.capture >= begin).collect::<Vec<_>>()
+    };
+    let mut frames = Vec::new();
+    for rig in rigs {
+        let mut next = of_rig(rig);
+        let begin = next.first().map(|frame| frame.capture);
+        frames.retain(|frame: &bundlemocap::Detections| {
+            begin.is_none_or(|begin| frame.capture < begin)
+        });
+        frames.append(&mut next);
+    }
+    let config = Config::default();
+    let live =
+        Live { provisional: false, time_offsets: false, watch_cameras: true, output_rate_hz: 0.0 };
+    let mut tracker = Tracker::new(config, Arc::new(rigs[0].1.clone())).live(live);
+    let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
+    let mut events = Vec::new();
+    run_to_end(&mut tracker, &mut solver, frames, |output| match output {
+        Output::Event(event) if event.kind == EventKind::CameraMoved => {
+            println!(
+                "{:.1} s, camera {:?}: {}",
+                event.capture.ns() as f64 / 1e9,
+                event.camera,
+                event.detail
+            );
+            events.push((event.capture.ns() as f64 / 1e9, event.camera));
+        }
+        _ => {}
+    });
+    events
+}
+
+#[test]
+fn one_of_two_cameras_that_is_moved_is_reported() {
+    let mut good = ring_rig(4, 4.0, 1.6).unwrap();
+    good.cameras.truncate(2);
+    let mut moved = good.clone();
+    turn(&mut moved.cameras[1]);
+    let events = watched(&Noise::clean(), &[(0.0, good), (40.0, moved)], 50.0);
+    assert_eq!(events.len(), 1);
+    assert!((40.0..50.0).contains(&events[0].0) && events[0].1.is_none());
+}
+
+#[test]
+fn no_camera_seems_moved_in_a_minute_of_studio_noise() {
+    let good = ring_rig(4, 4.0, 1.6).unwrap();
+    assert_eq!(watched(&Noise::studio(), &[(0.0, good)], 60.0), []);
+}
+
+#[test]
+fn a_camera_that_is_moved_is_left_out_until_it_is_back() {
+    let good = ring_rig(4, 4.0, 1.6).unwrap();
+    let mut turned_by_a_degree = good.clone();
+    turned(&mut turned_by_a_degree);
+    let mut shifted = good.clone();
+    shifted.cameras[1].translation.x += 0.02;
+    let mut turned_away = good.clone();
+    (0..10).for_each(|_| turn(&mut turned_away.cameras[3]));
+    for noise in [Noise::clean(), Noise::studio()] {
+        for (moved, camera) in [(&turned_by_a_degree, 2), (&shifted, 1), (&turned_away, 3)] {
+            let rigs = [(0.0, good.clone()), (40.0, moved.clone()), (54.0, good.clone())];
+            let events = watched(&noise, &rigs, 66.0);
+            let cameras: Vec<_> = events.iter().map(|(_, camera)| *camera).collect();
+            assert_eq!(cameras, [Some(camera); 2]);
+            assert!((40.0..50.0).contains(&events[0].0) && (54.0..64.0).contains(&events[1].0));
+        }
     }
 }
 

@@ -50,6 +50,7 @@ impl Timeline {
         self.tracker = self.tracker.live(Live {
             provisional: false,
             time_offsets: false,
+            watch_cameras: false,
             output_rate_hz: 0.0,
         });
         self

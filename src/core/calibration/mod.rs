@@ -3,6 +3,7 @@
 //!
 //! [`Tracks`] collect the performer's limbs in each view. [`time_offsets`] compares pairs of views,
 //! [`LiveOffsets`] does so while the cameras run, [`refine`] adjusts the cameras to triangulated limbs.
+//! [`Watchdog`] finds cameras that are moved while they run.
 
 mod epipolar;
 mod live_offsets;
@@ -11,9 +12,11 @@ mod refine;
 mod time_offsets;
 mod tracks;
 mod views;
+mod watchdog;
 
 pub use live_offsets::LiveOffsets;
 pub use normal::OffsetVerdict;
 pub use refine::{Correction, refine};
 pub use time_offsets::{TimeOffset, time_offsets};
 pub use tracks::{LIMBS, Tracks};
+pub use watchdog::{Finding, Watchdog};

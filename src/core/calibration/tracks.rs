@@ -121,7 +121,7 @@ impl Tracks {
 }
 
 /// The person that is the performer in `pose`, if any is.
-fn performer<'d>(
+pub(super) fn performer<'d>(
     frame: &'d Detections,
     camera: &Camera,
     pose: &Pose,
@@ -144,7 +144,7 @@ fn performer<'d>(
     (nearest < GATE * (high - low).max()).then_some(person)
 }
 
-fn pixel(person: &Person, frame: &Detections, limb: Keypoint) -> Option<Vector2<f64>> {
+pub(super) fn pixel(person: &Person, frame: &Detections, limb: Keypoint) -> Option<Vector2<f64>> {
     let point = (*person.points.get(frame.format.index_of(limb)?)?)?;
     (point.confidence > CONFIDENT).then_some(point.pixel.coords)
 }

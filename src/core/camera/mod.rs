@@ -232,6 +232,12 @@ impl Camera {
         Some((self.pixel_from_distorted(&distorted), jacobian))
     }
 
+    /// Whether a pixel lies in the image.
+    pub fn contains(&self, pixel: &Vector2<f64>) -> bool {
+        let [width, height] = [self.width, self.height].map(f64::from);
+        (0.0..width).contains(&pixel.x) && (0.0..height).contains(&pixel.y)
+    }
+
     /// The normalised coordinates of a pixel, distortion removed. `None` if no point in front
     /// of the camera projects there, or the iteration does not converge.
     pub fn undistort(&self, pixel: &Vector2<f64>) -> Option<Vector2<f64>> {

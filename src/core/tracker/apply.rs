@@ -10,7 +10,7 @@ use super::port::{Output, WindowReport};
 use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
 use crate::core::body::{Pose, Skeleton, TrackingState};
-use crate::core::calibration::TimeOffset;
+use crate::core::calibration::{Finding, TimeOffset};
 use crate::core::manifold::{self, StampedKeyframe, TimedKeyframe};
 use crate::core::time::{Nanos, Timestamp};
 
@@ -93,6 +93,7 @@ impl Tracker {
     fn tracked(&mut self, window: Window, tracked: Tracked) {
         if tracked.verdict == Verdict::Tracked {
             self.correct_clocks(window, &tracked.newest);
+            self.watch_cameras(window, &tracked.poses);
         }
         self.close_until(window.publish + self.tolerance());
         let state = tracked.verdict.state();
@@ -140,6 +141,46 @@ impl Tracker {
             let detail = format!("about {offset:.0}, corrected step by step");
             self.event(EventKind::TimeOffset, window.publish, Some(camera), detail);
         }
+    }
+
+    /// Live: leaves out cameras that were moved, until they fit again.
+    fn watch_cameras(&mut self, window: Window, poses: &[Pose]) {
+        let is_on = self.live.is_some_and(|live| live.watch_cameras)
+            && (self.estimator.is_complete() || self.watchdog.has_begun());
+        let (Some(skeleton), Some(grid)) = (self.skeleton.clone(), self.output_grid()) else {
+            return;
+        };
+        if !is_on || poses.len() < 2 {
+            return;
+        }
+        let times: Vec<Timestamp> = grid.between(window.start, window.publish).collect();
+        for frame in self.intake.up_to(window.publish + self.tolerance()) {
+            let after = times.partition_point(|time| *time < frame.capture);
+            let k = after.clamp(1, poses.len() - 1);
+            let s = frame.capture.fraction(times[k - 1], times[k]);
+            let pose = poses[k - 1].interpolate(&poses[k], s);
+            self.watchdog.add(&frame, &self.rig, &pose, &skeleton);
+        }
+        let Some(finding) = self.watchdog.judge(window.publish, &self.rig) else { return };
+        let (camera, detail) = match finding {
+            Finding::Moved(camera, pixels) => {
+                let by = match pixels {
+                    Some(pixels) => {
+                        format!("its image shifted by {pixels:.1} px against the others'")
+                    }
+                    None => "it sees nobody where the performer is".to_owned(),
+                };
+                let mend = "put it back or publish a new calibration";
+                (Some(camera), format!("moved: {by}, it is left out; {mend}"))
+            }
+            Finding::FitsAgain(camera) => (Some(camera), "fits again and is used".to_owned()),
+            Finding::OneMoved(cameras, pixels) => {
+                let [first, second] = cameras.map(|camera| &self.rig.cameras[camera].name);
+                let detail = format!("{first} or {second} moved: {pixels:.1} px between them");
+                (None, detail)
+            }
+        };
+        self.event(EventKind::CameraMoved, window.publish, camera, detail);
     }
 
     /// Checks a complete body again if the detections fit it worse than at first.

@@ -44,6 +44,8 @@ pub enum EventKind {
     /// A camera's capture times are shifted against the others', as the motion shows; they are being
     /// corrected.
     TimeOffset,
+    /// A camera was moved and is left out, or fits its calibration again.
+    CameraMoved,
     /// The known body does not fit the performer; it is estimated anew.
     Body,
     /// Capture times jumped; the frames are not used.
@@ -58,7 +60,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 24] = [
+    pub const ALL: [Self; 25] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -78,6 +80,7 @@ impl EventKind {
         Self::Effort,
         Self::ClockOffset,
         Self::TimeOffset,
+        Self::CameraMoved,
         Self::Body,
         Self::ClockJump,
         Self::Crowd,
@@ -107,6 +110,7 @@ impl EventKind {
             Self::Effort => "effort",
             Self::ClockOffset => "clock_offset",
             Self::TimeOffset => "time_offset",
+            Self::CameraMoved => "camera_moved",
             Self::Body => "body",
             Self::ClockJump => "clock_jump",
             Self::Crowd => "crowd",

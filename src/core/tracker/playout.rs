@@ -36,6 +36,8 @@ pub struct Live {
     pub provisional: bool,
     /// Whether the cameras' time offsets are estimated and corrected.
     pub time_offsets: bool,
+    /// Whether cameras that were moved are found and left out.
+    pub watch_cameras: bool,
     /// Poses per second; 0: one for each nominal frame.
     pub output_rate_hz: f64,
 }

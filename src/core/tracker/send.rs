@@ -7,6 +7,7 @@ use super::job::{Job, Task};
 use super::port::Output;
 use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
+use crate::core::calibration::Watchdog;
 use crate::core::time::{Nanos, Timestamp};
 
 /// Number of known keyframes of the open window that a provisional fit solves again with the new
@@ -20,6 +21,7 @@ impl Tracker {
             let detail = format!("calibration {} from here on", rig.version);
             let mut rig = Arc::unwrap_or_clone(rig);
             self.offsets.calibrate(&mut rig);
+            self.watchdog = Watchdog::new(rig.cameras.len());
             self.rig = Arc::new(rig);
             self.event(EventKind::Calibrated, window.start, None, detail);
         }
@@ -73,6 +75,8 @@ impl Tracker {
             (_, Some(grid)) => grid.between(window.start, window.publish).collect(),
             (_, None) => Vec::new(),
         };
+        let mut frames = self.intake.up_to(window.end + self.tolerance());
+        frames.retain(|frame| !self.watchdog.is_left_out(frame.camera));
         self.outputs.push_back(Output::Solve(Box::new(Job {
             number,
             window: self.window,
@@ -81,7 +85,7 @@ impl Tracker {
             publish: window.publish,
             keyframe_times: self.keyframe_times(window),
             pose_times,
-            frames: self.intake.up_to(window.end + self.tolerance()),
+            frames,
             format,
             rig: Arc::clone(&self.rig),
             frame_period: Nanos::new((self.period.unwrap_or(0.0) / 2.0) as i64) * 2,

@@ -15,7 +15,7 @@ use super::port::{Input, Output};
 use super::waiting::Waiting;
 use super::window::{FALLBACK_PERIOD, Window};
 use crate::core::body::{Skeleton, TrackingState};
-use crate::core::calibration::LiveOffsets;
+use crate::core::calibration::{LiveOffsets, Watchdog};
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::manifold::TimedKeyframe;
@@ -86,6 +86,7 @@ pub struct Tracker {
     pub(super) newest: Option<Timestamp>,
     pub(super) playout: Playout,
     pub(super) offsets: LiveOffsets,
+    pub(super) watchdog: Watchdog,
     pub(super) outputs: VecDeque<Output>,
 }
 
@@ -123,6 +124,7 @@ impl Tracker {
             newest: None,
             playout: Playout::default(),
             offsets: LiveOffsets::new(cameras),
+            watchdog: Watchdog::new(cameras),
             outputs: VecDeque::new(),
         }
     }
@@ -299,6 +301,7 @@ impl Tracker {
             return;
         }
         self.offsets = LiveOffsets::new(rig.cameras.len());
+        self.watchdog = Watchdog::new(rig.cameras.len());
         self.rig = rig;
         self.restart();
     }
@@ -308,7 +311,7 @@ impl Tracker {
     fn restart(&mut self) {
         let fresh = Self::new(self.config, Arc::clone(&self.rig));
         let old = std::mem::replace(self, fresh);
-        (self.live, self.offsets) = (old.live, old.offsets);
+        (self.live, self.offsets, self.watchdog) = (old.live, old.offsets, old.watchdog);
         self.skeleton = old.skeleton.filter(|_| old.is_proven);
         self.is_proven = old.is_proven;
         if self.skeleton.is_some() {

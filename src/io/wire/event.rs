@@ -62,6 +62,7 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Calibrated
         | EventKind::ClockOffset
         | EventKind::TimeOffset
+        | EventKind::CameraMoved
         | EventKind::ClockJump
         | EventKind::Crowd
         | EventKind::Conflict

@@ -55,7 +55,12 @@ impl Method for LiveTracker {
 
     fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
         let config = Config { frame_rate_hz: take.fps, ..Config::default() };
-        let live = Live { provisional: true, time_offsets: false, output_rate_hz: 0.0 };
+        let live = Live {
+            provisional: true,
+            time_offsets: false,
+            watch_cameras: false,
+            output_rate_hz: 0.0,
+        };
         let tracker = Tracker::new(config, Arc::clone(&take.rig)).live(live);
         let mut tracker = tracker.with_body(take.body.clone());
         tracker.set_latency(self.latency(&config, take.fps));
