@@ -20,6 +20,7 @@ use bundlemocap::core::tracker::{
     Config, Effort, EventKind, Input, Job, Noise, Outcome, Output, Solver, Task, Tracker, Verdict,
     WindowReport, run_to_end,
 };
+use bundlemocap::research::synth::ring_rig;
 use nalgebra::{Point2, Vector3};
 
 use crate::solve::{frame, keyframe, observe, ring};
@@ -313,6 +314,51 @@ fn a_bystander_in_some_views_is_not_followed() {
         assert!((a.pose.root_position - b.pose.root_position).norm() < 5e-3);
     }
     assert_eq!(clean.poses.len(), crowded.poses.len());
+}
+
+/// Twenty people in sixteen views, some with points far outside the image. The work is bounded; one of
+/// the people is found.
+#[test]
+fn somebody_is_found_in_a_crowd() {
+    let rig = Arc::new(ring_rig(16, 6.0, 2.0).unwrap());
+    let (points, decoder) = (fitted_points(FORMAT), Decoder::embedded().unwrap());
+    let skeleton = Skeleton::new(truth_shape());
+    let mut frames: Vec<Detections> = Vec::new();
+    let mut truths = Vec::new();
+    for person in 0..20 {
+        let mut at = keyframe(0.7 + 0.1 * f64::from(person), 0.25);
+        let place = Vector3::new(f64::from(person % 5) - 2.0, 0.0, f64::from(person / 5) - 1.5);
+        at.root_position += place;
+        truths.push(at.root_position);
+        let posture = decoder.pose(&at).posture(&skeleton);
+        for i in 0..12 {
+            let seen = observe(&rig, &points, &posture, &skeleton);
+            for (k, frame) in detections(&rig, &points, &seen, i).into_iter().enumerate() {
+                match frames.get_mut(16 * i + k) {
+                    Some(set) => set.people.extend(frame.people),
+                    None => frames.push(frame),
+                }
+            }
+        }
+    }
+    for frame in &mut frames {
+        let last = frame.people[19].points.iter_mut().flatten().next().unwrap();
+        last.pixel = Point2::new(1e9, -1e9);
+    }
+    let mut tracker = Tracker::new(Config { shape_windows: 1, ..Config::default() }, rig);
+    let mut solver = Solver::new(Decoder::embedded().unwrap(), Config::default());
+    let mut found = Vec::new();
+    for input in frames.into_iter().map(Input::Detections).chain([Input::End]) {
+        tracker.handle(input);
+        while let Some(output) = tracker.poll_and_solve(|job| solver.solve(job)) {
+            if let Output::Pose(pose) = output {
+                found.push(pose.pose.root_position);
+            }
+        }
+    }
+    let nearest =
+        truths.iter().map(|truth| (truth - found[0]).norm()).fold(f64::INFINITY, f64::min);
+    assert!(nearest < 0.05, "{nearest}");
 }
 
 #[test]

@@ -22,6 +22,8 @@ use crate::core::time::Timestamp;
 const MIN_POINTS: usize = 6;
 /// Only this many people of a view are tried.
 const MOST_PEOPLE: usize = 8;
+/// Only this many pairs of people in two views are tried.
+const MOST_PAIRS: usize = 1000;
 /// Distance from hips to shoulders, metres. Outside this range the views show different people.
 const TRUNK_LENGTH: std::ops::Range<f64> = 0.25..0.85;
 /// Factor of the loss's scale and of the prior in the first stage.
@@ -97,24 +99,33 @@ pub(super) fn find_performer(
     let candidates: Vec<Candidate> =
         frames.iter().flat_map(|frame| largest(frame, points, config)).collect();
     let mut best: Option<SeenPerformer> = None;
-    for (i, a) in candidates.iter().enumerate() {
-        for b in &candidates[i + 1..] {
-            if a.camera == b.camera {
-                continue;
-            }
-            let proposal = triangulate(&[a, b], rig, points.len(), config);
-            let Some(seen) = support(&proposal, &candidates, rig, points, config) else {
-                continue;
-            };
-            if best.as_ref().is_none_or(|best| seen.score > best.score) {
-                best = Some(seen);
-            }
+    for [a, b] in pairs(&candidates) {
+        let proposal = triangulate(&[a, b], rig, points.len(), config);
+        if proposal.iter().flatten().count() < MIN_POINTS {
+            continue;
         }
+        let least = best.as_ref().map_or(0.0, |best| best.score);
+        best = support(&proposal, &candidates, rig, points, config, least).or(best);
     }
     best
 }
 
-/// The largest people of a frame; every pair in two views is tried, so more would take too long.
+/// Pairs of people in two views; if there are many, those where both are large.
+fn pairs(candidates: &[Candidate]) -> Vec<[&Candidate; 2]> {
+    let all = candidates.iter().enumerate().flat_map(|(i, a)| {
+        let others = candidates[i + 1..].iter().filter(|b| a.camera != b.camera);
+        others.map(move |b| [a, b])
+    });
+    let mut pairs: Vec<[&Candidate; 2]> = all.collect();
+    if pairs.len() > MOST_PAIRS {
+        let smaller = |[a, b]: &[&Candidate; 2]| a.extent.min(b.extent);
+        pairs.sort_by(|a, b| smaller(b).total_cmp(&smaller(a)));
+        pairs.truncate(MOST_PAIRS);
+    }
+    pairs
+}
+
+/// The largest people of a frame.
 fn largest(frame: &Detections, points: &[BodyPoint], config: &Config) -> Vec<Candidate> {
     let people = frame.people.iter();
     let mut found: Vec<Candidate> =
@@ -126,13 +137,15 @@ fn largest(frame: &Detections, points: &[BodyPoint], config: &Config) -> Vec<Can
     found
 }
 
-/// The views that agree with a proposal, and the points triangulated from all of them.
+/// The views that agree with a proposal, and the points triangulated from all of them; `None` if the
+/// score is not above `least`.
 fn support(
     proposal: &[Option<Vector3<f64>>],
     candidates: &[Candidate],
     rig: &Rig,
     points: &[BodyPoint],
     config: &Config,
+    least: f64,
 ) -> Option<SeenPerformer> {
     let mut views: Vec<(&Candidate, f64)> = Vec::new();
     for candidate in candidates {
@@ -150,6 +163,9 @@ fn support(
     }
     let members: Vec<&Candidate> = views.iter().map(|(candidate, _)| *candidate).collect();
     let score = views.iter().map(|(_, support)| support).sum();
+    if score <= least {
+        return None;
+    }
     let triangulated = triangulate(&members, rig, points.len(), config);
     let torso = Torso::of(points, &triangulated)?;
     (members.len() >= 2 && TRUNK_LENGTH.contains(&torso.up.norm())).then(|| SeenPerformer {
