@@ -856,7 +856,11 @@ fn a_lasting_change_of_rate_is_followed() {
         let first = later.frames[0].frame;
         later.frames.iter_mut().for_each(|f| f.frame = f.frame - first + (6.0 * before) as u64);
         studio.frames.extend(later.frames);
-        let world = after(studio.messages(), 14.0);
+        let mut messages = studio.messages();
+        for message in &mut messages[1..40] {
+            message.arrival = message.arrival + MS;
+        }
+        let world = after(messages, 14.0);
         let heard = &world.heard;
         let found = [pose_rate(heard, 3.0, 5.9), pose_rate(heard, 9.0, 13.5)];
         println!("{before} to {after_hz} Hz: {found:?}, {:?}", heard.events());
@@ -866,6 +870,10 @@ fn a_lasting_change_of_rate_is_followed() {
         let late = heard.poses().into_iter().filter(|(_, p)| p.capture_time_ns > at(10.0).ns());
         assert!(late.into_iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
         assert_eq!(heard.details("acquired").len(), 1, "tracking never ended");
+        let events = heard.of::<Status>(&Topics::default().status()).into_iter();
+        let events: Vec<_> =
+            events.filter(|(time, _)| *time > at(10.0)).map(|(_, s)| s.events).collect();
+        assert_eq!(events.first(), events.last(), "nothing is late after 10 s");
     }
 }
 
@@ -883,7 +891,7 @@ fn capture_times_in_other_units_are_named_once_for_each_camera() {
         }
         let world = after(messages, 5.0);
         let details = world.heard.details("unusable");
-        assert!(details.len() == 1 && details[0].contains(unit), "{details:?}");
+        assert!(details.len() == 4 && details.iter().all(|d| d.contains(unit)), "{details:?}");
         assert_eq!(world.heard.events()["unusable"], 4, "{:?}", world.heard.events());
         assert!(world.heard.poses().is_empty());
     }
@@ -894,7 +902,7 @@ fn a_single_frame_far_off_its_cameras_line_is_not_used() {
     for off in [-0.5, 0.5, 1.5] {
         let mut studio = Studio::new(4, 480);
         for frame in &mut studio.frames {
-            if frame.camera == 1 && frame.frame > 60 && frame.frame % 50 == 0 {
+            if frame.camera == 1 && (60..440).contains(&frame.frame) && frame.frame % 50 == 0 {
                 frame.capture = frame.capture + Nanos::rounded(off * 1e9);
             }
         }
@@ -908,7 +916,7 @@ fn a_single_frame_far_off_its_cameras_line_is_not_used() {
         let events = world.heard.events();
         println!("{off} s off: {events:?}");
         let refused = ["unusable", "clock_jump"].map(|kind| events.get(kind).copied().unwrap_or(0));
-        assert_eq!(refused.iter().sum::<u64>(), 8, "{events:?}");
+        assert_eq!(refused.iter().sum::<u64>(), 7, "{events:?}");
         assert!(!events.contains_key("late") && !events.contains_key("out_of_order"), "{events:?}");
         assert_eq!(world.heard.status().playout.unwrap().coasted, 0);
     }
@@ -931,7 +939,8 @@ fn a_pause_or_a_restart_of_a_camera_costs_no_frame() {
     let events = world.heard.events();
     assert!(!events.contains_key("unusable"), "{events:?}");
     for camera in &status.cameras[1..] {
-        assert!(camera.used >= 410, "{} of 440 frames of {}", camera.used, camera.camera);
+        // The last status is at 7.5 s.
+        assert!(camera.used >= 395, "{} of 410 frames of {}", camera.used, camera.camera);
     }
 }
 

@@ -41,7 +41,7 @@ const SAME_STEP: std::ops::Range<f64> = 0.6..1.5;
 /// line of the same slope: the clock or the counter has jumped.
 const JUMP: [f64; 2] = [4.0, 0.05];
 /// A jump back by more than this begins anew.
-const BACK: Nanos = Nanos::SECOND;
+const BACK: Nanos = Nanos::from_ms(100);
 /// Without a usable counter, a gap of more frames than this is a jump.
 const COUNTED_GAP: f64 = 30.0;
 /// Least standard deviation of capture times, ns.
@@ -69,7 +69,7 @@ pub struct FramePeriod {
 /// The frames of one camera, and its period.
 #[derive(Clone, Debug, Default)]
 struct Camera {
-    /// Frame numbers and capture times, in order of arrival.
+    /// Frame numbers and capture times, in order of capture.
     frames: VecDeque<(u64, Timestamp)>,
     /// Frames since the last measurement.
     new: usize,
@@ -162,7 +162,7 @@ impl FramePeriod {
         let near = |rate: &f64| (1e9 / rate - self.ns).abs() <= 3.0 * self.error_ns;
         let mut near = COMMON_RATES_HZ.into_iter().filter(near);
         match (near.next(), near.next()) {
-            (Some(rate), None) => Self { ns: 1e9 / rate, error_ns: LEAST_ERROR * self.ns },
+            (Some(rate), None) => Self { ns: 1e9 / rate, error_ns: 0.25 * LEAST_ERROR * self.ns },
             _ => Self { ns: 1e9 / rate, ..self },
         }
     }
@@ -178,7 +178,8 @@ impl Camera {
         if self.frames.back().is_some_and(|(_, last)| *last - capture > BACK) {
             self.frames.clear();
         }
-        self.frames.push_back((number, capture));
+        let later = self.frames.iter().rev().take_while(|(_, other)| *other > capture).count();
+        self.frames.insert(self.frames.len() - later, (number, capture));
         if self.frames.len() > KEPT {
             self.frames.pop_front();
         }
@@ -233,7 +234,7 @@ impl Line {
             return None;
         }
         let (mut sums, mut line) = (Sums::default(), Sums::default());
-        let (mut x, mut y) = (0.0, 0.0);
+        let (mut x, mut y, mut frames) = (0.0, 0.0, 0.0);
         line.add(x, y);
         for (count, time) in steps {
             let count = if is_counted { count } else { (time / nominal).round() };
@@ -243,14 +244,16 @@ impl Line {
                 sums.add_line(&line);
                 (line, x, y) = (Sums::default(), 0.0, 0.0);
             } else {
-                (x, y) = (x + count, y + off);
+                (x, y, frames) = (x + count, y + off, frames + count);
             }
             line.add(x, y);
         }
         sums.add_line(&line);
         let [xx, xy, yy] = sums.squares;
         let freedom = sums.count - 1.0;
-        if freedom < 1.0 || xx <= 0.0 {
+        // Two publishers of one name take turns.
+        let is_regular = is_counted || SAME_STEP.contains(&(frames / sums.count));
+        if freedom < 1.0 || xx <= 0.0 || !is_regular {
             return None;
         }
         let slope = xy / xx;

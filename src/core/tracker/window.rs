@@ -85,7 +85,15 @@ impl Tracker {
         let Some(found) = self.intake.rate().period() else { return };
         if self.period.is_none_or(|old| found.differs_from(old) || (searching && found.ns != old)) {
             self.period = Some(found.ns);
-            self.frames = Some(Grid { origin: start, period_ns: found.ns });
+            let mut grid = Grid { origin: start, period_ns: found.ns };
+            if let Some(frame) = self.intake.first().filter(|_| !searching) {
+                // A window that ends between two frames would wait for the second one.
+                let off = frame - grid.time(grid.nearest(frame));
+                if off.abs() > self.tolerance() {
+                    grid.origin = start + off;
+                }
+            }
+            self.frames = Some(grid);
             self.ahead.clear();
         }
     }
