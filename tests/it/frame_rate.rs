@@ -144,6 +144,8 @@ fn a_lasting_change_of_rate_is_followed_and_a_pause_is_none() {
                 }
             }
             assert!(changed_after < 3.0, "{before} to {after} Hz: {changed_after} s");
+            let error = (cameras.hz() / after - 1.0).abs();
+            assert!(error < 5e-4, "{before} to {after} Hz: {error} after 4 s");
         }
     }
     let mut cameras = Cameras::new(3, 1, 1.0, 0.02);

@@ -201,11 +201,12 @@ impl Camera {
         {
             let (first, second) = recent.split_at(RECENT / 2);
             let halves = Line::fit(first).zip(Line::fit(second));
-            if halves.is_none_or(|(a, b)| a.differs_from(&b)) {
-                return;
+            if let Some((before, now)) = halves
+                && !now.differs_from(&before)
+            {
+                self.line = Some(now);
+                self.frames.drain(..self.frames.len() - RECENT / 2);
             }
-            self.line = Some(now);
-            self.frames.drain(..self.frames.len() - RECENT);
             return;
         }
         self.line = Line::fit(frames).or(self.line);
@@ -234,7 +235,7 @@ impl Line {
             return None;
         }
         let (mut sums, mut line) = (Sums::default(), Sums::default());
-        let (mut x, mut y, mut frames) = (0.0, 0.0, 0.0);
+        let (mut x, mut y, mut span) = (0.0, 0.0, 0.0);
         line.add(x, y);
         for (count, time) in steps {
             let count = if is_counted { count } else { (time / nominal).round() };
@@ -244,7 +245,7 @@ impl Line {
                 sums.add_line(&line);
                 (line, x, y) = (Sums::default(), 0.0, 0.0);
             } else {
-                (x, y, frames) = (x + count, y + off, frames + count);
+                (x, y, span) = (x + count, y + off, span + count);
             }
             line.add(x, y);
         }
@@ -252,7 +253,7 @@ impl Line {
         let [xx, xy, yy] = sums.squares;
         let freedom = sums.count - 1.0;
         // Two publishers of one name take turns.
-        let is_regular = is_counted || SAME_STEP.contains(&(frames / sums.count));
+        let is_regular = is_counted || SAME_STEP.contains(&(span / sums.count));
         if freedom < 1.0 || xx <= 0.0 || !is_regular {
             return None;
         }
