@@ -53,6 +53,15 @@ Exit codes:
   13  the bus cannot be opened or reached
   14  the replay differs from the recording";
 
+/// The value of `--fps`, a number or a ratio such as `60000/1001`.
+pub(crate) fn ratio(text: &str) -> Result<f64, String> {
+    let number = |text: &str| text.trim().parse::<f64>().map_err(|error| error.to_string());
+    match text.split_once('/') {
+        Some((above, below)) => Ok(number(above)? / number(below)?),
+        None => number(text),
+    }
+}
+
 /// The value of `--fps`, if it is a valid frame rate.
 pub(crate) fn frame_rate_option(fps: f64) -> Result<f64, Failure> {
     if (1.0..=1000.0).contains(&fps) {
@@ -152,6 +161,7 @@ impl From<offline::Error> for Failure {
             E::Uncalibrated { .. } | E::NoSuchCamera { .. } | E::SilentCamera { .. } => {
                 Exit::CameraMismatch
             }
+            E::TimeUnit { .. } => Exit::Malformed,
             E::NobodyFound { .. } => Exit::NobodyFound,
             E::Weights(_) => Exit::Weights,
             E::Exists { .. } => Exit::Usage,

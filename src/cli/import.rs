@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 
 use super::Ended;
-use super::failure::{Exit, Failure, frame_rate_option};
+use super::failure::{Exit, Failure, frame_rate_option, ratio};
 use super::terminal::{progress, say, table};
 use crate::core::camera::Rig;
 use crate::core::time::Timestamp;
@@ -47,8 +47,8 @@ struct Openpose {
     /// Calibration: Pose2Sim or aniposelib TOML, or Qualisys .qca.txt.
     #[arg(long)]
     calibration: PathBuf,
-    /// Frame rate of the cameras, 1 to 1000 Hz.
-    #[arg(long, allow_negative_numbers = true)]
+    /// Frame rate of the cameras, 1 to 1000 Hz; a number, or a ratio such as 60000/1001.
+    #[arg(long, value_parser = ratio, allow_negative_numbers = true)]
     fps: f64,
     /// Keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133.
     #[arg(long)]

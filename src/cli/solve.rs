@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
 
 use super::Ended;
-use super::failure::{Exit, Failure, frame_rate_option};
+use super::failure::{Exit, Failure, frame_rate_option, ratio};
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
 use crate::core::manifold::{Decoder, Interpolation};
@@ -78,8 +78,9 @@ pub(super) struct Arguments {
     /// Use the capture times as they are; default: correct those of cameras that are shifted.
     #[arg(long)]
     no_sync: bool,
-    /// Frame rate of the cameras, 1 to 1000 Hz; default: estimated from the recording.
-    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
+    /// Frame rate of the cameras, 1 to 1000 Hz, such as 60 or 60000/1001; default: estimated from the
+    /// recording.
+    #[arg(long, value_name = "HZ", value_parser = ratio, allow_negative_numbers = true)]
     fps: Option<f64>,
     /// Interpolation of latent codes between keyframes.
     #[arg(long, value_enum)]

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::Ended;
-use super::failure::{Exit, Failure, frame_rate_option};
+use super::failure::{Exit, Failure, frame_rate_option, ratio};
 use super::terminal::{progress, say};
 use crate::core::body::{Shape, Skeleton};
 use crate::io::formats::keypoint_format;
@@ -31,8 +31,8 @@ pub(super) struct Arguments {
     /// Duration, seconds.
     #[arg(long, default_value_t = 4.0, allow_negative_numbers = true)]
     seconds: f64,
-    /// Frame rate of every camera, 1 to 1000 Hz.
-    #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
+    /// Frame rate of every camera, 1 to 1000 Hz; a number, or a ratio such as 60000/1001.
+    #[arg(long, default_value_t = 60.0, value_parser = ratio, allow_negative_numbers = true)]
     fps: f64,
     /// Number of cameras around the performer, 2 to 64.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=64))]

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::core::Core;
+use super::latency::Finder;
 use super::port::Output;
 use super::publication::{Content, Publication};
 use super::status::quantile;
@@ -32,6 +33,11 @@ impl Core {
         let Some(track) = &mut self.track else { return };
         let output = Nanos::new(track.output_grid().map_or(0, |grid| grid.period_ns as i64));
         let (wait, period) = (track.span() - output, Nanos::rounded(track.frame_period()));
+        // A latency holds for a frame rate.
+        if (period - self.latency_period).abs() > period / 20 {
+            (self.latency, self.latency_period) =
+                (Finder::new(self.settings.node.latency_ms), period);
+        }
         let delay = match self.latency.declared() {
             Some(_) => Nanos::ZERO,
             None => self.clock.delay_p999(),

@@ -1,7 +1,7 @@
 //! Per camera: counters, frame rate, and signs of a second publisher.
 
 use crate::core::time::{Nanos, Timestamp};
-use crate::core::tracker::EventKind;
+use crate::core::tracker::{EventKind, UnitCheck};
 use crate::io::wire::CameraCounters;
 
 /// This many conflicts in a second between frame numbers and capture times mean two publishers.
@@ -20,6 +20,9 @@ pub(super) struct Camera {
     recent: u64,
     odd: u32,
     rate: Option<f64>,
+    units: UnitCheck,
+    /// Whether its capture times are not in nanoseconds.
+    has_other_unit: bool,
     /// Whether its clock has been reported as off.
     pub(super) is_off: bool,
 }
@@ -31,6 +34,13 @@ impl Camera {
 
     pub(super) fn name(&self) -> &str {
         &self.name
+    }
+
+    /// Whether its capture times are in nanoseconds; and a warning if they no longer are.
+    pub(super) fn check_unit(&mut self, capture: Timestamp) -> (bool, Option<String>) {
+        let fault = self.units.add(capture);
+        let had_other_unit = std::mem::replace(&mut self.has_other_unit, fault.is_some());
+        (fault.is_none(), fault.filter(|_| !had_other_unit))
     }
 
     /// Counts a frame. Returns a warning if two publishers seem to use the camera's name: frame

@@ -86,6 +86,14 @@ impl Core {
         let (now, index, capture) = (self.now, frame.camera, frame.capture);
         let Some(camera) = self.cameras.get_mut(index) else { return };
         let name = camera.name().to_owned();
+        let (is_usable, warning) = camera.check_unit(capture);
+        if let Some(detail) = warning {
+            let detail = format!("{detail}; its frames are not used");
+            self.event(EventKind::Unusable, Some(&name), detail);
+        }
+        if !is_usable {
+            return;
+        }
         match self.clock.arrive(index, now, capture) {
             Arrival::Usual => {}
             Arrival::Jumped(by) => {
@@ -101,7 +109,8 @@ impl Core {
                 return self.event(EventKind::ClockJump, None, detail);
             }
         }
-        if let Some(detail) = camera.frame(now, frame.frame, capture) {
+        let conflict = self.cameras[index].frame(now, frame.frame, capture);
+        if let Some(detail) = conflict {
             self.event(EventKind::Conflict, Some(&name), detail);
         }
         self.arrivals.push_back((capture, now));

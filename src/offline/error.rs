@@ -52,6 +52,8 @@ pub enum Error {
          --cameras", path.display()
     )]
     SilentCamera { path: PathBuf, camera: String },
+    #[error("{}: camera {camera}: {reason}", path.display())]
+    TimeUnit { path: PathBuf, camera: String, reason: String },
     #[error("{}: nobody was found: {evidence}", path.display())]
     NobodyFound { path: PathBuf, evidence: String },
     #[error("the embedded weights: {0}")]

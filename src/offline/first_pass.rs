@@ -16,7 +16,7 @@ use crate::core::camera::{Camera, Rig};
 use crate::core::cost;
 use crate::core::detections::Detections;
 use crate::core::time::Nanos;
-use crate::core::tracker::{self, EventKind, Input, Output, Solver, Tracker};
+use crate::core::tracker::{self, EventKind, FramePeriod, Input, Output, Solver, Tracker};
 
 /// Most frames that wait for their poses.
 const WAITING: usize = 8192;
@@ -89,27 +89,34 @@ impl FirstPass {
         recording: &mut Recording,
         options: &Options,
         rig: &mut Rig,
+        period: Option<FramePeriod>,
         held_out: &mut [Camera],
         observer: &mut dyn Observer,
     ) -> Result<Self, Error> {
-        let mut pass = Self::new(options, recording.frames(), rig, held_out)?;
+        let mut pass = Self::new(options, recording.frames(), rig, period, held_out)?;
         pass.stream(recording, rig, held_out, observer)?;
         if options.no_sync {
             return Ok(pass);
         }
         let offsets = pass.apply_time_offsets(rig, held_out);
         if offsets.iter().take(rig.cameras.len()).any(|offset| offset.applied) {
-            pass = Self::new(options, recording.frames(), rig, held_out)?;
+            pass = Self::new(options, recording.frames(), rig, period, held_out)?;
             pass.stream(recording, rig, held_out, observer)?;
         }
         Ok(Self { offsets, ..pass })
     }
 
-    fn new(options: &Options, frames: u64, rig: &Rig, held_out: &[Camera]) -> Result<Self, Error> {
+    fn new(
+        options: &Options,
+        frames: u64,
+        rig: &Rig,
+        period: Option<FramePeriod>,
+        held_out: &[Camera],
+    ) -> Result<Self, Error> {
         let config = first_pass_settings(options.config, frames as usize);
         let solver = Solver::new(options.decoder()?, config);
         let tracker = Tracker::new(config, Arc::new(rig.clone()));
-        let tracker = tracker.with_body_to_check(options.body.clone());
+        let tracker = tracker.with_frame_period(period).with_body_to_check(options.body.clone());
         let cameras: Vec<Camera> = rig.cameras.iter().chain(held_out).cloned().collect();
         Ok(Self {
             driver: Driver::new(tracker, solver),
@@ -241,7 +248,8 @@ pub fn check_cameras(
     observer: &mut dyn Observer,
 ) -> Result<CheckedCameras, Error> {
     let mut rig = recording.chosen(&options.cameras, &[])?;
-    let pass = FirstPass::run(recording, options, &mut rig, &mut [], observer)?;
+    let period = recording.frame_period(&rig)?;
+    let pass = FirstPass::run(recording, options, &mut rig, period, &mut [], observer)?;
     if pass.body().is_none() {
         let evidence =
             "no performer is seen by two cameras at once; check the calibration".to_owned();

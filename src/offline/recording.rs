@@ -10,6 +10,8 @@ use super::Error;
 use crate::core::body::{Skeleton, StampedPose};
 use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
+use crate::core::time::Timestamp;
+use crate::core::tracker::{FramePeriod, FrameRate, RATE_FRAMES, UnitCheck};
 use crate::io::recording::{CameraInfo, Info, Message, Reader, Report, summarise};
 use crate::io::wire;
 
@@ -160,6 +162,33 @@ impl Recording {
             None => Ok(rig),
             Some(camera) => Err(Error::SilentCamera { path: path(), camera: camera.clone() }),
         }
+    }
+
+    /// Measures the frame rate of the cameras of `rig` on their first frames.
+    ///
+    /// # Errors
+    /// Capture times that are not in nanoseconds.
+    pub(crate) fn frame_period(&mut self, rig: &Rig) -> Result<Option<FramePeriod>, Error> {
+        let cameras = rig.cameras.len();
+        let mut rate = FrameRate::new(cameras);
+        let mut checks = vec![(0, UnitCheck::default()); cameras];
+        self.reader.rewind()?;
+        while let Some(entry) = self.reader.next() {
+            let Message::Keypoints(frame) = entry?.message else { continue };
+            let Some(camera) = rig.index_of(&frame.camera) else { continue };
+            let capture = Timestamp::from_ns(frame.capture_time_ns);
+            rate.note(camera, frame.frame, capture);
+            let (count, check) = &mut checks[camera];
+            if let Some(reason) = check.add(capture) {
+                let path = self.reader.path().to_owned();
+                return Err(Error::TimeUnit { path, camera: frame.camera, reason });
+            }
+            *count += 1;
+            if *count == RATE_FRAMES {
+                break;
+            }
+        }
+        Ok(rate.period())
     }
 
     /// Streams the recording from its start: the detections of all cameras of `rig` and of the

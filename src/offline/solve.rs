@@ -20,7 +20,7 @@ use super::windows::Windows;
 use crate::core::body::Skeleton;
 use crate::core::camera::{Camera, Rig};
 use crate::core::manifold::Decoder;
-use crate::core::tracker::{EventKind, Input, Output, Solver, Tracker};
+use crate::core::tracker::{EventKind, FramePeriod, Input, Output, Solver, Tracker};
 use crate::io::recording::{Provenance, Report};
 
 /// Solves a recording in memory that does not grow with its length. The files appear only if the
@@ -37,14 +37,15 @@ pub fn solve(
     let folder = options.out.as_deref().map(|path| output_folder(path, options.overwrite));
     let folder = folder.transpose()?;
     let begin = Instant::now();
-    let Prepared { rig, held_out, body, offsets, is_body_wrong } =
+    let Prepared { rig, period, held_out, body, offsets, is_body_wrong } =
         prepare(recording, options, observer)?;
     let all = Arc::new(with_solved(recording.rig(), &rig.cameras, &held_out));
     let outputs = folder.map(|folder| Outputs::create(folder, &all, options, &rig, &decoder));
     let mut outputs = outputs.transpose()?;
     let solver = Solver::new(decoder, options.config);
     let bvh = outputs.as_ref().map(|outputs| outputs.folder.file("poses.bvh"));
-    let tracker = Tracker::new(options.config, Arc::clone(&rig)).with_body(body);
+    let tracker = Tracker::new(options.config, Arc::clone(&rig)).with_frame_period(period);
+    let tracker = tracker.with_body(body);
     let mut run = Run {
         driver: Driver::new(tracker, solver),
         collected: Collected {
@@ -96,6 +97,7 @@ fn output_folder(path: &Path, overwrite: bool) -> Result<OutputFolder, Error> {
 /// What is known before the second pass.
 struct Prepared {
     rig: Arc<Rig>,
+    period: Option<FramePeriod>,
     held_out: Vec<Camera>,
     body: Option<Arc<Skeleton>>,
     offsets: Vec<CameraOffset>,
@@ -111,13 +113,14 @@ fn prepare(
     let held_out = options.hold_out.iter().map(|name| recording.camera(name).cloned());
     let mut held_out: Vec<Camera> = held_out.collect::<Result<_, _>>()?;
     let mut rig = recording.chosen(&options.cameras, &held_out)?;
+    let period = recording.frame_period(&rig)?;
     let (mut body, mut offsets, mut is_body_wrong) = (options.body.clone(), Vec::new(), false);
     if options.passes() > 1 {
-        let first = FirstPass::run(recording, options, &mut rig, &mut held_out, observer)?;
+        let first = FirstPass::run(recording, options, &mut rig, period, &mut held_out, observer)?;
         is_body_wrong = first.is_body_wrong && options.body.is_some();
         (body, offsets) = (first.body(), first.offsets);
     }
-    Ok(Prepared { rig: Arc::new(rig), held_out, body, offsets, is_body_wrong })
+    Ok(Prepared { rig: Arc::new(rig), period, held_out, body, offsets, is_body_wrong })
 }
 
 /// The rig with the cameras of a solve in place of its own.

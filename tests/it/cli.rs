@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use bundlemocap::core::body::{Joint, Pose, Shape, Skeleton};
-use bundlemocap::core::time::Timestamp;
+use bundlemocap::core::random::Draws;
+use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::recording::{Message, Provenance, Reader, Writer};
 use bundlemocap::io::wire::Topics;
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
@@ -667,6 +668,56 @@ fn an_unsorted_recording_reports_its_late_frames() {
     writer.finish().unwrap();
     let evidence = ["unsorted.mcap", "nobody was found", "frames came late", "sorted by capture"];
     place.fails(NOBODY_FOUND, "solve unsorted.mcap --out out", &evidence);
+}
+
+/// The number of poses of a solve, and their rate.
+fn poses_and_rate(place: &Place, recording: &str) -> (u64, f64) {
+    let figures = place.done(&format!("solve {recording} --out out --overwrite --json"));
+    let figures: Value = serde_json::from_str(&figures).unwrap();
+    (figures["frames"].as_u64().unwrap(), figures["frame_rate_hz"].as_f64().unwrap())
+}
+
+#[test]
+fn jitter_of_the_timestamps_does_not_change_the_rate() {
+    let place = Place::new();
+    for (jitter_ms, seed) in [(1.0, 1), (5.0, 2)] {
+        let draws = Draws { seed, stream: 0 };
+        walk(&place.path("jitter.mcap"), 240, |detections| {
+            let item = 16 * detections.frame + detections.camera as u64;
+            let jitter = draws.normals(0, item)[0] * jitter_ms * 1e6;
+            detections.capture = detections.capture + Nanos::SECOND + Nanos::rounded(jitter);
+            true
+        });
+        let (poses, rate) = poses_and_rate(&place, "jitter.mcap");
+        assert!((239..=241).contains(&poses), "{poses} poses at {rate} Hz, jitter {jitter_ms} ms");
+        assert!((rate / 60.0 - 1.0).abs() < 1e-3, "{rate} Hz, jitter {jitter_ms} ms");
+    }
+}
+
+#[test]
+fn a_rate_may_be_a_ratio() {
+    let place = Place::new();
+    place.fails(USAGE, "synth --out a.mcap --fps 60/0", &["--fps is inf"]);
+    assert_eq!(place.run("synth --out a.mcap --fps 60/x").status.code(), Some(USAGE));
+    place.done("synth --out ntsc.mcap --seconds 2 --noise jitter --fps 60000/1001");
+    let (_, rate) = poses_and_rate(&place, "ntsc.mcap");
+    assert!((rate / (60e3 / 1001.0) - 1.0).abs() < 1e-6, "{rate}");
+}
+
+#[test]
+fn capture_times_in_other_units_are_refused() {
+    let place = Place::new();
+    for (unit, ns) in [("milliseconds", 1_000_000), ("microseconds", 1_000)] {
+        walk(&place.path("unit.mcap"), 120, |detections| {
+            let in_unit = detections.capture.ns() / ns;
+            if detections.camera == 2 {
+                detections.capture = Timestamp::from_ns(in_unit);
+            }
+            true
+        });
+        let evidence = ["unit.mcap", "camera cam03", unit, "multiply them by"];
+        place.fails(MALFORMED, "solve unit.mcap --out out", &evidence);
+    }
 }
 
 #[test]

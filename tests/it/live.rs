@@ -9,6 +9,7 @@ use bundlemocap::core::body::Skeleton;
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::manifold::Decoder;
+use bundlemocap::core::random::Draws;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{Job, Solution, Solver, Task};
 use bundlemocap::io::wire::{
@@ -171,11 +172,15 @@ struct Studio {
 
 impl Studio {
     fn new(cameras: usize, frames: u64) -> Self {
+        Self::at_rate(cameras, frames, 60.0)
+    }
+
+    fn at_rate(cameras: usize, frames: u64, fps: f64) -> Self {
         let skeleton = Skeleton::default();
         let motion = Motion::new(&skeleton, MotionStyle::default());
         let rig = ring_rig(cameras, 4.0, 1.6).unwrap();
         let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
-        recording.frames = frames;
+        (recording.frames, recording.fps) = (frames, fps);
         recording.noise = Noise::jitter_only();
         recording.start = START;
         let frames = recording.detections().collect();
@@ -804,6 +809,139 @@ fn a_solver_that_is_far_behind_continues_with_new_frames() {
     let last = world.heard.poses().pop().unwrap().1;
     assert_eq!(last.state(), TrackingState::Tracking);
     assert!(last.capture_time_ns > at(14.5).ns());
+}
+
+/// A studio of another rate, with timestamps that jitter.
+fn jittering(fps: f64, frames: u64, jitter_ms: f64, seed: u64) -> Studio {
+    let mut studio = Studio::at_rate(4, frames, fps);
+    let draws = Draws { seed, stream: 0 };
+    for frame in &mut studio.frames {
+        let jitter = draws.normals(0, 16 * frame.frame + frame.camera as u64)[0] * jitter_ms * 1e6;
+        frame.capture = frame.capture + Nanos::rounded(jitter);
+    }
+    studio
+}
+
+/// Poses per second, of the poses from one time to another.
+fn pose_rate(heard: &Heard, from: f64, to: f64) -> f64 {
+    let poses = heard.poses().into_iter().map(|(_, pose)| pose.capture_time_ns);
+    let times: Vec<i64> =
+        poses.filter(|&at_ns| (at(from).ns()..at(to).ns()).contains(&at_ns)).collect();
+    (times.len() - 1) as f64 * 1e9 / (times[times.len() - 1] - times[0]) as f64
+}
+
+#[test]
+fn the_rate_of_poses_is_that_of_the_cameras_under_jitter() {
+    for (fps, jitter_ms, seed) in
+        [(30.0, 0.5, 1), (60.0, 0.5, 2), (60.0, 1.0, 3), (30e3 / 1001.0, 1.0, 4)]
+    {
+        let world = after(jittering(fps, (8.0 * fps) as u64, jitter_ms, seed).messages(), 8.0);
+        let found = pose_rate(&world.heard, 5.0, 7.5);
+        println!("{fps:.3} Hz, jitter {jitter_ms} ms: {found:.4} Hz after 5 s");
+        assert!((found / fps - 1.0).abs() < 1e-4, "{fps} Hz: {found}");
+        let events = world.heard.events();
+        assert!(!events.contains_key("lost") && !events.contains_key("overdue"), "{events:?}");
+        let playout = world.heard.status().playout.unwrap();
+        assert_eq!((playout.coasted, playout.missed), (0, 0), "{events:?}");
+    }
+}
+
+#[test]
+fn a_lasting_change_of_rate_is_followed() {
+    for (before, after_hz) in [(60.0, 30.0), (30.0, 60.0)] {
+        let mut studio = Studio::at_rate(4, (6.0 * before) as u64, before);
+        let mut later = Studio::at_rate(4, (14.0 * after_hz) as u64, after_hz);
+        // The frame counter goes on.
+        later.frames.retain(|frame| frame.capture >= at(6.0));
+        let first = later.frames[0].frame;
+        later.frames.iter_mut().for_each(|f| f.frame = f.frame - first + (6.0 * before) as u64);
+        studio.frames.extend(later.frames);
+        let mut messages = studio.messages();
+        for message in &mut messages[1..40] {
+            message.arrival = message.arrival + MS;
+        }
+        let world = after(messages, 14.0);
+        let heard = &world.heard;
+        let found = [pose_rate(heard, 3.0, 5.9), pose_rate(heard, 9.0, 13.5)];
+        println!("{before} to {after_hz} Hz: {found:?}, {:?}", heard.events());
+        assert!((found[0] / before - 1.0).abs() < 1e-4, "{found:?}");
+        assert!((found[1] / after_hz - 1.0).abs() < 1e-4, "{found:?}");
+        assert_eq!(heard.details("latency").len(), 2, "{:?}", heard.details("latency"));
+        let late = heard.poses().into_iter().filter(|(_, p)| p.capture_time_ns > at(10.0).ns());
+        assert!(late.into_iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
+        assert_eq!(heard.details("acquired").len(), 1, "tracking never ended");
+        let events = heard.of::<Status>(&Topics::default().status()).into_iter();
+        let events: Vec<_> =
+            events.filter(|(time, _)| *time > at(10.0)).map(|(_, s)| s.events).collect();
+        assert_eq!(events.first(), events.last(), "nothing is late after 10 s");
+    }
+}
+
+#[test]
+fn capture_times_in_other_units_are_named_once_for_each_camera() {
+    for (unit, ns) in [("milliseconds", 1_000_000), ("microseconds", 1_000)] {
+        let mut studio = Studio::new(4, 240);
+        let arrivals: Vec<Timestamp> = studio.frames.iter().map(|f| f.capture + NETWORK).collect();
+        for frame in &mut studio.frames {
+            frame.capture = Timestamp::from_ns(frame.capture.ns() / ns);
+        }
+        let mut messages = studio.messages();
+        for (message, arrival) in messages.iter_mut().skip(1).zip(arrivals) {
+            message.arrival = arrival;
+        }
+        let world = after(messages, 5.0);
+        let details = world.heard.details("unusable");
+        assert!(details.len() == 4 && details.iter().all(|d| d.contains(unit)), "{details:?}");
+        assert_eq!(world.heard.events()["unusable"], 4, "{:?}", world.heard.events());
+        assert!(world.heard.poses().is_empty());
+    }
+}
+
+#[test]
+fn a_single_frame_far_off_its_cameras_line_is_not_used() {
+    for off in [-0.5, 0.5, 1.5] {
+        let mut studio = Studio::new(4, 480);
+        for frame in &mut studio.frames {
+            if frame.camera == 1 && (60..440).contains(&frame.frame) && frame.frame % 50 == 0 {
+                frame.capture = frame.capture + Nanos::rounded(off * 1e9);
+            }
+        }
+        // They arrive as usual.
+        let mut messages = studio.messages();
+        for (message, frame) in messages.iter_mut().skip(1).zip(&studio.frames) {
+            message.arrival = START + Nanos::of_frames(frame.frame, 60.0) + NETWORK;
+        }
+        let world = after(messages, 8.0);
+        assert_on_time(&world.heard);
+        let events = world.heard.events();
+        println!("{off} s off: {events:?}");
+        let refused = ["unusable", "clock_jump"].map(|kind| events.get(kind).copied().unwrap_or(0));
+        assert_eq!(refused.iter().sum::<u64>(), 7, "{events:?}");
+        assert!(!events.contains_key("late") && !events.contains_key("out_of_order"), "{events:?}");
+        assert_eq!(world.heard.status().playout.unwrap().coasted, 0);
+    }
+}
+
+#[test]
+fn a_pause_or_a_restart_of_a_camera_costs_no_frame() {
+    let mut studio = Studio::new(4, 480);
+    // One camera loses 40 frames, one stops and counts on, one starts counting anew.
+    studio.frames.retain(|frame| frame.camera == 0 || !(200..240).contains(&frame.frame));
+    for frame in studio.frames.iter_mut().filter(|frame| frame.frame >= 240) {
+        match frame.camera {
+            2 => frame.frame -= 40,
+            3 => frame.frame -= 240,
+            _ => {}
+        }
+    }
+    let world = after(studio.messages(), 8.0);
+    let status = world.heard.status();
+    let events = world.heard.events();
+    assert!(!events.contains_key("unusable"), "{events:?}");
+    for camera in &status.cameras[1..] {
+        // The last status is at 7.5 s.
+        assert!(camera.used >= 395, "{} of 410 frames of {}", camera.used, camera.camera);
+    }
 }
 
 #[test]

@@ -11,6 +11,7 @@ mod cli;
 mod experiments;
 #[cfg(feature = "research")]
 mod export;
+mod frame_rate;
 #[cfg(feature = "research")]
 mod genlock;
 mod import;

@@ -11,7 +11,7 @@ use clap::{Args, Subcommand};
 
 use crate::cli::Ended;
 use crate::cli::bus::BusName;
-use crate::cli::failure::{Exit, Failure, frame_rate_option};
+use crate::cli::failure::{Exit, Failure, frame_rate_option, ratio};
 use crate::cli::synth::NoiseName;
 use crate::cli::terminal::{complain, progress, say, table};
 use crate::config::Config;
@@ -60,8 +60,8 @@ struct Latency {
     /// Number of cameras around the performer, 2 to 64.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=64))]
     cameras: u8,
-    /// Frame rate of every camera, 1 to 1000 Hz.
-    #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
+    /// Frame rate of every camera, 1 to 1000 Hz; a number, or a ratio such as 60000/1001.
+    #[arg(long, default_value_t = 60.0, value_parser = ratio, allow_negative_numbers = true)]
     fps: f64,
     /// Duration, 1 to 100000 s.
     #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::cli::failure::ratio;
 use crate::research::synth::Body;
 
 /// Compare methods on synthetic recordings with ground truth, or on a real recording.
@@ -57,7 +58,7 @@ pub(in crate::cli) struct Arguments {
     #[arg(long, allow_negative_numbers = true)]
     pub(in crate::cli) seconds: Option<f64>,
     /// Frame rate of the cameras, 1 to 1000 Hz [protocol: 50].
-    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
+    #[arg(long, value_name = "HZ", value_parser = ratio, allow_negative_numbers = true)]
     pub(in crate::cli) fps: Option<f64>,
     /// Rigs: h36m, h36m-s11, 3dhp, ring2 to ring64; several are used in turn [h36m].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]

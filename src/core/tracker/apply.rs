@@ -125,6 +125,7 @@ impl Tracker {
         }
         self.enter_phase(done, ahead, state, is_fitted);
         self.start = Some(window.publish);
+        self.follow_rate(window.publish);
         self.window += 1;
     }
 

@@ -13,7 +13,8 @@ pub enum EventKind {
     OutOfOrder,
     /// Frames are missing in a camera's count.
     Missing,
-    /// Detections of a camera that the rig does not have, or of another keypoint format.
+    /// Detections of a camera that the rig does not have, of another keypoint format, or with a capture
+    /// time that cannot be right.
     Unusable,
     /// A camera was late: a window closed at its deadline without it.
     Deadline,

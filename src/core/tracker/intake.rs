@@ -4,33 +4,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::event::{Event, EventKind};
+use super::frame_rate::FrameRate;
 use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::time::{Nanos, Timestamp};
 
-/// Frames of a camera that are needed to estimate its rate.
-const RATE_FRAMES: usize = 5;
-/// Usual frame rates; a measured rate within [`SAME_RATE`] of one is replaced by it.
-const COMMON_RATES_HZ: [f64; 14] = [
-    24e3 / 1001.0,
-    24.0,
-    25.0,
-    30e3 / 1001.0,
-    30.0,
-    48.0,
-    50.0,
-    60e3 / 1001.0,
-    60.0,
-    90.0,
-    100.0,
-    120.0,
-    200.0,
-    240.0,
-];
-const SAME_RATE: f64 = 3e-4;
-/// A measured rate is clamped to this range.
-const RATES_HZ: std::ops::RangeInclusive<f64> = 1.0..=1000.0;
-/// A frame counter is used if its period is this close to the median step in time.
-const SAME_STEP: f64 = 0.2;
+/// A capture time that is further than this, and than this many periods, off its camera's line is used
+/// only if the camera's next one is off as well.
+const STRAY: Nanos = Nanos::from_ms(250);
+const STRAY_PERIODS: i64 = 4;
 /// A capture time this far after all others, ns, is accepted only if a second one is near it.
 const MAX_JUMP: Nanos = Nanos::from_ms(5000);
 /// If more frames than this seem to be missing at once, the counter has jumped.
@@ -43,6 +24,8 @@ struct Seen {
     watermark: Option<Timestamp>,
     last_used: Option<u64>,
     used: u64,
+    /// Number and capture time of its last frame that is not stray.
+    last: Option<(u64, Timestamp)>,
 }
 
 /// The frames that wait for their window, and the state of each camera.
@@ -55,6 +38,9 @@ pub(super) struct Intake {
     closed: Option<Timestamp>,
     /// A capture time far after all others, not accepted yet.
     stray: Option<Timestamp>,
+    /// Of each camera, a frame that is off its line and waits for the next one.
+    held: Vec<Option<Detections>>,
+    rate: FrameRate,
 }
 
 impl Intake {
@@ -65,7 +51,51 @@ impl Intake {
             format: None,
             closed: None,
             stray: None,
+            held: vec![None; cameras],
+            rate: FrameRate::new(cameras),
         }
+    }
+
+    /// The frames to add when `frame` arrives: none if its capture time is far off its camera's line,
+    /// until the camera's next frame; and an event if the frame before it was stray.
+    pub(super) fn screen(&mut self, frame: Detections) -> (Vec<Detections>, Option<Event>) {
+        let Some(seen) = self.cameras.get_mut(frame.camera) else { return (vec![frame], None) };
+        let period = self.rate.of_camera(frame.camera);
+        let limit = period.map_or(STRAY, |p| STRAY.max(Nanos::rounded(p.ns) * STRAY_PERIODS));
+        let off = seen.last.map_or(Nanos::ZERO, |(number, capture)| {
+            let count = frame.frame.wrapping_sub(number).cast_signed() as f64;
+            let by_count = period.map_or(Nanos::ZERO, |p| Nanos::rounded(count * p.ns));
+            let (step, by_count) = (frame.capture - capture, frame.capture - (capture + by_count));
+            if step.abs() < by_count.abs() { step } else { by_count }
+        });
+        let slot = &mut self.held[frame.camera];
+        if off.abs() > limit && slot.is_none() {
+            *slot = Some(frame);
+            return (Vec::new(), None);
+        }
+        let held = slot.take();
+        seen.last = Some((frame.frame, frame.capture));
+        if off.abs() > limit {
+            return (held.into_iter().chain([frame]).collect(), None);
+        }
+        let stray = held.map(|held| Event {
+            capture: frame.capture,
+            kind: EventKind::Unusable,
+            camera: Some(frame.camera),
+            window: None,
+            count: 1,
+            detail: format!(
+                "frame {} is {:+.3} s off the camera's frames before and after it",
+                held.frame,
+                held.capture.seconds_since(frame.capture),
+            ),
+        });
+        (vec![frame], stray)
+    }
+
+    /// The frames that wait for the next one of their camera.
+    pub(super) fn release(&mut self) -> Vec<Detections> {
+        self.held.iter_mut().filter_map(Option::take).collect()
     }
 
     /// Adds a frame; returns an event if the frame has a fault.
@@ -108,6 +138,7 @@ impl Intake {
         if self.frames.range(twin).next().is_some() {
             return event(EventKind::Duplicate, format!("frame {} came twice", frame.frame));
         }
+        self.rate.note(frame.camera, frame.frame, frame.capture);
         let watermark =
             seen.watermark.replace(seen.watermark.unwrap_or(frame.capture).max(frame.capture));
         let found = match watermark {
@@ -170,29 +201,9 @@ impl Intake {
         (0..).zip(&self.cameras).filter(move |(_, seen)| is_behind(seen)).map(|(camera, _)| camera)
     }
 
-    /// The nominal frame period, ns, of the fastest camera with a known rate.
-    pub(super) fn frame_period(&self) -> Option<f64> {
-        let periods = (0..self.cameras.len()).filter_map(|camera| self.period_of(camera));
-        periods.min_by(f64::total_cmp).map(|period| {
-            let rate = (1e9 / period).clamp(*RATES_HZ.start(), *RATES_HZ.end());
-            let common = COMMON_RATES_HZ.into_iter().find(|c| (rate / c - 1.0).abs() < SAME_RATE);
-            1e9 / common.unwrap_or(rate)
-        })
-    }
-
-    /// The usual step between a camera's capture times; from its frame counter, if that agrees,
-    /// since the counter bridges lost frames and averages jitter.
-    fn period_of(&self, camera: usize) -> Option<f64> {
-        let mine: Vec<_> = self.frames.keys().filter(|(_, c, _)| *c == camera).collect();
-        let (first, last) = (mine.first()?, mine.last()?);
-        let mut steps: Vec<f64> = mine.windows(2).map(|p| (p[1].0 - p[0].0).ns() as f64).collect();
-        if mine.len() < RATE_FRAMES {
-            return None;
-        }
-        let step = super::association::median(&mut steps);
-        let counted = last.2.checked_sub(first.2).filter(|count| *count > 0);
-        let by_counter = counted.map(|count| (last.0 - first.0).ns() as f64 / count as f64);
-        Some(by_counter.filter(|p| (p / step - 1.0).abs() < SAME_STEP).unwrap_or(step))
+    /// The cameras' frame rate.
+    pub(super) const fn rate(&mut self) -> &mut FrameRate {
+        &mut self.rate
     }
 
     /// Frames up to `end`, in order; they stay in the buffer.

@@ -7,6 +7,7 @@ use super::body_estimator::BodyEstimator;
 use super::config::Config;
 use super::effort::Effort;
 use super::event::{Event, EventKind};
+use super::frame_rate::FramePeriod;
 use super::intake::Intake;
 use super::job::{Job, Solution};
 use super::noise::Noise;
@@ -68,6 +69,8 @@ pub struct Tracker {
     pub(super) period: Option<f64>,
     /// The grid of nominal frame times; windows begin and end on it.
     pub(super) frames: Option<Grid>,
+    /// A pose time of any other output rate.
+    pub(super) first_output: Option<Timestamp>,
     /// The capture clock at the last tick.
     pub(super) now: Option<Timestamp>,
     pub(super) ended: bool,
@@ -113,6 +116,7 @@ impl Tracker {
             period: (config.frame_rate_hz > 0.0).then(|| 1e9 / config.frame_rate_hz),
             config,
             frames: None,
+            first_output: None,
             now: None,
             ended: false,
             pending: None,
@@ -172,6 +176,14 @@ impl Tracker {
         self
     }
 
+    /// Begins with a frame period that was measured before, if there is one. It counts while the cameras
+    /// agree with it.
+    #[must_use]
+    pub fn with_frame_period(mut self, period: Option<FramePeriod>) -> Self {
+        self.intake.rate().know(period);
+        self
+    }
+
     /// Processes an input. Call [`Tracker::poll`] until it is empty before the next one.
     pub fn handle(&mut self, input: Input) {
         match input {
@@ -179,7 +191,10 @@ impl Tracker {
             Input::Tick(now) => self.now = self.now.max(Some(now)),
             Input::Rig(rig) => self.calibrate(rig),
             Input::Restart => self.restart(),
-            Input::End => self.ended = true,
+            Input::End => {
+                self.intake.release().into_iter().for_each(|frame| self.take(frame));
+                self.ended = true;
+            }
             Input::Solved(solution) if self.abandoned == Some(solution.number) => {
                 self.abandoned = None;
             }
@@ -262,7 +277,8 @@ impl Tracker {
     pub fn output_grid(&self) -> Option<Grid> {
         let frames = self.frames?;
         let rate = self.live.map_or(0.0, |live| live.output_rate_hz);
-        Some(if rate > 0.0 { Grid { period_ns: 1e9 / rate, ..frames } } else { frames })
+        let origin = self.first_output.unwrap_or(frames.origin);
+        Some(if rate > 0.0 { Grid { origin, period_ns: 1e9 / rate } } else { frames })
     }
 
     /// Number of frames of that camera that were used in windows.
@@ -285,6 +301,12 @@ impl Tracker {
         if let Some(camera) = self.rig.cameras.get(frame.camera) {
             frame.capture = frame.capture + camera.time_offset;
         }
+        let (frames, stray) = self.intake.screen(frame);
+        self.outputs.extend(stray.map(Output::Event));
+        frames.into_iter().for_each(|frame| self.take(frame));
+    }
+
+    fn take(&mut self, frame: Detections) {
         let (camera, capture) = (frame.camera, frame.capture);
         let event = self.intake.add(frame);
         let is_used = event.as_ref().is_none_or(|event| event.kind == EventKind::OutOfOrder);

@@ -75,28 +75,40 @@ impl Tracker {
         self.config.window() * windows
     }
 
-    /// Until the performer is found, the frame rate is that of the fastest camera so far: live
-    /// cameras start one by one, perhaps the slowest first.
-    fn watch_rate(&mut self) {
-        let is_open = self.live.is_some() && self.skeleton.is_none();
-        if !is_open || self.config.frame_rate_hz > 0.0 || self.period.is_none() {
+    /// Adopts the cameras' frame rate. While somebody is tracked, only at the start of a window, and
+    /// only a significant change.
+    pub(super) fn follow_rate(&mut self, start: Timestamp) {
+        if self.config.frame_rate_hz > 0.0 {
             return;
         }
-        let faster = self.intake.frame_period().filter(|period| Some(*period) < self.period);
-        if faster.is_some() {
-            (self.period, self.frames) = (faster, None);
+        let searching = matches!(self.phase, Phase::Searching);
+        let Some(found) = self.intake.rate().period() else { return };
+        if self.period.is_none_or(|old| found.differs_from(old) || (searching && found.ns != old)) {
+            self.period = Some(found.ns);
+            let mut grid = Grid { origin: start, period_ns: found.ns };
+            if let Some(frame) = self.intake.first().filter(|_| !searching) {
+                // A window that ends between two frames would wait for the second one.
+                let off = frame - grid.time(grid.nearest(frame));
+                if off.abs() > self.tolerance() {
+                    grid.origin = start + off;
+                }
+            }
+            self.frames = Some(grid);
+            self.ahead.clear();
         }
     }
 
     /// The open window, on the frame grid; `None` until a frame and the frame rate are known.
     fn open_window(&mut self) -> Option<Window> {
         let start = self.start.or_else(|| self.intake.first())?;
-        self.watch_rate();
-        let period = self.period.or_else(|| self.intake.frame_period());
-        let period = period.or_else(|| self.ended.then_some(FALLBACK_PERIOD))?;
+        if matches!(self.phase, Phase::Searching) {
+            self.follow_rate(start);
+        }
+        let period = self.period.or_else(|| self.ended.then_some(FALLBACK_PERIOD))?;
         self.period = Some(period);
         if self.start.is_none() || self.frames.is_none() {
             self.frames = Some(Grid { origin: start, period_ns: period });
+            self.first_output = Some(start);
         }
         let grid = self.frames?;
         let searching = matches!(self.phase, Phase::Searching);
@@ -199,6 +211,7 @@ impl Tracker {
         self.newest = None;
         if let (Some(origin), Some(period_ns)) = (start, self.period) {
             self.frames = Some(Grid { origin, period_ns });
+            self.first_output = Some(origin);
         }
     }
 
