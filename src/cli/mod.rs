@@ -9,6 +9,7 @@ mod calibrate;
 pub(crate) mod clock;
 mod completions;
 mod decode;
+mod doctor;
 mod echo;
 mod eval;
 mod export;
@@ -45,6 +46,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Run(run::Arguments),
+    Doctor(doctor::Arguments),
     Play(play::Arguments),
     Echo(echo::Arguments),
     Record(record::Arguments),
@@ -68,6 +70,7 @@ enum Command {
 pub fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(arguments) => run::run(&arguments),
+        Command::Doctor(arguments) => doctor::run(&arguments),
         Command::Play(arguments) => play::run(&arguments),
         Command::Echo(arguments) => echo::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),

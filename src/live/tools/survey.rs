@@ -1,0 +1,90 @@
+//! What the cameras on the bus send, on every stage.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use super::inbox::{Inbox, Received};
+use crate::core::detections::KeypointFormat;
+use crate::core::time::Timestamp;
+use crate::io::bus::{Bus, BusError};
+use crate::io::wire::{self, KeypointFrame, StageChannel, Topic, Topics};
+use crate::metrics::statistics::{median, percentiles};
+
+/// Longest wait for the next message.
+const PATIENCE: Duration = Duration::from_millis(50);
+
+/// What a camera sends.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Seen {
+    /// Messages that hold keypoints.
+    pub(crate) frames: u64,
+    /// What is wrong with the last message that could not be read.
+    pub(crate) unreadable: Option<String>,
+    /// Bytes of all messages.
+    pub(crate) bytes: u64,
+    /// Width and height of the last image, pixels.
+    pub(crate) size: [u32; 2],
+    pub(crate) format: Option<KeypointFormat>,
+    /// Frames that show somebody.
+    pub(crate) with_people: u64,
+    captures: Vec<Timestamp>,
+    /// Arrival minus capture time on the clock of this computer, seconds.
+    delays: Vec<f64>,
+}
+
+impl Seen {
+    /// Frames per second, by the median step between capture times.
+    pub(crate) fn rate_hz(&self) -> Option<f64> {
+        let steps = self.captures.windows(2).map(|pair| pair[1].seconds_since(pair[0]));
+        median(&steps.collect::<Vec<f64>>()).filter(|step| *step > 0.0).map(|step| 1.0 / step)
+    }
+
+    /// Median and 99th percentile of arrival minus capture time, seconds.
+    pub(crate) fn delay_s(&self) -> Option<[f64; 2]> {
+        percentiles(&self.delays, [50.0, 99.0])
+    }
+
+    fn add(&mut self, received: &Received) {
+        self.bytes += received.sample.payload.len() as u64;
+        let frame = wire::decode::<KeypointFrame>(&received.sample.payload)
+            .and_then(|frame| Ok((frame.to_core(|_| Some(0))?, frame)));
+        let (detections, frame) = match frame {
+            Ok(frame) => frame,
+            Err(error) => {
+                self.unreadable = Some(error.to_string());
+                return;
+            }
+        };
+        self.frames += 1;
+        self.size = [frame.image_width, frame.image_height];
+        self.format = Some(detections.format);
+        self.with_people += u64::from(!detections.people.is_empty());
+        self.captures.push(detections.capture);
+        self.delays.push(received.arrival.seconds_since(detections.capture));
+    }
+}
+
+/// Listens to the keypoints of all stages for some time, or until `goes_on` is false. By stage and
+/// camera.
+///
+/// # Errors
+/// The bus refuses the subscription.
+pub(crate) fn survey(
+    bus: &dyn Bus,
+    time: Duration,
+    goes_on: impl Fn() -> bool,
+) -> Result<BTreeMap<(String, String), Seen>, BusError> {
+    let all = Topics { stage: "*".to_owned(), actor: "*".to_owned() };
+    let inbox = Inbox::open(bus, &all.keypoints("*"))?;
+    let begin = Instant::now();
+    let mut found: BTreeMap<_, Seen> = BTreeMap::new();
+    while begin.elapsed() < time && goes_on() {
+        let Some(received) = inbox.next(PATIENCE) else { continue };
+        if let Ok(Topic::Stage { stage, channel: StageChannel::Keypoints { camera } }) =
+            Topic::parse(&received.sample.topic)
+        {
+            found.entry((stage.to_owned(), camera.to_owned())).or_default().add(&received);
+        }
+    }
+    Ok(found)
+}
