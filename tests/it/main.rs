@@ -34,6 +34,8 @@ mod retarget;
 #[cfg(feature = "research")]
 mod slahmr;
 mod solve;
+#[cfg(feature = "live")]
+mod storms;
 mod support;
 #[cfg(feature = "research")]
 mod synth;

@@ -19,6 +19,7 @@ mod body_estimator;
 mod config;
 mod effort;
 mod event;
+mod idle;
 mod intake;
 mod job;
 mod noise;
