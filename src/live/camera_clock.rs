@@ -127,7 +127,8 @@ impl CameraClock {
 
     /// The time line continues with another offset.
     pub(super) fn restart(&mut self, now: Timestamp, offset: Nanos) {
-        *self = Self { last: self.last.map(|_| (now - offset, now)), ..Self::default() };
+        let last = self.last.map(|_| (now - offset, now));
+        *self = Self { last, is_reported: self.is_reported, ..Self::default() };
         self.note(now, now - offset, offset);
     }
 
