@@ -90,6 +90,8 @@
 //! - \[Pavlakos 2019\] Pavlakos et al. Expressive body capture: 3D hands, face, and body from a
 //!   single image. CVPR 2019.
 //! - \[Rempe 2021\] Rempe et al. HuMoR: 3D human motion model for robust pose estimation. ICCV 2021.
+//! - \[Sen 1968\] Sen. Estimates of the regression coefficient based on Kendall's tau. Journal of the
+//!   American Statistical Association 63.
 //! - \[Sola 2018\] Sola, Deray, Atchuthan. A micro Lie theory for state estimation in robotics.
 //!   arXiv:1812.01537.
 //! - \[Welch 1967\] Welch. The use of fast Fourier transform for the estimation of power spectra.

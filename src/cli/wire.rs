@@ -116,7 +116,7 @@ fn status(status: &Status) -> String {
     let effort = status.effort.unwrap_or_default();
     format!(
         "{}; windows {} tracked, {} coasted, {} lost, solve p50 {:.1} ms, p99 {:.1} ms; poses {}, \
-         missed {}, provisional {}; declared {:.1} ms; effort -{}; queue dropped {}; cameras: {}",
+         missed {}, provisional {}; declared {:.1} ms; clock {}; effort -{}; queue dropped {}; cameras: {}",
         if status.tracker_state.is_empty() { "no state" } else { &status.tracker_state },
         windows.tracked,
         windows.coasted,
@@ -127,10 +127,20 @@ fn status(status: &Status) -> String {
         playout.missed,
         playout.provisional,
         status.declared_latency_ns as f64 * 1e-6,
+        clock(status),
         effort.level,
         status.queue_dropped,
         cameras.join("; ")
     )
+}
+
+/// The cameras' clock, with its difference from the node's.
+fn clock(status: &Status) -> String {
+    match (&*status.clock, status.clock_offset_s) {
+        ("", _) => "unknown".to_owned(),
+        (kind, 0.0) => kind.to_owned(),
+        (kind, offset) => format!("{kind} ({:+.3} s)", -offset),
+    }
 }
 
 fn journal(journal: &Journal) -> String {

@@ -63,6 +63,11 @@ impl Camera {
         })
     }
 
+    /// Counts a frame with a time that cannot be used.
+    pub(super) fn refused(&mut self) {
+        self.counters.unusable += 1;
+    }
+
     /// Counts an event of this camera.
     pub(super) fn event(&mut self, kind: EventKind, count: u64) {
         let counter = match kind {
@@ -70,7 +75,7 @@ impl Camera {
             EventKind::Duplicate => &mut self.counters.duplicate,
             EventKind::OutOfOrder => &mut self.counters.out_of_order,
             EventKind::Missing => &mut self.counters.missing,
-            EventKind::Unusable | EventKind::ClockJump => &mut self.counters.unusable,
+            EventKind::Unusable => &mut self.counters.unusable,
             _ => return,
         };
         *counter += count;

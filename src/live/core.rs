@@ -227,7 +227,13 @@ impl Core {
         self.events(kind, camera, 1, detail);
     }
 
-    fn events(&mut self, kind: EventKind, camera: Option<&str>, count: u64, detail: String) {
+    pub(super) fn events(
+        &mut self,
+        kind: EventKind,
+        camera: Option<&str>,
+        count: u64,
+        detail: String,
+    ) {
         let capture = self.clock.capture_time(self.now);
         let event = tracker::Event { capture, kind, camera: None, window: None, count, detail };
         self.emit(&event, camera);
@@ -271,35 +277,19 @@ impl Core {
             camera.second(passed);
         }
         self.watch_clocks();
-        self.clock.follow(self.now);
+        self.clock.follow();
+        self.lower_latency();
         let status = self.status();
         let capture = self.clock.capture_time(self.now);
         self.publish(self.topics.status(), capture, Content::Status(Box::new(status)));
-    }
-
-    /// Reports cameras whose clock is off from the others by more than a quarter of a frame period.
-    fn watch_clocks(&mut self) {
-        let Some(quarter) = self.track.as_ref().map(|track| track.frame_period() * 0.25e-9) else {
-            return;
-        };
-        for (camera, off) in self.clock.deviations(self.now) {
-            let Some(known) = self.cameras.get_mut(camera) else { continue };
-            let limit = if known.is_off { 0.5 * quarter } else { quarter };
-            if (off.abs() > limit) == known.is_off {
-                continue;
-            }
-            known.is_off = !known.is_off;
-            let (name, off_ms, limit_ms) = (known.name().to_owned(), off * 1e3, limit * 1e3);
-            let detail = format!("{off_ms:+.1} ms off from the other cameras, limit {limit_ms:.1}");
-            self.event(EventKind::ClockOffset, Some(&name), detail);
-        }
     }
 
     fn status(&self) -> wire::Status {
         let track = self.track.as_ref();
         let cameras = self.cameras.iter().enumerate().map(|(index, camera)| {
             let used = track.map_or(0, |track| track.used(index));
-            let waited_for = track.is_some_and(|track| track.is_waited_for(index));
+            let waited_for = track.is_some_and(|track| track.is_waited_for(index))
+                && !self.clock.is_left_out(index);
             let offset = self.clock.offset(index, self.now).unwrap_or_default();
             camera.counters(self.now, used, waited_for, offset)
         });
@@ -324,6 +314,8 @@ impl Core {
             events: self.counts.counts(),
             queue_dropped: self.queue_dropped,
             run_id: self.run_id,
+            clock: self.clock.kind().to_owned(),
+            clock_offset_s: self.clock.base().seconds(),
         }
     }
 
@@ -343,6 +335,7 @@ impl Core {
 /// The tracker's state by its name in the status message.
 fn tracker_state(track: &Tracker) -> &'static str {
     match track.state() {
+        _ if track.is_idle() => "idle",
         Some(TrackingState::Tracking) => "tracking",
         Some(TrackingState::Coasting) => "coasting",
         _ if track.sees_somebody() => "acquiring",

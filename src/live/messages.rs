@@ -6,7 +6,7 @@ use super::clock::Arrival;
 use super::core::Core;
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
-use crate::core::tracker::{self, EventKind};
+use crate::core::tracker::{self, EventKind, Tracker};
 use crate::io::wire::{self, DecodeError, KeypointFrame, StageChannel, Topic};
 
 /// Larger messages are rejected, bytes.
@@ -94,32 +94,33 @@ impl Core {
         if !is_usable {
             return;
         }
-        match self.clock.arrive(index, now, capture) {
-            Arrival::Usual => {}
-            Arrival::Jumped(by) => {
-                let by = by.seconds();
-                let (by, than) = if by < 0.0 { (-by, "ahead of") } else { (by, "behind") };
-                let detail = format!("frame {} is {by:.1} s {than} the clock", frame.frame);
-                return self.event(EventKind::ClockJump, Some(&name), detail);
+        // The time that the tracker uses: the calibration or the motion may say that the clock is off.
+        let rig = self.track.as_ref().map(Tracker::rig);
+        let known = rig.and_then(|rig| rig.cameras.get(index)).map(|camera| camera.time_offset);
+        let arrival = self.clock.arrive(index, now, capture + known.unwrap_or_default());
+        self.report_strays();
+        match arrival {
+            Arrival::Used => {}
+            Arrival::Refused => {
+                if let Some(camera) = self.cameras.get_mut(index) {
+                    camera.refused();
+                }
+                if let Some(track) = self.track.as_mut().filter(|_| self.clock.is_left_out(index)) {
+                    track.leave_out(index);
+                }
+                return;
             }
-            Arrival::NewClock => {
-                self.give(tracker::Input::Restart);
-                let detail =
-                    "most clocks jumped by the same amount; the tracker restarts".to_owned();
-                return self.event(EventKind::ClockJump, None, detail);
-            }
+            Arrival::NewClock(by) => self.new_clock(by),
         }
-        let conflict = self.cameras[index].frame(now, frame.frame, capture);
-        if let Some(detail) = conflict {
+        let Some(camera) = self.cameras.get_mut(index) else { return };
+        if let Some(detail) = camera.frame(now, frame.frame, capture) {
             self.event(EventKind::Conflict, Some(&name), detail);
         }
         self.arrivals.push_back((capture, now));
         if self.arrivals.len() > MOST_ARRIVALS {
             self.arrivals.pop_front();
         }
-        if let Some(track) = &mut self.track {
-            track.set_delay(self.clock.usual_delay());
-        }
+        self.review_delays();
         self.give(tracker::Input::Detections(frame));
     }
 }

@@ -7,11 +7,14 @@
 
 mod answers;
 mod board;
+mod camera_clock;
 mod cameras;
 mod clock;
+mod clock_base;
 mod config;
 mod core;
 mod cpu_affinity;
+mod delays;
 mod error;
 mod events;
 mod governor;
@@ -33,6 +36,7 @@ mod run;
 mod status;
 pub mod tools;
 mod wall;
+mod watch;
 
 pub use config::Config;
 pub use core::Core;

@@ -35,6 +35,8 @@ mod retarget;
 #[cfg(feature = "research")]
 mod slahmr;
 mod solve;
+#[cfg(feature = "live")]
+mod storms;
 mod support;
 #[cfg(feature = "research")]
 mod synth;

@@ -44,6 +44,7 @@ impl Tracker {
         pose: &Pose,
     ) {
         let at = first.capture;
+        self.seen(at);
         self.repeat_last_pose(window.start, at - self.tolerance());
         if self.skeleton.is_none() && !self.ended && at > window.start + self.span() {
             // Too few frames are left for the shape: collect frames again from here.
@@ -79,7 +80,10 @@ impl Tracker {
         let end = window.end.min(window.start + span);
         let end = self.intake.last().filter(|_| self.ended).map_or(end, |last| end.min(last));
         self.repeat_last_pose(window.start, end);
-        self.event(EventKind::NobodyFound, end, None, "no person seen by two cameras".to_owned());
+        if self.watch_unseen(window.start, end) {
+            let detail = "no person seen by two cameras".to_owned();
+            self.event(EventKind::NobodyFound, end, None, detail);
+        }
         let saw_nothing = self.intake.first().is_none_or(|first| first > end + span);
         self.close_until(end + self.tolerance());
         // Keeps the grid of pose times, but skips a gap in the stream.

@@ -36,11 +36,12 @@ pub enum EventKind {
     Overdue,
     /// A new calibration is in use.
     Calibrated,
-    /// The node declared its latency.
+    /// The node declared its latency, at first or anew.
     Latency,
     /// The solver's effort changed.
     Effort,
-    /// A camera's clock differs from the others, or agrees again.
+    /// A camera's clock differs from the others, or its frames are too late to wait for; or it agrees
+    /// again.
     ClockOffset,
     /// A camera's capture times are shifted against the others', as the motion shows; they are being
     /// corrected.
@@ -49,7 +50,7 @@ pub enum EventKind {
     CameraMoved,
     /// The known body does not fit the performer; it is estimated anew.
     Body,
-    /// Capture times jumped; the frames are not used.
+    /// The clock of most cameras has stepped, or single frames have a wrong time and are not used.
     ClockJump,
     /// A frame shows more people than are used.
     Crowd,
@@ -57,11 +58,15 @@ pub enum EventKind {
     Conflict,
     /// The full queue dropped messages, or frames waited for too long.
     Dropped,
+    /// No camera sends frames, or nobody has been seen for a while; or that has ended.
+    Idle,
+    /// Which clock the cameras use, against the node's.
+    Clock,
 }
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 25] = [
+    pub const ALL: [Self; 27] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -87,6 +92,8 @@ impl EventKind {
         Self::Crowd,
         Self::Conflict,
         Self::Dropped,
+        Self::Idle,
+        Self::Clock,
     ];
 
     /// A lower-case name, as used on the wire.
@@ -117,6 +124,8 @@ impl EventKind {
             Self::Crowd => "crowd",
             Self::Conflict => "conflict",
             Self::Dropped => "dropped",
+            Self::Idle => "idle",
+            Self::Clock => "clock",
         }
     }
 }

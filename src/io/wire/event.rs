@@ -51,7 +51,8 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Overdue
         | EventKind::Latency
         | EventKind::Effort
-        | EventKind::Body => true,
+        | EventKind::Body
+        | EventKind::Idle => true,
         EventKind::Late
         | EventKind::Duplicate
         | EventKind::OutOfOrder
@@ -66,6 +67,7 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::ClockJump
         | EventKind::Crowd
         | EventKind::Conflict
-        | EventKind::Dropped => false,
+        | EventKind::Dropped
+        | EventKind::Clock => false,
     }
 }
