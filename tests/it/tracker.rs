@@ -20,7 +20,6 @@ use bundlemocap::core::tracker::{
     Config, Effort, EventKind, Input, Job, Noise, Outcome, Output, Solver, Task, Tracker, Verdict,
     WindowReport, run_to_end,
 };
-use bundlemocap::research::synth::ring_rig;
 use nalgebra::{Point2, Vector3};
 
 use crate::solve::{frame, keyframe, observe, ring};
@@ -318,9 +317,11 @@ fn a_bystander_in_some_views_is_not_followed() {
 
 /// Twenty people in sixteen views, some with points far outside the image. The work is bounded; one of
 /// the people is found.
+#[cfg(feature = "research")]
 #[test]
 fn somebody_is_found_in_a_crowd() {
-    let rig = Arc::new(ring_rig(16, 6.0, 2.0).unwrap());
+    let rig = bundlemocap::research::synth::ring_rig(16, 6.0, 2.0).unwrap();
+    let rig = Arc::new(rig);
     let (points, decoder) = (fitted_points(FORMAT), Decoder::embedded().unwrap());
     let skeleton = Skeleton::new(truth_shape());
     let mut frames: Vec<Detections> = Vec::new();
