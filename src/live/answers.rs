@@ -1,9 +1,8 @@
-//! //! Passes solutions to the tracker and turns its outputs into publications.
+//! Passes solutions to the tracker and turns its outputs into publications.
 
 use std::collections::BTreeMap;
 
 use super::core::Core;
-use super::latency::Finder;
 use super::port::Output;
 use super::publication::{Content, Publication};
 use super::status::quantile;
@@ -31,12 +30,6 @@ impl Core {
     /// Declares the latency and adjusts the effort after a solved window.
     fn settle(&mut self) {
         let Some(times) = self.latency_times(self.clock.delay()) else { return };
-        // A latency holds for a frame rate.
-        let period = times[2];
-        if (period - self.latency_period).abs() > period / 20 {
-            (self.latency, self.latency_period) =
-                (Finder::new(self.settings.node.latency_ms), period);
-        }
         let config = self.settings.tracker;
         let found = self.latency.solved(self.took, times, &config);
         if found.is_some() {

@@ -46,8 +46,6 @@ pub struct Core {
     pub(super) queue_dropped: u64,
     /// What went wrong since the last window; input of the governor.
     pub(super) trouble: Option<&'static str>,
-    /// The frame period of the declared latency.
-    pub(super) latency_period: Nanos,
     /// Capture and arrival times of the last frames.
     pub(super) arrivals: VecDeque<(Timestamp, Timestamp)>,
     /// Solve time of the current answer.
@@ -83,7 +81,6 @@ impl Core {
             published: Published::new(),
             queue_dropped: 0,
             trouble: None,
-            latency_period: Nanos::ZERO,
             arrivals: VecDeque::new(),
             took: Nanos::ZERO,
             journal: Journal::default(),

@@ -26,6 +26,8 @@ const ROUND: Nanos = Nanos::from_ms(1);
 const EXCESS: Nanos = Nanos::from_ms(5);
 /// A latency is lowered by at least this much.
 const LEAST_CHANGE: Nanos = Nanos::from_ms(20);
+/// A latency holds for a frame period within one part in this many.
+const SAME_RATE: i64 = 20;
 /// Reviews in a row, one per second, in which less would do, before a latency is lowered.
 const CALM: u32 = 30;
 
@@ -37,6 +39,8 @@ pub(super) struct Finder {
     found: Option<Latency>,
     /// Times that it allows for: window from its first pose, solve and network.
     parts: [Nanos; 3],
+    /// The frame period that it holds for.
+    period: Nanos,
     /// Seconds in which less would do, and the most that was needed in them.
     calm: (u32, Nanos),
 }
@@ -81,8 +85,8 @@ impl Finder {
         Some(self.declare([wait, solve, delay], period, config))
     }
 
-    /// Declares another latency if frames have come after `lasting` again and again and that is more
-    /// than it allows for; `delay` is then the delay to allow for. The other times are as in
+    /// Declares another latency if the frame rate has changed, or if frames have come after `lasting`
+    /// again and again and that is more than it allows for; `delay` is then the delay to allow for. The other times are as in
     /// [`Finder::solved`].
     pub(super) fn raise(
         &mut self,
@@ -92,7 +96,8 @@ impl Finder {
     ) -> Option<(Latency, String)> {
         let [allowed_wait, solve, allowed] = self.parts;
         self.found?;
-        if lasting <= allowed + EXCESS && wait <= allowed_wait + ROUND {
+        let is_other_rate = (period - self.period).abs() > self.period / SAME_RATE;
+        if lasting <= allowed + EXCESS && wait <= allowed_wait + ROUND && !is_other_rate {
             return None;
         }
         // A little more, so that it does not change again soon.
@@ -125,7 +130,7 @@ impl Finder {
     fn declare(&mut self, parts: [Nanos; 3], period: Nanos, config: &Config) -> (Latency, String) {
         let [wait, solve, delay] = parts;
         self.calm = (0, Nanos::ZERO);
-        self.parts = [wait, solve, delay.max(LEAST_NETWORK)];
+        (self.parts, self.period) = ([wait, solve, delay.max(LEAST_NETWORK)], period);
         let (latency, why) = match self.given {
             Some(declared) => {
                 let waits = [wait, GIVEN_SOLVE + PUBLISH, delay];

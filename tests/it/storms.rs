@@ -356,7 +356,7 @@ fn every_storm_is_survived_within_three_seconds() {
         });
         cases.extend([one, all].map(|case| Case { seconds: 600.0, ..case }));
     }
-    cases.push(case("detectors slow down to half the rate", &[], |f| {
+    cases.push(case("detectors slow down to half the rate", &["latency"], |f| {
         f.is_lost = f.at >= THEN && f.number % 2 == 1;
     }));
     for pause in [0.5, 2.0, 6.0] {
