@@ -97,7 +97,9 @@ impl From<RecordError> for Failure {
             RecordError::NotMcap { .. } => Exit::Malformed,
             RecordError::NoChannels { .. } | RecordError::NoBody { .. } => Exit::NotOurs,
             RecordError::BeforeEpoch { .. } => Exit::Malformed,
-            RecordError::Write { .. } | RecordError::LeftOver { .. } => Exit::Unexpected,
+            RecordError::Write { .. }
+            | RecordError::LeftOver { .. }
+            | RecordError::TooManyTopics { .. } => Exit::Unexpected,
         };
         let fix =
             if exit == Exit::Unreadable { "; check the path and its permissions" } else { "" };

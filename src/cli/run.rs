@@ -17,7 +17,7 @@ use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind};
 use crate::io::recording::last_body;
 use crate::io::wire::{self, Status, encode};
-use crate::live::{Core, Node, NodeError, Running, Settings, SolverCore, log};
+use crate::live::{Carried, Core, Node, NodeError, Running, Settings, SolverCore, log};
 
 /// Run the live node: keypoints from the bus in, poses at a fixed latency out.
 #[derive(Debug, Args)]
@@ -99,6 +99,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         toml: config.to_toml(),
         weights,
         body,
+        carried: Carried::default(),
     });
     let running = Node::start(bus, core, solver, &config.node, solver_core)?;
     say_hello(&config, &running);

@@ -5,7 +5,7 @@ use crate::io::recording::Message;
 use crate::io::wire::journal_entry::Input;
 use crate::io::wire::{
     CameraCounters, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, RetargetedPose,
-    Status, TrackingState,
+    Status, Take, TakeAnswer, TrackingState,
 };
 
 /// The main fields of a message; `None` for an unknown schema. `arrival` is the time of arrival.
@@ -25,6 +25,8 @@ pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {
         Message::Status(status) => self::status(status),
         Message::Journal(journal) => self::journal(journal),
         Message::Retargeted(pose) => retargeted(pose, arrival),
+        Message::Take(Take { action, name, .. }) => format!("take {action} {name}"),
+        Message::TakeAnswer(TakeAnswer { role, text, .. }) => format!("{role}: {text}"),
         Message::Other { .. } => return None,
     })
 }

@@ -1,4 +1,4 @@
-//! //! Passes solutions to the tracker and turns its outputs into publications.
+//! Passes solutions to the tracker and turns its outputs into publications.
 
 use std::collections::BTreeMap;
 
@@ -58,9 +58,13 @@ impl Core {
     pub(super) fn drain(&mut self) {
         while let Some(output) = self.track.as_mut().and_then(Tracker::poll) {
             match output {
-                tracker::Output::Solve(job) => self.outputs.push_back(Output::Solve(job)),
+                tracker::Output::Solve(job) => {
+                    self.is_solving = true;
+                    self.outputs.push_back(Output::Solve(job));
+                }
                 tracker::Output::Skeleton(skeleton) => {
                     let message = wire::Skeleton::from_core(&skeleton);
+                    let message = wire::Skeleton { run_id: self.run_id, ..message };
                     self.skeleton = Some(skeleton);
                     let now = self.clock.capture_time(self.now);
                     self.publish(self.topics.skeleton(), now, Content::Skeleton(message));

@@ -33,6 +33,8 @@ mod recording;
 mod retarget;
 #[cfg(feature = "research")]
 mod slahmr;
+#[cfg(feature = "cli")]
+mod slate;
 mod solve;
 mod support;
 #[cfg(feature = "research")]

@@ -54,11 +54,13 @@ pub enum EventKind {
     Conflict,
     /// The full queue dropped messages, or frames waited for too long.
     Dropped,
+    /// A take began or ended, or the performer's body was forgotten, as asked.
+    Take,
 }
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 24] = [
+    pub const ALL: [Self; 25] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -83,6 +85,7 @@ impl EventKind {
         Self::Crowd,
         Self::Conflict,
         Self::Dropped,
+        Self::Take,
     ];
 
     /// A lower-case name, as used on the wire.
@@ -112,6 +115,7 @@ impl EventKind {
             Self::Crowd => "crowd",
             Self::Conflict => "conflict",
             Self::Dropped => "dropped",
+            Self::Take => "take",
         }
     }
 }

@@ -14,6 +14,7 @@ impl Event {
             window: event.window,
             count: event.count.max(1),
             detail: event.detail.clone(),
+            run_id: 0,
         }
     }
 
@@ -51,7 +52,8 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Overdue
         | EventKind::Latency
         | EventKind::Effort
-        | EventKind::Body => true,
+        | EventKind::Body
+        | EventKind::Take => true,
         EventKind::Late
         | EventKind::Duplicate
         | EventKind::OutOfOrder
