@@ -7,10 +7,11 @@ use clap::Args;
 use super::Ended;
 use super::failure::{Exit, Failure};
 use super::solve::decoder;
+use super::span::timecode;
 use super::terminal::{complain, say, table};
 use crate::config::Config;
 use crate::core::tracker::Solver;
-use crate::io::recording::{Provenance, RawEntry, Reader, Writer};
+use crate::io::recording::{METADATA, Provenance, RawEntry, Reader, Writer};
 use crate::io::wire::{ENCODING, JournalStart, Pose, Topics, decode};
 use crate::live::{
     Carried, Gap, Recorded, ReplayError, Replayed, Settings, find_node, platform, replay,
@@ -66,15 +67,15 @@ impl From<ReplayError> for Failure {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let messages = read(&arguments.file)?;
+    let (messages, take) = read(&arguments.file)?;
     let of_file = |failure: Failure| {
         Failure::new(failure.exit, format!("{}: {}", arguments.file.display(), failure.line()))
     };
     let topics = find_node(&messages, arguments.stage.as_deref(), arguments.actor.as_deref())
         .map_err(|error| of_file(error.into()))?;
     let prepare = |start: &JournalStart| prepare(start, arguments.weights.as_deref());
-    let replayed =
-        replay(&messages, &topics, arguments.run.as_deref(), prepare).map_err(of_file)?;
+    let run = arguments.run.as_ref().or(take.as_ref()).map(String::as_str);
+    let replayed = replay(&messages, &topics, run, prepare).map_err(of_file)?;
     if let Some(path) = &arguments.out {
         write(path, &messages, &replayed)?;
     }
@@ -94,8 +95,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     Ok(Exit::InPart)
 }
 
-/// All messages of the file, in file order.
-fn read(path: &Path) -> Result<Vec<Recorded>, Failure> {
+/// All messages of the file, in file order, and the take that it was recorded for.
+fn read(path: &Path) -> Result<(Vec<Recorded>, Option<String>), Failure> {
     let mut reader = Reader::open(path)?;
     let mut messages = Vec::new();
     while let Some(entry) = reader.next_raw() {
@@ -105,7 +106,8 @@ fn read(path: &Path) -> Result<Vec<Recorded>, Failure> {
     for lost in reader.report().losses() {
         complain("warning", &format!("{}: {lost}", path.display()));
     }
-    Ok(messages)
+    let take = reader.metadata().get(METADATA).and_then(|ours| ours.get("take")).cloned();
+    Ok((messages, take))
 }
 
 /// The recorded settings and solver of the node.
@@ -129,6 +131,7 @@ fn prepare(start: &JournalStart, weights: Option<&Path>) -> Result<(Settings, So
         weights: ours,
         body: start.body.clone(),
         carried: Carried::of(start),
+        timecode: timecode(&config)?,
     };
     Ok((settings, Solver::new(decoder, tracker)))
 }

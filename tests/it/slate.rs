@@ -1,11 +1,13 @@
 //! Takes of the node's core in simulated time: a journal for each, replays, a new performer.
 
 use bundlemocap::config::Config;
+use bundlemocap::core::body::{self, Joint, Shape};
 use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::Solver;
-use bundlemocap::io::wire::{Skeleton, Take, TakeAnswer, Topics, encode};
+use bundlemocap::io::wire::{Event, Skeleton, Take, TakeAnswer, Topics, encode};
 use bundlemocap::live::{Carried, Recorded, ReplayError, Replayed, Settings, replay};
+use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
 use crate::live::{Sent, Studio, World, at, settings};
 
@@ -144,4 +146,71 @@ fn a_take_keeps_the_body_unless_it_is_reset() {
     let bodies = body(vec![slate("reset", "", 14.0)]);
     let anew = bodies.iter().filter(|(time, _)| *time > at(14.0) + Nanos::from_ms(100));
     assert!(anew.count() >= 4, "{bodies:?}");
+}
+
+/// Frames of performers of those shapes, one after the other, each for 15 s, with that pause between.
+fn in_turn(shapes: &[Shape], pause_s: u64) -> Studio {
+    const FRAMES: u64 = 15 * 60;
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let mut frames = Vec::new();
+    for (turn, shape) in (0..).zip(shapes) {
+        let skeleton = body::Skeleton::new(shape.clone());
+        let motion = Motion::new(&skeleton, MotionStyle::default());
+        let mut recording = Recording::new(rig.clone(), skeleton, |seconds| motion.pose(seconds));
+        recording.noise = Noise::jitter_only();
+        recording.frames = FRAMES + pause_s * 60;
+        let before = turn * recording.frames;
+        recording.start = at(0.0) + Nanos::rounded(before as f64 * 1e9 / 60.0);
+        frames.extend(recording.detections().map(|mut frame| {
+            if frame.frame >= FRAMES {
+                frame.people.clear();
+            }
+            frame.frame += before;
+            frame
+        }));
+    }
+    Studio { rig, frames }
+}
+
+/// Mean length of the limbs, metres.
+fn limbs(skeleton: &body::Skeleton) -> f64 {
+    let ends =
+        [Joint::LKnee, Joint::RKnee, Joint::LAnkle, Joint::RAnkle, Joint::LElbow, Joint::RElbow];
+    ends.iter().map(|joint| skeleton.offset(*joint).norm()).sum::<f64>() / ends.len() as f64
+}
+
+#[test]
+fn the_next_performer_gets_a_body_without_a_restart() {
+    let tall = Shape::symmetric([1.5, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let short = Shape::symmetric([-1.5, -0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let like = Shape::symmetric([0.8, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    for (first, second, pause) in [
+        (&tall, &short, 0),
+        (&tall, &short, 3),
+        (&tall, &like, 0),
+        (&tall, &like, 3),
+        (&tall, &tall, 3),
+    ] {
+        let studio = in_turn(&[first.clone(), second.clone()], pause);
+        let change = 15.0 + pause as f64;
+        let world = crate::live::after(studio.messages(), change + 15.0);
+        let wanted = [first, second].map(|shape| limbs(&body::Skeleton::new(shape.clone())));
+        let bodies = world.heard.of::<Skeleton>(&Topics::default().skeleton());
+        let found = |until: f64| {
+            let body = bodies.iter().rfind(|(time, _)| *time < at(until)).unwrap().1.clone();
+            limbs(&body.to_core().unwrap())
+        };
+        let off = [found(15.0) - wanted[0], found(change + 15.0) - wanted[1]];
+        let events: Vec<f64> = world
+            .heard
+            .of::<Event>(&Topics::default().actor_events())
+            .iter()
+            .filter(|(_, event)| event.kind == "body")
+            .map(|(time, _)| time.seconds_since(at(change)))
+            .collect();
+        println!("{pause} s: limbs {wanted:.3?} m, off {off:.4?} m, events {events:.2?}");
+        assert!(off.iter().all(|off| off.abs() < 0.004), "limbs {wanted:.3?} m, off {off:.4?} m");
+        assert_eq!(events.len(), usize::from(first != second), "{events:?}");
+        assert!(events.iter().all(|at| (0.0..4.0).contains(at)), "{events:?}");
+    }
 }
