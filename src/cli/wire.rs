@@ -105,7 +105,13 @@ fn event(event: &Event) -> String {
 
 fn status(status: &Status) -> String {
     let camera = |camera: &CameraCounters| {
-        let CameraCounters { camera: name, rate_hz, offset_s, residual_px, .. } = camera;
+        let CameraCounters { camera: name, rate_hz, age_s, offset_s, residual_px, .. } = camera;
+        if *rate_hz == 0.0 {
+            return match *age_s > 0.0 {
+                true => format!("{name} no frames for {age_s:.0} s"),
+                false => format!("{name} no frames yet"),
+            };
+        }
         let lost = camera.late + camera.missing;
         format!(
             "{name} {rate_hz:.1} Hz, offset {:+.1} ms, {residual_px:.1} px, {lost} late or missing",

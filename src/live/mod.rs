@@ -13,6 +13,7 @@ mod compare;
 mod config;
 mod core;
 mod cpu_affinity;
+mod endpoint;
 mod error;
 mod events;
 mod governor;
