@@ -124,6 +124,7 @@ impl From<ConfigError> for Failure {
             ConfigError::Unreadable { .. } => Exit::Unreadable,
             ConfigError::Malformed { .. }
             | ConfigError::OutOfRange { .. }
+            | ConfigError::Timecode { .. }
             | ConfigError::Name { .. } => Exit::Malformed,
         };
         Self::new(exit, error.to_string())

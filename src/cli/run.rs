@@ -12,6 +12,7 @@ use super::bus::{BusName, topics};
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
 use super::solve::decoder;
+use super::span::timecode;
 use crate::config::Config;
 use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind};
@@ -100,6 +101,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         weights,
         body,
         carried: Carried::default(),
+        timecode: timecode(&config)?,
     });
     let running = Node::start(bus, core, solver, &config.node, solver_core)?;
     say_hello(&config, &running);

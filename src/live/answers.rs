@@ -106,7 +106,9 @@ impl Core {
         let skeleton = self.skeleton.as_ref()?;
         let latency = self.latency.declared().unwrap_or_default();
         let live = LiveStamp { due, latency, run_id: self.run_id };
-        Some(wire::Pose::from_core(pose, skeleton, Some(live)))
+        let timecode = self.settings.timecode.map(|house| house.label(pose.capture));
+        let message = wire::Pose::from_core(pose, skeleton, Some(live));
+        Some(wire::Pose { timecode: timecode.unwrap_or_default(), ..message })
     }
 
     fn keyframe(&mut self, keyframe: &StampedKeyframe) {

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::config::Config;
 use super::publication::Publication;
 use crate::core::time::{Nanos, Timestamp};
+use crate::core::timecode::House;
 use crate::core::tracker::{self, Job, Solution};
 use crate::io::wire::JournalStart;
 
@@ -67,6 +68,8 @@ pub struct Settings {
     pub body: Option<Vec<u8>>,
     /// What a take keeps of the run before it.
     pub carried: Carried,
+    /// The timecode of the house, if there is one.
+    pub timecode: Option<House>,
 }
 
 /// What a take keeps of the run before it, beside calibration and body.

@@ -88,6 +88,7 @@ pub fn settings(config: &Config, decoder: &Decoder) -> Settings {
         weights: format!("{:016x}", decoder.fingerprint()),
         body: None,
         carried: Carried::default(),
+        timecode: None,
     }
 }
 
@@ -211,7 +212,7 @@ pub fn at(seconds: f64) -> Timestamp {
 }
 
 /// A world after those messages.
-fn after(messages: Vec<Sent>, seconds: f64) -> World {
+pub fn after(messages: Vec<Sent>, seconds: f64) -> World {
     let mut world = World::new(&Config::default());
     world.play(messages, at(seconds));
     world

@@ -67,6 +67,7 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
         weights: format!("{:016x}", decoder.fingerprint()),
         body: None,
         carried: Carried::default(),
+        timecode: None,
     };
     let core = Core::new(settings);
     Node::start(Arc::new(bus.clone()), core, Solver::new(decoder, track), config, None)
