@@ -8,9 +8,13 @@ use super::failure::{Exit, Failure};
 use crate::config::Config;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::timecode::House;
-use crate::io::recording::{METADATA, Reader};
-use crate::io::wire::{KeypointFrame, Pose, Schema};
+use crate::io::recording::{METADATA, RawEntry, Reader};
+use crate::io::wire::journal_entry::Input;
+use crate::io::wire::{Journal, KeypointFrame, Pose, Schema, decode};
 use crate::offline::output::text;
+
+/// A node's settings are searched in this much of a live recording.
+const SEARCHED: Nanos = Nanos::from_ms(5000);
 
 /// The part of a recording that is used.
 #[derive(Debug, Args)]
@@ -49,7 +53,7 @@ impl SpanArguments {
 pub(super) struct Times {
     /// Capture time of the first frame or pose.
     first: Timestamp,
-    /// The timecode of the settings, or else of the recording's settings.
+    /// The timecode of the settings, or else of those of the recording or its node.
     house: Option<House>,
 }
 
@@ -62,13 +66,19 @@ impl Times {
             Some(house) => Some(house),
             None => theirs.as_ref().map(timecode).transpose()?.flatten(),
         };
-        let is_frame = |schema: &str| [KeypointFrame::FULL_NAME, Pose::FULL_NAME].contains(&schema);
+        let (mut house, mut first) = (house, None::<RawEntry>);
         while let Some(entry) = reader.next_raw().transpose()? {
-            if is_frame(&entry.schema) {
-                return Ok(Self { first: entry.publish_time, house });
+            let is_late = |first: &RawEntry| entry.log_time - first.log_time > SEARCHED;
+            if first.as_ref().is_some_and(|first| house.is_some() || is_late(first)) {
+                break;
+            }
+            match &*entry.schema {
+                KeypointFrame::FULL_NAME | Pose::FULL_NAME => first = first.or(Some(entry)),
+                Journal::FULL_NAME if house.is_none() => house = of_node(&entry.payload),
+                _ => {}
             }
         }
-        Ok(Self { first: Timestamp::default(), house })
+        Ok(Self { first: first.map(|first| first.publish_time).unwrap_or_default(), house })
     }
 
     /// The capture time of a number of seconds since the first frame, or of a timecode.
@@ -95,6 +105,15 @@ impl Times {
         let line = format!("{label} {}\n", house.rate());
         Ok(text(&bvh.with_extension("timecode.txt"), &line)?)
     }
+}
+
+/// The timecode of the node whose journal begins with that part.
+fn of_node(part: &[u8]) -> Option<House> {
+    let start = match decode::<Journal>(part).ok()?.entries.into_iter().next()?.input? {
+        Input::Start(start) => start,
+        _ => return None,
+    };
+    Config::parse(&start.config, Path::new("the journal")).ok()?.timecode.house().ok()?
 }
 
 /// The timecode of the settings.

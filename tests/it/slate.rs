@@ -154,7 +154,7 @@ fn in_turn(shapes: &[Shape], pause_s: u64) -> Studio {
     let rig = ring_rig(4, 4.0, 1.6).unwrap();
     let mut frames = Vec::new();
     for (turn, shape) in (0..).zip(shapes) {
-        let skeleton = body::Skeleton::new(shape.clone());
+        let skeleton = body::Skeleton::new(*shape);
         let motion = Motion::new(&skeleton, MotionStyle::default());
         let mut recording = Recording::new(rig.clone(), skeleton, |seconds| motion.pose(seconds));
         recording.noise = Noise::jitter_only();
@@ -184,17 +184,11 @@ fn the_next_performer_gets_a_body_without_a_restart() {
     let tall = Shape::symmetric([1.5, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     let short = Shape::symmetric([-1.5, -0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     let like = Shape::symmetric([0.8, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
-    for (first, second, pause) in [
-        (&tall, &short, 0),
-        (&tall, &short, 3),
-        (&tall, &like, 0),
-        (&tall, &like, 3),
-        (&tall, &tall, 3),
-    ] {
-        let studio = in_turn(&[first.clone(), second.clone()], pause);
+    for (first, second, pause) in [(&tall, &short, 0), (&tall, &like, 3), (&tall, &tall, 3)] {
+        let studio = in_turn(&[*first, *second], pause);
         let change = 15.0 + pause as f64;
         let world = crate::live::after(studio.messages(), change + 15.0);
-        let wanted = [first, second].map(|shape| limbs(&body::Skeleton::new(shape.clone())));
+        let wanted = [first, second].map(|shape| limbs(&body::Skeleton::new(*shape)));
         let bodies = world.heard.of::<Skeleton>(&Topics::default().skeleton());
         let found = |until: f64| {
             let body = bodies.iter().rfind(|(time, _)| *time < at(until)).unwrap().1.clone();
