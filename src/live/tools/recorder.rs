@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::silence::Silence;
 use crate::core::time::{Nanos, Timestamp};
-use crate::io::bus::{Delivery, delivery};
 use crate::io::recording::{Provenance, RawEntry, RecordError, Writer};
 use crate::io::wire::{StageChannel, Take, Topic, Topics, valid_name};
 
@@ -16,8 +16,6 @@ use crate::io::wire::{StageChannel, Take, Topic, Topics, valid_name};
 const MARGIN: Nanos = Nanos::SECOND;
 /// Most inputs that are kept for the next take.
 const MOST_RECENT: usize = 65_536;
-/// A stream is silent after this time without a message.
-const SILENT: Nanos = Nanos::from_ms(3000);
 /// Recording stops when the disk has less room, bytes: enough for the end of the files.
 const LEAST_ROOM: u64 = 64 << 20;
 /// A warning is given when the disk has room for less than this time, or for fewer bytes.
@@ -93,8 +91,7 @@ pub(crate) struct Recorder {
     rig: Option<RawEntry>,
     /// The inputs of the last second.
     recent: VecDeque<RawEntry>,
-    /// Streams: when their last message came, and whether their silence was reported.
-    streams: BTreeMap<Arc<str>, (Timestamp, bool)>,
+    silence: Silence,
     /// What is not said again: topics above the limit, little room.
     is_skipping_said: bool,
     is_room_said: bool,
@@ -122,7 +119,7 @@ impl Recorder {
             take: None,
             rig: None,
             recent: VecDeque::new(),
-            streams: BTreeMap::new(),
+            silence: Silence::default(),
             is_skipping_said: false,
             is_room_said: false,
             bytes: [0; 2],
@@ -136,9 +133,7 @@ impl Recorder {
             file.write(&entry)?;
         }
         self.bytes[1] += entry.payload.len() as u64;
-        if delivery(&entry.topic) == Delivery::Stream && self.streams.len() < MOST_RECENT {
-            self.streams.insert(Arc::clone(&entry.topic), (entry.log_time, false));
-        }
+        self.silence.came(&entry.topic, entry.log_time);
         match Topic::parse(&entry.topic) {
             Ok(Topic::Stage { channel: StageChannel::Rig, .. }) => self.rig = Some(entry),
             Ok(Topic::Stage { channel: StageChannel::Keypoints { .. }, .. }) => {
@@ -243,18 +238,7 @@ impl Recorder {
                 "more than {most} topics: further ones are not recorded; choose with --topics"
             )));
         }
-        let mut silent = Vec::new();
-        for (topic, (last, is_said)) in &mut self.streams {
-            if now - *last > SILENT && !std::mem::replace(is_said, true) {
-                silent.push(&**topic);
-            }
-        }
-        if !silent.is_empty() {
-            let (count, seconds) = (silent.len(), SILENT.seconds());
-            let list = silent[..count.min(8)].join(", ");
-            let more = if count > 8 { format!(" and {} more", count - 8) } else { String::new() };
-            said.push(Said::Warning(format!("silent for {seconds:.0} s: {list}{more}")));
-        }
+        said.extend(self.silence.report(now).map(Said::Warning));
         let [before, bytes] = self.bytes;
         self.bytes = [bytes; 2];
         let rate = bytes - before;
