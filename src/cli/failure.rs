@@ -106,7 +106,9 @@ impl From<RecordError> for Failure {
             RecordError::NotMcap { .. } => Exit::Malformed,
             RecordError::NoChannels { .. } | RecordError::NoBody { .. } => Exit::NotOurs,
             RecordError::BeforeEpoch { .. } => Exit::Malformed,
-            RecordError::Write { .. } | RecordError::LeftOver { .. } => Exit::Unexpected,
+            RecordError::Write { .. }
+            | RecordError::LeftOver { .. }
+            | RecordError::TooManyTopics { .. } => Exit::Unexpected,
         };
         let fix =
             if exit == Exit::Unreadable { "; check the path and its permissions" } else { "" };
@@ -131,6 +133,7 @@ impl From<ConfigError> for Failure {
             ConfigError::Unreadable { .. } => Exit::Unreadable,
             ConfigError::Malformed { .. }
             | ConfigError::OutOfRange { .. }
+            | ConfigError::Timecode { .. }
             | ConfigError::Name { .. } => Exit::Malformed,
         };
         Self::new(exit, error.to_string())

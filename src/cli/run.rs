@@ -12,12 +12,13 @@ use super::bus::{BusName, topics};
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
 use super::solve::decoder;
+use super::span::timecode;
 use crate::config::Config;
 use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind};
 use crate::io::recording::last_body;
 use crate::io::wire::{self, Status, encode};
-use crate::live::{Core, Node, NodeError, Running, Settings, SolverCore, log};
+use crate::live::{Carried, Core, Node, NodeError, Running, Settings, SolverCore, log};
 
 /// Run the live node: keypoints from the bus in, poses at a fixed latency out.
 #[derive(Debug, Args)]
@@ -99,6 +100,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         toml: config.to_toml(),
         weights,
         body,
+        carried: Carried::default(),
+        timecode: timecode(&config)?,
     });
     let running = Node::start(bus, core, solver, &config.node, solver_core)?;
     say_hello(&config, &running);

@@ -5,7 +5,7 @@ use crate::io::recording::Message;
 use crate::io::wire::journal_entry::Input;
 use crate::io::wire::{
     CameraCounters, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, RetargetedPose,
-    Status, TrackingState,
+    Status, Take, TakeAnswer, TrackingState,
 };
 
 /// The main fields of a message; `None` for an unknown schema. `arrival` is the time of arrival.
@@ -25,6 +25,8 @@ pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {
         Message::Status(status) => self::status(status),
         Message::Journal(journal) => self::journal(journal),
         Message::Retargeted(pose) => retargeted(pose, arrival),
+        Message::Take(Take { action, name, .. }) => format!("take {action} {name}"),
+        Message::TakeAnswer(TakeAnswer { role, text, .. }) => format!("{role}: {text}"),
         Message::Other { .. } => return None,
     })
 }
@@ -103,7 +105,13 @@ fn event(event: &Event) -> String {
 
 fn status(status: &Status) -> String {
     let camera = |camera: &CameraCounters| {
-        let CameraCounters { camera: name, rate_hz, offset_s, residual_px, .. } = camera;
+        let CameraCounters { camera: name, rate_hz, age_s, offset_s, residual_px, .. } = camera;
+        if *rate_hz == 0.0 {
+            return match *age_s > 0.0 {
+                true => format!("{name} no frames for {age_s:.0} s"),
+                false => format!("{name} no frames yet"),
+            };
+        }
         let lost = camera.late + camera.missing;
         format!(
             "{name} {rate_hz:.1} Hz, offset {:+.1} ms, {residual_px:.1} px, {lost} late or missing",

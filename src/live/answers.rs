@@ -84,9 +84,13 @@ impl Core {
     pub(super) fn drain(&mut self) {
         while let Some(output) = self.track.as_mut().and_then(Tracker::poll) {
             match output {
-                tracker::Output::Solve(job) => self.outputs.push_back(Output::Solve(job)),
+                tracker::Output::Solve(job) => {
+                    self.is_solving = true;
+                    self.outputs.push_back(Output::Solve(job));
+                }
                 tracker::Output::Skeleton(skeleton) => {
                     let message = wire::Skeleton::from_core(&skeleton);
+                    let message = wire::Skeleton { run_id: self.run_id, ..message };
                     self.skeleton = Some(skeleton);
                     let now = self.clock.capture_time(self.now);
                     self.publish(self.topics.skeleton(), now, Content::Skeleton(message));
@@ -128,7 +132,9 @@ impl Core {
         let skeleton = self.skeleton.as_ref()?;
         let latency = self.latency.declared().unwrap_or_default();
         let live = LiveStamp { due, latency, run_id: self.run_id };
-        Some(wire::Pose::from_core(pose, skeleton, Some(live)))
+        let timecode = self.settings.timecode.map(|house| house.label(pose.capture));
+        let message = wire::Pose::from_core(pose, skeleton, Some(live));
+        Some(wire::Pose { timecode: timecode.unwrap_or_default(), ..message })
     }
 
     fn keyframe(&mut self, keyframe: &StampedKeyframe) {

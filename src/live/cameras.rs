@@ -6,8 +6,6 @@ use crate::io::wire::CameraCounters;
 
 /// This many conflicts in a second between frame numbers and capture times mean two publishers.
 const CONFLICTS: u32 = 3;
-/// Weight of the last second in the smoothed rate.
-const RATE_WEIGHT: f64 = 0.5;
 
 /// State and counters of one camera.
 #[derive(Clone, Debug, Default)]
@@ -19,7 +17,8 @@ pub(super) struct Camera {
     /// Frames in the current second, and how many of them had a conflict.
     recent: u64,
     odd: u32,
-    rate: Option<f64>,
+    /// Frames a second over the last second.
+    rate: f64,
     units: UnitCheck,
     /// Whether its capture times are not in nanoseconds.
     has_other_unit: bool,
@@ -88,12 +87,7 @@ impl Camera {
 
     /// Updates the rate; called once a second.
     pub(super) fn second(&mut self, passed: Nanos) {
-        if self.last.is_none() {
-            return;
-        }
-        let rate = self.recent as f64 * 1e9 / passed.ns().max(1) as f64;
-        let last = self.rate.unwrap_or(rate);
-        self.rate = Some(last + RATE_WEIGHT * (rate - last));
+        self.rate = self.recent as f64 * 1e9 / passed.ns().max(1) as f64;
         (self.recent, self.odd) = (0, 0);
     }
 
@@ -108,7 +102,7 @@ impl Camera {
         CameraCounters {
             camera: self.name.clone(),
             used,
-            rate_hz: self.rate.unwrap_or(0.0),
+            rate_hz: self.rate,
             age_s: self.last.map_or(0.0, |(_, _, arrival)| now.seconds_since(arrival)),
             offset_s,
             drift_ppm,

@@ -30,8 +30,8 @@ pub struct Core {
     pub(super) topics: Topics,
     pub(super) outputs: VecDeque<Output>,
     pub(super) now: Timestamp,
-    /// Calibration from a file, before the first message.
-    rig_at_start: Option<Vec<u8>>,
+    /// Calibration from a file or of the run before, before the first message.
+    pub(super) rig_at_start: Option<Vec<u8>>,
     pub(super) calibration: Option<Calibration>,
     pub(super) track: Option<Tracker>,
     /// The body of the next pose.
@@ -51,6 +51,14 @@ pub struct Core {
     /// Solve time of the current answer.
     pub(super) took: Nanos,
     journal: Journal,
+    /// Whether all entries of the journal are written now.
+    pub(super) is_flushed: bool,
+    /// Whether a job is out.
+    pub(super) is_solving: bool,
+    /// The take that begins as soon as no job is out.
+    pub(super) starting: Option<wire::Take>,
+    /// Name of the take that runs, or empty.
+    pub(super) running: String,
     /// Id of this run, set at the first message; 0 before.
     pub(super) run_id: u64,
     next_second: Option<Timestamp>,
@@ -64,7 +72,8 @@ impl Core {
         let node = &settings.node;
         let topics = Topics { stage: node.stage.clone(), actor: node.actor.clone() };
         Self {
-            latency: Finder::new(node.latency_ms),
+            latency: Finder::new(node.latency_ms, settings.carried.latency),
+            running: settings.carried.take.clone(),
             settings,
             topics,
             outputs: VecDeque::new(),
@@ -84,6 +93,9 @@ impl Core {
             arrivals: VecDeque::new(),
             took: Nanos::ZERO,
             journal: Journal::default(),
+            is_flushed: false,
+            is_solving: false,
+            starting: None,
             run_id: 0,
             next_second: None,
             wake: None,
@@ -113,18 +125,38 @@ impl Core {
         match input {
             Input::Message { topic, payload } => self.message(&topic, &payload),
             Input::RigFile(bytes) => self.rig_file(bytes),
-            Input::Solved { solution, took } => self.solved(*solution, took),
+            Input::Solved { solution, took } => {
+                self.is_solving = false;
+                // Its window would end in the next run.
+                if self.starting.is_none() {
+                    self.solved(*solution, took);
+                }
+            }
             Input::Tick => {}
             Input::Dropped(count) => self.dropped(count),
             Input::Played(deviations_us) => self.published.played(&deviations_us),
-            Input::End => self.give(tracker::Input::End),
+            Input::End => {
+                self.starting = None;
+                self.give(tracker::Input::End);
+            }
         }
         self.drain();
-        self.seconds(is_last);
-        if let Some(entries) = self.journal.take(self.now, is_last) {
-            self.publish(self.topics.journal(), self.now, Content::Journal(entries));
+        if !self.is_solving
+            && let Some(take) = self.starting.take()
+        {
+            self.begin_take(take);
         }
+        self.seconds(is_last);
+        let is_flushed = std::mem::take(&mut self.is_flushed);
+        self.write_journal(is_last || is_flushed);
         self.wake();
+    }
+
+    /// Publishes the journal's entries if it is time, or if all are to be written.
+    pub(super) fn write_journal(&mut self, all: bool) {
+        if let Some(part) = self.journal.take(self.now, all, self.run_id) {
+            self.publish(self.topics.journal(), self.now, Content::Journal(part));
+        }
     }
 
     /// The next output, if there is one.
@@ -191,6 +223,7 @@ impl Core {
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
         self.skeleton = None;
         let tracker = Tracker::new(self.settings.tracker, rig).live(live);
+        let tracker = tracker.with_time_corrections(&self.settings.carried.time_offsets);
         self.track = Some(tracker.with_body_to_check(self.body()));
         self.event(EventKind::Calibrated, None, detail);
     }
@@ -201,12 +234,20 @@ impl Core {
         body.to_core().ok().map(Arc::new)
     }
 
-    /// Resets all state before the first message: a replay knows only the calibration from a file.
+    /// A new core that has only waiting outputs of the old one.
+    pub(super) fn reset(&mut self, settings: Settings, rig_at_start: Option<Vec<u8>>) {
+        let outputs = std::mem::take(&mut self.outputs);
+        *self = Self { now: self.now, outputs, rig_at_start, ..Self::new(settings) };
+    }
+
+    /// Resets all state before the first message: a replay knows only what is in the journal's head.
     fn begin_anew(&mut self) {
+        let (journal, run_id) = (std::mem::take(&mut self.journal), self.run_id);
+        let rig = self.rig_at_start.take();
+        self.reset(self.settings.clone(), rig);
+        (self.journal, self.run_id) = (journal, run_id);
         self.next_second = Some(self.now + Nanos::SECOND);
         let Some(rig) = self.rig_at_start.clone() else { return };
-        (self.calibration, self.track) = (None, None);
-        (self.cameras, self.counts) = (Vec::new(), Events::default());
         let outputs = self.outputs.len();
         self.calibrate(&rig);
         self.outputs.truncate(outputs);
@@ -249,6 +290,7 @@ impl Core {
     }
 
     fn publish_event(&mut self, kind: EventKind, message: wire::Event) {
+        let message = wire::Event { run_id: self.run_id, ..message };
         let capture = Timestamp::from_ns(message.capture_time_ns);
         self.publish(self.topics.events(kind), capture, Content::Event(message));
     }

@@ -56,8 +56,8 @@ impl Journal {
             Input::Message { topic, payload } => Entry::Message(JournalMessage {
                 topic: topic.to_string(),
                 hash: fnv1a(payload),
-                // A recorder that joins later gets the latest calibration only.
-                payload: is_rig(topic).then(|| payload.clone()),
+                // Rare and small, and a recorder that joins later gets the latest only.
+                payload: is_kept(topic).then(|| payload.clone()),
             }),
             Input::RigFile(payload) => Entry::Message(JournalMessage {
                 topic: String::new(),
@@ -85,19 +85,20 @@ impl Journal {
 
     /// The next message, when it is due. There is none while only ticks arrive, so that a recorder
     /// that joins in that time still gets everything.
-    pub(super) fn take(&mut self, now: Timestamp, is_last: bool) -> Option<Message> {
+    pub(super) fn take(&mut self, now: Timestamp, is_last: bool, run_id: u64) -> Option<Message> {
         let is_time = self.is_busy && self.written.is_none_or(|written| now - written >= PERIOD);
         if self.entries.is_empty() || !(is_last || is_time || self.entries.len() >= MOST) {
             return None;
         }
         let (sequence, entries) = (self.sequence, std::mem::take(&mut self.entries));
         (self.sequence, self.written, self.is_busy) = (sequence + 1, Some(now), false);
-        Some(Message { sequence, entries })
+        Some(Message { sequence, entries, run_id })
     }
 }
 
-fn is_rig(topic: &str) -> bool {
-    matches!(Topic::parse(topic), Ok(Topic::Stage { channel: StageChannel::Rig, .. }))
+fn is_kept(topic: &str) -> bool {
+    use StageChannel::{Rig, Take};
+    matches!(Topic::parse(topic), Ok(Topic::Stage { channel: Rig | Take, .. }))
 }
 
 /// The first entry.
@@ -110,5 +111,8 @@ pub(super) fn start(settings: &Settings, rig: Option<&[u8]>, run_id: u64) -> Jou
         rig: rig.map(<[u8]>::to_vec),
         run_id,
         body: settings.body.clone(),
+        take: settings.carried.take.clone(),
+        latency_ns: settings.carried.latency.unwrap_or_default().ns().unsigned_abs(),
+        time_offsets_ns: settings.carried.time_offsets.iter().map(|offset| offset.ns()).collect(),
     }
 }

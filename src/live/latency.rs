@@ -35,6 +35,8 @@ const CALM: u32 = 30;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Finder {
     given: Option<Nanos>,
+    /// The latency of the run before, if there was one.
+    before: Option<Nanos>,
     solves: Vec<Nanos>,
     found: Option<Latency>,
     /// Times that it allows for: window from its first pose, solve and network.
@@ -46,10 +48,10 @@ pub(super) struct Finder {
 }
 
 impl Finder {
-    /// For a configured latency in milliseconds; 0 to measure it.
-    pub(super) fn new(given_ms: f64) -> Self {
+    /// For a configured latency in milliseconds, 0 to measure it, and that of the run before.
+    pub(super) fn new(given_ms: f64, before: Option<Nanos>) -> Self {
         let given = (given_ms > 0.0).then(|| Nanos::new((given_ms * 1e6) as i64));
-        Self { given, ..Self::default() }
+        Self { given, before, ..Self::default() }
     }
 
     /// The latency, once it is declared.
@@ -75,6 +77,14 @@ impl Finder {
     ) -> Option<(Latency, String)> {
         if self.found.is_some() {
             return None;
+        }
+        // The latency of the run before holds if it leaves enough time to solve.
+        let before = self.before.take().map(|before| before - wait - delay.max(LEAST_NETWORK));
+        if let Some(solve) = before.map(|rest| rest - PUBLISH)
+            && self.given.is_none()
+            && solve >= LEAST_SOLVE.min(wait)
+        {
+            return Some(self.declare([wait, solve, delay], period, config));
         }
         self.solves.push(took);
         if self.given.is_none() && self.solves.len() < WINDOWS {
@@ -183,7 +193,7 @@ mod tests {
 
     #[test]
     fn a_latency_is_found_once_from_the_slowest_of_the_first_windows() {
-        let mut finder = Finder::new(0.0);
+        let mut finder = Finder::new(0.0, None);
         for took in [5, 20, 6, 5] {
             assert!(solved(&mut finder, took, 3).is_none());
         }
@@ -196,8 +206,18 @@ mod tests {
     }
 
     #[test]
+    fn the_latency_of_the_run_before_holds_if_it_is_enough() {
+        let declared = |before: i64, delay: i64| {
+            let found = solved(&mut Finder::new(0.0, Some(MS * before)), 5, delay);
+            found.map(|(latency, _)| latency.declared)
+        };
+        assert_eq!(declared(197, 3), Some(MS * 197));
+        assert_eq!(declared(197, 30), None, "measured anew");
+    }
+
+    #[test]
     fn a_given_latency_holds_with_the_look_ahead_that_it_allows() {
-        let of = |given: f64, delay: i64| solved(&mut Finder::new(given), 5, delay).unwrap();
+        let of = |given: f64, delay: i64| solved(&mut Finder::new(given, None), 5, delay).unwrap();
         let (latency, why) = of(250.0, 0);
         assert_eq!((latency.declared, &*why), (MS * 250, "250.0 ms as configured"));
         // Eight to solve and publish, two of network.
@@ -211,7 +231,7 @@ mod tests {
 
     #[test]
     fn a_latency_changes_for_good_and_without_flutter() {
-        let mut finder = Finder::new(0.0);
+        let mut finder = Finder::new(0.0, None);
         (0..WINDOWS).for_each(|_| drop(solved(&mut finder, 5, 3)));
         let config = Config::default();
         let times = |delay: i64| [MS * 150, MS * delay, MS * 16];
@@ -233,7 +253,7 @@ mod tests {
 
     #[test]
     fn a_latency_that_is_too_short_is_reported_with_the_smallest_possible_one() {
-        let (latency, why) = solved(&mut Finder::new(10.0), 5, 20).unwrap();
+        let (latency, why) = solved(&mut Finder::new(10.0, None), 5, 20).unwrap();
         assert_eq!((latency.declared, latency.look_ahead), (MS * 10, Some(0)));
         assert!(why.contains("the smallest possible latency is 26.0 ms"), "{why}");
     }

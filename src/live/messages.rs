@@ -28,6 +28,9 @@ impl Core {
             }
             return;
         }
+        if topic == self.topics.take() {
+            return self.slate(payload);
+        }
         if let Ok(Topic::Stage { stage, channel: StageChannel::Keypoints { camera } }) =
             Topic::parse(topic)
             && stage == self.topics.stage

@@ -5,16 +5,19 @@
 //! passes inputs and outputs, one thread solves, and one thread publishes poses when they are due
 //! ([`Schedule`]).
 
+mod advice;
 mod answers;
 mod board;
 mod camera_clock;
 mod cameras;
 mod clock;
 mod clock_base;
+mod compare;
 mod config;
 mod core;
 mod cpu_affinity;
 mod delays;
+mod endpoint;
 mod error;
 mod events;
 mod governor;
@@ -34,21 +37,23 @@ mod replay;
 mod rig_file;
 mod run;
 mod status;
+mod take;
 pub mod tools;
 mod wall;
 mod watch;
 
+pub use compare::{Comparison, Recorded};
 pub use config::Config;
 pub use core::Core;
 pub use cpu_affinity::SolverCore;
 pub use error::NodeError;
 pub use journal::platform;
 pub use playout::{Deviations, Schedule};
-pub use port::{Input, Output, Settings};
+pub use port::{Carried, Input, Output, Settings};
 pub use process::Usage;
 pub use publication::{Content, Publication};
 pub use queue::{Intake, Message};
-pub use replay::{Comparison, Recorded, ReplayError, Replayed, find_node, replay};
+pub use replay::{Gap, ReplayError, Replayed, find_node, replay};
 pub use rig_file::RigFile;
 pub use run::{Node, Running};
 pub use wall::WallClock;

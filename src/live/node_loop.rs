@@ -208,7 +208,8 @@ impl NodeLoop {
             Content::Skeleton(_)
             | Content::Pose(_)
             | Content::Keyframe(_)
-            | Content::Journal(_) => {}
+            | Content::Journal(_)
+            | Content::Answer(_) => {}
         }
     }
 }

@@ -11,8 +11,8 @@ use super::board::Board;
 use super::config::Config;
 use super::core::Core;
 use super::cpu_affinity::SolverCore;
+use super::endpoint::Endpoint;
 use super::error::NodeError;
-use super::metrics::Endpoint;
 use super::node_loop::{Answer, Inbox, NodeLoop, Progress};
 use super::outlet::Outlet;
 use super::playout::Playout;
@@ -22,7 +22,9 @@ use super::wall::WallClock;
 use crate::core::time::Nanos;
 use crate::core::tracker::{Job, Solver};
 use crate::io::bus::{Bus, Guard};
-use crate::io::wire::{Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, Topics};
+use crate::io::wire::{
+    Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, TakeAnswer, Topics,
+};
 
 /// How often the calibration file is checked for changes.
 const LOOK: Duration = Duration::from_millis(500);
@@ -117,7 +119,7 @@ impl Running {
     fn listen(&mut self, bus: &dyn Bus, topics: &Topics, intake: &Intake) -> Result<(), NodeError> {
         let board = Arc::clone(&self.board);
         self.rig_answer = bus.answer(&topics.rig(), Box::new(move || board.rig()))?;
-        for pattern in [topics.rig(), topics.keypoints("*")] {
+        for pattern in [topics.rig(), topics.keypoints("*"), topics.take()] {
             let intake = intake.clone();
             let sink = move |sample: crate::io::bus::Sample| {
                 intake.push(Message { topic: sample.topic, payload: sample.payload });
@@ -186,6 +188,7 @@ fn loop_outlet(bus: &Arc<dyn Bus>, topics: &Topics, board: &Board) -> Result<Out
         (topics.stage_events(), Event::FULL_NAME),
         (topics.status(), Status::FULL_NAME),
         (topics.journal(), Journal::FULL_NAME),
+        (topics.take_answers(), TakeAnswer::FULL_NAME),
     ];
     for (topic, schema) in all {
         outlet.open(&topic, schema)?;

@@ -15,7 +15,7 @@ use bundlemocap::core::tracker::{Job, Solution, Solver, Task};
 use bundlemocap::io::wire::{
     self, Event, KeypointFrame, Pose, Schema, Status, Topics, TrackingState, decode, encode,
 };
-use bundlemocap::live::{Core, Input, Output, Recorded, Settings, find_node, replay};
+use bundlemocap::live::{Carried, Core, Input, Output, Recorded, Settings, find_node, replay};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
 const MS: Nanos = Nanos::from_ms(1);
@@ -27,25 +27,25 @@ const NETWORK: Nanos = Nanos::from_ms(3);
 
 /// A message in transit.
 #[derive(Clone, Debug)]
-struct Sent {
-    arrival: Timestamp,
-    topic: String,
-    payload: Vec<u8>,
+pub struct Sent {
+    pub arrival: Timestamp,
+    pub topic: String,
+    pub payload: Vec<u8>,
 }
 
 /// All outputs, with their times.
 #[derive(Default)]
-struct Heard {
-    messages: Vec<Recorded>,
+pub struct Heard {
+    pub messages: Vec<Recorded>,
 }
 
 impl Heard {
-    fn of<T: Schema>(&self, topic: &str) -> Vec<(Timestamp, T)> {
+    pub fn of<T: Schema>(&self, topic: &str) -> Vec<(Timestamp, T)> {
         let of_topic = self.messages.iter().filter(|message| *message.topic == *topic);
         of_topic.map(|message| (message.time, decode(&message.payload).unwrap())).collect()
     }
 
-    fn poses(&self) -> Vec<(Timestamp, Pose)> {
+    pub fn poses(&self) -> Vec<(Timestamp, Pose)> {
         self.of(&Topics::default().pose())
     }
 
@@ -53,15 +53,15 @@ impl Heard {
         self.of(&Topics::default().provisional())
     }
 
-    fn status(&self) -> Status {
+    pub fn status(&self) -> Status {
         self.of(&Topics::default().status()).pop().unwrap().1
     }
 
-    fn events(&self) -> BTreeMap<String, u64> {
+    pub fn events(&self) -> BTreeMap<String, u64> {
         self.status().events.into_iter().map(|e| (e.kind, e.count)).collect()
     }
 
-    fn details(&self, kind: &str) -> Vec<String> {
+    pub fn details(&self, kind: &str) -> Vec<String> {
         let topics = [Topics::default().stage_events(), Topics::default().actor_events()];
         let events = topics.iter().flat_map(|topic| self.of::<Event>(topic));
         events.filter(|(_, e)| e.kind == kind).map(|(_, e)| e.detail).collect()
@@ -69,8 +69,8 @@ impl Heard {
 }
 
 /// A node in simulated time.
-struct World {
-    core: Core,
+pub struct World {
+    pub core: Core,
     solver: Solver,
     now: Timestamp,
     wake: Option<Timestamp>,
@@ -78,21 +78,23 @@ struct World {
     answer: Option<(Timestamp, Solution, Nanos)>,
     /// The simulated solve time of a job.
     took: Box<dyn Fn(&Job) -> Nanos>,
-    heard: Heard,
+    pub heard: Heard,
 }
 
-fn settings(config: &Config, decoder: &Decoder) -> Settings {
+pub fn settings(config: &Config, decoder: &Decoder) -> Settings {
     Settings {
         tracker: config.tracker,
         node: config.node.clone(),
         toml: config.to_toml(),
         weights: format!("{:016x}", decoder.fingerprint()),
         body: None,
+        carried: Carried::default(),
+        timecode: None,
     }
 }
 
 impl World {
-    fn new(config: &Config) -> Self {
+    pub fn new(config: &Config) -> Self {
         let decoder = Decoder::embedded().unwrap();
         Self {
             core: Core::new(settings(config, &decoder)),
@@ -110,7 +112,7 @@ impl World {
     }
 
     /// Delivers messages in order of arrival, and continues for a while after the last.
-    fn play(&mut self, mut sent: Vec<Sent>, until: Timestamp) {
+    pub fn play(&mut self, mut sent: Vec<Sent>, until: Timestamp) {
         sent.sort_by_key(|message| message.arrival);
         let mut sent = sent.into_iter().peekable();
         loop {
@@ -155,7 +157,7 @@ impl World {
         }
     }
 
-    fn end(&mut self) {
+    pub fn end(&mut self) {
         self.tell(Input::End);
         while let Some((at, solution, took)) = self.answer.take() {
             self.now = self.now.max(at);
@@ -165,17 +167,17 @@ impl World {
 }
 
 /// Cameras around the procedural motion.
-struct Studio {
-    rig: Rig,
-    frames: Vec<Detections>,
+pub struct Studio {
+    pub rig: Rig,
+    pub frames: Vec<Detections>,
 }
 
 impl Studio {
-    fn new(cameras: usize, frames: u64) -> Self {
+    pub fn new(cameras: usize, frames: u64) -> Self {
         Self::at_rate(cameras, frames, 60.0)
     }
 
-    fn at_rate(cameras: usize, frames: u64, fps: f64) -> Self {
+    pub fn at_rate(cameras: usize, frames: u64, fps: f64) -> Self {
         let skeleton = Skeleton::default();
         let motion = Motion::new(&skeleton, MotionStyle::default());
         let rig = ring_rig(cameras, 4.0, 1.6).unwrap();
@@ -187,13 +189,13 @@ impl Studio {
         Self { rig: recording.rig, frames }
     }
 
-    fn rig(&self) -> Sent {
+    pub fn rig(&self) -> Sent {
         let payload = encode(&wire::Rig::from_core(&self.rig));
         let arrival = START - SECOND / 2;
         Sent { arrival, topic: Topics::default().rig(), payload }
     }
 
-    fn message(&self, frame: &Detections) -> Sent {
+    pub fn message(&self, frame: &Detections) -> Sent {
         let camera = &self.rig.cameras[frame.camera];
         let message = KeypointFrame::from_core(frame, &camera.name, [camera.width, camera.height]);
         Sent {
@@ -204,18 +206,18 @@ impl Studio {
     }
 
     /// The rig, and every frame with its arrival time.
-    fn messages(&self) -> Vec<Sent> {
+    pub fn messages(&self) -> Vec<Sent> {
         let frames = self.frames.iter().map(|frame| self.message(frame));
         std::iter::once(self.rig()).chain(frames).collect()
     }
 }
 
-fn at(seconds: f64) -> Timestamp {
+pub fn at(seconds: f64) -> Timestamp {
     START + Nanos::new((seconds * 1e9) as i64)
 }
 
 /// A world after those messages.
-fn after(messages: Vec<Sent>, seconds: f64) -> World {
+pub fn after(messages: Vec<Sent>, seconds: f64) -> World {
     let mut world = World::new(&Config::default());
     world.play(messages, at(seconds));
     world
@@ -364,7 +366,9 @@ fn replays_to_the_same_bytes(body: Option<Vec<u8>>) {
     world.play(messages.clone(), at(3.0));
     world.end();
     let skeletons = world.heard.of::<wire::Skeleton>(&Topics::default().skeleton());
-    let is_given = |(_, first): &(Timestamp, wire::Skeleton)| body == Some(encode(first));
+    let is_given = |(_, first): &(Timestamp, wire::Skeleton)| {
+        body == Some(encode(&wire::Skeleton { run_id: 0, ..first.clone() }))
+    };
     assert_eq!(skeletons.first().is_some_and(is_given), body.is_some());
     let mut recorded = world.heard.messages;
     recorded.extend(messages.into_iter().map(|sent| Recorded {
@@ -374,7 +378,7 @@ fn replays_to_the_same_bytes(body: Option<Vec<u8>>) {
         schema: "".into(),
         payload: sent.payload,
     }));
-    let replayed = replay(&recorded, &Topics::default(), |start| {
+    let replayed = replay(&recorded, &Topics::default(), None, |start| {
         let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
         let solver = Solver::new(decoder.clone(), config.tracker);
         Ok::<_, bundlemocap::live::ReplayError>((with_body(&config, &start.body), solver))
@@ -400,8 +404,8 @@ fn replays_to_the_same_bytes(body: Option<Vec<u8>>) {
     let journal = Topics::default().journal();
     recorded.retain(|message| *message.topic != *journal || message.time < at(2.5));
     let pose = recorded.iter_mut().find(|message| *message.topic == *Topics::default().pose());
-    *pose.unwrap().payload.last_mut().unwrap() ^= 1;
-    let replayed = replay(&recorded, &Topics::default(), |start| {
+    pose.unwrap().payload[100] ^= 1;
+    let replayed = replay(&recorded, &Topics::default(), None, |start| {
         let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
         let solver = Solver::new(decoder.clone(), config.tracker);
         Ok::<_, bundlemocap::live::ReplayError>((with_body(&config, &start.body), solver))

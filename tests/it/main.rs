@@ -34,6 +34,8 @@ mod recording;
 mod retarget;
 #[cfg(feature = "research")]
 mod slahmr;
+#[cfg(feature = "cli")]
+mod slate;
 mod solve;
 #[cfg(feature = "live")]
 mod storms;

@@ -20,7 +20,7 @@ use bundlemocap::io::wire::{
     self, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, Status, Topics,
     TrackingState, decode, encode,
 };
-use bundlemocap::live::{Config, Core, Node, NodeError, Running, Settings, WallClock};
+use bundlemocap::live::{Carried, Config, Core, Node, NodeError, Running, Settings, WallClock};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 use nalgebra::Rotation3;
 
@@ -66,6 +66,8 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
         toml: String::new(),
         weights: format!("{:016x}", decoder.fingerprint()),
         body: None,
+        carried: Carried::default(),
+        timecode: None,
     };
     let core = Core::new(settings);
     Node::start(Arc::new(bus.clone()), core, Solver::new(decoder, track), config, None)

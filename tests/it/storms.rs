@@ -13,7 +13,7 @@ use bundlemocap::core::tracker::{Job, Outcome, Solution, Task, Tracked, Verdict}
 use bundlemocap::io::wire::{
     self, DetectedPerson, KeypointFrame, Status, Topics, TrackingState, encode,
 };
-use bundlemocap::live::{Content, Core, Input, Output, Settings};
+use bundlemocap::live::{Carried, Content, Core, Input, Output, Settings};
 
 use crate::solve::{keyframe, ring};
 
@@ -138,6 +138,8 @@ impl Node {
             toml: config.to_toml(),
             weights: String::new(),
             body: None,
+            carried: Carried::default(),
+            timecode: None,
         });
         let rig = ring();
         let (topic, payload) =

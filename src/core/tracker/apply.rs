@@ -124,6 +124,7 @@ impl Tracker {
             residuals: tracked.residuals,
             verdict: tracked.verdict,
         })));
+        self.is_proven |= state == TrackingState::Tracking;
         if let Some(estimator) = tracked.estimator {
             self.improve_body(window.publish, estimator);
         }
@@ -204,8 +205,11 @@ impl Tracker {
     /// Uses the estimator's body from the next window on, if it has a new one.
     fn improve_body(&mut self, at: Timestamp, estimator: Arc<BodyEstimator>) {
         if self.estimator.is_check() && !estimator.is_check() {
-            let detail = "another body fits clearly better, it is estimated anew".to_owned();
+            let detail = "another body fits clearly better; it is estimated anew".to_owned();
             self.event(EventKind::Body, at, None, detail);
+            // From a wrong body the estimate converges to a wrong one, so it begins with a search.
+            self.is_proven = false;
+            return;
         }
         let body = self.skeleton.as_ref().and_then(|body| estimator.new_body(body)).map(Arc::new);
         self.outputs.extend(body.clone().map(Output::Skeleton));
@@ -263,10 +267,7 @@ impl Tracker {
         past.drain(..past.len().saturating_sub(2));
         self.ahead = ahead;
         match state {
-            TrackingState::Tracking => {
-                self.is_proven = true;
-                self.phase = Phase::Tracking { past, coasted: 0 };
-            }
+            TrackingState::Tracking => self.phase = Phase::Tracking { past, coasted: 0 },
             TrackingState::Coasting => {
                 self.phase = Phase::Tracking { past, coasted: coasted + 1 };
             }
@@ -277,7 +278,8 @@ impl Tracker {
             }
         }
         if !self.is_proven {
-            // The body was found together with a wrong pose.
+            // The body was found together with a wrong pose, or is that of somebody else.
+            self.ahead.clear();
             (self.skeleton, self.phase) = (None, Phase::Searching);
         }
     }

@@ -62,11 +62,13 @@ pub enum EventKind {
     Idle,
     /// Which clock the cameras use, against the node's.
     Clock,
+    /// A take began or ended, or the performer's body was forgotten, as asked.
+    Take,
 }
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 27] = [
+    pub const ALL: [Self; 28] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -94,6 +96,7 @@ impl EventKind {
         Self::Dropped,
         Self::Idle,
         Self::Clock,
+        Self::Take,
     ];
 
     /// A lower-case name, as used on the wire.
@@ -126,6 +129,7 @@ impl EventKind {
             Self::Dropped => "dropped",
             Self::Idle => "idle",
             Self::Clock => "clock",
+            Self::Take => "take",
         }
     }
 }

@@ -192,6 +192,25 @@ impl Tracker {
         self
     }
 
+    /// Begins with the corrections of time offsets that an earlier run found, by camera.
+    #[must_use]
+    pub fn with_time_corrections(mut self, corrections: &[Nanos]) -> Self {
+        self.offsets.resume(corrections);
+        self.offsets.calibrate(Arc::make_mut(&mut self.rig));
+        self
+    }
+
+    /// By camera, all corrections of time offsets so far.
+    pub fn time_corrections(&self) -> &[Nanos] {
+        self.offsets.corrections()
+    }
+
+    /// The performer's body once its estimate is complete, or if it was given.
+    pub fn known_body(&self) -> Option<&Arc<Skeleton>> {
+        let is_known = self.estimator.is_check() || self.estimator.is_complete();
+        self.skeleton.as_ref().filter(|_| self.is_proven && is_known)
+    }
+
     /// Processes an input. Call [`Tracker::poll`] until it is empty before the next one.
     pub fn handle(&mut self, input: Input) {
         match input {
@@ -202,6 +221,10 @@ impl Tracker {
             Input::End => {
                 self.intake.release().into_iter().for_each(|frame| self.take(frame));
                 self.ended = true;
+            }
+            Input::Forget => {
+                self.is_proven = false;
+                self.restart();
             }
             Input::Solved(solution) if self.abandoned == Some(solution.number) => {
                 self.abandoned = None;

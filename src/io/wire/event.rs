@@ -14,6 +14,7 @@ impl Event {
             window: event.window,
             count: event.count.max(1),
             detail: event.detail.clone(),
+            run_id: 0,
         }
     }
 
@@ -52,7 +53,8 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Latency
         | EventKind::Effort
         | EventKind::Body
-        | EventKind::Idle => true,
+        | EventKind::Idle
+        | EventKind::Take => true,
         EventKind::Late
         | EventKind::Duplicate
         | EventKind::OutOfOrder

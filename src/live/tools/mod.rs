@@ -6,6 +6,10 @@ pub mod inbox;
 #[cfg(feature = "cli")]
 pub mod player;
 #[cfg(feature = "cli")]
+pub mod recorder;
+#[cfg(feature = "cli")]
+mod silence;
+#[cfg(feature = "cli")]
 pub mod take;
 
 pub use disturb::{Disturbance, Disturbed, Sending};
