@@ -14,9 +14,16 @@ use super::publication::{Content, Publication};
 use super::status::{Published, Windows};
 use crate::core::body::{Skeleton, TrackingState};
 use crate::core::camera::Rig;
+use crate::core::fnv::fnv1a;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, EventKind, Live, Tracker};
 use crate::io::wire::{self, Topics};
+
+/// Most rigs that are remembered.
+const MOST_RIGS: usize = 64;
+/// Most cameras that an event names, and most characters for them.
+const MOST_NAMES: usize = 16;
+const MOST_CHARS: usize = 256;
 
 /// The current calibration and its bytes.
 pub(super) struct Calibration {
@@ -32,6 +39,10 @@ pub struct Core {
     pub(super) now: Timestamp,
     /// Calibration from a file, before the first message.
     rig_at_start: Option<Vec<u8>>,
+    /// Whether the rig is that of a file; rigs from the bus are then refused.
+    has_rig_file: bool,
+    /// Hashes of the file's rigs and of refused ones: each is reported once.
+    known_rigs: Vec<u64>,
     pub(super) calibration: Option<Calibration>,
     pub(super) track: Option<Tracker>,
     /// The body of the next pose.
@@ -70,6 +81,8 @@ impl Core {
             outputs: VecDeque::new(),
             now: Timestamp::default(),
             rig_at_start: None,
+            has_rig_file: false,
+            known_rigs: Vec::new(),
             calibration: None,
             track: None,
             skeleton: None,
@@ -147,21 +160,39 @@ impl Core {
         if self.journal.count == 0 {
             self.rig_at_start = Some(bytes.clone());
         }
-        if self.calibrate(&bytes)
+        self.has_rig_file = true;
+        if self.calibrate(&bytes, "the file")
             && let Ok(rig) = wire::decode::<wire::Rig>(&bytes)
         {
             self.publish(self.topics.rig(), Timestamp::default(), Content::Rig(rig));
         }
     }
 
+    /// Takes a rig from the bus, unless a file gives the rig. The node's own rig comes back from the
+    /// bus too; its bytes are known.
+    pub(super) fn rig_from_bus(&mut self, bytes: &[u8]) {
+        if !self.has_rig_file {
+            self.calibrate(bytes, "the bus");
+            return;
+        }
+        let hash = fnv1a(bytes);
+        if self.known_rigs.contains(&hash) || self.known_rigs.len() >= MOST_RIGS {
+            return;
+        }
+        self.known_rigs.push(hash);
+        let what = wire::decode::<wire::Rig>(bytes).map_or("not a rig".into(), |rig| told(&rig));
+        let detail = format!("{what}, from the bus; this node's rig comes from its file");
+        self.event(EventKind::RigRefused, None, detail);
+    }
+
     /// Sets the calibration. Returns whether it is new and usable.
-    pub(super) fn calibrate(&mut self, bytes: &[u8]) -> bool {
+    fn calibrate(&mut self, bytes: &[u8], source: &str) -> bool {
         if self.calibration.as_ref().is_some_and(|in_use| in_use.bytes == bytes) {
             return false;
         }
-        let decoded = wire::decode::<wire::Rig>(bytes).and_then(|rig| rig.to_core());
-        let rig = match decoded {
-            Ok(rig) => Arc::new(rig),
+        let decoded = wire::decode::<wire::Rig>(bytes).and_then(|rig| Ok((rig.to_core()?, rig)));
+        let (rig, message) = match decoded {
+            Ok((rig, message)) => (Arc::new(rig), message),
             Err(error) => {
                 self.event(EventKind::Unusable, None, error.to_string());
                 return false;
@@ -172,6 +203,8 @@ impl Core {
             self.cameras = names.into_iter().map(Camera::new).collect();
             self.clock = Clock::new(self.cameras.len());
         }
+        self.known_rigs.extend(self.has_rig_file.then(|| fnv1a(bytes)));
+        self.event(EventKind::RigChanged, None, format!("{}, from {source}", told(&message)));
         self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });
         match self.track {
             Some(_) => self.give(tracker::Input::Rig(rig)),
@@ -206,8 +239,9 @@ impl Core {
         let Some(rig) = self.rig_at_start.clone() else { return };
         (self.calibration, self.track) = (None, None);
         (self.cameras, self.counts) = (Vec::new(), Events::default());
+        self.known_rigs.clear();
         let outputs = self.outputs.len();
-        self.calibrate(&rig);
+        self.calibrate(&rig, "the file");
         self.outputs.truncate(outputs);
     }
 
@@ -334,6 +368,18 @@ impl Core {
             self.outputs.push_back(Output::Wake(at));
         }
     }
+}
+
+/// A rig in words: its version and its cameras.
+fn told(rig: &wire::Rig) -> String {
+    let names = rig.cameras.iter().map(|camera| camera.name.as_str());
+    let mut names: Vec<&str> = names.take(MOST_NAMES).collect();
+    if rig.cameras.len() > names.len() {
+        names.push("...");
+    }
+    let (version, cameras) = (rig.version, rig.cameras.len());
+    let names: String = names.join(", ").chars().take(MOST_CHARS).collect();
+    format!("version {version} of {cameras} cameras ({names})")
 }
 
 /// The tracker's state by its name in the status message.

@@ -24,7 +24,7 @@ impl Core {
             if payload.len() > MOST_BYTES {
                 self.too_large(None, payload);
             } else {
-                self.calibrate(payload);
+                self.rig_from_bus(payload);
             }
             return;
         }

@@ -35,6 +35,10 @@ pub enum EventKind {
     Overdue,
     /// A new calibration is in use.
     Calibrated,
+    /// Another rig was taken, from the file or from the bus.
+    RigChanged,
+    /// A rig from the bus was refused: a file gives the rig.
+    RigRefused,
     /// The node declared its latency.
     Latency,
     /// The solver's effort changed.
@@ -58,7 +62,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 24] = [
+    pub const ALL: [Self; 26] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -74,6 +78,8 @@ impl EventKind {
         Self::Returned,
         Self::Overdue,
         Self::Calibrated,
+        Self::RigChanged,
+        Self::RigRefused,
         Self::Latency,
         Self::Effort,
         Self::ClockOffset,
@@ -103,6 +109,8 @@ impl EventKind {
             Self::Returned => "returned",
             Self::Overdue => "overdue",
             Self::Calibrated => "calibrated",
+            Self::RigChanged => "rig_changed",
+            Self::RigRefused => "rig_refused",
             Self::Latency => "latency",
             Self::Effort => "effort",
             Self::ClockOffset => "clock_offset",

@@ -60,6 +60,8 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Silent
         | EventKind::Returned
         | EventKind::Calibrated
+        | EventKind::RigChanged
+        | EventKind::RigRefused
         | EventKind::ClockOffset
         | EventKind::TimeOffset
         | EventKind::ClockJump
