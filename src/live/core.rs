@@ -9,7 +9,8 @@ use super::events::Events;
 use super::governor::Governor;
 use super::journal::{self, Journal};
 use super::latency::Finder;
-use super::port::{Input, Output, Settings};
+use super::messages::MOST_CAMERAS;
+use super::port::{Input, Loss, MOST_BYTES, Output, Settings};
 use super::publication::{Content, Publication};
 use super::status::{Published, Windows};
 use crate::core::body::{Skeleton, TrackingState};
@@ -39,8 +40,6 @@ pub struct Core {
     pub(super) now: Timestamp,
     /// Calibration from a file, before the first message.
     rig_at_start: Option<Vec<u8>>,
-    /// Whether the rig is that of a file; rigs from the bus are then refused.
-    has_rig_file: bool,
     /// Hashes of the file's rigs and of refused ones: each is reported once.
     known_rigs: Vec<u64>,
     pub(super) calibration: Option<Calibration>,
@@ -81,7 +80,6 @@ impl Core {
             outputs: VecDeque::new(),
             now: Timestamp::default(),
             rig_at_start: None,
-            has_rig_file: false,
             known_rigs: Vec::new(),
             calibration: None,
             track: None,
@@ -128,7 +126,7 @@ impl Core {
             Input::RigFile(bytes) => self.rig_file(bytes),
             Input::Solved { solution, took } => self.solved(*solution, took),
             Input::Tick => {}
-            Input::Dropped(count) => self.dropped(count),
+            Input::Dropped(losses) => self.dropped(losses),
             Input::Played(deviations_us) => self.published.played(&deviations_us),
             Input::End => self.give(tracker::Input::End),
         }
@@ -160,7 +158,6 @@ impl Core {
         if self.journal.count == 0 {
             self.rig_at_start = Some(bytes.clone());
         }
-        self.has_rig_file = true;
         if self.calibrate(&bytes, "the file")
             && let Ok(rig) = wire::decode::<wire::Rig>(&bytes)
         {
@@ -168,10 +165,15 @@ impl Core {
         }
     }
 
+    /// Whether a file gives the rig.
+    fn has_rig_file(&self) -> bool {
+        !self.settings.node.rig.is_empty()
+    }
+
     /// Takes a rig from the bus, unless a file gives the rig. The node's own rig comes back from the
     /// bus too; its bytes are known.
     pub(super) fn rig_from_bus(&mut self, bytes: &[u8]) {
-        if !self.has_rig_file {
+        if !self.has_rig_file() {
             self.calibrate(bytes, "the bus");
             return;
         }
@@ -192,10 +194,13 @@ impl Core {
         }
         let decoded = wire::decode::<wire::Rig>(bytes).and_then(|rig| Ok((rig.to_core()?, rig)));
         let (rig, message) = match decoded {
+            Ok((rig, _)) if rig.cameras.len() > MOST_CAMERAS => {
+                let detail = format!("{} cameras, at most {MOST_CAMERAS}", rig.cameras.len());
+                return self.refuse_rig(detail);
+            }
             Ok((rig, message)) => (Arc::new(rig), message),
             Err(error) => {
-                self.event(EventKind::Unusable, None, error.to_string());
-                return false;
+                return self.refuse_rig(error.to_string());
             }
         };
         let names: Vec<&str> = rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
@@ -203,7 +208,7 @@ impl Core {
             self.cameras = names.into_iter().map(Camera::new).collect();
             self.clock = Clock::new(self.cameras.len());
         }
-        self.known_rigs.extend(self.has_rig_file.then(|| fnv1a(bytes)));
+        self.known_rigs.extend(self.has_rig_file().then(|| fnv1a(bytes)));
         self.event(EventKind::RigChanged, None, format!("{}, from {source}", told(&message)));
         self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });
         match self.track {
@@ -211,6 +216,17 @@ impl Core {
             None => self.begin(rig),
         }
         true
+    }
+
+    fn refuse_rig(&mut self, why: String) -> bool {
+        self.event(EventKind::Unusable, None, why);
+        false
+    }
+
+    /// Topics and names of the cameras.
+    pub(super) fn camera_topics(&self) -> Vec<(String, String)> {
+        let names = self.cameras.iter().map(|camera| camera.name().to_owned());
+        names.map(|name| (self.topics.keypoints(&name), name)).collect()
     }
 
     fn begin(&mut self, rig: Arc<Rig>) {
@@ -245,11 +261,21 @@ impl Core {
         self.outputs.truncate(outputs);
     }
 
-    fn dropped(&mut self, count: u64) {
-        self.queue_dropped += count;
-        self.trouble = Some("the queue was full");
-        let detail = "the queue was full, its oldest messages were dropped".to_owned();
-        self.events(EventKind::Dropped, None, count, detail);
+    fn dropped(&mut self, losses: Vec<Loss>) {
+        for Loss { camera, dropped, too_large, bytes } in losses {
+            self.queue_dropped += dropped + too_large;
+            if dropped > 0 {
+                let detail = match camera {
+                    Some(_) => "more messages than the node reads; the oldest were dropped",
+                    None => "too many messages of cameras that the rig does not have, or of rigs",
+                };
+                self.events(EventKind::Dropped, camera.as_deref(), dropped, detail.to_owned());
+            }
+            if too_large > 0 {
+                let detail = format!("a message of {bytes} bytes, at most {MOST_BYTES}");
+                self.events(EventKind::Unusable, camera.as_deref(), too_large, detail);
+            }
+        }
     }
 
     /// Counts and publishes an event that happens now.
@@ -257,7 +283,7 @@ impl Core {
         self.events(kind, camera, 1, detail);
     }
 
-    fn events(&mut self, kind: EventKind, camera: Option<&str>, count: u64, detail: String) {
+    pub(super) fn events(&mut self, kind: EventKind, camera: Option<&str>, count: u64, detail: String) {
         let capture = self.clock.capture_time(self.now);
         let event = tracker::Event { capture, kind, camera: None, window: None, count, detail };
         self.emit(&event, camera);

@@ -1,7 +1,7 @@
 //! The live node: messages in, poses at a fixed latency out.
 //!
 //! [`Core`] does no I/O: its inputs are messages, solutions and time; its outputs are jobs and
-//! publications. The threads around it: the bus fills a bounded queue ([`Intake`]), the node loop
+//! publications. The threads around it: the bus fills bounded queues ([`Intake`]), the node loop
 //! passes inputs and outputs, one thread solves, and one thread publishes poses when they are due
 //! ([`Schedule`]).
 
@@ -40,7 +40,7 @@ pub use cpu_affinity::SolverCore;
 pub use error::NodeError;
 pub use journal::platform;
 pub use playout::{Deviations, Schedule};
-pub use port::{Input, Output, Settings};
+pub use port::{Input, Loss, MOST_BYTES, Output, Settings};
 pub use process::Usage;
 pub use publication::{Content, Publication};
 pub use queue::{Intake, Message};

@@ -62,7 +62,7 @@ impl Node {
     ) -> Result<Running, NodeError> {
         let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
         let (clock, board) = (WallClock::start(), Arc::<Board>::default());
-        let intake = Intake::new(config.queue);
+        let intake = Intake::new(config.queue, &topics.rig());
         let endpoint = match config.prometheus.as_str() {
             "" => None,
             address => Some(Endpoint::start(address, Arc::clone(&board))?),

@@ -562,7 +562,9 @@ fn a_rig_file_is_not_replaced_from_the_bus() {
             messages.push(Sent { arrival, topic: Topics::default().rig(), payload });
         }
     }
-    let mut world = World::new(&Config::default());
+    let mut config = Config::default();
+    config.node.rig = "rig.toml".into();
+    let mut world = World::new(&config);
     world.tell(Input::RigFile(file.clone()));
     let (early, late) = messages.iter().cloned().partition(|sent| sent.arrival < at(2.5));
     world.play(early, at(2.5));

@@ -22,6 +22,8 @@ use crate::core::time::Timestamp;
 const MIN_POINTS: usize = 6;
 /// Only this many people of a view are tried.
 const MOST_PEOPLE: usize = 8;
+/// About the most pairs of detections that are tried in a frame set; of more, every Nth.
+const MOST_PAIRS: usize = 512;
 /// Distance from hips to shoulders, metres. Outside this range the views show different people.
 const TRUNK_LENGTH: std::ops::Range<f64> = 0.25..0.85;
 /// Factor of the loss's scale and of the prior in the first stage.
@@ -96,19 +98,19 @@ pub(super) fn find_performer(
 ) -> Option<SeenPerformer> {
     let candidates: Vec<Candidate> =
         frames.iter().flat_map(|frame| largest(frame, points, config)).collect();
+    let pairs = candidates.iter().enumerate().flat_map(|(i, a)| {
+        let others = candidates[i + 1..].iter().filter(|b| a.camera != b.camera);
+        others.map(move |b| [a, b])
+    });
+    let stride = pairs.clone().count().div_ceil(MOST_PAIRS).max(1);
     let mut best: Option<SeenPerformer> = None;
-    for (i, a) in candidates.iter().enumerate() {
-        for b in &candidates[i + 1..] {
-            if a.camera == b.camera {
-                continue;
-            }
-            let proposal = triangulate(&[a, b], rig, points.len(), config);
-            let Some(seen) = support(&proposal, &candidates, rig, points, config) else {
-                continue;
-            };
-            if best.as_ref().is_none_or(|best| seen.score > best.score) {
-                best = Some(seen);
-            }
+    for pair in pairs.step_by(stride) {
+        let proposal = triangulate(&pair, rig, points.len(), config);
+        let Some(seen) = support(&proposal, &candidates, rig, points, config) else {
+            continue;
+        };
+        if best.as_ref().is_none_or(|best| seen.score > best.score) {
+            best = Some(seen);
         }
     }
     best

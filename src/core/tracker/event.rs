@@ -54,6 +54,8 @@ pub enum EventKind {
     ClockJump,
     /// A frame shows more people than are used.
     Crowd,
+    /// Points far outside the image; they are not used.
+    FarPoint,
     /// Two publishers seem to use one camera's name.
     Conflict,
     /// The full queue dropped messages, or frames waited for too long.
@@ -62,7 +64,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 26] = [
+    pub const ALL: [Self; 27] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -87,6 +89,7 @@ impl EventKind {
         Self::Body,
         Self::ClockJump,
         Self::Crowd,
+        Self::FarPoint,
         Self::Conflict,
         Self::Dropped,
     ];
@@ -118,6 +121,7 @@ impl EventKind {
             Self::Body => "body",
             Self::ClockJump => "clock_jump",
             Self::Crowd => "crowd",
+            Self::FarPoint => "far_point",
             Self::Conflict => "conflict",
             Self::Dropped => "dropped",
         }

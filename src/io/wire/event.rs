@@ -66,6 +66,7 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::TimeOffset
         | EventKind::ClockJump
         | EventKind::Crowd
+        | EventKind::FarPoint
         | EventKind::Conflict
         | EventKind::Dropped => false,
     }
