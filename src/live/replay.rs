@@ -12,10 +12,10 @@ use super::journal;
 use super::port::{Input, Output, Settings};
 use crate::core::fnv::fnv1a;
 use crate::core::time::{Nanos, Timestamp};
-use crate::core::tracker::{Job, Solver};
+use crate::core::tracker::{EventKind, Job, Solver};
 use crate::io::wire::journal_entry::Input as Entry;
 use crate::io::wire::{
-    DecodeError, Journal, JournalEntry, JournalMessage, JournalStart, Schema, Status, Topic,
+    DecodeError, Event, Journal, JournalEntry, JournalMessage, JournalStart, Schema, Status, Topic,
     Topics, decode,
 };
 
@@ -326,6 +326,13 @@ impl<'a> Run<'a> {
     }
 }
 
+/// Whether another node published it.
+fn is_of_second_node(message: &Recorded) -> bool {
+    *message.schema == *Event::FULL_NAME
+        && decode::<Event>(&message.payload)
+            .is_ok_and(|event| event.event_kind() == Some(EventKind::SecondNode))
+}
+
 /// Compares replayed with recorded messages, by topic. Skips calibrations, which are inputs, and
 /// messages that were published before the journal began.
 fn compare(
@@ -336,7 +343,7 @@ fn compare(
 ) -> BTreeMap<String, Comparison> {
     let is_early = |message: &Recorded| match *message.topic == *topics.status() {
         true => decode::<Status>(&message.payload).is_ok_and(|status| status.inputs == 0),
-        false => message.time < begin,
+        false => message.time < begin || is_of_second_node(message),
     };
     let mut by_topic: BTreeMap<&str, [Vec<&[u8]>; 2]> = BTreeMap::new();
     for message in replayed.iter().filter(|message| *message.topic != *topics.rig()) {

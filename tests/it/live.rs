@@ -14,7 +14,9 @@ use bundlemocap::core::tracker::{Job, Solution, Solver, Task};
 use bundlemocap::io::wire::{
     self, Event, KeypointFrame, Pose, Schema, Status, Topics, TrackingState, decode, encode,
 };
-use bundlemocap::live::{Core, Input, Output, Recorded, Replayed, Settings, find_node, replay};
+use bundlemocap::live::{
+    Core, Input, Loss, Output, Recorded, Replayed, Settings, find_node, replay,
+};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
 const MS: Nanos = Nanos::from_ms(1);
@@ -583,6 +585,60 @@ fn a_rig_file_is_not_replaced_from_the_bus() {
     let changes = world.heard.details("rig_changed");
     assert_eq!(world.heard.events()["rig_changed"], 2, "{changes:?}");
     assert!(changes.last().unwrap().ends_with("from the file"), "{changes:?}");
+    let recorded = recorded(world, messages);
+    for (topic, compared) in &replay_of(&recorded).topics {
+        assert_eq!((compared.recorded, compared.differs_at), (compared.replayed, None), "{topic}");
+    }
+}
+
+#[test]
+fn points_far_outside_the_image_and_huge_rigs_are_not_used() {
+    let studio = Studio::new(4, 180);
+    let mut huge = wire::Rig::from_core(&studio.rig);
+    huge.cameras = (0..257)
+        .map(|index| {
+            let mut camera = huge.cameras[index % 4].clone();
+            camera.name = format!("camera{index}");
+            camera
+        })
+        .collect();
+    let mut messages = studio.messages();
+    let (arrival, topic) = (at(1.0), Topics::default().rig());
+    messages.push(Sent { arrival, topic, payload: encode(&huge) });
+    for (frame, sent) in studio.frames.iter().zip(&mut messages[1..]) {
+        let mut message: KeypointFrame = decode(&sent.payload).unwrap();
+        if frame.camera == 2 {
+            message.people[0].points[3 * 4] = 1e9;
+            message.people[0].points[3 * 5 + 1] = -3000.0;
+        }
+        sent.payload = encode(&message);
+    }
+    let world = after(messages, 3.0);
+    assert_on_time(&world.heard);
+    assert!(world.heard.poses().iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
+    let events = world.heard.events();
+    assert_eq!((events["far_point"], events["unusable"]), (2 * 180, 1), "{events:?}");
+    assert!(world.heard.details("unusable")[0].contains("257 cameras, at most 256"));
+}
+
+#[test]
+fn losses_are_inputs_of_a_replay() {
+    let messages = Studio::new(4, 90).messages();
+    let mut world = World::new(&Config::default());
+    world.play(messages.clone(), at(1.0));
+    let loss = |camera: Option<&str>, dropped, too_large| Loss {
+        camera: camera.map(str::to_owned),
+        dropped,
+        too_large,
+        bytes: too_large * 5_000_000,
+    };
+    world.tell(Input::Dropped(vec![loss(Some("cam01"), 7, 0), loss(None, 3, 2)]));
+    let rest = messages.iter().filter(|sent| sent.arrival > at(1.0)).cloned().collect();
+    world.play(rest, at(2.0));
+    world.end();
+    let (status, events) = (world.heard.status(), world.heard.events());
+    assert_eq!((status.queue_dropped, status.cameras[1].dropped), (12, 7));
+    assert_eq!((events["dropped"], events["unusable"]), (10, 2));
     let recorded = recorded(world, messages);
     for (topic, compared) in &replay_of(&recorded).topics {
         assert_eq!((compared.recorded, compared.differs_at), (compared.replayed, None), "{topic}");

@@ -23,7 +23,7 @@ const MIN_POINTS: usize = 6;
 /// Only this many people of a view are tried.
 const MOST_PEOPLE: usize = 8;
 /// About the most pairs of detections that are tried in a frame set; of more, every Nth.
-const MOST_PAIRS: usize = 512;
+const MOST_PAIRS: usize = 1024;
 /// Distance from hips to shoulders, metres. Outside this range the views show different people.
 const TRUNK_LENGTH: std::ops::Range<f64> = 0.25..0.85;
 /// Factor of the loss's scale and of the prior in the first stage.
@@ -106,12 +106,9 @@ pub(super) fn find_performer(
     let mut best: Option<SeenPerformer> = None;
     for pair in pairs.step_by(stride) {
         let proposal = triangulate(&pair, rig, points.len(), config);
-        let Some(seen) = support(&proposal, &candidates, rig, points, config) else {
-            continue;
-        };
-        if best.as_ref().is_none_or(|best| seen.score > best.score) {
-            best = Some(seen);
-        }
+        let least = best.as_ref().map_or(0.0, |best| best.score);
+        let better = support(&proposal, &candidates, rig, points, config, least);
+        best = better.or(best);
     }
     best
 }
@@ -128,13 +125,15 @@ fn largest(frame: &Detections, points: &[BodyPoint], config: &Config) -> Vec<Can
     found
 }
 
-/// The views that agree with a proposal, and the points triangulated from all of them.
+/// The views that agree with a proposal, and the points triangulated from all of them, which takes
+/// long; `None` if the score is not above `least`.
 fn support(
     proposal: &[Option<Vector3<f64>>],
     candidates: &[Candidate],
     rig: &Rig,
     points: &[BodyPoint],
     config: &Config,
+    least: f64,
 ) -> Option<SeenPerformer> {
     let mut views: Vec<(&Candidate, f64)> = Vec::new();
     for candidate in candidates {
@@ -151,10 +150,13 @@ fn support(
         }
     }
     let members: Vec<&Candidate> = views.iter().map(|(candidate, _)| *candidate).collect();
-    let score = views.iter().map(|(_, support)| support).sum();
+    let score: f64 = views.iter().map(|(_, support)| support).sum();
+    if score <= least || members.len() < 2 {
+        return None;
+    }
     let triangulated = triangulate(&members, rig, points.len(), config);
     let torso = Torso::of(points, &triangulated)?;
-    (members.len() >= 2 && TRUNK_LENGTH.contains(&torso.up.norm())).then(|| SeenPerformer {
+    TRUNK_LENGTH.contains(&torso.up.norm()).then(|| SeenPerformer {
         observations: members.iter().flat_map(|member| observations(member)).collect(),
         points: triangulated,
         score,

@@ -58,13 +58,15 @@ pub enum EventKind {
     FarPoint,
     /// Two publishers seem to use one camera's name.
     Conflict,
-    /// The full queue dropped messages, or frames waited for too long.
+    /// Another node of this performer started and stood back.
+    SecondNode,
+    /// Messages were dropped because there were too many, or frames waited for too long.
     Dropped,
 }
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 27] = [
+    pub const ALL: [Self; 28] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -91,6 +93,7 @@ impl EventKind {
         Self::Crowd,
         Self::FarPoint,
         Self::Conflict,
+        Self::SecondNode,
         Self::Dropped,
     ];
 
@@ -123,6 +126,7 @@ impl EventKind {
             Self::Crowd => "crowd",
             Self::FarPoint => "far_point",
             Self::Conflict => "conflict",
+            Self::SecondNode => "second_node",
             Self::Dropped => "dropped",
         }
     }

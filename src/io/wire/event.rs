@@ -51,7 +51,8 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Overdue
         | EventKind::Latency
         | EventKind::Effort
-        | EventKind::Body => true,
+        | EventKind::Body
+        | EventKind::SecondNode => true,
         EventKind::Late
         | EventKind::Duplicate
         | EventKind::OutOfOrder
