@@ -9,27 +9,19 @@ use super::events::Events;
 use super::governor::Governor;
 use super::journal::{self, Journal};
 use super::latency::Finder;
-use super::messages::MOST_CAMERAS;
 use super::port::{Input, Loss, MOST_BYTES, Output, Settings};
 use super::publication::{Content, Publication};
 use super::status::{Published, Windows};
 use crate::core::body::{Skeleton, TrackingState};
 use crate::core::camera::Rig;
-use crate::core::fnv::fnv1a;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, EventKind, Live, Tracker};
 use crate::io::wire::{self, Topics};
 
-/// Most rigs that are remembered.
-const MOST_RIGS: usize = 64;
-/// Most cameras that an event names, and most characters for them.
-const MOST_NAMES: usize = 16;
-const MOST_CHARS: usize = 256;
-
 /// The current calibration and its bytes.
 pub(super) struct Calibration {
     pub(super) rig: Arc<Rig>,
-    bytes: Vec<u8>,
+    pub(super) bytes: Vec<u8>,
 }
 
 /// The node without its threads. The same inputs at the same times give the same outputs.
@@ -39,9 +31,9 @@ pub struct Core {
     pub(super) outputs: VecDeque<Output>,
     pub(super) now: Timestamp,
     /// Calibration from a file, before the first message.
-    rig_at_start: Option<Vec<u8>>,
+    pub(super) rig_at_start: Option<Vec<u8>>,
     /// Hashes of the file's rigs and of refused ones: each is reported once.
-    known_rigs: Vec<u64>,
+    pub(super) known_rigs: Vec<u64>,
     pub(super) calibration: Option<Calibration>,
     pub(super) track: Option<Tracker>,
     /// The body of the next pose.
@@ -60,7 +52,7 @@ pub struct Core {
     pub(super) arrivals: VecDeque<(Timestamp, Timestamp)>,
     /// Solve time of the current answer.
     pub(super) took: Nanos,
-    journal: Journal,
+    pub(super) journal: Journal,
     /// Id of this run, set at the first message; 0 before.
     pub(super) run_id: u64,
     next_second: Option<Timestamp>,
@@ -154,82 +146,7 @@ impl Core {
         }
     }
 
-    fn rig_file(&mut self, bytes: Vec<u8>) {
-        if self.journal.count == 0 {
-            self.rig_at_start = Some(bytes.clone());
-        }
-        if self.calibrate(&bytes, "the file")
-            && let Ok(rig) = wire::decode::<wire::Rig>(&bytes)
-        {
-            self.publish(self.topics.rig(), Timestamp::default(), Content::Rig(rig));
-        }
-    }
-
-    /// Whether a file gives the rig.
-    fn has_rig_file(&self) -> bool {
-        !self.settings.node.rig.is_empty()
-    }
-
-    /// Takes a rig from the bus, unless a file gives the rig. The node's own rig comes back from the
-    /// bus too; its bytes are known.
-    pub(super) fn rig_from_bus(&mut self, bytes: &[u8]) {
-        if !self.has_rig_file() {
-            self.calibrate(bytes, "the bus");
-            return;
-        }
-        let hash = fnv1a(bytes);
-        if self.known_rigs.contains(&hash) || self.known_rigs.len() >= MOST_RIGS {
-            return;
-        }
-        self.known_rigs.push(hash);
-        let what = wire::decode::<wire::Rig>(bytes).map_or("not a rig".into(), |rig| told(&rig));
-        let detail = format!("{what}, from the bus; this node's rig comes from its file");
-        self.event(EventKind::RigRefused, None, detail);
-    }
-
-    /// Sets the calibration. Returns whether it is new and usable.
-    fn calibrate(&mut self, bytes: &[u8], source: &str) -> bool {
-        if self.calibration.as_ref().is_some_and(|in_use| in_use.bytes == bytes) {
-            return false;
-        }
-        let decoded = wire::decode::<wire::Rig>(bytes).and_then(|rig| Ok((rig.to_core()?, rig)));
-        let (rig, message) = match decoded {
-            Ok((rig, _)) if rig.cameras.len() > MOST_CAMERAS => {
-                let detail = format!("{} cameras, at most {MOST_CAMERAS}", rig.cameras.len());
-                return self.refuse_rig(detail);
-            }
-            Ok((rig, message)) => (Arc::new(rig), message),
-            Err(error) => {
-                return self.refuse_rig(error.to_string());
-            }
-        };
-        let names: Vec<&str> = rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
-        if !names.iter().copied().eq(self.cameras.iter().map(Camera::name)) {
-            self.cameras = names.into_iter().map(Camera::new).collect();
-            self.clock = Clock::new(self.cameras.len());
-        }
-        self.known_rigs.extend(self.has_rig_file().then(|| fnv1a(bytes)));
-        self.event(EventKind::RigChanged, None, format!("{}, from {source}", told(&message)));
-        self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });
-        match self.track {
-            Some(_) => self.give(tracker::Input::Rig(rig)),
-            None => self.begin(rig),
-        }
-        true
-    }
-
-    fn refuse_rig(&mut self, why: String) -> bool {
-        self.event(EventKind::Unusable, None, why);
-        false
-    }
-
-    /// Topics and names of the cameras.
-    pub(super) fn camera_topics(&self) -> Vec<(String, String)> {
-        let names = self.cameras.iter().map(|camera| camera.name().to_owned());
-        names.map(|name| (self.topics.keypoints(&name), name)).collect()
-    }
-
-    fn begin(&mut self, rig: Arc<Rig>) {
+    pub(super) fn begin(&mut self, rig: Arc<Rig>) {
         let node = &self.settings.node;
         let live = Live {
             provisional: node.provisional,
@@ -283,7 +200,13 @@ impl Core {
         self.events(kind, camera, 1, detail);
     }
 
-    pub(super) fn events(&mut self, kind: EventKind, camera: Option<&str>, count: u64, detail: String) {
+    pub(super) fn events(
+        &mut self,
+        kind: EventKind,
+        camera: Option<&str>,
+        count: u64,
+        detail: String,
+    ) {
         let capture = self.clock.capture_time(self.now);
         let event = tracker::Event { capture, kind, camera: None, window: None, count, detail };
         self.emit(&event, camera);
@@ -394,18 +317,6 @@ impl Core {
             self.outputs.push_back(Output::Wake(at));
         }
     }
-}
-
-/// A rig in words: its version and its cameras.
-fn told(rig: &wire::Rig) -> String {
-    let names = rig.cameras.iter().map(|camera| camera.name.as_str());
-    let mut names: Vec<&str> = names.take(MOST_NAMES).collect();
-    if rig.cameras.len() > names.len() {
-        names.push("...");
-    }
-    let (version, cameras) = (rig.version, rig.cameras.len());
-    let names: String = names.join(", ").chars().take(MOST_CHARS).collect();
-    format!("version {version} of {cameras} cameras ({names})")
 }
 
 /// The tracker's state by its name in the status message.

@@ -78,7 +78,10 @@ mod tests {
     fn a_tracker_that_fell_behind_uses_fewer_frames_at_once() {
         let mut governor = Governor::default();
         assert!(governor.fell_behind());
-        assert_eq!(Effort::at(governor.level(), &crate::core::tracker::Config::default()).stride, 2);
+        assert_eq!(
+            Effort::at(governor.level(), &crate::core::tracker::Config::default()).stride,
+            2
+        );
         assert!(governor.fell_behind() && governor.fell_behind() && !governor.fell_behind());
         assert_eq!((governor.level(), governor.degradation_steps), (5, 5));
     }

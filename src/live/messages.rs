@@ -10,8 +10,6 @@ use crate::core::detections::Detections;
 use crate::core::tracker::{self, EventKind};
 use crate::io::wire::{self, DecodeError, KeypointFrame, StageChannel, Topic};
 
-/// Most cameras of a rig.
-pub(super) const MOST_CAMERAS: usize = 256;
 /// Points further than this many image sizes outside the image are not used.
 const MOST_OUTSIDE: f64 = 2.0;
 /// Most people of a frame that are used.

@@ -30,6 +30,7 @@ mod publication;
 mod queue;
 mod replay;
 mod rig_file;
+mod rigs;
 mod run;
 mod status;
 pub mod tools;

@@ -330,7 +330,8 @@ mod tests {
         let mut lanes = lanes(1000, &["a", "b"]);
         lanes.push(message("a", MOST_BYTES + 1), NOW);
         lanes.push(message("a", 60 << 20), NOW);
-        let too_large = Loss { camera: Some("a".into()), too_large: 2, bytes: 60 << 20, dropped: 0 };
+        let too_large =
+            Loss { camera: Some("a".into()), too_large: 2, bytes: 60 << 20, dropped: 0 };
         assert_eq!((lanes.waiting, lanes.losses(NOW)), (0, vec![too_large]));
         (0..5).for_each(|_| lanes.push(message("b", MOST_BYTES), NOW));
         (0..100).for_each(|_| lanes.push(message("a", MOST_BYTES), NOW));

@@ -27,6 +27,10 @@ trait Pair {
     fn far(&self) -> &dyn Bus;
     /// Delivers the published messages, for a bus that does not do so itself.
     fn carry(&self) {}
+    /// Whether both ends see the same programs.
+    fn is_one_bus(&self) -> bool {
+        true
+    }
     /// Whether queries are answered.
     fn has_queries(&self) -> bool {
         true
@@ -197,6 +201,9 @@ impl Pair for Recorded {
     }
     fn far(&self) -> &dyn Bus {
         &self.player
+    }
+    fn is_one_bus(&self) -> bool {
+        false
     }
     fn carry(&self) {
         self.player.play();
@@ -471,8 +478,9 @@ fn announced_names_are_seen_until_they_end(pair: &dyn Pair) {
             bus.announced(pattern).unwrap() == wanted
         })
     };
-    let guard = pair.far().announce(name).unwrap();
-    assert!(is_seen(pair.far(), &[name]), "not seen by itself");
+    // The far end of a recording is another bus.
+    let announcing = if pair.is_one_bus() { pair.far() } else { pair.near() };
+    let guard = announcing.announce(name).unwrap();
     assert!(is_seen(pair.near(), &[name]), "not seen");
     assert!(pair.near().announced("mocap/t/actor/b/node/*").unwrap().is_empty());
     drop(guard);
@@ -538,7 +546,7 @@ fn a_tool_without_a_node_reports_the_address_it_tried() {
 
 #[test]
 fn invalid_addresses_are_refused() {
-    for wrong in ["127.0.0.1:7447", "", "tcp", "tls/127.0.0.1:7447"] {
+    for wrong in ["127.0.0.1:7447", "", "tcp", "udp/127.0.0.1:7447"] {
         let config = ZenohConfig { connect: vec![wrong.into()], ..ZenohConfig::default() };
         for opened in [Zenoh::open_node(&config), Zenoh::open_client(&config)] {
             let error = opened.err().unwrap().to_string();

@@ -336,9 +336,9 @@ fn a_flood_harms_only_the_camera_whose_name_it_uses() {
             publisher.put(Timestamp::default(), "", payload).unwrap();
         };
         for round in (0_u64..).take_while(|_| is_going.load(Ordering::Relaxed)) {
-            (0..100).for_each(|_| put("cam00", &old));
+            (0..100).for_each(|_| put("cam01", &old));
             (0..100).for_each(|name| put(&format!("made-up-{round}-{name}"), &old));
-            put("cam00", &large);
+            put("cam01", &large);
         }
     });
     studio.play_until("poses in the flood", |heard| {
@@ -355,7 +355,7 @@ fn a_flood_harms_only_the_camera_whose_name_it_uses() {
         let events = heard.events.iter().filter(|event| event.kind == kind);
         events.filter(|event| event.camera.as_deref() == camera).count()
     };
-    assert!(told("dropped", Some("cam00")) > 0 && told("dropped", None) > 0);
+    assert!(told("dropped", Some("cam01")) > 0 && told("dropped", None) > 0);
     assert!(heard.events.iter().any(|event| event.detail.contains("a message of 2097152 bytes")));
     let tracked = TrackingState::Tracking;
     let states = heard.poses.iter().rev().take(30).map(Pose::state);

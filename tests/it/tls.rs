@@ -61,7 +61,8 @@ fn only_allowed_certificates_publish() {
     let stranger = TlsConfig { root_ca: tls(&ours, "node").root_ca, ..tls(&theirs, "cam01") };
     assert!(client(stranger).is_err(), "a certificate of another authority");
 
-    let (camera, viewer) = (client(tls(&ours, "cam01")).unwrap(), client(tls(&ours, "viewer")).unwrap());
+    let (camera, viewer) =
+        (client(tls(&ours, "cam01")).unwrap(), client(tls(&ours, "viewer")).unwrap());
     let (heard, _guard) = listen(&node, "mocap/**");
     let (seen, _guard) = listen(&viewer, "mocap/stage/actor/actor/pose");
     let put = |bus: &Zenoh, topic: &str, payload: &[u8]| {

@@ -31,8 +31,8 @@ use iceoryx2::port::publisher::Publisher as Port;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::{
-    AllocationStrategy, CallbackProgression, FileName, LogLevel, SemanticString, ServiceName, SignalHandlingMode,
-    Service, ipc_threadsafe, set_log_level,
+    AllocationStrategy, CallbackProgression, FileName, LogLevel, SemanticString, Service,
+    ServiceName, SignalHandlingMode, ipc_threadsafe, set_log_level,
 };
 use iceoryx2::service::ServiceDetails;
 use iceoryx2::service::port_factory::{event, publish_subscribe};

@@ -102,7 +102,12 @@ pub(super) fn settings(
     Ok(zenoh)
 }
 
-pub(super) fn why_not_open(mode: &str, listen: &[String], connect: &[String], error: &str) -> BusError {
+pub(super) fn why_not_open(
+    mode: &str,
+    listen: &[String],
+    connect: &[String],
+    error: &str,
+) -> BusError {
     if let Some(endpoint) = listen.iter().find(|endpoint| is_in_use(endpoint)) {
         return BusError::InUse { endpoint: endpoint.clone() };
     }
