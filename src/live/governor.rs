@@ -32,7 +32,7 @@ impl Governor {
     /// The tracker fell behind, so that no window is judged: fewer frames from now on. Returns
     /// whether the level changes.
     pub(super) fn fell_behind(&mut self) -> bool {
-        let level = (self.level + 1).max(Effort::FEWER_FRAMES).min(Effort::LEVELS - 1);
+        let level = (self.level + 1).clamp(Effort::FEWER_FRAMES, Effort::LEVELS - 1);
         self.degradation_steps += u64::from(level - self.level);
         (self.calm, self.settling) = (0, SETTLE);
         std::mem::replace(&mut self.level, level) != level
