@@ -31,11 +31,12 @@
 //! takes detections from a bus and publishes poses at a fixed latency.
 //!
 //! # Features
-//! All are on by default. `default-features = false` leaves the solver, recordings and file formats.
+//! All but `tls` are on by default. `default-features = false` leaves the solver, recordings and file formats.
 //!
 //! | feature | adds |
 //! |---|---|
 //! | `zenoh`, `iceoryx2` | the buses of that name |
+//! | `tls` | certificates for `zenoh`; not on by default |
 //! | `live` | `live`, the node, and `config`, its settings |
 //! | `research` | `research`: compared methods, experiments, synthetic recordings, training |
 //! | `cli` | `cli`, the `bundlemocap` command; it needs `live` and `research` |

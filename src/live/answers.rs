@@ -41,9 +41,16 @@ impl Core {
         // What waited while nothing came is no measure of the solver.
         let trouble = self.trouble.take().filter(|_| !track.is_resuming());
         let Some(why) = self.governor.solved(self.took, available, trouble) else { return };
+        self.set_effort(&why);
+    }
+
+    /// Uses the governor's level from now on.
+    fn set_effort(&mut self, why: &str) {
         let level = self.governor.level();
         let effort = Effort::at(level, &self.settings.tracker);
-        track.set_effort(effort);
+        if let Some(track) = &mut self.track {
+            track.set_effort(effort);
+        }
         let Effort { iterations, stride, .. } = effort;
         let detail = format!("level {level}: {iterations} iterations, stride {stride}; {why}");
         self.event(EventKind::Effort, None, detail);
@@ -78,6 +85,13 @@ impl Core {
         let Some(times) = self.latency_times(self.clock.delay()) else { return };
         let found = self.latency.lower(times, &self.settings.tracker);
         self.declare(found);
+    }
+
+    /// The tracker dropped frames that waited for too long: it gets fewer frames of every camera.
+    fn fell_behind(&mut self, why: &str) {
+        if self.governor.fell_behind() {
+            self.set_effort(why);
+        }
     }
 
     /// Turns outputs of the tracker into outputs of the core.
@@ -162,6 +176,7 @@ impl Core {
     fn tracker_event(&mut self, event: &Event) {
         match event.kind {
             EventKind::Deadline => self.windows.incomplete(),
+            EventKind::Dropped => self.fell_behind(&event.detail),
             EventKind::Overdue if self.track.as_ref().is_some_and(|t| !t.is_resuming()) => {
                 self.trouble = Some("a pose was not solved when due")
             }

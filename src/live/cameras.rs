@@ -74,6 +74,7 @@ impl Camera {
             EventKind::Duplicate => &mut self.counters.duplicate,
             EventKind::OutOfOrder => &mut self.counters.out_of_order,
             EventKind::Missing => &mut self.counters.missing,
+            EventKind::Dropped => &mut self.counters.dropped,
             EventKind::Unusable => &mut self.counters.unusable,
             _ => return,
         };

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::core::time::Timestamp;
+use crate::core::tracker::EventKind;
 use crate::io::wire::{Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, Topics, decode};
 
 /// A message of a recording.
@@ -80,11 +81,17 @@ impl At {
     /// Whether a message belongs to the run. Events of older recordings name no run.
     fn holds(&self, message: &Recorded) -> bool {
         match run_of(message) {
-            Some(0) if *message.schema == *Status::FULL_NAME => false,
+            Some(0) if *message.schema == *Status::FULL_NAME || is_of_second_node(message) => false,
             None | Some(0) => message.time >= self.begin,
             Some(run) => run == self.run,
         }
     }
+}
+
+fn is_of_second_node(message: &Recorded) -> bool {
+    *message.schema == *Event::FULL_NAME
+        && decode::<Event>(&message.payload)
+            .is_ok_and(|event| event.event_kind() == Some(EventKind::SecondNode))
 }
 
 fn run_of(message: &Recorded) -> Option<u64> {

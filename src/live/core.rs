@@ -9,7 +9,7 @@ use super::events::Events;
 use super::governor::Governor;
 use super::journal::{self, Journal};
 use super::latency::Finder;
-use super::port::{Input, Output, Settings};
+use super::port::{Input, Loss, MOST_BYTES, Output, Settings};
 use super::publication::{Content, Publication};
 use super::status::{Published, Windows};
 use crate::core::body::{Skeleton, TrackingState};
@@ -21,7 +21,7 @@ use crate::io::wire::{self, Topics};
 /// The current calibration and its bytes.
 pub(super) struct Calibration {
     pub(super) rig: Arc<Rig>,
-    bytes: Vec<u8>,
+    pub(super) bytes: Vec<u8>,
 }
 
 /// The node without its threads. The same inputs at the same times give the same outputs.
@@ -32,6 +32,8 @@ pub struct Core {
     pub(super) now: Timestamp,
     /// Calibration from a file or of the run before, before the first message.
     pub(super) rig_at_start: Option<Vec<u8>>,
+    /// Hashes of the file's rigs and of refused ones: each is reported once.
+    pub(super) known_rigs: Vec<u64>,
     pub(super) calibration: Option<Calibration>,
     pub(super) track: Option<Tracker>,
     /// The body of the next pose.
@@ -50,7 +52,7 @@ pub struct Core {
     pub(super) arrivals: VecDeque<(Timestamp, Timestamp)>,
     /// Solve time of the current answer.
     pub(super) took: Nanos,
-    journal: Journal,
+    pub(super) journal: Journal,
     /// Whether all entries of the journal are written now.
     pub(super) is_flushed: bool,
     /// Whether a job is out.
@@ -79,6 +81,7 @@ impl Core {
             outputs: VecDeque::new(),
             now: Timestamp::default(),
             rig_at_start: None,
+            known_rigs: Vec::new(),
             calibration: None,
             track: None,
             skeleton: None,
@@ -133,7 +136,7 @@ impl Core {
                 }
             }
             Input::Tick => {}
-            Input::Dropped(count) => self.dropped(count),
+            Input::Dropped(losses) => self.dropped(losses),
             Input::Played(deviations_us) => self.published.played(&deviations_us),
             Input::End => {
                 self.starting = None;
@@ -175,44 +178,7 @@ impl Core {
         }
     }
 
-    fn rig_file(&mut self, bytes: Vec<u8>) {
-        if self.journal.count == 0 {
-            self.rig_at_start = Some(bytes.clone());
-        }
-        if self.calibrate(&bytes)
-            && let Ok(rig) = wire::decode::<wire::Rig>(&bytes)
-        {
-            self.publish(self.topics.rig(), Timestamp::default(), Content::Rig(rig));
-        }
-    }
-
-    /// Sets the calibration. Returns whether it is new and usable.
-    pub(super) fn calibrate(&mut self, bytes: &[u8]) -> bool {
-        if self.calibration.as_ref().is_some_and(|in_use| in_use.bytes == bytes) {
-            return false;
-        }
-        let decoded = wire::decode::<wire::Rig>(bytes).and_then(|rig| rig.to_core());
-        let rig = match decoded {
-            Ok(rig) => Arc::new(rig),
-            Err(error) => {
-                self.event(EventKind::Unusable, None, error.to_string());
-                return false;
-            }
-        };
-        let names: Vec<&str> = rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
-        if !names.iter().copied().eq(self.cameras.iter().map(Camera::name)) {
-            self.cameras = names.into_iter().map(Camera::new).collect();
-            self.clock = Clock::new(self.cameras.len());
-        }
-        self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });
-        match self.track {
-            Some(_) => self.give(tracker::Input::Rig(rig)),
-            None => self.begin(rig),
-        }
-        true
-    }
-
-    fn begin(&mut self, rig: Arc<Rig>) {
+    pub(super) fn begin(&mut self, rig: Arc<Rig>) {
         let node = &self.settings.node;
         let live = Live {
             provisional: node.provisional,
@@ -249,15 +215,25 @@ impl Core {
         self.next_second = Some(self.now + Nanos::SECOND);
         let Some(rig) = self.rig_at_start.clone() else { return };
         let outputs = self.outputs.len();
-        self.calibrate(&rig);
+        self.calibrate(&rig, "the file");
         self.outputs.truncate(outputs);
     }
 
-    fn dropped(&mut self, count: u64) {
-        self.queue_dropped += count;
-        self.trouble = Some("the queue was full");
-        let detail = "the queue was full, its oldest messages were dropped".to_owned();
-        self.events(EventKind::Dropped, None, count, detail);
+    fn dropped(&mut self, losses: Vec<Loss>) {
+        for Loss { camera, dropped, too_large, bytes } in losses {
+            self.queue_dropped += dropped + too_large;
+            if dropped > 0 {
+                let detail = match camera {
+                    Some(_) => "more messages than the node reads; the oldest were dropped",
+                    None => "too many messages of cameras that the rig does not have, or of rigs",
+                };
+                self.events(EventKind::Dropped, camera.as_deref(), dropped, detail.to_owned());
+            }
+            if too_large > 0 {
+                let detail = format!("a message of {bytes} bytes, at most {MOST_BYTES}");
+                self.events(EventKind::Unusable, camera.as_deref(), too_large, detail);
+            }
+        }
     }
 
     /// Counts and publishes an event that happens now.

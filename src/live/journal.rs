@@ -1,12 +1,12 @@
 //! Records the inputs of the core in order, so that a replay can repeat them.
 
-use super::port::{Input, Settings};
+use super::port::{Input, Loss, Settings};
 use crate::core::fnv::fnv1a;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::wire::journal_entry::Input as Entry;
 use crate::io::wire::{
-    Journal as Message, JournalEntry, JournalMessage, JournalPlayed, JournalSolved, JournalStart,
-    StageChannel, Topic,
+    Journal as Message, JournalDropped, JournalEntry, JournalLoss, JournalMessage, JournalPlayed,
+    JournalSolved, JournalStart, StageChannel, Topic,
 };
 
 /// This many entries are written at once, at any time.
@@ -69,7 +69,9 @@ impl Journal {
                 took_ns: took.ns().unsigned_abs(),
             }),
             Input::Tick => Entry::Tick(true),
-            Input::Dropped(count) => Entry::Dropped(*count),
+            Input::Dropped(losses) => {
+                Entry::Dropped(JournalDropped { losses: losses.iter().map(loss).collect() })
+            }
             Input::Played(deviation_us) => {
                 Entry::Played(JournalPlayed { deviation_us: deviation_us.clone() })
             }
@@ -99,6 +101,20 @@ impl Journal {
 fn is_kept(topic: &str) -> bool {
     use StageChannel::{Rig, Take};
     matches!(Topic::parse(topic), Ok(Topic::Stage { channel: Rig | Take, .. }))
+}
+
+fn loss(loss: &Loss) -> JournalLoss {
+    let Loss { camera, dropped, too_large, bytes } = loss.clone();
+    JournalLoss { camera: camera.unwrap_or_default(), dropped, too_large, bytes }
+}
+
+/// The losses of an entry.
+pub(super) fn losses(dropped: JournalDropped) -> Vec<Loss> {
+    let loss = |JournalLoss { camera, dropped, too_large, bytes }| {
+        let camera = Some(camera).filter(|camera| !camera.is_empty());
+        Loss { camera, dropped, too_large, bytes }
+    };
+    dropped.losses.into_iter().map(loss).collect()
 }
 
 /// The first entry.

@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use super::clock::Arrival;
 use super::core::Core;
+use super::port::MOST_BYTES;
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::tracker::{self, EventKind, Tracker};
 use crate::io::wire::{self, DecodeError, KeypointFrame, StageChannel, Topic};
 
-/// Larger messages are rejected, bytes.
-const MOST_BYTES: usize = 1 << 20;
+/// Points further than this many image sizes outside the image are not used.
+const MOST_OUTSIDE: f64 = 2.0;
 /// Most people of a frame that are used.
 const MOST_PEOPLE: usize = 64;
 /// Number of arrivals that are kept to find those of a frame set.
@@ -24,7 +25,7 @@ impl Core {
             if payload.len() > MOST_BYTES {
                 self.too_large(None, payload);
             } else {
-                self.calibrate(payload);
+                self.rig_from_bus(payload);
             }
             return;
         }
@@ -82,7 +83,25 @@ impl Core {
             let detail = format!("{people} people, the first {MOST_PEOPLE} are used");
             self.event(EventKind::Crowd, Some(camera), detail);
         }
-        frame.to_core(|name| rig.index_of(name))
+        let mut frame = frame.to_core(|name| rig.index_of(name))?;
+        let image = rig.cameras.get(frame.camera).map(|camera| [camera.width, camera.height]);
+        let is_far = |at: f64, size: u32| {
+            let most = f64::from(size) * MOST_OUTSIDE;
+            !(-most..=most + f64::from(size)).contains(&at)
+        };
+        let mut count = 0;
+        for point in frame.people.iter_mut().flat_map(|person| &mut person.points) {
+            let Some([width, height]) = image.filter(|_| point.is_some()) else { continue };
+            if point.is_some_and(|at| is_far(at.pixel.x, width) || is_far(at.pixel.y, height)) {
+                *point = None;
+                count += 1;
+            }
+        }
+        if count > 0 {
+            let detail = format!("points more than {MOST_OUTSIDE} image sizes outside, not used");
+            self.events(EventKind::FarPoint, Some(camera), count, detail);
+        }
+        Ok(frame)
     }
 
     fn detections(&mut self, frame: Detections) {

@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | `bundlemocap_info` | `version` | 1 |
 //! | `bundlemocap_tracker_state` | `state` | 1 for the current state |
-//! | `bundlemocap_camera_frames_total` | `camera`, `outcome`: used, late, duplicate, out_of_order, missing, unusable | frames |
+//! | `bundlemocap_camera_frames_total` | `camera`, `outcome`: used, late, duplicate, out_of_order, missing, unusable, dropped | frames |
 //! | `bundlemocap_camera_rate_hertz` | `camera` | frames a second |
 //! | `bundlemocap_camera_age_seconds` | `camera` | time since its last frame |
 //! | `bundlemocap_camera_offset_seconds` | `camera` | offset of its clock from the node's, including the delay |
@@ -117,6 +117,7 @@ impl Sheet<'_> {
                     ("out_of_order", camera.out_of_order),
                     ("missing", camera.missing),
                     ("unusable", camera.unusable),
+                    ("dropped", camera.dropped),
                 ];
                 outcomes.map(|(outcome, count)| {
                     (vec![("camera", camera.camera.as_str()), ("outcome", outcome)], count as f64)

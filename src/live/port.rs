@@ -9,6 +9,22 @@ use crate::core::timecode::House;
 use crate::core::tracker::{self, Job, Solution};
 use crate::io::wire::JournalStart;
 
+/// Larger messages are rejected, bytes.
+pub const MOST_BYTES: usize = 1 << 20;
+
+/// Messages of one camera that were not read.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Loss {
+    /// Name of the camera; `None`: the rig, or cameras that the rig does not have.
+    pub camera: Option<String>,
+    /// Messages that were dropped because there were too many.
+    pub dropped: u64,
+    /// Messages that were refused because they were too large.
+    pub too_large: u64,
+    /// Size of the largest of these, bytes.
+    pub bytes: u64,
+}
+
 /// An input of the core.
 #[derive(Clone, Debug)]
 pub enum Input {
@@ -30,8 +46,8 @@ pub enum Input {
     },
     /// Time has passed.
     Tick,
-    /// Number of messages that were dropped because the queue was full.
-    Dropped(u64),
+    /// Messages that were not read.
+    Dropped(Vec<Loss>),
     /// Final poses were published: deviation of each from its due time, microseconds, positive is
     /// late.
     Played(Vec<i32>),

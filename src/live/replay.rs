@@ -8,6 +8,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use super::compare::{At, Comparison, Recorded, compare};
 use super::core::Core;
+use super::journal;
 use super::port::{Input, Output, Settings};
 use crate::core::fnv::fnv1a;
 use crate::core::time::{Nanos, Timestamp};
@@ -299,7 +300,7 @@ impl<'a> Run<'a> {
                 }
             }
             Some(Entry::Tick(_)) => Input::Tick,
-            Some(Entry::Dropped(count)) => Input::Dropped(count),
+            Some(Entry::Dropped(dropped)) => Input::Dropped(journal::losses(dropped)),
             Some(Entry::Played(played)) => Input::Played(played.deviation_us),
             Some(Entry::End(_)) => Input::End,
             Some(Entry::Start(_)) => return Err(senseless("it is a second start".to_owned())),

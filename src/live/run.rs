@@ -12,10 +12,11 @@ use super::config::Config;
 use super::core::Core;
 use super::cpu_affinity::SolverCore;
 use super::endpoint::Endpoint;
-use super::error::NodeError;
+use super::error::{Elder, NodeError};
 use super::node_loop::{Answer, Inbox, NodeLoop, Progress};
 use super::outlet::Outlet;
 use super::playout::Playout;
+use super::presence::Presence;
 use super::queue::{Intake, Message};
 use super::rig_file::RigFile;
 use super::wall::WallClock;
@@ -46,10 +47,12 @@ pub struct Running {
     playout: Arc<Playout>,
     endpoint: Option<Endpoint>,
     board: Arc<Board>,
+    presence: Presence,
 }
 
 impl Node {
-    /// Starts the threads and subscribes to the bus. `config` is the core's; the solver thread runs
+    /// Starts the threads and subscribes to the bus. `presence` is that of this node, alone; `config`
+    /// is the core's; the solver thread runs
     /// on `solver_core` if there is one.
     ///
     /// # Errors
@@ -57,6 +60,7 @@ impl Node {
     /// the system cannot start a thread.
     pub fn start(
         bus: Arc<dyn Bus>,
+        presence: Presence,
         core: Core,
         solver: Solver,
         config: &Config,
@@ -64,7 +68,7 @@ impl Node {
     ) -> Result<Running, NodeError> {
         let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
         let (clock, board) = (WallClock::start(), Arc::<Board>::default());
-        let intake = Intake::new(config.queue);
+        let intake = Intake::new(config.queue, &[topics.rig(), topics.take()]);
         let endpoint = match config.prometheus.as_str() {
             "" => None,
             address => Some(Endpoint::start(address, Arc::clone(&board))?),
@@ -109,6 +113,7 @@ impl Node {
             playout,
             endpoint,
             board,
+            presence,
         };
         running.listen(&*bus, &topics, &intake)?;
         Ok(running)
@@ -127,6 +132,20 @@ impl Running {
             self.inputs.push(bus.subscribe(&pattern, Box::new(sink))?);
         }
         Ok(())
+    }
+
+    /// A node of the same performer that is older than this one: the networks of two nodes were
+    /// connected while both ran.
+    ///
+    /// # Errors
+    /// The bus is closed.
+    pub fn elder(&self) -> Result<Option<Elder>, NodeError> {
+        Ok(self.presence.elder()?)
+    }
+
+    /// As [`Presence::stand_back`].
+    pub fn stand_back(&self, elder: Elder) -> NodeError {
+        self.presence.stand_back(elder)
     }
 
     /// Disconnected when the node has stopped by itself, which is a fault.

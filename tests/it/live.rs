@@ -15,7 +15,9 @@ use bundlemocap::core::tracker::{Job, Solution, Solver, Task};
 use bundlemocap::io::wire::{
     self, Event, KeypointFrame, Pose, Schema, Status, Topics, TrackingState, decode, encode,
 };
-use bundlemocap::live::{Carried, Core, Input, Output, Recorded, Settings, find_node, replay};
+use bundlemocap::live::{
+    Carried, Core, Input, Loss, Output, Recorded, Replayed, Settings, find_node, replay,
+};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
 const MS: Nanos = Nanos::from_ms(1);
@@ -551,7 +553,128 @@ fn a_new_calibration_is_used_from_a_window_on() {
     assert!(poses[first..].iter().all(|(_, pose)| pose.rig_version == 7));
     assert!((Timestamp::from_ns(poses[first].1.capture_time_ns) - arrival).abs() < MS * 340);
     let events = world.heard.events();
-    assert_eq!((events["calibrated"], events["unusable"]), (2, 1));
+    assert_eq!((events["calibrated"], events["rig_changed"], events["unusable"]), (2, 2, 1));
+}
+
+#[test]
+fn a_rig_file_is_not_replaced_from_the_bus() {
+    let studio = Studio::new(4, 240);
+    let rig = |version: u64| {
+        let mut rig = wire::Rig::from_core(&studio.rig);
+        (rig.version, rig.cameras[0].focal_px[0]) = (version, 500.0 + version as f64);
+        encode(&rig)
+    };
+    let (file, changed) = (encode(&wire::Rig::from_core(&studio.rig)), rig(9));
+    let mut messages: Vec<Sent> = studio.frames.iter().map(|frame| studio.message(frame)).collect();
+    // The node's own rig comes back; two foreign ones are published ten times, and an invalid one.
+    for index in 0..10 {
+        for payload in [file.clone(), rig(7), rig(8), vec![0xff; 9]] {
+            let arrival = at(1.5) + MS * 20 * index;
+            messages.push(Sent { arrival, topic: Topics::default().rig(), payload });
+        }
+    }
+    let mut config = Config::default();
+    config.node.rig = "rig.toml".into();
+    let mut world = World::new(&config);
+    world.tell(Input::RigFile(file.clone()));
+    let (early, late) = messages.iter().cloned().partition(|sent| sent.arrival < at(2.5));
+    world.play(early, at(2.5));
+    world.tell(Input::RigFile(changed));
+    world.play(late, at(4.0));
+    // The first rig of the file comes back once more.
+    world.tell(Input::Message { topic: Topics::default().rig().into(), payload: file });
+    world.end();
+    assert_on_time(&world.heard);
+    let version = |at: usize| world.heard.poses()[at].1.rig_version;
+    assert_eq!((version(0), version(world.heard.poses().len() - 1)), (studio.rig.version, 9));
+    assert!(world.heard.poses().iter().all(|(_, pose)| ![7, 8].contains(&pose.rig_version)));
+    let refused = world.heard.details("rig_refused");
+    assert_eq!(refused.len(), 3, "{refused:?}");
+    assert!(refused[0].starts_with("version 7 of 4 cameras (cam01, cam02, cam03, cam04), from"));
+    let changes = world.heard.details("rig_changed");
+    assert_eq!(world.heard.events()["rig_changed"], 2, "{changes:?}");
+    assert!(changes.last().unwrap().ends_with("from the file"), "{changes:?}");
+    let recorded = recorded(world, messages);
+    for (topic, compared) in &replay_of(&recorded).topics {
+        assert_eq!((compared.recorded, compared.differs_at), (compared.replayed, None), "{topic}");
+    }
+}
+
+#[test]
+fn points_far_outside_the_image_and_huge_rigs_are_not_used() {
+    let studio = Studio::new(4, 180);
+    let mut huge = wire::Rig::from_core(&studio.rig);
+    huge.cameras = (0..257)
+        .map(|index| {
+            let mut camera = huge.cameras[index % 4].clone();
+            camera.name = format!("camera{index}");
+            camera
+        })
+        .collect();
+    let mut messages = studio.messages();
+    let (arrival, topic) = (at(1.0), Topics::default().rig());
+    messages.push(Sent { arrival, topic, payload: encode(&huge) });
+    for (frame, sent) in studio.frames.iter().zip(&mut messages[1..]) {
+        let mut message: KeypointFrame = decode(&sent.payload).unwrap();
+        if frame.camera == 2 {
+            message.people[0].points[12..18].copy_from_slice(&[1e9, 9.0, 1.0, 9.0, -3e3, 1.0]);
+        }
+        sent.payload = encode(&message);
+    }
+    let mut world = after(messages, 3.0);
+    world.end();
+    assert_on_time(&world.heard);
+    assert!(world.heard.poses().iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));
+    let events = world.heard.events();
+    assert_eq!((events["far_point"], events["unusable"]), (2 * 180, 1), "{events:?}");
+    assert!(world.heard.details("unusable")[0].contains("257 cameras, at most 256"));
+}
+
+#[test]
+fn losses_are_inputs_of_a_replay() {
+    let messages = Studio::new(4, 90).messages();
+    let mut world = World::new(&Config::default());
+    world.play(messages.clone(), at(1.0));
+    let loss = |camera: Option<&str>, dropped, too_large| Loss {
+        camera: camera.map(str::to_owned),
+        dropped,
+        too_large,
+        bytes: too_large * 5_000_000,
+    };
+    world.tell(Input::Dropped(vec![loss(Some("cam02"), 7, 0), loss(None, 3, 2)]));
+    let rest = messages.iter().filter(|sent| sent.arrival > at(1.0)).cloned().collect();
+    world.play(rest, at(2.0));
+    world.end();
+    let (status, events) = (world.heard.status(), world.heard.events());
+    assert_eq!((status.queue_dropped, status.cameras[1].dropped), (12, 7));
+    assert_eq!((events["dropped"], events["unusable"]), (10, 2));
+    let recorded = recorded(world, messages);
+    for (topic, compared) in &replay_of(&recorded).topics {
+        assert_eq!((compared.recorded, compared.differs_at), (compared.replayed, None), "{topic}");
+    }
+}
+
+/// All messages of a run, as a recorder has them.
+fn recorded(world: World, sent: Vec<Sent>) -> Vec<Recorded> {
+    let sent = sent.into_iter().map(|sent| Recorded {
+        time: sent.arrival,
+        capture: Timestamp::default(),
+        topic: sent.topic.into(),
+        schema: "".into(),
+        payload: sent.payload,
+    });
+    world.heard.messages.into_iter().chain(sent).collect()
+}
+
+/// The replay of a run without a given body.
+fn replay_of(recorded: &[Recorded]) -> Replayed {
+    let decoder = Decoder::embedded().unwrap();
+    let replayed = replay(recorded, &Topics::default(), None, |start| {
+        let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
+        let solver = Solver::new(decoder.clone(), config.tracker);
+        Ok::<_, bundlemocap::live::ReplayError>((settings(&config, &decoder), solver))
+    });
+    replayed.unwrap()
 }
 
 #[test]

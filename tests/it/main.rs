@@ -45,6 +45,8 @@ mod synth;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod take;
 mod timing;
+#[cfg(all(feature = "cli", feature = "tls"))]
+mod tls;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod tools;
 mod tracker;

@@ -36,6 +36,10 @@ pub enum EventKind {
     Overdue,
     /// A new calibration is in use.
     Calibrated,
+    /// Another rig was taken, from the file or from the bus.
+    RigChanged,
+    /// A rig from the bus was refused: a file gives the rig.
+    RigRefused,
     /// The node declared its latency, at first or anew.
     Latency,
     /// The solver's effort changed.
@@ -54,9 +58,13 @@ pub enum EventKind {
     ClockJump,
     /// A frame shows more people than are used.
     Crowd,
+    /// Points far outside the image; they are not used.
+    FarPoint,
     /// Two publishers seem to use one camera's name.
     Conflict,
-    /// The full queue dropped messages, or frames waited for too long.
+    /// Another node of this performer started and stood back.
+    SecondNode,
+    /// Messages were dropped because there were too many, or frames waited for too long.
     Dropped,
     /// No camera sends frames, or nobody has been seen for a while; or that has ended.
     Idle,
@@ -68,7 +76,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 28] = [
+    pub const ALL: [Self; 32] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -84,6 +92,8 @@ impl EventKind {
         Self::Returned,
         Self::Overdue,
         Self::Calibrated,
+        Self::RigChanged,
+        Self::RigRefused,
         Self::Latency,
         Self::Effort,
         Self::ClockOffset,
@@ -92,7 +102,9 @@ impl EventKind {
         Self::Body,
         Self::ClockJump,
         Self::Crowd,
+        Self::FarPoint,
         Self::Conflict,
+        Self::SecondNode,
         Self::Dropped,
         Self::Idle,
         Self::Clock,
@@ -117,6 +129,8 @@ impl EventKind {
             Self::Returned => "returned",
             Self::Overdue => "overdue",
             Self::Calibrated => "calibrated",
+            Self::RigChanged => "rig_changed",
+            Self::RigRefused => "rig_refused",
             Self::Latency => "latency",
             Self::Effort => "effort",
             Self::ClockOffset => "clock_offset",
@@ -125,7 +139,9 @@ impl EventKind {
             Self::Body => "body",
             Self::ClockJump => "clock_jump",
             Self::Crowd => "crowd",
+            Self::FarPoint => "far_point",
             Self::Conflict => "conflict",
+            Self::SecondNode => "second_node",
             Self::Dropped => "dropped",
             Self::Idle => "idle",
             Self::Clock => "clock",

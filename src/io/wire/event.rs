@@ -54,7 +54,8 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Effort
         | EventKind::Body
         | EventKind::Idle
-        | EventKind::Take => true,
+        | EventKind::Take
+        | EventKind::SecondNode => true,
         EventKind::Late
         | EventKind::Duplicate
         | EventKind::OutOfOrder
@@ -63,11 +64,14 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Silent
         | EventKind::Returned
         | EventKind::Calibrated
+        | EventKind::RigChanged
+        | EventKind::RigRefused
         | EventKind::ClockOffset
         | EventKind::TimeOffset
         | EventKind::CameraMoved
         | EventKind::ClockJump
         | EventKind::Crowd
+        | EventKind::FarPoint
         | EventKind::Conflict
         | EventKind::Dropped
         | EventKind::Clock => false,
