@@ -263,7 +263,7 @@ fn judge(case: &Case) -> Option<String> {
     let mut kinds: BTreeMap<&str, u64> = BTreeMap::new();
     heard.events.iter().for_each(|(_, kind, _)| *kinds.entry(kind).or_default() += 1);
     // Said by each node: the calibration, its latency, the kind of the clock, and the performer.
-    for kind in ["calibrated", "latency", "clock", "acquired"] {
+    for kind in ["calibrated", "rig_changed", "latency", "clock", "acquired"] {
         kinds.entry(kind).and_modify(|count| *count -= 1);
     }
     kinds.retain(|_, count| *count > 0);
