@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::core::limits::OutOfRange;
+use crate::core::timecode::{House, TimecodeError};
 use crate::core::tracker;
 use crate::io::bus;
 use crate::io::wire::{NameError, valid_name};
@@ -21,6 +22,31 @@ pub struct Config {
     pub node: live::Config,
     /// How the live node and the tools exchange messages.
     pub bus: bus::Config,
+    /// The timecode of the house.
+    pub timecode: TimecodeConfig,
+}
+
+/// The timecode of the house. Without a rate there is none.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TimecodeConfig {
+    /// Its rate, such as `25` or `29.97df`; empty: no timecode.
+    pub rate: String,
+    /// A timecode and its capture time, such as `01:00:00:00 at 1795252800.25`.
+    pub offset: String,
+}
+
+impl TimecodeConfig {
+    /// The timecode, if there is one.
+    ///
+    /// # Errors
+    /// An unknown rate, or no such offset.
+    pub fn house(&self) -> Result<Option<House>, TimecodeError> {
+        match self.rate.as_str() {
+            "" => Ok(None),
+            rate => House::new(rate, &self.offset).map(Some),
+        }
+    }
 }
 
 /// The defaults, with comments.
@@ -54,6 +80,14 @@ pub enum ConfigError {
         path: PathBuf,
         /// The key, its value and its range.
         error: OutOfRange,
+    },
+    /// A timecode that cannot be used.
+    #[error("{}: [timecode] {source}", path.display())]
+    Timecode {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        source: TimecodeError,
     },
     /// An invalid name of a stage or an actor.
     #[error("{}: {key}: {source}", path.display())]
@@ -96,6 +130,8 @@ impl Config {
                 source,
             })?;
         }
+        let house = config.timecode.house();
+        house.map_err(|source| ConfigError::Timecode { path: path.into(), source })?;
         let checked = [("tracker", config.tracker.validate()), ("node", config.node.validate())];
         for (table, result) in checked {
             result.map_err(|error| ConfigError::OutOfRange {

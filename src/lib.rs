@@ -31,11 +31,12 @@
 //! takes detections from a bus and publishes poses at a fixed latency.
 //!
 //! # Features
-//! All are on by default. `default-features = false` leaves the solver, recordings and file formats.
+//! All but `tls` are on by default. `default-features = false` leaves the solver, recordings and file formats.
 //!
 //! | feature | adds |
 //! |---|---|
 //! | `zenoh`, `iceoryx2` | the buses of that name |
+//! | `tls` | certificates for `zenoh`; not on by default |
 //! | `live` | `live`, the node, and `config`, its settings |
 //! | `research` | `research`: compared methods, experiments, synthetic recordings, training |
 //! | `cli` | `cli`, the `bundlemocap` command; it needs `live` and `research` |
@@ -47,7 +48,7 @@
 //!
 //! | module | parts | holds |
 //! |---|---|---|
-//! | [`core`] | `time`, `so3`, `linalg`, `random`, `detections`, `body`, `camera`, `calibration`, `optimise`, `manifold`, `cost`, `tracker` | the solver: no input or output, no clock |
+//! | [`core`] | `time`, `timecode`, `so3`, `linalg`, `random`, `detections`, `body`, `camera`, `calibration`, `optimise`, `manifold`, `cost`, `tracker` | the solver: no input or output, no clock |
 //! | [`io`] | `wire`, `new_file`, `recording`, `bus`, `formats`, `report` | messages, MCAP files, the bus, other programs' files, the report |
 //! | [`metrics`] | | errors of poses, reprojection, statistics |
 //! | [`retarget`] | | poses on another skeleton |
@@ -90,6 +91,8 @@
 //! - \[Pavlakos 2019\] Pavlakos et al. Expressive body capture: 3D hands, face, and body from a
 //!   single image. CVPR 2019.
 //! - \[Rempe 2021\] Rempe et al. HuMoR: 3D human motion model for robust pose estimation. ICCV 2021.
+//! - \[Sen 1968\] Sen. Estimates of the regression coefficient based on Kendall's tau. Journal of the
+//!   American Statistical Association 63.
 //! - \[Sola 2018\] Sola, Deray, Atchuthan. A micro Lie theory for state estimation in robotics.
 //!   arXiv:1812.01537.
 //! - \[Welch 1967\] Welch. The use of fast Fourier transform for the estimation of power spectra.

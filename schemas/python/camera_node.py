@@ -34,7 +34,9 @@ class CameraNode:
     def publish(self, people, capture_time_ns):
         """`people` contains the points of each person in the order of the format: x and y in pixels
         and a confidence, 0 for a missing point. `capture_time_ns` is the middle of the exposure on a
-        clock that all cameras share (PTP), not the time of detection."""
+        clock that all cameras share (PTP, or `time.time_ns()` of one computer when the image arrives,
+        less exposure and transfer), not the time of detection. A millisecond of error is 0.8 mm at a
+        walking hand. The best clock is the node's own: poses are due on it."""
         frame = KeypointFrame(
             camera=self._name,
             frame=self._frame,

@@ -6,6 +6,7 @@ use clap::Args;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
+use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
 use crate::io::recording::{Message, Reader};
@@ -19,6 +20,7 @@ use crate::offline::poses::frame_rate;
 #[command(after_help = "\
 Examples:
   bundlemocap export out/poses.mcap --bvh take1.bvh
+  bundlemocap export out/poses.mcap --bvh cut.bvh --start 01:00:10:00 --end 01:00:20:00
   bundlemocap export out/poses.mcap --picture take1.svg --figures 7")]
 #[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
 pub(super) struct Arguments {
@@ -33,16 +35,26 @@ pub(super) struct Arguments {
     /// Number of stick figures in the picture.
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..))]
     figures: u8,
+    #[command(flatten)]
+    span: SpanArguments,
     /// Export the true poses of a synthetic recording instead.
     #[arg(long)]
     truth: bool,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let Solved { skeleton, poses, damage } = read(&arguments.file, arguments.truth)?;
+    let Solved { skeleton, mut poses, damage } = read(&arguments.file, arguments.truth)?;
+    let times = Times::of(&arguments.file, None)?;
+    if let Some([start, end]) = arguments.span.within(&times)? {
+        poses.retain(|pose| (start..=end).contains(&pose.capture));
+        if poses.is_empty() {
+            return Err(Failure::new(Exit::Usage, "no poses from --start to --end"));
+        }
+    }
     let fps = frame_rate(&poses).unwrap_or(60.0);
     if let Some(path) = &arguments.bvh {
         let frames = write_bvh(path, &poses, &skeleton, fps)?;
+        times.beside(path, poses.first().map(|pose| pose.capture))?;
         say(&format!("{}: {frames} frames at {fps:.2} Hz", path.display()));
     }
     if let Some(path) = &arguments.picture {
@@ -117,7 +129,7 @@ pub(super) fn read(file: &Path, truth: bool) -> Result<Solved, Failure> {
 }
 
 /// Sorts by capture time and keeps the last of several poses of one time.
-pub(super) fn in_order(poses: &mut Vec<CompactPose>) {
+fn in_order(poses: &mut Vec<CompactPose>) {
     poses.sort_by_key(|pose| pose.capture);
     poses.dedup_by(|later, kept| {
         let anew = later.capture == kept.capture;

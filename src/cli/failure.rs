@@ -32,6 +32,7 @@ pub(crate) enum Exit {
     NotOurs = 12,
     Bus = 13,
     Differs = 14,
+    SecondNode = 16,
 }
 
 /// The codes as shown in `--help`.
@@ -51,7 +52,8 @@ Exit codes:
   11  weights of another shape or version
   12  a recording without the required topics
   13  the bus cannot be opened or reached
-  14  the replay differs from the recording";
+  14  the replay differs from the recording
+  16  another node publishes this performer";
 
 /// The value of `--fps`, a number or a ratio such as `60000/1001`.
 pub(crate) fn ratio(text: &str) -> Result<f64, String> {
@@ -106,7 +108,9 @@ impl From<RecordError> for Failure {
             RecordError::NotMcap { .. } => Exit::Malformed,
             RecordError::NoChannels { .. } | RecordError::NoBody { .. } => Exit::NotOurs,
             RecordError::BeforeEpoch { .. } => Exit::Malformed,
-            RecordError::Write { .. } | RecordError::LeftOver { .. } => Exit::Unexpected,
+            RecordError::Write { .. }
+            | RecordError::LeftOver { .. }
+            | RecordError::TooManyTopics { .. } => Exit::Unexpected,
         };
         let fix =
             if exit == Exit::Unreadable { "; check the path and its permissions" } else { "" };
@@ -131,6 +135,7 @@ impl From<ConfigError> for Failure {
             ConfigError::Unreadable { .. } => Exit::Unreadable,
             ConfigError::Malformed { .. }
             | ConfigError::OutOfRange { .. }
+            | ConfigError::Timecode { .. }
             | ConfigError::Name { .. } => Exit::Malformed,
         };
         Self::new(exit, error.to_string())
@@ -199,7 +204,7 @@ mod tests {
 
     #[test]
     fn help_lists_every_code() {
-        for code in 0..=Exit::Differs as u8 {
+        for code in (0..=Exit::Differs as u8).chain([Exit::SecondNode as u8]) {
             assert!(EXIT_CODES.contains(&format!("\n  {code:>2}  ")), "{code}");
         }
     }

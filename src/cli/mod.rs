@@ -20,11 +20,14 @@ mod play;
 mod record;
 mod replay;
 mod retarget;
+mod retarget_file;
 mod retarget_live;
 mod run;
 mod solve;
+mod span;
 mod sync;
 mod synth;
+mod take;
 pub(crate) mod terminal;
 mod train;
 mod wire;
@@ -50,6 +53,7 @@ enum Command {
     Play(play::Arguments),
     Echo(echo::Arguments),
     Record(record::Arguments),
+    Take(take::Arguments),
     Replay(replay::Arguments),
     Decode(decode::Arguments),
     Retarget(retarget::Arguments),
@@ -74,6 +78,7 @@ pub fn main() -> ExitCode {
         Command::Play(arguments) => play::run(&arguments),
         Command::Echo(arguments) => echo::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
+        Command::Take(arguments) => take::run(&arguments),
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Decode(arguments) => decode::run(&arguments),
         Command::Retarget(arguments) => retarget::run(&arguments),

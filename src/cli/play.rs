@@ -9,6 +9,7 @@ use super::Ended;
 use super::bus::{BusArguments, open, topics};
 use super::clock::{SteadyClock, Stop};
 use super::failure::{Exit, Failure};
+use super::span::{SpanArguments, Times};
 use super::terminal::{complain, progress, say, table, ticker};
 use crate::core::time::{Nanos, Timestamp};
 use crate::live::tools::Disturbance;
@@ -54,6 +55,8 @@ pub(super) struct Arguments {
     /// Time of the first frame, seconds since 1970; default: half a second from now.
     #[arg(long, value_name = "SECONDS")]
     start_at: Option<f64>,
+    #[command(flatten)]
+    span: SpanArguments,
     #[command(flatten)]
     network: Network,
     #[command(flatten)]
@@ -124,7 +127,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     in_range("--speed", arguments.speed, 0.01..=100.0, "0.01 to 100")?;
     let disturbance = arguments.network.disturbance()?;
     let config = arguments.bus.settings()?;
-    let (take, report) = Take::read(&arguments.file, &arguments.camera)?;
+    let span = arguments.span.within(&Times::of(&arguments.file, Some(&config))?)?;
+    let (take, report) = Take::read(&arguments.file, &arguments.camera, span)?;
     for lost in report.losses() {
         complain("warning", &format!("{}: {lost}", arguments.file.display()));
     }

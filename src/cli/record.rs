@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -14,26 +13,39 @@ use super::failure::{Exit, Failure};
 use super::terminal::{complain, note, say, table, ticker};
 use crate::config::Config;
 use crate::core::time::Timestamp;
-use crate::io::recording::{Provenance, RawEntry, RecordError, Writer};
-use crate::io::wire::{ENCODING, schema_of};
+use crate::io::bus::{Bus, BusError, Publisher, matches};
+use crate::io::recording::{Provenance, RawEntry, RecordError};
+use crate::io::wire::{
+    ENCODING, Schema, StageChannel, Take, TakeAnswer, Topic, Topics, decode, encode, media_type,
+    schema_of,
+};
+use crate::live::WallClock;
 use crate::live::tools::inbox::{Inbox, Received};
+use crate::live::tools::recorder::{Recorded, Recorder, Said, room};
 
-/// How often the file is flushed.
+/// How often the files are flushed.
 const FLUSH: Duration = Duration::from_secs(1);
+/// How long a node may take to answer with its calibration.
+const QUERY: Duration = Duration::from_millis(300);
 
-/// Record all messages on the bus, inputs and outputs.
+/// Record all messages on the bus, inputs and outputs, and takes.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Payloads are kept byte for byte. The log time of a message is its arrival time here, the publish time
 is its capture time. Until Ctrl-C or SIGTERM the recording is at FILE.part; if this program dies, that
-file is readable up to its last second.
+file is readable up to its last second. Recording stops before the disk is full.
+
+`bundlemocap take start NAME` begins NAME.mcap beside FILE, with a journal of its own, and `take stop`
+ends it. If there is a NAME.mcap, it is NAME_2.mcap and so on. If FILE is a folder, only takes are
+recorded.
 
 Examples:
   bundlemocap record take1.mcap
+  bundlemocap record takes/
   bundlemocap record inputs.mcap --topics 'mocap/stage/camera/**'
   bundlemocap record take1.mcap --connect tcp/192.168.1.10:7447")]
 pub(super) struct Arguments {
-    /// Recording to write.
+    /// Recording to write, or a folder for takes.
     file: PathBuf,
     /// Topics to record; default: all topics of the stage. `*` matches one part, `**` any number.
     #[arg(long, value_name = "PATTERN")]
@@ -45,94 +57,143 @@ pub(super) struct Arguments {
     bus: BusArguments,
 }
 
-/// Counts of the recorded messages.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Recorded {
-    /// Messages by topic.
-    pub(super) topics: BTreeMap<Arc<str>, u64>,
-    /// Messages on all topics.
-    pub(super) messages: u64,
-    /// Bytes of payload.
-    pub(super) bytes: u64,
-    /// Messages that were dropped because the queue to the disk was full.
-    pub(super) dropped: u64,
-}
-
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let path = &arguments.file;
-    if path.exists() && !arguments.overwrite {
+    let is_folder = path.is_dir();
+    if path.exists() && !is_folder && !arguments.overwrite {
         let fix = "choose another name, or use --overwrite";
         return Err(Failure::new(Exit::Usage, format!("{} exists; {fix}", path.display())));
     }
     let config = arguments.bus.settings()?;
     let bus = open(&config)?;
     let stop = Stop::on_signals()?;
-    let pattern = arguments.topics.clone().unwrap_or_else(|| topics(&config).all());
-    let inbox = Inbox::open(&*bus, &pattern)?;
-    let writer = start(path, &config, &pattern)?;
-    note(&format!("recording {pattern} to {}; stop with Ctrl-C", path.display()));
+    let topics = topics(&config);
+    let pattern = arguments.topics.clone().unwrap_or_else(|| topics.all());
+    let mut patterns = vec![pattern.clone()];
+    patterns.extend(Some(topics.take()).filter(|take| !matches(&pattern, take)));
+    let inbox = Inbox::open_all(&*bus, &patterns)?;
+    let folder = match path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        _ if is_folder => path,
+        Some(folder) => folder,
+        None => Path::new("."),
+    };
+    let file = Some(path.as_path()).filter(|_| !is_folder);
+    let mut recorder =
+        Recorder::start(file, folder, topics.clone(), provenance(&config, &pattern))?;
+    for rig in
+        bus.query(&topics.rig(), QUERY)?.into_iter().filter(|_| matches(&pattern, &topics.rig()))
+    {
+        recorder.write(entry(Received { sample: rig, arrival: WallClock::start().now() }))?;
+    }
+    let what = if is_folder { "takes of " } else { "" };
+    note(&format!("recording {what}{pattern} to {}; stop with Ctrl-C", path.display()));
     let (begin, line) = (Instant::now(), ticker());
-    let recorded = record(inbox, writer, &stop, |recorded| {
+    let answers = Answers::open(&*bus, &topics)?;
+    let room = || room(folder);
+    let (recorded, is_stopped) = record(inbox, recorder, &answers, &stop, room, |recorded| {
         line.set_message(progress(recorded, begin.elapsed()));
     })?;
     line.finish_and_clear();
-    say(&table(&rows(path, &recorded, begin.elapsed())));
-    if recorded.dropped == 0 {
-        return Ok(Exit::Done);
+    if !is_folder {
+        say(&table(&rows(path, &recorded, begin.elapsed())));
     }
-    let fix = "the disk is too slow; record fewer topics with --topics, or use another disk";
-    complain("warning", &format!("{} messages were dropped: {fix}", recorded.dropped));
-    Ok(Exit::InPart)
+    if recorded.dropped > 0 {
+        let fix = "the disk is too slow; record fewer topics with --topics, or use another disk";
+        complain("warning", &format!("{} messages were dropped: {fix}", recorded.dropped));
+    }
+    let is_all = recorded.dropped + recorded.skipped == 0 && !is_stopped;
+    Ok(if is_all { Exit::Done } else { Exit::InPart })
 }
 
-fn start(path: &Path, config: &Config, pattern: &str) -> Result<Writer, Failure> {
-    let provenance = Provenance {
+fn provenance(config: &Config, pattern: &str) -> Provenance {
+    Provenance {
         config: config.to_toml(),
         more: BTreeMap::from([("topics".into(), pattern.into())]),
         ..Provenance::default()
-    };
-    Ok(Writer::live(path, topics(config), &provenance)?)
+    }
 }
 
-/// Writes messages until a stop request, then the remaining ones, and finishes the file.
-/// `each_second` gets the counts so far.
-pub(super) fn record(
+/// Where answers to slates are published.
+struct Answers(Box<dyn Publisher>);
+
+impl Answers {
+    fn open(bus: &dyn Bus, topics: &Topics) -> Result<Self, BusError> {
+        Ok(Self(bus.publisher(&topics.take_answers())?))
+    }
+
+    /// Answers slates, and prints the rest.
+    fn say(&self, all: Vec<Said>) {
+        for said in all {
+            match said {
+                Said::Warning(text) => complain("warning", &text),
+                Said::Answer(id, done) => {
+                    let refused = done.is_err();
+                    let text = done.unwrap_or_else(|why| why);
+                    note(&text);
+                    let answer = TakeAnswer { id, role: "recorder".into(), text, refused };
+                    let encoding = media_type(TakeAnswer::FULL_NAME);
+                    if let Err(error) =
+                        self.0.put(Timestamp::default(), &encoding, &encode(&answer))
+                    {
+                        complain("warning", &format!("cannot answer: {error}"));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Writes messages until a stop request or until there is no `room`, then the remaining ones, and
+/// finishes the files. `each_second` gets the counts so far. The second value is whether there was no
+/// room.
+fn record(
     mut inbox: Inbox,
-    mut writer: Writer,
+    mut recorder: Recorder,
+    answers: &Answers,
     stop: &Stop,
+    room: impl Fn() -> Option<u64>,
     mut each_second: impl FnMut(&Recorded),
-) -> Result<Recorded, RecordError> {
-    let mut recorded = Recorded::default();
-    let mut flushed = Instant::now();
+) -> Result<(Recorded, bool), RecordError> {
+    let (mut flushed, clock) = (Instant::now(), WallClock::start());
+    let mut is_full = false;
     loop {
-        if stop.is_set() {
+        if stop.is_set() || is_full {
             inbox.close();
         }
         match inbox.next(ATTENTION) {
-            Some(received) => recorded.write(&mut writer, received)?,
-            None if stop.is_set() => break,
+            Some(_) if is_full => {}
+            Some(received) => {
+                let arrival = received.arrival;
+                let slate = slate(&received);
+                if let Some(take) = slate {
+                    answers.say(recorder.slate(&take, arrival)?);
+                }
+                recorder.write(entry(received))?;
+            }
+            None if stop.is_set() || is_full => break,
             None => {}
         }
+        answers.say(recorder.tick(clock.now())?);
         if flushed.elapsed() >= FLUSH {
             flushed = Instant::now();
-            writer.flush()?;
-            recorded.dropped = inbox.dropped();
-            each_second(&recorded);
+            let (said, goes_on) = recorder.second(clock.now(), room())?;
+            answers.say(said);
+            is_full = !goes_on;
+            each_second(&Recorded { dropped: inbox.dropped(), ..recorder.recorded() });
         }
     }
-    recorded.dropped = inbox.dropped();
-    writer.finish()?;
-    Ok(recorded)
+    let (recorded, said) = recorder.finish()?;
+    answers.say(said);
+    Ok((Recorded { dropped: inbox.dropped(), ..recorded }, is_full))
 }
 
-impl Recorded {
-    fn write(&mut self, writer: &mut Writer, received: Received) -> Result<(), RecordError> {
-        let entry = entry(received);
-        writer.write_raw(&entry)?;
-        self.messages += 1;
-        self.bytes += entry.payload.len() as u64;
-        *self.topics.entry(entry.topic).or_default() += 1;
-        Ok(())
+/// The command, if the message is one.
+fn slate(received: &Received) -> Option<Take> {
+    match Topic::parse(&received.sample.topic) {
+        Ok(Topic::Stage { channel: StageChannel::Take, .. }) => {
+            decode(&received.sample.payload).ok()
+        }
+        _ => None,
     }
 }
 
@@ -151,10 +212,13 @@ fn entry(Received { sample, arrival }: Received) -> RawEntry {
 }
 
 fn progress(recorded: &Recorded, elapsed: Duration) -> String {
-    let Recorded { messages, bytes, dropped, .. } = recorded;
-    let dropped = if *dropped > 0 { format!(", {dropped} DROPPED") } else { String::new() };
+    let Recorded { messages, bytes, dropped, skipped, .. } = recorded;
+    let mut lost = if *dropped > 0 { format!(", {dropped} DROPPED") } else { String::new() };
+    if *skipped > 0 {
+        lost += &format!(", {skipped} SKIPPED");
+    }
     let megabytes = *bytes as f64 * 1e-6;
-    format!("{:.0} s, {messages} messages, {megabytes:.1} MB{dropped}", elapsed.as_secs_f64())
+    format!("{:.0} s, {messages} messages, {megabytes:.1} MB{lost}", elapsed.as_secs_f64())
 }
 
 fn rows(path: &Path, recorded: &Recorded, elapsed: Duration) -> Vec<(String, String)> {
@@ -167,9 +231,9 @@ fn rows(path: &Path, recorded: &Recorded, elapsed: Duration) -> Vec<(String, Str
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::io::bus::{Bus, Memory};
-    use crate::io::recording::{Message, Reader};
-    use crate::io::wire::{Event, Topics, encode, media_type};
+    use crate::io::bus::Memory;
+    use crate::io::recording::{Message, Reader, Writer};
+    use crate::io::wire::Event;
 
     fn event(count: u64) -> Event {
         Event { kind: "late".into(), count, ..Event::default() }
@@ -181,8 +245,12 @@ mod tests {
         stop
     }
 
-    fn writer(path: &Path) -> Writer {
-        Writer::live(path, Topics::default(), &Provenance::default()).unwrap()
+    /// Records what is on the bus to `path`.
+    fn recorded(bus: &Memory, inbox: Inbox, path: &Path) -> Recorded {
+        let (folder, topics) = (path.parent().unwrap(), Topics::default());
+        let answers = Answers::open(bus, &topics).unwrap();
+        let recorder = Recorder::start(Some(path), folder, topics, Provenance::default()).unwrap();
+        record(inbox, recorder, &answers, &set(), || None, |_| {}).unwrap().0
     }
 
     #[test]
@@ -202,7 +270,7 @@ mod tests {
         put("mocap/stage/mixer/gain", "application/json", b"{}");
         put("mocap/other/rig", "", b"not of this stage");
 
-        let recorded = record(inbox, writer(&path), &set(), |_| {}).unwrap();
+        let recorded = recorded(&bus, inbox, &path);
         assert_eq!((recorded.messages, recorded.dropped, recorded.topics.len()), (4, 0, 2));
         let mut reader = Reader::open(&path).unwrap();
         let mut raw = Vec::new();
@@ -235,9 +303,9 @@ mod tests {
         for _ in 0..10 {
             publisher.put(Timestamp::default(), "", &[0; 10]).unwrap();
         }
-        let recorded = record(by_count, writer(&path), &set(), |_| {}).unwrap();
+        let recorded = super::tests::recorded(&bus, by_count, &path);
         assert_eq!((recorded.messages, recorded.dropped), (3, 7));
-        let recorded = record(by_bytes, writer(&path), &set(), |_| {}).unwrap();
+        let recorded = super::tests::recorded(&bus, by_bytes, &path);
         assert_eq!((recorded.messages, recorded.bytes, recorded.dropped), (2, 20, 8));
     }
 

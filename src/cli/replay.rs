@@ -7,25 +7,30 @@ use clap::Args;
 use super::Ended;
 use super::failure::{Exit, Failure};
 use super::solve::decoder;
+use super::span::timecode;
 use super::terminal::{complain, say, table};
 use crate::config::Config;
 use crate::core::tracker::Solver;
-use crate::io::recording::{Provenance, RawEntry, Reader, Writer};
+use crate::io::recording::{METADATA, Provenance, RawEntry, Reader, Writer};
 use crate::io::wire::{ENCODING, JournalStart, Pose, Topics, decode};
-use crate::live::{Recorded, ReplayError, Replayed, Settings, find_node, platform, replay};
+use crate::live::{
+    Carried, Gap, Recorded, ReplayError, Replayed, Settings, find_node, platform, replay,
+};
 
 /// Run the node again on its recorded inputs and compare the outputs.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The recording must contain all inputs since the start of the node: start `record` before the cameras,
-and restart the node for each take. The node's journal contains its settings and the order and times
-of its inputs. The same version gives the same bytes on every x86-64 processor. The recording is
+The recording must contain all inputs since the start of a run: since `bundlemocap take start`, or since
+the start of the node. The run's journal contains its settings, what was known of body, latency and
+clocks, and the order and times of its inputs. If an input is missing, the replay stops there, says so
+and ends with code 6. The same version gives the same bytes on every x86-64 processor. The recording is
 kept in memory.
 
 Exit code 14: the outputs differ from the recorded ones.
 
 Examples:
   bundlemocap replay take1.mcap --verify
+  bundlemocap replay session.mcap --run walk --verify
   bundlemocap replay take1.mcap --out again.mcap")]
 pub(super) struct Arguments {
     /// Recording of `bundlemocap record`.
@@ -39,6 +44,9 @@ pub(super) struct Arguments {
     /// Manifold weights of the node; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
+    /// Run to replay, if the recording has several: the name of a take, or the id of a run.
+    #[arg(long, value_name = "RUN")]
+    run: Option<String>,
     /// Stage of the node, if the recording has several.
     #[arg(long, value_name = "NAME")]
     stage: Option<String>,
@@ -51,7 +59,7 @@ impl From<ReplayError> for Failure {
     fn from(error: ReplayError) -> Self {
         let exit = match error {
             ReplayError::NoJournal { .. } => Exit::NotOurs,
-            ReplayError::Several { .. } => Exit::Usage,
+            ReplayError::Several { .. } | ReplayError::SeveralRuns { .. } => Exit::Usage,
             _ => Exit::Malformed,
         };
         Self::new(exit, error.to_string())
@@ -59,26 +67,36 @@ impl From<ReplayError> for Failure {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let messages = read(&arguments.file)?;
+    let (messages, take) = read(&arguments.file)?;
     let of_file = |failure: Failure| {
         Failure::new(failure.exit, format!("{}: {}", arguments.file.display(), failure.line()))
     };
     let topics = find_node(&messages, arguments.stage.as_deref(), arguments.actor.as_deref())
         .map_err(|error| of_file(error.into()))?;
-    let replayed = replay(&messages, &topics, |start| prepare(start, arguments.weights.as_deref()))
-        .map_err(of_file)?;
+    let prepare = |start: &JournalStart| prepare(start, arguments.weights.as_deref());
+    let run = arguments.run.as_ref().or(take.as_ref()).map(String::as_str);
+    let replayed = replay(&messages, &topics, run, prepare).map_err(of_file)?;
     if let Some(path) = &arguments.out {
         write(path, &messages, &replayed)?;
     }
     say(&summary(&replayed, arguments.verify));
-    if !arguments.verify {
-        return Ok(Exit::Done);
-    }
-    verdict(arguments, &messages, &replayed, &topics.pose())
+    let exit = match arguments.verify {
+        true => verdict(arguments, &messages, &replayed, &topics.pose())?,
+        false => Exit::Done,
+    };
+    let Some(Gap { what, after }) = &replayed.gap else { return Ok(exit) };
+    let (inputs, seconds) = (replayed.inputs, after.seconds());
+    let text = format!(
+        "{}: {what} is missing {seconds:.3} s after the start; replayed up to there, {inputs} \
+         inputs: the recorder lost it, see its warnings",
+        arguments.file.display()
+    );
+    complain("warning", &text);
+    Ok(Exit::InPart)
 }
 
-/// All messages of the file, in file order.
-fn read(path: &Path) -> Result<Vec<Recorded>, Failure> {
+/// All messages of the file, in file order, and the take that it was recorded for.
+fn read(path: &Path) -> Result<(Vec<Recorded>, Option<String>), Failure> {
     let mut reader = Reader::open(path)?;
     let mut messages = Vec::new();
     while let Some(entry) = reader.next_raw() {
@@ -88,7 +106,8 @@ fn read(path: &Path) -> Result<Vec<Recorded>, Failure> {
     for lost in reader.report().losses() {
         complain("warning", &format!("{}: {lost}", path.display()));
     }
-    Ok(messages)
+    let take = reader.metadata().get(METADATA).and_then(|ours| ours.get("take")).cloned();
+    Ok((messages, take))
 }
 
 /// The recorded settings and solver of the node.
@@ -111,6 +130,8 @@ fn prepare(start: &JournalStart, weights: Option<&Path>) -> Result<(Settings, So
         toml: start.config.clone(),
         weights: ours,
         body: start.body.clone(),
+        carried: Carried::of(start),
+        timecode: timecode(&config)?,
     };
     Ok((settings, Solver::new(decoder, tracker)))
 }
@@ -142,6 +163,9 @@ fn summary(replayed: &Replayed, with_recorded: bool) -> String {
         let mut text = format!("{} replayed", compared.replayed);
         if with_recorded {
             text += &match compared.differs_at {
+                None if replayed.gap.is_some() => {
+                    format!(", {} of {} recorded, equal", compared.equal, compared.recorded)
+                }
                 None if compared.unrecorded() > 0 => {
                     let lost = compared.unrecorded();
                     format!(", {} recorded, equal; {lost} not recorded", compared.recorded)
@@ -153,7 +177,7 @@ fn summary(replayed: &Replayed, with_recorded: bool) -> String {
         (topic.clone(), text)
     }));
     if !replayed.is_whole {
-        rows.push(("journal".to_owned(), "ends before the node did".to_owned()));
+        rows.push(("journal".to_owned(), "ends before the node or the take did".to_owned()));
     }
     table(&rows)
 }

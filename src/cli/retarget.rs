@@ -7,16 +7,15 @@ use clap::Args;
 use super::Ended;
 use super::bus::{BusArguments, check_name, open, topics};
 use super::clock::Stop;
-use super::export::{Solved, in_order, read};
+use super::export::{Solved, read};
 use super::failure::{Exit, Failure};
-use super::retarget_live::{Live, Served};
+use super::retarget_file::{TargetFile, Written};
+use super::retarget_live::Live;
 use super::terminal::{complain, note, say};
 use crate::core::body::Skeleton;
-use crate::io::formats::bvh::HierarchyWriter;
-use crate::offline::bvh::Fill;
 use crate::offline::compact_pose::CompactPose;
 use crate::offline::poses::frame_rate;
-use crate::retarget::{Channels, Convention, Map, Retarget, RetargetError, Target};
+use crate::retarget::{Convention, Map, Retarget, RetargetError, Target};
 
 /// Retarget poses to another skeleton, live or from a recording.
 #[derive(Debug, Args)]
@@ -31,7 +30,7 @@ MotionBuilder, Unity, Daz, Unreal, Biped and this program are known; a TOML file
   left_knee = \"LeftLeg\"        ours = theirs; \"\" for none
 
 Live poses are published on mocap/STAGE/actor/ACTOR/retargeted/NAME until Ctrl-C or SIGTERM. With
---out they are kept in memory until then, 90 MB for an hour at 60 Hz.
+--out they are written meanwhile, to a hidden .part file that is then renamed.
 
 Examples:
   bundlemocap retarget --skeleton robot.bvh
@@ -117,26 +116,22 @@ fn write(
     poses: &[CompactPose],
     out: &Path,
 ) -> Result<(), Failure> {
-    let fps = frame_rate(poses).unwrap_or(60.0);
-    let mut writer = HierarchyWriter::create(out, retarget.target().bvh(), fps)?;
-    let (mut channels, mut fill) = (Channels::default(), Fill::new(fps));
-    let (mut last, mut frames): (Option<Vec<f64>>, _) = (None, 0);
+    let mut file = TargetFile::new(out, Some(frame_rate(poses).unwrap_or(60.0)));
     for pose in poses {
-        let gap = fill.gap_before(pose.capture);
-        for _ in 0..gap {
-            last.iter().try_for_each(|values| writer.write(values))?;
-        }
         let figure = retarget.apply(&pose.pose(), skeleton)?;
-        let values = channels.values(retarget, &figure);
-        writer.write(&values)?;
-        last = Some(values);
-        frames += gap + 1;
+        file.add(pose.capture, &figure, retarget)?;
     }
-    fill.note(out).into_iter().for_each(|text| complain("note", &text));
-    writer.finish()?;
+    if let Some(written) = file.finish(retarget)? {
+        tell(&written, retarget, skeleton, out);
+    }
+    Ok(())
+}
+
+fn tell(written: &Written, retarget: &Retarget, skeleton: &Skeleton, out: &Path) {
+    let Written { frames, fps, note } = written;
+    note.iter().for_each(|text| complain("note", text));
     let scale = retarget.scale(skeleton);
     say(&format!("{}: {frames} frames at {fps:.2} Hz, scale {scale:.3}", out.display()));
-    Ok(())
 }
 
 fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
@@ -152,14 +147,16 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
     let live = Live::open(&*bus, &topics, &name)?;
     note(&format!("{} to {}; stop with Ctrl-C", topics.pose(), topics.retargeted(&name)));
     note(&summary(&arguments.skeleton, retarget));
-    let served = live.serve(retarget, arguments.out.is_some(), &stop)?;
+    let mut file = arguments.out.as_deref().map(|out| TargetFile::new(out, None));
+    let served = live.serve(retarget, file.as_mut(), &stop)?;
     say(&served.to_string());
-    let Served { skeleton, mut poses, .. } = served;
-    let Some(out) = &arguments.out else { return Ok(Exit::Done) };
-    in_order(&mut poses);
-    match skeleton.filter(|_| !poses.is_empty()) {
-        Some(skeleton) => write(retarget, &skeleton, &poses, out).map(|()| Exit::Done),
-        None => {
+    let (Some(out), Some(file)) = (&arguments.out, file) else { return Ok(Exit::Done) };
+    match (file.finish(retarget)?, &served.skeleton) {
+        (Some(written), Some(skeleton)) => {
+            tell(&written, retarget, skeleton, out);
+            Ok(Exit::Done)
+        }
+        _ => {
             let fix = "check --stage, --actor and whether the node runs";
             complain("warning", &format!("{} not written: no poses arrived; {fix}", out.display()));
             Ok(Exit::InPart)

@@ -7,6 +7,7 @@ use prost::Name;
 
 use super::clock::{ATTENTION, Stop};
 use super::failure::Failure;
+use super::retarget_file::TargetFile;
 use super::terminal::complain;
 use crate::core::body::Skeleton;
 use crate::core::time::Timestamp;
@@ -15,7 +16,6 @@ use crate::io::wire::{
     self, DecodeError, Pose, RetargetedPose, Schema, Topics, decode, encode, media_type, schema_of,
 };
 use crate::live::tools::inbox::{Inbox, Received};
-use crate::offline::compact_pose::CompactPose;
 use crate::retarget::Retarget;
 
 /// Subscriptions to poses and skeletons, and the publisher of retargeted poses.
@@ -30,8 +30,6 @@ pub(super) struct Live {
 pub(super) struct Served {
     /// The last skeleton.
     pub(super) skeleton: Option<Skeleton>,
-    /// The source poses in order of arrival, if requested.
-    pub(super) poses: Vec<CompactPose>,
     /// Published poses.
     pub(super) published: u64,
     /// Poses that arrived before the first skeleton.
@@ -75,7 +73,7 @@ impl Live {
     pub(super) fn serve(
         mut self,
         retarget: &mut Retarget,
-        keep: bool,
+        mut file: Option<&mut TargetFile>,
         stop: &Stop,
     ) -> Result<Served, Failure> {
         let mut served = Served::default();
@@ -90,7 +88,9 @@ impl Live {
                 served.skeleton = served.usable(skeleton).or(served.skeleton.take());
             }
             match received {
-                Some(received) => self.put(&received, retarget, keep, &mut served)?,
+                Some(received) => {
+                    self.put(&received, retarget, file.as_deref_mut(), &mut served)?
+                }
                 None if stop.is_set() => break,
                 None => {}
             }
@@ -103,7 +103,7 @@ impl Live {
         &self,
         received: &Received,
         retarget: &mut Retarget,
-        keep: bool,
+        file: Option<&mut TargetFile>,
         served: &mut Served,
     ) -> Result<(), Failure> {
         let pose = wire::<Pose>(received).and_then(|wire| Ok((wire.to_core()?, wire)));
@@ -126,8 +126,8 @@ impl Live {
                 served.unsent += 1;
             }
         }
-        if keep {
-            served.poses.push(CompactPose::from(&stamped));
+        if let Some(file) = file {
+            file.add(capture, &figure, retarget)?;
         }
         Ok(())
     }
@@ -219,10 +219,15 @@ mod tests {
         put(&topics.pose(), &media_type("bundlemocap.v1.Pose"), &encode(&pose(2.0)));
         put(&topics.provisional(), "", &encode(&pose(3.0)));
         stop.stop();
-        let served = live.serve(&mut ours(), true, &stop).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("live.bvh");
+        let (mut file, mut retarget) = (TargetFile::new(&path, None), ours());
+        let served = live.serve(&mut retarget, Some(&mut file), &stop).unwrap();
+        assert!(!path.exists());
+        assert_eq!(file.finish(&retarget).unwrap().unwrap().frames, 2);
+        assert!(std::fs::read_to_string(&path).unwrap().contains("Frame Time: 1.0"));
         assert_eq!((served.published, served.unusable, served.early), (2, 2, 0));
         assert_eq!(served.to_string(), "2 poses retargeted, 2 unusable messages");
-        assert_eq!(served.poses.len(), 2);
         let came = came.lock().unwrap();
         assert_eq!(came.len(), 2);
         assert_eq!(&*came[1].encoding, "application/protobuf;bundlemocap.v1.RetargetedPose");
@@ -241,7 +246,7 @@ mod tests {
         let publisher = bus.publisher(&topics.pose()).unwrap();
         publisher.put(Timestamp::from_ns(1), "", &encode(&pose(1.0))).unwrap();
         stop.stop();
-        let served = live.serve(&mut ours(), true, &stop).unwrap();
-        assert_eq!((served.published, served.early, served.poses.len()), (0, 1, 0));
+        let served = live.serve(&mut ours(), None, &stop).unwrap();
+        assert_eq!((served.published, served.early), (0, 1));
     }
 }

@@ -5,19 +5,25 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use crossbeam_channel::{Receiver, RecvTimeoutError};
+use crossbeam_channel::RecvTimeoutError;
 
 use super::Ended;
 use super::bus::{BusName, topics};
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
 use super::solve::decoder;
+use super::span::timecode;
 use crate::config::Config;
 use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind};
 use crate::io::recording::last_body;
 use crate::io::wire::{self, Status, encode};
-use crate::live::{Core, Node, NodeError, Running, Settings, SolverCore, log};
+use crate::live::{Carried, Core, Node, NodeError, Presence, Running, Settings, SolverCore, log};
+
+/// How often a standby node looks whether it is alone.
+const LOOK: Duration = Duration::from_millis(200);
+/// How often a running node looks for an older one, which another network may bring.
+const ELDERS: Duration = Duration::from_secs(2);
 
 /// Run the live node: keypoints from the bus in, poses at a fixed latency out.
 #[derive(Debug, Args)]
@@ -31,7 +37,8 @@ Examples:
   bundlemocap run studio.toml --rig Calib_qualisys.toml --prometheus 127.0.0.1:9464
   bundlemocap run studio.toml --body take1/poses.mcap
   bundlemocap run --listen tcp/0.0.0.0:7447 --latency 50
-  bundlemocap run --bus iceoryx2 --seconds 60")]
+  bundlemocap run --bus iceoryx2 --seconds 60
+  bundlemocap run studio.toml --standby")]
 pub(super) struct Arguments {
     /// Settings file; config/default.toml lists every setting.
     config: Option<PathBuf>,
@@ -55,6 +62,9 @@ pub(super) struct Arguments {
     /// Address on which the node listens; overrides the settings.
     #[arg(long, value_name = "ENDPOINT")]
     listen: Vec<String>,
+    /// If another node publishes this performer, wait for its end and take over.
+    #[arg(long)]
+    standby: bool,
     /// Address of a Prometheus endpoint, such as 127.0.0.1:9464.
     #[arg(long, value_name = "ADDRESS")]
     prometheus: Option<String>,
@@ -68,6 +78,7 @@ impl From<NodeError> for Failure {
         let exit = match error {
             NodeError::Bus(error) => return error.into(),
             NodeError::Rig(error) => return error.into(),
+            NodeError::Occupied { .. } => Exit::SecondNode,
             NodeError::Prometheus { .. } | NodeError::Log { .. } => Exit::Usage,
             NodeError::Thread(_) | NodeError::Fault { .. } => Exit::Unexpected,
         };
@@ -92,6 +103,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let is_alone = config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
+    let presence = Presence::announce(Arc::clone(&bus), topics(&config))?;
+    let Some(presence) = alone(presence, arguments.standby, &stop)? else { return Ok(Exit::Done) };
     let solver = Solver::new(decoder, config.tracker);
     let core = Core::new(Settings {
         tracker: config.tracker,
@@ -99,14 +112,39 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         toml: config.to_toml(),
         weights,
         body,
+        carried: Carried::default(),
+        timecode: timecode(&config)?,
     });
-    let running = Node::start(bus, core, solver, &config.node, solver_core)?;
+    let running = Node::start(bus, presence, core, solver, &config.node, solver_core)?;
     say_hello(&config, &running);
-    let why = wait(&stop, running.over(), seconds);
+    let why = wait(&stop, &running, seconds);
+    let elder = running.elder().ok().flatten().map(|elder| running.stand_back(elder));
     tracing::info!("stopping: {why}");
     let status = running.stop()?;
     say_goodbye(status.as_ref());
-    Ok(Exit::Done)
+    elder.map_or(Ok(Exit::Done), |error| Err(error.into()))
+}
+
+/// The announcement as soon as no other node publishes this performer; `None` if stopped before.
+fn alone(presence: Presence, standby: bool, stop: &Stop) -> Result<Option<Presence>, Failure> {
+    if !standby {
+        return Ok(Some(presence.alone()?));
+    }
+    let mut last = None;
+    while let Some(elder) = presence.elder()? {
+        if stop.is_set() {
+            return Ok(None);
+        }
+        if last.as_ref() != Some(&elder) {
+            tracing::warn!("standing by for {elder}");
+            last = Some(elder);
+        }
+        std::thread::sleep(LOOK);
+    }
+    if let Some(elder) = last {
+        tracing::warn!("{elder} is gone, taking over");
+    }
+    Ok(Some(presence))
 }
 
 /// The settings, overridden by the arguments.
@@ -152,8 +190,8 @@ fn run_time(seconds: Option<f64>) -> Result<Option<Duration>, Failure> {
 }
 
 /// Waits until the node should stop; returns the reason.
-fn wait(stop: &Stop, over: &Receiver<()>, seconds: Option<Duration>) -> &'static str {
-    let begin = Instant::now();
+fn wait(stop: &Stop, running: &Running, seconds: Option<Duration>) -> &'static str {
+    let (begin, mut looked) = (Instant::now(), Instant::now());
     loop {
         if stop.is_set() {
             return "stopped by a signal";
@@ -161,7 +199,13 @@ fn wait(stop: &Stop, over: &Receiver<()>, seconds: Option<Duration>) -> &'static
         if seconds.is_some_and(|seconds| begin.elapsed() >= seconds) {
             return "the time of --seconds is over";
         }
-        if over.recv_timeout(ATTENTION) == Err(RecvTimeoutError::Disconnected) {
+        if looked.elapsed() >= ELDERS {
+            looked = Instant::now();
+            if running.elder().is_ok_and(|elder| elder.is_some()) {
+                return "another node publishes this performer";
+            }
+        }
+        if running.over().recv_timeout(ATTENTION) == Err(RecvTimeoutError::Disconnected) {
             return "the node stopped by itself";
         }
     }

@@ -8,6 +8,7 @@ use indicatif::ProgressBar;
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
+use super::span::{SpanArguments, Times};
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
 use crate::core::manifold::{Decoder, Interpolation};
@@ -50,6 +51,8 @@ pub(super) struct Arguments {
     /// Replace the files of an earlier solve.
     #[arg(long)]
     overwrite: bool,
+    #[command(flatten)]
+    span: SpanArguments,
     /// Settings file; config/default.toml lists every setting.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -123,6 +126,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(rig) = &arguments.rig {
         recording = recording.with_rig(read_calibration(rig, arguments.up)?)?;
     }
+    let times = Times::of(&arguments.file, Some(&config))?;
+    let span = arguments.span.within(&times)?;
+    recording = recording.within(span);
     let options = Options {
         config: config.tracker,
         decoder: Some(decoder),
@@ -138,6 +144,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let mut progress = Progress(progress(options.passes() * recording.messages(), "messages"));
     let summary = solve(&mut recording, &options, &mut progress)?;
     progress.0.finish_and_clear();
+    times.beside(&arguments.out.join("poses.bvh"), span.map(|[start, _]| start))?;
     tell(arguments, &summary)?;
     Ok(ended(arguments, &summary))
 }

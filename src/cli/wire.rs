@@ -5,7 +5,7 @@ use crate::io::recording::Message;
 use crate::io::wire::journal_entry::Input;
 use crate::io::wire::{
     CameraCounters, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, RetargetedPose,
-    Status, TrackingState,
+    Status, Take, TakeAnswer, TrackingState,
 };
 
 /// The main fields of a message; `None` for an unknown schema. `arrival` is the time of arrival.
@@ -25,6 +25,8 @@ pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {
         Message::Status(status) => self::status(status),
         Message::Journal(journal) => self::journal(journal),
         Message::Retargeted(pose) => retargeted(pose, arrival),
+        Message::Take(Take { action, name, .. }) => format!("take {action} {name}"),
+        Message::TakeAnswer(TakeAnswer { role, text, .. }) => format!("{role}: {text}"),
         Message::Other { .. } => return None,
     })
 }
@@ -103,7 +105,13 @@ fn event(event: &Event) -> String {
 
 fn status(status: &Status) -> String {
     let camera = |camera: &CameraCounters| {
-        let CameraCounters { camera: name, rate_hz, offset_s, residual_px, .. } = camera;
+        let CameraCounters { camera: name, rate_hz, age_s, offset_s, residual_px, .. } = camera;
+        if *rate_hz == 0.0 {
+            return match *age_s > 0.0 {
+                true => format!("{name} no frames for {age_s:.0} s"),
+                false => format!("{name} no frames yet"),
+            };
+        }
         let lost = camera.late + camera.missing;
         format!(
             "{name} {rate_hz:.1} Hz, offset {:+.1} ms, {residual_px:.1} px, {lost} late or missing",
@@ -116,7 +124,7 @@ fn status(status: &Status) -> String {
     let effort = status.effort.unwrap_or_default();
     format!(
         "{}; windows {} tracked, {} coasted, {} lost, solve p50 {:.1} ms, p99 {:.1} ms; poses {}, \
-         missed {}, provisional {}; declared {:.1} ms; effort -{}; queue dropped {}; cameras: {}",
+         missed {}, provisional {}; declared {:.1} ms; clock {}; effort -{}; queue dropped {}; cameras: {}",
         if status.tracker_state.is_empty() { "no state" } else { &status.tracker_state },
         windows.tracked,
         windows.coasted,
@@ -127,10 +135,20 @@ fn status(status: &Status) -> String {
         playout.missed,
         playout.provisional,
         status.declared_latency_ns as f64 * 1e-6,
+        clock(status),
         effort.level,
         status.queue_dropped,
         cameras.join("; ")
     )
+}
+
+/// The cameras' clock, with its difference from the node's.
+fn clock(status: &Status) -> String {
+    match (&*status.clock, status.clock_offset_s) {
+        ("", _) => "unknown".to_owned(),
+        (kind, 0.0) => kind.to_owned(),
+        (kind, offset) => format!("{kind} ({:+.3} s)", -offset),
+    }
 }
 
 fn journal(journal: &Journal) -> String {

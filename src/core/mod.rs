@@ -13,4 +13,5 @@ pub mod optimise;
 pub mod random;
 pub mod so3;
 pub mod time;
+pub mod timecode;
 pub mod tracker;

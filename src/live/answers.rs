@@ -1,9 +1,8 @@
-//! //! Passes solutions to the tracker and turns its outputs into publications.
+//! Passes solutions to the tracker and turns its outputs into publications.
 
 use std::collections::BTreeMap;
 
 use super::core::Core;
-use super::latency::Finder;
 use super::port::Output;
 use super::publication::{Content, Publication};
 use super::status::quantile;
@@ -11,7 +10,7 @@ use crate::core::body::StampedPose;
 use crate::core::manifold::StampedKeyframe;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{
-    self, Effort, Event, EventKind, Outcome, Solution, Tracker, Verdict, WindowReport,
+    self, Effort, Event, EventKind, Latency, Outcome, Solution, Tracker, Verdict, WindowReport,
 };
 use crate::io::wire::{self, LiveStamp};
 
@@ -30,43 +29,82 @@ impl Core {
 
     /// Declares the latency and adjusts the effort after a solved window.
     fn settle(&mut self) {
+        let Some(times) = self.latency_times(self.clock.delay()) else { return };
+        let config = self.settings.tracker;
+        let found = self.latency.solved(self.took, times, &config);
+        if found.is_some() {
+            return self.declare(found);
+        }
+        let [.., period] = times;
         let Some(track) = &mut self.track else { return };
-        let output = Nanos::new(track.output_grid().map_or(0, |grid| grid.period_ns as i64));
-        let (wait, period) = (track.span() - output, Nanos::rounded(track.frame_period()));
-        // A latency holds for a frame rate.
-        if (period - self.latency_period).abs() > period / 20 {
-            (self.latency, self.latency_period) =
-                (Finder::new(self.settings.node.latency_ms), period);
-        }
-        let delay = match self.latency.declared() {
-            Some(_) => Nanos::ZERO,
-            None => self.clock.delay_p999(),
-        };
-        let config = &self.settings.tracker;
-        if let Some((latency, why)) = self.latency.solved(self.took, [wait, delay, period], config)
-        {
-            track.set_latency(latency);
-            self.event(EventKind::Latency, None, why);
-            return;
-        }
         let Some(available) = self.latency.solve_time(period) else { return };
-        let trouble = self.trouble.take();
+        // What waited while nothing came is no measure of the solver.
+        let trouble = self.trouble.take().filter(|_| !track.is_resuming());
         let Some(why) = self.governor.solved(self.took, available, trouble) else { return };
+        self.set_effort(&why);
+    }
+
+    /// Uses the governor's level from now on.
+    fn set_effort(&mut self, why: &str) {
         let level = self.governor.level();
         let effort = Effort::at(level, &self.settings.tracker);
-        track.set_effort(effort);
+        if let Some(track) = &mut self.track {
+            track.set_effort(effort);
+        }
         let Effort { iterations, stride, .. } = effort;
         let detail = format!("level {level}: {iterations} iterations, stride {stride}; {why}");
         self.event(EventKind::Effort, None, detail);
+    }
+
+    /// Time of a window from its first pose, delay of the network, and frame period.
+    fn latency_times(&self, delay: Nanos) -> Option<[Nanos; 3]> {
+        let track = self.track.as_ref()?;
+        let output = Nanos::new(track.output_grid().map_or(0, |grid| grid.period_ns as i64));
+        let period = Nanos::rounded(track.frame_period());
+        Some([track.span() - output, delay, period])
+    }
+
+    /// Declares a latency, if one was found.
+    fn declare(&mut self, found: Option<(Latency, String)>) {
+        let (Some((latency, why)), Some(track)) = (found, &mut self.track) else { return };
+        track.set_latency(latency);
+        self.event(EventKind::Latency, None, why);
+    }
+
+    /// Declares a longer latency if frames stay later than it allows.
+    pub(super) fn raise_latency(&mut self) {
+        let [lasting, most] = self.clock.lasting_delay();
+        let Some(times) = self.latency_times(most) else { return };
+        let config = self.settings.tracker;
+        let found = self.latency.raise(lasting, times, &config);
+        self.declare(found);
+    }
+
+    /// Declares a shorter latency if that would have done for long; called once a second.
+    pub(super) fn lower_latency(&mut self) {
+        let Some(times) = self.latency_times(self.clock.delay()) else { return };
+        let found = self.latency.lower(times, &self.settings.tracker);
+        self.declare(found);
+    }
+
+    /// The tracker dropped frames that waited for too long: it gets fewer frames of every camera.
+    fn fell_behind(&mut self, why: &str) {
+        if self.governor.fell_behind() {
+            self.set_effort(why);
+        }
     }
 
     /// Turns outputs of the tracker into outputs of the core.
     pub(super) fn drain(&mut self) {
         while let Some(output) = self.track.as_mut().and_then(Tracker::poll) {
             match output {
-                tracker::Output::Solve(job) => self.outputs.push_back(Output::Solve(job)),
+                tracker::Output::Solve(job) => {
+                    self.is_solving = true;
+                    self.outputs.push_back(Output::Solve(job));
+                }
                 tracker::Output::Skeleton(skeleton) => {
                     let message = wire::Skeleton::from_core(&skeleton);
+                    let message = wire::Skeleton { run_id: self.run_id, ..message };
                     self.skeleton = Some(skeleton);
                     let now = self.clock.capture_time(self.now);
                     self.publish(self.topics.skeleton(), now, Content::Skeleton(message));
@@ -108,7 +146,9 @@ impl Core {
         let skeleton = self.skeleton.as_ref()?;
         let latency = self.latency.declared().unwrap_or_default();
         let live = LiveStamp { due, latency, run_id: self.run_id };
-        Some(wire::Pose::from_core(pose, skeleton, Some(live)))
+        let timecode = self.settings.timecode.map(|house| house.label(pose.capture));
+        let message = wire::Pose::from_core(pose, skeleton, Some(live));
+        Some(wire::Pose { timecode: timecode.unwrap_or_default(), ..message })
     }
 
     fn keyframe(&mut self, keyframe: &StampedKeyframe) {
@@ -136,7 +176,10 @@ impl Core {
     fn tracker_event(&mut self, event: &Event) {
         match event.kind {
             EventKind::Deadline => self.windows.incomplete(),
-            EventKind::Overdue => self.trouble = Some("a pose was not solved when due"),
+            EventKind::Dropped => self.fell_behind(&event.detail),
+            EventKind::Overdue if self.track.as_ref().is_some_and(|t| !t.is_resuming()) => {
+                self.trouble = Some("a pose was not solved when due")
+            }
             _ => {}
         }
         let camera = event.camera.and_then(|index| self.cameras.get(index));

@@ -6,8 +6,6 @@ use crate::io::wire::CameraCounters;
 
 /// This many conflicts in a second between frame numbers and capture times mean two publishers.
 const CONFLICTS: u32 = 3;
-/// Weight of the last second in the smoothed rate.
-const RATE_WEIGHT: f64 = 0.5;
 
 /// State and counters of one camera.
 #[derive(Clone, Debug, Default)]
@@ -19,7 +17,8 @@ pub(super) struct Camera {
     /// Frames in the current second, and how many of them had a conflict.
     recent: u64,
     odd: u32,
-    rate: Option<f64>,
+    /// Frames a second over the last second.
+    rate: f64,
     units: UnitCheck,
     /// Whether its capture times are not in nanoseconds.
     has_other_unit: bool,
@@ -63,6 +62,11 @@ impl Camera {
         })
     }
 
+    /// Counts a frame with a time that cannot be used.
+    pub(super) fn refused(&mut self) {
+        self.counters.unusable += 1;
+    }
+
     /// Counts an event of this camera.
     pub(super) fn event(&mut self, kind: EventKind, count: u64) {
         let counter = match kind {
@@ -70,7 +74,8 @@ impl Camera {
             EventKind::Duplicate => &mut self.counters.duplicate,
             EventKind::OutOfOrder => &mut self.counters.out_of_order,
             EventKind::Missing => &mut self.counters.missing,
-            EventKind::Unusable | EventKind::ClockJump => &mut self.counters.unusable,
+            EventKind::Dropped => &mut self.counters.dropped,
+            EventKind::Unusable => &mut self.counters.unusable,
             _ => return,
         };
         *counter += count;
@@ -83,12 +88,7 @@ impl Camera {
 
     /// Updates the rate; called once a second.
     pub(super) fn second(&mut self, passed: Nanos) {
-        if self.last.is_none() {
-            return;
-        }
-        let rate = self.recent as f64 * 1e9 / passed.ns().max(1) as f64;
-        let last = self.rate.unwrap_or(rate);
-        self.rate = Some(last + RATE_WEIGHT * (rate - last));
+        self.rate = self.recent as f64 * 1e9 / passed.ns().max(1) as f64;
         (self.recent, self.odd) = (0, 0);
     }
 
@@ -103,7 +103,7 @@ impl Camera {
         CameraCounters {
             camera: self.name.clone(),
             used,
-            rate_hz: self.rate.unwrap_or(0.0),
+            rate_hz: self.rate,
             age_s: self.last.map_or(0.0, |(_, _, arrival)| now.seconds_since(arrival)),
             offset_s,
             drift_ppm,

@@ -1,171 +1,198 @@
 //! Compares the cameras' clock with the node's.
 //!
 //! The node sees arrivals only. Arrival minus capture time is the offset of the camera's clock plus
-//! the time for exposure, detection and transport. The minimum over a second has the least
-//! disturbance; a line through the minima of the last 30 s gives offset and drift. A slow detector
-//! and a clock offset look the same and cannot be distinguished here.
+//! the time for exposure, detection and transport. What tells them apart is how the offset changes:
+//! if capture times go on evenly, the delay has changed; if they jump, the clock has; a slow, steady
+//! change is drift.
 //!
-//! If arrival minus capture time is small, the cameras share the node's clock (PTP, NTP) and
-//! poses are due on it. Otherwise the smallest offset of all cameras is used as the difference
-//! between the clocks.
+//! The cameras' clock may be the node's (PTP, NTP), TAI (PTP without the leap seconds), or any other.
+//! Capture time plus `base` is the node's time. Without a common epoch, the smallest offset is the
+//! base, and delays are those above the fastest camera's.
 
-use std::collections::VecDeque;
-use std::ops::Range;
-
+use super::camera_clock::{CameraClock, LeftOut, Step};
+use super::clock_base::{AHEAD, Base};
 use crate::core::time::{Nanos, Timestamp};
-use crate::metrics::statistics::Line;
 
-/// Number of minima that are kept, one per second.
-const KEPT: usize = 30;
-/// Number of minima that the line fit needs.
-const LINE: usize = 5;
-/// Cameras with delays in this range share the node's clock.
-const SHARED: Range<Nanos> = Nanos::from_ms(-500)..Nanos::from_ms(2000);
-/// A frame that arrives this much too early has a wrong time: the clock has jumped.
+/// A smaller change of the offset is none of the clock.
+const STEP: Nanos = Nanos::from_ms(100);
+/// Capture times go back by at least this if the clock does, and not if frames are out of order.
+const BACK: Nanos = Nanos::from_ms(50);
+/// A frame that arrives this much too early has a wrong time.
 const EARLY: Nanos = Nanos::from_ms(-500);
-/// A frame that arrives this much too late has a wrong time.
+/// A frame that arrives this much too late and does not continue its camera has a wrong time.
 const LATE: Nanos = Nanos::from_ms(5000);
-/// Jumps that differ by less than this are the same jump.
-const SAME_JUMP: Nanos = Nanos::from_ms(100);
-/// A foreign clock is followed by at most this a second, so that poses stay evenly spaced.
-const STEP: Nanos = Nanos::new(500_000);
-/// Number of consecutive frames that confirm a jump.
+/// Number of frames in a row that show a step, and that a camera needs to come back.
 const SURE: u32 = 3;
-
+/// A step is forgotten after this time.
+const RECENT: Nanos = Nanos::from_ms(2000);
+/// In this time after the first frame, any frame can change the base.
+const SETTLING: Nanos = Nanos::from_ms(1000);
 /// Result of the check of a frame's capture time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Arrival {
-    /// As expected.
-    Usual,
-    /// Differs from the camera's earlier frames or from the other cameras by this.
-    Jumped(Nanos),
-    /// Most cameras have jumped by the same amount: the clock was replaced.
-    NewClock,
-}
-
-/// Offset and drift of one camera.
-#[derive(Clone, Debug, Default)]
-struct Camera {
-    /// Second of the node's clock and smallest offset in it.
-    smallest: VecDeque<(i64, Nanos)>,
-    /// A possible jump: its offset, number of frames that support it, time of the last one.
-    jump: Option<(Nanos, u32, Timestamp)>,
-}
-
-impl Camera {
-    fn note(&mut self, now: Timestamp, offset: Nanos) {
-        let second = second(now);
-        match self.smallest.back_mut() {
-            Some((last, smallest)) if *last == second => *smallest = offset.min(*smallest),
-            _ => self.smallest.push_back((second, offset)),
-        }
-        while self.smallest.len() > KEPT {
-            self.smallest.pop_front();
-        }
-    }
-
-    /// Current offset, ns, and drift, parts per million.
-    fn line(&self, now: Timestamp) -> Option<(f64, f64)> {
-        let &(origin, base) = self.smallest.back()?;
-        if self.smallest.len() < LINE {
-            let smallest = self.smallest.iter().map(|(_, offset)| *offset).min()?;
-            return Some((smallest.ns() as f64, 0.0));
-        }
-        let points = self
-            .smallest
-            .iter()
-            .map(|&(second, offset)| ((second - origin) as f64 + 0.5, (offset - base).ns() as f64));
-        let Line { mean_x, mean_y, slope, .. } = Line::fit(points)?;
-        let at = (now.ns() as f64 / 1e9) - origin as f64;
-        // ns per second are 1e-9; the drift is in 1e-6.
-        Some((base.ns() as f64 + mean_y + slope * (at - mean_x), slope * 1e-3))
-    }
+    /// It is used.
+    Used,
+    /// It is not used.
+    Refused,
+    /// The clock of most cameras has stepped by this (positive: back), or a better one was found.
+    NewClock(Nanos),
 }
 
 /// The clocks of all cameras.
 #[derive(Clone, Debug)]
 pub(super) struct Clock {
-    cameras: Vec<Camera>,
+    pub(super) cameras: Vec<CameraClock>,
     /// Node's clock minus capture clock; `None` before the first frame.
-    base: Option<Nanos>,
-    is_shared: bool,
-    /// Delays of the first frames above the base.
-    delays: Vec<Nanos>,
+    pub(super) base: Option<Base>,
+    /// Arrival of the first frame.
+    since: Option<Timestamp>,
+    strays: Vec<(usize, Nanos, u32)>,
+    /// Whether a quarter of a second has begun since delays were reviewed.
+    pub(super) is_to_review: bool,
+    /// The last description in an event.
+    reported: Option<&'static str>,
 }
-
-/// Number of delays that are kept for a percentile.
-const DELAYS: usize = 4096;
 
 impl Clock {
     pub(super) fn new(cameras: usize) -> Self {
-        let cameras = vec![Camera::default(); cameras];
-        Self { cameras, base: None, is_shared: false, delays: Vec::new() }
+        let cameras = vec![CameraClock::default(); cameras];
+        Self {
+            cameras,
+            base: None,
+            since: None,
+            strays: Vec::new(),
+            is_to_review: false,
+            reported: None,
+        }
     }
 
-    /// Records the arrival of a frame.
+    /// Checks and records the arrival of a frame.
     pub(super) fn arrive(&mut self, camera: usize, now: Timestamp, capture: Timestamp) -> Arrival {
         let offset = now - capture;
-        if let Some(expected) = self.expected(camera) {
-            let by = offset - expected;
-            if !(EARLY..LATE).contains(&by) {
-                return self.jumped(camera, now, offset, by);
+        if camera >= self.cameras.len() {
+            return Arrival::Refused;
+        }
+        let since = *self.since.get_or_insert(now);
+        let base = self.base.get_or_insert_with(|| Base::of(offset)).value();
+        let by = self.expected(camera).map_or(Nanos::ZERO, |expected| offset - expected);
+        let own = &mut self.cameras[camera];
+        let last = own.last.map(|(last, _)| last);
+        let goes_on = last.is_some_and(|last| capture > last);
+        let is_back = last.is_some_and(|last| last - capture > BACK) && by > STEP;
+        let is_ahead = by < -STEP && offset - base < -AHEAD;
+        let is_far = by < EARLY && offset - base < -AHEAD || by > LATE && !goes_on;
+        if is_back || is_ahead || is_far {
+            own.agreeing = 0;
+            return self.stepped(camera, now, by, is_far);
+        }
+        let strayed = own.step.take();
+        match own.left_out {
+            Some(LeftOut::Clock(_)) => {
+                own.agreeing = if by.abs() < STEP { own.agreeing + 1 } else { 0 };
+                if own.agreeing < SURE {
+                    return Arrival::Refused;
+                }
+                own.left_out = None;
+                own.restart(now, offset);
             }
-        }
-        if let Some(camera) = self.cameras.get_mut(camera) {
-            camera.jump = None;
-            camera.note(now, offset);
-        }
-        let base = match self.base {
-            Some(base) if self.is_shared => base,
-            // First frames of a foreign clock: the fastest of them gives the base.
-            Some(base) if self.delays.len() < DELAYS => base.min(offset),
-            Some(base) => base,
-            None => {
-                self.is_shared = SHARED.contains(&offset);
-                if self.is_shared { Nanos::ZERO } else { offset }
+            Some(LeftOut::Late(_)) => {
+                self.is_to_review |= own.note(now, capture, offset);
+                return Arrival::Refused;
             }
-        };
-        self.base = Some(base);
-        if self.delays.len() < DELAYS {
-            self.delays.push(offset - base);
+            None => self.is_to_review |= own.note(now, capture, offset),
         }
-        Arrival::Usual
+        if now - since < SETTLING {
+            let least = self.levels().min();
+            self.base = least.map(Base::of).or(self.base);
+        }
+        self.stray(camera, strayed);
+        Arrival::Used
     }
 
     /// The expected offset of a camera's frames: its own, or else that of the other cameras.
     fn expected(&self, camera: usize) -> Option<Nanos> {
-        let last = |camera: &Camera| camera.smallest.back().map(|(_, offset)| *offset);
-        if let Some(own) = self.cameras.get(camera).and_then(last) {
-            return Some(own);
-        }
-        let mut others: Vec<Nanos> = self.cameras.iter().filter_map(last).collect();
-        others.sort_unstable();
-        others.get(others.len() / 2).copied()
+        let own = self.cameras.get(camera)?;
+        let is_in = own.left_out.is_none_or(|why| matches!(why, LeftOut::Late(_)));
+        own.level().filter(|_| is_in).or_else(|| median(self.levels()))
     }
 
-    fn jumped(&mut self, camera: usize, now: Timestamp, offset: Nanos, by: Nanos) -> Arrival {
-        let Some(own) = self.cameras.get_mut(camera) else { return Arrival::Jumped(by) };
-        let count = match own.jump {
-            Some((before, count, _)) if (before - offset).abs() < SAME_JUMP => count + 1,
-            _ => 1,
-        };
-        own.jump = Some((offset, count, now));
-        let recent = |jump: &(Nanos, u32, Timestamp)| now - jump.2 < Nanos::SECOND * 2;
-        let jumps = self.cameras.iter().filter_map(|camera| camera.jump).filter(recent);
-        let alike = jumps
-            .filter(|(other, count, _)| *count >= SURE && (*other - offset).abs() < SAME_JUMP)
-            .count();
-        let second = second(now);
-        let is_active = |camera: &&Camera| {
-            let seen = camera.smallest.back().is_some_and(|(last, _)| second - last <= 1);
-            seen || camera.jump.as_ref().is_some_and(recent)
+    /// Lasting smallest offsets of the cameras that are used.
+    pub(super) fn levels(&self) -> impl Iterator<Item = Nanos> {
+        let used = self.cameras.iter().filter(|camera| camera.left_out.is_none());
+        used.filter_map(CameraClock::level)
+    }
+
+    /// A series of refused frames ended before it was a step.
+    fn stray(&mut self, camera: usize, step: Option<Step>) {
+        let step = step.filter(|step| step.is_far && step.count < SURE);
+        self.strays.extend(step.map(|step| (camera, step.by, step.count)));
+    }
+
+    /// Refused frames that were no step: camera, how far their time was off, and number.
+    pub(super) fn take_strays(&mut self) -> Vec<(usize, Nanos, u32)> {
+        std::mem::take(&mut self.strays)
+    }
+
+    /// A frame that does not continue its camera's time line.
+    fn stepped(&mut self, camera: usize, now: Timestamp, by: Nanos, is_far: bool) -> Arrival {
+        let alike = |step: &Step| now - step.at < RECENT && (step.by - by).abs() < STEP;
+        let own = &mut self.cameras[camera];
+        let before = own.step.filter(alike);
+        let count = before.map_or(0, |step| step.count) + 1;
+        let by = before.map_or(by, |step| step.by.min(by));
+        let strayed = own.step.replace(Step { by, count, at: now, is_far });
+        if before.is_none() {
+            self.stray(camera, strayed);
+        }
+        let of_all = |camera: &CameraClock| camera.step.as_ref().is_some_and(alike);
+        let stepped: Vec<usize> =
+            (0..self.cameras.len()).filter(|&c| of_all(&self.cameras[c])).collect();
+        let frames: u32 =
+            stepped.iter().filter_map(|&c| self.cameras[c].step).map(|s| s.count).sum();
+        let is_active = |c: &&CameraClock| {
+            let at = c.last.filter(|_| c.left_out.is_none()).map(|(_, at)| at);
+            at.max(c.step.map(|step| step.at)).is_some_and(|at| now - at < RECENT)
         };
         let active = self.cameras.iter().filter(is_active).count();
-        if 2 * alike > active {
-            *self = Self::new(self.cameras.len());
-            return Arrival::NewClock;
+        let known = self.cameras.iter().filter(|camera| camera.last.is_some()).count();
+        let is_better = stepped.len() * 2 == active
+            && !self.base.is_some_and(Base::is_common)
+            && Base::of(self.expected(camera).unwrap_or_default() + by).is_common();
+        let is_most = stepped.len() * 2 > active && stepped.len() >= known.min(2);
+        if frames >= SURE && (is_most || is_better) {
+            return self.replace(&stepped, now, by);
         }
-        Arrival::Jumped(by)
+        let own = &mut self.cameras[camera];
+        if count < SURE {
+            return if is_far { Arrival::Refused } else { Arrival::Used };
+        }
+        own.left_out = Some(LeftOut::Clock(by));
+        Arrival::Refused
+    }
+
+    /// The clock of those cameras replaces the others'.
+    fn replace(&mut self, stepped: &[usize], now: Timestamp, by: Nanos) -> Arrival {
+        let by =
+            stepped.iter().filter_map(|&c| self.cameras[c].step).map(|s| s.by).min().unwrap_or(by);
+        let offsets: Vec<Nanos> =
+            stepped.iter().map(|&c| self.expected(c).unwrap_or_default() + by).collect();
+        let least = offsets.iter().min().copied().unwrap_or_default();
+        for (index, camera) in self.cameras.iter_mut().enumerate() {
+            match stepped.iter().position(|&c| c == index) {
+                Some(at) => camera.restart(now, offsets[at]),
+                None if camera.last.is_some() => {
+                    *camera = CameraClock::left_out(LeftOut::Clock(-by));
+                    // Perhaps its next frame has stepped too.
+                    camera.agreeing = SURE - 1;
+                }
+                None => {}
+            }
+        }
+        // A step keeps the delays, if they are known.
+        let is_settling = self.since.is_none_or(|since| now - since < SETTLING);
+        let before = self.base.filter(|base| base.is_common() && !is_settling);
+        self.base = Some(before.map_or(Base::of(least), |base| base.stepped(by)));
+        Arrival::NewClock(if is_settling { Nanos::ZERO } else { by })
     }
 
     /// Whether the capture clock is known: a frame has arrived.
@@ -173,30 +200,57 @@ impl Clock {
         self.base.is_some()
     }
 
+    /// Node's clock minus capture clock.
+    pub(super) fn base(&self) -> Nanos {
+        self.base.unwrap_or_default().value()
+    }
+
     /// Converts node time to capture time. They are equal until the first frame.
     pub(super) fn capture_time(&self, node: Timestamp) -> Timestamp {
-        node - self.base.unwrap_or_default()
+        node - self.base()
     }
 
     /// Converts capture time to node time.
     pub(super) fn node_time(&self, capture: Timestamp) -> Timestamp {
-        capture + self.base.unwrap_or_default()
+        capture + self.base()
     }
 
-    /// 99.9th percentile of the frames' delays so far.
-    pub(super) fn delay_p999(&self) -> Nanos {
-        let mut sorted = self.delays.clone();
-        sorted.sort_unstable();
-        let index = (sorted.len() as f64 * 0.999).ceil() as usize;
-        sorted.get(index.saturating_sub(1)).copied().unwrap_or_default().max(Nanos::ZERO)
+    /// Which clock the cameras use; "" before it is known.
+    pub(super) fn kind(&self) -> &'static str {
+        self.base.map_or("", Base::kind)
     }
 
-    /// Shortest delay from capture to arrival for the slowest camera.
-    pub(super) fn usual_delay(&self) -> Nanos {
-        let last = |camera: &Camera| camera.smallest.back().map(|(_, offset)| *offset);
-        let slowest = self.cameras.iter().filter_map(last).max();
-        let base = self.base.unwrap_or_default();
-        slowest.map_or(Nanos::ZERO, |offset| (offset - base).max(Nanos::ZERO))
+    /// What to say about the cameras' clock, if that is new since the last time.
+    pub(super) fn news(&mut self, now: Timestamp) -> Option<String> {
+        let is_settled = self.since.is_some_and(|since| now - since >= SETTLING);
+        let delay = self.median_delay().filter(|_| is_settled)?;
+        let key = if Base::is_early(delay) { "early" } else { self.kind() };
+        (self.reported.replace(key) != Some(key)).then(|| self.base.map(|b| b.describe(delay)))?
+    }
+
+    /// The kind of the clock, in words; it is no news then.
+    pub(super) fn told(&mut self) -> String {
+        self.reported = Some(self.kind());
+        self.base.unwrap_or_default().describe(self.median_delay().unwrap_or_default())
+    }
+
+    fn median_delay(&self) -> Option<Nanos> {
+        Some(median(self.levels())? - self.base())
+    }
+
+    /// Cameras that are left out, or again used, and were not reported as that.
+    pub(super) fn take_left_out(&mut self) -> Vec<(usize, Option<LeftOut>)> {
+        let changed = |(index, camera): (usize, &mut CameraClock)| {
+            let is_new = camera.left_out.is_some() != camera.is_reported;
+            camera.is_reported = camera.left_out.is_some();
+            is_new.then_some((index, camera.left_out))
+        };
+        self.cameras.iter_mut().enumerate().filter_map(changed).collect()
+    }
+
+    /// Whether a camera's frames are not used.
+    pub(super) fn is_left_out(&self, camera: usize) -> bool {
+        self.cameras.get(camera).is_some_and(|camera| camera.left_out.is_some())
     }
 
     /// Offset of a camera's clock from the node's, seconds, and drift, parts per million.
@@ -204,35 +258,13 @@ impl Clock {
         let (offset, drift) = self.cameras.get(camera)?.line(now)?;
         Some((offset * 1e-9, drift))
     }
-
-    /// Deviation of each camera's offset from the median of all, seconds.
-    pub(super) fn deviations(&self, now: Timestamp) -> Vec<(usize, f64)> {
-        let offsets: Vec<(usize, f64)> = (0..self.cameras.len())
-            .filter_map(|camera| Some((camera, self.offset(camera, now)?.0)))
-            .collect();
-        let mut sorted: Vec<f64> = offsets.iter().map(|(_, offset)| *offset).collect();
-        sorted.sort_by(f64::total_cmp);
-        let Some(median) = sorted.get(sorted.len().saturating_sub(1) / 2) else { return offsets };
-        offsets.iter().map(|(camera, offset)| (*camera, offset - median)).collect()
-    }
-
-    /// Follows the drift of a foreign clock; called once a second.
-    pub(super) fn follow(&mut self, now: Timestamp) {
-        if self.is_shared || self.delays.len() < DELAYS {
-            return;
-        }
-        let offsets = (0..self.cameras.len()).filter_map(|c| self.cameras[c].line(now));
-        let smallest = offsets.map(|(offset, _)| Nanos::new(offset as i64)).min();
-        if let (Some(base), Some(smallest)) = (&mut self.base, smallest) {
-            let step = (smallest - *base).clamp(-STEP, STEP);
-            *base = *base + step;
-        }
-    }
 }
 
-/// Whole seconds of a time.
-fn second(time: Timestamp) -> i64 {
-    time.ns().div_euclid(Nanos::SECOND.ns())
+/// The lower median.
+pub(super) fn median(values: impl Iterator<Item = Nanos>) -> Option<Nanos> {
+    let mut sorted: Vec<Nanos> = values.collect();
+    sorted.sort_unstable();
+    sorted.get(sorted.len().saturating_sub(1) / 2).copied()
 }
 
 #[cfg(test)]
@@ -255,7 +287,7 @@ mod tests {
             // Every second frame takes 4 ms longer.
             let delay = if i % 2 == 0 { 0.0 } else { 0.004 };
             let capture = at(arrival - offset(arrival) - delay);
-            assert_eq!(clock.arrive(camera, at(arrival), capture), Arrival::Usual);
+            assert_eq!(clock.arrive(camera, at(arrival), capture), Arrival::Used);
         }
     }
 
@@ -283,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn one_camera_that_jumps_is_refused_and_all_together_are_a_new_clock() {
+    fn one_camera_that_jumps_is_left_out_and_all_together_are_a_step() {
         let mut clock = Clock::new(3);
         for camera in 0..3 {
             feed(&mut clock, camera, 0.0..2.0, |_| 0.0);
@@ -291,20 +323,55 @@ mod tests {
         let hour = Nanos::SECOND * 3600;
         for i in 0..10 {
             let now = at(2.0 + 0.02 * f64::from(i));
-            assert!(matches!(clock.arrive(0, now, now + hour), Arrival::Jumped(_)));
-            assert!(matches!(clock.arrive(0, now, now - hour), Arrival::Jumped(_)));
-            assert_eq!(clock.arrive(1, now, now), Arrival::Usual);
+            assert_eq!(clock.arrive(0, now, now + hour), Arrival::Refused);
+            assert_eq!(clock.arrive(1, now, now), Arrival::Used);
         }
-        let mut last = Arrival::Usual;
-        for i in 0..SURE {
-            for camera in 0..2 {
-                let now = at(2.2 + 0.02 * f64::from(i));
-                last = clock.arrive(camera, now, now + hour);
-            }
+        assert_eq!(clock.take_left_out(), [(0, Some(LeftOut::Clock(-hour)))]);
+        // Two of three have that time now.
+        assert_eq!(clock.arrive(1, at(2.2), at(2.2) + hour), Arrival::NewClock(-hour));
+        assert_eq!(clock.arrive(2, at(2.2), at(2.2) + hour), Arrival::Used);
+        assert_eq!((clock.kind(), clock.take_left_out()), ("ahead", vec![(0, None)]));
+        assert_eq!(clock.arrive(0, at(2.2), at(2.2) + hour), Arrival::Used);
+        assert_eq!(clock.capture_time(at(2.2)), at(2.2) + hour);
+    }
+
+    #[test]
+    fn late_frames_are_no_offset_until_all_are_late() {
+        let mut clock = Clock::new(2);
+        feed(&mut clock, 0, 0.0..5.0, |_| 0.003);
+        feed(&mut clock, 1, 0.0..5.0, |_| 0.003);
+        // Half a second of frames had queued.
+        for i in 0..25 {
+            let capture = at(5.0 + 0.02 * f64::from(i));
+            assert_eq!(clock.arrive(0, at(6.0), capture), Arrival::Used);
         }
-        assert_eq!(last, Arrival::NewClock);
-        let now = at(2.3);
-        assert_eq!(clock.arrive(2, now, now + hour), Arrival::Usual);
+        assert_eq!(clock.usual_delay(), Nanos::from_ms(3));
+        feed(&mut clock, 0, 6.0..7.0, |_| 0.503);
+        assert_eq!(clock.usual_delay(), Nanos::from_ms(503));
+        assert!(clock.lasting_delay()[0] >= Nanos::from_ms(503));
+        assert!(clock.deviations().iter().all(|(_, off)| off.abs() < 1e-3), "a delay");
+        assert_eq!((clock.kind(), clock.absorb_delay()), ("shared", None));
+    }
+
+    #[test]
+    fn the_kinds_of_clocks_are_told() {
+        let kind = |offset: f64| {
+            let mut clock = Clock::new(2);
+            feed(&mut clock, 0, 0.0..1.2, |_| offset + 0.03);
+            feed(&mut clock, 1, 0.0..1.2, |_| offset + 0.01);
+            (clock.kind(), clock.news(at(1.2)).unwrap())
+        };
+        for (offset, expected, word) in [
+            (0.0, "shared", "after 10.0 ms"),
+            (-0.015, "shared", "5.0 ms before their capture time"),
+            (-0.5, "ahead", "0.490 s ahead"),
+            (-37.0, "tai", "TAI"),
+            (30.0, "behind", "30.010 s behind"),
+            (1e8, "foreign", "another epoch"),
+        ] {
+            let (kind, news) = kind(offset);
+            assert!(kind == expected && news.contains(word), "{offset}: {kind}, {news}");
+        }
     }
 
     #[test]
@@ -315,7 +382,7 @@ mod tests {
                 clock.arrive(camera, at(0.0), Timestamp::from_ns(ns));
             }
         }
-        clock.deviations(at(1.0));
-        clock.follow(at(1.0));
+        clock.deviations();
+        clock.follow();
     }
 }

@@ -35,7 +35,7 @@ pub struct Config {
     pub watch_cameras: bool,
     /// Whether the solver gets a processor core of its own, so that poses are published on time.
     pub solver_core: bool,
-    /// Largest number of queued messages; beyond it, the oldest are dropped.
+    /// Largest number of queued messages; beyond it, the camera with most of them loses its oldest.
     pub queue: usize,
     /// Address of the Prometheus endpoint, such as 127.0.0.1:9464. Empty: none.
     pub prometheus: String,

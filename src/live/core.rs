@@ -9,7 +9,7 @@ use super::events::Events;
 use super::governor::Governor;
 use super::journal::{self, Journal};
 use super::latency::Finder;
-use super::port::{Input, Output, Settings};
+use super::port::{Input, Loss, MOST_BYTES, Output, Settings};
 use super::publication::{Content, Publication};
 use super::status::{Published, Windows};
 use crate::core::body::{Skeleton, TrackingState};
@@ -21,7 +21,7 @@ use crate::io::wire::{self, Topics};
 /// The current calibration and its bytes.
 pub(super) struct Calibration {
     pub(super) rig: Arc<Rig>,
-    bytes: Vec<u8>,
+    pub(super) bytes: Vec<u8>,
 }
 
 /// The node without its threads. The same inputs at the same times give the same outputs.
@@ -30,8 +30,10 @@ pub struct Core {
     pub(super) topics: Topics,
     pub(super) outputs: VecDeque<Output>,
     pub(super) now: Timestamp,
-    /// Calibration from a file, before the first message.
-    rig_at_start: Option<Vec<u8>>,
+    /// Calibration from a file or of the run before, before the first message.
+    pub(super) rig_at_start: Option<Vec<u8>>,
+    /// Hashes of the file's rigs and of refused ones: each is reported once.
+    pub(super) known_rigs: Vec<u64>,
     pub(super) calibration: Option<Calibration>,
     pub(super) track: Option<Tracker>,
     /// The body of the next pose.
@@ -46,13 +48,19 @@ pub struct Core {
     pub(super) queue_dropped: u64,
     /// What went wrong since the last window; input of the governor.
     pub(super) trouble: Option<&'static str>,
-    /// The frame period of the declared latency.
-    pub(super) latency_period: Nanos,
     /// Capture and arrival times of the last frames.
     pub(super) arrivals: VecDeque<(Timestamp, Timestamp)>,
     /// Solve time of the current answer.
     pub(super) took: Nanos,
-    journal: Journal,
+    pub(super) journal: Journal,
+    /// Whether all entries of the journal are written now.
+    pub(super) is_flushed: bool,
+    /// Whether a job is out.
+    pub(super) is_solving: bool,
+    /// The take that begins as soon as no job is out.
+    pub(super) starting: Option<wire::Take>,
+    /// Name of the take that runs, or empty.
+    pub(super) running: String,
     /// Id of this run, set at the first message; 0 before.
     pub(super) run_id: u64,
     next_second: Option<Timestamp>,
@@ -66,12 +74,14 @@ impl Core {
         let node = &settings.node;
         let topics = Topics { stage: node.stage.clone(), actor: node.actor.clone() };
         Self {
-            latency: Finder::new(node.latency_ms),
+            latency: Finder::new(node.latency_ms, settings.carried.latency),
+            running: settings.carried.take.clone(),
             settings,
             topics,
             outputs: VecDeque::new(),
             now: Timestamp::default(),
             rig_at_start: None,
+            known_rigs: Vec::new(),
             calibration: None,
             track: None,
             skeleton: None,
@@ -83,10 +93,12 @@ impl Core {
             published: Published::new(),
             queue_dropped: 0,
             trouble: None,
-            latency_period: Nanos::ZERO,
             arrivals: VecDeque::new(),
             took: Nanos::ZERO,
             journal: Journal::default(),
+            is_flushed: false,
+            is_solving: false,
+            starting: None,
             run_id: 0,
             next_second: None,
             wake: None,
@@ -116,18 +128,38 @@ impl Core {
         match input {
             Input::Message { topic, payload } => self.message(&topic, &payload),
             Input::RigFile(bytes) => self.rig_file(bytes),
-            Input::Solved { solution, took } => self.solved(*solution, took),
+            Input::Solved { solution, took } => {
+                self.is_solving = false;
+                // Its window would end in the next run.
+                if self.starting.is_none() {
+                    self.solved(*solution, took);
+                }
+            }
             Input::Tick => {}
-            Input::Dropped(count) => self.dropped(count),
+            Input::Dropped(losses) => self.dropped(losses),
             Input::Played(deviations_us) => self.published.played(&deviations_us),
-            Input::End => self.give(tracker::Input::End),
+            Input::End => {
+                self.starting = None;
+                self.give(tracker::Input::End);
+            }
         }
         self.drain();
-        self.seconds(is_last);
-        if let Some(entries) = self.journal.take(self.now, is_last) {
-            self.publish(self.topics.journal(), self.now, Content::Journal(entries));
+        if !self.is_solving
+            && let Some(take) = self.starting.take()
+        {
+            self.begin_take(take);
         }
+        self.seconds(is_last);
+        let is_flushed = std::mem::take(&mut self.is_flushed);
+        self.write_journal(is_last || is_flushed);
         self.wake();
+    }
+
+    /// Publishes the journal's entries if it is time, or if all are to be written.
+    pub(super) fn write_journal(&mut self, all: bool) {
+        if let Some(part) = self.journal.take(self.now, all, self.run_id) {
+            self.publish(self.topics.journal(), self.now, Content::Journal(part));
+        }
     }
 
     /// The next output, if there is one.
@@ -146,44 +178,7 @@ impl Core {
         }
     }
 
-    fn rig_file(&mut self, bytes: Vec<u8>) {
-        if self.journal.count == 0 {
-            self.rig_at_start = Some(bytes.clone());
-        }
-        if self.calibrate(&bytes)
-            && let Ok(rig) = wire::decode::<wire::Rig>(&bytes)
-        {
-            self.publish(self.topics.rig(), Timestamp::default(), Content::Rig(rig));
-        }
-    }
-
-    /// Sets the calibration. Returns whether it is new and usable.
-    pub(super) fn calibrate(&mut self, bytes: &[u8]) -> bool {
-        if self.calibration.as_ref().is_some_and(|in_use| in_use.bytes == bytes) {
-            return false;
-        }
-        let decoded = wire::decode::<wire::Rig>(bytes).and_then(|rig| rig.to_core());
-        let rig = match decoded {
-            Ok(rig) => Arc::new(rig),
-            Err(error) => {
-                self.event(EventKind::Unusable, None, error.to_string());
-                return false;
-            }
-        };
-        let names: Vec<&str> = rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
-        if !names.iter().copied().eq(self.cameras.iter().map(Camera::name)) {
-            self.cameras = names.into_iter().map(Camera::new).collect();
-            self.clock = Clock::new(self.cameras.len());
-        }
-        self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });
-        match self.track {
-            Some(_) => self.give(tracker::Input::Rig(rig)),
-            None => self.begin(rig),
-        }
-        true
-    }
-
-    fn begin(&mut self, rig: Arc<Rig>) {
+    pub(super) fn begin(&mut self, rig: Arc<Rig>) {
         let node = &self.settings.node;
         let live = Live {
             provisional: node.provisional,
@@ -194,6 +189,7 @@ impl Core {
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
         self.skeleton = None;
         let tracker = Tracker::new(self.settings.tracker, rig).live(live);
+        let tracker = tracker.with_time_corrections(&self.settings.carried.time_offsets);
         self.track = Some(tracker.with_body_to_check(self.body()));
         self.event(EventKind::Calibrated, None, detail);
     }
@@ -204,22 +200,40 @@ impl Core {
         body.to_core().ok().map(Arc::new)
     }
 
-    /// Resets all state before the first message: a replay knows only the calibration from a file.
+    /// A new core that has only waiting outputs of the old one.
+    pub(super) fn reset(&mut self, settings: Settings, rig_at_start: Option<Vec<u8>>) {
+        let outputs = std::mem::take(&mut self.outputs);
+        *self = Self { now: self.now, outputs, rig_at_start, ..Self::new(settings) };
+    }
+
+    /// Resets all state before the first message: a replay knows only what is in the journal's head.
     fn begin_anew(&mut self) {
+        let (journal, run_id) = (std::mem::take(&mut self.journal), self.run_id);
+        let rig = self.rig_at_start.take();
+        self.reset(self.settings.clone(), rig);
+        (self.journal, self.run_id) = (journal, run_id);
         self.next_second = Some(self.now + Nanos::SECOND);
         let Some(rig) = self.rig_at_start.clone() else { return };
-        (self.calibration, self.track) = (None, None);
-        (self.cameras, self.counts) = (Vec::new(), Events::default());
         let outputs = self.outputs.len();
-        self.calibrate(&rig);
+        self.calibrate(&rig, "the file");
         self.outputs.truncate(outputs);
     }
 
-    fn dropped(&mut self, count: u64) {
-        self.queue_dropped += count;
-        self.trouble = Some("the queue was full");
-        let detail = "the queue was full, its oldest messages were dropped".to_owned();
-        self.events(EventKind::Dropped, None, count, detail);
+    fn dropped(&mut self, losses: Vec<Loss>) {
+        for Loss { camera, dropped, too_large, bytes } in losses {
+            self.queue_dropped += dropped + too_large;
+            if dropped > 0 {
+                let detail = match camera {
+                    Some(_) => "more messages than the node reads; the oldest were dropped",
+                    None => "too many messages of cameras that the rig does not have, or of rigs",
+                };
+                self.events(EventKind::Dropped, camera.as_deref(), dropped, detail.to_owned());
+            }
+            if too_large > 0 {
+                let detail = format!("a message of {bytes} bytes, at most {MOST_BYTES}");
+                self.events(EventKind::Unusable, camera.as_deref(), too_large, detail);
+            }
+        }
     }
 
     /// Counts and publishes an event that happens now.
@@ -227,7 +241,13 @@ impl Core {
         self.events(kind, camera, 1, detail);
     }
 
-    fn events(&mut self, kind: EventKind, camera: Option<&str>, count: u64, detail: String) {
+    pub(super) fn events(
+        &mut self,
+        kind: EventKind,
+        camera: Option<&str>,
+        count: u64,
+        detail: String,
+    ) {
         let capture = self.clock.capture_time(self.now);
         let event = tracker::Event { capture, kind, camera: None, window: None, count, detail };
         self.emit(&event, camera);
@@ -246,6 +266,7 @@ impl Core {
     }
 
     fn publish_event(&mut self, kind: EventKind, message: wire::Event) {
+        let message = wire::Event { run_id: self.run_id, ..message };
         let capture = Timestamp::from_ns(message.capture_time_ns);
         self.publish(self.topics.events(kind), capture, Content::Event(message));
     }
@@ -271,35 +292,19 @@ impl Core {
             camera.second(passed);
         }
         self.watch_clocks();
-        self.clock.follow(self.now);
+        self.clock.follow();
+        self.lower_latency();
         let status = self.status();
         let capture = self.clock.capture_time(self.now);
         self.publish(self.topics.status(), capture, Content::Status(Box::new(status)));
-    }
-
-    /// Reports cameras whose clock is off from the others by more than a quarter of a frame period.
-    fn watch_clocks(&mut self) {
-        let Some(quarter) = self.track.as_ref().map(|track| track.frame_period() * 0.25e-9) else {
-            return;
-        };
-        for (camera, off) in self.clock.deviations(self.now) {
-            let Some(known) = self.cameras.get_mut(camera) else { continue };
-            let limit = if known.is_off { 0.5 * quarter } else { quarter };
-            if (off.abs() > limit) == known.is_off {
-                continue;
-            }
-            known.is_off = !known.is_off;
-            let (name, off_ms, limit_ms) = (known.name().to_owned(), off * 1e3, limit * 1e3);
-            let detail = format!("{off_ms:+.1} ms off from the other cameras, limit {limit_ms:.1}");
-            self.event(EventKind::ClockOffset, Some(&name), detail);
-        }
     }
 
     fn status(&self) -> wire::Status {
         let track = self.track.as_ref();
         let cameras = self.cameras.iter().enumerate().map(|(index, camera)| {
             let used = track.map_or(0, |track| track.used(index));
-            let waited_for = track.is_some_and(|track| track.is_waited_for(index));
+            let waited_for = track.is_some_and(|track| track.is_waited_for(index))
+                && !self.clock.is_left_out(index);
             let offset = self.clock.offset(index, self.now).unwrap_or_default();
             camera.counters(self.now, used, waited_for, offset)
         });
@@ -324,6 +329,8 @@ impl Core {
             events: self.counts.counts(),
             queue_dropped: self.queue_dropped,
             run_id: self.run_id,
+            clock: self.clock.kind().to_owned(),
+            clock_offset_s: self.clock.base().seconds(),
         }
     }
 
@@ -343,6 +350,7 @@ impl Core {
 /// The tracker's state by its name in the status message.
 fn tracker_state(track: &Tracker) -> &'static str {
     match track.state() {
+        _ if track.is_idle() => "idle",
         Some(TrackingState::Tracking) => "tracking",
         Some(TrackingState::Coasting) => "coasting",
         _ if track.sees_somebody() => "acquiring",

@@ -2,6 +2,7 @@
 
 use std::io;
 
+use crate::core::time::Timestamp;
 use crate::io::bus::BusError;
 use crate::io::formats::ImportError;
 
@@ -14,6 +15,19 @@ pub enum NodeError {
     /// The calibration file cannot be used.
     #[error(transparent)]
     Rig(#[from] ImportError),
+    /// Another node publishes this performer.
+    #[error(
+        "another node publishes actor {actor:?} on stage {stage:?}: {elder}; stop it, choose another \
+         [node] actor, or wait for its end with --standby"
+    )]
+    Occupied {
+        /// Name of the capture volume.
+        stage: String,
+        /// Name of the performer.
+        actor: String,
+        /// The other node.
+        elder: Elder,
+    },
     /// The Prometheus endpoint cannot be opened.
     #[error(
         "cannot listen for Prometheus on {address:?}: {reason}; give a free address and port, such \
@@ -46,4 +60,21 @@ pub enum NodeError {
         /// Name of the thread.
         thread: &'static str,
     },
+}
+
+/// A node that was announced before another one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Elder {
+    /// Its id, hexadecimal.
+    pub id: String,
+    /// When it was announced, on its own clock.
+    pub since: Timestamp,
+}
+
+impl std::fmt::Display for Elder {
+    fn fmt(&self, to: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let seconds = self.since.ns() / 1_000_000_000;
+        let (hours, minutes) = (seconds / 3600 % 24, seconds / 60 % 60);
+        write!(to, "node {}, since {hours:02}:{minutes:02}:{:02} UTC", self.id, seconds % 60)
+    }
 }

@@ -1,7 +1,7 @@
 //! Chooses the effort of the solver.
 //!
 //! Effort goes down when a solve takes longer than the available time, poses are coasted, or the
-//! queue overflows. It goes up again after many windows with time to spare. The latency stays as
+//! tracker falls behind. It goes up again after many windows with time to spare. The latency stays as
 //! declared.
 
 use crate::core::time::Nanos;
@@ -27,6 +27,15 @@ pub(super) struct Governor {
 impl Governor {
     pub(super) fn level(&self) -> u32 {
         self.level
+    }
+
+    /// The tracker fell behind, so that no window is judged: fewer frames from now on. Returns
+    /// whether the level changes.
+    pub(super) fn fell_behind(&mut self) -> bool {
+        let level = (self.level + 1).clamp(Effort::FEWER_FRAMES, Effort::LEVELS - 1);
+        self.degradation_steps += u64::from(level - self.level);
+        (self.calm, self.settling) = (0, SETTLE);
+        std::mem::replace(&mut self.level, level) != level
     }
 
     /// Judges a window that was solved in `took` of the `available` time; `trouble` names
@@ -64,6 +73,18 @@ impl Governor {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_tracker_that_fell_behind_uses_fewer_frames_at_once() {
+        let mut governor = Governor::default();
+        assert!(governor.fell_behind());
+        assert_eq!(
+            Effort::at(governor.level(), &crate::core::tracker::Config::default()).stride,
+            2
+        );
+        assert!(governor.fell_behind() && governor.fell_behind() && !governor.fell_behind());
+        assert_eq!((governor.level(), governor.degradation_steps), (5, 5));
+    }
 
     #[test]
     fn effort_falls_at_once_and_rises_slowly() {

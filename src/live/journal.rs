@@ -1,12 +1,12 @@
 //! Records the inputs of the core in order, so that a replay can repeat them.
 
-use super::port::{Input, Settings};
+use super::port::{Input, Loss, Settings};
 use crate::core::fnv::fnv1a;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::wire::journal_entry::Input as Entry;
 use crate::io::wire::{
-    Journal as Message, JournalEntry, JournalMessage, JournalPlayed, JournalSolved, JournalStart,
-    StageChannel, Topic,
+    Journal as Message, JournalDropped, JournalEntry, JournalLoss, JournalMessage, JournalPlayed,
+    JournalSolved, JournalStart, StageChannel, Topic,
 };
 
 /// This many entries are written at once, at any time.
@@ -56,8 +56,8 @@ impl Journal {
             Input::Message { topic, payload } => Entry::Message(JournalMessage {
                 topic: topic.to_string(),
                 hash: fnv1a(payload),
-                // A recorder that joins later gets the latest calibration only.
-                payload: is_rig(topic).then(|| payload.clone()),
+                // Rare and small, and a recorder that joins later gets the latest only.
+                payload: is_kept(topic).then(|| payload.clone()),
             }),
             Input::RigFile(payload) => Entry::Message(JournalMessage {
                 topic: String::new(),
@@ -69,7 +69,9 @@ impl Journal {
                 took_ns: took.ns().unsigned_abs(),
             }),
             Input::Tick => Entry::Tick(true),
-            Input::Dropped(count) => Entry::Dropped(*count),
+            Input::Dropped(losses) => {
+                Entry::Dropped(JournalDropped { losses: losses.iter().map(loss).collect() })
+            }
             Input::Played(deviation_us) => {
                 Entry::Played(JournalPlayed { deviation_us: deviation_us.clone() })
             }
@@ -85,19 +87,34 @@ impl Journal {
 
     /// The next message, when it is due. There is none while only ticks arrive, so that a recorder
     /// that joins in that time still gets everything.
-    pub(super) fn take(&mut self, now: Timestamp, is_last: bool) -> Option<Message> {
+    pub(super) fn take(&mut self, now: Timestamp, is_last: bool, run_id: u64) -> Option<Message> {
         let is_time = self.is_busy && self.written.is_none_or(|written| now - written >= PERIOD);
         if self.entries.is_empty() || !(is_last || is_time || self.entries.len() >= MOST) {
             return None;
         }
         let (sequence, entries) = (self.sequence, std::mem::take(&mut self.entries));
         (self.sequence, self.written, self.is_busy) = (sequence + 1, Some(now), false);
-        Some(Message { sequence, entries })
+        Some(Message { sequence, entries, run_id })
     }
 }
 
-fn is_rig(topic: &str) -> bool {
-    matches!(Topic::parse(topic), Ok(Topic::Stage { channel: StageChannel::Rig, .. }))
+fn is_kept(topic: &str) -> bool {
+    use StageChannel::{Rig, Take};
+    matches!(Topic::parse(topic), Ok(Topic::Stage { channel: Rig | Take, .. }))
+}
+
+fn loss(loss: &Loss) -> JournalLoss {
+    let Loss { camera, dropped, too_large, bytes } = loss.clone();
+    JournalLoss { camera: camera.unwrap_or_default(), dropped, too_large, bytes }
+}
+
+/// The losses of an entry.
+pub(super) fn losses(dropped: JournalDropped) -> Vec<Loss> {
+    let loss = |JournalLoss { camera, dropped, too_large, bytes }| {
+        let camera = Some(camera).filter(|camera| !camera.is_empty());
+        Loss { camera, dropped, too_large, bytes }
+    };
+    dropped.losses.into_iter().map(loss).collect()
 }
 
 /// The first entry.
@@ -110,5 +127,8 @@ pub(super) fn start(settings: &Settings, rig: Option<&[u8]>, run_id: u64) -> Jou
         rig: rig.map(<[u8]>::to_vec),
         run_id,
         body: settings.body.clone(),
+        take: settings.carried.take.clone(),
+        latency_ns: settings.carried.latency.unwrap_or_default().ns().unsigned_abs(),
+        time_offsets_ns: settings.carried.time_offsets.iter().map(|offset| offset.ns()).collect(),
     }
 }

@@ -1,4 +1,7 @@
 //! The declared latency: configured, or measured in the first windows.
+//!
+//! It changes only for good: up when frames stay later than it allows, down after half a minute in
+//! which far less would do.
 
 use crate::core::time::Nanos;
 use crate::core::tracker::{Config, Latency};
@@ -18,19 +21,37 @@ const PUBLISH: Nanos = Nanos::from_ms(4);
 /// Measured latencies are rounded up to a multiple of this.
 const ROUND: Nanos = Nanos::from_ms(1);
 
+/// Windows wait long enough if frames come less than this later than is allowed for: most are then
+/// still in time, and the others are in the first half of the next window.
+const EXCESS: Nanos = Nanos::from_ms(5);
+/// A latency is lowered by at least this much.
+const LEAST_CHANGE: Nanos = Nanos::from_ms(20);
+/// A latency holds for a frame period within one part in this many.
+const SAME_RATE: i64 = 20;
+/// Reviews in a row, one per second, in which less would do, before a latency is lowered.
+const CALM: u32 = 30;
+
 /// Finds the latency to declare.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Finder {
     given: Option<Nanos>,
+    /// The latency of the run before, if there was one.
+    before: Option<Nanos>,
     solves: Vec<Nanos>,
     found: Option<Latency>,
+    /// Times that it allows for: window from its first pose, solve and network.
+    parts: [Nanos; 3],
+    /// The frame period that it holds for.
+    period: Nanos,
+    /// Seconds in which less would do, and the most that was needed in them.
+    calm: (u32, Nanos),
 }
 
 impl Finder {
-    /// For a configured latency in milliseconds; 0 to measure it.
-    pub(super) fn new(given_ms: f64) -> Self {
+    /// For a configured latency in milliseconds, 0 to measure it, and that of the run before.
+    pub(super) fn new(given_ms: f64, before: Option<Nanos>) -> Self {
         let given = (given_ms > 0.0).then(|| Nanos::new((given_ms * 1e6) as i64));
-        Self { given, solves: Vec::new(), found: None }
+        Self { given, before, ..Self::default() }
     }
 
     /// The latency, once it is declared.
@@ -57,7 +78,69 @@ impl Finder {
         if self.found.is_some() {
             return None;
         }
+        // The latency of the run before holds if it leaves enough time to solve.
+        let before = self.before.take().map(|before| before - wait - delay.max(LEAST_NETWORK));
+        if let Some(solve) = before.map(|rest| rest - PUBLISH)
+            && self.given.is_none()
+            && solve >= LEAST_SOLVE.min(wait)
+        {
+            return Some(self.declare([wait, solve, delay], period, config));
+        }
         self.solves.push(took);
+        if self.given.is_none() && self.solves.len() < WINDOWS {
+            return None;
+        }
+        let slowest = self.solves.iter().max().copied().unwrap_or_default();
+        let solve = (slowest * SOLVE_FACTOR).max(LEAST_SOLVE).min(wait);
+        Some(self.declare([wait, solve, delay], period, config))
+    }
+
+    /// Declares another latency if the frame rate has changed, or if frames have come after `lasting`
+    /// again and again and that is more than it allows for; `delay` is then the delay to allow for. The other times are as in
+    /// [`Finder::solved`].
+    pub(super) fn raise(
+        &mut self,
+        lasting: Nanos,
+        [wait, delay, period]: [Nanos; 3],
+        config: &Config,
+    ) -> Option<(Latency, String)> {
+        let [allowed_wait, solve, allowed] = self.parts;
+        self.found?;
+        let is_other_rate = (period - self.period).abs() > self.period / SAME_RATE;
+        if lasting <= allowed + EXCESS && wait <= allowed_wait + ROUND && !is_other_rate {
+            return None;
+        }
+        // A little more, so that it does not change again soon.
+        let delay = match lasting > allowed + EXCESS {
+            true => with_margin(delay.max(lasting)).max(allowed + LEAST_CHANGE),
+            false => allowed,
+        };
+        Some(self.declare([wait, solve, delay], period, config))
+    }
+
+    /// Declares a lower latency if less would have done for a while; called once a second.
+    pub(super) fn lower(
+        &mut self,
+        [wait, delay, period]: [Nanos; 3],
+        config: &Config,
+    ) -> Option<(Latency, String)> {
+        let [allowed_wait, solve, allowed] = self.parts;
+        self.found?;
+        let spare = allowed_wait - wait + allowed - with_margin(delay);
+        if spare < LEAST_CHANGE.max(allowed / 4) {
+            self.calm = (0, Nanos::ZERO);
+            return None;
+        }
+        self.calm = (self.calm.0 + 1, self.calm.1.max(delay));
+        let delay = with_margin(self.calm.1);
+        (self.calm.0 >= CALM).then(|| self.declare([wait, solve, delay], period, config))
+    }
+
+    /// The latency for a window, a solve and a network, with its reason.
+    fn declare(&mut self, parts: [Nanos; 3], period: Nanos, config: &Config) -> (Latency, String) {
+        let [wait, solve, delay] = parts;
+        self.calm = (0, Nanos::ZERO);
+        (self.parts, self.period) = ([wait, solve, delay.max(LEAST_NETWORK)], period);
         let (latency, why) = match self.given {
             Some(declared) => {
                 let waits = [wait, GIVEN_SOLVE + PUBLISH, delay];
@@ -73,10 +156,7 @@ impl Finder {
                 };
                 (latency, why)
             }
-            None if self.solves.len() < WINDOWS => return None,
             None => {
-                let slowest = self.solves.iter().max().copied().unwrap_or_default();
-                let solve = (slowest * SOLVE_FACTOR).max(LEAST_SOLVE).min(wait);
                 let network = delay.max(LEAST_NETWORK);
                 let latency = wait + solve + network + PUBLISH;
                 let declared = ROUND * ((latency.ns() - 1) / ROUND.ns() + 1);
@@ -92,8 +172,13 @@ impl Finder {
             }
         };
         self.found = Some(latency);
-        Some((latency, why))
+        (latency, why)
     }
+}
+
+/// A delay with room for a little more.
+fn with_margin(delay: Nanos) -> Nanos {
+    delay * 9 / 8
 }
 
 #[cfg(test)]
@@ -108,7 +193,7 @@ mod tests {
 
     #[test]
     fn a_latency_is_found_once_from_the_slowest_of_the_first_windows() {
-        let mut finder = Finder::new(0.0);
+        let mut finder = Finder::new(0.0, None);
         for took in [5, 20, 6, 5] {
             assert!(solved(&mut finder, took, 3).is_none());
         }
@@ -121,8 +206,18 @@ mod tests {
     }
 
     #[test]
+    fn the_latency_of_the_run_before_holds_if_it_is_enough() {
+        let declared = |before: i64, delay: i64| {
+            let found = solved(&mut Finder::new(0.0, Some(MS * before)), 5, delay);
+            found.map(|(latency, _)| latency.declared)
+        };
+        assert_eq!(declared(197, 3), Some(MS * 197));
+        assert_eq!(declared(197, 30), None, "measured anew");
+    }
+
+    #[test]
     fn a_given_latency_holds_with_the_look_ahead_that_it_allows() {
-        let of = |given: f64, delay: i64| solved(&mut Finder::new(given), 5, delay).unwrap();
+        let of = |given: f64, delay: i64| solved(&mut Finder::new(given, None), 5, delay).unwrap();
         let (latency, why) = of(250.0, 0);
         assert_eq!((latency.declared, &*why), (MS * 250, "250.0 ms as configured"));
         // Eight to solve and publish, two of network.
@@ -135,8 +230,30 @@ mod tests {
     }
 
     #[test]
+    fn a_latency_changes_for_good_and_without_flutter() {
+        let mut finder = Finder::new(0.0, None);
+        (0..WINDOWS).for_each(|_| drop(solved(&mut finder, 5, 3)));
+        let config = Config::default();
+        let times = |delay: i64| [MS * 150, MS * delay, MS * 16];
+        assert_eq!(finder.declared(), Some(MS * 179));
+        assert!(finder.raise(MS * 8, times(9), &config).is_none());
+        assert!(finder.raise(MS * 43, times(44), &config).is_some());
+        assert_eq!(finder.declared(), Some(MS * 226));
+        assert!(finder.raise(MS * 49, times(49), &config).is_none());
+        for _ in 1..CALM {
+            assert!(finder.lower(times(20), &config).is_none());
+        }
+        assert!(finder.lower(times(40), &config).is_none(), "too little to gain");
+        for _ in 1..CALM {
+            assert!(finder.lower(times(4), &config).is_none());
+        }
+        assert!(finder.lower(times(4), &config).is_some());
+        assert_eq!(finder.declared(), Some(MS * 181));
+    }
+
+    #[test]
     fn a_latency_that_is_too_short_is_reported_with_the_smallest_possible_one() {
-        let (latency, why) = solved(&mut Finder::new(10.0), 5, 20).unwrap();
+        let (latency, why) = solved(&mut Finder::new(10.0, None), 5, 20).unwrap();
         assert_eq!((latency.declared, latency.look_ahead), (MS * 10, Some(0)));
         assert!(why.contains("the smallest possible latency is 26.0 ms"), "{why}");
     }

@@ -1,6 +1,6 @@
 //! Logs one line per event to standard error. It never blocks and limits the rate of lines.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::{self, Write};
 use std::time::Duration;
 
@@ -8,6 +8,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use tracing_subscriber::filter::{EnvFilter, ParseError};
 use tracing_subscriber::fmt::MakeWriter;
 
+use super::advice::advice;
 use super::error::NodeError;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::wire::Event;
@@ -15,8 +16,14 @@ use crate::io::wire::Event;
 /// Environment variable with the log filter, such as `debug` or `warn,zenoh=info`.
 pub const VARIABLE: &str = "BUNDLEMOCAP_LOG";
 
-/// Most lines per second, kind and camera; the rest are counted.
-const LINES_A_SECOND: u32 = 5;
+/// Most lines per second, kind and camera of what happens once; the rest are counted.
+const LINES_A_SECOND: u32 = 1;
+/// Longest time between two lines on what goes on.
+const LONGEST: Nanos = Nanos::from_ms(60_000);
+/// What went on is over after this time without it.
+const OVER: Nanos = Nanos::from_ms(10_000);
+/// Most cameras that are named in a line.
+const MOST_NAMES: usize = 4;
 /// Most pairs of kind and camera that are counted separately in a second.
 const MOST_KEYS: usize = 256;
 /// Most lines that wait for standard error.
@@ -115,28 +122,82 @@ impl<'a> MakeWriter<'a> for Lines {
     }
 }
 
-/// Logs the node's events: a few lines per kind and camera in a second, then a summary.
+/// Logs the node's events. What happens once has a line of its own. What goes on, such as late
+/// frames, shares one line a second, with what to do; while nothing changes, that line comes after 1, 2,
+/// 4 and at most 60 s.
 #[derive(Default)]
 pub struct EventLog {
     limiter: Limiter,
+    going: BTreeMap<String, Going>,
+    /// Kinds in the last such line, when it was written, and the wait for the next.
+    said: Vec<String>,
+    last: Option<Timestamp>,
+    wait: Nanos,
+}
+
+/// Events of one kind since the last line.
+#[derive(Default)]
+struct Going {
+    count: u64,
+    cameras: BTreeSet<String>,
 }
 
 impl EventLog {
     /// Logs an event, or counts it.
     pub fn tell(&mut self, now: Timestamp, event: &Event) {
-        self.end_seconds(now);
         let camera = event.camera.as_deref();
-        if self.limiter.admits(now, &event.kind, camera, event.count) {
+        if advice(&event.kind).is_some() {
+            let going = self.going.entry(event.kind.clone()).or_default();
+            going.count += event.count;
+            let more = camera.filter(|_| going.cameras.len() <= MOST_NAMES);
+            going.cameras.extend(more.map(one_line));
+        } else if self.limiter.admits(now, &event.kind, camera, event.count) {
             line(&event.kind, camera, event.window, &text(event));
         }
+        self.end_seconds(now);
     }
 
-    /// Logs a summary of the withheld lines at the end of their second.
+    /// Logs what goes on, and a summary of the withheld lines at the end of their second.
     pub fn end_seconds(&mut self, now: Timestamp) {
         for (kind, camera, count) in self.limiter.withheld(now) {
             let text = format!("and {count} more {} in the last second", spoken(&kind));
             line(&kind, camera.as_deref(), None, &text);
         }
+        if let Some(text) = self.going(now) {
+            tracing::warn!("{text}");
+        }
+    }
+
+    /// The line on what goes on, if it is time for one.
+    fn going(&mut self, now: Timestamp) -> Option<String> {
+        let since = self.last.map(|last| now - last);
+        if self.going.is_empty() {
+            if since.is_some_and(|since| since > self.wait + OVER) {
+                (self.last, self.wait) = (None, Nanos::ZERO);
+                self.said.clear();
+            }
+            return None;
+        }
+        let is_new = self.going.keys().any(|kind| !self.said.contains(kind));
+        let wait = if is_new { Nanos::SECOND.min(self.wait) } else { self.wait };
+        if since.is_some_and(|since| since < wait) {
+            return None;
+        }
+        self.wait = if is_new { Nanos::SECOND } else { (self.wait * 2).min(LONGEST) };
+        self.last = Some(now);
+        let going = std::mem::take(&mut self.going);
+        self.said = going.keys().cloned().collect();
+        let most = going.iter().max_by_key(|(_, going)| going.count);
+        let advice = most.and_then(|(kind, _)| advice(kind)).unwrap_or_default();
+        let kinds = going.iter().map(|(kind, Going { count, cameras })| {
+            let named: Vec<&str> = cameras.iter().take(MOST_NAMES).map(String::as_str).collect();
+            let more = if cameras.len() > MOST_NAMES { " ..." } else { "" };
+            match named.is_empty() {
+                true => format!("{count} {}", spoken(kind)),
+                false => format!("{count} {} ({}{more})", spoken(kind), named.join(" ")),
+            }
+        });
+        Some(format!("{}: {advice}", kinds.collect::<Vec<_>>().join(", ")))
     }
 }
 
@@ -164,7 +225,7 @@ fn spoken(kind: &str) -> String {
 
 /// Expected kinds are logged as information, all others as warnings.
 fn line(kind: &str, camera: Option<&str>, window: Option<u64>, text: &str) {
-    let good = matches!(kind, "acquired" | "left" | "returned" | "calibrated" | "latency");
+    let good = matches!(kind, "acquired" | "left" | "returned" | "calibrated" | "latency" | "take");
     if good {
         tracing::info!(camera, window, "{text}");
     } else {
@@ -227,15 +288,41 @@ mod tests {
     }
 
     #[test]
-    fn a_flood_is_five_lines_and_a_summary_each_second() {
+    fn what_goes_on_is_one_line_a_second_and_then_fewer() {
+        let mut log = EventLog::default();
+        let mut lines = Vec::new();
+        let mut event = |log: &mut EventLog, at: i64, kind: &str, camera: &str| {
+            let camera = Some(camera.to_owned());
+            let event = Event { kind: kind.into(), camera, count: 1, ..Event::default() };
+            let going = log.going.entry(event.kind.clone()).or_default();
+            going.count += 1;
+            going.cameras.extend(event.camera);
+            lines.extend(log.going(ms(at)).map(|line| (at, line)));
+        };
+        for at in (0..20_000).step_by(10) {
+            event(&mut log, at, "late", if at % 20 == 0 { "a" } else { "b" });
+            if at >= 17_500 {
+                event(&mut log, at, "missing", "c");
+            }
+        }
+        let times: Vec<i64> = lines.iter().map(|(at, _)| *at).collect();
+        assert_eq!(times, [0, 1000, 3000, 7000, 15_000, 17_500, 18_500], "{lines:?}");
+        assert!(lines[1].1.starts_with("100 late (a b): frames come after"), "{}", lines[1].1);
+        assert!(lines[6].1.contains("99 missing (c)"), "{}", lines[6].1);
+        assert!(log.going(ms(60_000)).is_some(), "the rest");
+        assert!(log.going(ms(90_000)).is_none() && log.last.is_none(), "it is over");
+    }
+
+    #[test]
+    fn a_flood_is_one_line_and_a_summary_each_second() {
         let mut limiter = Limiter::default();
         let admitted = (0..100).filter(|i| limiter.admits(ms(i * 5), "late", Some("a"), 2)).count();
-        assert_eq!(admitted, 5);
+        assert_eq!(admitted, 1);
         assert!(limiter.admits(ms(500), "late", Some("b"), 1), "another camera");
         assert!(limiter.admits(ms(500), "missing", Some("a"), 1), "another kind");
         assert!(limiter.withheld(ms(999)).is_empty());
         let late = |camera: &str, n| ("late".to_owned(), Some(camera.to_owned()), n);
-        assert_eq!(limiter.withheld(ms(1000)), [late("a", 190)]);
+        assert_eq!(limiter.withheld(ms(1000)), [late("a", 198)]);
         assert!(limiter.withheld(ms(5000)).is_empty());
         assert!(limiter.admits(ms(5000), "late", Some("a"), 1), "a new second");
     }
@@ -246,10 +333,10 @@ mod tests {
         let admitted = (0..10_000)
             .filter(|i| limiter.admits(ms(0), "unusable", Some(&i.to_string()), 1))
             .count();
-        assert_eq!(admitted, MOST_KEYS + 5);
+        assert_eq!(admitted, MOST_KEYS + 1);
         assert!(limiter.seen.len() <= MOST_KEYS + 1);
         let rest = limiter.withheld(ms(1000));
-        assert_eq!(rest, [("other".to_owned(), None, (10_000 - MOST_KEYS - 5) as u64)]);
+        assert_eq!(rest, [("other".to_owned(), None, (10_000 - MOST_KEYS - 1) as u64)]);
     }
 
     #[test]

@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use super::clock::Arrival;
 use super::core::Core;
+use super::port::MOST_BYTES;
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
-use crate::core::tracker::{self, EventKind};
+use crate::core::tracker::{self, EventKind, Tracker};
 use crate::io::wire::{self, DecodeError, KeypointFrame, StageChannel, Topic};
 
-/// Larger messages are rejected, bytes.
-const MOST_BYTES: usize = 1 << 20;
+/// Points further than this many image sizes outside the image are not used.
+const MOST_OUTSIDE: f64 = 2.0;
 /// Most people of a frame that are used.
 const MOST_PEOPLE: usize = 64;
 /// Number of arrivals that are kept to find those of a frame set.
@@ -24,9 +25,12 @@ impl Core {
             if payload.len() > MOST_BYTES {
                 self.too_large(None, payload);
             } else {
-                self.calibrate(payload);
+                self.rig_from_bus(payload);
             }
             return;
+        }
+        if topic == self.topics.take() {
+            return self.slate(payload);
         }
         if let Ok(Topic::Stage { stage, channel: StageChannel::Keypoints { camera } }) =
             Topic::parse(topic)
@@ -79,7 +83,25 @@ impl Core {
             let detail = format!("{people} people, the first {MOST_PEOPLE} are used");
             self.event(EventKind::Crowd, Some(camera), detail);
         }
-        frame.to_core(|name| rig.index_of(name))
+        let mut frame = frame.to_core(|name| rig.index_of(name))?;
+        let image = rig.cameras.get(frame.camera).map(|camera| [camera.width, camera.height]);
+        let is_far = |at: f64, size: u32| {
+            let most = f64::from(size) * MOST_OUTSIDE;
+            !(-most..=most + f64::from(size)).contains(&at)
+        };
+        let mut count = 0;
+        for point in frame.people.iter_mut().flat_map(|person| &mut person.points) {
+            let Some([width, height]) = image.filter(|_| point.is_some()) else { continue };
+            if point.is_some_and(|at| is_far(at.pixel.x, width) || is_far(at.pixel.y, height)) {
+                *point = None;
+                count += 1;
+            }
+        }
+        if count > 0 {
+            let detail = format!("points more than {MOST_OUTSIDE} image sizes outside, not used");
+            self.events(EventKind::FarPoint, Some(camera), count, detail);
+        }
+        Ok(frame)
     }
 
     fn detections(&mut self, frame: Detections) {
@@ -94,32 +116,33 @@ impl Core {
         if !is_usable {
             return;
         }
-        match self.clock.arrive(index, now, capture) {
-            Arrival::Usual => {}
-            Arrival::Jumped(by) => {
-                let by = by.seconds();
-                let (by, than) = if by < 0.0 { (-by, "ahead of") } else { (by, "behind") };
-                let detail = format!("frame {} is {by:.1} s {than} the clock", frame.frame);
-                return self.event(EventKind::ClockJump, Some(&name), detail);
+        // The time that the tracker uses: the calibration or the motion may say that the clock is off.
+        let rig = self.track.as_ref().map(Tracker::rig);
+        let known = rig.and_then(|rig| rig.cameras.get(index)).map(|camera| camera.time_offset);
+        let arrival = self.clock.arrive(index, now, capture + known.unwrap_or_default());
+        self.report_strays();
+        match arrival {
+            Arrival::Used => {}
+            Arrival::Refused => {
+                if let Some(camera) = self.cameras.get_mut(index) {
+                    camera.refused();
+                }
+                if let Some(track) = self.track.as_mut().filter(|_| self.clock.is_left_out(index)) {
+                    track.leave_out(index);
+                }
+                return;
             }
-            Arrival::NewClock => {
-                self.give(tracker::Input::Restart);
-                let detail =
-                    "most clocks jumped by the same amount; the tracker restarts".to_owned();
-                return self.event(EventKind::ClockJump, None, detail);
-            }
+            Arrival::NewClock(by) => self.new_clock(by),
         }
-        let conflict = self.cameras[index].frame(now, frame.frame, capture);
-        if let Some(detail) = conflict {
+        let Some(camera) = self.cameras.get_mut(index) else { return };
+        if let Some(detail) = camera.frame(now, frame.frame, capture) {
             self.event(EventKind::Conflict, Some(&name), detail);
         }
         self.arrivals.push_back((capture, now));
         if self.arrivals.len() > MOST_ARRIVALS {
             self.arrivals.pop_front();
         }
-        if let Some(track) = &mut self.track {
-            track.set_delay(self.clock.usual_delay());
-        }
+        self.review_delays();
         self.give(tracker::Input::Detections(frame));
     }
 }

@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | `bundlemocap_info` | `version` | 1 |
 //! | `bundlemocap_tracker_state` | `state` | 1 for the current state |
-//! | `bundlemocap_camera_frames_total` | `camera`, `outcome`: used, late, duplicate, out_of_order, missing, unusable | frames |
+//! | `bundlemocap_camera_frames_total` | `camera`, `outcome`: used, late, duplicate, out_of_order, missing, unusable, dropped | frames |
 //! | `bundlemocap_camera_rate_hertz` | `camera` | frames a second |
 //! | `bundlemocap_camera_age_seconds` | `camera` | time since its last frame |
 //! | `bundlemocap_camera_offset_seconds` | `camera` | offset of its clock from the node's, including the delay |
@@ -30,85 +30,14 @@
 //! The status holds bins, not sums: a histogram's `_sum` is estimated from the middles of its bins.
 
 use std::fmt;
-use std::net::ToSocketAddrs;
-use std::sync::Arc;
-use std::thread::JoinHandle;
 
 use prometheus_client::collector::Collector;
 use prometheus_client::encoding::{DescriptorEncoder, text};
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::Registry;
-use tiny_http::{Header, Method, Request, Response, Server};
 
-use super::board::Board;
-use super::error::NodeError;
 use super::process::Usage;
 use crate::io::wire::{CameraCounters, EffortStatus, PlayoutCounters, Status, WindowCounters};
-
-const TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-
-/// The endpoint, with its thread.
-pub(super) struct Endpoint {
-    server: Arc<Server>,
-    thread: Option<JoinHandle<()>>,
-    /// The address on which it listens.
-    pub(super) address: String,
-}
-
-impl Endpoint {
-    /// Listens on `address`, such as `127.0.0.1:9464`.
-    pub(super) fn start(address: &str, board: Arc<Board>) -> Result<Self, NodeError> {
-        let refused = |reason: String| NodeError::Prometheus { address: address.into(), reason };
-        let mut sockets = address.to_socket_addrs().map_err(|error| refused(error.to_string()))?;
-        let socket = sockets.next().ok_or_else(|| refused("no such host".into()))?;
-        let server = Server::http(socket).map_err(|error| refused(error.to_string()))?;
-        let address = server.server_addr().to_string();
-        let server = Arc::new(server);
-        let serving = Arc::clone(&server);
-        let thread = std::thread::Builder::new().name("metrics".into()).spawn(move || {
-            while let Ok(request) = serving.recv() {
-                answer(request, &board);
-            }
-        });
-        Ok(Self { server, thread: Some(thread.map_err(NodeError::Thread)?), address })
-    }
-}
-
-impl Drop for Endpoint {
-    fn drop(&mut self) {
-        self.server.unblock();
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
-    }
-}
-
-/// An error means that the client has disconnected; it is ignored.
-fn answer(request: Request, board: &Board) {
-    let path = request.url().split('?').next().unwrap_or_default();
-    if path != "/metrics" {
-        let hint = Response::from_string("metrics are at /metrics\n");
-        let _ = request.respond(hint.with_status_code(404));
-        return;
-    }
-    if !matches!(request.method(), Method::Get | Method::Head) {
-        let _ = request.respond(Response::from_string("use GET\n").with_status_code(405));
-        return;
-    }
-    let snapshot = Snapshot {
-        status: board.status(),
-        failures: board.publish_failures(),
-        usage: Usage::of(None),
-    };
-    let response = match snapshot.render() {
-        Ok(text) => Response::from_string(text),
-        Err(error) => Response::from_string(error.to_string()).with_status_code(500),
-    };
-    let _ = match Header::from_bytes("Content-Type", TYPE) {
-        Ok(header) => request.respond(response.with_header(header)),
-        Err(()) => request.respond(response),
-    };
-}
 
 /// Input of one page of metrics.
 #[derive(Clone, Debug)]
@@ -188,6 +117,7 @@ impl Sheet<'_> {
                     ("out_of_order", camera.out_of_order),
                     ("missing", camera.missing),
                     ("unusable", camera.unusable),
+                    ("dropped", camera.dropped),
                 ];
                 outcomes.map(|(outcome, count)| {
                     (vec![("camera", camera.camera.as_str()), ("outcome", outcome)], count as f64)
@@ -398,32 +328,5 @@ mod tests {
         given.sort();
         documented.sort();
         assert_eq!(given, documented);
-    }
-
-    #[test]
-    fn an_address_in_use_is_named() {
-        let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-        let address = taken.local_addr().unwrap().to_string();
-        let error = Endpoint::start(&address, Arc::default()).err().unwrap().to_string();
-        assert!(error.contains(&address), "{error}");
-        let error = Endpoint::start("nothing", Arc::default()).err().unwrap().to_string();
-        assert!(error.contains("\"nothing\""), "{error}");
-    }
-
-    #[test]
-    fn it_answers_and_ends() {
-        use std::io::{Read, Write};
-        let endpoint = Endpoint::start("127.0.0.1:0", Arc::default()).unwrap();
-        let ask = |path: &str| {
-            let mut stream = std::net::TcpStream::connect(&endpoint.address).unwrap();
-            write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").unwrap();
-            let mut text = String::new();
-            stream.read_to_string(&mut text).unwrap();
-            text
-        };
-        let text = ask("/metrics");
-        assert!(text.starts_with("HTTP/1.1 200") && text.contains("bundlemocap_info"), "{text}");
-        assert!(ask("/").starts_with("HTTP/1.1 404"));
-        drop(endpoint);
     }
 }

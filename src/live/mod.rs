@@ -1,17 +1,23 @@
 //! The live node: messages in, poses at a fixed latency out.
 //!
 //! [`Core`] does no I/O: its inputs are messages, solutions and time; its outputs are jobs and
-//! publications. The threads around it: the bus fills a bounded queue ([`Intake`]), the node loop
+//! publications. The threads around it: the bus fills bounded queues ([`Intake`]), the node loop
 //! passes inputs and outputs, one thread solves, and one thread publishes poses when they are due
 //! ([`Schedule`]).
 
+mod advice;
 mod answers;
 mod board;
+mod camera_clock;
 mod cameras;
 mod clock;
+mod clock_base;
+mod compare;
 mod config;
 mod core;
 mod cpu_affinity;
+mod delays;
+mod endpoint;
 mod error;
 mod events;
 mod governor;
@@ -24,27 +30,33 @@ mod node_loop;
 mod outlet;
 mod playout;
 mod port;
+mod presence;
 mod process;
 mod publication;
 mod queue;
 mod replay;
 mod rig_file;
+mod rigs;
 mod run;
 mod status;
+mod take;
 pub mod tools;
 mod wall;
+mod watch;
 
+pub use compare::{Comparison, Recorded};
 pub use config::Config;
 pub use core::Core;
 pub use cpu_affinity::SolverCore;
-pub use error::NodeError;
+pub use error::{Elder, NodeError};
 pub use journal::platform;
 pub use playout::{Deviations, Schedule};
-pub use port::{Input, Output, Settings};
+pub use port::{Carried, Input, Loss, MOST_BYTES, Output, Settings};
+pub use presence::Presence;
 pub use process::Usage;
 pub use publication::{Content, Publication};
 pub use queue::{Intake, Message};
-pub use replay::{Comparison, Recorded, ReplayError, Replayed, find_node, replay};
+pub use replay::{Gap, ReplayError, Replayed, find_node, replay};
 pub use rig_file::RigFile;
 pub use run::{Node, Running};
 pub use wall::WallClock;

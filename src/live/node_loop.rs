@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, Sender, never, select};
+use crossbeam_channel::{Receiver, Sender, never, select_biased};
 
 use super::board::Board;
 use super::core::Core;
@@ -73,6 +73,10 @@ enum Turn {
 impl NodeLoop {
     /// Runs until it is stopped; then waits for the last solution and publishes the last pose.
     pub(super) fn run(mut self) -> Result<(), NodeError> {
+        // The file's rig before any message.
+        if let Ok(rig) = self.inbox.rigs.try_recv() {
+            self.feed(Input::RigFile(rig));
+        }
         let ended = self.serve();
         self.playout.close();
         while ended.is_ok()
@@ -96,48 +100,54 @@ impl NodeLoop {
         Ok(())
     }
 
+    /// The next input. Messages come last and one by one, so that a flood of them holds up nothing
+    /// else.
     fn wait(&mut self) -> Result<Turn, NodeError> {
-        let dropped = self.inbox.intake.take_dropped();
-        if dropped > 0 {
-            return Ok(Turn::Input(Input::Dropped(dropped)));
+        let losses = self.inbox.intake.losses();
+        if !losses.is_empty() {
+            return Ok(Turn::Input(Input::Dropped(losses)));
         }
-        let idle = self.progress.wake.map_or(IDLE, |at| self.clock.until(at).min(IDLE));
+        let pause = match self.inbox.intake.waiting() {
+            0 => self.progress.wake.map_or(IDLE, |at| self.clock.until(at).min(IDLE)),
+            _ => Duration::ZERO,
+        };
         let inbox = &self.inbox;
-        Ok(select! {
-            recv(inbox.intake.receiver()) -> message => match message {
-                Ok(message) => {
-                    inbox.intake.took(&message);
-                    Turn::Message(message)
-                }
-                Err(_) => Turn::Stop,
-            },
+        select_biased! {
+            recv(inbox.stop) -> _ => return Ok(Turn::Stop),
             recv(inbox.answers) -> answer => {
                 let Ok(Answer { solution, took }) = answer else {
                     return Err(NodeError::Fault { thread: "solver" });
                 };
                 self.progress.job_out = false;
-                Turn::Input(Input::Solved { solution, took })
+                return Ok(Turn::Input(Input::Solved { solution, took }));
             }
-            recv(inbox.played) -> deviations => match deviations {
-                Ok(deviations) => Turn::Input(Input::Played(deviations)),
-                Err(_) => return Err(NodeError::Fault { thread: "playout" }),
+            recv(inbox.played) -> deviations => return match deviations {
+                Ok(deviations) => Ok(Turn::Input(Input::Played(deviations))),
+                Err(_) => Err(NodeError::Fault { thread: "playout" }),
             },
-            recv(inbox.rigs) -> rig => match rig {
-                Ok(rig) => Turn::Input(Input::RigFile(rig)),
-                Err(_) => return Err(NodeError::Fault { thread: "rig file" }),
+            recv(inbox.rigs) -> rig => return match rig {
+                Ok(rig) => Ok(Turn::Input(Input::RigFile(rig))),
+                Err(_) => Err(NodeError::Fault { thread: "rig file" }),
             },
-            recv(inbox.stop) -> _ => Turn::Stop,
-            default(idle) => match self.progress.wake {
-                Some(at) if at <= self.clock.now() => Turn::Input(Input::Tick),
-                _ => Turn::Nothing,
-            },
+            recv(inbox.intake.signal()) -> _ => {}
+            default(pause) => {}
+        }
+        Ok(match (inbox.intake.take(), self.progress.wake) {
+            (Some(message), _) => Turn::Message(message),
+            (None, Some(at)) if at <= self.clock.now() => Turn::Input(Input::Tick),
+            _ => Turn::Nothing,
         })
     }
 
     /// Handles the queued messages, then the end.
     fn end(&mut self) {
-        while let Some(message) = self.inbox.intake.try_take() {
+        for _ in 0..self.inbox.intake.waiting() {
+            let Some(message) = self.inbox.intake.take() else { break };
             self.take_in(message);
+        }
+        let losses = self.inbox.intake.last_losses();
+        if !losses.is_empty() {
+            self.feed(Input::Dropped(losses));
         }
         self.inbox.stop = never();
         self.inbox.rigs = never();
@@ -154,8 +164,9 @@ impl NodeLoop {
         }
     }
 
-    /// Stores the current rig on the board.
+    /// Stores the current rig on the board, and gives its cameras queues of their own.
     fn offer_rig(&self) {
+        self.inbox.intake.set_cameras(&self.core.camera_topics());
         let Some(payload) = self.core.rig() else { return };
         self.board.set_rig(Sample {
             topic: self.rig_topic.as_str().into(),
@@ -208,7 +219,8 @@ impl NodeLoop {
             Content::Skeleton(_)
             | Content::Pose(_)
             | Content::Keyframe(_)
-            | Content::Journal(_) => {}
+            | Content::Journal(_)
+            | Content::Answer(_) => {}
         }
     }
 }

@@ -118,6 +118,14 @@ mod tests {
         fn subscribe(&self, _: &str, _: Sink) -> Result<Box<dyn Guard>, BusError> {
             Err(refusal())
         }
+
+        fn announce(&self, _: &str) -> Result<Box<dyn Guard>, BusError> {
+            Err(refusal())
+        }
+
+        fn announced(&self, _: &str) -> Result<Vec<String>, BusError> {
+            Err(refusal())
+        }
     }
 
     impl Publisher for Fake {

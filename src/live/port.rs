@@ -5,7 +5,25 @@ use std::sync::Arc;
 use super::config::Config;
 use super::publication::Publication;
 use crate::core::time::{Nanos, Timestamp};
+use crate::core::timecode::House;
 use crate::core::tracker::{self, Job, Solution};
+use crate::io::wire::JournalStart;
+
+/// Larger messages are rejected, bytes.
+pub const MOST_BYTES: usize = 1 << 20;
+
+/// Messages of one camera that were not read.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Loss {
+    /// Name of the camera; `None`: the rig, or cameras that the rig does not have.
+    pub camera: Option<String>,
+    /// Messages that were dropped because there were too many.
+    pub dropped: u64,
+    /// Messages that were refused because they were too large.
+    pub too_large: u64,
+    /// Size of the largest of these, bytes.
+    pub bytes: u64,
+}
 
 /// An input of the core.
 #[derive(Clone, Debug)]
@@ -28,8 +46,8 @@ pub enum Input {
     },
     /// Time has passed.
     Tick,
-    /// Number of messages that were dropped because the queue was full.
-    Dropped(u64),
+    /// Messages that were not read.
+    Dropped(Vec<Loss>),
     /// Final poses were published: deviation of each from its due time, microseconds, positive is
     /// late.
     Played(Vec<i32>),
@@ -64,4 +82,31 @@ pub struct Settings {
     pub weights: String,
     /// The performer's body if it is known, as the bytes of a `Skeleton` message.
     pub body: Option<Vec<u8>>,
+    /// What a take keeps of the run before it.
+    pub carried: Carried,
+    /// The timecode of the house, if there is one.
+    pub timecode: Option<House>,
+}
+
+/// What a take keeps of the run before it, beside calibration and body.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Carried {
+    /// Name of the take; empty: the node was started.
+    pub take: String,
+    /// Declared latency, if it was declared.
+    pub latency: Option<Nanos>,
+    /// Corrections of the cameras' time offsets, in the order of the rig; none: not corrected.
+    pub time_offsets: Vec<Nanos>,
+}
+
+impl Carried {
+    /// As the head of a journal has it.
+    pub fn of(start: &JournalStart) -> Self {
+        let latency = i64::try_from(start.latency_ns).unwrap_or(i64::MAX);
+        Self {
+            take: start.take.clone(),
+            latency: (latency > 0).then(|| Nanos::new(latency)),
+            time_offsets: start.time_offsets_ns.iter().copied().map(Nanos::new).collect(),
+        }
+    }
 }

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use crate::core::time::Timestamp;
-use crate::io::wire::{Event, Journal, Keyframe, Pose, Rig, Schema, Skeleton, Status, encode};
+use crate::io::wire::{
+    Event, Journal, Keyframe, Pose, Rig, Schema, Skeleton, Status, TakeAnswer, encode,
+};
 
 /// A message to publish.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,6 +37,8 @@ pub enum Content {
     Keyframe(Keyframe),
     /// Inputs of the node.
     Journal(Journal),
+    /// The answer to a slate.
+    Answer(TakeAnswer),
 }
 
 impl Content {
@@ -48,6 +52,7 @@ impl Content {
             Self::Pose(_) => Pose::FULL_NAME,
             Self::Keyframe(_) => Keyframe::FULL_NAME,
             Self::Journal(_) => Journal::FULL_NAME,
+            Self::Answer(_) => TakeAnswer::FULL_NAME,
         }
     }
 
@@ -61,6 +66,7 @@ impl Content {
             Self::Pose(message) => encode(message),
             Self::Keyframe(message) => encode(message),
             Self::Journal(message) => encode(message),
+            Self::Answer(message) => encode(message),
         }
     }
 }

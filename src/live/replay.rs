@@ -5,33 +5,19 @@
 //! byte.
 
 use std::collections::{BTreeMap, HashMap};
-use std::sync::Arc;
 
+use super::compare::{At, Comparison, Recorded, compare};
 use super::core::Core;
+use super::journal;
 use super::port::{Input, Output, Settings};
 use crate::core::fnv::fnv1a;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{Job, Solver};
 use crate::io::wire::journal_entry::Input as Entry;
 use crate::io::wire::{
-    DecodeError, Journal, JournalEntry, JournalMessage, JournalStart, Schema, Status, Topic,
-    Topics, decode,
+    DecodeError, Journal, JournalEntry, JournalMessage, JournalStart, Schema, StageChannel, Take,
+    Topic, Topics, decode,
 };
-
-/// A message of a recording.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Recorded {
-    /// When it was recorded or published, on the node's clock.
-    pub time: Timestamp,
-    /// The capture time of its content.
-    pub capture: Timestamp,
-    /// Its topic.
-    pub topic: Arc<str>,
-    /// Full name of its schema.
-    pub schema: Arc<str>,
-    /// Its bytes.
-    pub payload: Vec<u8>,
-}
 
 /// Why a recording cannot be replayed.
 #[derive(Debug, thiserror::Error)]
@@ -54,17 +40,22 @@ pub enum ReplayError {
     },
     /// The journal's beginning is missing.
     #[error(
-        "the journal begins with number {first}; start `bundlemocap record` before the cameras, and \
-         restart the node for another take"
+        "the journal begins with number {first}: recording began later than the run; use \
+         `bundlemocap take start NAME`, or start `bundlemocap record` before the cameras"
     )]
     Begun {
         /// Number of its first message.
         first: u64,
     },
+    /// Several runs or takes, or none with the given name.
+    #[error("choose one of the recorded runs with --run: {found}")]
+    SeveralRuns {
+        /// Their ids and takes, separated by commas.
+        found: String,
+    },
     /// An input of the node is missing in the recording.
     #[error(
-        "message {index} of the journal, {bytes_hash:016x} on {topic}, is not in the recording: it \
-         was lost, or recording began after the cameras"
+        "message {index} of the journal, {bytes_hash:016x} on {topic}, is not in the recording"
     )]
     Missing {
         /// Number of entries before it.
@@ -87,52 +78,6 @@ pub enum ReplayError {
     Decode(#[from] DecodeError),
 }
 
-/// Comparison of replayed and recorded messages of one topic.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Comparison {
-    /// Messages in the recording.
-    pub recorded: usize,
-    /// Replayed messages.
-    pub replayed: usize,
-    /// Messages with the same bytes in the same order.
-    pub equal: usize,
-    /// Index of the first recorded message that was not replayed.
-    pub differs_at: Option<usize>,
-}
-
-impl Comparison {
-    /// Checks that every recorded message is replayed, in order. The recording may have lost
-    /// messages, and may continue after the end of its journal.
-    fn of(recorded: &[&[u8]], replayed: &[&[u8]]) -> Self {
-        let (mut rest, mut equal) = (replayed, 0);
-        let mut differs_at = None;
-        for (place, message) in recorded.iter().enumerate() {
-            match rest.iter().position(|other| other == message) {
-                Some(at) => {
-                    rest = &rest[at + 1..];
-                    equal += 1;
-                }
-                None if rest.is_empty() && !replayed.is_empty() => break,
-                None => {
-                    differs_at = Some(place);
-                    break;
-                }
-            }
-        }
-        Self { recorded: recorded.len(), replayed: replayed.len(), equal, differs_at }
-    }
-
-    /// Whether every recorded message was replayed with the same bytes.
-    pub fn agrees(&self) -> bool {
-        self.differs_at.is_none()
-    }
-
-    /// Replayed messages that the recording lost.
-    pub fn unrecorded(&self) -> usize {
-        self.replayed - self.equal
-    }
-}
-
 /// The result of a replay.
 #[derive(Debug)]
 pub struct Replayed {
@@ -144,8 +89,19 @@ pub struct Replayed {
     pub topics: BTreeMap<String, Comparison>,
     /// All outputs, in order.
     pub outputs: Vec<Recorded>,
-    /// Whether the journal reaches the node's end.
+    /// Whether the journal reaches the end of the node or of the take.
     pub is_whole: bool,
+    /// What was missing, if the replay stopped early.
+    pub gap: Option<Gap>,
+}
+
+/// An input that is not in the recording; the replay stops before it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Gap {
+    /// What is missing.
+    pub what: String,
+    /// When, since the run's first input.
+    pub after: Nanos,
 }
 
 impl Replayed {
@@ -191,38 +147,90 @@ pub fn find_node(
     }
 }
 
-/// The journal of a recording, in order.
-///
-/// # Errors
-/// There is no journal, it cannot be decoded, or its beginning is missing.
-pub fn journal(messages: &[Recorded], topics: &Topics) -> Result<Vec<JournalEntry>, ReplayError> {
-    let topic = topics.journal();
-    let missing = || ReplayError::NoJournal { asked: format!(" on {topic}"), found: String::new() };
-    let parts = messages.iter().filter(|message| *message.topic == *topic);
-    let parts = parts.map(|message| decode::<Journal>(&message.payload));
-    let mut parts = parts.collect::<Result<Vec<_>, _>>()?;
-    parts.sort_by_key(|part| part.sequence);
-    parts.dedup_by_key(|part| part.sequence);
-    let first = parts.first().ok_or_else(missing)?.sequence;
-    if first != 0 {
-        return Err(ReplayError::Begun { first });
-    }
-    // Entries after a gap cannot be replayed.
-    let whole = parts.iter().zip(0..).take_while(|(part, number)| part.sequence == *number).count();
-    parts.truncate(whole);
-    Ok(parts.into_iter().flat_map(|part| part.entries).collect())
+/// The journal of one run, as far as it has no gap.
+struct Entries {
+    entries: Vec<JournalEntry>,
+    /// Number of the first missing part, if later ones are there.
+    missing: Option<u64>,
 }
 
-/// Runs a core on a journal. `prepare` makes settings and solver from the first entry.
+/// The journal of a run: of the one that was asked for by its id or the name of its take, or of the
+/// only one that is there from its beginning.
+fn journal(
+    messages: &[Recorded],
+    topics: &Topics,
+    asked: Option<&str>,
+) -> Result<Entries, ReplayError> {
+    let topic = topics.journal();
+    let mut runs: BTreeMap<u64, BTreeMap<u64, Journal>> = BTreeMap::new();
+    for message in messages.iter().filter(|message| *message.topic == *topic) {
+        let part = decode::<Journal>(&message.payload)?;
+        runs.entry(part.run_id).or_default().entry(part.sequence).or_insert(part);
+    }
+    let first = runs.values().filter_map(|parts| parts.keys().next()).min().copied();
+    let Some(first) = first else {
+        let asked = format!(" on {topic}");
+        return Err(ReplayError::NoJournal { asked, found: String::new() });
+    };
+    runs.retain(|_, parts| parts.contains_key(&0));
+    if runs.is_empty() {
+        return Err(ReplayError::Begun { first });
+    }
+    let named = |(id, parts): (&u64, &BTreeMap<u64, Journal>)| {
+        let take = start_of(parts).map_or("", |start| start.take.as_str());
+        (format!("{id:016x}"), take.to_owned())
+    };
+    let names: Vec<(String, String)> = runs.iter().map(named).collect();
+    let is_asked = |(id, take): &(String, String)| asked.is_none_or(|run| run == id || run == take);
+    let mut fitting = runs.into_values().zip(&names).filter(|(_, name)| is_asked(name));
+    let (Some((parts, _)), None) = (fitting.next(), fitting.next()) else {
+        let list = names.iter().map(|(id, take)| match take.as_str() {
+            "" => id.clone(),
+            take => format!("{id} (take {take})"),
+        });
+        return Err(ReplayError::SeveralRuns { found: list.collect::<Vec<_>>().join(", ") });
+    };
+    let count = parts.len() as u64;
+    let whole = parts.keys().zip(0..).take_while(|(number, expected)| *number == expected).count();
+    let entries = parts.into_values().take(whole).flat_map(|part| part.entries).collect();
+    let whole = whole as u64;
+    Ok(Entries { entries, missing: (whole < count).then_some(whole) })
+}
+
+fn start_of(parts: &BTreeMap<u64, Journal>) -> Option<&JournalStart> {
+    match &parts.get(&0)?.entries.first()?.input {
+        Some(Entry::Start(start)) => Some(start),
+        _ => None,
+    }
+}
+
+/// Whether the run ends with this entry: with the node, or because a take ended or began.
+fn is_end(entry: &JournalEntry) -> bool {
+    match &entry.input {
+        Some(Entry::End(_)) => true,
+        Some(Entry::Message(JournalMessage { topic, payload: Some(payload), .. })) => {
+            let is_slate =
+                matches!(Topic::parse(topic), Ok(Topic::Stage { channel: StageChannel::Take, .. }));
+            is_slate && decode::<Take>(payload).is_ok_and(|take| take.action != "reset")
+        }
+        _ => false,
+    }
+}
+
+/// Runs a core on a journal up to its end, or to the first input that is missing. `run` is the id of a
+/// run or the name of a take, if the recording has several. `prepare` makes settings and solver from
+/// the first entry.
 ///
 /// # Errors
-/// The journal is incomplete, or messages are missing.
+/// There is no journal of that run from its beginning, there are several, or an entry is senseless.
 pub fn replay<E: From<ReplayError>>(
     messages: &[Recorded],
     topics: &Topics,
+    run: Option<&str>,
     prepare: impl FnOnce(&JournalStart) -> Result<(Settings, Solver), E>,
 ) -> Result<Replayed, E> {
-    let mut entries = journal(messages, topics)?.into_iter();
+    let Entries { entries, missing } = journal(messages, topics, run)?;
+    let mut entries = entries.into_iter();
     let senseless = |reason: &str| ReplayError::Senseless { index: 0, reason: reason.to_owned() };
     let Some(JournalEntry { input: Some(Entry::Start(start)), .. }) = entries.next() else {
         return Err(senseless("it is not a start").into());
@@ -237,16 +245,28 @@ pub fn replay<E: From<ReplayError>>(
         run.outputs.clear();
     }
     // The last answers and poses follow after the end.
-    let is_whole = entries.iter().any(|entry| matches!(entry.input, Some(Entry::End(_))));
-    let inputs = entries.len() as u64 + 1;
+    let is_whole = entries.iter().any(is_end);
+    let mut last = begin;
+    let mut inputs = 1;
+    let mut gap = None;
     for (index, entry) in (1..).zip(entries) {
-        let time = Timestamp::from_ns(entry.time_ns);
-        let input = run.input(index, entry)?;
-        run.give(time, input);
+        last = Timestamp::from_ns(entry.time_ns);
+        match run.input(index, entry) {
+            Ok(input) => run.give(last, input),
+            Err(ReplayError::Missing { topic, .. }) => {
+                gap = Some(format!("a message on {topic}"));
+                break;
+            }
+            Err(error) => return Err(error.into()),
+        }
+        inputs += 1;
     }
+    let gap = gap.or_else(|| missing.map(|number| format!("part {number} of the journal")));
+    let gap = gap.map(|what| Gap { what, after: last - begin });
     let outputs = run.outputs;
-    let topics = compare(messages, &outputs, topics, begin);
-    Ok(Replayed { start, inputs, topics, outputs, is_whole })
+    let topics =
+        compare(messages, &outputs, topics, &At { begin, run: start.run_id }, gap.is_some());
+    Ok(Replayed { start, inputs, topics, outputs, is_whole, gap })
 }
 
 /// A core that gets its inputs from a journal.
@@ -280,7 +300,7 @@ impl<'a> Run<'a> {
                 }
             }
             Some(Entry::Tick(_)) => Input::Tick,
-            Some(Entry::Dropped(count)) => Input::Dropped(count),
+            Some(Entry::Dropped(dropped)) => Input::Dropped(journal::losses(dropped)),
             Some(Entry::Played(played)) => Input::Played(played.deviation_us),
             Some(Entry::End(_)) => Input::End,
             Some(Entry::Start(_)) => return Err(senseless("it is a second start".to_owned())),
@@ -323,29 +343,4 @@ impl<'a> Run<'a> {
             }
         }
     }
-}
-
-/// Compares replayed with recorded messages, by topic. Skips calibrations, which are inputs, and
-/// messages that were published before the journal began.
-fn compare(
-    recorded: &[Recorded],
-    replayed: &[Recorded],
-    topics: &Topics,
-    begin: Timestamp,
-) -> BTreeMap<String, Comparison> {
-    let is_early = |message: &Recorded| match *message.topic == *topics.status() {
-        true => decode::<Status>(&message.payload).is_ok_and(|status| status.inputs == 0),
-        false => message.time < begin,
-    };
-    let mut by_topic: BTreeMap<&str, [Vec<&[u8]>; 2]> = BTreeMap::new();
-    for message in replayed.iter().filter(|message| *message.topic != *topics.rig()) {
-        by_topic.entry(&message.topic).or_default()[1].push(&message.payload);
-    }
-    let ours = topics.outputs();
-    let of_ours = |message: &&Recorded| ours.iter().any(|topic| **topic == *message.topic);
-    for message in recorded.iter().filter(of_ours).filter(|message| !is_early(message)) {
-        by_topic.entry(&message.topic).or_default()[0].push(&message.payload);
-    }
-    let compare = |[recorded, replayed]: [Vec<&[u8]>; 2]| Comparison::of(&recorded, &replayed);
-    by_topic.into_iter().map(|(topic, sides)| (topic.to_owned(), compare(sides))).collect()
 }

@@ -11,18 +11,21 @@ use super::board::Board;
 use super::config::Config;
 use super::core::Core;
 use super::cpu_affinity::SolverCore;
-use super::error::NodeError;
-use super::metrics::Endpoint;
+use super::endpoint::Endpoint;
+use super::error::{Elder, NodeError};
 use super::node_loop::{Answer, Inbox, NodeLoop, Progress};
 use super::outlet::Outlet;
 use super::playout::Playout;
+use super::presence::Presence;
 use super::queue::{Intake, Message};
 use super::rig_file::RigFile;
 use super::wall::WallClock;
 use crate::core::time::Nanos;
 use crate::core::tracker::{Job, Solver};
 use crate::io::bus::{Bus, Guard};
-use crate::io::wire::{Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, Topics};
+use crate::io::wire::{
+    Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, TakeAnswer, Topics,
+};
 
 /// How often the calibration file is checked for changes.
 const LOOK: Duration = Duration::from_millis(500);
@@ -44,10 +47,12 @@ pub struct Running {
     playout: Arc<Playout>,
     endpoint: Option<Endpoint>,
     board: Arc<Board>,
+    presence: Presence,
 }
 
 impl Node {
-    /// Starts the threads and subscribes to the bus. `config` is the core's; the solver thread runs
+    /// Starts the threads and subscribes to the bus. `presence` is that of this node, alone; `config`
+    /// is the core's; the solver thread runs
     /// on `solver_core` if there is one.
     ///
     /// # Errors
@@ -55,6 +60,7 @@ impl Node {
     /// the system cannot start a thread.
     pub fn start(
         bus: Arc<dyn Bus>,
+        presence: Presence,
         core: Core,
         solver: Solver,
         config: &Config,
@@ -62,7 +68,7 @@ impl Node {
     ) -> Result<Running, NodeError> {
         let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
         let (clock, board) = (WallClock::start(), Arc::<Board>::default());
-        let intake = Intake::new(config.queue);
+        let intake = Intake::new(config.queue, &[topics.rig(), topics.take()]);
         let endpoint = match config.prometheus.as_str() {
             "" => None,
             address => Some(Endpoint::start(address, Arc::clone(&board))?),
@@ -107,6 +113,7 @@ impl Node {
             playout,
             endpoint,
             board,
+            presence,
         };
         running.listen(&*bus, &topics, &intake)?;
         Ok(running)
@@ -117,7 +124,7 @@ impl Running {
     fn listen(&mut self, bus: &dyn Bus, topics: &Topics, intake: &Intake) -> Result<(), NodeError> {
         let board = Arc::clone(&self.board);
         self.rig_answer = bus.answer(&topics.rig(), Box::new(move || board.rig()))?;
-        for pattern in [topics.rig(), topics.keypoints("*")] {
+        for pattern in [topics.rig(), topics.keypoints("*"), topics.take()] {
             let intake = intake.clone();
             let sink = move |sample: crate::io::bus::Sample| {
                 intake.push(Message { topic: sample.topic, payload: sample.payload });
@@ -125,6 +132,20 @@ impl Running {
             self.inputs.push(bus.subscribe(&pattern, Box::new(sink))?);
         }
         Ok(())
+    }
+
+    /// A node of the same performer that is older than this one: the networks of two nodes were
+    /// connected while both ran.
+    ///
+    /// # Errors
+    /// The bus is closed.
+    pub fn elder(&self) -> Result<Option<Elder>, NodeError> {
+        Ok(self.presence.elder()?)
+    }
+
+    /// As [`Presence::stand_back`].
+    pub fn stand_back(&self, elder: Elder) -> NodeError {
+        self.presence.stand_back(elder)
     }
 
     /// Disconnected when the node has stopped by itself, which is a fault.
@@ -186,6 +207,7 @@ fn loop_outlet(bus: &Arc<dyn Bus>, topics: &Topics, board: &Board) -> Result<Out
         (topics.stage_events(), Event::FULL_NAME),
         (topics.status(), Status::FULL_NAME),
         (topics.journal(), Journal::FULL_NAME),
+        (topics.take_answers(), TakeAnswer::FULL_NAME),
     ];
     for (topic, schema) in all {
         outlet.open(&topic, schema)?;

@@ -112,15 +112,9 @@ impl PoseFile {
     }
 
     fn event(&mut self, event: &Event) -> Result<(), Error> {
-        let camera = event.camera.and_then(|camera| self.cameras.get(camera)).cloned();
-        Ok(self.writer.event(&crate::io::wire::Event {
-            capture_time_ns: event.capture.ns(),
-            kind: event.kind.name().to_owned(),
-            camera,
-            window: event.window,
-            count: event.count.max(1),
-            detail: event.detail.clone(),
-        })?)
+        let camera = event.camera.and_then(|camera| self.cameras.get(camera));
+        let camera = camera.map(String::as_str);
+        Ok(self.writer.event(&crate::io::wire::Event::from_core(event, camera))?)
     }
 
     /// Moves the file to its place.

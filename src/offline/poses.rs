@@ -221,7 +221,12 @@ impl Poses {
 
 /// Poses per second, from the median interval; `None` for fewer than two.
 pub(crate) fn frame_rate(poses: &[CompactPose]) -> Option<f64> {
+    rate(&poses.iter().map(|pose| pose.capture).collect::<Vec<_>>())
+}
+
+/// As [`frame_rate`], from capture times in order.
+pub(crate) fn rate(captures: &[Timestamp]) -> Option<f64> {
     let periods: Vec<f64> =
-        poses.windows(2).map(|pair| (pair[1].capture - pair[0].capture).ns() as f64).collect();
+        captures.windows(2).map(|pair| (pair[1] - pair[0]).ns() as f64).collect();
     median(&periods).filter(|period| *period > 0.0).map(|period| 1e9 / period)
 }

@@ -28,6 +28,8 @@ pub struct Recording {
     silent: Vec<String>,
     /// Cameras with keypoints.
     seen: BTreeMap<String, CameraInfo>,
+    /// First and last capture time that is used, if not all are.
+    span: Option<[Timestamp; 2]>,
 }
 
 /// A message of a recording.
@@ -66,7 +68,7 @@ impl Recording {
         let is_silent = |name: &String| info.report.is_clean() && !info.cameras.contains_key(name);
         let silent = names.filter(is_silent).collect();
         let seen = info.cameras;
-        let recording = Self { reader, rig, messages, frames, format, silent, seen };
+        let recording = Self { reader, rig, messages, frames, format, silent, seen, span: None };
         recording.check_cameras()?;
         Ok(recording)
     }
@@ -79,6 +81,12 @@ impl Recording {
         self.rig = Arc::new(rig);
         self.check_cameras()?;
         Ok(self)
+    }
+
+    /// Uses only what was captured in this span, first and last time.
+    #[must_use]
+    pub fn within(self, span: Option<[Timestamp; 2]>) -> Self {
+        Self { span, ..self }
     }
 
     /// The file.
@@ -204,6 +212,17 @@ impl Recording {
         while let Some(entry) = self.reader.next() {
             let entry = entry?;
             each_message();
+            let captured = match &entry.message {
+                Message::Keypoints(frame) => Some(frame.capture_time_ns),
+                Message::TruthPose(pose) => Some(pose.capture_time_ns),
+                _ => None,
+            };
+            let is_out = |[first, last]: [Timestamp; 2]| {
+                captured.is_some_and(|ns| !(first.ns()..=last.ns()).contains(&ns))
+            };
+            if self.span.is_some_and(is_out) {
+                continue;
+            }
             let item = match entry.message {
                 Message::Keypoints(frame) => match rig.index_of(&frame.camera) {
                     Some(camera) => frame.to_core(|_| Some(camera)).map(Item::Detections),

@@ -27,6 +27,10 @@ trait Pair {
     fn far(&self) -> &dyn Bus;
     /// Delivers the published messages, for a bus that does not do so itself.
     fn carry(&self) {}
+    /// Whether both ends see the same programs.
+    fn is_one_bus(&self) -> bool {
+        true
+    }
     /// Whether queries are answered.
     fn has_queries(&self) -> bool {
         true
@@ -197,6 +201,9 @@ impl Pair for Recorded {
     }
     fn far(&self) -> &dyn Bus {
         &self.player
+    }
+    fn is_one_bus(&self) -> bool {
+        false
     }
     fn carry(&self) {
         self.player.play();
@@ -463,13 +470,31 @@ fn queries_are_answered(pair: &dyn Pair) {
     assert!(again.into_iter().any(|samples| samples.is_empty()), "still answered");
 }
 
+fn announced_names_are_seen_until_they_end(pair: &dyn Pair) {
+    let (name, pattern) = ("mocap/t/actor/a/node/1", "mocap/t/actor/*/node/*");
+    let is_seen = |bus: &dyn Bus, wanted: &[&str]| {
+        (0..1000).any(|_| {
+            std::thread::sleep(Duration::from_millis(5));
+            bus.announced(pattern).unwrap() == wanted
+        })
+    };
+    // The far end of a recording is another bus.
+    let announcing = if pair.is_one_bus() { pair.far() } else { pair.near() };
+    let guard = announcing.announce(name).unwrap();
+    assert!(is_seen(pair.near(), &[name]), "not seen");
+    assert!(pair.near().announced("mocap/t/actor/b/node/*").unwrap().is_empty());
+    drop(guard);
+    assert!(is_seen(pair.near(), &[]), "seen after its end");
+    assert!(pair.near().announce("mocap/*").is_err());
+}
+
 macro_rules! conformance {
     ($bus:ident, $pair:expr) => {
         conformance!($bus, $pair,
             bytes_arrive_unchanged_and_in_order every_encoding_and_size_arrives
             patterns_choose_topics a_dropped_guard_gets_nothing_more
             late_joiners_get_the_history_of_states_only several_publish_on_one_topic
-            bad_names_are_refused queries_are_answered);
+            bad_names_are_refused queries_are_answered announced_names_are_seen_until_they_end);
     };
     ($bus:ident, $pair:expr, $($check:ident)*) => {
         mod $bus {
@@ -521,7 +546,7 @@ fn a_tool_without_a_node_reports_the_address_it_tried() {
 
 #[test]
 fn invalid_addresses_are_refused() {
-    for wrong in ["127.0.0.1:7447", "", "tcp", "tls/127.0.0.1:7447"] {
+    for wrong in ["127.0.0.1:7447", "", "tcp", "udp/127.0.0.1:7447"] {
         let config = ZenohConfig { connect: vec![wrong.into()], ..ZenohConfig::default() };
         for opened in [Zenoh::open_node(&config), Zenoh::open_client(&config)] {
             let error = opened.err().unwrap().to_string();
@@ -543,6 +568,22 @@ fn a_payload_too_large_for_shared_memory_is_refused() {
     let error = publisher.put(Timestamp::default(), POSE, &vec![0; 1 << 20]).unwrap_err();
     assert!(matches!(error, BusError::TooLarge { bytes: 1_048_576, .. }), "{error}");
     put(&*publisher, 1, b"goes on");
+}
+
+#[test]
+fn a_message_that_is_too_large_is_dropped_on_the_way() {
+    let pair = NodeAndTool::new();
+    for topic in ["mocap/t/rig", "mocap/t/camera/c/keypoints"] {
+        let inbox = Inbox::open(pair.far(), topic);
+        let publisher = pair.near().publisher(topic).unwrap();
+        connect(&pair, &*publisher, &inbox);
+        put(&*publisher, 1, &vec![1; 1 << 20]);
+        put(&*publisher, 2, &vec![2; 4 << 20]);
+        put(&*publisher, 3, b"small");
+        let end = put_end(&pair, &*publisher);
+        let sizes: Vec<usize> = inbox.until(end).iter().map(Vec::len).collect();
+        assert_eq!(sizes, [1 << 20, 5], "{topic}");
+    }
 }
 
 #[test]
@@ -621,6 +662,7 @@ fn child() {
     let pong = bus.publisher("c/pong").unwrap();
     let sink = Box::new(move |_| put(&*pong, 1, name.as_bytes()));
     let _guard = bus.subscribe("c/ping", sink).unwrap();
+    let _present = bus.announce(&format!("c/node/{}", std::process::id())).unwrap();
     std::io::stdin().read_to_end(&mut Vec::new()).unwrap();
 }
 
@@ -666,8 +708,14 @@ fn either_side_may_be_killed() {
         let late = Inbox::open(&bus, "mocap/c/rig");
         let of_this_child = |sample: &Sample| sample.payload == name.as_bytes();
         assert!(std::iter::from_fn(|| Some(late.next())).take(9).any(|s| of_this_child(&s)));
+        let present = || bus.announced("c/node/*").unwrap();
+        assert!((0..1000).any(|_| {
+            std::thread::sleep(Duration::from_millis(5));
+            present() == [format!("c/node/{name}")]
+        }));
         // A program that joins after the child was killed is not blocked by its remains.
         drop(child);
+        assert_eq!(present(), Vec::<String>::new());
         let newcomer = Iceoryx2::open(&prefix.config()).unwrap();
         let inbox = Inbox::open(&newcomer, "c/ping");
         put(&*ping, 1, b"to the newcomer");

@@ -34,13 +34,19 @@ mod recording;
 mod retarget;
 #[cfg(feature = "research")]
 mod slahmr;
+#[cfg(feature = "cli")]
+mod slate;
 mod solve;
+#[cfg(feature = "live")]
+mod storms;
 mod support;
 #[cfg(feature = "research")]
 mod synth;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod take;
 mod timing;
+#[cfg(all(feature = "cli", feature = "tls"))]
+mod tls;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod tools;
 mod tracker;

@@ -97,6 +97,7 @@ pub fn event() -> Event {
         window: Some(0),
         count: 2,
         detail: "31 ms after the deadline".into(),
+        run_id: 0,
     }
 }
 

@@ -4,6 +4,7 @@ use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -20,7 +21,9 @@ use bundlemocap::io::wire::{
     self, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, Status, Topics,
     TrackingState, decode, encode,
 };
-use bundlemocap::live::{Config, Core, Node, NodeError, Running, Settings, WallClock};
+use bundlemocap::live::{
+    Carried, Config, Core, Node, NodeError, Presence, Running, Settings, WallClock,
+};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 use nalgebra::Rotation3;
 
@@ -66,9 +69,13 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
         toml: String::new(),
         weights: format!("{:016x}", decoder.fingerprint()),
         body: None,
+        carried: Carried::default(),
+        timecode: None,
     };
     let core = Core::new(settings);
-    Node::start(Arc::new(bus.clone()), core, Solver::new(decoder, track), config, None)
+    let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
+    let presence = Presence::announce(Arc::new(bus.clone()), topics)?.alone()?;
+    Node::start(Arc::new(bus.clone()), presence, core, Solver::new(decoder, track), config, None)
 }
 
 impl Studio {
@@ -316,6 +323,68 @@ fn a_full_queue_drops_the_oldest_and_counts_them() {
     }
     let status = node.stop().unwrap().expect("a last status");
     assert!(status.queue_dropped > 0);
+}
+
+#[test]
+fn a_flood_harms_only_the_camera_whose_name_it_uses() {
+    let mut studio = Studio::new();
+    let node = start_node(&studio.bus, &Config { queue: 256, ..Config::default() }).unwrap();
+    studio.play_until("a pose", |heard| !heard.poses.is_empty());
+    let (bus, topics) = (studio.bus.clone(), studio.topics.clone());
+    let (old, large) = (encode(&studio.message(0)), vec![0; 2 << 20]);
+    let (going, over) = (Arc::new(AtomicBool::new(true)), studio.poses() + 60);
+    let is_going = Arc::clone(&going);
+    let flood = std::thread::spawn(move || {
+        let put = |name: &str, payload: &[u8]| {
+            let publisher = bus.publisher(&topics.keypoints(name)).unwrap();
+            publisher.put(Timestamp::default(), "", payload).unwrap();
+        };
+        for round in (0_u64..).take_while(|_| is_going.load(Ordering::Relaxed)) {
+            (0..100).for_each(|_| put("cam01", &old));
+            (0..100).for_each(|name| put(&format!("made-up-{round}-{name}"), &old));
+            put("cam01", &large);
+        }
+    });
+    studio.play_until("poses in the flood", |heard| {
+        heard.poses.len() > over && heard.status.as_ref().is_some_and(|s| s.queue_dropped > 0)
+    });
+    // It ends although the flood goes on.
+    let status = node.stop().unwrap().expect("a last status");
+    going.store(false, Ordering::Relaxed);
+    flood.join().unwrap();
+    let dropped: Vec<u64> = status.cameras.iter().map(|camera| camera.dropped).collect();
+    assert!(dropped[0] > 0 && dropped[1..] == [0, 0, 0], "{dropped:?}");
+    let heard = studio.heard.lock().unwrap();
+    let told = |kind: &str, camera: Option<&str>| {
+        let events = heard.events.iter().filter(|event| event.kind == kind);
+        events.filter(|event| event.camera.as_deref() == camera).count()
+    };
+    assert!(told("dropped", Some("cam01")) > 0 && told("dropped", None) > 0);
+    assert!(heard.events.iter().any(|event| event.detail.contains("a message of 2097152 bytes")));
+    let tracked = TrackingState::Tracking;
+    let states = heard.poses.iter().rev().take(30).map(Pose::state);
+    assert!(states.filter(|state| *state == tracked).count() > 0, "{:?}", heard.events);
+}
+
+#[test]
+fn the_second_node_of_a_performer_stands_back() {
+    let studio = Studio::new();
+    let config = Config::default();
+    let first = start_node(&studio.bus, &config).unwrap();
+    let other = Config { actor: "other".into(), ..config.clone() };
+    start_node(&studio.bus, &other).unwrap().stop().unwrap();
+    let error = start_node(&studio.bus, &config).err().unwrap();
+    assert!(matches!(error, NodeError::Occupied { .. }), "{error}");
+    let events = |kind: &str| {
+        studio.heard.lock().unwrap().events.iter().filter(|event| event.kind == kind).count()
+    };
+    assert_eq!((events("second_node"), first.elder().unwrap()), (1, None));
+    let bus: Arc<dyn Bus> = Arc::new(studio.bus.clone());
+    let standby = Presence::announce(bus, studio.topics.clone()).unwrap();
+    let elder = standby.elder().unwrap().unwrap();
+    assert!(error.to_string().contains(&elder.to_string()), "{error}; {elder}");
+    first.stop().unwrap();
+    assert!(standby.elder().unwrap().is_none());
 }
 
 #[test]

@@ -152,7 +152,8 @@ fn a_truncated_file_gives_its_first_messages_and_the_place_of_the_cut() {
     let (whole, _) = read_bytes(&folder, &bytes);
     let records = records(&bytes);
     let mut cuts: Vec<usize> = records.iter().flat_map(|r| [r.0, r.0 + 5, r.0 + r.2 - 1]).collect();
-    cuts.extend((8..bytes.len()).step_by(bytes.len() / 60));
+    // A cut in the last eight bytes, which are no record, is reported at the footer.
+    cuts.extend((8..bytes.len() - 8).step_by(bytes.len() / 60));
     let mut longest = 0;
     for cut in cuts {
         let (part, report) = read_bytes(&folder, &bytes[..cut]);

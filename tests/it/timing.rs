@@ -222,13 +222,13 @@ fn a_live_window_closes_by_the_clock_and_not_by_a_fast_camera() {
     timeline.tracker.set_delay(Nanos::from_ms(30));
     assert_eq!(timeline.tracker.wake(), Some(ms(430) + ROUNDING), "the usual delay is added");
     timeline.tracker.set_delay(Nanos::ZERO);
-    timeline.frame(0, 40);
+    timeline.frames(0..2, 40..=40);
     timeline.handle(Input::Tick(at(20) - Nanos::new(1)));
     assert!(timeline.job.is_none());
     timeline.handle(Input::Tick(at(20)));
     let job = timeline.job.as_ref().expect("the deadline has passed");
     assert_eq!(job.end, at(15));
-    assert_eq!(timeline.kinds(), [1, 2, 3].map(|camera| (EventKind::Deadline, Some(camera))));
+    assert_eq!(timeline.kinds(), [2, 3].map(|camera| (EventKind::Deadline, Some(camera))));
     assert_eq!(timeline.tracker.wake(), None, "nothing to wait for but the solution");
 }
 
@@ -255,6 +255,7 @@ fn a_pose_that_is_not_solved_when_due_is_extrapolated() {
     timeline.tracker.set_latency(latency);
     let mut timeline = timeline.begin();
     assert_eq!(timeline.poses.len(), 6, "frames 0 to 5");
+    timeline.frames(0..2, 11..=14);
     timeline.handle(Input::Tick(ms(370)));
     let job = timeline.job.take().expect("the deadline has passed");
     // Frame 6 is due at 120 + 300 ms, and extrapolated 3 ms before that.

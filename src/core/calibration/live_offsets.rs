@@ -88,6 +88,18 @@ impl LiveOffsets {
         (!was_shifted).then(|| (worst, TimeOffset::new(found[worst], step)))
     }
 
+    /// By camera, all corrections so far.
+    pub fn corrections(&self) -> &[Nanos] {
+        &self.corrections
+    }
+
+    /// Begins with the corrections of an earlier run, if they are of as many cameras.
+    pub fn resume(&mut self, corrections: &[Nanos]) {
+        if corrections.len() == self.corrections.len() {
+            self.corrections.copy_from_slice(corrections);
+        }
+    }
+
     /// A new calibration of the same cameras, with the corrections so far.
     pub fn calibrate(&self, rig: &mut Rig) {
         for (camera, correction) in rig.cameras.iter_mut().zip(&self.corrections) {

@@ -44,6 +44,7 @@ impl Tracker {
         pose: &Pose,
     ) {
         let at = first.capture;
+        self.seen(at);
         self.repeat_last_pose(window.start, at - self.tolerance());
         if self.skeleton.is_none() && !self.ended && at > window.start + self.span() {
             // Too few frames are left for the shape: collect frames again from here.
@@ -79,7 +80,10 @@ impl Tracker {
         let end = window.end.min(window.start + span);
         let end = self.intake.last().filter(|_| self.ended).map_or(end, |last| end.min(last));
         self.repeat_last_pose(window.start, end);
-        self.event(EventKind::NobodyFound, end, None, "no person seen by two cameras".to_owned());
+        if self.watch_unseen(window.start, end) {
+            let detail = "no person seen by two cameras".to_owned();
+            self.event(EventKind::NobodyFound, end, None, detail);
+        }
         let saw_nothing = self.intake.first().is_none_or(|first| first > end + span);
         self.close_until(end + self.tolerance());
         // Keeps the grid of pose times, but skips a gap in the stream.
@@ -120,6 +124,7 @@ impl Tracker {
             residuals: tracked.residuals,
             verdict: tracked.verdict,
         })));
+        self.is_proven |= state == TrackingState::Tracking;
         if let Some(estimator) = tracked.estimator {
             self.improve_body(window.publish, estimator);
         }
@@ -200,8 +205,11 @@ impl Tracker {
     /// Uses the estimator's body from the next window on, if it has a new one.
     fn improve_body(&mut self, at: Timestamp, estimator: Arc<BodyEstimator>) {
         if self.estimator.is_check() && !estimator.is_check() {
-            let detail = "another body fits clearly better, it is estimated anew".to_owned();
+            let detail = "another body fits clearly better; it is estimated anew".to_owned();
             self.event(EventKind::Body, at, None, detail);
+            // From a wrong body the estimate converges to a wrong one, so it begins with a search.
+            self.is_proven = false;
+            return;
         }
         let body = self.skeleton.as_ref().and_then(|body| estimator.new_body(body)).map(Arc::new);
         self.outputs.extend(body.clone().map(Output::Skeleton));
@@ -259,10 +267,7 @@ impl Tracker {
         past.drain(..past.len().saturating_sub(2));
         self.ahead = ahead;
         match state {
-            TrackingState::Tracking => {
-                self.is_proven = true;
-                self.phase = Phase::Tracking { past, coasted: 0 };
-            }
+            TrackingState::Tracking => self.phase = Phase::Tracking { past, coasted: 0 },
             TrackingState::Coasting => {
                 self.phase = Phase::Tracking { past, coasted: coasted + 1 };
             }
@@ -273,7 +278,8 @@ impl Tracker {
             }
         }
         if !self.is_proven {
-            // The body was found together with a wrong pose.
+            // The body was found together with a wrong pose, or is that of somebody else.
+            self.ahead.clear();
             (self.skeleton, self.phase) = (None, Phase::Searching);
         }
     }

@@ -16,6 +16,8 @@ pub struct Effort {
 impl Effort {
     /// The number of steps by which effort can be lowered.
     pub const LEVELS: u32 = 6;
+    /// The first level that uses fewer frames.
+    pub const FEWER_FRAMES: u32 = 3;
 
     /// The effort in the settings.
     pub fn full(config: &Config) -> Self {

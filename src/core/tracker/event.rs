@@ -36,11 +36,16 @@ pub enum EventKind {
     Overdue,
     /// A new calibration is in use.
     Calibrated,
-    /// The node declared its latency.
+    /// Another rig was taken, from the file or from the bus.
+    RigChanged,
+    /// A rig from the bus was refused: a file gives the rig.
+    RigRefused,
+    /// The node declared its latency, at first or anew.
     Latency,
     /// The solver's effort changed.
     Effort,
-    /// A camera's clock differs from the others, or agrees again.
+    /// A camera's clock differs from the others, or its frames are too late to wait for; or it agrees
+    /// again.
     ClockOffset,
     /// A camera's capture times are shifted against the others', as the motion shows; they are being
     /// corrected.
@@ -49,19 +54,29 @@ pub enum EventKind {
     CameraMoved,
     /// The known body does not fit the performer; it is estimated anew.
     Body,
-    /// Capture times jumped; the frames are not used.
+    /// The clock of most cameras has stepped, or single frames have a wrong time and are not used.
     ClockJump,
     /// A frame shows more people than are used.
     Crowd,
+    /// Points far outside the image; they are not used.
+    FarPoint,
     /// Two publishers seem to use one camera's name.
     Conflict,
-    /// The full queue dropped messages, or frames waited for too long.
+    /// Another node of this performer started and stood back.
+    SecondNode,
+    /// Messages were dropped because there were too many, or frames waited for too long.
     Dropped,
+    /// No camera sends frames, or nobody has been seen for a while; or that has ended.
+    Idle,
+    /// Which clock the cameras use, against the node's.
+    Clock,
+    /// A take began or ended, or the performer's body was forgotten, as asked.
+    Take,
 }
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 25] = [
+    pub const ALL: [Self; 32] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -77,6 +92,8 @@ impl EventKind {
         Self::Returned,
         Self::Overdue,
         Self::Calibrated,
+        Self::RigChanged,
+        Self::RigRefused,
         Self::Latency,
         Self::Effort,
         Self::ClockOffset,
@@ -85,8 +102,13 @@ impl EventKind {
         Self::Body,
         Self::ClockJump,
         Self::Crowd,
+        Self::FarPoint,
         Self::Conflict,
+        Self::SecondNode,
         Self::Dropped,
+        Self::Idle,
+        Self::Clock,
+        Self::Take,
     ];
 
     /// A lower-case name, as used on the wire.
@@ -107,6 +129,8 @@ impl EventKind {
             Self::Returned => "returned",
             Self::Overdue => "overdue",
             Self::Calibrated => "calibrated",
+            Self::RigChanged => "rig_changed",
+            Self::RigRefused => "rig_refused",
             Self::Latency => "latency",
             Self::Effort => "effort",
             Self::ClockOffset => "clock_offset",
@@ -115,8 +139,13 @@ impl EventKind {
             Self::Body => "body",
             Self::ClockJump => "clock_jump",
             Self::Crowd => "crowd",
+            Self::FarPoint => "far_point",
             Self::Conflict => "conflict",
+            Self::SecondNode => "second_node",
             Self::Dropped => "dropped",
+            Self::Idle => "idle",
+            Self::Clock => "clock",
+            Self::Take => "take",
         }
     }
 }

@@ -17,6 +17,9 @@ const MAX_JUMP: Nanos = Nanos::from_ms(5000);
 /// If more frames than this seem to be missing at once, the counter has jumped.
 const MAX_MISSING: u64 = 1_000_000;
 
+/// Number of steps of a camera's capture time of which the median counts.
+const STEPS: usize = 5;
+
 /// The state of one camera.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
@@ -26,6 +29,8 @@ struct Seen {
     used: u64,
     /// Number and capture time of its last frame that is not stray.
     last: Option<(u64, Timestamp)>,
+    /// The last steps of its capture time.
+    steps: [Nanos; STEPS],
 }
 
 /// The frames that wait for their window, and the state of each camera.
@@ -98,8 +103,9 @@ impl Intake {
         self.held.iter_mut().filter_map(Option::take).collect()
     }
 
-    /// Adds a frame; returns an event if the frame has a fault.
-    pub(super) fn add(&mut self, frame: Detections) -> Option<Event> {
+    /// Adds a frame; returns an event if the frame has a fault. `now` is the capture clock, if there is
+    /// one.
+    pub(super) fn add(&mut self, frame: Detections, now: Option<Timestamp>) -> Option<Event> {
         let event = |kind, detail: String| {
             Some(Event {
                 capture: frame.capture,
@@ -124,7 +130,7 @@ impl Intake {
                 format!("frame {} after its window closed", frame.frame),
             );
         }
-        let newest = self.cameras.iter().filter_map(|seen| seen.watermark).max();
+        let newest = self.newest().map(|newest| now.map_or(newest, |now| now.max(newest)));
         if let Some(newest) = newest.filter(|newest| frame.capture - *newest > MAX_JUMP) {
             let last = self.stray.replace(frame.capture);
             if last.is_none_or(|last| (frame.capture - last).abs() > MAX_JUMP) {
@@ -146,7 +152,12 @@ impl Intake {
                 let behind = watermark - frame.capture;
                 event(EventKind::OutOfOrder, format!("{behind} behind"))
             }
-            _ => None,
+            Some(watermark) => {
+                seen.steps.rotate_left(1);
+                seen.steps[STEPS - 1] = frame.capture - watermark;
+                None
+            }
+            None => None,
         };
         self.frames.insert(key, Arc::new(frame));
         found
@@ -193,6 +204,15 @@ impl Intake {
             self.cameras.iter().filter_map(|seen| seen.watermark).collect();
         watermarks.sort_unstable();
         watermarks.iter().rev().nth(1).or(watermarks.last()).copied()
+    }
+
+    /// When the next frame of a camera is expected; `None` before its first one.
+    pub(super) fn next(&self, camera: usize, period: Nanos) -> Option<Timestamp> {
+        let seen = self.cameras.get(camera)?;
+        let mut steps = seen.steps;
+        steps.sort_unstable();
+        let step = steps[STEPS / 2];
+        Some(seen.watermark? + if step > Nanos::ZERO { step } else { period })
     }
 
     /// Cameras without a frame at or after `time`.

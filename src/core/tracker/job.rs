@@ -54,7 +54,12 @@ impl Job {
 
     /// The frames to use, counted back from the end.
     pub(super) fn used_frames(&self) -> impl Iterator<Item = &Arc<Detections>> {
-        let (stride, period) = (self.effort.stride.max(1) as i64, self.frame_period.ns().max(1));
+        self.every(self.effort.stride)
+    }
+
+    /// Every `stride`th frame of each camera, counted back from the end: the same times for all.
+    pub(super) fn every(&self, stride: usize) -> impl Iterator<Item = &Arc<Detections>> {
+        let (stride, period) = (stride.max(1) as i64, self.frame_period.ns().max(1));
         self.frames.iter().filter(move |frame| {
             let back = (self.end - frame.capture).ns() + period / 2;
             let back = back.div_euclid(period);

@@ -20,6 +20,7 @@ mod config;
 mod effort;
 mod event;
 mod frame_rate;
+mod idle;
 mod intake;
 mod job;
 mod noise;

@@ -92,6 +92,8 @@ pub(super) struct Playout {
     provisionals: Published,
     /// Capture times of provisional poses without a final one yet.
     provisional: BTreeSet<Timestamp>,
+    /// There are no poses until one is solved again: nothing came for long, or the latency fell.
+    is_stopped: bool,
     /// Number of poses that were extrapolated because no solved pose was there in time.
     pub(super) extrapolated: u64,
     /// Number of poses that were solved after they were due.
@@ -112,6 +114,11 @@ impl Playout {
         self.finals.begin_path();
         self.shown.begin_path();
         self.forget_provisionals();
+    }
+
+    /// Poses stop until one is solved in time.
+    pub(super) fn stop(&mut self) {
+        self.is_stopped = true;
     }
 
     /// The provisional poses begin anew.
@@ -161,8 +168,8 @@ impl Tracker {
             let grid = self.output_grid();
             if is_due || grid.is_some_and(|grid| self.playout.is_published(capture, &grid)) {
                 // A window's poses have been published before if the look-ahead is shorter.
-                let is_miss = latency.look_ahead.is_none() && self.playout.published.is_some();
-                self.playout.missed += u64::from(is_miss);
+                let is_shown = self.playout.published.is_some() && !self.is_resuming();
+                self.playout.missed += u64::from(latency.look_ahead.is_none() && is_shown);
                 return;
             }
         }
@@ -237,7 +244,7 @@ impl Tracker {
         provisional: bool,
     ) {
         if !provisional {
-            self.playout.published = Some(capture);
+            (self.playout.published, self.playout.is_stopped) = (Some(capture), false);
             self.playout.shown.add(capture, &pose);
         }
         let supersedes = !provisional && self.playout.supersedes(capture);
@@ -263,15 +270,23 @@ impl Tracker {
 
     /// When the next pose is due, on the capture clock; `None` while no window is open.
     pub(super) fn due(&self) -> Option<Timestamp> {
-        let next = self.start.and(self.playout.next(&self.output_grid()?))?;
+        let start = self.start.filter(|_| !self.playout.is_stopped);
+        let next = start.and(self.playout.next(&self.output_grid()?))?;
         Some(next + self.latency?.declared)
     }
 
-    /// Live: extrapolates the poses that are due and not solved.
+    /// Live: extrapolates the poses that are due and not solved. While nothing comes to solve, that is
+    /// no fault, and it ends after a while.
     pub(super) fn play(&mut self) {
         let (Some(now), Some(latency)) = (self.now, self.latency) else { return };
         while let Some(due) = self.due().filter(|due| *due <= now + MARGIN) {
             let capture = due - latency.declared;
+            let is_idle = self.is_starved() || self.is_resuming();
+            if is_idle
+                && self.playout.finals.last().is_none_or(|(at, _)| capture - *at > self.coast())
+            {
+                return self.playout.stop();
+            }
             if now - due > MAX_CATCH_UP {
                 return self.skip_poses(capture, now - latency.declared);
             }
@@ -281,10 +296,18 @@ impl Tracker {
                 Phase::Tracking { .. } => TrackingState::Coasting,
             };
             self.playout.extrapolated += 1;
-            let detail = "not solved when due, extrapolated".to_owned();
-            self.event(EventKind::Overdue, capture, None, detail);
+            if !is_idle {
+                let detail = "not solved when due, extrapolated".to_owned();
+                self.event(EventKind::Overdue, capture, None, detail);
+            }
             self.push_pose(capture, pose, state, false);
         }
+    }
+
+    /// How long a performer may be hidden.
+    fn coast(&self) -> Nanos {
+        let frames = self.config.coast_windows * self.config.publish();
+        Nanos::rounded(frames as f64 * self.frame_period())
     }
 
     /// Skips the poses from `capture` to `until`.

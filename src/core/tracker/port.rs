@@ -23,6 +23,8 @@ pub enum Input {
     /// The capture clock jumped: the tracker forgets all frames and searches again. It keeps the
     /// body.
     Restart,
+    /// As `Restart`, but the body is forgotten too: the performer may be somebody else.
+    Forget,
     /// The solution of the solver's job.
     Solved(Solution),
     /// The capture clock has reached this time.

@@ -8,6 +8,7 @@ use super::config::Config;
 use super::effort::Effort;
 use super::event::{Event, EventKind};
 use super::frame_rate::FramePeriod;
+use super::idle::Idle;
 use super::intake::Intake;
 use super::job::{Job, Solution};
 use super::noise::Noise;
@@ -55,6 +56,7 @@ pub struct Tracker {
     pub(super) delay: Nanos,
     pub(super) intake: Intake,
     pub(super) waiting: Waiting,
+    pub(super) idle: Idle,
     pub(super) phase: Phase,
     pub(super) skeleton: Option<Arc<Skeleton>>,
     pub(super) estimator: Arc<BodyEstimator>,
@@ -106,6 +108,7 @@ impl Tracker {
             delay: Nanos::ZERO,
             intake: Intake::new(cameras),
             waiting: Waiting::new(cameras, config.grace_windows),
+            idle: Idle::default(),
             phase: Phase::Searching,
             skeleton: None,
             estimator: Arc::default(),
@@ -147,6 +150,11 @@ impl Tracker {
 
     /// Sets the latency of a live tracker. Takes effect at the next [`Tracker::handle`].
     pub fn set_latency(&mut self, latency: Latency) {
+        if self.latency.is_some_and(|before| latency.declared < before.declared) {
+            // The poses between are skipped.
+            self.playout.stop();
+            self.resume();
+        }
         self.latency = Some(latency);
     }
 
@@ -184,6 +192,25 @@ impl Tracker {
         self
     }
 
+    /// Begins with the corrections of time offsets that an earlier run found, by camera.
+    #[must_use]
+    pub fn with_time_corrections(mut self, corrections: &[Nanos]) -> Self {
+        self.offsets.resume(corrections);
+        self.offsets.calibrate(Arc::make_mut(&mut self.rig));
+        self
+    }
+
+    /// By camera, all corrections of time offsets so far.
+    pub fn time_corrections(&self) -> &[Nanos] {
+        self.offsets.corrections()
+    }
+
+    /// The performer's body once its estimate is complete, or if it was given.
+    pub fn known_body(&self) -> Option<&Arc<Skeleton>> {
+        let is_known = self.estimator.is_check() || self.estimator.is_complete();
+        self.skeleton.as_ref().filter(|_| self.is_proven && is_known)
+    }
+
     /// Processes an input. Call [`Tracker::poll`] until it is empty before the next one.
     pub fn handle(&mut self, input: Input) {
         match input {
@@ -195,11 +222,16 @@ impl Tracker {
                 self.intake.release().into_iter().for_each(|frame| self.take(frame));
                 self.ended = true;
             }
+            Input::Forget => {
+                self.is_proven = false;
+                self.restart();
+            }
             Input::Solved(solution) if self.abandoned == Some(solution.number) => {
                 self.abandoned = None;
             }
             Input::Solved(solution) => self.apply(solution),
         }
+        self.watch_idle();
         self.advance();
         self.play();
     }
@@ -291,6 +323,11 @@ impl Tracker {
         self.waiting.is_waited_for(camera)
     }
 
+    /// Windows do not wait for a camera until one of its frames is given.
+    pub fn leave_out(&mut self, camera: usize) {
+        self.waiting.leave_out(camera);
+    }
+
     /// Number of poses that were extrapolated because no solved pose was there in time, and number
     /// of poses that were solved too late.
     pub fn extrapolated_and_missed(&self) -> (u64, u64) {
@@ -308,8 +345,15 @@ impl Tracker {
 
     fn take(&mut self, frame: Detections) {
         let (camera, capture) = (frame.camera, frame.capture);
-        let event = self.intake.add(frame);
-        let is_used = event.as_ref().is_none_or(|event| event.kind == EventKind::OutOfOrder);
+        let event = self.intake.add(frame, self.now);
+        let is_used = match event.as_ref().map(|event| event.kind) {
+            None | Some(EventKind::OutOfOrder) => true,
+            // It would have come in time if its window had waited for it.
+            Some(EventKind::Late) if self.live.is_some() => {
+                self.now <= Some(capture + self.grace())
+            }
+            _ => false,
+        };
         self.outputs.extend(event.map(Output::Event));
         if is_used && self.waiting.returned(camera) {
             self.event(EventKind::Returned, capture, Some(camera), "waited for again".to_owned());
@@ -333,7 +377,8 @@ impl Tracker {
     fn restart(&mut self) {
         let fresh = Self::new(self.config, Arc::clone(&self.rig));
         let old = std::mem::replace(self, fresh);
-        (self.live, self.offsets, self.watchdog) = (old.live, old.offsets, old.watchdog);
+        (self.live, self.idle) = (old.live, old.idle);
+        (self.offsets, self.watchdog) = (old.offsets, old.watchdog);
         self.skeleton = old.skeleton.filter(|_| old.is_proven);
         self.is_proven = old.is_proven;
         if self.skeleton.is_some() {

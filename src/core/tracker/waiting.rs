@@ -40,6 +40,13 @@ impl Waiting {
         silent
     }
 
+    /// Windows do not wait for a camera until it returns.
+    pub(super) fn leave_out(&mut self, camera: usize) {
+        if let Some(missed) = self.missed.get_mut(camera) {
+            *missed = usize::MAX;
+        }
+    }
+
     /// A camera has sent a frame. Returns whether it was silent before.
     pub(super) fn returned(&mut self, camera: usize) -> bool {
         let was_silent = !self.is_waited_for(camera);

@@ -7,8 +7,8 @@ use crate::core::time::{Grid, Nanos, Timestamp};
 
 /// Frame period of a recording that is too short to estimate one, ns: 60 frames per second.
 pub(super) const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
-/// A live tracker drops an open window that ended longer ago than this and continues with
-/// newer frames.
+/// A live tracker drops an open window that ended this long before the newest frames, and continues
+/// with those.
 const MAX_BACKLOG: Nanos = Nanos::SECOND;
 
 /// A window that is open.
@@ -49,23 +49,24 @@ impl Tracker {
 
     /// Live: drops frames whose poses are too old to be of use, and searches again after them.
     fn skip_backlog(&mut self) {
-        let (Some(now), Some(start)) = (self.now.filter(|_| self.live.is_some()), self.start)
-        else {
+        let front = self.intake.front().filter(|_| self.live.is_some());
+        let (Some(front), Some(start)) = (front, self.start) else {
             return;
         };
         let end = start + Nanos::new(self.frame_period() as i64) * self.open_frames() as i64;
-        if self.ended || now - end <= MAX_BACKLOG + self.grace() {
+        if self.ended || front - end <= MAX_BACKLOG {
             return;
         }
-        let until = now - (self.delay + self.span());
+        let until = front - self.span();
         let waiting = self.intake.up_to(until).len() as u64;
         self.close_until(until);
         self.phase = Phase::Searching;
         self.is_closing = false;
         self.start_windows_at(self.intake.first());
-        let behind = now.seconds_since(end);
-        let detail = format!("{behind:.1} s behind, searching anew");
-        self.counted_event(EventKind::Dropped, until, None, waiting.max(1), detail);
+        if waiting > 0 && !self.is_resuming() {
+            let detail = format!("{:.1} s behind, searching anew", front.seconds_since(end));
+            self.counted_event(EventKind::Dropped, until, None, waiting, detail);
+        }
     }
 
     /// Nominal frames of the open window: several windows as long as the shape is unknown.
@@ -158,12 +159,12 @@ impl Tracker {
     /// Closes the window at `end` if all expected cameras have passed it or its deadline has
     /// passed. Returns whether it did. Reports the missing cameras.
     fn try_close_window(&mut self, end: Timestamp) -> bool {
-        let border = end - self.tolerance();
-        let behind: Vec<usize> = self.intake.behind(border).collect();
+        let behind = self.behind(end);
         let waited_for = behind.iter().any(|&camera| self.waiting.is_waited_for(camera));
         // Live, only the clock counts: one camera's clock may be fast.
         let clock = if self.live.is_some() { self.now } else { self.intake.newest() };
         let is_overdue = clock.max(self.now) >= Some(end + self.grace());
+        let is_overdue = is_overdue && !(self.live.is_some() && self.is_starved());
         if !(self.ended || (!waited_for && self.waiting.any()) || is_overdue) {
             return false;
         }
@@ -173,11 +174,34 @@ impl Tracker {
         true
     }
 
+    /// Cameras that may still send frames of a window. Live, those whose next frame is expected before
+    /// its end: free-running cameras have frames at any time. A recording waits until they have passed
+    /// the end.
+    fn behind(&self, end: Timestamp) -> Vec<usize> {
+        if self.live.is_none() {
+            return self.intake.behind(end - self.tolerance()).collect();
+        }
+        let period = Nanos::rounded(self.frame_period());
+        let is_behind =
+            |camera: &usize| self.intake.next(*camera, period) <= Some(end + self.tolerance());
+        (0..self.rig.cameras.len()).filter(is_behind).collect()
+    }
+
+    /// Whether a frame of a camera should have arrived by now.
+    fn is_late(&self, camera: usize) -> bool {
+        let Some(now) = self.now.filter(|_| self.live.is_some()) else { return true };
+        let next = self.intake.next(camera, Nanos::rounded(self.frame_period()));
+        next.is_none_or(|next| now > next + self.delay + self.tolerance())
+    }
+
     /// Reports the cameras that a window closes without, and stops waiting for those that stay
-    /// silent.
+    /// silent. If all stop at once, that is no camera's fault.
     fn close_without(&mut self, behind: &[usize], end: Timestamp) {
+        if self.live.is_some() && behind.len() == self.rig.cameras.len() {
+            return;
+        }
         for &camera in behind {
-            if self.waiting.is_waited_for(camera) {
+            if self.waiting.is_waited_for(camera) && self.is_late(camera) {
                 let waited = self.grace().ns() / 1_000_000;
                 let detail =
                     format!("late: the window closed {waited} ms after its end without it");

@@ -54,6 +54,32 @@ pub struct ZenohConfig {
     pub connect: Vec<String>,
     /// Whether other programs are searched by multicast.
     pub scouting: bool,
+    /// A configuration file of zenoh for the node, for what these settings cannot say, such as access
+    /// control. These settings come before it. Empty: none.
+    pub config: String,
+    /// Certificates, for addresses that begin with `tls/`.
+    pub tls: TlsConfig,
+}
+
+/// Certificates of the network: PEM files; empty: none.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TlsConfig {
+    /// The authority that signed everybody's certificates.
+    pub root_ca: String,
+    /// The certificate of this program.
+    pub certificate: String,
+    /// The private key of that certificate.
+    pub key: String,
+    /// Whether a program without a certificate of that authority is refused.
+    pub client_certificates: bool,
+}
+
+impl Default for TlsConfig {
+    fn default() -> Self {
+        let none = String::new;
+        Self { root_ca: none(), certificate: none(), key: none(), client_certificates: true }
+    }
 }
 
 /// Role of a node in a network.
@@ -76,6 +102,8 @@ impl Default for ZenohConfig {
             listen: vec!["tcp/127.0.0.1:7447".into()],
             connect: Vec::new(),
             scouting: false,
+            config: String::new(),
+            tls: TlsConfig::default(),
         }
     }
 }

@@ -36,8 +36,11 @@ pub(super) fn frame(
     Ok(bytes)
 }
 
-/// Decodes a sample; `None` if the bytes are not a sample.
+/// Decodes a sample; `None` if the bytes are not a sample, or too many.
 pub(super) fn parse(bytes: &[u8]) -> Option<Sample> {
+    if bytes.len() > LARGEST {
+        return None;
+    }
     let (head, rest) = bytes.split_first_chunk::<HEAD>()?;
     let [VERSION, topic_bytes, e0, e1, capture @ ..] = *head else { return None };
     let (topic, rest) = rest.split_at_checked(topic_bytes.into())?;

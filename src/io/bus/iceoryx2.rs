@@ -13,14 +13,17 @@
 //! present, at most 1 MiB per sample, and programs see each other only with equal prefix, on one
 //! host, and as users who may open each other's files. All must have the same version of this
 //! program, since limits are part of the services. 16 bytes per prefix stay in shared memory for
-//! good. limits are part of the services. 16 bytes a prefix stay in shared memory for good.
+//! good.
+//!
+//! A program announces itself by an event service of that name; others see its node, and whether
+//! that node's process is alive.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use iceoryx2::node::{Node, NodeBuilder};
+use iceoryx2::node::{Node, NodeBuilder, NodeState};
 use iceoryx2::port::event_id::EventId;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
@@ -28,15 +31,16 @@ use iceoryx2::port::publisher::Publisher as Port;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::{
-    AllocationStrategy, FileName, LogLevel, SemanticString, ServiceName, SignalHandlingMode,
-    ipc_threadsafe, set_log_level,
+    AllocationStrategy, CallbackProgression, FileName, LogLevel, SemanticString, Service,
+    ServiceName, SignalHandlingMode, ipc_threadsafe, set_log_level,
 };
+use iceoryx2::service::ServiceDetails;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use super::frame::{frame, parse};
 use super::{
     Bus, BusError, Delivery, Guard, Iceoryx2Config, Memory, Publisher, Sample, Sink, check_pattern,
-    check_topic, delivery,
+    check_topic, delivery, matches,
 };
 use crate::core::time::Timestamp;
 
@@ -47,6 +51,9 @@ const CLASSES: [usize; 5] = [0, 1, 8, 64, 256];
 
 /// Event id: a subscriber joined. Smaller ids are the class of a new sample.
 const JOINED: usize = CLASSES.len();
+
+/// First part of the names of services that announce a program.
+const ANNOUNCED: &str = "mocap/announced/";
 
 /// Longest wait for a service that others are creating or removing.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -358,6 +365,14 @@ struct Subscribed {
 
 impl Guard for Subscribed {}
 
+/// Keeps an announced name and its bus alive.
+struct Announced {
+    _service: event::PortFactory<Shm>,
+    _inner: Arc<Inner>,
+}
+
+impl Guard for Announced {}
+
 impl Bus for Iceoryx2 {
     fn publisher(&self, topic: &str) -> Result<Box<dyn Publisher>, BusError> {
         check_topic(topic)?;
@@ -395,6 +410,33 @@ impl Bus for Iceoryx2 {
         _answer: super::Answer,
     ) -> Result<Option<Box<dyn Guard>>, BusError> {
         check_topic(topic).map(|()| None)
+    }
+
+    fn announce(&self, name: &str) -> Result<Box<dyn Guard>, BusError> {
+        check_topic(name)?;
+        let node = &self.inner.shared.node;
+        let service = service_name(&format!("{ANNOUNCED}{name}"))?;
+        let service = persist(&format!("cannot announce {name}"), || {
+            node.service_builder(&service).event().open_or_create()
+        })?;
+        Ok(Box::new(Announced { _service: service, _inner: self.inner.clone() }))
+    }
+
+    fn announced(&self, pattern: &str) -> Result<Vec<String>, BusError> {
+        check_pattern(pattern)?;
+        let mut names = Vec::new();
+        let note = |service: ServiceDetails<Shm>| {
+            let nodes = service.dynamic_details.map(|details| details.nodes).unwrap_or_default();
+            let name = service.static_details.name().as_str().strip_prefix(ANNOUNCED);
+            let name = name.filter(|name| matches(pattern, name));
+            if nodes.iter().any(|node| matches!(node, NodeState::Alive(_))) {
+                names.extend(name.map(str::to_owned));
+            }
+            CallbackProgression::Continue
+        };
+        Shm::list(self.inner.shared.node.config(), note)
+            .map_err(|error| BusError::transport("cannot list the programs", error))?;
+        Ok(names)
     }
 
     fn query(&self, pattern: &str, _within: Duration) -> Result<Vec<Sample>, BusError> {

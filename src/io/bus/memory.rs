@@ -26,6 +26,8 @@ pub struct Memory {
 struct State {
     subscribers: Vec<Subscriber>,
     answers: Vec<Answering>,
+    /// Announced names, each with the switch of its guard.
+    announced: Vec<(String, Arc<AtomicBool>)>,
     history: HashMap<Arc<str>, VecDeque<Sample>>,
     /// Deliveries that wait, in order.
     due: VecDeque<(Sample, Target)>,
@@ -179,6 +181,21 @@ impl Bus for Memory {
         let answering = Answering { topic: topic.into(), answer: Arc::new(answer), on: on.clone() };
         self.lock().answers.push(answering);
         Ok(Some(Box::new(Off(on))))
+    }
+
+    fn announce(&self, name: &str) -> Result<Box<dyn Guard>, BusError> {
+        check_topic(name)?;
+        let on = Arc::new(AtomicBool::new(true));
+        self.lock().announced.push((name.into(), on.clone()));
+        Ok(Box::new(Off(on)))
+    }
+
+    fn announced(&self, pattern: &str) -> Result<Vec<String>, BusError> {
+        check_pattern(pattern)?;
+        let mut state = self.lock();
+        state.announced.retain(|(_, on)| on.load(Ordering::Acquire));
+        let names = state.announced.iter().map(|(name, _)| name);
+        Ok(names.filter(|name| matches(pattern, name)).cloned().collect())
     }
 
     fn query(&self, pattern: &str, _within: Duration) -> Result<Vec<Sample>, BusError> {

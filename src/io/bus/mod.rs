@@ -29,8 +29,12 @@ mod name;
 mod replay;
 #[cfg(feature = "zenoh")]
 mod zenoh;
+#[cfg(feature = "zenoh")]
+mod zenoh_settings;
 
-pub use config::{Config, Iceoryx2Config, Kind, ZenohConfig, ZenohMode, open_client, open_node};
+pub use config::{
+    Config, Iceoryx2Config, Kind, TlsConfig, ZenohConfig, ZenohMode, open_client, open_node,
+};
 #[cfg(feature = "iceoryx2")]
 pub use iceoryx2::Iceoryx2;
 pub use memory::Memory;
@@ -103,6 +107,19 @@ pub trait Bus: Send + Sync {
         let _ = (pattern, within);
         Ok(Vec::new())
     }
+
+    /// Announces that this program is there, under a name with the form of a topic, until the guard
+    /// is dropped or the program ends in any way.
+    ///
+    /// # Errors
+    /// The name has not the form of a topic, or the transport refuses it.
+    fn announce(&self, name: &str) -> Result<Box<dyn Guard>, BusError>;
+
+    /// The matching names that programs on this bus have announced, those of this program too.
+    ///
+    /// # Errors
+    /// The text is not a pattern, or the transport refuses it.
+    fn announced(&self, pattern: &str) -> Result<Vec<String>, BusError>;
 }
 
 /// Publishes on one topic.

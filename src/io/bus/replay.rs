@@ -74,6 +74,14 @@ impl Bus for Replay {
         self.memory.answer(topic, answer)
     }
 
+    fn announce(&self, name: &str) -> Result<Box<dyn Guard>, BusError> {
+        self.memory.announce(name)
+    }
+
+    fn announced(&self, pattern: &str) -> Result<Vec<String>, BusError> {
+        self.memory.announced(pattern)
+    }
+
     fn query(&self, pattern: &str, within: std::time::Duration) -> Result<Vec<Sample>, BusError> {
         self.memory.query(pattern, within)
     }

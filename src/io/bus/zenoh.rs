@@ -3,12 +3,11 @@
 //! | | streams | states |
 //! |---|---|---|
 //! | priority | real time, express | data |
-//! | a full queue | waits 20 ms once, then drops until it has room | the same; missed samples are requested again |
+//! | a full queue | waits 1 ms (tools: 20 ms), then drops until it has room | the same; missed samples are requested again |
 //! | late joiners | nothing | the last samples, from the publisher's cache |
 //!
 //! States are not sent with congestion control *block*: one stalled receiver would block the node,
-//! and so everybody's poses, for seconds. (With *drop*, a stopped receiver cost one put 20 ms, and
-//! the others nothing, as measured.) They carry sequence numbers; gaps are detected (at the latest
+//! and so everybody's poses, for seconds. They carry sequence numbers; gaps are detected (at the latest
 //! by a heartbeat) and filled from the cache.
 //!
 //! On the wire a sample is a zenoh sample: payload, encoding, and the capture time as attachment,
@@ -18,12 +17,10 @@
 //! Zenoh's time stamps are off: routers would stamp samples of all publishers with one clock, and
 //! zenoh-ext would treat them as one source and drop samples that are out of order.
 
-use std::net::{TcpListener, ToSocketAddrs};
 use std::sync::Arc;
 use std::time::Duration;
 
 use zenoh::bytes::Encoding;
-use zenoh::config::EndPoint;
 use zenoh::key_expr::{KeyExpr, OwnedKeyExpr};
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, Query, QueryTarget};
@@ -33,6 +30,7 @@ use zenoh_ext::{
     HistoryConfig, MissDetectionConfig, RecoveryConfig,
 };
 
+use super::zenoh_settings::{check_endpoints, settings, why_not_open, without_places};
 use super::{
     Answer, Bus, BusError, Delivery, Guard, Publisher, Sample, Sink, ZenohConfig, ZenohMode,
     check_pattern, check_topic, delivery,
@@ -40,14 +38,11 @@ use super::{
 use crate::core::time::Timestamp;
 use crate::io::wire::Topic;
 
-/// Time in which a client tries to connect, milliseconds.
-const CONNECT_MS: u64 = 2000;
-
-/// Time that a publisher waits on a full queue before it drops, microseconds.
-const WAIT_BEFORE_DROP_US: u64 = 20_000;
-
 /// Time that publishers' caches have to answer a late joiner.
 const HISTORY_WITHIN: Duration = Duration::from_secs(2);
+
+/// Time that the network has to name the announced.
+const ANNOUNCED_WITHIN: Duration = Duration::from_secs(1);
 
 /// Interval at which a publisher of states sends its last sequence number, if it published.
 const HEARTBEAT: Duration = Duration::from_millis(500);
@@ -81,7 +76,7 @@ impl Zenoh {
             ZenohMode::Client => "client",
         };
         let listen = if config.mode == ZenohMode::Client { &[][..] } else { &config.listen };
-        open(mode, listen, &config.connect, config.scouting)
+        open(config, mode, listen, &config.connect, config.scouting)
     }
 
     /// Opens a session for a tool: a client of `connect` or, if that is empty, of the addresses on
@@ -96,7 +91,7 @@ impl Zenoh {
             (true, false) => config.listen.iter().map(|e| reachable(e)).collect(),
             (false, _) => config.connect.clone(),
         };
-        open("client", &[], &connect, config.scouting && connect.is_empty())
+        open(config, "client", &[], &connect, config.scouting && connect.is_empty())
     }
 
     /// The addresses on which this session listens, with their actual ports.
@@ -111,6 +106,7 @@ fn reachable(endpoint: &str) -> String {
 }
 
 fn open(
+    config: &ZenohConfig,
     mode: &str,
     listen: &[String],
     connect: &[String],
@@ -127,82 +123,10 @@ fn open(
                 .into(),
         });
     }
-    match zenoh::open(settings(mode, listen, connect, scouting)?).wait() {
+    match zenoh::open(settings(config, mode, listen, connect, scouting)?).wait() {
         Ok(session) => Ok(Zenoh { session }),
         Err(error) => Err(why_not_open(mode, listen, connect, &without_places(&error))),
     }
-}
-
-fn check_endpoints(key: &'static str, endpoints: &[String]) -> Result<(), BusError> {
-    for endpoint in endpoints {
-        if let Err(error) = endpoint.parse::<EndPoint>() {
-            let reason = without_places(&error);
-            let reason = format!("{reason}; give an address such as tcp/127.0.0.1:7447");
-            return Err(BusError::Setting { key, value: endpoint.clone(), reason });
-        }
-        if !endpoint.starts_with("tcp/") {
-            let reason = "only tcp/ is built in".into();
-            return Err(BusError::Setting { key, value: endpoint.clone(), reason });
-        }
-    }
-    Ok(())
-}
-
-fn settings(
-    mode: &str,
-    listen: &[String],
-    connect: &[String],
-    scouting: bool,
-) -> Result<zenoh::Config, BusError> {
-    let list = |endpoints: &[String]| format!("{endpoints:?}");
-    let queue = "transport/link/tx/queue";
-    let mut settings = vec![
-        ("mode".to_owned(), format!("{mode:?}")),
-        ("listen/endpoints".into(), list(listen)),
-        ("connect/endpoints".into(), list(connect)),
-        ("scouting/multicast/enabled".into(), scouting.to_string()),
-        ("scouting/gossip/enabled".into(), scouting.to_string()),
-        ("scouting/timeout".into(), CONNECT_MS.to_string()),
-        ("timestamping/enabled".into(), "false".into()),
-        ("transport/unicast/open_timeout".into(), CONNECT_MS.to_string()),
-        (
-            format!("{queue}/congestion_control/drop/wait_before_drop"),
-            WAIT_BEFORE_DROP_US.to_string(),
-        ),
-        (format!("{queue}/size/real_time"), "16".into()),
-        (format!("{queue}/size/data"), "16".into()),
-    ];
-    if mode == "client" {
-        settings.push(("connect/timeout_ms".into(), CONNECT_MS.to_string()));
-    }
-    let mut config = zenoh::Config::default();
-    for (key, value) in &settings {
-        config.insert_json5(key, value).map_err(|error| {
-            BusError::transport(format!("zenoh's {key} = {value}"), without_places(&error))
-        })?;
-    }
-    Ok(config)
-}
-
-fn why_not_open(mode: &str, listen: &[String], connect: &[String], error: &str) -> BusError {
-    if let Some(endpoint) = listen.iter().find(|endpoint| is_in_use(endpoint)) {
-        return BusError::InUse { endpoint: endpoint.clone() };
-    }
-    if mode != "client" {
-        return BusError::transport("cannot open the network", error);
-    }
-    let endpoints =
-        if connect.is_empty() { "any multicast address".into() } else { connect.join(", ") };
-    BusError::NobodyAnswers { endpoints }
-}
-
-/// Whether an address of this host is in use.
-fn is_in_use(endpoint: &str) -> bool {
-    let Some(address) = endpoint.strip_prefix("tcp/") else { return false };
-    let Ok(mut addresses) = address.to_socket_addrs() else { return false };
-    addresses.any(|address| {
-        TcpListener::bind(address).is_err_and(|error| error.kind() == std::io::ErrorKind::AddrInUse)
-    })
 }
 
 impl Bus for Zenoh {
@@ -261,6 +185,22 @@ impl Bus for Zenoh {
         Ok(Some(Box::new(Alive { _what: queryable, _session: self.session.clone() })))
     }
 
+    fn announce(&self, name: &str) -> Result<Box<dyn Guard>, BusError> {
+        check_topic(name)?;
+        let token = self.session.liveliness().declare_token(name.to_owned()).wait();
+        let token = token.map_err(|e| self.error(format!("cannot announce {name}"), e))?;
+        Ok(Box::new(Alive { _what: token, _session: self.session.clone() }))
+    }
+
+    fn announced(&self, pattern: &str) -> Result<Vec<String>, BusError> {
+        check_pattern(pattern)?;
+        let replies = self.session.liveliness().get(canonical(pattern)?).timeout(ANNOUNCED_WITHIN);
+        let replies =
+            replies.wait().map_err(|e| self.error(format!("cannot ask for {pattern}"), e))?;
+        let names = replies.iter().filter_map(|reply| reply.into_result().ok());
+        Ok(names.map(|sample| sample.key_expr().to_string()).collect())
+    }
+
     fn query(&self, pattern: &str, within: Duration) -> Result<Vec<Sample>, BusError> {
         check_pattern(pattern)?;
         let replies = self
@@ -291,26 +231,6 @@ fn is_of_streams(pattern: &str) -> bool {
         Ok(topic) => topic.history().is_none(),
         Err(_) => !pattern.contains('*'),
     }
-}
-
-/// The text of a zenoh error without source locations, such as ` at /path/to/file.rs:12.`.
-fn without_places(error: &dyn std::fmt::Display) -> String {
-    let (text, is_digit) = (error.to_string(), |c: char| c.is_ascii_digit());
-    let mut parts = text.split(" at ");
-    let mut clean = parts.next().unwrap_or_default().to_owned();
-    for part in parts {
-        match part.split_once(".rs:") {
-            Some((path, rest)) if !path.contains(' ') && rest.starts_with(is_digit) => {
-                let rest = rest.trim_start_matches(is_digit);
-                clean += rest.strip_prefix('.').unwrap_or(rest);
-            }
-            _ => {
-                clean += " at ";
-                clean += part;
-            }
-        }
-    }
-    clean
 }
 
 /// A pattern in zenoh's canonical form, such as `*/**` for `**/*`.
@@ -387,29 +307,3 @@ struct Alive<T> {
 }
 
 impl<T: Send> Guard for Alive<T> {}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn errors_show_no_paths_of_sources() {
-        for (raw, clean) in [
-            (
-                "no route at /root/.cargo/registry/src/x-1.0/src/a.rs:12. - Caused by refused at \
-                 /b/c.rs:3.",
-                "no route - Caused by refused",
-            ),
-            ("nothing at tcp/1.2.3.4:5 at src/d.rs:7.", "nothing at tcp/1.2.3.4:5"),
-            ("look at file.rs: it is at fault", "look at file.rs: it is at fault"),
-        ] {
-            assert_eq!(without_places(&raw), clean);
-        }
-        let error = Zenoh::open_node(&ZenohConfig {
-            listen: vec!["tcp/no-such-host.invalid:1".into()],
-            ..ZenohConfig::default()
-        });
-        let error = error.err().unwrap().to_string();
-        assert!(!error.contains(".rs"), "{error}");
-    }
-}

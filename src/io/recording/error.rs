@@ -23,6 +23,14 @@ pub enum RecordError {
         /// The reason from the system.
         source: io::Error,
     },
+    /// A topic above [`Writer::MOST_TOPICS`](super::Writer::MOST_TOPICS); it is not written.
+    #[error("{topic} is not recorded: a recording has at most {most} topics")]
+    TooManyTopics {
+        /// The topic.
+        topic: String,
+        /// The limit.
+        most: usize,
+    },
     /// The file is not an MCAP recording.
     #[error("{} is not an MCAP recording: {found}; make one with `bundlemocap import`", path.display())]
     NotMcap {

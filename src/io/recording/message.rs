@@ -8,7 +8,7 @@ use serde::{Serialize, Serializer};
 use crate::core::time::Timestamp;
 use crate::io::wire::{
     DecodeError, ENCODING, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig,
-    Skeleton, Status, decode, is_truth,
+    Skeleton, Status, Take, TakeAnswer, decode, is_truth,
 };
 
 /// A message of a recording.
@@ -63,6 +63,10 @@ pub enum Message {
     Journal(Journal),
     /// A pose on another skeleton.
     Retargeted(RetargetedPose),
+    /// A take begins or ends.
+    Take(Take),
+    /// What a node or a recorder did with it.
+    TakeAnswer(TakeAnswer),
     /// The true pose, in synthetic recordings.
     TruthPose(Pose),
     /// The true body, in synthetic recordings.
@@ -93,6 +97,8 @@ pub(super) enum Kind {
     Status,
     Journal,
     Retargeted,
+    Take,
+    TakeAnswer,
 }
 
 impl Kind {
@@ -107,6 +113,8 @@ impl Kind {
             Status::NAME => Self::Status,
             Journal::NAME => Self::Journal,
             RetargetedPose::NAME => Self::Retargeted,
+            Take::NAME => Self::Take,
+            TakeAnswer::NAME => Self::TakeAnswer,
             _ => return None,
         })
     }
@@ -181,6 +189,8 @@ impl Message {
             Kind::Status => Self::Status(decode(data)?),
             Kind::Journal => Self::Journal(decode(data)?),
             Kind::Retargeted => Self::Retargeted(decode::<RetargetedPose>(data)?.validated()?),
+            Kind::Take => Self::Take(decode(data)?),
+            Kind::TakeAnswer => Self::TakeAnswer(decode(data)?),
         })
     }
 }

@@ -61,10 +61,16 @@ pub struct Writer {
     topics: Topics,
     /// Channels by topic, usually one.
     channels: BTreeMap<String, Vec<OpenChannel>>,
+    /// Number of channels.
+    opened: usize,
     mcap: mcap::Writer<BufWriter<Target>>,
 }
 
 impl Writer {
+    /// Most channels of a recording: topics, times schemas of a topic. MCAP allows 65,535; so many
+    /// are a fault of a publisher.
+    pub const MOST_TOPICS: usize = 16_384;
+
     /// Starts a recording for `path`.
     ///
     /// # Errors
@@ -110,7 +116,7 @@ impl Writer {
             Ok(mcap)
         };
         let mcap = start().map_err(|error| write_error(path, error))?;
-        Ok(Self { path: path.to_owned(), topics, channels: BTreeMap::new(), mcap })
+        Ok(Self { path: path.to_owned(), topics, channels: BTreeMap::new(), opened: 0, mcap })
     }
 
     /// Writes the calibration, valid from `at`.
@@ -231,19 +237,17 @@ impl Writer {
             .map_err(|_| RecordError::BeforeEpoch { topic: topic.to_owned(), ns: at.ns() })?;
         let times = [log_time; 2];
         self.log(topic, &T::full_name(), ENCODING, times, &encode(message))
-            .map_err(|error| write_error(&self.path, error))
     }
 
     /// Writes an undecoded message: with the schema's descriptor if it is ours, otherwise without
     /// schema. Times before the epoch are set to the epoch.
     ///
     /// # Errors
-    /// The disk is full or fails.
+    /// The disk is full or fails, or the topic is above [`Writer::MOST_TOPICS`].
     pub fn write_raw(&mut self, entry: &RawEntry) -> Result<(), RecordError> {
         let times = [entry.log_time, entry.publish_time];
         let times = times.map(|time| u64::try_from(time.ns()).unwrap_or(0));
         self.log(&entry.topic, &entry.schema, &entry.encoding, times, &entry.payload)
-            .map_err(|error| write_error(&self.path, error))
     }
 
     /// `times`: log and publish time.
@@ -254,7 +258,7 @@ impl Writer {
         encoding: &str,
         times: [u64; 2],
         payload: &[u8],
-    ) -> Result<(), McapError> {
+    ) -> Result<(), RecordError> {
         let of_kind =
             |channel: &&mut OpenChannel| channel.schema == schema && channel.encoding == encoding;
         let open = self.channels.get_mut(topic);
@@ -263,11 +267,19 @@ impl Writer {
                 channel.sequence = channel.sequence.wrapping_add(1);
                 (channel.id, channel.sequence)
             }
-            None => (self.open_channel(topic, schema, encoding)?, 0),
+            None if self.opened >= Self::MOST_TOPICS => {
+                let (topic, most) = (topic.to_owned(), Self::MOST_TOPICS);
+                return Err(RecordError::TooManyTopics { topic, most });
+            }
+            None => {
+                let id = self.open_channel(topic, schema, encoding);
+                (id.map_err(|error| write_error(&self.path, error))?, 0)
+            }
         };
         let [log_time, publish_time] = times;
         let header = MessageHeader { channel_id, sequence, log_time, publish_time };
-        self.mcap.write_to_known_channel(&header, payload)
+        let written = self.mcap.write_to_known_channel(&header, payload);
+        written.map_err(|error| write_error(&self.path, error))
     }
 
     fn open_channel(
@@ -284,6 +296,7 @@ impl Writer {
         let (schema, encoding) = (schema.to_owned(), encoding.to_owned());
         let open = self.channels.entry(topic.to_owned()).or_default();
         open.push(OpenChannel { id, sequence: 0, schema, encoding });
+        self.opened += 1;
         Ok(id)
     }
 

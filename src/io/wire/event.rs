@@ -14,6 +14,7 @@ impl Event {
             window: event.window,
             count: event.count.max(1),
             detail: event.detail.clone(),
+            run_id: 0,
         }
     }
 
@@ -51,7 +52,10 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Overdue
         | EventKind::Latency
         | EventKind::Effort
-        | EventKind::Body => true,
+        | EventKind::Body
+        | EventKind::Idle
+        | EventKind::Take
+        | EventKind::SecondNode => true,
         EventKind::Late
         | EventKind::Duplicate
         | EventKind::OutOfOrder
@@ -60,12 +64,16 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Silent
         | EventKind::Returned
         | EventKind::Calibrated
+        | EventKind::RigChanged
+        | EventKind::RigRefused
         | EventKind::ClockOffset
         | EventKind::TimeOffset
         | EventKind::CameraMoved
         | EventKind::ClockJump
         | EventKind::Crowd
+        | EventKind::FarPoint
         | EventKind::Conflict
-        | EventKind::Dropped => false,
+        | EventKind::Dropped
+        | EventKind::Clock => false,
     }
 }

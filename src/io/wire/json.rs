@@ -71,7 +71,8 @@ mod tests {
         let status = to_value(Status { events, ..Status::default() }).unwrap();
         assert_eq!((&status["events"], &status["windows"]), (&json!({"late": 3}), &json!(null)));
         let entry = |input| to_value(JournalEntry { time_ns: 7, input }).unwrap();
-        assert_eq!(entry(Some(Input::Dropped(2))), json!({"time_ns": 7, "dropped": 2}));
+        let ended = entry(Some(Input::End(true)));
+        assert_eq!(ended, json!({"time_ns": 7, "end": true}));
         assert_eq!(entry(None), json!({"time_ns": 7}));
         let message = JournalMessage { topic: "t".into(), hash: 16, payload: Some(vec![1; 5]) };
         let expected = json!({"topic": "t", "hash": "0000000000000010", "payload": 5});

@@ -43,6 +43,7 @@ impl Pose {
             provisional: stamped.provisional,
             revision: stamped.revision,
             run_id: live.map_or(0, |live| live.run_id),
+            timecode: String::new(),
         }
     }
 

@@ -4,7 +4,7 @@ use prost::{Message, Name};
 
 use super::{
     DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Skeleton,
-    Status, Topic,
+    Status, Take, TakeAnswer, Topic,
 };
 
 /// Encoding of payloads, by its name in MCAP.
@@ -44,6 +44,8 @@ schemas! {
     Status: "status",
     Journal: "journal",
     RetargetedPose: "retargeted_pose",
+    Take: "take",
+    TakeAnswer: "take_answer",
 }
 
 /// Prefix of a payload's encoding on the bus; the name of the schema follows.
@@ -104,6 +106,8 @@ mod tests {
             Status::full_name(),
             Journal::full_name(),
             RetargetedPose::full_name(),
+            Take::full_name(),
+            TakeAnswer::full_name(),
         ];
         assert_eq!(names.collect::<Vec<_>>(), ours);
         assert_eq!(descriptor(&Pose::full_name()), Some(Pose::DESCRIPTOR));

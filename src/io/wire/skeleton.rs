@@ -26,6 +26,7 @@ impl Skeleton {
             rest_offsets_m: offsets.copied().collect(),
             shape: skeleton.shape().0.to_vec(),
             keypoint_offsets_m: skeleton.keypoint_offsets().metres().to_vec(),
+            run_id: 0,
         }
     }
 

@@ -5,6 +5,8 @@
 //! | `mocap/{stage}/rig` | `Rig` |
 //! | `mocap/{stage}/events` | `Event` that concerns no performer |
 //! | `mocap/{stage}/camera/{camera}/keypoints` | `KeypointFrame` |
+//! | `mocap/{stage}/take` | `Take` |
+//! | `mocap/{stage}/take/answers` | `TakeAnswer` |
 //! | `mocap/{stage}/actor/{actor}/skeleton` | `Skeleton` |
 //! | `mocap/{stage}/actor/{actor}/status` | `Status` |
 //! | `mocap/{stage}/actor/{actor}/events` | `Event` that concerns the performer |
@@ -20,6 +22,7 @@ use std::fmt;
 
 use super::{
     Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Schema, Skeleton, Status,
+    Take, TakeAnswer,
 };
 use crate::core::tracker::EventKind;
 
@@ -59,6 +62,10 @@ pub enum StageChannel<'a> {
         /// Name of the camera.
         camera: &'a str,
     },
+    /// Commands to nodes and recorders: a take begins or ends.
+    Take,
+    /// Answers to those commands.
+    TakeAnswers,
 }
 
 /// Kinds of topics that belong to one performer.
@@ -137,6 +144,8 @@ impl<'a> Topic<'a> {
             Self::Stage { channel, .. } => match channel {
                 StageChannel::Rig => Some(1),
                 StageChannel::Events => Some(64),
+                StageChannel::Take => Some(1),
+                StageChannel::TakeAnswers => Some(8),
                 StageChannel::Keypoints { .. } => None,
             },
             Self::Actor { channel, .. } => match channel {
@@ -176,6 +185,8 @@ impl<'a> StageChannel<'a> {
         Some(match text {
             "rig" => Self::Rig,
             "events" => Self::Events,
+            "take" => Self::Take,
+            "take/answers" => Self::TakeAnswers,
             _ => {
                 let (camera, rest) = text.strip_prefix("camera/")?.split_once('/')?;
                 return (rest == "keypoints").then_some(Self::Keypoints { camera });
@@ -188,6 +199,8 @@ impl<'a> StageChannel<'a> {
             Self::Rig => Rig::FULL_NAME,
             Self::Events => Event::FULL_NAME,
             Self::Keypoints { .. } => KeypointFrame::FULL_NAME,
+            Self::Take => Take::FULL_NAME,
+            Self::TakeAnswers => TakeAnswer::FULL_NAME,
         }
     }
 }
@@ -241,6 +254,8 @@ impl fmt::Display for StageChannel<'_> {
             Self::Rig => to.write_str("rig"),
             Self::Events => to.write_str("events"),
             Self::Keypoints { camera } => write!(to, "camera/{camera}/keypoints"),
+            Self::Take => to.write_str("take"),
+            Self::TakeAnswers => to.write_str("take/answers"),
         }
     }
 }
@@ -325,6 +340,16 @@ impl Topics {
     /// Topic of [`Rig`].
     pub fn rig(&self) -> String {
         self.of_stage(StageChannel::Rig)
+    }
+
+    /// Topic of [`Take`]: commands to nodes and recorders.
+    pub fn take(&self) -> String {
+        self.of_stage(StageChannel::Take)
+    }
+
+    /// Topic of [`TakeAnswer`].
+    pub fn take_answers(&self) -> String {
+        self.of_stage(StageChannel::TakeAnswers)
     }
 
     /// Topic of each [`Event`] that concerns no performer.
@@ -434,6 +459,8 @@ mod tests {
             of_stage("mocap/s/rig", StageChannel::Rig),
             of_stage("mocap/s/events", StageChannel::Events),
             of_stage("mocap/s/camera/c/keypoints", StageChannel::Keypoints { camera: "c" }),
+            of_stage("mocap/s/take", StageChannel::Take),
+            of_stage("mocap/s/take/answers", StageChannel::TakeAnswers),
             of_actor("mocap/s/actor/a/skeleton", ActorChannel::Skeleton),
             of_actor("mocap/s/actor/a/status", ActorChannel::Status),
             of_actor("mocap/s/actor/a/events", ActorChannel::Events),

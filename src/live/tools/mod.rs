@@ -7,6 +7,9 @@ pub mod inbox;
 pub mod player;
 #[cfg(feature = "cli")]
 pub(crate) mod survey;
+pub mod recorder;
+#[cfg(feature = "cli")]
+mod silence;
 #[cfg(feature = "cli")]
 pub mod take;
 

@@ -282,7 +282,7 @@ mod tests {
         let (samples, _) = played(&of(&path, &["b"]), &how(), u64::MAX);
         let times = samples[1..].iter().map(|s| (s.capture - how().start).ns() / PERIOD.ns());
         assert_eq!(times.collect::<Vec<_>>(), [1, 3]);
-        let error = Take::read(&path.1, &["c".to_owned()]).unwrap_err().to_string();
+        let error = Take::read(&path.1, &["c".to_owned()], None).unwrap_err().to_string();
         assert!(error.contains("\"c\"") && error.contains("a, b"), "{error}");
     }
 

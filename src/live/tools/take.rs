@@ -91,11 +91,15 @@ pub(crate) enum What {
 }
 
 impl Take {
-    /// Reads the cameras in `only` from a recording; all cameras if `only` is empty. Also returns
-    /// the damage of the recording.
-    pub(crate) fn read(path: &Path, only: &[String]) -> Result<(Self, Report), TakeError> {
+    /// Reads the cameras in `only` from a recording; all cameras if `only` is empty. Of frames, those
+    /// captured in `span`, if there is one. Also returns the damage of the recording.
+    pub(crate) fn read(
+        path: &Path,
+        only: &[String],
+        span: Option<[Timestamp; 2]>,
+    ) -> Result<(Self, Report), TakeError> {
         let mut reader = Reader::open(path)?;
-        let mut gathered = Gathered::default();
+        let mut gathered = Gathered { span, ..Gathered::default() };
         while let Some(raw) = reader.next_raw() {
             let raw = raw?;
             if let Err(error) = gathered.add(&raw) {
@@ -197,6 +201,8 @@ impl Take {
 /// State while a recording is read.
 #[derive(Default)]
 struct Gathered {
+    /// First and last capture time of the frames, if not all are read.
+    span: Option<[Timestamp; 2]>,
     /// Payloads, each with the number of frames before it.
     rigs: Vec<(usize, Vec<u8>)>,
     cameras: BTreeMap<String, Vec<(u64, Frame)>>,
@@ -215,6 +221,9 @@ impl Gathered {
             && let Message::Keypoints(message) = raw.message()?
         {
             let capture = Timestamp::from_ns(message.capture_time_ns);
+            if self.span.is_some_and(|[start, end]| !(start..=end).contains(&capture)) {
+                return Ok(());
+            }
             let payload = raw.payload.clone();
             self.captures.push(capture);
             let frames = self.cameras.entry(message.camera).or_default();
@@ -303,7 +312,7 @@ pub(crate) mod tests {
 
     pub(crate) fn of(file: &(tempfile::TempDir, PathBuf), only: &[&str]) -> Take {
         let only: Vec<String> = only.iter().map(|name| (*name).to_owned()).collect();
-        Take::read(&file.1, &only).unwrap().0
+        Take::read(&file.1, &only, None).unwrap().0
     }
 
     #[test]

@@ -16,6 +16,9 @@ use crate::core::tracker::job::{Job, Outcome};
 
 /// Most keyframes in the solve of the shape.
 const SHAPE_KEYFRAMES: usize = 10;
+/// About the most frames, of all cameras together, that the shape is solved from: all of 16 cameras
+/// at the default windows.
+const SHAPE_FRAMES: usize = 480;
 
 impl Solver {
     /// Finds the performer in the first frame set that shows one; if the shape is unknown, solves
@@ -65,7 +68,8 @@ impl Solver {
         let steps = frames.div_ceil(spacing) as i64;
         let step = ((job.end - job.start) / steps).max(Nanos::new(1));
         let frames = spacing as f64;
-        let used = job.frames.iter().filter(|frame| frame.capture >= first.capture);
+        let stride = job.frames.len().div_ceil(SHAPE_FRAMES).max(job.effort.stride);
+        let used = job.every(stride).filter(|frame| frame.capture >= first.capture);
         let mut observations = self.follow(used, points, &job.rig, &first.keyframe, rough);
         // Only the shape and the first keyframe are kept, so few keyframes and no stiffness are
         // enough.

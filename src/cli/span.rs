@@ -1,0 +1,141 @@
+//! The part of a recording that is used: `--start` and `--end`.
+
+use std::path::Path;
+
+use clap::Args;
+
+use super::failure::{Exit, Failure};
+use crate::config::Config;
+use crate::core::time::{Nanos, Timestamp};
+use crate::core::timecode::House;
+use crate::io::recording::{METADATA, RawEntry, Reader};
+use crate::io::wire::journal_entry::Input;
+use crate::io::wire::{Journal, KeypointFrame, Pose, Schema, decode};
+use crate::offline::output::text;
+
+/// A node's settings are searched in this much of a live recording.
+const SEARCHED: Nanos = Nanos::from_ms(5000);
+
+/// The part of a recording that is used.
+#[derive(Debug, Args)]
+pub(super) struct SpanArguments {
+    /// Begin here: seconds since the recording's first frame, or a timecode such as 01:00:00:00, with
+    /// [timecode] in the settings or in those of the recording.
+    #[arg(long, value_name = "TIME")]
+    start: Option<String>,
+    /// End here, inclusive; as --start.
+    #[arg(long, value_name = "TIME")]
+    end: Option<String>,
+}
+
+impl SpanArguments {
+    /// First and last capture time in the recording, if one of them is given.
+    pub(super) fn within(&self, of: &Times) -> Result<Option<[Timestamp; 2]>, Failure> {
+        if self.start.is_none() && self.end.is_none() {
+            return Ok(None);
+        }
+        let at = |option: &str, text: &Option<String>, default: i64| match text {
+            Some(text) => of
+                .time(text)
+                .map_err(|reason| Failure::new(Exit::Usage, format!("{option} {text}: {reason}"))),
+            None => Ok(Timestamp::from_ns(default)),
+        };
+        let start = at("--start", &self.start, i64::MIN)?;
+        let end = at("--end", &self.end, i64::MAX)?;
+        if start > end {
+            return Err(Failure::new(Exit::Usage, "--end is before --start"));
+        }
+        Ok(Some([start, end]))
+    }
+}
+
+/// The times of a recording.
+pub(super) struct Times {
+    /// Capture time of the first frame or pose.
+    first: Timestamp,
+    /// The timecode of the settings, or else of those of the recording or its node.
+    house: Option<House>,
+}
+
+impl Times {
+    pub(super) fn of(path: &Path, config: Option<&Config>) -> Result<Self, Failure> {
+        let mut reader = Reader::open(path)?;
+        let ours = reader.metadata().get(METADATA).and_then(|ours| ours.get("config"));
+        let theirs = ours.and_then(|toml| Config::parse(toml, path).ok());
+        let house = match config.map(timecode).transpose()?.flatten() {
+            Some(house) => Some(house),
+            None => theirs.as_ref().map(timecode).transpose()?.flatten(),
+        };
+        let (mut house, mut first) = (house, None::<RawEntry>);
+        while let Some(entry) = reader.next_raw().transpose()? {
+            let is_late = |first: &RawEntry| entry.log_time - first.log_time > SEARCHED;
+            if first.as_ref().is_some_and(|first| house.is_some() || is_late(first)) {
+                break;
+            }
+            match &*entry.schema {
+                KeypointFrame::FULL_NAME | Pose::FULL_NAME => first = first.or(Some(entry)),
+                Journal::FULL_NAME if house.is_none() => house = of_node(&entry.payload),
+                _ => {}
+            }
+        }
+        Ok(Self { first: first.map(|first| first.publish_time).unwrap_or_default(), house })
+    }
+
+    /// The capture time of a number of seconds since the first frame, or of a timecode.
+    fn time(&self, text: &str) -> Result<Timestamp, String> {
+        if text.contains(':') {
+            let house =
+                self.house.ok_or("give [timecode] in --config, as in config/default.toml")?;
+            return house.capture(text, self.first).map_err(|error| error.to_string());
+        }
+        match text.parse::<f64>() {
+            Ok(seconds) if (0.0..1e9).contains(&seconds) => {
+                Ok(self.first + Nanos::rounded((seconds * 1e9).round()))
+            }
+            _ => {
+                Err("give seconds since the first frame, or a timecode such as 01:00:00:00".into())
+            }
+        }
+    }
+
+    /// Writes the timecode of the first frame of a BVH file beside it, since BVH has no place for it.
+    pub(super) fn beside(&self, bvh: &Path, first: Option<Timestamp>) -> Result<(), Failure> {
+        let Some(house) = self.house else { return Ok(()) };
+        let label = house.label(first.map_or(self.first, |at| at.max(self.first)));
+        let line = format!("{label} {}\n", house.rate());
+        Ok(text(&bvh.with_extension("timecode.txt"), &line)?)
+    }
+}
+
+/// The timecode of the node whose journal begins with that part.
+fn of_node(part: &[u8]) -> Option<House> {
+    let start = match decode::<Journal>(part).ok()?.entries.into_iter().next()?.input? {
+        Input::Start(start) => start,
+        _ => return None,
+    };
+    Config::parse(&start.config, Path::new("the journal")).ok()?.timecode.house().ok()?
+}
+
+/// The timecode of the settings.
+pub(super) fn timecode(config: &Config) -> Result<Option<House>, Failure> {
+    config.timecode.house().map_err(|error| Failure::new(Exit::Usage, error.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_seconds_or_timecodes() {
+        let first = Timestamp::from_ns(1_795_252_800_000_000_000);
+        let house = House::new("25", "10:00:00:00 at 1795252790.0").ok();
+        let times = Times { first, house };
+        let after = |text: &str| times.time(text).map(|at| (at - first).ns());
+        assert_eq!(after("1.5"), Ok(1_500_000_000));
+        assert_eq!(after("10:00:11:05"), Ok(1_200_000_000));
+        assert!(after("10:00:00:25").is_err() && after("-1").is_err() && after("x").is_err());
+        assert!(
+            Times { first, house: None }.time("10:00:00:00").unwrap_err().contains("[timecode]")
+        );
+    }
+}

@@ -1,0 +1,134 @@
+//! `bundlemocap take`
+
+use std::time::{Duration, Instant};
+
+use clap::{Args, ValueEnum};
+
+use super::Ended;
+use super::bus::{BusArguments, check_name, open, topics};
+use super::clock::ATTENTION;
+use super::failure::{Exit, Failure};
+use super::terminal::{complain, say};
+use crate::core::time::Timestamp;
+use crate::io::bus::Bus;
+use crate::io::wire::{Schema, Take, TakeAnswer, Topics, decode, encode, media_type};
+use crate::live::WallClock;
+use crate::live::tools::inbox::Inbox;
+
+/// Time from opening the bus to the command, for nodes and recorders to connect.
+const LEAD: Duration = Duration::from_millis(500);
+/// Longest wait for answers: a recorder ends a file a second after the command.
+const PATIENCE: Duration = Duration::from_secs(4);
+/// Wait for further answers once a node and a recorder have answered.
+const GRACE: Duration = Duration::from_millis(300);
+
+/// Begin or end a take, or forget the performer's body.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own for the take, so that
+       `replay` can verify it alone: they keep calibration, body, latency and time offsets, search the
+       performer anew, and publish no poses for some tenths of a second.
+stop   Recorders end the file, one second later. Nodes go on.
+reset  Nodes forget the performer's body: somebody else comes.
+
+Prints who answered. Exit code 13: nobody did. Exit code 6: no recorder or no node answered, or one
+refused.
+
+Examples:
+  bundlemocap take start walk_01
+  bundlemocap take stop
+  bundlemocap take reset --connect tcp/192.168.1.10:7447")]
+pub(super) struct Arguments {
+    /// What to do.
+    #[arg(value_enum)]
+    action: Action,
+    /// Name of the take: letters, digits, `-`, `_` and `.`. Without it, stop and reset are for the take
+    /// that runs.
+    #[arg(required_if_eq("action", "start"))]
+    name: Option<String>,
+    #[command(flatten)]
+    bus: BusArguments,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Action {
+    /// Begin a take.
+    Start,
+    /// End the take.
+    Stop,
+    /// Forget the performer's body.
+    Reset,
+}
+
+impl Action {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Start => "start",
+            Self::Stop => "stop",
+            Self::Reset => "reset",
+        }
+    }
+
+    /// Who must answer.
+    const fn roles(self) -> &'static [&'static str] {
+        match self {
+            Self::Start | Self::Stop => &["node", "recorder"],
+            Self::Reset => &["node"],
+        }
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let name = arguments.name.clone().unwrap_or_default();
+    if !name.is_empty() {
+        check_name("NAME", &name)?;
+    }
+    let config = arguments.bus.settings()?;
+    let bus = open(&config)?;
+    let id = WallClock::start().now().ns().unsigned_abs();
+    let take = Take { id, action: arguments.action.name().into(), name };
+    let answers = command(&*bus, &topics(&config), &take, arguments.action.roles(), LEAD)?;
+    for TakeAnswer { role, text, refused, .. } in &answers {
+        match refused {
+            true => complain("warning", &format!("{role}: {text}")),
+            false => say(&format!("{role}: {text}")),
+        }
+    }
+    if answers.is_empty() {
+        let fix = "is `bundlemocap run` up, on this --stage and bus?";
+        return Err(Failure::new(Exit::Bus, format!("nobody answered; {fix}")));
+    }
+    let is_missing = |role: &&&str| !answers.iter().any(|answer| answer.role == **role);
+    let missing: Vec<&&str> = arguments.action.roles().iter().filter(is_missing).collect();
+    for role in &missing {
+        complain("warning", &format!("no {role} answered"));
+    }
+    let is_done = missing.is_empty() && answers.iter().all(|answer| !answer.refused);
+    Ok(if is_done { Exit::Done } else { Exit::InPart })
+}
+
+/// Publishes a command and collects the answers.
+fn command(
+    bus: &dyn Bus,
+    topics: &Topics,
+    take: &Take,
+    roles: &[&str],
+    lead: Duration,
+) -> Result<Vec<TakeAnswer>, Failure> {
+    let inbox = Inbox::open(bus, &topics.take_answers())?;
+    let publisher = bus.publisher(&topics.take())?;
+    std::thread::sleep(lead);
+    publisher.put(Timestamp::default(), &media_type(Take::FULL_NAME), &encode(take))?;
+    let (begin, mut all) = (Instant::now(), Vec::<TakeAnswer>::new());
+    let mut until = PATIENCE;
+    while begin.elapsed() < until {
+        let Some(received) = inbox.next(ATTENTION) else { continue };
+        let answer = decode::<TakeAnswer>(&received.sample.payload).ok();
+        let Some(answer) = answer.filter(|answer| answer.id == take.id) else { continue };
+        all.push(answer);
+        if roles.iter().all(|role| all.iter().any(|answer| answer.role == *role)) {
+            until = PATIENCE.min(begin.elapsed() + GRACE);
+        }
+    }
+    Ok(all)
+}

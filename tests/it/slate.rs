@@ -1,0 +1,210 @@
+//! Takes of the node's core in simulated time: a journal for each, replays, a new performer.
+
+use bundlemocap::config::Config;
+use bundlemocap::core::body::{self, Joint, Shape};
+use bundlemocap::core::manifold::Decoder;
+use bundlemocap::core::time::{Nanos, Timestamp};
+use bundlemocap::core::tracker::Solver;
+use bundlemocap::io::wire::{Event, Skeleton, Take, TakeAnswer, Topics, encode};
+use bundlemocap::live::{Carried, Recorded, ReplayError, Replayed, Settings, replay};
+use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+
+use crate::live::{Sent, Studio, World, at, settings};
+
+/// A command, `at` seconds after the start.
+fn slate(action: &str, name: &str, seconds: f64) -> Sent {
+    let take = Take { id: 7, action: action.into(), name: name.into() };
+    Sent { arrival: at(seconds), topic: Topics::default().take(), payload: encode(&take) }
+}
+
+/// A session of that many seconds with those commands, and all its messages.
+fn session(seconds: u64, slates: Vec<Sent>) -> (World, Vec<Recorded>) {
+    let mut messages = Studio::new(4, 60 * seconds).messages();
+    messages.extend(slates);
+    let mut world = World::new(&Config::default());
+    world.play(messages.clone(), at(seconds as f64));
+    world.end();
+    let mut recorded = world.heard.messages.clone();
+    recorded.extend(messages.into_iter().map(|sent| Recorded {
+        time: sent.arrival,
+        capture: Timestamp::default(),
+        topic: sent.topic.into(),
+        schema: "".into(),
+        payload: sent.payload,
+    }));
+    (world, recorded)
+}
+
+fn replayed(recorded: &[Recorded], run: Option<&str>) -> Result<Replayed, ReplayError> {
+    replay(recorded, &Topics::default(), run, |start| {
+        let decoder = Decoder::embedded().unwrap();
+        let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
+        let (body, carried) = (start.body.clone(), Carried::of(start));
+        let solver = Solver::new(decoder.clone(), config.tracker);
+        Ok((Settings { body, carried, ..settings(&config, &decoder) }, solver))
+    })
+}
+
+fn assert_agrees(replayed: &Replayed) {
+    for (topic, compared) in &replayed.topics {
+        assert!(compared.agrees() && compared.equal > 0, "{topic}: {compared:?}");
+    }
+    assert!(replayed.topics.len() >= 7, "{:?}", replayed.topics.keys());
+}
+
+/// What a recorder has that began with the take.
+fn from(recorded: &[Recorded], seconds: f64) -> Vec<Recorded> {
+    recorded.iter().filter(|message| message.time >= at(seconds)).cloned().collect()
+}
+
+#[test]
+fn each_take_has_a_journal_that_needs_nothing_of_the_time_before() {
+    let slates =
+        vec![slate("start", "walk", 3.0), slate("stop", "", 5.0), slate("start", "run", 6.0)];
+    let (world, recorded) = session(8, slates);
+    let answers = world.heard.of::<TakeAnswer>(&Topics::default().take_answers());
+    let texts: Vec<&str> = answers.iter().map(|(_, answer)| answer.text.as_str()).collect();
+    assert_eq!(
+        texts,
+        ["actor: take walk begins", "actor: take walk ended", "actor: take run begins"]
+    );
+    let error = replayed(&recorded, None).unwrap_err().to_string();
+    assert!(error.contains("(take walk)") && error.contains("(take run)"), "{error}");
+
+    let walk = replayed(&from(&recorded, 3.0), Some("walk")).unwrap();
+    assert_agrees(&walk);
+    assert!(walk.is_whole && walk.gap.is_none());
+    assert_eq!((walk.start.take.as_str(), walk.start.latency_ns), ("walk", 180_000_000));
+    let poses = &walk.topics[&Topics::default().pose()];
+    assert!(poses.equal == poses.recorded && poses.equal > 100, "{poses:?}");
+    // The rig of the take came before the take.
+    assert!(walk.start.rig.is_some());
+
+    let run = replayed(&from(&recorded, 6.0), None).unwrap();
+    assert_agrees(&run);
+    assert_ne!(run.start.run_id, walk.start.run_id);
+    let pose = world.heard.poses();
+    let gap = pose.windows(2).map(|p| p[1].1.capture_time_ns - p[0].1.capture_time_ns).max();
+    println!("longest time without poses: {} ms", gap.unwrap() / 1_000_000);
+}
+
+#[test]
+fn a_replay_goes_up_to_the_first_input_that_was_lost() {
+    let (_, recorded) = session(4, Vec::new());
+    let mut lossy = recorded.clone();
+    let lost = lossy.iter().position(|m| m.topic.ends_with("keypoints") && m.time > at(2.5));
+    let lost = lossy.remove(lost.unwrap());
+    let cut = replayed(&lossy, None).unwrap();
+    assert_agrees(&cut);
+    let gap = cut.gap.unwrap();
+    assert!(gap.what.contains(&*lost.topic), "{gap:?}");
+    assert!((gap.after.seconds() - 3.0).abs() < 0.1, "{gap:?}");
+    let poses = &cut.topics[&Topics::default().pose()];
+    assert!(poses.equal > 90 && poses.equal < poses.recorded, "{poses:?}");
+    // A lost part of the journal is a gap too.
+    let journal = Topics::default().journal();
+    let part = recorded.iter().position(|m| *m.topic == *journal && m.time > at(1.5)).unwrap();
+    let mut lossy = recorded;
+    lossy.remove(part);
+    let cut = replayed(&lossy, None).unwrap();
+    assert_agrees(&cut);
+    assert!(cut.gap.unwrap().what.contains("of the journal"));
+    // A change before the gap is still found.
+    let pose = lossy.iter_mut().find(|m| *m.topic == *Topics::default().pose());
+    pose.unwrap().payload[100] ^= 1;
+    assert!(!replayed(&lossy, None).unwrap().topics[&Topics::default().pose()].agrees());
+}
+
+#[test]
+fn commands_that_cannot_be_followed_are_refused() {
+    let slates = vec![
+        slate("stop", "", 1.0),
+        slate("start", "../walk", 1.1),
+        slate("start", "walk", 1.2),
+        slate("stop", "run", 1.4),
+        slate("reset", "walk", 1.5),
+        slate("pause", "", 1.6),
+    ];
+    let (world, recorded) = session(2, slates);
+    let answers = world.heard.of::<TakeAnswer>(&Topics::default().take_answers());
+    let refused: Vec<bool> = answers.iter().map(|(_, answer)| answer.refused).collect();
+    assert_eq!(refused, [true, true, false, true, false, true]);
+    assert_agrees(&replayed(&from(&recorded, 1.2), None).unwrap());
+}
+
+#[test]
+fn a_take_keeps_the_body_unless_it_is_reset() {
+    let body = |slates| {
+        let (world, _) = session(16, slates);
+        let bodies = world.heard.of::<Skeleton>(&Topics::default().skeleton());
+        bodies.into_iter().map(|(time, body)| (time, body.shape)).collect::<Vec<_>>()
+    };
+    let bodies = body(vec![slate("start", "walk", 14.0)]);
+    let [.., before, after] = &bodies[..] else { panic!("{} bodies", bodies.len()) };
+    assert!(before.0 < at(14.0) && after.0 >= at(14.0), "{:?}", after.0);
+    assert_eq!(before.1, after.1);
+    let bodies = body(vec![slate("reset", "", 14.0)]);
+    let anew = bodies.iter().filter(|(time, _)| *time > at(14.0) + Nanos::from_ms(100));
+    assert!(anew.count() >= 4, "{bodies:?}");
+}
+
+/// Frames of performers of those shapes, one after the other, each for 15 s, with that pause between.
+fn in_turn(shapes: &[Shape], pause_s: u64) -> Studio {
+    const FRAMES: u64 = 15 * 60;
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let mut frames = Vec::new();
+    for (turn, shape) in (0..).zip(shapes) {
+        let skeleton = body::Skeleton::new(*shape);
+        let motion = Motion::new(&skeleton, MotionStyle::default());
+        let mut recording = Recording::new(rig.clone(), skeleton, |seconds| motion.pose(seconds));
+        recording.noise = Noise::jitter_only();
+        recording.frames = FRAMES + pause_s * 60;
+        let before = turn * recording.frames;
+        recording.start = at(0.0) + Nanos::rounded(before as f64 * 1e9 / 60.0);
+        frames.extend(recording.detections().map(|mut frame| {
+            if frame.frame >= FRAMES {
+                frame.people.clear();
+            }
+            frame.frame += before;
+            frame
+        }));
+    }
+    Studio { rig, frames }
+}
+
+/// Mean length of the limbs, metres.
+fn limbs(skeleton: &body::Skeleton) -> f64 {
+    let ends =
+        [Joint::LKnee, Joint::RKnee, Joint::LAnkle, Joint::RAnkle, Joint::LElbow, Joint::RElbow];
+    ends.iter().map(|joint| skeleton.offset(*joint).norm()).sum::<f64>() / ends.len() as f64
+}
+
+#[test]
+fn the_next_performer_gets_a_body_without_a_restart() {
+    let tall = Shape::symmetric([1.5, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let short = Shape::symmetric([-1.5, -0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let like = Shape::symmetric([0.8, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    for (first, second, pause) in [(&tall, &short, 0), (&tall, &like, 3), (&tall, &tall, 3)] {
+        let studio = in_turn(&[*first, *second], pause);
+        let change = 15.0 + pause as f64;
+        let world = crate::live::after(studio.messages(), change + 15.0);
+        let wanted = [first, second].map(|shape| limbs(&body::Skeleton::new(*shape)));
+        let bodies = world.heard.of::<Skeleton>(&Topics::default().skeleton());
+        let found = |until: f64| {
+            let body = bodies.iter().rfind(|(time, _)| *time < at(until)).unwrap().1.clone();
+            limbs(&body.to_core().unwrap())
+        };
+        let off = [found(15.0) - wanted[0], found(change + 15.0) - wanted[1]];
+        let events: Vec<f64> = world
+            .heard
+            .of::<Event>(&Topics::default().actor_events())
+            .iter()
+            .filter(|(_, event)| event.kind == "body")
+            .map(|(time, _)| time.seconds_since(at(change)))
+            .collect();
+        println!("{pause} s: limbs {wanted:.3?} m, off {off:.4?} m, events {events:.2?}");
+        assert!(off.iter().all(|off| off.abs() < 0.004), "limbs {wanted:.3?} m, off {off:.4?} m");
+        assert_eq!(events.len(), usize::from(first != second), "{events:?}");
+        assert!(events.iter().all(|at| (0.0..4.0).contains(at)), "{events:?}");
+    }
+}

@@ -1,0 +1,91 @@
+//! Certificates and access control, with the files of `config/`.
+
+use std::path::Path;
+use std::process::Command;
+use std::sync::mpsc::{Receiver, channel};
+use std::time::Duration;
+
+use bundlemocap::config::Config;
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::io::bus::{Bus, Guard, Sample, TlsConfig, Zenoh, ZenohConfig};
+
+/// Longest wait for an expected message.
+const LONG: Duration = Duration::from_secs(20);
+const KEYPOINTS: &str = "mocap/stage/camera/cam01/keypoints";
+
+fn certificates(folder: &Path, names: &[&str]) {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/config/certificates.sh");
+    let made = Command::new("sh").arg(script).arg(folder).args(names).status().unwrap();
+    assert!(made.success(), "the script needs openssl");
+}
+
+fn tls(folder: &Path, name: &str) -> TlsConfig {
+    let file = |file: &str| folder.join(file).display().to_string();
+    TlsConfig {
+        root_ca: file("ca.pem"),
+        certificate: file(&format!("{name}.pem")),
+        key: file(&format!("{name}.key.pem")),
+        client_certificates: true,
+    }
+}
+
+fn listen(bus: &Zenoh, pattern: &str) -> (Receiver<Sample>, Box<dyn Guard>) {
+    let (sender, samples) = channel();
+    let sink = Box::new(move |sample| drop(sender.send(sample)));
+    (samples, bus.subscribe(pattern, sink).unwrap())
+}
+
+#[test]
+fn only_allowed_certificates_publish() {
+    let folder = tempfile::tempdir().unwrap();
+    let (ours, theirs) = (folder.path().join("ours"), folder.path().join("theirs"));
+    certificates(&ours, &["node", "cam01", "viewer"]);
+    certificates(&theirs, &["cam01"]);
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/config/studio-secure");
+    let secure = Config::load(format!("{file}.toml").as_ref()).unwrap().bus.zenoh;
+    let node = Zenoh::open_node(&ZenohConfig {
+        listen: vec!["tls/127.0.0.1:0".into()],
+        config: format!("{file}.json5"),
+        tls: tls(&ours, "node"),
+        ..secure
+    });
+    let node = node.unwrap();
+    let connect = node.listens_on();
+    assert!(connect[0].starts_with("tls/"), "{connect:?}");
+    let client = |tls: TlsConfig| {
+        Zenoh::open_client(&ZenohConfig { connect: connect.clone(), tls, ..Default::default() })
+    };
+
+    let nobody = TlsConfig { root_ca: tls(&ours, "node").root_ca, ..TlsConfig::default() };
+    assert!(client(nobody).is_err(), "a session without a certificate");
+    let stranger = TlsConfig { root_ca: tls(&ours, "node").root_ca, ..tls(&theirs, "cam01") };
+    assert!(client(stranger).is_err(), "a certificate of another authority");
+
+    let (camera, viewer) =
+        (client(tls(&ours, "cam01")).unwrap(), client(tls(&ours, "viewer")).unwrap());
+    let (heard, _guard) = listen(&node, "mocap/**");
+    let (seen, _guard) = listen(&viewer, "mocap/stage/actor/actor/pose");
+    let put = |bus: &Zenoh, topic: &str, payload: &[u8]| {
+        bus.publisher(topic).unwrap().put(Timestamp::default(), "", payload).unwrap();
+    };
+    // What is forbidden goes first, so that it would arrive before what is allowed.
+    let arrives = (0..200).any(|_| {
+        for (bus, topic) in [(&viewer, KEYPOINTS), (&camera, "mocap/stage/rig")] {
+            put(bus, topic, b"forbidden");
+        }
+        put(&camera, "mocap/stage/actor/actor/pose", b"forbidden");
+        put(&camera, KEYPOINTS, b"allowed");
+        heard.recv_timeout(LONG / 200).is_ok_and(|sample| {
+            assert_eq!((&*sample.topic, &*sample.payload), (KEYPOINTS, &b"allowed"[..]));
+            true
+        })
+    });
+    assert!(arrives, "the camera's keypoints do not arrive");
+    std::thread::sleep(Duration::from_millis(300));
+    assert!(heard.try_iter().all(|sample| *sample.payload == b"allowed"[..]));
+    let arrives = (0..200).any(|_| {
+        put(&node, "mocap/stage/actor/actor/pose", b"pose");
+        seen.recv_timeout(LONG / 200).is_ok_and(|sample| *sample.payload == b"pose"[..])
+    });
+    assert!(arrives, "the viewer sees no poses");
+}
