@@ -33,6 +33,7 @@ pub(crate) enum Exit {
     Bus = 13,
     Differs = 14,
     SecondNode = 16,
+    NotReady = 17,
 }
 
 /// The codes as shown in `--help`.
@@ -53,7 +54,8 @@ Exit codes:
   12  a recording without the required topics
   13  the bus cannot be opened or reached
   14  the replay differs from the recording
-  16  another node publishes this performer";
+  16  another node publishes this performer
+  17  `doctor` found something wrong";
 
 /// The value of `--fps`, a number or a ratio such as `60000/1001`.
 pub(crate) fn ratio(text: &str) -> Result<f64, String> {
@@ -204,7 +206,8 @@ mod tests {
 
     #[test]
     fn help_lists_every_code() {
-        for code in (0..=Exit::Differs as u8).chain([Exit::SecondNode as u8]) {
+        let later = [Exit::SecondNode, Exit::NotReady].map(|exit| exit as u8);
+        for code in (0..=Exit::Differs as u8).chain(later) {
             assert!(EXIT_CODES.contains(&format!("\n  {code:>2}  ")), "{code}");
         }
     }

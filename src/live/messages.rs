@@ -77,6 +77,7 @@ impl Core {
                 reason: "is not the camera of its topic".to_owned(),
             });
         }
+        let size = [frame.image_width, frame.image_height];
         let people = frame.people.len();
         if people > MOST_PEOPLE {
             frame.people.truncate(MOST_PEOPLE);
@@ -85,6 +86,17 @@ impl Core {
         }
         let mut frame = frame.to_core(|name| rig.index_of(name))?;
         let image = rig.cameras.get(frame.camera).map(|camera| [camera.width, camera.height]);
+        if let Some([width, height]) = image.filter(|image| size != [0, 0] && *image != size) {
+            return Err(DecodeError::Invalid {
+                message: "KeypointFrame",
+                field: "image_width",
+                reason: format!(
+                    "the image has {} x {}, the calibration is for {width} x {height}; send pixels of \
+                     the calibrated image, or calibrate for this size",
+                    size[0], size[1]
+                ),
+            });
+        }
         let is_far = |at: f64, size: u32| {
             let most = f64::from(size) * MOST_OUTSIDE;
             !(-most..=most + f64::from(size)).contains(&at)

@@ -8,6 +8,7 @@ mod camera;
 #[cfg(feature = "cli")]
 mod cli;
 #[cfg(feature = "cli")]
+mod doctor;
 mod experiments;
 #[cfg(feature = "research")]
 mod export;

@@ -5,9 +5,11 @@ use std::time::{Duration, Instant};
 
 use super::inbox::{Inbox, Received};
 use crate::core::detections::KeypointFormat;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
+use crate::core::tracker::UnitCheck;
 use crate::io::bus::{Bus, BusError};
 use crate::io::wire::{self, KeypointFrame, StageChannel, Topic, Topics};
+use crate::live::clock_base::Base;
 use crate::metrics::statistics::{median, percentiles};
 
 /// Longest wait for the next message.
@@ -18,18 +20,17 @@ const PATIENCE: Duration = Duration::from_millis(50);
 pub(crate) struct Seen {
     /// Messages that hold keypoints.
     pub(crate) frames: u64,
-    /// What is wrong with the last message that could not be read.
+    /// What is wrong with the last message that could not be used.
     pub(crate) unreadable: Option<String>,
-    /// Bytes of all messages.
-    pub(crate) bytes: u64,
     /// Width and height of the last image, pixels.
     pub(crate) size: [u32; 2],
     pub(crate) format: Option<KeypointFormat>,
     /// Frames that show somebody.
     pub(crate) with_people: u64,
     captures: Vec<Timestamp>,
-    /// Arrival minus capture time on the clock of this computer, seconds.
-    delays: Vec<f64>,
+    units: UnitCheck,
+    /// Arrival minus capture time, seconds.
+    offsets: Vec<f64>,
 }
 
 impl Seen {
@@ -39,13 +40,27 @@ impl Seen {
         median(&steps.collect::<Vec<f64>>()).filter(|step| *step > 0.0).map(|step| 1.0 / step)
     }
 
-    /// Median and 99th percentile of arrival minus capture time, seconds.
+    /// Difference between the clock of this computer and the camera's, and the least delay after it.
+    fn clock(&self) -> Option<(Base, Nanos)> {
+        let least = self.offsets.iter().copied().reduce(f64::min)?;
+        let base = Base::of(Nanos::rounded(1e9 * least));
+        Some((base, Nanos::rounded(1e9 * least) - base.value()))
+    }
+
+    /// An error in words if the camera's clock is neither this computer's nor TAI.
+    pub(crate) fn clock_check(&self) -> Option<Result<(), String>> {
+        let (base, delay) = self.clock()?;
+        let is_right = base.is_common() && !Base::is_early(delay);
+        Some(if is_right { Ok(()) } else { Err(base.describe(delay)) })
+    }
+
+    /// Median and 99th percentile of the delay, seconds.
     pub(crate) fn delay_s(&self) -> Option<[f64; 2]> {
-        percentiles(&self.delays, [50.0, 99.0])
+        let base = self.clock()?.0.value().seconds();
+        Some(percentiles(&self.offsets, [50.0, 99.0])?.map(|offset| offset - base))
     }
 
     fn add(&mut self, received: &Received) {
-        self.bytes += received.sample.payload.len() as u64;
         let frame = wire::decode::<KeypointFrame>(&received.sample.payload)
             .and_then(|frame| Ok((frame.to_core(|_| Some(0))?, frame)));
         let (detections, frame) = match frame {
@@ -55,13 +70,25 @@ impl Seen {
                 return;
             }
         };
+        if let Some(fault) = self.units.add(detections.capture) {
+            self.unreadable = Some(fault);
+        }
         self.frames += 1;
         self.size = [frame.image_width, frame.image_height];
         self.format = Some(detections.format);
         self.with_people += u64::from(!detections.people.is_empty());
         self.captures.push(detections.capture);
-        self.delays.push(received.arrival.seconds_since(detections.capture));
+        self.offsets.push(received.arrival.seconds_since(detections.capture));
     }
+}
+
+/// The stages on which cameras send, other than `stage`, with the names of their cameras.
+pub(crate) fn other_stages(seen: &BTreeMap<(String, String), Seen>, stage: &str) -> Vec<String> {
+    let mut others: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for (of, camera) in seen.keys().filter(|(of, _)| of != stage) {
+        others.entry(of).or_default().push(camera);
+    }
+    others.iter().map(|(of, cameras)| format!("{of} ({})", cameras.join(", "))).collect()
 }
 
 /// Listens to the keypoints of all stages for some time, or until `goes_on` is false. By stage and

@@ -1,0 +1,87 @@
+//! `doctor`, and what a node says that hears no camera.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use crate::program::{Program, listening_node};
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_bundlemocap");
+
+/// A calibration with cameras of that name and width.
+fn calibration(cameras: &[(&str, u32)]) -> String {
+    let camera = |(name, width): &(&str, u32)| {
+        format!(
+            "[{name}]\nname = \"{name}\"\nsize = [{width}.0, 1024.0]\n\
+             matrix = [[1000.0, 0.0, 640.0], [0.0, 1000.0, 512.0], [0.0, 0.0, 1.0]]\n\
+             distortions = [0.0, 0.0, 0.0, 0.0]\nrotation = [0.1, 0.2, 0.3]\n\
+             translation = [0.0, 0.0, 4.0]\n"
+        )
+    };
+    cameras.iter().map(camera).collect()
+}
+
+fn doctor(folder: &Path, address: &str, stage: &str, rig: &str, seconds: u32) -> Output {
+    let settings = format!(
+        "[node]\nstage = \"{stage}\"\nrig = \"{rig}\"\n[bus.zenoh]\nlisten = [\"{address}\"]\n"
+    );
+    fs::write(folder.join("studio.toml"), settings).unwrap();
+    let mut command = Command::new(PROGRAM);
+    command.args(["doctor", "studio.toml", "--seconds", &seconds.to_string()]);
+    command.current_dir(folder).output().unwrap()
+}
+
+/// Whether a line begins with `start` and holds `text`.
+fn says(said: &str, start: &str, text: &str) -> bool {
+    said.lines().any(|line| line.starts_with(start) && line.contains(text))
+}
+
+#[test]
+fn cameras_that_do_not_fit_the_settings_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("node.toml"), "[node]\nstage = \"other\"\n").unwrap();
+    let settings = folder.join("node.toml");
+    let (mut node, address) = listening_node(&[settings.to_str().unwrap()]);
+    let mut player = Command::new(PROGRAM);
+    let walk = concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/walk.mcap");
+    let _player = Program::start(player.args([
+        "play",
+        walk,
+        "--loop",
+        "--connect",
+        &address,
+        "--speed",
+        "2",
+    ]));
+
+    // The node hears nothing on its stage, and says where cameras send.
+    assert!(node.has_said("no camera sends on stage other, but on stage (cam01, cam02"));
+
+    let good = [("cam01", 1280), ("cam02", 1280), ("cam03", 1280), ("cam04", 1280)];
+    fs::write(folder.join("good.toml"), calibration(&good)).unwrap();
+    let output = doctor(folder, &address, "stage", "good.toml", 1);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(says(&said, "ok     node", "stage other, actor actor"), "{said}");
+    assert!(says(&said, "ok     cam01", "1280 x 1024, delay"), "{said}");
+    assert!(says(&said, "ok     latency", "ms: window"), "{said}");
+
+    let bad = [("cam01", 640), ("cam02", 1280), ("cam03", 1280), ("spare", 1280)];
+    fs::write(folder.join("bad.toml"), calibration(&bad)).unwrap();
+    let output = doctor(folder, &address, "stage", "bad.toml", 1);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(17), "{said}");
+    assert!(says(&said, "wrong  cam01", "the calibration is for 640 x 1024"), "{said}");
+    assert!(says(&said, "ok     cam02", ""), "{said}");
+    assert!(says(&said, "wrong  cam04", "is not in the calibration"), "{said}");
+    assert!(says(&said, "wrong  spare", "sends nothing"), "{said}");
+    assert!(said.lines().last().unwrap().starts_with("3 wrong, "), "{said}");
+
+    let output = doctor(folder, &address, "other", "none.toml", 1);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(17), "{said}");
+    assert!(says(&said, "wrong  calibration", "none.toml"), "{said}");
+    assert!(says(&said, "look   stage", "cameras also send on stage (cam01"), "{said}");
+    assert!(says(&said, "wrong  cameras", "mocap/other/camera/CAMERA/keypoints"), "{said}");
+}
