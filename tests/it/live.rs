@@ -632,7 +632,7 @@ fn points_far_outside_the_image_and_huge_rigs_are_not_used() {
 
 #[test]
 fn frames_of_another_image_size_are_not_used() {
-    let studio = Studio::new(4, 120);
+    let studio = Studio::new(4, 180);
     let mut messages = studio.messages();
     for (frame, sent) in studio.frames.iter().zip(&mut messages[1..]) {
         let mut message: KeypointFrame = decode(&sent.payload).unwrap();
@@ -644,11 +644,12 @@ fn frames_of_another_image_size_are_not_used() {
         }
         sent.payload = encode(&message);
     }
-    let world = after(messages, 3.0);
+    let mut world = after(messages, 3.0);
+    world.end();
     let status = world.heard.status();
     let used: Vec<bool> = status.cameras.iter().map(|camera| camera.used > 0).collect();
     assert_eq!(used, [true, false, true, true]);
-    assert_eq!(world.heard.events()["unusable"], 120);
+    assert_eq!(world.heard.events()["unusable"], 180);
     let details = world.heard.details("unusable");
     assert!(details[0].contains("960 x 540, the calibration is for 1280 x 1024"), "{details:?}");
     assert!(world.heard.poses().iter().all(|(_, pose)| pose.state() == TrackingState::Tracking));

@@ -7,8 +7,9 @@ mod calibration;
 mod camera;
 #[cfg(feature = "cli")]
 mod cli;
-#[cfg(feature = "cli")]
+#[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod doctor;
+#[cfg(feature = "cli")]
 mod experiments;
 #[cfg(feature = "research")]
 mod export;

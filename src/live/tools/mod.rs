@@ -5,11 +5,12 @@ mod disturb;
 pub mod inbox;
 #[cfg(feature = "cli")]
 pub mod player;
+#[cfg(feature = "cli")]
 pub mod recorder;
 #[cfg(feature = "cli")]
 mod silence;
 #[cfg(feature = "cli")]
-pub(crate) mod survey;
+pub mod survey;
 #[cfg(feature = "cli")]
 pub mod take;
 
