@@ -149,7 +149,7 @@ impl World {
                     self.answer = Some((self.now + took, self.solver.solve(&job), took));
                 }
                 Output::Publish(publication) => self.heard.messages.push(Recorded {
-                    time: publication.due.unwrap_or(self.now),
+                    time: publication.due.map_or(self.now, |due| due.max(self.now)),
                     capture: publication.capture,
                     topic: publication.topic,
                     schema: publication.content.schema().into(),
@@ -456,6 +456,16 @@ fn a_replay_finds_the_node_in_the_recording() {
     assert!(error.contains("--actor") && error.contains("actor/ben/journal"), "{error}");
     assert_eq!(find_node(&two, None, Some("ben")).unwrap().actor, "ben");
     assert!(find_node(&[], None, None).unwrap_err().to_string().contains("bundlemocap record"));
+}
+
+#[test]
+fn extrapolated_poses_are_on_time_after_the_cameras_fall_silent() {
+    let world = after(Studio::new(4, 120).messages(), 4.0);
+    let coasted = world.heard.poses().into_iter().filter(|(_, pose)| {
+        pose.state() == TrackingState::Coasting && pose.capture_time_ns > at(2.0).ns()
+    });
+    assert!(coasted.count() >= 10);
+    assert_on_time(&world.heard);
 }
 
 #[test]

@@ -9,6 +9,7 @@ use crate::cli::synth::RING;
 use crate::core::body::{Shape, Skeleton};
 use crate::core::camera::Rig;
 use crate::core::detections::KeypointFormat;
+use crate::core::random::Draws;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::bus::{Bus, Publisher};
 use crate::io::wire::{self, KeypointFrame, Topics, encode};
@@ -19,10 +20,20 @@ use crate::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 const STANDS_EVERY: f64 = 13.0;
 const ENCODING: &str = "application/protobuf;bundlemocap.v1.KeypointFrame";
 
+/// When the cameras expose, and how well they know it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shutter {
+    pub(super) fps: f64,
+    /// Spread of the cameras' shutter times as a share of the frame period.
+    pub(super) stagger: f64,
+    /// Standard deviation of the error of capture times, milliseconds.
+    pub(super) jitter_ms: f64,
+}
+
 /// Keypoint messages, encoded in advance without frame number and capture time.
 pub(super) struct Cameras {
     rig: Rig,
-    fps: f64,
+    shutter: Shutter,
     /// By frame, then by camera.
     frames: Vec<Vec<Vec<u8>>>,
 }
@@ -31,7 +42,7 @@ impl Cameras {
     /// Cameras on a ring around the procedural motion, at least two frames.
     pub(super) fn new(
         count: u8,
-        fps: f64,
+        shutter: Shutter,
         seconds: f64,
         noise: Noise,
         format: KeypointFormat,
@@ -40,8 +51,8 @@ impl Cameras {
         let skeleton = Skeleton::new(Shape::default());
         let motion = Motion::new(&skeleton, MotionStyle::default());
         let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
-        recording.fps = fps;
-        recording.frames = (seconds.min(STANDS_EVERY) * fps).round().max(1.0) as u64 + 1;
+        (recording.fps, recording.stagger) = (shutter.fps, shutter.stagger);
+        recording.frames = (seconds.min(STANDS_EVERY) * shutter.fps).round().max(1.0) as u64 + 1;
         recording.format = format;
         recording.noise = noise;
         let rig = &recording.rig;
@@ -57,7 +68,7 @@ impl Cameras {
         });
         let all: Vec<Vec<u8>> = encoded.collect();
         let frames = all.chunks(usize::from(count)).map(<[Vec<u8>]>::to_vec).collect();
-        Ok(Self { rig: recording.rig, fps, frames })
+        Ok(Self { rig: recording.rig, shutter, frames })
     }
 
     /// The calibration as a message.
@@ -74,7 +85,15 @@ impl Cameras {
 
     /// Capture time of a frame relative to frame 0.
     fn since_start(&self, frame: u64) -> Nanos {
-        Nanos::of_frames(frame, self.fps)
+        Nanos::of_frames(frame, self.shutter.fps)
+    }
+
+    /// Time of a camera's exposure after that of the first, and the error of its timestamp.
+    fn offsets(&self, frame: u64, camera: usize) -> [Nanos; 2] {
+        let Shutter { fps, stagger, jitter_ms } = self.shutter;
+        let share = camera as f64 / self.rig.cameras.len() as f64;
+        let error = jitter_ms * Draws { seed: 1, stream: camera as u64 }.normals(0, frame)[0];
+        [1e9 * stagger * share / fps, 1e6 * error].map(Nanos::rounded)
     }
 
     /// The message of a camera; the motion runs forwards, then backwards. Frame number and capture
@@ -120,13 +139,18 @@ pub(super) fn send(
     let start = clock.now() + Nanos::from_ms(100);
     for frame in 0..frames {
         let capture = start + cameras.since_start(frame);
-        let messages: Vec<Vec<u8>> =
-            (0..publishers.len()).map(|camera| cameras.message(frame, camera, capture)).collect();
-        clock.wait_until(capture);
+        let messages: Vec<_> = (0..publishers.len())
+            .map(|camera| {
+                let [after, error] = cameras.offsets(frame, camera);
+                let stamp = capture + after + error;
+                (capture + after, stamp, cameras.message(frame, camera, stamp))
+            })
+            .collect();
         let mut at = capture;
-        for (publisher, message) in publishers.iter().zip(&messages) {
+        for (publisher, (exposed, stamp, message)) in publishers.iter().zip(&messages) {
+            clock.wait_until(*exposed);
             at = clock.now();
-            publisher.put(capture, ENCODING, message)?;
+            publisher.put(*stamp, ENCODING, message)?;
         }
         sent.add(capture, at);
     }
@@ -141,8 +165,12 @@ mod tests {
     #[test]
     fn messages_hold_their_stamps_and_go_back_and_forth() {
         let noise = Noise::none();
-        let cameras = Cameras::new(2, 10.0, 0.4, noise, KeypointFormat::Body25).unwrap();
+        let shutter = Shutter { fps: 10.0, stagger: 0.5, jitter_ms: 1.0 };
+        let cameras = Cameras::new(2, shutter, 0.4, noise, KeypointFormat::Body25).unwrap();
         assert_eq!(cameras.frames.len(), 5);
+        assert_eq!(cameras.offsets(3, 1)[0], Nanos::from_ms(25));
+        let errors: f64 = (0..1000).map(|frame| cameras.offsets(frame, 1)[1].ms().powi(2)).sum();
+        assert!((errors / 1000.0 - 1.0).abs() < 0.1, "{errors}");
         let read = |frame: u64| {
             let bytes = cameras.message(frame, 1, Timestamp::from_ns(77));
             decode::<KeypointFrame>(&bytes).unwrap()

@@ -19,7 +19,7 @@ use crate::io::bus::Bus;
 use crate::io::formats::keypoint_format;
 use crate::io::wire::Topics;
 use crate::live::{SolverCore, WallClock};
-use cameras::{Cameras, Sent, send};
+use cameras::{Cameras, Sent, Shutter, send};
 use node::{NodeProcess, PATIENCE, isolated};
 use report::{Heard, Load, Report, UsageAt, report};
 
@@ -52,7 +52,8 @@ time before it is the acquisition.
 
 Examples:
   bundlemocap bench latency --bus zenoh --cameras 4 --fps 60 --seconds 60
-  bundlemocap bench latency --bus iceoryx2 --cameras 16 --fps 120 --seconds 20 --json")]
+  bundlemocap bench latency --bus iceoryx2 --cameras 16 --fps 120 --seconds 20 --json
+  bundlemocap bench latency --stagger 0.5 --jitter-ms 1      # free-running cameras, poor clocks")]
 struct Latency {
     /// The bus between the cameras and the node.
     #[arg(long, value_enum, default_value = "zenoh")]
@@ -72,6 +73,12 @@ struct Latency {
     /// Keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133.
     #[arg(long, default_value = "body_25")]
     format: String,
+    /// Spread of the cameras' shutter times as a share of the frame period, below 1; 0 is genlock.
+    #[arg(long, default_value_t = 0.0, value_parser = share, allow_negative_numbers = true)]
+    stagger: f64,
+    /// Standard deviation of the error of capture times, below 100 ms.
+    #[arg(long, value_name = "MS", default_value_t = 0.0, value_parser = jitter, allow_negative_numbers = true)]
+    jitter_ms: f64,
     /// Settings file of the node; its addresses, names and calibration are ignored.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -95,6 +102,25 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     Ok(Exit::Done)
 }
 
+/// A number of a range.
+fn within(text: &str, range: std::ops::Range<f64>) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|error: std::num::ParseFloatError| error.to_string())?;
+    let std::ops::Range { start, end } = range;
+    if range.contains(&value) {
+        Ok(value)
+    } else {
+        Err(format!("must be {start} or more and below {end}"))
+    }
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    within(text, 0.0..1.0)
+}
+
+fn jitter(text: &str) -> Result<f64, String> {
+    within(text, 0.0..100.0)
+}
+
 fn measure(arguments: &Latency) -> Result<Report, Failure> {
     let fps = frame_rate_option(arguments.fps)?;
     let seconds = arguments.seconds;
@@ -107,7 +133,8 @@ fn measure(arguments: &Latency) -> Result<Report, Failure> {
     let config = isolated(config)?;
     let format = keypoint_format(&arguments.format)?;
     let noise = arguments.noise.noise();
-    let cameras = Cameras::new(arguments.cameras, fps, seconds, noise, format)?;
+    let shutter = Shutter { fps, stagger: arguments.stagger, jitter_ms: arguments.jitter_ms };
+    let cameras = Cameras::new(arguments.cameras, shutter, seconds, noise, format)?;
 
     let mut node = NodeProcess::start(&config, seconds + 60.0)?;
     // Cameras and subscribers stay off the solver's core, because they represent other computers.
@@ -124,6 +151,8 @@ fn measure(arguments: &Latency) -> Result<Report, Failure> {
         bus: format!("{:?}", arguments.bus).to_lowercase(),
         cameras: arguments.cameras,
         fps,
+        stagger: arguments.stagger,
+        jitter_ms: arguments.jitter_ms,
         seconds,
         message_bytes: cameras.mean_bytes(),
         window_span_ms: 1e3 * config.tracker.window_frames as f64 / fps,

@@ -96,6 +96,8 @@ pub(super) struct Load {
     pub(super) bus: String,
     pub(super) cameras: u8,
     pub(super) fps: f64,
+    pub(super) stagger: f64,
+    pub(super) jitter_ms: f64,
     pub(super) seconds: f64,
     pub(super) message_bytes: f64,
     pub(super) window_span_ms: f64,
@@ -226,15 +228,18 @@ fn poses(all: &[Arrival], sent: &[(Timestamp, Timestamp)], load: &Load) -> Poses
     }
 }
 
-/// Latency of each provisional pose after acquisition, from the last message of its frame set, ms.
+/// Latency of each provisional pose after acquisition, from the last message of its frame set, ms: the
+/// frame set nearest to the pose.
 fn provisional(
     all: &[Arrival],
     from: Option<Timestamp>,
     sent: &[(Timestamp, Timestamp)],
 ) -> impl Iterator<Item = f64> {
     all.iter().filter(move |pose| from.is_some_and(|from| pose.at >= from)).filter_map(|pose| {
-        let frame = sent.binary_search_by_key(&pose.capture, |sent| sent.0).ok()?;
-        Some((pose.at - sent[frame].1).ms())
+        let after = sent.partition_point(|sent| sent.0 < pose.capture);
+        let near = sent.get(after.saturating_sub(1)..(after + 1).min(sent.len()))?;
+        let nearest = near.iter().min_by_key(|sent| (sent.0 - pose.capture).abs())?;
+        Some((pose.at - nearest.1).ms())
     })
 }
 
@@ -302,7 +307,8 @@ impl Report {
             })
         };
         let Self { load, poses, .. } = self;
-        let Load { bus, cameras, fps, seconds, message_bytes, window_span_ms } = load;
+        let Load { bus, cameras, fps, stagger, jitter_ms, seconds, .. } = load;
+        let Load { message_bytes, window_span_ms, .. } = load;
         let constant = if self.latency_constant { "constant" } else { "NOT constant" };
         let events: Vec<String> =
             self.events.iter().map(|(kind, count)| format!("{kind} {count}")).collect();
@@ -311,7 +317,8 @@ impl Report {
             row(
                 "load",
                 format!(
-                    "{bus}, {cameras} cameras, {fps} fps, {seconds} s, {message_bytes:.0} bytes"
+                    "{bus}, {cameras} cameras, {fps} fps, stagger {stagger}, jitter {jitter_ms} ms, \
+                     {seconds} s, {message_bytes:.0} bytes"
                 ),
             ),
             row("acquisition", number(self.acquisition_s, "s")),
@@ -375,6 +382,8 @@ mod tests {
             bus: "memory".into(),
             cameras: 4,
             fps: 100.0,
+            stagger: 0.0,
+            jitter_ms: 0.0,
             seconds: 1.0,
             message_bytes: 100.0,
             window_span_ms: 20.0,

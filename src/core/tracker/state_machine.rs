@@ -266,8 +266,9 @@ impl Tracker {
             start.filter(|_| self.pending.is_none()).map(|start| start + wait)
         };
         let fitted = self.look_ahead().and(self.newest.max(self.start));
-        let fit = after(fitted, 1).filter(|at| Some(*at) > self.now);
-        due.into_iter().chain(fit).chain(after(self.start, self.open_frames())).min()
+        let times = [due, after(fitted, 1), after(self.start, self.open_frames())];
+        // What is past waits for an input and not for a time.
+        times.into_iter().flatten().filter(|at| Some(*at) > self.now).min()
     }
 
     /// The state of the performer: `Lost` if the body is known but nobody is tracked, `None` before the
