@@ -182,7 +182,7 @@ pub(super) fn report(
     let mut events = BTreeMap::new();
     // Ignore events after the last frame, when the cameras are silent.
     let end = sent.last().map_or(0, |last| last.0.ns());
-    for event in notes.events.iter().filter(|event| event.capture_time_ns <= end) {
+    for event in notes.events.iter().filter(|event| event.capture_time_ns < end) {
         *events.entry(event.kind.clone()).or_default() += event.count;
     }
     let windows = status.windows.unwrap_or_default();

@@ -21,6 +21,8 @@ use crate::core::time::{Grid, Nanos, Timestamp};
 
 /// A pose is extrapolated this long before its due time, so that its message arrives in time.
 pub(super) const MARGIN: Nanos = Nanos::from_ms(3);
+/// The times of a grid are rounded by less than this.
+pub(super) const ROUNDING: Nanos = Nanos::new(1000);
 /// Time constant of the decay of an extrapolated motion, seconds.
 const DECAY: f64 = 0.1;
 /// Time constant of the offset of provisional poses from the newest fit, seconds, at the reference
@@ -188,10 +190,9 @@ impl Tracker {
             return Vec::new();
         };
         let ahead = |frames: usize| Nanos::rounded(frames as f64 * self.frame_period());
-        // The times of a grid are rounded.
         let until = match frames {
-            0 => window.end + Nanos::new(1000),
-            _ => window.end - ahead(frames - 1) - Nanos::new(1000),
+            0 => window.end + ROUNDING,
+            _ => window.end - ahead(frames - 1) - ROUNDING,
         };
         let published = self.playout.published.map(|last| last + same_time(&grid));
         let after = published.unwrap_or(until - Nanos::rounded(grid.period_ns));

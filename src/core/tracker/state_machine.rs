@@ -12,7 +12,7 @@ use super::idle::Idle;
 use super::intake::Intake;
 use super::job::{Job, Solution};
 use super::noise::Noise;
-use super::playout::{Latency, Live, MARGIN, Playout};
+use super::playout::{Latency, Live, MARGIN, Playout, ROUNDING};
 use super::port::{Input, Output};
 use super::waiting::Waiting;
 use super::window::{FALLBACK_PERIOD, Window};
@@ -261,8 +261,7 @@ impl Tracker {
         let due = self.due().map(|due| due - MARGIN);
         let after = |start: Option<Timestamp>, frames: usize| {
             let length = Nanos::new((frames as f64 * self.frame_period()) as i64);
-            // A little later, since the grid's times are rounded.
-            let wait = length + self.grace() + Nanos::new(1000);
+            let wait = length + self.grace() + ROUNDING;
             start.filter(|_| self.pending.is_none()).map(|start| start + wait)
         };
         let fitted = self.look_ahead().and(self.newest.max(self.start));

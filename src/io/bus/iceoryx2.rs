@@ -31,73 +31,26 @@ use iceoryx2::port::publisher::Publisher as Port;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::{
-    AllocationStrategy, CallbackProgression, FileName, LogLevel, SemanticString, Service,
-    ServiceName, SignalHandlingMode, ipc_threadsafe, set_log_level,
+    AllocationStrategy, CallbackProgression, LogLevel, Service, SignalHandlingMode, set_log_level,
 };
 use iceoryx2::service::ServiceDetails;
-use iceoryx2::service::port_factory::{event, publish_subscribe};
+use iceoryx2::service::port_factory::event;
 
 use super::frame::{frame, parse};
+use super::iceoryx2_services::{
+    CLASSES, JOINED, Shm, class, classes, events, limits, persist, service, service_name, settings,
+};
 use super::{
-    Bus, BusError, Delivery, Guard, Iceoryx2Config, Memory, Publisher, Sample, Sink, check_pattern,
-    check_topic, delivery, matches,
+    Bus, BusError, Guard, Iceoryx2Config, Memory, Publisher, Sample, Sink, check_pattern,
+    check_topic, matches,
 };
 use crate::core::time::Timestamp;
-
-type Shm = ipc_threadsafe::Service;
-
-/// Samples kept for late joiners, by class of topics; the first class is streams.
-const CLASSES: [usize; 5] = [0, 1, 8, 64, 256];
-
-/// Event id: a subscriber joined. Smaller ids are the class of a new sample.
-const JOINED: usize = CLASSES.len();
 
 /// First part of the names of services that announce a program.
 const ANNOUNCED: &str = "mocap/announced/";
 
-/// Longest wait for a service that others are creating or removing.
-const PATIENCE: Duration = Duration::from_secs(3);
-
 /// Interval of the search for leftovers of killed programs.
 const ROUND: Duration = Duration::from_secs(1);
-
-/// All limits: they are part of the services, so they must be equal in every program.
-struct Limits {
-    history: usize,
-    buffer: usize,
-    publishers: usize,
-    subscribers: usize,
-    borrowed: usize,
-    nodes: usize,
-}
-
-fn limits(class: usize) -> Limits {
-    let history = CLASSES[class];
-    let buffer = 2 * history + 64;
-    Limits { history, buffer, publishers: 64, subscribers: 32, borrowed: 2, nodes: 64 }
-}
-
-impl Limits {
-    /// Most samples in use per publisher. All subscribers' buffers hold the same latest samples, so
-    /// this is far less than their sum.
-    fn samples(&self) -> usize {
-        self.buffer + self.history + self.borrowed * self.subscribers + 8
-    }
-}
-
-/// The class of a topic.
-fn class(topic: &str) -> usize {
-    let Delivery::State { history } = delivery(topic) else { return 0 };
-    CLASSES.iter().position(|&kept| kept >= history).unwrap_or(CLASSES.len() - 1)
-}
-
-/// The classes of all topics that a pattern may match.
-fn classes(pattern: &str) -> std::ops::Range<usize> {
-    match pattern.contains('*') {
-        true => 0..CLASSES.len(),
-        false => class(pattern)..class(pattern) + 1,
-    }
-}
 
 /// The bus over the shared memory of one host.
 pub struct Iceoryx2 {
@@ -157,80 +110,6 @@ impl Iceoryx2 {
             .map_err(|error| BusError::transport("cannot start a thread", error))?;
         Ok(Self { inner: Arc::new(Inner { shared, thread: Some(thread) }) })
     }
-}
-
-fn settings(prefix: &str) -> Result<iceoryx2::config::Config, BusError> {
-    let wrong = |reason: String| BusError::Setting {
-        key: "iceoryx2.prefix",
-        value: format!("{prefix:?}"),
-        reason,
-    };
-    if prefix.is_empty() || prefix.len() > 64 {
-        return Err(wrong("it must have 1 to 64 characters".into()));
-    }
-    let mut config = iceoryx2::config::Config::default();
-    config.global.prefix = FileName::new(prefix.as_bytes())
-        .map_err(|error| wrong(format!("it cannot begin a file name ({error:?})")))?;
-    Ok(config)
-}
-
-/// Retries until it succeeds or the wait is over. Services are unusable for a short time while
-/// others create or remove them, and killed programs hold resources until they are removed.
-fn persist<T, E: std::fmt::Display>(
-    what: &str,
-    mut attempt: impl FnMut() -> Result<T, E>,
-) -> Result<T, BusError> {
-    let start = Instant::now();
-    let mut pause = Duration::from_millis(1);
-    loop {
-        match attempt() {
-            Ok(value) => return Ok(value),
-            Err(error) if start.elapsed() > PATIENCE => {
-                return Err(BusError::transport(what, error));
-            }
-            Err(_) => std::thread::sleep(pause),
-        }
-        pause = (pause * 2).min(Duration::from_millis(100));
-    }
-}
-
-fn service_name(name: &str) -> Result<ServiceName, BusError> {
-    ServiceName::new(name).map_err(|error| BusError::transport(name, error))
-}
-
-fn events(node: &Node<Shm>) -> Result<event::PortFactory<Shm>, BusError> {
-    let name = service_name("mocap/events/1")?;
-    let Limits { publishers, nodes, .. } = limits(0);
-    persist("cannot open the events in shared memory", || {
-        node.service_builder(&name)
-            .event()
-            .event_id_max_value(JOINED)
-            .max_listeners(publishers)
-            .max_notifiers(publishers)
-            .max_nodes(nodes)
-            .open_or_create()
-    })
-}
-
-fn service(
-    node: &Node<Shm>,
-    class: usize,
-) -> Result<publish_subscribe::PortFactory<Shm, [u8], ()>, BusError> {
-    let limits = limits(class);
-    let name = service_name(&format!("mocap/history-{}/1", limits.history))?;
-    persist("cannot open a service in shared memory", || {
-        node.try_cleanup_dead_nodes();
-        node.service_builder(&name)
-            .publish_subscribe::<[u8]>()
-            .history_size(limits.history)
-            .subscriber_max_buffer_size(limits.buffer)
-            .subscriber_max_borrowed_samples(limits.borrowed)
-            .max_publishers(limits.publishers)
-            .max_subscribers(limits.subscribers)
-            .max_nodes(limits.nodes)
-            .enable_safe_overflow(true)
-            .open_or_create()
-    })
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -441,23 +320,5 @@ impl Bus for Iceoryx2 {
 
     fn query(&self, pattern: &str, _within: Duration) -> Result<Vec<Sample>, BusError> {
         check_pattern(pattern).map(|()| Vec::new())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::io::wire::Topics;
-
-    #[test]
-    fn every_delivery_has_a_class_that_keeps_enough() {
-        let topics = Topics::default();
-        for topic in topics.outputs().into_iter().chain([topics.rig(), topics.keypoints("a")]) {
-            let kept = match delivery(&topic) {
-                Delivery::Stream => 0,
-                Delivery::State { history } => history,
-            };
-            assert_eq!(limits(class(&topic)).history, kept, "{topic}");
-        }
     }
 }

@@ -24,6 +24,8 @@ mod config;
 mod frame;
 #[cfg(feature = "iceoryx2")]
 mod iceoryx2;
+#[cfg(feature = "iceoryx2")]
+mod iceoryx2_services;
 mod memory;
 mod name;
 mod replay;
