@@ -1,9 +1,9 @@
 //! What the views agree on: the cameras that see one performer in one place, and the performer's
 //! points in the world.
 //!
-//! Each pair of cameras proposes points; the cameras that see them where the pair puts them support
-//! the pair. The best supported pair and its supporters are the members. Errors are fractions of the
-//! performer's height in the image.
+//! Each pair of cameras proposes points; each camera supports the pair by how near it sees them. The
+//! best supported pair and its supporters are the members. Errors are fractions of the performer's
+//! height in the image.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -12,23 +12,29 @@ use super::reading::{Reading, View};
 use crate::core::camera::{Camera, Rig, triangulate, triangulate_robust};
 use crate::core::time::{Nanos, Timestamp};
 
-/// A camera sees a point where the others put it, up to this error.
-pub(super) const NEAR: f64 = 0.03;
-/// A camera supports a pair with this share of its frames.
-const SUPPORTS: f64 = 0.5;
+/// A point agrees with the others up to this error.
+pub(super) const NEAR: f64 = 0.05;
+/// An error from which on a camera does not support a pair.
+const FAR: f64 = 0.1;
+/// A member's mean support: 1 without errors, 0 with errors above [`FAR`].
+const MEMBER: f64 = 0.35;
 /// A camera with fewer frames of the performer is not judged.
-pub(super) const LEAST_INSTANTS: usize = 4;
+const LEAST_INSTANTS: usize = 4;
+/// Pairs that are tried.
+const MOST_PAIRS: usize = 120;
 
 /// World points by index in [`POINTS`].
 pub(super) type Points = [Option<Vector3<f64>>; POINTS.len()];
+/// A point in the world, and where a camera sees it.
+pub(super) type Match = (Vector3<f64>, Vector2<f64>);
 
 /// The people of all cameras at some instants.
 #[derive(Clone, Debug)]
 pub(super) struct Scene<'a> {
     pub(super) footage: &'a Footage,
     pub(super) readings: Vec<Reading>,
-    pub(super) instants: Vec<Timestamp>,
     pub(super) periods: Vec<Nanos>,
+    instants: Vec<Timestamp>,
     rig: Rig,
     /// By instant and camera.
     views: Vec<Vec<Vec<View>>>,
@@ -42,27 +48,25 @@ pub(super) struct Fit {
     pub(super) px: f64,
     /// Share of the points that are seen where they should be.
     pub(super) share: f64,
-    /// Number of frames.
-    pub(super) frames: usize,
 }
 
 /// The support of a pair of cameras.
 #[derive(Clone, Debug)]
 struct Proposal {
     pair: [usize; 2],
-    /// For each camera, the share of its frames that agree.
-    shares: Vec<f64>,
-    /// By instant: the people of the pair, and the number of cameras that agree.
-    people: Vec<Option<([usize; 2], usize)>>,
+    /// Mean support by each camera.
+    support: Vec<f64>,
+    /// By instant: the people of the pair, and their support.
+    people: Vec<Option<([usize; 2], f64)>>,
 }
 
 impl Proposal {
     fn total(&self) -> f64 {
-        self.shares.iter().sum()
+        self.support.iter().sum()
     }
 
     fn members(&self) -> Vec<bool> {
-        self.shares.iter().map(|share| *share > SUPPORTS).collect()
+        self.support.iter().map(|support| *support > MEMBER).collect()
     }
 }
 
@@ -71,10 +75,8 @@ impl Proposal {
 pub(super) struct Consensus {
     /// By camera.
     pub(super) members: Vec<bool>,
-    /// Sum of the shares of frames that agree.
+    /// Sum of the cameras' support.
     pub(super) total: f64,
-    /// The largest such sum of cameras that are not all members.
-    pub(super) rival: f64,
     /// By instant and camera, the index of the person.
     people: Vec<Vec<Option<usize>>>,
 }
@@ -103,6 +105,13 @@ impl<'a> Scene<'a> {
         scene
     }
 
+    /// The same with another reading of one camera.
+    pub(super) fn with_one(&self, camera: usize, reading: Reading) -> Self {
+        let mut readings = self.readings.clone();
+        readings[camera] = reading;
+        self.with(readings)
+    }
+
     fn read(&mut self) {
         self.rig.cameras = self.readings.iter().map(|reading| reading.camera.clone()).collect();
         self.views = self.instants.iter().map(|&time| self.views_at(time)).collect();
@@ -117,33 +126,42 @@ impl<'a> Scene<'a> {
         self.readings.len()
     }
 
-    /// Finds the cameras that agree. `None` if no two do.
+    /// The cameras that agree. `None` if no two do.
     pub(super) fn agree(&self) -> Option<Consensus> {
+        self.consensuses(1).pop()
+    }
+
+    /// The `most` best supported sets of cameras that agree, the best last.
+    pub(super) fn consensuses(&self, most: usize) -> Vec<Consensus> {
         let n = self.cameras();
-        let pairs = (0..n).flat_map(|b| (0..b).map(move |a| [a, b]));
-        let proposals: Vec<Proposal> = pairs.map(|pair| self.propose(pair)).collect();
-        let best = proposals.iter().max_by(|a, b| a.total().total_cmp(&b.total()))?;
-        let members = best.members();
-        if members.iter().filter(|member| **member).count() < 2 {
-            return None;
+        let pairs: Vec<[usize; 2]> = (0..n).flat_map(|b| (0..b).map(move |a| [a, b])).collect();
+        let stride = pairs.len().div_ceil(MOST_PAIRS).max(1);
+        let mut proposals: Vec<Proposal> =
+            pairs.into_iter().step_by(stride).map(|pair| self.propose(pair)).collect();
+        proposals.sort_by(|a, b| b.total().total_cmp(&a.total()));
+        let mut found: Vec<Consensus> = Vec::new();
+        for proposal in &proposals {
+            let members = proposal.members();
+            if found.len() == most || members.iter().filter(|member| **member).count() < 2 {
+                break;
+            }
+            if found.iter().all(|other| other.members != members) {
+                let at = |at| self.assign(at, &proposals, &members);
+                let people = (0..self.instants.len()).map(at).collect();
+                found.push(Consensus { total: proposal.total(), people, members });
+            }
         }
-        let among = |proposal: &Proposal| {
-            proposal.members().iter().zip(&members).all(|(other, member)| *member || !other)
-        };
-        let rivals = proposals.iter().filter(|proposal| !among(proposal));
-        let rival = rivals.map(Proposal::total).fold(0.0, f64::max);
-        let people = (0..self.instants.len()).map(|at| self.assign(at, &proposals, &members));
-        Some(Consensus { total: best.total(), rival, people: people.collect(), members })
+        found.reverse();
+        found
     }
 
     /// The person of each camera at an instant, from the best supported pair of members.
     fn assign(&self, at: usize, proposals: &[Proposal], members: &[bool]) -> Vec<Option<usize>> {
         let of_members = proposals.iter().filter(|p| p.pair.iter().all(|&i| members[i]));
-        let known = of_members.filter_map(|p| p.people[at].map(|(people, count)| (p, people, count)));
-        let Some((proposal, people, _)) = known.max_by_key(|(_, _, count)| *count) else {
-            return vec![None; self.cameras()];
-        };
-        let Some(points) = self.propose_points(at, proposal.pair, people) else {
+        let known = of_members.filter_map(|p| p.people[at].map(|(people, sum)| (p, people, sum)));
+        let best = known.max_by(|a, b| a.2.total_cmp(&b.2));
+        let points = best.and_then(|(p, people, _)| self.propose_points(at, p.pair, people));
+        let Some((points, (proposal, people, _))) = points.zip(best) else {
             return vec![None; self.cameras()];
         };
         let person = |camera: usize| {
@@ -160,71 +178,74 @@ impl<'a> Scene<'a> {
 
     fn propose(&self, pair: [usize; 2]) -> Proposal {
         let n = self.cameras();
-        let (mut agreed, mut seen) = (vec![0_usize; n], vec![0_usize; n]);
+        let (mut sums, mut seen) = (vec![0.0; n], vec![0_usize; n]);
         let mut people = Vec::with_capacity(self.instants.len());
         for (at, views) in self.views.iter().enumerate() {
             let [a, b] = pair.map(|camera| views[camera].len());
             let tried = (0..a).flat_map(|a| (0..b).map(move |b| [a, b]));
-            let best = tried.filter_map(|people| Some((people, self.support(at, pair, people)?)));
-            let best = best.max_by_key(|(_, near)| near.iter().flatten().filter(|n| **n).count());
+            let sum = |support: &[Option<f64>]| support.iter().flatten().sum::<f64>();
+            let best = tried
+                .filter_map(|people| Some((people, self.support(at, pair, people)?)))
+                .max_by(|a, b| sum(&a.1).total_cmp(&sum(&b.1)));
             if a > 0 && b > 0 {
                 pair.iter().for_each(|&camera| seen[camera] += 1);
             }
-            people.push(best.map(|(people, near)| {
-                let mut count = 0;
-                for (camera, near) in near.into_iter().enumerate() {
-                    let Some(near) = near else { continue };
-                    agreed[camera] += usize::from(near);
-                    seen[camera] += usize::from(!pair.contains(&camera));
-                    count += usize::from(near);
+            people.push(best.map(|(people, support)| {
+                for (camera, support) in support.iter().enumerate() {
+                    sums[camera] += support.unwrap_or(0.0);
+                    seen[camera] += usize::from(support.is_some() && !pair.contains(&camera));
                 }
-                (people, count)
+                (people, sum(&support))
             }));
         }
-        let share = |(agreed, seen): (usize, usize)| match seen < LEAST_INSTANTS.min(people.len()) {
-            true => 0.0,
-            false => agreed as f64 / seen as f64,
-        };
-        let shares = agreed.into_iter().zip(seen).map(share).collect();
-        Proposal { pair, shares, people }
+        let least = LEAST_INSTANTS.min(people.len());
+        let mean = |(sum, seen): (f64, usize)| if seen < least { 0.0 } else { sum / seen as f64 };
+        Proposal { pair, support: sums.into_iter().zip(seen).map(mean).collect(), people }
     }
 
+    /// The points of two people of a pair of cameras.
     fn propose_points(&self, at: usize, pair: [usize; 2], people: [usize; 2]) -> Option<Points> {
         let [a, b] = [0, 1].map(|i| &self.views[at][pair[i]][people[i]]);
         let point = |i: usize| {
             let views = [(pair[0], a.pixels[i]?, 1.0), (pair[1], b.pixels[i]?, 1.0)];
             triangulate(&self.rig, &views)
         };
-        let points: Points = std::array::from_fn(|i| point(i).filter(|_| i < FITTED));
+        let points: Points = std::array::from_fn(|i| if i < FITTED { point(i) } else { None });
         (points.iter().flatten().count() >= LEAST_POINTS).then_some(points)
     }
 
-    /// Whether each camera agrees with a pair at an instant; `None` of a camera without people.
-    /// `None` if the pair itself does not agree.
-    fn support(&self, at: usize, pair: [usize; 2], people: [usize; 2]) -> Option<Vec<Option<bool>>> {
+    /// The support of a pair by each camera at an instant; `None` of a camera without people. `None`
+    /// if the pair itself does not agree.
+    fn support(&self, at: usize, pair: [usize; 2], people: [usize; 2]) -> Option<Vec<Option<f64>>> {
         let points = self.propose_points(at, pair, people)?;
-        let cameras = &self.rig.cameras;
-        let error = |camera: usize, view| Some(errors(&cameras[camera], view, &points)?.0);
-        let own = [0, 1].map(|i| error(pair[i], &self.views[at][pair[i]][people[i]]));
+        let error = |camera: usize, view| {
+            errors(&self.rig.cameras[camera], view, &points).map_or(f64::INFINITY, |found| found.0)
+        };
         // Each of the two takes half of their disagreement.
-        if own.iter().any(|own| own.is_none_or(|own| own > 0.5 * NEAR)) {
+        let own = [0, 1].map(|i| 2.0 * error(pair[i], &self.views[at][pair[i]][people[i]]));
+        if own.iter().any(|own| *own > FAR) {
             return None;
         }
-        let near = |camera: usize| {
-            if pair.contains(&camera) {
-                return Some(true);
-            }
-            let errors = self.views[at][camera].iter().map(|view| error(camera, view));
-            let least = errors.map(|error| error.unwrap_or(f64::INFINITY)).reduce(f64::min)?;
-            Some(least < NEAR)
+        let support = |camera: usize| {
+            let least = match pair.iter().position(|member| *member == camera) {
+                Some(i) => own[i],
+                None => {
+                    let views = self.views[at][camera].iter();
+                    views.map(|view| error(camera, view)).reduce(f64::min)?
+                }
+            };
+            Some((1.0 - least / FAR).max(0.0))
         };
-        Some((0..self.cameras()).map(near).collect())
+        Some((0..self.cameras()).map(support).collect())
     }
 
-    /// The points of the members at each instant, without one camera.
+    /// The points of the members at each instant, without one camera if two others are left.
     pub(super) fn points(&self, consensus: &Consensus, without: Option<usize>) -> Vec<Points> {
-        let members: Vec<usize> =
-            (0..self.cameras()).filter(|&i| consensus.members[i] && Some(i) != without).collect();
+        let is_member = |i: &usize| consensus.members[*i];
+        let mut members: Vec<usize> = (0..self.cameras()).filter(is_member).collect();
+        if members.len() > 2 {
+            members.retain(|&i| Some(i) != without);
+        }
         let at = |(at, people): (usize, &Vec<Option<usize>>)| {
             let views: Vec<(usize, &View)> = members
                 .iter()
@@ -243,15 +264,9 @@ impl<'a> Scene<'a> {
 
     /// How well a camera with a reading sees the points of each instant. `None` with too few frames.
     pub(super) fn fit(&self, camera: usize, reading: &Reading, points: &[Points]) -> Option<Fit> {
-        let (track, period) = (&self.footage.tracks[camera], self.periods[camera]);
         let (mut relative, mut px, mut near, mut all) = (Vec::new(), Vec::new(), 0, 0);
         for (time, points) in self.instants.iter().zip(points) {
-            if points[..FITTED].iter().flatten().count() < LEAST_POINTS {
-                continue;
-            }
-            let views = reading.views(track, period, *time);
-            let fits = views.iter().filter_map(|view| errors(&reading.camera, view, points));
-            let Some(best) = fits.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
+            let Some((_, best)) = self.nearest(camera, reading, *time, points) else { continue };
             relative.push(best.0);
             px.push(best.1);
             (near, all) = (near + best.2[0], all + best.2[1]);
@@ -259,33 +274,111 @@ impl<'a> Scene<'a> {
         let frames = relative.len();
         let (error, px) = median(&mut relative).zip(median(&mut px))?;
         let share = near as f64 / all.max(1) as f64;
-        (frames >= LEAST_INSTANTS.min(self.instants.len())).then_some(Fit { error, px, share, frames })
+        (frames >= LEAST_INSTANTS.min(self.instants.len())).then_some(Fit { error, px, share })
     }
 
-    /// The pixels of a camera's person nearest to the points, at each instant.
-    pub(super) fn matched(
+    /// The person of a camera that is nearest to the points, and the errors.
+    fn nearest(
         &self,
         camera: usize,
         reading: &Reading,
-        points: &[Points],
-    ) -> Vec<Vec<(Vector3<f64>, Vector2<f64>)>> {
-        let (track, period) = (&self.footage.tracks[camera], self.periods[camera]);
+        time: Timestamp,
+        points: &Points,
+    ) -> Option<(View, Errors)> {
+        let views = reading.views(&self.footage.tracks[camera], self.periods[camera], time);
+        let fits = views.into_iter().filter_map(|view| {
+            let errors = errors(&reading.camera, &view, points)?;
+            Some((view, errors))
+        });
+        fits.min_by(|a, b| a.1.0.total_cmp(&b.1.0))
+    }
+
+    /// The points of each instant, and where a camera sees them.
+    pub(super) fn matches(&self, camera: usize, reading: &Reading, points: &[Points]) -> Vec<Match> {
         let at = |(time, points): (&Timestamp, &Points)| {
-            let views = reading.views(track, period, *time);
-            let distance = |view: &View| errors(&reading.camera, view, points).map_or(f64::MAX, |e| e.0);
-            let nearest = views.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
-            let pixels = nearest.map(|view| view.pixels).unwrap_or([None; POINTS.len()]);
-            let both = points.iter().zip(pixels).take(FITTED);
-            both.filter_map(|(point, pixel)| Some(((*point)?, pixel?))).collect()
+            let view = self.nearest(camera, reading, *time, points).map(|(view, _)| view);
+            let pixels = view.map_or([None; POINTS.len()], |view| view.pixels);
+            let both = std::iter::zip(*points, pixels).take(FITTED);
+            both.filter_map(|(point, pixel)| Some((point?, pixel?))).collect::<Vec<_>>()
         };
-        self.instants.iter().zip(points).map(at).collect()
+        self.instants.iter().zip(points).flat_map(at).collect()
+    }
+
+    /// The calibrations that make the cameras agree best when they change places: the index of the
+    /// calibration of each camera, and the sum of the cameras' support.
+    pub(super) fn permute(&self) -> Option<(Vec<usize>, f64)> {
+        let n = self.cameras();
+        let pairs = (0..n).flat_map(|i| (0..n).map(move |j| [i, j])).filter(|[i, j]| i != j);
+        let base = self.instants_with(0);
+        let partner = (1..n).max_by_key(|&b| base.iter().filter(|&&at| self.seen(at, b)).count())?;
+        let tried = pairs.filter_map(|[i, j]| {
+            let mut cameras: Vec<usize> = (0..n).collect();
+            cameras[0] = i;
+            cameras[partner] = j;
+            self.complete(&cameras, partner)
+        });
+        tried.max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    fn seen(&self, at: usize, camera: usize) -> bool {
+        !self.views[at][camera].is_empty()
+    }
+
+    fn instants_with(&self, camera: usize) -> Vec<usize> {
+        (0..self.instants.len()).filter(|&at| self.seen(at, camera)).collect()
+    }
+
+    /// The best calibrations of the other cameras, given those of the first one and its partner.
+    fn complete(&self, given: &[usize], partner: usize) -> Option<(Vec<usize>, f64)> {
+        let n = self.cameras();
+        let mut scene = Self { rig: self.rig.clone(), ..self.clone() };
+        for camera in [0, partner] {
+            scene.rig.cameras[camera] = self.rig.cameras[given[camera]].clone();
+        }
+        let proposal = scene.propose([0, partner]);
+        let own = proposal.support[0] + proposal.support[partner];
+        if own < 2.0 * MEMBER {
+            return None;
+        }
+        let mut candidates = Vec::new();
+        for camera in (0..n).filter(|&camera| camera != 0 && camera != partner) {
+            let free = (0..n).filter(|k| *k != given[0] && *k != given[partner]);
+            candidates.extend(free.map(|k| {
+                let (mut sum, mut count) = (0.0, 0_usize);
+                for (at, people) in proposal.people.iter().enumerate() {
+                    let Some((people, _)) = people else { continue };
+                    let points = scene.propose_points(at, [0, partner], *people);
+                    let Some(points) = points.filter(|_| self.seen(at, camera)) else { continue };
+                    let errors = self.views[at][camera].iter().filter_map(|view| {
+                        Some(errors(&self.rig.cameras[k], view, &points)?.0)
+                    });
+                    let least = errors.reduce(f64::min).unwrap_or(f64::INFINITY);
+                    sum += (1.0 - least / FAR).max(0.0);
+                    count += 1;
+                }
+                (sum / count.max(1) as f64, camera, k)
+            }));
+        }
+        candidates.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut found: Vec<Option<usize>> = vec![None; n];
+        (found[0], found[partner]) = (Some(given[0]), Some(given[partner]));
+        let mut total = own;
+        for (support, camera, k) in candidates {
+            if found[camera].is_none() && !found.contains(&Some(k)) {
+                found[camera] = Some(k);
+                total += support;
+            }
+        }
+        Some((found.into_iter().collect::<Option<_>>()?, total))
     }
 }
 
-/// The median distance of a view from the points, as a fraction of their height in the image and in
-/// pixels, and the number of near points and of all. `None` with fewer points than are enough. A
-/// point behind the camera is infinitely far.
-fn errors(camera: &Camera, view: &View, points: &Points) -> Option<(f64, f64, [usize; 2])> {
+/// The median distance of a view from points, as a fraction of their height in the image and in
+/// pixels, and the number of near points and of all.
+type Errors = (f64, f64, [usize; 2]);
+
+/// `None` with fewer points than are enough. A point behind the camera is infinitely far.
+fn errors(camera: &Camera, view: &View, points: &Points) -> Option<Errors> {
     let projected: [_; FITTED] = std::array::from_fn(|i| camera.project(points[i].as_ref()?));
     let size = extent(projected.iter().flatten().copied()).max(f64::MIN_POSITIVE);
     let distance = |i: usize| {

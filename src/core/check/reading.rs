@@ -29,8 +29,6 @@ pub(super) struct Reading {
     pub(super) shift: Vector2<f64>,
     /// Its capture times are too late by this.
     pub(super) late: Nanos,
-    /// Seconds of the others in one of this camera, since its first frame.
-    pub(super) pace: f64,
 }
 
 impl Reading {
@@ -42,16 +40,12 @@ impl Reading {
             turn: Matrix2::identity(),
             shift: Vector2::zeros(),
             late: Nanos::ZERO,
-            pace: 1.0,
         }
     }
 
     /// The people seen at a time of the rig. Empty without a frame within three quarters of a period.
     pub(super) fn views(&self, track: &Track, period: Nanos, time: Timestamp) -> Vec<View> {
-        let mut capture = time - self.camera.time_offset + self.late;
-        if let Some([first, _]) = track.span.filter(|_| self.pace != 1.0) {
-            capture = first + Nanos::rounded((capture - first).ns() as f64 / self.pace);
-        }
+        let capture = time - self.camera.time_offset + self.late;
         let reach = Nanos::rounded(0.75 * period.ns() as f64);
         track.nearest(capture, reach).map_or_else(Vec::new, |frame| self.people(frame))
     }
