@@ -32,6 +32,7 @@ pub(crate) enum Exit {
     NotOurs = 12,
     Bus = 13,
     Differs = 14,
+    Suspicious = 15,
 }
 
 /// The codes as shown in `--help`.
@@ -51,7 +52,8 @@ Exit codes:
   11  weights of another shape or version
   12  a recording without the required topics
   13  the bus cannot be opened or reached
-  14  the replay differs from the recording";
+  14  the replay differs from the recording
+  15  check --strict: something is wrong with a camera";
 
 /// The value of `--fps`, a number or a ratio such as `60000/1001`.
 pub(crate) fn ratio(text: &str) -> Result<f64, String> {
@@ -199,7 +201,7 @@ mod tests {
 
     #[test]
     fn help_lists_every_code() {
-        for code in 0..=Exit::Differs as u8 {
+        for code in 0..=Exit::Suspicious as u8 {
             assert!(EXIT_CODES.contains(&format!("\n  {code:>2}  ")), "{code}");
         }
     }

@@ -1,41 +1,26 @@
-//! Judges the inputs of a recording.
+//! Judges the cameras of a recording.
 
 use super::Error;
 use super::options::Observer;
-use super::recording::{Item, Recording};
-use crate::core::camera::Rig;
-use crate::core::check::Footage;
+use super::recording::Recording;
+use crate::core::check::{self, Check, Footage};
 
-/// The detections of the cameras of a rig.
+/// Judges the cameras of a recording by what they saw, see [`core::check`](crate::core::check).
 ///
 /// # Errors
 /// The recording cannot be read.
-pub fn footage(
-    recording: &mut Recording,
-    rig: &Rig,
-    observer: &mut dyn Observer,
-) -> Result<Footage, Error> {
+pub fn check(recording: &mut Recording, observer: &mut dyn Observer) -> Result<Check, Error> {
+    let rig = recording.rig().clone();
     let mut footage = Footage::new(rig.cameras.len());
-    recording.stream(rig, &[], || observer.message(), |item| {
-        if let Item::Detections(frame) = item {
-            footage.add(&frame);
-        }
-        Ok(())
-    })?;
-    Ok(footage)
-}
-
-#[cfg(test)]
-mod tests {
-    #[test]
-    fn debug() {
-        for name in ["walk", "sit_to_stand", "balancing", "static", "two_people"] {
-            let t = std::time::Instant::now();
-            let mut r = super::Recording::open(format!("/tmp/real/{name}.mcap")).unwrap();
-            let rig = r.rig().clone();
-            let f = super::footage(&mut r, &rig, &mut ()).unwrap();
-            println!("{name} {:?}", t.elapsed());
-            crate::core::check::debug(&f, &rig);
-        }
-    }
+    recording.keypoints(
+        || observer.message(),
+        |camera, frame| {
+            if let Ok(detections) = frame.to_core(|_| Some(camera)) {
+                footage.add(&detections);
+            }
+            let points = frame.people.iter().flat_map(|person| person.points.as_chunks::<3>().0);
+            footage.add_percent(camera, points.filter(|[.., confidence]| *confidence > 1.0).count());
+        },
+    )?;
+    Ok(check::check(&footage, &rig))
 }

@@ -33,6 +33,7 @@ mod summary;
 mod truth;
 mod windows;
 
+pub use check::check;
 pub use error::Error;
 pub use first_pass::{
     CameraCorrection, CameraOffset, CheckedCameras, check_cameras, first_pass_settings,

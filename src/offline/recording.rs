@@ -191,6 +191,23 @@ impl Recording {
         Ok(rate.period())
     }
 
+    /// Streams the keypoint messages from the start, with the index of the camera in the rig.
+    pub(crate) fn keypoints(
+        &mut self,
+        mut each_message: impl FnMut(),
+        mut take: impl FnMut(usize, &wire::KeypointFrame),
+    ) -> Result<(), Error> {
+        self.reader.rewind()?;
+        while let Some(entry) = self.reader.next() {
+            each_message();
+            let Message::Keypoints(frame) = entry?.message else { continue };
+            if let Some(camera) = self.rig.index_of(&frame.camera) {
+                take(camera, &frame);
+            }
+        }
+        Ok(())
+    }
+
     /// Streams the recording from its start: the detections of all cameras of `rig` and of the
     /// held-out cameras, and the truth, if any. Returns a report of what was lost.
     pub(crate) fn stream(

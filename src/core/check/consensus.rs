@@ -82,6 +82,13 @@ pub(super) struct Consensus {
 }
 
 impl Consensus {
+    /// Nobody is seen.
+    pub(super) fn nobody(scene: &Scene) -> Self {
+        let n = scene.cameras();
+        let people = vec![vec![None; n]; scene.instants.len()];
+        Self { members: vec![false; n], total: 0.0, people }
+    }
+
     pub(super) fn count(&self) -> usize {
         self.members.iter().filter(|member| **member).count()
     }

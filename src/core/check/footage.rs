@@ -59,7 +59,7 @@ impl Seen {
     }
 
     /// The longer side of the bounding box, pixels.
-    fn extent(&self) -> f64 {
+    pub(super) fn extent(&self) -> f64 {
         extent(self.0.iter().flatten().map(|pixel| pixel.cast()))
     }
 
@@ -90,10 +90,9 @@ pub(super) struct Track {
     /// Number of all frames, and of those that came out of order.
     pub(super) count: usize,
     pub(super) disordered: usize,
-    /// Number of all points, of those that are confident, and of those with a confidence of 1.
+    /// Number of all points, and of those with a confidence above 1.
     pub(super) points: usize,
-    pub(super) confident: usize,
-    pub(super) certain: usize,
+    pub(super) percent: usize,
     /// First and last capture time.
     pub(super) span: Option<[Timestamp; 2]>,
 }
@@ -141,11 +140,8 @@ impl Footage {
             return;
         }
         track.span = Some([track.span.map_or(frame.capture, |[first, _]| first), frame.capture]);
-        for point in frame.people.iter().flat_map(|person| person.points.iter().flatten()) {
-            track.points += 1;
-            track.confident += usize::from(point.confidence > CONFIDENT);
-            track.certain += usize::from(point.confidence >= 1.0);
-        }
+        let points = frame.people.iter().map(|person| person.points.iter().flatten().count());
+        track.points += points.sum::<usize>();
         let section = |capture: Timestamp| (capture - start).ns().div_euclid(SECTION.ns());
         let own = section(frame.capture);
         if own.rem_euclid(self.stride) != 0 {
@@ -160,6 +156,13 @@ impl Footage {
             let stride = self.stride;
             let kept = |frame: &Frame| section(frame.capture).rem_euclid(stride) == 0;
             self.tracks.iter_mut().for_each(|track| track.frames.retain(kept));
+        }
+    }
+
+    /// Counts points of a camera whose confidence was above 1 in the message.
+    pub fn add_percent(&mut self, camera: usize, points: usize) {
+        if let Some(track) = self.tracks.get_mut(camera) {
+            track.percent += points;
         }
     }
 
