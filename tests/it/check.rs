@@ -186,10 +186,9 @@ const FAULTS: [Fault; 36] = [
     }),
     all("folders matched by order", &["other_camera"], |take, _| {
         let n = take.rig.cameras.len();
-        let order = [2, 0, 1, 4, 3, 6, 7, 8, 5];
-        for frame in &mut take.frames {
-            frame.camera = if n > order[frame.camera] { order[frame.camera] } else { frame.camera };
-        }
+        let order = [2, 0, 1, 4, 3, 6, 7, 8, 5].into_iter().filter(|camera| *camera < n);
+        let order: Vec<usize> = order.collect();
+        take.frames.iter_mut().for_each(|frame| frame.camera = order[frame.camera]);
     }),
     one("10 frames late", &["time_shift"], |take, c| late(take, c, 10)),
     one("25 frames early", &["time_shift"], |take, c| late(take, c, -25)),
@@ -206,9 +205,9 @@ const FAULTS: [Fault; 36] = [
     one("image of half the size", &["image_scaled"], |take, c| {
         take.pixels(c, |[x, y]| [0.5 * x, 0.5 * y]);
     }),
-    one("image stretched to 640 x 640", &["image_stretched"], |take, c| {
+    one("image stretched to 640 x 480", &["image_stretched"], |take, c| {
         let [w, h] = size(take, c);
-        take.pixels(c, |[x, y]| [x * 640.0 / w, y * 640.0 / h]);
+        take.pixels(c, |[x, y]| [x * 640.0 / w, y * 480.0 / h]);
     }),
     one("turned by 90 degrees", &["image_turned"], |take, c| {
         let [_, h] = size(take, c);
@@ -334,10 +333,15 @@ fn table(title: &str, take: &Take, camera: usize) -> (usize, Vec<String>) {
 fn table_of_faults() {
     let mut all = 0;
     let mut right = 0;
+    let mut three = tdhp_like_rig().unwrap();
+    three.cameras.pop();
+    let mut two = three.clone();
+    two.cameras.pop();
     let mut takes = vec![
         ("3dhp, studio", Take::synthetic(tdhp_like_rig().unwrap(), Noise::studio(), 5, 480), 1),
         ("ring of 8, studio", Take::synthetic(ring_rig(8, 4.0, 1.6).unwrap(), Noise::studio(), 5, 480), 2),
-        ("ring of 3, clean", Take::synthetic(ring_rig(3, 4.0, 1.6).unwrap(), Noise::clean(), 5, 480), 1),
+        ("3 of 3dhp, clean", Take::synthetic(three, Noise::clean(), 5, 480), 1),
+        ("2 of 3dhp, clean", Take::synthetic(two, Noise::clean(), 5, 480), 0),
         ("ring of 6, sparse", Take::synthetic(ring_rig(6, 4.0, 1.6).unwrap(), Noise::sparse(), 5, 480), 1),
     ];
     if let Some(folder) = std::env::var_os("BUNDLEMOCAP_TAKES") {

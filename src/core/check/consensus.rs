@@ -15,9 +15,9 @@ use crate::core::time::{Nanos, Timestamp};
 /// A point agrees with the others up to this error.
 pub(super) const NEAR: f64 = 0.05;
 /// An error from which on a camera does not support a pair.
-const FAR: f64 = 0.1;
+const FAR: f64 = 0.15;
 /// A member's mean support: 1 without errors, 0 with errors above [`FAR`].
-const MEMBER: f64 = 0.35;
+const MEMBER: f64 = 0.4;
 /// A camera with fewer frames of the performer is not judged.
 const LEAST_INSTANTS: usize = 4;
 /// Pairs that are tried.
@@ -380,14 +380,14 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// The median distance of a view from points, as a fraction of their height in the image and in
-/// pixels, and the number of near points and of all.
+/// The median distance of a view from points, as a fraction of the smaller one's height in the image
+/// and in pixels, and the number of near points and of all.
 type Errors = (f64, f64, [usize; 2]);
 
 /// `None` with fewer points than are enough. A point behind the camera is infinitely far.
 fn errors(camera: &Camera, view: &View, points: &Points) -> Option<Errors> {
     let projected: [_; FITTED] = std::array::from_fn(|i| camera.project(points[i].as_ref()?));
-    let size = extent(projected.iter().flatten().copied()).max(f64::MIN_POSITIVE);
+    let size = extent(projected.iter().flatten().copied()).min(view.extent).max(f64::MIN_POSITIVE);
     let distance = |i: usize| {
         let pixel = view.pixels[i].filter(|_| points[i].is_some())?;
         Some(projected[i].map_or(f64::INFINITY, |projected| (projected - pixel).norm()))

@@ -13,10 +13,15 @@ const FITS: f64 = 0.02;
 /// A fault explains an error if the error without it is below this part, and lower by [`GAIN`].
 const EXPLAINED: f64 = 0.55;
 const GAIN: f64 = 0.015;
+/// The same for a fault with more than one free parameter: this many times the others' error, within
+/// bounds.
+const GAIN_FREE: (f64, [f64; 2]) = (4.0, [0.02, 0.045]);
 /// Above this error, and this many times that of the others, a camera is wrong even if no fault
 /// explains it.
 const WRONG: f64 = 0.06;
 const TIMES_OTHERS: f64 = 2.5;
+/// The same beside two others, whose own errors say little.
+const WRONG_OF_THREE: f64 = 0.12;
 /// Two cameras disagree above this error of each.
 const DISAGREE: f64 = 0.035;
 /// A fault must raise the sum of the cameras' support by this.
@@ -39,10 +44,11 @@ pub(super) struct Judged<'a> {
 }
 
 impl Judged<'_> {
-    /// Few faults after which many cameras agree.
+    /// Few faults after which many cameras agree on a performer as people are.
     fn score(&self) -> f64 {
         let faults = self.findings.iter().flatten().count() + self.general.len();
-        self.consensus.total - COST * faults as f64
+        let odd = performer::findings(&self.scene.points(&self.consensus, None)).len();
+        self.consensus.total - COST * (faults + odd) as f64
     }
 }
 
@@ -90,7 +96,8 @@ fn mend<'a>(mut judged: Judged<'a>, cameras: &[Camera]) -> Judged<'a> {
         let Some((fit, usual)) = fits[camera].filter(|_| judged.findings[camera].is_none()) else {
             continue;
         };
-        if fit.error > WRONG && fit.error > TIMES_OTHERS * usual {
+        let wrong = if judged.consensus.count() <= 2 { WRONG_OF_THREE } else { WRONG };
+        if fit.error > wrong && fit.error > TIMES_OTHERS * usual {
             let what = "it disagrees with the others, cause not found";
             let mend = "is it the calibration of this take, and does it see the same person?";
             judged.findings[camera] = Some(Finding::new("disagrees", what, mend));
@@ -126,8 +133,10 @@ fn explain_all(judged: &Judged, cameras: &[Camera]) -> Vec<(usize, Hypothesis)> 
         }
         let points = scene.points(consensus, Some(camera));
         let (best, error) = explain(scene, camera, &points, cameras)?;
-        let gain = now.error - error;
-        let explained = error < EXPLAINED * now.error && gain > GAIN && error < 2.0 * usual + FITS;
+        let (times, [least, most]) = GAIN_FREE;
+        let gain =
+            if best.weight < 1.2 { GAIN } else { (times * usual).clamp(least, most) };
+        let explained = error < (EXPLAINED * now.error).min(now.error - gain).min(2.0 * usual + FITS);
         explained.then_some((camera, best))
     };
     fits(judged).into_iter().enumerate().filter_map(explain).collect()
@@ -178,6 +187,9 @@ fn common<'a>(scene: &Scene<'a>) -> Option<Judged<'a>> {
         let mut all = hypotheses::images(reading);
         all.extend(hypotheses::poses(reading));
         all.extend(placement::factors(reading));
+        // A scale of all translations and exchanged labels change no agreement.
+        all.retain(|hypothesis| hypothesis.finding.cause != "translation_unit");
+        all.retain(|hypothesis| hypothesis.reading.swapped == reading.swapped);
         all
     };
     let by_camera: Vec<Vec<Hypothesis>> = scene.readings.iter().map(all).collect();
