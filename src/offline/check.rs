@@ -3,6 +3,7 @@
 use super::Error;
 use super::options::Observer;
 use super::recording::Recording;
+use crate::core::camera::Rig;
 use crate::core::check::{self, Check, Footage};
 
 /// Judges the cameras of a recording by what they saw, see [`core::check`](crate::core::check).
@@ -11,8 +12,18 @@ use crate::core::check::{self, Check, Footage};
 /// The recording cannot be read.
 pub fn check(recording: &mut Recording, observer: &mut dyn Observer) -> Result<Check, Error> {
     let rig = recording.rig().clone();
+    check_rig(recording, &rig, observer)
+}
+
+/// The same for some cameras.
+pub(super) fn check_rig(
+    recording: &mut Recording,
+    rig: &Rig,
+    observer: &mut dyn Observer,
+) -> Result<Check, Error> {
     let mut footage = Footage::new(rig.cameras.len());
     recording.keypoints(
+        rig,
         || observer.message(),
         |camera, frame| {
             if let Ok(detections) = frame.to_core(|_| Some(camera)) {
@@ -22,5 +33,5 @@ pub fn check(recording: &mut Recording, observer: &mut dyn Observer) -> Result<C
             footage.add_percent(camera, points.filter(|[.., confidence]| *confidence > 1.0).count());
         },
     )?;
-    Ok(check::check(&footage, &rig))
+    Ok(check::check(&footage, rig))
 }

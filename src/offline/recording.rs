@@ -191,9 +191,10 @@ impl Recording {
         Ok(rate.period())
     }
 
-    /// Streams the keypoint messages from the start, with the index of the camera in the rig.
+    /// Streams the keypoint messages of the cameras of `rig` from the start, with the camera's index.
     pub(crate) fn keypoints(
         &mut self,
+        rig: &Rig,
         mut each_message: impl FnMut(),
         mut take: impl FnMut(usize, &wire::KeypointFrame),
     ) -> Result<(), Error> {
@@ -201,7 +202,7 @@ impl Recording {
         while let Some(entry) = self.reader.next() {
             each_message();
             let Message::Keypoints(frame) = entry?.message else { continue };
-            if let Some(camera) = self.rig.index_of(&frame.camera) {
+            if let Some(camera) = rig.index_of(&frame.camera) {
                 take(camera, &frame);
             }
         }

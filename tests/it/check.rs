@@ -293,9 +293,31 @@ impl Fault {
             .flat_map(|(i, camera)| camera.findings.iter().map(move |finding| (i, finding.cause)))
             .collect();
         let right = match self.of_one {
+            // Which of two cameras is wrong is not known: it must be among the proposed ones.
             true if take.rig.cameras.len() == 2 => {
                 let text = found.findings.first().map_or("", |finding| &finding.mend);
-                text.contains("camera") || general.clone().any(is_cause)
+                let name = &*take.rig.cameras[camera].name;
+                let words = |cause: &str| match cause {
+                    "image_mirrored" | "pixels_mirrored" => "are mirrored",
+                    "other_camera" => "exchanged",
+                    "image_scaled" => "of an image of",
+                    "normalised_pixels" => "0 to 1",
+                    "axes_exchanged" => "x and y coordinates",
+                    "y_upwards" => "from below",
+                    "image_turned" => "turned by",
+                    "time_shift" => "frames",
+                    "position_as_translation" => "position",
+                    "translation_unit" => "its translation is in",
+                    "pose_inverted" => "its pose takes",
+                    "focal_length" => "focal length",
+                    _ => "calibrate again",
+                }
+                .to_owned();
+                let words: Vec<String> = self.causes.iter().map(|cause| words(cause)).collect();
+                let is_named = words.iter().any(|words| text.contains(&**words));
+                let of_it = [name, "exchanged", "calibrate again"].iter().any(|s| text.contains(*s));
+                (is_named && of_it)
+                    || causes.iter().any(|(c, cause)| *c == camera && is_cause(cause))
             }
             true => {
                 causes.iter().any(|(c, cause)| *c == camera && is_cause(cause))

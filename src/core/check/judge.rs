@@ -46,9 +46,11 @@ pub(super) struct Judged<'a> {
 impl Judged<'_> {
     /// Few faults after which many cameras agree on a performer as people are.
     fn score(&self) -> f64 {
-        let faults = self.findings.iter().flatten().count() + self.general.len();
+        // Two cameras are exchanged by one fault.
+        let cost = |finding: &Finding| if finding.cause == "other_camera" { 0.5 } else { 1.0 };
+        let faults: f64 = self.findings.iter().flatten().chain(&self.general).map(cost).sum();
         let odd = performer::findings(&self.scene.points(&self.consensus, None)).len();
-        self.consensus.total - COST * (faults + odd) as f64
+        self.consensus.total - COST * (faults + odd as f64)
     }
 }
 
@@ -80,7 +82,7 @@ fn mend<'a>(mut judged: Judged<'a>, cameras: &[Camera]) -> Judged<'a> {
         let explained = explain_all(&judged, cameras);
         let tried = explained.into_iter().filter_map(|(camera, hypothesis)| {
             let scene = judged.scene.with_one(camera, hypothesis.reading);
-            let consensus = scene.agree().filter(|consensus| consensus.members[camera])?;
+            let consensus = scene.agree()?;
             let mut findings = judged.findings.clone();
             findings[camera] = Some(hypothesis.finding);
             Some(Judged { scene, consensus, findings, general: judged.general.clone() })
@@ -242,6 +244,15 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
                 options.push((error * hypothesis.weight, text, consensus));
             }
         }
+    }
+    let of_both = disagreement.is_none_or(|error| error > DISAGREE).then(|| common(scene)).flatten();
+    if let Some(Judged { consensus, general, scene: tried, .. }) = of_both
+        && let Some((error, height, _)) = error(&tried)
+        && error < FITS
+        && (1.2..2.3).contains(&height)
+        && let Some(Finding { what, mend, .. }) = general.first()
+    {
+        options.push((error, format!("{what} ({mend})"), consensus));
     }
     let readings = &scene.readings;
     let exchanged: Vec<Reading> = [0, 1]

@@ -31,6 +31,8 @@ use reading::Reading;
 const INSTANTS: usize = 60;
 /// The order of the keypoints is wrong if another one makes the limbs this much less loose.
 const TIGHTER: f64 = 0.5;
+/// Changes of limbs' lengths that are no noise, as a part of the lengths.
+const LOOSE: f64 = 0.15;
 
 /// A recording's cameras, judged.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -62,7 +64,15 @@ pub struct CameraCheck {
 impl Check {
     /// Whether nothing is wrong.
     pub fn is_clean(&self) -> bool {
-        self.findings.is_empty() && self.cameras.iter().all(|camera| camera.findings.is_empty())
+        self.warnings().next().is_none()
+    }
+
+    /// A line for each camera with something wrong, and one for each other finding.
+    pub fn warnings(&self) -> impl Iterator<Item = String> {
+        let wrong = self.cameras.iter().filter(|camera| !camera.findings.is_empty());
+        let of_cameras = wrong.map(|camera| format!("camera {}: {}", camera.camera, camera.verdict()));
+        let others = self.findings.iter().map(|Finding { what, mend, .. }| format!("{what}; {mend}"));
+        of_cameras.chain(others)
     }
 }
 
@@ -163,7 +173,7 @@ fn wrong_format(
         let readings = scene.readings.iter().map(|reading| Reading { format, ..reading.clone() });
         let scene = scene.with(readings.collect());
         let then = performer::looseness(&scene.points(consensus, None))?;
-        (then < TIGHTER * now && now > 0.05).then(|| {
+        (then < TIGHTER * now && now > LOOSE).then(|| {
             let [declared, other] = [declared.name(), other.name()];
             let what = format!("the keypoints are in the order of {other}, not of {declared}");
             Finding::new("keypoint_order", what, format!("import with --format {other}"))
