@@ -51,7 +51,8 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let rig = arguments.rig.as_deref().map(|rig| read_calibration(rig, arguments.up)).transpose()?;
+    let rig =
+        arguments.rig.as_deref().map(|rig| read_calibration(rig, arguments.up)).transpose()?;
     let (mut found, mut wrong) = (Vec::new(), Vec::new());
     for file in &arguments.files {
         let mut recording = Recording::open(file)?;

@@ -172,7 +172,8 @@ pub(super) fn report(
 
 /// The cameras judged, and what is wrong with all of them.
 fn verdicts(check: &Check) -> Table {
-    let number = |value: Option<f64>| value.map_or("none".to_owned(), |value| format!("{value:.0}"));
+    let number =
+        |value: Option<f64>| value.map_or("none".to_owned(), |value| format!("{value:.0}"));
     let row = |camera: &CameraCheck| {
         let [share, error] = [camera.agreeing_percent, camera.error_px].map(number);
         vec![camera.camera.clone(), share, error, camera.verdict()]
@@ -182,7 +183,9 @@ fn verdicts(check: &Check) -> Table {
     });
     Table {
         title: "Cameras beside each other".into(),
-        header: ["camera", "points that agree (%)", "error (px)", "verdict"].map(str::to_owned).into(),
+        header: ["camera", "points that agree (%)", "error (px)", "verdict"]
+            .map(str::to_owned)
+            .into(),
         rows: check.cameras.iter().map(row).chain(all).collect(),
     }
 }

@@ -41,10 +41,8 @@ pub fn solve(
     let begin = Instant::now();
     let Prepared { rig, period, held_out, body, offsets, is_body_wrong } =
         prepare(recording, options, observer)?;
-    let judged = Rig {
-        cameras: rig.cameras.iter().chain(&held_out).cloned().collect(),
-        ..Rig::clone(&rig)
-    };
+    let judged =
+        Rig { cameras: rig.cameras.iter().chain(&held_out).cloned().collect(), ..Rig::clone(&rig) };
     let check = check_rig(recording, &judged, &mut ())?;
     let all = Arc::new(with_solved(recording.rig(), &rig.cameras, &held_out));
     let outputs = folder.map(|folder| Outputs::create(folder, &all, options, &rig, &decoder));

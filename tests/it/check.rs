@@ -10,7 +10,9 @@ use bundlemocap::core::so3;
 use bundlemocap::core::time::Nanos;
 use bundlemocap::io::formats::{OpenposeFolder, Up, read_calibration};
 use bundlemocap::io::recording::{Message, Reader};
-use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig, tdhp_like_rig};
+use bundlemocap::research::synth::{
+    Motion, MotionStyle, Noise, Recording, ring_rig, tdhp_like_rig,
+};
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
 use crate::support::data;
@@ -144,11 +146,19 @@ struct Fault {
     put: fn(&mut Take, usize),
 }
 
-const fn one(name: &'static str, causes: &'static [&'static str], put: fn(&mut Take, usize)) -> Fault {
+const fn one(
+    name: &'static str,
+    causes: &'static [&'static str],
+    put: fn(&mut Take, usize),
+) -> Fault {
     Fault { name, causes, of_one: true, put }
 }
 
-const fn all(name: &'static str, causes: &'static [&'static str], put: fn(&mut Take, usize)) -> Fault {
+const fn all(
+    name: &'static str,
+    causes: &'static [&'static str],
+    put: fn(&mut Take, usize),
+) -> Fault {
     Fault { name, causes, of_one: false, put }
 }
 
@@ -293,7 +303,9 @@ impl Fault {
     fn found(&self, take: &Take, camera: usize) -> (bool, String) {
         let mut take = take.clone();
         // Times before the epoch are not allowed.
-        take.frames.iter_mut().for_each(|frame| frame.capture = frame.capture + Nanos::from_ms(10_000));
+        take.frames
+            .iter_mut()
+            .for_each(|frame| frame.capture = frame.capture + Nanos::from_ms(10_000));
         (self.put)(&mut take, camera);
         let found = take.check();
         let is_cause = |cause: &str| self.causes.contains(&cause);
@@ -310,26 +322,30 @@ impl Fault {
             _ if is_pair && found.findings.first().is_none_or(|f| f.cause == "disagree") => {
                 let text = found.findings.first().map_or("", |finding| &finding.mend);
                 let name = &*take.rig.cameras[camera].name;
-                let words = |cause: &str| match cause {
-                    "image_mirrored" | "pixels_mirrored" => "are mirrored",
-                    "other_camera" => "exchanged",
-                    "image_scaled" => "of an image of",
-                    "normalised_pixels" => "0 to 1",
-                    "axes_exchanged" => "x and y coordinates",
-                    "y_upwards" => "from below",
-                    "image_turned" => "turned by",
-                    "time_shift" => "frames",
-                    "position_as_translation" => "position",
-                    "translation_unit" => "its translation is in",
-                    "pose_inverted" => "its pose takes",
-                    "focal_length" => "focal length",
-                    "principal_point" => "principal point",
-                    _ => "calibrate again",
-                }
-                .to_owned();
+                let words = |cause: &str| {
+                    match cause {
+                        "image_mirrored" | "pixels_mirrored" => "are mirrored",
+                        "other_camera" => "exchanged",
+                        "image_scaled" => "of an image of",
+                        "normalised_pixels" => "0 to 1",
+                        "axes_exchanged" => "x and y coordinates",
+                        "y_upwards" => "from below",
+                        "image_turned" => "turned by",
+                        "time_shift" => "frames",
+                        "position_as_translation" => "position",
+                        "translation_unit" => "its translation is in",
+                        "pose_inverted" => "its pose takes",
+                        "focal_length" => "focal length",
+                        "principal_point" => "principal point",
+                        _ => "calibrate again",
+                    }
+                    .to_owned()
+                };
                 let words: Vec<String> = self.causes.iter().map(|cause| words(cause)).collect();
                 let is_named = words.iter().any(|words| text.contains(&**words));
-                let of_it = [name, "exchanged", "of each camera", "calibrate again"].iter().any(|s| text.contains(*s));
+                let of_it = [name, "exchanged", "of each camera", "calibrate again"]
+                    .iter()
+                    .any(|s| text.contains(*s));
                 (is_named && of_it)
                     || causes.iter().any(|(c, cause)| *c == camera && is_cause(cause))
             }
@@ -359,7 +375,11 @@ fn table(title: &str, take: &Take, camera: usize) -> (usize, Vec<String>) {
         let bad = said.lines().filter(|line| !line.ends_with("fits") && !line.ends_with("high"));
         let said: Vec<&str> = bad.map(str::trim).collect();
         let seconds = begin.elapsed().as_secs_f64();
-        lines.push(format!("{mark} {title} | {} | {seconds:.1} s | {}", fault.name, said.join(" / ")));
+        lines.push(format!(
+            "{mark} {title} | {} | {seconds:.1} s | {}",
+            fault.name,
+            said.join(" / ")
+        ));
     }
     (right, lines)
 }
@@ -398,10 +418,18 @@ fn table_of_faults() {
     two.cameras.pop();
     let mut takes = vec![
         ("3dhp, studio", Take::synthetic(tdhp_like_rig().unwrap(), Noise::studio(), 5, 480), 1),
-        ("ring of 8, studio", Take::synthetic(ring_rig(8, 4.0, 1.6).unwrap(), Noise::studio(), 5, 480), 2),
+        (
+            "ring of 8, studio",
+            Take::synthetic(ring_rig(8, 4.0, 1.6).unwrap(), Noise::studio(), 5, 480),
+            2,
+        ),
         ("3 of 3dhp, clean", Take::synthetic(three, Noise::clean(), 5, 480), 1),
         ("2 of 3dhp, clean", Take::synthetic(two, Noise::clean(), 5, 480), 0),
-        ("ring of 6, sparse", Take::synthetic(ring_rig(6, 4.0, 1.6).unwrap(), Noise::sparse(), 5, 480), 1),
+        (
+            "ring of 6, sparse",
+            Take::synthetic(ring_rig(6, 4.0, 1.6).unwrap(), Noise::sparse(), 5, 480),
+            1,
+        ),
     ];
     if let Some(folder) = std::env::var_os("BUNDLEMOCAP_TAKES") {
         let read = |name: &str| Take::read(&Path::new(&folder).join(name));

@@ -15,9 +15,9 @@ use crate::core::time::{Nanos, Timestamp};
 /// A point agrees with the others up to this error.
 pub(super) const NEAR: f64 = 0.05;
 /// An error from which on a camera does not support a pair.
-const FAR: f64 = 0.15;
+pub(super) const FAR: f64 = 0.15;
 /// A member's mean support: 1 without errors, 0 with errors above [`FAR`].
-const MEMBER: f64 = 0.4;
+pub(super) const MEMBER: f64 = 0.4;
 /// A camera with fewer frames of the performer is not judged.
 const LEAST_INSTANTS: usize = 4;
 /// Pairs that are tried.
@@ -34,10 +34,10 @@ pub(super) struct Scene<'a> {
     pub(super) footage: &'a Footage,
     pub(super) readings: Vec<Reading>,
     pub(super) periods: Vec<Nanos>,
-    instants: Vec<Timestamp>,
-    rig: Rig,
+    pub(super) instants: Vec<Timestamp>,
+    pub(super) rig: Rig,
     /// By instant and camera.
-    views: Vec<Vec<Vec<View>>>,
+    pub(super) views: Vec<Vec<Vec<View>>>,
 }
 
 /// What a camera says of some points.
@@ -52,12 +52,12 @@ pub(super) struct Fit {
 
 /// The support of a pair of cameras.
 #[derive(Clone, Debug)]
-struct Proposal {
+pub(super) struct Proposal {
     pair: [usize; 2],
     /// Mean support by each camera.
-    support: Vec<f64>,
+    pub(super) support: Vec<f64>,
     /// By instant: the people of the pair, and their support.
-    people: Vec<Option<([usize; 2], f64)>>,
+    pub(super) people: Vec<Option<([usize; 2], f64)>>,
 }
 
 impl Proposal {
@@ -183,7 +183,7 @@ impl<'a> Scene<'a> {
         all
     }
 
-    fn propose(&self, pair: [usize; 2]) -> Proposal {
+    pub(super) fn propose(&self, pair: [usize; 2]) -> Proposal {
         let n = self.cameras();
         let (mut sums, mut seen) = (vec![0.0; n], vec![0_usize; n]);
         let mut people = Vec::with_capacity(self.instants.len());
@@ -211,7 +211,12 @@ impl<'a> Scene<'a> {
     }
 
     /// The points of two people of a pair of cameras.
-    fn propose_points(&self, at: usize, pair: [usize; 2], people: [usize; 2]) -> Option<Points> {
+    pub(super) fn propose_points(
+        &self,
+        at: usize,
+        pair: [usize; 2],
+        people: [usize; 2],
+    ) -> Option<Points> {
         let [a, b] = [0, 1].map(|i| &self.views[at][pair[i]][people[i]]);
         let point = |i: usize| {
             let views = [(pair[0], a.pixels[i]?, 1.0), (pair[1], b.pixels[i]?, 1.0)];
@@ -254,10 +259,8 @@ impl<'a> Scene<'a> {
             members.retain(|&i| Some(i) != without);
         }
         let at = |(at, people): (usize, &Vec<Option<usize>>)| {
-            let views: Vec<(usize, &View)> = members
-                .iter()
-                .filter_map(|&i| Some((i, &self.views[at][i][people[i]?])))
-                .collect();
+            let views: Vec<(usize, &View)> =
+                members.iter().filter_map(|&i| Some((i, &self.views[at][i][people[i]?]))).collect();
             let largest = views.iter().map(|(_, view)| view.extent).fold(0.0, f64::max);
             std::array::from_fn(|point| {
                 let seen = views.iter().filter_map(|(i, v)| Some((*i, v.pixels[point]?, 1.0)));
@@ -301,7 +304,12 @@ impl<'a> Scene<'a> {
     }
 
     /// The points of each instant, and where a camera sees them.
-    pub(super) fn matches(&self, camera: usize, reading: &Reading, points: &[Points]) -> Vec<Match> {
+    pub(super) fn matches(
+        &self,
+        camera: usize,
+        reading: &Reading,
+        points: &[Points],
+    ) -> Vec<Match> {
         let at = |(time, points): (&Timestamp, &Points)| {
             let view = self.nearest(camera, reading, *time, points).map(|(view, _)| view);
             let pixels = view.map_or([None; POINTS.len()], |view| view.pixels);
@@ -310,82 +318,14 @@ impl<'a> Scene<'a> {
         };
         self.instants.iter().zip(points).flat_map(at).collect()
     }
-
-    /// The calibrations that make the cameras agree best when they change places: the index of the
-    /// calibration of each camera, and the sum of the cameras' support.
-    pub(super) fn permute(&self) -> Option<(Vec<usize>, f64)> {
-        let n = self.cameras();
-        let pairs = (0..n).flat_map(|i| (0..n).map(move |j| [i, j])).filter(|[i, j]| i != j);
-        let base = self.instants_with(0);
-        let partner = (1..n).max_by_key(|&b| base.iter().filter(|&&at| self.seen(at, b)).count())?;
-        let tried = pairs.filter_map(|[i, j]| {
-            let mut cameras: Vec<usize> = (0..n).collect();
-            cameras[0] = i;
-            cameras[partner] = j;
-            self.complete(&cameras, partner)
-        });
-        tried.max_by(|a, b| a.1.total_cmp(&b.1))
-    }
-
-    fn seen(&self, at: usize, camera: usize) -> bool {
-        !self.views[at][camera].is_empty()
-    }
-
-    fn instants_with(&self, camera: usize) -> Vec<usize> {
-        (0..self.instants.len()).filter(|&at| self.seen(at, camera)).collect()
-    }
-
-    /// The best calibrations of the other cameras, given those of the first one and its partner.
-    fn complete(&self, given: &[usize], partner: usize) -> Option<(Vec<usize>, f64)> {
-        let n = self.cameras();
-        let mut scene = Self { rig: self.rig.clone(), ..self.clone() };
-        for camera in [0, partner] {
-            scene.rig.cameras[camera] = self.rig.cameras[given[camera]].clone();
-        }
-        let proposal = scene.propose([0, partner]);
-        let own = proposal.support[0] + proposal.support[partner];
-        if own < 2.0 * MEMBER {
-            return None;
-        }
-        let mut candidates = Vec::new();
-        for camera in (0..n).filter(|&camera| camera != 0 && camera != partner) {
-            let free = (0..n).filter(|k| *k != given[0] && *k != given[partner]);
-            candidates.extend(free.map(|k| {
-                let (mut sum, mut count) = (0.0, 0_usize);
-                for (at, people) in proposal.people.iter().enumerate() {
-                    let Some((people, _)) = people else { continue };
-                    let points = scene.propose_points(at, [0, partner], *people);
-                    let Some(points) = points.filter(|_| self.seen(at, camera)) else { continue };
-                    let errors = self.views[at][camera].iter().filter_map(|view| {
-                        Some(errors(&self.rig.cameras[k], view, &points)?.0)
-                    });
-                    let least = errors.reduce(f64::min).unwrap_or(f64::INFINITY);
-                    sum += (1.0 - least / FAR).max(0.0);
-                    count += 1;
-                }
-                (sum / count.max(1) as f64, camera, k)
-            }));
-        }
-        candidates.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let mut found: Vec<Option<usize>> = vec![None; n];
-        (found[0], found[partner]) = (Some(given[0]), Some(given[partner]));
-        let mut total = own;
-        for (support, camera, k) in candidates {
-            if found[camera].is_none() && !found.contains(&Some(k)) {
-                found[camera] = Some(k);
-                total += support;
-            }
-        }
-        Some((found.into_iter().collect::<Option<_>>()?, total))
-    }
 }
 
 /// The median distance of a view from points, as a fraction of the smaller one's height in the image
 /// and in pixels, and the number of near points and of all.
-type Errors = (f64, f64, [usize; 2]);
+pub(super) type Errors = (f64, f64, [usize; 2]);
 
 /// `None` with fewer points than are enough. A point behind the camera is infinitely far.
-fn errors(camera: &Camera, view: &View, points: &Points) -> Option<Errors> {
+pub(super) fn errors(camera: &Camera, view: &View, points: &Points) -> Option<Errors> {
     let projected: [_; FITTED] = std::array::from_fn(|i| camera.project(points[i].as_ref()?));
     let size = extent(projected.iter().flatten().copied()).min(view.extent).max(f64::MIN_POSITIVE);
     let distance = |i: usize| {

@@ -66,9 +66,8 @@ impl Seen {
     /// Median distance of the points that both have, pixels.
     pub(super) fn distance(&self, other: &Self) -> Option<f64> {
         let both = self.0.iter().zip(&other.0);
-        let mut all: Vec<f64> = both
-            .filter_map(|(a, b)| Some(f64::from(((*a)? - (*b)?).norm())))
-            .collect();
+        let mut all: Vec<f64> =
+            both.filter_map(|(a, b)| Some(f64::from(((*a)? - (*b)?).norm()))).collect();
         median(&mut all).filter(|_| all.len() >= LEAST_POINTS)
     }
 }
@@ -109,7 +108,8 @@ impl Track {
     pub(super) fn nearest(&self, time: Timestamp, reach: Nanos) -> Option<&Frame> {
         let after = self.frames.partition_point(|frame| frame.capture < time);
         let away = |frame: &&Frame| (frame.capture - time).ns().abs();
-        let around = self.frames.get(after.saturating_sub(1)..(after + 1).min(self.frames.len()))?;
+        let around =
+            self.frames.get(after.saturating_sub(1)..(after + 1).min(self.frames.len()))?;
         around.iter().min_by_key(away).filter(|frame| away(frame) <= reach.ns())
     }
 }

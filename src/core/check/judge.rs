@@ -1,10 +1,10 @@
 //! Finds the faults: the reading of each camera with which most cameras agree.
 
 use super::consensus::{Consensus, Fit, Points, Scene};
+use super::footage::median;
 use super::hypotheses::{self, Finding, Hypothesis};
 use super::performer;
 use super::placement;
-use super::footage::median;
 use super::reading::Reading;
 use crate::core::camera::Camera;
 
@@ -136,9 +136,9 @@ fn explain_all(judged: &Judged, cameras: &[Camera]) -> Vec<(usize, Hypothesis)> 
         let points = scene.points(consensus, Some(camera));
         let (best, error) = explain(scene, camera, &points, cameras)?;
         let (times, [least, most]) = GAIN_FREE;
-        let gain =
-            if best.weight < 1.2 { GAIN } else { (times * usual).clamp(least, most) };
-        let explained = error < (EXPLAINED * now.error).min(now.error - gain).min(2.0 * usual + FITS);
+        let gain = if best.weight < 1.2 { GAIN } else { (times * usual).clamp(least, most) };
+        let explained =
+            error < (EXPLAINED * now.error).min(now.error - gain).min(2.0 * usual + FITS);
         explained.then_some((camera, best))
     };
     fits(judged).into_iter().enumerate().filter_map(explain).collect()
@@ -175,7 +175,8 @@ fn exchanged<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
         .collect();
     let scene = scene.with(readings);
     let consensus = scene.agree()?;
-    let other = |(i, &k): (usize, &usize)| (i != k).then(|| hypotheses::is_another(&cameras[k].name));
+    let other =
+        |(i, &k): (usize, &usize)| (i != k).then(|| hypotheses::is_another(&cameras[k].name));
     let findings: Vec<Option<Finding>> = order.iter().enumerate().map(other).collect();
     let moved = findings.iter().flatten().count();
     let judged = Judged { scene, consensus, findings, general: Vec::new() };
@@ -245,7 +246,8 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
             }
         }
     }
-    let of_both = disagreement.is_none_or(|error| error > DISAGREE).then(|| common(scene)).flatten();
+    let of_both =
+        disagreement.is_none_or(|error| error > DISAGREE).then(|| common(scene)).flatten();
     if let Some(Judged { consensus, general, scene: tried, .. }) = of_both
         && let Some((error, height, _)) = error(&tried)
         && error < FITS
@@ -255,9 +257,8 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
         options.push((error, format!("{what} ({mend})"), consensus));
     }
     let readings = &scene.readings;
-    let exchanged: Vec<Reading> = [0, 1]
-        .map(|i| Reading { camera: cameras[1 - i].clone(), ..readings[i].clone() })
-        .into();
+    let exchanged: Vec<Reading> =
+        [0, 1].map(|i| Reading { camera: cameras[1 - i].clone(), ..readings[i].clone() }).into();
     if let Some((error, _, consensus)) = error(&scene.with(exchanged))
         && error < EXPLAINED * disagreement.unwrap_or(2.0 * DISAGREE)
     {
@@ -267,7 +268,8 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
     let disagrees = disagreement.is_none_or(|error| error > DISAGREE) || !options.is_empty();
     let consensus = options.first().map(|option| option.2.clone());
     let consensus = now.map(|now| now.2).or(consensus);
-    let texts: Vec<String> = options.into_iter().take(MOST_OPTIONS).map(|option| option.1).collect();
+    let texts: Vec<String> =
+        options.into_iter().take(MOST_OPTIONS).map(|option| option.1).collect();
     let what = "the two cameras disagree; which one is wrong is not known";
     let mend = match texts.is_empty() {
         true => "calibrate again; a third camera would tell".to_owned(),

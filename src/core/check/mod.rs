@@ -6,6 +6,7 @@
 //! that makes it agree is named.
 
 mod consensus;
+mod exchange;
 mod footage;
 mod hypotheses;
 mod judge;
@@ -70,8 +71,10 @@ impl Check {
     /// A line for each camera with something wrong, and one for each other finding.
     pub fn warnings(&self) -> impl Iterator<Item = String> {
         let wrong = self.cameras.iter().filter(|camera| !camera.findings.is_empty());
-        let of_cameras = wrong.map(|camera| format!("camera {}: {}", camera.camera, camera.verdict()));
-        let others = self.findings.iter().map(|Finding { what, mend, .. }| format!("{what}; {mend}"));
+        let of_cameras =
+            wrong.map(|camera| format!("camera {}: {}", camera.camera, camera.verdict()));
+        let others =
+            self.findings.iter().map(|Finding { what, mend, .. }| format!("{what}; {mend}"));
         of_cameras.chain(others)
     }
 }
@@ -107,7 +110,8 @@ impl CameraCheck {
         if self.findings.is_empty() {
             return if self.error_px.is_some() { "fits" } else { "not judged" }.to_owned();
         }
-        let texts = self.findings.iter().map(|Finding { what, mend, .. }| format!("{what}; {mend}"));
+        let texts =
+            self.findings.iter().map(|Finding { what, mend, .. }| format!("{what}; {mend}"));
         let mended = self.mended_px.map_or(String::new(), |px| format!(" (then {px:.0} px)"));
         texts.collect::<Vec<_>>().join("; ") + &mended
     }
@@ -145,8 +149,7 @@ pub fn check(footage: &Footage, rig: &Rig) -> Check {
         // A camera whose frames are wrong by themselves disagrees because of that.
         if let Some(finding) = findings[camera].as_ref().filter(|_| row.findings.is_empty()) {
             row.findings.push(finding.clone());
-            row.mended_px =
-                fit(mended).map(|fit| fit.px).filter(|_| finding.cause != "disagrees");
+            row.mended_px = fit(mended).map(|fit| fit.px).filter(|_| finding.cause != "disagrees");
         }
     }
     let points = mended.points(consensus, None);
@@ -164,7 +167,8 @@ fn wrong_format(
     consensus: &consensus::Consensus,
     points: &[Points],
 ) -> Option<Finding> {
-    let declared = scene.footage.tracks.iter().find_map(|track| Some(track.frames.first()?.format))?;
+    let declared =
+        scene.footage.tracks.iter().find_map(|track| Some(track.frames.first()?.format))?;
     let now = performer::looseness(points)?;
     let others = KeypointFormat::ALL.into_iter();
     let others = others.filter(|other| *other != declared && other.len() == declared.len());

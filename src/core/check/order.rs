@@ -62,7 +62,8 @@ fn disordered(track: &Track) -> Option<Finding> {
 /// Whether the frames repeat the one before.
 fn repeated(track: &Track) -> Option<Finding> {
     let pairs = || track.frames.windows(2).filter(|pair| !pair[0].people.is_empty());
-    let (same, all) = (pairs().filter(|pair| pair[0].people == pair[1].people).count(), pairs().count());
+    let (same, all) =
+        (pairs().filter(|pair| pair[0].people == pair[1].people).count(), pairs().count());
     (all >= LEAST_FRAMES && same as f64 > REPEATED * all as f64).then(|| {
         let what = format!("{} % of its frames repeat the one before", 100 * same / all);
         let mend = "check that its detector runs, and the frame rate of its video";

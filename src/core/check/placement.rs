@@ -37,8 +37,7 @@ use Free::{Centre, Focal, Move, Scale, ScaleX, ScaleY, Turn, Unit};
 const TURN: [Free; 3] = [Turn(0), Turn(1), Turn(2)];
 const MOVE: [Free; 3] = [Move(0), Move(1), Move(2)];
 const PLACE: [Free; 6] = [Turn(0), Turn(1), Turn(2), Move(0), Move(1), Move(2)];
-const PLACE_AND_FOCAL: [Free; 7] =
-    [Turn(0), Turn(1), Turn(2), Move(0), Move(1), Move(2), Focal];
+const PLACE_AND_FOCAL: [Free; 7] = [Turn(0), Turn(1), Turn(2), Move(0), Move(1), Move(2), Focal];
 
 /// Parameters that are fitted together, their weight as in [`Hypothesis`], and factors to start from.
 type Model = (&'static [Free], f64, &'static [f64]);
@@ -59,7 +58,8 @@ const LAST: Model = (&PLACE_AND_FOCAL, 1.45, &[1.0]);
 /// A reading with other parameters. `pixel` maps its pixels.
 fn apply(reading: &Reading, free: &[Free], values: &[f64]) -> (Reading, Vector2<f64>) {
     let mut reading = reading.clone();
-    let (mut turn, mut moved, mut pixel) = (Vector3::zeros(), Vector3::zeros(), Vector2::repeat(1.0));
+    let (mut turn, mut moved, mut pixel) =
+        (Vector3::zeros(), Vector3::zeros(), Vector2::repeat(1.0));
     for (free, value) in free.iter().zip(values) {
         let camera = &mut reading.camera;
         match *free {
@@ -165,7 +165,8 @@ fn describe(before: &Reading, after: &Reading, free: &[Free], values: &[f64]) ->
             let [w, h] = [old.width, old.height].map(|size| f64::from(size) / factor(values[0]));
             let what = format!("its keypoints are of an image of {w:.0} x {h:.0}");
             let size = format!("{} x {}", old.width, old.height);
-            let mend = format!("multiply them by {:.3}; the calibration is for {size}", factor(values[0]));
+            let mend =
+                format!("multiply them by {:.3}; the calibration is for {size}", factor(values[0]));
             (Finding::new("image_scaled", what, mend), 1.0)
         }
         [ScaleX, ..] | [ScaleY] => {
