@@ -39,6 +39,8 @@ const CONFIDENT: f64 = 0.3;
 /// sections, every second one of a longer recording, and so on.
 const SECTION: Nanos = Nanos::from_ms(4000);
 const MOST_SECTIONS: i64 = 24;
+/// Frames before and after a frame that tell how much the performer moves.
+const REACH: usize = 8;
 
 /// One person: pixels by index in the format.
 #[derive(Clone, Debug, PartialEq)]
@@ -166,13 +168,30 @@ impl Footage {
         }
     }
 
-    /// `count` times, evenly spread over the frames of the camera with the most.
+    /// `count` times of the camera with the most frames: a third evenly spread, the others where the
+    /// performer moves most, which shows errors of time.
     pub(super) fn instants(&self, count: usize) -> Vec<Timestamp> {
         let Some(longest) = self.tracks.iter().max_by_key(|track| track.frames.len()) else {
             return Vec::new();
         };
-        let (frames, count) = (&longest.frames, count.min(longest.frames.len()));
-        (0..count).map(|i| frames[(2 * i + 1) * frames.len() / (2 * count)].capture).collect()
+        let (frames, all) = (&longest.frames, (3 * count).min(longest.frames.len()));
+        let index = |i: usize| (2 * i + 1) * frames.len() / (2 * all);
+        let motion = |i: usize| -> f64 {
+            let [before, after] = [i.saturating_sub(REACH), (i + REACH).min(frames.len() - 1)];
+            let Some(person) = frames[before].people.first() else { return 0.0 };
+            let others = frames[after].people.iter().filter_map(|other| person.distance(other));
+            others.reduce(f64::min).unwrap_or(0.0)
+        };
+        let (even, rest): (Vec<usize>, Vec<usize>) =
+            (0..all).partition(|i| i % 9 == 0 || all <= count);
+        let mut moving: Vec<(f64, usize)> =
+            rest.into_iter().map(|i| (motion(index(i)), i)).collect();
+        moving.sort_by(|a, b| b.0.total_cmp(&a.0));
+        moving.truncate(count.saturating_sub(even.len()));
+        let mut chosen: Vec<usize> =
+            even.into_iter().chain(moving.into_iter().map(|(_, i)| i)).collect();
+        chosen.sort_unstable();
+        chosen.into_iter().map(|i| frames[index(i)].capture).collect()
     }
 
     /// The median time between two frames of a camera that has frames.

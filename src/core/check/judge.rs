@@ -13,7 +13,7 @@ const FITS: f64 = 0.02;
 /// A fault explains an error if the error without it is below this part, and lower by [`GAIN`].
 const EXPLAINED: f64 = 0.55;
 const GAIN: f64 = 0.015;
-/// The same for a fault with more than one free parameter: this many times the others' error, within
+/// The same for a fault with more than one free parameter: this many times the best error, within
 /// bounds.
 const GAIN_FREE: (f64, [f64; 2]) = (4.0, [0.02, 0.045]);
 /// Above this error, and this many times that of the others, a camera is wrong even if no fault
@@ -23,14 +23,16 @@ const TIMES_OTHERS: f64 = 2.5;
 /// The same beside two others, whose own errors say little.
 const WRONG_OF_THREE: f64 = 0.12;
 /// Two cameras disagree above this error of each.
-const DISAGREE: f64 = 0.035;
+const DISAGREE: f64 = 0.05;
 /// A fault must raise the sum of the cameras' support by this.
 const COST: f64 = 0.25;
 /// Sets of cameras that are tried as the right ones.
 const STARTS: usize = 3;
 /// Permutations are tried with at most so many cameras.
 const MOST_PERMUTED: usize = 16;
+/// Of two cameras, the faults that are listed: the best ones, up to this many times the least error.
 const MOST_OPTIONS: usize = 3;
+const ALIKE: f64 = 1.5;
 
 /// The cameras without their faults.
 #[derive(Clone, Debug)]
@@ -95,7 +97,9 @@ fn mend<'a>(mut judged: Judged<'a>, cameras: &[Camera]) -> Judged<'a> {
     }
     let fits = fits(&judged);
     for camera in 0..fits.len() {
-        let Some((fit, usual)) = fits[camera].filter(|_| judged.findings[camera].is_none()) else {
+        let Some(Beside { fit, usual, .. }) =
+            fits[camera].filter(|_| judged.findings[camera].is_none())
+        else {
             continue;
         };
         let wrong = if judged.consensus.count() <= 2 { WRONG_OF_THREE } else { WRONG };
@@ -108,35 +112,47 @@ fn mend<'a>(mut judged: Judged<'a>, cameras: &[Camera]) -> Judged<'a> {
     judged
 }
 
-/// How each camera fits the others, and the median error of the others.
-fn fits(judged: &Judged) -> Vec<Option<(Fit, f64)>> {
+/// How a camera fits the others.
+#[derive(Clone, Copy)]
+struct Beside {
+    fit: Fit,
+    /// Median and least error of the other members.
+    usual: f64,
+    least: f64,
+}
+
+/// How each camera fits the others; `None` of a camera that cannot be judged.
+fn fits(judged: &Judged) -> Vec<Option<Beside>> {
     let Judged { scene, consensus, .. } = judged;
     let fit = |camera: usize| {
         let points = scene.points(consensus, Some(camera));
         scene.fit(camera, &scene.readings[camera], &points)
     };
     let all: Vec<Option<Fit>> = (0..scene.cameras()).map(fit).collect();
-    let usual = |camera: usize| {
+    let beside = |camera: usize| {
         let others = (0..all.len()).filter(|&i| i != camera && consensus.members[i]);
-        median(&mut others.filter_map(|i| Some(all[i]?.error)).collect::<Vec<f64>>())
+        let mut others: Vec<f64> = others.filter_map(|i| Some(all[i]?.error)).collect();
+        let least = others.iter().copied().fold(f64::INFINITY, f64::min);
+        Some(Beside { fit: all[camera]?, usual: median(&mut others)?, least })
     };
-    (0..all.len()).map(|camera| Some((all[camera]?, usual(camera)?))).collect()
+    (0..all.len()).map(beside).collect()
 }
 
 /// The fault of each camera that explains why it does not fit the others.
 fn explain_all(judged: &Judged, cameras: &[Camera]) -> Vec<(usize, Hypothesis)> {
     let Judged { scene, consensus, findings, .. } = judged;
     let count = consensus.count();
-    let explain = |(camera, fit): (usize, Option<(Fit, f64)>)| {
+    let explain = |(camera, beside): (usize, Option<Beside>)| {
         let is_base = consensus.members[camera] && count <= 2;
-        let (now, usual) = fit.filter(|_| findings[camera].is_none() && !is_base)?;
+        let unknown = beside.filter(|_| findings[camera].is_none() && !is_base);
+        let Beside { fit: now, usual, least: of_best } = unknown?;
         if now.error < FITS {
             return None;
         }
         let points = scene.points(consensus, Some(camera));
         let (best, error) = explain(scene, camera, &points, cameras)?;
         let (times, [least, most]) = GAIN_FREE;
-        let gain = if best.weight < 1.2 { GAIN } else { (times * usual).clamp(least, most) };
+        let gain = if best.weight < 1.2 { GAIN } else { (times * of_best).clamp(least, most) };
         let explained =
             error < (EXPLAINED * now.error).min(now.error - gain).min(2.0 * usual + FITS);
         explained.then_some((camera, best))
@@ -265,6 +281,8 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
         options.push((error, "the two cameras are exchanged".to_owned(), consensus));
     }
     options.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let least = options.first().map_or(0.0, |best| best.0);
+    options.retain(|option| option.0 <= ALIKE * least);
     let disagrees = disagreement.is_none_or(|error| error > DISAGREE) || !options.is_empty();
     let consensus = options.first().map(|option| option.2.clone());
     let consensus = now.map(|now| now.2).or(consensus);

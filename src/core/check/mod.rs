@@ -154,7 +154,10 @@ pub fn check(footage: &Footage, rig: &Rig) -> Check {
     }
     let points = mended.points(consensus, None);
     let mut general = general.clone();
-    general.extend(performer::findings(&points));
+    // Two cameras that disagree show no performer.
+    if general.iter().all(|finding| finding.cause != "disagree") {
+        general.extend(performer::findings(&points));
+    }
     if let Some(finding) = wrong_format(mended, consensus, &points) {
         general = vec![finding];
     }

@@ -45,15 +45,15 @@ const MODELS: [Model; 10] = [
     (&[Scale], 1.1, &[0.3, 0.5, 0.75, 1.33, 2.0, 3.0]),
     (&[Focal], 1.1, &[0.5, 0.8, 1.25, 2.0]),
     (&[Unit], 1.1, &[0.5, 2.0]),
-    (&[ScaleX, ScaleY], 1.2, &[0.5, 1.0, 2.0]),
+    (&[ScaleX, ScaleY], 1.35, &[0.5, 1.0, 2.0]),
     (&[ScaleX], 1.1, &[0.6, 1.7]),
     (&[ScaleY], 1.1, &[0.6, 1.7]),
-    (&[Centre(0), Centre(1)], 1.25, &[1.0]),
+    (&[Centre(0), Centre(1)], 1.45, &[1.0]),
     (&TURN, 1.2, &[1.0]),
-    (&MOVE, 1.2, &[1.0]),
-    (&PLACE, 1.35, &[1.0]),
+    (&MOVE, 1.3, &[1.0]),
+    (&PLACE, 1.5, &[1.0]),
 ];
-const LAST: Model = (&PLACE_AND_FOCAL, 1.45, &[1.0]);
+const LAST: Model = (&PLACE_AND_FOCAL, 1.6, &[1.0]);
 
 /// A reading with other parameters. `pixel` maps its pixels.
 fn apply(reading: &Reading, free: &[Free], values: &[f64]) -> (Reading, Vector2<f64>) {
@@ -198,7 +198,7 @@ fn describe(before: &Reading, after: &Reading, free: &[Free], values: &[f64]) ->
             // A turn looks alike; a principal point far from the middle of the image decides.
             let middle = Vector2::new(f64::from(old.width), f64::from(old.height)) / 2.0;
             let nearer = (new.centre - middle).norm() < 0.5 * (old.centre - middle).norm();
-            let favour = if nearer && off > 0.04 * f64::from(old.width) { 0.85 } else { 1.0 };
+            let favour = if nearer && off > 0.04 * f64::from(old.width) { 0.75 } else { 1.0 };
             (Finding::new("principal_point", what, mend), favour)
         }
         _ => {
