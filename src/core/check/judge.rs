@@ -51,8 +51,12 @@ impl Judged<'_> {
         // Two cameras are exchanged by one fault.
         let cost = |finding: &Finding| if finding.cause == "other_camera" { 0.5 } else { 1.0 };
         let faults: f64 = self.findings.iter().flatten().chain(&self.general).map(cost).sum();
-        let odd = performer::findings(&self.scene.points(&self.consensus, None)).len();
-        self.consensus.total - COST * (faults + odd as f64)
+        self.consensus.total - COST * (faults + self.odd().len() as f64)
+    }
+
+    fn odd(&self) -> Vec<Finding> {
+        let points = self.scene.points(&self.consensus, None);
+        performer::findings(&points, self.consensus.count())
     }
 }
 

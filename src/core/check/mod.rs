@@ -30,6 +30,8 @@ use reading::Reading;
 
 /// Instants at which cameras are compared.
 const INSTANTS: usize = 60;
+/// A camera of which fewer points agree fits loosely. That is no finding.
+const LOOSELY_PERCENT: f64 = 60.0;
 /// The order of the keypoints is wrong if another one makes the limbs this much less loose.
 const TIGHTER: f64 = 0.5;
 /// Changes of limbs' lengths that are no noise, as a part of the lengths.
@@ -108,7 +110,12 @@ impl CameraCheck {
     /// The verdict in words.
     pub fn verdict(&self) -> String {
         if self.findings.is_empty() {
-            return if self.error_px.is_some() { "fits" } else { "not judged" }.to_owned();
+            let verdict = match self.agreeing_percent {
+                None => "not judged",
+                Some(percent) if percent < LOOSELY_PERCENT => "fits loosely, cause not found",
+                Some(_) => "fits",
+            };
+            return verdict.to_owned();
         }
         let texts =
             self.findings.iter().map(|Finding { what, mend, .. }| format!("{what}; {mend}"));
@@ -156,7 +163,7 @@ pub fn check(footage: &Footage, rig: &Rig) -> Check {
     let mut general = general.clone();
     // Two cameras that disagree show no performer.
     if general.iter().all(|finding| finding.cause != "disagree") {
-        general.extend(performer::findings(&points));
+        general.extend(performer::findings(&points, consensus.count()));
     }
     if let Some(finding) = wrong_format(mended, consensus, &points) {
         general = vec![finding];

@@ -48,10 +48,12 @@ pub(super) fn height_m(frames: &[Points]) -> Option<f64> {
     Some((trunk + leg) / TRUNK_AND_LEG)
 }
 
-/// What is wrong with a performer.
-pub(super) fn findings(frames: &[Points]) -> Vec<Finding> {
+/// What is wrong with a performer that so many cameras see.
+pub(super) fn findings(frames: &[Points], cameras: usize) -> Vec<Finding> {
     let height = height_m(frames);
-    let all = [height.and_then(scale), upright(frames), sides(frames)];
+    // Two opposite cameras hardly tell where the feet point.
+    let sides = if cameras > 2 { sides(frames) } else { None };
+    let all = [height.and_then(scale), upright(frames), sides];
     all.into_iter().flatten().collect()
 }
 
