@@ -324,7 +324,8 @@ impl Fault {
                 let name = &*take.rig.cameras[camera].name;
                 let words = |cause: &str| {
                     match cause {
-                        "image_mirrored" | "pixels_mirrored" => "are mirrored",
+                        "image_mirrored" | "pixels_mirrored" => "mirrored",
+                        "sides_exchanged" => "left and right",
                         "other_camera" => "exchanged",
                         "image_scaled" => "of an image of",
                         "normalised_pixels" => "0 to 1",
