@@ -199,7 +199,7 @@ impl Recording {
         mut take: impl FnMut(usize, &wire::KeypointFrame),
     ) -> Result<(), Error> {
         self.reader.rewind()?;
-        while let Some(entry) = self.reader.next() {
+        for entry in self.reader.by_ref() {
             each_message();
             let Message::Keypoints(frame) = entry?.message else { continue };
             if let Some(camera) = rig.index_of(&frame.camera) {

@@ -99,10 +99,8 @@ fn mend<'a>(mut judged: Judged<'a>, cameras: &[Camera]) -> Judged<'a> {
             None => break,
         }
     }
-    let fits = fits(&judged);
-    for camera in 0..fits.len() {
-        let Some(Beside { fit, usual, .. }) =
-            fits[camera].filter(|_| judged.findings[camera].is_none())
+    for (camera, beside) in fits(&judged).into_iter().enumerate() {
+        let Some(Beside { fit, usual, .. }) = beside.filter(|_| judged.findings[camera].is_none())
         else {
             continue;
         };
@@ -249,7 +247,7 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
         return now.map(|(_, _, consensus)| judged(consensus, Vec::new()));
     }
     let mut options = Vec::new();
-    for camera in 0..2 {
+    for (camera, Camera { name, .. }) in cameras.iter().enumerate() {
         let reading = &scene.readings[camera];
         let mut all = hypotheses::of_one(reading);
         all.extend(placement::factors(reading));
@@ -261,7 +259,7 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
             let explained = error < EXPLAINED * before && before - error > GAIN / 2.0;
             if explained && (1.2..2.3).contains(&height) {
                 let Finding { what, mend, .. } = hypothesis.finding;
-                let text = format!("camera {}: {what} ({mend})", cameras[camera].name);
+                let text = format!("camera {name}: {what} ({mend})");
                 options.push((error * hypothesis.weight, text, consensus));
             }
         }
