@@ -148,7 +148,8 @@ pub fn check(footage: &Footage, rig: &Rig) -> Check {
     for (camera, row) in cameras.iter_mut().enumerate() {
         let points = mended.points(consensus, Some(camera));
         let fit = |scene: &Scene| mended.fit(camera, &scene.readings[camera], &points);
-        if let Some(fit) = fit(&scene) {
+        // A fault of all cameras is no camera's own.
+        if let Some(fit) = fit(if general.is_empty() { &scene } else { mended }) {
             // Errors behind the camera are infinite.
             row.error_px = Some(fit.px).filter(|px| px.is_finite());
             row.agreeing_percent = Some(100.0 * fit.share);
