@@ -36,7 +36,8 @@ enum Source {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Capture time is the frame number in the file name divided by --fps. Subfolders are matched to
-calibrated cameras by name, then by order; the matches are printed.
+calibrated cameras by name, then by order; the matches are printed, with a warning for those by
+order.
 
 Example:
   bundlemocap import openpose demo/pose --calibration demo/Calib_qualisys.toml \\

@@ -50,7 +50,7 @@ pub struct Summary {
     pub events: BTreeMap<&'static str, u64>,
     /// The cameras' time offsets; empty if they were not estimated.
     pub time_offsets: Vec<CameraOffset>,
-    /// The cameras judged, see [`check`](super::check).
+    /// The cameras judged, see [`check`](fn@super::check).
     pub check: Option<Check>,
     /// What was lost from the recording.
     pub damage: Vec<String>,
