@@ -43,8 +43,7 @@ pub struct Reference {
     pub worst_mid_hip_frame: Option<u64>,
 }
 
-/// Above this mean distance a reference is hardly of the recording, millimetres. Two good methods are
-/// 20 to 60 mm apart.
+/// Above this mean distance a reference is hardly of the recording, millimetres.
 const UNFIT_MM: f64 = 250.0;
 
 impl Reference {
