@@ -7,7 +7,7 @@ use clap::{Args, Subcommand};
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
-use super::terminal::{progress, say, table};
+use super::terminal::{complain, progress, say, table};
 use crate::core::camera::Rig;
 use crate::core::time::Timestamp;
 use crate::io::formats::{
@@ -36,7 +36,8 @@ enum Source {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Capture time is the frame number in the file name divided by --fps. Subfolders are matched to
-calibrated cameras by name, then by order; the matches are printed.
+calibrated cameras by name, then by order; the matches are printed, with a warning for those by
+order.
 
 Example:
   bundlemocap import openpose demo/pose --calibration demo/Calib_qualisys.toml \\
@@ -103,6 +104,12 @@ fn run_openpose(arguments: &Openpose) -> Ended {
     let rig = read_calibration(&arguments.calibration, arguments.up)?;
     let mut folder = OpenposeFolder::open(&arguments.folder, &rig, format, fps)?;
     say(&table(&matches(&folder, &rig)));
+    let by_order = folder.matches().iter().filter(|pair| pair.by == MatchedBy::Order).count();
+    if by_order > 0 {
+        let text = "folders have no camera's name and were matched by order, which may be wrong; \
+                    `bundlemocap check` tells";
+        complain("warning", &format!("{by_order} {text}"));
+    }
 
     let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance(arguments))?;
     let bar = progress(folder.file_count(), "files");

@@ -6,6 +6,7 @@
 mod bench;
 mod bus;
 mod calibrate;
+mod check;
 pub(crate) mod clock;
 mod completions;
 mod decode;
@@ -60,6 +61,7 @@ enum Command {
     Bench(bench::Arguments),
     Eval(Box<eval::Arguments>),
     Solve(solve::Arguments),
+    Check(check::Arguments),
     Sync(sync::Arguments),
     Calibrate(calibrate::Arguments),
     Import(import::Arguments),
@@ -85,6 +87,7 @@ pub fn main() -> ExitCode {
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Solve(arguments) => solve::run(&arguments),
+        Command::Check(arguments) => check::run(&arguments),
         Command::Sync(arguments) => sync::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),

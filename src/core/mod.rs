@@ -3,6 +3,7 @@
 pub mod body;
 pub mod calibration;
 pub mod camera;
+pub mod check;
 pub mod cost;
 pub mod detections;
 pub mod fnv;

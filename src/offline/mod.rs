@@ -16,6 +16,7 @@
 //! report average over time beyond 4096 values.
 
 pub(crate) mod bvh;
+mod check;
 pub(crate) mod compact_pose;
 mod driver;
 mod error;
@@ -32,6 +33,7 @@ mod summary;
 mod truth;
 mod windows;
 
+pub use check::check;
 pub use error::Error;
 pub use first_pass::{
     CameraCorrection, CameraOffset, CheckedCameras, check_cameras, first_pass_settings,

@@ -14,6 +14,7 @@ use super::summary::Summary;
 use super::windows::{WindowSummary, Windows};
 use crate::core::body::{Posture, Skeleton};
 use crate::core::camera::Rig;
+use crate::core::check::{CameraCheck, Check, Finding};
 use crate::core::time::Timestamp;
 use crate::core::tracker::{Event, Output};
 use crate::io::new_file;
@@ -145,6 +146,7 @@ pub(super) fn report(
         title: recording.to_string_lossy().into_owned(),
         subtitle: format!("Solved by bundlemocap {}", summary.version),
         facts: summary.headline(),
+        leading: summary.check.iter().map(verdicts).collect(),
         tables: vec![Table {
             title: "Figures".into(),
             header: vec!["figure".into(), "value".into()],
@@ -160,6 +162,26 @@ pub(super) fn report(
         ..ReportData::default()
     };
     Ok(write_report(path, &data)?)
+}
+
+/// The cameras judged, and what is wrong with all of them.
+fn verdicts(check: &Check) -> Table {
+    let number =
+        |value: Option<f64>| value.map_or("none".to_owned(), |value| format!("{value:.0}"));
+    let row = |camera: &CameraCheck| {
+        let [share, error] = [camera.agreeing_percent, camera.error_px].map(number);
+        vec![camera.camera.clone(), share, error, camera.verdict()]
+    };
+    let all = check.findings.iter().map(|Finding { what, mend, .. }| {
+        vec!["all".to_owned(), String::new(), String::new(), format!("{what}; {mend}")]
+    });
+    Table {
+        title: "Cameras beside each other".into(),
+        header: ["camera", "points that agree (%)", "error (px)", "verdict"]
+            .map(str::to_owned)
+            .into(),
+        rows: check.cameras.iter().map(row).chain(all).collect(),
+    }
 }
 
 /// Stick figures at `count` times, evenly spaced.

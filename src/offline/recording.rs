@@ -199,6 +199,24 @@ impl Recording {
         Ok(rate.period())
     }
 
+    /// Streams the keypoint messages of the cameras of `rig` from the start, with the camera's index.
+    pub(crate) fn keypoints(
+        &mut self,
+        rig: &Rig,
+        mut each_message: impl FnMut(),
+        mut take: impl FnMut(usize, &wire::KeypointFrame),
+    ) -> Result<(), Error> {
+        self.reader.rewind()?;
+        for entry in self.reader.by_ref() {
+            each_message();
+            let Message::Keypoints(frame) = entry?.message else { continue };
+            if let Some(camera) = rig.index_of(&frame.camera) {
+                take(camera, &frame);
+            }
+        }
+        Ok(())
+    }
+
     /// Streams the recording from its start: the detections of all cameras of `rig` and of the
     /// held-out cameras, and the truth, if any. Returns a report of what was lost.
     pub(crate) fn stream(

@@ -43,6 +43,26 @@ pub struct Reference {
     pub worst_mid_hip_frame: Option<u64>,
 }
 
+/// Above this mean distance a reference is hardly of the recording, millimetres.
+const UNFIT_MM: f64 = 250.0;
+
+impl Reference {
+    /// A note if a reference obviously does not fit; `None` is one without a row in the recording.
+    pub fn note(found: Option<&Self>) -> Option<String> {
+        let reason = match found {
+            None => "no row has the time of a pose".to_owned(),
+            Some(found) if found.mean_mm > UNFIT_MM => {
+                format!("it is {:.0} mm from the poses on average", found.mean_mm)
+            }
+            Some(_) => return None,
+        };
+        Some(format!(
+            "the reference does not fit: {reason}; is it of this recording, in metres and y up, with \
+             the same frame numbers?"
+        ))
+    }
+}
+
 /// Compares poses with a TRC file in a stream, in order of capture time.
 ///
 /// Row i of the file is frame OrigDataStartFrame + i of the recording; the file's own Frame# is

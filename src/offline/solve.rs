@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use super::Error;
+use super::check::check_rig;
 use super::driver::Driver;
 use super::first_pass::{CameraOffset, FirstPass};
 use super::hold_out::{HeldOut, HoldOut};
@@ -14,11 +15,12 @@ use super::options::{Observer, Options};
 use super::output::{self, FILES, OutputFolder, PoseFile};
 use super::poses::{Comparisons, PoseSummary, Poses};
 use super::recording::{Item, Recording};
-use super::reference::{FrameClock, ReferenceComparison};
+use super::reference::{FrameClock, Reference, ReferenceComparison};
 use super::summary::{Reprojection, SolveTime, Summary};
 use super::windows::Windows;
 use crate::core::body::Skeleton;
 use crate::core::camera::{Camera, Rig};
+use crate::core::check::Check;
 use crate::core::manifold::Decoder;
 use crate::core::tracker::{EventKind, FramePeriod, Input, Output, Solver, Tracker};
 use crate::io::recording::{Provenance, Report};
@@ -39,6 +41,9 @@ pub fn solve(
     let begin = Instant::now();
     let Prepared { rig, period, held_out, body, offsets, is_body_wrong } =
         prepare(recording, options, observer)?;
+    let judged =
+        Rig { cameras: rig.cameras.iter().chain(&held_out).cloned().collect(), ..Rig::clone(&rig) };
+    let check = check_rig(recording, &judged, &mut ())?;
     let all = Arc::new(with_solved(recording.rig(), &rig.cameras, &held_out));
     let outputs = folder.map(|folder| Outputs::create(folder, &all, options, &rig, &decoder));
     let mut outputs = outputs.transpose()?;
@@ -63,13 +68,18 @@ pub fn solve(
     let report = run.stream(recording, &rig, &held_out, observer)?;
     let Run { driver, mut collected, .. } = run;
     let skeleton = driver.skeleton().filter(|_| collected.poses.found_somebody());
-    let Some(skeleton) = skeleton else { return Err(collected.nobody(recording, &rig)) };
+    let Some(skeleton) = skeleton else { return Err(collected.nobody(recording, &rig, &check)) };
     let poses = collected.poses.finish(&skeleton, &mut collected.comparisons)?;
     let states = poses.states.csv();
     let seconds = begin.elapsed().as_secs_f64();
     let (collected, summary) =
         collected.summarise(recording, &rig, &skeleton, poses, &report, seconds);
     let mut summary = Summary { time_offsets: offsets, ..summary };
+    summary.notes.extend(check.warnings());
+    if options.reference.is_some() {
+        summary.notes.extend(Reference::note(summary.reference.as_ref()));
+    }
+    summary.check = Some(check);
     if is_body_wrong {
         summary.notes.push(BODY_IS_WRONG.to_owned());
     }
@@ -288,12 +298,13 @@ impl Collected<'_> {
             events: EventKind::ALL.map(|kind| (kind.name(), self.count(kind))).into(),
             damage: report.losses(),
             time_offsets: Vec::new(),
+            check: None,
             notes: poses.note.into_iter().collect(),
         };
         (self, summary)
     }
 
-    fn nobody(&self, recording: &Recording, rig: &Rig) -> Error {
+    fn nobody(&self, recording: &Recording, rig: &Rig, check: &Check) -> Error {
         let unusable = match self.count(EventKind::Unusable) {
             0 => String::new(),
             unusable => format!(", {unusable} frames could not be used"),
@@ -306,6 +317,8 @@ impl Collected<'_> {
             out_of_time(self.count(EventKind::Late), self.count(EventKind::Duplicate)),
             recording.format(),
         );
+        let found = check.warnings().map(|warning| format!("; {warning}"));
+        let evidence = found.fold(evidence, |all, warning| all + &warning);
         Error::NobodyFound { path: recording.path().to_owned(), evidence }
     }
 }

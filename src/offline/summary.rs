@@ -10,6 +10,7 @@ use super::hold_out::HoldOut;
 use super::reference::Reference;
 use super::windows::Windows;
 use crate::core::camera::Rig;
+use crate::core::check::Check;
 use crate::metrics::{FootSkate, PoseErrors};
 
 /// The measurements of a solve. Field names are part of the interface; README.md documents them.
@@ -49,6 +50,8 @@ pub struct Summary {
     pub events: BTreeMap<&'static str, u64>,
     /// The cameras' time offsets; empty if they were not estimated.
     pub time_offsets: Vec<CameraOffset>,
+    /// The cameras judged, see [`check`](fn@super::check).
+    pub check: Option<Check>,
     /// What was lost from the recording.
     pub damage: Vec<String>,
     /// Other notes for the user.

@@ -355,6 +355,71 @@ fn the_real_recording_has_no_time_offset_but_a_turned_camera() {
 }
 
 #[test]
+fn a_fault_is_named_by_check_and_noted_by_solve() {
+    let place = Place::new();
+    walk(&place.path("good.mcap"), 240, |_| true);
+    walk(&place.path("mirrored.mcap"), 240, |detections| {
+        if detections.camera == 1 {
+            let points = detections.people.iter_mut().flat_map(|person| &mut person.points);
+            points.flatten().for_each(|point| point.pixel.x = 1279.0 - point.pixel.x);
+        }
+        true
+    });
+    let good = place.done("check good.mcap --strict");
+    assert_eq!(good.matches("  fits").count(), 4, "{good}");
+    assert!(place.done("check mirrored.mcap").contains("x coordinates are mirrored"));
+    let strict = place.run("check good.mcap mirrored.mcap --strict --json");
+    assert_eq!(strict.status.code(), Some(15));
+    let found: Value = serde_json::from_slice(&strict.stdout).unwrap();
+    let cause = found.pointer("/1/check/cameras/1/findings/0/cause");
+    assert_eq!(cause.and_then(Value::as_str), Some("pixels_mirrored"), "{found}");
+    assert!(number(&found, "/0/check/performer_height_m") > 1.5);
+
+    let solved = place.run("solve mirrored.mcap --out out --json");
+    let notes = String::from_utf8(solved.stderr).unwrap();
+    assert!(notes.contains("note: camera cam02: its x coordinates are mirrored"), "{notes}");
+    let summary: Value = serde_json::from_slice(&solved.stdout).unwrap();
+    assert!(summary.pointer("/check/cameras/1/findings/0/mend").is_some(), "{summary}");
+    let report = fs::read_to_string(place.path("out/report.html")).unwrap();
+    assert!(report.contains("its x coordinates are mirrored"));
+}
+
+#[test]
+fn a_calibration_in_millimetres_is_named_where_nobody_is_found() {
+    let place = Place::new();
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let mut rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let mut recording = Recording::new(rig.clone(), skeleton, |seconds| motion.pose(seconds));
+    recording.frames = 120;
+    let frames: Vec<_> = recording.detections().collect();
+    rig.cameras.iter_mut().for_each(|camera| camera.translation *= 1000.0);
+    recording.rig = rig;
+    let mut seen = frames.into_iter();
+    save(&place.path("mm.mcap"), &recording, |detections| {
+        *detections = seen.next().unwrap();
+        true
+    });
+    let evidence = ["nobody was found", "the calibration is in millimetres"];
+    place.fails(NOBODY_FOUND, "solve mm.mcap --out out", &evidence);
+}
+
+#[test]
+fn a_reference_of_another_trial_is_noted() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 120, |_| true);
+    let rows: String =
+        (1..=120).map(|i| format!("{i}\t{:.4}\t9.0\t9.0\t9.0\n", f64::from(i) / 60.0)).collect();
+    let header = "PathFileType\t4\t(X/Y/Z)\tother.trc\nDataRate\tCameraRate\tNumFrames\tNumMarkers\t\
+                  Units\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n60\t60\t120\t1\tm\t60\t0\t120\n\
+                  Frame#\tTime\tRHip\t\t\n\t\tX1\tY1\tZ1\n";
+    place.write("other.trc", format!("{header}{rows}"));
+    let notes = place.run("solve walk.mcap --out out --reference other.trc").stderr;
+    let notes = String::from_utf8(notes).unwrap();
+    assert!(notes.contains("note: the reference does not fit"), "{notes}");
+}
+
+#[test]
 fn existing_outputs_are_kept_unless_told_otherwise() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 30, |_| true);

@@ -5,6 +5,8 @@ mod bus;
 #[cfg(feature = "research")]
 mod calibration;
 mod camera;
+#[cfg(feature = "research")]
+mod check;
 #[cfg(feature = "cli")]
 mod cli;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]

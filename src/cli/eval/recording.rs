@@ -14,7 +14,7 @@ use crate::core::detections::KeypointFormat;
 use crate::io::formats::Trc;
 use crate::io::report::{Bars, ReportData};
 use crate::offline::recording::Item;
-use crate::offline::{FrameClock, Recording};
+use crate::offline::{FrameClock, Recording, Reference};
 use crate::research::experiments::methods;
 use crate::research::experiments::real::{HeldOutCamera, RealScore, frame_rate, measure, table};
 use crate::research::methods::{Take, Windows};
@@ -92,6 +92,13 @@ pub(super) fn run(arguments: &Arguments, names: &[String]) -> Result<(), Failure
     if scores.is_empty() {
         let message = format!("{}: nobody was found; check the calibration", path.display());
         return Err(Failure::new(Exit::NobodyFound, message));
+    }
+    // A wrong reference is far from every method.
+    let distance = |score: &&RealScore| score.reference.as_ref().map_or(f64::MAX, |r| r.mean_mm);
+    let nearest = scores.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
+    let nearest = nearest.filter(|_| trc.is_some());
+    if let Some(text) = nearest.and_then(|score| Reference::note(score.reference.as_ref())) {
+        complain("warning", &text);
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let report = ReportData {

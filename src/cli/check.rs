@@ -1,0 +1,85 @@
+//! `bundlemocap check`
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde_json::json;
+
+use super::Ended;
+use super::failure::{Exit, Failure};
+use super::solve::Progress;
+use super::terminal::{complain, progress, say};
+use crate::io::formats::{Up, read_calibration};
+use crate::offline::{self, Recording};
+
+/// Judge the cameras of a recording: what is wrong, and what would mend it.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Compares each camera with the others that agree, and prints the share of its points that are within
+5 % of the performer's height of where the others see them, the median error, and a verdict. If a
+camera disagrees, known faults are undone on it, and the one that makes it agree is named: mirrored,
+turned, scaled or stretched images, left and right exchanged, another camera's images, capture times
+up to 30 frames off, a wrong convention or unit of its pose, a wrong focal length, principal point or
+distortion, and a camera that was turned or moved. Faults of the whole recording are named too: its
+scale, up axis, keypoint order, shuffled or repeated frames.
+
+With two cameras it is not known which one is wrong: what would make them agree is listed. A camera
+must be off by about 2 % of the performer's height to be named.
+
+Exit code 15: with --strict, something is wrong.
+
+Examples:
+  bundlemocap check take.mcap
+  bundlemocap check monday/*.mcap --strict
+  bundlemocap check take.mcap --rig rig.toml --json")]
+pub(super) struct Arguments {
+    /// MCAP recordings with keypoints and a calibrated rig.
+    #[arg(required = true, value_name = "RECORDING")]
+    files: Vec<PathBuf>,
+    /// Calibration to use instead of the recordings'.
+    #[arg(long, value_name = "FILE")]
+    rig: Option<PathBuf>,
+    /// Up axis of the world of --rig: y or z.
+    #[arg(long, default_value = "z", value_parser = super::import::up)]
+    up: Up,
+    /// Fail with exit code 15 if something is wrong.
+    #[arg(long)]
+    strict: bool,
+    /// Print one JSON array with an object for each recording instead of the tables.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let rig =
+        arguments.rig.as_deref().map(|rig| read_calibration(rig, arguments.up)).transpose()?;
+    let (mut found, mut wrong) = (Vec::new(), Vec::new());
+    for file in &arguments.files {
+        let mut recording = Recording::open(file)?;
+        if let Some(rig) = &rig {
+            recording = recording.with_rig(rig.clone())?;
+        }
+        let mut bar = Progress(progress(recording.messages(), "messages"));
+        let check = offline::check(&mut recording, &mut bar)?;
+        bar.0.finish_and_clear();
+        if !arguments.json {
+            if arguments.files.len() > 1 {
+                say(&format!("{}:", file.display()));
+            }
+            say(&check.to_string());
+        }
+        if !check.is_clean() {
+            wrong.push(file.display().to_string());
+        }
+        found.push(json!({ "recording": file.display().to_string(), "check": check }));
+    }
+    if arguments.json {
+        let text = serde_json::to_string_pretty(&found);
+        say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
+    }
+    if wrong.is_empty() || !arguments.strict {
+        return Ok(Exit::Done);
+    }
+    complain("warning", &format!("something is wrong in {}", wrong.join(", ")));
+    Ok(Exit::Suspicious)
+}

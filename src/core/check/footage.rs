@@ -1,0 +1,219 @@
+//! What the cameras saw: frames of each camera, thinned out over a long recording.
+
+use nalgebra::Vector2;
+
+use crate::core::detections::{Detections, Keypoint, KeypointFormat, Person};
+use crate::core::time::{Nanos, Timestamp};
+
+/// The points that are compared, those of [`FITTED`] first.
+pub(super) const POINTS: [Keypoint; 17] = [
+    Keypoint::LShoulder,
+    Keypoint::RShoulder,
+    Keypoint::LElbow,
+    Keypoint::RElbow,
+    Keypoint::LWrist,
+    Keypoint::RWrist,
+    Keypoint::LHip,
+    Keypoint::RHip,
+    Keypoint::LKnee,
+    Keypoint::RKnee,
+    Keypoint::LAnkle,
+    Keypoint::RAnkle,
+    Keypoint::Nose,
+    Keypoint::LBigToe,
+    Keypoint::RBigToe,
+    Keypoint::LHeel,
+    Keypoint::RHeel,
+];
+/// Cameras are judged by this many points; the rest tells where the performer faces.
+pub(super) const FITTED: usize = 13;
+/// A person with fewer points is not used.
+pub(super) const LEAST_POINTS: usize = 6;
+/// People of a frame that are kept: the largest.
+const MOST_PEOPLE: usize = 3;
+/// The body's points come first in every format.
+const BODY_POINTS: usize = 26;
+/// Points of at most this confidence are not used.
+const CONFIDENT: f64 = 0.3;
+/// Frames are kept in sections of this length, every section of a recording of at most that many
+/// sections, every second one of a longer recording, and so on.
+const SECTION: Nanos = Nanos::from_ms(4000);
+const MOST_SECTIONS: i64 = 24;
+/// Frames before and after a frame that tell how much the performer moves.
+const REACH: usize = 8;
+
+/// One person: pixels by index in the format.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Seen(Vec<Option<Vector2<f32>>>);
+
+impl Seen {
+    fn of(person: &Person) -> Option<Self> {
+        let confident = |point: &Option<_>| {
+            let point: &crate::core::detections::Detection = point.as_ref()?;
+            (point.confidence > CONFIDENT).then(|| point.pixel.coords.cast())
+        };
+        let points: Vec<_> = person.points.iter().take(BODY_POINTS).map(confident).collect();
+        (points.iter().flatten().count() >= LEAST_POINTS).then_some(Self(points))
+    }
+
+    pub(super) fn at(&self, index: usize) -> Option<Vector2<f64>> {
+        Some((*self.0.get(index)?)?.cast())
+    }
+
+    /// The longer side of the bounding box, pixels.
+    pub(super) fn extent(&self) -> f64 {
+        extent(self.0.iter().flatten().map(|pixel| pixel.cast()))
+    }
+
+    /// Median distance of the points that both have, pixels.
+    pub(super) fn distance(&self, other: &Self) -> Option<f64> {
+        let both = self.0.iter().zip(&other.0);
+        let mut all: Vec<f64> =
+            both.filter_map(|(a, b)| Some(f64::from(((*a)? - (*b)?).norm()))).collect();
+        median(&mut all).filter(|_| all.len() >= LEAST_POINTS)
+    }
+}
+
+/// A frame of a camera.
+#[derive(Clone, Debug)]
+pub(super) struct Frame {
+    pub(super) capture: Timestamp,
+    pub(super) format: KeypointFormat,
+    /// The largest first.
+    pub(super) people: Vec<Seen>,
+}
+
+/// The frames of a camera.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Track {
+    /// In order of capture time.
+    pub(super) frames: Vec<Frame>,
+    /// Number of all frames, and of those that came out of order.
+    pub(super) count: usize,
+    pub(super) disordered: usize,
+    /// Number of all points, and of those with a confidence above 1.
+    pub(super) points: usize,
+    pub(super) percent: usize,
+    /// First and last capture time.
+    pub(super) span: Option<[Timestamp; 2]>,
+}
+
+impl Track {
+    /// The median time between two frames.
+    pub(super) fn period(&self) -> Option<Nanos> {
+        let gaps = self.frames.windows(2).map(|pair| (pair[1].capture - pair[0].capture).ns());
+        let mut gaps: Vec<f64> = gaps.map(|ns| ns as f64).collect();
+        median(&mut gaps).map(|ns| Nanos::rounded(ns.max(1.0)))
+    }
+
+    /// The frame nearest to a capture time, at most `reach` away.
+    pub(super) fn nearest(&self, time: Timestamp, reach: Nanos) -> Option<&Frame> {
+        let after = self.frames.partition_point(|frame| frame.capture < time);
+        let away = |frame: &&Frame| (frame.capture - time).ns().abs();
+        let around =
+            self.frames.get(after.saturating_sub(1)..(after + 1).min(self.frames.len()))?;
+        around.iter().min_by_key(away).filter(|frame| away(frame) <= reach.ns())
+    }
+}
+
+/// The detections of each camera of a rig: all of the first 96 seconds, and parts of a longer
+/// recording.
+#[derive(Clone, Debug)]
+pub struct Footage {
+    pub(super) tracks: Vec<Track>,
+    start: Option<Timestamp>,
+    stride: i64,
+}
+
+impl Footage {
+    /// No frames yet, of that many cameras.
+    pub fn new(cameras: usize) -> Self {
+        Self { tracks: vec![Track::default(); cameras], start: None, stride: 1 }
+    }
+
+    /// Adds a frame, with the capture time of its camera. Cameras that are not in the rig, and frames
+    /// that are not after the camera's last one, are not kept.
+    pub fn add(&mut self, frame: &Detections) {
+        let Some(track) = self.tracks.get_mut(frame.camera) else { return };
+        let start = *self.start.get_or_insert(frame.capture);
+        track.count += 1;
+        if track.span.is_some_and(|[_, last]| frame.capture <= last) {
+            track.disordered += 1;
+            return;
+        }
+        track.span = Some([track.span.map_or(frame.capture, |[first, _]| first), frame.capture]);
+        let points = frame.people.iter().map(|person| person.points.iter().flatten().count());
+        track.points += points.sum::<usize>();
+        let section = |capture: Timestamp| (capture - start).ns().div_euclid(SECTION.ns());
+        let own = section(frame.capture);
+        if own.rem_euclid(self.stride) != 0 {
+            return;
+        }
+        let mut people: Vec<Seen> = frame.people.iter().filter_map(Seen::of).collect();
+        people.sort_by(|a, b| b.extent().total_cmp(&a.extent()));
+        people.truncate(MOST_PEOPLE);
+        track.frames.push(Frame { capture: frame.capture, format: frame.format, people });
+        while own >= MOST_SECTIONS * self.stride {
+            self.stride *= 2;
+            let stride = self.stride;
+            let kept = |frame: &Frame| section(frame.capture).rem_euclid(stride) == 0;
+            self.tracks.iter_mut().for_each(|track| track.frames.retain(kept));
+        }
+    }
+
+    /// Counts points of a camera whose confidence was above 1 in the message.
+    pub fn add_percent(&mut self, camera: usize, points: usize) {
+        if let Some(track) = self.tracks.get_mut(camera) {
+            track.percent += points;
+        }
+    }
+
+    /// `count` times of the camera with the most frames: a third evenly spread, the others where the
+    /// performer moves most, which shows errors of time.
+    pub(super) fn instants(&self, count: usize) -> Vec<Timestamp> {
+        let Some(longest) = self.tracks.iter().max_by_key(|track| track.frames.len()) else {
+            return Vec::new();
+        };
+        let (frames, all) = (&longest.frames, (3 * count).min(longest.frames.len()));
+        let index = |i: usize| (2 * i + 1) * frames.len() / (2 * all);
+        let motion = |i: usize| -> f64 {
+            let [before, after] = [i.saturating_sub(REACH), (i + REACH).min(frames.len() - 1)];
+            let Some(person) = frames[before].people.first() else { return 0.0 };
+            let others = frames[after].people.iter().filter_map(|other| person.distance(other));
+            others.reduce(f64::min).unwrap_or(0.0)
+        };
+        let (even, rest): (Vec<usize>, Vec<usize>) =
+            (0..all).partition(|i| i % 9 == 0 || all <= count);
+        let mut moving: Vec<(f64, usize)> =
+            rest.into_iter().map(|i| (motion(index(i)), i)).collect();
+        moving.sort_by(|a, b| b.0.total_cmp(&a.0));
+        moving.truncate(count.saturating_sub(even.len()));
+        let mut chosen: Vec<usize> =
+            even.into_iter().chain(moving.into_iter().map(|(_, i)| i)).collect();
+        chosen.sort_unstable();
+        chosen.into_iter().map(|i| frames[index(i)].capture).collect()
+    }
+
+    /// The median time between two frames of a camera that has frames.
+    pub(super) fn period(&self) -> Nanos {
+        let mut all: Vec<f64> =
+            self.tracks.iter().filter_map(Track::period).map(|period| period.ns() as f64).collect();
+        Nanos::rounded(median(&mut all).unwrap_or(1e7))
+    }
+}
+
+/// The longer side of the bounding box of some points.
+pub(super) fn extent(points: impl Iterator<Item = Vector2<f64>>) -> f64 {
+    let mut low = Vector2::repeat(f64::INFINITY);
+    let mut high = Vector2::repeat(f64::NEG_INFINITY);
+    for point in points {
+        (low, high) = (low.inf(&point), high.sup(&point));
+    }
+    (high - low).max().max(0.0)
+}
+
+/// The median, of an even number the upper one; `None` without values.
+pub(super) fn median(values: &mut [f64]) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}

@@ -1,0 +1,197 @@
+//! Judges the cameras of a recording: what is wrong with their keypoints, calibrations and clocks, and
+//! what would mend it.
+//!
+//! Pairs of cameras propose where the performer is; the largest set of cameras that agree is believed.
+//! Known faults are undone on each other camera (its pixels, labels, calibration, time); the one
+//! that makes it agree is named.
+
+mod consensus;
+mod exchange;
+mod footage;
+mod hypotheses;
+mod judge;
+mod order;
+mod performer;
+mod placement;
+mod reading;
+
+pub use footage::Footage;
+pub use hypotheses::Finding;
+
+use std::fmt;
+
+use serde::Serialize;
+
+use crate::core::camera::Rig;
+use crate::core::detections::KeypointFormat;
+use consensus::{Points, Scene};
+use judge::{Judged, judge};
+use reading::Reading;
+
+/// Instants at which cameras are compared.
+const INSTANTS: usize = 60;
+/// A camera of which fewer points agree fits loosely. That is no finding.
+const LOOSELY_PERCENT: f64 = 60.0;
+/// The order of the keypoints is wrong if another one makes the limbs this much less loose.
+const TIGHTER: f64 = 0.5;
+/// Changes of limbs' lengths that are no noise, as a part of the lengths.
+const LOOSE: f64 = 0.15;
+
+/// A recording's cameras, judged.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Check {
+    /// The performer's height by trunk and legs, metres.
+    pub performer_height_m: Option<f64>,
+    /// In the rig's order.
+    pub cameras: Vec<CameraCheck>,
+    /// What is wrong with all cameras or the whole recording.
+    pub findings: Vec<Finding>,
+}
+
+/// A camera, judged.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CameraCheck {
+    /// The camera.
+    pub camera: String,
+    /// Share of its points that are within 5 % of the performer's height of where the other cameras
+    /// see them, percent.
+    pub agreeing_percent: Option<f64>,
+    /// Median distance of its points from where the others see them, pixels.
+    pub error_px: Option<f64>,
+    /// The same without its fault, if one is named.
+    pub mended_px: Option<f64>,
+    /// What is wrong; empty if it fits.
+    pub findings: Vec<Finding>,
+}
+
+impl Check {
+    /// Whether nothing is wrong.
+    pub fn is_clean(&self) -> bool {
+        self.warnings().next().is_none()
+    }
+
+    /// A line for each camera with something wrong, and one for each other finding.
+    pub fn warnings(&self) -> impl Iterator<Item = String> {
+        let wrong = self.cameras.iter().filter(|camera| !camera.findings.is_empty());
+        let of_cameras =
+            wrong.map(|camera| format!("camera {}: {}", camera.camera, camera.verdict()));
+        let others =
+            self.findings.iter().map(|Finding { what, mend, .. }| format!("{what}; {mend}"));
+        of_cameras.chain(others)
+    }
+}
+
+/// A line for each camera, then one for the performer and one for each other finding.
+impl fmt::Display for Check {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names = self.cameras.iter().map(|camera| camera.camera.chars().count());
+        let width = names.max().unwrap_or(0).max("performer".len());
+        let number = |value: Option<f64>, unit: &str| match value {
+            Some(value) => format!("{value:.0} {unit}"),
+            None => format!("- {unit}"),
+        };
+        for camera in &self.cameras {
+            let [share, error] = [(camera.agreeing_percent, "%"), (camera.error_px, "px")]
+                .map(|(value, unit)| number(value, unit));
+            let judged = camera.verdict();
+            writeln!(f, "{:<width$}  {share:>5}  {error:>7}  {judged}", camera.camera)?;
+        }
+        let height = self.performer_height_m;
+        let height = height.map_or("not found".to_owned(), |height| format!("{height:.2} m high"));
+        write!(f, "{:<width$}  {height}", "performer")?;
+        for Finding { what, mend, .. } in &self.findings {
+            write!(f, "\n{:<width$}  {what}; {mend}", "all")?;
+        }
+        Ok(())
+    }
+}
+
+impl CameraCheck {
+    /// The verdict in words.
+    pub fn verdict(&self) -> String {
+        if self.findings.is_empty() {
+            let verdict = match self.agreeing_percent {
+                None => "not judged",
+                Some(percent) if percent < LOOSELY_PERCENT => "fits loosely, cause not found",
+                Some(_) => "fits",
+            };
+            return verdict.to_owned();
+        }
+        let texts =
+            self.findings.iter().map(|Finding { what, mend, .. }| format!("{what}; {mend}"));
+        let mended = self.mended_px.map_or(String::new(), |px| format!(" (then {px:.0} px)"));
+        texts.collect::<Vec<_>>().join("; ") + &mended
+    }
+}
+
+/// Judges the cameras of a rig by what they saw.
+pub fn check(footage: &Footage, rig: &Rig) -> Check {
+    let scene = Scene::new(footage, rig.cameras.iter().map(Reading::new).collect(), INSTANTS);
+    let mut cameras: Vec<CameraCheck> = (0..rig.cameras.len())
+        .map(|camera| CameraCheck {
+            camera: rig.cameras[camera].name.clone(),
+            agreeing_percent: None,
+            error_px: None,
+            mended_px: None,
+            findings: order::findings(footage, camera),
+        })
+        .collect();
+    let Some(judged) = judge(&scene, &rig.cameras) else {
+        let finding = Finding::new(
+            "no_agreement",
+            "no two cameras agree on a person, whatever is tried",
+            "is it the calibration of this take, and do the cameras share a clock?",
+        );
+        return Check { performer_height_m: None, cameras, findings: vec![finding] };
+    };
+    let Judged { scene: mended, consensus, findings, general } = &judged;
+    for (camera, row) in cameras.iter_mut().enumerate() {
+        let points = mended.points(consensus, Some(camera));
+        let fit = |scene: &Scene| mended.fit(camera, &scene.readings[camera], &points);
+        // A fault of all cameras is no camera's own.
+        if let Some(fit) = fit(if general.is_empty() { &scene } else { mended }) {
+            // Errors behind the camera are infinite.
+            row.error_px = Some(fit.px).filter(|px| px.is_finite());
+            row.agreeing_percent = Some(100.0 * fit.share);
+        }
+        // A camera whose frames are wrong by themselves disagrees because of that.
+        if let Some(finding) = findings[camera].as_ref().filter(|_| row.findings.is_empty()) {
+            row.findings.push(finding.clone());
+            row.mended_px = fit(mended).map(|fit| fit.px).filter(|_| finding.cause != "disagrees");
+        }
+    }
+    let points = mended.points(consensus, None);
+    let mut general = general.clone();
+    // Two cameras that disagree show no performer.
+    if general.iter().all(|finding| finding.cause != "disagree") {
+        general.extend(performer::findings(&points, consensus.count()));
+    }
+    if let Some(finding) = wrong_format(mended, consensus, &points) {
+        general = vec![finding];
+    }
+    Check { performer_height_m: performer::height_m(&points), cameras, findings: general }
+}
+
+/// The keypoints of all cameras in the order of another format with as many points.
+fn wrong_format(
+    scene: &Scene,
+    consensus: &consensus::Consensus,
+    points: &[Points],
+) -> Option<Finding> {
+    let declared =
+        scene.footage.tracks.iter().find_map(|track| Some(track.frames.first()?.format))?;
+    let now = performer::looseness(points)?;
+    let others = KeypointFormat::ALL.into_iter();
+    let others = others.filter(|other| *other != declared && other.len() == declared.len());
+    others.into_iter().find_map(|other| {
+        let format = Some(other);
+        let readings = scene.readings.iter().map(|reading| Reading { format, ..reading.clone() });
+        let scene = scene.with(readings.collect());
+        let then = performer::looseness(&scene.points(consensus, None))?;
+        (then < TIGHTER * now && now > LOOSE).then(|| {
+            let [declared, other] = [declared.name(), other.name()];
+            let what = format!("the keypoints are in the order of {other}, not of {declared}");
+            Finding::new("keypoint_order", what, format!("import with --format {other}"))
+        })
+    })
+}

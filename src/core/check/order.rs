@@ -1,0 +1,95 @@
+//! What the frames of one camera say by themselves: missing people, repeated or shuffled frames, odd
+//! confidences.
+
+use super::footage::{Footage, Track, median};
+use super::hypotheses::Finding;
+
+/// A share of frames that equal the one before. Detections of moving images always differ.
+const REPEATED: f64 = 0.3;
+/// Frames between two compared ones.
+const APART: usize = 15;
+/// A performer moves by this part of its size in [`APART`] frames.
+const MOVES: f64 = 0.03;
+/// In shuffled frames, one step is as long as many.
+const ALIKE: f64 = 0.75;
+/// Fewer frames say nothing.
+const LEAST_FRAMES: usize = 20;
+
+/// What is wrong with the frames of a camera.
+pub(super) fn findings(footage: &Footage, camera: usize) -> Vec<Finding> {
+    let track = &footage.tracks[camera];
+    let all = [
+        absent(footage, camera),
+        disordered(track),
+        repeated(track),
+        shuffled(track).then(|| {
+            let what = "its frames are not in the order of time: one step is as long as many";
+            Finding::new("shuffled", what, "sort its frames, or check their numbers")
+        }),
+        percent(track),
+    ];
+    all.into_iter().flatten().collect()
+}
+
+fn absent(footage: &Footage, camera: usize) -> Option<Finding> {
+    let track = &footage.tracks[camera];
+    let Some([first, last]) = track.span else {
+        return Some(Finding::new("no_frames", "it has no frames", "record or import them"));
+    };
+    if track.frames.iter().all(|frame| frame.people.is_empty()) {
+        let mend = "check its detector, the keypoint format and what it looks at";
+        return Some(Finding::new("nobody", "it sees nobody in any frame", mend));
+    }
+    let others = footage.tracks.iter().enumerate().filter(|(other, _)| *other != camera);
+    let spans: Vec<_> = others.filter_map(|(_, track)| track.span).collect();
+    if spans.is_empty() || spans.iter().any(|[start, end]| first <= *end && *start <= last) {
+        return None;
+    }
+    let mut away: Vec<f64> = spans.iter().map(|[start, _]| first.seconds_since(*start)).collect();
+    let seconds = median(&mut away)?;
+    let what = format!("its capture times are {seconds:+.3} s from those of the others");
+    Some(Finding::new("clock", what, "set its clock, or shift its capture times"))
+}
+
+fn disordered(track: &Track) -> Option<Finding> {
+    (10 * track.disordered > track.count).then(|| {
+        let (bad, all) = (track.disordered, track.count);
+        let what = format!("{bad} of its {all} frames are not after the one before");
+        Finding::new("capture_order", what, "sort the recording by capture time")
+    })
+}
+
+/// Whether the frames repeat the one before.
+fn repeated(track: &Track) -> Option<Finding> {
+    let pairs = || track.frames.windows(2).filter(|pair| !pair[0].people.is_empty());
+    let (same, all) =
+        (pairs().filter(|pair| pair[0].people == pair[1].people).count(), pairs().count());
+    (all >= LEAST_FRAMES && same as f64 > REPEATED * all as f64).then(|| {
+        let what = format!("{} % of its frames repeat the one before", 100 * same / all);
+        let mend = "check that its detector runs, and the frame rate of its video";
+        Finding::new("repeated_frames", what, mend)
+    })
+}
+
+/// Whether one step is as long as many, although the performer moves.
+fn shuffled(track: &Track) -> bool {
+    let step = |apart: usize| {
+        let pairs = track.frames.iter().zip(track.frames.iter().skip(apart));
+        let moved = pairs.filter_map(|(a, b)| {
+            let (a, b) = (a.people.first()?, b.people.first()?);
+            Some(a.distance(b)? / a.extent().max(1.0))
+        });
+        let mut moved: Vec<f64> = moved.collect();
+        // A performer may stand for most of the time.
+        moved.sort_by(f64::total_cmp);
+        moved.get(3 * moved.len() / 4).copied().filter(|_| moved.len() >= LEAST_FRAMES)
+    };
+    step(1).zip(step(APART)).is_some_and(|(one, many)| many > MOVES && one > ALIKE * many)
+}
+
+fn percent(track: &Track) -> Option<Finding> {
+    (track.points > 0 && 2 * track.percent > track.points).then(|| {
+        let what = "its confidences are above 1, as if in per cent; they are used as 1";
+        Finding::new("confidence_unit", what, "divide them by 100, or by their largest")
+    })
+}

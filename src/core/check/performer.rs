@@ -1,0 +1,141 @@
+//! What the triangulated performer says of the whole recording: scale, up axis, sides, keypoint order.
+
+use nalgebra::Vector3;
+
+use super::consensus::Points;
+use super::footage::{POINTS, median};
+use super::hypotheses::Finding;
+use crate::core::detections::Keypoint;
+use Keypoint::{
+    LAnkle, LBigToe, LElbow, LHeel, LHip, LKnee, LShoulder, LWrist, RAnkle, RBigToe, RElbow, RHeel,
+    RHip, RKnee, RShoulder, RWrist,
+};
+
+/// Trunk, thigh and shank together, as a part of the height \[Winter 2009\].
+const TRUNK_AND_LEG: f64 = 0.779;
+/// Heights of performers, metres.
+const HEIGHTS_M: std::ops::RangeInclusive<f64> = 1.2..=2.3;
+/// The trunk points along an axis if its direction has this component on it.
+const ALONG: f64 = 0.85;
+
+fn at(points: &Points, point: Keypoint) -> Option<Vector3<f64>> {
+    points[POINTS.iter().position(|other| *other == point)?]
+}
+
+fn middle(points: &Points, a: Keypoint, b: Keypoint) -> Option<Vector3<f64>> {
+    Some((at(points, a)? + at(points, b)?) / 2.0)
+}
+
+/// From the middle of the hips to that of the shoulders.
+fn trunk(points: &Points) -> Option<Vector3<f64>> {
+    Some(middle(points, LShoulder, RShoulder)? - middle(points, LHip, RHip)?)
+}
+
+fn medians(frames: &[Points], value: impl Fn(&Points) -> Option<f64>) -> Option<f64> {
+    median(&mut frames.iter().filter_map(value).collect::<Vec<f64>>())
+}
+
+fn length(frames: &[Points], a: Keypoint, b: Keypoint) -> Option<f64> {
+    medians(frames, |points| Some((at(points, a)? - at(points, b)?).norm()))
+}
+
+/// The performer's height by the median lengths of trunk, thigh and shank, metres.
+pub(super) fn height_m(frames: &[Points]) -> Option<f64> {
+    let trunk = medians(frames, |points| Some(trunk(points)?.norm()))?;
+    let leg = [(LHip, LKnee), (RHip, RKnee), (LKnee, LAnkle), (RKnee, RAnkle)];
+    let leg = leg.map(|(a, b)| length(frames, a, b));
+    let leg: f64 = leg.into_iter().sum::<Option<f64>>()? / 2.0;
+    Some((trunk + leg) / TRUNK_AND_LEG)
+}
+
+/// What is wrong with a performer that so many cameras see.
+pub(super) fn findings(frames: &[Points], cameras: usize) -> Vec<Finding> {
+    let height = height_m(frames);
+    // Two opposite cameras hardly tell where the feet point.
+    let sides = if cameras > 2 { sides(frames) } else { None };
+    let all = [height.and_then(scale), upright(frames), sides];
+    all.into_iter().flatten().collect()
+}
+
+fn scale(height: f64) -> Option<Finding> {
+    if HEIGHTS_M.contains(&height) {
+        return None;
+    }
+    let units = [
+        (1000.0, "millimetres"),
+        (100.0, "centimetres"),
+        (1.0 / 0.0254, "inches"),
+        (1.0 / 0.3048, "feet"),
+        (0.001, "kilometres"),
+    ];
+    let off = |factor: f64| libm::log(height / factor / 1.72).abs();
+    let nearest = units.into_iter().min_by(|a, b| off(a.0).total_cmp(&off(b.0)));
+    let (is, factor) = match nearest.filter(|(factor, _)| off(*factor) < 0.3) {
+        Some((factor, unit)) => (format!("the calibration is in {unit}"), factor),
+        None => {
+            let factor = height / 1.72;
+            (format!("the calibration has {factor:.2} times the right scale"), factor)
+        }
+    };
+    let what = format!("the performer is {height:.2} m high: {is}");
+    let mend = format!("divide all translations by {factor:.4}; metres are needed");
+    Some(Finding::new("scale", what, mend))
+}
+
+/// The trunk points along another axis than y.
+fn upright(frames: &[Points]) -> Option<Finding> {
+    let along = |axis: usize| medians(frames, |p| Some(trunk(p)?.try_normalize(1e-9)?[axis]));
+    let up = [along(0)?, along(1)?, along(2)?];
+    let axis = (0..3).find(|axis| up[*axis].abs() > ALONG)?;
+    let (sign, name) = (if up[axis] < 0.0 { "-" } else { "" }, ["x", "y", "z"][axis]);
+    // A calibration with y up read as one with z up has its y along x, the reverse its z along z.
+    let mend = match (axis, up[axis] > 0.0) {
+        (1, true) => return None,
+        (0, true) => "import the calibration again with --up y",
+        (2, true) => "import the calibration again with --up z",
+        _ => "turn the calibration's world, if the performer is upright",
+    };
+    let what = format!("the performer is not upright: {sign}{name} points from hips to shoulders");
+    Some(Finding::new("up_axis", what, mend))
+}
+
+/// The feet point backwards if left and right are exchanged.
+fn sides(frames: &[Points]) -> Option<Finding> {
+    let forwards = medians(frames, |points| {
+        let foot = |heel, ankle, toe| {
+            let heel = at(points, heel).or_else(|| at(points, ankle))?;
+            Some(at(points, toe)? - heel)
+        };
+        let feet = foot(LHeel, LAnkle, LBigToe)? + foot(RHeel, RAnkle, RBigToe)?;
+        let left = at(points, LHip)? - at(points, RHip)?;
+        let up = trunk(points)?;
+        Some(left.cross(&up).try_normalize(1e-9)?.dot(&feet.try_normalize(1e-9)?))
+    })?;
+    (forwards < -0.3).then(|| {
+        let what = "the feet point backwards: left and right are exchanged in all cameras";
+        let mend = "check the keypoint order, and whether all images or the world are mirrored";
+        Finding::new("sides_exchanged", what, mend)
+    })
+}
+
+/// How much the lengths of limbs change over time, as a part of the lengths. Large if the keypoints
+/// are in another order than declared.
+pub(super) fn looseness(frames: &[Points]) -> Option<f64> {
+    let limbs = [
+        (LHip, LKnee),
+        (RHip, RKnee),
+        (LKnee, LAnkle),
+        (RKnee, RAnkle),
+        (LShoulder, LElbow),
+        (RShoulder, RElbow),
+        (LElbow, LWrist),
+        (RElbow, RWrist),
+    ];
+    let of_limb = |(a, b): (Keypoint, Keypoint)| {
+        let usual = length(frames, a, b)?;
+        let off = |p: &Points| Some(((at(p, a)? - at(p, b)?).norm() - usual).abs());
+        Some(medians(frames, off)? / usual.max(1e-12))
+    };
+    let all: Option<Vec<f64>> = limbs.into_iter().map(of_limb).collect();
+    median(&mut all?)
+}
