@@ -17,6 +17,7 @@ mod export;
 pub(crate) mod failure;
 mod import;
 mod info;
+mod lookout;
 mod play;
 mod record;
 mod replay;

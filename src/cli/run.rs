@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -11,6 +12,7 @@ use super::Ended;
 use super::bus::{BusName, topics};
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
+use super::lookout::look;
 use super::solve::decoder;
 use super::span::timecode;
 use crate::config::Config;
@@ -18,17 +20,12 @@ use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind};
 use crate::io::recording::last_body;
 use crate::io::wire::{self, Status, encode};
-use crate::live::tools::survey::{other_stages, survey};
 use crate::live::{Carried, Core, Node, NodeError, Presence, Running, Settings, SolverCore, log};
 
 /// How often a standby node looks whether it is alone.
 const LOOK: Duration = Duration::from_millis(200);
 /// How often a running node looks for an older one, which another network may bring.
 const ELDERS: Duration = Duration::from_secs(2);
-/// A running node looks for cameras elsewhere if it hears none for so long, for so long, and again.
-const PATIENCE: Duration = Duration::from_secs(5);
-const SURVEY: Duration = Duration::from_secs(1);
-const AGAIN: Duration = Duration::from_secs(60);
 
 /// Run the live node: keypoints from the bus in, poses at a fixed latency out.
 #[derive(Debug, Args)]
@@ -122,8 +119,18 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     });
     let running = Node::start(Arc::clone(&bus), presence, core, solver, &config.node, solver_core)?;
     say_hello(&config, &running);
-    let search = Search { bus: &*bus, stage: &config.node.stage, at: Instant::now() + PATIENCE };
-    let why = wait(&stop, &running, seconds, search);
+    let (node, over) = (running.monitor(), AtomicBool::new(false));
+    let why = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            let is_over = || over.load(Ordering::Relaxed);
+            if let Err(error) = look(&*bus, &topics(&config), &node, is_over) {
+                tracing::warn!("cannot look after the cameras: {error}");
+            }
+        });
+        let why = wait(&stop, &running, seconds);
+        over.store(true, Ordering::Relaxed);
+        why
+    });
     let elder = running.elder().ok().flatten().map(|elder| running.stand_back(elder));
     tracing::info!("stopping: {why}");
     let status = running.stop()?;
@@ -195,45 +202,8 @@ fn run_time(seconds: Option<f64>) -> Result<Option<Duration>, Failure> {
     }
 }
 
-/// Looks for cameras while none was heard.
-struct Search<'a> {
-    bus: &'a dyn bus::Bus,
-    stage: &'a str,
-    at: Instant,
-}
-
-impl Search<'_> {
-    /// Says what is on the bus, if no camera was heard for some time.
-    fn look(&mut self, stop: &Stop, running: &Running) {
-        let heard = |status: Status| status.cameras.iter().any(|camera| camera.age_s > 0.0);
-        if Instant::now() < self.at || running.status().is_some_and(heard) {
-            return;
-        }
-        let Ok(seen) = survey(self.bus, SURVEY, || !stop.is_set()) else { return };
-        self.at = Instant::now() + AGAIN;
-        let stage = self.stage;
-        if seen.keys().any(|(of, _)| of == stage) {
-            return;
-        }
-        match &*other_stages(&seen, stage) {
-            [] => tracing::warn!(
-                "no camera sends keypoints; start the detectors, and connect them to this address"
-            ),
-            others => tracing::warn!(
-                "no camera sends on stage {stage}, but on {}; set [node] stage here or theirs",
-                others.join(", ")
-            ),
-        }
-    }
-}
-
 /// Waits until the node should stop; returns the reason.
-fn wait(
-    stop: &Stop,
-    running: &Running,
-    seconds: Option<Duration>,
-    mut search: Search<'_>,
-) -> &'static str {
+fn wait(stop: &Stop, running: &Running, seconds: Option<Duration>) -> &'static str {
     let (begin, mut looked) = (Instant::now(), Instant::now());
     loop {
         if stop.is_set() {
@@ -242,7 +212,6 @@ fn wait(
         if seconds.is_some_and(|seconds| begin.elapsed() >= seconds) {
             return "the time of --seconds is over";
         }
-        search.look(stop, running);
         if looked.elapsed() >= ELDERS {
             looked = Instant::now();
             if running.elder().is_ok_and(|elder| elder.is_some()) {

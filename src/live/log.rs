@@ -225,7 +225,12 @@ fn spoken(kind: &str) -> String {
 
 /// Expected kinds are logged as information, all others as warnings.
 fn line(kind: &str, camera: Option<&str>, window: Option<u64>, text: &str) {
-    let good = matches!(kind, "acquired" | "left" | "returned" | "calibrated" | "latency" | "take");
+    let good = match kind {
+        "acquired" | "left" | "returned" | "calibrated" | "rig_changed" => true,
+        "latency" | "idle" | "take" => true,
+        "clock" => text.contains("the cameras use"),
+        _ => false,
+    };
     if good {
         tracing::info!(camera, window, "{text}");
     } else {

@@ -58,5 +58,5 @@ pub use publication::{Content, Publication};
 pub use queue::{Intake, Message};
 pub use replay::{Gap, ReplayError, Replayed, find_node, replay};
 pub use rig_file::RigFile;
-pub use run::{Node, Running};
+pub use run::{Monitor, Node, Running};
 pub use wall::WallClock;

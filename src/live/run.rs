@@ -50,6 +50,22 @@ pub struct Running {
     presence: Presence,
 }
 
+/// State of a node, for any thread.
+#[derive(Clone)]
+pub struct Monitor(Arc<Board>);
+
+impl Monitor {
+    /// The last status, if there is one.
+    pub fn status(&self) -> Option<Status> {
+        self.0.status()
+    }
+
+    /// The bytes of the `Rig` message in use, if there is one.
+    pub fn rig(&self) -> Option<Vec<u8>> {
+        self.0.rig().map(|sample| sample.payload)
+    }
+}
+
 impl Node {
     /// Starts the threads and subscribes to the bus. `presence` is that of this node, alone; `config`
     /// is the core's; the solver thread runs
@@ -156,6 +172,11 @@ impl Running {
     /// The last status, if there is one.
     pub fn status(&self) -> Option<Status> {
         self.board.status()
+    }
+
+    /// State of the node for other threads.
+    pub fn monitor(&self) -> Monitor {
+        Monitor(Arc::clone(&self.board))
     }
 
     /// Number of messages that could not be published.

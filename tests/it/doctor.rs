@@ -1,12 +1,19 @@
-//! `doctor`, and what a node says that hears no camera.
+//! `doctor`, and what a node says of cameras that it does not hear, or that do not fit.
 
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use bundlemocap::core::so3;
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::io::recording::{Message, Provenance, Reader, Writer};
+use bundlemocap::io::wire::Topics;
+use nalgebra::Vector3;
+
 use crate::program::{Program, listening_node};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_bundlemocap");
+const WALK: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/walk.mcap");
 
 /// A calibration with cameras of that name and width.
 fn calibration(cameras: &[(&str, u32)]) -> String {
@@ -44,10 +51,9 @@ fn cameras_that_do_not_fit_the_settings_are_named() {
     let settings = folder.join("node.toml");
     let (mut node, address) = listening_node(&[settings.to_str().unwrap()]);
     let mut player = Command::new(PROGRAM);
-    let walk = concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/walk.mcap");
     let _player = Program::start(player.args([
         "play",
-        walk,
+        WALK,
         "--loop",
         "--connect",
         &address,
@@ -84,4 +90,43 @@ fn cameras_that_do_not_fit_the_settings_are_named() {
     assert!(says(&said, "wrong  calibration", "none.toml"), "{said}");
     assert!(says(&said, "look   stage", "cameras also send on stage (cam01"), "{said}");
     assert!(says(&said, "wrong  cameras", "mocap/other/camera/CAMERA/keypoints"), "{said}");
+}
+
+/// The walk, with a calibration in which a camera is turned by 5 degrees.
+fn with_a_turned_camera(path: &Path) {
+    let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
+    let mut rig = None;
+    for entry in Reader::open(Path::new(WALK)).unwrap() {
+        match entry.unwrap().message {
+            Message::Rig(message) => {
+                let mut turned = message.to_core().unwrap();
+                let camera = &mut turned.cameras[2];
+                let turn = so3::exp(&Vector3::new(0.0, 5_f64.to_radians(), 0.0));
+                camera.rotation = turn * camera.rotation;
+                camera.translation = turn * camera.translation;
+                writer.rig(&turned, Timestamp::default()).unwrap();
+                rig = Some(turned);
+            }
+            Message::Keypoints(frame) => {
+                let rig = rig.as_ref().unwrap();
+                let frame = frame.to_core(|name| rig.index_of(name)).unwrap();
+                let camera = &rig.cameras[frame.camera];
+                writer.keypoints(&frame, &camera.name, [camera.width, camera.height]).unwrap();
+            }
+            _ => {}
+        }
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn a_running_node_names_a_camera_that_does_not_fit() {
+    let folder = tempfile::tempdir().unwrap();
+    let turned = folder.path().join("turned.mcap");
+    with_a_turned_camera(&turned);
+    let (mut node, address) = listening_node(&[]);
+    let mut player = Command::new(PROGRAM);
+    player.args(["play", turned.to_str().unwrap(), "--loop", "--connect", &address]);
+    let _player = Program::start(&mut player);
+    assert!(node.has_said("camera cam03: "));
 }

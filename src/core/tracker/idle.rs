@@ -105,12 +105,13 @@ impl Tracker {
 
     fn begin_idle(&mut self, why: Why, since: Timestamp, detail: &str) {
         self.idle.why = Some((why, since));
-        self.event(EventKind::Idle, since, None, format!("idle: {detail}"));
+        self.event(EventKind::Idle, since, None, detail.to_owned());
     }
 
     fn end_idle(&mut self, now: Timestamp, since: Timestamp, detail: &str) {
         self.idle.why = None;
-        let detail = format!("{detail}, after {:.1} s", now.seconds_since(since).max(0.0));
+        let detail =
+            format!("no longer: {detail}, after {:.1} s", now.seconds_since(since).max(0.0));
         self.event(EventKind::Idle, now, None, detail);
     }
 }

@@ -1,0 +1,113 @@
+//! What `run` says about its cameras: where they send if the node hears none, and whether they fit.
+
+use std::time::{Duration, Instant};
+
+use super::clock::ATTENTION;
+use crate::core::camera::Rig;
+use crate::core::check::{Check, Footage, check};
+use crate::io::bus::{Bus, BusError};
+use crate::io::wire::{self, KeypointFrame, Status, Topics, decode};
+use crate::live::Monitor;
+use crate::live::tools::inbox::Inbox;
+use crate::live::tools::survey::{other_stages, survey};
+
+/// If no camera was heard for this long, others are looked for, for so long, and again after a while.
+const PATIENCE: Duration = Duration::from_secs(5);
+const SURVEY: Duration = Duration::from_secs(1);
+const AGAIN: Duration = Duration::from_secs(60);
+/// Cameras are judged when two have seen somebody in this many frames, and not before this time.
+const FRAMES: usize = 300;
+const LEAST: Duration = Duration::from_secs(5);
+
+/// Looks after the cameras of a node until it is over. Its thread gives way to all others.
+///
+/// # Errors
+/// The bus refuses a subscription.
+pub(super) fn look(
+    bus: &dyn Bus,
+    topics: &Topics,
+    node: &Monitor,
+    is_over: impl Fn() -> bool,
+) -> Result<(), BusError> {
+    #[cfg(target_os = "linux")]
+    let _ = rustix::process::nice(19);
+    let mut at = Instant::now() + PATIENCE;
+    let mut judged = None;
+    while !is_over() {
+        std::thread::sleep(ATTENTION);
+        let heard = |status: Status| status.cameras.iter().any(|camera| camera.age_s > 0.0);
+        if !node.status().is_some_and(heard) {
+            if Instant::now() >= at {
+                search(bus, &topics.stage, &is_over)?;
+                at = Instant::now() + AGAIN;
+            }
+            continue;
+        }
+        let Some(bytes) = node.rig().filter(|rig| Some(rig) != judged.as_ref()) else { continue };
+        let rig = decode::<wire::Rig>(&bytes).and_then(|rig| rig.to_core());
+        let Ok(rig) = rig else { continue };
+        let goes_on = || !is_over() && node.rig().as_ref() == Some(&bytes);
+        if let Some(check) = judge(bus, topics, &rig, goes_on)? {
+            say(&check);
+            judged = Some(bytes);
+        }
+    }
+    Ok(())
+}
+
+/// Says what is on the bus while no camera sends on this stage.
+fn search(bus: &dyn Bus, stage: &str, is_over: impl Fn() -> bool) -> Result<(), BusError> {
+    let seen = survey(bus, SURVEY, || !is_over())?;
+    if is_over() || seen.keys().any(|(of, _)| of == stage) {
+        return Ok(());
+    }
+    match &*other_stages(&seen, stage) {
+        [] => tracing::warn!(
+            "no camera sends keypoints; start the detectors, and connect them to this address"
+        ),
+        others => tracing::warn!(
+            "no camera sends on stage {stage}, but on {}; set [node] stage here or theirs",
+            others.join(", ")
+        ),
+    }
+    Ok(())
+}
+
+/// Judges the cameras by what they send; `None` if it does not go on for long enough.
+fn judge(
+    bus: &dyn Bus,
+    topics: &Topics,
+    rig: &Rig,
+    goes_on: impl Fn() -> bool,
+) -> Result<Option<Check>, BusError> {
+    let inbox = Inbox::open(bus, &topics.keypoints("*"))?;
+    let begin = Instant::now();
+    let mut footage = Footage::new(rig.cameras.len());
+    let mut with_people = vec![0; rig.cameras.len()];
+    while goes_on() {
+        let Some(received) = inbox.next(ATTENTION) else { continue };
+        let frame = decode::<KeypointFrame>(&received.sample.payload).ok();
+        let frame = frame.and_then(|frame| frame.to_core(|name| rig.index_of(name)).ok());
+        let Some(frame) = frame else { continue };
+        footage.add(&frame);
+        with_people[frame.camera] += usize::from(!frame.people.is_empty());
+        let enough = with_people.iter().filter(|count| **count >= FRAMES).count() >= 2;
+        if enough && begin.elapsed() >= LEAST {
+            drop(inbox);
+            return Ok(Some(check(&footage, rig)));
+        }
+    }
+    Ok(None)
+}
+
+fn say(check: &Check) {
+    for warning in check.warnings() {
+        tracing::warn!("{warning}");
+    }
+    if check.is_clean() {
+        let height = check
+            .performer_height_m
+            .map_or(String::new(), |height| format!(", the performer is {height:.2} m high"));
+        tracing::info!("the cameras fit each other{height}");
+    }
+}
