@@ -20,7 +20,9 @@ use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind};
 use crate::io::recording::last_body;
 use crate::io::wire::{self, Status, encode};
-use crate::live::{Carried, Core, Node, NodeError, Presence, Running, Settings, SolverCore, log};
+use crate::live::{
+    Carried, Core, Node, NodeError, Presence, Running, Settings, SolverCore, WallClock, log,
+};
 
 /// How often a standby node looks whether it is alone.
 const LOOK: Duration = Duration::from_millis(200);
@@ -105,7 +107,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let is_alone = config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
-    let presence = Presence::announce(Arc::clone(&bus), topics(&config))?;
+    let presence = Presence::announce(Arc::clone(&bus), topics(&config), WallClock::start().now())?;
     let Some(presence) = alone(presence, arguments.standby, &stop)? else { return Ok(Exit::Done) };
     let solver = Solver::new(decoder, config.tracker);
     let core = Core::new(Settings {

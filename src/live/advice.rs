@@ -1,5 +1,10 @@
 //! What to do about events that go on.
 
+/// Whether events of that kind go on. What to do about unusable messages is in the events.
+pub(super) fn goes_on(kind: &str) -> bool {
+    kind == "unusable" || advice(kind).is_some()
+}
+
 /// What to do about what goes on; `None` for a kind that happens once.
 pub(super) fn advice(kind: &str) -> Option<&'static str> {
     Some(match kind {

@@ -68,6 +68,8 @@ pub(super) struct CameraClock {
     pub(super) last: Option<(Timestamp, Timestamp)>,
     pub(super) step: Option<Step>,
     pub(super) left_out: Option<LeftOut>,
+    /// Whether no frame has come for a while, although the others send.
+    pub(super) is_silent: bool,
     /// Number of frames in a row that agree with the other cameras, while it is left out.
     pub(super) agreeing: u32,
     /// Whether it was reported as left out.
@@ -80,10 +82,15 @@ impl CameraClock {
         Self { left_out: Some(why), ..Self::default() }
     }
 
+    /// Whether its frames are used, and come.
+    pub(super) fn is_used(&self) -> bool {
+        self.left_out.is_none() && !self.is_silent
+    }
+
     /// Adds a frame. Returns whether a bucket begins.
     pub(super) fn note(&mut self, now: Timestamp, capture: Timestamp, offset: Nanos) -> bool {
         let largest = self.last.map_or(capture, |(last, _)| last.max(capture));
-        self.last = Some((largest, now));
+        (self.last, self.is_silent) = (Some((largest, now)), false);
         let before = self.level();
         let number = now.ns().div_euclid(BUCKET.ns());
         let begins = match self.buckets.back_mut() {

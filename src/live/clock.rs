@@ -23,8 +23,8 @@ const EARLY: Nanos = Nanos::from_ms(-500);
 const LATE: Nanos = Nanos::from_ms(5000);
 /// Number of frames in a row that show a step, and that a camera needs to come back.
 const SURE: u32 = 3;
-/// A step is forgotten after this time.
-const RECENT: Nanos = Nanos::from_ms(2000);
+/// A step is forgotten after this time, and a camera that sends no frames while others do.
+pub(super) const RECENT: Nanos = Nanos::from_ms(2000);
 /// In this time after the first frame, any frame can change the base.
 const SETTLING: Nanos = Nanos::from_ms(1000);
 /// Result of the check of a frame's capture time.
@@ -118,7 +118,7 @@ impl Clock {
 
     /// Lasting smallest offsets of the cameras that are used.
     pub(super) fn levels(&self) -> impl Iterator<Item = Nanos> {
-        let used = self.cameras.iter().filter(|camera| camera.left_out.is_none());
+        let used = self.cameras.iter().filter(|camera| camera.is_used());
         used.filter_map(CameraClock::level)
     }
 
@@ -383,6 +383,6 @@ mod tests {
             }
         }
         clock.deviations();
-        clock.follow();
+        clock.follow(at(0.0));
     }
 }

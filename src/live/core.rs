@@ -9,7 +9,7 @@ use super::events::Events;
 use super::governor::Governor;
 use super::journal::{self, Journal};
 use super::latency::Finder;
-use super::port::{Input, Loss, MOST_BYTES, Output, Settings};
+use super::port::{Input, Loss, MOST_BYTES, MOST_ORDER_BYTES, Output, Settings};
 use super::publication::{Content, Publication};
 use super::status::{Published, Windows};
 use crate::core::body::{Skeleton, TrackingState};
@@ -109,6 +109,7 @@ impl Core {
     /// Handles an input. `now` is the node's clock, nanoseconds since 1970; it never goes back.
     pub fn handle(&mut self, now: Timestamp, input: Input) {
         self.now = self.now.max(now);
+        let input = if self.changes_nothing(&input) { Input::Tick } else { input };
         let (settings, rig) = (&self.settings, self.rig_at_start.as_deref());
         let is_first = self.journal.count == 0 && matches!(input, Input::Message { .. });
         if is_first {
@@ -139,7 +140,7 @@ impl Core {
             Input::Dropped(losses) => self.dropped(losses),
             Input::Played(deviations_us) => self.published.played(&deviations_us),
             Input::End => {
-                self.starting = None;
+                self.give_up_start();
                 self.give(tracker::Input::End);
             }
         }
@@ -225,12 +226,15 @@ impl Core {
             if dropped > 0 {
                 let detail = match camera {
                     Some(_) => "more messages than the node reads; the oldest were dropped",
-                    None => "too many messages of cameras that the rig does not have, or of rigs",
+                    None => {
+                        "too many rigs, slates, or messages of cameras that the rig does not have"
+                    }
                 };
                 self.events(EventKind::Dropped, camera.as_deref(), dropped, detail.to_owned());
             }
             if too_large > 0 {
-                let detail = format!("a message of {bytes} bytes, at most {MOST_BYTES}");
+                let most = if camera.is_some() { MOST_BYTES } else { MOST_ORDER_BYTES };
+                let detail = format!("a message of {bytes} bytes, at most {most}");
                 self.events(EventKind::Unusable, camera.as_deref(), too_large, detail);
             }
         }
@@ -292,7 +296,7 @@ impl Core {
             camera.second(passed);
         }
         self.watch_clocks();
-        self.clock.follow();
+        self.clock.follow(self.now);
         self.lower_latency();
         let status = self.status();
         let capture = self.clock.capture_time(self.now);

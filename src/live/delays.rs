@@ -1,9 +1,9 @@
 //! Delays of the cameras' frames: which are usual, lasting or too long, and what is drift.
 
 use super::camera_clock::{CameraClock, LeftOut};
-use super::clock::{Clock, median};
+use super::clock::{Clock, RECENT, median};
 use super::clock_base::{Base, LONGEST_DELAY};
-use crate::core::time::Nanos;
+use crate::core::time::{Nanos, Timestamp};
 
 /// A camera whose frames come this much later than the median camera's is not waited for.
 const MOST_BEHIND: Nanos = Nanos::from_ms(250);
@@ -64,7 +64,7 @@ impl Clock {
     }
 
     fn slowest(&self, offset: impl Fn(&CameraClock) -> Option<Nanos>) -> Nanos {
-        let used = self.cameras.iter().filter(|camera| camera.left_out.is_none());
+        let used = self.cameras.iter().filter(|camera| camera.is_used());
         let slowest = used.filter_map(offset).max();
         slowest.map_or(Nanos::ZERO, |slowest| (slowest - self.base()).max(Nanos::ZERO))
     }
@@ -72,7 +72,7 @@ impl Clock {
     /// Deviation of each camera's offset from the median of all, seconds: of the smallest ones of ten
     /// seconds, without changes of the delay.
     pub(super) fn deviations(&self) -> Vec<(usize, f64)> {
-        let used = self.cameras.iter().enumerate().filter(|(_, camera)| camera.left_out.is_none());
+        let used = self.cameras.iter().enumerate().filter(|(_, camera)| camera.is_used());
         let offsets: Vec<(usize, Nanos)> =
             used.filter_map(|(index, camera)| Some((index, camera.compared()?))).collect();
         let Some(median) = median(offsets.iter().map(|(_, offset)| *offset)) else {
@@ -81,11 +81,15 @@ impl Clock {
         offsets.iter().map(|(index, offset)| (*index, (*offset - median).seconds())).collect()
     }
 
-    /// Follows the drift of the clock; called once a second.
-    pub(super) fn follow(&mut self) {
+    /// Follows the drift of the clock, and notes which cameras are silent; called once a second.
+    pub(super) fn follow(&mut self, now: Timestamp) {
         let Some(base) = &mut self.base else { return };
-        let used = || self.cameras.iter().filter(|camera| camera.left_out.is_none());
-        let drifts: Option<Vec<f64>> = used().map(CameraClock::drift).collect();
+        let is_heard = |camera: &CameraClock| camera.last.is_some_and(|(_, at)| now - at < RECENT);
+        if self.cameras.iter().any(is_heard) {
+            self.cameras.iter_mut().for_each(|camera| camera.is_silent = !is_heard(camera));
+        }
+        let used = self.cameras.iter().filter(|camera| camera.is_used());
+        let drifts: Option<Vec<f64>> = used.map(CameraClock::drift).collect();
         let Some(mut drifts) = drifts.filter(|drifts| !drifts.is_empty()) else { return };
         // The smallest common drift: one camera's is its own affair.
         drifts.sort_by(|a, b| a.abs().total_cmp(&b.abs()));

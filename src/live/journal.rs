@@ -9,8 +9,10 @@ use crate::io::wire::{
     JournalSolved, JournalStart, StageChannel, Topic,
 };
 
-/// This many entries are written at once, at any time.
+/// This many entries, or kept bytes, are written at once, at any time. With the largest rig more, a
+/// part stays below the largest message of any bus.
 const MOST: usize = 4096;
+const MOST_KEPT: usize = 512 << 10;
 /// Interval between messages while the node is busy.
 const PERIOD: Nanos = Nanos::SECOND;
 
@@ -33,6 +35,8 @@ pub fn platform() -> &'static str {
 pub(super) struct Journal {
     sequence: u64,
     entries: Vec<JournalEntry>,
+    /// Bytes of the payloads in `entries`.
+    kept: usize,
     /// Number of entries so far.
     pub(super) count: u64,
     /// Whether an entry other than a tick waits.
@@ -57,7 +61,7 @@ impl Journal {
                 topic: topic.to_string(),
                 hash: fnv1a(payload),
                 // Rare and small, and a recorder that joins later gets the latest only.
-                payload: is_kept(topic).then(|| payload.clone()),
+                payload: is_order(topic).then(|| payload.clone()),
             }),
             Input::RigFile(payload) => Entry::Message(JournalMessage {
                 topic: String::new(),
@@ -81,6 +85,9 @@ impl Journal {
     }
 
     fn push(&mut self, now: Timestamp, input: Entry) {
+        if let Entry::Message(JournalMessage { payload: Some(payload), .. }) = &input {
+            self.kept += payload.len();
+        }
         self.entries.push(JournalEntry { time_ns: now.ns(), input: Some(input) });
         self.count += 1;
     }
@@ -89,16 +96,19 @@ impl Journal {
     /// that joins in that time still gets everything.
     pub(super) fn take(&mut self, now: Timestamp, is_last: bool, run_id: u64) -> Option<Message> {
         let is_time = self.is_busy && self.written.is_none_or(|written| now - written >= PERIOD);
-        if self.entries.is_empty() || !(is_last || is_time || self.entries.len() >= MOST) {
+        let is_full = self.entries.len() >= MOST || self.kept >= MOST_KEPT;
+        if self.entries.is_empty() || !(is_last || is_time || is_full) {
             return None;
         }
+        self.kept = 0;
         let (sequence, entries) = (self.sequence, std::mem::take(&mut self.entries));
         (self.sequence, self.written, self.is_busy) = (sequence + 1, Some(now), false);
         Some(Message { sequence, entries, run_id })
     }
 }
 
-fn is_kept(topic: &str) -> bool {
+/// Whether it is the topic of rigs or of slates.
+pub(super) fn is_order(topic: &str) -> bool {
     use StageChannel::{Rig, Take};
     matches!(Topic::parse(topic), Ok(Topic::Stage { channel: Rig | Take, .. }))
 }

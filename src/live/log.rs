@@ -8,7 +8,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use tracing_subscriber::filter::{EnvFilter, ParseError};
 use tracing_subscriber::fmt::MakeWriter;
 
-use super::advice::advice;
+use super::advice::{advice, goes_on};
 use super::error::NodeError;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::wire::Event;
@@ -140,14 +140,19 @@ pub struct EventLog {
 struct Going {
     count: u64,
     cameras: BTreeSet<String>,
+    /// What the first of them says.
+    detail: String,
 }
 
 impl EventLog {
     /// Logs an event, or counts it.
     pub fn tell(&mut self, now: Timestamp, event: &Event) {
         let camera = event.camera.as_deref();
-        if advice(&event.kind).is_some() {
+        if goes_on(&event.kind) {
             let going = self.going.entry(event.kind.clone()).or_default();
+            if going.count == 0 {
+                going.detail = one_line(&event.detail);
+            }
             going.count += event.count;
             let more = camera.filter(|_| going.cameras.len() <= MOST_NAMES);
             going.cameras.extend(more.map(one_line));
@@ -188,8 +193,9 @@ impl EventLog {
         let going = std::mem::take(&mut self.going);
         self.said = going.keys().cloned().collect();
         let most = going.iter().max_by_key(|(_, going)| going.count);
-        let advice = most.and_then(|(kind, _)| advice(kind)).unwrap_or_default();
-        let kinds = going.iter().map(|(kind, Going { count, cameras })| {
+        let advice = most.map(|(kind, going)| advice(kind).unwrap_or(&going.detail));
+        let advice = advice.unwrap_or_default();
+        let kinds = going.iter().map(|(kind, Going { count, cameras, .. })| {
             let named: Vec<&str> = cameras.iter().take(MOST_NAMES).map(String::as_str).collect();
             let more = if cameras.len() > MOST_NAMES { " ..." } else { "" };
             match named.is_empty() {
@@ -316,6 +322,19 @@ mod tests {
         assert!(lines[6].1.contains("99 missing (c)"), "{}", lines[6].1);
         assert!(log.going(ms(60_000)).is_some(), "the rest");
         assert!(log.going(ms(90_000)).is_none() && log.last.is_none(), "it is over");
+    }
+
+    #[test]
+    fn unusable_messages_of_many_cameras_share_a_line() {
+        let mut log = EventLog::default();
+        for camera in 0..300 {
+            let (kind, camera) = ("unusable".to_owned(), Some(camera.to_string()));
+            let detail = format!("no calibration, {}", camera.as_deref().unwrap_or_default());
+            log.tell(ms(0), &Event { kind, camera, detail, count: 1, ..Event::default() });
+        }
+        assert!(log.limiter.seen.is_empty());
+        let line = log.going(ms(1000)).unwrap();
+        assert!(line.starts_with("299 unusable (1 2 3 4 ...): no calibration, 1"), "{line}");
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::clock::Arrival;
 use super::core::Core;
-use super::port::MOST_BYTES;
+use super::port::{MOST_BYTES, MOST_ORDER_BYTES};
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::tracker::{self, EventKind, Tracker};
@@ -21,16 +21,13 @@ const MOST_NAME: usize = 64;
 
 impl Core {
     pub(super) fn message(&mut self, topic: &str, payload: &[u8]) {
-        if topic == self.topics.rig() {
-            if payload.len() > MOST_BYTES {
-                self.too_large(None, payload);
-            } else {
-                self.rig_from_bus(payload);
-            }
-            return;
-        }
-        if topic == self.topics.take() {
-            return self.slate(payload);
+        let is_rig = topic == self.topics.rig();
+        if is_rig || topic == self.topics.take() {
+            return match payload.len() > MOST_ORDER_BYTES {
+                true => self.too_large(None, payload, MOST_ORDER_BYTES),
+                false if is_rig => self.rig_from_bus(payload),
+                false => self.slate(payload),
+            };
         }
         if let Ok(Topic::Stage { stage, channel: StageChannel::Keypoints { camera } }) =
             Topic::parse(topic)
@@ -41,14 +38,14 @@ impl Core {
         }
     }
 
-    fn too_large(&mut self, camera: Option<&str>, payload: &[u8]) {
-        let detail = format!("a message of {} bytes, at most {MOST_BYTES}", payload.len());
+    fn too_large(&mut self, camera: Option<&str>, payload: &[u8], most: usize) {
+        let detail = format!("a message of {} bytes, at most {most}", payload.len());
         self.event(EventKind::Unusable, camera, detail);
     }
 
     fn keypoints(&mut self, camera: &str, payload: &[u8]) {
         if payload.len() > MOST_BYTES {
-            return self.too_large(Some(camera), payload);
+            return self.too_large(Some(camera), payload, MOST_BYTES);
         }
         let Some(calibration) = &self.calibration else {
             let detail = "keypoints before a calibration; publish one, or give --rig".to_owned();

@@ -51,7 +51,7 @@ pub use cpu_affinity::SolverCore;
 pub use error::{Elder, NodeError};
 pub use journal::platform;
 pub use playout::{Deviations, Schedule};
-pub use port::{Carried, Input, Loss, MOST_BYTES, Output, Settings};
+pub use port::{Carried, Input, Loss, MOST_BYTES, MOST_ORDER_BYTES, Output, Settings};
 pub use presence::Presence;
 pub use process::Usage;
 pub use publication::{Content, Publication};

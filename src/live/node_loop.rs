@@ -166,8 +166,8 @@ impl NodeLoop {
 
     /// Stores the current rig on the board, and gives its cameras queues of their own.
     fn offer_rig(&self) {
-        self.inbox.intake.set_cameras(&self.core.camera_topics());
         let Some(payload) = self.core.rig() else { return };
+        self.inbox.intake.set_cameras(&self.core.camera_topics());
         self.board.set_rig(Sample {
             topic: self.rig_topic.as_str().into(),
             capture: Timestamp::default(),

@@ -12,6 +12,9 @@ use crate::io::wire::JournalStart;
 /// Larger messages are rejected, bytes.
 pub const MOST_BYTES: usize = 1 << 20;
 
+/// Larger rigs and slates are rejected, bytes: the journal keeps them whole.
+pub const MOST_ORDER_BYTES: usize = 256 << 10;
+
 /// Messages of one camera that were not read.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Loss {

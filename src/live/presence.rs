@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::error::{Elder, NodeError};
 use super::wall::WallClock;
 use crate::core::fnv::fnv1a;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, EventKind};
 use crate::io::bus::{Bus, BusError, Guard};
 use crate::io::wire::{Event, Schema, Topics, encode, media_type};
@@ -20,15 +20,19 @@ pub struct Presence {
 }
 
 impl Presence {
-    /// Announces a node of that stage and actor. It must not publish while there is an
-    /// [`elder`](Self::elder).
+    /// Announces a node of that stage and actor at `now`, the wall clock's time. It must not publish
+    /// while there is an [`elder`](Self::elder). Nodes that are there already are elder, whatever
+    /// their clocks say.
     ///
     /// # Errors
     /// The bus refuses the name.
-    pub fn announce(bus: Arc<dyn Bus>, topics: Topics) -> Result<Self, NodeError> {
-        let since = WallClock::start().now();
+    pub fn announce(bus: Arc<dyn Bus>, topics: Topics, now: Timestamp) -> Result<Self, NodeError> {
+        let root = root(&topics);
+        let names = bus.announced(&format!("{root}*"))?;
+        let last = names.iter().filter_map(|name| Some(elder(&root, name)?.since)).max();
+        let since = last.map_or(now, |last| now.max(last + Nanos::new(1)));
         let id = fnv1a(format!("{} {}", since.ns(), std::process::id()).as_bytes());
-        let name = format!("{}{:020}-{id:016x}", root(&topics), since.ns());
+        let name = format!("{root}{:020}-{id:016x}", since.ns());
         let guard = bus.announce(&name)?;
         Ok(Self { bus, topics, name, _guard: guard })
     }
@@ -41,10 +45,7 @@ impl Presence {
         let root = root(&self.topics);
         let names = self.bus.announced(&format!("{root}*"))?;
         let first = names.into_iter().filter(|name| *name < self.name).min();
-        Ok(first.and_then(|name| {
-            let (since, id) = name.strip_prefix(&root)?.split_once('-')?;
-            Some(Elder { id: id.to_owned(), since: Timestamp::from_ns(since.parse().ok()?) })
-        }))
+        Ok(first.and_then(|name| elder(&root, &name)))
     }
 
     /// This announcement if there is no elder node.
@@ -80,6 +81,12 @@ impl Presence {
         }
         NodeError::Occupied { stage, actor, elder }
     }
+}
+
+/// The node with that announcement.
+fn elder(root: &str, name: &str) -> Option<Elder> {
+    let (since, id) = name.strip_prefix(root)?.split_once('-')?;
+    Some(Elder { id: id.to_owned(), since: Timestamp::from_ns(since.parse().ok()?) })
 }
 
 fn root(topics: &Topics) -> String {

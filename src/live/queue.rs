@@ -1,7 +1,7 @@
 //! The queues between the bus and the node loop: one per camera, so that nobody's messages push out
 //! another's. `push` never blocks.
 //!
-//! Rigs and slates come first, then the cameras in turn. All other topics share one queue, since anybody can
+//! Slates and rigs come first, each from a queue of its own, then the cameras in turn. All other topics share one queue, since anybody can
 //! make up names. When all queues together are full, the longest one drops its oldest message: a flood
 //! loses only its own messages, and cameras that send alike lose alike.
 
@@ -11,14 +11,14 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 
-use super::port::{Loss, MOST_BYTES};
+use super::port::{Loss, MOST_BYTES, MOST_ORDER_BYTES};
 
 /// Most bytes that wait, at any number of messages.
 const MOST_WAITING_BYTES: usize = 64 << 20;
 /// Most messages of a camera that are taken in a second: twice the highest frame rate. It bounds the
 /// work and the journal.
 const MOST_A_SECOND: u64 = 2000;
-/// Most rigs and slates that are taken in a second.
+/// Most rigs, and most slates, that are taken in a second.
 const MOST_ORDERS_A_SECOND: u64 = 16;
 /// Losses are reported this often.
 const REPORT: Duration = Duration::from_secs(1);
@@ -42,7 +42,7 @@ pub struct Intake {
 
 impl Intake {
     /// Queues for that many messages together and 64 MiB. The cameras are not known yet. Messages of
-    /// the topics of `orders` come first.
+    /// the topics of `orders` come first, in this order.
     pub fn new(messages: usize, orders: &[String]) -> Self {
         let lanes = Lanes::new(messages, orders);
         Self { lanes: Arc::new(Mutex::new(lanes)), start: Instant::now(), signal: bounded(1) }
@@ -89,7 +89,7 @@ impl Intake {
     }
 }
 
-/// The queue of one camera, of rigs and slates, or of all other topics.
+/// The queue of one camera, of rigs, of slates, or of all other topics.
 #[derive(Default)]
 struct Lane {
     camera: Option<String>,
@@ -98,19 +98,25 @@ struct Lane {
     /// Messages that were taken in the current second, and their limit.
     taken: u64,
     most_a_second: u64,
+    /// Larger messages are refused.
+    most_bytes: usize,
 }
 
 impl Lane {
-    fn new(camera: Option<String>, most_a_second: u64) -> Self {
-        Self { camera, most_a_second, ..Self::default() }
+    fn orders() -> Self {
+        let (most_a_second, most_bytes) = (MOST_ORDERS_A_SECOND, MOST_ORDER_BYTES);
+        Self { most_a_second, most_bytes, ..Self::default() }
+    }
+
+    fn keypoints(camera: Option<String>) -> Self {
+        let (most_a_second, most_bytes) = (MOST_A_SECOND, MOST_BYTES);
+        Self { camera, most_a_second, most_bytes, ..Self::default() }
     }
 }
 
-const ORDERS: usize = 0;
-const OTHERS: usize = 1;
-
 /// The queues without lock and clock.
 struct Lanes {
+    /// One for each order, one for all other topics, one for each camera.
     lanes: Vec<Lane>,
     by_topic: HashMap<String, usize>,
     cameras: Vec<(String, String)>,
@@ -132,7 +138,7 @@ impl Lanes {
             by_topic: HashMap::new(),
             cameras: Vec::new(),
             orders: orders.to_vec(),
-            next: OTHERS,
+            next: 0,
             waiting: 0,
             bytes: 0,
             most: most.max(1),
@@ -146,17 +152,22 @@ impl Lanes {
 
     /// Empty lanes for the current cameras.
     fn build(&mut self) {
-        let camera = |(_, name): &(String, String)| Lane::new(Some(name.clone()), MOST_A_SECOND);
-        self.lanes = [MOST_ORDERS_A_SECOND, MOST_A_SECOND].map(|most| Lane::new(None, most)).into();
-        self.lanes.extend(self.cameras.iter().map(camera));
+        let names = self.cameras.iter().map(|(_, name)| Some(name.clone()));
+        self.lanes = self.orders.iter().map(|_| Lane::orders()).collect();
+        self.lanes.extend([None].into_iter().chain(names).map(Lane::keypoints));
         let topics = self.cameras.iter().map(|(topic, _)| topic.clone());
-        self.by_topic = topics.zip(OTHERS + 1..).collect();
-        self.by_topic.extend(self.orders.iter().map(|topic| (topic.clone(), ORDERS)));
-        self.next = OTHERS;
+        self.by_topic = topics.zip(self.others() + 1..).collect();
+        self.by_topic.extend(self.orders.iter().cloned().zip(0..));
+        self.next = self.others();
+    }
+
+    /// The lane of all other topics.
+    fn others(&self) -> usize {
+        self.orders.len()
     }
 
     fn lane_of(&self, topic: &str) -> usize {
-        self.by_topic.get(topic).copied().unwrap_or(OTHERS)
+        self.by_topic.get(topic).copied().unwrap_or(self.others())
     }
 
     fn set_cameras(&mut self, cameras: &[(String, String)]) {
@@ -179,7 +190,7 @@ impl Lanes {
             self.lanes.iter_mut().for_each(|lane| lane.taken = 0);
         }
         let (index, bytes) = (self.lane_of(&message.topic), message.payload.len());
-        if bytes > MOST_BYTES {
+        if bytes > self.lanes[index].most_bytes {
             let loss = self.loss(index);
             (loss.too_large, loss.bytes) = (loss.too_large + 1, loss.bytes.max(bytes as u64));
             return;
@@ -204,9 +215,10 @@ impl Lanes {
     /// Drops the oldest message of the lane with the largest size.
     fn drop_from(&mut self, size: impl Fn(&Lane) -> usize) {
         let largest = (0..self.lanes.len()).max_by_key(|&lane| size(&self.lanes[lane]));
-        let largest = largest.unwrap_or(OTHERS);
-        self.take_from(largest);
-        self.loss(largest).dropped += 1;
+        if let Some(largest) = largest {
+            self.take_from(largest);
+            self.loss(largest).dropped += 1;
+        }
     }
 
     fn take_from(&mut self, lane: usize) -> Option<Message> {
@@ -217,17 +229,16 @@ impl Lanes {
         Some(message)
     }
 
-    /// The next message: a rig, a slate, or that of the next lane in turn.
+    /// The next message: an order, or that of the next lane in turn.
     fn take(&mut self) -> Option<Message> {
         if self.waiting == 0 {
             return None;
         }
-        let count = self.lanes.len() - OTHERS;
-        let in_turn = (0..count).map(|step| OTHERS + (self.next - OTHERS + step) % count);
-        let lane = [ORDERS].into_iter().chain(in_turn);
-        let lane = lane.into_iter().find(|&lane| !self.lanes[lane].messages.is_empty())?;
-        if lane != ORDERS {
-            self.next = OTHERS + (lane + 1 - OTHERS) % count;
+        let (others, all) = (self.others(), self.lanes.len());
+        let in_turn = (self.next..all).chain(others..self.next);
+        let lane = (0..others).chain(in_turn).find(|&at| !self.lanes[at].messages.is_empty())?;
+        if lane >= others {
+            self.next = if lane + 1 < all { lane + 1 } else { others };
         }
         self.take_from(lane)
     }
@@ -259,7 +270,7 @@ mod tests {
     }
 
     fn lanes(most: usize, cameras: &[&str]) -> Lanes {
-        let mut lanes = Lanes::new(most, &["rig", "take"].map(String::from));
+        let mut lanes = Lanes::new(most, &["take", "rig"].map(String::from));
         let cameras: Vec<_> = cameras.iter().map(|&c| (c.to_owned(), c.to_owned())).collect();
         lanes.set_cameras(&cameras);
         lanes
@@ -280,7 +291,7 @@ mod tests {
         for topic in ["a", "a", "a", "x", "b", "y", "rig", "b", "take"] {
             lanes.push(message(topic, 1), NOW);
         }
-        assert_eq!(topics(&mut lanes), "rigtakexabyaba");
+        assert_eq!(topics(&mut lanes), "takerigxabyaba");
         assert_eq!((lanes.waiting, lanes.bytes), (0, 0));
     }
 
@@ -299,6 +310,17 @@ mod tests {
         assert_eq!(lost.iter().map(|(camera, _)| &**camera).collect::<String>(), "a");
         let left = topics(&mut lanes);
         assert_eq!((left.matches('b').count(), left.matches("rig").count()), (3, 3), "{left}");
+    }
+
+    #[test]
+    fn a_flood_of_rigs_does_not_push_out_slates() {
+        let mut lanes = lanes(100, &["a"]);
+        (0..50).for_each(|_| lanes.push(message("rig", 1), NOW));
+        lanes.push(message("take", 1), NOW);
+        assert_eq!(lanes.take().unwrap().topic, "take".into());
+        assert_eq!((lanes.waiting, dropped(&mut lanes)), (16, vec![(String::new(), 34)]));
+        lanes.push(message("rig", MOST_ORDER_BYTES + 1), NOW);
+        assert_eq!(lanes.losses(Duration::MAX)[0].too_large, 1);
     }
 
     #[test]

@@ -10,6 +10,7 @@ use super::compare::{At, Comparison, Recorded, compare};
 use super::core::Core;
 use super::journal;
 use super::port::{Input, Output, Settings};
+use super::take::ends;
 use crate::core::fnv::fnv1a;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{Job, Solver};
@@ -204,14 +205,15 @@ fn start_of(parts: &BTreeMap<u64, Journal>) -> Option<&JournalStart> {
     }
 }
 
-/// Whether the run ends with this entry: with the node, or because a take ended or began.
-fn is_end(entry: &JournalEntry) -> bool {
+/// Whether the run of that take, or of none, ends with this entry: with the node, or because a take
+/// ended or began.
+fn is_end(entry: &JournalEntry, running: &str) -> bool {
     match &entry.input {
         Some(Entry::End(_)) => true,
         Some(Entry::Message(JournalMessage { topic, payload: Some(payload), .. })) => {
             let is_slate =
                 matches!(Topic::parse(topic), Ok(Topic::Stage { channel: StageChannel::Take, .. }));
-            is_slate && decode::<Take>(payload).is_ok_and(|take| take.action != "reset")
+            is_slate && decode::<Take>(payload).is_ok_and(|take| ends(&take, running))
         }
         _ => false,
     }
@@ -245,7 +247,7 @@ pub fn replay<E: From<ReplayError>>(
         run.outputs.clear();
     }
     // The last answers and poses follow after the end.
-    let is_whole = entries.iter().any(is_end);
+    let is_whole = entries.iter().any(|entry| is_end(entry, &start.take));
     let mut last = begin;
     let mut inputs = 1;
     let mut gap = None;

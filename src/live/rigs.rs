@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::cameras::Camera;
 use super::clock::Clock;
 use super::core::{Calibration, Core};
+use super::port::Input;
 use super::publication::Content;
 use crate::core::fnv::fnv1a;
 use crate::core::time::Timestamp;
@@ -36,18 +37,24 @@ impl Core {
         !self.settings.node.rig.is_empty()
     }
 
-    /// Takes a rig from the bus, unless a file gives the rig. The node's own rig comes back from the
-    /// bus too; its bytes are known.
+    /// Whether the input is a rig that is in use or was refused before: the journal needs no copy of
+    /// it. The node's own rig comes back from the bus too.
+    pub(super) fn changes_nothing(&self, input: &Input) -> bool {
+        let Input::Message { topic, payload } = input else { return false };
+        let is_refused = || {
+            let known = &self.known_rigs;
+            self.has_rig_file() && (known.len() >= MOST_RIGS || known.contains(&fnv1a(payload)))
+        };
+        **topic == *self.topics.rig() && (self.rig() == Some(payload) || is_refused())
+    }
+
+    /// Takes a rig from the bus, unless a file gives the rig.
     pub(super) fn rig_from_bus(&mut self, bytes: &[u8]) {
         if !self.has_rig_file() {
             self.calibrate(bytes, "the bus");
             return;
         }
-        let hash = fnv1a(bytes);
-        if self.known_rigs.contains(&hash) || self.known_rigs.len() >= MOST_RIGS {
-            return;
-        }
-        self.known_rigs.push(hash);
+        self.known_rigs.push(fnv1a(bytes));
         let what = wire::decode::<wire::Rig>(bytes).map_or("not a rig".into(), |rig| told(&rig));
         let detail = format!("{what}, from the bus; this node's rig comes from its file");
         self.event(EventKind::RigRefused, None, detail);

@@ -68,8 +68,7 @@ impl Monitor {
 
 impl Node {
     /// Starts the threads and subscribes to the bus. `presence` is that of this node, alone; `config`
-    /// is the core's; the solver thread runs
-    /// on `solver_core` if there is one.
+    /// is the core's; the solver thread runs on `solver_core` if there is one.
     ///
     /// # Errors
     /// The bus refuses the topics, the calibration file cannot be used, the address is in use, or
@@ -84,7 +83,7 @@ impl Node {
     ) -> Result<Running, NodeError> {
         let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
         let (clock, board) = (WallClock::start(), Arc::<Board>::default());
-        let intake = Intake::new(config.queue, &[topics.rig(), topics.take()]);
+        let intake = Intake::new(config.queue, &[topics.take(), topics.rig()]);
         let endpoint = match config.prometheus.as_str() {
             "" => None,
             address => Some(Endpoint::start(address, Arc::clone(&board))?),

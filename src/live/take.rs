@@ -11,6 +11,15 @@ use crate::core::time::Timestamp;
 use crate::core::tracker::{self, EventKind, Tracker};
 use crate::io::wire::{self, Take, TakeAnswer, encode, valid_name};
 
+/// Whether a slate ends the run of the take `running`, or of none if that is empty.
+pub(super) fn ends(slate: &Take, running: &str) -> bool {
+    match slate.action.as_str() {
+        "start" => valid_name(&slate.name).is_ok(),
+        "stop" => !running.is_empty() && (slate.name.is_empty() || slate.name == running),
+        _ => false,
+    }
+}
+
 impl Core {
     /// Handles a slate.
     pub(super) fn slate(&mut self, payload: &[u8]) {
@@ -19,7 +28,10 @@ impl Core {
             Err(error) => return self.event(EventKind::Unusable, None, error.to_string()),
         };
         if take.action == "start" && valid_name(&take.name).is_ok() {
-            self.starting = Some(take);
+            let why = format!("take {} begins instead", take.name);
+            if let Some(before) = self.starting.replace(take) {
+                self.answer(before.id, Err(why));
+            }
             return;
         }
         let done = self.follow(&take);
@@ -45,6 +57,13 @@ impl Core {
             }
             "start" => Err(format!("{:?} cannot be the name of a take", take.name)),
             other => Err(format!("{other:?} is no action")),
+        }
+    }
+
+    /// The node ends before the take begins.
+    pub(super) fn give_up_start(&mut self) {
+        if let Some(take) = self.starting.take() {
+            self.answer(take.id, Err("the node ends".to_owned()));
         }
     }
 

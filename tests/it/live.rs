@@ -12,6 +12,7 @@ use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::random::Draws;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{Job, Solution, Solver, Task};
+use bundlemocap::io::wire::journal_entry::Input as JournalInput;
 use bundlemocap::io::wire::{
     self, Event, KeypointFrame, Pose, Schema, Status, Topics, TrackingState, decode, encode,
 };
@@ -601,6 +602,16 @@ fn a_rig_file_is_not_replaced_from_the_bus() {
     let refused = world.heard.details("rig_refused");
     assert_eq!(refused.len(), 3, "{refused:?}");
     assert!(refused[0].starts_with("version 7 of 4 cameras (cam01, cam02, cam03, cam04), from"));
+    // The journal has one copy of each.
+    let journal = world.heard.of::<wire::Journal>(&Topics::default().journal());
+    let entries = journal.iter().flat_map(|(_, part)| &part.entries);
+    let is_copy = |entry: &&wire::JournalEntry| match &entry.input {
+        Some(JournalInput::Message(message)) => {
+            message.topic.ends_with("/rig") && message.payload.is_some()
+        }
+        _ => false,
+    };
+    assert_eq!(entries.filter(is_copy).count(), 3);
     let changes = world.heard.details("rig_changed");
     assert_eq!(world.heard.events()["rig_changed"], 2, "{changes:?}");
     assert!(changes.last().unwrap().ends_with("from the file"), "{changes:?}");

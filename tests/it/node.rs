@@ -74,7 +74,8 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
     };
     let core = Core::new(settings);
     let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
-    let presence = Presence::announce(Arc::new(bus.clone()), topics)?.alone()?;
+    let now = WallClock::start().now();
+    let presence = Presence::announce(Arc::new(bus.clone()), topics, now)?.alone()?;
     Node::start(Arc::new(bus.clone()), presence, core, Solver::new(decoder, track), config, None)
 }
 
@@ -382,7 +383,9 @@ fn the_second_node_of_a_performer_stands_back() {
     };
     assert_eq!((events("second_node"), first.elder().unwrap()), (1, None));
     let bus: Arc<dyn Bus> = Arc::new(studio.bus.clone());
-    let standby = Presence::announce(bus, studio.topics.clone()).unwrap();
+    // Its clock is far behind.
+    let standby = Presence::announce(bus, studio.topics.clone(), Timestamp::default()).unwrap();
+    assert_eq!(first.elder().unwrap(), None);
     let elder = standby.elder().unwrap().unwrap();
     assert!(error.to_string().contains(&elder.to_string()), "{error}; {elder}");
     first.stop().unwrap();

@@ -6,7 +6,9 @@ use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::Solver;
 use bundlemocap::io::wire::{Event, Skeleton, Take, TakeAnswer, Topics, encode};
-use bundlemocap::live::{Carried, Recorded, ReplayError, Replayed, Settings, replay};
+use bundlemocap::live::{
+    Carried, MOST_BYTES, MOST_ORDER_BYTES, Recorded, ReplayError, Replayed, Settings, replay,
+};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
 use crate::live::{Sent, Studio, World, at, settings};
@@ -130,6 +132,59 @@ fn commands_that_cannot_be_followed_are_refused() {
     let refused: Vec<bool> = answers.iter().map(|(_, answer)| answer.refused).collect();
     assert_eq!(refused, [true, true, false, true, false, true]);
     assert_agrees(&replayed(&from(&recorded, 1.2), None).unwrap());
+}
+
+#[test]
+fn a_start_is_answered_even_if_it_never_begins() {
+    // The second comes while a job is out; so does the end after the third.
+    let during_a_job = Studio::new(4, 120).frames[4 * 60].capture.seconds_since(at(0.0)) + 0.006;
+    let slates = vec![slate("start", "a", during_a_job), slate("start", "b", during_a_job)];
+    let (world, recorded) = session(2, slates);
+    let answers = |world: &World| -> Vec<(String, bool)> {
+        let answers = world.heard.of::<TakeAnswer>(&Topics::default().take_answers());
+        answers.into_iter().map(|(_, answer)| (answer.text, answer.refused)).collect()
+    };
+    let said = answers(&world);
+    assert_eq!(said.len(), 2, "{said:?}");
+    assert_eq!(said[0], ("actor: take b begins instead".to_owned(), true));
+    assert_eq!(said[1], ("actor: take b begins".to_owned(), false));
+    assert_agrees(&replayed(&recorded, Some("b")).unwrap());
+
+    let mut world = World::new(&Config::default());
+    let mut messages = Studio::new(4, 120).messages();
+    messages.push(slate("start", "a", during_a_job));
+    world.play(messages, at(during_a_job));
+    world.end();
+    assert_eq!(answers(&world), [("actor: the node ends".to_owned(), true)]);
+}
+
+#[test]
+fn a_refused_slate_does_not_end_a_journal() {
+    let slates = vec![
+        slate("start", "walk", 1.0),
+        slate("stop", "run", 1.4),
+        slate("start", "../run", 1.5),
+        slate("reset", "", 1.6),
+    ];
+    let (_, recorded) = session(4, slates);
+    let cut = recorded.iter().filter(|message| message.time < at(3.5)).cloned();
+    let walk = replayed(&cut.collect::<Vec<_>>(), Some("walk")).unwrap();
+    assert!(!walk.is_whole && walk.gap.is_none());
+    assert!(replayed(&recorded, Some("walk")).unwrap().is_whole);
+}
+
+#[test]
+fn parts_of_the_journal_fit_in_a_message() {
+    let rig = |index: u8| {
+        let payload = vec![index; MOST_ORDER_BYTES];
+        let arrival = at(1.5 + 0.01 * f64::from(index));
+        Sent { arrival, topic: Topics::default().rig(), payload }
+    };
+    let (_, recorded) = session(3, (0..16).map(rig).collect());
+    let journal = recorded.iter().filter(|m| *m.topic == *Topics::default().journal());
+    let most = journal.map(|message| message.payload.len()).max().unwrap();
+    assert!((MOST_ORDER_BYTES..MOST_BYTES).contains(&most), "{most}");
+    assert_agrees(&replayed(&recorded, None).unwrap());
 }
 
 #[test]

@@ -358,6 +358,16 @@ fn every_storm_is_survived_within_three_seconds() {
         });
         cases.extend([one, all].map(|case| Case { seconds: 600.0, ..case }));
     }
+    for (name, until, events) in [
+        ("that drift, one never sends", 0.0, &["clock", "silent"][..]),
+        ("that drift, one stops", 300.0, &["clock", "silent"][..]),
+    ] {
+        let all = case(format!("cameras {name}"), events, move |f| {
+            f.capture -= 100e-6 * f.at;
+            f.is_lost = f.camera == 3 && f.at >= until;
+        });
+        cases.push(Case { seconds: 600.0, ..all });
+    }
     cases.push(case("detectors slow down to half the rate", &["latency"], |f| {
         f.is_lost = f.at >= THEN && f.number % 2 == 1;
     }));
