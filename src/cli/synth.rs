@@ -8,11 +8,11 @@ use clap::{Args, ValueEnum};
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
 use super::terminal::{progress, say};
-use crate::core::body::{Shape, Skeleton};
+use crate::core::body::{Pose, Skeleton};
 use crate::io::formats::keypoint_format;
 use crate::io::recording::{Provenance, Writer};
-use crate::io::wire::Topics;
-use crate::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+use crate::io::wire::{self, Topics};
+use crate::research::synth::{Crowd, Meeting, Motion, MotionStyle, Noise, Recording, ring_rig};
 
 /// Radius of the ring and height of its cameras, metres.
 pub(super) const RING: [f64; 2] = [4.0, 1.6];
@@ -23,7 +23,8 @@ pub(super) const RING: [f64; 2] = [4.0, 1.6];
 Examples:
   bundlemocap synth --out walk.mcap
   bundlemocap synth --out long.mcap --seconds 60 --fps 120 --cameras 6 --seed 7
-  bundlemocap synth --out exact.mcap --noise none --format halpe_26")]
+  bundlemocap synth --out exact.mcap --noise none --format halpe_26
+  bundlemocap synth --out crowd.mcap --performers 4 --meet")]
 pub(super) struct Arguments {
     /// Recording to write.
     #[arg(long)]
@@ -34,7 +35,7 @@ pub(super) struct Arguments {
     /// Frame rate of every camera, 1 to 1000 Hz; a number, or a ratio such as 60000/1001.
     #[arg(long, default_value_t = 60.0, value_parser = ratio, allow_negative_numbers = true)]
     fps: f64,
-    /// Number of cameras around the performer, 2 to 64.
+    /// Number of cameras around the performers, 2 to 64.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=64))]
     cameras: u8,
     /// Seed of all random draws.
@@ -49,6 +50,16 @@ pub(super) struct Arguments {
     /// Spread of the cameras' shutter times as a share of the frame period; 0 is genlock.
     #[arg(long, default_value_t = 0.0)]
     stagger: f64,
+    /// Number of performers, 1 to 32. Several cross the middle of the floor together, again and again,
+    /// on bodies of their own, and hide each other; the truth is under `actor/p1`, `actor/p2`, ...
+    #[arg(long, default_value_t = 1, value_name = "N",
+        value_parser = clap::value_parser!(u8).range(1..=32))]
+    performers: u8,
+    /// Let the performers meet in pairs between the crossings, with that distance of their pelvises,
+    /// metres: 0.7 is arm's length, 0.3 an embrace.
+    #[arg(long, value_name = "METRES", num_args = 0..=1, default_missing_value = "0.7",
+        allow_negative_numbers = true)]
+    meet: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -89,39 +100,72 @@ impl NoiseName {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let frames = frame_count(arguments)?;
-    let format = keypoint_format(&arguments.format)?;
-    let rig = ring_rig(usize::from(arguments.cameras), RING[0], RING[1])?;
-    let skeleton = Skeleton::new(Shape::default());
-    let motion = Motion::new(&skeleton, MotionStyle::default());
-    let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
-    recording.fps = arguments.fps;
-    recording.frames = frames;
-    recording.format = format;
-    recording.noise = arguments.noise.noise();
-    recording.stagger = arguments.stagger;
-    recording.seed = arguments.seed;
-
+    let crowd = crowd(arguments, frames)?;
+    let people = crowd.people();
+    let (rig, start) = (&people[0].rig, people[0].start);
+    let actor = |person: usize| match people.len() {
+        1 => Topics::default(),
+        _ => Topics { actor: format!("p{}", person + 1), ..Topics::default() },
+    };
     let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance(arguments))?;
-    let start = recording.start;
-    writer.rig(&recording.rig, start)?;
-    writer.truth_skeleton(&recording.skeleton, start)?;
+    writer.rig(rig, start)?;
+    for (person, one) in people.iter().enumerate() {
+        let body = wire::Skeleton::from_core(&one.skeleton);
+        writer.write(&actor(person).truth_skeleton(), start, &body)?;
+    }
     let bar = progress(frames, "frames");
-    let cameras = recording.rig.cameras.len();
-    let mut truth = recording.poses();
-    for (index, detections) in recording.detections().enumerate() {
-        if index % cameras == 0
-            && let Some(pose) = truth.next()
-        {
-            writer.truth_pose(&pose, &recording.skeleton)?;
+    let cameras = rig.cameras.len();
+    let mut truth: Vec<_> = people.iter().map(Recording::poses).collect();
+    for (index, (detections, _)) in crowd.detections().enumerate() {
+        if index % cameras == 0 {
+            for (person, truth) in truth.iter_mut().enumerate() {
+                if let Some(pose) = truth.next() {
+                    let message = wire::Pose::from_core(&pose, &people[person].skeleton, None);
+                    writer.write(&actor(person).truth(), pose.capture, &message)?;
+                }
+            }
             bar.inc(1);
         }
-        let camera = &recording.rig.cameras[detections.camera];
+        let camera = &rig.cameras[detections.camera];
         writer.keypoints(&detections, &camera.name, [camera.width, camera.height])?;
     }
     writer.finish()?;
     bar.finish_and_clear();
-    say(&format!("{}: {frames} frames of {cameras} cameras", arguments.out.display()));
+    let of = match people.len() {
+        1 => String::new(),
+        count => format!(" and {count} performers"),
+    };
+    say(&format!("{}: {frames} frames of {cameras} cameras{of}", arguments.out.display()));
     Ok(Exit::Done)
+}
+
+type AnyMotion = Box<dyn Fn(f64) -> Pose>;
+
+/// One performer as always, or several who meet.
+fn crowd(arguments: &Arguments, frames: u64) -> Result<Crowd<AnyMotion>, Failure> {
+    let (cameras, format) = (usize::from(arguments.cameras), keypoint_format(&arguments.format)?);
+    let recording = |rig, skeleton, motion: AnyMotion| {
+        let mut recording = Recording::new(rig, skeleton, motion);
+        (recording.fps, recording.frames) = (arguments.fps, frames);
+        (recording.format, recording.stagger) = (format, arguments.stagger);
+        (recording.noise, recording.seed) = (arguments.noise.noise(), arguments.seed);
+        recording
+    };
+    let mut people = Vec::new();
+    if arguments.performers == 1 {
+        let rig = ring_rig(cameras, RING[0], RING[1])?;
+        let skeleton = Skeleton::default();
+        let motion = Motion::new(&skeleton, MotionStyle::default());
+        people.push(recording(rig, skeleton, Box::new(move |seconds| motion.pose(seconds))));
+        return Ok(Crowd::alone(people.remove(0)));
+    }
+    let meeting = Meeting { people: arguments.performers.into(), distance: arguments.meet };
+    let rig = meeting.rig(cameras)?;
+    for person in 0..meeting.people {
+        let (skeleton, motion) = meeting.person(person, arguments.seed);
+        people.push(recording(rig.clone(), skeleton, Box::new(motion)));
+    }
+    Ok(Crowd::new(people))
 }
 
 fn frame_count(arguments: &Arguments) -> Result<u64, Failure> {
@@ -134,6 +178,12 @@ fn frame_count(arguments: &Arguments) -> Result<u64, Failure> {
         return Err(wrong("--stagger", stagger, "0 or more and below 1"));
     }
     let frames = (seconds * fps).round();
+    if let Some(metres) = arguments.meet.filter(|metres| !(0.2..=1.5).contains(metres)) {
+        return Err(wrong("--meet", metres, "from 0.2 to 1.5 m"));
+    }
+    if arguments.meet.is_some() && arguments.performers == 1 {
+        return Err(Failure::new(Exit::Usage, "--meet needs --performers 2 or more"));
+    }
     if !(1.0..=1e8).contains(&frames) {
         return Err(wrong("--seconds", seconds, "from 1 to 1e8 frames long"));
     }
@@ -142,7 +192,7 @@ fn frame_count(arguments: &Arguments) -> Result<u64, Failure> {
 
 /// The arguments, so that the recording can be reproduced.
 fn provenance(arguments: &Arguments) -> Provenance {
-    let command = format!(
+    let mut command = format!(
         "bundlemocap synth --seconds {} --fps {} --cameras {} --seed {} --noise {} --format {} \
          --stagger {}",
         arguments.seconds,
@@ -153,5 +203,11 @@ fn provenance(arguments: &Arguments) -> Provenance {
         arguments.format,
         arguments.stagger
     );
+    if arguments.performers > 1 {
+        command += &format!(" --performers {}", arguments.performers);
+    }
+    if let Some(metres) = arguments.meet {
+        command += &format!(" --meet {metres}");
+    }
     Provenance { more: BTreeMap::from([("command".to_owned(), command)]), ..Provenance::default() }
 }

@@ -6,7 +6,7 @@ use bundlemocap::core::body::{Joint, Pose, Shape, Skeleton};
 use bundlemocap::core::detections::{Detections, Keypoint, KeypointFormat, Person};
 use bundlemocap::core::so3;
 use bundlemocap::research::synth::{
-    Motion, MotionStyle, Noise, Recording, position, ring_rig, through,
+    Crowd, Meeting, Motion, MotionStyle, Noise, Recording, position, ring_rig, through,
 };
 use nalgebra::{Matrix3, Vector3};
 
@@ -224,4 +224,87 @@ fn interpolation_passes_through_the_poses() {
     }
     assert!(ours < 0.2 * straight, "{ours} {straight}");
     assert_eq!(through(Vec::new(), 60.0)(1.0), Pose::rest());
+}
+
+/// A crowd of that many people, and where their pelvises are, by frame and person, at 60 fps.
+fn crowd(people: usize, distance: Option<f64>, frames: u64) -> Vec<Vec<Vector3<f64>>> {
+    let meeting = Meeting { people, distance };
+    let motions: Vec<_> = (0..people).map(|person| meeting.person(person, 1).1).collect();
+    let at =
+        |frame| motions.iter().map(|motion| motion(frame as f64 / 60.0).root_position).collect();
+    (0..frames).map(at).collect()
+}
+
+#[test]
+fn people_of_a_crowd_cross_and_meet_and_do_not_walk_through_each_other() {
+    for (people, distance) in [(2, None), (4, Some(0.7)), (5, Some(0.3)), (10, Some(0.7))] {
+        let places = crowd(people, distance, 60 * 18);
+        let floor = |p: &Vector3<f64>| nalgebra::Vector2::new(p.x, p.z);
+        let (mut least, mut nearest, mut fastest) = (f64::MAX, f64::MAX, 0.0_f64);
+        for (now, next) in places.iter().zip(&places[1..]) {
+            for (a, at) in now.iter().enumerate() {
+                nearest = nearest.min(floor(at).norm());
+                fastest = fastest.max((floor(&next[a]) - floor(at)).norm() * 60.0);
+                let others = now[..a].iter().map(|b| (floor(at) - floor(b)).norm());
+                least = others.fold(least, f64::min);
+            }
+        }
+        let expected = distance.unwrap_or(0.65).min(0.65);
+        assert!((least - expected).abs() < 0.02, "{people}: {least:.3} m");
+        let middle = 0.325 / (std::f64::consts::PI / people as f64).sin();
+        assert!(nearest < middle + 0.01, "{people}: {nearest:.3} m from the middle");
+        assert!((1.0..1.8).contains(&fastest), "{people}: {fastest:.2} m/s");
+    }
+}
+
+#[test]
+fn people_of_a_crowd_move_smoothly() {
+    let meeting = Meeting { people: 4, distance: Some(0.5) };
+    for person in 0..4 {
+        let (skeleton, motion) = meeting.person(person, 3);
+        let at = |frame: i32| motion(f64::from(frame) / 240.0).posture(&skeleton).positions;
+        let mut fastest = 0.0_f64;
+        for frame in 0..18 * 240 {
+            let (now, next) = (at(frame), at(frame + 1));
+            let step = next.iter().zip(now).map(|(b, a)| (b - a).norm() * 240.0);
+            fastest = step.fold(fastest, f64::max);
+        }
+        assert!(fastest < 6.5, "{fastest:.1} m/s");
+    }
+}
+
+#[test]
+fn the_nearer_person_hides_the_other() {
+    let meeting = Meeting { people: 2, distance: None };
+    let rig = meeting.rig(4).unwrap();
+    let person = |person| {
+        let (skeleton, motion) = meeting.person(person, 1);
+        let mut recording = Recording::new(rig.clone(), skeleton, motion);
+        (recording.noise, recording.frames) = (Noise::none(), 240);
+        recording
+    };
+    let crowd = Crowd::new(vec![person(0), person(1)]);
+    let mut alone: Vec<_> = crowd.people().iter().map(Recording::detections).collect();
+    let (mut hidden, mut seen) = (0, 0);
+    for (frame, owners) in crowd.detections() {
+        let alone: Vec<Detections> =
+            alone.iter_mut().map(|frames| frames.next().unwrap()).collect();
+        let camera = &rig.cameras[frame.camera];
+        let seconds = frame.capture.seconds_since(crowd.people()[0].start);
+        let depth = |one: usize| camera.depth(&(crowd.people()[one].motion)(seconds).root_position);
+        for (person, owner) in frame.people.iter().zip(&owners) {
+            let all = alone[*owner].people[0].points.iter().zip(&person.points);
+            for (index, (alone, together)) in all.enumerate() {
+                seen += u32::from(together.is_some());
+                if alone.is_some() && together.is_none() {
+                    hidden += 1;
+                    let ahead = depth(1 - owner) - depth(*owner);
+                    assert!(ahead < 0.6, "point {index} of {owner} is {ahead:.2} m in front");
+                }
+            }
+        }
+    }
+    let share = f64::from(hidden) / f64::from(seen + hidden);
+    assert!((0.02..0.2).contains(&share), "{hidden} of {} points are hidden", seen + hidden);
+    assert_eq!(crowd.detections().collect::<Vec<_>>(), crowd.detections().collect::<Vec<_>>());
 }

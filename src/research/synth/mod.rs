@@ -19,10 +19,12 @@
 //! ```
 
 mod body;
+mod crowd;
 mod curves;
 mod detector;
 mod h36m;
 mod leg;
+mod meeting;
 mod motion;
 mod noise;
 mod points;
@@ -33,12 +35,14 @@ mod ring;
 mod sequence;
 
 pub use body::Body;
+pub use crowd::Crowd;
 pub use detector::position;
 pub use h36m::{H36mError, h36m_rig};
+pub use meeting::Meeting;
 pub use motion::{Motion, MotionStyle};
 pub use noise::Noise;
 pub use protocol::{Protocol, SequenceChoice};
 pub use recording::{Recording, through};
 pub use rigs::{RigError, rig_named, tdhp_like_rig};
-pub use ring::ring_rig;
+pub use ring::{ring_around, ring_rig};
 pub use sequence::{Sequence, sequence};

@@ -79,8 +79,30 @@ impl Motion {
 
     /// The pose `seconds` after the start. At 0 the performer stands.
     pub fn pose(&self, seconds: f64) -> Pose {
-        let gait = self.gait(seconds);
-        let acts = self.acts(seconds);
+        self.pose_at(seconds, seconds)
+    }
+
+    /// A walk on the spot towards +z, after `length` metres of steps; `share` is 1 for full steps and 0
+    /// for standing.
+    pub(super) fn walk(&self, length: f64, seconds: f64, share: f64) -> Pose {
+        // The radius of the circle is that of a straight line; two steps from the third on repeat.
+        let style = MotionStyle { radius: 1e6, ..self.style };
+        let straight = Self { style, leg: self.leg.clone() };
+        let steps = length / (self.style.step_length * self.leg.length());
+        let time = FIRST_STEP + (2.0 + steps.rem_euclid(2.0)) * self.style.step_time;
+        let [standing, walking] = [0.0, time].map(|time| straight.pose_at(time, seconds));
+        let turn = |a, b| crate::core::so3::slerp(a, b, share);
+        Pose {
+            root_rotation: turn(&standing.root_rotation, &walking.root_rotation),
+            root_position: standing.root_position.lerp(&walking.root_position, share),
+            local: std::array::from_fn(|j| turn(&standing.local[j], &walking.local[j])),
+        }
+    }
+
+    /// The pose at `time` of the cycle; breath is that of `seconds`.
+    fn pose_at(&self, time: f64, seconds: f64) -> Pose {
+        let gait = self.gait(time);
+        let acts = self.acts(time);
         let mut pose = Pose::rest();
         self.place_pelvis(&gait, &acts, &mut pose);
         for side in [Side::Left, Side::Right] {

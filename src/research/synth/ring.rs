@@ -12,7 +12,7 @@ const SIZE: [u32; 2] = [1280, 1024];
 const DISTORTION: [f64; 5] = [-0.08, 0.03, 0.0004, -0.0003, 0.0];
 /// Height of the point that the cameras look at, metres.
 const TARGET_HEIGHT: f64 = 0.95;
-/// Radius of the floor area in view, and height of the view at its edge, metres.
+/// Radius of one person's floor, and height of the view at the edge of the floor, metres.
 const FLOOR_RADIUS: f64 = 1.6;
 const VIEW_HEIGHT: f64 = 2.1;
 
@@ -22,7 +22,20 @@ const VIEW_HEIGHT: f64 = 2.1;
 /// # Errors
 /// `n` is below two, or `radius` or `height` is not finite.
 pub fn ring_rig(n: usize, radius: f64, height: f64) -> Result<Rig, CameraError> {
-    let nearest = (radius - FLOOR_RADIUS).max(0.3 * radius).max(0.1);
+    ring_around(n, radius, height, FLOOR_RADIUS)
+}
+
+/// As [`ring_rig`]; the cameras see everybody within `floor_radius` of the middle.
+///
+/// # Errors
+/// As [`ring_rig`].
+pub fn ring_around(
+    n: usize,
+    radius: f64,
+    height: f64,
+    floor_radius: f64,
+) -> Result<Rig, CameraError> {
+    let nearest = (radius - floor_radius).max(0.3 * radius).max(0.1);
     let focal = f64::from(SIZE[1]) * nearest / VIEW_HEIGHT;
     let [cx, cy] = SIZE.map(|pixels| 0.5 * (f64::from(pixels) - 1.0));
     let lens = Lens::brown_conrady(&DISTORTION)?;
