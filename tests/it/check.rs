@@ -447,6 +447,39 @@ fn a_camera_with_another_clock_is_named_and_no_other_one() {
 }
 
 #[test]
+fn the_named_time_offset_mends_the_camera() {
+    let take = Take::synthetic(tdhp_like_rig().unwrap(), Noise::studio(), 5, 480);
+    for (known_ms, frames) in [(0, 10), (0, -7), (400, 10), (-250, -12)] {
+        let mut wrong = take.clone();
+        let known = Nanos::from_ms(known_ms);
+        wrong.frames.iter_mut().for_each(|f| f.capture = f.capture + Nanos::from_ms(10_000));
+        wrong.of(1).for_each(|frame| frame.capture = frame.capture - known);
+        wrong.camera(1).time_offset = known;
+        assert!(wrong.check().is_clean());
+        late(&mut wrong, 1, frames);
+        let found = wrong.check();
+        let finding = found.cameras[1].findings.first().expect("a finding");
+        let offset = finding.mend.split_whitespace().nth(2).unwrap();
+        wrong.camera(1).time_offset = Nanos::rounded(1e6 * offset.parse::<f64>().unwrap());
+        let mended = wrong.check();
+        assert!(mended.is_clean(), "{known_ms} {frames}:\n{found}\n{mended}");
+    }
+}
+
+#[test]
+fn a_camera_that_comes_later_to_a_long_recording_fits() {
+    let rig = tdhp_like_rig().unwrap();
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let mut recording = Recording::new(rig.clone(), skeleton, |s| motion.pose(s));
+    (recording.noise, recording.fps, recording.frames) = (Noise::studio(), 20.0, 6000);
+    let frames = recording.detections().filter(|frame| frame.camera != 2 || frame.frame > 4100);
+    let found = Take { rig, frames: frames.collect() }.check();
+    assert!(found.is_clean(), "{found}");
+    assert!(found.cameras.iter().all(|row| row.agreeing_percent > Some(80.0)), "{found}");
+}
+
+#[test]
 #[ignore = "prints the table of src/research/RESULTS.md; a minute; BUNDLEMOCAP_TAKES has real takes"]
 fn table_of_faults() {
     let mut all = 0;
