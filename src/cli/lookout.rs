@@ -15,9 +15,11 @@ use crate::live::tools::survey::{other_stages, survey};
 const PATIENCE: Duration = Duration::from_secs(5);
 const SURVEY: Duration = Duration::from_secs(1);
 const AGAIN: Duration = Duration::from_secs(60);
-/// Cameras are judged when two have seen somebody in this many frames, and not before this time.
+/// Cameras are judged when each has seen somebody in this many frames, and not before this time. If
+/// only two or more of them have, the others get some time to do so.
 const FRAMES: usize = 300;
 const LEAST: Duration = Duration::from_secs(5);
+const CHANCE: Duration = Duration::from_secs(30);
 
 /// Looks after the cameras of a node until it is over. Its thread gives way to all others.
 ///
@@ -84,6 +86,7 @@ fn judge(
     let begin = Instant::now();
     let mut footage = Footage::new(rig.cameras.len());
     let mut with_people = vec![0; rig.cameras.len()];
+    let mut since = None;
     while goes_on() {
         let Some(received) = inbox.next(ATTENTION) else { continue };
         let frame = decode::<KeypointFrame>(&received.sample.payload).ok();
@@ -91,13 +94,25 @@ fn judge(
         let Some(frame) = frame else { continue };
         footage.add(&frame);
         with_people[frame.camera] += usize::from(!frame.people.is_empty());
-        let enough = with_people.iter().filter(|count| **count >= FRAMES).count() >= 2;
-        if enough && begin.elapsed() >= LEAST {
+        let now = begin.elapsed();
+        let patience = patience(&with_people);
+        since = patience.and(since.or(Some(now)));
+        if now >= LEAST && since.zip(patience).is_some_and(|(since, left)| now - since >= left) {
             drop(inbox);
             return Ok(Some(check(&footage, rig)));
         }
     }
     Ok(None)
+}
+
+/// How long to wait before cameras are judged that have seen somebody in that many frames each; `None`:
+/// not yet known.
+fn patience(with_people: &[usize]) -> Option<Duration> {
+    match with_people.iter().filter(|count| **count >= FRAMES).count() {
+        all if all == with_people.len() => Some(Duration::ZERO),
+        2.. => Some(CHANCE),
+        _ => None,
+    }
 }
 
 fn say(check: &Check) {
@@ -109,5 +124,17 @@ fn say(check: &Check) {
             .performer_height_m
             .map_or(String::new(), |height| format!(", the performer is {height:.2} m high"));
         tracing::info!("the cameras fit each other{height}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_that_just_begin_are_not_judged_yet() {
+        assert_eq!(patience(&[FRAMES, FRAMES - 1, 0]), None);
+        assert_eq!(patience(&[FRAMES, 0, FRAMES]), Some(CHANCE));
+        assert_eq!(patience(&[FRAMES; 3]), Some(Duration::ZERO));
     }
 }
