@@ -1,5 +1,6 @@
 //! What `run` says about its cameras: where they send if the node hears none, and whether they fit.
 
+use std::sync::Weak;
 use std::time::{Duration, Instant};
 
 use super::clock::ATTENTION;
@@ -21,12 +22,13 @@ const FRAMES: usize = 300;
 const LEAST: Duration = Duration::from_secs(5);
 const CHANCE: Duration = Duration::from_secs(30);
 
-/// Looks after the cameras of a node until it is over. Its thread gives way to all others.
+/// Looks after the cameras of a node until it is over or the bus is closed. Its thread gives way to all
+/// others. A running check holds no bus: nothing has to wait for its end.
 ///
 /// # Errors
 /// The bus refuses a subscription.
 pub(super) fn look(
-    bus: &dyn Bus,
+    bus: &Weak<dyn Bus>,
     topics: &Topics,
     node: &Monitor,
     is_over: impl Fn() -> bool,
@@ -49,8 +51,11 @@ pub(super) fn look(
         let rig = decode::<wire::Rig>(&bytes).and_then(|rig| rig.to_core());
         let Ok(rig) = rig else { continue };
         let goes_on = || !is_over() && node.rig().as_ref() == Some(&bytes);
-        if let Some(check) = judge(bus, topics, &rig, goes_on)? {
-            say(&check);
+        if let Some(footage) = watch(bus, topics, &rig, goes_on)? {
+            let check = check(&footage, &rig);
+            if !is_over() {
+                say(&check);
+            }
             judged = Some(bytes);
         }
     }
@@ -58,8 +63,9 @@ pub(super) fn look(
 }
 
 /// Says what is on the bus while no camera sends on this stage.
-fn search(bus: &dyn Bus, stage: &str, is_over: impl Fn() -> bool) -> Result<(), BusError> {
-    let seen = survey(bus, SURVEY, || !is_over())?;
+fn search(bus: &Weak<dyn Bus>, stage: &str, is_over: impl Fn() -> bool) -> Result<(), BusError> {
+    let Some(bus) = bus.upgrade() else { return Ok(()) };
+    let seen = survey(&*bus, SURVEY, || !is_over())?;
     if is_over() || seen.keys().any(|(of, _)| of == stage) {
         return Ok(());
     }
@@ -75,14 +81,17 @@ fn search(bus: &dyn Bus, stage: &str, is_over: impl Fn() -> bool) -> Result<(), 
     Ok(())
 }
 
-/// Judges the cameras by what they send; `None` if it does not go on for long enough.
-fn judge(
-    bus: &dyn Bus,
+/// What the cameras send, enough to judge them; `None` if it does not go on for long enough.
+fn watch(
+    bus: &Weak<dyn Bus>,
     topics: &Topics,
     rig: &Rig,
     goes_on: impl Fn() -> bool,
-) -> Result<Option<Check>, BusError> {
-    let inbox = Inbox::open(bus, &topics.keypoints("*"))?;
+) -> Result<Option<Footage>, BusError> {
+    let Some(inbox) = bus.upgrade().map(|bus| Inbox::open(&*bus, &topics.keypoints("*"))) else {
+        return Ok(None);
+    };
+    let inbox = inbox?;
     let begin = Instant::now();
     let mut footage = Footage::new(rig.cameras.len());
     let mut with_people = vec![0; rig.cameras.len()];
@@ -98,8 +107,7 @@ fn judge(
         let patience = patience(&with_people);
         since = patience.and(since.or(Some(now)));
         if now >= LEAST && since.zip(patience).is_some_and(|(since, left)| now - since >= left) {
-            drop(inbox);
-            return Ok(Some(check(&footage, rig)));
+            return Ok(Some(footage));
         }
     }
     Ok(None)
