@@ -19,7 +19,7 @@ use crate::core::time::Nanos;
 use crate::io::bus::{self, Bus, BusError, Kind};
 use crate::io::formats::read_calibration;
 use crate::live::WallClock;
-use crate::live::tools::recorder::room;
+use crate::live::tools::room::room;
 use crate::live::tools::survey::{Seen, other_stages, survey};
 use crate::metrics::statistics::percentile;
 
