@@ -109,16 +109,11 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let time = Duration::from_secs(arguments.seconds);
         let seen = survey(&*bus, time, || !stop.is_set())?;
         ticker.finish_and_clear();
-        let of_stage = seen.iter().filter(|((stage, _), _)| *stage == config.node.stage);
+        let stage = &config.node.stage;
+        let of_stage = seen.iter().filter(|((of, _), _)| of == stage);
         let here: BTreeMap<&str, &Seen> =
             of_stage.map(|((_, camera), seen)| (&**camera, seen)).collect();
-        cameras(
-            &config,
-            &other_stages(&seen, &config.node.stage),
-            &here,
-            rig.as_ref(),
-            &mut findings,
-        );
+        cameras(&config, &other_stages(&seen, stage), &here, rig.as_ref(), &mut findings);
         let fastest = here.values().filter_map(|seen| seen.rate_hz()).reduce(f64::max);
         rate = rate.or(fastest);
         let delays = here.values().filter_map(|seen| Some(seen.delay_s()?[1]));

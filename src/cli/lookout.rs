@@ -104,9 +104,8 @@ fn watch(
         footage.add(&frame);
         with_people[frame.camera] += usize::from(!frame.people.is_empty());
         let now = begin.elapsed();
-        let patience = patience(&with_people);
-        since = patience.and(since.or(Some(now)));
-        if now >= LEAST && since.zip(patience).is_some_and(|(since, left)| now - since >= left) {
+        let Some(patience) = patience(&with_people) else { continue };
+        if now - *since.get_or_insert(now) >= patience && now >= LEAST {
             return Ok(Some(footage));
         }
     }

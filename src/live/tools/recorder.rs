@@ -17,6 +17,7 @@ use crate::io::wire::{StageChannel, Take, Topic, Topics, valid_name};
 const MARGIN: Nanos = Nanos::SECOND;
 /// Most inputs that are kept for the next take.
 const MOST_RECENT: usize = 65_536;
+
 /// Counts of recorded messages.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Recorded {
@@ -69,7 +70,7 @@ struct Running {
 struct Ending {
     file: Open,
     until: Timestamp,
-    /// The command that ended it; `None`: the next take began.
+    /// The command that ended it; `None`: the next take began, or the recording ended.
     command: Option<u64>,
 }
 
@@ -90,7 +91,7 @@ pub(crate) struct Recorder {
     all: Option<Open>,
     take: Option<Running>,
     ending: Vec<Ending>,
-    /// Messages that are not in the file of a take because of its topics, of all complete takes.
+    /// Messages on topics above the limit, of all complete takes.
     skipped: u64,
     rig: Option<RawEntry>,
     /// The inputs of the last second.
