@@ -14,12 +14,12 @@ use super::clock::Stop;
 use super::failure::Exit;
 use super::terminal::{say, ticker};
 use crate::config::Config;
-use crate::core::camera::Rig;
+use crate::core::camera::{Camera, Rig};
 use crate::core::time::Nanos;
 use crate::io::bus::{self, Bus, BusError, Kind};
 use crate::io::formats::read_calibration;
 use crate::live::WallClock;
-use crate::live::tools::recorder::room;
+use crate::live::tools::room::room;
 use crate::live::tools::survey::{Seen, other_stages, survey};
 use crate::metrics::statistics::percentile;
 
@@ -109,11 +109,14 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let time = Duration::from_secs(arguments.seconds);
         let seen = survey(&*bus, time, || !stop.is_set())?;
         ticker.finish_and_clear();
-        cameras(&config, &seen, rig.as_ref(), &mut findings);
-        let of_stage = seen.iter().filter(|((stage, _), _)| *stage == config.node.stage);
-        let fastest = of_stage.filter_map(|(_, seen)| seen.rate_hz()).reduce(f64::max);
+        let stage = &config.node.stage;
+        let of_stage = seen.iter().filter(|((of, _), _)| of == stage);
+        let here: BTreeMap<&str, &Seen> =
+            of_stage.map(|((_, camera), seen)| (&**camera, seen)).collect();
+        cameras(&config, &other_stages(&seen, stage), &here, rig.as_ref(), &mut findings);
+        let fastest = here.values().filter_map(|seen| seen.rate_hz()).reduce(f64::max);
         rate = rate.or(fastest);
-        let delays = seen.values().filter_map(|seen| Some(seen.delay_s()?[1]));
+        let delays = here.values().filter_map(|seen| Some(seen.delay_s()?[1]));
         latency(&config, rate, delays.reduce(f64::max), &mut findings);
     } else {
         latency(&config, rate, None, &mut findings);
@@ -283,19 +286,16 @@ fn nodes(bus: &dyn Bus, findings: &mut Findings) -> Result<(), BusError> {
 /// What the cameras send, compared with the calibration.
 fn cameras(
     config: &Config,
-    seen: &BTreeMap<(String, String), Seen>,
+    others: &[String],
+    here: &BTreeMap<&str, &Seen>,
     rig: Option<&Rig>,
     findings: &mut Findings,
 ) {
-    let stage = &config.node.stage;
-    let others = other_stages(seen, stage);
     if !others.is_empty() {
+        let stage = &config.node.stage;
         let text = format!("{stage} here; cameras also send on {}", others.join(", "));
         findings.doubtful("stage", text);
     }
-    let of_stage = seen.iter().filter(|((of, _), _)| of == stage);
-    let here: BTreeMap<&str, &Seen> =
-        of_stage.map(|((_, camera), seen)| (&**camera, seen)).collect();
     if here.is_empty() {
         let topic = topics(config).keypoints("CAMERA");
         findings.wrong("cameras", format!("nothing came on {topic}; start the detectors"));
@@ -319,20 +319,24 @@ fn camera(name: &str, seen: &Seen, rig: Option<&Rig>, findings: &mut Findings) {
     else {
         return;
     };
-    let [width, height] = seen.size;
+    let size = match seen.size {
+        [0, 0] => "unknown image size".to_owned(),
+        [width, height] => format!("{width} x {height}"),
+    };
     let rate = seen.rate_hz().map_or("unknown rate".to_owned(), |rate| format!("{rate:.2} Hz"));
     let shows = 100 * seen.with_people / seen.frames.max(1);
     let text = format!(
-        "{rate}, {}, {width} x {height}, delay {:.1} ms (99 %: {:.1}), somebody in {shows} %",
+        "{rate}, {}, {size}, delay {:.1} ms (99 %: {:.1}), somebody in {shows} %",
         format.name(),
         1e3 * delay,
         1e3 * slow
     );
     match rig.map(|rig| rig.cameras.iter().find(|camera| camera.name == name)) {
         Some(None) => findings.wrong(name, format!("is not in the calibration; {text}")),
-        Some(Some(camera)) if [camera.width, camera.height] != seen.size => {
-            let size = format!("{} x {}", camera.width, camera.height);
-            findings.wrong(name, format!("the calibration is for {size}; {text}"));
+        Some(Some(Camera { width, height, .. }))
+            if ![[0, 0], [*width, *height]].contains(&seen.size) =>
+        {
+            findings.wrong(name, format!("the calibration is for {width} x {height}; {text}"));
         }
         _ => match clock {
             Ok(()) => findings.good(name, text),

@@ -46,14 +46,16 @@ Exit codes:
    3  an input is missing or cannot be read
    4  malformed input
    5  nobody found: no performer in two cameras
-   6  partly done: lost windows, or a damaged recording
+   6  partly done: lost windows, a damaged recording, a replay up to lost inputs;
+      `record` lost messages or the disk is full; to `take` a node or recorder did not
+      answer or refused; no poses came for `retarget --out`
    7  no detections in the folder
    8  a camera without calibration, or the reverse
    9  unusable calibration
   10  unknown keypoint format, or not the format of the data
   11  weights of another shape or version
   12  a recording without the required topics
-  13  the bus cannot be opened or reached
+  13  the bus cannot be opened or reached, or nobody answered `take`
   14  the replay differs from the recording
   15  `check --strict` found something wrong
   16  another node publishes this performer

@@ -1,5 +1,6 @@
 //! What `run` says about its cameras: where they send if the node hears none, and whether they fit.
 
+use std::sync::Weak;
 use std::time::{Duration, Instant};
 
 use super::clock::ATTENTION;
@@ -15,16 +16,19 @@ use crate::live::tools::survey::{other_stages, survey};
 const PATIENCE: Duration = Duration::from_secs(5);
 const SURVEY: Duration = Duration::from_secs(1);
 const AGAIN: Duration = Duration::from_secs(60);
-/// Cameras are judged when two have seen somebody in this many frames, and not before this time.
+/// Cameras are judged when each has seen somebody in this many frames, and not before this time. If
+/// only two or more of them have, the others get some time to do so.
 const FRAMES: usize = 300;
 const LEAST: Duration = Duration::from_secs(5);
+const CHANCE: Duration = Duration::from_secs(30);
 
-/// Looks after the cameras of a node until it is over. Its thread gives way to all others.
+/// Looks after the cameras of a node until it is over or the bus is closed. Its thread gives way to all
+/// others. A running check holds no bus: nothing has to wait for its end.
 ///
 /// # Errors
 /// The bus refuses a subscription.
 pub(super) fn look(
-    bus: &dyn Bus,
+    bus: &Weak<dyn Bus>,
     topics: &Topics,
     node: &Monitor,
     is_over: impl Fn() -> bool,
@@ -47,8 +51,11 @@ pub(super) fn look(
         let rig = decode::<wire::Rig>(&bytes).and_then(|rig| rig.to_core());
         let Ok(rig) = rig else { continue };
         let goes_on = || !is_over() && node.rig().as_ref() == Some(&bytes);
-        if let Some(check) = judge(bus, topics, &rig, goes_on)? {
-            say(&check);
+        if let Some(footage) = watch(bus, topics, &rig, goes_on)? {
+            let check = check(&footage, &rig);
+            if !is_over() {
+                say(&check);
+            }
             judged = Some(bytes);
         }
     }
@@ -56,8 +63,9 @@ pub(super) fn look(
 }
 
 /// Says what is on the bus while no camera sends on this stage.
-fn search(bus: &dyn Bus, stage: &str, is_over: impl Fn() -> bool) -> Result<(), BusError> {
-    let seen = survey(bus, SURVEY, || !is_over())?;
+fn search(bus: &Weak<dyn Bus>, stage: &str, is_over: impl Fn() -> bool) -> Result<(), BusError> {
+    let Some(bus) = bus.upgrade() else { return Ok(()) };
+    let seen = survey(&*bus, SURVEY, || !is_over())?;
     if is_over() || seen.keys().any(|(of, _)| of == stage) {
         return Ok(());
     }
@@ -73,17 +81,21 @@ fn search(bus: &dyn Bus, stage: &str, is_over: impl Fn() -> bool) -> Result<(), 
     Ok(())
 }
 
-/// Judges the cameras by what they send; `None` if it does not go on for long enough.
-fn judge(
-    bus: &dyn Bus,
+/// What the cameras send, enough to judge them; `None` if it does not go on for long enough.
+fn watch(
+    bus: &Weak<dyn Bus>,
     topics: &Topics,
     rig: &Rig,
     goes_on: impl Fn() -> bool,
-) -> Result<Option<Check>, BusError> {
-    let inbox = Inbox::open(bus, &topics.keypoints("*"))?;
+) -> Result<Option<Footage>, BusError> {
+    let Some(inbox) = bus.upgrade().map(|bus| Inbox::open(&*bus, &topics.keypoints("*"))) else {
+        return Ok(None);
+    };
+    let inbox = inbox?;
     let begin = Instant::now();
     let mut footage = Footage::new(rig.cameras.len());
     let mut with_people = vec![0; rig.cameras.len()];
+    let mut since = None;
     while goes_on() {
         let Some(received) = inbox.next(ATTENTION) else { continue };
         let frame = decode::<KeypointFrame>(&received.sample.payload).ok();
@@ -91,13 +103,23 @@ fn judge(
         let Some(frame) = frame else { continue };
         footage.add(&frame);
         with_people[frame.camera] += usize::from(!frame.people.is_empty());
-        let enough = with_people.iter().filter(|count| **count >= FRAMES).count() >= 2;
-        if enough && begin.elapsed() >= LEAST {
-            drop(inbox);
-            return Ok(Some(check(&footage, rig)));
+        let now = begin.elapsed();
+        let Some(patience) = patience(&with_people) else { continue };
+        if now - *since.get_or_insert(now) >= patience && now >= LEAST {
+            return Ok(Some(footage));
         }
     }
     Ok(None)
+}
+
+/// How long to wait before cameras are judged that have seen somebody in that many frames each; `None`:
+/// not yet known.
+fn patience(with_people: &[usize]) -> Option<Duration> {
+    match with_people.iter().filter(|count| **count >= FRAMES).count() {
+        all if all == with_people.len() => Some(Duration::ZERO),
+        2.. => Some(CHANCE),
+        _ => None,
+    }
 }
 
 fn say(check: &Check) {
@@ -109,5 +131,17 @@ fn say(check: &Check) {
             .performer_height_m
             .map_or(String::new(), |height| format!(", the performer is {height:.2} m high"));
         tracing::info!("the cameras fit each other{height}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_that_just_begin_are_not_judged_yet() {
+        assert_eq!(patience(&[FRAMES, FRAMES - 1, 0]), None);
+        assert_eq!(patience(&[FRAMES, 0, FRAMES]), Some(CHANCE));
+        assert_eq!(patience(&[FRAMES; 3]), Some(Duration::ZERO));
     }
 }

@@ -21,7 +21,8 @@ use crate::io::wire::{
 };
 use crate::live::WallClock;
 use crate::live::tools::inbox::{Inbox, Received};
-use crate::live::tools::recorder::{Recorded, Recorder, Said, room};
+use crate::live::tools::recorder::{Recorded, Recorder, Said};
+use crate::live::tools::room::room;
 
 /// How often the files are flushed.
 const FLUSH: Duration = Duration::from_secs(1);

@@ -408,6 +408,77 @@ fn alarm(seed: usize) {
     assert!(found.is_clean(), "seed {seed}, {cameras} cameras:\n{found}");
 }
 
+/// Fails unless the check says that this camera's clock is another one, and nothing else.
+fn has_another_clock(take: &Take, camera: usize) {
+    let mut footage = Footage::new(take.rig.cameras.len());
+    take.frames.iter().for_each(|frame| footage.add(frame));
+    let found = check(&footage, &take.rig);
+    for (i, row) in found.cameras.iter().enumerate() {
+        let causes: Vec<&str> = row.findings.iter().map(|finding| finding.cause).collect();
+        let wanted: &[&str] = if i == camera { &["clock"] } else { &[] };
+        assert_eq!(causes, wanted, "camera {camera} is wrong:\n{found}");
+        assert_eq!(row.agreeing_percent.is_some(), i != camera, "{found}");
+    }
+    assert!(found.findings.is_empty(), "{found}");
+}
+
+#[test]
+fn a_camera_with_another_clock_is_named_and_no_other_one() {
+    let take = Take::synthetic(tdhp_like_rig().unwrap(), Noise::studio(), 5, 480);
+    let now = Nanos::new(1_700_000_000_000_000_000);
+    for camera in [0, 1, 3] {
+        for away in [Nanos::from_ms(3_600_000), Nanos::from_ms(-3_600_000), -now] {
+            let mut wrong = take.clone();
+            wrong.frames.iter_mut().for_each(|frame| frame.capture = frame.capture + now);
+            wrong.of(camera).for_each(|frame| frame.capture = frame.capture + away);
+            has_another_clock(&wrong, camera);
+            // In whatever order their frames come, and if it sees nobody.
+            wrong.frames.reverse();
+            wrong.frames.sort_by_key(|frame| frame.frame);
+            wrong.of(camera).for_each(|frame| frame.people.clear());
+            has_another_clock(&wrong, camera);
+            // The calibration may say how far it is off.
+            wrong.camera(camera).time_offset = -away;
+            let found = wrong.check();
+            let causes = found.cameras[camera].findings.iter().map(|finding| finding.cause);
+            assert_eq!(causes.collect::<Vec<_>>(), ["nobody"], "{found}");
+        }
+    }
+}
+
+#[test]
+fn the_named_time_offset_mends_the_camera() {
+    let take = Take::synthetic(tdhp_like_rig().unwrap(), Noise::studio(), 5, 480);
+    for (known_ms, frames) in [(0, 10), (0, -7), (400, 10), (-250, -12)] {
+        let mut wrong = take.clone();
+        let known = Nanos::from_ms(known_ms);
+        wrong.frames.iter_mut().for_each(|f| f.capture = f.capture + Nanos::from_ms(10_000));
+        wrong.of(1).for_each(|frame| frame.capture = frame.capture - known);
+        wrong.camera(1).time_offset = known;
+        assert!(wrong.check().is_clean());
+        late(&mut wrong, 1, frames);
+        let found = wrong.check();
+        let finding = found.cameras[1].findings.first().expect("a finding");
+        let offset = finding.mend.split_whitespace().nth(2).unwrap();
+        wrong.camera(1).time_offset = Nanos::rounded(1e6 * offset.parse::<f64>().unwrap());
+        let mended = wrong.check();
+        assert!(mended.is_clean(), "{known_ms} {frames}:\n{found}\n{mended}");
+    }
+}
+
+#[test]
+fn a_camera_that_comes_later_to_a_long_recording_fits() {
+    let rig = tdhp_like_rig().unwrap();
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let mut recording = Recording::new(rig.clone(), skeleton, |s| motion.pose(s));
+    (recording.noise, recording.fps, recording.frames) = (Noise::studio(), 20.0, 6000);
+    let frames = recording.detections().filter(|frame| frame.camera != 2 || frame.frame > 4100);
+    let found = Take { rig, frames: frames.collect() }.check();
+    assert!(found.is_clean(), "{found}");
+    assert!(found.cameras.iter().all(|row| row.agreeing_percent > Some(80.0)), "{found}");
+}
+
 #[test]
 #[ignore = "prints the table of src/research/RESULTS.md; a minute; BUNDLEMOCAP_TAKES has real takes"]
 fn table_of_faults() {

@@ -64,14 +64,25 @@ fn cameras_that_do_not_fit_the_settings_are_named() {
     // The node hears nothing on its stage, and says where cameras send.
     assert!(node.has_said("no camera sends on stage other, but on stage (cam01, cam02"));
 
+    // Their delays are not those of the stage.
+    let mut far = Command::new(PROGRAM);
+    far.args(["play", WALK, "--loop", "--connect", &address, "--stage", "zoo"]);
+    let _far = Program::start(far.args(["--late", "1", "--late-ms", "2000"]));
     let good = [("cam01", 1280), ("cam02", 1280), ("cam03", 1280), ("cam04", 1280)];
     fs::write(folder.join("good.toml"), calibration(&good)).unwrap();
-    let output = doctor(folder, &address, "stage", "good.toml", 1);
+    let output = doctor(folder, &address, "stage", "good.toml", 3);
     let said = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(0), "{said}");
     assert!(says(&said, "ok     node", "stage other, actor actor"), "{said}");
     assert!(says(&said, "ok     cam01", "1280 x 1024, delay"), "{said}");
     assert!(says(&said, "ok     latency", "ms: window"), "{said}");
+    let after = |text: &str| {
+        let numbers = said.split(text).skip(1).map(|rest| rest.split([')', '\n']).next().unwrap());
+        numbers.map(|number| number.parse().unwrap()).reduce(f64::max)
+    };
+    let [slowest, counted] = ["(99 %: ", "cameras and network "].map(after);
+    assert!((slowest.unwrap() - counted.unwrap()).abs() < 0.6, "{said}");
+    assert!(says(&said, "look   stage", "zoo (cam01"), "{said}");
 
     let bad = [("cam01", 640), ("cam02", 1280), ("cam03", 1280), ("spare", 1280)];
     fs::write(folder.join("bad.toml"), calibration(&bad)).unwrap();
@@ -92,7 +103,7 @@ fn cameras_that_do_not_fit_the_settings_are_named() {
     assert!(says(&said, "wrong  cameras", "mocap/other/camera/CAMERA/keypoints"), "{said}");
 }
 
-/// The walk, with a calibration in which a camera is turned by 5 degrees.
+/// The walk without image sizes, with a calibration in which a camera is turned by 5 degrees.
 fn with_a_turned_camera(path: &Path) {
     let mut writer = Writer::create(path, Topics::default(), &Provenance::default()).unwrap();
     let mut rig = None;
@@ -110,8 +121,7 @@ fn with_a_turned_camera(path: &Path) {
             Message::Keypoints(frame) => {
                 let rig = rig.as_ref().unwrap();
                 let frame = frame.to_core(|name| rig.index_of(name)).unwrap();
-                let camera = &rig.cameras[frame.camera];
-                writer.keypoints(&frame, &camera.name, [camera.width, camera.height]).unwrap();
+                writer.keypoints(&frame, &rig.cameras[frame.camera].name, [0, 0]).unwrap();
             }
             _ => {}
         }
@@ -129,4 +139,10 @@ fn a_running_node_names_a_camera_that_does_not_fit() {
     player.args(["play", turned.to_str().unwrap(), "--loop", "--connect", &address]);
     let _player = Program::start(&mut player);
     assert!(node.has_said("camera cam03: "));
+
+    let cameras = [("cam01", 1280), ("cam02", 1280), ("cam03", 1280), ("cam04", 1280)];
+    fs::write(folder.path().join("rig.toml"), calibration(&cameras)).unwrap();
+    let output = doctor(folder.path(), &address, "stage", "rig.toml", 1);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(says(&said, "ok     cam01", "unknown image size"), "{said}");
 }

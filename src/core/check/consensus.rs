@@ -96,7 +96,8 @@ impl Consensus {
 
 impl<'a> Scene<'a> {
     pub(super) fn new(footage: &'a Footage, readings: Vec<Reading>, count: usize) -> Self {
-        let instants = footage.instants(count);
+        let cameras: Vec<Camera> = readings.iter().map(|reading| reading.camera.clone()).collect();
+        let instants = footage.instants(count, &cameras);
         let usual = footage.period();
         let periods = footage.tracks.iter().map(|track| track.period().unwrap_or(usual)).collect();
         let rig = Rig { version: 0, cameras: Vec::new() };

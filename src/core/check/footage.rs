@@ -2,6 +2,7 @@
 
 use nalgebra::Vector2;
 
+use crate::core::camera::Camera;
 use crate::core::detections::{Detections, Keypoint, KeypointFormat, Person};
 use crate::core::time::{Nanos, Timestamp};
 
@@ -35,8 +36,9 @@ const MOST_PEOPLE: usize = 3;
 const BODY_POINTS: usize = 26;
 /// Points of at most this confidence are not used.
 const CONFIDENT: f64 = 0.3;
-/// Frames are kept in sections of this length, every section of a recording of at most that many
-/// sections, every second one of a longer recording, and so on.
+/// Frames are kept in sections of this length, every section of a camera with at most that many, every
+/// second one of a camera with more, and so on. Sections are counted from zero time, so that cameras
+/// with the same clock keep the same ones.
 const SECTION: Nanos = Nanos::from_ms(4000);
 const MOST_SECTIONS: i64 = 24;
 /// Frames before and after a frame that tell how much the performer moves.
@@ -96,6 +98,12 @@ pub(super) struct Track {
     pub(super) percent: usize,
     /// First and last capture time.
     pub(super) span: Option<[Timestamp; 2]>,
+    /// Every so many sections are kept.
+    stride: i64,
+}
+
+fn section(capture: Timestamp) -> i64 {
+    capture.ns().div_euclid(SECTION.ns())
 }
 
 impl Track {
@@ -116,49 +124,43 @@ impl Track {
     }
 }
 
-/// The detections of each camera of a rig: all of the first 96 seconds, and parts of a longer
-/// recording.
+/// The detections of each camera of a rig: all of 96 seconds, and parts of a longer recording.
 #[derive(Clone, Debug)]
 pub struct Footage {
     pub(super) tracks: Vec<Track>,
-    start: Option<Timestamp>,
-    stride: i64,
 }
 
 impl Footage {
     /// No frames yet, of that many cameras.
     pub fn new(cameras: usize) -> Self {
-        Self { tracks: vec![Track::default(); cameras], start: None, stride: 1 }
+        Self { tracks: vec![Track { stride: 1, ..Track::default() }; cameras] }
     }
 
     /// Adds a frame, with the capture time of its camera. Cameras that are not in the rig, and frames
     /// that are not after the camera's last one, are not kept.
     pub fn add(&mut self, frame: &Detections) {
         let Some(track) = self.tracks.get_mut(frame.camera) else { return };
-        let start = *self.start.get_or_insert(frame.capture);
         track.count += 1;
         if track.span.is_some_and(|[_, last]| frame.capture <= last) {
             track.disordered += 1;
             return;
         }
-        track.span = Some([track.span.map_or(frame.capture, |[first, _]| first), frame.capture]);
+        let first = track.span.map_or(frame.capture, |[first, _]| first);
+        track.span = Some([first, frame.capture]);
         let points = frame.people.iter().map(|person| person.points.iter().flatten().count());
         track.points += points.sum::<usize>();
-        let section = |capture: Timestamp| (capture - start).ns().div_euclid(SECTION.ns());
-        let own = section(frame.capture);
-        if own.rem_euclid(self.stride) != 0 {
+        let is_kept = |capture, stride| section(capture).rem_euclid(stride) == 0;
+        while section(frame.capture) - section(first) >= MOST_SECTIONS * track.stride {
+            track.stride *= 2;
+            track.frames.retain(|frame| is_kept(frame.capture, track.stride));
+        }
+        if !is_kept(frame.capture, track.stride) {
             return;
         }
         let mut people: Vec<Seen> = frame.people.iter().filter_map(Seen::of).collect();
         people.sort_by(|a, b| b.extent().total_cmp(&a.extent()));
         people.truncate(MOST_PEOPLE);
         track.frames.push(Frame { capture: frame.capture, format: frame.format, people });
-        while own >= MOST_SECTIONS * self.stride {
-            self.stride *= 2;
-            let stride = self.stride;
-            let kept = |frame: &Frame| section(frame.capture).rem_euclid(stride) == 0;
-            self.tracks.iter_mut().for_each(|track| track.frames.retain(kept));
-        }
     }
 
     /// Counts points of a camera whose confidence was above 1 in the message.
@@ -168,10 +170,29 @@ impl Footage {
         }
     }
 
-    /// `count` times of the camera with the most frames: a third evenly spread, the others where the
-    /// performer moves most, which shows errors of time.
-    pub(super) fn instants(&self, count: usize) -> Vec<Timestamp> {
-        let Some(longest) = self.tracks.iter().max_by_key(|track| track.frames.len()) else {
+    /// First and last time of each camera, on the clock of the rig.
+    pub(super) fn spans(&self, cameras: &[Camera]) -> Vec<Option<[Timestamp; 2]>> {
+        let both = self.tracks.iter().zip(cameras);
+        both.map(|(track, camera)| Some(track.span?.map(|time| time + camera.time_offset)))
+            .collect()
+    }
+
+    /// `count` times of one camera, on the clock of the rig: a third evenly spread, the others where
+    /// the performer moves most, which shows errors of time. Of the cameras that have time in common
+    /// with the most others, the one with the most frames is taken: another one may have a clock of
+    /// its own.
+    pub(super) fn instants(&self, count: usize, cameras: &[Camera]) -> Vec<Timestamp> {
+        let spans = self.spans(cameras);
+        let common = |own: [Timestamp; 2]| {
+            spans.iter().flatten().filter(|other| overlap(own, **other)).count()
+        };
+        // About the frames that the camera had before some sections were left out.
+        let frames = |track: &Track| track.frames.len() as i64 * track.stride;
+        let all = self.tracks.iter().zip(cameras).zip(&spans);
+        let all = all.filter_map(|(both, span)| Some((both, common((*span)?))));
+        let Some(((longest, camera), _)) =
+            all.max_by_key(|((track, _), common)| (*common, frames(track)))
+        else {
             return Vec::new();
         };
         let (frames, all) = (&longest.frames, (3 * count).min(longest.frames.len()));
@@ -191,7 +212,7 @@ impl Footage {
         let mut chosen: Vec<usize> =
             even.into_iter().chain(moving.into_iter().map(|(_, i)| i)).collect();
         chosen.sort_unstable();
-        chosen.into_iter().map(|i| frames[index(i)].capture).collect()
+        chosen.into_iter().map(|i| frames[index(i)].capture + camera.time_offset).collect()
     }
 
     /// The median time between two frames of a camera that has frames.
@@ -200,6 +221,11 @@ impl Footage {
             self.tracks.iter().filter_map(Track::period).map(|period| period.ns() as f64).collect();
         Nanos::rounded(median(&mut all).unwrap_or(1e7))
     }
+}
+
+/// Whether two spans of time have a moment in common.
+pub(super) fn overlap(a: [Timestamp; 2], b: [Timestamp; 2]) -> bool {
+    a[0] <= b[1] && b[0] <= a[1]
 }
 
 /// The longer side of the bounding box of some points.

@@ -185,10 +185,11 @@ pub(super) fn times(reading: &Reading, period: Nanos) -> impl Iterator<Item = Hy
         let late = period * frames;
         let word = if frames > 0 { "late" } else { "early" };
         let (count, ms) = (frames.abs(), late.ms().abs());
+        let offset = (reading.camera.time_offset - reading.late - late).ms();
         let finding = Finding::new(
             "time_shift",
             format!("its capture times are {count} frames ({ms:.0} ms) {word}"),
-            format!("time_offset_ms = {:.0} in its calibration, or mend its clock", -late.ms()),
+            format!("time_offset_ms = {offset:.1} in its calibration, or mend its clock"),
         );
         let reading = Reading { late: reading.late + late, ..reading.clone() };
         Hypothesis { finding, reading, weight: 1.05 }

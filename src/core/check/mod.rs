@@ -133,7 +133,7 @@ pub fn check(footage: &Footage, rig: &Rig) -> Check {
             agreeing_percent: None,
             error_px: None,
             mended_px: None,
-            findings: order::findings(footage, camera),
+            findings: order::findings(footage, &rig.cameras, camera),
         })
         .collect();
     let Some(judged) = judge(&scene, &rig.cameras) else {

@@ -1,8 +1,9 @@
 //! What the frames of one camera say by themselves: missing people, repeated or shuffled frames, odd
 //! confidences.
 
-use super::footage::{Footage, Track, median};
+use super::footage::{Footage, Track, median, overlap};
 use super::hypotheses::Finding;
+use crate::core::camera::Camera;
 
 /// A share of frames that equal the one before. Detections of moving images always differ.
 const REPEATED: f64 = 0.3;
@@ -16,10 +17,10 @@ const ALIKE: f64 = 0.75;
 const LEAST_FRAMES: usize = 20;
 
 /// What is wrong with the frames of a camera.
-pub(super) fn findings(footage: &Footage, camera: usize) -> Vec<Finding> {
+pub(super) fn findings(footage: &Footage, cameras: &[Camera], camera: usize) -> Vec<Finding> {
     let track = &footage.tracks[camera];
     let all = [
-        absent(footage, camera),
+        absent(footage, cameras, camera),
         disordered(track),
         repeated(track),
         shuffled(track).then(|| {
@@ -31,24 +32,25 @@ pub(super) fn findings(footage: &Footage, camera: usize) -> Vec<Finding> {
     all.into_iter().flatten().collect()
 }
 
-fn absent(footage: &Footage, camera: usize) -> Option<Finding> {
-    let track = &footage.tracks[camera];
-    let Some([first, last]) = track.span else {
+fn absent(footage: &Footage, cameras: &[Camera], camera: usize) -> Option<Finding> {
+    let spans = footage.spans(cameras);
+    let Some(own) = spans[camera] else {
         return Some(Finding::new("no_frames", "it has no frames", "record or import them"));
     };
-    if track.frames.iter().all(|frame| frame.people.is_empty()) {
+    let others = spans.iter().enumerate().filter(|(other, _)| *other != camera);
+    let others = || others.clone().filter_map(|(_, span)| *span);
+    if others().all(|other| !overlap(own, other)) {
+        let mut away: Vec<f64> = others().map(|[start, _]| own[0].seconds_since(start)).collect();
+        if let Some(seconds) = median(&mut away) {
+            let what = format!("its capture times are {seconds:+.3} s from those of the others");
+            return Some(Finding::new("clock", what, "set its clock, or shift its capture times"));
+        }
+    }
+    let frames = &footage.tracks[camera].frames;
+    (!frames.is_empty() && frames.iter().all(|frame| frame.people.is_empty())).then(|| {
         let mend = "check its detector, the keypoint format and what it looks at";
-        return Some(Finding::new("nobody", "it sees nobody in any frame", mend));
-    }
-    let others = footage.tracks.iter().enumerate().filter(|(other, _)| *other != camera);
-    let spans: Vec<_> = others.filter_map(|(_, track)| track.span).collect();
-    if spans.is_empty() || spans.iter().any(|[start, end]| first <= *end && *start <= last) {
-        return None;
-    }
-    let mut away: Vec<f64> = spans.iter().map(|[start, _]| first.seconds_since(*start)).collect();
-    let seconds = median(&mut away)?;
-    let what = format!("its capture times are {seconds:+.3} s from those of the others");
-    Some(Finding::new("clock", what, "set its clock, or shift its capture times"))
+        Finding::new("nobody", "it sees nobody in any frame", mend)
+    })
 }
 
 fn disordered(track: &Track) -> Option<Finding> {

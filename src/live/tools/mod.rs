@@ -8,6 +8,8 @@ pub mod player;
 #[cfg(feature = "cli")]
 pub mod recorder;
 #[cfg(feature = "cli")]
+pub mod room;
+#[cfg(feature = "cli")]
 mod silence;
 #[cfg(feature = "cli")]
 pub mod survey;

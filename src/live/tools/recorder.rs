@@ -7,6 +7,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::room::Room;
 use super::silence::Silence;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::recording::{Provenance, RawEntry, RecordError, Writer};
@@ -16,11 +17,6 @@ use crate::io::wire::{StageChannel, Take, Topic, Topics, valid_name};
 const MARGIN: Nanos = Nanos::SECOND;
 /// Most inputs that are kept for the next take.
 const MOST_RECENT: usize = 65_536;
-/// Recording stops when the disk has less room, bytes: enough for the end of the files.
-const LEAST_ROOM: u64 = 64 << 20;
-/// A warning is given when the disk has room for less than this time, or for fewer bytes.
-const WARN_SECONDS: u64 = 600;
-const WARN_ROOM: u64 = 256 << 20;
 
 /// Counts of recorded messages.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -64,12 +60,18 @@ impl Open {
     }
 }
 
-/// The take that is recorded.
+/// A take that is recorded.
 struct Running {
     name: String,
     file: Open,
-    /// The command that ended it, and when its file ends.
-    ends: Option<(u64, Timestamp)>,
+}
+
+/// A take after its end, until its file is complete.
+struct Ending {
+    file: Open,
+    until: Timestamp,
+    /// The command that ended it; `None`: the next take began, or the recording ended.
+    command: Option<u64>,
 }
 
 /// Something to say or to answer.
@@ -88,15 +90,16 @@ pub(crate) struct Recorder {
     folder: PathBuf,
     all: Option<Open>,
     take: Option<Running>,
+    ending: Vec<Ending>,
+    /// Messages on topics above the limit, of all complete takes.
+    skipped: u64,
     rig: Option<RawEntry>,
     /// The inputs of the last second.
     recent: VecDeque<RawEntry>,
     silence: Silence,
-    /// What is not said again: topics above the limit, little room.
+    room: Room,
+    /// Topics above the limit are not said again.
     is_skipping_said: bool,
-    is_room_said: bool,
-    /// Bytes before the last second.
-    bytes: [u64; 2],
 }
 
 impl Recorder {
@@ -117,22 +120,28 @@ impl Recorder {
             provenance,
             folder: folder.to_owned(),
             take: None,
+            ending: Vec::new(),
+            skipped: 0,
             rig: None,
             recent: VecDeque::new(),
             silence: Silence::default(),
+            room: Room::default(),
             is_skipping_said: false,
-            is_room_said: false,
-            bytes: [0; 2],
         })
+    }
+
+    fn files(&mut self) -> impl Iterator<Item = &mut Open> {
+        let ending = self.ending.iter_mut().map(|ending| &mut ending.file);
+        let take = self.take.iter_mut().map(|take| &mut take.file);
+        self.all.iter_mut().chain(take).chain(ending)
     }
 
     /// Writes a message to the open files.
     pub(crate) fn write(&mut self, entry: RawEntry) -> Result<(), RecordError> {
-        let files = self.all.iter_mut().chain(self.take.iter_mut().map(|take| &mut take.file));
-        for file in files {
+        for file in self.files() {
             file.write(&entry)?;
         }
-        self.bytes[1] += entry.payload.len() as u64;
+        self.room.wrote(entry.payload.len());
         self.silence.came(&entry.topic, entry.log_time);
         match Topic::parse(&entry.topic) {
             Ok(Topic::Stage { channel: StageChannel::Rig, .. }) => self.rig = Some(entry),
@@ -151,44 +160,47 @@ impl Recorder {
 
     /// Handles a slate. The end of a take is answered when its file is complete.
     pub(crate) fn slate(&mut self, take: &Take, now: Timestamp) -> Result<Vec<Said>, RecordError> {
-        let running = self.take.as_ref().filter(|running| running.ends.is_none());
         let is_other = |name: &str| !take.name.is_empty() && take.name != name;
         let refuse = |why: String| Ok(vec![Said::Answer(take.id, Err(why))]);
-        match (take.action.as_str(), running) {
+        match (take.action.as_str(), &self.take) {
             ("start", _) => match valid_name(&take.name) {
-                Ok(()) => self.begin(take),
+                Ok(()) => self.begin(take, now),
                 Err(error) => refuse(error.to_string()),
             },
             ("stop", Some(running)) if is_other(&running.name) => {
                 refuse(format!("take {} is recorded, not {}", running.name, take.name))
             }
-            ("stop", Some(_)) => {
-                self.take.iter_mut().for_each(|run| run.ends = Some((take.id, now + MARGIN)));
+            ("stop", _) => {
+                self.stop(Some(take.id), now);
                 Ok(Vec::new())
             }
             _ => Ok(Vec::new()),
         }
     }
 
-    fn begin(&mut self, take: &Take) -> Result<Vec<Said>, RecordError> {
-        let mut said = self.end_take()?;
+    /// The take ends, and its file after [`MARGIN`].
+    fn stop(&mut self, command: Option<u64>, now: Timestamp) {
+        let stopped = self.take.take();
+        let until = now + MARGIN;
+        self.ending.extend(stopped.map(|Running { file, .. }| Ending { file, until, command }));
+    }
+
+    fn begin(&mut self, take: &Take, now: Timestamp) -> Result<Vec<Said>, RecordError> {
+        self.stop(None, now);
         let path = self.free_path(&take.name);
         let mut provenance = self.provenance.clone();
         provenance.more.insert("take".into(), take.name.clone());
         let writer = match Writer::live(&path, self.topics.clone(), &provenance) {
             Ok(writer) => writer,
-            Err(error) => {
-                said.push(Said::Answer(take.id, Err(error.to_string())));
-                return Ok(said);
-            }
+            Err(error) => return Ok(vec![Said::Answer(take.id, Err(error.to_string()))]),
         };
         let mut file = Open { path, writer, recorded: Recorded::default() };
         for entry in self.rig.iter().chain(&self.recent) {
             file.write(entry)?;
         }
-        said.push(Said::Answer(take.id, Ok(format!("recording to {}", file.path.display()))));
-        self.take = Some(Running { name: take.name.clone(), file, ends: None });
-        Ok(said)
+        let text = format!("recording to {}", file.path.display());
+        self.take = Some(Running { name: take.name.clone(), file });
+        Ok(vec![Said::Answer(take.id, Ok(text))])
     }
 
     /// `NAME.mcap`, or `NAME_2.mcap` and so on if that exists.
@@ -201,20 +213,19 @@ impl Recorder {
         path(file.unwrap_or_default())
     }
 
-    fn end_take(&mut self) -> Result<Vec<Said>, RecordError> {
-        let Some(Running { file, ends, .. }) = self.take.take() else { return Ok(Vec::new()) };
-        let (path, recorded) = file.finish()?;
-        let text = format!("{}: {} messages", path.display(), recorded.messages);
-        Ok(vec![match ends {
-            Some((id, _)) => Said::Answer(id, Ok(text)),
-            None => Said::Warning(format!("the next take began: {text}")),
-        }])
-    }
-
-    /// Ends the take's file if it is time.
+    /// Completes the files whose time has come.
     pub(crate) fn tick(&mut self, now: Timestamp) -> Result<Vec<Said>, RecordError> {
-        let ends = self.take.as_ref().and_then(|take| take.ends);
-        if ends.is_some_and(|(_, at)| now >= at) { self.end_take() } else { Ok(Vec::new()) }
+        let mut said = Vec::new();
+        for Ending { file, command, .. } in self.ending.extract_if(.., |take| now >= take.until) {
+            let (path, recorded) = file.finish()?;
+            self.skipped += recorded.skipped;
+            let text = format!("{}: {} messages", path.display(), recorded.messages);
+            said.push(match command {
+                Some(id) => Said::Answer(id, Ok(text)),
+                None => Said::Warning(format!("nobody stopped the take: {text}")),
+            });
+        }
+        Ok(said)
     }
 
     /// Work that is done once a second: flushes the files, and reports silent streams, skipped
@@ -226,9 +237,8 @@ impl Recorder {
         room: Option<u64>,
     ) -> Result<(Vec<Said>, bool), RecordError> {
         let mut said = Vec::new();
-        let files = self.all.iter_mut().chain(self.take.iter_mut().map(|take| &mut take.file));
         let mut skipped = 0;
-        for file in files {
+        for file in self.files() {
             file.writer.flush()?;
             skipped += file.recorded.skipped;
         }
@@ -239,26 +249,9 @@ impl Recorder {
             )));
         }
         said.extend(self.silence.report(now).map(Said::Warning));
-        let [before, bytes] = self.bytes;
-        self.bytes = [bytes; 2];
-        let rate = bytes - before;
-        let Some(room) = room else { return Ok((said, true)) };
-        let left = room.saturating_sub(LEAST_ROOM);
-        let megabytes = room >> 20;
-        if left == 0 {
-            let text = format!("{megabytes} MB of room on the disk, recording stops");
-            said.push(Said::Warning(text));
-            return Ok((said, false));
-        }
-        let is_little = left < WARN_ROOM.max(rate * WARN_SECONDS);
-        if is_little && !std::mem::replace(&mut self.is_room_said, true) {
-            let minutes = left / rate.max(1) / 60;
-            said.push(Said::Warning(format!(
-                "{megabytes} MB of room on the disk, for about {minutes} minutes; make room"
-            )));
-        }
-        self.is_room_said &= is_little;
-        Ok((said, true))
+        let (warning, goes_on) = self.room.report(room);
+        said.extend(warning.map(Said::Warning));
+        Ok((said, goes_on))
     }
 
     /// Counts of the file of everything, or else of the take.
@@ -267,18 +260,15 @@ impl Recorder {
         file.map(|file| file.recorded.clone()).unwrap_or_default()
     }
 
-    /// Completes all files; returns the counts of the file of everything.
+    /// Completes all files; returns the counts of the file of everything. Without one, what was
+    /// skipped is that of all takes.
     pub(crate) fn finish(mut self) -> Result<(Recorded, Vec<Said>), RecordError> {
-        let said = self.end_take()?;
+        self.stop(None, Timestamp::default());
+        let said = self.tick(Timestamp::from_ns(i64::MAX))?;
+        let takes = Recorded { skipped: self.skipped, ..Recorded::default() };
         let recorded = self.all.map(Open::finish).transpose()?;
-        Ok((recorded.map(|(_, recorded)| recorded).unwrap_or_default(), said))
+        Ok((recorded.map_or(takes, |(_, recorded)| recorded), said))
     }
-}
-
-/// Bytes that may still be written on the disk of that folder, if the system says so.
-pub(crate) fn room(folder: &Path) -> Option<u64> {
-    let stat = rustix::fs::statvfs(folder).ok()?;
-    Some(stat.f_bavail.saturating_mul(stat.f_frsize))
 }
 
 #[cfg(test)]
@@ -356,6 +346,33 @@ mod tests {
     }
 
     #[test]
+    fn a_take_has_its_last_second_although_the_next_one_begins() {
+        let (folder, mut recorder) = recorder();
+        let mut said = Vec::new();
+        for i in 0..50 {
+            let now = at(0.1 * f64::from(i));
+            let command = match i {
+                0 => slate("start", "a"),
+                5 => slate("start", "b"),
+                20 => slate("stop", "b"),
+                23 => slate("start", "b"),
+                _ => slate("", ""),
+            };
+            said.extend(recorder.slate(&command, now).unwrap());
+            recorder.write(entry(&Topics::default().pose(), 0.1 * f64::from(i))).unwrap();
+            said.extend(recorder.tick(now).unwrap());
+        }
+        said.extend(recorder.finish().unwrap().1);
+        let poses = |file: &str| {
+            let mut reader = Reader::open(folder.path().join(file)).unwrap();
+            std::iter::from_fn(|| reader.next_raw()).count()
+        };
+        assert_eq!(["a.mcap", "b.mcap", "b_2.mcap"].map(poses), [16, 26, 27]);
+        let is_warning = |said: &&Said| matches!(said, Said::Warning(_));
+        assert_eq!((said.len(), said.iter().filter(is_warning).count()), (6, 2), "{said:?}");
+    }
+
+    #[test]
     fn topics_above_the_limit_are_counted_and_said_once() {
         let (_folder, mut recorder) = recorder();
         recorder.slate(&slate("start", "walk"), at(0.0)).unwrap();
@@ -367,25 +384,9 @@ mod tests {
         let said = recorder.second(at(1.0), None).unwrap().0;
         assert!(matches!(&said[..], [Said::Warning(text)] if text.contains("16384")), "{said:?}");
         assert!(recorder.second(at(2.0), None).unwrap().0.is_empty());
-        recorder.finish().unwrap();
-    }
-
-    #[test]
-    fn silence_and_little_room_are_said_once_and_a_full_disk_stops() {
-        let (_folder, mut recorder) = recorder();
-        let topic = Topics::default().keypoints("a");
-        let said = |recorder: &mut Recorder, seconds: f64, megabytes: u64| {
-            let (said, goes_on) = recorder.second(at(seconds), Some(megabytes << 20)).unwrap();
-            (said.len(), goes_on)
-        };
-        recorder.write(entry(&topic, 0.0)).unwrap();
-        assert_eq!(said(&mut recorder, 2.0, 5000), (0, true));
-        assert_eq!(said(&mut recorder, 4.0, 5000), (1, true), "silent");
-        assert_eq!(said(&mut recorder, 5.0, 5000), (0, true), "said before");
-        recorder.write(entry(&topic, 6.0)).unwrap();
-        assert_eq!(said(&mut recorder, 10.0, 5000), (1, true), "silent again");
-        assert_eq!(said(&mut recorder, 11.0, 300), (1, true), "little room");
-        assert_eq!(said(&mut recorder, 12.0, 299), (0, true), "said before");
-        assert_eq!(said(&mut recorder, 13.0, 60), (1, false), "full");
+        // Also those of a take that is over.
+        recorder.slate(&slate("stop", ""), at(2.0)).unwrap();
+        assert_eq!(recorder.tick(at(4.0)).unwrap().len(), 1);
+        assert_eq!(recorder.finish().unwrap().0.skipped, 10);
     }
 }

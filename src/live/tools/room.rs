@@ -1,0 +1,70 @@
+//! Room on the disk of a recording.
+
+use std::path::Path;
+
+/// Recording stops when the disk has less room, bytes: enough for the end of the files.
+const LEAST_ROOM: u64 = 64 << 20;
+/// A warning is given when the disk has room for less than this time, or for fewer bytes.
+const WARN_SECONDS: u64 = 600;
+const WARN_ROOM: u64 = 256 << 20;
+
+/// What was written in the last second, and whether little room was reported.
+#[derive(Default)]
+pub(super) struct Room {
+    bytes: u64,
+    is_said: bool,
+}
+
+impl Room {
+    pub(super) fn wrote(&mut self, bytes: usize) {
+        self.bytes += bytes as u64;
+    }
+
+    /// Once a second, with the `room` on the disk, bytes: a warning if it is little, and whether there
+    /// is enough to go on.
+    pub(super) fn report(&mut self, room: Option<u64>) -> (Option<String>, bool) {
+        let rate = std::mem::take(&mut self.bytes);
+        let Some(room) = room else { return (None, true) };
+        let left = room.saturating_sub(LEAST_ROOM);
+        let megabytes = room >> 20;
+        if left == 0 {
+            return (Some(format!("{megabytes} MB of room on the disk, recording stops")), false);
+        }
+        let is_little = left < WARN_ROOM.max(rate * WARN_SECONDS);
+        let is_new = is_little && !self.is_said;
+        self.is_said = is_little;
+        let minutes = left / rate.max(1) / 60;
+        let text = || {
+            format!("{megabytes} MB of room on the disk, for about {minutes} minutes; make room")
+        };
+        (is_new.then(text), true)
+    }
+}
+
+/// Bytes that may still be written on the disk of that folder, if the system says so.
+pub(crate) fn room(folder: &Path) -> Option<u64> {
+    let stat = rustix::fs::statvfs(folder).ok()?;
+    Some(stat.f_bavail.saturating_mul(stat.f_frsize))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn little_room_is_said_once_and_a_full_disk_stops() {
+        let mut room = Room::default();
+        let mut said = |bytes: usize, megabytes: u64| {
+            room.wrote(bytes);
+            let (said, goes_on) = room.report(Some(megabytes << 20));
+            (said.is_some(), goes_on)
+        };
+        assert_eq!(said(1000, 5000), (false, true));
+        assert_eq!(said(1000, 300), (true, true));
+        assert_eq!(said(1000, 299), (false, true), "said before");
+        assert_eq!(said(1000, 5000), (false, true));
+        assert_eq!(said(10 << 20, 5000), (true, true), "not for ten minutes");
+        assert_eq!(said(1000, 60), (true, false), "full");
+        assert_eq!(room.report(None), (None, true));
+    }
+}
