@@ -1,6 +1,5 @@
 //! What `run` says about its cameras: where they send if the node hears none, and whether they fit.
 
-use std::sync::Weak;
 use std::time::{Duration, Instant};
 
 use super::clock::ATTENTION;
@@ -22,13 +21,13 @@ const FRAMES: usize = 300;
 const LEAST: Duration = Duration::from_secs(5);
 const CHANCE: Duration = Duration::from_secs(30);
 
-/// Looks after the cameras of a node until it is over or the bus is closed. Its thread gives way to all
-/// others. A running check holds no bus: nothing has to wait for its end.
+/// Looks after the cameras of a node until it is over. Its thread gives way to all others. It ends soon
+/// after: a running check, which may take seconds, has a thread of its own that nothing waits for.
 ///
 /// # Errors
 /// The bus refuses a subscription.
 pub(super) fn look(
-    bus: &Weak<dyn Bus>,
+    bus: &dyn Bus,
     topics: &Topics,
     node: &Monitor,
     is_over: impl Fn() -> bool,
@@ -52,8 +51,14 @@ pub(super) fn look(
         let Ok(rig) = rig else { continue };
         let goes_on = || !is_over() && node.rig().as_ref() == Some(&bytes);
         if let Some(footage) = watch(bus, topics, &rig, goes_on)? {
-            let check = check(&footage, &rig);
-            if !is_over() {
+            let check = std::thread::spawn(move || check(&footage, &rig));
+            while !check.is_finished() {
+                if is_over() {
+                    return Ok(());
+                }
+                std::thread::sleep(ATTENTION);
+            }
+            if let Ok(check) = check.join() {
                 say(&check);
             }
             judged = Some(bytes);
@@ -63,9 +68,8 @@ pub(super) fn look(
 }
 
 /// Says what is on the bus while no camera sends on this stage.
-fn search(bus: &Weak<dyn Bus>, stage: &str, is_over: impl Fn() -> bool) -> Result<(), BusError> {
-    let Some(bus) = bus.upgrade() else { return Ok(()) };
-    let seen = survey(&*bus, SURVEY, || !is_over())?;
+fn search(bus: &dyn Bus, stage: &str, is_over: impl Fn() -> bool) -> Result<(), BusError> {
+    let seen = survey(bus, SURVEY, || !is_over())?;
     if is_over() || seen.keys().any(|(of, _)| of == stage) {
         return Ok(());
     }
@@ -83,15 +87,12 @@ fn search(bus: &Weak<dyn Bus>, stage: &str, is_over: impl Fn() -> bool) -> Resul
 
 /// What the cameras send, enough to judge them; `None` if it does not go on for long enough.
 fn watch(
-    bus: &Weak<dyn Bus>,
+    bus: &dyn Bus,
     topics: &Topics,
     rig: &Rig,
     goes_on: impl Fn() -> bool,
 ) -> Result<Option<Footage>, BusError> {
-    let Some(inbox) = bus.upgrade().map(|bus| Inbox::open(&*bus, &topics.keypoints("*"))) else {
-        return Ok(None);
-    };
-    let inbox = inbox?;
+    let inbox = Inbox::open(bus, &topics.keypoints("*"))?;
     let begin = Instant::now();
     let mut footage = Footage::new(rig.cameras.len());
     let mut with_people = vec![0; rig.cameras.len()];

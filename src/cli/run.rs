@@ -121,17 +121,18 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     });
     let running = Node::start(Arc::clone(&bus), presence, core, solver, &config.node, solver_core)?;
     say_hello(&config, &running);
-    let over = Arc::new(AtomicBool::new(false));
-    let (there, is_over) = (Arc::downgrade(&bus), Arc::clone(&over));
-    let (names, node) = (topics(&config), running.monitor());
-    std::thread::spawn(move || {
-        if let Err(error) = look(&there, &names, &node, || is_over.load(Ordering::Relaxed)) {
-            tracing::warn!("cannot look after the cameras: {error}");
-        }
+    let (node, over) = (running.monitor(), AtomicBool::new(false));
+    let why = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            let is_over = || over.load(Ordering::Relaxed);
+            if let Err(error) = look(&*bus, &topics(&config), &node, is_over) {
+                tracing::warn!("cannot look after the cameras: {error}");
+            }
+        });
+        let why = wait(&stop, &running, seconds);
+        over.store(true, Ordering::Relaxed);
+        why
     });
-    let why = wait(&stop, &running, seconds);
-    // The thread is not waited for: it may be judging the cameras for seconds.
-    over.store(true, Ordering::Relaxed);
     let elder = running.elder().ok().flatten().map(|elder| running.stand_back(elder));
     tracing::info!("stopping: {why}");
     let status = running.stop()?;
