@@ -51,9 +51,16 @@ impl Part {
     /// The keypoints that are compared: those that the body is fitted to.
     pub(super) const fn compared(self) -> &'static [Keypoint] {
         match self {
-            Self::Upper => {
-                &[K::Nose, K::LEye, K::REye, K::LEar, K::REar, K::HeadTop, K::LShoulder, K::RShoulder]
-            }
+            Self::Upper => &[
+                K::Nose,
+                K::LEye,
+                K::REye,
+                K::LEar,
+                K::REar,
+                K::HeadTop,
+                K::LShoulder,
+                K::RShoulder,
+            ],
             Self::Hips => &[K::LHip, K::RHip],
             Self::LeftArm => &[K::LElbow, K::LWrist],
             Self::RightArm => &[K::RElbow, K::RWrist],
@@ -117,10 +124,12 @@ impl Bounds {
         let mut points = pixels.iter().flatten();
         let first = *points.next()?;
         let start = Self { low: first, high: first };
-        Some(points.fold(start, |all, point| Self {
-            low: all.low.inf(point),
-            high: all.high.sup(point),
-        }))
+        Some(
+            points.fold(start, |all, point| Self {
+                low: all.low.inf(point),
+                high: all.high.sup(point),
+            }),
+        )
     }
 
     /// The longer side.
