@@ -117,12 +117,13 @@ pub(super) fn meeting(a: &Node, b: &Node) -> Option<(f64, Points)> {
     (enough && gap < GAP_M && is_human(&points)).then_some((gap, points))
 }
 
-/// Whether the trunk is seen and as long as a person's, and most bones are.
+/// Whether a side of the trunk is seen, and it and most bones are as long as a person's.
 pub(super) fn is_human(points: &Points) -> bool {
     let at = |keypoint: K| points[keypoint as usize];
-    let middle = |a: K, b: K| Some((at(a)? + at(b)?) / 2.0);
-    let trunk = middle(K::LShoulder, K::RShoulder).zip(middle(K::LHip, K::RHip));
-    if !trunk.is_some_and(|(shoulders, hips)| TRUNK_LENGTH.contains(&(shoulders - hips).norm())) {
+    let side = |shoulder: K, hip: K| Some((at(shoulder)? - at(hip)?).norm());
+    let sides = [side(K::LShoulder, K::LHip), side(K::RShoulder, K::RHip)];
+    let seen = sides.iter().flatten().count() as f64;
+    if !TRUNK_LENGTH.contains(&(sides.iter().flatten().sum::<f64>() / seen)) {
         return false;
     }
     let (mut human, mut all) = (0.0, 0.0);
