@@ -24,6 +24,8 @@ const FAR: f64 = 0.3;
 const SAME_M: f64 = 0.15;
 /// A view should show a person of whom this share of the points lies in the image.
 const IN_IMAGE: f64 = 0.8;
+/// One of so many views that should show a newcomer must do so; the others may be blocked.
+const VIEWS_PER_MEMBER: usize = 3;
 
 /// A person that no performer's expectation fits.
 #[derive(Clone, Debug, PartialEq)]
@@ -179,7 +181,7 @@ impl Search<'_> {
     }
 
     /// The person of a pair, with all views that agree (view and sight). `None` if that is no person,
-    /// or if more of the views that should show it do not than do.
+    /// or if too many of the views that should show it do not.
     fn grow(&self, pair: &Pair) -> Option<(Newcomer, Vec<(usize, usize)>)> {
         let mut points = pair.points;
         let mut members: Vec<(&Node, f64)> = Vec::new();
@@ -194,11 +196,12 @@ impl Search<'_> {
         if !is_human(&points) || points.iter().flatten().count() < LEAST_POINTS {
             return None;
         }
-        let misses = |&view: &usize| {
-            members.iter().all(|(node, _)| node.view != view) && self.misses(view, &points)
-        };
         let support = members.len();
-        if (0..self.views.len()).filter(misses).count() >= support {
+        let is_member = |view: usize| members.iter().any(|(node, _)| node.view == view);
+        let others = (0..self.views.len()).filter(|&view| !is_member(view));
+        let should: Vec<bool> = others.filter_map(|view| self.is_empty_at(view, &points)).collect();
+        let misses = should.iter().filter(|is_empty| **is_empty).count();
+        if misses >= support || support + should.len() > VIEWS_PER_MEMBER * support {
             return None;
         }
         let mut views = vec![Assigned::default(); self.views.len()];
@@ -235,17 +238,16 @@ impl Search<'_> {
         best
     }
 
-    /// Whether a view should show a person, but shows nothing there, not even somebody in front.
-    fn misses(&self, view: usize, points: &Points) -> bool {
+    /// Whether a view shows nobody where a person should be, not even somebody in front. `None` if the
+    /// person is not in the image.
+    fn is_empty_at(&self, view: usize, points: &Points) -> Option<bool> {
         let view = &self.views[view];
         let pixels = view.project(points);
-        let is_inside = |pixel: &&nalgebra::Vector2<f64>| view.camera.contains(pixel);
-        let inside = pixels.iter().flatten().filter(is_inside).count() as f64;
-        let all = points.iter().flatten().count() as f64;
-        let Some(bounds) = Bounds::of(&pixels).filter(|_| inside >= IN_IMAGE * all) else {
-            return false;
-        };
-        !view.sights.iter().any(|sight| sight.bounds.contains(&bounds.middle()))
+        let inside = pixels.iter().flatten().filter(|pixel| view.camera.contains(pixel)).count();
+        let all = points.iter().flatten().count();
+        let middle = Bounds::of(&pixels)?.middle();
+        let is_inside = inside as f64 >= IN_IMAGE * all as f64;
+        is_inside.then(|| !view.sights.iter().any(|sight| sight.bounds.contains(&middle)))
     }
 }
 
