@@ -46,7 +46,6 @@ struct Pair {
     /// Views whose detections agree with both.
     support: usize,
     gap: f64,
-    points: Points,
 }
 
 /// The newcomers among the `free` sights of each view, the best supported first; `performers` are the
@@ -140,10 +139,10 @@ impl Search<'_> {
                 if self.nodes[a].view == self.nodes[b].view {
                     continue;
                 }
-                let Some((gap, points)) = meeting(&self.nodes[a], &self.nodes[b]) else { continue };
+                let Some((gap, _)) = meeting(&self.nodes[a], &self.nodes[b]) else { continue };
                 agree[i][j / 64] |= 1 << (j % 64);
                 agree[j][i / 64] |= 1 << (i % 64);
-                pairs.push(Pair { nodes: [i, j], support: 0, gap, points });
+                pairs.push(Pair { nodes: [i, j], support: 0, gap });
             }
         }
         for pair in &mut pairs {
@@ -183,7 +182,8 @@ impl Search<'_> {
     /// The person of a pair, with all views that agree (view and sight). `None` if that is no person,
     /// or if too many of the views that should show it do not.
     fn grow(&self, pair: &Pair) -> Option<(Newcomer, Vec<(usize, usize)>)> {
-        let mut points = pair.points;
+        let [a, b] = pair.nodes.map(|node| &self.nodes[node]);
+        let (_, mut points) = meeting(a, b)?;
         let mut members: Vec<(&Node, f64)> = Vec::new();
         for pass in 0..=REFINEMENTS {
             let wide = if pass == 0 { OF_A_PAIR } else { 1.0 };
