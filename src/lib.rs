@@ -48,7 +48,7 @@
 //!
 //! | module | parts | holds |
 //! |---|---|---|
-//! | [`core`] | `time`, `timecode`, `so3`, `linalg`, `random`, `detections`, `body`, `camera`, `calibration`, `check`, `optimise`, `manifold`, `cost`, `tracker` | the solver: no input or output, no clock |
+//! | [`core`] | `time`, `timecode`, `so3`, `linalg`, `random`, `detections`, `body`, `camera`, `association`, `calibration`, `check`, `optimise`, `manifold`, `cost`, `tracker` | the solver: no input or output, no clock |
 //! | [`io`] | `wire`, `new_file`, `recording`, `bus`, `formats`, `report` | messages, MCAP files, the bus, other programs' files, the report |
 //! | [`metrics`] | | errors of poses, reprojection, statistics |
 //! | [`retarget`] | | poses on another skeleton |

@@ -1,5 +1,6 @@
 //! The solver, without I/O and without a clock.
 
+pub mod association;
 pub mod body;
 pub mod calibration;
 pub mod camera;

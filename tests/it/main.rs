@@ -1,5 +1,7 @@
 //! Integration tests, one binary. Tests of a feature are built with it.
 
+#[cfg(feature = "research")]
+mod association;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod bus;
 #[cfg(feature = "research")]
