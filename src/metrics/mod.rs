@@ -14,6 +14,7 @@
 //! | jump at borders | [`VelocityJump`]: mean \|v(t+) - v(t-)\| at window borders, less that of the true motion there | m/s |
 //! | foot skate | [`foot_skate`]: mean horizontal speed of ankles and feet whose true speed and height mean contact | mm/s |
 //! | floor | [`Floor`]: median height of standing feet | m |
+//! | several performers | [`PerformerScores`]: MOTA, identity switches, recall, precision, PCP | %, count |
 //! | drift | [`slope_interval`] of the frames' mean e over time | mm/min |
 //!
 //! Means over several recordings have the intervals of [`mean_interval`].
@@ -25,6 +26,7 @@ mod floor;
 mod limbs;
 mod markers;
 mod motion;
+mod performers;
 mod pose_errors;
 mod reprojection;
 pub mod statistics;
@@ -39,6 +41,7 @@ pub use floor::Floor;
 pub use limbs::{LIMB_JOINTS, LimbErrors, SPEEDS_M_S, limb_errors, limb_joints};
 pub use markers::{COMPARED, MarkerDistance, MarkerDistances, MarkerPositions};
 pub use motion::{VelocityJump, velocity_jump, velocity_jumps};
+pub use performers::{JointPositions, PerformerScore, PerformerScores, PerformerSums};
 pub use pose_errors::{
     MeanAcceleration, PoseErrorSums, PoseErrors, acceleration_error, mean_acceleration, pose_errors,
 };

@@ -8,10 +8,10 @@ const STEPS: f64 = 1e9;
 
 /// A pair that may be matched, and what that gains; above 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Edge {
-    pub(super) row: usize,
-    pub(super) column: usize,
-    pub(super) gain: f64,
+pub(crate) struct Edge {
+    pub(crate) row: usize,
+    pub(crate) column: usize,
+    pub(crate) gain: f64,
 }
 
 /// The column of each row, so that the sum of the gains is largest. A row or column without a good
@@ -19,7 +19,7 @@ pub(super) struct Edge {
 ///
 /// Each connected component is solved by itself (Kuhn and Munkres), so that the cost grows with the
 /// number of components, not with its cube.
-pub(super) fn matching(rows: usize, columns: usize, edges: &[Edge]) -> Vec<Option<usize>> {
+pub(crate) fn matching(rows: usize, columns: usize, edges: &[Edge]) -> Vec<Option<usize>> {
     let mut matched = vec![None; rows];
     let mut parent: Vec<usize> = (0..rows + columns).collect();
     for edge in edges {
