@@ -11,7 +11,7 @@ use crate::io::wire::{
 /// The main fields of a message; `None` for an unknown schema. `arrival` is the time of arrival.
 pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {
     Some(match message {
-        Message::Keypoints(frame) => keypoints(frame, arrival),
+        Message::Keypoints(frame) | Message::ActorKeypoints(frame) => keypoints(frame, arrival),
         Message::Rig(rig) => {
             let names: Vec<&str> = rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
             format!("version {}, {} cameras: {}", rig.version, names.len(), names.join(", "))

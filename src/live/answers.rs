@@ -74,7 +74,7 @@ impl Core {
     /// Declares a longer latency if frames stay later than it allows.
     pub(super) fn raise_latency(&mut self) {
         let [lasting, most] = self.clock.lasting_delay();
-        let Some(times) = self.latency_times(most) else { return };
+        let Some(times) = self.latency_times(most + self.clock.growth()) else { return };
         let config = self.settings.tracker;
         let found = self.latency.raise(lasting, times, &config);
         self.declare(found);
@@ -82,7 +82,8 @@ impl Core {
 
     /// Declares a shorter latency if that would have done for long; called once a second.
     pub(super) fn lower_latency(&mut self) {
-        let Some(times) = self.latency_times(self.clock.delay()) else { return };
+        let delay = self.clock.delay() + self.clock.growth();
+        let Some(times) = self.latency_times(delay) else { return };
         let found = self.latency.lower(times, &self.settings.tracker);
         self.declare(found);
     }

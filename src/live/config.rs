@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::core::limits::{Limit, OutOfRange, check};
 use crate::core::tracker::Latency;
 use crate::io::formats::Up;
+use crate::io::wire::Topics;
 
 /// Settings of the live node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -14,6 +15,9 @@ pub struct Config {
     pub stage: String,
     /// Name of the performer, part of all topics that belong to the performer.
     pub actor: String,
+    /// Whether the node reads the keypoints of its performer alone, which an associating node publishes,
+    /// in place of the cameras'.
+    pub associated: bool,
     /// Calibration file, read at the start and at each change. Empty: calibration from the bus.
     pub rig: String,
     /// The axis of that file's world that points up.
@@ -46,6 +50,7 @@ impl Default for Config {
         Self {
             stage: "stage".into(),
             actor: "actor".into(),
+            associated: false,
             rig: String::new(),
             rig_up: Up::default(),
             body: String::new(),
@@ -62,6 +67,14 @@ impl Default for Config {
 }
 
 impl Config {
+    /// The topic of the keypoints of a camera that the node reads.
+    pub fn keypoints(&self, topics: &Topics, camera: &str) -> String {
+        match self.associated {
+            true => topics.actor_keypoints(camera),
+            false => topics.keypoints(camera),
+        }
+    }
+
     /// Checks the ranges of all numbers.
     ///
     /// # Errors

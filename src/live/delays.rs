@@ -8,6 +8,10 @@ use crate::core::time::{Nanos, Timestamp};
 /// A camera whose frames come this much later than the median camera's is not waited for.
 const MOST_BEHIND: Nanos = Nanos::from_ms(250);
 
+/// A latency is declared for the drift of this time, and for this much of it.
+const FORESEEN: Nanos = Nanos::from_ms(600_000);
+const MOST_FORESEEN: Nanos = Nanos::from_ms(100);
+
 impl Clock {
     /// Whether delays are to be reviewed: a quarter of a second has begun.
     pub(super) fn takes_review(&mut self) -> bool {
@@ -67,6 +71,15 @@ impl Clock {
         let used = self.cameras.iter().filter(|camera| camera.is_used());
         let slowest = used.filter_map(offset).max();
         slowest.map_or(Nanos::ZERO, |slowest| (slowest - self.base()).max(Nanos::ZERO))
+    }
+
+    /// By how much the delay of the slowest camera will seem to grow in the next ten minutes: its own
+    /// clock falls behind.
+    pub(super) fn growth(&self) -> Nanos {
+        let used = self.cameras.iter().filter(|camera| camera.is_used());
+        let drifts = used.filter_map(CameraClock::drift);
+        let most = drifts.fold(0.0, f64::max) * FORESEEN.seconds();
+        Nanos::rounded(most).min(MOST_FORESEEN)
     }
 
     /// Deviation of each camera's offset from the median of all, seconds: of the smallest ones of ten

@@ -8,7 +8,7 @@ use super::port::{MOST_BYTES, MOST_ORDER_BYTES};
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::tracker::{self, EventKind, Tracker};
-use crate::io::wire::{self, DecodeError, KeypointFrame, StageChannel, Topic};
+use crate::io::wire::{self, ActorChannel, DecodeError, KeypointFrame, StageChannel, Topic};
 
 /// Points further than this many image sizes outside the image are not used.
 const MOST_OUTSIDE: f64 = 2.0;
@@ -29,12 +29,24 @@ impl Core {
                 false => self.slate(payload),
             };
         }
-        if let Ok(Topic::Stage { stage, channel: StageChannel::Keypoints { camera } }) =
-            Topic::parse(topic)
-            && stage == self.topics.stage
-        {
+        if let Some(camera) = self.camera_of(topic) {
             let camera: String = camera.chars().take(MOST_NAME).collect();
             self.keypoints(&camera, payload);
+        }
+    }
+
+    /// The camera of a topic with keypoints that this node reads.
+    fn camera_of<'a>(&self, topic: &'a str) -> Option<&'a str> {
+        let (is_associated, own) = (self.settings.node.associated, &self.topics);
+        match Topic::parse(topic).ok()? {
+            Topic::Stage { stage, channel: StageChannel::Keypoints { camera } } => {
+                (!is_associated && *stage == *own.stage).then_some(camera)
+            }
+            Topic::Actor { stage, actor, channel: ActorChannel::Keypoints { camera } } => {
+                let is_own = *stage == *own.stage && *actor == *own.actor;
+                (is_associated && is_own).then_some(camera)
+            }
+            _ => None,
         }
     }
 

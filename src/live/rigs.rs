@@ -99,7 +99,8 @@ impl Core {
     /// Topics and names of the cameras.
     pub(super) fn camera_topics(&self) -> Vec<(String, String)> {
         let names = self.cameras.iter().map(|camera| camera.name().to_owned());
-        names.map(|name| (self.topics.keypoints(&name), name)).collect()
+        let topic = |camera: &str| self.settings.node.keypoints(&self.topics, camera);
+        names.map(|name| (topic(&name), name)).collect()
     }
 }
 

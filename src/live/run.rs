@@ -130,16 +130,23 @@ impl Node {
             board,
             presence,
         };
-        running.listen(&*bus, &topics, &intake)?;
+        let inputs = [topics.rig(), config.keypoints(&topics, "*"), topics.take()];
+        running.listen(&*bus, inputs, &intake)?;
         Ok(running)
     }
 }
 
 impl Running {
-    fn listen(&mut self, bus: &dyn Bus, topics: &Topics, intake: &Intake) -> Result<(), NodeError> {
+    /// The first of the patterns is the rig's topic.
+    fn listen(
+        &mut self,
+        bus: &dyn Bus,
+        patterns: [String; 3],
+        intake: &Intake,
+    ) -> Result<(), NodeError> {
         let board = Arc::clone(&self.board);
-        self.rig_answer = bus.answer(&topics.rig(), Box::new(move || board.rig()))?;
-        for pattern in [topics.rig(), topics.keypoints("*"), topics.take()] {
+        self.rig_answer = bus.answer(&patterns[0], Box::new(move || board.rig()))?;
+        for pattern in patterns {
             let intake = intake.clone();
             let sink = move |sample: crate::io::bus::Sample| {
                 intake.push(Message { topic: sample.topic, payload: sample.payload });

@@ -8,7 +8,7 @@ use serde::{Serialize, Serializer};
 use crate::core::time::Timestamp;
 use crate::io::wire::{
     DecodeError, ENCODING, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig,
-    Skeleton, Status, Take, TakeAnswer, decode, is_truth,
+    Skeleton, Status, Take, TakeAnswer, Topic, decode, is_truth,
 };
 
 /// A message of a recording.
@@ -47,6 +47,8 @@ pub struct RawEntry {
 pub enum Message {
     /// 2D keypoints of one image.
     Keypoints(KeypointFrame),
+    /// Keypoints of a camera with one performer alone.
+    ActorKeypoints(KeypointFrame),
     /// Calibrated cameras.
     Rig(Rig),
     /// A solved pose.
@@ -160,16 +162,22 @@ impl Message {
         data: &[u8],
     ) -> Result<Self, DecodeError> {
         match Kind::of_schema(schema).filter(|_| encoding == ENCODING) {
-            Some(kind) => Self::of_kind(kind, is_truth(topic), data),
+            Some(kind) => Self::of_kind(kind, topic, data),
             None => Ok(Self::Other { schema: schema.to_owned(), data: data.to_owned() }),
         }
     }
 
-    fn of_kind(kind: Kind, truth: bool, data: &[u8]) -> Result<Self, DecodeError> {
+    fn of_kind(kind: Kind, topic: &str, data: &[u8]) -> Result<Self, DecodeError> {
+        let truth = is_truth(topic);
         Ok(match kind {
-            Kind::Keypoints => Self::Keypoints(checked(data, |frame: &KeypointFrame| {
-                frame.to_core(|_| Some(0)).map(drop)
-            })?),
+            Kind::Keypoints => {
+                let check = |frame: &KeypointFrame| frame.to_core(|_| Some(0)).map(drop);
+                let frame = checked(data, check)?;
+                match Topic::parse(topic) {
+                    Ok(Topic::Actor { .. }) => Self::ActorKeypoints(frame),
+                    _ => Self::Keypoints(frame),
+                }
+            }
             Kind::Rig => Self::Rig(checked(data, |rig: &Rig| rig.to_core().map(drop))?),
             Kind::Pose => {
                 let pose = checked(data, |pose: &Pose| {

@@ -7,6 +7,7 @@
 //! | `mocap/{stage}/camera/{camera}/keypoints` | `KeypointFrame` |
 //! | `mocap/{stage}/take` | `Take` |
 //! | `mocap/{stage}/take/answers` | `TakeAnswer` |
+//! | `mocap/{stage}/actor/{actor}/keypoints/{camera}` | `KeypointFrame` with the performer alone |
 //! | `mocap/{stage}/actor/{actor}/skeleton` | `Skeleton` |
 //! | `mocap/{stage}/actor/{actor}/status` | `Status` |
 //! | `mocap/{stage}/actor/{actor}/events` | `Event` that concerns the performer |
@@ -71,6 +72,11 @@ pub enum StageChannel<'a> {
 /// Kinds of topics that belong to one performer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ActorChannel<'a> {
+    /// The performer's 2D keypoints in one camera.
+    Keypoints {
+        /// Name of the camera.
+        camera: &'a str,
+    },
     /// The body.
     Skeleton,
     /// Counters of the node.
@@ -156,6 +162,7 @@ impl<'a> Topic<'a> {
                 ActorChannel::Pose
                 | ActorChannel::Provisional
                 | ActorChannel::Retargeted { .. }
+                | ActorChannel::Keypoints { .. }
                 | ActorChannel::Truth
                 | ActorChannel::TruthSkeleton => None,
             },
@@ -218,14 +225,19 @@ impl<'a> ActorChannel<'a> {
             "truth" => Self::Truth,
             "truth/skeleton" => Self::TruthSkeleton,
             _ => {
-                let name = text.strip_prefix("retargeted/")?;
-                return (!name.contains('/')).then_some(Self::Retargeted { name });
+                let (kind, name) = text.split_once('/').filter(|(_, name)| !name.contains('/'))?;
+                return match kind {
+                    "retargeted" => Some(Self::Retargeted { name }),
+                    "keypoints" => Some(Self::Keypoints { camera: name }),
+                    _ => None,
+                };
             }
         })
     }
 
     fn schema(&self) -> &'static str {
         match self {
+            Self::Keypoints { .. } => KeypointFrame::FULL_NAME,
             Self::Skeleton | Self::TruthSkeleton => Skeleton::FULL_NAME,
             Self::Status => Status::FULL_NAME,
             Self::Events => Event::FULL_NAME,
@@ -271,6 +283,7 @@ impl fmt::Display for ActorChannel<'_> {
             Self::Provisional => "pose/provisional",
             Self::Journal => "journal",
             Self::Retargeted { name } => return write!(to, "retargeted/{name}"),
+            Self::Keypoints { camera } => return write!(to, "keypoints/{camera}"),
             Self::Truth => "truth",
             Self::TruthSkeleton => "truth/skeleton",
         })
@@ -335,6 +348,11 @@ impl Topics {
     /// Topic of [`KeypointFrame`], one per camera.
     pub fn keypoints(&self, camera: &str) -> String {
         self.of_stage(StageChannel::Keypoints { camera })
+    }
+
+    /// Topic of [`KeypointFrame`] with the performer alone, one per camera.
+    pub fn actor_keypoints(&self, camera: &str) -> String {
+        self.of_actor(ActorChannel::Keypoints { camera })
     }
 
     /// Topic of [`Rig`].
@@ -461,6 +479,7 @@ mod tests {
             of_stage("mocap/s/camera/c/keypoints", StageChannel::Keypoints { camera: "c" }),
             of_stage("mocap/s/take", StageChannel::Take),
             of_stage("mocap/s/take/answers", StageChannel::TakeAnswers),
+            of_actor("mocap/s/actor/a/keypoints/c", ActorChannel::Keypoints { camera: "c" }),
             of_actor("mocap/s/actor/a/skeleton", ActorChannel::Skeleton),
             of_actor("mocap/s/actor/a/status", ActorChannel::Status),
             of_actor("mocap/s/actor/a/events", ActorChannel::Events),
@@ -508,6 +527,8 @@ mod tests {
             "mocap/s/actor/a/retargeted/",
             "mocap/s/actor/a/retargeted/r/t",
             "mocap/s/actor/a/pose/final",
+            "mocap/s/actor/a/keypoints",
+            "mocap/s/actor/a/keypoints/c/d",
             "other/s/rig",
         ] {
             let error = Topic::parse(text).unwrap_err();

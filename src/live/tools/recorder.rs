@@ -11,7 +11,7 @@ use super::room::Room;
 use super::silence::Silence;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::recording::{Provenance, RawEntry, RecordError, Writer};
-use crate::io::wire::{StageChannel, Take, Topic, Topics, valid_name};
+use crate::io::wire::{ActorChannel, StageChannel, Take, Topic, Topics, valid_name};
 
 /// Inputs of this time before a take are in its file, and messages of this time after it.
 const MARGIN: Nanos = Nanos::SECOND;
@@ -145,7 +145,10 @@ impl Recorder {
         self.silence.came(&entry.topic, entry.log_time);
         match Topic::parse(&entry.topic) {
             Ok(Topic::Stage { channel: StageChannel::Rig, .. }) => self.rig = Some(entry),
-            Ok(Topic::Stage { channel: StageChannel::Keypoints { .. }, .. }) => {
+            Ok(
+                Topic::Stage { channel: StageChannel::Keypoints { .. }, .. }
+                | Topic::Actor { channel: ActorChannel::Keypoints { .. }, .. },
+            ) => {
                 let from = entry.log_time - MARGIN;
                 self.recent.push_back(entry);
                 let is_old = |first: &RawEntry| first.log_time < from;
