@@ -49,8 +49,8 @@ struct Member {
 }
 
 /// What happened to a performer, by number from 0.
-#[derive(Clone, Debug)]
-pub(super) enum Change {
+#[derive(Clone, Debug, PartialEq)]
+pub enum Change {
     /// A new performer.
     Entered(usize),
     /// A performer who was lost is there again.
