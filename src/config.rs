@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::core::limits::OutOfRange;
+use crate::core::stage;
 use crate::core::timecode::{House, TimecodeError};
 use crate::core::tracker;
 use crate::io::bus;
@@ -16,6 +17,8 @@ use crate::live;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
+    /// The stage.
+    pub stage: stage::Config,
     /// The tracker.
     pub tracker: tracker::Config,
     /// The live node.

@@ -48,7 +48,7 @@
 //!
 //! | module | parts | holds |
 //! |---|---|---|
-//! | [`core`] | `time`, `timecode`, `so3`, `linalg`, `random`, `detections`, `body`, `camera`, `association`, `calibration`, `check`, `optimise`, `manifold`, `cost`, `tracker` | the solver: no input or output, no clock |
+//! | [`core`] | `time`, `timecode`, `so3`, `linalg`, `random`, `detections`, `body`, `camera`, `association`, `calibration`, `check`, `optimise`, `manifold`, `cost`, `tracker`, `stage` | the solver: no input or output, no clock |
 //! | [`io`] | `wire`, `new_file`, `recording`, `bus`, `formats`, `report` | messages, MCAP files, the bus, other programs' files, the report |
 //! | [`metrics`] | | errors of poses, reprojection, statistics |
 //! | [`retarget`] | | poses on another skeleton |
@@ -67,6 +67,8 @@
 //!   Motion Capture from Sparse Multiview Videos. CVMP 2023.
 //! - \[Bell 1990\] Bell, Pedersen, Brand. A comparison of the accuracy of several hip center
 //!   location prediction methods. Journal of Biomechanics 23(6).
+//! - \[Bernardin 2008\] Bernardin, Stiefelhagen. Evaluating multiple object tracking performance:
+//!   the CLEAR MOT metrics. EURASIP Journal on Image and Video Processing.
 //! - \[Boldo 2008\] Boldo, Melquiond. Emulation of a FMA and correctly rounded sums: proved algorithms
 //!   using rounding to odd. IEEE Transactions on Computers 57(4).
 //! - \[Broyden 1965\] Broyden. A class of methods for solving nonlinear simultaneous equations.

@@ -1,5 +1,6 @@
 //! `bundlemocap solve`
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -13,10 +14,11 @@ use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
 use crate::core::manifold::{Decoder, Interpolation};
 use crate::core::optimise::OptimiserKind;
+use crate::core::stage::Performers;
 use crate::io::formats::{Trc, Up, read_calibration};
 use crate::io::recording::last_body;
-use crate::offline::output::FILES;
-use crate::offline::{Observer, Options, Recording, Summary, solve};
+use crate::offline::output::{files, of_performer};
+use crate::offline::{Group, Observer, Options, PerformerSummary, Recording, solve_group};
 
 /// Solve a recording: 2D keypoints in, smooth 3D poses out.
 #[derive(Debug, Args)]
@@ -75,9 +77,13 @@ pub(super) struct Arguments {
     /// estimated.
     #[arg(long, value_name = "FILE")]
     body: Option<PathBuf>,
-    /// Report the distance to these marker positions (y up, frames as in the recording).
-    #[arg(long, value_name = "TRC")]
-    reference: Option<PathBuf>,
+    /// Report the distance to these marker positions (y up, frames as in the recording); with several
+    /// files, that of each performer to the nearest.
+    #[arg(long, value_name = "TRC", value_delimiter = ',')]
+    reference: Vec<PathBuf>,
+    /// How many people are solved: 1 to 32, or auto for all; default: that of the settings, 1.
+    #[arg(long, value_name = "N")]
+    performers: Option<Performers>,
     /// Use the capture times as they are; default: correct those of cameras that are shifted.
     #[arg(long)]
     no_sync: bool,
@@ -121,7 +127,14 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let config = settings(arguments)?;
     let decoder = decoder(arguments.weights.as_deref())?;
     let body = arguments.body.as_deref().map(last_body).transpose()?.map(Arc::new);
-    let reference = arguments.reference.as_deref().map(Trc::read).transpose()?;
+    let references = arguments.reference.iter().map(|path| Trc::read(path));
+    let performers = config.stage.performers;
+    if performers.limit() > 1 && body.is_some() {
+        return Err(Failure::new(
+            Exit::Usage,
+            "--body is of one performer; leave out --performers",
+        ));
+    }
     let mut recording = Recording::open(&arguments.file)?;
     if let Some(rig) = &arguments.rig {
         recording = recording.with_rig(read_calibration(rig, arguments.up)?)?;
@@ -134,7 +147,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         decoder: Some(decoder),
         cameras: arguments.cameras.clone(),
         hold_out: arguments.hold_out.clone(),
-        reference,
+        references: references.collect::<Result<_, _>>()?,
+        performers,
         body,
         out: Some(arguments.out.clone()),
         overwrite: arguments.overwrite,
@@ -142,11 +156,17 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         config_toml: Some(config.to_toml()),
     };
     let mut progress = Progress(progress(options.passes() * recording.messages(), "messages"));
-    let summary = solve(&mut recording, &options, &mut progress)?;
+    let group = solve_group(&mut recording, &options, &mut progress)?;
     progress.0.finish_and_clear();
-    times.beside(&arguments.out.join("poses.bvh"), span.map(|[start, _]| start))?;
-    tell(arguments, &summary)?;
-    Ok(ended(arguments, &summary))
+    let names: Vec<String> = group.performers.iter().map(|one| one.performer.clone()).collect();
+    for name in &names {
+        let bvh = arguments.out.join(of_performer(name, performers, "bvh"));
+        times.beside(&bvh, span.map(|[start, _]| start))?;
+    }
+    let files = files(&names, performers).join(", ");
+    tell(arguments, &group, performers, &files)?;
+    let ended = group.performers.iter().map(|one| ended(arguments, performers, one));
+    Ok(ended.reduce(|all, one| if one == Exit::Done { all } else { one }).unwrap_or(Exit::Done))
 }
 
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
@@ -154,6 +174,7 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     if let Some(fps) = arguments.fps {
         config.tracker.frame_rate_hz = frame_rate_option(fps)?;
     }
+    config.stage.performers = arguments.performers.unwrap_or(config.stage.performers);
     match arguments.interpolation {
         Some(InterpolationName::Slerp) => config.tracker.cost.interpolation = Interpolation::Slerp,
         Some(InterpolationName::Lerp) => config.tracker.cost.interpolation = Interpolation::Lerp,
@@ -181,24 +202,44 @@ pub(super) fn decoder(weights: Option<&Path>) -> Result<Decoder, Failure> {
     Decoder::from_bytes(&bytes).map_err(|error| Failure::weights(path, &error))
 }
 
-fn tell(arguments: &Arguments, summary: &Summary) -> Result<(), Failure> {
-    for text in &summary.notes {
-        complain("note", text);
+fn tell(
+    arguments: &Arguments,
+    group: &Group,
+    performers: Performers,
+    files: &str,
+) -> Result<(), Failure> {
+    let several = performers.limit() > 1;
+    let mut notes: Vec<&String> =
+        group.performers.iter().flat_map(|one| &one.summary.notes).collect();
+    let mut seen = BTreeSet::new();
+    notes.retain(|note| seen.insert(*note));
+    notes.into_iter().for_each(|note| complain("note", note));
+    if group.others > 0 {
+        let people = if group.others == 1 { "person was" } else { "people were" };
+        complain("note", &format!("{} more {people} seen, not solved", group.others));
     }
     if arguments.json {
-        let text = serde_json::to_string_pretty(summary);
+        let text = match group.performers.first() {
+            Some(only) if !several => serde_json::to_string_pretty(&only.summary),
+            _ => serde_json::to_string_pretty(group),
+        };
         say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
         return Ok(());
     }
-    let mut rows = summary.rows();
+    let mut rows = match group.performers.first() {
+        Some(only) if !several => only.summary.rows(),
+        _ => group.rows(),
+    };
     let out = arguments.out.join("");
-    rows.push(("written to".into(), format!("{}: {}", out.display(), FILES.join(", "))));
+    rows.push(("written to".into(), format!("{}: {files}", out.display())));
     say(&table(&rows));
     Ok(())
 }
 
 /// Done, or partly done with a warning.
-fn ended(arguments: &Arguments, summary: &Summary) -> Exit {
+fn ended(arguments: &Arguments, performers: Performers, one: &PerformerSummary) -> Exit {
+    let PerformerSummary { performer, summary } = one;
+    let of = if performers.limit() > 1 { format!("{performer}: ") } else { String::new() };
     let without = summary.windows_without_performer;
     let mut parts = Vec::new();
     if summary.lost > 0 || without > 0 {
@@ -216,6 +257,6 @@ fn ended(arguments: &Arguments, summary: &Summary) -> Exit {
     if parts.is_empty() {
         return Exit::Done;
     }
-    complain("warning", &format!("{}: {}", arguments.file.display(), parts.join("; ")));
+    complain("warning", &format!("{}: {of}{}", arguments.file.display(), parts.join("; ")));
     Exit::InPart
 }

@@ -14,6 +14,7 @@ pub mod manifold;
 pub mod optimise;
 pub mod random;
 pub mod so3;
+pub mod stage;
 pub mod time;
 pub mod timecode;
 pub mod tracker;

@@ -1,43 +1,55 @@
-//! Drives the tracker with a recording; jobs are solved at once, on this thread.
+//! Drives the stage with a recording; jobs are solved at once, on this thread.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::Error;
 use crate::core::body::Skeleton;
+use crate::core::stage::Stage;
 use crate::core::tracker::{Input, Output, Solver, Task, Tracker};
 
-/// The tracker and its solver.
+/// The stage and its solver.
 pub(crate) struct Driver {
-    tracker: Tracker,
+    stage: Stage,
     solver: Solver,
     /// Solve time of the last window.
     pub(crate) window_solve: Duration,
 }
 
 impl Driver {
-    pub(crate) fn new(tracker: Tracker, solver: Solver) -> Self {
-        Self { tracker, solver, window_solve: Duration::ZERO }
+    pub(crate) fn new(stage: Stage, solver: Solver) -> Self {
+        Self { stage, solver, window_solve: Duration::ZERO }
     }
 
-    /// The body with the newest keypoint offsets.
-    pub(crate) fn skeleton(&self) -> Option<Arc<Skeleton>> {
-        self.tracker.skeleton().cloned()
+    /// A performer's body with the newest keypoint offsets.
+    pub(crate) fn skeleton(&self, performer: usize) -> Option<Arc<Skeleton>> {
+        self.stage.trackers().get(performer)?.skeleton().cloned()
     }
 
-    /// Nominal frame period, ns.
-    pub(crate) fn frame_period(&self) -> f64 {
-        self.tracker.frame_period()
+    /// The bodies of all performers so far.
+    pub(crate) fn skeletons(&self) -> Vec<Option<Arc<Skeleton>>> {
+        self.stage.trackers().iter().map(|tracker| tracker.skeleton().cloned()).collect()
     }
 
-    /// Passes in an input, solves the jobs, and passes all other outputs to `take`.
+    /// Nominal frame period of a performer's poses, ns.
+    pub(crate) fn frame_period(&self, performer: usize) -> Option<f64> {
+        self.stage.trackers().get(performer).map(Tracker::frame_period)
+    }
+
+    /// The most people at a time who were seen for a while and not solved.
+    pub(crate) fn others(&self) -> usize {
+        self.stage.others()
+    }
+
+    /// Passes in an input, solves the jobs, and passes all other outputs to `take`, with the number of
+    /// their performer.
     pub(crate) fn feed(
         &mut self,
         input: Input,
-        mut take: impl FnMut(&Self, &Output) -> Result<(), Error>,
+        mut take: impl FnMut(&Self, usize, &Output) -> Result<(), Error>,
     ) -> Result<(), Error> {
-        self.tracker.handle(input);
-        while let Some(output) = self.tracker.poll_and_solve(|job| {
+        self.stage.handle(input);
+        while let Some((performer, output)) = self.stage.poll_and_solve(|job| {
             let begin = Instant::now();
             let solution = self.solver.solve(job);
             if matches!(job.task, Task::Track { .. }) {
@@ -45,7 +57,7 @@ impl Driver {
             }
             solution
         }) {
-            take(self, &output)?;
+            take(self, performer, &output)?;
         }
         Ok(())
     }

@@ -15,6 +15,7 @@ use crate::core::calibration::{self, Correction, OffsetVerdict, TimeOffset, Trac
 use crate::core::camera::{Camera, Rig};
 use crate::core::cost;
 use crate::core::detections::Detections;
+use crate::core::stage::Stage;
 use crate::core::time::Nanos;
 use crate::core::tracker::{self, EventKind, FramePeriod, Input, Output, Solver, Tracker};
 
@@ -72,14 +73,25 @@ impl CameraOffset {
 /// A first pass over a recording.
 pub(super) struct FirstPass {
     driver: Driver,
-    /// Views of the rig's cameras, then of the held-out ones.
-    tracks: Tracks,
+    /// By performer.
+    followed: Vec<Followed>,
     cameras: Vec<Camera>,
     waiting: VecDeque<Detections>,
+    /// Number of frames that no longer wait.
+    passed: usize,
     /// Of all cameras; empty if they were not estimated.
     pub(super) offsets: Vec<CameraOffset>,
     /// Whether the known body did not fit and was estimated anew.
     pub(super) is_body_wrong: bool,
+}
+
+/// A performer in the views of the rig's cameras, then of the held-out ones.
+struct Followed {
+    tracks: Tracks,
+    /// Number of tracked poses.
+    poses: usize,
+    /// Number of frames that the poses have reached.
+    frames: usize,
 }
 
 impl FirstPass {
@@ -116,13 +128,15 @@ impl FirstPass {
         let config = first_pass_settings(options.config, frames as usize);
         let solver = Solver::new(options.decoder()?, config);
         let tracker = Tracker::new(config, Arc::new(rig.clone()));
-        let tracker = tracker.with_frame_period(period).with_body_to_check(options.body.clone());
+        let tracker = tracker.with_body_to_check(options.body.clone());
+        let stage = Stage::new(tracker, config, options.performers, period);
         let cameras: Vec<Camera> = rig.cameras.iter().chain(held_out).cloned().collect();
         Ok(Self {
-            driver: Driver::new(tracker, solver),
-            tracks: Tracks::new(cameras.len()),
+            driver: Driver::new(stage, solver),
+            followed: Vec::new(),
             cameras,
             waiting: VecDeque::new(),
+            passed: 0,
             offsets: Vec::new(),
             is_body_wrong: false,
         })
@@ -156,41 +170,64 @@ impl FirstPass {
         self.waiting.push_back(frame);
         if self.waiting.len() > WAITING {
             self.waiting.pop_front();
+            self.passed += 1;
         }
     }
 
     /// Passes in an input; the frames up to each pose show the performer in about that pose.
     fn feed(&mut self, input: Input) -> Result<(), Error> {
-        let Self { driver, tracks, cameras, waiting, is_body_wrong, .. } = self;
-        driver.feed(input, |driver, output| {
+        let Self { driver, followed, cameras, waiting, passed, is_body_wrong, .. } = self;
+        driver.feed(input, |driver, performer, output| {
             if let Output::Event(event) = output {
                 *is_body_wrong |= event.kind == EventKind::Body;
             }
-            let (Output::Pose(pose), Some(body)) = (output, driver.skeleton()) else {
+            let (Output::Pose(pose), Some(body)) = (output, driver.skeleton(performer)) else {
                 return Ok(());
             };
-            while waiting.front().is_some_and(|frame| frame.capture <= pose.capture) {
-                let Some(frame) = waiting.pop_front() else { break };
+            let (cameras_count, frames) = (cameras.len(), *passed);
+            let new = || Followed { tracks: Tracks::new(cameras_count), poses: 0, frames };
+            followed.resize_with(followed.len().max(performer + 1), new);
+            let Followed { tracks, poses, frames } = &mut followed[performer];
+            *poses += usize::from(pose.state == TrackingState::Tracking);
+            *frames = (*frames).max(*passed);
+            while let Some(frame) = waiting.get(*frames - *passed)
+                && frame.capture <= pose.capture
+            {
+                *frames += 1;
                 if pose.state == TrackingState::Tracking {
-                    tracks.add(&frame, &cameras[frame.camera], &pose.pose, &body);
+                    tracks.add(frame, &cameras[frame.camera], &pose.pose, &body);
                 }
             }
+            let reached = followed.iter().map(|one| one.frames).min().unwrap_or(0);
+            let done = reached.saturating_sub(*passed);
+            waiting.drain(..done);
+            *passed += done;
             Ok(())
         })
     }
 
-    /// The body; `None` if nobody was found.
-    pub(super) fn body(&self) -> Option<Arc<Skeleton>> {
-        self.driver.skeleton()
+    /// The performers' bodies; `None` of those who were not found.
+    pub(super) fn bodies(&self) -> Vec<Option<Arc<Skeleton>>> {
+        self.driver.skeletons()
+    }
+
+    /// The performer who was tracked longest, and their views.
+    fn tracks(&self) -> (usize, Tracks) {
+        let all = self.followed.iter().enumerate().rev();
+        let longest = all.max_by_key(|(_, one)| one.poses);
+        let none = || (0, Tracks::new(self.cameras.len()));
+        longest.map_or_else(none, |(performer, one)| (performer, one.tracks.clone()))
     }
 
     /// Estimates the time offsets, and adds the significant ones to the cameras: those of the rig
     /// from their own views, then those of held-out cameras relative to them.
     fn apply_time_offsets(&self, rig: &mut Rig, held_out: &mut [Camera]) -> Vec<CameraOffset> {
-        let period = Nanos::rounded(self.driver.frame_period());
+        let (performer, tracks) = self.tracks();
+        let Some(period) = self.driver.frame_period(performer) else { return Vec::new() };
+        let period = Nanos::rounded(period);
         let solved = rig.cameras.len();
         let estimate = |count: usize, known: &[Nanos]| {
-            calibration::time_offsets(&self.tracks, &self.cameras[..count], period, known)
+            calibration::time_offsets(&tracks, &self.cameras[..count], period, known)
         };
         let mut found = estimate(solved, &[]);
         if !held_out.is_empty() {
@@ -250,7 +287,7 @@ pub fn check_cameras(
     let mut rig = recording.chosen(&options.cameras, &[])?;
     let period = recording.frame_period(&rig)?;
     let pass = FirstPass::run(recording, options, &mut rig, period, &mut [], observer)?;
-    if pass.body().is_none() {
+    if pass.bodies().iter().all(Option::is_none) {
         let evidence =
             "no performer is seen by two cameras at once; check the calibration".to_owned();
         return Err(Error::NobodyFound { path: recording.path().to_owned(), evidence });
@@ -258,7 +295,7 @@ pub fn check_cameras(
     let mut corrections = Vec::new();
     if refine {
         let found;
-        (rig.cameras, found) = calibration::refine(&pass.tracks, &rig.cameras);
+        (rig.cameras, found) = calibration::refine(&pass.tracks().1, &rig.cameras);
         let all = rig.cameras.iter().zip(found);
         let named = |(camera, correction): (&Camera, _)| CameraCorrection {
             camera: camera.name.clone(),

@@ -17,6 +17,7 @@
 
 pub(crate) mod bvh;
 mod check;
+mod collected;
 pub(crate) mod compact_pose;
 mod driver;
 mod error;
@@ -30,6 +31,7 @@ mod reference;
 mod series;
 mod solve;
 mod summary;
+mod tracking;
 mod truth;
 mod windows;
 
@@ -42,5 +44,5 @@ pub use hold_out::{CONFIDENT, HeldOut, HoldOut, Located, distances, pose_at};
 pub use options::{Observer, Options};
 pub use recording::Recording;
 pub use reference::{FrameClock, Reference, ReferenceComparison};
-pub use solve::solve;
-pub use summary::{Reprojection, SolveTime, Summary};
+pub use solve::{solve, solve_group};
+pub use summary::{Group, PerformerSummary, Reprojection, SolveTime, Summary};

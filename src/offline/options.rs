@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use crate::core::body::{Skeleton, StampedPose};
 use crate::core::manifold::{Decoder, WeightsError};
+use crate::core::stage::Performers;
 use crate::core::tracker;
 use crate::io::formats::Trc;
 
@@ -20,14 +21,18 @@ pub struct Options {
     pub cameras: Vec<String>,
     /// Hold these cameras out of the solve and measure the error in them.
     pub hold_out: Vec<String>,
-    /// Measure the distance from these marker positions (y up, frames as in the recording).
-    pub reference: Option<Trc>,
-    /// The folder for poses.mcap, poses.bvh, poses.states.csv and report.html; created if missing.
-    /// `None` writes nothing.
+    /// Measure the distance from these marker positions (y up, frames as in the recording); each
+    /// performer's from the nearest.
+    pub references: Vec<Trc>,
+    /// How many performers [`solve_group`](super::solve_group) solves.
+    pub performers: Performers,
+    /// The folder for poses.mcap, poses.bvh, poses.states.csv and report.html; created if missing. With
+    /// several performers, poses.NAME.bvh and poses.NAME.states.csv for each. `None` writes nothing.
     pub out: Option<PathBuf>,
     /// Replace these files if they exist.
     pub overwrite: bool,
-    /// The performer's body, if it is known; otherwise it is estimated.
+    /// The performer's body, if it is known; otherwise it is estimated. With several performers, that of
+    /// the first.
     pub body: Option<Arc<Skeleton>>,
     /// Use the capture times as they are: estimate no time offsets.
     pub no_sync: bool,

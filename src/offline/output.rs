@@ -10,25 +10,39 @@ use super::Error;
 use super::compact_pose::CompactPose;
 use super::poses::{BENT, Poses};
 use super::series::Series;
-use super::summary::Summary;
+use super::summary::{Group, Summary};
 use super::windows::{WindowSummary, Windows};
 use crate::core::body::{Posture, Skeleton};
 use crate::core::camera::Rig;
 use crate::core::check::{CameraCheck, Check, Finding};
+use crate::core::stage::Performers;
 use crate::core::time::Timestamp;
-use crate::core::tracker::{Event, Output};
+use crate::core::tracker::Output;
 use crate::io::new_file;
 use crate::io::recording::{Provenance, Writer};
 use crate::io::report::{
     AngleTrack, CameraErrors, Picture, ReportData, StickFigures, Table, WindowRow, stick_figures,
     write_report,
 };
-use crate::io::wire::Topics;
+use crate::io::wire::{self, Topics};
 
-/// The files of a solve.
-pub(crate) const FILES: [&str; 4] = ["poses.mcap", "poses.bvh", "poses.states.csv", "report.html"];
 /// Number of stick figures in the report.
 const STICK_FIGURES: usize = 9;
+
+/// The name of a performer's file: `poses.bvh`, or `poses.p1.bvh` where there can be several.
+pub(crate) fn of_performer(name: &str, performers: Performers, suffix: &str) -> String {
+    match performers.limit() {
+        1 => format!("poses.{suffix}"),
+        _ => format!("poses.{name}.{suffix}"),
+    }
+}
+
+/// The files of a solve.
+pub(crate) fn files(names: &[String], performers: Performers) -> Vec<String> {
+    let own = |suffix| names.iter().map(move |name| of_performer(name, performers, suffix));
+    let first = std::iter::once("poses.mcap".to_owned());
+    first.chain(own("bvh")).chain(own("states.csv")).chain(["report.html".to_owned()]).collect()
+}
 
 /// A folder for outputs. If it was created here and stays empty, it is removed on drop.
 pub(crate) struct OutputFolder {
@@ -45,7 +59,7 @@ impl OutputFolder {
     }
 
     /// Fails if one of these files exists.
-    pub(crate) fn refuse_existing(path: &Path, files: &[&str]) -> Result<(), Error> {
+    pub(crate) fn refuse_existing(path: &Path, files: &[impl AsRef<Path>]) -> Result<(), Error> {
         let there = files.iter().map(|name| path.join(name)).find(|path| path.exists());
         there.map_or(Ok(()), |path| Err(Error::Exists { path }))
     }
@@ -64,58 +78,82 @@ impl Drop for OutputFolder {
     }
 }
 
-/// Writes the tracker's outputs to poses.mcap one by one.
+/// Writes the stage's outputs to poses.mcap one by one.
 pub(crate) struct PoseFile {
     writer: Writer,
     rig: Arc<Rig>,
     cameras: Vec<String>,
-    skeleton: Option<Arc<Skeleton>>,
+    performers: Vec<Performer>,
     has_rig: bool,
     weights: String,
 }
 
+/// A performer in poses.mcap.
+struct Performer {
+    topics: Topics,
+    skeleton: Option<Arc<Skeleton>>,
+    has_skeleton: bool,
+}
+
 impl PoseFile {
-    /// `rig` is that of the recording, `solved` that of the tracker.
+    /// `rig` is that of the recording, `solved` that of the trackers.
     pub(crate) fn create(
         path: &Path,
         rig: &Arc<Rig>,
         solved: &Rig,
         provenance: &Provenance,
+        performers: &[String],
     ) -> Result<Self, Error> {
+        let performer = |name: &String| Performer {
+            topics: Topics { actor: name.clone(), ..Topics::default() },
+            skeleton: None,
+            has_skeleton: false,
+        };
         Ok(Self {
             weights: provenance.weights.clone(),
             writer: Writer::create(path, Topics::default(), provenance)?,
             rig: Arc::clone(rig),
             cameras: solved.cameras.iter().map(|camera| camera.name.clone()).collect(),
-            skeleton: None,
+            performers: performers.iter().map(performer).collect(),
             has_rig: false,
         })
     }
 
-    /// Writes one output.
-    pub(crate) fn write(&mut self, output: &Output) -> Result<(), Error> {
+    /// Writes one output of a performer.
+    pub(crate) fn write(&mut self, performer: usize, output: &Output) -> Result<(), Error> {
+        let Self { writer, rig, cameras, performers, has_rig, weights } = self;
+        let Some(Performer { topics, skeleton, has_skeleton }) = performers.get_mut(performer)
+        else {
+            return Ok(());
+        };
         match output {
-            Output::Skeleton(skeleton) => self.skeleton = Some(Arc::clone(skeleton)),
+            Output::Skeleton(new) => *skeleton = Some(Arc::clone(new)),
             Output::Pose(pose) => {
-                let Some(skeleton) = self.skeleton.clone() else { return Ok(()) };
-                if !self.has_rig {
-                    self.writer.rig(&self.rig, pose.capture)?;
-                    self.writer.skeleton(&skeleton, pose.capture)?;
-                    self.has_rig = true;
+                let Some(skeleton) = skeleton else { return Ok(()) };
+                if !*has_rig {
+                    writer.rig(rig, pose.capture)?;
+                    *has_rig = true;
                 }
-                self.writer.pose(pose, &skeleton)?;
+                if !*has_skeleton {
+                    let body = wire::Skeleton::from_core(skeleton);
+                    writer.write(&topics.skeleton(), pose.capture, &body)?;
+                    *has_skeleton = true;
+                }
+                let message = wire::Pose::from_core(pose, skeleton, None);
+                writer.write(&topics.pose(), pose.capture, &message)?;
             }
-            Output::Keyframe(keyframe) => self.writer.keyframe(keyframe, &self.weights)?,
-            Output::Event(event) => self.event(event)?,
+            Output::Keyframe(keyframe) => {
+                let message = wire::Keyframe::from_core(keyframe, weights);
+                writer.write(&topics.keyframe(), keyframe.capture, &message)?;
+            }
+            Output::Event(event) => {
+                let camera = event.camera.and_then(|camera| cameras.get(camera));
+                let message = wire::Event::from_core(event, camera.map(String::as_str));
+                writer.write(&topics.events(event.kind), event.capture, &message)?;
+            }
             Output::Window(_) | Output::Solve(_) => {}
         }
         Ok(())
-    }
-
-    fn event(&mut self, event: &Event) -> Result<(), Error> {
-        let camera = event.camera.and_then(|camera| self.cameras.get(camera));
-        let camera = camera.map(String::as_str);
-        Ok(self.writer.event(&crate::io::wire::Event::from_core(event, camera))?)
     }
 
     /// Moves the file to its place.
@@ -130,19 +168,44 @@ pub(crate) fn text(path: &Path, text: &str) -> Result<(), Error> {
         .map_err(|source| Error::Write { path: path.to_owned(), source })
 }
 
-/// Writes report.html.
+/// Writes report.html: a performer's page, or one with all of them.
 pub(super) fn report(
     path: &Path,
+    mut pages: Vec<ReportData>,
+    group: &Group,
+    performers: Performers,
+) -> Result<(), Error> {
+    let Some(first) = pages.first_mut() else { return Ok(()) };
+    if performers.limit() == 1 {
+        return Ok(write_report(path, first)?);
+    }
+    let data = ReportData {
+        title: first.title.clone(),
+        subtitle: first.subtitle.clone(),
+        facts: group.headline(),
+        leading: std::iter::once(group.table()).chain(std::mem::take(&mut first.leading)).collect(),
+        ..ReportData::default()
+    };
+    for (page, performer) in pages.iter_mut().zip(&group.performers) {
+        page.leading.clear();
+        page.title.clone_from(&performer.performer);
+        page.subtitle.clear();
+    }
+    Ok(write_report(path, &ReportData { parts: pages, ..data })?)
+}
+
+/// A performer's page.
+pub(super) fn page(
     poses: &Poses,
     windows: &Windows,
     rig: &Rig,
     skeleton: &Skeleton,
     summary: &Summary,
-) -> Result<(), Error> {
+) -> ReportData {
     let shown = poses.shown.bins();
     let start = shown.first().map_or_else(Timestamp::default, |pose| pose.capture);
     let recording = Path::new(&summary.recording).file_name().unwrap_or_default();
-    let data = ReportData {
+    ReportData {
         title: recording.to_string_lossy().into_owned(),
         subtitle: format!("Solved by bundlemocap {}", summary.version),
         facts: summary.headline(),
@@ -160,8 +223,7 @@ pub(super) fn report(
         angles: angles(poses, start),
         windows: windows.series.bins().iter().map(|window| row(window, start)).collect(),
         ..ReportData::default()
-    };
-    Ok(write_report(path, &data)?)
+    }
 }
 
 /// The cameras judged, and what is wrong with all of them.

@@ -9,7 +9,7 @@ use super::compact_pose::CompactPose;
 use super::hold_out::HeldOut;
 use super::reference::{FrameClock, ReferenceComparison};
 use super::series::{Bin, Mean, Series};
-use super::truth::TruthComparison;
+use super::truth::TruthComparisons;
 use crate::core::body::{Joint, Skeleton};
 use crate::core::time::Timestamp;
 use crate::io::report::flexion_deg;
@@ -31,9 +31,9 @@ impl Bin for CompactPose {
 /// The comparisons that wait for poses, and their inputs.
 #[derive(Default)]
 pub(super) struct Comparisons<'a> {
-    pub(super) truth: TruthComparison,
+    pub(super) truths: TruthComparisons,
     pub(super) held_out: Vec<HeldOut>,
-    pub(super) reference: Option<ReferenceComparison<'a>>,
+    pub(super) references: Vec<ReferenceComparison<'a>>,
     /// The frame clock of the first camera, from its first frame.
     pub(super) clock: Option<FrameClock>,
 }
@@ -180,14 +180,16 @@ impl Poses {
         if let Some(bvh) = &mut body.bvh {
             bvh.write(pose)?;
         }
-        comparisons.truth.add_pose(pose, skeleton, body.fps);
+        comparisons.truths.add_pose(pose, skeleton, body.fps);
         for held_out in &mut comparisons.held_out {
             held_out.add_pose(capture, pose.usable(), skeleton);
         }
-        if let (Some(reference), Some(clock)) = (&mut comparisons.reference, comparisons.clock) {
+        if let Some(clock) = comparisons.clock.filter(|_| !comparisons.references.is_empty()) {
             let posture = pose.usable().map(|pose| pose.posture(skeleton));
             let body = posture.as_ref().map(|posture| (&**skeleton, posture));
-            reference.add(clock, capture, body.as_ref());
+            for reference in &mut comparisons.references {
+                reference.add(clock, capture, body.as_ref());
+            }
         }
         self.shown.push(pose.clone());
         Ok(())

@@ -13,7 +13,7 @@ use crate::core::detections::Detections;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{FramePeriod, FrameRate, RATE_FRAMES, UnitCheck};
 use crate::io::recording::{CameraInfo, Info, Message, Reader, Report, summarise};
-use crate::io::wire;
+use crate::io::wire::{self, Topic};
 
 /// A recording with matching keypoints and rig. The file is opened once; its messages are streamed,
 /// so memory does not depend on its length.
@@ -38,10 +38,10 @@ pub(crate) enum Item {
     Detections(Detections),
     /// Detections of a held-out camera; the camera index is that in the list of held-out cameras.
     HeldOut(Detections),
-    /// The true body, before the true poses.
-    TrueBody(Box<Skeleton>),
-    /// A true pose.
-    TruePose(Box<StampedPose>),
+    /// An actor's true body, before the true poses.
+    TrueBody(String, Box<Skeleton>),
+    /// An actor's true pose.
+    TruePose(String, Box<StampedPose>),
 }
 
 impl Recording {
@@ -253,10 +253,12 @@ impl Recording {
                     }
                 },
                 Message::TruthSkeleton(body) => {
-                    body.to_core().map(|body| Item::TrueBody(Box::new(body)))
+                    let actor = actor(&entry.topic);
+                    body.to_core().map(|body| Item::TrueBody(actor, Box::new(body)))
                 }
                 Message::TruthPose(pose) => {
-                    pose.to_core().map(|pose| Item::TruePose(Box::new(pose)))
+                    let actor = actor(&entry.topic);
+                    pose.to_core().map(|pose| Item::TruePose(actor, Box::new(pose)))
                 }
                 _ => continue,
             };
@@ -267,6 +269,12 @@ impl Recording {
         }
         Ok(self.reader.report().clone())
     }
+}
+
+/// The actor of a topic; older recordings have a truth without one.
+fn actor(topic: &str) -> String {
+    let topics = Topic::parse(topic).ok().and_then(|topic| topic.topics());
+    topics.unwrap_or_default().actor
 }
 
 /// The error for a recording without keypoints of any camera.

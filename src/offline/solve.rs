@@ -1,5 +1,4 @@
-//! The pipeline: streams a recording through the tracker; writes, compares and summarises the
-//! outputs.
+//! The pipeline: streams a recording through the stage; writes, compares and summarises the outputs.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,25 +7,28 @@ use std::time::Instant;
 
 use super::Error;
 use super::check::check_rig;
+use super::collected::{Collected, nobody};
 use super::driver::Driver;
 use super::first_pass::{CameraOffset, FirstPass};
-use super::hold_out::{HeldOut, HoldOut};
+use super::hold_out::HeldOut;
 use super::options::{Observer, Options};
-use super::output::{self, FILES, OutputFolder, PoseFile};
-use super::poses::{Comparisons, PoseSummary, Poses};
+use super::output::{self, OutputFolder, PoseFile};
+use super::poses::{Comparisons, Poses};
 use super::recording::{Item, Recording};
 use super::reference::{FrameClock, Reference, ReferenceComparison};
-use super::summary::{Reprojection, SolveTime, Summary};
+use super::summary::{Group, PerformerSummary, Summary};
+use super::tracking::Tracking;
 use super::windows::Windows;
 use crate::core::body::Skeleton;
 use crate::core::camera::{Camera, Rig};
-use crate::core::check::Check;
 use crate::core::manifold::Decoder;
-use crate::core::tracker::{EventKind, FramePeriod, Input, Output, Solver, Tracker};
+use crate::core::stage::{Performers, Stage};
+use crate::core::tracker::{FramePeriod, Input, Output, Solver, Tracker};
 use crate::io::recording::{Provenance, Report};
+use crate::io::wire::Topics;
 
-/// Solves a recording in memory that does not grow with its length. The files appear only if the
-/// whole solve succeeds.
+/// Solves one performer of a recording, in memory that does not grow with its length. The files appear
+/// only if the whole solve succeeds.
 ///
 /// # Errors
 /// See [`Error`], for instance a recording without a performer.
@@ -35,71 +37,122 @@ pub fn solve(
     options: &Options,
     observer: &mut dyn Observer,
 ) -> Result<Summary, Error> {
+    let one = Options { performers: Performers::default(), ..options.clone() };
+    let mut group = solve_group(recording, &one, observer)?;
+    Ok(group.performers.swap_remove(0).summary)
+}
+
+/// Solves the performers of a recording together, as many as the options say.
+///
+/// # Errors
+/// As [`solve`]; nobody at all was found.
+pub fn solve_group(
+    recording: &mut Recording,
+    options: &Options,
+    observer: &mut dyn Observer,
+) -> Result<Group, Error> {
     let decoder = options.decoder()?;
-    let folder = options.out.as_deref().map(|path| output_folder(path, options.overwrite));
+    let folder = options.out.as_deref().map(|path| output_folder(path, options));
     let folder = folder.transpose()?;
     let begin = Instant::now();
-    let Prepared { rig, period, held_out, body, offsets, is_body_wrong } =
+    let Prepared { rig, period, held_out, bodies, count, offsets, is_body_wrong } =
         prepare(recording, options, observer)?;
+    let names = names(options.performers, count);
     let judged =
         Rig { cameras: rig.cameras.iter().chain(&held_out).cloned().collect(), ..Rig::clone(&rig) };
     let check = check_rig(recording, &judged, &mut ())?;
     let all = Arc::new(with_solved(recording.rig(), &rig.cameras, &held_out));
-    let outputs = folder.map(|folder| Outputs::create(folder, &all, options, &rig, &decoder));
+    let outputs =
+        folder.map(|folder| Outputs::create(folder, &all, options, &rig, &decoder, &names));
     let mut outputs = outputs.transpose()?;
     let solver = Solver::new(decoder, options.config);
-    let bvh = outputs.as_ref().map(|outputs| outputs.folder.file("poses.bvh"));
-    let tracker = Tracker::new(options.config, Arc::clone(&rig)).with_frame_period(period);
-    let tracker = tracker.with_body(body);
-    let mut run = Run {
-        driver: Driver::new(tracker, solver),
-        collected: Collected {
-            poses: Poses::new(bvh),
-            windows: Windows::of_cameras(rig.cameras.len()),
-            events: BTreeMap::new(),
-            comparisons: Comparisons {
-                held_out: held_out.iter().cloned().map(HeldOut::new).collect(),
-                reference: options.reference.as_ref().map(ReferenceComparison::new),
-                ..Comparisons::default()
-            },
-        },
-        file: outputs.as_mut().map(|outputs| &mut outputs.file),
+    let tracker = Tracker::new(options.config, Arc::clone(&rig));
+    let stage = Stage::new(tracker, options.config, options.performers, period).with_bodies(bodies);
+    let bvh = |name: &String| {
+        let folder = &outputs.as_ref()?.folder;
+        Some(folder.file(&output::of_performer(name, options.performers, "bvh")))
     };
+    let collected = |name: &String| Collected {
+        poses: Poses::new(bvh(name)),
+        windows: Windows::of_cameras(rig.cameras.len()),
+        events: BTreeMap::new(),
+        comparisons: Comparisons {
+            held_out: held_out.iter().cloned().map(HeldOut::new).collect(),
+            references: options.references.iter().map(ReferenceComparison::new).collect(),
+            ..Comparisons::default()
+        },
+    };
+    let collected = names.iter().map(collected).collect();
+    let file = outputs.as_mut().map(|outputs| &mut outputs.file);
+    let tracking = (options.performers.limit() > 1).then(Tracking::default);
+    let mut run = Run { driver: Driver::new(stage, solver), collected, tracking, file };
     let report = run.stream(recording, &rig, &held_out, observer)?;
-    let Run { driver, mut collected, .. } = run;
-    let skeleton = driver.skeleton().filter(|_| collected.poses.found_somebody());
-    let Some(skeleton) = skeleton else { return Err(collected.nobody(recording, &rig, &check)) };
-    let poses = collected.poses.finish(&skeleton, &mut collected.comparisons)?;
-    let states = poses.states.csv();
-    let seconds = begin.elapsed().as_secs_f64();
-    let (collected, summary) =
-        collected.summarise(recording, &rig, &skeleton, poses, &report, seconds);
-    let mut summary = Summary { time_offsets: offsets, ..summary };
-    summary.notes.extend(check.warnings());
-    if options.reference.is_some() {
-        summary.notes.extend(Reference::note(summary.reference.as_ref()));
+    let Run { driver, mut collected, tracking, .. } = run;
+    let found = |performer: usize, one: &Collected| {
+        driver.skeleton(performer).filter(|_| one.poses.found_somebody())
+    };
+    let skeletons: Vec<_> = collected.iter().enumerate().map(|(i, one)| found(i, one)).collect();
+    if skeletons.iter().all(Option::is_none) {
+        return Err(nobody(&collected, recording, &rig, &check));
     }
-    summary.check = Some(check);
-    if is_body_wrong {
-        summary.notes.push(BODY_IS_WRONG.to_owned());
+    let mut summaries = Vec::new();
+    for ((one, skeleton), name) in collected.iter_mut().zip(&skeletons).zip(&names) {
+        let Some(skeleton) = skeleton else { continue };
+        let poses = one.poses.finish(skeleton, &mut one.comparisons)?;
+        summaries.push((name, poses));
+    }
+    let seconds = begin.elapsed().as_secs_f64();
+    let solved =
+        collected.into_iter().zip(&skeletons).filter_map(|(one, s)| Some((one, s.as_ref()?)));
+    let unsolved = skeletons.iter().filter(|skeleton| skeleton.is_none()).count();
+    let mut group = Group {
+        performers: Vec::new(),
+        others: driver.others() + unsolved,
+        tracking: tracking.and_then(Tracking::finish),
+    };
+    let mut pages = Vec::new();
+    for ((one, skeleton), (name, poses)) in solved.zip(summaries) {
+        let states = poses.states.csv();
+        let (one, summary) = one.summarise(recording, &rig, skeleton, poses, &report, seconds);
+        let mut summary = Summary { time_offsets: offsets.clone(), ..summary };
+        summary.notes.extend(check.warnings());
+        if !options.references.is_empty() {
+            summary.notes.extend(Reference::note(summary.reference.as_ref()));
+        }
+        summary.check = Some(check.clone());
+        if is_body_wrong {
+            summary.notes.push(BODY_IS_WRONG.to_owned());
+        }
+        if let Some(Outputs { folder, .. }) = &outputs {
+            let csv = output::of_performer(name, options.performers, "states.csv");
+            output::text(&folder.file(&csv), &states)?;
+            pages.push(output::page(&one.poses, &one.windows, &rig, skeleton, &summary));
+        }
+        group.performers.push(PerformerSummary { performer: name.clone(), summary });
     }
     if let Some(outputs) = outputs {
-        let Collected { poses, windows, .. } = &collected;
-        output::text(&outputs.folder.file("poses.states.csv"), &states)?;
-        let page = outputs.folder.file("report.html");
-        output::report(&page, poses, windows, &rig, &skeleton, &summary)?;
+        output::report(&outputs.folder.file("report.html"), pages, &group, options.performers)?;
         outputs.file.finish()?;
     }
-    Ok(summary)
+    Ok(group)
+}
+
+/// The performers' names: with one performer, that of the topics.
+fn names(performers: Performers, count: usize) -> Vec<String> {
+    match performers.limit() {
+        1 => vec![Topics::default().actor],
+        _ => (1..=count).map(|number| format!("p{number}")).collect(),
+    }
 }
 
 /// A note for the user.
 const BODY_IS_WRONG: &str =
     "the given body fits worse than one from these detections; it was estimated anew";
 
-fn output_folder(path: &Path, overwrite: bool) -> Result<OutputFolder, Error> {
-    if !overwrite {
-        OutputFolder::refuse_existing(path, &FILES)?;
+fn output_folder(path: &Path, options: &Options) -> Result<OutputFolder, Error> {
+    if !options.overwrite {
+        let first = names(options.performers, 1);
+        OutputFolder::refuse_existing(path, &output::files(&first, options.performers))?;
     }
     OutputFolder::make(path)
 }
@@ -109,7 +162,10 @@ struct Prepared {
     rig: Arc<Rig>,
     period: Option<FramePeriod>,
     held_out: Vec<Camera>,
-    body: Option<Arc<Skeleton>>,
+    /// By performer.
+    bodies: Vec<Option<Arc<Skeleton>>>,
+    /// Number of performers, or the most.
+    count: usize,
     offsets: Vec<CameraOffset>,
     is_body_wrong: bool,
 }
@@ -124,13 +180,16 @@ fn prepare(
     let mut held_out: Vec<Camera> = held_out.collect::<Result<_, _>>()?;
     let mut rig = recording.chosen(&options.cameras, &held_out)?;
     let period = recording.frame_period(&rig)?;
-    let (mut body, mut offsets, mut is_body_wrong) = (options.body.clone(), Vec::new(), false);
+    let (mut bodies, mut offsets, mut is_body_wrong) =
+        (vec![options.body.clone()], Vec::new(), false);
+    let mut count = options.performers.limit();
     if options.passes() > 1 {
         let first = FirstPass::run(recording, options, &mut rig, period, &mut held_out, observer)?;
         is_body_wrong = first.is_body_wrong && options.body.is_some();
-        (body, offsets) = (first.body(), first.offsets);
+        (bodies, offsets) = (first.bodies(), first.offsets);
+        count = bodies.len();
     }
-    Ok(Prepared { rig: Arc::new(rig), period, held_out, body, offsets, is_body_wrong })
+    Ok(Prepared { rig: Arc::new(rig), period, held_out, bodies, count, offsets, is_body_wrong })
 }
 
 /// The rig with the cameras of a solve in place of its own.
@@ -156,6 +215,7 @@ impl Outputs {
         options: &Options,
         rig: &Rig,
         decoder: &Decoder,
+        performers: &[String],
     ) -> Result<Self, Error> {
         let own = || toml::to_string(&options.config).unwrap_or_default();
         let provenance = Provenance {
@@ -164,7 +224,7 @@ impl Outputs {
             ..Provenance::default()
         };
         let path = folder.file("poses.mcap");
-        let file = PoseFile::create(&path, all, rig, &provenance)?;
+        let file = PoseFile::create(&path, all, rig, &provenance, performers)?;
         Ok(Self { folder, file })
     }
 }
@@ -172,7 +232,10 @@ impl Outputs {
 /// A solve in progress.
 struct Run<'reference, 'file> {
     driver: Driver,
-    collected: Collected<'reference>,
+    /// By performer.
+    collected: Vec<Collected<'reference>>,
+    /// With several performers.
+    tracking: Option<Tracking>,
     file: Option<&'file mut PoseFile>,
 }
 
@@ -197,139 +260,50 @@ impl Run<'_, '_> {
     }
 
     fn take(&mut self, item: Item, observer: &mut dyn Observer) -> Result<(), Error> {
-        let Collected { poses, comparisons, .. } = &mut self.collected;
-        match item {
-            Item::Detections(detections) => {
-                if detections.camera == 0 {
-                    comparisons.clock.get_or_insert(FrameClock::of(&detections));
+        for Collected { poses, comparisons, .. } in &mut self.collected {
+            match &item {
+                Item::Detections(detections) => {
+                    if detections.camera == 0 {
+                        comparisons.clock.get_or_insert(FrameClock::of(detections));
+                    }
+                    if poses.count == 0 {
+                        let capture = detections.capture;
+                        poses.start = Some(poses.start.map_or(capture, |start| start.min(capture)));
+                    }
                 }
-                if poses.count == 0 {
-                    let capture = detections.capture;
-                    poses.start = Some(poses.start.map_or(capture, |start| start.min(capture)));
+                Item::HeldOut(detections) => {
+                    if let Some(held_out) = comparisons.held_out.get_mut(detections.camera) {
+                        held_out.add_frame(detections.clone());
+                    }
                 }
-                self.feed(Input::Detections(detections), observer)?;
+                Item::TrueBody(actor, body) => comparisons.truths.set_body(actor, body),
+                Item::TruePose(actor, pose) => {
+                    comparisons.truths.add_truth(actor, pose.as_ref().into());
+                }
             }
-            Item::HeldOut(detections) => {
-                if let Some(held_out) = comparisons.held_out.get_mut(detections.camera) {
-                    held_out.add_frame(detections);
-                }
+        }
+        match (item, &mut self.tracking) {
+            (Item::Detections(detections), _) => {
+                return self.feed(Input::Detections(detections), observer);
             }
-            Item::TrueBody(body) => comparisons.truth.set_body(*body),
-            Item::TruePose(pose) => comparisons.truth.add_truth(pose.as_ref().into()),
+            (Item::TrueBody(actor, body), Some(tracking)) => tracking.set_body(&actor, &body),
+            (Item::TruePose(actor, pose), Some(tracking)) => tracking.add_truth(&actor, &pose),
+            _ => {}
         }
         Ok(())
     }
 
     fn feed(&mut self, input: Input, observer: &mut dyn Observer) -> Result<(), Error> {
-        let Self { driver, collected, file } = self;
-        driver.feed(input, |driver, output| {
-            collected.add(driver, output, observer)?;
-            file.as_mut().map_or(Ok(()), |file| file.write(output))
+        let Self { driver, collected, tracking, file } = self;
+        driver.feed(input, |driver, performer, output| {
+            if let (Some(tracking), Output::Pose(pose)) = (tracking.as_mut(), output)
+                && let Some(body) = driver.skeleton(performer)
+            {
+                tracking.add_pose(performer, pose, &body);
+            }
+            let Some(one) = collected.get_mut(performer) else { return Ok(()) };
+            one.add(driver, performer, output, observer)?;
+            file.as_mut().map_or(Ok(()), |file| file.write(performer, output))
         })
     }
-}
-
-/// The results of a solve.
-struct Collected<'a> {
-    poses: Poses,
-    windows: Windows,
-    events: BTreeMap<EventKind, u64>,
-    comparisons: Comparisons<'a>,
-}
-
-impl Collected<'_> {
-    fn add(
-        &mut self,
-        driver: &Driver,
-        output: &Output,
-        observer: &mut dyn Observer,
-    ) -> Result<(), Error> {
-        match output {
-            Output::Pose(pose) => {
-                let Some(skeleton) = driver.skeleton() else { return Ok(()) };
-                observer.pose(pose, &skeleton);
-                self.poses.add(pose.as_ref().into(), &skeleton, &mut self.comparisons)?;
-            }
-            Output::Event(event) => *self.events.entry(event.kind).or_default() += event.count,
-            Output::Window(report) => self.windows.add(report, driver.window_solve),
-            Output::Skeleton(_) | Output::Keyframe(_) | Output::Solve(_) => {}
-        }
-        Ok(())
-    }
-
-    fn count(&self, kind: EventKind) -> u64 {
-        self.events.get(&kind).copied().unwrap_or(0)
-    }
-
-    fn summarise(
-        mut self,
-        recording: &Recording,
-        rig: &Rig,
-        skeleton: &Skeleton,
-        poses: PoseSummary,
-        report: &Report,
-        seconds: f64,
-    ) -> (Self, Summary) {
-        let comparisons = std::mem::take(&mut self.comparisons);
-        let held_out: Vec<HoldOut> =
-            comparisons.held_out.into_iter().map(HeldOut::finish).collect();
-        let frames = self.poses.count;
-        let truth = poses.fps.and_then(|fps| comparisons.truth.finish(skeleton, fps));
-        let (truth, true_skate) = truth.unzip();
-        let summary = Summary {
-            version: env!("CARGO_PKG_VERSION"),
-            recording: recording.path().display().to_string(),
-            frames,
-            frames_lost: self.poses.flagged,
-            windows: self.windows.count,
-            lost: self.windows.lost,
-            windows_without_performer: self.count(EventKind::NobodyFound),
-            frame_rate_hz: poses.fps,
-            reprojection: Reprojection::new(&self.windows, rig),
-            hold_out: HoldOut::of_all(&held_out),
-            hold_out_cameras: held_out,
-            mean_acceleration_m_s2: poses.acceleration,
-            foot_skate: true_skate.unwrap_or(poses.feet),
-            floor_m: poses.floor,
-            truth,
-            reference: comparisons.reference.and_then(|reference| reference.finish()),
-            solve_ms: SolveTime::new(&self.windows),
-            frames_per_second: frames as f64 / seconds.max(1e-9),
-            events: EventKind::ALL.map(|kind| (kind.name(), self.count(kind))).into(),
-            damage: report.losses(),
-            time_offsets: Vec::new(),
-            check: None,
-            notes: poses.note.into_iter().collect(),
-        };
-        (self, summary)
-    }
-
-    fn nobody(&self, recording: &Recording, rig: &Rig, check: &Check) -> Error {
-        let unusable = match self.count(EventKind::Unusable) {
-            0 => String::new(),
-            unusable => format!(", {unusable} frames could not be used"),
-        };
-        let evidence = format!(
-            "no performer is seen by two of the {} cameras at once ({} windows tried{unusable}{}); \
-             check the calibration, the keypoint format ({}) and that the cameras share a clock",
-            rig.cameras.len(),
-            self.count(EventKind::NobodyFound) + self.windows.lost as u64,
-            out_of_time(self.count(EventKind::Late), self.count(EventKind::Duplicate)),
-            recording.format(),
-        );
-        let found = check.warnings().map(|warning| format!("; {warning}"));
-        let evidence = found.fold(evidence, |all, warning| all + &warning);
-        Error::NobodyFound { path: recording.path().to_owned(), evidence }
-    }
-}
-
-/// A note on the frames of a recording that is not sorted by capture time.
-fn out_of_time(late: u64, duplicate: u64) -> String {
-    if late == 0 && duplicate == 0 {
-        return String::new();
-    }
-    format!(
-        ", {late} frames came late and {duplicate} came twice; they were not used: is the recording \
-         sorted by capture time?"
-    )
 }

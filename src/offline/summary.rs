@@ -11,7 +11,8 @@ use super::reference::Reference;
 use super::windows::Windows;
 use crate::core::camera::Rig;
 use crate::core::check::Check;
-use crate::metrics::{FootSkate, PoseErrors};
+use crate::io::report::Table;
+use crate::metrics::{FootSkate, PoseErrors, TrackingErrors};
 
 /// The measurements of a solve. Field names are part of the interface; README.md documents them.
 /// [`Display`](fmt::Display) prints the table.
@@ -57,6 +58,106 @@ pub struct Summary {
     /// Other notes for the user.
     #[serde(skip)]
     pub notes: Vec<String>,
+}
+
+/// The measurements of a solve of several performers: what `solve --performers --json` prints, and the
+/// table.
+#[derive(Clone, Debug, Serialize)]
+#[allow(missing_docs)]
+pub struct Group {
+    /// In the order of their first frames.
+    pub performers: Vec<PerformerSummary>,
+    /// The most people at a time who were seen for a while and not solved.
+    pub others: usize,
+    /// Who is who, beside the truth of a synthetic recording.
+    pub tracking: Option<TrackingErrors>,
+}
+
+/// A performer of a group.
+#[derive(Clone, Debug, Serialize)]
+pub struct PerformerSummary {
+    /// Name of the performer: `actor`, or `p1`, `p2` ... with several.
+    pub performer: String,
+    /// The performer's measurements.
+    #[serde(flatten)]
+    pub summary: Summary,
+}
+
+impl Group {
+    /// A row for each performer.
+    pub(crate) fn table(&self) -> Table {
+        let row = |PerformerSummary { performer, summary }: &PerformerSummary| {
+            let compared = match (&summary.truth, &summary.reference) {
+                (Some(truth), _) => format!("{:.1} mm", truth.mpjpe_mm),
+                (None, Some(reference)) => format!("{:.1} mm", reference.mean_mm),
+                (None, None) => "none".to_owned(),
+            };
+            vec![
+                performer.clone(),
+                with_part(summary.frames, summary.frames_lost, "flagged"),
+                with_part(summary.windows, summary.lost, "lost"),
+                px(summary.reprojection.median_px),
+                unit(summary.mean_acceleration_m_s2, 1, "m/s²"),
+                compared,
+            ]
+        };
+        let header = [
+            "performer",
+            "frames",
+            "windows",
+            "reprojection",
+            "acceleration",
+            "truth or reference",
+        ];
+        Table {
+            title: "Performers".into(),
+            header: header.map(str::to_owned).into(),
+            rows: self.performers.iter().map(row).collect(),
+        }
+    }
+
+    /// Rows of a name and a value, for people.
+    pub fn rows(&self) -> Vec<(String, String)> {
+        let Table { header, rows, .. } = self.table();
+        let in_words = |row: Vec<String>| {
+            let [name, frames, windows, error, acceleration, compared] = row.try_into().ok()?;
+            let compared = if compared == "none" {
+                String::new()
+            } else {
+                format!(", {compared} from the truth or the reference")
+            };
+            let value = format!(
+                "{frames} frames, {windows} windows, {error} {}, {acceleration}{compared}",
+                header[3]
+            );
+            Some((name, value))
+        };
+        let mut rows: Vec<_> = rows.into_iter().filter_map(in_words).collect();
+        if let Some(found) = &self.tracking {
+            let TrackingErrors { recall_percent, precision_percent, switches, .. } = found;
+            let who = format!("{recall_percent:.2} %, {precision_percent:.2} %, {switches}");
+            rows.push(("truth: recall, precision, ID switches".into(), who));
+            let (mota, pcp) = (found.mota_percent, found.pcp_percent);
+            rows.push(("truth: MOTA, PCP".into(), format!("{mota:.2} %, {pcp:.2} %")));
+            rows.push(("truth: MPJPE".into(), format!("{:.1} mm", found.mpjpe_mm)));
+        }
+        let speed: f64 = self.performers.iter().map(|one| one.summary.frames_per_second).sum();
+        rows.push(("speed".into(), format!("{speed:.0} poses/s")));
+        rows
+    }
+
+    /// The most important results, as name and value.
+    pub(crate) fn headline(&self) -> Vec<(String, String)> {
+        let mut facts = vec![("performers".to_owned(), self.performers.len().to_string())];
+        if self.others > 0 {
+            facts.push(("others, not solved".to_owned(), self.others.to_string()));
+        }
+        if let Some(TrackingErrors { switches, mpjpe_mm, .. }) = &self.tracking {
+            facts.push(("ID switches".to_owned(), switches.to_string()));
+            facts.push(("MPJPE".to_owned(), format!("{mpjpe_mm:.1} mm")));
+        }
+        facts
+    }
 }
 
 /// Median distance of detected points with confidence above 0.3 from the solved body, pixels.

@@ -1,6 +1,6 @@
 //! Distance from the truth in a synthetic recording.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use super::compact_pose::CompactPose;
 use crate::core::body::Skeleton;
@@ -10,11 +10,46 @@ use crate::metrics::{FootSkate, FootSkateSums, PoseErrorSums, PoseErrors};
 /// Most poses that wait for the other side.
 const WAITING: usize = 16_384;
 
+/// One performer's poses compared with the truth of each actor.
+#[derive(Default)]
+pub(super) struct TruthComparisons(BTreeMap<String, TruthComparison>);
+
+impl TruthComparisons {
+    fn of(&mut self, actor: &str) -> &mut TruthComparison {
+        self.0.entry(actor.to_owned()).or_default()
+    }
+
+    /// Sets an actor's true body; call it before the true poses.
+    pub(super) fn set_body(&mut self, actor: &str, body: &Skeleton) {
+        self.of(actor).set_body(body.clone());
+    }
+
+    pub(super) fn add_truth(&mut self, actor: &str, truth: CompactPose) {
+        self.of(actor).add_truth(truth);
+    }
+
+    /// Adds a solved pose of a recording with `fps` frames per second.
+    pub(super) fn add_pose(&mut self, pose: &CompactPose, skeleton: &Skeleton, fps: f64) {
+        self.0.values_mut().for_each(|truth| truth.add_pose(pose, skeleton, fps));
+    }
+
+    /// The errors and the foot skate of the actor who is nearest on average; `None` if nothing could be
+    /// compared.
+    pub(super) fn nearest(
+        self,
+        skeleton: &Skeleton,
+        fps: f64,
+    ) -> Option<(PoseErrors, Option<FootSkate>)> {
+        let all = self.0.into_values().filter_map(|truth| truth.finish(skeleton, fps));
+        all.min_by(|a, b| a.0.mpjpe_mm.total_cmp(&b.0.mpjpe_mm))
+    }
+}
+
 /// Compares solved poses with true ones in a stream; both are in order of capture time, either may
 /// come first. A pose counts if it is tracked and a true pose lies within a tenth of a frame
 /// period. At most 16,384 poses of a side wait; then the oldest are dropped.
 #[derive(Default)]
-pub(super) struct TruthComparison {
+struct TruthComparison {
     body: Skeleton,
     truths: VecDeque<CompactPose>,
     poses: VecDeque<CompactPose>,
@@ -24,11 +59,11 @@ pub(super) struct TruthComparison {
 
 impl TruthComparison {
     /// Sets the true body; call it before the true poses.
-    pub(super) fn set_body(&mut self, body: Skeleton) {
+    fn set_body(&mut self, body: Skeleton) {
         self.body = body;
     }
 
-    pub(super) fn add_truth(&mut self, truth: CompactPose) {
+    fn add_truth(&mut self, truth: CompactPose) {
         let after = |known: &CompactPose| known.capture <= truth.capture;
         let place = self.truths.iter().rposition(after).map_or(0, |before| before + 1);
         self.truths.insert(place, truth);
@@ -38,7 +73,7 @@ impl TruthComparison {
     }
 
     /// Adds a solved pose of a recording with `fps` frames per second.
-    pub(super) fn add_pose(&mut self, pose: &CompactPose, skeleton: &Skeleton, fps: f64) {
+    fn add_pose(&mut self, pose: &CompactPose, skeleton: &Skeleton, fps: f64) {
         self.poses.push_back(pose.clone());
         let tolerance = tolerance(fps);
         self.feet.get_or_insert_with(|| FootSkateSums::new(fps));
@@ -53,11 +88,7 @@ impl TruthComparison {
     }
 
     /// The errors and the foot skate; `None` if nothing could be compared.
-    pub(super) fn finish(
-        mut self,
-        skeleton: &Skeleton,
-        fps: f64,
-    ) -> Option<(PoseErrors, Option<FootSkate>)> {
+    fn finish(mut self, skeleton: &Skeleton, fps: f64) -> Option<(PoseErrors, Option<FootSkate>)> {
         while !self.poses.is_empty() {
             self.compare_first(skeleton, tolerance(fps));
         }

@@ -188,6 +188,7 @@ fn report() -> ReportData {
         cameras: cameras.collect(),
         angles: angles.into(),
         windows: windows.collect(),
+        parts: Vec::new(),
     }
 }
 

@@ -43,6 +43,8 @@ mod slahmr;
 #[cfg(feature = "cli")]
 mod slate;
 mod solve;
+#[cfg(feature = "research")]
+mod stage;
 #[cfg(feature = "live")]
 mod storms;
 mod support;

@@ -49,7 +49,7 @@ impl Loaded {
                         frames.push(detections);
                     }
                     Item::HeldOut(detections) => seen[detections.camera].push(detections),
-                    Item::TrueBody(_) | Item::TruePose(_) => {}
+                    Item::TrueBody(..) | Item::TruePose(..) => {}
                 }
                 Ok(())
             },

@@ -72,11 +72,17 @@ pub enum EventKind {
     Clock,
     /// A take began or ended, or the performer's body was forgotten, as asked.
     Take,
+    /// A performer was seen for the first time, with several on the stage.
+    Entered,
+    /// A performer who was lost came back.
+    Reentered,
+    /// Two performers were one person.
+    Merged,
 }
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 32] = [
+    pub const ALL: [Self; 35] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -109,6 +115,9 @@ impl EventKind {
         Self::Idle,
         Self::Clock,
         Self::Take,
+        Self::Entered,
+        Self::Reentered,
+        Self::Merged,
     ];
 
     /// A lower-case name, as used on the wire.
@@ -146,6 +155,9 @@ impl EventKind {
             Self::Idle => "idle",
             Self::Clock => "clock",
             Self::Take => "take",
+            Self::Entered => "entered",
+            Self::Reentered => "reentered",
+            Self::Merged => "merged",
         }
     }
 }

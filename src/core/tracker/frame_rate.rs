@@ -98,7 +98,7 @@ impl FrameRate {
     }
 
     /// A period that was measured before; it counts while the cameras agree with it.
-    pub(super) fn know(&mut self, period: Option<FramePeriod>) {
+    pub fn know(&mut self, period: Option<FramePeriod>) {
         self.known = period;
     }
 

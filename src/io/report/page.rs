@@ -34,6 +34,8 @@ pub struct ReportData {
     pub angles: Vec<AngleTrack>,
     /// The windows in order of time.
     pub windows: Vec<WindowRow>,
+    /// Parts of the page, each with its title and content, after all others.
+    pub parts: Vec<ReportData>,
 }
 
 /// A table of text.
@@ -113,7 +115,7 @@ pub fn write_report(path: &Path, data: &ReportData) -> Result<(), ExportError> {
 
 /// The whole page.
 fn html(data: &ReportData) -> String {
-    let mut page = format!(
+    let page = format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
          <title>{title}</title>\n<style>{STYLE}</style></head>\n<body><main>\n\
@@ -121,6 +123,17 @@ fn html(data: &ReportData) -> String {
         escape(&data.subtitle),
         title = escape(&data.title)
     );
+    let mut page = page + &content(data);
+    for part in &data.parts {
+        let _ = writeln!(page, "<h2>{}</h2>", escape(&part.title));
+        page += &content(part);
+    }
+    page + "</main></body></html>\n"
+}
+
+/// Everything below the title.
+fn content(data: &ReportData) -> String {
+    let mut page = String::new();
     page += "<dl class=\"facts\">\n";
     for (name, value) in &data.facts {
         let _ = writeln!(page, "<div><dt>{}</dt><dd>{}</dd></div>", escape(name), escape(value));
@@ -148,7 +161,7 @@ fn html(data: &ReportData) -> String {
     for table in &data.tables {
         page += &table_html(table);
     }
-    page + "</div>\n</main></body></html>\n"
+    page + "</div>\n"
 }
 
 fn table_html(table: &Table) -> String {

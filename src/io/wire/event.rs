@@ -55,6 +55,9 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Body
         | EventKind::Idle
         | EventKind::Take
+        | EventKind::Entered
+        | EventKind::Reentered
+        | EventKind::Merged
         | EventKind::SecondNode => true,
         EventKind::Late
         | EventKind::Duplicate

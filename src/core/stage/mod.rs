@@ -1,0 +1,202 @@
+//! All performers in front of the cameras, without I/O.
+//!
+//! A [`Stage`] is used as a [`Tracker`] is: give it inputs, then poll it. Each output comes with the
+//! number of its performer. One performer is the tracker's own affair: it gets every frame as it is.
+//! With several, a tracker each gets frames in which its performer is alone:
+//!
+//! - Frames of about one time wait for each other and form a set (`sets`).
+//! - Each person in view is followed from set to set by [`associate`](super::association::associate)
+//!   and triangulation (`people`, `person`): this depends on the detections alone, and so do the
+//!   numbers of the performers. It needs no solved pose, which is some frames late.
+//! - A newcomer is a performer after five sets, and its tracker gets the frames from the first one on.
+//!   Above the limit it is a bystander: followed, so that its detections are nobody else's.
+//! - A performer who is not seen for a second is lost: its tracker gets no frames. Who comes back, by
+//!   the lengths of the body (`lengths`), has the old number.
+//! - Two in one place for 0.3 s are one: the one who came first.
+
+mod config;
+mod lengths;
+mod people;
+mod person;
+mod sets;
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+pub use config::{Config, Performers, PerformersError};
+use people::{Change, People};
+use sets::Sets;
+
+use super::association::Gates;
+use super::body::Skeleton;
+use super::time::Timestamp;
+use super::tracker::{
+    self, Event, EventKind, FramePeriod, FrameRate, Input, Job, Output, Solution, Tracker,
+};
+/// All performers of a stage.
+#[derive(Clone, Debug)]
+pub struct Stage {
+    /// A new performer's tracker.
+    template: Tracker,
+    /// Known bodies, by performer.
+    bodies: Vec<Option<Arc<Skeleton>>>,
+    trackers: Vec<Tracker>,
+    /// With several performers.
+    crowd: Option<Crowd>,
+    events: VecDeque<(usize, Event)>,
+    inbox: VecDeque<(usize, Input)>,
+}
+
+/// The people in view.
+#[derive(Clone, Debug)]
+struct Crowd {
+    sets: Sets,
+    people: People,
+}
+
+impl Stage {
+    /// Performers who are each tracked by a copy of `template`.
+    /// `period` is the cameras' frame period, if it was measured before.
+    pub fn new(
+        template: Tracker,
+        config: tracker::Config,
+        performers: Performers,
+        period: Option<FramePeriod>,
+    ) -> Self {
+        let limit = performers.limit();
+        let gates = Gates {
+            follow: config.gate.follow,
+            agree: config.gate.agree,
+            min_confidence: config.min_confidence,
+        };
+        let cameras = template.rig().cameras.len();
+        let mut rate = FrameRate::new(cameras);
+        rate.know(period);
+        let template = template.with_frame_period(period);
+        let crowd = (limit > 1).then(|| Crowd {
+            sets: Sets::new(cameras, config, rate),
+            people: People::new(limit, gates),
+        });
+        let trackers = if crowd.is_none() { vec![template.clone()] } else { Vec::new() };
+        Self {
+            template,
+            bodies: Vec::new(),
+            trackers,
+            crowd,
+            events: VecDeque::new(),
+            inbox: VecDeque::new(),
+        }
+    }
+
+    /// Tracks performers whose bodies are known, by number. They are not estimated.
+    #[must_use]
+    pub fn with_bodies(mut self, bodies: Vec<Option<Arc<Skeleton>>>) -> Self {
+        if self.crowd.is_none() {
+            let known = bodies.first().cloned().flatten();
+            self.trackers = self.trackers.into_iter().map(|t| t.with_body(known.clone())).collect();
+        }
+        Self { bodies, ..self }
+    }
+
+    /// The trackers, by performer.
+    pub fn trackers(&self) -> &[Tracker] {
+        &self.trackers
+    }
+
+    /// The most people at a time who were seen for a while and are not tracked.
+    pub fn others(&self) -> usize {
+        self.crowd.as_ref().map_or(0, |crowd| crowd.people.others)
+    }
+
+    /// Processes an input of all performers; solutions go to [`Stage::solved`]. Call [`Stage::poll`]
+    /// until it is empty before the next one.
+    pub fn handle(&mut self, input: Input) {
+        let Some(crowd) = &mut self.crowd else {
+            return self.inbox.push_back((0, input));
+        };
+        let is_end = match &input {
+            Input::Detections(frame) => {
+                crowd.sets.add(frame.clone(), self.template.rig());
+                false
+            }
+            Input::End => true,
+            Input::Restart | Input::Forget | Input::Rig(_) => {
+                crowd.sets.clear();
+                crowd.people.restart();
+                false
+            }
+            Input::Tick(_) | Input::Solved(_) => false,
+        };
+        while let Some(crowd) = &mut self.crowd
+            && let Some((at, frames)) = crowd.sets.next(is_end)
+        {
+            let changes = crowd.people.take(at, frames, self.template.rig());
+            changes.into_iter().for_each(|change| self.apply(at, change));
+        }
+        if !matches!(input, Input::Detections(_) | Input::Solved(_)) {
+            self.template.handle(input.clone());
+            self.inbox.extend((0..self.trackers.len()).map(|one| (one, input.clone())));
+        }
+    }
+
+    fn apply(&mut self, at: Timestamp, change: Change) {
+        let (performer, kind, detail) = match change {
+            Change::Frame(performer, frame) => {
+                self.inbox.push_back((performer, Input::Detections(frame)));
+                return;
+            }
+            Change::Entered(performer) => {
+                let body = self.bodies.get(performer).cloned().flatten();
+                self.trackers.push(self.template.clone().with_body(body));
+                (performer, EventKind::Entered, "a new performer".to_owned())
+            }
+            Change::Returned(performer) => {
+                self.inbox.push_back((performer, Input::Restart));
+                (performer, EventKind::Reentered, "the performer is back".to_owned())
+            }
+            Change::Merged(performer, into) => {
+                (performer, EventKind::Merged, format!("is performer {}", into + 1))
+            }
+        };
+        let event = Event { capture: at, kind, camera: None, window: None, count: 1, detail };
+        self.events.push_back((performer, event));
+    }
+
+    /// Processes the solution of a performer's job.
+    pub fn solved(&mut self, performer: usize, solution: Solution) {
+        if let Some(tracker) = self.trackers.get_mut(performer) {
+            tracker.handle(Input::Solved(solution));
+        }
+    }
+
+    /// The next output and its performer, if there is one.
+    pub fn poll(&mut self) -> Option<(usize, Output)> {
+        loop {
+            if let Some((performer, event)) = self.events.pop_front() {
+                return Some((performer, Output::Event(event)));
+            }
+            let mut trackers = self.trackers.iter_mut().enumerate();
+            if let Some(next) = trackers.find_map(|(one, tracker)| Some((one, tracker.poll()?))) {
+                return Some(next);
+            }
+            let (performer, input) = self.inbox.pop_front()?;
+            if let Some(tracker) = self.trackers.get_mut(performer) {
+                tracker.handle(input);
+            }
+        }
+    }
+
+    /// The next output that is not a job. `solve` solves the jobs on this thread, as with
+    /// [`Tracker::poll_and_solve`].
+    pub fn poll_and_solve(
+        &mut self,
+        mut solve: impl FnMut(&Job) -> Solution,
+    ) -> Option<(usize, Output)> {
+        loop {
+            match self.poll()? {
+                (performer, Output::Solve(job)) => self.solved(performer, solve(&job)),
+                output => return Some(output),
+            }
+        }
+    }
+}

@@ -1,0 +1,285 @@
+//! Who is there: people are found, confirmed, followed, lost and found again.
+
+use super::person::{Person, Sight, apart};
+use crate::core::association::{Assigned, Gates, Newcomer, associate, pixels_of};
+use crate::core::camera::Rig;
+use crate::core::detections::Detections;
+use crate::core::time::{Nanos, Timestamp};
+
+/// A newcomer is a person after so many sets, and after so many if it may be somebody who was lost.
+const CONFIRMED: u32 = 5;
+const RECOGNISED: u32 = 15;
+/// A newcomer who is not seen for this long was none.
+const DOUBTFUL: Nanos = Nanos::from_ms(120);
+/// A performer who is not seen for this long is lost, and a bystander is forgotten.
+const LOST: Nanos = Nanos::from_ms(1000);
+/// A performer who is not seen for this long may be where a newcomer is.
+const ELSEWHERE: Nanos = Nanos::from_ms(150);
+/// How far people get while they are not seen, metres and m/s.
+const AWAY_M: f64 = 0.6;
+const AWAY_M_S: f64 = 3.0;
+/// Bodies that differ by less are one person's; where all performers are known, by less than the
+/// second.
+const SAME_BODY: f64 = 0.08;
+const ALIKE_BODY: f64 = 0.12;
+/// People who are this near each other on average, metres, for this long are one.
+const SAME_M: f64 = 0.15;
+const SAME_TIME: Nanos = Nanos::from_ms(300);
+/// A bystander counts after this time.
+const STAYED: Nanos = Nanos::from_ms(500);
+/// Most people who are followed.
+const MOST: usize = 64;
+
+/// What a person is to us.
+#[derive(Clone, Debug)]
+enum Life {
+    /// Not confirmed; with the frames so far.
+    Candidate(Vec<Detections>),
+    Performer(usize),
+    /// Above the number of performers.
+    Bystander,
+}
+
+#[derive(Clone, Debug)]
+struct Member {
+    person: Person,
+    life: Life,
+    /// Since when the member is in the place of an older one.
+    close_since: Option<Timestamp>,
+}
+
+/// What happened to a performer, by number from 0.
+#[derive(Clone, Debug)]
+pub(super) enum Change {
+    /// A new performer.
+    Entered(usize),
+    /// A performer who was lost is there again.
+    Returned(usize),
+    /// The first one was the second one, who goes on.
+    Merged(usize, usize),
+    /// A frame with the performer alone, or with nobody.
+    Frame(usize, Detections),
+}
+
+/// All people in view.
+#[derive(Clone, Debug)]
+pub(super) struct People {
+    gates: Gates,
+    /// Most performers.
+    limit: usize,
+    members: Vec<Member>,
+    /// Performers who are lost.
+    absent: Vec<(usize, Person)>,
+    /// Number of performers so far.
+    known: usize,
+    /// Most bystanders at a time.
+    pub(super) others: usize,
+}
+
+impl People {
+    pub(super) fn new(limit: usize, gates: Gates) -> Self {
+        Self { gates, limit, members: Vec::new(), absent: Vec::new(), known: 0, others: 0 }
+    }
+
+    /// Nobody is in view any more.
+    pub(super) fn restart(&mut self) {
+        for member in std::mem::take(&mut self.members) {
+            if let Life::Performer(performer) = member.life {
+                self.absent.push((performer, member.person));
+            }
+        }
+    }
+
+    /// Takes the frames of one time.
+    pub(super) fn take(
+        &mut self,
+        at: Timestamp,
+        frames: Vec<Detections>,
+        rig: &Rig,
+    ) -> Vec<Change> {
+        let seen: Vec<&Detections> = frames.iter().collect();
+        let expected: Vec<_> = self.members.iter().map(|m| m.person.expected(at)).collect();
+        let found = associate(rig, &seen, &expected, &self.gates);
+        let mut changes = Vec::new();
+        for (member, assigned) in self.members.iter_mut().zip(&found.performers) {
+            let alone = member.person.follow(at, &frames, assigned, rig, &self.gates);
+            match &mut member.life {
+                Life::Candidate(earlier) => earlier.extend(alone),
+                Life::Performer(performer) => {
+                    changes.extend(alone.map(|frame| Change::Frame(*performer, frame)));
+                }
+                Life::Bystander => {}
+            }
+        }
+        for Newcomer { points, views, .. } in found.newcomers {
+            if self.members.len() < MOST {
+                let mut person = Person::new(points, at, rig.cameras.len());
+                let alone = person.follow(at, &frames, &views, rig, &self.gates);
+                let life = Life::Candidate(alone.collect());
+                self.members.push(Member { person, life, close_since: None });
+            }
+        }
+        self.drop_doubles(at, &mut changes);
+        self.lose(at);
+        self.confirm(at, &mut changes);
+        let stays = |member: &&Member| {
+            matches!(member.life, Life::Bystander) && at - member.person.first > STAYED
+        };
+        self.others = self.others.max(self.members.iter().filter(stays).count());
+        changes
+    }
+
+    /// Two members in one place are one person: the older one stays.
+    fn drop_doubles(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
+        let places: Vec<_> = self.members.iter().map(|m| m.person.predicted(at)).collect();
+        let rank = |member: &Member| match member.life {
+            Life::Performer(performer) => performer,
+            Life::Bystander => usize::MAX - 1,
+            Life::Candidate(_) => usize::MAX,
+        };
+        let ranks: Vec<(usize, Timestamp)> =
+            self.members.iter().map(|m| (rank(m), m.person.first)).collect();
+        let mut dropped = Vec::new();
+        for (index, member) in self.members.iter_mut().enumerate() {
+            let is_double = |other: &usize| {
+                (ranks[*other], *other) < (ranks[index], index)
+                    && apart(&places[*other], &places[index]).is_some_and(|off| off < SAME_M)
+            };
+            let Some(older) = (0..places.len()).find(is_double) else {
+                member.close_since = None;
+                continue;
+            };
+            if at - *member.close_since.get_or_insert(at) > SAME_TIME {
+                dropped.push(index);
+                if let Life::Performer(performer) = member.life {
+                    changes.push(Change::Merged(performer, ranks[older].0));
+                }
+            }
+        }
+        for index in dropped.into_iter().rev() {
+            self.members.remove(index);
+        }
+    }
+
+    /// Members who were not seen for too long go.
+    fn lose(&mut self, at: Timestamp) {
+        let is_gone = |member: &mut Member| {
+            let longest = match member.life {
+                Life::Candidate(_) => DOUBTFUL,
+                Life::Performer(_) | Life::Bystander => LOST,
+            };
+            member.person.unseen(at) > longest
+        };
+        for member in self.members.extract_if(.., is_gone) {
+            if let Life::Performer(performer) = member.life {
+                self.absent.push((performer, member.person));
+            }
+        }
+    }
+
+    /// Candidates become performers, the largest first, or bystanders.
+    fn confirm(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
+        let is_ready = |member: &Member| {
+            matches!(member.life, Life::Candidate(_)) && member.person.sets >= CONFIRMED
+        };
+        let mut ready: Vec<usize> =
+            (0..self.members.len()).filter(|&index| is_ready(&self.members[index])).collect();
+        let size = |index: &usize| self.members[*index].person.size();
+        ready.sort_by(|a, b| size(b).total_cmp(&size(a)).then(a.cmp(b)));
+        let mut gone = Vec::new();
+        for index in ready {
+            if let Some(other) = self.elsewhere(index, at) {
+                // The performer goes on here; its tracker has had frames without it meanwhile.
+                self.members[other].person = self.members[index].person.clone();
+                gone.push(index);
+                continue;
+            }
+            let may_return = !self.absent.is_empty();
+            if may_return && self.members[index].person.sets < RECOGNISED {
+                continue;
+            }
+            let returned = self.recognise(index, at);
+            let performer = match returned {
+                Some(place) => self.absent.remove(place).0,
+                None if self.known < self.limit => {
+                    self.known += 1;
+                    self.known - 1
+                }
+                None => {
+                    self.members[index].life = Life::Bystander;
+                    continue;
+                }
+            };
+            changes.push(match returned {
+                Some(_) => Change::Returned(performer),
+                None => Change::Entered(performer),
+            });
+            let life = std::mem::replace(&mut self.members[index].life, Life::Performer(performer));
+            if let Life::Candidate(frames) = life {
+                changes.extend(frames.into_iter().map(|frame| Change::Frame(performer, frame)));
+            }
+        }
+        gone.sort_unstable();
+        for index in gone.into_iter().rev() {
+            self.members.remove(index);
+        }
+    }
+
+    /// The performer who is expected in a place where it is not, and may be this candidate.
+    fn elsewhere(&self, candidate: usize, at: Timestamp) -> Option<usize> {
+        let candidate = &self.members[candidate].person;
+        let missed = (0..self.members.len()).filter(|&index| {
+            let Member { person, life, .. } = &self.members[index];
+            matches!(life, Life::Performer(_))
+                && person.unseen(at) > ELSEWHERE
+                && may_be_there(person, candidate, at)
+        });
+        let differences = missed.filter_map(|index| {
+            let difference = self.members[index].person.lengths.difference(&candidate.lengths)?;
+            (difference < SAME_BODY).then_some((index, difference))
+        });
+        differences.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(index, _)| index)
+    }
+
+    /// The place in `absent` of the performer whom a candidate is.
+    fn recognise(&self, candidate: usize, at: Timestamp) -> Option<usize> {
+        let candidate = &self.members[candidate].person;
+        let gate = if self.known < self.limit { SAME_BODY } else { ALIKE_BODY };
+        let differences = self.absent.iter().enumerate().filter_map(|(place, (_, person))| {
+            let difference = person.lengths.difference(&candidate.lengths)?;
+            let is_possible = difference < gate && may_be_there(person, candidate, at);
+            is_possible.then_some((place, difference))
+        });
+        differences.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(place, _)| place)
+    }
+}
+
+/// Whether a person who was not seen for a while can have got to where the candidate is.
+fn may_be_there(person: &Person, candidate: &Person, at: Timestamp) -> bool {
+    let reach = AWAY_M + AWAY_M_S * person.unseen(at).seconds();
+    apart(person.points(), candidate.points()).is_some_and(|off| off < reach)
+}
+
+impl Person {
+    /// Takes what is the person's in the frames of a time; returns each frame with the person alone.
+    fn follow<'a>(
+        &mut self,
+        at: Timestamp,
+        frames: &'a [Detections],
+        assigned: &'a [Assigned],
+        rig: &Rig,
+        gates: &Gates,
+    ) -> impl Iterator<Item = Detections> + use<'a> {
+        let own = |(frame, assigned): (&Detections, &Assigned)| {
+            let person = assigned.person(frame)?;
+            let sight: Sight = (frame.camera, pixels_of(frame, &person, gates.min_confidence));
+            Some((sight, (frame.camera, person.id)))
+        };
+        let (views, ids): (Vec<_>, Vec<_>) = frames.iter().zip(assigned).filter_map(own).unzip();
+        self.update(at, &views, &ids, rig, gates);
+        frames.iter().zip(assigned).map(|(frame, assigned)| {
+            let people = assigned.person(frame).into_iter().collect();
+            Detections { people, ..*frame }
+        })
+    }
+}

@@ -1,0 +1,165 @@
+//! One person, followed from frame set to frame set by triangulation.
+
+use nalgebra::Vector3;
+
+use super::lengths::Lengths;
+use crate::core::association::{Expectation, Gates, KEYPOINTS, LastSeen, Pixels, Points};
+use crate::core::camera::{Rig, triangulate_robust};
+use crate::core::detections::Keypoint as K;
+use crate::core::time::{Nanos, Timestamp};
+
+/// The points whose motion is the person's.
+const TRUNK: [K; 6] = [K::LShoulder, K::RShoulder, K::LHip, K::RHip, K::LEar, K::REar];
+/// So many of them are triangulated where a person is seen.
+const LEAST_TRUNK: usize = 2;
+/// A triangulated point is not further than this from the predicted one, metres, and this faster than
+/// the body since it was last seen, m/s.
+const REACH_M: f64 = 0.35;
+const REACH_M_S: f64 = 4.0;
+/// Time constants of the measured velocity and of its decay while a person is not seen, seconds.
+const MEASURED_S: f64 = 0.12;
+const DECAY_S: f64 = 0.4;
+/// No person is faster, m/s.
+const FASTEST_M_S: f64 = 6.0;
+
+/// A person in one view: the camera and the points.
+pub(super) type Sight = (usize, Pixels);
+
+/// Where a person is, and how the body is built.
+#[derive(Clone, Debug)]
+pub(super) struct Person {
+    points: Points,
+    /// When each was last triangulated.
+    fresh: [Timestamp; KEYPOINTS],
+    velocity: Vector3<f64>,
+    /// The time of the points.
+    at: Timestamp,
+    /// When the person was last triangulated, and at first.
+    pub(super) seen: Timestamp,
+    pub(super) first: Timestamp,
+    /// Number of sets in which the person was.
+    pub(super) sets: u32,
+    last: Vec<Option<LastSeen>>,
+    pub(super) lengths: Lengths,
+    /// Sum over the sets of the extents in all views, pixels.
+    extents: f64,
+}
+
+impl Person {
+    /// A person found at a time.
+    pub(super) fn new(points: Points, at: Timestamp, cameras: usize) -> Self {
+        Self {
+            points,
+            fresh: [at; KEYPOINTS],
+            velocity: Vector3::zeros(),
+            at,
+            seen: at,
+            first: at,
+            sets: 0,
+            last: vec![None; cameras],
+            lengths: Lengths::default(),
+            extents: 0.0,
+        }
+    }
+
+    /// How large the person is in the images, pixels.
+    pub(super) fn size(&self) -> f64 {
+        self.extents / f64::from(self.sets.max(1))
+    }
+
+    /// Where the person was last.
+    pub(super) fn points(&self) -> &Points {
+        &self.points
+    }
+
+    /// Time since the person was last seen.
+    pub(super) fn unseen(&self, now: Timestamp) -> Nanos {
+        now - self.seen
+    }
+
+    /// What the person is expected to look like.
+    pub(super) fn expected(&self, at: Timestamp) -> Expectation {
+        Expectation { points: self.predicted(at), last: self.last.clone() }
+    }
+
+    /// The points at another time.
+    pub(super) fn predicted(&self, at: Timestamp) -> Points {
+        let seconds = at.seconds_since(self.at);
+        // The velocity decays only while nothing is seen.
+        let unseen = self.at.seconds_since(self.seen).max(0.0);
+        let moved = self.velocity * (seconds * libm::exp(-unseen / DECAY_S));
+        self.points.map(|point| Some(point? + moved))
+    }
+
+    /// Takes what the views show at a time. Returns whether the person was seen in space.
+    pub(super) fn update(
+        &mut self,
+        at: Timestamp,
+        views: &[Sight],
+        ids: &[(usize, Option<i64>)],
+        rig: &Rig,
+        gates: &Gates,
+    ) -> bool {
+        for ((camera, pixels), (_, id)) in views.iter().zip(ids) {
+            self.last[*camera] = Some(LastSeen { pixels: *pixels, id: *id });
+        }
+        if at <= self.at && self.sets > 0 {
+            return false;
+        }
+        let predicted = self.predicted(at);
+        let extents: Vec<f64> = views.iter().map(|(_, pixels)| extent(pixels)).collect();
+        let gate = gates.agree * extents.iter().fold(0.0, |a: f64, b| a.max(*b));
+        let found: Points = std::array::from_fn(|index| {
+            let seen = views.iter().filter_map(|(c, pixels)| Some((*c, pixels[index]?, 1.0)));
+            let seen: Vec<_> = seen.collect();
+            let point = triangulate_robust(rig, &seen, gate, index as u64)?.point;
+            let age = at.seconds_since(self.fresh[index]);
+            let is_near =
+                |predicted: Vector3<f64>| (point - predicted).norm() <= REACH_M + REACH_M_S * age;
+            predicted[index].is_none_or(is_near).then_some(point)
+        });
+        let of_trunk: Vec<Vector3<f64>> = TRUNK
+            .iter()
+            .filter_map(|&k| Some(found[k as usize]? - predicted[k as usize]?))
+            .collect();
+        let seconds = at.seconds_since(self.at);
+        let is_seen = of_trunk.len() >= LEAST_TRUNK;
+        let mut shift = Vector3::zeros();
+        if is_seen {
+            shift = of_trunk.iter().sum::<Vector3<f64>>() / of_trunk.len() as f64;
+            if seconds > 0.0 {
+                let share = 1.0 - libm::exp(-seconds / MEASURED_S);
+                self.velocity += shift / seconds * share;
+                let fast = self.velocity.norm() / FASTEST_M_S;
+                self.velocity /= fast.max(1.0);
+            }
+            self.seen = at;
+            self.sets += 1;
+            self.extents += extents.iter().sum::<f64>();
+            self.lengths.add(&found);
+        }
+        for (index, found) in found.into_iter().enumerate() {
+            if found.is_some() {
+                self.fresh[index] = at;
+            }
+            self.points[index] = found.or(predicted[index].map(|point| point + shift));
+        }
+        self.at = at;
+        is_seen
+    }
+}
+
+/// Height or width in the image, whichever is larger, pixels.
+fn extent(pixels: &Pixels) -> f64 {
+    let seen = || pixels.iter().flatten();
+    let low = seen().fold(nalgebra::Vector2::repeat(f64::INFINITY), |a, b| a.inf(b));
+    let high = seen().fold(nalgebra::Vector2::repeat(f64::NEG_INFINITY), |a, b| a.sup(b));
+    (high - low).max().max(0.0)
+}
+
+/// Mean distance of the points that both have, metres. `None` without any.
+pub(super) fn apart(a: &Points, b: &Points) -> Option<f64> {
+    let both = a.iter().zip(b).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm()));
+    let (sum, count) = both.fold((0.0, 0.0), |(sum, count), off| (sum + off, count + 1.0));
+    (count > 0.0).then(|| sum / count)
+}

@@ -1,0 +1,128 @@
+//! The results of one performer.
+
+use std::collections::BTreeMap;
+
+use super::Error;
+use super::driver::Driver;
+use super::hold_out::{HeldOut, HoldOut};
+use super::options::Observer;
+use super::poses::{Comparisons, PoseSummary, Poses};
+use super::recording::Recording;
+use super::summary::{Reprojection, SolveTime, Summary};
+use super::windows::Windows;
+use crate::core::body::Skeleton;
+use crate::core::camera::Rig;
+use crate::core::check::Check;
+use crate::core::tracker::{EventKind, Output};
+use crate::io::recording::Report;
+
+/// The results of a solve for one performer.
+pub(super) struct Collected<'a> {
+    pub(super) poses: Poses,
+    pub(super) windows: Windows,
+    pub(super) events: BTreeMap<EventKind, u64>,
+    pub(super) comparisons: Comparisons<'a>,
+}
+
+impl Collected<'_> {
+    /// Takes an output of the performer, whose number it is.
+    pub(super) fn add(
+        &mut self,
+        driver: &Driver,
+        performer: usize,
+        output: &Output,
+        observer: &mut dyn Observer,
+    ) -> Result<(), Error> {
+        match output {
+            Output::Pose(pose) => {
+                let Some(skeleton) = driver.skeleton(performer) else { return Ok(()) };
+                observer.pose(pose, &skeleton);
+                self.poses.add(pose.as_ref().into(), &skeleton, &mut self.comparisons)?;
+            }
+            Output::Event(event) => *self.events.entry(event.kind).or_default() += event.count,
+            Output::Window(report) => self.windows.add(report, driver.window_solve),
+            Output::Skeleton(_) | Output::Keyframe(_) | Output::Solve(_) => {}
+        }
+        Ok(())
+    }
+
+    fn count(&self, kind: EventKind) -> u64 {
+        self.events.get(&kind).copied().unwrap_or(0)
+    }
+
+    pub(super) fn summarise(
+        mut self,
+        recording: &Recording,
+        rig: &Rig,
+        skeleton: &Skeleton,
+        poses: PoseSummary,
+        report: &Report,
+        seconds: f64,
+    ) -> (Self, Summary) {
+        let comparisons = std::mem::take(&mut self.comparisons);
+        let held_out: Vec<HoldOut> =
+            comparisons.held_out.into_iter().map(HeldOut::finish).collect();
+        let frames = self.poses.count;
+        let truth = poses.fps.and_then(|fps| comparisons.truths.nearest(skeleton, fps));
+        let (truth, true_skate) = truth.unzip();
+        let references = comparisons.references.iter().filter_map(|reference| reference.finish());
+        let summary = Summary {
+            version: env!("CARGO_PKG_VERSION"),
+            recording: recording.path().display().to_string(),
+            frames,
+            frames_lost: self.poses.flagged,
+            windows: self.windows.count,
+            lost: self.windows.lost,
+            windows_without_performer: self.count(EventKind::NobodyFound),
+            frame_rate_hz: poses.fps,
+            reprojection: Reprojection::new(&self.windows, rig),
+            hold_out: HoldOut::of_all(&held_out),
+            hold_out_cameras: held_out,
+            mean_acceleration_m_s2: poses.acceleration,
+            foot_skate: true_skate.unwrap_or(poses.feet),
+            floor_m: poses.floor,
+            truth,
+            reference: references.min_by(|a, b| a.mean_mm.total_cmp(&b.mean_mm)),
+            solve_ms: SolveTime::new(&self.windows),
+            frames_per_second: frames as f64 / seconds.max(1e-9),
+            events: EventKind::ALL.map(|kind| (kind.name(), self.count(kind))).into(),
+            damage: report.losses(),
+            time_offsets: Vec::new(),
+            check: None,
+            notes: poses.note.into_iter().collect(),
+        };
+        (self, summary)
+    }
+}
+
+/// The error if no performer was found.
+pub(super) fn nobody(all: &[Collected], recording: &Recording, rig: &Rig, check: &Check) -> Error {
+    let count = |kind| all.iter().map(|one| one.count(kind)).sum::<u64>();
+    let lost = all.iter().map(|one| one.windows.lost as u64).sum::<u64>();
+    let unusable = match count(EventKind::Unusable) {
+        0 => String::new(),
+        unusable => format!(", {unusable} frames could not be used"),
+    };
+    let evidence = format!(
+        "no performer is seen by two of the {} cameras at once ({} windows tried{unusable}{}); \
+         check the calibration, the keypoint format ({}) and that the cameras share a clock",
+        rig.cameras.len(),
+        count(EventKind::NobodyFound) + lost,
+        out_of_time(count(EventKind::Late), count(EventKind::Duplicate)),
+        recording.format(),
+    );
+    let found = check.warnings().map(|warning| format!("; {warning}"));
+    let evidence = found.fold(evidence, |all, warning| all + &warning);
+    Error::NobodyFound { path: recording.path().to_owned(), evidence }
+}
+
+/// A note on the frames of a recording that is not sorted by capture time.
+fn out_of_time(late: u64, duplicate: u64) -> String {
+    if late == 0 && duplicate == 0 {
+        return String::new();
+    }
+    format!(
+        ", {late} frames came late and {duplicate} came twice; they were not used: is the recording \
+         sorted by capture time?"
+    )
+}

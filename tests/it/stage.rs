@@ -1,0 +1,236 @@
+//! Several performers on a stage: who they are, when they come and go.
+
+use std::sync::Arc;
+
+use bundlemocap::core::body::{Pose, Shape, Skeleton};
+use bundlemocap::core::camera::Rig;
+use bundlemocap::core::detections::Detections;
+use bundlemocap::core::stage::{Performers, Stage};
+use bundlemocap::core::time::Nanos;
+use bundlemocap::core::tracker::EventKind;
+use bundlemocap::research::synth::{
+    Crowd, Meeting, Motion, MotionStyle, Noise, Recording, ring_rig,
+};
+use bundlemocap::{Decoder, Input, Output, Solver, StampedPose, Tracker, TrackerConfig};
+use nalgebra::Vector3;
+
+const FPS: f64 = 30.0;
+
+type AnyMotion = Box<dyn Fn(f64) -> Pose>;
+
+/// People with bodies of their own, whose places are `at(person, seconds)`.
+fn people(
+    shapes: &[f64],
+    seconds: f64,
+    at: impl Fn(usize, f64) -> Vector3<f64> + Clone + 'static,
+) -> Crowd<AnyMotion> {
+    let rig = ring_rig(4, 5.0, 2.0).unwrap();
+    let one = |(person, shape): (usize, &f64)| {
+        let skeleton = Skeleton::new(Shape::symmetric([*shape; 10]));
+        let motion = Motion::new(&skeleton, MotionStyle::default());
+        let at = at.clone();
+        let place = move |seconds: f64| {
+            let mut pose = motion.pose(seconds);
+            let height = Vector3::y() * pose.root_position.y;
+            pose.root_position = at(person, seconds) + height;
+            pose
+        };
+        let mut recording = Recording::new(rig.clone(), skeleton, Box::new(place) as AnyMotion);
+        (recording.fps, recording.frames) = (FPS, (seconds * FPS) as u64);
+        (recording.noise, recording.seed) = (Noise::clean(), 5 + person as u64);
+        recording
+    };
+    Crowd::new(shapes.iter().enumerate().map(one).collect())
+}
+
+/// What came out of a stage.
+#[derive(Default)]
+struct Result {
+    poses: Vec<(usize, StampedPose)>,
+    events: Vec<(usize, EventKind)>,
+    others: usize,
+}
+
+impl Result {
+    fn events(&self, kind: EventKind) -> Vec<usize> {
+        self.events.iter().filter(|event| event.1 == kind).map(|event| event.0).collect()
+    }
+
+    /// The largest distance of the tracked roots of a performer from places on the floor, metres.
+    fn off(&self, performer: usize, start: f64, at: impl Fn(f64) -> Vector3<f64>) -> f64 {
+        let own = self.poses.iter().filter(|(number, pose)| {
+            *number == performer && pose.capture.ns() as f64 * 1e-9 >= start
+        });
+        let off = own.map(|(_, pose)| {
+            let seconds = pose.capture.ns() as f64 * 1e-9;
+            (pose.pose.root_position.xz() - at(seconds).xz()).norm()
+        });
+        off.fold(0.0, f64::max)
+    }
+}
+
+fn run(rig: &Rig, frames: impl Iterator<Item = Detections>, performers: &str) -> Result {
+    let config = TrackerConfig::default();
+    let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
+    let tracker = Tracker::new(config, Arc::new(rig.clone()));
+    let performers: Performers = performers.parse().unwrap();
+    let mut stage = Stage::new(tracker, config, performers, None);
+    let mut result = Result::default();
+    for input in frames.map(Input::Detections).chain([Input::End]) {
+        stage.handle(input);
+        while let Some((performer, output)) = stage.poll_and_solve(|job| solver.solve(job)) {
+            match output {
+                Output::Pose(pose) => result.poses.push((performer, *pose)),
+                Output::Event(event) => result.events.push((performer, event.kind)),
+                _ => {}
+            }
+        }
+    }
+    result.others = stage.others();
+    result
+}
+
+fn zero(crowd: &Crowd<AnyMotion>) -> impl Iterator<Item = Detections> + '_ {
+    let start = crowd.people()[0].start;
+    crowd.detections().map(move |(mut frame, _)| {
+        frame.capture = bundlemocap::Timestamp::default() + (frame.capture - start);
+        frame
+    })
+}
+
+#[test]
+fn one_performer_is_the_trackers_own_affair() {
+    let crowd = people(&[0.0], 3.0, |_, _| Vector3::zeros());
+    let rig = &crowd.people()[0].rig;
+    let config = TrackerConfig::default();
+    let mut tracker = Tracker::new(config, Arc::new(rig.clone()));
+    let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
+    let mut alone = Vec::new();
+    bundlemocap::core::tracker::run_to_end(&mut tracker, &mut solver, zero(&crowd), |output| {
+        alone.push(format!("{output:?}"));
+    });
+    let tracker = Tracker::new(config, Arc::new(rig.clone()));
+    let mut stage = Stage::new(tracker, config, Performers::default(), None);
+    let mut on_stage = Vec::new();
+    for input in zero(&crowd).map(Input::Detections).chain([Input::End]) {
+        stage.handle(input);
+        while let Some((0, output)) = stage.poll_and_solve(|job| solver.solve(job)) {
+            on_stage.push(format!("{output:?}"));
+        }
+    }
+    assert!(alone.len() > 80 && alone == on_stage);
+}
+
+#[test]
+fn people_who_cross_and_meet_keep_their_numbers() {
+    let meeting = Meeting { people: 3, distance: Some(0.6) };
+    let rig = meeting.rig(5).unwrap();
+    let person = |person| {
+        let (skeleton, motion) = meeting.person(person, 3);
+        let mut one = Recording::new(rig.clone(), skeleton, Box::new(motion) as AnyMotion);
+        (one.fps, one.frames, one.noise) = (FPS, 14 * FPS as u64, Noise::studio());
+        one
+    };
+    let crowd = Crowd::new((0..3).map(person).collect());
+    let result = run(&rig, zero(&crowd), "auto");
+    assert_eq!(result.events(EventKind::Entered), [0, 1, 2]);
+    assert!(result.events(EventKind::Merged).is_empty() && result.others == 0);
+    let mut actors: Vec<usize> = (0..3)
+        .map(|performer| {
+            let off = |actor: usize| {
+                result.off(performer, 0.0, |s| (crowd.people()[actor].motion)(s).root_position)
+            };
+            let actor = (0..3).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap();
+            assert!(off(actor) < 0.12, "{performer}: {} m", off(actor));
+            let count = result.poses.iter().filter(|(number, _)| *number == performer).count();
+            assert!(count + 3 > 14 * FPS as usize, "{count} poses of {performer}");
+            actor
+        })
+        .collect();
+    actors.sort_unstable();
+    assert_eq!(actors, [0, 1, 2]);
+}
+
+/// The second person leaves for four seconds and comes back elsewhere; then a taller one comes.
+#[test]
+fn who_comes_back_has_the_old_number_and_somebody_else_has_a_new_one() {
+    let at = |person: usize, seconds: f64| match person {
+        0 => Vector3::new(-0.9, 0.0, 0.0),
+        1 if seconds < 5.0 => Vector3::new(0.9, 0.0, 0.4),
+        1 => Vector3::new(0.5, 0.0, -0.9),
+        _ => Vector3::new(0.8, 0.0, 0.9),
+    };
+    let crowd = people(&[0.3, -1.0, 1.6], 12.0, at);
+    let rig = &crowd.people()[0].rig;
+    let is_there = |owner: usize, seconds: f64| match owner {
+        0 => true,
+        1 => seconds < 3.0 || (7.0..9.0).contains(&seconds),
+        _ => seconds > 10.5,
+    };
+    let start = crowd.people()[0].start;
+    let frames = crowd.detections().map(|(mut frame, owners)| {
+        frame.capture = bundlemocap::Timestamp::default() + (frame.capture - start);
+        let seconds = frame.capture.ns() as f64 * 1e-9;
+        let mut owners = owners.into_iter();
+        frame.people.retain(|_| owners.next().is_some_and(|owner| is_there(owner, seconds)));
+        frame
+    });
+    let result = run(rig, frames, "auto");
+    assert_eq!(result.events(EventKind::Entered), [0, 1, 2]);
+    assert_eq!(result.events(EventKind::Reentered), [1]);
+    assert!(result.off(0, 0.0, |s| at(0, s)) < 0.1 && result.off(2, 0.0, |s| at(2, s)) < 0.1);
+    let back = result
+        .poses
+        .iter()
+        .filter(|(number, pose)| *number == 1 && pose.capture.ns() > Nanos::from_ms(7_000).ns());
+    let back: Vec<_> = back.collect();
+    // Within half a second.
+    assert!(back[0].1.capture.ns() < Nanos::from_ms(7_500).ns());
+    assert!(result.off(1, 7.0, |s| at(1, s)) < 0.12);
+    // A tracker without a performer does not search.
+    let gone = result.poses.iter().filter(|(number, pose)| {
+        *number == 1 && (4_500..7_000).contains(&(pose.capture.ns() / 1_000_000))
+    });
+    assert_eq!(gone.count(), 0);
+}
+
+#[test]
+fn people_above_the_limit_are_counted_and_are_nobodys() {
+    let at = |person: usize, seconds: f64| {
+        let angle = 2.1 * person as f64 + 0.8 * seconds;
+        Vector3::new(angle.sin(), 0.0, angle.cos()) * 0.9
+    };
+    let crowd = people(&[0.0, 1.0, -1.0], 4.0, at);
+    let result = run(&crowd.people()[0].rig, zero(&crowd), "2");
+    assert_eq!((result.events(EventKind::Entered), result.others), (vec![0, 1], 1));
+    for performer in [0, 1] {
+        let off = (0..3).map(|person| result.off(performer, 0.0, |s| at(person, s)));
+        assert!(off.fold(f64::MAX, f64::min) < 0.1);
+    }
+}
+
+/// Two cameras see one person, the other two another, who steps into the same place.
+#[test]
+fn two_in_one_place_are_one() {
+    let at = |person: usize, seconds: f64| {
+        let off = if person == 0 { 0.0 } else { (1.0 - 0.5 * seconds).max(0.0) };
+        Vector3::new(off, 0.0, 0.0)
+    };
+    let crowd = people(&[0.0, 0.0], 5.0, at);
+    let rig = &crowd.people()[0].rig;
+    // In the same pose.
+    let both: Vec<Vec<Detections>> =
+        crowd.people().iter().map(|person| person.detections().collect()).collect();
+    let frames = (0..both[0].len()).map(|index| {
+        let camera = both[0][index].camera;
+        let mut frame = both[usize::from(camera >= 2)][index].clone();
+        frame.capture =
+            bundlemocap::Timestamp::default() + (frame.capture - crowd.people()[0].start);
+        frame
+    });
+    let result = run(rig, frames, "auto");
+    assert_eq!(result.events(EventKind::Entered), [0, 1]);
+    assert_eq!(result.events(EventKind::Merged), [1]);
+    let last = result.poses.iter().filter(|(number, _)| *number == 1);
+    assert!(last.map(|(_, pose)| pose.capture.ns()).max() < Some(Nanos::from_ms(3_500).ns()));
+}
