@@ -14,6 +14,7 @@
 //!   the lengths of the body (`lengths`), has the old number.
 //! - Two in one place for 0.3 s are one: the one who came first.
 
+mod associator;
 mod config;
 mod lengths;
 mod people;
@@ -23,8 +24,10 @@ mod sets;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+pub use associator::Associator;
 pub use config::{Config, Performers, PerformersError};
-use people::{Change, People};
+pub use people::Change;
+use people::People;
 use sets::Sets;
 
 use super::association::Gates;

@@ -50,7 +50,7 @@ struct Member {
 
 /// What happened to a performer, by number from 0.
 #[derive(Clone, Debug)]
-pub(super) enum Change {
+pub enum Change {
     /// A new performer.
     Entered(usize),
     /// A performer who was lost is there again.
