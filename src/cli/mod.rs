@@ -25,6 +25,7 @@ mod retarget;
 mod retarget_file;
 mod retarget_live;
 mod run;
+mod run_stage;
 mod solve;
 mod span;
 mod sync;

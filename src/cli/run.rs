@@ -16,6 +16,7 @@ use super::lookout::look;
 use super::solve::decoder;
 use super::span::timecode;
 use crate::config::Config;
+use crate::core::manifold::Decoder;
 use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind};
 use crate::io::recording::last_body;
@@ -104,22 +105,19 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let stop = Stop::on_signals()?;
 
     // Before the bus starts its threads, so that they do not use this core.
-    let is_alone = config.node.solver_core && config.tracker.threads == 1;
+    let is_one = config.stage.performers.limit() == 1;
+    let is_alone = is_one && config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
-    let presence = Presence::announce(Arc::clone(&bus), topics(&config), WallClock::start().now())?;
+    let parts = Parts { bus, decoder, weights, body };
+    if !is_one {
+        return super::run_stage::run(&parts, &config, &stop, seconds);
+    }
+    let now = WallClock::start().now();
+    let presence = Presence::announce(Arc::clone(&parts.bus), topics(&config), now)?;
     let Some(presence) = alone(presence, arguments.standby, &stop)? else { return Ok(Exit::Done) };
-    let solver = Solver::new(decoder, config.tracker);
-    let core = Core::new(Settings {
-        tracker: config.tracker,
-        node: config.node.clone(),
-        toml: config.to_toml(),
-        weights,
-        body,
-        carried: Carried::default(),
-        timecode: timecode(&config)?,
-    });
-    let running = Node::start(Arc::clone(&bus), presence, core, solver, &config.node, solver_core)?;
+    let running = start_node(&parts, &config, presence, solver_core, None)?;
+    let bus = parts.bus;
     say_hello(&config, &running);
     let (node, over) = (running.monitor(), AtomicBool::new(false));
     let why = std::thread::scope(|scope| {
@@ -136,8 +134,39 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let elder = running.elder().ok().flatten().map(|elder| running.stand_back(elder));
     tracing::info!("stopping: {why}");
     let status = running.stop()?;
-    say_goodbye(status.as_ref());
+    say_goodbye(&config.node.actor, status.as_ref());
     elder.map_or(Ok(Exit::Done), |error| Err(error.into()))
+}
+
+/// What all nodes of the program share.
+pub(super) struct Parts {
+    pub(super) bus: Arc<dyn bus::Bus>,
+    decoder: Decoder,
+    weights: String,
+    /// The performer's body if it is known, as the bytes of a `Skeleton` message.
+    body: Option<Vec<u8>>,
+}
+
+/// Starts a node with these settings.
+pub(super) fn start_node(
+    parts: &Parts,
+    config: &Config,
+    presence: Presence,
+    solver_core: Option<SolverCore>,
+    rig: Option<Vec<u8>>,
+) -> Result<Running, Failure> {
+    let core = Core::new(Settings {
+        tracker: config.tracker,
+        node: config.node.clone(),
+        toml: config.to_toml(),
+        weights: parts.weights.clone(),
+        body: parts.body.clone(),
+        carried: Carried::default(),
+        timecode: timecode(config)?,
+    });
+    let (bus, solver) =
+        (Arc::clone(&parts.bus), Solver::new(parts.decoder.clone(), config.tracker));
+    Ok(Node::start(bus, presence, core, solver, &config.node, solver_core, rig)?)
 }
 
 /// The announcement as soon as no other node publishes this performer; `None` if stopped before.
@@ -250,10 +279,11 @@ fn say_hello(config: &Config, running: &Running) {
     }
 }
 
-fn say_goodbye(status: Option<&Status>) {
+pub(super) fn say_goodbye(actor: &str, status: Option<&Status>) {
     let Some(status) = status else { return };
     let playout = status.playout.clone().unwrap_or_default();
     tracing::info!(
+        actor,
         poses = playout.published,
         coasted = playout.coasted,
         missed = playout.missed,

@@ -81,17 +81,21 @@ impl At {
     /// Whether a message belongs to the run. Events of older recordings name no run.
     fn holds(&self, message: &Recorded) -> bool {
         match run_of(message) {
-            Some(0) if *message.schema == *Status::FULL_NAME || is_of_second_node(message) => false,
+            Some(0) if *message.schema == *Status::FULL_NAME || is_of_no_run(message) => false,
             None | Some(0) => message.time >= self.begin,
             Some(run) => run == self.run,
         }
     }
 }
 
-fn is_of_second_node(message: &Recorded) -> bool {
+/// Events that are not outputs of a node's core.
+const NO_RUN: [EventKind; 4] =
+    [EventKind::SecondNode, EventKind::Entered, EventKind::Reentered, EventKind::Merged];
+
+fn is_of_no_run(message: &Recorded) -> bool {
     *message.schema == *Event::FULL_NAME
         && decode::<Event>(&message.payload)
-            .is_ok_and(|event| event.event_kind() == Some(EventKind::SecondNode))
+            .is_ok_and(|event| event.event_kind().is_some_and(|kind| NO_RUN.contains(&kind)))
 }
 
 fn run_of(message: &Recorded) -> Option<u64> {

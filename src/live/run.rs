@@ -68,7 +68,8 @@ impl Monitor {
 
 impl Node {
     /// Starts the threads and subscribes to the bus. `presence` is that of this node, alone; `config`
-    /// is the core's; the solver thread runs on `solver_core` if there is one.
+    /// is the core's; the solver thread runs on `solver_core` if there is one. `rig` is the calibration on
+    /// the bus, as the bytes of a `Rig` message, if it is known.
     ///
     /// # Errors
     /// The bus refuses the topics, the calibration file cannot be used, the address is in use, or
@@ -80,10 +81,14 @@ impl Node {
         solver: Solver,
         config: &Config,
         solver_core: Option<SolverCore>,
+        rig: Option<Vec<u8>>,
     ) -> Result<Running, NodeError> {
         let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
         let (clock, board) = (WallClock::start(), Arc::<Board>::default());
         let intake = Intake::new(config.queue, &[topics.take(), topics.rig()]);
+        if let Some(payload) = rig {
+            intake.push(Message { topic: topics.rig().into(), payload });
+        }
         let endpoint = match config.prometheus.as_str() {
             "" => None,
             address => Some(Endpoint::start(address, Arc::clone(&board))?),

@@ -5,7 +5,8 @@ use super::options::Observer;
 use super::recording::Recording;
 use crate::core::camera::Rig;
 use crate::core::check::{self, Check, Footage};
-use crate::core::stage::{Change, Crowd};
+use crate::core::stage::{Associator, Change};
+use crate::core::time::Timestamp;
 
 /// Judges the cameras of a recording by what they saw, see [`core::check`](crate::core::check).
 ///
@@ -18,16 +19,16 @@ pub fn check(recording: &mut Recording, observer: &mut dyn Observer) -> Result<C
     check_rig(recording, &rig, None, observer)
 }
 
-/// The same for some cameras. With a crowd of several performers, by how they saw the first one.
+/// The same for some cameras. With several performers, by how they saw the first one.
 pub(super) fn check_rig(
     recording: &mut Recording,
     rig: &Rig,
-    mut crowd: Option<Crowd>,
+    mut associator: Option<Associator>,
     observer: &mut dyn Observer,
 ) -> Result<Check, Error> {
     let mut footage = Footage::new(rig.cameras.len());
-    let first = |changes: Vec<Change>, footage: &mut Footage| {
-        for change in changes {
+    let first = |changes: Vec<(Timestamp, Change)>, footage: &mut Footage| {
+        for (_, change) in changes {
             if let Change::Frame(0, frame) = change {
                 footage.add(&frame);
             }
@@ -37,13 +38,10 @@ pub(super) fn check_rig(
         rig,
         || observer.message(),
         |camera, frame| {
-            match (frame.to_core(|_| Some(camera)), &mut crowd) {
+            match (frame.to_core(|_| Some(camera)), &mut associator) {
                 (Ok(detections), None) => footage.add(&detections),
-                (Ok(detections), Some(crowd)) => {
-                    crowd.add(detections);
-                    while let Some((_, changes)) = crowd.next(false) {
-                        first(changes, &mut footage);
-                    }
+                (Ok(detections), Some(associator)) => {
+                    first(associator.add(detections), &mut footage);
                 }
                 (Err(_), _) => {}
             }
@@ -52,8 +50,6 @@ pub(super) fn check_rig(
                 .add_percent(camera, points.filter(|[.., confidence]| *confidence > 1.0).count());
         },
     )?;
-    while let Some((_, changes)) = crowd.as_mut().and_then(|crowd| crowd.next(true)) {
-        first(changes, &mut footage);
-    }
+    associator.iter_mut().for_each(|associator| first(associator.end(), &mut footage));
     Ok(check::check(&footage, rig))
 }

@@ -76,7 +76,15 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
     let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
     let now = WallClock::start().now();
     let presence = Presence::announce(Arc::new(bus.clone()), topics, now)?.alone()?;
-    Node::start(Arc::new(bus.clone()), presence, core, Solver::new(decoder, track), config, None)
+    Node::start(
+        Arc::new(bus.clone()),
+        presence,
+        core,
+        Solver::new(decoder, track),
+        config,
+        None,
+        None,
+    )
 }
 
 impl Studio {

@@ -9,11 +9,27 @@ use serde::{Deserialize, Serialize};
 const MOST: u8 = 32;
 
 /// Settings of the stage.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// How many people are performers.
     pub performers: Performers,
+    /// Whether a live node of several performers also solves them. Otherwise it only publishes the
+    /// detections of each, for other nodes.
+    pub solve: bool,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self { performers: Performers::default(), solve: true }
+    }
+}
+
+impl Config {
+    /// The name of a performer, by number from 0: p1, p2, ...
+    pub fn name(&self, performer: usize) -> String {
+        format!("p{}", performer + 1)
+    }
 }
 
 /// How many people are performers: a number from 1 to 32, or `auto` for all.

@@ -27,12 +27,10 @@ pub(super) struct Sets {
 }
 
 impl Sets {
-    pub(super) fn new(cameras: usize, config: Config, period: Option<FramePeriod>) -> Self {
-        let mut rate = FrameRate::new(cameras);
-        rate.know(period);
+    pub(super) fn new(cameras: usize, config: Config) -> Self {
         Self {
             waiting: BTreeMap::new(),
-            rate,
+            rate: FrameRate::new(cameras),
             config,
             newest: vec![None; cameras],
             last_set: vec![None; cameras],
@@ -89,6 +87,13 @@ impl Sets {
 
     /// Forgets all frames; from here on there are that many cameras.
     pub(super) fn clear(&mut self, cameras: usize) {
-        *self = Self::new(cameras, self.config, self.rate.period());
+        let period = self.rate.period();
+        *self = Self::new(cameras, self.config);
+        self.know(period);
+    }
+
+    /// The frame period, if it was measured before.
+    pub(super) fn know(&mut self, period: Option<FramePeriod>) {
+        self.rate.know(period);
     }
 }
