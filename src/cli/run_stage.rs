@@ -9,7 +9,7 @@ use crossbeam_channel::TryRecvError;
 use super::Ended;
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
-use super::run::{Parts, say_goodbye, start_node};
+use super::run::{Parts, say_goodbye, say_hello, start_node};
 use crate::config::Config;
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
@@ -73,6 +73,7 @@ pub(super) fn run(parts: &Parts, config: &Config, stop: &Stop, seconds: Option<D
             Some(file)
         }
     };
+    say_hello(config, None);
     let (begin, mut looked) = (Instant::now(), Instant::now());
     let why = loop {
         if stop.is_set() {

@@ -10,8 +10,7 @@ use super::failure::{Exit, Failure, frame_rate_option, ratio};
 use super::terminal::{progress, say};
 use crate::core::body::{Pose, Skeleton};
 use crate::io::formats::keypoint_format;
-use crate::io::recording::{Provenance, Writer};
-use crate::io::wire::{self, Topics};
+use crate::io::recording::Provenance;
 use crate::research::synth::{Crowd, Meeting, Motion, MotionStyle, Noise, Recording, ring_rig};
 
 /// Radius of the ring and height of its cameras, metres.
@@ -101,36 +100,10 @@ impl NoiseName {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let frames = frame_count(arguments)?;
     let crowd = crowd(arguments, frames)?;
-    let people = crowd.people();
-    let (rig, start) = (&people[0].rig, people[0].start);
-    let actor = |person: usize| match people.len() {
-        1 => Topics::default(),
-        _ => Topics { actor: format!("p{}", person + 1), ..Topics::default() },
-    };
-    let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance(arguments))?;
-    writer.rig(rig, start)?;
-    for (person, one) in people.iter().enumerate() {
-        let body = wire::Skeleton::from_core(&one.skeleton);
-        writer.write(&actor(person).truth_skeleton(), start, &body)?;
-    }
     let bar = progress(frames, "frames");
-    let cameras = rig.cameras.len();
-    let mut truth: Vec<_> = people.iter().map(Recording::poses).collect();
-    for (index, (detections, _)) in crowd.detections().enumerate() {
-        if index % cameras == 0 {
-            for (person, truth) in truth.iter_mut().enumerate() {
-                if let Some(pose) = truth.next() {
-                    let message = wire::Pose::from_core(&pose, &people[person].skeleton, None);
-                    writer.write(&actor(person).truth(), pose.capture, &message)?;
-                }
-            }
-            bar.inc(1);
-        }
-        let camera = &rig.cameras[detections.camera];
-        writer.keypoints(&detections, &camera.name, [camera.width, camera.height])?;
-    }
-    writer.finish()?;
+    crowd.write(&arguments.out, &provenance(arguments), || bar.inc(1))?;
     bar.finish_and_clear();
+    let (people, cameras) = (crowd.people(), arguments.cameras);
     let of = match people.len() {
         1 => String::new(),
         count => format!(" and {count} performers"),

@@ -14,8 +14,7 @@
 //! | jump at borders | [`VelocityJump`]: mean \|v(t+) - v(t-)\| at window borders, less that of the true motion there | m/s |
 //! | foot skate | [`foot_skate`]: mean horizontal speed of ankles and feet whose true speed and height mean contact | mm/s |
 //! | floor | [`Floor`]: median height of standing feet | m |
-//! | recall, precision, ID switches, MOTA | of several people, see [`TrackingErrors`] | % |
-//! | PCP | share of limbs whose ends are off by at most half their length on average | % |
+//! | several performers | [`PerformerScores`]: MOTA, identity switches, recall, precision, PCP | %, count |
 //! | drift | [`slope_interval`] of the frames' mean e over time | mm/min |
 //!
 //! Means over several recordings have the intervals of [`mean_interval`].
@@ -42,7 +41,7 @@ pub use floor::Floor;
 pub use limbs::{LIMB_JOINTS, LimbErrors, SPEEDS_M_S, limb_errors, limb_joints};
 pub use markers::{COMPARED, MarkerDistance, MarkerDistances, MarkerPositions};
 pub use motion::{VelocityJump, velocity_jump, velocity_jumps};
-pub use performers::{Positions, TrackingErrors, TrackingSums};
+pub use performers::{JointPositions, PerformerScore, PerformerScores, PerformerSums};
 pub use pose_errors::{
     MeanAcceleration, PoseErrorSums, PoseErrors, acceleration_error, mean_acceleration, pose_errors,
 };

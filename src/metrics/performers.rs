@@ -1,128 +1,182 @@
-//! Several people followed at once, with the metrics of \[Bernardin 2008\] and the field's PCP.
+//! Several performers against their truth: who is found, who is mistaken for whom, and how far off.
 
 use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 use serde::Serialize;
 
+use super::statistics::mean;
 use crate::core::association::{Edge, matching};
 use crate::core::body::{JOINTS, Joint};
 
-/// The joints of a person, world, metres.
-pub type Positions = [Vector3<f64>; JOINTS];
+/// Joint centres of a person, world, metres.
+pub type JointPositions = [Vector3<f64>; JOINTS];
 
-/// An estimate is the person's if the mean distance of the joints is below this, metres.
-const GATE_M: f64 = 0.25;
-/// The limbs of PCP: head, trunk, upper arms, forearms, thighs, shanks.
+/// An estimate at a larger mean distance of its joints is not the true person's, metres.
+const GATE_M: f64 = 0.5;
+/// A limb is right if the mean error of its ends is below this share of its length.
+const PCP: f64 = 0.5;
+/// The limbs of PCP: arms, legs, trunk and head.
 const LIMBS: [(Joint, Joint); 10] = [
-    (Joint::Neck, Joint::Head),
-    (Joint::Pelvis, Joint::Neck),
     (Joint::LShoulder, Joint::LElbow),
-    (Joint::RShoulder, Joint::RElbow),
     (Joint::LElbow, Joint::LWrist),
+    (Joint::RShoulder, Joint::RElbow),
     (Joint::RElbow, Joint::RWrist),
     (Joint::LHip, Joint::LKnee),
-    (Joint::RHip, Joint::RKnee),
     (Joint::LKnee, Joint::LAnkle),
+    (Joint::RHip, Joint::RKnee),
     (Joint::RKnee, Joint::RAnkle),
+    (Joint::Pelvis, Joint::Neck),
+    (Joint::Neck, Joint::Head),
 ];
 
-/// How well people are followed. With `people` the number of true people, over all frames:
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct TrackingErrors {
-    /// Number of true people, summed over the frames.
-    pub people: usize,
-    /// Share of them that have an estimate, percent.
-    pub recall_percent: f64,
-    /// Share of the estimates that are of somebody, percent.
-    pub precision_percent: f64,
-    /// How often a person's estimate is another one than the last time.
-    pub switches: usize,
-    /// 1 - (people without an estimate + estimates of nobody + switches) / people, percent.
+/// Scores of several performers over all times. A true person and an estimate match if their mean joint
+/// distance is below 0.5 m; a match of the time before is kept, the others are those with the least
+/// distances in sum \[Bernardin 2008\].
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PerformerScores {
+    /// Number of true people, summed over the times.
+    pub people: u64,
+    /// True people without a match.
+    pub misses: u64,
+    /// Estimates without a match.
+    pub false_positives: u64,
+    /// Times at which a true person's match is another one than its last.
+    pub id_switches: u64,
+    /// 1 - (misses + false positives + switches) / people, %.
     pub mota_percent: f64,
-    /// Share of the limbs whose ends are off by at most half their true length on average, percent;
-    /// those of people without an estimate count as wrong.
+    /// Share of the true people that have a match, %.
+    pub recall_percent: f64,
+    /// Share of the estimates that have a match, %.
+    pub precision_percent: f64,
+    /// Share of the limbs of all true people that are right, %; those of a miss are wrong.
     pub pcp_percent: f64,
-    /// Mean distance of the joints of people with an estimate, millimetres.
+    /// Mean joint distance of the matches, millimetres.
     pub mpjpe_mm: f64,
+    /// By true person.
+    pub performers: BTreeMap<String, PerformerScore>,
 }
 
-/// Sums [`TrackingErrors`] over frames.
+/// Scores of one true person.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PerformerScore {
+    /// Its matches, in order.
+    pub matched: Vec<String>,
+    /// Share of the times with a match, %.
+    pub recall_percent: f64,
+    /// Mean joint distance of its matches, millimetres.
+    pub mpjpe_mm: Option<f64>,
+}
+
+/// Collects the scores of several performers, time by time.
 #[derive(Clone, Debug, Default)]
-pub struct TrackingSums {
-    /// By person: the last estimate.
-    last: BTreeMap<usize, usize>,
-    people: usize,
-    matched: usize,
-    estimates: usize,
-    switches: usize,
-    limbs: usize,
-    distance: f64,
+pub struct PerformerSums {
+    misses: u64,
+    false_positives: u64,
+    switches: u64,
+    right_limbs: u64,
+    estimates: u64,
+    truths: BTreeMap<String, TruthSums>,
 }
 
-impl TrackingSums {
-    /// Adds a frame: numbers and joints of the estimates and of the true people. An estimate stays with
-    /// its person while it is near; the others are assigned with the least distance in sum.
-    pub fn add(&mut self, estimates: &[(usize, Positions)], people: &[(usize, Positions)]) {
-        let near = |person: usize, estimate: usize| {
-            let off = apart(&people[person].1, &estimates[estimate].1);
-            (off < GATE_M).then_some(off)
-        };
-        let mut is_taken = vec![false; estimates.len()];
-        let mut matched = vec![None; people.len()];
-        for (person, (number, _)) in people.iter().enumerate() {
-            let last = self.last.get(number);
-            let same = estimates.iter().position(|(estimate, _)| Some(estimate) == last);
-            if let Some(estimate) = same.filter(|&estimate| near(person, estimate).is_some()) {
-                (matched[person], is_taken[estimate]) = (Some(estimate), true);
-            }
-        }
+#[derive(Clone, Debug, Default)]
+struct TruthSums {
+    times: u64,
+    /// Mean joint distance of each match, millimetres.
+    errors: Vec<f64>,
+    matched: Vec<String>,
+}
+
+impl PerformerSums {
+    /// Adds the people of one time, by name.
+    pub fn add(
+        &mut self,
+        estimates: &BTreeMap<String, JointPositions>,
+        truths: &BTreeMap<String, JointPositions>,
+    ) {
+        let (estimates, truths) =
+            (estimates.iter().collect::<Vec<_>>(), truths.iter().collect::<Vec<_>>());
+        let distance =
+            |truth: usize, estimate: usize| mean_distance(truths[truth].1, estimates[estimate].1);
+        let mut pairs: Vec<Option<usize>> = (0..truths.len())
+            .map(|truth| {
+                let last = self.truths.get(truths[truth].0)?.matched.last()?;
+                let estimate = estimates.iter().position(|(name, _)| *name == last)?;
+                (distance(truth, estimate) < GATE_M).then_some(estimate)
+            })
+            .collect();
         let mut edges = Vec::new();
-        for row in (0..people.len()).filter(|row| matched[*row].is_none()) {
-            for column in (0..estimates.len()).filter(|column| !is_taken[*column]) {
-                edges.extend(near(row, column).map(|off| Edge { row, column, gain: GATE_M - off }));
+        for row in (0..truths.len()).filter(|row| pairs[*row].is_none()) {
+            for column in (0..estimates.len()).filter(|column| !pairs.contains(&Some(*column))) {
+                let gain = GATE_M - distance(row, column);
+                edges.extend((gain > 0.0).then_some(Edge { row, column, gain }));
             }
         }
-        let others = matching(people.len(), estimates.len(), &edges);
-        self.people += people.len();
-        self.estimates += estimates.len();
-        for (((number, truth), matched), other) in people.iter().zip(matched).zip(others) {
-            let Some(estimate) = matched.or(other) else { continue };
-            let (estimate, positions) = &estimates[estimate];
-            self.matched += 1;
-            self.distance += apart(truth, positions);
-            self.limbs += LIMBS.iter().filter(|limb| is_right(truth, positions, **limb)).count();
-            let last = self.last.insert(*number, *estimate);
-            self.switches += usize::from(last.is_some_and(|last| last != *estimate));
+        let others = matching(truths.len(), estimates.len(), &edges);
+        pairs.iter_mut().zip(others).for_each(|(pair, other)| *pair = pair.or(other));
+
+        self.estimates += estimates.len() as u64;
+        self.false_positives += (estimates.len() - pairs.iter().flatten().count()) as u64;
+        for ((name, truth), pair) in truths.iter().zip(pairs) {
+            let sums = self.truths.entry((*name).clone()).or_default();
+            sums.times += 1;
+            let Some((other, estimate)) = pair.map(|pair| estimates[pair]) else {
+                self.misses += 1;
+                continue;
+            };
+            if sums.matched.last() != Some(other) {
+                self.switches += u64::from(!sums.matched.is_empty());
+                sums.matched.push(other.clone());
+            }
+            sums.errors.push(1e3 * mean_distance(truth, estimate));
+            self.right_limbs +=
+                LIMBS.iter().filter(|limb| is_right(limb, truth, estimate)).count() as u64;
         }
     }
 
-    /// The errors so far; `None` without people.
-    pub fn errors(&self) -> Option<TrackingErrors> {
-        let Self { people, matched, estimates, switches, .. } = *self;
-        let percent = |part: usize, all: usize| 100.0 * part as f64 / all.max(1) as f64;
-        let wrong = people - matched + (estimates - matched) + switches;
-        (people > 0).then(|| TrackingErrors {
+    /// The scores; `None` without a match.
+    pub fn scores(&self) -> Option<PerformerScores> {
+        let people: u64 = self.truths.values().map(|sums| sums.times).sum();
+        let errors: Vec<f64> =
+            self.truths.values().flat_map(|sums| &sums.errors).copied().collect();
+        let percent = |part: u64, all: u64| 100.0 * part as f64 / all.max(1) as f64;
+        let wrong = self.misses + self.false_positives + self.switches;
+        let score = |(name, sums): (&String, &TruthSums)| {
+            let score = PerformerScore {
+                matched: sums.matched.clone(),
+                recall_percent: percent(sums.errors.len() as u64, sums.times),
+                mpjpe_mm: mean(&sums.errors),
+            };
+            (name.clone(), score)
+        };
+        Some(PerformerScores {
             people,
-            recall_percent: percent(matched, people),
-            precision_percent: percent(matched, estimates),
-            switches,
-            mota_percent: 100.0 - percent(wrong, people),
-            pcp_percent: percent(self.limbs, people * LIMBS.len()),
-            mpjpe_mm: 1e3 * self.distance / matched.max(1) as f64,
+            misses: self.misses,
+            false_positives: self.false_positives,
+            id_switches: self.switches,
+            mota_percent: 100.0 * (1.0 - wrong as f64 / people.max(1) as f64),
+            recall_percent: percent(people - self.misses, people),
+            precision_percent: percent(self.estimates - self.false_positives, self.estimates),
+            pcp_percent: percent(self.right_limbs, people * LIMBS.len() as u64),
+            mpjpe_mm: mean(&errors)?,
+            performers: self.truths.iter().map(score).collect(),
         })
     }
 }
 
 /// Mean distance of the joints, metres.
-fn apart(a: &Positions, b: &Positions) -> f64 {
+fn mean_distance(a: &JointPositions, b: &JointPositions) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).norm()).sum::<f64>() / JOINTS as f64
 }
 
-fn is_right(truth: &Positions, estimate: &Positions, (from, to): (Joint, Joint)) -> bool {
-    let off = |joint: Joint| (truth[joint.index()] - estimate[joint.index()]).norm();
+fn is_right(
+    (from, to): &(Joint, Joint),
+    truth: &JointPositions,
+    estimate: &JointPositions,
+) -> bool {
+    let error = |joint: &Joint| (truth[joint.index()] - estimate[joint.index()]).norm();
     let length = (truth[from.index()] - truth[to.index()]).norm();
-    off(from) + off(to) <= length
+    (error(from) + error(to)) / 2.0 <= PCP * length
 }
 
 #[cfg(test)]
@@ -130,74 +184,66 @@ mod tests {
     use super::*;
     use crate::core::body::{Pose, Skeleton};
 
-    fn at(x: f64) -> Positions {
-        let mut pose = Pose::rest();
-        pose.root_position.x = x;
-        pose.posture(&Skeleton::default()).positions
-    }
-
-    #[test]
-    fn nobody_is_lost_and_nobody_is_invented() {
-        let mut sums = TrackingSums::default();
-        assert_eq!(sums.errors(), None);
-        for _ in 0..10 {
-            sums.add(&[(7, at(1.01)), (3, at(0.03))], &[(0, at(0.0)), (1, at(1.0))]);
-        }
-        let errors = sums.errors().unwrap();
-        assert!((errors.mpjpe_mm - 20.0).abs() < 1e-9);
-        let perfect = TrackingErrors {
-            people: 20,
-            recall_percent: 100.0,
-            precision_percent: 100.0,
-            switches: 0,
-            mota_percent: 100.0,
-            pcp_percent: 100.0,
-            ..errors
+    /// People at these places on the floor, metres, by name.
+    fn people(all: &[(&str, f64)]) -> BTreeMap<String, JointPositions> {
+        let one = |(name, x): &(&str, f64)| {
+            let mut pose = Pose::rest();
+            pose.root_position = Vector3::new(*x, 0.9, 0.0);
+            ((*name).to_owned(), pose.posture(&Skeleton::default()).positions)
         };
-        assert_eq!(errors, perfect);
+        all.iter().map(one).collect()
+    }
+
+    fn scores(times: &[(&[(&str, f64)], &[(&str, f64)])]) -> PerformerScores {
+        let mut sums = PerformerSums::default();
+        times.iter().for_each(|(found, truth)| sums.add(&people(found), &people(truth)));
+        sums.scores().unwrap()
     }
 
     #[test]
-    fn every_kind_of_error_counts_once() {
-        let people = [(0, at(0.0)), (1, at(1.0))];
-        let mut sums = TrackingSums::default();
-        sums.add(&[(0, at(0.0)), (1, at(1.0))], &people);
-        // Exchanged: two switches.
-        sums.add(&[(1, at(0.0)), (0, at(1.0))], &people);
-        // One is missed, and one is of nobody.
-        sums.add(&[(1, at(0.0)), (2, at(5.0))], &people);
-        // Back, with the number from before.
-        sums.add(&[(1, at(0.0)), (0, at(1.0))], &people);
-        let errors = sums.errors().unwrap();
-        assert_eq!((errors.people, errors.switches), (8, 2));
-        assert!((errors.recall_percent - 87.5).abs() < 1e-9, "{errors:?}");
-        assert!((errors.precision_percent - 87.5).abs() < 1e-9, "{errors:?}");
-        assert!((errors.mota_percent - 50.0).abs() < 1e-9, "{errors:?}");
-        assert!((errors.pcp_percent - 87.5).abs() < 1e-9, "{errors:?}");
+    fn people_are_counted_and_their_errors_are_measured() {
+        let truth: &[(&str, f64)] = &[("anna", 0.0), ("ben", 2.0)];
+        // All found; ben missed; a third one found; nobody found.
+        let found: [&[(&str, f64)]; 4] = [
+            &[("p1", 0.01), ("p2", 2.03)],
+            &[("p1", 0.01)],
+            &[("p1", 0.01), ("p2", 2.03), ("p3", 5.0)],
+            &[],
+        ];
+        let scores = scores(&found.map(|found| (found, truth)));
+        assert_eq!((scores.people, scores.misses, scores.false_positives), (8, 3, 1));
+        assert_eq!((scores.id_switches, scores.mota_percent), (0, 50.0));
+        assert_eq!((scores.recall_percent, scores.pcp_percent), (62.5, 62.5));
+        assert!((scores.precision_percent - 100.0 * 5.0 / 6.0).abs() < 1e-9);
+        assert!((scores.mpjpe_mm - (3.0 * 10.0 + 2.0 * 30.0) / 5.0).abs() < 1e-9);
+        let [anna, ben] = ["anna", "ben"].map(|name| &scores.performers[name]);
+        assert_eq!((anna.recall_percent, ben.recall_percent), (75.0, 50.0));
+        assert!((ben.mpjpe_mm.unwrap() - 30.0).abs() < 1e-9);
+        assert_eq!(ben.matched, ["p2"]);
     }
 
     #[test]
-    fn an_estimate_stays_with_its_person_while_it_is_near() {
-        let mut sums = TrackingSums::default();
-        sums.add(&[(0, at(0.0)), (1, at(0.2))], &[(0, at(0.0)), (1, at(0.2))]);
-        // Each is nearer to the other one now.
-        sums.add(&[(0, at(0.15)), (1, at(0.05))], &[(0, at(0.0)), (1, at(0.2))]);
-        assert_eq!(sums.errors().unwrap().switches, 0);
+    fn a_switch_is_counted_once_and_a_match_is_kept_while_it_is_near() {
+        let truth: &[(&str, f64)] = &[("anna", 0.0), ("ben", 0.3)];
+        let scores = scores(&[
+            (&[("p1", 0.0), ("p2", 0.3)], truth),
+            // Nearer to the other one, but within the gate.
+            (&[("p1", 0.2), ("p2", 0.1)], truth),
+            // Exchanged, far from where the match would be kept.
+            (&[("p1", 2.0), ("p2", 0.0)], &[("anna", 0.0), ("ben", 2.0)]),
+            (&[("p1", 2.0), ("p2", 0.0)], &[("anna", 0.0), ("ben", 2.0)]),
+        ]);
+        assert_eq!((scores.id_switches, scores.misses), (2, 0));
+        assert_eq!(scores.performers["anna"].matched, ["p1", "p2"]);
     }
 
     #[test]
-    fn a_limb_is_wrong_beyond_half_its_length() {
-        let mut sums = TrackingSums::default();
-        // 10 cm is less than half of every limb but the head.
-        let head = (at(0.0)[Joint::Neck.index()] - at(0.0)[Joint::Head.index()]).norm();
-        sums.add(&[(0, at(0.1))], &[(0, at(0.0))]);
-        let right = if head >= 0.2 { 100.0 } else { 90.0 };
-        assert!((sums.errors().unwrap().pcp_percent - right).abs() < 1e-9);
-        // 20 cm is more than half of every limb but the trunk.
-        let mut sums = TrackingSums::default();
-        sums.add(&[(0, at(0.2))], &[(0, at(0.0))]);
-        let lengths = LIMBS.map(|(a, b)| (at(0.0)[a.index()] - at(0.0)[b.index()]).norm());
-        let right = lengths.iter().filter(|length| **length >= 0.4).count();
-        assert!((sums.errors().unwrap().pcp_percent - 10.0 * right as f64).abs() < 1e-9);
+    fn limbs_are_right_up_to_half_their_length() {
+        let of = |off: f64| scores(&[(&[("p1", off)], &[("anna", 0.0)])]).pcp_percent;
+        let body = Skeleton::default();
+        let legs = [Joint::LKnee, Joint::RKnee, Joint::LAnkle, Joint::RAnkle];
+        let shortest = legs.map(|joint| body.offset(joint).norm()).into_iter().fold(9.0, f64::min);
+        // The legs, the trunk, and no arm.
+        assert_eq!((of(0.01), of(0.499 * shortest)), (100.0, 50.0), "{shortest}");
     }
 }

@@ -18,6 +18,8 @@ use crate::io::recording::Report;
 
 /// The results of a solve for one performer.
 pub(super) struct Collected<'a> {
+    /// Name of the performer.
+    pub(super) name: String,
     pub(super) poses: Poses,
     pub(super) windows: Windows,
     pub(super) events: BTreeMap<EventKind, u64>,

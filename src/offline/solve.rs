@@ -22,7 +22,7 @@ use super::windows::Windows;
 use crate::core::body::Skeleton;
 use crate::core::camera::{Camera, Rig};
 use crate::core::manifold::Decoder;
-use crate::core::stage::{Performers, Stage};
+use crate::core::stage::{Crowd, Performers, Stage};
 use crate::core::tracker::{FramePeriod, Input, Output, Solver, Tracker};
 use crate::io::recording::{Provenance, Report};
 use crate::io::wire::Topics;
@@ -60,7 +60,9 @@ pub fn solve_group(
     let names = names(options.performers, count);
     let judged =
         Rig { cameras: rig.cameras.iter().chain(&held_out).cloned().collect(), ..Rig::clone(&rig) };
-    let check = check_rig(recording, &judged, &mut ())?;
+    let crowd = || Crowd::new(Arc::new(judged.clone()), options.config, options.performers, period);
+    let crowd = (options.performers.limit() > 1).then(crowd);
+    let check = check_rig(recording, &judged, crowd, &mut ())?;
     let all = Arc::new(with_solved(recording.rig(), &rig.cameras, &held_out));
     let outputs =
         folder.map(|folder| Outputs::create(folder, &all, options, &rig, &decoder, &names));
@@ -73,6 +75,7 @@ pub fn solve_group(
         Some(folder.file(&output::of_performer(name, options.performers, "bvh")))
     };
     let collected = |name: &String| Collected {
+        name: name.clone(),
         poses: Poses::new(bvh(name)),
         windows: Windows::of_cameras(rig.cameras.len()),
         events: BTreeMap::new(),
@@ -96,22 +99,22 @@ pub fn solve_group(
         return Err(nobody(&collected, recording, &rig, &check));
     }
     let mut summaries = Vec::new();
-    for ((one, skeleton), name) in collected.iter_mut().zip(&skeletons).zip(&names) {
+    for (one, skeleton) in collected.iter_mut().zip(&skeletons) {
         let Some(skeleton) = skeleton else { continue };
-        let poses = one.poses.finish(skeleton, &mut one.comparisons)?;
-        summaries.push((name, poses));
+        summaries.push(one.poses.finish(skeleton, &mut one.comparisons)?);
     }
     let seconds = begin.elapsed().as_secs_f64();
     let solved =
         collected.into_iter().zip(&skeletons).filter_map(|(one, s)| Some((one, s.as_ref()?)));
-    let unsolved = skeletons.iter().filter(|skeleton| skeleton.is_none()).count();
+    let followed = driver.skeletons().len();
+    let unsolved = skeletons.iter().take(followed).filter(|body| body.is_none()).count();
     let mut group = Group {
         performers: Vec::new(),
         others: driver.others() + unsolved,
-        tracking: tracking.and_then(Tracking::finish),
+        scores: tracking.and_then(Tracking::finish),
     };
     let mut pages = Vec::new();
-    for ((one, skeleton), (name, poses)) in solved.zip(summaries) {
+    for ((one, skeleton), poses) in solved.zip(summaries) {
         let states = poses.states.csv();
         let (one, summary) = one.summarise(recording, &rig, skeleton, poses, &report, seconds);
         let mut summary = Summary { time_offsets: offsets.clone(), ..summary };
@@ -124,11 +127,11 @@ pub fn solve_group(
             summary.notes.push(BODY_IS_WRONG.to_owned());
         }
         if let Some(Outputs { folder, .. }) = &outputs {
-            let csv = output::of_performer(name, options.performers, "states.csv");
+            let csv = output::of_performer(&one.name, options.performers, "states.csv");
             output::text(&folder.file(&csv), &states)?;
             pages.push(output::page(&one.poses, &one.windows, &rig, skeleton, &summary));
         }
-        group.performers.push(PerformerSummary { performer: name.clone(), summary });
+        group.performers.push(PerformerSummary { performer: one.name, summary });
     }
     if let Some(outputs) = outputs {
         output::report(&outputs.folder.file("report.html"), pages, &group, options.performers)?;
@@ -286,7 +289,7 @@ impl Run<'_, '_> {
             (Item::Detections(detections), _) => {
                 return self.feed(Input::Detections(detections), observer);
             }
-            (Item::TrueBody(actor, body), Some(tracking)) => tracking.set_body(&actor, &body),
+            (Item::TrueBody(actor, body), Some(tracking)) => tracking.set_body(&actor, *body),
             (Item::TruePose(actor, pose), Some(tracking)) => tracking.add_truth(&actor, &pose),
             _ => {}
         }
@@ -296,12 +299,12 @@ impl Run<'_, '_> {
     fn feed(&mut self, input: Input, observer: &mut dyn Observer) -> Result<(), Error> {
         let Self { driver, collected, tracking, file } = self;
         driver.feed(input, |driver, performer, output| {
+            let Some(one) = collected.get_mut(performer) else { return Ok(()) };
             if let (Some(tracking), Output::Pose(pose)) = (tracking.as_mut(), output)
                 && let Some(body) = driver.skeleton(performer)
             {
-                tracking.add_pose(performer, pose, &body);
+                tracking.add_pose(&one.name, pose, &body);
             }
-            let Some(one) = collected.get_mut(performer) else { return Ok(()) };
             one.add(driver, performer, output, observer)?;
             file.as_mut().map_or(Ok(()), |file| file.write(performer, output))
         })

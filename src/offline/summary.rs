@@ -12,7 +12,7 @@ use super::windows::Windows;
 use crate::core::camera::Rig;
 use crate::core::check::Check;
 use crate::io::report::Table;
-use crate::metrics::{FootSkate, PoseErrors, TrackingErrors};
+use crate::metrics::{FootSkate, PerformerScores, PoseErrors};
 
 /// The measurements of a solve. Field names are part of the interface; README.md documents them.
 /// [`Display`](fmt::Display) prints the table.
@@ -70,7 +70,7 @@ pub struct Group {
     /// The most people at a time who were seen for a while and not solved.
     pub others: usize,
     /// Who is who, beside the truth of a synthetic recording.
-    pub tracking: Option<TrackingErrors>,
+    pub scores: Option<PerformerScores>,
 }
 
 /// A performer of a group.
@@ -133,9 +133,9 @@ impl Group {
             Some((name, value))
         };
         let mut rows: Vec<_> = rows.into_iter().filter_map(in_words).collect();
-        if let Some(found) = &self.tracking {
-            let TrackingErrors { recall_percent, precision_percent, switches, .. } = found;
-            let who = format!("{recall_percent:.2} %, {precision_percent:.2} %, {switches}");
+        if let Some(found) = &self.scores {
+            let PerformerScores { recall_percent, precision_percent, id_switches, .. } = found;
+            let who = format!("{recall_percent:.2} %, {precision_percent:.2} %, {id_switches}");
             rows.push(("truth: recall, precision, ID switches".into(), who));
             let (mota, pcp) = (found.mota_percent, found.pcp_percent);
             rows.push(("truth: MOTA, PCP".into(), format!("{mota:.2} %, {pcp:.2} %")));
@@ -152,8 +152,8 @@ impl Group {
         if self.others > 0 {
             facts.push(("others, not solved".to_owned(), self.others.to_string()));
         }
-        if let Some(TrackingErrors { switches, mpjpe_mm, .. }) = &self.tracking {
-            facts.push(("ID switches".to_owned(), switches.to_string()));
+        if let Some(PerformerScores { id_switches, mpjpe_mm, .. }) = &self.scores {
+            facts.push(("ID switches".to_owned(), id_switches.to_string()));
             facts.push(("MPJPE".to_owned(), format!("{mpjpe_mm:.1} mm")));
         }
         facts

@@ -17,7 +17,7 @@ except for the times.
 
 --recording solves a real recording instead and reports the reprojection error, the error in each
 camera when held out, and the distance to a reference. --drift-minutes measures the error over a long
-motion, --latencies the live tracker's at declared latencies, in simulated time, --ablation varies
+motion, --performers solves crowds and each of their people alone, --latencies the live tracker's at declared latencies, in simulated time, --ablation varies
 our settings one at a time, --tune searches a method's weights on all other subjects.
 
 Without --h36m the Human3.6M cameras are read from the folder of the variable BUNDLEMOCAP_DATA;
@@ -32,6 +32,7 @@ Examples:
   bundlemocap eval --recording walk.mcap --hold-out c4,c5 --methods all
   bundlemocap eval --motions motions/ --drift-minutes 10
   bundlemocap eval --motions motions/ --latencies 20,35,50,75,100,150,200 --every 3
+  bundlemocap eval --performers 2,4,6 --rig ring4 --noise studio --seconds 60
   bundlemocap eval --motions motions/ --ablation window,cameras --every 4
   bundlemocap eval --motions motions/ --tune default --every 12")]
 pub(in crate::cli) struct Arguments {
@@ -110,6 +111,19 @@ pub(in crate::cli) struct Arguments {
         conflicts_with_all = ["methods", "drift_minutes", "ablation", "tune"]
     )]
     pub(in crate::cli) latencies: Vec<f64>,
+    /// Solve crowds of these numbers of people, 2 to 32, who cross and meet before as many cameras as
+    /// the first rig has, with bodies of their own; and each of them alone.
+    #[arg(
+        long,
+        value_name = "NUMBERS",
+        value_delimiter = ',',
+        value_parser = clap::value_parser!(u8).range(2..=32),
+        conflicts_with_all = ["methods", "motions", "recording", "drift_minutes", "latencies", "ablation", "tune"]
+    )]
+    pub(in crate::cli) performers: Vec<u8>,
+    /// Distance of the pelvises in the crowds' meetings, metres: 0.7 is arm's length, 0.3 an embrace.
+    #[arg(long, value_name = "METRES", default_value_t = 0.7, allow_negative_numbers = true)]
+    pub(in crate::cli) meet: f64,
     /// Vary our settings one at a time: all, or some of window, publish, keyframe, interpolation,
     /// stiffness, robust_scale, optimiser, stop, scale, prior, prior_dof, errors, foot_contact,
     /// foot_contact_speed, cameras, noise, fps.

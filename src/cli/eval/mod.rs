@@ -6,6 +6,7 @@ mod compare;
 mod drift;
 mod latency;
 mod output;
+mod performers;
 mod recording;
 mod setup;
 mod tune;
@@ -23,6 +24,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             latencies => latency::names(latencies)?,
         };
         recording::run(arguments, &names)?;
+    } else if !arguments.performers.is_empty() {
+        performers::run(arguments, &arguments.performers)?;
     } else if let Some(minutes) = arguments.drift_minutes {
         let names = method_names(&arguments.methods, &["live"])?;
         drift::run(arguments, &names, minutes)?;

@@ -6,15 +6,12 @@ use pathfinding::matrix::Matrix;
 /// Gains are compared in these steps, as whole numbers: the same on every machine.
 const STEPS: f64 = 1e9;
 
-/// A pair that may be matched, and what that gains.
+/// A pair that may be matched, and what that gains; above 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Edge {
-    /// From 0.
-    pub row: usize,
-    /// From 0.
-    pub column: usize,
-    /// Above 0.
-    pub gain: f64,
+pub(crate) struct Edge {
+    pub(crate) row: usize,
+    pub(crate) column: usize,
+    pub(crate) gain: f64,
 }
 
 /// The column of each row, so that the sum of the gains is largest. A row or column without a good
@@ -22,7 +19,7 @@ pub struct Edge {
 ///
 /// Each connected component is solved by itself (Kuhn and Munkres), so that the cost grows with the
 /// number of components, not with its cube.
-pub fn matching(rows: usize, columns: usize, edges: &[Edge]) -> Vec<Option<usize>> {
+pub(crate) fn matching(rows: usize, columns: usize, edges: &[Edge]) -> Vec<Option<usize>> {
     let mut matched = vec![None; rows];
     let mut parent: Vec<usize> = (0..rows + columns).collect();
     for edge in edges {

@@ -27,7 +27,7 @@ use std::collections::BTreeSet;
 
 use nalgebra::Vector2;
 
-pub use matching::{Edge, matching};
+pub(crate) use matching::{Edge, matching};
 pub use newcomers::Newcomer;
 pub use parts::{KEYPOINTS, Part, Pixels, Points, pixels_of, points_of};
 

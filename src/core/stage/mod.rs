@@ -4,7 +4,8 @@
 //! number of its performer. One performer is the tracker's own affair: it gets every frame as it is.
 //! With several, a tracker each gets frames in which its performer is alone:
 //!
-//! - Frames of about one time wait for each other and form a set (`sets`).
+//! - A [`Crowd`] finds out who is who. Frames of about one time wait for each other and form a set
+//!   (`sets`).
 //! - Each person in view is followed from set to set by [`associate`](super::association::associate)
 //!   and triangulation (`people`, `person`): this depends on the detections alone, and so do the
 //!   numbers of the performers. It needs no solved pose, which is some frames late.
@@ -14,8 +15,8 @@
 //!   the lengths of the body (`lengths`), has the old number.
 //! - Two in one place for 0.3 s are one: the one who came first.
 
-mod associator;
 mod config;
+mod crowd;
 mod lengths;
 mod people;
 mod person;
@@ -24,18 +25,13 @@ mod sets;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-pub use associator::Associator;
-pub use config::{Config, Performers, PerformersError};
-pub use people::Change;
-use people::People;
-use sets::Sets;
-
-use super::association::Gates;
 use super::body::Skeleton;
 use super::time::Timestamp;
-use super::tracker::{
-    self, Event, EventKind, FramePeriod, FrameRate, Input, Job, Output, Solution, Tracker,
-};
+use super::tracker::{self, Event, EventKind, FramePeriod, Input, Job, Output, Solution, Tracker};
+pub use config::{Config, Performers, PerformersError};
+pub use crowd::Crowd;
+pub use people::Change;
+
 /// All performers of a stage.
 #[derive(Clone, Debug)]
 pub struct Stage {
@@ -50,45 +46,21 @@ pub struct Stage {
     inbox: VecDeque<(usize, Input)>,
 }
 
-/// The people in view.
-#[derive(Clone, Debug)]
-struct Crowd {
-    sets: Sets,
-    people: People,
-}
-
 impl Stage {
-    /// Performers who are each tracked by a copy of `template`.
-    /// `period` is the cameras' frame period, if it was measured before.
+    /// Performers who are each tracked by a copy of `template`. `period` is the cameras' frame period,
+    /// if it was measured before.
     pub fn new(
         template: Tracker,
         config: tracker::Config,
         performers: Performers,
         period: Option<FramePeriod>,
     ) -> Self {
-        let limit = performers.limit();
-        let gates = Gates {
-            follow: config.gate.follow,
-            agree: config.gate.agree,
-            min_confidence: config.min_confidence,
-        };
-        let cameras = template.rig().cameras.len();
-        let mut rate = FrameRate::new(cameras);
-        rate.know(period);
         let template = template.with_frame_period(period);
-        let crowd = (limit > 1).then(|| Crowd {
-            sets: Sets::new(cameras, config, rate),
-            people: People::new(limit, gates),
-        });
+        let new = || Crowd::new(Arc::clone(template.rig()), config, performers, period);
+        let crowd = (performers.limit() > 1).then(new);
         let trackers = if crowd.is_none() { vec![template.clone()] } else { Vec::new() };
-        Self {
-            template,
-            bodies: Vec::new(),
-            trackers,
-            crowd,
-            events: VecDeque::new(),
-            inbox: VecDeque::new(),
-        }
+        let (events, inbox) = (VecDeque::new(), VecDeque::new());
+        Self { template, bodies: Vec::new(), trackers, crowd, events, inbox }
     }
 
     /// Tracks performers whose bodies are known, by number. They are not estimated.
@@ -108,34 +80,25 @@ impl Stage {
 
     /// The most people at a time who were seen for a while and are not tracked.
     pub fn others(&self) -> usize {
-        self.crowd.as_ref().map_or(0, |crowd| crowd.people.others)
+        self.crowd.as_ref().map_or(0, Crowd::others)
     }
 
     /// Processes an input of all performers; solutions go to [`Stage::solved`]. Call [`Stage::poll`]
     /// until it is empty before the next one.
     pub fn handle(&mut self, input: Input) {
-        let Some(crowd) = &mut self.crowd else {
+        let Some(mut crowd) = self.crowd.take() else {
             return self.inbox.push_back((0, input));
         };
-        let is_end = match &input {
-            Input::Detections(frame) => {
-                crowd.sets.add(frame.clone(), self.template.rig());
-                false
-            }
-            Input::End => true,
-            Input::Restart | Input::Forget | Input::Rig(_) => {
-                crowd.sets.clear();
-                crowd.people.restart();
-                false
-            }
-            Input::Tick(_) | Input::Solved(_) => false,
-        };
-        while let Some(crowd) = &mut self.crowd
-            && let Some((at, frames)) = crowd.sets.next(is_end)
-        {
-            let changes = crowd.people.take(at, frames, self.template.rig());
+        match &input {
+            Input::Detections(frame) => crowd.add(frame.clone()),
+            Input::Restart | Input::Forget => crowd.restart(Arc::clone(self.template.rig())),
+            Input::Rig(rig) => crowd.restart(Arc::clone(rig)),
+            Input::End | Input::Tick(_) | Input::Solved(_) => {}
+        }
+        while let Some((at, changes)) = crowd.next(matches!(input, Input::End)) {
             changes.into_iter().for_each(|change| self.apply(at, change));
         }
+        self.crowd = Some(crowd);
         if !matches!(input, Input::Detections(_) | Input::Solved(_)) {
             self.template.handle(input.clone());
             self.inbox.extend((0..self.trackers.len()).map(|one| (one, input.clone())));

@@ -49,7 +49,7 @@ struct Member {
 }
 
 /// What happened to a performer, by number from 0.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Change {
     /// A new performer.
     Entered(usize),

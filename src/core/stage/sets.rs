@@ -27,7 +27,9 @@ pub(super) struct Sets {
 }
 
 impl Sets {
-    pub(super) fn new(cameras: usize, config: Config, rate: FrameRate) -> Self {
+    pub(super) fn new(cameras: usize, config: Config, period: Option<FramePeriod>) -> Self {
+        let mut rate = FrameRate::new(cameras);
+        rate.know(period);
         Self {
             waiting: BTreeMap::new(),
             rate,
@@ -85,8 +87,8 @@ impl Sets {
         Some((first, keys.iter().filter_map(|key| self.waiting.remove(key)).collect()))
     }
 
-    /// Forgets all frames.
-    pub(super) fn clear(&mut self) {
-        *self = Self::new(self.newest.len(), self.config, self.rate.clone());
+    /// Forgets all frames; from here on there are that many cameras.
+    pub(super) fn clear(&mut self, cameras: usize) {
+        *self = Self::new(cameras, self.config, self.rate.period());
     }
 }

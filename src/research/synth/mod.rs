@@ -33,6 +33,7 @@ mod recording;
 mod rigs;
 mod ring;
 mod sequence;
+mod write;
 
 pub use body::Body;
 pub use crowd::Crowd;
