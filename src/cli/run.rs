@@ -118,7 +118,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let Some(presence) = alone(presence, arguments.standby, &stop)? else { return Ok(Exit::Done) };
     let running = start_node(&parts, &config, presence, solver_core, None)?;
     let bus = parts.bus;
-    say_hello(&config, &running);
+    say_hello(&config, running.prometheus());
     let (node, over) = (running.monitor(), AtomicBool::new(false));
     let why = std::thread::scope(|scope| {
         scope.spawn(|| {
@@ -255,7 +255,7 @@ fn wait(stop: &Stop, running: &Running, seconds: Option<Duration>) -> &'static s
     }
 }
 
-fn say_hello(config: &Config, running: &Running) {
+pub(super) fn say_hello(config: &Config, prometheus: Option<&str>) {
     let where_to = match config.bus.kind {
         Kind::Zenoh => {
             let zenoh = &config.bus.zenoh;
@@ -274,7 +274,7 @@ fn say_hello(config: &Config, running: &Running) {
         "" => tracing::info!("waiting for the calibration on {}", topics(config).rig()),
         path => tracing::info!("calibration from {path}"),
     }
-    if let Some(address) = running.prometheus() {
+    if let Some(address) = prometheus {
         tracing::info!("metrics on http://{address}/metrics");
     }
 }

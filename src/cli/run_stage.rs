@@ -9,11 +9,11 @@ use crossbeam_channel::TryRecvError;
 use super::Ended;
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
-use super::run::{Parts, say_goodbye, start_node};
+use super::run::{Parts, say_goodbye, say_hello, start_node};
 use crate::config::Config;
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
-use crate::core::stage::{Associator, Change};
+use crate::core::stage::{Change, Crowd};
 use crate::core::time::Timestamp;
 use crate::core::tracker::{self, EventKind};
 use crate::io::bus::Publisher;
@@ -33,7 +33,7 @@ const NAME: &str = "associator";
 struct Stage<'a> {
     parts: &'a Parts,
     config: &'a Config,
-    associator: Option<Associator>,
+    crowd: Option<(Arc<Rig>, Crowd)>,
     rig: Vec<u8>,
     nodes: Vec<(String, Running)>,
     /// Names of the performers so far.
@@ -56,7 +56,7 @@ pub(super) fn run(parts: &Parts, config: &Config, stop: &Stop, seconds: Option<D
     let mut stage = Stage {
         parts,
         config,
-        associator: None,
+        crowd: None,
         rig: Vec::new(),
         nodes: Vec::new(),
         names: Vec::new(),
@@ -73,6 +73,7 @@ pub(super) fn run(parts: &Parts, config: &Config, stop: &Stop, seconds: Option<D
             Some(file)
         }
     };
+    say_hello(config, None);
     let (begin, mut looked) = (Instant::now(), Instant::now());
     let why = loop {
         if stop.is_set() {
@@ -126,44 +127,40 @@ impl Stage<'_> {
         if bytes == self.rig {
             return;
         }
-        match wire::decode::<wire::Rig>(&bytes).and_then(|rig| rig.to_core()) {
-            Ok(rig) => {
-                let performers = self.config.stage.performers;
-                match &mut self.associator {
-                    Some(associator) => {
-                        let rig = Arc::new(rig);
-                        associator.calibrate(Arc::clone(&rig));
-                        self.publishers.clear();
-                        for performer in 0..self.names.len() {
-                            self.open(&rig, performer);
-                        }
-                    }
-                    None => {
-                        let (rig, config) = (Arc::new(rig), self.config.tracker);
-                        self.associator = Some(Associator::new(rig, config, performers));
-                    }
-                }
-                self.rig = bytes;
+        let rig = wire::decode::<wire::Rig>(&bytes).and_then(|rig| rig.to_core());
+        let rig = match rig {
+            Ok(rig) => Arc::new(rig),
+            Err(error) => return tracing::warn!("the calibration cannot be used: {error}"),
+        };
+        let crowd = match self.crowd.take() {
+            Some((_, mut crowd)) => {
+                crowd.restart(Arc::clone(&rig));
+                crowd
             }
-            Err(error) => tracing::warn!("the calibration cannot be used: {error}"),
-        }
+            None => {
+                let Config { tracker, stage, .. } = self.config;
+                Crowd::new(Arc::clone(&rig), *tracker, stage.performers, None)
+            }
+        };
+        self.publishers.clear();
+        (0..self.names.len()).for_each(|performer| self.open(&rig, performer));
+        (self.crowd, self.rig) = (Some((rig, crowd)), bytes);
     }
 
     fn frame(&mut self, payload: &[u8]) -> Result<(), Failure> {
-        let Some(associator) = &mut self.associator else { return Ok(()) };
-        let rig = Arc::clone(associator.rig());
+        let Some((rig, crowd)) = &mut self.crowd else { return Ok(()) };
+        let rig = Arc::clone(rig);
         let frame = decode::<KeypointFrame>(payload);
-        let frame = frame.and_then(|frame| frame.to_core(|camera| rig.index_of(camera)));
-        let changes = match frame {
-            Ok(frame) => associator.add(frame),
+        match frame.and_then(|frame| frame.to_core(|camera| rig.index_of(camera))) {
+            Ok(frame) => crowd.add(frame),
             // The nodes never see it.
-            Err(error) => {
-                self.failed(error.to_string());
-                return Ok(());
+            Err(error) => self.failed(error.to_string()),
+        }
+        while let Some((at, changes)) = self.crowd.as_mut().and_then(|(_, crowd)| crowd.next(false))
+        {
+            for change in changes {
+                self.apply(&rig, at, change)?;
             }
-        };
-        for (at, change) in changes {
-            self.apply(&rig, at, change)?;
         }
         Ok(())
     }
@@ -267,7 +264,7 @@ impl Stage<'_> {
         if let Some((count, why)) = self.trouble.take() {
             tracing::warn!("{count} messages could not be used or published: {why}");
         }
-        let others = self.associator.as_ref().map_or(0, Associator::others);
+        let others = self.crowd.as_ref().map_or(0, |(_, crowd)| crowd.others());
         if others > std::mem::replace(&mut self.others, others) {
             tracing::warn!("{others} more people were seen, not solved; raise [stage] performers");
         }

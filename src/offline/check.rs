@@ -5,8 +5,7 @@ use super::options::Observer;
 use super::recording::Recording;
 use crate::core::camera::Rig;
 use crate::core::check::{self, Check, Footage};
-use crate::core::stage::{Associator, Change};
-use crate::core::time::Timestamp;
+use crate::core::stage::{Change, Crowd};
 
 /// Judges the cameras of a recording by what they saw, see [`core::check`](crate::core::check).
 ///
@@ -19,16 +18,16 @@ pub fn check(recording: &mut Recording, observer: &mut dyn Observer) -> Result<C
     check_rig(recording, &rig, None, observer)
 }
 
-/// The same for some cameras. With several performers, by how they saw the first one.
+/// The same for some cameras. With a crowd of several performers, by how they saw the first one.
 pub(super) fn check_rig(
     recording: &mut Recording,
     rig: &Rig,
-    mut associator: Option<Associator>,
+    mut crowd: Option<Crowd>,
     observer: &mut dyn Observer,
 ) -> Result<Check, Error> {
     let mut footage = Footage::new(rig.cameras.len());
-    let first = |changes: Vec<(Timestamp, Change)>, footage: &mut Footage| {
-        for (_, change) in changes {
+    let first = |changes: Vec<Change>, footage: &mut Footage| {
+        for change in changes {
             if let Change::Frame(0, frame) = change {
                 footage.add(&frame);
             }
@@ -38,10 +37,13 @@ pub(super) fn check_rig(
         rig,
         || observer.message(),
         |camera, frame| {
-            match (frame.to_core(|_| Some(camera)), &mut associator) {
+            match (frame.to_core(|_| Some(camera)), &mut crowd) {
                 (Ok(detections), None) => footage.add(&detections),
-                (Ok(detections), Some(associator)) => {
-                    first(associator.add(detections), &mut footage);
+                (Ok(detections), Some(crowd)) => {
+                    crowd.add(detections);
+                    while let Some((_, changes)) = crowd.next(false) {
+                        first(changes, &mut footage);
+                    }
                 }
                 (Err(_), _) => {}
             }
@@ -50,6 +52,8 @@ pub(super) fn check_rig(
                 .add_percent(camera, points.filter(|[.., confidence]| *confidence > 1.0).count());
         },
     )?;
-    associator.iter_mut().for_each(|associator| first(associator.end(), &mut footage));
+    while let Some((_, changes)) = crowd.as_mut().and_then(|crowd| crowd.next(true)) {
+        first(changes, &mut footage);
+    }
     Ok(check::check(&footage, rig))
 }

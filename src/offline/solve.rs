@@ -22,7 +22,7 @@ use super::windows::Windows;
 use crate::core::body::Skeleton;
 use crate::core::camera::{Camera, Rig};
 use crate::core::manifold::Decoder;
-use crate::core::stage::{Associator, Performers, Stage};
+use crate::core::stage::{Crowd, Performers, Stage};
 use crate::core::tracker::{FramePeriod, Input, Output, Solver, Tracker};
 use crate::io::recording::{Provenance, Report};
 use crate::io::wire::Topics;
@@ -60,11 +60,9 @@ pub fn solve_group(
     let names = names(options.performers, count);
     let judged =
         Rig { cameras: rig.cameras.iter().chain(&held_out).cloned().collect(), ..Rig::clone(&rig) };
-    let associator = (options.performers.limit() > 1).then(|| {
-        let rig = Arc::new(judged.clone());
-        Associator::new(rig, options.config, options.performers).with_frame_period(period)
-    });
-    let check = check_rig(recording, &judged, associator, &mut ())?;
+    let crowd = || Crowd::new(Arc::new(judged.clone()), options.config, options.performers, period);
+    let crowd = (options.performers.limit() > 1).then(crowd);
+    let check = check_rig(recording, &judged, crowd, &mut ())?;
     let all = Arc::new(with_solved(recording.rig(), &rig.cameras, &held_out));
     let outputs =
         folder.map(|folder| Outputs::create(folder, &all, options, &rig, &decoder, &names));

@@ -38,6 +38,8 @@ mod python;
 mod recording;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod retarget;
+#[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
+mod several;
 #[cfg(feature = "research")]
 mod slahmr;
 #[cfg(feature = "cli")]

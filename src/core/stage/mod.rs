@@ -4,7 +4,7 @@
 //! number of its performer. One performer is the tracker's own affair: it gets every frame as it is.
 //! With several, a tracker each gets frames in which its performer is alone:
 //!
-//! - An [`Associator`] finds out who is who. Frames of about one time wait for each other and form a set
+//! - A [`Crowd`] finds out who is who. Frames of about one time wait for each other and form a set
 //!   (`sets`).
 //! - Each person in view is followed from set to set by [`associate`](super::association::associate)
 //!   and triangulation (`people`, `person`): this depends on the detections alone, and so do the
@@ -15,8 +15,8 @@
 //!   the lengths of the body (`lengths`), has the old number.
 //! - Two in one place for 0.3 s are one: the one who came first.
 
-mod associator;
 mod config;
+mod crowd;
 mod lengths;
 mod people;
 mod person;
@@ -28,8 +28,8 @@ use std::sync::Arc;
 use super::body::Skeleton;
 use super::time::Timestamp;
 use super::tracker::{self, Event, EventKind, FramePeriod, Input, Job, Output, Solution, Tracker};
-pub use associator::Associator;
 pub use config::{Config, Performers, PerformersError};
+pub use crowd::Crowd;
 pub use people::Change;
 
 /// All performers of a stage.
@@ -41,7 +41,7 @@ pub struct Stage {
     bodies: Vec<Option<Arc<Skeleton>>>,
     trackers: Vec<Tracker>,
     /// With several performers.
-    associator: Option<Associator>,
+    crowd: Option<Crowd>,
     events: VecDeque<(usize, Event)>,
     inbox: VecDeque<(usize, Input)>,
 }
@@ -56,20 +56,17 @@ impl Stage {
         period: Option<FramePeriod>,
     ) -> Self {
         let template = template.with_frame_period(period);
-        let new = || {
-            let rig = Arc::clone(template.rig());
-            Associator::new(rig, config, performers).with_frame_period(period)
-        };
-        let associator = (performers.limit() > 1).then(new);
-        let trackers = if associator.is_none() { vec![template.clone()] } else { Vec::new() };
+        let new = || Crowd::new(Arc::clone(template.rig()), config, performers, period);
+        let crowd = (performers.limit() > 1).then(new);
+        let trackers = if crowd.is_none() { vec![template.clone()] } else { Vec::new() };
         let (events, inbox) = (VecDeque::new(), VecDeque::new());
-        Self { template, bodies: Vec::new(), trackers, associator, events, inbox }
+        Self { template, bodies: Vec::new(), trackers, crowd, events, inbox }
     }
 
     /// Tracks performers whose bodies are known, by number. They are not estimated.
     #[must_use]
     pub fn with_bodies(mut self, bodies: Vec<Option<Arc<Skeleton>>>) -> Self {
-        if self.associator.is_none() {
+        if self.crowd.is_none() {
             let known = bodies.first().cloned().flatten();
             self.trackers = self.trackers.into_iter().map(|t| t.with_body(known.clone())).collect();
         }
@@ -83,29 +80,25 @@ impl Stage {
 
     /// The most people at a time who were seen for a while and are not tracked.
     pub fn others(&self) -> usize {
-        self.associator.as_ref().map_or(0, Associator::others)
+        self.crowd.as_ref().map_or(0, Crowd::others)
     }
 
     /// Processes an input of all performers; solutions go to [`Stage::solved`]. Call [`Stage::poll`]
     /// until it is empty before the next one.
     pub fn handle(&mut self, input: Input) {
-        let Some(associator) = &mut self.associator else {
+        let Some(mut crowd) = self.crowd.take() else {
             return self.inbox.push_back((0, input));
         };
-        let changes = match &input {
-            Input::Detections(frame) => associator.add(frame.clone()),
-            Input::End => associator.end(),
-            Input::Rig(rig) => {
-                associator.calibrate(Arc::clone(rig));
-                Vec::new()
-            }
-            Input::Restart | Input::Forget => {
-                associator.calibrate(Arc::clone(self.template.rig()));
-                Vec::new()
-            }
-            Input::Tick(_) | Input::Solved(_) => Vec::new(),
-        };
-        changes.into_iter().for_each(|(at, change)| self.apply(at, change));
+        match &input {
+            Input::Detections(frame) => crowd.add(frame.clone()),
+            Input::Restart | Input::Forget => crowd.restart(Arc::clone(self.template.rig())),
+            Input::Rig(rig) => crowd.restart(Arc::clone(rig)),
+            Input::End | Input::Tick(_) | Input::Solved(_) => {}
+        }
+        while let Some((at, changes)) = crowd.next(matches!(input, Input::End)) {
+            changes.into_iter().for_each(|change| self.apply(at, change));
+        }
+        self.crowd = Some(crowd);
         if !matches!(input, Input::Detections(_) | Input::Solved(_)) {
             self.template.handle(input.clone());
             self.inbox.extend((0..self.trackers.len()).map(|one| (one, input.clone())));

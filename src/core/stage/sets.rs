@@ -27,10 +27,12 @@ pub(super) struct Sets {
 }
 
 impl Sets {
-    pub(super) fn new(cameras: usize, config: Config) -> Self {
+    pub(super) fn new(cameras: usize, config: Config, period: Option<FramePeriod>) -> Self {
+        let mut rate = FrameRate::new(cameras);
+        rate.know(period);
         Self {
             waiting: BTreeMap::new(),
-            rate: FrameRate::new(cameras),
+            rate,
             config,
             newest: vec![None; cameras],
             last_set: vec![None; cameras],
@@ -87,13 +89,6 @@ impl Sets {
 
     /// Forgets all frames; from here on there are that many cameras.
     pub(super) fn clear(&mut self, cameras: usize) {
-        let period = self.rate.period();
-        *self = Self::new(cameras, self.config);
-        self.know(period);
-    }
-
-    /// The frame period, if it was measured before.
-    pub(super) fn know(&mut self, period: Option<FramePeriod>) {
-        self.rate.know(period);
+        *self = Self::new(cameras, self.config, self.rate.period());
     }
 }
