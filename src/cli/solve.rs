@@ -30,6 +30,8 @@ Writes to the folder DIR:
   poses.states.csv   first_frame,last_frame,state: runs of BVH frames, counted from 0, that are
                      tracking, coasting (extrapolated), lost (do not use) or held (repeated)
   report.html        metrics and plots
+With --performers 2 or more, or auto, poses.mcap and report.html hold everybody; each performer has
+poses.p1.bvh and poses.p1.states.csv, poses.p2.bvh ...
 
 The recording is streamed: memory does not grow with its length. Percentiles are exact up to
 131072 values (points or windows), and within 0.05 % above that.
@@ -41,6 +43,7 @@ Examples:
   bundlemocap solve recordings/walk.mcap --out out
   bundlemocap solve balancing.mcap --out out --json
   bundlemocap solve balancing.mcap --out out --hold-out cam01
+  bundlemocap solve two_people.mcap --out out --performers auto
   bundlemocap solve balancing.mcap --out out --body static/poses.mcap
   bundlemocap solve balancing.mcap --out out --reference pose2sim.trc
   bundlemocap solve balancing.mcap --out out --cameras cam01,cam02,cam04 --optimiser lbfgs")]

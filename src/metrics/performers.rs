@@ -185,7 +185,7 @@ mod tests {
     use crate::core::body::{Pose, Skeleton};
 
     /// People at these places on the floor, metres, by name.
-    fn people(all: &[(&str, f64)]) -> BTreeMap<String, JointPositions> {
+    fn people(all: Named) -> BTreeMap<String, JointPositions> {
         let one = |(name, x): &(&str, f64)| {
             let mut pose = Pose::rest();
             pose.root_position = Vector3::new(*x, 0.9, 0.0);
@@ -194,7 +194,9 @@ mod tests {
         all.iter().map(one).collect()
     }
 
-    fn scores(times: &[(&[(&str, f64)], &[(&str, f64)])]) -> PerformerScores {
+    type Named<'a> = &'a [(&'a str, f64)];
+
+    fn scores(times: &[(Named, Named)]) -> PerformerScores {
         let mut sums = PerformerSums::default();
         times.iter().for_each(|(found, truth)| sums.add(&people(found), &people(truth)));
         sums.scores().unwrap()

@@ -88,8 +88,8 @@ impl Group {
     pub(crate) fn table(&self) -> Table {
         let row = |PerformerSummary { performer, summary }: &PerformerSummary| {
             let compared = match (&summary.truth, &summary.reference) {
-                (Some(truth), _) => format!("{:.1} mm", truth.mpjpe_mm),
-                (None, Some(reference)) => format!("{:.1} mm", reference.mean_mm),
+                (Some(truth), _) => format!("{:.1} mm from the truth", truth.mpjpe_mm),
+                (None, Some(found)) => format!("{:.1} mm from the reference", found.mean_mm),
                 (None, None) => "none".to_owned(),
             };
             vec![
@@ -101,14 +101,7 @@ impl Group {
                 compared,
             ]
         };
-        let header = [
-            "performer",
-            "frames",
-            "windows",
-            "reprojection",
-            "acceleration",
-            "truth or reference",
-        ];
+        let header = ["performer", "frames", "windows", "reprojection", "acceleration", "error"];
         Table {
             title: "Performers".into(),
             header: header.map(str::to_owned).into(),
@@ -118,18 +111,14 @@ impl Group {
 
     /// Rows of a name and a value, for people.
     pub fn rows(&self) -> Vec<(String, String)> {
-        let Table { header, rows, .. } = self.table();
+        let Table { rows, .. } = self.table();
         let in_words = |row: Vec<String>| {
             let [name, frames, windows, error, acceleration, compared] = row.try_into().ok()?;
-            let compared = if compared == "none" {
-                String::new()
-            } else {
-                format!(", {compared} from the truth or the reference")
-            };
-            let value = format!(
-                "{frames} frames, {windows} windows, {error} {}, {acceleration}{compared}",
-                header[3]
-            );
+            let mut value =
+                format!("{frames} frames, {windows} windows, {error} reprojection, {acceleration}");
+            if compared != "none" {
+                value += &format!(", {compared}");
+            }
             Some((name, value))
         };
         let mut rows: Vec<_> = rows.into_iter().filter_map(in_words).collect();

@@ -914,3 +914,71 @@ fn the_performer_is_selected_and_not_the_bystander() {
     assert_eq!((&figures["frames"], &figures["frames_lost"]), (&100.into(), &0.into()));
     pinned("worst mid hip, mm", number(&figures, "/reference/worst_mid_hip_mm"), 55.22);
 }
+
+#[test]
+fn both_people_of_the_real_recording_are_solved() {
+    let Some(set) = real_set() else { return };
+    let place = Place::new();
+    let first = import_real(&place, &set, "two_people", "P1_0-100.trc");
+    let second = first.with_file_name(
+        first.file_name().unwrap().to_string_lossy().replace("P1_0-100", "P2_0-100"),
+    );
+    let mut nearest = Vec::new();
+    for (reference, measured) in [(first, 27.6), (second, 18.2)] {
+        let solve = format!(
+            "solve take.mcap --out out --overwrite --json --performers auto --reference {}",
+            reference.display()
+        );
+        let figures: Value = serde_json::from_str(&place.done(&solve)).unwrap();
+        let performers = figures["performers"].as_array().unwrap();
+        assert_eq!(performers.len(), 2);
+        let off = |one: &Value| number(one, "/reference/mean_mm");
+        let one = performers.iter().min_by(|a, b| off(a).total_cmp(&off(b))).unwrap();
+        assert_eq!((&one["frames"], &one["frames_lost"]), (&100.into(), &0.into()));
+        assert_eq!(one["reference"]["frames"], 100);
+        pinned("reference, mm", off(one), measured);
+        assert!(off(one) < 36.0);
+        nearest.push(one["performer"].clone());
+    }
+    assert_ne!(nearest[0], nearest[1]);
+}
+
+#[test]
+fn several_performers_are_solved_into_one_recording_and_a_file_each() {
+    let place = Place::new();
+    place.done("synth --out crowd.mcap --performers 3 --seconds 3 --noise clean");
+    let text = place.done("solve crowd.mcap --out out --performers auto");
+    assert!(text.contains("p3") && text.contains("from the truth"), "{text}");
+    let names: Vec<String> = files(&place.path("out"))
+        .iter()
+        .map(|path| path.file_name().unwrap().to_string_lossy().into_owned())
+        .collect();
+    let performers = ["p1", "p2", "p3"];
+    let mut expected = vec!["poses.mcap".to_owned(), "report.html".to_owned()];
+    expected.extend(performers.map(|name| format!("poses.{name}.bvh")));
+    expected.extend(performers.map(|name| format!("poses.{name}.states.csv")));
+    expected.sort();
+    assert_eq!(names, expected);
+    let info: Value = serde_json::from_str(&place.done("info out/poses.mcap --json")).unwrap();
+    for name in performers {
+        for (channel, least) in [("pose", 175), ("keyframe", 170), ("skeleton", 1), ("events", 2)] {
+            let topic = format!("mocap/stage/actor/{name}/{channel}");
+            let count = info["topics"][&topic]["count"].as_u64().unwrap();
+            assert!(count >= least, "{topic}: {count}");
+        }
+    }
+    let report = fs::read_to_string(place.path("out/report.html")).unwrap();
+    assert!(performers.iter().all(|name| report.contains(&format!("<h2>{name}</h2>"))));
+    place.fails(USAGE, "solve crowd.mcap --out out --performers auto", &["poses.mcap"]);
+    place.fails(USAGE, "solve crowd.mcap --out o --performers 33", &["1 to 32 or auto"]);
+
+    let two = place.run("solve crowd.mcap --out two --performers 2 --json");
+    let errors = String::from_utf8_lossy(&two.stderr);
+    assert!(errors.contains("1 more person was seen, not solved"), "{errors}");
+    let two: Value = serde_json::from_slice(&two.stdout).unwrap();
+    assert_eq!((two["performers"].as_array().unwrap().len(), &two["others"]), (2, &1.into()));
+    assert_eq!(two["scores"]["id_switches"], 0);
+    // One of three people is nobody's.
+    let recall = number(&two, "/scores/recall_percent");
+    assert!((66.0..66.7).contains(&recall), "{recall}");
+}
