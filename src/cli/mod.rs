@@ -18,6 +18,7 @@ pub(crate) mod failure;
 mod import;
 mod info;
 mod lookout;
+mod node;
 mod play;
 mod record;
 mod replay;

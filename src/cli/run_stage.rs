@@ -9,7 +9,7 @@ use crossbeam_channel::TryRecvError;
 use super::Ended;
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
-use super::run::{Parts, say_goodbye, say_hello, start_node};
+use super::node::{Parts, say_goodbye, say_hello, start_node};
 use crate::config::Config;
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;

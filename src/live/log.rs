@@ -127,6 +127,8 @@ impl<'a> MakeWriter<'a> for Lines {
 /// 4 and at most 60 s.
 #[derive(Default)]
 pub struct EventLog {
+    /// The performer, if there are several.
+    actor: Option<String>,
     limiter: Limiter,
     going: BTreeMap<String, Going>,
     /// Kinds in the last such line, when it was written, and the wait for the next.
@@ -145,6 +147,11 @@ struct Going {
 }
 
 impl EventLog {
+    /// Names the performer in each line.
+    pub fn of(actor: Option<String>) -> Self {
+        Self { actor, ..Self::default() }
+    }
+
     /// Logs an event, or counts it.
     pub fn tell(&mut self, now: Timestamp, event: &Event) {
         let camera = event.camera.as_deref();
@@ -157,7 +164,7 @@ impl EventLog {
             let more = camera.filter(|_| going.cameras.len() <= MOST_NAMES);
             going.cameras.extend(more.map(one_line));
         } else if self.limiter.admits(now, &event.kind, camera, event.count) {
-            line(&event.kind, camera, event.window, &text(event));
+            line(&event.kind, self.actor.as_deref(), camera, event.window, &text(event));
         }
         self.end_seconds(now);
     }
@@ -166,10 +173,10 @@ impl EventLog {
     pub fn end_seconds(&mut self, now: Timestamp) {
         for (kind, camera, count) in self.limiter.withheld(now) {
             let text = format!("and {count} more {} in the last second", spoken(&kind));
-            line(&kind, camera.as_deref(), None, &text);
+            line(&kind, self.actor.as_deref(), camera.as_deref(), None, &text);
         }
         if let Some(text) = self.going(now) {
-            tracing::warn!("{text}");
+            tracing::warn!(actor = self.actor, "{text}");
         }
     }
 
@@ -230,7 +237,7 @@ fn spoken(kind: &str) -> String {
 }
 
 /// Expected kinds are logged as information, all others as warnings.
-fn line(kind: &str, camera: Option<&str>, window: Option<u64>, text: &str) {
+fn line(kind: &str, actor: Option<&str>, camera: Option<&str>, window: Option<u64>, text: &str) {
     let good = match kind {
         "acquired" | "left" | "returned" | "calibrated" | "rig_changed" => true,
         "latency" | "idle" | "take" => true,
@@ -238,9 +245,9 @@ fn line(kind: &str, camera: Option<&str>, window: Option<u64>, text: &str) {
         _ => false,
     };
     if good {
-        tracing::info!(camera, window, "{text}");
+        tracing::info!(actor, camera, window, "{text}");
     } else {
-        tracing::warn!(camera, window, "{text}");
+        tracing::warn!(actor, camera, window, "{text}");
     }
 }
 

@@ -62,6 +62,13 @@ pub(super) struct Progress {
     ended: bool,
 }
 
+impl Progress {
+    /// Names the performer in the log, if there are several.
+    pub(super) fn of(actor: Option<String>) -> Self {
+        Self { events: EventLog::of(actor), ..Self::default() }
+    }
+}
+
 /// The reason for which the loop woke.
 enum Turn {
     Input(Input),

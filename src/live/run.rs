@@ -114,7 +114,7 @@ impl Node {
             outlet: loop_outlet(&bus, &topics, &board)?,
             board: Arc::clone(&board),
             rig_topic: topics.rig(),
-            progress: Progress::default(),
+            progress: Progress::of(config.associated.then(|| config.actor.clone())),
         };
         let (alive, over) = bounded(0);
         let work = move || {
