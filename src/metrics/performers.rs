@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::statistics::mean;
 use crate::core::association::{Edge, matching};
 use crate::core::body::{JOINTS, Joint};
 
@@ -82,8 +81,9 @@ pub struct PerformerSums {
 #[derive(Clone, Debug, Default)]
 struct TruthSums {
     times: u64,
-    /// Mean joint distance of each match, millimetres.
-    errors: Vec<f64>,
+    matches: u64,
+    /// Sum over the matches of their mean joint distance, millimetres.
+    error_mm: f64,
     matched: Vec<String>,
 }
 
@@ -128,7 +128,8 @@ impl PerformerSums {
                 self.switches += u64::from(!sums.matched.is_empty());
                 sums.matched.push(other.clone());
             }
-            sums.errors.push(1e3 * mean_distance(truth, estimate));
+            sums.matches += 1;
+            sums.error_mm += 1e3 * mean_distance(truth, estimate);
             self.right_limbs +=
                 LIMBS.iter().filter(|limb| is_right(limb, truth, estimate)).count() as u64;
         }
@@ -137,15 +138,16 @@ impl PerformerSums {
     /// The scores; `None` without a match.
     pub fn scores(&self) -> Option<PerformerScores> {
         let people: u64 = self.truths.values().map(|sums| sums.times).sum();
-        let errors: Vec<f64> =
-            self.truths.values().flat_map(|sums| &sums.errors).copied().collect();
+        let matches = people - self.misses;
+        let error_mm: f64 = self.truths.values().map(|sums| sums.error_mm).sum();
+        let mean = |sum: f64, count: u64| (count > 0).then(|| sum / count as f64);
         let percent = |part: u64, all: u64| 100.0 * part as f64 / all.max(1) as f64;
         let wrong = self.misses + self.false_positives + self.switches;
         let score = |(name, sums): (&String, &TruthSums)| {
             let score = PerformerScore {
                 matched: sums.matched.clone(),
-                recall_percent: percent(sums.errors.len() as u64, sums.times),
-                mpjpe_mm: mean(&sums.errors),
+                recall_percent: percent(sums.matches, sums.times),
+                mpjpe_mm: mean(sums.error_mm, sums.matches),
             };
             (name.clone(), score)
         };
@@ -155,10 +157,10 @@ impl PerformerSums {
             false_positives: self.false_positives,
             id_switches: self.switches,
             mota_percent: 100.0 * (1.0 - wrong as f64 / people.max(1) as f64),
-            recall_percent: percent(people - self.misses, people),
+            recall_percent: percent(matches, people),
             precision_percent: percent(self.estimates - self.false_positives, self.estimates),
             pcp_percent: percent(self.right_limbs, people * LIMBS.len() as u64),
-            mpjpe_mm: mean(&errors)?,
+            mpjpe_mm: mean(error_mm, matches)?,
             performers: self.truths.iter().map(score).collect(),
         })
     }
