@@ -38,9 +38,12 @@ impl Core {
     }
 
     /// Whether the input is a rig that is in use or was refused before: the journal needs no copy of
-    /// it. The node's own rig comes back from the bus too.
+    /// it. The node's own rig comes back from the bus too; a run may begin with that.
     pub(super) fn changes_nothing(&self, input: &Input) -> bool {
         let Input::Message { topic, payload } = input else { return false };
+        if self.journal.count == 0 {
+            return false;
+        }
         let is_refused = || {
             let known = &self.known_rigs;
             self.has_rig_file() && (known.len() >= MOST_RIGS || known.contains(&fnv1a(payload)))

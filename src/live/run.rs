@@ -31,6 +31,9 @@ use crate::io::wire::{
 const LOOK: Duration = Duration::from_millis(500);
 /// Most batches of deviations that wait for the node loop; there is one per second.
 const BATCHES: usize = 64;
+/// A solver without a core of its own gives way to the other threads of the program.
+#[cfg(unix)]
+const GIVES_WAY: i32 = 10;
 
 /// A live node.
 pub struct Node;
@@ -274,8 +277,13 @@ fn start_solver(
     let (jobs, work) = bounded::<Box<Job>>(1);
     let (sender, answers) = bounded(1);
     let solve = move || {
-        if let Some(core) = core {
-            core.enter();
+        match core {
+            Some(core) => core.enter(),
+            // It shares the cores with the threads that publish on time.
+            #[cfg(unix)]
+            None => drop(rustix::process::nice(GIVES_WAY)),
+            #[cfg(not(unix))]
+            None => {}
         }
         for job in work {
             let begin = Instant::now();

@@ -135,6 +135,17 @@ fn commands_that_cannot_be_followed_are_refused() {
 }
 
 #[test]
+fn a_take_may_begin_with_the_rig_that_comes_back_from_the_bus() {
+    let rig = |seconds| Sent { arrival: at(seconds), ..Studio::new(4, 1).rig() };
+    // The take begins at the end of a job; then no keypoints come first.
+    let mut slates = vec![slate("start", "walk", 1.0)];
+    slates.extend((0..100).map(|index| rig(1.0001 + 0.0002 * f64::from(index))));
+    let (_, recorded) = session(3, slates);
+    let replayed = replayed(&from(&recorded, 1.0), Some("walk")).unwrap();
+    assert_agrees(&replayed);
+}
+
+#[test]
 fn a_start_is_answered_even_if_it_never_begins() {
     // The second comes while a job is out; so does the end after the third.
     let during_a_job = Studio::new(4, 120).frames[4 * 60].capture.seconds_since(at(0.0)) + 0.006;
