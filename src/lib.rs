@@ -48,8 +48,9 @@
 //!
 //! | module | parts | holds |
 //! |---|---|---|
-//! | [`core`] | `time`, `timecode`, `so3`, `linalg`, `random`, `detections`, `body`, `camera`, `association`, `calibration`, `check`, `optimise`, `manifold`, `cost`, `tracker`, `stage` | the solver: no input or output, no clock |
+//! | [`core`] | `time`, `timecode`, `so3`, `linalg`, `random`, `detections`, `body`, `camera`, `association`, `calibration`, `optimise`, `manifold`, `cost`, `tracker`, `stage` | the solver: no input or output, no clock |
 //! | [`io`] | `wire`, `new_file`, `recording`, `bus`, `formats`, `report` | messages, MCAP files, the bus, other programs' files, the report |
+//! | [`diagnose`] | | is a camera wrong, and how to fix it |
 //! | [`metrics`] | | errors of poses, reprojection, statistics |
 //! | [`retarget`] | | poses on another skeleton |
 //! | [`offline`] | | a recording solved, from opening it to its summary |
@@ -112,6 +113,7 @@ pub mod cli;
 #[cfg(feature = "live")]
 pub mod config;
 pub mod core;
+pub mod diagnose;
 pub mod io;
 #[cfg(feature = "live")]
 pub mod live;

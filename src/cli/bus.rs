@@ -25,7 +25,7 @@ pub(super) struct BusArguments {
     /// Name of the capture volume; overrides the settings.
     #[arg(long, value_name = "NAME")]
     stage: Option<String>,
-    /// Name of the performer; overrides the settings.
+    /// Name of the performer; overrides the settings. Tools that print or write take all by default.
     #[arg(long, value_name = "NAME")]
     actor: Option<String>,
 }
@@ -68,6 +68,19 @@ impl BusArguments {
             }
         }
         Ok(config)
+    }
+
+    /// The performer who is named.
+    pub(super) fn actor(&self) -> Option<&str> {
+        self.actor.as_deref()
+    }
+
+    /// The topics of the stage, of all actors unless one is named.
+    pub(super) fn topics(&self, config: &Config) -> Topics {
+        let is_named =
+            self.actor.is_some() || self.config.is_some() && config.stage.performers.limit() == 1;
+        let own = topics(config);
+        if is_named { own } else { Topics { actor: "*".to_owned(), ..own } }
     }
 }
 

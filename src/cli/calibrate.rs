@@ -6,6 +6,7 @@ use clap::Args;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
+use super::overwrite::Overwrite;
 use super::solve::Progress;
 use super::terminal::{progress, say, table};
 use crate::config::Config;
@@ -34,9 +35,8 @@ pub(super) struct Arguments {
     /// Calibration to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Replace an existing calibration.
-    #[arg(long)]
-    overwrite: bool,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Up axis of the written calibration's world: y or z.
     #[arg(long, default_value = "z", value_parser = super::import::up)]
     up: Up,
@@ -46,7 +46,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    refuse_existing(&arguments.out, arguments.overwrite)?;
+    arguments.overwrite.check(&arguments.out)?;
     let found = checked(&arguments.refine, arguments.config.as_deref(), true)?;
     say(&table(&found.corrections.iter().flat_map(rows).collect::<Vec<_>>()));
     say(&conclusion(&found, &arguments.out));
@@ -68,15 +68,6 @@ pub(super) fn checked(
     let found = check_cameras(&mut recording, &options, refine, &mut bar)?;
     bar.0.finish_and_clear();
     Ok(found)
-}
-
-/// Fails if the file exists and may not be replaced.
-pub(super) fn refuse_existing(path: &Path, overwrite: bool) -> Result<(), Failure> {
-    if overwrite || !path.exists() {
-        return Ok(());
-    }
-    let message = format!("{} exists; choose another name, or use --overwrite", path.display());
-    Err(Failure::new(Exit::Usage, message))
 }
 
 fn rows(

@@ -8,6 +8,7 @@ use clap::Args;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
+use super::overwrite::Overwrite;
 use super::solve::decoder;
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
@@ -32,6 +33,8 @@ pub(super) struct Arguments {
     /// Recording to write, with skeleton and poses.
     #[arg(long, value_name = "MCAP")]
     out: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Manifold weights of the solve; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
@@ -47,6 +50,7 @@ struct Decoded {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
+    arguments.overwrite.check(&arguments.out)?;
     let decoder = decoder(arguments.weights.as_deref())?;
     let mut reader = Reader::open(&arguments.file)?;
     let weights = fingerprint(&decoder);

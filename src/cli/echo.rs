@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
 
 use super::Ended;
-use super::bus::{BusArguments, open, topics};
+use super::bus::{BusArguments, open};
 use super::clock::{ATTENTION, Stop};
 use super::failure::Exit;
 use super::terminal::{complain, tell};
@@ -21,15 +21,17 @@ use crate::live::tools::inbox::{Inbox, Received};
 /// Print the messages on the bus, one per line.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-A line starts with the time of arrival (UTC) and the topic. Latency is arrival minus capture time on
-the clock of this computer. A final pose also shows its declared latency, and how early or late it
-arrived relative to its due time: capture time plus declared latency.
+Without --actor it prints the messages of every performer. A line starts with the time of arrival (UTC)
+and the topic. Latency is arrival minus capture time on the clock of this computer. A final pose also
+shows its declared latency, and how early or late it arrived relative to its due time: capture time plus
+declared latency.
 
 With --json the fields of `message` have the names of schemas/*.proto. States are names; run ids and
 hashes are hexadecimal.
 
 Examples:
   bundlemocap echo poses
+  bundlemocap echo poses --actor p2
   bundlemocap echo status --count 1
   bundlemocap echo all --hz
   bundlemocap echo keyframes --json | jq .message.z
@@ -96,7 +98,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let config = arguments.bus.settings()?;
     let bus = open(&config)?;
     let stop = Stop::on_signals()?;
-    let inbox = Inbox::open_all(&*bus, &arguments.what.patterns(&topics(&config)))?;
+    let patterns = arguments.what.patterns(&arguments.bus.topics(&config));
+    let inbox = Inbox::open_all(&*bus, &patterns)?;
     let form = match (arguments.hz, arguments.json) {
         (true, json) => Form::Rates { json },
         (false, true) => Form::Json,

@@ -1,15 +1,18 @@
 //! `bundlemocap export`
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
+use super::overwrite::Overwrite;
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
 use crate::io::recording::{Message, Reader};
+use crate::io::wire::Topic;
 use crate::offline::bvh::BvhFile;
 use crate::offline::compact_pose::CompactPose;
 use crate::offline::output::{strip, text};
@@ -21,7 +24,9 @@ use crate::offline::poses::frame_rate;
 Examples:
   bundlemocap export out/poses.mcap --bvh take1.bvh
   bundlemocap export out/poses.mcap --bvh cut.bvh --start 01:00:10:00 --end 01:00:20:00
-  bundlemocap export out/poses.mcap --picture take1.svg --figures 7")]
+  bundlemocap export out/poses.mcap --picture take1.svg --figures 7
+  bundlemocap export both/poses.mcap --bvh take1.bvh             take1.p1.bvh, take1.p2.bvh
+  bundlemocap export both/poses.mcap --bvh take1.bvh --actor p2  take1.bvh")]
 #[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
 pub(super) struct Arguments {
     /// The poses.mcap of `bundlemocap solve`.
@@ -37,35 +42,64 @@ pub(super) struct Arguments {
     figures: u8,
     #[command(flatten)]
     span: SpanArguments,
+    /// Export this performer alone; default: each, to a file named after the performer if the
+    /// recording has several.
+    #[arg(long, value_name = "NAME")]
+    actor: Option<String>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Export the true poses of a synthetic recording instead.
     #[arg(long)]
     truth: bool,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let Solved { skeleton, mut poses, damage } = read(&arguments.file, arguments.truth)?;
+    let actor = arguments.actor.as_deref();
+    let Solved { mut performers, damage } = read(&arguments.file, arguments.truth, actor)?;
     let times = Times::of(&arguments.file, None)?;
+    let several = performers.len() > 1;
     if let Some([start, end]) = arguments.span.within(&times)? {
-        poses.retain(|pose| (start..=end).contains(&pose.capture));
-        if poses.is_empty() {
+        for one in &mut performers {
+            one.poses.retain(|pose| (start..=end).contains(&pose.capture));
+        }
+        performers.retain(|one| !one.poses.is_empty());
+        if performers.is_empty() {
             return Err(Failure::new(Exit::Usage, "no poses from --start to --end"));
         }
     }
-    let fps = frame_rate(&poses).unwrap_or(60.0);
-    if let Some(path) = &arguments.bvh {
-        let frames = write_bvh(path, &poses, &skeleton, fps)?;
-        times.beside(path, poses.first().map(|pose| pose.capture))?;
-        say(&format!("{}: {frames} frames at {fps:.2} Hz", path.display()));
+    for Performer { actor, .. } in &performers {
+        for path in arguments.bvh.iter().chain(&arguments.picture) {
+            arguments.overwrite.check(&path_of(path, several.then_some(actor)))?;
+        }
     }
-    if let Some(path) = &arguments.picture {
-        text(path, &strip(&poses, &skeleton, usize::from(arguments.figures)))?;
-        say(&format!("{}: {} stick figures", path.display(), arguments.figures));
+    for Performer { actor, skeleton, poses } in &performers {
+        let fps = frame_rate(poses).unwrap_or(60.0);
+        if let Some(path) = &arguments.bvh {
+            let path = path_of(path, several.then_some(actor));
+            let frames = write_bvh(&path, poses, skeleton, fps)?;
+            times.beside(&path, poses.first().map(|pose| pose.capture))?;
+            say(&format!("{}: {frames} frames at {fps:.2} Hz", path.display()));
+        }
+        if let Some(path) = &arguments.picture {
+            let path = path_of(path, several.then_some(actor));
+            text(&path, &strip(poses, skeleton, usize::from(arguments.figures)))?;
+            say(&format!("{}: {} stick figures", path.display(), arguments.figures));
+        }
     }
     if damage.is_empty() {
         return Ok(Exit::Done);
     }
     complain("warning", &format!("{}: {}", arguments.file.display(), damage.join("; ")));
     Ok(Exit::InPart)
+}
+
+/// `take1.p1.bvh` for `take1.bvh` of the performer p1; the path itself if there is only one performer.
+pub(super) fn path_of(path: &Path, actor: Option<&String>) -> PathBuf {
+    match (actor, path.extension()) {
+        (None, _) => path.to_owned(),
+        (Some(actor), None) => path.with_extension(actor),
+        (Some(actor), Some(end)) => path.with_extension(format!("{actor}.{}", end.display())),
+    }
 }
 
 /// Writes poses, sorted by capture time, as BVH; returns the number of frames.
@@ -84,27 +118,36 @@ fn write_bvh(
 
 /// The content of a solved recording.
 pub(super) struct Solved {
-    pub(super) skeleton: Skeleton,
-    /// Sorted by capture time, one per time.
-    pub(super) poses: Vec<CompactPose>,
+    /// By name; at least one.
+    pub(super) performers: Vec<Performer>,
     /// Losses of a damaged file.
     pub(super) damage: Vec<String>,
 }
 
-/// The poses of a solved recording, or the true ones of a synthetic recording.
-pub(super) fn read(file: &Path, truth: bool) -> Result<Solved, Failure> {
+/// The poses of a performer.
+pub(super) struct Performer {
+    pub(super) actor: String,
+    pub(super) skeleton: Skeleton,
+    /// Sorted by capture time, one per time.
+    pub(super) poses: Vec<CompactPose>,
+}
+
+/// The poses of a solved recording, or the true ones of a synthetic recording; of one performer, if one
+/// is named.
+pub(super) fn read(file: &Path, truth: bool, actor: Option<&str>) -> Result<Solved, Failure> {
     let mut reader = Reader::open(file)?;
-    let (mut skeleton, mut poses) = (None, Vec::new());
+    let mut found = BTreeMap::<String, (Option<Skeleton>, Vec<CompactPose>)>::new();
     while let Some(entry) = reader.next() {
         let entry = entry?;
+        let name = Topic::actor(&entry.topic);
         let result = match (entry.message, truth) {
             (Message::Skeleton(wire), false) | (Message::TruthSkeleton(wire), true) => {
-                wire.to_core().map(|body| skeleton = Some(body))
+                wire.to_core().map(|body| found.entry(name).or_default().0 = Some(body))
             }
             // Final poses replace provisional ones.
             (Message::Pose(wire), false) if wire.provisional => Ok(()),
             (Message::Pose(wire), false) | (Message::TruthPose(wire), true) => {
-                wire.to_core().map(|pose| poses.push(CompactPose::from(&pose)))
+                wire.to_core().map(|pose| found.entry(name).or_default().1.push((&pose).into()))
             }
             _ => Ok(()),
         };
@@ -112,20 +155,30 @@ pub(super) fn read(file: &Path, truth: bool) -> Result<Solved, Failure> {
             reader.reject(&entry.topic, &error);
         }
     }
-    let damage = reader.report().losses();
-    in_order(&mut poses);
-    match skeleton.filter(|_| !poses.is_empty()) {
-        Some(skeleton) => Ok(Solved { skeleton, poses, damage }),
-        None => {
-            let fix = if truth {
-                "only recordings of `bundlemocap synth` have true poses"
-            } else {
-                "solve it first, then use the poses.mcap of `bundlemocap solve`"
-            };
-            let message = format!("{} holds no poses; {fix}", file.display());
-            Err(Failure::new(Exit::NotOurs, message))
+    let whole = |(actor, (skeleton, mut poses)): (String, (Option<_>, Vec<_>))| {
+        in_order(&mut poses);
+        (!poses.is_empty()).then_some(Performer { actor, skeleton: skeleton?, poses })
+    };
+    let mut performers: Vec<Performer> = found.into_iter().filter_map(whole).collect();
+    if performers.is_empty() {
+        let fix = if truth {
+            "only recordings of `bundlemocap synth` have true poses"
+        } else {
+            "solve it first, then use the poses.mcap of `bundlemocap solve`"
+        };
+        let message = format!("{} holds no poses; {fix}", file.display());
+        return Err(Failure::new(Exit::NotOurs, message));
+    }
+    if let Some(actor) = actor {
+        let names: Vec<String> = performers.iter().map(|one| one.actor.clone()).collect();
+        performers.retain(|one| one.actor == actor);
+        if performers.is_empty() {
+            let (file, names) = (file.display(), names.join(", "));
+            let message = format!("{file} holds no poses of {actor}; --actor may be {names}");
+            return Err(Failure::new(Exit::Usage, message));
         }
     }
+    Ok(Solved { performers, damage: reader.report().losses() })
 }
 
 /// Sorts by capture time and keeps the last of several poses of one time.

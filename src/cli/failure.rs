@@ -113,7 +113,7 @@ impl From<RecordError> for Failure {
             RecordError::Read { .. } => Exit::Unreadable,
             RecordError::NotMcap { .. } => Exit::Malformed,
             RecordError::NoChannels { .. } | RecordError::NoBody { .. } => Exit::NotOurs,
-            RecordError::BeforeEpoch { .. } => Exit::Malformed,
+            RecordError::NoBodyOf { .. } | RecordError::SeveralBodies { .. } => Exit::Usage,
             RecordError::Write { .. }
             | RecordError::LeftOver { .. }
             | RecordError::TooManyTopics { .. } => Exit::Unexpected,

@@ -7,6 +7,7 @@ use clap::{Args, Subcommand};
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
+use super::overwrite::Overwrite;
 use super::terminal::{complain, progress, say, table};
 use crate::core::camera::Rig;
 use crate::core::time::Timestamp;
@@ -57,9 +58,8 @@ struct Openpose {
     /// Recording to write.
     #[arg(long)]
     out: PathBuf,
-    /// Replace an existing recording.
-    #[arg(long)]
-    overwrite: bool,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Up axis of the calibration's world: y or z.
     #[arg(long, default_value = "z", value_parser = up)]
     up: Up,
@@ -94,11 +94,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 }
 
 fn run_openpose(arguments: &Openpose) -> Ended {
-    if arguments.out.exists() && !arguments.overwrite {
-        let fix = "choose another name, or use --overwrite";
-        let message = format!("{} exists; {fix}", arguments.out.display());
-        return Err(Failure::new(Exit::Usage, message));
-    }
+    arguments.overwrite.check(&arguments.out)?;
     let fps = frame_rate_option(arguments.fps)?;
     let format = keypoint_format(&arguments.format)?;
     let rig = read_calibration(&arguments.calibration, arguments.up)?;

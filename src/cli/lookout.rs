@@ -1,10 +1,12 @@
 //! What `run` says about its cameras: where they send if the node hears none, and whether they fit.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::clock::ATTENTION;
 use crate::core::camera::Rig;
-use crate::core::check::{Check, Footage, check};
+use crate::core::tracker::Config;
+use crate::diagnose::{Check, Evidence};
 use crate::io::bus::{Bus, BusError};
 use crate::io::wire::{self, KeypointFrame, Status, Topics, decode};
 use crate::live::Monitor;
@@ -50,8 +52,8 @@ pub(super) fn look(
         let rig = decode::<wire::Rig>(&bytes).and_then(|rig| rig.to_core());
         let Ok(rig) = rig else { continue };
         let goes_on = || !is_over() && node.rig().as_ref() == Some(&bytes);
-        if let Some(footage) = watch(bus, topics, &rig, goes_on)? {
-            let check = std::thread::spawn(move || check(&footage, &rig));
+        if let Some(evidence) = watch(bus, topics, &rig, goes_on)? {
+            let check = std::thread::spawn(move || evidence.check(&rig));
             while !check.is_finished() {
                 if is_over() {
                     return Ok(());
@@ -91,23 +93,21 @@ fn watch(
     topics: &Topics,
     rig: &Rig,
     goes_on: impl Fn() -> bool,
-) -> Result<Option<Footage>, BusError> {
+) -> Result<Option<Evidence>, BusError> {
     let inbox = Inbox::open(bus, &topics.keypoints("*"))?;
     let begin = Instant::now();
-    let mut footage = Footage::new(rig.cameras.len());
-    let mut with_people = vec![0; rig.cameras.len()];
+    let mut evidence = Evidence::new(Arc::new(rig.clone()), Config::default(), None);
     let mut since = None;
     while goes_on() {
         let Some(received) = inbox.next(ATTENTION) else { continue };
         let frame = decode::<KeypointFrame>(&received.sample.payload).ok();
         let frame = frame.and_then(|frame| frame.to_core(|name| rig.index_of(name)).ok());
         let Some(frame) = frame else { continue };
-        footage.add(&frame);
-        with_people[frame.camera] += usize::from(!frame.people.is_empty());
+        evidence.add(&frame, 0);
         let now = begin.elapsed();
-        let Some(patience) = patience(&with_people) else { continue };
+        let Some(patience) = patience(evidence.with_people()) else { continue };
         if now - *since.get_or_insert(now) >= patience && now >= LEAST {
-            return Ok(Some(footage));
+            return Ok(Some(evidence));
         }
     }
     Ok(None)

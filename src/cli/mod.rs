@@ -19,6 +19,7 @@ mod import;
 mod info;
 mod lookout;
 mod node;
+mod overwrite;
 mod play;
 mod record;
 mod replay;

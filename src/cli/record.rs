@@ -9,7 +9,8 @@ use clap::Args;
 use super::Ended;
 use super::bus::{BusArguments, open, topics};
 use super::clock::{ATTENTION, Stop};
-use super::failure::{Exit, Failure};
+use super::failure::Exit;
+use super::overwrite::Overwrite;
 use super::terminal::{complain, note, say, table, ticker};
 use crate::config::Config;
 use crate::core::time::Timestamp;
@@ -37,8 +38,8 @@ is its capture time. Until Ctrl-C or SIGTERM the recording is at FILE.part; if t
 file is readable up to its last second. Recording stops before the disk is full.
 
 `bundlemocap take start NAME` begins NAME.mcap beside FILE, with a journal of its own, and `take stop`
-ends it. If there is a NAME.mcap, it is NAME_2.mcap and so on. If FILE is a folder, only takes are
-recorded.
+ends it. If there is a NAME.mcap, it is NAME_2.mcap and so on. If FILE is a folder, or ends with /, only
+takes are recorded; the folder is created if missing.
 
 Examples:
   bundlemocap record take1.mcap
@@ -51,19 +52,20 @@ pub(super) struct Arguments {
     /// Topics to record; default: all topics of the stage. `*` matches one part, `**` any number.
     #[arg(long, value_name = "PATTERN")]
     topics: Option<String>,
-    /// Replace an existing file.
-    #[arg(long)]
-    overwrite: bool,
+    #[command(flatten)]
+    overwrite: Overwrite,
     #[command(flatten)]
     bus: BusArguments,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let path = &arguments.file;
-    let is_folder = path.is_dir();
-    if path.exists() && !is_folder && !arguments.overwrite {
-        let fix = "choose another name, or use --overwrite";
-        return Err(Failure::new(Exit::Usage, format!("{} exists; {fix}", path.display())));
+    let is_folder = path.is_dir() || path.as_os_str().as_encoded_bytes().ends_with(b"/");
+    if is_folder {
+        let made = std::fs::create_dir_all(path);
+        made.map_err(|source| RecordError::Write { path: path.clone(), source })?;
+    } else {
+        arguments.overwrite.check(path)?;
     }
     let config = arguments.bus.settings()?;
     let bus = open(&config)?;
@@ -316,7 +318,7 @@ mod tests {
         let path = folder.path().join("take.mcap");
         std::fs::write(folder.path().join("take.mcap.part"), "precious").unwrap();
         let live = Writer::live(&path, Topics::default(), &Provenance::default());
-        let error = Failure::from(live.err().unwrap()).line();
+        let error = crate::cli::failure::Failure::from(live.err().unwrap()).line();
         assert!(error.contains("take.mcap.part") && error.contains("rename"), "{error}");
         assert_eq!(std::fs::read(folder.path().join("take.mcap.part")).unwrap(), b"precious");
     }

@@ -6,6 +6,7 @@ use clap::Args;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
+use super::overwrite::Overwrite;
 use super::solve::decoder;
 use super::span::timecode;
 use super::terminal::{complain, say, table};
@@ -41,6 +42,8 @@ pub(super) struct Arguments {
     /// Recording to write, with the same inputs and the new outputs.
     #[arg(long, value_name = "MCAP")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Manifold weights of the node; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
@@ -67,6 +70,9 @@ impl From<ReplayError> for Failure {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
+    if let Some(out) = &arguments.out {
+        arguments.overwrite.check(out)?;
+    }
     let (messages, take) = read(&arguments.file)?;
     let of_file = |failure: Failure| {
         Failure::new(failure.exit, format!("{}: {}", arguments.file.display(), failure.line()))

@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::Ended;
-use super::bus::{BusArguments, check_name, open, topics};
+use super::bus::{BusArguments, check_name, open};
 use super::clock::Stop;
-use super::export::{Solved, read};
+use super::export::{Performer, Solved, path_of, read};
 use super::failure::{Exit, Failure};
+use super::overwrite::Overwrite;
 use super::retarget_file::{TargetFile, Written};
-use super::retarget_live::Live;
+use super::retarget_live::{Live, Retargeted};
 use super::terminal::{complain, note, say};
 use crate::core::body::Skeleton;
 use crate::offline::compact_pose::CompactPose;
@@ -30,7 +31,8 @@ MotionBuilder, Unity, Daz, Unreal, Biped and this program are known; a TOML file
   left_knee = \"LeftLeg\"        ours = theirs; \"\" for none
 
 Live poses are published on mocap/STAGE/actor/ACTOR/retargeted/NAME until Ctrl-C or SIGTERM. With
---out they are written meanwhile, to a hidden .part file that is then renamed.
+--out they are written meanwhile, to a hidden .part file that is then renamed. Several performers have
+a file each: take1.p1.bvh, take1.p2.bvh. --actor chooses one.
 
 Examples:
   bundlemocap retarget --skeleton robot.bvh
@@ -49,6 +51,8 @@ pub(super) struct Arguments {
     /// BVH file to write.
     #[arg(long, value_name = "BVH")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Read a solved recording instead of the bus.
     #[arg(long, value_name = "MCAP", requires = "out")]
     from: Option<PathBuf>,
@@ -79,7 +83,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     match (&arguments.from, &arguments.out) {
         (Some(from), Some(out)) => {
             note(&summary(&arguments.skeleton, &retarget));
-            offline(&mut retarget, from, out)
+            offline(&mut retarget, from, arguments, out)
         }
         _ => live(&mut retarget, arguments),
     }
@@ -99,9 +103,15 @@ fn summary(path: &Path, retarget: &Retarget) -> String {
     format!("{}: {convention} names, {joints} joints, unit {unit} m: {mapping}", path.display())
 }
 
-fn offline(retarget: &mut Retarget, from: &Path, out: &Path) -> Ended {
-    let Solved { skeleton, poses, damage } = read(from, false)?;
-    write(retarget, &skeleton, &poses, out)?;
+fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Path) -> Ended {
+    let Solved { performers, damage } = read(from, false, arguments.bus.actor())?;
+    let several = performers.len() > 1;
+    for Performer { actor, .. } in &performers {
+        arguments.overwrite.check(&path_of(out, several.then_some(actor)))?;
+    }
+    for Performer { actor, skeleton, poses } in &performers {
+        write(retarget, skeleton, poses, &path_of(out, several.then_some(actor)))?;
+    }
     if damage.is_empty() {
         return Ok(Exit::Done);
     }
@@ -140,28 +150,39 @@ fn live(retarget: &mut Retarget, arguments: &Arguments) -> Ended {
         None => name_of(&arguments.skeleton),
     };
     check_name("--name", &name)?;
+    if let Some(out) = &arguments.out {
+        arguments.overwrite.check(out)?;
+    }
     let config = arguments.bus.settings()?;
-    let topics = topics(&config);
+    let topics = arguments.bus.topics(&config);
     let bus = open(&config)?;
     let stop = Stop::on_signals()?;
-    let live = Live::open(&*bus, &topics, &name)?;
+    // The file of a lone performer has the given name.
+    let out = |actor: &String| {
+        let named = (topics.actor == "*" && *actor != config.node.actor).then_some(actor);
+        arguments.out.as_deref().map(|out| path_of(out, named))
+    };
+    let live = Live::open(&*bus, &topics, &name, retarget, &out)?;
     note(&format!("{} to {}; stop with Ctrl-C", topics.pose(), topics.retargeted(&name)));
     note(&summary(&arguments.skeleton, retarget));
-    let mut file = arguments.out.as_deref().map(|out| TargetFile::new(out, None));
-    let served = live.serve(retarget, file.as_mut(), &stop)?;
+    let served = live.serve(&stop)?;
     say(&served.to_string());
-    let (Some(out), Some(file)) = (&arguments.out, file) else { return Ok(Exit::Done) };
-    match (file.finish(retarget)?, &served.skeleton) {
-        (Some(written), Some(skeleton)) => {
-            tell(&written, retarget, skeleton, out);
-            Ok(Exit::Done)
-        }
-        _ => {
-            let fix = "check --stage, --actor and whether the node runs";
-            complain("warning", &format!("{} not written: no poses arrived; {fix}", out.display()));
-            Ok(Exit::InPart)
+    let Some(out) = &arguments.out else { return Ok(Exit::Done) };
+    let mut is_written = false;
+    for Retargeted { retarget, skeleton, file, .. } in served.performers.into_values() {
+        let (Some(skeleton), Some(file)) = (skeleton, file) else { continue };
+        let path = file.path().to_owned();
+        if let Some(written) = file.finish(&retarget)? {
+            tell(&written, &retarget, &skeleton, &path);
+            is_written = true;
         }
     }
+    if is_written {
+        return Ok(Exit::Done);
+    }
+    let fix = "check --stage, --actor and whether the node runs";
+    complain("warning", &format!("{} not written: no poses arrived; {fix}", out.display()));
+    Ok(Exit::InPart)
 }
 
 /// The file name without its extension, as a part of a topic.

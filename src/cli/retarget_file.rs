@@ -45,6 +45,10 @@ impl TargetFile {
         }
     }
 
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Adds a pose; skips it if it was captured before the last one. Gaps repeat the pose before.
     pub(super) fn add(
         &mut self,

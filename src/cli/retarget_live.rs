@@ -1,6 +1,9 @@
 //! Live retargeting: poses from the bus, retargeted poses to the bus.
 
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::fmt;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use prost::Name;
@@ -13,23 +16,35 @@ use crate::core::body::Skeleton;
 use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Publisher};
 use crate::io::wire::{
-    self, DecodeError, Pose, RetargetedPose, Schema, Topics, decode, encode, media_type, schema_of,
+    self, DecodeError, Pose, RetargetedPose, Schema, Topic, Topics, decode, encode, media_type,
+    schema_of,
 };
 use crate::live::tools::inbox::{Inbox, Received};
 use crate::retarget::Retarget;
 
-/// Subscriptions to poses and skeletons, and the publisher of retargeted poses.
-pub(super) struct Live {
+/// Subscriptions to poses and skeletons, and what becomes of them.
+pub(super) struct Live<'a> {
+    bus: &'a dyn Bus,
+    name: &'a str,
+    retarget: &'a Retarget,
+    out: &'a dyn Fn(&String) -> Option<PathBuf>,
     skeletons: Inbox,
     poses: Inbox,
+}
+
+/// One performer on the target skeleton.
+pub(super) struct Retargeted {
+    pub(super) retarget: Retarget,
+    /// The last skeleton.
+    pub(super) skeleton: Option<Skeleton>,
+    pub(super) file: Option<TargetFile>,
     publisher: Box<dyn Publisher>,
 }
 
 /// Results of live retargeting.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub(super) struct Served {
-    /// The last skeleton.
-    pub(super) skeleton: Option<Skeleton>,
+    pub(super) performers: BTreeMap<String, Retargeted>,
     /// Published poses.
     pub(super) published: u64,
     /// Poses that arrived before the first skeleton.
@@ -59,23 +74,23 @@ impl fmt::Display for Served {
     }
 }
 
-impl Live {
-    /// Subscribes to skeletons first, so that the skeleton is known when poses arrive.
-    pub(super) fn open(bus: &dyn Bus, topics: &Topics, name: &str) -> Result<Self, BusError> {
-        Ok(Self {
-            publisher: bus.publisher(&topics.retargeted(name))?,
-            skeletons: Inbox::open(bus, &topics.skeleton())?,
-            poses: Inbox::open(bus, &topics.pose())?,
-        })
+impl<'a> Live<'a> {
+    /// Subscribes to skeletons first, so that the skeleton is known when poses arrive. `topics` may be
+    /// those of all actors; `out` gives the file of each.
+    pub(super) fn open(
+        bus: &'a dyn Bus,
+        topics: &Topics,
+        name: &'a str,
+        retarget: &'a Retarget,
+        out: &'a dyn Fn(&String) -> Option<PathBuf>,
+    ) -> Result<Self, BusError> {
+        let [skeletons, poses] =
+            [topics.skeleton(), topics.pose()].map(|pattern| Inbox::open(bus, &pattern));
+        Ok(Self { bus, name, retarget, out, skeletons: skeletons?, poses: poses? })
     }
 
     /// Retargets poses until a stop request, then the remaining ones.
-    pub(super) fn serve(
-        mut self,
-        retarget: &mut Retarget,
-        mut file: Option<&mut TargetFile>,
-        stop: &Stop,
-    ) -> Result<Served, Failure> {
+    pub(super) fn serve(mut self, stop: &Stop) -> Result<Served, Failure> {
         let mut served = Served::default();
         loop {
             if stop.is_set() {
@@ -85,12 +100,14 @@ impl Live {
             let received = self.poses.next(ATTENTION);
             while let Some(received) = self.skeletons.next(Duration::ZERO) {
                 let skeleton = wire::<wire::Skeleton>(&received).and_then(|wire| wire.to_core());
-                served.skeleton = served.usable(skeleton).or(served.skeleton.take());
+                if let Some(skeleton) = served.usable(skeleton)
+                    && let Some(one) = self.performer(&received, &mut served)?
+                {
+                    one.skeleton = Some(skeleton);
+                }
             }
             match received {
-                Some(received) => {
-                    self.put(&received, retarget, file.as_deref_mut(), &mut served)?
-                }
+                Some(received) => self.put(&received, &mut served)?,
                 None if stop.is_set() => break,
                 None => {}
             }
@@ -99,16 +116,30 @@ impl Live {
         Ok(served)
     }
 
-    fn put(
+    /// Whose message that is. `None`: the topic is not of a performer.
+    fn performer<'s>(
         &self,
         received: &Received,
-        retarget: &mut Retarget,
-        file: Option<&mut TargetFile>,
-        served: &mut Served,
-    ) -> Result<(), Failure> {
+        served: &'s mut Served,
+    ) -> Result<Option<&'s mut Retargeted>, BusError> {
+        let topic = Topic::parse(&received.sample.topic).ok();
+        let Some(topics) = topic.and_then(|topic| topic.topics()) else { return Ok(None) };
+        Ok(Some(match served.performers.entry(topics.actor.clone()) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(new) => new.insert(Retargeted {
+                retarget: self.retarget.clone(),
+                skeleton: None,
+                file: (self.out)(&topics.actor).map(|path| TargetFile::new(&path, None)),
+                publisher: self.bus.publisher(&topics.retargeted(self.name))?,
+            }),
+        }))
+    }
+
+    fn put(&self, received: &Received, served: &mut Served) -> Result<(), Failure> {
         let pose = wire::<Pose>(received).and_then(|wire| Ok((wire.to_core()?, wire)));
         let Some((stamped, wire)) = served.usable(pose) else { return Ok(()) };
-        let Some(skeleton) = &served.skeleton else {
+        let Some(one) = self.performer(received, served)? else { return Ok(()) };
+        let Retargeted { retarget, skeleton: Some(skeleton), file, publisher } = one else {
             served.early += 1;
             return Ok(());
         };
@@ -116,18 +147,17 @@ impl Live {
         let message = figure.message(&wire, retarget.target());
         let encoding = media_type(&RetargetedPose::full_name());
         let capture = Timestamp::from_ns(wire.capture_time_ns);
-        match self.publisher.put(capture, &encoding, &encode(&message)) {
+        if let Some(file) = file {
+            file.add(capture, &figure, retarget)?;
+        }
+        match publisher.put(capture, &encoding, &encode(&message)) {
             Ok(()) => served.published += 1,
-            // The pose is still kept for the file.
             Err(error) => {
                 if served.unsent == 0 {
                     complain("warning", &format!("cannot publish a pose: {error}"));
                 }
                 served.unsent += 1;
             }
-        }
-        if let Some(file) = file {
-            file.add(capture, &figure, retarget)?;
         }
         Ok(())
     }
@@ -200,7 +230,11 @@ mod tests {
     #[test]
     fn poses_go_out_on_the_target_once_the_body_is_known() {
         let (bus, topics, stop) = (Memory::new(), Topics::default(), Stop::default());
-        let live = Live::open(&bus, &topics, "robot").unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let out = |actor: &String| Some(folder.path().join(actor).with_extension("bvh"));
+        let all = Topics { actor: "*".to_owned(), ..topics.clone() };
+        let retarget = ours();
+        let live = Live::open(&bus, &all, "robot", &retarget, &out).unwrap();
         let came: Arc<Mutex<Vec<Sample>>> = Arc::default();
         let sink = Arc::clone(&came);
         let guard = bus.subscribe(
@@ -218,16 +252,19 @@ mod tests {
         put(&topics.pose(), "", b"\xff\xff");
         put(&topics.pose(), &media_type("bundlemocap.v1.Pose"), &encode(&pose(2.0)));
         put(&topics.provisional(), "", &encode(&pose(3.0)));
+        // Another performer, whose body is not known.
+        put("mocap/stage/actor/p2/pose", "", &encode(&pose(4.0)));
         stop.stop();
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("live.bvh");
-        let (mut file, mut retarget) = (TargetFile::new(&path, None), ours());
-        let served = live.serve(&mut retarget, Some(&mut file), &stop).unwrap();
+        let mut served = live.serve(&stop).unwrap();
+        assert_eq!((served.published, served.unusable, served.early), (2, 2, 1));
+        let said = "2 poses retargeted, 1 arrived before the skeleton, 2 unusable messages";
+        assert_eq!(served.to_string(), said);
+        assert_eq!(served.performers.keys().collect::<Vec<_>>(), ["actor", "p2"]);
+        let Retargeted { retarget, file, .. } = served.performers.remove("actor").unwrap();
+        let path = folder.path().join("actor.bvh");
         assert!(!path.exists());
-        assert_eq!(file.finish(&retarget).unwrap().unwrap().frames, 2);
+        assert_eq!(file.unwrap().finish(&retarget).unwrap().unwrap().frames, 2);
         assert!(std::fs::read_to_string(&path).unwrap().contains("Frame Time: 1.0"));
-        assert_eq!((served.published, served.unusable, served.early), (2, 2, 0));
-        assert_eq!(served.to_string(), "2 poses retargeted, 2 unusable messages");
         let came = came.lock().unwrap();
         assert_eq!(came.len(), 2);
         assert_eq!(&*came[1].encoding, "application/protobuf;bundlemocap.v1.RetargetedPose");
@@ -242,11 +279,12 @@ mod tests {
     #[test]
     fn poses_of_an_unknown_body_are_counted() {
         let (bus, topics, stop) = (Memory::new(), Topics::default(), Stop::default());
-        let live = Live::open(&bus, &topics, "robot").unwrap();
+        let retarget = ours();
+        let live = Live::open(&bus, &topics, "robot", &retarget, &|_| None).unwrap();
         let publisher = bus.publisher(&topics.pose()).unwrap();
         publisher.put(Timestamp::from_ns(1), "", &encode(&pose(1.0))).unwrap();
         stop.stop();
-        let served = live.serve(&mut ours(), None, &stop).unwrap();
+        let served = live.serve(&stop).unwrap();
         assert_eq!((served.published, served.early), (0, 1));
     }
 }

@@ -53,6 +53,9 @@ pub(super) struct Arguments {
     /// estimated.
     #[arg(long, value_name = "FILE")]
     body: Option<PathBuf>,
+    /// The performer of that recording, if it has several.
+    #[arg(long, value_name = "NAME")]
+    body_actor: Option<String>,
     /// Manifold weights of `bundlemocap train`; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
@@ -81,7 +84,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let weights = format!("{:016x}", decoder.fingerprint());
     let body = match config.node.body.as_str() {
         "" => None,
-        path => Some(encode(&wire::Skeleton::from_core(&last_body(Path::new(path))?))),
+        path => {
+            let body = last_body(Path::new(path), arguments.body_actor.as_deref())?;
+            Some(encode(&wire::Skeleton::from_core(&body)))
+        }
     };
     let _log = log::start()?;
     // Before anything is opened, so that a signal always ends in a clean stop.

@@ -167,7 +167,11 @@ impl Stage<'_> {
 
     fn apply(&mut self, rig: &Rig, at: Timestamp, change: Change) -> Result<(), Failure> {
         match change {
-            Change::Frame(performer, frame) => self.publish(rig, performer, &frame),
+            Change::Frame(performer, mut frame) => {
+                frame.capture = frame.capture - rig.cameras[frame.camera].time_offset;
+                self.publish(rig, performer, &frame);
+            }
+            Change::Complete(..) => {}
             Change::Entered(performer) => {
                 let name = self.config.stage.name(performer);
                 tracing::info!("{name} has entered");

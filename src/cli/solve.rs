@@ -80,6 +80,9 @@ pub(super) struct Arguments {
     /// estimated.
     #[arg(long, value_name = "FILE")]
     body: Option<PathBuf>,
+    /// The performer of --body, if that recording has several.
+    #[arg(long, value_name = "NAME", requires = "body")]
+    body_actor: Option<String>,
     /// Report the distance to these marker positions (y up, frames as in the recording); with several
     /// files, that of each performer to the nearest.
     #[arg(long, value_name = "TRC", value_delimiter = ',')]
@@ -129,7 +132,9 @@ impl Observer for Progress {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let config = settings(arguments)?;
     let decoder = decoder(arguments.weights.as_deref())?;
-    let body = arguments.body.as_deref().map(last_body).transpose()?.map(Arc::new);
+    let body =
+        arguments.body.as_deref().map(|path| last_body(path, arguments.body_actor.as_deref()));
+    let body = body.transpose()?.map(Arc::new);
     let references = arguments.reference.iter().map(|path| Trc::read(path));
     let performers = config.stage.performers;
     if performers.limit() > 1 && body.is_some() {

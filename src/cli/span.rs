@@ -78,7 +78,7 @@ impl Times {
                 _ => {}
             }
         }
-        Ok(Self { first: first.map(|first| first.publish_time).unwrap_or_default(), house })
+        Ok(Self { first: first.as_ref().and_then(captured).unwrap_or_default(), house })
     }
 
     /// The capture time of a number of seconds since the first frame, or of a timecode.
@@ -105,6 +105,15 @@ impl Times {
         let line = format!("{label} {}\n", house.rate());
         Ok(text(&bvh.with_extension("timecode.txt"), &line)?)
     }
+}
+
+/// The capture time of a frame or a pose: MCAP's own times cannot be before the epoch.
+fn captured(entry: &RawEntry) -> Option<Timestamp> {
+    let ns = match &*entry.schema {
+        KeypointFrame::FULL_NAME => decode::<KeypointFrame>(&entry.payload).ok()?.capture_time_ns,
+        _ => decode::<Pose>(&entry.payload).ok()?.capture_time_ns,
+    };
+    Some(Timestamp::from_ns(ns))
 }
 
 /// The timecode of the node whose journal begins with that part.

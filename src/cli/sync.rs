@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Ended;
-use super::calibrate::{checked, refuse_existing};
+use super::calibrate::checked;
 use super::failure::{Exit, Failure};
+use super::overwrite::Overwrite;
 use super::terminal::{say, table};
 use crate::io::formats::{Up, write_calibration};
 use crate::offline::CameraOffset;
@@ -33,9 +34,8 @@ pub(super) struct Arguments {
     /// Calibration to write, with the significant offsets.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Replace an existing calibration.
-    #[arg(long)]
-    overwrite: bool,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Up axis of the written calibration's world: y or z.
     #[arg(long, default_value = "z", value_parser = super::import::up)]
     up: Up,
@@ -49,7 +49,7 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     if let Some(out) = &arguments.out {
-        refuse_existing(out, arguments.overwrite)?;
+        arguments.overwrite.check(out)?;
     }
     let found = checked(&arguments.file, arguments.config.as_deref(), false)?;
     if arguments.json {

@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
+use super::overwrite::Overwrite;
 use super::terminal::{progress, say};
 use crate::core::body::{Pose, Skeleton};
 use crate::io::formats::keypoint_format;
@@ -28,6 +29,8 @@ pub(super) struct Arguments {
     /// Recording to write.
     #[arg(long)]
     out: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Duration, seconds.
     #[arg(long, default_value_t = 4.0, allow_negative_numbers = true)]
     seconds: f64,
@@ -99,6 +102,7 @@ impl NoiseName {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let frames = frame_count(arguments)?;
+    arguments.overwrite.check(&arguments.out)?;
     let crowd = crowd(arguments, frames)?;
     let bar = progress(frames, "frames");
     crowd.write(&arguments.out, &provenance(arguments), || bar.inc(1))?;

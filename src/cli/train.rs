@@ -6,6 +6,7 @@ use clap::Args;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
+use super::overwrite::Overwrite;
 use super::terminal::{progress, say};
 use crate::research::train::{
     HeldOutErrors, Options, TrainError, TransitionScores, evaluate, evaluate_transition,
@@ -41,6 +42,8 @@ pub(super) struct Arguments {
     /// Weights file to write.
     #[arg(long, value_name = "FILE", required_unless_present = "evaluate")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Do not train; report the metrics of these weights.
     #[arg(long, value_name = "FILE", conflicts_with = "out")]
     evaluate: Option<PathBuf>,
@@ -120,6 +123,9 @@ impl From<TrainError> for Failure {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
+    if let Some(out) = &arguments.out {
+        arguments.overwrite.check(out)?;
+    }
     if arguments.transition {
         return run_transition(arguments);
     }

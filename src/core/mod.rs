@@ -4,7 +4,6 @@ pub mod association;
 pub mod body;
 pub mod calibration;
 pub mod camera;
-pub mod check;
 pub mod cost;
 pub mod detections;
 pub mod fnv;

@@ -12,8 +12,8 @@ use super::summary::{Reprojection, SolveTime, Summary};
 use super::windows::Windows;
 use crate::core::body::Skeleton;
 use crate::core::camera::Rig;
-use crate::core::check::Check;
 use crate::core::tracker::{EventKind, Output};
+use crate::diagnose::Check;
 use crate::io::recording::Report;
 
 /// The results of a solve for one performer.

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use super::Error;
 use crate::core::body::Skeleton;
-use crate::core::stage::Stage;
-use crate::core::tracker::{Input, Output, Solver, Task, Tracker};
+use crate::core::stage::{Input, Output as Of, Stage};
+use crate::core::tracker::{Output, Solver, Task, Tracker};
 
 /// The stage and its solver.
 pub(crate) struct Driver {
@@ -49,7 +49,7 @@ impl Driver {
         mut take: impl FnMut(&Self, usize, &Output) -> Result<(), Error>,
     ) -> Result<(), Error> {
         self.stage.handle(input);
-        while let Some((performer, output)) = self.stage.poll_and_solve(|job| {
+        while let Some(output) = self.stage.poll_and_solve(|job| {
             let begin = Instant::now();
             let solution = self.solver.solve(job);
             if matches!(job.task, Task::Track { .. }) {
@@ -57,7 +57,12 @@ impl Driver {
             }
             solution
         }) {
-            take(self, performer, &output)?;
+            match output {
+                Of::Performer(performer, output) => take(self, performer.0, &output)?,
+                // What concerns the cameras is counted with the first performer.
+                Of::Event(event) => take(self, 0, &Output::Event(event))?,
+                Of::Frame(..) => {}
+            }
         }
         Ok(())
     }

@@ -15,9 +15,10 @@ use crate::core::calibration::{self, Correction, OffsetVerdict, TimeOffset, Trac
 use crate::core::camera::{Camera, Rig};
 use crate::core::cost;
 use crate::core::detections::Detections;
-use crate::core::stage::Stage;
+use crate::core::stage::{Input, Stage};
 use crate::core::time::Nanos;
-use crate::core::tracker::{self, EventKind, FramePeriod, Input, Output, Solver, Tracker};
+use crate::core::tracker::{self, EventKind, FramePeriod, Output, Solver, Tracker};
+use crate::diagnose::Evidence;
 
 /// Most frames that wait for their poses.
 const WAITING: usize = 8192;
@@ -79,6 +80,8 @@ pub(super) struct FirstPass {
     waiting: VecDeque<Detections>,
     /// Number of frames that no longer wait.
     passed: usize,
+    /// What all cameras saw.
+    pub(super) evidence: Evidence,
     /// Of all cameras; empty if they were not estimated.
     pub(super) offsets: Vec<CameraOffset>,
     /// Whether the known body did not fit and was estimated anew.
@@ -131,7 +134,9 @@ impl FirstPass {
         let tracker = tracker.with_body_to_check(options.body.clone());
         let stage = Stage::new(tracker, config, options.performers, period);
         let cameras: Vec<Camera> = rig.cameras.iter().chain(held_out).cloned().collect();
+        let all = Arc::new(Rig { cameras: cameras.clone(), ..rig.clone() });
         Ok(Self {
+            evidence: Evidence::new(all, options.config, period),
             driver: Driver::new(stage, solver),
             followed: Vec::new(),
             cameras,
@@ -152,12 +157,15 @@ impl FirstPass {
         let message = || observer.message();
         let solved = rig.cameras.len();
         recording.stream(rig, held_out, message, |item| match item {
-            Item::Detections(frame) => {
+            Item::Detections(frame, percent) => {
+                self.evidence.add(&frame, percent);
                 self.wait(frame.clone());
                 self.feed(Input::Detections(frame))
             }
-            Item::HeldOut(frame) => {
-                self.wait(Detections { camera: solved + frame.camera, ..frame });
+            Item::HeldOut(frame, percent) => {
+                let frame = Detections { camera: solved + frame.camera, ..frame };
+                self.evidence.add(&frame, percent);
+                self.wait(frame);
                 Ok(())
             }
             _ => Ok(()),

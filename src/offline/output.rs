@@ -14,10 +14,10 @@ use super::summary::{Group, Summary};
 use super::windows::{WindowSummary, Windows};
 use crate::core::body::{Posture, Skeleton};
 use crate::core::camera::Rig;
-use crate::core::check::{CameraCheck, Check, Finding};
 use crate::core::stage::Performers;
 use crate::core::time::Timestamp;
 use crate::core::tracker::Output;
+use crate::diagnose::{CameraCheck, Check, Finding};
 use crate::io::new_file;
 use crate::io::recording::{Provenance, Writer};
 use crate::io::report::{

@@ -34,10 +34,11 @@ pub struct Recording {
 
 /// A message of a recording.
 pub(crate) enum Item {
-    /// A camera's detections; the camera index is that in the chosen rig.
-    Detections(Detections),
-    /// Detections of a held-out camera; the camera index is that in the list of held-out cameras.
-    HeldOut(Detections),
+    /// A camera's detections; the camera index is that in the chosen rig. The number of points whose
+    /// confidence was above 1 in the message.
+    Detections(Detections, usize),
+    /// The same of a held-out camera; the camera index is that in the list of held-out cameras.
+    HeldOut(Detections, usize),
     /// An actor's true body, before the true poses.
     TrueBody(String, Box<Skeleton>),
     /// An actor's true pose.
@@ -199,24 +200,6 @@ impl Recording {
         Ok(rate.period())
     }
 
-    /// Streams the keypoint messages of the cameras of `rig` from the start, with the camera's index.
-    pub(crate) fn keypoints(
-        &mut self,
-        rig: &Rig,
-        mut each_message: impl FnMut(),
-        mut take: impl FnMut(usize, &wire::KeypointFrame),
-    ) -> Result<(), Error> {
-        self.reader.rewind()?;
-        for entry in self.reader.by_ref() {
-            each_message();
-            let Message::Keypoints(frame) = entry?.message else { continue };
-            if let Some(camera) = rig.index_of(&frame.camera) {
-                take(camera, &frame);
-            }
-        }
-        Ok(())
-    }
-
     /// Streams the recording from its start: the detections of all cameras of `rig` and of the
     /// held-out cameras, and the truth, if any. Returns a report of what was lost.
     pub(crate) fn stream(
@@ -242,22 +225,25 @@ impl Recording {
                 continue;
             }
             let item = match entry.message {
-                Message::Keypoints(frame) => match rig.index_of(&frame.camera) {
-                    Some(camera) => frame.to_core(|_| Some(camera)).map(Item::Detections),
-                    None => {
-                        let mut names = held_out.iter().map(|camera| &camera.name);
-                        let Some(camera) = names.position(|name| *name == frame.camera) else {
-                            continue;
-                        };
-                        frame.to_core(|_| Some(camera)).map(Item::HeldOut)
+                Message::Keypoints(frame) => {
+                    let mut names = held_out.iter().map(|camera| &camera.name);
+                    let percent = in_percent(&frame);
+                    if let Some(camera) = rig.index_of(&frame.camera) {
+                        let frame = frame.to_core(|_| Some(camera));
+                        frame.map(|frame| Item::Detections(frame, percent))
+                    } else if let Some(camera) = names.position(|name| *name == frame.camera) {
+                        let frame = frame.to_core(|_| Some(camera));
+                        frame.map(|frame| Item::HeldOut(frame, percent))
+                    } else {
+                        continue;
                     }
-                },
+                }
                 Message::TruthSkeleton(body) => {
-                    let actor = actor(&entry.topic);
+                    let actor = Topic::actor(&entry.topic);
                     body.to_core().map(|body| Item::TrueBody(actor, Box::new(body)))
                 }
                 Message::TruthPose(pose) => {
-                    let actor = actor(&entry.topic);
+                    let actor = Topic::actor(&entry.topic);
                     pose.to_core().map(|pose| Item::TruePose(actor, Box::new(pose)))
                 }
                 _ => continue,
@@ -271,10 +257,10 @@ impl Recording {
     }
 }
 
-/// The actor of a topic; older recordings have a truth without one.
-fn actor(topic: &str) -> String {
-    let topics = Topic::parse(topic).ok().and_then(|topic| topic.topics());
-    topics.unwrap_or_default().actor
+/// The number of points of a frame whose confidence is above 1, as if in per cent.
+fn in_percent(frame: &wire::KeypointFrame) -> usize {
+    let points = frame.people.iter().flat_map(|person| person.points.as_chunks::<3>().0);
+    points.filter(|[.., confidence]| *confidence > 1.0).count()
 }
 
 /// The error for a recording without keypoints of any camera.

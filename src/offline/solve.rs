@@ -6,7 +6,6 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use super::Error;
-use super::check::check_rig;
 use super::collected::{Collected, nobody};
 use super::driver::Driver;
 use super::first_pass::{CameraOffset, FirstPass};
@@ -21,9 +20,11 @@ use super::tracking::Tracking;
 use super::windows::Windows;
 use crate::core::body::Skeleton;
 use crate::core::camera::{Camera, Rig};
+use crate::core::detections::Detections;
 use crate::core::manifold::Decoder;
-use crate::core::stage::{Crowd, Performers, Stage};
-use crate::core::tracker::{FramePeriod, Input, Output, Solver, Tracker};
+use crate::core::stage::{Input, Performers, Stage};
+use crate::core::tracker::{FramePeriod, Output, Solver, Tracker};
+use crate::diagnose::Evidence;
 use crate::io::recording::{Provenance, Report};
 use crate::io::wire::Topics;
 
@@ -55,14 +56,14 @@ pub fn solve_group(
     let folder = options.out.as_deref().map(|path| output_folder(path, options));
     let folder = folder.transpose()?;
     let begin = Instant::now();
-    let Prepared { rig, period, held_out, bodies, count, offsets, is_body_wrong } =
+    let Prepared { rig, period, held_out, bodies, count, offsets, is_body_wrong, evidence } =
         prepare(recording, options, observer)?;
     let names = names(options.performers, count);
     let judged =
         Rig { cameras: rig.cameras.iter().chain(&held_out).cloned().collect(), ..Rig::clone(&rig) };
-    let crowd = || Crowd::new(Arc::new(judged.clone()), options.config, options.performers, period);
-    let crowd = (options.performers.limit() > 1).then(crowd);
-    let check = check_rig(recording, &judged, crowd, &mut ())?;
+    let is_first = evidence.is_none();
+    let judge = || Evidence::new(Arc::new(judged.clone()), options.config, period);
+    let evidence = evidence.unwrap_or_else(judge);
     let all = Arc::new(with_solved(recording.rig(), &rig.cameras, &held_out));
     let outputs =
         folder.map(|folder| Outputs::create(folder, &all, options, &rig, &decoder, &names));
@@ -88,9 +89,12 @@ pub fn solve_group(
     let collected = names.iter().map(collected).collect();
     let file = outputs.as_mut().map(|outputs| &mut outputs.file);
     let tracking = (options.performers.limit() > 1).then(Tracking::default);
-    let mut run = Run { driver: Driver::new(stage, solver), collected, tracking, file };
+    let driver = Driver::new(stage, solver);
+    let mut run =
+        Run { driver, collected, tracking, file, evidence, is_first, solved: rig.cameras.len() };
     let report = run.stream(recording, &rig, &held_out, observer)?;
-    let Run { driver, mut collected, tracking, .. } = run;
+    let Run { driver, mut collected, tracking, evidence, .. } = run;
+    let check = evidence.check(&judged);
     let found = |performer: usize, one: &Collected| {
         driver.skeleton(performer).filter(|_| one.poses.found_somebody())
     };
@@ -171,6 +175,8 @@ struct Prepared {
     count: usize,
     offsets: Vec<CameraOffset>,
     is_body_wrong: bool,
+    /// What the cameras saw.
+    evidence: Option<Evidence>,
 }
 
 /// The first pass, if it is not switched off: estimates the body and the time offsets.
@@ -185,14 +191,15 @@ fn prepare(
     let period = recording.frame_period(&rig)?;
     let (mut bodies, mut offsets, mut is_body_wrong) =
         (vec![options.body.clone()], Vec::new(), false);
-    let mut count = options.performers.limit();
+    let (mut count, mut evidence) = (options.performers.limit(), None);
     if options.passes() > 1 {
         let first = FirstPass::run(recording, options, &mut rig, period, &mut held_out, observer)?;
         is_body_wrong = first.is_body_wrong && options.body.is_some();
-        (bodies, offsets) = (first.bodies(), first.offsets);
-        count = bodies.len();
+        bodies = first.bodies();
+        (count, offsets, evidence) = (bodies.len(), first.offsets, Some(first.evidence));
     }
-    Ok(Prepared { rig: Arc::new(rig), period, held_out, bodies, count, offsets, is_body_wrong })
+    let rig = Arc::new(rig);
+    Ok(Prepared { rig, period, held_out, bodies, count, offsets, is_body_wrong, evidence })
 }
 
 /// The rig with the cameras of a solve in place of its own.
@@ -240,6 +247,11 @@ struct Run<'reference, 'file> {
     /// With several performers.
     tracking: Option<Tracking>,
     file: Option<&'file mut PoseFile>,
+    evidence: Evidence,
+    /// Whether there was no pass before, so that the evidence is gathered in this one.
+    is_first: bool,
+    /// Number of the cameras that are solved; the held-out ones follow.
+    solved: usize,
 }
 
 impl Run<'_, '_> {
@@ -265,7 +277,7 @@ impl Run<'_, '_> {
     fn take(&mut self, item: Item, observer: &mut dyn Observer) -> Result<(), Error> {
         for Collected { poses, comparisons, .. } in &mut self.collected {
             match &item {
-                Item::Detections(detections) => {
+                Item::Detections(detections, _) => {
                     if detections.camera == 0 {
                         comparisons.clock.get_or_insert(FrameClock::of(detections));
                     }
@@ -274,7 +286,7 @@ impl Run<'_, '_> {
                         poses.start = Some(poses.start.map_or(capture, |start| start.min(capture)));
                     }
                 }
-                Item::HeldOut(detections) => {
+                Item::HeldOut(detections, _) => {
                     if let Some(held_out) = comparisons.held_out.get_mut(detections.camera) {
                         held_out.add_frame(detections.clone());
                     }
@@ -286,8 +298,15 @@ impl Run<'_, '_> {
             }
         }
         match (item, &mut self.tracking) {
-            (Item::Detections(detections), _) => {
+            (Item::Detections(detections, percent), _) => {
+                if self.is_first {
+                    self.evidence.add(&detections, percent);
+                }
                 return self.feed(Input::Detections(detections), observer);
+            }
+            (Item::HeldOut(frame, percent), _) if self.is_first => {
+                let camera = self.solved + frame.camera;
+                self.evidence.add(&Detections { camera, ..frame }, percent);
             }
             (Item::TrueBody(actor, body), Some(tracking)) => tracking.set_body(&actor, *body),
             (Item::TruePose(actor, pose), Some(tracking)) => tracking.add_truth(&actor, &pose),
@@ -297,7 +316,7 @@ impl Run<'_, '_> {
     }
 
     fn feed(&mut self, input: Input, observer: &mut dyn Observer) -> Result<(), Error> {
-        let Self { driver, collected, tracking, file } = self;
+        let Self { driver, collected, tracking, file, .. } = self;
         driver.feed(input, |driver, performer, output| {
             let Some(one) = collected.get_mut(performer) else { return Ok(()) };
             if let (Some(tracking), Output::Pose(pose)) = (tracking.as_mut(), output)

@@ -10,7 +10,7 @@ use super::hold_out::HoldOut;
 use super::reference::Reference;
 use super::windows::Windows;
 use crate::core::camera::Rig;
-use crate::core::check::Check;
+use crate::diagnose::Check;
 use crate::io::report::Table;
 use crate::metrics::{FootSkate, PerformerScores, PoseErrors};
 

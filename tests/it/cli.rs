@@ -446,6 +446,60 @@ fn existing_outputs_are_kept_unless_told_otherwise() {
 }
 
 #[test]
+fn files_are_not_replaced_without_being_asked() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 60, |_| true);
+    place.done("solve walk.mcap --out out");
+    for (command, file) in [
+        ("synth --out mine", "mine"),
+        ("export out/poses.mcap --bvh mine", "mine"),
+        ("export out/poses.mcap --picture mine", "mine"),
+        ("retarget --skeleton out/poses.bvh --from out/poses.mcap --out mine", "mine"),
+        ("decode out/poses.mcap --out mine", "mine"),
+        ("replay walk.mcap --out mine", "mine"),
+        ("train motions --out mine", "mine"),
+        ("sync walk.mcap --out mine", "mine"),
+        ("record mine", "mine"),
+        ("eval --rig ring4 --out .", "table.md"),
+    ] {
+        place.write(file, "mine");
+        let output = place.run(command);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(USAGE), "{command}: {message}");
+        assert!(message.contains("exists; choose another name, or use --overwrite"), "{message}");
+        assert_eq!(fs::read(place.path(file)).unwrap(), b"mine", "{command}");
+    }
+    place.done("export out/poses.mcap --bvh mine --overwrite");
+    assert!(fs::read(place.path("mine")).unwrap().starts_with(b"HIERARCHY"));
+}
+
+/// One camera's files are three frames late. Whenever the take begins, it is solved alike.
+#[test]
+fn no_time_of_a_take_matters() {
+    let place = Place::new();
+    let period = Nanos::of_frames(1, 60.0);
+    let years = |years: i64| Nanos::SECOND * (years * 365 * 86_400);
+    let mut medians = Vec::new();
+    for start in [Nanos::from_ms(-1500), Nanos::ZERO, Nanos::SECOND, years(230)] {
+        synthetic(&place.path("late.mcap"), 240, Noise::jitter_only(), |frame| {
+            let lead = if frame.camera == 1 { 0 } else { 3 };
+            frame.capture = frame.capture - period * lead + start;
+            frame.frame as i64 >= lead
+        });
+        let solve = "solve late.mcap --out out --overwrite --json";
+        let figures: Value = serde_json::from_str(&place.done(solve)).unwrap();
+        let offset = number(&figures, "/time_offsets/1/offset_ms");
+        assert!((offset + 50.0).abs() < 5.0, "{offset}");
+        medians.push(number(&figures, "/reprojection/median_px"));
+        place.done("export out/poses.mcap --bvh cut.bvh --start 1 --end 1.5 --overwrite");
+        let cut = fs::read_to_string(place.path("cut.bvh")).unwrap();
+        let frames = cut.lines().find_map(|line| line.strip_prefix("Frames:")).unwrap();
+        assert_eq!(frames.trim(), "31");
+    }
+    assert!(medians.iter().all(|median| (median / medians[1] - 1.0).abs() < 0.01), "{medians:?}");
+}
+
+#[test]
 fn poses_carry_their_provenance() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 30, |_| true);
@@ -970,6 +1024,33 @@ fn several_performers_are_solved_into_one_recording_and_a_file_each() {
     }
     let report = fs::read_to_string(place.path("out/report.html")).unwrap();
     assert!(performers.iter().all(|name| report.contains(&format!("<h2>{name}</h2>"))));
+    place.done("export out/poses.mcap --bvh again.bvh --picture again.svg");
+    place.done("retarget --skeleton out/poses.p1.bvh --from out/poses.mcap --out other.bvh");
+    place
+        .done("retarget --skeleton out/poses.p2.bvh --from out/poses.mcap --actor p2 --out p2.bvh");
+    let parts = |name: &str| {
+        let text = fs::read_to_string(place.path(name)).unwrap();
+        (text.split_once("MOTION").unwrap().0.to_owned(), text.lines().last().unwrap().to_owned())
+    };
+    for name in performers {
+        assert!(place.path(&format!("again.{name}.svg")).exists());
+        assert_eq!(parts(&format!("again.{name}.bvh")), parts(&format!("out/poses.{name}.bvh")));
+        assert_eq!(parts(&format!("other.{name}.bvh")).0, parts("other.p1.bvh").0);
+    }
+    assert_eq!(parts("p2.bvh").0.matches("JOINT").count(), 21);
+    let nobody = place.run("export out/poses.mcap --bvh no.bvh --actor p4");
+    assert_eq!(nobody.status.code(), Some(USAGE));
+    assert!(String::from_utf8_lossy(&nobody.stderr).contains("may be p1, p2, p3"));
+    walk(&place.path("walk.mcap"), 60, |_| true);
+    let evidence = ["out/poses.mcap holds the bodies of p1, p2, p3", "--body-actor"];
+    for command in ["solve walk.mcap --out one", "run"] {
+        let refused = place.run(&format!("{command} --body out/poses.mcap"));
+        let errors = String::from_utf8_lossy(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(USAGE), "{errors}");
+        assert!(evidence.iter().all(|part| errors.contains(part)), "{errors}");
+    }
+    place.done("solve walk.mcap --out one --body out/poses.mcap --body-actor p2");
+
     let again = place.run("solve crowd.mcap --out out --performers auto");
     assert_eq!(again.status.code(), Some(USAGE));
     assert!(String::from_utf8_lossy(&again.stderr).contains("poses.mcap exists"));

@@ -5,13 +5,13 @@ use std::sync::Arc;
 use bundlemocap::core::body::{Pose, Shape, Skeleton};
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::detections::Detections;
-use bundlemocap::core::stage::{Performers, Stage};
+use bundlemocap::core::stage::{self, PerformerId, Performers, Stage};
 use bundlemocap::core::time::Nanos;
 use bundlemocap::core::tracker::EventKind;
 use bundlemocap::research::synth::{
     Crowd, Meeting, Motion, MotionStyle, Noise, Recording, ring_rig,
 };
-use bundlemocap::{Decoder, Input, Output, Solver, StampedPose, Tracker, TrackerConfig};
+use bundlemocap::{Decoder, Output, Solver, StampedPose, Tracker, TrackerConfig};
 use nalgebra::Vector3;
 
 const FPS: f64 = 30.0;
@@ -48,6 +48,8 @@ fn people(
 struct Result {
     poses: Vec<(usize, StampedPose)>,
     events: Vec<(usize, EventKind)>,
+    /// Events of the cameras.
+    cameras: Vec<EventKind>,
     others: usize,
 }
 
@@ -76,12 +78,17 @@ fn run(rig: &Rig, frames: impl Iterator<Item = Detections>, performers: &str) ->
     let performers: Performers = performers.parse().unwrap();
     let mut stage = Stage::new(tracker, config, performers, None);
     let mut result = Result::default();
-    for input in frames.map(Input::Detections).chain([Input::End]) {
+    for input in frames.map(stage::Input::Detections).chain([stage::Input::End]) {
         stage.handle(input);
-        while let Some((performer, output)) = stage.poll_and_solve(|job| solver.solve(job)) {
+        while let Some(output) = stage.poll_and_solve(|job| solver.solve(job)) {
             match output {
-                Output::Pose(pose) => result.poses.push((performer, *pose)),
-                Output::Event(event) => result.events.push((performer, event.kind)),
+                stage::Output::Performer(PerformerId(performer), Output::Pose(pose)) => {
+                    result.poses.push((performer, *pose));
+                }
+                stage::Output::Performer(PerformerId(performer), Output::Event(event)) => {
+                    result.events.push((performer, event.kind));
+                }
+                stage::Output::Event(event) => result.cameras.push(event.kind),
                 _ => {}
             }
         }
@@ -112,9 +119,11 @@ fn one_performer_is_the_trackers_own_affair() {
     let tracker = Tracker::new(config, Arc::new(rig.clone()));
     let mut stage = Stage::new(tracker, config, Performers::default(), None);
     let mut on_stage = Vec::new();
-    for input in zero(&crowd).map(Input::Detections).chain([Input::End]) {
+    for input in zero(&crowd).map(stage::Input::Detections).chain([stage::Input::End]) {
         stage.handle(input);
-        while let Some((0, output)) = stage.poll_and_solve(|job| solver.solve(job)) {
+        while let Some(stage::Output::Performer(PerformerId(0), output)) =
+            stage.poll_and_solve(|job| solver.solve(job))
+        {
             on_stage.push(format!("{output:?}"));
         }
     }

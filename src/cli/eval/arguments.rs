@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use crate::cli::failure::ratio;
+use crate::cli::overwrite::Overwrite;
 use crate::research::synth::Body;
 
 /// Compare methods on synthetic recordings with ground truth, or on a real recording.
@@ -42,6 +43,8 @@ pub(in crate::cli) struct Arguments {
     /// Output folder; created if missing.
     #[arg(long, value_name = "DIR", default_value = "eval")]
     pub(in crate::cli) out: PathBuf,
+    #[command(flatten)]
+    pub(in crate::cli) overwrite: Overwrite,
     /// Settings of motions, rigs and detectors; config/eval.toml lists every setting.
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) protocol: Option<PathBuf>,

@@ -18,6 +18,9 @@ pub(super) use arguments::Arguments;
 use compare::compare;
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
+    for file in output::FILES {
+        arguments.overwrite.check(&arguments.out.join(file))?;
+    }
     if arguments.recording.is_some() {
         let names = match &arguments.latencies[..] {
             [] => method_names(&arguments.methods, &methods::OURS)?,

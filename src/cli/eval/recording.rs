@@ -42,13 +42,13 @@ impl Loaded {
             || {},
             |item| {
                 match item {
-                    Item::Detections(detections) => {
+                    Item::Detections(detections, _) => {
                         if detections.camera == 0 {
                             clock.get_or_insert(FrameClock::of(&detections));
                         }
                         frames.push(detections);
                     }
-                    Item::HeldOut(detections) => seen[detections.camera].push(detections),
+                    Item::HeldOut(detections, _) => seen[detections.camera].push(detections),
                     Item::TrueBody(..) | Item::TruePose(..) => {}
                 }
                 Ok(())

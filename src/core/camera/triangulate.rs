@@ -49,9 +49,9 @@ pub fn triangulate(rig: &Rig, views: &[View]) -> Option<Vector3<f64>> {
 
 /// As [`triangulate`], but only from views that agree to within `threshold_px`.
 ///
-/// Candidates come from pairs of views (all pairs up to 12 views, else seeded draws), are
-/// scored by sum confidence min(error^2, threshold^2), and the best is refined on its inliers.
-/// `None` when no two views agree. The same arguments give the same result.
+/// The point of all views, if they agree. Otherwise candidates come from pairs of views (all pairs up
+/// to 12 views, else seeded draws), are scored by sum confidence min(error^2, threshold^2), and the best
+/// is refined on its inliers. `None` when no two views agree. The same arguments give the same result.
 pub fn triangulate_robust(
     rig: &Rig,
     views: &[View],
@@ -60,6 +60,9 @@ pub fn triangulate_robust(
 ) -> Option<Triangulated> {
     let rays = rays(rig, views);
     let usable: Vec<usize> = (0..views.len()).filter(|&i| rays[i].is_some()).collect();
+    if let Some(all) = of_all(rig, views, &rays, &usable, threshold_px) {
+        return Some(all);
+    }
     let score = |point: &Vector3<f64>| -> f64 {
         let cost = |&i: &usize| {
             let error = error_px(rig, &views[i], point).map_or(threshold_px, |e| e);
@@ -77,6 +80,30 @@ pub fn triangulate_robust(
         .min_by(|a, b| a.0.total_cmp(&b.0))?
         .1;
     refine_on_inliers(rig, views, &rays, &usable, best, threshold_px)
+}
+
+/// The point of all usable views, if each agrees with it to within the threshold.
+fn of_all(
+    rig: &Rig,
+    views: &[View],
+    rays: &[Option<Ray>],
+    usable: &[usize],
+    threshold_px: f64,
+) -> Option<Triangulated> {
+    let point = solve(rig, views, rays, usable)?;
+    let error = |&i: &usize| error_px(rig, &views[i], &point).filter(|e| *e <= threshold_px);
+    let mut errors: Vec<f64> = usable.iter().map(error).collect::<Option<_>>()?;
+    Some(Triangulated { point, inliers: usable.to_vec(), residual_px: median(&mut errors) })
+}
+
+/// The median, of an even number the mean of the two in the middle.
+fn median(errors: &mut [f64]) -> f64 {
+    errors.sort_by(f64::total_cmp);
+    let middle = errors.len() / 2;
+    match errors.len() % 2 {
+        0 => 0.5 * (errors[middle - 1] + errors[middle]),
+        _ => errors[middle],
+    }
 }
 
 fn refine_on_inliers(
@@ -106,13 +133,7 @@ fn refine_on_inliers(
     }
     let mut errors: Vec<f64> =
         inliers.iter().filter_map(|&i| error_px(rig, &views[i], &point)).collect();
-    errors.sort_by(f64::total_cmp);
-    let middle = errors.len() / 2;
-    let residual_px = match errors.len() % 2 {
-        0 => 0.5 * (errors[middle - 1] + errors[middle]),
-        _ => errors[middle],
-    };
-    Some(Triangulated { point, inliers, residual_px })
+    Some(Triangulated { point, inliers, residual_px: median(&mut errors) })
 }
 
 fn rays(rig: &Rig, views: &[View]) -> Vec<Option<Ray>> {
@@ -154,7 +175,7 @@ fn solve(
 
 /// Direct linear transform, inhomogeneous: each view gives two rows
 /// (x r3 - r1) . X = t1 - x t3 and (y r3 - r2) . X = t2 - y t3, weighted by the confidence.
-/// NormalEquations equations, 3x3. `None` if they are singular.
+/// Normal equations, 3x3. `None` if they are singular.
 fn linear(
     rig: &Rig,
     views: &[View],

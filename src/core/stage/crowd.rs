@@ -3,16 +3,16 @@
 use std::sync::Arc;
 
 use super::config::Performers;
-use super::people::{Change, People};
-use super::sets::Sets;
+use super::people::{Change, FrameSet, People};
+use super::sets::{Complete, Sets};
 use crate::core::association::Gates;
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
-use crate::core::time::Timestamp;
-use crate::core::tracker::{Config, FramePeriod};
+use crate::core::time::{Nanos, Timestamp};
+use crate::core::tracker::{Config, Event, FramePeriod};
 
 /// Follows everybody in view. Give it each frame with [`Crowd::add`], then call [`Crowd::next`] until
-/// it is empty. What comes out depends on the frames and their order alone.
+/// it is empty. What comes out depends on the frames, their order and the clock alone.
 #[derive(Clone, Debug)]
 pub struct Crowd {
     rig: Arc<Rig>,
@@ -42,11 +42,69 @@ impl Crowd {
         self.sets.add(frame, &self.rig);
     }
 
+    /// No more frames will come.
+    pub fn end(&mut self) {
+        self.sets.end();
+    }
+
+    /// Live: the capture clock has reached this time. Without a clock, frame sets wait for the frames of
+    /// the cameras.
+    pub fn tick(&mut self, now: Timestamp) {
+        self.sets.now = self.sets.now.max(Some(now));
+    }
+
+    /// Live: the capture time at which the next frame set has waited long enough.
+    pub fn wake(&mut self) -> Option<Timestamp> {
+        self.sets.wake().filter(|at| Some(*at) > self.sets.now)
+    }
+
+    /// Live: the usual time from the capture of a frame to its arrival, and the longest time that a
+    /// frame set may wait, if there is a limit.
+    pub fn set_wait(&mut self, delay: Nanos, longest: Option<Nanos>) {
+        (self.sets.delay, self.sets.longest_wait) = (delay, longest);
+    }
+
+    /// Frame sets do not wait for a camera until it sends a frame.
+    pub fn leave_out(&mut self, camera: usize) {
+        self.sets.intake().waiting.leave_out(camera);
+    }
+
+    /// Whether frame sets wait for a camera, and the number of its frames that were used.
+    pub fn camera(&mut self, camera: usize) -> (bool, u64) {
+        let intake = self.sets.intake();
+        (intake.waiting.is_waited_for(camera), intake.used(camera))
+    }
+
+    /// Nominal frame period of the cameras, ns.
+    pub fn frame_period(&mut self) -> f64 {
+        self.sets.period()
+    }
+
     /// What happened at the next time of which the frames are complete; with `all`, of which there are
-    /// any.
+    /// any. Capture times are those of the cameras' common clock.
     pub fn next(&mut self, all: bool) -> Option<(Timestamp, Vec<Change>)> {
-        let (at, frames) = self.sets.next(all)?;
-        Some((at, self.people.take(at, frames, &self.rig)))
+        let Complete { at, frames, until } = self.sets.next(all)?;
+        Some((at, self.people.process(at, frames, until, &self.rig)))
+    }
+
+    /// The frames of the last time, and whose their people are.
+    pub fn last(&self) -> &FrameSet {
+        &self.people.last
+    }
+
+    /// What is to be reported of the cameras since the last call.
+    pub fn events(&mut self) -> Vec<Event> {
+        std::mem::take(&mut self.sets.events)
+    }
+
+    /// The cameras have other time offsets from here on.
+    pub fn set_rig(&mut self, rig: Arc<Rig>) {
+        self.rig = rig;
+    }
+
+    /// The cameras.
+    pub fn rig(&self) -> &Arc<Rig> {
+        &self.rig
     }
 
     /// Forgets the frames; all performers are lost until they are seen again. The cameras are those of

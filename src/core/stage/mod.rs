@@ -1,19 +1,22 @@
 //! All performers in front of the cameras, without I/O.
 //!
-//! A [`Stage`] is used as a [`Tracker`] is: give it inputs, then poll it. Each output comes with the
-//! number of its performer. One performer is the tracker's own affair: it gets every frame as it is.
-//! With several, a tracker each gets frames in which its performer is alone:
+//! Give a [`Stage`] inputs, then poll it. With one performer, frames pass to its tracker unchanged. With
+//! several, each has a tracker of its own, which gets frames in which its performer is alone:
 //!
-//! - A [`Crowd`] finds out who is who. Frames of about one time wait for each other and form a set
-//!   (`sets`).
+//! - A [`Crowd`] assigns detections to people. Frames of about one time form a set (`sets`); a set waits
+//!   for cameras as a window does.
 //! - Each person in view is followed from set to set by [`associate`](super::association::associate)
 //!   and triangulation (`people`, `person`): this depends on the detections alone, and so do the
 //!   numbers of the performers. It needs no solved pose, which is some frames late.
 //! - A newcomer is a performer after five sets, and its tracker gets the frames from the first one on.
 //!   Above the limit it is a bystander: followed, so that its detections are nobody else's.
-//! - A performer who is not seen for a second is lost: its tracker gets no frames. Who comes back, by
-//!   the lengths of the body (`lengths`), has the old number.
-//! - Two in one place for 0.3 s are one: the one who came first.
+//! - A performer who is not seen for a second is lost: its tracker gets no frames. Who comes back is
+//!   recognised by the lengths of the body (`lengths`) and keeps the number.
+//! - Two tracks closer than 0.15 m for 0.3 s are merged; the older one stays.
+//!
+//! What belongs to the cameras is owned by the stage: their clock, latency and effort are the same for
+//! all performers, and windows close when the stage's sets are complete. Live, time offsets and moved
+//! cameras are found from the performer who is tracked longest, and hold for all.
 
 mod config;
 mod crowd;
@@ -23,14 +26,68 @@ mod person;
 mod sets;
 
 use std::collections::VecDeque;
+use std::fmt;
 use std::sync::Arc;
 
-use super::body::Skeleton;
-use super::time::Timestamp;
-use super::tracker::{self, Event, EventKind, FramePeriod, Input, Job, Output, Solution, Tracker};
+use super::body::{Skeleton, TrackingState};
+use super::camera::Rig;
+use super::detections::Detections;
+use super::time::{Nanos, Timestamp};
+use super::tracker::{
+    self, Effort, Event, EventKind, FramePeriod, Job, Latency, Solution, Tracker,
+};
 pub use config::{Config, Performers, PerformersError};
 pub use crowd::Crowd;
-pub use people::Change;
+pub use people::{Change, Claimed, FrameSet, Owner};
+
+/// A performer of a stage, by number from 0 in the order of entering.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PerformerId(pub usize);
+
+/// The name: p1, p2, ...
+impl fmt::Display for PerformerId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "p{}", self.0 + 1)
+    }
+}
+
+/// An input of the stage. Solutions go to [`Stage::solved`].
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum Input {
+    /// A camera's detections.
+    Detections(Detections),
+    /// A new calibration, as for a [`Tracker`].
+    Rig(Arc<Rig>),
+    /// The capture clock jumped, as for a [`Tracker`].
+    Restart,
+    /// The bodies are forgotten, as for a [`Tracker`].
+    Forget,
+    /// The capture clock has reached this time.
+    Tick(Timestamp),
+    /// No more input will come.
+    End,
+}
+
+/// An output of the stage.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum Output {
+    /// An output of a performer's tracker.
+    Performer(PerformerId, tracker::Output),
+    /// An event of the cameras, which concerns everybody.
+    Event(Event),
+    /// A frame with one performer alone, on the cameras' common clock, if the performers are not solved
+    /// here.
+    Frame(PerformerId, Detections),
+}
+
+/// What a tracker gets next.
+#[derive(Clone, Debug)]
+enum Next {
+    Tracker(usize, tracker::Input),
+    Output(Output),
+}
 
 /// All performers of a stage.
 #[derive(Clone, Debug)]
@@ -42,8 +99,13 @@ pub struct Stage {
     trackers: Vec<Tracker>,
     /// With several performers.
     crowd: Option<Crowd>,
-    events: VecDeque<(usize, Event)>,
-    inbox: VecDeque<(usize, Input)>,
+    /// Whether performers are tracked; otherwise only their frames are put out.
+    is_solving: bool,
+    /// The performer from whom time offsets and moved cameras are found.
+    lead: usize,
+    /// With several performers: the lead's corrections of time offsets that are in use.
+    corrections: Vec<Nanos>,
+    next: VecDeque<Next>,
 }
 
 impl Stage {
@@ -59,8 +121,16 @@ impl Stage {
         let new = || Crowd::new(Arc::clone(template.rig()), config, performers, period);
         let crowd = (performers.limit() > 1).then(new);
         let trackers = if crowd.is_none() { vec![template.clone()] } else { Vec::new() };
-        let (events, inbox) = (VecDeque::new(), VecDeque::new());
-        Self { template, bodies: Vec::new(), trackers, crowd, events, inbox }
+        Self {
+            corrections: template.time_corrections().to_vec(),
+            template,
+            bodies: Vec::new(),
+            trackers,
+            crowd,
+            is_solving: true,
+            lead: 0,
+            next: VecDeque::new(),
+        }
     }
 
     /// Tracks performers whose bodies are known, by number. They are not estimated.
@@ -73,9 +143,21 @@ impl Stage {
         Self { bodies, ..self }
     }
 
+    /// Tracks nobody: puts out the frames of each performer.
+    #[must_use]
+    pub fn without_solving(self) -> Self {
+        Self { is_solving: false, ..self }
+    }
+
     /// The trackers, by performer.
     pub fn trackers(&self) -> &[Tracker] {
         &self.trackers
+    }
+
+    /// The tracker whose times hold for all: that of the performer who is tracked longest, or that of
+    /// the next performer.
+    pub fn lead(&self) -> &Tracker {
+        self.trackers.get(self.lead).unwrap_or(&self.template)
     }
 
     /// The most people at a time who were seen for a while and are not tracked.
@@ -83,86 +165,252 @@ impl Stage {
         self.crowd.as_ref().map_or(0, Crowd::others)
     }
 
-    /// Processes an input of all performers; solutions go to [`Stage::solved`]. Call [`Stage::poll`]
-    /// until it is empty before the next one.
+    /// The cameras, with the time offsets in use.
+    pub fn rig(&self) -> &Arc<Rig> {
+        self.crowd.as_ref().map_or(self.lead().rig(), Crowd::rig)
+    }
+
+    /// Nominal frame period of the cameras, ns.
+    pub fn frame_period(&mut self) -> f64 {
+        match &mut self.crowd {
+            Some(crowd) => crowd.frame_period(),
+            None => self.lead().frame_period(),
+        }
+    }
+
+    /// Whether frames of a camera are waited for, and the number of them that were used.
+    pub fn camera(&mut self, camera: usize) -> (bool, u64) {
+        match &mut self.crowd {
+            Some(crowd) => crowd.camera(camera),
+            None => (self.lead().is_waited_for(camera), self.lead().used(camera)),
+        }
+    }
+
+    /// A camera is not waited for until one of its frames is given.
+    pub fn leave_out(&mut self, camera: usize) {
+        match &mut self.crowd {
+            Some(crowd) => crowd.leave_out(camera),
+            None => self.all().for_each(|tracker| tracker.leave_out(camera)),
+        }
+    }
+
+    /// All trackers, and that of the next performer.
+    fn all(&mut self) -> impl Iterator<Item = &mut Tracker> {
+        self.trackers.iter_mut().chain([&mut self.template])
+    }
+
+    /// Sets the effort of all performers, see [`Tracker::set_effort`].
+    pub fn set_effort(&mut self, effort: Effort) {
+        self.all().for_each(|tracker| tracker.set_effort(effort));
+    }
+
+    /// Sets the latency of all performers, see [`Tracker::set_latency`].
+    pub fn set_latency(&mut self, latency: Latency) {
+        self.all().for_each(|tracker| tracker.set_latency(latency));
+    }
+
+    /// Sets the usual delay of the cameras, see [`Tracker::set_delay`].
+    pub fn set_delay(&mut self, delay: Nanos) {
+        self.all().for_each(|tracker| tracker.set_delay(delay));
+    }
+
+    /// By camera, all corrections of time offsets so far.
+    pub fn time_corrections(&self) -> &[Nanos] {
+        self.lead().time_corrections()
+    }
+
+    /// The capture time at which a live stage needs an [`Input::Tick`], if no other input arrives
+    /// before.
+    pub fn wake(&mut self) -> Option<Timestamp> {
+        let set = self.crowd.as_mut().and_then(Crowd::wake);
+        self.trackers.iter().filter_map(Tracker::wake).chain(set).min()
+    }
+
+    /// Processes an input of all performers. Call [`Stage::poll`] until it is empty before the next one.
     pub fn handle(&mut self, input: Input) {
         let Some(mut crowd) = self.crowd.take() else {
-            return self.inbox.push_back((0, input));
+            return self.next.push_back(Next::Tracker(0, of_tracker(input)));
         };
+        crowd.set_wait(self.lead().delay(), self.lead().longest_wait());
+        let is_end = matches!(input, Input::End);
         match &input {
             Input::Detections(frame) => crowd.add(frame.clone()),
-            Input::Restart | Input::Forget => crowd.restart(Arc::clone(self.template.rig())),
-            Input::Rig(rig) => crowd.restart(Arc::clone(rig)),
-            Input::End | Input::Tick(_) | Input::Solved(_) => {}
+            Input::Restart | Input::Forget => crowd.restart(Arc::clone(crowd.rig())),
+            Input::Rig(rig) => {
+                let rig = self.corrected(crowd.rig(), rig);
+                crowd.restart(rig);
+            }
+            Input::Tick(now) => crowd.tick(*now),
+            Input::End => crowd.end(),
         }
-        while let Some((at, changes)) = crowd.next(matches!(input, Input::End)) {
+        // The clock first: frames that it completes come after it.
+        let input = (!matches!(input, Input::Detections(_))).then(|| of_tracker(input));
+        if let Some(input) = input.as_ref().filter(|_| !is_end) {
+            self.give_all(input);
+        }
+        while let Some((at, changes)) = crowd.next(is_end) {
             changes.into_iter().for_each(|change| self.apply(at, change));
         }
-        self.crowd = Some(crowd);
-        if !matches!(input, Input::Detections(_) | Input::Solved(_)) {
-            self.template.handle(input.clone());
-            self.inbox.extend((0..self.trackers.len()).map(|one| (one, input.clone())));
+        let events = crowd.events().into_iter().map(|event| Next::Output(Output::Event(event)));
+        self.next.extend(events);
+        if let Some(input) = input.filter(|_| is_end) {
+            self.give_all(&input);
         }
+        self.crowd = Some(crowd);
+    }
+
+    /// A new calibration with the corrections of the time offsets, if it has the cameras of `before`.
+    fn corrected(&mut self, before: &Rig, rig: &Arc<Rig>) -> Arc<Rig> {
+        let names = |rig: &Rig| rig.cameras.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
+        if names(rig) != names(before) {
+            self.corrections = vec![Nanos::ZERO; rig.cameras.len()];
+        }
+        shifted(rig, &self.corrections)
+    }
+
+    fn give_all(&mut self, input: &tracker::Input) {
+        self.template.handle(input.clone());
+        let each = (0..self.trackers.len()).map(|one| Next::Tracker(one, input.clone()));
+        self.next.extend(each);
     }
 
     fn apply(&mut self, at: Timestamp, change: Change) {
         let (performer, kind, detail) = match change {
             Change::Frame(performer, frame) => {
-                self.inbox.push_back((performer, Input::Detections(frame)));
-                return;
+                let next = match self.is_solving {
+                    true => Next::Tracker(performer, tracker::Input::Detections(frame)),
+                    false => Next::Output(Output::Frame(PerformerId(performer), frame)),
+                };
+                return self.next.push_back(next);
+            }
+            Change::Complete(performer, until) => {
+                let complete = tracker::Input::Complete(until);
+                return self.next.push_back(Next::Tracker(performer, complete));
             }
             Change::Entered(performer) => {
-                let body = self.bodies.get(performer).cloned().flatten();
-                self.trackers.push(self.template.clone().with_body(body));
+                if self.is_solving {
+                    let body = self.bodies.get(performer).cloned().flatten();
+                    let mut tracker = self.template.clone().with_body(body).fed(performer);
+                    if let Some(live) = self.template.live_settings().filter(|_| performer == 0) {
+                        tracker.watch_for_all(live, None);
+                    }
+                    self.trackers.push(tracker);
+                }
                 (performer, EventKind::Entered, "a new performer".to_owned())
             }
             Change::Returned(performer) => {
-                self.inbox.push_back((performer, Input::Restart));
+                self.next.push_back(Next::Tracker(performer, tracker::Input::Restart));
                 (performer, EventKind::Reentered, "the performer is back".to_owned())
             }
             Change::Merged(performer, into) => {
-                (performer, EventKind::Merged, format!("is performer {}", into + 1))
+                (performer, EventKind::Merged, format!("is {}", PerformerId(into)))
             }
         };
         let event = Event { capture: at, kind, camera: None, window: None, count: 1, detail };
-        self.events.push_back((performer, event));
+        let output = Output::Performer(PerformerId(performer), tracker::Output::Event(event));
+        self.next.push_back(Next::Output(output));
     }
 
     /// Processes the solution of a performer's job.
-    pub fn solved(&mut self, performer: usize, solution: Solution) {
-        if let Some(tracker) = self.trackers.get_mut(performer) {
-            tracker.handle(Input::Solved(solution));
+    pub fn solved(&mut self, performer: PerformerId, solution: Solution) {
+        if let Some(tracker) = self.trackers.get_mut(performer.0) {
+            tracker.handle(tracker::Input::Solved(solution));
         }
     }
 
-    /// The next output and its performer, if there is one.
-    pub fn poll(&mut self) -> Option<(usize, Output)> {
+    /// The next output, if there is one.
+    pub fn poll(&mut self) -> Option<Output> {
         loop {
-            if let Some((performer, event)) = self.events.pop_front() {
-                return Some((performer, Output::Event(event)));
-            }
             let mut trackers = self.trackers.iter_mut().enumerate();
-            if let Some(next) = trackers.find_map(|(one, tracker)| Some((one, tracker.poll()?))) {
-                return Some(next);
+            if let Some((one, output)) =
+                trackers.find_map(|(one, tracker)| Some((one, tracker.poll()?)))
+            {
+                if let tracker::Output::Window(_) = output {
+                    self.share_cameras();
+                }
+                return Some(Output::Performer(PerformerId(one), output));
             }
-            let (performer, input) = self.inbox.pop_front()?;
-            if let Some(tracker) = self.trackers.get_mut(performer) {
-                tracker.handle(input);
+            match self.next.pop_front()? {
+                Next::Output(output) => return Some(output),
+                Next::Tracker(performer, input) => {
+                    if let Some(tracker) = self.trackers.get_mut(performer) {
+                        tracker.handle(input);
+                    }
+                }
             }
+        }
+    }
+
+    /// Live: what the lead has found out about the cameras holds for all performers. If the lead is not
+    /// tracked any more, another one takes over.
+    fn share_cameras(&mut self) {
+        let Some(live) = self.template.live_settings().filter(|_| self.crowd.is_some()) else {
+            return;
+        };
+        let is_tracked = |tracker: &Tracker| {
+            tracker.state() == Some(TrackingState::Tracking) && !tracker.is_idle()
+        };
+        if !self.trackers.get(self.lead).is_some_and(is_tracked)
+            && let Some(next) = self.trackers.iter().position(is_tracked)
+            && let Ok([before, after]) = self.trackers.get_disjoint_mut([self.lead, next])
+        {
+            after.watch_for_all(live, Some(before));
+            self.lead = next;
+        }
+        let Some(lead) = self.trackers.get(self.lead) else { return };
+        let left_out = lead.left_out();
+        let by =
+            lead.time_corrections().iter().zip(&self.corrections).map(|(to, from)| *to - *from);
+        let by: Vec<Nanos> = by.collect();
+        if by.iter().any(|by| *by != Nanos::ZERO) {
+            self.corrections = lead.time_corrections().to_vec();
+            if let Some(crowd) = &mut self.crowd {
+                crowd.set_rig(shifted(crowd.rig(), &by));
+            }
+        }
+        if self.template.left_out() != left_out {
+            for (number, tracker) in self.trackers.iter_mut().enumerate() {
+                if number != self.lead {
+                    tracker.leave_out_moved(left_out.clone());
+                }
+            }
+            self.template.leave_out_moved(left_out);
         }
     }
 
     /// The next output that is not a job. `solve` solves the jobs on this thread, as with
     /// [`Tracker::poll_and_solve`].
-    pub fn poll_and_solve(
-        &mut self,
-        mut solve: impl FnMut(&Job) -> Solution,
-    ) -> Option<(usize, Output)> {
+    pub fn poll_and_solve(&mut self, mut solve: impl FnMut(&Job) -> Solution) -> Option<Output> {
         loop {
             match self.poll()? {
-                (performer, Output::Solve(job)) => self.solved(performer, solve(&job)),
+                Output::Performer(performer, tracker::Output::Solve(job)) => {
+                    self.solved(performer, solve(&job));
+                }
                 output => return Some(output),
             }
         }
+    }
+}
+
+/// The cameras with these times added to their offsets.
+fn shifted(rig: &Arc<Rig>, by: &[Nanos]) -> Arc<Rig> {
+    if by.iter().all(|by| *by == Nanos::ZERO) {
+        return Arc::clone(rig);
+    }
+    let mut rig = Rig::clone(rig);
+    for (camera, by) in rig.cameras.iter_mut().zip(by) {
+        camera.time_offset = camera.time_offset + *by;
+    }
+    Arc::new(rig)
+}
+
+fn of_tracker(input: Input) -> tracker::Input {
+    match input {
+        Input::Detections(frame) => tracker::Input::Detections(frame),
+        Input::Rig(rig) => tracker::Input::Rig(rig),
+        Input::Restart => tracker::Input::Restart,
+        Input::Forget => tracker::Input::Forget,
+        Input::Tick(now) => tracker::Input::Tick(now),
+        Input::End => tracker::Input::End,
     }
 }

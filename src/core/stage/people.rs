@@ -1,7 +1,9 @@
 //! Who is there: people are found, confirmed, followed, lost and found again.
 
 use super::person::{Person, Sight, apart};
-use crate::core::association::{Assigned, Gates, Newcomer, associate, pixels_of};
+use crate::core::association::{
+    Assigned, Association, Gates, Newcomer, Part, associate, pixels_of,
+};
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
@@ -59,6 +61,37 @@ pub enum Change {
     Merged(usize, usize),
     /// A frame with the performer alone, or with nobody.
     Frame(usize, Detections),
+    /// All frames of the performer up to this time were given.
+    Complete(usize, Timestamp),
+}
+
+/// The frames of one time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FrameSet {
+    /// In order of capture time, at most one of each camera.
+    pub frames: Vec<Claimed>,
+    /// The performers who are followed, by number from 0.
+    pub performers: Vec<usize>,
+}
+
+/// A frame, and whose its people are.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Claimed {
+    /// The frame, with everybody in it.
+    pub frame: Detections,
+    /// By person.
+    pub owners: Vec<Owner>,
+}
+
+/// Whose a detection is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Owner {
+    /// A performer's, by number from 0.
+    Performer(usize),
+    /// That of somebody who is not a performer.
+    Other,
+    /// Nobody's.
+    Nobody,
 }
 
 /// All people in view.
@@ -74,11 +107,20 @@ pub(super) struct People {
     known: usize,
     /// Most bystanders at a time.
     pub(super) others: usize,
+    pub(super) last: FrameSet,
 }
 
 impl People {
     pub(super) fn new(limit: usize, gates: Gates) -> Self {
-        Self { gates, limit, members: Vec::new(), absent: Vec::new(), known: 0, others: 0 }
+        Self {
+            gates,
+            limit,
+            members: Vec::new(),
+            absent: Vec::new(),
+            known: 0,
+            others: 0,
+            last: FrameSet::default(),
+        }
     }
 
     /// Nobody is in view any more.
@@ -90,16 +132,18 @@ impl People {
         }
     }
 
-    /// Takes the frames of one time.
-    pub(super) fn take(
+    /// Finds everybody in the frames of one time; `complete` is that up to which there are all frames.
+    pub(super) fn process(
         &mut self,
         at: Timestamp,
         frames: Vec<Detections>,
+        complete: Timestamp,
         rig: &Rig,
     ) -> Vec<Change> {
         let seen: Vec<&Detections> = frames.iter().collect();
         let expected: Vec<_> = self.members.iter().map(|m| m.person.expected(at)).collect();
         let found = associate(rig, &seen, &expected, &self.gates);
+        let owners = self.owners(&frames, &found);
         let mut changes = Vec::new();
         for (member, assigned) in self.members.iter_mut().zip(&found.performers) {
             let alone = member.person.follow(at, &frames, assigned, rig, &self.gates);
@@ -126,7 +170,39 @@ impl People {
             matches!(member.life, Life::Bystander) && at - member.person.first > STAYED
         };
         self.others = self.others.max(self.members.iter().filter(stays).count());
+        let performers = self.members.iter().filter_map(|member| match member.life {
+            Life::Performer(performer) => Some(performer),
+            _ => None,
+        });
+        let performers: Vec<usize> = performers.collect();
+        changes.extend(performers.iter().map(|&one| Change::Complete(one, complete)));
+        let claimed = |(frame, owners)| Claimed { frame, owners };
+        let frames = frames.into_iter().zip(owners).map(claimed).collect();
+        self.last = FrameSet { frames, performers };
         changes
+    }
+
+    /// By frame and person, whose the detections are.
+    fn owners(&self, frames: &[Detections], found: &Association) -> Vec<Vec<Owner>> {
+        let mut owners: Vec<Vec<Owner>> =
+            frames.iter().map(|frame| vec![Owner::Nobody; frame.people.len()]).collect();
+        let of_member = |member: &Member| match member.life {
+            Life::Performer(performer) => Owner::Performer(performer),
+            _ => Owner::Other,
+        };
+        let members = self.members.iter().map(of_member).zip(&found.performers);
+        let newcomers = found.newcomers.iter().map(|newcomer| (Owner::Other, &newcomer.views));
+        for (owner, views) in newcomers.chain(members) {
+            for (owners, assigned) in owners.iter_mut().zip(views) {
+                // A limb that a detector gave to somebody else does not make it the performer's.
+                let person = assigned.parts[Part::Upper as usize];
+                let person = person.or(assigned.parts.iter().flatten().next().copied());
+                if let Some(person) = person {
+                    owners[person] = owner;
+                }
+            }
+        }
+        owners
     }
 
     /// Two members in one place are one person: the older one stays.
@@ -256,7 +332,8 @@ impl People {
 
 /// Whether a person who was not seen for a while can have got to where the candidate is.
 fn may_be_there(person: &Person, candidate: &Person, at: Timestamp) -> bool {
-    let reach = AWAY_M + AWAY_M_S * person.unseen(at).seconds();
+    // The cameras' clock may have been set back.
+    let reach = AWAY_M + AWAY_M_S * person.unseen(at).seconds().max(0.0);
     apart(person.points(), candidate.points()).is_some_and(|off| off < reach)
 }
 

@@ -1,94 +1,136 @@
 //! Frames of all cameras at about one time.
 
-use std::collections::BTreeMap;
-
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
-use crate::core::tracker::{Config, FramePeriod, FrameRate};
+use crate::core::tracker::intake::Intake;
+use crate::core::tracker::waiting::Closing;
+use crate::core::tracker::{Config, Event, FALLBACK_PERIOD, FramePeriod};
 
 /// A set holds frames up to this part of the frame period after its first one.
 const WIDTH: f64 = 0.8;
-/// A set waits for a camera that was in one of so many sets before.
-const EXPECTED_SETS: u64 = 30;
-/// Frame period until the cameras' rate is known, ns: 60 frames per second.
-const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
+
+/// A set that is complete.
+#[derive(Clone, Debug)]
+pub(super) struct Complete {
+    /// The earliest capture time.
+    pub(super) at: Timestamp,
+    /// In order of capture time, at most one of each camera.
+    pub(super) frames: Vec<Detections>,
+    /// All frames up to this time are in this set or in one before.
+    pub(super) until: Timestamp,
+}
 
 /// The frames that wait for their set.
 #[derive(Clone, Debug)]
 pub(super) struct Sets {
-    waiting: BTreeMap<(Timestamp, usize, u64), Detections>,
-    rate: FrameRate,
     config: Config,
-    /// By camera: the capture time of its last frame, and the number of the last set with a frame of it.
-    newest: Vec<Option<Timestamp>>,
-    last_set: Vec<Option<u64>>,
-    count: u64,
+    intake: Intake,
+    /// The capture clock, live.
+    pub(super) now: Option<Timestamp>,
+    /// Live: the usual time from the capture of a frame to its arrival, and the longest time that a set
+    /// may wait.
+    pub(super) delay: Nanos,
+    pub(super) longest_wait: Option<Nanos>,
+    /// What is to be reported.
+    pub(super) events: Vec<Event>,
 }
 
 impl Sets {
     pub(super) fn new(cameras: usize, config: Config, period: Option<FramePeriod>) -> Self {
-        let mut rate = FrameRate::new(cameras);
-        rate.know(period);
+        let mut intake = Intake::new(cameras, config.grace_windows * config.publish_frames);
+        intake.rate().know(period);
         Self {
-            waiting: BTreeMap::new(),
-            rate,
             config,
-            newest: vec![None; cameras],
-            last_set: vec![None; cameras],
-            count: 0,
+            intake,
+            now: None,
+            delay: Nanos::ZERO,
+            longest_wait: None,
+            events: Vec::new(),
         }
     }
 
     /// Nominal frame period, ns.
-    pub(super) fn period(&self) -> f64 {
+    pub(super) fn period(&mut self) -> f64 {
         match self.config.frame_rate_hz {
-            0.0 => self.rate.period().map_or(FALLBACK_PERIOD, |FramePeriod { ns, .. }| ns),
+            0.0 => self.intake.rate().period().map_or(FALLBACK_PERIOD, |period| period.ns),
             given => 1e9 / given,
         }
     }
 
-    /// Adds a frame. Frames of cameras that the rig does not have are not used.
-    pub(super) fn add(&mut self, frame: Detections, rig: &Rig) {
-        let Some(camera) = rig.cameras.get(frame.camera) else { return };
-        self.rate.note(frame.camera, frame.frame, frame.capture);
-        let at = frame.capture + camera.time_offset;
-        self.newest[frame.camera] = Some(at);
-        self.waiting.insert((at, frame.camera, frame.frame), frame);
+    pub(super) fn intake(&mut self) -> &mut Intake {
+        &mut self.intake
     }
 
-    /// The next set that is complete or has waited long enough, and its time. With `all`, whatever is
-    /// there. The frames are in order of capture time, at most one of each camera.
-    pub(super) fn next(&mut self, all: bool) -> Option<(Timestamp, Vec<Detections>)> {
-        let (first, ..) = *self.waiting.keys().next()?;
-        let period = self.period();
-        let end = first + Nanos::rounded(WIDTH * period);
-        let deadline = end + Nanos::rounded(self.config.deadline_frames as f64 * period);
-        let is_expected = |set: &Option<u64>| match self.count {
-            0 => true,
-            count => set.is_some_and(|set| count - set <= EXPECTED_SETS),
-        };
-        let mut keys: Vec<(Timestamp, usize, u64)> = Vec::new();
-        for key in self.waiting.range(..=(end, usize::MAX, u64::MAX)).map(|(key, _)| *key) {
-            if keys.iter().all(|(_, camera, _)| *camera != key.1) {
-                keys.push(key);
-            }
+    /// Adds a frame; its capture time becomes that of the cameras' common clock. Frames of cameras that
+    /// the rig does not have are not used.
+    pub(super) fn add(&mut self, mut frame: Detections, rig: &Rig) {
+        let Some(camera) = rig.cameras.get(frame.camera) else { return };
+        frame.capture = frame.capture + camera.time_offset;
+        let grace = self.now.map(|_| self.grace());
+        self.events.extend(self.intake.receive(frame, self.now, grace));
+    }
+
+    /// No more frames will come.
+    pub(super) fn end(&mut self) {
+        for frame in self.intake.release() {
+            self.events.extend(self.intake.admit(frame, self.now, None));
         }
-        let is_behind = |camera: usize| self.newest[camera].is_none_or(|newest| newest < first);
-        let cameras = 0..self.newest.len();
-        let waits = || cameras.clone().any(|c| is_expected(&self.last_set[c]) && is_behind(c));
-        if !all && waits() && !self.newest.iter().flatten().any(|newest| *newest > deadline) {
+    }
+
+    /// How long a set waits after its end.
+    fn grace(&mut self) -> Nanos {
+        let asked = Nanos::rounded(self.config.deadline_frames as f64 * self.period());
+        self.longest_wait.unwrap_or(Nanos::MAX).min(asked + self.delay)
+    }
+
+    /// The next set that is complete or has waited long enough. With `all`, whatever is there.
+    pub(super) fn next(&mut self, all: bool) -> Option<Complete> {
+        let at = self.intake.first()?;
+        let (width, grace) = (Nanos::rounded(WIDTH * self.period()), self.grace());
+        let behind = self.behind(at, width);
+        let waiting = &self.intake.waiting;
+        let is_waiting = waiting.any() && behind.iter().any(|&c| waiting.is_waited_for(c));
+        // One camera's clock may be fast: only what two have reached counts.
+        let clock = if self.now.is_some() { self.now } else { self.intake.front() };
+        let is_overdue = clock >= Some(at + width + grace);
+        if !all && is_waiting && waiting.any() && !is_overdue {
             return None;
         }
-        for (_, camera, _) in &keys {
-            self.last_set[*camera] = Some(self.count);
+        if !all {
+            let closing = Closing { end: at + width, waited: grace, what: "frame set" };
+            self.events.extend(self.intake.waiting.close_without(&behind, closing, |_| true));
         }
-        self.count += 1;
-        Some((first, keys.iter().filter_map(|key| self.waiting.remove(key)).collect()))
+        let (frames, missing) = self.intake.pop_set(width);
+        self.events.extend(missing);
+        let last = frames.last().map_or(at, |frame| frame.capture);
+        let until = self.intake.first().map_or(last, |next| last.min(next - Nanos::new(1)));
+        Some(Complete { at, frames, until: until.max(at) })
+    }
+
+    /// Cameras that may still send a frame of the set. A recording waits until they have passed its
+    /// first frame; live, those whose next frame is expected before its end.
+    fn behind(&mut self, at: Timestamp, width: Nanos) -> Vec<usize> {
+        if self.now.is_none() {
+            return self.intake.behind(at).collect();
+        }
+        let (period, cameras) = (Nanos::rounded(self.period()), self.intake.cameras());
+        let is_behind = |c: &usize| self.intake.next(*c, period) <= Some(at + width);
+        (0..cameras).filter(is_behind).collect()
+    }
+
+    /// When the next set has waited long enough, live.
+    pub(super) fn wake(&mut self) -> Option<Timestamp> {
+        let at = self.intake.first().filter(|_| self.now.is_some())?;
+        Some(at + Nanos::rounded(WIDTH * self.period()) + self.grace())
     }
 
     /// Forgets all frames; from here on there are that many cameras.
     pub(super) fn clear(&mut self, cameras: usize) {
-        *self = Self::new(cameras, self.config, self.rate.period());
+        let period = self.intake.rate().period();
+        let (now, delay, longest_wait) = (self.now, self.delay, self.longest_wait);
+        let events = std::mem::take(&mut self.events);
+        *self =
+            Self { now, delay, longest_wait, events, ..Self::new(cameras, self.config, period) };
     }
 }

@@ -71,10 +71,18 @@ impl Tracker {
         match self.idle.why {
             Some((Why::Silent, since)) if !is_silent => {
                 self.resume();
-                self.end_idle(now, since, "frames come again");
+                let detail = match self.is_fed {
+                    true => "the performer is seen again",
+                    false => "frames come again",
+                };
+                self.end_idle(now, since, detail);
             }
             None if is_silent => {
-                self.begin_idle(Why::Silent, front, "fewer than two cameras send frames");
+                let detail = match self.is_fed {
+                    true => "the performer is not seen",
+                    false => "fewer than two cameras send frames",
+                };
+                self.begin_idle(Why::Silent, front, detail);
             }
             Some((Why::Unseen, since)) if is_silent => self.idle.why = Some((Why::Silent, since)),
             _ => {}

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::event::{Event, EventKind};
 use super::frame_rate::FrameRate;
+use super::waiting::Waiting;
 use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::time::{Nanos, Timestamp};
 
@@ -20,6 +21,9 @@ const MAX_MISSING: u64 = 1_000_000;
 /// Number of steps of a camera's capture time of which the median counts.
 const STEPS: usize = 5;
 
+/// Frames by capture time, camera and number.
+type Frames = BTreeMap<(Timestamp, usize, u64), Arc<Detections>>;
+
 /// The state of one camera.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
@@ -33,10 +37,10 @@ struct Seen {
     steps: [Nanos; STEPS],
 }
 
-/// The frames that wait for their window, and the state of each camera.
+/// The frames that wait for their window or their frame set, and the state of each camera.
 #[derive(Clone, Debug)]
-pub(super) struct Intake {
-    frames: BTreeMap<(Timestamp, usize, u64), Arc<Detections>>,
+pub(in crate::core) struct Intake {
+    frames: Frames,
     cameras: Vec<Seen>,
     format: Option<KeypointFormat>,
     /// Frames up to this time are no longer used.
@@ -46,10 +50,13 @@ pub(super) struct Intake {
     /// Of each camera, a frame that is off its line and waits for the next one.
     held: Vec<Option<Detections>>,
     rate: FrameRate,
+    /// Which cameras are waited for.
+    pub(in crate::core) waiting: Waiting,
 }
 
 impl Intake {
-    pub(super) fn new(cameras: usize) -> Self {
+    /// A camera that was missing `grace` times in a row is not waited for.
+    pub(in crate::core) fn new(cameras: usize, grace: usize) -> Self {
         Self {
             frames: BTreeMap::new(),
             cameras: vec![Seen::default(); cameras],
@@ -58,12 +65,57 @@ impl Intake {
             stray: None,
             held: vec![None; cameras],
             rate: FrameRate::new(cameras),
+            waiting: Waiting::new(cameras, grace),
         }
+    }
+
+    /// Receives a frame: checks its time, and adds it to the buffer. `now` is the capture clock, if
+    /// there is one; live, frames that came up to `grace` after it were worth waiting for. Returns what
+    /// is to be reported.
+    pub(in crate::core) fn receive(
+        &mut self,
+        frame: Detections,
+        now: Option<Timestamp>,
+        grace: Option<Nanos>,
+    ) -> Vec<Event> {
+        let (frames, stray) = self.screen(frame);
+        let mut events: Vec<Event> = stray.into_iter().collect();
+        for frame in frames {
+            events.extend(self.admit(frame, now, grace));
+        }
+        events
+    }
+
+    /// Adds a frame whose time was checked; the camera is waited for from here on.
+    pub(in crate::core) fn admit(
+        &mut self,
+        frame: Detections,
+        now: Option<Timestamp>,
+        grace: Option<Nanos>,
+    ) -> Vec<Event> {
+        let (camera, capture) = (frame.camera, frame.capture);
+        let event = self.add(frame, now);
+        let is_used = match event.as_ref().map(|event| event.kind) {
+            None | Some(EventKind::OutOfOrder) => true,
+            // It would have come in time if it had been waited for.
+            Some(EventKind::Late) => grace.is_some_and(|grace| now <= Some(capture + grace)),
+            _ => false,
+        };
+        let is_back = is_used && self.waiting.returned(camera);
+        let returned = is_back.then(|| Event {
+            capture,
+            kind: EventKind::Returned,
+            camera: Some(camera),
+            window: None,
+            count: 1,
+            detail: "waited for again".to_owned(),
+        });
+        event.into_iter().chain(returned).collect()
     }
 
     /// The frames to add when `frame` arrives: none if its capture time is far off its camera's line,
     /// until the camera's next frame; and an event if the frame before it was stray.
-    pub(super) fn screen(&mut self, frame: Detections) -> (Vec<Detections>, Option<Event>) {
+    fn screen(&mut self, frame: Detections) -> (Vec<Detections>, Option<Event>) {
         let Some(seen) = self.cameras.get_mut(frame.camera) else { return (vec![frame], None) };
         let period = self.rate.of_camera(frame.camera);
         let limit = period.map_or(STRAY, |p| STRAY.max(Nanos::rounded(p.ns) * STRAY_PERIODS));
@@ -99,13 +151,13 @@ impl Intake {
     }
 
     /// The frames that wait for the next one of their camera.
-    pub(super) fn release(&mut self) -> Vec<Detections> {
+    pub(in crate::core) fn release(&mut self) -> Vec<Detections> {
         self.held.iter_mut().filter_map(Option::take).collect()
     }
 
     /// Adds a frame; returns an event if the frame has a fault. `now` is the capture clock, if there is
     /// one.
-    pub(super) fn add(&mut self, frame: Detections, now: Option<Timestamp>) -> Option<Event> {
+    fn add(&mut self, frame: Detections, now: Option<Timestamp>) -> Option<Event> {
         let event = |kind, detail: String| {
             Some(Event {
                 capture: frame.capture,
@@ -177,13 +229,18 @@ impl Intake {
         new
     }
 
+    /// Number of cameras.
+    pub(in crate::core) fn cameras(&self) -> usize {
+        self.cameras.len()
+    }
+
     /// The order of the keypoints, after the first frame.
     pub(super) fn format(&self) -> Option<KeypointFormat> {
         self.format
     }
 
     /// The earliest frame in the buffer.
-    pub(super) fn first(&self) -> Option<Timestamp> {
+    pub(in crate::core) fn first(&self) -> Option<Timestamp> {
         self.frames.keys().next().map(|(capture, _, _)| *capture)
     }
 
@@ -199,7 +256,7 @@ impl Intake {
 
     /// The latest capture time that two cameras have reached, so that a single camera with a fast
     /// clock does not count. With one camera, its own.
-    pub(super) fn front(&self) -> Option<Timestamp> {
+    pub(in crate::core) fn front(&self) -> Option<Timestamp> {
         let mut watermarks: Vec<_> =
             self.cameras.iter().filter_map(|seen| seen.watermark).collect();
         watermarks.sort_unstable();
@@ -207,7 +264,7 @@ impl Intake {
     }
 
     /// When the next frame of a camera is expected; `None` before its first one.
-    pub(super) fn next(&self, camera: usize, period: Nanos) -> Option<Timestamp> {
+    pub(in crate::core) fn next(&self, camera: usize, period: Nanos) -> Option<Timestamp> {
         let seen = self.cameras.get(camera)?;
         let mut steps = seen.steps;
         steps.sort_unstable();
@@ -216,13 +273,13 @@ impl Intake {
     }
 
     /// Cameras without a frame at or after `time`.
-    pub(super) fn behind(&self, time: Timestamp) -> impl Iterator<Item = usize> {
+    pub(in crate::core) fn behind(&self, time: Timestamp) -> impl Iterator<Item = usize> {
         let is_behind = move |seen: &Seen| seen.watermark.is_none_or(|watermark| watermark < time);
         (0..).zip(&self.cameras).filter(move |(_, seen)| is_behind(seen)).map(|(camera, _)| camera)
     }
 
     /// The cameras' frame rate.
-    pub(super) const fn rate(&mut self) -> &mut FrameRate {
+    pub(in crate::core) const fn rate(&mut self) -> &mut FrameRate {
         &mut self.rate
     }
 
@@ -240,7 +297,7 @@ impl Intake {
     }
 
     /// Number of frames of that camera that were used in windows.
-    pub(super) fn used(&self, camera: usize) -> u64 {
+    pub(in crate::core) fn used(&self, camera: usize) -> u64 {
         self.cameras.get(camera).map_or(0, |seen| seen.used)
     }
 
@@ -254,12 +311,36 @@ impl Intake {
         self.closed = self.closed.max(Some(end));
     }
 
+    /// Removes the next frame set: the earliest frame and those up to `width` after it, at most one of
+    /// each camera, in order of capture time. Refuses frames up to the earliest one from now on. Gives an
+    /// event for each camera whose frame counter has gaps.
+    pub(in crate::core) fn pop_set(&mut self, width: Nanos) -> (Vec<Detections>, Vec<Event>) {
+        let Some(first) = self.first() else { return (Vec::new(), Vec::new()) };
+        let mut keys: Vec<(Timestamp, usize, u64)> = Vec::new();
+        let within = self.frames.range(..=(first + width, usize::MAX, u64::MAX));
+        for (key, _) in within {
+            if keys.iter().all(|(_, camera, _)| *camera != key.1) {
+                keys.push(*key);
+            }
+        }
+        self.refuse(first);
+        let used: BTreeMap<_, _> =
+            keys.iter().filter_map(|key| self.frames.remove_entry(key)).collect();
+        let missing = self.count_used(&used, first);
+        (used.into_values().map(Arc::unwrap_or_clone).collect(), missing)
+    }
+
     /// Closes the time up to `end`: drops its frames and refuses later ones. Gives an event for each
     /// camera whose frame counter has gaps.
     pub(super) fn close(&mut self, end: Timestamp) -> Vec<Event> {
         self.refuse(end);
         let rest = self.frames.split_off(&(end + Nanos::new(1), 0, 0));
         let used = std::mem::replace(&mut self.frames, rest);
+        self.count_used(&used, end)
+    }
+
+    /// Counts the used frames of each camera, and those that are missing between them.
+    fn count_used(&mut self, used: &Frames, end: Timestamp) -> Vec<Event> {
         let mut missing = Vec::new();
         for (camera, seen) in self.cameras.iter_mut().enumerate() {
             let mut numbers: Vec<u64> = used

@@ -29,6 +29,8 @@ pub enum Input {
     Solved(Solution),
     /// The capture clock has reached this time.
     Tick(Timestamp),
+    /// One of several performers: all frames up to this time were given.
+    Complete(Timestamp),
     /// No more input will come: the open window closes.
     End,
 }

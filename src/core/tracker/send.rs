@@ -23,7 +23,9 @@ impl Tracker {
             self.offsets.calibrate(&mut rig);
             self.watchdog = Watchdog::new(rig.cameras.len());
             self.rig = Arc::new(rig);
-            self.event(EventKind::Calibrated, window.start, None, detail);
+            if !self.is_fed {
+                self.event(EventKind::Calibrated, window.start, None, detail);
+            }
         }
         let task = match &self.phase {
             Phase::Searching => Task::Acquire { skeleton: self.skeleton.clone() },
@@ -76,7 +78,7 @@ impl Tracker {
             (_, None) => Vec::new(),
         };
         let mut frames = self.intake.up_to(window.end + self.tolerance());
-        frames.retain(|frame| !self.watchdog.is_left_out(frame.camera));
+        frames.retain(|frame| !self.is_left_out(frame.camera));
         self.outputs.push_back(Output::Solve(Box::new(Job {
             number,
             window: self.window,

@@ -14,7 +14,6 @@ use super::job::{Job, Solution};
 use super::noise::Noise;
 use super::playout::{Latency, Live, MARGIN, Playout, ROUNDING};
 use super::port::{Input, Output};
-use super::waiting::Waiting;
 use super::window::{FALLBACK_PERIOD, Window};
 use crate::core::body::{Skeleton, TrackingState};
 use crate::core::calibration::{LiveOffsets, Watchdog};
@@ -55,7 +54,12 @@ pub struct Tracker {
     /// Usual time from the capture of a frame to its arrival.
     pub(super) delay: Nanos,
     pub(super) intake: Intake,
-    pub(super) waiting: Waiting,
+    /// Whether a stage gives it frames: their times are checked and those of the cameras' common clock,
+    /// and windows close when the stage says that their frames are complete, up to `complete`.
+    pub(super) is_fed: bool,
+    pub(super) complete: Option<Timestamp>,
+    /// Nominal frames by which its windows end earlier than others'.
+    pub(super) stagger: usize,
     pub(super) idle: Idle,
     pub(super) phase: Phase,
     pub(super) skeleton: Option<Arc<Skeleton>>,
@@ -92,6 +96,8 @@ pub struct Tracker {
     pub(super) playout: Playout,
     pub(super) offsets: LiveOffsets,
     pub(super) watchdog: Watchdog,
+    /// Cameras that were found moved from another performer.
+    pub(super) left_out: Vec<bool>,
     pub(super) outputs: VecDeque<Output>,
 }
 
@@ -106,8 +112,10 @@ impl Tracker {
             effort: Effort::full(&config),
             latency: None,
             delay: Nanos::ZERO,
-            intake: Intake::new(cameras),
-            waiting: Waiting::new(cameras, config.grace_windows),
+            intake: Intake::new(cameras, config.grace_windows),
+            is_fed: false,
+            complete: None,
+            stagger: 0,
             idle: Idle::default(),
             phase: Phase::Searching,
             skeleton: None,
@@ -132,6 +140,7 @@ impl Tracker {
             playout: Playout::default(),
             offsets: LiveOffsets::new(cameras),
             watchdog: Watchdog::new(cameras),
+            left_out: Vec::new(),
             outputs: VecDeque::new(),
         }
     }
@@ -141,6 +150,51 @@ impl Tracker {
     pub fn live(mut self, live: Live) -> Self {
         self.live = Some(live);
         self
+    }
+
+    /// A tracker for one of several performers, by number from 0: a stage gives it frames with the
+    /// performer alone, and [`Input::Complete`]. Live, windows of different performers end at different
+    /// frames, so that their solves do not come all at once.
+    #[must_use]
+    pub(in crate::core) fn fed(mut self, performer: usize) -> Self {
+        self.is_fed = true;
+        if let Some(live) = &mut self.live {
+            (live.time_offsets, live.watch_cameras) = (false, false);
+            (self.stagger, self.window) = (performer, performer as u64);
+        }
+        self
+    }
+
+    /// Live: time offsets are estimated and moved cameras found from this performer from here on, as
+    /// `live` says, with what is known from the performer before.
+    pub(in crate::core) fn watch_for_all(&mut self, live: Live, before: Option<&mut Self>) {
+        self.live = Some(live);
+        self.left_out.clear();
+        if let Some(before) = before {
+            std::mem::swap(&mut self.watchdog, &mut before.watchdog);
+            std::mem::swap(&mut self.offsets, &mut before.offsets);
+            before.live =
+                before.live.map(|live| Live { time_offsets: false, watch_cameras: false, ..live });
+        }
+    }
+
+    /// The cameras that were moved and are left out.
+    pub(in crate::core) fn left_out(&self) -> Vec<bool> {
+        (0..self.rig.cameras.len()).map(|camera| self.is_left_out(camera)).collect()
+    }
+
+    /// These cameras are left out of all windows.
+    pub(in crate::core) fn leave_out_moved(&mut self, cameras: Vec<bool>) {
+        self.left_out = cameras;
+    }
+
+    pub(super) fn is_left_out(&self, camera: usize) -> bool {
+        self.watchdog.is_left_out(camera) || self.left_out.get(camera).copied().unwrap_or(false)
+    }
+
+    /// The settings of a live tracker.
+    pub(in crate::core) fn live_settings(&self) -> Option<Live> {
+        self.live
     }
 
     /// Sets the effort from the next job on.
@@ -211,6 +265,11 @@ impl Tracker {
         self.skeleton.as_ref().filter(|_| self.is_proven && is_known)
     }
 
+    /// Usual time from the capture of a frame to its arrival.
+    pub(in crate::core) fn delay(&self) -> Nanos {
+        self.delay
+    }
+
     /// Processes an input. Call [`Tracker::poll`] until it is empty before the next one.
     pub fn handle(&mut self, input: Input) {
         match input {
@@ -218,8 +277,13 @@ impl Tracker {
             Input::Tick(now) => self.now = self.now.max(Some(now)),
             Input::Rig(rig) => self.calibrate(rig),
             Input::Restart => self.restart(),
+            Input::Complete(until) => self.complete = self.complete.max(Some(until)),
             Input::End => {
-                self.intake.release().into_iter().for_each(|frame| self.take(frame));
+                for frame in self.intake.release() {
+                    let grace = self.live.map(|_| self.grace());
+                    let events = self.intake.admit(frame, self.now, grace);
+                    self.report(events);
+                }
                 self.ended = true;
             }
             Input::Forget => {
@@ -265,7 +329,10 @@ impl Tracker {
             start.filter(|_| self.pending.is_none()).map(|start| start + wait)
         };
         let fitted = self.look_ahead().and(self.newest.max(self.start));
-        let times = [due, after(fitted, 1), after(self.start, self.open_frames())];
+        let times = match self.is_fed {
+            true => [due, None, None],
+            false => [due, after(fitted, 1), after(self.start, self.open_frames())],
+        };
         // What is past waits for an input and not for a time.
         times.into_iter().flatten().filter(|at| Some(*at) > self.now).min()
     }
@@ -320,12 +387,12 @@ impl Tracker {
 
     /// Whether windows wait for that camera.
     pub fn is_waited_for(&self, camera: usize) -> bool {
-        self.waiting.is_waited_for(camera)
+        self.intake.waiting.is_waited_for(camera)
     }
 
     /// Windows do not wait for a camera until one of its frames is given.
     pub fn leave_out(&mut self, camera: usize) {
-        self.waiting.leave_out(camera);
+        self.intake.waiting.leave_out(camera);
     }
 
     /// Number of poses that were extrapolated because no solved pose was there in time, and number
@@ -335,28 +402,25 @@ impl Tracker {
     }
 
     fn add(&mut self, mut frame: Detections) {
+        if self.is_fed {
+            // The stage has reported what is to be.
+            self.intake.admit(frame, self.now, None);
+            return;
+        }
         if let Some(camera) = self.rig.cameras.get(frame.camera) {
             frame.capture = frame.capture + camera.time_offset;
         }
-        let (frames, stray) = self.intake.screen(frame);
-        self.outputs.extend(stray.map(Output::Event));
-        frames.into_iter().for_each(|frame| self.take(frame));
+        let grace = self.live.map(|_| self.grace());
+        let events = self.intake.receive(frame, self.now, grace);
+        self.report(events);
     }
 
-    fn take(&mut self, frame: Detections) {
-        let (camera, capture) = (frame.camera, frame.capture);
-        let event = self.intake.add(frame, self.now);
-        let is_used = match event.as_ref().map(|event| event.kind) {
-            None | Some(EventKind::OutOfOrder) => true,
-            // It would have come in time if its window had waited for it.
-            Some(EventKind::Late) if self.live.is_some() => {
-                self.now <= Some(capture + self.grace())
-            }
-            _ => false,
-        };
-        self.outputs.extend(event.map(Output::Event));
-        if is_used && self.waiting.returned(camera) {
-            self.event(EventKind::Returned, capture, Some(camera), "waited for again".to_owned());
+    /// Reports events of the intake.
+    fn report(&mut self, events: Vec<Event>) {
+        for event in events {
+            let is_of_window = event.kind == EventKind::Returned;
+            let window = if is_of_window { Some(self.window) } else { event.window };
+            self.outputs.push_back(Output::Event(Event { window, ..event }));
         }
     }
 
@@ -368,6 +432,7 @@ impl Tracker {
         }
         self.offsets = LiveOffsets::new(rig.cameras.len());
         self.watchdog = Watchdog::new(rig.cameras.len());
+        self.left_out.clear();
         self.rig = rig;
         self.restart();
     }
@@ -378,7 +443,9 @@ impl Tracker {
         let fresh = Self::new(self.config, Arc::clone(&self.rig));
         let old = std::mem::replace(self, fresh);
         (self.live, self.idle) = (old.live, old.idle);
+        (self.is_fed, self.stagger) = (old.is_fed, old.stagger);
         (self.offsets, self.watchdog) = (old.offsets, old.watchdog);
+        self.left_out = old.left_out;
         self.skeleton = old.skeleton.filter(|_| old.is_proven);
         self.is_proven = old.is_proven;
         if self.skeleton.is_some() {

@@ -3,10 +3,11 @@
 use super::event::{Event, EventKind};
 use super::port::Output;
 use super::state_machine::{Phase, Tracker};
+use super::waiting::Closing;
 use crate::core::time::{Grid, Nanos, Timestamp};
 
 /// Frame period of a recording that is too short to estimate one, ns: 60 frames per second.
-pub(super) const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
+pub(in crate::core) const FALLBACK_PERIOD: f64 = 1e9 / 60.0;
 /// A live tracker drops an open window that ended this long before the newest frames, and continues
 /// with those.
 const MAX_BACKLOG: Nanos = Nanos::SECOND;
@@ -130,9 +131,18 @@ impl Tracker {
         };
         let publish = match searching || end < full {
             true => end,
-            false => grid.time(first + self.config.publish() as i64),
+            false => grid.time(first + self.final_frames(first)),
         };
         Some(Window { start, end, publish })
+    }
+
+    /// Nominal frames that are final of the window that begins at that frame of the grid: fewer in the
+    /// first window if windows are staggered, so that they end at other frames than others' do.
+    fn final_frames(&self, first: i64) -> i64 {
+        let (publish, keyframe) = (self.config.publish() as i64, self.config.keyframe() as i64);
+        let stagger = self.stagger as i64 % publish;
+        let early = if stagger > 0 { (first + stagger).rem_euclid(publish) } else { 0 };
+        publish - (early - early % keyframe)
     }
 
     /// Frames up to this long after a window's end belong to it: a quarter of the frame period.
@@ -144,28 +154,34 @@ impl Tracker {
     /// delay, limited by the latency.
     pub(super) fn grace(&self) -> Nanos {
         let asked = (self.config.deadline_frames as f64 * self.frame_period()) as i64;
-        let asked = Nanos::new(asked) + self.delay;
-        let Some(latency) = self.latency else { return asked };
+        self.longest_wait().unwrap_or(Nanos::MAX).min(Nanos::new(asked) + self.delay)
+    }
+
+    /// How long the latency lets a window wait after its end, once it is declared.
+    pub(in crate::core) fn longest_wait(&self) -> Option<Nanos> {
+        let latency = self.latency?;
         // The window's first pose is one output period after its start.
         let output = self.output_grid().map_or(0.0, |grid| grid.period_ns) as i64;
         let wait = match self.look_ahead() {
             Some(frames) => Nanos::rounded(frames as f64 * self.frame_period()),
             None => self.span() - Nanos::new(output),
         };
-        let left = latency.declared - wait - latency.reserve;
-        asked.min(left.max(Nanos::ZERO))
+        Some((latency.declared - wait - latency.reserve).max(Nanos::ZERO))
     }
 
     /// Closes the window at `end` if all expected cameras have passed it or its deadline has
     /// passed. Returns whether it did. Reports the missing cameras.
     fn try_close_window(&mut self, end: Timestamp) -> bool {
+        if self.is_fed {
+            return self.ended || self.complete >= Some(end - self.tolerance());
+        }
         let behind = self.behind(end);
-        let waited_for = behind.iter().any(|&camera| self.waiting.is_waited_for(camera));
+        let waited_for = behind.iter().any(|&camera| self.intake.waiting.is_waited_for(camera));
         // Live, only the clock counts: one camera's clock may be fast.
         let clock = if self.live.is_some() { self.now } else { self.intake.newest() };
         let is_overdue = clock.max(self.now) >= Some(end + self.grace());
         let is_overdue = is_overdue && !(self.live.is_some() && self.is_starved());
-        if !(self.ended || (!waited_for && self.waiting.any()) || is_overdue) {
+        if !(self.ended || (!waited_for && self.intake.waiting.any()) || is_overdue) {
             return false;
         }
         if !self.ended {
@@ -200,26 +216,23 @@ impl Tracker {
         if self.live.is_some() && behind.len() == self.rig.cameras.len() {
             return;
         }
-        for &camera in behind {
-            if self.waiting.is_waited_for(camera) && self.is_late(camera) {
-                let waited = self.grace().ns() / 1_000_000;
-                let detail =
-                    format!("late: the window closed {waited} ms after its end without it");
-                self.event(EventKind::Deadline, end, Some(camera), detail);
-            }
-        }
-        for camera in self.waiting.closed_without(behind) {
-            let windows = self.config.grace_windows.max(1);
-            let detail = format!("no frames in {windows} windows, no longer waited for");
-            self.event(EventKind::Silent, end, Some(camera), detail);
-        }
+        let late: Vec<usize> = behind.iter().copied().filter(|&c| self.is_late(c)).collect();
+        let closing = Closing { end, waited: self.grace(), what: "window" };
+        let waiting = &mut self.intake.waiting;
+        let events = waiting.close_without(behind, closing, |camera| late.contains(&camera));
+        let window = Some(self.window);
+        self.outputs.extend(events.into_iter().map(|e| Output::Event(Event { window, ..e })));
     }
 
     /// The capture time up to which frame sets are complete: all expected cameras have reached it,
     /// or the first cameras are one frame past it. Where poses come from provisional fits, frame sets
     /// wait no longer than windows do.
     fn complete_until(&self) -> Option<Timestamp> {
-        let cameras = (0..self.rig.cameras.len()).filter(|&c| self.waiting.is_waited_for(c));
+        if self.is_fed {
+            return self.complete;
+        }
+        let waiting = &self.intake.waiting;
+        let cameras = (0..self.rig.cameras.len()).filter(|&c| waiting.is_waited_for(c));
         let complete = cameras.map(|camera| self.intake.watermark(camera)).min().flatten();
         let front = self.intake.front();
         let moved_on = front.map(|at| at - Nanos::new(self.frame_period() as i64));
@@ -242,6 +255,9 @@ impl Tracker {
     /// Drops the frames up to `end` and refuses later arrivals of that time.
     pub(super) fn close_until(&mut self, end: Timestamp) {
         for event in self.intake.close(end) {
+            if self.is_fed {
+                continue;
+            }
             self.outputs.push_back(Output::Event(Event { window: Some(self.window), ..event }));
         }
     }

@@ -71,13 +71,23 @@ pub enum RecordError {
         /// Path of the file.
         part: PathBuf,
     },
-    /// A negative time; MCAP's log times cannot be negative.
-    #[error("cannot record on {topic}: capture time {ns} ns is before the epoch; shift the epoch")]
-    BeforeEpoch {
-        /// The topic.
-        topic: String,
-        /// The capture time.
-        ns: i64,
+    /// No body of the actor that was asked for.
+    #[error("{} holds no body of {actor}, but of {names}", path.display())]
+    NoBodyOf {
+        /// Path of the file.
+        path: PathBuf,
+        /// The actor.
+        actor: String,
+        /// The actors whose bodies it holds, separated by commas.
+        names: String,
+    },
+    /// Bodies of several actors, and none was named.
+    #[error("{} holds the bodies of {names}; name one with --body-actor", path.display())]
+    SeveralBodies {
+        /// Path of the file.
+        path: PathBuf,
+        /// The actors, separated by commas.
+        names: String,
     },
 }
 

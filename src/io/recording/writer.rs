@@ -223,30 +223,27 @@ impl Writer {
         self.write(&self.topics.truth_skeleton(), at, &Skeleton::from_core(skeleton))
     }
 
-    /// Writes a message of ours on any topic, with log time `at`.
+    /// Writes a message of ours on any topic, with log time `at`. MCAP has no times before the epoch: the
+    /// log time of such a message is 0, and the message holds its own time.
     ///
     /// # Errors
-    /// The disk is full or fails, or `at` is negative.
+    /// The disk is full or fails.
     pub fn write<T: Schema>(
         &mut self,
         topic: &str,
         at: Timestamp,
         message: &T,
     ) -> Result<(), RecordError> {
-        let log_time = u64::try_from(at.ns())
-            .map_err(|_| RecordError::BeforeEpoch { topic: topic.to_owned(), ns: at.ns() })?;
-        let times = [log_time; 2];
-        self.log(topic, &T::full_name(), ENCODING, times, &encode(message))
+        self.log(topic, &T::full_name(), ENCODING, [at; 2], &encode(message))
     }
 
     /// Writes an undecoded message: with the schema's descriptor if it is ours, otherwise without
-    /// schema. Times before the epoch are set to the epoch.
+    /// schema. Times before the epoch are written as 0.
     ///
     /// # Errors
     /// The disk is full or fails, or the topic is above [`Writer::MOST_TOPICS`].
     pub fn write_raw(&mut self, entry: &RawEntry) -> Result<(), RecordError> {
         let times = [entry.log_time, entry.publish_time];
-        let times = times.map(|time| u64::try_from(time.ns()).unwrap_or(0));
         self.log(&entry.topic, &entry.schema, &entry.encoding, times, &entry.payload)
     }
 
@@ -256,7 +253,7 @@ impl Writer {
         topic: &str,
         schema: &str,
         encoding: &str,
-        times: [u64; 2],
+        times: [Timestamp; 2],
         payload: &[u8],
     ) -> Result<(), RecordError> {
         let of_kind =
@@ -276,7 +273,7 @@ impl Writer {
                 (id.map_err(|error| write_error(&self.path, error))?, 0)
             }
         };
-        let [log_time, publish_time] = times;
+        let [log_time, publish_time] = times.map(|time| u64::try_from(time.ns()).unwrap_or(0));
         let header = MessageHeader { channel_id, sequence, log_time, publish_time };
         let written = self.mcap.write_to_known_channel(&header, payload);
         written.map_err(|error| write_error(&self.path, error))

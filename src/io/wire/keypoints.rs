@@ -2,6 +2,8 @@
 
 use nalgebra::Point2;
 
+use std::ops::RangeInclusive;
+
 use super::check::{Field, field};
 use super::{DecodeError, DetectedPerson, KeypointFrame};
 use crate::core::detections::{Detection, Detections, KeypointFormat, Person};
@@ -9,8 +11,8 @@ use crate::core::time::Timestamp;
 
 const POINTS: Field = field("KeypointFrame", "people.points");
 const CAPTURE: Field = field("KeypointFrame", "capture_time_ns");
-/// Largest valid time: the year 2116 of the Unix epoch.
-const LATEST_NS: i64 = i64::MAX / 2;
+/// Valid times: the years 1684 to 2255 by the Unix epoch.
+const TIMES_NS: RangeInclusive<i64> = -9_000_000_000_000_000_000..=9_000_000_000_000_000_000;
 
 impl KeypointFrame {
     /// The detections of `camera` (its name) in an image of `image_size` pixels, width and height.
@@ -38,8 +40,9 @@ impl KeypointFrame {
     ) -> Result<Detections, DecodeError> {
         let camera = index_of(&self.camera)
             .ok_or_else(|| DecodeError::UnknownCamera { name: self.camera.clone() })?;
-        if !(0..=LATEST_NS).contains(&self.capture_time_ns) {
-            let reason = format!("{} is not from 0 to {LATEST_NS}", self.capture_time_ns);
+        if !TIMES_NS.contains(&self.capture_time_ns) {
+            let (least, most) = (TIMES_NS.start(), TIMES_NS.end());
+            let reason = format!("{} is not from {least} to {most}", self.capture_time_ns);
             return Err(CAPTURE.invalid(reason));
         }
         let format = self.keypoint_format()?;

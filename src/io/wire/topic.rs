@@ -176,6 +176,12 @@ impl<'a> Topic<'a> {
         }
     }
 
+    /// The actor of a topic, as text; the default one of a topic without one, as in older recordings.
+    pub fn actor(topic: &str) -> String {
+        let topics = Topic::parse(topic).ok().and_then(|topic| topic.topics());
+        topics.unwrap_or_default().actor
+    }
+
     /// The topics of the same stage and actor; `None` for a topic of a stage.
     pub fn topics(&self) -> Option<Topics> {
         match self {

@@ -6,6 +6,7 @@
 //! that makes it agree is named.
 
 mod consensus;
+mod evidence;
 mod exchange;
 mod footage;
 mod hypotheses;
@@ -15,7 +16,8 @@ mod performer;
 mod placement;
 mod reading;
 
-pub use footage::Footage;
+pub use evidence::Evidence;
+use footage::Footage;
 pub use hypotheses::Finding;
 
 use std::fmt;
@@ -124,8 +126,9 @@ impl CameraCheck {
     }
 }
 
-/// Judges the cameras of a rig by what they saw.
-pub fn check(footage: &Footage, rig: &Rig) -> Check {
+/// Judges the cameras of a rig by their frames, and by what they saw of one performer.
+fn check(frames: &Footage, performer: &Footage, rig: &Rig) -> Check {
+    let footage = performer;
     let scene = Scene::new(footage, rig.cameras.iter().map(Reading::new).collect(), INSTANTS);
     let mut cameras: Vec<CameraCheck> = (0..rig.cameras.len())
         .map(|camera| CameraCheck {
@@ -133,7 +136,7 @@ pub fn check(footage: &Footage, rig: &Rig) -> Check {
             agreeing_percent: None,
             error_px: None,
             mended_px: None,
-            findings: order::findings(footage, &rig.cameras, camera),
+            findings: order::findings(frames, performer, &rig.cameras, camera),
         })
         .collect();
     let Some(judged) = judge(&scene, &rig.cameras) else {

@@ -1,14 +1,12 @@
 //! What the frames of one camera say by themselves: missing people, repeated or shuffled frames, odd
 //! confidences.
 
-use super::footage::{Footage, Track, median, overlap};
+use super::footage::{APART, Footage, Track, median, overlap};
 use super::hypotheses::Finding;
 use crate::core::camera::Camera;
 
 /// A share of frames that equal the one before. Detections of moving images always differ.
 const REPEATED: f64 = 0.3;
-/// Frames between two compared ones.
-const APART: usize = 15;
 /// A performer moves by this part of its size in [`APART`] frames.
 const MOVES: f64 = 0.03;
 /// In shuffled frames, one step is as long as many.
@@ -16,14 +14,19 @@ const ALIKE: f64 = 0.75;
 /// Fewer frames say nothing.
 const LEAST_FRAMES: usize = 20;
 
-/// What is wrong with the frames of a camera.
-pub(super) fn findings(footage: &Footage, cameras: &[Camera], camera: usize) -> Vec<Finding> {
-    let track = &footage.tracks[camera];
+/// What is wrong with the frames of a camera. How people move is told from the frames of one performer.
+pub(super) fn findings(
+    footage: &Footage,
+    performer: &Footage,
+    cameras: &[Camera],
+    camera: usize,
+) -> Vec<Finding> {
+    let (track, performer) = (&footage.tracks[camera], &performer.tracks[camera]);
     let all = [
         absent(footage, cameras, camera),
         disordered(track),
-        repeated(track),
-        shuffled(track).then(|| {
+        repeated(performer),
+        shuffled(performer).then(|| {
             let what = "its frames are not in the order of time: one step is as long as many";
             Finding::new("shuffled", what, "sort its frames, or check their numbers")
         }),
@@ -78,7 +81,7 @@ fn shuffled(track: &Track) -> bool {
     let step = |apart: usize| {
         let pairs = track.frames.iter().zip(track.frames.iter().skip(apart));
         let moved = pairs.filter_map(|(a, b)| {
-            let (a, b) = (a.people.first()?, b.people.first()?);
+            let ([a], [b]) = (&a.people[..], &b.people[..]) else { return None };
             Some(a.distance(b)? / a.extent().max(1.0))
         });
         let mut moved: Vec<f64> = moved.collect();

@@ -30,8 +30,6 @@ pub(super) const POINTS: [Keypoint; 17] = [
 pub(super) const FITTED: usize = 13;
 /// A person with fewer points is not used.
 pub(super) const LEAST_POINTS: usize = 6;
-/// People of a frame that are kept: the largest.
-const MOST_PEOPLE: usize = 3;
 /// The body's points come first in every format.
 const BODY_POINTS: usize = 26;
 /// Points of at most this confidence are not used.
@@ -40,7 +38,9 @@ const CONFIDENT: f64 = 0.3;
 /// second one of a camera with more, and so on. Sections are counted from zero time, so that cameras
 /// with the same clock keep the same ones.
 const SECTION: Nanos = Nanos::from_ms(4000);
-const MOST_SECTIONS: i64 = 24;
+const MOST_SECTIONS: i64 = 12;
+/// Frames between two compared ones.
+pub(super) const APART: usize = 15;
 /// Frames before and after a frame that tell how much the performer moves.
 const REACH: usize = 8;
 
@@ -124,16 +124,24 @@ impl Track {
     }
 }
 
-/// The detections of each camera of a rig: all of 96 seconds, and parts of a longer recording.
+/// The detections of each camera of a rig: all of 48 seconds, and parts of a longer recording.
 #[derive(Clone, Debug)]
 pub struct Footage {
     pub(super) tracks: Vec<Track>,
+    most_people: usize,
 }
 
 impl Footage {
-    /// No frames yet, of that many cameras.
-    pub fn new(cameras: usize) -> Self {
-        Self { tracks: vec![Track { stride: 1, ..Track::default() }; cameras] }
+    /// No frames yet, of that many cameras. Of the people of a frame, so many are kept: the largest.
+    pub fn new(cameras: usize, most_people: usize) -> Self {
+        Self { tracks: vec![Track { stride: 1, ..Track::default() }; cameras], most_people }
+    }
+
+    /// The same with the cameras of which that is true from other footage.
+    pub(super) fn with(&self, other: &Self, is_other: impl Fn(usize) -> bool) -> Self {
+        let both = self.tracks.iter().zip(&other.tracks).enumerate();
+        let track = |(camera, (own, other))| if is_other(camera) { other } else { own };
+        Self { tracks: both.map(track).cloned().collect(), ..*self }
     }
 
     /// Adds a frame, with the capture time of its camera. Cameras that are not in the rig, and frames
@@ -159,8 +167,22 @@ impl Footage {
         }
         let mut people: Vec<Seen> = frame.people.iter().filter_map(Seen::of).collect();
         people.sort_by(|a, b| b.extent().total_cmp(&a.extent()));
-        people.truncate(MOST_PEOPLE);
+        people.truncate(self.most_people);
         track.frames.push(Frame { capture: frame.capture, format: frame.format, people });
+    }
+
+    /// How much somebody moves who is alone in the frames: the distances over [`APART`] frames, as parts
+    /// of the person's size, summed up.
+    pub(super) fn movement(&self) -> f64 {
+        let of_track = |track: &Track| -> f64 {
+            let pairs = track.frames.iter().zip(track.frames.iter().skip(APART));
+            let moved = pairs.filter_map(|(a, b)| {
+                let ([a], [b]) = (&a.people[..], &b.people[..]) else { return None };
+                Some(a.distance(b)? / a.extent().max(1.0))
+            });
+            moved.sum()
+        };
+        self.tracks.iter().map(of_track).sum()
     }
 
     /// Counts points of a camera whose confidence was above 1 in the message.

@@ -1,0 +1,26 @@
+//! `--overwrite`: without it, commands do not replace files.
+
+use std::path::Path;
+
+use clap::Args;
+
+use super::failure::{Exit, Failure};
+
+/// Whether existing files may be replaced.
+#[derive(Clone, Copy, Debug, Args)]
+pub(crate) struct Overwrite {
+    /// Replace existing files.
+    #[arg(long)]
+    pub(crate) overwrite: bool,
+}
+
+impl Overwrite {
+    /// Fails if the file exists and may not be replaced.
+    pub(crate) fn check(self, path: &Path) -> Result<(), Failure> {
+        if self.overwrite || !path.exists() {
+            return Ok(());
+        }
+        let message = format!("{} exists; choose another name, or use --overwrite", path.display());
+        Err(Failure::new(Exit::Usage, message))
+    }
+}
