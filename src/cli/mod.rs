@@ -27,7 +27,6 @@ mod retarget;
 mod retarget_file;
 mod retarget_live;
 mod run;
-mod run_stage;
 mod solve;
 mod span;
 mod sync;

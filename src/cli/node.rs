@@ -25,7 +25,10 @@ impl From<NodeError> for Failure {
     }
 }
 
-/// What all nodes of the program share.
+/// Most solver threads.
+const MOST_SOLVERS: usize = 8;
+
+/// What a node is made of.
 pub(super) struct Parts {
     pub(super) bus: Arc<dyn bus::Bus>,
     pub(super) decoder: Decoder,
@@ -40,10 +43,10 @@ pub(super) fn start_node(
     config: &Config,
     presence: Presence,
     solver_core: Option<SolverCore>,
-    rig: Option<Vec<u8>>,
 ) -> Result<Running, Failure> {
     let core = Core::new(Settings {
         tracker: config.tracker,
+        stage: config.stage,
         node: config.node.clone(),
         toml: config.to_toml(),
         weights: parts.weights.clone(),
@@ -51,9 +54,12 @@ pub(super) fn start_node(
         carried: Carried::default(),
         timecode: timecode(config)?,
     });
-    let (bus, solver) =
-        (Arc::clone(&parts.bus), Solver::new(parts.decoder.clone(), config.tracker));
-    Ok(Node::start(bus, presence, core, solver, &config.node, solver_core, rig)?)
+    // Several performers share as many solvers as there are processors.
+    let processors = std::thread::available_parallelism().map_or(1, usize::from);
+    let count = if config.stage.several() { processors.min(MOST_SOLVERS) } else { 1 };
+    let solver = || Solver::new(parts.decoder.clone(), config.tracker);
+    let solvers = std::iter::repeat_with(solver).take(count).collect();
+    Ok(Node::start(Arc::clone(&parts.bus), presence, core, solvers, &config.node, solver_core)?)
 }
 
 pub(super) fn say_hello(config: &Config, prometheus: Option<&str>) {

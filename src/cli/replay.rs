@@ -129,10 +129,11 @@ fn prepare(start: &JournalStart, weights: Option<&Path>) -> Result<(Settings, So
         );
         return Err(Failure::new(Exit::Weights, message));
     }
-    let (tracker, node) = (config.tracker, config.node.clone());
+    let tracker = config.tracker;
     let settings = Settings {
         tracker,
-        node,
+        stage: config.stage,
+        node: config.node.clone(),
         toml: start.config.clone(),
         weights: ours,
         body: start.body.clone(),

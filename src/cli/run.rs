@@ -89,23 +89,24 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             Some(encode(&wire::Skeleton::from_core(&body)))
         }
     };
+    if body.is_some() && config.stage.several() {
+        let message = "--body, or [node] body, is of one performer; leave out [stage] performers";
+        return Err(Failure::new(Exit::Usage, message));
+    }
     let _log = log::start()?;
     // Before anything is opened, so that a signal always ends in a clean stop.
     let stop = Stop::on_signals()?;
 
     // Before the bus starts its threads, so that they do not use this core.
-    let is_one = config.stage.performers.limit() == 1;
+    let is_one = !config.stage.several();
     let is_alone = is_one && config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
     let parts = Parts { bus, decoder, weights, body };
-    if !is_one {
-        return super::run_stage::run(&parts, &config, &stop, seconds);
-    }
     let now = WallClock::start().now();
     let presence = Presence::announce(Arc::clone(&parts.bus), topics(&config), now)?;
     let Some(presence) = alone(presence, arguments.standby, &stop)? else { return Ok(Exit::Done) };
-    let running = start_node(&parts, &config, presence, solver_core, None)?;
+    let running = start_node(&parts, &config, presence, solver_core)?;
     let bus = parts.bus;
     say_hello(&config, running.prometheus());
     let (node, over) = (running.monitor(), AtomicBool::new(false));

@@ -142,14 +142,13 @@ impl Evidence {
             |one: &&Seen| one.found.iter().filter(|count| **count as f64 >= least).count() >= 2;
         let enough = self.performers.iter().filter(is_enough);
         let most = enough.max_by(|a, b| a.footage.movement().total_cmp(&b.footage.movement()));
-        let footage = match most.filter(|_| several as f64 > SEVERAL * all as f64) {
-            Some(Seen { footage, found }) => {
-                let best = found.iter().copied().max().unwrap_or(0) as f64;
-                let is_odd = |camera: usize| (found[camera] as f64) < FOUND * best;
-                footage.with(&self.everybody, is_odd)
-            }
-            None => self.largest.clone(),
+        let Some(Seen { footage, found }) = most.filter(|_| several as f64 > SEVERAL * all as f64)
+        else {
+            return check(&self.largest, &self.largest, &self.largest, rig);
         };
-        check(&self.largest, &footage, rig)
+        let best = found.iter().copied().max().unwrap_or(0) as f64;
+        let is_odd = |camera: usize| (found[camera] as f64) < FOUND * best;
+        let alone = footage.with(&self.largest, is_odd);
+        check(&self.largest, &alone, &footage.with(&self.everybody, is_odd), rig)
     }
 }

@@ -126,9 +126,9 @@ impl CameraCheck {
     }
 }
 
-/// Judges the cameras of a rig by their frames, and by what they saw of one performer.
-fn check(frames: &Footage, performer: &Footage, rig: &Rig) -> Check {
-    let footage = performer;
+/// Judges the cameras of a rig: by all their frames, by the frames in which somebody is `alone`, and by
+/// what they saw of one performer, where each may be anybody in its frame.
+fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Check {
     let scene = Scene::new(footage, rig.cameras.iter().map(Reading::new).collect(), INSTANTS);
     let mut cameras: Vec<CameraCheck> = (0..rig.cameras.len())
         .map(|camera| CameraCheck {
@@ -136,7 +136,7 @@ fn check(frames: &Footage, performer: &Footage, rig: &Rig) -> Check {
             agreeing_percent: None,
             error_px: None,
             mended_px: None,
-            findings: order::findings(frames, performer, &rig.cameras, camera),
+            findings: order::findings(frames, alone, &rig.cameras, camera),
         })
         .collect();
     let Some(judged) = judge(&scene, &rig.cameras) else {

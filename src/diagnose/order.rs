@@ -14,19 +14,20 @@ const ALIKE: f64 = 0.75;
 /// Fewer frames say nothing.
 const LEAST_FRAMES: usize = 20;
 
-/// What is wrong with the frames of a camera. How people move is told from the frames of one performer.
+/// What is wrong with the frames of a camera. How people move is told from the
+/// frames in which somebody is `alone`.
 pub(super) fn findings(
     footage: &Footage,
-    performer: &Footage,
+    alone: &Footage,
     cameras: &[Camera],
     camera: usize,
 ) -> Vec<Finding> {
-    let (track, performer) = (&footage.tracks[camera], &performer.tracks[camera]);
+    let (track, alone) = (&footage.tracks[camera], &alone.tracks[camera]);
     let all = [
         absent(footage, cameras, camera),
         disordered(track),
-        repeated(performer),
-        shuffled(performer).then(|| {
+        repeated(alone),
+        shuffled(alone).then(|| {
             let what = "its frames are not in the order of time: one step is as long as many";
             Finding::new("shuffled", what, "sort its frames, or check their numbers")
         }),

@@ -7,40 +7,51 @@ use super::port::Output;
 use super::publication::{Content, Publication};
 use super::status::quantile;
 use crate::core::body::StampedPose;
+use crate::core::detections::Detections;
 use crate::core::manifold::StampedKeyframe;
+use crate::core::stage::{self, PerformerId, Stage};
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{
     self, Effort, Event, EventKind, Latency, Outcome, Solution, Tracker, Verdict, WindowReport,
 };
-use crate::io::wire::{self, LiveStamp};
+use crate::io::wire::{self, KeypointFrame, LiveStamp};
 
 impl Core {
-    pub(super) fn solved(&mut self, solution: Solution, took: Nanos) {
+    pub(super) fn solved(&mut self, performer: PerformerId, solution: Solution, took: Nanos) {
         self.took = took;
         let is_tracked = matches!(
             &solution.outcome,
             Outcome::Tracked(tracked) if tracked.verdict == Verdict::Tracked
         );
         if is_tracked {
-            self.settle();
+            self.settle(performer);
         }
-        self.give(tracker::Input::Solved(solution));
+        if let Some(stage) = &mut self.stage {
+            stage.solved(performer, solution);
+        }
     }
 
     /// Declares the latency and adjusts the effort after a solved window.
-    fn settle(&mut self) {
-        let Some(times) = self.latency_times(self.clock.delay()) else { return };
+    fn settle(&mut self, performer: PerformerId) {
+        let delay = self.clock.delay();
+        let tracker = self.trackers().get(performer.0);
+        let Some(times) = tracker.map(|tracker| latency_times(tracker, delay)) else { return };
         let config = self.settings.tracker;
         let found = self.latency.solved(self.took, times, &config);
         if found.is_some() {
             return self.declare(found);
         }
         let [.., period] = times;
-        let Some(track) = &mut self.track else { return };
         let Some(available) = self.latency.solve_time(period) else { return };
+        // With several performers a job also waits for those of the others.
+        let sent = self.performer(performer).sent.filter(|_| self.is_several());
+        let took = sent.map_or(self.took, |sent| self.now - sent);
+        let is_resuming = self.trackers().get(performer.0).is_some_and(Tracker::is_resuming);
         // What waited while nothing came is no measure of the solver.
-        let trouble = self.trouble.take().filter(|_| !track.is_resuming());
-        let Some(why) = self.governor.solved(self.took, available, trouble) else { return };
+        let trouble = self.trouble.take().filter(|_| !is_resuming);
+        let tracked = self.trackers().iter().filter(|tracker| !tracker.is_idle()).count();
+        self.governor.performers = tracked as u32;
+        let Some(why) = self.governor.solved(took, available, trouble) else { return };
         self.set_effort(&why);
     }
 
@@ -48,26 +59,23 @@ impl Core {
     fn set_effort(&mut self, why: &str) {
         let level = self.governor.level();
         let effort = Effort::at(level, &self.settings.tracker);
-        if let Some(track) = &mut self.track {
-            track.set_effort(effort);
+        if let Some(stage) = &mut self.stage {
+            stage.set_effort(effort);
         }
         let Effort { iterations, stride, .. } = effort;
         let detail = format!("level {level}: {iterations} iterations, stride {stride}; {why}");
         self.event(EventKind::Effort, None, detail);
     }
 
-    /// Time of a window from its first pose, delay of the network, and frame period.
+    /// The times of the performer whose times hold for all.
     fn latency_times(&self, delay: Nanos) -> Option<[Nanos; 3]> {
-        let track = self.track.as_ref()?;
-        let output = Nanos::new(track.output_grid().map_or(0, |grid| grid.period_ns as i64));
-        let period = Nanos::rounded(track.frame_period());
-        Some([track.span() - output, delay, period])
+        Some(latency_times(self.stage.as_ref()?.lead(), delay))
     }
 
     /// Declares a latency, if one was found.
     fn declare(&mut self, found: Option<(Latency, String)>) {
-        let (Some((latency, why)), Some(track)) = (found, &mut self.track) else { return };
-        track.set_latency(latency);
+        let (Some((latency, why)), Some(stage)) = (found, &mut self.stage) else { return };
+        stage.set_latency(latency);
         self.event(EventKind::Latency, None, why);
     }
 
@@ -95,56 +103,87 @@ impl Core {
         }
     }
 
-    /// Turns outputs of the tracker into outputs of the core.
+    /// Turns outputs of the stage into outputs of the core.
     pub(super) fn drain(&mut self) {
-        while let Some(output) = self.track.as_mut().and_then(Tracker::poll) {
+        while let Some(output) = self.stage.as_mut().and_then(Stage::poll) {
             match output {
-                tracker::Output::Solve(job) => {
-                    self.is_solving = true;
-                    self.outputs.push_back(Output::Solve(job));
-                }
-                tracker::Output::Skeleton(skeleton) => {
-                    let message = wire::Skeleton::from_core(&skeleton);
-                    let message = wire::Skeleton { run_id: self.run_id, ..message };
-                    self.skeleton = Some(skeleton);
-                    let now = self.clock.capture_time(self.now);
-                    self.publish(self.topics.skeleton(), now, Content::Skeleton(message));
-                }
-                tracker::Output::Pose(pose) if pose.provisional => self.provisional(&pose),
-                tracker::Output::Pose(pose) => self.pose(&pose),
-                tracker::Output::Keyframe(keyframe) => self.keyframe(&keyframe),
-                tracker::Output::Window(report) => self.window(&report),
-                tracker::Output::Event(event) => self.tracker_event(&event),
+                stage::Output::Performer(performer, output) => self.of_performer(performer, output),
+                stage::Output::Event(event) => self.camera_event(&event),
+                stage::Output::Frame(performer, frame) => self.frame_of(performer, frame),
             }
         }
     }
 
-    fn pose(&mut self, pose: &StampedPose) {
-        let Some(latency) = self.latency.declared() else { return };
-        let due = pose.capture + latency;
-        let Some(message) = self.pose_message(pose, Some(due)) else { return };
-        self.outputs.push_back(Output::Publish(Publication {
-            topic: self.topics.pose().into(),
-            capture: pose.capture,
-            due: Some(self.clock.node_time(due)),
-            content: Content::Pose(message),
-        }));
+    fn of_performer(&mut self, performer: PerformerId, output: tracker::Output) {
+        match output {
+            tracker::Output::Solve(job) => {
+                self.jobs += 1;
+                self.performer(performer).sent = Some(self.now);
+                self.outputs.push_back(Output::Solve(performer, job));
+            }
+            tracker::Output::Skeleton(skeleton) => {
+                let message = wire::Skeleton::from_core(&skeleton);
+                let message = wire::Skeleton { run_id: self.run_id, ..message };
+                let now = self.clock.capture_time(self.now);
+                let performer = self.performer(performer);
+                performer.skeleton = Some(skeleton);
+                let topic = performer.topics.skeleton();
+                self.publish(topic, now, Content::Skeleton(message));
+            }
+            tracker::Output::Pose(pose) if pose.provisional => self.provisional(performer, &pose),
+            tracker::Output::Pose(pose) => self.pose(performer, &pose),
+            tracker::Output::Keyframe(keyframe) => self.keyframe(performer, &keyframe),
+            tracker::Output::Window(report) => self.window(performer, &report),
+            tracker::Output::Event(event) => self.performer_event(performer, &event),
+        }
     }
 
-    fn provisional(&mut self, pose: &StampedPose) {
-        let half = self.track.as_ref().map_or(0, |track| track.frame_period() as i64 / 2);
-        let half = Nanos::new(half);
+    /// Publishes a performer's detections, for other nodes.
+    fn frame_of(&mut self, performer: PerformerId, frame: Detections) {
+        let rig = self.stage.as_ref().map(Stage::rig);
+        let Some(camera) = rig.and_then(|rig| rig.cameras.get(frame.camera)) else { return };
+        let capture = frame.capture - camera.time_offset;
+        let frame = Detections { capture, ..frame };
+        let size = [camera.width, camera.height];
+        let message = KeypointFrame::from_core(&frame, &camera.name, size);
+        let topic = self.performer(performer).topics.actor_keypoints(&message.camera);
+        self.publish(topic, capture, Content::Keypoints(message));
+    }
+
+    fn pose(&mut self, performer: PerformerId, pose: &StampedPose) {
+        let Some(latency) = self.latency.declared() else { return };
+        let due = pose.capture + latency;
+        let Some(message) = self.pose_message(performer, pose, Some(due)) else { return };
+        let due = Some(self.clock.node_time(due));
+        let performer = self.performer(performer);
+        performer.poses.published += 1;
+        let (topic, content) = (performer.topics.pose().into(), Content::Pose(message));
+        let publication = Publication { topic, capture: pose.capture, due, content };
+        self.outputs.push_back(Output::Publish(publication));
+    }
+
+    fn provisional(&mut self, performer: PerformerId, pose: &StampedPose) {
+        let period = self.trackers().get(performer.0).map_or(0.0, Tracker::frame_period);
+        let half = Nanos::new(period as i64 / 2);
         let of_set = self.arrivals.iter().filter(|(at, _)| (*at - pose.capture).abs() <= half);
         if let Some((_, arrival)) = of_set.max_by_key(|(_, arrival)| *arrival) {
             let latency = (self.now - *arrival).ns() / 1000;
             self.published.provisional(u32::try_from(latency).unwrap_or(u32::MAX));
         }
-        let Some(message) = self.pose_message(pose, None) else { return };
-        self.publish(self.topics.provisional(), pose.capture, Content::Pose(message));
+        let Some(message) = self.pose_message(performer, pose, None) else { return };
+        let performer = self.performer(performer);
+        performer.poses.provisional += 1;
+        let topic = performer.topics.provisional();
+        self.publish(topic, pose.capture, Content::Pose(message));
     }
 
-    fn pose_message(&self, pose: &StampedPose, due: Option<Timestamp>) -> Option<wire::Pose> {
-        let skeleton = self.skeleton.as_ref()?;
+    fn pose_message(
+        &self,
+        performer: PerformerId,
+        pose: &StampedPose,
+        due: Option<Timestamp>,
+    ) -> Option<wire::Pose> {
+        let skeleton = self.performers.get(performer.0)?.skeleton.as_ref()?;
         let latency = self.latency.declared().unwrap_or_default();
         let live = LiveStamp { due, latency, run_id: self.run_id };
         let timecode = self.settings.timecode.map(|house| house.label(pose.capture));
@@ -152,17 +191,20 @@ impl Core {
         Some(wire::Pose { timecode: timecode.unwrap_or_default(), ..message })
     }
 
-    fn keyframe(&mut self, keyframe: &StampedKeyframe) {
-        if self.skeleton.is_none() {
+    fn keyframe(&mut self, performer: PerformerId, keyframe: &StampedKeyframe) {
+        let performer = self.performer(performer);
+        if performer.skeleton.is_none() {
             return;
         }
+        let topic = performer.topics.keyframe();
         let message = wire::Keyframe::from_core(keyframe, &self.settings.weights);
         let message = wire::Keyframe { run_id: self.run_id, ..message };
-        self.publish(self.topics.keyframe(), keyframe.capture, Content::Keyframe(message));
+        self.publish(topic, keyframe.capture, Content::Keyframe(message));
     }
 
-    fn window(&mut self, report: &WindowReport) {
-        self.windows.solved(report, self.took);
+    fn window(&mut self, performer: PerformerId, report: &WindowReport) {
+        let took = self.took;
+        self.performer(performer).windows.solved(report, took);
         let mut errors: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
         for residual in report.residuals.iter().filter(|residual| residual.error_px.is_finite()) {
             errors.entry(residual.camera).or_default().push(residual.error_px);
@@ -174,17 +216,33 @@ impl Core {
         }
     }
 
-    fn tracker_event(&mut self, event: &Event) {
+    fn performer_event(&mut self, performer: PerformerId, event: &Event) {
         match event.kind {
-            EventKind::Deadline => self.windows.incomplete(),
+            EventKind::Deadline => self.performer(performer).windows.incomplete(),
             EventKind::Dropped => self.fell_behind(&event.detail),
-            EventKind::Overdue if self.track.as_ref().is_some_and(|t| !t.is_resuming()) => {
+            EventKind::Overdue
+                if self.trackers().get(performer.0).is_some_and(|t| !t.is_resuming()) =>
+            {
                 self.trouble = Some("a pose was not solved when due")
             }
             _ => {}
         }
         let camera = event.camera.and_then(|index| self.cameras.get(index));
         let camera = camera.map(|camera| camera.name().to_owned());
-        self.emit(event, camera.as_deref());
+        self.performer(performer);
+        self.emit(event, self.bundle_of(performer), camera.as_deref());
     }
+
+    /// An event of the cameras, which concerns all performers.
+    fn camera_event(&mut self, event: &Event) {
+        let camera = event.camera.and_then(|index| self.cameras.get(index));
+        let camera = camera.map(|camera| camera.name().to_owned());
+        self.emit(event, 0, camera.as_deref());
+    }
+}
+
+/// Time of a window from its first pose, delay of the network, and frame period.
+fn latency_times(tracker: &Tracker, delay: Nanos) -> [Nanos; 3] {
+    let output = Nanos::new(tracker.output_grid().map_or(0, |grid| grid.period_ns as i64));
+    [tracker.span() - output, delay, Nanos::rounded(tracker.frame_period())]
 }

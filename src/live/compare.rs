@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
-use crate::io::wire::{Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, Topics, decode};
+use crate::io::wire::{
+    Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, Topic, Topics, decode,
+};
 
 /// A message of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -88,14 +90,20 @@ impl At {
     }
 }
 
-/// Events that are not outputs of a node's core.
-const NO_RUN: [EventKind; 4] =
-    [EventKind::SecondNode, EventKind::Entered, EventKind::Reentered, EventKind::Merged];
-
+/// Whether it is an event that is no output of a node's core.
 fn is_of_no_run(message: &Recorded) -> bool {
     *message.schema == *Event::FULL_NAME
         && decode::<Event>(&message.payload)
-            .is_ok_and(|event| event.event_kind().is_some_and(|kind| NO_RUN.contains(&kind)))
+            .is_ok_and(|event| event.event_kind() == Some(EventKind::SecondNode))
+}
+
+/// Whether it is an output of one of several performers of the stage in that run.
+fn is_of_performer(message: &Recorded, stage: &str, run: u64) -> bool {
+    let of_stage = match Topic::parse(&message.topic) {
+        Ok(Topic::Actor { stage: other, .. }) => *other == *stage,
+        _ => false,
+    };
+    of_stage && run_of(message) == Some(run)
 }
 
 fn run_of(message: &Recorded) -> Option<u64> {
@@ -123,7 +131,10 @@ pub(super) fn compare(
     is_cut: bool,
 ) -> BTreeMap<String, Comparison> {
     let ours = topics.outputs();
-    let is_ours = |message: &&Recorded| ours.iter().any(|topic| **topic == *message.topic);
+    let is_ours = |message: &&Recorded| {
+        ours.iter().any(|topic| **topic == *message.topic)
+            || is_of_performer(message, &topics.stage, at.run)
+    };
     let mut by_topic: BTreeMap<&str, [Vec<&Recorded>; 2]> = BTreeMap::new();
     for message in replayed.iter().filter(is_ours) {
         by_topic.entry(&message.topic).or_default()[1].push(message);

@@ -9,11 +9,13 @@ use super::events::Events;
 use super::governor::Governor;
 use super::journal::{self, Journal};
 use super::latency::Finder;
+use super::performer::{Performer, Progress, coasted_and_missed, state_of_all, windows_of_all};
 use super::port::{Input, Loss, MOST_BYTES, MOST_ORDER_BYTES, Output, Settings};
 use super::publication::{Content, Publication};
-use super::status::{Published, Windows};
-use crate::core::body::{Skeleton, TrackingState};
+use super::status::Published;
+use crate::core::body::Skeleton;
 use crate::core::camera::Rig;
+use crate::core::stage::{self, PerformerId, Stage};
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, EventKind, Live, Tracker};
 use crate::io::wire::{self, Topics};
@@ -35,15 +37,14 @@ pub struct Core {
     /// Hashes of the file's rigs and of refused ones: each is reported once.
     pub(super) known_rigs: Vec<u64>,
     pub(super) calibration: Option<Calibration>,
-    pub(super) track: Option<Tracker>,
-    /// The body of the next pose.
-    pub(super) skeleton: Option<Arc<Skeleton>>,
+    pub(super) stage: Option<Stage>,
+    /// By number.
+    pub(super) performers: Vec<Performer>,
     pub(super) cameras: Vec<Camera>,
     pub(super) clock: Clock,
     pub(super) latency: Finder,
     pub(super) governor: Governor,
     pub(super) counts: Events,
-    pub(super) windows: Windows,
     pub(super) published: Published,
     pub(super) queue_dropped: u64,
     /// What went wrong since the last window; input of the governor.
@@ -55,8 +56,10 @@ pub struct Core {
     pub(super) journal: Journal,
     /// Whether all entries of the journal are written now.
     pub(super) is_flushed: bool,
-    /// Whether a job is out.
-    pub(super) is_solving: bool,
+    /// Most people at a time who are not performers.
+    pub(super) others: usize,
+    /// Number of jobs that are out.
+    pub(super) jobs: usize,
     /// The take that begins as soon as no job is out.
     pub(super) starting: Option<wire::Take>,
     /// Name of the take that runs, or empty.
@@ -74,7 +77,11 @@ impl Core {
         let node = &settings.node;
         let topics = Topics { stage: node.stage.clone(), actor: node.actor.clone() };
         Self {
-            latency: Finder::new(node.latency_ms, settings.carried.latency),
+            latency: Finder::new(
+                node.latency_ms,
+                settings.carried.latency,
+                settings.stage.several(),
+            ),
             running: settings.carried.take.clone(),
             settings,
             topics,
@@ -83,13 +90,12 @@ impl Core {
             rig_at_start: None,
             known_rigs: Vec::new(),
             calibration: None,
-            track: None,
-            skeleton: None,
+            stage: None,
+            performers: Vec::new(),
             cameras: Vec::new(),
             clock: Clock::new(0),
             governor: Governor::default(),
             counts: Events::default(),
-            windows: Windows::default(),
             published: Published::new(),
             queue_dropped: 0,
             trouble: None,
@@ -97,7 +103,8 @@ impl Core {
             took: Nanos::ZERO,
             journal: Journal::default(),
             is_flushed: false,
-            is_solving: false,
+            jobs: 0,
+            others: 0,
             starting: None,
             run_id: 0,
             next_second: None,
@@ -124,16 +131,16 @@ impl Core {
         self.ended |= matches!(input, Input::End);
         let is_last = self.ended;
         if self.clock.is_known() {
-            self.give(tracker::Input::Tick(self.clock.capture_time(self.now)));
+            self.give(stage::Input::Tick(self.clock.capture_time(self.now)));
         }
         match input {
             Input::Message { topic, payload } => self.message(&topic, &payload),
             Input::RigFile(bytes) => self.rig_file(bytes),
-            Input::Solved { solution, took } => {
-                self.is_solving = false;
+            Input::Solved { performer, solution, took } => {
+                self.jobs = self.jobs.saturating_sub(1);
                 // Its window would end in the next run.
                 if self.starting.is_none() {
-                    self.solved(*solution, took);
+                    self.solved(performer, *solution, took);
                 }
             }
             Input::Tick => {}
@@ -141,11 +148,11 @@ impl Core {
             Input::Played(deviations_us) => self.published.played(&deviations_us),
             Input::End => {
                 self.give_up_start();
-                self.give(tracker::Input::End);
+                self.give(stage::Input::End);
             }
         }
         self.drain();
-        if !self.is_solving
+        if self.jobs == 0
             && let Some(take) = self.starting.take()
         {
             self.begin_take(take);
@@ -173,9 +180,9 @@ impl Core {
         self.calibration.as_ref().map(|calibration| &*calibration.bytes)
     }
 
-    pub(super) fn give(&mut self, input: tracker::Input) {
-        if let Some(track) = &mut self.track {
-            track.handle(input);
+    pub(super) fn give(&mut self, input: stage::Input) {
+        if let Some(stage) = &mut self.stage {
+            stage.handle(input);
         }
     }
 
@@ -188,10 +195,17 @@ impl Core {
             output_rate_hz: node.output_rate_hz,
         };
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
-        self.skeleton = None;
-        let tracker = Tracker::new(self.settings.tracker, rig).live(live);
-        let tracker = tracker.with_time_corrections(&self.settings.carried.time_offsets);
-        self.track = Some(tracker.with_body_to_check(self.body()));
+        self.performers.clear();
+        let Settings { tracker: config, stage: of_stage, carried, .. } = &self.settings;
+        let tracker = Tracker::new(*config, rig).live(live);
+        let tracker = tracker.with_time_corrections(&carried.time_offsets);
+        let tracker = tracker.with_body_to_check(self.body());
+        let stage = Stage::new(tracker, *config, of_stage.performers, None);
+        let stage = stage.with_known(&carried.performers);
+        self.stage = Some(if of_stage.solve { stage } else { stage.without_solving() });
+        if !self.is_several() {
+            self.performer(PerformerId(0));
+        }
         self.event(EventKind::Calibrated, None, detail);
     }
 
@@ -254,25 +268,29 @@ impl Core {
     ) {
         let capture = self.clock.capture_time(self.now);
         let event = tracker::Event { capture, kind, camera: None, window: None, count, detail };
-        self.emit(&event, camera);
+        self.emit(&event, 0, camera);
     }
 
-    /// Counts and publishes an event; `camera` is the name of the camera that it concerns.
-    pub(super) fn emit(&mut self, event: &tracker::Event, camera: Option<&str>) {
+    /// Counts and publishes an event of the node (`of` is 0) or of the performer before that number;
+    /// `camera` is the name of the camera that it concerns.
+    pub(super) fn emit(&mut self, event: &tracker::Event, of: usize, camera: Option<&str>) {
         if let Some(name) = camera
             && let Some(camera) = self.cameras.iter_mut().find(|camera| camera.name() == name)
         {
             camera.event(event.kind, event.count);
         }
-        if let Some(message) = self.counts.add(event, camera) {
-            self.publish_event(event.kind, message);
+        if let Some(message) = self.counts.add(event, of, camera) {
+            self.publish_event(event.kind, of, message);
         }
     }
 
-    fn publish_event(&mut self, kind: EventKind, message: wire::Event) {
+    /// Publishes an event of the node (0) or of the performer before that number.
+    pub(super) fn publish_event(&mut self, kind: EventKind, of: usize, message: wire::Event) {
         let message = wire::Event { run_id: self.run_id, ..message };
         let capture = Timestamp::from_ns(message.capture_time_ns);
-        self.publish(self.topics.events(kind), capture, Content::Event(message));
+        let performer = of.checked_sub(1).and_then(|number| self.performers.get(number));
+        let topics = performer.map_or(&self.topics, |performer| &performer.topics);
+        self.publish(topics.events(kind), capture, Content::Event(message));
     }
 
     /// Publishes a message at once.
@@ -289,41 +307,62 @@ impl Core {
         }
         let passed = (self.now - next + Nanos::SECOND).max(Nanos::new(1));
         self.next_second = Some(self.now + Nanos::SECOND);
-        for (kind, message) in self.counts.second() {
-            self.publish_event(kind, message);
+        for (kind, of, message) in self.counts.second() {
+            self.publish_event(kind, of, message);
         }
         for camera in &mut self.cameras {
             camera.second(passed);
         }
+        self.watch_crowd();
         self.watch_clocks();
         self.clock.follow(self.now);
         self.lower_latency();
-        let status = self.status();
+        self.publish_status();
+    }
+
+    /// Publishes the status of the node and, with several performers, of each.
+    fn publish_status(&mut self) {
+        let all = self.progress();
+        let of_node = Progress {
+            state: state_of_all(&all),
+            windows: windows_of_all(&all),
+            playout: self.published.counters(coasted_and_missed(&all)),
+        };
+        let status = self.status(of_node);
         let capture = self.clock.capture_time(self.now);
+        let performers = if self.is_several() { all } else { Vec::new() };
+        for (number, Progress { state, windows, playout }) in performers.into_iter().enumerate() {
+            let topic = self.performers[number].topics.status();
+            let status = wire::Status {
+                tracker_state: state.to_owned(),
+                windows: Some(windows),
+                playout: Some(playout),
+                ..status.clone()
+            };
+            self.publish(topic, capture, Content::Status(Box::new(status)));
+        }
         self.publish(self.topics.status(), capture, Content::Status(Box::new(status)));
     }
 
-    fn status(&self) -> wire::Status {
-        let track = self.track.as_ref();
-        let cameras = self.cameras.iter().enumerate().map(|(index, camera)| {
-            let used = track.map_or(0, |track| track.used(index));
-            let waited_for = track.is_some_and(|track| track.is_waited_for(index))
-                && !self.clock.is_left_out(index);
+    fn status(&mut self, of_node: Progress) -> wire::Status {
+        let mut cameras = Vec::new();
+        for (index, camera) in self.cameras.iter().enumerate() {
+            let stage = self.stage.as_mut();
+            let (waited_for, used) = stage.map_or((false, 0), |stage| stage.camera(index));
+            let waited_for = waited_for && !self.clock.is_left_out(index);
             let offset = self.clock.offset(index, self.now).unwrap_or_default();
-            camera.counters(self.now, used, waited_for, offset)
-        });
+            cameras.push(camera.counters(self.now, used, waited_for, offset));
+        }
         let effort = tracker::Effort::at(self.governor.level(), &self.settings.tracker);
         wire::Status {
             capture_time_ns: self.clock.capture_time(self.now).ns(),
-            cameras: cameras.collect(),
-            windows: Some(self.windows.counters()),
+            cameras,
+            windows: Some(of_node.windows),
             node_time_ns: self.now.ns(),
             inputs: self.journal.count,
-            tracker_state: track.map_or("searching", tracker_state).to_owned(),
+            tracker_state: of_node.state.to_owned(),
             declared_latency_ns: self.latency.declared().unwrap_or_default().ns().unsigned_abs(),
-            playout: Some(
-                self.published.counters(track.map_or((0, 0), Tracker::extrapolated_and_missed)),
-            ),
+            playout: Some(of_node.playout),
             effort: Some(wire::EffortStatus {
                 level: self.governor.level(),
                 iterations: effort.iterations as u32,
@@ -339,7 +378,7 @@ impl Core {
     }
 
     fn wake(&mut self) {
-        let track = self.track.as_ref().and_then(Tracker::wake);
+        let track = self.stage.as_mut().and_then(Stage::wake);
         // If its wake time is past, the tracker waits for an input and not for a time.
         let next = track.map(|capture| self.clock.node_time(capture)).filter(|at| *at > self.now);
         let next = next.into_iter();
@@ -348,17 +387,5 @@ impl Core {
             self.wake = Some(at);
             self.outputs.push_back(Output::Wake(at));
         }
-    }
-}
-
-/// The tracker's state by its name in the status message.
-fn tracker_state(track: &Tracker) -> &'static str {
-    match track.state() {
-        _ if track.is_idle() => "idle",
-        Some(TrackingState::Tracking) => "tracking",
-        Some(TrackingState::Coasting) => "coasting",
-        _ if track.sees_somebody() => "acquiring",
-        Some(TrackingState::Lost) => "lost",
-        None => "searching",
     }
 }

@@ -22,17 +22,23 @@ struct Bundle {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Events {
     counts: BTreeMap<EventKind, u64>,
-    bundles: BTreeMap<(EventKind, Option<String>), Bundle>,
+    /// By kind, performer and camera.
+    bundles: BTreeMap<(EventKind, usize, Option<String>), Bundle>,
 }
 
 impl Events {
-    /// Counts an event; `camera` is the name of the camera that it concerns. Returns the message
-    /// if it is to be published now.
-    pub(super) fn add(&mut self, event: &Event, camera: Option<&str>) -> Option<wire::Event> {
+    /// Counts an event; `camera` is the name of the camera that it concerns, `performer` the number of
+    /// the topics on which it is published. Returns the message if it is to be published now.
+    pub(super) fn add(
+        &mut self,
+        event: &Event,
+        performer: usize,
+        camera: Option<&str>,
+    ) -> Option<wire::Event> {
         *self.counts.entry(event.kind).or_default() += event.count;
         let message = wire::Event::from_core(event, camera);
         let camera = camera.filter(|_| self.bundles.len() < MOST_BUNDLES).map(str::to_owned);
-        let bundle = self.bundles.entry((event.kind, camera)).or_default();
+        let bundle = self.bundles.entry((event.kind, performer, camera)).or_default();
         if bundle.published < SINGLE {
             bundle.published += 1;
             return Some(message);
@@ -43,9 +49,11 @@ impl Events {
     }
 
     /// The bundles of the last second.
-    pub(super) fn second(&mut self) -> Vec<(EventKind, wire::Event)> {
+    pub(super) fn second(&mut self) -> Vec<(EventKind, usize, wire::Event)> {
         let bundles = std::mem::take(&mut self.bundles).into_iter();
-        bundles.filter_map(|((kind, _), bundle)| Some((kind, bundle.waiting?))).collect()
+        let waiting =
+            |((kind, performer, _), bundle): (_, Bundle)| Some((kind, performer, bundle.waiting?));
+        bundles.filter_map(waiting).collect()
     }
 
     /// Number of events of each kind.
@@ -74,15 +82,15 @@ mod tests {
             count: 1,
             detail: detail.to_string(),
         };
-        let single = (0..1000).filter_map(|i| events.add(&late(i), Some("left"))).count();
+        let single = (0..1000).filter_map(|i| events.add(&late(i), 0, Some("left"))).count();
         assert_eq!(single as u64, SINGLE);
         let put_together = events.second();
         assert_eq!(put_together.len(), 1);
-        let (kind, together) = &put_together[0];
+        let (kind, _, together) = &put_together[0];
         assert_eq!((kind, together.count), (&EventKind::Late, 1000 - SINGLE));
         assert_eq!((&*together.detail, together.camera.as_deref()), ("999", Some("left")));
         assert_eq!(events.counts()[0].count, 1000);
         assert!(events.second().is_empty());
-        assert!(events.add(&late(0), Some("left")).is_some());
+        assert!(events.add(&late(0), 0, Some("left")).is_some());
     }
 }

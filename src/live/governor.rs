@@ -20,6 +20,8 @@ pub(super) struct Governor {
     level: u32,
     calm: u32,
     settling: u32,
+    /// Number of performers whose windows are judged.
+    pub(super) performers: u32,
     /// How often the level rose, that is, effort was reduced.
     pub(super) degradation_steps: u64,
 }
@@ -32,9 +34,13 @@ impl Governor {
     /// The tracker fell behind, so that no window is judged: fewer frames from now on. Returns
     /// whether the level changes.
     pub(super) fn fell_behind(&mut self) -> bool {
+        if self.settling > 0 && self.performers > 1 {
+            // Several performers fall behind together.
+            return false;
+        }
         let level = (self.level + 1).clamp(Effort::FEWER_FRAMES, Effort::LEVELS - 1);
         self.degradation_steps += u64::from(level - self.level);
-        (self.calm, self.settling) = (0, SETTLE);
+        (self.calm, self.settling) = (0, self.windows(SETTLE));
         std::mem::replace(&mut self.level, level) != level
     }
 
@@ -55,18 +61,24 @@ impl Governor {
             if self.level + 1 >= Effort::LEVELS {
                 return None;
             }
-            (self.level, self.settling) = (self.level + 1, SETTLE);
+            (self.level, self.settling) = (self.level + 1, self.windows(SETTLE));
             self.degradation_steps += 1;
             let trouble = trouble.unwrap_or("the solve is too slow");
             return Some(format!("{trouble}; a window took {took} of {available}"));
         }
         let is_calm = took * SPARE <= available;
         self.calm = if is_calm { self.calm + 1 } else { 0 };
-        if self.level == 0 || self.calm < CALM {
+        let calm = self.windows(CALM);
+        if self.level == 0 || self.calm < calm {
             return None;
         }
         (self.level, self.calm) = (self.level - 1, 0);
-        Some(format!("{CALM} windows took at most half of {available}"))
+        Some(format!("{calm} windows took at most half of {available}"))
+    }
+
+    /// So many windows of each performer.
+    fn windows(&self, each: u32) -> u32 {
+        each * self.performers.max(1)
     }
 }
 

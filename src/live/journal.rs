@@ -1,6 +1,6 @@
 //! Records the inputs of the core in order, so that a replay can repeat them.
 
-use super::port::{Input, Loss, Settings};
+use super::port::{Input, Loss, Settings, wire_known};
 use crate::core::fnv::fnv1a;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::wire::journal_entry::Input as Entry;
@@ -68,7 +68,8 @@ impl Journal {
                 hash: fnv1a(payload),
                 payload: Some(payload.clone()),
             }),
-            Input::Solved { solution, took } => Entry::Solved(JournalSolved {
+            Input::Solved { performer, solution, took } => Entry::Solved(JournalSolved {
+                performer: performer.0 as u32,
                 job: solution.number,
                 took_ns: took.ns().unsigned_abs(),
             }),
@@ -140,5 +141,6 @@ pub(super) fn start(settings: &Settings, rig: Option<&[u8]>, run_id: u64) -> Jou
         take: settings.carried.take.clone(),
         latency_ns: settings.carried.latency.unwrap_or_default().ns().unsigned_abs(),
         time_offsets_ns: settings.carried.time_offsets.iter().map(|offset| offset.ns()).collect(),
+        performers: settings.carried.performers.iter().map(wire_known).collect(),
     }
 }

@@ -10,8 +10,9 @@ use crate::core::tracker::{Config, Latency};
 const WINDOWS: usize = 5;
 /// Factor on the slowest solve time; gives the time reserved for a solve.
 const SOLVE_FACTOR: i64 = 2;
-/// Least time reserved for a solve.
+/// Least time reserved for a solve, and for one that waits for those of other performers.
 const LEAST_SOLVE: Nanos = Nanos::from_ms(22);
+const LEAST_OF_SEVERAL: Nanos = Nanos::from_ms(40);
 /// Least time reserved for the network.
 const LEAST_NETWORK: Nanos = Nanos::from_ms(2);
 /// Time reserved for a solve when the latency is configured.
@@ -35,6 +36,7 @@ const CALM: u32 = 30;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Finder {
     given: Option<Nanos>,
+    least_solve: Nanos,
     /// The latency of the run before, if there was one.
     before: Option<Nanos>,
     solves: Vec<Nanos>,
@@ -48,10 +50,12 @@ pub(super) struct Finder {
 }
 
 impl Finder {
-    /// For a configured latency in milliseconds, 0 to measure it, and that of the run before.
-    pub(super) fn new(given_ms: f64, before: Option<Nanos>) -> Self {
+    /// For a configured latency in milliseconds, 0 to measure it, and that of the run before; for one
+    /// performer or `several`.
+    pub(super) fn new(given_ms: f64, before: Option<Nanos>, several: bool) -> Self {
         let given = (given_ms > 0.0).then(|| Nanos::new((given_ms * 1e6) as i64));
-        Self { given, before, ..Self::default() }
+        let least_solve = if several { LEAST_OF_SEVERAL } else { LEAST_SOLVE };
+        Self { given, least_solve, before, ..Self::default() }
     }
 
     /// The latency, once it is declared.
@@ -82,7 +86,7 @@ impl Finder {
         let before = self.before.take().map(|before| before - wait - delay.max(LEAST_NETWORK));
         if let Some(solve) = before.map(|rest| rest - PUBLISH)
             && self.given.is_none()
-            && solve >= LEAST_SOLVE.min(wait)
+            && solve >= self.least_solve.min(wait)
         {
             return Some(self.declare([wait, solve, delay], period, config));
         }
@@ -91,7 +95,7 @@ impl Finder {
             return None;
         }
         let slowest = self.solves.iter().max().copied().unwrap_or_default();
-        let solve = (slowest * SOLVE_FACTOR).max(LEAST_SOLVE).min(wait);
+        let solve = (slowest * SOLVE_FACTOR).max(self.least_solve).min(wait);
         Some(self.declare([wait, solve, delay], period, config))
     }
 
@@ -193,7 +197,7 @@ mod tests {
 
     #[test]
     fn a_latency_is_found_once_from_the_slowest_of_the_first_windows() {
-        let mut finder = Finder::new(0.0, None);
+        let mut finder = Finder::new(0.0, None, false);
         for took in [5, 20, 6, 5] {
             assert!(solved(&mut finder, took, 3).is_none());
         }
@@ -208,7 +212,7 @@ mod tests {
     #[test]
     fn the_latency_of_the_run_before_holds_if_it_is_enough() {
         let declared = |before: i64, delay: i64| {
-            let found = solved(&mut Finder::new(0.0, Some(MS * before)), 5, delay);
+            let found = solved(&mut Finder::new(0.0, Some(MS * before), false), 5, delay);
             found.map(|(latency, _)| latency.declared)
         };
         assert_eq!(declared(197, 3), Some(MS * 197));
@@ -217,7 +221,9 @@ mod tests {
 
     #[test]
     fn a_given_latency_holds_with_the_look_ahead_that_it_allows() {
-        let of = |given: f64, delay: i64| solved(&mut Finder::new(given, None), 5, delay).unwrap();
+        let of = |given: f64, delay: i64| {
+            solved(&mut Finder::new(given, None, false), 5, delay).unwrap()
+        };
         let (latency, why) = of(250.0, 0);
         assert_eq!((latency.declared, &*why), (MS * 250, "250.0 ms as configured"));
         // Eight to solve and publish, two of network.
@@ -231,7 +237,7 @@ mod tests {
 
     #[test]
     fn a_latency_changes_for_good_and_without_flutter() {
-        let mut finder = Finder::new(0.0, None);
+        let mut finder = Finder::new(0.0, None, false);
         (0..WINDOWS).for_each(|_| drop(solved(&mut finder, 5, 3)));
         let config = Config::default();
         let times = |delay: i64| [MS * 150, MS * delay, MS * 16];
@@ -253,7 +259,7 @@ mod tests {
 
     #[test]
     fn a_latency_that_is_too_short_is_reported_with_the_smallest_possible_one() {
-        let (latency, why) = solved(&mut Finder::new(10.0, None), 5, 20).unwrap();
+        let (latency, why) = solved(&mut Finder::new(10.0, None, false), 5, 20).unwrap();
         assert_eq!((latency.declared, latency.look_ahead), (MS * 10, Some(0)));
         assert!(why.contains("the smallest possible latency is 26.0 ms"), "{why}");
     }

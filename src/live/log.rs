@@ -22,7 +22,7 @@ const LINES_A_SECOND: u32 = 1;
 const LONGEST: Nanos = Nanos::from_ms(60_000);
 /// What went on is over after this time without it.
 const OVER: Nanos = Nanos::from_ms(10_000);
-/// Most cameras that are named in a line.
+/// Most cameras and performers that are named in a line.
 const MOST_NAMES: usize = 4;
 /// Most pairs of kind and camera that are counted separately in a second.
 const MOST_KEYS: usize = 256;
@@ -127,8 +127,6 @@ impl<'a> MakeWriter<'a> for Lines {
 /// 4 and at most 60 s.
 #[derive(Default)]
 pub struct EventLog {
-    /// The performer, if there are several.
-    actor: Option<String>,
     limiter: Limiter,
     going: BTreeMap<String, Going>,
     /// Kinds in the last such line, when it was written, and the wait for the next.
@@ -141,19 +139,15 @@ pub struct EventLog {
 #[derive(Default)]
 struct Going {
     count: u64,
-    cameras: BTreeSet<String>,
+    /// Cameras and performers.
+    names: BTreeSet<String>,
     /// What the first of them says.
     detail: String,
 }
 
 impl EventLog {
-    /// Names the performer in each line.
-    pub fn of(actor: Option<String>) -> Self {
-        Self { actor, ..Self::default() }
-    }
-
-    /// Logs an event, or counts it.
-    pub fn tell(&mut self, now: Timestamp, event: &Event) {
+    /// Logs an event, or counts it. `actor` is the performer, if there are several.
+    pub fn tell(&mut self, now: Timestamp, event: &Event, actor: Option<&str>) {
         let camera = event.camera.as_deref();
         if goes_on(&event.kind) {
             let going = self.going.entry(event.kind.clone()).or_default();
@@ -161,10 +155,10 @@ impl EventLog {
                 going.detail = one_line(&event.detail);
             }
             going.count += event.count;
-            let more = camera.filter(|_| going.cameras.len() <= MOST_NAMES);
-            going.cameras.extend(more.map(one_line));
-        } else if self.limiter.admits(now, &event.kind, camera, event.count) {
-            line(&event.kind, self.actor.as_deref(), camera, event.window, &text(event));
+            let more = camera.or(actor).filter(|_| going.names.len() <= MOST_NAMES);
+            going.names.extend(more.map(one_line));
+        } else if self.limiter.admits(now, &event.kind, camera.or(actor), event.count) {
+            line(&event.kind, actor, camera, event.window, &text(event));
         }
         self.end_seconds(now);
     }
@@ -173,10 +167,10 @@ impl EventLog {
     pub fn end_seconds(&mut self, now: Timestamp) {
         for (kind, camera, count) in self.limiter.withheld(now) {
             let text = format!("and {count} more {} in the last second", spoken(&kind));
-            line(&kind, self.actor.as_deref(), camera.as_deref(), None, &text);
+            line(&kind, None, camera.as_deref(), None, &text);
         }
         if let Some(text) = self.going(now) {
-            tracing::warn!(actor = self.actor, "{text}");
+            tracing::warn!("{text}");
         }
     }
 
@@ -202,9 +196,9 @@ impl EventLog {
         let most = going.iter().max_by_key(|(_, going)| going.count);
         let advice = most.map(|(kind, going)| advice(kind).unwrap_or(&going.detail));
         let advice = advice.unwrap_or_default();
-        let kinds = going.iter().map(|(kind, Going { count, cameras, .. })| {
-            let named: Vec<&str> = cameras.iter().take(MOST_NAMES).map(String::as_str).collect();
-            let more = if cameras.len() > MOST_NAMES { " ..." } else { "" };
+        let kinds = going.iter().map(|(kind, Going { count, names, .. })| {
+            let named: Vec<&str> = names.iter().take(MOST_NAMES).map(String::as_str).collect();
+            let more = if names.len() > MOST_NAMES { " ..." } else { "" };
             match named.is_empty() {
                 true => format!("{count} {}", spoken(kind)),
                 false => format!("{count} {} ({}{more})", spoken(kind), named.join(" ")),
@@ -240,7 +234,7 @@ fn spoken(kind: &str) -> String {
 fn line(kind: &str, actor: Option<&str>, camera: Option<&str>, window: Option<u64>, text: &str) {
     let good = match kind {
         "acquired" | "left" | "returned" | "calibrated" | "rig_changed" => true,
-        "latency" | "idle" | "take" => true,
+        "latency" | "idle" | "take" | "entered" | "reentered" => true,
         "clock" => text.contains("the cameras use"),
         _ => false,
     };
@@ -314,7 +308,7 @@ mod tests {
             let event = Event { kind: kind.into(), camera, count: 1, ..Event::default() };
             let going = log.going.entry(event.kind.clone()).or_default();
             going.count += 1;
-            going.cameras.extend(event.camera);
+            going.names.extend(event.camera);
             lines.extend(log.going(ms(at)).map(|line| (at, line)));
         };
         for at in (0..20_000).step_by(10) {
@@ -337,7 +331,7 @@ mod tests {
         for camera in 0..300 {
             let (kind, camera) = ("unusable".to_owned(), Some(camera.to_string()));
             let detail = format!("no calibration, {}", camera.as_deref().unwrap_or_default());
-            log.tell(ms(0), &Event { kind, camera, detail, count: 1, ..Event::default() });
+            log.tell(ms(0), &Event { kind, camera, detail, count: 1, ..Event::default() }, None);
         }
         assert!(log.limiter.seen.is_empty());
         let line = log.going(ms(1000)).unwrap();

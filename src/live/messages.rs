@@ -7,7 +7,8 @@ use super::core::Core;
 use super::port::{MOST_BYTES, MOST_ORDER_BYTES};
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
-use crate::core::tracker::{self, EventKind, Tracker};
+use crate::core::stage::{self, Stage};
+use crate::core::tracker::EventKind;
 use crate::io::wire::{self, ActorChannel, DecodeError, KeypointFrame, StageChannel, Topic};
 
 /// Points further than this many image sizes outside the image are not used.
@@ -138,7 +139,7 @@ impl Core {
             return;
         }
         // The time that the tracker uses: the calibration or the motion may say that the clock is off.
-        let rig = self.track.as_ref().map(Tracker::rig);
+        let rig = self.stage.as_ref().map(Stage::rig);
         let known = rig.and_then(|rig| rig.cameras.get(index)).map(|camera| camera.time_offset);
         let arrival = self.clock.arrive(index, now, capture + known.unwrap_or_default());
         self.report_strays();
@@ -148,8 +149,8 @@ impl Core {
                 if let Some(camera) = self.cameras.get_mut(index) {
                     camera.refused();
                 }
-                if let Some(track) = self.track.as_mut().filter(|_| self.clock.is_left_out(index)) {
-                    track.leave_out(index);
+                if let Some(stage) = self.stage.as_mut().filter(|_| self.clock.is_left_out(index)) {
+                    stage.leave_out(index);
                 }
                 return;
             }
@@ -164,6 +165,6 @@ impl Core {
             self.arrivals.pop_front();
         }
         self.review_delays();
-        self.give(tracker::Input::Detections(frame));
+        self.give(stage::Input::Detections(frame));
     }
 }

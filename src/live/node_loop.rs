@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, Sender, never, select_biased};
+use crossbeam_channel::{Receiver, never, select_biased};
 
 use super::board::Board;
 use super::core::Core;
@@ -15,20 +15,14 @@ use super::playout::Playout;
 use super::port::{Input, Output};
 use super::publication::{Content, Publication};
 use super::queue::{Intake, Message};
+use super::solvers::{Answer, Solvers};
 use super::wall::WallClock;
-use crate::core::time::{Nanos, Timestamp};
-use crate::core::tracker::{Job, Solution};
+use crate::core::time::Timestamp;
 use crate::io::bus::Sample;
-use crate::io::wire::{Rig, Schema, media_type};
+use crate::io::wire::{Rig, Schema, Topic, media_type};
 
 /// Longest sleep when the core asks for no tick.
 const IDLE: Duration = Duration::from_secs(1);
-
-/// A solution from the solver's thread.
-pub(super) struct Answer {
-    pub(super) solution: Box<Solution>,
-    pub(super) took: Nanos,
-}
 
 /// All sources that can wake the node loop.
 pub(super) struct Inbox {
@@ -45,7 +39,7 @@ pub(super) struct NodeLoop {
     pub(super) core: Core,
     pub(super) clock: WallClock,
     pub(super) inbox: Inbox,
-    pub(super) jobs: Sender<Box<Job>>,
+    pub(super) jobs: Solvers,
     pub(super) playout: Arc<Playout>,
     pub(super) outlet: Outlet,
     pub(super) board: Arc<Board>,
@@ -58,15 +52,8 @@ pub(super) struct NodeLoop {
 pub(super) struct Progress {
     events: EventLog,
     wake: Option<Timestamp>,
-    job_out: bool,
+    jobs_out: usize,
     ended: bool,
-}
-
-impl Progress {
-    /// Names the performer in the log, if there are several.
-    pub(super) fn of(actor: Option<String>) -> Self {
-        Self { events: EventLog::of(actor), ..Self::default() }
-    }
 }
 
 /// The reason for which the loop woke.
@@ -96,7 +83,7 @@ impl NodeLoop {
     }
 
     fn serve(&mut self) -> Result<(), NodeError> {
-        while !self.progress.ended || self.progress.job_out {
+        while !self.progress.ended || self.progress.jobs_out > 0 {
             match self.wait()? {
                 Turn::Input(input) => self.feed(input),
                 Turn::Message(message) => self.take_in(message),
@@ -122,11 +109,11 @@ impl NodeLoop {
         select_biased! {
             recv(inbox.stop) -> _ => return Ok(Turn::Stop),
             recv(inbox.answers) -> answer => {
-                let Ok(Answer { solution, took }) = answer else {
+                let Ok(Answer { performer, solution, took }) = answer else {
                     return Err(NodeError::Fault { thread: "solver" });
                 };
-                self.progress.job_out = false;
-                return Ok(Turn::Input(Input::Solved { solution, took }));
+                self.progress.jobs_out = self.progress.jobs_out.saturating_sub(1);
+                return Ok(Turn::Input(Input::Solved { performer, solution, took }));
             }
             recv(inbox.played) -> deviations => return match deviations {
                 Ok(deviations) => Ok(Turn::Input(Input::Played(deviations))),
@@ -191,7 +178,10 @@ impl NodeLoop {
         self.core.handle(now, input);
         while let Some(output) = self.core.poll() {
             match output {
-                Output::Solve(job) => self.solve(job),
+                Output::Solve(performer, job) => {
+                    self.progress.jobs_out += 1;
+                    self.jobs.push(performer, job);
+                }
                 Output::Wake(at) => self.progress.wake = Some(at),
                 Output::Publish(publication) => self.publish(publication, now),
             }
@@ -199,35 +189,33 @@ impl NodeLoop {
         self.progress.events.end_seconds(now);
     }
 
-    /// The channel always has room: the core has at most one job out.
-    fn solve(&mut self, job: Box<Job>) {
-        match self.jobs.try_send(job) {
-            Ok(()) => self.progress.job_out = true,
-            Err(error) => tracing::error!("a job is lost: {error}; please report this bug"),
-        }
-    }
-
     fn publish(&mut self, publication: Publication, now: Timestamp) {
         match publication.due {
             Some(due) => self.playout.push(due, publication),
             None => {
                 self.outlet.put(&publication, now);
-                self.note(publication.content, now);
+                self.note(publication, now);
             }
         }
     }
 
     /// Logs events and stores the status and the rig.
-    fn note(&mut self, content: Content, now: Timestamp) {
-        match content {
-            Content::Event(event) => self.progress.events.tell(now, &event),
-            Content::Status(status) => self.board.set_status(*status),
+    fn note(&mut self, publication: Publication, now: Timestamp) {
+        let is_node = self.core.is_of_node(&publication.topic);
+        match publication.content {
+            Content::Event(event) => {
+                let actor = (!is_node).then(|| Topic::actor(&publication.topic));
+                self.progress.events.tell(now, &event, actor.as_deref());
+            }
+            Content::Status(status) if is_node => self.board.set_status(*status),
+            Content::Status(_) => {}
             Content::Rig(_) => self.offer_rig(),
             Content::Skeleton(_)
             | Content::Pose(_)
             | Content::Keyframe(_)
             | Content::Journal(_)
-            | Content::Answer(_) => {}
+            | Content::Answer(_)
+            | Content::Keypoints(_) => {}
         }
     }
 }

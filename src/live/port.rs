@@ -2,12 +2,15 @@
 
 use std::sync::Arc;
 
+use nalgebra::Vector3;
+
 use super::config::Config;
 use super::publication::Publication;
+use crate::core::stage::{self, Known, PerformerId};
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::timecode::House;
 use crate::core::tracker::{self, Job, Solution};
-use crate::io::wire::JournalStart;
+use crate::io::wire::{self, JournalPerformer, JournalStart};
 
 /// Larger messages are rejected, bytes.
 pub const MOST_BYTES: usize = 1 << 20;
@@ -40,8 +43,10 @@ pub enum Input {
     },
     /// A calibration from a file, as the bytes of a `Rig` message.
     RigFile(Vec<u8>),
-    /// The solution of the current job.
+    /// The solution of a performer's job.
     Solved {
+        /// The performer.
+        performer: PerformerId,
         /// The solution.
         solution: Box<Solution>,
         /// How long the solver took, nanoseconds.
@@ -63,8 +68,8 @@ pub enum Input {
 // Each is moved once, some hundred times a second.
 #[allow(clippy::large_enum_variant)]
 pub enum Output {
-    /// A job to solve; at most one at a time.
-    Solve(Box<Job>),
+    /// A performer's job to solve; at most one of each performer at a time.
+    Solve(PerformerId, Box<Job>),
     /// A message to publish.
     Publish(Publication),
     /// Asks for an [`Input::Tick`] at this time of the node's clock, unless another input comes
@@ -77,6 +82,8 @@ pub enum Output {
 pub struct Settings {
     /// Settings of the tracker.
     pub tracker: tracker::Config,
+    /// Settings of the stage.
+    pub stage: stage::Config,
     /// Settings of the node.
     pub node: Config,
     /// All settings as TOML.
@@ -92,7 +99,7 @@ pub struct Settings {
 }
 
 /// What a take keeps of the run before it, beside calibration and body.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Carried {
     /// Name of the take; empty: the node was started.
     pub take: String,
@@ -100,6 +107,8 @@ pub struct Carried {
     pub latency: Option<Nanos>,
     /// Corrections of the cameras' time offsets, in the order of the rig; none: not corrected.
     pub time_offsets: Vec<Nanos>,
+    /// The performers, if there are several.
+    pub performers: Vec<Known>,
 }
 
 impl Carried {
@@ -110,6 +119,38 @@ impl Carried {
             take: start.take.clone(),
             latency: (latency > 0).then(|| Nanos::new(latency)),
             time_offsets: start.time_offsets_ns.iter().copied().map(Nanos::new).collect(),
+            performers: start.performers.iter().map(known).collect(),
         }
+    }
+}
+
+/// A performer of the run before, from the head of a journal.
+fn known(wire: &JournalPerformer) -> Known {
+    let body = wire.body.as_deref().and_then(|body| wire::decode::<wire::Skeleton>(body).ok());
+    let mut known = Known {
+        performer: PerformerId(wire.number as usize),
+        body: body.and_then(|body| body.to_core().ok()).map(Arc::new),
+        seen: Timestamp::from_ns(wire.seen_ns),
+        ..Known::default()
+    };
+    for (point, wire) in known.points.iter_mut().zip(wire.points_m.as_chunks::<3>().0) {
+        *point = Some(Vector3::from(*wire)).filter(|point| point.iter().all(|c| c.is_finite()));
+    }
+    let lengths = known.lengths.iter_mut().zip(wire.lengths_m.as_chunks::<2>().0);
+    lengths.for_each(|(length, wire)| *length = *wire);
+    known
+}
+
+/// The same as a journal has it.
+pub(super) fn wire_known(known: &Known) -> JournalPerformer {
+    let point = |point: &Option<Vector3<f64>>| -> [f64; 3] {
+        point.map_or([f64::NAN; 3], |point| point.into())
+    };
+    JournalPerformer {
+        number: known.performer.0 as u32,
+        body: known.body.as_deref().map(|body| wire::encode(&wire::Skeleton::from_core(body))),
+        seen_ns: known.seen.ns(),
+        points_m: known.points.iter().flat_map(point).collect(),
+        lengths_m: known.lengths.as_flattened().to_vec(),
     }
 }

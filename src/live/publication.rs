@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use crate::core::time::Timestamp;
 use crate::io::wire::{
-    Event, Journal, Keyframe, Pose, Rig, Schema, Skeleton, Status, TakeAnswer, encode,
+    Event, Journal, Keyframe, KeypointFrame, Pose, Rig, Schema, Skeleton, Status, TakeAnswer,
+    encode,
 };
 
 /// A message to publish.
@@ -39,6 +40,8 @@ pub enum Content {
     Journal(Journal),
     /// The answer to a slate.
     Answer(TakeAnswer),
+    /// The detections of one performer.
+    Keypoints(KeypointFrame),
 }
 
 impl Content {
@@ -53,6 +56,7 @@ impl Content {
             Self::Keyframe(_) => Keyframe::FULL_NAME,
             Self::Journal(_) => Journal::FULL_NAME,
             Self::Answer(_) => TakeAnswer::FULL_NAME,
+            Self::Keypoints(_) => KeypointFrame::FULL_NAME,
         }
     }
 
@@ -67,6 +71,7 @@ impl Content {
             Self::Keyframe(message) => encode(message),
             Self::Journal(message) => encode(message),
             Self::Answer(message) => encode(message),
+            Self::Keypoints(message) => encode(message),
         }
     }
 }

@@ -12,6 +12,7 @@ use super::journal;
 use super::port::{Input, Output, Settings};
 use super::take::ends;
 use crate::core::fnv::fnv1a;
+use crate::core::stage::PerformerId;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{Job, Solver};
 use crate::io::wire::journal_entry::Input as Entry;
@@ -276,7 +277,7 @@ struct Run<'a> {
     core: Core,
     solver: Solver,
     by_hash: HashMap<(&'a str, u64), &'a [u8]>,
-    job: Option<Box<Job>>,
+    jobs: HashMap<PerformerId, Box<Job>>,
     outputs: Vec<Recorded>,
 }
 
@@ -285,7 +286,7 @@ impl<'a> Run<'a> {
         let keyed = messages.iter().map(|message| {
             ((&*message.topic, fnv1a(&message.payload)), message.payload.as_slice())
         });
-        Self { core, solver, by_hash: keyed.collect(), job: None, outputs: Vec::new() }
+        Self { core, solver, by_hash: keyed.collect(), jobs: HashMap::new(), outputs: Vec::new() }
     }
 
     fn input(&mut self, index: u64, entry: JournalEntry) -> Result<Input, ReplayError> {
@@ -293,10 +294,12 @@ impl<'a> Run<'a> {
         Ok(match entry.input {
             Some(Entry::Message(message)) => self.message(index, message)?,
             Some(Entry::Solved(solved)) => {
-                let job = self.job.take().filter(|job| job.number == solved.job);
+                let performer = PerformerId(solved.performer as usize);
+                let job = self.jobs.remove(&performer).filter(|job| job.number == solved.job);
                 let job = job.ok_or_else(|| senseless(format!("job {} is not out", solved.job)))?;
                 let solution = Box::new(self.solver.solve(&job));
                 Input::Solved {
+                    performer,
                     solution,
                     took: Nanos::new(i64::try_from(solved.took_ns).unwrap_or(i64::MAX)),
                 }
@@ -333,7 +336,7 @@ impl<'a> Run<'a> {
         self.core.handle(now, input);
         while let Some(output) = self.core.poll() {
             match output {
-                Output::Solve(job) => self.job = Some(job),
+                Output::Solve(performer, job) => drop(self.jobs.insert(performer, job)),
                 Output::Publish(publication) => self.outputs.push(Recorded {
                     time: publication.due.unwrap_or(now),
                     capture: publication.capture,

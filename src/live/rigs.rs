@@ -8,8 +8,9 @@ use super::core::{Calibration, Core};
 use super::port::Input;
 use super::publication::Content;
 use crate::core::fnv::fnv1a;
+use crate::core::stage;
 use crate::core::time::Timestamp;
-use crate::core::tracker::{self, EventKind};
+use crate::core::tracker::EventKind;
 use crate::io::wire;
 
 /// Most cameras of a rig.
@@ -87,8 +88,14 @@ impl Core {
         self.known_rigs.extend(self.has_rig_file().then(|| fnv1a(bytes)));
         self.event(EventKind::RigChanged, None, format!("{}, from {source}", told(&message)));
         self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });
-        match self.track {
-            Some(_) => self.give(tracker::Input::Rig(rig)),
+        match self.stage {
+            // With several performers it holds for the next frame.
+            Some(_) if self.is_several() => {
+                let detail = format!("calibration {} from here on", rig.version);
+                self.give(stage::Input::Rig(rig));
+                self.event(EventKind::Calibrated, None, detail);
+            }
+            Some(_) => self.give(stage::Input::Rig(rig)),
             None => self.begin(rig),
         }
         true

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread::{Builder, JoinHandle};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bounded, never};
 
@@ -13,15 +13,15 @@ use super::core::Core;
 use super::cpu_affinity::SolverCore;
 use super::endpoint::Endpoint;
 use super::error::{Elder, NodeError};
-use super::node_loop::{Answer, Inbox, NodeLoop, Progress};
+use super::node_loop::{Inbox, NodeLoop, Progress};
 use super::outlet::Outlet;
 use super::playout::Playout;
 use super::presence::Presence;
 use super::queue::{Intake, Message};
 use super::rig_file::RigFile;
+use super::solvers::Solvers;
 use super::wall::WallClock;
-use crate::core::time::Nanos;
-use crate::core::tracker::{Job, Solver};
+use crate::core::tracker::Solver;
 use crate::io::bus::{Bus, Guard};
 use crate::io::wire::{
     Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, TakeAnswer, Topics,
@@ -31,10 +31,6 @@ use crate::io::wire::{
 const LOOK: Duration = Duration::from_millis(500);
 /// Most batches of deviations that wait for the node loop; there is one per second.
 const BATCHES: usize = 64;
-/// A solver without a core of its own gives way to the other threads of the program.
-#[cfg(unix)]
-const GIVES_WAY: i32 = 10;
-
 /// A live node.
 pub struct Node;
 
@@ -71,8 +67,7 @@ impl Monitor {
 
 impl Node {
     /// Starts the threads and subscribes to the bus. `presence` is that of this node, alone; `config`
-    /// is the core's; the solver thread runs on `solver_core` if there is one. `rig` is the calibration on
-    /// the bus, as the bytes of a `Rig` message, if it is known.
+    /// is the core's. Each solver has a thread, the first one on `solver_core` if there is one.
     ///
     /// # Errors
     /// The bus refuses the topics, the calibration file cannot be used, the address is in use, or
@@ -81,17 +76,13 @@ impl Node {
         bus: Arc<dyn Bus>,
         presence: Presence,
         core: Core,
-        solver: Solver,
+        solvers: Vec<Solver>,
         config: &Config,
         solver_core: Option<SolverCore>,
-        rig: Option<Vec<u8>>,
     ) -> Result<Running, NodeError> {
         let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
         let (clock, board) = (WallClock::start(), Arc::<Board>::default());
         let intake = Intake::new(config.queue, &[topics.take(), topics.rig()]);
-        if let Some(payload) = rig {
-            intake.push(Message { topic: topics.rig().into(), payload });
-        }
         let endpoint = match config.prometheus.as_str() {
             "" => None,
             address => Some(Endpoint::start(address, Arc::clone(&board))?),
@@ -105,7 +96,7 @@ impl Node {
         };
         let playout = Arc::<Playout>::default();
         let played = start_playout(&bus, &topics, clock, &playout, &board, &mut threads)?;
-        let (jobs, answers) = start_solver(solver, solver_core, &mut threads)?;
+        let (jobs, answers) = Solvers::start(solvers, solver_core, &mut threads)?;
 
         let (stop, stopped) = bounded(1);
         let node_loop = NodeLoop {
@@ -117,7 +108,7 @@ impl Node {
             outlet: loop_outlet(&bus, &topics, &board)?,
             board: Arc::clone(&board),
             rig_topic: topics.rig(),
-            progress: Progress::of(config.associated.then(|| config.actor.clone())),
+            progress: Progress::default(),
         };
         let (alive, over) = bounded(0);
         let work = move || {
@@ -266,36 +257,6 @@ fn start_playout(
     let work = move || playout.run(clock, outlet, &sender);
     threads.push(("playout", thread("playout").spawn(work).map_err(NodeError::Thread)?));
     Ok(played)
-}
-
-/// Starts the thread that solves one job at a time.
-fn start_solver(
-    mut solver: Solver,
-    core: Option<SolverCore>,
-    threads: &mut Vec<(&'static str, JoinHandle<()>)>,
-) -> Result<(Sender<Box<Job>>, Receiver<Answer>), NodeError> {
-    let (jobs, work) = bounded::<Box<Job>>(1);
-    let (sender, answers) = bounded(1);
-    let solve = move || {
-        match core {
-            Some(core) => core.enter(),
-            // It shares the cores with the threads that publish on time.
-            #[cfg(unix)]
-            None => drop(rustix::process::nice(GIVES_WAY)),
-            #[cfg(not(unix))]
-            None => {}
-        }
-        for job in work {
-            let begin = Instant::now();
-            let solution = Box::new(solver.solve(&job));
-            let took = Nanos::from(begin.elapsed());
-            if sender.send(Answer { solution, took }).is_err() {
-                return;
-            }
-        }
-    };
-    threads.push(("solver", thread("solver").spawn(solve).map_err(NodeError::Thread)?));
-    Ok((jobs, answers))
 }
 
 /// Starts the thread that reads the calibration file until `looking` closes.

@@ -62,7 +62,22 @@ pub(super) fn quantile(values: &mut [f64], part: f64) -> f64 {
     values.get(index.saturating_sub(1)).copied().unwrap_or(0.0)
 }
 
-/// Counters of publications.
+/// Numbers of a performer's poses.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Poses {
+    /// Final and provisional ones that were put out.
+    pub(super) published: u64,
+    pub(super) provisional: u64,
+}
+
+impl Poses {
+    pub(super) fn counters(self, (coasted, missed): (u64, u64)) -> PlayoutCounters {
+        let Self { published, provisional } = self;
+        PlayoutCounters { published, provisional, coasted, missed, ..PlayoutCounters::default() }
+    }
+}
+
+/// Counters of the publications of all performers.
 #[derive(Clone, Debug)]
 pub(super) struct Published {
     counters: PlayoutCounters,

@@ -7,8 +7,9 @@
 use super::core::Core;
 use super::port::{Carried, Settings};
 use super::publication::Content;
+use crate::core::stage::{self, Stage};
 use crate::core::time::Timestamp;
-use crate::core::tracker::{self, EventKind, Tracker};
+use crate::core::tracker::EventKind;
 use crate::io::wire::{self, Take, TakeAnswer, encode, valid_name};
 
 /// Whether a slate ends the run of the take `running`, or of none if that is empty.
@@ -52,7 +53,7 @@ impl Core {
                 Ok(format!("take {} ended", std::mem::take(&mut self.running)))
             }
             "reset" => {
-                self.give(tracker::Input::Forget);
+                self.give(stage::Input::Forget);
                 Ok("the body is forgotten and estimated anew".to_owned())
             }
             "start" => Err(format!("{:?} cannot be the name of a take", take.name)),
@@ -80,18 +81,21 @@ impl Core {
         let text = format!("take {} begins", take.name);
         self.event(EventKind::Take, None, text.clone());
         self.write_journal(true);
-        let track = self.track.as_ref();
-        let body = |track: &Tracker| track.known_body().map(|body| wire::Skeleton::from_core(body));
+        let stage = self.stage.as_ref();
+        let body = |stage: &Stage| stage.lead().known_body().map(|b| wire::Skeleton::from_core(b));
+        let is_several = self.is_several();
         let settings = Settings {
-            body: match track {
-                Some(track) => body(track).map(|body| encode(&body)),
+            body: match stage {
+                Some(_) if is_several => None,
+                Some(stage) => body(stage).map(|body| encode(&body)),
                 None => self.settings.body.clone(),
             },
             carried: Carried {
                 take: take.name,
                 latency: self.latency.declared().or(self.settings.carried.latency),
-                time_offsets: track
-                    .map_or_else(Vec::new, |track| track.time_corrections().to_vec()),
+                time_offsets: stage
+                    .map_or_else(Vec::new, |stage| stage.time_corrections().to_vec()),
+                performers: stage.map_or_else(Vec::new, Stage::known),
             },
             ..self.settings.clone()
         };

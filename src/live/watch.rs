@@ -2,14 +2,15 @@
 
 use super::camera_clock::LeftOut;
 use super::core::Core;
+use crate::core::stage;
 use crate::core::time::Nanos;
-use crate::core::tracker::{self, EventKind};
+use crate::core::tracker::EventKind;
 
 impl Core {
     /// The cameras' clock has stepped by `by` (0: another one was chosen at the start): tracking
     /// begins anew.
     pub(super) fn new_clock(&mut self, by: Nanos) {
-        self.give(tracker::Input::Restart);
+        self.give(stage::Input::Restart);
         if by != Nanos::ZERO {
             let (by, kind) = (-by.seconds(), self.clock.told());
             let detail = format!("stepped by {by:+.3} s, tracking begins anew; {kind}");
@@ -40,8 +41,17 @@ impl Core {
         }
         self.raise_latency();
         let delay = self.clock.usual_delay();
-        if let Some(track) = &mut self.track {
-            track.set_delay(delay);
+        if let Some(stage) = &mut self.stage {
+            stage.set_delay(delay);
+        }
+    }
+
+    /// Once a second: reports people who are above the number of performers.
+    pub(super) fn watch_crowd(&mut self) {
+        let others = self.stage.as_ref().map_or(0, stage::Stage::others);
+        if others > std::mem::replace(&mut self.others, others) {
+            let detail = format!("{others} more people were seen, not solved");
+            self.event(EventKind::Crowd, None, detail + "; raise [stage] performers");
         }
     }
 
@@ -66,9 +76,8 @@ impl Core {
             };
             self.event(EventKind::ClockOffset, Some(&name), detail);
         }
-        let Some(quarter) = self.track.as_ref().map(|track| track.frame_period() * 0.25e-9) else {
-            return;
-        };
+        let Some(stage) = &mut self.stage else { return };
+        let quarter = stage.frame_period() * 0.25e-9;
         for (camera, off) in self.clock.deviations() {
             let Some(known) = self.cameras.get_mut(camera) else { continue };
             let limit = if known.is_off { 0.5 * quarter } else { quarter };

@@ -167,7 +167,7 @@ fn without_times(mut value: Value) -> Value {
 
 fn eval(folder: &Path, arguments: &str) -> Output {
     Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
-        .arg("eval")
+        .args(["eval", "--overwrite"])
         .args(arguments.split_whitespace())
         .current_dir(folder)
         .output()

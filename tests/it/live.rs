@@ -10,6 +10,7 @@ use bundlemocap::core::camera::Rig;
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::random::Draws;
+use bundlemocap::core::stage::PerformerId;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{Job, Solution, Solver, Task};
 use bundlemocap::io::wire::journal_entry::Input as JournalInput;
@@ -24,7 +25,7 @@ use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_r
 const MS: Nanos = Nanos::from_ms(1);
 const SECOND: Nanos = Nanos::SECOND;
 /// Start of the cameras on the node's clock.
-const START: Timestamp = Timestamp::from_ns(1_700_000_000_000_000_000);
+pub const START: Timestamp = Timestamp::from_ns(1_700_000_000_000_000_000);
 /// Time from exposure to arrival.
 const NETWORK: Nanos = Nanos::from_ms(3);
 
@@ -77,8 +78,10 @@ pub struct World {
     solver: Solver,
     now: Timestamp,
     wake: Option<Timestamp>,
-    /// The solution that is being computed, and its completion time.
-    answer: Option<(Timestamp, Solution, Nanos)>,
+    /// The solutions that are being computed, and their completion times.
+    answers: Vec<(Timestamp, PerformerId, Solution, Nanos)>,
+    /// When each solver will be free.
+    solvers: Vec<Timestamp>,
     /// The simulated solve time of a job.
     took: Box<dyn Fn(&Job) -> Nanos>,
     pub heard: Heard,
@@ -87,6 +90,7 @@ pub struct World {
 pub fn settings(config: &Config, decoder: &Decoder) -> Settings {
     Settings {
         tracker: config.tracker,
+        stage: config.stage,
         node: config.node.clone(),
         toml: config.to_toml(),
         weights: format!("{:016x}", decoder.fingerprint()),
@@ -104,7 +108,8 @@ impl World {
             solver: Solver::new(decoder, config.tracker),
             now: START - SECOND,
             wake: None,
-            answer: None,
+            answers: Vec::new(),
+            solvers: vec![START - SECOND; if config.stage.several() { 2 } else { 1 }],
             took: Box::new(|job| match job.task {
                 Task::Acquire { .. } => MS * 40,
                 Task::Track { .. } => MS * 5,
@@ -120,13 +125,12 @@ impl World {
         let mut sent = sent.into_iter().peekable();
         loop {
             let arrival = sent.peek().map(|message| message.arrival);
-            let answer = self.answer.as_ref().map(|(at, ..)| *at);
+            let answer = self.answers.iter().map(|(at, ..)| *at).min();
             let next = [arrival, answer, self.wake].into_iter().flatten().min();
             let Some(next) = next.filter(|next| *next <= until) else { break };
             self.now = self.now.max(next);
             let input = if answer == Some(next) {
-                let (_, solution, took) = self.answer.take().unwrap();
-                Input::Solved { solution: Box::new(solution), took }
+                self.answer()
             } else if arrival == Some(next) {
                 let message = sent.next().unwrap();
                 Input::Message { topic: message.topic.into(), payload: message.payload }
@@ -144,10 +148,16 @@ impl World {
         while let Some(output) = self.core.poll() {
             match output {
                 Output::Wake(at) => self.wake = Some(at.max(self.now + Nanos::new(1))),
-                Output::Solve(job) => {
-                    assert!(self.answer.is_none(), "two jobs at once");
+                Output::Solve(performer, job) => {
+                    let is_out = self.answers.iter().any(|(_, other, ..)| *other == performer);
+                    assert!(!is_out, "two jobs of a performer at once");
                     let took = (self.took)(&job);
-                    self.answer = Some((self.now + took, self.solver.solve(&job), took));
+                    // Searches never take the last solver.
+                    let is_search = matches!(job.task, Task::Acquire { .. });
+                    let free = if is_search { 1 } else { self.solvers.len() };
+                    let free = self.solvers[..free].iter_mut().min().unwrap();
+                    *free = self.now.max(*free) + took;
+                    self.answers.push((*free, performer, self.solver.solve(&job), took));
                 }
                 Output::Publish(publication) => self.heard.messages.push(Recorded {
                     time: publication.due.map_or(self.now, |due| due.max(self.now)),
@@ -162,10 +172,18 @@ impl World {
 
     pub fn end(&mut self) {
         self.tell(Input::End);
-        while let Some((at, solution, took)) = self.answer.take() {
+        while let Some(at) = self.answers.iter().map(|(at, ..)| *at).min() {
             self.now = self.now.max(at);
-            self.tell(Input::Solved { solution: Box::new(solution), took });
+            let answer = self.answer();
+            self.tell(answer);
         }
+    }
+
+    /// The next solution.
+    fn answer(&mut self) -> Input {
+        let next = (0..self.answers.len()).min_by_key(|&index| self.answers[index].0).unwrap();
+        let (_, performer, solution, took) = self.answers.remove(next);
+        Input::Solved { performer, solution: Box::new(solution), took }
     }
 }
 

@@ -38,7 +38,7 @@ mod python;
 mod recording;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod retarget;
-#[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
+#[cfg(feature = "cli")]
 mod several;
 #[cfg(feature = "research")]
 mod slahmr;

@@ -12,6 +12,7 @@ use bundlemocap::core::body::Skeleton;
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::manifold::Decoder;
+use bundlemocap::core::stage;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{self, Solver};
 use bundlemocap::io::bus::{Bus, Guard, Memory, Publisher};
@@ -65,6 +66,7 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
     let decoder = Decoder::embedded().unwrap();
     let settings = Settings {
         tracker: track,
+        stage: stage::Config::default(),
         node: config.clone(),
         toml: String::new(),
         weights: format!("{:016x}", decoder.fingerprint()),
@@ -80,9 +82,8 @@ fn start_node(bus: &Memory, config: &Config) -> Result<Running, NodeError> {
         Arc::new(bus.clone()),
         presence,
         core,
-        Solver::new(decoder, track),
+        vec![Solver::new(decoder, track)],
         config,
-        None,
         None,
     )
 }

@@ -14,7 +14,7 @@ use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_r
 use crate::live::{Sent, Studio, World, at, settings};
 
 /// A command, `at` seconds after the start.
-fn slate(action: &str, name: &str, seconds: f64) -> Sent {
+pub fn slate(action: &str, name: &str, seconds: f64) -> Sent {
     let take = Take { id: 7, action: action.into(), name: name.into() };
     Sent { arrival: at(seconds), topic: Topics::default().take(), payload: encode(&take) }
 }
@@ -23,8 +23,12 @@ fn slate(action: &str, name: &str, seconds: f64) -> Sent {
 fn session(seconds: u64, slates: Vec<Sent>) -> (World, Vec<Recorded>) {
     let mut messages = Studio::new(4, 60 * seconds).messages();
     messages.extend(slates);
-    let mut world = World::new(&Config::default());
-    world.play(messages.clone(), at(seconds as f64));
+    recorded(World::new(&Config::default()), messages, seconds as f64)
+}
+
+/// The world after these messages and its end, and what a recorder has.
+pub fn recorded(mut world: World, messages: Vec<Sent>, seconds: f64) -> (World, Vec<Recorded>) {
+    world.play(messages.clone(), at(seconds));
     world.end();
     let mut recorded = world.heard.messages.clone();
     recorded.extend(messages.into_iter().map(|sent| Recorded {
@@ -37,7 +41,7 @@ fn session(seconds: u64, slates: Vec<Sent>) -> (World, Vec<Recorded>) {
     (world, recorded)
 }
 
-fn replayed(recorded: &[Recorded], run: Option<&str>) -> Result<Replayed, ReplayError> {
+pub fn replayed(recorded: &[Recorded], run: Option<&str>) -> Result<Replayed, ReplayError> {
     replay(recorded, &Topics::default(), run, |start| {
         let decoder = Decoder::embedded().unwrap();
         let config = Config::parse(&start.config, "journal".as_ref()).unwrap();
@@ -47,7 +51,7 @@ fn replayed(recorded: &[Recorded], run: Option<&str>) -> Result<Replayed, Replay
     })
 }
 
-fn assert_agrees(replayed: &Replayed) {
+pub fn assert_agrees(replayed: &Replayed) {
     for (topic, compared) in &replayed.topics {
         assert!(compared.agrees() && compared.equal > 0, "{topic}: {compared:?}");
     }
@@ -55,7 +59,7 @@ fn assert_agrees(replayed: &Replayed) {
 }
 
 /// What a recorder has that began with the take.
-fn from(recorded: &[Recorded], seconds: f64) -> Vec<Recorded> {
+pub fn from(recorded: &[Recorded], seconds: f64) -> Vec<Recorded> {
     recorded.iter().filter(|message| message.time >= at(seconds)).cloned().collect()
 }
 

@@ -8,6 +8,7 @@ use bundlemocap::config::Config;
 use bundlemocap::core::body::{Pose, Skeleton};
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::manifold::TimedKeyframe;
+use bundlemocap::core::stage::PerformerId;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{Job, Outcome, Solution, Task, Tracked, Verdict};
 use bundlemocap::io::wire::{
@@ -134,6 +135,7 @@ impl Node {
         config.node.provisional = false;
         let mut core = Core::new(Settings {
             tracker: config.tracker,
+            stage: config.stage,
             node: config.node.clone(),
             toml: config.to_toml(),
             weights: String::new(),
@@ -158,7 +160,8 @@ impl Node {
             self.now = self.now.max(next);
             let input = if answer == Some(next) {
                 let (_, solution) = self.answer.take().unwrap();
-                Input::Solved { solution: Box::new(solution), took: Nanos::from_ms(5) }
+                let (performer, took) = (PerformerId(0), Nanos::from_ms(5));
+                Input::Solved { performer, solution: Box::new(solution), took }
             } else {
                 self.wake = None;
                 Input::Tick
@@ -193,7 +196,7 @@ impl Node {
         while let Some(output) = self.core.poll() {
             match output {
                 Output::Wake(at) => self.wake = Some(at.max(self.now + Nanos::new(1))),
-                Output::Solve(job) => {
+                Output::Solve(_, job) => {
                     self.answer = Some((self.now + Nanos::from_ms(5), solved(&job)));
                 }
                 Output::Publish(publication) => match publication.content {
@@ -292,7 +295,7 @@ fn judge(case: &Case) -> Option<String> {
         }
     }
     // The governor and the counters take no pause for a fault, and the status says what it is.
-    let status = heard.status.last()?;
+    let status = heard.status.last().unwrap();
     let missed = status.playout.as_ref().map_or(0, |playout| playout.missed);
     let degraded = status.effort.as_ref().map_or(0, |effort| effort.degradation_steps);
     let is_idle = heard.status.iter().any(|status| status.tracker_state == "idle");

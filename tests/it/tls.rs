@@ -39,7 +39,7 @@ fn listen(bus: &Zenoh, pattern: &str) -> (Receiver<Sample>, Box<dyn Guard>) {
 fn only_allowed_certificates_publish() {
     let folder = tempfile::tempdir().unwrap();
     let (ours, theirs) = (folder.path().join("ours"), folder.path().join("theirs"));
-    certificates(&ours, &["node", "cam01", "viewer"]);
+    certificates(&ours, &["node", "cam01", "cam02", "operator", "viewer"]);
     certificates(&theirs, &["cam01"]);
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/config/studio-secure");
     let secure = Config::load(format!("{file}.toml").as_ref()).unwrap().bus.zenoh;
@@ -61,8 +61,8 @@ fn only_allowed_certificates_publish() {
     let stranger = TlsConfig { root_ca: tls(&ours, "node").root_ca, ..tls(&theirs, "cam01") };
     assert!(client(stranger).is_err(), "a certificate of another authority");
 
-    let (camera, viewer) =
-        (client(tls(&ours, "cam01")).unwrap(), client(tls(&ours, "viewer")).unwrap());
+    let [camera, other, operator, viewer] =
+        ["cam01", "cam02", "operator", "viewer"].map(|name| client(tls(&ours, name)).unwrap());
     let (heard, _guard) = listen(&node, "mocap/**");
     let (seen, _guard) = listen(&viewer, "mocap/stage/actor/actor/pose");
     let put = |bus: &Zenoh, topic: &str, payload: &[u8]| {
@@ -70,7 +70,13 @@ fn only_allowed_certificates_publish() {
     };
     // What is forbidden goes first, so that it would arrive before what is allowed.
     let arrives = (0..200).any(|_| {
-        for (bus, topic) in [(&viewer, KEYPOINTS), (&camera, "mocap/stage/rig")] {
+        for (bus, topic) in [
+            (&viewer, KEYPOINTS),
+            (&other, KEYPOINTS),
+            (&camera, "mocap/stage/rig"),
+            (&camera, "mocap/stage/take"),
+            (&operator, KEYPOINTS),
+        ] {
             put(bus, topic, b"forbidden");
         }
         put(&camera, "mocap/stage/actor/actor/pose", b"forbidden");
@@ -83,6 +89,11 @@ fn only_allowed_certificates_publish() {
     assert!(arrives, "the camera's keypoints do not arrive");
     std::thread::sleep(Duration::from_millis(300));
     assert!(heard.try_iter().all(|sample| *sample.payload == b"allowed"[..]));
+    let arrives = (0..200).any(|_| {
+        put(&operator, "mocap/stage/take", b"allowed");
+        heard.recv_timeout(LONG / 200).is_ok_and(|sample| &*sample.topic == "mocap/stage/take")
+    });
+    assert!(arrives, "the operator's take does not arrive");
     let arrives = (0..200).any(|_| {
         put(&node, "mocap/stage/actor/actor/pose", b"pose");
         seen.recv_timeout(LONG / 200).is_ok_and(|sample| *sample.payload == b"pose"[..])

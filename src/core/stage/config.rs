@@ -26,9 +26,9 @@ impl Default for Config {
 }
 
 impl Config {
-    /// The name of a performer, by number from 0: p1, p2, ...
-    pub fn name(&self, performer: usize) -> String {
-        format!("p{}", performer + 1)
+    /// Whether people are told from each other before they are tracked.
+    pub fn several(&self) -> bool {
+        self.performers.limit() > 1
     }
 }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::config::Performers;
-use super::people::{Change, FrameSet, People};
+use super::people::{Change, FrameSet, Known, People};
 use super::sets::{Complete, Sets};
 use crate::core::association::Gates;
 use crate::core::camera::Rig;
@@ -85,6 +85,16 @@ impl Crowd {
     pub fn next(&mut self, all: bool) -> Option<(Timestamp, Vec<Change>)> {
         let Complete { at, frames, until } = self.sets.next(all)?;
         Some((at, self.people.process(at, frames, until, &self.rig)))
+    }
+
+    /// The performers so far, without their bodies.
+    pub fn known(&self) -> Vec<Known> {
+        self.people.known()
+    }
+
+    /// These performers were seen before; all are lost until they are seen again.
+    pub fn know(&mut self, known: &[Known]) {
+        self.people.know(known, self.rig.cameras.len());
     }
 
     /// The frames of the last time, and whose their people are.

@@ -3,8 +3,10 @@
 use crate::core::association::Points;
 use crate::core::detections::Keypoint as K;
 
+/// Number of lengths.
+pub(super) const BONES: usize = 7;
 /// The bones of a length; left and right count as one.
-const BONES: [&[(K, K)]; 7] = [
+const LENGTHS: [&[(K, K)]; BONES] = [
     &[(K::LShoulder, K::RShoulder)],
     &[(K::LShoulder, K::LHip), (K::RShoulder, K::RHip)],
     &[(K::LShoulder, K::LElbow), (K::RShoulder, K::RElbow)],
@@ -25,13 +27,23 @@ const STRAY: f64 = 0.1;
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Lengths {
     /// Sum, metres, and number.
-    sums: [(f64, f64); BONES.len()],
+    sums: [(f64, f64); BONES],
 }
 
 impl Lengths {
+    /// Sum, metres, and number of the measurements of each length.
+    pub(super) fn sums(&self) -> [[f64; 2]; BONES] {
+        self.sums.map(|(sum, count)| [sum, count])
+    }
+
+    /// The lengths with these sums and numbers.
+    pub(super) fn of(sums: [[f64; 2]; BONES]) -> Self {
+        Self { sums: sums.map(|[sum, count]| (sum, count)) }
+    }
+
     /// Adds the points of a frame set.
     pub(super) fn add(&mut self, points: &Points) {
-        for ((sum, count), bones) in self.sums.iter_mut().zip(BONES) {
+        for ((sum, count), bones) in self.sums.iter_mut().zip(LENGTHS) {
             for (a, b) in bones {
                 let Some((a, b)) = points[*a as usize].zip(points[*b as usize]) else { continue };
                 let mut length = (a - b).norm();

@@ -22,11 +22,11 @@ mod config;
 mod crowd;
 mod lengths;
 mod people;
+mod performer_id;
 mod person;
 mod sets;
 
 use std::collections::VecDeque;
-use std::fmt;
 use std::sync::Arc;
 
 use super::body::{Skeleton, TrackingState};
@@ -38,18 +38,8 @@ use super::tracker::{
 };
 pub use config::{Config, Performers, PerformersError};
 pub use crowd::Crowd;
-pub use people::{Change, Claimed, FrameSet, Owner};
-
-/// A performer of a stage, by number from 0 in the order of entering.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct PerformerId(pub usize);
-
-/// The name: p1, p2, ...
-impl fmt::Display for PerformerId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "p{}", self.0 + 1)
-    }
-}
+pub use people::{Change, Claimed, FrameSet, Known, Owner};
+pub use performer_id::PerformerId;
 
 /// An input of the stage. Solutions go to [`Stage::solved`].
 #[derive(Clone, Debug)]
@@ -130,6 +120,43 @@ impl Stage {
             is_solving: true,
             lead: 0,
             next: VecDeque::new(),
+        }
+    }
+
+    /// Several performers: those who were seen before, in an earlier take. Their bodies are checked in
+    /// the first windows, and estimated anew if they do not fit.
+    #[must_use]
+    pub fn with_known(mut self, known: &[Known]) -> Self {
+        let Some(crowd) = &mut self.crowd else { return self };
+        crowd.know(known);
+        let count = known.iter().map(|one| one.performer.0 + 1).max().unwrap_or(0);
+        self.trackers.resize(count, self.template.clone());
+        for (number, tracker) in self.trackers.iter_mut().enumerate() {
+            let body = known.iter().find(|one| one.performer.0 == number);
+            let body = body.and_then(|one| one.body.clone());
+            let new = self.template.clone().with_body_to_check(body).fed(number);
+            *tracker = new;
+        }
+        self.begin_to_watch(0);
+        self
+    }
+
+    /// Several performers: what is known of those so far, for the next take.
+    pub fn known(&self) -> Vec<Known> {
+        let known = self.crowd.as_ref().map_or_else(Vec::new, Crowd::known);
+        let with_body = |one: Known| {
+            let tracker = self.trackers.get(one.performer.0);
+            Known { body: tracker.and_then(Tracker::known_body).cloned(), ..one }
+        };
+        known.into_iter().map(with_body).collect()
+    }
+
+    /// Time offsets and moved cameras are found from this performer, if nobody was before.
+    fn begin_to_watch(&mut self, performer: usize) {
+        let live = self.template.live_settings();
+        if let (Some(live), Some(tracker), 0) = (live, self.trackers.get_mut(performer), performer)
+        {
+            tracker.watch_for_all(live, None);
         }
     }
 
@@ -229,7 +256,8 @@ impl Stage {
     /// Processes an input of all performers. Call [`Stage::poll`] until it is empty before the next one.
     pub fn handle(&mut self, input: Input) {
         let Some(mut crowd) = self.crowd.take() else {
-            return self.next.push_back(Next::Tracker(0, of_tracker(input)));
+            let input = of_tracker(input);
+            return self.trackers.iter_mut().for_each(|tracker| tracker.handle(input.clone()));
         };
         crowd.set_wait(self.lead().delay(), self.lead().longest_wait());
         let is_end = matches!(input, Input::End);
@@ -243,8 +271,12 @@ impl Stage {
             Input::Tick(now) => crowd.tick(*now),
             Input::End => crowd.end(),
         }
-        // The clock first: frames that it completes come after it.
-        let input = (!matches!(input, Input::Detections(_))).then(|| of_tracker(input));
+        // The clock at once: a solution may come before the next poll.
+        if let Input::Tick(now) = input {
+            self.all().for_each(|tracker| tracker.handle(tracker::Input::Tick(now)));
+        }
+        let is_of_all = !matches!(input, Input::Detections(_) | Input::Tick(_));
+        let input = is_of_all.then(|| of_tracker(input));
         if let Some(input) = input.as_ref().filter(|_| !is_end) {
             self.give_all(input);
         }
@@ -290,11 +322,8 @@ impl Stage {
             Change::Entered(performer) => {
                 if self.is_solving {
                     let body = self.bodies.get(performer).cloned().flatten();
-                    let mut tracker = self.template.clone().with_body(body).fed(performer);
-                    if let Some(live) = self.template.live_settings().filter(|_| performer == 0) {
-                        tracker.watch_for_all(live, None);
-                    }
-                    self.trackers.push(tracker);
+                    self.trackers.push(self.template.clone().with_body(body).fed(performer));
+                    self.begin_to_watch(performer);
                 }
                 (performer, EventKind::Entered, "a new performer".to_owned())
             }

@@ -1,9 +1,14 @@
 //! Who is there: people are found, confirmed, followed, lost and found again.
 
+use std::sync::Arc;
+
+use super::lengths::{BONES, Lengths};
+use super::performer_id::PerformerId;
 use super::person::{Person, Sight, apart};
 use crate::core::association::{
-    Assigned, Association, Gates, Newcomer, Part, associate, pixels_of,
+    Assigned, Association, Gates, Newcomer, Part, Points, associate, pixels_of,
 };
+use crate::core::body::Skeleton;
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
@@ -65,6 +70,21 @@ pub enum Change {
     Complete(usize, Timestamp),
 }
 
+/// What is known of a performer who was seen before.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Known {
+    /// Who it is.
+    pub performer: PerformerId,
+    /// The body, once its estimate is complete.
+    pub body: Option<Arc<Skeleton>>,
+    /// When the performer was seen last.
+    pub seen: Timestamp,
+    /// Where its points were then, metres.
+    pub points: Points,
+    /// Of each length of the body, the sum of the measurements, metres, and their number.
+    pub lengths: [[f64; 2]; BONES],
+}
+
 /// The frames of one time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FrameSet {
@@ -120,6 +140,35 @@ impl People {
             known: 0,
             others: 0,
             last: FrameSet::default(),
+        }
+    }
+
+    /// The performers so far, without their bodies.
+    pub(super) fn known(&self) -> Vec<Known> {
+        let absent = self.absent.iter().map(|(performer, person)| (*performer, person));
+        let present = self.members.iter().filter_map(|member| match member.life {
+            Life::Performer(performer) => Some((performer, &member.person)),
+            _ => None,
+        });
+        let known = |(performer, person): (usize, &Person)| Known {
+            performer: PerformerId(performer),
+            body: None,
+            seen: person.seen,
+            points: *person.points(),
+            lengths: person.lengths.sums(),
+        };
+        let mut all: Vec<Known> = absent.chain(present).map(known).collect();
+        all.sort_by_key(|one| one.performer);
+        all
+    }
+
+    /// These performers were seen before.
+    pub(super) fn know(&mut self, known: &[Known], cameras: usize) {
+        for one in known {
+            let mut person = Person::new(one.points, one.seen, cameras);
+            person.lengths = Lengths::of(one.lengths);
+            self.absent.push((one.performer.0, person));
+            self.known = self.known.max(one.performer.0 + 1);
         }
     }
 

@@ -1,0 +1,81 @@
+//! What the core knows of one performer.
+
+use std::sync::Arc;
+
+use super::status::{Poses, Windows};
+use crate::core::body::{Skeleton, TrackingState};
+use crate::core::time::Timestamp;
+use crate::core::tracker::Tracker;
+use crate::io::wire::{PlayoutCounters, Topics, WindowCounters};
+
+/// One performer: its topics, and what was published on them.
+pub(super) struct Performer {
+    pub(super) topics: Topics,
+    /// The body of the next pose.
+    pub(super) skeleton: Option<Arc<Skeleton>>,
+    pub(super) windows: Windows,
+    pub(super) poses: Poses,
+    /// When the job that is out was sent.
+    pub(super) sent: Option<Timestamp>,
+}
+
+impl Performer {
+    pub(super) fn new(topics: Topics) -> Self {
+        Self {
+            topics,
+            skeleton: None,
+            windows: Windows::default(),
+            poses: Poses::default(),
+            sent: None,
+        }
+    }
+}
+
+/// What a performer's tracker does: counters and its state.
+pub(super) struct Progress {
+    pub(super) state: &'static str,
+    pub(super) windows: WindowCounters,
+    pub(super) playout: PlayoutCounters,
+}
+
+/// The state of all performers: the best one.
+pub(super) fn state_of_all(all: &[Progress]) -> &'static str {
+    let names = ["tracking", "coasting", "acquiring", "lost", "idle"];
+    let best = names.into_iter().find(|name| all.iter().any(|one| one.state == *name));
+    best.unwrap_or("searching")
+}
+
+/// The counters of all performers together; solve times and iterations are the largest.
+pub(super) fn windows_of_all(all: &[Progress]) -> WindowCounters {
+    let mut sum = WindowCounters::default();
+    for Progress { windows, .. } in all {
+        sum.tracked += windows.tracked;
+        sum.coasted += windows.coasted;
+        sum.lost += windows.lost;
+        sum.incomplete += windows.incomplete;
+        sum.iterations = sum.iterations.max(windows.iterations);
+        sum.solve_p50_ms = sum.solve_p50_ms.max(windows.solve_p50_ms);
+        sum.solve_p99_ms = sum.solve_p99_ms.max(windows.solve_p99_ms);
+        sum.termination.clone_from(&windows.termination);
+    }
+    sum
+}
+
+/// Sums of coasted and missed poses.
+pub(super) fn coasted_and_missed(all: &[Progress]) -> (u64, u64) {
+    let add =
+        |sum: (u64, u64), one: &Progress| (sum.0 + one.playout.coasted, sum.1 + one.playout.missed);
+    all.iter().fold((0, 0), add)
+}
+
+/// The tracker's state by its name in the status message.
+pub(super) fn tracker_state(track: &Tracker) -> &'static str {
+    match track.state() {
+        _ if track.is_idle() => "idle",
+        Some(TrackingState::Tracking) => "tracking",
+        Some(TrackingState::Coasting) => "coasting",
+        _ if track.sees_somebody() => "acquiring",
+        Some(TrackingState::Lost) => "lost",
+        None => "searching",
+    }
+}
