@@ -92,6 +92,14 @@ pub enum ConfigError {
         /// What is wrong.
         source: TimecodeError,
     },
+    /// Settings that do not fit each other.
+    #[error("{}: {reason}", path.display())]
+    Together {
+        /// The file.
+        path: PathBuf,
+        /// The settings, and what would fit.
+        reason: &'static str,
+    },
     /// An invalid name of a stage or an actor.
     #[error("{}: {key}: {source}", path.display())]
     Name {
@@ -142,7 +150,19 @@ impl Config {
                 error: error.in_table(table),
             })?;
         }
-        Ok(config)
+        let reason = match config.stage.several() {
+            true if config.node.associated => {
+                "[node] associated reads one performer; set [stage] performers = 1"
+            }
+            true if !config.node.body.is_empty() => {
+                "[node] body is of one performer; leave it out, or set [stage] performers = 1"
+            }
+            false if !config.stage.solve => {
+                "[stage] solve = false needs several performers; set [stage] performers"
+            }
+            _ => return Ok(config),
+        };
+        Err(ConfigError::Together { path: path.into(), reason })
     }
 
     /// The settings as TOML, without comments.
@@ -217,6 +237,18 @@ mod tests {
         let negative = parse("[tracker.cost]\nscale_px = -1.0\n").unwrap_err();
         assert!(negative.contains("tracker.cost.scale_px is -1"), "{negative}");
         assert!(!kind.contains('\n') && !unknown.contains('\n'));
+    }
+
+    #[test]
+    fn settings_that_do_not_fit_each_other_are_refused() {
+        for (text, part) in [
+            ("[stage]\nperformers = 2\n[node]\nassociated = true\n", "performers = 1"),
+            ("[stage]\nperformers = \"auto\"\n[node]\nbody = \"a.mcap\"\n", "of one performer"),
+            ("[stage]\nsolve = false\n", "needs several performers"),
+        ] {
+            let error = parse(text).unwrap_err();
+            assert!(error.starts_with("my.toml: ") && error.contains(part), "{error}");
+        }
     }
 
     #[test]

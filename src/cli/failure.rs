@@ -142,6 +142,7 @@ impl From<ConfigError> for Failure {
             ConfigError::Malformed { .. }
             | ConfigError::OutOfRange { .. }
             | ConfigError::Timecode { .. }
+            | ConfigError::Together { .. }
             | ConfigError::Name { .. } => Exit::Malformed,
         };
         Self::new(exit, error.to_string())

@@ -89,10 +89,6 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             Some(encode(&wire::Skeleton::from_core(&body)))
         }
     };
-    if body.is_some() && config.stage.several() {
-        let message = "--body, or [node] body, is of one performer; leave out [stage] performers";
-        return Err(Failure::new(Exit::Usage, message));
-    }
     let _log = log::start()?;
     // Before anything is opened, so that a signal always ends in a clean stop.
     let stop = Stop::on_signals()?;

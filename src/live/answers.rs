@@ -12,9 +12,16 @@ use crate::core::manifold::StampedKeyframe;
 use crate::core::stage::{self, PerformerId, Stage};
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{
-    self, Effort, Event, EventKind, Latency, Outcome, Solution, Tracker, Verdict, WindowReport,
+    self, Effort, Event, EventKind, Job, Latency, Outcome, Solution, Task, Tracker, Verdict,
+    WindowReport,
 };
 use crate::io::wire::{self, KeypointFrame, LiveStamp};
+
+/// How long each kind of job may take, from being sent: provisional fits, windows whose poses are overdue,
+/// searches.
+const PROVISIONAL: Nanos = Nanos::from_ms(8);
+const OVERDUE: Nanos = Nanos::from_ms(60);
+const SEARCH: Nanos = Nanos::from_ms(250);
 
 impl Core {
     pub(super) fn solved(&mut self, performer: PerformerId, solution: Solution, took: Nanos) {
@@ -45,14 +52,30 @@ impl Core {
         let Some(available) = self.latency.solve_time(period) else { return };
         // With several performers a job also waits for those of the others.
         let sent = self.performer(performer).sent.filter(|_| self.is_several());
-        let took = sent.map_or(self.took, |sent| self.now - sent);
+        let mut took = sent.map_or(self.took, |sent| self.now - sent);
+        if self.is_several() && took > available {
+            self.late(1, "solves are too slow");
+            took = available;
+        }
         let is_resuming = self.trackers().get(performer.0).is_some_and(Tracker::is_resuming);
+        if self.is_several() && is_resuming {
+            return;
+        }
         // What waited while nothing came is no measure of the solver.
         let trouble = self.trouble.take().filter(|_| !is_resuming);
         let tracked = self.trackers().iter().filter(|tracker| !tracker.is_idle()).count();
         self.governor.performers = tracked as u32;
         let Some(why) = self.governor.solved(took, available, trouble) else { return };
         self.set_effort(&why);
+    }
+
+    /// Poses or windows were late. Of several performers that is trouble if it happens more often in a
+    /// second than there are performers.
+    fn late(&mut self, count: u64, why: &'static str) {
+        self.overdue += count;
+        if !self.is_several() || self.overdue > self.performers.len() as u64 {
+            self.trouble = Some(why);
+        }
     }
 
     /// Uses the governor's level from now on.
@@ -119,7 +142,8 @@ impl Core {
             tracker::Output::Solve(job) => {
                 self.jobs += 1;
                 self.performer(performer).sent = Some(self.now);
-                self.outputs.push_back(Output::Solve(performer, job));
+                let deadline = self.deadline(&job);
+                self.outputs.push_back(Output::Solve { performer, job, deadline });
             }
             tracker::Output::Skeleton(skeleton) => {
                 let message = wire::Skeleton::from_core(&skeleton);
@@ -135,6 +159,19 @@ impl Core {
             tracker::Output::Keyframe(keyframe) => self.keyframe(performer, &keyframe),
             tracker::Output::Window(report) => self.window(performer, &report),
             tracker::Output::Event(event) => self.performer_event(performer, &event),
+        }
+    }
+
+    /// When a job should be solved: a provisional fit at once, a window before its first pose is due, or,
+    /// if that is past, after those that can still be in time; a search can wait.
+    fn deadline(&self, job: &Job) -> Timestamp {
+        let latency = self.latency.declared().unwrap_or_default();
+        let due = self.clock.node_time(job.start + latency);
+        match job.task {
+            Task::Provisional { .. } => self.now + PROVISIONAL,
+            Task::Track { .. } if due > self.now => due,
+            Task::Track { .. } => self.now + OVERDUE,
+            Task::Acquire { .. } => self.now + SEARCH,
         }
     }
 
@@ -223,7 +260,7 @@ impl Core {
             EventKind::Overdue
                 if self.trackers().get(performer.0).is_some_and(|t| !t.is_resuming()) =>
             {
-                self.trouble = Some("a pose was not solved when due")
+                self.late(event.count, "a pose was not solved when due");
             }
             _ => {}
         }

@@ -49,6 +49,8 @@ pub struct Core {
     pub(super) queue_dropped: u64,
     /// What went wrong since the last window; input of the governor.
     pub(super) trouble: Option<&'static str>,
+    /// Poses and windows of this second that were not solved when due.
+    pub(super) overdue: u64,
     /// Capture and arrival times of the last frames.
     pub(super) arrivals: VecDeque<(Timestamp, Timestamp)>,
     /// Solve time of the current answer.
@@ -99,6 +101,7 @@ impl Core {
             published: Published::new(),
             queue_dropped: 0,
             trouble: None,
+            overdue: 0,
             arrivals: VecDeque::new(),
             took: Nanos::ZERO,
             journal: Journal::default(),
@@ -307,6 +310,7 @@ impl Core {
         }
         let passed = (self.now - next + Nanos::SECOND).max(Nanos::new(1));
         self.next_second = Some(self.now + Nanos::SECOND);
+        self.overdue = 0;
         for (kind, of, message) in self.counts.second() {
             self.publish_event(kind, of, message);
         }

@@ -178,9 +178,9 @@ impl NodeLoop {
         self.core.handle(now, input);
         while let Some(output) = self.core.poll() {
             match output {
-                Output::Solve(performer, job) => {
+                Output::Solve { performer, job, deadline } => {
                     self.progress.jobs_out += 1;
-                    self.jobs.push(performer, job);
+                    self.jobs.push(deadline, performer, job);
                 }
                 Output::Wake(at) => self.progress.wake = Some(at),
                 Output::Publish(publication) => self.publish(publication, now),

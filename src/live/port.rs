@@ -69,7 +69,14 @@ pub enum Input {
 #[allow(clippy::large_enum_variant)]
 pub enum Output {
     /// A performer's job to solve; at most one of each performer at a time.
-    Solve(PerformerId, Box<Job>),
+    Solve {
+        /// The performer.
+        performer: PerformerId,
+        /// The job.
+        job: Box<Job>,
+        /// When its solution is needed, on the node's clock. The earliest is the most urgent.
+        deadline: Timestamp,
+    },
     /// A message to publish.
     Publish(Publication),
     /// Asks for an [`Input::Tick`] at this time of the node's clock, unless another input comes

@@ -336,7 +336,7 @@ impl<'a> Run<'a> {
         self.core.handle(now, input);
         while let Some(output) = self.core.poll() {
             match output {
-                Output::Solve(performer, job) => drop(self.jobs.insert(performer, job)),
+                Output::Solve { performer, job, .. } => drop(self.jobs.insert(performer, job)),
                 Output::Publish(publication) => self.outputs.push(Recorded {
                     time: publication.due.unwrap_or(now),
                     capture: publication.capture,

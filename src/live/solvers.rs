@@ -1,8 +1,7 @@
 //! The solver threads, and the jobs that wait for them.
 //!
-//! The job with the earliest deadline comes first: a provisional fit is wanted at once, a window some
-//! time later, and a search can wait. Searches take longest; with several threads, one is kept free of
-//! them, so that who enters delays nobody.
+//! The job with the earliest deadline comes first. Searches take longest; with several threads, one is kept
+//! free of them, so that who enters delays nobody.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -19,10 +18,6 @@ use crate::core::tracker::{Job, Solution, Solver, Task};
 /// A solver without a core of its own gives way to the other threads of the program.
 #[cfg(unix)]
 const GIVES_WAY: i32 = 10;
-/// How long after its end each kind of job should be solved.
-const PROVISIONAL: Nanos = Nanos::from_ms(5);
-const WINDOW: Nanos = Nanos::from_ms(25);
-const SEARCH: Nanos = Nanos::from_ms(250);
 
 /// A solution from a solver's thread.
 pub(super) struct Answer {
@@ -34,7 +29,7 @@ pub(super) struct Answer {
 /// Jobs that wait for a thread.
 #[derive(Default)]
 struct Waiting {
-    jobs: Vec<(PerformerId, Box<Job>)>,
+    jobs: Vec<(Timestamp, PerformerId, Box<Job>)>,
     /// Searches that are being solved, and how many may be.
     searches: usize,
     most_searches: usize,
@@ -45,26 +40,17 @@ impl Waiting {
     /// The most urgent job that may be solved now.
     fn pop(&mut self) -> Option<(PerformerId, Box<Job>)> {
         let is_full = self.searches >= self.most_searches;
-        let ready =
-            self.jobs.iter().enumerate().filter(|(_, (_, job))| !is_full || !is_search(job));
-        let (next, _) = ready.min_by_key(|(_, (performer, job))| (deadline(job), *performer))?;
-        let next = self.jobs.swap_remove(next);
-        self.searches += usize::from(is_search(&next.1));
-        Some(next)
+        let may_be_next = |job: &Job| !(is_full && is_search(job));
+        let ready = (0..self.jobs.len()).filter(|&index| may_be_next(&self.jobs[index].2));
+        let next = ready.min_by_key(|&index| (self.jobs[index].0, self.jobs[index].1))?;
+        let (_, performer, job) = self.jobs.swap_remove(next);
+        self.searches += usize::from(is_search(&job));
+        Some((performer, job))
     }
 }
 
 fn is_search(job: &Job) -> bool {
     matches!(job.task, Task::Acquire { .. })
-}
-
-fn deadline(job: &Job) -> Timestamp {
-    job.end
-        + match job.task {
-            Task::Provisional { .. } => PROVISIONAL,
-            Task::Track { .. } => WINDOW,
-            Task::Acquire { .. } => SEARCH,
-        }
 }
 
 /// The way to the solver threads; they end when it is dropped.
@@ -96,8 +82,8 @@ impl Solvers {
     }
 
     /// Adds a job. Returns at once.
-    pub(super) fn push(&self, performer: PerformerId, job: Box<Job>) {
-        lock(&self.0.0).jobs.push((performer, job));
+    pub(super) fn push(&self, deadline: Timestamp, performer: PerformerId, job: Box<Job>) {
+        lock(&self.0.0).jobs.push((deadline, performer, job));
         self.0.1.notify_one();
     }
 }

@@ -148,7 +148,7 @@ impl World {
         while let Some(output) = self.core.poll() {
             match output {
                 Output::Wake(at) => self.wake = Some(at.max(self.now + Nanos::new(1))),
-                Output::Solve(performer, job) => {
+                Output::Solve { performer, job, .. } => {
                     let is_out = self.answers.iter().any(|(_, other, ..)| *other == performer);
                     assert!(!is_out, "two jobs of a performer at once");
                     let took = (self.took)(&job);

@@ -196,7 +196,7 @@ impl Node {
         while let Some(output) = self.core.poll() {
             match output {
                 Output::Wake(at) => self.wake = Some(at.max(self.now + Nanos::new(1))),
-                Output::Solve(_, job) => {
+                Output::Solve { job, .. } => {
                     self.answer = Some((self.now + Nanos::from_ms(5), solved(&job)));
                 }
                 Output::Publish(publication) => match publication.content {

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use bundlemocap::io::recording::{RawEntry, Reader};
 use bundlemocap::io::wire::journal_entry::Input;
-use bundlemocap::io::wire::{Event, Journal, Schema, Status, Topics, decode};
+use bundlemocap::io::wire::{Event, Journal, KeypointFrame, Pose, Schema, Status, Topics, decode};
 
 use crate::bus::Prefix;
 use crate::program::{PATIENCE, Program, listening_node};
@@ -27,10 +27,12 @@ struct Studio {
 }
 
 impl Studio {
-    fn over_zenoh() -> Self {
-        let (node, address) = listening_node(&[]);
-        let options = vec!["--connect".into(), address];
-        Self { folder: tempfile::tempdir().unwrap(), node, options }
+    fn over_zenoh(settings: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let config = folder.path().join("studio.toml").display().to_string();
+        std::fs::write(&config, settings).unwrap();
+        let (node, address) = listening_node(&[&config]);
+        Self { folder, node, options: vec!["--connect".into(), address] }
     }
 
     fn over_iceoryx2(prefix: &Prefix) -> Self {
@@ -56,11 +58,10 @@ impl Studio {
 
     /// Plays a recording to the node over a bad network while everything is recorded, then ends
     /// all. Returns the recording and the number of frames sent.
-    fn take(self) -> (tempfile::TempDir, PathBuf, usize) {
+    fn take(self, played: &Path) -> (tempfile::TempDir, PathBuf, usize) {
         let mut recorder = Program::start(&mut self.command("record take.mcap"));
         assert!(recorder.has_said("recording mocap/stage/**"));
-        let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
-        let said = self.done(&format!("play {} {NETWORK}", walk.display()));
+        let said = self.done(&format!("play {} {NETWORK}", played.display()));
         let of_camera = said.lines().filter(|line| line.starts_with("camera "));
         let sent =
             of_camera.map(|line| line.split_whitespace().nth(2).unwrap().parse::<usize>().unwrap());
@@ -115,27 +116,30 @@ fn wait_for_the_end(part: &Path) {
 
 /// Whether messages were lost on their way to the recorder.
 fn is_lossy(entries: &[RawEntry], sent: usize) -> bool {
-    let topics = Topics::default();
-    let mut counts = BTreeMap::<&str, usize>::new();
-    entries.iter().for_each(|entry| *counts.entry(&entry.topic).or_default() += 1);
-    let count = |topic: &str| counts.get(topic).copied().unwrap_or(0);
-    let frames: usize =
-        (1..=4).map(|camera| count(&topics.keypoints(&format!("cam0{camera}")))).sum();
-    let status = of::<Status>(entries, &topics.status()).pop().expect("a status");
+    let count = |channel: &str| entries.iter().filter(|e| e.topic.ends_with(channel)).count();
+    let frames = entries.iter().filter(|e| &*e.schema == KeypointFrame::FULL_NAME).count();
+    let status = of::<Status>(entries, &Topics::default().status()).pop().expect("a status");
     let playout = status.playout.unwrap();
     let published = [playout.published, playout.provisional].map(|count| count as usize);
-    let found = [frames, count(&topics.pose()), count(&topics.provisional())];
-    println!("sent {sent}, published {published:?}; recorded {found:?}");
-    frames < sent || found[1] < published[0] || found[2] < published[1]
+    let found = [count("/pose"), count("/pose/provisional")];
+    println!("sent {sent}, published {published:?}; recorded {frames}, {found:?}");
+    frames < sent || found[0] < published[0] || found[1] < published[1]
 }
 
-/// Takes until one is complete, then replays and decodes it.
-fn a_take_is_replayed(studio: impl Fn() -> Studio) {
-    let whole = (0..TAKES).map(|_| studio().take());
+fn walk() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap")
+}
+
+/// Takes until one is complete, then replays and decodes it. Each actor has poses.
+fn a_take_is_replayed(studio: impl Fn() -> Studio, played: &Path, actors: &[&str]) {
+    let whole = (0..TAKES).map(|_| studio().take(played));
     let whole = whole.map(|(folder, path, sent)| (folder, entries(&path), path, sent));
     let mut whole = whole.filter(|(_, entries, _, sent)| !is_lossy(entries, *sent));
     let (folder, entries, path, _) = whole.next().expect("messages were lost in every take");
-    assert!(of::<bundlemocap::io::wire::Pose>(&entries, &Topics::default().pose()).len() > 60);
+    for actor in actors {
+        let poses = of::<Pose>(&entries, &Topics::new("stage", actor).unwrap().pose());
+        assert!(poses.len() > 60, "{actor}: {}", poses.len());
+    }
 
     let run = |line: &str| {
         let mut command = Command::new(PROGRAM);
@@ -147,8 +151,9 @@ fn a_take_is_replayed(studio: impl Fn() -> Studio) {
     assert!(!said.contains("ends before the node did"), "{said}");
     for topic in ["pose", "pose/provisional", "keyframe", "journal", "skeleton", "events", "status"]
     {
-        let line = said.lines().find(|line| line.contains(&format!("/{topic} ")));
-        assert!(line.is_some_and(|line| line.ends_with(", equal")), "{topic}: {said}");
+        let mut lines = said.lines().filter(|line| line.contains(&format!("/{topic} "))).peekable();
+        assert!(lines.peek().is_some(), "{topic}: {said}");
+        assert!(lines.all(|line| line.ends_with(", equal")), "{topic}: {said}");
     }
     let said = run("decode take.mcap --out decoded.mcap");
     let poses: usize = said.split_whitespace().nth(1).unwrap().parse().unwrap();
@@ -158,13 +163,24 @@ fn a_take_is_replayed(studio: impl Fn() -> Studio) {
 
 #[test]
 fn a_take_over_zenoh_is_replayed_byte_for_byte() {
-    a_take_is_replayed(Studio::over_zenoh);
+    a_take_is_replayed(|| Studio::over_zenoh(""), &walk(), &["actor"]);
+}
+
+#[test]
+fn a_take_of_several_performers_is_replayed_byte_for_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let pair = folder.path().join("pair.mcap");
+    let mut synth = Command::new(PROGRAM);
+    let options = ["--performers", "2", "--seconds", "3", "--noise", "clean"];
+    printed("synth", &synth.args(["synth", "--out"]).arg(&pair).args(options).output().unwrap());
+    let several = "[stage]\nperformers = \"auto\"\n";
+    a_take_is_replayed(|| Studio::over_zenoh(several), &pair, &["p1", "p2"]);
 }
 
 #[test]
 fn a_take_over_iceoryx2_is_replayed_byte_for_byte() {
     let prefix = Prefix::new();
-    a_take_is_replayed(|| Studio::over_iceoryx2(&prefix));
+    a_take_is_replayed(|| Studio::over_iceoryx2(&prefix), &walk(), &["actor"]);
     assert_eq!(prefix.leftovers(), Vec::<String>::new());
 }
 

@@ -68,6 +68,10 @@ impl Tracker {
         self.event(EventKind::Acquired, at, None, detail.to_owned());
         self.skeleton = Some(skeleton);
         self.start_windows_at(Some(at));
+        if self.is_fed {
+            // The frames of the search have waited.
+            self.resume();
+        }
         self.publish_keyframe(at, &first, TrackingState::Tracking);
         self.publish_final(at, pose, TrackingState::Tracking);
         self.playout.begin_path();

@@ -54,6 +54,10 @@ impl Tracker {
     /// Whether no two cameras have come near the end of the open window, so that nothing can be solved.
     pub(super) fn is_starved(&self) -> bool {
         let start = self.start.filter(|_| self.pending.is_none());
+        if self.is_fed {
+            let end = start.map(|start| start + self.span() - self.tolerance());
+            return end.is_some_and(|end| self.complete < Some(end));
+        }
         let frames = self.open_frames().saturating_sub(1) as f64 - 0.5;
         let near_end = Nanos::rounded(frames * self.frame_period());
         start.is_some_and(|start| self.intake.front() < Some(start + near_end))

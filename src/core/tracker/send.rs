@@ -48,7 +48,9 @@ impl Tracker {
             return false;
         };
         let is_needed = self.look_ahead().is_some();
-        let is_wanted = self.live.is_some_and(|live| live.provisional);
+        // Who has just entered catches up first.
+        let is_behind = self.is_fed && self.is_resuming();
+        let is_wanted = self.live.is_some_and(|live| live.provisional) && !is_behind;
         if !is_needed && (self.effort.provisional_iterations == 0 || !is_wanted) {
             return false;
         }
