@@ -94,7 +94,7 @@ fn everybody_has_each_pose_once_at_one_latency() {
         }
         let steps = poses.windows(2).map(|p| p[1].1.capture_time_ns - p[0].1.capture_time_ns);
         assert!(steps.clone().all(|step| (step - 16_666_667).abs() <= 1), "{:?}", steps.max());
-        let window = poses.windows(2).find(|p| p[1].1.window > p[0].1.window + 0).unwrap();
+        let window = poses.windows(2).find(|p| p[1].1.window > p[0].1.window).unwrap();
         phases.insert((window[1].1.capture_time_ns - START.ns()) / 16_666_667 % 5);
     }
     assert_eq!(latencies.len(), 1, "{latencies:?}");
