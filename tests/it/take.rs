@@ -67,7 +67,7 @@ impl Studio {
             of_camera.map(|line| line.split_whitespace().nth(2).unwrap().parse::<usize>().unwrap());
         let sent = sent.sum();
         // A late joiner receives the node's state.
-        assert!(self.done("echo status --count 1").contains("actor/status"));
+        assert!(self.done("echo status --count 1").contains("/status"));
 
         self.node.signal("INT");
         let node = self.node.ended();
