@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::core::limits::OutOfRange;
+use crate::core::manifold::Decoder;
 use crate::core::stage;
 use crate::core::timecode::{House, TimecodeError};
 use crate::core::tracker;
@@ -163,6 +164,23 @@ impl Config {
             _ => return Ok(config),
         };
         Err(ConfigError::Together { path: path.into(), reason })
+    }
+
+    /// The settings of a new node's core, without a known body.
+    ///
+    /// # Errors
+    /// As [`TimecodeConfig::house`].
+    pub fn core_settings(&self, decoder: &Decoder) -> Result<live::Settings, TimecodeError> {
+        Ok(live::Settings {
+            tracker: self.tracker,
+            stage: self.stage,
+            node: self.node.clone(),
+            toml: self.to_toml(),
+            weights: format!("{:016x}", decoder.fingerprint()),
+            body: None,
+            carried: live::Carried::default(),
+            timecode: self.timecode.house()?,
+        })
     }
 
     /// The settings as TOML, without comments.

@@ -27,6 +27,8 @@
 //! # }
 //! ```
 //!
+//! A [`Stage`] does the same for several performers.
+//!
 //! [`offline`] solves a recording with this loop and writes the results. `live` is the node: it
 //! takes detections from a bus and publishes poses at a fixed latency.
 //!
@@ -123,10 +125,14 @@ pub mod offline;
 pub mod research;
 pub mod retarget;
 
+/// Vectors, rotations and matrices of this library are nalgebra's.
+pub use nalgebra;
+
 pub use crate::core::body::{Joint, Pose, Skeleton, StampedPose, TrackingState};
 pub use crate::core::camera::{Camera, CameraError, Lens, Rig};
 pub use crate::core::detections::{Detection, Detections, Keypoint, KeypointFormat, Person};
 pub use crate::core::manifold::{Decoder, WeightsError};
+pub use crate::core::stage::{PerformerId, Performers, Stage};
 pub use crate::core::time::{Nanos, Timestamp};
 pub use crate::core::tracker::{
     Config as TrackerConfig, Event, Input, Job, Output, Solution, Solver, Tracker,

@@ -5,6 +5,7 @@ use std::path::Path;
 use crate::config::ConfigError;
 use crate::core::camera::CameraError;
 use crate::core::manifold::WeightsError;
+use crate::core::timecode::TimecodeError;
 use crate::io::bus::BusError;
 use crate::io::formats::{ExportError, TrcError};
 use crate::io::recording::RecordError;
@@ -132,6 +133,12 @@ impl From<BusError> for Failure {
             _ => Exit::Bus,
         };
         Self::new(exit, error.to_string())
+    }
+}
+
+impl From<TimecodeError> for Failure {
+    fn from(error: TimecodeError) -> Self {
+        Self::new(Exit::Usage, error.to_string())
     }
 }
 

@@ -18,7 +18,6 @@ pub(crate) mod failure;
 mod import;
 mod info;
 mod lookout;
-mod node;
 mod overwrite;
 mod play;
 mod record;

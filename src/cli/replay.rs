@@ -8,7 +8,6 @@ use super::Ended;
 use super::failure::{Exit, Failure};
 use super::overwrite::Overwrite;
 use super::solve::decoder;
-use super::span::timecode;
 use super::terminal::{complain, say, table};
 use crate::config::Config;
 use crate::core::tracker::Solver;
@@ -129,18 +128,13 @@ fn prepare(start: &JournalStart, weights: Option<&Path>) -> Result<(Settings, So
         );
         return Err(Failure::new(Exit::Weights, message));
     }
-    let tracker = config.tracker;
     let settings = Settings {
-        tracker,
-        stage: config.stage,
-        node: config.node.clone(),
         toml: start.config.clone(),
-        weights: ours,
         body: start.body.clone(),
         carried: Carried::of(start),
-        timecode: timecode(&config)?,
+        ..config.core_settings(&decoder)?
     };
-    Ok((settings, Solver::new(decoder, tracker)))
+    Ok((settings, Solver::new(decoder, config.tracker)))
 }
 
 /// Writes the recorded inputs and the new outputs, sorted by time.

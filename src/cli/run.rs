@@ -13,13 +13,13 @@ use super::bus::{BusName, topics};
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
 use super::lookout::look;
-use super::node::{Parts, say_goodbye, say_hello, start_node};
 use super::solve::decoder;
 use crate::config::Config;
-use crate::io::bus;
+use crate::core::tracker::Solver;
+use crate::io::bus::{self, Kind};
 use crate::io::recording::last_body;
-use crate::io::wire::{self, encode};
-use crate::live::{Presence, Running, SolverCore, WallClock, log};
+use crate::io::wire::{self, Status, encode};
+use crate::live::{Core, Node, NodeError, Presence, Running, Settings, SolverCore, WallClock, log};
 
 /// How often a standby node looks whether it is alone.
 const LOOK: Duration = Duration::from_millis(200);
@@ -77,11 +77,26 @@ pub(super) struct Arguments {
     seconds: Option<f64>,
 }
 
+/// Most solver threads.
+const MOST_SOLVERS: usize = 8;
+
+impl From<NodeError> for Failure {
+    fn from(error: NodeError) -> Self {
+        let exit = match error {
+            NodeError::Bus(error) => return error.into(),
+            NodeError::Rig(error) => return error.into(),
+            NodeError::Occupied { .. } => Exit::SecondNode,
+            NodeError::Prometheus { .. } | NodeError::Log { .. } => Exit::Usage,
+            NodeError::Thread(_) | NodeError::Fault { .. } => Exit::Unexpected,
+        };
+        Self::new(exit, error.to_string())
+    }
+}
+
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let config = settings(arguments)?;
     let seconds = run_time(arguments.seconds)?;
     let decoder = decoder(arguments.weights.as_deref())?;
-    let weights = format!("{:016x}", decoder.fingerprint());
     let body = match config.node.body.as_str() {
         "" => None,
         path => {
@@ -98,12 +113,17 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let is_alone = is_one && config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
-    let parts = Parts { bus, decoder, weights, body };
     let now = WallClock::start().now();
-    let presence = Presence::announce(Arc::clone(&parts.bus), topics(&config), now)?;
+    let presence = Presence::announce(Arc::clone(&bus), topics(&config), now)?;
     let Some(presence) = alone(presence, arguments.standby, &stop)? else { return Ok(Exit::Done) };
-    let running = start_node(&parts, &config, presence, solver_core)?;
-    let bus = parts.bus;
+    let core = Core::new(Settings { body, ..config.core_settings(&decoder)? });
+    // Several performers share as many solvers as there are processors.
+    let processors = std::thread::available_parallelism().map_or(1, usize::from);
+    let count = if is_one { 1 } else { processors.min(MOST_SOLVERS) };
+    let solver = || Solver::new(decoder.clone(), config.tracker);
+    let solvers = std::iter::repeat_with(solver).take(count).collect();
+    let running =
+        Node::start(Arc::clone(&bus), presence, core, solvers, &config.node, solver_core)?;
     say_hello(&config, running.prometheus());
     let (node, over) = (running.monitor(), AtomicBool::new(false));
     let why = std::thread::scope(|scope| {
@@ -208,4 +228,42 @@ fn wait(stop: &Stop, running: &Running, seconds: Option<Duration>) -> &'static s
             return "the node stopped by itself";
         }
     }
+}
+
+fn say_hello(config: &Config, prometheus: Option<&str>) {
+    let where_to = match config.bus.kind {
+        Kind::Zenoh => {
+            let zenoh = &config.bus.zenoh;
+            let mode = format!("{:?}", zenoh.mode).to_lowercase();
+            let to = |what: &str, list: &[String]| match list {
+                [] => String::new(),
+                list => format!(", {what} {}", list.join(" ")),
+            };
+            format!("zenoh {mode}{}{}", to("on", &zenoh.listen), to("to", &zenoh.connect))
+        }
+        Kind::Iceoryx2 => format!("iceoryx2, prefix {:?}", config.bus.iceoryx2.prefix),
+    };
+    let node = &config.node;
+    tracing::info!(stage = node.stage, actor = node.actor, "listening: {where_to}");
+    match node.rig.as_str() {
+        "" => tracing::info!("waiting for the calibration on {}", topics(config).rig()),
+        path => tracing::info!("calibration from {path}"),
+    }
+    if let Some(address) = prometheus {
+        tracing::info!("metrics on http://{address}/metrics");
+    }
+}
+
+fn say_goodbye(actor: &str, status: Option<&Status>) {
+    let Some(status) = status else { return };
+    let playout = status.playout.clone().unwrap_or_default();
+    tracing::info!(
+        poses = playout.published,
+        coasted = playout.coasted,
+        missed = playout.missed,
+        provisional = playout.provisional,
+        dropped = status.queue_dropped,
+        actor,
+        "ended"
+    );
 }

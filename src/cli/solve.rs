@@ -250,7 +250,8 @@ fn ended(arguments: &Arguments, performers: Performers, one: &PerformerSummary) 
     let of = if performers.limit() > 1 { format!("{performer}: ") } else { String::new() };
     let without = summary.windows_without_performer;
     let mut parts = Vec::new();
-    if summary.lost > 0 || without > 0 {
+    // To enter late is no loss.
+    if summary.lost > 0 {
         let all = summary.windows as u64 + without;
         let solved = summary.windows - summary.lost;
         let lost = summary.lost;

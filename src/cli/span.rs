@@ -62,9 +62,10 @@ impl Times {
         let mut reader = Reader::open(path)?;
         let ours = reader.metadata().get(METADATA).and_then(|ours| ours.get("config"));
         let theirs = ours.and_then(|toml| Config::parse(toml, path).ok());
-        let house = match config.map(timecode).transpose()?.flatten() {
+        let house = |config: &Config| config.timecode.house();
+        let house = match config.map(house).transpose()?.flatten() {
             Some(house) => Some(house),
-            None => theirs.as_ref().map(timecode).transpose()?.flatten(),
+            None => theirs.as_ref().map(house).transpose()?.flatten(),
         };
         let (mut house, mut first) = (house, None::<RawEntry>);
         while let Some(entry) = reader.next_raw().transpose()? {
@@ -123,11 +124,6 @@ fn of_node(part: &[u8]) -> Option<House> {
         _ => return None,
     };
     Config::parse(&start.config, Path::new("the journal")).ok()?.timecode.house().ok()?
-}
-
-/// The timecode of the settings.
-pub(super) fn timecode(config: &Config) -> Result<Option<House>, Failure> {
-    config.timecode.house().map_err(|error| Failure::new(Exit::Usage, error.to_string()))
 }
 
 #[cfg(test)]

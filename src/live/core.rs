@@ -203,7 +203,7 @@ impl Core {
         let tracker = Tracker::new(*config, rig).live(live);
         let tracker = tracker.with_time_corrections(&carried.time_offsets);
         let tracker = tracker.with_body_to_check(self.body());
-        let stage = Stage::new(tracker, *config, of_stage.performers, None);
+        let stage = Stage::new(tracker, of_stage.performers, None);
         let stage = stage.with_known(&carried.performers);
         self.stage = Some(if of_stage.solve { stage } else { stage.without_solving() });
         if !self.is_several() {

@@ -14,7 +14,7 @@ use crate::diagnose::Check;
 use crate::io::report::Table;
 use crate::metrics::{FootSkate, PerformerScores, PoseErrors};
 
-/// The measurements of a solve. Field names are part of the interface; README.md documents them.
+/// The measurements of a solve. Field names are part of the interface; docs/json.md documents them.
 /// [`Display`](fmt::Display) prints the table.
 ///
 /// Percentiles are exact up to 131,072 values (points, windows), and within 0.05 % beyond; see

@@ -561,7 +561,7 @@ fn a_camera_that_comes_later_to_a_long_recording_fits() {
 }
 
 #[test]
-#[ignore = "prints the table of src/research/RESULTS.md; a minute; BUNDLEMOCAP_TAKES has real takes"]
+#[ignore = "prints the table of docs/results/cameras.md; a minute; BUNDLEMOCAP_TAKES has real takes"]
 fn table_of_faults() {
     let mut all = 0;
     let mut right = 0;

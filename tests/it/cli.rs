@@ -548,6 +548,23 @@ fn a_truncated_recording_is_solved_to_its_end() {
 }
 
 #[test]
+fn who_enters_late_is_no_failure() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 240, |detections| {
+        if detections.frame < 60 {
+            detections.people.clear();
+        }
+        true
+    });
+    let output = place.run("solve walk.mcap --out out --json");
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    let figures: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(figures["windows_without_performer"].as_u64().unwrap() > 0, "{figures}");
+    assert_eq!(figures["lost"], 0, "{figures}");
+}
+
+#[test]
 fn unsolvable_windows_are_counted_and_the_rest_is_solved() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 150, |detections| {

@@ -18,7 +18,7 @@ use bundlemocap::io::wire::{
     self, Event, KeypointFrame, Pose, Schema, Status, Topics, TrackingState, decode, encode,
 };
 use bundlemocap::live::{
-    Carried, Core, Input, Loss, Output, Recorded, Replayed, Settings, find_node, replay,
+    Core, Input, Loss, Output, Recorded, Replayed, Settings, find_node, replay,
 };
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
@@ -88,16 +88,7 @@ pub struct World {
 }
 
 pub fn settings(config: &Config, decoder: &Decoder) -> Settings {
-    Settings {
-        tracker: config.tracker,
-        stage: config.stage,
-        node: config.node.clone(),
-        toml: config.to_toml(),
-        weights: format!("{:016x}", decoder.fingerprint()),
-        body: None,
-        carried: Carried::default(),
-        timecode: None,
-    }
+    config.core_settings(decoder).unwrap()
 }
 
 impl World {

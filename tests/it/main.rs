@@ -21,6 +21,8 @@ mod frame_rate;
 #[cfg(feature = "research")]
 mod genlock;
 mod import;
+#[cfg(feature = "cli")]
+mod interactions;
 mod jacobians;
 mod layers;
 #[cfg(feature = "cli")]

@@ -14,13 +14,13 @@ use crate::live::{START, Sent, Studio, World, at};
 use crate::slate::{assert_agrees, from, recorded, replayed, slate};
 
 /// Cameras around people who cross and meet.
-struct Stage {
-    studio: Studio,
-    config: Config,
+pub struct Stage {
+    pub studio: Studio,
+    pub config: Config,
 }
 
 impl Stage {
-    fn new(people: usize, cameras: usize, seconds: u64) -> Self {
+    pub fn new(people: usize, cameras: usize, seconds: u64) -> Self {
         let meeting = Meeting { people, distance: Some(0.7) };
         let rig = meeting.rig(cameras).unwrap();
         let one = |person| {

@@ -76,7 +76,7 @@ fn run(rig: &Rig, frames: impl Iterator<Item = Detections>, performers: &str) ->
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
     let tracker = Tracker::new(config, Arc::new(rig.clone()));
     let performers: Performers = performers.parse().unwrap();
-    let mut stage = Stage::new(tracker, config, performers, None);
+    let mut stage = Stage::new(tracker, performers, None);
     let mut result = Result::default();
     for input in frames.map(stage::Input::Detections).chain([stage::Input::End]) {
         stage.handle(input);
@@ -117,7 +117,7 @@ fn one_performer_is_the_trackers_own_affair() {
         alone.push(format!("{output:?}"));
     });
     let tracker = Tracker::new(config, Arc::new(rig.clone()));
-    let mut stage = Stage::new(tracker, config, Performers::default(), None);
+    let mut stage = Stage::new(tracker, Performers::default(), None);
     let mut on_stage = Vec::new();
     for input in zero(&crowd).map(stage::Input::Detections).chain([stage::Input::End]) {
         stage.handle(input);

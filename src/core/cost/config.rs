@@ -7,7 +7,7 @@ use super::stiffness::Stiffness;
 use crate::core::limits::{Limit, OutOfRange, check};
 use crate::core::manifold::Interpolation;
 
-/// Weights of the cost. The defaults come from the sweep in src/research/RESULTS.md.
+/// Weights of the cost. The defaults come from the sweep in docs/results/solver.md.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {

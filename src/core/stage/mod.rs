@@ -101,14 +101,10 @@ pub struct Stage {
 impl Stage {
     /// Performers who are each tracked by a copy of `template`. `period` is the cameras' frame period,
     /// if it was measured before.
-    pub fn new(
-        template: Tracker,
-        config: tracker::Config,
-        performers: Performers,
-        period: Option<FramePeriod>,
-    ) -> Self {
+    pub fn new(template: Tracker, performers: Performers, period: Option<FramePeriod>) -> Self {
         let template = template.with_frame_period(period);
-        let new = || Crowd::new(Arc::clone(template.rig()), config, performers, period);
+        let (rig, config) = (template.rig(), template.config());
+        let new = || Crowd::new(Arc::clone(rig), config, performers, period);
         let crowd = (performers.limit() > 1).then(new);
         let trackers = if crowd.is_none() { vec![template.clone()] } else { Vec::new() };
         Self {

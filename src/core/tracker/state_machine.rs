@@ -352,6 +352,10 @@ impl Tracker {
         self.intake.shows_somebody()
     }
 
+    pub(in crate::core) fn config(&self) -> Config {
+        self.config
+    }
+
     /// The cameras, with the time offsets in use.
     pub fn rig(&self) -> &Arc<Rig> {
         &self.rig
@@ -433,6 +437,7 @@ impl Tracker {
         self.offsets = LiveOffsets::new(rig.cameras.len());
         self.watchdog = Watchdog::new(rig.cameras.len());
         self.left_out.clear();
+        self.next_rig = None;
         self.rig = rig;
         self.restart();
     }

@@ -158,7 +158,7 @@ impl Noise {
         }
     }
 
-    /// The detector of the two takes of mohamdev/pykinematics in `src/research/RESULTS.md`, without
+    /// The detector of the two takes of mohamdev/pykinematics in `docs/results/solver.md`, without
     /// their errors of views: one confidence for all points, guesses instead of missing points.
     pub fn uniform() -> Self {
         Self {
