@@ -232,3 +232,23 @@ fn a_new_calibration_holds_for_everybody() {
     }
     assert_eq!(world.heard.details("calibrated").len(), 2);
 }
+
+/// The cameras' common clock steps back by 10 s: everybody goes on within a few seconds.
+#[test]
+fn a_clock_that_steps_back_stops_nobody() {
+    let stage = Stage::new(2, 4, 10);
+    let messages = stage.messages(|frame| {
+        let sent = stage.studio.message(frame);
+        let mut stepped = frame.clone();
+        if frame.capture >= at(4.0) {
+            stepped.capture = frame.capture - Nanos::SECOND * 10;
+        }
+        Some(Sent { arrival: sent.arrival, ..stage.studio.message(&stepped) })
+    });
+    let world = stage.play(messages, 10.0);
+    for performer in 0..2 {
+        let late = poses(&world, performer).into_iter().filter(|(time, _)| *time >= at(8.0));
+        let count = late.count();
+        assert!(count > 100, "p{}: {count} poses in the last 2 s", performer + 1);
+    }
+}

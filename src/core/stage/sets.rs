@@ -125,12 +125,11 @@ impl Sets {
         Some(at + Nanos::rounded(WIDTH * self.period()) + self.grace())
     }
 
-    /// Forgets all frames; from here on there are that many cameras.
+    /// Forgets all frames and the time, which may have stepped back; from here on there are that many cameras.
     pub(super) fn clear(&mut self, cameras: usize) {
         let period = self.intake.rate().period();
-        let (now, delay, longest_wait) = (self.now, self.delay, self.longest_wait);
+        let (delay, longest_wait) = (self.delay, self.longest_wait);
         let events = std::mem::take(&mut self.events);
-        *self =
-            Self { now, delay, longest_wait, events, ..Self::new(cameras, self.config, period) };
+        *self = Self { delay, longest_wait, events, ..Self::new(cameras, self.config, period) };
     }
 }
