@@ -21,7 +21,7 @@ use super::queue::{Intake, Message};
 use super::rig_file::RigFile;
 use super::solvers::Solvers;
 use super::wall::WallClock;
-use crate::core::tracker::Solver;
+use crate::core::tracker::{Job, Solver};
 use crate::io::bus::{Bus, Guard};
 use crate::io::wire::{
     Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, TakeAnswer, Topics,
@@ -96,6 +96,8 @@ impl Node {
         };
         let playout = Arc::<Playout>::default();
         let played = start_playout(&bus, &topics, clock, &playout, &board, &mut threads)?;
+        let solve = |mut solver: Solver| move |job: &Job| solver.solve(job);
+        let solvers = solvers.into_iter().map(solve).collect();
         let (jobs, answers) = Solvers::start(solvers, solver_core, &mut threads)?;
 
         let (stop, stopped) = bounded(1);

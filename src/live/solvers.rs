@@ -13,7 +13,7 @@ use super::cpu_affinity::SolverCore;
 use super::error::NodeError;
 use crate::core::stage::PerformerId;
 use crate::core::time::{Nanos, Timestamp};
-use crate::core::tracker::{Job, Solution, Solver, Task};
+use crate::core::tracker::{Job, Solution, Task};
 
 /// A solver without a core of its own gives way to the other threads of the program.
 #[cfg(unix)]
@@ -53,16 +53,17 @@ fn is_search(job: &Job) -> bool {
     matches!(job.task, Task::Acquire { .. })
 }
 
-/// The way to the solver threads; they end when it is dropped.
+/// The way to the solver threads. Each of them has one too: all end when one is dropped, so also when a
+/// thread panics.
 pub(super) struct Solvers(Arc<(Mutex<Waiting>, Condvar)>);
 
 impl Solvers {
-    /// Starts a thread for each solver; the first one runs on `core`, if there is one.
+    /// Starts a thread for each function that solves; the first one runs on `core`, if there is one.
     ///
     /// # Errors
     /// The system cannot start a thread.
     pub(super) fn start(
-        solvers: Vec<Solver>,
+        solvers: Vec<impl FnMut(&Job) -> Solution + Send + 'static>,
         mut core: Option<SolverCore>,
         threads: &mut Vec<(&'static str, JoinHandle<()>)>,
     ) -> Result<(Self, Receiver<Answer>), NodeError> {
@@ -73,8 +74,8 @@ impl Solvers {
         let (sender, answers) = bounded(count);
         for solver in solvers {
             let core = core.take();
-            let (shared, sender) = (Arc::clone(&shared), sender.clone());
-            let work = move || serve(solver, core, &shared, &sender);
+            let (all, sender) = (Self(Arc::clone(&shared)), sender.clone());
+            let work = move || serve(solver, core, &all.0, &sender);
             let thread = std::thread::Builder::new().name("solver".into()).spawn(work);
             threads.push(("solver", thread.map_err(NodeError::Thread)?));
         }
@@ -101,7 +102,7 @@ fn lock(waiting: &Mutex<Waiting>) -> MutexGuard<'_, Waiting> {
 
 /// The loop of a thread: solves until there are no more jobs and none will come.
 fn serve(
-    mut solver: Solver,
+    mut solve: impl FnMut(&Job) -> Solution,
     core: Option<SolverCore>,
     (waiting, changed): &(Mutex<Waiting>, Condvar),
     answers: &Sender<Answer>,
@@ -127,7 +128,7 @@ fn serve(
         };
         drop(open);
         let begin = Instant::now();
-        let solution = Box::new(solver.solve(&job));
+        let solution = Box::new(solve(&job));
         let took = Nanos::from(begin.elapsed());
         if is_search(&job) {
             lock(waiting).searches -= 1;
@@ -136,5 +137,45 @@ fn serve(
         if answers.send(Answer { performer, solution, took }).is_err() {
             return;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::camera::Rig;
+    use crate::core::detections::KeypointFormat;
+    use crate::core::tracker;
+
+    fn search() -> Box<Job> {
+        let at = Timestamp::default();
+        Box::new(Job {
+            number: 0,
+            window: 0,
+            start: at,
+            end: at,
+            publish: at,
+            keyframe_times: vec![at],
+            pose_times: vec![at],
+            frames: Vec::new(),
+            format: KeypointFormat::Body25,
+            rig: Arc::new(Rig { version: 1, cameras: Vec::new() }),
+            frame_period: Nanos::from_ms(20),
+            effort: tracker::Effort::full(&tracker::Config::default()),
+            noise: tracker::Noise::default(),
+            task: Task::Acquire { skeleton: None },
+        })
+    }
+
+    #[test]
+    fn all_threads_end_if_one_panics() {
+        let solvers = [(); 2].map(|()| |_: &Job| -> Solution { panic!("a fault of the solver") });
+        let mut threads = Vec::new();
+        let (solvers, answers) = Solvers::start(solvers.into(), None, &mut threads).unwrap();
+        solvers.push(Timestamp::default(), PerformerId(0), search());
+        // The other thread does not wait for ever: the node learns of it.
+        assert!(answers.recv().is_err());
+        let panicked = threads.into_iter().filter_map(|(_, thread)| thread.join().err()).count();
+        assert_eq!(panicked, 1);
     }
 }
