@@ -50,16 +50,18 @@ impl Core {
         }
         let [.., period] = times;
         let Some(available) = self.latency.solve_time(period) else { return };
-        // With several performers a job also waits for those of the others.
-        let sent = self.performer(performer).sent.filter(|_| self.is_several());
-        let mut took = sent.map_or(self.took, |sent| self.now - sent);
-        if self.is_several() && took > available {
-            self.late(1, "solves are too slow");
-            took = available;
-        }
         let is_resuming = self.trackers().get(performer.0).is_some_and(Tracker::is_resuming);
-        if self.is_several() && is_resuming {
-            return;
+        let mut took = self.took;
+        if self.is_several() {
+            // A job also waits for those of the others.
+            took = self.performer(performer).sent.map_or(took, |sent| self.now - sent);
+            if took > available {
+                self.late(1, "solves are too slow");
+                took = available;
+            }
+            if is_resuming {
+                return;
+            }
         }
         // What waited while nothing came is no measure of the solver.
         let trouble = self.trouble.take().filter(|_| !is_resuming);
@@ -267,14 +269,14 @@ impl Core {
         let camera = event.camera.and_then(|index| self.cameras.get(index));
         let camera = camera.map(|camera| camera.name().to_owned());
         self.performer(performer);
-        self.emit(event, self.bundle_of(performer), camera.as_deref());
+        self.emit(event, self.one_of_several(performer), camera.as_deref());
     }
 
     /// An event of the cameras, which concerns all performers.
     fn camera_event(&mut self, event: &Event) {
         let camera = event.camera.and_then(|index| self.cameras.get(index));
         let camera = camera.map(|camera| camera.name().to_owned());
-        self.emit(event, 0, camera.as_deref());
+        self.emit(event, None, camera.as_deref());
     }
 }
 

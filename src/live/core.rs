@@ -271,27 +271,37 @@ impl Core {
     ) {
         let capture = self.clock.capture_time(self.now);
         let event = tracker::Event { capture, kind, camera: None, window: None, count, detail };
-        self.emit(&event, 0, camera);
+        self.emit(&event, None, camera);
     }
 
-    /// Counts and publishes an event of the node (`of` is 0) or of the performer before that number;
-    /// `camera` is the name of the camera that it concerns.
-    pub(super) fn emit(&mut self, event: &tracker::Event, of: usize, camera: Option<&str>) {
+    /// Counts and publishes an event of one of several performers, or else of the node. `camera` is the
+    /// name of the camera that it concerns.
+    pub(super) fn emit(
+        &mut self,
+        event: &tracker::Event,
+        performer: Option<PerformerId>,
+        camera: Option<&str>,
+    ) {
         if let Some(name) = camera
             && let Some(camera) = self.cameras.iter_mut().find(|camera| camera.name() == name)
         {
             camera.event(event.kind, event.count);
         }
-        if let Some(message) = self.counts.add(event, of, camera) {
-            self.publish_event(event.kind, of, message);
+        if let Some(message) = self.counts.add(event, performer, camera) {
+            self.publish_event(event.kind, performer, message);
         }
     }
 
-    /// Publishes an event of the node (0) or of the performer before that number.
-    pub(super) fn publish_event(&mut self, kind: EventKind, of: usize, message: wire::Event) {
+    /// Publishes an event of one of several performers, or else of the node.
+    pub(super) fn publish_event(
+        &mut self,
+        kind: EventKind,
+        performer: Option<PerformerId>,
+        message: wire::Event,
+    ) {
         let message = wire::Event { run_id: self.run_id, ..message };
         let capture = Timestamp::from_ns(message.capture_time_ns);
-        let performer = of.checked_sub(1).and_then(|number| self.performers.get(number));
+        let performer = performer.and_then(|performer| self.performers.get(performer.0));
         let topics = performer.map_or(&self.topics, |performer| &performer.topics);
         self.publish(topics.events(kind), capture, Content::Event(message));
     }
@@ -311,8 +321,8 @@ impl Core {
         let passed = (self.now - next + Nanos::SECOND).max(Nanos::new(1));
         self.next_second = Some(self.now + Nanos::SECOND);
         self.overdue = 0;
-        for (kind, of, message) in self.counts.second() {
-            self.publish_event(kind, of, message);
+        for (kind, performer, message) in self.counts.second() {
+            self.publish_event(kind, performer, message);
         }
         for camera in &mut self.cameras {
             camera.second(passed);

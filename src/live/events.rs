@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::core::stage::PerformerId;
 use crate::core::tracker::{Event, EventKind};
 use crate::io::wire;
 
@@ -23,16 +24,16 @@ struct Bundle {
 pub(super) struct Events {
     counts: BTreeMap<EventKind, u64>,
     /// By kind, performer and camera.
-    bundles: BTreeMap<(EventKind, usize, Option<String>), Bundle>,
+    bundles: BTreeMap<(EventKind, Option<PerformerId>, Option<String>), Bundle>,
 }
 
 impl Events {
-    /// Counts an event; `camera` is the name of the camera that it concerns, `performer` the number of
-    /// the topics on which it is published. Returns the message if it is to be published now.
+    /// Counts an event. `performer` is the one of several on whose topics it is published, `camera` the
+    /// name of the camera that it concerns. Returns the message if it is to be published now.
     pub(super) fn add(
         &mut self,
         event: &Event,
-        performer: usize,
+        performer: Option<PerformerId>,
         camera: Option<&str>,
     ) -> Option<wire::Event> {
         *self.counts.entry(event.kind).or_default() += event.count;
@@ -49,7 +50,7 @@ impl Events {
     }
 
     /// The bundles of the last second.
-    pub(super) fn second(&mut self) -> Vec<(EventKind, usize, wire::Event)> {
+    pub(super) fn second(&mut self) -> Vec<(EventKind, Option<PerformerId>, wire::Event)> {
         let bundles = std::mem::take(&mut self.bundles).into_iter();
         let waiting =
             |((kind, performer, _), bundle): (_, Bundle)| Some((kind, performer, bundle.waiting?));
@@ -82,7 +83,7 @@ mod tests {
             count: 1,
             detail: detail.to_string(),
         };
-        let single = (0..1000).filter_map(|i| events.add(&late(i), 0, Some("left"))).count();
+        let single = (0..1000).filter_map(|i| events.add(&late(i), None, Some("left"))).count();
         assert_eq!(single as u64, SINGLE);
         let put_together = events.second();
         assert_eq!(put_together.len(), 1);
@@ -91,6 +92,6 @@ mod tests {
         assert_eq!((&*together.detail, together.camera.as_deref()), ("999", Some("left")));
         assert_eq!(events.counts()[0].count, 1000);
         assert!(events.second().is_empty());
-        assert!(events.add(&late(0), 0, Some("left")).is_some());
+        assert!(events.add(&late(0), None, Some("left")).is_some());
     }
 }

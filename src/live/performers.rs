@@ -33,9 +33,9 @@ impl Core {
         &mut self.performers[id.0]
     }
 
-    /// The number under which a performer's events are bundled; 0 is the node.
-    pub(super) fn bundle_of(&self, id: PerformerId) -> usize {
-        if self.is_several() { id.0 + 1 } else { 0 }
+    /// The performer, if it is one of several.
+    pub(super) fn one_of_several(&self, id: PerformerId) -> Option<PerformerId> {
+        self.is_several().then_some(id)
     }
 
     pub(super) fn trackers(&self) -> &[Tracker] {

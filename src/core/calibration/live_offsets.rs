@@ -99,11 +99,4 @@ impl LiveOffsets {
             self.corrections.copy_from_slice(corrections);
         }
     }
-
-    /// A new calibration of the same cameras, with the corrections so far.
-    pub fn calibrate(&self, rig: &mut Rig) {
-        for (camera, correction) in rig.cameras.iter_mut().zip(&self.corrections) {
-            camera.time_offset = camera.time_offset + *correction;
-        }
-    }
 }

@@ -1,6 +1,7 @@
 //! The cameras of one calibration.
 
 use super::{Camera, CameraError};
+use crate::core::time::Nanos;
 
 /// Cameras with a common world frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,5 +33,18 @@ impl Rig {
     /// The index of the camera with a name.
     pub fn index_of(&self, name: &str) -> Option<usize> {
         self.cameras.iter().position(|camera| camera.name == name)
+    }
+
+    /// Whether both have cameras of the same names in the same order.
+    pub fn has_cameras_of(&self, other: &Self) -> bool {
+        let names = self.cameras.iter().map(|camera| &camera.name);
+        names.eq(other.cameras.iter().map(|camera| &camera.name))
+    }
+
+    /// Adds to the time offsets, by camera; cameras without a value keep theirs.
+    pub fn shift_times(&mut self, by: &[Nanos]) {
+        for (camera, by) in self.cameras.iter_mut().zip(by) {
+            camera.time_offset = camera.time_offset + *by;
+        }
     }
 }

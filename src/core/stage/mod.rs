@@ -289,8 +289,7 @@ impl Stage {
 
     /// A new calibration with the corrections of the time offsets, if it has the cameras of `before`.
     fn corrected(&mut self, before: &Rig, rig: &Arc<Rig>) -> Arc<Rig> {
-        let names = |rig: &Rig| rig.cameras.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
-        if names(rig) != names(before) {
+        if !rig.has_cameras_of(before) {
             self.corrections = vec![Nanos::ZERO; rig.cameras.len()];
         }
         shifted(rig, &self.corrections)
@@ -423,9 +422,7 @@ fn shifted(rig: &Arc<Rig>, by: &[Nanos]) -> Arc<Rig> {
         return Arc::clone(rig);
     }
     let mut rig = Rig::clone(rig);
-    for (camera, by) in rig.cameras.iter_mut().zip(by) {
-        camera.time_offset = camera.time_offset + *by;
-    }
+    rig.shift_times(by);
     Arc::new(rig)
 }
 

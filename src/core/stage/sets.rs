@@ -125,7 +125,8 @@ impl Sets {
         Some(at + Nanos::rounded(WIDTH * self.period()) + self.grace())
     }
 
-    /// Forgets all frames and the time, which may have stepped back; from here on there are that many cameras.
+    /// Forgets all frames, and the time: the clock may have stepped back. From here on there are that
+    /// many cameras.
     pub(super) fn clear(&mut self, cameras: usize) {
         let period = self.intake.rate().period();
         let (delay, longest_wait) = (self.delay, self.longest_wait);

@@ -20,7 +20,7 @@ impl Tracker {
         if let Some(rig) = self.next_rig.take() {
             let detail = format!("calibration {} from here on", rig.version);
             let mut rig = Arc::unwrap_or_clone(rig);
-            self.offsets.calibrate(&mut rig);
+            rig.shift_times(self.offsets.corrections());
             self.watchdog = Watchdog::new(rig.cameras.len());
             self.rig = Arc::new(rig);
             if !self.is_fed {

@@ -250,7 +250,7 @@ impl Tracker {
     #[must_use]
     pub fn with_time_corrections(mut self, corrections: &[Nanos]) -> Self {
         self.offsets.resume(corrections);
-        self.offsets.calibrate(Arc::make_mut(&mut self.rig));
+        Arc::make_mut(&mut self.rig).shift_times(self.offsets.corrections());
         self
     }
 
@@ -429,8 +429,7 @@ impl Tracker {
     }
 
     fn calibrate(&mut self, rig: Arc<Rig>) {
-        let names = |rig: &Rig| rig.cameras.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
-        if names(&rig) == names(&self.rig) {
+        if rig.has_cameras_of(&self.rig) {
             self.next_rig = Some(rig);
             return;
         }
