@@ -11,6 +11,21 @@
 //! camera has sent a frame at its end or later, or when its deadline passes: `deadline_frames`
 //! after its end, measured on the newest capture time or, live, on the clock of [`Input::Tick`].
 //! The solver has at most one job at a time.
+//!
+//! # A performer's states
+//! 1. **Searching.** Robust triangulation matches persons across the views of a frame set. The best
+//!    match gives the root; fits start from several poses, and the best one is the first keyframe.
+//! 2. **Acquiring.** The first `shape_windows` windows are solved together, for the body too. After
+//!    that, each `body_windows`th window adds to the estimate. If a fit is bad in the first eight, the
+//!    body is dropped: from a wrong body the estimate converges to a wrong one.
+//! 3. **Tracking.** In each view the performer is the person nearest to the predicted body. The solve
+//!    starts from the previous window's look-ahead, or from the last motion continued, whichever costs
+//!    less. If the new frames cost far more than the known ones, the new keyframes are first solved one
+//!    by one with a looser loss. Every `fresh_fit_windows`th window, if a point lies far from two views
+//!    all the time, a fresh fit is tried.
+//! 4. **Coasting.** Too little is visible. The last motion continues and decays, for at most
+//!    `coast_windows` windows; from the second one on the performer is searched elsewhere too.
+//! 5. **Lost.** The fit is bad, or coasting took too long. The search starts again with the known body.
 
 mod acquire;
 mod apply;
