@@ -47,7 +47,7 @@ Exit codes:
    3  an input is missing or cannot be read
    4  malformed input
    5  nobody found: no performer in two cameras
-   6  partly done: lost windows, a damaged recording, a replay up to lost inputs;
+   6  partly done: windows that fit badly, a damaged recording, a replay up to lost inputs;
       `record` lost messages or the disk is full; to `take` a node or recorder did not
       answer or refused; no poses came for `retarget --out`
    7  no detections in the folder

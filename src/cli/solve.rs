@@ -18,7 +18,7 @@ use crate::core::stage::Performers;
 use crate::io::formats::{Trc, Up, read_calibration};
 use crate::io::recording::last_body;
 use crate::offline::output::{files, of_performer};
-use crate::offline::{Group, Observer, Options, PerformerSummary, Recording, solve_group};
+use crate::offline::{Group, Observer, Options, PerformerSummary, Recording, Summary, solve_group};
 
 /// Solve a recording: 2D keypoints in, smooth 3D poses out.
 #[derive(Debug, Args)]
@@ -248,16 +248,14 @@ fn tell(
 fn ended(arguments: &Arguments, performers: Performers, one: &PerformerSummary) -> Exit {
     let PerformerSummary { performer, summary } = one;
     let of = if performers.limit() > 1 { format!("{performer}: ") } else { String::new() };
-    let without = summary.windows_without_performer;
+    let Summary { windows, lost, hidden, .. } = summary;
     let mut parts = Vec::new();
-    // To enter late is no loss.
-    if summary.lost > 0 {
-        let all = summary.windows as u64 + without;
-        let solved = summary.windows - summary.lost;
-        let lost = summary.lost;
-        parts.push(format!(
-            "{solved} of {all} windows solved, {lost} lost, {without} without a performer"
-        ));
+    // Who enters late, leaves or is hidden is not lost.
+    if lost > hidden {
+        parts.push(format!("{} of {windows} windows fit badly", lost - hidden));
+    } else if *hidden > 0 {
+        let text = format!("{of}not seen well enough in {hidden} of {windows} windows");
+        complain("note", &text);
     }
     parts.extend(summary.damage.first().cloned());
     if summary.damage.len() > 1 {

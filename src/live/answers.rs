@@ -266,17 +266,22 @@ impl Core {
             }
             _ => {}
         }
-        let camera = event.camera.and_then(|index| self.cameras.get(index));
-        let camera = camera.map(|camera| camera.name().to_owned());
         self.performer(performer);
-        self.emit(event, self.one_of_several(performer), camera.as_deref());
+        self.emit_of(event, self.one_of_several(performer));
     }
 
     /// An event of the cameras, which concerns all performers.
     fn camera_event(&mut self, event: &Event) {
+        if event.kind == EventKind::Deadline {
+            self.performers.iter_mut().for_each(|performer| performer.windows.incomplete());
+        }
+        self.emit_of(event, None);
+    }
+
+    fn emit_of(&mut self, event: &Event, performer: Option<PerformerId>) {
         let camera = event.camera.and_then(|index| self.cameras.get(index));
         let camera = camera.map(|camera| camera.name().to_owned());
-        self.emit(event, None, camera.as_deref());
+        self.emit(event, performer, camera.as_deref());
     }
 }
 

@@ -17,7 +17,7 @@ use crate::core::body::Skeleton;
 use crate::core::camera::Rig;
 use crate::core::stage::{self, PerformerId, Stage};
 use crate::core::time::{Nanos, Timestamp};
-use crate::core::tracker::{self, EventKind, Live, Tracker};
+use crate::core::tracker::{self, EventKind, Live, Solution, Tracker};
 use crate::io::wire::{self, Topics};
 
 /// The current calibration and its bytes.
@@ -64,6 +64,8 @@ pub struct Core {
     pub(super) jobs: usize,
     /// The take that begins as soon as no job is out.
     pub(super) starting: Option<wire::Take>,
+    /// The solutions since: their windows would end in the take.
+    held: Vec<(PerformerId, Solution, Nanos)>,
     /// Name of the take that runs, or empty.
     pub(super) running: String,
     /// Id of this run, set at the first message; 0 before.
@@ -109,6 +111,7 @@ impl Core {
             jobs: 0,
             others: 0,
             starting: None,
+            held: Vec::new(),
             run_id: 0,
             next_second: None,
             wake: None,
@@ -141,9 +144,9 @@ impl Core {
             Input::RigFile(bytes) => self.rig_file(bytes),
             Input::Solved { performer, solution, took } => {
                 self.jobs = self.jobs.saturating_sub(1);
-                // Its window would end in the next run.
-                if self.starting.is_none() {
-                    self.solved(performer, *solution, took);
+                match self.starting {
+                    Some(_) => self.held.push((performer, *solution, took)),
+                    None => self.solved(performer, *solution, took),
                 }
             }
             Input::Tick => {}
@@ -151,6 +154,9 @@ impl Core {
             Input::Played(deviations_us) => self.published.played(&deviations_us),
             Input::End => {
                 self.give_up_start();
+                for (performer, solution, took) in std::mem::take(&mut self.held) {
+                    self.solved(performer, solution, took);
+                }
                 self.give(stage::Input::End);
             }
         }

@@ -75,6 +75,7 @@ impl Collected<'_> {
             frames_lost: self.poses.flagged,
             windows: self.windows.count,
             lost: self.windows.lost,
+            hidden: self.windows.hidden,
             windows_without_performer: self.count(EventKind::NobodyFound),
             frame_rate_hz: poses.fps,
             reprojection: Reprojection::new(&self.windows, rig),

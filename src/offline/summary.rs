@@ -31,6 +31,8 @@ pub struct Summary {
     pub windows: usize,
     /// Number of windows with flagged poses.
     pub lost: usize,
+    /// Number of those in which too little of the performer was seen.
+    pub hidden: usize,
     pub windows_without_performer: u64,
     pub frame_rate_hz: Option<f64>,
     pub reprojection: Reprojection,

@@ -47,6 +47,8 @@ pub(crate) struct Windows {
     pub(crate) count: usize,
     /// Number of windows with flagged poses.
     pub(crate) lost: usize,
+    /// Number of those in which too little of the performer was seen.
+    pub(crate) hidden: usize,
     pub(crate) series: Series<WindowSummary>,
     pub(crate) solve_ms: Distribution,
     /// Errors of all cameras together.
@@ -67,6 +69,7 @@ impl Windows {
         }
         self.count += 1;
         self.lost += usize::from(lost);
+        self.hidden += usize::from(lost && report.summary.is_none());
         let solve_ms = solve.as_secs_f64() * 1e3;
         self.solve_ms.add(solve_ms);
         self.series.push(WindowSummary {

@@ -71,6 +71,12 @@ fn longest_gap(world: &World, performer: usize, after: f64) -> (f64, f64) {
     (gap, late.last().copied().unwrap_or(0.0))
 }
 
+/// Number of events of a kind.
+fn count(world: &World, kind: &str) -> u64 {
+    let events = world.heard.status().events;
+    events.iter().find(|event| event.kind == kind).map_or(0, |event| event.count)
+}
+
 /// Kinds of the events that concern cameras, with the camera.
 fn of_cameras(world: &World, after: f64) -> BTreeSet<(String, Option<String>)> {
     let events: Vec<(Timestamp, Event)> = world.heard.of(&Topics::default().stage_events());
@@ -204,11 +210,7 @@ fn who_comes_back_has_the_old_name() {
     away.for_each(|frame| frame.people.clear());
     let messages = frames.iter().map(|frame| stage.studio.message(frame));
     let world = stage.play(messages.chain([stage.studio.rig()]).collect(), 12.0);
-    let status = world.heard.status();
-    let count = |kind: &str| {
-        status.events.iter().find(|event| event.kind == kind).map_or(0, |event| event.count)
-    };
-    assert_eq!((count("entered"), count("reentered")), (2, 2), "{:?}", status.events);
+    assert_eq!((count(&world, "entered"), count(&world, "reentered")), (2, 2));
     for performer in 0..2 {
         let (gap, last) = longest_gap(&world, performer, 8.5);
         assert!(gap < 0.02 && last > 11.5, "p{}: {gap}, {last}", performer + 1);
@@ -225,12 +227,28 @@ fn a_new_calibration_holds_for_everybody() {
     messages.push(Sent { arrival: at(4.0), topic: Topics::default().rig(), payload });
     let world = stage.play(messages, 8.0);
     for performer in 0..2 {
-        let (gap, last) = longest_gap(&world, performer, 5.0);
+        let (gap, last) = longest_gap(&world, performer, 3.0);
         assert!(gap < 0.02 && last > 7.5, "p{}: {gap}, {last}", performer + 1);
         let (_, pose) = poses(&world, performer).pop().unwrap();
         assert_eq!(pose.rig_version, rig.version);
     }
     assert_eq!(world.heard.details("calibrated").len(), 2);
+    assert_eq!((count(&world, "entered"), count(&world, "reentered")), (2, 0));
+}
+
+#[test]
+fn bodies_that_are_forgotten_are_estimated_again_and_everybody_keeps_the_name() {
+    let stage = Stage::new(2, 4, 8);
+    let reset = wire::Take { action: "reset".to_owned(), ..wire::Take::default() };
+    let payload = encode(&reset);
+    let mut messages = stage.all();
+    messages.push(Sent { arrival: at(4.0), topic: Topics::default().take(), payload });
+    let world = stage.play(messages, 8.0);
+    for performer in 0..2 {
+        let (_, last) = longest_gap(&world, performer, 6.0);
+        assert!(last > 7.5, "p{}: {last}", performer + 1);
+    }
+    assert_eq!((count(&world, "entered"), count(&world, "reentered")), (2, 0));
 }
 
 /// The cameras' common clock steps back by 10 s: everybody goes on within a few seconds.

@@ -107,7 +107,7 @@ impl Crowd {
         std::mem::take(&mut self.sets.events)
     }
 
-    /// The cameras have other time offsets from here on.
+    /// The cameras have another calibration from here on.
     pub fn set_rig(&mut self, rig: Arc<Rig>) {
         self.rig = rig;
     }

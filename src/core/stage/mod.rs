@@ -259,10 +259,14 @@ impl Stage {
         let is_end = matches!(input, Input::End);
         match &input {
             Input::Detections(frame) => crowd.add(frame.clone()),
-            Input::Restart | Input::Forget => crowd.restart(Arc::clone(crowd.rig())),
+            Input::Restart => crowd.restart(Arc::clone(crowd.rig())),
+            Input::Forget => {}
+            Input::Rig(rig) if rig.has_cameras_of(crowd.rig()) => {
+                crowd.set_rig(shifted(rig, &self.corrections));
+            }
             Input::Rig(rig) => {
-                let rig = self.corrected(crowd.rig(), rig);
-                crowd.restart(rig);
+                self.corrections = vec![Nanos::ZERO; rig.cameras.len()];
+                crowd.restart(Arc::clone(rig));
             }
             Input::Tick(now) => crowd.tick(*now),
             Input::End => crowd.end(),
@@ -285,14 +289,6 @@ impl Stage {
             self.give_all(&input);
         }
         self.crowd = Some(crowd);
-    }
-
-    /// A new calibration with the corrections of the time offsets, if it has the cameras of `before`.
-    fn corrected(&mut self, before: &Rig, rig: &Arc<Rig>) -> Arc<Rig> {
-        if !rig.has_cameras_of(before) {
-            self.corrections = vec![Nanos::ZERO; rig.cameras.len()];
-        }
-        shifted(rig, &self.corrections)
     }
 
     fn give_all(&mut self, input: &tracker::Input) {
