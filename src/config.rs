@@ -8,9 +8,9 @@ use thiserror::Error;
 use crate::core::limits::OutOfRange;
 use crate::core::manifold::Decoder;
 use crate::core::stage;
-use crate::core::timecode::{House, TimecodeError};
 use crate::core::tracker;
 use crate::io::bus;
+use crate::io::timecode::{House, TimecodeError};
 use crate::io::wire::{NameError, valid_name};
 use crate::live;
 

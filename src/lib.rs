@@ -50,14 +50,14 @@
 //!
 //! | module | parts | holds |
 //! |---|---|---|
-//! | [`core`] | `time`, `timecode`, `so3`, `linalg`, `random`, `detections`, `body`, `camera`, `association`, `calibration`, `optimise`, `manifold`, `cost`, `tracker`, `stage` | the solver: no input or output, no clock |
-//! | [`io`] | `wire`, `new_file`, `recording`, `bus`, `formats`, `report` | messages, MCAP files, the bus, other programs' files, the report |
+//! | [`core`] | `time`, `so3`, `linalg`, `random`, `detections`, `body`, `camera`, `association`, `calibration`, `optimise`, `manifold`, `cost`, `tracker`, `stage` | the solver: no input or output, no clock |
+//! | [`io`] | `timecode`, `wire`, `new_file`, `recording`, `bus`, `formats`, `report` | messages, MCAP files, the bus, other programs' files, the report |
 //! | [`diagnose`] | | is a camera wrong, and how to fix it |
 //! | [`metrics`] | | errors of poses, reprojection, statistics |
 //! | [`retarget`] | | poses on another skeleton |
 //! | [`offline`] | | a recording solved, from opening it to its summary |
-//! | `live` | | the node, its threads, and tools on the bus |
-//! | `research` | `synth`, `train`, `methods`, `experiments` | synthetic recordings, training, compared methods, experiments |
+//! | `live` | `error`, `config`, `clock`, `observe`, `core`, `threads`, `replay` | the node: its core without I/O, the threads around it, replay |
+//! | `research` | `synth`, `transition`, `train`, `methods`, `experiments` | synthetic recordings, training, compared methods, experiments |
 //! | `config` | | all settings in one tree |
 //! | `cli` | | the command line, one file for each command |
 //!

@@ -1,73 +1,102 @@
 //! `bundlemocap calibrate`
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
+use serde_json::json;
 
 use super::Ended;
-use super::failure::{Exit, Failure};
+use super::failure::Exit;
 use super::overwrite::Overwrite;
 use super::solve::Progress;
 use super::terminal::{progress, say, table};
 use crate::config::Config;
 use crate::io::formats::{Up, write_calibration};
-use crate::offline::{CameraCorrection, CheckedCameras, Options, Recording, check_cameras};
+use crate::offline::{
+    CameraCorrection, CameraOffset, CheckedCameras, Options, Recording, check_cameras,
+};
 
-/// Correct a calibration by small amounts, from the performer in a recording.
+/// Estimate the time offsets of a recording's cameras and small corrections of their calibration, from
+/// the performer's motion.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Compares the limbs in each view with those triangulated from the other views, and corrects the
-rotation, position and focal length of as few cameras as possible. A correction counts if it is
-above 3 standard errors and above 0.1 degrees, 5 mm or 0.3 %, and if it lowers the disagreement of
-its camera by a tenth. It is held small: errors of many degrees need a new calibration. Time offsets
-are estimated before (see `bundlemocap sync`) and written too. At least three cameras are needed.
+Time offsets: prints for each camera what must be added to its capture times to agree with most of the
+cameras, with the standard error, and a verdict:
+  in sync   no significant offset (3 standard errors and 0.1 frames)
+  shifted   a significant offset
+  unknown   too little motion to tell (standard error above 0.25 frames)
+Offsets of up to 6 frames are found. `solve` does the same and uses the significant offsets.
 
-Prints each camera's disagreement (median, pixels) before and after, and each correction with its
-standard error. Check the file on another recording with `solve --rig FILE --hold-out CAMERA`.
+Calibration: compares the limbs in each view with those triangulated from the other views, and corrects
+the rotation, position and focal length of as few cameras as possible. Prints each camera's
+disagreement (median, pixels) before and after, and each correction with its standard error. A
+correction counts if it is above 3 standard errors and above 0.1 degrees, 5 mm or 0.3 %, and if it
+lowers the disagreement of its camera by a tenth. It is held small: errors of many degrees need a new
+calibration. At least three cameras are needed.
+
+--out writes the calibration with the significant offsets (time_offset_ms) and corrections, for
+`solve --rig` and the node's `rig`. Check it on another recording with `solve --rig FILE --hold-out
+CAMERA`.
 
 Examples:
-  bundlemocap calibrate --refine take.mcap --out rig.toml
+  bundlemocap calibrate take.mcap
+  bundlemocap calibrate take.mcap --out rig.toml
+  bundlemocap calibrate take.mcap --time-only --json
   bundlemocap solve other.mcap --out out --rig rig.toml --hold-out cam01")]
 pub(super) struct Arguments {
-    /// MCAP recording with keypoints and the calibrated rig to correct.
-    #[arg(long, value_name = "RECORDING")]
-    refine: PathBuf,
+    /// MCAP recording with keypoints and a calibrated rig.
+    file: PathBuf,
     /// Calibration to write.
     #[arg(long, value_name = "FILE")]
-    out: PathBuf,
+    out: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
+    /// Only estimate time offsets.
+    #[arg(long)]
+    time_only: bool,
     /// Up axis of the written calibration's world: y or z.
     #[arg(long, default_value = "z", value_parser = super::import::up)]
     up: Up,
     /// Settings file; config/default.toml lists every setting.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Print one JSON object instead of the table.
+    #[arg(long)]
+    json: bool,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    arguments.overwrite.check(&arguments.out)?;
-    let found = checked(&arguments.refine, arguments.config.as_deref(), true)?;
-    say(&table(&found.corrections.iter().flat_map(rows).collect::<Vec<_>>()));
-    say(&conclusion(&found, &arguments.out));
-    write_calibration(&arguments.out, &found.rig, arguments.up)?;
+    if let Some(out) = &arguments.out {
+        arguments.overwrite.check(out)?;
+    }
+    let config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
+    let mut recording = Recording::open(&arguments.file)?;
+    let options = Options { config: config.tracker, ..Options::default() };
+    let mut bar = Progress(progress(recording.messages(), "messages"));
+    let found = check_cameras(&mut recording, &options, !arguments.time_only, &mut bar)?;
+    bar.0.finish_and_clear();
+    if arguments.json {
+        let CheckedCameras { offsets, corrections, .. } = &found;
+        let all = json!({ "time_offsets": offsets, "corrections": corrections });
+        say(&format!("{all:#}"));
+    } else {
+        let offsets = found.offsets.iter().map(offset);
+        say(&table(&offsets.chain(found.corrections.iter().flat_map(rows)).collect::<Vec<_>>()));
+        say(&conclusion(&found));
+    }
+    if let Some(out) = &arguments.out {
+        write_calibration(out, &found.rig, arguments.up)?;
+    }
     Ok(Exit::Done)
 }
 
-/// The cameras of a recording checked with the settings of a file, with progress; corrected too, with
-/// `refine`.
-pub(super) fn checked(
-    recording: &Path,
-    config: Option<&Path>,
-    refine: bool,
-) -> Result<CheckedCameras, Failure> {
-    let config = config.map(Config::load).transpose()?.unwrap_or_default();
-    let mut recording = Recording::open(recording)?;
-    let options = Options { config: config.tracker, ..Options::default() };
-    let mut bar = Progress(progress(recording.messages(), "messages"));
-    let found = check_cameras(&mut recording, &options, refine, &mut bar)?;
-    bar.0.finish_and_clear();
-    Ok(found)
+fn offset(found: &CameraOffset) -> (String, String) {
+    let verdict = match found.verdict {
+        "in_sync" => "in sync",
+        "unknown" => "unknown: too little motion",
+        shifted => shifted,
+    };
+    (found.camera.clone(), format!("{found}, {verdict}"))
 }
 
 fn rows(
@@ -88,14 +117,14 @@ fn rows(
     rows
 }
 
-fn conclusion(found: &CheckedCameras, out: &Path) -> String {
+fn conclusion(found: &CheckedCameras) -> String {
     let corrected = found.corrections.iter().filter(|camera| camera.correction.significant);
     let shifted = found.offsets.iter().filter(|offset| offset.applied);
     let mut changes: Vec<String> =
         corrected.map(|camera| format!("{} corrected", camera.camera)).collect();
     changes.extend(shifted.map(|offset| format!("{} shifted by {offset}", offset.camera)));
     match changes.is_empty() {
-        true => format!("nothing to correct; {} is the recording's calibration", out.display()),
-        false => format!("{}: {}", out.display(), changes.join(", ")),
+        true => "nothing to correct".to_owned(),
+        false => changes.join(", "),
     }
 }

@@ -7,9 +7,9 @@ use std::time::Duration;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use super::failure::{Exit, Failure};
+use crate::cli::tools::player::Clock;
 use crate::core::time::Timestamp;
 use crate::live::WallClock;
-use crate::live::tools::player::Clock;
 
 /// Longest time until a stop request is noticed.
 pub(crate) const ATTENTION: Duration = Duration::from_millis(20);

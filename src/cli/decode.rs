@@ -10,10 +10,12 @@ use super::Ended;
 use super::failure::{Exit, Failure};
 use super::overwrite::Overwrite;
 use super::solve::decoder;
+use super::span::Times;
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
 use crate::core::manifold::{Decoder, StampedKeyframe};
 use crate::io::recording::{Message, Provenance, Reader, Writer};
+use crate::io::timecode::House;
 use crate::io::wire::{self, Topic, Topics};
 
 /// Decode the poses of a recording from its keyframes alone.
@@ -58,6 +60,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance)?;
     let (mut performers, mut decoded) =
         (BTreeMap::<Arc<str>, Performer>::new(), Decoded::default());
+    let timecode = Times::of(&arguments.file, None)?.house();
+    let new = || Performer { timecode, last: None, skeleton: None };
     while let Some(entry) = reader.next() {
         let entry = entry?;
         let Message::Keyframe(wire) = entry.message else { continue };
@@ -71,7 +75,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         if wire.weights != weights {
             return Err(other_weights(&arguments.file, &wire, &weights));
         }
-        let performer = performers.entry(entry.topic.clone()).or_default();
+        let performer = performers.entry(entry.topic.clone()).or_insert_with(new);
         performer.decode(&entry.topic, keyframe, &decoder, &mut writer, &mut decoded)?;
     }
     let lost = reader.report().losses();
@@ -114,8 +118,8 @@ fn without_keyframes(path: &Path, lost: &[String]) -> Failure {
 }
 
 /// Last keyframe and skeleton of one performer.
-#[derive(Default)]
 struct Performer {
+    timecode: Option<House>,
     last: Option<StampedKeyframe>,
     skeleton: Option<Skeleton>,
 }
@@ -149,6 +153,7 @@ impl Performer {
                 let topic = topics_of(topic).pose();
                 for pose in &poses {
                     let wire = wire::Pose::from_core(pose, &skeleton, None);
+                    let wire = wire.labelled(self.timecode);
                     writer.write(&topic, pose.capture, &wire)?;
                 }
                 decoded.poses += poses.len() as u64;

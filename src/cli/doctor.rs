@@ -13,14 +13,14 @@ use super::bus::topics;
 use super::clock::Stop;
 use super::failure::Exit;
 use super::terminal::{say, ticker};
+use crate::cli::tools::room::room;
+use crate::cli::tools::survey::{Seen, other_stages, survey};
 use crate::config::Config;
 use crate::core::camera::{Camera, Rig};
 use crate::core::time::Nanos;
 use crate::io::bus::{self, Bus, BusError, Kind};
 use crate::io::formats::read_calibration;
 use crate::live::WallClock;
-use crate::live::tools::room::room;
-use crate::live::tools::survey::{Seen, other_stages, survey};
 use crate::metrics::statistics::percentile;
 
 /// Usual time to solve and publish a window, milliseconds.

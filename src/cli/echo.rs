@@ -13,10 +13,10 @@ use super::clock::{ATTENTION, Stop};
 use super::failure::Exit;
 use super::terminal::{complain, tell};
 use super::wire;
+use crate::cli::tools::inbox::{Inbox, Received};
 use crate::core::time::Timestamp;
 use crate::io::recording::Message;
 use crate::io::wire::{DecodeError, ENCODING, Topics, schema_of};
-use crate::live::tools::inbox::{Inbox, Received};
 
 /// Print the messages on the bus, one per line.
 #[derive(Debug, Args)]

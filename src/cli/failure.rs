@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
+use crate::cli::tools::take::TakeError;
 use crate::config::ConfigError;
 use crate::core::camera::CameraError;
 use crate::core::manifold::WeightsError;
-use crate::core::timecode::TimecodeError;
 use crate::io::bus::BusError;
 use crate::io::formats::{ExportError, TrcError};
 use crate::io::recording::RecordError;
-use crate::live::tools::take::TakeError;
+use crate::io::timecode::TimecodeError;
 use crate::offline;
 
 /// Exit codes. The numbers are part of the interface: their meaning never changes.

@@ -4,14 +4,14 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::clock::ATTENTION;
+use crate::cli::tools::inbox::Inbox;
+use crate::cli::tools::survey::{other_stages, survey};
 use crate::core::camera::Rig;
 use crate::core::tracker::Config;
 use crate::diagnose::{Check, Evidence};
 use crate::io::bus::{Bus, BusError};
 use crate::io::wire::{self, KeypointFrame, Status, Topics, decode};
 use crate::live::Monitor;
-use crate::live::tools::inbox::Inbox;
-use crate::live::tools::survey::{other_stages, survey};
 
 /// If no camera was heard for this long, others are looked for, for so long, and again after a while.
 const PATIENCE: Duration = Duration::from_secs(5);

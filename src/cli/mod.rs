@@ -28,10 +28,10 @@ mod retarget_live;
 mod run;
 mod solve;
 mod span;
-mod sync;
 mod synth;
 mod take;
 pub(crate) mod terminal;
+mod tools;
 mod train;
 mod wire;
 
@@ -64,7 +64,6 @@ enum Command {
     Eval(Box<eval::Arguments>),
     Solve(solve::Arguments),
     Check(check::Arguments),
-    Sync(sync::Arguments),
     Calibrate(calibrate::Arguments),
     Import(import::Arguments),
     Info(info::Arguments),
@@ -90,7 +89,6 @@ pub fn main() -> ExitCode {
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Solve(arguments) => solve::run(&arguments),
         Command::Check(arguments) => check::run(&arguments),
-        Command::Sync(arguments) => sync::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),

@@ -11,10 +11,10 @@ use super::clock::{SteadyClock, Stop};
 use super::failure::{Exit, Failure};
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, progress, say, table, ticker};
+use crate::cli::tools::Disturbance;
+use crate::cli::tools::player::{Clock, Playing, Sent, play};
+use crate::cli::tools::take::Take;
 use crate::core::time::{Nanos, Timestamp};
-use crate::live::tools::Disturbance;
-use crate::live::tools::player::{Clock, Playing, Sent, play};
-use crate::live::tools::take::Take;
 
 /// Time from opening the bus to the first frame, for publishers and subscribers to connect.
 const LEAD: Duration = Duration::from_millis(500);

@@ -12,6 +12,9 @@ use super::clock::{ATTENTION, Stop};
 use super::failure::Exit;
 use super::overwrite::Overwrite;
 use super::terminal::{complain, note, say, table, ticker};
+use crate::cli::tools::inbox::{Inbox, Received};
+use crate::cli::tools::recorder::{Recorded, Recorder, Said};
+use crate::cli::tools::room::room;
 use crate::config::Config;
 use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Publisher, matches};
@@ -21,9 +24,6 @@ use crate::io::wire::{
     schema_of,
 };
 use crate::live::WallClock;
-use crate::live::tools::inbox::{Inbox, Received};
-use crate::live::tools::recorder::{Recorded, Recorder, Said};
-use crate::live::tools::room::room;
 
 /// How often the files are flushed.
 const FLUSH: Duration = Duration::from_secs(1);

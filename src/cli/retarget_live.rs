@@ -12,6 +12,7 @@ use super::clock::{ATTENTION, Stop};
 use super::failure::Failure;
 use super::retarget_file::TargetFile;
 use super::terminal::complain;
+use crate::cli::tools::inbox::{Inbox, Received};
 use crate::core::body::Skeleton;
 use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Publisher};
@@ -19,7 +20,6 @@ use crate::io::wire::{
     self, DecodeError, Pose, RetargetedPose, Schema, Topic, Topics, decode, encode, media_type,
     schema_of,
 };
-use crate::live::tools::inbox::{Inbox, Received};
 use crate::retarget::Retarget;
 
 /// Subscriptions to poses and skeletons, and what becomes of them.

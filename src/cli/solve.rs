@@ -161,6 +161,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         out: Some(arguments.out.clone()),
         overwrite: arguments.overwrite,
         no_sync: arguments.no_sync,
+        timecode: times.house(),
         config_toml: Some(config.to_toml()),
     };
     let mut progress = Progress(progress(options.passes() * recording.messages(), "messages"));

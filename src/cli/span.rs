@@ -7,8 +7,8 @@ use clap::Args;
 use super::failure::{Exit, Failure};
 use crate::config::Config;
 use crate::core::time::{Nanos, Timestamp};
-use crate::core::timecode::House;
 use crate::io::recording::{METADATA, RawEntry, Reader};
+use crate::io::timecode::House;
 use crate::io::wire::journal_entry::Input;
 use crate::io::wire::{Journal, KeypointFrame, Pose, Schema, decode};
 use crate::offline::output::text;
@@ -80,6 +80,11 @@ impl Times {
             }
         }
         Ok(Self { first: first.as_ref().and_then(captured).unwrap_or_default(), house })
+    }
+
+    /// The timecode, if there is one.
+    pub(super) fn house(&self) -> Option<House> {
+        self.house
     }
 
     /// The capture time of a number of seconds since the first frame, or of a timecode.

@@ -9,11 +9,11 @@ use super::bus::{BusArguments, check_name, open, topics};
 use super::clock::ATTENTION;
 use super::failure::{Exit, Failure};
 use super::terminal::{complain, say};
+use crate::cli::tools::inbox::Inbox;
 use crate::core::time::Timestamp;
 use crate::io::bus::Bus;
 use crate::io::wire::{Schema, Take, TakeAnswer, Topics, decode, encode, media_type};
 use crate::live::WallClock;
-use crate::live::tools::inbox::Inbox;
 
 /// Time from opening the bus to the command, for nodes and recorders to connect.
 const LEAD: Duration = Duration::from_millis(500);

@@ -15,5 +15,4 @@ pub mod random;
 pub mod so3;
 pub mod stage;
 pub mod time;
-pub mod timecode;
 pub mod tracker;

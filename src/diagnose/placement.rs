@@ -159,7 +159,7 @@ fn fit(
 fn describe(before: &Reading, after: &Reading, free: &[Free], values: &[f64]) -> (Finding, f64) {
     let (old, new) = (&before.camera, &after.camera);
     let factor = |value: f64| libm::exp(value);
-    let again = "calibrate it again (`calibrate --refine` mends small errors)";
+    let again = "calibrate it again (`calibrate` corrects small errors)";
     match free {
         [Scale] => {
             let [w, h] = [old.width, old.height].map(|size| f64::from(size) / factor(values[0]));

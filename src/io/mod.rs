@@ -5,4 +5,5 @@ pub mod formats;
 pub(crate) mod new_file;
 pub mod recording;
 pub mod report;
+pub mod timecode;
 pub mod wire;

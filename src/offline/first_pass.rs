@@ -251,11 +251,12 @@ impl FirstPass {
 }
 
 /// A camera's small correction.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CameraCorrection {
     /// The camera.
     pub camera: String,
     /// The correction.
+    #[serde(flatten)]
     pub correction: Correction,
 }
 

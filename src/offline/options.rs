@@ -8,6 +8,7 @@ use crate::core::manifold::{Decoder, WeightsError};
 use crate::core::stage::Performers;
 use crate::core::tracker;
 use crate::io::formats::Trc;
+use crate::io::timecode::House;
 
 /// Options of a solve. The defaults use all cameras, the embedded weights and the settings of
 /// `config/default.toml`, and write nothing.
@@ -36,6 +37,8 @@ pub struct Options {
     pub body: Option<Arc<Skeleton>>,
     /// Use the capture times as they are: estimate no time offsets.
     pub no_sync: bool,
+    /// The timecode of the house, for the poses of poses.mcap.
+    pub timecode: Option<House>,
     /// All settings as TOML, for the metadata of poses.mcap; `None`: those of `config`.
     pub config_toml: Option<String>,
 }

@@ -24,6 +24,7 @@ use crate::io::report::{
     AngleTrack, CameraErrors, Picture, ReportData, StickFigures, Table, WindowRow, stick_figures,
     write_report,
 };
+use crate::io::timecode::House;
 use crate::io::wire::{self, Topics};
 
 /// Number of stick figures in the report.
@@ -86,6 +87,7 @@ pub(crate) struct PoseFile {
     performers: Vec<Performer>,
     has_rig: bool,
     weights: String,
+    timecode: Option<House>,
 }
 
 /// A performer in poses.mcap.
@@ -103,6 +105,7 @@ impl PoseFile {
         solved: &Rig,
         provenance: &Provenance,
         performers: &[String],
+        timecode: Option<House>,
     ) -> Result<Self, Error> {
         let performer = |name: &String| Performer {
             topics: Topics { actor: name.clone(), ..Topics::default() },
@@ -116,12 +119,13 @@ impl PoseFile {
             cameras: solved.cameras.iter().map(|camera| camera.name.clone()).collect(),
             performers: performers.iter().map(performer).collect(),
             has_rig: false,
+            timecode,
         })
     }
 
     /// Writes one output of a performer.
     pub(crate) fn write(&mut self, performer: usize, output: &Output) -> Result<(), Error> {
-        let Self { writer, rig, cameras, performers, has_rig, weights } = self;
+        let Self { writer, rig, cameras, performers, has_rig, weights, timecode } = self;
         let Some(Performer { topics, skeleton, has_skeleton }) = performers.get_mut(performer)
         else {
             return Ok(());
@@ -139,7 +143,7 @@ impl PoseFile {
                     writer.write(&topics.skeleton(), pose.capture, &body)?;
                     *has_skeleton = true;
                 }
-                let message = wire::Pose::from_core(pose, skeleton, None);
+                let message = wire::Pose::from_core(pose, skeleton, None).labelled(*timecode);
                 writer.write(&topics.pose(), pose.capture, &message)?;
             }
             Output::Keyframe(keyframe) => {

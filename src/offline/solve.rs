@@ -234,7 +234,7 @@ impl Outputs {
             ..Provenance::default()
         };
         let path = folder.file("poses.mcap");
-        let file = PoseFile::create(&path, all, rig, &provenance, performers)?;
+        let file = PoseFile::create(&path, all, rig, &provenance, performers, options.timecode)?;
         Ok(Self { folder, file })
     }
 }

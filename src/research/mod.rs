@@ -4,3 +4,4 @@ pub mod experiments;
 pub mod methods;
 pub mod synth;
 pub mod train;
+pub mod transition;

@@ -218,6 +218,7 @@ impl Figure {
             capture_time_ns: pose.capture_time_ns,
             due_time_ns: pose.due_time_ns,
             run_id: pose.run_id,
+            timecode: pose.timecode.clone(),
             state: pose.state,
             hips: self.hips as u32,
             hips_position_m: self.positions[self.hips].iter().copied().collect(),

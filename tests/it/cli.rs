@@ -321,20 +321,16 @@ fn the_body_of_a_performer_is_right_and_the_same_in_two_takes() {
 fn a_good_rig_is_written_as_it_is_and_can_be_solved_with() {
     let place = Place::new();
     place.done("synth --out walk.mcap --seconds 4");
-    let offsets = place.done("sync walk.mcap --out synced.toml");
-    assert_eq!(offsets.matches("in sync").count(), 4, "{offsets}");
-    let corrections = place.done("calibrate --refine walk.mcap --out refined.toml");
-    assert!(corrections.contains("nothing to correct"), "{corrections}");
+    let said = place.done("calibrate walk.mcap --time-only --out synced.toml");
+    assert_eq!(said.matches("in sync").count(), 4, "{said}");
+    assert!(!said.contains("before"), "{said}");
+    let said = place.done("calibrate walk.mcap --out refined.toml");
+    assert!(said.contains("px before") && said.contains("nothing to correct"), "{said}");
     let text = |name: &str| fs::read_to_string(place.path(name)).unwrap();
     assert_eq!(text("synced.toml"), text("refined.toml"));
 
-    for command in ["sync walk.mcap", "calibrate --refine walk.mcap"] {
-        place.fails(
-            USAGE,
-            &format!("{command} --out synced.toml"),
-            &["synced.toml", "--overwrite"],
-        );
-    }
+    let again = "calibrate walk.mcap --out synced.toml";
+    place.fails(USAGE, again, &["synced.toml", "--overwrite"]);
     place.write("other.toml", text("synced.toml").replace("cam04", "cam05"));
     place.fails(CAMERA_MISMATCH, "solve walk.mcap --out out --rig other.toml", &["cam04"]);
     place.done("solve walk.mcap --out out --rig refined.toml");
@@ -345,10 +341,13 @@ fn the_real_recording_has_no_time_offset_but_a_turned_camera() {
     let Some(set) = real_set() else { return };
     let place = Place::new();
     import_real(&place, &set, "balancing", "butterworth.trc");
-    let offsets: Value = serde_json::from_str(&place.done("sync take.mcap --json")).unwrap();
-    assert!(offsets.as_array().unwrap().iter().all(|offset| offset["applied"] == false));
-    let corrections = place.done("calibrate --refine take.mcap --out rig.toml");
-    assert!(corrections.trim_end().ends_with("rig.toml: cam_01 corrected"), "{corrections}");
+    let found = place.done("calibrate take.mcap --out rig.toml --json");
+    let found: Value = serde_json::from_str(&found).unwrap();
+    let all = |list: &str| found[list].as_array().unwrap().clone();
+    assert!(all("time_offsets").iter().all(|offset| offset["applied"] == false), "{found}");
+    let corrected = all("corrections").into_iter().filter(|camera| camera["significant"] == true);
+    let corrected: Vec<Value> = corrected.map(|camera| camera["camera"].clone()).collect();
+    assert_eq!(corrected, ["cam_01"], "{found}");
     let figures = place.done("solve take.mcap --out out --rig rig.toml --hold-out cam_01 --json");
     let figures: Value = serde_json::from_str(&figures).unwrap();
     pinned("held-out camera 1, px", number(&figures, "/hold_out/median_px"), 12.98);
@@ -458,9 +457,9 @@ fn files_are_not_replaced_without_being_asked() {
         ("decode out/poses.mcap --out mine", "mine"),
         ("replay walk.mcap --out mine", "mine"),
         ("train motions --out mine", "mine"),
-        ("sync walk.mcap --out mine", "mine"),
+        ("calibrate walk.mcap --out mine", "mine"),
         ("record mine", "mine"),
-        ("eval --rig ring4 --out .", "table.md"),
+        ("eval methods --rig ring4 --out .", "table.md"),
     ] {
         place.write(file, "mine");
         let output = place.run(command);
@@ -562,6 +561,30 @@ fn who_enters_late_is_no_failure() {
     let figures: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert!(figures["windows_without_performer"].as_u64().unwrap() > 0, "{figures}");
     assert_eq!(figures["lost"], 0, "{figures}");
+}
+
+#[test]
+fn poses_carry_the_timecode_of_the_house() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 60, |_| true);
+    place.write("house.toml", "[timecode]\nrate = \"25\"\noffset = \"01:00:00:00 at 0\"\n");
+    let solve = "solve walk.mcap --out out --config house.toml --start 01:00:00:05";
+    assert!(place.run(solve).status.success());
+    assert!(place.run("decode out/poses.mcap --out decoded.mcap").status.success());
+    for file in ["out/poses.mcap", "decoded.mcap"] {
+        let mut reader = Reader::open(place.path(file)).unwrap();
+        let messages = std::iter::from_fn(|| reader.next()).map(|entry| entry.unwrap().message);
+        let poses = messages.filter_map(|message| match message {
+            Message::Pose(pose) => Some((pose.capture_time_ns, pose.timecode)),
+            _ => None,
+        });
+        let poses: Vec<(i64, String)> = poses.collect();
+        assert_eq!(poses[0], (200_000_000, "01:00:00:05".to_owned()), "{file}");
+        for (capture, label) in poses {
+            let number = (capture + 20_000_000) / 40_000_000;
+            assert_eq!(label, format!("01:00:{:02}:{:02}", number / 25, number % 25), "{file}");
+        }
+    }
 }
 
 #[test]

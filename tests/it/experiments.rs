@@ -167,8 +167,9 @@ fn without_times(mut value: Value) -> Value {
 
 fn eval(folder: &Path, arguments: &str) -> Output {
     Command::new(env!("CARGO_BIN_EXE_bundlemocap"))
-        .args(["eval", "--overwrite"])
+        .arg("eval")
         .args(arguments.split_whitespace())
+        .arg("--overwrite")
         .current_dir(folder)
         .output()
         .unwrap()
@@ -187,7 +188,8 @@ fn done(folder: &Path, arguments: &str) -> (String, Value) {
 #[test]
 fn two_runs_give_the_same_results_folder() {
     let place = tempfile::tempdir().unwrap();
-    let command = "--rig ring3 --seconds 1.2 --methods default,muvs --noise clean --every 2";
+    let command =
+        "methods --rig ring3 --seconds 1.2 --methods default,muvs --noise clean --every 2";
     let (printed, first) = done(place.path(), command);
     assert!(printed.contains("bundlemocap (default)") && printed.contains("MPJPE"), "{printed}");
     assert_eq!(done(place.path(), command).1, first);
@@ -211,7 +213,7 @@ fn several_cameras_of_a_recording_are_held_out_at_once() {
         .current_dir(place.path())
         .output();
     assert!(program.unwrap().status.success());
-    let methods = "--recording take.mcap --methods triangulation,default";
+    let methods = "recording take.mcap --methods triangulation,default";
     let (_, all) = done(place.path(), &format!("{methods} --hold-out cam02,cam05"));
     let (_, few) = done(
         place.path(),
@@ -234,7 +236,7 @@ fn several_cameras_of_a_recording_are_held_out_at_once() {
 fn each_seed_of_the_protocol_is_a_pass() {
     let place = tempfile::tempdir().unwrap();
     std::fs::write(place.path().join("two.toml"), "seeds = [1, 2]").unwrap();
-    let tiny = "--rig ring3 --seconds 1.2 --methods muvs --noise clean --every 4";
+    let tiny = "methods --rig ring3 --seconds 1.2 --methods muvs --noise clean --every 4";
     let seeds = |results: &Value| results["levels"][0].to_string().matches("\"seed\":").count();
     let (_, one) = done(place.path(), tiny);
     let (_, two) = done(place.path(), &format!("{tiny} --protocol two.toml"));
@@ -246,10 +248,10 @@ fn each_seed_of_the_protocol_is_a_pass() {
 fn drift_and_ablation_print_their_tables() {
     let place = tempfile::tempdir().unwrap();
     let tiny = "--rig ring3 --seconds 2 --noise clean --every 4";
-    let (printed, results) = done(place.path(), &format!("{tiny} --drift-minutes 0.5"));
+    let (printed, results) = done(place.path(), &format!("drift 0.5 {tiny}"));
     assert!(printed.contains("slope mm/min"), "{printed}");
     assert!(results["levels"][0]["drift"][0]["slope_mm_per_min"]["low"].is_number());
-    let (printed, _) = done(place.path(), &format!("{tiny} --ablation interpolation"));
+    let (printed, _) = done(place.path(), &format!("ablation interpolation {tiny}"));
     assert!(
         printed.contains("keyframe each frame (default)") && printed.contains("lerp"),
         "{printed}"
@@ -259,7 +261,7 @@ fn drift_and_ablation_print_their_tables() {
 #[test]
 fn latencies_print_their_table_and_plots() {
     let place = tempfile::tempdir().unwrap();
-    let tiny = "--rig ring3 --seconds 2 --noise clean --every 4 --latencies 20,50";
+    let tiny = "latencies 20,50 --rig ring3 --seconds 2 --noise clean --every 4";
     let (printed, results) = done(place.path(), tiny);
     assert!(printed.contains("live, provisional") && printed.contains("live, 50 ms"), "{printed}");
     assert_eq!(results["levels"][0]["methods"].as_array().map(Vec::len), Some(3));
@@ -292,7 +294,7 @@ fn provisional_poses_are_nearly_as_smooth_as_final_ones() {
 #[test]
 fn every_factor_of_an_ablation_is_in_its_help() {
     let place = tempfile::tempdir().unwrap();
-    let help = eval(place.path(), "--help");
+    let help = eval(place.path(), "ablation all --help");
     let help = String::from_utf8(help.stdout).unwrap();
     for factor in FACTORS {
         assert!(help.contains(factor), "{factor}: {help}");
@@ -309,20 +311,22 @@ fn wrong_arguments_give_a_one_line_error_with_a_fix() {
         assert!(errors.contains(part), "{arguments}: {errors}");
         assert!(!place.path().join("eval").exists(), "{arguments}");
     };
-    told("--methods guess", 2, "use all, ladder, triangulation");
-    told("--rig ring3 --body foreign", 2, "--motions");
-    told("--rig ring3 --hold-out cam01", 2, "--recording");
-    told("--rig ring3 --noise loud", 2, "sparse");
-    told("--rig round", 2, "ring2");
-    told("--rig ring3 --seconds 0", 2, "--seconds is 0");
-    told("--rig ring3 --fps 0", 2, "--fps is 0");
-    told("--rig ring3 --ablation shoes", 2, "window");
-    told("--rig ring3 --tune shoes", 2, "muvs");
-    told("--rig ring3 --latencies 5", 2, "--latencies is 5, but must be 6 to");
-    told("--rig ring3 --motions none/", 3, "none");
-    told("--rig ring3 --protocol none.toml", 3, "none.toml");
-    told("--rig ring3 --jobs 0", 2, "--jobs");
-    told("--recording none.mcap", 3, "none.mcap");
+    told("methods --methods guess", 2, "use all, ladder, triangulation");
+    told("methods --rig ring3 --body foreign", 2, "--motions");
+    told("methods --rig ring3 --hold-out cam01", 2, "--hold-out");
+    told("performers 2 --motions none/", 2, "--motions");
+    told("drift 0.1 --rig ring3", 2, "minutes is 0.1");
+    told("methods --rig ring3 --noise loud", 2, "sparse");
+    told("methods --rig round", 2, "ring2");
+    told("methods --rig ring3 --seconds 0", 2, "--seconds is 0");
+    told("methods --rig ring3 --fps 0", 2, "--fps is 0");
+    told("ablation shoes --rig ring3", 2, "window");
+    told("tune shoes --rig ring3", 2, "muvs");
+    told("latencies 5 --rig ring3", 2, "a latency is 5, but must be 6 to");
+    told("methods --rig ring3 --motions none/", 3, "none");
+    told("methods --rig ring3 --protocol none.toml", 3, "none.toml");
+    told("methods --rig ring3 --jobs 0", 2, "--jobs");
+    told("recording none.mcap", 3, "none.mcap");
     std::fs::write(place.path().join("bad.toml"), "loudness = 1").unwrap();
-    told("--protocol bad.toml", 4, "loudness");
+    told("methods --protocol bad.toml", 4, "loudness");
 }

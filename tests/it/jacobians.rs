@@ -3,10 +3,7 @@
 use bundlemocap::core::body::{
     BODY_JOINTS, Joint, SHAPE_COEFFICIENTS, Shape, Skeleton, Tangents, forward, push_forward,
 };
-use bundlemocap::core::manifold::{
-    Decoder, Interpolation, Jacobians, Keyframe, LATENT, Latent, MOVE, THREE, Transition,
-    TransitionWork, state_of,
-};
+use bundlemocap::core::manifold::{Decoder, Interpolation, Jacobians, LATENT, Latent};
 use bundlemocap::core::so3;
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
@@ -167,8 +164,11 @@ fn joints_and_points_by_rotations_root_and_shape() {
     }
 }
 
+#[cfg(feature = "research")]
 #[test]
 fn transition_residuals_by_three_keyframes() {
+    use bundlemocap::core::manifold::Keyframe;
+    use bundlemocap::research::transition::{MOVE, THREE, Transition, TransitionWork, state_of};
     let transition = Transition::embedded().unwrap();
     let mut work = TransitionWork::default();
     let step = 0.02;

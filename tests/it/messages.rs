@@ -135,6 +135,7 @@ pub fn retargeted() -> RetargetedPose {
         hips_position_m: vec![0.25, 0.9, -1.5],
         local_rotations: vec![0.0, 0.0, 0.0, 1.0, 0.5, -0.5, 0.5, 0.5],
         joint_names: vec!["Armature".into(), "Hips".into()],
+        timecode: "01:00:00:05".into(),
     }
 }
 

@@ -4,12 +4,13 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use bundlemocap::core::body::{BODY_JOINTS, Joint};
-use bundlemocap::core::manifold::{Decoder, Keyframe, Transition, TransitionWork};
+use bundlemocap::core::manifold::{Decoder, Keyframe};
 use bundlemocap::io::formats::bvh::Bvh;
 use bundlemocap::research::train::{
     Clip, Options, TrainError, evaluate, evaluate_transition, read_folder, run, train_transition,
     transition_keyframes,
 };
+use bundlemocap::research::transition::{Transition, TransitionWork};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::support::data;

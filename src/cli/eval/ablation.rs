@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::arguments::Arguments;
+use super::arguments::Ablation;
 use super::output::write;
 use super::setup::Setup;
 use crate::cli::failure::{Exit, Failure};
@@ -12,10 +12,10 @@ use crate::research::experiments::summary::{Summary, summaries, table, to_json};
 use crate::research::experiments::{Run, View};
 
 /// One table per factor, at the first noise level.
-pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let factors = factors(&arguments.ablation)?;
-    let setup = Setup::new(arguments)?;
-    let level = arguments.noise.first().map_or("studio", String::as_str);
+pub(super) fn run(asked: &Ablation) -> Result<(), Failure> {
+    let factors = factors(&asked.factors)?;
+    let setup = Setup::new(&asked.views, Some(&asked.motions))?;
+    let level = asked.views.noise.first().map_or("studio", String::as_str);
     let view = setup.view(level)?;
     let mut report = ReportData {
         title: "Ablation of our settings".into(),
@@ -35,7 +35,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         "level": level,
         "factors": results,
     });
-    write(&arguments.out, &report, &results)
+    write(&asked.views.output.out, &report, &results)
 }
 
 fn factors(names: &[String]) -> Result<Vec<(&str, Factor)>, Failure> {
@@ -45,7 +45,7 @@ fn factors(names: &[String]) -> Result<Vec<(&str, Factor)>, Failure> {
         for name in asked {
             let known = factor(name).ok_or_else(|| {
                 let known = FACTORS.join(", ");
-                let message = format!("--ablation {name} is unknown; use all, {known}");
+                let message = format!("ablation {name} is unknown; use all, {known}");
                 Failure::new(Exit::Usage, message)
             })?;
             found.push((name, known));

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, Subcommand};
 
 use crate::cli::failure::ratio;
 use crate::cli::overwrite::Overwrite;
@@ -16,123 +16,228 @@ method knows the true body, pose or first frame. The folder DIR gets table.md, r
 metrics of each sequence, all settings and seeds) and report.html. Results depend only on the seed,
 except for the times.
 
---recording solves a real recording instead and reports the reprojection error, the error in each
-camera when held out, and the distance to a reference. --drift-minutes measures the error over a long
-motion, --performers solves crowds and each of their people alone, --latencies the live tracker's at declared latencies, in simulated time, --ablation varies
-our settings one at a time, --tune searches a method's weights on all other subjects.
-
-Without --h36m the Human3.6M cameras are read from the folder of the variable BUNDLEMOCAP_DATA;
-default: ../shared.
-
 Examples:
-  bundlemocap eval --motions motions/ --rig h36m --noise sparse --methods all --out eval
-  bundlemocap eval --motions motions/ --methods paper,default --every 3 --rig ring4
-  bundlemocap eval --rig ring4 --methods default --seconds 5
-  bundlemocap eval --motions motions/ --body foreign --noise uniform
-  bundlemocap eval --recording balancing.mcap --reference pose2sim.trc
-  bundlemocap eval --recording walk.mcap --hold-out c4,c5 --methods all
-  bundlemocap eval --motions motions/ --drift-minutes 10
-  bundlemocap eval --motions motions/ --latencies 20,35,50,75,100,150,200 --every 3
-  bundlemocap eval --performers 2,4,6 --rig ring4 --noise studio --seconds 60
-  bundlemocap eval --motions motions/ --ablation window,cameras --every 4
-  bundlemocap eval --motions motions/ --tune default --every 12")]
+  bundlemocap eval methods --motions motions/ --rig h36m --noise sparse --methods all --out eval
+  bundlemocap eval methods --motions motions/ --methods paper,default --every 3 --rig ring4
+  bundlemocap eval methods --rig ring4 --methods default --seconds 5
+  bundlemocap eval methods --motions motions/ --body foreign --noise uniform
+  bundlemocap eval recording balancing.mcap --reference pose2sim.trc
+  bundlemocap eval recording walk.mcap --hold-out c4,c5 --methods all
+  bundlemocap eval drift 10 --motions motions/
+  bundlemocap eval latencies 20,35,50,75,100,150,200 --motions motions/ --every 3
+  bundlemocap eval performers 2,4,6 --rig ring4 --noise studio --seconds 60
+  bundlemocap eval ablation window,cameras --motions motions/ --every 4
+  bundlemocap eval tune default --motions motions/ --every 12")]
 pub(in crate::cli) struct Arguments {
+    #[command(subcommand)]
+    pub(super) what: What,
+}
+
+#[derive(Debug, Subcommand)]
+pub(super) enum What {
+    Methods(Methods),
+    Recording(Recording),
+    Performers(Performers),
+    Drift(Drift),
+    Latencies(Latencies),
+    Ablation(Ablation),
+    Tune(Tune),
+}
+
+/// Compare methods on synthetic recordings.
+#[derive(Debug, Args)]
+pub(super) struct Methods {
+    #[command(flatten)]
+    pub(super) named: Named,
+    #[command(flatten)]
+    pub(super) motions: Motions,
+    #[command(flatten)]
+    pub(super) views: Views,
+    /// Compare the detector errors of this recording with the noise levels.
+    #[arg(long, value_name = "FILE")]
+    pub(super) beside: Option<PathBuf>,
+}
+
+/// Compare methods on a real recording: reprojection error, error in each camera when held out, and
+/// distance to a reference.
+#[derive(Debug, Args)]
+pub(super) struct Recording {
+    /// The recording.
+    pub(super) file: PathBuf,
+    #[command(flatten)]
+    pub(super) named: Named,
+    /// Compare our poses at these declared latencies, milliseconds, and provisional ones.
+    #[arg(long, value_name = "MS", value_delimiter = ',', conflicts_with = "methods")]
+    pub(super) latencies: Vec<f64>,
+    /// Use only these cameras.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub(super) cameras: Vec<String>,
+    /// Solve without these cameras and report the error in them; default: without each camera in turn.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub(super) hold_out: Vec<String>,
+    /// Report the distance to these marker positions (y up, frames as in the recording).
+    #[arg(long, value_name = "TRC")]
+    pub(super) reference: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) output: Output,
+}
+
+/// Solve crowds who cross and meet, with bodies of their own, and each of their people alone.
+#[derive(Debug, Args)]
+pub(super) struct Performers {
+    /// Numbers of people, 2 to 32.
+    #[arg(
+        required = true,
+        value_name = "NUMBERS",
+        value_delimiter = ',',
+        value_parser = clap::value_parser!(u8).range(2..=32)
+    )]
+    pub(super) numbers: Vec<u8>,
+    /// Distance of the pelvises in the crowds' meetings, metres: 0.7 is arm's length, 0.3 an embrace.
+    #[arg(long, value_name = "METRES", default_value_t = 0.7, allow_negative_numbers = true)]
+    pub(super) meet: f64,
+    #[command(flatten)]
+    pub(super) views: Views,
+}
+
+/// Measure how the error changes over a long motion.
+#[derive(Debug, Args)]
+pub(super) struct Drift {
+    /// Length of the motion, 0.5 to 600 minutes.
+    #[arg(allow_negative_numbers = true)]
+    pub(super) minutes: f64,
+    #[command(flatten)]
+    pub(super) named: Named,
+    #[command(flatten)]
+    pub(super) motions: Motions,
+    #[command(flatten)]
+    pub(super) views: Views,
+}
+
+/// Measure the live tracker's final poses at declared latencies, in simulated time, and provisional ones.
+#[derive(Debug, Args)]
+pub(super) struct Latencies {
+    /// The latencies.
+    #[arg(
+        required = true,
+        value_name = "MS",
+        value_delimiter = ',',
+        allow_negative_numbers = true
+    )]
+    pub(super) latencies: Vec<f64>,
+    #[command(flatten)]
+    pub(super) motions: Motions,
+    #[command(flatten)]
+    pub(super) views: Views,
+}
+
+/// Vary our settings one at a time.
+#[derive(Debug, Args)]
+pub(super) struct Ablation {
+    /// All, or some of window, publish, keyframe, interpolation, stiffness, robust_scale, optimiser,
+    /// stop, scale, prior, prior_dof, errors, foot_contact, foot_contact_speed, cameras, noise, fps.
+    #[arg(required = true, value_name = "FACTORS", value_delimiter = ',')]
+    pub(super) factors: Vec<String>,
+    #[command(flatten)]
+    pub(super) motions: Motions,
+    #[command(flatten)]
+    pub(super) views: Views,
+}
+
+/// Search a method's weights, on the subjects that are not named.
+#[derive(Debug, Args)]
+pub(super) struct Tune {
+    /// The method.
+    pub(super) method: String,
+    #[command(flatten)]
+    pub(super) motions: Motions,
+    #[command(flatten)]
+    pub(super) views: Views,
+}
+
+/// Which methods.
+#[derive(Debug, Args)]
+pub(super) struct Named {
+    /// Methods by name, all compared ones, or ladder: the steps from the paper's path to the default.
+    /// By default all for motions; triangulation, paper-body and default for a recording; live for drift.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub(super) methods: Vec<String>,
+}
+
+/// Which motions.
+#[derive(Debug, Args)]
+pub(super) struct Motions {
     /// Folder of BVH clips with the motions; default: a procedural motion.
     #[arg(long, value_name = "DIR")]
-    pub(in crate::cli) motions: Option<PathBuf>,
-    /// Output folder; created if missing.
-    #[arg(long, value_name = "DIR", default_value = "eval")]
-    pub(in crate::cli) out: PathBuf,
-    #[command(flatten)]
-    pub(in crate::cli) overwrite: Overwrite,
-    /// Settings of motions, rigs and detectors; config/eval.toml lists every setting.
-    #[arg(long, value_name = "FILE")]
-    pub(in crate::cli) protocol: Option<PathBuf>,
+    pub(super) motions: Option<PathBuf>,
     /// Subjects whose clips are used [protocol: 07,10].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    pub(in crate::cli) subjects: Vec<String>,
+    pub(super) subjects: Vec<String>,
     /// Bodies of the performers: own, shapes of our body model, or foreign, each clip's own skeleton
     /// with keypoints at its joints [protocol: own].
     #[arg(long, value_name = "KIND", value_parser = Body::ALL.map(Body::name))]
-    pub(in crate::cli) body: Option<String>,
+    pub(super) body: Option<String>,
     /// Use every Nth clip.
     #[arg(long, value_name = "N", default_value_t = 1)]
-    pub(in crate::cli) every: usize,
+    pub(super) every: usize,
+}
+
+/// Cameras and detectors, and how they are solved.
+#[derive(Debug, Args)]
+pub(super) struct Views {
+    /// Settings of motions, rigs and detectors; config/eval.toml lists every setting.
+    #[arg(long, value_name = "FILE")]
+    pub(super) protocol: Option<PathBuf>,
     /// Longest part of a clip, from its middle, seconds [protocol: 8].
     #[arg(long, allow_negative_numbers = true)]
-    pub(in crate::cli) seconds: Option<f64>,
+    pub(super) seconds: Option<f64>,
     /// Frame rate of the cameras, 1 to 1000 Hz [protocol: 50].
     #[arg(long, value_name = "HZ", value_parser = ratio, allow_negative_numbers = true)]
-    pub(in crate::cli) fps: Option<f64>,
+    pub(super) fps: Option<f64>,
     /// Rigs: h36m, h36m-s11, 3dhp, ring2 to ring64; several are used in turn [h36m].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    pub(in crate::cli) rig: Vec<String>,
-    /// File with the Human3.6M cameras.
+    pub(super) rig: Vec<String>,
+    /// File with the Human3.6M cameras; default: in the folder of the variable BUNDLEMOCAP_DATA, or in
+    /// ../shared.
     #[arg(long, value_name = "FILE")]
-    pub(in crate::cli) h36m: Option<PathBuf>,
+    pub(super) h36m: Option<PathBuf>,
     /// Noise levels of the detectors: none, or a level of the protocol (clean, studio, sparse,
     /// uniform, systematic).
     #[arg(long, value_name = "LEVELS", value_delimiter = ',', default_values = ["studio", "sparse"])]
-    pub(in crate::cli) noise: Vec<String>,
-    /// Methods by name, all compared ones, or ladder: the steps from the paper's path to the default.
-    /// With --recording by default triangulation, paper-body and default.
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    pub(in crate::cli) methods: Vec<String>,
+    pub(super) noise: Vec<String>,
     /// Seed of all random draws; replaces the seeds of the protocol, [1].
     #[arg(long)]
-    pub(in crate::cli) seed: Option<u64>,
+    pub(super) seed: Option<u64>,
     /// Sequences solved in parallel; solve times are comparable only with 1.
     #[arg(long, value_name = "N", default_value_t = 1)]
-    pub(in crate::cli) jobs: usize,
+    pub(super) jobs: usize,
+    #[command(flatten)]
+    pub(super) output: Output,
+}
+
+/// Where the results go, and the manifold.
+#[derive(Debug, Args)]
+pub(super) struct Output {
+    /// Output folder; created if missing.
+    #[arg(long, value_name = "DIR", default_value = "eval")]
+    pub(super) out: PathBuf,
+    #[command(flatten)]
+    pub(super) overwrite: Overwrite,
     /// Manifold weights of `bundlemocap train`; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
-    pub(in crate::cli) weights: Option<PathBuf>,
-    /// Solve this recording instead of synthetic ones.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["motions", "drift_minutes", "ablation", "tune"])]
-    pub(in crate::cli) recording: Option<PathBuf>,
-    /// Use only these cameras of the recording.
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "recording")]
-    pub(in crate::cli) cameras: Vec<String>,
-    /// Solve without these cameras of the recording and report the error in them; default: without
-    /// each camera in turn.
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "recording")]
-    pub(in crate::cli) hold_out: Vec<String>,
-    /// Report the distance to these marker positions (y up, frames as in the recording).
-    #[arg(long, value_name = "TRC", requires = "recording")]
-    pub(in crate::cli) reference: Option<PathBuf>,
-    /// Compare the detector errors of this recording with the noise levels.
-    #[arg(long, value_name = "FILE", conflicts_with = "recording")]
-    pub(in crate::cli) beside: Option<PathBuf>,
-    /// Measure how the error changes over MINUTES.
-    #[arg(long, value_name = "MINUTES", conflicts_with_all = ["ablation", "tune"])]
-    pub(in crate::cli) drift_minutes: Option<f64>,
-    /// Measure final poses at these declared latencies, milliseconds, and provisional ones.
-    #[arg(
-        long,
-        value_name = "MS",
-        value_delimiter = ',',
-        conflicts_with_all = ["methods", "drift_minutes", "ablation", "tune"]
-    )]
-    pub(in crate::cli) latencies: Vec<f64>,
-    /// Solve crowds of these numbers of people, 2 to 32, who cross and meet before as many cameras as
-    /// the first rig has, with bodies of their own; and each of them alone.
-    #[arg(
-        long,
-        value_name = "NUMBERS",
-        value_delimiter = ',',
-        value_parser = clap::value_parser!(u8).range(2..=32),
-        conflicts_with_all = ["methods", "motions", "recording", "drift_minutes", "latencies", "ablation", "tune"]
-    )]
-    pub(in crate::cli) performers: Vec<u8>,
-    /// Distance of the pelvises in the crowds' meetings, metres: 0.7 is arm's length, 0.3 an embrace.
-    #[arg(long, value_name = "METRES", default_value_t = 0.7, allow_negative_numbers = true)]
-    pub(in crate::cli) meet: f64,
-    /// Vary our settings one at a time: all, or some of window, publish, keyframe, interpolation,
-    /// stiffness, robust_scale, optimiser, stop, scale, prior, prior_dof, errors, foot_contact,
-    /// foot_contact_speed, cameras, noise, fps.
-    #[arg(long, value_name = "FACTORS", value_delimiter = ',', conflicts_with = "tune")]
-    pub(in crate::cli) ablation: Vec<String>,
-    /// Tune the weights of a method, on the subjects that are not named.
-    #[arg(long, value_name = "METHOD")]
-    pub(in crate::cli) tune: Option<String>,
+    pub(super) weights: Option<PathBuf>,
+}
+
+impl What {
+    pub(super) fn output(&self) -> &Output {
+        match self {
+            Self::Recording(recording) => &recording.output,
+            Self::Methods(Methods { views, .. })
+            | Self::Performers(Performers { views, .. })
+            | Self::Drift(Drift { views, .. })
+            | Self::Latencies(Latencies { views, .. })
+            | Self::Ablation(Ablation { views, .. })
+            | Self::Tune(Tune { views, .. }) => &views.output,
+        }
+    }
 }

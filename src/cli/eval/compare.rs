@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::arguments::Arguments;
+use super::arguments::Methods;
 use super::output::write;
 use super::recording::Loaded;
 use super::setup::Setup;
@@ -27,10 +27,10 @@ struct Level {
 }
 
 /// Solves with every method at each noise level; prints and writes the tables.
-pub(super) fn compare(arguments: &Arguments, names: &[String]) -> Result<(), Failure> {
-    let setup = Setup::new(arguments)?;
+pub(super) fn compare(asked: &Methods, names: &[String]) -> Result<(), Failure> {
+    let setup = Setup::new(&asked.views, Some(&asked.motions))?;
     let mut levels = Vec::new();
-    for level in &arguments.noise {
+    for level in &asked.views.noise {
         levels.push(solve(&setup, setup.view(level)?, names)?);
     }
     let mut report = ReportData {
@@ -51,7 +51,7 @@ pub(super) fn compare(arguments: &Arguments, names: &[String]) -> Result<(), Fai
     if let Some(level) = levels.last() {
         add_curves(&mut report, level);
     }
-    let real = match &arguments.beside {
+    let real = match &asked.beside {
         Some(path) => of_detectors(&Loaded::read(path, &[], &[])?.take, &setup.decoder),
         None => None,
     };
@@ -63,7 +63,7 @@ pub(super) fn compare(arguments: &Arguments, names: &[String]) -> Result<(), Fai
     report.plots.push(plots::detector_spectrum(&detectors));
     report.plots.push(plots::detector_confidence(&detectors));
     report.tables.push(detector_table(&detectors));
-    write(&arguments.out, &report, &results(&setup, &levels))
+    write(&asked.views.output.out, &report, &results(&setup, &levels))
 }
 
 fn solve(setup: &Setup, view: View, names: &[String]) -> Result<Level, Failure> {

@@ -2,24 +2,24 @@
 
 use serde_json::json;
 
-use super::arguments::Arguments;
+use super::arguments::Drift;
 use super::output::write;
 use super::setup::{Setup, within};
 use crate::cli::failure::{Exit, Failure};
 use crate::io::report::ReportData;
 use crate::research::experiments::{Case, drift, methods, plots};
 
-/// Solves one take of `minutes` at each noise level.
-pub(super) fn run(arguments: &Arguments, names: &[String], minutes: f64) -> Result<(), Failure> {
-    within("--drift-minutes", minutes, 0.5, 600.0)?;
-    let setup = Setup::new(arguments)?;
+/// Solves one long take at each noise level.
+pub(super) fn run(asked: &Drift, names: &[String]) -> Result<(), Failure> {
+    let minutes = within("minutes", asked.minutes, 0.5, 600.0)?;
+    let setup = Setup::new(&asked.views, Some(&asked.motions))?;
     let mut report = ReportData {
         title: format!("Drift over {minutes} minutes"),
         subtitle: setup.subtitle(),
         ..ReportData::default()
     };
     let mut levels = Vec::new();
-    for level in &arguments.noise {
+    for level in &asked.views.noise {
         let view = setup.view(level)?;
         let case = Case::endless(&setup.subjects, &view, 60.0 * minutes).ok_or_else(|| {
             let message = "no motion is long enough; name other subjects with --subjects";
@@ -44,5 +44,5 @@ pub(super) fn run(arguments: &Arguments, names: &[String], minutes: f64) -> Resu
         "protocol": setup.protocol,
         "levels": levels,
     });
-    write(&arguments.out, &report, &results)
+    write(&asked.views.output.out, &report, &results)
 }

@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use super::arguments::Arguments;
+use super::arguments::Latencies;
 use super::output::write;
 use super::setup::{Setup, within};
 use crate::cli::failure::Failure;
@@ -14,24 +14,24 @@ use crate::research::experiments::{latency, methods};
 /// The methods of the latencies, in milliseconds: provisional poses, then final ones.
 pub(super) fn names(latencies: &[f64]) -> Result<Vec<String>, Failure> {
     let of = |&ms: &f64| {
-        within("--latencies", ms, Latency::LEAST.ms(), 6e4)?;
+        within("a latency", ms, Latency::LEAST.ms(), 6e4)?;
         Ok(format!("live-{ms}"))
     };
     std::iter::once(Ok("provisional".into())).chain(latencies.iter().map(of)).collect()
 }
 
 /// Solves with each latency at each noise level.
-pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let names = names(&arguments.latencies)?;
+pub(super) fn run(asked: &Latencies) -> Result<(), Failure> {
+    let names = names(&asked.latencies)?;
     let make = || names.iter().filter_map(|name| methods::named(name)).collect();
-    let setup = Setup::new(arguments)?;
+    let setup = Setup::new(&asked.views, Some(&asked.motions))?;
     let mut report = ReportData {
         title: "Live poses by latency".into(),
         subtitle: setup.subtitle(),
         ..ReportData::default()
     };
     let (mut levels, mut curves) = (Vec::new(), Vec::new());
-    for level in &arguments.noise {
+    for level in &asked.views.noise {
         let view = setup.view(level)?;
         let run = setup.solve(level, &setup.cases(&view), &make)?;
         let summaries = summaries(&run, run.rows.len() - 1);
@@ -41,12 +41,12 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         );
         curves.push((level.as_str(), summaries));
     }
-    report.plots = latency::plots(&arguments.latencies, &curves);
+    report.plots = latency::plots(&asked.latencies, &curves);
     let results = json!({
         "version": env!("CARGO_PKG_VERSION"),
-        "latencies_ms": arguments.latencies,
+        "latencies_ms": asked.latencies,
         "protocol": setup.protocol,
         "levels": levels,
     });
-    write(&arguments.out, &report, &results)
+    write(&asked.views.output.out, &report, &results)
 }

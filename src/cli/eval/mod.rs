@@ -15,38 +15,32 @@ use crate::cli::Ended;
 use crate::cli::failure::{Exit, Failure};
 use crate::research::experiments::methods;
 pub(super) use arguments::Arguments;
+use arguments::{Named, What};
 use compare::compare;
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
+    let out = &arguments.what.output().out;
     for file in output::FILES {
-        arguments.overwrite.check(&arguments.out.join(file))?;
+        arguments.what.output().overwrite.check(&out.join(file))?;
     }
-    if arguments.recording.is_some() {
-        let names = match &arguments.latencies[..] {
-            [] => method_names(&arguments.methods, &methods::OURS)?,
-            latencies => latency::names(latencies)?,
-        };
-        recording::run(arguments, &names)?;
-    } else if !arguments.performers.is_empty() {
-        performers::run(arguments, &arguments.performers)?;
-    } else if let Some(minutes) = arguments.drift_minutes {
-        let names = method_names(&arguments.methods, &["live"])?;
-        drift::run(arguments, &names, minutes)?;
-    } else if !arguments.latencies.is_empty() {
-        latency::run(arguments)?;
-    } else if !arguments.ablation.is_empty() {
-        ablation::run(arguments)?;
-    } else if let Some(method) = &arguments.tune {
-        tune::run(arguments, method)?;
-    } else {
-        compare(arguments, &method_names(&arguments.methods, &["all"])?)?;
-    }
+    match &arguments.what {
+        What::Methods(asked) => compare(asked, &method_names(&asked.named, &["all"])?),
+        What::Recording(asked) if asked.latencies.is_empty() => {
+            recording::run(asked, &method_names(&asked.named, &methods::OURS)?)
+        }
+        What::Recording(asked) => recording::run(asked, &latency::names(&asked.latencies)?),
+        What::Performers(asked) => performers::run(asked),
+        What::Drift(asked) => drift::run(asked, &method_names(&asked.named, &["live"])?),
+        What::Latencies(asked) => latency::run(asked),
+        What::Ablation(asked) => ablation::run(asked),
+        What::Tune(asked) => tune::run(asked),
+    }?;
     Ok(Exit::Done)
 }
 
 /// The requested method names, checked and without duplicates.
-fn method_names(asked: &[String], otherwise: &[&str]) -> Result<Vec<String>, Failure> {
-    let asked: Vec<&str> = asked.iter().map(String::as_str).collect();
+fn method_names(asked: &Named, otherwise: &[&str]) -> Result<Vec<String>, Failure> {
+    let asked: Vec<&str> = asked.methods.iter().map(String::as_str).collect();
     let mut names: Vec<String> = Vec::new();
     for name in if asked.is_empty() { otherwise } else { &asked[..] } {
         let of_name = match *name {

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::arguments::Arguments;
+use super::arguments::Performers as Arguments;
 use super::output::write;
 use super::setup::{Setup, within};
 use crate::cli::failure::{Exit, Failure};
@@ -22,9 +22,9 @@ use crate::research::synth::{self, Crowd, Meeting};
 type AnyMotion = Box<dyn Fn(f64) -> Pose>;
 
 /// Solves crowds of these numbers of people at each noise level.
-pub(super) fn run(arguments: &Arguments, numbers: &[u8]) -> Result<(), Failure> {
-    let distance = within("--meet", arguments.meet, 0.2, 1.5)?;
-    let setup = Setup::new(arguments)?;
+pub(super) fn run(asked: &Arguments) -> Result<(), Failure> {
+    let distance = within("--meet", asked.meet, 0.2, 1.5)?;
+    let setup = Setup::new(&asked.views, None)?;
     let folder = tempfile::tempdir().map_err(|error| {
         Failure::new(Exit::Unexpected, format!("cannot make a folder: {error}"))
     })?;
@@ -34,10 +34,12 @@ pub(super) fn run(arguments: &Arguments, numbers: &[u8]) -> Result<(), Failure> 
         ..ReportData::default()
     };
     let mut levels = Vec::new();
-    for level in &arguments.noise {
+    for level in &asked.views.noise {
         let (mut rows, mut results) = (Vec::new(), Vec::new());
-        for (&number, &seed) in
-            numbers.iter().flat_map(|n| setup.protocol.seeds.iter().map(move |seed| (n, seed)))
+        for (&number, &seed) in asked
+            .numbers
+            .iter()
+            .flat_map(|n| setup.protocol.seeds.iter().map(move |seed| (n, seed)))
         {
             let meeting = Meeting { people: number.into(), distance: Some(distance) };
             let view = View { seed, ..setup.view(level)? };
@@ -69,7 +71,7 @@ pub(super) fn run(arguments: &Arguments, numbers: &[u8]) -> Result<(), Failure> 
         "protocol": setup.protocol,
         "levels": levels,
     });
-    write(&arguments.out, &report, &results)
+    write(&asked.views.output.out, &report, &results)
 }
 
 /// A crowd, solved together and one by one.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde_json::json;
 
-use super::arguments::Arguments;
+use super::arguments::Recording as Arguments;
 use super::output::write;
 use crate::cli::failure::{Exit, Failure};
 use crate::cli::solve::decoder;
@@ -69,12 +69,11 @@ impl Loaded {
 }
 
 /// Solves with every method; without named hold-outs, also without each camera in turn.
-pub(super) fn run(arguments: &Arguments, names: &[String]) -> Result<(), Failure> {
-    let Some(path) = &arguments.recording else { return Ok(()) };
-    let decoder = decoder(arguments.weights.as_deref())?;
-    let trc = arguments.reference.as_deref().map(Trc::read).transpose()?;
-    let Loaded { take, held_out, clock } =
-        Loaded::read(path, &arguments.cameras, &arguments.hold_out)?;
+pub(super) fn run(asked: &Arguments, names: &[String]) -> Result<(), Failure> {
+    let path = &asked.file;
+    let decoder = decoder(asked.output.weights.as_deref())?;
+    let trc = asked.reference.as_deref().map(Trc::read).transpose()?;
+    let Loaded { take, held_out, clock } = Loaded::read(path, &asked.cameras, &asked.hold_out)?;
     let take = take.with_body(&decoder);
     let cameras = take.rig.cameras.len();
     let solves = if held_out.is_empty() { cameras + 1 } else { 1 };
@@ -112,11 +111,11 @@ pub(super) fn run(arguments: &Arguments, names: &[String]) -> Result<(), Failure
         "version": env!("CARGO_PKG_VERSION"),
         "weights": format!("{:016x}", decoder.fingerprint()),
         "recording": path,
-        "reference": arguments.reference,
+        "reference": asked.reference,
         "frame_rate_hz": take.fps,
         "methods": scores,
     });
-    write(&arguments.out, &report, &results)
+    write(&asked.output.out, &report, &results)
 }
 
 /// The error in each held-out camera.

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::arguments::Arguments;
+use super::arguments::{Motions, Views};
 use crate::cli::failure::{Exit, Failure, frame_rate_option};
 use crate::cli::solve::decoder;
 use crate::cli::terminal::progress;
@@ -32,36 +32,44 @@ pub(super) struct Setup {
 }
 
 impl Setup {
-    /// Reads protocol, weights, rigs and motions.
-    pub(super) fn new(arguments: &Arguments) -> Result<Self, Failure> {
-        let protocol = protocol(arguments)?;
+    /// Reads protocol, weights, rigs and motions; without `motions` there are procedural ones.
+    pub(super) fn new(views: &Views, motions: Option<&Motions>) -> Result<Self, Failure> {
+        Self::of(views, motions, false)
+    }
+
+    /// The same with the clips of all subjects that are not named.
+    pub(super) fn of_others(views: &Views, motions: &Motions) -> Result<Self, Failure> {
+        Self::of(views, Some(motions), true)
+    }
+
+    fn of(views: &Views, motions: Option<&Motions>, others: bool) -> Result<Self, Failure> {
+        let protocol = protocol(views, motions)?;
         let seconds = protocol.sequence.seconds;
         let format = KeypointFormat::from_name(&protocol.format).ok_or_else(|| {
             let message = format!("format {:?} of the protocol is unknown", protocol.format);
             Failure::new(Exit::KeypointFormat, format!("{message}; use body_25 or halpe_26"))
         })?;
-        if protocol.sequence.body == Body::Foreign && arguments.motions.is_none() {
+        let folder = motions.and_then(|motions| motions.motions.as_deref());
+        if protocol.sequence.body == Body::Foreign && folder.is_none() {
             let message = "foreign bodies are the skeletons of clips; give clips with --motions";
             return Err(Failure::new(Exit::Usage, message));
         }
-        let of_name = |name: &String| rig(name, arguments.h36m.as_deref()).map(Arc::new);
-        let subjects = match &arguments.motions {
-            Some(folder) => {
-                let training = arguments.tune.is_some();
-                subjects(&clips(folder, &protocol.subjects, training, arguments.every)?)
-            }
-            None => procedural(PROCEDURAL.div_ceil(arguments.every.max(1)), seconds),
+        let of_name = |name: &String| rig(name, views.h36m.as_deref()).map(Arc::new);
+        let every = motions.map_or(1, |motions| motions.every.max(1));
+        let subjects = match folder {
+            Some(folder) => subjects(&clips(folder, &protocol.subjects, others, every)?),
+            None => procedural(PROCEDURAL.div_ceil(every), seconds),
         };
         if protocol.seeds.is_empty() {
             let message = "the protocol names no seed; give one with --seed";
             return Err(Failure::new(Exit::Usage, message));
         }
         Ok(Self {
-            decoder: decoder(arguments.weights.as_deref())?,
+            decoder: decoder(views.output.weights.as_deref())?,
             subjects: usable(subjects, &protocol),
             rigs: protocol.rigs.iter().map(of_name).collect::<Result<_, _>>()?,
             format,
-            jobs: arguments.jobs,
+            jobs: views.jobs,
             protocol,
         })
     }
@@ -150,33 +158,33 @@ impl Setup {
     }
 }
 
-fn protocol(arguments: &Arguments) -> Result<Protocol, Failure> {
-    let mut protocol = match &arguments.protocol {
+fn protocol(views: &Views, motions: Option<&Motions>) -> Result<Protocol, Failure> {
+    let mut protocol = match &views.protocol {
         Some(path) => read_protocol(path)?,
         None => Protocol { rigs: vec!["h36m".to_owned()], ..Protocol::default() },
     };
-    if !arguments.subjects.is_empty() {
-        protocol.subjects.clone_from(&arguments.subjects);
+    if let Some(subjects) = motions.map(|motions| &motions.subjects).filter(|all| !all.is_empty()) {
+        protocol.subjects.clone_from(subjects);
     }
-    if !arguments.rig.is_empty() {
-        protocol.rigs.clone_from(&arguments.rig);
+    if !views.rig.is_empty() {
+        protocol.rigs.clone_from(&views.rig);
     }
-    if let Some(body) = Body::ALL.into_iter().find(|b| arguments.body.as_deref() == Some(b.name()))
-    {
+    let body = motions.and_then(|motions| motions.body.as_deref());
+    if let Some(body) = Body::ALL.into_iter().find(|known| body == Some(known.name())) {
         protocol.sequence.body = body;
     }
-    if let Some(fps) = arguments.fps {
+    if let Some(fps) = views.fps {
         protocol.sequence.fps = frame_rate_option(fps)?;
     }
-    if let Some(seconds) = arguments.seconds {
+    if let Some(seconds) = views.seconds {
         protocol.sequence.seconds = within("--seconds", seconds, 0.5, 36_000.0)?;
         let least = &mut protocol.sequence.least_seconds;
         *least = least.min(seconds);
     }
-    if let Some(seed) = arguments.seed {
+    if let Some(seed) = views.seed {
         protocol.seeds = vec![seed];
     }
-    within("--jobs", arguments.jobs as f64, 1.0, 64.0)?;
+    within("--jobs", views.jobs as f64, 1.0, 64.0)?;
     Ok(protocol)
 }
 
@@ -254,7 +262,7 @@ fn clips(
         }
     }
     let wanted = |clip: &Clip| named.contains(&clip.subject) != others;
-    let chosen: Vec<Clip> = clips.into_iter().filter(wanted).step_by(every.max(1)).collect();
+    let chosen: Vec<Clip> = clips.into_iter().filter(wanted).step_by(every).collect();
     if chosen.is_empty() {
         let message = format!("{at}: no clip is left; it has clips of {names}, see --subjects");
         return Err(Failure::new(Exit::NoDetections, message));

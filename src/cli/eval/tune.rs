@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use super::arguments::Arguments;
+use super::arguments::Tune;
 use super::output::write;
 use super::setup::Setup;
 use crate::cli::failure::{Exit, Failure};
@@ -10,22 +10,23 @@ use crate::io::report::ReportData;
 use crate::research::experiments::sweep::{TUNABLE, axes, table, tune};
 
 /// Varies each weight of a method, at all noise levels.
-pub(super) fn run(arguments: &Arguments, method: &str) -> Result<(), Failure> {
+pub(super) fn run(asked: &Tune) -> Result<(), Failure> {
+    let method = &asked.method;
     if axes(method).is_none() {
         let known = TUNABLE.join(", ");
-        let message = format!("--tune {method} has no weights to tune; use one of {known}");
+        let message = format!("{method} has no weights to tune; use one of {known}");
         return Err(Failure::new(Exit::Usage, message));
     }
-    let setup = Setup::new(arguments)?;
+    let setup = Setup::of_others(&asked.views, &asked.motions)?;
     let mut levels = Vec::new();
-    for level in &arguments.noise {
+    for level in &asked.views.noise {
         levels.push((level.as_str(), setup.cases(&setup.view(level)?)));
     }
     let trials = tune(method, |methods| {
         levels.iter().map(|(level, cases)| setup.solve(level, cases, methods)).collect()
     })?;
     let names: Vec<&str> = levels.iter().map(|(level, _)| *level).collect();
-    let whose = match arguments.motions {
+    let whose = match asked.motions.motions {
         Some(_) => format!("all subjects but {}", setup.protocol.subjects.join(", ")),
         None => "procedural motion".into(),
     };
@@ -42,5 +43,5 @@ pub(super) fn run(arguments: &Arguments, method: &str) -> Result<(), Failure> {
         "levels": names,
         "trials": trials,
     });
-    write(&arguments.out, &report, &results)
+    write(&asked.views.output.out, &report, &results)
 }

@@ -12,6 +12,7 @@
 //! a cluster is a limb, because a detector misplaces a limb alike in all frames.
 
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use serde::Serialize;
 
 use super::tracks::{LIMBS, Tracks, at, median};
 use crate::core::camera::Camera;
@@ -43,7 +44,7 @@ const POINT_STEPS: usize = 4;
 const MEDIAN_LENGTH: f64 = 1.1774;
 
 /// A camera's correction.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Correction {
     /// Whether the correction is significant; else all is 0.
     pub significant: bool,

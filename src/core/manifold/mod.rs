@@ -1,20 +1,16 @@
-//! The pose manifold: decoder, weights, interpolation, transitions.
+//! The pose manifold: decoder, weights, interpolation.
 
 pub(crate) mod activation;
 mod correction;
 mod decoder;
 mod interpolate;
 mod keyframe;
-mod transition;
-mod weights;
+pub(crate) mod weights;
 
 pub use correction::{CORRECTED, CORRECTION, Correction};
 pub use decoder::{Decoder, EMBEDDED, Jacobians};
 pub use interpolate::{Interpolation, LatentTangent};
 pub use keyframe::{Keyframe, StampedKeyframe, TimedKeyframe};
-pub use transition::{
-    MOVE, Move, STATE, State, THREE, Transition, TransitionWork, move_of, state_of,
-};
 pub use weights::WeightsError;
 
 /// Size of a latent code.

@@ -55,7 +55,7 @@ pub enum WeightsError {
 
 /// A linear layer, weight \[out, in\] row-major.
 #[derive(Clone, Debug)]
-pub(super) struct Layer {
+pub(crate) struct Layer {
     pub inputs: usize,
     pub outputs: usize,
     pub weight: Vec<f32>,
@@ -77,7 +77,7 @@ pub(super) fn decoder_layers(bytes: &[u8]) -> Result<Vec<Layer>, WeightsError> {
 }
 
 /// The metadata of a file, after a check of its format and version.
-pub(super) fn checked_metadata(
+pub(crate) fn checked_metadata(
     bytes: &[u8],
     format: &'static str,
 ) -> Result<HashMap<String, String>, WeightsError> {
@@ -93,7 +93,7 @@ pub(super) fn checked_metadata(
 }
 
 /// The layers of the network `name`, from its first to its last width.
-pub(super) fn layers(
+pub(crate) fn layers(
     tensors: &SafeTensors,
     network: &str,
     first: usize,
@@ -133,7 +133,7 @@ fn layer(
 }
 
 /// The values of a tensor of that shape.
-pub(super) fn numbers(
+pub(crate) fn numbers(
     tensors: &SafeTensors,
     name: &str,
     shape: &[usize],

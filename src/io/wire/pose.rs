@@ -7,6 +7,7 @@ use super::{DecodeError, Pose, TrackingState as WireState};
 use crate::core::body::{self, BODY_JOINTS, JOINTS, Skeleton, StampedPose, TrackingState};
 use crate::core::so3;
 use crate::core::time::{Nanos, Timestamp};
+use crate::io::timecode::House;
 
 const fn at(name: &'static str) -> Field {
     field("Pose", name)
@@ -45,6 +46,12 @@ impl Pose {
             run_id: live.map_or(0, |live| live.run_id),
             timecode: String::new(),
         }
+    }
+
+    /// The pose with the timecode of its capture time, if the house has one.
+    pub fn labelled(self, house: Option<House>) -> Self {
+        let label = house.map(|house| house.label(Timestamp::from_ns(self.capture_time_ns)));
+        Self { timecode: label.unwrap_or_default(), ..self }
     }
 
     /// The pose.

@@ -10,7 +10,6 @@ use super::named::Named;
 use super::run::{Methods, Run};
 use super::summary::number;
 use crate::core::cost::Stiffness;
-use crate::core::manifold::Transition;
 use crate::core::tracker::Config;
 use crate::io::report::Table;
 use crate::metrics::PoseErrors;
@@ -19,6 +18,7 @@ use crate::research::methods::{
     Dct, DctWeights, Dmmr, DmmrWeights, Etc, EtcWeights, Filter, Method, MuVs, MuVsWeights, Slahmr,
     SlahmrWeights, Triangulation, Windows,
 };
+use crate::research::transition::Transition;
 
 /// Number of passes over all axes.
 const ROUNDS: usize = 2;

@@ -4,7 +4,7 @@ use super::{
     Dct, DctWeights, Dmmr, Etc, LiveTracker, Method, MuVs, Slahmr, SlahmrWeights, Triangulation,
     Windows,
 };
-use crate::core::manifold::Transition;
+use crate::research::transition::Transition;
 
 /// The compared methods, in table order.
 pub const NAMES: &[&str] = &[

@@ -4,7 +4,7 @@
 //! 1. roots alone, with the data term;
 //! 2. all unknowns, with 1/2 smoothness |P_j(t + 1) - P_j(t)|^2 over joints added;
 //! 3. all unknowns, with -ln p of each frame given the two before it added,
-//!    1/2 transition |(move - mean) / deviation|^2, from `crate::core::manifold::Transition`.
+//!    1/2 transition |(move - mean) / deviation|^2, from `crate::research::transition::Transition`.
 //!    The deviations are predicted from the path at the start of a round and fixed during it.
 //!
 //! Differences: a Gaussian model of accelerations, trained on the same clips as the manifold,
@@ -24,11 +24,10 @@ use super::terms::JointSteps;
 use super::{Delay, Method, Solved, Take};
 use crate::core::body::fitted_points;
 use crate::core::cost::{self, Scene};
-use crate::core::manifold::{
-    Decoder, Keyframe, LATENT, MOVE, Move, THREE, Transition, TransitionWork, state_of,
-};
+use crate::core::manifold::{Decoder, Keyframe, LATENT};
 use crate::core::optimise::{LevenbergMarquardt, NormalEquations, Optimiser};
 use crate::core::so3;
+use crate::research::transition::{MOVE, Move, THREE, Transition, TransitionWork, state_of};
 
 /// Weights of [`Slahmr`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

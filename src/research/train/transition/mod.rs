@@ -1,4 +1,4 @@
-//! Trains the transition model `crate::core::manifold::Transition` on the corpus, in the codes of a
+//! Trains the transition model `crate::research::transition::Transition` on the corpus, in the codes of a
 //! trained manifold. The loss is the negative log likelihood.
 
 mod samples;
@@ -18,14 +18,15 @@ use super::model::Model;
 use super::optimiser::Optimiser;
 use super::options::{Options, check, optimiser_config, transition_command};
 use super::{REPORT_EVERY, TrainError, read_folder, split};
-use crate::core::manifold::{Decoder, EMBEDDED, Keyframe, MOVE, STATE, Transition};
+use crate::core::manifold::{Decoder, EMBEDDED, Keyframe};
+use crate::research::transition::{MOVE, STATE, Transition};
 use samples::{RATES, Samples};
 
 pub use scores::TransitionScores;
 
 /// Name of the format in the metadata.
 const FORMAT: &str = "bundlemocap-transition";
-/// Largest magnitude of the log variance; the same as in `crate::core::manifold::Transition`.
+/// Largest magnitude of the log variance; the same as in `crate::research::transition::Transition`.
 const WIDEST: f32 = 5.0;
 
 /// Result of a training run.

@@ -6,7 +6,8 @@ use super::super::corpus::{Clip, FPS, Frame, mirrored, pose_vector, resampled};
 use super::super::evaluate::encode;
 use super::super::model::Model;
 use crate::core::body::FASTEST;
-use crate::core::manifold::{Correction, Keyframe, MOVE, STATE, move_of, state_of};
+use crate::core::manifold::{Correction, Keyframe};
+use crate::research::transition::{MOVE, STATE, move_of, state_of};
 
 /// Frame rates of the samples, Hz.
 pub const RATES: [f64; 3] = [30.0, 50.0, 60.0];

@@ -1,7 +1,8 @@
 //! Metrics of a transition model, compared with two simple baselines.
 
 use super::samples::Samples;
-use crate::core::manifold::{LATENT, MOVE, STATE, State, Transition, TransitionWork};
+use crate::core::manifold::LATENT;
+use crate::research::transition::{MOVE, STATE, State, Transition, TransitionWork};
 
 /// Metrics at one frame rate: negative log likelihood of the held-out moves, nats per component,
 /// and the share of the moves' mean square that the predicted mean explains.

@@ -1,0 +1,170 @@
+//! Turns messages from the bus into inputs of the tracker.
+
+use std::sync::Arc;
+
+use super::Core;
+use super::port::{MOST_BYTES, MOST_ORDER_BYTES};
+use crate::core::camera::Rig;
+use crate::core::detections::Detections;
+use crate::core::stage::{self, Stage};
+use crate::core::tracker::EventKind;
+use crate::io::wire::{self, ActorChannel, DecodeError, KeypointFrame, StageChannel, Topic};
+use crate::live::clock::Arrival;
+
+/// Points further than this many image sizes outside the image are not used.
+const MOST_OUTSIDE: f64 = 2.0;
+/// Most people of a frame that are used.
+const MOST_PEOPLE: usize = 64;
+/// Number of arrivals that are kept to find those of a frame set.
+const MOST_ARRIVALS: usize = 256;
+/// Longest name of an unknown camera in an event, characters.
+const MOST_NAME: usize = 64;
+
+impl Core {
+    pub(super) fn message(&mut self, topic: &str, payload: &[u8]) {
+        let is_rig = topic == self.topics.rig();
+        if is_rig || topic == self.topics.take() {
+            return match payload.len() > MOST_ORDER_BYTES {
+                true => self.too_large(None, payload, MOST_ORDER_BYTES),
+                false if is_rig => self.rig_from_bus(payload),
+                false => self.slate(payload),
+            };
+        }
+        if let Some(camera) = self.camera_of(topic) {
+            let camera: String = camera.chars().take(MOST_NAME).collect();
+            self.keypoints(&camera, payload);
+        }
+    }
+
+    /// The camera of a topic with keypoints that this node reads.
+    fn camera_of<'a>(&self, topic: &'a str) -> Option<&'a str> {
+        let (is_associated, own) = (self.settings.node.associated, &self.topics);
+        match Topic::parse(topic).ok()? {
+            Topic::Stage { stage, channel: StageChannel::Keypoints { camera } } => {
+                (!is_associated && *stage == *own.stage).then_some(camera)
+            }
+            Topic::Actor { stage, actor, channel: ActorChannel::Keypoints { camera } } => {
+                let is_own = *stage == *own.stage && *actor == *own.actor;
+                (is_associated && is_own).then_some(camera)
+            }
+            _ => None,
+        }
+    }
+
+    fn too_large(&mut self, camera: Option<&str>, payload: &[u8], most: usize) {
+        let detail = format!("a message of {} bytes, at most {most}", payload.len());
+        self.event(EventKind::Unusable, camera, detail);
+    }
+
+    fn keypoints(&mut self, camera: &str, payload: &[u8]) {
+        if payload.len() > MOST_BYTES {
+            return self.too_large(Some(camera), payload, MOST_BYTES);
+        }
+        let Some(calibration) = &self.calibration else {
+            let detail = "keypoints before a calibration; publish one, or give --rig".to_owned();
+            return self.event(EventKind::Unusable, Some(camera), detail);
+        };
+        let rig = Arc::clone(&calibration.rig);
+        let decoded = wire::decode::<KeypointFrame>(payload);
+        let decoded = decoded.and_then(|frame| self.frame(camera, frame, &rig));
+        match decoded {
+            Ok(frame) => self.detections(frame),
+            Err(error) => self.event(EventKind::Unusable, Some(camera), error.to_string()),
+        }
+    }
+
+    /// Checks a frame that arrived on the topic of `camera`.
+    fn frame(
+        &mut self,
+        camera: &str,
+        mut frame: KeypointFrame,
+        rig: &Rig,
+    ) -> Result<Detections, DecodeError> {
+        if frame.camera != camera {
+            return Err(DecodeError::Invalid {
+                message: "KeypointFrame",
+                field: "camera",
+                reason: "is not the camera of its topic".to_owned(),
+            });
+        }
+        let size = [frame.image_width, frame.image_height];
+        let people = frame.people.len();
+        if people > MOST_PEOPLE {
+            frame.people.truncate(MOST_PEOPLE);
+            let detail = format!("{people} people, the first {MOST_PEOPLE} are used");
+            self.event(EventKind::Crowd, Some(camera), detail);
+        }
+        let mut frame = frame.to_core(|name| rig.index_of(name))?;
+        let image = rig.cameras.get(frame.camera).map(|camera| [camera.width, camera.height]);
+        if let Some([width, height]) = image.filter(|image| size != [0, 0] && *image != size) {
+            return Err(DecodeError::Invalid {
+                message: "KeypointFrame",
+                field: "image_width",
+                reason: format!(
+                    "the image has {} x {}, the calibration is for {width} x {height}; send pixels of \
+                     the calibrated image, or calibrate for this size",
+                    size[0], size[1]
+                ),
+            });
+        }
+        let is_far = |at: f64, size: u32| {
+            let most = f64::from(size) * MOST_OUTSIDE;
+            !(-most..=most + f64::from(size)).contains(&at)
+        };
+        let mut count = 0;
+        for point in frame.people.iter_mut().flat_map(|person| &mut person.points) {
+            let Some([width, height]) = image.filter(|_| point.is_some()) else { continue };
+            if point.is_some_and(|at| is_far(at.pixel.x, width) || is_far(at.pixel.y, height)) {
+                *point = None;
+                count += 1;
+            }
+        }
+        if count > 0 {
+            let detail = format!("points more than {MOST_OUTSIDE} image sizes outside, not used");
+            self.events(EventKind::FarPoint, Some(camera), count, detail);
+        }
+        Ok(frame)
+    }
+
+    fn detections(&mut self, frame: Detections) {
+        let (now, index, capture) = (self.now, frame.camera, frame.capture);
+        let Some(camera) = self.cameras.get_mut(index) else { return };
+        let name = camera.name().to_owned();
+        let (is_usable, warning) = camera.check_unit(capture);
+        if let Some(detail) = warning {
+            let detail = format!("{detail}; its frames are not used");
+            self.event(EventKind::Unusable, Some(&name), detail);
+        }
+        if !is_usable {
+            return;
+        }
+        // The time that the tracker uses: the calibration or the motion may say that the clock is off.
+        let rig = self.stage.as_ref().map(Stage::rig);
+        let known = rig.and_then(|rig| rig.cameras.get(index)).map(|camera| camera.time_offset);
+        let arrival = self.clock.arrive(index, now, capture + known.unwrap_or_default());
+        self.report_strays();
+        match arrival {
+            Arrival::Used => {}
+            Arrival::Refused => {
+                if let Some(camera) = self.cameras.get_mut(index) {
+                    camera.refused();
+                }
+                if let Some(stage) = self.stage.as_mut().filter(|_| self.clock.is_left_out(index)) {
+                    stage.leave_out(index);
+                }
+                return;
+            }
+            Arrival::NewClock(by) => self.new_clock(by),
+        }
+        let Some(camera) = self.cameras.get_mut(index) else { return };
+        if let Some(detail) = camera.frame(now, frame.frame, capture) {
+            self.event(EventKind::Conflict, Some(&name), detail);
+        }
+        self.arrivals.push_back((capture, now));
+        if self.arrivals.len() > MOST_ARRIVALS {
+            self.arrivals.pop_front();
+        }
+        self.review_delays();
+        self.give(stage::Input::Detections(frame));
+    }
+}

@@ -1,0 +1,163 @@
+//! Inputs, outputs and settings of the core.
+
+use std::sync::Arc;
+
+use nalgebra::Vector3;
+
+use super::publication::Publication;
+use crate::core::stage::{self, Known, PerformerId};
+use crate::core::time::{Nanos, Timestamp};
+use crate::core::tracker::{self, Job, Solution};
+use crate::io::timecode::House;
+use crate::io::wire::{self, JournalPerformer, JournalStart};
+use crate::live::config::Config;
+
+/// Larger messages are rejected, bytes.
+pub const MOST_BYTES: usize = 1 << 20;
+
+/// Larger rigs and slates are rejected, bytes: the journal keeps them whole.
+pub const MOST_ORDER_BYTES: usize = 256 << 10;
+
+/// Messages of one camera that were not read.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Loss {
+    /// Name of the camera; `None`: the rig, or cameras that the rig does not have.
+    pub camera: Option<String>,
+    /// Messages that were dropped because there were too many.
+    pub dropped: u64,
+    /// Messages that were refused because they were too large.
+    pub too_large: u64,
+    /// Size of the largest of these, bytes.
+    pub bytes: u64,
+}
+
+/// An input of the core.
+#[derive(Clone, Debug)]
+pub enum Input {
+    /// A message from the bus.
+    Message {
+        /// Its topic.
+        topic: Arc<str>,
+        /// Its bytes.
+        payload: Vec<u8>,
+    },
+    /// A calibration from a file, as the bytes of a `Rig` message.
+    RigFile(Vec<u8>),
+    /// The solution of a performer's job.
+    Solved {
+        /// The performer.
+        performer: PerformerId,
+        /// The solution.
+        solution: Box<Solution>,
+        /// How long the solver took, nanoseconds.
+        took: Nanos,
+    },
+    /// Time has passed.
+    Tick,
+    /// Messages that were not read.
+    Dropped(Vec<Loss>),
+    /// Final poses were published: deviation of each from its due time, microseconds, positive is
+    /// late.
+    Played(Vec<i32>),
+    /// The end of the input.
+    End,
+}
+
+/// Outputs of the core.
+#[derive(Clone, Debug)]
+// Each is moved once, some hundred times a second.
+#[allow(clippy::large_enum_variant)]
+pub enum Output {
+    /// A performer's job to solve; at most one of each performer at a time.
+    Solve {
+        /// The performer.
+        performer: PerformerId,
+        /// The job.
+        job: Box<Job>,
+        /// When its solution is needed, on the node's clock. The earliest is the most urgent.
+        deadline: Timestamp,
+    },
+    /// A message to publish.
+    Publish(Publication),
+    /// Asks for an [`Input::Tick`] at this time of the node's clock, unless another input comes
+    /// later than that. Replaces the time asked for before.
+    Wake(Timestamp),
+}
+
+/// Settings of a core; the first entry of the journal holds them.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Settings of the tracker.
+    pub tracker: tracker::Config,
+    /// Settings of the stage.
+    pub stage: stage::Config,
+    /// Settings of the node.
+    pub node: Config,
+    /// All settings as TOML.
+    pub toml: String,
+    /// Fingerprint of the weights, hexadecimal.
+    pub weights: String,
+    /// The performer's body if it is known, as the bytes of a `Skeleton` message.
+    pub body: Option<Vec<u8>>,
+    /// What a take keeps of the run before it.
+    pub carried: Carried,
+    /// The timecode of the house, if there is one.
+    pub timecode: Option<House>,
+}
+
+/// What a take keeps of the run before it, beside calibration and body.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Carried {
+    /// Name of the take; empty: the node was started.
+    pub take: String,
+    /// Declared latency, if it was declared.
+    pub latency: Option<Nanos>,
+    /// Corrections of the cameras' time offsets, in the order of the rig; none: not corrected.
+    pub time_offsets: Vec<Nanos>,
+    /// The performers, if there are several.
+    pub performers: Vec<Known>,
+}
+
+impl Carried {
+    /// As the head of a journal has it.
+    pub fn of(start: &JournalStart) -> Self {
+        let latency = i64::try_from(start.latency_ns).unwrap_or(i64::MAX);
+        Self {
+            take: start.take.clone(),
+            latency: (latency > 0).then(|| Nanos::new(latency)),
+            time_offsets: start.time_offsets_ns.iter().copied().map(Nanos::new).collect(),
+            performers: start.performers.iter().map(known).collect(),
+        }
+    }
+}
+
+/// A performer of the run before, from the head of a journal.
+fn known(wire: &JournalPerformer) -> Known {
+    let body = wire.body.as_deref().and_then(|body| wire::decode::<wire::Skeleton>(body).ok());
+    let mut known = Known {
+        performer: PerformerId(wire.number as usize),
+        body: body.and_then(|body| body.to_core().ok()).map(Arc::new),
+        seen: Timestamp::from_ns(wire.seen_ns),
+        ..Known::default()
+    };
+    for (point, wire) in known.points.iter_mut().zip(wire.points_m.as_chunks::<3>().0) {
+        *point = Some(Vector3::from(*wire)).filter(|point| point.iter().all(|c| c.is_finite()));
+    }
+    let lengths = known.lengths.iter_mut().zip(wire.lengths_m.as_chunks::<2>().0);
+    lengths.for_each(|(length, wire)| *length = *wire);
+    known
+}
+
+/// The same as a journal has it.
+pub(super) fn wire_known(known: &Known) -> JournalPerformer {
+    let point = |point: &Option<Vector3<f64>>| -> [f64; 3] {
+        point.map_or([f64::NAN; 3], |point| point.into())
+    };
+    JournalPerformer {
+        number: known.performer.0 as u32,
+        body: known.body.as_deref().map(|body| wire::encode(&wire::Skeleton::from_core(body))),
+        seen_ns: known.seen.ns(),
+        points_m: known.points.iter().flat_map(point).collect(),
+        lengths_m: known.lengths.as_flattened().to_vec(),
+    }
+}

@@ -1,0 +1,127 @@
+//! Rigs from a file and from the bus: which is used, and what is said about it.
+
+use std::sync::Arc;
+
+use super::cameras::Camera;
+use super::port::Input;
+use super::publication::Content;
+use super::{Calibration, Core};
+use crate::core::fnv::fnv1a;
+use crate::core::stage;
+use crate::core::time::Timestamp;
+use crate::core::tracker::EventKind;
+use crate::io::wire;
+use crate::live::clock::Clock;
+
+/// Most cameras of a rig.
+const MOST_CAMERAS: usize = 256;
+/// Most rigs that are remembered.
+const MOST_RIGS: usize = 64;
+/// Most cameras that an event names, and most characters for them.
+const MOST_NAMES: usize = 16;
+const MOST_CHARS: usize = 256;
+
+impl Core {
+    pub(super) fn rig_file(&mut self, bytes: Vec<u8>) {
+        if self.journal.count == 0 {
+            self.rig_at_start = Some(bytes.clone());
+        }
+        if self.calibrate(&bytes, "the file")
+            && let Ok(rig) = wire::decode::<wire::Rig>(&bytes)
+        {
+            self.publish(self.topics.rig(), Timestamp::default(), Content::Rig(rig));
+        }
+    }
+
+    /// Whether a file gives the rig.
+    fn has_rig_file(&self) -> bool {
+        !self.settings.node.rig.is_empty()
+    }
+
+    /// Whether the input is a rig that is in use or was refused before: the journal needs no copy of
+    /// it. The node's own rig comes back from the bus too; a run may begin with that.
+    pub(super) fn changes_nothing(&self, input: &Input) -> bool {
+        let Input::Message { topic, payload } = input else { return false };
+        if self.journal.count == 0 {
+            return false;
+        }
+        let is_refused = || {
+            let known = &self.known_rigs;
+            self.has_rig_file() && (known.len() >= MOST_RIGS || known.contains(&fnv1a(payload)))
+        };
+        **topic == *self.topics.rig() && (self.rig() == Some(payload) || is_refused())
+    }
+
+    /// Takes a rig from the bus, unless a file gives the rig.
+    pub(super) fn rig_from_bus(&mut self, bytes: &[u8]) {
+        if !self.has_rig_file() {
+            self.calibrate(bytes, "the bus");
+            return;
+        }
+        self.known_rigs.push(fnv1a(bytes));
+        let what = wire::decode::<wire::Rig>(bytes).map_or("not a rig".into(), |rig| told(&rig));
+        let detail = format!("{what}, from the bus; this node's rig comes from its file");
+        self.event(EventKind::RigRefused, None, detail);
+    }
+
+    /// Sets the calibration. Returns whether it is new and usable.
+    pub(super) fn calibrate(&mut self, bytes: &[u8], source: &str) -> bool {
+        if self.calibration.as_ref().is_some_and(|in_use| in_use.bytes == bytes) {
+            return false;
+        }
+        let decoded = wire::decode::<wire::Rig>(bytes).and_then(|rig| Ok((rig.to_core()?, rig)));
+        let (rig, message) = match decoded {
+            Ok((rig, _)) if rig.cameras.len() > MOST_CAMERAS => {
+                let detail = format!("{} cameras, at most {MOST_CAMERAS}", rig.cameras.len());
+                return self.refuse_rig(detail);
+            }
+            Ok((rig, message)) => (Arc::new(rig), message),
+            Err(error) => {
+                return self.refuse_rig(error.to_string());
+            }
+        };
+        let names: Vec<&str> = rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
+        if !names.iter().copied().eq(self.cameras.iter().map(Camera::name)) {
+            self.cameras = names.into_iter().map(Camera::new).collect();
+            self.clock = Clock::new(self.cameras.len());
+        }
+        self.known_rigs.extend(self.has_rig_file().then(|| fnv1a(bytes)));
+        self.event(EventKind::RigChanged, None, format!("{}, from {source}", told(&message)));
+        self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });
+        match self.stage {
+            // With several performers it holds for the next frame.
+            Some(_) if self.is_several() => {
+                let detail = format!("calibration {} from here on", rig.version);
+                self.give(stage::Input::Rig(rig));
+                self.event(EventKind::Calibrated, None, detail);
+            }
+            Some(_) => self.give(stage::Input::Rig(rig)),
+            None => self.begin(rig),
+        }
+        true
+    }
+
+    fn refuse_rig(&mut self, why: String) -> bool {
+        self.event(EventKind::Unusable, None, why);
+        false
+    }
+
+    /// Topics and names of the cameras.
+    pub(crate) fn camera_topics(&self) -> Vec<(String, String)> {
+        let names = self.cameras.iter().map(|camera| camera.name().to_owned());
+        let topic = |camera: &str| self.settings.node.keypoints(&self.topics, camera);
+        names.map(|name| (topic(&name), name)).collect()
+    }
+}
+
+/// A rig in words: its version and its cameras.
+fn told(rig: &wire::Rig) -> String {
+    let names = rig.cameras.iter().map(|camera| camera.name.as_str());
+    let mut names: Vec<&str> = names.take(MOST_NAMES).collect();
+    if rig.cameras.len() > names.len() {
+        names.push("...");
+    }
+    let (version, cameras) = (rig.version, rig.cameras.len());
+    let names: String = names.join(", ").chars().take(MOST_CHARS).collect();
+    format!("version {version} of {cameras} cameras ({names})")
+}

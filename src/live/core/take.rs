@@ -1,0 +1,111 @@
+//! Slates: a take begins, ends, or the performer's body is forgotten.
+//!
+//! A take is a run of its own: at its start the node begins anew with the calibration, the body, the
+//! latency and the time offsets that are known, and the head of the take's journal holds them. So a
+//! replay of the take needs nothing of the time before.
+
+use super::Core;
+use super::port::{Carried, Settings};
+use super::publication::Content;
+use crate::core::stage::{self, Stage};
+use crate::core::time::Timestamp;
+use crate::core::tracker::EventKind;
+use crate::io::wire::{self, Take, TakeAnswer, encode, valid_name};
+
+/// Whether a slate ends the run of the take `running`, or of none if that is empty.
+pub(crate) fn ends(slate: &Take, running: &str) -> bool {
+    match slate.action.as_str() {
+        "start" => valid_name(&slate.name).is_ok(),
+        "stop" => !running.is_empty() && (slate.name.is_empty() || slate.name == running),
+        _ => false,
+    }
+}
+
+impl Core {
+    /// Handles a slate.
+    pub(super) fn slate(&mut self, payload: &[u8]) {
+        let take = match wire::decode::<Take>(payload) {
+            Ok(take) => take,
+            Err(error) => return self.event(EventKind::Unusable, None, error.to_string()),
+        };
+        if take.action == "start" && valid_name(&take.name).is_ok() {
+            let why = format!("take {} begins instead", take.name);
+            if let Some(before) = self.starting.replace(take) {
+                self.answer(before.id, Err(why));
+            }
+            return;
+        }
+        let done = self.follow(&take);
+        if let Ok(text) = &done {
+            self.event(EventKind::Take, None, text.clone());
+        }
+        self.answer(take.id, done);
+    }
+
+    /// Ends the take or forgets the body; says what was done.
+    fn follow(&mut self, take: &Take) -> Result<String, String> {
+        let is_other = !take.name.is_empty() && take.name != self.running;
+        match take.action.as_str() {
+            "stop" if self.running.is_empty() => Err("no take runs".to_owned()),
+            "stop" | "reset" if is_other => Err(format!("take {} does not run", take.name)),
+            "stop" => {
+                self.is_flushed = true;
+                Ok(format!("take {} ended", std::mem::take(&mut self.running)))
+            }
+            "reset" => {
+                self.give(stage::Input::Forget);
+                Ok("the body is forgotten and estimated anew".to_owned())
+            }
+            "start" => Err(format!("{:?} cannot be the name of a take", take.name)),
+            other => Err(format!("{other:?} is no action")),
+        }
+    }
+
+    /// The node ends before the take begins.
+    pub(super) fn give_up_start(&mut self) {
+        if let Some(take) = self.starting.take() {
+            self.answer(take.id, Err("the node ends".to_owned()));
+        }
+    }
+
+    fn answer(&mut self, id: u64, done: Result<String, String>) {
+        let refused = done.is_err();
+        let text = done.unwrap_or_else(|why| why);
+        let text = format!("{}: {text}", self.topics.actor);
+        let answer = TakeAnswer { id, role: "node".into(), text, refused };
+        self.publish(self.topics.take_answers(), Timestamp::default(), Content::Answer(answer));
+    }
+
+    /// Ends this run and begins that of the take. No job may be out.
+    pub(super) fn begin_take(&mut self, take: Take) {
+        let text = format!("take {} begins", take.name);
+        self.event(EventKind::Take, None, text.clone());
+        self.write_journal(true);
+        let stage = self.stage.as_ref();
+        let body = |stage: &Stage| stage.lead().known_body().map(|b| wire::Skeleton::from_core(b));
+        let is_several = self.is_several();
+        let settings = Settings {
+            body: match stage {
+                Some(_) if is_several => None,
+                Some(stage) => body(stage).map(|body| encode(&body)),
+                None => self.settings.body.clone(),
+            },
+            carried: Carried {
+                take: take.name,
+                latency: self.latency.declared().or(self.settings.carried.latency),
+                time_offsets: stage
+                    .map_or_else(Vec::new, |stage| stage.time_corrections().to_vec()),
+                performers: stage.map_or_else(Vec::new, Stage::known),
+            },
+            ..self.settings.clone()
+        };
+        let rig = self.rig().map(<[u8]>::to_vec);
+        let rig_at_start = rig.clone().or(self.rig_at_start.take());
+        self.reset(settings, rig_at_start);
+        // Recorders that came later have no calibration yet.
+        if let Some(Ok(rig)) = rig.map(|rig| wire::decode::<wire::Rig>(&rig)) {
+            self.publish(self.topics.rig(), Timestamp::default(), Content::Rig(rig));
+        }
+        self.answer(take.id, Ok(text));
+    }
+}

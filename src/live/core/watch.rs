@@ -1,0 +1,99 @@
+//! What the core says and does about clocks and delays.
+
+use super::Core;
+use crate::core::stage;
+use crate::core::time::Nanos;
+use crate::core::tracker::EventKind;
+use crate::live::clock::camera::LeftOut;
+
+impl Core {
+    /// The cameras' clock has stepped by `by` (0: another one was chosen at the start): tracking
+    /// begins anew.
+    pub(super) fn new_clock(&mut self, by: Nanos) {
+        self.give(stage::Input::Restart);
+        if by != Nanos::ZERO {
+            let (by, kind) = (-by.seconds(), self.clock.told());
+            let detail = format!("stepped by {by:+.3} s, tracking begins anew; {kind}");
+            self.event(EventKind::ClockJump, None, detail);
+        }
+    }
+
+    /// Reports single frames with a wrong time.
+    pub(super) fn report_strays(&mut self) {
+        for (camera, by, count) in self.clock.take_strays() {
+            let Some(name) = self.cameras.get(camera).map(|c| c.name().to_owned()) else {
+                continue;
+            };
+            let detail = format!("not used: {} the clock", off_by(by));
+            self.events(EventKind::ClockJump, Some(&name), count.into(), detail);
+        }
+    }
+
+    /// After each quarter of a second: cameras that are too late, the usual delay, and whether the
+    /// latency allows for it.
+    pub(super) fn review_delays(&mut self) {
+        if !self.clock.takes_review() {
+            return;
+        }
+        self.clock.leave_out_late();
+        if let Some(by) = self.clock.absorb_delay() {
+            self.new_clock(by);
+        }
+        self.raise_latency();
+        let delay = self.clock.usual_delay();
+        if let Some(stage) = &mut self.stage {
+            stage.set_delay(delay);
+        }
+    }
+
+    /// Once a second: reports people who are above the number of performers.
+    pub(super) fn watch_crowd(&mut self) {
+        let others = self.stage.as_ref().map_or(0, stage::Stage::others);
+        if others > std::mem::replace(&mut self.others, others) {
+            let detail = format!("{others} more people were seen, not solved");
+            self.event(EventKind::Crowd, None, detail + "; raise [stage] performers");
+        }
+    }
+
+    /// Once a second: reports the kind of the clock, cameras that are left out, and those whose clocks
+    /// are off from the others' by more than a quarter of a frame period.
+    pub(super) fn watch_clocks(&mut self) {
+        if let Some(detail) = self.clock.news(self.now) {
+            self.event(EventKind::Clock, None, detail);
+        }
+        for (camera, why) in self.clock.take_left_out() {
+            let Some(known) = self.cameras.get_mut(camera) else { continue };
+            known.is_off = false;
+            let name = known.name().to_owned();
+            let detail = match why {
+                None => "its frames agree with the other cameras' again and are used".to_owned(),
+                Some(LeftOut::Clock(by)) => {
+                    format!("left out until it agrees: {} the other cameras'", off_by(by))
+                }
+                Some(LeftOut::Late(by)) => format!(
+                    "left out: its frames come {by:.0} after the other cameras', too late to wait for"
+                ),
+            };
+            self.event(EventKind::ClockOffset, Some(&name), detail);
+        }
+        let Some(stage) = &mut self.stage else { return };
+        let quarter = stage.frame_period() * 0.25e-9;
+        for (camera, off) in self.clock.deviations() {
+            let Some(known) = self.cameras.get_mut(camera) else { continue };
+            let limit = if known.is_off { 0.5 * quarter } else { quarter };
+            if (off.abs() > limit) == known.is_off {
+                continue;
+            }
+            known.is_off = !known.is_off;
+            let (name, off_ms, limit_ms) = (known.name().to_owned(), off * 1e3, limit * 1e3);
+            let detail = format!("{off_ms:+.1} ms off from the other cameras, limit {limit_ms:.1}");
+            self.event(EventKind::ClockOffset, Some(&name), detail);
+        }
+    }
+}
+
+/// A clock that is off: an offset that grew by `by` is a clock that is behind.
+fn off_by(by: Nanos) -> String {
+    let (by, than) = (by.seconds().abs(), if by < Nanos::ZERO { "ahead of" } else { "behind" });
+    format!("its clock is {by:.3} s {than}")
+}

@@ -1,0 +1,25 @@
+//! What to do about events that go on.
+
+/// Whether events of that kind go on. What to do about unusable messages is in the events.
+pub(crate) fn goes_on(kind: &str) -> bool {
+    kind == "unusable" || advice(kind).is_some()
+}
+
+/// What to do about what goes on; `None` for a kind that happens once.
+pub(crate) fn advice(kind: &str) -> Option<&'static str> {
+    Some(match kind {
+        "late" => "frames come after their window; speed up the detector, or raise deadline_frames",
+        "duplicate" => "frames come twice; is a second publisher running?",
+        "out_of_order" => "frames overtake each other and are used all the same",
+        "missing" => "frames never come; check the cameras' network and detectors",
+        "deadline" => "windows close without a camera's frames; check its rate and its delay",
+        "overdue" => "poses are extrapolated; raise latency_ms, or use fewer cameras",
+        "dropped" => {
+            "messages come faster than they are read; use fewer cameras, or a faster computer"
+        }
+        "nobody_found" => "no two cameras see a person; check the volume, or the calibration",
+        "coasted" => "too little of the performer is seen",
+        "crowd" => "a detector reports too many people; raise its threshold",
+        _ => return None,
+    })
+}

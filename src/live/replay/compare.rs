@@ -1,0 +1,148 @@
+//! Compares replayed with recorded messages.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crate::core::time::Timestamp;
+use crate::core::tracker::EventKind;
+use crate::io::wire::{
+    Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, Topic, Topics, decode,
+};
+
+/// A message of a recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Recorded {
+    /// When it was recorded or published, on the node's clock.
+    pub time: Timestamp,
+    /// The capture time of its content.
+    pub capture: Timestamp,
+    /// Its topic.
+    pub topic: Arc<str>,
+    /// Full name of its schema.
+    pub schema: Arc<str>,
+    /// Its bytes.
+    pub payload: Vec<u8>,
+}
+
+/// Comparison of replayed and recorded messages of one topic.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Comparison {
+    /// Messages in the recording.
+    pub recorded: usize,
+    /// Replayed messages.
+    pub replayed: usize,
+    /// Messages with the same bytes in the same order.
+    pub equal: usize,
+    /// Index of the first recorded message that was not replayed.
+    pub differs_at: Option<usize>,
+}
+
+impl Comparison {
+    /// Checks that every recorded message is replayed, in order. The recording may have lost
+    /// messages, and may continue after the end of its journal. If the replay `is_cut`, messages
+    /// that were captured after its last one are not checked.
+    fn of(recorded: &[&Recorded], replayed: &[&Recorded], is_cut: bool) -> Self {
+        let (mut rest, mut equal) = (replayed, 0);
+        let mut differs_at = None;
+        for (place, message) in recorded.iter().enumerate() {
+            let is_after = replayed.last().is_none_or(|last| message.capture > last.capture);
+            match rest.iter().position(|other| other.payload == message.payload) {
+                Some(at) => {
+                    rest = &rest[at + 1..];
+                    equal += 1;
+                }
+                None if is_cut && is_after => break,
+                None if rest.is_empty() && !replayed.is_empty() => break,
+                None => {
+                    differs_at = Some(place);
+                    break;
+                }
+            }
+        }
+        Self { recorded: recorded.len(), replayed: replayed.len(), equal, differs_at }
+    }
+
+    /// Whether every recorded message was replayed with the same bytes.
+    pub fn agrees(&self) -> bool {
+        self.differs_at.is_none()
+    }
+
+    /// Replayed messages that the recording lost.
+    pub fn unrecorded(&self) -> usize {
+        self.replayed - self.equal
+    }
+}
+
+/// A run, and when it began.
+pub(crate) struct At {
+    pub(crate) begin: Timestamp,
+    pub(crate) run: u64,
+}
+
+impl At {
+    /// Whether a message belongs to the run. Events of older recordings name no run.
+    fn holds(&self, message: &Recorded) -> bool {
+        match run_of(message) {
+            Some(0) if *message.schema == *Status::FULL_NAME || is_of_no_run(message) => false,
+            None | Some(0) => message.time >= self.begin,
+            Some(run) => run == self.run,
+        }
+    }
+}
+
+/// Whether it is an event that is no output of a node's core.
+fn is_of_no_run(message: &Recorded) -> bool {
+    *message.schema == *Event::FULL_NAME
+        && decode::<Event>(&message.payload)
+            .is_ok_and(|event| event.event_kind() == Some(EventKind::SecondNode))
+}
+
+/// Whether it is an output of one of several performers of the stage in that run.
+fn is_of_performer(message: &Recorded, stage: &str, run: u64) -> bool {
+    let of_stage = match Topic::parse(&message.topic) {
+        Ok(Topic::Actor { stage: other, .. }) => *other == *stage,
+        _ => false,
+    };
+    of_stage && run_of(message) == Some(run)
+}
+
+fn run_of(message: &Recorded) -> Option<u64> {
+    fn of<T: Schema>(message: &Recorded, run: fn(T) -> u64) -> Option<u64> {
+        decode::<T>(&message.payload).ok().map(run)
+    }
+    match &*message.schema {
+        Pose::FULL_NAME => of(message, |pose: Pose| pose.run_id),
+        Keyframe::FULL_NAME => of(message, |keyframe: Keyframe| keyframe.run_id),
+        Skeleton::FULL_NAME => of(message, |skeleton: Skeleton| skeleton.run_id),
+        Event::FULL_NAME => of(message, |event: Event| event.run_id),
+        Status::FULL_NAME => of(message, |status: Status| status.run_id),
+        Journal::FULL_NAME => of(message, |journal: Journal| journal.run_id),
+        _ => None,
+    }
+}
+
+/// Compares the outputs of a run, by topic. Calibrations are inputs too, and answers to slates come from
+/// recorders too; neither is compared.
+pub(crate) fn compare(
+    recorded: &[Recorded],
+    replayed: &[Recorded],
+    topics: &Topics,
+    at: &At,
+    is_cut: bool,
+) -> BTreeMap<String, Comparison> {
+    let ours = topics.outputs();
+    let is_ours = |message: &&Recorded| {
+        ours.iter().any(|topic| **topic == *message.topic)
+            || is_of_performer(message, &topics.stage, at.run)
+    };
+    let mut by_topic: BTreeMap<&str, [Vec<&Recorded>; 2]> = BTreeMap::new();
+    for message in replayed.iter().filter(is_ours) {
+        by_topic.entry(&message.topic).or_default()[1].push(message);
+    }
+    for message in recorded.iter().filter(is_ours).filter(|message| at.holds(message)) {
+        by_topic.entry(&message.topic).or_default()[0].push(message);
+    }
+    let compare =
+        |[recorded, replayed]: [Vec<&Recorded>; 2]| Comparison::of(&recorded, &replayed, is_cut);
+    by_topic.into_iter().map(|(topic, sides)| (topic.to_owned(), compare(sides))).collect()
+}

@@ -1,0 +1,353 @@
+//! Runs the core on the recorded inputs of a node and compares the outputs with the recording.
+//!
+//! The journal holds order and times of the inputs; the messages are found by topic and hash. A job
+//! is solved when the journal says that its solution arrived. So the outputs are equal, byte for
+//! byte.
+
+pub(super) mod compare;
+
+use std::collections::{BTreeMap, HashMap};
+
+use crate::core::fnv::fnv1a;
+use crate::core::stage::PerformerId;
+use crate::core::time::{Nanos, Timestamp};
+use crate::core::tracker::{Job, Solver};
+use crate::io::wire::journal_entry::Input as Entry;
+use crate::io::wire::{
+    DecodeError, Journal, JournalEntry, JournalMessage, JournalStart, Schema, StageChannel, Take,
+    Topic, Topics, decode,
+};
+use crate::live::core::Core;
+use crate::live::core::journal;
+use crate::live::core::port::{Input, Output, Settings};
+use crate::live::core::take::ends;
+use compare::{At, Comparison, Recorded, compare};
+
+/// Why a recording cannot be replayed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// No journal, or none of the given stage and actor.
+    #[error(
+        "there is no journal{asked}; give a recording of a node, made by `bundlemocap record`{found}"
+    )]
+    NoJournal {
+        /// The given stage and actor, as text; empty if none were given.
+        asked: String,
+        /// The journals in the recording, as text; empty if there are none.
+        found: String,
+    },
+    /// Journals of several nodes.
+    #[error("there are journals of several nodes; choose one with --stage and --actor: {found}")]
+    Several {
+        /// Their topics, separated by commas.
+        found: String,
+    },
+    /// The journal's beginning is missing.
+    #[error(
+        "the journal begins with number {first}: recording began later than the run; use \
+         `bundlemocap take start NAME`, or start `bundlemocap record` before the cameras"
+    )]
+    Begun {
+        /// Number of its first message.
+        first: u64,
+    },
+    /// Several runs or takes, or none with the given name.
+    #[error("choose one of the recorded runs with --run: {found}")]
+    SeveralRuns {
+        /// Their ids and takes, separated by commas.
+        found: String,
+    },
+    /// An input of the node is missing in the recording.
+    #[error(
+        "message {index} of the journal, {bytes_hash:016x} on {topic}, is not in the recording"
+    )]
+    Missing {
+        /// Number of entries before it.
+        index: u64,
+        /// Its topic.
+        topic: String,
+        /// Hash of its bytes.
+        bytes_hash: u64,
+    },
+    /// An entry of the journal contradicts the core's outputs.
+    #[error("entry {index} of the journal cannot be replayed: {reason}")]
+    Senseless {
+        /// Number of entries before it.
+        index: u64,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A journal that cannot be decoded.
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
+}
+
+/// The result of a replay.
+#[derive(Debug)]
+pub struct Replayed {
+    /// The first entry of the journal.
+    pub start: JournalStart,
+    /// Entries of the journal.
+    pub inputs: u64,
+    /// Comparison by topic, outputs of the core only.
+    pub topics: BTreeMap<String, Comparison>,
+    /// All outputs, in order.
+    pub outputs: Vec<Recorded>,
+    /// Whether the journal reaches the end of the node or of the take.
+    pub is_whole: bool,
+    /// What was missing, if the replay stopped early.
+    pub gap: Option<Gap>,
+}
+
+/// An input that is not in the recording; the replay stops before it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Gap {
+    /// What is missing.
+    pub what: String,
+    /// When, since the run's first input.
+    pub after: Nanos,
+}
+
+impl Replayed {
+    /// The outputs on the topics that were compared; calibrations are inputs and not included.
+    pub fn outputs(&self) -> impl Iterator<Item = &Recorded> {
+        self.outputs.iter().filter(|message| self.topics.contains_key(&*message.topic))
+    }
+}
+
+/// Finds the node whose journal is in a recording.
+///
+/// # Errors
+/// There is no journal of the given stage and actor, or there are several.
+pub fn find_node(
+    messages: &[Recorded],
+    stage: Option<&str>,
+    actor: Option<&str>,
+) -> Result<Topics, ReplayError> {
+    let nodes = messages.iter().filter(|message| *message.schema == *Journal::FULL_NAME);
+    let nodes = nodes.filter_map(|message| Topic::parse(&message.topic).ok()?.topics());
+    let nodes: BTreeMap<String, Topics> = nodes.map(|topics| (topics.journal(), topics)).collect();
+    let list = |nodes: &[&Topics]| {
+        nodes.iter().map(|topics| topics.journal()).collect::<Vec<_>>().join(", ")
+    };
+    let is_asked_for = |topics: &&Topics| {
+        stage.is_none_or(|stage| stage == topics.stage)
+            && actor.is_none_or(|actor| actor == topics.actor)
+    };
+    match *nodes.values().filter(is_asked_for).collect::<Vec<_>>() {
+        [one] => Ok(one.clone()),
+        [] => {
+            let asked = [("stage", stage), ("actor", actor)].into_iter();
+            let asked = asked.filter_map(|(what, name)| Some(format!(" of {what} {:?}", name?)));
+            let found = match nodes.is_empty() {
+                true => String::new(),
+                false => {
+                    format!(", or choose one of {}", list(&nodes.values().collect::<Vec<_>>()))
+                }
+            };
+            Err(ReplayError::NoJournal { asked: asked.collect(), found })
+        }
+        ref several => Err(ReplayError::Several { found: list(several) }),
+    }
+}
+
+/// The journal of one run, as far as it has no gap.
+struct Entries {
+    entries: Vec<JournalEntry>,
+    /// Number of the first missing part, if later ones are there.
+    missing: Option<u64>,
+}
+
+/// The journal of a run: of the one that was asked for by its id or the name of its take, or of the
+/// only one that is there from its beginning.
+fn journal(
+    messages: &[Recorded],
+    topics: &Topics,
+    asked: Option<&str>,
+) -> Result<Entries, ReplayError> {
+    let topic = topics.journal();
+    let mut runs: BTreeMap<u64, BTreeMap<u64, Journal>> = BTreeMap::new();
+    for message in messages.iter().filter(|message| *message.topic == *topic) {
+        let part = decode::<Journal>(&message.payload)?;
+        runs.entry(part.run_id).or_default().entry(part.sequence).or_insert(part);
+    }
+    let first = runs.values().filter_map(|parts| parts.keys().next()).min().copied();
+    let Some(first) = first else {
+        let asked = format!(" on {topic}");
+        return Err(ReplayError::NoJournal { asked, found: String::new() });
+    };
+    runs.retain(|_, parts| parts.contains_key(&0));
+    if runs.is_empty() {
+        return Err(ReplayError::Begun { first });
+    }
+    let named = |(id, parts): (&u64, &BTreeMap<u64, Journal>)| {
+        let take = start_of(parts).map_or("", |start| start.take.as_str());
+        (format!("{id:016x}"), take.to_owned())
+    };
+    let names: Vec<(String, String)> = runs.iter().map(named).collect();
+    let is_asked = |(id, take): &(String, String)| asked.is_none_or(|run| run == id || run == take);
+    let mut fitting = runs.into_values().zip(&names).filter(|(_, name)| is_asked(name));
+    let (Some((parts, _)), None) = (fitting.next(), fitting.next()) else {
+        let list = names.iter().map(|(id, take)| match take.as_str() {
+            "" => id.clone(),
+            take => format!("{id} (take {take})"),
+        });
+        return Err(ReplayError::SeveralRuns { found: list.collect::<Vec<_>>().join(", ") });
+    };
+    let count = parts.len() as u64;
+    let whole = parts.keys().zip(0..).take_while(|(number, expected)| *number == expected).count();
+    let entries = parts.into_values().take(whole).flat_map(|part| part.entries).collect();
+    let whole = whole as u64;
+    Ok(Entries { entries, missing: (whole < count).then_some(whole) })
+}
+
+fn start_of(parts: &BTreeMap<u64, Journal>) -> Option<&JournalStart> {
+    match &parts.get(&0)?.entries.first()?.input {
+        Some(Entry::Start(start)) => Some(start),
+        _ => None,
+    }
+}
+
+/// Whether the run of that take, or of none, ends with this entry: with the node, or because a take
+/// ended or began.
+fn is_end(entry: &JournalEntry, running: &str) -> bool {
+    match &entry.input {
+        Some(Entry::End(_)) => true,
+        Some(Entry::Message(JournalMessage { topic, payload: Some(payload), .. })) => {
+            let is_slate =
+                matches!(Topic::parse(topic), Ok(Topic::Stage { channel: StageChannel::Take, .. }));
+            is_slate && decode::<Take>(payload).is_ok_and(|take| ends(&take, running))
+        }
+        _ => false,
+    }
+}
+
+/// Runs a core on a journal up to its end, or to the first input that is missing. `run` is the id of a
+/// run or the name of a take, if the recording has several. `prepare` makes settings and solver from
+/// the first entry.
+///
+/// # Errors
+/// There is no journal of that run from its beginning, there are several, or an entry is senseless.
+pub fn replay<E: From<ReplayError>>(
+    messages: &[Recorded],
+    topics: &Topics,
+    run: Option<&str>,
+    prepare: impl FnOnce(&JournalStart) -> Result<(Settings, Solver), E>,
+) -> Result<Replayed, E> {
+    let Entries { entries, missing } = journal(messages, topics, run)?;
+    let mut entries = entries.into_iter();
+    let senseless = |reason: &str| ReplayError::Senseless { index: 0, reason: reason.to_owned() };
+    let Some(JournalEntry { input: Some(Entry::Start(start)), .. }) = entries.next() else {
+        return Err(senseless("it is not a start").into());
+    };
+    let (settings, solver) = prepare(&start)?;
+    let mut run = Run::new(messages, Core::new(settings), solver);
+    let entries: Vec<JournalEntry> = entries.collect();
+    let begin = entries.first().map_or(0, |first| first.time_ns);
+    let begin = Timestamp::from_ns(begin);
+    if let Some(rig) = &start.rig {
+        run.give(begin, Input::RigFile(rig.clone()));
+        run.outputs.clear();
+    }
+    // The last answers and poses follow after the end.
+    let is_whole = entries.iter().any(|entry| is_end(entry, &start.take));
+    let mut last = begin;
+    let mut inputs = 1;
+    let mut gap = None;
+    for (index, entry) in (1..).zip(entries) {
+        last = Timestamp::from_ns(entry.time_ns);
+        match run.input(index, entry) {
+            Ok(input) => run.give(last, input),
+            Err(ReplayError::Missing { topic, .. }) => {
+                gap = Some(format!("a message on {topic}"));
+                break;
+            }
+            Err(error) => return Err(error.into()),
+        }
+        inputs += 1;
+    }
+    let gap = gap.or_else(|| missing.map(|number| format!("part {number} of the journal")));
+    let gap = gap.map(|what| Gap { what, after: last - begin });
+    let outputs = run.outputs;
+    let topics =
+        compare(messages, &outputs, topics, &At { begin, run: start.run_id }, gap.is_some());
+    Ok(Replayed { start, inputs, topics, outputs, is_whole, gap })
+}
+
+/// A core that gets its inputs from a journal.
+struct Run<'a> {
+    core: Core,
+    solver: Solver,
+    by_hash: HashMap<(&'a str, u64), &'a [u8]>,
+    jobs: HashMap<PerformerId, Box<Job>>,
+    outputs: Vec<Recorded>,
+}
+
+impl<'a> Run<'a> {
+    fn new(messages: &'a [Recorded], core: Core, solver: Solver) -> Self {
+        let keyed = messages.iter().map(|message| {
+            ((&*message.topic, fnv1a(&message.payload)), message.payload.as_slice())
+        });
+        Self { core, solver, by_hash: keyed.collect(), jobs: HashMap::new(), outputs: Vec::new() }
+    }
+
+    fn input(&mut self, index: u64, entry: JournalEntry) -> Result<Input, ReplayError> {
+        let senseless = |reason: String| ReplayError::Senseless { index, reason };
+        Ok(match entry.input {
+            Some(Entry::Message(message)) => self.message(index, message)?,
+            Some(Entry::Solved(solved)) => {
+                let performer = PerformerId(solved.performer as usize);
+                let job = self.jobs.remove(&performer).filter(|job| job.number == solved.job);
+                let job = job.ok_or_else(|| senseless(format!("job {} is not out", solved.job)))?;
+                let solution = Box::new(self.solver.solve(&job));
+                Input::Solved {
+                    performer,
+                    solution,
+                    took: Nanos::new(i64::try_from(solved.took_ns).unwrap_or(i64::MAX)),
+                }
+            }
+            Some(Entry::Tick(_)) => Input::Tick,
+            Some(Entry::Dropped(dropped)) => Input::Dropped(journal::losses(dropped)),
+            Some(Entry::Played(played)) => Input::Played(played.deviation_us),
+            Some(Entry::End(_)) => Input::End,
+            Some(Entry::Start(_)) => return Err(senseless("it is a second start".to_owned())),
+            None => return Err(senseless("it is of a later version".to_owned())),
+        })
+    }
+
+    fn message(&self, index: u64, message: JournalMessage) -> Result<Input, ReplayError> {
+        if let Some(payload) = message.payload {
+            return Ok(match message.topic.as_str() {
+                "" => Input::RigFile(payload),
+                topic => Input::Message { topic: topic.into(), payload },
+            });
+        }
+        let key = (message.topic.as_str(), message.hash);
+        match self.by_hash.get(&key) {
+            Some(payload) => {
+                Ok(Input::Message { payload: payload.to_vec(), topic: message.topic.into() })
+            }
+            None => {
+                let bytes_hash = message.hash;
+                Err(ReplayError::Missing { index, topic: message.topic, bytes_hash })
+            }
+        }
+    }
+
+    fn give(&mut self, now: Timestamp, input: Input) {
+        self.core.handle(now, input);
+        while let Some(output) = self.core.poll() {
+            match output {
+                Output::Solve { performer, job, .. } => drop(self.jobs.insert(performer, job)),
+                Output::Publish(publication) => self.outputs.push(Recorded {
+                    time: publication.due.unwrap_or(now),
+                    capture: publication.capture,
+                    topic: publication.topic,
+                    schema: publication.content.schema().into(),
+                    payload: publication.content.encode(),
+                }),
+                Output::Wake(_) => {}
+            }
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! The thread of the node loop: waits for the next input, stamps it, passes it to the core, and
+//! handles the outputs. It never waits for anything else.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, never, select_biased};
+
+use super::outlet::Outlet;
+use super::playout::Playout;
+use super::queue::{Intake, Message};
+use super::solvers::{Answer, Solvers};
+use crate::core::time::Timestamp;
+use crate::io::bus::Sample;
+use crate::io::wire::{Rig, Schema, Topic, media_type};
+use crate::live::clock::wall::WallClock;
+use crate::live::core::Core;
+use crate::live::core::port::{Input, Output};
+use crate::live::core::publication::{Content, Publication};
+use crate::live::error::NodeError;
+use crate::live::observe::board::Board;
+use crate::live::observe::log::EventLog;
+
+/// Longest sleep when the core asks for no tick.
+const IDLE: Duration = Duration::from_secs(1);
+
+/// All sources that can wake the node loop.
+pub(crate) struct Inbox {
+    pub(crate) intake: Intake,
+    pub(crate) answers: Receiver<Answer>,
+    pub(crate) played: Receiver<Vec<i32>>,
+    pub(crate) rigs: Receiver<Vec<u8>>,
+    /// Stops the loop when asked to, or when all senders are gone.
+    pub(crate) stop: Receiver<()>,
+}
+
+/// The core, and everything that handles its outputs.
+pub(crate) struct NodeLoop {
+    pub(crate) core: Core,
+    pub(crate) clock: WallClock,
+    pub(crate) inbox: Inbox,
+    pub(crate) jobs: Solvers,
+    pub(crate) playout: Arc<Playout>,
+    pub(crate) outlet: Outlet,
+    pub(crate) board: Arc<Board>,
+    pub(crate) rig_topic: String,
+    pub(crate) progress: Progress,
+}
+
+/// The state of the loop.
+#[derive(Default)]
+pub(crate) struct Progress {
+    events: EventLog,
+    wake: Option<Timestamp>,
+    jobs_out: usize,
+    ended: bool,
+}
+
+/// The reason for which the loop woke.
+enum Turn {
+    Input(Input),
+    Message(Message),
+    Nothing,
+    Stop,
+}
+
+impl NodeLoop {
+    /// Runs until it is stopped; then waits for the last solution and publishes the last pose.
+    pub(crate) fn run(mut self) -> Result<(), NodeError> {
+        // The file's rig before any message.
+        if let Ok(rig) = self.inbox.rigs.try_recv() {
+            self.feed(Input::RigFile(rig));
+        }
+        let ended = self.serve();
+        self.playout.close();
+        while ended.is_ok()
+            && let Ok(deviations) = self.inbox.played.recv()
+        {
+            self.feed(Input::Played(deviations));
+        }
+        self.progress.events.end_seconds(Timestamp::from_ns(i64::MAX));
+        ended
+    }
+
+    fn serve(&mut self) -> Result<(), NodeError> {
+        while !self.progress.ended || self.progress.jobs_out > 0 {
+            match self.wait()? {
+                Turn::Input(input) => self.feed(input),
+                Turn::Message(message) => self.take_in(message),
+                Turn::Nothing => self.progress.events.end_seconds(self.clock.now()),
+                Turn::Stop => self.end(),
+            }
+        }
+        Ok(())
+    }
+
+    /// The next input. Messages come last and one by one, so that a flood of them holds up nothing
+    /// else.
+    fn wait(&mut self) -> Result<Turn, NodeError> {
+        let losses = self.inbox.intake.losses();
+        if !losses.is_empty() {
+            return Ok(Turn::Input(Input::Dropped(losses)));
+        }
+        let pause = match self.inbox.intake.waiting() {
+            0 => self.progress.wake.map_or(IDLE, |at| self.clock.until(at).min(IDLE)),
+            _ => Duration::ZERO,
+        };
+        let inbox = &self.inbox;
+        select_biased! {
+            recv(inbox.stop) -> _ => return Ok(Turn::Stop),
+            recv(inbox.answers) -> answer => {
+                let Ok(Answer { performer, solution, took }) = answer else {
+                    return Err(NodeError::Fault { thread: "solver" });
+                };
+                self.progress.jobs_out = self.progress.jobs_out.saturating_sub(1);
+                return Ok(Turn::Input(Input::Solved { performer, solution, took }));
+            }
+            recv(inbox.played) -> deviations => return match deviations {
+                Ok(deviations) => Ok(Turn::Input(Input::Played(deviations))),
+                Err(_) => Err(NodeError::Fault { thread: "playout" }),
+            },
+            recv(inbox.rigs) -> rig => return match rig {
+                Ok(rig) => Ok(Turn::Input(Input::RigFile(rig))),
+                Err(_) => Err(NodeError::Fault { thread: "rig file" }),
+            },
+            recv(inbox.intake.signal()) -> _ => {}
+            default(pause) => {}
+        }
+        Ok(match (inbox.intake.take(), self.progress.wake) {
+            (Some(message), _) => Turn::Message(message),
+            (None, Some(at)) if at <= self.clock.now() => Turn::Input(Input::Tick),
+            _ => Turn::Nothing,
+        })
+    }
+
+    /// Handles the queued messages, then the end.
+    fn end(&mut self) {
+        for _ in 0..self.inbox.intake.waiting() {
+            let Some(message) = self.inbox.intake.take() else { break };
+            self.take_in(message);
+        }
+        let losses = self.inbox.intake.last_losses();
+        if !losses.is_empty() {
+            self.feed(Input::Dropped(losses));
+        }
+        self.inbox.stop = never();
+        self.inbox.rigs = never();
+        self.progress.ended = true;
+        self.feed(Input::End);
+    }
+
+    fn take_in(&mut self, message: Message) {
+        let Message { topic, payload } = message;
+        let is_rig = *topic == *self.rig_topic;
+        self.feed(Input::Message { topic, payload });
+        if is_rig {
+            self.offer_rig();
+        }
+    }
+
+    /// Stores the current rig on the board, and gives its cameras queues of their own.
+    fn offer_rig(&self) {
+        let Some(payload) = self.core.rig() else { return };
+        self.inbox.intake.set_cameras(&self.core.camera_topics());
+        self.board.set_rig(Sample {
+            topic: self.rig_topic.as_str().into(),
+            capture: Timestamp::default(),
+            encoding: media_type(Rig::FULL_NAME).into(),
+            payload: payload.to_vec(),
+        });
+    }
+
+    fn feed(&mut self, input: Input) {
+        let now = self.clock.now();
+        if self.progress.wake.is_some_and(|at| at <= now) {
+            self.progress.wake = None;
+        }
+        self.core.handle(now, input);
+        while let Some(output) = self.core.poll() {
+            match output {
+                Output::Solve { performer, job, deadline } => {
+                    self.progress.jobs_out += 1;
+                    self.jobs.push(deadline, performer, job);
+                }
+                Output::Wake(at) => self.progress.wake = Some(at),
+                Output::Publish(publication) => self.publish(publication, now),
+            }
+        }
+        self.progress.events.end_seconds(now);
+    }
+
+    fn publish(&mut self, publication: Publication, now: Timestamp) {
+        match publication.due {
+            Some(due) => self.playout.push(due, publication),
+            None => {
+                self.outlet.put(&publication, now);
+                self.note(publication, now);
+            }
+        }
+    }
+
+    /// Logs events and stores the status and the rig.
+    fn note(&mut self, publication: Publication, now: Timestamp) {
+        let is_node = self.core.is_of_node(&publication.topic);
+        match publication.content {
+            Content::Event(event) => {
+                let actor = (!is_node).then(|| Topic::actor(&publication.topic));
+                self.progress.events.tell(now, &event, actor.as_deref());
+            }
+            Content::Status(status) if is_node => self.board.set_status(*status),
+            Content::Status(_) => {}
+            Content::Rig(_) => self.offer_rig(),
+            Content::Skeleton(_)
+            | Content::Pose(_)
+            | Content::Keyframe(_)
+            | Content::Journal(_)
+            | Content::Answer(_)
+            | Content::Keypoints(_) => {}
+        }
+    }
+}

@@ -1,0 +1,295 @@
+//! The node with its threads, from start to stop.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread::{Builder, JoinHandle};
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bounded, never};
+
+use super::cpu_affinity::SolverCore;
+use super::node_loop::{Inbox, NodeLoop, Progress};
+use super::outlet::Outlet;
+use super::playout::Playout;
+use super::presence::Presence;
+use super::queue::{Intake, Message};
+use super::rig_file::RigFile;
+use super::solvers::Solvers;
+use crate::core::tracker::{Job, Solver};
+use crate::io::bus::{Bus, Guard};
+use crate::io::wire::{
+    Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, TakeAnswer, Topics,
+};
+use crate::live::clock::wall::WallClock;
+use crate::live::config::Config;
+use crate::live::core::Core;
+use crate::live::error::{Elder, NodeError};
+use crate::live::observe::board::Board;
+use crate::live::observe::endpoint::Endpoint;
+
+/// How often the calibration file is checked for changes.
+const LOOK: Duration = Duration::from_millis(500);
+/// Most batches of deviations that wait for the node loop; there is one per second.
+const BATCHES: usize = 64;
+/// A live node.
+pub struct Node;
+
+/// A running node. It stops when it is dropped; [`Running::stop`] also waits for the end.
+pub struct Running {
+    inputs: Vec<Box<dyn Guard>>,
+    rig_answer: Option<Box<dyn Guard>>,
+    stop: Sender<()>,
+    over: Receiver<()>,
+    stop_looking: Sender<()>,
+    node_loop: JoinHandle<Result<(), NodeError>>,
+    threads: Vec<(&'static str, JoinHandle<()>)>,
+    playout: Arc<Playout>,
+    endpoint: Option<Endpoint>,
+    board: Arc<Board>,
+    presence: Presence,
+}
+
+/// State of a node, for any thread.
+#[derive(Clone)]
+pub struct Monitor(Arc<Board>);
+
+impl Monitor {
+    /// The last status, if there is one.
+    pub fn status(&self) -> Option<Status> {
+        self.0.status()
+    }
+
+    /// The bytes of the `Rig` message in use, if there is one.
+    pub fn rig(&self) -> Option<Vec<u8>> {
+        self.0.rig().map(|sample| sample.payload)
+    }
+}
+
+impl Node {
+    /// Starts the threads and subscribes to the bus. `presence` is that of this node, alone; `config`
+    /// is the core's. Each solver has a thread, the first one on `solver_core` if there is one.
+    ///
+    /// # Errors
+    /// The bus refuses the topics, the calibration file cannot be used, the address is in use, or
+    /// the system cannot start a thread.
+    pub fn start(
+        bus: Arc<dyn Bus>,
+        presence: Presence,
+        core: Core,
+        solvers: Vec<Solver>,
+        config: &Config,
+        solver_core: Option<SolverCore>,
+    ) -> Result<Running, NodeError> {
+        let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
+        let (clock, board) = (WallClock::start(), Arc::<Board>::default());
+        let intake = Intake::new(config.queue, &[topics.take(), topics.rig()]);
+        let endpoint = match config.prometheus.as_str() {
+            "" => None,
+            address => Some(Endpoint::start(address, Arc::clone(&board))?),
+        };
+
+        let (stop_looking, looking) = bounded(0);
+        let mut threads = Vec::new();
+        let rigs = match config.rig.as_str() {
+            "" => never(),
+            path => watch_rig(path.into(), config, looking, &mut threads)?,
+        };
+        let playout = Arc::<Playout>::default();
+        let played = start_playout(&bus, &topics, clock, &playout, &board, &mut threads)?;
+        let solve = |mut solver: Solver| move |job: &Job| solver.solve(job);
+        let solvers = solvers.into_iter().map(solve).collect();
+        let (jobs, answers) = Solvers::start(solvers, solver_core, &mut threads)?;
+
+        let (stop, stopped) = bounded(1);
+        let node_loop = NodeLoop {
+            core,
+            clock,
+            inbox: Inbox { intake: intake.clone(), answers, played, rigs, stop: stopped },
+            jobs,
+            playout: Arc::clone(&playout),
+            outlet: loop_outlet(&bus, &topics, &board)?,
+            board: Arc::clone(&board),
+            rig_topic: topics.rig(),
+            progress: Progress::default(),
+        };
+        let (alive, over) = bounded(0);
+        let work = move || {
+            let _alive: Sender<()> = alive;
+            node_loop.run()
+        };
+        let node_loop = thread("node-loop").spawn(work).map_err(NodeError::Thread)?;
+        let mut running = Running {
+            inputs: Vec::new(),
+            rig_answer: None,
+            stop,
+            over,
+            stop_looking,
+            node_loop,
+            threads,
+            playout,
+            endpoint,
+            board,
+            presence,
+        };
+        let inputs = [topics.rig(), config.keypoints(&topics, "*"), topics.take()];
+        running.listen(&*bus, inputs, &intake)?;
+        Ok(running)
+    }
+}
+
+impl Running {
+    /// The first of the patterns is the rig's topic.
+    fn listen(
+        &mut self,
+        bus: &dyn Bus,
+        patterns: [String; 3],
+        intake: &Intake,
+    ) -> Result<(), NodeError> {
+        let board = Arc::clone(&self.board);
+        self.rig_answer = bus.answer(&patterns[0], Box::new(move || board.rig()))?;
+        for pattern in patterns {
+            let intake = intake.clone();
+            let sink = move |sample: crate::io::bus::Sample| {
+                intake.push(Message { topic: sample.topic, payload: sample.payload });
+            };
+            self.inputs.push(bus.subscribe(&pattern, Box::new(sink))?);
+        }
+        Ok(())
+    }
+
+    /// A node of the same performer that is older than this one: the networks of two nodes were
+    /// connected while both ran.
+    ///
+    /// # Errors
+    /// The bus is closed.
+    pub fn elder(&self) -> Result<Option<Elder>, NodeError> {
+        Ok(self.presence.elder()?)
+    }
+
+    /// As [`Presence::stand_back`].
+    pub fn stand_back(&self, elder: Elder) -> NodeError {
+        self.presence.stand_back(elder)
+    }
+
+    /// Disconnected when the node has stopped by itself, which is a fault.
+    pub fn over(&self) -> &Receiver<()> {
+        &self.over
+    }
+
+    /// The last status, if there is one.
+    pub fn status(&self) -> Option<Status> {
+        self.board.status()
+    }
+
+    /// State of the node for other threads.
+    pub fn monitor(&self) -> Monitor {
+        Monitor(Arc::clone(&self.board))
+    }
+
+    /// Number of messages that could not be published.
+    pub fn publish_failures(&self) -> u64 {
+        self.board.publish_failures()
+    }
+
+    /// Address of the Prometheus endpoint, if there is one.
+    pub fn prometheus(&self) -> Option<&str> {
+        self.endpoint.as_ref().map(|endpoint| endpoint.address.as_str())
+    }
+
+    /// Stops the input, publishes the remaining poses at their due times, and ends every thread.
+    /// Returns the last status.
+    ///
+    /// # Errors
+    /// A thread ended too early, by a fault.
+    pub fn stop(self) -> Result<Option<Status>, NodeError> {
+        drop(self.inputs);
+        drop(self.stop);
+        let ended = self.node_loop.join();
+        self.playout.close();
+        drop(self.stop_looking);
+        let mut fault = None;
+        for (name, thread) in self.threads {
+            if thread.join().is_err() {
+                fault = Some(NodeError::Fault { thread: name });
+            }
+        }
+        drop((self.rig_answer, self.endpoint));
+        let ended = ended.unwrap_or(Err(NodeError::Fault { thread: "node loop" }));
+        fault.map_or(ended, Err)?;
+        Ok(self.board.status())
+    }
+}
+
+fn thread(name: &str) -> Builder {
+    Builder::new().name(name.into())
+}
+
+/// Opens the topics on which the node loop publishes.
+fn loop_outlet(bus: &Arc<dyn Bus>, topics: &Topics, board: &Board) -> Result<Outlet, NodeError> {
+    let mut outlet = Outlet::new(Arc::clone(bus), board.failures());
+    let all = [
+        (topics.provisional(), Pose::FULL_NAME),
+        (topics.keyframe(), Keyframe::FULL_NAME),
+        (topics.skeleton(), Skeleton::FULL_NAME),
+        (topics.actor_events(), Event::FULL_NAME),
+        (topics.stage_events(), Event::FULL_NAME),
+        (topics.status(), Status::FULL_NAME),
+        (topics.journal(), Journal::FULL_NAME),
+        (topics.take_answers(), TakeAnswer::FULL_NAME),
+    ];
+    for (topic, schema) in all {
+        outlet.open(&topic, schema)?;
+    }
+    Ok(outlet)
+}
+
+/// Starts the thread that publishes poses when they are due and returns their deviations.
+fn start_playout(
+    bus: &Arc<dyn Bus>,
+    topics: &Topics,
+    clock: WallClock,
+    playout: &Arc<Playout>,
+    board: &Board,
+    threads: &mut Vec<(&'static str, JoinHandle<()>)>,
+) -> Result<Receiver<Vec<i32>>, NodeError> {
+    let mut outlet = Outlet::new(Arc::clone(bus), board.failures());
+    outlet.open(&topics.pose(), Pose::FULL_NAME)?;
+    let (sender, played) = bounded(BATCHES);
+    let playout = Arc::clone(playout);
+    let work = move || playout.run(clock, outlet, &sender);
+    threads.push(("playout", thread("playout").spawn(work).map_err(NodeError::Thread)?));
+    Ok(played)
+}
+
+/// Starts the thread that reads the calibration file until `looking` closes.
+fn watch_rig(
+    path: PathBuf,
+    config: &Config,
+    looking: Receiver<()>,
+    threads: &mut Vec<(&'static str, JoinHandle<()>)>,
+) -> Result<Receiver<Vec<u8>>, NodeError> {
+    let (mut file, first) = RigFile::open(path, config.rig_up)?;
+    let (sender, rigs) = bounded(1);
+    let _ = sender.try_send(first);
+    let work = move || {
+        let mut unsent = None;
+        while looking.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
+            let path = file.path().display().to_string();
+            match file.changed() {
+                Ok(None) => {}
+                Ok(Some(rig)) => {
+                    tracing::info!(path, "the calibration has changed");
+                    unsent = Some(rig);
+                }
+                Err(error) => tracing::warn!("the previous calibration is kept: {error}"),
+            }
+            if let Some(rig) = unsent.take()
+                && let Err(SendTimeoutError::Timeout(rig)) = sender.send_timeout(rig, LOOK)
+            {
+                unsent = Some(rig);
+            }
+        }
+    };
+    threads.push(("rig file", thread("rig-file").spawn(work).map_err(NodeError::Thread)?));
+    Ok(rigs)
+}

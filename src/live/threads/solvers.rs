@@ -1,0 +1,181 @@
+//! The solver threads, and the jobs that wait for them.
+//!
+//! The job with the earliest deadline comes first. Searches take longest; with several threads, one is kept
+//! free of them, so that who enters delays nobody.
+
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Instant;
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+
+use super::cpu_affinity::SolverCore;
+use crate::core::stage::PerformerId;
+use crate::core::time::{Nanos, Timestamp};
+use crate::core::tracker::{Job, Solution, Task};
+use crate::live::error::NodeError;
+
+/// A solver without a core of its own gives way to the other threads of the program.
+#[cfg(unix)]
+const GIVES_WAY: i32 = 10;
+
+/// A solution from a solver's thread.
+pub(crate) struct Answer {
+    pub(crate) performer: PerformerId,
+    pub(crate) solution: Box<Solution>,
+    pub(crate) took: Nanos,
+}
+
+/// Jobs that wait for a thread.
+#[derive(Default)]
+struct Waiting {
+    jobs: Vec<(Timestamp, PerformerId, Box<Job>)>,
+    /// Searches that are being solved, and how many may be.
+    searches: usize,
+    most_searches: usize,
+    is_closed: bool,
+}
+
+impl Waiting {
+    /// The most urgent job that may be solved now.
+    fn pop(&mut self) -> Option<(PerformerId, Box<Job>)> {
+        let is_full = self.searches >= self.most_searches;
+        let may_be_next = |job: &Job| !(is_full && is_search(job));
+        let ready = (0..self.jobs.len()).filter(|&index| may_be_next(&self.jobs[index].2));
+        let next = ready.min_by_key(|&index| (self.jobs[index].0, self.jobs[index].1))?;
+        let (_, performer, job) = self.jobs.swap_remove(next);
+        self.searches += usize::from(is_search(&job));
+        Some((performer, job))
+    }
+}
+
+fn is_search(job: &Job) -> bool {
+    matches!(job.task, Task::Acquire { .. })
+}
+
+/// The way to the solver threads. Each of them has one too: all end when one is dropped, so also when a
+/// thread panics.
+pub(crate) struct Solvers(Arc<(Mutex<Waiting>, Condvar)>);
+
+impl Solvers {
+    /// Starts a thread for each function that solves; the first one runs on `core`, if there is one.
+    ///
+    /// # Errors
+    /// The system cannot start a thread.
+    pub(crate) fn start(
+        solvers: Vec<impl FnMut(&Job) -> Solution + Send + 'static>,
+        mut core: Option<SolverCore>,
+        threads: &mut Vec<(&'static str, JoinHandle<()>)>,
+    ) -> Result<(Self, Receiver<Answer>), NodeError> {
+        let count = solvers.len().max(1);
+        let waiting = Waiting { most_searches: (count - 1).max(1), ..Waiting::default() };
+        let shared = Arc::new((Mutex::new(waiting), Condvar::new()));
+        // Each performer has one job out at most; the node loop takes all answers.
+        let (sender, answers) = bounded(count);
+        for solver in solvers {
+            let core = core.take();
+            let (all, sender) = (Self(Arc::clone(&shared)), sender.clone());
+            let work = move || serve(solver, core, &all.0, &sender);
+            let thread = std::thread::Builder::new().name("solver".into()).spawn(work);
+            threads.push(("solver", thread.map_err(NodeError::Thread)?));
+        }
+        Ok((Self(shared), answers))
+    }
+
+    /// Adds a job. Returns at once.
+    pub(crate) fn push(&self, deadline: Timestamp, performer: PerformerId, job: Box<Job>) {
+        lock(&self.0.0).jobs.push((deadline, performer, job));
+        self.0.1.notify_one();
+    }
+}
+
+impl Drop for Solvers {
+    fn drop(&mut self) {
+        lock(&self.0.0).is_closed = true;
+        self.0.1.notify_all();
+    }
+}
+
+fn lock(waiting: &Mutex<Waiting>) -> MutexGuard<'_, Waiting> {
+    waiting.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The loop of a thread: solves until there are no more jobs and none will come.
+fn serve(
+    mut solve: impl FnMut(&Job) -> Solution,
+    core: Option<SolverCore>,
+    (waiting, changed): &(Mutex<Waiting>, Condvar),
+    answers: &Sender<Answer>,
+) {
+    match core {
+        Some(core) => core.enter(),
+        // It shares the cores with the threads that publish on time.
+        #[cfg(unix)]
+        None => drop(rustix::process::nice(GIVES_WAY)),
+        #[cfg(not(unix))]
+        None => {}
+    }
+    loop {
+        let mut open = lock(waiting);
+        let (performer, job) = loop {
+            if let Some(next) = open.pop() {
+                break next;
+            }
+            if open.is_closed {
+                return;
+            }
+            open = changed.wait(open).unwrap_or_else(PoisonError::into_inner);
+        };
+        drop(open);
+        let begin = Instant::now();
+        let solution = Box::new(solve(&job));
+        let took = Nanos::from(begin.elapsed());
+        if is_search(&job) {
+            lock(waiting).searches -= 1;
+            changed.notify_one();
+        }
+        if answers.send(Answer { performer, solution, took }).is_err() {
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::camera::Rig;
+    use crate::core::detections::KeypointFormat;
+    use crate::core::tracker;
+
+    fn search() -> Box<Job> {
+        let at = Timestamp::default();
+        Box::new(Job {
+            number: 0,
+            window: 0,
+            start: at,
+            end: at,
+            publish: at,
+            keyframe_times: vec![at],
+            pose_times: vec![at],
+            frames: Vec::new(),
+            format: KeypointFormat::Body25,
+            rig: Arc::new(Rig { version: 1, cameras: Vec::new() }),
+            frame_period: Nanos::from_ms(20),
+            effort: tracker::Effort::full(&tracker::Config::default()),
+            noise: tracker::Noise::default(),
+            task: Task::Acquire { skeleton: None },
+        })
+    }
+
+    #[test]
+    fn all_threads_end_if_one_panics() {
+        let solvers = [(); 2].map(|()| |_: &Job| -> Solution { panic!("a fault of the solver") });
+        let mut threads = Vec::new();
+        let (solvers, answers) = Solvers::start(solvers.into(), None, &mut threads).unwrap();
+        solvers.push(Timestamp::default(), PerformerId(0), search());
+        // The other thread does not wait for ever: the node learns of it.
+        assert!(answers.recv().is_err());
+        let panicked = threads.into_iter().filter_map(|(_, thread)| thread.join().err()).count();
+        assert_eq!(panicked, 1);
+    }
+}
