@@ -15,6 +15,8 @@ const SAMPLED_PAIRS: usize = 66;
 const MIN_PARALLAX: f64 = 0.017453292519943295;
 /// Gauss-Newton steps after the linear solution; it converges in two or three.
 const REFINEMENTS: usize = 5;
+/// A point that moves by less is found, metres, where an earlier one tells where to start.
+const CLOSE_M: f64 = 1e-6;
 
 /// What one camera saw: its index in the rig, the pixel, and the confidence in (0, 1].
 pub type View = (usize, Vector2<f64>, f64);
@@ -82,6 +84,33 @@ pub fn triangulate_robust(
     refine_on_inliers(rig, views, &rays, &usable, best, threshold_px)
 }
 
+/// As [`triangulate_robust`], of a point that is expected near `start`: if Gauss-Newton from there leads
+/// to a point with which all views agree, that is the result, which saves the linear solution.
+pub fn triangulate_near(
+    rig: &Rig,
+    views: &[View],
+    threshold_px: f64,
+    seed: u64,
+    start: Vector3<f64>,
+) -> Option<Triangulated> {
+    let all: Vec<usize> = (0..views.len()).collect();
+    let is_usable =
+        |(camera, _, confidence): &View| *camera < rig.cameras.len() && *confidence > 0.0;
+    if views.len() >= 2 && views.iter().all(is_usable) {
+        let point = gauss_newton(rig, views, &all, start, CLOSE_M);
+        let ray =
+            |i: usize| (point - rig.cameras[views[i].0].centre_in_world()).try_normalize(1e-6);
+        let first = ray(0);
+        let parallax = |i: usize| first.zip(ray(i)).map_or(0.0, |(a, b)| a.cross(&b).norm());
+        if (1..views.len()).any(|i| parallax(i) > libm::sin(MIN_PARALLAX))
+            && let Some(found) = agreed(rig, views, &all, point, threshold_px)
+        {
+            return Some(found);
+        }
+    }
+    triangulate_robust(rig, views, threshold_px, seed)
+}
+
 /// The point of all usable views, if each agrees with it to within the threshold.
 fn of_all(
     rig: &Rig,
@@ -90,7 +119,17 @@ fn of_all(
     usable: &[usize],
     threshold_px: f64,
 ) -> Option<Triangulated> {
-    let point = solve(rig, views, rays, usable)?;
+    agreed(rig, views, usable, solve(rig, views, rays, usable)?, threshold_px)
+}
+
+/// The point with its views, if each agrees with it to within the threshold.
+fn agreed(
+    rig: &Rig,
+    views: &[View],
+    usable: &[usize],
+    point: Vector3<f64>,
+    threshold_px: f64,
+) -> Option<Triangulated> {
     let error = |&i: &usize| error_px(rig, &views[i], &point).filter(|e| *e <= threshold_px);
     let mut errors: Vec<f64> = usable.iter().map(error).collect::<Option<_>>()?;
     Some(Triangulated { point, inliers: usable.to_vec(), residual_px: median(&mut errors) })
@@ -169,7 +208,7 @@ fn solve(
 ) -> Option<Vector3<f64>> {
     let start =
         linear(rig, views, rays, chosen).filter(|p| well_posed(rig, views, rays, chosen, p))?;
-    let point = gauss_newton(rig, views, chosen, start);
+    let point = gauss_newton(rig, views, chosen, start, 0.0);
     well_posed(rig, views, rays, chosen, &point).then_some(point)
 }
 
@@ -218,8 +257,15 @@ fn well_posed(
             .any(|(at, i)| chosen[..at].iter().any(|j| parallax(i, j) > libm::sin(MIN_PARALLAX)))
 }
 
-/// Steps on sum confidence |pixel - projection|^2, kept only while they bring it down.
-fn gauss_newton(rig: &Rig, views: &[View], chosen: &[usize], start: Vector3<f64>) -> Vector3<f64> {
+/// Steps on sum confidence |pixel - projection|^2, kept only while they bring it down, until one is
+/// shorter than `close`.
+fn gauss_newton(
+    rig: &Rig,
+    views: &[View],
+    chosen: &[usize],
+    start: Vector3<f64>,
+    close: f64,
+) -> Vector3<f64> {
     let mut point = start;
     let mut best = f64::INFINITY;
     let mut candidate = start;
@@ -230,6 +276,9 @@ fn gauss_newton(rig: &Rig, views: &[View], chosen: &[usize], start: Vector3<f64>
         }
         (point, best) = (candidate, cost);
         candidate += step;
+        if step.norm() < close {
+            return candidate;
+        }
     }
     point
 }

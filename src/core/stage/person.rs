@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::lengths::Lengths;
 use crate::core::association::{Expectation, Gates, KEYPOINTS, LastSeen, Pixels, Points};
-use crate::core::camera::{Rig, triangulate_robust};
+use crate::core::camera::{Rig, View, triangulate_near, triangulate_robust};
 use crate::core::detections::Keypoint as K;
 use crate::core::time::{Nanos, Timestamp};
 
@@ -109,10 +109,16 @@ impl Person {
         let predicted = self.predicted(at);
         let extents: Vec<f64> = views.iter().map(|(_, pixels)| extent(pixels)).collect();
         let gate = gates.agree * extents.iter().fold(0.0, |a: f64, b| a.max(*b));
+        let mut seen: Vec<View> = Vec::with_capacity(views.len());
         let found: Points = std::array::from_fn(|index| {
-            let seen = views.iter().filter_map(|(c, pixels)| Some((*c, pixels[index]?, 1.0)));
-            let seen: Vec<_> = seen.collect();
-            let point = triangulate_robust(rig, &seen, gate, index as u64)?.point;
+            seen.clear();
+            seen.extend(views.iter().filter_map(|(c, pixels)| Some((*c, pixels[index]?, 1.0))));
+            let seed = index as u64;
+            let point = match predicted[index] {
+                Some(near) => triangulate_near(rig, &seen, gate, seed, near),
+                None => triangulate_robust(rig, &seen, gate, seed),
+            };
+            let point = point?.point;
             let age = at.seconds_since(self.fresh[index]);
             let is_near =
                 |predicted: Vector3<f64>| (point - predicted).norm() <= REACH_M + REACH_M_S * age;

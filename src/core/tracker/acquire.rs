@@ -2,6 +2,7 @@
 //! triangulation, the root from the torso, then a fit from several starts.
 
 use std::f64::consts::TAU;
+use std::sync::LazyLock;
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -282,7 +283,7 @@ fn starts(seen: &SeenPerformer, scene: Scene, skeleton: &Skeleton) -> Option<Vec
     let mean = start([0.0; LATENT]);
     let turn = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, -1.0));
     let turned = Keyframe { root_rotation: root_rotation * turn, ..mean.clone() };
-    let samples: Vec<Keyframe> = (0..SAMPLES).map(|n| start(random_code(n))).collect();
+    let samples: Vec<Keyframe> = CODES.iter().map(|code| start(*code)).collect();
     let poses = scene.decoder.poses(&samples);
     let distances = poses.iter().map(|pose| {
         let posture = pose.posture(skeleton);
@@ -297,6 +298,9 @@ fn starts(seen: &SeenPerformer, scene: Scene, skeleton: &Skeleton) -> Option<Vec
     let nearest = nearest.into_iter().take(NEAREST).map(|(_, start)| start);
     Some([mean, turned].into_iter().chain(nearest).collect())
 }
+
+/// Samples of the prior on codes.
+static CODES: LazyLock<Vec<Latent>> = LazyLock::new(|| (0..SAMPLES).map(random_code).collect());
 
 /// Sample `n` of the prior on codes, always the same.
 fn random_code(n: u64) -> Latent {
