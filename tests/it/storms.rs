@@ -300,13 +300,15 @@ fn judge(case: &Case) -> Option<String> {
     let degraded = status.effort.as_ref().map_or(0, |effort| effort.degradation_steps);
     let is_idle = heard.status.iter().any(|status| status.tracker_state == "idle");
     let is_pause = case.name.starts_with("pause");
+    let is_overtaken = poses.windows(2).any(|pair| pair[1].0 < pair[0].0);
     let is_wrong = recovery > SURVIVED
+        || is_overtaken
         || main != case.events
         || (is_pause && (missed > 0 || recovery > 1.0 || (worst > 1.0 && !is_idle)))
         || degraded > 0;
     is_wrong.then(|| {
         format!(
-            "{}: {main:?}, missed {missed}, degraded {degraded}\n    {}",
+            "{}: {main:?}, missed {missed}, degraded {degraded}, overtaken {is_overtaken}\n    {}",
             case.name,
             details().join("\n    ")
         )

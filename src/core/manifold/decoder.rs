@@ -6,19 +6,23 @@
 //!
 //! The layers are computed in f32: six digits are a micrometre of a body, and take half of the time.
 
-use std::sync::Arc;
+use std::f64::consts::TAU;
+use std::sync::{Arc, OnceLock};
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::weights::{Layer, OUTPUTS, WeightsError, decoder_layers};
-use super::{Keyframe, LATENT, Latent, activation};
+use super::{Correction, Keyframe, LATENT, Latent, activation};
 use crate::core::body::{BODY_JOINTS, Pose};
 use crate::core::fnv::fnv1a;
 use crate::core::linalg;
+use crate::core::random::Draws;
 
 /// Shorter columns than this are no direction: the joint keeps its rest rotation.
 const MIN_COLUMN: f64 = 1e-9;
 
+/// Number of samples of the prior.
+const SAMPLES: u64 = 512;
 /// Poses that are decoded together.
 const BATCH: usize = 8;
 
@@ -32,6 +36,7 @@ pub struct Decoder {
     /// Each layer's weight as [in, out].
     transposed: Arc<[Vec<f32>]>,
     fingerprint: u64,
+    samples: Arc<OnceLock<Vec<(Latent, Pose)>>>,
 }
 
 /// Memory for a batch of codes: values, then Jacobians. Grows to the largest batch and stays.
@@ -59,6 +64,7 @@ impl Decoder {
             transposed: layers.iter().map(Layer::transposed).collect(),
             layers: layers.into(),
             fingerprint: fnv1a(bytes),
+            samples: Arc::default(),
         })
     }
 
@@ -70,6 +76,21 @@ impl Decoder {
     /// A hash of the weights file, to tell files apart (not cryptographic).
     pub fn fingerprint(&self) -> u64 {
         self.fingerprint
+    }
+
+    /// Samples of the prior with their poses, always the same, at the origin.
+    pub fn samples(&self) -> &[(Latent, Pose)] {
+        self.samples.get_or_init(|| {
+            let keyframe = |n| Keyframe {
+                z: sample(n),
+                root_rotation: Matrix3::identity(),
+                root_position: Vector3::zeros(),
+                correction: Correction::default(),
+            };
+            let keyframes: Vec<Keyframe> = (0..SAMPLES).map(keyframe).collect();
+            let codes = keyframes.iter().map(|keyframe| keyframe.z);
+            codes.zip(self.poses(&keyframes)).collect()
+        })
     }
 
     /// The pose of a keyframe.
@@ -311,4 +332,14 @@ linalg::wide! {
             }
         }
     }
+}
+
+/// Sample `n` of the prior on codes, always the same.
+fn sample(n: u64) -> Latent {
+    let draws = Draws { seed: n, stream: 0 };
+    std::array::from_fn(|i| {
+        let uniform = |topic| draws.uniform(topic, i as u64);
+        let radius = libm::sqrt(-2.0 * libm::log(1.0 - uniform(0)));
+        radius * libm::cos(TAU * uniform(1))
+    })
 }

@@ -1,14 +1,11 @@
 //! Finding the performer in one frame set without a known pose: association across views,
 //! triangulation, the root from the torso, then a fit from several starts.
 
-use std::f64::consts::TAU;
-use std::sync::LazyLock;
-
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::association::{extent, median, usable};
 use super::config::Config;
-use crate::core::body::{Attachment, BodyPoint, Skeleton};
+use crate::core::body::{Attachment, BodyPoint, Pose, Skeleton};
 use crate::core::camera::{Rig, triangulate_robust};
 use crate::core::cost::{
     self, FrameObservations, FreeBody, Observation, PathKeyframe, PathProblem, Scene, Workspace,
@@ -16,7 +13,6 @@ use crate::core::cost::{
 use crate::core::detections::{Detections, Keypoint, Person};
 use crate::core::manifold::{Correction, Keyframe, LATENT, Latent, TimedKeyframe};
 use crate::core::optimise::Optimiser;
-use crate::core::random::Draws;
 use crate::core::time::Timestamp;
 
 /// People with fewer points are ignored.
@@ -29,9 +25,7 @@ const MOST_PAIRS: usize = 1000;
 const TRUNK_LENGTH: std::ops::Range<f64> = 0.25..0.85;
 /// Factor of the loss's scale and of the prior in the first stage.
 const FIRST_STAGE: f64 = 5.0;
-/// Number of random poses that are compared with the triangulated points.
-const SAMPLES: u64 = 512;
-/// Number of these poses that a fit starts from.
+/// Number of samples of the prior that a fit starts from.
 const NEAREST: usize = 2;
 /// A point of the body this far from its triangulated point is not found, metres.
 const FAR: f64 = 0.4;
@@ -273,7 +267,7 @@ pub(super) fn fit(
 }
 
 /// Keyframes to start from, with the root from the torso: the mean pose, the same with the other
-/// facing (left and right may be swapped), and the poses among [`SAMPLES`] of the prior that are
+/// facing (left and right may be swapped), and the poses among the samples of the prior that are
 /// nearest to the triangulated points, such as crouched or seated ones. `None` if the torso is not
 /// triangulated.
 fn starts(seen: &SeenPerformer, scene: Scene, skeleton: &Skeleton) -> Option<Vec<Keyframe>> {
@@ -283,39 +277,24 @@ fn starts(seen: &SeenPerformer, scene: Scene, skeleton: &Skeleton) -> Option<Vec
     let mean = start([0.0; LATENT]);
     let turn = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, -1.0));
     let turned = Keyframe { root_rotation: root_rotation * turn, ..mean.clone() };
-    let samples: Vec<Keyframe> = CODES.iter().map(|code| start(*code)).collect();
-    let poses = scene.decoder.poses(&samples);
-    let distances = poses.iter().map(|pose| {
-        let posture = pose.posture(skeleton);
+    let distances = scene.decoder.samples().iter().map(|(code, pose)| {
+        let posture = Pose { root_rotation, root_position, ..pose.clone() }.posture(skeleton);
         let distance = |(point, seen): (&BodyPoint, &Option<Vector3<f64>>)| {
             let body = point.attachment.position(&posture, skeleton);
             seen.map_or(0.0, |seen| (seen - body).norm().min(FAR))
         };
-        scene.points.iter().zip(&seen.points).map(distance).sum::<f64>()
+        (scene.points.iter().zip(&seen.points).map(distance).sum::<f64>(), code)
     });
-    let mut nearest: Vec<(f64, Keyframe)> = distances.zip(samples).collect();
+    let mut nearest: Vec<(f64, &Latent)> = distances.collect();
     nearest.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let nearest = nearest.into_iter().take(NEAREST).map(|(_, start)| start);
+    let nearest = nearest.into_iter().take(NEAREST).map(|(_, code)| start(*code));
     Some([mean, turned].into_iter().chain(nearest).collect())
-}
-
-/// Samples of the prior on codes.
-static CODES: LazyLock<Vec<Latent>> = LazyLock::new(|| (0..SAMPLES).map(random_code).collect());
-
-/// Sample `n` of the prior on codes, always the same.
-fn random_code(n: u64) -> Latent {
-    let draws = Draws { seed: n, stream: 0 };
-    std::array::from_fn(|i| {
-        let uniform = |topic| draws.uniform(topic, i as u64);
-        let radius = libm::sqrt(-2.0 * libm::log(1.0 - uniform(0)));
-        radius * libm::cos(TAU * uniform(1))
-    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::body::{Pose, fitted_points};
+    use crate::core::body::fitted_points;
     use crate::core::camera::Rig;
     use crate::core::detections::KeypointFormat;
     use crate::core::manifold::Decoder;
@@ -338,8 +317,8 @@ mod tests {
         let (decoder, body) = (Decoder::embedded().unwrap(), Skeleton::default());
         let posture = |at: &Keyframe| decoder.pose(at).posture(&body);
         let (mut mean, mut nearest) = (0.0, 0.0);
-        for n in 500..520 {
-            let z = random_code(n).map(|z| 3.0 * z);
+        for (code, _) in &decoder.samples()[490..510] {
+            let z = code.map(|z| 3.0 * z);
             let at = Keyframe { z, ..starts_of(&Pose::rest()).swap_remove(0) };
             let far = |start: &Keyframe| {
                 let pairs = posture(start).positions.into_iter().zip(posture(&at).positions);

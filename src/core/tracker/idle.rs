@@ -32,6 +32,13 @@ pub(super) struct Idle {
     unseen: Option<Timestamp>,
 }
 
+impl Idle {
+    /// The same after the clock has jumped: times before that mean nothing.
+    pub(super) fn restarted(self) -> Self {
+        Self { resumed: None, unseen: None, ..self }
+    }
+}
+
 impl Tracker {
     /// Whether there is nothing to track: cameras are silent, or nobody has been seen for a while.
     pub fn is_idle(&self) -> bool {

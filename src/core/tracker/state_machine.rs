@@ -446,7 +446,7 @@ impl Tracker {
     fn restart(&mut self) {
         let fresh = Self::new(self.config, Arc::clone(&self.rig));
         let old = std::mem::replace(self, fresh);
-        (self.live, self.idle) = (old.live, old.idle);
+        (self.live, self.idle) = (old.live, old.idle.restarted());
         (self.is_fed, self.stagger) = (old.is_fed, old.stagger);
         (self.offsets, self.watchdog) = (old.offsets, old.watchdog);
         self.left_out = old.left_out;

@@ -192,10 +192,14 @@ impl Core {
     fn pose(&mut self, performer: PerformerId, pose: &StampedPose) {
         let Some(latency) = self.latency.declared() else { return };
         let due = pose.capture + latency;
-        let Some(message) = self.pose_message(performer, pose, Some(due)) else { return };
-        let due = Some(self.clock.node_time(due));
+        let leaves = self.clock.node_time(due);
+        // Where the latency falls, no pose overtakes another.
+        let held = (self.performer(performer).leaves - leaves).max(Nanos::ZERO);
+        let Some(message) = self.pose_message(performer, pose, Some(due + held)) else { return };
         let performer = self.performer(performer);
         performer.poses.published += 1;
+        performer.leaves = leaves + held;
+        let due = Some(performer.leaves);
         let (topic, content) = (performer.topics.pose().into(), Content::Pose(message));
         let publication = Publication { topic, capture: pose.capture, due, content };
         self.outputs.push_back(Output::Publish(publication));

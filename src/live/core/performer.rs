@@ -17,6 +17,8 @@ pub(super) struct Performer {
     pub(super) poses: Poses,
     /// When the job that is out was sent.
     pub(super) sent: Option<Timestamp>,
+    /// When the last pose leaves.
+    pub(super) leaves: Timestamp,
 }
 
 impl Performer {
@@ -27,6 +29,7 @@ impl Performer {
             windows: Windows::default(),
             poses: Poses::default(),
             sent: None,
+            leaves: Timestamp::default(),
         }
     }
 }
