@@ -1132,6 +1132,30 @@ fn a_pause_or_a_restart_of_a_camera_costs_no_frame() {
 }
 
 #[test]
+fn where_the_latency_falls_no_pose_overtakes_another() {
+    let studio = Studio::new(3, 44 * 60);
+    let mut messages = studio.messages();
+    for (message, frame) in messages.iter_mut().skip(1).zip(&studio.frames) {
+        let is_slow = frame.capture < START + SECOND * 4;
+        message.arrival = message.arrival + if is_slow { MS * 60 } else { Nanos::ZERO };
+    }
+    let world = after(messages, 44.0);
+    let latencies = world.heard.details("latency");
+    assert_eq!(latencies.len(), 2, "{latencies:?}");
+    let mut poses = world.heard.poses();
+    poses.sort_by_key(|(leaves, _)| *leaves);
+    assert!(poses.len() > 2400, "{} poses", poses.len());
+    let is_sorted = poses.is_sorted_by_key(|(_, pose)| pose.capture_time_ns);
+    assert!(
+        is_sorted
+            && poses.iter().all(|(leaves, pose)| {
+                let due = pose.due_time_ns.unwrap();
+                (leaves.ns() - due).abs() < 1_000_000
+            })
+    );
+}
+
+#[test]
 fn a_slow_camera_that_comes_first_does_not_set_the_rate() {
     let studio = Studio::new(4, 300);
     let mut messages = vec![studio.rig()];
