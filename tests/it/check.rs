@@ -468,14 +468,13 @@ fn not_named(take: &Take, camera: usize) -> Vec<String> {
 
 #[test]
 fn cameras_are_judged_by_one_person_of_a_crowd() {
-    let take = Take::crowd(10, 8, Noise::studio(), 3, 480);
-    let found = take.check();
+    let found = Take::crowd(10, 8, Noise::studio(), 3, 480).check();
     assert!(found.is_clean(), "{found}");
     assert!(found.cameras.iter().all(|row| row.agreeing_percent > Some(70.0)), "{found}");
     assert!((1.4..2.1).contains(&found.performer_height_m.unwrap()), "{found}");
-    let small = Take::crowd(4, 4, Noise::studio(), 7, 480);
-    let missed: Vec<String> = [take, small].iter().flat_map(|take| not_named(take, 2)).collect();
-    assert!(missed.len() <= 2, "of 20: {missed:#?}");
+    // `table_of_faults_in_crowds` has larger ones.
+    let missed = not_named(&Take::crowd(4, 4, Noise::studio(), 7, 480), 2);
+    assert!(missed.len() <= 1, "of 10: {missed:#?}");
 }
 
 #[test]
