@@ -8,6 +8,7 @@ use crate::core::time::Timestamp;
 /// The order of a detector's keypoints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum KeypointFormat {
     /// OpenPose BODY_25.
     Body25,

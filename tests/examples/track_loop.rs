@@ -46,7 +46,7 @@ fn drive(tracker: &mut Tracker, solver: &mut Solver, input: Input) {
                 println!("{} ns: pelvis at {x:.3} {y:.3} {z:.3} m", pose.capture.ns());
             }
             Output::Event(event) => println!("{}: {}", event.kind.name(), event.detail),
-            Output::Keyframe(_) | Output::Window(_) => {}
+            _ => {}
         }
     }
 }

@@ -66,7 +66,7 @@ impl Timeline {
                 }
                 Output::Pose(pose) => self.poses.push(*pose),
                 Output::Event(event) => self.events.push(event),
-                Output::Skeleton(_) | Output::Keyframe(_) | Output::Window(_) => {}
+                _ => {}
             }
         }
     }

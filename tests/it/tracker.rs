@@ -62,7 +62,7 @@ fn run_with(
         Output::Window(window) => run.windows.push(*window),
         Output::Event(event) => *run.events.entry(event.kind).or_default() += event.count,
         Output::Skeleton(skeleton) => run.skeleton = Some(skeleton),
-        Output::Keyframe(_) | Output::Solve(_) => {}
+        _ => {}
     });
     run
 }

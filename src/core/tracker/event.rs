@@ -4,6 +4,7 @@ use crate::core::time::Timestamp;
 
 /// What happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[non_exhaustive]
 pub enum EventKind {
     /// Detections arrived after their window was closed; they are not used.
     Late,

@@ -120,6 +120,7 @@ pub struct Solution {
 
 /// The result of a job.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub enum Outcome {
     /// The performer was found.
     Acquired {
@@ -173,6 +174,7 @@ pub struct Tracked {
 
 /// Whether the poses of a window can be used, and if not, the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Verdict {
     /// The window was fitted to its detections.
     Tracked,

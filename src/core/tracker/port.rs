@@ -14,6 +14,7 @@ use crate::core::time::Timestamp;
 
 /// An input of the tracker.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub enum Input {
     /// A camera's detections.
     Detections(Detections),
@@ -37,6 +38,7 @@ pub enum Input {
 
 /// An output of the tracker.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub enum Output {
     /// A job to solve.
     Solve(Box<Job>),

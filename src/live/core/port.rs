@@ -33,6 +33,7 @@ pub struct Loss {
 
 /// An input of the core.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub enum Input {
     /// A message from the bus.
     Message {
