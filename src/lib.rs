@@ -50,7 +50,7 @@
 //!
 //! | module | parts | holds |
 //! |---|---|---|
-//! | [`core`] | `time`, `so3`, `linalg`, `random`, `detections`, `body`, `camera`, `association`, `calibration`, `optimise`, `manifold`, `cost`, `tracker`, `stage` | the solver: no input or output, no clock |
+//! | [`core`] | `time`, `so3`, `linalg`, `random`, `detections`, `points`, `body`, `camera`, `association`, `calibration`, `optimise`, `manifold`, `cost`, `tracker`, `stage` | the solver: no input or output, no clock |
 //! | [`io`] | `timecode`, `wire`, `new_file`, `recording`, `bus`, `formats`, `report` | messages, MCAP files, the bus, other programs' files, the report |
 //! | [`diagnose`] | | is a camera wrong, and how to fix it |
 //! | [`metrics`] | | errors of poses, reprojection, statistics |

@@ -12,7 +12,7 @@ use super::terminal::{complain, progress, say};
 use crate::io::formats::{Up, read_calibration};
 use crate::offline::{self, Recording};
 
-/// Judge the cameras of a recording: what is wrong, and what would mend it.
+/// Judge the cameras of a recording: what is wrong, and what would fix it.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Compares each camera with the others that agree, and prints the share of its points that are within

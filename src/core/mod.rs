@@ -11,6 +11,7 @@ pub mod limits;
 pub mod linalg;
 pub mod manifold;
 pub mod optimise;
+pub mod points;
 pub mod random;
 pub mod so3;
 pub mod stage;

@@ -7,9 +7,10 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::footage::{FITTED, Footage, LEAST_POINTS, POINTS, extent, median};
+use super::footage::{FITTED, Footage, LEAST_POINTS, POINTS};
 use super::reading::{Reading, View};
 use crate::core::camera::{Camera, Rig, triangulate, triangulate_robust};
+use crate::core::points::{extent, median};
 use crate::core::time::{Nanos, Timestamp};
 
 /// A point agrees with the others up to this error.

@@ -4,6 +4,7 @@ use nalgebra::Vector2;
 
 use crate::core::camera::Camera;
 use crate::core::detections::{Detections, Keypoint, KeypointFormat, Person};
+use crate::core::points::{CONFIDENT, extent, median};
 use crate::core::time::{Nanos, Timestamp};
 
 /// The points that are compared, those of [`FITTED`] first.
@@ -32,8 +33,6 @@ pub(super) const FITTED: usize = 13;
 pub(super) const LEAST_POINTS: usize = 6;
 /// The body's points come first in every format.
 const BODY_POINTS: usize = 26;
-/// Points of at most this confidence are not used.
-const CONFIDENT: f64 = 0.3;
 /// Frames are kept in sections of this length, every section of a camera with at most that many, every
 /// second one of a camera with more, and so on. Sections are counted from zero time, so that cameras
 /// with the same clock keep the same ones.
@@ -248,20 +247,4 @@ impl Footage {
 /// Whether two spans of time have a moment in common.
 pub(super) fn overlap(a: [Timestamp; 2], b: [Timestamp; 2]) -> bool {
     a[0] <= b[1] && b[0] <= a[1]
-}
-
-/// The longer side of the bounding box of some points.
-pub(super) fn extent(points: impl Iterator<Item = Vector2<f64>>) -> f64 {
-    let mut low = Vector2::repeat(f64::INFINITY);
-    let mut high = Vector2::repeat(f64::NEG_INFINITY);
-    for point in points {
-        (low, high) = (low.inf(&point), high.sup(&point));
-    }
-    (high - low).max().max(0.0)
-}
-
-/// The median, of an even number the upper one; `None` without values.
-pub(super) fn median(values: &mut [f64]) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }

@@ -10,24 +10,24 @@ use crate::core::time::Nanos;
 /// Frames by which a camera's time is shifted at most.
 const MOST_FRAMES: i64 = 30;
 
-/// What is wrong, and what mends it.
+/// What is wrong, and what fixes it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
     /// Name of the fault for programs, such as `image_mirrored`.
     pub cause: &'static str,
     /// What is wrong, for people.
     pub what: String,
-    /// What mends it; empty if that is not known.
-    pub mend: String,
+    /// What fixes it; empty if that is not known.
+    pub fix: String,
 }
 
 impl Finding {
     pub(super) fn new(
         cause: &'static str,
         what: impl Into<String>,
-        mend: impl Into<String>,
+        fix: impl Into<String>,
     ) -> Self {
-        Self { cause, what: what.into(), mend: mend.into() }
+        Self { cause, what: what.into(), fix: fix.into() }
     }
 }
 
@@ -112,10 +112,10 @@ pub(super) fn poses(reading: &Reading) -> Vec<Hypothesis> {
         (reading.camera.rotation, reading.camera.translation) = (rotation, translation);
         all.push(Hypothesis { finding, reading, weight: 1.0 });
     };
-    let mend = "write the pose that takes the world to the camera";
-    let finding = Finding::new("pose_inverted", "its pose takes the camera to the world", mend);
+    let fix = "write the pose that takes the world to the camera";
+    let finding = Finding::new("pose_inverted", "its pose takes the camera to the world", fix);
     add(finding, transposed, -(transposed * translation));
-    let finding = Finding::new("rotation_transposed", "its rotation is transposed", mend);
+    let finding = Finding::new("rotation_transposed", "its rotation is transposed", fix);
     add(finding, transposed, translation);
     let finding = Finding::new(
         "position_as_translation",
@@ -123,7 +123,7 @@ pub(super) fn poses(reading: &Reading) -> Vec<Hypothesis> {
         "write -R times it",
     );
     add(finding, rotation, -(rotation * translation));
-    let finding = Finding::new("translation_negated", "its translation has the wrong sign", mend);
+    let finding = Finding::new("translation_negated", "its translation has the wrong sign", fix);
     add(finding, rotation, -translation);
     let opengl = Matrix3::from_diagonal(&[1.0, -1.0, -1.0].into());
     let finding = Finding::new(
@@ -157,8 +157,8 @@ fn intrinsics(reading: &Reading) -> Vec<Hypothesis> {
     let mut all = Vec::new();
     if off.norm() > 0.05 * middle.norm() {
         let what = format!("its principal point is {:.0} px off the middle", off.norm());
-        let mend = format!("the middle of the image, ({}, {}), fits", middle.x, middle.y);
-        let finding = Finding::new("principal_point", what, mend);
+        let fix = format!("the middle of the image, ({}, {}), fits", middle.x, middle.y);
+        let finding = Finding::new("principal_point", what, fix);
         let mut other = camera.clone();
         other.centre = middle;
         all.push(hypothesis(finding, other, 1.0));
@@ -189,7 +189,7 @@ pub(super) fn times(reading: &Reading, period: Nanos) -> impl Iterator<Item = Hy
         let finding = Finding::new(
             "time_shift",
             format!("its capture times are {count} frames ({ms:.0} ms) {word}"),
-            format!("time_offset_ms = {offset:.1} in its calibration, or mend its clock"),
+            format!("time_offset_ms = {offset:.1} in its calibration, or fix its clock"),
         );
         let reading = Reading { late: reading.late + late, ..reading.clone() };
         Hypothesis { finding, reading, weight: 1.05 }

@@ -1,12 +1,12 @@
 //! Finds the faults: the reading of each camera with which most cameras agree.
 
 use super::consensus::{Consensus, Fit, Points, Scene};
-use super::footage::median;
 use super::hypotheses::{self, Finding, Hypothesis};
 use super::performer;
 use super::placement;
 use super::reading::Reading;
 use crate::core::camera::Camera;
+use crate::core::points::median;
 
 /// A camera below this error fits, whatever else would fit better.
 const FITS: f64 = 0.02;
@@ -77,13 +77,13 @@ pub(super) fn judge<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<
     found.extend(starts.map(|consensus| {
         let (findings, general) = (vec![None; n], Vec::new());
         let start = Judged { scene: scene.clone(), consensus, findings, general };
-        mend(start, cameras)
+        fix(start, cameras)
     }));
     found.into_iter().max_by(|a, b| a.score().total_cmp(&b.score()))
 }
 
 /// Undoes one fault after another.
-fn mend<'a>(mut judged: Judged<'a>, cameras: &[Camera]) -> Judged<'a> {
+fn fix<'a>(mut judged: Judged<'a>, cameras: &[Camera]) -> Judged<'a> {
     for _ in 0..judged.scene.cameras() {
         let explained = explain_all(&judged, cameras);
         let tried = explained.into_iter().filter_map(|(camera, hypothesis)| {
@@ -107,8 +107,8 @@ fn mend<'a>(mut judged: Judged<'a>, cameras: &[Camera]) -> Judged<'a> {
         let wrong = if judged.consensus.count() <= 2 { WRONG_OF_THREE } else { WRONG };
         if fit.error > wrong && fit.error > TIMES_OTHERS * usual {
             let what = "it disagrees with the others, cause not found";
-            let mend = "is it the calibration of this take, and does it see the same person?";
-            judged.findings[camera] = Some(Finding::new("disagrees", what, mend));
+            let fix = "is it the calibration of this take, and does it see the same person?";
+            judged.findings[camera] = Some(Finding::new("disagrees", what, fix));
         }
     }
     judged
@@ -198,7 +198,7 @@ fn exchanged<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
     let findings: Vec<Option<Finding>> = order.iter().enumerate().map(other).collect();
     let moved = findings.iter().flatten().count();
     let judged = Judged { scene, consensus, findings, general: Vec::new() };
-    let judged = mend(judged, cameras);
+    let judged = fix(judged, cameras);
     (moved > 0).then_some(judged)
 }
 
@@ -219,8 +219,8 @@ fn common<'a>(scene: &Scene<'a>) -> Option<Judged<'a>> {
         let readings = by_camera.iter().map(|all| all[k].reading.clone()).collect();
         let scene = scene.with(readings);
         let consensus = scene.agree()?;
-        let Finding { cause, what, mend } = &by_camera[0][k].finding;
-        let finding = Finding::new(cause, format!("of each camera: {what}"), &**mend);
+        let Finding { cause, what, fix } = &by_camera[0][k].finding;
+        let finding = Finding::new(cause, format!("of each camera: {what}"), &**fix);
         let findings = vec![None; scene.cameras()];
         Some(Judged { scene, consensus, findings, general: vec![finding] })
     });
@@ -258,8 +258,8 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
             let before = disagreement.unwrap_or(2.0 * DISAGREE);
             let explained = error < EXPLAINED * before && before - error > GAIN / 2.0;
             if explained && (1.2..2.3).contains(&height) {
-                let Finding { what, mend, .. } = hypothesis.finding;
-                let text = format!("camera {name}: {what} ({mend})");
+                let Finding { what, fix, .. } = hypothesis.finding;
+                let text = format!("camera {name}: {what} ({fix})");
                 options.push((error * hypothesis.weight, text, consensus));
             }
         }
@@ -270,9 +270,9 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
         && let Some((error, height, _)) = error(&tried)
         && error < FITS
         && (1.2..2.3).contains(&height)
-        && let Some(Finding { what, mend, .. }) = general.first()
+        && let Some(Finding { what, fix, .. }) = general.first()
     {
-        options.push((error, format!("{what} ({mend})"), consensus));
+        options.push((error, format!("{what} ({fix})"), consensus));
     }
     let readings = &scene.readings;
     let exchanged: Vec<Reading> =
@@ -291,11 +291,11 @@ fn pair<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<'a>> {
     let texts: Vec<String> =
         options.into_iter().take(MOST_OPTIONS).map(|option| option.1).collect();
     let what = "the two cameras disagree; which one is wrong is not known";
-    let mend = match texts.is_empty() {
+    let fix = match texts.is_empty() {
         true => "calibrate again; a third camera would tell".to_owned(),
         false => format!("they would agree without one of these: {}", texts.join("; ")),
     };
-    let general = if disagrees { vec![Finding::new("disagree", what, mend)] } else { Vec::new() };
+    let general = if disagrees { vec![Finding::new("disagree", what, fix)] } else { Vec::new() };
     let consensus = consensus.or_else(|| general.first().map(|_| Consensus::nobody(scene)))?;
     Some(judged(consensus, general))
 }

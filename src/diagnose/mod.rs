@@ -1,5 +1,5 @@
 //! Judges the cameras of a recording: what is wrong with their keypoints, calibrations and clocks, and
-//! what would mend it.
+//! what would fix it.
 //!
 //! Pairs of cameras propose where the performer is; the largest set of cameras that agree is believed.
 //! Known faults are undone on each other camera (its pixels, labels, calibration, time); the one
@@ -68,7 +68,7 @@ pub struct CameraCheck {
     /// Median distance of its points from where the others see them, pixels.
     pub error_px: Option<f64>,
     /// The same without its fault, if one is named.
-    pub mended_px: Option<f64>,
+    pub error_after_fix_px: Option<f64>,
     /// What is wrong; empty if it fits.
     pub findings: Vec<Finding>,
 }
@@ -84,8 +84,7 @@ impl Check {
         let wrong = self.cameras.iter().filter(|camera| !camera.findings.is_empty());
         let of_cameras =
             wrong.map(|camera| format!("camera {}: {}", camera.camera, camera.verdict()));
-        let others =
-            self.findings.iter().map(|Finding { what, mend, .. }| format!("{what}; {mend}"));
+        let others = self.findings.iter().map(|Finding { what, fix, .. }| format!("{what}; {fix}"));
         of_cameras.chain(others)
     }
 }
@@ -108,8 +107,8 @@ impl fmt::Display for Check {
         let height = self.performer_height_m;
         let height = height.map_or("not found".to_owned(), |height| format!("{height:.2} m high"));
         write!(f, "{:<width$}  {height}", "performer")?;
-        for Finding { what, mend, .. } in &self.findings {
-            write!(f, "\n{:<width$}  {what}; {mend}", "all")?;
+        for Finding { what, fix, .. } in &self.findings {
+            write!(f, "\n{:<width$}  {what}; {fix}", "all")?;
         }
         Ok(())
     }
@@ -126,10 +125,10 @@ impl CameraCheck {
             };
             return verdict.to_owned();
         }
-        let texts =
-            self.findings.iter().map(|Finding { what, mend, .. }| format!("{what}; {mend}"));
-        let mended = self.mended_px.map_or(String::new(), |px| format!(" (then {px:.0} px)"));
-        texts.collect::<Vec<_>>().join("; ") + &mended
+        let texts = self.findings.iter().map(|Finding { what, fix, .. }| format!("{what}; {fix}"));
+        let fixed =
+            self.error_after_fix_px.map_or(String::new(), |px| format!(" (then {px:.0} px)"));
+        texts.collect::<Vec<_>>().join("; ") + &fixed
     }
 }
 
@@ -142,7 +141,7 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             camera: rig.cameras[camera].name.clone(),
             agreeing_percent: None,
             error_px: None,
-            mended_px: None,
+            error_after_fix_px: None,
             findings: order::findings(frames, alone, &rig.cameras, camera),
         })
         .collect();
@@ -154,12 +153,12 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
         );
         return Check { performer_height_m: None, cameras, findings: vec![finding] };
     };
-    let Judged { scene: mended, consensus, findings, general } = &judged;
+    let Judged { scene: fixed, consensus, findings, general } = &judged;
     for (camera, row) in cameras.iter_mut().enumerate() {
-        let points = mended.points(consensus, Some(camera));
-        let fit = |scene: &Scene| mended.fit(camera, &scene.readings[camera], &points);
+        let points = fixed.points(consensus, Some(camera));
+        let fit = |scene: &Scene| fixed.fit(camera, &scene.readings[camera], &points);
         // A fault of all cameras is no camera's own.
-        if let Some(fit) = fit(if general.is_empty() { &scene } else { mended }) {
+        if let Some(fit) = fit(if general.is_empty() { &scene } else { fixed }) {
             // Errors behind the camera are infinite.
             row.error_px = Some(fit.px).filter(|px| px.is_finite());
             row.agreeing_percent = Some(100.0 * fit.share);
@@ -167,16 +166,17 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
         // A camera whose frames are wrong by themselves disagrees because of that.
         if let Some(finding) = findings[camera].as_ref().filter(|_| row.findings.is_empty()) {
             row.findings.push(finding.clone());
-            row.mended_px = fit(mended).map(|fit| fit.px).filter(|_| finding.cause != "disagrees");
+            row.error_after_fix_px =
+                fit(fixed).map(|fit| fit.px).filter(|_| finding.cause != "disagrees");
         }
     }
-    let points = mended.points(consensus, None);
+    let points = fixed.points(consensus, None);
     let mut general = general.clone();
     // Two cameras that disagree show no performer.
     if general.iter().all(|finding| finding.cause != "disagree") {
         general.extend(performer::findings(&points, consensus.count()));
     }
-    if let Some(finding) = wrong_format(mended, consensus, &points) {
+    if let Some(finding) = wrong_format(fixed, consensus, &points) {
         general = vec![finding];
     }
     Check { performer_height_m: performer::height_m(&points), cameras, findings: general }

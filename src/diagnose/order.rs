@@ -1,9 +1,10 @@
 //! What the frames of one camera say by themselves: missing people, repeated or shuffled frames, odd
 //! confidences.
 
-use super::footage::{APART, Footage, Track, median, overlap};
+use super::footage::{APART, Footage, Track, overlap};
 use super::hypotheses::Finding;
 use crate::core::camera::Camera;
+use crate::core::points::median;
 
 /// A share of frames that equal the one before. Detections of moving images always differ.
 const REPEATED: f64 = 0.3;
@@ -52,8 +53,8 @@ fn absent(footage: &Footage, cameras: &[Camera], camera: usize) -> Option<Findin
     }
     let frames = &footage.tracks[camera].frames;
     (!frames.is_empty() && frames.iter().all(|frame| frame.people.is_empty())).then(|| {
-        let mend = "check its detector, the keypoint format and what it looks at";
-        Finding::new("nobody", "it sees nobody in any frame", mend)
+        let fix = "check its detector, the keypoint format and what it looks at";
+        Finding::new("nobody", "it sees nobody in any frame", fix)
     })
 }
 
@@ -72,8 +73,8 @@ fn repeated(track: &Track) -> Option<Finding> {
         (pairs().filter(|pair| pair[0].people == pair[1].people).count(), pairs().count());
     (all >= LEAST_FRAMES && same as f64 > REPEATED * all as f64).then(|| {
         let what = format!("{} % of its frames repeat the one before", 100 * same / all);
-        let mend = "check that its detector runs, and the frame rate of its video";
-        Finding::new("repeated_frames", what, mend)
+        let fix = "check that its detector runs, and the frame rate of its video";
+        Finding::new("repeated_frames", what, fix)
     })
 }
 

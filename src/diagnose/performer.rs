@@ -3,9 +3,10 @@
 use nalgebra::Vector3;
 
 use super::consensus::Points;
-use super::footage::{POINTS, median};
+use super::footage::POINTS;
 use super::hypotheses::Finding;
 use crate::core::detections::Keypoint;
+use crate::core::points::median;
 use Keypoint::{
     LAnkle, LBigToe, LElbow, LHeel, LHip, LKnee, LShoulder, LWrist, RAnkle, RBigToe, RElbow, RHeel,
     RHip, RKnee, RShoulder, RWrist,
@@ -78,8 +79,8 @@ fn scale(height: f64) -> Option<Finding> {
         }
     };
     let what = format!("the performer is {height:.2} m high: {is}");
-    let mend = format!("divide all translations by {factor:.4}; metres are needed");
-    Some(Finding::new("scale", what, mend))
+    let fix = format!("divide all translations by {factor:.4}; metres are needed");
+    Some(Finding::new("scale", what, fix))
 }
 
 /// The trunk points along another axis than y.
@@ -89,14 +90,14 @@ fn upright(frames: &[Points]) -> Option<Finding> {
     let axis = (0..3).find(|axis| up[*axis].abs() > ALONG)?;
     let (sign, name) = (if up[axis] < 0.0 { "-" } else { "" }, ["x", "y", "z"][axis]);
     // A calibration with y up read as one with z up has its y along x, the reverse its z along z.
-    let mend = match (axis, up[axis] > 0.0) {
+    let fix = match (axis, up[axis] > 0.0) {
         (1, true) => return None,
         (0, true) => "import the calibration again with --up y",
         (2, true) => "import the calibration again with --up z",
         _ => "turn the calibration's world, if the performer is upright",
     };
     let what = format!("the performer is not upright: {sign}{name} points from hips to shoulders");
-    Some(Finding::new("up_axis", what, mend))
+    Some(Finding::new("up_axis", what, fix))
 }
 
 /// The feet point backwards if left and right are exchanged.
@@ -113,8 +114,8 @@ fn sides(frames: &[Points]) -> Option<Finding> {
     })?;
     (forwards < -0.3).then(|| {
         let what = "the feet point backwards: left and right are exchanged in all cameras";
-        let mend = "check the keypoint order, and whether all images or the world are mirrored";
-        Finding::new("sides_exchanged", what, mend)
+        let fix = "check the keypoint order, and whether all images or the world are mirrored";
+        Finding::new("sides_exchanged", what, fix)
     })
 }
 

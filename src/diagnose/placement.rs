@@ -4,9 +4,9 @@
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2, Vector3};
 
 use super::consensus::Match;
-use super::footage::median;
 use super::hypotheses::{Finding, Hypothesis};
 use super::reading::Reading;
+use crate::core::points::median;
 use crate::core::so3;
 
 const STEPS: usize = 15;
@@ -165,9 +165,9 @@ fn describe(before: &Reading, after: &Reading, free: &[Free], values: &[f64]) ->
             let [w, h] = [old.width, old.height].map(|size| f64::from(size) / factor(values[0]));
             let what = format!("its keypoints are of an image of {w:.0} x {h:.0}");
             let size = format!("{} x {}", old.width, old.height);
-            let mend =
+            let fix =
                 format!("multiply them by {:.3}; the calibration is for {size}", factor(values[0]));
-            (Finding::new("image_scaled", what, mend), 1.0)
+            (Finding::new("image_scaled", what, fix), 1.0)
         }
         [ScaleX, ..] | [ScaleY] => {
             let [x, y] = match free {
@@ -177,14 +177,14 @@ fn describe(before: &Reading, after: &Reading, free: &[Free], values: &[f64]) ->
             };
             let [w, h] = [f64::from(old.width) / x, f64::from(old.height) / y];
             let what = format!("its keypoints are of an image stretched to {w:.0} x {h:.0}");
-            let mend = format!("multiply x by {x:.3} and y by {y:.3}");
-            (Finding::new("image_stretched", what, mend), 1.0)
+            let fix = format!("multiply x by {x:.3} and y by {y:.3}");
+            (Finding::new("image_stretched", what, fix), 1.0)
         }
         [Focal] => {
             let times = 1.0 / factor(values[0]);
             let what = format!("its focal length is {times:.2} times the right one");
-            let mend = format!("divide it by {times:.3}, or calibrate it again (zoomed?)");
-            (Finding::new("focal_length", what, mend), 1.0)
+            let fix = format!("divide it by {times:.3}, or calibrate it again (zoomed?)");
+            (Finding::new("focal_length", what, fix), 1.0)
         }
         [Unit] => {
             let times = 1.0 / factor(values[0]);
@@ -194,12 +194,12 @@ fn describe(before: &Reading, after: &Reading, free: &[Free], values: &[f64]) ->
         [Centre(_), ..] => {
             let off = (new.centre - old.centre).norm();
             let what = format!("its principal point is {off:.0} px off");
-            let mend = format!("({:.0}, {:.0}) fits", new.centre.x, new.centre.y);
+            let fix = format!("({:.0}, {:.0}) fits", new.centre.x, new.centre.y);
             // A turn looks alike; a principal point far from the middle of the image decides.
             let middle = Vector2::new(f64::from(old.width), f64::from(old.height)) / 2.0;
             let nearer = (new.centre - middle).norm() < 0.5 * (old.centre - middle).norm();
             let favour = if nearer && off > 0.04 * f64::from(old.width) { 0.75 } else { 1.0 };
-            (Finding::new("principal_point", what, mend), favour)
+            (Finding::new("principal_point", what, fix), favour)
         }
         _ => {
             let degrees = so3::angle_between(&old.rotation, &new.rotation).to_degrees();

@@ -3,9 +3,10 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::footage::{Frame, POINTS, Track, extent};
+use super::footage::{Frame, POINTS, Track};
 use crate::core::camera::Camera;
 use crate::core::detections::{Keypoint, KeypointFormat};
+use crate::core::points::extent;
 use crate::core::time::{Nanos, Timestamp};
 
 /// A person in calibrated pixels, by index in [`POINTS`].

@@ -11,12 +11,10 @@ use serde::Serialize;
 use crate::core::body::{Attachment, Pose, Posture, Skeleton};
 use crate::core::camera::Camera;
 use crate::core::detections::{Detections, Keypoint, KeypointFormat, Person};
+use crate::core::points::CONFIDENT;
 use crate::core::time::Timestamp;
 use crate::metrics::statistics::median;
 use crate::metrics::{COMPARED, Distribution};
-
-/// Detected points of at most this confidence are excluded from reported errors.
-pub const CONFIDENT: f64 = 0.3;
 
 /// A person is the performer if the median distance of the limbs' points is below this fraction of
 /// the performer's height in the image.

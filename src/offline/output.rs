@@ -238,8 +238,8 @@ fn verdicts(check: &Check) -> Table {
         let [share, error] = [camera.agreeing_percent, camera.error_px].map(number);
         vec![camera.camera.clone(), share, error, camera.verdict()]
     };
-    let all = check.findings.iter().map(|Finding { what, mend, .. }| {
-        vec!["all".to_owned(), String::new(), String::new(), format!("{what}; {mend}")]
+    let all = check.findings.iter().map(|Finding { what, fix, .. }| {
+        vec!["all".to_owned(), String::new(), String::new(), format!("{what}; {fix}")]
     });
     Table {
         title: "Cameras beside each other".into(),

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use super::hold_out::CONFIDENT;
 use super::series::{Bin, Mean, Series};
+use crate::core::points::CONFIDENT;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{Residual, Verdict, WindowReport};
 use crate::metrics::Distribution;

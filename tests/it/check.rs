@@ -342,7 +342,7 @@ impl Fault {
         let right = match self.of_one {
             // Which of two cameras is wrong is not known: it must be among the proposed ones.
             _ if is_pair && found.findings.first().is_none_or(|f| f.cause == "disagree") => {
-                let text = found.findings.first().map_or("", |finding| &finding.mend);
+                let text = found.findings.first().map_or("", |finding| &finding.fix);
                 let name = &*take.rig.cameras[camera].name;
                 let words = |cause: &str| {
                     match cause {
@@ -539,10 +539,10 @@ fn the_named_time_offset_mends_the_camera() {
         late(&mut wrong, 1, frames);
         let found = wrong.check();
         let finding = found.cameras[1].findings.first().expect("a finding");
-        let offset = finding.mend.split_whitespace().nth(2).unwrap();
+        let offset = finding.fix.split_whitespace().nth(2).unwrap();
         wrong.camera(1).time_offset = Nanos::rounded(1e6 * offset.parse::<f64>().unwrap());
-        let mended = wrong.check();
-        assert!(mended.is_clean(), "{known_ms} {frames}:\n{found}\n{mended}");
+        let fixed = wrong.check();
+        assert!(fixed.is_clean(), "{known_ms} {frames}:\n{found}\n{fixed}");
     }
 }
 

@@ -378,7 +378,7 @@ fn a_fault_is_named_by_check_and_noted_by_solve() {
     let notes = String::from_utf8(solved.stderr).unwrap();
     assert!(notes.contains("note: camera cam02: its x coordinates are mirrored"), "{notes}");
     let summary: Value = serde_json::from_slice(&solved.stdout).unwrap();
-    assert!(summary.pointer("/check/cameras/1/findings/0/mend").is_some(), "{summary}");
+    assert!(summary.pointer("/check/cameras/1/findings/0/fix").is_some(), "{summary}");
     let report = fs::read_to_string(place.path("out/report.html")).unwrap();
     assert!(report.contains("its x coordinates are mirrored"));
 }

@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::parts::Points;
 use super::{Sight, View};
 use crate::core::detections::Keypoint as K;
+use crate::core::points::TRUNK_LENGTH;
 
 /// The points that are compared; every format has them.
 pub(super) const COMPARED: [K; 13] = [
@@ -34,8 +35,6 @@ const GAP_M: f64 = 0.10;
 const FAR_M: f64 = 0.25;
 /// Rays that meet at less than 3 degrees fix no depth: the square of the sine.
 const MIN_PARALLAX: f64 = 0.00274;
-/// Distance from hips to shoulders, metres.
-const TRUNK_LENGTH: Range<f64> = 0.25..0.85;
 /// Lengths of people, metres, with room for errors of two views.
 const BONES: [(K, K, Range<f64>); 10] = [
     (K::LShoulder, K::RShoulder, 0.12..0.60),

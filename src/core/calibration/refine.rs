@@ -14,8 +14,9 @@
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use serde::Serialize;
 
-use super::tracks::{LIMBS, Tracks, at, median};
+use super::tracks::{LIMBS, Tracks, at};
 use crate::core::camera::Camera;
+use crate::core::points::median;
 use crate::core::so3;
 use crate::core::time::Nanos;
 

@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use crate::core::body::{Attachment, Pose, Skeleton};
 use crate::core::camera::Camera;
 use crate::core::detections::{Detections, Keypoint, Person};
+use crate::core::points::{CONFIDENT, median};
 use crate::core::time::{Nanos, Timestamp};
 
 /// The collected points: those that detectors place best.
@@ -28,8 +29,6 @@ pub const LIMBS: [Keypoint; 12] = [
 const SECTION: Nanos = Nanos::from_ms(2000);
 /// More sections than this are thinned out to half.
 const MOST_SECTIONS: usize = 12;
-/// Points of at most this confidence are not used.
-const CONFIDENT: f64 = 0.3;
 /// A person is the performer if the median distance of the limbs is below this fraction of the
 /// performer's height in the image.
 const GATE: f64 = 0.25;
@@ -147,12 +146,6 @@ pub(super) fn performer<'d>(
 pub(super) fn pixel(person: &Person, frame: &Detections, limb: Keypoint) -> Option<Vector2<f64>> {
     let point = (*person.points.get(frame.format.index_of(limb)?)?)?;
     (point.confidence > CONFIDENT).then_some(point.pixel.coords)
-}
-
-/// The median, of an even number the upper one; `None` without values.
-pub(super) fn median(values: &mut [f64]) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// A local quadratic fit of each limb at each step of a section.

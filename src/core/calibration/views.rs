@@ -4,8 +4,9 @@ use nalgebra::{DMatrix, DVector};
 
 use super::epipolar::Pair;
 use super::normal::Normal;
-use super::tracks::{LIMBS, Track, at, median};
+use super::tracks::{LIMBS, Track, at};
 use crate::core::camera::Camera;
+use crate::core::points::median;
 
 /// Blocks in a section.
 const BLOCKS: usize = 4;

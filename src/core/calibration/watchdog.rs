@@ -10,10 +10,11 @@ use std::collections::VecDeque;
 
 use nalgebra::Vector2;
 
-use super::tracks::{LIMBS, median, performer, pixel};
+use super::tracks::{LIMBS, performer, pixel};
 use crate::core::body::{Attachment, Pose, Skeleton};
 use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
+use crate::core::points::median;
 use crate::core::time::{Nanos, Timestamp};
 
 /// Length of a section; its pattern is the median of those of its frames.

@@ -6,6 +6,7 @@ use super::lengths::Lengths;
 use crate::core::association::{Expectation, Gates, KEYPOINTS, LastSeen, Pixels, Points};
 use crate::core::camera::{Rig, View, triangulate_near, triangulate_robust};
 use crate::core::detections::Keypoint as K;
+use crate::core::points::extent;
 use crate::core::time::{Nanos, Timestamp};
 
 /// The points whose motion is the person's.
@@ -107,7 +108,8 @@ impl Person {
             return false;
         }
         let predicted = self.predicted(at);
-        let extents: Vec<f64> = views.iter().map(|(_, pixels)| extent(pixels)).collect();
+        let extents: Vec<f64> =
+            views.iter().map(|(_, pixels)| extent(pixels.iter().flatten().copied())).collect();
         let gate = gates.agree * extents.iter().fold(0.0, |a: f64, b| a.max(*b));
         let mut seen: Vec<View> = Vec::with_capacity(views.len());
         let found: Points = std::array::from_fn(|index| {
@@ -153,14 +155,6 @@ impl Person {
         self.at = at;
         is_seen
     }
-}
-
-/// Height or width in the image, whichever is larger, pixels.
-fn extent(pixels: &Pixels) -> f64 {
-    let seen = || pixels.iter().flatten();
-    let low = seen().fold(nalgebra::Vector2::repeat(f64::INFINITY), |a, b| a.inf(b));
-    let high = seen().fold(nalgebra::Vector2::repeat(f64::NEG_INFINITY), |a, b| a.sup(b));
-    (high - low).max().max(0.0)
 }
 
 /// Mean distance of the points that both have, metres. `None` without any.

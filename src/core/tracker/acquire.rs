@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::association::{extent, median, usable};
+use super::association::usable;
 use super::config::Config;
 use crate::core::body::{Attachment, BodyPoint, Pose, Skeleton};
 use crate::core::camera::{Rig, triangulate_robust};
@@ -13,6 +13,7 @@ use crate::core::cost::{
 use crate::core::detections::{Detections, Keypoint, Person};
 use crate::core::manifold::{Correction, Keyframe, LATENT, Latent, TimedKeyframe};
 use crate::core::optimise::Optimiser;
+use crate::core::points::{TRUNK_LENGTH, extent, median};
 use crate::core::time::Timestamp;
 
 /// People with fewer points are ignored.
@@ -21,8 +22,6 @@ const MIN_POINTS: usize = 6;
 const MOST_PEOPLE: usize = 8;
 /// Only this many pairs of people in two views are tried.
 const MOST_PAIRS: usize = 1000;
-/// Distance from hips to shoulders, metres. Outside this range the views show different people.
-const TRUNK_LENGTH: std::ops::Range<f64> = 0.25..0.85;
 /// Factor of the loss's scale and of the prior in the first stage.
 const FIRST_STAGE: f64 = 5.0;
 /// Number of samples of the prior that a fit starts from.
@@ -75,7 +74,7 @@ impl Candidate {
             }
             errors.push(error);
         }
-        (errors.len() >= MIN_POINTS).then(|| (median(&mut errors), support))
+        median(&mut errors).filter(|_| errors.len() >= MIN_POINTS).map(|error| (error, support))
     }
 }
 

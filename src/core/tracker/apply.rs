@@ -180,8 +180,8 @@ impl Tracker {
                     }
                     None => "it sees nobody where the performer is".to_owned(),
                 };
-                let mend = "put it back or publish a new calibration";
-                (Some(camera), format!("moved: {by}, it is left out; {mend}"))
+                let fix = "put it back or publish a new calibration";
+                (Some(camera), format!("moved: {by}, it is left out; {fix}"))
             }
             Finding::FitsAgain(camera) => (Some(camera), "fits again and is used".to_owned()),
             Finding::OneMoved(cameras, pixels) => {

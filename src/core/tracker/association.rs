@@ -12,6 +12,7 @@ use crate::core::body::{BodyPoint, Pose, Skeleton};
 use crate::core::camera::{Camera, Rig};
 use crate::core::cost::{FrameObservations, Observation};
 use crate::core::detections::{Detections, Person};
+use crate::core::points::{extent, median};
 use crate::core::time::{Nanos, Timestamp};
 
 /// Frames closer in time than this are merged: cameras on one clock differ by microseconds,
@@ -20,17 +21,6 @@ const SAME_TIME: Nanos = Nanos::new(100_000);
 
 /// The expected pixel of each fitted keypoint of the performer in a view.
 type Expected = Vec<Option<Vector2<f64>>>;
-
-/// Height of a set of points in the image, pixels: the longer side of their bounding box.
-pub(super) fn extent(points: impl Iterator<Item = Vector2<f64>>) -> f64 {
-    let mut low = Vector2::repeat(f64::INFINITY);
-    let mut high = Vector2::repeat(f64::NEG_INFINITY);
-    for point in points {
-        low = low.inf(&point);
-        high = high.sup(&point);
-    }
-    (high - low).max().max(0.0)
-}
 
 /// The performer's observations in `frames` (in order of capture time), grouped by capture time.
 /// Each view is followed from its projection of `pose`.
@@ -109,7 +99,7 @@ impl Follower<'_> {
                 Some((seen.pixel.coords - (*expected)?).norm())
             })
             .collect();
-        (distances.len() >= 3).then(|| median(&mut distances))
+        median(&mut distances).filter(|_| distances.len() >= 3)
     }
 
     fn nearest(
@@ -135,13 +125,4 @@ pub(super) fn usable<'p>(
 ) -> Option<&'p crate::core::detections::Detection> {
     let seen = person.points.get(point.index)?.as_ref()?;
     (seen.confidence >= config.min_confidence).then_some(seen)
-}
-
-/// The median; of an even count, the upper of the two in the middle.
-pub(super) fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

@@ -8,7 +8,7 @@
 
 use std::collections::VecDeque;
 
-use super::association::median;
+use crate::core::points::median;
 use crate::core::time::{Nanos, Timestamp};
 
 /// Usual frame rates; a measured rate is replaced by one if it fits no other.
@@ -231,12 +231,12 @@ impl Line {
             (count as f64, (pair[1].1 - pair[0].1).ns() as f64)
         });
         let mut times: Vec<f64> = steps.clone().map(|(_, time)| time).collect();
-        let counted = steps.clone().filter(|(count, _)| *count != 0.0);
-        let mut by_count: Vec<f64> = counted.map(|(count, time)| time / count).collect();
-        let step = median(&mut times);
-        let is_counted =
-            2 * by_count.len() > times.len() && SAME_STEP.contains(&(median(&mut by_count) / step));
-        let nominal = if is_counted { median(&mut by_count) } else { step };
+        let counting = steps.clone().filter(|(count, _)| *count != 0.0);
+        let mut by_count: Vec<f64> = counting.map(|(count, time)| time / count).collect();
+        let step = median(&mut times)?;
+        let counted = median(&mut by_count).unwrap_or(0.0);
+        let is_counted = 2 * by_count.len() > times.len() && SAME_STEP.contains(&(counted / step));
+        let nominal = if is_counted { counted } else { step };
         if nominal <= 0.0 {
             return None;
         }
@@ -318,7 +318,7 @@ pub struct UnitCheck {
 
 impl UnitCheck {
     /// Adds the capture time of a camera's next frame. Returns what is wrong with the last ones and how
-    /// to mend it.
+    /// to fix it.
     pub fn add(&mut self, capture: Timestamp) -> Option<String> {
         self.times.push_back(capture);
         if self.times.len() <= STEPS {

@@ -4,7 +4,7 @@
 //! carry half the information, so the weights of prior and stiffness are proportional to the variance.
 //! They are also proportional to the mean confidence: a detector's scale of confidences has no meaning.
 
-use super::association::median;
+use crate::core::points::median;
 use crate::core::time::Timestamp;
 
 /// Number of windows that the running mean covers, about.
@@ -52,7 +52,7 @@ impl Noise {
             return self;
         }
         let typical = |error: fn(&Residual) -> f64| {
-            median(&mut residuals.iter().map(error).collect::<Vec<_>>())
+            median(&mut residuals.iter().map(error).collect::<Vec<_>>()).unwrap_or(0.0)
         };
         let (error, relative) = (typical(|r| r.error_px), typical(|r| r.error_relative));
         let windows = (self.windows + 1.0).min(WINDOWS);

@@ -1,6 +1,5 @@
 //! The verdict on a window: whether enough was seen, and the quality of the fit.
 
-use super::association::{extent, median};
 use super::config::Gate;
 use super::job::{Job, Verdict};
 use super::noise::Residual;
@@ -8,6 +7,7 @@ use crate::core::body::{BodyPoint, Pose, Skeleton};
 use crate::core::camera::Rig;
 use crate::core::cost::FrameObservations;
 use crate::core::manifold::{self, TimedKeyframe};
+use crate::core::points::{extent, median};
 
 /// A view counts if it shows this many points per frame.
 const MIN_VIEW: usize = 4;
@@ -32,7 +32,8 @@ pub(super) fn hidden(gate: &Gate, job: &Job, observations: &[FrameObservations])
 
 /// The verdict on a solved window, from its residuals and its codes.
 pub(super) fn verdict(gate: &Gate, keyframes: &[TimedKeyframe], residuals: &[Residual]) -> Verdict {
-    let median_error = median(&mut residuals.iter().map(|r| r.error_relative).collect::<Vec<_>>());
+    let median_error =
+        median(&mut residuals.iter().map(|r| r.error_relative).collect::<Vec<_>>()).unwrap_or(0.0);
     if median_error > gate.lost_residual {
         return Verdict::Lost(format!(
             "median residual is {median_error:.3} of the performer's height, above {}",

@@ -76,7 +76,7 @@ impl Base {
     /// The kind of the clock, in words, and what to do; for frames that come after `delay`.
     pub(crate) fn describe(self, delay: Nanos) -> String {
         let by = self.value.seconds().abs();
-        let mend =
+        let fix =
             "synchronise cameras and node (PTP or NTP), or poses are late by an unknown delay";
         match self.kind() {
             _ if Self::is_early(delay) => format!(
@@ -88,11 +88,11 @@ impl Base {
             "tai" => format!(
                 "the cameras use TAI, 37 s ahead of the node's UTC, frames come after {delay:.1}"
             ),
-            "drifting" => format!("the cameras' clock drifts against the node's; {mend}"),
-            "foreign" => format!("the cameras' clock has another epoch than the node's; {mend}"),
+            "drifting" => format!("the cameras' clock drifts against the node's; {fix}"),
+            "foreign" => format!("the cameras' clock has another epoch than the node's; {fix}"),
             kind => {
                 let than = if kind == "ahead" { "ahead of" } else { "behind" };
-                format!("the cameras' clock is {by:.3} s {than} the node's; {mend}")
+                format!("the cameras' clock is {by:.3} s {than} the node's; {fix}")
             }
         }
     }

@@ -9,6 +9,7 @@ use super::points::{Region, along, difficulty, limb_of, mirrored};
 use crate::core::body::{Posture, Skeleton};
 use crate::core::camera::Camera;
 use crate::core::detections::{Detection, Detections, Keypoint, KeypointFormat, Person};
+use crate::core::points::extent;
 use crate::core::random::Draws;
 use crate::core::time::Timestamp;
 
@@ -122,7 +123,7 @@ impl<'a> Detector<'a> {
                 self.camera.project(&self.believed(keypoint, skeleton, posture))
             })
             .collect();
-        let size = extent(&exact);
+        let size = extent(exact.iter().flatten().copied());
         let mut points = vec![None; self.format.len()];
         for (index, exact) in exact.iter().enumerate() {
             let at = At { frame, seconds, keypoint: self.format.keypoints()[index], size, base };
@@ -263,12 +264,4 @@ fn stranger(draws: Draws) -> Posture {
     pose.root_position = turn * pose.root_position;
     pose.root_rotation = turn * super::motion::about_y(1.5) * pose.root_rotation;
     pose.posture(&skeleton)
-}
-
-/// The larger side of the bounding box of the points, pixels.
-fn extent(points: &[Option<Vector2<f64>>]) -> f64 {
-    let seen = || points.iter().flatten();
-    let low = seen().fold(Vector2::repeat(f64::MAX), |a, b| a.inf(b));
-    let high = seen().fold(Vector2::repeat(f64::MIN), |a, b| a.sup(b));
-    (high - low).max().max(0.0)
 }

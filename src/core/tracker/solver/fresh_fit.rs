@@ -7,7 +7,7 @@ use super::keyframes::between;
 use super::known::Known;
 use crate::core::body::{BodyPoint, Skeleton};
 use crate::core::cost::{FrameObservations, Loss};
-use crate::core::tracker::association::median;
+use crate::core::points::median;
 use crate::core::tracker::job::{Job, Outcome};
 use crate::core::tracker::verdict::residuals;
 
@@ -62,7 +62,7 @@ impl Solver {
                 .filter(|r| r.point == point && r.camera == camera)
                 .map(|r| r.error_px)
                 .collect();
-            median(&mut errors) > FAR * cost.scale_px
+            median(&mut errors).is_some_and(|error| error > FAR * cost.scale_px)
         };
         let far = |point: &&BodyPoint| {
             (0..job.rig.cameras.len()).filter(|&camera| is_far(point.index, camera)).count() >= 2
