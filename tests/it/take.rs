@@ -35,10 +35,11 @@ impl Studio {
         Self { folder, node, options: vec!["--connect".into(), address] }
     }
 
-    fn over_iceoryx2(prefix: &Prefix) -> Self {
+    fn over_iceoryx2(prefix: &Prefix, settings: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let config = folder.path().join("studio.toml").display().to_string();
-        std::fs::write(&config, format!("[bus.iceoryx2]\nprefix = \"{}\"\n", prefix.0)).unwrap();
+        let prefix = format!("{settings}[bus.iceoryx2]\nprefix = \"{}\"\n", prefix.0);
+        std::fs::write(&config, prefix).unwrap();
         let mut command = Command::new(PROGRAM);
         let mut node = Program::start(command.args(["run", &config, "--bus", "iceoryx2"]));
         assert!(node.has_said("listening: iceoryx2"));
@@ -158,21 +159,44 @@ fn a_take_over_zenoh_is_replayed_byte_for_byte() {
     a_take_is_replayed(|| Studio::over_zenoh(""), &walk(), &["actor"]);
 }
 
+const SEVERAL: &str = "[stage]\nperformers = \"auto\"\n";
+
+/// A recording of several performers.
+fn crowd(folder: &Path, options: &str) -> PathBuf {
+    let path = folder.join("crowd.mcap");
+    let mut synth = Command::new(PROGRAM);
+    let options = options.split_whitespace();
+    printed("synth", &synth.args(["synth", "--out"]).arg(&path).args(options).output().unwrap());
+    path
+}
+
 #[test]
 fn a_take_of_several_performers_is_replayed_byte_for_byte() {
     let folder = tempfile::tempdir().unwrap();
-    let pair = folder.path().join("pair.mcap");
-    let mut synth = Command::new(PROGRAM);
-    let options = ["--performers", "2", "--seconds", "3", "--noise", "clean"];
-    printed("synth", &synth.args(["synth", "--out"]).arg(&pair).args(options).output().unwrap());
-    let several = "[stage]\nperformers = \"auto\"\n";
-    a_take_is_replayed(|| Studio::over_zenoh(several), &pair, &["p1", "p2"]);
+    let pair = crowd(folder.path(), "--performers 2 --seconds 3 --noise clean");
+    a_take_is_replayed(|| Studio::over_zenoh(SEVERAL), &pair, &["p1", "p2"]);
+}
+
+/// At a low frame rate: it is about the number of topics.
+#[test]
+fn ten_performers_before_eight_cameras_have_room_in_shared_memory() {
+    let (folder, prefix) = (tempfile::tempdir().unwrap(), Prefix::new());
+    let options = "--performers 10 --cameras 8 --fps 20 --seconds 4 --noise clean";
+    let played = crowd(folder.path(), options);
+    let (_folder, path, _) = Studio::over_iceoryx2(&prefix, SEVERAL).take(&played);
+    let entries = entries(&path);
+    for performer in 1..=10 {
+        let topics = Topics::new("stage", &format!("p{performer}")).unwrap();
+        let poses = of::<Pose>(&entries, &topics.pose()).len();
+        assert!(poses > 20, "p{performer}: {poses} poses");
+    }
+    assert_eq!(prefix.leftovers(), Vec::<String>::new());
 }
 
 #[test]
 fn a_take_over_iceoryx2_is_replayed_byte_for_byte() {
     let prefix = Prefix::new();
-    a_take_is_replayed(|| Studio::over_iceoryx2(&prefix), &walk(), &["actor"]);
+    a_take_is_replayed(|| Studio::over_iceoryx2(&prefix, ""), &walk(), &["actor"]);
     assert_eq!(prefix.leftovers(), Vec::<String>::new());
 }
 
