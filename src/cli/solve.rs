@@ -36,7 +36,7 @@ poses.p1.bvh and poses.p1.states.csv, poses.p2.bvh ...
 The recording is streamed: memory does not grow with its length. Percentiles are exact up to
 131072 values (points or windows), and within 0.05 % above that.
 
-Exit code 6: windows are lost, or the recording is damaged. All solvable parts are written; lost
+Exit code 6: windows fit badly, or the recording is damaged. All solvable parts are written; lost
 poses are flagged.
 
 Examples:
@@ -64,7 +64,7 @@ pub(super) struct Arguments {
     /// Manifold weights of `bundlemocap train`; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
-    /// Calibration to use instead of the recording's, such as one of `sync` or `calibrate`.
+    /// Calibration to use instead of the recording's, such as one of `calibrate`.
     #[arg(long, value_name = "FILE")]
     rig: Option<PathBuf>,
     /// Up axis of the world of --rig: y or z.
@@ -162,7 +162,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         overwrite: arguments.overwrite,
         no_sync: arguments.no_sync,
         timecode: times.house(),
-        config_toml: Some(config.to_toml()),
+        config_toml: Some(Config { timecode: times.timecode().clone(), ..config }.to_toml()),
     };
     let mut progress = Progress(progress(options.passes() * recording.messages(), "messages"));
     let group = solve_group(&mut recording, &options, &mut progress)?;
@@ -254,8 +254,14 @@ fn ended(arguments: &Arguments, performers: Performers, one: &PerformerSummary) 
     // Who enters late, leaves or is hidden is not lost.
     if lost > hidden {
         parts.push(format!("{} of {windows} windows fit badly", lost - hidden));
-    } else if *hidden > 0 {
-        let text = format!("{of}not seen well enough in {hidden} of {windows} windows");
+    }
+    let without = summary.windows_without_performer;
+    if *hidden > 0 {
+        let searched = match without {
+            0 => String::new(),
+            _ => format!(", and not found in {without} more"),
+        };
+        let text = format!("{of}not seen well enough in {hidden} of {windows} windows{searched}");
         complain("note", &text);
     }
     parts.extend(summary.damage.first().cloned());

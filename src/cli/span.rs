@@ -5,7 +5,7 @@ use std::path::Path;
 use clap::Args;
 
 use super::failure::{Exit, Failure};
-use crate::config::Config;
+use crate::config::{Config, TimecodeConfig};
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::recording::{METADATA, RawEntry, Reader};
 use crate::io::timecode::House;
@@ -55,6 +55,7 @@ pub(super) struct Times {
     first: Timestamp,
     /// The timecode of the settings, or else of those of the recording or its node.
     house: Option<House>,
+    timecode: TimecodeConfig,
 }
 
 impl Times {
@@ -62,12 +63,11 @@ impl Times {
         let mut reader = Reader::open(path)?;
         let ours = reader.metadata().get(METADATA).and_then(|ours| ours.get("config"));
         let theirs = ours.and_then(|toml| Config::parse(toml, path).ok());
-        let house = |config: &Config| config.timecode.house();
-        let house = match config.map(house).transpose()?.flatten() {
-            Some(house) => Some(house),
-            None => theirs.as_ref().map(house).transpose()?.flatten(),
-        };
-        let (mut house, mut first) = (house, None::<RawEntry>);
+        let of = |config: &Config| config.timecode.clone();
+        let given = config.map(of).filter(|timecode| timecode.house().is_ok_and(|h| h.is_some()));
+        let mut timecode = given.or_else(|| theirs.as_ref().map(of)).unwrap_or_default();
+        let mut first = None::<RawEntry>;
+        let mut house = timecode.house()?;
         while let Some(entry) = reader.next_raw().transpose()? {
             let is_late = |first: &RawEntry| entry.log_time - first.log_time > SEARCHED;
             if first.as_ref().is_some_and(|first| house.is_some() || is_late(first)) {
@@ -75,16 +75,24 @@ impl Times {
             }
             match &*entry.schema {
                 KeypointFrame::FULL_NAME | Pose::FULL_NAME => first = first.or(Some(entry)),
-                Journal::FULL_NAME if house.is_none() => house = of_node(&entry.payload),
+                Journal::FULL_NAME if house.is_none() => {
+                    timecode = of_node(&entry.payload).unwrap_or_default();
+                    house = timecode.house()?;
+                }
                 _ => {}
             }
         }
-        Ok(Self { first: first.as_ref().and_then(captured).unwrap_or_default(), house })
+        Ok(Self { first: first.as_ref().and_then(captured).unwrap_or_default(), house, timecode })
     }
 
     /// The timecode, if there is one.
     pub(super) fn house(&self) -> Option<House> {
         self.house
+    }
+
+    /// Its settings.
+    pub(super) fn timecode(&self) -> &TimecodeConfig {
+        &self.timecode
     }
 
     /// The capture time of a number of seconds since the first frame, or of a timecode.
@@ -123,12 +131,12 @@ fn captured(entry: &RawEntry) -> Option<Timestamp> {
 }
 
 /// The timecode of the node whose journal begins with that part.
-fn of_node(part: &[u8]) -> Option<House> {
+fn of_node(part: &[u8]) -> Option<TimecodeConfig> {
     let start = match decode::<Journal>(part).ok()?.entries.into_iter().next()?.input? {
         Input::Start(start) => start,
         _ => return None,
     };
-    Config::parse(&start.config, Path::new("the journal")).ok()?.timecode.house().ok()?
+    Some(Config::parse(&start.config, Path::new("the journal")).ok()?.timecode)
 }
 
 #[cfg(test)]
@@ -139,13 +147,16 @@ mod tests {
     fn times_are_seconds_or_timecodes() {
         let first = Timestamp::from_ns(1_795_252_800_000_000_000);
         let house = House::new("25", "10:00:00:00 at 1795252790.0").ok();
-        let times = Times { first, house };
+        let times = Times { first, house, timecode: TimecodeConfig::default() };
         let after = |text: &str| times.time(text).map(|at| (at - first).ns());
         assert_eq!(after("1.5"), Ok(1_500_000_000));
         assert_eq!(after("10:00:11:05"), Ok(1_200_000_000));
         assert!(after("10:00:00:25").is_err() && after("-1").is_err() && after("x").is_err());
         assert!(
-            Times { first, house: None }.time("10:00:00:00").unwrap_err().contains("[timecode]")
+            Times { first, house: None, timecode: TimecodeConfig::default() }
+                .time("10:00:00:00")
+                .unwrap_err()
+                .contains("[timecode]")
         );
     }
 }

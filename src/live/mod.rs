@@ -2,7 +2,7 @@
 //!
 //! [`Core`] does no I/O: its inputs are messages, solutions and time; its outputs are jobs and
 //! publications. The threads around it: the bus fills bounded queues ([`Intake`]), the node loop
-//! passes inputs and outputs, one thread solves, and one thread publishes poses when they are due
+//! passes inputs and outputs, others solve, and one thread publishes poses when they are due
 //! ([`Schedule`]).
 
 pub(crate) mod clock;

@@ -237,6 +237,25 @@ fn a_new_calibration_holds_for_everybody() {
 }
 
 #[test]
+fn who_is_in_a_world_with_another_origin_keeps_the_name() {
+    let stage = Stage::new(2, 4, 9);
+    let mut messages = stage.all();
+    let mut rig = stage.studio.rig.clone();
+    rig.version += 1;
+    for camera in &mut rig.cameras {
+        camera.translation -= camera.rotation * nalgebra::Vector3::new(0.8, 0.0, 0.0);
+    }
+    let payload = encode(&wire::Rig::from_core(&rig));
+    messages.push(Sent { arrival: at(4.0), topic: Topics::default().rig(), payload });
+    let world = stage.play(messages, 9.0);
+    assert_eq!((count(&world, "entered"), count(&world, "reentered")), (2, 2));
+    for performer in 0..2 {
+        let (gap, last) = longest_gap(&world, performer, 6.0);
+        assert!(gap < 0.02 && last > 8.5, "p{}: {gap}, {last}", performer + 1);
+    }
+}
+
+#[test]
 fn bodies_that_are_forgotten_are_estimated_again_and_everybody_keeps_the_name() {
     let stage = Stage::new(2, 4, 8);
     let reset = wire::Take { action: "reset".to_owned(), ..wire::Take::default() };

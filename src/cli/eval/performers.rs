@@ -43,8 +43,7 @@ pub(super) fn run(asked: &Arguments) -> Result<(), Failure> {
         {
             let meeting = Meeting { people: number.into(), distance: Some(distance) };
             let view = View { seed, ..setup.view(level)? };
-            let solved =
-                Solved::new(meeting, &view, setup.protocol.sequence.seconds, folder.path())?;
+            let solved = Solved::new(meeting, &view, &setup, folder.path())?;
             rows.push(solved.row(number, seed));
             results.push(solved.json(number, seed));
         }
@@ -83,7 +82,8 @@ struct Solved {
 }
 
 impl Solved {
-    fn new(meeting: Meeting, view: &View, seconds: f64, folder: &Path) -> Result<Self, Failure> {
+    fn new(meeting: Meeting, view: &View, setup: &Setup, folder: &Path) -> Result<Self, Failure> {
+        let seconds = setup.protocol.sequence.seconds;
         let rig = meeting.rig(view.rig.cameras.len())?;
         let person = |person: usize| {
             let (skeleton, motion) = meeting.person(person, view.seed);
@@ -101,7 +101,8 @@ impl Solved {
             &Provenance::default(),
             || {},
         )?;
-        let options = Options { performers: Performers::Auto, ..Options::default() };
+        let alone = Options { decoder: Some(setup.decoder.clone()), ..Options::default() };
+        let options = Options { performers: Performers::Auto, ..alone.clone() };
         let group = solve_group(&mut Recording::open(&path)?, &options, &mut ())?;
         let mut alone_mm = Vec::new();
         for number in 0..meeting.people {
@@ -110,7 +111,7 @@ impl Solved {
             let mut one = person(number);
             one.seed = view.seed.wrapping_add((number as u64) << 32);
             Crowd::alone(one).write(&path, &Provenance::default(), || {})?;
-            let alone = solve(&mut Recording::open(&path)?, &Options::default(), &mut ())?;
+            let alone = solve(&mut Recording::open(&path)?, &alone, &mut ())?;
             alone_mm.push(alone.truth.map(|truth| truth.mpjpe_mm));
         }
         bar.finish_and_clear();

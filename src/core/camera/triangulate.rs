@@ -102,7 +102,9 @@ pub fn triangulate_near(
             |i: usize| (point - rig.cameras[views[i].0].centre_in_world()).try_normalize(1e-6);
         let first = ray(0);
         let parallax = |i: usize| first.zip(ray(i)).map_or(0.0, |(a, b)| a.cross(&b).norm());
-        if (1..views.len()).any(|i| parallax(i) > libm::sin(MIN_PARALLAX))
+        // Without a step, the expectation would count as seen.
+        if point != start
+            && (1..views.len()).any(|i| parallax(i) > libm::sin(MIN_PARALLAX))
             && let Some(found) = agreed(rig, views, &all, point, threshold_px)
         {
             return Some(found);

@@ -30,8 +30,9 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::body::{Skeleton, TrackingState};
-use super::camera::Rig;
+use super::camera::{Camera, Rig};
 use super::detections::Detections;
+use super::so3;
 use super::time::{Nanos, Timestamp};
 use super::tracker::{
     self, Effort, Event, EventKind, FramePeriod, Job, Latency, Solution, Tracker,
@@ -40,6 +41,10 @@ pub use config::{Config, Performers, PerformersError};
 pub use crowd::Crowd;
 pub use people::{Change, Claimed, FrameSet, Known, Owner};
 pub use performer_id::PerformerId;
+
+/// A camera that a new calibration moves and turns by less is in its place.
+const SAME_PLACE_M: f64 = 0.1;
+const SAME_PLACE_RAD: f64 = 0.035;
 
 /// An input of the stage. Solutions go to [`Stage::solved`].
 #[derive(Clone, Debug)]
@@ -261,12 +266,13 @@ impl Stage {
             Input::Detections(frame) => crowd.add(frame.clone()),
             Input::Restart => crowd.restart(Arc::clone(crowd.rig())),
             Input::Forget => {}
-            Input::Rig(rig) if rig.has_cameras_of(crowd.rig()) => {
-                crowd.set_rig(shifted(rig, &self.corrections));
-            }
             Input::Rig(rig) => {
-                self.corrections = vec![Nanos::ZERO; rig.cameras.len()];
-                crowd.restart(Arc::clone(rig));
+                if !rig.has_cameras_of(crowd.rig()) {
+                    self.corrections = vec![Nanos::ZERO; rig.cameras.len()];
+                }
+                let is_same_world = is_same_world(rig, crowd.rig());
+                let rig = shifted(rig, &self.corrections);
+                if is_same_world { crowd.set_rig(rig) } else { crowd.restart(rig) }
             }
             Input::Tick(now) => crowd.tick(*now),
             Input::End => crowd.end(),
@@ -410,6 +416,16 @@ impl Stage {
             }
         }
     }
+}
+
+/// Whether most cameras are where they were, so that people are too.
+fn is_same_world(rig: &Rig, before: &Rig) -> bool {
+    let stays = |(now, then): &(&Camera, &Camera)| {
+        (now.centre_in_world() - then.centre_in_world()).norm() < SAME_PLACE_M
+            && so3::angle_between(&now.rotation, &then.rotation) < SAME_PLACE_RAD
+    };
+    let both = rig.cameras.iter().zip(&before.cameras);
+    rig.has_cameras_of(before) && 2 * both.filter(stays).count() > rig.cameras.len()
 }
 
 /// The cameras with these times added to their offsets.

@@ -33,9 +33,9 @@ pub(super) struct Idle {
 }
 
 impl Idle {
-    /// The same after the clock has jumped: times before that mean nothing.
-    pub(super) fn restarted(self) -> Self {
-        Self { resumed: None, unseen: None, ..self }
+    /// The clock has jumped: times before that mean nothing.
+    pub(super) fn clock_jumped(&mut self) {
+        (self.resumed, self.unseen) = (None, None);
     }
 }
 

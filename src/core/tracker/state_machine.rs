@@ -276,7 +276,10 @@ impl Tracker {
             Input::Detections(frame) => self.add(frame),
             Input::Tick(now) => self.now = self.now.max(Some(now)),
             Input::Rig(rig) => self.calibrate(rig),
-            Input::Restart => self.restart(),
+            Input::Restart => {
+                self.restart();
+                self.idle.clock_jumped();
+            }
             Input::Complete(until) => self.complete = self.complete.max(Some(until)),
             Input::End => {
                 for frame in self.intake.release() {
@@ -446,7 +449,7 @@ impl Tracker {
     fn restart(&mut self) {
         let fresh = Self::new(self.config, Arc::clone(&self.rig));
         let old = std::mem::replace(self, fresh);
-        (self.live, self.idle) = (old.live, old.idle.restarted());
+        (self.live, self.idle) = (old.live, old.idle);
         (self.is_fed, self.stagger) = (old.is_fed, old.stagger);
         (self.offsets, self.watchdog) = (old.offsets, old.watchdog);
         self.left_out = old.left_out;

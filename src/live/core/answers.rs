@@ -23,6 +23,9 @@ const PROVISIONAL: Nanos = Nanos::from_ms(8);
 const OVERDUE: Nanos = Nanos::from_ms(60);
 const SEARCH: Nanos = Nanos::from_ms(250);
 
+/// No latency falls by more. A pose that leaves later than that after the next one was of another clock.
+const MOST_HELD: Nanos = Nanos::SECOND;
+
 impl Core {
     pub(super) fn solved(&mut self, performer: PerformerId, solution: Solution, took: Nanos) {
         self.took = took;
@@ -194,7 +197,8 @@ impl Core {
         let due = pose.capture + latency;
         let leaves = self.clock.node_time(due);
         // Where the latency falls, no pose overtakes another.
-        let held = (self.performer(performer).leaves - leaves).max(Nanos::ZERO);
+        let ahead = self.performer(performer).leaves - leaves;
+        let held = if (Nanos::ZERO..MOST_HELD).contains(&ahead) { ahead } else { Nanos::ZERO };
         let Some(message) = self.pose_message(performer, pose, Some(due + held)) else { return };
         let performer = self.performer(performer);
         performer.poses.published += 1;
@@ -275,9 +279,6 @@ impl Core {
 
     /// An event of the cameras, which concerns all performers.
     fn camera_event(&mut self, event: &Event) {
-        if event.kind == EventKind::Deadline {
-            self.performers.iter_mut().for_each(|performer| performer.windows.incomplete());
-        }
         self.emit_of(event, None);
     }
 

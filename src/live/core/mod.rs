@@ -172,6 +172,7 @@ impl Core {
                 self.give_up_start();
                 for (performer, solution, took) in std::mem::take(&mut self.held) {
                     self.solved(performer, solution, took);
+                    self.drain();
                 }
                 self.give(stage::Input::End);
             }
