@@ -24,7 +24,7 @@ use crate::io::wire::{DecodeError, ENCODING, Topics, schema_of};
 Without --actor it prints the messages of every performer. A line starts with the time of arrival (UTC)
 and the topic. Latency is arrival minus capture time on the clock of this computer. A final pose also
 shows its declared latency, and how early or late it arrived relative to its due time: capture time plus
-declared latency.
+declared latency, or later where the latency has just fallen.
 
 With --json the fields of `message` have the names of schemas/*.proto. States are names; run ids and
 hashes are hexadecimal.
