@@ -60,7 +60,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance)?;
     let (mut performers, mut decoded) =
         (BTreeMap::<Arc<str>, Performer>::new(), Decoded::default());
-    let timecode = Times::of(&arguments.file, None)?.house();
+    let timecode = Times::of(&arguments.file, None)?.house;
     let new = || Performer { timecode, last: None, skeleton: None };
     while let Some(entry) = reader.next() {
         let entry = entry?;

@@ -161,8 +161,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         out: Some(arguments.out.clone()),
         overwrite: arguments.overwrite,
         no_sync: arguments.no_sync,
-        timecode: times.house(),
-        config_toml: Some(Config { timecode: times.timecode().clone(), ..config }.to_toml()),
+        timecode: times.house,
+        config_toml: Some(Config { timecode: times.timecode.clone(), ..config }.to_toml()),
     };
     let mut progress = Progress(progress(options.passes() * recording.messages(), "messages"));
     let group = solve_group(&mut recording, &options, &mut progress)?;

@@ -54,8 +54,9 @@ pub(super) struct Times {
     /// Capture time of the first frame or pose.
     first: Timestamp,
     /// The timecode of the settings, or else of those of the recording or its node.
-    house: Option<House>,
-    timecode: TimecodeConfig,
+    pub(super) house: Option<House>,
+    /// The settings of that timecode.
+    pub(super) timecode: TimecodeConfig,
 }
 
 impl Times {
@@ -83,16 +84,6 @@ impl Times {
             }
         }
         Ok(Self { first: first.as_ref().and_then(captured).unwrap_or_default(), house, timecode })
-    }
-
-    /// The timecode, if there is one.
-    pub(super) fn house(&self) -> Option<House> {
-        self.house
-    }
-
-    /// Its settings.
-    pub(super) fn timecode(&self) -> &TimecodeConfig {
-        &self.timecode
     }
 
     /// The capture time of a number of seconds since the first frame, or of a timecode.

@@ -1,16 +1,16 @@
-//! What is measured of points in an image in more than one place.
+//! Measures and limits of points that several modules share.
 
 use std::ops::Range;
 
 use nalgebra::Vector2;
 
-/// Detections of a higher confidence are right as a rule.
+/// Points of at most this confidence are not used to judge cameras, tracks and errors.
 pub const CONFIDENT: f64 = 0.3;
 
 /// Distance from hips to shoulders of a person, metres.
 pub const TRUNK_LENGTH: Range<f64> = 0.25..0.85;
 
-/// The longer side of the bounding box of some points; 0 without any.
+/// The longer side of the bounding box of some points, in their unit; 0 without any.
 pub fn extent(points: impl Iterator<Item = Vector2<f64>>) -> f64 {
     let mut low = Vector2::repeat(f64::INFINITY);
     let mut high = Vector2::repeat(f64::NEG_INFINITY);

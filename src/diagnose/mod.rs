@@ -4,8 +4,8 @@
 //! Pairs of cameras propose where the performer is; the largest set of cameras that agree is believed.
 //! Known faults are undone on each other camera (its pixels, labels, calibration, time); the one
 //! that makes it agree is named. If the cameras that agree are no majority, exchanged calibrations and
-//! faults of all cameras are tried too: the fewest faults that make most cameras agree on a performer of
-//! human size, upright, with feet forwards, win. With two cameras nothing tells which one is wrong; all
+//! faults of all cameras are tried too. The fewest faults win that make most cameras agree on a performer
+//! of human size, upright, with feet forwards. With two cameras nothing tells which one is wrong; all
 //! that makes them agree is listed.
 //!
 //! [`Evidence`] is of one performer at some instants. Of several people, each camera's detection of the

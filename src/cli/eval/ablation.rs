@@ -14,8 +14,8 @@ use crate::research::experiments::{Run, View};
 /// One table per factor, at the first noise level.
 pub(super) fn run(asked: &Ablation) -> Result<(), Failure> {
     let factors = factors(&asked.factors)?;
-    let setup = Setup::new(&asked.views, Some(&asked.motions))?;
-    let level = asked.views.noise.first().map_or("studio", String::as_str);
+    let setup = Setup::new(&asked.motions)?;
+    let level = asked.motions.views.noise.first().map_or("studio", String::as_str);
     let view = setup.view(level)?;
     let mut report = ReportData {
         title: "Ablation of our settings".into(),
@@ -35,7 +35,7 @@ pub(super) fn run(asked: &Ablation) -> Result<(), Failure> {
         "level": level,
         "factors": results,
     });
-    write(&asked.views.output.out, &report, &results)
+    write(&asked.motions.views.output.out, &report, &results)
 }
 
 fn factors(names: &[String]) -> Result<Vec<(&str, Factor)>, Failure> {

@@ -51,8 +51,6 @@ pub(super) struct Methods {
     pub(super) named: Named,
     #[command(flatten)]
     pub(super) motions: Motions,
-    #[command(flatten)]
-    pub(super) views: Views,
     /// Compare the detector errors of this recording with the noise levels.
     #[arg(long, value_name = "FILE")]
     pub(super) beside: Option<PathBuf>,
@@ -110,8 +108,6 @@ pub(super) struct Drift {
     pub(super) named: Named,
     #[command(flatten)]
     pub(super) motions: Motions,
-    #[command(flatten)]
-    pub(super) views: Views,
 }
 
 /// Measure the live tracker's final poses at declared latencies, in simulated time, and provisional ones.
@@ -127,8 +123,6 @@ pub(super) struct Latencies {
     pub(super) latencies: Vec<f64>,
     #[command(flatten)]
     pub(super) motions: Motions,
-    #[command(flatten)]
-    pub(super) views: Views,
 }
 
 /// Vary our settings one at a time.
@@ -140,8 +134,6 @@ pub(super) struct Ablation {
     pub(super) factors: Vec<String>,
     #[command(flatten)]
     pub(super) motions: Motions,
-    #[command(flatten)]
-    pub(super) views: Views,
 }
 
 /// Search a method's weights, on the subjects that are not named.
@@ -151,8 +143,6 @@ pub(super) struct Tune {
     pub(super) method: String,
     #[command(flatten)]
     pub(super) motions: Motions,
-    #[command(flatten)]
-    pub(super) views: Views,
 }
 
 /// Which methods.
@@ -164,9 +154,11 @@ pub(super) struct Named {
     pub(super) methods: Vec<String>,
 }
 
-/// Which motions.
+/// Which motions, and how they are seen.
 #[derive(Debug, Args)]
 pub(super) struct Motions {
+    #[command(flatten)]
+    pub(super) views: Views,
     /// Folder of BVH clips with the motions; default: a procedural motion.
     #[arg(long, value_name = "DIR")]
     pub(super) motions: Option<PathBuf>,
@@ -232,12 +224,12 @@ impl What {
     pub(super) fn output(&self) -> &Output {
         match self {
             Self::Recording(recording) => &recording.output,
-            Self::Methods(Methods { views, .. })
-            | Self::Performers(Performers { views, .. })
-            | Self::Drift(Drift { views, .. })
-            | Self::Latencies(Latencies { views, .. })
-            | Self::Ablation(Ablation { views, .. })
-            | Self::Tune(Tune { views, .. }) => &views.output,
+            Self::Performers(performers) => &performers.views.output,
+            Self::Methods(Methods { motions, .. })
+            | Self::Drift(Drift { motions, .. })
+            | Self::Latencies(Latencies { motions, .. })
+            | Self::Ablation(Ablation { motions, .. })
+            | Self::Tune(Tune { motions, .. }) => &motions.views.output,
         }
     }
 }

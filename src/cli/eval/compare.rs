@@ -28,9 +28,9 @@ struct Level {
 
 /// Solves with every method at each noise level; prints and writes the tables.
 pub(super) fn compare(asked: &Methods, names: &[String]) -> Result<(), Failure> {
-    let setup = Setup::new(&asked.views, Some(&asked.motions))?;
+    let setup = Setup::new(&asked.motions)?;
     let mut levels = Vec::new();
-    for level in &asked.views.noise {
+    for level in &asked.motions.views.noise {
         levels.push(solve(&setup, setup.view(level)?, names)?);
     }
     let mut report = ReportData {
@@ -63,7 +63,7 @@ pub(super) fn compare(asked: &Methods, names: &[String]) -> Result<(), Failure> 
     report.plots.push(plots::detector_spectrum(&detectors));
     report.plots.push(plots::detector_confidence(&detectors));
     report.tables.push(detector_table(&detectors));
-    write(&asked.views.output.out, &report, &results(&setup, &levels))
+    write(&asked.motions.views.output.out, &report, &results(&setup, &levels))
 }
 
 fn solve(setup: &Setup, view: View, names: &[String]) -> Result<Level, Failure> {

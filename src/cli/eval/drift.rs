@@ -12,14 +12,14 @@ use crate::research::experiments::{Case, drift, methods, plots};
 /// Solves one long take at each noise level.
 pub(super) fn run(asked: &Drift, names: &[String]) -> Result<(), Failure> {
     let minutes = within("minutes", asked.minutes, 0.5, 600.0)?;
-    let setup = Setup::new(&asked.views, Some(&asked.motions))?;
+    let setup = Setup::new(&asked.motions)?;
     let mut report = ReportData {
         title: format!("Drift over {minutes} minutes"),
         subtitle: setup.subtitle(),
         ..ReportData::default()
     };
     let mut levels = Vec::new();
-    for level in &asked.views.noise {
+    for level in &asked.motions.views.noise {
         let view = setup.view(level)?;
         let case = Case::endless(&setup.subjects, &view, 60.0 * minutes).ok_or_else(|| {
             let message = "no motion is long enough; name other subjects with --subjects";
@@ -44,5 +44,5 @@ pub(super) fn run(asked: &Drift, names: &[String]) -> Result<(), Failure> {
         "protocol": setup.protocol,
         "levels": levels,
     });
-    write(&asked.views.output.out, &report, &results)
+    write(&asked.motions.views.output.out, &report, &results)
 }

@@ -24,14 +24,14 @@ pub(super) fn names(latencies: &[f64]) -> Result<Vec<String>, Failure> {
 pub(super) fn run(asked: &Latencies) -> Result<(), Failure> {
     let names = names(&asked.latencies)?;
     let make = || names.iter().filter_map(|name| methods::named(name)).collect();
-    let setup = Setup::new(&asked.views, Some(&asked.motions))?;
+    let setup = Setup::new(&asked.motions)?;
     let mut report = ReportData {
         title: "Live poses by latency".into(),
         subtitle: setup.subtitle(),
         ..ReportData::default()
     };
     let (mut levels, mut curves) = (Vec::new(), Vec::new());
-    for level in &asked.views.noise {
+    for level in &asked.motions.views.noise {
         let view = setup.view(level)?;
         let run = setup.solve(level, &setup.cases(&view), &make)?;
         let summaries = summaries(&run, run.rows.len() - 1);
@@ -48,5 +48,5 @@ pub(super) fn run(asked: &Latencies) -> Result<(), Failure> {
         "protocol": setup.protocol,
         "levels": levels,
     });
-    write(&asked.views.output.out, &report, &results)
+    write(&asked.motions.views.output.out, &report, &results)
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::arguments::Performers as Arguments;
+use super::arguments;
 use super::output::write;
 use super::setup::{Setup, within};
 use crate::cli::failure::{Exit, Failure};
@@ -22,9 +22,9 @@ use crate::research::synth::{self, Crowd, Meeting};
 type AnyMotion = Box<dyn Fn(f64) -> Pose>;
 
 /// Solves crowds of these numbers of people at each noise level.
-pub(super) fn run(asked: &Arguments) -> Result<(), Failure> {
+pub(super) fn run(asked: &arguments::Performers) -> Result<(), Failure> {
     let distance = within("--meet", asked.meet, 0.2, 1.5)?;
-    let setup = Setup::new(&asked.views, None)?;
+    let setup = Setup::without_clips(&asked.views)?;
     let folder = tempfile::tempdir().map_err(|error| {
         Failure::new(Exit::Unexpected, format!("cannot make a folder: {error}"))
     })?;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde_json::json;
 
-use super::arguments::Recording as Arguments;
+use super::arguments;
 use super::output::write;
 use crate::cli::failure::{Exit, Failure};
 use crate::cli::solve::decoder;
@@ -69,7 +69,7 @@ impl Loaded {
 }
 
 /// Solves with every method; without named hold-outs, also without each camera in turn.
-pub(super) fn run(asked: &Arguments, names: &[String]) -> Result<(), Failure> {
+pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), Failure> {
     let path = &asked.file;
     let decoder = decoder(asked.output.weights.as_deref())?;
     let trc = asked.reference.as_deref().map(Trc::read).transpose()?;

@@ -32,14 +32,19 @@ pub(super) struct Setup {
 }
 
 impl Setup {
-    /// Reads protocol, weights, rigs and motions; without `motions` there are procedural ones.
-    pub(super) fn new(views: &Views, motions: Option<&Motions>) -> Result<Self, Failure> {
-        Self::of(views, motions, false)
+    /// Reads protocol, weights, rigs and motions.
+    pub(super) fn new(motions: &Motions) -> Result<Self, Failure> {
+        Self::of(&motions.views, Some(motions), false)
     }
 
     /// The same with the clips of all subjects that are not named.
-    pub(super) fn of_others(views: &Views, motions: &Motions) -> Result<Self, Failure> {
-        Self::of(views, Some(motions), true)
+    pub(super) fn of_others(motions: &Motions) -> Result<Self, Failure> {
+        Self::of(&motions.views, Some(motions), true)
+    }
+
+    /// Reads protocol, weights and rigs; the motions are procedural.
+    pub(super) fn without_clips(views: &Views) -> Result<Self, Failure> {
+        Self::of(views, None, false)
     }
 
     fn of(views: &Views, motions: Option<&Motions>, others: bool) -> Result<Self, Failure> {

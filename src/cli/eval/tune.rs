@@ -17,9 +17,9 @@ pub(super) fn run(asked: &Tune) -> Result<(), Failure> {
         let message = format!("{method} has no weights to tune; use one of {known}");
         return Err(Failure::new(Exit::Usage, message));
     }
-    let setup = Setup::of_others(&asked.views, &asked.motions)?;
+    let setup = Setup::of_others(&asked.motions)?;
     let mut levels = Vec::new();
-    for level in &asked.views.noise {
+    for level in &asked.motions.views.noise {
         levels.push((level.as_str(), setup.cases(&setup.view(level)?)));
     }
     let trials = tune(method, |methods| {
@@ -43,5 +43,5 @@ pub(super) fn run(asked: &Tune) -> Result<(), Failure> {
         "levels": names,
         "trials": trials,
     });
-    write(&asked.views.output.out, &report, &results)
+    write(&asked.motions.views.output.out, &report, &results)
 }

@@ -1,4 +1,4 @@
-//! What several commands share that talk to a running node.
+//! What the commands that talk to a running node share.
 
 mod disturb;
 pub mod inbox;

@@ -15,7 +15,7 @@ const SAMPLED_PAIRS: usize = 66;
 const MIN_PARALLAX: f64 = 0.017453292519943295;
 /// Gauss-Newton steps after the linear solution; it converges in two or three.
 const REFINEMENTS: usize = 5;
-/// A point that moves by less is found, metres, where an earlier one tells where to start.
+/// [`triangulate_near`] ends with a step that is shorter than this, metres.
 const CLOSE_M: f64 = 1e-6;
 
 /// What one camera saw: its index in the rig, the pixel, and the confidence in (0, 1].
@@ -84,8 +84,8 @@ pub fn triangulate_robust(
     refine_on_inliers(rig, views, &rays, &usable, best, threshold_px)
 }
 
-/// As [`triangulate_robust`], of a point that is expected near `start`: if Gauss-Newton from there leads
-/// to a point with which all views agree, that is the result, which saves the linear solution.
+/// As [`triangulate_robust`], for a point that is expected near `start` (world, metres). Gauss-Newton
+/// starts there. If all views agree with its result, no linear solution is needed.
 pub fn triangulate_near(
     rig: &Rig,
     views: &[View],
@@ -102,7 +102,7 @@ pub fn triangulate_near(
             |i: usize| (point - rig.cameras[views[i].0].centre_in_world()).try_normalize(1e-6);
         let first = ray(0);
         let parallax = |i: usize| first.zip(ray(i)).map_or(0.0, |(a, b)| a.cross(&b).norm());
-        // Without a step, the expectation would count as seen.
+        // Without a step, the expected point would count as a measured one.
         if point != start
             && (1..views.len()).any(|i| parallax(i) > libm::sin(MIN_PARALLAX))
             && let Some(found) = agreed(rig, views, &all, point, threshold_px)
@@ -260,7 +260,7 @@ fn well_posed(
 }
 
 /// Steps on sum confidence |pixel - projection|^2, kept only while they bring it down, until one is
-/// shorter than `close`.
+/// shorter than `close`, metres.
 fn gauss_newton(
     rig: &Rig,
     views: &[View],

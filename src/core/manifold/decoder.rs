@@ -78,7 +78,8 @@ impl Decoder {
         self.fingerprint
     }
 
-    /// Samples of the prior with their poses, always the same, at the origin.
+    /// 512 samples of the prior on codes, with their poses. They are always the same. The root is at the
+    /// origin and not rotated.
     pub fn samples(&self) -> &[(Latent, Pose)] {
         self.samples.get_or_init(|| {
             let keyframe = |n| Keyframe {

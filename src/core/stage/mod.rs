@@ -42,7 +42,7 @@ pub use crowd::Crowd;
 pub use people::{Change, Claimed, FrameSet, Known, Owner};
 pub use performer_id::PerformerId;
 
-/// A camera that a new calibration moves and turns by less is in its place.
+/// A camera keeps its place if a new calibration moves and turns it by less, metres and radians.
 const SAME_PLACE_M: f64 = 0.1;
 const SAME_PLACE_RAD: f64 = 0.035;
 
@@ -418,7 +418,7 @@ impl Stage {
     }
 }
 
-/// Whether most cameras are where they were, so that people are too.
+/// Whether most cameras keep their place. Then the places of tracked people hold too.
 fn is_same_world(rig: &Rig, before: &Rig) -> bool {
     let stays = |(now, then): &(&Camera, &Camera)| {
         (now.centre_in_world() - then.centre_in_world()).norm() < SAME_PLACE_M

@@ -33,7 +33,7 @@ pub(super) struct Idle {
 }
 
 impl Idle {
-    /// The clock has jumped: times before that mean nothing.
+    /// Forgets times of before a clock jump.
     pub(super) fn clock_jumped(&mut self) {
         (self.resumed, self.unseen) = (None, None);
     }

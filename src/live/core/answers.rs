@@ -23,7 +23,8 @@ const PROVISIONAL: Nanos = Nanos::from_ms(8);
 const OVERDUE: Nanos = Nanos::from_ms(60);
 const SEARCH: Nanos = Nanos::from_ms(250);
 
-/// No latency falls by more. A pose that leaves later than that after the next one was of another clock.
+/// The latency never falls by more. If the last pose leaves later than this, its due time is of another
+/// clock.
 const MOST_HELD: Nanos = Nanos::SECOND;
 
 impl Core {
@@ -196,7 +197,7 @@ impl Core {
         let Some(latency) = self.latency.declared() else { return };
         let due = pose.capture + latency;
         let leaves = self.clock.node_time(due);
-        // Where the latency falls, no pose overtakes another.
+        // No pose overtakes another where the latency falls.
         let ahead = self.performer(performer).leaves - leaves;
         let held = if (Nanos::ZERO..MOST_HELD).contains(&ahead) { ahead } else { Nanos::ZERO };
         let Some(message) = self.pose_message(performer, pose, Some(due + held)) else { return };

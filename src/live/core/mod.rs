@@ -80,7 +80,8 @@ pub struct Core {
     jobs: usize,
     /// The take that begins as soon as no job is out.
     starting: Option<wire::Take>,
-    /// The solutions since: their windows would end in the take.
+    /// Solutions that came while that take waits. If it begins, they are dropped: their windows are of
+    /// this run.
     held: Vec<(PerformerId, Solution, Nanos)>,
     /// Name of the take that runs, or empty.
     running: String,
