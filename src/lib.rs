@@ -111,6 +111,7 @@
 #![cfg_attr(not(test), deny(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 #[cfg(feature = "cli")]
+#[doc(hidden)]
 pub mod cli;
 #[cfg(feature = "live")]
 pub mod config;
@@ -121,6 +122,7 @@ pub mod io;
 pub mod live;
 pub mod metrics;
 pub mod offline;
+/// What the evaluation uses; it may change in any version.
 #[cfg(feature = "research")]
 pub mod research;
 pub mod retarget;

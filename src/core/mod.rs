@@ -1,17 +1,27 @@
 //! The solver, without I/O and without a clock.
+//!
+//! What the documentation does not list is for the crate's own use and its tests, and may change in any
+//! version.
 
+#[doc(hidden)]
 pub mod association;
 pub mod body;
 pub mod calibration;
 pub mod camera;
 pub mod cost;
 pub mod detections;
+#[doc(hidden)]
 pub mod fnv;
+#[doc(hidden)]
 pub mod limits;
+#[doc(hidden)]
 pub mod linalg;
 pub mod manifold;
+#[doc(hidden)]
 pub mod optimise;
+#[doc(hidden)]
 pub mod points;
+#[doc(hidden)]
 pub mod random;
 pub mod so3;
 pub mod stage;

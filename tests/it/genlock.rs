@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use bundlemocap::core::body::{Posture, Skeleton, TrackingState};
-use bundlemocap::core::detections::Detections;
+use bundlemocap::core::body::{Posture, Skeleton, TrackingState, fitted_points};
+use bundlemocap::core::detections::{Detections, KeypointFormat};
 use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::time::{Grid, Nanos, Timestamp};
-use bundlemocap::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
+use bundlemocap::core::tracker::{self, Config, Output, Solver, Tracker, run_to_end};
 use bundlemocap::metrics::pose_errors;
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
@@ -102,4 +102,39 @@ fn one_camera_at_half_the_rate_of_the_others_works() {
     let error = walk.error_mm(mixed);
     println!("MPJPE: four cameras at 60 {all:.2} mm, one at 30 and three at 60 {error:.2} mm");
     assert!(error < all + 2.0, "{error} mm against {all} mm");
+}
+
+#[test]
+fn spread_shutters_share_decodings() {
+    let (skeleton, format) = (Skeleton::default(), KeypointFormat::Halpe26);
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    let of_motion = motion.clone();
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let mut recording = Recording::new(rig, skeleton, move |s| of_motion.pose(s));
+    (recording.frames, recording.fps, recording.stagger) = (60, 60.0, 0.8);
+    (recording.noise, recording.format) = (Noise::none(), format);
+    let mut frames: Vec<Detections> = recording.detections().collect();
+    frames.sort_by_key(|frame| frame.capture);
+    let (points, skeleton) = (fitted_points(format), &recording.skeleton);
+    let start = motion.pose(0.0);
+    let period = Nanos::rounded(1e9 / 60.0);
+    let (all, rig) = (frames.iter(), &recording.rig);
+    let shared = tracker::follow(all, period, &points, rig, &start, skeleton, &Config::default());
+    // The first frame of each camera has none before it.
+    assert!(shared.len() <= 60 + 3, "{} times of 60 frame sets", shared.len());
+    let mut errors = Vec::new();
+    for frame in &shared {
+        let pose = motion.pose(frame.capture.ns() as f64 * 1e-9);
+        let posture = pose.posture(skeleton);
+        for seen in frame.observations() {
+            let at = points[seen.point].attachment.position(&posture, skeleton);
+            let pixel = recording.rig.cameras[seen.camera].project(&at).unwrap();
+            errors.push((pixel - seen.pixel).norm());
+        }
+    }
+    assert_eq!(errors.len(), frames.len() * points.len());
+    errors.sort_by(f64::total_cmp);
+    let (median, most) = (errors[errors.len() / 2], errors[errors.len() - 1]);
+    println!("{} times; off by {median:.3} px, at most {most:.2} px", shared.len());
+    assert!(median < 0.05 && most < 2.0, "{median} px, {most} px");
 }

@@ -562,7 +562,7 @@ fn run_names_a_port_in_use() {
 
 #[test]
 fn the_bench_runs_a_node_and_ends_it() {
-    let arguments = "bench latency --seconds 4 --noise jitter --json";
+    let arguments = "bench latency --seconds 2 --noise jitter --json";
     let (code, text, error) = program(&arguments.split(' ').collect::<Vec<_>>());
     assert_eq!(code, Some(0), "{error}");
     let figures: serde_json::Value = serde_json::from_str(&text).unwrap();

@@ -144,19 +144,19 @@ fn one_bad_camera_stops_nobody() {
     for (name, kind, fault) in faults {
         let mut kinds = BTreeMap::new();
         for people in [1, 4] {
-            let stage = Stage::new(people, 5, 8);
+            let stage = Stage::new(people, 5, 6);
             let messages = stage.messages(|frame| {
                 let is_wrong = frame.camera == 2 && frame.capture >= at(3.0);
                 if is_wrong { fault(&stage, frame) } else { Some(stage.studio.message(frame)) }
             });
-            let world = stage.play(messages, 8.0);
+            let world = stage.play(messages, 6.0);
             let found = of_cameras(&world, 3.0);
             let camera = Some(stage.studio.rig.cameras[2].name.clone());
             assert!(found.contains(&(kind.to_owned(), camera.clone())), "{name}: {found:?}");
             assert!(found.iter().all(|(_, of)| of.is_none() || *of == camera), "{name}: {found:?}");
             for performer in (0..people).filter(|_| people > 1) {
                 let (gap, last) = longest_gap(&world, performer, 4.0);
-                assert!(gap < 0.1 && last > 7.5, "{name}, p{}: {gap}, {last}", performer + 1);
+                assert!(gap < 0.1 && last > 5.5, "{name}, p{}: {gap}, {last}", performer + 1);
             }
             kinds.insert(people, found);
         }

@@ -172,6 +172,9 @@ pub(super) struct Motions {
     /// Use every Nth clip.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(super) every: usize,
+    /// Sequences solved in parallel; solve times are comparable only with 1.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(super) jobs: usize,
 }
 
 /// Cameras and detectors, and how they are solved.
@@ -200,9 +203,6 @@ pub(super) struct Views {
     /// Seed of all random draws; replaces the seeds of the protocol, [1].
     #[arg(long)]
     pub(super) seed: Option<u64>,
-    /// Sequences solved in parallel; solve times are comparable only with 1.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub(super) jobs: usize,
     #[command(flatten)]
     pub(super) output: Output,
 }

@@ -56,11 +56,17 @@ impl Setup {
         })?;
         let folder = motions.and_then(|motions| motions.motions.as_deref());
         if protocol.sequence.body == Body::Foreign && folder.is_none() {
-            let message = "foreign bodies are the skeletons of clips; give clips with --motions";
+            let message = match motions {
+                Some(_) => "foreign bodies are the skeletons of clips; give clips with --motions",
+                None => {
+                    "foreign bodies are the skeletons of clips, which are not used here; set body"
+                }
+            };
             return Err(Failure::new(Exit::Usage, message));
         }
         let of_name = |name: &String| rig(name, views.h36m.as_deref()).map(Arc::new);
-        let every = motions.map_or(1, |motions| motions.every.max(1));
+        let (every, jobs) = motions.map_or((1, 1), |motions| (motions.every.max(1), motions.jobs));
+        within("--jobs", jobs as f64, 1.0, 64.0)?;
         let subjects = match folder {
             Some(folder) => subjects(&clips(folder, &protocol.subjects, others, every)?),
             None => procedural(PROCEDURAL.div_ceil(every), seconds),
@@ -74,7 +80,7 @@ impl Setup {
             subjects: usable(subjects, &protocol),
             rigs: protocol.rigs.iter().map(of_name).collect::<Result<_, _>>()?,
             format,
-            jobs: views.jobs,
+            jobs,
             protocol,
         })
     }
@@ -189,7 +195,6 @@ fn protocol(views: &Views, motions: Option<&Motions>) -> Result<Protocol, Failur
     if let Some(seed) = views.seed {
         protocol.seeds = vec![seed];
     }
-    within("--jobs", views.jobs as f64, 1.0, 64.0)?;
     Ok(protocol)
 }
 

@@ -9,8 +9,11 @@ mod keypoints;
 mod pose;
 mod skeleton;
 
-pub use forward::{Posture, Tangents, Wrenches, forward, push_forward};
+pub use forward::Posture;
+#[doc(hidden)]
+pub use forward::{Tangents, Wrenches, forward, push_forward};
 pub use joints::{BODY_JOINTS, FASTEST, FEET, JOINTS, Joint};
+#[doc(hidden)]
 pub use keypoint_offsets::{KeypointOffsets, OFFSETS, OffsetPrior, SYMMETRIC_OFFSETS};
 pub use keypoints::{Attachment, BodyPoint, fitted_points};
 pub use pose::{Pose, StampedPose, TrackingState};

@@ -14,9 +14,12 @@ mod tracks;
 mod views;
 mod watchdog;
 
+#[doc(hidden)]
 pub use live_offsets::LiveOffsets;
 pub use normal::OffsetVerdict;
 pub use refine::{Correction, refine};
 pub use time_offsets::{TimeOffset, time_offsets};
+#[doc(hidden)]
 pub use tracks::{LIMBS, Tracks};
+#[doc(hidden)]
 pub use watchdog::{Finding, Watchdog};

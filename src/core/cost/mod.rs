@@ -27,13 +27,21 @@ mod unknowns;
 mod workspace;
 
 pub use config::Config;
+#[doc(hidden)]
 pub use correction::CorrectionProblem;
+#[doc(hidden)]
 pub use counts::Counts;
+#[doc(hidden)]
 pub use marginal::Marginal;
+#[doc(hidden)]
 pub use observation::{FrameObservations, Observation};
+#[doc(hidden)]
 pub use path::PathProblem;
 pub use robust::{Loss, LossKind};
+#[doc(hidden)]
 pub use scene::Scene;
 pub use stiffness::Stiffness;
+#[doc(hidden)]
 pub use unknowns::{FreeBody, PathKeyframe};
+#[doc(hidden)]
 pub use workspace::Workspace;

@@ -8,8 +8,12 @@ mod keyframe;
 pub(crate) mod weights;
 
 pub use correction::{CORRECTED, CORRECTION, Correction};
-pub use decoder::{Decoder, EMBEDDED, Jacobians};
-pub use interpolate::{Interpolation, LatentTangent};
+#[doc(hidden)]
+pub use decoder::Jacobians;
+pub use decoder::{Decoder, EMBEDDED};
+pub use interpolate::Interpolation;
+#[doc(hidden)]
+pub use interpolate::LatentTangent;
 pub use keyframe::{Keyframe, StampedKeyframe, TimedKeyframe};
 pub use weights::WeightsError;
 

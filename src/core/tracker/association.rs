@@ -4,6 +4,10 @@
 //! While tracking, each view is followed from frame to frame: the detection nearest to the last
 //! accepted one, where half of its points lie within a gate. Where several detections pass the
 //! gate, each point is taken from the one that has it nearest.
+//!
+//! Each capture time costs a decoding, so cameras whose shutters are spread over a frame period share
+//! one: the pixels of the later cameras are interpolated between their own frames to the time of the
+//! first.
 
 use nalgebra::Vector2;
 
@@ -16,16 +20,21 @@ use crate::core::points::{extent, median};
 use crate::core::time::{Nanos, Timestamp};
 
 /// Frames closer in time than this are merged: cameras on one clock differ by microseconds,
-/// and at 5 m/s this is half a millimetre. Each capture time costs a decoding.
+/// and at 5 m/s this is half a millimetre.
 const SAME_TIME: Nanos = Nanos::new(100_000);
+/// Frames share the time of another camera's frame that is less than this part of a period earlier.
+const SHARED: f64 = 0.9;
+/// Pixels are interpolated between frames of a camera that are at most so many periods apart.
+const NEXT: f64 = 1.5;
 
 /// The expected pixel of each fitted keypoint of the performer in a view.
 type Expected = Vec<Option<Vector2<f64>>>;
 
 /// The performer's observations in `frames` (in order of capture time), grouped by capture time.
-/// Each view is followed from its projection of `pose`.
+/// Each view is followed from its projection of `pose`. `period` is the nominal frame period.
 pub fn follow<'d>(
     frames: impl Iterator<Item = &'d Detections>,
+    period: Nanos,
     points: &[BodyPoint],
     rig: &Rig,
     pose: &Pose,
@@ -35,8 +44,9 @@ pub fn follow<'d>(
     let posture = pose.posture(skeleton);
     let world: Vec<_> = points.iter().map(|p| p.attachment.position(&posture, skeleton)).collect();
     let view = |camera: &Camera| world.iter().map(|point| camera.project(point)).collect();
-    Follower { points, config, expected: rig.cameras.iter().map(view).collect() }
-        .observations(frames)
+    let expected: Vec<Expected> = rig.cameras.iter().map(view).collect();
+    let last = vec![None; expected.len()];
+    Follower { points, config, expected, last }.observations(frames, period)
 }
 
 /// Follows the performer through the views.
@@ -46,21 +56,30 @@ struct Follower<'a> {
     config: &'a Config,
     /// Per camera.
     expected: Vec<Expected>,
+    /// Per camera, its last frame.
+    last: Vec<Option<(Timestamp, Vec<Observation>)>>,
 }
 
 impl Follower<'_> {
-    /// The performer's observations in `frames` (in order of capture time), grouped by capture time
-    /// within [`SAME_TIME`].
+    /// The performer's observations in `frames` (in order of capture time), grouped by capture time.
     fn observations<'d>(
         &mut self,
         frames: impl Iterator<Item = &'d Detections>,
+        period: Nanos,
     ) -> Vec<FrameObservations> {
+        let [shared, next] = [SHARED, NEXT].map(|part| Nanos::rounded(part * period.ns() as f64));
         let mut groups: Vec<(Timestamp, Vec<Observation>)> = Vec::new();
         for frame in frames {
             let seen = self.observe(frame);
-            match groups.last_mut() {
-                Some((capture, group)) if frame.capture - *capture <= SAME_TIME => {
-                    group.extend(seen);
+            let last = self.last[frame.camera].replace((frame.capture, seen.clone()));
+            let last = last.filter(|(before, _)| frame.capture - *before <= next);
+            match (groups.last_mut(), last) {
+                (Some((at, group)), _) if frame.capture - *at <= SAME_TIME => group.extend(seen),
+                (Some((at, group)), Some((before, last)))
+                    if before <= *at && frame.capture - *at < shared =>
+                {
+                    let share = at.fraction(before, frame.capture);
+                    group.extend(between(&last, &seen, share));
                 }
                 _ => groups.push((frame.capture, seen)),
             }
@@ -115,6 +134,22 @@ impl Follower<'_> {
         seen.map(|d| Observation { point, camera, pixel: d.pixel.coords, confidence: d.confidence })
             .min_by(|a, b| distance(&a.pixel).total_cmp(&distance(&b.pixel)))
     }
+}
+
+/// A camera's observations between two of its frames: `share` of the way from the first to the second.
+/// Both are in order of their points. A point that the first one lacks moves as the others do.
+fn between(first: &[Observation], second: &[Observation], share: f64) -> Vec<Observation> {
+    let before = |now: &Observation| {
+        first.binary_search_by_key(&now.point, |old| old.point).ok().map(|at| first[at].pixel)
+    };
+    let moved: Vec<_> = second.iter().map(|now| Some(before(now)? - now.pixel)).collect();
+    let count = moved.iter().flatten().count().max(1) as f64;
+    let mean = moved.iter().flatten().sum::<Vector2<f64>>() / count;
+    let at = |(now, moved): (&Observation, &Option<Vector2<f64>>)| Observation {
+        pixel: now.pixel + moved.unwrap_or(mean) * (1.0 - share),
+        ..*now
+    };
+    second.iter().zip(&moved).map(at).collect()
 }
 
 /// A person's detection of a point, if its confidence is sufficient.

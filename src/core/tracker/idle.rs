@@ -24,8 +24,8 @@ enum Why {
 /// Whether there is something to track.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Idle {
-    /// Why there is nothing, and since when.
-    why: Option<(Why, Timestamp)>,
+    /// Why there is nothing, and since when; `None` after a clock jump.
+    why: Option<(Why, Option<Timestamp>)>,
     /// When frames came again, or the latency fell.
     resumed: Option<Timestamp>,
     /// Since when nobody has been seen.
@@ -36,6 +36,7 @@ impl Idle {
     /// Forgets times of before a clock jump.
     pub(super) fn clock_jumped(&mut self) {
         (self.resumed, self.unseen) = (None, None);
+        self.why = self.why.map(|(why, _)| (why, None));
     }
 }
 
@@ -123,14 +124,14 @@ impl Tracker {
     }
 
     fn begin_idle(&mut self, why: Why, since: Timestamp, detail: &str) {
-        self.idle.why = Some((why, since));
+        self.idle.why = Some((why, Some(since)));
         self.event(EventKind::Idle, since, None, detail.to_owned());
     }
 
-    fn end_idle(&mut self, now: Timestamp, since: Timestamp, detail: &str) {
+    fn end_idle(&mut self, now: Timestamp, since: Option<Timestamp>, detail: &str) {
         self.idle.why = None;
-        let detail =
-            format!("no longer: {detail}, after {:.1} s", now.seconds_since(since).max(0.0));
+        let after = since.map(|since| format!(", after {:.1} s", now.seconds_since(since)));
+        let detail = format!("no longer: {detail}{}", after.unwrap_or_default());
         self.event(EventKind::Idle, now, None, detail);
     }
 }

@@ -50,13 +50,17 @@ mod verdict;
 pub(super) mod waiting;
 mod window;
 
+#[doc(hidden)]
 pub use association::follow;
+#[doc(hidden)]
 pub use body_estimator::{BodyEstimator, WINDOWS as BODY_WINDOWS};
 pub use config::{Config, Gate};
 pub use effort::Effort;
 pub use event::{Event, EventKind};
+#[doc(hidden)]
 pub use frame_rate::{FramePeriod, FrameRate, KEPT as RATE_FRAMES, UnitCheck};
 pub use job::{Job, Outcome, PoseAt, ProvisionalFit, Solution, Task, Tracked, Verdict};
+#[doc(hidden)]
 pub use noise::{Noise, Residual};
 pub use playout::{Latency, Live};
 pub use port::{Input, Output, WindowReport};

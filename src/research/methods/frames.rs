@@ -48,6 +48,7 @@ impl<'a> Cut<'a> {
     ) -> Vec<FrameObservations> {
         tracker::follow(
             self.frames[frame].iter().copied(),
+            Nanos::ZERO,
             given.points,
             &given.take.rig,
             &given.decoder.pose(keyframe),

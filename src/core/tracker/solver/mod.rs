@@ -13,7 +13,6 @@ use super::config::Config;
 use super::job::{Job, Outcome, Solution, Task};
 use super::spin_pool::SpinPool;
 use crate::core::body::{BodyPoint, Pose, Skeleton, fitted_points};
-use crate::core::camera::Rig;
 use crate::core::cost::{FrameObservations, Workspace};
 use crate::core::detections::Detections;
 use crate::core::manifold::{Decoder, Keyframe};
@@ -86,17 +85,17 @@ impl Solver {
         }
     }
 
-    /// The performer's observations in `frames`, followed from the pose of `keyframe`.
+    /// The performer's observations in `frames` of a job, followed from the pose of `keyframe`.
     fn follow<'d>(
         &self,
+        job: &Job,
         frames: impl Iterator<Item = &'d Arc<Detections>>,
         points: &[BodyPoint],
-        rig: &Rig,
         keyframe: &Keyframe,
         skeleton: &Skeleton,
     ) -> Vec<FrameObservations> {
-        let frames = frames.map(|frame| &**frame);
-        follow(frames, points, rig, &self.decoder.pose(keyframe), skeleton, &self.config)
+        let (frames, pose) = (frames.map(|frame| &**frame), self.decoder.pose(keyframe));
+        follow(frames, job.frame_period, points, &job.rig, &pose, skeleton, &self.config)
     }
 
     /// The poses at `times` of a window with known keyframes. Equal times are decoded once.
