@@ -1,5 +1,7 @@
 //! Keypoint formats and detections of a 2D detector.
 
+use std::fmt;
+
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
@@ -55,6 +57,24 @@ pub enum Keypoint {
     RSmallToe,
     LHeel,
     RHeel,
+}
+
+/// As `left big toe`.
+impl fmt::Display for Keypoint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut words = String::new();
+        for c in format!("{self:?}").chars() {
+            if c.is_uppercase() && !words.is_empty() {
+                words.push(' ');
+            }
+            words.extend(c.to_lowercase());
+        }
+        match words.split_once(' ') {
+            Some(("l", rest)) => write!(f, "left {rest}"),
+            Some(("r", rest)) => write!(f, "right {rest}"),
+            _ => f.write_str(&words),
+        }
+    }
 }
 
 impl Keypoint {

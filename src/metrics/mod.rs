@@ -14,6 +14,7 @@
 //! | jump at borders | [`VelocityJump`]: mean \|v(t+) - v(t-)\| at window borders, less that of the true motion there | m/s |
 //! | foot skate | [`foot_skate`]: mean horizontal speed of ankles and feet whose true speed and height mean contact | mm/s |
 //! | floor | [`Floor`]: median height of standing feet | m |
+//! | seen and not followed | [`NotFollowed`]: points on which the views agree, and the body is more than 10 cm away | % |
 //! | several performers | [`PerformerScores`]: MOTA, identity switches, recall, precision, PCP | %, count |
 //! | drift | [`slope_interval`] of the frames' mean e over time | mm/min |
 //!
@@ -23,6 +24,7 @@ mod detector_statistics;
 mod distribution;
 mod feet;
 mod floor;
+mod followed;
 mod limbs;
 mod markers;
 mod motion;
@@ -38,6 +40,7 @@ pub use detector_statistics::{
 pub use distribution::Distribution;
 pub use feet::{FootSkate, FootSkateSums, foot_skate};
 pub use floor::Floor;
+pub use followed::{Episode, FollowedSums, NotFollowed};
 pub use limbs::{LIMB_JOINTS, LimbErrors, SPEEDS_M_S, limb_errors, limb_joints};
 pub use markers::{COMPARED, MarkerDistance, MarkerDistances, MarkerPositions};
 pub use motion::{VelocityJump, velocity_jump, velocity_jumps};

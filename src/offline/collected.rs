@@ -82,6 +82,7 @@ impl Collected<'_> {
             hold_out: HoldOut::of_all(&held_out),
             hold_out_cameras: held_out,
             mean_acceleration_m_s2: poses.acceleration,
+            not_followed: std::mem::take(&mut self.windows.followed).finish(),
             foot_skate: true_skate.unwrap_or(poses.feet),
             floor_m: poses.floor,
             truth,

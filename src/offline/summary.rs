@@ -12,7 +12,7 @@ use super::windows::Windows;
 use crate::core::camera::Rig;
 use crate::diagnose::Check;
 use crate::io::report::Table;
-use crate::metrics::{FootSkate, PerformerScores, PoseErrors};
+use crate::metrics::{Episode, FootSkate, NotFollowed, PerformerScores, PoseErrors};
 
 /// The measurements of a solve. Field names are part of the interface; docs/json.md documents them.
 /// [`Display`](fmt::Display) prints the table.
@@ -40,6 +40,7 @@ pub struct Summary {
     /// The same for each held-out camera.
     pub hold_out_cameras: Vec<HoldOut>,
     pub mean_acceleration_m_s2: Option<f64>,
+    pub not_followed: Option<NotFollowed>,
     /// Contacts are those of the truth; without one, those of the poses themselves.
     pub foot_skate: Option<FootSkate>,
     /// Median height of standing feet above y = 0, metres; `None` if they hardly stand.
@@ -229,6 +230,7 @@ impl Summary {
             rows.add("hold-out, mean of the medians", px(all.median_px));
         }
         rows.add("mean joint acceleration", unit(self.mean_acceleration_m_s2, 2, "m/s²"));
+        self.not_followed.iter().for_each(|found| rows.add_not_followed(found));
         self.foot_skate.iter().for_each(|skate| rows.add_foot_skate(skate));
         if let Some(floor) = self.floor_m {
             rows.add("floor", format!("{floor:.2} m"));
@@ -273,6 +275,15 @@ impl Rows {
         self.add(&format!("hold-out {camera}, median"), value);
         let without = held.frames_without_performer;
         self.add("  frames without the performer", without.to_string());
+    }
+
+    fn add_not_followed(&mut self, found: &NotFollowed) {
+        let longest = found.longest.first().map_or_else(String::new, |longest| {
+            let Episode { keypoint, capture_time_ns, frames, distance_m } = longest;
+            let (start, cm) = (*capture_time_ns as f64 / 1e9, 100.0 * distance_m);
+            format!(", longest {frames} frames: {keypoint} {cm:.0} cm off at {start:.2} s")
+        });
+        self.add("seen and not followed", format!("{:.3} % of points{longest}", found.percent));
     }
 
     fn add_foot_skate(&mut self, skate: &FootSkate) {

@@ -6,8 +6,8 @@ use super::series::{Bin, Mean, Series};
 use crate::core::points::CONFIDENT;
 use crate::core::time::Timestamp;
 use crate::core::tracker::{Residual, Verdict, WindowReport};
-use crate::metrics::Distribution;
 use crate::metrics::statistics::percentiles;
+use crate::metrics::{Distribution, FollowedSums};
 
 /// A window in the report, or the worst values of several in a row.
 #[derive(Clone, Debug)]
@@ -51,6 +51,8 @@ pub(crate) struct Windows {
     pub(crate) hidden: usize,
     pub(crate) series: Series<WindowSummary>,
     pub(crate) solve_ms: Distribution,
+    /// Points that are seen and not followed.
+    pub(crate) followed: FollowedSums,
     /// Errors of all cameras together.
     pub(crate) errors_px: Distribution,
     /// By camera.
@@ -67,6 +69,7 @@ impl Windows {
         if !lost {
             self.add_errors(report);
         }
+        self.followed.add(report);
         self.count += 1;
         self.lost += usize::from(lost);
         self.hidden += usize::from(lost && report.summary.is_none());

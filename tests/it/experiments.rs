@@ -63,7 +63,8 @@ impl Method for Oracle {
         poses.drain(..2);
         poses.iter_mut().for_each(|(_, pose)| pose.root_position.x += self.shift);
         let borders = vec![poses[30].0, poses[40].0];
-        Some(Solved { motion: Motion::Poses(Arc::clone(&self.skeleton), poses), borders })
+        let motion = Motion::Poses(Arc::clone(&self.skeleton), poses);
+        Some(Solved { motion, borders, not_followed: None })
     }
 }
 

@@ -17,6 +17,8 @@ mod doctor;
 mod experiments;
 #[cfg(feature = "research")]
 mod export;
+#[cfg(feature = "research")]
+mod followed;
 mod frame_rate;
 #[cfg(feature = "research")]
 mod genlock;

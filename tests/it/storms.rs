@@ -107,6 +107,7 @@ fn solved(job: &Job) -> Solution {
             newest: Pose::rest(),
             summary: None,
             residuals: Vec::new(),
+            unfollowed: Vec::new(),
             verdict: match is_seen {
                 true => Verdict::Tracked,
                 false if *coasted < 6 => Verdict::Coasted("hidden".to_owned()),

@@ -105,6 +105,7 @@ impl Timeline {
                 newest: Pose::rest(),
                 summary: None,
                 residuals: Vec::new(),
+                unfollowed: Vec::new(),
                 verdict: Verdict::Tracked,
                 estimator: None,
             })),

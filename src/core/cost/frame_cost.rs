@@ -82,6 +82,24 @@ impl<'p> Path<'p> {
         }
     }
 
+    /// Where the body has the observed points of the frames of a batch.
+    pub(super) fn points(
+        &self,
+        observations: &[FrameObservations],
+        batch: &mut ObservationBatch,
+    ) -> Vec<Vec<Vector3<f64>>> {
+        batch.decode(self.scene.decoder, observations.iter().map(|frame| self.code(frame)));
+        let of_frame = |(m, frame): (usize, &FrameObservations)| {
+            let posture = self.posture(self.unknowns.place(frame.capture), m, batch);
+            let position = |views: &[Observation]| {
+                let (point, arm) = self.point(views, &posture);
+                posture.positions[point.attachment.joint.index()] + arm
+            };
+            frame.by_point().map(position).collect()
+        };
+        observations.iter().enumerate().map(of_frame).collect()
+    }
+
     /// The code at a frame's time.
     fn code(&self, frame: &FrameObservations) -> Latent {
         let Place { from, to, s } = self.unknowns.place(frame.capture);

@@ -15,6 +15,8 @@ pub struct Observation {
     pub pixel: Vector2<f64>,
     /// The detector's confidence, (0, 1].
     pub confidence: f64,
+    /// Factor of the loss's scale.
+    pub reach: f64,
 }
 
 /// All observations of one capture time.
@@ -36,6 +38,11 @@ impl FrameObservations {
     /// All observations, sorted by point.
     pub fn observations(&self) -> &[Observation] {
         &self.observations
+    }
+
+    /// Sets the factor of the loss's scale of an observation, by its index.
+    pub fn set_reach(&mut self, index: usize, reach: f64) {
+        self.observations[index].reach = reach;
     }
 
     /// The observations of each point in turn.

@@ -18,6 +18,7 @@ use crate::core::body::{SHAPE_COEFFICIENTS, Skeleton};
 use crate::core::manifold::{Keyframe, LATENT};
 use crate::core::optimise::{Layout, NormalEquations, Problem};
 use crate::core::time::Timestamp;
+use nalgebra::Vector3;
 
 /// The cost of a path, for an optimiser; [`PathProblem::solution`] turns its result into keyframes and
 /// body.
@@ -25,6 +26,8 @@ use crate::core::time::Timestamp;
 pub struct PathProblem<'a> {
     scene: Scene<'a>,
     observations: &'a [FrameObservations],
+    /// In place of `observations`, for a while.
+    replaced: Option<Vec<FrameObservations>>,
     work: &'a mut Workspace,
     pub(super) unknowns: Unknowns,
     loss: Loss,
@@ -80,8 +83,14 @@ impl<'a> PathProblem<'a> {
             loss: Loss::new(scene.config.loss, scene.config.scale_px),
             scene,
             observations,
+            replaced: None,
             work,
         }
+    }
+
+    /// Puts other observations of the same points and times in place of its own, or its own again.
+    pub fn replace_observations(&mut self, other: Option<Vec<FrameObservations>>) {
+        self.replaced = other;
     }
 
     /// Changes the scale of the loss, pixels.
@@ -105,6 +114,18 @@ impl<'a> PathProblem<'a> {
         [0, 1].map(|part| costs[part] / (ceiling * most[part]).max(f64::MIN_POSITIVE))
     }
 
+    /// Where the body has the observed points at `x`, in the world: by frame, in the order of
+    /// [`FrameObservations::by_point`].
+    pub fn points(&mut self, x: &[f64]) -> Vec<Vec<Vector3<f64>>> {
+        self.unknowns.take(x);
+        let Self { scene, unknowns, loss, observations, work, .. } = self;
+        let reprojection = Reprojection { rig: scene.rig, loss: *loss };
+        let Workspace { batches, offsets, .. } = &mut **work;
+        let path = Path { scene: *scene, unknowns, reprojection, offsets };
+        let batches = batches.iter_mut().zip(in_batches(observations));
+        batches.flat_map(|(batch, frames)| path.points(frames, batch)).collect()
+    }
+
     /// The unknowns to start from.
     pub fn start(&self) -> Vec<f64> {
         self.unknowns.start()
@@ -124,7 +145,8 @@ impl<'a> PathProblem<'a> {
     fn evaluate(&mut self, x: &[f64], mut wanted: Wanted) -> f64 {
         self.unknowns.take(x);
         let cost = self.prior(x, &mut wanted);
-        let Self { scene, unknowns, loss, observations, work, .. } = self;
+        let Self { scene, unknowns, loss, observations, replaced, work } = self;
+        let observations = replaced.as_deref().unwrap_or(observations);
         let reprojection = Reprojection { rig: scene.rig, loss: *loss };
         let (scene, unknowns, for_frames) = (*scene, &*unknowns, wanted.for_frames());
         let offsets = scene.points.iter().map(|point| point.attachment.offset(&unknowns.skeleton));

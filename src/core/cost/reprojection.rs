@@ -17,10 +17,10 @@ impl Reprojection<'_> {
     /// 1/2 sum of w rho over the views of a point at `position` in the world.
     pub(super) fn cost(&self, views: &[Observation], position: &Vector3<f64>) -> f64 {
         let cost = |view: &Observation| {
+            let loss = self.loss.wider(view.reach);
             let seen = self.rig.cameras[view.camera].project(position);
-            let rho = seen.map_or(self.loss.ceiling(), |pixel| {
-                self.loss.rho((pixel - view.pixel).norm_squared()).0
-            });
+            let rho = seen
+                .map_or(loss.ceiling(), |pixel| loss.rho((pixel - view.pixel).norm_squared()).0);
             0.5 * view.confidence * rho
         };
         views.iter().map(cost).sum()
@@ -34,13 +34,13 @@ impl Reprojection<'_> {
     ) -> (f64, Vector3<f64>, Matrix3<f64>) {
         let (mut cost, mut gradient, mut curvature) = (0.0, Vector3::zeros(), Matrix3::zeros());
         for view in views {
-            let camera = &self.rig.cameras[view.camera];
+            let (camera, loss) = (&self.rig.cameras[view.camera], self.loss.wider(view.reach));
             let Some((pixel, jacobian)) = camera.project_with_jacobian(position) else {
-                cost += 0.5 * view.confidence * self.loss.ceiling();
+                cost += 0.5 * view.confidence * loss.ceiling();
                 continue;
             };
             let residual = pixel - view.pixel;
-            let (rho, slope) = self.loss.rho(residual.norm_squared());
+            let (rho, slope) = loss.rho(residual.norm_squared());
             cost += 0.5 * view.confidence * rho;
             let weighted = jacobian.transpose() * (view.confidence * slope);
             gradient += weighted * residual;

@@ -32,6 +32,11 @@ impl Loss {
         Self { kind, square_scale: scale * scale }
     }
 
+    /// With a scale times `factor`.
+    pub fn wider(&self, factor: f64) -> Self {
+        Self { square_scale: self.square_scale * factor * factor, ..*self }
+    }
+
     /// rho and its derivative, which is the IRLS weight: s^2 / (q + s^2), for Geman-McClure its square.
     pub fn rho(&self, square: f64) -> (f64, f64) {
         let ratio = self.square_scale / (square + self.square_scale);

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::agreement::in_words;
 use super::body_estimator::BodyEstimator;
 use super::event::EventKind;
 use super::job::{Outcome, ProvisionalFit, Solution, Tracked, Verdict};
@@ -119,6 +120,12 @@ impl Tracker {
         }
         let is_fitted = !tracked.residuals.is_empty();
         self.report_verdict(window.publish, &tracked.verdict);
+        if let Some((frames, detail)) =
+            in_words(&tracked.unfollowed).filter(|_| state == TrackingState::Tracking)
+        {
+            let kind = EventKind::NotFollowed;
+            self.counted_event(kind, window.publish, None, frames as u64, detail);
+        }
         self.outputs.push_back(Output::Window(Box::new(WindowReport {
             window: self.window,
             start: window.start,
@@ -126,6 +133,7 @@ impl Tracker {
             summary: tracked.summary,
             latent_norm: done.last().map_or(0.0, |at| manifold::norm(&at.keyframe.z)),
             residuals: tracked.residuals,
+            unfollowed: tracked.unfollowed,
             verdict: tracked.verdict,
         })));
         self.is_proven |= state == TrackingState::Tracking;

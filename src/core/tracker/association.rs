@@ -15,7 +15,7 @@ use super::config::Config;
 use crate::core::body::{BodyPoint, Pose, Skeleton};
 use crate::core::camera::{Camera, Rig};
 use crate::core::cost::{FrameObservations, Observation};
-use crate::core::detections::{Detections, Person};
+use crate::core::detections::{Detection, Detections, Person};
 use crate::core::points::{extent, median};
 use crate::core::time::{Nanos, Timestamp};
 
@@ -131,8 +131,11 @@ impl Follower<'_> {
         let seen =
             people.iter().filter_map(|person| usable(person, &self.points[point], self.config));
         let distance = |pixel: &Vector2<f64>| expected.map_or(0.0, |e| (pixel - e).norm());
-        seen.map(|d| Observation { point, camera, pixel: d.pixel.coords, confidence: d.confidence })
-            .min_by(|a, b| distance(&a.pixel).total_cmp(&distance(&b.pixel)))
+        let observation = |d: &Detection| {
+            let (pixel, confidence) = (d.pixel.coords, d.confidence);
+            Observation { point, camera, pixel, confidence, reach: 1.0 }
+        };
+        seen.map(observation).min_by(|a, b| distance(&a.pixel).total_cmp(&distance(&b.pixel)))
     }
 }
 
@@ -157,7 +160,7 @@ pub(super) fn usable<'p>(
     person: &'p Person,
     point: &BodyPoint,
     config: &Config,
-) -> Option<&'p crate::core::detections::Detection> {
+) -> Option<&'p Detection> {
     let seen = person.points.get(point.index)?.as_ref()?;
     (seen.confidence >= config.min_confidence).then_some(seen)
 }

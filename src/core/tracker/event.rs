@@ -29,6 +29,8 @@ pub enum EventKind {
     Coasted,
     /// The performer was not seen for too long; the search starts again.
     Left,
+    /// In some frames the cameras agree on a point of the performer, and the body is not there.
+    NotFollowed,
     /// Windows no longer wait for a camera.
     Silent,
     /// Windows wait again for a camera that was silent.
@@ -83,7 +85,7 @@ pub enum EventKind {
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 35] = [
+    pub const ALL: [Self; 36] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -95,6 +97,7 @@ impl EventKind {
         Self::Lost,
         Self::Coasted,
         Self::Left,
+        Self::NotFollowed,
         Self::Silent,
         Self::Returned,
         Self::Overdue,
@@ -135,6 +138,7 @@ impl EventKind {
             Self::Lost => "lost",
             Self::Coasted => "coasted",
             Self::Left => "left",
+            Self::NotFollowed => "not_followed",
             Self::Silent => "silent",
             Self::Returned => "returned",
             Self::Overdue => "overdue",

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::agreement::Unfollowed;
 use super::body_estimator::BodyEstimator;
 use super::effort::Effort;
 use super::noise::{Noise, Residual};
@@ -166,6 +167,8 @@ pub struct Tracked {
     pub summary: Option<Summary>,
     /// The distance of each observation up to the job's `publish` from the solved body.
     pub residuals: Vec<Residual>,
+    /// The points in the same part on which the views agree, and where the body is not.
+    pub unfollowed: Vec<Unfollowed>,
     /// Whether the poses can be used.
     pub verdict: Verdict,
     /// The keypoint offsets from here on, if this window updated them.

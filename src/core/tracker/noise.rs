@@ -9,6 +9,8 @@ use crate::core::time::Timestamp;
 
 /// Number of windows that the running mean covers, about.
 const WINDOWS: f64 = 20.0;
+/// It is settled from this many windows on.
+const SETTLED: f64 = 8.0;
 /// Mean confidence for which the weights were tuned.
 const USUAL_CONFIDENCE: f64 = 0.6;
 /// Limits of the weights' factor: small errors leave the errors of our model, and with large errors
@@ -62,6 +64,11 @@ impl Noise {
             residuals.iter().map(|r| r.confidence).sum::<f64>() / residuals.len() as f64;
         let confidence = self.confidence + (confidence - self.confidence) / windows;
         Self { square, relative, confidence, windows }
+    }
+
+    /// Whether it covers some windows, so that it does not depend on how the track began.
+    pub(super) fn is_settled(&self) -> bool {
+        self.windows >= SETTLED
     }
 
     /// The median error of the detections, pixels; `None` before the first window.

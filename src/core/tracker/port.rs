@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::agreement::Unfollowed;
 use super::event::Event;
 use super::job::{Job, Solution, Verdict};
 use super::noise::Residual;
@@ -69,6 +70,8 @@ pub struct WindowReport {
     pub latent_norm: f64,
     /// The distance of each observation from the solved body.
     pub residuals: Vec<Residual>,
+    /// The points on which the views agree, and where the body is not.
+    pub unfollowed: Vec<Unfollowed>,
     /// Whether its poses can be used.
     pub verdict: Verdict,
 }

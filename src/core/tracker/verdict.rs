@@ -53,7 +53,7 @@ pub(super) fn verdict(gate: &Gate, keyframes: &[TimedKeyframe], residuals: &[Res
 
 /// The distance of each observation from the body at the pose of its frame.
 pub(super) fn residuals<'m>(
-    observations: impl Iterator<Item = (&'m FrameObservations, Pose)>,
+    observations: impl Iterator<Item = (&'m FrameObservations, &'m Pose)>,
     points: &[BodyPoint],
     rig: &Rig,
     skeleton: &Skeleton,

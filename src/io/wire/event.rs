@@ -49,6 +49,7 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Lost
         | EventKind::Coasted
         | EventKind::Left
+        | EventKind::NotFollowed
         | EventKind::Overdue
         | EventKind::Latency
         | EventKind::Effort

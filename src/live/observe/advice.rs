@@ -19,6 +19,7 @@ pub(crate) fn advice(kind: &str) -> Option<&'static str> {
         }
         "nobody_found" => "no two cameras see a person; check the volume, or the calibration",
         "coasted" => "too little of the performer is seen",
+        "not_followed" => "the body is not where the cameras see it; `check` a recording of it",
         "crowd" => "a detector reports too many people; raise its threshold",
         _ => return None,
     })

@@ -34,6 +34,8 @@ pub struct Score {
     pub foot_skate: Option<metrics::FootSkate>,
     /// `None` without a body, and for a method without borders.
     pub velocity_jump: Option<metrics::VelocityJump>,
+    /// `None` for a method that is not a tracker.
+    pub not_followed: Option<metrics::NotFollowed>,
     /// Number of compared frames: those of all methods.
     pub compared_frames: usize,
     /// Share of the sequence's frames that the method has, percent.
@@ -102,6 +104,7 @@ pub fn score(
         acceleration_error_m_s2: metrics::acceleration_error(comparable, truths, fps),
         foot_skate: metrics::foot_skate(comparable, truths, fps),
         velocity_jump: metrics::velocity_jump(estimates, truths, &runs.borders, fps),
+        not_followed: solved.not_followed.clone(),
         compared_frames: runs.frames.len(),
         covered_percent: 100.0 * covered as f64 / sequence.truth.len() as f64,
         ms_per_frame,

@@ -39,7 +39,7 @@ const fn metric(
 }
 
 /// The metrics, in the order of the columns.
-pub const METRICS: [Metric; 16] = [
+pub const METRICS: [Metric; 18] = [
     metric("limb_mm", "limb joints mm", 1, |s| Some(s.limbs.limb_mm)),
     metric("held_out_px", "held out px", 2, |s| s.held_out_px),
     metric("mpjpe_mm", "MPJPE mm", 1, |s| pose(s, |pose| pose.mpjpe_mm)),
@@ -60,6 +60,10 @@ pub const METRICS: [Metric; 16] = [
     metric("true_foot_skate_mm_s", "true skate mm/s", 0, |s| s.foot_skate?.truth_mm_s),
     metric("mpjpe_root_relative_mm", "root-rel. mm", 1, |s| {
         pose(s, |pose| pose.mpjpe_root_relative_mm)
+    }),
+    metric("not_followed_percent", "not followed %", 3, |s| Some(s.not_followed.as_ref()?.percent)),
+    metric("not_followed_frames", "longest, frames", 1, |s| {
+        Some(s.not_followed.as_ref()?.longest_frames as f64)
     }),
     metric("ms_per_frame", "ms/frame", 2, |s| Some(s.ms_per_frame)),
 ];
@@ -239,6 +243,7 @@ mod tests {
 
     fn score(mpjpe_mm: f64) -> Score {
         Score {
+            not_followed: None,
             limbs: LimbErrors::default(),
             held_out_px: None,
             pose: Some(PoseErrors { frames: 10, mpjpe_mm, ..PoseErrors::default() }),

@@ -6,6 +6,7 @@ use super::{Delay, Method, Motion, Solved, Take};
 use crate::core::manifold::Decoder;
 use crate::core::time::Nanos;
 use crate::core::tracker::{Config, Input, Latency, Live, Output, Solver, Tracker};
+use crate::metrics::FollowedSums;
 
 /// Time reserved for the solve of a window, as in the live node.
 const RESERVE: Nanos = Nanos::from_ms(14);
@@ -65,7 +66,8 @@ impl Method for LiveTracker {
         let mut tracker = tracker.with_body(take.body.clone());
         tracker.set_latency(self.latency(&config, take.fps));
         let mut solver = Solver::new(decoder.clone(), config);
-        let (mut poses, mut borders) = (Vec::new(), Vec::new());
+        let (mut poses, mut borders, mut followed) =
+            (Vec::new(), Vec::new(), FollowedSums::default());
         let provisional = *self == Self::Provisional;
         let mut handle = |tracker: &mut Tracker, input: Input| {
             tracker.handle(input);
@@ -74,7 +76,10 @@ impl Method for LiveTracker {
                     Output::Pose(pose) if pose.provisional == provisional => {
                         poses.push((pose.capture, pose.pose));
                     }
-                    Output::Window(window) => borders.push(window.end),
+                    Output::Window(window) => {
+                        borders.push(window.end);
+                        followed.add(&window);
+                    }
                     _ => {}
                 }
             }
@@ -92,6 +97,8 @@ impl Method for LiveTracker {
         handle(&mut tracker, Input::End);
         let skeleton = tracker.skeleton().cloned()?;
         let is_found = !poses.is_empty();
-        is_found.then_some(Solved { motion: Motion::Poses(skeleton, poses), borders })
+        let not_followed = followed.finish();
+        let motion = Motion::Poses(skeleton, poses);
+        is_found.then_some(Solved { motion, borders, not_followed })
     }
 }

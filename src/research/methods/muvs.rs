@@ -105,6 +105,7 @@ impl PerFrame {
                 self.times.iter().zip(keyframes).map(pose).collect(),
             ),
             borders: self.times.iter().copied().step_by(segment).skip(1).collect(),
+            not_followed: None,
         }
     }
 }

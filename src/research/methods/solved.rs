@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use crate::core::body::{Pose, Posture, Skeleton};
 use crate::core::detections::Keypoint;
 use crate::core::time::Timestamp;
-use crate::metrics::{COMPARED, MarkerPositions, limb_joints};
+use crate::metrics::{COMPARED, MarkerPositions, NotFollowed, limb_joints};
 use crate::offline::{Located, pose_at};
 
 /// The result of a method.
@@ -17,6 +17,8 @@ pub struct Solved {
     pub motion: Motion,
     /// Capture times of the borders between pieces that were solved separately.
     pub borders: Vec<Timestamp>,
+    /// Of a tracker: what it saw and did not follow.
+    pub not_followed: Option<NotFollowed>,
 }
 
 /// A motion in order of capture time, one entry per nominal frame.

@@ -8,6 +8,7 @@ use crate::core::cost::{self, LossKind};
 use crate::core::manifold::Decoder;
 use crate::core::optimise::OptimiserKind;
 use crate::core::tracker::{Config, Output, Solver, Tracker, run_to_end};
+use crate::metrics::FollowedSums;
 
 /// Prior of a keyframe and loss scale, pixels, as published in \[Albanis 2023\].
 const PUBLISHED: (f64, f64) = (10.76, 100.0);
@@ -137,15 +138,21 @@ impl Method for Windows {
         let mut tracker = Tracker::new(config, Arc::clone(&take.rig)).with_body(body);
         let mut solver = Solver::new(decoder.clone(), config);
         let (mut poses, mut borders, mut body) = (Vec::new(), Vec::new(), None);
+        let mut followed = FollowedSums::default();
         run_to_end(&mut tracker, &mut solver, take.frames.iter().cloned(), |output| match output {
             Output::Pose(pose) => poses.push((pose.capture, pose.pose)),
-            Output::Window(window) => borders.push(window.end),
+            Output::Window(window) => {
+                borders.push(window.end);
+                followed.add(&window);
+            }
             Output::Skeleton(skeleton) => body = Some(skeleton),
             _ => {}
         });
         // All poses are scored with the last body.
         let skeleton = tracker.skeleton().cloned().or(body)?;
         let is_found = !poses.is_empty();
-        is_found.then_some(Solved { motion: Motion::Poses(skeleton, poses), borders })
+        let not_followed = followed.finish();
+        let motion = Motion::Poses(skeleton, poses);
+        is_found.then_some(Solved { motion, borders, not_followed })
     }
 }

@@ -54,7 +54,7 @@ impl Solver {
         let cost = self.cost(job);
         let loss = Loss::new(cost.loss, cost.scale_px);
         let poses = self.poses_at(solved, observations.iter().map(|frame| frame.capture));
-        let all = residuals(observations.iter().zip(poses), points, &job.rig, solved.skeleton);
+        let all = residuals(observations.iter().zip(&poses), points, &job.rig, solved.skeleton);
         let total = all.iter().map(|r| r.confidence * loss.rho(r.error_px * r.error_px).0).sum();
         let is_far = |point: usize, camera: usize| {
             let mut errors: Vec<f64> = all

@@ -1,6 +1,7 @@
 //! Solves the keyframes of a window together.
 
 use super::Solver;
+use super::graduated::widened;
 use super::known::Known;
 use crate::core::body::BodyPoint;
 use crate::core::cost::{self, FrameObservations, FreeBody, PathKeyframe, PathProblem, Scene};
@@ -14,7 +15,9 @@ use crate::core::tracker::job::Job;
 /// than the known ones, as a fraction of the largest possible cost.
 const FAR: f64 = 0.3;
 /// Then its keyframes are solved roughly, one after the other, with a wide loss.
-const ONE_BY_ONE: Steps = Steps { iterations: 1, scale_factor: 3.0 };
+const ONE_BY_ONE: Steps = Steps { iterations: 1, scale_factor: 3.0, may_catch_up: false };
+/// Most iterations of a solve in which the body catches up.
+const CATCH_UP: usize = 2;
 
 /// Smallest scale of a loss that follows the detections, pixels: below it are the errors of our model.
 const LEAST_SCALE_PX: f64 = 6.0;
@@ -26,11 +29,13 @@ pub(super) struct Steps {
     iterations: usize,
     /// Factor of the loss's scale.
     scale_factor: f64,
+    /// Whether a solve with a wide loss comes first where it is needed.
+    may_catch_up: bool,
 }
 
 impl Steps {
     pub(super) fn of(iterations: usize) -> Self {
-        Self { iterations, scale_factor: 1.0 }
+        Self { iterations, scale_factor: 1.0, may_catch_up: true }
     }
 }
 
@@ -46,7 +51,8 @@ impl Solver {
         steps: Steps,
     ) -> (Vec<TimedKeyframe>, Summary) {
         let cost = self.cost(job);
-        let cost = cost::Config { scale_px: cost.scale_px * steps.scale_factor, ..cost };
+        let scale_px = cost.scale_px * steps.scale_factor;
+        let cost = cost::Config { scale_px, ..cost };
         let interpolation = cost.interpolation;
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
         let start = known.past.last().map_or(job.start, |last| last.capture);
@@ -70,6 +76,14 @@ impl Solver {
             let ahead = self.one_by_one(job, points, known, times, observations);
             let known = Known { ahead: &ahead, ..known };
             return self.keyframes(job, points, known, times, observations, steps);
+        }
+        if steps.may_catch_up
+            && job.noise.is_settled()
+            && let Some(wide) = widened(&mut problem, &x, observations, &job.rig, scale_px)
+        {
+            problem.replace_observations(Some(wide));
+            self.optimiser.minimise(&mut problem, &mut x, CATCH_UP);
+            problem.replace_observations(None);
         }
         let summary = self.optimiser.minimise(&mut problem, &mut x, steps.iterations);
         let (solved, _) = problem.solution(&x);

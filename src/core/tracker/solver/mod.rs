@@ -2,6 +2,7 @@
 
 mod acquisition;
 mod fresh_fit;
+mod graduated;
 mod keyframes;
 mod known;
 mod window;

@@ -12,6 +12,7 @@ use crate::core::cost::{
 use crate::core::manifold::{Correction, Keyframe, TimedKeyframe};
 use crate::core::optimise::Summary;
 use crate::core::time::Timestamp;
+use crate::core::tracker::agreement::{Unfollowed, unfollowed};
 use crate::core::tracker::body_estimator::BodyEstimator;
 use crate::core::tracker::job::{Job, Outcome, ProvisionalFit, Tracked, Verdict};
 use crate::core::tracker::noise::Residual;
@@ -54,7 +55,7 @@ impl Solver {
         let keyframes = self.correct(job, points, known, keyframes, &observations);
         let keyframes = self.blend(job, known, keyframes);
         let solved = Known { ahead: &keyframes, ..known };
-        let (residuals, poses) = self.judge(job, points, solved, &observations);
+        let (residuals, unfollowed, poses) = self.judge(job, points, solved, &observations);
         let verdict = verdict(&self.config.gate, &keyframes, &residuals);
         let is_estimating = matches!(verdict, Verdict::Tracked)
             && self.config.body_windows > 0
@@ -64,7 +65,8 @@ impl Solver {
             .then(|| self.estimate_body(job, points, solved, &observations, estimator))
             .flatten();
         let tracked = tracked(solved, poses, Some(summary), residuals, verdict);
-        Outcome::Tracked(Box::new(Tracked { estimator: estimator.map(Arc::new), ..tracked }))
+        let estimator = estimator.map(Arc::new);
+        Outcome::Tracked(Box::new(Tracked { estimator, unfollowed, ..tracked }))
     }
 
     /// Adds corrections beside the manifold to solved keyframes.
@@ -96,21 +98,26 @@ impl Solver {
         CorrectionProblem::new(scene, path, known.skeleton, seen, poses, standing).solve()
     }
 
-    /// The residuals of the final part of a solved window, and the poses at [`wanted_times`].
+    /// The residuals of the final part of a solved window, its points that are seen and not followed,
+    /// and the poses at [`wanted_times`].
     fn judge(
         &self,
         job: &Job,
         points: &[BodyPoint],
         solved: Known,
         observations: &[FrameObservations],
-    ) -> (Vec<Residual>, Vec<Pose>) {
+    ) -> (Vec<Residual>, Vec<Unfollowed>, Vec<Pose>) {
         let last = job.publish + job.half_period();
         let seen: Vec<&FrameObservations> =
             observations.iter().filter(|frame| frame.capture <= last).collect();
         let times = seen.iter().map(|frame| frame.capture);
         let mut poses = self.poses_at(solved, times.chain(wanted_times(job)));
         let wanted = poses.split_off(seen.len());
-        (residuals(seen.into_iter().zip(poses), points, &job.rig, solved.skeleton), wanted)
+        let seen = || seen.iter().copied().zip(&poses);
+        let residuals = residuals(seen(), points, &job.rig, solved.skeleton);
+        let (world, scale_px) = ((&*job.rig, solved.skeleton), self.cost(job).scale_px);
+        let unfollowed = unfollowed(seen(), &residuals, points, world, scale_px);
+        (residuals, unfollowed, wanted)
     }
 
     /// The estimate of the body after one more solved window.
@@ -247,7 +254,8 @@ fn tracked(
 ) -> Tracked {
     let keyframes = solved.ahead.to_vec();
     let newest = poses.pop().unwrap_or_else(Pose::rest);
-    Tracked { newest, poses, keyframes, summary, residuals, verdict, estimator: None }
+    let unfollowed = Vec::new();
+    Tracked { newest, poses, keyframes, summary, residuals, unfollowed, verdict, estimator: None }
 }
 
 /// The keyframes without their corrections.

@@ -1,0 +1,96 @@
+//! Points on which the cameras agree, and whether the body is there.
+
+use nalgebra::Vector3;
+
+use super::noise::Residual;
+use crate::core::body::{BodyPoint, Pose, Skeleton};
+use crate::core::camera::{Rig, triangulate_robust};
+use crate::core::cost::{FrameObservations, Observation};
+use crate::core::detections::Keypoint;
+use crate::core::time::Timestamp;
+
+/// A point on which the views agree is followed if the body has it within this distance, metres.
+const FOLLOWED_M: f64 = 0.10;
+/// Then most views see it within this part of the performer's height.
+const NEAR: f64 = 0.02;
+/// Frames of a window in which a point is not followed: fewer are not reported.
+const REPORTED: usize = 3;
+/// Two of the views that agree see the point from directions at least this far apart: the cosine of 20
+/// degrees.
+const APART: f64 = 0.9397;
+
+/// A point on which the views agree, and where the body is not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Unfollowed {
+    /// Capture time of the detections.
+    pub capture: Timestamp,
+    /// The point.
+    pub keypoint: Keypoint,
+    /// Distance of the body's point from where the views see it, metres.
+    pub distance_m: f64,
+}
+
+/// Where the views of a point see it, world, metres, and the indices of those that agree to within
+/// `scale_px`: more than half of them and at least three; of two views, both.
+pub(super) fn agreed(
+    rig: &Rig,
+    views: &[Observation],
+    scale_px: f64,
+) -> Option<(Vector3<f64>, Vec<usize>)> {
+    let all: Vec<_> = views.iter().map(|v| (v.camera, v.pixel, v.confidence)).collect();
+    let found = triangulate_robust(rig, &all, scale_px, 0)?;
+    let count = found.inliers.len();
+    let ray = |&view: &usize| {
+        (found.point - rig.cameras[views[view].camera].centre_in_world()).normalize()
+    };
+    let rays: Vec<Vector3<f64>> = found.inliers.iter().map(ray).collect();
+    let are_apart = rays.iter().any(|ray| rays[0].dot(ray) < APART);
+    let is_agreed = are_apart && count >= views.len().min(3) && 2 * count > views.len();
+    is_agreed.then_some((found.point, found.inliers))
+}
+
+/// The points of solved frames on which the views agree to within `scale_px`, and where the body is not.
+/// `residuals` are those of the frames, in the same order.
+pub(super) fn unfollowed<'a>(
+    frames: impl Iterator<Item = (&'a FrameObservations, &'a Pose)>,
+    mut residuals: &[Residual],
+    points: &[BodyPoint],
+    (rig, skeleton): (&Rig, &Skeleton),
+    scale_px: f64,
+) -> Vec<Unfollowed> {
+    let mut all = Vec::new();
+    for (frame, pose) in frames {
+        let of_frame;
+        (of_frame, residuals) = residuals.split_at(frame.observations().len());
+        let mut posture = None;
+        let of_points = of_frame.chunk_by(|a, b| a.point == b.point);
+        for (views, of_point) in frame.by_point().zip(of_points) {
+            // A view along the offset does not see it.
+            let far = of_point.iter().filter(|residual| residual.error_relative > NEAR).count();
+            if far == 0 || far < views.len().min(3) - 1 {
+                continue;
+            }
+            let Some((seen, _)) = agreed(rig, views, scale_px) else { continue };
+            let posture = posture.get_or_insert_with(|| pose.posture(skeleton));
+            let BodyPoint { keypoint, attachment, .. } = points[views[0].point];
+            let own = attachment.position(posture, skeleton);
+            let distance_m = (own - seen).norm();
+            if distance_m > FOLLOWED_M {
+                all.push(Unfollowed { capture: frame.capture, keypoint, distance_m });
+            }
+        }
+    }
+    all
+}
+
+/// The point of a window that is not followed in most of its frames, if it is worth a report: the number
+/// of these frames, and what to say.
+pub(super) fn in_words(unfollowed: &[Unfollowed]) -> Option<(usize, String)> {
+    let mut all = unfollowed.to_vec();
+    all.sort_by_key(|one| one.keypoint);
+    let worst = all.chunk_by(|a, b| a.keypoint == b.keypoint).max_by_key(|frames| frames.len())?;
+    let farthest = worst.iter().map(|one| one.distance_m).fold(0.0, f64::max);
+    let (keypoint, cm) = (worst[0].keypoint, 100.0 * farthest);
+    (worst.len() >= REPORTED)
+        .then(|| (worst.len(), format!("{keypoint} is {cm:.0} cm from where the cameras see it")))
+}

@@ -1,0 +1,45 @@
+//! Lets a body catch up that has fallen behind.
+//!
+//! The robust loss has no slope far from the detections, so a limb that is left behind stays there. Where
+//! the views agree on a point, its detections are right: a first solve of the window has a wide loss for
+//! them. The usual solve starts from its result. Not in the first windows: there the pose as a whole may be
+//! wrong, and the body with it.
+
+use crate::core::camera::Rig;
+use crate::core::cost::{FrameObservations, Observation, PathProblem};
+use crate::core::tracker::agreement::agreed;
+
+/// The body is far from a point if two views see it farther away than this many scales of the loss.
+const FAR: f64 = 2.5;
+/// Factor of the loss's scale for its detections.
+const WIDE: f64 = 5.0;
+
+/// The observations with a wider loss where the views agree on a point from which the body is far at
+/// `x`; `None` if there is no such point.
+pub(super) fn widened(
+    problem: &mut PathProblem,
+    x: &[f64],
+    observations: &[FrameObservations],
+    rig: &Rig,
+    scale_px: f64,
+) -> Option<Vec<FrameObservations>> {
+    let mut wide: Option<Vec<FrameObservations>> = None;
+    for (at, (frame, points)) in observations.iter().zip(problem.points(x)).enumerate() {
+        let mut first = 0;
+        for (views, point) in frame.by_point().zip(points) {
+            let of_point = first;
+            first += views.len();
+            let is_far = |view: &&Observation| {
+                let seen = rig.cameras[view.camera].project(&point);
+                seen.is_none_or(|pixel| (pixel - view.pixel).norm() > FAR * scale_px)
+            };
+            if views.iter().filter(is_far).count() < 2 {
+                continue;
+            }
+            let Some((_, agreeing)) = agreed(rig, views, scale_px) else { continue };
+            let wide = wide.get_or_insert_with(|| observations.to_vec());
+            agreeing.into_iter().for_each(|view| wide[at].set_reach(of_point + view, WIDE));
+        }
+    }
+    wide
+}

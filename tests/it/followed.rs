@@ -1,0 +1,85 @@
+//! What the cameras agree on is followed.
+
+use std::sync::Arc;
+
+use bundlemocap::core::body::{Joint, Pose, Skeleton};
+use bundlemocap::core::camera::Rig;
+use bundlemocap::core::detections::Detections;
+use bundlemocap::core::manifold::Decoder;
+use bundlemocap::core::so3;
+use bundlemocap::core::tracker::{Config, EventKind, Output, Solver, Tracker, run_to_end};
+use bundlemocap::metrics::{FollowedSums, NotFollowed};
+use bundlemocap::research::synth::{Noise, Recording, ring_rig};
+use nalgebra::Vector3;
+
+const FPS: f64 = 60.0;
+
+/// Somebody stands, raises the left leg forward by an angle, degrees, holds it for a second, and has put
+/// it down in the next frame.
+fn kick(seconds: f64, angle: f64) -> Pose {
+    let s = ((seconds - 1.0) / 0.6).clamp(0.0, 1.0);
+    let up = if seconds < 2.6 { s * s * (3.0 - 2.0 * s) } else { 0.0 };
+    let raised = up * angle.to_radians();
+    let mut pose = Pose::rest();
+    pose.root_position = Vector3::new(0.0, 0.95, 0.0);
+    let mut turn = |joint: Joint, by: Vector3<f64>| pose.local[joint.index() - 1] = so3::exp(&by);
+    turn(Joint::LHip, Vector3::new(-raised, 0.0, 0.0));
+    turn(Joint::LKnee, Vector3::new(0.15 * raised, 0.0, 0.0));
+    turn(Joint::LShoulder, Vector3::new(0.0, 0.0, -1.2));
+    turn(Joint::RShoulder, Vector3::new(0.0, 0.0, 1.2));
+    pose
+}
+
+/// The kick in front of some cameras of a ring of four.
+fn detections(angle: f64, cameras: usize, noise: Noise) -> (Rig, Vec<Detections>) {
+    let mut rig = ring_rig(4, 4.0, 1.6).unwrap();
+    rig.cameras.truncate(cameras);
+    let mut recording = Recording::new(rig, Skeleton::default(), move |s| kick(s, angle));
+    (recording.frames, recording.fps, recording.noise) = (240, FPS, noise);
+    let mut frames: Vec<_> = recording.detections().collect();
+    frames.sort_by_key(|frame| frame.capture);
+    (recording.rig, frames)
+}
+
+/// What was not followed, and the number of events that say so.
+fn tracked(rig: Rig, frames: Vec<Detections>, config: Config) -> (NotFollowed, usize) {
+    let mut tracker = Tracker::new(config, Arc::new(rig));
+    let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
+    let (mut sums, mut events) = (FollowedSums::default(), 0);
+    run_to_end(&mut tracker, &mut solver, frames, |output| match output {
+        Output::Window(report) => sums.add(&report),
+        Output::Event(event) if event.kind == EventKind::NotFollowed => events += 1,
+        _ => {}
+    });
+    (sums.finish().unwrap(), events)
+}
+
+#[test]
+fn a_limb_is_caught_within_three_frames_wherever_it_went() {
+    let [none, clean, studio] = [Noise::none(), Noise::clean(), Noise::studio()];
+    // Two views in studio noise agree on wrong places too.
+    for (cameras, noises) in [(4, vec![&none, &clean, &studio]), (2, vec![&none, &clean])] {
+        for (noise, angle) in noises.into_iter().flat_map(|n| [80.0, 100.0, 120.0].map(|a| (n, a)))
+        {
+            let (rig, frames) = detections(angle, cameras, noise.clone());
+            let (found, _) = tracked(rig, frames, Config::default());
+            println!("{cameras} cameras, {angle} degrees: {found:?}");
+            assert!(found.longest_frames <= 3, "{cameras} cameras, {angle} degrees: {found:?}");
+        }
+    }
+}
+
+/// A stiff path cannot follow: that is measured, and said.
+#[test]
+fn a_limb_that_is_left_behind_is_reported() {
+    let (rig, frames) = detections(100.0, 4, Noise::clean());
+    let mut config = Config::default();
+    config.cost.stiffness.latent *= 3000.0;
+    config.cost.correction_prior = 0.0;
+    let (found, events) = tracked(rig, frames, config);
+    println!("{events} events, {found:?}");
+    assert!(found.percent > 0.3 && found.longest_frames > 5 && events > 0, "{found:?}");
+    let leg = &found.longest[0];
+    assert!(leg.keypoint.starts_with("left ") && leg.distance_m > 0.1, "{leg:?}");
+    assert!((2.0e9..3.4e9).contains(&(leg.capture_time_ns as f64)), "{leg:?}");
+}
