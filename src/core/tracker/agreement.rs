@@ -4,15 +4,15 @@ use nalgebra::Vector3;
 
 use super::noise::Residual;
 use crate::core::body::{BodyPoint, Pose, Skeleton};
-use crate::core::camera::{Rig, triangulate_robust};
+use crate::core::camera::{Rig, triangulate};
 use crate::core::cost::{FrameObservations, Observation};
 use crate::core::detections::Keypoint;
 use crate::core::time::Timestamp;
 
 /// A point on which the views agree is followed if the body has it within this distance, metres.
 const FOLLOWED_M: f64 = 0.10;
-/// Then most views see it within this part of the performer's height.
-const NEAR: f64 = 0.02;
+/// Then half of the views see it within this part of the performer's height.
+const NEAR: f64 = 0.03;
 /// Frames of a window in which a point is not followed: fewer are not reported.
 const REPORTED: usize = 3;
 /// Two of the views that agree see the point from directions at least this far apart: the cosine of 20
@@ -31,22 +31,41 @@ pub struct Unfollowed {
 }
 
 /// Where the views of a point see it, world, metres, and the indices of those that agree to within
-/// `scale_px`: more than half of them and at least three; of two views, both.
+/// `scale_px`: more than half of them and at least three; of two views, both. The worst view is dropped
+/// until the others agree.
 pub(super) fn agreed(
     rig: &Rig,
     views: &[Observation],
     scale_px: f64,
 ) -> Option<(Vector3<f64>, Vec<usize>)> {
-    let all: Vec<_> = views.iter().map(|v| (v.camera, v.pixel, v.confidence)).collect();
-    let found = triangulate_robust(rig, &all, scale_px, 0)?;
-    let count = found.inliers.len();
-    let ray = |&view: &usize| {
-        (found.point - rig.cameras[views[view].camera].centre_in_world()).normalize()
-    };
-    let rays: Vec<Vector3<f64>> = found.inliers.iter().map(ray).collect();
-    let are_apart = rays.iter().any(|ray| rays[0].dot(ray) < APART);
-    let is_agreed = are_apart && count >= views.len().min(3) && 2 * count > views.len();
-    is_agreed.then_some((found.point, found.inliers))
+    let least = views.len().min(3).max(views.len() / 2 + 1);
+    let mut agreeing: Vec<usize> = (0..views.len()).collect();
+    while agreeing.len() >= least {
+        let view = |&at: &usize| (views[at].camera, views[at].pixel, views[at].confidence);
+        let point = triangulate(rig, &agreeing.iter().map(view).collect::<Vec<_>>())?;
+        let error = |at: usize| {
+            let seen = rig.cameras[views[at].camera].project(&point);
+            seen.map_or(f64::INFINITY, |pixel| (pixel - views[at].pixel).norm())
+        };
+        let worst = (0..agreeing.len())
+            .max_by(|&a, &b| error(agreeing[a]).total_cmp(&error(agreeing[b])))?;
+        if error(agreeing[worst]) > scale_px {
+            agreeing.remove(worst);
+            continue;
+        }
+        let ray =
+            |&at: &usize| (point - rig.cameras[views[at].camera].centre_in_world()).normalize();
+        let first = ray(&agreeing[0]);
+        let are_apart = agreeing.iter().any(|at| first.dot(&ray(at)) < APART);
+        return are_apart.then_some((point, agreeing));
+    }
+    None
+}
+
+/// Whether so many of the views see a point far away that the body may be far from it: views along the
+/// way there do not.
+pub(super) fn are_enough(far: usize, views: usize) -> bool {
+    far > 0 && 2 * far >= views
 }
 
 /// The points of solved frames on which the views agree to within `scale_px`, and where the body is not.
@@ -65,9 +84,8 @@ pub(super) fn unfollowed<'a>(
         let mut posture = None;
         let of_points = of_frame.chunk_by(|a, b| a.point == b.point);
         for (views, of_point) in frame.by_point().zip(of_points) {
-            // A view along the offset does not see it.
             let far = of_point.iter().filter(|residual| residual.error_relative > NEAR).count();
-            if far == 0 || far < views.len().min(3) - 1 {
+            if !are_enough(far, views.len()) {
                 continue;
             }
             let Some((seen, _)) = agreed(rig, views, scale_px) else { continue };

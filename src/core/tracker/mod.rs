@@ -22,8 +22,8 @@
 //!    starts from the previous window's look-ahead, or from the last motion continued, whichever costs
 //!    less. If the new frames cost far more than the known ones, the new keyframes are first solved one
 //!    by one with a looser loss. Where the views agree on a point and the body is far from it, a first
-//!    solve has a wide loss for its detections. Every `fresh_fit_windows`th window, if a point lies far from two views
-//!    all the time, a fresh fit is tried.
+//!    solve has a wide loss for its detections. Every `fresh_fit_windows`th window, if a point lies far
+//!    from two views all the time, a fresh fit is tried.
 //! 4. **Coasting.** Too little is visible. The last motion continues and decays, for at most
 //!    `coast_windows` windows; from the second one on the performer is searched elsewhere too.
 //! 5. **Lost.** The fit is bad, or coasting took too long. The search starts again with the known body.

@@ -7,9 +7,10 @@
 
 use crate::core::camera::Rig;
 use crate::core::cost::{FrameObservations, Observation, PathProblem};
-use crate::core::tracker::agreement::agreed;
+use crate::core::tracker::agreement::{agreed, are_enough};
 
-/// The body is far from a point if two views see it farther away than this many scales of the loss.
+/// The body is far from a point if half of the views, at least two, see it farther away than this many
+/// scales of the loss.
 const FAR: f64 = 2.5;
 /// Factor of the loss's scale for its detections.
 const WIDE: f64 = 5.0;
@@ -33,7 +34,8 @@ pub(super) fn widened(
                 let seen = rig.cameras[view.camera].project(&point);
                 seen.is_none_or(|pixel| (pixel - view.pixel).norm() > FAR * scale_px)
             };
-            if views.iter().filter(is_far).count() < 2 {
+            let far = views.iter().filter(is_far).count();
+            if far < 2 || !are_enough(far, views.len()) {
                 continue;
             }
             let Some((_, agreeing)) = agreed(rig, views, scale_px) else { continue };
