@@ -7,7 +7,7 @@ use bundlemocap::core::camera::Rig;
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::so3;
-use bundlemocap::core::tracker::{Config, EventKind, Output, Solver, Tracker, run_to_end};
+use bundlemocap::core::tracker::{Config, EventKind, Output, Solver, Tracker, Verdict, run_to_end};
 use bundlemocap::metrics::{FollowedSums, NotFollowed};
 use bundlemocap::research::synth::{Noise, Recording, ring_rig};
 use nalgebra::Vector3;
@@ -47,7 +47,10 @@ fn tracked(rig: Rig, frames: Vec<Detections>, config: Config) -> (NotFollowed, u
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
     let (mut sums, mut events) = (FollowedSums::default(), 0);
     run_to_end(&mut tracker, &mut solver, frames, |output| match output {
-        Output::Window(report) => sums.add(&report),
+        Output::Window(report) => {
+            assert_eq!(report.verdict, Verdict::Tracked);
+            sums.add(&report);
+        }
         Output::Event(event) if event.kind == EventKind::NotFollowed => events += 1,
         _ => {}
     });
@@ -58,13 +61,13 @@ fn tracked(rig: Rig, frames: Vec<Detections>, config: Config) -> (NotFollowed, u
 fn a_limb_is_caught_within_three_frames_wherever_it_went() {
     let [none, clean, studio] = [Noise::none(), Noise::clean(), Noise::studio()];
     // Two views in studio noise agree on wrong places too.
-    for (cameras, noises) in [(4, vec![&none, &clean, &studio]), (2, vec![&none, &clean])] {
-        for (noise, angle) in noises.into_iter().flat_map(|n| [80.0, 100.0, 120.0].map(|a| (n, a)))
-        {
+    let cases = [(4, &none, 1), (4, &clean, 1), (4, &studio, 3), (2, &none, 2), (2, &clean, 2)];
+    for (cameras, noise, most) in cases {
+        for angle in [80.0, 100.0, 120.0] {
             let (rig, frames) = detections(angle, cameras, noise.clone());
             let (found, _) = tracked(rig, frames, Config::default());
             println!("{cameras} cameras, {angle} degrees: {found:?}");
-            assert!(found.longest_frames <= 3, "{cameras} cameras, {angle} degrees: {found:?}");
+            assert!(found.longest_frames <= most, "{cameras} cameras, {angle} degrees: {found:?}");
         }
     }
 }

@@ -120,6 +120,13 @@ fn spread_shutters_share_decodings() {
     let period = Nanos::rounded(1e9 / 60.0);
     let (all, rig) = (frames.iter(), &recording.rig);
     let shared = tracker::follow(all, period, &points, rig, &start, skeleton, &Config::default());
+    let at_once: Vec<_> = frames.iter().filter(|frame| frame.camera == 0).collect();
+    let alone = at_once.iter().copied();
+    // A nominal period that is longer than the real one loses no frame.
+    let longer = Nanos::rounded(1e9 / 60.0 / 0.85);
+    let alone = tracker::follow(alone, longer, &points, rig, &start, skeleton, &Config::default());
+    let times: Vec<_> = alone.iter().map(|frame| frame.capture).collect();
+    assert_eq!(times, at_once.iter().map(|frame| frame.capture).collect::<Vec<_>>());
     // The first frame of each camera has none before it.
     assert!(shared.len() <= 60 + 3, "{} times of 60 frame sets", shared.len());
     let mut errors = Vec::new();

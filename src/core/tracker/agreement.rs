@@ -15,8 +15,7 @@ const FOLLOWED_M: f64 = 0.10;
 const NEAR: f64 = 0.03;
 /// Frames of a window in which a point is not followed: fewer are not reported.
 const REPORTED: usize = 3;
-/// Two of the views that agree see the point from directions at least this far apart: the cosine of 20
-/// degrees.
+/// The rays of two of the views that agree meet at this angle at least: the cosine of 20 degrees.
 const APART: f64 = 0.9397;
 
 /// A point on which the views agree, and where the body is not.
@@ -55,8 +54,8 @@ pub(super) fn agreed(
         }
         let ray =
             |&at: &usize| (point - rig.cameras[views[at].camera].centre_in_world()).normalize();
-        let first = ray(&agreeing[0]);
-        let are_apart = agreeing.iter().any(|at| first.dot(&ray(at)) < APART);
+        let rays: Vec<Vector3<f64>> = agreeing.iter().map(ray).collect();
+        let are_apart = rays.iter().any(|a| rays.iter().any(|b| a.dot(b).abs() < APART));
         return are_apart.then_some((point, agreeing));
     }
     None

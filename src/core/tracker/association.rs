@@ -76,7 +76,7 @@ impl Follower<'_> {
             match (groups.last_mut(), last) {
                 (Some((at, group)), _) if frame.capture - *at <= SAME_TIME => group.extend(seen),
                 (Some((at, group)), Some((before, last)))
-                    if before <= *at && frame.capture - *at < shared =>
+                    if before < *at && frame.capture - *at < shared =>
                 {
                     let share = at.fraction(before, frame.capture);
                     group.extend(between(&last, &seen, share));

@@ -45,6 +45,9 @@ pub struct Config {
     /// tried, and replaces the pose if it costs clearly less; 0 never tries. Differs: the paper never
     /// does.
     pub fresh_fit_windows: usize,
+    /// Most iterations with a wide loss before a window's own ones, for points on which the views agree and
+    /// from which the body is far; 0: none.
+    pub catch_up_iterations: usize,
     /// Windows stop waiting for a camera after this many windows in a row closed without it.
     pub grace_windows: usize,
     /// Iterations of each stage of the acquisition.
@@ -97,6 +100,7 @@ impl Default for Config {
             relative_scale: 1.3,
             coast_windows: 6,
             fresh_fit_windows: 8,
+            catch_up_iterations: 2,
             grace_windows: 6,
             acquisition_iterations: 30,
             change_threshold: 2e-2,
@@ -124,6 +128,7 @@ impl Config {
             relative_scale: 0.0,
             coast_windows: 3,
             fresh_fit_windows: 0,
+            catch_up_iterations: 0,
             grace_windows: 3,
             cost: cost::Config {
                 prior: 90.0,
@@ -158,6 +163,7 @@ impl Config {
             Limit::up_to_1000("body_windows", self.body_windows),
             Limit::up_to_1000("coast_windows", self.coast_windows),
             Limit::up_to_1000("fresh_fit_windows", self.fresh_fit_windows),
+            Limit::up_to_1000("catch_up_iterations", self.catch_up_iterations),
             Limit::one_to_1000("grace_windows", self.grace_windows),
             Limit("threads", self.threads as f64, 1.0..=2.0, "1 or 2"),
             Limit::from_0("reference_residual_px", self.reference_residual_px),

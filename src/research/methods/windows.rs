@@ -105,11 +105,13 @@ impl Windows {
         Self::new("+ Cauchy loss, its scale follows the detector", Config { cost, ..config })
     }
 
-    /// The same with corrections of joints: the default without contacts of the feet.
+    /// The same with corrections of joints: the default without contacts of the feet and without
+    /// catching up.
     pub fn feet_slide() -> Self {
         let config = Config::default();
         let cost = cost::Config { foot_contact: 0.0, ..config.cost };
-        Self::new("+ corrections of joints", Config { cost, ..config })
+        let config = Config { cost, catch_up_iterations: 0, ..config };
+        Self::new("+ corrections of joints", config)
     }
 
     /// The program's default settings.

@@ -16,8 +16,6 @@ use crate::core::tracker::job::Job;
 const FAR: f64 = 0.3;
 /// Then its keyframes are solved roughly, one after the other, with a wide loss.
 const ONE_BY_ONE: Steps = Steps { iterations: 1, scale_factor: 3.0, may_catch_up: false };
-/// Most iterations of a solve in which the body catches up.
-const CATCH_UP: usize = 2;
 
 /// Smallest scale of a loss that follows the detections, pixels: below it are the errors of our model.
 const LEAST_SCALE_PX: f64 = 6.0;
@@ -77,12 +75,15 @@ impl Solver {
             let known = Known { ahead: &ahead, ..known };
             return self.keyframes(job, points, known, times, observations, steps);
         }
+        let catch_up = self.config.catch_up_iterations.min(steps.iterations);
         if steps.may_catch_up
+            && catch_up > 0
+            && job.effort.stride == 1
             && job.noise.is_settled()
             && let Some(wide) = widened(&mut problem, &x, observations, &job.rig, scale_px)
         {
             problem.replace_observations(Some(wide));
-            self.optimiser.minimise(&mut problem, &mut x, CATCH_UP);
+            self.optimiser.minimise(&mut problem, &mut x, catch_up);
             problem.replace_observations(None);
         }
         let summary = self.optimiser.minimise(&mut problem, &mut x, steps.iterations);
