@@ -122,7 +122,7 @@ pub mod io;
 pub mod live;
 pub mod metrics;
 pub mod offline;
-/// What the evaluation uses; it may change in any version.
+/// Methods, synthetic recordings and training for the evaluation. It may change in any version.
 #[cfg(feature = "research")]
 pub mod research;
 pub mod retarget;

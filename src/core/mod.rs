@@ -1,7 +1,7 @@
 //! The solver, without I/O and without a clock.
 //!
-//! What the documentation does not list is for the crate's own use and its tests, and may change in any
-//! version.
+//! The documentation lists the modules for users. The other modules are for the crate itself and its tests,
+//! and may change in any version.
 
 #[doc(hidden)]
 pub mod association;

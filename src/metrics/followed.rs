@@ -8,18 +8,18 @@ use crate::core::detections::Keypoint;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{Residual, Unfollowed, Verdict, WindowReport};
 
-/// An episode ends if its point is followed for longer.
+/// An episode ends after a longer time in which its point is followed.
 const BREAK: Nanos = Nanos::from_ms(60);
 /// Number of the longest episodes that are kept.
 const KEPT: usize = 5;
 
-/// Points on which the views agree and where the body is not, farther than 10 cm away
-/// ([`Unfollowed`]), in windows that are tracked.
+/// Points on which the views agree and from which the body is more than 10 cm away ([`Unfollowed`]), in
+/// windows that are tracked.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct NotFollowed {
     /// Share of the points that two views see, percent.
     pub percent: f64,
-    /// Number of episodes: the same point in frame after frame.
+    /// Number of episodes: one point, frame after frame.
     pub episodes: usize,
     /// Number of frames of the longest one.
     pub longest_frames: usize,
@@ -40,6 +40,7 @@ pub struct Episode {
     pub distance_m: f64,
 }
 
+/// An episode that may go on.
 #[derive(Clone, Copy, Debug)]
 struct Open {
     first: Unfollowed,
@@ -59,7 +60,7 @@ pub struct FollowedSums {
 }
 
 impl FollowedSums {
-    /// Adds a window; those that are not tracked do not count.
+    /// Adds a window. Windows that are not tracked do not count.
     pub fn add(&mut self, report: &WindowReport) {
         if report.verdict != Verdict::Tracked {
             return;

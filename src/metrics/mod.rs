@@ -14,7 +14,7 @@
 //! | jump at borders | [`VelocityJump`]: mean \|v(t+) - v(t-)\| at window borders, less that of the true motion there | m/s |
 //! | foot skate | [`foot_skate`]: mean horizontal speed of ankles and feet whose true speed and height mean contact | mm/s |
 //! | floor | [`Floor`]: median height of standing feet | m |
-//! | seen and not followed | [`NotFollowed`]: points on which the views agree, and the body is more than 10 cm away | % |
+//! | seen and not followed | [`NotFollowed`]: share of points on which the views agree and from which the body is more than 10 cm away | % |
 //! | several performers | [`PerformerScores`]: MOTA, identity switches, recall, precision, PCP | %, count |
 //! | drift | [`slope_interval`] of the frames' mean e over time | mm/min |
 //!

@@ -95,7 +95,13 @@ fn case(Size { cameras, format, frames }: Size) -> Case {
                     let size = if (count as usize).is_multiple_of(23) { 90.0 } else { 4.0 };
                     let pixel =
                         pixel + Vector2::new((count * 1.3).sin(), (count * 2.1).cos()) * size;
-                    seen.push(Observation { point, camera, pixel, confidence: 0.8, reach: 1.0 });
+                    seen.push(Observation {
+                        point,
+                        camera,
+                        pixel,
+                        confidence: 0.8,
+                        scale_factor: 1.0,
+                    });
                 }
             }
             FrameObservations::new(time(frame), seen)

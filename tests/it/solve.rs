@@ -66,7 +66,7 @@ pub fn observe(
     let seen = |camera: usize, point: usize| {
         let world = points[point].attachment.position(posture, body);
         let pixel = rig.cameras[camera].project(&world)?;
-        Some(Observation { point, camera, pixel, confidence: 1.0, reach: 1.0 })
+        Some(Observation { point, camera, pixel, confidence: 1.0, scale_factor: 1.0 })
     };
     (0..rig.cameras.len())
         .flat_map(|camera| (0..points.len()).filter_map(move |point| seen(camera, point)))

@@ -58,9 +58,7 @@ impl Setup {
         if protocol.sequence.body == Body::Foreign && folder.is_none() {
             let message = match motions {
                 Some(_) => "foreign bodies are the skeletons of clips; give clips with --motions",
-                None => {
-                    "foreign bodies are the skeletons of clips, which are not used here; set body"
-                }
+                None => "foreign bodies need clips, and this command uses none; set body = \"own\"",
             };
             return Err(Failure::new(Exit::Usage, message));
         }

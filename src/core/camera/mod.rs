@@ -12,7 +12,10 @@ use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
 pub use lens::Lens;
 pub use rig::Rig;
-pub use triangulate::{Triangulated, View, triangulate, triangulate_near, triangulate_robust};
+pub use triangulate::{
+    Left, Triangulated, View, triangulate, triangulate_dropping, triangulate_near,
+    triangulate_robust,
+};
 
 use crate::core::so3;
 use crate::core::time::Nanos;

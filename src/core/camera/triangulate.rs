@@ -49,6 +49,31 @@ pub fn triangulate(rig: &Rig, views: &[View]) -> Option<Vector3<f64>> {
     solve(rig, views, &rays, &usable)
 }
 
+/// What is left of some views: their point (world, metres), their indices among the views given, ascending, and
+/// the distance of the worst one's pixel from the point's projection, pixels; infinite behind that camera.
+pub type Left = (Vector3<f64>, Vec<usize>, f64);
+
+/// As [`triangulate`], but drops the worst view while it is more than `threshold_px` off and more than `least`
+/// views are left. `None` where [`triangulate`] finds no point.
+pub fn triangulate_dropping(
+    rig: &Rig,
+    views: &[View],
+    threshold_px: f64,
+    least: usize,
+) -> Option<Left> {
+    let (mut left, mut indices) = (views.to_vec(), (0..views.len()).collect::<Vec<_>>());
+    loop {
+        let point = triangulate(rig, &left)?;
+        let errors = left.iter().map(|view| error_px(rig, view, &point).unwrap_or(f64::INFINITY));
+        let (worst, error) = errors.enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        if error <= threshold_px || left.len() <= least {
+            return Some((point, indices, error));
+        }
+        left.remove(worst);
+        indices.remove(worst);
+    }
+}
+
 /// As [`triangulate`], but only from views that agree to within `threshold_px`.
 ///
 /// The point of all views, if they agree. Otherwise candidates come from pairs of views (all pairs up

@@ -82,7 +82,7 @@ impl<'p> Path<'p> {
         }
     }
 
-    /// Where the body has the observed points of the frames of a batch.
+    /// Places of the observed points on the body (world, metres), by frame of a batch.
     pub(super) fn points(
         &self,
         observations: &[FrameObservations],
@@ -91,11 +91,7 @@ impl<'p> Path<'p> {
         batch.decode(self.scene.decoder, observations.iter().map(|frame| self.code(frame)));
         let of_frame = |(m, frame): (usize, &FrameObservations)| {
             let posture = self.posture(self.unknowns.place(frame.capture), m, batch);
-            let position = |views: &[Observation]| {
-                let (point, arm) = self.point(views, &posture);
-                posture.positions[point.attachment.joint.index()] + arm
-            };
-            frame.by_point().map(position).collect()
+            frame.by_point().map(|views| self.point(views, &posture).2).collect()
         };
         observations.iter().enumerate().map(of_frame).collect()
     }
@@ -144,8 +140,7 @@ impl<'p> Path<'p> {
     /// The cost of a frame.
     fn cost(&self, frame: &FrameObservations, posture: &Posture) -> f64 {
         let cost = |views: &[Observation]| {
-            let (point, arm) = self.point(views, posture);
-            let position = posture.positions[point.attachment.joint.index()] + arm;
+            let (point, _, position) = self.point(views, posture);
             point.attachment.weight * self.reprojection.cost(views, &position)
         };
         frame.by_point().map(cost).sum()
@@ -166,9 +161,8 @@ impl<'p> Path<'p> {
         batch.rows.clear();
         batch.gradients[m * n..(m + 1) * n].fill(0.0);
         for views in frame.by_point() {
-            let (point, arm) = self.point(views, posture);
+            let (point, arm, position) = self.point(views, posture);
             let (joint, weight) = (point.attachment.joint, point.attachment.weight);
-            let position = posture.positions[joint.index()] + arm;
             let (value, gradient, curvature) = self.reprojection.terms(views, &position);
             let (gradient, curvature) = (gradient * weight, curvature * weight);
             cost += weight * value;
@@ -187,11 +181,16 @@ impl<'p> Path<'p> {
         cost
     }
 
-    /// The observed point, and its position from its joint's centre (world frame).
-    fn point(&self, views: &[Observation], posture: &Posture) -> (&'p BodyPoint, Vector3<f64>) {
+    /// The observed point, its offset from its joint's centre, and its position (world frame, metres).
+    fn point(
+        &self,
+        views: &[Observation],
+        posture: &Posture,
+    ) -> (&'p BodyPoint, Vector3<f64>, Vector3<f64>) {
         let point = &self.scene.points[views[0].point];
-        let rotation = &posture.rotations[point.attachment.joint.index()];
-        (point, rotation * self.offsets[views[0].point])
+        let joint = point.attachment.joint.index();
+        let arm = posture.rotations[joint] * self.offsets[views[0].point];
+        (point, arm, posture.positions[joint] + arm)
     }
 
     /// Adds three rows L^T J: L L^T is the curvature, J the point's Jacobian.

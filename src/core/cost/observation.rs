@@ -16,7 +16,7 @@ pub struct Observation {
     /// The detector's confidence, (0, 1].
     pub confidence: f64,
     /// Factor of the loss's scale.
-    pub reach: f64,
+    pub scale_factor: f64,
 }
 
 /// All observations of one capture time.
@@ -41,8 +41,8 @@ impl FrameObservations {
     }
 
     /// Sets the factor of the loss's scale of an observation, by its index.
-    pub fn set_reach(&mut self, index: usize, reach: f64) {
-        self.observations[index].reach = reach;
+    pub fn set_scale_factor(&mut self, index: usize, scale_factor: f64) {
+        self.observations[index].scale_factor = scale_factor;
     }
 
     /// The observations of each point in turn.

@@ -5,6 +5,8 @@
 //! the derivative of the interpolation. If the body is free, all keyframes share it, and the normal
 //! equations are one dense block; otherwise they are banded, with a block for each free keyframe.
 
+use nalgebra::Vector3;
+
 use super::chain_rule::{KeyframeTangent, block, keyframe_tangents};
 use super::config::Config;
 use super::frame_cost::{self, Path};
@@ -18,7 +20,6 @@ use crate::core::body::{SHAPE_COEFFICIENTS, Skeleton};
 use crate::core::manifold::{Keyframe, LATENT};
 use crate::core::optimise::{Layout, NormalEquations, Problem};
 use crate::core::time::Timestamp;
-use nalgebra::Vector3;
 
 /// The cost of a path, for an optimiser; [`PathProblem::solution`] turns its result into keyframes and
 /// body.
@@ -26,7 +27,7 @@ use nalgebra::Vector3;
 pub struct PathProblem<'a> {
     scene: Scene<'a>,
     observations: &'a [FrameObservations],
-    /// In place of `observations`, for a while.
+    /// Used in place of `observations` if they are there.
     replaced: Option<Vec<FrameObservations>>,
     work: &'a mut Workspace,
     pub(super) unknowns: Unknowns,
@@ -88,7 +89,7 @@ impl<'a> PathProblem<'a> {
         }
     }
 
-    /// Puts other observations of the same points and times in place of its own, or its own again.
+    /// Uses other observations of the same points and times, or its own again (`None`).
     pub fn replace_observations(&mut self, other: Option<Vec<FrameObservations>>) {
         self.replaced = other;
     }
@@ -114,8 +115,8 @@ impl<'a> PathProblem<'a> {
         [0, 1].map(|part| costs[part] / (ceiling * most[part]).max(f64::MIN_POSITIVE))
     }
 
-    /// Where the body has the observed points at `x`, in the world: by frame, in the order of
-    /// [`FrameObservations::by_point`].
+    /// Places of the observed points on the body at `x` (world, metres): by frame, in the order of
+    /// [`FrameObservations::by_point`]. The body must be that of the last evaluation.
     pub fn points(&mut self, x: &[f64]) -> Vec<Vec<Vector3<f64>>> {
         self.unknowns.take(x);
         let Self { scene, unknowns, loss, observations, work, .. } = self;

@@ -17,7 +17,7 @@ impl Reprojection<'_> {
     /// 1/2 sum of w rho over the views of a point at `position` in the world.
     pub(super) fn cost(&self, views: &[Observation], position: &Vector3<f64>) -> f64 {
         let cost = |view: &Observation| {
-            let loss = self.loss.wider(view.reach);
+            let loss = self.loss.wider(view.scale_factor);
             let seen = self.rig.cameras[view.camera].project(position);
             let rho = seen
                 .map_or(loss.ceiling(), |pixel| loss.rho((pixel - view.pixel).norm_squared()).0);
@@ -34,7 +34,8 @@ impl Reprojection<'_> {
     ) -> (f64, Vector3<f64>, Matrix3<f64>) {
         let (mut cost, mut gradient, mut curvature) = (0.0, Vector3::zeros(), Matrix3::zeros());
         for view in views {
-            let (camera, loss) = (&self.rig.cameras[view.camera], self.loss.wider(view.reach));
+            let (camera, loss) =
+                (&self.rig.cameras[view.camera], self.loss.wider(view.scale_factor));
             let Some((pixel, jacobian)) = camera.project_with_jacobian(position) else {
                 cost += 0.5 * view.confidence * loss.ceiling();
                 continue;

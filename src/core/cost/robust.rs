@@ -32,7 +32,7 @@ impl Loss {
         Self { kind, square_scale: scale * scale }
     }
 
-    /// With a scale times `factor`.
+    /// The same loss with `factor` times the scale.
     pub fn wider(&self, factor: f64) -> Self {
         Self { square_scale: self.square_scale * factor * factor, ..*self }
     }

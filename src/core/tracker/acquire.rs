@@ -172,7 +172,7 @@ fn support(
 fn observations(candidate: &Candidate) -> impl Iterator<Item = Observation> + '_ {
     candidate.seen.iter().enumerate().filter_map(|(point, seen)| {
         let (pixel, confidence) = (*seen)?;
-        Some(Observation { point, camera: candidate.camera, pixel, confidence, reach: 1.0 })
+        Some(Observation { point, camera: candidate.camera, pixel, confidence, scale_factor: 1.0 })
     })
 }
 

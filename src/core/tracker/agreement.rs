@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::noise::Residual;
 use crate::core::body::{BodyPoint, Pose, Skeleton};
-use crate::core::camera::{Rig, triangulate};
+use crate::core::camera::{Rig, View, triangulate_dropping};
 use crate::core::cost::{FrameObservations, Observation};
 use crate::core::detections::Keypoint;
 use crate::core::time::Timestamp;
@@ -13,12 +13,12 @@ use crate::core::time::Timestamp;
 const FOLLOWED_M: f64 = 0.10;
 /// Then half of the views see it within this part of the performer's height.
 const NEAR: f64 = 0.03;
-/// Frames of a window in which a point is not followed: fewer are not reported.
+/// A point is reported if it is not followed in this many frames of a window.
 const REPORTED: usize = 3;
-/// The rays of two of the views that agree meet at this angle at least: the cosine of 20 degrees.
-const APART: f64 = 0.9397;
+/// Cosine of the smallest angle at which rays of the views that agree meet: 20 degrees.
+const COS_APART: f64 = 0.9397;
 
-/// A point on which the views agree, and where the body is not.
+/// A point on which the views agree, and from which the body is far.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unfollowed {
     /// Capture time of the detections.
@@ -29,46 +29,31 @@ pub struct Unfollowed {
     pub distance_m: f64,
 }
 
-/// Where the views of a point see it, world, metres, and the indices of those that agree to within
-/// `scale_px`: more than half of them and at least three; of two views, both. The worst view is dropped
-/// until the others agree.
+/// Where the views of a point see it (world, metres), and the indices of the views that agree to within
+/// `scale_px`. These are more than half of the views and at least three; of two views, both.
 pub(super) fn agreed(
     rig: &Rig,
     views: &[Observation],
     scale_px: f64,
 ) -> Option<(Vector3<f64>, Vec<usize>)> {
     let least = views.len().min(3).max(views.len() / 2 + 1);
-    let mut agreeing: Vec<usize> = (0..views.len()).collect();
-    while agreeing.len() >= least {
-        let view = |&at: &usize| (views[at].camera, views[at].pixel, views[at].confidence);
-        let point = triangulate(rig, &agreeing.iter().map(view).collect::<Vec<_>>())?;
-        let error = |at: usize| {
-            let seen = rig.cameras[views[at].camera].project(&point);
-            seen.map_or(f64::INFINITY, |pixel| (pixel - views[at].pixel).norm())
-        };
-        let worst = (0..agreeing.len())
-            .max_by(|&a, &b| error(agreeing[a]).total_cmp(&error(agreeing[b])))?;
-        if error(agreeing[worst]) > scale_px {
-            agreeing.remove(worst);
-            continue;
-        }
-        let ray =
-            |&at: &usize| (point - rig.cameras[views[at].camera].centre_in_world()).normalize();
-        let rays: Vec<Vector3<f64>> = agreeing.iter().map(ray).collect();
-        let are_apart = rays.iter().any(|a| rays.iter().any(|b| a.dot(b).abs() < APART));
-        return are_apart.then_some((point, agreeing));
-    }
-    None
+    let all: Vec<View> = views.iter().map(|v| (v.camera, v.pixel, v.confidence)).collect();
+    let (point, agreeing, error_px) = triangulate_dropping(rig, &all, scale_px, least)?;
+    let ray =
+        |&view: &usize| (point - rig.cameras[views[view].camera].centre_in_world()).normalize();
+    let rays: Vec<Vector3<f64>> = agreeing.iter().map(ray).collect();
+    let are_apart = rays.iter().any(|a| rays.iter().any(|b| a.dot(b).abs() < COS_APART));
+    (error_px <= scale_px && are_apart).then_some((point, agreeing))
 }
 
-/// Whether so many of the views see a point far away that the body may be far from it: views along the
-/// way there do not.
+/// Whether the body may be far from a point that `far` of the `views` see far away. Half of them suffice: a
+/// view along the offset does not see it.
 pub(super) fn are_enough(far: usize, views: usize) -> bool {
     far > 0 && 2 * far >= views
 }
 
-/// The points of solved frames on which the views agree to within `scale_px`, and where the body is not.
-/// `residuals` are those of the frames, in the same order.
+/// The points of solved frames on which the views agree to within `scale_px`, and from which the body is
+/// far. `residuals` are those of the frames, in the same order.
 pub(super) fn unfollowed<'a>(
     frames: impl Iterator<Item = (&'a FrameObservations, &'a Pose)>,
     mut residuals: &[Residual],
@@ -100,14 +85,18 @@ pub(super) fn unfollowed<'a>(
     all
 }
 
-/// The point of a window that is not followed in most of its frames, if it is worth a report: the number
-/// of these frames, and what to say.
-pub(super) fn in_words(unfollowed: &[Unfollowed]) -> Option<(usize, String)> {
+/// The point of a window that is not followed in the most frames: the number of these frames, and the
+/// report. `None` if there are too few.
+pub(super) fn worst_in_words(unfollowed: &[Unfollowed]) -> Option<(usize, String)> {
     let mut all = unfollowed.to_vec();
     all.sort_by_key(|one| one.keypoint);
     let worst = all.chunk_by(|a, b| a.keypoint == b.keypoint).max_by_key(|frames| frames.len())?;
     let farthest = worst.iter().map(|one| one.distance_m).fold(0.0, f64::max);
     let (keypoint, cm) = (worst[0].keypoint, 100.0 * farthest);
-    (worst.len() >= REPORTED)
-        .then(|| (worst.len(), format!("{keypoint} is {cm:.0} cm from where the cameras see it")))
+    (worst.len() >= REPORTED).then(|| {
+        (
+            worst.len(),
+            format!("{keypoint}: the solved body is {cm:.0} cm from where the cameras see it"),
+        )
+    })
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::agreement::in_words;
+use super::agreement::worst_in_words;
 use super::body_estimator::BodyEstimator;
 use super::event::EventKind;
 use super::job::{Outcome, ProvisionalFit, Solution, Tracked, Verdict};
@@ -121,7 +121,7 @@ impl Tracker {
         let is_fitted = !tracked.residuals.is_empty();
         self.report_verdict(window.publish, &tracked.verdict);
         if let Some((frames, detail)) =
-            in_words(&tracked.unfollowed).filter(|_| state == TrackingState::Tracking)
+            worst_in_words(&tracked.unfollowed).filter(|_| state == TrackingState::Tracking)
         {
             let kind = EventKind::NotFollowed;
             self.counted_event(kind, window.publish, None, frames as u64, detail);

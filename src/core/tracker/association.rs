@@ -5,9 +5,9 @@
 //! accepted one, where half of its points lie within a gate. Where several detections pass the
 //! gate, each point is taken from the one that has it nearest.
 //!
-//! Each capture time costs a decoding, so cameras whose shutters are spread over a frame period share
-//! one: the pixels of the later cameras are interpolated between their own frames to the time of the
-//! first.
+//! Each capture time costs a decoding. Cameras whose shutters are spread over a frame period share one:
+//! the pixels of the later cameras are interpolated, between two of their own frames, to the time of the
+//! first camera.
 
 use nalgebra::Vector2;
 
@@ -22,9 +22,9 @@ use crate::core::time::{Nanos, Timestamp};
 /// Frames closer in time than this are merged: cameras on one clock differ by microseconds,
 /// and at 5 m/s this is half a millimetre.
 const SAME_TIME: Nanos = Nanos::new(100_000);
-/// Frames share the time of another camera's frame that is less than this part of a period earlier.
+/// A frame takes the time of another camera's earlier frame if that is nearer than this part of a period.
 const SHARED: f64 = 0.9;
-/// Pixels are interpolated between frames of a camera that are at most so many periods apart.
+/// Pixels are interpolated between two frames of a camera if these are at most so many periods apart.
 const NEXT: f64 = 1.5;
 
 /// The expected pixel of each fitted keypoint of the performer in a view.
@@ -133,14 +133,15 @@ impl Follower<'_> {
         let distance = |pixel: &Vector2<f64>| expected.map_or(0.0, |e| (pixel - e).norm());
         let observation = |d: &Detection| {
             let (pixel, confidence) = (d.pixel.coords, d.confidence);
-            Observation { point, camera, pixel, confidence, reach: 1.0 }
+            Observation { point, camera, pixel, confidence, scale_factor: 1.0 }
         };
         seen.map(observation).min_by(|a, b| distance(&a.pixel).total_cmp(&distance(&b.pixel)))
     }
 }
 
-/// A camera's observations between two of its frames: `share` of the way from the first to the second.
-/// Both are in order of their points. A point that the first one lacks moves as the others do.
+/// A camera's observations between two of its frames, at `share` of the way from the first to the second.
+/// Each frame's observations are in order of their points. A point that the first frame lacks moves by the
+/// mean of the others.
 fn between(first: &[Observation], second: &[Observation], share: f64) -> Vec<Observation> {
     let before = |now: &Observation| {
         first.binary_search_by_key(&now.point, |old| old.point).ok().map(|at| first[at].pixel)

@@ -45,8 +45,8 @@ pub struct Config {
     /// tried, and replaces the pose if it costs clearly less; 0 never tries. Differs: the paper never
     /// does.
     pub fresh_fit_windows: usize,
-    /// Most iterations with a wide loss before a window's own ones, for points on which the views agree and
-    /// from which the body is far; 0: none.
+    /// Most iterations with a wide loss, which come before a window's usual ones if the views agree on a
+    /// point and the body is far from it; 0: none. Differs: the paper has none.
     pub catch_up_iterations: usize,
     /// Windows stop waiting for a camera after this many windows in a row closed without it.
     pub grace_windows: usize,

@@ -29,7 +29,7 @@ pub enum EventKind {
     Coasted,
     /// The performer was not seen for too long; the search starts again.
     Left,
-    /// In some frames the cameras agree on a point of the performer, and the body is not there.
+    /// The cameras agree on a point of the performer, but the solved body is more than 10 cm away.
     NotFollowed,
     /// Windows no longer wait for a camera.
     Silent,

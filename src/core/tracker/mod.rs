@@ -63,7 +63,6 @@ pub use event::{Event, EventKind};
 #[doc(hidden)]
 pub use frame_rate::{FramePeriod, FrameRate, KEPT as RATE_FRAMES, UnitCheck};
 pub use job::{Job, Outcome, PoseAt, ProvisionalFit, Solution, Task, Tracked, Verdict};
-#[doc(hidden)]
 pub use noise::{Noise, Residual};
 pub use playout::{Latency, Live};
 pub use port::{Input, Output, WindowReport};

@@ -9,7 +9,7 @@ use crate::core::time::Timestamp;
 
 /// Number of windows that the running mean covers, about.
 const WINDOWS: f64 = 20.0;
-/// It is settled from this many windows on.
+/// The estimate is settled after this many windows.
 const SETTLED: f64 = 8.0;
 /// Mean confidence for which the weights were tuned.
 const USUAL_CONFIDENCE: f64 = 0.6;
@@ -66,7 +66,7 @@ impl Noise {
         Self { square, relative, confidence, windows }
     }
 
-    /// Whether it covers some windows, so that it does not depend on how the track began.
+    /// Whether it covers so many windows that it hardly depends on the first ones.
     pub(super) fn is_settled(&self) -> bool {
         self.windows >= SETTLED
     }

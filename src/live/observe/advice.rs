@@ -19,7 +19,9 @@ pub(crate) fn advice(kind: &str) -> Option<&'static str> {
         }
         "nobody_found" => "no two cameras see a person; check the volume, or the calibration",
         "coasted" => "too little of the performer is seen",
-        "not_followed" => "the body is not where the cameras see it; `check` a recording of it",
+        "not_followed" => {
+            "the solved body is not where the cameras see the performer; run `check` on a recording"
+        }
         "crowd" => "a detector reports too many people; raise its threshold",
         _ => return None,
     })

@@ -5,13 +5,13 @@
 //! straight lines. Differences: the performer's detections are those that MuVS followed, as in all
 //! methods here.
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector3;
 
 use super::filter::Filter;
 use super::muvs::{MuVsWeights, PerFrame};
 use super::{Delay, Method, Motion, Solved, Take};
 use crate::core::body::fitted_points;
-use crate::core::camera::{Rig, View, triangulate};
+use crate::core::camera::{Rig, View, triangulate_dropping};
 use crate::core::cost::FrameObservations;
 use crate::core::manifold::Decoder;
 use crate::metrics::{COMPARED, MarkerPositions};
@@ -55,24 +55,7 @@ impl Triangulation {
                 views[index].push((observation.camera, observation.pixel, observation.confidence));
             }
         }
-        views.map(|views| self.agreeing(rig, views))
-    }
-
-    /// The point of the views that agree.
-    fn agreeing(&self, rig: &Rig, mut views: Vec<View>) -> Option<Vector3<f64>> {
-        loop {
-            let point = triangulate(rig, &views)?;
-            let error = |(camera, pixel, _): &View| -> f64 {
-                let projected: Option<Vector2<f64>> = rig.cameras[*camera].project(&point);
-                projected.map_or(f64::INFINITY, |projected| (projected - pixel).norm())
-            };
-            let errors = views.iter().map(error).enumerate();
-            let (worst, error) = errors.max_by(|a, b| a.1.total_cmp(&b.1))?;
-            if error <= self.agree_px || views.len() <= 2 {
-                return Some(point);
-            }
-            views.remove(worst);
-        }
+        views.map(|views| Some(triangulate_dropping(rig, &views, self.agree_px, 2)?.0))
     }
 }
 

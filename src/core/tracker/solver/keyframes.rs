@@ -1,7 +1,7 @@
 //! Solves the keyframes of a window together.
 
 use super::Solver;
-use super::graduated::widened;
+use super::catch_up::widened;
 use super::known::Known;
 use crate::core::body::BodyPoint;
 use crate::core::cost::{self, FrameObservations, FreeBody, PathKeyframe, PathProblem, Scene};
@@ -27,7 +27,7 @@ pub(super) struct Steps {
     iterations: usize,
     /// Factor of the loss's scale.
     scale_factor: f64,
-    /// Whether a solve with a wide loss comes first where it is needed.
+    /// Whether iterations with a wide loss may come first.
     may_catch_up: bool,
 }
 

@@ -1,8 +1,8 @@
 //! The solver: solves jobs. It keeps only scratch memory.
 
 mod acquisition;
+mod catch_up;
 mod fresh_fit;
-mod graduated;
 mod keyframes;
 mod known;
 mod window;

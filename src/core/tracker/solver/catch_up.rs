@@ -1,9 +1,9 @@
-//! Lets a body catch up that has fallen behind.
+//! A limb that was left behind catches up.
 //!
-//! The robust loss has no slope far from the detections, so a limb that is left behind stays there. Where
-//! the views agree on a point, its detections are right: a first solve of the window has a wide loss for
-//! them. The usual solve starts from its result. Not in the first windows: there the pose as a whole may be
-//! wrong, and the body with it.
+//! The robust loss has almost no slope far from the detections, so such a limb would stay where it is. If the
+//! views agree on a point, its detections are right. Then the first iterations of the window have a wide loss
+//! for these detections, and the usual ones follow. The first windows of a track are left out: their whole
+//! pose may be wrong, and the body too.
 
 use crate::core::camera::Rig;
 use crate::core::cost::{FrameObservations, Observation, PathProblem};
@@ -12,11 +12,11 @@ use crate::core::tracker::agreement::{agreed, are_enough};
 /// The body is far from a point if half of the views, at least two, see it farther away than this many
 /// scales of the loss.
 const FAR: f64 = 2.5;
-/// Factor of the loss's scale for its detections.
+/// Factor of the loss's scale for the detections of such a point.
 const WIDE: f64 = 5.0;
 
-/// The observations with a wider loss where the views agree on a point from which the body is far at
-/// `x`; `None` if there is no such point.
+/// The observations, with a wide loss for each point on which the views agree and from which the body is far
+/// at `x`. `None` if there is no such point.
 pub(super) fn widened(
     problem: &mut PathProblem,
     x: &[f64],
@@ -40,7 +40,7 @@ pub(super) fn widened(
             }
             let Some((_, agreeing)) = agreed(rig, views, scale_px) else { continue };
             let wide = wide.get_or_insert_with(|| observations.to_vec());
-            agreeing.into_iter().for_each(|view| wide[at].set_reach(of_point + view, WIDE));
+            agreeing.into_iter().for_each(|view| wide[at].set_scale_factor(of_point + view, WIDE));
         }
     }
     wide
