@@ -12,6 +12,7 @@ use super::summary::{Reprojection, SolveTime, Summary};
 use super::windows::Windows;
 use crate::core::body::Skeleton;
 use crate::core::camera::Rig;
+use crate::core::time::Timestamp;
 use crate::core::tracker::{EventKind, Output};
 use crate::diagnose::Check;
 use crate::io::recording::Report;
@@ -71,6 +72,7 @@ impl Collected<'_> {
         let summary = Summary {
             version: env!("CARGO_PKG_VERSION"),
             recording: recording.path().display().to_string(),
+            first_capture_time_ns: self.poses.start.map(Timestamp::ns),
             frames,
             frames_lost: self.poses.flagged,
             windows: self.windows.count,

@@ -24,6 +24,8 @@ use crate::metrics::{Episode, FootSkate, NotFollowed, PerformerScores, PoseError
 pub struct Summary {
     pub version: &'static str,
     pub recording: String,
+    /// Capture time of the recording's first frame, nanoseconds.
+    pub first_capture_time_ns: Option<i64>,
     /// Number of poses.
     pub frames: usize,
     /// Number of flagged poses: not fitted to detections.
@@ -230,7 +232,8 @@ impl Summary {
             rows.add("hold-out, mean of the medians", px(all.median_px));
         }
         rows.add("mean joint acceleration", unit(self.mean_acceleration_m_s2, 2, "m/s²"));
-        self.not_followed.iter().for_each(|found| rows.add_not_followed(found));
+        let first = self.first_capture_time_ns.unwrap_or(0);
+        self.not_followed.iter().for_each(|found| rows.add_not_followed(found, first));
         self.foot_skate.iter().for_each(|skate| rows.add_foot_skate(skate));
         if let Some(floor) = self.floor_m {
             rows.add("floor", format!("{floor:.2} m"));
@@ -277,10 +280,11 @@ impl Rows {
         self.add("  frames without the performer", without.to_string());
     }
 
-    fn add_not_followed(&mut self, found: &NotFollowed) {
+    /// The time is since the recording's `first` frame, nanoseconds, as that of `--start`.
+    fn add_not_followed(&mut self, found: &NotFollowed, first: i64) {
         let longest = found.longest.first().map_or_else(String::new, |longest| {
             let Episode { keypoint, capture_time_ns, frames, distance_m } = longest;
-            let (start, cm) = (*capture_time_ns as f64 / 1e9, 100.0 * distance_m);
+            let (start, cm) = ((*capture_time_ns - first) as f64 / 1e9, 100.0 * distance_m);
             format!(", longest {frames} frames: {keypoint} {cm:.0} cm off at {start:.2} s")
         });
         self.add("seen and not followed", format!("{:.3} % of points{longest}", found.percent));

@@ -144,4 +144,20 @@ fn spread_shutters_share_decodings() {
     let alone = tracker::follow(all, longer, &points, rig, &start, skeleton, &config);
     let times: Vec<_> = alone.iter().map(|frame| frame.capture).collect();
     assert_eq!(times, of_camera().map(|frame| frame.capture).collect::<Vec<_>>());
+    // Every second frame of each camera.
+    let second = frames.iter().filter(|frame| frame.frame % 2 == 0);
+    let half = tracker::follow(second, period * 2, &points, rig, &start, skeleton, &config);
+    assert!(half.len() <= 30 + 3, "{} times of 30 frame sets", half.len());
+    // A camera whose frames have no point in common keeps their own times.
+    let mut torn = frames.clone();
+    for frame in torn.iter_mut().filter(|frame| frame.camera == 1) {
+        let points = frame.people[0].points.iter_mut().enumerate();
+        let hidden = points.filter(|(point, _)| point % 2 == frame.frame as usize % 2);
+        hidden.for_each(|(_, detection)| *detection = None);
+    }
+    let torn = tracker::follow(torn.iter(), period, &points, rig, &start, skeleton, &config);
+    let own = |at: Timestamp| frames.iter().any(|one| one.camera == 1 && one.capture == at);
+    for frame in torn.iter().filter(|f| f.observations().iter().any(|seen| seen.camera == 1)) {
+        assert!(own(frame.capture), "a frame of camera 1 was moved to {:?}", frame.capture);
+    }
 }

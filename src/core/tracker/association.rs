@@ -22,19 +22,20 @@ use crate::core::time::{Nanos, Timestamp};
 /// Frames closer in time than this are merged: cameras on one clock differ by microseconds,
 /// and at 5 m/s this is half a millimetre.
 const SAME_TIME: Nanos = Nanos::new(100_000);
-/// A frame takes the time of another camera's earlier frame if that is nearer than this part of a period.
+/// A frame takes the time of another camera's earlier frame if that is nearer than this part of the spacing.
 const SHARED: f64 = 0.9;
-/// Pixels are interpolated between two frames of a camera if these are at most so many periods apart.
+/// Pixels are interpolated between two frames of a camera if these are at most so many spacings apart.
 const NEXT: f64 = 1.5;
 
 /// The expected pixel of each fitted keypoint of the performer in a view.
 type Expected = Vec<Option<Vector2<f64>>>;
 
 /// The performer's observations in `frames` (in order of capture time), grouped by capture time.
-/// Each view is followed from its projection of `pose`. `period` is the nominal frame period.
+/// Each view is followed from its projection of `pose`. `spacing` is the nominal time between the frames of a
+/// camera.
 pub fn follow<'d>(
     frames: impl Iterator<Item = &'d Detections>,
-    period: Nanos,
+    spacing: Nanos,
     points: &[BodyPoint],
     rig: &Rig,
     pose: &Pose,
@@ -46,7 +47,7 @@ pub fn follow<'d>(
     let view = |camera: &Camera| world.iter().map(|point| camera.project(point)).collect();
     let expected: Vec<Expected> = rig.cameras.iter().map(view).collect();
     let last = vec![None; expected.len()];
-    Follower { points, config, expected, last }.observations(frames, period)
+    Follower { points, config, expected, last }.observations(frames, spacing)
 }
 
 /// Follows the performer through the views.
@@ -65,9 +66,9 @@ impl Follower<'_> {
     fn observations<'d>(
         &mut self,
         frames: impl Iterator<Item = &'d Detections>,
-        period: Nanos,
+        spacing: Nanos,
     ) -> Vec<FrameObservations> {
-        let [shared, next] = [SHARED, NEXT].map(|part| Nanos::rounded(part * period.ns() as f64));
+        let [shared, next] = [SHARED, NEXT].map(|part| Nanos::rounded(part * spacing.ns() as f64));
         let mut groups: Vec<(Timestamp, Vec<Observation>)> = Vec::new();
         for frame in frames {
             let seen = self.observe(frame);
@@ -76,10 +77,12 @@ impl Follower<'_> {
             match (groups.last_mut(), last) {
                 (Some((at, group)), _) if frame.capture - *at <= SAME_TIME => group.extend(seen),
                 (Some((at, group)), Some((before, last)))
-                    if before < *at && frame.capture - *at < shared =>
+                    if before < *at
+                        && frame.capture - *at < shared
+                        && let share = at.fraction(before, frame.capture)
+                        && let Some(moved) = between(&last, &seen, share) =>
                 {
-                    let share = at.fraction(before, frame.capture);
-                    group.extend(between(&last, &seen, share));
+                    group.extend(moved);
                 }
                 _ => groups.push((frame.capture, seen)),
             }
@@ -141,19 +144,19 @@ impl Follower<'_> {
 
 /// A camera's observations between two of its frames, at `share` of the way from the first to the second.
 /// Each frame's observations are in order of their points. A point that the first frame lacks moves by the
-/// mean of the others.
-fn between(first: &[Observation], second: &[Observation], share: f64) -> Vec<Observation> {
+/// mean of the others. `None` if they have no point in common.
+fn between(first: &[Observation], second: &[Observation], share: f64) -> Option<Vec<Observation>> {
     let before = |now: &Observation| {
         first.binary_search_by_key(&now.point, |old| old.point).ok().map(|at| first[at].pixel)
     };
     let moved: Vec<_> = second.iter().map(|now| Some(before(now)? - now.pixel)).collect();
-    let count = moved.iter().flatten().count().max(1) as f64;
-    let mean = moved.iter().flatten().sum::<Vector2<f64>>() / count;
+    let common: Vec<_> = moved.iter().flatten().collect();
+    let mean = common.iter().copied().sum::<Vector2<f64>>() / common.len() as f64;
     let at = |(now, moved): (&Observation, &Option<Vector2<f64>>)| Observation {
         pixel: now.pixel + moved.unwrap_or(mean) * (1.0 - share),
         ..*now
     };
-    second.iter().zip(&moved).map(at).collect()
+    (!common.is_empty()).then(|| second.iter().zip(&moved).map(at).collect())
 }
 
 /// A person's detection of a point, if its confidence is sufficient.

@@ -70,7 +70,7 @@ impl Solver {
         let frames = spacing as f64;
         let stride = job.frames.len().div_ceil(SHAPE_FRAMES).max(job.effort.stride);
         let used = job.every(stride).filter(|frame| frame.capture >= first.capture);
-        let mut observations = self.follow(job, used, points, &first.keyframe, rough);
+        let mut observations = self.follow(job, (used, stride), points, &first.keyframe, rough);
         // Only the shape and the first keyframe are kept, so few keyframes and no stiffness are
         // enough.
         let cost = cost::Config { stiffness: Stiffness::NONE, ..self.config.cost };

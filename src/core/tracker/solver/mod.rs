@@ -86,17 +86,19 @@ impl Solver {
         }
     }
 
-    /// The performer's observations in `frames` of a job, followed from the pose of `keyframe`.
+    /// The performer's observations in `frames` of a job, every `stride`th of a camera, followed from the
+    /// pose of `keyframe`.
     fn follow<'d>(
         &self,
         job: &Job,
-        frames: impl Iterator<Item = &'d Arc<Detections>>,
+        (frames, stride): (impl Iterator<Item = &'d Arc<Detections>>, usize),
         points: &[BodyPoint],
         keyframe: &Keyframe,
         skeleton: &Skeleton,
     ) -> Vec<FrameObservations> {
         let (frames, pose) = (frames.map(|frame| &**frame), self.decoder.pose(keyframe));
-        follow(frames, job.frame_period, points, &job.rig, &pose, skeleton, &self.config)
+        let spacing = job.frame_period * stride as i64;
+        follow(frames, spacing, points, &job.rig, &pose, skeleton, &self.config)
     }
 
     /// The poses at `times` of a window with known keyframes. Equal times are decoded once.

@@ -39,7 +39,8 @@ impl Solver {
         coasted: usize,
     ) -> Outcome {
         let Some(from) = known.past.last() else { return Outcome::NobodyFound };
-        let observations = self.follow(job, job.used_frames(), points, &from.keyframe, skeleton);
+        let used = (job.used_frames(), job.effort.stride);
+        let observations = self.follow(job, used, points, &from.keyframe, skeleton);
         if let Some(hidden) = hidden(&self.config.gate, job, &observations) {
             // After a window without the performer, there may be a person elsewhere.
             let found = (coasted > 0).then(|| self.acquire(job, points, Some(skeleton)));
@@ -204,8 +205,8 @@ impl Solver {
         again: usize,
     ) -> Outcome {
         let Some(from) = known.past.last() else { return Outcome::NobodyFound };
-        let observations =
-            self.follow(job, job.used_frames(), points, &from.keyframe, known.skeleton);
+        let used = (job.used_frames(), job.effort.stride);
+        let observations = self.follow(job, used, points, &from.keyframe, known.skeleton);
         let hidden = hidden(&self.config.gate, job, &observations).is_some();
         let keyframes = match hidden {
             true => known.ahead.to_vec(),
