@@ -18,8 +18,25 @@ fn main() -> Result<(), Box<dyn Error>> {
         write_descriptor(proto, &out)?;
     }
     let all = protox::compile(&protos, ["schemas"])?;
+    std::fs::write(out.join("messages.json"), fields_as_json(&all))?;
     with_json(Config::new().enable_type_names()).compile_fds(all)?;
     Ok(())
+}
+
+/// The fields of all messages, for the page's decoder: by message and number, the name, the type, the name of
+/// a message type, and whether it is repeated.
+fn fields_as_json(all: &protox::prost_reflect::prost_types::FileDescriptorSet) -> String {
+    let messages = all.file.iter().flat_map(|file| &file.message_type).map(|message| {
+        let fields = message.field.iter().map(|field| {
+            let of = field.type_name().rsplit('.').next().unwrap_or_default();
+            let (name, kind) = (field.name(), format!("{:?}", field.r#type()).to_lowercase());
+            let is_repeated = field.label() as i32 == 3;
+            format!(r#""{}":["{name}","{kind}","{of}",{is_repeated}]"#, field.number())
+        });
+        let fields = fields.collect::<Vec<_>>().join(",");
+        format!(r#""{}":{{{fields}}}"#, message.name())
+    });
+    format!("{{{}}}", messages.collect::<Vec<_>>().join(",\n"))
 }
 
 /// Lets messages be written as JSON, as `src/io/wire/json.rs` says.

@@ -40,6 +40,7 @@
 //! | `zenoh`, `iceoryx2` | the buses of that name |
 //! | `tls` | certificates for `zenoh`; not on by default |
 //! | `live` | `live`, the node, and `config`, its settings |
+//! | `view` | `view`, the live page |
 //! | `research` | `research`: compared methods, experiments, synthetic recordings, training |
 //! | `cli` | `cli`, the `bundlemocap` command; it needs `live` and `research` |
 //!
@@ -57,6 +58,7 @@
 //! | [`retarget`] | | poses on another skeleton |
 //! | [`offline`] | | a recording solved, from opening it to its summary |
 //! | `live` | `error`, `config`, `clock`, `observe`, `core`, `threads`, `replay` | the node: its core without I/O, the threads around it, replay |
+//! | `view` | | the page that shows a stage or a recording in a browser |
 //! | `research` | `synth`, `transition`, `train`, `methods`, `experiments` | synthetic recordings, training, compared methods, experiments |
 //! | `config` | | all settings in one tree |
 //! | `cli` | | the command line, one file for each command |
@@ -126,6 +128,8 @@ pub mod offline;
 #[cfg(feature = "research")]
 pub mod research;
 pub mod retarget;
+#[cfg(feature = "view")]
+pub mod view;
 
 /// Vectors, rotations and matrices of this library are nalgebra's.
 pub use nalgebra;

@@ -33,6 +33,8 @@ mod take;
 pub(crate) mod terminal;
 mod tools;
 mod train;
+#[cfg(feature = "view")]
+mod view;
 mod wire;
 
 use std::process::ExitCode;
@@ -69,6 +71,8 @@ enum Command {
     Info(info::Arguments),
     Synth(synth::Arguments),
     Train(train::Arguments),
+    #[cfg(feature = "view")]
+    View(view::Arguments),
     Export(export::Arguments),
     Completions(completions::Arguments),
 }
@@ -94,6 +98,8 @@ pub fn main() -> ExitCode {
         Command::Info(arguments) => info::run(&arguments),
         Command::Synth(arguments) => synth::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),
+        #[cfg(feature = "view")]
+        Command::View(arguments) => view::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
     };

@@ -38,6 +38,7 @@ Examples:
   bundlemocap run studio.toml --rig Calib_qualisys.toml --prometheus 127.0.0.1:9464
   bundlemocap run studio.toml --body take1/poses.mcap
   bundlemocap run --listen tcp/0.0.0.0:7447 --latency 50
+  bundlemocap run studio.toml --view 127.0.0.1:8765       and open the page in a browser
   bundlemocap run --bus iceoryx2 --seconds 60
   bundlemocap run studio.toml --standby")]
 pub(super) struct Arguments {
@@ -72,6 +73,11 @@ pub(super) struct Arguments {
     /// Address of a Prometheus endpoint, such as 127.0.0.1:9464.
     #[arg(long, value_name = "ADDRESS")]
     prometheus: Option<String>,
+    /// Serve the page that shows the stage in a browser, on this address. On an address that others can
+    /// reach, the page needs the token in the printed address.
+    #[cfg(feature = "view")]
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = super::view::ADDRESS)]
+    view: Option<String>,
     /// Stop after N seconds.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     seconds: Option<f64>,
@@ -125,6 +131,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let running =
         Node::start(Arc::clone(&bus), presence, core, solvers, &config.node, solver_core)?;
     say_hello(&config, running.prometheus());
+    #[cfg(feature = "view")]
+    let _page = arguments.view.as_deref().map(|address| view(address, &config)).transpose()?;
     let (node, over) = (running.monitor(), AtomicBool::new(false));
     let why = std::thread::scope(|scope| {
         scope.spawn(|| {
@@ -142,6 +150,14 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let status = running.stop()?;
     say_goodbye(&config.node.actor, status.as_ref());
     elder.map_or(Ok(Exit::Done), |error| Err(error.into()))
+}
+
+/// Serves the page. It is a client of the bus like other programs, so that it cannot delay the node.
+#[cfg(feature = "view")]
+fn view(address: &str, config: &Config) -> Result<crate::view::Running, Failure> {
+    let page = super::view::serve(address, super::view::live(config.clone()))?;
+    tracing::info!("the page is on {}", page.url());
+    Ok(page)
 }
 
 /// The announcement as soon as no other node publishes this performer; `None` if stopped before.

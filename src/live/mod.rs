@@ -20,6 +20,8 @@ pub use core::journal::platform;
 pub use core::port::{Carried, Input, Loss, MOST_BYTES, MOST_ORDER_BYTES, Output, Settings};
 pub use core::publication::{Content, Publication};
 pub use error::{Elder, NodeError};
+#[cfg(feature = "view")]
+pub(crate) use observe::advice::advice;
 pub use observe::process::Usage;
 pub use observe::{log, metrics};
 pub use replay::compare::{Comparison, Recorded};

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::Error;
 use super::compact_pose::CompactPose;
-use crate::core::body::{Skeleton, TrackingState};
+use crate::core::body::Skeleton;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::formats::bvh::BvhWriter;
 
@@ -100,7 +100,7 @@ impl BvhFile {
         }
         self.states.add(gap, HELD);
         self.writer.write(&pose.pose())?;
-        self.states.add(1, name_of(pose.state));
+        self.states.add(1, pose.state.name());
         self.last = Some(pose.clone());
         Ok(())
     }
@@ -114,14 +114,6 @@ impl BvhFile {
 
 /// A frame that repeats another pose.
 const HELD: &str = "held";
-
-fn name_of(state: TrackingState) -> &'static str {
-    match state {
-        TrackingState::Tracking => "tracking",
-        TrackingState::Coasting => "coasting",
-        TrackingState::Lost => "lost",
-    }
-}
 
 /// The frames of a BVH file as runs with the same state.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -194,7 +186,7 @@ mod tests {
 
     #[test]
     fn a_file_starts_with_the_take_and_says_what_its_frames_are() {
-        use TrackingState::{Coasting, Lost, Tracking};
+        use crate::core::body::TrackingState::{Coasting, Lost, Tracking};
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("gap.bvh");
         let start = Some(Timestamp::default());

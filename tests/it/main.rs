@@ -66,3 +66,5 @@ mod tools;
 mod tracker;
 #[cfg(feature = "research")]
 mod train;
+#[cfg(feature = "view")]
+mod view;

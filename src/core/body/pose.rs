@@ -56,6 +56,17 @@ pub enum TrackingState {
     Lost,
 }
 
+impl TrackingState {
+    /// Its name in files and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Tracking => "tracking",
+            Self::Coasting => "coasting",
+            Self::Lost => "lost",
+        }
+    }
+}
+
 /// A pose at a capture time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StampedPose {

@@ -20,6 +20,7 @@ mod info;
 mod message;
 mod reader;
 mod scan;
+mod span;
 mod tail;
 mod target;
 mod writer;
@@ -29,6 +30,7 @@ pub use error::{Damage, RecordError, Report, Undecodable};
 pub use info::{CameraInfo, Info, TopicInfo, scan, summarise, summary};
 pub use message::{Entry, Message, RawEntry};
 pub use reader::Reader;
+pub use span::Spans;
 pub use writer::{Provenance, Writer};
 
 /// Name of our metadata record.

@@ -1,0 +1,394 @@
+// The page: what is shown when.
+
+import { Charts } from "./charts.js";
+import { cameraLight, levelOf, nodeLight } from "./lights.js";
+import { Decoder } from "./messages.js";
+import { Panes } from "./panes.js";
+import { View } from "./scene.js";
+import { Live, Recording } from "./sources.js";
+import { Store, colour } from "./store.js";
+
+const $ = (id) => document.getElementById(id);
+const PARENTS = [-1];
+const SPEEDS = [...$("speed").options].map(({ value }) => Number(value));
+
+const { about, messages } = await (await fetch("about.json")).json();
+const isLive = about.shows === "live";
+const store = new Store(new Decoder(messages));
+const source = isLive
+  ? new Live(store, about.name)
+  : new Recording(store, await (await fetch("overview.json")).json());
+const view = new View($("canvas"), $("labels"));
+const panes = new Panes($("panes"), (index) => view.lookThrough(view.through === index ? undefined : index));
+const charts = new Charts($("charts"));
+
+/** What the user chose. */
+const chosen = { playing: true, time: 0, speed: 1, loop: undefined, provisional: isLive, performer: undefined };
+$("name").textContent = about.name;
+document.title = `${about.name} · bundlemocap`;
+$("speed").parentElement.hidden = isLive;
+source.want({ panes: true, provisional: chosen.provisional });
+
+let [shownRig, framed, lastTick, ageOfPage] = [undefined, false, performance.now(), performance.now()];
+goToHash();
+
+/** The performers at a time, as scene and panes draw them. */
+function peopleAt(time, channel, age) {
+  const people = [];
+  for (const one of store.performers.values()) {
+    const pose = one[channel].at(time, age);
+    if (!pose) continue;
+    const parents = one.skeleton?.parents ?? PARENTS;
+    const head = one.skeleton?.joint_names.indexOf("head") ?? -1;
+    if (parents.length * 3 !== pose.joints.length) continue;
+    people.push({ ...pose, name: one.name, number: one.number, parents, head });
+  }
+  return people;
+}
+
+function frame(now) {
+  const passed = Math.min(0.2, (now - lastTick) / 1000);
+  lastTick = now;
+  const [start, end] = source.span;
+  if (chosen.playing && isLive) chosen.time = end;
+  else if (chosen.playing && source.isReady(chosen.time)) {
+    chosen.time += passed * chosen.speed;
+    if (chosen.loop && (chosen.time > chosen.loop[1] || chosen.time < chosen.loop[0])) [chosen.time] = chosen.loop;
+    if (chosen.time >= end) play(chosen.loop !== undefined, end);
+  }
+  chosen.time = Math.min(Math.max(chosen.time, start), end);
+  source.prepare(chosen.time);
+  if (store.rig !== shownRig) {
+    shownRig = store.rig;
+    view.setRig(shownRig);
+    panes.setRig(shownRig);
+  } else if (!shownRig) panes.setCameras([...store.keypoints.keys()].sort());
+  const people = peopleAt(chosen.time, "poses", 0.1);
+  const isAhead = isLive && chosen.playing && chosen.provisional;
+  const newest = isAhead ? Math.max(...[...store.performers.values()].map((one) => one.provisional.last ?? 0)) : 0;
+  const ghosts = isAhead ? peopleAt(newest, "provisional", 0.1) : [];
+  if (!framed && shownRig && (people.length > 0 || now - ageOfPage > 3000)) {
+    framed = true;
+    view.frameAll(people);
+  }
+  view.draw(people, ghosts);
+  panes.draw(store, chosen.time, people);
+  requestAnimationFrame(frame);
+}
+
+/** What changes slowly: lists, lights, charts, the timeline. */
+function tick() {
+  const people = peopleAt(chosen.time, "poses", 0.1);
+  showNode(people);
+  showCameras();
+  showPerformers(people);
+  showEvents();
+  showTimeline();
+  const [start, end] = source.span;
+  const span = isLive ? [Math.max(start, end - 60), end] : [start, end];
+  const first = store.performers.get(chosen.performer ?? people[0]?.name);
+  charts.draw(store, isLive ? span : [Math.max(start, chosen.time - 8), Math.min(end, chosen.time + 8)], chosen.time, first);
+  $("empty").textContent = emptyState(people);
+  $("play").textContent = chosen.playing ? "Pause" : isLive ? "Go on" : "Play";
+}
+
+function showNode(people) {
+  const figures = new Map();
+  const status = store.historyAt(isLive ? Infinity : chosen.time).at(-1)?.status;
+  const { level, words } = isLive ? nodeLight(store, source.connected) : recordingLight();
+  $("node").className = `light ${level}`;
+  setText($("node"), `${isLive ? "node" : "recording"} ${level}${words.length > 0 ? `: ${words.join("; ")}` : ""}`);
+  figures.set("tracking", `${people.filter(({ state }) => state === "tracking").length} of ${store.performers.size}`);
+  if (status) {
+    if (status.declared_latency_ns) figures.set("latency", `${(Number(status.declared_latency_ns) / 1e6).toFixed(0)} ms`);
+    const { playout, windows } = status;
+    const late = playout && quantile(playout.deviation_bins_us, playout.deviation_counts, 0.99);
+    if (late !== undefined) figures.set("publishing p99", inMs(late));
+    const fast = playout && quantile(playout.provisional_bins_us, playout.provisional_counts, 0.5);
+    if (fast !== undefined) figures.set("provisional p50", inMs(fast));
+    if (windows?.solve_p50_ms) {
+      figures.set("solve p50, p99", `${windows.solve_p50_ms.toFixed(1)}, ${(windows.solve_p99_ms ?? 0).toFixed(1)} ms`);
+    }
+  }
+  const late = isLive && people.map((one) => one.late).filter((ms) => ms !== undefined).sort((a, b) => a - b);
+  if (late && late.length > 0) figures.set("network", `${late[late.length >> 1].toFixed(1)} ms`);
+  if (store.dropped > 0) figures.set("not shown", `${store.dropped} messages: this page is too slow`);
+  if (people[0]?.timecode) figures.set("timecode", people[0].timecode);
+  const rows = [...figures].map(([name, value]) => {
+    const row = document.createElement("div");
+    row.append(element("dt", name), element("dd", value));
+    return row;
+  });
+  $("figures").replaceChildren(...rows);
+  const { calls, triangles } = view.figures;
+  document.body.dataset.calls = calls;
+  document.body.dataset.triangles = triangles;
+  document.body.dataset.people = people.length;
+  document.body.dataset.time = chosen.time.toFixed(3);
+}
+
+function recordingLight() {
+  const damage = source.overview.damage;
+  const words = source.error ? [source.error] : damage;
+  return { level: source.error ? "bad" : damage.length > 0 ? "warn" : "ok", words };
+}
+
+/** The value below which a share of a histogram lies: the upper edge of its bin. */
+function quantile(edges, counts, share) {
+  const all = counts.map(Number);
+  const total = all.reduce((sum, count) => sum + count, 0);
+  if (total === 0) return undefined;
+  let seen = 0;
+  const bin = all.findIndex((count) => (seen += count) >= share * total);
+  return bin < edges.length ? edges[bin] : Infinity;
+}
+
+const inMs = (us) => (us === Infinity ? "above all bins" : `≤ ${(us / 1000).toFixed(1)} ms`);
+
+const RANK = ["bad", "warn", "ok", "unknown"];
+
+function showCameras() {
+  const names = new Set([...(store.rig?.cameras.map(({ name }) => name) ?? []), ...store.keypoints.keys()]);
+  const lights = [...names].map((name) => ({ name, ...cameraLight(store, name, isLive ? Math.max(chosen.time, store.newest) : chosen.time, about.advice) }));
+  lights.sort((a, b) => RANK.indexOf(a.level) - RANK.indexOf(b.level));
+  const items = lights.map(({ name, level, words, advice, counters }) => {
+    panes.setLight(name, level, words.join("\n"));
+    const item = document.createElement("li");
+    item.dataset.camera = name;
+    item.dataset.level = level;
+    const row = element("div", "", "row");
+    row.append(element("span", level === "unknown" ? name : `${name} ${level}`, `light ${level}`));
+    if (counters) row.append(element("span", `${(counters.rate_hz ?? 0).toFixed(1)} Hz`));
+    if (counters?.residual_px > 0) row.append(element("span", `${counters.residual_px.toFixed(1)} px`));
+    item.append(row);
+    if (words.length > 0) item.append(element("div", words.slice(0, 3).join("; "), "words"));
+    item.title = [...words, ...advice].join("\n");
+    return item;
+  });
+  replace($("cameras"), items);
+}
+
+function showPerformers(people) {
+  const items = [...store.performers.values()].map(({ name, number }) => {
+    const now = people.find((one) => one.name === name);
+    const item = document.createElement("li");
+    const row = element("div", "", "row");
+    const who = document.createElement("span");
+    const swatch = element("span", "", "swatch");
+    swatch.style.background = colour(number);
+    who.append(swatch, name);
+    row.append(who, element("span", now?.state ?? (isLive ? (store.statusOf.get(name)?.tracker_state ?? "no pose") : "no pose")));
+    item.append(row);
+    return item;
+  });
+  replace($("performers"), items);
+}
+
+function showEvents() {
+  const list = store.events.slice(-60).reverse();
+  const key = `${store.events.length} ${list[0]?.at}`;
+  if ($("events").dataset.key === key) return;
+  $("events").dataset.key = key;
+  $("events").replaceChildren(...list.map((event) => {
+    const { at, kind, camera, actor, detail, count } = event;
+    const item = document.createElement("li");
+    const where = [camera, actor].filter(Boolean).join(", ");
+    const times = count > 1 ? ` x ${count}` : "";
+    const button = element("button", `${at.toFixed(2)} s  ${kind.replaceAll("_", " ")}${times}${where ? ` (${where})` : ""}  ${detail}`, `light ${levelOf(event)}`);
+    button.type = "button";
+    button.addEventListener("click", () => goTo(at));
+    item.append(button);
+    return item;
+  }));
+}
+
+const SHADES = { tracking: 1, coasting: 0.45, lost: 0.12 };
+
+function showTimeline() {
+  const [start, end] = source.span;
+  const length = Math.max(end - start, 1e-6);
+  const place = (time) => (100 * (time - start)) / length;
+  $("cursor").style.left = `${place(chosen.time)}%`;
+  const behind = end - chosen.time;
+  setText($("clock"), isLive
+    ? (chosen.playing ? "live" : `${behind.toFixed(2)} s ago`)
+    : `${chosen.time.toFixed(2)} of ${end.toFixed(2)} s`);
+  const bar = $("timeline");
+  bar.setAttribute("aria-valuemax", length.toFixed(2));
+  bar.setAttribute("aria-valuenow", (chosen.time - start).toFixed(2));
+  bar.setAttribute("aria-valuetext", $("clock").textContent);
+  drawRuns($("runs"), place);
+  const ticks = store.events.filter(({ at }) => at >= start && at <= end);
+  const key = `${ticks.length} ${start.toFixed(1)}`;
+  if ($("ticks").dataset.key === key) return;
+  $("ticks").dataset.key = key;
+  $("ticks").replaceChildren(...ticks.slice(-500).map((event) => {
+    const { at, kind, detail } = event;
+    const tick = element("i", "", levelOf(event));
+    tick.title = `${at.toFixed(2)} s ${kind.replaceAll("_", " ")}: ${detail}`;
+    tick.style.left = `${place(at)}%`;
+    return tick;
+  }));
+}
+
+/** The states of the performers over time, a line each: solid is tracking, pale is coasting or lost. */
+function drawRuns(canvas, place) {
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+  const context = canvas.getContext("2d");
+  context.clearRect(0, 0, width, height);
+  const all = [...store.performers.values()];
+  const line = Math.min(6, (height - 8) / Math.max(all.length, 1));
+  all.forEach((one, row) => {
+    context.fillStyle = colour(one.number);
+    for (const { from, to, state } of isLive ? liveRuns(one.poses) : source.overview.performers[one.name] ?? []) {
+      context.globalAlpha = SHADES[state];
+      const [left, right] = [from, to].map((time) => (place(time) / 100) * width);
+      context.fillRect(left, 8 + row * line, Math.max(1, right - left), Math.max(1, line - 1));
+    }
+  });
+  context.globalAlpha = 1;
+}
+
+function liveRuns({ times, items }) {
+  const runs = [];
+  times.forEach((time, k) => {
+    const last = runs.at(-1);
+    const { state } = items[k];
+    if (last && last.state === state && time - last.to < 0.2) last.to = time;
+    else runs.push({ from: time, to: time, state });
+  });
+  return runs;
+}
+
+function emptyState(people) {
+  if (people.length > 0) return "";
+  if (source.error) return source.error;
+  if (!isLive) return store.performers.size === 0 ? "This recording has no poses.\nRun `bundlemocap solve` on it." : "";
+  if (!source.connected) return "No connection. It is tried again.";
+  if (performance.now() - ageOfPage < 2500) return "";
+  if (store.keypoints.size === 0) {
+    source.lookAround();
+    const others = [...store.otherStages];
+    const seen = others.length > 0 ? ` Seen: ${others.map((name) => `mocap/${name}`).join(", ")}.` : "";
+    return `No keypoints on mocap/${about.name}.${seen}\nStart the detectors, or check their stage and their connection.`;
+  }
+  if (!store.rig) return `Keypoints of ${store.keypoints.size} cameras.\nWaiting for a calibration: publish it, or start the node with --rig.`;
+  if (store.statusCame === undefined) return "Keypoints and a calibration are here, but no node answers.\nStart `bundlemocap run`.";
+  return "Nobody is tracked. Who is seen by two cameras at least is found within a second.";
+}
+
+function element(tag, text, className) {
+  const one = document.createElement(tag);
+  if (text) one.textContent = text;
+  if (className) one.className = className;
+  return one;
+}
+
+function setText(one, text) {
+  if (one.textContent !== text) one.textContent = text;
+}
+
+/** Replaces the items of a list if they differ. */
+function replace(list, items) {
+  const html = items.map((item) => item.outerHTML).join("");
+  if (list.dataset.html === html) return;
+  list.dataset.html = html;
+  list.replaceChildren(...items);
+}
+
+function play(on, from) {
+  const [start, end] = source.span;
+  chosen.playing = on;
+  if (on && !isLive && (from ?? chosen.time) >= end) chosen.time = start;
+  remember();
+}
+
+function goTo(time) {
+  chosen.playing = false;
+  chosen.time = time;
+  remember();
+}
+
+/** The next pose of a performer in a direction. */
+function step(direction) {
+  chosen.playing = false;
+  const times = [...store.performers.values()].map((one) => one.poses.times).sort((a, b) => b.length - a.length)[0] ?? [];
+  const next = direction > 0 ? times.find((time) => time > chosen.time + 1e-4) : times.findLast((time) => time < chosen.time - 1e-4);
+  if (next !== undefined) chosen.time = next;
+  remember();
+}
+
+function remember() {
+  if (!isLive) history.replaceState(null, "", `#t=${chosen.time.toFixed(2)}`);
+}
+
+function goToHash() {
+  const time = Number(/t=([\d.]+)/.exec(location.hash)?.[1]);
+  if (isLive || !Number.isFinite(time)) return;
+  [chosen.playing, chosen.time] = [false, time];
+}
+
+function setSpeed(speed) {
+  chosen.speed = speed;
+  $("speed").value = String(speed);
+}
+
+function loop() {
+  if (isLive) return;
+  chosen.loop = chosen.loop ? undefined : [Math.max(0, chosen.time - 1), chosen.time + 1];
+  $("loop").setAttribute("aria-pressed", String(chosen.loop !== undefined));
+}
+
+$("play").addEventListener("click", () => play(!chosen.playing));
+$("back").addEventListener("click", () => step(-1));
+$("forward").addEventListener("click", () => step(1));
+$("speed").addEventListener("change", ({ target }) => setSpeed(Number(target.value)));
+$("loop").addEventListener("click", loop);
+$("keys").addEventListener("click", () => $("help").showModal());
+$("loop").hidden = isLive;
+addEventListener("hashchange", goToHash);
+
+const bar = $("timeline");
+function scrub({ clientX, buttons, type }) {
+  if (type === "pointermove" && buttons === 0) return;
+  const { left, width } = bar.getBoundingClientRect();
+  const [start, end] = source.span;
+  goTo(start + Math.min(1, Math.max(0, (clientX - left) / width)) * (end - start));
+}
+bar.addEventListener("pointerdown", (event) => {
+  bar.setPointerCapture(event.pointerId);
+  scrub(event);
+});
+bar.addEventListener("pointermove", scrub);
+$("canvas").addEventListener("dblclick", ({ clientX, clientY }) => {
+  view.followed = view.pick(clientX, clientY, peopleAt(chosen.time, "poses", 0.1));
+  chosen.performer = view.followed;
+});
+
+const KEYS = {
+  " ": () => play(!chosen.playing),
+  ArrowLeft: () => step(-1),
+  ArrowRight: () => step(1),
+  "[": () => setSpeed(SPEEDS[Math.max(0, SPEEDS.indexOf(chosen.speed) - 1)]),
+  "]": () => setSpeed(SPEEDS[Math.min(SPEEDS.length - 1, SPEEDS.indexOf(chosen.speed) + 1)]),
+  f: () => view.frameAll(peopleAt(chosen.time, "poses", 0.1)),
+  p: () => {
+    chosen.provisional = !chosen.provisional;
+    source.want({ panes: true, provisional: chosen.provisional });
+  },
+  l: loop,
+  "?": () => $("help").showModal(),
+};
+addEventListener("keydown", (event) => {
+  const { key, target, ctrlKey, metaKey, altKey } = event;
+  if (ctrlKey || metaKey || altKey || target.closest("select, dialog") || (key === " " && target.closest("button"))) return;
+  const act = /^[0-9]$/.test(key) ? () => view.lookThrough(key === "0" ? undefined : Number(key) - 1) : KEYS[key.length === 1 ? key.toLowerCase() : key];
+  if (!act) return;
+  event.preventDefault();
+  act();
+});
+
+requestAnimationFrame(frame);
+setInterval(tick, 250);
+tick();

@@ -1,0 +1,116 @@
+// A light for each camera and for the node: ok, warn or bad, and why in words.
+
+const RANK = { unknown: -1, ok: 0, warn: 1, bad: 2 };
+/** For how long an event keeps a light on, seconds. */
+const KEPT = 30;
+const BAD = ["camera_moved", "conflict", "dropped", "lost", "overdue", "rig_refused", "silent", "unusable"];
+const GOOD = [
+  "acquired", "body", "calibrated", "clock", "entered", "idle", "latency", "reentered", "returned", "rig_changed", "take",
+];
+/** What the node says when a moved camera is used again. */
+const FITS_AGAIN = "fits again";
+
+/** How bad an event is. */
+export function levelOf({ kind, detail }) {
+  if (GOOD.includes(kind) || detail.startsWith(FITS_AGAIN)) return "ok";
+  return BAD.includes(kind) ? "bad" : "warn";
+}
+
+class Light {
+  constructor(level) {
+    this.level = level;
+    this.words = [];
+    this.advice = [];
+  }
+
+  add(level, words, advice) {
+    if (RANK[level] > RANK[this.level]) this.level = level;
+    this.words.push(words);
+    if (advice) this.advice.push(advice);
+  }
+}
+
+/** The difference of a counter over the last seconds of the history. */
+function recent(history, read) {
+  const last = history.at(-1);
+  const first = history.find(({ at }) => last.at - at <= 5);
+  const counts = [first, last].map(({ status }) => Number(read(status) ?? 0n));
+  return counts[1] - counts[0];
+}
+
+/** The events of a camera that still count: those of the last time, and a move until it fits again. */
+function eventsOf(store, name, now) {
+  const mine = store.events.filter(({ camera, at }) => camera === name && at <= now);
+  const moved = mine.findLast(({ kind }) => kind === "camera_moved");
+  return mine.filter((event) => event === moved || (event.kind !== "camera_moved" && now - event.at < KEPT));
+}
+
+const median = (values) => values.sort((a, b) => a - b)[values.length >> 1];
+
+/** The rate that most cameras have, Hz. */
+function usualRate(cameras) {
+  return median(cameras.map((camera) => camera.rate_hz ?? 0).filter((rate) => rate > 0)) ?? 0;
+}
+
+/** The light of a camera at a time: of its counters in the status, of its own past, and of its events. */
+export function cameraLight(store, name, now, advice) {
+  const history = store.historyAt(now);
+  const last = history.at(-1);
+  const cameras = last?.status.cameras ?? [];
+  const mine = (status) => status.cameras.find(({ camera }) => camera === name);
+  const counters = last && mine(last.status);
+  const light = new Light(counters ? "ok" : "unknown");
+  const calibrated = store.rig?.cameras.some((camera) => camera.name === name);
+  if (store.rig && !calibrated) light.add("bad", "not in the calibration");
+  if (counters) {
+    const rate = counters.rate_hz ?? 0;
+    const age = counters.age_s ?? 0;
+    if (age > 1 || rate === 0) light.add("bad", age > 0 ? `no frame for ${age.toFixed(0)} s` : "no frame yet");
+    else if (rate < 0.8 * usualRate(cameras)) {
+      light.add("warn", `${rate.toFixed(1)} of ${usualRate(cameras).toFixed(0)} frames a second`);
+    }
+    if (counters.waited_for !== true && age <= 1 && rate > 0) light.add("warn", "not waited for");
+    for (const kind of ["unusable", "late", "missing", "duplicate", "dropped"]) {
+      const count = recent(history, (status) => mine(status)?.[kind]);
+      if (count > 0) {
+        const level = kind === "unusable" || kind === "dropped" ? "bad" : "warn";
+        light.add(level, `${count} frames ${kind} in 5 s`, advice[kind]);
+      }
+    }
+    const past = history.map(({ status }) => mine(status)?.residual_px ?? 0).filter((px) => px > 0);
+    const [usual, px] = [median([...past]), counters.residual_px ?? 0];
+    if (past.length >= 10 && px > 3 * usual) light.add("bad", `residual ${px.toFixed(1)} px, usually ${usual.toFixed(1)}`);
+    else if (past.length >= 10 && px > 1.7 * usual) {
+      light.add("warn", `residual ${px.toFixed(1)} px, usually ${usual.toFixed(1)}`);
+    }
+  }
+  for (const event of eventsOf(store, name, now).slice(-1)) {
+    const words = event.detail || event.kind.replaceAll("_", " ");
+    if (levelOf(event) !== "ok" && !light.words.includes(words)) light.add(levelOf(event), words);
+  }
+  return { ...light, counters };
+}
+
+/** The light of the node, of what it says of itself. */
+export function nodeLight(store, connected) {
+  const light = new Light("ok");
+  const history = store.historyAt(Infinity);
+  if (!connected) light.add("bad", "no connection to the page's server; it is tried again");
+  if (store.statusCame === undefined) {
+    if (connected) light.add("warn", "no status of a node yet");
+    return light;
+  }
+  const age = (performance.now() - store.statusCame) / 1000;
+  if (age > 3) light.add("bad", `no status for ${age.toFixed(0)} s: the node is stopped or not reached`);
+  if (history.length > 1) {
+    const missed = recent(history, (status) => status.playout?.missed);
+    if (missed > 0) light.add("bad", `${missed} poses too late in 5 s`);
+    const lost = recent(history, (status) => status.windows?.lost);
+    if (lost > 0) light.add("warn", `${lost} windows fitted badly in 5 s`);
+    const effort = history.at(-1).status.effort?.level ?? 0;
+    if (effort > 0) light.add("warn", `overload: effort lowered to level ${effort}`);
+    const full = recent(history, (status) => status.queue_dropped);
+    if (full > 0) light.add("bad", `${full} messages dropped: the queue is full`);
+  }
+  return light;
+}

@@ -1,0 +1,236 @@
+// The performers and the cameras in 3D.
+
+import * as three from "./three.js";
+import { lensOf } from "./lens.js";
+import { colour } from "./store.js";
+
+const MOST = 32;
+const JOINTS = 22;
+const BONES = JOINTS - 1;
+const UP = new three.Vector3(0, 1, 0);
+
+/** Bones and joints of all performers in one colour scheme; one draw call each. */
+class Figures {
+  constructor(scene, opacity) {
+    const material = new three.MeshLambertMaterial({ transparent: opacity < 1, opacity });
+    const bone = new three.CylinderGeometry(1, 0.8, 1, 10);
+    const joint = new three.SphereGeometry(1, 12, 8);
+    this.bones = new three.InstancedMesh(bone, material, MOST * BONES);
+    this.joints = new three.InstancedMesh(joint, material, MOST * (JOINTS + 1));
+    for (const mesh of [this.bones, this.joints]) {
+      mesh.frustumCulled = false;
+      mesh.count = 0;
+      scene.add(mesh);
+    }
+    this.tint = new three.Color();
+    this.grey = new three.Color("#8a8f98");
+    this.matrix = new three.Matrix4();
+    this.turn = new three.Quaternion();
+    this.size = new three.Vector3();
+    this.at = new three.Vector3();
+    this.from = new three.Vector3();
+    this.to = new three.Vector3();
+  }
+
+  /** Shows these performers: `{ joints, state, number, parents, names }`. */
+  show(people) {
+    let [bones, joints] = [0, 0];
+    for (const { joints: points, state, number, parents, head } of people.slice(0, MOST)) {
+      this.tint.set(colour(number));
+      if (state !== "tracking") this.tint.lerp(this.grey, 0.75);
+      for (let j = 0; j < JOINTS; j++) {
+        this.to.fromArray(points, 3 * j);
+        const parent = parents[j];
+        const size = j === head ? 0.1 : 0.035;
+        this.put(this.joints, joints++, this.to, size);
+        if (parent < 0) continue;
+        this.from.fromArray(points, 3 * parent);
+        this.link(bones++);
+      }
+    }
+    [this.bones.count, this.joints.count] = [bones, joints];
+    for (const mesh of [this.bones, this.joints]) {
+      mesh.instanceMatrix.needsUpdate = true;
+      if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
+    }
+  }
+
+  put(mesh, index, at, size) {
+    this.turn.identity();
+    this.matrix.compose(at, this.turn, this.size.setScalar(size));
+    mesh.setMatrixAt(index, this.matrix);
+    mesh.setColorAt(index, this.tint);
+  }
+
+  /** A bone between `from` and `to`. */
+  link(index) {
+    const along = this.at.subVectors(this.to, this.from);
+    const length = Math.max(along.length(), 1e-4);
+    this.turn.setFromUnitVectors(UP, along.divideScalar(length));
+    const radius = Math.min(0.055, Math.max(0.018, 0.14 * length));
+    this.size.set(radius, length, radius);
+    this.at.addVectors(this.from, this.to).multiplyScalar(0.5);
+    this.matrix.compose(this.at, this.turn, this.size);
+    this.bones.setMatrixAt(index, this.matrix);
+    this.bones.setColorAt(index, this.tint);
+  }
+}
+
+export class View {
+  constructor(canvas, labels) {
+    this.canvas = canvas;
+    this.labels = labels;
+    this.renderer = new three.WebGLRenderer({ canvas, antialias: true, alpha: true });
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.scene = new three.Scene();
+    this.camera = new three.PerspectiveCamera(45, 1, 0.05, 200);
+    this.camera.position.set(3.5, 2.4, 4.5);
+    this.controls = new three.OrbitControls(this.camera, canvas);
+    this.controls.target.set(0, 0.9, 0);
+    const sun = new three.DirectionalLight("#ffffff", 1.8);
+    sun.position.set(3, 6, 4);
+    this.scene.add(new three.HemisphereLight("#ffffff", "#667078", 1.6), sun);
+    this.scene.add(new three.GridHelper(20, 20, "#7d8791", "#aab2ba"));
+    this.final = new Figures(this.scene, 1);
+    this.ghosts = new Figures(this.scene, 0.35);
+    this.frusta = undefined;
+    this.tags = new Map();
+    this.followed = undefined;
+    this.through = undefined;
+    this.point = new three.Vector3();
+  }
+
+  /** The cameras of a rig, as pyramids with names. */
+  setRig(rig) {
+    if (this.frusta) {
+      this.scene.remove(this.frusta);
+      this.frusta.geometry.dispose();
+    }
+    const corners = [];
+    this.lenses = rig.cameras.map(lensOf);
+    for (const lens of this.lenses) {
+      const depth = 0.35;
+      const corner = (u, v) => this.inWorld(lens, [
+        ((u - lens.centre_px[0]) / lens.focal_px[0]) * depth, ((v - lens.centre_px[1]) / lens.focal_px[1]) * depth, depth,
+      ]);
+      const [width, height] = [lens.width, lens.height];
+      const four = [corner(0, 0), corner(width, 0), corner(width, height), corner(0, height)];
+      four.forEach((one, k) => corners.push(lens.centre, one, one, four[(k + 1) % 4]));
+      const top = this.inWorld(lens, [0, (-lens.centre_px[1] / lens.focal_px[1]) * depth * 1.25, depth]);
+      corners.push(four[0], top, top, four[1]);
+    }
+    const geometry = new three.BufferGeometry();
+    geometry.setAttribute("position", new three.BufferAttribute(new Float32Array(corners.flat()), 3));
+    this.frusta = new three.LineSegments(geometry, new three.LineBasicMaterial({ color: "#77828e" }));
+    this.scene.add(this.frusta);
+  }
+
+  inWorld(lens, [x, y, z]) {
+    const r = lens.rotation;
+    return [0, 1, 2].map((k) => lens.centre[k] + r[k] * x + r[3 + k] * y + r[6 + k] * z);
+  }
+
+  /** The scene from the place of a camera, or free again. */
+  lookThrough(index) {
+    const lens = this.lenses?.[index];
+    this.through = lens && index;
+    if (!lens) {
+      this.controls.enabled = true;
+      if (this.before) {
+        this.camera.position.copy(this.before.at);
+        this.controls.target.copy(this.before.target);
+        [this.camera.fov, this.before] = [45, undefined];
+        this.camera.up.copy(UP);
+      }
+      return;
+    }
+    this.before ??= { at: this.camera.position.clone(), target: this.controls.target.clone() };
+    this.controls.enabled = false;
+    this.camera.position.fromArray(lens.centre);
+    const ahead = this.inWorld(lens, [0, 0, 3]);
+    const down = lens.rotation.slice(3, 6);
+    this.camera.up.set(-down[0], -down[1], -down[2]);
+    this.camera.lookAt(...ahead);
+    this.camera.fov = (2 * Math.atan(lens.height / 2 / lens.focal_px[1]) * 180) / Math.PI;
+  }
+
+  /** Everything in view. */
+  frameAll(people) {
+    this.lookThrough(undefined);
+    const points = [...(this.lenses ?? []).map(({ centre }) => centre), ...people.map(({ joints }) => [...joints.slice(0, 3)])];
+    if (points.length === 0) return;
+    const [low, high] = [Math.min, Math.max].map((most) => [0, 1, 2].map((k) => most(...points.map((p) => p[k]))));
+    const middle = low.map((x, k) => (x + high[k]) / 2);
+    const narrow = Math.max(1, (1.2 * this.canvas.clientHeight) / Math.max(this.canvas.clientWidth, 1));
+    const reach = narrow * Math.max(1.5, 0.5 * Math.hypot(...high.map((x, k) => x - low[k])));
+    this.controls.target.set(middle[0], Math.min(middle[1], 1), middle[2]);
+    this.camera.position.set(middle[0] + 0.9 * reach, reach, middle[2] + 1.35 * reach);
+  }
+
+  /** The performer at a place of the canvas, or undefined. */
+  pick(x, y, people) {
+    const box = this.canvas.getBoundingClientRect();
+    let [best, nearest] = [undefined, 40];
+    for (const one of people) {
+      for (let j = 0; j < JOINTS; j++) {
+        this.point.fromArray(one.joints, 3 * j).project(this.camera);
+        const at = [((this.point.x + 1) / 2) * box.width, ((1 - this.point.y) / 2) * box.height];
+        const distance = Math.hypot(at[0] - (x - box.left), at[1] - (y - box.top));
+        if (distance < nearest) [best, nearest] = [one.name, distance];
+      }
+    }
+    return best;
+  }
+
+  draw(people, ghosts) {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const size = this.renderer.getSize(new three.Vector2());
+    if (size.x !== width || size.y !== height) this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / Math.max(height, 1);
+    this.camera.updateProjectionMatrix();
+    this.final.show(people);
+    this.ghosts.show(ghosts);
+    const followed = people.find(({ name }) => name === this.followed);
+    if (followed && this.through === undefined) {
+      this.point.fromArray(followed.joints, 0).sub(this.controls.target);
+      this.controls.target.add(this.point);
+      this.camera.position.add(this.point);
+    }
+    if (this.controls.enabled) this.controls.update();
+    this.renderer.render(this.scene, this.camera);
+    this.label(people, width, height);
+  }
+
+  label(people, width, height) {
+    const wanted = new Map();
+    if (this.through === undefined) {
+      for (const lens of this.lenses ?? []) wanted.set(`camera ${lens.name}`, [lens.name, lens.centre]);
+    }
+    for (const { name, joints, head, state } of people) {
+      const at = [joints[3 * head], joints[3 * head + 1] + 0.25, joints[3 * head + 2]];
+      wanted.set(`performer ${name}`, [state === "tracking" ? name : `${name} (${state})`, at]);
+    }
+    for (const [key, tag] of this.tags) {
+      if (wanted.has(key)) continue;
+      tag.remove();
+      this.tags.delete(key);
+    }
+    for (const [key, [text, at]] of wanted) {
+      let tag = this.tags.get(key);
+      if (!tag) {
+        tag = this.labels.appendChild(document.createElement("span"));
+        this.tags.set(key, tag);
+      }
+      if (tag.textContent !== text) tag.textContent = text;
+      this.point.fromArray(at).project(this.camera);
+      tag.hidden = this.point.z > 1;
+      const [x, y] = [((this.point.x + 1) / 2) * width, ((1 - this.point.y) / 2) * height];
+      tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, -50%)`;
+    }
+  }
+
+  get figures() {
+    const { render } = this.renderer.info;
+    return { calls: render.calls, triangles: render.triangles };
+  }
+}

@@ -1,0 +1,131 @@
+// Where messages come from: the bus, or a recording.
+
+import { frames } from "./messages.js";
+
+/** Live: what is kept for looking back, seconds. */
+const KEPT = 30;
+
+/** A live stage. A lost connection is opened again. */
+export class Live {
+  constructor(store, stage) {
+    this.store = store;
+    this.stage = stage;
+    this.connected = false;
+    this.error = "";
+    this.wait = 250;
+    this.open();
+  }
+
+  open() {
+    const socket = new WebSocket(`ws://${location.host}/bus`);
+    this.socket = socket;
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => {
+      [this.connected, this.error, this.wait] = [true, "", 250];
+      this.send();
+    };
+    socket.onmessage = ({ data }) => {
+      if (typeof data === "string") return this.said(JSON.parse(data));
+      for (const frame of frames(data)) this.store.take(frame, this.stage);
+    };
+    socket.onclose = () => {
+      this.connected = false;
+      setTimeout(() => this.open(), this.wait);
+      this.wait = Math.min(2 * this.wait, 4000);
+    };
+  }
+
+  said({ error, dropped }) {
+    if (error !== undefined) this.error = error;
+    if (dropped !== undefined) this.store.dropped = dropped;
+  }
+
+  /** Asks for what is seen: without the panes no keypoints. */
+  want({ panes, provisional }) {
+    const own = `mocap/${this.stage}`;
+    const topics = ["rig", "events", "actor/*/skeleton", "actor/*/status", "actor/*/events", "actor/*/pose"];
+    if (panes) topics.push("camera/*/keypoints");
+    if (provisional) topics.push("actor/*/pose/provisional");
+    this.topics = topics.map((topic) => `${own}/${topic}`);
+    this.send();
+  }
+
+  /** Looks for cameras on other stages. */
+  lookAround() {
+    const everywhere = "mocap/*/camera/*/keypoints";
+    if (this.topics.includes(everywhere)) return;
+    this.topics.push(everywhere);
+    this.send();
+  }
+
+  send() {
+    if (this.connected && this.topics) this.socket.send(JSON.stringify({ topics: this.topics }));
+  }
+
+  /** Called for each picture. */
+  prepare() {
+    const { newest } = this.store;
+    if (Number.isFinite(newest)) this.store.keep(newest - KEPT, Infinity);
+  }
+
+  get span() {
+    const { newest } = this.store;
+    return Number.isFinite(newest) ? [newest - KEPT, newest] : [0, 0];
+  }
+}
+
+/** Length of a part of a recording that is read at once, seconds. */
+const PART = 2;
+
+/** A recording, of which the parts around the shown time are read. */
+export class Recording {
+  constructor(store, overview) {
+    this.store = store;
+    this.overview = overview;
+    this.connected = true;
+    this.error = "";
+    this.store.base = BigInt(overview.start_ns);
+    this.parts = new Map();
+    for (const event of overview.events) store.addEvent(event);
+    for (const name of Object.keys(overview.performers)) store.performer(name);
+    this.read(0, "state");
+  }
+
+  get span() {
+    return [0, this.overview.seconds];
+  }
+
+  want() {}
+
+  async read(part, kinds) {
+    const at = (seconds) => this.store.base + BigInt(Math.round(seconds * 1e9));
+    const url = `messages?from=${at(part * PART)}&to=${at((part + 1) * PART)}&kinds=${kinds}`;
+    try {
+      const answer = await fetch(url);
+      if (!answer.ok) throw new Error(await answer.text());
+      for (const frame of frames(await answer.arrayBuffer())) this.store.take(frame);
+      [this.connected, this.error] = [true, ""];
+    } catch (error) {
+      this.parts.delete(part);
+      [this.connected, this.error] = [false, String(error)];
+    }
+  }
+
+  /** Reads the parts around a time, once each, and forgets others. */
+  prepare(time) {
+    const now = Math.floor(time / PART);
+    for (const part of [now, now + 1, now - 1, now + 2]) {
+      if (part < 0 || part * PART > this.overview.seconds || this.parts.has(part)) continue;
+      if (!this.connected && Math.random() > 0.02) continue;
+      this.parts.set(part, true);
+      this.read(part, "pose,keypoints,status");
+    }
+    for (const part of this.parts.keys()) if (Math.abs(part - now) > 4) this.parts.delete(part);
+    this.store.keep((now - 4) * PART, (now + 5) * PART);
+  }
+
+  /** Whether the picture of a time is there. */
+  isReady(time) {
+    return this.parts.has(Math.floor(time / PART));
+  }
+}

@@ -1,0 +1,181 @@
+// What came so far: the newest of what stays, and the last seconds of what streams.
+
+/** Items in order of time, seconds. */
+export class Series {
+  constructor() {
+    this.times = [];
+    this.items = [];
+  }
+
+  /** Adds an item; one of the same time is replaced. */
+  add(time, item) {
+    const { times, items } = this;
+    let at = times.length;
+    while (at > 0 && times[at - 1] > time) at--;
+    if (times[at - 1] === time) {
+      items[at - 1] = item;
+      return;
+    }
+    times.splice(at, 0, time);
+    items.splice(at, 0, item);
+  }
+
+  /** Forgets what is outside of a span. */
+  keep(from, to) {
+    const { times, items } = this;
+    const [first, end] = [this.after(from), this.after(to)];
+    if (first < 200 && times.length - end < 200) return;
+    this.times = times.slice(first, end);
+    this.items = items.slice(first, end);
+  }
+
+  /** Index of the first item later than a time. */
+  after(time) {
+    let [low, high] = [0, this.times.length];
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.times[middle] <= time) low = middle + 1;
+      else high = middle;
+    }
+    return low;
+  }
+
+  /** The last item at a time or up to `age` seconds before it. */
+  at(time, age = 0.1) {
+    const index = this.after(time + 1e-6) - 1;
+    return index >= 0 && time - this.times[index] <= age ? this.items[index] : undefined;
+  }
+
+  get last() {
+    return this.times.at(-1);
+  }
+}
+
+const STATES = ["", "tracking", "coasting", "lost"];
+const COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#8a8f98"];
+
+/** A colour that colour-blind people can tell from the others [Okabe 2008]. */
+export const colour = (index) => COLOURS[index % COLOURS.length];
+
+export class Store {
+  constructor(decoder) {
+    this.decoder = decoder;
+    this.base = undefined;
+    this.rig = undefined;
+    this.performers = new Map();
+    this.keypoints = new Map();
+    this.events = [];
+    this.statuses = new Series();
+    this.statusOf = new Map();
+    this.statusCame = undefined;
+    this.dropped = 0;
+    this.otherStages = new Set();
+  }
+
+  /** Seconds since the first message, of a capture time in nanoseconds. */
+  seconds(ns) {
+    this.base ??= ns;
+    return Number(ns - this.base) / 1e9;
+  }
+
+  performer(name) {
+    let one = this.performers.get(name);
+    if (!one) {
+      one = { name, number: this.performers.size, poses: new Series(), provisional: new Series() };
+      this.performers.set(name, one);
+    }
+    return one;
+  }
+
+  camera(name) {
+    let series = this.keypoints.get(name);
+    if (!series) this.keypoints.set(name, (series = new Series()));
+    return series;
+  }
+
+  /** Takes a frame. `stage`: its name, if others are told apart. */
+  take({ topic, arrival, payload }, stage) {
+    const parts = topic.split("/");
+    if (stage !== undefined && parts[1] !== stage) {
+      this.otherStages.add(parts[1]);
+      return;
+    }
+    const read = (name) => this.decoder.decode(name, payload);
+    if (parts[2] === "rig") this.rig = read("Rig");
+    else if (parts[2] === "camera") this.takeKeypoints(read("KeypointFrame"), arrival);
+    else if (parts[2] === "events") this.takeEvent(read("Event"));
+    else if (parts[2] === "actor") this.takeActor(parts[3], parts.slice(4).join("/"), read, arrival);
+  }
+
+  takeKeypoints(frame, arrival) {
+    const people = frame.people.map((person) => person.points);
+    const size = [frame.image_width ?? 0, frame.image_height ?? 0];
+    this.camera(frame.camera).add(this.seconds(frame.capture_time_ns ?? 0n), { people, size, arrival });
+  }
+
+  takeActor(name, channel, read, arrival) {
+    if (channel === "events") return this.takeEvent(read("Event"), name);
+    if (!["pose", "pose/provisional", "skeleton", "status"].includes(channel)) return;
+    if (channel === "status") return this.takeStatus(name, read("Status"), arrival);
+    const one = this.performer(name);
+    if (channel === "skeleton") one.skeleton = read("Skeleton");
+    else {
+      const pose = read("Pose");
+      const item = {
+        joints: Float32Array.from(pose.joint_positions_m),
+        state: STATES[pose.state],
+        timecode: pose.timecode ?? "",
+        late: pose.due_time_ns === undefined ? undefined : Number(arrival - pose.due_time_ns) / 1e6,
+      };
+      const series = channel === "pose" ? one.poses : one.provisional;
+      series.add(this.seconds(pose.capture_time_ns ?? 0n), item);
+    }
+  }
+
+  /** The state of a performer, or of the node, which has the cameras. */
+  takeStatus(name, status, arrival) {
+    this.statusOf.set(name, status);
+    this.statusCame = performance.now();
+    if (status.cameras.length === 0) return;
+    const seconds = this.seconds(status.capture_time_ns ?? 0n);
+    this.statuses.add(this.clock(arrival), { at: Number(arrival) / 1e9, seconds, status });
+  }
+
+  /** The time of an arrival among the capture times: seconds since the first arrival. */
+  clock(arrival) {
+    this.firstArrival ??= arrival;
+    return Number(arrival - this.firstArrival) / 1e9;
+  }
+
+  /** The node's states up to a capture time, the newest last; those of two minutes. */
+  historyAt(time) {
+    const all = this.statuses.items.filter(({ seconds }) => seconds <= time + 1);
+    return all.slice(-120);
+  }
+
+  takeEvent(event, actor) {
+    const { kind = "", camera, detail = "", count = 1n } = event;
+    const at = this.seconds(event.capture_time_ns ?? 0n);
+    this.addEvent({ at, kind, camera, detail, count: Number(count), actor });
+  }
+
+  addEvent(event) {
+    this.events.push(event);
+    if (this.events.length > 2000) this.events.shift();
+  }
+
+  /** The newest time of final poses, else of keypoints. */
+  get newest() {
+    const last = (all) => Math.max(...all.map((series) => series.last ?? -Infinity), -Infinity);
+    const poses = last([...this.performers.values()].map((one) => one.poses));
+    return Number.isFinite(poses) ? poses : last([...this.keypoints.values()]);
+  }
+
+  keep(from, to) {
+    for (const one of this.performers.values()) {
+      one.poses.keep(from, to);
+      one.provisional.keep(from, to);
+    }
+    for (const series of this.keypoints.values()) series.keep(from, to);
+  }
+}

@@ -1,0 +1,33 @@
+//! The page that shows a stage live, or a recording, in a browser.
+//!
+//! [`start`] serves the page and its data over HTTP, on a thread of its own. The page gets the messages of
+//! the bus as they are. A live page is a client of the bus, as any other program: a session of its own for
+//! each page that is open, and none without a page. So the node does nothing for it.
+//!
+//! | path | answer |
+//! |---|---|
+//! | `/` and its files | the page, see `src/view/assets` |
+//! | `/about.json` | what is shown, the fields of the messages, advice on events |
+//! | `/bus` | WebSocket of a live page: it sends `{"topics": [pattern, ...]}`, and gets frames |
+//! | `/overview.json` | of a recording: span, performers, events |
+//! | `/messages?from=NS&to=NS&kinds=pose,keypoints` | of a recording: the frames of a span of capture time |
+//!
+//! A frame is a message: length of the topic (`u32`), topic, capture time and time of arrival (`i64`,
+//! nanoseconds), length of the payload (`u32`), payload; all numbers little-endian.
+//!
+//! # Who may look
+//! On a loopback address everybody on this computer. On any other address, those who have the token in the
+//! page's address. Requests that another site makes from a browser are refused, by their `Host` and `Origin`.
+
+mod access;
+mod bus;
+mod frame;
+mod overview;
+mod page;
+mod recorded;
+mod server;
+
+pub use bus::Live;
+pub use overview::Overview;
+pub use recorded::Recorded;
+pub use server::{Running, Source, ViewError, start};

@@ -1,0 +1,187 @@
+//! The server of the page, on a thread of its own.
+
+use std::io;
+use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use axum::extract::{Query, State, WebSocketUpgrade};
+use axum::http::StatusCode;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use axum::{Router, middleware};
+use serde::Deserialize;
+use serde_json::{Map, Value, json};
+use tokio::sync::oneshot;
+
+use super::access::{self, Access};
+use super::bus::{self, Live};
+use super::page;
+use super::recorded::Recorded;
+use crate::core::time::Timestamp;
+use crate::core::tracker::EventKind;
+use crate::io::recording::RecordError;
+use crate::live::advice;
+
+/// Why the page cannot be served.
+#[derive(Debug, thiserror::Error)]
+pub enum ViewError {
+    /// The address cannot be used.
+    #[error(
+        "cannot serve the page on {address:?}: {source}; give a free address and port, such as \
+         127.0.0.1:8765"
+    )]
+    Listen {
+        /// The given address.
+        address: String,
+        /// The reason from the system.
+        source: io::Error,
+    },
+    /// The system refuses another thread.
+    #[error("cannot start a thread: {0}; raise the limit of processes")]
+    Thread(io::Error),
+    /// The recording cannot be read.
+    #[error(transparent)]
+    Recording(#[from] RecordError),
+}
+
+/// What the page shows.
+#[derive(Clone)]
+pub enum Source {
+    /// A stage on the bus.
+    Live(Arc<Live>),
+    /// A recording.
+    Recorded(Arc<Recorded>),
+}
+
+/// A page that is served until this is dropped.
+pub struct Running {
+    address: SocketAddr,
+    token: Option<String>,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Running {
+    /// The address to open in a browser, with the token if it needs one.
+    pub fn url(&self) -> String {
+        let token = self.token.as_ref().map_or_else(String::new, |token| format!("?token={token}"));
+        format!("http://{}/{token}", self.address)
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Serves the page on `address`, such as `127.0.0.1:8765`; port 0 chooses a free one.
+///
+/// # Errors
+/// The address is in use or not of this computer.
+pub fn start(address: &str, source: Source) -> Result<Running, ViewError> {
+    let refused = |source| ViewError::Listen { address: address.to_owned(), source };
+    let resolved: Vec<SocketAddr> = address.to_socket_addrs().map_err(refused)?.collect();
+    let listener = TcpListener::bind(&*resolved).map_err(refused)?;
+    listener.set_nonblocking(true).map_err(refused)?;
+    let address = listener.local_addr().map_err(refused)?;
+    let access = Access::of(address);
+    let (token, (stop, stopped)) = (access.token.clone(), oneshot::channel());
+    let router = router(access, source);
+    let serve = move || {
+        // The page gives way to the solver.
+        #[cfg(target_os = "linux")]
+        let _ = rustix::process::nice(10);
+        let mut builder = tokio::runtime::Builder::new_current_thread();
+        let Ok(runtime) = builder.enable_io().enable_time().build() else { return };
+        runtime.block_on(async {
+            let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
+            tokio::select! {
+                served = axum::serve(listener, router).into_future() => {
+                    if let Err(error) = served {
+                        tracing::warn!("the page is no longer served: {error}");
+                    }
+                }
+                _ = stopped => {}
+            }
+        });
+        runtime.shutdown_background();
+    };
+    let thread = std::thread::Builder::new().name("view".into()).spawn(serve);
+    let thread = Some(thread.map_err(ViewError::Thread)?);
+    Ok(Running { address, token, stop: Some(stop), thread })
+}
+
+fn router(access: Access, source: Source) -> Router {
+    Router::new()
+        .route("/about.json", get(about))
+        .route("/bus", get(live))
+        .route("/overview.json", get(overview))
+        .route("/messages", get(messages))
+        .fallback(get(page::file))
+        .with_state(source)
+        .layer(middleware::from_fn_with_state(access, access::check))
+}
+
+async fn about(State(source): State<Source>) -> Response {
+    let advice: Map<String, Value> = EventKind::ALL
+        .iter()
+        .filter_map(|kind| Some((kind.name().to_owned(), advice(kind.name())?.into())))
+        .collect();
+    let (shows, name) = match &source {
+        Source::Live(live) => ("live", live.stage.clone()),
+        Source::Recorded(recorded) => ("recording", recorded.name()),
+    };
+    let about = json!({
+        "version": env!("CARGO_PKG_VERSION"), "shows": shows, "name": name, "advice": advice,
+    });
+    let fields = include_str!(concat!(env!("OUT_DIR"), "/messages.json"));
+    let text = format!("{{\"about\":{about},\"messages\":{fields}}}");
+    ([(CONTENT_TYPE, "application/json")], text).into_response()
+}
+
+async fn live(State(source): State<Source>, upgrade: WebSocketUpgrade) -> Response {
+    match source {
+        Source::Live(live) => upgrade.on_upgrade(move |socket| bus::attend(socket, live)),
+        Source::Recorded(_) => missing(),
+    }
+}
+
+async fn overview(State(source): State<Source>) -> Response {
+    match &source {
+        Source::Live(_) => missing(),
+        Source::Recorded(recorded) => match serde_json::to_string(recorded.overview()) {
+            Ok(text) => ([(CONTENT_TYPE, "application/json")], text).into_response(),
+            Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
+        },
+    }
+}
+
+/// A part of a recording: capture times, nanoseconds, and kinds with commas between.
+#[derive(Deserialize)]
+struct Part {
+    from: i64,
+    to: i64,
+    kinds: String,
+}
+
+async fn messages(State(source): State<Source>, Query(part): Query<Part>) -> Response {
+    let Source::Recorded(recorded) = source else { return missing() };
+    let span = [part.from, part.to].map(Timestamp::from_ns);
+    // Reading may take a while; other requests are answered meanwhile.
+    let read = move || recorded.frames(span, &part.kinds.split(',').collect::<Vec<_>>());
+    match tokio::task::spawn_blocking(read).await {
+        Ok(Ok(frames)) => ([(CONTENT_TYPE, "application/octet-stream")], frames).into_response(),
+        Ok(Err(error)) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
+        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
+    }
+}
+
+fn missing() -> Response {
+    (StatusCode::NOT_FOUND, "this page does not show that\n").into_response()
+}

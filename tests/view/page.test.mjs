@@ -1,0 +1,213 @@
+// The page in a real browser. Needs Chromium (the environment variable CHROMIUM, else /usr/bin/chromium) and
+// the program (BUNDLEMOCAP, else target/release/bundlemocap). Pictures go to the folder PICTURES, if it is set.
+
+import assert from "node:assert/strict";
+import { spawn, spawnSync } from "node:child_process";
+import { mkdtempSync, readFileSync, rmSync } from "node:fs";
+import { request } from "node:http";
+import { createRequire } from "node:module";
+import { createServer } from "node:net";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+import { chromium } from "playwright-core";
+
+const root = new URL("../..", import.meta.url).pathname;
+const program = process.env.BUNDLEMOCAP ?? join(root, "target/release/bundlemocap");
+const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const folder = mkdtempSync(join(tmpdir(), "page-"));
+const children = [];
+let browser;
+
+before(async () => {
+  browser = await chromium.launch({
+    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
+    args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+  });
+});
+
+after(async () => {
+  await browser?.close();
+  for (const child of children) child.kill("SIGKILL");
+  rmSync(folder, { recursive: true, force: true });
+});
+
+/** Starts the program, and waits for a line that matches. Returns the match and the process. */
+function start(args, pattern) {
+  const child = spawn(program, args, { env: { ...process.env, NO_COLOR: "1" } });
+  children.push(child);
+  return new Promise((resolve, reject) => {
+    let text = "";
+    const read = (data) => {
+      text += data;
+      const match = pattern?.exec(text);
+      if (match) resolve({ child, match });
+    };
+    child.stdout.on("data", read);
+    child.stderr.on("data", read);
+    child.on("exit", () => reject(new Error(`${args.join(" ")} ended: ${text}`)));
+    if (!pattern) resolve({ child });
+  });
+}
+
+function run(...args) {
+  const { status, stderr } = spawnSync(program, args, { encoding: "utf8" });
+  assert.equal(status, 0, `${args.join(" ")}: ${stderr}`);
+}
+
+/** Stops a process and waits for its end. */
+function stop(child, signal = "SIGINT") {
+  return new Promise((resolve) => {
+    child.removeAllListeners("exit");
+    child.on("exit", resolve);
+    child.kill(signal);
+  });
+}
+
+async function freePort() {
+  const server = createServer().listen(0, "127.0.0.1");
+  await new Promise((resolve) => server.on("listening", resolve));
+  const { port } = server.address();
+  await new Promise((resolve) => server.close(resolve));
+  return port;
+}
+
+/** Opens the page. What its console says of errors is in `said`. */
+async function open(url, options = {}) {
+  const page = await browser.newPage({ viewport: { width: 1280, height: 720 }, ...options });
+  const said = [];
+  page.on("console", (message) => {
+    if (["error", "warning"].includes(message.type())) said.push(message.text());
+  });
+  page.on("pageerror", (error) => said.push(error.message));
+  await page.goto(url);
+  return { page, said };
+}
+
+const shown = (page) => page.evaluate(() => ({ ...document.body.dataset }));
+const until = (page, condition, argument) => page.waitForFunction(condition, argument, { timeout: 30_000 });
+const people = (page, count) => until(page, (wanted) => Number(document.body.dataset.people) === wanted, count);
+
+async function picture(page, name) {
+  if (process.env.PICTURES) await page.screenshot({ path: join(process.env.PICTURES, `${name}.png`) });
+}
+
+/** Nothing that assistive technology cannot use, and nothing cut off at the sides. */
+async function isSound(page) {
+  const { violations } = await page.evaluate(`${axe}; axe.run({ resultTypes: ["violations"] })`);
+  const serious = violations.filter(({ impact }) => ["serious", "critical"].includes(impact));
+  assert.deepEqual(serious.map(({ id, nodes }) => [id, nodes.map(({ target }) => target)]), []);
+  const [inner, wide] = await page.evaluate(() => [innerWidth, document.documentElement.scrollWidth]);
+  assert.ok(wide <= inner, `the page is ${wide} px wide in a window of ${inner}`);
+}
+
+/** The status of a GET request with these headers. */
+function status(url, headers) {
+  return new Promise((resolve, reject) => {
+    const asked = request(url, { headers }, (answer) => resolve(answer.resume().statusCode));
+    asked.on("error", reject).end();
+  });
+}
+
+test("a recording plays, is scrubbed, and keeps its place in the address", async () => {
+  run("solve", join(root, "recordings/walk.mcap"), "--out", join(folder, "walk"));
+  const poses = join(folder, "walk/poses.mcap");
+  const { child, match } = await start(["view", poses, "--listen", "127.0.0.1:0"], /open (\S+)/);
+  const { page, said } = await open(`${match[1]}#t=1.50`);
+  await people(page, 1);
+  assert.equal((await shown(page)).time, "1.500");
+  await page.keyboard.press("ArrowRight");
+  await until(page, () => document.body.dataset.time === "1.517");
+  assert.match(page.url(), /#t=1\.52$/);
+  await page.keyboard.press("ArrowLeft");
+  await until(page, () => document.body.dataset.time === "1.500");
+  await picture(page, "recording");
+
+  const bar = await page.locator("#timeline").boundingBox();
+  await page.mouse.click(bar.x + bar.width / 4, bar.y + bar.height / 2);
+  await until(page, () => Math.abs(Number(document.body.dataset.time) - 1) < 0.02);
+  await page.keyboard.press("]");
+  assert.equal(await page.locator("#speed").inputValue(), "2");
+  await page.keyboard.press(" ");
+  await until(page, () => Number(document.body.dataset.time) > 2);
+  await people(page, 1);
+  // It ends by itself.
+  await until(page, () => document.getElementById("play").textContent === "Play");
+
+  await page.keyboard.press("1");
+  await picture(page, "through");
+  await page.keyboard.press("0");
+  await page.locator("#events button").first().click();
+  await isSound(page);
+  assert.deepEqual(said, []);
+  await page.close();
+
+  const dark = await open(`${match[1]}#t=2`, { viewport: { width: 820, height: 1180 }, colorScheme: "dark" });
+  await people(dark.page, 1);
+  await isSound(dark.page);
+  await picture(dark.page, "tablet");
+  assert.deepEqual(dark.said, []);
+  await dark.page.close();
+  await stop(child);
+});
+
+test("a live stage: a pose moves, a dead camera is red, a node that restarts is found again", async () => {
+  const [bus, http] = [await freePort(), await freePort()];
+  const node = ["run", "--listen", `tcp/127.0.0.1:${bus}`, "--view", `127.0.0.1:${http}`];
+  const first = await start(node, /the page is on (\S+)/);
+  const { page, said } = await open(first.match[1]);
+  await until(page, () => document.getElementById("empty").textContent.startsWith("No keypoints on mocap/stage."));
+  const play = (...cameras) => start([
+    "play", join(root, "recordings/walk.mcap"), "--loop", "--connect", `tcp/127.0.0.1:${bus}`,
+    ...cameras.flatMap((camera) => ["--camera", camera]),
+  ]);
+  await play("cam01", "cam02", "cam03");
+  const fourth = await play("cam04");
+  await people(page, 1);
+  const { time } = await shown(page);
+  await until(page, (before) => Number(document.body.dataset.time) > before + 1, Number(time));
+  await until(page, () => document.querySelectorAll('#cameras [data-level="ok"]').length >= 3);
+  await picture(page, "live");
+
+  // Looking back, while it goes on.
+  await page.keyboard.press(" ");
+  const { time: kept } = await shown(page);
+  await page.keyboard.press("ArrowLeft");
+  await until(page, (before) => Number(document.body.dataset.time) < before, Number(kept));
+  await until(page, () => /s ago$/.test(document.getElementById("clock").textContent));
+  await page.keyboard.press(" ");
+  await until(page, () => document.getElementById("clock").textContent === "live");
+
+  await stop(fourth.child);
+  await until(page, () => document.querySelector('[data-camera="cam04"][data-level="bad"]'));
+  assert.equal(await page.locator("#cameras li").first().getAttribute("data-camera"), "cam04");
+  await picture(page, "dead-camera");
+  await isSound(page);
+  assert.deepEqual(said, []);
+
+  await stop(first.child);
+  await until(page, () => document.getElementById("node").textContent.includes("no connection"));
+  await start(node, /the page is on (\S+)/);
+  await until(page, () => !document.getElementById("node").textContent.includes("no connection"));
+  const { time: again } = await shown(page);
+  await until(page, (before) => Number(document.body.dataset.time) > before, Number(again));
+  await page.close();
+});
+
+test("other sites and those without the token are refused", async () => {
+  const poses = join(folder, "walk/poses.mcap");
+  const own = await start(["view", poses, "--listen", "127.0.0.1:0"], /open (\S+)/);
+  assert.equal(await status(own.match[1]), 200);
+  assert.equal(await status(own.match[1], { host: "example.org" }), 403);
+  for (const path of ["about.json", "messages?from=0&to=1&kinds=pose", "bus"]) {
+    assert.equal(await status(own.match[1] + path, { origin: "http://example.org" }), 403);
+  }
+  const all = await start(["view", poses, "--listen", "0.0.0.0:0"], /open (\S+)/);
+  const url = new URL(all.match[1].replace("0.0.0.0", "127.0.0.1"));
+  assert.match(url.searchParams.get("token"), /^[0-9a-f]{32}$/);
+  assert.equal(await status(url.origin), 401);
+  assert.equal(await status(`${url.origin}/?token=00000000000000000000000000000000`), 401);
+  const { page, said } = await open(`${url}#t=1`);
+  await people(page, 1);
+  assert.deepEqual(said, []);
+});
