@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::Error;
+use super::collected::Collected;
 use super::compact_pose::CompactPose;
 use super::poses::{BENT, Poses};
 use super::series::Series;
@@ -21,12 +22,15 @@ use crate::diagnose::{CameraCheck, Check, Finding};
 use crate::io::new_file;
 use crate::io::recording::{Provenance, Writer};
 use crate::io::report::{
-    AngleTrack, CameraErrors, Picture, ReportData, StickFigures, Table, WindowRow, stick_figures,
-    write_report,
+    AngleTrack, CameraErrors, Picture, Player, ReportData, StickFigures, Table, WindowRow,
+    lost_intervals, stick_figures, write_report,
 };
 use crate::io::timecode::House;
 use crate::io::wire::{self, Topics};
+use crate::metrics::Episode;
 
+/// Most of the worst moments of a performer in the report.
+const MOMENTS: usize = 10;
 /// Number of stick figures in the report.
 const STICK_FIGURES: usize = 9;
 
@@ -190,18 +194,25 @@ pub(super) fn report(
         leading: std::iter::once(group.table()).chain(std::mem::take(&mut first.leading)).collect(),
         ..ReportData::default()
     };
+    let mut player: Option<Player> = None;
     for (page, performer) in pages.iter_mut().zip(&group.performers) {
+        match (&mut player, page.player.take()) {
+            (Some(all), Some(Player { tracks, moments, .. })) => {
+                all.tracks.extend(tracks);
+                all.moments.extend(moments);
+            }
+            (all, first) => *all = first,
+        }
         page.leading.clear();
         page.title.clone_from(&performer.performer);
         page.subtitle.clear();
     }
-    Ok(write_report(path, &ReportData { parts: pages, ..data })?)
+    Ok(write_report(path, &ReportData { player, parts: pages, ..data })?)
 }
 
 /// A performer's page.
 pub(super) fn page(
-    poses: &Poses,
-    windows: &Windows,
+    Collected { name, poses, windows, .. }: &Collected,
     rig: &Rig,
     skeleton: &Skeleton,
     summary: &Summary,
@@ -223,11 +234,55 @@ pub(super) fn page(
             title: "Poses".into(),
             svg: strip(shown, skeleton, STICK_FIGURES),
         }],
+        player: Some(Player {
+            rig: rig.clone(),
+            start,
+            tracks: vec![(name.clone(), poses.played.bins().to_vec())],
+            moments: moments(windows, summary, start, name),
+        }),
         cameras: camera_errors(windows, rig, start),
         angles: angles(poses, start),
         windows: windows.series.bins().iter().map(|window| row(window, start)).collect(),
         ..ReportData::default()
     }
+}
+
+/// The worst moments: points that were not followed, the longest lost stretches, and the windows of the highest
+/// cost.
+fn moments(
+    windows: &Windows,
+    summary: &Summary,
+    start: Timestamp,
+    name: &str,
+) -> Vec<(f64, String)> {
+    let since = |ns: i64| Timestamp::from_ns(ns).seconds_since(start);
+    let followed = summary.not_followed.iter().flat_map(|found| &found.longest).map(|episode| {
+        let Episode { keypoint, capture_time_ns, frames, distance_m } = episode;
+        let cm = 100.0 * distance_m;
+        let what =
+            format!("{name}: {keypoint} {cm:.0} cm from where the cameras see it, {frames} frames");
+        (since(*capture_time_ns), what)
+    });
+    let rows: Vec<WindowRow> = windows.series.bins().iter().map(|bin| row(bin, start)).collect();
+    let mut lost = lost_intervals(&rows);
+    lost.sort_by(|a, b| (b.1 - b.0).total_cmp(&(a.1 - a.0)));
+    let lost = lost
+        .into_iter()
+        .map(|(from, to)| (from, format!("{name}: lost or extrapolated for {:.2} s", to - from)));
+    let mut costly: Vec<&WindowRow> = rows.iter().filter(|row| row.cost.is_finite()).collect();
+    costly.sort_by(|a, b| b.cost.total_cmp(&a.cost));
+    let mut apart: Vec<&WindowRow> = Vec::new();
+    for row in costly {
+        if apart.len() < MOMENTS && apart.iter().all(|one| (one.start_s - row.start_s).abs() > 1.0)
+        {
+            apart.push(row);
+        }
+    }
+    let fits_badly = |row: &WindowRow| {
+        (row.start_s, format!("{name}: window cost {:.0}, among the highest", row.cost))
+    };
+    let costly = apart.into_iter().map(fits_badly);
+    followed.take(MOMENTS / 2).chain(lost.take(MOMENTS / 4)).chain(costly).take(MOMENTS).collect()
 }
 
 /// The cameras judged, and what is wrong with all of them.

@@ -12,7 +12,7 @@ use super::series::{Bin, Mean, Series};
 use super::truth::TruthComparisons;
 use crate::core::body::{Joint, Skeleton};
 use crate::core::time::Timestamp;
-use crate::io::report::flexion_deg;
+use crate::io::report::{PlayerPose, flexion_deg};
 use crate::metrics::statistics::median;
 use crate::metrics::{Floor, FootSkate, FootSkateSums, MeanAcceleration};
 
@@ -20,10 +20,17 @@ use crate::metrics::{Floor, FootSkate, FootSkateSums, MeanAcceleration};
 const HEAD: usize = 4096;
 /// The frame rate of a single pose.
 const FALLBACK_FPS: f64 = 60.0;
+/// Most poses of a performer that play in the report: 18 minutes at 60 Hz, fewer a second of a longer take.
+const PLAYED: usize = 1 << 16;
 /// Joints with angles in the report.
 pub(crate) const BENT: [Joint; 4] = [Joint::LKnee, Joint::RKnee, Joint::LElbow, Joint::RElbow];
 
 impl Bin for CompactPose {
+    /// The first pose is kept.
+    fn merge(&mut self, _next: Self) {}
+}
+
+impl Bin for PlayerPose {
     /// The first pose is kept.
     fn merge(&mut self, _next: Self) {}
 }
@@ -53,6 +60,8 @@ pub(super) struct Poses {
     pub(super) flagged: usize,
     /// Poses for the stick figures.
     pub(super) shown: Series<CompactPose>,
+    /// Poses that play in the report.
+    pub(super) played: Series<PlayerPose>,
     /// Flexion of the joints [`BENT`], degrees.
     pub(super) angles: [Series<Mean<Timestamp, 1>>; BENT.len()],
 }
@@ -91,6 +100,7 @@ impl Poses {
             count: 0,
             flagged: 0,
             shown: Series::default(),
+            played: Series::up_to(PLAYED),
             angles: Default::default(),
         }
     }
@@ -176,6 +186,7 @@ impl Poses {
                 body.floor.gap();
             }
         }
+        self.played.push(PlayerPose::new(capture, pose.state, &posture));
         body.acceleration.add(capture, pose.is_tracked().then_some(posture));
         if let Some(bvh) = &mut body.bvh {
             bvh.write(pose)?;

@@ -9,10 +9,11 @@ pub(crate) trait Bin {
     fn merge(&mut self, next: Self);
 }
 
-/// Values over time: all of them up to [`LIMIT`], then bins of 2, 4, 8 ... values.
+/// Values over time: all of them up to a limit, [`LIMIT`] by default, then bins of 2, 4, 8 ... values.
 #[derive(Clone, Debug)]
 pub(crate) struct Series<T> {
     bins: Vec<T>,
+    limit: usize,
     /// Number of values in a full bin.
     size: usize,
     /// Number of values in the last bin.
@@ -21,7 +22,14 @@ pub(crate) struct Series<T> {
 
 impl<T> Default for Series<T> {
     fn default() -> Self {
-        Self { bins: Vec::new(), size: 1, last: 1 }
+        Self::up_to(LIMIT)
+    }
+}
+
+impl<T> Series<T> {
+    /// With at most `limit` bins.
+    pub(crate) fn up_to(limit: usize) -> Self {
+        Self { bins: Vec::new(), limit, size: 1, last: 1 }
     }
 }
 
@@ -35,7 +43,7 @@ impl<T: Bin> Series<T> {
             self.last += 1;
             return;
         }
-        if self.bins.len() == LIMIT {
+        if self.bins.len() == self.limit {
             self.halve();
         }
         self.bins.push(value);

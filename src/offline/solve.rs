@@ -133,7 +133,7 @@ pub fn solve_group(
         if let Some(Outputs { folder, .. }) = &outputs {
             let csv = output::of_performer(&one.name, options.performers, "states.csv");
             output::text(&folder.file(&csv), &states)?;
-            pages.push(output::page(&one.poses, &one.windows, &rig, skeleton, &summary));
+            pages.push(output::page(&one, &rig, skeleton, &summary));
         }
         group.performers.push(PerformerSummary { performer: one.name, summary });
     }

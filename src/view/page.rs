@@ -18,12 +18,13 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/messages.js", SCRIPT, include_str!("assets/messages.js")),
     ("/store.js", SCRIPT, include_str!("assets/store.js")),
     ("/lights.js", SCRIPT, include_str!("assets/lights.js")),
-    ("/lens.js", SCRIPT, include_str!("assets/lens.js")),
-    ("/scene.js", SCRIPT, include_str!("assets/scene.js")),
+    ("/colours.js", SCRIPT, include_str!("../io/report/scene/colours.js")),
+    ("/lens.js", SCRIPT, include_str!("../io/report/scene/lens.js")),
+    ("/scene.js", SCRIPT, include_str!("../io/report/scene/scene.js")),
     ("/panes.js", SCRIPT, include_str!("assets/panes.js")),
     ("/charts.js", SCRIPT, include_str!("assets/charts.js")),
     ("/sources.js", SCRIPT, include_str!("assets/sources.js")),
-    ("/three.js", SCRIPT, include_str!("assets/three.js")),
+    ("/three.js", SCRIPT, include_str!("../io/report/scene/three.js")),
 ];
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 

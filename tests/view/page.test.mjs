@@ -151,6 +151,21 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   await stop(child);
 });
 
+test("the report of a solve plays the take, without a server", async () => {
+  const { page, said } = await open(`file://${join(folder, "walk/report.html")}#t=1.00`);
+  await people(page, 1);
+  assert.equal((await shown(page)).time, "1.00");
+  await page.locator("#play").click();
+  await until(page, () => Number(document.body.dataset.time) > 1.3);
+  const link = page.locator(".moments a").first();
+  await link.click();
+  await until(page, (text) => `${document.body.dataset.time} s` === text, await link.textContent());
+  await picture(page, "report");
+  await isSound(page);
+  assert.deepEqual(said, []);
+  await page.close();
+});
+
 test("a live stage: a pose moves, a dead camera is red, a node that restarts is found again", async () => {
   const [bus, http] = [await freePort(), await freePort()];
   const node = ["run", "--listen", `tcp/127.0.0.1:${bus}`, "--view", `127.0.0.1:${http}`];

@@ -57,6 +57,9 @@ pub enum TrackingState {
 }
 
 impl TrackingState {
+    /// Every state.
+    pub const ALL: [Self; 3] = [Self::Tracking, Self::Coasting, Self::Lost];
+
     /// Its name in files and messages.
     pub fn name(self) -> &'static str {
         match self {

@@ -1,13 +1,16 @@
-//! The report of a solve: one HTML page with plots and drawings as SVG.
+//! The report of a solve: one HTML page with plots and drawings as SVG, in which the take plays.
 
 mod bars;
 mod page;
+mod player;
 mod plot;
 mod stick_figure;
 
 pub use bars::Bars;
+pub(crate) use page::lost_intervals;
 pub use page::{
     AngleTrack, CameraErrors, Picture, ReportData, Table, WindowRow, flexion_deg, write_report,
 };
+pub use player::{Player, PlayerPose};
 pub use plot::{Plot, Series};
 pub use stick_figure::{StickFigures, stick_figures};

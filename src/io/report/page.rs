@@ -18,6 +18,8 @@ pub struct ReportData {
     pub subtitle: String,
     /// The most important metrics, as name and value.
     pub facts: Vec<(String, String)>,
+    /// The take in 3D.
+    pub player: Option<super::Player>,
     /// Tables at the top, over the whole width.
     pub leading: Vec<Table>,
     /// Further metrics, at the end.
@@ -139,6 +141,7 @@ fn content(data: &ReportData) -> String {
         let _ = writeln!(page, "<div><dt>{}</dt><dd>{}</dd></div>", escape(name), escape(value));
     }
     page += "</dl>\n";
+    data.player.iter().for_each(|player| page += &player.html());
     for picture in &data.pictures {
         let title = escape(&picture.title);
         let _ = writeln!(
@@ -192,7 +195,7 @@ fn plots(data: &ReportData) -> Vec<Plot> {
 }
 
 /// Time spans of lost windows; adjacent spans are merged.
-fn lost_intervals(windows: &[WindowRow]) -> Vec<(f64, f64)> {
+pub(crate) fn lost_intervals(windows: &[WindowRow]) -> Vec<(f64, f64)> {
     let mut spans: Vec<(f64, f64)> = Vec::new();
     for window in windows.iter().filter(|window| window.lost) {
         match spans.last_mut() {

@@ -1,12 +1,13 @@
 // The page: what is shown when.
 
 import { Charts } from "./charts.js";
+import { colour } from "./colours.js";
 import { cameraLight, levelOf, nodeLight } from "./lights.js";
 import { Decoder } from "./messages.js";
 import { Panes } from "./panes.js";
 import { View } from "./scene.js";
 import { Live, Recording } from "./sources.js";
-import { Store, colour } from "./store.js";
+import { Store } from "./store.js";
 
 const $ = (id) => document.getElementById(id);
 const PARENTS = [-1];

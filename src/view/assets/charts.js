@@ -1,6 +1,6 @@
 // Curves over time: residuals of the cameras, knees and elbows.
 
-import { colour } from "./store.js";
+import { colour } from "./colours.js";
 
 const ANGLES = [
   ["left knee", "l_hip", "l_knee", "l_ankle"], ["right knee", "r_hip", "r_knee", "r_ankle"],

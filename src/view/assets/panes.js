@@ -1,7 +1,7 @@
 // The camera images: detected keypoints, and the solved bodies over them.
 
 import { lensOf, project } from "./lens.js";
-import { colour } from "./store.js";
+import { colour } from "./colours.js";
 
 export class Panes {
   /** `choose(index)` is called with the index of a camera that was clicked. */

@@ -1,8 +1,8 @@
 // The performers and the cameras in 3D.
 
 import * as three from "./three.js";
+import { colour } from "./colours.js";
 import { lensOf } from "./lens.js";
-import { colour } from "./store.js";
 
 const MOST = 32;
 const JOINTS = 22;
@@ -162,7 +162,7 @@ export class View {
     const [low, high] = [Math.min, Math.max].map((most) => [0, 1, 2].map((k) => most(...points.map((p) => p[k]))));
     const middle = low.map((x, k) => (x + high[k]) / 2);
     const narrow = Math.max(1, (1.2 * this.canvas.clientHeight) / Math.max(this.canvas.clientWidth, 1));
-    const reach = narrow * Math.max(1.5, 0.5 * Math.hypot(...high.map((x, k) => x - low[k])));
+    const reach = narrow * Math.max(1.5, 0.36 * Math.hypot(...high.map((x, k) => x - low[k])));
     this.controls.target.set(middle[0], Math.min(middle[1], 1), middle[2]);
     this.camera.position.set(middle[0] + 0.9 * reach, reach, middle[2] + 1.35 * reach);
   }
