@@ -1,6 +1,6 @@
 //! `bundlemocap view`
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -34,10 +34,11 @@ Examples:
   bundlemocap view                                         the stage of a node on this computer
   bundlemocap view --connect tcp/192.168.1.10:7447
   bundlemocap view out/poses.mcap
+  bundlemocap view out/poses.mcap take.mcap                the poses over the keypoints that they are from
   bundlemocap view take_03.mcap --listen 0.0.0.0:8765")]
 pub(super) struct Arguments {
-    /// Recording to show; without one, what is on the bus.
-    file: Option<PathBuf>,
+    /// Recordings of one take to show, such as its poses and its keypoints; without one, what is on the bus.
+    files: Vec<PathBuf>,
     /// Address of the page; port 0 chooses a free one.
     #[arg(long, value_name = "ADDRESS", default_value = ADDRESS)]
     listen: String,
@@ -57,9 +58,9 @@ impl From<ViewError> for Failure {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let stop = Stop::on_signals()?;
-    let source = match &arguments.file {
-        Some(path) => recorded(path)?,
-        None => live(arguments.bus.settings()?),
+    let source = match &*arguments.files {
+        [] => live(arguments.bus.settings()?),
+        paths => recorded(paths)?,
     };
     let page = serve(&arguments.listen, source)?;
     say(&format!("open {}", page.url()));
@@ -69,10 +70,13 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     Ok(Exit::Done)
 }
 
-fn recorded(path: &Path) -> Result<Source, Failure> {
-    let messages = summary(path)?.topics.values().map(|topic| topic.count).sum();
+fn recorded(paths: &[PathBuf]) -> Result<Source, Failure> {
+    let mut messages = 0;
+    for path in paths {
+        messages += summary(path)?.topics.values().map(|topic| topic.count).sum::<u64>();
+    }
     let bar = progress(messages, "messages");
-    let recorded = Recorded::open(path, || bar.inc(1))?;
+    let recorded = Recorded::open(paths, || bar.inc(1))?;
     bar.finish_and_clear();
     Ok(Source::Recorded(Arc::new(recorded)))
 }

@@ -1,8 +1,7 @@
 //! A live page: a client of the bus.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc;
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
 
 use axum::extract::ws::{Message, WebSocket};
@@ -12,7 +11,10 @@ use tokio::sync::mpsc as queue;
 use tokio::time::sleep;
 
 use super::frame;
+use super::points::Points;
+use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Guard, Sample, check_pattern};
+use crate::io::wire::{Schema, Take, Topics, encode, media_type, valid_name};
 use crate::live::WallClock;
 
 /// Most frames that wait for a page; those that come while it is full are dropped and counted.
@@ -40,6 +42,20 @@ impl Live {
         Self { stage: stage.into(), open: Box::new(open) }
     }
 
+    /// Publishes a command.
+    fn command(&self, bus: &dyn Bus, Slate { id, action, name }: Slate) -> Result<(), BusError> {
+        let is_known = ["start", "stop", "reset"].contains(&&*action);
+        let is_named = if name.is_empty() { action != "start" } else { valid_name(&name).is_ok() };
+        if !is_known || !is_named {
+            // The page checks what the user enters.
+            return Ok(());
+        }
+        let topics = Topics { stage: self.stage.clone(), ..Topics::default() };
+        let take = Take { id: id.into(), action, name };
+        let publisher = bus.publisher(&topics.take())?;
+        publisher.put(Timestamp::default(), &media_type(Take::FULL_NAME), &encode(&take))
+    }
+
     /// Whether a page may see topics of that pattern: those of the stage, and where other cameras send.
     fn shows(&self, pattern: &str) -> bool {
         let own = format!("mocap/{}/", self.stage);
@@ -48,10 +64,23 @@ impl Live {
     }
 }
 
-/// What a page wants to get.
+/// What a page asks for.
 #[derive(Deserialize)]
-struct Wanted {
-    topics: Vec<String>,
+#[serde(rename_all = "lowercase")]
+enum Order {
+    /// The messages of topics that match these patterns, and no others.
+    Topics(Vec<String>),
+    /// To begin or end a take, or to make nodes forget the body; as `bundlemocap take`.
+    Take(Slate),
+}
+
+/// A command to nodes and recorders.
+#[derive(Deserialize)]
+struct Slate {
+    /// The page finds the answers by it.
+    id: u32,
+    action: String,
+    name: String,
 }
 
 /// What goes to the page.
@@ -63,10 +92,10 @@ enum Outgoing {
 /// Serves a page until it goes away.
 pub(super) async fn attend(mut socket: WebSocket, live: Arc<Live>) {
     let (out, mut outgoing) = queue::channel(WAITING);
-    let (wanted, orders) = mpsc::channel();
+    let (orders, received) = mpsc::channel();
     let dropped = Arc::new(AtomicU64::new(0));
     let shared = (Arc::clone(&live), Arc::clone(&dropped));
-    let session = move || subscribe(&shared.0, &orders, &out, &shared.1);
+    let session = move || follow_orders(&shared.0, &received, &out, &shared.1);
     if std::thread::Builder::new().name("view-bus".into()).spawn(session).is_err() {
         return;
     }
@@ -89,9 +118,8 @@ pub(super) async fn attend(mut socket: WebSocket, live: Arc<Live>) {
             }
             message = socket.recv() => match message {
                 Some(Ok(Message::Text(text))) => {
-                    let Ok(Wanted { mut topics }) = serde_json::from_str(&text) else { return };
-                    topics.retain(|pattern| live.shows(pattern));
-                    if wanted.send(topics).is_err() {
+                    let Ok(order) = serde_json::from_str::<Order>(&text) else { return };
+                    if orders.send(order).is_err() {
                         return;
                     }
                 }
@@ -118,11 +146,11 @@ async fn send(socket: &mut WebSocket, batch: &mut Vec<Outgoing>) -> Option<()> {
     socket.send(Message::Binary(frames.into())).await.ok()
 }
 
-/// Subscribes to what the page wants, until it is gone. Runs on a thread of its own: sessions are opened and
-/// closed in blocking calls.
-fn subscribe(
+/// Does what the page asks for until it is gone. Runs on a thread of its own: sessions are opened and closed in
+/// blocking calls.
+fn follow_orders(
     live: &Live,
-    orders: &mpsc::Receiver<Vec<String>>,
+    orders: &mpsc::Receiver<Order>,
     out: &queue::Sender<Outgoing>,
     dropped: &Arc<AtomicU64>,
 ) {
@@ -131,18 +159,31 @@ fn subscribe(
         Ok(bus) => bus,
         Err(error) => return refuse(error),
     };
-    let clock = WallClock::start();
+    let (clock, points) = (WallClock::start(), Arc::new(Mutex::new(Points::default())));
     let mut guards: Vec<(String, Box<dyn Guard>)> = Vec::new();
-    while let Ok(patterns) = orders.recv() {
+    while let Ok(order) = orders.recv() {
+        let patterns = match order {
+            Order::Topics(patterns) => patterns.into_iter().filter(|pattern| live.shows(pattern)),
+            Order::Take(slate) => match live.command(&*bus, slate) {
+                Ok(()) => continue,
+                Err(error) => return refuse(error),
+            },
+        };
+        let patterns: Vec<String> = patterns.collect();
         guards.retain(|(pattern, _)| patterns.contains(pattern));
         for pattern in patterns {
             if guards.iter().any(|(open, _)| *open == pattern) {
                 continue;
             }
-            let (out, dropped, clock) = (out.clone(), Arc::clone(dropped), clock);
+            let (out, dropped, points) = (out.clone(), Arc::clone(dropped), Arc::clone(&points));
             let sink = move |Sample { topic, capture, payload, .. }: Sample| {
                 let mut bytes = Vec::with_capacity(topic.len() + payload.len() + 24);
-                frame::write(&mut bytes, &topic, capture, clock.now(), &payload);
+                let now = clock.now();
+                frame::write(&mut bytes, &topic, capture, now, &payload);
+                let mut points = points.lock().unwrap_or_else(PoisonError::into_inner);
+                if let Some((topic, payload)) = points.follow(&topic, &payload) {
+                    frame::write(&mut bytes, &topic, capture, now, &payload);
+                }
                 if let Err(queue::error::TrySendError::Full(_)) =
                     out.try_send(Outgoing::Frame(bytes))
                 {

@@ -8,12 +8,13 @@
 //! |---|---|
 //! | `/` and its files | the page, see `src/view/assets` |
 //! | `/about.json` | what is shown, the fields of the messages, advice on events |
-//! | `/bus` | WebSocket of a live page: it sends `{"topics": [pattern, ...]}`, and gets frames |
+//! | `/bus` | WebSocket of a live page: it sends `{"topics": [pattern, ...]}`, and gets frames; `{"take": {"id": 7, "action": "start", "name": "walk_01"}}` commands as `bundlemocap take` does |
 //! | `/overview.json` | of a recording: span, performers, events |
 //! | `/messages?from=NS&to=NS&kinds=pose,keypoints` | of a recording: the frames of a span of capture time |
 //!
 //! A frame is a message: length of the topic (`u32`), topic, capture time and time of arrival (`i64`,
-//! nanoseconds), length of the payload (`u32`), payload; all numbers little-endian.
+//! nanoseconds), length of the payload (`u32`), payload; all numbers little-endian. Beside the messages of the
+//! bus there is `mocap/{stage}/actor/{actor}/points`: where the body of a final pose has the keypoints.
 //!
 //! # Who may look
 //! On a loopback address everybody on this computer. On any other address, those who have the token in the
@@ -24,6 +25,7 @@ mod bus;
 mod frame;
 mod overview;
 mod page;
+mod points;
 mod recorded;
 mod server;
 

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use crate::core::body::TrackingState;
-use crate::core::time::Timestamp;
-use crate::io::recording::{Message, Reader, RecordError};
-use crate::io::wire::{Pose, Topic};
+use crate::core::time::{Nanos, Timestamp};
+use crate::io::recording::{Entry, Message, Reader, RecordError};
+use crate::io::wire::{Event, Topic};
 
 /// What a recording holds. Times are seconds since `start`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -24,11 +24,6 @@ pub struct Overview {
     pub cameras: BTreeMap<String, u64>,
     /// The losses of a damaged file.
     pub damage: Vec<String>,
-    /// Smallest and largest log time minus capture time, nanoseconds.
-    #[serde(skip)]
-    pub(super) delay_ns: [i64; 2],
-    #[serde(skip)]
-    pub(super) start: Timestamp,
 }
 
 /// Poses of one state in a row.
@@ -58,43 +53,65 @@ pub struct OverviewEvent {
 /// A pose, for runs: capture time and state.
 type Stamp = (Timestamp, TrackingState);
 
-impl Overview {
-    /// Reads a whole recording; `progress` is called for each message.
-    ///
-    /// # Errors
-    /// As [`Reader`].
-    pub fn read(reader: &mut Reader, mut progress: impl FnMut()) -> Result<Self, RecordError> {
-        let mut all: BTreeMap<String, Vec<[Stamp; 2]>> = BTreeMap::new();
-        let (mut events, mut cameras) = (Vec::new(), BTreeMap::new());
-        let (mut span, mut delay) = (None::<[Timestamp; 2]>, None::<[i64; 2]>);
+/// What was read so far.
+#[derive(Default)]
+pub(super) struct Gathered {
+    performers: BTreeMap<String, Vec<[Stamp; 2]>>,
+    /// Events, each with its performer, if it concerns one.
+    events: Vec<(Option<String>, Event)>,
+    cameras: BTreeMap<String, u64>,
+    /// Smallest and largest capture time.
+    span: Option<[Timestamp; 2]>,
+    damage: Vec<String>,
+}
+
+impl Gathered {
+    /// Reads a whole recording. Returns its smallest and largest log time minus capture time.
+    pub(super) fn read(
+        &mut self,
+        reader: &mut Reader,
+        mut progress: impl FnMut(),
+    ) -> Result<[Nanos; 2], RecordError> {
+        let mut delays = None::<[Nanos; 2]>;
         for entry in reader.by_ref() {
-            let entry = entry?;
+            let Entry { topic, log_time, message } = entry?;
             progress();
-            let capture = match &entry.message {
-                Message::Pose(pose) if !pose.provisional => {
-                    let Ok(stamp) = stamp(pose) else { continue };
-                    add(all.entry(Topic::actor(&entry.topic)).or_default(), stamp);
-                    pose.capture_time_ns
-                }
-                Message::Keypoints(frame) => {
-                    *cameras.entry(frame.camera.clone()).or_default() += 1;
-                    frame.capture_time_ns
-                }
-                Message::Event(event) => {
-                    let of = Topic::parse(&entry.topic).ok().and_then(|topic| topic.topics());
-                    events.push((of.map(|topics| topics.actor), event.clone()));
-                    continue;
-                }
-                _ => continue,
-            };
-            let at = Timestamp::from_ns(capture);
-            let [first, last] = span.unwrap_or([at; 2]);
-            span = Some([first.min(at), last.max(at)]);
-            let late = entry.log_time.ns().saturating_sub(capture);
-            let [least, most] = delay.unwrap_or([late; 2]);
-            delay = Some([least.min(late), most.max(late)]);
+            let Some(at) = self.add(&topic, message) else { continue };
+            let [first, last] = self.span.unwrap_or([at; 2]);
+            self.span = Some([first.min(at), last.max(at)]);
+            let delay = log_time - at;
+            let [least, most] = delays.unwrap_or([delay; 2]);
+            delays = Some([least.min(delay), most.max(delay)]);
         }
-        let [start, end] = span.unwrap_or([Timestamp::from_ns(0); 2]);
+        self.damage.extend(reader.report().losses());
+        Ok(delays.unwrap_or([Nanos::ZERO; 2]))
+    }
+
+    /// Adds a message; returns its capture time if it is a final pose or keypoints.
+    fn add(&mut self, topic: &str, message: Message) -> Option<Timestamp> {
+        match message {
+            Message::Pose(pose) if !pose.provisional => {
+                let pose = pose.to_core().ok()?;
+                let runs = self.performers.entry(Topic::actor(topic)).or_default();
+                add(runs, (pose.capture, pose.state));
+                Some(pose.capture)
+            }
+            Message::Keypoints(frame) => {
+                let at = Timestamp::from_ns(frame.capture_time_ns);
+                *self.cameras.entry(frame.camera).or_default() += 1;
+                Some(at)
+            }
+            Message::Event(event) => {
+                let of = Topic::parse(topic).ok().and_then(|topic| topic.topics());
+                self.events.push((of.map(|topics| topics.actor), event));
+                None
+            }
+            _ => None,
+        }
+    }
+
+    pub(super) fn finish(self) -> Overview {
+        let [start, end] = self.span.unwrap_or([Timestamp::from_ns(0); 2]);
         let since = |at: Timestamp| at.seconds_since(start);
         let run = |[first, last]: [Stamp; 2]| Run {
             from: since(first.0),
@@ -102,7 +119,7 @@ impl Overview {
             state: first.1.name(),
         };
         let runs = |runs: Vec<[Stamp; 2]>| runs.into_iter().map(run).collect();
-        let event = |(actor, event): (Option<String>, crate::io::wire::Event)| OverviewEvent {
+        let event = |(actor, event): (Option<String>, Event)| OverviewEvent {
             at: since(Timestamp::from_ns(event.capture_time_ns)),
             kind: event.kind,
             camera: event.camera,
@@ -110,22 +127,15 @@ impl Overview {
             count: event.count,
             detail: event.detail,
         };
-        Ok(Self {
+        Overview {
             start_ns: start.ns().to_string(),
             seconds: since(end),
-            performers: all.into_iter().map(|(name, of)| (name, runs(of))).collect(),
-            events: events.into_iter().map(event).collect(),
-            cameras,
-            damage: reader.report().losses(),
-            delay_ns: delay.unwrap_or_default(),
-            start,
-        })
+            performers: self.performers.into_iter().map(|(name, of)| (name, runs(of))).collect(),
+            events: self.events.into_iter().map(event).collect(),
+            cameras: self.cameras,
+            damage: self.damage,
+        }
     }
-}
-
-fn stamp(pose: &Pose) -> Result<Stamp, crate::io::wire::DecodeError> {
-    let pose = pose.to_core()?;
-    Ok((pose.capture, pose.state))
 }
 
 /// Continues the last run, or begins one.

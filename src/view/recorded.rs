@@ -1,41 +1,54 @@
 //! A page that shows a recording.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::frame;
-use super::overview::Overview;
+use super::overview::{Gathered, Overview};
+use super::points::Points;
 use crate::core::time::{Nanos, Timestamp};
-use crate::io::recording::{Reader, RecordError, Spans};
+use crate::io::recording::{RawEntry, Reader, RecordError, Spans};
 use crate::io::wire::{ActorChannel, StageChannel, Topic};
 
-/// Longest span of one answer, and the bytes after which an answer ends.
+/// Longest span of one answer.
 const LONGEST: Nanos = Nanos::from_ms(60_000);
 
-/// A recording that is shown.
+/// A recording that is shown; or several of one take, such as its keypoints and its poses.
 pub struct Recorded {
-    path: PathBuf,
-    spans: Spans,
+    files: Vec<File>,
     overview: Overview,
 }
 
+struct File {
+    path: PathBuf,
+    spans: Spans,
+    /// Smallest and largest log time minus capture time.
+    delays: [Nanos; 2],
+}
+
 impl Recorded {
-    /// Opens a recording and reads it once; `progress` is called for each message.
+    /// Opens recordings and reads each once; `progress` is called for each message.
     ///
     /// # Errors
     /// As [`Reader`].
-    pub fn open(path: &Path, progress: impl FnMut()) -> Result<Self, RecordError> {
-        let overview = Overview::read(&mut Reader::open(path)?, progress)?;
-        Ok(Self { path: path.to_owned(), spans: Spans::open(path)?, overview })
+    pub fn open(paths: &[PathBuf], mut progress: impl FnMut()) -> Result<Self, RecordError> {
+        let (mut files, mut all) = (Vec::new(), Gathered::default());
+        for path in paths {
+            let delays = all.read(&mut Reader::open(path)?, &mut progress)?;
+            files.push(File { path: path.clone(), spans: Spans::open(path)?, delays });
+        }
+        Ok(Self { files, overview: all.finish() })
     }
 
-    /// What it holds.
+    /// What they hold.
     pub fn overview(&self) -> &Overview {
         &self.overview
     }
 
-    /// Its file name.
+    /// The file names.
     pub(super) fn name(&self) -> String {
-        self.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+        let name =
+            |file: &File| file.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        self.files.iter().map(name).collect::<Vec<_>>().join(", ")
     }
 
     /// The frames of a span of capture time. Of what is sent once and counts from then on (the rig and the
@@ -46,31 +59,41 @@ impl Recorded {
         kinds: &[&str],
     ) -> Result<Vec<u8>, RecordError> {
         let to = to.min(from + LONGEST);
-        let [least, most] = self.overview.delay_ns;
-        let (mut states, mut frames) = (Vec::new(), Vec::new());
-        let begin = self.overview.start + Nanos::new(least) - Nanos::from_ms(1000);
-        let logged = [from + Nanos::new(least), to + Nanos::new(most.saturating_add(1))];
-        if kinds.contains(&"state") {
-            let until = [Timestamp::from_ns(0).min(begin), logged[1]];
-            self.spans.read(
-                until,
+        let (mut entries, mut points) = (Vec::new(), Points::default());
+        for File { spans, delays: [least, most], .. } in &self.files {
+            let until = to + *most + Nanos::new(1);
+            let before = [Timestamp::from_ns(i64::MIN), until];
+            spans.read(
+                before,
                 |topic| kind(topic) == Some("state"),
                 |entry| {
-                    let (at, log) = (entry.publish_time, entry.log_time);
-                    frame::write(&mut states, &entry.topic, at, log, &entry.payload);
+                    entries.push(entry);
                 },
             )?;
+            let is_streamed = |topic: &str| {
+                kind(topic).is_some_and(|kind| kind != "state" && kinds.contains(&kind))
+            };
+            spans.read([from + *least, until], is_streamed, |entry| {
+                if (from..to).contains(&entry.publish_time) {
+                    entries.push(entry);
+                }
+            })?;
         }
-        let is_wanted =
-            |topic: &str| kind(topic).is_some_and(|kind| kind != "state" && kinds.contains(&kind));
-        self.spans.read(logged, is_wanted, |entry| {
-            if (from..to).contains(&entry.publish_time) {
-                let (at, log) = (entry.publish_time, entry.log_time);
-                frame::write(&mut frames, &entry.topic, at, log, &entry.payload);
+        // States first, then what they are needed for.
+        let order = |entry: &RawEntry| match kind(&entry.topic) {
+            Some("state") => 0,
+            Some("keypoints") => 1,
+            _ => 2,
+        };
+        entries.sort_by_key(order);
+        let mut frames = Vec::new();
+        for RawEntry { topic, log_time, publish_time, payload, .. } in &entries {
+            frame::write(&mut frames, topic, *publish_time, *log_time, payload);
+            if let Some((topic, payload)) = points.follow(topic, payload) {
+                frame::write(&mut frames, &topic, *publish_time, *log_time, &payload);
             }
-        })?;
-        states.extend(frames);
-        Ok(states)
+        }
+        Ok(frames)
     }
 }
 

@@ -173,9 +173,6 @@ fn report() -> ReportData {
         facts: [("frames", "780"), ("windows", "78"), ("lost", "3"), ("reprojection", "6.9 px")]
             .map(|(a, b)| (a.to_owned(), b.to_owned()))
             .into(),
-        leading: Vec::new(),
-        bars: Vec::new(),
-        plots: Vec::new(),
         tables: vec![Table {
             title: "Cameras".into(),
             header: vec!["camera".into(), "median (px)".into(), "points".into()],
@@ -188,7 +185,7 @@ fn report() -> ReportData {
         cameras: cameras.collect(),
         angles: angles.into(),
         windows: windows.collect(),
-        parts: Vec::new(),
+        ..ReportData::default()
     }
 }
 

@@ -43,7 +43,7 @@ fn frames(mut bytes: &[u8]) -> Vec<(String, i64)> {
 
 #[test]
 fn a_part_of_a_recording_is_served() {
-    let recorded = Recorded::open(walk(), || ()).unwrap();
+    let recorded = Recorded::open(&[walk().to_owned()], || ()).unwrap();
     assert_eq!(recorded.overview().cameras.values().sum::<u64>(), 4 * 240);
     let page = start("127.0.0.1:0", Source::Recorded(Arc::new(recorded))).unwrap();
     let (status, about) = get(&page, "/about.json", "");
@@ -87,7 +87,8 @@ fn a_recording_without_an_index_gives_the_same_messages() {
 
 #[test]
 fn an_address_in_use_is_refused_with_its_remedy() {
-    let source = || Source::Recorded(Arc::new(Recorded::open(walk(), || ()).unwrap()));
+    let source =
+        || Source::Recorded(Arc::new(Recorded::open(&[walk().to_owned()], || ()).unwrap()));
     let first = start("127.0.0.1:0", source()).unwrap();
     let url = first.url();
     let address = url.strip_prefix("http://").unwrap().trim_end_matches('/');

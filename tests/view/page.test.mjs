@@ -85,7 +85,12 @@ async function open(url, options = {}) {
 }
 
 const shown = (page) => page.evaluate(() => ({ ...document.body.dataset }));
-const until = (page, condition, argument) => page.waitForFunction(condition, argument, { timeout: 30_000 });
+/** Waits for a condition in the page; says what the page shows if it does not come. */
+const until = (page, condition, argument) =>
+  page.waitForFunction(condition, argument, { timeout: 30_000 }).catch(async (error) => {
+    const text = await page.evaluate(() => document.body.innerText);
+    throw new Error(`${error.message} for ${condition}; the page shows:\n${text}`);
+  });
 const people = (page, count) => until(page, (wanted) => Number(document.body.dataset.people) === wanted, count);
 
 async function picture(page, name) {
@@ -186,12 +191,25 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
 
   // Looking back, while it goes on.
   await page.keyboard.press(" ");
+  await until(page, () => /s ago$/.test(document.getElementById("clock").textContent));
   const { time: kept } = await shown(page);
   await page.keyboard.press("ArrowLeft");
   await until(page, (before) => Number(document.body.dataset.time) < before, Number(kept));
-  await until(page, () => /s ago$/.test(document.getElementById("clock").textContent));
   await page.keyboard.press(" ");
   await until(page, () => document.getElementById("clock").textContent === "live");
+
+  // A take is recorded, and the next name is ready.
+  const takes = join(folder, "takes");
+  await start(["record", `${takes}/`, "--connect", `tcp/127.0.0.1:${bus}`], /recording takes/);
+  await page.locator("#record").click();
+  await until(page, () => /^● take_01 00:0\d Stop$/.test(document.getElementById("record").textContent));
+  await until(page, () => /node: .*recorder: |recorder: .*node: /.test(document.getElementById("answers").textContent));
+  await picture(page, "take");
+  await page.locator("#record").click();
+  await until(page, () => document.getElementById("record").textContent === "Record");
+  assert.equal(await page.locator("#take-name").inputValue(), "take_02");
+  await until(page, () => document.getElementById("answers").textContent.includes("recorder: "));
+  run("info", join(takes, "take_01.mcap"), "--check");
 
   await stop(fourth.child);
   await until(page, () => document.querySelector('[data-camera="cam04"][data-level="bad"]'));

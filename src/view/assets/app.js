@@ -33,6 +33,8 @@ source.want({ panes: true, provisional: chosen.provisional });
 let [shownRig, framed, lastTick, ageOfPage] = [undefined, false, performance.now(), performance.now()];
 goToHash();
 
+if (isLive) await import("./hands.js").then(({ hands }) => setInterval(hands(store, source), 250));
+
 /** The performers at a time, as scene and panes draw them. */
 function peopleAt(time, channel, age) {
   const people = [];
@@ -42,7 +44,8 @@ function peopleAt(time, channel, age) {
     const parents = one.skeleton?.parents ?? PARENTS;
     const head = one.skeleton?.joint_names.indexOf("head") ?? -1;
     if (parents.length * 3 !== pose.joints.length) continue;
-    people.push({ ...pose, name: one.name, number: one.number, parents, head });
+    const points = one.points.at(time, age);
+    people.push({ ...pose, points, name: one.name, number: one.number, parents, head });
   }
   return people;
 }
@@ -121,6 +124,7 @@ function showNode(people) {
     return row;
   });
   $("figures").replaceChildren(...rows);
+  $("node").title = words.join("\n");
   const { calls, triangles } = view.figures;
   document.body.dataset.calls = calls;
   document.body.dataset.triangles = triangles;

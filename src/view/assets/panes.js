@@ -3,6 +3,9 @@
 import { lensOf, project } from "./lens.js";
 import { colour } from "./colours.js";
 
+/** A detected person farther from a body than this part of the image's diagonal, in the median, is somebody else. */
+const NEAR = 0.04;
+
 export class Panes {
   /** `choose(index)` is called with the index of a camera that was clicked. */
   constructor(root, choose) {
@@ -60,27 +63,63 @@ export class Panes {
       const { context } = pane;
       const scale = wide / width;
       context.clearRect(0, 0, wide, high);
+      const usual = store.residualOf(name, time);
+      const errors = [];
       if (lens) for (const one of people) drawBody(context, lens, one, scale);
-      let points = 0;
-      for (const person of frame?.people ?? []) points += drawPoints(context, person, scale);
-      const text = frame ? `${points} points` : store.keypoints.size > 0 ? "no frame" : "";
+      for (const person of frame?.people ?? []) drawPoints(context, person, scale);
+      if (lens) for (const one of people) errors.push(...drawErrors(context, lens, one, frame?.people ?? [], usual, scale));
+      const text = !frame ? (store.keypoints.size > 0 ? "no frame" : "") : errors.length > 0 ? `${median(errors).toFixed(1)} px` : "";
       if (pane.count.textContent !== text) pane.count.textContent = text;
     }
   }
 }
 
+const median = (values) => values.sort((a, b) => a - b)[values.length >> 1];
+
+/**
+ * The body's keypoints as rings, with a line to what was detected; red beyond three times the camera's usual
+ * residual. Returns the distances, pixels.
+ */
+function drawErrors(context, lens, { points, number, state }, people, usual, scale) {
+  if (!points || state !== "tracking") return [];
+  const seen = [];
+  for (let k = 0; k < points.length; k += 4) {
+    const at = project(lens, points[k + 1], points[k + 2], points[k + 3]);
+    if (at) seen.push([points[k], at]);
+  }
+  const errorsOf = (person) => seen.flatMap(([index, [u, v]]) => {
+    const [x, y, confidence] = person.slice(3 * index, 3 * index + 3);
+    return confidence > 0 ? [[x, y, u, v, Math.hypot(x - u, y - v)]] : [];
+  });
+  let best;
+  for (const person of people) {
+    const errors = errorsOf(person);
+    if (errors.length < 3) continue;
+    const error = median(errors.map(([, , , , distance]) => distance));
+    if (!best || error < best.error) best = { error, errors };
+  }
+  // Somebody else, where this performer is not detected.
+  if (!best || best.error > NEAR * Math.hypot(lens.width, lens.height)) return [];
+  for (const [x, y, u, v, distance] of best.errors) {
+    context.strokeStyle = usual > 0 && distance > 3 * usual ? "#ff5349" : colour(number);
+    context.beginPath();
+    context.arc(u * scale, v * scale, 2.5, 0, 2 * Math.PI);
+    context.moveTo(u * scale, v * scale);
+    context.lineTo(x * scale, y * scale);
+    context.stroke();
+  }
+  return best.errors.map(([, , , , distance]) => distance);
+}
+
 function drawPoints(context, points, scale) {
-  let count = 0;
   context.fillStyle = "#fff";
   for (let k = 0; k + 2 < points.length; k += 3) {
     const confidence = points[k + 2];
     if (!(confidence > 0)) continue;
-    count++;
     context.globalAlpha = Math.min(1, 0.2 + confidence);
     context.fillRect(points[k] * scale - 1.5, points[k + 1] * scale - 1.5, 3, 3);
   }
   context.globalAlpha = 1;
-  return count;
 }
 
 function drawBody(context, lens, { joints, parents, number, state }, scale) {

@@ -43,11 +43,18 @@ export class Live {
   /** Asks for what is seen: without the panes no keypoints. */
   want({ panes, provisional }) {
     const own = `mocap/${this.stage}`;
-    const topics = ["rig", "events", "actor/*/skeleton", "actor/*/status", "actor/*/events", "actor/*/pose"];
+    const topics = ["rig", "events", "actor/*/skeleton", "actor/*/status", "actor/*/events", "actor/*/pose", "take", "take/answers"];
     if (panes) topics.push("camera/*/keypoints");
     if (provisional) topics.push("actor/*/pose/provisional");
     this.topics = topics.map((topic) => `${own}/${topic}`);
     this.send();
+  }
+
+  /** Commands nodes and recorders; returns the number that their answers carry. */
+  command(action, name = "") {
+    const id = Math.floor(Math.random() * 2 ** 32);
+    if (this.connected) this.socket.send(JSON.stringify({ take: { id, action, name } }));
+    return id;
   }
 
   /** Looks for cameras on other stages. */

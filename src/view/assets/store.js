@@ -65,6 +65,9 @@ export class Store {
     this.statusCame = undefined;
     this.dropped = 0;
     this.otherStages = new Set();
+    /** The last command to nodes and recorders, by whomever, and the answers to it. */
+    this.slate = undefined;
+    this.answers = [];
   }
 
   /** Seconds since the first message, of a capture time in nanoseconds. */
@@ -76,7 +79,8 @@ export class Store {
   performer(name) {
     let one = this.performers.get(name);
     if (!one) {
-      one = { name, number: this.performers.size, poses: new Series(), provisional: new Series() };
+      const [poses, provisional, points] = [new Series(), new Series(), new Series()];
+      one = { name, number: this.performers.size, poses, provisional, points };
       this.performers.set(name, one);
     }
     return one;
@@ -89,7 +93,7 @@ export class Store {
   }
 
   /** Takes a frame. `stage`: its name, if others are told apart. */
-  take({ topic, arrival, payload }, stage) {
+  take({ topic, capture, arrival, payload }, stage) {
     const parts = topic.split("/");
     if (stage !== undefined && parts[1] !== stage) {
       this.otherStages.add(parts[1]);
@@ -99,6 +103,9 @@ export class Store {
     if (parts[2] === "rig") this.rig = read("Rig");
     else if (parts[2] === "camera") this.takeKeypoints(read("KeypointFrame"), arrival);
     else if (parts[2] === "events") this.takeEvent(read("Event"));
+    else if (parts[2] === "take" && parts[3] === "answers") this.answers.push(read("TakeAnswer"));
+    else if (parts[2] === "take") this.slate = { ...read("Take"), came: performance.now() };
+    else if (parts[2] === "actor" && parts[4] === "points") this.takePoints(parts[3], capture, payload);
     else if (parts[2] === "actor") this.takeActor(parts[3], parts.slice(4).join("/"), read, arrival);
   }
 
@@ -106,6 +113,12 @@ export class Store {
     const people = frame.people.map((person) => person.points);
     const size = [frame.image_width ?? 0, frame.image_height ?? 0];
     this.camera(frame.camera).add(this.seconds(frame.capture_time_ns ?? 0n), { people, size, arrival });
+  }
+
+  /** Where a body has its keypoints: index in the format, x, y, z, and so on. */
+  takePoints(name, capture, payload) {
+    const points = new Float32Array(payload.slice().buffer);
+    this.performer(name).points.add(this.seconds(capture), points);
   }
 
   takeActor(name, channel, read, arrival) {
@@ -148,6 +161,13 @@ export class Store {
     return all.slice(-120);
   }
 
+  /** The usual residual of a camera at a time: the median of the node's, pixels; 0 if it says none. */
+  residualOf(camera, time) {
+    const of = ({ status }) => status.cameras.find((one) => one.camera === camera)?.residual_px ?? 0;
+    const past = this.historyAt(time).map(of).filter((px) => px > 0);
+    return past.sort((a, b) => a - b)[past.length >> 1] ?? 0;
+  }
+
   takeEvent(event, actor) {
     const { kind = "", camera, detail = "", count = 1n } = event;
     const at = this.seconds(event.capture_time_ns ?? 0n);
@@ -170,6 +190,7 @@ export class Store {
     for (const one of this.performers.values()) {
       one.poses.keep(from, to);
       one.provisional.keep(from, to);
+      one.points.keep(from, to);
     }
     for (const series of this.keypoints.values()) series.keep(from, to);
   }

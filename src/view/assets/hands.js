@@ -1,0 +1,52 @@
+// Takes: begins and ends them, as `bundlemocap take` does from a terminal.
+
+const $ = (id) => document.getElementById(id);
+/** How long nodes and recorders have for an answer, ms. */
+const PATIENCE = 5000;
+
+/** Connects the form with a live stage. The result is to be called often; it shows what goes on. */
+export function hands(store, source) {
+  let [sent, answers] = [undefined, []];
+  const command = (action, name) => {
+    sent = { id: BigInt(source.command(action, name)), action, at: performance.now() };
+    answers = [];
+  };
+  const running = () => (store.slate?.action === "start" ? store.slate : undefined);
+  $("take").hidden = false;
+  $("take").addEventListener("submit", (event) => {
+    event.preventDefault();
+    if (running()) {
+      command("stop", running().name);
+      $("take-name").value = next(running().name);
+    } else command("start", $("take-name").value);
+  });
+  $("reset").addEventListener("click", () => command("reset"));
+  return () => {
+    const take = running();
+    $("record").setAttribute("aria-pressed", String(take !== undefined));
+    const seconds = take && Math.floor((performance.now() - take.came) / 1000);
+    const clock = take && `${String(Math.floor(seconds / 60)).padStart(2, "0")}:${String(seconds % 60).padStart(2, "0")}`;
+    set($("record"), take ? `● ${take.name} ${clock} Stop` : "Record");
+    $("take-name").disabled = take !== undefined;
+    if (!sent) return;
+    answers.push(...store.answers.splice(0).filter(({ id }) => id === sent.id));
+    const lines = answers.map(({ role, text = "" }) => `${role}: ${text}`);
+    const wanted = sent.action === "reset" ? ["node"] : ["node", "recorder"];
+    const isOver = performance.now() - sent.at > PATIENCE;
+    for (const role of isOver ? wanted.filter((one) => answers.every((answer) => answer.role !== one)) : []) {
+      lines.push(role === "recorder" ? "no recorder answered: start `bundlemocap record takes/`" : "no node answered");
+    }
+    set($("answers"), lines.join("; "));
+    $("answers").title = lines.join("\n");
+  };
+}
+
+/** The name of the next take: the number at its end is counted on. */
+export function next(name) {
+  const [, stem, digits] = /^(.*?)(\d*)$/.exec(name);
+  return digits ? stem + String(Number(digits) + 1).padStart(digits.length, "0") : `${name}_02`;
+}
+
+function set(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
