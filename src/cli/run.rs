@@ -114,6 +114,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     // Before anything is opened, so that a signal always ends in a clean stop.
     let stop = Stop::on_signals()?;
 
+    // Before the node publishes anything, so that a wrong address does not end a node that runs.
+    #[cfg(feature = "view")]
+    let _page = arguments.view.as_deref().map(|address| view(address, &config)).transpose()?;
+
     // Before the bus starts its threads, so that they do not use this core.
     let is_one = !config.stage.several();
     let is_alone = is_one && config.node.solver_core && config.tracker.threads == 1;
@@ -131,8 +135,6 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let running =
         Node::start(Arc::clone(&bus), presence, core, solvers, &config.node, solver_core)?;
     say_hello(&config, running.prometheus());
-    #[cfg(feature = "view")]
-    let _page = arguments.view.as_deref().map(|address| view(address, &config)).transpose()?;
     let (node, over) = (running.monitor(), AtomicBool::new(false));
     let why = std::thread::scope(|scope| {
         scope.spawn(|| {

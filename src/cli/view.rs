@@ -7,7 +7,7 @@ use std::time::Duration;
 use clap::Args;
 
 use super::Ended;
-use super::bus::BusArguments;
+use super::bus::{BusArguments, topics};
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
 use super::terminal::{progress, say};
@@ -35,11 +35,13 @@ Examples:
   bundlemocap view --connect tcp/192.168.1.10:7447
   bundlemocap view out/poses.mcap
   bundlemocap view out/poses.mcap take.mcap                the poses over the keypoints that they are from
+  bundlemocap view a/poses.mcap b/poses.mcap               two solves of a take beside each other
   bundlemocap view take_03.mcap --listen 0.0.0.0:8765")]
 pub(super) struct Arguments {
     /// Recordings of one take to show, such as its poses and its keypoints; without one, what is on the bus.
+    #[arg(conflicts_with_all = ["config", "bus", "connect", "stage", "actor"])]
     files: Vec<PathBuf>,
-    /// Address of the page; port 0 chooses a free one.
+    /// Address of the page; port 0 chooses a free one. Not that of the bus, which is --connect.
     #[arg(long, value_name = "ADDRESS", default_value = ADDRESS)]
     listen: String,
     #[command(flatten)]
@@ -83,8 +85,7 @@ fn recorded(paths: &[PathBuf]) -> Result<Source, Failure> {
 
 /// The stage of the settings.
 pub(super) fn live(config: Config) -> Source {
-    let stage = config.node.stage.clone();
-    Source::Live(Arc::new(Live::new(stage, move || open_client(&config.bus))))
+    Source::Live(Arc::new(Live::new(topics(&config), move || open_client(&config.bus))))
 }
 
 /// Serves the page.

@@ -23,7 +23,7 @@ use crate::io::new_file;
 use crate::io::recording::{Provenance, Writer};
 use crate::io::report::{
     AngleTrack, CameraErrors, Picture, Player, ReportData, StickFigures, Table, WindowRow,
-    lost_intervals, stick_figures, write_report,
+    stick_figures, write_report,
 };
 use crate::io::timecode::House;
 use crate::io::wire::{self, Topics};
@@ -197,7 +197,8 @@ pub(super) fn report(
     let mut player: Option<Player> = None;
     for (page, performer) in pages.iter_mut().zip(&group.performers) {
         match (&mut player, page.player.take()) {
-            (Some(all), Some(Player { tracks, moments, .. })) => {
+            (Some(all), Some(Player { start, tracks, moments, .. })) => {
+                all.start = all.start.min(start);
                 all.tracks.extend(tracks);
                 all.moments.extend(moments);
             }
@@ -238,7 +239,7 @@ pub(super) fn page(
             rig: rig.clone(),
             start,
             tracks: vec![(name.clone(), poses.played.bins().to_vec())],
-            moments: moments(windows, summary, start, name),
+            moments: moments(windows, summary, name),
         }),
         cameras: camera_errors(windows, rig, start),
         angles: angles(poses, start),
@@ -248,40 +249,36 @@ pub(super) fn page(
 }
 
 /// The worst moments: points that were not followed, the longest lost stretches, and the windows of the highest
-/// cost.
-fn moments(
-    windows: &Windows,
-    summary: &Summary,
-    start: Timestamp,
-    name: &str,
-) -> Vec<(f64, String)> {
-    let since = |ns: i64| Timestamp::from_ns(ns).seconds_since(start);
+/// cost, at least a second apart.
+fn moments(windows: &Windows, summary: &Summary, name: &str) -> Vec<(Timestamp, String)> {
     let followed = summary.not_followed.iter().flat_map(|found| &found.longest).map(|episode| {
         let Episode { keypoint, capture_time_ns, frames, distance_m } = episode;
-        let cm = 100.0 * distance_m;
-        let what =
-            format!("{name}: {keypoint} {cm:.0} cm from where the cameras see it, {frames} frames");
-        (since(*capture_time_ns), what)
+        let (at, cm) = (Timestamp::from_ns(*capture_time_ns), 100.0 * distance_m);
+        (
+            at,
+            format!("{name}: {keypoint} {cm:.0} cm from where the cameras see it, {frames} frames"),
+        )
     });
-    let rows: Vec<WindowRow> = windows.series.bins().iter().map(|bin| row(bin, start)).collect();
-    let mut lost = lost_intervals(&rows);
-    lost.sort_by(|a, b| (b.1 - b.0).total_cmp(&(a.1 - a.0)));
-    let lost = lost
-        .into_iter()
-        .map(|(from, to)| (from, format!("{name}: lost or extrapolated for {:.2} s", to - from)));
-    let mut costly: Vec<&WindowRow> = rows.iter().filter(|row| row.cost.is_finite()).collect();
+    let all = windows.series.bins();
+    let runs = all.chunk_by(|a, b| a.lost == b.lost).filter(|run| run[0].lost);
+    let mut lost: Vec<(f64, Timestamp)> = runs
+        .map(|run| (run[run.len() - 1].end.seconds_since(run[0].start), run[0].start))
+        .collect();
+    lost.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let lost = lost.into_iter();
+    let lost = lost.map(|(s, at)| (at, format!("{name}: lost or extrapolated for {s:.2} s")));
+    let mut costly: Vec<_> = all.iter().filter(|window| window.cost.is_finite()).collect();
     costly.sort_by(|a, b| b.cost.total_cmp(&a.cost));
-    let mut apart: Vec<&WindowRow> = Vec::new();
-    for row in costly {
-        if apart.len() < MOMENTS && apart.iter().all(|one| (one.start_s - row.start_s).abs() > 1.0)
-        {
-            apart.push(row);
+    let mut apart: Vec<&WindowSummary> = Vec::new();
+    for window in costly {
+        let is_apart = |one: &&WindowSummary| one.start.seconds_since(window.start).abs() > 1.0;
+        if apart.len() < MOMENTS && apart.iter().all(is_apart) {
+            apart.push(window);
         }
     }
-    let fits_badly = |row: &WindowRow| {
-        (row.start_s, format!("{name}: window cost {:.0}, among the highest", row.cost))
-    };
-    let costly = apart.into_iter().map(fits_badly);
+    let costly = apart.into_iter().map(|window| {
+        (window.start, format!("{name}: window cost {:.0}, among the highest", window.cost))
+    });
     followed.take(MOMENTS / 2).chain(lost.take(MOMENTS / 4)).chain(costly).take(MOMENTS).collect()
 }
 

@@ -20,8 +20,9 @@ use crate::metrics::{Floor, FootSkate, FootSkateSums, MeanAcceleration};
 const HEAD: usize = 4096;
 /// The frame rate of a single pose.
 const FALLBACK_FPS: f64 = 60.0;
-/// Most poses of a performer that play in the report: 18 minutes at 60 Hz, fewer a second of a longer take.
-const PLAYED: usize = 1 << 16;
+/// Most poses of all performers that play in the report: 18 minutes of one at 60 Hz, fewer a second of a longer
+/// take.
+pub(super) const PLAYED: usize = 1 << 16;
 /// Joints with angles in the report.
 pub(crate) const BENT: [Joint; 4] = [Joint::LKnee, Joint::RKnee, Joint::LElbow, Joint::RElbow];
 
@@ -89,8 +90,8 @@ pub(super) struct PoseSummary {
 }
 
 impl Poses {
-    /// Written as BVH to a path, if given.
-    pub(super) fn new(bvh_path: Option<PathBuf>) -> Self {
+    /// Written as BVH to a path, if given. At most `played` poses are kept for the report.
+    pub(super) fn new(bvh_path: Option<PathBuf>, played: usize) -> Self {
         Self {
             bvh_path,
             start: None,
@@ -100,7 +101,7 @@ impl Poses {
             count: 0,
             flagged: 0,
             shown: Series::default(),
-            played: Series::up_to(PLAYED),
+            played: Series::up_to(played),
             angles: Default::default(),
         }
     }

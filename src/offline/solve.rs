@@ -12,7 +12,7 @@ use super::first_pass::{CameraOffset, FirstPass};
 use super::hold_out::HeldOut;
 use super::options::{Observer, Options};
 use super::output::{self, OutputFolder, PoseFile};
-use super::poses::{Comparisons, Poses};
+use super::poses::{Comparisons, PLAYED, Poses};
 use super::recording::{Item, Recording};
 use super::reference::{FrameClock, Reference, ReferenceComparison};
 use super::summary::{Group, PerformerSummary, Summary};
@@ -75,9 +75,10 @@ pub fn solve_group(
         let folder = &outputs.as_ref()?.folder;
         Some(folder.file(&output::of_performer(name, options.performers, "bvh")))
     };
+    let played = if outputs.is_some() { (PLAYED / names.len().max(1)).max(1) } else { 1 };
     let collected = |name: &String| Collected {
         name: name.clone(),
-        poses: Poses::new(bvh(name)),
+        poses: Poses::new(bvh(name), played),
         windows: Windows::of_cameras(rig.cameras.len()),
         events: BTreeMap::new(),
         comparisons: Comparisons {

@@ -12,7 +12,7 @@ use serde::Deserialize;
 /// What a request must show.
 #[derive(Clone, Debug)]
 pub(super) struct Access {
-    port: u16,
+    address: SocketAddr,
     /// `None`: everybody on this computer may look.
     pub(super) token: Option<String>,
 }
@@ -22,30 +22,43 @@ pub(super) struct Given {
     token: Option<String>,
 }
 
+/// What a browser says of the page that a request comes from.
+const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+/// Keeps answers out of the pages of other sites.
+const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
+
 impl Access {
     pub(super) fn of(address: SocketAddr) -> Self {
         let token =
             (!address.ip().is_loopback()).then(|| format!("{:032x}", rand::random::<u128>()));
-        Self { port: address.port(), token }
+        Self { address, token }
     }
 
     /// Whether a browser asks for itself and not for another site: a page of another site may send requests
-    /// here, and a name of another site may lead to this address, but both show in these headers.
-    fn is_own(&self, headers: &HeaderMap) -> bool {
-        let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
-        let Some(host) = text(HOST) else { return false };
-        let names = ["localhost", "127.0.0.1", "[::1]"];
-        let is_local = names.iter().any(|name| host == format!("{name}:{}", self.port));
-        let is_same = text(ORIGIN).is_none_or(|origin| origin == format!("http://{host}"));
-        (is_local || self.token.is_some()) && is_same
+    /// here, and a name of another site may lead to this address, but both show in these headers. Anybody may
+    /// have a link to the page itself.
+    fn is_own(&self, headers: &HeaderMap, path: &str) -> bool {
+        let text = |name: &HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
+        let Some(host) = text(&HOST) else { return false };
+        let port = self.address.port();
+        let own =
+            [format!("localhost:{port}"), format!("127.0.0.1:{port}"), self.address.to_string()];
+        let is_here = self.token.is_some() || own.iter().any(|own| host == own);
+        let is_same = text(&ORIGIN).is_none_or(|origin| origin == format!("http://{host}"));
+        let from = text(&FETCH_SITE).unwrap_or("none");
+        is_here && is_same && (path == "/" || ["none", "same-origin"].contains(&from))
     }
 
-    fn is_known(&self, given: &Given, headers: &HeaderMap) -> bool {
-        let Some(token) = &self.token else { return true };
+    /// The name of the cookie with the token; cookies are shared by all ports of a host.
+    fn cookie(&self) -> String {
+        format!("token-{}", self.address.port())
+    }
+
+    fn has_cookie(&self, token: &str, headers: &HeaderMap) -> bool {
+        let name = self.cookie() + "=";
         let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
         let mut cookies = cookies.flat_map(|all| all.split(';')).map(str::trim);
-        given.token.as_deref().is_some_and(|given| is_equal(given, token))
-            || cookies.any(|one| one.strip_prefix("token=").is_some_and(|one| is_equal(one, token)))
+        cookies.any(|one| one.strip_prefix(&name).is_some_and(|one| is_equal(one, token)))
     }
 }
 
@@ -62,19 +75,23 @@ pub(super) async fn check(
     next: Next,
 ) -> Response {
     let headers = request.headers();
-    if !access.is_own(headers) {
+    if !access.is_own(headers, request.uri().path()) {
         return (StatusCode::FORBIDDEN, "requests of other sites are refused\n").into_response();
     }
-    if !access.is_known(&given, headers) {
-        let why = "open the address with its token, as the program printed it\n";
-        return (StatusCode::UNAUTHORIZED, why).into_response();
+    let mut cookie = None;
+    if let Some(token) = &access.token {
+        if given.token.is_some_and(|given| is_equal(&given, token)) {
+            cookie = Some(format!("{}={token}; HttpOnly; SameSite=Strict", access.cookie()));
+        } else if !access.has_cookie(token, headers) {
+            let why = "open the address with its token, as the program printed it\n";
+            return (StatusCode::UNAUTHORIZED, why).into_response();
+        }
     }
     let mut response = next.run(request).await;
-    if let Some(token) = given.token
-        && let Ok(cookie) =
-            HeaderValue::from_str(&format!("token={token}; HttpOnly; SameSite=Strict"))
-    {
-        response.headers_mut().insert(SET_COOKIE, cookie);
+    let answer = response.headers_mut();
+    answer.insert(RESOURCE_POLICY, HeaderValue::from_static("same-origin"));
+    if let Some(cookie) = cookie.and_then(|cookie| HeaderValue::from_str(&cookie).ok()) {
+        answer.insert(SET_COOKIE, cookie);
     }
     response
 }

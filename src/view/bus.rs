@@ -1,64 +1,56 @@
 //! A live page: a client of the bus.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
-use std::time::Duration;
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
 
 use axum::extract::ws::{Message, WebSocket};
 use serde::Deserialize;
 use serde_json::json;
-use tokio::sync::mpsc as queue;
-use tokio::time::sleep;
+use tokio::sync::{Semaphore, mpsc as queue};
+use tokio::time::{interval, sleep, timeout};
 
 use super::frame;
 use super::points::Points;
 use crate::core::time::Timestamp;
-use crate::io::bus::{Bus, BusError, Guard, Sample, check_pattern};
+use crate::io::bus::{Bus, BusError, Guard, Publisher, Sample, check_pattern};
 use crate::io::wire::{Schema, Take, Topics, encode, media_type, valid_name};
 use crate::live::WallClock;
 
-/// Most frames that wait for a page; those that come while it is full are dropped and counted.
+/// Most messages that wait for a page; those that come while it is full are dropped and counted.
 const WAITING: usize = 4096;
-/// Most frames in one message to the page, and the pause after each message.
+/// Most messages that go to the page together, and the pause after them.
 const TOGETHER: usize = 512;
 const PAUSE: Duration = Duration::from_millis(4);
+/// How often a page is asked whether it is there, and after which silence it is gone.
+const PING: Duration = Duration::from_secs(5);
+const GONE: Duration = Duration::from_secs(15);
+/// Most pages at a time.
+static PAGES: Semaphore = Semaphore::const_new(32);
 
 /// Opens a session on the bus.
 type Open = Box<dyn Fn() -> Result<Box<dyn Bus>, BusError> + Send + Sync>;
 
 /// A stage on the bus.
 pub struct Live {
-    /// Name of the capture volume.
-    pub(super) stage: String,
+    /// Those of the node.
+    pub(super) topics: Topics,
     open: Open,
 }
 
 impl Live {
-    /// The stage of that name; `open` opens a session on its bus for each page.
+    /// The stage of a node with these topics; `open` opens a session on its bus for each page.
     pub fn new(
-        stage: impl Into<String>,
+        topics: Topics,
         open: impl Fn() -> Result<Box<dyn Bus>, BusError> + Send + Sync + 'static,
     ) -> Self {
-        Self { stage: stage.into(), open: Box::new(open) }
-    }
-
-    /// Publishes a command.
-    fn command(&self, bus: &dyn Bus, Slate { id, action, name }: Slate) -> Result<(), BusError> {
-        let is_known = ["start", "stop", "reset"].contains(&&*action);
-        let is_named = if name.is_empty() { action != "start" } else { valid_name(&name).is_ok() };
-        if !is_known || !is_named {
-            // The page checks what the user enters.
-            return Ok(());
-        }
-        let topics = Topics { stage: self.stage.clone(), ..Topics::default() };
-        let take = Take { id: id.into(), action, name };
-        let publisher = bus.publisher(&topics.take())?;
-        publisher.put(Timestamp::default(), &media_type(Take::FULL_NAME), &encode(&take))
+        Self { topics, open: Box::new(open) }
     }
 
     /// Whether a page may see topics of that pattern: those of the stage, and where other cameras send.
     fn shows(&self, pattern: &str) -> bool {
-        let own = format!("mocap/{}/", self.stage);
+        let own = format!("mocap/{}/", self.topics.stage);
         check_pattern(pattern).is_ok()
             && (pattern.starts_with(&own) || pattern == "mocap/*/camera/*/keypoints")
     }
@@ -83,14 +75,29 @@ struct Slate {
     name: String,
 }
 
+impl Slate {
+    /// The command, unless the page has not checked what the user entered.
+    fn take(self) -> Option<Take> {
+        let Self { id, action, name } = self;
+        let is_known = ["start", "stop", "reset"].contains(&&*action);
+        let is_named = if name.is_empty() { action != "start" } else { valid_name(&name).is_ok() };
+        (is_known && is_named).then_some(Take { id: id.into(), action, name })
+    }
+}
+
 /// What goes to the page.
 enum Outgoing {
-    Frame(Vec<u8>),
+    /// The bus is open.
+    Open,
+    /// A message and its time of arrival.
+    Sample(Sample, Timestamp),
+    /// The bus cannot be used.
     Error(String),
 }
 
 /// Serves a page until it goes away.
 pub(super) async fn attend(mut socket: WebSocket, live: Arc<Live>) {
+    let Ok(_permit) = PAGES.try_acquire() else { return };
     let (out, mut outgoing) = queue::channel(WAITING);
     let (orders, received) = mpsc::channel();
     let dropped = Arc::new(AtomicU64::new(0));
@@ -99,51 +106,75 @@ pub(super) async fn attend(mut socket: WebSocket, live: Arc<Live>) {
     if std::thread::Builder::new().name("view-bus".into()).spawn(session).is_err() {
         return;
     }
-    let (mut batch, mut told) = (Vec::new(), 0);
+    let (mut batch, mut told, mut points) = (Vec::new(), 0, Points::default());
+    let (mut ping, mut heard) = (interval(PING), Instant::now());
     loop {
         tokio::select! {
             count = outgoing.recv_many(&mut batch, TOGETHER) => {
-                if count == 0 || send(&mut socket, &mut batch).await.is_none() {
-                    return;
-                }
                 let lost = dropped.load(Ordering::Relaxed);
-                if lost > told {
-                    told = lost;
-                    let text = json!({ "dropped": lost }).to_string();
-                    if socket.send(Message::Text(text.into())).await.is_err() {
+                let text = (lost > told).then(|| json!({ "dropped": lost }));
+                told = lost;
+                let messages = messages(batch.drain(..), text, &mut points);
+                for message in messages {
+                    if send(&mut socket, message).await.is_none() {
                         return;
                     }
+                }
+                if count == 0 {
+                    return;
                 }
                 sleep(PAUSE).await;
             }
-            message = socket.recv() => match message {
-                Some(Ok(Message::Text(text))) => {
-                    let Ok(order) = serde_json::from_str::<Order>(&text) else { return };
-                    if orders.send(order).is_err() {
-                        return;
+            message = socket.recv() => {
+                heard = Instant::now();
+                match message {
+                    Some(Ok(Message::Text(text))) => {
+                        let Ok(order) = serde_json::from_str::<Order>(&text) else { return };
+                        if orders.send(order).is_err() {
+                            return;
+                        }
                     }
+                    Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
+                    _ => return,
                 }
-                Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
-                _ => return,
-            },
+            }
+            _ = ping.tick() => {
+                let is_gone = heard.elapsed() > GONE;
+                if is_gone || send(&mut socket, Message::Ping(Vec::new().into())).await.is_none() {
+                    return;
+                }
+            }
         }
     }
 }
 
-/// Sends a batch; `None` if the page is gone.
-async fn send(socket: &mut WebSocket, batch: &mut Vec<Outgoing>) -> Option<()> {
-    let mut frames = Vec::new();
-    for outgoing in batch.drain(..) {
+/// The messages to the page for what came together, and a text.
+fn messages(
+    batch: impl Iterator<Item = Outgoing>,
+    text: Option<serde_json::Value>,
+    points: &mut Points,
+) -> Vec<Message> {
+    let (mut frames, mut texts) = (Vec::new(), Vec::from_iter(text));
+    for outgoing in batch {
         match outgoing {
-            Outgoing::Frame(frame) => frames.extend(frame),
-            Outgoing::Error(error) => {
-                let text = json!({ "error": error }).to_string();
-                socket.send(Message::Text(text.into())).await.ok()?;
-                return None;
+            Outgoing::Open => texts.push(json!({ "open": true })),
+            Outgoing::Error(error) => texts.push(json!({ "error": error })),
+            Outgoing::Sample(Sample { topic, capture, payload, .. }, arrival) => {
+                frame::write(&mut frames, &topic, capture, arrival, &payload);
+                if let Some((topic, payload)) = points.follow(&topic, &payload) {
+                    frame::write(&mut frames, &topic, capture, arrival, &payload);
+                }
             }
         }
     }
-    socket.send(Message::Binary(frames.into())).await.ok()
+    let texts = texts.into_iter().map(|text| Message::Text(text.to_string().into()));
+    let frames = (!frames.is_empty()).then(|| Message::Binary(frames.into()));
+    texts.chain(frames).collect()
+}
+
+/// Sends a message; `None` if the page is gone.
+async fn send(socket: &mut WebSocket, message: Message) -> Option<()> {
+    timeout(GONE, socket.send(message)).await.ok()?.ok()
 }
 
 /// Does what the page asks for until it is gone. Runs on a thread of its own: sessions are opened and closed in
@@ -154,46 +185,49 @@ fn follow_orders(
     out: &queue::Sender<Outgoing>,
     dropped: &Arc<AtomicU64>,
 ) {
-    let refuse = |error: BusError| drop(out.blocking_send(Outgoing::Error(error.to_string())));
-    let bus = match (live.open)() {
-        Ok(bus) => bus,
-        Err(error) => return refuse(error),
-    };
-    let (clock, points) = (WallClock::start(), Arc::new(Mutex::new(Points::default())));
+    if let Err(error) = try_orders(live, orders, out, dropped) {
+        drop(out.blocking_send(Outgoing::Error(error.to_string())));
+    }
+}
+
+fn try_orders(
+    live: &Live,
+    orders: &mpsc::Receiver<Order>,
+    out: &queue::Sender<Outgoing>,
+    dropped: &Arc<AtomicU64>,
+) -> Result<(), BusError> {
+    let bus = (live.open)()?;
+    // It is there before the first command, so that nodes and recorders know it.
+    let slate: Box<dyn Publisher> = bus.publisher(&live.topics.take())?;
+    let clock = WallClock::start();
     let mut guards: Vec<(String, Box<dyn Guard>)> = Vec::new();
+    drop(out.blocking_send(Outgoing::Open));
     while let Ok(order) = orders.recv() {
-        let patterns = match order {
-            Order::Topics(patterns) => patterns.into_iter().filter(|pattern| live.shows(pattern)),
-            Order::Take(slate) => match live.command(&*bus, slate) {
-                Ok(()) => continue,
-                Err(error) => return refuse(error),
-            },
-        };
-        let patterns: Vec<String> = patterns.collect();
-        guards.retain(|(pattern, _)| patterns.contains(pattern));
-        for pattern in patterns {
-            if guards.iter().any(|(open, _)| *open == pattern) {
+        let mut patterns = match order {
+            Order::Topics(patterns) => patterns,
+            Order::Take(order) => {
+                if let Some(take) = order.take() {
+                    let kind = media_type(Take::FULL_NAME);
+                    slate.put(Timestamp::default(), &kind, &encode(&take))?;
+                }
                 continue;
             }
-            let (out, dropped, points) = (out.clone(), Arc::clone(dropped), Arc::clone(&points));
-            let sink = move |Sample { topic, capture, payload, .. }: Sample| {
-                let mut bytes = Vec::with_capacity(topic.len() + payload.len() + 24);
-                let now = clock.now();
-                frame::write(&mut bytes, &topic, capture, now, &payload);
-                let mut points = points.lock().unwrap_or_else(PoisonError::into_inner);
-                if let Some((topic, payload)) = points.follow(&topic, &payload) {
-                    frame::write(&mut bytes, &topic, capture, now, &payload);
-                }
-                if let Err(queue::error::TrySendError::Full(_)) =
-                    out.try_send(Outgoing::Frame(bytes))
-                {
+        };
+        patterns.retain(|pattern| live.shows(pattern));
+        guards.retain(|(pattern, _)| patterns.contains(pattern));
+        patterns.retain(|pattern| guards.iter().all(|(open, _)| open != pattern));
+        for pattern in patterns {
+            let (out, dropped) = (out.clone(), Arc::clone(dropped));
+            // On a thread of the transport: nothing but passing on.
+            let sink = move |sample: Sample| {
+                let sent = out.try_send(Outgoing::Sample(sample, clock.now()));
+                if let Err(queue::error::TrySendError::Full(_)) = sent {
                     dropped.fetch_add(1, Ordering::Relaxed);
                 }
             };
-            match bus.subscribe(&pattern, Box::new(sink)) {
-                Ok(guard) => guards.push((pattern, guard)),
-                Err(error) => return refuse(error),
-            }
+            let guard = bus.subscribe(&pattern, Box::new(sink))?;
+            guards.push((pattern, guard));
         }
     }
+    Ok(())
 }

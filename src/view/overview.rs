@@ -9,6 +9,9 @@ use crate::core::time::{Nanos, Timestamp};
 use crate::io::recording::{Entry, Message, Reader, RecordError};
 use crate::io::wire::{Event, Topic};
 
+/// A capture time is wrong if its log time comes this much earlier or later than it usually does.
+const FAR: Nanos = Nanos::from_ms(10_000);
+
 /// What a recording holds. Times are seconds since `start`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Overview {
@@ -60,31 +63,64 @@ pub(super) struct Gathered {
     /// Events, each with its performer, if it concerns one.
     events: Vec<(Option<String>, Event)>,
     cameras: BTreeMap<String, u64>,
-    /// Smallest and largest capture time.
+    /// Capture times of the first and the last pose or keypoints.
     span: Option<[Timestamp; 2]>,
     damage: Vec<String>,
 }
 
 impl Gathered {
-    /// Reads a whole recording. Returns its smallest and largest log time minus capture time.
+    /// Reads a whole recording, the `number`th. Returns its smallest and largest log time minus capture time,
+    /// and the performers that an earlier recording has too, with their names here.
     pub(super) fn read(
         &mut self,
         reader: &mut Reader,
+        number: usize,
         mut progress: impl FnMut(),
-    ) -> Result<[Nanos; 2], RecordError> {
-        let mut delays = None::<[Nanos; 2]>;
+    ) -> Result<([Nanos; 2], BTreeMap<String, String>), RecordError> {
+        let (earlier, events) = (std::mem::take(&mut self.performers), self.events.len());
+        let mut times = Vec::new();
         for entry in reader.by_ref() {
             let Entry { topic, log_time, message } = entry?;
             progress();
-            let Some(at) = self.add(&topic, message) else { continue };
+            times.extend(self.add(&topic, message).map(|at| (at, log_time - at)));
+        }
+        let delays = self.add_times(times);
+        self.damage.extend(reader.report().losses());
+        let mut renamed = BTreeMap::new();
+        for (name, runs) in std::mem::replace(&mut self.performers, earlier) {
+            let new = match self.performers.contains_key(&name) {
+                true => format!("{name} ({number})"),
+                false => name.clone(),
+            };
+            self.performers.insert(new.clone(), runs);
+            renamed.insert(name, new);
+        }
+        for actor in self.events[events..].iter_mut().filter_map(|(actor, _)| actor.as_mut()) {
+            if let Some(new) = renamed.get(actor) {
+                actor.clone_from(new);
+            }
+        }
+        Ok((delays, renamed))
+    }
+
+    /// Adds capture times, each with the log time minus it. Returns the smallest and the largest such delay;
+    /// wrong times are left out, for the span would be years long.
+    fn add_times(&mut self, times: Vec<(Timestamp, Nanos)>) -> [Nanos; 2] {
+        let mut delays: Vec<Nanos> = times.iter().map(|(_, delay)| *delay).collect();
+        delays.sort_unstable();
+        let Some(&usual) = delays.get(delays.len() / 2) else { return [Nanos::ZERO; 2] };
+        let is_right = |delay: Nanos| (usual - FAR..=usual + FAR).contains(&delay);
+        let wrong = delays.iter().filter(|delay| !is_right(**delay)).count();
+        if wrong > 0 {
+            let what = "messages with a capture time far from the others' are not shown";
+            self.damage.push(format!("{wrong} {what}"));
+        }
+        for (at, _) in times.into_iter().filter(|(_, delay)| is_right(*delay)) {
             let [first, last] = self.span.unwrap_or([at; 2]);
             self.span = Some([first.min(at), last.max(at)]);
-            let delay = log_time - at;
-            let [least, most] = delays.unwrap_or([delay; 2]);
-            delays = Some([least.min(delay), most.max(delay)]);
         }
-        self.damage.extend(reader.report().losses());
-        Ok(delays.unwrap_or([Nanos::ZERO; 2]))
+        delays.retain(|delay| is_right(*delay));
+        [delays[0], delays[delays.len() - 1]]
     }
 
     /// Adds a message; returns its capture time if it is a final pose or keypoints.

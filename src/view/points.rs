@@ -21,12 +21,12 @@ impl Points {
     /// point its index in the detector's format and its x, y, z in the world (metres), all as `f32`.
     pub(super) fn follow(&mut self, topic: &str, payload: &[u8]) -> Option<(String, Vec<u8>)> {
         match Topic::parse(topic).ok()? {
-            Topic::Stage { channel: StageChannel::Keypoints { .. }, .. }
-                if self.format.is_none() =>
-            {
+            Topic::Stage { channel: StageChannel::Keypoints { .. }, .. } => {
                 let frame = decode::<KeypointFrame>(payload).ok()?;
-                self.format = KeypointFormat::from_name(&frame.format);
-                self.points = self.format.map(fitted_points).unwrap_or_default();
+                if self.format.is_none_or(|format| format.name() != frame.format) {
+                    self.format = KeypointFormat::from_name(&frame.format);
+                    self.points = self.format.map(fitted_points).unwrap_or_default();
+                }
                 None
             }
             Topic::Actor { actor, channel: ActorChannel::Skeleton, .. } => {

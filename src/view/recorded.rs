@@ -1,5 +1,6 @@
 //! A page that shows a recording.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use super::frame;
@@ -7,12 +8,12 @@ use super::overview::{Gathered, Overview};
 use super::points::Points;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::recording::{RawEntry, Reader, RecordError, Spans};
-use crate::io::wire::{ActorChannel, StageChannel, Topic};
+use crate::io::wire::{ActorChannel, StageChannel, Topic, Topics};
 
 /// Longest span of one answer.
 const LONGEST: Nanos = Nanos::from_ms(60_000);
 
-/// A recording that is shown; or several of one take, such as its keypoints and its poses.
+/// A recording that is shown; or several of one take, such as its keypoints and its poses, or two solves of it.
 pub struct Recorded {
     files: Vec<File>,
     overview: Overview,
@@ -23,6 +24,8 @@ struct File {
     spans: Spans,
     /// Smallest and largest log time minus capture time.
     delays: [Nanos; 2],
+    /// Performers that an earlier file has too, with their names here.
+    renamed: BTreeMap<String, String>,
 }
 
 impl Recorded {
@@ -31,10 +34,10 @@ impl Recorded {
     /// # Errors
     /// As [`Reader`].
     pub fn open(paths: &[PathBuf], mut progress: impl FnMut()) -> Result<Self, RecordError> {
-        let (mut files, mut all) = (Vec::new(), Gathered::default());
-        for path in paths {
-            let delays = all.read(&mut Reader::open(path)?, &mut progress)?;
-            files.push(File { path: path.clone(), spans: Spans::open(path)?, delays });
+        let (mut files, mut all) = (Vec::<File>::new(), Gathered::default());
+        for (number, path) in (1..).zip(paths) {
+            let (delays, renamed) = all.read(&mut Reader::open(path)?, number, &mut progress)?;
+            files.push(File { path: path.clone(), spans: Spans::open(path)?, delays, renamed });
         }
         Ok(Self { files, overview: all.finish() })
     }
@@ -60,24 +63,25 @@ impl Recorded {
     ) -> Result<Vec<u8>, RecordError> {
         let to = to.min(from + LONGEST);
         let (mut entries, mut points) = (Vec::new(), Points::default());
-        for File { spans, delays: [least, most], .. } in &self.files {
+        for File { spans, delays: [least, most], renamed, .. } in &self.files {
+            let known = entries.len();
             let until = to + *most + Nanos::new(1);
             let before = [Timestamp::from_ns(i64::MIN), until];
-            spans.read(
-                before,
-                |topic| kind(topic) == Some("state"),
-                |entry| {
-                    entries.push(entry);
-                },
-            )?;
+            entries.extend(spans.read(before, |topic| kind(topic) == Some("state"))?);
             let is_streamed = |topic: &str| {
                 kind(topic).is_some_and(|kind| kind != "state" && kinds.contains(&kind))
             };
-            spans.read([from + *least, until], is_streamed, |entry| {
-                if (from..to).contains(&entry.publish_time) {
-                    entries.push(entry);
+            let streamed = spans.read([from + *least, until], is_streamed)?;
+            let is_inside = |entry: &RawEntry| (from..to).contains(&entry.publish_time);
+            entries.extend(streamed.into_iter().filter(is_inside));
+            for entry in &mut entries[known..] {
+                let new = renamed.get(&Topic::actor(&entry.topic));
+                let topics = Topic::parse(&entry.topic).ok().and_then(|topic| topic.topics());
+                if let (Some(new), Some(Topics { actor, .. })) = (new, topics) {
+                    let [old, new] = [actor, new.clone()].map(|name| format!("/actor/{name}/"));
+                    entry.topic = entry.topic.replacen(&old, &new, 1).into();
                 }
-            })?;
+            }
         }
         // States first, then what they are needed for.
         let order = |entry: &RawEntry| match kind(&entry.topic) {
@@ -109,7 +113,6 @@ fn kind(topic: &str) -> Option<&'static str> {
             ActorChannel::Skeleton => "state",
             ActorChannel::Pose => "pose",
             ActorChannel::Status => "status",
-            ActorChannel::Truth => "truth",
             _ => return None,
         },
     })

@@ -13,7 +13,7 @@ use axum::routing::get;
 use axum::{Router, middleware};
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
-use tokio::sync::oneshot;
+use tokio::sync::{Semaphore, oneshot};
 
 use super::access::{self, Access};
 use super::bus::{self, Live};
@@ -64,10 +64,15 @@ pub struct Running {
 }
 
 impl Running {
-    /// The address to open in a browser, with the token if it needs one.
+    /// The address to open in a browser, with the token if it needs one. With an address for all networks, that
+    /// of this computer by its name.
     pub fn url(&self) -> String {
         let token = self.token.as_ref().map_or_else(String::new, |token| format!("?token={token}"));
-        format!("http://{}/{token}", self.address)
+        let (system, port) = (rustix::system::uname(), self.address.port());
+        match self.address.ip().is_unspecified() {
+            true => format!("http://{}:{port}/{token}", system.nodename().to_string_lossy()),
+            false => format!("http://{}/{token}", self.address),
+        }
     }
 }
 
@@ -117,6 +122,9 @@ pub fn start(address: &str, source: Source) -> Result<Running, ViewError> {
     Ok(Running { address, token, stop: Some(stop), thread })
 }
 
+/// So many requests read a recording at once.
+static READERS: Semaphore = Semaphore::const_new(4);
+
 fn router(access: Access, source: Source) -> Router {
     Router::new()
         .route("/about.json", get(about))
@@ -134,11 +142,15 @@ async fn about(State(source): State<Source>) -> Response {
         .filter_map(|kind| Some((kind.name().to_owned(), advice(kind.name())?.into())))
         .collect();
     let (shows, name) = match &source {
-        Source::Live(live) => ("live", live.stage.clone()),
+        Source::Live(live) => ("live", live.topics.stage.clone()),
         Source::Recorded(recorded) => ("recording", recorded.name()),
     };
+    let node = match &source {
+        Source::Live(live) => Some(live.topics.actor.as_str()),
+        Source::Recorded(_) => None,
+    };
     let about = json!({
-        "version": env!("CARGO_PKG_VERSION"), "shows": shows, "name": name, "advice": advice,
+        "version": env!("CARGO_PKG_VERSION"), "shows": shows, "name": name, "node": node, "advice": advice,
     });
     let fields = include_str!(concat!(env!("OUT_DIR"), "/messages.json"));
     let text = format!("{{\"about\":{about},\"messages\":{fields}}}");
@@ -173,6 +185,7 @@ struct Part {
 async fn messages(State(source): State<Source>, Query(part): Query<Part>) -> Response {
     let Source::Recorded(recorded) = source else { return missing() };
     let span = [part.from, part.to].map(Timestamp::from_ns);
+    let Ok(_permit) = READERS.acquire().await else { return missing() };
     // Reading may take a while; other requests are answered meanwhile.
     let read = move || recorded.frames(span, &part.kinds.split(',').collect::<Vec<_>>());
     match tokio::task::spawn_blocking(read).await {

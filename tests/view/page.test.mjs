@@ -171,6 +171,30 @@ test("the report of a solve plays the take, without a server", async () => {
   await page.close();
 });
 
+test("four performers, and two solves of a take, are shown together", async () => {
+  const take = join(folder, "four.mcap");
+  run("synth", "--performers", "4", "--cameras", "4", "--seconds", "3", "--out", take);
+  run("solve", take, "--performers", "auto", "--out", join(folder, "four"));
+  const poses = join(folder, "four/poses.mcap");
+  const { match } = await start(["view", poses, take, poses, "--listen", "127.0.0.1:0"], /open (\S+)/);
+  const { page, said } = await open(`${match[1]}#t=1.5`);
+  await people(page, 8);
+  const names = await page.locator("#performers .who").allTextContents();
+  assert.deepEqual(names.sort(), ["p1", "p1 (3)", "p2", "p2 (3)", "p3", "p3 (3)", "p4", "p4 (3)"]);
+  // The bodies lie over the keypoints that they are from.
+  const errors = await page.locator("#panes .caption span:last-child").allTextContents();
+  assert.equal(errors.length, 4);
+  for (const text of errors) assert.ok(parseFloat(text) < 20, `a median of ${text}`);
+  await page.locator('[data-hide="p1 (3)"]').click();
+  await people(page, 7);
+  await page.locator('[data-follow="p2"]').click();
+  await until(page, () => document.querySelector('[data-follow="p2"]').getAttribute("aria-pressed") === "true");
+  await picture(page, "four");
+  await isSound(page);
+  assert.deepEqual(said, []);
+  await page.close();
+});
+
 test("a live stage: a pose moves, a dead camera is red, a node that restarts is found again", async () => {
   const [bus, http] = [await freePort(), await freePort()];
   const node = ["run", "--listen", `tcp/127.0.0.1:${bus}`, "--view", `127.0.0.1:${http}`];
@@ -186,7 +210,9 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   await people(page, 1);
   const { time } = await shown(page);
   await until(page, (before) => Number(document.body.dataset.time) > before + 1, Number(time));
-  await until(page, () => document.querySelectorAll('#cameras [data-level="ok"]').length >= 3);
+  // Which light is on depends on the load of this computer; each camera has one.
+  const judged = '#cameras :is([data-level="ok"], [data-level="warn"], [data-level="bad"])';
+  await until(page, (lights) => document.querySelectorAll(lights).length === 4, judged);
   await picture(page, "live");
 
   // Looking back, while it goes on.
@@ -201,6 +227,10 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   // A take is recorded, and the next name is ready.
   const takes = join(folder, "takes");
   await start(["record", `${takes}/`, "--connect", `tcp/127.0.0.1:${bus}`], /recording takes/);
+  await page.locator("#take-name").fill("");
+  await page.keyboard.type("flip f 1".replaceAll(" ", "_"));
+  assert.equal(await page.locator("#take-name").inputValue(), "flip_f_1");
+  await page.locator("#take-name").fill("take_01");
   await page.locator("#record").click();
   await until(page, () => /^● take_01 00:0\d Stop$/.test(document.getElementById("record").textContent));
   await until(page, () => /node: .*recorder: |recorder: .*node: /.test(document.getElementById("answers").textContent));
@@ -212,8 +242,12 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   run("info", join(takes, "take_01.mcap"), "--check");
 
   await stop(fourth.child);
-  await until(page, () => document.querySelector('[data-camera="cam04"][data-level="bad"]'));
-  assert.equal(await page.locator("#cameras li").first().getAttribute("data-camera"), "cam04");
+  await until(page, () => {
+    const light = document.querySelector('#cameras [data-camera="cam04"][data-level="bad"]');
+    return /no frame/.test(light?.textContent);
+  });
+  const levels = await page.locator("#cameras li").evaluateAll((all) => all.map((one) => one.dataset.level));
+  assert.equal(levels[0], "bad");
   await picture(page, "dead-camera");
   await isSound(page);
   assert.deepEqual(said, []);
@@ -236,7 +270,8 @@ test("other sites and those without the token are refused", async () => {
     assert.equal(await status(own.match[1] + path, { origin: "http://example.org" }), 403);
   }
   const all = await start(["view", poses, "--listen", "0.0.0.0:0"], /open (\S+)/);
-  const url = new URL(all.match[1].replace("0.0.0.0", "127.0.0.1"));
+  const url = new URL(all.match[1]);
+  url.hostname = "127.0.0.1";
   assert.match(url.searchParams.get("token"), /^[0-9a-f]{32}$/);
   assert.equal(await status(url.origin), 401);
   assert.equal(await status(`${url.origin}/?token=00000000000000000000000000000000`), 401);

@@ -36,8 +36,8 @@ impl Spans {
         Ok(Self { index, path: path.clone() })
     }
 
-    /// Passes on the messages whose log time is in `[from, to)` and whose topic is `wanted`, in the order
-    /// of log time if the file has an index. Damaged parts are left out.
+    /// The messages whose log time is in `[from, to)` and whose topic is `wanted`, in the order of log time if the
+    /// file has a good index. Damaged parts are left out.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -45,29 +45,46 @@ impl Spans {
         &self,
         [from, to]: [Timestamp; 2],
         wanted: impl Fn(&str) -> bool,
-        mut take: impl FnMut(RawEntry),
-    ) -> Result<(), RecordError> {
-        let Some(index) = &self.index else {
-            let mut reader = Reader::open(&self.path)?;
-            while let Some(entry) = reader.next_raw() {
-                let entry = entry?;
-                if (from..to).contains(&entry.log_time) && wanted(&entry.topic) {
-                    take(entry);
-                }
+    ) -> Result<Vec<RawEntry>, RecordError> {
+        let indexed = self.index.as_ref().map(|index| self.by_index(index, [from, to], &wanted));
+        if let Some(all) = indexed.transpose()?.flatten() {
+            return Ok(all);
+        }
+        let (mut reader, mut all) = (Reader::open(&self.path)?, Vec::new());
+        while let Some(entry) = reader.next_raw() {
+            let entry = entry?;
+            if (from..to).contains(&entry.log_time) && wanted(&entry.topic) {
+                all.push(entry);
             }
-            return Ok(());
-        };
+        }
+        Ok(all)
+    }
+
+    /// The same by the index; `None` if a chunk is damaged.
+    fn by_index(
+        &self,
+        index: &Summary,
+        span: [Timestamp; 2],
+        wanted: impl Fn(&str) -> bool,
+    ) -> Result<Option<Vec<RawEntry>>, RecordError> {
         let topics = index.channels.values().map(|channel| channel.topic.clone());
-        let [start, end] = [from, to].map(|at| u64::try_from(at.ns()).unwrap_or(0));
+        let topics: Vec<String> = topics.filter(|topic| wanted(topic)).collect();
+        if topics.is_empty() {
+            // The reader would take this for all topics.
+            return Ok(Some(Vec::new()));
+        }
+        let [start, end] = span.map(|at| u64::try_from(at.ns()).unwrap_or(0));
         let options = IndexedReaderOptions::new()
-            .include_topics(topics.filter(|topic| wanted(topic)))
+            .include_topics(topics)
             .starting_at(start)
             .ending_before(end)
             .with_record_length_limit(RECORD_LIMIT);
         let read = RecordError::read(&self.path);
         let mut file = File::open(&self.path).map_err(&read)?;
-        let Ok(mut reader) = IndexedReader::new_with_options(index, options) else { return Ok(()) };
-        let mut chunk = Vec::new();
+        let Ok(mut reader) = IndexedReader::new_with_options(index, options) else {
+            return Ok(None);
+        };
+        let (mut all, mut chunk) = (Vec::new(), Vec::new());
         while let Some(event) = reader.next_event() {
             match event {
                 Ok(IndexedReadEvent::ReadChunkRequest { offset, length }) => {
@@ -75,14 +92,14 @@ impl Spans {
                     chunk.resize(length, 0);
                     file.read_exact(&mut chunk).map_err(&read)?;
                     if reader.insert_chunk_record_data(offset, &chunk).is_err() {
-                        return Ok(());
+                        return Ok(None);
                     }
                 }
                 Ok(IndexedReadEvent::Message { header, data }) => {
                     let Some(channel) = index.channels.get(&header.channel_id) else { continue };
                     let schema = channel.schema.as_ref().map_or("", |schema| &schema.name);
                     let time = |ns| Timestamp::from_ns(i64::try_from(ns).unwrap_or(i64::MAX));
-                    take(RawEntry {
+                    all.push(RawEntry {
                         topic: channel.topic.as_str().into(),
                         schema: schema.into(),
                         encoding: channel.message_encoding.as_str().into(),
@@ -91,10 +108,10 @@ impl Spans {
                         payload: data.to_owned(),
                     });
                 }
-                Err(_) => return Ok(()),
+                Err(_) => return Ok(None),
             }
         }
-        Ok(())
+        Ok(Some(all))
     }
 }
 

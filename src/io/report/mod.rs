@@ -7,7 +7,6 @@ mod plot;
 mod stick_figure;
 
 pub use bars::Bars;
-pub(crate) use page::lost_intervals;
 pub use page::{
     AngleTrack, CameraErrors, Picture, ReportData, Table, WindowRow, flexion_deg, write_report,
 };

@@ -195,7 +195,7 @@ fn plots(data: &ReportData) -> Vec<Plot> {
 }
 
 /// Time spans of lost windows; adjacent spans are merged.
-pub(crate) fn lost_intervals(windows: &[WindowRow]) -> Vec<(f64, f64)> {
+fn lost_intervals(windows: &[WindowRow]) -> Vec<(f64, f64)> {
     let mut spans: Vec<(f64, f64)> = Vec::new();
     for window in windows.iter().filter(|window| window.lost) {
         match spans.last_mut() {

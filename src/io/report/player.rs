@@ -38,8 +38,8 @@ pub struct Player {
     pub start: Timestamp,
     /// By performer, the name and the poses in order of time.
     pub tracks: Vec<(String, Vec<PlayerPose>)>,
-    /// Seconds from the start, and what was there.
-    pub moments: Vec<(f64, String)>,
+    /// Capture times, and what was there.
+    pub moments: Vec<(Timestamp, String)>,
 }
 
 /// A pose of a player.
@@ -92,7 +92,7 @@ impl Player {
         if !self.moments.is_empty() {
             page += "<h3>Worst moments</h3><ol class=\"moments\">";
             for (at, what) in &self.moments {
-                let what = escape(what);
+                let (at, what) = (at.seconds_since(self.start), escape(what));
                 let _ = write!(page, "<li><a href=\"#t={at:.2}\">{at:.2} s</a> {what}</li>");
             }
             page += "</ol>";

@@ -15,12 +15,15 @@ const SPEEDS = [...$("speed").options].map(({ value }) => Number(value));
 
 const { about, messages } = await (await fetch("about.json")).json();
 const isLive = about.shows === "live";
-const store = new Store(new Decoder(messages));
+const store = new Store(new Decoder(messages), about.node ?? undefined);
 const source = isLive
   ? new Live(store, about.name)
   : new Recording(store, await (await fetch("overview.json")).json());
 const view = new View($("canvas"), $("labels"));
-const panes = new Panes($("panes"), (index) => view.lookThrough(view.through === index ? undefined : index));
+const panes = new Panes($("panes"), (name) => {
+  const index = store.rig?.cameras.findIndex((camera) => camera.name === name);
+  view.lookThrough(view.through === index ? undefined : index);
+});
 const charts = new Charts($("charts"));
 
 /** What the user chose. */
@@ -28,19 +31,25 @@ const chosen = { playing: true, time: 0, speed: 1, loop: undefined, provisional:
 $("name").textContent = about.name;
 document.title = `${about.name} · bundlemocap`;
 $("speed").parentElement.hidden = isLive;
-source.want({ panes: true, provisional: chosen.provisional });
+source.want(chosen.provisional);
 
 let [shownRig, framed, lastTick, ageOfPage] = [undefined, false, performance.now(), performance.now()];
 goToHash();
 
 if (isLive) await import("./hands.js").then(({ hands }) => setInterval(hands(store, source), 250));
 
+/** The performers who are there; live, who left is not. */
+const present = () => [...store.performers.values()].filter(({ poses }) => !isLive || poses.times.length > 0);
+
+/** Names of performers that are not drawn. */
+const hidden = new Set();
+
 /** The performers at a time, as scene and panes draw them. */
 function peopleAt(time, channel, age) {
   const people = [];
   for (const one of store.performers.values()) {
     const pose = one[channel].at(time, age);
-    if (!pose) continue;
+    if (!pose || hidden.has(one.name)) continue;
     const parents = one.skeleton?.parents ?? PARENTS;
     const head = one.skeleton?.joint_names.indexOf("head") ?? -1;
     if (parents.length * 3 !== pose.joints.length) continue;
@@ -51,6 +60,7 @@ function peopleAt(time, channel, age) {
 }
 
 function frame(now) {
+  requestAnimationFrame(frame);
   const passed = Math.min(0.2, (now - lastTick) / 1000);
   lastTick = now;
   const [start, end] = source.span;
@@ -77,11 +87,11 @@ function frame(now) {
   }
   view.draw(people, ghosts);
   panes.draw(store, chosen.time, people);
-  requestAnimationFrame(frame);
 }
 
 /** What changes slowly: lists, lights, charts, the timeline. */
 function tick() {
+  source.prepare(chosen.time);
   const people = peopleAt(chosen.time, "poses", 0.1);
   showNode(people);
   showCameras();
@@ -93,7 +103,7 @@ function tick() {
   const first = store.performers.get(chosen.performer ?? people[0]?.name);
   charts.draw(store, isLive ? span : [Math.max(start, chosen.time - 8), Math.min(end, chosen.time + 8)], chosen.time, first);
   $("empty").textContent = emptyState(people);
-  $("play").textContent = chosen.playing ? "Pause" : isLive ? "Go on" : "Play";
+  $("play").textContent = chosen.playing ? "Pause" : isLive ? "Resume" : "Play";
 }
 
 function showNode(people) {
@@ -102,7 +112,7 @@ function showNode(people) {
   const { level, words } = isLive ? nodeLight(store, source.connected) : recordingLight();
   $("node").className = `light ${level}`;
   setText($("node"), `${isLive ? "node" : "recording"} ${level}${words.length > 0 ? `: ${words.join("; ")}` : ""}`);
-  figures.set("tracking", `${people.filter(({ state }) => state === "tracking").length} of ${store.performers.size}`);
+  figures.set("tracking", `${people.filter(({ state }) => state === "tracking").length} of ${present().length}`);
   if (status) {
     if (status.declared_latency_ns) figures.set("latency", `${(Number(status.declared_latency_ns) / 1e6).toFixed(0)} ms`);
     const { playout, windows } = status;
@@ -154,7 +164,7 @@ const RANK = ["bad", "warn", "ok", "unknown"];
 
 function showCameras() {
   const names = new Set([...(store.rig?.cameras.map(({ name }) => name) ?? []), ...store.keypoints.keys()]);
-  const lights = [...names].map((name) => ({ name, ...cameraLight(store, name, isLive ? Math.max(chosen.time, store.newest) : chosen.time, about.advice) }));
+  const lights = [...names].map((name) => ({ name, ...cameraLight(store, name, isLive ? Infinity : chosen.time, about.advice) }));
   lights.sort((a, b) => RANK.indexOf(a.level) - RANK.indexOf(b.level));
   const items = lights.map(({ name, level, words, advice, counters }) => {
     panes.setLight(name, level, words.join("\n"));
@@ -174,15 +184,24 @@ function showCameras() {
 }
 
 function showPerformers(people) {
-  const items = [...store.performers.values()].map(({ name, number }) => {
+  const items = present().map(({ name, number }) => {
     const now = people.find((one) => one.name === name);
     const item = document.createElement("li");
     const row = element("div", "", "row");
-    const who = document.createElement("span");
+    const who = element("button", "", "who");
+    who.type = "button";
+    who.title = `follow ${name}`;
+    who.dataset.follow = name;
+    who.setAttribute("aria-pressed", String(view.followed === name));
     const swatch = element("span", "", "swatch");
     swatch.style.background = colour(number);
     who.append(swatch, name);
     row.append(who, element("span", now?.state ?? (isLive ? (store.statusOf.get(name)?.tracker_state ?? "no pose") : "no pose")));
+    const hide = element("button", hidden.has(name) ? "show" : "hide");
+    hide.type = "button";
+    hide.dataset.hide = name;
+    hide.setAttribute("aria-label", `${hide.textContent} ${name}`);
+    row.append(hide);
     item.append(row);
     return item;
   });
@@ -190,8 +209,9 @@ function showPerformers(people) {
 }
 
 function showEvents() {
-  const list = store.events.slice(-60).reverse();
-  const key = `${store.events.length} ${list[0]?.at}`;
+  const past = isLive ? store.events : store.events.filter(({ at }) => at <= chosen.time + 1);
+  const list = (store.events.length <= 60 ? store.events : past).slice(-60).reverse();
+  const key = `${store.events.length} ${past.length} ${list[0]?.at}`;
   if ($("events").dataset.key === key) return;
   $("events").dataset.key = key;
   $("events").replaceChildren(...list.map((event) => {
@@ -227,7 +247,7 @@ function showTimeline() {
   const key = `${ticks.length} ${start.toFixed(1)}`;
   if ($("ticks").dataset.key === key) return;
   $("ticks").dataset.key = key;
-  $("ticks").replaceChildren(...ticks.slice(-500).map((event) => {
+  $("ticks").replaceChildren(...ticks.slice(-2000).map((event) => {
     const { at, kind, detail } = event;
     const tick = element("i", "", levelOf(event));
     tick.title = `${at.toFixed(2)} s ${kind.replaceAll("_", " ")}: ${detail}`;
@@ -345,6 +365,18 @@ function loop() {
   $("loop").setAttribute("aria-pressed", String(chosen.loop !== undefined));
 }
 
+/** Follows a performer, or nobody. */
+function follow(name) {
+  view.followed = view.followed === name ? undefined : name;
+  chosen.performer = view.followed;
+}
+
+$("performers").addEventListener("click", ({ target }) => {
+  const { follow: followed, hide } = target.closest("button")?.dataset ?? {};
+  if (followed !== undefined) follow(followed);
+  if (hide !== undefined && !hidden.delete(hide)) hidden.add(hide);
+  tick();
+});
 $("play").addEventListener("click", () => play(!chosen.playing));
 $("back").addEventListener("click", () => step(-1));
 $("forward").addEventListener("click", () => step(1));
@@ -367,8 +399,7 @@ bar.addEventListener("pointerdown", (event) => {
 });
 bar.addEventListener("pointermove", scrub);
 $("canvas").addEventListener("dblclick", ({ clientX, clientY }) => {
-  view.followed = view.pick(clientX, clientY, peopleAt(chosen.time, "poses", 0.1));
-  chosen.performer = view.followed;
+  follow(view.pick(clientX, clientY, peopleAt(chosen.time, "poses", 0.1)));
 });
 
 const KEYS = {
@@ -380,14 +411,14 @@ const KEYS = {
   f: () => view.frameAll(peopleAt(chosen.time, "poses", 0.1)),
   p: () => {
     chosen.provisional = !chosen.provisional;
-    source.want({ panes: true, provisional: chosen.provisional });
+    source.want(chosen.provisional);
   },
   l: loop,
   "?": () => $("help").showModal(),
 };
 addEventListener("keydown", (event) => {
   const { key, target, ctrlKey, metaKey, altKey } = event;
-  if (ctrlKey || metaKey || altKey || target.closest("select, dialog") || (key === " " && target.closest("button"))) return;
+  if (ctrlKey || metaKey || altKey || target.closest("input, select, dialog") || (key === " " && target.closest("button"))) return;
   const act = /^[0-9]$/.test(key) ? () => view.lookThrough(key === "0" ? undefined : Number(key) - 1) : KEYS[key.length === 1 ? key.toLowerCase() : key];
   if (!act) return;
   event.preventDefault();

@@ -11,6 +11,9 @@ export function hands(store, source) {
     sent = { id: BigInt(source.command(action, name)), action, at: performance.now() };
     answers = [];
   };
+  // A page that is loaded again knows the take that it began.
+  const kept = sessionStorage.getItem("take");
+  if (kept) store.slate = JSON.parse(kept, (key, value) => (key === "id" ? BigInt(value) : value));
   const running = () => (store.slate?.action === "start" ? store.slate : undefined);
   $("take").hidden = false;
   $("take").addEventListener("submit", (event) => {
@@ -23,14 +26,17 @@ export function hands(store, source) {
   $("reset").addEventListener("click", () => command("reset"));
   return () => {
     const take = running();
+    const text = take && JSON.stringify(take, (key, value) => (key === "id" ? String(value) : value));
+    if (text) sessionStorage.setItem("take", text);
+    else sessionStorage.removeItem("take");
     $("record").setAttribute("aria-pressed", String(take !== undefined));
-    const seconds = take && Math.floor((performance.now() - take.came) / 1000);
+    const seconds = take && Math.floor((Date.now() - take.came) / 1000);
     const clock = take && `${String(Math.floor(seconds / 60)).padStart(2, "0")}:${String(seconds % 60).padStart(2, "0")}`;
     set($("record"), take ? `● ${take.name} ${clock} Stop` : "Record");
     $("take-name").disabled = take !== undefined;
     if (!sent) return;
     answers.push(...store.answers.splice(0).filter(({ id }) => id === sent.id));
-    const lines = answers.map(({ role, text = "" }) => `${role}: ${text}`);
+    const lines = answers.map(({ role, text = "", refused }) => `${role}${refused ? " refuses" : ""}: ${text}`);
     const wanted = sent.action === "reset" ? ["node"] : ["node", "recorder"];
     const isOver = performance.now() - sent.at > PATIENCE;
     for (const role of isOver ? wanted.filter((one) => answers.every((answer) => answer.role !== one)) : []) {

@@ -1,6 +1,10 @@
 // A light for each camera and for the node: ok, warn or bad, and why in words.
 
+import { CLEARLY } from "./store.js";
+
 const RANK = { unknown: -1, ok: 0, warn: 1, bad: 2 };
+/** A status of this age, seconds, says nothing of now. */
+const OLD = 4;
 /** For how long an event keeps a light on, seconds. */
 const KEPT = 30;
 const BAD = ["camera_moved", "conflict", "dropped", "lost", "overdue", "rig_refused", "silent", "unusable"];
@@ -39,8 +43,9 @@ function recent(history, read) {
 }
 
 /** The events of a camera that still count: those of the last time, and a move until it fits again. */
-function eventsOf(store, name, now) {
-  const mine = store.events.filter(({ camera, at }) => camera === name && at <= now);
+function eventsOf(store, name, time) {
+  const now = time === Infinity ? (store.historyAt(time).at(-1)?.seconds ?? store.newest) : time;
+  const mine = store.events.filter(({ camera, at }) => camera === name && at <= time);
   const moved = mine.findLast(({ kind }) => kind === "camera_moved");
   return mine.filter((event) => event === moved || (event.kind !== "camera_moved" && now - event.at < KEPT));
 }
@@ -52,16 +57,28 @@ function usualRate(cameras) {
   return median(cameras.map((camera) => camera.rate_hz ?? 0).filter((rate) => rate > 0)) ?? 0;
 }
 
+/** What is wrong with the size of a camera's images. */
+function wrongSize(store, name) {
+  const camera = store.rig?.cameras.find((one) => one.name === name);
+  const [width, height] = store.keypoints.get(name)?.items.at(-1)?.size ?? [0, 0];
+  if (!camera || width === 0 || (width === camera.width && height === camera.height)) return undefined;
+  return `its images are ${width} x ${height}, the calibration's ${camera.width} x ${camera.height}`;
+}
+
 /** The light of a camera at a time: of its counters in the status, of its own past, and of its events. */
 export function cameraLight(store, name, now, advice) {
   const history = store.historyAt(now);
-  const last = history.at(-1);
+  const newest = history.at(-1);
+  const isOld = now === Infinity ? performance.now() - store.statusCame > OLD * 1000 : now - newest?.seconds > OLD;
+  const last = isOld ? undefined : newest;
   const cameras = last?.status.cameras ?? [];
   const mine = (status) => status.cameras.find(({ camera }) => camera === name);
   const counters = last && mine(last.status);
   const light = new Light(counters ? "ok" : "unknown");
   const calibrated = store.rig?.cameras.some((camera) => camera.name === name);
   if (store.rig && !calibrated) light.add("bad", "not in the calibration");
+  const wrong = wrongSize(store, name);
+  if (wrong) light.add("bad", wrong);
   if (counters) {
     const rate = counters.rate_hz ?? 0;
     const age = counters.age_s ?? 0;
@@ -77,16 +94,15 @@ export function cameraLight(store, name, now, advice) {
         light.add(level, `${count} frames ${kind} in 5 s`, advice[kind]);
       }
     }
-    const past = history.map(({ status }) => mine(status)?.residual_px ?? 0).filter((px) => px > 0);
-    const [usual, px] = [median([...past]), counters.residual_px ?? 0];
-    if (past.length >= 10 && px > 3 * usual) light.add("bad", `residual ${px.toFixed(1)} px, usually ${usual.toFixed(1)}`);
-    else if (past.length >= 10 && px > 1.7 * usual) {
-      light.add("warn", `residual ${px.toFixed(1)} px, usually ${usual.toFixed(1)}`);
+    const [usual, px] = [store.usual.get(name), counters.residual_px ?? 0];
+    if (px > CLEARLY * usual) {
+      light.add(px > 3 * usual ? "bad" : "warn", `residual ${px.toFixed(1)} px, usually ${usual.toFixed(1)}`);
     }
   }
-  for (const event of eventsOf(store, name, now).slice(-1)) {
-    const words = event.detail || event.kind.replaceAll("_", " ");
-    if (levelOf(event) !== "ok" && !light.words.includes(words)) light.add(levelOf(event), words);
+  const events = eventsOf(store, name, now).filter((event) => levelOf(event) !== "ok");
+  events.sort((a, b) => RANK[levelOf(b)] - RANK[levelOf(a)] || b.at - a.at);
+  for (const event of events.slice(0, 1)) {
+    light.add(levelOf(event), event.detail || event.kind.replaceAll("_", " "));
   }
   return { ...light, counters };
 }

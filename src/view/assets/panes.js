@@ -7,7 +7,7 @@ import { colour } from "./colours.js";
 const NEAR = 0.04;
 
 export class Panes {
-  /** `choose(index)` is called with the index of a camera that was clicked. */
+  /** `choose(name)` is called with the camera that was clicked. */
   constructor(root, choose) {
     this.root = root;
     this.choose = choose;
@@ -25,8 +25,8 @@ export class Panes {
       pane.button.remove();
       this.panes.delete(name);
     }
-    names.forEach((name, index) => {
-      if (this.panes.has(name)) return;
+    for (const name of names) {
+      if (this.panes.has(name)) continue;
       const button = document.createElement("button");
       button.type = "button";
       button.dataset.camera = name;
@@ -38,10 +38,10 @@ export class Panes {
       const count = caption.appendChild(document.createElement("span"));
       light.className = "light";
       light.textContent = name;
-      button.addEventListener("click", () => this.choose(index));
+      button.addEventListener("click", () => this.choose(name));
       this.root.append(button);
       this.panes.set(name, { button, canvas, light, count, context: canvas.getContext("2d") });
-    });
+    }
   }
 
   setLight(name, level, words) {
@@ -63,7 +63,7 @@ export class Panes {
       const { context } = pane;
       const scale = wide / width;
       context.clearRect(0, 0, wide, high);
-      const usual = store.residualOf(name, time);
+      const usual = store.usual.get(name);
       const errors = [];
       if (lens) for (const one of people) drawBody(context, lens, one, scale);
       for (const person of frame?.people ?? []) drawPoints(context, person, scale);

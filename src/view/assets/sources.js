@@ -2,6 +2,8 @@
 
 import { frames } from "./messages.js";
 
+/** Where cameras of any stage send. */
+const EVERYWHERE = "mocap/*/camera/*/keypoints";
 /** Live: what is kept for looking back, seconds. */
 const KEPT = 30;
 
@@ -20,10 +22,6 @@ export class Live {
     const socket = new WebSocket(`ws://${location.host}/bus`);
     this.socket = socket;
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => {
-      [this.connected, this.error, this.wait] = [true, "", 250];
-      this.send();
-    };
     socket.onmessage = ({ data }) => {
       if (typeof data === "string") return this.said(JSON.parse(data));
       for (const frame of frames(data)) this.store.take(frame, this.stage);
@@ -35,16 +33,21 @@ export class Live {
     };
   }
 
-  said({ error, dropped }) {
+  /** What the server says of the bus. */
+  said({ open, error, dropped }) {
+    if (open) {
+      [this.connected, this.error, this.wait] = [true, "", 250];
+      this.send();
+    }
     if (error !== undefined) this.error = error;
     if (dropped !== undefined) this.store.dropped = dropped;
   }
 
-  /** Asks for what is seen: without the panes no keypoints. */
-  want({ panes, provisional }) {
+  /** Asks for what is shown. */
+  want(provisional) {
     const own = `mocap/${this.stage}`;
-    const topics = ["rig", "events", "actor/*/skeleton", "actor/*/status", "actor/*/events", "actor/*/pose", "take", "take/answers"];
-    if (panes) topics.push("camera/*/keypoints");
+    const topics = ["rig", "events", "take", "take/answers", "camera/*/keypoints"];
+    topics.push("actor/*/skeleton", "actor/*/status", "actor/*/events", "actor/*/pose");
     if (provisional) topics.push("actor/*/pose/provisional");
     this.topics = topics.map((topic) => `${own}/${topic}`);
     this.send();
@@ -59,9 +62,8 @@ export class Live {
 
   /** Looks for cameras on other stages. */
   lookAround() {
-    const everywhere = "mocap/*/camera/*/keypoints";
-    if (this.topics.includes(everywhere)) return;
-    this.topics.push(everywhere);
+    if (this.topics.includes(EVERYWHERE)) return;
+    this.topics.push(EVERYWHERE);
     this.send();
   }
 
@@ -69,10 +71,13 @@ export class Live {
     if (this.connected && this.topics) this.socket.send(JSON.stringify({ topics: this.topics }));
   }
 
-  /** Called for each picture. */
+  /** Called for each picture, and a few times a second where nothing is drawn. */
   prepare() {
-    const { newest } = this.store;
-    if (Number.isFinite(newest)) this.store.keep(newest - KEPT, Infinity);
+    this.store.keepLast(KEPT);
+    if (this.store.keypoints.size > 0 && this.topics?.includes(EVERYWHERE)) {
+      this.topics = this.topics.filter((topic) => topic !== EVERYWHERE);
+      this.send();
+    }
   }
 
   get span() {
@@ -83,6 +88,8 @@ export class Live {
 
 /** Length of a part of a recording that is read at once, seconds. */
 const PART = 2;
+/** Most parts that are read at once. */
+const MOST = 2;
 
 /** A recording, of which the parts around the shown time are read. */
 export class Recording {
@@ -104,17 +111,24 @@ export class Recording {
 
   want() {}
 
+  /** Number of parts that are being read. */
+  reading = 0;
+
   async read(part, kinds) {
     const at = (seconds) => this.store.base + BigInt(Math.round(seconds * 1e9));
     const url = `messages?from=${at(part * PART)}&to=${at((part + 1) * PART)}&kinds=${kinds}`;
+    this.reading++;
     try {
       const answer = await fetch(url);
       if (!answer.ok) throw new Error(await answer.text());
       for (const frame of frames(await answer.arrayBuffer())) this.store.take(frame);
+      if (this.parts.has(part)) this.parts.set(part, true);
       [this.connected, this.error] = [true, ""];
     } catch (error) {
       this.parts.delete(part);
       [this.connected, this.error] = [false, String(error)];
+    } finally {
+      this.reading--;
     }
   }
 
@@ -123,8 +137,8 @@ export class Recording {
     const now = Math.floor(time / PART);
     for (const part of [now, now + 1, now - 1, now + 2]) {
       if (part < 0 || part * PART > this.overview.seconds || this.parts.has(part)) continue;
-      if (!this.connected && Math.random() > 0.02) continue;
-      this.parts.set(part, true);
+      if (this.reading >= (this.connected ? MOST : 1)) break;
+      this.parts.set(part, false);
       this.read(part, "pose,keypoints,status");
     }
     for (const part of this.parts.keys()) if (Math.abs(part - now) > 4) this.parts.delete(part);
@@ -133,6 +147,6 @@ export class Recording {
 
   /** Whether the picture of a time is there. */
   isReady(time) {
-    return this.parts.has(Math.floor(time / PART));
+    return this.parts.get(Math.floor(time / PART)) === true;
   }
 }

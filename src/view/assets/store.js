@@ -7,8 +7,9 @@ export class Series {
     this.items = [];
   }
 
-  /** Adds an item; one of the same time is replaced. */
-  add(time, item) {
+  /** Adds an item; one of the same time is replaced. Items of a clock that has jumped back are forgotten. */
+  add(time, item, jump = Infinity) {
+    if (this.last - time > jump) [this.times, this.items] = [[], []];
     const { times, items } = this;
     let at = times.length;
     while (at > 0 && times[at - 1] > time) at--;
@@ -24,7 +25,8 @@ export class Series {
   keep(from, to) {
     const { times, items } = this;
     const [first, end] = [this.after(from), this.after(to)];
-    if (first < 200 && times.length - end < 200) return;
+    // Not for a few, except for the last ones.
+    if (first < times.length && first < 200 && times.length - end < 200) return;
     this.times = times.slice(first, end);
     this.items = items.slice(first, end);
   }
@@ -51,10 +53,18 @@ export class Series {
   }
 }
 
+/** A step back of a clock, seconds, after which older items count no more. */
+const JUMP = 30;
+/** A residual this many times the usual one is not usual any more. */
+export const CLEARLY = 1.7;
 const STATES = ["", "tracking", "coasting", "lost"];
+
 export class Store {
-  constructor(decoder) {
+  /** `node`: the name whose status is that of the node; `undefined` of a recording, where any may be. */
+  constructor(decoder, node) {
     this.decoder = decoder;
+    this.node = node;
+    this.jump = node === undefined ? Infinity : JUMP;
     this.base = undefined;
     this.rig = undefined;
     this.performers = new Map();
@@ -63,6 +73,9 @@ export class Store {
     this.statuses = new Series();
     this.statusOf = new Map();
     this.statusCame = undefined;
+    /** The usual residual of each camera, pixels. */
+    this.usual = new Map();
+    this.unreadable = 0;
     this.dropped = 0;
     this.otherStages = new Set();
     /** The last command to nodes and recorders, by whomever, and the answers to it. */
@@ -92,8 +105,16 @@ export class Store {
     return series;
   }
 
-  /** Takes a frame. `stage`: its name, if others are told apart. */
-  take({ topic, capture, arrival, payload }, stage) {
+  /** Takes a frame. `stage`: its name, if others are told apart. A message that cannot be read is counted. */
+  take(frame, stage) {
+    try {
+      this.sort(frame, stage);
+    } catch {
+      this.unreadable++;
+    }
+  }
+
+  sort({ topic, capture, arrival, payload }, stage) {
     const parts = topic.split("/");
     if (stage !== undefined && parts[1] !== stage) {
       this.otherStages.add(parts[1]);
@@ -103,16 +124,26 @@ export class Store {
     if (parts[2] === "rig") this.rig = read("Rig");
     else if (parts[2] === "camera") this.takeKeypoints(read("KeypointFrame"), arrival);
     else if (parts[2] === "events") this.takeEvent(read("Event"));
-    else if (parts[2] === "take" && parts[3] === "answers") this.answers.push(read("TakeAnswer"));
-    else if (parts[2] === "take") this.slate = { ...read("Take"), came: performance.now() };
+    else if (parts[2] === "take" && parts[3] === "answers") this.takeAnswer(read("TakeAnswer"));
+    else if (parts[2] === "take") this.takeSlate(read("Take"));
     else if (parts[2] === "actor" && parts[4] === "points") this.takePoints(parts[3], capture, payload);
     else if (parts[2] === "actor") this.takeActor(parts[3], parts.slice(4).join("/"), read, arrival);
+  }
+
+  /** The take that runs is the last one that was begun and not ended. */
+  takeSlate(take) {
+    if (take.action !== "reset") this.slate = { ...take, came: Date.now() };
+  }
+
+  takeAnswer(answer) {
+    this.answers.push(answer);
+    if (answer.refused && answer.role === "recorder" && answer.id === this.slate?.id) this.slate = undefined;
   }
 
   takeKeypoints(frame, arrival) {
     const people = frame.people.map((person) => person.points);
     const size = [frame.image_width ?? 0, frame.image_height ?? 0];
-    this.camera(frame.camera).add(this.seconds(frame.capture_time_ns ?? 0n), { people, size, arrival });
+    this.camera(frame.camera).add(this.seconds(frame.capture_time_ns ?? 0n), { people, size, arrival }, this.jump);
   }
 
   /** Where a body has its keypoints: index in the format, x, y, z, and so on. */
@@ -136,15 +167,19 @@ export class Store {
         late: pose.due_time_ns === undefined ? undefined : Number(arrival - pose.due_time_ns) / 1e6,
       };
       const series = channel === "pose" ? one.poses : one.provisional;
-      series.add(this.seconds(pose.capture_time_ns ?? 0n), item);
+      series.add(this.seconds(pose.capture_time_ns ?? 0n), item, this.jump);
     }
   }
 
   /** The state of a performer, or of the node, which has the cameras. */
   takeStatus(name, status, arrival) {
     this.statusOf.set(name, status);
+    if (status.cameras.length === 0 || (this.node !== undefined && name !== this.node)) return;
     this.statusCame = performance.now();
-    if (status.cameras.length === 0) return;
+    for (const { camera, residual_px: px = 0 } of status.cameras) {
+      const usual = this.usual.get(camera) ?? px;
+      if (px > 0 && px < CLEARLY * (usual || px)) this.usual.set(camera, usual + 0.05 * (px - usual));
+    }
     const seconds = this.seconds(status.capture_time_ns ?? 0n);
     this.statuses.add(this.clock(arrival), { at: Number(arrival) / 1e9, seconds, status });
   }
@@ -161,13 +196,6 @@ export class Store {
     return all.slice(-120);
   }
 
-  /** The usual residual of a camera at a time: the median of the node's, pixels; 0 if it says none. */
-  residualOf(camera, time) {
-    const of = ({ status }) => status.cameras.find((one) => one.camera === camera)?.residual_px ?? 0;
-    const past = this.historyAt(time).map(of).filter((px) => px > 0);
-    return past.sort((a, b) => a - b)[past.length >> 1] ?? 0;
-  }
-
   takeEvent(event, actor) {
     const { kind = "", camera, detail = "", count = 1n } = event;
     const at = this.seconds(event.capture_time_ns ?? 0n);
@@ -176,14 +204,25 @@ export class Store {
 
   addEvent(event) {
     this.events.push(event);
-    if (this.events.length > 2000) this.events.shift();
+    if (this.events.length > 20_000) this.events.shift();
   }
 
-  /** The newest time of final poses, else of keypoints. */
+  /** The newest time of final poses; of keypoints, if there are no poses any more. */
   get newest() {
-    const last = (all) => Math.max(...all.map((series) => series.last ?? -Infinity), -Infinity);
-    const poses = last([...this.performers.values()].map((one) => one.poses));
-    return Number.isFinite(poses) ? poses : last([...this.keypoints.values()]);
+    const last = (all) => all.map((series) => series.last).filter((time) => time !== undefined).sort((a, b) => a - b);
+    const poses = last([...this.performers.values()].map((one) => one.poses)).at(-1) ?? -Infinity;
+    const cameras = last([...this.keypoints.values()]);
+    const keypoints = cameras[cameras.length >> 1] ?? -Infinity;
+    return keypoints - poses > 2 ? keypoints : poses;
+  }
+
+  /** Forgets what is older than some seconds before the newest of its kind, and poses of who left. */
+  keepLast(seconds) {
+    const { newest } = this;
+    const of = [...this.performers.values()].flatMap((one) => [one.poses, one.provisional, one.points]);
+    for (const series of of) series.keep(newest - seconds, Infinity);
+    for (const series of this.keypoints.values()) series.keep(series.last - seconds, Infinity);
+    this.statuses.keep(this.statuses.last - 300, Infinity);
   }
 
   keep(from, to) {
