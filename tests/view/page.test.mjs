@@ -193,6 +193,10 @@ test("four performers, and two solves of a take, are shown together", async () =
   await isSound(page);
   assert.deepEqual(said, []);
   await page.close();
+  const report = await open(`file://${join(folder, "four/report.html")}#t=1.50`);
+  await people(report.page, 4);
+  assert.deepEqual(report.said, []);
+  await report.page.close();
 });
 
 test("a live stage: a pose moves, a dead camera is red, a node that restarts is found again", async () => {

@@ -11,6 +11,8 @@ import { Store } from "./store.js";
 
 const $ = (id) => document.getElementById(id);
 const PARENTS = [-1];
+/** The last pose is shown for this long, seconds; cameras of 5 Hz do not flicker. */
+const AGE = 0.21;
 const SPEEDS = [...$("speed").options].map(({ value }) => Number(value));
 
 const { about, messages } = await (await fetch("about.json")).json();
@@ -77,10 +79,10 @@ function frame(now) {
     view.setRig(shownRig);
     panes.setRig(shownRig);
   } else if (!shownRig) panes.setCameras([...store.keypoints.keys()].sort());
-  const people = peopleAt(chosen.time, "poses", 0.1);
+  const people = peopleAt(chosen.time, "poses", AGE);
   const isAhead = isLive && chosen.playing && chosen.provisional;
   const newest = isAhead ? Math.max(...[...store.performers.values()].map((one) => one.provisional.last ?? 0)) : 0;
-  const ghosts = isAhead ? peopleAt(newest, "provisional", 0.1) : [];
+  const ghosts = isAhead ? peopleAt(newest, "provisional", AGE) : [];
   if (!framed && shownRig && (people.length > 0 || now - ageOfPage > 3000)) {
     framed = true;
     view.frameAll(people);
@@ -92,16 +94,17 @@ function frame(now) {
 /** What changes slowly: lists, lights, charts, the timeline. */
 function tick() {
   source.prepare(chosen.time);
-  const people = peopleAt(chosen.time, "poses", 0.1);
+  const people = peopleAt(chosen.time, "poses", AGE);
   showNode(people);
   showCameras();
   showPerformers(people);
   showEvents();
   showTimeline();
   const [start, end] = source.span;
-  const span = isLive ? [Math.max(start, end - 60), end] : [start, end];
+  const around = [Math.max(start, chosen.time - 8), Math.min(end, chosen.time + 8)];
+  const span = isLive ? [start, end] : around;
   const first = store.performers.get(chosen.performer ?? people[0]?.name);
-  charts.draw(store, isLive ? span : [Math.max(start, chosen.time - 8), Math.min(end, chosen.time + 8)], chosen.time, first);
+  charts.draw(store, span, chosen.time, first);
   $("empty").textContent = emptyState(people);
   $("play").textContent = chosen.playing ? "Pause" : isLive ? "Resume" : "Play";
 }
@@ -126,6 +129,7 @@ function showNode(people) {
   }
   const late = isLive && people.map((one) => one.late).filter((ms) => ms !== undefined).sort((a, b) => a - b);
   if (late && late.length > 0) figures.set("network", `${late[late.length >> 1].toFixed(1)} ms`);
+  if (store.unreadable > 0) figures.set("not readable", `${store.unreadable} messages`);
   if (store.dropped > 0) figures.set("not shown", `${store.dropped} messages: this page is too slow`);
   if (people[0]?.timecode) figures.set("timecode", people[0].timecode);
   const rows = [...figures].map(([name, value]) => {
@@ -399,7 +403,7 @@ bar.addEventListener("pointerdown", (event) => {
 });
 bar.addEventListener("pointermove", scrub);
 $("canvas").addEventListener("dblclick", ({ clientX, clientY }) => {
-  follow(view.pick(clientX, clientY, peopleAt(chosen.time, "poses", 0.1)));
+  follow(view.pick(clientX, clientY, peopleAt(chosen.time, "poses", AGE)));
 });
 
 const KEYS = {
@@ -408,7 +412,7 @@ const KEYS = {
   ArrowRight: () => step(1),
   "[": () => setSpeed(SPEEDS[Math.max(0, SPEEDS.indexOf(chosen.speed) - 1)]),
   "]": () => setSpeed(SPEEDS[Math.min(SPEEDS.length - 1, SPEEDS.indexOf(chosen.speed) + 1)]),
-  f: () => view.frameAll(peopleAt(chosen.time, "poses", 0.1)),
+  f: () => view.frameAll(peopleAt(chosen.time, "poses", AGE)),
   p: () => {
     chosen.provisional = !chosen.provisional;
     source.want(chosen.provisional);

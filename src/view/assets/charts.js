@@ -1,4 +1,4 @@
-// Curves over time: residuals of the cameras, knees and elbows.
+// Curves over time: residuals of the cameras, solve times, knees and elbows.
 
 import { colour } from "./colours.js";
 
@@ -34,9 +34,15 @@ export class Charts {
     const style = getComputedStyle(this.canvas);
     this.ink = style.color;
     context.font = "11px system-ui, sans-serif";
-    const half = Math.floor(width / 2) - 8;
-    this.plot([0, 0, half, height], [from, to], time, "residual, px", this.residuals(store));
-    this.plot([half + 16, 0, half, height], [from, to], time, "knees and elbows, degrees", this.angles(performer));
+    const third = Math.floor((width - 32) / 3);
+    const plots = [
+      ["residual, px", this.residuals(store)],
+      ["solve of a window, ms", this.solves(store)],
+      ["knees, elbows, degrees", this.angles(performer)],
+    ];
+    plots.forEach(([title, curves], place) => {
+      this.plot([place * (third + 16), 0, third, height], [from, to], time, title, curves);
+    });
   }
 
   residuals(store) {
@@ -49,6 +55,14 @@ export class Charts {
       }
       return { name, colour: colour(index), points };
     });
+  }
+
+  solves(store) {
+    const curve = (name, index, read) => {
+      const points = store.statuses.items.map(({ seconds, status }) => [seconds, read(status.windows ?? {}) ?? 0]);
+      return { name, colour: colour(index), points: points.filter(([, ms]) => ms > 0) };
+    };
+    return [curve("p50", 0, ({ solve_p50_ms }) => solve_p50_ms), curve("p99", 5, ({ solve_p99_ms }) => solve_p99_ms)];
   }
 
   angles(performer) {
@@ -74,7 +88,7 @@ export class Charts {
     const [bottom, room] = [top + height - 2, height - 18];
     if (seen.length === 0) {
       context.globalAlpha = 0.6;
-      context.fillText("nothing yet", left, top + 30);
+      context.fillText("nothing here", left, top + 30);
       context.globalAlpha = 1;
       return;
     }
@@ -87,7 +101,7 @@ export class Charts {
     let at = left + context.measureText(title).width + 12;
     for (const { name, colour: tint, points } of curves) {
       context.fillStyle = context.strokeStyle = tint;
-      if (at + 60 < left + width) {
+      if (at + context.measureText(name).width + 12 < left + width) {
         context.fillRect(at, top + 3, 8, 8);
         context.fillStyle = this.ink;
         context.fillText(name, at + 11, top + 10);

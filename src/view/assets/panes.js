@@ -55,7 +55,7 @@ export class Panes {
   draw(store, time, people) {
     for (const [name, pane] of this.panes) {
       const lens = this.lenses?.get(name);
-      const frame = store.keypoints.get(name)?.at(time, 0.12);
+      const frame = store.keypoints.get(name)?.at(time, 0.21);
       const [width, height] = lens ? [lens.width, lens.height] : (frame?.size ?? [16, 9]);
       const wide = Math.round(pane.canvas.clientWidth * Math.min(devicePixelRatio, 2)) || 200;
       const high = Math.round((wide * height) / Math.max(width, 1));

@@ -76,6 +76,7 @@ export class Store {
     /** The usual residual of each camera, pixels. */
     this.usual = new Map();
     this.unreadable = 0;
+    this.states = new Map();
     this.dropped = 0;
     this.otherStages = new Set();
     /** The last command to nodes and recorders, by whomever, and the answers to it. */
@@ -121,13 +122,22 @@ export class Store {
       return;
     }
     const read = (name) => this.decoder.decode(name, payload);
-    if (parts[2] === "rig") this.rig = read("Rig");
+    const readNew = (name, before) => (this.isNew(topic, payload) ? read(name) : before);
+    if (parts[2] === "rig") this.rig = readNew("Rig", this.rig);
     else if (parts[2] === "camera") this.takeKeypoints(read("KeypointFrame"), arrival);
     else if (parts[2] === "events") this.takeEvent(read("Event"));
     else if (parts[2] === "take" && parts[3] === "answers") this.takeAnswer(read("TakeAnswer"));
     else if (parts[2] === "take") this.takeSlate(read("Take"));
     else if (parts[2] === "actor" && parts[4] === "points") this.takePoints(parts[3], capture, payload);
-    else if (parts[2] === "actor") this.takeActor(parts[3], parts.slice(4).join("/"), read, arrival);
+    else if (parts[2] === "actor") this.takeActor(parts[3], parts.slice(4).join("/"), { read, readNew }, arrival);
+  }
+
+  /** Whether a state differs from the last one under that name; each part of a recording begins with all states. */
+  isNew(name, payload) {
+    const before = this.states.get(name);
+    if (before?.length === payload.length && before.every((byte, k) => byte === payload[k])) return false;
+    this.states.set(name, payload.slice());
+    return true;
   }
 
   /** The take that runs is the last one that was begun and not ended. */
@@ -152,12 +162,12 @@ export class Store {
     this.performer(name).points.add(this.seconds(capture), points);
   }
 
-  takeActor(name, channel, read, arrival) {
+  takeActor(name, channel, { read, readNew }, arrival) {
     if (channel === "events") return this.takeEvent(read("Event"), name);
     if (!["pose", "pose/provisional", "skeleton", "status"].includes(channel)) return;
     if (channel === "status") return this.takeStatus(name, read("Status"), arrival);
     const one = this.performer(name);
-    if (channel === "skeleton") one.skeleton = read("Skeleton");
+    if (channel === "skeleton") one.skeleton = readNew("Skeleton", one.skeleton);
     else {
       const pose = read("Pose");
       const item = {

@@ -90,7 +90,9 @@ export class View {
     const sun = new three.DirectionalLight("#ffffff", 1.8);
     sun.position.set(3, 6, 4);
     this.scene.add(new three.HemisphereLight("#ffffff", "#667078", 1.6), sun);
-    this.scene.add(new three.GridHelper(20, 20, "#7d8791", "#aab2ba"));
+    const floor = new three.GridHelper(20, 20, "#7d8791", "#8a949e");
+    [floor.material.transparent, floor.material.opacity] = [true, 0.55];
+    this.scene.add(floor);
     this.final = new Figures(this.scene, 1);
     this.ghosts = new Figures(this.scene, 0.35);
     this.frusta = undefined;
@@ -105,6 +107,7 @@ export class View {
     if (this.frusta) {
       this.scene.remove(this.frusta);
       this.frusta.geometry.dispose();
+      this.frusta.material.dispose();
     }
     const corners = [];
     this.lenses = rig.cameras.map(lensOf);
