@@ -22,7 +22,7 @@ use crate::live::WallClock;
 const WAITING: usize = 4096;
 /// Most messages that go to the page together, and the pause after them.
 const TOGETHER: usize = 512;
-const PAUSE: Duration = Duration::from_millis(4);
+const PAUSE: Duration = Duration::from_millis(12);
 /// How often a page is asked whether it is there, and after which silence it is gone.
 const PING: Duration = Duration::from_secs(5);
 const GONE: Duration = Duration::from_secs(15);

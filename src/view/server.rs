@@ -101,7 +101,7 @@ pub fn start(address: &str, source: Source) -> Result<Running, ViewError> {
     let serve = move || {
         // The page gives way to the solver.
         #[cfg(target_os = "linux")]
-        let _ = rustix::process::nice(10);
+        let _ = rustix::process::nice(19);
         let mut builder = tokio::runtime::Builder::new_current_thread();
         let Ok(runtime) = builder.enable_io().enable_time().build() else { return };
         runtime.block_on(async {
