@@ -21,7 +21,7 @@ pub use core::port::{Carried, Input, Loss, MOST_BYTES, MOST_ORDER_BYTES, Output,
 pub use core::publication::{Content, Publication};
 pub use error::{Elder, NodeError};
 #[cfg(feature = "view")]
-pub(crate) use observe::advice::advice;
+pub(crate) use observe::advice::{advice, is_expected};
 pub use observe::process::Usage;
 pub use observe::{log, metrics};
 pub use replay::compare::{Comparison, Recorded};

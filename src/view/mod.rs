@@ -7,10 +7,10 @@
 //! | path | answer |
 //! |---|---|
 //! | `/` and its files | the page, see `src/view/assets` |
-//! | `/about.json` | what is shown, the fields of the messages, advice on events |
+//! | `/about.json` | what is shown, the fields of the messages, which events are expected, and advice on others |
 //! | `/bus` | WebSocket of a live page: it sends `{"topics": [pattern, ...]}`, and gets frames; `{"take": {"id": 7, "action": "start", "name": "walk_01"}}` commands as `bundlemocap take` does |
 //! | `/overview.json` | of a recording: span, performers, events |
-//! | `/messages?from=NS&to=NS&kinds=pose,keypoints` | of a recording: the frames of a span of capture time |
+//! | `/messages?from=NS&to=NS&kinds=pose,keypoints,status` | of a recording: the rig and the skeletons up to `to`, and the frames of these kinds in a span of capture time |
 //!
 //! A frame is a message: length of the topic (`u32`), topic, capture time and time of arrival (`i64`,
 //! nanoseconds), length of the payload (`u32`), payload; all numbers little-endian. Beside the messages of the

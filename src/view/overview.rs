@@ -12,7 +12,7 @@ use crate::io::wire::{Event, Topic};
 /// A capture time is wrong if its log time comes this much earlier or later than it usually does.
 const FAR: Nanos = Nanos::from_ms(10_000);
 
-/// What a recording holds. Times are seconds since `start`.
+/// What a recording holds. Times are capture times, seconds since `start_ns`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Overview {
     /// Capture time of the first pose or keypoints, nanoseconds, as text: more digits than JSON's numbers.
@@ -129,7 +129,7 @@ impl Gathered {
             Message::Pose(pose) if !pose.provisional => {
                 let pose = pose.to_core().ok()?;
                 let runs = self.performers.entry(Topic::actor(topic)).or_default();
-                add(runs, (pose.capture, pose.state));
+                extend(runs, (pose.capture, pose.state));
                 Some(pose.capture)
             }
             Message::Keypoints(frame) => {
@@ -175,7 +175,7 @@ impl Gathered {
 }
 
 /// Continues the last run, or begins one.
-fn add(runs: &mut Vec<[Stamp; 2]>, at: Stamp) {
+fn extend(runs: &mut Vec<[Stamp; 2]>, at: Stamp) {
     match runs.last_mut() {
         Some([first, last]) if first.1 == at.1 => *last = at,
         _ => runs.push([at; 2]),

@@ -17,7 +17,7 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/app.js", SCRIPT, include_str!("assets/app.js")),
     ("/messages.js", SCRIPT, include_str!("assets/messages.js")),
     ("/store.js", SCRIPT, include_str!("assets/store.js")),
-    ("/hands.js", SCRIPT, include_str!("assets/hands.js")),
+    ("/takes.js", SCRIPT, include_str!("assets/takes.js")),
     ("/lights.js", SCRIPT, include_str!("assets/lights.js")),
     ("/colours.js", SCRIPT, include_str!("../io/report/scene/colours.js")),
     ("/lens.js", SCRIPT, include_str!("../io/report/scene/lens.js")),

@@ -1,5 +1,6 @@
 //! The server of the page, on a thread of its own.
 
+use std::collections::BTreeMap;
 use std::io;
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
 use std::sync::Arc;
@@ -12,7 +13,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use axum::{Router, middleware};
 use serde::Deserialize;
-use serde_json::{Map, Value, json};
+use serde_json::json;
 use tokio::sync::{Semaphore, oneshot};
 
 use super::access::{self, Access};
@@ -22,7 +23,7 @@ use super::recorded::Recorded;
 use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
 use crate::io::recording::RecordError;
-use crate::live::advice;
+use crate::live::{advice, is_expected};
 
 /// Why the page cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -122,7 +123,7 @@ pub fn start(address: &str, source: Source) -> Result<Running, ViewError> {
     Ok(Running { address, token, stop: Some(stop), thread })
 }
 
-/// So many requests read a recording at once.
+/// The number of requests that read a recording at a time.
 static READERS: Semaphore = Semaphore::const_new(4);
 
 fn router(access: Access, source: Source) -> Router {
@@ -137,23 +138,26 @@ fn router(access: Access, source: Source) -> Router {
 }
 
 async fn about(State(source): State<Source>) -> Response {
-    let advice: Map<String, Value> = EventKind::ALL
-        .iter()
-        .filter_map(|kind| Some((kind.name().to_owned(), advice(kind.name())?.into())))
-        .collect();
-    let (shows, name) = match &source {
-        Source::Live(live) => ("live", live.topics.stage.clone()),
-        Source::Recorded(recorded) => ("recording", recorded.name()),
-    };
-    let node = match &source {
-        Source::Live(live) => Some(live.topics.actor.as_str()),
-        Source::Recorded(_) => None,
+    let names = || EventKind::ALL.iter().map(|kind| kind.name());
+    let expected: Vec<&str> = names().filter(|kind| is_expected(kind)).collect();
+    let advice = names().filter_map(|kind| Some((kind, advice(kind)?)));
+    let (shows, name, node) = match &source {
+        Source::Live(live) => ("live", live.topics.stage.clone(), Some(&*live.topics.actor)),
+        Source::Recorded(recorded) => ("recording", recorded.name(), None),
     };
     let about = json!({
-        "version": env!("CARGO_PKG_VERSION"), "shows": shows, "name": name, "node": node, "advice": advice,
+        "version": env!("CARGO_PKG_VERSION"),
+        "shows": shows,
+        "name": name,
+        "node": node,
+        "expected": expected,
+        "advice": advice.collect::<BTreeMap<_, _>>(),
     });
     let fields = include_str!(concat!(env!("OUT_DIR"), "/messages.json"));
-    let text = format!("{{\"about\":{about},\"messages\":{fields}}}");
+    as_json(format!("{{\"about\":{about},\"messages\":{fields}}}"))
+}
+
+fn as_json(text: String) -> Response {
     ([(CONTENT_TYPE, "application/json")], text).into_response()
 }
 
@@ -168,8 +172,8 @@ async fn overview(State(source): State<Source>) -> Response {
     match &source {
         Source::Live(_) => missing(),
         Source::Recorded(recorded) => match serde_json::to_string(recorded.overview()) {
-            Ok(text) => ([(CONTENT_TYPE, "application/json")], text).into_response(),
-            Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
+            Ok(text) => as_json(text),
+            Err(error) => failed(&error),
         },
     }
 }
@@ -190,9 +194,13 @@ async fn messages(State(source): State<Source>, Query(part): Query<Part>) -> Res
     let read = move || recorded.frames(span, &part.kinds.split(',').collect::<Vec<_>>());
     match tokio::task::spawn_blocking(read).await {
         Ok(Ok(frames)) => ([(CONTENT_TYPE, "application/octet-stream")], frames).into_response(),
-        Ok(Err(error)) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
-        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
+        Ok(Err(error)) => failed(&error),
+        Err(error) => failed(&error),
     }
+}
+
+fn failed(error: &dyn std::error::Error) -> Response {
+    (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response()
 }
 
 fn missing() -> Response {

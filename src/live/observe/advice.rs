@@ -1,8 +1,16 @@
-//! What to do about events that go on.
+//! Which events are expected, and what to do about those that go on.
 
 /// Whether events of that kind go on. What to do about unusable messages is in the events.
 pub(crate) fn goes_on(kind: &str) -> bool {
     kind == "unusable" || advice(kind).is_some()
+}
+
+/// Whether events of that kind belong to a good run. Of the kind `clock` only those without a difference do.
+pub(crate) fn is_expected(kind: &str) -> bool {
+    let of_performers = ["acquired", "left", "entered", "reentered"];
+    let of_cameras = ["returned", "calibrated", "rig_changed", "clock"];
+    let of_node = ["latency", "idle", "take"];
+    [&of_performers[..], &of_cameras, &of_node].concat().contains(&kind)
 }
 
 /// What to do about what goes on; `None` for a kind that happens once.

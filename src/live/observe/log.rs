@@ -8,7 +8,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use tracing_subscriber::filter::{EnvFilter, ParseError};
 use tracing_subscriber::fmt::MakeWriter;
 
-use super::advice::{advice, goes_on};
+use super::advice::{advice, goes_on, is_expected};
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::wire::Event;
 use crate::live::error::NodeError;
@@ -232,13 +232,7 @@ fn spoken(kind: &str) -> String {
 
 /// Expected kinds are logged as information, all others as warnings.
 fn line(kind: &str, actor: Option<&str>, camera: Option<&str>, window: Option<u64>, text: &str) {
-    let good = match kind {
-        "acquired" | "left" | "returned" | "calibrated" | "rig_changed" => true,
-        "latency" | "idle" | "take" | "entered" | "reentered" => true,
-        "clock" => text.contains("the cameras use"),
-        _ => false,
-    };
-    if good {
+    if is_expected(kind) && (kind != "clock" || text.contains("the cameras use")) {
         tracing::info!(actor, camera, window, "{text}");
     } else {
         tracing::warn!(actor, camera, window, "{text}");

@@ -2,7 +2,7 @@
 
 import { Charts } from "./charts.js";
 import { colour } from "./colours.js";
-import { cameraLight, levelOf, nodeLight } from "./lights.js";
+import { RANK, cameraLight, levelOf, nodeLight, setExpected } from "./lights.js";
 import { Decoder } from "./messages.js";
 import { Panes } from "./panes.js";
 import { View } from "./scene.js";
@@ -16,6 +16,7 @@ const AGE = 0.21;
 const SPEEDS = [...$("speed").options].map(({ value }) => Number(value));
 
 const { about, messages } = await (await fetch("about.json")).json();
+setExpected(about.expected);
 const isLive = about.shows === "live";
 const store = new Store(new Decoder(messages), about.node ?? undefined);
 const source = isLive
@@ -29,16 +30,16 @@ const panes = new Panes($("panes"), (name) => {
 const charts = new Charts($("charts"));
 
 /** What the user chose. */
-const chosen = { playing: true, time: 0, speed: 1, loop: undefined, provisional: isLive, performer: undefined };
+const chosen = { playing: true, time: 0, speed: 1, loop: undefined, provisional: isLive };
 $("name").textContent = about.name;
 document.title = `${about.name} · bundlemocap`;
 $("speed").parentElement.hidden = isLive;
 source.want(chosen.provisional);
 
-let [shownRig, framed, lastTick, ageOfPage] = [undefined, false, performance.now(), performance.now()];
+let [shownRig, framed, lastPicture, opened] = [undefined, false, performance.now(), performance.now()];
 goToHash();
 
-if (isLive) await import("./hands.js").then(({ hands }) => setInterval(hands(store, source), 250));
+if (isLive) await import("./takes.js").then(({ takes }) => setInterval(takes(store, source), 250));
 
 /** The performers who are there; live, who left is not. */
 const present = () => [...store.performers.values()].filter(({ poses }) => !isLive || poses.times.length > 0);
@@ -47,15 +48,15 @@ const present = () => [...store.performers.values()].filter(({ poses }) => !isLi
 const hidden = new Set();
 
 /** The performers at a time, as scene and panes draw them. */
-function peopleAt(time, channel, age) {
+function peopleAt(time, channel) {
   const people = [];
   for (const one of store.performers.values()) {
-    const pose = one[channel].at(time, age);
+    const pose = one[channel].at(time, AGE);
     if (!pose || hidden.has(one.name)) continue;
     const parents = one.skeleton?.parents ?? PARENTS;
     const head = one.skeleton?.joint_names.indexOf("head") ?? -1;
     if (parents.length * 3 !== pose.joints.length) continue;
-    const points = one.points.at(time, age);
+    const points = one.points.at(time, AGE);
     people.push({ ...pose, points, name: one.name, number: one.number, parents, head });
   }
   return people;
@@ -63,8 +64,8 @@ function peopleAt(time, channel, age) {
 
 function frame(now) {
   requestAnimationFrame(frame);
-  const passed = Math.min(0.2, (now - lastTick) / 1000);
-  lastTick = now;
+  const passed = Math.min(0.2, (now - lastPicture) / 1000);
+  lastPicture = now;
   const [start, end] = source.span;
   if (chosen.playing && isLive) chosen.time = end;
   else if (chosen.playing && source.isReady(chosen.time)) {
@@ -79,11 +80,11 @@ function frame(now) {
     view.setRig(shownRig);
     panes.setRig(shownRig);
   } else if (!shownRig) panes.setCameras([...store.keypoints.keys()].sort());
-  const people = peopleAt(chosen.time, "poses", AGE);
+  const people = peopleAt(chosen.time, "poses");
   const isAhead = isLive && chosen.playing && chosen.provisional;
   const newest = isAhead ? Math.max(...[...store.performers.values()].map((one) => one.provisional.last ?? 0)) : 0;
-  const ghosts = isAhead ? peopleAt(newest, "provisional", AGE) : [];
-  if (!framed && shownRig && (people.length > 0 || now - ageOfPage > 3000)) {
+  const ghosts = isAhead ? peopleAt(newest, "provisional") : [];
+  if (!framed && shownRig && (people.length > 0 || now - opened > 3000)) {
     framed = true;
     view.frameAll(people);
   }
@@ -94,7 +95,7 @@ function frame(now) {
 /** What changes slowly: lists, lights, charts, the timeline. */
 function tick() {
   source.prepare(chosen.time);
-  const people = peopleAt(chosen.time, "poses", AGE);
+  const people = peopleAt(chosen.time, "poses");
   showNode(people);
   showCameras();
   showPerformers(people);
@@ -103,7 +104,7 @@ function tick() {
   const [start, end] = source.span;
   const around = [Math.max(start, chosen.time - 8), Math.min(end, chosen.time + 8)];
   const span = isLive ? [start, end] : around;
-  const first = store.performers.get(chosen.performer ?? people[0]?.name);
+  const first = store.performers.get(view.followed ?? people[0]?.name);
   charts.draw(store, span, chosen.time, first);
   $("empty").textContent = emptyState(people);
   $("play").textContent = chosen.playing ? "Pause" : isLive ? "Resume" : "Play";
@@ -164,12 +165,10 @@ function quantile(edges, counts, share) {
 
 const inMs = (us) => (us === Infinity ? "above all bins" : `≤ ${(us / 1000).toFixed(1)} ms`);
 
-const RANK = ["bad", "warn", "ok", "unknown"];
-
 function showCameras() {
   const names = new Set([...(store.rig?.cameras.map(({ name }) => name) ?? []), ...store.keypoints.keys()]);
   const lights = [...names].map((name) => ({ name, ...cameraLight(store, name, isLive ? Infinity : chosen.time, about.advice) }));
-  lights.sort((a, b) => RANK.indexOf(a.level) - RANK.indexOf(b.level));
+  lights.sort((a, b) => RANK[b.level] - RANK[a.level]);
   const items = lights.map(({ name, level, words, advice, counters }) => {
     panes.setLight(name, level, words.join("\n"));
     const item = document.createElement("li");
@@ -295,16 +294,16 @@ function emptyState(people) {
   if (source.error) return source.error;
   if (!isLive) return store.performers.size === 0 ? "This recording has no poses.\nRun `bundlemocap solve` on it." : "";
   if (!source.connected) return "No connection. It is tried again.";
-  if (performance.now() - ageOfPage < 2500) return "";
+  if (performance.now() - opened < 2500) return "";
   if (store.keypoints.size === 0) {
     source.lookAround();
     const others = [...store.otherStages];
     const seen = others.length > 0 ? ` Seen: ${others.map((name) => `mocap/${name}`).join(", ")}.` : "";
-    return `No keypoints on mocap/${about.name}.${seen}\nStart the detectors, or check their stage and their connection.`;
+    return `No keypoints on mocap/${about.name}.${seen}\nStart the detectors, or check the stage and the address in their settings.`;
   }
   if (!store.rig) return `Keypoints of ${store.keypoints.size} cameras.\nWaiting for a calibration: publish it, or start the node with --rig.`;
   if (store.statusCame === undefined) return "Keypoints and a calibration are here, but no node answers.\nStart `bundlemocap run`.";
-  return "Nobody is tracked. Who is seen by two cameras at least is found within a second.";
+  return "Nobody is tracked. Two cameras must see a person; then the node finds them within a second.";
 }
 
 function element(tag, text, className) {
@@ -372,7 +371,6 @@ function loop() {
 /** Follows a performer, or nobody. */
 function follow(name) {
   view.followed = view.followed === name ? undefined : name;
-  chosen.performer = view.followed;
 }
 
 $("performers").addEventListener("click", ({ target }) => {
@@ -403,7 +401,7 @@ bar.addEventListener("pointerdown", (event) => {
 });
 bar.addEventListener("pointermove", scrub);
 $("canvas").addEventListener("dblclick", ({ clientX, clientY }) => {
-  follow(view.pick(clientX, clientY, peopleAt(chosen.time, "poses", AGE)));
+  follow(view.pick(clientX, clientY, peopleAt(chosen.time, "poses")));
 });
 
 const KEYS = {
@@ -412,7 +410,7 @@ const KEYS = {
   ArrowRight: () => step(1),
   "[": () => setSpeed(SPEEDS[Math.max(0, SPEEDS.indexOf(chosen.speed) - 1)]),
   "]": () => setSpeed(SPEEDS[Math.min(SPEEDS.length - 1, SPEEDS.indexOf(chosen.speed) + 1)]),
-  f: () => view.frameAll(peopleAt(chosen.time, "poses", AGE)),
+  f: () => view.frameAll(peopleAt(chosen.time, "poses")),
   p: () => {
     chosen.provisional = !chosen.provisional;
     source.want(chosen.provisional);

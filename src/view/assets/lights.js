@@ -1,22 +1,27 @@
 // A light for each camera and for the node: ok, warn or bad, and why in words.
 
-import { CLEARLY } from "./store.js";
+import { CLEARLY, median } from "./store.js";
 
-const RANK = { unknown: -1, ok: 0, warn: 1, bad: 2 };
+/** Higher is worse. */
+export const RANK = { unknown: -1, ok: 0, warn: 1, bad: 2 };
 /** A status of this age, seconds, says nothing of now. */
 const OLD = 4;
 /** For how long an event keeps a light on, seconds. */
 const KEPT = 30;
 const BAD = ["camera_moved", "conflict", "dropped", "lost", "overdue", "rig_refused", "silent", "unusable"];
-const GOOD = [
-  "acquired", "body", "calibrated", "clock", "entered", "idle", "latency", "reentered", "returned", "rig_changed", "take",
-];
+let expected = [];
+
+/** Sets the kinds of events that belong to a good run. */
+export function setExpected(kinds) {
+  expected = kinds;
+}
+
 /** What the node says when a moved camera is used again. */
 const FITS_AGAIN = "fits again";
 
 /** How bad an event is. */
 export function levelOf({ kind, detail }) {
-  if (GOOD.includes(kind) || detail.startsWith(FITS_AGAIN)) return "ok";
+  if (expected.includes(kind) || detail.startsWith(FITS_AGAIN)) return "ok";
   return BAD.includes(kind) ? "bad" : "warn";
 }
 
@@ -49,8 +54,6 @@ function eventsOf(store, name, time) {
   const moved = mine.findLast(({ kind }) => kind === "camera_moved");
   return mine.filter((event) => event === moved || (event.kind !== "camera_moved" && now - event.at < KEPT));
 }
-
-const median = (values) => values.sort((a, b) => a - b)[values.length >> 1];
 
 /** The rate that most cameras have, Hz. */
 function usualRate(cameras) {

@@ -2,6 +2,7 @@
 
 import { lensOf, project } from "./lens.js";
 import { colour } from "./colours.js";
+import { median } from "./store.js";
 
 /** A detected person farther from a body than this part of the image's diagonal, in the median, is somebody else. */
 const NEAR = 0.04;
@@ -73,8 +74,6 @@ export class Panes {
     }
   }
 }
-
-const median = (values) => values.sort((a, b) => a - b)[values.length >> 1];
 
 /**
  * The body's keypoints as rings, with a line to what was detected; red beyond three times the camera's usual

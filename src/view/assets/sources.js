@@ -99,20 +99,21 @@ export class Recording {
     this.connected = true;
     this.error = "";
     this.store.base = BigInt(overview.start_ns);
+    /** Whether each part is there, or still being read. */
     this.parts = new Map();
+    /** Number of parts that are being read. */
+    this.reading = 0;
     for (const event of overview.events) store.addEvent(event);
     for (const name of Object.keys(overview.performers)) store.performer(name);
-    this.read(0, "state");
+    this.read(0, "");
   }
 
   get span() {
     return [0, this.overview.seconds];
   }
 
+  /** A recording gives all that it holds. */
   want() {}
-
-  /** Number of parts that are being read. */
-  reading = 0;
 
   async read(part, kinds) {
     const at = (seconds) => this.store.base + BigInt(Math.round(seconds * 1e9));
@@ -145,7 +146,7 @@ export class Recording {
     this.store.keep((now - 4) * PART, (now + 5) * PART);
   }
 
-  /** Whether the picture of a time is there. */
+  /** Whether the messages of a time are there. */
   isReady(time) {
     return this.parts.get(Math.floor(time / PART)) === true;
   }

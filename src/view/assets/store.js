@@ -1,5 +1,8 @@
 // What came so far: the newest of what stays, and the last seconds of what streams.
 
+/** The middle value, which is sorted to its place; `undefined` of none. */
+export const median = (values) => values.sort((a, b) => a - b)[values.length >> 1];
+
 /** Items in order of time, seconds. */
 export class Series {
   constructor() {

@@ -9,7 +9,7 @@ const JOINTS = 22;
 const BONES = JOINTS - 1;
 const UP = new three.Vector3(0, 1, 0);
 
-/** Bones and joints of all performers in one colour scheme; one draw call each. */
+/** Bones and joints of all performers, each in its colour: two draw calls. */
 class Figures {
   constructor(scene, opacity) {
     const material = new three.MeshLambertMaterial({ transparent: opacity < 1, opacity });
@@ -32,7 +32,7 @@ class Figures {
     this.to = new three.Vector3();
   }
 
-  /** Shows these performers: `{ joints, state, number, parents, names }`. */
+  /** Shows these performers: `{ joints, state, number, parents, head }`; joints in the world, metres. */
   show(people) {
     let [bones, joints] = [0, 0];
     for (const { joints: points, state, number, parents, head } of people.slice(0, MOST)) {

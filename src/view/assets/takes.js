@@ -4,8 +4,8 @@ const $ = (id) => document.getElementById(id);
 /** How long nodes and recorders have for an answer, ms. */
 const PATIENCE = 5000;
 
-/** Connects the form with a live stage. The result is to be called often; it shows what goes on. */
-export function hands(store, source) {
+/** Connects the form with a live stage. Call the result a few times a second: it shows the state of the take. */
+export function takes(store, source) {
   let [sent, answers] = [undefined, []];
   const command = (action, name) => {
     sent = { id: BigInt(source.command(action, name)), action, at: performance.now() };
@@ -47,8 +47,8 @@ export function hands(store, source) {
   };
 }
 
-/** The name of the next take: the number at its end is counted on. */
-export function next(name) {
+/** The name of the next take: one more than the number at its end. */
+function next(name) {
   const [, stem, digits] = /^(.*?)(\d*)$/.exec(name);
   return digits ? stem + String(Number(digits) + 1).padStart(digits.length, "0") : `${name}_02`;
 }
