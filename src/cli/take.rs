@@ -22,7 +22,7 @@ const PATIENCE: Duration = Duration::from_secs(4);
 /// Wait for further answers once a node and a recorder have answered.
 const GRACE: Duration = Duration::from_millis(300);
 
-/// Begin or end a take, or forget the performer's body.
+/// Begin or end a take, forget the performer's body, or mend a camera that was moved.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own for the take, so that
@@ -30,6 +30,8 @@ start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own
        performer anew, and publish no poses for some tenths of a second.
 stop   Recorders end the file, one second later. Nodes go on.
 reset  Nodes forget the performer's body: somebody else comes.
+mend   Nodes give a camera that was moved its new pose, once they know it (event camera_moved). The
+       calibration file of the node is written anew; the one before is kept beside it.
 
 Prints who answered. Exit code 13: nobody did. Exit code 6: no recorder or no node answered, or one
 refused.
@@ -37,14 +39,15 @@ refused.
 Examples:
   bundlemocap take start walk_01
   bundlemocap take stop
+  bundlemocap take mend cam03
   bundlemocap take reset --connect tcp/192.168.1.10:7447")]
 pub(super) struct Arguments {
     /// What to do.
     #[arg(value_enum)]
     action: Action,
     /// Name of the take: letters, digits, `-`, `_` and `.`. Without it, stop and reset are for the take
-    /// that runs.
-    #[arg(required_if_eq("action", "start"))]
+    /// that runs. For mend, the name of the camera.
+    #[arg(required_if_eq_any([("action", "start"), ("action", "mend")]))]
     name: Option<String>,
     #[command(flatten)]
     bus: BusArguments,
@@ -58,6 +61,8 @@ enum Action {
     Stop,
     /// Forget the performer's body.
     Reset,
+    /// Give a camera that was moved its new pose.
+    Mend,
 }
 
 impl Action {
@@ -66,6 +71,7 @@ impl Action {
             Self::Start => "start",
             Self::Stop => "stop",
             Self::Reset => "reset",
+            Self::Mend => "mend",
         }
     }
 
@@ -73,7 +79,7 @@ impl Action {
     const fn roles(self) -> &'static [&'static str] {
         match self {
             Self::Start | Self::Stop => &["node", "recorder"],
-            Self::Reset => &["node"],
+            Self::Reset | Self::Mend => &["node"],
         }
     }
 }

@@ -37,6 +37,8 @@ pub struct Config {
     pub time_offsets: bool,
     /// Whether cameras that were moved are found and left out.
     pub watch_cameras: bool,
+    /// Whether a camera that was moved gets its new pose by itself; otherwise when asked to.
+    pub mend_cameras: bool,
     /// Whether the solver gets a processor core of its own, so that poses are published on time.
     pub solver_core: bool,
     /// Largest number of queued messages; beyond it, the camera with most of them loses its oldest.
@@ -59,6 +61,7 @@ impl Default for Config {
             provisional: true,
             time_offsets: true,
             watch_cameras: true,
+            mend_cameras: false,
             solver_core: true,
             queue: 4096,
             prometheus: String::new(),

@@ -44,7 +44,10 @@ impl Collected<'_> {
             }
             Output::Event(event) => *self.events.entry(event.kind).or_default() += event.count,
             Output::Window(report) => self.windows.add(report, driver.window_solve),
-            Output::Skeleton(_) | Output::Keyframe(_) | Output::Solve(_) => {}
+            Output::Skeleton(_)
+            | Output::Keyframe(_)
+            | Output::Solve(_)
+            | Output::Placed { .. } => {}
         }
         Ok(())
     }

@@ -159,7 +159,7 @@ impl PoseFile {
                 let message = wire::Event::from_core(event, camera.map(String::as_str));
                 writer.write(&topics.events(event.kind), event.capture, &message)?;
             }
-            Output::Window(_) | Output::Solve(_) => {}
+            Output::Window(_) | Output::Solve(_) | Output::Placed { .. } => {}
         }
         Ok(())
     }

@@ -50,6 +50,8 @@ fn main() -> Result<(), Box<dyn Error>> {
                     let solved = Input::Solved { performer, solution, took: DELAY };
                     add(&mut happens, now + DELAY, solved);
                 }
+                // The calibration was published too; a node writes it to its file.
+                Output::Mended { .. } => {}
                 Output::Publish(publication) => {
                     if let (Content::Pose(pose), Some(due)) =
                         (&publication.content, publication.due)

@@ -12,7 +12,7 @@ use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::random::Draws;
 use bundlemocap::core::stage::PerformerId;
 use bundlemocap::core::time::{Nanos, Timestamp};
-use bundlemocap::core::tracker::{Job, Solution, Solver, Task};
+use bundlemocap::core::tracker::{Job, Outcome, Solution, Solver, Task, solve_aside};
 use bundlemocap::io::wire::journal_entry::Input as JournalInput;
 use bundlemocap::io::wire::{
     self, Event, KeypointFrame, Pose, Schema, Status, Topics, TrackingState, decode, encode,
@@ -105,6 +105,7 @@ impl World {
                 Task::Acquire { .. } => MS * 40,
                 Task::Track { .. } => MS * 5,
                 Task::Provisional { .. } => MS,
+                Task::Mend { .. } => MS * 200,
             }),
             heard: Heard::default(),
         }
@@ -140,9 +141,16 @@ impl World {
             match output {
                 Output::Wake(at) => self.wake = Some(at.max(self.now + Nanos::new(1))),
                 Output::Solve { performer, job, .. } => {
-                    let is_out = self.answers.iter().any(|(_, other, ..)| *other == performer);
-                    assert!(!is_out, "two jobs of a performer at once");
                     let took = (self.took)(&job);
+                    if matches!(job.task, Task::Mend { .. }) {
+                        let solution = solve_aside(&job);
+                        self.answers.push((self.now + took, performer, solution, took));
+                        continue;
+                    }
+                    let is_out = self.answers.iter().any(|(_, other, solution, _)| {
+                        *other == performer && !matches!(solution.outcome, Outcome::Mended(_))
+                    });
+                    assert!(!is_out, "two jobs of a performer at once");
                     // Searches never take the last solver.
                     let is_search = matches!(job.task, Task::Acquire { .. });
                     let free = if is_search { 1 } else { self.solvers.len() };
@@ -150,6 +158,7 @@ impl World {
                     *free = self.now.max(*free) + took;
                     self.answers.push((*free, performer, self.solver.solve(&job), took));
                 }
+                Output::Mended { .. } => {}
                 Output::Publish(publication) => self.heard.messages.push(Recorded {
                     time: publication.due.map_or(self.now, |due| due.max(self.now)),
                     capture: publication.capture,

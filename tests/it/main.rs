@@ -30,6 +30,8 @@ mod layers;
 #[cfg(feature = "cli")]
 mod live;
 mod manifold;
+#[cfg(feature = "cli")]
+mod mend;
 mod messages;
 #[cfg(feature = "research")]
 mod methods;

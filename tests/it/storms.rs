@@ -116,6 +116,7 @@ fn solved(job: &Job) -> Solution {
             estimator: None,
         })),
         Task::Provisional { .. } => unreachable!("provisional poses are off"),
+        Task::Mend { .. } => Outcome::Mended(None),
     };
     Solution { number: job.number, outcome }
 }
@@ -196,6 +197,7 @@ impl Node {
         self.core.handle(self.now, input);
         while let Some(output) = self.core.poll() {
             match output {
+                Output::Mended { .. } => {}
                 Output::Wake(at) => self.wake = Some(at.max(self.now + Nanos::new(1))),
                 Output::Solve { job, .. } => {
                     self.answer = Some((self.now + Nanos::from_ms(5), solved(&job)));

@@ -3,10 +3,11 @@
 //!
 //! [`Tracks`] collect the performer's limbs in each view. [`time_offsets`] compares pairs of views,
 //! [`LiveOffsets`] does so while the cameras run, [`refine`] adjusts the cameras to triangulated limbs.
-//! [`Watchdog`] finds cameras that are moved while they run.
+//! [`Watchdog`] finds cameras that are moved while they run, and [`mend`] where they are then.
 
 mod epipolar;
 mod live_offsets;
+mod mend;
 mod normal;
 mod refine;
 mod time_offsets;
@@ -16,6 +17,8 @@ mod watchdog;
 
 #[doc(hidden)]
 pub use live_offsets::LiveOffsets;
+#[doc(hidden)]
+pub use mend::{Seen, mend};
 pub use normal::OffsetVerdict;
 pub use refine::{Correction, refine};
 pub use time_offsets::{TimeOffset, time_offsets};

@@ -37,12 +37,12 @@ const NOT_WORSE: f64 = 1.05;
 /// A limb counts like this many independent points, however often it is seen.
 const POINTS_PER_LIMB: f64 = 10.0;
 /// Scale of the Geman-McClure loss in standard deviations.
-const LOSS_SCALE: f64 = 3.0;
+pub(super) const LOSS_SCALE: f64 = 3.0;
 /// Gauss-Newton steps of a set of cameras, and of a point.
 const STEPS: usize = 8;
 const POINT_STEPS: usize = 4;
 /// The median length of a two-dimensional normal vector, in standard deviations.
-const MEDIAN_LENGTH: f64 = 1.1774;
+pub(super) const MEDIAN_LENGTH: f64 = 1.1774;
 
 /// A camera's correction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]

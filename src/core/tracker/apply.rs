@@ -11,9 +11,8 @@ use super::port::{Output, WindowReport};
 use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
 use crate::core::body::{Pose, Skeleton, TrackingState};
-use crate::core::calibration::{Finding, TimeOffset};
 use crate::core::manifold::{self, StampedKeyframe, TimedKeyframe};
-use crate::core::time::{Nanos, Timestamp};
+use crate::core::time::Timestamp;
 
 /// A body is checked if the detections fit it this many times worse than at first.
 const DOUBT: f64 = 1.4;
@@ -21,6 +20,9 @@ const DOUBT: f64 = 1.4;
 impl Tracker {
     /// Applies the solution of the pending job; any other is ignored.
     pub(super) fn apply(&mut self, solution: Solution) {
+        if let Outcome::Mended(placed) = solution.outcome {
+            return self.placed(solution.number, placed.map(|placed| *placed));
+        }
         let Some(PendingJob { window, .. }) =
             self.pending.filter(|job| job.number == solution.number)
         else {
@@ -34,6 +36,7 @@ impl Tracker {
             Outcome::NobodyFound => self.nobody_found(window),
             Outcome::Tracked(tracked) => self.tracked(window, *tracked),
             Outcome::Provisional(fit) => self.fitted(window, *fit),
+            Outcome::Mended(_) => {}
         }
     }
 
@@ -144,61 +147,6 @@ impl Tracker {
         self.start = Some(window.publish);
         self.follow_rate(window.publish);
         self.window += 1;
-    }
-
-    /// Live: corrects the time offsets of cameras, as the performer's motion shows them.
-    fn correct_clocks(&mut self, window: Window, pose: &Pose) {
-        let is_on = self.live.is_some_and(|live| live.time_offsets);
-        let Some(skeleton) = self.skeleton.clone().filter(|_| is_on) else { return };
-        for frame in self.intake.up_to(window.publish + self.tolerance()) {
-            self.offsets.add(&frame, &self.rig, pose, &skeleton);
-        }
-        let step = Nanos::rounded(self.frame_period());
-        let found = self.offsets.correct(Arc::make_mut(&mut self.rig), step);
-        if let Some((camera, TimeOffset { offset: Some(offset), .. })) = found {
-            let detail = format!("about {offset:.0}, corrected step by step");
-            self.event(EventKind::TimeOffset, window.publish, Some(camera), detail);
-        }
-    }
-
-    /// Live: leaves out cameras that were moved, until they fit again.
-    fn watch_cameras(&mut self, window: Window, poses: &[Pose]) {
-        let is_on = self.live.is_some_and(|live| live.watch_cameras)
-            && (self.estimator.is_complete() || self.watchdog.has_begun());
-        let (Some(skeleton), Some(grid)) = (self.skeleton.clone(), self.output_grid()) else {
-            return;
-        };
-        if !is_on || poses.len() < 2 {
-            return;
-        }
-        let times: Vec<Timestamp> = grid.between(window.start, window.publish).collect();
-        for frame in self.intake.up_to(window.publish + self.tolerance()) {
-            let after = times.partition_point(|time| *time < frame.capture);
-            let k = after.clamp(1, poses.len() - 1);
-            let s = frame.capture.fraction(times[k - 1], times[k]);
-            let pose = poses[k - 1].interpolate(&poses[k], s);
-            self.watchdog.add(&frame, &self.rig, &pose, &skeleton);
-        }
-        let Some(finding) = self.watchdog.judge(window.publish, &self.rig) else { return };
-        let (camera, detail) = match finding {
-            Finding::Moved(camera, pixels) => {
-                let by = match pixels {
-                    Some(pixels) => {
-                        format!("its image shifted by {pixels:.1} px against the others'")
-                    }
-                    None => "it sees nobody where the performer is".to_owned(),
-                };
-                let fix = "put it back or publish a new calibration";
-                (Some(camera), format!("moved: {by}, it is left out; {fix}"))
-            }
-            Finding::FitsAgain(camera) => (Some(camera), "fits again and is used".to_owned()),
-            Finding::OneMoved(cameras, pixels) => {
-                let [first, second] = cameras.map(|camera| &self.rig.cameras[camera].name);
-                let detail = format!("{first} or {second} moved: {pixels:.1} px between them");
-                (None, detail)
-            }
-        };
-        self.event(EventKind::CameraMoved, window.publish, camera, detail);
     }
 
     /// Checks a complete body again if the detections fit it worse than at first.

@@ -1,5 +1,6 @@
 //! Jobs for the solver, and their solutions.
 
+use std::fmt;
 use std::sync::Arc;
 
 use super::agreement::Unfollowed;
@@ -7,7 +8,8 @@ use super::body_estimator::BodyEstimator;
 use super::effort::Effort;
 use super::noise::{Noise, Residual};
 use crate::core::body::{Pose, Skeleton, TrackingState};
-use crate::core::camera::Rig;
+use crate::core::calibration::{Correction, Seen};
+use crate::core::camera::{Camera, Rig};
 use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::manifold::TimedKeyframe;
 use crate::core::optimise::Summary;
@@ -108,6 +110,13 @@ pub enum Task {
         /// Number of the last known keyframes that are solved again with the new ones.
         again: usize,
     },
+    /// Find where a camera is that was moved. It may take long, and nothing waits for it.
+    Mend {
+        /// Its index.
+        camera: usize,
+        /// What was seen since it was moved.
+        seen: Arc<Seen>,
+    },
 }
 
 /// The solution of a job.
@@ -138,6 +147,27 @@ pub enum Outcome {
     Tracked(Box<Tracked>),
     /// The open window was fitted.
     Provisional(Box<ProvisionalFit>),
+    /// Where the moved camera is now, if that could be told.
+    Mended(Option<Box<Placed>>),
+}
+
+/// A camera that was moved: where it is now, and the way there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Placed {
+    /// The camera in its new pose.
+    pub camera: Camera,
+    /// How it was moved.
+    pub by: Correction,
+}
+
+impl fmt::Display for Placed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Correction { rotation: [turn, of_turn], position: [shift, of_shift], .. } = self.by;
+        let [turn, of_turn] = [turn, of_turn].map(f64::to_degrees);
+        let [shift, of_shift] = [shift, of_shift].map(|metres| metres * 100.0);
+        write!(f, "turned by {turn:.1} ± {of_turn:.1} degrees, ")?;
+        write!(f, "moved by {shift:.1} ± {of_shift:.1} cm")
+    }
 }
 
 /// A pose and its capture time.

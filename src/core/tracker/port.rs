@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::agreement::Unfollowed;
 use super::event::Event;
-use super::job::{Job, Solution, Verdict};
+use super::job::{Job, Placed, Solution, Verdict};
 use super::noise::Residual;
 use crate::core::body::{Skeleton, StampedPose};
 use crate::core::camera::Rig;
@@ -53,6 +53,13 @@ pub enum Output {
     Window(Box<WindowReport>),
     /// An event.
     Event(Event),
+    /// Where a camera is that was moved and is left out; each replaces the one before.
+    Placed {
+        /// Its index.
+        camera: usize,
+        /// Where it is; `None` if it is back.
+        placed: Option<Box<Placed>>,
+    },
 }
 
 /// The result of a window.

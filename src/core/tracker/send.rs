@@ -22,6 +22,7 @@ impl Tracker {
             let mut rig = Arc::unwrap_or_clone(rig);
             rig.shift_times(self.offsets.corrections());
             self.watchdog = Watchdog::new(rig.cameras.len());
+            self.mending.clear();
             self.rig = Arc::new(rig);
             if !self.is_fed {
                 self.event(EventKind::Calibrated, window.start, None, detail);
@@ -68,12 +69,18 @@ impl Tracker {
         self.send(Window { end, publish: end, ..window }, task)
     }
 
-    /// Sends a job, unless no frame has arrived yet. Returns whether it did.
+    /// Sends the job of the open window, unless no frame has arrived yet. Returns whether it did.
     fn send(&mut self, window: Window, task: Task) -> bool {
-        let Some(format) = self.intake.format() else { return false };
+        let number = self.put_job(window, task);
+        self.pending = number.map(|number| PendingJob { number, window }).or(self.pending);
+        number.is_some()
+    }
+
+    /// Puts out a job, unless no frame has arrived yet. Returns its number.
+    pub(super) fn put_job(&mut self, window: Window, task: Task) -> Option<u64> {
+        let format = self.intake.format()?;
         let number = self.jobs;
         self.jobs += 1;
-        self.pending = Some(PendingJob { number, window });
         let pose_times = match (&task, self.output_grid()) {
             (Task::Provisional { .. }, _) => self.fit_times(window),
             (_, Some(grid)) => grid.between(window.start, window.publish).collect(),
@@ -97,7 +104,7 @@ impl Tracker {
             noise: self.noise,
             task,
         })));
-        true
+        Some(number)
     }
 
     /// The times of the window's keyframes.

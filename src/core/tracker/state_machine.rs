@@ -11,6 +11,7 @@ use super::frame_rate::FramePeriod;
 use super::idle::Idle;
 use super::intake::Intake;
 use super::job::{Job, Solution};
+use super::mending::Mending;
 use super::noise::Noise;
 use super::playout::{Latency, Live, MARGIN, Playout, ROUNDING};
 use super::port::{Input, Output};
@@ -96,6 +97,8 @@ pub struct Tracker {
     pub(super) playout: Playout,
     pub(super) offsets: LiveOffsets,
     pub(super) watchdog: Watchdog,
+    /// Cameras that were moved and are left out.
+    pub(super) mending: Vec<Mending>,
     /// Cameras that were found moved from another performer.
     pub(super) left_out: Vec<bool>,
     pub(super) outputs: VecDeque<Output>,
@@ -140,6 +143,7 @@ impl Tracker {
             playout: Playout::default(),
             offsets: LiveOffsets::new(cameras),
             watchdog: Watchdog::new(cameras),
+            mending: Vec::new(),
             left_out: Vec::new(),
             outputs: VecDeque::new(),
         }

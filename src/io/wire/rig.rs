@@ -3,8 +3,9 @@
 use nalgebra::Matrix3;
 
 use super::check::{Field, field};
-use super::{CalibratedCamera, DecodeError, LensKind, Rig};
+use super::{CalibratedCamera, DecodeError, LensKind, Rig, encode};
 use crate::core::camera::{self, Camera, CameraError, Lens};
+use crate::core::fnv::fnv1a;
 use crate::core::so3;
 use crate::core::time::Nanos;
 
@@ -19,6 +20,15 @@ impl Rig {
             version: rig.version,
             cameras: rig.cameras.iter().map(CalibratedCamera::from_core).collect(),
         }
+    }
+
+    /// The same with a version of its own: a hash of the cameras, so it depends on them only.
+    #[must_use]
+    pub fn with_own_version(self) -> Self {
+        let rig = Self { version: 0, ..self };
+        let hash = fnv1a(&encode(&rig));
+        // Every language's numbers can hold 32 bits.
+        Self { version: ((hash >> 32) ^ (hash & 0xffff_ffff)).max(1), ..rig }
     }
 
     /// The cameras.

@@ -147,7 +147,9 @@ impl Core {
         match output {
             tracker::Output::Solve(job) => {
                 self.jobs += 1;
-                self.performer(performer).sent = Some(self.now);
+                if !matches!(job.task, Task::Mend { .. }) {
+                    self.performer(performer).sent = Some(self.now);
+                }
                 let deadline = self.deadline(&job);
                 self.outputs.push_back(Output::Solve { performer, job, deadline });
             }
@@ -165,6 +167,9 @@ impl Core {
             tracker::Output::Keyframe(keyframe) => self.keyframe(performer, &keyframe),
             tracker::Output::Window(report) => self.window(performer, &report),
             tracker::Output::Event(event) => self.performer_event(performer, &event),
+            tracker::Output::Placed { camera, placed } => {
+                self.placed(camera, placed.map(|placed| *placed));
+            }
         }
     }
 
@@ -177,7 +182,7 @@ impl Core {
             Task::Provisional { .. } => self.now + PROVISIONAL,
             Task::Track { .. } if due > self.now => due,
             Task::Track { .. } => self.now + OVERDUE,
-            Task::Acquire { .. } => self.now + SEARCH,
+            Task::Acquire { .. } | Task::Mend { .. } => self.now + SEARCH,
         }
     }
 

@@ -1,7 +1,7 @@
 //! Per camera: counters, frame rate, and signs of a second publisher.
 
 use crate::core::time::{Nanos, Timestamp};
-use crate::core::tracker::{EventKind, UnitCheck};
+use crate::core::tracker::{EventKind, Placed, UnitCheck};
 use crate::io::wire::CameraCounters;
 
 /// This many conflicts in a second between frame numbers and capture times mean two publishers.
@@ -24,6 +24,8 @@ pub(super) struct Camera {
     has_other_unit: bool,
     /// Whether its clock has been reported as off.
     pub(super) is_off: bool,
+    /// Where it is, if it was moved and that is known.
+    pub(super) placed: Option<Placed>,
 }
 
 impl Camera {
@@ -108,6 +110,7 @@ impl Camera {
             offset_s,
             drift_ppm,
             waited_for,
+            moved: self.placed.as_ref().map(Placed::to_string).unwrap_or_default(),
             ..self.counters.clone()
         }
     }

@@ -6,6 +6,7 @@ mod events;
 mod governor;
 pub(super) mod journal;
 mod latency;
+mod mend;
 mod messages;
 mod performer;
 mod performers;

@@ -80,6 +80,13 @@ pub enum Output {
     },
     /// A message to publish.
     Publish(Publication),
+    /// A camera was mended: this calibration is in use in place of the one of that version.
+    Mended {
+        /// The calibration.
+        rig: wire::Rig,
+        /// Version of the one before.
+        instead_of: u64,
+    },
     /// Asks for an [`Input::Tick`] at this time of the node's clock, unless another input comes
     /// later than that. Replaces the time asked for before.
     Wake(Timestamp),

@@ -85,6 +85,7 @@ impl Core {
             self.cameras = names.into_iter().map(Camera::new).collect();
             self.clock = Clock::new(self.cameras.len());
         }
+        self.cameras.iter_mut().for_each(|camera| camera.placed = None);
         self.known_rigs.extend(self.has_rig_file().then(|| fnv1a(bytes)));
         self.event(EventKind::RigChanged, None, format!("{}, from {source}", told(&message)));
         self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });

@@ -1,4 +1,4 @@
-//! Slates: a take begins, ends, or the performer's body is forgotten.
+//! Slates: a take begins, ends, the performer's body is forgotten, or a camera is mended.
 //!
 //! A take is a run of its own: at its start the node begins anew with the calibration, the body, the
 //! latency and the time offsets that are known, and the head of the take's journal holds them. So a
@@ -42,7 +42,7 @@ impl Core {
         self.answer(take.id, done);
     }
 
-    /// Ends the take or forgets the body; says what was done.
+    /// Ends the take, forgets the body or mends a camera; says what was done.
     fn follow(&mut self, take: &Take) -> Result<String, String> {
         let is_other = !take.name.is_empty() && take.name != self.running;
         match take.action.as_str() {
@@ -56,6 +56,7 @@ impl Core {
                 self.give(stage::Input::Forget);
                 Ok("the body is forgotten and estimated anew".to_owned())
             }
+            "mend" => self.mend(&take.name),
             "start" => Err(format!("{:?} cannot be the name of a take", take.name)),
             other => Err(format!("{other:?} is no action")),
         }

@@ -279,7 +279,7 @@ struct Run<'a> {
     core: Core,
     solver: Solver,
     by_hash: HashMap<(&'a str, u64), &'a [u8]>,
-    jobs: HashMap<PerformerId, Box<Job>>,
+    jobs: HashMap<(PerformerId, u64), Box<Job>>,
     outputs: Vec<Recorded>,
 }
 
@@ -297,7 +297,7 @@ impl<'a> Run<'a> {
             Some(Entry::Message(message)) => self.message(index, message)?,
             Some(Entry::Solved(solved)) => {
                 let performer = PerformerId(solved.performer as usize);
-                let job = self.jobs.remove(&performer).filter(|job| job.number == solved.job);
+                let job = self.jobs.remove(&(performer, solved.job));
                 let job = job.ok_or_else(|| senseless(format!("job {} is not out", solved.job)))?;
                 let solution = Box::new(self.solver.solve(&job));
                 Input::Solved {
@@ -338,7 +338,9 @@ impl<'a> Run<'a> {
         self.core.handle(now, input);
         while let Some(output) = self.core.poll() {
             match output {
-                Output::Solve { performer, job, .. } => drop(self.jobs.insert(performer, job)),
+                Output::Solve { performer, job, .. } => {
+                    self.jobs.insert((performer, job.number), job);
+                }
                 Output::Publish(publication) => self.outputs.push(Recorded {
                     time: publication.due.unwrap_or(now),
                     capture: publication.capture,
@@ -346,7 +348,7 @@ impl<'a> Run<'a> {
                     schema: publication.content.schema().into(),
                     payload: publication.content.encode(),
                 }),
-                Output::Wake(_) => {}
+                Output::Wake(_) | Output::Mended { .. } => {}
             }
         }
     }

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, never, select_biased};
+use crossbeam_channel::{Receiver, Sender, never, select_biased};
 
 use super::outlet::Outlet;
 use super::playout::Playout;
@@ -44,6 +44,8 @@ pub(crate) struct NodeLoop {
     pub(crate) outlet: Outlet,
     pub(crate) board: Arc<Board>,
     pub(crate) rig_topic: String,
+    /// Calibrations with a mended camera, each with the version of the one before; for the file.
+    pub(crate) mended: Sender<(Rig, u64)>,
     pub(crate) progress: Progress,
 }
 
@@ -184,6 +186,10 @@ impl NodeLoop {
                 }
                 Output::Wake(at) => self.progress.wake = Some(at),
                 Output::Publish(publication) => self.publish(publication, now),
+                // There is room: a camera is mended once in a while.
+                Output::Mended { rig, instead_of } => {
+                    let _ = self.mended.try_send((rig, instead_of));
+                }
             }
         }
         self.progress.events.end_seconds(now);

@@ -1,10 +1,9 @@
-//! The calibration file: read at the start and whenever it changes.
+//! The calibration file: read at the start and whenever it changes, and written when a camera was mended.
 
 use std::path::PathBuf;
 use std::time::SystemTime;
 
-use crate::core::fnv::fnv1a;
-use crate::io::formats::{ImportError, Up, read_calibration};
+use crate::io::formats::{ImportError, Up, read_calibration, write_calibration};
 use crate::io::wire::{Rig, encode};
 
 /// A calibration file that is checked for changes.
@@ -62,16 +61,38 @@ impl RigFile {
     }
 
     fn read(&self) -> Result<Rig, ImportError> {
-        let mut rig = Rig { version: 0, ..Rig::from_core(&read_calibration(&self.path, self.up)?) };
-        rig.version = version(&encode(&rig));
-        Ok(rig)
+        Ok(Rig::from_core(&read_calibration(&self.path, self.up)?).with_own_version())
     }
-}
 
-/// A 32-bit hash, never 0; every language's numbers can hold it.
-fn version(bytes: &[u8]) -> u64 {
-    let hash = fnv1a(bytes);
-    ((hash >> 32) ^ (hash & 0xffff_ffff)).max(1)
+    /// Writes a calibration in place of the one of that version, which is kept beside it. Says where the
+    /// one and the other are. A file that we cannot write, such as Qualisys', stays as it is: the new
+    /// calibration is written beside it.
+    ///
+    /// # Errors
+    /// The file has changed, or a file cannot be written.
+    pub fn replace(&mut self, rig: &Rig, instead_of: u64) -> Result<String, String> {
+        let path = self.path.display();
+        if self.version != instead_of || self.look() != self.stamp {
+            return Err(format!("{path} was changed meanwhile, it is not written"));
+        }
+        let cameras = rig.to_core().map_err(|error| error.to_string())?;
+        let is_ours = std::fs::read_to_string(&self.path)
+            .is_ok_and(|text| text.parse::<toml::Table>().is_ok());
+        if !is_ours {
+            let beside = self.path.with_extension("mended.toml");
+            write_calibration(&beside, &cameras, self.up).map_err(|error| error.to_string())?;
+            let beside = beside.display();
+            return Ok(format!(
+                "{path} is of another format and stays; the new one is {beside}, set [node] rig to it"
+            ));
+        }
+        let before = self.path.with_extension(format!("{instead_of}.toml"));
+        let kept = std::fs::copy(&self.path, &before);
+        kept.map_err(|error| format!("cannot write {}: {error}", before.display()))?;
+        write_calibration(&self.path, &cameras, self.up).map_err(|error| error.to_string())?;
+        (self.stamp, self.version) = (self.look(), rig.version);
+        Ok(format!("{path} has the new one; the one before is {}", before.display()))
+    }
 }
 
 #[cfg(test)]
@@ -118,6 +139,33 @@ rotation = [0.1, 0.2, 0.3]
         assert_eq!(file.changed().unwrap(), None, "the same cameras again");
         fs::write(&path, calibration(1.0) + "\n").unwrap();
         assert_eq!(version(&file.changed().unwrap().unwrap()), version(&first));
+    }
+
+    #[test]
+    fn a_mended_calibration_is_written_and_the_one_before_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rig.toml");
+        fs::write(&path, calibration(1.0)).unwrap();
+        let (mut file, first) = RigFile::open(path.clone(), Up::Z).unwrap();
+        let before = decode::<Rig>(&first).unwrap();
+        let mut cameras = before.to_core().unwrap();
+        cameras.cameras[1].translation.x += 0.1;
+        let mended = Rig::from_core(&cameras).with_own_version();
+        let said = file.replace(&mended, before.version).unwrap();
+        let kept = folder.path().join(format!("rig.{}.toml", before.version));
+        assert!(said.contains(&kept.display().to_string()), "{said}");
+        assert_eq!(fs::read_to_string(&kept).unwrap(), calibration(1.0));
+        assert_eq!(file.changed().unwrap(), None, "it is in use already");
+        let read = read_calibration(&path, Up::Z).unwrap();
+        assert_eq!(read.cameras[1].translation, cameras.cameras[1].translation);
+
+        // Once more, and somebody changes the file.
+        let again = Rig { version: 5, ..mended.clone() };
+        file.replace(&again, mended.version).unwrap();
+        fs::write(&path, calibration(2.0) + "\n").unwrap();
+        let error = file.replace(&mended, 5).unwrap_err();
+        assert!(error.contains("changed"), "{error}");
+        assert!(fs::read_to_string(&path).unwrap().starts_with("[one]"));
     }
 
     #[test]

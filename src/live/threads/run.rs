@@ -18,7 +18,7 @@ use super::solvers::Solvers;
 use crate::core::tracker::{Job, Solver};
 use crate::io::bus::{Bus, Guard};
 use crate::io::wire::{
-    Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, TakeAnswer, Topics,
+    Event, Journal, Keyframe, Pose, Rig, Schema, Skeleton, Status, TakeAnswer, Topics,
 };
 use crate::live::clock::wall::WallClock;
 use crate::live::config::Config;
@@ -31,6 +31,9 @@ use crate::live::observe::endpoint::Endpoint;
 const LOOK: Duration = Duration::from_millis(500);
 /// Most batches of deviations that wait for the node loop; there is one per second.
 const BATCHES: usize = 64;
+/// Most calibrations that wait to be written.
+const MENDED: usize = 64;
+
 /// A live node.
 pub struct Node;
 
@@ -90,9 +93,10 @@ impl Node {
 
         let (stop_looking, looking) = bounded(0);
         let mut threads = Vec::new();
+        let (mended, to_write) = bounded(MENDED);
         let rigs = match config.rig.as_str() {
             "" => never(),
-            path => watch_rig(path.into(), config, looking, &mut threads)?,
+            path => watch_rig(path.into(), config, (looking, to_write), &mut threads)?,
         };
         let playout = Arc::<Playout>::default();
         let played = start_playout(&bus, &topics, clock, &playout, &board, &mut threads)?;
@@ -110,6 +114,7 @@ impl Node {
             outlet: loop_outlet(&bus, &topics, &board)?,
             board: Arc::clone(&board),
             rig_topic: topics.rig(),
+            mended,
             progress: Progress::default(),
         };
         let (alive, over) = bounded(0);
@@ -261,11 +266,12 @@ fn start_playout(
     Ok(played)
 }
 
-/// Starts the thread that reads the calibration file until `looking` closes.
+/// Starts the thread that reads the calibration file, and writes the given ones to it, until `looking`
+/// closes.
 fn watch_rig(
     path: PathBuf,
     config: &Config,
-    looking: Receiver<()>,
+    (looking, to_write): (Receiver<()>, Receiver<(Rig, u64)>),
     threads: &mut Vec<(&'static str, JoinHandle<()>)>,
 ) -> Result<Receiver<Vec<u8>>, NodeError> {
     let (mut file, first) = RigFile::open(path, config.rig_up)?;
@@ -274,6 +280,12 @@ fn watch_rig(
     let work = move || {
         let mut unsent = None;
         while looking.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
+            for (rig, instead_of) in to_write.try_iter() {
+                match file.replace(&rig, instead_of) {
+                    Ok(done) => tracing::info!("the mended calibration is written: {done}"),
+                    Err(why) => tracing::warn!("the mended calibration is only used: {why}"),
+                }
+            }
             let path = file.path().display().to_string();
             match file.changed() {
                 Ok(None) => {}

@@ -1,7 +1,8 @@
 //! The solver threads, and the jobs that wait for them.
 //!
 //! The job with the earliest deadline comes first. Searches take longest; with several threads, one is kept
-//! free of them, so that who enters delays nobody.
+//! free of them, so that who enters delays nobody. What nothing waits for, the place of a moved camera, has a
+//! thread of its own.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -12,12 +13,15 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use super::cpu_affinity::SolverCore;
 use crate::core::stage::PerformerId;
 use crate::core::time::{Nanos, Timestamp};
-use crate::core::tracker::{Job, Solution, Task};
+use crate::core::tracker::{self, Job, Solution, Task};
 use crate::live::error::NodeError;
 
 /// A solver without a core of its own gives way to the other threads of the program.
 #[cfg(unix)]
 const GIVES_WAY: i32 = 10;
+/// The thread for which nothing waits gives way to all others.
+#[cfg(unix)]
+const LAST: i32 = 19;
 
 /// A solution from a solver's thread.
 pub(crate) struct Answer {
@@ -37,10 +41,10 @@ struct Waiting {
 }
 
 impl Waiting {
-    /// The most urgent job that may be solved now.
-    fn pop(&mut self) -> Option<(PerformerId, Box<Job>)> {
+    /// The most urgent job that may be solved now, of those that something waits for or of the others.
+    fn pop(&mut self, aside: bool) -> Option<(PerformerId, Box<Job>)> {
         let is_full = self.searches >= self.most_searches;
-        let may_be_next = |job: &Job| !(is_full && is_search(job));
+        let may_be_next = |job: &Job| is_aside(job) == aside && !(is_full && is_search(job));
         let ready = (0..self.jobs.len()).filter(|&index| may_be_next(&self.jobs[index].2));
         let next = ready.min_by_key(|&index| (self.jobs[index].0, self.jobs[index].1))?;
         let (_, performer, job) = self.jobs.swap_remove(next);
@@ -53,12 +57,17 @@ fn is_search(job: &Job) -> bool {
     matches!(job.task, Task::Acquire { .. })
 }
 
+fn is_aside(job: &Job) -> bool {
+    matches!(job.task, Task::Mend { .. })
+}
+
 /// The way to the solver threads. Each of them has one too: all end when one is dropped, so also when a
 /// thread panics.
 pub(crate) struct Solvers(Arc<(Mutex<Waiting>, Condvar)>);
 
 impl Solvers {
-    /// Starts a thread for each function that solves; the first one runs on `core`, if there is one.
+    /// Starts a thread for each function that solves, the first one on `core`, if there is one; and one for
+    /// the jobs that nothing waits for.
     ///
     /// # Errors
     /// The system cannot start a thread.
@@ -70,22 +79,20 @@ impl Solvers {
         let count = solvers.len().max(1);
         let waiting = Waiting { most_searches: (count - 1).max(1), ..Waiting::default() };
         let shared = Arc::new((Mutex::new(waiting), Condvar::new()));
-        // Each performer has one job out at most; the node loop takes all answers.
-        let (sender, answers) = bounded(count);
+        // The node loop takes all answers.
+        let (sender, answers) = bounded(count + 1);
         for solver in solvers {
-            let core = core.take();
-            let (all, sender) = (Self(Arc::clone(&shared)), sender.clone());
-            let work = move || serve(solver, core, &all.0, &sender);
-            let thread = std::thread::Builder::new().name("solver".into()).spawn(work);
-            threads.push(("solver", thread.map_err(NodeError::Thread)?));
+            let place = core.take().map_or(Place::Shared, Place::Core);
+            start(solver, place, &shared, &sender, threads)?;
         }
+        start(tracker::solve_aside, Place::Aside, &shared, &sender, threads)?;
         Ok((Self(shared), answers))
     }
 
     /// Adds a job. Returns at once.
     pub(crate) fn push(&self, deadline: Timestamp, performer: PerformerId, job: Box<Job>) {
         lock(&self.0.0).jobs.push((deadline, performer, job));
-        self.0.1.notify_one();
+        self.0.1.notify_all();
     }
 }
 
@@ -100,25 +107,51 @@ fn lock(waiting: &Mutex<Waiting>) -> MutexGuard<'_, Waiting> {
     waiting.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Where a thread runs.
+enum Place {
+    /// On a core of its own.
+    Core(SolverCore),
+    /// It shares the cores with the threads that publish on time.
+    Shared,
+    /// The same, for the jobs that nothing waits for.
+    Aside,
+}
+
+fn start(
+    solve: impl FnMut(&Job) -> Solution + Send + 'static,
+    place: Place,
+    shared: &Arc<(Mutex<Waiting>, Condvar)>,
+    answers: &Sender<Answer>,
+    threads: &mut Vec<(&'static str, JoinHandle<()>)>,
+) -> Result<(), NodeError> {
+    let (all, answers) = (Solvers(Arc::clone(shared)), answers.clone());
+    let work = move || serve(solve, place, &all.0, &answers);
+    let thread = std::thread::Builder::new().name("solver".into()).spawn(work);
+    threads.push(("solver", thread.map_err(NodeError::Thread)?));
+    Ok(())
+}
+
 /// The loop of a thread: solves until there are no more jobs and none will come.
 fn serve(
     mut solve: impl FnMut(&Job) -> Solution,
-    core: Option<SolverCore>,
+    place: Place,
     (waiting, changed): &(Mutex<Waiting>, Condvar),
     answers: &Sender<Answer>,
 ) {
-    match core {
-        Some(core) => core.enter(),
-        // It shares the cores with the threads that publish on time.
+    let aside = matches!(place, Place::Aside);
+    match place {
+        Place::Core(core) => core.enter(),
         #[cfg(unix)]
-        None => drop(rustix::process::nice(GIVES_WAY)),
+        Place::Shared => drop(rustix::process::nice(GIVES_WAY)),
+        #[cfg(unix)]
+        Place::Aside => drop(rustix::process::nice(LAST)),
         #[cfg(not(unix))]
-        None => {}
+        _ => {}
     }
     loop {
         let mut open = lock(waiting);
         let (performer, job) = loop {
-            if let Some(next) = open.pop() {
+            if let Some(next) = open.pop(aside) {
                 break next;
             }
             if open.is_closed {
@@ -132,7 +165,7 @@ fn serve(
         let took = Nanos::from(begin.elapsed());
         if is_search(&job) {
             lock(waiting).searches -= 1;
-            changed.notify_one();
+            changed.notify_all();
         }
         if answers.send(Answer { performer, solution, took }).is_err() {
             return;
@@ -145,7 +178,6 @@ mod tests {
     use super::*;
     use crate::core::camera::Rig;
     use crate::core::detections::KeypointFormat;
-    use crate::core::tracker;
 
     fn search() -> Box<Job> {
         let at = Timestamp::default();

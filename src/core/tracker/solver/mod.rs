@@ -11,9 +11,10 @@ use std::sync::Arc;
 
 use super::association::follow;
 use super::config::Config;
-use super::job::{Job, Outcome, Solution, Task};
+use super::job::{Job, Outcome, Placed, Solution, Task};
 use super::spin_pool::SpinPool;
 use crate::core::body::{BodyPoint, Pose, Skeleton, fitted_points};
+use crate::core::calibration::mend;
 use crate::core::cost::{FrameObservations, Workspace};
 use crate::core::detections::Detections;
 use crate::core::manifold::{Decoder, Keyframe};
@@ -24,6 +25,16 @@ use known::Known;
 /// The acquisition stops if a step lowers the cost by less than this fraction; small, because the
 /// shape comes from it.
 const ACQUISITION_CHANGE: f64 = 1e-4;
+
+/// Solves a job that nothing waits for ([`Task::Mend`]), without a solver. Of others it knows nothing.
+pub fn solve_aside(job: &Job) -> Solution {
+    let placed = match &job.task {
+        Task::Mend { camera, seen } => mend(seen, &job.rig, *camera),
+        _ => None,
+    };
+    let placed = placed.map(|(camera, by)| Box::new(Placed { camera, by }));
+    Solution { number: job.number, outcome: Outcome::Mended(placed) }
+}
 
 /// Solves jobs. The same job always gives the same solution.
 pub struct Solver {
@@ -83,6 +94,7 @@ impl Solver {
             Task::Provisional { past, ahead, skeleton, again } => {
                 self.provisional(job, &points, Known { past, ahead, skeleton }, *again)
             }
+            Task::Mend { .. } => solve_aside(job).outcome,
         }
     }
 

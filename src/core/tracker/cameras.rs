@@ -1,0 +1,111 @@
+//! What the performer's motion says about the cameras: shifted clocks, and cameras that were moved.
+
+use std::sync::Arc;
+
+use super::event::EventKind;
+use super::job::{Placed, Task};
+use super::mending::Mending;
+use super::port::Output;
+use super::state_machine::Tracker;
+use super::window::Window;
+use crate::core::body::Pose;
+use crate::core::calibration::{Finding, Seen, TimeOffset};
+use crate::core::time::{Nanos, Timestamp};
+
+impl Tracker {
+    /// Live: corrects the time offsets of cameras, as the performer's motion shows them.
+    pub(super) fn correct_clocks(&mut self, window: Window, pose: &Pose) {
+        let is_on = self.live.is_some_and(|live| live.time_offsets);
+        let Some(skeleton) = self.skeleton.clone().filter(|_| is_on) else { return };
+        for frame in self.intake.up_to(window.publish + self.tolerance()) {
+            self.offsets.add(&frame, &self.rig, pose, &skeleton);
+        }
+        let step = Nanos::rounded(self.frame_period());
+        let found = self.offsets.correct(Arc::make_mut(&mut self.rig), step);
+        if let Some((camera, TimeOffset { offset: Some(offset), .. })) = found {
+            let detail = format!("about {offset:.0}, corrected step by step");
+            self.event(EventKind::TimeOffset, window.publish, Some(camera), detail);
+        }
+    }
+
+    /// Live: leaves out cameras that were moved, until they fit again.
+    pub(super) fn watch_cameras(&mut self, window: Window, poses: &[Pose]) {
+        let is_on = self.live.is_some_and(|live| live.watch_cameras)
+            && (self.estimator.is_complete() || self.watchdog.has_begun());
+        let (Some(skeleton), Some(grid)) = (self.skeleton.clone(), self.output_grid()) else {
+            return;
+        };
+        if !is_on || poses.len() < 2 {
+            return;
+        }
+        let times: Vec<Timestamp> = grid.between(window.start, window.publish).collect();
+        let frames = self.intake.up_to(window.publish + self.tolerance());
+        for frame in &frames {
+            let after = times.partition_point(|time| *time < frame.capture);
+            let k = after.clamp(1, poses.len() - 1);
+            let s = frame.capture.fraction(times[k - 1], times[k]);
+            let pose = poses[k - 1].interpolate(&poses[k], s);
+            self.watchdog.add(frame, &self.rig, &pose, &skeleton);
+        }
+        let poses = times.into_iter().zip(poses.iter().cloned()).collect();
+        self.watch_moved(window, &Seen { frames, poses, body: skeleton });
+        let Some(finding) = self.watchdog.judge(window.publish, &self.rig) else { return };
+        let (camera, detail) = match finding {
+            Finding::Moved(camera, pixels) => {
+                let by = match pixels {
+                    Some(pixels) => {
+                        format!("its image shifted by {pixels:.1} px against the others'")
+                    }
+                    None => "it sees nobody where the performer is".to_owned(),
+                };
+                let fix = "put it back or publish a new calibration";
+                (Some(camera), format!("moved: {by}, it is left out; {fix}"))
+            }
+            Finding::FitsAgain(camera) => {
+                self.outputs.push_back(Output::Placed { camera, placed: None });
+                (Some(camera), "fits again and is used".to_owned())
+            }
+            Finding::OneMoved(cameras, pixels) => {
+                let [first, second] = cameras.map(|camera| &self.rig.cameras[camera].name);
+                let detail = format!("{first} or {second} moved: {pixels:.1} px between them");
+                (None, detail)
+            }
+        };
+        self.event(EventKind::CameraMoved, window.publish, camera, detail);
+    }
+
+    /// Adds what a window has seen to what is known since cameras were moved, and asks the solver when it is
+    /// enough.
+    fn watch_moved(&mut self, window: Window, seen: &Seen) {
+        let left_out = self.left_out();
+        let mut all = std::mem::take(&mut self.mending);
+        all.retain(|mending| left_out[mending.camera]);
+        for camera in (0..left_out.len()).filter(|&camera| left_out[camera]) {
+            if !all.iter().any(|mending| mending.camera == camera) {
+                all.push(Mending::new(camera));
+            }
+        }
+        for mending in &mut all {
+            if let Some(seen) = mending.add(seen) {
+                mending.job = self.put_job(window, Task::Mend { camera: mending.camera, seen });
+            }
+        }
+        self.mending = all;
+    }
+
+    /// Applies the answer to the job of a moved camera. Others are ignored.
+    pub(super) fn placed(&mut self, job: u64, placed: Option<Placed>) {
+        let asked = self.mending.iter_mut().find(|mending| mending.job == Some(job));
+        let Some(mending) = asked else { return };
+        let (camera, is_new) = (mending.camera, mending.answer(placed));
+        let Some(placed) = mending.known.clone() else { return };
+        if is_new {
+            let name = &placed.camera.name;
+            let fix = format!("put it back, or mend it there: bundlemocap take mend {name}");
+            let detail = format!("{placed}; it is left out; {fix}");
+            let at = self.start.unwrap_or_default();
+            self.event(EventKind::CameraMoved, at, Some(camera), detail);
+        }
+        self.outputs.push_back(Output::Placed { camera, placed: Some(Box::new(placed)) });
+    }
+}
