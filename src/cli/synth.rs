@@ -62,6 +62,10 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "METRES", num_args = 0..=1, default_missing_value = "0.7",
         allow_negative_numbers = true)]
     meet: Option<f64>,
+    /// Bump the last camera after that many seconds: it is turned by 3 degrees and moved by 10 cm, and the
+    /// calibration does not know.
+    #[arg(long, value_name = "SECONDS")]
+    bump: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -126,6 +130,7 @@ fn crowd(arguments: &Arguments, frames: u64) -> Result<Crowd<AnyMotion>, Failure
         (recording.fps, recording.frames) = (arguments.fps, frames);
         (recording.format, recording.stagger) = (format, arguments.stagger);
         (recording.noise, recording.seed) = (arguments.noise.noise(), arguments.seed);
+        recording.bump = arguments.bump;
         recording
     };
     let mut people = Vec::new();
@@ -185,6 +190,9 @@ fn provenance(arguments: &Arguments) -> Provenance {
     }
     if let Some(metres) = arguments.meet {
         command += &format!(" --meet {metres}");
+    }
+    if let Some(seconds) = arguments.bump {
+        command += &format!(" --bump {seconds}");
     }
     Provenance { more: BTreeMap::from([("command".to_owned(), command)]), ..Provenance::default() }
 }

@@ -62,7 +62,7 @@ impl Live {
 enum Order {
     /// The messages of topics that match these patterns, and no others.
     Topics(Vec<String>),
-    /// To begin or end a take, or to make nodes forget the body; as `bundlemocap take`.
+    /// To begin or end a take, to make nodes forget the body, or to mend a camera; as `bundlemocap take`.
     Take(Slate),
 }
 
@@ -79,8 +79,9 @@ impl Slate {
     /// The command, unless the page has not checked what the user entered.
     fn take(self) -> Option<Take> {
         let Self { id, action, name } = self;
-        let is_known = ["start", "stop", "reset"].contains(&&*action);
-        let is_named = if name.is_empty() { action != "start" } else { valid_name(&name).is_ok() };
+        let is_known = ["start", "stop", "reset", "mend"].contains(&&*action);
+        let needs_name = ["start", "mend"].contains(&&*action);
+        let is_named = if name.is_empty() { !needs_name } else { valid_name(&name).is_ok() };
         (is_known && is_named).then_some(Take { id: id.into(), action, name })
     }
 }

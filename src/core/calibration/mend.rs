@@ -3,7 +3,9 @@
 //! In each frame of the camera, the rotation that turns the body's limbs to those of a person is that of
 //! the move, about; a person who is somebody else gives another one each time. From the rotation on which
 //! most frames agree, the pose of the camera is fitted to the limbs. The body as the other cameras solve it
-//! is less noisy than points that they triangulate: it gives half the error.
+//! is less noisy than points that they triangulate: it gives half the error. Detector, body and lens give
+//! each camera a pattern of its own, which turns a fitted camera by a degree. So it is also fitted to what
+//! was seen before it was moved; the way from there to its new pose is that of the move.
 
 use std::sync::Arc;
 
@@ -12,7 +14,7 @@ use nalgebra::{Matrix2x3, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use super::refine::{Correction, LOSS_SCALE, MEDIAN_LENGTH};
 use super::tracks::{LIMBS, performer, pixel};
 use crate::core::body::{Attachment, Pose, Skeleton};
-use crate::core::camera::{Camera, Rig};
+use crate::core::camera::Camera;
 use crate::core::detections::{Detections, Keypoint, Person};
 use crate::core::points::median;
 use crate::core::so3;
@@ -30,12 +32,14 @@ const AGREE: f64 = 0.035;
 /// Frames of a camera that are used.
 const FRAMES: usize = 1000;
 const STEPS: usize = 20;
+/// Parts of the time that are compared.
+const PARTS: usize = 8;
 /// Largest standard errors of the rotation and the position: 0.1 degrees, 1 cm.
 const MOST_ERROR: [f64; 2] = [0.0017453292519943296, 0.01];
-/// The camera's points may be this many times as far from the body as those of the others.
+/// The camera's points may be this many times as far from the body as before.
 const AS_GOOD: f64 = 1.5;
 
-/// What was seen since a camera was moved.
+/// What was seen in some time.
 #[derive(Clone, Debug)]
 pub struct Seen {
     /// Frames of all cameras, in order of capture time.
@@ -64,35 +68,45 @@ impl Seen {
     }
 }
 
-/// The camera `moved` of `rig` where it is now, and the way there. `None` if that is not known well
-/// enough: the performer was seen too little, or the camera's points do not fit the body as well as those
-/// of the others do.
-pub fn mend(seen: &Seen, rig: &Rig, moved: usize) -> Option<(Camera, Correction)> {
-    let original = rig.cameras.get(moved)?;
+/// The camera `moved`, calibrated as `original`, where it is now, and the way there; from what was seen
+/// before and after it was moved. `None` if that is not known well enough: the performer was seen too
+/// little, or the camera's points do not fit the body as well as before.
+pub fn mend(
+    [before, after]: [&Seen; 2],
+    original: &Camera,
+    moved: usize,
+) -> Option<(Camera, Correction)> {
+    let as_seen = views(before, original, moved);
+    let (usual, of_usual) = fit(original.clone(), &as_seen)?;
     let mut guess = original.clone();
-    guess.rotation = guess_turn(seen, original, moved)? * original.rotation;
+    guess.rotation = guess_turn(after, original, moved)? * original.rotation;
     guess.translation = -(guess.rotation * original.centre_in_world());
-    let views = views(seen, &guess, moved);
-    let (camera, [of_rotation, of_position]) = fit(guess, &views)?;
+    let views = views(after, &guess, moved);
+    let (now, of_now) = fit(guess, &views)?;
 
-    let others = rig.cameras.iter().enumerate().filter(|(index, _)| *index != moved);
-    let of_other = |(index, camera)| distance(camera, &self::views(seen, camera, index));
-    let mut others: Vec<f64> = others.filter_map(of_other).collect();
-    let [before, after] = [original, &camera].map(|camera| distance(camera, &views));
-    let is_known = of_rotation < MOST_ERROR[0] && of_position < MOST_ERROR[1];
+    // The camera's own pattern turns and shifts it by as much as before.
+    let mut camera = original.clone();
+    let turn = original.rotation * usual.rotation.transpose();
+    camera.rotation = turn * now.rotation;
+    camera.translation = turn * (now.translation - usual.translation) + original.translation;
+
+    let error = |k: usize| of_usual[k].hypot(of_now[k]);
     let by = Correction {
         significant: true,
-        rotation: [so3::angle_between(&camera.rotation, &original.rotation), of_rotation],
-        position: [(camera.centre_in_world() - original.centre_in_world()).norm(), of_position],
+        rotation: [so3::angle_between(&camera.rotation, &original.rotation), error(0)],
+        position: [(camera.centre_in_world() - original.centre_in_world()).norm(), error(1)],
         focal: [0.0; 2],
-        disagreement_px: [before, after],
+        disagreement_px: [distance(original, &views), distance(&now, &views)],
     };
-    (is_known && after? < AS_GOOD * median(&mut others)?).then_some((camera, by))
+    let is_known = error(0) < MOST_ERROR[0] && error(1) < MOST_ERROR[1];
+    let is_good = by.disagreement_px[1]? < AS_GOOD * distance(&usual, &as_seen)?;
+    (is_known && is_good).then_some((camera, by))
 }
 
 /// A limb of the body and where a camera sees it.
 struct View {
-    limb: usize,
+    /// Part of the time.
+    part: usize,
     /// In the world, metres.
     at: Vector3<f64>,
     /// Normalised, distortion removed.
@@ -101,17 +115,19 @@ struct View {
 
 /// What a camera, by index, sees of the performer.
 fn views(seen: &Seen, camera: &Camera, index: usize) -> Vec<View> {
-    let of_frame = |frame: &Arc<Detections>| {
+    let frames = frames(seen, index, FRAMES);
+    let of_frame = |(number, frame): (usize, &Arc<Detections>)| {
         let pose = seen.pose(frame.capture)?;
         let person = performer(frame, camera, &pose, &seen.body)?;
         let posture = pose.posture(&seen.body);
-        let view = |(limb, point): (usize, &Keypoint)| {
-            let at = Attachment::of(*point).position(&posture, &seen.body);
-            Some(View { limb, at, seen: camera.undistort(&pixel(person, frame, *point)?)? })
+        let view = |limb: &Keypoint| {
+            let at = Attachment::of(*limb).position(&posture, &seen.body);
+            let seen = camera.undistort(&pixel(person, frame, *limb)?)?;
+            Some(View { part: number * PARTS / frames.len(), at, seen })
         };
-        Some(LIMBS.iter().enumerate().filter_map(view).collect::<Vec<_>>())
+        Some(LIMBS.iter().filter_map(view).collect::<Vec<_>>())
     };
-    frames(seen, index, FRAMES).into_iter().filter_map(of_frame).flatten().collect()
+    frames.iter().copied().enumerate().filter_map(of_frame).flatten().collect()
 }
 
 /// At most that many frames of a camera, spread over the time.
@@ -143,50 +159,52 @@ fn distance(camera: &Camera, views: &[View]) -> Option<f64> {
 }
 
 /// Robust Gauss-Newton steps from a camera's pose, and the standard errors of its rotation (radians) and
-/// position (metres). A limb is a cluster, because a detector misplaces a limb alike in all frames.
+/// position (metres): as far as parts of the time differ.
 fn fit(mut camera: Camera, views: &[View]) -> Option<(Camera, [f64; 2])> {
-    let mut covariance = SMatrix::<f64, 6, 6>::zeros();
+    let mut errors = [f64::INFINITY; 2];
     for _ in 0..STEPS {
         let scale = LOSS_SCALE * (distance(&camera, views)? / MEDIAN_LENGTH).max(0.5);
-        let mut hessian = SMatrix::<f64, 6, 6>::zeros();
-        let mut of_limbs = [SVector::<f64, 6>::zeros(); LIMBS.len()];
+        let mut hessians = [SMatrix::<f64, 6, 6>::zeros(); PARTS];
+        let mut gradients = [SVector::<f64, 6>::zeros(); PARTS];
         for view in views {
             let Some((residual, by)) = residual(&camera, view) else { continue };
             let large = residual.norm_squared() / (scale * scale);
             let weight = 1.0 / ((1.0 + large) * (1.0 + large));
-            hessian += by.tr_mul(&by) * weight;
-            of_limbs[view.limb] += by.tr_mul(&residual) * weight;
+            hessians[view.part] += by.tr_mul(&by) * weight;
+            gradients[view.part] += by.tr_mul(&residual) * weight;
         }
-        let inverse = hessian.cholesky()?.inverse();
-        let step = -(inverse * of_limbs.iter().sum::<SVector<f64, 6>>());
-        let spread: SMatrix<f64, 6, 6> = of_limbs.iter().map(|of| of * of.transpose()).sum();
-        covariance = inverse * spread * inverse;
+        let inverse = hessians.iter().sum::<SMatrix<f64, 6, 6>>().cholesky()?.inverse();
+        let step = -(inverse * gradients.iter().sum::<SVector<f64, 6>>());
+        let spread: SMatrix<f64, 6, 6> = gradients.iter().map(|of| of * of.transpose()).sum();
+        let few = PARTS as f64 / (PARTS - 1) as f64;
+        let covariance = inverse * spread * inverse * few;
+        let error = |from| covariance.diagonal().fixed_rows::<3>(from).sum().max(0.0).sqrt();
+        errors = [error(0), error(3)];
         let turn = so3::exp(&step.fixed_rows::<3>(0).into());
         camera.rotation = turn * camera.rotation;
         camera.translation = turn * camera.translation + step.fixed_rows::<3>(3);
     }
-    let few = LIMBS.len() as f64 / (LIMBS.len() - 1) as f64;
-    let error = |from| (few * covariance.diagonal().fixed_rows::<3>(from).sum().max(0.0)).sqrt();
-    Some((camera, [error(0), error(3)]))
+    Some((camera, errors))
 }
 
 /// The rotation on which most frames of the moved camera agree.
 fn guess_turn(seen: &Seen, camera: &Camera, moved: usize) -> Option<Matrix3<f64>> {
-    let turns = frames(seen, moved, GUESSES).into_iter().flat_map(|frame| {
-        let posture = seen.pose(frame.capture).map(|pose| pose.posture(&seen.body));
-        let limbs = posture.map(|posture| {
-            LIMBS.map(|limb| {
-                let at = Attachment::of(limb).position(&posture, &seen.body);
-                (camera.rotation * at + camera.translation).normalize()
-            })
+    // Of each frame, one for each person who is alike.
+    let turns = frames(seen, moved, GUESSES).into_iter().filter_map(|frame| {
+        let posture = seen.pose(frame.capture)?.posture(&seen.body);
+        let limbs = LIMBS.map(|limb| {
+            let at = Attachment::of(limb).position(&posture, &seen.body);
+            (camera.rotation * at + camera.translation).normalize()
         });
-        frame.people.iter().filter_map(move |person| turn(frame, person, camera, limbs.as_ref()?))
+        let turns = frame.people.iter().filter_map(|person| turn(frame, person, camera, &limbs));
+        Some(turns.collect()).filter(|turns: &Vec<_>| !turns.is_empty())
     });
-    let turns: Vec<Matrix3<f64>> = turns.collect();
+    let turns: Vec<Vec<Matrix3<f64>>> = turns.collect();
     let agreeing = |turn: &Matrix3<f64>| {
-        turns.iter().filter(|other| so3::angle_between(turn, other) < AGREE).count()
+        let agrees = |other: &Matrix3<f64>| so3::angle_between(turn, other) < AGREE;
+        turns.iter().filter(|frame| frame.iter().any(agrees)).count()
     };
-    let most = turns.iter().max_by_key(|turn| agreeing(turn))?;
+    let most = turns.iter().flatten().max_by_key(|turn| agreeing(turn))?;
     (2 * agreeing(most) > turns.len()).then_some(*most)
 }
 

@@ -18,6 +18,8 @@ pub struct Crowd {
     rig: Arc<Rig>,
     sets: Sets,
     people: People,
+    /// Cameras that were moved: what they see is nobody's.
+    left_out: Vec<bool>,
 }
 
 impl Crowd {
@@ -34,7 +36,8 @@ impl Crowd {
             min_confidence: config.min_confidence,
         };
         let sets = Sets::new(rig.cameras.len(), config, period);
-        Self { rig, sets, people: People::new(performers.limit(), gates) }
+        let people = People::new(performers.limit(), gates);
+        Self { rig, sets, people, left_out: Vec::new() }
     }
 
     /// Adds a frame.
@@ -84,7 +87,9 @@ impl Crowd {
     /// any. Capture times are those of the cameras' common clock.
     pub fn next(&mut self, all: bool) -> Option<(Timestamp, Vec<Change>)> {
         let Complete { at, frames, until } = self.sets.next(all)?;
-        Some((at, self.people.process(at, frames, until, &self.rig)))
+        let is_left_out = |frame: &Detections| self.left_out.get(frame.camera) == Some(&true);
+        let (aside, frames) = frames.into_iter().partition(is_left_out);
+        Some((at, self.people.process(at, (frames, aside), until, &self.rig)))
     }
 
     /// The performers so far, without their bodies.
@@ -105,6 +110,11 @@ impl Crowd {
     /// What is to be reported of the cameras since the last call.
     pub fn events(&mut self) -> Vec<Event> {
         std::mem::take(&mut self.sets.events)
+    }
+
+    /// By camera, whether it was moved and is left out.
+    pub fn leave_out_moved(&mut self, cameras: Vec<bool>) {
+        self.left_out = cameras;
     }
 
     /// The cameras have another calibration from here on.

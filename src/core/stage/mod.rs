@@ -287,6 +287,7 @@ impl Stage {
             self.give_all(input);
         }
         while let Some((at, changes)) = crowd.next(is_end) {
+            self.watch(crowd.last());
             changes.into_iter().for_each(|change| self.apply(at, change));
         }
         let events = crowd.events().into_iter().map(|event| Next::Output(Output::Event(event)));
@@ -295,6 +296,24 @@ impl Stage {
             self.give_all(&input);
         }
         self.crowd = Some(crowd);
+    }
+
+    /// Live: gives the lead the frames of one time, with those people who are no other performer's.
+    fn watch(&mut self, last: &FrameSet) {
+        if !self.template.live_settings().is_some_and(|live| live.watch_cameras) {
+            return;
+        }
+        for Claimed { frame, owners } in &last.frames {
+            let may_be_lead = |owner: &Owner| match owner {
+                Owner::Performer(performer) => *performer == self.lead,
+                Owner::Other | Owner::Nobody => true,
+            };
+            let people = frame.people.iter().zip(owners);
+            let people = people.filter(|(_, owner)| may_be_lead(owner));
+            let people = people.map(|(person, _)| person.clone()).collect();
+            let seen = tracker::Input::Seen(Detections { people, ..*frame });
+            self.next.push_back(Next::Tracker(self.lead, seen));
+        }
     }
 
     fn give_all(&mut self, input: &tracker::Input) {
@@ -399,6 +418,9 @@ impl Stage {
                 if number != self.lead {
                     tracker.leave_out_moved(left_out.clone());
                 }
+            }
+            if let Some(crowd) = &mut self.crowd {
+                crowd.leave_out_moved(left_out.clone());
             }
             self.template.leave_out_moved(left_out);
         }

@@ -181,11 +181,12 @@ impl People {
         }
     }
 
-    /// Finds everybody in the frames of one time; `complete` is that up to which there are all frames.
+    /// Finds everybody in the frames of one time, and nobody in those `aside`; `complete` is the time up
+    /// to which there are all frames.
     pub(super) fn process(
         &mut self,
         at: Timestamp,
-        frames: Vec<Detections>,
+        (frames, aside): (Vec<Detections>, Vec<Detections>),
         complete: Timestamp,
         rig: &Rig,
     ) -> Vec<Change> {
@@ -226,7 +227,11 @@ impl People {
         let performers: Vec<usize> = performers.collect();
         changes.extend(performers.iter().map(|&one| Change::Complete(one, complete)));
         let claimed = |(frame, owners)| Claimed { frame, owners };
-        let frames = frames.into_iter().zip(owners).map(claimed).collect();
+        let nobodys = aside.into_iter().map(|frame| {
+            let owners = vec![Owner::Nobody; frame.people.len()];
+            Claimed { frame, owners }
+        });
+        let frames = frames.into_iter().zip(owners).map(claimed).chain(nobodys).collect();
         self.last = FrameSet { frames, performers };
         changes
     }

@@ -10,7 +10,11 @@ use super::state_machine::Tracker;
 use super::window::Window;
 use crate::core::body::Pose;
 use crate::core::calibration::{Finding, Seen, TimeOffset};
+use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
+
+/// One of several performers: how long frames are kept to watch the cameras with.
+const SEEN: Nanos = Nanos::from_ms(2000);
 
 impl Tracker {
     /// Live: corrects the time offsets of cameras, as the performer's motion shows them.
@@ -39,7 +43,7 @@ impl Tracker {
             return;
         }
         let times: Vec<Timestamp> = grid.between(window.start, window.publish).collect();
-        let frames = self.intake.up_to(window.publish + self.tolerance());
+        let frames = self.frames_to_watch(window);
         for frame in &frames {
             let after = times.partition_point(|time| *time < frame.capture);
             let k = after.clamp(1, poses.len() - 1);
@@ -48,7 +52,7 @@ impl Tracker {
             self.watchdog.add(frame, &self.rig, &pose, &skeleton);
         }
         let poses = times.into_iter().zip(poses.iter().cloned()).collect();
-        self.watch_moved(window, &Seen { frames, poses, body: skeleton });
+        self.watch_moved(window, Seen { frames, poses, body: skeleton });
         let Some(finding) = self.watchdog.judge(window.publish, &self.rig) else { return };
         let (camera, detail) = match finding {
             Finding::Moved(camera, pixels) => {
@@ -74,19 +78,40 @@ impl Tracker {
         self.event(EventKind::CameraMoved, window.publish, camera, detail);
     }
 
+    /// Keeps a frame to watch the cameras with.
+    pub(super) fn note_seen(&mut self, frame: Detections) {
+        let oldest = frame.capture - SEEN;
+        self.seen.push_back(Arc::new(frame));
+        while self.seen.front().is_some_and(|frame| frame.capture < oldest) {
+            self.seen.pop_front();
+        }
+    }
+
+    /// The frames of a window that show who may be the performer.
+    fn frames_to_watch(&mut self, window: Window) -> Vec<Arc<Detections>> {
+        let until = window.publish + self.tolerance();
+        if !self.is_fed {
+            return self.intake.up_to(until);
+        }
+        let count = self.seen.partition_point(|frame| frame.capture <= until);
+        let frames = self.seen.drain(..count);
+        frames.filter(|frame| frame.capture > window.start).collect()
+    }
+
     /// Adds what a window has seen to what is known since cameras were moved, and asks the solver when it is
     /// enough.
-    fn watch_moved(&mut self, window: Window, seen: &Seen) {
+    fn watch_moved(&mut self, window: Window, seen: Seen) {
+        let Some(seen) = self.memory.add(seen).cloned() else { return };
         let left_out = self.left_out();
         let mut all = std::mem::take(&mut self.mending);
         all.retain(|mending| left_out[mending.camera]);
         for camera in (0..left_out.len()).filter(|&camera| left_out[camera]) {
             if !all.iter().any(|mending| mending.camera == camera) {
-                all.push(Mending::new(camera));
+                all.extend(Mending::new(camera, &self.memory, window.publish));
             }
         }
         for mending in &mut all {
-            if let Some(seen) = mending.add(seen) {
+            if let Some(seen) = mending.add(&seen) {
                 mending.job = self.put_job(window, Task::Mend { camera: mending.camera, seen });
             }
         }

@@ -114,8 +114,8 @@ pub enum Task {
     Mend {
         /// Its index.
         camera: usize,
-        /// What was seen since it was moved.
-        seen: Arc<Seen>,
+        /// What was seen before and after it was moved.
+        seen: [Arc<Seen>; 2],
     },
 }
 

@@ -1,24 +1,72 @@
-//! What is seen since a camera was moved.
+//! What is seen before and after a camera was moved.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::job::Placed;
 use crate::core::calibration::Seen;
+use crate::core::detections::Detections;
 use crate::core::so3;
-use crate::core::time::Nanos;
+use crate::core::time::{Nanos, Timestamp};
 
-/// The solver is asked each time that as much more was seen.
+/// Of this much time, the frames of the first third are enough.
+const EVERY: Nanos = Nanos::from_ms(60);
+/// How long what was seen before is remembered; what was seen in the last part of it may be after the
+/// move.
+const REMEMBERED: Nanos = Nanos::from_ms(60_000);
+const UNSURE: Nanos = Nanos::from_ms(12_000);
+/// The solver is asked each time that as much more was seen since the move.
 const STEP: Nanos = Nanos::from_ms(10_000);
 /// After this time it begins anew, for the camera may have been moved again.
-const LONGEST: Nanos = Nanos::from_ms(40_000);
+const LONGEST: Nanos = Nanos::from_ms(80_000);
 /// From here on it is another pose than the one that is known: 1 degree, 4 cm.
 const ANOTHER: (f64, f64) = (0.0175, 0.04);
+
+/// What was seen of late, window by window.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Memory {
+    windows: VecDeque<Seen>,
+}
+
+impl Memory {
+    /// Adds what a window has seen; returns what is kept of it.
+    pub(super) fn add(&mut self, mut window: Seen) -> Option<&Seen> {
+        let is_kept =
+            |frame: &Arc<Detections>| frame.capture.ns().rem_euclid(EVERY.ns()) < EVERY.ns() / 3;
+        window.frames.retain(is_kept);
+        let [_, end] = window.span()?;
+        let is_over = |old: &Seen| old.span().is_none_or(|[begin, _]| end - begin > REMEMBERED);
+        let has_body = |old: &Seen| Arc::ptr_eq(&old.body, &window.body);
+        while self.windows.front().is_some_and(|old| is_over(old) || !has_body(old)) {
+            self.windows.pop_front();
+        }
+        self.windows.push_back(window);
+        self.windows.back()
+    }
+
+    /// What was seen before a move that was noticed now.
+    fn before(&self, now: Timestamp) -> Option<Seen> {
+        let is_sure = |seen: &&Seen| seen.span().is_some_and(|[_, end]| now - end > UNSURE);
+        joined(self.windows.iter().filter(is_sure))
+    }
+}
+
+/// Several windows as one.
+fn joined<'a>(mut windows: impl Iterator<Item = &'a Seen>) -> Option<Seen> {
+    let mut all = windows.next()?.clone();
+    for window in windows {
+        all.frames.extend_from_slice(&window.frames);
+        all.poses.extend_from_slice(&window.poses);
+    }
+    Some(all)
+}
 
 /// A camera that was moved and is left out.
 #[derive(Clone, Debug)]
 pub(super) struct Mending {
     pub(super) camera: usize,
-    seen: Option<Arc<Seen>>,
+    before: Arc<Seen>,
+    after: Option<Arc<Seen>>,
     /// Length of what must be seen for the next job.
     next: Nanos,
     /// The job that is out.
@@ -27,24 +75,27 @@ pub(super) struct Mending {
 }
 
 impl Mending {
-    pub(super) fn new(camera: usize) -> Self {
-        Self { camera, seen: None, next: STEP, job: None, known: None }
+    /// `None` if nothing is known of the time before.
+    pub(super) fn new(camera: usize, memory: &Memory, now: Timestamp) -> Option<Self> {
+        let before = Arc::new(memory.before(now)?);
+        Some(Self { camera, before, after: None, next: STEP, job: None, known: None })
     }
 
-    /// Adds what a window has seen. Returns all when the solver is to be asked.
-    pub(super) fn add(&mut self, window: &Seen) -> Option<Arc<Seen>> {
+    /// Adds what a window has seen. Returns what was seen before and after the move when the solver is to
+    /// be asked.
+    pub(super) fn add(&mut self, window: &Seen) -> Option<[Arc<Seen>; 2]> {
         if self.job.is_some() {
             return None;
         }
         let is_old = |seen: &Arc<Seen>| !Arc::ptr_eq(&seen.body, &window.body);
-        if self.next > LONGEST || self.seen.as_ref().is_some_and(is_old) {
-            (self.seen, self.next) = (None, STEP);
+        if self.next > LONGEST || self.after.as_ref().is_some_and(is_old) {
+            (self.after, self.next) = (None, STEP);
         }
-        let Some(seen) = &mut self.seen else {
-            self.seen = Some(Arc::new(window.clone()));
+        let Some(after) = &mut self.after else {
+            self.after = Some(Arc::new(window.clone()));
             return None;
         };
-        let all = Arc::make_mut(seen);
+        let all = Arc::make_mut(after);
         all.frames.extend_from_slice(&window.frames);
         all.poses.extend_from_slice(&window.poses);
         let [first, last] = all.span()?;
@@ -52,7 +103,7 @@ impl Mending {
             return None;
         }
         self.next = self.next + STEP;
-        Some(Arc::clone(seen))
+        Some([Arc::clone(&self.before), Arc::clone(after)])
     }
 
     /// Notes the answer of the solver. Returns whether the camera is somewhere else than was known.

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::event::EventKind;
 use super::job::{Job, Task};
+use super::mending::Memory;
 use super::port::Output;
 use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
@@ -23,6 +24,7 @@ impl Tracker {
             rig.shift_times(self.offsets.corrections());
             self.watchdog = Watchdog::new(rig.cameras.len());
             self.mending.clear();
+            self.memory = Memory::default();
             self.rig = Arc::new(rig);
             if !self.is_fed {
                 self.event(EventKind::Calibrated, window.start, None, detail);

@@ -11,7 +11,7 @@ use super::frame_rate::FramePeriod;
 use super::idle::Idle;
 use super::intake::Intake;
 use super::job::{Job, Solution};
-use super::mending::Mending;
+use super::mending::{Memory, Mending};
 use super::noise::Noise;
 use super::playout::{Latency, Live, MARGIN, Playout, ROUNDING};
 use super::port::{Input, Output};
@@ -97,6 +97,9 @@ pub struct Tracker {
     pub(super) playout: Playout,
     pub(super) offsets: LiveOffsets,
     pub(super) watchdog: Watchdog,
+    /// One of several performers: the newest frames to watch the cameras with.
+    pub(super) seen: VecDeque<Arc<Detections>>,
+    pub(super) memory: Memory,
     /// Cameras that were moved and are left out.
     pub(super) mending: Vec<Mending>,
     /// Cameras that were found moved from another performer.
@@ -143,6 +146,8 @@ impl Tracker {
             playout: Playout::default(),
             offsets: LiveOffsets::new(cameras),
             watchdog: Watchdog::new(cameras),
+            seen: VecDeque::new(),
+            memory: Memory::default(),
             mending: Vec::new(),
             left_out: Vec::new(),
             outputs: VecDeque::new(),
@@ -284,6 +289,7 @@ impl Tracker {
                 self.restart();
                 self.idle.clock_jumped();
             }
+            Input::Seen(frame) => return self.note_seen(frame),
             Input::Complete(until) => self.complete = self.complete.max(Some(until)),
             Input::End => {
                 for frame in self.intake.release() {

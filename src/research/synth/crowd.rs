@@ -47,6 +47,7 @@ impl<M: Fn(f64) -> Pose> Crowd<M> {
                 (other.rig, other.noise) = (first.rig.clone(), first.noise.clone());
                 (other.fps, other.frames, other.start) = (first.fps, first.frames, first.start);
                 (other.format, other.stagger) = (first.format, first.stagger);
+                other.bump = first.bump;
                 other.seed = first.seed.wrapping_add(person << 32);
             }
         }

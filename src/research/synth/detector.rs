@@ -41,7 +41,7 @@ mod topic {
 /// The detector of one camera.
 #[derive(Clone, Debug)]
 pub(super) struct Detector<'a> {
-    camera: &'a Camera,
+    camera: Camera,
     index: usize,
     format: KeypointFormat,
     noise: &'a Noise,
@@ -56,7 +56,7 @@ pub(super) struct Detector<'a> {
 
 impl<'a> Detector<'a> {
     pub(super) fn new(
-        camera: &'a Camera,
+        camera: Camera,
         index: usize,
         format: KeypointFormat,
         noise: &'a Noise,

@@ -43,7 +43,7 @@ pub use meeting::Meeting;
 pub use motion::{Motion, MotionStyle};
 pub use noise::Noise;
 pub use protocol::{Protocol, SequenceChoice};
-pub use recording::{Recording, through};
+pub use recording::{Recording, bumped, through};
 pub use rigs::{RigError, rig_named, tdhp_like_rig};
 pub use ring::{ring_around, ring_rig};
 pub use sequence::{Sequence, sequence};

@@ -6,7 +6,7 @@ use super::body::Body;
 use super::detector::Detector;
 use super::noise::Noise;
 use crate::core::body::{Pose, Skeleton, StampedPose, TrackingState};
-use crate::core::camera::Rig;
+use crate::core::camera::{Camera, Rig};
 use crate::core::detections::{Detections, KeypointFormat};
 use crate::core::so3;
 use crate::core::time::{Nanos, Timestamp};
@@ -35,8 +35,20 @@ pub struct Recording<M> {
     /// Spread of the cameras' shutter times as a share of the frame period, in \[0, 1); 0 is
     /// genlock.
     pub stagger: f64,
+    /// When the last camera is [bumped](bumped), seconds from the start; the rig does not know.
+    pub bump: Option<f64>,
     /// Seed of all random draws.
     pub seed: u64,
+}
+
+/// A camera that was bumped: turned by 3 degrees, moved by 10 cm.
+pub fn bumped(camera: &Camera) -> Camera {
+    let mut camera = camera.clone();
+    let centre = camera.centre_in_world() + Vector3::new(0.06, -0.04, 0.069_282);
+    camera.rotation =
+        so3::exp(&(Vector3::new(0.6, 0.8, 0.0) * 3f64.to_radians())) * camera.rotation;
+    camera.translation = -(camera.rotation * centre);
+    camera
 }
 
 impl<M: Fn(f64) -> Pose> Recording<M> {
@@ -53,6 +65,7 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
             noise: Noise::default(),
             start: Timestamp::default(),
             stagger: 0.0,
+            bump: None,
             seed: 1,
         }
     }
@@ -75,15 +88,21 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
 
     /// The detections, ordered by capture time, then by camera.
     pub fn detections(&self) -> impl Iterator<Item = Detections> + '_ {
-        let detectors: Vec<Detector> = (self.rig.cameras.iter().enumerate())
-            .map(|(index, camera)| {
-                Detector::new(camera, index, self.format, &self.noise, self.body, self.seed)
-            })
-            .collect();
+        let detector = |(index, camera): (usize, Camera)| {
+            Detector::new(camera, index, self.format, &self.noise, self.body, self.seed)
+        };
+        let all = &self.rig.cameras;
+        let detectors: Vec<Detector> = all.iter().cloned().enumerate().map(detector).collect();
         let cameras = detectors.len();
+        let moved = all.last().map(|camera| detector((cameras - 1, bumped(camera))));
         (0..self.frames).flat_map(move |frame| {
+            let at = frame as f64 / self.fps;
+            let moved = moved.as_ref().filter(|_| self.bump.is_some_and(|bump| at >= bump));
             let frame_set: Vec<Detections> = (detectors.iter().enumerate())
-                .map(|(camera, detector)| self.frame(detector, camera, cameras, frame))
+                .map(|(camera, detector)| {
+                    let detector = moved.filter(|_| camera + 1 == cameras).unwrap_or(detector);
+                    self.frame(detector, camera, cameras, frame)
+                })
                 .collect();
             frame_set
         })

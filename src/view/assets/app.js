@@ -184,6 +184,17 @@ function showCameras() {
     return item;
   });
   replace($("cameras"), items);
+  // A list of its own: the one above is made anew each second, and would lose clicks and the focus.
+  const moved = lights.filter(({ counters }) => isLive && counters?.moved);
+  replace($("moved"), moved.map(({ name, counters }) => {
+    const item = document.createElement("li");
+    const mend = element("button", `Mend ${name}`);
+    mend.type = "button";
+    mend.dataset.mend = name;
+    mend.title = "The calibration follows the camera";
+    item.append(mend, element("div", counters.moved, "words"));
+    return item;
+  }));
 }
 
 function showPerformers(people) {

@@ -16,12 +16,12 @@ export function setExpected(kinds) {
   expected = kinds;
 }
 
-/** What the node says when a moved camera is used again. */
-const FITS_AGAIN = "fits again";
+/** How the node's words begin when a moved camera is used again. */
+const USED_AGAIN = ["fits again", "mended"];
 
 /** How bad an event is. */
 export function levelOf({ kind, detail }) {
-  if (expected.includes(kind) || detail.startsWith(FITS_AGAIN)) return "ok";
+  if (expected.includes(kind) || USED_AGAIN.some((words) => detail.startsWith(words))) return "ok";
   return BAD.includes(kind) ? "bad" : "warn";
 }
 

@@ -145,7 +145,7 @@ export class Store {
 
   /** The take that runs is the last one that was begun and not ended. */
   takeSlate(take) {
-    if (take.action !== "reset") this.slate = { ...take, came: Date.now() };
+    if (["start", "stop"].includes(take.action)) this.slate = { ...take, came: Date.now() };
   }
 
   takeAnswer(answer) {

@@ -1,4 +1,4 @@
-// Takes: begins and ends them, as `bundlemocap take` does from a terminal.
+// Takes: begins and ends them, and mends cameras, as `bundlemocap take` does from a terminal.
 
 const $ = (id) => document.getElementById(id);
 /** How long nodes and recorders have for an answer, ms. */
@@ -24,6 +24,9 @@ export function takes(store, source) {
     } else command("start", $("take-name").value);
   });
   $("reset").addEventListener("click", () => command("reset"));
+  $("moved").addEventListener("click", ({ target }) => {
+    if (target.dataset.mend) command("mend", target.dataset.mend);
+  });
   return () => {
     const take = running();
     const text = take && JSON.stringify(take, (key, value) => (key === "id" ? String(value) : value));
@@ -37,7 +40,7 @@ export function takes(store, source) {
     if (!sent) return;
     answers.push(...store.answers.splice(0).filter(({ id }) => id === sent.id));
     const lines = answers.map(({ role, text = "", refused }) => `${role}${refused ? " refuses" : ""}: ${text}`);
-    const wanted = sent.action === "reset" ? ["node"] : ["node", "recorder"];
+    const wanted = ["reset", "mend"].includes(sent.action) ? ["node"] : ["node", "recorder"];
     const isOver = performance.now() - sent.at > PATIENCE;
     for (const role of isOver ? wanted.filter((one) => answers.every((answer) => answer.role !== one)) : []) {
       lines.push(role === "recorder" ? "no recorder answered: start `bundlemocap record takes/`" : "no node answered");

@@ -29,7 +29,10 @@ const ACQUISITION_CHANGE: f64 = 1e-4;
 /// Solves a job that nothing waits for ([`Task::Mend`]), without a solver. Of others it knows nothing.
 pub fn solve_aside(job: &Job) -> Solution {
     let placed = match &job.task {
-        Task::Mend { camera, seen } => mend(seen, &job.rig, *camera),
+        Task::Mend { camera, seen: [before, after] } => {
+            let original = job.rig.cameras.get(*camera);
+            original.and_then(|original| mend([before, after], original, *camera))
+        }
         _ => None,
     };
     let placed = placed.map(|(camera, by)| Box::new(Placed { camera, by }));
