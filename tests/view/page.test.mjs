@@ -3,7 +3,7 @@
 
 import assert from "node:assert/strict";
 import { spawn, spawnSync } from "node:child_process";
-import { mkdtempSync, readFileSync, rmSync } from "node:fs";
+import { mkdtempSync, readFileSync, readdirSync, rmSync } from "node:fs";
 import { request } from "node:http";
 import { createRequire } from "node:module";
 import { createServer } from "node:net";
@@ -86,8 +86,8 @@ async function open(url, options = {}) {
 
 const shown = (page) => page.evaluate(() => ({ ...document.body.dataset }));
 /** Waits for a condition in the page; says what the page shows if it does not come. */
-const until = (page, condition, argument) =>
-  page.waitForFunction(condition, argument, { timeout: 30_000 }).catch(async (error) => {
+const until = (page, condition, argument, timeout = 30_000) =>
+  page.waitForFunction(condition, argument, { timeout }).catch(async (error) => {
     const text = await page.evaluate(() => document.body.innerText);
     throw new Error(`${error.message} for ${condition}; the page shows:\n${text}`);
   });
@@ -262,6 +262,35 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   await until(page, () => !document.getElementById("node").textContent.includes("no connection"));
   const { time: again } = await shown(page);
   await until(page, (before) => Number(document.body.dataset.time) > before, Number(again));
+  await page.close();
+});
+
+test("a camera that was bumped is red, and mended by a click", async () => {
+  const [bus, http] = [await freePort(), await freePort()];
+  const take = join(folder, "bumped.mcap");
+  run("synth", "--seconds", "90", "--fps", "30", "--noise", "clean", "--bump", "30", "--out", take);
+  const rig = join(folder, "rig.toml");
+  run("calibrate", take, "--time-only", "--out", rig);
+  const node = ["run", "--rig", rig, "--listen", `tcp/127.0.0.1:${bus}`, "--view", `127.0.0.1:${http}`];
+  const first = await start(node, /the page is on (\S+)/);
+  const { page, said } = await open(first.match[1]);
+  const began = performance.now();
+  await start(["play", take, "--connect", `tcp/127.0.0.1:${bus}`]);
+  const red = '#cameras [data-camera="cam04"][data-level="bad"]';
+  await until(page, (light) => document.querySelector(light)?.textContent.includes("moved:"), red, 60_000);
+  console.log(`red ${((performance.now() - began) / 1000).toFixed(1)} s after the start, bumped after 30`);
+  await page.locator('[data-mend="cam04"]').waitFor({ timeout: 60_000 });
+  await picture(page, "bumped");
+  await isSound(page);
+  await page.locator('[data-mend="cam04"]').click();
+  await until(page, () => /node: .*cam04 is mended/.test(document.getElementById("answers").textContent));
+  await until(page, () => document.querySelector('#cameras [data-camera="cam04"]:not([data-level="bad"])'));
+  await until(page, () => !document.querySelector("[data-mend]"));
+  await picture(page, "mended");
+  const files = readdirSync(folder).filter((name) => /^rig\.\d+\.toml$/.test(name));
+  assert.equal(files.length, 1, "the calibration before is kept");
+  assert.notEqual(readFileSync(rig, "utf8"), readFileSync(join(folder, files[0]), "utf8"));
+  assert.deepEqual(said, []);
   await page.close();
 });
 

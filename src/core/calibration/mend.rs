@@ -34,8 +34,8 @@ const FRAMES: usize = 1000;
 const STEPS: usize = 20;
 /// Parts of the time that are compared.
 const PARTS: usize = 8;
-/// Largest standard errors of the rotation and the position: 0.1 degrees, 1 cm.
-const MOST_ERROR: [f64; 2] = [0.0017453292519943296, 0.01];
+/// Largest standard errors of the rotation and the position: 0.2 degrees, 1.5 cm.
+const MOST_ERROR: [f64; 2] = [0.003_490_658_503_988_659, 0.015];
 /// The camera's points may be this many times as far from the body as before.
 const AS_GOOD: f64 = 1.5;
 

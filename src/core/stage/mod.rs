@@ -161,6 +161,25 @@ impl Stage {
         }
     }
 
+    /// Begins with cameras that were moved in the run before; they are left out until a new calibration
+    /// comes.
+    #[must_use]
+    pub fn with_left_out(mut self, cameras: &[usize]) -> Self {
+        let left_out: Vec<bool> =
+            (0..self.rig().cameras.len()).map(|camera| cameras.contains(&camera)).collect();
+        self.all().for_each(|tracker| tracker.leave_out_moved(left_out.clone()));
+        if let Some(crowd) = &mut self.crowd {
+            crowd.leave_out_moved(left_out);
+        }
+        self
+    }
+
+    /// The cameras that were moved and are left out.
+    pub fn left_out(&self) -> Vec<usize> {
+        let left_out = self.lead().left_out().into_iter().enumerate();
+        left_out.filter_map(|(camera, is_left_out)| is_left_out.then_some(camera)).collect()
+    }
+
     /// Tracks performers whose bodies are known, by number. They are not estimated.
     #[must_use]
     pub fn with_bodies(mut self, bodies: Vec<Option<Arc<Skeleton>>>) -> Self {

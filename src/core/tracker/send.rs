@@ -24,6 +24,7 @@ impl Tracker {
             rig.shift_times(self.offsets.corrections());
             self.watchdog = Watchdog::new(rig.cameras.len());
             self.mending.clear();
+            self.left_out.clear();
             self.memory = Memory::default();
             self.rig = Arc::new(rig);
             if !self.is_fed {

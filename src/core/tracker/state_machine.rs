@@ -187,7 +187,7 @@ impl Tracker {
         }
     }
 
-    /// The cameras that were moved and are left out.
+    /// By camera, whether it was moved and is left out.
     pub(in crate::core) fn left_out(&self) -> Vec<bool> {
         (0..self.rig.cameras.len()).map(|camera| self.is_left_out(camera)).collect()
     }

@@ -124,6 +124,8 @@ pub struct Carried {
     pub time_offsets: Vec<Nanos>,
     /// The performers, if there are several.
     pub performers: Vec<Known>,
+    /// The cameras that were moved and are left out, in the order of the rig.
+    pub left_out: Vec<usize>,
 }
 
 impl Carried {
@@ -135,6 +137,7 @@ impl Carried {
             latency: (latency > 0).then(|| Nanos::new(latency)),
             time_offsets: start.time_offsets_ns.iter().copied().map(Nanos::new).collect(),
             performers: start.performers.iter().map(known).collect(),
+            left_out: start.left_out.iter().map(|camera| *camera as usize).collect(),
         }
     }
 }

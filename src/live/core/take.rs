@@ -97,6 +97,7 @@ impl Core {
                 time_offsets: stage
                     .map_or_else(Vec::new, |stage| stage.time_corrections().to_vec()),
                 performers: stage.map_or_else(Vec::new, Stage::known),
+                left_out: stage.map_or_else(Vec::new, Stage::left_out),
             },
             ..self.settings.clone()
         };
