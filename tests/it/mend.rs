@@ -94,7 +94,7 @@ fn a_bumped_camera_is_mended_when_asked_to() {
 #[test]
 fn a_bumped_camera_is_mended_by_itself_if_set_so() {
     for people in [1, 3] {
-        let end = BUMP + 25.0;
+        let end = BUMP + 40.0;
         let (sent, truth) = studio(&Noise::clean(), people, end);
         let mut config = Config::default();
         config.node.mend_cameras = true;

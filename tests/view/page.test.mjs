@@ -1,118 +1,9 @@
-// The page in a real browser. Needs Chromium (the environment variable CHROMIUM, else /usr/bin/chromium) and
-// the program (BUNDLEMOCAP, else target/release/bundlemocap). Pictures go to the folder PICTURES, if it is set.
+// The page of recordings, reports and live stages.
 
 import assert from "node:assert/strict";
-import { spawn, spawnSync } from "node:child_process";
-import { mkdtempSync, readFileSync, readdirSync, rmSync } from "node:fs";
-import { request } from "node:http";
-import { createRequire } from "node:module";
-import { createServer } from "node:net";
-import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { after, before, test } from "node:test";
-import { chromium } from "playwright-core";
-
-const root = new URL("../..", import.meta.url).pathname;
-const program = process.env.BUNDLEMOCAP ?? join(root, "target/release/bundlemocap");
-const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
-const folder = mkdtempSync(join(tmpdir(), "page-"));
-const children = [];
-let browser;
-
-before(async () => {
-  browser = await chromium.launch({
-    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
-    args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
-  });
-});
-
-after(async () => {
-  await browser?.close();
-  for (const child of children) child.kill("SIGKILL");
-  rmSync(folder, { recursive: true, force: true });
-});
-
-/** Starts the program, and waits for a line that matches. Returns the match and the process. */
-function start(args, pattern) {
-  const child = spawn(program, args, { env: { ...process.env, NO_COLOR: "1" } });
-  children.push(child);
-  return new Promise((resolve, reject) => {
-    let text = "";
-    const read = (data) => {
-      text += data;
-      const match = pattern?.exec(text);
-      if (match) resolve({ child, match });
-    };
-    child.stdout.on("data", read);
-    child.stderr.on("data", read);
-    child.on("exit", () => reject(new Error(`${args.join(" ")} ended: ${text}`)));
-    if (!pattern) resolve({ child });
-  });
-}
-
-function run(...args) {
-  const { status, stderr } = spawnSync(program, args, { encoding: "utf8" });
-  assert.equal(status, 0, `${args.join(" ")}: ${stderr}`);
-}
-
-/** Stops a process and waits for its end. */
-function stop(child, signal = "SIGINT") {
-  return new Promise((resolve) => {
-    child.removeAllListeners("exit");
-    child.on("exit", resolve);
-    child.kill(signal);
-  });
-}
-
-async function freePort() {
-  const server = createServer().listen(0, "127.0.0.1");
-  await new Promise((resolve) => server.on("listening", resolve));
-  const { port } = server.address();
-  await new Promise((resolve) => server.close(resolve));
-  return port;
-}
-
-/** Opens the page. What its console says of errors is in `said`. */
-async function open(url, options = {}) {
-  const page = await browser.newPage({ viewport: { width: 1280, height: 720 }, ...options });
-  const said = [];
-  page.on("console", (message) => {
-    if (["error", "warning"].includes(message.type())) said.push(message.text());
-  });
-  page.on("pageerror", (error) => said.push(error.message));
-  await page.goto(url);
-  return { page, said };
-}
-
-const shown = (page) => page.evaluate(() => ({ ...document.body.dataset }));
-/** Waits for a condition in the page; says what the page shows if it does not come. */
-const until = (page, condition, argument, timeout = 30_000) =>
-  page.waitForFunction(condition, argument, { timeout }).catch(async (error) => {
-    const text = await page.evaluate(() => document.body.innerText);
-    throw new Error(`${error.message} for ${condition}; the page shows:\n${text}`);
-  });
-const people = (page, count) => until(page, (wanted) => Number(document.body.dataset.people) === wanted, count);
-
-async function picture(page, name) {
-  if (process.env.PICTURES) await page.screenshot({ path: join(process.env.PICTURES, `${name}.png`) });
-}
-
-/** Nothing that assistive technology cannot use, and nothing cut off at the sides. */
-async function isSound(page) {
-  const { violations } = await page.evaluate(`${axe}; axe.run({ resultTypes: ["violations"] })`);
-  const serious = violations.filter(({ impact }) => ["serious", "critical"].includes(impact));
-  assert.deepEqual(serious.map(({ id, nodes }) => [id, nodes.map(({ target }) => target)]), []);
-  const [inner, wide] = await page.evaluate(() => [innerWidth, document.documentElement.scrollWidth]);
-  assert.ok(wide <= inner, `the page is ${wide} px wide in a window of ${inner}`);
-}
-
-/** The status of a GET request with these headers. */
-function status(url, headers) {
-  return new Promise((resolve, reject) => {
-    const asked = request(url, { headers }, (answer) => resolve(answer.resume().statusCode));
-    asked.on("error", reject).end();
-  });
-}
+import { test } from "node:test";
+import { folder, freePort, isSound, open, people, picture, root, run, shown, start, status, stop, until } from "./browser.mjs";
 
 test("a recording plays, is scrubbed, and keeps its place in the address", async () => {
   run("solve", join(root, "recordings/walk.mcap"), "--out", join(folder, "walk"));
@@ -262,35 +153,6 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   await until(page, () => !document.getElementById("node").textContent.includes("no connection"));
   const { time: again } = await shown(page);
   await until(page, (before) => Number(document.body.dataset.time) > before, Number(again));
-  await page.close();
-});
-
-test("a camera that was bumped is red, and mended by a click", async () => {
-  const [bus, http] = [await freePort(), await freePort()];
-  const take = join(folder, "bumped.mcap");
-  run("synth", "--seconds", "90", "--fps", "30", "--noise", "clean", "--bump", "30", "--out", take);
-  const rig = join(folder, "rig.toml");
-  run("calibrate", take, "--time-only", "--out", rig);
-  const node = ["run", "--rig", rig, "--listen", `tcp/127.0.0.1:${bus}`, "--view", `127.0.0.1:${http}`];
-  const first = await start(node, /the page is on (\S+)/);
-  const { page, said } = await open(first.match[1]);
-  const began = performance.now();
-  await start(["play", take, "--connect", `tcp/127.0.0.1:${bus}`]);
-  const red = '#cameras [data-camera="cam04"][data-level="bad"]';
-  await until(page, (light) => document.querySelector(light)?.textContent.includes("moved:"), red, 60_000);
-  console.log(`red ${((performance.now() - began) / 1000).toFixed(1)} s after the start, bumped after 30`);
-  await page.locator('[data-mend="cam04"]').waitFor({ timeout: 60_000 });
-  await picture(page, "bumped");
-  await isSound(page);
-  await page.locator('[data-mend="cam04"]').click();
-  await until(page, () => /node: .*cam04 is mended/.test(document.getElementById("answers").textContent));
-  await until(page, () => document.querySelector('#cameras [data-camera="cam04"]:not([data-level="bad"])'));
-  await until(page, () => !document.querySelector("[data-mend]"));
-  await picture(page, "mended");
-  const files = readdirSync(folder).filter((name) => /^rig\.\d+\.toml$/.test(name));
-  assert.equal(files.length, 1, "the calibration before is kept");
-  assert.notEqual(readFileSync(rig, "utf8"), readFileSync(join(folder, files[0]), "utf8"));
-  assert.deepEqual(said, []);
   await page.close();
 });
 

@@ -90,7 +90,7 @@ pub fn mend(
     camera.rotation = turn * now.rotation;
     camera.translation = turn * (now.translation - usual.translation) + original.translation;
 
-    let error = |k: usize| of_usual[k].hypot(of_now[k]);
+    let error = |k: usize| libm::hypot(of_usual[k], of_now[k]);
     let by = Correction {
         significant: true,
         rotation: [so3::angle_between(&camera.rotation, &original.rotation), error(0)],
@@ -224,14 +224,16 @@ fn turn(
     if pairs.len() < LEAST_LIMBS {
         return None;
     }
-    let mut correlation = Matrix3::zeros();
-    for (expected, seen) in &pairs {
-        correlation += seen * expected.transpose();
+    let mut turn = Matrix3::identity();
+    for _ in 0..STEPS {
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for (expected, seen) in &pairs {
+            let at = turn * expected;
+            normal += Matrix3::identity() - at * at.transpose();
+            right += at.cross(seen);
+        }
+        turn = so3::exp(&normal.cholesky()?.solve(&right)) * turn;
     }
-    let svd = correlation.svd(true, true);
-    let (u, v) = (svd.u?, svd.v_t?);
-    let sign = (u * v).determinant().signum();
-    let turn = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v;
     let extent =
         |(a, _): &(Vector3<f64>, _)| pairs.iter().map(|(b, _)| (a - b).norm()).fold(0.0, f64::max);
     let extent = pairs.iter().map(extent).fold(0.0, f64::max);

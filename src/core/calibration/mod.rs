@@ -3,7 +3,7 @@
 //!
 //! [`Tracks`] collect the performer's limbs in each view. [`time_offsets`] compares pairs of views,
 //! [`LiveOffsets`] does so while the cameras run, [`refine`] adjusts the cameras to triangulated limbs.
-//! [`Watchdog`] finds cameras that are moved while they run, and [`mend`] where they are then.
+//! [`Watchdog`] finds cameras that are moved while they run, and `mend` where they are then.
 
 mod epipolar;
 mod live_offsets;

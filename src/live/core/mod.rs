@@ -230,19 +230,11 @@ impl Core {
         let tracker = tracker.with_body_to_check(self.body());
         let stage = Stage::new(tracker, of_stage.performers, None);
         let stage = stage.with_known(&carried.performers).with_left_out(&carried.left_out);
-        let left_out = stage.left_out();
         self.stage = Some(if of_stage.solve { stage } else { stage.without_solving() });
         if !self.is_several() {
             self.performer(PerformerId(0));
         }
         self.event(EventKind::Calibrated, None, detail);
-        for camera in left_out {
-            let Some(name) = self.cameras.get(camera).map(|c| c.name().to_owned()) else {
-                continue;
-            };
-            let detail = "moved before this take: it is left out until a new calibration comes";
-            self.event(EventKind::CameraMoved, Some(&name), detail.to_owned());
-        }
     }
 
     /// The body that was given.
@@ -268,6 +260,13 @@ impl Core {
         let outputs = self.outputs.len();
         self.calibrate(&rig, "the file");
         self.outputs.truncate(outputs);
+        for camera in self.stage.as_ref().map_or_else(Vec::new, Stage::left_out) {
+            let Some(name) = self.cameras.get(camera).map(|c| c.name().to_owned()) else {
+                continue;
+            };
+            let detail = "moved before this take: it is left out until a new calibration comes";
+            self.event(EventKind::CameraMoved, Some(&name), detail.to_owned());
+        }
     }
 
     fn dropped(&mut self, losses: Vec<Loss>) {
