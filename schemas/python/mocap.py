@@ -73,10 +73,15 @@ def subscribe_stream(session, topic, message_type, handle):
 
 def subscribe_state(session, topic, message_type, handle):
     """Calls `handle(message)` for the last and for new messages. Keep the returned subscriber."""
+    return subscribe_samples(session, topic, _decoding(message_type, handle))
+
+
+def subscribe_samples(session, topic, handle):
+    """The same with the samples, of any message type."""
     return zenoh.ext.declare_advanced_subscriber(
         session,
         topic,
-        _decoding(message_type, handle),
+        handle,
         history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
         recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
     )

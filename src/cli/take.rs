@@ -32,6 +32,8 @@ stop   Recorders end the file, one second later. Nodes go on.
 reset  Nodes forget the performer's body: somebody else comes.
 mend   Nodes give a camera that was moved its new pose, once they know it (event camera_moved). The
        calibration file of the node is written anew; the one before is kept beside it.
+note   Recorders write --note and --mark to takes.csv in their folder, for the take that runs or the last
+       one, or for NAME.
 
 Prints who answered. Exit code 13: nobody did. Exit code 6: no recorder or no node answered, or one
 refused.
@@ -39,6 +41,7 @@ refused.
 Examples:
   bundlemocap take start walk_01
   bundlemocap take stop
+  bundlemocap take note --mark good --note \"left hand is best\"
   bundlemocap take mend cam03
   bundlemocap take reset --connect tcp/192.168.1.10:7447")]
 pub(super) struct Arguments {
@@ -49,6 +52,12 @@ pub(super) struct Arguments {
     /// that runs. For mend, the name of the camera.
     #[arg(required_if_eq_any([("action", "start"), ("action", "mend")]))]
     name: Option<String>,
+    /// What is to be remembered of the take.
+    #[arg(long, default_value = "", hide_default_value = true)]
+    note: String,
+    /// How the take is.
+    #[arg(long, value_parser = ["good", "bad"])]
+    mark: Option<String>,
     #[command(flatten)]
     bus: BusArguments,
 }
@@ -63,6 +72,8 @@ enum Action {
     Reset,
     /// Give a camera that was moved its new pose.
     Mend,
+    /// Note something of a take.
+    Note,
 }
 
 impl Action {
@@ -72,6 +83,7 @@ impl Action {
             Self::Stop => "stop",
             Self::Reset => "reset",
             Self::Mend => "mend",
+            Self::Note => "note",
         }
     }
 
@@ -80,19 +92,22 @@ impl Action {
         match self {
             Self::Start | Self::Stop => &["node", "recorder"],
             Self::Reset | Self::Mend => &["node"],
+            Self::Note => &["recorder"],
         }
     }
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let name = arguments.name.clone().unwrap_or_default();
-    if !name.is_empty() {
+    // Cameras may have any name.
+    if !name.is_empty() && arguments.action != Action::Mend {
         check_name("NAME", &name)?;
     }
     let config = arguments.bus.settings()?;
     let bus = open(&config)?;
     let id = WallClock::start().now().ns().unsigned_abs();
-    let take = Take { id, action: arguments.action.name().into(), name };
+    let (note, mark) = (arguments.note.clone(), arguments.mark.clone().unwrap_or_default());
+    let take = Take { id, action: arguments.action.name().into(), name, note, mark };
     let answers = command(&*bus, &topics(&config), &take, arguments.action.roles(), LEAD)?;
     for TakeAnswer { role, text, refused, .. } in &answers {
         match refused {

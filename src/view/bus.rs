@@ -73,16 +73,24 @@ struct Slate {
     id: u32,
     action: String,
     name: String,
+    #[serde(default)]
+    note: String,
+    #[serde(default)]
+    mark: String,
 }
 
 impl Slate {
     /// The command, unless the page has not checked what the user entered.
     fn take(self) -> Option<Take> {
-        let Self { id, action, name } = self;
-        let is_known = ["start", "stop", "reset", "mend"].contains(&&*action);
-        let needs_name = ["start", "mend"].contains(&&*action);
-        let is_named = if name.is_empty() { !needs_name } else { valid_name(&name).is_ok() };
-        (is_known && is_named).then_some(Take { id: id.into(), action, name })
+        let Self { id, action, name, note, mark } = self;
+        let is_known = ["start", "stop", "reset", "mend", "note"].contains(&&*action);
+        let is_named = match (&*action, name.is_empty()) {
+            ("start" | "mend", true) => false,
+            // Cameras may have any name.
+            ("mend", false) | (_, true) => true,
+            _ => valid_name(&name).is_ok(),
+        };
+        (is_known && is_named).then_some(Take { id: id.into(), action, name, note, mark })
     }
 }
 

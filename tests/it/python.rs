@@ -200,3 +200,29 @@ fn the_node_works_between_cameras_and_a_subscriber_in_python() {
         assert!(lengths.into_iter().all(|length| (length - 1.0).abs() < 1e-5), "at {time}");
     }
 }
+
+#[test]
+fn recordings_are_shown_in_rerun() {
+    let Some(generated) = generated() else { return };
+    let rerun = |arguments: &[&str]| Command::new("python3").args(arguments).output();
+    if !rerun(&["-c", "import rerun"]).is_ok_and(|output| output.status.success()) {
+        return crate::support::skipped("pip install rerun-sdk first");
+    }
+    let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
+    let (folder, out) = (generated.path(), generated.path().join("out"));
+    let mut solve = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
+    check(&solve.arg("solve").arg(&walk).arg("--out").arg(&out).output().unwrap());
+    let shown = folder.join("take.rrd");
+    let mut script = python(folder, "to_rerun.py");
+    let script = script.arg(&walk).arg(out.join("poses.mcap")).arg("--save").arg(&shown);
+    let output = script.output().unwrap();
+    check(&output);
+    let said = String::from_utf8(output.stdout).unwrap();
+    let count: usize = said.trim_end_matches(" messages\n").parse().unwrap();
+    assert!(count > 1000, "{said}");
+    let printed = rerun(&["-m", "rerun", "rrd", "print", shown.to_str().unwrap()]).unwrap();
+    let printed = String::from_utf8_lossy(&printed.stdout).into_owned();
+    for path in ["/world/cameras/cam01/keypoints", "/world/performers/actor", "/events"] {
+        assert!(printed.contains(path), "no {path} in\n{printed}");
+    }
+}

@@ -15,7 +15,7 @@ use crate::live::{Sent, Studio, World, at, settings};
 
 /// A command, `at` seconds after the start.
 pub fn slate(action: &str, name: &str, seconds: f64) -> Sent {
-    let take = Take { id: 7, action: action.into(), name: name.into() };
+    let take = Take { id: 7, action: action.into(), name: name.into(), ..Take::default() };
     Sent { arrival: at(seconds), topic: Topics::default().take(), payload: encode(&take) }
 }
 

@@ -1,6 +1,7 @@
 // The page of recordings, reports and live stages.
 
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
 import { folder, freePort, isSound, open, people, picture, root, run, shown, start, status, stop, until } from "./browser.mjs";
@@ -135,6 +136,12 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   assert.equal(await page.locator("#take-name").inputValue(), "take_02");
   await until(page, () => document.getElementById("answers").textContent.includes("recorder: "));
   run("info", join(takes, "take_01.mcap"), "--check");
+  await page.locator("#note").fill('a "good" one, with a turn');
+  await page.locator("#good").click();
+  await until(page, () => document.getElementById("answers").textContent.includes("noted for take_01"));
+  const [header, line] = readFileSync(join(takes, "takes.csv"), "utf8").split("\n");
+  assert.equal(header, "time,take,mark,note");
+  assert.match(line, /^20\S+Z,"take_01","good","a ""good"" one, with a turn"$/);
 
   await stop(fourth.child);
   await until(page, () => {

@@ -4,8 +4,10 @@
 //! may handle them after the slate. It ends a second after the take, when the last poses are there.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::{Duration, UNIX_EPOCH};
 
 use super::room::Room;
 use super::silence::Silence;
@@ -15,6 +17,8 @@ use crate::io::wire::{ActorChannel, StageChannel, Take, Topic, Topics, valid_nam
 
 /// Inputs of this time before a take are in its file, and messages of this time after it.
 const MARGIN: Nanos = Nanos::SECOND;
+/// The list of notes in the folder of takes.
+const NOTES: &str = "takes.csv";
 /// Most inputs that are kept for the next take.
 const MOST_RECENT: usize = 65_536;
 
@@ -90,6 +94,8 @@ pub(crate) struct Recorder {
     folder: PathBuf,
     all: Option<Open>,
     take: Option<Running>,
+    /// Name of the take that runs, or of the last one.
+    last: Option<String>,
     ending: Vec<Ending>,
     /// Messages on topics above the limit, of all complete takes.
     skipped: u64,
@@ -98,6 +104,8 @@ pub(crate) struct Recorder {
     recent: VecDeque<RawEntry>,
     silence: Silence,
     room: Room,
+    /// Bytes that are free on the disk, if known.
+    free: Option<u64>,
     /// Topics above the limit are not said again.
     is_skipping_said: bool,
 }
@@ -120,12 +128,14 @@ impl Recorder {
             provenance,
             folder: folder.to_owned(),
             take: None,
+            last: None,
             ending: Vec::new(),
             skipped: 0,
             rig: None,
             recent: VecDeque::new(),
             silence: Silence::default(),
             room: Room::default(),
+            free: None,
             is_skipping_said: false,
         })
     }
@@ -177,8 +187,31 @@ impl Recorder {
                 self.stop(Some(take.id), now);
                 Ok(Vec::new())
             }
+            ("note", _) => {
+                let noted = self.note(take, now).map_err(|error| error.to_string());
+                Ok(vec![Said::Answer(take.id, noted)])
+            }
             _ => Ok(Vec::new()),
         }
+    }
+
+    /// Adds a line to the list of takes.
+    fn note(&self, take: &Take, now: Timestamp) -> std::io::Result<String> {
+        let named = Some(&take.name).filter(|name| !name.is_empty());
+        let name = named.or(self.last.as_ref());
+        let name = name.ok_or_else(|| std::io::Error::other("no take was recorded"))?;
+        let path = self.folder.join(NOTES);
+        let is_new = !path.exists();
+        let mut file = std::fs::OpenOptions::new().create(true).append(true).open(&path)?;
+        if is_new {
+            writeln!(file, "time,take,mark,note")?;
+        }
+        let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
+        let (mark, note) = (quoted(&take.mark), quoted(&take.note));
+        let time = UNIX_EPOCH + Duration::from_nanos(now.ns().unsigned_abs());
+        let time = humantime::format_rfc3339_seconds(time);
+        writeln!(file, "{time},{},{mark},{note}", quoted(name))?;
+        Ok(format!("noted for {name} in {}", path.display()))
     }
 
     /// The take ends, and its file after [`MARGIN`].
@@ -201,7 +234,9 @@ impl Recorder {
         for entry in self.rig.iter().chain(&self.recent) {
             file.write(entry)?;
         }
-        let text = format!("recording to {}", file.path.display());
+        let free = self.free.map_or(String::new(), |free| format!(", {} GB free", free >> 30));
+        let text = format!("recording to {}{free}", file.path.display());
+        self.last = Some(take.name.clone());
         self.take = Some(Running { name: take.name.clone(), file });
         Ok(vec![Said::Answer(take.id, Ok(text))])
     }
@@ -241,6 +276,7 @@ impl Recorder {
     ) -> Result<(Vec<Said>, bool), RecordError> {
         let mut said = Vec::new();
         let mut skipped = 0;
+        self.free = room;
         for file in self.files() {
             file.writer.flush()?;
             skipped += file.recorded.skipped;
@@ -296,7 +332,7 @@ mod tests {
     }
 
     fn slate(action: &str, name: &str) -> Take {
-        Take { id: 3, action: action.into(), name: name.into() }
+        Take { id: 3, action: action.into(), name: name.into(), ..Take::default() }
     }
 
     /// In a folder of its own, without a file of everything.

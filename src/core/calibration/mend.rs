@@ -12,8 +12,7 @@ use std::sync::Arc;
 use nalgebra::{Matrix2x3, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 use super::refine::{Correction, LOSS_SCALE, MEDIAN_LENGTH};
-use super::tracks::{LIMBS, performer, pixel};
-use crate::core::body::{Attachment, Pose, Skeleton};
+use super::tracks::{LIMBS, Limbs, performer_at, pixel};
 use crate::core::camera::Camera;
 use crate::core::detections::{Detections, Keypoint, Person};
 use crate::core::points::median;
@@ -32,39 +31,40 @@ const AGREE: f64 = 0.035;
 /// Frames of a camera that are used.
 const FRAMES: usize = 1000;
 const STEPS: usize = 20;
-/// Parts of the time that are compared.
+/// Parts of the time that are compared, and the fewest in which the camera must see the performer.
 const PARTS: usize = 8;
+const LEAST_PARTS: usize = 6;
 /// Largest standard errors of the rotation and the position: 0.2 degrees, 1.5 cm.
 const MOST_ERROR: [f64; 2] = [0.003_490_658_503_988_659, 0.015];
-/// The camera's points may be this many times as far from the body as before.
-const AS_GOOD: f64 = 1.5;
+/// The camera's points may be this many times as far from the body as before: under load the body is less
+/// exact.
+const AS_GOOD: f64 = 3.0;
 
 /// What was seen in some time.
 #[derive(Clone, Debug)]
 pub struct Seen {
     /// Frames of all cameras, in order of capture time.
     pub frames: Vec<Arc<Detections>>,
-    /// The performer's poses, in order of capture time.
-    pub poses: Vec<(Timestamp, Pose)>,
-    /// The performer's body.
-    pub body: Arc<Skeleton>,
+    /// The performer's limbs, in order of capture time.
+    pub limbs: Vec<(Timestamp, Limbs)>,
 }
 
 impl Seen {
-    /// The times of the first and of the last pose.
+    /// The first and the last time of which the limbs are known.
     pub fn span(&self) -> Option<[Timestamp; 2]> {
-        Some([self.poses.first()?.0, self.poses.last()?.0])
+        Some([self.limbs.first()?.0, self.limbs.last()?.0])
     }
 
-    /// The pose at a time between two poses.
-    fn pose(&self, at: Timestamp) -> Option<Pose> {
-        let after = self.poses.partition_point(|(time, _)| *time < at);
-        let (to, end) = self.poses.get(after)?;
+    /// The limbs at a time between two.
+    fn limbs(&self, at: Timestamp) -> Option<Limbs> {
+        let after = self.limbs.partition_point(|(time, _)| *time < at);
+        let (to, end) = self.limbs.get(after)?;
         if *to == at {
-            return Some(end.clone());
+            return Some(*end);
         }
-        let (from, begin) = self.poses.get(after.checked_sub(1)?)?;
-        Some(begin.interpolate(end, at.fraction(*from, *to)))
+        let (from, begin) = self.limbs.get(after.checked_sub(1)?)?;
+        let share = at.fraction(*from, *to);
+        Some(std::array::from_fn(|k| begin[k].lerp(&end[k], share)))
     }
 }
 
@@ -117,15 +117,13 @@ struct View {
 fn views(seen: &Seen, camera: &Camera, index: usize) -> Vec<View> {
     let frames = frames(seen, index, FRAMES);
     let of_frame = |(number, frame): (usize, &Arc<Detections>)| {
-        let pose = seen.pose(frame.capture)?;
-        let person = performer(frame, camera, &pose, &seen.body)?;
-        let posture = pose.posture(&seen.body);
-        let view = |limb: &Keypoint| {
-            let at = Attachment::of(*limb).position(&posture, &seen.body);
+        let limbs = seen.limbs(frame.capture)?;
+        let person = performer_at(frame, camera, &limbs)?;
+        let view = |(limb, at): (&Keypoint, &Vector3<f64>)| {
             let seen = camera.undistort(&pixel(person, frame, *limb)?)?;
-            Some(View { part: number * PARTS / frames.len(), at, seen })
+            Some(View { part: number * PARTS / frames.len(), at: *at, seen })
         };
-        Some(LIMBS.iter().filter_map(view).collect::<Vec<_>>())
+        Some(LIMBS.iter().zip(&limbs).filter_map(view).collect::<Vec<_>>())
     };
     frames.iter().copied().enumerate().filter_map(of_frame).flatten().collect()
 }
@@ -176,7 +174,11 @@ fn fit(mut camera: Camera, views: &[View]) -> Option<(Camera, [f64; 2])> {
         let inverse = hessians.iter().sum::<SMatrix<f64, 6, 6>>().cholesky()?.inverse();
         let step = -(inverse * gradients.iter().sum::<SVector<f64, 6>>());
         let spread: SMatrix<f64, 6, 6> = gradients.iter().map(|of| of * of.transpose()).sum();
-        let few = PARTS as f64 / (PARTS - 1) as f64;
+        let parts = hessians.iter().filter(|hessian| hessian[(0, 0)] > 0.0).count();
+        if parts < LEAST_PARTS {
+            return None;
+        }
+        let few = parts as f64 / (parts - 1) as f64;
         let covariance = inverse * spread * inverse * few;
         let error = |from| covariance.diagonal().fixed_rows::<3>(from).sum().max(0.0).sqrt();
         errors = [error(0), error(3)];
@@ -191,11 +193,8 @@ fn fit(mut camera: Camera, views: &[View]) -> Option<(Camera, [f64; 2])> {
 fn guess_turn(seen: &Seen, camera: &Camera, moved: usize) -> Option<Matrix3<f64>> {
     // Of each frame, one for each person who is alike.
     let turns = frames(seen, moved, GUESSES).into_iter().filter_map(|frame| {
-        let posture = seen.pose(frame.capture)?.posture(&seen.body);
-        let limbs = LIMBS.map(|limb| {
-            let at = Attachment::of(limb).position(&posture, &seen.body);
-            (camera.rotation * at + camera.translation).normalize()
-        });
+        let limbs = seen.limbs(frame.capture)?;
+        let limbs = limbs.map(|at| (camera.rotation * at + camera.translation).normalize());
         let turns = frame.people.iter().filter_map(|person| turn(frame, person, camera, &limbs));
         Some(turns.collect()).filter(|turns: &Vec<_>| !turns.is_empty())
     });
@@ -214,7 +213,7 @@ fn turn(
     frame: &Detections,
     person: &Person,
     camera: &Camera,
-    limbs: &[Vector3<f64>; LIMBS.len()],
+    limbs: &Limbs,
 ) -> Option<Matrix3<f64>> {
     let pairs = LIMBS.iter().zip(limbs).filter_map(|(&limb, expected)| {
         let at = camera.undistort(&pixel(person, frame, limb)?)?;

@@ -23,6 +23,6 @@ pub use normal::OffsetVerdict;
 pub use refine::{Correction, refine};
 pub use time_offsets::{TimeOffset, time_offsets};
 #[doc(hidden)]
-pub use tracks::{LIMBS, Tracks};
+pub use tracks::{LIMBS, Limbs, Tracks, limbs};
 #[doc(hidden)]
 pub use watchdog::{Finding, Watchdog};

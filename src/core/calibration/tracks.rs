@@ -25,6 +25,8 @@ pub const LIMBS: [Keypoint; 12] = [
     Keypoint::LAnkle,
     Keypoint::RAnkle,
 ];
+/// The places of the limbs in the world, metres.
+pub type Limbs = [Vector3<f64>; LIMBS.len()];
 /// Length of a section.
 const SECTION: Nanos = Nanos::from_ms(2000);
 /// More sections than this are thinned out to half.
@@ -126,9 +128,22 @@ pub(super) fn performer<'d>(
     pose: &Pose,
     body: &Skeleton,
 ) -> Option<&'d Person> {
+    performer_at(frame, camera, &limbs(pose, body))
+}
+
+/// Where the limbs of a body are in the world, metres.
+pub fn limbs(pose: &Pose, body: &Skeleton) -> Limbs {
     let posture = pose.posture(body);
-    let project = |limb| camera.project(&Attachment::of(limb).position(&posture, body));
-    let expected = LIMBS.map(project);
+    LIMBS.map(|limb| Attachment::of(limb).position(&posture, body))
+}
+
+/// The person that is the performer whose limbs are there, if any is.
+pub(super) fn performer_at<'d>(
+    frame: &'d Detections,
+    camera: &Camera,
+    limbs: &Limbs,
+) -> Option<&'d Person> {
+    let expected = limbs.map(|limb| camera.project(&limb));
     let seen = || expected.iter().flatten();
     let low = seen().copied().reduce(|low, pixel| low.inf(&pixel))?;
     let high = seen().copied().reduce(|high, pixel| high.sup(&pixel))?;

@@ -252,6 +252,13 @@ impl Camera {
         self.lens.undistort(&Vector2::new(x, y), self.limit_squared.sqrt())
     }
 
+    /// Whether both are in the same place and look the same way, but for rounding.
+    pub fn has_pose_of(&self, other: &Self) -> bool {
+        const ROUNDING: f64 = 1e-9;
+        (self.rotation - other.rotation).amax() < ROUNDING
+            && (self.translation - other.translation).amax() < ROUNDING
+    }
+
     /// The camera centre in the world, metres: -R^T t.
     pub fn centre_in_world(&self) -> Vector3<f64> {
         -self.rotation.tr_mul(&self.translation)

@@ -288,6 +288,7 @@ impl Stage {
             Input::Rig(rig) => {
                 if !rig.has_cameras_of(crowd.rig()) {
                     self.corrections = vec![Nanos::ZERO; rig.cameras.len()];
+                    crowd.leave_out_moved(Vec::new());
                 }
                 let is_same_world = is_same_world(rig, crowd.rig());
                 let rig = shifted(rig, &self.corrections);
@@ -323,9 +324,11 @@ impl Stage {
             return;
         }
         for Claimed { frame, owners } in &last.frames {
+            // A bystander who is followed is not the lead who is hidden.
             let may_be_lead = |owner: &Owner| match owner {
                 Owner::Performer(performer) => *performer == self.lead,
-                Owner::Other | Owner::Nobody => true,
+                Owner::Other => false,
+                Owner::Nobody => true,
             };
             let people = frame.people.iter().zip(owners);
             let people = people.filter(|(_, owner)| may_be_lead(owner));

@@ -9,7 +9,7 @@ use super::port::Output;
 use super::state_machine::Tracker;
 use super::window::Window;
 use crate::core::body::Pose;
-use crate::core::calibration::{Finding, Seen, TimeOffset};
+use crate::core::calibration::{Finding, Seen, TimeOffset, limbs};
 use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
 
@@ -51,9 +51,13 @@ impl Tracker {
             let pose = poses[k - 1].interpolate(&poses[k], s);
             self.watchdog.add(frame, &self.rig, &pose, &skeleton);
         }
-        let poses = times.into_iter().zip(poses.iter().cloned()).collect();
-        self.watch_moved(window, Seen { frames, poses, body: skeleton });
+        let limbs = poses.iter().map(|pose| limbs(pose, &skeleton));
+        let limbs = times.into_iter().zip(limbs).collect();
+        self.watch_moved(window, Seen { frames, limbs });
         let Some(finding) = self.watchdog.judge(window.publish, &self.rig) else { return };
+        if let Finding::Moved(camera, _) = finding {
+            self.mending.extend(Mending::new(camera, &self.memory, window.publish));
+        }
         let (camera, detail) = match finding {
             Finding::Moved(camera, pixels) => {
                 let by = match pixels {
@@ -66,6 +70,7 @@ impl Tracker {
                 (Some(camera), format!("moved: {by}, it is left out; {fix}"))
             }
             Finding::FitsAgain(camera) => {
+                self.mending.retain(|mending| mending.camera != camera);
                 self.outputs.push_back(Output::Placed { camera, placed: None });
                 (Some(camera), "fits again and is used".to_owned())
             }
@@ -102,14 +107,8 @@ impl Tracker {
     /// enough.
     fn watch_moved(&mut self, window: Window, seen: Seen) {
         let Some(seen) = self.memory.add(seen).cloned() else { return };
-        let left_out = self.left_out();
         let mut all = std::mem::take(&mut self.mending);
-        all.retain(|mending| left_out[mending.camera]);
-        for camera in (0..left_out.len()).filter(|&camera| left_out[camera]) {
-            if !all.iter().any(|mending| mending.camera == camera) {
-                all.extend(Mending::new(camera, &self.memory, window.publish));
-            }
-        }
+        all.retain(|mending| self.is_left_out(mending.camera));
         for mending in &mut all {
             if let Some(seen) = mending.add(&seen) {
                 mending.job = self.put_job(window, Task::Mend { camera: mending.camera, seen });
@@ -128,7 +127,7 @@ impl Tracker {
             let name = &placed.camera.name;
             let fix = format!("put it back, or mend it there: bundlemocap take mend {name}");
             let detail = format!("{placed}; it is left out; {fix}");
-            let at = self.start.unwrap_or_default();
+            let at = self.start.or(self.now).unwrap_or_default();
             self.event(EventKind::CameraMoved, at, Some(camera), detail);
         }
         self.outputs.push_back(Output::Placed { camera, placed: Some(Box::new(placed)) });

@@ -110,7 +110,7 @@ pub enum Task {
         /// Number of the last known keyframes that are solved again with the new ones.
         again: usize,
     },
-    /// Find where a camera is that was moved. It may take long, and nothing waits for it.
+    /// Find where a camera is that was moved. It may take some tenths of a second, and no pose waits for it.
     Mend {
         /// Its index.
         camera: usize,

@@ -1,19 +1,19 @@
 //! What is seen before and after a camera was moved.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use super::job::Placed;
 use crate::core::calibration::Seen;
-use crate::core::detections::Detections;
 use crate::core::so3;
 use crate::core::time::{Nanos, Timestamp};
 
-/// Of this much time, the frames of the first third are enough.
+/// A frame of each camera in this time is enough.
 const EVERY: Nanos = Nanos::from_ms(60);
-/// How long what was seen before is remembered; what was seen in the last part of it may be after the
-/// move.
-const REMEMBERED: Nanos = Nanos::from_ms(60_000);
+/// How much of what was seen is remembered, and the least that must be known of the time before a move.
+const REMEMBERED: Nanos = Nanos::from_ms(50_000);
+const LEAST: Nanos = Nanos::from_ms(8_000);
+/// A move may have been this long before it is noticed.
 const UNSURE: Nanos = Nanos::from_ms(12_000);
 /// The solver is asked each time that as much more was seen since the move.
 const STEP: Nanos = Nanos::from_ms(10_000);
@@ -26,29 +26,42 @@ const ANOTHER: (f64, f64) = (0.0175, 0.04);
 #[derive(Clone, Debug, Default)]
 pub(super) struct Memory {
     windows: VecDeque<Seen>,
+    /// By camera, the last frame that is kept.
+    last: BTreeMap<usize, Timestamp>,
 }
 
 impl Memory {
     /// Adds what a window has seen; returns what is kept of it.
     pub(super) fn add(&mut self, mut window: Seen) -> Option<&Seen> {
-        let is_kept =
-            |frame: &Arc<Detections>| frame.capture.ns().rem_euclid(EVERY.ns()) < EVERY.ns() / 3;
-        window.frames.retain(is_kept);
-        let [_, end] = window.span()?;
-        let is_over = |old: &Seen| old.span().is_none_or(|[begin, _]| end - begin > REMEMBERED);
-        let has_body = |old: &Seen| Arc::ptr_eq(&old.body, &window.body);
-        while self.windows.front().is_some_and(|old| is_over(old) || !has_body(old)) {
+        window.frames.retain(|frame| {
+            let last = self.last.get(&frame.camera);
+            let is_kept = last.is_none_or(|last| (frame.capture - *last).abs() >= EVERY);
+            if is_kept {
+                self.last.insert(frame.camera, frame.capture);
+            }
+            is_kept
+        });
+        window.span()?;
+        self.windows.push_back(window);
+        // Breaks do not count.
+        while length(self.windows.iter()) > REMEMBERED {
             self.windows.pop_front();
         }
-        self.windows.push_back(window);
         self.windows.back()
     }
 
-    /// What was seen before a move that was noticed now.
+    /// What was seen before a move that was noticed now, if that is enough.
     fn before(&self, now: Timestamp) -> Option<Seen> {
         let is_sure = |seen: &&Seen| seen.span().is_some_and(|[_, end]| now - end > UNSURE);
-        joined(self.windows.iter().filter(is_sure))
+        let sure = self.windows.iter().filter(is_sure);
+        joined(sure.clone()).filter(|_| length(sure) >= LEAST)
     }
+}
+
+/// How long several windows are together.
+fn length<'a>(windows: impl Iterator<Item = &'a Seen>) -> Nanos {
+    let spans = windows.filter_map(Seen::span);
+    spans.fold(Nanos::ZERO, |sum, [begin, end]| sum + (end - begin))
 }
 
 /// Several windows as one.
@@ -56,7 +69,7 @@ fn joined<'a>(mut windows: impl Iterator<Item = &'a Seen>) -> Option<Seen> {
     let mut all = windows.next()?.clone();
     for window in windows {
         all.frames.extend_from_slice(&window.frames);
-        all.poses.extend_from_slice(&window.poses);
+        all.limbs.extend_from_slice(&window.limbs);
     }
     Some(all)
 }
@@ -75,10 +88,15 @@ pub(super) struct Mending {
 }
 
 impl Mending {
-    /// `None` if nothing is known of the time before.
+    /// `None` if too little is known of the time before.
     pub(super) fn new(camera: usize, memory: &Memory, now: Timestamp) -> Option<Self> {
         let before = Arc::new(memory.before(now)?);
         Some(Self { camera, before, after: None, next: STEP, job: None, known: None })
+    }
+
+    /// Forgets what was seen since the move, and the job.
+    pub(super) fn begin_anew(&mut self) {
+        (self.after, self.next, self.job) = (None, STEP, None);
     }
 
     /// Adds what a window has seen. Returns what was seen before and after the move when the solver is to
@@ -87,9 +105,8 @@ impl Mending {
         if self.job.is_some() {
             return None;
         }
-        let is_old = |seen: &Arc<Seen>| !Arc::ptr_eq(&seen.body, &window.body);
-        if self.next > LONGEST || self.after.as_ref().is_some_and(is_old) {
-            (self.after, self.next) = (None, STEP);
+        if self.next > LONGEST {
+            self.begin_anew();
         }
         let Some(after) = &mut self.after else {
             self.after = Some(Arc::new(window.clone()));
@@ -97,7 +114,7 @@ impl Mending {
         };
         let all = Arc::make_mut(after);
         all.frames.extend_from_slice(&window.frames);
-        all.poses.extend_from_slice(&window.poses);
+        all.limbs.extend_from_slice(&window.limbs);
         let [first, last] = all.span()?;
         if last - first < self.next {
             return None;

@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use super::event::EventKind;
 use super::job::{Job, Task};
-use super::mending::Memory;
 use super::port::Output;
 use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
@@ -18,14 +17,14 @@ const SOLVED_AGAIN: usize = 3;
 impl Tracker {
     /// Sends the job of a complete window: an acquisition or a solve.
     pub(super) fn send_window(&mut self, window: Window) {
+        let left_out = self.left_out();
         if let Some(rig) = self.next_rig.take() {
             let detail = format!("calibration {} from here on", rig.version);
             let mut rig = Arc::unwrap_or_clone(rig);
             rig.shift_times(self.offsets.corrections());
             self.watchdog = Watchdog::new(rig.cameras.len());
-            self.mending.clear();
-            self.left_out.clear();
-            self.memory = Memory::default();
+            self.mending.retain(|mending| left_out[mending.camera]);
+            self.left_out = left_out;
             self.rig = Arc::new(rig);
             if !self.is_fed {
                 self.event(EventKind::Calibrated, window.start, None, detail);

@@ -102,7 +102,7 @@ pub struct Tracker {
     pub(super) memory: Memory,
     /// Cameras that were moved and are left out.
     pub(super) mending: Vec<Mending>,
-    /// Cameras that were found moved from another performer.
+    /// Cameras that were found moved from another performer, or in the run before.
     pub(super) left_out: Vec<bool>,
     pub(super) outputs: VecDeque<Output>,
 }
@@ -178,18 +178,23 @@ impl Tracker {
     /// `live` says, with what is known from the performer before.
     pub(in crate::core) fn watch_for_all(&mut self, live: Live, before: Option<&mut Self>) {
         self.live = Some(live);
-        self.left_out.clear();
         if let Some(before) = before {
+            std::mem::swap(&mut self.left_out, &mut before.left_out);
             std::mem::swap(&mut self.watchdog, &mut before.watchdog);
             std::mem::swap(&mut self.offsets, &mut before.offsets);
+            // Of another performer, cameras have another pattern.
+            before.mending.clear();
             before.live =
                 before.live.map(|live| Live { time_offsets: false, watch_cameras: false, ..live });
         }
     }
 
-    /// By camera, whether it was moved and is left out.
+    /// By camera, whether it was moved and is left out; with a new calibration that waits for its window,
+    /// as it will be then.
     pub(in crate::core) fn left_out(&self) -> Vec<bool> {
-        (0..self.rig.cameras.len()).map(|camera| self.is_left_out(camera)).collect()
+        let next = self.next_rig.as_ref().unwrap_or(&self.rig);
+        let cameras = self.rig.cameras.iter().zip(&next.cameras).enumerate();
+        cameras.map(|(i, (old, new))| self.is_left_out(i) && old.has_pose_of(new)).collect()
     }
 
     /// These cameras are left out of all windows.
@@ -301,6 +306,7 @@ impl Tracker {
             }
             Input::Forget => {
                 self.is_proven = false;
+                self.mending.clear();
                 self.restart();
             }
             Input::Solved(solution) if self.abandoned == Some(solution.number) => {
@@ -442,12 +448,15 @@ impl Tracker {
     }
 
     fn calibrate(&mut self, rig: Arc<Rig>) {
+        // Their answers are poses of the calibration before.
+        self.mending.iter_mut().for_each(Mending::begin_anew);
         if rig.has_cameras_of(&self.rig) {
             self.next_rig = Some(rig);
             return;
         }
         self.offsets = LiveOffsets::new(rig.cameras.len());
         self.watchdog = Watchdog::new(rig.cameras.len());
+        self.mending.clear();
         self.left_out.clear();
         self.next_rig = None;
         self.rig = rig;
@@ -461,7 +470,8 @@ impl Tracker {
         let old = std::mem::replace(self, fresh);
         (self.live, self.idle) = (old.live, old.idle);
         (self.is_fed, self.stagger) = (old.is_fed, old.stagger);
-        (self.offsets, self.watchdog) = (old.offsets, old.watchdog);
+        (self.offsets, self.watchdog, self.mending) = (old.offsets, old.watchdog, old.mending);
+        self.mending.iter_mut().for_each(Mending::begin_anew);
         self.left_out = old.left_out;
         self.skeleton = old.skeleton.filter(|_| old.is_proven);
         self.is_proven = old.is_proven;

@@ -22,6 +22,8 @@ use crate::io::wire::{self, KeypointFrame, LiveStamp};
 const PROVISIONAL: Nanos = Nanos::from_ms(8);
 const OVERDUE: Nanos = Nanos::from_ms(60);
 const SEARCH: Nanos = Nanos::from_ms(250);
+/// A point is near the body within this many times the median distance.
+const NEAR: f64 = 3.0;
 
 /// The latency never falls by more. If the last pose leaves later than this, its due time is of another
 /// clock.
@@ -261,9 +263,12 @@ impl Core {
         for residual in report.residuals.iter().filter(|residual| residual.error_px.is_finite()) {
             errors.entry(residual.camera).or_default().push(residual.error_px);
         }
+        let usual = quantile(&mut errors.values().flatten().copied().collect::<Vec<f64>>(), 0.5);
         for (camera, mut errors) in errors {
             if let Some(camera) = self.cameras.get_mut(camera) {
-                camera.residual(quantile(&mut errors, 0.5));
+                let near = errors.iter().filter(|error| **error <= NEAR * usual).count();
+                let share = near as f64 / errors.len() as f64;
+                camera.residual(quantile(&mut errors, 0.5), share);
             }
         }
     }

@@ -83,9 +83,10 @@ impl Camera {
         *counter += count;
     }
 
-    /// Sets the median distance of its detections from the body in a window, pixels.
-    pub(super) fn residual(&mut self, pixels: f64) {
-        self.counters.residual_px = pixels;
+    /// Sets the median distance of its detections from the body in a window, pixels, and the share of
+    /// those that are near it.
+    pub(super) fn residual(&mut self, pixels: f64, near: f64) {
+        (self.counters.residual_px, self.counters.near) = (pixels, near);
     }
 
     /// Updates the rate; called once a second.

@@ -33,7 +33,9 @@ impl Core {
         let camera = &mut rig.cameras[index];
         (camera.rotation, camera.translation) = (placed.camera.rotation, placed.camera.translation);
         let (rig, instead_of) = (wire::Rig::from_core(&rig).with_own_version(), rig.version);
-        self.calibrate(&encode(&rig), "mending");
+        if !self.calibrate(&encode(&rig), "mending") {
+            return Err(format!("{name}: its pose is in use already"));
+        }
         self.publish(self.topics.rig(), Timestamp::default(), Content::Rig(rig.clone()));
         self.outputs.push_back(Output::Mended { rig, instead_of });
         self.event(EventKind::CameraMoved, Some(name), format!("mended: {placed}; it is used"));

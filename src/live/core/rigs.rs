@@ -24,7 +24,10 @@ const MOST_CHARS: usize = 256;
 impl Core {
     pub(super) fn rig_file(&mut self, bytes: Vec<u8>) {
         if self.journal.count == 0 {
-            self.rig_at_start = Some(bytes.clone());
+            let before = self.rig_at_start.replace(bytes.clone());
+            if before.is_some_and(|before| before != bytes) {
+                self.settings.carried.left_out.clear();
+            }
         }
         if self.calibrate(&bytes, "the file")
             && let Ok(rig) = wire::decode::<wire::Rig>(&bytes)
@@ -85,7 +88,13 @@ impl Core {
             self.cameras = names.into_iter().map(Camera::new).collect();
             self.clock = Clock::new(self.cameras.len());
         }
-        self.cameras.iter_mut().for_each(|camera| camera.placed = None);
+        for (camera, new) in self.cameras.iter_mut().zip(&rig.cameras) {
+            let before = self.calibration.as_ref().map(|before| &before.rig);
+            let before = before.and_then(|rig| rig.cameras.get(rig.index_of(&new.name)?));
+            if !before.is_some_and(|before| before.has_pose_of(new)) {
+                camera.placed = None;
+            }
+        }
         self.known_rigs.extend(self.has_rig_file().then(|| fnv1a(bytes)));
         self.event(EventKind::RigChanged, None, format!("{}, from {source}", told(&message)));
         self.calibration = Some(Calibration { rig: Arc::clone(&rig), bytes: bytes.to_vec() });

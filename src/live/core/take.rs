@@ -28,6 +28,10 @@ impl Core {
             Ok(take) => take,
             Err(error) => return self.event(EventKind::Unusable, None, error.to_string()),
         };
+        // That is for recorders.
+        if take.action == "note" {
+            return;
+        }
         if take.action == "start" && valid_name(&take.name).is_ok() {
             let why = format!("take {} begins instead", take.name);
             if let Some(before) = self.starting.replace(take) {

@@ -72,7 +72,10 @@ impl RigFile {
     /// The file has changed, or a file cannot be written.
     pub fn replace(&mut self, rig: &Rig, instead_of: u64) -> Result<String, String> {
         let path = self.path.display();
-        if self.version != instead_of || self.look() != self.stamp {
+        if self.version != instead_of {
+            return Err(format!("{path} holds another one than was in use, it is not written"));
+        }
+        if self.look() != self.stamp {
             return Err(format!("{path} was changed meanwhile, it is not written"));
         }
         let cameras = rig.to_core().map_err(|error| error.to_string())?;
@@ -81,6 +84,7 @@ impl RigFile {
         if !is_ours {
             let beside = self.path.with_extension("mended.toml");
             write_calibration(&beside, &cameras, self.up).map_err(|error| error.to_string())?;
+            self.version = rig.version;
             let beside = beside.display();
             return Ok(format!(
                 "{path} is of another format and stays; the new one is {beside}, set [node] rig to it"

@@ -266,6 +266,16 @@ fn start_playout(
     Ok(played)
 }
 
+/// Writes calibrations with a mended camera, each in place of the one of that version.
+fn write(file: &mut RigFile, mended: &Receiver<(Rig, u64)>) {
+    for (rig, instead_of) in mended.try_iter() {
+        match file.replace(&rig, instead_of) {
+            Ok(done) => tracing::info!("the mended calibration is written: {done}"),
+            Err(why) => tracing::warn!("the mended calibration is used, but not written: {why}"),
+        }
+    }
+}
+
 /// Starts the thread that reads the calibration file, and writes the given ones to it, until `looking`
 /// closes.
 fn watch_rig(
@@ -280,12 +290,7 @@ fn watch_rig(
     let work = move || {
         let mut unsent = None;
         while looking.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
-            for (rig, instead_of) in to_write.try_iter() {
-                match file.replace(&rig, instead_of) {
-                    Ok(done) => tracing::info!("the mended calibration is written: {done}"),
-                    Err(why) => tracing::warn!("the mended calibration is only used: {why}"),
-                }
-            }
+            write(&mut file, &to_write);
             let path = file.path().display().to_string();
             match file.changed() {
                 Ok(None) => {}
@@ -301,6 +306,7 @@ fn watch_rig(
                 unsent = Some(rig);
             }
         }
+        write(&mut file, &to_write);
     };
     threads.push(("rig file", thread("rig-file").spawn(work).map_err(NodeError::Thread)?));
     Ok(rigs)

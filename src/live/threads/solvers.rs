@@ -1,7 +1,7 @@
 //! The solver threads, and the jobs that wait for them.
 //!
 //! The job with the earliest deadline comes first. Searches take longest; with several threads, one is kept
-//! free of them, so that who enters delays nobody. What nothing waits for, the place of a moved camera, has a
+//! free of them, so that who enters delays nobody. What no pose waits for, the place of a moved camera, has a
 //! thread of its own.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -19,9 +19,6 @@ use crate::live::error::NodeError;
 /// A solver without a core of its own gives way to the other threads of the program.
 #[cfg(unix)]
 const GIVES_WAY: i32 = 10;
-/// The thread for which nothing waits gives way to all others.
-#[cfg(unix)]
-const LAST: i32 = 19;
 
 /// A solution from a solver's thread.
 pub(crate) struct Answer {
@@ -41,7 +38,7 @@ struct Waiting {
 }
 
 impl Waiting {
-    /// The most urgent job that may be solved now, of those that something waits for or of the others.
+    /// The most urgent job that may be solved now, of those that a pose waits for or of the others.
     fn pop(&mut self, aside: bool) -> Option<(PerformerId, Box<Job>)> {
         let is_full = self.searches >= self.most_searches;
         let may_be_next = |job: &Job| is_aside(job) == aside && !(is_full && is_search(job));
@@ -67,7 +64,7 @@ pub(crate) struct Solvers(Arc<(Mutex<Waiting>, Condvar)>);
 
 impl Solvers {
     /// Starts a thread for each function that solves, the first one on `core`, if there is one; and one for
-    /// the jobs that nothing waits for.
+    /// the jobs that no pose waits for.
     ///
     /// # Errors
     /// The system cannot start a thread.
@@ -113,7 +110,7 @@ enum Place {
     Core(SolverCore),
     /// It shares the cores with the threads that publish on time.
     Shared,
-    /// The same, for the jobs that nothing waits for.
+    /// The same, for the jobs that no pose waits for.
     Aside,
 }
 
@@ -142,9 +139,7 @@ fn serve(
     match place {
         Place::Core(core) => core.enter(),
         #[cfg(unix)]
-        Place::Shared => drop(rustix::process::nice(GIVES_WAY)),
-        #[cfg(unix)]
-        Place::Aside => drop(rustix::process::nice(LAST)),
+        Place::Shared | Place::Aside => drop(rustix::process::nice(GIVES_WAY)),
         #[cfg(not(unix))]
         _ => {}
     }

@@ -34,7 +34,10 @@ const chosen = { playing: true, time: 0, speed: 1, loop: undefined, provisional:
 $("name").textContent = about.name;
 document.title = `${about.name} · bundlemocap`;
 $("speed").parentElement.hidden = isLive;
-source.want(chosen.provisional);
+/** Asks for what is seen: with a calibration, only for the cameras whose panes are in sight. */
+const ask = () => source.want(chosen.provisional, store.rig ? [...panes.inSight] : undefined);
+panes.sightChanged = ask;
+ask();
 
 let [shownRig, framed, lastPicture, opened] = [undefined, false, performance.now(), performance.now()];
 goToHash();
@@ -120,8 +123,8 @@ function showNode(people) {
   if (status) {
     if (status.declared_latency_ns) figures.set("latency", `${(Number(status.declared_latency_ns) / 1e6).toFixed(0)} ms`);
     const { playout, windows } = status;
-    const late = playout && quantile(playout.deviation_bins_us, playout.deviation_counts, 0.99);
-    if (late !== undefined) figures.set("publishing p99", inMs(late));
+    const late = (share) => playout && quantile(playout.deviation_bins_us, playout.deviation_counts, share);
+    if (late(0.5) !== undefined) figures.set("publishing p50, p99", `${inMs(late(0.5))}, ${inMs(late(0.99))}`);
     const fast = playout && quantile(playout.provisional_bins_us, playout.provisional_counts, 0.5);
     if (fast !== undefined) figures.set("provisional p50", inMs(fast));
     if (windows?.solve_p50_ms) {
@@ -178,6 +181,7 @@ function showCameras() {
     row.append(element("span", level === "unknown" ? name : `${name} ${level}`, `light ${level}`));
     if (counters) row.append(element("span", `${(counters.rate_hz ?? 0).toFixed(1)} Hz`));
     if (counters?.residual_px > 0) row.append(element("span", `${counters.residual_px.toFixed(1)} px`));
+    if (counters?.near > 0) row.append(element("span", `${Math.round(100 * counters.near)} %`));
     item.append(row);
     if (words.length > 0) item.append(element("div", words.slice(0, 3).join("; "), "words"));
     item.title = [...words, ...advice].join("\n");
@@ -424,7 +428,7 @@ const KEYS = {
   f: () => view.frameAll(peopleAt(chosen.time, "poses")),
   p: () => {
     chosen.provisional = !chosen.provisional;
-    source.want(chosen.provisional);
+    ask();
   },
   l: loop,
   "?": () => $("help").showModal(),

@@ -13,6 +13,15 @@ export class Panes {
     this.root = root;
     this.choose = choose;
     this.panes = new Map();
+    /** Names of the cameras whose panes are in sight. */
+    this.inSight = new Set();
+    this.observer = new IntersectionObserver((changes) => {
+      for (const { target, isIntersecting } of changes) {
+        if (isIntersecting) this.inSight.add(target.dataset.camera);
+        else this.inSight.delete(target.dataset.camera);
+      }
+      this.sightChanged?.();
+    });
   }
 
   setRig(rig) {
@@ -23,8 +32,10 @@ export class Panes {
   setCameras(names) {
     for (const [name, pane] of this.panes) {
       if (names.includes(name)) continue;
+      this.observer.unobserve(pane.button);
       pane.button.remove();
       this.panes.delete(name);
+      this.inSight.delete(name);
     }
     for (const name of names) {
       if (this.panes.has(name)) continue;
@@ -41,6 +52,7 @@ export class Panes {
       light.textContent = name;
       button.addEventListener("click", () => this.choose(name));
       this.root.append(button);
+      this.observer.observe(button);
       this.panes.set(name, { button, canvas, light, count, context: canvas.getContext("2d") });
     }
   }

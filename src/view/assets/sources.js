@@ -43,10 +43,10 @@ export class Live {
     if (dropped !== undefined) this.store.dropped = dropped;
   }
 
-  /** Asks for what is shown. */
-  want(provisional) {
+  /** Asks for what is shown: of the cameras, those given, or else all. */
+  want(provisional, cameras = ["*"]) {
     const own = `mocap/${this.stage}`;
-    const topics = ["rig", "events", "take", "take/answers", "camera/*/keypoints"];
+    const topics = ["rig", "events", "take", "take/answers", ...cameras.map((name) => `camera/${name}/keypoints`)];
     topics.push("actor/*/skeleton", "actor/*/status", "actor/*/events", "actor/*/pose");
     if (provisional) topics.push("actor/*/pose/provisional");
     this.topics = topics.map((topic) => `${own}/${topic}`);
@@ -54,9 +54,9 @@ export class Live {
   }
 
   /** Commands nodes and recorders; returns the number that their answers carry. */
-  command(action, name = "") {
+  command(action, name = "", more = {}) {
     const id = Math.floor(Math.random() * 2 ** 32);
-    if (this.connected) this.socket.send(JSON.stringify({ take: { id, action, name } }));
+    if (this.connected) this.socket.send(JSON.stringify({ take: { id, action, name, ...more } }));
     return id;
   }
 

@@ -3,12 +3,14 @@
 const $ = (id) => document.getElementById(id);
 /** How long nodes and recorders have for an answer, ms. */
 const PATIENCE = 5000;
+/** Who answers a command, if not both nodes and recorders. */
+const ANSWERERS = { reset: ["node"], mend: ["node"], note: ["recorder"] };
 
 /** Connects the form with a live stage. Call the result a few times a second: it shows the state of the take. */
 export function takes(store, source) {
   let [sent, answers] = [undefined, []];
-  const command = (action, name) => {
-    sent = { id: BigInt(source.command(action, name)), action, at: performance.now() };
+  const command = (action, name, more) => {
+    sent = { id: BigInt(source.command(action, name, more)), action, at: performance.now() };
     answers = [];
   };
   // A page that is loaded again knows the take that it began.
@@ -24,11 +26,29 @@ export function takes(store, source) {
     } else command("start", $("take-name").value);
   });
   $("reset").addEventListener("click", () => command("reset"));
+  // The take that runs, or the last one.
+  let noted;
+  for (const mark of ["good", "bad"]) {
+    $(mark).addEventListener("click", () => {
+      command("note", noted, { mark, note: $("note").value });
+      $("note").value = "";
+    });
+  }
+  $("notes").addEventListener("submit", (event) => {
+    event.preventDefault();
+    command("note", noted, { note: $("note").value });
+    $("note").value = "";
+  });
   $("moved").addEventListener("click", ({ target }) => {
     if (target.dataset.mend) command("mend", target.dataset.mend);
   });
   return () => {
     const take = running();
+    if (take) {
+      noted = take.name;
+      $("notes").hidden = false;
+      set($("noted"), noted);
+    }
     const text = take && JSON.stringify(take, (key, value) => (key === "id" ? String(value) : value));
     if (text) sessionStorage.setItem("take", text);
     else sessionStorage.removeItem("take");
@@ -40,7 +60,7 @@ export function takes(store, source) {
     if (!sent) return;
     answers.push(...store.answers.splice(0).filter(({ id }) => id === sent.id));
     const lines = answers.map(({ role, text = "", refused }) => `${role}${refused ? " refuses" : ""}: ${text}`);
-    const wanted = ["reset", "mend"].includes(sent.action) ? ["node"] : ["node", "recorder"];
+    const wanted = ANSWERERS[sent.action] ?? ["node", "recorder"];
     const isOver = performance.now() - sent.at > PATIENCE;
     for (const role of isOver ? wanted.filter((one) => answers.every((answer) => answer.role !== one)) : []) {
       lines.push(role === "recorder" ? "no recorder answered: start `bundlemocap record takes/`" : "no node answered");

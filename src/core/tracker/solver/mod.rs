@@ -26,7 +26,7 @@ use known::Known;
 /// shape comes from it.
 const ACQUISITION_CHANGE: f64 = 1e-4;
 
-/// Solves a job that nothing waits for ([`Task::Mend`]), without a solver. Of others it knows nothing.
+/// Solves a job that no pose waits for ([`Task::Mend`]), without a solver. Of others it knows nothing.
 pub fn solve_aside(job: &Job) -> Solution {
     let placed = match &job.task {
         Task::Mend { camera, seen: [before, after] } => {

@@ -1,0 +1,170 @@
+#!/usr/bin/env python3
+"""Shows recordings, or a running node, in Rerun: performers, cameras, keypoints, events.
+
+    pip install rerun-sdk protobuf grpcio-tools mcap zstandard lz4
+    python generate.py
+    python to_rerun.py out/poses.mcap take.mcap              # opens the viewer
+    python to_rerun.py out/poses.mcap --save take.rrd        # for `rerun take.rrd`
+    python to_rerun.py --live                                # also pip install eclipse-zenoh
+
+The timeline `capture` is the cameras' clock. World: right-handed, y up, metres.
+"""
+
+import argparse
+import pathlib
+import sys
+
+import numpy as np
+import rerun as rr
+
+sys.path.append(str(pathlib.Path(__file__).resolve().parent / "generated"))
+
+from event_pb2 import Event
+from keypoint_frame_pb2 import KeypointFrame
+from pose_pb2 import TRACKING_STATE_TRACKING, Pose
+from rig_pb2 import Rig
+from skeleton_pb2 import Skeleton
+
+TYPES = {f"bundlemocap.v1.{kind.__name__}": kind for kind in (Event, KeypointFrame, Pose, Rig, Skeleton)}
+# Okabe and Ito: told apart by everybody.
+COLOURS = [(0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0)]
+GREY = (138, 143, 152)
+
+
+class Scene:
+    """Logs messages to Rerun."""
+
+    def __init__(self):
+        self._parents, self._colours = {}, {}
+        rr.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
+
+    def take(self, topic, message):
+        """`message` came on `topic`; others than those above are ignored. Truth is left out."""
+        parts = topic.split("/")
+        if "truth" in parts:
+            return
+        if isinstance(message, Rig):
+            for camera in message.cameras:
+                self._camera(camera)
+            return
+        actor = parts[3] if len(parts) > 3 and parts[2] == "actor" else None
+        if isinstance(message, Skeleton):
+            self._parents[actor] = list(message.parents)
+            return
+        rr.set_time("capture", timestamp=np.datetime64(message.capture_time_ns, "ns"))
+        if isinstance(message, KeypointFrame):
+            self._keypoints(message)
+        elif isinstance(message, Pose):
+            self._pose(actor, message)
+        elif isinstance(message, Event):
+            of = " ".join(name for name in (actor, message.camera) if name)
+            level = rr.TextLogLevel.INFO if message.kind in ("acquired", "calibrated") else rr.TextLogLevel.WARN
+            rr.log("events", rr.TextLog(f"{message.kind} {of} {message.detail}", level=level))
+
+    def _camera(self, camera):
+        path = f"world/cameras/{camera.name}"
+        rotation = matrix(camera.camera_from_world_rotation)
+        centre = -rotation.T @ np.array(camera.camera_from_world_translation_m)
+        rr.log(path, rr.Transform3D(translation=centre, mat3x3=rotation.T), static=True)
+        (fx, fy), (cx, cy) = camera.focal_px, camera.centre_px
+        # Rerun knows no distortion: keypoints of a wide lens are off near the edges.
+        pinhole = rr.Pinhole(
+            image_from_camera=[[fx, camera.skew_px, cx], [0, fy, cy], [0, 0, 1]],
+            width=camera.width,
+            height=camera.height,
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=0.5,
+        )
+        rr.log(path, pinhole, static=True)
+
+    def _keypoints(self, frame):
+        points = [np.reshape(person.points, (-1, 3)) for person in frame.people]
+        points = np.concatenate(points) if points else np.zeros((0, 3))
+        seen = points[points[:, 2] > 0]
+        path = f"world/cameras/{frame.camera}/keypoints"
+        rr.log(path, rr.Points2D(seen[:, :2], radii=3, colors=(255, 255, 255)))
+
+    def _pose(self, actor, pose):
+        parents = self._parents.get(actor)
+        joints = np.reshape(pose.joint_positions_m, (-1, 3))
+        if parents is None or len(parents) != len(joints):
+            return
+        colour = self._colours.setdefault(actor, COLOURS[len(self._colours) % len(COLOURS)])
+        colour = colour if pose.state == TRACKING_STATE_TRACKING else GREY
+        bones = [joints[[parent, joint]] for joint, parent in enumerate(parents) if parent >= 0]
+        path = f"world/performers/{actor}" + ("/provisional" if pose.provisional else "")
+        rr.log(path, rr.LineStrips3D(bones, radii=0.02, colors=colour))
+
+
+def matrix(quaternion):
+    """The rotation matrix of a quaternion x, y, z, w."""
+    x, y, z, w = quaternion
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ])
+
+
+def show(paths):
+    """Shows recordings of one take."""
+    from mcap.reader import make_reader
+
+    scene, count = Scene(), 0
+    for path in paths:
+        with open(path, "rb") as file:
+            for schema, channel, message in make_reader(file).iter_messages():
+                kind = TYPES.get(schema.name if schema else "")
+                if kind is not None:
+                    scene.take(channel.topic, kind.FromString(message.data))
+                    count += 1
+    return count
+
+
+def follow(connect, stage):
+    """Shows a running node until Ctrl-C."""
+    import threading
+
+    import mocap
+
+    scene, lock = Scene(), threading.Lock()
+
+    def handle(sample):
+        kind = TYPES.get(str(sample.encoding).partition(";")[2])
+        if kind is not None:
+            with lock:
+                scene.take(str(sample.key_expr), kind.FromString(sample.payload.to_bytes()))
+
+    with mocap.open_session(connect) as session:
+        topics = ["rig", "actor/*/skeleton", "events", "actor/*/events"]
+        states = [mocap.subscribe_samples(session, f"mocap/{stage}/{topic}", handle) for topic in topics]
+        topics = ["actor/*/pose", "camera/*/keypoints"]
+        streams = [session.declare_subscriber(f"mocap/{stage}/{topic}", handle) for topic in topics]
+        print(f"{len(states) + len(streams)} subscriptions; Ctrl-C ends")
+        try:
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            pass
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recordings", nargs="*", help="MCAP files of one take")
+    parser.add_argument("--live", action="store_true", help="show a running node")
+    parser.add_argument("--connect", default="tcp/127.0.0.1:7447", help="address of the node")
+    parser.add_argument("--stage", default="stage", help="name of the capture volume")
+    parser.add_argument("--save", metavar="FILE", help="write an .rrd file instead of opening the viewer")
+    args = parser.parse_args()
+    if args.live == bool(args.recordings):
+        parser.error("give recordings, or --live")
+    rr.init("bundlemocap", spawn=args.save is None)
+    if args.save is not None:
+        rr.save(args.save)
+    if args.live:
+        follow(args.connect, args.stage)
+    else:
+        print(f"{show(args.recordings)} messages")
+
+
+if __name__ == "__main__":
+    main()
