@@ -77,7 +77,7 @@ def subscribe_state(session, topic, message_type, handle):
 
 
 def subscribe_samples(session, topic, handle):
-    """The same with the samples, of any message type."""
+    """Calls `handle(sample)` for the last and for new samples of any type. Keep the subscriber."""
     return zenoh.ext.declare_advanced_subscriber(
         session,
         topic,

@@ -26,7 +26,7 @@ from rig_pb2 import Rig
 from skeleton_pb2 import Skeleton
 
 TYPES = {f"bundlemocap.v1.{kind.__name__}": kind for kind in (Event, KeypointFrame, Pose, Rig, Skeleton)}
-# Okabe and Ito: told apart by everybody.
+# Okabe-Ito palette: safe for colour-blind people.
 COLOURS = [(0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0)]
 GREY = (138, 143, 152)
 
@@ -38,8 +38,8 @@ class Scene:
         self._parents, self._colours = {}, {}
         rr.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
 
-    def take(self, topic, message):
-        """`message` came on `topic`; others than those above are ignored. Truth is left out."""
+    def log(self, topic, message):
+        """Logs `message` of `topic`. Ignores types that are not in TYPES, and ground truth."""
         parts = topic.split("/")
         if "truth" in parts:
             return
@@ -67,7 +67,7 @@ class Scene:
         centre = -rotation.T @ np.array(camera.camera_from_world_translation_m)
         rr.log(path, rr.Transform3D(translation=centre, mat3x3=rotation.T), static=True)
         (fx, fy), (cx, cy) = camera.focal_px, camera.centre_px
-        # Rerun knows no distortion: keypoints of a wide lens are off near the edges.
+        # Rerun has no lens distortion model: with a wide lens, keypoints are off near the edges.
         pinhole = rr.Pinhole(
             image_from_camera=[[fx, camera.skew_px, cx], [0, fy, cy], [0, 0, 1]],
             width=camera.width,
@@ -116,7 +116,7 @@ def show(paths):
             for schema, channel, message in make_reader(file).iter_messages():
                 kind = TYPES.get(schema.name if schema else "")
                 if kind is not None:
-                    scene.take(channel.topic, kind.FromString(message.data))
+                    scene.log(channel.topic, kind.FromString(message.data))
                     count += 1
     return count
 
@@ -133,7 +133,7 @@ def follow(connect, stage):
         kind = TYPES.get(str(sample.encoding).partition(";")[2])
         if kind is not None:
             with lock:
-                scene.take(str(sample.key_expr), kind.FromString(sample.payload.to_bytes()))
+                scene.log(str(sample.key_expr), kind.FromString(sample.payload.to_bytes()))
 
     with mocap.open_session(connect) as session:
         topics = ["rig", "actor/*/skeleton", "events", "actor/*/events"]

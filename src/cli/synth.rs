@@ -62,9 +62,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "METRES", num_args = 0..=1, default_missing_value = "0.7",
         allow_negative_numbers = true)]
     meet: Option<f64>,
-    /// Bump the last camera after that many seconds: it is turned by 3 degrees and moved by 10 cm, and the
-    /// calibration does not know.
-    #[arg(long, value_name = "SECONDS")]
+    /// Turn the last camera by 3 degrees and move it by 10 cm after this time; the calibration stays.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     bump: Option<f64>,
 }
 
@@ -165,6 +164,9 @@ fn frame_count(arguments: &Arguments) -> Result<u64, Failure> {
     }
     if arguments.meet.is_some() && arguments.performers == 1 {
         return Err(Failure::new(Exit::Usage, "--meet needs --performers 2 or more"));
+    }
+    if let Some(bump) = arguments.bump.filter(|bump| !(0.0..seconds).contains(bump)) {
+        return Err(wrong("--bump", bump, "a time in the recording, from 0 s to below --seconds"));
     }
     if !(1.0..=1e8).contains(&frames) {
         return Err(wrong("--seconds", seconds, "from 1 to 1e8 frames long"));

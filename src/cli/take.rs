@@ -22,7 +22,7 @@ const PATIENCE: Duration = Duration::from_secs(4);
 /// Wait for further answers once a node and a recorder have answered.
 const GRACE: Duration = Duration::from_millis(300);
 
-/// Begin or end a take, forget the performer's body, or mend a camera that was moved.
+/// Begin or end a take, write a note about it, forget the body, or mend a moved camera.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own for the take, so that
@@ -30,10 +30,10 @@ start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own
        performer anew, and publish no poses for some tenths of a second.
 stop   Recorders end the file, one second later. Nodes go on.
 reset  Nodes forget the performer's body: somebody else comes.
-mend   Nodes give a camera that was moved its new pose, once they know it (event camera_moved). The
-       calibration file of the node is written anew; the one before is kept beside it.
-note   Recorders write --note and --mark to takes.csv in their folder, for the take that runs or the last
-       one, or for NAME.
+mend   Nodes correct the calibration of a moved camera, once its new pose is known (event camera_moved).
+       The node overwrites its TOML calibration file and keeps a copy; another format stays unchanged.
+note   Recorders add --note and --mark to takes.csv in their folder, for NAME, or else for the running
+       take or the last one.
 
 Prints who answered. Exit code 13: nobody did. Exit code 6: no recorder or no node answered, or one
 refused.
@@ -48,14 +48,14 @@ pub(super) struct Arguments {
     /// What to do.
     #[arg(value_enum)]
     action: Action,
-    /// Name of the take: letters, digits, `-`, `_` and `.`. Without it, stop and reset are for the take
-    /// that runs. For mend, the name of the camera.
+    /// Name of the take: letters, digits, `-`, `_` and `.`. Without it: the running take; for
+    /// note, else the last one. For mend: the name of the camera.
     #[arg(required_if_eq_any([("action", "start"), ("action", "mend")]))]
     name: Option<String>,
-    /// What is to be remembered of the take.
+    /// Text of the note.
     #[arg(long, default_value = "", hide_default_value = true)]
     note: String,
-    /// How the take is.
+    /// Rating of the take.
     #[arg(long, value_parser = ["good", "bad"])]
     mark: Option<String>,
     #[command(flatten)]
@@ -70,9 +70,9 @@ enum Action {
     Stop,
     /// Forget the performer's body.
     Reset,
-    /// Give a camera that was moved its new pose.
+    /// Correct the calibration of a moved camera.
     Mend,
-    /// Note something of a take.
+    /// Write a note about a take.
     Note,
 }
 
@@ -106,6 +106,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let config = arguments.bus.settings()?;
     let bus = open(&config)?;
     let id = WallClock::start().now().ns().unsigned_abs();
+    if arguments.action == Action::Note && arguments.note.is_empty() && arguments.mark.is_none() {
+        return Err(Failure::new(Exit::Usage, "note needs --note, --mark, or both"));
+    }
     let (note, mark) = (arguments.note.clone(), arguments.mark.clone().unwrap_or_default());
     let take = Take { id, action: arguments.action.name().into(), name, note, mark };
     let answers = command(&*bus, &topics(&config), &take, arguments.action.roles(), LEAD)?;

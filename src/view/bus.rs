@@ -62,7 +62,7 @@ impl Live {
 enum Order {
     /// The messages of topics that match these patterns, and no others.
     Topics(Vec<String>),
-    /// To begin or end a take, to make nodes forget the body, or to mend a camera; as `bundlemocap take`.
+    /// A command of `bundlemocap take`: start, stop, reset, mend or note.
     Take(Slate),
 }
 
@@ -83,14 +83,14 @@ impl Slate {
     /// The command, unless the page has not checked what the user entered.
     fn take(self) -> Option<Take> {
         let Self { id, action, name, note, mark } = self;
-        let is_known = ["start", "stop", "reset", "mend", "note"].contains(&&*action);
-        let is_named = match (&*action, name.is_empty()) {
-            ("start" | "mend", true) => false,
+        let is_sound = match &*action {
+            "start" => valid_name(&name).is_ok(),
             // Cameras may have any name.
-            ("mend", false) | (_, true) => true,
-            _ => valid_name(&name).is_ok(),
+            "mend" => !name.is_empty(),
+            "stop" | "reset" | "note" => name.is_empty() || valid_name(&name).is_ok(),
+            _ => false,
         };
-        (is_known && is_named).then_some(Take { id: id.into(), action, name, note, mark })
+        is_sound.then_some(Take { id: id.into(), action, name, note, mark })
     }
 }
 

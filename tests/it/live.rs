@@ -142,7 +142,7 @@ impl World {
                 Output::Wake(at) => self.wake = Some(at.max(self.now + Nanos::new(1))),
                 Output::Solve { performer, job, .. } => {
                     let took = (self.took)(&job);
-                    if matches!(job.task, Task::Mend { .. }) {
+                    if job.is_aside() {
                         let solution = solve_aside(&job);
                         self.answers.push((self.now + took, performer, solution, took));
                         continue;

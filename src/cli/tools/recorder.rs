@@ -104,8 +104,6 @@ pub(crate) struct Recorder {
     recent: VecDeque<RawEntry>,
     silence: Silence,
     room: Room,
-    /// Bytes that are free on the disk, if known.
-    free: Option<u64>,
     /// Topics above the limit are not said again.
     is_skipping_said: bool,
 }
@@ -135,7 +133,6 @@ impl Recorder {
             recent: VecDeque::new(),
             silence: Silence::default(),
             room: Room::default(),
-            free: None,
             is_skipping_said: false,
         })
     }
@@ -234,7 +231,8 @@ impl Recorder {
         for entry in self.rig.iter().chain(&self.recent) {
             file.write(entry)?;
         }
-        let free = self.free.map_or(String::new(), |free| format!(", {} GB free", free >> 30));
+        let free = self.room.free();
+        let free = free.map_or(String::new(), |free| format!(", {:.1} GB free", free as f64 / 1e9));
         let text = format!("recording to {}{free}", file.path.display());
         self.last = Some(take.name.clone());
         self.take = Some(Running { name: take.name.clone(), file });
@@ -276,7 +274,6 @@ impl Recorder {
     ) -> Result<(Vec<Said>, bool), RecordError> {
         let mut said = Vec::new();
         let mut skipped = 0;
-        self.free = room;
         for file in self.files() {
             file.writer.flush()?;
             skipped += file.recorded.skipped;

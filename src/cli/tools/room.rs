@@ -13,6 +13,7 @@ const WARN_ROOM: u64 = 256 << 20;
 pub(super) struct Room {
     bytes: u64,
     is_said: bool,
+    free: Option<u64>,
 }
 
 impl Room {
@@ -20,9 +21,15 @@ impl Room {
         self.bytes += bytes as u64;
     }
 
+    /// Bytes that were free at the last report, if known.
+    pub(super) const fn free(&self) -> Option<u64> {
+        self.free
+    }
+
     /// Once a second, with the `room` on the disk, bytes: a warning if it is little, and whether there
     /// is enough to go on.
     pub(super) fn report(&mut self, room: Option<u64>) -> (Option<String>, bool) {
+        self.free = room;
         let rate = std::mem::take(&mut self.bytes);
         let Some(room) = room else { return (None, true) };
         let left = room.saturating_sub(LEAST_ROOM);

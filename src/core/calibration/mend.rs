@@ -1,18 +1,17 @@
-//! The pose of a camera that was moved, from the performer whom the other cameras track.
+//! Estimates the new pose of a moved camera from the performer, whom the other cameras track.
 //!
-//! In each frame of the camera, the rotation that turns the body's limbs to those of a person is that of
-//! the move, about; a person who is somebody else gives another one each time. From the rotation on which
-//! most frames agree, the pose of the camera is fitted to the limbs. The body as the other cameras solve it
-//! is less noisy than points that they triangulate: it gives half the error. Detector, body and lens give
-//! each camera a pattern of its own, which turns a fitted camera by a degree. So it is also fitted to what
-//! was seen before it was moved; the way from there to its new pose is that of the move.
+//! First guess: in each frame, a rotation aligns the body's limbs with each detected person. For the performer
+//! it is about the rotation of the move; for anybody else it changes from frame to frame. The rotation on which
+//! most frames agree starts a fit of the camera's pose to the limbs. The solved body has less noise than
+//! triangulated points: the error is half. Detector, body and lens bias each fitted camera by about a degree.
+//! So the pose before the move is fitted too; the difference of both fits is the move.
 
 use std::sync::Arc;
 
-use nalgebra::{Matrix2x3, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
-use super::refine::{Correction, LOSS_SCALE, MEDIAN_LENGTH};
-use super::tracks::{LIMBS, Limbs, performer_at, pixel};
+use super::refine::{self, Correction, LOSS_SCALE, sigma_of};
+use super::tracks::{LIMBS, Limbs, performer, pixel};
 use crate::core::camera::Camera;
 use crate::core::detections::{Detections, Keypoint, Person};
 use crate::core::points::median;
@@ -23,21 +22,19 @@ use crate::core::time::Timestamp;
 const GUESSES: usize = 100;
 /// Limbs of a person that a guess needs.
 const LEAST_LIMBS: usize = 8;
-/// A person may be the performer if the limbs are this near to the turned ones, as a part of the body's
-/// extent.
+/// A person may be the performer if the RMS distance to the rotated limbs is below this part of the extent.
 const ALIKE: f64 = 0.15;
 /// Rotations that differ less than this agree, radians.
 const AGREE: f64 = 0.035;
 /// Frames of a camera that are used.
 const FRAMES: usize = 1000;
 const STEPS: usize = 20;
-/// Parts of the time that are compared, and the fewest in which the camera must see the performer.
+/// The time is split into this many parts; the camera must see the performer in at least [`LEAST_PARTS`].
 const PARTS: usize = 8;
 const LEAST_PARTS: usize = 6;
 /// Largest standard errors of the rotation and the position: 0.2 degrees, 1.5 cm.
 const MOST_ERROR: [f64; 2] = [0.003_490_658_503_988_659, 0.015];
-/// The camera's points may be this many times as far from the body as before: under load the body is less
-/// exact.
+/// The median residual may be this many times that before: with less effort the body is less exact.
 const AS_GOOD: f64 = 3.0;
 
 /// What was seen in some time.
@@ -50,6 +47,12 @@ pub struct Seen {
 }
 
 impl Seen {
+    /// Adds what was seen later.
+    pub fn append(&mut self, later: &Self) {
+        self.frames.extend_from_slice(&later.frames);
+        self.limbs.extend_from_slice(&later.limbs);
+    }
+
     /// The first and the last time of which the limbs are known.
     pub fn span(&self) -> Option<[Timestamp; 2]> {
         Some([self.limbs.first()?.0, self.limbs.last()?.0])
@@ -68,9 +71,9 @@ impl Seen {
     }
 }
 
-/// The camera `moved`, calibrated as `original`, where it is now, and the way there; from what was seen
-/// before and after it was moved. `None` if that is not known well enough: the performer was seen too
-/// little, or the camera's points do not fit the body as well as before.
+/// Estimates the new pose of the camera `moved` from what was seen before and after the move; `original` is
+/// its calibration. Returns the camera and the correction. `None` if the performer was seen too little, no
+/// rotation has a majority, the standard errors are too large, or the median residual is 3 times that before.
 pub fn mend(
     [before, after]: [&Seen; 2],
     original: &Camera,
@@ -118,7 +121,7 @@ fn views(seen: &Seen, camera: &Camera, index: usize) -> Vec<View> {
     let frames = frames(seen, index, FRAMES);
     let of_frame = |(number, frame): (usize, &Arc<Detections>)| {
         let limbs = seen.limbs(frame.capture)?;
-        let person = performer_at(frame, camera, &limbs)?;
+        let person = performer(frame, camera, &limbs)?;
         let view = |(limb, at): (&Keypoint, &Vector3<f64>)| {
             let seen = camera.undistort(&pixel(person, frame, *limb)?)?;
             Some(View { part: number * PARTS / frames.len(), at: *at, seen })
@@ -135,19 +138,15 @@ fn frames(seen: &Seen, camera: usize, most: usize) -> Vec<&Arc<Detections>> {
     frames.into_iter().step_by(every).collect()
 }
 
-/// The residual of a view, pixels, and its derivatives by a rotation of the camera and by a shift of the
-/// world, both in the camera's frame. `None` behind the camera.
+/// The reprojection error, pixels, and its Jacobian with respect to rotation and translation of the camera, in
+/// the camera frame. `None` if the depth is below 0.1 m.
 fn residual(camera: &Camera, view: &View) -> Option<(Vector2<f64>, SMatrix<f64, 2, 6>)> {
     let q = camera.rotation * view.at + camera.translation;
-    if q.z < 0.1 {
-        return None;
-    }
-    let (seen, focal) = (q.xy() / q.z, camera.focal.mean());
-    let by_q = Matrix2x3::new(1.0, 0.0, -seen.x, 0.0, 1.0, -seen.y) * (-focal / q.z);
+    let (error, by_q) = refine::residual(&q, &view.seen, camera.focal.mean(), 1.0)?;
     let mut by = SMatrix::<f64, 2, 6>::zeros();
     by.fixed_columns_mut::<3>(0).copy_from(&(by_q * -so3::hat(&q)));
     by.fixed_columns_mut::<3>(3).copy_from(&by_q);
-    Some(((view.seen - seen) * focal, by))
+    Some((error, by))
 }
 
 /// The median distance of a camera's points from the body, pixels.
@@ -156,12 +155,12 @@ fn distance(camera: &Camera, views: &[View]) -> Option<f64> {
     median(&mut lengths.collect::<Vec<f64>>())
 }
 
-/// Robust Gauss-Newton steps from a camera's pose, and the standard errors of its rotation (radians) and
-/// position (metres): as far as parts of the time differ.
+/// Robust Gauss-Newton on a camera's pose. Returns cluster-robust standard errors of rotation (radians) and
+/// position (metres); a cluster is a part of the time.
 fn fit(mut camera: Camera, views: &[View]) -> Option<(Camera, [f64; 2])> {
     let mut errors = [f64::INFINITY; 2];
     for _ in 0..STEPS {
-        let scale = LOSS_SCALE * (distance(&camera, views)? / MEDIAN_LENGTH).max(0.5);
+        let scale = LOSS_SCALE * sigma_of(distance(&camera, views)?);
         let mut hessians = [SMatrix::<f64, 6, 6>::zeros(); PARTS];
         let mut gradients = [SVector::<f64, 6>::zeros(); PARTS];
         for view in views {

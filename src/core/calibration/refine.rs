@@ -42,7 +42,7 @@ pub(super) const LOSS_SCALE: f64 = 3.0;
 const STEPS: usize = 8;
 const POINT_STEPS: usize = 4;
 /// The median length of a two-dimensional normal vector, in standard deviations.
-pub(super) const MEDIAN_LENGTH: f64 = 1.1774;
+const MEDIAN_LENGTH: f64 = 1.1774;
 
 /// A camera's correction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -168,13 +168,9 @@ impl<'a> Problem<'a> {
     ) -> Option<(Vector2<f64>, Matrix2x3<f64>, Vector2<f64>)> {
         let (camera, original) = (&self.cameras[*i], &self.original[*i]);
         let q = camera.rotation * point + camera.translation;
-        if q.z < 0.1 {
-            return None;
-        }
         let (scale, focal) = (camera.focal.x / original.focal.x, original.focal.mean());
-        let seen = q.xy() / q.z;
-        let by_q = Matrix2x3::new(1.0, 0.0, -seen.x, 0.0, 1.0, -seen.y) * (-focal * scale / q.z);
-        Some(((observed - seen * scale) * focal, by_q, seen * (-focal * scale)))
+        let (error, by_q) = residual(&q, observed, focal, scale)?;
+        Some((error, by_q, q.xy() / q.z * (-focal * scale)))
     }
 
     /// Weight of a residual: 1 / sigma^2, less for large ones.
@@ -221,7 +217,7 @@ impl<'a> Problem<'a> {
             }
         }
         for (sigma, lengths) in self.sigma.iter_mut().zip(&mut lengths) {
-            *sigma = median(lengths).map_or(1.0, |median| (median / MEDIAN_LENGTH).max(0.5));
+            *sigma = median(lengths).map_or(1.0, sigma_of);
         }
     }
 
@@ -345,6 +341,28 @@ impl<'a> Problem<'a> {
         (self.cameras, self.sigma) = start;
         None
     }
+}
+
+/// The residual, pixels, of a point `q` in the camera's frame, metres, that is seen at a normalised point,
+/// and its derivatives by `q`. `focal` is the mean focal length, pixels, which has changed by the factor
+/// `scale`. `None` if the depth is below 0.1 m.
+pub(super) fn residual(
+    q: &Vector3<f64>,
+    observed: &Vector2<f64>,
+    focal: f64,
+    scale: f64,
+) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+    if q.z < 0.1 {
+        return None;
+    }
+    let seen = q.xy() / q.z;
+    let by_q = Matrix2x3::new(1.0, 0.0, -seen.x, 0.0, 1.0, -seen.y) * (-focal * scale / q.z);
+    Some(((observed - seen * scale) * focal, by_q))
+}
+
+/// The standard deviation of residuals with that median length, pixels; 0.5 at least.
+pub(super) fn sigma_of(median_length: f64) -> f64 {
+    (median_length / MEDIAN_LENGTH).max(0.5)
 }
 
 /// The derivative of a residual by a camera's unknowns, from those by q and by a factor of the focal

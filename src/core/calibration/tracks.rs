@@ -84,7 +84,7 @@ impl Tracks {
         if section.rem_euclid(self.stride) != 0 || frame.camera >= self.cameras {
             return;
         }
-        let Some(person) = performer(frame, camera, pose, body) else { return };
+        let Some(person) = performer(frame, camera, &limbs(pose, body)) else { return };
         let limbs = LIMBS.map(|limb| pixel(person, frame, limb));
         let cameras = self.cameras;
         let section = self.sections.entry(section).or_insert_with(|| vec![Vec::new(); cameras]);
@@ -121,24 +121,14 @@ impl Tracks {
     }
 }
 
-/// The person that is the performer in `pose`, if any is.
-pub(super) fn performer<'d>(
-    frame: &'d Detections,
-    camera: &Camera,
-    pose: &Pose,
-    body: &Skeleton,
-) -> Option<&'d Person> {
-    performer_at(frame, camera, &limbs(pose, body))
-}
-
 /// Where the limbs of a body are in the world, metres.
 pub fn limbs(pose: &Pose, body: &Skeleton) -> Limbs {
     let posture = pose.posture(body);
     LIMBS.map(|limb| Attachment::of(limb).position(&posture, body))
 }
 
-/// The person that is the performer whose limbs are there, if any is.
-pub(super) fn performer_at<'d>(
+/// The person nearest to the performer's limbs (in the world, metres); `None` if nobody is near enough.
+pub(super) fn performer<'d>(
     frame: &'d Detections,
     camera: &Camera,
     limbs: &Limbs,

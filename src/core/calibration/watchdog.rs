@@ -10,8 +10,8 @@ use std::collections::VecDeque;
 
 use nalgebra::Vector2;
 
-use super::tracks::{LIMBS, performer, pixel};
-use crate::core::body::{Attachment, Pose, Skeleton};
+use super::tracks::{LIMBS, limbs, performer, pixel};
+use crate::core::body::{Pose, Skeleton};
 use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
 use crate::core::points::median;
@@ -218,16 +218,15 @@ fn typical<'a>(patterns: impl Iterator<Item = &'a Pattern> + Clone) -> Pattern {
 
 /// The pattern of a frame, if it shows enough of the performer.
 fn pattern(frame: &Detections, camera: &Camera, pose: &Pose, body: &Skeleton) -> Option<Pattern> {
-    let posture = pose.posture(body);
-    let Some(person) = performer(frame, camera, pose, body) else {
-        let pixels =
-            LIMBS.map(|limb| camera.project(&Attachment::of(limb).position(&posture, body)));
+    let limbs = limbs(pose, body);
+    let Some(person) = performer(frame, camera, &limbs) else {
+        let pixels = limbs.map(|limb| camera.project(&limb));
         let is_expected = pixels.iter().all(|pixel| pixel.is_some_and(|at| camera.contains(&at)));
         return (is_expected && !frame.people.is_empty()).then_some(ELSEWHERE);
     };
-    let points = LIMBS.iter().filter_map(|&limb| {
+    let points = LIMBS.iter().zip(&limbs).filter_map(|(&limb, at)| {
         let seen = pixel(person, frame, limb)?;
-        let expected = camera.project(&Attachment::of(limb).position(&posture, body))?;
+        let expected = camera.project(at)?;
         let focal = camera.focal.mean();
         Some([expected / focal, (seen - expected) / focal])
     });

@@ -161,8 +161,7 @@ impl Stage {
         }
     }
 
-    /// Begins with cameras that were moved in the run before; they are left out until a new calibration
-    /// comes.
+    /// Leaves out cameras that were moved in the run before, until a calibration gives them a new pose.
     #[must_use]
     pub fn with_left_out(mut self, cameras: &[usize]) -> Self {
         let left_out: Vec<bool> =
@@ -333,7 +332,7 @@ impl Stage {
             let people = frame.people.iter().zip(owners);
             let people = people.filter(|(_, owner)| may_be_lead(owner));
             let people = people.map(|(person, _)| person.clone()).collect();
-            let seen = tracker::Input::Seen(Detections { people, ..*frame });
+            let seen = tracker::Input::WatchFrame(Detections { people, ..*frame });
             self.next.push_back(Next::Tracker(self.lead, seen));
         }
     }

@@ -181,8 +181,8 @@ impl People {
         }
     }
 
-    /// Finds everybody in the frames of one time, and nobody in those `aside`; `complete` is the time up
-    /// to which there are all frames.
+    /// Finds all people in `frames`, which have one time. Frames `aside` (of moved cameras) are not searched.
+    /// All frames up to `complete` have arrived.
     pub(super) fn process(
         &mut self,
         at: Timestamp,

@@ -14,7 +14,7 @@ use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
 
 /// One of several performers: how long frames are kept to watch the cameras with.
-const SEEN: Nanos = Nanos::from_ms(2000);
+const KEPT: Nanos = Nanos::from_ms(2000);
 
 impl Tracker {
     /// Live: corrects the time offsets of cameras, as the performer's motion shows them.
@@ -55,11 +55,12 @@ impl Tracker {
         let limbs = times.into_iter().zip(limbs).collect();
         self.watch_moved(window, Seen { frames, limbs });
         let Some(finding) = self.watchdog.judge(window.publish, &self.rig) else { return };
-        if let Finding::Moved(camera, _) = finding {
-            self.mending.extend(Mending::new(camera, &self.memory, window.publish));
-        }
         let (camera, detail) = match finding {
             Finding::Moved(camera, pixels) => {
+                // Of a camera that was left out before, the watchdog knows no calibrated view.
+                if !self.left_out.get(camera).copied().unwrap_or(false) {
+                    self.mending.extend(Mending::new(camera, &self.memory, window.publish));
+                }
                 let by = match pixels {
                     Some(pixels) => {
                         format!("its image shifted by {pixels:.1} px against the others'")
@@ -84,11 +85,11 @@ impl Tracker {
     }
 
     /// Keeps a frame to watch the cameras with.
-    pub(super) fn note_seen(&mut self, frame: Detections) {
-        let oldest = frame.capture - SEEN;
-        self.seen.push_back(Arc::new(frame));
-        while self.seen.front().is_some_and(|frame| frame.capture < oldest) {
-            self.seen.pop_front();
+    pub(super) fn push_watch_frame(&mut self, frame: Detections) {
+        let oldest = frame.capture - KEPT;
+        self.watch_frames.push_back(Arc::new(frame));
+        while self.watch_frames.front().is_some_and(|frame| frame.capture < oldest) {
+            self.watch_frames.pop_front();
         }
     }
 
@@ -98,20 +99,19 @@ impl Tracker {
         if !self.is_fed {
             return self.intake.up_to(until);
         }
-        let count = self.seen.partition_point(|frame| frame.capture <= until);
-        let frames = self.seen.drain(..count);
+        let count = self.watch_frames.partition_point(|frame| frame.capture <= until);
+        let frames = self.watch_frames.drain(..count);
         frames.filter(|frame| frame.capture > window.start).collect()
     }
 
-    /// Adds what a window has seen to what is known since cameras were moved, and asks the solver when it is
-    /// enough.
+    /// Adds the data of a window to each moved camera, and sends a job to the solver when there is enough.
     fn watch_moved(&mut self, window: Window, seen: Seen) {
         let Some(seen) = self.memory.add(seen).cloned() else { return };
         let mut all = std::mem::take(&mut self.mending);
         all.retain(|mending| self.is_left_out(mending.camera));
         for mending in &mut all {
             if let Some(seen) = mending.add(&seen) {
-                mending.job = self.put_job(window, Task::Mend { camera: mending.camera, seen });
+                mending.job = self.push_job(window, Task::Mend { camera: mending.camera, seen });
             }
         }
         self.mending = all;
@@ -125,7 +125,8 @@ impl Tracker {
         let Some(placed) = mending.known.clone() else { return };
         if is_new {
             let name = &placed.camera.name;
-            let fix = format!("put it back, or mend it there: bundlemocap take mend {name}");
+            let fix =
+                format!("put it back, or correct its calibration: bundlemocap take mend {name}");
             let detail = format!("{placed}; it is left out; {fix}");
             let at = self.start.or(self.now).unwrap_or_default();
             self.event(EventKind::CameraMoved, at, Some(camera), detail);

@@ -50,6 +50,11 @@ pub struct Job {
 }
 
 impl Job {
+    /// Whether no pose waits for it: [`solve_aside`](super::solve_aside) solves it.
+    pub fn is_aside(&self) -> bool {
+        matches!(self.task, Task::Mend { .. })
+    }
+
     /// Half of the nominal frame period.
     pub(super) fn half_period(&self) -> Nanos {
         self.frame_period / 2

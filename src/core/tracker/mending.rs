@@ -13,13 +13,13 @@ const EVERY: Nanos = Nanos::from_ms(60);
 /// How much of what was seen is remembered, and the least that must be known of the time before a move.
 const REMEMBERED: Nanos = Nanos::from_ms(50_000);
 const LEAST: Nanos = Nanos::from_ms(8_000);
-/// A move may have been this long before it is noticed.
+/// A move may be noticed this late; what was seen in this time before the finding is not used.
 const UNSURE: Nanos = Nanos::from_ms(12_000);
-/// The solver is asked each time that as much more was seen since the move.
+/// The solver is asked again after this much more time with the performer in view.
 const STEP: Nanos = Nanos::from_ms(10_000);
-/// After this time it begins anew, for the camera may have been moved again.
+/// After this much data the fit starts over: the camera may have been moved again.
 const LONGEST: Nanos = Nanos::from_ms(80_000);
-/// From here on it is another pose than the one that is known: 1 degree, 4 cm.
+/// A pose that differs by more than this from the known one is a new pose: 1 degree, 4 cm.
 const ANOTHER: (f64, f64) = (0.0175, 0.04);
 
 /// What was seen of late, window by window.
@@ -67,10 +67,7 @@ fn length<'a>(windows: impl Iterator<Item = &'a Seen>) -> Nanos {
 /// Several windows as one.
 fn joined<'a>(mut windows: impl Iterator<Item = &'a Seen>) -> Option<Seen> {
     let mut all = windows.next()?.clone();
-    for window in windows {
-        all.frames.extend_from_slice(&window.frames);
-        all.limbs.extend_from_slice(&window.limbs);
-    }
+    windows.for_each(|window| all.append(window));
     Some(all)
 }
 
@@ -113,8 +110,7 @@ impl Mending {
             return None;
         };
         let all = Arc::make_mut(after);
-        all.frames.extend_from_slice(&window.frames);
-        all.limbs.extend_from_slice(&window.limbs);
+        all.append(window);
         let [first, last] = all.span()?;
         if last - first < self.next {
             return None;

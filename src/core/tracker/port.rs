@@ -33,9 +33,9 @@ pub enum Input {
     Tick(Timestamp),
     /// One of several performers: all frames up to this time were given.
     Complete(Timestamp),
-    /// The performer from whom moved cameras are found: a frame with all people in it who may be this
-    /// performer, also where the camera's calibration does not say so.
-    Seen(Detections),
+    /// A frame with all people who may be this performer, even if the calibration places them elsewhere.
+    /// Only for the performer who is used to find moved cameras.
+    WatchFrame(Detections),
     /// No more input will come: the open window closes.
     End,
 }

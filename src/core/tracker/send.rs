@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::event::EventKind;
 use super::job::{Job, Task};
+use super::mending::Memory;
 use super::port::Output;
 use super::state_machine::{PendingJob, Phase, Tracker};
 use super::window::Window;
@@ -17,6 +18,7 @@ const SOLVED_AGAIN: usize = 3;
 impl Tracker {
     /// Sends the job of a complete window: an acquisition or a solve.
     pub(super) fn send_window(&mut self, window: Window) {
+        // It compares with the calibration that waits.
         let left_out = self.left_out();
         if let Some(rig) = self.next_rig.take() {
             let detail = format!("calibration {} from here on", rig.version);
@@ -25,6 +27,8 @@ impl Tracker {
             self.watchdog = Watchdog::new(rig.cameras.len());
             self.mending.retain(|mending| left_out[mending.camera]);
             self.left_out = left_out;
+            // A camera with a new pose has another view from here on.
+            self.memory = Memory::default();
             self.rig = Arc::new(rig);
             if !self.is_fed {
                 self.event(EventKind::Calibrated, window.start, None, detail);
@@ -73,13 +77,13 @@ impl Tracker {
 
     /// Sends the job of the open window, unless no frame has arrived yet. Returns whether it did.
     fn send(&mut self, window: Window, task: Task) -> bool {
-        let number = self.put_job(window, task);
-        self.pending = number.map(|number| PendingJob { number, window }).or(self.pending);
-        number.is_some()
+        let Some(number) = self.push_job(window, task) else { return false };
+        self.pending = Some(PendingJob { number, window });
+        true
     }
 
-    /// Puts out a job, unless no frame has arrived yet. Returns its number.
-    pub(super) fn put_job(&mut self, window: Window, task: Task) -> Option<u64> {
+    /// Sends a job, also one that no window waits for, unless no frame has arrived yet. Returns its number.
+    pub(super) fn push_job(&mut self, window: Window, task: Task) -> Option<u64> {
         let format = self.intake.format()?;
         let number = self.jobs;
         self.jobs += 1;

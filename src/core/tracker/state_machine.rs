@@ -98,7 +98,7 @@ pub struct Tracker {
     pub(super) offsets: LiveOffsets,
     pub(super) watchdog: Watchdog,
     /// One of several performers: the newest frames to watch the cameras with.
-    pub(super) seen: VecDeque<Arc<Detections>>,
+    pub(super) watch_frames: VecDeque<Arc<Detections>>,
     pub(super) memory: Memory,
     /// Cameras that were moved and are left out.
     pub(super) mending: Vec<Mending>,
@@ -146,7 +146,7 @@ impl Tracker {
             playout: Playout::default(),
             offsets: LiveOffsets::new(cameras),
             watchdog: Watchdog::new(cameras),
-            seen: VecDeque::new(),
+            watch_frames: VecDeque::new(),
             memory: Memory::default(),
             mending: Vec::new(),
             left_out: Vec::new(),
@@ -182,15 +182,14 @@ impl Tracker {
             std::mem::swap(&mut self.left_out, &mut before.left_out);
             std::mem::swap(&mut self.watchdog, &mut before.watchdog);
             std::mem::swap(&mut self.offsets, &mut before.offsets);
-            // Of another performer, cameras have another pattern.
+            // A camera's bias depends on the performer: what was seen of another one is of no use.
             before.mending.clear();
             before.live =
                 before.live.map(|live| Live { time_offsets: false, watch_cameras: false, ..live });
         }
     }
 
-    /// By camera, whether it was moved and is left out; with a new calibration that waits for its window,
-    /// as it will be then.
+    /// By camera, whether it is left out because it was moved. A calibration that waits for its window counts.
     pub(in crate::core) fn left_out(&self) -> Vec<bool> {
         let next = self.next_rig.as_ref().unwrap_or(&self.rig);
         let cameras = self.rig.cameras.iter().zip(&next.cameras).enumerate();
@@ -294,7 +293,7 @@ impl Tracker {
                 self.restart();
                 self.idle.clock_jumped();
             }
-            Input::Seen(frame) => return self.note_seen(frame),
+            Input::WatchFrame(frame) => return self.push_watch_frame(frame),
             Input::Complete(until) => self.complete = self.complete.max(Some(until)),
             Input::End => {
                 for frame in self.intake.release() {
@@ -448,7 +447,7 @@ impl Tracker {
     }
 
     fn calibrate(&mut self, rig: Arc<Rig>) {
-        // Their answers are poses of the calibration before.
+        // Answers to jobs that are out are relative to the old calibration.
         self.mending.iter_mut().for_each(Mending::begin_anew);
         if rig.has_cameras_of(&self.rig) {
             self.next_rig = Some(rig);

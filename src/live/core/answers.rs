@@ -149,7 +149,7 @@ impl Core {
         match output {
             tracker::Output::Solve(job) => {
                 self.jobs += 1;
-                if !matches!(job.task, Task::Mend { .. }) {
+                if !job.is_aside() {
                     self.performer(performer).sent = Some(self.now);
                 }
                 let deadline = self.deadline(&job);

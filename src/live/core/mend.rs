@@ -9,7 +9,7 @@ use crate::core::tracker::{EventKind, Placed};
 use crate::io::wire::{self, encode};
 
 impl Core {
-    /// Where a camera is that was moved, or that it fits again.
+    /// Stores the new pose of a moved camera, or, with `None`, that it fits its calibration again.
     pub(super) fn placed(&mut self, camera: usize, placed: Option<Placed>) {
         let Some(camera) = self.cameras.get_mut(camera) else { return };
         let is_wanted = placed.is_some() && self.settings.node.mend_cameras;
@@ -27,7 +27,7 @@ impl Core {
         let index = index.ok_or_else(|| format!("no camera has the name {name:?}"))?;
         let (Some(placed), Some(before)) = (self.cameras[index].placed.take(), &self.calibration)
         else {
-            return Err(format!("{name}: it is not known to be anywhere else than calibrated"));
+            return Err(format!("{name}: no new pose is known"));
         };
         let mut rig = Rig::clone(&before.rig);
         let camera = &mut rig.cameras[index];

@@ -264,7 +264,8 @@ impl Core {
             let Some(name) = self.cameras.get(camera).map(|c| c.name().to_owned()) else {
                 continue;
             };
-            let detail = "moved before this take: it is left out until a new calibration comes";
+            let detail =
+                "moved before this take: it is left out until a calibration gives it a new pose";
             self.event(EventKind::CameraMoved, Some(&name), detail.to_owned());
         }
     }

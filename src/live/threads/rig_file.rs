@@ -73,10 +73,12 @@ impl RigFile {
     pub fn replace(&mut self, rig: &Rig, instead_of: u64) -> Result<String, String> {
         let path = self.path.display();
         if self.version != instead_of {
-            return Err(format!("{path} holds another one than was in use, it is not written"));
+            return Err(format!(
+                "{path} does not hold the calibration that was in use; it is not overwritten"
+            ));
         }
         if self.look() != self.stamp {
-            return Err(format!("{path} was changed meanwhile, it is not written"));
+            return Err(format!("{path} was changed meanwhile; it is not overwritten"));
         }
         let cameras = rig.to_core().map_err(|error| error.to_string())?;
         let is_ours = std::fs::read_to_string(&self.path)
@@ -87,7 +89,7 @@ impl RigFile {
             self.version = rig.version;
             let beside = beside.display();
             return Ok(format!(
-                "{path} is of another format and stays; the new one is {beside}, set [node] rig to it"
+                "{path} is not TOML and stays unchanged; the new calibration is in {beside}: set [node] rig to it"
             ));
         }
         let before = self.path.with_extension(format!("{instead_of}.toml"));
@@ -95,7 +97,7 @@ impl RigFile {
         kept.map_err(|error| format!("cannot write {}: {error}", before.display()))?;
         write_calibration(&self.path, &cameras, self.up).map_err(|error| error.to_string())?;
         (self.stamp, self.version) = (self.look(), rig.version);
-        Ok(format!("{path} has the new one; the one before is {}", before.display()))
+        Ok(format!("{path} is overwritten; the old calibration is in {}", before.display()))
     }
 }
 

@@ -267,7 +267,7 @@ fn start_playout(
 }
 
 /// Writes calibrations with a mended camera, each in place of the one of that version.
-fn write(file: &mut RigFile, mended: &Receiver<(Rig, u64)>) {
+fn write_mended(file: &mut RigFile, mended: &Receiver<(Rig, u64)>) {
     for (rig, instead_of) in mended.try_iter() {
         match file.replace(&rig, instead_of) {
             Ok(done) => tracing::info!("the mended calibration is written: {done}"),
@@ -290,7 +290,7 @@ fn watch_rig(
     let work = move || {
         let mut unsent = None;
         while looking.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
-            write(&mut file, &to_write);
+            write_mended(&mut file, &to_write);
             let path = file.path().display().to_string();
             match file.changed() {
                 Ok(None) => {}
@@ -306,7 +306,7 @@ fn watch_rig(
                 unsent = Some(rig);
             }
         }
-        write(&mut file, &to_write);
+        write_mended(&mut file, &to_write);
     };
     threads.push(("rig file", thread("rig-file").spawn(work).map_err(NodeError::Thread)?));
     Ok(rigs)

@@ -1,8 +1,8 @@
 //! The solver threads, and the jobs that wait for them.
 //!
 //! The job with the earliest deadline comes first. Searches take longest; with several threads, one is kept
-//! free of them, so that who enters delays nobody. What no pose waits for, the place of a moved camera, has a
-//! thread of its own.
+//! free of them, so that a new performer delays nobody. Jobs that no pose waits for (moved cameras) have their
+//! own thread.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -38,10 +38,10 @@ struct Waiting {
 }
 
 impl Waiting {
-    /// The most urgent job that may be solved now, of those that a pose waits for or of the others.
+    /// The most urgent job that is ready; `aside`: only jobs that no pose waits for, otherwise only the others.
     fn pop(&mut self, aside: bool) -> Option<(PerformerId, Box<Job>)> {
         let is_full = self.searches >= self.most_searches;
-        let may_be_next = |job: &Job| is_aside(job) == aside && !(is_full && is_search(job));
+        let may_be_next = |job: &Job| job.is_aside() == aside && !(is_full && is_search(job));
         let ready = (0..self.jobs.len()).filter(|&index| may_be_next(&self.jobs[index].2));
         let next = ready.min_by_key(|&index| (self.jobs[index].0, self.jobs[index].1))?;
         let (_, performer, job) = self.jobs.swap_remove(next);
@@ -52,10 +52,6 @@ impl Waiting {
 
 fn is_search(job: &Job) -> bool {
     matches!(job.task, Task::Acquire { .. })
-}
-
-fn is_aside(job: &Job) -> bool {
-    matches!(job.task, Task::Mend { .. })
 }
 
 /// The way to the solver threads. Each of them has one too: all end when one is dropped, so also when a

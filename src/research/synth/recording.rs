@@ -41,7 +41,8 @@ pub struct Recording<M> {
     pub seed: u64,
 }
 
-/// A camera that was bumped: turned by 3 degrees, moved by 10 cm.
+/// A camera that was bumped: turned by 3 degrees about an axis in its image plane, its centre moved by 10 cm
+/// in the world.
 pub fn bumped(camera: &Camera) -> Camera {
     let mut camera = camera.clone();
     let centre = camera.centre_in_world() + Vector3::new(0.06, -0.04, 0.069_282);

@@ -195,7 +195,7 @@ function showCameras() {
     const mend = element("button", `Mend ${name}`);
     mend.type = "button";
     mend.dataset.mend = name;
-    mend.title = "The calibration follows the camera";
+    mend.title = "Correct the calibration to the camera's new pose";
     item.append(mend, element("div", counters.moved, "words"));
     return item;
   }));

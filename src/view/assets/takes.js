@@ -1,4 +1,4 @@
-// Takes: begins and ends them, and mends cameras, as `bundlemocap take` does from a terminal.
+// The commands of `bundlemocap take`: start, stop, reset, note and mend.
 
 const $ = (id) => document.getElementById(id);
 /** How long nodes and recorders have for an answer, ms. */
@@ -26,18 +26,16 @@ export function takes(store, source) {
     } else command("start", $("take-name").value);
   });
   $("reset").addEventListener("click", () => command("reset"));
-  // The take that runs, or the last one.
-  let noted;
-  for (const mark of ["good", "bad"]) {
-    $(mark).addEventListener("click", () => {
-      command("note", noted, { mark, note: $("note").value });
-      $("note").value = "";
-    });
-  }
+  // Name of the take that runs, or of the last one.
+  let noteTake;
+  const sendNote = (mark) => {
+    command("note", noteTake, { mark, note: $("note").value });
+    $("note").value = "";
+  };
+  for (const mark of ["good", "bad"]) $(mark).addEventListener("click", () => sendNote(mark));
   $("notes").addEventListener("submit", (event) => {
     event.preventDefault();
-    command("note", noted, { note: $("note").value });
-    $("note").value = "";
+    sendNote();
   });
   $("moved").addEventListener("click", ({ target }) => {
     if (target.dataset.mend) command("mend", target.dataset.mend);
@@ -45,9 +43,9 @@ export function takes(store, source) {
   return () => {
     const take = running();
     if (take) {
-      noted = take.name;
+      noteTake = take.name;
       $("notes").hidden = false;
-      set($("noted"), noted);
+      set($("noted"), noteTake);
     }
     const text = take && JSON.stringify(take, (key, value) => (key === "id" ? String(value) : value));
     if (text) sessionStorage.setItem("take", text);

@@ -26,7 +26,8 @@ use known::Known;
 /// shape comes from it.
 const ACQUISITION_CHANGE: f64 = 1e-4;
 
-/// Solves a job that no pose waits for ([`Task::Mend`]), without a solver. Of others it knows nothing.
+/// Solves a [`Task::Mend`], which no pose waits for; it needs no [`Solver`]. Any other task gives
+/// `Outcome::Mended(None)`.
 pub fn solve_aside(job: &Job) -> Solution {
     let placed = match &job.task {
         Task::Mend { camera, seen: [before, after] } => {
