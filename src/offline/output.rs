@@ -22,7 +22,7 @@ use crate::diagnose::{CameraCheck, Check, Finding};
 use crate::io::new_file;
 use crate::io::recording::{Provenance, Writer};
 use crate::io::report::{
-    AngleTrack, CameraErrors, Picture, Player, ReportData, StickFigures, Table, WindowRow,
+    AngleTrack, CameraErrors, Picture, Player, ReportData, StickFigures, Table, Track, WindowRow,
     stick_figures, write_report,
 };
 use crate::io::timecode::House;
@@ -238,7 +238,11 @@ pub(super) fn page(
         player: Some(Player {
             rig: rig.clone(),
             start,
-            tracks: vec![(name.clone(), poses.played.bins().to_vec())],
+            tracks: vec![Track {
+                name: name.clone(),
+                body: skeleton.clone(),
+                poses: poses.played.bins().to_vec(),
+            }],
             moments: moments(windows, summary, name),
         }),
         cameras: camera_errors(windows, rig, start),

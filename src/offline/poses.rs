@@ -171,7 +171,8 @@ impl Poses {
         let Some(body) = &mut self.body else { return Ok(()) };
         self.count += 1;
         self.flagged += usize::from(!pose.is_tracked());
-        let (capture, posture) = (pose.capture, pose.pose().posture(skeleton));
+        let (capture, full) = (pose.capture, pose.pose());
+        let posture = full.posture(skeleton);
         for (joint, series) in BENT.into_iter().zip(&mut self.angles) {
             if let Some(degrees) = flexion_deg(&posture, joint) {
                 series.push(Mean::new(capture, [degrees]));
@@ -187,7 +188,7 @@ impl Poses {
                 body.floor.gap();
             }
         }
-        self.played.push(PlayerPose::new(capture, pose.state, &posture));
+        self.played.push(PlayerPose::new(capture, pose.state, &full));
         body.acceleration.add(capture, pose.is_tracked().then_some(posture));
         if let Some(bvh) = &mut body.bvh {
             bvh.write(pose)?;

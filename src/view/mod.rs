@@ -9,6 +9,8 @@
 //! | `/` and its files | the page, see `src/view/assets` |
 //! | `/about.json` | what is shown, the fields of the messages, which events are expected, and advice on others |
 //! | `/bus` | WebSocket of a live page: it sends `{"topics": [pattern, ...]}`, and gets frames; `{"take": {"id": 7, "action": "start", "name": "walk_01"}}` commands as `bundlemocap take` does |
+//! | `/body.json` | what the skins of all bodies share: faces, bones and weights |
+//! | `/rest?offsets=X,Y,Z,...` | the skin of a body in the rest pose, from the 66 numbers of its skeleton's offsets: x, y, z of each vertex, tenths of millimetres (`i16`) |
 //! | `/overview.json` | of a recording: span, performers, events |
 //! | `/messages?from=NS&to=NS&kinds=pose,keypoints,status` | of a recording: the rig and the skeletons up to `to`, and the frames of these kinds in a span of capture time |
 //!

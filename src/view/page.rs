@@ -20,6 +20,8 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/takes.js", SCRIPT, include_str!("assets/takes.js")),
     ("/lights.js", SCRIPT, include_str!("assets/lights.js")),
     ("/colours.js", SCRIPT, include_str!("../io/report/scene/colours.js")),
+    ("/body.js", SCRIPT, include_str!("../io/report/scene/body.js")),
+    ("/bodies.js", SCRIPT, include_str!("assets/bodies.js")),
     ("/lens.js", SCRIPT, include_str!("../io/report/scene/lens.js")),
     ("/scene.js", SCRIPT, include_str!("../io/report/scene/scene.js")),
     ("/panes.js", SCRIPT, include_str!("assets/panes.js")),

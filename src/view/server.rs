@@ -12,6 +12,7 @@ use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use axum::{Router, middleware};
+use nalgebra::Vector3;
 use serde::Deserialize;
 use serde_json::json;
 use tokio::sync::{Semaphore, oneshot};
@@ -20,8 +21,10 @@ use super::access::{self, Access};
 use super::bus::{self, Live};
 use super::page;
 use super::recorded::Recorded;
+use crate::core::body::{JOINTS, Skeleton};
 use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
+use crate::io::report;
 use crate::io::recording::RecordError;
 use crate::live::{advice, is_expected};
 
@@ -130,11 +133,41 @@ fn router(access: Access, source: Source) -> Router {
     Router::new()
         .route("/about.json", get(about))
         .route("/bus", get(live))
+        .route("/body.json", get(body))
+        .route("/rest", get(rest))
         .route("/overview.json", get(overview))
         .route("/messages", get(messages))
         .fallback(get(page::file))
         .with_state(source)
         .layer(middleware::from_fn_with_state(access, access::check))
+}
+
+async fn body() -> Response {
+    ([(CONTENT_TYPE, "application/json")], report::body::template().to_string()).into_response()
+}
+
+/// A body whose skin is wanted.
+#[derive(Deserialize)]
+struct Rest {
+    /// Each joint's offset from its parent, metres: 66 numbers with commas between them.
+    offsets: String,
+}
+
+async fn rest(Query(Rest { offsets }): Query<Rest>) -> Response {
+    let numbers = offsets.split(',').map(|text| text.parse().ok().filter(|x: &f64| x.abs() < 1.0));
+    let offsets = numbers.collect::<Option<Vec<f64>>>().and_then(|numbers| {
+        <[Vector3<f64>; JOINTS]>::try_from(numbers.chunks_exact(3).map(Vector3::from_column_slice).collect::<Vec<_>>()).ok()
+    });
+    match offsets {
+        Some(offsets) => {
+            let skin = report::body::rest(&Skeleton::with_joint_offsets(offsets));
+            ([(CONTENT_TYPE, "application/octet-stream")], skin).into_response()
+        }
+        None => {
+            let reason = format!("offsets: {} numbers below 1 m, with commas\n", 3 * JOINTS);
+            (StatusCode::BAD_REQUEST, reason).into_response()
+        }
+    }
 }
 
 async fn about(State(source): State<Source>) -> Response {

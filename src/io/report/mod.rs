@@ -1,6 +1,7 @@
 //! The report of a solve: one HTML page with plots and drawings as SVG, in which the take plays.
 
 mod bars;
+pub(crate) mod body;
 mod page;
 mod player;
 mod plot;
@@ -10,6 +11,6 @@ pub use bars::Bars;
 pub use page::{
     AngleTrack, CameraErrors, Picture, ReportData, Table, WindowRow, flexion_deg, write_report,
 };
-pub use player::{Player, PlayerPose};
+pub use player::{Player, PlayerPose, Track};
 pub use plot::{Plot, Series};
 pub use stick_figure::{StickFigures, stick_figures};

@@ -4,19 +4,22 @@ use std::fmt::Write as _;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
+use nalgebra::Matrix3;
 use serde_json::json;
 
 use super::plot::escape;
-use crate::core::body::{JOINTS, Joint, Posture, TrackingState};
+use crate::core::body::{JOINTS, Joint, Pose, Skeleton, TrackingState};
 use crate::core::camera::Rig;
+use crate::core::so3;
 use crate::core::time::Timestamp;
 use crate::io::wire;
 
 /// The modules of the page that draw the scene, each after those that it imports, and the player.
-const MODULES: [(&str, &str); 5] = [
+const MODULES: [(&str, &str); 6] = [
     ("three.js", include_str!("scene/three.js")),
     ("colours.js", include_str!("scene/colours.js")),
     ("lens.js", include_str!("scene/lens.js")),
+    ("body.js", include_str!("scene/body.js")),
     ("scene.js", include_str!("scene/scene.js")),
     ("player.js", include_str!("scene/player.js")),
 ];
@@ -36,10 +39,21 @@ pub struct Player {
     pub rig: Rig,
     /// The capture time that is shown as 0 s.
     pub start: Timestamp,
-    /// By performer, the name and the poses in order of time.
-    pub tracks: Vec<(String, Vec<PlayerPose>)>,
+    /// The performers.
+    pub tracks: Vec<Track>,
     /// Capture times, and what was there.
     pub moments: Vec<(Timestamp, String)>,
+}
+
+/// A performer of a player.
+#[derive(Clone, Debug)]
+pub struct Track {
+    /// Name.
+    pub name: String,
+    /// The body.
+    pub body: Skeleton,
+    /// Poses in order of time.
+    pub poses: Vec<PlayerPose>,
 }
 
 /// A pose of a player.
@@ -49,39 +63,55 @@ pub struct PlayerPose {
     pub capture: Timestamp,
     /// The quality of the pose.
     pub state: TrackingState,
-    /// Joint centres in the world, millimetres.
-    pub joints_mm: [[i16; 3]; JOINTS],
+    /// The pelvis in the world, millimetres.
+    root_mm: [i16; 3],
+    /// Of each joint's rotation, the root's first: x, y and z of the quaternion with w >= 0, times 32767.
+    rotations: [[i16; 3]; JOINTS],
 }
 
 impl PlayerPose {
-    /// A pose in a posture, rounded to millimetres.
-    pub fn new(capture: Timestamp, state: TrackingState, posture: &Posture) -> Self {
-        let joints_mm =
-            posture.positions.map(|at| [at.x, at.y, at.z].map(|metres| (1000.0 * metres) as i16));
-        Self { capture, state, joints_mm }
+    /// A pose, rounded to a millimetre and a few hundredths of a degree.
+    pub fn new(capture: Timestamp, state: TrackingState, pose: &Pose) -> Self {
+        let rounded = |rotation: &Matrix3<f64>| {
+            let [x, y, z, w] = so3::xyzw_from_rotation(rotation);
+            [x, y, z].map(|number| (number * 32767f64.copysign(w)).round() as i16)
+        };
+        let root_mm = [0, 1, 2].map(|axis| (1000.0 * pose.root_position[axis]).round() as i16);
+        let rotation = |j: usize| j.checked_sub(1).map_or(&pose.root_rotation, |j| &pose.local[j]);
+        let rotations = std::array::from_fn(|j| rounded(rotation(j)));
+        Self { capture, state, root_mm, rotations }
+    }
+}
+
+impl Track {
+    fn json(&self, start: Timestamp) -> serde_json::Value {
+        let Self { name, body, poses } = self;
+        let seconds = poses.iter().map(|pose| pose.capture.seconds_since(start) as f32);
+        let seconds: Vec<u8> = seconds.flat_map(f32::to_le_bytes).collect();
+        let states: Vec<u8> = poses.iter().map(|pose| pose.state as u8).collect();
+        let whole = |of: fn(&PlayerPose) -> &[i16]| -> Vec<u8> {
+            poses.iter().flat_map(of).flat_map(|number| number.to_le_bytes()).collect()
+        };
+        let root_mm = whole(|pose| &pose.root_mm);
+        let rotations = whole(|pose| pose.rotations.as_flattened());
+        let [seconds, states, root_mm, rotations, rest] =
+            [seconds, states, root_mm, rotations, super::body::rest(body)]
+                .map(|bytes| BASE64.encode(bytes));
+        let offsets: Vec<f64> =
+            Joint::ALL.iter().flat_map(|joint| body.offset(*joint).iter().copied()).collect();
+        json!({ "name": name, "seconds": seconds, "states": states, "root_mm": root_mm,
+                "rotations": rotations, "rest": rest, "offsets": offsets })
     }
 }
 
 impl Player {
-    fn track(&self, (name, poses): &(String, Vec<PlayerPose>)) -> serde_json::Value {
-        let seconds = poses.iter().map(|pose| pose.capture.seconds_since(self.start) as f32);
-        let seconds: Vec<u8> = seconds.flat_map(f32::to_le_bytes).collect();
-        let states: Vec<u8> = poses.iter().map(|pose| pose.state as u8).collect();
-        let joints = poses.iter().flat_map(|pose| pose.joints_mm.as_flattened());
-        let joints: Vec<u8> = joints.flat_map(|mm| mm.to_le_bytes()).collect();
-        let [seconds, states, joints_mm] =
-            [seconds, states, joints].map(|bytes| BASE64.encode(bytes));
-        json!({ "name": name, "seconds": seconds, "states": states, "joints_mm": joints_mm })
-    }
-
     pub(super) fn html(&self) -> String {
-        let parent = |joint: &Joint| joint.parent().map_or(-1, |parent| parent.index() as i32);
         let take = json!({
             "rig": wire::Rig::from_core(&self.rig),
-            "parents": Joint::ALL.iter().map(parent).collect::<Vec<_>>(),
+            "body": super::body::template(),
             "head": Joint::Head.index(),
             "states": TrackingState::ALL.map(TrackingState::name),
-            "performers": self.tracks.iter().map(|track| self.track(track)).collect::<Vec<_>>(),
+            "performers": self.tracks.iter().map(|track| track.json(self.start)).collect::<Vec<_>>(),
         });
         let mut page = "<section class=\"player\"><div class=\"scene\"><canvas id=\"canvas\" \
                         aria-label=\"The performers in 3D\"></canvas><div id=\"labels\"></div></div>\n\

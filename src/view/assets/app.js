@@ -1,5 +1,6 @@
 // The page: what is shown when.
 
+import { fetchSkins } from "./bodies.js";
 import { Charts } from "./charts.js";
 import { colour } from "./colours.js";
 import { RANK, cameraLight, levelOf, nodeLight, setExpected } from "./lights.js";
@@ -23,6 +24,7 @@ const source = isLive
   ? new Live(store, about.name)
   : new Recording(store, await (await fetch("overview.json")).json());
 const view = new View($("canvas"), $("labels"));
+fetch("body.json").then(async (answer) => view.setTemplate(await answer.json()));
 const panes = new Panes($("panes"), (name) => {
   const index = store.rig?.cameras.findIndex((camera) => camera.name === name);
   view.lookThrough(view.through === index ? undefined : index);
@@ -60,7 +62,7 @@ function peopleAt(time, channel) {
     const head = one.skeleton?.joint_names.indexOf("head") ?? -1;
     if (parents.length * 3 !== pose.joints.length) continue;
     const points = one.points.at(time, AGE);
-    people.push({ ...pose, points, name: one.name, number: one.number, parents, head });
+    people.push({ ...pose, points, name: one.name, number: one.number, skin: pose.rotations.length === 4 * parents.length ? one.skin : undefined, parents, head });
   }
   return people;
 }
@@ -98,6 +100,7 @@ function frame(now) {
 /** What changes slowly: lists, lights, charts, the timeline. */
 function tick() {
   source.prepare(chosen.time);
+  fetchSkins(store);
   const people = peopleAt(chosen.time, "poses");
   showNode(people);
   showCameras();
@@ -426,6 +429,7 @@ const KEYS = {
   "[": () => setSpeed(SPEEDS[Math.max(0, SPEEDS.indexOf(chosen.speed) - 1)]),
   "]": () => setSpeed(SPEEDS[Math.min(SPEEDS.length - 1, SPEEDS.indexOf(chosen.speed) + 1)]),
   f: () => view.frameAll(peopleAt(chosen.time, "poses")),
+  m: () => (view.showSkins = !view.showSkins),
   p: () => {
     chosen.provisional = !chosen.provisional;
     ask();

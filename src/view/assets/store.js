@@ -175,6 +175,7 @@ export class Store {
       const pose = read("Pose");
       const item = {
         joints: Float32Array.from(pose.joint_positions_m),
+        rotations: Float32Array.from([...pose.root_rotation, ...pose.local_rotations]),
         state: STATES[pose.state],
         timecode: pose.timecode ?? "",
         late: pose.due_time_ns === undefined ? undefined : Number(arrival - pose.due_time_ns) / 1e6,

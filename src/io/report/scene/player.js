@@ -1,35 +1,53 @@
 // Plays the take of a report in 3D.
 
+import { Template, metres, numbers } from "./body.js";
 import { View } from "./scene.js";
 
 const $ = (id) => document.getElementById(id);
 const take = JSON.parse($("take").textContent);
-const JOINTS = take.parents.length;
-
-/** The numbers in a text of base64, as `Type`. */
-function numbers(text, Type) {
-  const bytes = Uint8Array.from(atob(text), (one) => one.charCodeAt(0));
-  return new Type(bytes.buffer);
-}
+const template = new Template(take.body);
+const { parents } = template;
 
 const performers = take.performers.map((one, number) => ({
   name: one.name,
   number,
   seconds: numbers(one.seconds, Float32Array),
   states: numbers(one.states, Uint8Array),
-  joints: numbers(one.joints_mm, Int16Array),
+  roots: numbers(one.root_mm, Int16Array),
+  rotations: numbers(one.rotations, Int16Array),
+  skin: { rest: metres(numbers(one.rest, Int16Array)), offsets: one.offsets },
 }));
 const end = Math.max(...performers.map(({ seconds }) => seconds.at(-1) ?? 0));
 const view = new View($("canvas"), $("labels"));
 for (const camera of take.rig.cameras) camera.lens = camera.lens === "fisheye" ? 2 : 1;
 view.setRig(take.rig);
+view.setTemplate(take.body);
 
 let [time, playing, last, framed] = [0, false, performance.now(), false];
 $("time").max = end;
 
+/** The quaternions of a pose, between pose `low`, 0, and pose `next`, 1. */
+function rotationsAt({ rotations }, low, next, share) {
+  const out = new Float32Array(4 * parents.length);
+  const full = (pose, j) => {
+    const at = 3 * (pose * parents.length + j);
+    const [x, y, z] = [0, 1, 2].map((k) => rotations[at + k] / 32767);
+    return [x, y, z, Math.sqrt(Math.max(0, 1 - x * x - y * y - z * z))];
+  };
+  parents.forEach((_, j) => {
+    const [from, to] = [full(low, j), full(next, j)];
+    const sign = from.reduce((sum, one, k) => sum + one * to[k], 0) < 0 ? -1 : 1;
+    const mixed = from.map((one, k) => (1 - share) * one + share * sign * to[k]);
+    const length = Math.hypot(...mixed);
+    mixed.forEach((one, k) => (out[4 * j + k] = one / length));
+  });
+  return out;
+}
+
 /** The performers at a time, between the poses around it. */
 function peopleAt(at) {
-  return performers.flatMap(({ name, number, seconds, states, joints }) => {
+  return performers.flatMap((one) => {
+    const { name, number, seconds, states, roots, skin } = one;
     let [low, high] = [0, seconds.length - 1];
     while (low < high) {
       const middle = (low + high + 1) >> 1;
@@ -40,11 +58,10 @@ function peopleAt(at) {
     const gap = seconds[next] - seconds[low];
     if (at < seconds[low] - 0.1 || at > seconds[low] + 1) return [];
     const share = gap > 0 && gap < 0.5 ? Math.min(1, Math.max(0, (at - seconds[low]) / gap)) : 0;
-    const mixed = Float32Array.from({ length: 3 * JOINTS }, (_, k) => {
-      const [from, to] = [low, next].map((pose) => joints[pose * 3 * JOINTS + k] / 1000);
-      return from + share * (to - from);
-    });
-    return [{ name, number, state: take.states[states[low]], joints: mixed, parents: take.parents, head: take.head }];
+    const root = [0, 1, 2].map((k) => ((1 - share) * roots[3 * low + k] + share * roots[3 * next + k]) / 1000);
+    const rotations = rotationsAt(one, low, next, share);
+    const joints = template.forward(skin.offsets, root, rotations);
+    return [{ name, number, state: take.states[states[low]], joints, rotations, skin, parents, head: take.head }];
   });
 }
 

@@ -1,6 +1,7 @@
 // The performers and the cameras in 3D.
 
 import * as three from "./three.js";
+import { Skins, Template } from "./body.js";
 import { colour } from "./colours.js";
 import { lensOf } from "./lens.js";
 
@@ -8,6 +9,14 @@ const MOST = 32;
 const JOINTS = 22;
 const BONES = JOINTS - 1;
 const UP = new three.Vector3(0, 1, 0);
+
+const GREY = new three.Color("#8a8f98");
+
+/** The colour of a performer; greyish if the pose is not to be trusted. */
+function tinted(tint, { number, state }) {
+  tint.set(colour(number));
+  return state === "tracking" ? tint : tint.lerp(GREY, 0.75);
+}
 
 /** Bones and joints of all performers, each in its colour: two draw calls. */
 class Figures {
@@ -23,7 +32,6 @@ class Figures {
       scene.add(mesh);
     }
     this.tint = new three.Color();
-    this.grey = new three.Color("#8a8f98");
     this.matrix = new three.Matrix4();
     this.turn = new three.Quaternion();
     this.size = new three.Vector3();
@@ -35,9 +43,9 @@ class Figures {
   /** Shows these performers: `{ joints, state, number, parents, head }`; joints in the world, metres. */
   show(people) {
     let [bones, joints] = [0, 0];
-    for (const { joints: points, state, number, parents, head } of people.slice(0, MOST)) {
-      this.tint.set(colour(number));
-      if (state !== "tracking") this.tint.lerp(this.grey, 0.75);
+    for (const one of people.slice(0, MOST)) {
+      const { joints: points, parents, head } = one;
+      tinted(this.tint, one);
       for (let j = 0; j < JOINTS; j++) {
         this.to.fromArray(points, 3 * j);
         const parent = parents[j];
@@ -95,11 +103,17 @@ export class View {
     this.scene.add(floor);
     this.final = new Figures(this.scene, 1);
     this.ghosts = new Figures(this.scene, 0.35);
+    [this.skins, this.showSkins, this.tint] = [undefined, true, new three.Color()];
     this.frusta = undefined;
     this.tags = new Map();
     this.followed = undefined;
     this.through = undefined;
     this.point = new three.Vector3();
+  }
+
+  /** What all bodies share, see body.js; without it performers are bones. */
+  setTemplate(template) {
+    this.skins = new Skins(this.scene, new Template(template));
   }
 
   /** The cameras of a rig, as pyramids with names. */
@@ -191,7 +205,9 @@ export class View {
     if (size.x !== width || size.y !== height) this.renderer.setSize(width, height, false);
     this.camera.aspect = width / Math.max(height, 1);
     this.camera.updateProjectionMatrix();
-    this.final.show(people);
+    const hasSkin = (one) => this.skins !== undefined && this.showSkins && one.skin !== undefined;
+    this.final.show(people.filter((one) => !hasSkin(one)));
+    this.skins?.show(people.filter(hasSkin).slice(0, MOST), (one) => tinted(this.tint, one));
     this.ghosts.show(ghosts);
     const followed = people.find(({ name }) => name === this.followed);
     if (followed && this.through === undefined) {

@@ -3,8 +3,8 @@
 //   npx esbuild three.entry.js --bundle --minify --format=esm --legal-comments=inline --outfile=bundle.js
 //   (echo "/*! three.js 0.187.0"; cat node_modules/three/LICENSE; echo "*/"; cat bundle.js) > three.js
 export {
-  BufferAttribute, BufferGeometry, Color, CylinderGeometry, DirectionalLight, GridHelper, HemisphereLight, InstancedMesh,
-  LineBasicMaterial, LineSegments, Matrix4, MeshLambertMaterial, PerspectiveCamera, Quaternion, Scene, SphereGeometry,
-  Vector2, Vector3, WebGLRenderer,
+  Bone, BufferAttribute, BufferGeometry, Color, CylinderGeometry, DirectionalLight, GridHelper, HemisphereLight,
+  InstancedMesh, LineBasicMaterial, LineSegments, Matrix4, MeshLambertMaterial, PerspectiveCamera, Quaternion, Scene,
+  Skeleton, SkinnedMesh, SphereGeometry, Vector2, Vector3, WebGLRenderer,
 } from "three";
 export { OrbitControls } from "three/addons/controls/OrbitControls.js";

@@ -1,0 +1,152 @@
+//! Which bones move a vertex, and how much.
+//!
+//! Each joint but the pelvis has gates: planes through which its branch of the body is entered. The
+//! branch takes a share of what its parent has, from 0 before the gates to 1 behind them. Where both
+//! have a share, bones between them, turned by parts of the joint's angle, take most of it: a limb
+//! then keeps its girth when it bends or twists.
+
+use nalgebra::Vector3;
+
+use super::{BONES, STEPS, bone};
+use crate::core::body::joints::Joint;
+
+/// Number of bones that move a vertex.
+pub(super) const INFLUENCES: usize = 4;
+
+/// Bones and their weights, the largest first; the weights add up to 1.
+pub(super) type Influences = [(u8, f64); INFLUENCES];
+
+/// A plane, passed over some width. Template, left side, metres.
+struct Gate {
+    /// A point of its middle.
+    at: [f64; 3],
+    /// Where it leads to.
+    towards: [f64; 3],
+    half_width: f64,
+}
+
+const fn gate(at: [f64; 3], towards: [f64; 3], half_width: f64) -> Gate {
+    Gate { at, towards, half_width }
+}
+
+/// The gates of a joint of the left side or the midline.
+fn gates(joint: Joint) -> &'static [Gate] {
+    match joint {
+        Joint::LHip => const {
+            &[
+                gate([0.095, -0.085, 0.0], [0.40, -0.88, -0.20], 0.060),
+                gate([0.000, -0.150, 0.0], [1.0, 0.0, 0.0], 0.020),
+            ]
+        },
+        Joint::LKnee => const { &[gate([0.086, -0.489, 0.0], [0.0, -1.0, 0.0], 0.075)] },
+        Joint::LAnkle => const { &[gate([0.086, -0.913, -0.015], [0.0, -0.8, 0.6], 0.032)] },
+        Joint::LFoot => const { &[gate([0.101, -0.963, 0.115], [0.0, 0.0, 1.0], 0.025)] },
+        Joint::Spine1 => const { &[gate([0.0, 0.105, 0.0], [0.0, 1.0, 0.0], 0.060)] },
+        Joint::Spine2 => const { &[gate([0.0, 0.217, 0.0], [0.0, 1.0, 0.0], 0.045)] },
+        Joint::Spine3 => const { &[gate([0.0, 0.300, 0.0], [0.0, 1.0, 0.0], 0.035)] },
+        Joint::Neck => const {
+            &[
+                gate([0.0, 0.475, -0.02], [0.0, 1.0, 0.2], 0.035),
+                gate([0.095, 0.475, 0.0], [-1.0, 1.2, 0.0], 0.030),
+            ]
+        },
+        Joint::Head => const { &[gate([0.0, 0.556, 0.000], [0.0, 0.85, 0.5], 0.030)] },
+        Joint::LCollar => const {
+            &[
+                gate([0.070, 0.4, 0.0], [1.0, 0.0, 0.0], 0.040),
+                gate([0.0, 0.375, 0.0], [0.2, 1.0, 0.0], 0.035),
+                gate([0.095, 0.475, 0.0], [1.0, -1.2, 0.0], 0.030),
+            ]
+        },
+        Joint::LShoulder => const { &[gate([0.175, 0.428, 0.0], [1.0, 0.0, 0.0], 0.070)] },
+        Joint::LElbow => const { &[gate([0.447, 0.428, 0.0], [1.0, 0.0, 0.0], 0.058)] },
+        Joint::LWrist => const { &[gate([0.711, 0.428, 0.0], [1.0, 0.0, 0.0], 0.030)] },
+        _ => &[],
+    }
+}
+
+/// The share of its parent's that the branch of `joint` takes at `p`.
+fn share(joint: Joint, p: &Vector3<f64>) -> f64 {
+    let (joint, x) = match joint.side() {
+        -1.0 => (joint.mirrored(), -p.x),
+        0.0 => (joint, p.x.abs()),
+        _ => (joint, p.x),
+    };
+    let p = Vector3::new(x, p.y, p.z);
+    let passed = gates(joint).iter().map(|gate| {
+        let depth = (p - Vector3::from(gate.at)).dot(&Vector3::from(gate.towards).normalize());
+        (0.5 + 0.5 * depth / gate.half_width).clamp(0.0, 1.0)
+    });
+    passed.product()
+}
+
+/// The influences at a point of the template's skin.
+pub(super) fn influences(p: &Vector3<f64>) -> Influences {
+    let mut weights = [0.0; BONES];
+    weights[0] = 1.0;
+    for parent in Joint::ALL {
+        let branches: Vec<(Joint, f64)> = Joint::ALL
+            .into_iter()
+            .filter(|joint| joint.parent() == Some(parent))
+            .map(|joint| (joint, share(joint, p)))
+            .collect();
+        let taken: f64 = branches.iter().map(|(_, share)| share).sum();
+        if taken == 0.0 {
+            continue;
+        }
+        let here = std::mem::take(&mut weights[parent.index()]);
+        // From 0 at the parent to STEPS at the joint; each bone reaches as far as the next ones.
+        let along = STEPS as f64 * taken.min(1.0);
+        for (joint, share) in branches {
+            for step in 0..=STEPS {
+                let near = (1.0 - (along - step as f64).abs()).max(0.0);
+                weights[bone(joint, step)] += here * near * share / taken;
+            }
+        }
+    }
+    let mut order: Vec<(u8, f64)> = (0..).zip(weights).collect();
+    order.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let total: f64 = order[..INFLUENCES].iter().map(|(_, weight)| weight).sum();
+    std::array::from_fn(|k| (order[k].0, order[k].1 / total))
+}
+
+/// Number of vertices from which a joint is regressed.
+const SUPPORT: usize = 80;
+
+/// A joint as a weighted sum of vertices, in every pose and shape: the smallest weights r with
+/// sum r = 1 and, for each bone b with weight w_b, sum r w_b (v - joint) = 0. A bone that keeps the
+/// joint in its place then moves nothing in the sum. Only vertices that no other bone moves count.
+pub(super) fn regressor(
+    joint: Joint,
+    at: &Vector3<f64>,
+    vertices: &[Vector3<f64>],
+    influences: &[Influences],
+) -> Vec<(u32, f64)> {
+    let own: Vec<u8> = match joint.parent() {
+        None => vec![0],
+        Some(_) => (0..=STEPS).map(|step| bone(joint, step) as u8).collect(),
+    };
+    let counts = |k: &usize| influences[*k].iter().all(|(b, w)| *w == 0.0 || own.contains(b));
+    let mut near: Vec<usize> = (0..vertices.len()).filter(counts).collect();
+    near.sort_by(|a, b| {
+        let far = |k: &usize| (vertices[*k] - at).norm_squared();
+        far(a).total_cmp(&far(b))
+    });
+    near.truncate(SUPPORT);
+    let rows = 1 + 3 * own.len();
+    let conditions = nalgebra::DMatrix::from_fn(rows, near.len(), |row, column| {
+        let (k, Some(row)) = (near[column], row.checked_sub(1)) else { return 1.0 };
+        let weight = influences[k].iter().find(|(b, _)| *b == own[row / 3]).map_or(0.0, |(_, w)| *w);
+        // In decimetres, so that all rows are of one size.
+        10.0 * weight * (vertices[k] - at)[row % 3]
+    });
+    let mut square = &conditions * conditions.transpose();
+    for k in 0..rows {
+        square[(k, k)] += 1e-12;
+    }
+    let mut target = nalgebra::DVector::zeros(rows);
+    target[0] = 1.0;
+    let multipliers = square.cholesky().map(|factor| factor.solve(&target)).unwrap_or(target);
+    let weights = conditions.tr_mul(&multipliers);
+    near.into_iter().map(|k| k as u32).zip(weights.iter().copied()).collect()
+}

@@ -1,0 +1,134 @@
+// The skin of the performers. What moves it is told in src/core/body/mesh.
+
+import * as three from "./three.js";
+
+/** The numbers in a text of base64, as `Type`. */
+export function numbers(text, Type) {
+  const bytes = Uint8Array.from(atob(text), (one) => one.charCodeAt(0));
+  return new Type(bytes.buffer);
+}
+
+/** Vertices from tenths of millimetres, metres. */
+export const metres = (tenths) => Float32Array.from(tenths, (one) => one / 1e4);
+
+/** What all bodies share. */
+export class Template {
+  constructor({ faces, bones, weights, steps, swelling, parents }) {
+    Object.assign(this, { steps, swelling, parents });
+    this.faces = new three.BufferAttribute(numbers(faces, Uint16Array), 1);
+    this.bones = new three.BufferAttribute(numbers(bones, Uint8Array), 4);
+    this.weights = new three.BufferAttribute(numbers(weights, Uint8Array), 4, true);
+    this.count = parents.length + (parents.length - 1) * (steps - 1);
+    const some = (Type) => parents.map(() => new Type());
+    [this.world, this.rest, this.joints] = [some(three.Quaternion), some(three.Vector3), some(three.Vector3)];
+    [this.local, this.turn] = [new three.Quaternion(), new three.Quaternion()];
+    [this.size, this.matrix] = [new three.Vector3(), new three.Matrix4()];
+  }
+
+  /** The world rotations of all joints; `rotations`: a quaternion for each, the root's in the world. */
+  turnJoints(rotations) {
+    this.parents.forEach((parent, j) => {
+      this.world[j].fromArray(rotations, 4 * j);
+      if (parent >= 0) this.world[j].premultiply(this.world[parent]);
+    });
+  }
+
+  /** The joints of a pose, as x y z x y z ..., in metres. */
+  forward(offsets, root, rotations) {
+    this.turnJoints(rotations);
+    const out = new Float32Array(3 * this.parents.length);
+    this.parents.forEach((parent, j) => {
+      const at = this.joints[j].fromArray(parent < 0 ? root : offsets, parent < 0 ? 0 : 3 * j);
+      if (parent >= 0) at.applyQuaternion(this.world[parent]).add(this.joints[parent]);
+      at.toArray(out, 3 * j);
+    });
+    return out;
+  }
+
+  /** Writes the matrices from the rest pose to a pose, 16 numbers for each bone. */
+  pose(offsets, joints, rotations, out) {
+    this.turnJoints(rotations);
+    this.parents.forEach((parent, j) => {
+      this.rest[j].fromArray(offsets, 3 * j);
+      if (parent < 0) this.rest[j].setScalar(0);
+      else this.rest[j].add(this.rest[parent]);
+      this.joints[j].fromArray(joints, 3 * j);
+      this.put(j, j, this.world[j], 1, out);
+      const between = this.parents.length + (j - 1) * (this.steps - 1);
+      for (let step = 1; parent >= 0 && step < this.steps; step++) {
+        this.turn.slerpQuaternions(this.world[parent], this.world[j], step / this.steps);
+        this.put(between + step - 1, j, this.turn, this.swollen(j, rotations), out);
+      }
+    });
+  }
+
+  /** The scale of the bones between a joint and its parent. */
+  swollen(j, rotations) {
+    const [bent, ...along] = this.swelling[j];
+    const { x, y, z, w } = this.local.fromArray(rotations, 4 * j);
+    const sine = 2 * w * (along[0] * x + along[1] * y + along[2] * z);
+    return 1 + bent * 2 * (x * x + y * y + z * z) + sine;
+  }
+
+  /** A bone that turns about joint `j`. */
+  put(bone, j, turn, scale, out) {
+    this.matrix.makeRotationFromQuaternion(turn).scale(this.size.setScalar(scale));
+    this.matrix.setPosition(this.size.copy(this.rest[j]).applyMatrix4(this.matrix).negate().add(this.joints[j]));
+    this.matrix.toArray(out, 16 * bone);
+  }
+}
+
+/** The bones of a skin, whose matrices are written as a whole. */
+class Bones extends three.Skeleton {
+  constructor(count) {
+    super(Array.from({ length: count }, () => new three.Bone()));
+  }
+
+  update() {}
+}
+
+/** The skins of all performers: a draw call each. */
+export class Skins {
+  constructor(scene, template) {
+    [this.scene, this.template, this.all] = [scene, template, new Map()];
+  }
+
+  /** Shows performers that have `{ name, joints, rotations, skin: { rest, offsets } }`, in the colour that `tint` gives. */
+  show(people, tint) {
+    for (const { mesh } of this.all.values()) mesh.visible = false;
+    for (const one of people) {
+      const { name, joints, rotations, skin } = one;
+      const { mesh, of } = this.all.get(name) ?? {};
+      const shown = of === skin ? mesh : this.make(name, skin);
+      shown.visible = true;
+      shown.material.color.copy(tint(one));
+      this.template.pose(skin.offsets, joints, rotations, shown.skeleton.boneMatrices);
+      if (shown.skeleton.boneTexture) shown.skeleton.boneTexture.needsUpdate = true;
+    }
+    for (const [name, { mesh }] of this.all) if (!mesh.visible && this.all.size > 2 * people.length + 8) this.drop(name);
+  }
+
+  make(name, skin) {
+    this.drop(name);
+    const geometry = new three.BufferGeometry();
+    geometry.setAttribute("position", new three.BufferAttribute(skin.rest, 3));
+    geometry.setAttribute("skinIndex", this.template.bones);
+    geometry.setAttribute("skinWeight", this.template.weights);
+    geometry.setIndex(this.template.faces);
+    geometry.computeVertexNormals();
+    const mesh = new three.SkinnedMesh(geometry, new three.MeshLambertMaterial());
+    mesh.frustumCulled = false;
+    mesh.bind(new Bones(this.template.count), new three.Matrix4());
+    this.scene.add(mesh);
+    this.all.set(name, { mesh, of: skin });
+    return mesh;
+  }
+
+  drop(name) {
+    const { mesh } = this.all.get(name) ?? {};
+    if (!mesh) return;
+    this.scene.remove(mesh);
+    for (const one of [mesh.geometry, mesh.material, mesh.skeleton]) one.dispose();
+    this.all.delete(name);
+  }
+}
