@@ -33,12 +33,11 @@
 //! takes detections from a bus and publishes poses at a fixed latency.
 //!
 //! # Features
-//! All but `tls` are on by default. `default-features = false` leaves the solver, recordings and file formats.
+//! All are on by default. `default-features = false` leaves the solver, recordings and file formats.
 //!
 //! | feature | adds |
 //! |---|---|
 //! | `zenoh`, `iceoryx2` | the buses of that name |
-//! | `tls` | certificates for `zenoh`; not on by default |
 //! | `live` | `live`, the node, and `config`, its settings |
 //! | `view` | `view`, the live page |
 //! | `research` | `research`: compared methods, experiments, synthetic recordings, training |

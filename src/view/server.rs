@@ -24,8 +24,8 @@ use super::recorded::Recorded;
 use crate::core::body::{JOINTS, Skeleton};
 use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
-use crate::io::report;
 use crate::io::recording::RecordError;
+use crate::io::report;
 use crate::live::{advice, is_expected};
 
 /// Why the page cannot be served.
@@ -154,13 +154,13 @@ struct Rest {
 }
 
 async fn rest(Query(Rest { offsets }): Query<Rest>) -> Response {
-    let numbers = offsets.split(',').map(|text| text.parse().ok().filter(|x: &f64| x.abs() < 1.0));
-    let offsets = numbers.collect::<Option<Vec<f64>>>().and_then(|numbers| {
-        <[Vector3<f64>; JOINTS]>::try_from(numbers.chunks_exact(3).map(Vector3::from_column_slice).collect::<Vec<_>>()).ok()
-    });
-    match offsets {
-        Some(offsets) => {
-            let skin = report::body::rest(&Skeleton::with_joint_offsets(offsets));
+    let number = |text: &str| text.parse().ok().filter(|x: &f64| x.abs() < 1.0);
+    let numbers: Option<Vec<f64>> = offsets.split(',').map(number).collect();
+    match numbers.filter(|numbers| numbers.len() == 3 * JOINTS) {
+        Some(numbers) => {
+            let offset = |j: usize| Vector3::from_column_slice(&numbers[3 * j..3 * j + 3]);
+            let body = Skeleton::with_joint_offsets(std::array::from_fn(offset));
+            let skin = report::body::rest(&body);
             ([(CONTENT_TYPE, "application/octet-stream")], skin).into_response()
         }
         None => {

@@ -61,7 +61,7 @@ mod synth;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod take;
 mod timing;
-#[cfg(all(feature = "cli", feature = "tls"))]
+#[cfg(all(feature = "cli", feature = "zenoh"))]
 mod tls;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod tools;

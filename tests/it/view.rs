@@ -5,9 +5,14 @@ use std::net::TcpStream;
 use std::path::Path;
 use std::sync::Arc;
 
+use bundlemocap::core::body::{Joint, Mesh, Pose, Shape, Skeleton};
+use bundlemocap::core::so3;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::recording::{Message, Reader, Spans};
 use bundlemocap::view::{Recorded, Running, Source, start};
+use expect_test::expect_file;
+use nalgebra::Vector3;
+use serde_json::json;
 
 /// The body of the answer to a GET request, and the first line of the answer.
 fn get(page: &Running, path: &str, header: &str) -> (String, Vec<u8>) {
@@ -102,4 +107,71 @@ fn an_address_in_use_is_refused_with_its_remedy() {
     assert!(error.contains(address) && error.contains("give a free address"), "{error}");
     drop(first);
     start(address, source()).unwrap();
+}
+
+/// The rounded numbers of points, x y z x y z ...
+fn rounded<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> Vec<f64> {
+    numbers.into_iter().map(|x| (x * 1e5).round() / 1e5).collect()
+}
+
+/// `tests/view` compares the page's skin with this file.
+#[test]
+fn a_skin_in_a_pose_is_as_in_the_file() {
+    let shape = Shape(std::array::from_fn(|k| 0.3 * (k as f64 - 8.0)));
+    let body = Skeleton::new(shape);
+    let mut pose = Pose::rest();
+    pose.root_rotation = so3::exp(&Vector3::new(0.2, 2.0, -0.3));
+    pose.root_position = Vector3::new(0.5, 0.9, -1.0);
+    let turn = |k: usize| 1.2 * libm::sin(7.0 * k as f64);
+    let turns = |j| so3::exp(&Vector3::new(turn(3 * j), turn(3 * j + 1), turn(3 * j + 2)));
+    pose.local = std::array::from_fn(turns);
+    let posture = pose.posture(&body);
+    let skin = Mesh::template().posed(&Mesh::template().rest(&body), &body, &pose);
+    let rotations = std::iter::once(&pose.root_rotation).chain(&pose.local);
+    let rotations: Vec<f64> = rotations.flat_map(so3::xyzw_from_rotation).collect();
+    let offsets: Vec<f64> =
+        Joint::ALL.iter().flat_map(|j| body.offset(*j).iter().copied()).collect();
+    let vertices: serde_json::Map<_, _> = (0..skin.len())
+        .step_by(101)
+        .map(|k| (k.to_string(), json!(rounded(skin[k].iter()))))
+        .collect();
+    let file = json!({
+        "offsets": rounded(&offsets),
+        "joints": rounded(posture.positions.iter().flat_map(|p| p.iter())),
+        "rotations": rounded(&rotations),
+        "vertices": vertices,
+    });
+    expect_file!["../golden/skin.json"].assert_eq(&format!("{file}\n"));
+}
+
+#[test]
+fn skins_are_served_and_wrong_bodies_are_refused() {
+    let recorded = Recorded::open(&[walk().to_owned()], || ()).unwrap();
+    let page = start("127.0.0.1:0", Source::Recorded(Arc::new(recorded))).unwrap();
+    let (line, template) = get(&page, "/body.json", "");
+    assert!(line.contains("200"), "{line}");
+    let template: serde_json::Value = serde_json::from_slice(&template).unwrap();
+    assert_eq!(template["parents"].as_array().unwrap().len(), 22);
+    let offsets: Vec<String> = Joint::ALL
+        .iter()
+        .flat_map(|joint| {
+            Skeleton::default().offset(*joint).iter().map(f64::to_string).collect::<Vec<_>>()
+        })
+        .collect();
+    let (line, skin) = get(&page, &format!("/rest?offsets={}", offsets.join(",")), "");
+    assert!(line.contains("200"), "{line}");
+    let mesh = Mesh::template();
+    assert_eq!(skin.len(), 6 * mesh.vertices().len());
+    let x = i16::from_le_bytes([skin[0], skin[1]]);
+    assert_eq!(f64::from(x), (1e4 * mesh.vertices()[0].x).round());
+    for wrong in [
+        "",
+        "?offsets=",
+        "?offsets=1,2,3",
+        "?offsets=nan",
+        &format!("?offsets={},0", offsets.join(",")),
+    ] {
+        let (line, _) = get(&page, &format!("/rest{wrong}"), "");
+        assert!(line.contains("400"), "{wrong}: {line}");
+    }
 }

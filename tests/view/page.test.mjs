@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
+import { Template, metres } from "../../src/io/report/scene/body.js";
 import { folder, freePort, isSound, open, people, picture, root, run, shown, start, status, stop, until } from "./browser.mjs";
 
 test("a recording plays, is scrubbed, and keeps its place in the address", async () => {
@@ -13,6 +14,12 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   const { page, said } = await open(`${match[1]}#t=1.50`);
   await people(page, 1);
   assert.equal((await shown(page)).time, "1.500");
+  const skins = (wanted) => until(page, (count) => document.body.dataset.skins === count, wanted);
+  await skins("1");
+  await page.keyboard.press("m");
+  await skins("0");
+  await page.keyboard.press("m");
+  await skins("1");
   await page.keyboard.press("ArrowRight");
   await until(page, () => document.body.dataset.time === "1.517");
   assert.match(page.url(), /#t=1\.52$/);
@@ -46,6 +53,32 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   assert.deepEqual(dark.said, []);
   await dark.page.close();
   await stop(child);
+});
+
+test("the skin of the page is the skin of the library", async () => {
+  const { match } = await start(["view", join(folder, "walk/poses.mcap"), "--listen", "127.0.0.1:0"], /open (\S+)/);
+  const wanted = JSON.parse(readFileSync(join(root, "tests/golden/skin.json"), "utf8"));
+  const template = new Template(await (await fetch(`${match[1]}body.json`)).json());
+  const answer = await fetch(`${match[1]}rest?offsets=${wanted.offsets}`);
+  const rest = metres(new Int16Array(await answer.arrayBuffer()));
+  const { joints, rotations, offsets } = wanted;
+  const moved = template.forward(offsets, joints.slice(0, 3), rotations);
+  joints.forEach((x, k) => assert.ok(Math.abs(moved[k] - x) < 2e-4, `joint ${k / 3}: ${moved[k]}, not ${x}`));
+  const matrices = new Float32Array(16 * template.count);
+  template.pose(offsets, joints, rotations, matrices);
+  for (const [vertex, at] of Object.entries(wanted.vertices)) {
+    const sum = [0, 0, 0];
+    for (let k = 4 * vertex; k < 4 * vertex + 4; k++) {
+      const m = 16 * template.bones.array[k];
+      const [x, y, z] = rest.subarray(3 * vertex, 3 * vertex + 3);
+      const weight = template.weights.array[k] / 255;
+      sum.forEach((_, row) => {
+        sum[row] += weight * (matrices[m + row] * x + matrices[m + 4 + row] * y + matrices[m + 8 + row] * z + matrices[m + 12 + row]);
+      });
+    }
+    const off = Math.hypot(...sum.map((x, row) => x - at[row]));
+    assert.ok(off < 1e-3, `vertex ${vertex}: ${off} m`);
+  }
 });
 
 test("the report of a solve plays the take, without a server", async () => {

@@ -20,7 +20,7 @@ const TOOL_WAITS_US: u64 = 20_000;
 const MOST_BYTES: usize = 2 << 20;
 
 /// Protocols of addresses that are built in.
-const PROTOCOLS: &[&str] = if cfg!(feature = "tls") { &["tcp/", "tls/"] } else { &["tcp/"] };
+const PROTOCOLS: [&str; 2] = ["tcp/", "tls/"];
 
 pub(super) fn check_endpoints(key: &'static str, endpoints: &[String]) -> Result<(), BusError> {
     for endpoint in endpoints {
@@ -30,10 +30,7 @@ pub(super) fn check_endpoints(key: &'static str, endpoints: &[String]) -> Result
             return Err(BusError::Setting { key, value: endpoint.clone(), reason });
         }
         if !PROTOCOLS.iter().any(|protocol| endpoint.starts_with(protocol)) {
-            let reason = match endpoint.starts_with("tls/") {
-                true => "this program was built without TLS; build it with --features tls".into(),
-                false => format!("only {} is built in", PROTOCOLS.join(" and ")),
-            };
+            let reason = format!("only {} are built in", PROTOCOLS.join(" and "));
             return Err(BusError::Setting { key, value: endpoint.clone(), reason });
         }
     }

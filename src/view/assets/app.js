@@ -146,9 +146,7 @@ function showNode(people) {
   });
   $("figures").replaceChildren(...rows);
   $("node").title = words.join("\n");
-  const { calls, triangles } = view.figures;
-  document.body.dataset.calls = calls;
-  document.body.dataset.triangles = triangles;
+  Object.assign(document.body.dataset, view.figures);
   document.body.dataset.people = people.length;
   document.body.dataset.time = chosen.time.toFixed(3);
 }

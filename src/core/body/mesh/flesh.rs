@@ -224,11 +224,8 @@ fn head(p: &Vector3<f64>) -> f64 {
 }
 
 fn hand(p: &Vector3<f64>) -> f64 {
-    let palm = join(
-        PALM.distance(p),
-        ellipsoid(p, [0.755, 0.420, 0.004], [0.030, 0.014, 0.018]),
-        0.015,
-    );
+    let palm =
+        join(PALM.distance(p), ellipsoid(p, [0.755, 0.420, 0.004], [0.030, 0.014, 0.018]), 0.015);
     let fingers = FINGERS.map(|(knuckle, middle, tip, [thick, thin])| {
         let between = 0.5 * (thick + thin);
         let near = bar(p, knuckle, middle, [thick, between]);

@@ -61,11 +61,12 @@ pub fn swelling(joint: Joint) -> [f64; 4] {
 /// The scale of the bones between a joint and its parent, for the joint's local rotation.
 fn swollen(joint: Joint, local: &Matrix3<f64>) -> f64 {
     let [bent, x, y, z] = swelling(joint);
-    let sine = 0.5 * Vector3::new(
-        local[(2, 1)] - local[(1, 2)],
-        local[(0, 2)] - local[(2, 0)],
-        local[(1, 0)] - local[(0, 1)],
-    );
+    let sine = 0.5
+        * Vector3::new(
+            local[(2, 1)] - local[(1, 2)],
+            local[(0, 2)] - local[(2, 0)],
+            local[(1, 0)] - local[(0, 1)],
+        );
     1.0 + bent * 0.5 * (3.0 - local.trace()) + Vector3::new(x, y, z).dot(&sine)
 }
 
@@ -86,9 +87,8 @@ impl Mesh {
             let (vertices, faces) = polygonise::polygonise();
             let influences: Vec<_> = vertices.iter().map(skin::influences).collect();
             let rest = joints(&Skeleton::default());
-            let regressor = Joint::ALL.map(|joint| {
-                skin::regressor(joint, &rest[joint.index()], &vertices, &influences)
-            });
+            let regressor = Joint::ALL
+                .map(|joint| skin::regressor(joint, &rest[joint.index()], &vertices, &influences));
             Self { vertices, faces, influences, regressor }
         })
     }
@@ -238,9 +238,8 @@ mod tests {
 
     fn random_pose(seed: u64) -> (Skeleton, Pose) {
         let mut random = StdRng::seed_from_u64(seed);
-        let mut turn = |size: f64| {
-            so3::exp(&Vector3::from_fn(|_, _| random.random_range(-size..size)))
-        };
+        let mut turn =
+            |size: f64| so3::exp(&Vector3::from_fn(|_, _| random.random_range(-size..size)));
         let mut pose = Pose::rest();
         pose.root_rotation = turn(3.0);
         pose.root_position = Vector3::new(1.0, 2.0, -3.0);

@@ -87,8 +87,7 @@ type Contour = (BTreeMap<Cell, (Vector3<f64>, f64)>, Vec<[Cell; 4]>);
 fn contour() -> Contour {
     let (mut cells, mut quads) = (BTreeMap::new(), Vec::new());
     let mut distances: BTreeMap<[i32; 3], f64> = BTreeMap::new();
-    let mut at =
-        |point| *distances.entry(point).or_insert_with(|| distance(&place(point)));
+    let mut at = |point| *distances.entry(point).or_insert_with(|| distance(&place(point)));
     for Cell { corner, size } in left_cells() {
         for (axis, along_u, along_v) in (0..12).map(|k| (k / 4, k & 1, k >> 1 & 1)) {
             let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);

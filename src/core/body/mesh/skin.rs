@@ -32,32 +32,38 @@ const fn gate(at: [f64; 3], towards: [f64; 3], half_width: f64) -> Gate {
 /// The gates of a joint of the left side or the midline.
 fn gates(joint: Joint) -> &'static [Gate] {
     match joint {
-        Joint::LHip => const {
-            &[
-                gate([0.095, -0.085, 0.0], [0.40, -0.88, -0.20], 0.060),
-                gate([0.000, -0.150, 0.0], [1.0, 0.0, 0.0], 0.020),
-            ]
-        },
+        Joint::LHip => {
+            const {
+                &[
+                    gate([0.095, -0.085, 0.0], [0.40, -0.88, -0.20], 0.060),
+                    gate([0.000, -0.150, 0.0], [1.0, 0.0, 0.0], 0.020),
+                ]
+            }
+        }
         Joint::LKnee => const { &[gate([0.086, -0.489, 0.0], [0.0, -1.0, 0.0], 0.075)] },
         Joint::LAnkle => const { &[gate([0.086, -0.913, -0.015], [0.0, -0.8, 0.6], 0.032)] },
         Joint::LFoot => const { &[gate([0.101, -0.963, 0.115], [0.0, 0.0, 1.0], 0.025)] },
         Joint::Spine1 => const { &[gate([0.0, 0.105, 0.0], [0.0, 1.0, 0.0], 0.060)] },
         Joint::Spine2 => const { &[gate([0.0, 0.217, 0.0], [0.0, 1.0, 0.0], 0.045)] },
         Joint::Spine3 => const { &[gate([0.0, 0.300, 0.0], [0.0, 1.0, 0.0], 0.035)] },
-        Joint::Neck => const {
-            &[
-                gate([0.0, 0.475, -0.02], [0.0, 1.0, 0.2], 0.035),
-                gate([0.095, 0.475, 0.0], [-1.0, 1.2, 0.0], 0.030),
-            ]
-        },
+        Joint::Neck => {
+            const {
+                &[
+                    gate([0.0, 0.475, -0.02], [0.0, 1.0, 0.2], 0.035),
+                    gate([0.095, 0.475, 0.0], [-1.0, 1.2, 0.0], 0.030),
+                ]
+            }
+        }
         Joint::Head => const { &[gate([0.0, 0.556, 0.000], [0.0, 0.85, 0.5], 0.030)] },
-        Joint::LCollar => const {
-            &[
-                gate([0.070, 0.4, 0.0], [1.0, 0.0, 0.0], 0.040),
-                gate([0.0, 0.375, 0.0], [0.2, 1.0, 0.0], 0.035),
-                gate([0.095, 0.475, 0.0], [1.0, -1.2, 0.0], 0.030),
-            ]
-        },
+        Joint::LCollar => {
+            const {
+                &[
+                    gate([0.070, 0.4, 0.0], [1.0, 0.0, 0.0], 0.040),
+                    gate([0.0, 0.375, 0.0], [0.2, 1.0, 0.0], 0.035),
+                    gate([0.095, 0.475, 0.0], [1.0, -1.2, 0.0], 0.030),
+                ]
+            }
+        }
         Joint::LShoulder => const { &[gate([0.175, 0.428, 0.0], [1.0, 0.0, 0.0], 0.070)] },
         Joint::LElbow => const { &[gate([0.447, 0.428, 0.0], [1.0, 0.0, 0.0], 0.058)] },
         Joint::LWrist => const { &[gate([0.711, 0.428, 0.0], [1.0, 0.0, 0.0], 0.030)] },
@@ -136,7 +142,8 @@ pub(super) fn regressor(
     let rows = 1 + 3 * own.len();
     let conditions = nalgebra::DMatrix::from_fn(rows, near.len(), |row, column| {
         let (k, Some(row)) = (near[column], row.checked_sub(1)) else { return 1.0 };
-        let weight = influences[k].iter().find(|(b, _)| *b == own[row / 3]).map_or(0.0, |(_, w)| *w);
+        let weight =
+            influences[k].iter().find(|(b, _)| *b == own[row / 3]).map_or(0.0, |(_, w)| *w);
         // In decimetres, so that all rows are of one size.
         10.0 * weight * (vertices[k] - at)[row % 3]
     });

@@ -250,6 +250,7 @@ export class View {
 
   get figures() {
     const { render } = this.renderer.info;
-    return { calls: render.calls, triangles: render.triangles };
+    const skins = [...(this.skins?.all.values() ?? [])].filter(({ mesh }) => mesh.visible).length;
+    return { calls: render.calls, triangles: render.triangles, skins };
   }
 }
