@@ -48,7 +48,7 @@ fn size_of(block: [i32; 3]) -> i32 {
     let bends = |along: f64, at: f64, reach: f64| (along - at).abs() < reach;
     match () {
         () if x > 0.76 || (y > 0.52 && z > 0.05 && x < 0.05) => 1,
-        () if x > 0.65 || y > 0.50 || y < -0.88 => 2,
+        () if x > 0.65 || !(-0.88..0.50).contains(&y) => 2,
         () if bends(x, 0.447, 0.06) || bends(y, -0.489, 0.07) => 2,
         () if x > 0.12 && bends(x, 0.17, 0.07) && y > 0.3 => 2,
         () => 4,
