@@ -11,6 +11,10 @@ use super::overwrite::Overwrite;
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
+#[cfg(feature = "view")]
+use crate::core::time::Timestamp;
+#[cfg(feature = "view")]
+use crate::io::new_file;
 use crate::io::recording::{Message, Reader};
 use crate::io::wire::Topic;
 use crate::offline::bvh::BvhFile;
@@ -25,6 +29,7 @@ Examples:
   bundlemocap export out/poses.mcap --bvh take1.bvh
   bundlemocap export out/poses.mcap --bvh cut.bvh --start 01:00:10:00 --end 01:00:20:00
   bundlemocap export out/poses.mcap --picture take1.svg --figures 7
+  bundlemocap export out/poses.mcap --foxglove take1.foxglove.mcap    for Foxglove and Lichtblick
   bundlemocap export both/poses.mcap --bvh take1.bvh             take1.p1.bvh, take1.p2.bvh
   bundlemocap export both/poses.mcap --bvh take1.bvh --actor p2  take1.bvh")]
 #[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
@@ -37,6 +42,11 @@ pub(super) struct Arguments {
     /// Picture to write: a row of stick figures.
     #[arg(long, value_name = "SVG", group = "what")]
     picture: Option<PathBuf>,
+    /// MCAP file to write with the schemas of Foxglove, for Foxglove and Lichtblick: performers and cameras in
+    /// 3D, joint frames, keypoints.
+    #[cfg(feature = "view")]
+    #[arg(long, value_name = "MCAP", group = "what", conflicts_with_all = ["truth", "actor", "start", "end"])]
+    foxglove: Option<PathBuf>,
     /// Number of stick figures in the picture.
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..))]
     figures: u8,
@@ -54,6 +64,15 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
+    #[cfg(feature = "view")]
+    if let Some(path) = &arguments.foxglove {
+        arguments.overwrite.check(path)?;
+        let count = write_foxglove(&arguments.file, path)?;
+        say(&format!("{}: {count} messages", path.display()));
+        if arguments.bvh.is_none() && arguments.picture.is_none() {
+            return Ok(Exit::Done);
+        }
+    }
     let actor = arguments.actor.as_deref();
     let Solved { mut performers, damage } = read(&arguments.file, arguments.truth, actor)?;
     let times = Times::of(&arguments.file, None)?;
@@ -114,6 +133,32 @@ fn write_bvh(
     let (states, unfilled) = file.finish(path)?;
     unfilled.into_iter().for_each(|text| complain("note", &text));
     Ok(states.frames())
+}
+
+/// Writes a recording with the schemas of Foxglove; returns the number of messages that were read.
+#[cfg(feature = "view")]
+fn write_foxglove(from: &Path, to: &Path) -> Result<u64, Failure> {
+    let unwritten = |error: &dyn std::fmt::Display| {
+        Failure::new(Exit::Unexpected, format!("cannot write {}: {error}", to.display()))
+    };
+    let file = new_file::temporary(to).map_err(|error| unwritten(&error))?;
+    let mut file = crate::view::FoxgloveFile::new(std::io::BufWriter::new(file))
+        .map_err(|error| unwritten(&error))?;
+    let mut count = 0;
+    for entry in Reader::open(from)? {
+        let entry = entry?;
+        let at = match &entry.message {
+            Message::Pose(pose) => Timestamp::from_ns(pose.capture_time_ns),
+            Message::Keypoints(frame) => Timestamp::from_ns(frame.capture_time_ns),
+            _ => entry.log_time,
+        };
+        file.add(&entry.topic, at, &entry.message);
+        count += 1;
+    }
+    let file = file.finish().map_err(|error| unwritten(&error))?;
+    let file = file.into_inner().map_err(|error| unwritten(&error))?;
+    file.persist(to).map_err(|error| unwritten(&error))?;
+    Ok(count)
 }
 
 /// The content of a solved recording.

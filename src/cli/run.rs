@@ -39,6 +39,7 @@ Examples:
   bundlemocap run studio.toml --body take1/poses.mcap
   bundlemocap run --listen tcp/0.0.0.0:7447 --latency 50
   bundlemocap run studio.toml --view 127.0.0.1:8765       and open the page in a browser
+  bundlemocap run studio.toml --foxglove 127.0.0.1:8766   and open ws://127.0.0.1:8766 in Lichtblick
   bundlemocap run --bus iceoryx2 --seconds 60
   bundlemocap run studio.toml --standby")]
 pub(super) struct Arguments {
@@ -78,6 +79,11 @@ pub(super) struct Arguments {
     #[cfg(feature = "view")]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = super::view::ADDRESS)]
     view: Option<String>,
+    /// Serve the stage to Foxglove and Lichtblick, on this address: open ws://ADDRESS there. Everybody who can
+    /// reach the address may look.
+    #[cfg(feature = "view")]
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = super::view::FOXGLOVE)]
+    foxglove: Option<String>,
     /// Stop after N seconds.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     seconds: Option<f64>,
@@ -117,6 +123,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     // Before the node publishes anything, so that a wrong address does not end a node that runs.
     #[cfg(feature = "view")]
     let _page = arguments.view.as_deref().map(|address| view(address, &config)).transpose()?;
+    #[cfg(feature = "view")]
+    let _bridge =
+        arguments.foxglove.as_deref().map(|address| foxglove(address, &config)).transpose()?;
 
     // Before the bus starts its threads, so that they do not use this core.
     let is_one = !config.stage.several();
@@ -160,6 +169,14 @@ fn view(address: &str, config: &Config) -> Result<crate::view::Running, Failure>
     let page = super::view::serve(address, super::view::live(config.clone()))?;
     tracing::info!("the page is on {}", page.url());
     Ok(page)
+}
+
+/// Serves the stage to Foxglove and Lichtblick, as a client of the bus too.
+#[cfg(feature = "view")]
+fn foxglove(address: &str, config: &Config) -> Result<crate::view::Bridge, Failure> {
+    let bridge = crate::view::bridge(address, super::view::stage(config.clone()))?;
+    tracing::info!("Foxglove and Lichtblick connect to {}", bridge.url());
+    Ok(bridge)
 }
 
 /// The announcement as soon as no other node publishes this performer; `None` if stopped before.

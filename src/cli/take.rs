@@ -22,7 +22,7 @@ const PATIENCE: Duration = Duration::from_secs(4);
 /// Wait for further answers once a node and a recorder have answered.
 const GRACE: Duration = Duration::from_millis(300);
 
-/// Begin or end a take, write a note about it, forget the body, or mend a moved camera.
+/// Begin or end a take, write a note about it, forget the body, label a performer, or mend a moved camera.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own for the take, so that
@@ -30,6 +30,8 @@ start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own
        performer anew, and publish no poses for some tenths of a second.
 stop   Recorders end the file, one second later. Nodes go on.
 reset  Nodes forget the performer's body: somebody else comes.
+label  Nodes give the performer NAME a name (--note) and a colour (--colour) to show.
+lock   A reset leaves the body of the performer NAME as it is, until unlock.
 mend   Nodes correct the calibration of a moved camera, once its new pose is known (event camera_moved).
        The node overwrites its TOML calibration file and keeps a copy; another format stays unchanged.
 note   Recorders add --note and --mark to takes.csv in their folder, for NAME, or else for the running
@@ -42,6 +44,7 @@ Examples:
   bundlemocap take start walk_01
   bundlemocap take stop
   bundlemocap take note --mark good --note \"left hand is best\"
+  bundlemocap take label p3 --note \"the lead\" --colour '#d55e00'
   bundlemocap take mend cam03
   bundlemocap take reset --connect tcp/192.168.1.10:7447")]
 pub(super) struct Arguments {
@@ -49,15 +52,21 @@ pub(super) struct Arguments {
     #[arg(value_enum)]
     action: Action,
     /// Name of the take: letters, digits, `-`, `_` and `.`. Without it: the running take; for
-    /// note, else the last one. For mend: the name of the camera.
-    #[arg(required_if_eq_any([("action", "start"), ("action", "mend")]))]
+    /// note, else the last one. For mend: the name of the camera. For label, lock and unlock: the performer,
+    /// as in its topics.
+    #[arg(required_if_eq_any([
+        ("action", "start"), ("action", "mend"), ("action", "label"), ("action", "lock"), ("action", "unlock"),
+    ]))]
     name: Option<String>,
-    /// Text of the note.
+    /// Text of the note; for label, the name to show. Empty: that of the topics.
     #[arg(long, default_value = "", hide_default_value = true)]
     note: String,
     /// Rating of the take.
     #[arg(long, value_parser = ["good", "bad"])]
     mark: Option<String>,
+    /// For label: the colour, such as '#d55e00'.
+    #[arg(long, default_value = "", hide_default_value = true)]
+    colour: String,
     #[command(flatten)]
     bus: BusArguments,
 }
@@ -70,6 +79,12 @@ enum Action {
     Stop,
     /// Forget the performer's body.
     Reset,
+    /// Give a performer a name and a colour to show.
+    Label,
+    /// Keep a performer's body when the others are forgotten.
+    Lock,
+    /// No longer keep it.
+    Unlock,
     /// Correct the calibration of a moved camera.
     Mend,
     /// Write a note about a take.
@@ -82,6 +97,9 @@ impl Action {
             Self::Start => "start",
             Self::Stop => "stop",
             Self::Reset => "reset",
+            Self::Label => "label",
+            Self::Lock => "lock",
+            Self::Unlock => "unlock",
             Self::Mend => "mend",
             Self::Note => "note",
         }
@@ -91,7 +109,7 @@ impl Action {
     const fn roles(self) -> &'static [&'static str] {
         match self {
             Self::Start | Self::Stop => &["node", "recorder"],
-            Self::Reset | Self::Mend => &["node"],
+            Self::Reset | Self::Mend | Self::Label | Self::Lock | Self::Unlock => &["node"],
             Self::Note => &["recorder"],
         }
     }
@@ -110,7 +128,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         return Err(Failure::new(Exit::Usage, "note needs --note, --mark, or both"));
     }
     let (note, mark) = (arguments.note.clone(), arguments.mark.clone().unwrap_or_default());
-    let take = Take { id, action: arguments.action.name().into(), name, note, mark };
+    let (action, colour) = (arguments.action.name().into(), arguments.colour.clone());
+    let take = Take { id, action, name, note, mark, colour };
     let answers = command(&*bus, &topics(&config), &take, arguments.action.roles(), LEAD)?;
     for TakeAnswer { role, text, refused, .. } in &answers {
         match refused {

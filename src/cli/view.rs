@@ -19,6 +19,9 @@ use crate::view::{Live, Recorded, Running, Source, ViewError, start};
 /// Where the page is served.
 pub(super) const ADDRESS: &str = "127.0.0.1:8765";
 
+/// Where Foxglove and Lichtblick connect.
+pub(super) const FOXGLOVE: &str = "127.0.0.1:8766";
+
 /// Show a stage live, or a recording, in a browser.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -85,7 +88,11 @@ fn recorded(paths: &[PathBuf]) -> Result<Source, Failure> {
 
 /// The stage of the settings.
 pub(super) fn live(config: Config) -> Source {
-    Source::Live(Arc::new(Live::new(topics(&config), move || open_client(&config.bus))))
+    Source::Live(stage(config))
+}
+
+pub(super) fn stage(config: Config) -> Arc<Live> {
+    Arc::new(Live::new(topics(&config), move || open_client(&config.bus)))
 }
 
 /// Serves the page.

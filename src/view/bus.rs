@@ -48,6 +48,11 @@ impl Live {
         Self { topics, open: Box::new(open) }
     }
 
+    /// A session on its bus.
+    pub(super) fn open(&self) -> Result<Box<dyn Bus>, BusError> {
+        (self.open)()
+    }
+
     /// Whether a page may see topics of that pattern: those of the stage, and where other cameras send.
     fn shows(&self, pattern: &str) -> bool {
         let own = format!("mocap/{}/", self.topics.stage);
@@ -62,7 +67,7 @@ impl Live {
 enum Order {
     /// The messages of topics that match these patterns, and no others.
     Topics(Vec<String>),
-    /// A command of `bundlemocap take`: start, stop, reset, mend or note.
+    /// A command of `bundlemocap take`.
     Take(Slate),
 }
 
@@ -77,20 +82,22 @@ struct Slate {
     note: String,
     #[serde(default)]
     mark: String,
+    #[serde(default)]
+    colour: String,
 }
 
 impl Slate {
     /// The command, unless the page has not checked what the user entered.
     fn take(self) -> Option<Take> {
-        let Self { id, action, name, note, mark } = self;
+        let Self { id, action, name, note, mark, colour } = self;
         let is_sound = match &*action {
-            "start" => valid_name(&name).is_ok(),
+            "start" | "label" | "lock" | "unlock" => valid_name(&name).is_ok(),
             // Cameras may have any name.
             "mend" => !name.is_empty(),
             "stop" | "reset" | "note" => name.is_empty() || valid_name(&name).is_ok(),
             _ => false,
         };
-        is_sound.then_some(Take { id: id.into(), action, name, note, mark })
+        is_sound.then_some(Take { id: id.into(), action, name, note, mark, colour })
     }
 }
 
@@ -205,7 +212,7 @@ fn try_orders(
     out: &queue::Sender<Outgoing>,
     dropped: &Arc<AtomicU64>,
 ) -> Result<(), BusError> {
-    let bus = (live.open)()?;
+    let bus = live.open()?;
     // It is there before the first command, so that nodes and recorders know it.
     let slate: Box<dyn Publisher> = bus.publisher(&live.topics.take())?;
     let clock = WallClock::start();

@@ -24,6 +24,7 @@
 
 mod access;
 mod bus;
+mod foxglove;
 mod frame;
 mod overview;
 mod page;
@@ -32,6 +33,7 @@ mod recorded;
 mod server;
 
 pub use bus::Live;
+pub use foxglove::{Bridge, FoxgloveFile, bridge};
 pub use overview::Overview;
 pub use recorded::Recorded;
 pub use server::{Running, Source, ViewError, start};

@@ -226,3 +226,65 @@ fn recordings_are_shown_in_rerun() {
         assert!(printed.contains(path), "no {path} in\n{printed}");
     }
 }
+
+/// Follows the frames of `/tf` to the joints, and compares them with the bones of `/performers`.
+const FOXGLOVE: &str = r#"
+import sys
+from mcap_protobuf.reader import read_protobuf_messages
+
+def turned(q, v):
+    x, y, z, w = q.x, q.y, q.z, q.w
+    a, b, c = v
+    t = (2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a))
+    return (a + w * t[0] + y * t[2] - z * t[1], b + w * t[1] + z * t[0] - x * t[2], c + w * t[2] + x * t[1] - y * t[0])
+
+frames, bones, counts = {}, {}, {}
+for message in read_protobuf_messages(sys.argv[1]):
+    topic, shown = message.topic, message.proto_msg
+    counts[topic] = counts.get(topic, 0) + 1
+    if topic == "/tf":
+        frames.update((one.child_frame_id, one) for one in shown.transforms)
+        at = message.log_time_ns
+    elif topic == "/performers":
+        bones = shown.entities[0]
+    if topic == "/tf" and len(shown.transforms) == 22:
+        def place(name, point=(0.0, 0.0, 0.0)):
+            while name != "world":
+                one = frames[name]
+                move = one.translation
+                point = tuple(p + m for p, m in zip(turned(one.rotation, point), (move.x, move.y, move.z)))
+                name = one.parent_frame_id
+            return point
+        head = bones.spheres[0].pose.position
+        off = max(abs(a - b) for a, b in zip(place("actor/head"), (head.x, head.y, head.z)))
+        assert off < 1e-9, off
+        assert len(bones.lines[0].points) == 42 and bones.frame_id == "world"
+up = turned(frames["world"].rotation, (0.0, 1.0, 0.0))
+assert max(abs(a - b) for a, b in zip(up, (0.0, 0.0, 1.0))) < 1e-9, up
+print(" ".join(f"{topic}={counts[topic]}" for topic in sorted(counts)))
+"#;
+
+#[test]
+fn recordings_have_the_schemas_of_foxglove() {
+    let Some(generated) = generated() else { return };
+    let (folder, out) = (generated.path(), generated.path().join("out"));
+    let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
+    let program = || Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
+    check(&program().arg("solve").arg(&walk).arg("--out").arg(&out).output().unwrap());
+    let read = |from: &Path, name: &str| {
+        let shown = folder.join(name);
+        check(&program().arg("export").arg(from).arg("--foxglove").arg(&shown).output().unwrap());
+        Command::new("python3").args(["-c", FOXGLOVE]).arg(&shown).output().unwrap()
+    };
+    let output = read(&out.join("poses.mcap"), "poses.foxglove.mcap");
+    check(&output);
+    let said = String::from_utf8(output.stdout).unwrap();
+    // A pose each, and the cameras once a second.
+    for count in ["/performers=240", "/tf=244", "/camera/cam01/calibration=4"] {
+        assert!(said.split_whitespace().any(|one| one == count), "no {count} in {said}");
+    }
+    let output = read(&walk, "walk.foxglove.mcap");
+    check(&output);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.contains("/camera/cam04/keypoints=240"), "{said}");
+}

@@ -262,10 +262,15 @@ fn bodies_that_are_forgotten_are_estimated_again_and_everybody_keeps_the_name() 
     let payload = encode(&reset);
     let mut messages = stage.all();
     messages.push(Sent { arrival: at(4.0), topic: Topics::default().take(), payload });
+    let lock = wire::Take { action: "lock".to_owned(), name: "p2".to_owned(), ..reset };
+    let payload = encode(&lock);
+    messages.push(Sent { arrival: at(3.9), topic: Topics::default().take(), payload });
     let world = stage.play(messages, 8.0);
     for performer in 0..2 {
-        let (_, last) = longest_gap(&world, performer, 6.0);
+        let (gap, last) = longest_gap(&world, performer, 3.5);
         assert!(last > 7.5, "p{}: {last}", performer + 1);
+        // Who is locked goes on.
+        assert_eq!(gap < 0.02, performer == 1, "p{}: {gap}", performer + 1);
     }
     assert_eq!((count(&world, "entered"), count(&world, "reentered")), (2, 0));
 }

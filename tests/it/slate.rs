@@ -5,7 +5,9 @@ use bundlemocap::core::body::{self, Joint, Shape};
 use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::Solver;
-use bundlemocap::io::wire::{Event, Skeleton, Take, TakeAnswer, Topics, encode};
+use bundlemocap::io::wire::{
+    Event, PerformerLabel, Skeleton, Status, Take, TakeAnswer, Topics, encode,
+};
 use bundlemocap::live::{
     Carried, MOST_BYTES, MOST_ORDER_BYTES, Recorded, ReplayError, Replayed, Settings, replay,
 };
@@ -216,6 +218,53 @@ fn a_take_keeps_the_body_unless_it_is_reset() {
     let bodies = body(vec![slate("reset", "", 14.0)]);
     let anew = bodies.iter().filter(|(time, _)| *time > at(14.0) + Nanos::from_ms(100));
     assert!(anew.count() >= 4, "{bodies:?}");
+}
+
+#[test]
+fn a_label_and_a_lock_stay_until_they_are_changed() {
+    let label = |performer: &str, shown: &str, colour: &str, seconds| {
+        let take = Take {
+            action: "label".into(),
+            name: performer.into(),
+            note: shown.into(),
+            colour: colour.into(),
+            ..Take::default()
+        };
+        Sent { payload: encode(&take), ..slate("", "", seconds) }
+    };
+    let (world, recorded) = session(
+        6,
+        vec![
+            slate("lock", "actor", 1.0),
+            slate("reset", "", 1.2),
+            label("actor", "the lead", "#d55e00", 1.4),
+            label("p9", "nobody", "", 1.6),
+            label("actor", "the lead", "red", 1.8),
+            label("actor", &"x".repeat(61), "", 2.0),
+            slate("start", "walk", 3.0),
+            slate("unlock", "actor", 4.5),
+            slate("reset", "", 4.7),
+        ],
+    );
+    let answers = world.heard.of::<TakeAnswer>(&Topics::default().take_answers());
+    let refused: Vec<bool> = answers.iter().map(|(_, answer)| answer.refused).collect();
+    assert_eq!(refused, [false, true, false, true, true, true, false, false, false], "{answers:?}");
+    assert_eq!(answers[1].1.text, "actor: locked, so the body is kept: actor; unlock first");
+    assert_eq!(answers[2].1.text, "actor: actor is shown as \"the lead\" #d55e00");
+    let statuses = world.heard.of::<Status>(&Topics::default().status());
+    let label_at = |seconds| {
+        let (_, status) = statuses.iter().rfind(|(time, _)| *time < at(seconds)).unwrap();
+        status.label.clone()
+    };
+    let labelled = |locked| {
+        Some(PerformerLabel { shown: "the lead".into(), colour: "#d55e00".into(), locked })
+    };
+    assert_eq!(label_at(1.0), None);
+    assert_eq!(
+        (label_at(2.9), label_at(4.4), label_at(5.9)),
+        (labelled(true), labelled(true), labelled(false))
+    );
+    assert_agrees(&replayed(&from(&recorded, 3.0), Some("walk")).unwrap());
 }
 
 /// Frames of performers of those shapes, one after the other, each for 15 s, with that pause between.

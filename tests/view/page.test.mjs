@@ -1,7 +1,8 @@
 // The page of recordings, reports and live stages.
 
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
+import { readFileSync, writeFileSync } from "node:fs";
+import { createServer } from "node:http";
 import { join } from "node:path";
 import { test } from "node:test";
 import { Template, metres } from "../../src/io/report/scene/body.js";
@@ -194,6 +195,73 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   const { time: again } = await shown(page);
   await until(page, (before) => Number(document.body.dataset.time) > before, Number(again));
   await page.close();
+});
+
+test("four performers live: each is shown, and one gets a name, a colour and a lock", async () => {
+  const [bus, http] = [await freePort(), await freePort()];
+  const config = join(folder, "four.toml");
+  writeFileSync(config, '[stage]\nperformers = "auto"\n');
+  const node = await start(["run", config, "--listen", `tcp/127.0.0.1:${bus}`, "--view", `127.0.0.1:${http}`], /the page is on (\S+)/);
+  await start(["play", join(folder, "four.mcap"), "--loop", "--connect", `tcp/127.0.0.1:${bus}`]);
+  const { page, said } = await open(node.match[1]);
+  await people(page, 4);
+  await until(page, () => document.body.dataset.skins === "4");
+  await page.locator('[data-label="p2"]').click();
+  await page.locator("#shown").fill("the lead");
+  await page.locator("#colour").fill("#c00000");
+  await page.locator("#locked").check();
+  await page.locator('#label [value="save"]').click();
+  await until(page, () => document.querySelector('[data-follow="p2"]').textContent === "the lead");
+  await until(page, () => document.querySelector('[data-label="p2"]').textContent === "edit, locked");
+  assert.equal(
+    await page.locator('[data-follow="p2"] .swatch').evaluate((swatch) => swatch.style.background),
+    "rgb(192, 0, 0)",
+  );
+  await page.locator("#reset").click();
+  await until(page, () => document.getElementById("answers").textContent.includes("locked: p2"));
+  await picture(page, "four-live");
+  await isSound(page);
+  assert.deepEqual(said, []);
+  await page.close();
+});
+
+test("Foxglove and Lichtblick get the performers and the cameras of a live stage", async () => {
+  const [bus, socket] = [await freePort(), await freePort()];
+  await start(["run", "--listen", `tcp/127.0.0.1:${bus}`, "--foxglove", `127.0.0.1:${socket}`], /connect to ws:/);
+  await start(["play", join(root, "recordings/walk.mcap"), "--loop", "--connect", `tcp/127.0.0.1:${bus}`]);
+  // A page of another program on this computer; Chromium lets no other connect.
+  const other = createServer((_, answer) => answer.setHeader("content-type", "text/html").end("<link rel=icon href=data:,>"));
+  await new Promise((resolve) => other.listen(0, "127.0.0.1", resolve));
+  const { page, said } = await open(`http://127.0.0.1:${other.address().port}/`);
+  const counts = await page.evaluate(async (url) => {
+    const client = new WebSocket(url, ["foxglove.sdk.v1"]);
+    client.binaryType = "arraybuffer";
+    const [topics, counts] = [new Map(), {}];
+    const isEnough = () => counts["/performers"] > 20 && counts["/tf"] > 20 && counts["/camera/cam01/calibration"] > 0;
+    await new Promise((resolve, reject) => {
+      setTimeout(() => reject(new Error(JSON.stringify(counts))), 60_000);
+      client.onerror = () => reject(new Error("no connection"));
+      client.onmessage = ({ data }) => {
+        if (typeof data !== "string") {
+          const view = new DataView(data);
+          const topic = view.getUint8(0) === 1 && topics.get(view.getUint32(1, true));
+          if (topic) counts[topic] = (counts[topic] ?? 0) + 1;
+          if (isEnough()) resolve();
+          return;
+        }
+        const { op, channels = [] } = JSON.parse(data);
+        if (op !== "advertise") return;
+        for (const { id, topic } of channels) topics.set(id, topic);
+        client.send(JSON.stringify({ op: "subscribe", subscriptions: channels.map(({ id }) => ({ id, channelId: id })) }));
+      };
+    });
+    client.close();
+    return counts;
+  }, `ws://127.0.0.1:${socket}`);
+  assert.ok(counts["/camera/cam04/keypoints"] > 20, JSON.stringify(counts));
+  assert.deepEqual(said, []);
+  await page.close();
+  other.close();
 });
 
 test("other sites and those without the token are refused", async () => {

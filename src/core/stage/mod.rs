@@ -56,8 +56,6 @@ pub enum Input {
     Rig(Arc<Rig>),
     /// The capture clock jumped, as for a [`Tracker`].
     Restart,
-    /// The bodies are forgotten, as for a [`Tracker`].
-    Forget,
     /// The capture clock has reached this time.
     Tick(Timestamp),
     /// No more input will come.
@@ -245,6 +243,17 @@ impl Stage {
         self.trackers.iter_mut().chain([&mut self.template])
     }
 
+    /// Forgets the bodies, see [`tracker::Input::Forget`], except those of some performers.
+    pub fn forget(&mut self, keep: &[PerformerId]) {
+        let template = std::iter::once(&mut self.template);
+        let forgetting = self.trackers.iter_mut().enumerate();
+        let forgetting = forgetting.filter(|(number, _)| !keep.contains(&PerformerId(*number)));
+        forgetting
+            .map(|(_, tracker)| tracker)
+            .chain(template)
+            .for_each(|tracker| tracker.handle(tracker::Input::Forget));
+    }
+
     /// Sets the effort of all performers, see [`Tracker::set_effort`].
     pub fn set_effort(&mut self, effort: Effort) {
         self.all().for_each(|tracker| tracker.set_effort(effort));
@@ -283,7 +292,6 @@ impl Stage {
         match &input {
             Input::Detections(frame) => crowd.add(frame.clone()),
             Input::Restart => crowd.restart(Arc::clone(crowd.rig())),
-            Input::Forget => {}
             Input::Rig(rig) => {
                 if !rig.has_cameras_of(crowd.rig()) {
                     self.corrections = vec![Nanos::ZERO; rig.cameras.len()];
@@ -486,7 +494,6 @@ fn of_tracker(input: Input) -> tracker::Input {
         Input::Detections(frame) => tracker::Input::Detections(frame),
         Input::Rig(rig) => tracker::Input::Rig(rig),
         Input::Restart => tracker::Input::Restart,
-        Input::Forget => tracker::Input::Forget,
         Input::Tick(now) => tracker::Input::Tick(now),
         Input::End => tracker::Input::End,
     }

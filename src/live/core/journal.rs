@@ -143,5 +143,6 @@ pub(super) fn start(settings: &Settings, rig: Option<&[u8]>, run_id: u64) -> Jou
         time_offsets_ns: settings.carried.time_offsets.iter().map(|offset| offset.ns()).collect(),
         performers: settings.carried.performers.iter().map(wire_known).collect(),
         left_out: settings.carried.left_out.iter().map(|camera| *camera as u32).collect(),
+        labels: settings.carried.labels.clone(),
     }
 }

@@ -378,6 +378,7 @@ impl Core {
                 tracker_state: state.to_owned(),
                 windows: Some(windows),
                 playout: Some(playout),
+                label: self.label_of(number).cloned(),
                 ..status.clone()
             };
             self.publish(topic, capture, Content::Status(Box::new(status)));
@@ -415,6 +416,7 @@ impl Core {
             run_id: self.run_id,
             clock: self.clock.kind().to_owned(),
             clock_offset_s: self.clock.base().seconds(),
+            label: self.label_of(0).filter(|_| !self.is_several()).cloned(),
         }
     }
 

@@ -9,7 +9,7 @@ use crate::core::stage::{self, Known, PerformerId};
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, Job, Solution};
 use crate::io::timecode::House;
-use crate::io::wire::{self, JournalPerformer, JournalStart};
+use crate::io::wire::{self, JournalPerformer, JournalStart, PerformerLabel};
 use crate::live::config::Config;
 
 /// Larger messages are rejected, bytes.
@@ -126,6 +126,8 @@ pub struct Carried {
     pub performers: Vec<Known>,
     /// The cameras that were moved and are left out, in the order of the rig.
     pub left_out: Vec<usize>,
+    /// How the performers are shown, by number.
+    pub labels: Vec<PerformerLabel>,
 }
 
 impl Carried {
@@ -138,6 +140,7 @@ impl Carried {
             time_offsets: start.time_offsets_ns.iter().copied().map(Nanos::new).collect(),
             performers: start.performers.iter().map(known).collect(),
             left_out: start.left_out.iter().map(|camera| *camera as usize).collect(),
+            labels: start.labels.clone(),
         }
     }
 }

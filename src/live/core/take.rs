@@ -1,4 +1,5 @@
-//! Slates: a take begins, ends, the performer's body is forgotten, or a camera is mended.
+//! Slates: a take begins, ends, the performer's body is forgotten, a performer is labelled, or a camera
+//! is mended.
 //!
 //! A take is a run of its own: at its start the node begins anew with the calibration, the body, the
 //! latency and the time offsets that are known, and the head of the take's journal holds them. So a
@@ -7,10 +8,13 @@
 use super::Core;
 use super::port::{Carried, Settings};
 use super::publication::Content;
-use crate::core::stage::{self, Stage};
+use crate::core::stage::{PerformerId, Stage};
 use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
-use crate::io::wire::{self, Take, TakeAnswer, encode, valid_name};
+use crate::io::wire::{self, PerformerLabel, Take, TakeAnswer, encode, valid_name};
+
+/// Most characters of a name that is shown.
+const MOST_SHOWN: usize = 60;
 
 /// Whether a slate ends the run of the take `running`, or of none if that is empty.
 pub(crate) fn ends(slate: &Take, running: &str) -> bool {
@@ -46,7 +50,7 @@ impl Core {
         self.answer(take.id, done);
     }
 
-    /// Ends the take, forgets the body or mends a camera; says what was done.
+    /// Does what the slate says, except to begin a take; says what was done.
     fn follow(&mut self, take: &Take) -> Result<String, String> {
         let is_other = !take.name.is_empty() && take.name != self.running;
         match take.action.as_str() {
@@ -56,14 +60,75 @@ impl Core {
                 self.is_flushed = true;
                 Ok(format!("take {} ended", std::mem::take(&mut self.running)))
             }
-            "reset" => {
-                self.give(stage::Input::Forget);
-                Ok("the body is forgotten and estimated anew".to_owned())
-            }
+            "reset" => self.forget_bodies(),
+            "label" => self.label(take),
+            "lock" => self.lock(&take.name, true),
+            "unlock" => self.lock(&take.name, false),
             "mend" => self.mend(&take.name),
             "start" => Err(format!("{:?} cannot be the name of a take", take.name)),
             other => Err(format!("{other:?} is no action")),
         }
+    }
+
+    /// Forgets the bodies of all performers who are not locked.
+    fn forget_bodies(&mut self) -> Result<String, String> {
+        let locked = |number: &usize| self.label_of(*number).is_some_and(|label| label.locked);
+        let keep: Vec<usize> = (0..self.performers.len()).filter(locked).collect();
+        let names = keep.iter().map(|number| &*self.performers[*number].topics.actor);
+        let names = names.collect::<Vec<_>>().join(", ");
+        if !keep.is_empty() && keep.len() == self.performers.len() {
+            return Err(format!("locked, so the body is kept: {names}; unlock first"));
+        }
+        if let Some(stage) = &mut self.stage {
+            stage.forget(&keep.into_iter().map(PerformerId).collect::<Vec<_>>());
+        }
+        let but = if names.is_empty() { String::new() } else { format!("; locked: {names}") };
+        Ok(format!("the body is forgotten and estimated anew{but}"))
+    }
+
+    /// How a performer is shown.
+    pub(super) fn label_of(&self, number: usize) -> Option<&PerformerLabel> {
+        self.settings.carried.labels.get(number)
+    }
+
+    /// The label of the performer with that name in its topics.
+    fn label_by_name(&mut self, name: &str) -> Result<&mut PerformerLabel, String> {
+        let number = self.performers.iter().position(|one| one.topics.actor == name);
+        let number = number.ok_or_else(|| {
+            let known: Vec<&str> = self.performers.iter().map(|one| &*one.topics.actor).collect();
+            format!("no performer {name:?}, but {}", known.join(", "))
+        })?;
+        let labels = &mut self.settings.carried.labels;
+        if labels.len() <= number {
+            labels.resize_with(number + 1, PerformerLabel::default);
+        }
+        Ok(&mut labels[number])
+    }
+
+    /// Gives a performer a name and a colour to show.
+    fn label(&mut self, take: &Take) -> Result<String, String> {
+        let Take { name, note: shown, colour, .. } = take;
+        if shown.chars().count() > MOST_SHOWN || shown.chars().any(char::is_control) {
+            return Err(format!("a name has at most {MOST_SHOWN} characters, in one line"));
+        }
+        let is_hex =
+            |digits: &str| digits.len() == 6 && digits.bytes().all(|b| b.is_ascii_hexdigit());
+        if !colour.is_empty() && !colour.strip_prefix('#').is_some_and(is_hex) {
+            return Err(format!("{colour:?} is no colour such as #0072b2"));
+        }
+        let label = self.label_by_name(name)?;
+        (label.shown, label.colour) = (shown.clone(), colour.clone());
+        Ok(format!("{name} is shown as {:?} {colour}", if shown.is_empty() { name } else { shown })
+            .trim_end()
+            .to_owned())
+    }
+
+    fn lock(&mut self, name: &str, locked: bool) -> Result<String, String> {
+        self.label_by_name(name)?.locked = locked;
+        Ok(match locked {
+            true => format!("{name} is locked: a reset leaves the body as it is"),
+            false => format!("{name} is unlocked"),
+        })
     }
 
     /// The node ends before the take begins.
@@ -102,6 +167,7 @@ impl Core {
                     .map_or_else(Vec::new, |stage| stage.time_corrections().to_vec()),
                 performers: stage.map_or_else(Vec::new, Stage::known),
                 left_out: stage.map_or_else(Vec::new, Stage::left_out),
+                labels: self.settings.carried.labels.clone(),
             },
             ..self.settings.clone()
         };

@@ -44,13 +44,19 @@ ask();
 let [shownRig, framed, lastPicture, opened] = [undefined, false, performance.now(), performance.now()];
 goToHash();
 
-if (isLive) await import("./takes.js").then(({ takes }) => setInterval(takes(store, source), 250));
+if (isLive) await import("./takes.js").then(({ takes }) => setInterval(takes(store, source, lookOf), 250));
 
 /** The performers who are there; live, who left is not. */
 const present = () => [...store.performers.values()].filter(({ poses }) => !isLive || poses.times.length > 0);
 
 /** Names of performers that are not drawn. */
 const hidden = new Set();
+
+/** How a performer is shown: its label's name and colour, if there are any. */
+function lookOf({ name, number }) {
+  const { shown, colour: tint, locked = false } = store.statusOf.get(name)?.label ?? {};
+  return { name, shown: shown || name, tint: tint || colour(number), locked };
+}
 
 /** The performers at a time, as scene and panes draw them. */
 function peopleAt(time, channel) {
@@ -62,7 +68,8 @@ function peopleAt(time, channel) {
     const head = one.skeleton?.joint_names.indexOf("head") ?? -1;
     if (parents.length * 3 !== pose.joints.length) continue;
     const points = one.points.at(time, AGE);
-    people.push({ ...pose, points, name: one.name, number: one.number, skin: pose.rotations.length === 4 * parents.length ? one.skin : undefined, parents, head });
+    const skin = pose.rotations.length === 4 * parents.length ? one.skin : undefined;
+    people.push({ ...pose, ...lookOf(one), points, skin, parents, head });
   }
   return people;
 }
@@ -203,23 +210,30 @@ function showCameras() {
 }
 
 function showPerformers(people) {
-  const items = present().map(({ name, number }) => {
+  const items = present().map(lookOf).map(({ name, shown, tint, locked }) => {
     const now = people.find((one) => one.name === name);
     const item = document.createElement("li");
     const row = element("div", "", "row");
     const who = element("button", "", "who");
     who.type = "button";
-    who.title = `follow ${name}`;
+    who.title = shown === name ? `follow ${name}` : `follow ${shown}, ${name} on the bus`;
     who.dataset.follow = name;
     who.setAttribute("aria-pressed", String(view.followed === name));
     const swatch = element("span", "", "swatch");
-    swatch.style.background = colour(number);
-    who.append(swatch, name);
+    swatch.style.background = tint;
+    who.append(swatch, shown);
     row.append(who, element("span", now?.state ?? (isLive ? (store.statusOf.get(name)?.tracker_state ?? "no pose") : "no pose")));
     const hide = element("button", hidden.has(name) ? "show" : "hide");
     hide.type = "button";
     hide.dataset.hide = name;
-    hide.setAttribute("aria-label", `${hide.textContent} ${name}`);
+    hide.setAttribute("aria-label", `${hide.textContent} ${shown}`);
+    if (isLive) {
+      const edit = element("button", locked ? "edit, locked" : "edit");
+      edit.type = "button";
+      edit.dataset.label = name;
+      edit.setAttribute("aria-label", `${edit.textContent} ${shown}`);
+      row.append(edit);
+    }
     row.append(hide);
     item.append(row);
     return item;
@@ -284,7 +298,7 @@ function drawRuns(canvas, place) {
   const all = [...store.performers.values()];
   const line = Math.min(6, (height - 8) / Math.max(all.length, 1));
   all.forEach((one, row) => {
-    context.fillStyle = colour(one.number);
+    context.fillStyle = lookOf(one).tint;
     for (const { from, to, state } of isLive ? liveRuns(one.poses) : source.overview.performers[one.name] ?? []) {
       context.globalAlpha = SHADES[state];
       const [left, right] = [from, to].map((time) => (place(time) / 100) * width);

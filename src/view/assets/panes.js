@@ -1,7 +1,6 @@
 // The camera images: detected keypoints, and the solved bodies over them.
 
 import { lensOf, project } from "./lens.js";
-import { colour } from "./colours.js";
 import { median } from "./store.js";
 
 /** A detected person farther from a body than this part of the image's diagonal, in the median, is somebody else. */
@@ -91,7 +90,7 @@ export class Panes {
  * The body's keypoints as rings, with a line to what was detected; red beyond three times the camera's usual
  * residual. Returns the distances, pixels.
  */
-function drawErrors(context, lens, { points, number, state }, people, usual, scale) {
+function drawErrors(context, lens, { points, tint, state }, people, usual, scale) {
   if (!points || state !== "tracking") return [];
   const seen = [];
   for (let k = 0; k < points.length; k += 4) {
@@ -112,7 +111,7 @@ function drawErrors(context, lens, { points, number, state }, people, usual, sca
   // Somebody else, where this performer is not detected.
   if (!best || best.error > NEAR * Math.hypot(lens.width, lens.height)) return [];
   for (const [x, y, u, v, distance] of best.errors) {
-    context.strokeStyle = usual > 0 && distance > 3 * usual ? "#ff5349" : colour(number);
+    context.strokeStyle = usual > 0 && distance > 3 * usual ? "#ff5349" : tint;
     context.beginPath();
     context.arc(u * scale, v * scale, 2.5, 0, 2 * Math.PI);
     context.moveTo(u * scale, v * scale);
@@ -133,9 +132,9 @@ function drawPoints(context, points, scale) {
   context.globalAlpha = 1;
 }
 
-function drawBody(context, lens, { joints, parents, number, state }, scale) {
+function drawBody(context, lens, { joints, parents, tint, state }, scale) {
   const at = parents.map((_, j) => project(lens, joints[3 * j], joints[3 * j + 1], joints[3 * j + 2]));
-  context.strokeStyle = state === "tracking" ? colour(number) : "#8a8f98";
+  context.strokeStyle = state === "tracking" ? tint : "#8a8f98";
   context.lineWidth = 1.5;
   context.beginPath();
   parents.forEach((parent, j) => {

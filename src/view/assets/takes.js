@@ -1,13 +1,17 @@
-// The commands of `bundlemocap take`: start, stop, reset, note and mend.
+// The commands of `bundlemocap take`.
 
 const $ = (id) => document.getElementById(id);
 /** How long nodes and recorders have for an answer, ms. */
 const PATIENCE = 5000;
 /** Who answers a command, if not both nodes and recorders. */
-const ANSWERERS = { reset: ["node"], mend: ["node"], note: ["recorder"] };
+const ANSWERERS = Object.fromEntries(["reset", "mend", "label", "lock", "unlock"].map((action) => [action, ["node"]]));
+ANSWERERS.note = ["recorder"];
 
-/** Connects the form with a live stage. Call the result a few times a second: it shows the state of the take. */
-export function takes(store, source) {
+/**
+ * Connects the forms with a live stage; `lookOf` says how a performer is shown. Call the result a few times a second:
+ * it shows the state of the take.
+ */
+export function takes(store, source, lookOf) {
   let [sent, answers] = [undefined, []];
   const command = (action, name, more) => {
     sent = { id: BigInt(source.command(action, name, more)), action, at: performance.now() };
@@ -39,6 +43,22 @@ export function takes(store, source) {
   });
   $("moved").addEventListener("click", ({ target }) => {
     if (target.dataset.mend) command("mend", target.dataset.mend);
+  });
+  let edited;
+  $("performers").addEventListener("click", ({ target }) => {
+    edited = store.performers.get(target.dataset.label);
+    if (!edited) return;
+    const { name, shown, tint, locked } = lookOf(edited);
+    $("labelled").textContent = name;
+    [$("shown").value, $("colour").value, $("locked").checked] = [shown === name ? "" : shown, tint, locked];
+    $("label").showModal();
+  });
+  $("label").addEventListener("close", () => {
+    if ($("label").returnValue !== "save") return;
+    const { name, tint, locked } = lookOf(edited);
+    if ($("locked").checked !== locked) command(locked ? "unlock" : "lock", name);
+    const own = store.statusOf.get(name)?.label?.colour ?? "";
+    command("label", name, { note: $("shown").value.trim(), colour: $("colour").value === tint ? own : $("colour").value });
   });
   return () => {
     const take = running();

@@ -53,7 +53,7 @@ pub fn swelling(joint: Joint) -> [f64; 4] {
         Joint::LElbow | Joint::RElbow => [0.035, 0.0, 0.0, 0.0],
         Joint::LKnee | Joint::RKnee => [0.05, 0.0, 0.0, 0.0],
         // The shoulder is not in the middle of the flesh that it moves: the armpit is below.
-        Joint::LShoulder | Joint::RShoulder => [0.044, 0.0, 0.0, -0.092 * joint.side()],
+        Joint::LShoulder | Joint::RShoulder => [0.09, 0.0, 0.0, -0.17 * joint.side()],
         _ => [0.03, 0.0, 0.0, 0.0],
     }
 }
@@ -163,8 +163,8 @@ fn joints(body: &Skeleton) -> [Vector3<f64>; JOINTS] {
     Pose::rest().posture(body).positions
 }
 
-/// The size of each segment of a body, relative to the template's, by axis. A limb grows alike in
-/// length and girth; the trunk is as broad as shoulders and hips are, and as deep as it is long.
+/// The size of each segment of a body, relative to the template's, by axis. Girths change half as much
+/// as lengths, as weight grows with the square of stature; the trunk is as broad as shoulders and hips.
 struct Scales {
     offsets: [Vector3<f64>; JOINTS],
 }
@@ -174,47 +174,46 @@ impl Scales {
         let template = Skeleton::default();
         let relative = |joint: Joint| {
             let (own, usual) = (body.offset(joint), template.offset(joint));
-            let length = own.norm() / usual.norm();
+            let length = own.norm() / usual.norm().max(f64::MIN_POSITIVE);
             Vector3::from_fn(|axis, _| match usual[axis].abs() > 0.02 {
                 true => own[axis] / usual[axis],
                 false => length,
             })
         };
-        let mut offsets = [Vector3::repeat(1.0); JOINTS];
-        for joint in &Joint::ALL[1..] {
-            offsets[joint.index()] = relative(*joint);
-        }
-        Self { offsets }
+        Self { offsets: Joint::ALL.map(relative) }
     }
 
     /// The scale about `joint` of what it carries at `p`, a point of the template.
     fn at(&self, joint: Joint, p: &Vector3<f64>) -> Vector3<f64> {
+        use Joint::*;
         let of = |joint: Joint| self.offsets[joint.index()];
-        let length = |joint: Joint| Vector3::repeat(of(joint).y);
-        let (hip, collar) = match p.x < 0.0 {
-            true => (of(Joint::RHip), of(Joint::RCollar)),
-            false => (of(Joint::LHip), of(Joint::LCollar)),
-        };
-        let trunk = |x: f64, along: Joint| Vector3::new(x, of(along).y, of(along).y);
+        let girth = |length: f64| 0.5 + 0.5 * length;
+        let leg = |next: Joint| Vector3::new(girth(of(next).y), of(next).y, girth(of(next).y));
+        let arm = |next: Joint| Vector3::new(of(next).x, girth(of(next).x), girth(of(next).x));
+        let trunk = |x: f64, y: f64| Vector3::new(x, y, girth(y));
+        let (hip, collar) =
+            if p.x < 0.0 { (of(RHip), of(RCollar)) } else { (of(LHip), of(LCollar)) };
         match joint {
-            Joint::Pelvis if p.y < 0.0 => Vector3::new(hip.x, hip.y, hip.y),
-            Joint::Pelvis => trunk(hip.x, Joint::Spine1),
-            Joint::Spine1 => trunk(0.5 * (hip.x + collar.x), Joint::Spine2),
-            Joint::Spine2 => trunk(0.5 * (hip.x + collar.x), Joint::Spine3),
-            Joint::Spine3 => trunk(collar.x, Joint::Neck),
-            Joint::LCollar => trunk(of(Joint::LShoulder).x, Joint::LShoulder),
-            Joint::RCollar => trunk(of(Joint::RShoulder).x, Joint::RShoulder),
-            Joint::Neck | Joint::Head => length(Joint::Head),
-            Joint::LHip => length(Joint::LKnee),
-            Joint::RHip => length(Joint::RKnee),
-            Joint::LKnee => length(Joint::LAnkle),
-            Joint::RKnee => length(Joint::RAnkle),
-            Joint::LAnkle | Joint::LFoot => length(Joint::LFoot),
-            Joint::RAnkle | Joint::RFoot => length(Joint::RFoot),
-            Joint::LShoulder => Vector3::repeat(of(Joint::LElbow).x),
-            Joint::RShoulder => Vector3::repeat(of(Joint::RElbow).x),
-            Joint::LElbow | Joint::LWrist => Vector3::repeat(of(Joint::LWrist).x),
-            Joint::RElbow | Joint::RWrist => Vector3::repeat(of(Joint::RWrist).x),
+            Pelvis if p.y < 0.0 => trunk(hip.x, hip.y),
+            Pelvis => trunk(hip.x, of(Spine1).y),
+            Spine1 => trunk(0.5 * (hip.x + collar.x), of(Spine2).y),
+            Spine2 => trunk(0.5 * (hip.x + collar.x), of(Spine3).y),
+            Spine3 => trunk(collar.x, of(Neck).y),
+            LCollar => trunk(of(LShoulder).x, of(LShoulder).y),
+            RCollar => trunk(of(RShoulder).x, of(RShoulder).y),
+            Neck | Head => Vector3::repeat(of(Head).y),
+            LHip => leg(LKnee),
+            RHip => leg(RKnee),
+            LKnee => leg(LAnkle),
+            RKnee => leg(RAnkle),
+            LAnkle | LFoot => Vector3::repeat(of(LFoot).y),
+            RAnkle | RFoot => Vector3::repeat(of(RFoot).y),
+            LShoulder => arm(LElbow),
+            RShoulder => arm(RElbow),
+            LElbow => arm(LWrist),
+            RElbow => arm(RWrist),
+            LWrist => Vector3::repeat(of(LWrist).x),
+            RWrist => Vector3::repeat(of(RWrist).x),
         }
     }
 }

@@ -8,8 +8,9 @@ use nalgebra::Vector3;
 
 use super::flesh::distance;
 
-/// The smallest cells, metres.
-const UNIT: f64 = 0.0080;
+/// The smallest cells, metres. With some sizes the skin passes twice through a cell, and the mesh is not
+/// closed there; the tests of the mesh look.
+const UNIT: f64 = 0.00744;
 /// Cells of one size come in blocks of as many units.
 const BLOCK: i32 = 8;
 /// The blocks of the left side, from the smallest to beyond the largest.
@@ -48,9 +49,8 @@ fn size_of(block: [i32; 3]) -> i32 {
     let bends = |along: f64, at: f64, reach: f64| (along - at).abs() < reach;
     match () {
         () if x > 0.76 || (y > 0.52 && z > 0.05 && x < 0.05) => 1,
-        () if x > 0.65 || !(-0.88..0.50).contains(&y) => 2,
-        () if bends(x, 0.447, 0.06) || bends(y, -0.489, 0.07) => 2,
-        () if x > 0.12 && bends(x, 0.17, 0.07) && y > 0.3 => 2,
+        () if x > 0.65 || (y > 0.50 && z > -0.04) || (y < -0.88 && z > -0.03) => 2,
+        () if bends(x, 0.447, 0.06) || bends(y, -0.489, 0.06) => 2,
         () => 4,
     }
 }

@@ -5,7 +5,7 @@
 //! have a share, bones between them, turned by parts of the joint's angle, take most of it: a limb
 //! then keeps its girth when it bends or twists.
 
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::{BONES, STEPS, bone};
 use crate::core::body::joints::Joint;
@@ -16,8 +16,10 @@ pub(super) const INFLUENCES: usize = 4;
 /// Bones and their weights, the largest first; the weights add up to 1.
 pub(super) type Influences = [(u8, f64); INFLUENCES];
 
-/// A plane, passed over some width. Template, left side, metres.
+/// A plane through which the branch of a joint is entered, over some width. Template, left side and
+/// midline, metres.
 struct Gate {
+    joint: Joint,
     /// A point of its middle.
     at: [f64; 3],
     /// Where it leads to.
@@ -25,51 +27,30 @@ struct Gate {
     half_width: f64,
 }
 
-const fn gate(at: [f64; 3], towards: [f64; 3], half_width: f64) -> Gate {
-    Gate { at, towards, half_width }
+const fn gate(joint: Joint, at: [f64; 3], towards: [f64; 3], half_width: f64) -> Gate {
+    Gate { joint, at, towards, half_width }
 }
 
-/// The gates of a joint of the left side or the midline.
-fn gates(joint: Joint) -> &'static [Gate] {
-    match joint {
-        Joint::LHip => {
-            const {
-                &[
-                    gate([0.095, -0.085, 0.0], [0.40, -0.88, -0.20], 0.060),
-                    gate([0.000, -0.150, 0.0], [1.0, 0.0, 0.0], 0.020),
-                ]
-            }
-        }
-        Joint::LKnee => const { &[gate([0.086, -0.489, 0.0], [0.0, -1.0, 0.0], 0.075)] },
-        Joint::LAnkle => const { &[gate([0.086, -0.913, -0.015], [0.0, -0.8, 0.6], 0.032)] },
-        Joint::LFoot => const { &[gate([0.101, -0.963, 0.115], [0.0, 0.0, 1.0], 0.025)] },
-        Joint::Spine1 => const { &[gate([0.0, 0.105, 0.0], [0.0, 1.0, 0.0], 0.060)] },
-        Joint::Spine2 => const { &[gate([0.0, 0.217, 0.0], [0.0, 1.0, 0.0], 0.045)] },
-        Joint::Spine3 => const { &[gate([0.0, 0.300, 0.0], [0.0, 1.0, 0.0], 0.035)] },
-        Joint::Neck => {
-            const {
-                &[
-                    gate([0.0, 0.475, -0.02], [0.0, 1.0, 0.2], 0.035),
-                    gate([0.095, 0.475, 0.0], [-1.0, 1.2, 0.0], 0.030),
-                ]
-            }
-        }
-        Joint::Head => const { &[gate([0.0, 0.556, 0.000], [0.0, 0.85, 0.5], 0.030)] },
-        Joint::LCollar => {
-            const {
-                &[
-                    gate([0.070, 0.4, 0.0], [1.0, 0.0, 0.0], 0.040),
-                    gate([0.0, 0.375, 0.0], [0.2, 1.0, 0.0], 0.035),
-                    gate([0.095, 0.475, 0.0], [1.0, -1.2, 0.0], 0.030),
-                ]
-            }
-        }
-        Joint::LShoulder => const { &[gate([0.175, 0.428, 0.0], [1.0, 0.0, 0.0], 0.070)] },
-        Joint::LElbow => const { &[gate([0.447, 0.428, 0.0], [1.0, 0.0, 0.0], 0.058)] },
-        Joint::LWrist => const { &[gate([0.711, 0.428, 0.0], [1.0, 0.0, 0.0], 0.030)] },
-        _ => &[],
-    }
-}
+/// Who passes all gates of a joint is in its branch.
+const GATES: [Gate; 17] = [
+    gate(Joint::LHip, [0.095, -0.085, 0.000], [0.40, -0.88, -0.20], 0.075),
+    gate(Joint::LHip, [0.000, -0.150, 0.000], [1.00, 0.00, 0.00], 0.020),
+    gate(Joint::LKnee, [0.086, -0.489, 0.000], [0.00, -1.00, 0.00], 0.075),
+    gate(Joint::LAnkle, [0.086, -0.913, -0.015], [0.00, -0.80, 0.60], 0.032),
+    gate(Joint::LFoot, [0.101, -0.963, 0.115], [0.00, 0.00, 1.00], 0.025),
+    gate(Joint::Spine1, [0.000, 0.105, 0.000], [0.00, 1.00, 0.00], 0.060),
+    gate(Joint::Spine2, [0.000, 0.217, 0.000], [0.00, 1.00, 0.00], 0.045),
+    gate(Joint::Spine3, [0.000, 0.300, 0.000], [0.00, 1.00, 0.00], 0.035),
+    gate(Joint::Neck, [0.000, 0.475, -0.020], [0.00, 1.00, 0.20], 0.035),
+    gate(Joint::Neck, [0.095, 0.475, 0.000], [-1.00, 1.20, 0.00], 0.030),
+    gate(Joint::Head, [0.000, 0.556, 0.000], [0.00, 0.85, 0.50], 0.030),
+    gate(Joint::LCollar, [0.070, 0.400, 0.000], [1.00, 0.00, 0.00], 0.040),
+    gate(Joint::LCollar, [0.000, 0.375, 0.000], [0.20, 1.00, 0.00], 0.035),
+    gate(Joint::LCollar, [0.095, 0.475, 0.000], [1.00, -1.20, 0.00], 0.030),
+    gate(Joint::LShoulder, [0.175, 0.428, 0.000], [1.00, 0.00, 0.00], 0.070),
+    gate(Joint::LElbow, [0.447, 0.428, 0.000], [1.00, 0.00, 0.00], 0.058),
+    gate(Joint::LWrist, [0.711, 0.428, 0.000], [1.00, 0.00, 0.00], 0.030),
+];
 
 /// The share of its parent's that the branch of `joint` takes at `p`.
 fn share(joint: Joint, p: &Vector3<f64>) -> f64 {
@@ -79,7 +60,7 @@ fn share(joint: Joint, p: &Vector3<f64>) -> f64 {
         _ => (joint, p.x),
     };
     let p = Vector3::new(x, p.y, p.z);
-    let passed = gates(joint).iter().map(|gate| {
+    let passed = GATES.iter().filter(|gate| gate.joint == joint).map(|gate| {
         let depth = (p - Vector3::from(gate.at)).dot(&Vector3::from(gate.towards).normalize());
         (0.5 + 0.5 * depth / gate.half_width).clamp(0.0, 1.0)
     });
@@ -140,7 +121,7 @@ pub(super) fn regressor(
     });
     near.truncate(SUPPORT);
     let rows = 1 + 3 * own.len();
-    let conditions = nalgebra::DMatrix::from_fn(rows, near.len(), |row, column| {
+    let conditions = DMatrix::from_fn(rows, near.len(), |row, column| {
         let (k, Some(row)) = (near[column], row.checked_sub(1)) else { return 1.0 };
         let weight =
             influences[k].iter().find(|(b, _)| *b == own[row / 3]).map_or(0.0, |(_, w)| *w);
@@ -151,9 +132,10 @@ pub(super) fn regressor(
     for k in 0..rows {
         square[(k, k)] += 1e-12;
     }
-    let mut target = nalgebra::DVector::zeros(rows);
+    let mut target = DVector::zeros(rows);
     target[0] = 1.0;
-    let multipliers = square.cholesky().map(|factor| factor.solve(&target)).unwrap_or(target);
-    let weights = conditions.tr_mul(&multipliers);
+    // Cannot fail: the matrix is positive definite.
+    let Some(factor) = square.cholesky() else { return Vec::new() };
+    let weights = conditions.tr_mul(&factor.solve(&target));
     near.into_iter().map(|k| k as u32).zip(weights.iter().copied()).collect()
 }

@@ -1,6 +1,7 @@
 // Plays the take of a report in 3D.
 
 import { Template, metres, numbers } from "./body.js";
+import { colour } from "./colours.js";
 import { View } from "./scene.js";
 
 const $ = (id) => document.getElementById(id);
@@ -10,7 +11,7 @@ const { parents } = template;
 
 const performers = take.performers.map((one, number) => ({
   name: one.name,
-  number,
+  tint: colour(number),
   seconds: numbers(one.seconds, Float32Array),
   states: numbers(one.states, Uint8Array),
   roots: numbers(one.root_mm, Int16Array),
@@ -47,7 +48,7 @@ function rotationsAt({ rotations }, low, next, share) {
 /** The performers at a time, between the poses around it. */
 function peopleAt(at) {
   return performers.flatMap((one) => {
-    const { name, number, seconds, states, roots, skin } = one;
+    const { name, tint, seconds, states, roots, skin } = one;
     let [low, high] = [0, seconds.length - 1];
     while (low < high) {
       const middle = (low + high + 1) >> 1;
@@ -61,7 +62,7 @@ function peopleAt(at) {
     const root = [0, 1, 2].map((k) => ((1 - share) * roots[3 * low + k] + share * roots[3 * next + k]) / 1000);
     const rotations = rotationsAt(one, low, next, share);
     const joints = template.forward(skin.offsets, root, rotations);
-    return [{ name, number, state: take.states[states[low]], joints, rotations, skin, parents, head: take.head }];
+    return [{ name, shown: name, tint, state: take.states[states[low]], joints, rotations, skin, parents, head: take.head }];
   });
 }
 

@@ -2,7 +2,6 @@
 
 import * as three from "./three.js";
 import { Skins, Template } from "./body.js";
-import { colour } from "./colours.js";
 import { lensOf } from "./lens.js";
 
 const MOST = 32;
@@ -13,9 +12,9 @@ const UP = new three.Vector3(0, 1, 0);
 const GREY = new three.Color("#8a8f98");
 
 /** The colour of a performer; greyish if the pose is not to be trusted. */
-function tinted(tint, { number, state }) {
-  tint.set(colour(number));
-  return state === "tracking" ? tint : tint.lerp(GREY, 0.75);
+function tinted(out, { tint, state }) {
+  out.set(tint);
+  return state === "tracking" ? out : out.lerp(GREY, 0.75);
 }
 
 /** Bones and joints of all performers, each in its colour: two draw calls. */
@@ -40,7 +39,7 @@ class Figures {
     this.to = new three.Vector3();
   }
 
-  /** Shows these performers: `{ joints, state, number, parents, head }`; joints in the world, metres. */
+  /** Shows these performers: `{ joints, state, tint, parents, head }`; joints in the world, metres. */
   show(people) {
     let [bones, joints] = [0, 0];
     for (const one of people.slice(0, MOST)) {
@@ -225,9 +224,9 @@ export class View {
     if (this.through === undefined) {
       for (const lens of this.lenses ?? []) wanted.set(`camera ${lens.name}`, [lens.name, lens.centre]);
     }
-    for (const { name, joints, head, state } of people) {
+    for (const { name, shown, joints, head, state } of people) {
       const at = [joints[3 * head], joints[3 * head + 1] + 0.25, joints[3 * head + 2]];
-      wanted.set(`performer ${name}`, [state === "tracking" ? name : `${name} (${state})`, at]);
+      wanted.set(`performer ${name}`, [state === "tracking" ? shown : `${shown} (${state})`, at]);
     }
     for (const [key, tag] of this.tags) {
       if (wanted.has(key)) continue;

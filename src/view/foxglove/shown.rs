@@ -1,0 +1,199 @@
+//! Our types as Foxglove's messages.
+
+use foxglove::messages::line_primitive::Type as LineType;
+use foxglove::messages::points_annotation::Type as PointsType;
+use foxglove::messages::{
+    self, CameraCalibration, Color, Duration, FrameTransform, FrameTransforms, ImageAnnotations,
+    LinePrimitive, Point2, Point3, PointsAnnotation, Quaternion, SceneEntity, SceneUpdate,
+    SpherePrimitive,
+};
+use nalgebra::{Matrix3, Vector3};
+
+use crate::core::body::{Joint, Skeleton, StampedPose, TrackingState};
+use crate::core::camera::{Camera, Lens, Rig};
+use crate::core::so3;
+use crate::core::time::Timestamp;
+use crate::io::wire::KeypointFrame;
+
+/// Our frame, and that with z up.
+const WORLD: &str = "world";
+const ROOT: &str = "root";
+/// The thickness of a bone and the size of a head, metres.
+const BONE: f64 = 0.035;
+const HEAD: f64 = 0.2;
+/// Radius of a keypoint, pixels.
+const POINT: f64 = 3.0;
+/// A performer without poses is shown for this long, nanoseconds.
+const KEPT_NS: u32 = 500_000_000;
+/// The colours of performers \[Okabe 2008\].
+const COLOURS: [[f64; 3]; 6] = [
+    [0.000, 0.447, 0.698],
+    [0.902, 0.624, 0.000],
+    [0.000, 0.620, 0.451],
+    [0.800, 0.475, 0.655],
+    [0.337, 0.706, 0.914],
+    [0.835, 0.369, 0.000],
+];
+const GREY: [f64; 3] = [0.54, 0.56, 0.6];
+
+/// Nanoseconds since 1970; 0 before.
+pub(super) fn nanoseconds(at: Timestamp) -> u64 {
+    u64::try_from(at.ns()).unwrap_or(0)
+}
+
+fn stamp(at: Timestamp) -> Option<messages::Timestamp> {
+    let (s, ns) = (nanoseconds(at) / 1_000_000_000, nanoseconds(at) % 1_000_000_000);
+    // The schema has no later time than 2106.
+    Some(messages::Timestamp::new(u32::try_from(s).unwrap_or(u32::MAX), ns as u32))
+}
+
+fn colour([r, g, b]: [f64; 3], a: f64) -> Option<Color> {
+    Some(Color { r, g, b, a })
+}
+
+fn vector(v: &Vector3<f64>) -> Option<messages::Vector3> {
+    Some(messages::Vector3 { x: v.x, y: v.y, z: v.z })
+}
+
+fn quaternion(rotation: &Matrix3<f64>) -> Option<Quaternion> {
+    let [x, y, z, w] = so3::xyzw_from_rotation(rotation);
+    Some(Quaternion { x, y, z, w })
+}
+
+/// The bones of a performer.
+pub(super) fn bones(
+    name: &str,
+    number: usize,
+    body: &Skeleton,
+    StampedPose { capture, pose, state, .. }: &StampedPose,
+) -> SceneUpdate {
+    let at = pose.posture(body).positions;
+    let point = |joint: Joint| {
+        let p = at[joint.index()];
+        Point3 { x: p.x, y: p.y, z: p.z }
+    };
+    let both = |joint: Joint| joint.parent().map(|parent| [point(parent), point(joint)]);
+    let color = match state {
+        TrackingState::Tracking => colour(COLOURS[number % COLOURS.len()], 1.0),
+        _ => colour(GREY, 1.0),
+    };
+    let lines = LinePrimitive {
+        r#type: LineType::LineList as i32,
+        thickness: BONE,
+        points: Joint::ALL.into_iter().filter_map(both).flatten().collect(),
+        color,
+        ..LinePrimitive::default()
+    };
+    let head = SpherePrimitive {
+        pose: Some(messages::Pose {
+            position: vector(&at[Joint::Head.index()]),
+            orientation: quaternion(&Matrix3::identity()),
+        }),
+        size: vector(&Vector3::repeat(HEAD)),
+        color,
+    };
+    let entity = SceneEntity {
+        timestamp: stamp(*capture),
+        frame_id: WORLD.into(),
+        id: name.into(),
+        lifetime: Some(Duration::new(0, KEPT_NS)),
+        spheres: vec![head],
+        lines: vec![lines],
+        ..SceneEntity::default()
+    };
+    SceneUpdate { entities: vec![entity], ..SceneUpdate::default() }
+}
+
+fn transform(
+    at: Timestamp,
+    [parent, child]: [&str; 2],
+    rotation: &Matrix3<f64>,
+    translation: &Vector3<f64>,
+) -> FrameTransform {
+    FrameTransform {
+        timestamp: stamp(at),
+        parent_frame_id: parent.into(),
+        child_frame_id: child.into(),
+        translation: vector(translation),
+        rotation: quaternion(rotation),
+    }
+}
+
+/// The joints of a performer, each in the frame of its parent.
+pub(super) fn joints(
+    name: &str,
+    body: &Skeleton,
+    StampedPose { capture, pose, .. }: &StampedPose,
+) -> FrameTransforms {
+    let frame = |joint: Joint| format!("{name}/{}", joint.name());
+    let one = |joint: Joint| match joint.parent() {
+        None => {
+            let frames = [WORLD, &frame(joint)];
+            transform(*capture, frames, &pose.root_rotation, &pose.root_position)
+        }
+        Some(parent) => {
+            let (rotation, offset) = (&pose.local[joint.index() - 1], body.offset(joint));
+            transform(*capture, [&frame(parent), &frame(joint)], rotation, offset)
+        }
+    };
+    FrameTransforms { transforms: Joint::ALL.map(one).into() }
+}
+
+fn frame_of(camera: &Camera) -> String {
+    format!("camera/{}", camera.name)
+}
+
+/// The world and the cameras in it.
+pub(super) fn cameras(rig: &Rig, at: Timestamp) -> FrameTransforms {
+    let z_up = so3::about(0, std::f64::consts::FRAC_PI_2);
+    let world = transform(at, [ROOT, WORLD], &z_up, &Vector3::zeros());
+    let one = |camera: &Camera| {
+        let world_from_camera = camera.rotation.transpose();
+        transform(at, [WORLD, &frame_of(camera)], &world_from_camera, &camera.centre_in_world())
+    };
+    let cameras = rig.cameras.iter().map(one);
+    FrameTransforms { transforms: std::iter::once(world).chain(cameras).collect() }
+}
+
+/// The calibration of a camera.
+pub(super) fn calibration(camera: &Camera, at: Timestamp) -> CameraCalibration {
+    let k = camera.matrix();
+    let rows = |columns: usize| {
+        let entry = move |k: usize| (k / columns, k % columns);
+        (0..3 * columns).map(entry)
+    };
+    let (model, d) = match camera.lens() {
+        Lens::BrownConrady(d) => ("rational_polynomial", d.to_vec()),
+        Lens::Fisheye(d) => ("kannala_brandt", d.to_vec()),
+    };
+    CameraCalibration {
+        timestamp: stamp(at),
+        frame_id: frame_of(camera),
+        width: camera.width,
+        height: camera.height,
+        distortion_model: model.into(),
+        d,
+        k: rows(3).map(|at| k[at]).collect(),
+        r: rows(3).map(|(row, column)| f64::from(u8::from(row == column))).collect(),
+        p: rows(4).map(|(row, column)| if column < 3 { k[(row, column)] } else { 0.0 }).collect(),
+    }
+}
+
+/// The keypoints of an image, each person in a colour, paler with less confidence.
+pub(super) fn keypoints(frame: &KeypointFrame) -> ImageAnnotations {
+    let at = Timestamp::from_ns(frame.capture_time_ns);
+    let points = frame.people.iter().zip(COLOURS.iter().cycle()).map(|(person, shade)| {
+        let seen = || person.points.chunks_exact(3).filter(|point| point[2] > 0.0);
+        PointsAnnotation {
+            timestamp: stamp(at),
+            r#type: PointsType::Points as i32,
+            points: seen().map(|p| Point2 { x: p[0].into(), y: p[1].into() }).collect(),
+            outline_colors: seen()
+                .filter_map(|point| colour(*shade, f64::from(point[2]).clamp(0.2, 1.0)))
+                .collect(),
+            thickness: 2.0 * POINT,
+            ..PointsAnnotation::default()
+        }
+    });
+    ImageAnnotations { timestamp: stamp(at), points: points.collect(), ..Default::default() }
+}
