@@ -60,7 +60,7 @@ pub enum Message {
     /// An event.
     Event(Event),
     /// Counters.
-    Status(Status),
+    Status(Box<Status>),
     /// Inputs of a node.
     Journal(Journal),
     /// A pose on another skeleton.
@@ -194,7 +194,7 @@ impl Message {
                 if truth { Self::TruthSkeleton(skeleton) } else { Self::Skeleton(skeleton) }
             }
             Kind::Event => Self::Event(decode::<Event>(data)?.validated()?),
-            Kind::Status => Self::Status(decode(data)?),
+            Kind::Status => Self::Status(Box::new(decode(data)?)),
             Kind::Journal => Self::Journal(decode(data)?),
             Kind::Retargeted => Self::Retargeted(decode::<RetargetedPose>(data)?.validated()?),
             Kind::Take => Self::Take(decode(data)?),
