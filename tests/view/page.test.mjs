@@ -212,7 +212,7 @@ test("four performers live: each is shown, and one gets a name, a colour and a l
   await page.locator("#locked").check();
   await page.locator('#label [value="save"]').click();
   await until(page, () => document.querySelector('[data-follow="p2"]').textContent === "the lead");
-  await until(page, () => document.querySelector('[data-label="p2"]').textContent === "edit, locked");
+  await until(page, () => document.querySelector("#performers .words")?.textContent.startsWith("locked"));
   assert.equal(
     await page.locator('[data-follow="p2"] .swatch').evaluate((swatch) => swatch.style.background),
     "rgb(192, 0, 0)",

@@ -228,14 +228,15 @@ function showPerformers(people) {
     hide.dataset.hide = name;
     hide.setAttribute("aria-label", `${hide.textContent} ${shown}`);
     if (isLive) {
-      const edit = element("button", locked ? "edit, locked" : "edit");
+      const edit = element("button", "edit");
       edit.type = "button";
       edit.dataset.label = name;
-      edit.setAttribute("aria-label", `${edit.textContent} ${shown}`);
+      edit.setAttribute("aria-label", `edit ${shown}`);
       row.append(edit);
     }
     row.append(hide);
     item.append(row);
+    if (locked) item.append(element("div", "locked: a reset keeps the body", "words"));
     return item;
   });
   replace($("performers"), items);
