@@ -39,7 +39,7 @@
 //! |---|---|
 //! | `zenoh`, `iceoryx2` | the buses of that name |
 //! | `live` | `live`, the node, and `config`, its settings |
-//! | `view` | `view`, the live page |
+//! | `view` | `view`: the live page, and the connection of Foxglove and Lichtblick |
 //! | `research` | `research`: compared methods, experiments, synthetic recordings, training |
 //! | `cli` | `cli`, the `bundlemocap` command; it needs `live` and `research` |
 //!

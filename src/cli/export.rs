@@ -12,8 +12,6 @@ use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
 #[cfg(feature = "view")]
-use crate::core::time::Timestamp;
-#[cfg(feature = "view")]
 use crate::io::new_file;
 use crate::io::recording::{Message, Reader};
 use crate::io::wire::Topic;
@@ -45,7 +43,7 @@ pub(super) struct Arguments {
     /// MCAP file to write with the schemas of Foxglove, for Foxglove and Lichtblick: performers and cameras in
     /// 3D, joint frames, keypoints.
     #[cfg(feature = "view")]
-    #[arg(long, value_name = "MCAP", group = "what", conflicts_with_all = ["truth", "actor", "start", "end"])]
+    #[arg(long, value_name = "MCAP", group = "what", conflicts_with_all = ["bvh", "picture", "truth", "actor", "start", "end"])]
     foxglove: Option<PathBuf>,
     /// Number of stick figures in the picture.
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..))]
@@ -66,12 +64,7 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     #[cfg(feature = "view")]
     if let Some(path) = &arguments.foxglove {
-        arguments.overwrite.check(path)?;
-        let count = write_foxglove(&arguments.file, path)?;
-        say(&format!("{}: {count} messages", path.display()));
-        if arguments.bvh.is_none() && arguments.picture.is_none() {
-            return Ok(Exit::Done);
-        }
+        return write_foxglove(&arguments.file, path, &arguments.overwrite);
     }
     let actor = arguments.actor.as_deref();
     let Solved { mut performers, damage } = read(&arguments.file, arguments.truth, actor)?;
@@ -105,11 +98,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             say(&format!("{}: {} stick figures", path.display(), arguments.figures));
         }
     }
-    if damage.is_empty() {
-        return Ok(Exit::Done);
-    }
-    complain("warning", &format!("{}: {}", arguments.file.display(), damage.join("; ")));
-    Ok(Exit::InPart)
+    Ok(ended(&arguments.file, &damage))
 }
 
 /// `take1.p1.bvh` for `take1.bvh` of the performer p1; the path itself if there is only one performer.
@@ -135,30 +124,44 @@ fn write_bvh(
     Ok(states.frames())
 }
 
-/// Writes a recording with the schemas of Foxglove; returns the number of messages that were read.
+/// Writes the poses and keypoints of a recording with the schemas of Foxglove.
 #[cfg(feature = "view")]
-fn write_foxglove(from: &Path, to: &Path) -> Result<u64, Failure> {
+fn write_foxglove(from: &Path, to: &Path, overwrite: &Overwrite) -> Ended {
+    overwrite.check(to)?;
+    if from.canonicalize().ok().is_some_and(|from| to.canonicalize().ok() == Some(from)) {
+        let message = format!("{} would replace itself; give another name", to.display());
+        return Err(Failure::new(Exit::Usage, message));
+    }
     let unwritten = |error: &dyn std::fmt::Display| {
         Failure::new(Exit::Unexpected, format!("cannot write {}: {error}", to.display()))
     };
     let file = new_file::temporary(to).map_err(|error| unwritten(&error))?;
     let mut file = crate::view::FoxgloveFile::new(std::io::BufWriter::new(file))
         .map_err(|error| unwritten(&error))?;
-    let mut count = 0;
-    for entry in Reader::open(from)? {
+    let (mut reader, mut count) = (Reader::open(from)?, 0);
+    for entry in reader.by_ref() {
         let entry = entry?;
-        let at = match &entry.message {
-            Message::Pose(pose) => Timestamp::from_ns(pose.capture_time_ns),
-            Message::Keypoints(frame) => Timestamp::from_ns(frame.capture_time_ns),
-            _ => entry.log_time,
-        };
-        file.add(&entry.topic, at, &entry.message);
-        count += 1;
+        count += u64::from(file.add(&entry.topic, &entry.message));
+    }
+    if count == 0 {
+        let message =
+            format!("{} holds no poses and no keypoints of calibrated cameras", from.display());
+        return Err(Failure::new(Exit::NotOurs, message));
     }
     let file = file.finish().map_err(|error| unwritten(&error))?;
     let file = file.into_inner().map_err(|error| unwritten(&error))?;
     file.persist(to).map_err(|error| unwritten(&error))?;
-    Ok(count)
+    say(&format!("{}: {count} poses and images", to.display()));
+    Ok(ended(from, &reader.report().losses()))
+}
+
+/// Says what a damaged file lost.
+fn ended(file: &Path, damage: &[String]) -> Exit {
+    if damage.is_empty() {
+        return Exit::Done;
+    }
+    complain("warning", &format!("{}: {}", file.display(), damage.join("; ")));
+    Exit::InPart
 }
 
 /// The content of a solved recording.

@@ -30,7 +30,8 @@ start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own
        performer anew, and publish no poses for some tenths of a second.
 stop   Recorders end the file, one second later. Nodes go on.
 reset  Nodes forget the performer's body: somebody else comes.
-label  Nodes give the performer NAME a name (--note) and a colour (--colour) to show.
+label  Nodes set the name (--note) and the colour (--colour) that programs show for the performer NAME;
+       without one of them, its default. It holds until the node ends.
 lock   A reset leaves the body of the performer NAME as it is, until unlock.
 mend   Nodes correct the calibration of a moved camera, once its new pose is known (event camera_moved).
        The node overwrites its TOML calibration file and keeps a copy; another format stays unchanged.
@@ -64,7 +65,7 @@ pub(super) struct Arguments {
     /// Rating of the take.
     #[arg(long, value_parser = ["good", "bad"])]
     mark: Option<String>,
-    /// For label: the colour, such as '#d55e00'.
+    /// For label: the colour, such as '#d55e00'. Empty: the program's choice.
     #[arg(long, default_value = "", hide_default_value = true)]
     colour: String,
     #[command(flatten)]
@@ -83,7 +84,7 @@ enum Action {
     Label,
     /// Keep a performer's body when the others are forgotten.
     Lock,
-    /// No longer keep it.
+    /// Let a reset forget the performer's body again.
     Unlock,
     /// Correct the calibration of a moved camera.
     Mend,

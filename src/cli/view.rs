@@ -55,7 +55,9 @@ impl From<ViewError> for Failure {
     fn from(error: ViewError) -> Self {
         match error {
             ViewError::Recording(error) => error.into(),
-            ViewError::Listen { .. } => Self::new(Exit::Usage, error.to_string()),
+            ViewError::Listen { .. } | ViewError::Bridge { .. } => {
+                Self::new(Exit::Usage, error.to_string())
+            }
             ViewError::Thread(_) => Self::new(Exit::Unexpected, error.to_string()),
         }
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io;
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 
 use axum::extract::{Query, State, WebSocketUpgrade};
@@ -16,6 +16,7 @@ use nalgebra::Vector3;
 use serde::Deserialize;
 use serde_json::json;
 use tokio::sync::{Semaphore, oneshot};
+use tokio::task::{JoinError, spawn_blocking};
 
 use super::access::{self, Access};
 use super::bus::{self, Live};
@@ -37,6 +38,17 @@ pub enum ViewError {
          127.0.0.1:8765"
     )]
     Listen {
+        /// The given address.
+        address: String,
+        /// The reason from the system.
+        source: io::Error,
+    },
+    /// Foxglove's address cannot be used.
+    #[error(
+        "cannot serve Foxglove on {address:?}: {source}; give a free address and port, such as \
+         127.0.0.1:8766"
+    )]
+    Bridge {
         /// The given address.
         address: String,
         /// The reason from the system.
@@ -72,12 +84,25 @@ impl Running {
     /// of this computer by its name.
     pub fn url(&self) -> String {
         let token = self.token.as_ref().map_or_else(String::new, |token| format!("?token={token}"));
-        let (system, port) = (rustix::system::uname(), self.address.port());
-        match self.address.ip().is_unspecified() {
-            true => format!("http://{}:{port}/{token}", system.nodename().to_string_lossy()),
-            false => format!("http://{}/{token}", self.address),
-        }
+        format!("http://{}/{token}", reachable(self.address))
     }
+}
+
+/// The address as others reach it: with one for all networks, this computer by its name.
+pub(super) fn reachable(address: SocketAddr) -> String {
+    match address.ip().is_unspecified() {
+        true => {
+            let system = rustix::system::uname();
+            format!("{}:{}", system.nodename().to_string_lossy(), address.port())
+        }
+        false => address.to_string(),
+    }
+}
+
+/// The calling thread gives way to the solver.
+pub(super) fn give_way() {
+    #[cfg(target_os = "linux")]
+    let _ = rustix::process::nice(19);
 }
 
 impl Drop for Running {
@@ -103,9 +128,7 @@ pub fn start(address: &str, source: Source) -> Result<Running, ViewError> {
     let (token, (stop, stopped)) = (access.token.clone(), oneshot::channel());
     let router = router(access, source);
     let serve = move || {
-        // The page gives way to the solver.
-        #[cfg(target_os = "linux")]
-        let _ = rustix::process::nice(19);
+        give_way();
         let mut builder = tokio::runtime::Builder::new_current_thread();
         let Ok(runtime) = builder.enable_io().enable_time().build() else { return };
         runtime.block_on(async {
@@ -143,7 +166,17 @@ fn router(access: Access, source: Source) -> Router {
 }
 
 async fn body() -> Response {
-    ([(CONTENT_TYPE, "application/json")], report::body::template().to_string()).into_response()
+    static TEXT: OnceLock<String> = OnceLock::new();
+    let text = || TEXT.get_or_init(|| report::body::template().to_string()).as_str();
+    answer("application/json", spawn_blocking(text).await)
+}
+
+/// What a blocking task has made.
+fn answer<T: IntoResponse>(kind: &'static str, made: Result<T, JoinError>) -> Response {
+    match made {
+        Ok(content) => ([(CONTENT_TYPE, kind)], content).into_response(),
+        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
+    }
 }
 
 /// A body whose skin is wanted.
@@ -160,8 +193,8 @@ async fn rest(Query(Rest { offsets }): Query<Rest>) -> Response {
         Some(numbers) => {
             let offset = |j: usize| Vector3::from_column_slice(&numbers[3 * j..3 * j + 3]);
             let body = Skeleton::with_joint_offsets(std::array::from_fn(offset));
-            let skin = report::body::rest(&body);
-            ([(CONTENT_TYPE, "application/octet-stream")], skin).into_response()
+            let skin = spawn_blocking(move || report::body::rest(&body)).await;
+            answer("application/octet-stream", skin)
         }
         None => {
             let reason = format!("offsets: {} numbers below 1 m, with commas\n", 3 * JOINTS);

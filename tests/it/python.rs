@@ -267,6 +267,10 @@ print(" ".join(f"{topic}={counts[topic]}" for topic in sorted(counts)))
 #[test]
 fn recordings_have_the_schemas_of_foxglove() {
     let Some(generated) = generated() else { return };
+    let import = Command::new("python3").args(["-c", "import mcap_protobuf"]).output();
+    if !import.is_ok_and(|output| output.status.success()) {
+        return crate::support::skipped("pip install mcap-protobuf-support first");
+    }
     let (folder, out) = (generated.path(), generated.path().join("out"));
     let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
     let program = || Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
@@ -283,6 +287,20 @@ fn recordings_have_the_schemas_of_foxglove() {
     for count in ["/performers=240", "/tf=244", "/camera/cam01/calibration=4"] {
         assert!(said.split_whitespace().any(|one| one == count), "no {count} in {said}");
     }
+    // What is there is not replaced, and what is damaged or shows nothing is said.
+    let export = |from: &Path, to: &str| {
+        program().arg("export").arg(from).arg("--foxglove").arg(folder.join(to)).output().unwrap()
+    };
+    let code = |output: std::process::Output| output.status.code();
+    assert_eq!(code(export(&out.join("poses.mcap"), "poses.foxglove.mcap")), Some(2));
+    let bytes = std::fs::read(out.join("poses.mcap")).unwrap();
+    let cut = folder.join("cut.mcap");
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+    assert_eq!(code(export(&cut, "cut.foxglove.mcap")), Some(6));
+    let empty = folder.join("poses.foxglove.mcap");
+    let output = export(&empty, "nothing.mcap");
+    assert!(String::from_utf8_lossy(&output.stderr).contains("holds no poses"), "{output:?}");
+    assert_eq!((code(output), folder.join("nothing.mcap").exists()), (Some(12), false));
     let output = read(&walk, "walk.foxglove.mcap");
     check(&output);
     let said = String::from_utf8(output.stdout).unwrap();

@@ -257,7 +257,7 @@ fn a_label_and_a_lock_stay_until_they_are_changed() {
         status.label.clone()
     };
     let labelled = |locked| {
-        Some(PerformerLabel { shown: "the lead".into(), colour: "#d55e00".into(), locked })
+        Some(PerformerLabel { display_name: "the lead".into(), colour: "#d55e00".into(), locked })
     };
     assert_eq!(label_at(1.0), None);
     assert_eq!(

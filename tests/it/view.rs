@@ -8,8 +8,10 @@ use std::sync::Arc;
 use bundlemocap::core::body::{Joint, Mesh, Pose, Shape, Skeleton};
 use bundlemocap::core::so3;
 use bundlemocap::core::time::{Nanos, Timestamp};
+use bundlemocap::io::bus::Memory;
 use bundlemocap::io::recording::{Message, Reader, Spans};
-use bundlemocap::view::{Recorded, Running, Source, start};
+use bundlemocap::io::wire::Topics;
+use bundlemocap::view::{Live, Recorded, Running, Source, bridge, start};
 use expect_test::expect_file;
 use nalgebra::Vector3;
 use serde_json::json;
@@ -174,4 +176,16 @@ fn skins_are_served_and_wrong_bodies_are_refused() {
         let (line, _) = get(&page, &format!("/rest{wrong}"), "");
         assert!(line.contains("400"), "{wrong}: {line}");
     }
+}
+
+#[test]
+fn an_address_in_use_is_refused_for_foxglove_too() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let live = || Arc::new(Live::new(Topics::default(), || Ok(Box::new(Memory::new()))));
+    let error = bridge(&address, live()).err().unwrap().to_string();
+    assert!(error.starts_with("cannot serve Foxglove") && error.contains("8766"), "{error}");
+    drop(taken);
+    let url = bridge(&address, live()).unwrap().url();
+    assert_eq!(url, format!("ws://{address}"));
 }

@@ -10,7 +10,7 @@ import { createRequire } from "node:module";
 import { createServer } from "node:net";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { after, before } from "node:test";
+import { after, afterEach, before } from "node:test";
 import { chromium } from "playwright-core";
 
 export const root = new URL("../..", import.meta.url).pathname;
@@ -27,9 +27,13 @@ before(async () => {
   });
 });
 
+afterEach(async () => {
+  for (const context of browser?.contexts() ?? []) await context.close();
+  for (const child of children.splice(0)) child.kill("SIGKILL");
+});
+
 after(async () => {
   await browser?.close();
-  for (const child of children) child.kill("SIGKILL");
   rmSync(folder, { recursive: true, force: true });
 });
 

@@ -212,13 +212,18 @@ test("four performers live: each is shown, and one gets a name, a colour and a l
   await page.locator("#locked").check();
   await page.locator('#label [value="save"]').click();
   await until(page, () => document.querySelector('[data-follow="p2"]').textContent === "the lead");
-  await until(page, () => document.querySelector("#performers .words")?.textContent.startsWith("locked"));
+  await until(page, () => document.querySelector("#performers .words:not([hidden])"));
   assert.equal(
     await page.locator('[data-follow="p2"] .swatch').evaluate((swatch) => swatch.style.background),
     "rgb(192, 0, 0)",
   );
+  // Nothing is changed by a form that is left.
+  await page.locator('[data-label="p2"]').click();
+  await page.locator("#shown").fill("nobody");
+  await page.keyboard.press("Escape");
   await page.locator("#reset").click();
   await until(page, () => document.getElementById("answers").textContent.includes("locked: p2"));
+  assert.equal(await page.locator('[data-follow="p2"]').textContent(), "the lead");
   await picture(page, "four-live");
   await isSound(page);
   assert.deepEqual(said, []);

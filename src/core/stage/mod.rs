@@ -245,13 +245,12 @@ impl Stage {
 
     /// Forgets the bodies, see [`tracker::Input::Forget`], except those of some performers.
     pub fn forget(&mut self, keep: &[PerformerId]) {
-        let template = std::iter::once(&mut self.template);
-        let forgetting = self.trackers.iter_mut().enumerate();
-        let forgetting = forgetting.filter(|(number, _)| !keep.contains(&PerformerId(*number)));
-        forgetting
-            .map(|(_, tracker)| tracker)
-            .chain(template)
-            .for_each(|tracker| tracker.handle(tracker::Input::Forget));
+        let forgetting = (0..self.trackers.len()).filter(|one| !keep.contains(&PerformerId(*one)));
+        if self.crowd.is_none() {
+            return forgetting.for_each(|one| self.trackers[one].handle(tracker::Input::Forget));
+        }
+        self.next.extend(forgetting.map(|one| Next::Tracker(one, tracker::Input::Forget)));
+        self.template.handle(tracker::Input::Forget);
     }
 
     /// Sets the effort of all performers, see [`Tracker::set_effort`].

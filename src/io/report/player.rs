@@ -65,16 +65,15 @@ pub struct PlayerPose {
     pub state: TrackingState,
     /// The pelvis in the world, millimetres.
     root_mm: [i16; 3],
-    /// Of each joint's rotation, the root's first: x, y and z of the quaternion with w >= 0, times 32767.
-    rotations: [[i16; 3]; JOINTS],
+    /// Of each joint's rotation, the root's first: the quaternion x y z w, times 32767.
+    rotations: [[i16; 4]; JOINTS],
 }
 
 impl PlayerPose {
-    /// A pose, rounded to a millimetre and a few hundredths of a degree.
+    /// A pose, rounded to a millimetre and some thousandths of a degree.
     pub fn new(capture: Timestamp, state: TrackingState, pose: &Pose) -> Self {
         let rounded = |rotation: &Matrix3<f64>| {
-            let [x, y, z, w] = so3::xyzw_from_rotation(rotation);
-            [x, y, z].map(|number| (number * 32767f64.copysign(w)).round() as i16)
+            so3::xyzw_from_rotation(rotation).map(|number| (32767.0 * number).round() as i16)
         };
         let root_mm = [0, 1, 2].map(|axis| (1000.0 * pose.root_position[axis]).round() as i16);
         let rotation = |j: usize| j.checked_sub(1).map_or(&pose.root_rotation, |j| &pose.local[j]);

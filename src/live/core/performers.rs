@@ -20,15 +20,19 @@ impl Core {
         }
     }
 
-    /// The performer, whose topics are the node's if there is only one.
+    /// The name of a performer in its topics: the node's if there is only one.
+    pub(super) fn name_of(&self, number: usize) -> String {
+        match self.is_several() {
+            true => PerformerId(number).to_string(),
+            false => self.topics.actor.clone(),
+        }
+    }
+
+    /// The performer.
     pub(super) fn performer(&mut self, id: PerformerId) -> &mut Performer {
-        let is_several = self.is_several();
-        let topics = |number: usize| match is_several {
-            true => Topics { actor: PerformerId(number).to_string(), ..self.topics.clone() },
-            false => self.topics.clone(),
-        };
         while self.performers.len() <= id.0 {
-            self.performers.push(Performer::new(topics(self.performers.len())));
+            let actor = self.name_of(self.performers.len());
+            self.performers.push(Performer::new(Topics { actor, ..self.topics.clone() }));
         }
         &mut self.performers[id.0]
     }

@@ -72,11 +72,11 @@ impl Core {
 
     /// Forgets the bodies of all performers who are not locked.
     fn forget_bodies(&mut self) -> Result<String, String> {
-        let locked = |number: &usize| self.label_of(*number).is_some_and(|label| label.locked);
-        let keep: Vec<usize> = (0..self.performers.len()).filter(locked).collect();
-        let names = keep.iter().map(|number| &*self.performers[*number].topics.actor);
-        let names = names.collect::<Vec<_>>().join(", ");
-        if !keep.is_empty() && keep.len() == self.performers.len() {
+        let labels = &self.settings.carried.labels;
+        let keep: Vec<usize> = (0..labels.len()).filter(|number| labels[*number].locked).collect();
+        let names: Vec<String> = keep.iter().map(|number| self.name_of(*number)).collect();
+        let names = names.join(", ");
+        if !keep.is_empty() && keep.len() == self.numbers() {
             return Err(format!("locked, so the body is kept: {names}; unlock first"));
         }
         if let Some(stage) = &mut self.stage {
@@ -91,18 +91,39 @@ impl Core {
         self.settings.carried.labels.get(number)
     }
 
+    /// Number of performers who are known, in this take or before.
+    fn numbers(&self) -> usize {
+        let known =
+            self.settings.carried.performers.iter().map(|known| known.performer.0 + 1).max();
+        self.performers.len().max(known.unwrap_or(0)).max(usize::from(!self.is_several()))
+    }
+
     /// The label of the performer with that name in its topics.
     fn label_by_name(&mut self, name: &str) -> Result<&mut PerformerLabel, String> {
-        let number = self.performers.iter().position(|one| one.topics.actor == name);
-        let number = number.ok_or_else(|| {
-            let known: Vec<&str> = self.performers.iter().map(|one| &*one.topics.actor).collect();
-            format!("no performer {name:?}, but {}", known.join(", "))
-        })?;
+        let names: Vec<String> = (0..self.numbers()).map(|number| self.name_of(number)).collect();
+        let number =
+            names.iter().position(|one| one == name).ok_or_else(|| match &*names.join(", ") {
+                "" => format!("no performer {name:?}: nobody was seen yet"),
+                names => format!("no performer {name:?}, but {names}"),
+            })?;
         let labels = &mut self.settings.carried.labels;
         if labels.len() <= number {
             labels.resize_with(number + 1, PerformerLabel::default);
         }
         Ok(&mut labels[number])
+    }
+
+    /// The labels for the next take. Of several performers, those whom it knows: another number may go to
+    /// somebody else.
+    fn labels_of_known(&self) -> Vec<PerformerLabel> {
+        let known = self.stage.as_ref().map_or_else(Vec::new, Stage::known);
+        let is_known = |number: usize| known.iter().any(|known| known.performer.0 == number);
+        let mut labels = self.settings.carried.labels.clone();
+        if self.is_several() {
+            let unknown = labels.iter_mut().enumerate().filter(|(number, _)| !is_known(*number));
+            unknown.for_each(|(_, label)| *label = PerformerLabel::default());
+        }
+        labels
     }
 
     /// Gives a performer a name and a colour to show.
@@ -117,7 +138,7 @@ impl Core {
             return Err(format!("{colour:?} is no colour such as #0072b2"));
         }
         let label = self.label_by_name(name)?;
-        (label.shown, label.colour) = (shown.clone(), colour.clone());
+        (label.display_name, label.colour) = (shown.clone(), colour.clone());
         Ok(format!("{name} is shown as {:?} {colour}", if shown.is_empty() { name } else { shown })
             .trim_end()
             .to_owned())
@@ -167,7 +188,7 @@ impl Core {
                     .map_or_else(Vec::new, |stage| stage.time_corrections().to_vec()),
                 performers: stage.map_or_else(Vec::new, Stage::known),
                 left_out: stage.map_or_else(Vec::new, Stage::left_out),
-                labels: self.settings.carried.labels.clone(),
+                labels: self.labels_of_known(),
             },
             ..self.settings.clone()
         };

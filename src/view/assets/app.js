@@ -24,7 +24,15 @@ const source = isLive
   ? new Live(store, about.name)
   : new Recording(store, await (await fetch("overview.json")).json());
 const view = new View($("canvas"), $("labels"));
-fetch("body.json").then(async (answer) => view.setTemplate(await answer.json()));
+/** Performers are bones until the template is here. */
+async function fetchTemplate() {
+  try {
+    view.setTemplate(await (await fetch("body.json")).json());
+  } catch {
+    setTimeout(fetchTemplate, 2000);
+  }
+}
+fetchTemplate();
 const panes = new Panes($("panes"), (name) => {
   const index = store.rig?.cameras.findIndex((camera) => camera.name === name);
   view.lookThrough(view.through === index ? undefined : index);
@@ -54,7 +62,7 @@ const hidden = new Set();
 
 /** How a performer is shown: its label's name and colour, if there are any. */
 function lookOf({ name, number }) {
-  const { shown, colour: tint, locked = false } = store.statusOf.get(name)?.label ?? {};
+  const { display_name: shown, colour: tint, locked = false } = store.statusOf.get(name)?.label ?? {};
   return { name, shown: shown || name, tint: tint || colour(number), locked };
 }
 
@@ -72,6 +80,20 @@ function peopleAt(time, channel) {
     people.push({ ...pose, ...lookOf(one), points, skin, parents, head });
   }
   return people;
+}
+
+/** Times from the due time of a pose to its picture, ms, of the newest poses. */
+const toScreen = [];
+let lastDue = 0;
+/** The clocks are one only on the node's computer. */
+const IS_HERE = isLive && ["localhost", "127.0.0.1", "[::1]"].includes(location.hostname);
+
+function measureScreen(people) {
+  const due = Math.max(...people.map(({ due = 0 }) => due));
+  if (!IS_HERE || !chosen.playing || due <= lastDue) return;
+  lastDue = due;
+  toScreen.push(performance.timeOrigin + performance.now() - due);
+  if (toScreen.length > 120) toScreen.shift();
 }
 
 function frame(now) {
@@ -102,6 +124,7 @@ function frame(now) {
   }
   view.draw(people, ghosts);
   panes.draw(store, chosen.time, people);
+  measureScreen(people);
 }
 
 /** What changes slowly: lists, lights, charts, the timeline. */
@@ -143,6 +166,7 @@ function showNode(people) {
   }
   const late = isLive && people.map((one) => one.late).filter((ms) => ms !== undefined).sort((a, b) => a - b);
   if (late && late.length > 0) figures.set("network", `${late[late.length >> 1].toFixed(1)} ms`);
+  if (toScreen.length > 0) figures.set("to the screen p50", `${[...toScreen].sort((a, b) => a - b)[toScreen.length >> 1].toFixed(0)} ms`);
   if (store.unreadable > 0) figures.set("not readable", `${store.unreadable} messages`);
   if (store.dropped > 0) figures.set("not shown", `${store.dropped} messages: this page is too slow`);
   if (people[0]?.timecode) figures.set("timecode", people[0].timecode);
@@ -209,37 +233,48 @@ function showCameras() {
   }));
 }
 
+/** The row of each performer. It stays the same element, so that its buttons can be pressed while the text changes. */
+const rows = new Map();
+
+function performerRow(name) {
+  const button = (text, action, style = "") => {
+    const made = element("button", text, style);
+    made.type = "button";
+    made.dataset[action] = name;
+    return made;
+  };
+  const [item, swatch, shown, state] = [element("li", ""), element("span", "", "swatch"), element("span", ""), element("span", "")];
+  const [who, edit, hide] = [button("", "follow", "who"), button("edit", "label"), button("hide", "hide")];
+  const [row, words] = [element("div", "", "row"), element("div", "locked: a reset keeps the body", "words")];
+  edit.hidden = !isLive;
+  who.append(swatch, shown);
+  row.append(who, state, edit, hide);
+  item.append(row, words);
+  return { item, swatch, shown, state, who, edit, hide, words };
+}
+
 function showPerformers(people) {
-  const items = present().map(lookOf).map(({ name, shown, tint, locked }) => {
-    const now = people.find((one) => one.name === name);
-    const item = document.createElement("li");
-    const row = element("div", "", "row");
-    const who = element("button", "", "who");
-    who.type = "button";
-    who.title = shown === name ? `follow ${name}` : `follow ${shown}, ${name} on the bus`;
-    who.dataset.follow = name;
-    who.setAttribute("aria-pressed", String(view.followed === name));
-    const swatch = element("span", "", "swatch");
-    swatch.style.background = tint;
-    who.append(swatch, shown);
-    row.append(who, element("span", now?.state ?? (isLive ? (store.statusOf.get(name)?.tracker_state ?? "no pose") : "no pose")));
-    const hide = element("button", hidden.has(name) ? "show" : "hide");
-    hide.type = "button";
-    hide.dataset.hide = name;
-    hide.setAttribute("aria-label", `${hide.textContent} ${shown}`);
-    if (isLive) {
-      const edit = element("button", "edit");
-      edit.type = "button";
-      edit.dataset.label = name;
-      edit.setAttribute("aria-label", `edit ${shown}`);
-      row.append(edit);
-    }
-    row.append(hide);
-    item.append(row);
-    if (locked) item.append(element("div", "locked: a reset keeps the body", "words"));
-    return item;
-  });
-  replace($("performers"), items);
+  const all = present();
+  for (const [name, { item }] of rows) {
+    if (all.some((one) => one.name === name)) continue;
+    item.remove();
+    rows.delete(name);
+  }
+  for (const one of all) {
+    const { name, shown, tint, locked } = lookOf(one);
+    if (!rows.has(name)) rows.set(name, performerRow(name));
+    const row = rows.get(name);
+    if (!row.item.isConnected) $("performers").append(row.item);
+    const live = isLive ? store.statusOf.get(name)?.tracker_state : undefined;
+    setText(row.state, people.find((shownNow) => shownNow.name === name)?.state ?? live ?? "no pose");
+    setText(row.shown, shown);
+    setText(row.hide, hidden.has(name) ? "show" : "hide");
+    row.who.title = shown === name ? `follow ${name}` : `follow ${shown}, ${name} on the bus`;
+    row.who.setAttribute("aria-pressed", String(view.followed === name));
+    for (const button of [row.edit, row.hide]) button.setAttribute("aria-label", `${button.textContent} ${shown}`);
+    row.swatch.style.background = tint;
+    row.words.hidden = !locked;
+  }
 }
 
 function showEvents() {

@@ -178,6 +178,7 @@ export class Store {
         rotations: Float32Array.from([...pose.root_rotation, ...pose.local_rotations]),
         state: STATES[pose.state],
         timecode: pose.timecode ?? "",
+        due: pose.due_time_ns === undefined ? undefined : Number(pose.due_time_ns / 1000n) / 1e3,
         late: pose.due_time_ns === undefined ? undefined : Number(arrival - pose.due_time_ns) / 1e6,
       };
       const series = channel === "pose" ? one.poses : one.provisional;

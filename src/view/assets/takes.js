@@ -13,10 +13,12 @@ ANSWERERS.note = ["recorder"];
  */
 export function takes(store, source, lookOf) {
   let [sent, answers] = [undefined, []];
-  const command = (action, name, more) => {
-    sent = { id: BigInt(source.command(action, name, more)), action, at: performance.now() };
+  const commands = (...all) => {
+    const ids = all.map(([action, name, more]) => BigInt(source.command(action, name, more)));
+    sent = { ids, action: all[0][0], at: performance.now() };
     answers = [];
   };
+  const command = (...one) => commands(one);
   // A page that is loaded again knows the take that it began.
   const kept = sessionStorage.getItem("take");
   if (kept) store.slate = JSON.parse(kept, (key, value) => (key === "id" ? BigInt(value) : value));
@@ -44,21 +46,28 @@ export function takes(store, source, lookOf) {
   $("moved").addEventListener("click", ({ target }) => {
     if (target.dataset.mend) command("mend", target.dataset.mend);
   });
+  // The performer in the form, as it was opened.
   let edited;
   $("performers").addEventListener("click", ({ target }) => {
-    edited = store.performers.get(target.dataset.label);
-    if (!edited) return;
-    const { name, shown, tint, locked } = lookOf(edited);
-    $("labelled").textContent = name;
-    [$("shown").value, $("colour").value, $("locked").checked] = [shown === name ? "" : shown, tint, locked];
+    const one = store.performers.get(target.dataset.label);
+    if (!one) return;
+    const { display_name: shown = "", colour = "", locked = false } = store.statusOf.get(one.name)?.label ?? {};
+    edited = { name: one.name, shown, colour, locked };
+    $("labelled").textContent = one.name;
+    [$("shown").value, $("locked").checked, $("usual").checked] = [shown, locked, colour === ""];
+    $("colour").value = lookOf(one).tint;
+    $("label").returnValue = "";
     $("label").showModal();
   });
+  $("colour").addEventListener("input", () => ($("usual").checked = false));
   $("label").addEventListener("close", () => {
     if ($("label").returnValue !== "save") return;
-    const { name, tint, locked } = lookOf(edited);
-    if ($("locked").checked !== locked) command(locked ? "unlock" : "lock", name);
-    const own = store.statusOf.get(name)?.label?.colour ?? "";
-    command("label", name, { note: $("shown").value.trim(), colour: $("colour").value === tint ? own : $("colour").value });
+    const { name, shown, colour, locked } = edited;
+    const wanted = { note: $("shown").value.trim(), colour: $("usual").checked ? "" : $("colour").value };
+    const all = [];
+    if ($("locked").checked !== locked) all.push([locked ? "unlock" : "lock", name]);
+    if (wanted.note !== shown || wanted.colour !== colour) all.push(["label", name, wanted]);
+    if (all.length > 0) commands(...all);
   });
   return () => {
     const take = running();
@@ -76,7 +85,7 @@ export function takes(store, source, lookOf) {
     set($("record"), take ? `● ${take.name} ${clock} Stop` : "Record");
     $("take-name").disabled = take !== undefined;
     if (!sent) return;
-    answers.push(...store.answers.splice(0).filter(({ id }) => id === sent.id));
+    answers.push(...store.answers.splice(0).filter(({ id }) => sent.ids.includes(id)));
     const lines = answers.map(({ role, text = "", refused }) => `${role}${refused ? " refuses" : ""}: ${text}`);
     const wanted = ANSWERERS[sent.action] ?? ["node", "recorder"];
     const isOver = performance.now() - sent.at > PATIENCE;

@@ -1,25 +1,30 @@
 //! A WebSocket to which Foxglove and Lichtblick connect.
 
-use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
+use std::io::ErrorKind;
+use std::net::{SocketAddr, ToSocketAddrs};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use foxglove::websocket::{ChannelView, Client, ServerListener};
-use foxglove::{Context, WebSocketServer, WebSocketServerHandle};
+use foxglove::websocket::ServerListener;
+use foxglove::{Context, FoxgloveError, WebSocketServer, WebSocketServerHandle};
 
 use super::Topics;
 use crate::io::bus::{BusError, Sample};
 use crate::io::recording::Message;
 use crate::io::wire::{ENCODING, schema_of};
+use crate::live::MOST_BYTES;
 use crate::view::bus::Live;
-use crate::view::server::ViewError;
+use crate::view::server::{ViewError, give_way, reachable};
 
-/// Most messages that wait; those that come while it is full are dropped.
+/// What is shown, below the stage.
+const PATTERNS: [&str; 5] =
+    ["rig", "camera/*/keypoints", "actor/*/skeleton", "actor/*/status", "actor/*/pose"];
+/// Most messages that wait; those that come while it is full are dropped, as larger messages are.
 const WAITING: usize = 4096;
-/// How often it is looked whether somebody wants messages, and after which time a bus that failed is opened again.
+/// How often the number of clients is read, and the pause before a bus that failed is opened again.
 const LOOK: Duration = Duration::from_millis(100);
 const REST: Duration = Duration::from_secs(1);
 
@@ -35,7 +40,7 @@ pub struct Bridge {
 impl Bridge {
     /// The address to open in Foxglove or Lichtblick.
     pub fn url(&self) -> String {
-        format!("ws://{}", self.address)
+        format!("ws://{}", reachable(self.address))
     }
 }
 
@@ -54,53 +59,49 @@ impl Drop for Bridge {
     }
 }
 
-/// Counts the subscriptions of all clients.
+/// Counts the clients.
 #[derive(Default)]
-struct Wanted(AtomicUsize);
+struct Clients(AtomicUsize);
 
-impl ServerListener for Wanted {
-    fn on_subscribe(&self, _client: Client, _channel: ChannelView) {
+impl ServerListener for Clients {
+    fn on_client_connect(&self) {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
 
-    fn on_unsubscribe(&self, _client: Client, _channel: ChannelView) {
+    fn on_client_disconnect(&self) {
         self.0.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
 /// Serves a stage on `address`, such as `127.0.0.1:8766`; port 0 chooses a free one. A session on the bus
-/// is open only while somebody wants messages.
+/// is open only while a client is connected.
 ///
 /// # Errors
 /// The address is in use or not of this computer, or the system refuses a thread.
 pub fn bridge(address: &str, live: Arc<Live>) -> Result<Bridge, ViewError> {
-    let refused = |source| ViewError::Listen { address: address.to_owned(), source };
-    let resolved: Vec<SocketAddr> = address.to_socket_addrs().map_err(refused)?.collect();
-    // Tells what is wrong with the address, and which port is free.
-    let address = TcpListener::bind(&*resolved).and_then(|listener| listener.local_addr());
-    let address = address.map_err(refused)?;
-    let gives_way = || {
-        #[cfg(target_os = "linux")]
-        let _ = rustix::process::nice(19);
-    };
+    let refused = |source| ViewError::Bridge { address: address.to_owned(), source };
+    let resolved = address.to_socket_addrs().map_err(refused)?.next();
+    let resolved = resolved.ok_or_else(|| refused(ErrorKind::AddrNotAvailable.into()))?;
     let mut builder = tokio::runtime::Builder::new_multi_thread();
-    builder.worker_threads(1).thread_name("foxglove").enable_all().on_thread_start(gives_way);
+    builder.worker_threads(1).thread_name("foxglove").enable_all().on_thread_start(give_way);
     let runtime = builder.build().map_err(ViewError::Thread)?;
-    let (context, wanted) = (Context::new(), Arc::new(Wanted::default()));
+    let (context, clients) = (Context::new(), Arc::new(Clients::default()));
     let topics = Topics::new(Arc::clone(&context));
     let server = WebSocketServer::new()
         .name(format!("bundlemocap {}", live.topics.stage))
         .context(&context)
-        .bind(address.ip().to_string(), address.port())
-        .listener(Arc::clone(&wanted) as Arc<dyn ServerListener>)
+        .bind(resolved.ip().to_string(), resolved.port())
+        .listener(Arc::clone(&clients) as Arc<dyn ServerListener>)
         .tokio_runtime(runtime.handle());
-    let server = runtime
-        .block_on(server.start())
-        .map_err(|error| refused(std::io::Error::other(error.to_string())))?;
+    let server = runtime.block_on(server.start()).map_err(|error| match error {
+        FoxgloveError::Bind(error) => refused(error),
+        other => refused(std::io::Error::other(other)),
+    })?;
+    let address = SocketAddr::new(resolved.ip(), server.port());
     let stop = Arc::new(AtomicBool::new(false));
-    let shared = (Arc::clone(&stop), wanted);
+    let shared = (Arc::clone(&stop), clients);
     let follow = move || {
-        gives_way();
+        give_way();
         follow(&live, topics, &shared.0, &shared.1);
     };
     let thread = std::thread::Builder::new().name("foxglove-bus".into()).spawn(follow);
@@ -108,9 +109,9 @@ pub fn bridge(address: &str, live: Arc<Live>) -> Result<Bridge, ViewError> {
     Ok(Bridge { address, server: Some(server), stop, thread, runtime: Some(runtime) })
 }
 
-/// Passes messages on while somebody wants them.
-fn follow(live: &Live, mut topics: Topics, stop: &AtomicBool, wanted: &Wanted) {
-    let is_wanted = || wanted.0.load(Ordering::Relaxed) > 0 && !stop.load(Ordering::Relaxed);
+/// Publishes messages while a client is connected.
+fn follow(live: &Live, mut topics: Topics, stop: &AtomicBool, clients: &Clients) {
+    let is_wanted = || clients.0.load(Ordering::Relaxed) > 0 && !stop.load(Ordering::Relaxed);
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(LOOK);
         if !is_wanted() {
@@ -128,10 +129,15 @@ fn pass_on(live: &Live, topics: &mut Topics, is_wanted: impl Fn() -> bool) -> Re
     let (out, samples) = sync_channel::<Sample>(WAITING);
     let stage = &live.topics.stage;
     let mut guards = Vec::new();
-    for pattern in ["rig", "camera/*/keypoints", "actor/*/skeleton", "actor/*/pose"] {
-        let out = out.clone();
+    let dropped = Arc::new(AtomicUsize::new(0));
+    for pattern in PATTERNS {
+        let (out, dropped) = (out.clone(), Arc::clone(&dropped));
         // On a thread of the transport: nothing but passing on.
-        let sink = move |sample| drop(out.try_send(sample));
+        let sink = move |sample: Sample| {
+            if sample.payload.len() > MOST_BYTES || out.try_send(sample).is_err() {
+                dropped.fetch_add(1, Ordering::Relaxed);
+            }
+        };
         guards.push(bus.subscribe(&format!("mocap/{stage}/{pattern}"), Box::new(sink))?);
     }
     while is_wanted() {
@@ -142,8 +148,12 @@ fn pass_on(live: &Live, topics: &mut Topics, is_wanted: impl Fn() -> bool) -> Re
         };
         let Some(schema) = schema_of(&sample.topic, &sample.encoding) else { continue };
         if let Ok(message) = Message::decode(&sample.topic, schema, ENCODING, &sample.payload) {
-            topics.handle(&sample.topic, sample.capture, &message);
+            topics.handle(&sample.topic, &message);
         }
+    }
+    let dropped = dropped.load(Ordering::Relaxed);
+    if dropped > 0 {
+        tracing::warn!("{dropped} messages did not go to Foxglove: too many, or too large");
     }
     Ok(())
 }

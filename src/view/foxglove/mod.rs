@@ -3,7 +3,7 @@
 //!
 //! | topic | schema | holds |
 //! |---|---|---|
-//! | `/performers` | `foxglove.SceneUpdate` | the bones of each performer at each final pose |
+//! | `/performers` | `foxglove.SceneUpdate` | the bones and the name of each performer at each final pose |
 //! | `/tf` | `foxglove.FrameTransforms` | the joints of each performer, such as `p1/l_knee`, and the cameras |
 //! | `/camera/{name}/calibration` | `foxglove.CameraCalibration` | a camera |
 //! | `/camera/{name}/keypoints` | `foxglove.ImageAnnotations` | the keypoints of each of its images |
@@ -25,11 +25,11 @@ use crate::core::body::Skeleton;
 use crate::core::camera::Rig;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::recording::Message;
-use crate::io::wire::Topic;
+use crate::io::wire::{PerformerLabel, Topic};
 
 pub use live::{Bridge, bridge};
 
-/// Calibrations and cameras are told again after this time, for who came later.
+/// The cameras are published again after this time, for clients that came later.
 const AGAIN: Nanos = Nanos::SECOND;
 
 /// The topics, and what is known of the stage.
@@ -37,18 +37,28 @@ struct Topics {
     context: Arc<Context>,
     performers: Channel<SceneUpdate>,
     transforms: Channel<FrameTransforms>,
+    /// Of the cameras of the rig.
     cameras: BTreeMap<String, Camera>,
     rig: Option<Rig>,
-    /// By name, each with a number for its colour.
-    bodies: BTreeMap<String, (usize, Skeleton)>,
-    /// When the cameras are told again.
-    next: Option<Timestamp>,
+    /// By name.
+    bodies: BTreeMap<String, Performer>,
+    /// When the cameras are published again.
+    next: Timestamp,
 }
 
 /// The topics of a camera.
 struct Camera {
     calibration: Channel<CameraCalibration>,
     keypoints: Channel<ImageAnnotations>,
+}
+
+/// What is known of a performer.
+#[derive(Default)]
+struct Performer {
+    /// In the order of coming, for the colour.
+    number: usize,
+    body: Skeleton,
+    label: PerformerLabel,
 }
 
 impl Topics {
@@ -59,74 +69,84 @@ impl Topics {
             cameras: BTreeMap::new(),
             rig: None,
             bodies: BTreeMap::new(),
-            next: None,
+            next: Timestamp::default(),
             context,
         }
     }
 
-    /// Passes on a message of the bus or of a recording.
-    fn handle(&mut self, topic: &str, at: Timestamp, message: &Message) {
+    /// Publishes a message of the bus or of a recording; whether it is of a kind that is shown.
+    fn handle(&mut self, topic: &str, message: &Message) -> bool {
+        let name = Topic::actor(topic);
         match message {
             // They are checked: the conversions succeed.
-            Message::Rig(rig) => self.rig = rig.to_core().ok(),
+            Message::Rig(rig) => self.set_rig(rig.to_core().ok()),
             Message::Skeleton(body) => {
-                let (number, name) = (self.bodies.len(), Topic::actor(topic));
                 if let Ok(body) = body.to_core() {
-                    self.bodies.entry(name).or_insert((number, Skeleton::default())).1 = body;
+                    let number = self.bodies.len();
+                    let new = || Performer { number, ..Performer::default() };
+                    self.bodies.entry(name).or_insert_with(new).body = body;
+                }
+            }
+            Message::Status(status) => {
+                if let Some(one) = self.bodies.get_mut(&name) {
+                    one.label = status.label.clone().unwrap_or_default();
                 }
             }
             Message::Pose(pose) if !pose.provisional => {
-                self.tell_cameras(at);
-                let name = Topic::actor(topic);
-                let (Some((number, body)), Ok(pose)) = (self.bodies.get(&name), pose.to_core())
-                else {
-                    return;
-                };
+                let Ok(pose) = pose.to_core() else { return false };
+                let Some(one) = self.bodies.get(&name) else { return false };
+                let at = shown::nanoseconds(pose.capture);
                 if self.performers.has_sinks() {
-                    let scene = shown::bones(&name, *number, body, &pose);
-                    self.performers.log_with_time(&scene, shown::nanoseconds(at));
+                    self.performers.log_with_time(&shown::bones(&name, one, &pose), at);
                 }
                 if self.transforms.has_sinks() {
-                    let joints = shown::joints(&name, body, &pose);
-                    self.transforms.log_with_time(&joints, shown::nanoseconds(at));
+                    self.transforms.log_with_time(&shown::joints(&name, &one.body, &pose), at);
                 }
+                self.publish_cameras(pose.capture);
+                return true;
             }
             Message::Keypoints(frame) => {
-                self.tell_cameras(at);
-                let camera = self.camera(&frame.camera);
+                let at = Timestamp::from_ns(frame.capture_time_ns);
+                let Some(camera) = self.cameras.get(&frame.camera) else { return false };
                 if camera.keypoints.has_sinks() {
-                    let annotations = shown::keypoints(frame);
-                    camera.keypoints.log_with_time(&annotations, shown::nanoseconds(at));
+                    camera
+                        .keypoints
+                        .log_with_time(&shown::keypoints(frame), shown::nanoseconds(at));
                 }
+                self.publish_cameras(at);
+                return true;
             }
             _ => {}
         }
+        false
     }
 
-    fn camera(&mut self, name: &str) -> &Camera {
-        let topic = |what| format!("/camera/{name}/{what}");
-        self.cameras.entry(name.to_owned()).or_insert_with(|| Camera {
-            calibration: self.context.channel_builder(topic("calibration")).build(),
-            keypoints: self.context.channel_builder(topic("keypoints")).build(),
-        })
-    }
-
-    /// Tells where the cameras are, if it is time.
-    fn tell_cameras(&mut self, at: Timestamp) {
-        let is_early = self.next.is_some_and(|next| (next - AGAIN..next).contains(&at));
-        if is_early || self.rig.is_none() {
-            return;
-        }
-        self.next = Some(at + AGAIN);
-        let Some(rig) = self.rig.take() else { return };
+    fn set_rig(&mut self, rig: Option<Rig>) {
+        let Some(rig) = rig else { return };
         for camera in &rig.cameras {
-            let calibration = shown::calibration(camera, at);
-            let channel = &self.camera(&camera.name).calibration;
-            channel.log_with_time(&calibration, shown::nanoseconds(at));
+            let topic = |what| format!("/camera/{}/{what}", camera.name);
+            self.cameras.entry(camera.name.clone()).or_insert_with(|| Camera {
+                calibration: self.context.channel_builder(topic("calibration")).build(),
+                keypoints: self.context.channel_builder(topic("keypoints")).build(),
+            });
         }
-        let cameras = shown::cameras(&rig, at);
-        self.transforms.log_with_time(&cameras, shown::nanoseconds(at));
-        self.rig = Some(rig);
+        (self.rig, self.next) = (Some(rig), Timestamp::default());
+    }
+
+    /// Publishes where the cameras are, if it is time. Keypoints are ahead of poses by the latency.
+    fn publish_cameras(&mut self, at: Timestamp) {
+        let (Some(rig), false) = (&self.rig, (self.next - AGAIN * 10..self.next).contains(&at))
+        else {
+            return;
+        };
+        self.next = at + AGAIN;
+        let ns = shown::nanoseconds(at);
+        for camera in &rig.cameras {
+            if let Some(topics) = self.cameras.get(&camera.name) {
+                topics.calibration.log_with_time(&shown::calibration(camera, at), ns);
+            }
+        }
+        self.transforms.log_with_time(&shown::cameras(rig, at), ns);
     }
 }
 
@@ -147,9 +167,9 @@ impl<W: Write + Seek + Send + 'static> FoxgloveFile<W> {
         Ok(Self { topics: Topics::new(context), file })
     }
 
-    /// Adds a message of a capture time; those that Foxglove's schemas do not show are left out.
-    pub fn add(&mut self, topic: &str, at: Timestamp, message: &Message) {
-        self.topics.handle(topic, at, message);
+    /// Adds a message; whether it is a pose or an image's keypoints, which are written.
+    pub fn add(&mut self, topic: &str, message: &Message) -> bool {
+        self.topics.handle(topic, message)
     }
 
     /// Ends the file.

@@ -5,10 +5,11 @@ use foxglove::messages::points_annotation::Type as PointsType;
 use foxglove::messages::{
     self, CameraCalibration, Color, Duration, FrameTransform, FrameTransforms, ImageAnnotations,
     LinePrimitive, Point2, Point3, PointsAnnotation, Quaternion, SceneEntity, SceneUpdate,
-    SpherePrimitive,
+    SpherePrimitive, TextPrimitive,
 };
 use nalgebra::{Matrix3, Vector3};
 
+use super::Performer;
 use crate::core::body::{Joint, Skeleton, StampedPose, TrackingState};
 use crate::core::camera::{Camera, Lens, Rig};
 use crate::core::so3;
@@ -60,11 +61,16 @@ fn quaternion(rotation: &Matrix3<f64>) -> Option<Quaternion> {
     Some(Quaternion { x, y, z, w })
 }
 
-/// The bones of a performer.
+/// A colour such as #0072b2.
+fn parsed(text: &str) -> Option<[f64; 3]> {
+    let digits = u32::from_str_radix(text.strip_prefix('#')?, 16).ok()?;
+    Some([16, 8, 0].map(|shift| f64::from(digits >> shift & 0xff) / 255.0))
+}
+
+/// The bones and the name of a performer.
 pub(super) fn bones(
     name: &str,
-    number: usize,
-    body: &Skeleton,
+    Performer { number, body, label }: &Performer,
     StampedPose { capture, pose, state, .. }: &StampedPose,
 ) -> SceneUpdate {
     let at = pose.posture(body).positions;
@@ -73,32 +79,39 @@ pub(super) fn bones(
         Point3 { x: p.x, y: p.y, z: p.z }
     };
     let both = |joint: Joint| joint.parent().map(|parent| [point(parent), point(joint)]);
-    let color = match state {
-        TrackingState::Tracking => colour(COLOURS[number % COLOURS.len()], 1.0),
-        _ => colour(GREY, 1.0),
+    let own = parsed(&label.colour).unwrap_or(COLOURS[number % COLOURS.len()]);
+    let color = colour(if *state == TrackingState::Tracking { own } else { GREY }, 1.0);
+    let placed = |position: &Vector3<f64>| {
+        let orientation = quaternion(&Matrix3::identity());
+        Some(messages::Pose { position: vector(position), orientation })
     };
+    let head = at[Joint::Head.index()];
     let lines = LinePrimitive {
         r#type: LineType::LineList as i32,
+        pose: placed(&Vector3::zeros()),
         thickness: BONE,
         points: Joint::ALL.into_iter().filter_map(both).flatten().collect(),
         color,
         ..LinePrimitive::default()
     };
-    let head = SpherePrimitive {
-        pose: Some(messages::Pose {
-            position: vector(&at[Joint::Head.index()]),
-            orientation: quaternion(&Matrix3::identity()),
-        }),
-        size: vector(&Vector3::repeat(HEAD)),
+    let sphere =
+        SpherePrimitive { pose: placed(&head), size: vector(&Vector3::repeat(HEAD)), color };
+    let text = TextPrimitive {
+        pose: placed(&(head + Vector3::y() * 1.5 * HEAD)),
+        billboard: true,
+        font_size: 0.5 * HEAD,
         color,
+        text: if label.display_name.is_empty() { name } else { &label.display_name }.into(),
+        ..TextPrimitive::default()
     };
     let entity = SceneEntity {
         timestamp: stamp(*capture),
         frame_id: WORLD.into(),
         id: name.into(),
         lifetime: Some(Duration::new(0, KEPT_NS)),
-        spheres: vec![head],
+        spheres: vec![sphere],
         lines: vec![lines],
+        texts: vec![text],
         ..SceneEntity::default()
     };
     SceneUpdate { entities: vec![entity], ..SceneUpdate::default() }

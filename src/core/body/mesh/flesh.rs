@@ -1,8 +1,8 @@
 //! The skin of the template in the rest pose, as a distance: tubes, ellipsoids and cones with fillets.
 //!
-//! Girths, breadths and depths are those of \[Gordon 2014\], halfway between the sexes, to a few
-//! millimetres; the tests of the mesh compare them. Everything else is modelled by eye, to look like
-//! a person. Left side; the right side is its mirror image.
+//! Girths are those of \[Gordon 2014\], halfway between the sexes, to a few per cent: the tests of the
+//! mesh compare them. Everything else is modelled by eye, to look like a person. Left side; the right
+//! side is its mirror image.
 
 use nalgebra::Vector3;
 

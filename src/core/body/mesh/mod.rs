@@ -194,8 +194,11 @@ impl Scales {
         let (hip, collar) =
             if p.x < 0.0 { (of(RHip), of(RCollar)) } else { (of(LHip), of(LCollar)) };
         match joint {
-            Pelvis if p.y < 0.0 => trunk(hip.x, hip.y),
-            Pelvis => trunk(hip.x, of(Spine1).y),
+            Pelvis => {
+                // From the hips to the waist.
+                let up = (0.5 + p.y / 0.16).clamp(0.0, 1.0);
+                trunk(hip.x, hip.y + (of(Spine1).y - hip.y) * up)
+            }
             Spine1 => trunk(0.5 * (hip.x + collar.x), of(Spine2).y),
             Spine2 => trunk(0.5 * (hip.x + collar.x), of(Spine3).y),
             Spine3 => trunk(collar.x, of(Neck).y),

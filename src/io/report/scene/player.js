@@ -30,11 +30,7 @@ $("time").max = end;
 /** The quaternions of a pose, between pose `low`, 0, and pose `next`, 1. */
 function rotationsAt({ rotations }, low, next, share) {
   const out = new Float32Array(4 * parents.length);
-  const full = (pose, j) => {
-    const at = 3 * (pose * parents.length + j);
-    const [x, y, z] = [0, 1, 2].map((k) => rotations[at + k] / 32767);
-    return [x, y, z, Math.sqrt(Math.max(0, 1 - x * x - y * y - z * z))];
-  };
+  const full = (pose, j) => [...rotations.subarray(4 * (pose * parents.length + j)).subarray(0, 4)];
   parents.forEach((_, j) => {
     const [from, to] = [full(low, j), full(next, j)];
     const sign = from.reduce((sum, one, k) => sum + one * to[k], 0) < 0 ? -1 : 1;
