@@ -78,7 +78,8 @@ test("the skin of the page is the skin of the library", async () => {
       });
     }
     const off = Math.hypot(...sum.map((x, row) => x - at[row]));
-    assert.ok(off < 1e-3, `vertex ${vertex}: ${off} m`);
+    // The page's weights have 8 bits.
+    assert.ok(off < 2e-3, `vertex ${vertex}: ${off} m`);
   }
 });
 
