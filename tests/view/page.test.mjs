@@ -237,7 +237,7 @@ test("Foxglove and Lichtblick get the performers and the cameras of a live stage
   await start(["play", join(root, "recordings/walk.mcap"), "--loop", "--connect", `tcp/127.0.0.1:${bus}`]);
   // A page of another program on this computer; Chromium lets no other connect.
   const other = createServer((_, answer) => answer.setHeader("content-type", "text/html").end("<link rel=icon href=data:,>"));
-  await new Promise((resolve) => other.listen(0, "127.0.0.1", resolve));
+  await new Promise((resolve) => other.listen(0, "127.0.0.1", resolve).unref());
   const { page, said } = await open(`http://127.0.0.1:${other.address().port}/`);
   const counts = await page.evaluate(async (url) => {
     const client = new WebSocket(url, ["foxglove.sdk.v1"]);
