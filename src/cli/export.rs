@@ -98,7 +98,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             say(&format!("{}: {} stick figures", path.display(), arguments.figures));
         }
     }
-    Ok(ended(&arguments.file, &damage))
+    Ok(exit_of(&arguments.file, &damage))
 }
 
 /// `take1.p1.bvh` for `take1.bvh` of the performer p1; the path itself if there is only one performer.
@@ -152,11 +152,11 @@ fn write_foxglove(from: &Path, to: &Path, overwrite: &Overwrite) -> Ended {
     let file = file.into_inner().map_err(|error| unwritten(&error))?;
     file.persist(to).map_err(|error| unwritten(&error))?;
     say(&format!("{}: {count} poses and images", to.display()));
-    Ok(ended(from, &reader.report().losses()))
+    Ok(exit_of(from, &reader.report().losses()))
 }
 
-/// Says what a damaged file lost.
-fn ended(file: &Path, damage: &[String]) -> Exit {
+/// The exit code of a file that was read; says what a damaged one lost.
+fn exit_of(file: &Path, damage: &[String]) -> Exit {
     if damage.is_empty() {
         return Exit::Done;
     }

@@ -4,7 +4,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use serde_json::{Value, json};
 
-use crate::core::body::{Joint, Mesh, STEPS, Skeleton, swelling};
+use crate::core::body::{Joint, Mesh, STEPS, Skeleton, bulge};
 
 /// What all bodies share, in base64: the corners of the faces (u16), and of each vertex four bones (u8)
 /// and their weights (u8, together 255); then the bones, see [`Mesh`].
@@ -14,11 +14,11 @@ pub(crate) fn template() -> Value {
     let faces: Vec<u8> = corners.flat_map(|corner| (*corner as u16).to_le_bytes()).collect();
     let (bones, weights): (Vec<u8>, Vec<u8>) = mesh.influences().iter().flat_map(whole).unzip();
     let [faces, bones, weights] = [faces, bones, weights].map(|bytes| BASE64.encode(bytes));
-    let swelling = Joint::ALL.map(swelling);
+    let bulge = Joint::ALL.map(bulge);
     let parent = |joint: Joint| joint.parent().map_or(-1, |parent| parent.index() as i32);
     let parents = Joint::ALL.map(parent);
     json!({ "faces": faces, "bones": bones, "weights": weights, "steps": STEPS,
-            "swelling": swelling, "parents": parents })
+            "bulge": bulge, "parents": parents })
 }
 
 /// Influences whose weights are whole numbers that add up to 255.

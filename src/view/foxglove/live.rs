@@ -11,7 +11,7 @@ use std::time::Duration;
 use foxglove::websocket::ServerListener;
 use foxglove::{Context, FoxgloveError, WebSocketServer, WebSocketServerHandle};
 
-use super::Topics;
+use super::Channels;
 use crate::io::bus::{BusError, Sample};
 use crate::io::recording::Message;
 use crate::io::wire::{ENCODING, schema_of};
@@ -86,7 +86,7 @@ pub fn bridge(address: &str, live: Arc<Live>) -> Result<Bridge, ViewError> {
     builder.worker_threads(1).thread_name("foxglove").enable_all().on_thread_start(give_way);
     let runtime = builder.build().map_err(ViewError::Thread)?;
     let (context, clients) = (Context::new(), Arc::new(Clients::default()));
-    let topics = Topics::new(Arc::clone(&context));
+    let channels = Channels::new(Arc::clone(&context));
     let server = WebSocketServer::new()
         .name(format!("bundlemocap {}", live.topics.stage))
         .context(&context)
@@ -102,7 +102,7 @@ pub fn bridge(address: &str, live: Arc<Live>) -> Result<Bridge, ViewError> {
     let shared = (Arc::clone(&stop), clients);
     let follow = move || {
         give_way();
-        follow(&live, topics, &shared.0, &shared.1);
+        follow(&live, channels, &shared.0, &shared.1);
     };
     let thread = std::thread::Builder::new().name("foxglove-bus".into()).spawn(follow);
     let thread = Some(thread.map_err(ViewError::Thread)?);
@@ -110,21 +110,25 @@ pub fn bridge(address: &str, live: Arc<Live>) -> Result<Bridge, ViewError> {
 }
 
 /// Publishes messages while a client is connected.
-fn follow(live: &Live, mut topics: Topics, stop: &AtomicBool, clients: &Clients) {
+fn follow(live: &Live, mut channels: Channels, stop: &AtomicBool, clients: &Clients) {
     let is_wanted = || clients.0.load(Ordering::Relaxed) > 0 && !stop.load(Ordering::Relaxed);
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(LOOK);
         if !is_wanted() {
             continue;
         }
-        if let Err(error) = pass_on(live, &mut topics, is_wanted) {
+        if let Err(error) = pass_on(live, &mut channels, is_wanted) {
             tracing::warn!("no messages for Foxglove: {error}");
             std::thread::sleep(REST);
         }
     }
 }
 
-fn pass_on(live: &Live, topics: &mut Topics, is_wanted: impl Fn() -> bool) -> Result<(), BusError> {
+fn pass_on(
+    live: &Live,
+    channels: &mut Channels,
+    is_wanted: impl Fn() -> bool,
+) -> Result<(), BusError> {
     let bus = live.open()?;
     let (out, samples) = sync_channel::<Sample>(WAITING);
     let stage = &live.topics.stage;
@@ -148,7 +152,7 @@ fn pass_on(live: &Live, topics: &mut Topics, is_wanted: impl Fn() -> bool) -> Re
         };
         let Some(schema) = schema_of(&sample.topic, &sample.encoding) else { continue };
         if let Ok(message) = Message::decode(&sample.topic, schema, ENCODING, &sample.payload) {
-            topics.handle(&sample.topic, &message);
+            channels.handle(&sample.topic, &message);
         }
     }
     let dropped = dropped.load(Ordering::Relaxed);

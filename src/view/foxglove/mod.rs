@@ -32,22 +32,22 @@ pub use live::{Bridge, bridge};
 /// The cameras are published again after this time, for clients that came later.
 const AGAIN: Nanos = Nanos::SECOND;
 
-/// The topics, and what is known of the stage.
-struct Topics {
+/// The channels to Foxglove, and what is known of the stage.
+struct Channels {
     context: Arc<Context>,
     performers: Channel<SceneUpdate>,
     transforms: Channel<FrameTransforms>,
     /// Of the cameras of the rig.
-    cameras: BTreeMap<String, Camera>,
+    cameras: BTreeMap<String, CameraChannels>,
     rig: Option<Rig>,
     /// By name.
     bodies: BTreeMap<String, Performer>,
     /// When the cameras are published again.
-    next: Timestamp,
+    next: Option<Timestamp>,
 }
 
-/// The topics of a camera.
-struct Camera {
+/// The channels of a camera.
+struct CameraChannels {
     calibration: Channel<CameraCalibration>,
     keypoints: Channel<ImageAnnotations>,
 }
@@ -61,7 +61,7 @@ struct Performer {
     label: PerformerLabel,
 }
 
-impl Topics {
+impl Channels {
     fn new(context: Arc<Context>) -> Self {
         Self {
             performers: context.channel_builder("/performers").build(),
@@ -69,7 +69,7 @@ impl Topics {
             cameras: BTreeMap::new(),
             rig: None,
             bodies: BTreeMap::new(),
-            next: Timestamp::default(),
+            next: None,
             context,
         }
     }
@@ -125,25 +125,23 @@ impl Topics {
         let Some(rig) = rig else { return };
         for camera in &rig.cameras {
             let topic = |what| format!("/camera/{}/{what}", camera.name);
-            self.cameras.entry(camera.name.clone()).or_insert_with(|| Camera {
+            self.cameras.entry(camera.name.clone()).or_insert_with(|| CameraChannels {
                 calibration: self.context.channel_builder(topic("calibration")).build(),
                 keypoints: self.context.channel_builder(topic("keypoints")).build(),
             });
         }
-        (self.rig, self.next) = (Some(rig), Timestamp::default());
+        (self.rig, self.next) = (Some(rig), None);
     }
 
     /// Publishes where the cameras are, if it is time. Keypoints are ahead of poses by the latency.
     fn publish_cameras(&mut self, at: Timestamp) {
-        let (Some(rig), false) = (&self.rig, (self.next - AGAIN * 10..self.next).contains(&at))
-        else {
-            return;
-        };
-        self.next = at + AGAIN;
+        let is_early = self.next.is_some_and(|next| (next - AGAIN * 10..next).contains(&at));
+        let Some(rig) = self.rig.as_ref().filter(|_| !is_early) else { return };
+        self.next = Some(at + AGAIN);
         let ns = shown::nanoseconds(at);
         for camera in &rig.cameras {
-            if let Some(topics) = self.cameras.get(&camera.name) {
-                topics.calibration.log_with_time(&shown::calibration(camera, at), ns);
+            if let Some(channels) = self.cameras.get(&camera.name) {
+                channels.calibration.log_with_time(&shown::calibration(camera, at), ns);
             }
         }
         self.transforms.log_with_time(&shown::cameras(rig, at), ns);
@@ -152,7 +150,7 @@ impl Topics {
 
 /// Writes messages as an MCAP file with Foxglove's schemas.
 pub struct FoxgloveFile<W: Write + Seek + Send + 'static> {
-    topics: Topics,
+    channels: Channels,
     file: foxglove::McapWriterHandle<W>,
 }
 
@@ -164,12 +162,12 @@ impl<W: Write + Seek + Send + 'static> FoxgloveFile<W> {
     pub fn new(to: W) -> Result<Self, FoxgloveError> {
         let context = Context::new();
         let file = context.mcap_writer().create(to)?;
-        Ok(Self { topics: Topics::new(context), file })
+        Ok(Self { channels: Channels::new(context), file })
     }
 
     /// Adds a message; whether it is a pose or an image's keypoints, which are written.
     pub fn add(&mut self, topic: &str, message: &Message) -> bool {
-        self.topics.handle(topic, message)
+        self.channels.handle(topic, message)
     }
 
     /// Ends the file.

@@ -4,8 +4,8 @@
 //! segments follow the skeleton's, in length and girth. The skin is blended linearly between bones, so
 //! that any program that skins meshes can show it.
 
-mod flesh;
 mod polygonise;
+mod sdf;
 mod skin;
 
 use std::sync::OnceLock;
@@ -45,10 +45,10 @@ fn joint_of(bone: usize) -> (Joint, f64) {
     }
 }
 
-/// How much the bones between a joint and its parent swell, so that limbs keep their volume: skin that
+/// How much the bones between a joint and its parent bulge, so that limbs keep their volume: skin that
 /// is blended linearly shrinks where a limb bends. For a turn by an angle about an axis: the first
 /// number times 1 - cos(angle), plus the dot product of the others with sin(angle) axis.
-pub fn swelling(joint: Joint) -> [f64; 4] {
+pub fn bulge(joint: Joint) -> [f64; 4] {
     match joint {
         Joint::LElbow | Joint::RElbow => [0.035, 0.0, 0.0, 0.0],
         Joint::LKnee | Joint::RKnee => [0.05, 0.0, 0.0, 0.0],
@@ -59,8 +59,8 @@ pub fn swelling(joint: Joint) -> [f64; 4] {
 }
 
 /// The scale of the bones between a joint and its parent, for the joint's local rotation.
-fn swollen(joint: Joint, local: &Matrix3<f64>) -> f64 {
-    let [bent, x, y, z] = swelling(joint);
+fn bulged(joint: Joint, local: &Matrix3<f64>) -> f64 {
+    let [bent, x, y, z] = bulge(joint);
     let sine = 0.5
         * Vector3::new(
             local[(2, 1)] - local[(1, 2)],
@@ -136,7 +136,7 @@ impl Mesh {
             let parent = joint.parent().unwrap_or(joint).index();
             let (before, own) = (&posture.rotations[parent], &posture.rotations[j]);
             let matrix = match part < 1.0 {
-                true => so3::slerp(before, own, part) * swollen(joint, &pose.local[j - 1]),
+                true => so3::slerp(before, own, part) * bulged(joint, &pose.local[j - 1]),
                 false => *own,
             };
             (matrix, posture.positions[j] - matrix * from[j])

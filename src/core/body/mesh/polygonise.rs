@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 
-use super::flesh::distance;
+use super::sdf::distance;
 
 /// The smallest cells, metres. With some sizes the skin passes twice through a cell, and the mesh is not
 /// closed there; the tests of the mesh look.

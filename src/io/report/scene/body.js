@@ -13,8 +13,8 @@ export const metres = (tenths) => Float32Array.from(tenths, (one) => one / 1e4);
 
 /** What all bodies share. */
 export class Template {
-  constructor({ faces, bones, weights, steps, swelling, parents }) {
-    Object.assign(this, { steps, swelling, parents });
+  constructor({ faces, bones, weights, steps, bulge, parents }) {
+    Object.assign(this, { steps, bulge, parents });
     this.faces = new three.BufferAttribute(numbers(faces, Uint16Array), 1);
     this.bones = new three.BufferAttribute(numbers(bones, Uint8Array), 4);
     this.weights = new three.BufferAttribute(numbers(weights, Uint8Array), 4, true);
@@ -57,14 +57,14 @@ export class Template {
       const between = this.parents.length + (j - 1) * (this.steps - 1);
       for (let step = 1; parent >= 0 && step < this.steps; step++) {
         this.turn.slerpQuaternions(this.world[parent], this.world[j], step / this.steps);
-        this.put(between + step - 1, j, this.turn, this.swollen(j, rotations), out);
+        this.put(between + step - 1, j, this.turn, this.bulged(j, rotations), out);
       }
     });
   }
 
   /** The scale of the bones between a joint and its parent. */
-  swollen(j, rotations) {
-    const [bent, ...along] = this.swelling[j];
+  bulged(j, rotations) {
+    const [bent, ...along] = this.bulge[j];
     const { x, y, z, w } = this.local.fromArray(rotations, 4 * j);
     const sine = 2 * w * (along[0] * x + along[1] * y + along[2] * z);
     return 1 + bent * 2 * (x * x + y * y + z * z) + sine;

@@ -1,4 +1,5 @@
-//! The skin of the template in the rest pose, as a distance: tubes, ellipsoids and cones with fillets.
+//! The template in the rest pose, as a signed distance field: tubes, ellipsoids and round cones, joined with
+//! fillets.
 //!
 //! Girths are those of \[Gordon 2014\], halfway between the sexes, to a few per cent: the tests of the
 //! mesh compare them. Everything else is modelled by eye, to look like a person. Left side; the right
@@ -175,7 +176,7 @@ impl Tube {
     }
 }
 
-/// The depth of the middle of a part; no part is thinner.
+/// The depth of the middle of a part, metres; no part is thinner.
 const INSIDE: f64 = 0.005;
 
 /// The distance to a surface along the ray from its middle: `square` is the squared distance from
@@ -193,8 +194,8 @@ fn ellipsoid(p: &Vector3<f64>, centre: [f64; 3], half: [f64; 3]) -> f64 {
     outwards(from_centre.norm_squared(), relative.norm_squared())
 }
 
-/// A round bar whose radius changes from end to end.
-fn bar(p: &Vector3<f64>, from: [f64; 3], to: [f64; 3], radii: [f64; 2]) -> f64 {
+/// A round cone: a bar whose radius changes from end to end.
+fn round_cone(p: &Vector3<f64>, from: [f64; 3], to: [f64; 3], radii: [f64; 2]) -> f64 {
     let (from, to) = (Vector3::from(from), Vector3::from(to));
     let along = to - from;
     let s = ((p - from).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
@@ -202,48 +203,62 @@ fn bar(p: &Vector3<f64>, from: [f64; 3], to: [f64; 3], radii: [f64; 2]) -> f64 {
 }
 
 /// The union, with a fillet of about `k`.
-fn join(a: f64, b: f64, k: f64) -> f64 {
+fn smooth_union(a: f64, b: f64, k: f64) -> f64 {
     let near = (k - (a - b).abs()).max(0.0) / k;
     a.min(b) - near * near * k / 4.0
 }
 
 /// `a` without `b`, with rounded edges.
-fn cut(a: f64, b: f64, k: f64) -> f64 {
-    -join(-a, b, k)
+fn smooth_difference(a: f64, b: f64, k: f64) -> f64 {
+    -smooth_union(-a, b, k)
 }
 
 fn head(p: &Vector3<f64>) -> f64 {
-    let mut d = ellipsoid(p, [0.0, 0.648, -0.002], [0.0780, 0.092, 0.0995]);
-    d = join(d, ellipsoid(p, [0.0, 0.592, 0.032], [0.0590, 0.078, 0.067]), 0.03);
-    d = join(d, ellipsoid(p, [0.0, 0.549, 0.048], [0.0400, 0.026, 0.046]), 0.03);
-    d = join(d, bar(p, [0.0, 0.534, 0.083], [0.007, 0.534, 0.082], [0.012, 0.012]), 0.02);
-    d = join(d, bar(p, [0.0, 0.648, 0.088], [0.042, 0.646, 0.072], [0.010, 0.009]), 0.015);
-    d = join(d, ellipsoid(p, [0.040, 0.602, 0.064], [0.020, 0.018, 0.018]), 0.02);
-    d = cut(d, ellipsoid(p, [0.034, 0.626, 0.106], [0.019, 0.013, 0.022]), 0.012);
-    d = join(d, ellipsoid(p, [0.033, 0.628, 0.080], [0.0125, 0.0115, 0.0125]), 0.008);
-    d = join(d, bar(p, [0.0, 0.642, 0.092], [0.0, 0.603, 0.110], [0.008, 0.0105]), 0.012);
-    d = join(d, ellipsoid(p, [0.011, 0.600, 0.100], [0.008, 0.008, 0.011]), 0.006);
-    d = join(d, bar(p, [0.0, 0.5775, 0.095], [0.019, 0.573, 0.084], [0.0090, 0.006]), 0.006);
-    d = join(d, bar(p, [0.0, 0.5580, 0.094], [0.016, 0.561, 0.085], [0.0090, 0.006]), 0.006);
+    let skull = ellipsoid(p, [0.0, 0.648, -0.002], [0.0780, 0.092, 0.0995]);
+    let face = ellipsoid(p, [0.0, 0.592, 0.032], [0.0590, 0.078, 0.067]);
+    let jaw = ellipsoid(p, [0.0, 0.549, 0.048], [0.0400, 0.026, 0.046]);
+    let chin = round_cone(p, [0.0, 0.534, 0.083], [0.007, 0.534, 0.082], [0.012, 0.012]);
+    let brow = round_cone(p, [0.0, 0.648, 0.088], [0.042, 0.646, 0.072], [0.010, 0.009]);
+    let cheek = ellipsoid(p, [0.040, 0.602, 0.064], [0.020, 0.018, 0.018]);
+    let eye_socket = ellipsoid(p, [0.034, 0.626, 0.106], [0.019, 0.013, 0.022]);
+    let eye = ellipsoid(p, [0.033, 0.628, 0.080], [0.0125, 0.0115, 0.0125]);
+    let nose = round_cone(p, [0.0, 0.642, 0.092], [0.0, 0.603, 0.110], [0.008, 0.0105]);
+    let nostril = ellipsoid(p, [0.011, 0.600, 0.100], [0.008, 0.008, 0.011]);
+    let upper_lip = round_cone(p, [0.0, 0.5775, 0.095], [0.019, 0.573, 0.084], [0.0090, 0.006]);
+    let lower_lip = round_cone(p, [0.0, 0.5580, 0.094], [0.016, 0.561, 0.085], [0.0090, 0.006]);
     let ear = ellipsoid(p, [0.080, 0.614, 0.000], [0.009, 0.028, 0.017]);
-    join(d, ear, 0.008)
+    let round = [(face, 0.03), (jaw, 0.03), (chin, 0.02), (brow, 0.015), (cheek, 0.02)];
+    let round = round.into_iter().fold(skull, |all, (part, k)| smooth_union(all, part, k));
+    let fine = [
+        (eye, 0.008),
+        (nose, 0.012),
+        (nostril, 0.006),
+        (upper_lip, 0.006),
+        (lower_lip, 0.006),
+        (ear, 0.008),
+    ];
+    let carved = smooth_difference(round, eye_socket, 0.012);
+    fine.into_iter().fold(carved, |all, (part, k)| smooth_union(all, part, k))
 }
 
 fn hand(p: &Vector3<f64>) -> f64 {
-    let palm =
-        join(PALM.distance(p), ellipsoid(p, [0.755, 0.420, 0.004], [0.030, 0.014, 0.018]), 0.015);
+    let palm = smooth_union(
+        PALM.distance(p),
+        ellipsoid(p, [0.755, 0.420, 0.004], [0.030, 0.014, 0.018]),
+        0.015,
+    );
     let fingers = FINGERS.map(|([knuckle, middle, tip], [thick, thin])| {
         let between = 0.5 * (thick + thin);
-        let near = bar(p, knuckle, middle, [thick, between]);
-        join(near, bar(p, middle, tip, [between, thin]), 0.004)
+        let near = round_cone(p, knuckle, middle, [thick, between]);
+        smooth_union(near, round_cone(p, middle, tip, [between, thin]), 0.004)
     });
-    let thumb = join(
-        bar(p, [0.735, 0.420, 0.000], [0.774, 0.408, 0.032], [0.015, 0.0115]),
-        bar(p, [0.774, 0.408, 0.032], [0.815, 0.395, 0.056], [0.0115, 0.0085]),
+    let thumb = smooth_union(
+        round_cone(p, [0.735, 0.420, 0.000], [0.774, 0.408, 0.032], [0.015, 0.0115]),
+        round_cone(p, [0.774, 0.408, 0.032], [0.815, 0.395, 0.056], [0.0115, 0.0085]),
         0.006,
     );
     let fingers = fingers.into_iter().fold(f64::INFINITY, f64::min);
-    join(join(palm, fingers, 0.008), thumb, 0.012)
+    smooth_union(smooth_union(palm, fingers, 0.008), thumb, 0.012)
 }
 
 fn leg(p: &Vector3<f64>) -> f64 {
@@ -251,9 +266,9 @@ fn leg(p: &Vector3<f64>) -> f64 {
     if p.y > -0.7 {
         return leg;
     }
-    let big_toe = bar(p, [0.082, -0.965, 0.120], [0.083, -0.968, 0.172], [0.015, 0.011]);
-    let foot = join(FOOT.distance(p), big_toe, 0.015);
-    cut(join(leg, foot, 0.03), p.y + SOLE, 0.012)
+    let big_toe = round_cone(p, [0.082, -0.965, 0.120], [0.083, -0.968, 0.172], [0.015, 0.011]);
+    let foot = smooth_union(FOOT.distance(p), big_toe, 0.015);
+    smooth_difference(smooth_union(leg, foot, 0.03), p.y + SOLE, 0.012)
 }
 
 /// The depth of the soles below the pelvis.
@@ -262,23 +277,23 @@ const SOLE: f64 = 0.980;
 fn trunk(p: &Vector3<f64>) -> f64 {
     let chest = ellipsoid(p, [0.083, 0.288, 0.080], [0.064, 0.056, 0.050]);
     let buttock = ellipsoid(p, [0.077, -0.090, -0.070], [0.074, 0.080, 0.072]);
-    join(join(TRUNK.distance(p), chest, 0.04), buttock, 0.035)
+    smooth_union(smooth_union(TRUNK.distance(p), chest, 0.04), buttock, 0.035)
 }
 
-/// Distance of a point from the skin, metres, negative inside. It is exact on the skin only: further
-/// away it is right to about a half.
+/// Signed distance of a point from the skin, metres, negative inside. Only its zero is exact: further away it is
+/// right to about a factor of two.
 pub(super) fn distance(p: &Vector3<f64>) -> f64 {
     let p = &Vector3::new(p.x.abs(), p.y, p.z);
     let mut arm = ARM.distance(p);
     if p.x > 0.6 {
-        arm = join(arm, hand(p), 0.015);
+        arm = smooth_union(arm, hand(p), 0.015);
     }
-    let mut all = join(trunk(p), arm, 0.045);
+    let mut all = smooth_union(trunk(p), arm, 0.045);
     if p.y < 0.2 {
-        all = join(all, leg(p), 0.03);
+        all = smooth_union(all, leg(p), 0.03);
     }
     if p.y > 0.3 && p.x < 0.3 {
-        all = join(all, join(NECK.distance(p), head(p), 0.02), 0.045);
+        all = smooth_union(all, smooth_union(NECK.distance(p), head(p), 0.02), 0.045);
     }
     all
 }
