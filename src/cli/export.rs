@@ -8,6 +8,8 @@ use clap::Args;
 use super::Ended;
 use super::failure::{Exit, Failure};
 use super::overwrite::Overwrite;
+#[cfg(feature = "view")]
+use super::overwrite::is_same_file;
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
@@ -43,7 +45,7 @@ pub(super) struct Arguments {
     /// MCAP file to write with the schemas of Foxglove, for Foxglove and Lichtblick: performers and cameras in
     /// 3D, joint frames, keypoints.
     #[cfg(feature = "view")]
-    #[arg(long, value_name = "MCAP", group = "what", conflicts_with_all = ["bvh", "picture", "truth", "actor", "start", "end"])]
+    #[arg(long, value_name = "MCAP", group = "what", conflicts_with_all = ["bvh", "picture", "figures", "truth", "actor", "start", "end"])]
     foxglove: Option<PathBuf>,
     /// Number of stick figures in the picture.
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..))]
@@ -128,8 +130,8 @@ fn write_bvh(
 #[cfg(feature = "view")]
 fn write_foxglove(from: &Path, to: &Path, overwrite: &Overwrite) -> Ended {
     overwrite.check(to)?;
-    if from.canonicalize().ok().is_some_and(|from| to.canonicalize().ok() == Some(from)) {
-        let message = format!("{} would replace itself; give another name", to.display());
+    if is_same_file(from, to) {
+        let message = format!("{} is the input; choose another name", to.display());
         return Err(Failure::new(Exit::Usage, message));
     }
     let unwritten = |error: &dyn std::fmt::Display| {
@@ -151,7 +153,7 @@ fn write_foxglove(from: &Path, to: &Path, overwrite: &Overwrite) -> Ended {
     let file = file.finish().map_err(|error| unwritten(&error))?;
     let file = file.into_inner().map_err(|error| unwritten(&error))?;
     file.persist(to).map_err(|error| unwritten(&error))?;
-    say(&format!("{}: {count} poses and images", to.display()));
+    say(&format!("{}: {count} poses and keypoint frames", to.display()));
     Ok(exit_of(from, &reader.report().losses()))
 }
 

@@ -24,3 +24,8 @@ impl Overwrite {
         Err(Failure::new(Exit::Usage, message))
     }
 }
+
+/// Whether two paths lead to the same existing file.
+pub(crate) fn is_same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}

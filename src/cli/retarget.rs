@@ -9,7 +9,7 @@ use super::bus::{BusArguments, check_name, open};
 use super::clock::Stop;
 use super::export::{Performer, Solved, path_of, read};
 use super::failure::{Exit, Failure};
-use super::overwrite::Overwrite;
+use super::overwrite::{Overwrite, is_same_file};
 use super::retarget_file::{TargetFile, Written};
 use super::retarget_live::{Live, Retargeted};
 use super::terminal::{complain, note, say};
@@ -87,11 +87,6 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         }
         _ => live(&mut retarget, arguments),
     }
-}
-
-/// Whether two paths lead to the same existing file.
-fn is_same_file(a: &Path, b: &Path) -> bool {
-    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 /// One line about the skeleton and its joint map.

@@ -79,8 +79,8 @@ pub(super) struct Arguments {
     #[cfg(feature = "view")]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = super::view::ADDRESS)]
     view: Option<String>,
-    /// Serve the stage to Foxglove and Lichtblick, on this address: open ws://ADDRESS there. Everybody who can
-    /// reach the address may look.
+    /// Serve the stage to Foxglove and Lichtblick. Open ws://ADDRESS in them. No token: everybody who can
+    /// reach the address can connect.
     #[cfg(feature = "view")]
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = super::view::FOXGLOVE)]
     foxglove: Option<String>,

@@ -30,9 +30,10 @@ start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own
        performer anew, and publish no poses for some tenths of a second.
 stop   Recorders end the file, one second later. Nodes go on.
 reset  Nodes forget the performer's body: somebody else comes.
-label  Nodes set the name (--note) and the colour (--colour) that programs show for the performer NAME;
-       without one of them, its default. It holds until the node ends.
-lock   A reset leaves the body of the performer NAME as it is, until unlock.
+label  Sets the name and the colour that programs show for performer NAME, until the node ends. An
+       option that is not given is set to its default.
+lock   Keeps the body of performer NAME at a reset.
+unlock Ends the lock: a reset forgets the body again.
 mend   Nodes correct the calibration of a moved camera, once its new pose is known (event camera_moved).
        The node overwrites its TOML calibration file and keeps a copy; another format stays unchanged.
 note   Recorders add --note and --mark to takes.csv in their folder, for NAME, or else for the running
@@ -45,7 +46,7 @@ Examples:
   bundlemocap take start walk_01
   bundlemocap take stop
   bundlemocap take note --mark good --note \"left hand is best\"
-  bundlemocap take label p3 --note \"the lead\" --colour '#d55e00'
+  bundlemocap take label p3 --display-name \"the lead\" --colour '#d55e00'
   bundlemocap take mend cam03
   bundlemocap take reset --connect tcp/192.168.1.10:7447")]
 pub(super) struct Arguments {
@@ -54,18 +55,21 @@ pub(super) struct Arguments {
     action: Action,
     /// Name of the take: letters, digits, `-`, `_` and `.`. Without it: the running take; for
     /// note, else the last one. For mend: the name of the camera. For label, lock and unlock: the performer,
-    /// as in its topics.
+    /// such as p3.
     #[arg(required_if_eq_any([
         ("action", "start"), ("action", "mend"), ("action", "label"), ("action", "lock"), ("action", "unlock"),
     ]))]
     name: Option<String>,
-    /// Text of the note; for label, the name to show. Empty: that of the topics.
+    /// Text of the note.
     #[arg(long, default_value = "", hide_default_value = true)]
     note: String,
     /// Rating of the take.
     #[arg(long, value_parser = ["good", "bad"])]
     mark: Option<String>,
-    /// For label: the colour, such as '#d55e00'. Empty: the program's choice.
+    /// For label: the name to show. Default: that of the topics.
+    #[arg(long, default_value = "", hide_default_value = true)]
+    display_name: String,
+    /// For label: the colour, such as '#d55e00'. Default: chosen by the program that shows it.
     #[arg(long, default_value = "", hide_default_value = true)]
     colour: String,
     #[command(flatten)]
@@ -84,7 +88,7 @@ enum Action {
     Label,
     /// Keep a performer's body when the others are forgotten.
     Lock,
-    /// Let a reset forget the performer's body again.
+    /// Forget the performer's body again at a reset.
     Unlock,
     /// Correct the calibration of a moved camera.
     Mend,
@@ -110,8 +114,8 @@ impl Action {
     const fn roles(self) -> &'static [&'static str] {
         match self {
             Self::Start | Self::Stop => &["node", "recorder"],
-            Self::Reset | Self::Mend | Self::Label | Self::Lock | Self::Unlock => &["node"],
             Self::Note => &["recorder"],
+            _ => &["node"],
         }
     }
 }
@@ -129,8 +133,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         return Err(Failure::new(Exit::Usage, "note needs --note, --mark, or both"));
     }
     let (note, mark) = (arguments.note.clone(), arguments.mark.clone().unwrap_or_default());
-    let (action, colour) = (arguments.action.name().into(), arguments.colour.clone());
-    let take = Take { id, action, name, note, mark, colour };
+    let (display_name, colour) = (arguments.display_name.clone(), arguments.colour.clone());
+    if arguments.action != Action::Label && !(display_name.is_empty() && colour.is_empty()) {
+        return Err(Failure::new(Exit::Usage, "--display-name and --colour are for label"));
+    }
+    let action = arguments.action.name().into();
+    let take = Take { id, action, name, note, mark, display_name, colour };
     let answers = command(&*bus, &topics(&config), &take, arguments.action.roles(), LEAD)?;
     for TakeAnswer { role, text, refused, .. } in &answers {
         match refused {

@@ -93,6 +93,7 @@ pub(super) fn live(config: Config) -> Source {
     Source::Live(stage(config))
 }
 
+/// The stage of the settings, as a client of the bus.
 pub(super) fn stage(config: Config) -> Arc<Live> {
     Arc::new(Live::new(topics(&config), move || open_client(&config.bus)))
 }

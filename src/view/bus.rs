@@ -83,13 +83,15 @@ struct Slate {
     #[serde(default)]
     mark: String,
     #[serde(default)]
+    display_name: String,
+    #[serde(default)]
     colour: String,
 }
 
 impl Slate {
     /// The command, unless the page has not checked what the user entered.
     fn take(self) -> Option<Take> {
-        let Self { id, action, name, note, mark, colour } = self;
+        let Self { id, action, name, note, mark, display_name, colour } = self;
         let is_sound = match &*action {
             "start" | "label" | "lock" | "unlock" => valid_name(&name).is_ok(),
             // Cameras may have any name.
@@ -97,7 +99,7 @@ impl Slate {
             "stop" | "reset" | "note" => name.is_empty() || valid_name(&name).is_ok(),
             _ => false,
         };
-        is_sound.then_some(Take { id: id.into(), action, name, note, mark, colour })
+        is_sound.then_some(Take { id: id.into(), action, name, note, mark, display_name, colour })
     }
 }
 

@@ -88,7 +88,7 @@ impl Running {
     }
 }
 
-/// The address as others reach it: with one for all networks, this computer by its name.
+/// The address for other computers: host name and port if the server listens on all networks.
 pub(super) fn reachable(address: SocketAddr) -> String {
     match address.ip().is_unspecified() {
         true => {
@@ -173,10 +173,8 @@ async fn body() -> Response {
 
 /// What a blocking task has made.
 fn answer<T: IntoResponse>(kind: &'static str, made: Result<T, JoinError>) -> Response {
-    match made {
-        Ok(content) => ([(CONTENT_TYPE, kind)], content).into_response(),
-        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
-    }
+    let ok = |content| ([(CONTENT_TYPE, kind)], content).into_response();
+    made.map_or_else(|error| failed(&error), ok)
 }
 
 /// A body whose skin is wanted.
@@ -197,7 +195,10 @@ async fn rest(Query(Rest { offsets }): Query<Rest>) -> Response {
             answer("application/octet-stream", skin)
         }
         None => {
-            let reason = format!("offsets: {} numbers below 1 m, with commas\n", 3 * JOINTS);
+            let reason = format!(
+                "offsets must be {} numbers with commas between them, each between -1 and 1 (metres)\n",
+                3 * JOINTS
+            );
             (StatusCode::BAD_REQUEST, reason).into_response()
         }
     }
@@ -258,10 +259,9 @@ async fn messages(State(source): State<Source>, Query(part): Query<Part>) -> Res
     let Ok(_permit) = READERS.acquire().await else { return missing() };
     // Reading may take a while; other requests are answered meanwhile.
     let read = move || recorded.frames(span, &part.kinds.split(',').collect::<Vec<_>>());
-    match tokio::task::spawn_blocking(read).await {
-        Ok(Ok(frames)) => ([(CONTENT_TYPE, "application/octet-stream")], frames).into_response(),
+    match spawn_blocking(read).await {
         Ok(Err(error)) => failed(&error),
-        Err(error) => failed(&error),
+        made => answer("application/octet-stream", made.map(Result::unwrap_or_default)),
     }
 }
 

@@ -255,10 +255,11 @@ for message in read_protobuf_messages(sys.argv[1]):
                 point = tuple(p + m for p, m in zip(turned(one.rotation, point), (move.x, move.y, move.z)))
                 name = one.parent_frame_id
             return point
-        head = bones.spheres[0].pose.position
-        off = max(abs(a - b) for a, b in zip(place("actor/head"), (head.x, head.y, head.z)))
-        assert off < 1e-9, off
-        assert len(bones.lines[0].points) == 42 and bones.frame_id == "world"
+        ends = bones.lines[0].points[1::2]
+        for one, end in zip(shown.transforms[1:], ends, strict=True):
+            off = max(abs(a - b) for a, b in zip(place(one.child_frame_id), (end.x, end.y, end.z)))
+            assert off < 1e-9, (one.child_frame_id, off)
+        assert bones.frame_id == "world"
 up = turned(frames["world"].rotation, (0.0, 1.0, 0.0))
 assert max(abs(a - b) for a, b in zip(up, (0.0, 0.0, 1.0))) < 1e-9, up
 print(" ".join(f"{topic}={counts[topic]}" for topic in sorted(counts)))

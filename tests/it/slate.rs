@@ -226,7 +226,7 @@ fn a_label_and_a_lock_stay_until_they_are_changed() {
         let take = Take {
             action: "label".into(),
             name: performer.into(),
-            note: shown.into(),
+            display_name: shown.into(),
             colour: colour.into(),
             ..Take::default()
         };
@@ -249,8 +249,11 @@ fn a_label_and_a_lock_stay_until_they_are_changed() {
     let answers = world.heard.of::<TakeAnswer>(&Topics::default().take_answers());
     let refused: Vec<bool> = answers.iter().map(|(_, answer)| answer.refused).collect();
     assert_eq!(refused, [false, true, false, true, true, true, false, false, false], "{answers:?}");
-    assert_eq!(answers[1].1.text, "actor: locked, so the body is kept: actor; unlock first");
-    assert_eq!(answers[2].1.text, "actor: actor is shown as \"the lead\" #d55e00");
+    assert_eq!(
+        answers[1].1.text,
+        "actor: all performers are locked (actor): unlock one, then reset"
+    );
+    assert_eq!(answers[2].1.text, "actor: actor is shown as \"the lead\", #d55e00");
     let statuses = world.heard.of::<Status>(&Topics::default().status());
     let label_at = |seconds| {
         let (_, status) = statuses.iter().rfind(|(time, _)| *time < at(seconds)).unwrap();

@@ -65,7 +65,7 @@ test("the skin of the page is the skin of the library", async () => {
   const { joints, rotations, offsets } = wanted;
   const moved = template.forward(offsets, joints.slice(0, 3), rotations);
   joints.forEach((x, k) => assert.ok(Math.abs(moved[k] - x) < 2e-4, `joint ${k / 3}: ${moved[k]}, not ${x}`));
-  const matrices = new Float32Array(16 * template.count);
+  const matrices = new Float32Array(16 * template.turns.length);
   template.pose(offsets, joints, rotations, matrices);
   for (const [vertex, at] of Object.entries(wanted.vertices)) {
     const sum = [0, 0, 0];

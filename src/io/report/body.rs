@@ -4,21 +4,23 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use serde_json::{Value, json};
 
-use crate::core::body::{Joint, Mesh, STEPS, Skeleton, bulge};
+use crate::core::body::{Joint, Mesh, Skeleton};
+use crate::io::wire;
 
-/// What all bodies share, in base64: the corners of the faces (u16), and of each vertex four bones (u8)
-/// and their weights (u8, together 255); then the bones, see [`Mesh`].
+/// What all bodies share. In base64: the corners of the faces (u16), and of each vertex four bones (u8) and
+/// their weights (u8, together 255). For each bone, as in [`Mesh::bones`], joint and part of the turn. For each
+/// joint its [`Mesh::bulge`] and its parent; -1: none.
 pub(crate) fn template() -> Value {
     let mesh = Mesh::template();
     let corners = mesh.faces().as_flattened().iter();
     let faces: Vec<u8> = corners.flat_map(|corner| (*corner as u16).to_le_bytes()).collect();
     let (bones, weights): (Vec<u8>, Vec<u8>) = mesh.influences().iter().flat_map(whole).unzip();
     let [faces, bones, weights] = [faces, bones, weights].map(|bytes| BASE64.encode(bytes));
-    let bulge = Joint::ALL.map(bulge);
-    let parent = |joint: Joint| joint.parent().map_or(-1, |parent| parent.index() as i32);
-    let parents = Joint::ALL.map(parent);
-    json!({ "faces": faces, "bones": bones, "weights": weights, "steps": STEPS,
-            "bulge": bulge, "parents": parents })
+    let turns: Vec<_> =
+        Mesh::bones().into_iter().map(|(joint, part)| (joint.index(), part)).collect();
+    let parents = wire::Skeleton::from_core(&Skeleton::default()).parents;
+    json!({ "faces": faces, "bones": bones, "weights": weights, "turns": turns,
+            "bulge": Joint::ALL.map(Mesh::bulge), "parents": parents })
 }
 
 /// Influences whose weights are whole numbers that add up to 255.

@@ -70,7 +70,7 @@ pub struct PlayerPose {
 }
 
 impl PlayerPose {
-    /// A pose, rounded to a millimetre and some thousandths of a degree.
+    /// A pose, rounded to 1 mm and about 0.004 degrees.
     pub fn new(capture: Timestamp, state: TrackingState, pose: &Pose) -> Self {
         let rounded = |rotation: &Matrix3<f64>| {
             so3::xyzw_from_rotation(rotation).map(|number| (32767.0 * number).round() as i16)
@@ -96,8 +96,7 @@ impl Track {
         let [seconds, states, root_mm, rotations, rest] =
             [seconds, states, root_mm, rotations, super::body::rest(body)]
                 .map(|bytes| BASE64.encode(bytes));
-        let offsets: Vec<f64> =
-            Joint::ALL.iter().flat_map(|joint| body.offset(*joint).iter().copied()).collect();
+        let offsets = wire::Skeleton::from_core(body).rest_offsets_m;
         json!({ "name": name, "seconds": seconds, "states": states, "root_mm": root_mm,
                 "rotations": rotations, "rest": rest, "offsets": offsets })
     }

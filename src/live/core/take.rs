@@ -50,7 +50,7 @@ impl Core {
         self.answer(take.id, done);
     }
 
-    /// Does what the slate says, except to begin a take; says what was done.
+    /// Does the action of a slate, all but `start`. Returns the answer.
     fn follow(&mut self, take: &Take) -> Result<String, String> {
         let is_other = !take.name.is_empty() && take.name != self.running;
         match take.action.as_str() {
@@ -76,8 +76,8 @@ impl Core {
         let keep: Vec<usize> = (0..labels.len()).filter(|number| labels[*number].locked).collect();
         let names: Vec<String> = keep.iter().map(|number| self.name_of(*number)).collect();
         let names = names.join(", ");
-        if !keep.is_empty() && keep.len() == self.numbers() {
-            return Err(format!("locked, so the body is kept: {names}; unlock first"));
+        if !keep.is_empty() && keep.len() == self.known_count() {
+            return Err(format!("all performers are locked ({names}): unlock one, then reset"));
         }
         if let Some(stage) = &mut self.stage {
             stage.forget(&keep.into_iter().map(PerformerId).collect::<Vec<_>>());
@@ -92,7 +92,7 @@ impl Core {
     }
 
     /// Number of performers who are known, in this take or before.
-    fn numbers(&self) -> usize {
+    fn known_count(&self) -> usize {
         let known =
             self.settings.carried.performers.iter().map(|known| known.performer.0 + 1).max();
         self.performers.len().max(known.unwrap_or(0)).max(usize::from(!self.is_several()))
@@ -100,11 +100,12 @@ impl Core {
 
     /// The label of the performer with that name in its topics.
     fn label_by_name(&mut self, name: &str) -> Result<&mut PerformerLabel, String> {
-        let names: Vec<String> = (0..self.numbers()).map(|number| self.name_of(number)).collect();
+        let names: Vec<String> =
+            (0..self.known_count()).map(|number| self.name_of(number)).collect();
         let number =
             names.iter().position(|one| one == name).ok_or_else(|| match &*names.join(", ") {
-                "" => format!("no performer {name:?}: nobody was seen yet"),
-                names => format!("no performer {name:?}, but {names}"),
+                "" => format!("no performer {name:?}: no performer was seen yet"),
+                names => format!("no performer {name:?}; known: {names}"),
             })?;
         let labels = &mut self.settings.carried.labels;
         if labels.len() <= number {
@@ -113,41 +114,43 @@ impl Core {
         Ok(&mut labels[number])
     }
 
-    /// The labels for the next take. Of several performers, those whom it knows: another number may go to
-    /// somebody else.
+    /// The labels for the next take. With several performers, only of those whom it knows: another number may
+    /// go to somebody else.
     fn labels_of_known(&self) -> Vec<PerformerLabel> {
         let known = self.stage.as_ref().map_or_else(Vec::new, Stage::known);
-        let is_known = |number: usize| known.iter().any(|known| known.performer.0 == number);
         let mut labels = self.settings.carried.labels.clone();
-        if self.is_several() {
-            let unknown = labels.iter_mut().enumerate().filter(|(number, _)| !is_known(*number));
-            unknown.for_each(|(_, label)| *label = PerformerLabel::default());
+        for (number, label) in labels.iter_mut().enumerate().filter(|_| self.is_several()) {
+            if !known.iter().any(|known| known.performer.0 == number) {
+                *label = PerformerLabel::default();
+            }
         }
         labels
     }
 
-    /// Gives a performer a name and a colour to show.
+    /// Sets the name and the colour of a performer that programs show.
     fn label(&mut self, take: &Take) -> Result<String, String> {
-        let Take { name, note: shown, colour, .. } = take;
-        if shown.chars().count() > MOST_SHOWN || shown.chars().any(char::is_control) {
-            return Err(format!("a name has at most {MOST_SHOWN} characters, in one line"));
+        let Take { name, display_name, colour, .. } = take;
+        if display_name.chars().count() > MOST_SHOWN || display_name.chars().any(char::is_control) {
+            return Err(format!(
+                "the name to show is too long or has line breaks; at most {MOST_SHOWN} characters"
+            ));
         }
         let is_hex =
             |digits: &str| digits.len() == 6 && digits.bytes().all(|b| b.is_ascii_hexdigit());
         if !colour.is_empty() && !colour.strip_prefix('#').is_some_and(is_hex) {
-            return Err(format!("{colour:?} is no colour such as #0072b2"));
+            return Err(format!("colour {colour:?}: write # and six hex digits, such as #0072b2"));
         }
         let label = self.label_by_name(name)?;
-        (label.display_name, label.colour) = (shown.clone(), colour.clone());
-        Ok(format!("{name} is shown as {:?} {colour}", if shown.is_empty() { name } else { shown })
-            .trim_end()
-            .to_owned())
+        (label.display_name, label.colour) = (display_name.clone(), colour.clone());
+        let shown = if display_name.is_empty() { name } else { display_name };
+        let colour = if colour.is_empty() { "the default colour" } else { colour };
+        Ok(format!("{name} is shown as {shown:?}, {colour}"))
     }
 
     fn lock(&mut self, name: &str, locked: bool) -> Result<String, String> {
         self.label_by_name(name)?.locked = locked;
         Ok(match locked {
-            true => format!("{name} is locked: a reset leaves the body as it is"),
+            true => format!("{name} is locked: a reset keeps the body"),
             false => format!("{name} is unlocked"),
         })
     }

@@ -1,6 +1,7 @@
 // The page: what is shown when.
 
 import { fetchSkins } from "./bodies.js";
+import { Template } from "./body.js";
 import { Charts } from "./charts.js";
 import { colour } from "./colours.js";
 import { RANK, cameraLight, levelOf, nodeLight, setExpected } from "./lights.js";
@@ -27,7 +28,7 @@ const view = new View($("canvas"), $("labels"));
 /** Performers are bones until the template is here. */
 async function fetchTemplate() {
   try {
-    view.setTemplate(await (await fetch("body.json")).json());
+    view.setTemplate(new Template(await (await fetch("body.json")).json()));
   } catch {
     setTimeout(fetchTemplate, 2000);
   }
@@ -62,8 +63,8 @@ const hidden = new Set();
 
 /** How a performer is shown: its label's name and colour, if there are any. */
 function lookOf({ name, number }) {
-  const { display_name: shown, colour: tint, locked = false } = store.statusOf.get(name)?.label ?? {};
-  return { name, shown: shown || name, tint: tint || colour(number), locked };
+  const { display_name, colour: own, locked } = store.labelOf(name);
+  return { name, shown: display_name || name, tint: own || colour(number), locked };
 }
 
 /** The performers at a time, as scene and panes draw them. */
@@ -245,7 +246,7 @@ function performerRow(name) {
   };
   const [item, swatch, shown, state] = [element("li", ""), element("span", "", "swatch"), element("span", ""), element("span", "")];
   const [who, edit, hide] = [button("", "follow", "who"), button("edit", "label"), button("hide", "hide")];
-  const [row, words] = [element("div", "", "row"), element("div", "locked: a reset keeps the body", "words")];
+  const [row, words] = [element("div", "", "row"), element("div", "locked: Reset body does not change it", "words")];
   edit.hidden = !isLive;
   who.append(swatch, shown);
   row.append(who, state, edit, hide);

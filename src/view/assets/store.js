@@ -199,6 +199,12 @@ export class Store {
     this.statuses.add(this.clock(arrival), { at: Number(arrival) / 1e9, seconds, status });
   }
 
+  /** How a performer is shown; empty: by default. */
+  labelOf(name) {
+    const { display_name = "", colour = "", locked = false } = this.statusOf.get(name)?.label ?? {};
+    return { display_name, colour, locked };
+  }
+
   /** The time of an arrival among the capture times: seconds since the first arrival. */
   clock(arrival) {
     this.firstArrival ??= arrival;

@@ -3,9 +3,8 @@
 const $ = (id) => document.getElementById(id);
 /** How long nodes and recorders have for an answer, ms. */
 const PATIENCE = 5000;
-/** Who answers a command, if not both nodes and recorders. */
-const ANSWERERS = Object.fromEntries(["reset", "mend", "label", "lock", "unlock"].map((action) => [action, ["node"]]));
-ANSWERERS.note = ["recorder"];
+/** Who answers a command, if not nodes alone. */
+const ANSWERERS = { start: ["node", "recorder"], stop: ["node", "recorder"], note: ["recorder"] };
 
 /**
  * Connects the forms with a live stage; `lookOf` says how a performer is shown. Call the result a few times a second:
@@ -51,10 +50,10 @@ export function takes(store, source, lookOf) {
   $("performers").addEventListener("click", ({ target }) => {
     const one = store.performers.get(target.dataset.label);
     if (!one) return;
-    const { display_name: shown = "", colour = "", locked = false } = store.statusOf.get(one.name)?.label ?? {};
-    edited = { name: one.name, shown, colour, locked };
+    edited = { name: one.name, ...store.labelOf(one.name) };
     $("labelled").textContent = one.name;
-    [$("shown").value, $("locked").checked, $("usual").checked] = [shown, locked, colour === ""];
+    [$("shown").value, $("locked").checked] = [edited.display_name, edited.locked];
+    $("usual").checked = edited.colour === "";
     $("colour").value = lookOf(one).tint;
     $("label").returnValue = "";
     $("label").showModal();
@@ -62,11 +61,11 @@ export function takes(store, source, lookOf) {
   $("colour").addEventListener("input", () => ($("usual").checked = false));
   $("label").addEventListener("close", () => {
     if ($("label").returnValue !== "save") return;
-    const { name, shown, colour, locked } = edited;
-    const wanted = { note: $("shown").value.trim(), colour: $("usual").checked ? "" : $("colour").value };
+    const { name, display_name, colour, locked } = edited;
+    const wanted = { display_name: $("shown").value.trim(), colour: $("usual").checked ? "" : $("colour").value };
     const all = [];
     if ($("locked").checked !== locked) all.push([locked ? "unlock" : "lock", name]);
-    if (wanted.note !== shown || wanted.colour !== colour) all.push(["label", name, wanted]);
+    if (wanted.display_name !== display_name || wanted.colour !== colour) all.push(["label", name, wanted]);
     if (all.length > 0) commands(...all);
   });
   return () => {
@@ -87,7 +86,7 @@ export function takes(store, source, lookOf) {
     if (!sent) return;
     answers.push(...store.answers.splice(0).filter(({ id }) => sent.ids.includes(id)));
     const lines = answers.map(({ role, text = "", refused }) => `${role}${refused ? " refuses" : ""}: ${text}`);
-    const wanted = ANSWERERS[sent.action] ?? ["node", "recorder"];
+    const wanted = ANSWERERS[sent.action] ?? ["node"];
     const isOver = performance.now() - sent.at > PATIENCE;
     for (const role of isOver ? wanted.filter((one) => answers.every((answer) => answer.role !== one)) : []) {
       lines.push(role === "recorder" ? "no recorder answered: start `bundlemocap record takes/`" : "no node answered");

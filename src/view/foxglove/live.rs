@@ -4,7 +4,7 @@ use std::io::ErrorKind;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::sync::mpsc::sync_channel;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ use crate::view::server::{ViewError, give_way, reachable};
 /// What is shown, below the stage.
 const PATTERNS: [&str; 5] =
     ["rig", "camera/*/keypoints", "actor/*/skeleton", "actor/*/status", "actor/*/pose"];
-/// Most messages that wait; those that come while it is full are dropped, as larger messages are.
+/// Most messages in the queue. When it is full, new messages are dropped; so are those larger than [`MOST_BYTES`].
 const WAITING: usize = 4096;
 /// How often the number of clients is read, and the pause before a bus that failed is opened again.
 const LOOK: Duration = Duration::from_millis(100);
@@ -99,12 +99,12 @@ pub fn bridge(address: &str, live: Arc<Live>) -> Result<Bridge, ViewError> {
     })?;
     let address = SocketAddr::new(resolved.ip(), server.port());
     let stop = Arc::new(AtomicBool::new(false));
-    let shared = (Arc::clone(&stop), clients);
-    let follow = move || {
+    let stopped = Arc::clone(&stop);
+    let run = move || {
         give_way();
-        follow(&live, channels, &shared.0, &shared.1);
+        follow(&live, channels, &stopped, &clients);
     };
-    let thread = std::thread::Builder::new().name("foxglove-bus".into()).spawn(follow);
+    let thread = std::thread::Builder::new().name("foxglove-bus".into()).spawn(run);
     let thread = Some(thread.map_err(ViewError::Thread)?);
     Ok(Bridge { address, server: Some(server), stop, thread, runtime: Some(runtime) })
 }
@@ -118,7 +118,7 @@ fn follow(live: &Live, mut channels: Channels, stop: &AtomicBool, clients: &Clie
             continue;
         }
         if let Err(error) = pass_on(live, &mut channels, is_wanted) {
-            tracing::warn!("no messages for Foxglove: {error}");
+            tracing::warn!("Foxglove gets no messages, trying again: {error}");
             std::thread::sleep(REST);
         }
     }
@@ -145,11 +145,7 @@ fn pass_on(
         guards.push(bus.subscribe(&format!("mocap/{stage}/{pattern}"), Box::new(sink))?);
     }
     while is_wanted() {
-        let sample = match samples.recv_timeout(LOOK) {
-            Ok(sample) => sample,
-            Err(RecvTimeoutError::Timeout) => continue,
-            Err(RecvTimeoutError::Disconnected) => break,
-        };
+        let Ok(sample) = samples.recv_timeout(LOOK) else { continue };
         let Some(schema) = schema_of(&sample.topic, &sample.encoding) else { continue };
         if let Ok(message) = Message::decode(&sample.topic, schema, ENCODING, &sample.payload) {
             channels.handle(&sample.topic, &message);
@@ -157,7 +153,9 @@ fn pass_on(
     }
     let dropped = dropped.load(Ordering::Relaxed);
     if dropped > 0 {
-        tracing::warn!("{dropped} messages did not go to Foxglove: too many, or too large");
+        tracing::warn!(
+            "{dropped} messages were not sent to Foxglove: the queue was full, or they were too large"
+        );
     }
     Ok(())
 }

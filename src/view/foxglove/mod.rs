@@ -31,17 +31,19 @@ pub use live::{Bridge, bridge};
 
 /// The cameras are published again after this time, for clients that came later.
 const AGAIN: Nanos = Nanos::SECOND;
+/// A recording begins again if times go back by more.
+const LOOP: Nanos = Nanos::from_ms(10_000);
 
 /// The channels to Foxglove, and what is known of the stage.
 struct Channels {
     context: Arc<Context>,
-    performers: Channel<SceneUpdate>,
+    scene: Channel<SceneUpdate>,
     transforms: Channel<FrameTransforms>,
     /// Of the cameras of the rig.
     cameras: BTreeMap<String, CameraChannels>,
     rig: Option<Rig>,
-    /// By name.
-    bodies: BTreeMap<String, Performer>,
+    /// By name, from the first skeleton on.
+    performers: BTreeMap<String, Performer>,
     /// When the cameras are published again.
     next: Option<Timestamp>,
 }
@@ -53,9 +55,8 @@ struct CameraChannels {
 }
 
 /// What is known of a performer.
-#[derive(Default)]
 struct Performer {
-    /// In the order of coming, for the colour.
+    /// Number in the order of arrival; it chooses the colour.
     number: usize,
     body: Skeleton,
     label: PerformerLabel,
@@ -64,40 +65,44 @@ struct Performer {
 impl Channels {
     fn new(context: Arc<Context>) -> Self {
         Self {
-            performers: context.channel_builder("/performers").build(),
+            scene: context.channel_builder("/performers").build(),
             transforms: context.channel_builder("/tf").build(),
             cameras: BTreeMap::new(),
             rig: None,
-            bodies: BTreeMap::new(),
+            performers: BTreeMap::new(),
             next: None,
             context,
         }
     }
 
-    /// Publishes a message of the bus or of a recording; whether it is of a kind that is shown.
+    /// Publishes a message in Foxglove's schemas. Returns whether it was a pose or keypoints.
     fn handle(&mut self, topic: &str, message: &Message) -> bool {
         let name = Topic::actor(topic);
         match message {
-            // They are checked: the conversions succeed.
-            Message::Rig(rig) => self.set_rig(rig.to_core().ok()),
+            // Decoded messages are valid: the conversions do not fail.
+            Message::Rig(rig) => {
+                if let Ok(rig) = rig.to_core() {
+                    self.set_rig(rig);
+                }
+            }
             Message::Skeleton(body) => {
                 if let Ok(body) = body.to_core() {
-                    let number = self.bodies.len();
-                    let new = || Performer { number, ..Performer::default() };
-                    self.bodies.entry(name).or_insert_with(new).body = body;
+                    let (number, label) = (self.performers.len(), PerformerLabel::default());
+                    let new = Performer { number, body: body.clone(), label };
+                    self.performers.entry(name).or_insert(new).body = body;
                 }
             }
             Message::Status(status) => {
-                if let Some(one) = self.bodies.get_mut(&name) {
+                if let Some(one) = self.performers.get_mut(&name) {
                     one.label = status.label.clone().unwrap_or_default();
                 }
             }
             Message::Pose(pose) if !pose.provisional => {
                 let Ok(pose) = pose.to_core() else { return false };
-                let Some(one) = self.bodies.get(&name) else { return false };
+                let Some(one) = self.performers.get(&name) else { return false };
                 let at = shown::nanoseconds(pose.capture);
-                if self.performers.has_sinks() {
-                    self.performers.log_with_time(&shown::bones(&name, one, &pose), at);
+                if self.scene.has_sinks() {
+                    self.scene.log_with_time(&shown::bones(&name, one, &pose), at);
                 }
                 if self.transforms.has_sinks() {
                     self.transforms.log_with_time(&shown::joints(&name, &one.body, &pose), at);
@@ -121,8 +126,7 @@ impl Channels {
         false
     }
 
-    fn set_rig(&mut self, rig: Option<Rig>) {
-        let Some(rig) = rig else { return };
+    fn set_rig(&mut self, rig: Rig) {
         for camera in &rig.cameras {
             let topic = |what| format!("/camera/{}/{what}", camera.name);
             self.cameras.entry(camera.name.clone()).or_insert_with(|| CameraChannels {
@@ -133,9 +137,10 @@ impl Channels {
         (self.rig, self.next) = (Some(rig), None);
     }
 
-    /// Publishes where the cameras are, if it is time. Keypoints are ahead of poses by the latency.
+    /// Publishes the cameras once a second of capture time. Times may go back: by the latency, since keypoints
+    /// come before the poses of their time; by more, a recording begins again.
     fn publish_cameras(&mut self, at: Timestamp) {
-        let is_early = self.next.is_some_and(|next| (next - AGAIN * 10..next).contains(&at));
+        let is_early = self.next.is_some_and(|next| (next - LOOP..next).contains(&at));
         let Some(rig) = self.rig.as_ref().filter(|_| !is_early) else { return };
         self.next = Some(at + AGAIN);
         let ns = shown::nanoseconds(at);
@@ -165,7 +170,7 @@ impl<W: Write + Seek + Send + 'static> FoxgloveFile<W> {
         Ok(Self { channels: Channels::new(context), file })
     }
 
-    /// Adds a message; whether it is a pose or an image's keypoints, which are written.
+    /// Adds a message. Returns whether it was a pose or keypoints.
     pub fn add(&mut self, topic: &str, message: &Message) -> bool {
         self.channels.handle(topic, message)
     }

@@ -24,18 +24,13 @@ const BONE: f64 = 0.035;
 const HEAD: f64 = 0.2;
 /// Radius of a keypoint, pixels.
 const POINT: f64 = 3.0;
-/// A performer without poses is shown for this long, nanoseconds.
+/// How long a pose is shown if no newer one comes, nanoseconds.
 const KEPT_NS: u32 = 500_000_000;
-/// The colours of performers \[Okabe 2008\].
-const COLOURS: [[f64; 3]; 6] = [
-    [0.000, 0.447, 0.698],
-    [0.902, 0.624, 0.000],
-    [0.000, 0.620, 0.451],
-    [0.800, 0.475, 0.655],
-    [0.337, 0.706, 0.914],
-    [0.835, 0.369, 0.000],
-];
-const GREY: [f64; 3] = [0.54, 0.56, 0.6];
+/// The colours of performers \[Okabe 2008\], as on the page.
+const COLOURS: [&str; 8] =
+    ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#8a8f98"];
+/// The colour of a pose that is not tracked.
+const GREY: &str = "#8a8f98";
 
 /// Nanoseconds since 1970; 0 before.
 pub(super) fn nanoseconds(at: Timestamp) -> u64 {
@@ -48,7 +43,10 @@ fn stamp(at: Timestamp) -> Option<messages::Timestamp> {
     Some(messages::Timestamp::new(u32::try_from(s).unwrap_or(u32::MAX), ns as u32))
 }
 
-fn colour([r, g, b]: [f64; 3], a: f64) -> Option<Color> {
+/// A colour such as #0072b2, with opacity `a`; `None`: another text.
+fn colour(hex: &str, a: f64) -> Option<Color> {
+    let digits = u32::from_str_radix(hex.strip_prefix('#')?, 16).ok()?;
+    let [r, g, b] = [16, 8, 0].map(|shift| f64::from(digits >> shift & 0xff) / 255.0);
     Some(Color { r, g, b, a })
 }
 
@@ -59,12 +57,6 @@ fn vector(v: &Vector3<f64>) -> Option<messages::Vector3> {
 fn quaternion(rotation: &Matrix3<f64>) -> Option<Quaternion> {
     let [x, y, z, w] = so3::xyzw_from_rotation(rotation);
     Some(Quaternion { x, y, z, w })
-}
-
-/// A colour such as #0072b2.
-fn parsed(text: &str) -> Option<[f64; 3]> {
-    let digits = u32::from_str_radix(text.strip_prefix('#')?, 16).ok()?;
-    Some([16, 8, 0].map(|shift| f64::from(digits >> shift & 0xff) / 255.0))
 }
 
 /// The bones and the name of a performer.
@@ -79,7 +71,10 @@ pub(super) fn bones(
         Point3 { x: p.x, y: p.y, z: p.z }
     };
     let both = |joint: Joint| joint.parent().map(|parent| [point(parent), point(joint)]);
-    let own = parsed(&label.colour).unwrap_or(COLOURS[number % COLOURS.len()]);
+    let own = match &*label.colour {
+        "" => COLOURS[number % COLOURS.len()],
+        own => own,
+    };
     let color = colour(if *state == TrackingState::Tracking { own } else { GREY }, 1.0);
     let placed = |position: &Vector3<f64>| {
         let orientation = quaternion(&Matrix3::identity());
@@ -202,7 +197,7 @@ pub(super) fn keypoints(frame: &KeypointFrame) -> ImageAnnotations {
             r#type: PointsType::Points as i32,
             points: seen().map(|p| Point2 { x: p[0].into(), y: p[1].into() }).collect(),
             outline_colors: seen()
-                .filter_map(|point| colour(*shade, f64::from(point[2]).clamp(0.2, 1.0)))
+                .filter_map(|point| colour(shade, f64::from(point[2]).clamp(0.2, 1.0)))
                 .collect(),
             thickness: 2.0 * POINT,
             ..PointsAnnotation::default()

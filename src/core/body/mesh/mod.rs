@@ -17,12 +17,11 @@ use super::pose::Pose;
 use super::skeleton::Skeleton;
 use crate::core::so3;
 
-/// From a joint's parent to the joint the skin turns in as many equal steps; each but the last is a
-/// bone of its own.
-pub const STEPS: usize = 3;
+/// The turn between a joint's parent and the joint is divided into this many equal steps. Each step before
+/// the last has its own bone.
+const STEPS: usize = 3;
 
 /// Number of bones: the joints, then for each joint but the pelvis those between its parent and it.
-/// Bones turn about their joint.
 const BONES: usize = JOINTS + (JOINTS - 1) * (STEPS - 1);
 
 /// The bone of a step from the parent of `joint`, 0, to `joint`.
@@ -34,7 +33,7 @@ const fn bone(joint: Joint, step: usize) -> usize {
     }
 }
 
-/// The joint that a bone turns about, and how far between the parent's rotation and the joint's it is.
+/// The joint that a bone turns about, and its part of the turn: 0 as the parent, 1 as the joint.
 fn joint_of(bone: usize) -> (Joint, f64) {
     match bone.checked_sub(JOINTS) {
         None => (Joint::ALL[bone], 1.0),
@@ -45,22 +44,9 @@ fn joint_of(bone: usize) -> (Joint, f64) {
     }
 }
 
-/// How much the bones between a joint and its parent bulge, so that limbs keep their volume: skin that
-/// is blended linearly shrinks where a limb bends. For a turn by an angle about an axis: the first
-/// number times 1 - cos(angle), plus the dot product of the others with sin(angle) axis.
-pub fn bulge(joint: Joint) -> [f64; 4] {
-    match joint {
-        Joint::LElbow | Joint::RElbow => [0.035, 0.0, 0.0, 0.0],
-        Joint::LKnee | Joint::RKnee => [0.05, 0.0, 0.0, 0.0],
-        // The shoulder is not in the middle of the flesh that it moves: the armpit is below.
-        Joint::LShoulder | Joint::RShoulder => [0.09, 0.0, 0.0, -0.17 * joint.side()],
-        _ => [0.03, 0.0, 0.0, 0.0],
-    }
-}
-
 /// The scale of the bones between a joint and its parent, for the joint's local rotation.
 fn bulged(joint: Joint, local: &Matrix3<f64>) -> f64 {
-    let [bent, x, y, z] = bulge(joint);
+    let [bent, x, y, z] = Mesh::bulge(joint);
     let sine = 0.5
         * Vector3::new(
             local[(2, 1)] - local[(1, 2)],
@@ -70,7 +56,9 @@ fn bulged(joint: Joint, local: &Matrix3<f64>) -> f64 {
     1.0 + bent * 0.5 * (3.0 - local.trace()) + Vector3::new(x, y, z).dot(&sine)
 }
 
-/// The template.
+/// The skin of all bodies: a closed, symmetric triangle mesh with skinning weights. Vertices are in metres; in
+/// the rest pose the pelvis is at the origin, +x to the left, y up, +z forwards. [`Mesh::rest`] fits it to a
+/// body, [`Mesh::posed`] poses it by linear blend skinning, [`Mesh::joints`] finds the joint centres.
 #[derive(Debug)]
 pub struct Mesh {
     vertices: Vec<Vector3<f64>>,
@@ -103,6 +91,26 @@ impl Mesh {
         &self.faces
     }
 
+    /// By bone, the joint that it turns about, and its part of the turn from the parent's rotation (0) to the
+    /// joint's (1). The first bones are the joints, in order.
+    pub fn bones() -> Vec<(Joint, f64)> {
+        (0..BONES).map(joint_of).collect()
+    }
+
+    /// How much the bones between a joint and its parent bulge, so that limbs keep their volume: skin that is
+    /// blended linearly shrinks where a limb bends. Their scale is 1 + b (1 - cos a) + s . n sin a for a turn
+    /// of the joint by the angle a about the unit axis n, in the parent's frame. Returns b and s, without
+    /// unit. They are set by hand; the test of volumes checks them.
+    pub fn bulge(joint: Joint) -> [f64; 4] {
+        match joint {
+            Joint::LElbow | Joint::RElbow => [0.035, 0.0, 0.0, 0.0],
+            Joint::LKnee | Joint::RKnee => [0.05, 0.0, 0.0, 0.0],
+            // The shoulder is not in the middle of the flesh that it moves: the armpit is below.
+            Joint::LShoulder | Joint::RShoulder => [0.09, 0.0, 0.0, -0.17 * joint.side()],
+            _ => [0.03, 0.0, 0.0, 0.0],
+        }
+    }
+
     /// The bones that move each vertex, with weights that add up to 1, the largest first.
     pub fn influences(&self) -> &[[(u8, f64); 4]] {
         &self.influences
@@ -126,7 +134,7 @@ impl Mesh {
         self.vertices.iter().zip(&self.influences).map(moved).collect()
     }
 
-    /// The vertices of a body in a pose, in the world, metres. `rest` are those of [`Mesh::rest`].
+    /// The vertices of a body in a pose, in the world, metres. `rest`: [`Mesh::rest`] of the same body.
     pub fn posed(&self, rest: &[Vector3<f64>], body: &Skeleton, pose: &Pose) -> Vec<Vector3<f64>> {
         let from = joints(body);
         let posture = pose.posture(body);
@@ -163,8 +171,8 @@ fn joints(body: &Skeleton) -> [Vector3<f64>; JOINTS] {
     Pose::rest().posture(body).positions
 }
 
-/// The size of each segment of a body, relative to the template's, by axis. Girths change half as much
-/// as lengths, as weight grows with the square of stature; the trunk is as broad as shoulders and hips.
+/// The size of each segment of a body, relative to the template's, by axis. A limb that is 10 % longer is 5 %
+/// thicker: weight grows with the square of stature. Shoulders and hips give the width of the trunk.
 struct Scales {
     offsets: [Vector3<f64>; JOINTS],
 }

@@ -8,12 +8,12 @@ use nalgebra::Vector3;
 
 use super::sdf::distance;
 
-/// The smallest cells, metres. With some sizes the skin passes twice through a cell, and the mesh is not
-/// closed there; the tests of the mesh look.
+/// The smallest cells, metres. With some sizes the skin passes twice through a cell; then the mesh is not
+/// closed, and a test fails.
 const UNIT: f64 = 0.00744;
-/// Cells of one size come in blocks of as many units.
+/// Size of a block, units. All cells of a block have one size.
 const BLOCK: i32 = 8;
-/// The blocks of the left side, from the smallest to beyond the largest.
+/// Ranges of the left side's blocks on x, y and z; the ends are excluded.
 const BLOCKS: [[i32; 2]; 3] = [[0, 18], [-19, 15], [-3, 4]];
 /// Rounds of moving each vertex towards the middle of its neighbours.
 const ROUNDS: usize = 5;
@@ -28,7 +28,7 @@ struct Cell {
 impl Cell {
     /// The cell around a point, given in half units.
     fn around(point: [i32; 3]) -> Self {
-        let size = size_of(point.map(|x| x.div_euclid(2 * BLOCK)));
+        let size = cell_size(point.map(|x| x.div_euclid(2 * BLOCK)));
         Self { corner: point.map(|x| x.div_euclid(2 * size) * size), size }
     }
 
@@ -42,19 +42,26 @@ impl Cell {
     }
 }
 
-/// The size of a block's cells.
-fn size_of(block: [i32; 3]) -> i32 {
-    let middle = block.map(|k| (f64::from(k) + 0.5) * f64::from(BLOCK) * UNIT);
-    let [x, y, z] = [middle[0].abs(), middle[1], middle[2]];
-    let bends = |along: f64, at: f64, reach: f64| (along - at).abs() < reach;
-    match () {
-        () if x > 0.76 || (y > 0.52 && z > 0.05 && x < 0.05) => 1,
-        () if x > 0.65 || (y > 0.50 && z > -0.04) || (y < -0.88 && z > -0.03) => 2,
-        () if bends(x, 0.447, 0.06) || bends(y, -0.489, 0.06) => 2,
-        () => 4,
+/// The middle of a block, metres.
+fn middle(block: [i32; 3]) -> Vector3<f64> {
+    place(block.map(|k| k * BLOCK + BLOCK / 2))
+}
+
+/// The size of a block's cells, units.
+fn cell_size(block: [i32; 3]) -> i32 {
+    let [x, y, z] = middle(block).into();
+    let x = x.abs();
+    let is_face_or_fingers = x > 0.76 || (y > 0.52 && z > 0.05 && x < 0.05);
+    let is_hand_head_or_foot = x > 0.65 || (y > 0.50 && z > -0.04) || (y < -0.88 && z > -0.03);
+    let is_elbow_or_knee = (x - 0.447).abs() < 0.06 || (y + 0.489).abs() < 0.06;
+    match (is_face_or_fingers, is_hand_head_or_foot || is_elbow_or_knee) {
+        (true, _) => 1,
+        (false, true) => 2,
+        (false, false) => 4,
     }
 }
 
+/// A corner of cells in the rest pose, metres.
 fn place(point: [i32; 3]) -> Vector3<f64> {
     Vector3::from(point.map(|k| f64::from(k) * UNIT))
 }
@@ -103,7 +110,7 @@ fn contour() -> Contour {
                 point[v] += to_v;
                 Cell::around(point)
             });
-            // The smallest cells about an edge have it; of those the last one is in charge.
+            // An edge belongs to the smallest cells around it. The last of them makes the quad.
             let smallest = quad.iter().map(|cell| cell.size).min();
             let in_charge = quad.iter().filter(|cell| Some(cell.size) == smallest).max();
             if in_charge != Some(&Cell { corner, size }) {
@@ -138,12 +145,10 @@ fn left_cells() -> impl Iterator<Item = Cell> {
         let zs = zs.clone();
         ys.clone().flat_map(move |y| zs.clone().map(move |z| [x, y, z]))
     });
-    let near = blocks.filter(|block| {
-        let middle = place(block.map(|k| k * BLOCK + BLOCK / 2));
-        distance(&middle).abs() < 1.2 * f64::from(BLOCK) * UNIT
-    });
+    let near =
+        blocks.filter(|block| distance(&middle(*block)).abs() < 1.2 * f64::from(BLOCK) * UNIT);
     near.flat_map(|block| {
-        let size = size_of(block);
+        let size = cell_size(block);
         let n = BLOCK / size;
         (0..n * n * n).map(move |k| {
             let inside = [k % n, k / n % n, k / n / n];
@@ -167,7 +172,7 @@ fn project(p: &mut Vector3<f64>) {
     }
 }
 
-/// Sets the second half of the vertices to the mirror images of the first.
+/// Appends the mirror image of each vertex.
 fn mirror(vertices: &mut Vec<Vector3<f64>>) {
     let images: Vec<_> = vertices.iter().map(|p| Vector3::new(-p.x, p.y, p.z)).collect();
     vertices.extend(images);

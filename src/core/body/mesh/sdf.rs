@@ -179,8 +179,8 @@ impl Tube {
 /// The depth of the middle of a part, metres; no part is thinner.
 const INSIDE: f64 = 0.005;
 
-/// The distance to a surface along the ray from its middle: `square` is the squared distance from
-/// the middle, `relative` the same in units of the surface's.
+/// The distance to a surface along the ray from its middle. `square`: squared distance from the middle, m².
+/// `relative`: the same divided by that of the surface.
 fn outwards(square: f64, relative: f64) -> f64 {
     match relative < 1e-6 {
         true => -INSIDE,
@@ -271,7 +271,7 @@ fn leg(p: &Vector3<f64>) -> f64 {
     smooth_difference(smooth_union(leg, foot, 0.03), p.y + SOLE, 0.012)
 }
 
-/// The depth of the soles below the pelvis.
+/// Height of the pelvis above the soles, metres.
 const SOLE: f64 = 0.980;
 
 fn trunk(p: &Vector3<f64>) -> f64 {

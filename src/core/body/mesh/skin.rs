@@ -1,9 +1,9 @@
 //! Which bones move a vertex, and how much.
 //!
-//! Each joint but the pelvis has gates: planes through which its branch of the body is entered. The
-//! branch takes a share of what its parent has, from 0 before the gates to 1 behind them. Where both
-//! have a share, bones between them, turned by parts of the joint's angle, take most of it: a limb
-//! then keeps its girth when it bends or twists.
+//! A gate is a plane where the branch of a joint begins. A vertex before the gate belongs to the parent, one
+//! behind it to the branch; over the gate's width the weight changes from one to the other. There the bones
+//! between the two, which turn by a part of the joint's angle, have most of the weight: a limb then keeps
+//! its girth when it bends or twists.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -31,7 +31,7 @@ const fn gate(joint: Joint, at: [f64; 3], towards: [f64; 3], half_width: f64) ->
     Gate { joint, at, towards, half_width }
 }
 
-/// Who passes all gates of a joint is in its branch.
+/// A point behind all gates of a joint is in its branch.
 const GATES: [Gate; 17] = [
     gate(Joint::LHip, [0.095, -0.085, 0.000], [0.40, -0.88, -0.20], 0.075),
     gate(Joint::LHip, [0.000, -0.150, 0.000], [1.00, 0.00, 0.00], 0.020),
@@ -52,7 +52,7 @@ const GATES: [Gate; 17] = [
     gate(Joint::LWrist, [0.711, 0.428, 0.000], [1.00, 0.00, 0.00], 0.030),
 ];
 
-/// The share of its parent's that the branch of `joint` takes at `p`.
+/// The part of the parent's weight that goes to the branch of `joint` at `p`, 0 to 1.
 fn share(joint: Joint, p: &Vector3<f64>) -> f64 {
     let (joint, x) = match joint.side() {
         -1.0 => (joint.mirrored(), -p.x),
@@ -101,8 +101,8 @@ pub(super) fn influences(p: &Vector3<f64>) -> Influences {
 const SUPPORT: usize = 80;
 
 /// A joint as a weighted sum of vertices, in every pose and shape: the smallest weights r with
-/// sum r = 1 and, for each bone b with weight w_b, sum r w_b (v - joint) = 0. A bone that keeps the
-/// joint in its place then moves nothing in the sum. Only vertices that no other bone moves count.
+/// sum r = 1 and, for each bone b with weight w_b, sum r w_b (v - joint) = 0. So the sum
+/// stays at the joint however these bones turn about it. Only vertices that these bones alone move are used.
 pub(super) fn regressor(
     joint: Joint,
     at: &Vector3<f64>,

@@ -1,4 +1,4 @@
-// The skin of the performers. What moves it is told in src/core/body/mesh.
+// The skin of the performers. src/core/body/mesh explains bones and weights.
 
 import * as three from "./three.js";
 
@@ -13,12 +13,11 @@ export const metres = (tenths) => Float32Array.from(tenths, (one) => one / 1e4);
 
 /** What all bodies share. */
 export class Template {
-  constructor({ faces, bones, weights, steps, bulge, parents }) {
-    Object.assign(this, { steps, bulge, parents });
+  constructor({ faces, bones, weights, turns, bulge, parents }) {
+    Object.assign(this, { turns, bulge, parents });
     this.faces = new three.BufferAttribute(numbers(faces, Uint16Array), 1);
     this.bones = new three.BufferAttribute(numbers(bones, Uint8Array), 4);
     this.weights = new three.BufferAttribute(numbers(weights, Uint8Array), 4, true);
-    this.count = parents.length + (parents.length - 1) * (steps - 1);
     const some = (Type) => parents.map(() => new Type());
     [this.world, this.rest, this.joints] = [some(three.Quaternion), some(three.Vector3), some(three.Vector3)];
     [this.local, this.turn] = [new three.Quaternion(), new three.Quaternion()];
@@ -53,12 +52,11 @@ export class Template {
       if (parent < 0) this.rest[j].setScalar(0);
       else this.rest[j].add(this.rest[parent]);
       this.joints[j].fromArray(joints, 3 * j);
-      this.put(j, j, this.world[j], 1, out);
-      const between = this.parents.length + (j - 1) * (this.steps - 1);
-      for (let step = 1; parent >= 0 && step < this.steps; step++) {
-        this.turn.slerpQuaternions(this.world[parent], this.world[j], step / this.steps);
-        this.put(between + step - 1, j, this.turn, this.bulged(j, rotations), out);
-      }
+    });
+    this.turns.forEach(([j, part], bone) => {
+      if (part === 1) return this.put(bone, j, this.world[j], 1, out);
+      this.turn.slerpQuaternions(this.world[this.parents[j]], this.world[j], part);
+      this.put(bone, j, this.turn, this.bulged(j, rotations), out);
     });
   }
 
@@ -78,7 +76,7 @@ export class Template {
   }
 }
 
-/** The bones of a skin, whose matrices are written as a whole. */
+/** Bones whose matrices `Template.pose` writes; three.js must not compute them. */
 class Bones extends three.Skeleton {
   constructor(count) {
     super(Array.from({ length: count }, () => new three.Bone()));
@@ -86,6 +84,9 @@ class Bones extends three.Skeleton {
 
   update() {}
 }
+
+/** Skins that are kept, shown or not: who is hidden comes back at once. */
+const KEPT = 40;
 
 /** The skins of all performers: a draw call each. */
 export class Skins {
@@ -105,7 +106,7 @@ export class Skins {
       this.template.pose(skin.offsets, joints, rotations, shown.skeleton.boneMatrices);
       if (shown.skeleton.boneTexture) shown.skeleton.boneTexture.needsUpdate = true;
     }
-    for (const [name, { mesh }] of this.all) if (!mesh.visible && this.all.size > 2 * people.length + 8) this.drop(name);
+    for (const [name, { mesh }] of this.all) if (!mesh.visible && this.all.size > KEPT) this.drop(name);
   }
 
   make(name, skin) {
@@ -118,7 +119,7 @@ export class Skins {
     geometry.computeVertexNormals();
     const mesh = new three.SkinnedMesh(geometry, new three.MeshLambertMaterial());
     mesh.frustumCulled = false;
-    mesh.bind(new Bones(this.template.count), new three.Matrix4());
+    mesh.bind(new Bones(this.template.turns.length), new three.Matrix4());
     this.scene.add(mesh);
     this.all.set(name, { mesh, of: skin });
     return mesh;

@@ -3,6 +3,7 @@
 import { Template, metres, numbers } from "./body.js";
 import { colour } from "./colours.js";
 import { View } from "./scene.js";
+import { Quaternion } from "./three.js";
 
 const $ = (id) => document.getElementById(id);
 const take = JSON.parse($("take").textContent);
@@ -15,29 +16,24 @@ const performers = take.performers.map((one, number) => ({
   seconds: numbers(one.seconds, Float32Array),
   states: numbers(one.states, Uint8Array),
   roots: numbers(one.root_mm, Int16Array),
-  rotations: numbers(one.rotations, Int16Array),
+  rotations: Float32Array.from(numbers(one.rotations, Int16Array), (x) => x / 32767),
   skin: { rest: metres(numbers(one.rest, Int16Array)), offsets: one.offsets },
 }));
 const end = Math.max(...performers.map(({ seconds }) => seconds.at(-1) ?? 0));
 const view = new View($("canvas"), $("labels"));
 for (const camera of take.rig.cameras) camera.lens = camera.lens === "fisheye" ? 2 : 1;
 view.setRig(take.rig);
-view.setTemplate(take.body);
+view.setTemplate(template);
 
 let [time, playing, last, framed] = [0, false, performance.now(), false];
 $("time").max = end;
 
 /** The quaternions of a pose, between pose `low`, 0, and pose `next`, 1. */
 function rotationsAt({ rotations }, low, next, share) {
-  const out = new Float32Array(4 * parents.length);
-  const full = (pose, j) => [...rotations.subarray(4 * (pose * parents.length + j)).subarray(0, 4)];
-  parents.forEach((_, j) => {
-    const [from, to] = [full(low, j), full(next, j)];
-    const sign = from.reduce((sum, one, k) => sum + one * to[k], 0) < 0 ? -1 : 1;
-    const mixed = from.map((one, k) => (1 - share) * one + share * sign * to[k]);
-    const length = Math.hypot(...mixed);
-    mixed.forEach((one, k) => (out[4 * j + k] = one / length));
-  });
+  const [n, out] = [parents.length, new Float32Array(4 * parents.length)];
+  for (let j = 0; j < n; j++) {
+    Quaternion.slerpFlat(out, 4 * j, rotations, 4 * (low * n + j), rotations, 4 * (next * n + j), share);
+  }
   return out;
 }
 

@@ -1,7 +1,7 @@
 // The performers and the cameras in 3D.
 
 import * as three from "./three.js";
-import { Skins, Template } from "./body.js";
+import { Skins } from "./body.js";
 import { lensOf } from "./lens.js";
 
 const MOST = 32;
@@ -112,7 +112,7 @@ export class View {
 
   /** What all bodies share, see body.js; without it performers are bones. */
   setTemplate(template) {
-    this.skins = new Skins(this.scene, new Template(template));
+    this.skins = new Skins(this.scene, template);
   }
 
   /** The cameras of a rig, as pyramids with names. */
