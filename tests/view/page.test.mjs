@@ -239,11 +239,12 @@ test("Foxglove and Lichtblick get the performers and the cameras of a live stage
   const other = createServer((_, answer) => answer.setHeader("content-type", "text/html").end("<link rel=icon href=data:,>"));
   await new Promise((resolve) => other.listen(0, "127.0.0.1", resolve).unref());
   const { page, said } = await open(`http://127.0.0.1:${other.address().port}/`);
-  const counts = await page.evaluate(async (url) => {
+  await page.evaluate(async (url) => {
     const client = new WebSocket(url, ["foxglove.sdk.v1"]);
     client.binaryType = "arraybuffer";
     const [topics, counts] = [new Map(), {}];
-    const isEnough = () => counts["/performers"] > 20 && counts["/tf"] > 20 && counts["/camera/cam01/calibration"] > 0;
+    const wanted = { "/performers": 20, "/tf": 20, "/camera/cam01/calibration": 1, "/camera/cam04/keypoints": 20 };
+    const isEnough = () => Object.entries(wanted).every(([topic, least]) => counts[topic] >= least);
     await new Promise((resolve, reject) => {
       setTimeout(() => reject(new Error(JSON.stringify(counts))), 60_000);
       client.onerror = () => reject(new Error("no connection"));
@@ -255,16 +256,15 @@ test("Foxglove and Lichtblick get the performers and the cameras of a live stage
           if (isEnough()) resolve();
           return;
         }
-        const { op, channels = [] } = JSON.parse(data);
+        const { op, channels = [], message } = JSON.parse(data);
+        if (op === "status") reject(new Error(message));
         if (op !== "advertise") return;
         for (const { id, topic } of channels) topics.set(id, topic);
         client.send(JSON.stringify({ op: "subscribe", subscriptions: channels.map(({ id }) => ({ id, channelId: id })) }));
       };
     });
     client.close();
-    return counts;
   }, `ws://127.0.0.1:${socket}`);
-  assert.ok(counts["/camera/cam04/keypoints"] > 20, JSON.stringify(counts));
   assert.deepEqual(said, []);
   await page.close();
   other.close();

@@ -4,12 +4,15 @@ use std::io::ErrorKind;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::mpsc::sync_channel;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use foxglove::websocket::ServerListener;
-use foxglove::{Context, FoxgloveError, WebSocketServer, WebSocketServerHandle};
+use foxglove::{Context, FoxgloveError, WebSocketServer};
+use tokio::runtime::Runtime;
+use tokio::sync::mpsc::channel;
+use tokio::task::yield_now;
+use tokio::time::{sleep, timeout};
 
 use super::Channels;
 use crate::io::bus::{BusError, Sample};
@@ -31,10 +34,8 @@ const REST: Duration = Duration::from_secs(1);
 /// A WebSocket that is served until this is dropped.
 pub struct Bridge {
     address: SocketAddr,
-    server: Option<WebSocketServerHandle>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
-    runtime: Option<tokio::runtime::Runtime>,
 }
 
 impl Bridge {
@@ -49,12 +50,6 @@ impl Drop for Bridge {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
-        }
-        if let Some(server) = self.server.take() {
-            drop(server.stop());
-        }
-        if let Some(runtime) = self.runtime.take() {
-            runtime.shutdown_background();
         }
     }
 }
@@ -82,9 +77,8 @@ pub fn bridge(address: &str, live: Arc<Live>) -> Result<Bridge, ViewError> {
     let refused = |source| ViewError::Bridge { address: address.to_owned(), source };
     let resolved = address.to_socket_addrs().map_err(refused)?.next();
     let resolved = resolved.ok_or_else(|| refused(ErrorKind::AddrNotAvailable.into()))?;
-    let mut builder = tokio::runtime::Builder::new_multi_thread();
-    builder.worker_threads(1).thread_name("foxglove").enable_all().on_thread_start(give_way);
-    let runtime = builder.build().map_err(ViewError::Thread)?;
+    let mut builder = tokio::runtime::Builder::new_current_thread();
+    let runtime = builder.enable_all().build().map_err(ViewError::Thread)?;
     let (context, clients) = (Context::new(), Arc::new(Clients::default()));
     let channels = Channels::new(Arc::clone(&context));
     let server = WebSocketServer::new()
@@ -102,35 +96,45 @@ pub fn bridge(address: &str, live: Arc<Live>) -> Result<Bridge, ViewError> {
     let stopped = Arc::clone(&stop);
     let run = move || {
         give_way();
-        follow(&live, channels, &stopped, &clients);
+        follow(&live, &runtime, channels, &stopped, &clients);
+        drop(server.stop());
     };
-    let thread = std::thread::Builder::new().name("foxglove-bus".into()).spawn(run);
-    let thread = Some(thread.map_err(ViewError::Thread)?);
-    Ok(Bridge { address, server: Some(server), stop, thread, runtime: Some(runtime) })
+    let thread = std::thread::Builder::new().name("foxglove".into()).spawn(run);
+    Ok(Bridge { address, stop, thread: Some(thread.map_err(ViewError::Thread)?) })
 }
 
-/// Publishes messages while a client is connected.
-fn follow(live: &Live, mut channels: Channels, stop: &AtomicBool, clients: &Clients) {
+/// Serves, and publishes messages while a client is connected.
+///
+/// The clients are served on this thread, only within `block_on`. On a thread of their own, a client could ask
+/// for a new channel that the library had announced, but did not yet know as announced: it is then refused.
+fn follow(
+    live: &Live,
+    runtime: &Runtime,
+    mut channels: Channels,
+    stop: &AtomicBool,
+    clients: &Clients,
+) {
     let is_wanted = || clients.0.load(Ordering::Relaxed) > 0 && !stop.load(Ordering::Relaxed);
     while !stop.load(Ordering::Relaxed) {
-        std::thread::sleep(LOOK);
+        runtime.block_on(async { sleep(LOOK).await });
         if !is_wanted() {
             continue;
         }
-        if let Err(error) = pass_on(live, &mut channels, is_wanted) {
+        if let Err(error) = pass_on(live, runtime, &mut channels, is_wanted) {
             tracing::warn!("Foxglove gets no messages, trying again: {error}");
-            std::thread::sleep(REST);
+            runtime.block_on(async { sleep(REST).await });
         }
     }
 }
 
 fn pass_on(
     live: &Live,
+    runtime: &Runtime,
     channels: &mut Channels,
     is_wanted: impl Fn() -> bool,
 ) -> Result<(), BusError> {
     let bus = live.open()?;
-    let (out, samples) = sync_channel::<Sample>(WAITING);
+    let (out, mut samples) = channel::<Sample>(WAITING);
     let stage = &live.topics.stage;
     let mut guards = Vec::new();
     let dropped = Arc::new(AtomicUsize::new(0));
@@ -145,7 +149,11 @@ fn pass_on(
         guards.push(bus.subscribe(&format!("mocap/{stage}/{pattern}"), Box::new(sink))?);
     }
     while is_wanted() {
-        let Ok(sample) = samples.recv_timeout(LOOK) else { continue };
+        let next = runtime.block_on(async {
+            yield_now().await; // Clients are served even if there is always a sample.
+            timeout(LOOK, samples.recv()).await
+        });
+        let Ok(Some(sample)) = next else { continue };
         let Some(schema) = schema_of(&sample.topic, &sample.encoding) else { continue };
         if let Ok(message) = Message::decode(&sample.topic, schema, ENCODING, &sample.payload) {
             channels.handle(&sample.topic, &message);
