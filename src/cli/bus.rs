@@ -51,6 +51,7 @@ impl BusArguments {
     /// The settings, overridden by the arguments.
     pub(super) fn settings(&self) -> Result<Config, Failure> {
         let mut config = self.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
+        config.bus = config.bus.named(&program());
         if let Some(bus) = self.bus {
             config.bus.kind = bus.kind();
         }
@@ -82,6 +83,12 @@ impl BusArguments {
         let own = topics(config);
         if is_named { own } else { Topics { actor: "*".to_owned(), ..own } }
     }
+}
+
+/// How others see this program: its name and the command.
+pub(super) fn program() -> String {
+    let command = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
+    format!("{} {}", env!("CARGO_PKG_NAME"), command.unwrap_or_default())
 }
 
 /// Checks a name that becomes a part of a topic.

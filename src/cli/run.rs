@@ -174,7 +174,7 @@ fn view(address: &str, config: &Config) -> Result<crate::view::Running, Failure>
 /// Serves the stage to Foxglove and Lichtblick, as a client of the bus too.
 #[cfg(feature = "view")]
 fn foxglove(address: &str, config: &Config) -> Result<crate::view::Bridge, Failure> {
-    let bridge = crate::view::bridge(address, super::view::stage(config.clone()))?;
+    let bridge = crate::view::bridge(address, super::view::stage(config.clone(), "Foxglove"))?;
     tracing::info!("Foxglove and Lichtblick connect to {}", bridge.url());
     Ok(bridge)
 }

@@ -90,12 +90,13 @@ fn recorded(paths: &[PathBuf]) -> Result<Source, Failure> {
 
 /// The stage of the settings.
 pub(super) fn live(config: Config) -> Source {
-    Source::Live(stage(config))
+    Source::Live(stage(config, "the page"))
 }
 
-/// The stage of the settings, as a client of the bus.
-pub(super) fn stage(config: Config) -> Arc<Live> {
-    Arc::new(Live::new(topics(&config), move || open_client(&config.bus)))
+/// The stage of the settings, for a client of the bus that others see so.
+pub(super) fn stage(config: Config, name: &str) -> Arc<Live> {
+    let (topics, bus) = (topics(&config), config.bus.named(name));
+    Arc::new(Live::new(topics, move || open_client(&bus)))
 }
 
 /// Serves the page.

@@ -14,7 +14,7 @@ use tokio::time::{interval, sleep, timeout};
 use super::frame;
 use super::points::Points;
 use crate::core::time::Timestamp;
-use crate::io::bus::{Bus, BusError, Guard, Publisher, Sample, check_pattern};
+use crate::io::bus::{Bus, BusError, Guard, Publisher, Receiver, Sample, check_pattern};
 use crate::io::wire::{Schema, Take, Topics, encode, media_type, valid_name};
 use crate::live::WallClock;
 
@@ -26,6 +26,8 @@ const PAUSE: Duration = Duration::from_millis(12);
 /// How often a page is asked whether it is there, and after which silence it is gone.
 const PING: Duration = Duration::from_secs(5);
 const GONE: Duration = Duration::from_secs(15);
+/// How often a page is told who receives what.
+const RECEIVERS: Duration = Duration::from_secs(2);
 /// Most pages at a time.
 static PAGES: Semaphore = Semaphore::const_new(32);
 
@@ -109,6 +111,8 @@ enum Outgoing {
     Open,
     /// A message and its time of arrival.
     Sample(Sample, Timestamp),
+    /// Who receives topics of performers.
+    Receivers(Vec<Receiver>),
     /// The bus cannot be used.
     Error(String),
 }
@@ -176,6 +180,7 @@ fn messages(
     for outgoing in batch {
         match outgoing {
             Outgoing::Open => texts.push(json!({ "open": true })),
+            Outgoing::Receivers(all) => texts.push(json!({ "receivers": all })),
             Outgoing::Error(error) => texts.push(json!({ "error": error })),
             Outgoing::Sample(Sample { topic, capture, payload, .. }, arrival) => {
                 frame::write(&mut frames, &topic, capture, arrival, &payload);
@@ -220,10 +225,19 @@ fn try_orders(
     let clock = WallClock::start();
     let mut guards: Vec<(String, Box<dyn Guard>)> = Vec::new();
     drop(out.blocking_send(Outgoing::Open));
-    while let Ok(order) = orders.recv() {
+    let below = format!("mocap/{}/actor", live.topics.stage);
+    let mut next = Instant::now();
+    loop {
+        let order = orders.recv_timeout(next.saturating_duration_since(Instant::now()));
         let mut patterns = match order {
-            Order::Topics(patterns) => patterns,
-            Order::Take(order) => {
+            Err(mpsc::RecvTimeoutError::Disconnected) => return Ok(()),
+            Err(mpsc::RecvTimeoutError::Timeout) => {
+                drop(out.try_send(Outgoing::Receivers(bus.receivers(&below)?)));
+                next = Instant::now() + RECEIVERS;
+                continue;
+            }
+            Ok(Order::Topics(patterns)) => patterns,
+            Ok(Order::Take(order)) => {
                 if let Some(take) = order.take() {
                     let kind = media_type(Take::FULL_NAME);
                     slate.put(Timestamp::default(), &kind, &encode(&take))?;
@@ -247,5 +261,4 @@ fn try_orders(
             guards.push((pattern, guard));
         }
     }
-    Ok(())
 }

@@ -31,6 +31,10 @@ trait Pair {
     fn is_one_bus(&self) -> bool {
         true
     }
+    /// Whether the programs that receive are known.
+    fn knows_receivers(&self) -> bool {
+        true
+    }
     /// Whether queries are answered.
     fn has_queries(&self) -> bool {
         true
@@ -51,6 +55,9 @@ impl Pair for InMemory {
     }
     fn far(&self) -> &dyn Bus {
         &self.0
+    }
+    fn knows_receivers(&self) -> bool {
+        false
     }
 }
 
@@ -155,7 +162,7 @@ impl Prefix {
     }
 
     fn config(&self) -> Iceoryx2Config {
-        Iceoryx2Config { prefix: self.0.clone() }
+        Iceoryx2Config { prefix: self.0.clone(), ..Default::default() }
     }
 
     /// Files of iceoryx2 with this prefix, except the one of 16 bytes that always stays.
@@ -203,6 +210,9 @@ impl Pair for Recorded {
         &self.player
     }
     fn is_one_bus(&self) -> bool {
+        false
+    }
+    fn knows_receivers(&self) -> bool {
         false
     }
     fn carry(&self) {
@@ -488,13 +498,38 @@ fn announced_names_are_seen_until_they_end(pair: &dyn Pair) {
     assert!(pair.near().announce("mocap/*").is_err());
 }
 
+fn receivers_are_known_with_what_they_take(pair: &dyn Pair) {
+    if !pair.knows_receivers() {
+        assert_eq!(pair.near().receivers("mocap/t/actor").unwrap(), []);
+        return;
+    }
+    let is_known = |wanted: &[&str]| {
+        (0..1000).any(|_| {
+            std::thread::sleep(Duration::from_millis(5));
+            let receivers = pair.near().receivers("mocap/t/actor").unwrap();
+            let programs =
+                receivers.iter().all(|one| one.name.starts_with("it") && one.place != "");
+            programs && receivers.iter().flat_map(|one| &one.patterns).eq(wanted)
+        })
+    };
+    let patterns = ["mocap/*/actor/p1/pose", "mocap/t/**", "mocap/t/rig", "mocap/u/actor/*/pose"];
+    let guards = patterns.map(|pattern| pair.far().subscribe(pattern, Box::new(|_| {})).unwrap());
+    assert!(is_known(&patterns[..2]), "{:?}", pair.near().receivers("mocap/t/actor"));
+    let others = pair.far().receivers("mocap/t/actor").unwrap();
+    assert_eq!(others, [], "an end does not receive from itself");
+    drop(guards);
+    assert!(is_known(&[]), "known after its end");
+    assert!(pair.near().receivers("mocap/*").is_err());
+}
+
 macro_rules! conformance {
     ($bus:ident, $pair:expr) => {
         conformance!($bus, $pair,
             bytes_arrive_unchanged_and_in_order every_encoding_and_size_arrives
             patterns_choose_topics a_dropped_guard_gets_nothing_more
             late_joiners_get_the_history_of_states_only several_publish_on_one_topic
-            bad_names_are_refused queries_are_answered announced_names_are_seen_until_they_end);
+            bad_names_are_refused queries_are_answered announced_names_are_seen_until_they_end
+            receivers_are_known_with_what_they_take);
     };
     ($bus:ident, $pair:expr, $($check:ident)*) => {
         mod $bus {
@@ -556,7 +591,8 @@ fn invalid_addresses_are_refused() {
     let alone = ZenohConfig { mode: ZenohMode::Client, ..ZenohConfig::default() };
     assert!(matches!(Zenoh::open_node(&alone), Err(BusError::Setting { .. })));
     for prefix in ["", "a/b", &"x".repeat(65)] {
-        let opened = Iceoryx2::open(&Iceoryx2Config { prefix: prefix.into() });
+        let opened =
+            Iceoryx2::open(&Iceoryx2Config { prefix: prefix.into(), ..Default::default() });
         assert!(matches!(opened, Err(BusError::Setting { .. })), "{prefix:?}");
     }
 }
@@ -655,7 +691,7 @@ const PREFIX: &str = "BUNDLEMOCAP_TEST_PREFIX";
 #[ignore = "started by another test"]
 fn child() {
     let Ok(prefix) = std::env::var(PREFIX) else { return };
-    let bus = Iceoryx2::open(&Iceoryx2Config { prefix }).unwrap();
+    let bus = Iceoryx2::open(&Iceoryx2Config { prefix, ..Default::default() }).unwrap();
     let name = std::process::id().to_string();
     let rig = bus.publisher("mocap/c/rig").unwrap();
     put(&*rig, 1, name.as_bytes());

@@ -20,6 +20,15 @@ pub struct Config {
     pub iceoryx2: Iceoryx2Config,
 }
 
+impl Config {
+    /// The same for a program that is called so.
+    pub fn named(mut self, name: &str) -> Self {
+        self.zenoh.name = name.to_owned();
+        self.iceoryx2.name = name.to_owned();
+        self
+    }
+}
+
 /// A transport between processes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -59,6 +68,9 @@ pub struct ZenohConfig {
     pub config: String,
     /// Certificates, for addresses that begin with `tls/`.
     pub tls: TlsConfig,
+    /// What others see this program called. Empty: the name of its file.
+    #[serde(skip)]
+    pub name: String,
 }
 
 /// Certificates of the network: PEM files; empty: none.
@@ -104,6 +116,7 @@ impl Default for ZenohConfig {
             scouting: false,
             config: String::new(),
             tls: TlsConfig::default(),
+            name: String::new(),
         }
     }
 }
@@ -115,11 +128,14 @@ pub struct Iceoryx2Config {
     /// Prefix of the names of all resources. Programs with different prefixes do not see each
     /// other.
     pub prefix: String,
+    /// What others see this program called. Empty: the name of its file.
+    #[serde(skip)]
+    pub name: String,
 }
 
 impl Default for Iceoryx2Config {
     fn default() -> Self {
-        Self { prefix: "bundlemocap_".into() }
+        Self { prefix: "bundlemocap_".into(), name: String::new() }
     }
 }
 

@@ -28,6 +28,7 @@ mod iceoryx2;
 mod iceoryx2_services;
 mod memory;
 mod name;
+mod receivers;
 mod replay;
 #[cfg(feature = "zenoh")]
 mod zenoh;
@@ -41,6 +42,7 @@ pub use config::{
 pub use iceoryx2::Iceoryx2;
 pub use memory::Memory;
 pub use name::{check_pattern, check_topic, matches};
+pub use receivers::Receiver;
 pub use replay::Replay;
 #[cfg(feature = "zenoh")]
 pub use zenoh::Zenoh;
@@ -122,6 +124,16 @@ pub trait Bus: Send + Sync {
     /// # Errors
     /// The text is not a pattern, or the transport refuses it.
     fn announced(&self, pattern: &str) -> Result<Vec<String>, BusError>;
+
+    /// The programs that receive any topic below a name, such as `mocap/stage/actor`; not this one. On a bus
+    /// inside a process it is not known.
+    ///
+    /// # Errors
+    /// The name has not the form of a topic, or the transport refuses it.
+    fn receivers(&self, below: &str) -> Result<Vec<Receiver>, BusError> {
+        let _ = below;
+        Ok(Vec::new())
+    }
 }
 
 /// Publishes on one topic.

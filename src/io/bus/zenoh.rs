@@ -14,6 +14,9 @@
 //! 8 bytes little endian. Samples of foreign publishers without attachment have capture time 0.
 //! Foreign publishers have no cache unless they are advanced publishers of zenoh-ext.
 //!
+//! Sessions tell in zenoh's admin space who subscribes to what, read only. With a configuration file of the
+//! node, that file says whether.
+//!
 //! Zenoh's time stamps are off: routers would stamp samples of all publishers with one clock, and
 //! zenoh-ext would treat them as one source and drop samples that are out of order.
 
@@ -30,10 +33,11 @@ use zenoh_ext::{
     HistoryConfig, MissDetectionConfig, RecoveryConfig,
 };
 
+use super::receivers::of_admin_space;
 use super::zenoh_settings::{check_endpoints, settings, why_not_open, without_places};
 use super::{
-    Answer, Bus, BusError, Delivery, Guard, Publisher, Sample, Sink, ZenohConfig, ZenohMode,
-    check_pattern, check_topic, delivery,
+    Answer, Bus, BusError, Delivery, Guard, Publisher, Receiver, Sample, Sink, ZenohConfig,
+    ZenohMode, check_pattern, check_topic, delivery,
 };
 use crate::core::time::Timestamp;
 use crate::io::wire::Topic;
@@ -43,6 +47,9 @@ const HISTORY_WITHIN: Duration = Duration::from_secs(2);
 
 /// Time that the network has to name the announced.
 const ANNOUNCED_WITHIN: Duration = Duration::from_secs(1);
+
+/// Time that programs have to say who subscribes to what.
+const RECEIVERS_WITHIN: Duration = Duration::from_millis(500);
 
 /// Interval at which a publisher of states sends its last sequence number, if it published.
 const HEARTBEAT: Duration = Duration::from_millis(500);
@@ -201,8 +208,21 @@ impl Bus for Zenoh {
         Ok(names.map(|sample| sample.key_expr().to_string()).collect())
     }
 
+    fn receivers(&self, below: &str) -> Result<Vec<Receiver>, BusError> {
+        check_topic(below)?;
+        let subscribers = self.admin_space(&format!("@/*/*/subscriber/{below}/**"))?;
+        let sessions = self.admin_space("@/*/*")?;
+        Ok(of_admin_space(&subscribers, &sessions, &self.session.zid().to_string()))
+    }
+
     fn query(&self, pattern: &str, within: Duration) -> Result<Vec<Sample>, BusError> {
         check_pattern(pattern)?;
+        Ok(self.ask(pattern, within)?.iter().map(from_zenoh).collect())
+    }
+}
+
+impl Zenoh {
+    fn ask(&self, pattern: &str, within: Duration) -> Result<Vec<zenoh::sample::Sample>, BusError> {
         let replies = self
             .session
             .get(canonical(pattern)?)
@@ -211,11 +231,19 @@ impl Bus for Zenoh {
             .timeout(within)
             .wait()
             .map_err(|e| self.error(format!("cannot ask for {pattern}"), e))?;
-        Ok(replies.iter().filter_map(|r| r.into_result().ok()).map(|s| from_zenoh(&s)).collect())
+        Ok(replies.iter().filter_map(|reply| reply.into_result().ok()).collect())
     }
-}
 
-impl Zenoh {
+    /// The answers under some keys of the admin space.
+    fn admin_space(&self, pattern: &str) -> Result<Vec<(String, serde_json::Value)>, BusError> {
+        let answers = self.ask(pattern, RECEIVERS_WITHIN)?;
+        let json = |answer: &zenoh::sample::Sample| {
+            let value = serde_json::from_slice(&answer.payload().to_bytes()).ok()?;
+            Some((answer.key_expr().to_string(), value))
+        };
+        Ok(answers.iter().filter_map(json).collect())
+    }
+
     fn error(&self, what: String, error: zenoh::Error) -> BusError {
         match self.session.is_closed() {
             true => BusError::Closed,

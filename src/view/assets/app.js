@@ -136,6 +136,7 @@ function tick() {
   showNode(people);
   showCameras();
   showPerformers(people);
+  showReceivers();
   showEvents();
   showTimeline();
   const [start, end] = source.span;
@@ -276,6 +277,23 @@ function showPerformers(people) {
     row.swatch.style.background = tint;
     row.words.hidden = !locked;
   }
+}
+
+/** What the last part of a pattern stands for. */
+const KINDS = { "**": "everything", "*": "everything", pose: "poses", provisional: "provisional poses", skeleton: "bodies", keyframe: "keyframes", status: "status", events: "events" };
+
+function showReceivers() {
+  const { receivers } = source;
+  $("receivers").previousElementSibling.hidden = receivers === undefined;
+  if (receivers === undefined) return;
+  const items = receivers.map(({ name, place, patterns }) => {
+    const item = element("li", `${name || "a program"}, ${place}`);
+    const kinds = new Set(patterns.map((pattern) => KINDS[pattern.split("/").at(-1)] ?? pattern));
+    item.append(element("div", [...kinds].join(", "), "words"));
+    item.title = patterns.join("\n");
+    return item;
+  });
+  replace($("receivers"), items.length > 0 ? items : [element("li", "nobody, but this page")]);
 }
 
 function showEvents() {

@@ -15,6 +15,8 @@ export class Live {
     this.connected = false;
     this.error = "";
     this.wait = 250;
+    /** Who receives topics of performers; undefined if it is not known yet. */
+    this.receivers = undefined;
     this.open();
   }
 
@@ -34,13 +36,14 @@ export class Live {
   }
 
   /** What the server says of the bus. */
-  said({ open, error, dropped }) {
+  said({ open, error, dropped, receivers }) {
     if (open) {
       [this.connected, this.error, this.wait] = [true, "", 250];
       this.send();
     }
     if (error !== undefined) this.error = error;
     if (dropped !== undefined) this.store.dropped = dropped;
+    if (receivers !== undefined) this.receivers = receivers;
   }
 
   /** Asks for what is shown: of the cameras, those given, or else all. */
