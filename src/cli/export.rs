@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use super::Ended;
 use super::failure::{Exit, Failure};
@@ -13,11 +13,12 @@ use super::overwrite::is_same_file;
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
+use crate::io::formats::gltf::write_glb;
 #[cfg(feature = "view")]
 use crate::io::new_file;
 use crate::io::recording::{Message, Reader};
 use crate::io::wire::Topic;
-use crate::offline::bvh::BvhFile;
+use crate::offline::bvh::{BvhFile, Fill};
 use crate::offline::compact_pose::CompactPose;
 use crate::offline::output::{strip, text};
 use crate::offline::poses::frame_rate;
@@ -25,29 +26,31 @@ use crate::offline::poses::frame_rate;
 /// Write the poses of a solved recording for other tools.
 #[derive(Debug, Args)]
 #[command(after_help = "\
+The ending of each file chooses the format:
+  .glb    glTF: skin, skeleton and animation, for Blender, Unreal, Unity, Godot and browsers; metres
+  .bvh    skeleton and animation, for Blender, MotionBuilder and Maya; centimetres
+  .svg    a picture: a row of stick figures
+  .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
+In .glb and .bvh y is up; with all rotations zero the body is a T-pose that faces +z. Frames are evenly
+spaced from the first pose on; a gap repeats the pose before it.
+
 Examples:
-  bundlemocap export out/poses.mcap --bvh take1.bvh
-  bundlemocap export out/poses.mcap --bvh cut.bvh --start 01:00:10:00 --end 01:00:20:00
-  bundlemocap export out/poses.mcap --picture take1.svg --figures 7
-  bundlemocap export out/poses.mcap --foxglove take1.foxglove.mcap    for Foxglove and Lichtblick
-  bundlemocap export both/poses.mcap --bvh take1.bvh             take1.p1.bvh, take1.p2.bvh
-  bundlemocap export both/poses.mcap --bvh take1.bvh --actor p2  take1.bvh")]
-#[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
+  bundlemocap export out/poses.mcap --out take1.glb
+  bundlemocap export out/poses.mcap --out take1.glb take1.bvh take1.svg
+  bundlemocap export out/poses.mcap --out cut.bvh --start 01:00:10:00 --end 01:00:20:00
+  bundlemocap export both/poses.mcap --out take1.glb             take1.p1.glb, take1.p2.glb
+  bundlemocap export both/poses.mcap --out take1.glb --actor p2  take1.glb
+  bundlemocap export take.mcap --out take.foxglove.mcap          its keypoints and cameras")]
 pub(super) struct Arguments {
     /// The poses.mcap of `bundlemocap solve`.
     file: PathBuf,
-    /// BVH file to write: centimetres, y up, +z forward at rest.
-    #[arg(long, value_name = "BVH", group = "what")]
-    bvh: Option<PathBuf>,
-    /// Picture to write: a row of stick figures.
-    #[arg(long, value_name = "SVG", group = "what")]
-    picture: Option<PathBuf>,
-    /// MCAP file to write with the schemas of Foxglove, for Foxglove and Lichtblick: performers and cameras in
-    /// 3D, joint frames, keypoints.
-    #[cfg(feature = "view")]
-    #[arg(long, value_name = "MCAP", group = "what", conflicts_with_all = ["bvh", "picture", "figures", "truth", "actor", "start", "end"])]
-    foxglove: Option<PathBuf>,
-    /// Number of stick figures in the picture.
+    /// Files to write.
+    #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
+    out: Vec<PathBuf>,
+    /// Format of all files, whatever their endings.
+    #[arg(long, value_enum)]
+    to: Option<Format>,
+    /// Number of stick figures in a picture.
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..))]
     figures: u8,
     #[command(flatten)]
@@ -63,10 +66,62 @@ pub(super) struct Arguments {
     truth: bool,
 }
 
-pub(super) fn run(arguments: &Arguments) -> Ended {
+/// A format of files; its name is also their ending.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// glTF.
+    Glb,
+    /// BVH.
+    Bvh,
+    /// A row of stick figures.
+    Svg,
+    /// MCAP with the schemas of Foxglove.
     #[cfg(feature = "view")]
-    if let Some(path) = &arguments.foxglove {
-        return write_foxglove(&arguments.file, path, &arguments.overwrite);
+    Mcap,
+}
+
+impl Format {
+    /// The format that a file's ending names.
+    fn of(path: &Path) -> Result<Self, Failure> {
+        let ending = path.extension().unwrap_or_default().to_string_lossy();
+        Self::from_str(&ending, true).map_err(|_| {
+            let all = Self::value_variants().iter().filter_map(ValueEnum::to_possible_value);
+            let all: Vec<String> = all.map(|value| format!(".{}", value.get_name())).collect();
+            let message = format!(
+                "{}: the ending says no format; use {}, or --to",
+                path.display(),
+                all.join(", ")
+            );
+            Failure::new(Exit::Usage, message)
+        })
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let format =
+        |path: &PathBuf| Ok((path.clone(), arguments.to.map_or_else(|| Format::of(path), Ok)?));
+    let files = arguments.out.iter().map(format).collect::<Result<Vec<_>, Failure>>()?;
+    #[cfg(feature = "view")]
+    let (files, exit) = {
+        let (whole, files): (Vec<_>, Vec<_>) =
+            files.into_iter().partition(|(_, format)| *format == Format::Mcap);
+        if !whole.is_empty()
+            && (arguments.truth || arguments.actor.is_some() || arguments.span.is_given())
+        {
+            let message =
+                "a .mcap holds the whole recording; leave out --actor, --truth, --start and --end";
+            return Err(Failure::new(Exit::Usage, message));
+        }
+        let mut exit = Exit::Done;
+        for (path, _) in whole {
+            exit = write_foxglove(&arguments.file, &path, &arguments.overwrite)?;
+        }
+        (files, exit)
+    };
+    #[cfg(not(feature = "view"))]
+    let exit = Exit::Done;
+    if files.is_empty() {
+        return Ok(exit);
     }
     let actor = arguments.actor.as_deref();
     let Solved { mut performers, damage } = read(&arguments.file, arguments.truth, actor)?;
@@ -81,26 +136,54 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             return Err(Failure::new(Exit::Usage, "no poses from --start to --end"));
         }
     }
-    for Performer { actor, .. } in &performers {
-        for path in arguments.bvh.iter().chain(&arguments.picture) {
-            arguments.overwrite.check(&path_of(path, several.then_some(actor)))?;
-        }
+    let of = |one: &Performer, path: &Path| path_of(path, several.then_some(&one.actor));
+    for one in &performers {
+        files.iter().try_for_each(|(path, _)| arguments.overwrite.check(&of(one, path)))?;
     }
-    for Performer { actor, skeleton, poses } in &performers {
-        let fps = frame_rate(poses).unwrap_or(60.0);
-        if let Some(path) = &arguments.bvh {
-            let path = path_of(path, several.then_some(actor));
-            let frames = write_bvh(&path, poses, skeleton, fps)?;
-            times.beside(&path, poses.first().map(|pose| pose.capture))?;
-            say(&format!("{}: {frames} frames at {fps:.2} Hz", path.display()));
-        }
-        if let Some(path) = &arguments.picture {
-            let path = path_of(path, several.then_some(actor));
-            text(&path, &strip(poses, skeleton, usize::from(arguments.figures)))?;
-            say(&format!("{}: {} stick figures", path.display(), arguments.figures));
+    for one in &performers {
+        for (path, format) in &files {
+            let path = of(one, path);
+            write(&path, *format, one, usize::from(arguments.figures))?;
+            if matches!(format, Format::Glb | Format::Bvh) {
+                times.beside(&path, one.poses.first().map(|pose| pose.capture))?;
+            }
         }
     }
     Ok(exit_of(&arguments.file, &damage))
+}
+
+/// Writes a file of a performer.
+fn write(path: &Path, format: Format, one: &Performer, figures: usize) -> Result<(), Failure> {
+    let Performer { actor, skeleton, poses } = one;
+    let fps = frame_rate(poses).unwrap_or(60.0);
+    let text = match format {
+        Format::Glb => {
+            let mut fill = Fill::new(fps);
+            let held = poses[..1].iter().chain(poses);
+            let repeated = poses.iter().zip(held).flat_map(|(pose, held)| {
+                let gap = std::iter::repeat_n(held, fill.gap_before(pose.capture));
+                gap.chain([pose]).map(CompactPose::pose)
+            });
+            let frames = write_glb(path, actor, skeleton, fps, repeated)?;
+            fill.note(path).into_iter().for_each(|text| complain("note", &text));
+            format!("{frames} frames at {fps:.2} Hz")
+        }
+        Format::Bvh => {
+            let mut file = BvhFile::create(path, skeleton, fps, None)?;
+            poses.iter().try_for_each(|pose| file.write(pose))?;
+            let (states, unfilled) = file.finish(path)?;
+            unfilled.into_iter().for_each(|text| complain("note", &text));
+            format!("{} frames at {fps:.2} Hz", states.frames())
+        }
+        Format::Svg => {
+            text(path, &strip(poses, skeleton, figures))?;
+            format!("{figures} stick figures")
+        }
+        #[cfg(feature = "view")]
+        Format::Mcap => return Ok(()),
+    };
+    say(&format!("{}: {text}", path.display()));
+    Ok(())
 }
 
 /// `take1.p1.bvh` for `take1.bvh` of the performer p1; the path itself if there is only one performer.
@@ -110,20 +193,6 @@ pub(super) fn path_of(path: &Path, actor: Option<&String>) -> PathBuf {
         (Some(actor), None) => path.with_extension(actor),
         (Some(actor), Some(end)) => path.with_extension(format!("{actor}.{}", end.display())),
     }
-}
-
-/// Writes poses, sorted by capture time, as BVH; returns the number of frames.
-fn write_bvh(
-    path: &Path,
-    poses: &[CompactPose],
-    skeleton: &Skeleton,
-    fps: f64,
-) -> Result<usize, Failure> {
-    let mut file = BvhFile::create(path, skeleton, fps, None)?;
-    poses.iter().try_for_each(|pose| file.write(pose))?;
-    let (states, unfilled) = file.finish(path)?;
-    unfilled.into_iter().for_each(|text| complain("note", &text));
-    Ok(states.frames())
 }
 
 /// Writes the poses and keypoints of a recording with the schemas of Foxglove.

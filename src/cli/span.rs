@@ -29,6 +29,11 @@ pub(super) struct SpanArguments {
 }
 
 impl SpanArguments {
+    #[cfg(feature = "view")]
+    pub(super) fn is_given(&self) -> bool {
+        self.start.is_some() || self.end.is_some()
+    }
+
     /// First and last capture time in the recording, if one of them is given.
     pub(super) fn within(&self, of: &Times) -> Result<Option<[Timestamp; 2]>, Failure> {
         if self.start.is_none() && self.end.is_none() {

@@ -507,8 +507,7 @@ fn receivers_are_known_with_what_they_take(pair: &dyn Pair) {
         (0..1000).any(|_| {
             std::thread::sleep(Duration::from_millis(5));
             let receivers = pair.near().receivers("mocap/t/actor").unwrap();
-            let programs =
-                receivers.iter().all(|one| one.name.starts_with("it") && one.place != "");
+            let programs = receivers.iter().all(|one| one.program.starts_with("it"));
             programs && receivers.iter().flat_map(|one| &one.patterns).eq(wanted)
         })
     };

@@ -211,7 +211,7 @@ fn a_synthetic_walk_is_solved_and_exported() {
         assert!(table.contains(row), "{table}");
     }
 
-    place.done("export out/poses.mcap --bvh again.bvh --picture strip.svg");
+    place.done("export out/poses.mcap --out again.bvh strip.svg");
     let again = fs::read_to_string(place.path("again.bvh")).unwrap();
     let bvh = fs::read_to_string(place.path("out/poses.bvh")).unwrap();
     assert_eq!(again.lines().count(), bvh.lines().count());
@@ -451,8 +451,8 @@ fn files_are_not_replaced_without_being_asked() {
     place.done("solve walk.mcap --out out");
     for (command, file) in [
         ("synth --out mine", "mine"),
-        ("export out/poses.mcap --bvh mine", "mine"),
-        ("export out/poses.mcap --picture mine", "mine"),
+        ("export out/poses.mcap --to bvh --out mine", "mine"),
+        ("export out/poses.mcap --to glb --out mine", "mine"),
         ("retarget --skeleton out/poses.bvh --from out/poses.mcap --out mine", "mine"),
         ("decode out/poses.mcap --out mine", "mine"),
         ("replay walk.mcap --out mine", "mine"),
@@ -468,7 +468,7 @@ fn files_are_not_replaced_without_being_asked() {
         assert!(message.contains("exists; choose another name, or use --overwrite"), "{message}");
         assert_eq!(fs::read(place.path(file)).unwrap(), b"mine", "{command}");
     }
-    place.done("export out/poses.mcap --bvh mine --overwrite");
+    place.done("export out/poses.mcap --to bvh --out mine --overwrite");
     assert!(fs::read(place.path("mine")).unwrap().starts_with(b"HIERARCHY"));
 }
 
@@ -490,7 +490,7 @@ fn no_time_of_a_take_matters() {
         let offset = number(&figures, "/time_offsets/1/offset_ms");
         assert!((offset + 50.0).abs() < 5.0, "{offset}");
         medians.push(number(&figures, "/reprojection/median_px"));
-        place.done("export out/poses.mcap --bvh cut.bvh --start 1 --end 1.5 --overwrite");
+        place.done("export out/poses.mcap --out cut.bvh --start 1 --end 1.5 --overwrite");
         let cut = fs::read_to_string(place.path("cut.bvh")).unwrap();
         let frames = cut.lines().find_map(|line| line.strip_prefix("Frames:")).unwrap();
         assert_eq!(frames.trim(), "31");
@@ -640,7 +640,7 @@ fn missing_files_and_wrong_file_types_are_refused() {
     let place = Place::new();
     place.fails(UNREADABLE, "solve no.mcap --out out", &["no.mcap", "check the path"]);
     place.fails(UNREADABLE, "info no.mcap", &["no.mcap"]);
-    place.fails(UNREADABLE, "export no.mcap --bvh out.bvh", &["no.mcap"]);
+    place.fails(UNREADABLE, "export no.mcap --out out.bvh", &["no.mcap"]);
     place.write("empty.mcap", "");
     place.fails(MALFORMED, "solve empty.mcap --out out", &["empty.mcap", "it is empty"]);
     place.write("text.mcap", "a text file, no recording");
@@ -681,7 +681,7 @@ fn recordings_without_our_channels_are_refused() {
     place.fails(NOT_OURS, "solve rigless.mcap --out out", &["rigless.mcap", "--calibration"]);
 
     walk(&place.path("walk.mcap"), 30, |_| true);
-    place.fails(NOT_OURS, "export walk.mcap --bvh out.bvh", &["walk.mcap", "bundlemocap solve"]);
+    place.fails(NOT_OURS, "export walk.mcap --out out.bvh", &["walk.mcap", "bundlemocap solve"]);
     place.run("solve walk.mcap --out solved");
     place.fails(NOT_OURS, "solve solved/poses.mcap --out out", &["poses.mcap", "keypoints"]);
 }
@@ -1092,7 +1092,7 @@ fn several_performers_are_solved_into_one_recording_and_a_file_each() {
     }
     let report = fs::read_to_string(place.path("out/report.html")).unwrap();
     assert!(performers.iter().all(|name| report.contains(&format!("<h2>{name}</h2>"))));
-    place.done("export out/poses.mcap --bvh again.bvh --picture again.svg");
+    place.done("export out/poses.mcap --out again.bvh again.svg");
     place.done("retarget --skeleton out/poses.p1.bvh --from out/poses.mcap --out other.bvh");
     place
         .done("retarget --skeleton out/poses.p2.bvh --from out/poses.mcap --actor p2 --out p2.bvh");
@@ -1106,7 +1106,7 @@ fn several_performers_are_solved_into_one_recording_and_a_file_each() {
         assert_eq!(parts(&format!("other.{name}.bvh")).0, parts("other.p1.bvh").0);
     }
     assert_eq!(parts("p2.bvh").0.matches("JOINT").count(), 21);
-    let nobody = place.run("export out/poses.mcap --bvh no.bvh --actor p4");
+    let nobody = place.run("export out/poses.mcap --out no.bvh --actor p4");
     assert_eq!(nobody.status.code(), Some(USAGE));
     assert!(String::from_utf8_lossy(&nobody.stderr).contains("may be p1, p2, p3"));
     walk(&place.path("walk.mcap"), 60, |_| true);

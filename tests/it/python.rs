@@ -278,7 +278,7 @@ fn recordings_have_the_schemas_of_foxglove() {
     check(&program().arg("solve").arg(&walk).arg("--out").arg(&out).output().unwrap());
     let read = |from: &Path, name: &str| {
         let shown = folder.join(name);
-        check(&program().arg("export").arg(from).arg("--foxglove").arg(&shown).output().unwrap());
+        check(&program().arg("export").arg(from).arg("--out").arg(&shown).output().unwrap());
         Command::new("python3").args(["-c", FOXGLOVE]).arg(&shown).output().unwrap()
     };
     let output = read(&out.join("poses.mcap"), "poses.foxglove.mcap");
@@ -290,7 +290,7 @@ fn recordings_have_the_schemas_of_foxglove() {
     }
     // What is there is not replaced, and what is damaged or shows nothing is said.
     let export = |from: &Path, to: &str| {
-        program().arg("export").arg(from).arg("--foxglove").arg(folder.join(to)).output().unwrap()
+        program().arg("export").arg(from).arg("--out").arg(folder.join(to)).output().unwrap()
     };
     let code = |output: std::process::Output| output.status.code();
     assert_eq!(code(export(&out.join("poses.mcap"), "poses.foxglove.mcap")), Some(2));
@@ -306,4 +306,104 @@ fn recordings_have_the_schemas_of_foxglove() {
     check(&output);
     let said = String::from_utf8(output.stdout).unwrap();
     assert!(said.contains("/camera/cam04/keypoints=240"), "{said}");
+}
+
+/// Follows the nodes of a glTF file to the joints, and compares them with those of the poses.
+const GLTF: &str = r#"
+import json, struct, sys
+import numpy as np
+from mcap_protobuf.reader import read_protobuf_messages
+
+data = open(sys.argv[1], "rb").read()
+assert struct.unpack_from("<4sII", data) == (b"glTF", 2, len(data))
+size, = struct.unpack_from("<I", data, 12)
+gltf, numbers = json.loads(data[20:20 + size]), data[28 + size:]
+nodes, animation = gltf["nodes"], gltf["animations"][0]
+
+def values(index):
+    one = gltf["accessors"][index]
+    view = gltf["bufferViews"][one["bufferView"]]
+    kind = {5121: np.uint8, 5123: np.uint16, 5126: np.float32}[one["componentType"]]
+    width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}[one["type"]]
+    return np.frombuffer(numbers, kind, one["count"] * width, view["byteOffset"]).reshape(-1, width)
+
+def matrix(position, turn):
+    x, y, z, w = np.float64(turn)
+    rows = np.eye(4)
+    rows[:3, 3] = position
+    rows[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]
+    return rows
+
+keys = {}
+for channel in animation["channels"]:
+    target = channel["target"]
+    keys[target["node"], target["path"]] = values(animation["samplers"][channel["sampler"]]["output"])
+
+def place(frame=None):
+    worlds = {}
+    def visit(node, above):
+        def value(path, rest):
+            key = keys.get((node, path)) if frame is not None else None
+            return nodes[node].get(path, rest) if key is None else key[frame]
+        worlds[node] = above @ matrix(value("translation", (0, 0, 0)), value("rotation", (0, 0, 0, 1)))
+        for child in nodes[node].get("children", []):
+            visit(child, worlds[node])
+    visit(0, np.eye(4))
+    return worlds
+
+rest = {nodes[node]["name"]: world[:3, 3] for node, world in place().items()}
+assert not any("rotation" in node for node in nodes)
+# A T-pose that faces +z and stands on y = 0.
+for side, sign in (("l", 1), ("r", -1)):
+    shoulder, wrist, ankle, foot = (rest[f"{side}_{part}"] for part in ("shoulder", "wrist", "ankle", "foot"))
+    assert abs(wrist[1] - shoulder[1]) < 0.02 and sign * (wrist[0] - shoulder[0]) > 0.4, (shoulder, wrist)
+    assert foot[2] - ankle[2] > 0.08 and 0.02 < ankle[1] < 0.15, (ankle, foot)
+
+skin, primitive = gltf["skins"][0], gltf["meshes"][0]["primitives"][0]
+binds = values(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+points, weights = (values(primitive["attributes"][name]) for name in ("POSITION", "WEIGHTS_0"))
+joints = values(primitive["attributes"]["JOINTS_0"])
+assert abs(points[:, 1].min()) < 1e-6 and np.abs(weights.sum(1) - 1).max() < 1e-5
+
+def skinned(frame=None):
+    worlds = place(frame)
+    bones = np.array([worlds[joint] for joint in skin["joints"]]) @ binds
+    whole = np.c_[points, np.ones(len(points))]
+    return np.einsum("vi,vijk,vk->vj", weights, bones[joints], whole)[:, :3]
+
+assert np.abs(skinned() - points).max() < 1e-5
+frame = 0
+for message in read_protobuf_messages(sys.argv[2], topics=["mocap/stage/actor/actor/pose"]):
+    wanted = np.array(message.proto_msg.joint_positions_m).reshape(-1, 3)
+    found = np.array([place(frame)[joint][:3, 3] for joint in skin["joints"]])
+    assert np.abs(found - wanted).max() < 1e-5, (frame, np.abs(found - wanted).max())
+    # Each joint is inside the body.
+    if frame % 80 == 0:
+        far = max(np.linalg.norm(skinned(frame) - joint, axis=1).min() for joint in wanted)
+        assert far < 0.15, far
+    frame += 1
+times = values(animation["samplers"][0]["input"])[:, 0]
+assert len(times) == frame and np.abs(times - np.arange(frame) / float(sys.argv[3])).max() < 1e-5
+print(frame)
+"#;
+
+#[test]
+fn a_gltf_file_has_the_poses_on_a_true_rest_pose() {
+    let import = Command::new("python3").args(["-c", "import mcap_protobuf, numpy"]).output();
+    if !import.is_ok_and(|output| output.status.success()) {
+        return crate::support::skipped("pip install mcap-protobuf-support numpy first");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (out, glb) = (folder.path().join("out"), folder.path().join("walk.glb"));
+    let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
+    let program = || Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
+    check(&program().arg("solve").arg(&walk).arg("--out").arg(&out).output().unwrap());
+    let poses = out.join("poses.mcap");
+    check(&program().arg("export").arg(&poses).arg("--out").arg(&glb).output().unwrap());
+    let read = Command::new("python3").args(["-c", GLTF]).args([&glb, &poses]).arg("60").output();
+    let read = read.unwrap();
+    check(&read);
+    assert_eq!(String::from_utf8_lossy(&read.stdout), "240\n");
 }

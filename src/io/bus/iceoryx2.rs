@@ -16,15 +16,14 @@
 //! good.
 //!
 //! A program announces itself by an event service of that name; others see its node, and whether
-//! that node's process is alive. Its subscriptions are announced so too.
+//! that node's process is alive.
 
-use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use iceoryx2::node::{Node, NodeBuilder, NodeState, NodeView};
+use iceoryx2::node::{Node, NodeBuilder, NodeState};
 use iceoryx2::port::event_id::EventId;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
@@ -39,21 +38,16 @@ use iceoryx2::service::port_factory::event;
 
 use super::frame::{frame, parse};
 use super::iceoryx2_services::{
-    CLASSES, JOINED, NODES, Shm, class, classes, events, limits, node_name, persist, service,
-    service_name, settings,
+    CLASSES, JOINED, Shm, class, classes, events, limits, persist, service, service_name, settings,
 };
-use super::name::reaches_below;
 use super::{
     Bus, BusError, Guard, Iceoryx2Config, Memory, Publisher, Receiver, Sample, Sink, check_pattern,
-    check_topic, matches,
+    check_topic, matches, receivers,
 };
 use crate::core::time::Timestamp;
 
 /// First part of the names of services that announce a program.
 const ANNOUNCED: &str = "mocap/announced/";
-
-/// First part of the names of services that announce a subscription.
-const SUBSCRIBED: &str = "mocap/subscribed/";
 
 /// Interval of the search for leftovers of killed programs.
 const ROUND: Duration = Duration::from_secs(1);
@@ -61,6 +55,7 @@ const ROUND: Duration = Duration::from_secs(1);
 /// The bus over the shared memory of one host.
 pub struct Iceoryx2 {
     inner: Arc<Inner>,
+    receiver: receivers::Session,
 }
 
 struct Inner {
@@ -96,7 +91,6 @@ impl Iceoryx2 {
         let node = NodeBuilder::new()
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .config(&settings(&config.prefix)?)
-            .name(&node_name(&config.name)?)
             .create::<Shm>()
             .map_err(|error| BusError::transport("cannot use shared memory", error))?;
         node.try_cleanup_dead_nodes();
@@ -115,7 +109,8 @@ impl Iceoryx2 {
             .name("bus".into())
             .spawn(move || receiving.run(&listener))
             .map_err(|error| BusError::transport("cannot start a thread", error))?;
-        Ok(Self { inner: Arc::new(Inner { shared, thread: Some(thread) }) })
+        let inner = Arc::new(Inner { shared, thread: Some(thread) });
+        Ok(Self { inner, receiver: receivers::Session::new(&config.name) })
     }
 }
 
@@ -246,14 +241,11 @@ impl Publisher for Iceoryx2Publisher {
 /// Keeps a subscription and its bus alive.
 struct Subscribed {
     _local: Box<dyn Guard>,
-    _service: event::PortFactory<Shm>,
+    _announced: Option<Box<dyn Guard>>,
     _inner: Arc<Inner>,
 }
 
 impl Guard for Subscribed {}
-
-/// What an event service announces, and the nodes that hold it.
-type Announcement = (String, Vec<NodeState<Shm>>);
 
 /// Keeps an announced name and its bus alive.
 struct Announced {
@@ -262,31 +254,6 @@ struct Announced {
 }
 
 impl Guard for Announced {}
-
-impl Iceoryx2 {
-    /// Creates an event service that others see as long as this process is alive.
-    fn announce_as(&self, kind: &str, name: &str) -> Result<event::PortFactory<Shm>, BusError> {
-        let service = service_name(&format!("{kind}{name}"))?;
-        persist(&format!("cannot announce {name}"), || {
-            let node = &self.inner.shared.node;
-            node.service_builder(&service).event().max_nodes(NODES).open_or_create()
-        })
-    }
-
-    /// What is announced by such services, each with the nodes that do.
-    fn services(&self, kind: &str) -> Result<Vec<Announcement>, BusError> {
-        let mut services = Vec::new();
-        let note = |service: ServiceDetails<Shm>| {
-            let nodes = service.dynamic_details.map(|details| details.nodes).unwrap_or_default();
-            let name = service.static_details.name().as_str().strip_prefix(kind);
-            services.extend(name.map(|name| (name.to_owned(), nodes)));
-            CallbackProgression::Continue
-        };
-        Shm::list(self.inner.shared.node.config(), note)
-            .map_err(|error| BusError::transport("cannot list the programs", error))?;
-        Ok(services)
-    }
-}
 
 impl Bus for Iceoryx2 {
     fn publisher(&self, topic: &str) -> Result<Box<dyn Publisher>, BusError> {
@@ -315,9 +282,10 @@ impl Bus for Iceoryx2 {
         classes(pattern).for_each(|class| shared.drain(class));
         let local = shared.local.subscribe(pattern, sink)?;
         classes(pattern).try_for_each(|class| shared.listen_to(class))?;
-        let service = self.announce_as(SUBSCRIBED, pattern)?;
         shared.notify(JOINED);
-        Ok(Box::new(Subscribed { _local: local, _service: service, _inner: self.inner.clone() }))
+        let announced = self.receiver.announce(self, pattern);
+        let inner = self.inner.clone();
+        Ok(Box::new(Subscribed { _local: local, _announced: announced, _inner: inner }))
     }
 
     fn answer(
@@ -330,40 +298,33 @@ impl Bus for Iceoryx2 {
 
     fn announce(&self, name: &str) -> Result<Box<dyn Guard>, BusError> {
         check_topic(name)?;
-        let service = self.announce_as(ANNOUNCED, name)?;
+        let node = &self.inner.shared.node;
+        let service = service_name(&format!("{ANNOUNCED}{name}"))?;
+        let service = persist(&format!("cannot announce {name}"), || {
+            node.service_builder(&service).event().open_or_create()
+        })?;
         Ok(Box::new(Announced { _service: service, _inner: self.inner.clone() }))
     }
 
     fn announced(&self, pattern: &str) -> Result<Vec<String>, BusError> {
         check_pattern(pattern)?;
-        let services = self.services(ANNOUNCED)?;
-        let is_alive = |nodes: &[_]| nodes.iter().any(|node| matches!(node, NodeState::Alive(_)));
-        let matching = services.into_iter().filter(|(name, _)| matches(pattern, name));
-        Ok(matching.filter(|(_, nodes)| is_alive(nodes)).map(|(name, _)| name).collect())
+        let mut names = Vec::new();
+        let note = |service: ServiceDetails<Shm>| {
+            let nodes = service.dynamic_details.map(|details| details.nodes).unwrap_or_default();
+            let name = service.static_details.name().as_str().strip_prefix(ANNOUNCED);
+            let name = name.filter(|name| matches(pattern, name));
+            if nodes.iter().any(|node| matches!(node, NodeState::Alive(_))) {
+                names.extend(name.map(str::to_owned));
+            }
+            CallbackProgression::Continue
+        };
+        Shm::list(self.inner.shared.node.config(), note)
+            .map_err(|error| BusError::transport("cannot list the programs", error))?;
+        Ok(names)
     }
 
     fn receivers(&self, below: &str) -> Result<Vec<Receiver>, BusError> {
-        check_topic(below)?;
-        let own = *self.inner.shared.node.id();
-        let mut receivers = BTreeMap::<_, Receiver>::new();
-        let mut services = self.services(SUBSCRIBED)?;
-        services.retain(|(pattern, _)| reaches_below(pattern, below));
-        services.sort_by(|a, b| a.0.cmp(&b.0));
-        for (pattern, nodes) in services {
-            let alive = nodes.iter().filter_map(|node| match node {
-                NodeState::Alive(node) if *node.id() != own => Some(node),
-                _ => None,
-            });
-            for node in alive {
-                let receiver = receivers.entry(node.id().value()).or_default();
-                if let Some(details) = node.details() {
-                    receiver.name = details.name().to_string();
-                    receiver.place = format!("process {}", details.process_id());
-                }
-                receiver.patterns.push(pattern.clone());
-            }
-        }
-        Ok(receivers.into_values().collect())
+        self.receiver.others(self, below)
     }
 
     fn query(&self, pattern: &str, _within: Duration) -> Result<Vec<Sample>, BusError> {

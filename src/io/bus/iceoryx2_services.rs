@@ -3,10 +3,9 @@
 use std::time::{Duration, Instant};
 
 use iceoryx2::node::Node;
-use iceoryx2::prelude::{FileName, NodeName, SemanticString, ServiceName, ipc_threadsafe};
+use iceoryx2::prelude::{FileName, SemanticString, ServiceName, ipc_threadsafe};
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
-use super::receivers::name_or_file;
 use super::{BusError, Delivery, delivery};
 
 pub(super) type Shm = ipc_threadsafe::Service;
@@ -16,9 +15,6 @@ pub(super) const CLASSES: [usize; 5] = [0, 1, 8, 64, 256];
 
 /// Event id: a subscriber joined. Smaller ids are the class of a new sample.
 pub(super) const JOINED: usize = CLASSES.len();
-
-/// Most programs.
-pub(super) const NODES: usize = 64;
 
 /// Longest wait for a service that others are creating or removing.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -30,12 +26,13 @@ pub(super) struct Limits {
     publishers: usize,
     subscribers: usize,
     borrowed: usize,
+    nodes: usize,
 }
 
 pub(super) fn limits(class: usize) -> Limits {
     let history = CLASSES[class];
     let buffer = 2 * history + 64;
-    Limits { history, buffer, publishers: 64, subscribers: 32, borrowed: 2 }
+    Limits { history, buffer, publishers: 64, subscribers: 32, borrowed: 2, nodes: 64 }
 }
 
 impl Limits {
@@ -95,27 +92,20 @@ pub(super) fn persist<T, E: std::fmt::Display>(
     }
 }
 
-/// The name, shortened to what iceoryx2 takes.
-pub(super) fn node_name(name: &str) -> Result<NodeName, BusError> {
-    let name: String =
-        name_or_file(name).chars().filter(char::is_ascii).take(NodeName::max_len()).collect();
-    NodeName::new(&name).map_err(|error| BusError::transport(name, error))
-}
-
 pub(super) fn service_name(name: &str) -> Result<ServiceName, BusError> {
     ServiceName::new(name).map_err(|error| BusError::transport(name, error))
 }
 
 pub(super) fn events(node: &Node<Shm>) -> Result<event::PortFactory<Shm>, BusError> {
     let name = service_name("mocap/events/1")?;
-    let Limits { publishers, .. } = limits(0);
+    let Limits { publishers, nodes, .. } = limits(0);
     persist("cannot open the events in shared memory", || {
         node.service_builder(&name)
             .event()
             .event_id_max_value(JOINED)
             .max_listeners(publishers)
             .max_notifiers(publishers)
-            .max_nodes(NODES)
+            .max_nodes(nodes)
             .open_or_create()
     })
 }
@@ -135,7 +125,7 @@ pub(super) fn service(
             .subscriber_max_borrowed_samples(limits.borrowed)
             .max_publishers(limits.publishers)
             .max_subscribers(limits.subscribers)
-            .max_nodes(NODES)
+            .max_nodes(limits.nodes)
             .enable_safe_overflow(true)
             .open_or_create()
     })

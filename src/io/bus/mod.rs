@@ -28,6 +28,7 @@ mod iceoryx2;
 mod iceoryx2_services;
 mod memory;
 mod name;
+#[cfg_attr(not(any(feature = "zenoh", feature = "iceoryx2")), allow(dead_code))]
 mod receivers;
 mod replay;
 #[cfg(feature = "zenoh")]
@@ -125,8 +126,7 @@ pub trait Bus: Send + Sync {
     /// The text is not a pattern, or the transport refuses it.
     fn announced(&self, pattern: &str) -> Result<Vec<String>, BusError>;
 
-    /// The programs that receive any topic below a name, such as `mocap/stage/actor`; not this one. On a bus
-    /// inside a process it is not known.
+    /// The sessions that receive any topic below a name, such as `mocap/stage/actor`; not this one.
     ///
     /// # Errors
     /// The name has not the form of a topic, or the transport refuses it.

@@ -65,20 +65,6 @@ pub fn matches(pattern: &str, topic: &str) -> bool {
     matches_parts(&pattern, &topic)
 }
 
-/// Whether a pattern matches any topic below a name.
-#[cfg(feature = "iceoryx2")]
-pub(super) fn reaches_below(pattern: &str, name: &str) -> bool {
-    let mut parts = pattern.split('/');
-    for wanted in name.split('/') {
-        match parts.next() {
-            Some("**") => return true,
-            Some(part) if part == "*" || part == wanted => {}
-            _ => return false,
-        }
-    }
-    parts.next().is_some()
-}
-
 /// Backtracks only to the last `**`, so the time is at most the product of the lengths.
 fn matches_parts(pattern: &[&str], topic: &[&str]) -> bool {
     let (mut p, mut t) = (0, 0);
@@ -132,17 +118,6 @@ mod tests {
             ("a/b/c", "a/b"),
         ] {
             assert!(!matches(pattern, topic) || topic.is_empty(), "{pattern} {topic}");
-        }
-    }
-
-    #[cfg(feature = "iceoryx2")]
-    #[test]
-    fn a_pattern_reaches_below_a_name() {
-        for pattern in ["**", "a/**", "a/b/**", "a/*/c", "a/b/*/d", "*/**"] {
-            assert!(reaches_below(pattern, "a/b"), "{pattern}");
-        }
-        for pattern in ["a/b", "a/*", "b/**", "a/c/d", "*"] {
-            assert!(!reaches_below(pattern, "a/b"), "{pattern}");
         }
     }
 

@@ -1,124 +1,132 @@
-//! Who receives what.
+//! Who receives what: sessions announce their subscriptions.
+//!
+//! The name is `receivers/{program}/{computer}/{process}.{session}/{pattern}`, with `+` in place of `*`. Programs of
+//! others may announce theirs so too.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use serde::Serialize;
 
-/// A program that subscribes to topics.
-#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+use super::{Bus, BusError, Guard, check_topic};
+
+const ROOT: &str = "receivers";
+/// Sessions of this process so far.
+static SESSIONS: AtomicU32 = AtomicU32::new(0);
+
+/// A session that subscribes to topics.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Receiver {
-    /// What it calls itself, such as `bundlemocap record`; empty if it does not say.
-    pub name: String,
-    /// Address of its computer, number of its process, or else its number on the bus.
-    pub place: String,
-    /// The patterns that it subscribes to, sorted.
-    pub patterns: Vec<String>,
+    /// What the program calls itself, such as `bundlemocap record`.
+    pub program: String,
+    /// The name of its computer.
+    pub computer: String,
+    /// The number of its process, a dot, and the number of its session.
+    pub session: String,
+    /// The patterns that it subscribes to.
+    pub patterns: BTreeSet<String>,
 }
 
-/// What a program is called if nothing is set: the name of its file.
-pub(super) fn name_or_file(name: &str) -> String {
-    if !name.is_empty() {
-        return name.to_owned();
+/// A session, as it announces itself.
+pub(super) struct Session {
+    /// `receivers/{program}/{computer}/{process}.{session}`
+    name: String,
+}
+
+impl Session {
+    /// A new session; an empty name stands for the name of the program's file.
+    pub(super) fn new(program: &str) -> Self {
+        let file = std::env::current_exe().unwrap_or_default();
+        let file = file.file_stem().unwrap_or_default().to_string_lossy();
+        let program = part(if program.is_empty() { &file } else { program });
+        let computer = part(&rustix::system::uname().nodename().to_string_lossy());
+        let process = std::process::id();
+        let session = SESSIONS.fetch_add(1, Ordering::Relaxed);
+        Self { name: format!("{ROOT}/{program}/{computer}/{process}.{session}") }
     }
-    let file = std::env::current_exe().unwrap_or_default();
-    file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
-}
 
-#[cfg(feature = "zenoh")]
-pub(super) use admin::of_admin_space;
+    /// Announces a subscription. A bus may refuse it, for its name is too long or its rules forbid it; the
+    /// subscription does not depend on it.
+    pub(super) fn announce(&self, bus: &dyn Bus, pattern: &str) -> Option<Box<dyn Guard>> {
+        let name = format!("{}/{}", self.name, pattern.replace('*', "+"));
+        bus.announce(&name)
+            .inspect_err(|error| tracing::debug!("a subscription is not announced: {error}"))
+            .ok()
+    }
 
-/// Zenoh's admin space: what sessions say of themselves and of those beside them.
-#[cfg(feature = "zenoh")]
-mod admin {
-    use std::collections::{BTreeMap, BTreeSet};
-
-    use serde_json::Value;
-
-    use super::Receiver;
-
-    /// The receivers, except `own`, from the answers under `@/*/*/subscriber/` and `@/*/*`: keys and JSON.
-    pub(in super::super) fn of_admin_space(
-        subscribers: &[(String, Value)],
-        sessions: &[(String, Value)],
-        own: &str,
-    ) -> Vec<Receiver> {
-        let mut patterns = BTreeMap::<&str, BTreeSet<&str>>::new();
-        for (key, sources) in subscribers {
-            let Some((_, pattern)) = key.split_once("/subscriber/") else { continue };
-            // Helpers of zenoh-ext: heartbeats of states.
-            if pattern.contains("/@adv/") {
+    /// The other sessions that receive any topic below a name.
+    pub(super) fn others(&self, bus: &dyn Bus, below: &str) -> Result<Vec<Receiver>, BusError> {
+        check_topic(below)?;
+        let mut receivers = BTreeMap::<String, Receiver>::new();
+        for name in bus.announced(&format!("{ROOT}/**"))? {
+            let parts: Vec<&str> = name.splitn(5, '/').collect();
+            let [_, program, computer, session, pattern] = parts[..] else { continue };
+            let session_name = &name[..name.len() - pattern.len() - 1];
+            let pattern = pattern.replace('+', "*");
+            if session_name == self.name || !reaches_below(&pattern, below) {
                 continue;
             }
-            // Routers pass on what their own clients and peers want, and answer for these themselves.
-            let of = ["peers", "clients"].map(|kind| sources[kind].as_array());
-            for id in of.into_iter().flatten().flatten().filter_map(Value::as_str) {
-                patterns.entry(id).or_default().insert(pattern);
-            }
+            let receiver = receivers.entry(session_name.to_owned()).or_insert_with(|| Receiver {
+                program: program.into(),
+                computer: computer.into(),
+                session: session.into(),
+                patterns: BTreeSet::new(),
+            });
+            receiver.patterns.insert(pattern);
         }
-        patterns.remove(own);
-        let receiver = |(id, patterns): (&str, BTreeSet<&str>)| Receiver {
-            name: name(sessions, id).unwrap_or_default(),
-            place: host(sessions, id).unwrap_or_else(|| id.to_owned()),
-            patterns: patterns.into_iter().map(str::to_owned).collect(),
-        };
-        patterns.into_iter().map(receiver).collect()
-    }
-
-    /// What a session says in its metadata.
-    fn name(sessions: &[(String, Value)], id: &str) -> Option<String> {
-        let own = sessions.iter().find(|(_, about)| about["zid"] == id);
-        Some(own?.1["metadata"]["name"].as_str()?.to_owned())
-    }
-
-    /// Where others see a session connected.
-    fn host(sessions: &[(String, Value)], id: &str) -> Option<String> {
-        let others = sessions.iter().filter_map(|(_, about)| about["sessions"].as_array());
-        let beside = others.flatten().find(|beside| beside["peer"] == id)?;
-        let address = beside["links"][0]["dst"].as_str()?;
-        // `tcp/192.168.1.20:51234`
-        let (_, address) = address.split_once('/')?;
-        Some(address.rsplit_once(':').map_or(address, |(host, _)| host).to_owned())
+        Ok(receivers.into_values().collect())
     }
 }
 
-#[cfg(all(test, feature = "zenoh"))]
-mod tests {
-    use serde_json::json;
+/// A text as one part of a topic.
+fn part(text: &str) -> String {
+    let is_reserved = |c: char| c.is_control() || "/*$?#+".contains(c);
+    text.chars().skip_while(|c| *c == '@').map(|c| if is_reserved(c) { '_' } else { c }).collect()
+}
 
+/// Whether a pattern matches any topic below a name.
+fn reaches_below(pattern: &str, name: &str) -> bool {
+    let mut parts = pattern.split('/');
+    for wanted in name.split('/') {
+        match parts.next() {
+            Some("**") => return true,
+            Some(part) if part == "*" || part == wanted => {}
+            _ => return false,
+        }
+    }
+    parts.next().is_some()
+}
+
+#[cfg(test)]
+mod tests {
     use super::*;
+    use crate::io::bus::Memory;
 
     #[test]
-    fn a_program_that_says_nothing_of_itself_has_an_address() {
-        let subscribers = [
-            (
-                "@/a1/router/subscriber/mocap/s/actor/*/pose".into(),
-                json!({ "clients": ["b2", "c3"] }),
-            ),
-            (
-                "@/a1/router/subscriber/mocap/**".into(),
-                json!({ "clients": ["b2"], "peers": ["d4"] }),
-            ),
-            ("@/b2/client/subscriber/mocap/**".into(), json!({ "routers": ["a1"] })),
-            ("@/a1/router/subscriber/mocap/s/actor/*/@adv/x".into(), json!({ "clients": ["e5"] })),
-        ];
-        let link = |to: &str| json!([{ "src": "tcp/10.0.0.1:7447", "dst": to }]);
-        let sessions = [
-            (
-                "@/a1/router".into(),
-                json!({ "zid": "a1", "metadata": null, "sessions": [
-                    { "peer": "b2", "links": link("tcp/10.0.0.7:50000") },
-                    { "peer": "c3", "links": link("tls/[fe80::1]:50000") },
-                ] }),
-            ),
-            ("@/c3/client".into(), json!({ "zid": "c3", "metadata": { "name": "the page" } })),
-        ];
-        let one = |name: &str, place: &str, patterns: &[&str]| Receiver {
-            name: name.into(),
-            place: place.into(),
-            patterns: patterns.iter().map(|&pattern| pattern.into()).collect(),
+    fn a_pattern_reaches_below_a_name() {
+        for pattern in ["**", "a/**", "a/b/**", "a/*/c", "a/b/*/d", "*/**"] {
+            assert!(reaches_below(pattern, "a/b"), "{pattern}");
+        }
+        for pattern in ["a/b", "a/*", "b/**", "a/c/d", "*"] {
+            assert!(!reaches_below(pattern, "a/b"), "{pattern}");
+        }
+    }
+
+    #[test]
+    fn others_are_seen_with_their_patterns_and_strange_names_are_tamed() {
+        let bus = Memory::new();
+        let (own, other) = (Session::new(""), Session::new("@a/b*+\n"));
+        let patterns = ["mocap/s/actor/*/pose", "mocap/**", "mocap/s/rig"];
+        let _guards: Vec<_> =
+            [&own, &other].iter().flat_map(|one| patterns.map(|p| one.announce(&bus, p))).collect();
+        let _foreign = bus.announce("receivers/not/ours").unwrap();
+        let receivers = own.others(&bus, "mocap/s/actor").unwrap();
+        let [Receiver { program, patterns: found, .. }] = &receivers[..] else {
+            panic!("{receivers:?}")
         };
-        let pose = "mocap/s/actor/*/pose";
-        let wanted = [one("", "10.0.0.7", &["mocap/**", pose]), one("", "d4", &["mocap/**"])];
-        assert_eq!(of_admin_space(&subscribers, &sessions, "c3"), wanted);
-        let page = one("the page", "[fe80::1]", &[pose]);
-        assert!(of_admin_space(&subscribers, &sessions, "").contains(&page));
+        assert_eq!(program, "a_b___");
+        assert!(found.iter().eq(["mocap/**", "mocap/s/actor/*/pose"]), "{found:?}");
+        assert!(own.announce(&bus, &"a".repeat(200)).is_none(), "too long");
+        assert!(own.others(&bus, "mocap/*").is_err());
     }
 }

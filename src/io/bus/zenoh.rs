@@ -14,9 +14,6 @@
 //! 8 bytes little endian. Samples of foreign publishers without attachment have capture time 0.
 //! Foreign publishers have no cache unless they are advanced publishers of zenoh-ext.
 //!
-//! Sessions tell in zenoh's admin space who subscribes to what, read only. With a configuration file of the
-//! node, that file says whether.
-//!
 //! Zenoh's time stamps are off: routers would stamp samples of all publishers with one clock, and
 //! zenoh-ext would treat them as one source and drop samples that are out of order.
 
@@ -33,11 +30,10 @@ use zenoh_ext::{
     HistoryConfig, MissDetectionConfig, RecoveryConfig,
 };
 
-use super::receivers::of_admin_space;
 use super::zenoh_settings::{check_endpoints, settings, why_not_open, without_places};
 use super::{
     Answer, Bus, BusError, Delivery, Guard, Publisher, Receiver, Sample, Sink, ZenohConfig,
-    ZenohMode, check_pattern, check_topic, delivery,
+    ZenohMode, check_pattern, check_topic, delivery, receivers,
 };
 use crate::core::time::Timestamp;
 use crate::io::wire::Topic;
@@ -48,15 +44,13 @@ const HISTORY_WITHIN: Duration = Duration::from_secs(2);
 /// Time that the network has to name the announced.
 const ANNOUNCED_WITHIN: Duration = Duration::from_secs(1);
 
-/// Time that programs have to say who subscribes to what.
-const RECEIVERS_WITHIN: Duration = Duration::from_millis(500);
-
 /// Interval at which a publisher of states sends its last sequence number, if it published.
 const HEARTBEAT: Duration = Duration::from_millis(500);
 
 /// The bus over a network.
 pub struct Zenoh {
     session: Session,
+    receiver: receivers::Session,
 }
 
 /// Delay before closing, so that the last samples are still sent.
@@ -131,7 +125,7 @@ fn open(
         });
     }
     match zenoh::open(settings(config, mode, listen, connect, scouting)?).wait() {
-        Ok(session) => Ok(Zenoh { session }),
+        Ok(session) => Ok(Zenoh { session, receiver: receivers::Session::new(&config.name) }),
         Err(error) => Err(why_not_open(mode, listen, connect, &without_places(&error))),
     }
 }
@@ -166,9 +160,10 @@ impl Bus for Zenoh {
             .declare_subscriber(canonical(pattern)?)
             .callback(move |sample| sink(from_zenoh(&sample)));
         let what = || format!("cannot subscribe to {pattern}");
+        let announced = self.receiver.announce(self, pattern);
         if is_of_streams(pattern) {
             let subscriber = builder.wait().map_err(|e| self.error(what(), e))?;
-            return Ok(Box::new(Alive { _what: subscriber, _session: self.session.clone() }));
+            return Ok(self.alive((subscriber, announced)));
         }
         let subscriber = builder
             .history(HistoryConfig::default().detect_late_publishers())
@@ -176,7 +171,7 @@ impl Bus for Zenoh {
             .query_timeout(HISTORY_WITHIN)
             .wait()
             .map_err(|e| self.error(what(), e))?;
-        Ok(Box::new(Alive { _what: subscriber, _session: self.session.clone() }))
+        Ok(self.alive((subscriber, announced)))
     }
 
     fn answer(&self, topic: &str, answer: Answer) -> Result<Option<Box<dyn Guard>>, BusError> {
@@ -189,14 +184,14 @@ impl Bus for Zenoh {
             .callback(move |query| reply(&query, &key, answer()))
             .wait()
             .map_err(|e| self.error(format!("cannot answer on {topic}"), e))?;
-        Ok(Some(Box::new(Alive { _what: queryable, _session: self.session.clone() })))
+        Ok(Some(self.alive(queryable)))
     }
 
     fn announce(&self, name: &str) -> Result<Box<dyn Guard>, BusError> {
         check_topic(name)?;
         let token = self.session.liveliness().declare_token(name.to_owned()).wait();
         let token = token.map_err(|e| self.error(format!("cannot announce {name}"), e))?;
-        Ok(Box::new(Alive { _what: token, _session: self.session.clone() }))
+        Ok(self.alive(token))
     }
 
     fn announced(&self, pattern: &str) -> Result<Vec<String>, BusError> {
@@ -209,20 +204,11 @@ impl Bus for Zenoh {
     }
 
     fn receivers(&self, below: &str) -> Result<Vec<Receiver>, BusError> {
-        check_topic(below)?;
-        let subscribers = self.admin_space(&format!("@/*/*/subscriber/{below}/**"))?;
-        let sessions = self.admin_space("@/*/*")?;
-        Ok(of_admin_space(&subscribers, &sessions, &self.session.zid().to_string()))
+        self.receiver.others(self, below)
     }
 
     fn query(&self, pattern: &str, within: Duration) -> Result<Vec<Sample>, BusError> {
         check_pattern(pattern)?;
-        Ok(self.ask(pattern, within)?.iter().map(from_zenoh).collect())
-    }
-}
-
-impl Zenoh {
-    fn ask(&self, pattern: &str, within: Duration) -> Result<Vec<zenoh::sample::Sample>, BusError> {
         let replies = self
             .session
             .get(canonical(pattern)?)
@@ -231,17 +217,14 @@ impl Zenoh {
             .timeout(within)
             .wait()
             .map_err(|e| self.error(format!("cannot ask for {pattern}"), e))?;
-        Ok(replies.iter().filter_map(|reply| reply.into_result().ok()).collect())
+        Ok(replies.iter().filter_map(|r| r.into_result().ok()).map(|s| from_zenoh(&s)).collect())
     }
+}
 
-    /// The answers under some keys of the admin space.
-    fn admin_space(&self, pattern: &str) -> Result<Vec<(String, serde_json::Value)>, BusError> {
-        let answers = self.ask(pattern, RECEIVERS_WITHIN)?;
-        let json = |answer: &zenoh::sample::Sample| {
-            let value = serde_json::from_slice(&answer.payload().to_bytes()).ok()?;
-            Some((answer.key_expr().to_string(), value))
-        };
-        Ok(answers.iter().filter_map(json).collect())
+impl Zenoh {
+    /// A guard that also keeps the session alive.
+    fn alive<T: Send + 'static>(&self, what: T) -> Box<dyn Guard> {
+        Box::new(Alive { _what: what, _session: self.session.clone() })
     }
 
     fn error(&self, what: String, error: zenoh::Error) -> BusError {

@@ -4,7 +4,6 @@ use std::net::{TcpListener, ToSocketAddrs};
 
 use zenoh::config::EndPoint;
 
-use super::receivers::name_or_file;
 use super::{BusError, TlsConfig, ZenohConfig};
 
 /// Time in which a client tries to connect, milliseconds.
@@ -63,12 +62,6 @@ pub(super) fn settings(
         (format!("{queue}/size/real_time"), "16".into()),
         (format!("{queue}/size/data"), "16".into()),
     ];
-    // A file may say otherwise: there may be reasons.
-    if mode == "client" || config.config.is_empty() {
-        let name = serde_json::json!({ "name": name_or_file(&config.name) });
-        settings.push(("adminspace/enabled".into(), "true".into()));
-        settings.push(("metadata".into(), name.to_string()));
-    }
     if mode == "client" {
         settings.push(("connect/timeout_ms".into(), CONNECT_MS.to_string()));
     }

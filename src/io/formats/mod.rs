@@ -7,6 +7,7 @@
 
 pub mod bvh;
 mod calibration;
+pub mod gltf;
 mod openpose;
 pub mod trc;
 

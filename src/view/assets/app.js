@@ -286,11 +286,11 @@ function showReceivers() {
   const { receivers } = source;
   $("receivers").previousElementSibling.hidden = receivers === undefined;
   if (receivers === undefined) return;
-  const items = receivers.map(({ name, place, patterns }) => {
-    const item = element("li", `${name || "a program"}, ${place}`);
+  const items = receivers.map(({ program, computer, session, patterns }) => {
+    const item = element("li", `${program} on ${computer}`);
     const kinds = new Set(patterns.map((pattern) => KINDS[pattern.split("/").at(-1)] ?? pattern));
     item.append(element("div", [...kinds].join(", "), "words"));
-    item.title = patterns.join("\n");
+    item.title = [`process ${session.split(".")[0]}`, ...patterns].join("\n");
     return item;
   });
   replace($("receivers"), items.length > 0 ? items : [element("li", "nobody, but this page")]);
