@@ -4,9 +4,12 @@ The payload of a zenoh sample is a message of ../*.proto, its encoding names the
 attachment is the capture time in nanoseconds: 8 bytes, little endian.
 """
 
+import os
 import pathlib
+import platform
 import struct
 import sys
+import uuid
 
 import zenoh
 import zenoh.ext
@@ -66,9 +69,25 @@ def _about(message, capture_time_ns):
     }
 
 
+class _Announced:
+    """A subscriber, and the token by which others see it."""
+
+    _session = f"{os.getpid()}.{uuid.uuid4().hex[:8]}"
+
+    def __init__(self, session, topic, subscriber):
+        pattern = "/".join("+" * len(part) if set(part) == {"*"} else part for part in topic.split("/"))
+        program = pathlib.Path(sys.argv[0]).stem or "python"
+        name = f"mocap/receivers/{program}/{platform.node() or 'unknown'}/{self._session}/{pattern}"
+        self._parts = subscriber, session.liveliness().declare_token(name)
+
+    def undeclare(self):
+        for part in self._parts:
+            part.undeclare()
+
+
 def subscribe_stream(session, topic, message_type, handle):
     """Calls `handle(message)` for new messages. Keep the returned subscriber."""
-    return session.declare_subscriber(topic, _decoding(message_type, handle))
+    return _Announced(session, topic, session.declare_subscriber(topic, _decoding(message_type, handle)))
 
 
 def subscribe_state(session, topic, message_type, handle):
@@ -78,13 +97,14 @@ def subscribe_state(session, topic, message_type, handle):
 
 def subscribe_samples(session, topic, handle):
     """Calls `handle(sample)` for the last and for new samples of any type. Keep the subscriber."""
-    return zenoh.ext.declare_advanced_subscriber(
+    subscriber = zenoh.ext.declare_advanced_subscriber(
         session,
         topic,
         handle,
         history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
         recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
     )
+    return _Announced(session, topic, subscriber)
 
 
 def _decoding(message_type, handle):

@@ -87,7 +87,8 @@ impl BusArguments {
 
 /// How others see this program: its name and the command.
 pub(super) fn program() -> String {
-    let command = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
+    let words = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned());
+    let command = words.into_iter().find(|word| !word.starts_with('-'));
     format!("{} {}", env!("CARGO_PKG_NAME"), command.unwrap_or_default())
 }
 

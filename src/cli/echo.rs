@@ -15,8 +15,7 @@ use super::terminal::{complain, tell};
 use super::wire;
 use crate::cli::tools::inbox::{Inbox, Received};
 use crate::core::time::Timestamp;
-use crate::io::recording::Message;
-use crate::io::wire::{DecodeError, ENCODING, Topics, schema_of};
+use crate::io::wire::Topics;
 
 /// Print the messages on the bus, one per line.
 #[derive(Debug, Args)]
@@ -176,17 +175,9 @@ impl Rates {
     }
 }
 
-fn decoded(received: &Received) -> Result<Message, DecodeError> {
-    let sample = &received.sample;
-    match schema_of(&sample.topic, &sample.encoding) {
-        Some(schema) => Message::decode(&sample.topic, schema, ENCODING, &sample.payload),
-        None => Message::decode(&sample.topic, "", &sample.encoding, &[]),
-    }
-}
-
 fn line(received: &Received) -> String {
     let sample = &received.sample;
-    let said = match decoded(received) {
+    let said = match received.message() {
         Ok(message) => wire::text(&message, received.arrival).unwrap_or_else(|| {
             let encoding = if sample.encoding.is_empty() { "unknown" } else { &*sample.encoding };
             format!("encoding {encoding}")
@@ -205,7 +196,7 @@ fn json_line(received: &Received) -> Value {
     object.insert("arrival_time_ns".into(), json!(arrival.ns()));
     object.insert("bus_capture_time_ns".into(), json!(sample.capture.ns()));
     object.insert("bytes".into(), json!(sample.payload.len()));
-    match decoded(received) {
+    match received.message() {
         Ok(message) => object.insert("message".into(), json!(message)),
         Err(error) => object.insert("undecodable".into(), json!(error.to_string())),
     };

@@ -1,24 +1,22 @@
 //! `bundlemocap export`
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::overwrite::Overwrite;
-#[cfg(feature = "view")]
-use super::overwrite::is_same_file;
+use super::overwrite::{Overwrite, is_same_file};
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
-use crate::io::formats::gltf::write_glb;
+use crate::io::formats::gltf::{Take, write_glb};
 #[cfg(feature = "view")]
 use crate::io::new_file;
 use crate::io::recording::{Message, Reader};
 use crate::io::wire::Topic;
-use crate::offline::bvh::{BvhFile, Fill};
+use crate::offline::bvh::BvhFile;
 use crate::offline::compact_pose::CompactPose;
 use crate::offline::output::{strip, text};
 use crate::offline::poses::frame_rate;
@@ -27,16 +25,17 @@ use crate::offline::poses::frame_rate;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The ending of each file chooses the format:
-  .glb    glTF: skin, skeleton and animation, for Blender, Unreal, Unity, Godot and browsers; metres
+  .glb    skin, skeleton and animation, for Blender, Unreal, Unity, Godot and browsers; metres
   .bvh    skeleton and animation, for Blender, MotionBuilder and Maya; centimetres
   .svg    a picture: a row of stick figures
   .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
-In .glb and .bvh y is up; with all rotations zero the body is a T-pose that faces +z. Frames are evenly
-spaced from the first pose on; a gap repeats the pose before it.
+In .glb and .bvh y is up; with all rotations zero the body is a T-pose that faces +z. In .glb the
+keys have the times of the poses since the first one. In .bvh frames are evenly spaced; a gap
+repeats the pose before it, ten minutes in all.
 
 Examples:
   bundlemocap export out/poses.mcap --out take1.glb
-  bundlemocap export out/poses.mcap --out take1.glb take1.bvh take1.svg
+  bundlemocap export out/poses.mcap --out take1.glb --out take1.bvh --out take1.svg
   bundlemocap export out/poses.mcap --out cut.bvh --start 01:00:10:00 --end 01:00:20:00
   bundlemocap export both/poses.mcap --out take1.glb             take1.p1.glb, take1.p2.glb
   bundlemocap export both/poses.mcap --out take1.glb --actor p2  take1.glb
@@ -44,12 +43,12 @@ Examples:
 pub(super) struct Arguments {
     /// The poses.mcap of `bundlemocap solve`.
     file: PathBuf,
-    /// Files to write.
-    #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
+    /// File to write. May be repeated.
+    #[arg(long, value_name = "FILE", required = true)]
     out: Vec<PathBuf>,
     /// Format of all files, whatever their endings.
     #[arg(long, value_enum)]
-    to: Option<Format>,
+    format: Option<Format>,
     /// Number of stick figures in a picture.
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..))]
     figures: u8,
@@ -87,92 +86,128 @@ impl Format {
         Self::from_str(&ending, true).map_err(|_| {
             let all = Self::value_variants().iter().filter_map(ValueEnum::to_possible_value);
             let all: Vec<String> = all.map(|value| format!(".{}", value.get_name())).collect();
-            let message = format!(
-                "{}: the ending says no format; use {}, or --to",
-                path.display(),
-                all.join(", ")
-            );
-            Failure::new(Exit::Usage, message)
+            let (path, all) = (path.display(), all.join(", "));
+            Failure::new(
+                Exit::Usage,
+                format!("{path}: unknown ending; use {all}, or give --format"),
+            )
         })
+    }
+
+    /// Whether a file has all performers.
+    fn is_of_all(self) -> bool {
+        match self {
+            Self::Glb | Self::Bvh | Self::Svg => false,
+            #[cfg(feature = "view")]
+            Self::Mcap => true,
+        }
     }
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let format =
-        |path: &PathBuf| Ok((path.clone(), arguments.to.map_or_else(|| Format::of(path), Ok)?));
-    let files = arguments.out.iter().map(format).collect::<Result<Vec<_>, Failure>>()?;
-    #[cfg(feature = "view")]
-    let (files, exit) = {
-        let (whole, files): (Vec<_>, Vec<_>) =
-            files.into_iter().partition(|(_, format)| *format == Format::Mcap);
-        if !whole.is_empty()
-            && (arguments.truth || arguments.actor.is_some() || arguments.span.is_given())
-        {
-            let message =
-                "a .mcap holds the whole recording; leave out --actor, --truth, --start and --end";
-            return Err(Failure::new(Exit::Usage, message));
-        }
-        let mut exit = Exit::Done;
-        for (path, _) in whole {
-            exit = write_foxglove(&arguments.file, &path, &arguments.overwrite)?;
-        }
-        (files, exit)
-    };
-    #[cfg(not(feature = "view"))]
-    let exit = Exit::Done;
-    if files.is_empty() {
-        return Ok(exit);
+    let mut formats = Vec::new();
+    for path in &arguments.out {
+        formats.push((path, arguments.format.map_or_else(|| Format::of(path), Ok)?));
     }
-    let actor = arguments.actor.as_deref();
-    let Solved { mut performers, damage } = read(&arguments.file, arguments.truth, actor)?;
-    let times = Times::of(&arguments.file, None)?;
-    let several = performers.len() > 1;
-    if let Some([start, end]) = arguments.span.within(&times)? {
-        for one in &mut performers {
+    let (of_all, of_one): (Vec<_>, Vec<_>) =
+        formats.into_iter().partition(|(_, format)| format.is_of_all());
+    #[cfg(feature = "view")]
+    if !of_all.is_empty()
+        && (arguments.truth || arguments.actor.is_some() || arguments.span.is_given())
+    {
+        let message =
+            "a .mcap holds the whole recording; leave out --actor, --truth, --start and --end";
+        return Err(Failure::new(Exit::Usage, message));
+    }
+    let (mut solved, times) = (None, Times::of(&arguments.file, None)?);
+    if !of_one.is_empty() {
+        solved = Some(performers(arguments, &times)?);
+    }
+    let all = solved.iter().flat_map(|solved| &solved.performers).collect::<Vec<_>>();
+    let several = all.len() > 1;
+    let mut files = Vec::new();
+    for one in all {
+        let path = |path: &Path| path_of(path, several.then_some(&one.actor));
+        files.extend(of_one.iter().map(|(to, format)| (path(to), *format, one)));
+    }
+    let paths = files.iter().map(|(path, ..)| path).chain(of_all.iter().map(|(path, _)| *path));
+    check(paths, arguments)?;
+    #[cfg(feature = "view")]
+    let mut damage = Vec::new();
+    #[cfg(feature = "view")]
+    for (path, _) in of_all {
+        damage = write_foxglove(&arguments.file, path)?;
+    }
+    for (path, format, one) in files {
+        write(&path, format, one, &times, usize::from(arguments.figures))?;
+    }
+    #[cfg(not(feature = "view"))]
+    let damage = Vec::new();
+    Ok(exit_of(&arguments.file, &solved.map_or(damage, |solved| solved.damage)))
+}
+
+/// The performers who are exported, with the poses that are.
+fn performers(arguments: &Arguments, times: &Times) -> Result<Solved, Failure> {
+    let mut solved = read(&arguments.file, arguments.truth, arguments.actor.as_deref())?;
+    if let Some([start, end]) = arguments.span.within(times)? {
+        for one in &mut solved.performers {
             one.poses.retain(|pose| (start..=end).contains(&pose.capture));
         }
-        performers.retain(|one| !one.poses.is_empty());
-        if performers.is_empty() {
+        solved.performers.retain(|one| !one.poses.is_empty());
+        if solved.performers.is_empty() {
             return Err(Failure::new(Exit::Usage, "no poses from --start to --end"));
         }
     }
-    let of = |one: &Performer, path: &Path| path_of(path, several.then_some(&one.actor));
-    for one in &performers {
-        files.iter().try_for_each(|(path, _)| arguments.overwrite.check(&of(one, path)))?;
+    Ok(solved)
+}
+
+/// Checks all files before the first is written.
+fn check<'a>(
+    paths: impl Iterator<Item = &'a PathBuf>,
+    arguments: &Arguments,
+) -> Result<(), Failure> {
+    let mut seen = BTreeSet::new();
+    for path in paths {
+        let wrong = if is_same_file(&arguments.file, path) {
+            "is the input"
+        } else if !seen.insert(path) {
+            "would be written twice"
+        } else {
+            arguments.overwrite.check(path)?;
+            continue;
+        };
+        let message = format!("{} {wrong}; choose another name", path.display());
+        return Err(Failure::new(Exit::Usage, message));
     }
-    for one in &performers {
-        for (path, format) in &files {
-            let path = of(one, path);
-            write(&path, *format, one, usize::from(arguments.figures))?;
-            if matches!(format, Format::Glb | Format::Bvh) {
-                times.beside(&path, one.poses.first().map(|pose| pose.capture))?;
-            }
-        }
-    }
-    Ok(exit_of(&arguments.file, &damage))
+    Ok(())
 }
 
 /// Writes a file of a performer.
-fn write(path: &Path, format: Format, one: &Performer, figures: usize) -> Result<(), Failure> {
+fn write(
+    path: &Path,
+    format: Format,
+    one: &Performer,
+    times: &Times,
+    figures: usize,
+) -> Result<(), Failure> {
     let Performer { actor, skeleton, poses } = one;
+    let first = poses.first().map(|pose| pose.capture);
     let fps = frame_rate(poses).unwrap_or(60.0);
-    let text = match format {
+    let said = match format {
         Format::Glb => {
-            let mut fill = Fill::new(fps);
-            let held = poses[..1].iter().chain(poses);
-            let repeated = poses.iter().zip(held).flat_map(|(pose, held)| {
-                let gap = std::iter::repeat_n(held, fill.gap_before(pose.capture));
-                gap.chain([pose]).map(CompactPose::pose)
-            });
-            let frames = write_glb(path, actor, skeleton, fps, repeated)?;
-            fill.note(path).into_iter().for_each(|text| complain("note", &text));
-            format!("{frames} frames at {fps:.2} Hz")
+            let seconds =
+                |pose: &CompactPose| pose.capture.seconds_since(first.unwrap_or_default());
+            let timed = poses.iter().map(|pose| (seconds(pose), pose.pose()));
+            let about = Take { name: actor, fps, timecode: times.timecode_at(first) };
+            let keys = write_glb(path, &about, skeleton, timed)?;
+            format!("{keys} keys at {fps:.2} Hz")
         }
         Format::Bvh => {
             let mut file = BvhFile::create(path, skeleton, fps, None)?;
             poses.iter().try_for_each(|pose| file.write(pose))?;
             let (states, unfilled) = file.finish(path)?;
             unfilled.into_iter().for_each(|text| complain("note", &text));
+            times.beside(path, first)?;
             format!("{} frames at {fps:.2} Hz", states.frames())
         }
         Format::Svg => {
@@ -182,7 +217,7 @@ fn write(path: &Path, format: Format, one: &Performer, figures: usize) -> Result
         #[cfg(feature = "view")]
         Format::Mcap => return Ok(()),
     };
-    say(&format!("{}: {text}", path.display()));
+    say(&format!("{}: {said}", path.display()));
     Ok(())
 }
 
@@ -195,14 +230,9 @@ pub(super) fn path_of(path: &Path, actor: Option<&String>) -> PathBuf {
     }
 }
 
-/// Writes the poses and keypoints of a recording with the schemas of Foxglove.
+/// Writes the poses and keypoints of a recording with the schemas of Foxglove; returns the losses of a damaged one.
 #[cfg(feature = "view")]
-fn write_foxglove(from: &Path, to: &Path, overwrite: &Overwrite) -> Ended {
-    overwrite.check(to)?;
-    if is_same_file(from, to) {
-        let message = format!("{} is the input; choose another name", to.display());
-        return Err(Failure::new(Exit::Usage, message));
-    }
+fn write_foxglove(from: &Path, to: &Path) -> Result<Vec<String>, Failure> {
     let unwritten = |error: &dyn std::fmt::Display| {
         Failure::new(Exit::Unexpected, format!("cannot write {}: {error}", to.display()))
     };
@@ -223,7 +253,7 @@ fn write_foxglove(from: &Path, to: &Path, overwrite: &Overwrite) -> Ended {
     let file = file.into_inner().map_err(|error| unwritten(&error))?;
     file.persist(to).map_err(|error| unwritten(&error))?;
     say(&format!("{}: {count} poses and keypoint frames", to.display()));
-    Ok(exit_of(from, &reader.report().losses()))
+    Ok(reader.report().losses())
 }
 
 /// The exit code of a file that was read; says what a damaged one lost.

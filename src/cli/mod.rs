@@ -4,6 +4,7 @@
 //! standard error, `error: ...`, and an exit code (see `--help`).
 
 mod bench;
+mod bridge;
 mod bus;
 mod calibrate;
 mod check;
@@ -62,6 +63,7 @@ enum Command {
     Replay(replay::Arguments),
     Decode(decode::Arguments),
     Retarget(retarget::Arguments),
+    Bridge(bridge::Arguments),
     Bench(bench::Arguments),
     Eval(Box<eval::Arguments>),
     Solve(solve::Arguments),
@@ -89,6 +91,7 @@ pub fn main() -> ExitCode {
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Decode(arguments) => decode::run(&arguments),
         Command::Retarget(arguments) => retarget::run(&arguments),
+        Command::Bridge(arguments) => bridge::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Solve(arguments) => solve::run(&arguments),

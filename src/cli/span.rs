@@ -29,6 +29,7 @@ pub(super) struct SpanArguments {
 }
 
 impl SpanArguments {
+    /// Whether one of them is given.
     #[cfg(feature = "view")]
     pub(super) fn is_given(&self) -> bool {
         self.start.is_some() || self.end.is_some()
@@ -110,10 +111,17 @@ impl Times {
 
     /// Writes the timecode of the first frame of a BVH file beside it, since BVH has no place for it.
     pub(super) fn beside(&self, bvh: &Path, first: Option<Timestamp>) -> Result<(), Failure> {
-        let Some(house) = self.house else { return Ok(()) };
-        let label = house.label(first.map_or(self.first, |at| at.max(self.first)));
-        let line = format!("{label} {}\n", house.rate());
-        Ok(text(&bvh.with_extension("timecode.txt"), &line)?)
+        match self.timecode_at(first) {
+            Some(line) => Ok(text(&bvh.with_extension("timecode.txt"), &(line + "\n"))?),
+            None => Ok(()),
+        }
+    }
+
+    /// Timecode and rate of a frame, or else of the first one, if there is a timecode.
+    pub(super) fn timecode_at(&self, frame: Option<Timestamp>) -> Option<String> {
+        let house = self.house?;
+        let label = house.label(frame.map_or(self.first, |at| at.max(self.first)));
+        Some(format!("{label} {}", house.rate()))
     }
 }
 

@@ -90,7 +90,7 @@ fn recorded(paths: &[PathBuf]) -> Result<Source, Failure> {
 
 /// The stage of the settings.
 pub(super) fn live(config: Config) -> Source {
-    Source::Live(stage(config, "the page"))
+    Source::Live(stage(config, "bundlemocap page"))
 }
 
 /// The stage of the settings, for a client of the bus that others see so.

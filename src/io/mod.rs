@@ -6,4 +6,6 @@ pub(crate) mod new_file;
 pub mod recording;
 pub mod report;
 pub mod timecode;
+#[cfg(feature = "cli")]
+pub mod vmc;
 pub mod wire;

@@ -226,13 +226,16 @@ fn try_orders(
     let mut guards: Vec<(String, Box<dyn Guard>)> = Vec::new();
     drop(out.blocking_send(Outgoing::Open));
     let below = format!("mocap/{}/actor", live.topics.stage);
-    let mut next = Instant::now();
+    let mut next = Instant::now() + RECEIVERS;
     loop {
         let order = orders.recv_timeout(next.saturating_duration_since(Instant::now()));
         let mut patterns = match order {
             Err(mpsc::RecvTimeoutError::Disconnected) => return Ok(()),
             Err(mpsc::RecvTimeoutError::Timeout) => {
-                drop(out.try_send(Outgoing::Receivers(bus.receivers(&below)?)));
+                match bus.receivers(&below) {
+                    Ok(receivers) => drop(out.try_send(Outgoing::Receivers(receivers))),
+                    Err(error) => tracing::debug!("who receives is not known: {error}"),
+                }
                 next = Instant::now() + RECEIVERS;
                 continue;
             }

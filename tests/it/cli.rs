@@ -211,7 +211,7 @@ fn a_synthetic_walk_is_solved_and_exported() {
         assert!(table.contains(row), "{table}");
     }
 
-    place.done("export out/poses.mcap --out again.bvh strip.svg");
+    place.done("export out/poses.mcap --out again.bvh --out strip.svg");
     let again = fs::read_to_string(place.path("again.bvh")).unwrap();
     let bvh = fs::read_to_string(place.path("out/poses.bvh")).unwrap();
     assert_eq!(again.lines().count(), bvh.lines().count());
@@ -451,8 +451,8 @@ fn files_are_not_replaced_without_being_asked() {
     place.done("solve walk.mcap --out out");
     for (command, file) in [
         ("synth --out mine", "mine"),
-        ("export out/poses.mcap --to bvh --out mine", "mine"),
-        ("export out/poses.mcap --to glb --out mine", "mine"),
+        ("export out/poses.mcap --format bvh --out mine", "mine"),
+        ("export out/poses.mcap --format glb --out mine", "mine"),
         ("retarget --skeleton out/poses.bvh --from out/poses.mcap --out mine", "mine"),
         ("decode out/poses.mcap --out mine", "mine"),
         ("replay walk.mcap --out mine", "mine"),
@@ -468,7 +468,22 @@ fn files_are_not_replaced_without_being_asked() {
         assert!(message.contains("exists; choose another name, or use --overwrite"), "{message}");
         assert_eq!(fs::read(place.path(file)).unwrap(), b"mine", "{command}");
     }
-    place.done("export out/poses.mcap --to bvh --out mine --overwrite");
+    place.done("export out/poses.mcap --format bvh --out mine --overwrite");
+    // Nothing is written before everything is checked.
+    for (command, why) in [
+        ("export out/poses.mcap --out new.glb --out mine --format bvh", "mine exists"),
+        ("export out/poses.mcap --out new.glb --out new.glb", "new.glb would be written twice"),
+        ("export out/poses.mcap --out new.glb --out new", "unknown ending; use .glb, .bvh"),
+        ("export --out new.glb --out ./out/poses.mcap --overwrite out/poses.mcap", "is the input"),
+        ("export out/poses.mcap --out new.mcap --actor p1", "leave out --actor"),
+        ("export out/poses.mcap --out new.glb --start 900", "no poses from --start to --end"),
+    ] {
+        let output = place.run(command);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(USAGE), "{command}: {message}");
+        assert!(message.contains(why), "{command}: {message}");
+        assert!(!place.path("new.glb").exists() && !place.path("new.mcap").exists(), "{command}");
+    }
     assert!(fs::read(place.path("mine")).unwrap().starts_with(b"HIERARCHY"));
 }
 
@@ -1092,7 +1107,7 @@ fn several_performers_are_solved_into_one_recording_and_a_file_each() {
     }
     let report = fs::read_to_string(place.path("out/report.html")).unwrap();
     assert!(performers.iter().all(|name| report.contains(&format!("<h2>{name}</h2>"))));
-    place.done("export out/poses.mcap --out again.bvh again.svg");
+    place.done("export out/poses.mcap --out again.bvh --out again.svg");
     place.done("retarget --skeleton out/poses.p1.bvh --from out/poses.mcap --out other.bvh");
     place
         .done("retarget --skeleton out/poses.p2.bvh --from out/poses.mcap --actor p2 --out p2.bvh");

@@ -70,3 +70,5 @@ mod tracker;
 mod train;
 #[cfg(feature = "view")]
 mod view;
+#[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
+mod vmc;

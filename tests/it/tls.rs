@@ -102,4 +102,11 @@ fn only_allowed_certificates_publish() {
         seen.recv_timeout(LONG / 200).is_ok_and(|sample| *sample.payload == b"pose"[..])
     });
     assert!(arrives, "the viewer sees no poses");
+    let (_, _guard) = listen(&operator, "mocap/stage/actor/*/status");
+    let is_seen = (0..200).any(|_| {
+        std::thread::sleep(LONG / 200);
+        let receivers = viewer.receivers("mocap/stage/actor").unwrap();
+        receivers.iter().any(|one| one.patterns.contains("mocap/stage/actor/*/status"))
+    });
+    assert!(is_seen, "the viewer does not see who receives");
 }

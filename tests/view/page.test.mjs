@@ -155,12 +155,12 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   await page.keyboard.press(" ");
   await until(page, () => document.getElementById("clock").textContent === "live");
 
-  await until(page, () => document.getElementById("receivers").textContent === "nobody, but this page");
+  await until(page, () => document.getElementById("receivers").textContent === "nobody else that says so");
 
   // A take is recorded, and the next name is ready.
   const takes = join(folder, "takes");
   await start(["record", `${takes}/`, "--connect", `tcp/127.0.0.1:${bus}`], /recording takes/);
-  await until(page, () => document.getElementById("receivers").textContent .match(/^bundlemocap record on \S+everything$/));
+  await until(page, () => document.getElementById("receivers").textContent.match(/^bundlemocap record on \S+everything$/));
   await page.locator("#take-name").fill("");
   await page.keyboard.type("flip f 1".replaceAll(" ", "_"));
   assert.equal(await page.locator("#take-name").inputValue(), "flip_f_1");

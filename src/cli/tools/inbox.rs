@@ -8,6 +8,8 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 
 use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Guard, Sample};
+use crate::io::recording::Message;
+use crate::io::wire::{DecodeError, ENCODING, schema_of};
 use crate::live::WallClock;
 
 /// Most messages that wait.
@@ -21,6 +23,17 @@ pub(crate) struct Received {
     pub(crate) sample: Sample,
     /// Arrival time, nanoseconds since 1970.
     pub(crate) arrival: Timestamp,
+}
+
+impl Received {
+    /// The message, by the schema that topic and encoding name.
+    pub(crate) fn message(&self) -> Result<Message, DecodeError> {
+        let sample = &self.sample;
+        match schema_of(&sample.topic, &sample.encoding) {
+            Some(schema) => Message::decode(&sample.topic, schema, ENCODING, &sample.payload),
+            None => Message::decode(&sample.topic, "", &sample.encoding, &[]),
+        }
+    }
 }
 
 /// A subscription with a queue; messages that arrive while it is full are dropped and counted.

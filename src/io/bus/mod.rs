@@ -13,8 +13,11 @@
 //! publisher arrive in order; a late joiner gets the latest samples of states, first and in order,
 //! and no samples of streams. Each bus documents its limits.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
+
+use serde::Serialize;
 
 use crate::core::time::Timestamp;
 use crate::io::wire::Topic;
@@ -28,7 +31,7 @@ mod iceoryx2;
 mod iceoryx2_services;
 mod memory;
 mod name;
-#[cfg_attr(not(any(feature = "zenoh", feature = "iceoryx2")), allow(dead_code))]
+#[cfg(any(feature = "zenoh", feature = "iceoryx2"))]
 mod receivers;
 mod replay;
 #[cfg(feature = "zenoh")]
@@ -43,7 +46,6 @@ pub use config::{
 pub use iceoryx2::Iceoryx2;
 pub use memory::Memory;
 pub use name::{check_pattern, check_topic, matches};
-pub use receivers::Receiver;
 pub use replay::Replay;
 #[cfg(feature = "zenoh")]
 pub use zenoh::Zenoh;
@@ -60,6 +62,19 @@ pub struct Sample {
     pub encoding: Arc<str>,
     /// The message.
     pub payload: Vec<u8>,
+}
+
+/// A session that subscribes to topics.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Receiver {
+    /// What its program is called, such as `bundlemocap record`.
+    pub program: String,
+    /// The name of its computer.
+    pub computer: String,
+    /// The number of its process, a dot, and a number that no other session has.
+    pub session: String,
+    /// The patterns that it subscribes to.
+    pub patterns: BTreeSet<String>,
 }
 
 /// How the transport must deliver a topic.
@@ -126,7 +141,8 @@ pub trait Bus: Send + Sync {
     /// The text is not a pattern, or the transport refuses it.
     fn announced(&self, pattern: &str) -> Result<Vec<String>, BusError>;
 
-    /// The sessions that receive any topic below a name, such as `mocap/stage/actor`; not this one.
+    /// The other sessions that have announced that they receive any topic below a name, such as
+    /// `mocap/stage/actor`. Those of this program always do; on a bus inside a process there are none.
     ///
     /// # Errors
     /// The name has not the form of a topic, or the transport refuses it.

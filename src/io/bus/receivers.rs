@@ -1,35 +1,18 @@
-//! Who receives what: sessions announce their subscriptions.
+//! Sessions announce what they subscribe to, so that others can say who receives what.
 //!
-//! The name is `receivers/{program}/{computer}/{process}.{session}/{pattern}`, with `+` in place of `*`. Programs of
-//! others may announce theirs so too.
+//! The name is `mocap/receivers/{program}/{computer}/{session}/{pattern}`, with `+` for `*` and `++` for `**`.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::collections::BTreeMap;
+use std::hash::{BuildHasher, RandomState};
 
-use serde::Serialize;
+use super::{Bus, BusError, Guard, Receiver, check_topic};
 
-use super::{Bus, BusError, Guard, check_topic};
-
-const ROOT: &str = "receivers";
-/// Sessions of this process so far.
-static SESSIONS: AtomicU32 = AtomicU32::new(0);
-
-/// A session that subscribes to topics.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Receiver {
-    /// What the program calls itself, such as `bundlemocap record`.
-    pub program: String,
-    /// The name of its computer.
-    pub computer: String,
-    /// The number of its process, a dot, and the number of its session.
-    pub session: String,
-    /// The patterns that it subscribes to.
-    pub patterns: BTreeSet<String>,
-}
+const ROOT: &str = "mocap/receivers";
+/// Longest name of a program and of a computer, characters: names of topics have a limit.
+const LONGEST: usize = 40;
 
 /// A session, as it announces itself.
 pub(super) struct Session {
-    /// `receivers/{program}/{computer}/{process}.{session}`
     name: String,
 }
 
@@ -40,17 +23,16 @@ impl Session {
         let file = file.file_stem().unwrap_or_default().to_string_lossy();
         let program = part(if program.is_empty() { &file } else { program });
         let computer = part(&rustix::system::uname().nodename().to_string_lossy());
-        let process = std::process::id();
-        let session = SESSIONS.fetch_add(1, Ordering::Relaxed);
-        Self { name: format!("{ROOT}/{program}/{computer}/{process}.{session}") }
+        let number = RandomState::new().hash_one(0);
+        Self { name: format!("{ROOT}/{program}/{computer}/{}.{number:x}", std::process::id()) }
     }
 
-    /// Announces a subscription. A bus may refuse it, for its name is too long or its rules forbid it; the
-    /// subscription does not depend on it.
+    /// Announces a subscription. Its name may be too long, or the bus may not allow it; the subscription does
+    /// not depend on it.
     pub(super) fn announce(&self, bus: &dyn Bus, pattern: &str) -> Option<Box<dyn Guard>> {
-        let name = format!("{}/{}", self.name, pattern.replace('*', "+"));
+        let name = format!("{}/{}", self.name, parts(pattern, ["*", "**"], ["+", "++"]));
         bus.announce(&name)
-            .inspect_err(|error| tracing::debug!("a subscription is not announced: {error}"))
+            .inspect_err(|error| tracing::warn!("others do not see a subscription: {error}"))
             .ok()
     }
 
@@ -59,29 +41,43 @@ impl Session {
         check_topic(below)?;
         let mut receivers = BTreeMap::<String, Receiver>::new();
         for name in bus.announced(&format!("{ROOT}/**"))? {
-            let parts: Vec<&str> = name.splitn(5, '/').collect();
-            let [_, program, computer, session, pattern] = parts[..] else { continue };
-            let session_name = &name[..name.len() - pattern.len() - 1];
-            let pattern = pattern.replace('+', "*");
-            if session_name == self.name || !reaches_below(&pattern, below) {
+            let Some((session, pattern)) = name
+                .match_indices('/')
+                .nth(4)
+                .map(|(at, _)| (&name[..at], parts(&name[at + 1..], ["+", "++"], ["*", "**"])))
+            else {
+                continue;
+            };
+            if session == self.name || !reaches_below(&pattern, below) {
                 continue;
             }
-            let receiver = receivers.entry(session_name.to_owned()).or_insert_with(|| Receiver {
-                program: program.into(),
-                computer: computer.into(),
-                session: session.into(),
-                patterns: BTreeSet::new(),
-            });
+            let receiver = receivers.entry(session.to_owned()).or_default();
+            let about = session.split('/').skip(2).map(str::to_owned);
+            for (field, text) in
+                [&mut receiver.program, &mut receiver.computer, &mut receiver.session]
+                    .into_iter()
+                    .zip(about)
+            {
+                *field = text;
+            }
             receiver.patterns.insert(pattern);
         }
         Ok(receivers.into_values().collect())
     }
 }
 
+/// A pattern with some of its parts replaced.
+fn parts(pattern: &str, from: [&str; 2], to: [&str; 2]) -> String {
+    let replaced = |part| from.iter().position(|one| *one == part).map_or(part, |k| to[k]);
+    pattern.split('/').map(replaced).collect::<Vec<_>>().join("/")
+}
+
 /// A text as one part of a topic.
 fn part(text: &str) -> String {
-    let is_reserved = |c: char| c.is_control() || "/*$?#+".contains(c);
-    text.chars().skip_while(|c| *c == '@').map(|c| if is_reserved(c) { '_' } else { c }).collect()
+    let is_reserved = |c: char| c.is_control() || "/*$?#@".contains(c);
+    let tame = text.chars().take(LONGEST).map(|c| if is_reserved(c) { '_' } else { c });
+    let tame: String = tame.collect();
+    if tame.is_empty() { "unknown".to_owned() } else { tame }
 }
 
 /// Whether a pattern matches any topic below a name.
@@ -115,18 +111,22 @@ mod tests {
     #[test]
     fn others_are_seen_with_their_patterns_and_strange_names_are_tamed() {
         let bus = Memory::new();
-        let (own, other) = (Session::new(""), Session::new("@a/b*+\n"));
-        let patterns = ["mocap/s/actor/*/pose", "mocap/**", "mocap/s/rig"];
-        let _guards: Vec<_> =
-            [&own, &other].iter().flat_map(|one| patterns.map(|p| one.announce(&bus, p))).collect();
-        let _foreign = bus.announce("receivers/not/ours").unwrap();
+        let (own, other) = (Session::new(""), Session::new("@a/b*\n"));
+        let patterns =
+            ["mocap/s/actor/*/pose", "mocap/**", "mocap/s/actor/a+b/pose", "mocap/s/rig"];
+        let announce = |one: &Session| patterns.map(|pattern| one.announce(&bus, pattern).unwrap());
+        let _guards = [&own, &other].map(announce);
+        let _foreign = bus.announce("mocap/receivers/not/ours").unwrap();
         let receivers = own.others(&bus, "mocap/s/actor").unwrap();
-        let [Receiver { program, patterns: found, .. }] = &receivers[..] else {
+        let [Receiver { program, computer, session, patterns: found }] = &receivers[..] else {
             panic!("{receivers:?}")
         };
-        assert_eq!(program, "a_b___");
-        assert!(found.iter().eq(["mocap/**", "mocap/s/actor/*/pose"]), "{found:?}");
+        assert_eq!(program, "_a_b__");
+        assert!(!computer.is_empty() && session.starts_with(&std::process::id().to_string()));
+        let wanted = ["mocap/**", "mocap/s/actor/*/pose", "mocap/s/actor/a+b/pose"];
+        assert!(found.iter().eq(wanted), "{found:?}");
         assert!(own.announce(&bus, &"a".repeat(200)).is_none(), "too long");
         assert!(own.others(&bus, "mocap/*").is_err());
+        assert_eq!(part(""), "unknown");
     }
 }

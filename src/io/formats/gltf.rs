@@ -1,8 +1,9 @@
 //! Writes glTF 2.0 binary files (.glb): metres, y up, +z forward, T-pose at zero rotation with the feet on y = 0.
 //!
-//! Each holds the skin of the body, its skeleton with the names of our joints, and one animation with a key a
-//! frame: frame n is at n / fps.
+//! Each holds the skin of the body, its skeleton with the names of our joints, and one animation with a key for each
+//! pose.
 
+use std::io::{Error, Write};
 use std::path::Path;
 
 use nalgebra::Vector3;
@@ -11,91 +12,117 @@ use serde_json::{Value, json};
 use crate::core::body::{JOINTS, Joint, Mesh, Pose, Skeleton};
 use crate::core::so3;
 use crate::io::formats::ExportError;
-use crate::io::new_file;
+use crate::io::new_file::NewFile;
 
-/// Most bones that move a vertex.
+/// Most joints that move a vertex.
 const INFLUENCES: usize = 4;
-/// Component types, and what a buffer view is for, as the format numbers them.
-const U8: u32 = 5121;
-const U16: u32 = 5123;
-const F32: u32 = 5126;
-const VERTICES: u32 = 34962;
-const CORNERS: u32 = 34963;
+/// A gap is longer than this, periods.
+const GAP: f64 = 1.5;
+// The format's numbers for types of components and uses of buffers.
+const UNSIGNED_BYTE: u32 = 5121;
+const UNSIGNED_SHORT: u32 = 5123;
+const FLOAT: u32 = 5126;
+const ARRAY_BUFFER: u32 = 34962;
+const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
-/// Writes poses of a performer; returns the number of frames.
+/// What a file says of its take.
+#[derive(Clone, Debug)]
+pub struct Take<'a> {
+    /// The performer.
+    pub name: &'a str,
+    /// Frame rate, hertz.
+    pub fps: f64,
+    /// Timecode and rate of the first pose.
+    pub timecode: Option<String>,
+}
+
+/// Writes poses of a performer, each with its time in seconds; returns the number of keys. Times increase, else a
+/// pose is left out. A pose before a gap holds until the gap's last period.
 ///
 /// The skin follows the joints alone, without the bones between them that [`Mesh::posed`] has: programs that
 /// retarget find the skeleton that they expect, and a bent limb is a little thinner.
 ///
 /// # Errors
-/// The disk is full, `fps` is not above 0, or a pose has a value that is not finite.
+/// The disk is full, the file would be larger than 4 GiB, the rate is not above 0, or a pose has a value that is not
+/// finite.
 pub fn write_glb(
     path: &Path,
-    name: &str,
+    take: &Take,
     skeleton: &Skeleton,
-    fps: f64,
-    poses: impl IntoIterator<Item = Pose>,
+    poses: impl IntoIterator<Item = (f64, Pose)>,
 ) -> Result<usize, ExportError> {
-    if !(fps.is_finite() && fps > 0.0) {
-        return Err(ExportError::FrameRate { path: path.into(), fps });
+    let Take { name, fps, timecode } = take;
+    if !(fps.is_finite() && *fps > 0.0) {
+        return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
     }
-    let mut buffer = Buffer::default();
-    let keys =
-        Keys::of(poses).map_err(|frame| ExportError::NotFinite { path: path.into(), frame })?;
-    let skin = Skin::of(skeleton);
+    let keys = Keys::of(poses, 1.0 / fps)
+        .map_err(|frame| ExportError::NotFinite { path: path.into(), frame })?;
+    let (count, mut buffer, skin) = (keys.times.len(), Buffer::default(), Skin::of(skeleton));
     let primitive = skin.primitive(&mut buffer);
     let binds = buffer.floats("MAT4", &skin.inverse_binds(), None);
-    let animation = keys.animation(&mut buffer, fps);
-    let rest = |joint: Joint| match joint {
-        Joint::Pelvis => skin.joints[0],
-        _ => *skeleton.offset(joint),
-    };
-    let bone = |joint: Joint| {
-        let children = Joint::ALL.into_iter().filter(|child| child.parent() == Some(joint));
-        let children: Vec<usize> = children.map(Joint::index).collect();
-        let mut node = json!({ "name": joint.name(), "translation": rest(joint).as_slice() });
-        if !children.is_empty() {
-            node["children"] = json!(children);
-        }
-        node
-    };
-    let mut nodes: Vec<Value> = Joint::ALL.into_iter().map(bone).collect();
+    let mut nodes = bones(skeleton, &skin);
     nodes.push(json!({ "name": name, "mesh": 0, "skin": 0 }));
-    let json = json!({
-        "asset": { "version": "2.0", "generator": concat!("bundlemocap ", env!("CARGO_PKG_VERSION")) },
+    let mut json = json!({
+        "asset": {
+            "version": "2.0",
+            "generator": concat!("bundlemocap ", env!("CARGO_PKG_VERSION")),
+            "extras": { "frame_rate": fps, "timecode": timecode },
+        },
         "scene": 0,
         "scenes": [{ "name": name, "nodes": [0, JOINTS] }],
         "nodes": nodes,
         "meshes": [{ "name": name, "primitives": [primitive] }],
         "materials": [{ "name": "skin", "pbrMetallicRoughness":
             { "baseColorFactor": [0.6, 0.6, 0.62, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8 } }],
-        "skins": [{ "skeleton": 0, "inverseBindMatrices": binds, "joints": (0..JOINTS).collect::<Vec<_>>() }],
-        "animations": [animation],
-        "buffers": [{ "byteLength": buffer.bytes.len() }],
-        "bufferViews": buffer.views,
-        "accessors": buffer.accessors,
+        "skins": [{ "skeleton": 0, "inverseBindMatrices": binds, "joints": Vec::from_iter(0..JOINTS) }],
     });
-    let file = container(&json, &buffer.bytes).map_err(ExportError::write(path))?;
-    new_file::write(path, &file).map_err(ExportError::write(path))?;
-    Ok(keys.frames)
+    if count > 0 {
+        json["animations"] = json!([keys.animation(&mut buffer)]);
+    }
+    json["buffers"] = json!([{ "byteLength": buffer.bytes.len() }]);
+    (json["bufferViews"], json["accessors"]) = (buffer.views.into(), buffer.accessors.into());
+    write(path, &json, &buffer.bytes).map_err(ExportError::write(path))?;
+    Ok(count)
 }
 
-/// The file: a header, then JSON and numbers, each with its length and kind.
-fn container(json: &Value, bytes: &[u8]) -> std::io::Result<Vec<u8>> {
+/// The nodes of the joints.
+fn bones(skeleton: &Skeleton, skin: &Skin) -> Vec<Value> {
+    let bone = |joint: Joint| {
+        let place = match joint {
+            Joint::Pelvis => &skin.joints[0],
+            _ => skeleton.offset(joint),
+        };
+        let mut node = json!({ "name": joint.name(), "translation": place.as_slice() });
+        let children = Joint::ALL.into_iter().filter(|child| child.parent() == Some(joint));
+        let children: Vec<usize> = children.map(Joint::index).collect();
+        if !children.is_empty() {
+            node["children"] = json!(children);
+        }
+        node
+    };
+    Joint::ALL.into_iter().map(bone).collect()
+}
+
+/// Writes the file: a header, then JSON and numbers, each with its length and kind.
+fn write(path: &Path, json: &Value, bytes: &[u8]) -> std::io::Result<()> {
     let mut text = serde_json::to_vec(json)?;
     text.resize(text.len().next_multiple_of(4), b' ');
     let length = |bytes: usize| {
-        u32::try_from(bytes).map_err(|_| std::io::Error::other("more than 4 GiB; export a part"))
+        u32::try_from(bytes)
+            .map(u32::to_le_bytes)
+            .map_err(|_| Error::other("more than 4 GiB; export parts, with --start and --end"))
     };
-    let mut file = b"glTF".to_vec();
-    file.extend(2_u32.to_le_bytes());
-    file.extend(length(28 + text.len() + bytes.len())?.to_le_bytes());
+    let whole = length(28 + text.len() + bytes.len())?;
+    let mut new = NewFile::create(path)?;
+    let file = new.file();
+    file.write_all(b"glTF\x02\0\0\0")?;
+    file.write_all(&whole)?;
     for (kind, chunk) in [(b"JSON", &*text), (b"BIN\0", bytes)] {
-        file.extend(length(chunk.len())?.to_le_bytes());
-        file.extend(kind);
-        file.extend(chunk);
+        file.write_all(&length(chunk.len())?)?;
+        file.write_all(kind)?;
+        file.write_all(chunk)?;
     }
-    Ok(file)
+    new.finish().map(drop)
 }
 
 /// The numbers of a file, with their descriptions.
@@ -137,7 +164,7 @@ impl Buffer {
         target: Option<u32>,
     ) -> usize {
         let bytes = rows.as_flattened().iter().flat_map(|number| number.to_le_bytes()).collect();
-        let index = self.add(kind, F32, rows.len(), bytes, target);
+        let index = self.add(kind, FLOAT, rows.len(), bytes, target);
         let bound = |pick: fn(f32, f32) -> f32| {
             let bound =
                 rows.iter().copied().reduce(|a, b| std::array::from_fn(|k| pick(a[k], b[k])));
@@ -169,17 +196,18 @@ impl Skin {
         let mesh = Mesh::template();
         let corners = mesh.faces().as_flattened();
         let indices = corners.iter().flat_map(|&corner| (corner as u16).to_le_bytes()).collect();
-        let (bones, weights): (Vec<_>, Vec<_>) = mesh.influences().iter().map(of_joints).unzip();
+        let (bones, weights): (Vec<_>, Vec<_>) =
+            mesh.influences().iter().map(joint_weights).unzip();
         let (positions, normals) = (rows(&self.vertices), rows(&self.normals()));
         let count = bones.len();
         json!({
-            "indices": buffer.add("SCALAR", U16, corners.len(), indices, Some(CORNERS)),
+            "indices": buffer.add("SCALAR", UNSIGNED_SHORT, corners.len(), indices, Some(ELEMENT_ARRAY_BUFFER)),
             "material": 0,
             "attributes": {
-                "POSITION": buffer.floats("VEC3", &positions, Some(VERTICES)),
-                "NORMAL": buffer.floats("VEC3", &normals, Some(VERTICES)),
-                "JOINTS_0": buffer.add("VEC4", U8, count, bones.into_flattened(), Some(VERTICES)),
-                "WEIGHTS_0": buffer.floats("VEC4", &weights, Some(VERTICES)),
+                "POSITION": buffer.floats("VEC3", &positions, Some(ARRAY_BUFFER)),
+                "NORMAL": buffer.floats("VEC3", &normals, Some(ARRAY_BUFFER)),
+                "JOINTS_0": buffer.add("VEC4", UNSIGNED_BYTE, count, bones.into_flattened(), Some(ARRAY_BUFFER)),
+                "WEIGHTS_0": buffer.floats("VEC4", &weights, Some(ARRAY_BUFFER)),
             },
         })
     }
@@ -191,7 +219,8 @@ impl Skin {
             let normal = (b - a).cross(&(c - a));
             face.iter().for_each(|&corner| normals[corner as usize] += normal);
         }
-        normals.into_iter().map(|sum| sum.normalize()).collect()
+        let unit = |sum: Vector3<f64>| sum.try_normalize(0.0).unwrap_or_else(Vector3::y);
+        normals.into_iter().map(unit).collect()
     }
 
     /// Column by column.
@@ -208,7 +237,7 @@ fn rows(vectors: &[Vector3<f64>]) -> Vec<[f32; 3]> {
 }
 
 /// The joints that move a vertex, with their weights: a bone between two joints is divided between them.
-fn of_joints(influences: &[(u8, f64); 4]) -> ([u8; INFLUENCES], [f32; INFLUENCES]) {
+fn joint_weights(influences: &[(u8, f64); 4]) -> ([u8; INFLUENCES], [f32; INFLUENCES]) {
     let bones = Mesh::bones();
     let mut weights = [0.0; JOINTS];
     for &(bone, weight) in influences {
@@ -226,54 +255,110 @@ fn of_joints(influences: &[(u8, f64); 4]) -> ([u8; INFLUENCES], [f32; INFLUENCES
 }
 
 /// The keys of an animation.
+#[derive(Default)]
 struct Keys {
-    frames: usize,
+    /// Seconds; they increase.
+    times: Vec<[f32; 1]>,
     positions: Vec<[f32; 3]>,
-    /// By joint: x, y, z, w.
+    /// By joint: x, y, z, w. Each is the nearer to the last of the two quaternions of its rotation, for programs
+    /// interpolate between them.
     rotations: [Vec<[f32; 4]>; JOINTS],
 }
 
 impl Keys {
     /// Fails with the number of a pose that is not finite.
-    fn of(poses: impl IntoIterator<Item = Pose>) -> Result<Self, usize> {
-        let (mut positions, mut rotations) =
-            (Vec::new(), [const { Vec::<[f32; 4]>::new() }; JOINTS]);
-        for (frame, pose) in poses.into_iter().enumerate() {
+    fn of(poses: impl IntoIterator<Item = (f64, Pose)>, period: f64) -> Result<Self, usize> {
+        let mut keys = Self::default();
+        for (frame, (seconds, pose)) in poses.into_iter().enumerate() {
+            let time = seconds as f32;
+            let position: [f32; 3] = pose.root_position.map(|metres| metres as f32).into();
             let turns = std::iter::once(&pose.root_rotation).chain(&pose.local);
-            if !turns
-                .clone()
-                .flat_map(|turn| turn.iter())
-                .chain(&pose.root_position)
-                .all(|n| n.is_finite())
-            {
+            let turns = turns.map(|turn| so3::xyzw_from_rotation(turn).map(|number| number as f32));
+            let turns = Vec::from_iter(turns);
+            let numbers = turns.as_flattened().iter().chain(&position).chain([&time]);
+            if !numbers.copied().all(f32::is_finite) {
                 return Err(frame);
             }
-            positions.push(pose.root_position.map(|metres| metres as f32).into());
-            for (turn, keys) in turns.zip(&mut rotations) {
-                let mut key = so3::xyzw_from_rotation(turn).map(|number| number as f32);
-                // The nearer of the two quaternions of a rotation: programs interpolate between keys.
-                let dot = |last: &[f32; 4]| last.iter().zip(&key).map(|(a, b)| a * b).sum::<f32>();
-                if keys.last().is_some_and(|last| dot(last) < 0.0) {
-                    key = key.map(|number| -number);
-                }
-                keys.push(key);
+            let last = keys.times.last().map_or(f64::NEG_INFINITY, |[last]| f64::from(*last));
+            if last.is_finite() && seconds - last > GAP * period {
+                keys.hold((seconds - period) as f32);
+            }
+            if time > last as f32 {
+                keys.add(time, position, &turns);
             }
         }
-        Ok(Self { frames: positions.len(), positions, rotations })
+        Ok(keys)
     }
 
-    fn animation(&self, buffer: &mut Buffer, fps: f64) -> Value {
-        let times: Vec<[f32; 1]> =
-            (0..self.frames).map(|frame| [(frame as f64 / fps) as f32]).collect();
-        let times = buffer.floats("SCALAR", &times, None);
+    fn add(&mut self, seconds: f32, position: [f32; 3], turns: &[[f32; 4]]) {
+        self.times.push([seconds]);
+        self.positions.push(position);
+        for (keys, turn) in self.rotations.iter_mut().zip(turns) {
+            let dot = |last: &[f32; 4]| last.iter().zip(turn).map(|(a, b)| a * b).sum::<f32>();
+            let is_far = keys.last().is_some_and(|last| dot(last) < 0.0);
+            keys.push(if is_far { turn.map(|number| -number) } else { *turn });
+        }
+    }
+
+    /// Repeats the last key.
+    fn hold(&mut self, seconds: f32) {
+        self.times.push([seconds]);
+        self.positions.extend_from_within(self.positions.len() - 1..);
+        self.rotations.iter_mut().for_each(|keys| keys.extend_from_within(keys.len() - 1..));
+    }
+
+    fn animation(self, buffer: &mut Buffer) -> Value {
+        let times = buffer.floats("SCALAR", &self.times, None);
         let mut outputs = vec![(0, "translation", buffer.floats("VEC3", &self.positions, None))];
         for (joint, keys) in self.rotations.iter().enumerate() {
             outputs.push((joint, "rotation", buffer.floats("VEC4", keys, None)));
         }
-        let sampler = |&(_, _, output): &(_, _, usize)| json!({ "input": times, "output": output });
-        let samplers: Vec<Value> = outputs.iter().map(sampler).collect();
-        let channel = |(sampler, &(node, path, _)): (usize, &(usize, &str, usize))| json!({ "sampler": sampler, "target": { "node": node, "path": path } });
-        let channels: Vec<Value> = outputs.iter().enumerate().map(channel).collect();
+        let (mut samplers, mut channels) = (Vec::new(), Vec::new());
+        for (node, path, output) in outputs {
+            let target = json!({ "node": node, "path": path });
+            channels.push(json!({ "sampler": samplers.len(), "target": target }));
+            samplers.push(json!({ "input": times, "output": output }));
+        }
         json!({ "name": "take", "samplers": samplers, "channels": channels })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn turned(degrees: f64) -> Pose {
+        let root_rotation = so3::exp(&Vector3::new(0.0, degrees.to_radians(), 0.0));
+        Pose { root_rotation, ..Pose::rest() }
+    }
+
+    #[test]
+    fn keys_turn_the_short_way_and_hold_before_a_gap() {
+        let turns = (0..72).map(|k| (f64::from(k) * 0.1, turned(10.0 * f64::from(k))));
+        let keys = Keys::of(turns, 0.1).unwrap();
+        assert_eq!(keys.times.len(), 72);
+        for pair in keys.rotations[0].windows(2) {
+            let dot: f32 = pair[0].iter().zip(&pair[1]).map(|(a, b)| a * b).sum();
+            assert!(dot > 0.99, "{pair:?}");
+        }
+        // A gap, a pose that comes twice, and one that goes back.
+        let at = [0.0, 0.1, 0.5, 0.5, 0.3, 0.6];
+        let keys = Keys::of(at.map(|seconds| (seconds, turned(100.0 * seconds))), 0.1).unwrap();
+        let times: Vec<f32> = keys.times.iter().map(|[time]| *time).collect();
+        assert_eq!(times, [0.0, 0.1, 0.4, 0.5, 0.6]);
+        assert_eq!(keys.rotations[0][1], keys.rotations[0][2]);
+        let far = Pose { root_position: Vector3::repeat(1e39), ..Pose::rest() };
+        assert_eq!(Keys::of([(0.0, Pose::rest()), (0.1, far)], 0.1).err(), Some(1));
+    }
+
+    #[test]
+    fn weights_of_joints_add_up_and_name_no_joint_without_weight() {
+        for influences in Mesh::template().influences() {
+            let (joints, weights) = joint_weights(influences);
+            assert!((weights.iter().sum::<f32>() - 1.0).abs() < 1e-6, "{weights:?}");
+            for (joint, weight) in joints.iter().zip(weights) {
+                assert!(weight > 0.0 || *joint == 0, "{joints:?} {weights:?}");
+            }
+        }
     }
 }

@@ -1,5 +1,7 @@
-//! Detections and calibrations of other tools.
+//! Files of other tools.
 //!
+//! - [`bvh`] and [`gltf`]: motions.
+//! - [`trc`]: markers, as a reference.
 //! - [`read_calibration`]: Pose2Sim or aniposelib TOML, and Qualisys `.qca.txt`, to a
 //!   [`Rig`](crate::core::camera::Rig) in our world (metres, y up).
 //! - [`OpenposeFolder`]: a folder with one subfolder of OpenPose JSON files per camera, as a

@@ -279,8 +279,22 @@ function showPerformers(people) {
   }
 }
 
-/** What the last part of a pattern stands for. */
-const KINDS = { "**": "everything", "*": "everything", pose: "poses", provisional: "provisional poses", skeleton: "bodies", keyframe: "keyframes", status: "status", events: "events" };
+/** What the topics of a performer are called. */
+const KINDS = new Map([
+  ["pose", "poses"],
+  ["pose/provisional", "provisional poses"],
+  ["skeleton", "bodies"],
+  ["keyframe", "keyframes"],
+  ["**", "everything"],
+]);
+
+/** A pattern of topics of performers in words. */
+function inWords(pattern) {
+  const parts = pattern.split("/");
+  if (parts.slice(0, 4).includes("**")) return "everything";
+  const [actor, topic] = [parts[3], parts.slice(4).join("/")];
+  return `${KINDS.get(topic) ?? topic}${actor === "*" ? "" : ` of ${actor}`}`;
+}
 
 function showReceivers() {
   const { receivers } = source;
@@ -288,12 +302,11 @@ function showReceivers() {
   if (receivers === undefined) return;
   const items = receivers.map(({ program, computer, session, patterns }) => {
     const item = element("li", `${program} on ${computer}`);
-    const kinds = new Set(patterns.map((pattern) => KINDS[pattern.split("/").at(-1)] ?? pattern));
-    item.append(element("div", [...kinds].join(", "), "words"));
+    item.append(element("div", [...new Set(patterns.map(inWords))].join(", "), "words"));
     item.title = [`process ${session.split(".")[0]}`, ...patterns].join("\n");
     return item;
   });
-  replace($("receivers"), items.length > 0 ? items : [element("li", "nobody, but this page")]);
+  replace($("receivers"), items.length > 0 ? items : [element("li", "nobody else that says so")]);
 }
 
 function showEvents() {

@@ -1,0 +1,195 @@
+//! Poses in the VMC protocol, read by somebody else's reader.
+
+use std::collections::BTreeMap;
+use std::net::UdpSocket;
+use std::process::Command;
+use std::time::Duration;
+
+use bundlemocap::core::body::{JOINTS, Joint, Pose, Skeleton, StampedPose, TrackingState};
+use bundlemocap::core::time::Timestamp;
+use bundlemocap::io::bus::{Bus, Zenoh, ZenohConfig};
+use bundlemocap::io::vmc::packets;
+use bundlemocap::io::wire::{self, Topics, encode};
+use bundlemocap::research::synth::{Motion, MotionStyle};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use vmc::{Message, TrackingState as Quality, rosc::decoder::decode_udp};
+
+use crate::program::{PATIENCE, Program};
+
+fn read(packet: &[u8]) -> Vec<Message> {
+    let (rest, packet) = decode_udp(packet).unwrap();
+    assert!(rest.is_empty());
+    vmc::parse(packet).unwrap()
+}
+
+/// Places of the bones as Unity sees them, by name.
+fn bones(messages: &[Message]) -> BTreeMap<String, Vector3<f32>> {
+    let mut local = BTreeMap::new();
+    for message in messages {
+        if let Message::BoneTransform(bone) = message {
+            let (p, r) = (&bone.position, &bone.rotation);
+            let turn = UnitQuaternion::from_quaternion(Quaternion::new(r.w, r.x, r.y, r.z));
+            local.insert(bone.bone.clone(), (Vector3::new(p.x, p.y, p.z), turn));
+        }
+    }
+    let parents = [
+        ("Spine", "Hips"),
+        ("Chest", "Spine"),
+        ("UpperChest", "Chest"),
+        ("Neck", "UpperChest"),
+        ("Head", "Neck"),
+        ("UpperLeg", "Hips"),
+        ("LowerLeg", "UpperLeg"),
+        ("Foot", "LowerLeg"),
+        ("Toes", "Foot"),
+        ("Shoulder", "UpperChest"),
+        ("UpperArm", "Shoulder"),
+        ("LowerArm", "UpperArm"),
+        ("Hand", "LowerArm"),
+    ];
+    let mut world = BTreeMap::from([("Hips".to_owned(), local["Hips"])]);
+    for (child, parent) in parents {
+        for side in ["", "Left", "Right"] {
+            let (child, own) = (format!("{side}{child}"), format!("{side}{parent}"));
+            let Some((position, turn)) = local.get(&child) else { continue };
+            let (at, above) = world.get(&own).copied().unwrap_or_else(|| world[parent]);
+            world.insert(child, (at + above * position, above * turn));
+        }
+    }
+    world.into_iter().map(|(name, (position, _))| (name, position)).collect()
+}
+
+#[test]
+fn bones_are_where_the_joints_are_in_the_axes_of_unity() {
+    let skeleton = Skeleton::default();
+    let motion = Motion::new(&skeleton, MotionStyle::default());
+    for pose in [Pose::rest(), motion.pose(1.3), motion.pose(4.1)] {
+        let packets = packets(&skeleton, &pose, TrackingState::Tracking, 2.5).unwrap();
+        assert!(packets.iter().all(|packet| packet.len() < 1400));
+        let messages: Vec<Message> = packets.iter().flat_map(|packet| read(packet)).collect();
+        let Message::State(state) = &messages[0] else { panic!("{:?}", messages[0]) };
+        assert_eq!(state.tracking_state, Some(Quality::Good));
+        assert!(matches!(&messages[1], Message::Time(time) if time.0 == 2.5), "{:?}", messages[1]);
+        let bones = bones(&messages);
+        assert_eq!(bones.len(), JOINTS);
+        let joints = pose.posture(&skeleton).positions;
+        let names = [
+            (Joint::Pelvis, "Hips"),
+            (Joint::Head, "Head"),
+            (Joint::LWrist, "LeftHand"),
+            (Joint::RWrist, "RightHand"),
+            (Joint::LElbow, "LeftLowerArm"),
+            (Joint::LFoot, "LeftToes"),
+            (Joint::RFoot, "RightToes"),
+            (Joint::RAnkle, "RightFoot"),
+            (Joint::LKnee, "LeftLowerLeg"),
+            (Joint::RShoulder, "RightUpperArm"),
+        ];
+        for (joint, name) in names {
+            let ours = joints[joint.index()];
+            let mirrored = Vector3::new(-ours.x, ours.y, ours.z).cast::<f32>();
+            assert!((bones[name] - mirrored).norm() < 1e-5, "{name}: {} {mirrored}", bones[name]);
+        }
+    }
+    // What is lost has no bones.
+    let lost = packets(&skeleton, &Pose::rest(), TrackingState::Lost, 0.0).unwrap();
+    let messages: Vec<Message> = lost.iter().flat_map(|packet| read(packet)).collect();
+    assert!(matches!(&messages[0], Message::State(s) if s.tracking_state == Some(Quality::Poor)));
+    assert!(bones_of(&messages) == 0 && messages.len() == 3);
+}
+
+fn bones_of(messages: &[Message]) -> usize {
+    messages.iter().filter(|message| matches!(message, Message::BoneTransform(_))).count()
+}
+
+#[test]
+fn each_address_gets_its_performer() {
+    let listen = vec!["tcp/127.0.0.1:0".into()];
+    let bus = Zenoh::open_node(&ZenohConfig { listen, ..ZenohConfig::default() }).unwrap();
+    let [first, second] = [(); 2].map(|()| {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        socket.set_read_timeout(Some(Duration::from_millis(20))).unwrap();
+        socket
+    });
+    let mut command = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
+    command.args(["bridge", "vmc", "--connect", &bus.listens_on()[0]]);
+    command.args(["--to", &first.local_addr().unwrap().to_string()]);
+    command.args(["--to", &format!("p2={}", second.local_addr().unwrap())]);
+    let mut bridge = Program::start(&mut command);
+    assert!(bridge.has_said("sending poses to"));
+    let skeleton = Skeleton::default();
+    let of = |actor: &str| Topics { actor: actor.into(), ..Topics::default() };
+    let body = encode(&wire::Skeleton::from_core(&skeleton));
+    let actors = ["p1", "p2", "p3"].map(|actor| {
+        let topics = of(actor);
+        let publishers =
+            [topics.skeleton(), topics.pose()].map(|topic| bus.publisher(&topic).unwrap());
+        publishers[0].put(Timestamp::default(), "", &body).unwrap();
+        publishers
+    });
+    let pose = |capture: i64, x: f64| {
+        let mut pose = Pose::rest();
+        pose.root_position.x = x;
+        let (window, rig_version, provisional, revision) = (0, 1, false, 0);
+        let (capture, state) = (Timestamp::from_ns(capture), TrackingState::Tracking);
+        let stamped =
+            StampedPose { capture, pose, state, window, rig_version, provisional, revision };
+        encode(&wire::Pose::from_core(&stamped, &skeleton, None))
+    };
+    let hips = |socket: &UdpSocket| {
+        let mut buffer = [0; 2048];
+        let mut found = None;
+        while let Ok(length) = socket.recv(&mut buffer) {
+            for message in read(&buffer[..length]) {
+                if let Message::BoneTransform(bone) = message
+                    && bone.bone == "Hips"
+                {
+                    found = Some(bone.position.x);
+                }
+            }
+        }
+        found
+    };
+    // Streams may lose a sample: repeat the poses until both are there. p1 comes first; p3 has no address.
+    let begin = std::time::Instant::now();
+    let mut found = [None; 2];
+    for frame in 0.. {
+        assert!(begin.elapsed() < PATIENCE, "{found:?}");
+        for (k, [_, poses]) in
+            actors.iter().enumerate().take(if found[0].is_some() { 3 } else { 1 })
+        {
+            poses.put(Timestamp::default(), "", &pose(frame * 16_000_000, k as f64 + 1.0)).unwrap();
+        }
+        found = [hips(&first).or(found[0]), hips(&second).or(found[1])];
+        if found.iter().all(Option::is_some) {
+            break;
+        }
+    }
+    assert_eq!(found, [Some(-1.0), Some(-2.0)]);
+    actors[0][1].put(Timestamp::default(), "", b"not a pose").unwrap();
+    assert!(bridge.has_said("unusable message"));
+    bridge.signal("INT");
+    let ended = bridge.ended();
+    assert_eq!(ended.code, Some(0), "{}", ended.errors);
+    assert!(ended.errors.contains("p3 is not sent; give --to p3=HOST:PORT"), "{}", ended.errors);
+    for part in ["poses sent", "1 unusable messages", "of p3 without an address"] {
+        assert!(ended.said.contains(part), "{}", ended.said);
+    }
+}
+
+#[test]
+fn a_wrong_address_is_refused() {
+    for (to, why) in [
+        (&["nowhere"][..], "--to nowhere"),
+        (&["a b=127.0.0.1:1"], "--to"),
+        (&["127.0.0.1:1", "127.0.0.1:2"], "has another address already"),
+        (&["p1=127.0.0.1:1", "p1=127.0.0.1:2"], "has another address already"),
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
+        command.args(["bridge", "vmc"]).args(to.iter().flat_map(|to| ["--to", to]));
+        let output = command.output().unwrap();
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{errors}");
+        assert!(errors.contains(why), "{errors}");
+    }
+}
