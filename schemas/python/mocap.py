@@ -4,9 +4,11 @@ The payload of a zenoh sample is a message of ../*.proto, its encoding names the
 attachment is the capture time in nanoseconds: 8 bytes, little endian.
 """
 
+import contextlib
 import os
 import pathlib
 import platform
+import re
 import struct
 import sys
 import uuid
@@ -72,13 +74,16 @@ def _about(message, capture_time_ns):
 class _Announced:
     """A subscriber, and the token by which others see it."""
 
-    _session = f"{os.getpid()}.{uuid.uuid4().hex[:8]}"
+    _number = uuid.uuid4().hex[:8]
 
     def __init__(self, session, topic, subscriber):
         pattern = "/".join("+" * len(part) if set(part) == {"*"} else part for part in topic.split("/"))
-        program = pathlib.Path(sys.argv[0]).stem or "python"
-        name = f"mocap/receivers/{program}/{platform.node() or 'unknown'}/{self._session}/{pattern}"
-        self._parts = subscriber, session.liveliness().declare_token(name)
+        names = pathlib.Path(sys.argv[0]).stem, platform.node(), f"{os.getpid()}.{self._number}"
+        about = "/".join(re.sub(r"[/*$?#@\x00-\x1f]", "_", name)[:40] or "unknown" for name in names)
+        self._parts = [subscriber]
+        # The subscription does not depend on it.
+        with contextlib.suppress(zenoh.ZError):
+            self._parts.append(session.liveliness().declare_token(f"mocap/receivers/{about}/{pattern}"))
 
     def undeclare(self):
         for part in self._parts:

@@ -1,6 +1,7 @@
 //! `bundlemocap bridge`
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
 use std::time::{Duration, Instant};
 
@@ -12,17 +13,18 @@ use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
 use super::terminal::{complain, note, say};
 use crate::cli::tools::inbox::{Inbox, Received};
-use crate::core::body::{Skeleton, StampedPose};
+use crate::core::body::{Skeleton, StampedPose, TrackingState};
 use crate::core::time::Timestamp;
 use crate::io::recording::Message;
 use crate::io::vmc;
 use crate::io::wire::{DecodeError, Topic};
 
-/// A performer without poses for this long gives the address without a name to another.
+/// A performer without poses for this long is lost.
 const GONE: Duration = Duration::from_secs(2);
 
 /// Send live poses to other programs.
 #[derive(Debug, Args)]
+#[command(after_help = "Example:\n  bundlemocap bridge vmc --to 192.168.1.30:39539")]
 pub(super) struct Arguments {
     #[command(subcommand)]
     protocol: Protocol,
@@ -40,8 +42,8 @@ The protocol has no names of performers: each performer needs an address of its 
 without a name is for --actor, or else for the first performer who comes; when this one leaves, for
 the next.
 
-A final pose is sent when it is due. A lost pose is sent as not tracked, without bones. The other
-program may start later.
+A final pose is sent when it is due. Who is lost, or has no poses for two seconds, is sent as not
+tracked, without bones. The other program may start later.
 
 Examples:
   bundlemocap bridge vmc
@@ -51,7 +53,7 @@ struct Vmc {
     /// Address of the program that receives; with a performer's name before it, of that performer. May be repeated.
     #[arg(long, value_name = "[NAME=]HOST:PORT", default_value = "127.0.0.1:39539")]
     to: Vec<String>,
-    /// Send provisional poses: earlier, less exact.
+    /// Send provisional poses: earlier, less exact, and fewer when the node is overloaded.
     #[arg(long)]
     provisional: bool,
     #[command(flatten)]
@@ -61,33 +63,46 @@ struct Vmc {
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let Protocol::Vmc(arguments) = &arguments.protocol;
     let stop = Stop::on_signals()?;
-    let mut bridge = Bridge::to(&arguments.to, arguments.bus.actor())?;
     let config = arguments.bus.settings()?;
     let topics = arguments.bus.topics(&config);
-    let poses = if arguments.provisional { topics.provisional() } else { topics.pose() };
+    let only = (topics.actor != "*").then_some(&*topics.actor);
+    let mut bridge = Bridge::to(&arguments.to, only, arguments.provisional)?;
     let bus = open(&config)?;
-    let inbox = Inbox::open_all(&*bus, &[topics.skeleton(), poses])?;
+    let mut patterns = vec![topics.skeleton(), topics.pose()];
+    patterns.extend(arguments.provisional.then(|| topics.provisional()));
+    let inbox = Inbox::open_all(&*bus, &patterns)?;
     note(&format!("sending poses to {}; Ctrl-C ends it", arguments.to.join(", ")));
     while !stop.is_set() {
         if let Some(received) = inbox.next(ATTENTION) {
             bridge.take(&received);
         }
+        bridge.end_those_silent_for(GONE);
     }
+    bridge.end_those_silent_for(Duration::ZERO);
     bridge.count.dropped = inbox.dropped();
     say(&bridge.count.to_string());
-    Ok(Exit::Done)
+    Ok(bridge.judged())
 }
 
 /// What is sent where.
 struct Bridge {
-    socket: UdpSocket,
-    named: BTreeMap<String, SocketAddr>,
-    /// The address for whoever comes, who that is, and the time of that performer's last pose.
-    unnamed: Option<SocketAddr>,
-    served: Option<(String, Instant)>,
+    targets: Vec<Target>,
+    is_provisional: bool,
     bodies: BTreeMap<String, Skeleton>,
     first: Option<Timestamp>,
     count: Count,
+}
+
+/// A program that receives a performer.
+struct Target {
+    address: SocketAddr,
+    socket: UdpSocket,
+    /// Without a name it is for whoever comes.
+    is_named: bool,
+    performer: Option<String>,
+    /// The last pose and when it was sent, until the performer is silent.
+    last: Option<(StampedPose, Instant)>,
+    sent: u64,
 }
 
 #[derive(Default)]
@@ -123,39 +138,46 @@ impl std::fmt::Display for Count {
 }
 
 impl Bridge {
-    fn to(addresses: &[String], actor: Option<&str>) -> Result<Self, Failure> {
-        let wrong = |text: &str, why: &dyn std::fmt::Display| {
-            Failure::new(
-                Exit::Usage,
-                format!("--to {text}: {why}; give an address such as 127.0.0.1:39539"),
-            )
-        };
-        let (mut named, mut unnamed) = (BTreeMap::new(), None);
+    /// `only`: the performer whose topics are received, if it is one.
+    fn to(addresses: &[String], only: Option<&str>, is_provisional: bool) -> Result<Self, Failure> {
+        let mut targets = Vec::<Target>::new();
         for text in addresses {
+            let wrong =
+                |why: &dyn Display| Failure::new(Exit::Usage, format!("--to {text}: {why}"));
             let (name, address) = match text.split_once('=') {
                 Some((name, address)) => (Some(name), address),
-                None => (actor, text.as_str()),
+                None => (only, text.as_str()),
             };
-            let resolved = address.to_socket_addrs().map_err(|error| wrong(text, &error))?.next();
-            let resolved = resolved.ok_or_else(|| wrong(text, &"no such computer"))?;
-            let earlier = match name {
-                Some(name) => {
-                    check_name("--to", name)?;
-                    named.insert(name.to_owned(), resolved)
+            if let Some(name) = name {
+                check_name("--to", name)?;
+                if only.is_some_and(|only| only != name) {
+                    return Err(wrong(&"another performer than that of --actor or --config"));
                 }
-                None => unnamed.replace(resolved),
-            };
-            if earlier.is_some() {
-                return Err(wrong(text, &"this performer has another address already"));
             }
+            let all = address.to_socket_addrs().map_err(|error| {
+                wrong(&format!("{error}; give an address such as 127.0.0.1:39539"))
+            })?;
+            // Many programs listen on IPv4 alone.
+            let all: Vec<SocketAddr> = all.collect();
+            let address = all.iter().find(|one| one.is_ipv4()).or(all.first()).copied();
+            let address = address.ok_or_else(|| wrong(&"this computer is not known"))?;
+            if targets.iter().any(|one| one.address == address) {
+                return Err(wrong(&"this address is given twice"));
+            }
+            if targets.iter().any(|one| one.performer.as_deref() == name) {
+                return Err(wrong(&"this performer has another address already"));
+            }
+            targets.push(Target {
+                address,
+                socket: socket_for(address).map_err(|error| wrong(&error))?,
+                is_named: name.is_some(),
+                performer: name.map(str::to_owned),
+                last: None,
+                sent: 0,
+            });
         }
-        let is_v6 = named.values().chain(&unnamed).any(SocketAddr::is_ipv6);
-        let socket = UdpSocket::bind(if is_v6 { "[::]:0" } else { "0.0.0.0:0" })
-            .and_then(|socket| socket.set_nonblocking(true).map(|()| socket))
-            .map_err(|error| Failure::new(Exit::Unexpected, format!("no UDP socket: {error}")))?;
-        let (served, first) = (None, None);
-        let (bodies, count) = (BTreeMap::new(), Count::default());
-        Ok(Self { socket, named, unnamed, served, bodies, first, count })
+        let (first, bodies, count) = (None, BTreeMap::new(), Count::default());
+        Ok(Self { targets, is_provisional, bodies, first, count })
     }
 
     fn take(&mut self, received: &Received) {
@@ -168,7 +190,7 @@ impl Bridge {
             }
             Ok(Message::Pose(pose)) => {
                 if let Some(pose) = self.usable(pose.to_core()) {
-                    self.send(&actor, &pose);
+                    self.put(&actor, pose);
                 }
             }
             Ok(_) => {}
@@ -176,8 +198,8 @@ impl Bridge {
         }
     }
 
-    fn send(&mut self, actor: &str, pose: &StampedPose) {
-        let Some(address) = self.address(actor) else {
+    fn put(&mut self, actor: &str, pose: StampedPose) {
+        let Some(target) = target_of(&mut self.targets, actor) else {
             let count = self.count.without.entry(actor.to_owned()).or_default();
             if *count == 0 {
                 complain("note", &format!("{actor} is not sent; give --to {actor}=HOST:PORT"));
@@ -189,37 +211,47 @@ impl Bridge {
             self.count.early += 1;
             return;
         };
+        // Of final poses, provisional ones lack those that are lost.
+        let is_newer = target.last.as_ref().is_some_and(|(last, _)| last.capture < pose.capture);
+        let is_lost = pose.state == TrackingState::Lost;
+        if self.is_provisional && !pose.provisional && !(is_lost && is_newer) {
+            return;
+        }
         let first = *self.first.get_or_insert(pose.capture);
-        let packets = vmc::packets(body, &pose.pose, pose.state, pose.capture.seconds_since(first));
-        let sent = packets.map_err(std::io::Error::other).and_then(|packets| {
-            packets.iter().try_for_each(|packet| self.socket.send_to(packet, address).map(drop))
-        });
-        match sent {
+        match target.send(body, &pose, first) {
             Ok(()) => self.count.sent += 1,
             Err(error) => {
                 if self.count.unsent == 0 {
-                    complain("warning", &format!("a pose is not sent to {address}: {error}"));
+                    complain("warning", &format!("a pose is not sent: {error}"));
                 }
                 self.count.unsent += 1;
             }
         }
+        target.last = Some((pose, Instant::now()));
     }
 
-    /// Where the poses of a performer go.
-    fn address(&mut self, actor: &str) -> Option<SocketAddr> {
-        if let Some(address) = self.named.get(actor) {
-            return Some(*address);
+    /// Says that performers without poses for some time are lost; their addresses without names are free.
+    fn end_those_silent_for(&mut self, time: Duration) {
+        for target in &mut self.targets {
+            let Some((mut pose, _)) = target.last.take_if(|(_, at)| at.elapsed() >= time) else {
+                continue;
+            };
+            pose.state = TrackingState::Lost;
+            if let Some(body) = target.performer.as_ref().and_then(|name| self.bodies.get(name)) {
+                // A network that refuses it has been reported with a pose.
+                drop(target.send(body, &pose, self.first.unwrap_or_default()));
+            }
+            target.free();
         }
-        let address = self.unnamed?;
-        let is_free =
-            self.served.as_ref().is_none_or(|(who, last)| who != actor && last.elapsed() > GONE);
-        if is_free {
-            note(&format!("{address} gets {actor}"));
-        } else if self.served.as_ref().is_some_and(|(who, _)| who != actor) {
-            return None;
+    }
+
+    /// The exit code; says which programs got nothing.
+    fn judged(&self) -> Exit {
+        for Target { address, .. } in self.targets.iter().filter(|target| target.sent == 0) {
+            let what = "check --stage, the performer's name, and whether the node runs";
+            complain("warning", &format!("nothing was sent to {address}: {what}"));
         }
-        self.served = Some((actor.to_owned(), Instant::now()));
-        Some(address)
+        if self.count.sent > 0 { Exit::Done } else { Exit::InPart }
     }
 
     /// The value; errors are counted, and the first one is printed.
@@ -232,5 +264,75 @@ impl Bridge {
                 self.count.unusable += 1;
             })
             .ok()
+    }
+}
+
+impl Target {
+    fn send(
+        &mut self,
+        body: &Skeleton,
+        pose: &StampedPose,
+        first: Timestamp,
+    ) -> std::io::Result<()> {
+        let seconds = pose.capture.seconds_since(first);
+        let packets = vmc::packets(body, &pose.pose, pose.state, seconds)
+            .map_err(|error| std::io::Error::other(error.to_string()))?;
+        for packet in packets {
+            self.socket.send_to(&packet, self.address)?;
+        }
+        self.sent += 1;
+        Ok(())
+    }
+
+    /// Whoever comes next may have an address without a name.
+    fn free(&mut self) {
+        if !self.is_named {
+            self.performer = None;
+        }
+    }
+}
+
+/// A socket that never waits; it may also send to all computers of a network.
+fn socket_for(address: SocketAddr) -> std::io::Result<UdpSocket> {
+    let socket = UdpSocket::bind(if address.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" })?;
+    socket.set_nonblocking(true)?;
+    if address.is_ipv4() {
+        socket.set_broadcast(true)?;
+    }
+    Ok(socket)
+}
+
+/// Where the poses of a performer go. The first who comes takes an address without a name.
+fn target_of<'a>(targets: &'a mut [Target], actor: &str) -> Option<&'a mut Target> {
+    let is_of = |target: &Target| target.performer.as_deref() == Some(actor);
+    let of = targets.iter().position(is_of);
+    let target =
+        &mut targets[of.or_else(|| targets.iter().position(|one| one.performer.is_none()))?];
+    if target.performer.is_none() {
+        note(&format!("{} gets {actor}", target.address));
+        target.performer = Some(actor.to_owned());
+    }
+    Some(target)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_without_a_name_is_free_when_its_performer_is_silent() {
+        let addresses = ["p2=127.0.0.1:9", "127.0.0.1:10"].map(str::to_owned);
+        let mut bridge = Bridge::to(&addresses, None, false).unwrap();
+        let address = |bridge: &mut Bridge, actor: &str| {
+            target_of(&mut bridge.targets, actor).map(|target| target.address.port())
+        };
+        assert_eq!(address(&mut bridge, "p1"), Some(10));
+        assert_eq!(address(&mut bridge, "p2"), Some(9));
+        assert_eq!((address(&mut bridge, "p3"), address(&mut bridge, "p1")), (None, Some(10)));
+        for target in &mut bridge.targets {
+            target.free();
+        }
+        assert_eq!((address(&mut bridge, "p3"), address(&mut bridge, "p1")), (Some(10), None));
+        assert_eq!(address(&mut bridge, "p2"), Some(9));
     }
 }

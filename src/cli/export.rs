@@ -11,6 +11,7 @@ use super::overwrite::{Overwrite, is_same_file};
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
+use crate::core::time::Timestamp;
 use crate::io::formats::gltf::{Take, write_glb};
 #[cfg(feature = "view")]
 use crate::io::new_file;
@@ -30,7 +31,7 @@ The ending of each file chooses the format:
   .svg    a picture: a row of stick figures
   .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
 In .glb and .bvh y is up; with all rotations zero the body is a T-pose that faces +z. In .glb the
-keys have the times of the poses since the first one. In .bvh frames are evenly spaced; a gap
+keys have the times since the first pose of any performer. In .bvh frames are evenly spaced; a gap
 repeats the pose before it, ten minutes in all.
 
 Examples:
@@ -130,6 +131,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let path = |path: &Path| path_of(path, several.then_some(&one.actor));
         files.extend(of_one.iter().map(|(to, format)| (path(to), *format, one)));
     }
+    for (path, ..) in files.iter().filter(|(_, format, _)| *format == Format::Bvh) {
+        times.sidecar(path).map_or(Ok(()), |path| arguments.overwrite.check(&path))?;
+    }
+    let zero = files.iter().filter_map(|(.., one)| Some(one.poses.first()?.capture)).min();
     let paths = files.iter().map(|(path, ..)| path).chain(of_all.iter().map(|(path, _)| *path));
     check(paths, arguments)?;
     #[cfg(feature = "view")]
@@ -139,7 +144,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         damage = write_foxglove(&arguments.file, path)?;
     }
     for (path, format, one) in files {
-        write(&path, format, one, &times, usize::from(arguments.figures))?;
+        write(&path, format, one, (&times, zero), usize::from(arguments.figures))?;
     }
     #[cfg(not(feature = "view"))]
     let damage = Vec::new();
@@ -182,12 +187,12 @@ fn check<'a>(
     Ok(())
 }
 
-/// Writes a file of a performer.
+/// Writes a file of a performer. Times in glTF are since `zero`, the same for all performers.
 fn write(
     path: &Path,
     format: Format,
     one: &Performer,
-    times: &Times,
+    (times, zero): (&Times, Option<Timestamp>),
     figures: usize,
 ) -> Result<(), Failure> {
     let Performer { actor, skeleton, poses } = one;
@@ -198,7 +203,7 @@ fn write(
             let seconds =
                 |pose: &CompactPose| pose.capture.seconds_since(first.unwrap_or_default());
             let timed = poses.iter().map(|pose| (seconds(pose), pose.pose()));
-            let about = Take { name: actor, fps, timecode: times.timecode_at(first) };
+            let about = Take { name: actor, fps, timecode: times.timecode_at(zero) };
             let keys = write_glb(path, &about, skeleton, timed)?;
             format!("{keys} keys at {fps:.2} Hz")
         }

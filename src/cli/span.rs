@@ -1,6 +1,6 @@
 //! The part of a recording that is used: `--start` and `--end`.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -111,10 +111,15 @@ impl Times {
 
     /// Writes the timecode of the first frame of a BVH file beside it, since BVH has no place for it.
     pub(super) fn beside(&self, bvh: &Path, first: Option<Timestamp>) -> Result<(), Failure> {
-        match self.timecode_at(first) {
-            Some(line) => Ok(text(&bvh.with_extension("timecode.txt"), &(line + "\n"))?),
-            None => Ok(()),
+        match (self.sidecar(bvh), self.timecode_at(first)) {
+            (Some(path), Some(line)) => Ok(text(&path, &(line + "\n"))?),
+            _ => Ok(()),
         }
+    }
+
+    /// The file beside a BVH file that has its timecode, if there is one.
+    pub(super) fn sidecar(&self, bvh: &Path) -> Option<PathBuf> {
+        self.house.map(|_| bvh.with_extension("timecode.txt"))
     }
 
     /// Timecode and rate of a frame, or else of the first one, if there is a timecode.

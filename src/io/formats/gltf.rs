@@ -16,8 +16,9 @@ use crate::io::new_file::NewFile;
 
 /// Most joints that move a vertex.
 const INFLUENCES: usize = 4;
-/// A gap is longer than this, periods.
-const GAP: f64 = 1.5;
+/// A gap is longer than this, periods and seconds: programs interpolate over a few lost frames, and over those of a
+/// slower stretch.
+const GAP: (f64, f64) = (1.5, 0.25);
 // The format's numbers for types of components and uses of buffers.
 const UNSIGNED_BYTE: u32 = 5121;
 const UNSIGNED_SHORT: u32 = 5123;
@@ -280,7 +281,7 @@ impl Keys {
                 return Err(frame);
             }
             let last = keys.times.last().map_or(f64::NEG_INFINITY, |[last]| f64::from(*last));
-            if last.is_finite() && seconds - last > GAP * period {
+            if last.is_finite() && seconds - last > (GAP.0 * period).max(GAP.1) {
                 keys.hold((seconds - period) as f32);
             }
             if time > last as f32 {
