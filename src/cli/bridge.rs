@@ -1,7 +1,7 @@
 //! `bundlemocap bridge`
 
 use std::collections::BTreeMap;
-use std::fmt::Display;
+use std::fmt::{self, Display};
 use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
 use std::time::{Duration, Instant};
 
@@ -12,12 +12,12 @@ use super::bus::{BusArguments, check_name, open};
 use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
 use super::terminal::{complain, note, say};
-use crate::cli::tools::inbox::{Inbox, Received};
+use crate::cli::tools::inbox::{Inbox, Received, Unusable};
 use crate::core::body::{Skeleton, StampedPose, TrackingState};
 use crate::core::time::Timestamp;
 use crate::io::recording::Message;
 use crate::io::vmc;
-use crate::io::wire::{DecodeError, Topic};
+use crate::io::wire::Topic;
 
 /// A performer without poses for this long is lost.
 const GONE: Duration = Duration::from_secs(2);
@@ -42,15 +42,15 @@ The protocol has no names of performers: each performer needs an address of its 
 without a name is for --actor, or else for the first performer who comes; when this one leaves, for
 the next.
 
-A final pose is sent when it is due. Who is lost, or has no poses for two seconds, is sent as not
-tracked, without bones. The other program may start later.
+A final pose is sent when it is due. A performer who is lost, or has no poses for two seconds, is sent
+as not tracked, without bones. The other program may start later.
 
 Examples:
   bundlemocap bridge vmc
   bundlemocap bridge vmc --to 192.168.1.30:39539 --provisional
   bundlemocap bridge vmc --to p1=127.0.0.1:39539 --to p2=127.0.0.1:39549")]
 struct Vmc {
-    /// Address of the program that receives; with a performer's name before it, of that performer. May be repeated.
+    /// Address of the receiving program. With NAME= before it, it gets that performer. May be repeated.
     #[arg(long, value_name = "[NAME=]HOST:PORT", default_value = "127.0.0.1:39539")]
     to: Vec<String>,
     /// Send provisional poses: earlier, less exact, and fewer when the node is overloaded.
@@ -66,7 +66,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let config = arguments.bus.settings()?;
     let topics = arguments.bus.topics(&config);
     let only = (topics.actor != "*").then_some(&*topics.actor);
-    let mut bridge = Bridge::to(&arguments.to, only, arguments.provisional)?;
+    let mut bridge = Bridge::new(&arguments.to, only, arguments.provisional)?;
     let bus = open(&config)?;
     let mut patterns = vec![topics.skeleton(), topics.pose()];
     patterns.extend(arguments.provisional.then(|| topics.provisional()));
@@ -74,11 +74,11 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     note(&format!("sending poses to {}; Ctrl-C ends it", arguments.to.join(", ")));
     while !stop.is_set() {
         if let Some(received) = inbox.next(ATTENTION) {
-            bridge.take(&received);
+            bridge.handle(&received);
         }
-        bridge.end_those_silent_for(GONE);
+        bridge.end_silent(GONE);
     }
-    bridge.end_those_silent_for(Duration::ZERO);
+    bridge.end_silent(Duration::ZERO);
     bridge.count.dropped = inbox.dropped();
     say(&bridge.count.to_string());
     Ok(bridge.judged())
@@ -112,18 +112,18 @@ struct Count {
     without: BTreeMap<String, u64>,
     /// Before the body.
     early: u64,
-    unusable: u64,
+    unusable: Unusable,
     unsent: u64,
     dropped: u64,
 }
 
-impl std::fmt::Display for Count {
-    fn fmt(&self, to: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl fmt::Display for Count {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { sent, without, early, unusable, unsent, dropped } = self;
         write!(to, "{sent} poses sent")?;
         let rest = [
             (early, "came before the body"),
-            (unusable, "unusable messages"),
+            (&unusable.0, "unusable messages"),
             (unsent, "refused by the network"),
             (dropped, "messages dropped because this computer is too slow"),
         ];
@@ -139,7 +139,11 @@ impl std::fmt::Display for Count {
 
 impl Bridge {
     /// `only`: the performer whose topics are received, if it is one.
-    fn to(addresses: &[String], only: Option<&str>, is_provisional: bool) -> Result<Self, Failure> {
+    fn new(
+        addresses: &[String],
+        only: Option<&str>,
+        is_provisional: bool,
+    ) -> Result<Self, Failure> {
         let mut targets = Vec::<Target>::new();
         for text in addresses {
             let wrong =
@@ -160,7 +164,7 @@ impl Bridge {
             // Many programs listen on IPv4 alone.
             let all: Vec<SocketAddr> = all.collect();
             let address = all.iter().find(|one| one.is_ipv4()).or(all.first()).copied();
-            let address = address.ok_or_else(|| wrong(&"this computer is not known"))?;
+            let address = address.ok_or_else(|| wrong(&"the host has no address"))?;
             if targets.iter().any(|one| one.address == address) {
                 return Err(wrong(&"this address is given twice"));
             }
@@ -180,25 +184,25 @@ impl Bridge {
         Ok(Self { targets, is_provisional, bodies, first, count })
     }
 
-    fn take(&mut self, received: &Received) {
+    fn handle(&mut self, received: &Received) {
         let actor = Topic::actor(&received.sample.topic);
         match received.message() {
             Ok(Message::Skeleton(body)) => {
-                if let Some(body) = self.usable(body.to_core()) {
+                if let Some(body) = self.count.unusable.value(body.to_core()) {
                     self.bodies.insert(actor, body);
                 }
             }
             Ok(Message::Pose(pose)) => {
-                if let Some(pose) = self.usable(pose.to_core()) {
-                    self.put(&actor, pose);
+                if let Some(pose) = self.count.unusable.value(pose.to_core()) {
+                    self.send(&actor, pose);
                 }
             }
             Ok(_) => {}
-            Err(error) => drop(self.usable::<()>(Err(error))),
+            Err(error) => drop(self.count.unusable.value::<()>(Err(error))),
         }
     }
 
-    fn put(&mut self, actor: &str, pose: StampedPose) {
+    fn send(&mut self, actor: &str, pose: StampedPose) {
         let Some(target) = target_of(&mut self.targets, actor) else {
             let count = self.count.without.entry(actor.to_owned()).or_default();
             if *count == 0 {
@@ -211,7 +215,7 @@ impl Bridge {
             self.count.early += 1;
             return;
         };
-        // Of final poses, provisional ones lack those that are lost.
+        // No provisional pose is lost: the final ones say it.
         let is_newer = target.last.as_ref().is_some_and(|(last, _)| last.capture < pose.capture);
         let is_lost = pose.state == TrackingState::Lost;
         if self.is_provisional && !pose.provisional && !(is_lost && is_newer) {
@@ -230,8 +234,8 @@ impl Bridge {
         target.last = Some((pose, Instant::now()));
     }
 
-    /// Says that performers without poses for some time are lost; their addresses without names are free.
-    fn end_those_silent_for(&mut self, time: Duration) {
+    /// Sends performers who had no pose for that time as lost. Their addresses without a name become free.
+    fn end_silent(&mut self, time: Duration) {
         for target in &mut self.targets {
             let Some((mut pose, _)) = target.last.take_if(|(_, at)| at.elapsed() >= time) else {
                 continue;
@@ -252,18 +256,6 @@ impl Bridge {
             complain("warning", &format!("nothing was sent to {address}: {what}"));
         }
         if self.count.sent > 0 { Exit::Done } else { Exit::InPart }
-    }
-
-    /// The value; errors are counted, and the first one is printed.
-    fn usable<T>(&mut self, result: Result<T, DecodeError>) -> Option<T> {
-        result
-            .inspect_err(|error| {
-                if self.count.unusable == 0 {
-                    complain("warning", &format!("unusable message: {error}"));
-                }
-                self.count.unusable += 1;
-            })
-            .ok()
     }
 }
 
@@ -322,7 +314,7 @@ mod tests {
     #[test]
     fn an_address_without_a_name_is_free_when_its_performer_is_silent() {
         let addresses = ["p2=127.0.0.1:9", "127.0.0.1:10"].map(str::to_owned);
-        let mut bridge = Bridge::to(&addresses, None, false).unwrap();
+        let mut bridge = Bridge::new(&addresses, None, false).unwrap();
         let address = |bridge: &mut Bridge, actor: &str| {
             target_of(&mut bridge.targets, actor).map(|target| target.address.port())
         };

@@ -12,7 +12,7 @@ use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
 use crate::core::body::Skeleton;
 use crate::core::time::Timestamp;
-use crate::io::formats::gltf::{Take, write_glb};
+use crate::io::formats::gltf::{Description, write_glb};
 #[cfg(feature = "view")]
 use crate::io::new_file;
 use crate::io::recording::{Message, Reader};
@@ -31,8 +31,8 @@ The ending of each file chooses the format:
   .svg    a picture: a row of stick figures
   .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
 In .glb and .bvh y is up; with all rotations zero the body is a T-pose that faces +z. In .glb the
-keys have the times since the first pose of any performer. In .bvh frames are evenly spaced; a gap
-repeats the pose before it, ten minutes in all.
+keys have the time since the first pose of any performer. In .bvh frames are evenly spaced, from the
+performer's own first pose on. In a gap the last pose is repeated, for at most ten minutes in all.
 
 Examples:
   bundlemocap export out/poses.mcap --out take1.glb
@@ -76,9 +76,11 @@ enum Format {
     /// A row of stick figures.
     Svg,
     /// MCAP with the schemas of Foxglove.
-    #[cfg(feature = "view")]
     Mcap,
 }
+
+/// Writes a file of one performer; returns what it holds.
+type WriteOne = fn(&Path, &Performer, &Export) -> Result<String, Failure>;
 
 impl Format {
     /// The format that a file's ending names.
@@ -95,60 +97,71 @@ impl Format {
         })
     }
 
-    /// Whether a file has all performers.
-    fn is_of_all(self) -> bool {
+    /// `None`: a file holds the whole recording.
+    fn of_one(self) -> Option<WriteOne> {
         match self {
-            Self::Glb | Self::Bvh | Self::Svg => false,
-            #[cfg(feature = "view")]
-            Self::Mcap => true,
+            Self::Glb => Some(glb),
+            Self::Bvh => Some(bvh),
+            Self::Svg => Some(svg),
+            Self::Mcap => None,
         }
     }
 }
 
+/// What the files of all performers share.
+struct Export {
+    times: Times,
+    /// The first pose of any performer.
+    start: Timestamp,
+    /// Stick figures in a picture.
+    figures: usize,
+}
+
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let mut formats = Vec::new();
+    let (mut of_one, mut whole) = (Vec::new(), Vec::new());
     for path in &arguments.out {
-        formats.push((path, arguments.format.map_or_else(|| Format::of(path), Ok)?));
+        let format = arguments.format.map_or_else(|| Format::of(path), Ok)?;
+        match format.of_one() {
+            Some(write) => of_one.push((path, format, write)),
+            None => whole.push(path.clone()),
+        }
     }
-    let (of_all, of_one): (Vec<_>, Vec<_>) =
-        formats.into_iter().partition(|(_, format)| format.is_of_all());
-    #[cfg(feature = "view")]
-    if !of_all.is_empty()
-        && (arguments.truth || arguments.actor.is_some() || arguments.span.is_given())
-    {
+    let is_in_part = arguments.truth || arguments.actor.is_some() || arguments.span.is_given();
+    if !whole.is_empty() && is_in_part {
         let message =
             "a .mcap holds the whole recording; leave out --actor, --truth, --start and --end";
         return Err(Failure::new(Exit::Usage, message));
     }
-    let (mut solved, times) = (None, Times::of(&arguments.file, None)?);
+    let times = Times::of(&arguments.file, None)?;
+    let mut solved = Solved { performers: Vec::new(), damage: Vec::new() };
     if !of_one.is_empty() {
-        solved = Some(performers(arguments, &times)?);
+        solved = performers(arguments, &times)?;
     }
-    let all = solved.iter().flat_map(|solved| &solved.performers).collect::<Vec<_>>();
-    let several = all.len() > 1;
-    let mut files = Vec::new();
-    for one in all {
-        let path = |path: &Path| path_of(path, several.then_some(&one.actor));
-        files.extend(of_one.iter().map(|(to, format)| (path(to), *format, one)));
+    let several = solved.performers.len() > 1;
+    let (mut files, mut paths) = (Vec::new(), whole.clone());
+    for one in &solved.performers {
+        for (path, format, write) in &of_one {
+            let path = path_of(path, several.then_some(&one.actor));
+            if *format == Format::Bvh
+                && let Some(beside) = times.sidecar(&path)
+            {
+                arguments.overwrite.check(&beside)?;
+            }
+            paths.push(path.clone());
+            files.push((path, one, write));
+        }
     }
-    for (path, ..) in files.iter().filter(|(_, format, _)| *format == Format::Bvh) {
-        times.sidecar(path).map_or(Ok(()), |path| arguments.overwrite.check(&path))?;
+    check(&paths, arguments)?;
+    for path in whole {
+        solved.damage = write_foxglove(&arguments.file, &path)?;
     }
-    let zero = files.iter().filter_map(|(.., one)| Some(one.poses.first()?.capture)).min();
-    let paths = files.iter().map(|(path, ..)| path).chain(of_all.iter().map(|(path, _)| *path));
-    check(paths, arguments)?;
-    #[cfg(feature = "view")]
-    let mut damage = Vec::new();
-    #[cfg(feature = "view")]
-    for (path, _) in of_all {
-        damage = write_foxglove(&arguments.file, path)?;
+    let firsts = solved.performers.iter().filter_map(|one| Some(one.poses.first()?.capture));
+    let (start, figures) = (firsts.min().unwrap_or_default(), arguments.figures.into());
+    let export = Export { times, start, figures };
+    for (path, one, write) in files {
+        say(&format!("{}: {}", path.display(), write(&path, one, &export)?));
     }
-    for (path, format, one) in files {
-        write(&path, format, one, (&times, zero), usize::from(arguments.figures))?;
-    }
-    #[cfg(not(feature = "view"))]
-    let damage = Vec::new();
-    Ok(exit_of(&arguments.file, &solved.map_or(damage, |solved| solved.damage)))
+    Ok(exit_of(&arguments.file, &solved.damage))
 }
 
 /// The performers who are exported, with the poses that are.
@@ -167,10 +180,7 @@ fn performers(arguments: &Arguments, times: &Times) -> Result<Solved, Failure> {
 }
 
 /// Checks all files before the first is written.
-fn check<'a>(
-    paths: impl Iterator<Item = &'a PathBuf>,
-    arguments: &Arguments,
-) -> Result<(), Failure> {
+fn check(paths: &[PathBuf], arguments: &Arguments) -> Result<(), Failure> {
     let mut seen = BTreeSet::new();
     for path in paths {
         let wrong = if is_same_file(&arguments.file, path) {
@@ -187,43 +197,34 @@ fn check<'a>(
     Ok(())
 }
 
-/// Writes a file of a performer. Times in glTF are since `zero`, the same for all performers.
-fn write(
-    path: &Path,
-    format: Format,
-    one: &Performer,
-    (times, zero): (&Times, Option<Timestamp>),
-    figures: usize,
-) -> Result<(), Failure> {
-    let Performer { actor, skeleton, poses } = one;
-    let first = poses.first().map(|pose| pose.capture);
-    let fps = frame_rate(poses).unwrap_or(60.0);
-    let said = match format {
-        Format::Glb => {
-            let seconds =
-                |pose: &CompactPose| pose.capture.seconds_since(first.unwrap_or_default());
-            let timed = poses.iter().map(|pose| (seconds(pose), pose.pose()));
-            let about = Take { name: actor, fps, timecode: times.timecode_at(zero) };
-            let keys = write_glb(path, &about, skeleton, timed)?;
-            format!("{keys} keys at {fps:.2} Hz")
-        }
-        Format::Bvh => {
-            let mut file = BvhFile::create(path, skeleton, fps, None)?;
-            poses.iter().try_for_each(|pose| file.write(pose))?;
-            let (states, unfilled) = file.finish(path)?;
-            unfilled.into_iter().for_each(|text| complain("note", &text));
-            times.beside(path, first)?;
-            format!("{} frames at {fps:.2} Hz", states.frames())
-        }
-        Format::Svg => {
-            text(path, &strip(poses, skeleton, figures))?;
-            format!("{figures} stick figures")
-        }
-        #[cfg(feature = "view")]
-        Format::Mcap => return Ok(()),
-    };
-    say(&format!("{}: {said}", path.display()));
-    Ok(())
+/// Hertz.
+fn rate(one: &Performer) -> f64 {
+    frame_rate(&one.poses).unwrap_or(60.0)
+}
+
+fn glb(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    let fps = rate(one);
+    let timecode = export.times.timecode_at(Some(export.start));
+    let about = Description { name: &one.actor, fps, timecode };
+    let seconds = |pose: &CompactPose| pose.capture.seconds_since(export.start);
+    let poses = one.poses.iter().map(|pose| (seconds(pose), pose.pose()));
+    let keys = write_glb(path, &about, &one.skeleton, poses)?;
+    Ok(format!("{keys} keys at {fps:.2} Hz"))
+}
+
+fn bvh(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    let fps = rate(one);
+    let mut file = BvhFile::create(path, &one.skeleton, fps, None)?;
+    one.poses.iter().try_for_each(|pose| file.write(pose))?;
+    let (states, unfilled) = file.finish(path)?;
+    unfilled.into_iter().for_each(|text| complain("note", &text));
+    export.times.beside(path, one.poses.first().map(|pose| pose.capture))?;
+    Ok(format!("{} frames at {fps:.2} Hz", states.frames()))
+}
+
+fn svg(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    text(path, &strip(&one.poses, &one.skeleton, export.figures))?;
+    Ok(format!("{} stick figures", export.figures))
 }
 
 /// `take1.p1.bvh` for `take1.bvh` of the performer p1; the path itself if there is only one performer.
@@ -235,7 +236,7 @@ pub(super) fn path_of(path: &Path, actor: Option<&String>) -> PathBuf {
     }
 }
 
-/// Writes the poses and keypoints of a recording with the schemas of Foxglove; returns the losses of a damaged one.
+/// Writes poses and keypoints with the schemas of Foxglove; returns the losses of a damaged recording.
 #[cfg(feature = "view")]
 fn write_foxglove(from: &Path, to: &Path) -> Result<Vec<String>, Failure> {
     let unwritten = |error: &dyn std::fmt::Display| {
@@ -259,6 +260,13 @@ fn write_foxglove(from: &Path, to: &Path) -> Result<Vec<String>, Failure> {
     file.persist(to).map_err(|error| unwritten(&error))?;
     say(&format!("{}: {count} poses and keypoint frames", to.display()));
     Ok(reader.report().losses())
+}
+
+#[cfg(not(feature = "view"))]
+fn write_foxglove(_: &Path, to: &Path) -> Result<Vec<String>, Failure> {
+    let message =
+        format!("{}: build the program with --features view for this format", to.display());
+    Err(Failure::new(Exit::Usage, message))
 }
 
 /// The exit code of a file that was read; says what a damaged one lost.

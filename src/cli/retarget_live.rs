@@ -12,7 +12,7 @@ use super::clock::{ATTENTION, Stop};
 use super::failure::Failure;
 use super::retarget_file::TargetFile;
 use super::terminal::complain;
-use crate::cli::tools::inbox::{Inbox, Received};
+use crate::cli::tools::inbox::{Inbox, Received, Unusable};
 use crate::core::body::Skeleton;
 use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Publisher};
@@ -50,7 +50,7 @@ pub(super) struct Served {
     /// Poses that arrived before the first skeleton.
     pub(super) early: u64,
     /// Unusable messages.
-    pub(super) unusable: u64,
+    pub(super) unusable: Unusable,
     /// Poses that the bus refused; they are still kept for the file.
     pub(super) unsent: u64,
     /// Messages that were dropped because the queue was full.
@@ -63,7 +63,7 @@ impl fmt::Display for Served {
         write!(to, "{published} poses retargeted")?;
         let rest = [
             (early, "arrived before the skeleton"),
-            (unusable, "unusable messages"),
+            (&unusable.0, "unusable messages"),
             (unsent, "could not be published"),
             (dropped, "messages dropped because this computer is too slow"),
         ];
@@ -100,7 +100,7 @@ impl<'a> Live<'a> {
             let received = self.poses.next(ATTENTION);
             while let Some(received) = self.skeletons.next(Duration::ZERO) {
                 let skeleton = wire::<wire::Skeleton>(&received).and_then(|wire| wire.to_core());
-                if let Some(skeleton) = served.usable(skeleton)
+                if let Some(skeleton) = served.unusable.value(skeleton)
                     && let Some(one) = self.performer(&received, &mut served)?
                 {
                     one.skeleton = Some(skeleton);
@@ -137,7 +137,7 @@ impl<'a> Live<'a> {
 
     fn put(&self, received: &Received, served: &mut Served) -> Result<(), Failure> {
         let pose = wire::<Pose>(received).and_then(|wire| Ok((wire.to_core()?, wire)));
-        let Some((stamped, wire)) = served.usable(pose) else { return Ok(()) };
+        let Some((stamped, wire)) = served.unusable.value(pose) else { return Ok(()) };
         let Some(one) = self.performer(received, served)? else { return Ok(()) };
         let Retargeted { retarget, skeleton: Some(skeleton), file, publisher } = one else {
             served.early += 1;
@@ -160,22 +160,6 @@ impl<'a> Live<'a> {
             }
         }
         Ok(())
-    }
-}
-
-impl Served {
-    /// The value; errors are counted, and the first one is printed.
-    fn usable<T>(&mut self, result: Result<T, DecodeError>) -> Option<T> {
-        match result {
-            Ok(value) => Some(value),
-            Err(error) => {
-                if self.unusable == 0 {
-                    complain("warning", &format!("unusable message: {error}"));
-                }
-                self.unusable += 1;
-                None
-            }
-        }
     }
 }
 
@@ -256,7 +240,7 @@ mod tests {
         put("mocap/stage/actor/p2/pose", "", &encode(&pose(4.0)));
         stop.stop();
         let mut served = live.serve(&stop).unwrap();
-        assert_eq!((served.published, served.unusable, served.early), (2, 2, 1));
+        assert_eq!((served.published, served.unusable.0, served.early), (2, 2, 1));
         let said = "2 poses retargeted, 1 arrived before the skeleton, 2 unusable messages";
         assert_eq!(served.to_string(), said);
         assert_eq!(served.performers.keys().collect::<Vec<_>>(), ["actor", "p2"]);

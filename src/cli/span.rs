@@ -30,7 +30,6 @@ pub(super) struct SpanArguments {
 
 impl SpanArguments {
     /// Whether one of them is given.
-    #[cfg(feature = "view")]
     pub(super) fn is_given(&self) -> bool {
         self.start.is_some() || self.end.is_some()
     }

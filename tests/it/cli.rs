@@ -4,11 +4,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use bundlemocap::core::body::{Joint, Pose, Shape, Skeleton};
+use bundlemocap::core::body::{Joint, Pose, Shape, Skeleton, StampedPose, TrackingState};
 use bundlemocap::core::random::Draws;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::recording::{Message, Provenance, Reader, Writer};
-use bundlemocap::io::wire::Topics;
+use bundlemocap::io::wire::{self, Topics};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -485,6 +485,40 @@ fn files_are_not_replaced_without_being_asked() {
         assert!(!place.path("new.glb").exists() && !place.path("new.mcap").exists(), "{command}");
     }
     assert!(fs::read(place.path("mine")).unwrap().starts_with(b"HIERARCHY"));
+}
+
+/// Two performers, the second a second later: in glTF both have the time of the take.
+#[test]
+fn gltf_files_of_several_performers_begin_together() {
+    let place = Place::new();
+    let skeleton = Skeleton::default();
+    let provenance = Provenance::default();
+    let path = place.path("two.mcap");
+    let mut writer = Writer::create(&path, Topics::default(), &provenance).unwrap();
+    for (actor, start) in [("p1", 0), ("p2", 60)] {
+        let topics = Topics { actor: actor.into(), ..Topics::default() };
+        let body = wire::Skeleton::from_core(&skeleton);
+        writer.write(&topics.skeleton(), Timestamp::default(), &body).unwrap();
+        for frame in start..120 {
+            let capture = Timestamp::default() + Nanos::of_frames(frame, 60.0);
+            let (window, rig_version, provisional, revision) = (0, 1, false, 0);
+            let (pose, state) = (Pose::rest(), TrackingState::Tracking);
+            let stamped =
+                StampedPose { capture, pose, state, window, rig_version, provisional, revision };
+            let pose = wire::Pose::from_core(&stamped, &skeleton, None);
+            writer.write(&topics.pose(), capture, &pose).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    place.done("export two.mcap --out two.glb");
+    for (actor, start, count) in [("p1", 0.0, 120), ("p2", 1.0, 60)] {
+        let bytes = fs::read(place.path(&format!("two.{actor}.glb"))).unwrap();
+        let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+        let json: Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+        let times = json["animations"][0]["samplers"][0]["input"].as_u64().unwrap() as usize;
+        let times = &json["accessors"][times];
+        assert_eq!((times["min"][0].as_f64(), times["count"].as_u64()), (Some(start), Some(count)));
+    }
 }
 
 /// One camera's files are three frames late. Whenever the take begins, it is solved alike.

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use bundlemocap::core::body::{JOINTS, Joint, Pose, Posture, Shape, Skeleton};
 use bundlemocap::io::formats::bvh::write_bvh;
-use bundlemocap::io::formats::gltf::{Take, write_glb};
+use bundlemocap::io::formats::gltf::{Description, write_glb};
 use bundlemocap::io::report::{
     AngleTrack, CameraErrors, Picture, ReportData, StickFigures, Table, WindowRow, flexion_deg,
     stick_figures, write_report,
@@ -138,20 +138,20 @@ fn a_file_is_written_completely_or_not_at_all() {
     assert!(error.contains("frame rate 0 is not valid"), "{error}");
 
     let glb = folder.path().join("a \"b\".glb");
-    let mut take = Take { name: "a \"b\"", fps: 60.0, timecode: None };
+    let mut about = Description { name: "a \"b\"", fps: 60.0, timecode: None };
     let timed = poses.map(|pose| (0.0, pose));
-    let error = write_glb(&glb, &take, &Skeleton::default(), timed).unwrap_err().to_string();
+    let error = write_glb(&glb, &about, &Skeleton::default(), timed).unwrap_err().to_string();
     assert!(error.contains("pose 1") && !glb.exists(), "{error}");
-    assert_eq!(write_glb(&glb, &take, &Skeleton::default(), []).unwrap(), 0);
+    assert_eq!(write_glb(&glb, &about, &Skeleton::default(), []).unwrap(), 0);
     let bytes = std::fs::read(&glb).unwrap();
     let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
     let json: serde_json::Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
     assert_eq!(
         (json["scenes"][0]["name"].as_str(), json.get("animations")),
-        (Some(take.name), None)
+        (Some(about.name), None)
     );
-    take.fps = f64::NAN;
-    let error = write_glb(&glb, &take, &Skeleton::default(), []).unwrap_err().to_string();
+    about.fps = f64::NAN;
+    let error = write_glb(&glb, &about, &Skeleton::default(), []).unwrap_err().to_string();
     assert!(error.contains("frame rate NaN is not valid"), "{error}");
 }
 

@@ -56,6 +56,17 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   await stop(child);
 });
 
+test("a recording of a stage shows each camera's state, and README's picture is made", async () => {
+  const { match } = await start(["view", join(root, "recordings/disturbed.mcap"), "--listen", "127.0.0.1:0"], /open (\S+)/);
+  const { page, said } = await open(`${match[1]}#t=2`);
+  await people(page, 1);
+  await until(page, () => document.querySelectorAll("#cameras > *").length === 4);
+  await until(page, () => /warn|bad/.test(document.getElementById("cameras").textContent));
+  await picture(page, "view");
+  await isSound(page);
+  assert.deepEqual(said, []);
+});
+
 test("the skin of the page is the skin of the library", async () => {
   const { match } = await start(["view", join(folder, "walk/poses.mcap"), "--listen", "127.0.0.1:0"], /open (\S+)/);
   const wanted = JSON.parse(readFileSync(join(root, "tests/golden/skin.json"), "utf8"));
@@ -155,7 +166,7 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   await page.keyboard.press(" ");
   await until(page, () => document.getElementById("clock").textContent === "live");
 
-  await until(page, () => document.getElementById("receivers").textContent === "nobody else that says so");
+  await until(page, () => document.getElementById("receivers").textContent === "no other program is known");
 
   // A take is recorded, and the next name is ready.
   const takes = join(folder, "takes");

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 
+use crate::cli::terminal::complain;
 use crate::core::time::Timestamp;
 use crate::io::bus::{Bus, BusError, Guard, Sample};
 use crate::io::recording::Message;
@@ -33,6 +34,23 @@ impl Received {
             Some(schema) => Message::decode(&sample.topic, schema, ENCODING, &sample.payload),
             None => Message::decode(&sample.topic, "", &sample.encoding, &[]),
         }
+    }
+}
+
+/// Number of messages that could not be used.
+#[derive(Default)]
+pub(crate) struct Unusable(pub(crate) u64);
+
+impl Unusable {
+    /// The value; an error is counted, and the first one is printed.
+    pub(crate) fn value<T>(&mut self, result: Result<T, DecodeError>) -> Option<T> {
+        let count = |error: &DecodeError| {
+            if self.0 == 0 {
+                complain("warning", &format!("unusable message: {error}"));
+            }
+            self.0 += 1;
+        };
+        result.inspect_err(count).ok()
     }
 }
 

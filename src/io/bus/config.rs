@@ -21,7 +21,7 @@ pub struct Config {
 }
 
 impl Config {
-    /// The same for a program that is called so.
+    /// The same settings for a program that others see under this name.
     pub fn named(mut self, name: &str) -> Self {
         self.zenoh.name = name.to_owned();
         self.iceoryx2.name = name.to_owned();

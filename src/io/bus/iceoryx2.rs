@@ -40,9 +40,10 @@ use super::frame::{frame, parse};
 use super::iceoryx2_services::{
     CLASSES, JOINED, Shm, class, classes, events, limits, persist, service, service_name, settings,
 };
+use super::receivers::Announcer;
 use super::{
     Bus, BusError, Guard, Iceoryx2Config, Memory, Publisher, Receiver, Sample, Sink, check_pattern,
-    check_topic, matches, receivers,
+    check_topic, matches,
 };
 use crate::core::time::Timestamp;
 
@@ -55,7 +56,7 @@ const ROUND: Duration = Duration::from_secs(1);
 /// The bus over the shared memory of one host.
 pub struct Iceoryx2 {
     inner: Arc<Inner>,
-    receiver: receivers::Session,
+    announcer: Announcer,
 }
 
 struct Inner {
@@ -110,7 +111,7 @@ impl Iceoryx2 {
             .spawn(move || receiving.run(&listener))
             .map_err(|error| BusError::transport("cannot start a thread", error))?;
         let inner = Arc::new(Inner { shared, thread: Some(thread) });
-        Ok(Self { inner, receiver: receivers::Session::new(&config.name) })
+        Ok(Self { inner, announcer: Announcer::new(&config.name) })
     }
 }
 
@@ -283,7 +284,7 @@ impl Bus for Iceoryx2 {
         let local = shared.local.subscribe(pattern, sink)?;
         classes(pattern).try_for_each(|class| shared.listen_to(class))?;
         shared.notify(JOINED);
-        let announced = self.receiver.announce(self, pattern);
+        let announced = self.announcer.announce(self, pattern);
         let inner = self.inner.clone();
         Ok(Box::new(Subscribed { _local: local, _announced: announced, _inner: inner }))
     }
@@ -324,7 +325,7 @@ impl Bus for Iceoryx2 {
     }
 
     fn receivers(&self, below: &str) -> Result<Vec<Receiver>, BusError> {
-        self.receiver.others(self, below)
+        self.announcer.others(self, below)
     }
 
     fn query(&self, pattern: &str, _within: Duration) -> Result<Vec<Sample>, BusError> {

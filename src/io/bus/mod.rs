@@ -142,7 +142,7 @@ pub trait Bus: Send + Sync {
     fn announced(&self, pattern: &str) -> Result<Vec<String>, BusError>;
 
     /// The other sessions that have announced that they receive any topic below a name, such as
-    /// `mocap/stage/actor`. Those of this program always do; on a bus inside a process there are none.
+    /// `mocap/stage/actor`. Our own sessions announce it; on a bus inside a process there are none.
     ///
     /// # Errors
     /// The name has not the form of a topic, or the transport refuses it.

@@ -2,7 +2,7 @@
 //!
 //! The name is `mocap/receivers/{program}/{computer}/{session}/{pattern}`, with `+` for `*` and `++` for `**`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{BuildHasher, RandomState};
 
 use super::{Bus, BusError, Guard, Receiver, check_topic};
@@ -11,12 +11,13 @@ const ROOT: &str = "mocap/receivers";
 /// Longest name of a program and of a computer, characters: names of topics have a limit.
 const LONGEST: usize = 40;
 
-/// A session, as it announces itself.
-pub(super) struct Session {
+/// Announces the subscriptions of a session.
+pub(super) struct Announcer {
+    /// Of the session, with a slash at the end.
     name: String,
 }
 
-impl Session {
+impl Announcer {
     /// A new session; an empty name stands for the name of the program's file.
     pub(super) fn new(program: &str) -> Self {
         let file = std::env::current_exe().unwrap_or_default();
@@ -24,45 +25,38 @@ impl Session {
         let program = part(if program.is_empty() { &file } else { program });
         let computer = part(&rustix::system::uname().nodename().to_string_lossy());
         let number = RandomState::new().hash_one(0);
-        Self { name: format!("{ROOT}/{program}/{computer}/{}.{number:x}", std::process::id()) }
+        Self { name: format!("{ROOT}/{program}/{computer}/{}.{number:x}/", std::process::id()) }
     }
 
     /// Announces a subscription. Its name may be too long, or the bus may not allow it; the subscription does
     /// not depend on it.
     pub(super) fn announce(&self, bus: &dyn Bus, pattern: &str) -> Option<Box<dyn Guard>> {
-        let name = format!("{}/{}", self.name, parts(pattern, ["*", "**"], ["+", "++"]));
+        let name = format!("{}{}", self.name, parts(pattern, ["*", "**"], ["+", "++"]));
         bus.announce(&name)
-            .inspect_err(|error| tracing::warn!("others do not see a subscription: {error}"))
+            .inspect_err(|error| tracing::warn!("a subscription is not announced: {error}"))
             .ok()
     }
 
     /// The other sessions that receive any topic below a name.
     pub(super) fn others(&self, bus: &dyn Bus, below: &str) -> Result<Vec<Receiver>, BusError> {
         check_topic(below)?;
-        let mut receivers = BTreeMap::<String, Receiver>::new();
-        for name in bus.announced(&format!("{ROOT}/**"))? {
-            let Some((session, pattern)) = name
-                .match_indices('/')
-                .nth(4)
-                .map(|(at, _)| (&name[..at], parts(&name[at + 1..], ["+", "++"], ["*", "**"])))
-            else {
-                continue;
-            };
-            if session == self.name || !reaches_below(&pattern, below) {
+        let names = bus.announced(&format!("{ROOT}/**"))?;
+        let mut receivers = BTreeMap::new();
+        for name in names.iter().filter(|name| !name.starts_with(&self.name)) {
+            let parts_of = Vec::from_iter(name.splitn(6, '/'));
+            let [_, _, program, computer, session, pattern] = parts_of[..] else { continue };
+            let pattern = parts(pattern, ["+", "++"], ["*", "**"]);
+            if !reaches_below(&pattern, below) {
                 continue;
             }
-            let receiver = receivers.entry(session.to_owned()).or_default();
-            let about = session.split('/').skip(2).map(str::to_owned);
-            for (field, text) in
-                [&mut receiver.program, &mut receiver.computer, &mut receiver.session]
-                    .into_iter()
-                    .zip(about)
-            {
-                *field = text;
-            }
-            receiver.patterns.insert(pattern);
+            let about = [program, computer, session];
+            receivers.entry(about).or_insert_with(BTreeSet::new).insert(pattern);
         }
-        Ok(receivers.into_values().collect())
+        let receiver = |(about, patterns): ([&str; 3], _)| {
+            let [program, computer, session] = about.map(str::to_owned);
+            Receiver { program, computer, session, patterns }
+        };
+        Ok(receivers.into_iter().map(receiver).collect())
     }
 }
 
@@ -111,10 +105,11 @@ mod tests {
     #[test]
     fn others_are_seen_with_their_patterns_and_strange_names_are_tamed() {
         let bus = Memory::new();
-        let (own, other) = (Session::new(""), Session::new("@a/b*\n"));
+        let (own, other) = (Announcer::new(""), Announcer::new("@a/b*\n"));
         let patterns =
             ["mocap/s/actor/*/pose", "mocap/**", "mocap/s/actor/a+b/pose", "mocap/s/rig"];
-        let announce = |one: &Session| patterns.map(|pattern| one.announce(&bus, pattern).unwrap());
+        let announce =
+            |one: &Announcer| patterns.map(|pattern| one.announce(&bus, pattern).unwrap());
         let _guards = [&own, &other].map(announce);
         let _foreign = bus.announce("mocap/receivers/not/ours").unwrap();
         let receivers = own.others(&bus, "mocap/s/actor").unwrap();

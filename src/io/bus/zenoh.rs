@@ -30,10 +30,11 @@ use zenoh_ext::{
     HistoryConfig, MissDetectionConfig, RecoveryConfig,
 };
 
+use super::receivers::Announcer;
 use super::zenoh_settings::{check_endpoints, settings, why_not_open, without_places};
 use super::{
     Answer, Bus, BusError, Delivery, Guard, Publisher, Receiver, Sample, Sink, ZenohConfig,
-    ZenohMode, check_pattern, check_topic, delivery, receivers,
+    ZenohMode, check_pattern, check_topic, delivery,
 };
 use crate::core::time::Timestamp;
 use crate::io::wire::Topic;
@@ -50,7 +51,7 @@ const HEARTBEAT: Duration = Duration::from_millis(500);
 /// The bus over a network.
 pub struct Zenoh {
     session: Session,
-    receiver: receivers::Session,
+    announcer: Announcer,
 }
 
 /// Delay before closing, so that the last samples are still sent.
@@ -125,7 +126,7 @@ fn open(
         });
     }
     match zenoh::open(settings(config, mode, listen, connect, scouting)?).wait() {
-        Ok(session) => Ok(Zenoh { session, receiver: receivers::Session::new(&config.name) }),
+        Ok(session) => Ok(Zenoh { session, announcer: Announcer::new(&config.name) }),
         Err(error) => Err(why_not_open(mode, listen, connect, &without_places(&error))),
     }
 }
@@ -160,7 +161,7 @@ impl Bus for Zenoh {
             .declare_subscriber(canonical(pattern)?)
             .callback(move |sample| sink(from_zenoh(&sample)));
         let what = || format!("cannot subscribe to {pattern}");
-        let announced = self.receiver.announce(self, pattern);
+        let announced = self.announcer.announce(self, pattern);
         if is_of_streams(pattern) {
             let subscriber = builder.wait().map_err(|e| self.error(what(), e))?;
             return Ok(self.alive((subscriber, announced)));
@@ -204,7 +205,7 @@ impl Bus for Zenoh {
     }
 
     fn receivers(&self, below: &str) -> Result<Vec<Receiver>, BusError> {
-        self.receiver.others(self, below)
+        self.announcer.others(self, below)
     }
 
     fn query(&self, pattern: &str, within: Duration) -> Result<Vec<Sample>, BusError> {

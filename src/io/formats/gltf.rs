@@ -16,9 +16,10 @@ use crate::io::new_file::NewFile;
 
 /// Most joints that move a vertex.
 const INFLUENCES: usize = 4;
-/// A gap is longer than this, periods and seconds: programs interpolate over a few lost frames, and over those of a
-/// slower stretch.
-const GAP: (f64, f64) = (1.5, 0.25);
+/// A gap is longer than this, periods.
+const GAP_PERIODS: f64 = 1.5;
+/// A gap is longer than this, seconds: programs interpolate over a few lost frames and over a slower rate.
+const GAP_S: f64 = 0.25;
 // The format's numbers for types of components and uses of buffers.
 const UNSIGNED_BYTE: u32 = 5121;
 const UNSIGNED_SHORT: u32 = 5123;
@@ -26,19 +27,19 @@ const FLOAT: u32 = 5126;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
-/// What a file says of its take.
+/// What a file says of its content.
 #[derive(Clone, Debug)]
-pub struct Take<'a> {
+pub struct Description<'a> {
     /// The performer.
     pub name: &'a str,
     /// Frame rate, hertz.
     pub fps: f64,
-    /// Timecode and rate of the first pose.
+    /// Timecode and its rate at 0 seconds, such as `01:00:00:00 25`.
     pub timecode: Option<String>,
 }
 
-/// Writes poses of a performer, each with its time in seconds; returns the number of keys. Times increase, else a
-/// pose is left out. A pose before a gap holds until the gap's last period.
+/// Writes poses of a performer, each with its time in seconds; returns the number of keys. A pose that is not later
+/// than the one before it is left out. Before a gap the last pose is held.
 ///
 /// The skin follows the joints alone, without the bones between them that [`Mesh::posed`] has: programs that
 /// retarget find the skeleton that they expect, and a bent limb is a little thinner.
@@ -48,11 +49,11 @@ pub struct Take<'a> {
 /// finite.
 pub fn write_glb(
     path: &Path,
-    take: &Take,
+    about: &Description,
     skeleton: &Skeleton,
     poses: impl IntoIterator<Item = (f64, Pose)>,
 ) -> Result<usize, ExportError> {
-    let Take { name, fps, timecode } = take;
+    let Description { name, fps, timecode } = about;
     if !(fps.is_finite() && *fps > 0.0) {
         return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
     }
@@ -281,7 +282,7 @@ impl Keys {
                 return Err(frame);
             }
             let last = keys.times.last().map_or(f64::NEG_INFINITY, |[last]| f64::from(*last));
-            if last.is_finite() && seconds - last > (GAP.0 * period).max(GAP.1) {
+            if last.is_finite() && seconds - last > (GAP_PERIODS * period).max(GAP_S) {
                 keys.hold((seconds - period) as f32);
             }
             if time > last as f32 {

@@ -306,7 +306,7 @@ function showReceivers() {
     item.title = [`process ${session.split(".")[0]}`, ...patterns].join("\n");
     return item;
   });
-  replace($("receivers"), items.length > 0 ? items : [element("li", "nobody else that says so")]);
+  replace($("receivers"), items.length > 0 ? items : [element("li", "no other program is known")]);
 }
 
 function showEvents() {

@@ -94,7 +94,7 @@ export function cameraLight(store, name, now, advice) {
       const count = recent(history, (status) => mine(status)?.[kind]);
       if (count > 0) {
         const level = kind === "unusable" || kind === "dropped" ? "bad" : "warn";
-        light.add(level, `${count} frames ${kind} in 5 s`, advice[kind]);
+        light.add(level, `${counted(count, "frame")} ${kind} in 5 s`, advice[kind]);
       }
     }
     const [usual, px] = [store.usual.get(name), counters.residual_px ?? 0];
@@ -123,13 +123,17 @@ export function nodeLight(store, connected) {
   if (age > 3) light.add("bad", `no status for ${age.toFixed(0)} s: the node is stopped or not reached`);
   if (history.length > 1) {
     const missed = recent(history, (status) => status.playout?.missed);
-    if (missed > 0) light.add("bad", `${missed} poses too late in 5 s`);
+    if (missed > 0) light.add("bad", `${counted(missed, "pose")} too late in 5 s`);
     const lost = recent(history, (status) => status.windows?.lost);
-    if (lost > 0) light.add("warn", `${lost} windows fitted badly in 5 s`);
+    if (lost > 0) light.add("warn", `${counted(lost, "window")} fitted badly in 5 s`);
     const effort = history.at(-1).status.effort?.level ?? 0;
     if (effort > 0) light.add("warn", `overload: effort lowered to level ${effort}`);
     const full = recent(history, (status) => status.queue_dropped);
     if (full > 0) light.add("bad", `${full} messages dropped: the queue is full`);
   }
   return light;
+}
+
+function counted(count, what) {
+  return `${count} ${what}${count === 1 ? "" : "s"}`;
 }
