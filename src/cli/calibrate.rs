@@ -54,8 +54,8 @@ pub(super) struct Arguments {
     /// Only estimate time offsets.
     #[arg(long)]
     time_only: bool,
-    /// Up axis of the written calibration's world: y or z.
-    #[arg(long, default_value = "z", value_parser = super::import::up)]
+    /// Up axis of the written calibration's world: x, y, z, -x, -y or -z.
+    #[arg(long, default_value_t, allow_hyphen_values = true)]
     up: Up,
     /// Settings file; config/default.toml lists every setting.
     #[arg(long, value_name = "FILE")]

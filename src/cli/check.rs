@@ -7,9 +7,9 @@ use serde_json::json;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
+use super::rig::ConventionArguments;
 use super::solve::Progress;
 use super::terminal::{complain, progress, say};
-use crate::io::formats::{Up, read_calibration};
 use crate::offline::{self, Recording};
 
 /// Judge the cameras of a recording: what is wrong, and what would fix it.
@@ -39,9 +39,8 @@ pub(super) struct Arguments {
     /// Calibration to use instead of the recordings'.
     #[arg(long, value_name = "FILE")]
     rig: Option<PathBuf>,
-    /// Up axis of the world of --rig: y or z.
-    #[arg(long, default_value = "z", value_parser = super::import::up)]
-    up: Up,
+    #[command(flatten)]
+    convention: ConventionArguments,
     /// Fail with exit code 15 if something is wrong.
     #[arg(long)]
     strict: bool,
@@ -51,8 +50,8 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let rig =
-        arguments.rig.as_deref().map(|rig| read_calibration(rig, arguments.up)).transpose()?;
+    let rig = arguments.rig.as_deref();
+    let rig = rig.map(|rig| super::rig::read(rig, &arguments.convention)).transpose()?;
     let (mut found, mut wrong) = (Vec::new(), Vec::new());
     for file in &arguments.files {
         let mut recording = Recording::open(file)?;

@@ -175,11 +175,15 @@ fn rig(config: &Config, findings: &mut Findings) -> Option<Rig> {
         }
         path => path,
     };
-    match read_calibration(Path::new(path), config.node.rig_up) {
-        Ok(rig) => {
-            let names: Vec<&str> = rig.cameras.iter().map(|camera| &*camera.name).collect();
-            findings.good("calibration", format!("{path}: {}", names.join(", ")));
-            Some(rig)
+    match read_calibration(Path::new(path), &config.node.convention()) {
+        Ok(read) => {
+            let names: Vec<&str> = read.rig.cameras.iter().map(|camera| &*camera.name).collect();
+            findings
+                .good("calibration", format!("{path}: {}: {}", read.summary(), names.join(", ")));
+            for note in read.notes {
+                findings.doubtful("calibration", note);
+            }
+            Some(read.rig)
         }
         Err(error) => {
             findings.wrong("calibration", error.to_string());

@@ -10,14 +10,18 @@ use super::failure::{Exit, Failure};
 use super::overwrite::{Overwrite, is_same_file};
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
-use crate::core::body::Skeleton;
+use crate::core::body::{Attachment, Joint, Skeleton, TrackingState};
+use crate::core::detections::{Keypoint, KeypointFormat};
 use crate::core::time::Timestamp;
 use crate::io::formats::gltf::{Description, write_glb};
+use crate::io::formats::npz::{TimedPose, write_npz};
+use crate::io::formats::pose_table::write_csv;
+use crate::io::formats::trc::{Markers, write_trc};
 #[cfg(feature = "view")]
 use crate::io::new_file;
 use crate::io::recording::{Message, Reader};
 use crate::io::wire::Topic;
-use crate::offline::bvh::BvhFile;
+use crate::offline::bvh::{BvhFile, Fill};
 use crate::offline::compact_pose::CompactPose;
 use crate::offline::output::{strip, text};
 use crate::offline::poses::frame_rate;
@@ -28,11 +32,15 @@ use crate::offline::poses::frame_rate;
 The ending of each file chooses the format:
   .glb    skin, skeleton and animation, for Blender, Unreal, Unity, Godot and browsers; metres
   .bvh    skeleton and animation, for Blender, MotionBuilder and Maya; centimetres
+  .trc    keypoints of the body and joint centres (_jc), for OpenSim and Pose2Sim; metres
+  .csv    places (metres) and rotations (quaternions) of the joints
+  .npz    rotation vectors of SMPL's joints with AMASS's fields; metres, z up
   .svg    a picture: a row of stick figures
   .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
-In .glb and .bvh y is up; with all rotations zero the body is a T-pose that faces +z. In .glb the
-keys have the time since the first pose of any performer. In .bvh frames are evenly spaced, from the
-performer's own first pose on. In a gap the last pose is repeated, for at most ten minutes in all.
+In all but .npz y is up; with all rotations zero the body is a T-pose that faces +z. In .glb and
+.csv times are since the first pose of any performer. In .bvh, .trc and .npz frames are evenly
+spaced, from the performer's own first pose on. In a gap .bvh and .npz repeat the last pose, for at
+most ten minutes in all; .trc is empty there, and where the performer is lost.
 
 Examples:
   bundlemocap export out/poses.mcap --out take1.glb
@@ -73,6 +81,12 @@ enum Format {
     Glb,
     /// BVH.
     Bvh,
+    /// Markers for OpenSim.
+    Trc,
+    /// A table of joints.
+    Csv,
+    /// numpy arrays with AMASS's fields.
+    Npz,
     /// A row of stick figures.
     Svg,
     /// MCAP with the schemas of Foxglove.
@@ -102,6 +116,9 @@ impl Format {
         match self {
             Self::Glb => Some(glb),
             Self::Bvh => Some(bvh),
+            Self::Trc => Some(trc),
+            Self::Csv => Some(csv),
+            Self::Npz => Some(npz),
             Self::Svg => Some(svg),
             Self::Mcap => None,
         }
@@ -220,6 +237,66 @@ fn bvh(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure>
     unfilled.into_iter().for_each(|text| complain("note", &text));
     export.times.beside(path, one.poses.first().map(|pose| pose.capture))?;
     Ok(format!("{} frames at {fps:.2} Hz", states.frames()))
+}
+
+/// The poses at evenly spaced times; `None` in gaps. Says which gaps are not filled.
+fn evenly<'a>(path: &Path, one: &'a Performer, fps: f64) -> Vec<Option<&'a CompactPose>> {
+    let mut fill = Fill::new(fps);
+    let mut frames = Vec::new();
+    for pose in &one.poses {
+        frames.resize(frames.len() + fill.gap_before(pose.capture), None);
+        frames.push(Some(pose));
+    }
+    fill.note(path).into_iter().for_each(|text| complain("note", &text));
+    frames
+}
+
+fn trc(path: &Path, one: &Performer, _: &Export) -> Result<String, Failure> {
+    let (fps, body) = (rate(one), &one.skeleton);
+    let mut points: Vec<Keypoint> = Vec::new();
+    for point in KeypointFormat::ALL.iter().flat_map(|format| format.keypoints()) {
+        if !points.contains(point) {
+            points.push(*point);
+        }
+    }
+    let of_point = |point: &Keypoint| match point {
+        Keypoint::HeadTop => "Head".to_owned(),
+        Keypoint::MidHip => "Hip".to_owned(),
+        point => format!("{point:?}"),
+    };
+    let of_joints = Joint::ALL.into_iter().map(|joint| format!("{}_jc", joint.name()));
+    let names: Vec<String> = points.iter().map(of_point).chain(of_joints).collect();
+    let places = |pose: &CompactPose| {
+        let posture = pose.pose().posture(body);
+        let of_points = points.iter().map(|point| Attachment::of(*point).position(&posture, body));
+        of_points.chain(posture.positions).map(Some).collect::<Vec<_>>()
+    };
+    let is_known = |pose: &&CompactPose| pose.state != TrackingState::Lost;
+    let frames: Vec<_> = (evenly(path, one, fps).into_iter())
+        .map(|pose| pose.filter(is_known).map_or_else(|| vec![None; names.len()], places))
+        .collect();
+    write_trc(path, &Markers { fps, names: &names, frames: &frames })?;
+    Ok(format!("{} frames at {fps:.2} Hz, {} markers", frames.len(), names.len()))
+}
+
+fn csv(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    let seconds = |pose: &CompactPose| pose.capture.seconds_since(export.start);
+    let poses = one.poses.iter().map(|pose| (seconds(pose), pose.state, pose.pose()));
+    write_csv(path, &one.skeleton, poses)?;
+    Ok(format!("{} poses", one.poses.len()))
+}
+
+fn npz(path: &Path, one: &Performer, _: &Export) -> Result<String, Failure> {
+    let fps = rate(one);
+    let mut poses: Vec<TimedPose> = Vec::new();
+    for (frame, pose) in evenly(path, one, fps).into_iter().enumerate() {
+        let last = poses.last().map(|last| last.pose.clone());
+        let Some(pose_now) = pose.map(CompactPose::pose).or(last) else { continue };
+        let tracked = pose.is_some_and(CompactPose::is_tracked);
+        poses.push(TimedPose { time: frame as f64 / fps, tracked, pose: pose_now });
+    }
+    write_npz(path, fps, &one.skeleton, &poses)?;
+    Ok(format!("{} frames at {fps:.2} Hz", poses.len()))
 }
 
 fn svg(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {

@@ -3,70 +3,88 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use clap::{Args, Subcommand};
+use clap::Args;
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
 use super::overwrite::Overwrite;
+use super::rig::{ConventionArguments, tell};
+use super::solve::Progress;
 use super::terminal::{complain, progress, say, table};
 use crate::core::camera::Rig;
 use crate::core::time::Timestamp;
 use crate::io::formats::{
-    CameraReport, ImportError, MatchedBy, OpenposeFolder, Up, keypoint_format, read_calibration,
+    CameraReport, DetectionFolder, DetectionOptions, ImportError, MatchedBy, PointOrder,
 };
 use crate::io::recording::{Provenance, Writer};
 use crate::io::wire::Topics;
+use crate::offline::{self, Recording};
 
-/// Convert detections and calibration of other tools to a recording.
+/// Convert detections and calibration of other programs to a recording.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Example:
-  bundlemocap import openpose demo/pose --calibration demo/Calib_qualisys.toml \\
-      --fps 60 --format body_25b --out demo.mcap")]
+FOLDER holds a subfolder or a file for each camera, found by content:
+  OpenPose, Pose2Sim     a JSON file for each frame
+  MMPose                 a JSON file for each frame, or one for all
+  AlphaPose, COCO        a JSON file for all frames
+  Ultralytics YOLO       a JSON file or a text file (labels) for each frame
+  MediaPipe              a JSON file for each frame or one for all: lists of x, y, visibility
+  DeepLabCut             a CSV for all frames (h5: deeplabcut.analyze_videos_converth5_to_csv)
+  FreeMoCap              its recording folder, or the .npy with the 2D data of all cameras
+  others                 a CSV with frame, NAME_x, NAME_y, NAME_c ..., perhaps camera and person
+Also a trial's folder that holds these in `pose`. Capture time is the frame number, in the file
+or its name, divided by --fps.
+
+The order of the points is found by their names or number; --format chooses another, and --points
+gives any. This is a file for --points, with indices from 0 or the detector's names:
+  [points]
+  nose = 0
+  left_shoulder = \"shoulder_L\"
+
+Files are given to cameras by name; where names do not tell, by order if as many cameras are left,
+with a warning; or by --camera. At the end the recording is checked as `bundlemocap check` does. A
+broken file of a frame is a missing frame, counted and named.
+
+Examples:
+  bundlemocap import demo/pose --calibration demo/Calib.toml --fps 60 --out demo.mcap
+  bundlemocap import Trial_1 --calibration Calib.qca.txt --fps 60 --format body_25b --out t.mcap
+  bundlemocap import json --calibration intri.yml --fps 60000/1001 --out take.mcap \\
+      --camera left.json=cam01 --camera right.json=cam02")]
 pub(super) struct Arguments {
-    #[command(subcommand)]
-    source: Source,
-}
-
-#[derive(Debug, Subcommand)]
-enum Source {
-    Openpose(Openpose),
-}
-
-/// A folder with one subfolder of OpenPose JSON files per camera.
-#[derive(Debug, Args)]
-#[command(after_help = "\
-Capture time is the frame number in the file name divided by --fps. Subfolders are matched to
-calibrated cameras by name, then by order; the matches are printed, with a warning for those by
-order.
-
-Example:
-  bundlemocap import openpose demo/pose --calibration demo/Calib_qualisys.toml \\
-      --fps 60 --format body_25b --out demo.mcap")]
-struct Openpose {
-    /// Folder with one subfolder per camera.
-    folder: PathBuf,
-    /// Calibration: Pose2Sim or aniposelib TOML, or Qualisys .qca.txt.
+    /// Folder with the detections of each camera, or a file with those of all.
+    #[arg(required = true, num_args = 1..=2, value_name = "FOLDER")]
+    folder: Vec<PathBuf>,
+    /// Calibration; `bundlemocap rig --help` lists what is read.
     #[arg(long)]
     calibration: PathBuf,
     /// Frame rate of the cameras, 1 to 1000 Hz; a number, or a ratio such as 60000/1001.
     #[arg(long, value_parser = ratio, allow_negative_numbers = true)]
     fps: f64,
-    /// Keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133.
-    #[arg(long)]
-    format: String,
+    /// Order of the points: body_25, body_25b, coco_17, halpe_26, coco_wholebody_133, mediapipe_33,
+    /// openpose_18 or halpe_136. Without it, by their names or number.
+    #[arg(long, conflicts_with = "points")]
+    format: Option<String>,
+    /// File that says where the points are in the detector's order.
+    #[arg(long, value_name = "FILE")]
+    points: Option<PathBuf>,
+    /// Folder or file, and the camera that it is of. May be repeated.
+    #[arg(long, value_name = "FOLDER=CAMERA", value_parser = assignment)]
+    camera: Vec<(String, String)>,
     /// Recording to write.
     #[arg(long)]
     out: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Up axis of the calibration's world: y or z.
-    #[arg(long, default_value = "z", value_parser = up)]
-    up: Up,
+    #[command(flatten)]
+    convention: ConventionArguments,
+    /// Refuse broken files, and cameras of the calibration without detections.
+    #[arg(long)]
+    strict: bool,
 }
 
-pub(super) fn up(name: &str) -> Result<Up, String> {
-    Up::from_name(name).ok_or_else(|| "use y or z".to_owned())
+fn assignment(text: &str) -> Result<(String, String), String> {
+    let (folder, camera) = text.split_once('=').ok_or("use FOLDER=CAMERA")?;
+    Ok((folder.to_owned(), camera.to_owned()))
 }
 
 impl From<ImportError> for Failure {
@@ -75,71 +93,153 @@ impl From<ImportError> for Failure {
         let exit = match &error {
             E::Read { .. } => Exit::Unreadable,
             E::Camera { .. } => Exit::BadCalibration,
-            E::NoCameraFolders { .. } | E::EmptyCameraFolder { .. } => Exit::NoDetections,
+            E::NoCameraFolders { .. } | E::NoPeople { .. } => Exit::NoDetections,
             E::CameraWithoutCalibration { .. } | E::CalibrationWithoutCamera { .. } => {
                 Exit::CameraMismatch
             }
-            E::PointCount { .. } | E::UnknownFormat { .. } => Exit::KeypointFormat,
-            E::FrameRate { .. } => Exit::Usage,
+            E::PointCount { .. }
+            | E::UnknownFormat { .. }
+            | E::UnknownCount { .. }
+            | E::Mapping { .. } => Exit::KeypointFormat,
+            E::FrameRate { .. } | E::UnknownName { .. } | E::GivenTwice { .. } => Exit::Usage,
             _ => Exit::Malformed,
         };
         Self::new(exit, error.to_string())
     }
 }
 
-pub(super) fn run(arguments: &Arguments) -> Ended {
-    match &arguments.source {
-        Source::Openpose(openpose) => run_openpose(openpose),
+impl Arguments {
+    /// `import openpose FOLDER` is `import FOLDER`: so it was once.
+    fn folder(&self) -> Result<&Path, Failure> {
+        match &self.folder[..] {
+            [only] => Ok(only),
+            [first, folder] if first.as_os_str() == "openpose" => Ok(folder),
+            _ => Err(Failure::new(Exit::Usage, "give one folder".to_owned())),
+        }
     }
 }
 
-fn run_openpose(arguments: &Openpose) -> Ended {
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let path = arguments.folder()?;
     arguments.overwrite.check(&arguments.out)?;
-    let fps = frame_rate_option(arguments.fps)?;
-    let format = keypoint_format(&arguments.format)?;
-    let rig = read_calibration(&arguments.calibration, arguments.up)?;
-    let mut folder = OpenposeFolder::open(&arguments.folder, &rig, format, fps)?;
-    say(&table(&matches(&folder, &rig)));
-    let by_order = folder.matches().iter().filter(|pair| pair.by == MatchedBy::Order).count();
-    if by_order > 0 {
-        let text = "folders have no camera's name and were matched by order, which may be wrong; \
-                    `bundlemocap check` tells";
-        complain("warning", &format!("{by_order} {text}"));
-    }
-
-    let mut writer = Writer::create(&arguments.out, Topics::default(), &provenance(arguments))?;
-    let bar = progress(folder.file_count(), "files");
-    let mut has_rig = false;
-    for detections in folder.by_ref() {
-        let detections = detections?;
-        if !has_rig {
-            writer.rig(&rig, detections.capture)?;
-            has_rig = true;
+    let order = arguments.format.as_deref().map(PointOrder::named).transpose()?;
+    frame_rate_option(arguments.fps)?;
+    let calibration = arguments.convention.read(&arguments.calibration)?;
+    let rig = &calibration.rig;
+    let mut best = Imported::of(arguments, path, &arguments.out, rig, order)?;
+    // Several orders have as many points: the one with which the cameras agree.
+    for other in best.folder.others().to_vec() {
+        if best.warnings.is_empty() {
+            break;
         }
-        let camera = &rig.cameras[detections.camera];
-        writer.keypoints(&detections, &camera.name, [camera.width, camera.height])?;
-        bar.inc(1);
+        let beside = arguments.out.with_extension("other.mcap");
+        let again = Imported::of(arguments, path, &beside, rig, Some(other))?;
+        if again.warnings.len() >= best.warnings.len() {
+            let _ = std::fs::remove_file(&beside);
+            continue;
+        }
+        std::fs::rename(&beside, &arguments.out).map_err(|error| {
+            Failure::new(Exit::Unexpected, format!("{}: {error}", arguments.out.display()))
+        })?;
+        let [one, other] = [&best, &again].map(|imported| &imported.folder.order().name);
+        complain("note", &format!("the points fit better as {other} than as {one}"));
+        best = again;
     }
-    if !has_rig {
-        writer.rig(&rig, Timestamp::default())?;
-    }
-    writer.finish()?;
-    bar.finish_and_clear();
-    for (camera, report) in rig.cameras.iter().zip(folder.reports()) {
-        say(&format!("{}: {}", camera.name, found(report)));
-    }
-    if folder.frame_counts_differ() {
-        say("the cameras have different numbers of frames; missing frames are bridged");
-    }
-    say(&format!("{}: {} files", arguments.out.display(), folder.file_count()));
+    tell(&arguments.calibration, &calibration);
+    best.tell(rig);
+    say(&format!("{}: {} frames", arguments.out.display(), best.folder.file_count()));
     Ok(Exit::Done)
 }
 
-fn matches(folder: &OpenposeFolder, rig: &Rig) -> Vec<(String, String)> {
+/// A recording that was written.
+struct Imported {
+    folder: DetectionFolder,
+    /// What is wrong with the cameras.
+    warnings: Vec<String>,
+}
+
+impl Imported {
+    fn of(
+        arguments: &Arguments,
+        path: &Path,
+        out: &Path,
+        rig: &Rig,
+        order: Option<PointOrder>,
+    ) -> Result<Self, Failure> {
+        let options = DetectionOptions {
+            fps: arguments.fps,
+            order,
+            mapping: arguments.points.clone(),
+            cameras: arguments.camera.clone(),
+            strict: arguments.strict,
+        };
+        let mut folder = DetectionFolder::open(path, rig, options)?;
+        let provenance = provenance(arguments, path);
+        let mut writer = Writer::create(out, Topics::default(), &provenance)?;
+        let bar = progress(folder.file_count(), "frames");
+        let mut has_rig = false;
+        for detections in folder.by_ref() {
+            let detections = detections?;
+            if !has_rig {
+                writer.rig(rig, detections.capture)?;
+                has_rig = true;
+            }
+            let camera = &rig.cameras[detections.camera];
+            writer.keypoints(&detections, &camera.name, [camera.width, camera.height])?;
+            bar.inc(1);
+        }
+        if !has_rig {
+            writer.rig(rig, Timestamp::default())?;
+        }
+        writer.finish()?;
+        bar.finish_and_clear();
+        Ok(Self { folder, warnings: warnings(out) })
+    }
+
+    /// Says which files are whose, what was found, guessed and left out, and what is wrong.
+    fn tell(&self, rig: &Rig) {
+        let Self { folder, warnings } = self;
+        say(&table(&matches(folder, rig)));
+        let by_order = folder.matches().iter().filter(|pair| pair.by == MatchedBy::Order).count();
+        if by_order > 0 {
+            let text = "have no camera's name and were matched by order, which may be wrong; --camera gives them";
+            complain("warning", &format!("{by_order} of {} {text}", folder.matches().len()));
+        }
+        for (pair, report) in folder.matches().iter().zip(folder.reports()) {
+            say(&format!("{}: {}", rig.cameras[pair.camera].name, found(report)));
+        }
+        if folder.frame_counts_differ() {
+            say("the cameras have different numbers of frames; missing frames are bridged");
+        }
+        for note in folder.notes() {
+            complain("note", note);
+        }
+        for warning in warnings {
+            complain("warning", warning);
+        }
+    }
+}
+
+/// What is wrong with the cameras of a recording, if they can be judged.
+fn warnings(path: &Path) -> Vec<String> {
+    let checked = Recording::open(path).and_then(|mut recording| {
+        let mut bar = Progress(progress(recording.messages(), "messages"));
+        let check = offline::check(&mut recording, &mut bar);
+        bar.0.finish_and_clear();
+        check
+    });
+    match checked {
+        Ok(check) => check.warnings().collect(),
+        Err(error) => vec![format!("the cameras cannot be checked: {error}")],
+    }
+}
+
+fn matches(folder: &DetectionFolder, rig: &Rig) -> Vec<(String, String)> {
     let rows = folder.matches().iter().map(|pair| {
         let name = pair.folder.file_name().unwrap_or_default().to_string_lossy();
         let by = match pair.by {
             MatchedBy::Name => "by name",
+            MatchedBy::Given => "as given",
             MatchedBy::Order => "by order",
         };
         (name.into_owned(), format!("-> {} ({by})", rig.cameras[pair.camera].name))
@@ -150,12 +250,13 @@ fn matches(folder: &OpenposeFolder, rig: &Rig) -> Vec<(String, String)> {
 /// Counts of one camera, with all irregularities.
 fn found(report: &CameraReport) -> String {
     let mut text = format!(
-        "{} files, frames {} to {}, {} people, {} points",
+        "{} frames, numbers {} to {}, {} people, {} points",
         report.files, report.first_frame, report.last_frame, report.people, report.points
     );
     let oddities = [
-        (report.gaps, "frame numbers without a file"),
+        (report.gaps, "frame numbers without a frame"),
         (report.empty_files, "empty files"),
+        (report.broken_files, "broken files"),
         (report.frames_without_people, "frames without people"),
         (report.people_without_points, "skipped people without points"),
         (report.non_finite_points, "skipped points that are not finite"),
@@ -164,18 +265,26 @@ fn found(report: &CameraReport) -> String {
     for (count, what) in oddities.into_iter().filter(|(count, _)| *count > 0) {
         text += &format!("; {count} {what}");
     }
+    if report.left_out {
+        text += "; points of hands and faces are left out";
+    }
     text
 }
 
 /// The command, without the folders of its files.
-fn provenance(arguments: &Openpose) -> Provenance {
+fn provenance(arguments: &Arguments, folder: &Path) -> Provenance {
     let last = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let command = format!(
-        "bundlemocap import openpose {} --calibration {} --fps {} --format {}",
-        last(&arguments.folder),
+    let mut command = format!(
+        "bundlemocap import {} --calibration {} --fps {}",
+        last(folder),
         last(&arguments.calibration),
         arguments.fps,
-        arguments.format
     );
+    if let Some(format) = &arguments.format {
+        command += &format!(" --format {format}");
+    }
+    if let Some(points) = &arguments.points {
+        command += &format!(" --points {}", last(points));
+    }
     Provenance { more: BTreeMap::from([("command".to_owned(), command)]), ..Provenance::default() }
 }

@@ -26,6 +26,7 @@ mod replay;
 mod retarget;
 mod retarget_file;
 mod retarget_live;
+mod rig;
 mod run;
 mod solve;
 mod span;
@@ -70,6 +71,7 @@ enum Command {
     Check(check::Arguments),
     Calibrate(calibrate::Arguments),
     Import(import::Arguments),
+    Rig(rig::Arguments),
     Info(info::Arguments),
     Synth(synth::Arguments),
     Train(train::Arguments),
@@ -98,6 +100,7 @@ pub fn main() -> ExitCode {
         Command::Check(arguments) => check::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),
+        Command::Rig(arguments) => rig::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Synth(arguments) => synth::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),

@@ -9,13 +9,14 @@ use indicatif::ProgressBar;
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
+use super::rig::ConventionArguments;
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
 use crate::core::manifold::{Decoder, Interpolation};
 use crate::core::optimise::OptimiserKind;
 use crate::core::stage::Performers;
-use crate::io::formats::{Trc, Up, read_calibration};
+use crate::io::formats::Trc;
 use crate::io::recording::last_body;
 use crate::offline::output::{files, of_performer};
 use crate::offline::{Group, Observer, Options, PerformerSummary, Recording, Summary, solve_group};
@@ -67,9 +68,8 @@ pub(super) struct Arguments {
     /// Calibration to use instead of the recording's, such as one of `calibrate`.
     #[arg(long, value_name = "FILE")]
     rig: Option<PathBuf>,
-    /// Up axis of the world of --rig: y or z.
-    #[arg(long, default_value = "z", value_parser = super::import::up)]
-    up: Up,
+    #[command(flatten)]
+    convention: ConventionArguments,
     /// Use only these cameras.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     cameras: Vec<String>,
@@ -145,7 +145,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     }
     let mut recording = Recording::open(&arguments.file)?;
     if let Some(rig) = &arguments.rig {
-        recording = recording.with_rig(read_calibration(rig, arguments.up)?)?;
+        let read = arguments.convention.read(rig)?;
+        recording = recording.with_rig(read.rig.clone())?;
+        super::rig::tell(rig, &read);
     }
     let times = Times::of(&arguments.file, Some(&config))?;
     let span = arguments.span.within(&times)?;

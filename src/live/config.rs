@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::core::limits::{Limit, OutOfRange, check};
 use crate::core::tracker::Latency;
-use crate::io::formats::Up;
+use crate::io::formats::{Auto, Convention, Unit, Up};
 use crate::io::wire::Topics;
 
 /// Settings of the live node.
@@ -21,7 +21,9 @@ pub struct Config {
     /// Calibration file, read at the start and at each change. Empty: calibration from the bus.
     pub rig: String,
     /// The axis of that file's world that points up.
-    pub rig_up: Up,
+    pub rig_up: Auto<Up>,
+    /// That file's unit of length.
+    pub rig_unit: Auto<Unit>,
     /// Recording that holds the performer's body, such as a poses.mcap of `solve`. Empty: the body is
     /// estimated.
     pub body: String,
@@ -54,7 +56,8 @@ impl Default for Config {
             actor: "actor".into(),
             associated: false,
             rig: String::new(),
-            rig_up: Up::default(),
+            rig_up: Auto::default(),
+            rig_unit: Auto::default(),
             body: String::new(),
             latency_ms: 0.0,
             output_rate_hz: 0.0,
@@ -70,6 +73,11 @@ impl Default for Config {
 }
 
 impl Config {
+    /// How the calibration file is read. A corrected one is ours and says its unit and axis.
+    pub fn convention(&self) -> Convention {
+        Convention { up: self.rig_up, unit: self.rig_unit, set: None, file_first: true }
+    }
+
     /// The topic of the keypoints of a camera that the node reads.
     pub fn keypoints(&self, topics: &Topics, camera: &str) -> String {
         match self.associated {

@@ -10,7 +10,7 @@ use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::so3;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{Config, EventKind, Live, Output, Solver, Tracker, run_to_end};
-use bundlemocap::io::formats::{Up, read_calibration, write_calibration};
+use bundlemocap::io::formats::{Convention, Up, read_calibration, write_calibration};
 use bundlemocap::io::recording::{Provenance, Writer};
 use bundlemocap::io::wire::Topics;
 use bundlemocap::offline::{self, CheckedCameras, Options, check_cameras, solve};
@@ -278,11 +278,16 @@ fn a_written_calibration_reads_back() {
     let folder = tempfile::tempdir().unwrap();
     let mut rig = ring_rig(3, 4.0, 1.6).unwrap();
     rig.cameras[1].time_offset = Nanos::new(-5_123_457);
-    for up in [Up::Y, Up::Z] {
+    for up in [Up::Y, Up::Z, Up::MinusX] {
         let path: &Path = &folder.path().join("rig.toml");
         write_calibration(path, &rig, up).unwrap();
-        let read = read_calibration(path, up).unwrap();
-        for (read, camera) in read.cameras.iter().zip(&rig.cameras) {
+        // The file says what is up. What is given comes first only where the file is not ours alone.
+        let given = Convention::from(Up::MinusZ);
+        assert_eq!(read_calibration(path, &given).unwrap().up, Up::MinusZ);
+        let given = Convention { file_first: true, ..given };
+        let read = read_calibration(path, &given).unwrap();
+        assert_eq!((read.up, read.notes), (up, vec![]));
+        for (read, camera) in read.rig.cameras.iter().zip(&rig.cameras) {
             assert!((read.rotation - camera.rotation).amax() < 1e-12);
             assert_eq!(read.matrix(), camera.matrix());
             assert_eq!(read.lens(), camera.lens());

@@ -10,7 +10,7 @@ use bundlemocap::core::so3;
 use bundlemocap::core::time::Nanos;
 use bundlemocap::core::tracker::Config;
 use bundlemocap::diagnose::{Check, Evidence};
-use bundlemocap::io::formats::{OpenposeFolder, Up, read_calibration};
+use bundlemocap::io::formats::{DetectionFolder, DetectionOptions, Up, read_calibration};
 use bundlemocap::io::recording::{Message, Reader};
 use bundlemocap::research::synth::{
     Crowd, Meeting, Motion, MotionStyle, Noise, Recording, ring_rig, tdhp_like_rig,
@@ -621,10 +621,13 @@ fn more_clean_recordings_have_no_fault() {
 #[test]
 fn real_recordings_have_no_false_alarm() {
     let Some(set) = data("recordings/pose2sim") else { return };
-    let rig = read_calibration(&set.join("calibration/Calib_qualisys.toml"), Up::Z).unwrap();
+    let rig =
+        read_calibration(&set.join("calibration/Calib_qualisys.toml"), &Up::Z.into()).unwrap().rig;
     for name in ["static", "two_people"] {
         let folder = set.join(name).join("pose");
-        let folder = OpenposeFolder::open(&folder, &rig, KeypointFormat::Body25b, 60.0).unwrap();
+        let order = Some(KeypointFormat::Body25b.into());
+        let options = DetectionOptions { fps: 60.0, order, ..DetectionOptions::default() };
+        let folder = DetectionFolder::open(&folder, &rig, options).unwrap();
         let frames = folder.map(|frame| frame.unwrap()).collect();
         let found = Take { rig: rig.clone(), frames }.check();
         assert!(found.is_clean(), "{name}:\n{found}");

@@ -133,7 +133,7 @@ fn detections(place: &Place, cameras: &[&str], numbers: usize) {
     }
 }
 
-const IMPORT: &str = "import openpose pose --calibration calib.toml --fps 60 --out out.mcap";
+const IMPORT: &str = "import pose --calibration calib.toml --fps 60 --out out.mcap";
 
 /// A recording of the synthetic walk; `keep` filters the detections.
 fn walk(
@@ -742,16 +742,26 @@ fn invalid_folders_are_not_imported() {
     let import = format!("{IMPORT} --format body_25");
     place.fails(UNREADABLE, &import, &["pose"]);
     fs::create_dir(place.path("pose")).unwrap();
-    place.fails(NO_DETECTIONS, &import, &["pose", ".json"]);
+    place.fails(NO_DETECTIONS, &import, &["pose", "no detections are found"]);
     detections(&place, &["cam1", "cam2", "cam3"], 75);
     place.fails(CAMERA_MISMATCH, &import, &["cam3", "calibrate the camera"]);
     place.write("calib.toml", calibration(&["cam1", "cam2", "cam3", "cam4"], 600.0));
-    place.fails(CAMERA_MISMATCH, &import, &["cam4", "remove it from the calibration"]);
+    let strict = format!("{import} --strict");
+    place.fails(CAMERA_MISMATCH, &strict, &["cam4", "remove it from the calibration"]);
     place.write("calib.toml", calibration(&["cam1", "cam2", "cam3"], 600.0));
     let text = place.write("pose/cam2_json/cam2.0003.json", "{\"people\": 3}");
-    place.fails(MALFORMED, &import, &["cam2.0003.json", "pose_keypoints_2d"]);
+    place.fails(MALFORMED, &strict, &["cam2.0003.json", "no list of people"]);
     fs::write(&text, "not json").unwrap();
-    place.fails(MALFORMED, &import, &["cam2.0003.json"]);
+    place.fails(MALFORMED, &strict, &["cam2.0003.json"]);
+    let other = import.replace("--fps", "--camera cam2_json=cam9 --fps");
+    place.fails(2, &other, &["there is no cam9; there are cam1, cam2, cam3"]);
+
+    place.write("calib.toml", calibration(&["cam1", "cam2", "cam3", "cam4"], 600.0));
+    let said = place.done(&import);
+    assert!(said.contains("cam2: 20 frames, numbers 0 to 19, 19 people"), "{said}");
+    assert!(said.contains("; 1 broken files"), "{said}");
+    let same = import.replace("import pose", "import openpose pose");
+    place.done(&same.replace("--fps", "--overwrite --camera cam2_json=cam2 --fps"));
 }
 
 #[test]
@@ -859,7 +869,7 @@ fn keypoints_of_another_format_are_refused() {
     detections(&place, &["cam1", "cam2"], 75);
     place.fails(KEYPOINT_FORMAT, &format!("{IMPORT} --format body_26"), &["body_26", "halpe_26"]);
     let coco = format!("{IMPORT} --format coco_17");
-    place.fails(KEYPOINT_FORMAT, &coco, &["cam1.0000.json", "75 numbers", "body_25"]);
+    place.fails(KEYPOINT_FORMAT, &coco, &["cam1.0000.json", "25 points", "body_25"]);
     place.fails(KEYPOINT_FORMAT, "synth --out out.mcap --format what", &["what", "body_25"]);
 }
 

@@ -1,4 +1,4 @@
-//! Calibrations and OpenPose folders: the real data set, and small ones made here.
+//! Calibrations and detections of other programs: the real data set, and small ones made here.
 
 use std::collections::HashMap;
 use std::fs;
@@ -9,9 +9,11 @@ use bundlemocap::core::detections::{Detections, Keypoint, KeypointFormat, Person
 use bundlemocap::core::so3;
 use bundlemocap::io::formats::trc::Trc;
 use bundlemocap::io::formats::{
-    ImportError, MatchedBy, OpenposeFolder, Up, keypoint_format, read_calibration,
+    DetectionFolder, DetectionOptions, ImportError, MatchedBy, PointOrder, Up, keypoint_format,
+    read_calibration,
 };
 use nalgebra::{Vector2, Vector3};
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::support::data;
@@ -37,11 +39,11 @@ fn real_set() -> Option<PathBuf> {
 }
 
 fn toml_rig(set: &Path) -> Rig {
-    read_calibration(&set.join("calibration/Calib_qualisys.toml"), Up::Z).unwrap()
+    read_calibration(&set.join("calibration/Calib_qualisys.toml"), &Up::Z.into()).unwrap().rig
 }
 
 fn qca_rig(set: &Path) -> Rig {
-    read_calibration(&set.join("calibration/Calib.qca.txt"), Up::Z).unwrap()
+    read_calibration(&set.join("calibration/Calib.qca.txt"), &Up::Z.into()).unwrap().rig
 }
 
 /// Marker positions of a TRC file by name, per frame.
@@ -87,7 +89,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 fn views_by_frame(folder: &Path, rig: &Rig, keypoint: Keypoint) -> Vec<Vec<View>> {
     let index = KeypointFormat::Body25b.index_of(keypoint).unwrap();
     let mut frames = vec![Vec::new(); 100];
-    for item in OpenposeFolder::open(folder, rig, KeypointFormat::Body25b, 60.0).unwrap() {
+    for item in opened(folder, rig, KeypointFormat::Body25b, 60.0).unwrap() {
         let item = item.unwrap();
         if let Some(point) = surest(&item).and_then(|p| p.points[index]) {
             let view = (item.camera, point.pixel.coords, point.confidence);
@@ -178,7 +180,7 @@ fn the_real_folder_streams_in_capture_order() {
     let Some(set) = real_set() else { return };
     let rig = toml_rig(&set);
     let format = KeypointFormat::Body25b;
-    let mut stream = OpenposeFolder::open(&set.join("balancing/pose"), &rig, format, 60.0).unwrap();
+    let mut stream = opened(&set.join("balancing/pose"), &rig, format, 60.0).unwrap();
     assert!(stream.matches().iter().all(|m| m.by == MatchedBy::Name));
     assert_eq!(stream.file_count(), 400);
     let order: Vec<_> =
@@ -190,7 +192,7 @@ fn the_real_folder_streams_in_capture_order() {
         assert_eq!((report.files, report.gaps, report.empty_files), (100, 0, 0));
         assert!(report.people >= 80, "{report:?}");
     }
-    let statics = OpenposeFolder::open(&set.join("static/pose"), &rig, format, 60.0).unwrap();
+    let statics = opened(&set.join("static/pose"), &rig, format, 60.0).unwrap();
     assert_eq!(statics.filter_map(Result::ok).count(), 48);
 }
 
@@ -219,8 +221,20 @@ fn frame(people: &[String]) -> String {
     format!("{{\"version\":1.3,\"people\":[{}]}}", people.join(","))
 }
 
-fn open(root: &Path, rig: &Rig) -> Result<OpenposeFolder, ImportError> {
-    OpenposeFolder::open(root, rig, KeypointFormat::Coco17, 50.0)
+fn open(root: &Path, rig: &Rig) -> Result<DetectionFolder, ImportError> {
+    opened(root, rig, KeypointFormat::Coco17, 50.0)
+}
+
+/// Opens a folder, and refuses what can be tolerated.
+fn opened(
+    root: &Path,
+    rig: &Rig,
+    format: KeypointFormat,
+    fps: f64,
+) -> Result<DetectionFolder, ImportError> {
+    let order = Some(format.into());
+    let strict = DetectionOptions { fps, order, strict: true, ..DetectionOptions::default() };
+    DetectionFolder::open(root, rig, strict)
 }
 
 fn open_error(root: &Path, rig: &Rig) -> ImportError {
@@ -324,18 +338,12 @@ fn folders_that_do_not_match_the_rig_are_refused() {
     assert!(matches!(error, ImportError::Read { .. }), "{error}");
     let error = open_error(&path.join("cam01_json"), &rig);
     assert!(matches!(error, ImportError::NoCameraFolders { .. }), "{error}");
+    fs::create_dir(path.join("cam3")).unwrap();
 
     let error = open_error(path, &small_rig(&["cam1", "cam2", "cam3"]));
     assert!(
         matches!(&error, ImportError::CalibrationWithoutCamera { cameras, .. }
         if cameras == "cam3"),
-        "{error}"
-    );
-    fs::create_dir(path.join("cam3")).unwrap();
-    let error = open_error(path, &small_rig(&["cam1", "cam2", "cam3"]));
-    assert!(
-        matches!(&error, ImportError::EmptyCameraFolder { camera, .. }
-        if camera == "cam3"),
         "{error}"
     );
     write(path, "cam3/3.json", "{}");
@@ -346,7 +354,7 @@ fn folders_that_do_not_match_the_rig_are_refused() {
         "{error}"
     );
     for fps in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        let error = OpenposeFolder::open(path, &rig, KeypointFormat::Coco17, fps).err().unwrap();
+        let error = opened(path, &rig, KeypointFormat::Coco17, fps).err().unwrap();
         assert!(matches!(error, ImportError::FrameRate { .. }), "{error}");
     }
 }
@@ -369,10 +377,11 @@ fn missing_or_duplicate_frame_numbers_in_file_names_are_refused() {
 #[test]
 fn files_of_other_programs_than_openpose_are_refused() {
     for (text, says) in [
-        ("{\"annotations\":[]}", "no list \"people\""),
-        ("{\"people\":3}", "not OpenPose's JSON"),
-        ("[1,2]", "not OpenPose's JSON"),
-        ("{\"people\":[{\"pose_keypoints_2d\":[\"a\"]}]}", "not OpenPose's JSON"),
+        ("{\"annotations\":[]}", "no list of people"),
+        ("{\"people\":3}", "no list of people"),
+        ("[1,2]", "no list of people"),
+        ("{\"people\":[{\"pose_keypoints_2d\":[\"a\"]}]}", "points are not numbers"),
+        ("{\"people\":[{\"pose_keypoints_2d\":[1,2]}]}", "2 numbers, no multiple of 3"),
         ("{\"people\":[", "not valid JSON"),
         ("\u{1}\u{2}", "not valid JSON"),
         ("{\"people\":[{\"pose_keypoints_2d\":[NaN", "not valid JSON"),
@@ -388,9 +397,9 @@ fn files_of_other_programs_than_openpose_are_refused() {
 #[test]
 fn a_wrong_length_names_the_matching_format() {
     for (numbers, says) in [
-        (75, "has 75 numbers, coco_17 needs 51; that length fits body_25 or body_25b"),
-        (78, "that length fits halpe_26"),
-        (52, "no known format has that length"),
+        (75, "has 25 points, coco_17 needs 17; body_25 or body_25b has as many"),
+        (78, "halpe_26 has as many"),
+        (57, "no known order has as many"),
     ] {
         let (root, rig) = two_cameras();
         let list = vec!["1"; numbers].join(",");
@@ -402,6 +411,8 @@ fn a_wrong_length_names_the_matching_format() {
     assert_eq!(keypoint_format("halpe_26").unwrap(), KeypointFormat::Halpe26);
     let error = keypoint_format("body_26").unwrap_err();
     assert!(error.to_string().contains("known are body_25, body_25b, coco_17"), "{error}");
+    let error = PointOrder::named("body_26").unwrap_err();
+    assert!(error.to_string().contains("mediapipe_33"), "{error}");
 }
 
 const TOML: &str = r#"
@@ -428,7 +439,8 @@ error = 0.0
 
 fn calibration(text: &str, up: Up) -> Result<Rig, ImportError> {
     let folder = TempDir::new().unwrap();
-    read_calibration(&write(folder.path(), "calibration", text), up)
+    let path = write(folder.path(), "calibration", text);
+    read_calibration(&path, &up.into()).map(|read| read.rig)
 }
 
 #[test]
@@ -450,10 +462,6 @@ fn a_toml_calibration_is_read_in_natural_order_and_turned_upright() {
         let (low, high) = (Vector3::zeros(), Vector3::y());
         assert!(ours.project(&high).unwrap().y < ours.project(&low).unwrap().y - 100.0);
     }
-    assert_eq!(
-        [Up::from_name("y"), Up::from_name("z"), Up::from_name("x")],
-        [Some(Up::Y), Some(Up::Z), None]
-    );
 }
 
 #[test]
@@ -461,16 +469,24 @@ fn bad_calibrations_give_a_one_line_error() {
     let one = TOML.split("[cam_2]").next().unwrap();
     let camera = "<calibration><camera serial=\"a\">";
     for (text, says) in [
-        (String::new(), "no table describes a camera"),
-        ("[metadata]\nerror = 0.0".into(), "no table describes a camera"),
+        (String::new(), "no camera: nothing has a matrix"),
+        ("[metadata]\nerror = 0.0".into(), "no camera: nothing has a matrix"),
         ("a = 1\n\u{1}".into(), "line 2 is not TOML"),
-        ("{\"people\": []}".into(), "line 1 is not TOML"),
-        (TOML.replace("size = [640, 480]\n", ""), "camera table cam_2: missing field `size`"),
+        ("{\"people\": []}".into(), "no camera: nothing has a matrix"),
+        ("{\"people\": ".into(), "not JSON"),
+        (TOML.replace("rotation = [1.5707963267948966, 0.0, 0.0]\n", ""), "rotation is missing"),
+        (TOML.replace("640, 480", "640"), "camera cam_2: size must be width and height"),
         (TOML.replace("[640, 480]", "[640, 0]"), "camera cam_2: image size 640 x 0"),
         (TOML.replace("0.003, 0.004]", "0.003, 0.004, 0.5]"), "4, 5 or 8 coefficients, not 6"),
         (TOML.replace("910.0", "0.0"), "camera cam_2: the intrinsic matrix is singular"),
-        (TOML.replace("[0.1, 0.2, 3.0]", "[nan, 0.2, 3.0]"), "camera cam_10: the translation"),
-        (TOML.replace("[cam_2]", "[cam_2]\nname = \"cam_10\""), "two cameras of the rig are named"),
+        (
+            TOML.replace("[0.1, 0.2, 3.0]", "[nan, 0.2, 3.0]"),
+            "camera cam_10: translation holds something that is no number",
+        ),
+        (
+            TOML.replace("[cam_2]", "[cam_2]\nname = \"cam_10\""),
+            "camera cam_10: distortions is there twice, in cam_10 and in cam_2",
+        ),
         (one.into(), "at least two cameras, this one has 1"),
         ("<calibration".into(), "not XML"),
         ("<calibration/>".into(), "without an active <camera>"),
@@ -484,7 +500,8 @@ fn bad_calibrations_give_a_one_line_error() {
         assert_one_line(&error);
         assert!(error.to_string().contains(says), "{says}: {error}");
     }
-    let missing = read_calibration(Path::new("/nowhere/calibration.toml"), Up::Z).unwrap_err();
+    let missing = Path::new("/nowhere/calibration.toml");
+    let missing = read_calibration(missing, &Up::Z.into()).unwrap_err();
     assert!(matches!(missing, ImportError::Read { .. }), "{missing}");
 }
 
@@ -532,4 +549,449 @@ fn real_trc_files_are_read() {
         assert!(raw.column_of(keypoint).is_some());
         assert_eq!(raw.column_of(keypoint), augmented.column_of(keypoint));
     }
+}
+
+/// What a detector saw: by camera and frame, the people with the points of COCO-17, and 0, 0, 0 for unseen ones.
+type Seen = Vec<Vec<Vec<[[f64; 3]; 17]>>>;
+
+/// Two cameras, three frames, one and two people; the second camera's first frame is empty.
+fn seen() -> Seen {
+    let person = |shift: f64| {
+        let mut points = [[0.0; 3]; 17];
+        for (i, point) in points.iter_mut().enumerate().skip(1) {
+            *point =
+                [100.25 + shift + 3.0 * i as f64, 50.5 + 11.0 * i as f64, 0.5 + 0.01 * i as f64];
+        }
+        points
+    };
+    let camera = |c: f64| {
+        (0..3)
+            .map(move |f| (0..1 + f % 2).map(|p| person(c + 9.0 * f64::from(f + 5 * p))).collect())
+    };
+    let mut all: Seen = vec![camera(0.0).collect(), camera(40.0).collect()];
+    all[1][0].clear();
+    all
+}
+
+/// The people of a form of detections, by time and camera, with the ids.
+fn read_back(root: &Path, order: Option<&str>) -> Vec<(i64, usize, Vec<Person>)> {
+    let order = order.map(|name| PointOrder::named(name).unwrap());
+    let options = DetectionOptions { fps: 50.0, order, ..DetectionOptions::default() };
+    let rig = small_rig(&["cam1", "cam2"]);
+    let folder = DetectionFolder::open(root, &rig, options).unwrap();
+    folder.map(|frame| frame.map(|f| (f.capture.ns(), f.camera, f.people)).unwrap()).collect()
+}
+
+#[test]
+fn all_forms_of_the_same_detections_are_read_alike() {
+    let flat = |points: &[[f64; 3]; 17]| json!(points.as_flattened());
+    let pairs = |points: &[[f64; 3]; 17]| json!(points.map(|[x, y, _]| [x, y]));
+    let column = |points: &[[f64; 3]; 17], i: usize| json!(points.map(|point| point[i]));
+    let mmpose = |points: &[[f64; 3]; 17]| json!({ "keypoints": pairs(points), "keypoint_scores": column(points, 2) });
+    let all = seen();
+    let each = |one: &dyn Fn(&[[f64; 3]; 17]) -> Value, frame: &[[[f64; 3]; 17]]| -> Value {
+        frame.iter().map(one).collect()
+    };
+
+    // A file for each frame.
+    type Form<'a> = Box<dyn Fn(&[[[f64; 3]; 17]]) -> Value + 'a>;
+    let by_frame: Vec<(&str, Form)> = vec![
+        (
+            "openpose",
+            Box::new(
+                |frame| json!({ "people": each(&|p| json!({ "person_id": [-1], "pose_keypoints_2d": flat(p) }), frame) }),
+            ),
+        ),
+        ("mmpose list", Box::new(|frame| each(&mmpose, frame))),
+        ("mmpose instances", Box::new(|frame| json!({ "instances": each(&mmpose, frame) }))),
+        (
+            "ultralytics",
+            Box::new(|frame| {
+                each(
+                    &|p| {
+                        json!({ "name": "person", "class": 0, "confidence": 0.9, "box": {},
+                    "keypoints": { "x": column(p, 0), "y": column(p, 1), "visible": column(p, 2) } })
+                    },
+                    frame,
+                )
+            }),
+        ),
+        ("triples", Box::new(|frame| each(&|p| json!({ "keypoints": p }), frame))),
+    ];
+    let mut forms = Vec::new();
+    for (name, form) in by_frame {
+        let root = TempDir::new().unwrap();
+        for (c, camera) in all.iter().enumerate() {
+            for (f, frame) in camera.iter().enumerate() {
+                let file = format!("cam{}/{f:06}_keypoints.json", c + 1);
+                write(root.path(), &file, &form(frame).to_string());
+            }
+        }
+        forms.push((name, root));
+    }
+
+    // A file for each camera.
+    type Text<'a> = Box<dyn Fn(&[Vec<[[f64; 3]; 17]>]) -> String + 'a>;
+    let of_camera: Vec<(&str, &str, Text)> = vec![
+        (
+            "mmpose video",
+            "results_cam{}.json",
+            Box::new(|camera| {
+                let frame = |(f, frame): (usize, &Vec<_>)| json!({ "frame_id": f + 1, "instances": each(&mmpose, frame) });
+                let frames: Value = camera.iter().enumerate().map(frame).collect();
+                json!({ "meta_info": {}, "instance_info": frames }).to_string()
+            }),
+        ),
+        (
+            "alphapose",
+            "alphapose-cam{}.json",
+            Box::new(|camera| {
+                let people = camera.iter().enumerate().flat_map(|(f, frame)| {
+                    frame.iter().map(move |p| {
+                        json!({ "image_id": format!("{f}.jpg"), "category_id": 1,
+                    "keypoints": flat(p), "score": 2.5 })
+                    })
+                });
+                people.collect::<Value>().to_string()
+            }),
+        ),
+        (
+            "alphapose cmu",
+            "cam{}.json",
+            Box::new(|camera| {
+                let frame = |(f, frame): (usize, &Vec<_>)| {
+                    (
+                        format!("{f}.jpg"),
+                        json!({ "version": "AlphaPose", "bodies": each(&|p| json!({ "joints": flat(p) }), frame) }),
+                    )
+                };
+                camera.iter().enumerate().map(frame).collect::<Value>().to_string()
+            }),
+        ),
+        (
+            "list of frames",
+            "cam{}.json",
+            Box::new(|camera| {
+                camera.iter().map(|frame| each(&mmpose, frame)).collect::<Value>().to_string()
+            }),
+        ),
+    ];
+    for (name, file, form) in of_camera {
+        let root = TempDir::new().unwrap();
+        for (c, camera) in all.iter().enumerate() {
+            write(root.path(), &file.replace("{}", &(c + 1).to_string()), &form(camera));
+        }
+        forms.push((name, root));
+    }
+    // One file of all, and a trial's folder around it.
+    let names = KeypointFormat::Coco17.keypoints().iter().map(|point| format!("{point:?}"));
+    let header: String = names.map(|name| format!(",{name}_x,{name}_y,{name}_c")).collect();
+    // As pandas writes it, with the index of the rows first.
+    let mut text = format!(",frame,camera{header}\n");
+    for (c, camera) in all.iter().enumerate() {
+        for (f, frame) in camera.iter().enumerate() {
+            for points in frame {
+                let cells = points.as_flattened().iter().map(|value| format!(",{value}"));
+                text += &format!("{},{f},cam{}{}\n", 7 * f + c, c + 1, cells.collect::<String>());
+            }
+        }
+    }
+    let root = TempDir::new().unwrap();
+    write(root.path(), "pose/all.csv", &text);
+
+    let expected = read_back(forms[0].1.path(), Some("coco_17"));
+    assert_eq!(expected.len(), 6);
+    assert_eq!(expected[4].0, 40_000_000);
+    assert_eq!(expected[3].2.len(), 2);
+    assert_eq!(expected[3].2[1].points[5].unwrap().pixel.y, 105.5);
+    assert!(expected[1].2.is_empty() && expected[0].2[0].points[0].is_none());
+    for (name, root) in &forms[1..] {
+        // A list by image or person has no frames without people.
+        let is_sparse = *name == "alphapose";
+        let expected = expected.iter().filter(|(_, _, people)| !is_sparse || !people.is_empty());
+        assert_eq!(read_back(root.path(), None), expected.cloned().collect::<Vec<_>>(), "{name}");
+    }
+    let in_csv = read_back(&root.path().join("pose/all.csv"), None);
+    let expected = expected.iter().filter(|(_, _, people)| !people.is_empty());
+    assert_eq!(in_csv, expected.cloned().collect::<Vec<_>>());
+}
+
+#[test]
+fn points_in_shares_of_the_image_and_with_ids_are_read() {
+    let root = TempDir::new().unwrap();
+    // YOLO's labels: class, box, points, confidence of the box, id. A camera of 640 x 480.
+    let points = " 0.5 0.25 0.9".repeat(17);
+    for (file, text) in [
+        ("cam1/clip_12.txt", format!("0 0.5 0.5 0.1 0.2{points}\n")),
+        ("cam1/clip_13.txt", format!("0 0.5 0.5 0.1 0.2{points} 0.8 7\n")),
+        ("cam1/classes.txt", "person".into()),
+        ("cam2/clip_12.txt", String::new()),
+    ] {
+        write(root.path(), file, &text);
+    }
+    let read = read_back(root.path(), None);
+    assert_eq!(read.len(), 3);
+    let point = read[0].2[0].points[3].unwrap();
+    assert_eq!((point.pixel.x, point.pixel.y, point.confidence), (320.0, 120.0, 0.9));
+    assert_eq!((read[0].2[0].id, read[2].2[0].id), (None, Some(7)));
+
+    let root = TempDir::new().unwrap();
+    let landmark =
+        |i: usize| json!({ "x": 0.01 * i as f64, "y": 0.5, "z": 0.0, "visibility": 0.75 });
+    let landmarks: Value = (0..33).map(landmark).collect();
+    write(root.path(), "cam1/cam1.json", &json!([landmarks, null]).to_string());
+    write(
+        root.path(),
+        "cam2.json",
+        &json!([{ "landmarks": landmarks }, { "landmarks": [] }]).to_string(),
+    );
+    let read = read_back(root.path(), None);
+    let [(_, 0, first), (_, 1, second), (_, 0, none), (_, 1, _)] = &read[..] else {
+        panic!("{read:?}")
+    };
+    assert_eq!(first, second);
+    assert!(none.is_empty());
+    let heel = |people: &[Person]| {
+        let format = PointOrder::named("mediapipe_33").unwrap().format;
+        people[0].points[format.index_of(Keypoint::RHeel).unwrap()].unwrap()
+    };
+    assert!((heel(first).pixel.x - 0.3 * 640.0).abs() < 1e-9);
+    assert_eq!((heel(first).pixel.y, heel(first).confidence), (240.0, 0.75));
+}
+
+#[test]
+fn tables_of_deeplabcut_are_read_by_the_names_of_their_points() {
+    let root = TempDir::new().unwrap();
+    let of_one = "scorer,net,net,net,net,net,net,net,net,net\n\
+        bodyparts,shoulder_L,shoulder_L,shoulder_L,RightKnee,RightKnee,RightKnee,tail,tail,tail\n\
+        coords,x,y,likelihood,x,y,likelihood,x,y,likelihood\n\
+        0,10.5,20.5,0.9,30,40,0.8,1,2,0.3\n1,11.5,21.5,0.9,,,,1,2,0.3\n";
+    let of_two = "scorer,net,net,net,net,net,net\n\
+        individuals,a,a,a,b,b,b\nbodyparts,lshoulder,lshoulder,lshoulder,lshoulder,lshoulder,lshoulder\n\
+        coords,x,y,likelihood,x,y,likelihood\n0,1,2,0.5,3,4,0.5\n";
+    write(root.path(), "cam1DLC_resnet50_take.csv", of_one);
+    write(root.path(), "cam-2_take.csv", &of_one.replace("0.9", "0.7"));
+    let rig = small_rig(&["cam1", "cam2"]);
+    let options = |cameras: &[(&str, &str)]| DetectionOptions {
+        fps: 50.0,
+        cameras: cameras.iter().map(|(a, b)| ((*a).into(), (*b).into())).collect(),
+        ..DetectionOptions::default()
+    };
+    let given = [("cam1DLC_resnet50_take.csv", "cam1"), ("cam-2_take.csv", "cam2")];
+    let mut folder = DetectionFolder::open(root.path(), &rig, options(&given)).unwrap();
+    let read: Vec<Detections> = folder.by_ref().map(Result::unwrap).collect();
+    assert_eq!(read.len(), 4);
+    let at = |frame: &Detections, point: Keypoint| {
+        frame.people[0].points[frame.format.index_of(point).unwrap()]
+    };
+    let shoulder = at(&read[0], Keypoint::LShoulder).unwrap();
+    assert_eq!((shoulder.pixel.x, shoulder.pixel.y, shoulder.confidence), (10.5, 20.5, 0.9));
+    assert!(at(&read[0], Keypoint::RKnee).is_some() && at(&read[2], Keypoint::RKnee).is_none());
+    assert!(folder.notes()[0].contains("points left out: tail"), "{:?}", folder.notes());
+
+    // A mapping file by the detector's names.
+    let mapping =
+        write(root.path(), "points.toml", "[points]\nnose = \"tail\"\nleft_knee = \"RightKnee\"\n");
+    let mapped = DetectionOptions { mapping: Some(mapping.clone()), ..options(&given) };
+    let folder = DetectionFolder::open(root.path(), &rig, mapped).unwrap();
+    let first = folder.map(Result::unwrap).next().unwrap();
+    assert_eq!(at(&first, Keypoint::Nose).unwrap().confidence, 0.3);
+    assert_eq!(at(&first, Keypoint::LKnee).unwrap().pixel.x, 30.0);
+    for (text, says) in [
+        ("[points]\ntail = 0\n", "tail is no point of ours"),
+        (
+            "[points]\nnose = \"beak\"\n",
+            "beak is not in the file, which has shoulder_L, RightKnee, tail",
+        ),
+        ("[points]\nnose = 9\n[other]\n", "unknown field"),
+        ("count = 3\n[points]\nnose = 9\n", "there is no index 9"),
+    ] {
+        fs::write(&mapping, text).unwrap();
+        let mapped = DetectionOptions { mapping: Some(mapping.clone()), ..options(&given) };
+        let error = DetectionFolder::open(root.path(), &rig, mapped).err().unwrap();
+        assert!(error.to_string().contains(says), "{error}");
+    }
+
+    let root = TempDir::new().unwrap();
+    for camera in ["cam1.csv", "cam2.csv"] {
+        write(root.path(), camera, of_two);
+    }
+    let read = read_back(root.path(), None);
+    assert_eq!(read[0].2.len(), 2);
+    for (text, says) in [
+        ("a,b\n1,2\n", "no columns of points"),
+        ("frame,nose_x,nose_y\n1,2\n", "line 2: it is shorter"),
+        ("frame,nose_x,nose_y\n1,2,what\n", "line 2: what is not a number"),
+    ] {
+        write(root.path(), "cam2.csv", text);
+        let error = DetectionFolder::open(root.path(), &rig, options(&[])).err().unwrap();
+        assert!(error.to_string().contains(says), "{error}");
+    }
+}
+
+#[test]
+fn arrays_of_freemocap_are_read_for_all_cameras() {
+    let root = TempDir::new().unwrap();
+    // 2 cameras x 1 frame x 33 points x 2, as numpy writes it.
+    let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (2, 1, 33, 2), }";
+    let header = format!("{header:<117}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    for value in 0..132 {
+        let value = if value == 0 { f64::NAN } else { f64::from(value) };
+        bytes.extend(value.to_le_bytes());
+    }
+    let name =
+        "output_data/raw_data/mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy";
+    fs::create_dir_all(root.path().join("output_data/raw_data")).unwrap();
+    fs::write(root.path().join(name), &bytes).unwrap();
+    let read = read_back(root.path(), None);
+    assert_eq!(read.len(), 2);
+    assert!(read[0].2[0].points[0].is_none());
+    let knee = KeypointFormat::Body25.index_of(Keypoint::LKnee).unwrap();
+    let knee = read[1].2[0].points[knee].unwrap();
+    assert_eq!((knee.pixel.x, knee.pixel.y, knee.confidence), (116.0, 117.0, 1.0));
+    let at = bytes.windows(13).position(|part| part == b"(2, 1, 33, 2)").unwrap();
+    let mut wrong = bytes.clone();
+    wrong[at..at + 13].copy_from_slice(b"(99999, 9, 2)");
+    fs::write(root.path().join(name), &wrong).unwrap();
+    let rig = small_rig(&["cam1", "cam2"]);
+    let options = DetectionOptions { fps: 50.0, ..DetectionOptions::default() };
+    let error = DetectionFolder::open(root.path(), &rig, options).err().unwrap();
+    assert!(error.to_string().contains("the file cannot hold"), "{error}");
+    bytes.truncate(bytes.len() - 5);
+    fs::write(root.path().join(name), &bytes).unwrap();
+    let rig = small_rig(&["cam1", "cam2"]);
+    let options = DetectionOptions { fps: 50.0, ..DetectionOptions::default() };
+    let error = DetectionFolder::open(root.path(), &rig, options).err().unwrap();
+    assert!(error.to_string().contains("the array is cut"), "{error}");
+}
+
+#[test]
+fn given_cameras_come_first_and_arrays_have_no_names() {
+    let root = TempDir::new().unwrap();
+    for folder in ["cam1", "left"] {
+        write(root.path(), &format!("{folder}/0.json"), &frame(&[person("1,2,0.5")]));
+    }
+    let rig = small_rig(&["cam1", "cam2"]);
+    let open = |cameras: &[(&str, &str)]| {
+        let cameras = cameras.iter().map(|(a, b)| ((*a).into(), (*b).into())).collect();
+        let options = DetectionOptions { fps: 50.0, cameras, ..DetectionOptions::default() };
+        DetectionFolder::open(root.path(), &rig, options)
+    };
+    let folder = open(&[("left", "cam1")]).unwrap();
+    let found: Vec<_> =
+        folder.matches().iter().map(|m| (m.folder.ends_with("left"), m.by)).collect();
+    assert_eq!(found, [(true, MatchedBy::Given), (false, MatchedBy::Order)]);
+    let error = open(&[("left", "cam1"), ("cam1", "cam1")]).err().unwrap();
+    assert!(error.to_string().contains("cam1=cam1 gives a folder or a camera twice"), "{error}");
+
+    // A name is a part of the file's, also with separators and zeros in it.
+    let root = TempDir::new().unwrap();
+    let names = ["results_cam_0", "take__side_cam_01", "cam-2DLC_resnet50"];
+    let csv = "frame,nose_x,nose_y\n0,1,2\n";
+    for name in names {
+        write(root.path(), &format!("{name}.csv"), csv);
+    }
+    let rig = small_rig(&["cam2", "cam1", "cam0"]);
+    let options = || DetectionOptions { fps: 50.0, ..DetectionOptions::default() };
+    let folder = DetectionFolder::open(root.path(), &rig, options()).unwrap();
+    let found: Vec<_> = folder.matches().iter().map(|m| m.folder.file_stem().unwrap()).collect();
+    assert_eq!(found, [names[2], names[1], names[0]]);
+
+    let refused = |files: &[(&str, &str)], says: &str| {
+        let root = TempDir::new().unwrap();
+        files.iter().for_each(|(name, text)| drop(write(root.path(), name, text)));
+        let error = DetectionFolder::open(root.path(), &rig, options()).err().unwrap();
+        assert!(error.to_string().contains(says), "{error}");
+    };
+    refused(&[("all.csv", csv)], "it has no column camera, and is the only file");
+    let several = "frame,camera,nose_x,nose_y\n0,a,1,2\n0,b,1,2\n";
+    refused(
+        &[("cam0.csv", several), ("cam1.csv", csv), ("cam2.csv", csv)],
+        "holds several cameras",
+    );
+    let take = r#"[{"image_id":"0.jpg","keypoints":[]}]"#;
+    refused(&[("cam0/a.json", take), ("cam0/b.json", take)], "its folder holds several takes");
+    let cut = ("cam1.json", &take[..20]);
+    refused(&[("cam0.json", take), cut, ("cam2.json", take)], "cam1.json: not valid JSON");
+    let individuals = "scorer,n,n\nindividuals,a\nbodyparts,nose,nose\ncoords,x,y\n0,1,2\n";
+    refused(
+        &[("cam0.csv", individuals), ("cam1.csv", csv), ("cam2.csv", csv)],
+        "line individuals is shorter",
+    );
+    refused(
+        &[("cam0.csv", "frame,nose_x,nose_y\n-1,1,2\n"), ("cam1.csv", csv), ("cam2.csv", csv)],
+        "no whole number",
+    );
+}
+
+#[test]
+fn what_is_guessed_or_missing_is_said() {
+    let root = TempDir::new().unwrap();
+    let of = |points: usize| {
+        let list = vec!["10"; 3 * points].join(",");
+        frame(&[format!("{{\"pose_keypoints_2d\":[{list}],\"hand_left_keypoints_2d\":[1,2,3]}}")])
+    };
+    write(root.path(), "cam1/0.json", &of(25));
+    write(root.path(), "cam2/0.json", &of(25));
+    write(root.path(), "cam2/1.json", "{\"people\": [{\"pose_keyp");
+    let rig = small_rig(&["cam1", "cam2", "cam3"]);
+    let options = || DetectionOptions { fps: 50.0, ..DetectionOptions::default() };
+    let mut folder = DetectionFolder::open(root.path(), &rig, options()).unwrap();
+    assert_eq!(folder.by_ref().map(Result::unwrap).count(), 2);
+    let notes = folder.notes().join("\n");
+    for says in ["no detections of camera cam3", "read as body_25; body_25b has as many", "1.json"]
+    {
+        assert!(notes.contains(says), "{notes}");
+    }
+    assert_eq!(folder.reports()[1].broken_files, 1);
+    assert!(folder.reports()[0].left_out);
+    let refused = |text: &str, says: &str| {
+        write(root.path(), "cam1/0.json", text);
+        let error = DetectionFolder::open(root.path(), &rig, options()).err().unwrap();
+        assert!(error.to_string().contains(says), "{error}");
+    };
+    refused(&of(24), "people have 24 points, which no known order has");
+    write(root.path(), "cam2/0.json", "{\"people\":[]}");
+    refused("", "nobody is seen in any frame");
+    // Two left folders for one free camera: nothing tells which it is.
+    write(root.path(), "left/0.json", &of(25));
+    write(root.path(), "right/0.json", &of(25));
+    refused("", "no calibration for left, right");
+}
+
+#[test]
+fn the_real_take_is_the_same_in_the_form_of_another_detector() {
+    let Some(set) = real_set() else { return };
+    let rig = toml_rig(&set);
+    let take = set.join("balancing/pose");
+    let root = TempDir::new().unwrap();
+    for camera in fs::read_dir(&take).unwrap().map(|entry| entry.unwrap().path()) {
+        let mut files: Vec<PathBuf> =
+            fs::read_dir(&camera).unwrap().map(|entry| entry.unwrap().path()).collect();
+        files.sort();
+        let frame = |(i, file): (usize, &PathBuf)| {
+            let frame: Value = serde_json::from_slice(&fs::read(file).unwrap()).unwrap();
+            let person = |person: &Value| {
+                let numbers = person["pose_keypoints_2d"].as_array().unwrap();
+                let points: Value = numbers.chunks(3).map(|p| json!([p[0], p[1]])).collect();
+                let scores: Value = numbers.chunks(3).map(|p| p[2].clone()).collect();
+                json!({ "keypoints": points, "keypoint_scores": scores })
+            };
+            let people: Value = frame["people"].as_array().unwrap().iter().map(person).collect();
+            json!({ "frame_id": i + 1, "instances": people })
+        };
+        let frames: Value = files.iter().enumerate().map(frame).collect();
+        let name = camera.file_name().unwrap().to_string_lossy().replace("json", "results.json");
+        write(root.path(), &name, &json!({ "instance_info": frames }).to_string());
+    }
+    let read = |folder: &Path| -> Vec<Detections> {
+        let folder = opened(folder, &rig, KeypointFormat::Body25b, 60.0).unwrap();
+        folder.map(Result::unwrap).collect()
+    };
+    let (openpose, mmpose) = (read(&take), read(root.path()));
+    assert_eq!(openpose.len(), 400);
+    assert_eq!(openpose, mmpose);
 }

@@ -6,6 +6,8 @@ mod association;
 mod bus;
 #[cfg(feature = "research")]
 mod calibration;
+#[cfg(feature = "research")]
+mod calibration_formats;
 mod camera;
 #[cfg(feature = "research")]
 mod check;

@@ -16,7 +16,7 @@ use bundlemocap::core::stage;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{self, Solver};
 use bundlemocap::io::bus::{Bus, Guard, Memory, Publisher};
-use bundlemocap::io::formats::Up;
+use bundlemocap::io::formats::{Auto, Up};
 use bundlemocap::io::wire::journal_entry::Input as JournalInput;
 use bundlemocap::io::wire::{
     self, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, Status, Topics,
@@ -492,7 +492,7 @@ fn a_changed_calibration_file_is_used_from_the_next_window_on() {
     replace(&path, &calibration(&cameras(), 0.0));
     let mut studio = Studio::without_rig();
     let rig = path.display().to_string();
-    let config = Config { rig: rig.clone(), rig_up: Up::Y, ..Config::default() };
+    let config = Config { rig: rig.clone(), rig_up: Auto(Some(Up::Y)), ..Config::default() };
     let node = start_node(&studio.bus, &config).unwrap();
     studio.play_until("poses", |heard| heard.poses.len() > 10);
     let in_use = |studio: &Studio| -> u64 {

@@ -389,14 +389,70 @@ assert len(times) == frame and np.abs(times - np.arange(frame) / float(sys.argv[
 print(frame)
 "#;
 
+/// Compares the tables of a solve with its poses, frame by frame.
+const TABLES: &str = r#"
+import csv, sys
+import numpy as np
+from mcap_protobuf.reader import read_protobuf_messages
+
+PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19]
+
+def turn(v):
+    """Rotation vector to matrix."""
+    angle = np.linalg.norm(v)
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = v / angle
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+
+def joints(pose):
+    return np.array(pose.joint_positions_m).reshape(-1, 3)
+
+npz_path, csv_path, trc_path, poses_path = sys.argv[1:]
+messages = read_protobuf_messages(poses_path, topics=["mocap/stage/actor/actor/pose"])
+wanted = [joints(message.proto_msg) for message in messages]
+motion = np.load(npz_path)
+assert motion["poses"].shape == (len(wanted), 156) and motion["betas"].shape == (16,)
+assert motion["gender"] == b"neutral" and abs(motion["mocap_frame_rate"] - 60) < 1e-4
+rest, worst = motion["rest_joints"], 0
+rows = list(csv.DictReader(open(csv_path)))
+lines = [line.split("\t") for line in open(trc_path).read().splitlines()]
+names = lines[3][2::3]
+assert lines[2][2:5] == [str(len(wanted)), str(len(names)), "m"]
+names_of_joints = [name[:-2] for name in rows[0] if name.endswith("_x")]
+assert len(rows) == len(wanted) and len(names_of_joints) == 22 and "RBigToe" in names
+for frame, at in enumerate(wanted):
+    turns = [turn(v) for v in motion["poses"][frame][:66].reshape(22, 3)]
+    world, place = [turns[0]], [motion["trans"][frame]]
+    for joint in range(1, 22):
+        parent = PARENTS[joint]
+        place.append(place[parent] + world[parent] @ (rest[joint] - rest[parent]))
+        world.append(world[parent] @ turns[joint])
+    # z, x, y of ours are x, y, z of the file.
+    worst = max(worst, np.abs(np.array(place)[:, [1, 2, 0]] - at).max())
+    row = rows[frame]
+    found = np.array([[float(row[f"{name}_{axis}"]) for axis in "xyz"] for name in names_of_joints])
+    worst = max(worst, np.abs(found - at).max())
+    cells = lines[6 + frame]
+    assert cells[0] == str(frame + 1) and abs(float(cells[1]) - frame / 60) < 1e-6
+    of = lambda name: np.array(cells[2 + 3 * names.index(name):][:3], float)
+    found = np.array([of(f"{name}_jc") for name in names_of_joints])
+    worst = max(worst, np.abs(found - at).max())
+    # A heel is near its foot.
+    assert np.linalg.norm(of("RHeel") - of("RAnkle")) < 0.15
+print(len(wanted), worst < 1e-5)
+"#;
+
 #[test]
-fn a_gltf_file_has_the_poses_on_a_true_rest_pose() {
+fn exported_files_have_the_poses_on_a_true_rest_pose() {
     let import = Command::new("python3").args(["-c", "import mcap_protobuf, numpy"]).output();
     if !import.is_ok_and(|output| output.status.success()) {
         return crate::support::skipped("pip install mcap-protobuf-support numpy first");
     }
     let folder = tempfile::tempdir().unwrap();
-    let (out, glb) = (folder.path().join("out"), folder.path().join("walk.glb"));
+    let file = |ending: &str| folder.path().join(format!("walk.{ending}"));
+    let (out, glb) = (folder.path().join("out"), file("glb"));
     let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
     let program = || Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
     check(&program().arg("solve").arg(&walk).arg("--out").arg(&out).output().unwrap());
@@ -406,4 +462,16 @@ fn a_gltf_file_has_the_poses_on_a_true_rest_pose() {
     let read = read.unwrap();
     check(&read);
     assert_eq!(String::from_utf8_lossy(&read.stdout), "240\n");
+
+    let tables = ["npz", "csv", "trc"].map(file);
+    let mut export = program();
+    export.arg("export").arg(&poses);
+    for path in &tables {
+        export.arg("--out").arg(path);
+    }
+    check(&export.output().unwrap());
+    let read = Command::new("python3").args(["-c", TABLES]).args(&tables).arg(&poses).output();
+    let read = read.unwrap();
+    check(&read);
+    assert_eq!(String::from_utf8_lossy(&read.stdout), "240 True\n");
 }

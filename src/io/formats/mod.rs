@@ -1,22 +1,29 @@
 //! Files of other tools.
 //!
-//! - [`bvh`] and [`gltf`]: motions.
-//! - [`trc`]: markers, as a reference.
-//! - [`read_calibration`]: Pose2Sim or aniposelib TOML, and Qualisys `.qca.txt`, to a
+//! - [`bvh`], [`gltf`], [`npz`] and [`pose_table`] (CSV): motions.
+//! - Markers: [`trc`].
+//! - [`read_calibration`]: calibrations of many programs, to a
 //!   [`Rig`](crate::core::camera::Rig) in our world (metres, y up).
-//! - [`OpenposeFolder`]: a folder with one subfolder of OpenPose JSON files per camera, as a
-//!   stream of [`Detections`](crate::core::detections::Detections) in capture-time order.
+//! - [`DetectionFolder`]: the detections of many programs, as a stream of
+//!   [`Detections`](crate::core::detections::Detections) in capture-time order.
 
 pub mod bvh;
 mod calibration;
+mod detections;
 pub mod gltf;
-mod openpose;
+pub mod npz;
+mod point_names;
+pub mod pose_table;
 pub mod trc;
 
 use std::path::{Path, PathBuf};
 
-pub use self::calibration::{Up, read_calibration, write_calibration};
-pub use openpose::{CameraReport, FolderMatch, MatchedBy, OpenposeFolder};
+pub use self::calibration::{
+    Auto, Calibration, Convention, Unit, Up, read_calibration, write_calibration, write_opencv,
+};
+pub use detections::{
+    CameraReport, DetectionFolder, DetectionOptions, FolderMatch, MatchedBy, PointOrder,
+};
 pub use trc::{Trc, TrcError};
 
 use crate::core::camera::CameraError;
@@ -55,7 +62,7 @@ pub enum ImportError {
         source: std::io::Error,
     },
     /// The file is not a known kind of calibration.
-    #[error("{}: {what}; give a Pose2Sim or aniposelib TOML, or a Qualisys .qca.txt", path.display())]
+    #[error("{}: {what}; `bundlemocap rig --help` lists what is read", path.display())]
     NotACalibration {
         /// Path of the file.
         path: PathBuf,
@@ -70,25 +77,33 @@ pub enum ImportError {
         /// The camera and its fault.
         source: CameraError,
     },
-    /// No subfolder holds JSON files.
+    /// No subfolder and no file holds detections.
     #[error(
-        "{}: no subfolder holds .json files; give the folder with one subfolder of OpenPose \
-         JSON files per camera", path.display()
+        "{}: no detections are found in it; give the folder with a subfolder or a file for each \
+         camera", path.display()
     )]
     NoCameraFolders {
         /// The folder.
         path: PathBuf,
     },
-    /// The subfolder of a calibrated camera has no JSON file.
+    /// No file has a person.
     #[error(
-        "{}: the folder of camera {camera} holds no .json file; put its detections there, or \
-         remove the camera from the calibration", path.display()
+        "{}: nobody is seen in any frame, so the order of the points is not known; give --format",
+        path.display()
     )]
-    EmptyCameraFolder {
-        /// The subfolder.
+    NoPeople {
+        /// The folder.
         path: PathBuf,
-        /// The calibrated camera.
-        camera: String,
+    },
+    /// A folder or camera that was named is not there.
+    #[error("{}: there is no {name}; there are {known}", path.display())]
+    UnknownName {
+        /// Folder with the detections.
+        path: PathBuf,
+        /// The given name.
+        name: String,
+        /// The known names.
+        known: String,
     },
     /// There are more folders than cameras.
     #[error(
@@ -140,36 +155,63 @@ pub enum ImportError {
         /// The second file name.
         second: String,
     },
-    /// A JSON file that is broken or not from OpenPose.
-    #[error("{}: {what}; OpenPose writes {{\"people\": [{{\"pose_keypoints_2d\": [x, y, c, ...]}}]}}", path.display())]
-    NotOpenpose {
+    /// A folder or a camera is given twice.
+    #[error("{}: {name} gives a folder or a camera twice; give each once", path.display())]
+    GivenTwice {
+        /// Folder with the detections.
+        path: PathBuf,
+        /// The folder and the camera.
+        name: String,
+    },
+    /// A file that is broken, or holds no detections.
+    #[error("{}: {what}; `bundlemocap import --help` lists what is read", path.display())]
+    NotDetections {
         /// The file.
         path: PathBuf,
         /// What is wrong.
         what: String,
     },
-    /// The number of a person's values does not fit the format.
+    /// The number of a person's points does not fit the order.
     #[error(
-        "{}: person {person} has {found} numbers, {} needs {}; {fits}",
-        path.display(), format.name(), 3 * format.len()
+        "{}: person {person} has {found} points, {} needs {}; {}",
+        path.display(), order.name, order.needs(), fitting(*found)
     )]
     PointCount {
         /// The file.
         path: PathBuf,
-        /// Index of the person in the file.
+        /// Index of the person in the frame.
         person: usize,
-        /// How many numbers the person has.
+        /// How many points the person has.
         found: usize,
-        /// The requested format.
-        format: KeypointFormat,
-        /// The formats with that length.
-        fits: String,
+        /// The order of the points.
+        order: Box<PointOrder>,
+    },
+    /// A number of points that no order has.
+    #[error(
+        "{}: people have {count} points, which no known order has; say with --points where they are",
+        path.display()
+    )]
+    UnknownCount {
+        /// The folder.
+        path: PathBuf,
+        /// The number of points.
+        count: usize,
+    },
+    /// A mapping of points that cannot be used.
+    #[error("{}: {what}; --points FILE says where the points are", path.display())]
+    Mapping {
+        /// The mapping file, or the detections.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
     },
     /// An unknown keypoint format.
-    #[error("unknown keypoint format {name}; known are {}", known_formats())]
+    #[error("unknown keypoint format {name}; known are {known}")]
     UnknownFormat {
         /// The given name.
         name: String,
+        /// The known names.
+        known: String,
     },
     /// A frame rate that is not positive and finite.
     #[error("frame rate {fps} is not valid; give the cameras' rate, such as 60")]
@@ -191,9 +233,20 @@ impl ImportError {
 /// [`ImportError::UnknownFormat`], which lists the known ones.
 pub fn keypoint_format(name: &str) -> Result<KeypointFormat, ImportError> {
     KeypointFormat::from_name(name)
-        .ok_or_else(|| ImportError::UnknownFormat { name: name.to_owned() })
+        .ok_or_else(|| unknown_format(name, KeypointFormat::ALL.map(KeypointFormat::name)))
 }
 
-fn known_formats() -> String {
-    KeypointFormat::ALL.map(KeypointFormat::name).join(", ")
+fn unknown_format(name: &str, known: impl IntoIterator<Item = &'static str>) -> ImportError {
+    let known = known.into_iter().collect::<Vec<_>>().join(", ");
+    ImportError::UnknownFormat { name: name.to_owned(), known }
+}
+
+/// The orders with that many points, in words.
+fn fitting(count: usize) -> String {
+    let all: Vec<String> =
+        PointOrder::of_count(count).into_iter().map(|order| order.name).collect();
+    match all.is_empty() {
+        true => "no known order has as many".to_owned(),
+        false => format!("{} has as many", all.join(" or ")),
+    }
 }

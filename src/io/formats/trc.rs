@@ -1,11 +1,14 @@
-//! Reads TRC files: marker trajectories of other tools, used as a reference.
+//! TRC files: marker trajectories. Those of other programs are read as a reference.
 
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
 use thiserror::Error;
 
+use super::ExportError;
+use super::point_names::keypoint_of;
 use crate::core::detections::Keypoint;
+use crate::io::new_file;
 
 /// Why a TRC file cannot be used.
 #[derive(Debug, Error)]
@@ -151,38 +154,52 @@ fn row(line: usize, text: &str, markers: usize, metres: f64) -> Result<TrcRow, T
     Ok(TrcRow { number: number(0)? as i64, seconds: number(1)?, points })
 }
 
-/// The keypoint with that marker name; `None` for unknown names.
-pub fn keypoint_of(marker: &str) -> Option<Keypoint> {
-    use Keypoint as K;
-    Some(match marker {
-        "Nose" => K::Nose,
-        "Head" => K::HeadTop,
-        "Neck" => K::Neck,
-        "Hip" | "CHip" => K::MidHip,
-        "LEye" => K::LEye,
-        "REye" => K::REye,
-        "LEar" => K::LEar,
-        "REar" => K::REar,
-        "LShoulder" => K::LShoulder,
-        "RShoulder" => K::RShoulder,
-        "LElbow" => K::LElbow,
-        "RElbow" => K::RElbow,
-        "LWrist" => K::LWrist,
-        "RWrist" => K::RWrist,
-        "LHip" => K::LHip,
-        "RHip" => K::RHip,
-        "LKnee" => K::LKnee,
-        "RKnee" => K::RKnee,
-        "LAnkle" => K::LAnkle,
-        "RAnkle" => K::RAnkle,
-        "LBigToe" => K::LBigToe,
-        "RBigToe" => K::RBigToe,
-        "LSmallToe" => K::LSmallToe,
-        "RSmallToe" => K::RSmallToe,
-        "LHeel" => K::LHeel,
-        "RHeel" => K::RHeel,
-        _ => return None,
-    })
+/// Markers over time, to be written.
+#[derive(Clone, Debug)]
+pub struct Markers<'a> {
+    /// Frame rate, hertz.
+    pub fps: f64,
+    /// Names without tabs.
+    pub names: &'a [String],
+    /// Frames, evenly spaced: each marker's place in metres, y up; `None` where it is not known.
+    pub frames: &'a [Vec<Option<Vector3<f64>>>],
+}
+
+/// Writes a TRC file in metres. Frames count from 1, times from 0.
+///
+/// # Errors
+/// The disk is full, the rate is not above 0, or a place is not finite.
+pub fn write_trc(path: &Path, markers: &Markers) -> Result<(), ExportError> {
+    let Markers { fps, names, frames } = markers;
+    if !(fps.is_finite() && *fps > 0.0) {
+        return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
+    }
+    let file = path.file_name().unwrap_or_default().to_string_lossy();
+    let (count, of_names, rate) = (frames.len(), names.len(), (fps * 1e4).round() / 1e4);
+    let mut text = format!(
+        "PathFileType\t4\t(X/Y/Z)\t{file}\n\
+         DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n\
+         {rate}\t{rate}\t{count}\t{of_names}\tm\t{rate}\t1\t{count}\nFrame#\tTime\t{}\n\t",
+        names.join("\t\t\t")
+    );
+    for marker in 1..=of_names {
+        text += &format!("\tX{marker}\tY{marker}\tZ{marker}");
+    }
+    text += "\n\n";
+    for (frame, places) in frames.iter().enumerate() {
+        text += &format!("{}\t{:.6}", frame + 1, frame as f64 / fps);
+        for place in places {
+            match place {
+                Some(at) if at.iter().all(|value| value.is_finite()) => {
+                    text += &format!("\t{:.6}\t{:.6}\t{:.6}", at.x, at.y, at.z);
+                }
+                Some(_) => return Err(ExportError::NotFinite { path: path.into(), frame }),
+                None => text += "\t\t\t",
+            }
+        }
+        text.push('\n');
+    }
+    new_file::write(path, text.as_bytes()).map_err(ExportError::write(path))
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ pub(crate) mod body;
 mod page;
 mod player;
 mod plot;
+mod rig;
 mod stick_figure;
 
 pub use bars::Bars;
@@ -13,4 +14,5 @@ pub use page::{
 };
 pub use player::{Player, PlayerPose, Track};
 pub use plot::{Plot, Series};
+pub use rig::{Drawn, draw_rig};
 pub use stick_figure::{StickFigures, stick_figures};

@@ -3,12 +3,13 @@
 use std::path::PathBuf;
 use std::time::SystemTime;
 
-use crate::io::formats::{ImportError, Up, read_calibration, write_calibration};
+use crate::io::formats::{Convention, ImportError, Up, read_calibration, write_calibration};
 use crate::io::wire::{Rig, encode};
 
 /// A calibration file that is checked for changes.
 pub struct RigFile {
     path: PathBuf,
+    given: Convention,
     up: Up,
     stamp: Option<Stamp>,
     version: u64,
@@ -23,8 +24,8 @@ impl RigFile {
     ///
     /// # Errors
     /// As [`read_calibration`].
-    pub fn open(path: PathBuf, up: Up) -> Result<(Self, Vec<u8>), ImportError> {
-        let mut file = Self { path, up, stamp: None, version: 0 };
+    pub fn open(path: PathBuf, given: Convention) -> Result<(Self, Vec<u8>), ImportError> {
+        let mut file = Self { path, given, up: Up::default(), stamp: None, version: 0 };
         file.stamp = file.look();
         let rig = file.read()?;
         file.version = rig.version;
@@ -60,8 +61,14 @@ impl RigFile {
         Some((about.modified().ok()?, about.len()))
     }
 
-    fn read(&self) -> Result<Rig, ImportError> {
-        Ok(Rig::from_core(&read_calibration(&self.path, self.up)?).with_own_version())
+    fn read(&mut self) -> Result<Rig, ImportError> {
+        let read = read_calibration(&self.path, &self.given)?;
+        tracing::info!("{}: {}", self.path.display(), read.summary());
+        for note in &read.notes {
+            tracing::warn!("{}: {note}", self.path.display());
+        }
+        self.up = read.up;
+        Ok(Rig::from_core(&read.rig).with_own_version())
     }
 
     /// Writes a calibration in place of the one of that version, which is kept beside it. Says where the
@@ -125,7 +132,7 @@ rotation = [0.1, 0.2, 0.3]
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rig.toml");
         fs::write(&path, calibration(1.0)).unwrap();
-        let (mut file, first) = RigFile::open(path.clone(), Up::Z).unwrap();
+        let (mut file, first) = RigFile::open(path.clone(), Up::Z.into()).unwrap();
         let version = |bytes: &[u8]| decode::<Rig>(bytes).unwrap().to_core().unwrap().version;
         assert_eq!(file.changed().unwrap(), None);
 
@@ -152,7 +159,7 @@ rotation = [0.1, 0.2, 0.3]
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rig.toml");
         fs::write(&path, calibration(1.0)).unwrap();
-        let (mut file, first) = RigFile::open(path.clone(), Up::Z).unwrap();
+        let (mut file, first) = RigFile::open(path.clone(), Up::Z.into()).unwrap();
         let before = decode::<Rig>(&first).unwrap();
         let mut cameras = before.to_core().unwrap();
         cameras.cameras[1].translation.x += 0.1;
@@ -162,7 +169,7 @@ rotation = [0.1, 0.2, 0.3]
         assert!(said.contains(&kept.display().to_string()), "{said}");
         assert_eq!(fs::read_to_string(&kept).unwrap(), calibration(1.0));
         assert_eq!(file.changed().unwrap(), None, "it is in use already");
-        let read = read_calibration(&path, Up::Z).unwrap();
+        let read = read_calibration(&path, &Up::Z.into()).unwrap().rig;
         assert_eq!(read.cameras[1].translation, cameras.cameras[1].translation);
 
         // Once more, and somebody changes the file.
@@ -177,7 +184,7 @@ rotation = [0.1, 0.2, 0.3]
     #[test]
     fn a_file_that_is_not_there_is_an_error_at_the_start() {
         let path = PathBuf::from("/nowhere/rig.toml");
-        let error = RigFile::open(path, Up::Z).err().unwrap().to_string();
+        let error = RigFile::open(path, Up::Z.into()).err().unwrap().to_string();
         assert!(error.contains("/nowhere/rig.toml"), "{error}");
     }
 }

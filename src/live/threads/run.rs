@@ -284,7 +284,7 @@ fn watch_rig(
     (looking, to_write): (Receiver<()>, Receiver<(Rig, u64)>),
     threads: &mut Vec<(&'static str, JoinHandle<()>)>,
 ) -> Result<Receiver<Vec<u8>>, NodeError> {
-    let (mut file, first) = RigFile::open(path, config.rig_up)?;
+    let (mut file, first) = RigFile::open(path, config.convention())?;
     let (sender, rigs) = bounded(1);
     let _ = sender.try_send(first);
     let work = move || {

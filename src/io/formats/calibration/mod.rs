@@ -1,53 +1,31 @@
 //! Reads calibration files into a rig in our world.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use nalgebra::{Matrix3, Vector3};
-use serde::{Deserialize, Serialize};
+use roxmltree::Document;
 
+mod colmap;
+mod convention;
+mod optitrack;
+mod pickle;
 mod qualisys;
+mod table;
+mod tree;
+mod vicon;
 mod write;
+mod xml;
 
-pub use write::write_calibration;
+pub use convention::{Auto, Convention, Unit, Up};
+pub use write::{write_calibration, write_opencv};
 
 use super::ImportError;
-use super::openpose::natural_key;
+use super::detections::natural_key;
 use crate::core::camera::{Camera, CameraError, Lens, Rig};
-use crate::core::so3;
 use crate::core::time::Nanos;
-
-/// The axis of the calibration's world that points up. In our world it is y.
-///
-/// A z-up world is converted by x = y', y = z', z = x' (a cyclic permutation, which keeps the
-/// ground plane and the handedness). These are the axes that Pose2Sim writes to TRC files.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Up {
-    /// Same axes as our world.
-    Y,
-    /// z up, as in Qualisys and Pose2Sim.
-    #[default]
-    Z,
-}
-
-impl Up {
-    /// Parses `y` or `z`.
-    pub fn from_name(name: &str) -> Option<Self> {
-        match name {
-            "y" => Some(Self::Y),
-            "z" => Some(Self::Z),
-            _ => None,
-        }
-    }
-
-    /// The rotation from our coordinates to the calibration's.
-    pub fn calibration_from_world(self) -> Matrix3<f64> {
-        match self {
-            Self::Y => Matrix3::identity(),
-            Self::Z => Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
-        }
-    }
-}
+use convention::{Found, settle};
+use table::Tables;
+use tree::{Content, content};
 
 /// A camera of a calibration file, in the file's world.
 pub(super) struct Calibrated {
@@ -57,7 +35,7 @@ pub(super) struct Calibrated {
     pub lens: Lens,
     /// camera_from_calibration.
     pub rotation: Matrix3<f64>,
-    /// camera_from_calibration, metres.
+    /// camera_from_calibration, in the file's unit.
     pub translation: Vector3<f64>,
     pub time_offset: Nanos,
 }
@@ -70,98 +48,200 @@ pub(super) enum Fault {
     Camera(CameraError),
 }
 
-/// Reads a calibration: XML as Qualisys', any other text as TOML of Pose2Sim or aniposelib (lengths
-/// in metres). The rig has version 1. Its cameras are in natural order of their names for TOML, and
-/// in the file's order for Qualisys.
+/// A calibration, with what its file did not say.
+#[derive(Clone, Debug)]
+pub struct Calibration {
+    /// The cameras in our world: metres, y up. Its version is 1.
+    pub rig: Rig,
+    /// The kind of file.
+    pub format: &'static str,
+    /// The axis of the file's world that points up.
+    pub up: Up,
+    /// The file's unit of length.
+    pub unit: Unit,
+    /// What was guessed or left out, and may be wrong.
+    pub notes: Vec<String>,
+}
+
+impl Calibration {
+    /// Number of cameras, kind of file, unit and up axis, in one line.
+    pub fn summary(&self) -> String {
+        let Self { rig, format, up, unit, .. } = self;
+        format!("{} cameras, {format}, unit {unit}, {up} up", rig.cameras.len())
+    }
+}
+
+/// Reads a calibration: a file, or a folder whose files each hold a part. The kind is found by content.
+///
+/// | kind | what is read |
+/// |---|---|
+/// | TOML, JSON, YAML, OpenCV's YAML and XML | cameras with a matrix, distortion, rotation and translation under any of the usual names: Pose2Sim, aniposelib, FreeMoCap, Caliscope, EasyMocap (`intri.yml` and `extri.yml`), Panoptic Studio, Human3.6M, multical, Kalibr |
+/// | pickle | OpenCap's `cameraIntrinsicsExtrinsics.pickle`; a folder with one for each camera |
+/// | XML | Qualisys `.qca.txt`, Vicon `.xcp`, OptiTrack `.mcal` |
+/// | text | COLMAP's `cameras.txt` and `images.txt` |
+///
+/// What `given` leaves open is taken from the file, then from the format, then found from the cameras: the
+/// unit by their distance from where they look, the up axis by their images. Poses that make sense only the
+/// other way round (of the cameras in the world) are turned round, with a note. Cameras are in natural
+/// order of their names.
 ///
 /// # Errors
 /// The file cannot be read or is not a calibration, or its cameras cannot be used.
-pub fn read_calibration(path: &Path, up: Up) -> Result<Rig, ImportError> {
-    let text = std::fs::read_to_string(path).map_err(|e| ImportError::read(path, e))?;
-    rig_from_text(&text, up).map_err(|fault| match fault {
+pub fn read_calibration(path: &Path, given: &Convention) -> Result<Calibration, ImportError> {
+    let files = files(path).map_err(|error| ImportError::read(path, error))?;
+    let fault = |path: &Path, fault| match fault {
         Fault::Text(what) => ImportError::NotACalibration { path: path.to_owned(), what },
         Fault::Camera(source) => ImportError::Camera { path: path.to_owned(), source },
-    })
-}
-
-fn rig_from_text(text: &str, up: Up) -> Result<Rig, Fault> {
-    let text = text.trim_start_matches('\u{feff}');
-    let calibrated = if text.trim_start().starts_with('<') {
-        qualisys::cameras(text)?
-    } else {
-        toml_cameras(text)?
     };
-    let camera = |c: Calibrated| {
-        let rotation = c.rotation * up.calibration_from_world();
-        let mut camera = Camera::new(c.name, c.size, &c.matrix, c.lens, rotation, c.translation)?;
-        camera.time_offset = c.time_offset;
-        Ok(camera)
-    };
-    let cameras = calibrated.into_iter().map(camera).collect::<Result<_, _>>();
-    cameras.and_then(|cameras| Rig::new(1, cameras)).map_err(Fault::Camera)
-}
-
-/// A camera table of a Pose2Sim or aniposelib file.
-#[derive(Deserialize)]
-#[serde(rename = "camera")]
-struct CameraTable {
-    name: Option<String>,
-    size: [f64; 2],
-    matrix: [[f64; 3]; 3],
-    distortions: Vec<f64>,
-    /// Rotation vector, camera_from_calibration.
-    rotation: [f64; 3],
-    /// Metres.
-    translation: [f64; 3],
-    #[serde(default)]
-    fisheye: bool,
-    /// Added to capture times, milliseconds.
-    #[serde(default)]
-    time_offset_ms: f64,
-}
-
-/// Reads every table except `metadata` as a camera.
-fn toml_cameras(text: &str) -> Result<Vec<Calibrated>, Fault> {
-    let tables: toml::Table =
-        text.parse().map_err(|e: toml::de::Error| Fault::Text(toml_fault(text, &e)))?;
-    let is_camera = |(key, value): &(String, toml::Value)| key != "metadata" && value.is_table();
-    let mut tables: Vec<_> = tables.into_iter().filter(is_camera).collect();
-    if tables.is_empty() {
-        return Err(Fault::Text("no table describes a camera".into()));
+    let mut parts = Parts::default();
+    for file in &files {
+        let bytes = std::fs::read(file).map_err(|error| ImportError::read(file, error))?;
+        parts.add(file, &bytes, given).map_err(|what| fault(file, what))?;
     }
-    tables.sort_by_cached_key(|(key, _)| natural_key(key));
-    tables.into_iter().map(|(key, value)| toml_camera(key, value)).collect()
+    parts.calibration(given).map_err(|what| fault(path, what))
 }
 
-fn toml_camera(key: String, value: toml::Value) -> Result<Calibrated, Fault> {
-    let table: CameraTable = value.try_into().map_err(|e: toml::de::Error| {
-        Fault::Text(format!("camera table {key}: {}", e.message()))
-    })?;
-    let lens = if table.fisheye {
-        Lens::fisheye(&table.distortions)
-    } else {
-        Lens::brown_conrady(&table.distortions)
-    };
-    let name = table.name.unwrap_or(key);
-    Ok(Calibrated {
-        size: size_px(&name, table.size)?,
-        matrix: Matrix3::from_row_iterator(table.matrix.into_iter().flatten()),
-        lens: lens.map_err(|e| Fault::Text(format!("camera {name}: {e}")))?,
-        rotation: so3::exp(&Vector3::from(table.rotation)),
-        translation: Vector3::from(table.translation),
-        time_offset: Nanos::rounded(table.time_offset_ms * 1e6),
-        name,
-    })
-}
-
-/// The error message on one line, with the line number of the fault.
-fn toml_fault(text: &str, error: &toml::de::Error) -> String {
-    let message = error.message().lines().collect::<Vec<_>>().join(", ");
-    let line = error.span().map(|span| text[..span.start.min(text.len())].lines().count().max(1));
-    match line {
-        Some(line) => format!("line {line} is not TOML: {message}"),
-        None => format!("not TOML: {message}"),
+/// The files that belong to a calibration: itself, those of a folder, and EasyMocap's and COLMAP's other half.
+fn files(path: &Path) -> std::io::Result<Vec<PathBuf>> {
+    if path.is_dir() {
+        let mut all = Vec::new();
+        for entry in std::fs::read_dir(path)? {
+            let entry = entry?.path();
+            match entry.is_dir() {
+                true => all.extend(listed(&entry)?),
+                false => all.push(entry),
+            }
+        }
+        all.retain(|file| is_part(file));
+        all.sort_by_cached_key(|file| natural_key(&file.to_string_lossy()));
+        return Ok(all);
     }
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let halves = [("intri", "extri"), ("cameras.txt", "images.txt")];
+    let other = |(one, other): (&str, &str)| match (name.contains(one), name.contains(other)) {
+        (true, _) => Some(path.with_file_name(name.replace(one, other))),
+        (_, true) => Some(path.with_file_name(name.replace(other, one))),
+        _ => None,
+    };
+    let other = halves.into_iter().find_map(other).filter(|other| other.is_file());
+    Ok([Some(path.to_owned()), other].into_iter().flatten().collect())
+}
+
+fn listed(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
+    std::fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect()
+}
+
+/// Whether a file of a folder can hold a part of a calibration.
+fn is_part(file: &Path) -> bool {
+    let name = file.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let endings =
+        [".toml", ".json", ".yml", ".yaml", ".xml", ".pickle", ".pkl", ".qca.txt", ".xcp", ".mcal"];
+    file.is_file() && (endings.iter().any(|one| name.ends_with(one)) || COLMAP.contains(&&*name))
+}
+
+/// COLMAP's files.
+const COLMAP: [&str; 2] = ["cameras.txt", "images.txt"];
+
+/// What the files of a calibration hold.
+#[derive(Default)]
+struct Parts {
+    tables: Tables,
+    /// Cameras of formats that hold them whole, and the unit of those formats.
+    whole: Option<(Vec<Calibrated>, Unit)>,
+    colmap: [Option<String>; 2],
+    format: Option<&'static str>,
+    /// What the file itself says in `[metadata]`, as ours do.
+    up: Auto<Up>,
+    unit: Auto<Unit>,
+}
+
+impl Parts {
+    fn add(&mut self, file: &Path, bytes: &[u8], given: &Convention) -> Result<(), Fault> {
+        let name = file.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+        if let Some(i) = COLMAP.iter().position(|one| *one == name) {
+            self.format = Some("COLMAP");
+            self.colmap[i] = Some(String::from_utf8_lossy(bytes).into_owned());
+            return Ok(());
+        }
+        let xml = match content(bytes, &name)? {
+            Content::Tree(tree, format) => {
+                self.format = self.format.or(Some(format));
+                let said = |key| tree.get("metadata")?.get(key)?.as_str();
+                self.up = said("up").and_then(|up| up.parse().ok()).unwrap_or(self.up);
+                self.unit = said("unit").and_then(|unit| unit.parse().ok()).unwrap_or(self.unit);
+                return self.tables.add(&tree, &own_name(file), given.set.as_deref());
+            }
+            Content::Xml(text) => text,
+        };
+        let document = Document::parse(&xml).map_err(|e| Fault::Text(format!("not XML: {e}")))?;
+        let has = |tag| document.descendants().any(|node| node.has_tag_name(tag));
+        let (format, cameras, unit) = if has("KeyFrame") {
+            ("Vicon", vicon::cameras(&document, &mut self.tables.notes)?, Unit::MM)
+        } else if has("Extrinsic") {
+            ("OptiTrack", optitrack::cameras(&document)?, Unit::M)
+        } else {
+            ("Qualisys", qualisys::cameras(&document)?, Unit::MM)
+        };
+        if self.whole.is_some() {
+            let what = "the folder holds two calibrations; give one of the files";
+            return Err(Fault::Text(what.into()));
+        }
+        (self.format, self.whole) = (Some(format), Some((cameras, unit)));
+        Ok(())
+    }
+
+    fn calibration(self, given: &Convention) -> Result<Calibration, Fault> {
+        let (mut cameras, prescribed, mut notes) = match (self.whole, self.colmap) {
+            (Some((cameras, unit)), _) => (cameras, Some(unit), self.tables.notes),
+            (None, [Some(cameras), Some(images)]) => {
+                let note = "COLMAP's lengths have no unit; scale them with --unit, by the performer's height that \
+                            `bundlemocap check` prints";
+                (colmap::cameras(&cameras, &images)?, Some(Unit::M), vec![note.to_owned()])
+            }
+            (None, [None, None]) => {
+                if let Some(set) = given.set.as_ref().filter(|_| !self.tables.has_set) {
+                    return Err(Fault::Text(format!("nothing in it is named {set} (--set)")));
+                }
+                let (cameras, notes) = self.tables.cameras()?;
+                (cameras, None, notes)
+            }
+            (None, [_, _]) => {
+                let what =
+                    "cameras.txt and images.txt of COLMAP belong together, and one is missing";
+                return Err(Fault::Text(what.into()));
+            }
+        };
+        let (up, unit) = (self.up.0, self.unit.0);
+        let of_both = match given.file_first {
+            true => (up.or(given.up.0), unit.or(given.unit.0)),
+            false => (given.up.0.or(up), given.unit.0.or(unit)),
+        };
+        let given = Convention { up: Auto(of_both.0), unit: Auto(of_both.1), ..given.clone() };
+        let Found { up, unit, notes: more } = settle(&mut cameras, prescribed, &given);
+        notes.extend(more);
+        let camera = |c: Calibrated| {
+            let rotation = c.rotation * up.calibration_from_world();
+            let mut camera =
+                Camera::new(c.name, c.size, &c.matrix, c.lens, rotation, c.translation)?;
+            camera.time_offset = c.time_offset;
+            Ok(camera)
+        };
+        let cameras = cameras.into_iter().map(camera).collect::<Result<_, _>>();
+        let rig = cameras.and_then(|cameras| Rig::new(1, cameras)).map_err(Fault::Camera)?;
+        Ok(Calibration { rig, format: self.format.unwrap_or("TOML"), up, unit, notes })
+    }
+}
+
+/// The camera's name where a file is one camera's: the file's, or the folder's if the file's says nothing.
+fn own_name(file: &Path) -> String {
+    let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let mut name = stem(file);
+    for word in ["extrinsics", "intrinsics", "calibration", "calib", "camera"] {
+        let length = name.to_ascii_lowercase().strip_suffix(word).map_or(name.len(), str::len);
+        name.truncate(length);
+        name.truncate(name.trim_end_matches(['_', '-', '.']).len());
+    }
+    if name.is_empty() { file.parent().map(stem).unwrap_or_default() } else { name }
 }
 
 /// Width and height as integers; files store them as reals.

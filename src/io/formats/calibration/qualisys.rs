@@ -14,6 +14,7 @@
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
 
+use super::xml::Fields;
 use super::{Calibrated, Fault, size_px};
 use crate::core::camera::Lens;
 use crate::core::time::Nanos;
@@ -25,8 +26,7 @@ const SUBPIXELS: f64 = 64.0;
 ///
 /// Files of mixed systems also list marker cameras; a video camera has a model that contains
 /// "video", the model "none", or no model.
-pub(super) fn cameras(text: &str) -> Result<Vec<Calibrated>, Fault> {
-    let document = Document::parse(text).map_err(|e| Fault::Text(format!("not XML: {e}")))?;
+pub(super) fn cameras(document: &Document) -> Result<Vec<Calibrated>, Fault> {
     let nodes = document.descendants().filter(|n| n.has_tag_name("camera"));
     let active: Vec<Node> = nodes.filter(|n| n.attribute("active") != Some("0")).collect();
     let is_video = |n: &&Node| {
@@ -58,7 +58,7 @@ fn camera(node: &Node) -> Result<Calibrated, Fault> {
     Ok(Calibrated { size, name, matrix, lens, rotation, translation, time_offset })
 }
 
-/// camera_from_calibration.
+/// camera_from_calibration, millimetres.
 fn extrinsics(transform: &Fields) -> Result<(Matrix3<f64>, Vector3<f64>), Fault> {
     let mut rotation = Matrix3::zeros();
     for row in 0..3 {
@@ -71,7 +71,7 @@ fn extrinsics(transform: &Fields) -> Result<(Matrix3<f64>, Vector3<f64>), Fault>
     }
     let centre =
         Vector3::new(transform.number("x")?, transform.number("y")?, transform.number("z")?);
-    Ok((rotation, -rotation * (centre * 1e-3)))
+    Ok((rotation, -rotation * centre))
 }
 
 fn intrinsics(intrinsic: &Fields, left: f64, top: f64) -> Result<(Matrix3<f64>, Lens), Fault> {
@@ -90,26 +90,4 @@ fn intrinsics(intrinsic: &Fields, left: f64, top: f64) -> Result<(Matrix3<f64>, 
     let [k1, k2, k3] = [1, 2, 3].map(|i| intrinsic.number(&format!("radialDistortion{i}")));
     let [p1, p2] = [1, 2].map(|i| intrinsic.number(&format!("tangentalDistortion{i}")));
     Ok((matrix, Lens::BrownConrady([k1?, k2?, p1?, p2?, k3?, 0.0, 0.0, 0.0])))
-}
-
-/// The attributes of one element of a camera.
-struct Fields<'a> {
-    node: Node<'a, 'a>,
-    camera: &'a str,
-    tag: &'static str,
-}
-
-impl<'a> Fields<'a> {
-    fn of(camera: &Node<'a, 'a>, name: &'a str, tag: &'static str) -> Result<Self, Fault> {
-        let node = camera.children().find(|child| child.has_tag_name(tag));
-        let node = node.ok_or_else(|| Fault::Text(format!("camera {name}: no <{tag}>")))?;
-        Ok(Self { node, camera: name, tag })
-    }
-
-    fn number(&self, field: &str) -> Result<f64, Fault> {
-        let (camera, tag) = (self.camera, self.tag);
-        let fault = |what: &str| Fault::Text(format!("camera {camera}: <{tag}> {field} {what}"));
-        let text = self.node.attribute(field).ok_or_else(|| fault("is missing"))?;
-        text.trim().parse().map_err(|_| fault("is not a number"))
-    }
 }

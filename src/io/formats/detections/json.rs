@@ -1,0 +1,234 @@
+//! JSON of detectors: the frames of a file and the people of a frame, in the shapes that are in use.
+//!
+//! | written by | frame | person |
+//! |---|---|---|
+//! | OpenPose, Pose2Sim | `{"people": [...]}` | `pose_keypoints_2d`: x, y, c of each point |
+//! | MMPose | `{"instances": [...]}`, `{"instance_info": [{"frame_id", "instances"}]}` or a list | `keypoints`: x, y of each point, and `keypoint_scores` |
+//! | AlphaPose, COCO results | a list for all frames, with `image_id` | `keypoints`: x, y, c of each point |
+//! | AlphaPose `--format cmu` and `open` | `{"0.jpg": {"bodies": [...]}}` or `"people"` | `joints` or `pose_keypoints_2d` |
+//! | Ultralytics YOLO | a list | `keypoints`: `x`, `y`, `visible` |
+//! | MediaPipe | `landmarks`, or a list of points | `x`, `y` as shares of the image, `visibility` |
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use super::{CameraReport, RawPerson, frame_number};
+use crate::core::detections::Detection;
+
+/// Fields of a frame that hold its people.
+const PEOPLE: [&str; 5] = ["people", "instances", "bodies", "pose_landmarks", "landmarks"];
+/// Fields of a person that hold its points.
+const POINTS: [&str; 5] =
+    ["pose_keypoints_2d", "keypoints", "joints", "pose_landmarks", "landmarks"];
+/// Fields of a person that hold its id.
+const IDS: [&str; 4] = ["person_id", "track_id", "idx", "id"];
+
+/// Points of a person whose numbers are all smaller are in shares of the image, not in pixels.
+const SHARE: f64 = 3.0;
+
+/// Parses JSON, also with NaN and Infinity, which Python writes.
+pub(super) fn parse(bytes: &[u8]) -> Result<Value, String> {
+    let parsed = match serde_json::from_slice(bytes) {
+        Err(error) if error.is_syntax() => serde_json::from_slice(&without_non_finite(bytes)),
+        other => other,
+    };
+    parsed.map_err(|error| format!("not valid JSON ({error})"))
+}
+
+/// Replaces NaN, Infinity and -Infinity, which are not JSON, by null.
+fn without_non_finite(bytes: &[u8]) -> Vec<u8> {
+    const WORDS: [&[u8]; 3] = [b"-Infinity", b"Infinity", b"NaN"];
+    let mut out = Vec::with_capacity(bytes.len());
+    let (mut at, mut in_string) = (0, false);
+    while at < bytes.len() {
+        let rest = &bytes[at..];
+        let word = WORDS.into_iter().find(|w| !in_string && rest.starts_with(w));
+        let taken = match word {
+            Some(word) => {
+                out.extend_from_slice(b"null");
+                word.len()
+            }
+            None => {
+                let taken = if in_string && rest[0] == b'\\' { rest.len().min(2) } else { 1 };
+                in_string ^= rest[0] == b'"';
+                out.extend_from_slice(&rest[..taken]);
+                taken
+            }
+        };
+        at += taken;
+    }
+    out
+}
+
+/// The frames of a file that holds all frames of a camera; `None` if it holds one frame.
+pub(super) fn frames(file: &Value) -> Option<BTreeMap<u64, Vec<&Value>>> {
+    let mut frames = BTreeMap::<u64, Vec<&Value>>::new();
+    // MMPose counts from 1.
+    if let Some(all) = file.get("instance_info").and_then(Value::as_array) {
+        for frame in all {
+            let number = frame.get("frame_id")?.as_u64()?.checked_sub(1)?;
+            frames.entry(number).or_default().push(frame);
+        }
+        return Some(frames);
+    }
+    match file {
+        Value::Array(all) if all.iter().any(|one| one.get("image_id").is_some()) => {
+            for person in all {
+                let number = match person.get("image_id")? {
+                    Value::String(name) => frame_number(name)?,
+                    number => number.as_u64()?,
+                };
+                frames.entry(number).or_default().push(person);
+            }
+        }
+        // A list of frames: each is a list of people, or has them in a field.
+        Value::Array(all) if all.iter().any(|one| holds_people(one) || is_list(one)) => {
+            for (i, frame) in all.iter().enumerate() {
+                let number = ["frame", "frame_id", "frame_number"].iter();
+                let number = number.filter_map(|field| frame.get(field)?.as_u64()).next();
+                frames.entry(number.unwrap_or(i as u64)).or_default().push(frame);
+            }
+        }
+        Value::Object(all) if all.values().any(holds_people) && !holds_people(file) => {
+            for (name, frame) in all {
+                frames.entry(frame_number(name)?).or_default().push(frame);
+            }
+        }
+        _ => return None,
+    }
+    Some(frames)
+}
+
+fn holds_people(frame: &Value) -> bool {
+    PEOPLE.iter().any(|field| frame.get(field).is_some_and(Value::is_array))
+}
+
+/// Whether it is a list of people or of landmarks.
+fn is_list(frame: &Value) -> bool {
+    let is_entry = |one: &Value| points(one).is_some() || one.get("visibility").is_some();
+    frame.as_array().is_some_and(|all| all.iter().any(is_entry))
+}
+
+/// Whether a file is a whole take's for sure, even if it is not alone in its folder.
+pub(super) fn is_take(file: &Value) -> bool {
+    let has_image = |all: &Vec<Value>| all.iter().any(|one| one.get("image_id").is_some());
+    file.get("instance_info").is_some() || file.as_array().is_some_and(has_image)
+}
+
+fn points(person: &Value) -> Option<&Value> {
+    POINTS.iter().find_map(|field| person.get(field)).filter(|value| !value.is_null())
+}
+
+/// The people of a frame, in pixels of an image of that size.
+///
+/// # Errors
+/// It holds no list of people, or a person's points are not numbers.
+pub(super) fn people(
+    frame: &Value,
+    size: [u32; 2],
+    report: &mut CameraReport,
+) -> Result<Vec<RawPerson>, String> {
+    if frame.is_null() {
+        return Ok(Vec::new());
+    }
+    let of_field = PEOPLE.iter().find_map(|field| frame.get(field));
+    let list = match (of_field, frame) {
+        (Some(Value::Null), _) => return Ok(Vec::new()),
+        (Some(list), _) => list,
+        // A person by itself, as in lists with image_id.
+        (None, person) if points(person).is_some() => {
+            return Ok(vec![self::person(person, size, report)?]);
+        }
+        (None, list) => list,
+    };
+    let Value::Array(all) = list else {
+        return Err("no list of people is found in it".into());
+    };
+    // Landmarks of one person, without a list around them.
+    if all.first().is_some_and(|first| first.get("x").is_some_and(Value::is_number)) {
+        return Ok(vec![RawPerson { id: None, points: values(list, None, size, report)? }]);
+    }
+    if all.iter().any(|one| !one.is_object() && !one.is_array()) {
+        return Err("no list of people is found in it".into());
+    }
+    all.iter().map(|one| person(one, size, report)).collect()
+}
+
+fn person(person: &Value, size: [u32; 2], report: &mut CameraReport) -> Result<RawPerson, String> {
+    if let Value::Array(_) = person {
+        return Ok(RawPerson { id: None, points: values(person, None, size, report)? });
+    }
+    let others = ["face_keypoints_2d", "hand_left_keypoints_2d", "hand_right_keypoints_2d"];
+    let filled = |field: &&str| {
+        person.get(field).is_some_and(|v| v.as_array().is_some_and(|v| !v.is_empty()))
+    };
+    report.left_out |= others.iter().any(filled);
+    let id = IDS.iter().find_map(|field| person.get(field));
+    // OpenPose's is a list; -1 means none.
+    let id = id.and_then(|id| id.get(0).unwrap_or(id).as_i64()).filter(|id| *id >= 0);
+    let points = match points(person) {
+        Some(points) => values(points, person.get("keypoint_scores"), size, report)?,
+        None => Vec::new(),
+    };
+    Ok(RawPerson { id, points })
+}
+
+/// The points in one of the shapes: x, y, c one after the other; pairs or triples; fields x, y and visible of all
+/// points; fields x, y and visibility of each.
+fn values(
+    points: &Value,
+    scores: Option<&Value>,
+    size: [u32; 2],
+    report: &mut CameraReport,
+) -> Result<Vec<Option<Detection>>, String> {
+    let wrong = || "a person's points are not numbers".to_owned();
+    let number = |value: &Value| match value {
+        Value::Null => Ok(f64::NAN),
+        value => value.as_f64().ok_or_else(wrong),
+    };
+    let list = |value: &Value| value.as_array().ok_or_else(wrong)?.iter().map(number).collect();
+    let mut point = |x: f64, y: f64, c: f64| report.detection(x, y, c);
+    if let (Some(x), Some(y)) = (points.get("x"), points.get("y")) {
+        let (x, y): (Vec<f64>, Vec<f64>) = (list(x)?, list(y)?);
+        let c = points.get("visible").or(points.get("confidence")).map(&list);
+        let c: Vec<f64> = c.unwrap_or_else(|| Ok(vec![1.0; x.len()]))?;
+        if x.len() != y.len() || x.len() != c.len() {
+            return Err("a person's x, y and visible have different lengths".into());
+        }
+        return Ok((0..x.len()).map(|i| point(x[i], y[i], c[i])).collect());
+    }
+    let all = points.as_array().ok_or_else(wrong)?;
+    match all.first() {
+        Some(first) if first.is_object() => {
+            let of = |one: &Value| {
+                let field = |name| one.get(name).map_or(Ok(f64::NAN), number);
+                let c = one.get("visibility").or(one.get("score")).map_or(Ok(1.0), number)?;
+                Ok::<_, String>([field("x")?, field("y")?, c])
+            };
+            let all = all.iter().map(of).collect::<Result<Vec<_>, _>>()?;
+            let is_share = all.iter().all(|[x, y, _]| !(x.abs() > SHARE || y.abs() > SHARE));
+            let [width, height] = if is_share { size.map(f64::from) } else { [1.0, 1.0] };
+            Ok(all.iter().map(|[x, y, c]| point(x * width, y * height, *c)).collect())
+        }
+        Some(first) if first.is_array() => {
+            let scores: Option<Vec<f64>> = scores.map(&list).transpose()?;
+            let of = |(i, one): (usize, &Value)| match list(one)?[..] {
+                [x, y] => {
+                    let score = scores.as_ref().map_or(Some(1.0), |all| all.get(i).copied());
+                    Ok(point(x, y, score.ok_or("a person has fewer scores than points")?))
+                }
+                [x, y, c] => Ok(point(x, y, c)),
+                _ => Err("a point must be x, y or x, y, confidence".to_owned()),
+            };
+            all.iter().enumerate().map(of).collect()
+        }
+        _ => {
+            let numbers: Vec<f64> = list(points)?;
+            if !numbers.len().is_multiple_of(3) {
+                return Err(format!("a person has {} numbers, no multiple of 3", numbers.len()));
+            }
+            Ok(numbers.chunks_exact(3).map(|p| point(p[0], p[1], p[2])).collect())
+        }
+    }
+}

@@ -1,0 +1,264 @@
+//! Tables of points: CSV of DeepLabCut and others, numpy arrays of FreeMoCap, text labels of YOLO.
+
+use std::collections::BTreeMap;
+
+use super::{CameraReport, RawPerson};
+use crate::core::detections::Detection;
+
+/// The people of each frame of a camera.
+pub(super) type Frames = BTreeMap<u64, Vec<RawPerson>>;
+
+/// A table of one camera or of several.
+pub(super) struct Table {
+    /// Names of the points, if the table has some.
+    pub names: Option<Vec<String>>,
+    /// By the cameras' names; empty where the table names none.
+    pub cameras: BTreeMap<String, (Frames, CameraReport)>,
+}
+
+/// A column of a point: of which person, which point, and 0, 1 or 2 for x, y and confidence.
+type Column = (String, usize, usize);
+
+/// Reads a CSV. DeepLabCut's has lines `scorer`, `individuals` (of several), `bodyparts` and `coords` at the top;
+/// others have one line: `frame`, perhaps `camera` and `person`, then `NAME_x`, `NAME_y` and perhaps
+/// `NAME_c` for each point (or `x0`, `y0`, `c0`).
+///
+/// # Errors
+/// A line that has not the header's length, or a cell that is no number.
+pub(super) fn csv(bytes: &[u8]) -> Result<Table, String> {
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(bytes);
+    let mut lines = Vec::new();
+    for line in reader.records() {
+        lines.push(line.map_err(|error| format!("not CSV ({error})"))?);
+    }
+    let at_top = lines.iter().take_while(|line| TOP.contains(&line.get(0).unwrap_or_default()));
+    let at_top = at_top.count();
+    let (mut names, mut columns, mut fields) = (Vec::new(), Vec::new(), BTreeMap::new());
+    let mut column = |at: usize, person: &str, name: &str, axis: usize| {
+        let known = names.iter().position(|other| other == name);
+        let point = known.unwrap_or_else(|| {
+            names.push(name.to_owned());
+            names.len() - 1
+        });
+        columns.push((at, (person.to_owned(), point, axis)));
+    };
+    if at_top > 0 {
+        let line = |name: &str| lines[..at_top].iter().find(|line| line.get(0) == Some(name));
+        let (parts, coords) = (line("bodyparts"), line("coords"));
+        let (Some(parts), Some(coords)) = (parts, coords) else {
+            return Err("no lines bodyparts and coords at the top".into());
+        };
+        fields.insert("frame", 0);
+        for at in 1..parts.len() {
+            let person = line("individuals").map_or(Some(""), |line| line.get(at));
+            let person = person.ok_or("line individuals is shorter than line bodyparts")?;
+            let axis = axis(coords.get(at).unwrap_or_default());
+            column(
+                at,
+                person,
+                &parts[at],
+                axis.ok_or_else(|| {
+                    format!("column {}: coords must be x, y or likelihood", at + 1)
+                })?,
+            );
+        }
+    } else {
+        let header = lines.first().ok_or("an empty file")?;
+        for (at, cell) in header.iter().enumerate() {
+            let lower = cell.trim().to_lowercase();
+            match FIELDS.iter().find(|(_, names)| names.contains(&&*lower)) {
+                Some((field, names)) => {
+                    let rank = |at: usize| {
+                        let name = header.get(at).unwrap_or_default().trim().to_lowercase();
+                        names.iter().position(|other| *other == name)
+                    };
+                    // A table of pandas has its index before the frame.
+                    let known = fields.entry(*field).or_insert(at);
+                    if rank(at) < rank(*known) {
+                        *known = at;
+                    }
+                }
+                None => {
+                    if let Some((name, axis)) = point_column(cell.trim()) {
+                        column(at, "", &name, axis);
+                    }
+                }
+            }
+        }
+    }
+    if columns.iter().all(|(_, (_, _, axis))| *axis != 1) {
+        return Err("no columns of points; name them NAME_x, NAME_y and NAME_c".into());
+    }
+    let mut table = Table { names: Some(names), cameras: BTreeMap::new() };
+    for (i, line) in lines.iter().enumerate().skip(at_top.max(1)) {
+        row(&mut table, line, i, &fields, &columns)
+            .map_err(|what| format!("line {}: {what}", i + 1))?;
+    }
+    if let Some(names) = &table.names
+        && names.iter().enumerate().all(|(i, name)| name.parse() == Ok(i))
+    {
+        table.names = None;
+    }
+    Ok(table)
+}
+
+const TOP: [&str; 4] = ["scorer", "individuals", "bodyparts", "coords"];
+const FIELDS: [(&str, &[&str]); 3] = [
+    ("frame", &["frame", "frame_number", "frame_id", "index", ""]),
+    ("camera", &["camera", "cam", "view"]),
+    ("person", &["person", "person_id", "id", "track_id", "track"]),
+];
+
+fn axis(name: &str) -> Option<usize> {
+    match name.trim().to_lowercase().as_str() {
+        "x" => Some(0),
+        "y" => Some(1),
+        "c" | "likelihood" | "conf" | "confidence" | "score" | "visibility" => Some(2),
+        _ => None,
+    }
+}
+
+/// `nose_x`, `nose.x`, `x_nose` or `x0`: the point's name and the axis.
+fn point_column(cell: &str) -> Option<(String, usize)> {
+    let separators = ['_', '.', ' ', '-'];
+    if let Some((name, last)) = cell.rsplit_once(separators)
+        && let Some(axis) = axis(last)
+    {
+        return Some((name.to_owned(), axis));
+    }
+    if let Some((first, name)) = cell.split_once(separators)
+        && let Some(axis) = axis(first)
+    {
+        return Some((name.to_owned(), axis));
+    }
+    let digits = cell.find(|c: char| c.is_ascii_digit())?;
+    let (first, number) = cell.split_at(digits);
+    Some((number.parse::<usize>().ok()?.to_string(), axis(first)?))
+}
+
+fn row(
+    table: &mut Table,
+    line: &csv::StringRecord,
+    i: usize,
+    fields: &BTreeMap<&str, usize>,
+    columns: &[(usize, Column)],
+) -> Result<(), String> {
+    let cell = |name: &str| fields.get(name).and_then(|at| line.get(*at)).map(str::trim);
+    // DeepLabCut's index may be the name of an image.
+    let of = |text: &str| match text.parse::<f64>() {
+        Ok(value) if value >= 0.0 && value.fract() == 0.0 => Some(value as u64),
+        Ok(_) => None,
+        Err(_) => super::frame_number(text),
+    };
+    let number = cell("frame").map(of);
+    let number = match number {
+        Some(number) => number.ok_or("its frame number is no whole number from 0 on")?,
+        None => i as u64 - 1,
+    };
+    let camera = cell("camera").unwrap_or_default();
+    let (frames, report) = table.cameras.entry(camera.to_owned()).or_default();
+    let points = columns.iter().map(|(_, (_, point, _))| point + 1).max().unwrap_or(0);
+    let mut people = BTreeMap::<&str, Vec<[f64; 3]>>::new();
+    for (at, (person, point, axis)) in columns {
+        let text = line.get(*at).map(str::trim).ok_or("it is shorter than the first line")?;
+        let value = match text {
+            "" => f64::NAN,
+            text => text.parse().map_err(|_| format!("{text} is not a number"))?,
+        };
+        let empty = || vec![[f64::NAN, f64::NAN, 1.0]; points];
+        people.entry(person.as_str()).or_insert_with(empty)[*point][*axis] = value;
+    }
+    let id = cell("person").and_then(|id| id.parse::<f64>().ok()).map(|id| id as i64);
+    let all = frames.entry(number).or_default();
+    for points in people.into_values() {
+        let points = points.iter().map(|[x, y, c]| seen(*x, *y, *c, report)).collect();
+        all.push(RawPerson { id: id.filter(|id| *id >= 0), points });
+    }
+    Ok(())
+}
+
+/// A point; one without coordinates was not seen.
+fn seen(x: f64, y: f64, c: f64, report: &mut CameraReport) -> Option<Detection> {
+    if x.is_nan() || y.is_nan() { None } else { report.detection(x, y, c) }
+}
+
+/// Reads a numpy array of cameras x frames x points x 2 or 3 (FreeMoCap's 2D data), or of frames x points x 2 or
+/// 3. The third number is the confidence, if all are from 0 to 1. The cameras have no names.
+///
+/// # Errors
+/// It is no such array.
+pub(super) fn npy(bytes: &[u8]) -> Result<Vec<(Frames, CameraReport)>, String> {
+    let file = npyz::NpyFile::new(bytes).map_err(|error| format!("no numpy array ({error})"))?;
+    let shape: Vec<usize> = file.shape().iter().map(|size| *size as usize).collect();
+    if file.order() != npyz::Order::C {
+        return Err("an array by columns; save it by rows (numpy.ascontiguousarray)".into());
+    }
+    let (cameras, frames, points, numbers) = match shape[..] {
+        [cameras, frames, points, numbers @ (2 | 3)] => (cameras, frames, points, numbers),
+        [frames, points, numbers @ (2 | 3)] => (1, frames, points, numbers),
+        _ => {
+            return Err(format!(
+                "an array of {shape:?}; cameras x frames x points x 2 or 3 is needed"
+            ));
+        }
+    };
+    let size = shape.iter().try_fold(1usize, |size, next| size.checked_mul(*next));
+    if shape.contains(&0) || size.is_none_or(|size| size > bytes.len()) {
+        return Err(format!("an array of {shape:?}, which the file cannot hold"));
+    }
+    let all: Vec<f64> = match file.try_data::<f64>() {
+        Ok(all) => all.collect::<Result<_, _>>(),
+        Err(file) => match file.try_data::<f32>() {
+            Ok(all) => all.map(|value| value.map(f64::from)).collect::<Result<_, _>>(),
+            Err(_) => return Err("an array of another type than f8 or f4".into()),
+        },
+    }
+    .map_err(|error| format!("the array is cut ({error})"))?;
+    let thirds = || all.iter().skip(2).step_by(3).filter(|value| !value.is_nan());
+    let is_confidence = numbers == 3
+        && thirds().next().is_some()
+        && thirds().all(|value| (0.0..=1.0).contains(value));
+    let per_frame = points * numbers;
+    let camera = |camera: usize| {
+        let mut report = CameraReport::default();
+        let frame = |frame: usize| {
+            let from = (camera * frames + frame) * per_frame;
+            let point = |p: &[f64]| {
+                let c = if is_confidence { p[2] } else { 1.0 };
+                seen(p[0], p[1], c, &mut report)
+            };
+            let points = all[from..from + per_frame].chunks_exact(numbers).map(point).collect();
+            (frame as u64, vec![RawPerson { id: None, points }])
+        };
+        let frames = (0..frames).map(frame).collect();
+        (frames, report)
+    };
+    Ok((0..cameras).map(camera).collect())
+}
+
+/// Reads YOLO's labels of a frame: class, box (4 numbers), and x, y, visibility of each point, in shares of the
+/// image; a confidence of the box may follow, then an id.
+///
+/// # Errors
+/// A line with other numbers.
+pub(super) fn yolo(
+    text: &str,
+    size: [u32; 2],
+    report: &mut CameraReport,
+) -> Result<Vec<RawPerson>, String> {
+    let [width, height] = size.map(f64::from);
+    let mut people = Vec::new();
+    for (i, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        let numbers: Option<Vec<f64>> =
+            line.split_whitespace().map(|word| word.parse().ok()).collect();
+        let numbers = numbers.filter(|all| all.len() > 7);
+        let numbers = numbers.ok_or_else(|| {
+            format!("line {}: not class, box and points as YOLO writes them", i + 1)
+        })?;
+        let id = (numbers.len() % 3 == 1).then(|| numbers[numbers.len() - 1] as i64);
+        let points = numbers[5..].chunks_exact(3);
+        let points = points.map(|p| report.detection(p[0] * width, p[1] * height, p[2]));
+        people.push(RawPerson { id, points: points.collect() });
+    }
+    Ok(people)
+}
