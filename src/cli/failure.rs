@@ -48,6 +48,7 @@ Exit codes:
    4  malformed input
    5  nobody found: no performer in two cameras
    6  partly done: windows that fit badly, a damaged recording, a replay up to lost inputs;
+      one of several takes of `solve` or `summary` is not solved, or in part;
       `record` lost messages or the disk is full; to `take` a node or recorder did not
       answer or refused; no poses came for `retarget --out`
    7  no detections in the folder

@@ -32,6 +32,7 @@ mod solve;
 mod span;
 mod synth;
 mod take;
+mod takes;
 pub(crate) mod terminal;
 mod tools;
 mod train;
@@ -68,6 +69,7 @@ enum Command {
     Bench(bench::Arguments),
     Eval(Box<eval::Arguments>),
     Solve(solve::Arguments),
+    Summary(takes::SummaryArguments),
     Check(check::Arguments),
     Calibrate(calibrate::Arguments),
     Import(import::Arguments),
@@ -97,6 +99,7 @@ pub fn main() -> ExitCode {
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Solve(arguments) => solve::run(&arguments),
+        Command::Summary(arguments) => takes::summary(&arguments),
         Command::Check(arguments) => check::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),

@@ -13,10 +13,12 @@ use super::rig::ConventionArguments;
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
+use crate::core::body::Skeleton;
+use crate::core::camera::Rig;
 use crate::core::manifold::{Decoder, Interpolation};
 use crate::core::optimise::OptimiserKind;
 use crate::core::stage::Performers;
-use crate::io::formats::Trc;
+use crate::io::formats::{Trc, calibration_files};
 use crate::io::recording::last_body;
 use crate::offline::output::{files, of_performer};
 use crate::offline::{Group, Observer, Options, PerformerSummary, Recording, Summary, solve_group};
@@ -34,29 +36,40 @@ Writes to the folder DIR:
 With --performers 2 or more, or auto, poses.mcap and report.html hold everybody; each performer has
 poses.p1.bvh and poses.p1.states.csv, poses.p2.bvh ...
 
+Several recordings, or one with --jobs, are each solved into a folder of their own, DIR/NAME. It also
+gets summary.json (as of --json) and manifest.json: version, inputs and settings. What was solved
+from the same is not solved again, what was broken off is. Several processes may share the work. A
+failed recording does not stop the others. `bundlemocap summary DIR` prints all.
+
 The recording is streamed: memory does not grow with its length. Percentiles are exact up to
 131072 values (points or windows), and within 0.05 % above that.
 
-Exit code 6: windows fit badly, or the recording is damaged. All solvable parts are written; lost
+Exit code 6: windows fit badly, a recording is damaged, or one of several failed. All solvable parts are written; lost
 poses are flagged.
 
 Examples:
   bundlemocap solve recordings/walk.mcap --out out
   bundlemocap solve balancing.mcap --out out --json
+  bundlemocap solve takes/*.mcap --out out --jobs 2
   bundlemocap solve balancing.mcap --out out --hold-out cam01
   bundlemocap solve two_people.mcap --out out --performers auto
   bundlemocap solve balancing.mcap --out out --body static/poses.mcap
   bundlemocap solve balancing.mcap --out out --reference pose2sim.trc
   bundlemocap solve balancing.mcap --out out --cameras cam01,cam02,cam04 --optimiser lbfgs")]
 pub(super) struct Arguments {
-    /// MCAP recording with keypoints and a calibrated rig.
-    file: PathBuf,
+    /// MCAP recordings with keypoints and a calibrated rig.
+    #[arg(required = true, value_name = "RECORDING")]
+    pub(super) files: Vec<PathBuf>,
     /// Output folder; created if missing.
     #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    pub(super) out: PathBuf,
+    /// Solve so many of several recordings at a time; default: 1. With it, one recording gets a folder of its
+    /// own, too.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
+    pub(super) jobs: Option<u8>,
     /// Replace the files of an earlier solve.
     #[arg(long)]
-    overwrite: bool,
+    pub(super) overwrite: bool,
     #[command(flatten)]
     span: SpanArguments,
     /// Settings file; config/default.toml lists every setting.
@@ -105,7 +118,7 @@ pub(super) struct Arguments {
     optimiser: Option<OptimiserName>,
     /// Print one JSON object instead of the table.
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -130,54 +143,160 @@ impl Observer for Progress {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let config = settings(arguments)?;
-    let decoder = decoder(arguments.weights.as_deref())?;
-    let body =
-        arguments.body.as_deref().map(|path| last_body(path, arguments.body_actor.as_deref()));
-    let body = body.transpose()?.map(Arc::new);
-    let references = arguments.reference.iter().map(|path| Trc::read(path));
-    let performers = config.stage.performers;
-    if performers.limit() > 1 && body.is_some() {
-        return Err(Failure::new(
-            Exit::Usage,
-            "--body is of one performer; leave out --performers",
-        ));
-    }
-    let mut recording = Recording::open(&arguments.file)?;
-    if let Some(rig) = &arguments.rig {
-        let read = arguments.convention.read(rig)?;
-        recording = recording.with_rig(read.rig.clone())?;
-        super::rig::tell(rig, &read);
-    }
-    let times = Times::of(&arguments.file, Some(&config))?;
-    let span = arguments.span.within(&times)?;
-    recording = recording.within(span);
-    let options = Options {
-        config: config.tracker,
-        decoder: Some(decoder),
-        cameras: arguments.cameras.clone(),
-        hold_out: arguments.hold_out.clone(),
-        references: references.collect::<Result<_, _>>()?,
-        performers,
-        body,
-        out: Some(arguments.out.clone()),
-        overwrite: arguments.overwrite,
-        no_sync: arguments.no_sync,
-        timecode: times.house,
-        config_toml: Some(Config { timecode: times.timecode.clone(), ..config }.to_toml()),
+    let prepared = Prepared::of(arguments)?;
+    let file = match &arguments.files[..] {
+        [only] if arguments.jobs.is_none() => only,
+        _ => return super::takes::run(arguments, &prepared),
     };
-    let mut progress = Progress(progress(options.passes() * recording.messages(), "messages"));
-    let group = solve_group(&mut recording, &options, &mut progress)?;
-    progress.0.finish_and_clear();
-    let names: Vec<String> = group.performers.iter().map(|one| one.performer.clone()).collect();
-    for name in &names {
-        let bvh = arguments.out.join(of_performer(name, performers, "bvh"));
-        times.beside(&bvh, span.map(|[start, _]| start))?;
+    let bar = |messages| progress(messages, "messages");
+    let solved = prepared.solve(arguments, file, &arguments.out, arguments.overwrite, bar)?;
+    solved.lines.iter().for_each(|(kind, text)| complain(kind, text));
+    tell(arguments, &solved)?;
+    Ok(solved.exit)
+}
+
+/// What all recordings of a command share.
+pub(super) struct Prepared {
+    config: Config,
+    decoder: Decoder,
+    body: Option<Arc<Skeleton>>,
+    references: Vec<Trc>,
+    rig: Option<Rig>,
+}
+
+/// A recording that was solved.
+pub(super) struct Solved {
+    group: Group,
+    performers: Performers,
+    /// What to tell of it: `note` or `warning`, and a sentence.
+    pub(super) lines: Vec<(&'static str, String)>,
+    pub(super) exit: Exit,
+}
+
+impl Solved {
+    fn of(file: &Path, group: Group, performers: Performers) -> Self {
+        let notes = group.performers.iter().flat_map(|one| one.summary.notes.clone());
+        let mut seen = BTreeSet::new();
+        let notes = notes.filter(|note| seen.insert(note.clone()));
+        let mut lines: Vec<_> = notes.map(|note| ("note", note)).collect();
+        if group.others > 0 {
+            let people = if group.others == 1 { "person was" } else { "people were" };
+            lines.push(("note", format!("{} more {people} seen, not solved", group.others)));
+        }
+        let mut exit = Exit::Done;
+        for one in &group.performers {
+            if ended(file, performers, one, &mut lines) != Exit::Done {
+                exit = Exit::InPart;
+            }
+        }
+        Self { group, performers, lines, exit }
     }
-    let files = files(&names, performers).join(", ");
-    tell(arguments, &group, performers, &files)?;
-    let ended = group.performers.iter().map(|one| ended(arguments, performers, one));
-    Ok(ended.reduce(|all, one| if one == Exit::Done { all } else { one }).unwrap_or(Exit::Done))
+
+    /// What `--json` prints.
+    pub(super) fn json(&self) -> Result<String, Failure> {
+        let text = match self.group.performers.first() {
+            Some(only) if self.performers.limit() == 1 => {
+                serde_json::to_string_pretty(&only.summary)
+            }
+            _ => serde_json::to_string_pretty(&self.group),
+        };
+        text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))
+    }
+}
+
+impl Arguments {
+    /// The files that all solves of this command read, by what they are for.
+    pub(super) fn shared_inputs(&self) -> Result<Vec<(String, PathBuf)>, Failure> {
+        let mut all = Vec::new();
+        let mut add = |role: &str, files: &[PathBuf]| {
+            all.extend(
+                files.iter().enumerate().map(|(i, file)| (format!("{role} {i}"), file.clone())),
+            );
+        };
+        if let Some(rig) = &self.rig {
+            add("rig", &calibration_files(rig)?);
+        }
+        add("body", self.body.as_slice());
+        add("reference", &self.reference);
+        Ok(all)
+    }
+}
+
+impl Prepared {
+    fn of(arguments: &Arguments) -> Result<Self, Failure> {
+        let config = settings(arguments)?;
+        let decoder = decoder(arguments.weights.as_deref())?;
+        let actor = arguments.body_actor.as_deref();
+        let body = arguments.body.as_deref().map(|path| last_body(path, actor)).transpose()?;
+        if config.stage.performers.limit() > 1 && body.is_some() {
+            return Err(Failure::new(
+                Exit::Usage,
+                "--body is of one performer; leave out --performers",
+            ));
+        }
+        let references = arguments.reference.iter().map(|path| Trc::read(path));
+        let references = references.collect::<Result<_, _>>()?;
+        let rig = arguments.rig.as_deref();
+        let rig = rig.map(|rig| arguments.convention.read(rig)).transpose()?;
+        let rig = rig.map(|read| read.rig);
+        Ok(Self { config, decoder, body: body.map(Arc::new), references, rig })
+    }
+
+    /// All that changes a solve beside its files.
+    pub(super) fn settings(&self, arguments: &Arguments) -> serde_json::Value {
+        serde_json::json!({
+            "config": self.config.to_toml(),
+            "weights": format!("{:016x}", self.decoder.fingerprint()),
+            "cameras": arguments.cameras,
+            "hold_out": arguments.hold_out,
+            "no_sync": arguments.no_sync,
+            "body_actor": arguments.body_actor,
+            "span": format!("{:?}", arguments.span),
+            "convention": format!("{:?}", arguments.convention),
+        })
+    }
+
+    /// Solves a recording into a folder. `bar`: shows the progress in that many messages.
+    pub(super) fn solve(
+        &self,
+        arguments: &Arguments,
+        file: &Path,
+        out: &Path,
+        overwrite: bool,
+        bar: impl FnOnce(u64) -> ProgressBar,
+    ) -> Result<Solved, Failure> {
+        let performers = self.config.stage.performers;
+        let mut recording = Recording::open(file)?;
+        if let Some(rig) = &self.rig {
+            recording = recording.with_rig(rig.clone())?;
+        }
+        let times = Times::of(file, Some(&self.config))?;
+        let span = arguments.span.within(&times)?;
+        recording = recording.within(span);
+        let timecode = times.timecode.clone();
+        let options = Options {
+            config: self.config.tracker,
+            decoder: Some(self.decoder.clone()),
+            cameras: arguments.cameras.clone(),
+            hold_out: arguments.hold_out.clone(),
+            references: self.references.clone(),
+            performers,
+            body: self.body.clone(),
+            out: Some(out.to_owned()),
+            overwrite,
+            no_sync: arguments.no_sync,
+            timecode: times.house,
+            config_toml: Some(Config { timecode, ..self.config.clone() }.to_toml()),
+        };
+        let mut progress = Progress(bar(options.passes() * recording.messages()));
+        let group = solve_group(&mut recording, &options, &mut progress)?;
+        progress.0.finish_and_clear();
+        for one in &group.performers {
+            let bvh = out.join(of_performer(&one.performer, performers, "bvh"));
+            times.beside(&bvh, span.map(|[start, _]| start))?;
+        }
+        Ok(Solved::of(file, group, performers))
+    }
 }
 
 fn settings(arguments: &Arguments) -> Result<Config, Failure> {
@@ -213,42 +332,30 @@ pub(super) fn decoder(weights: Option<&Path>) -> Result<Decoder, Failure> {
     Decoder::from_bytes(&bytes).map_err(|error| Failure::weights(path, &error))
 }
 
-fn tell(
-    arguments: &Arguments,
-    group: &Group,
-    performers: Performers,
-    files: &str,
-) -> Result<(), Failure> {
-    let several = performers.limit() > 1;
-    let mut notes: Vec<&String> =
-        group.performers.iter().flat_map(|one| &one.summary.notes).collect();
-    let mut seen = BTreeSet::new();
-    notes.retain(|note| seen.insert(*note));
-    notes.into_iter().for_each(|note| complain("note", note));
-    if group.others > 0 {
-        let people = if group.others == 1 { "person was" } else { "people were" };
-        complain("note", &format!("{} more {people} seen, not solved", group.others));
-    }
+fn tell(arguments: &Arguments, solved: &Solved) -> Result<(), Failure> {
     if arguments.json {
-        let text = match group.performers.first() {
-            Some(only) if !several => serde_json::to_string_pretty(&only.summary),
-            _ => serde_json::to_string_pretty(group),
-        };
-        say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
+        say(&solved.json()?);
         return Ok(());
     }
+    let Solved { group, performers, .. } = solved;
     let mut rows = match group.performers.first() {
-        Some(only) if !several => only.summary.rows(),
+        Some(only) if performers.limit() == 1 => only.summary.rows(),
         _ => group.rows(),
     };
-    let out = arguments.out.join("");
+    let names: Vec<String> = group.performers.iter().map(|one| one.performer.clone()).collect();
+    let (out, files) = (arguments.out.join(""), files(&names, *performers).join(", "));
     rows.push(("written to".into(), format!("{}: {files}", out.display())));
     say(&table(&rows));
     Ok(())
 }
 
 /// Done, or partly done with a warning.
-fn ended(arguments: &Arguments, performers: Performers, one: &PerformerSummary) -> Exit {
+fn ended(
+    file: &Path,
+    performers: Performers,
+    one: &PerformerSummary,
+    lines: &mut Vec<(&'static str, String)>,
+) -> Exit {
     let PerformerSummary { performer, summary } = one;
     let of = if performers.limit() > 1 { format!("{performer}: ") } else { String::new() };
     let Summary { windows, lost, hidden, .. } = summary;
@@ -264,7 +371,7 @@ fn ended(arguments: &Arguments, performers: Performers, one: &PerformerSummary) 
             _ => format!(", and not found in {without} more"),
         };
         let text = format!("{of}not seen well enough in {hidden} of {windows} windows{searched}");
-        complain("note", &text);
+        lines.push(("note", text));
     }
     parts.extend(summary.damage.first().cloned());
     if summary.damage.len() > 1 {
@@ -273,6 +380,6 @@ fn ended(arguments: &Arguments, performers: Performers, one: &PerformerSummary) 
     if parts.is_empty() {
         return Exit::Done;
     }
-    complain("warning", &format!("{}: {of}{}", arguments.file.display(), parts.join("; ")));
+    lines.push(("warning", format!("{}: {of}{}", file.display(), parts.join("; "))));
     Exit::InPart
 }

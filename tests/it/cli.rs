@@ -445,6 +445,79 @@ fn existing_outputs_are_kept_unless_told_otherwise() {
 }
 
 #[test]
+fn a_shelf_of_takes_is_solved_once() {
+    let place = Place::new();
+    for (name, frames) in [("a", 60), ("b", 90)] {
+        walk(&place.path(&format!("{name}.mcap")), frames, |_| true);
+    }
+    place.write("bad.mcap", "no recording");
+    let solve = "solve a.mcap b.mcap bad.mcap --out takes --jobs 2";
+    let output = place.run(solve);
+    let (said, errors) =
+        (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
+    assert_eq!(output.status.code(), Some(IN_PART), "{errors}");
+    assert!(said.contains("2 solved, 0 solved before, 1 failed, of 3"), "{said}");
+    assert!(errors.contains("error: bad: bad.mcap"), "{errors}");
+    place.done("solve a.mcap --out alone");
+    let poses = |folder: &str| fs::read(place.path(folder).join("poses.mcap")).unwrap();
+    assert_eq!(poses("takes/a"), poses("alone"));
+
+    // A second time nothing is done; nor while another process is at it; what was broken off is done again.
+    let before = fs::metadata(place.path("takes/a/poses.mcap")).unwrap().modified().unwrap();
+    let again = place.done("solve a.mcap b.mcap --out takes");
+    assert!(again.contains("0 solved, 2 solved before, 0 failed, of 2"), "{again}");
+    let after = fs::metadata(place.path("takes/a/poses.mcap")).unwrap().modified().unwrap();
+    assert_eq!(before, after);
+    let manifest =
+        fs::File::options().write(true).open(place.path("takes/b/manifest.json")).unwrap();
+    manifest.set_len(0).unwrap();
+    manifest.lock().unwrap();
+    let output = place.run("solve a.mcap b.mcap --out takes");
+    assert!(String::from_utf8_lossy(&output.stderr).contains("b: another process solves it"));
+    let output = place.run("summary takes");
+    assert_eq!(output.status.code(), Some(IN_PART));
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(table.contains("a    60 frames, ") && table.contains("b    not solved"), "{table}");
+    drop(manifest);
+    let again = place.done("solve a.mcap b.mcap --out takes");
+    assert!(again.contains("1 solved, 1 solved before"), "{again}");
+
+    // Other settings, and files of somebody else.
+    let other = place.run("solve a.mcap b.mcap --out takes --no-sync");
+    assert_eq!(other.status.code(), Some(IN_PART));
+    let errors = String::from_utf8(other.stderr).unwrap();
+    assert!(errors.contains("a: takes/a was solved from other inputs, settings"), "{errors}");
+    place.done("solve a.mcap b.mcap --out takes --no-sync --overwrite");
+    // A command that fails at once leaves the takes as they are.
+    let output =
+        place.run("solve a.mcap b.mcap --out takes --no-sync --overwrite --cameras nobody");
+    assert_eq!(output.status.code(), Some(IN_PART));
+    let again = place.done("solve a.mcap b.mcap --out takes --no-sync");
+    assert!(again.contains("0 solved, 2 solved before"), "{again}");
+    // Poses that were changed are not those of the manifest.
+    let mut poses = poses("takes/b");
+    poses.push(0);
+    place.write("takes/b/poses.mcap", poses);
+    let output = place.run("solve a.mcap b.mcap --out takes --no-sync");
+    assert!(String::from_utf8_lossy(&output.stderr).contains("b: takes/b was solved from other"));
+    place.done("solve a.mcap b.mcap --out takes --no-sync --overwrite");
+    fs::remove_dir_all(place.path("takes/bad")).unwrap();
+    let table = place.done("summary takes");
+    assert!(table.contains("b  90 frames, ") && table.contains("0 of"), "{table}");
+    let json: Value = serde_json::from_str(&place.done("summary takes --json")).unwrap();
+    assert_eq!(json.pointer("/b/frames").and_then(Value::as_u64), Some(90));
+    fs::remove_file(place.path("takes/a/manifest.json")).unwrap();
+    let output = place.run("solve a.mcap b.mcap --out takes --no-sync");
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        errors.contains("takes/a holds other files; choose another --out, or use --overwrite"),
+        "{errors}"
+    );
+    place.fails(2, "solve a.mcap takes/../a.mcap --out out", &["would be solved into one folder"]);
+    place.fails(NOT_OURS, "summary alone", &["alone holds no solved takes"]);
+}
+
+#[test]
 fn files_are_not_replaced_without_being_asked() {
     let place = Place::new();
     walk(&place.path("walk.mcap"), 60, |_| true);

@@ -19,7 +19,8 @@ pub mod trc;
 use std::path::{Path, PathBuf};
 
 pub use self::calibration::{
-    Auto, Calibration, Convention, Unit, Up, read_calibration, write_calibration, write_opencv,
+    Auto, Calibration, Convention, Unit, Up, calibration_files, read_calibration,
+    write_calibration, write_opencv,
 };
 pub use detections::{
     CameraReport, DetectionFolder, DetectionOptions, FolderMatch, MatchedBy, PointOrder,

@@ -88,7 +88,7 @@ impl Calibration {
 /// # Errors
 /// The file cannot be read or is not a calibration, or its cameras cannot be used.
 pub fn read_calibration(path: &Path, given: &Convention) -> Result<Calibration, ImportError> {
-    let files = files(path).map_err(|error| ImportError::read(path, error))?;
+    let files = calibration_files(path)?;
     let fault = |path: &Path, fault| match fault {
         Fault::Text(what) => ImportError::NotACalibration { path: path.to_owned(), what },
         Fault::Camera(source) => ImportError::Camera { path: path.to_owned(), source },
@@ -102,6 +102,13 @@ pub fn read_calibration(path: &Path, given: &Convention) -> Result<Calibration, 
 }
 
 /// The files that belong to a calibration: itself, those of a folder, and EasyMocap's and COLMAP's other half.
+///
+/// # Errors
+/// The folder cannot be read.
+pub fn calibration_files(path: &Path) -> Result<Vec<PathBuf>, ImportError> {
+    files(path).map_err(|error| ImportError::read(path, error))
+}
+
 fn files(path: &Path) -> std::io::Result<Vec<PathBuf>> {
     if path.is_dir() {
         let mut all = Vec::new();
