@@ -147,7 +147,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     }
     tell(&arguments.calibration, &calibration);
     best.tell(rig);
-    say(&format!("{}: {} frames", arguments.out.display(), best.folder.file_count()));
+    say(&format!("{}: {} frames", arguments.out.display(), best.folder.frame_count()));
     Ok(Exit::Done)
 }
 
@@ -176,7 +176,7 @@ impl Imported {
         let mut folder = DetectionFolder::open(path, rig, options)?;
         let provenance = provenance(arguments, path);
         let mut writer = Writer::create(out, Topics::default(), &provenance)?;
-        let bar = progress(folder.file_count(), "frames");
+        let bar = progress(folder.frame_count(), "frames");
         let mut has_rig = false;
         for detections in folder.by_ref() {
             let detections = detections?;
@@ -202,7 +202,7 @@ impl Imported {
         say(&table(&matches(folder, rig)));
         let by_order = folder.matches().iter().filter(|pair| pair.by == MatchedBy::Order).count();
         if by_order > 0 {
-            let text = "have no camera's name and were matched by order, which may be wrong; --camera gives them";
+            let text = "files have no camera's name; they were matched by order, which may be wrong; use --camera";
             complain("warning", &format!("{by_order} of {} {text}", folder.matches().len()));
         }
         for (pair, report) in folder.matches().iter().zip(folder.reports()) {
@@ -251,7 +251,7 @@ fn matches(folder: &DetectionFolder, rig: &Rig) -> Vec<(String, String)> {
 fn found(report: &CameraReport) -> String {
     let mut text = format!(
         "{} frames, numbers {} to {}, {} people, {} points",
-        report.files, report.first_frame, report.last_frame, report.people, report.points
+        report.frames, report.first_frame, report.last_frame, report.people, report.points
     );
     let oddities = [
         (report.gaps, "frame numbers without a frame"),

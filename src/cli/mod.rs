@@ -98,7 +98,7 @@ pub fn main() -> ExitCode {
         Command::Bridge(arguments) => bridge::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
-        Command::Solve(arguments) => solve::run(&arguments),
+        Command::Solve(arguments) => takes::run(&arguments),
         Command::Summary(arguments) => takes::summary(&arguments),
         Command::Check(arguments) => check::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),

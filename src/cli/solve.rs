@@ -36,16 +36,17 @@ Writes to the folder DIR:
 With --performers 2 or more, or auto, poses.mcap and report.html hold everybody; each performer has
 poses.p1.bvh and poses.p1.states.csv, poses.p2.bvh ...
 
-Several recordings, or one with --jobs, are each solved into a folder of their own, DIR/NAME. It also
-gets summary.json (as of --json) and manifest.json: version, inputs and settings. What was solved
-from the same is not solved again, what was broken off is. Several processes may share the work. A
-failed recording does not stop the others. `bundlemocap summary DIR` prints all.
+Several recordings, or one with --jobs, are each solved into a folder of their own, DIR/NAME. It
+also gets summary.json (as of --json) and manifest.json (version, inputs, settings). A recording is
+not solved again if these are the same. One that failed or was interrupted is solved again. One
+that fails does not stop the others. Several processes on one computer may share the work.
+`bundlemocap summary DIR` prints all.
 
 The recording is streamed: memory does not grow with its length. Percentiles are exact up to
 131072 values (points or windows), and within 0.05 % above that.
 
-Exit code 6: windows fit badly, a recording is damaged, or one of several failed. All solvable parts are written; lost
-poses are flagged.
+Exit code 6: windows fit badly, a recording is damaged, or one of several failed. All solvable
+parts are written; lost poses are flagged.
 
 Examples:
   bundlemocap solve recordings/walk.mcap --out out
@@ -142,12 +143,8 @@ impl Observer for Progress {
     }
 }
 
-pub(super) fn run(arguments: &Arguments) -> Ended {
-    let prepared = Prepared::of(arguments)?;
-    let file = match &arguments.files[..] {
-        [only] if arguments.jobs.is_none() => only,
-        _ => return super::takes::run(arguments, &prepared),
-    };
+/// Solves one recording into the folder of --out.
+pub(super) fn alone(arguments: &Arguments, prepared: &Prepared, file: &Path) -> Ended {
     let bar = |messages| progress(messages, "messages");
     let solved = prepared.solve(arguments, file, &arguments.out, arguments.overwrite, bar)?;
     solved.lines.iter().for_each(|(kind, text)| complain(kind, text));
@@ -223,7 +220,7 @@ impl Arguments {
 }
 
 impl Prepared {
-    fn of(arguments: &Arguments) -> Result<Self, Failure> {
+    pub(super) fn of(arguments: &Arguments) -> Result<Self, Failure> {
         let config = settings(arguments)?;
         let decoder = decoder(arguments.weights.as_deref())?;
         let actor = arguments.body_actor.as_deref();

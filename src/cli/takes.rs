@@ -15,7 +15,7 @@ use serde_json::Value;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::solve::{Arguments, Prepared, Solved};
+use super::solve::{Arguments, Prepared, Solved, alone};
 use super::terminal::{complain, progress, say, table};
 use crate::core::fnv::{fnv1a, fnv1a_after};
 use crate::offline::output::text as write_text;
@@ -63,8 +63,17 @@ struct Take<'a> {
     out: PathBuf,
 }
 
+/// Solves one recording into the folder of --out, or several into folders of their own.
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    let prepared = Prepared::of(arguments)?;
+    match &arguments.files[..] {
+        [only] if arguments.jobs.is_none() => alone(arguments, &prepared, only),
+        _ => each(arguments, &prepared),
+    }
+}
+
 /// Solves each recording into a folder of its own.
-pub(super) fn run(arguments: &Arguments, prepared: &Prepared) -> Ended {
+fn each(arguments: &Arguments, prepared: &Prepared) -> Ended {
     if arguments.json {
         let message = "--json is of one recording; `bundlemocap summary DIR --json` prints several";
         return Err(Failure::new(Exit::Usage, message));
@@ -193,7 +202,7 @@ impl Shelf<'_> {
             let whole = wanted.exit_code == Exit::Done as i32;
             return Ok(Outcome::Kept(if whole { Exit::Done } else { Exit::InPart }));
         }
-        // An empty manifest is of a take that failed or was broken off.
+        // An empty manifest is of a take that failed or was interrupted.
         if !text.is_empty() && !overwrite {
             let what =
                 "was solved from other inputs, settings or by another version, or was changed";
@@ -226,7 +235,7 @@ impl Shelf<'_> {
     }
 }
 
-/// Length and hash of a file, which is read bit by bit.
+/// Length and hash of a file, which is read in parts.
 fn fingerprint(path: &Path) -> Result<Fingerprint, Failure> {
     let read = || {
         let (mut file, mut part) = (File::open(path)?, vec![0; 1 << 16]);
@@ -293,7 +302,7 @@ pub(super) fn summary(arguments: &SummaryArguments) -> Ended {
             Some((_, summary)) => rows(name, summary),
             None => vec![(
                 name.clone(),
-                "not solved: it failed, is being solved, or was broken off".into(),
+                "not solved: it failed, was interrupted, or is being solved".into(),
             )],
         });
         say(&table(&rows.collect::<Vec<_>>()));

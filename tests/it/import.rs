@@ -182,14 +182,14 @@ fn the_real_folder_streams_in_capture_order() {
     let format = KeypointFormat::Body25b;
     let mut stream = opened(&set.join("balancing/pose"), &rig, format, 60.0).unwrap();
     assert!(stream.matches().iter().all(|m| m.by == MatchedBy::Name));
-    assert_eq!(stream.file_count(), 400);
+    assert_eq!(stream.frame_count(), 400);
     let order: Vec<_> =
         stream.by_ref().map(|d| d.map(|d| (d.capture, d.camera, d.frame)).unwrap()).collect();
     assert_eq!(order.len(), 400);
     assert!(order.is_sorted());
     assert_eq!(order[399].2, 99);
     for report in stream.reports() {
-        assert_eq!((report.files, report.gaps, report.empty_files), (100, 0, 0));
+        assert_eq!((report.frames, report.gaps, report.empty_files), (100, 0, 0));
         assert!(report.people >= 80, "{report:?}");
     }
     let statics = opened(&set.join("static/pose"), &rig, format, 60.0).unwrap();
@@ -292,11 +292,11 @@ fn uneven_folders_merge_by_capture_time_and_faults_are_counted() {
     assert!(all[3].people.is_empty());
     assert!(all[4].people.iter().all(|p| p.points[0].is_none() && p.points[1].is_some()));
     let [first, second] = stream.reports() else { panic!("two cameras") };
-    assert_eq!((first.files, first.first_frame, first.last_frame, first.gaps), (3, 5, 10, 3));
+    assert_eq!((first.frames, first.first_frame, first.last_frame, first.gaps), (3, 5, 10, 3));
     assert_eq!((first.people, first.people_without_points), (3, 1));
     assert_eq!((first.points, first.non_finite_points, first.clamped_confidences), (49, 1, 1));
     assert_eq!((first.frames_without_people, first.empty_files), (1, 0));
-    assert_eq!((second.files, second.gaps, second.empty_files), (2, 3, 1));
+    assert_eq!((second.frames, second.gaps, second.empty_files), (2, 3, 1));
     assert_eq!(second.frames_without_people, 1);
 }
 

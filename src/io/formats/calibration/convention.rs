@@ -256,7 +256,7 @@ pub(super) fn settle(cameras: &mut [Calibrated], unit: Option<Unit>, given: &Con
             (camera.rotation, camera.translation) = reading(&camera.rotation, &camera.translation);
         }
         notes.push(format!(
-            "taken as {what}: only so all cameras look at one place; `bundlemocap check` tells with detections"
+            "the file is read as {what}: only then all cameras look at one place; `bundlemocap check` tests this with detections"
         ));
     }
     let distance = distance(cameras);
@@ -268,18 +268,18 @@ pub(super) fn settle(cameras: &mut [Calibrated], unit: Option<Unit>, given: &Con
         && !ROOM.contains(&metres)
     {
         notes.push(format!(
-            "the cameras are {metres:.3} m from what they look at, with a unit of {} m; is it right? (--unit)",
+            "the cameras are {metres:.3} m from what they look at, if the unit is {} m; is the unit right? (--unit)",
             unit.metres()
         ));
     }
     let up = given.up.0.or_else(|| Up::of(cameras)).unwrap_or_else(|| {
-        let text = "the images of the cameras do not tell which axis is up; z is taken (--up)";
+        let text = "the up axis cannot be found from the images; z is used (--up)";
         notes.push(text.to_owned());
         Up::Z
     });
     if given.up.0.is_none() && lies_on_its_side(cameras, up) {
-        let text = "of the cameras' places, the heights differ most";
-        notes.push(format!("{text}; is {up} up? (--up)"));
+        let text = "the cameras differ most in height";
+        notes.push(format!("{text}; is {up} really the up axis? (--up)"));
     }
     Found { up, unit, notes }
 }

@@ -353,7 +353,7 @@ impl Fields<'_> {
         let size = size_px(self.name, given.unwrap_or(guessed))?;
         let note = || {
             format!(
-                "camera {}: the file has no image size; {} x {} is taken, twice the principal point",
+                "camera {}: the file has no image size; {} x {} is used, twice the principal point",
                 self.name, size[0], size[1]
             )
         };

@@ -25,7 +25,7 @@ pub use order::PointOrder;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct CameraReport {
     /// Number of frames.
-    pub files: u64,
+    pub frames: u64,
     /// Smallest frame number.
     pub first_frame: u64,
     /// Largest frame number.
@@ -139,6 +139,9 @@ struct Source {
     content: SourceContent,
 }
 
+/// The files of all cameras, and the names of their points if they have some.
+type Sources = (Vec<Source>, Option<Vec<String>>);
+
 enum SourceContent {
     /// A file for each frame.
     Files(Vec<PathBuf>),
@@ -229,13 +232,13 @@ impl DetectionFolder {
     }
 
     /// Number of frames of all cameras.
-    pub fn file_count(&self) -> u64 {
-        self.reports.iter().map(|r| r.files).sum()
+    pub fn frame_count(&self) -> u64 {
+        self.reports.iter().map(|r| r.frames).sum()
     }
 
     /// Whether the cameras have different numbers of frames.
     pub fn frame_counts_differ(&self) -> bool {
-        self.reports.windows(2).any(|pair| pair[0].files != pair[1].files)
+        self.reports.windows(2).any(|pair| pair[0].frames != pair[1].frames)
     }
 
     /// The people of a frame; `None` if its file is broken.
@@ -417,9 +420,9 @@ impl Source {
             if !has_time(*last, fps) {
                 return Err(fault(format!("frame {last} is too late")));
             }
-            report.files = numbers.len() as u64;
+            report.frames = numbers.len() as u64;
             (report.first_frame, report.last_frame) = (*first, *last);
-            report.gaps = (last - first) - (report.files - 1);
+            report.gaps = (last - first) - (report.frames - 1);
         }
         Ok((frames, report))
     }
@@ -465,7 +468,7 @@ fn whole_file(
 }
 
 /// The subfolders or files of cameras, in natural order, and the names of their points.
-fn sources(root: &Path) -> Result<(Vec<Source>, Option<Vec<String>>), ImportError> {
+fn sources(root: &Path) -> Result<Sources, ImportError> {
     if let Some(found) = shared_file(root)? {
         return Ok(found);
     }
@@ -511,8 +514,7 @@ fn sources(root: &Path) -> Result<(Vec<Source>, Option<Vec<String>>), ImportErro
 }
 
 /// The cameras of a file that holds several: FreeMoCap's 2D data, or a CSV with a column `camera`.
-#[allow(clippy::type_complexity)]
-fn shared_file(root: &Path) -> Result<Option<(Vec<Source>, Option<Vec<String>>)>, ImportError> {
+fn shared_file(root: &Path) -> Result<Option<Sources>, ImportError> {
     let path = match root.is_dir() {
         false => root.to_owned(),
         true => {
