@@ -221,15 +221,8 @@ mod tests {
     const CAPTURE: Timestamp = Timestamp::from_ns(1_000_000_000);
 
     fn pose() -> Pose {
-        let stamped = StampedPose {
-            capture: CAPTURE,
-            pose: BodyPose::rest(),
-            state: TrackingState::Coasting,
-            window: 7,
-            rig_version: 1,
-            provisional: false,
-            revision: 0,
-        };
+        let stamped = StampedPose::new(CAPTURE, BodyPose::rest(), TrackingState::Coasting);
+        let stamped = StampedPose { window: 7, ..stamped };
         let due = Some(CAPTURE + Nanos::from_ms(250));
         let live = LiveStamp { due, latency: Nanos::from_ms(250), run_id: 0xab };
         Pose::from_core(&stamped, &Skeleton::default(), Some(live))

@@ -14,8 +14,8 @@ use crate::core::body::{Attachment, Joint, Skeleton, TrackingState};
 use crate::core::detections::{Keypoint, KeypointFormat};
 use crate::core::time::Timestamp;
 use crate::io::formats::gltf::{Description, write_glb};
-use crate::io::formats::npz::{TimedPose, write_npz};
-use crate::io::formats::pose_table::write_csv;
+use crate::io::formats::npz::write_npz;
+use crate::io::formats::pose_table::{TimedPose, write_csv, write_deviations};
 use crate::io::formats::trc::{Markers, write_trc};
 #[cfg(feature = "view")]
 use crate::io::new_file;
@@ -164,6 +164,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             {
                 arguments.overwrite.check(&beside)?;
             }
+            if *format == Format::Trc {
+                paths.extend(deviations_beside(&path, one));
+            }
             paths.push(path.clone());
             files.push((path, one, write));
         }
@@ -272,16 +275,37 @@ fn trc(path: &Path, one: &Performer, _: &Export) -> Result<String, Failure> {
         of_points.chain(posture.positions).map(Some).collect::<Vec<_>>()
     };
     let is_known = |pose: &&CompactPose| pose.state != TrackingState::Lost;
-    let frames: Vec<_> = (evenly(path, one, fps).into_iter())
+    let poses = evenly(path, one, fps);
+    let frames: Vec<_> = (poses.iter())
         .map(|pose| pose.filter(is_known).map_or_else(|| vec![None; names.len()], places))
         .collect();
     write_trc(path, &Markers { fps, names: &names, frames: &frames })?;
-    Ok(format!("{} frames at {fps:.2} Hz, {} markers", frames.len(), names.len()))
+    let mut about = format!("{} frames at {fps:.2} Hz, {} markers", frames.len(), names.len());
+    if let Some(beside) = deviations_beside(path, one) {
+        write_deviations(
+            &beside,
+            fps,
+            poses.iter().map(|pose| pose.and_then(CompactPose::deviations)),
+        )?;
+        about += &format!("; standard deviations in {}", beside.display());
+    }
+    Ok(about)
+}
+
+/// The file beside a TRC file that has the standard deviations of the joint centres, if any are known.
+fn deviations_beside(path: &Path, one: &Performer) -> Option<PathBuf> {
+    let is_known = one.poses.iter().any(|pose| pose.deviations().is_some());
+    is_known.then(|| path.with_extension("sd.csv"))
+}
+
+/// A pose as files have it.
+fn timed(time: f64, pose: &CompactPose) -> TimedPose {
+    TimedPose { time, state: pose.state, pose: pose.pose(), deviations: pose.deviations() }
 }
 
 fn csv(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
     let seconds = |pose: &CompactPose| pose.capture.seconds_since(export.start);
-    let poses = one.poses.iter().map(|pose| (seconds(pose), pose.state, pose.pose()));
+    let poses = one.poses.iter().map(|pose| timed(seconds(pose), pose));
     write_csv(path, &one.skeleton, poses)?;
     Ok(format!("{} poses", one.poses.len()))
 }
@@ -290,10 +314,12 @@ fn npz(path: &Path, one: &Performer, _: &Export) -> Result<String, Failure> {
     let fps = rate(one);
     let mut poses: Vec<TimedPose> = Vec::new();
     for (frame, pose) in evenly(path, one, fps).into_iter().enumerate() {
-        let last = poses.last().map(|last| last.pose.clone());
-        let Some(pose_now) = pose.map(CompactPose::pose).or(last) else { continue };
-        let tracked = pose.is_some_and(CompactPose::is_tracked);
-        poses.push(TimedPose { time: frame as f64 / fps, tracked, pose: pose_now });
+        let time = frame as f64 / fps;
+        let repeated = || {
+            let last = poses.last().cloned()?;
+            Some(TimedPose { time, state: TrackingState::Lost, deviations: None, ..last })
+        };
+        poses.extend(pose.map(|pose| timed(time, pose)).or_else(repeated));
     }
     write_npz(path, fps, &one.skeleton, &poses)?;
     Ok(format!("{} frames at {fps:.2} Hz", poses.len()))

@@ -199,15 +199,8 @@ mod tests {
     fn pose(x: f64) -> Pose {
         let mut pose = body::Pose::rest();
         pose.root_position.x = x;
-        let stamped = StampedPose {
-            capture: Timestamp::from_ns((x * 1e9) as i64),
-            pose,
-            state: TrackingState::Coasting,
-            window: 0,
-            rig_version: 1,
-            provisional: false,
-            revision: 0,
-        };
+        let capture = Timestamp::from_ns((x * 1e9) as i64);
+        let stamped = StampedPose::new(capture, pose, TrackingState::Coasting);
         Pose::from_core(&stamped, &Skeleton::default(), None)
     }
 

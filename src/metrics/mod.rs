@@ -16,10 +16,12 @@
 //! | floor | [`Floor`]: median height of standing feet | m |
 //! | seen and not followed | [`NotFollowed`]: share of points on which the views agree and from which the body is more than 10 cm away | % |
 //! | several performers | [`PerformerScores`]: MOTA, identity switches, recall, precision, PCP | %, count |
+//! | coverage | [`Coverage`]: share of the coordinates' errors within one and two of their standard deviations | % |
 //! | drift | [`slope_interval`] of the frames' mean e over time | mm/min |
 //!
 //! Means over several recordings have the intervals of [`mean_interval`].
 
+mod coverage;
 mod detector_statistics;
 mod distribution;
 mod feet;
@@ -34,6 +36,7 @@ mod reprojection;
 pub mod statistics;
 mod trend;
 
+pub use coverage::{Coverage, CoverageSums};
 pub use detector_statistics::{
     ConfidenceBin, DetectorStatistics, DetectorTracks, PointTrack, Seen,
 };

@@ -5,7 +5,8 @@ use std::borrow::Borrow;
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 
-use crate::core::body::{JOINTS, Joint, Posture};
+use super::coverage::{Coverage, CoverageSums};
+use crate::core::body::{JOINTS, Joint, JointDeviations, Posture};
 use crate::core::so3;
 use crate::core::time::{Nanos, Timestamp};
 
@@ -31,6 +32,9 @@ pub struct PoseErrors {
     pub pck3_percent: f64,
     /// Share of joints with e <= 7 cm, percent.
     pub pck7_percent: f64,
+    /// Of the estimate's standard deviations, over the coordinates of P; `None` if it has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coverage: Option<Coverage>,
     /// Mean of e for each joint, millimetres; not serialised.
     #[serde(skip)]
     pub per_joint_mm: [f64; JOINTS],
@@ -42,7 +46,7 @@ pub fn pose_errors<P: Borrow<Posture>>(
 ) -> Option<PoseErrors> {
     let mut sums = PoseErrorSums::default();
     for (estimate, truth) in pairs {
-        sums.add(estimate.borrow(), truth.borrow());
+        sums.add(estimate.borrow(), truth.borrow(), None);
     }
     sums.errors()
 }
@@ -57,11 +61,17 @@ pub struct PoseErrorSums {
     angle: f64,
     root_angle: f64,
     within: [usize; 2],
+    coverage: CoverageSums,
 }
 
 impl PoseErrorSums {
-    /// Adds a frame.
-    pub fn add(&mut self, estimate: &Posture, truth: &Posture) {
+    /// Adds a frame, with the standard deviations of the estimate if they are known.
+    pub fn add(
+        &mut self,
+        estimate: &Posture,
+        truth: &Posture,
+        deviations: Option<&JointDeviations>,
+    ) {
         self.frames += 1;
         let shift = truth.positions[0] - estimate.positions[0];
         for (j, sum) in self.per_joint.iter_mut().enumerate() {
@@ -69,6 +79,9 @@ impl PoseErrorSums {
             let distance = difference.norm();
             *sum += distance;
             self.squared += distance * distance;
+            if let Some(deviations) = deviations {
+                self.coverage.add(&difference, deviations[j]);
+            }
             self.relative += (difference + shift).norm();
             for (count, limit) in self.within.iter_mut().zip(PCK) {
                 *count += usize::from(distance <= limit);
@@ -97,6 +110,7 @@ impl PoseErrorSums {
             root_deg: (self.root_angle / frames).to_degrees(),
             pck3_percent: 100.0 * self.within[0] as f64 / all,
             pck7_percent: 100.0 * self.within[1] as f64 / all,
+            coverage: self.coverage.finish(),
             per_joint_mm: self.per_joint.map(|sum| 1e3 * sum / frames),
         })
     }

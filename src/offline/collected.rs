@@ -8,7 +8,7 @@ use super::hold_out::{HeldOut, HoldOut};
 use super::options::Observer;
 use super::poses::{Comparisons, PoseSummary, Poses};
 use super::recording::Recording;
-use super::summary::{Reprojection, SolveTime, Summary};
+use super::summary::{DeviationPercentiles, Reprojection, SolveTime, Summary};
 use super::windows::Windows;
 use crate::core::body::Skeleton;
 use crate::core::camera::Rig;
@@ -90,6 +90,7 @@ impl Collected<'_> {
             not_followed: std::mem::take(&mut self.windows.followed).finish(),
             foot_skate: true_skate.unwrap_or(poses.feet),
             floor_m: poses.floor,
+            joint_deviation: DeviationPercentiles::new(&self.poses),
             truth,
             reference: references.min_by(|a, b| a.mean_mm.total_cmp(&b.mean_mm)),
             solve_ms: SolveTime::new(&self.windows),

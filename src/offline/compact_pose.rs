@@ -1,8 +1,8 @@
-//! Poses of about 400 bytes each.
+//! Poses of about 500 bytes each.
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::core::body::{BODY_JOINTS, Pose, StampedPose, TrackingState};
+use crate::core::body::{BODY_JOINTS, JOINTS, JointDeviations, Pose, StampedPose, TrackingState};
 use crate::core::so3;
 use crate::core::time::Timestamp;
 
@@ -14,6 +14,7 @@ pub(crate) struct CompactPose {
     root_rotation: [f64; 4],
     root_position: Vector3<f64>,
     local: [[f32; 4]; BODY_JOINTS],
+    deviations: Option<[f32; JOINTS]>,
 }
 
 impl CompactPose {
@@ -24,6 +25,11 @@ impl CompactPose {
     /// The pose, if it was fitted to detections; else `None`.
     pub(crate) fn usable(&self) -> Option<Pose> {
         self.is_tracked().then(|| self.pose())
+    }
+
+    /// The standard deviations of the joint centres, where they are known.
+    pub(crate) fn deviations(&self) -> Option<JointDeviations> {
+        self.deviations.map(|all| all.map(f64::from))
     }
 
     /// The pose.
@@ -48,6 +54,7 @@ impl From<&StampedPose> for CompactPose {
             local: pose
                 .local
                 .map(|r| so3::xyzw_from_rotation(&r).map(|component| component as f32)),
+            deviations: stamped.deviations.map(|all| all.map(|metres| metres as f32)),
         }
     }
 }
@@ -65,9 +72,12 @@ pub(crate) mod tests {
     pub(crate) fn in_state(ns: i64, x: f64, state: TrackingState) -> CompactPose {
         let mut pose = Pose::rest();
         pose.root_position.x = x;
-        let (window, rig_version, provisional, revision) = (0, 1, false, 0);
-        let capture = Timestamp::from_ns(ns);
-        (&StampedPose { capture, pose, state, window, rig_version, provisional, revision }).into()
+        (&stamped(ns, pose, state)).into()
+    }
+
+    fn stamped(ns: i64, pose: Pose, state: TrackingState) -> StampedPose {
+        let stamped = StampedPose::new(Timestamp::from_ns(ns), pose, state);
+        StampedPose { deviations: Some([0.01; JOINTS]), ..stamped }
     }
 
     #[test]
@@ -76,16 +86,14 @@ pub(crate) mod tests {
         pose.local[3] = so3::exp(&Vector3::new(0.3, -1.1, 0.7));
         pose.root_rotation = so3::exp(&Vector3::new(-2.0, 0.1, 0.4));
         pose.root_position = Vector3::new(1.0, 2.0, 3.0);
-        let (window, rig_version, provisional, revision) = (0, 1, false, 0);
-        let (capture, state) = (Timestamp::from_ns(7), TrackingState::Lost);
-        let stamped =
-            StampedPose { capture, pose, state, window, rig_version, provisional, revision };
+        let stamped = stamped(7, pose, TrackingState::Lost);
         let compact = CompactPose::from(&stamped);
-        assert!(std::mem::size_of::<CompactPose>() <= 420);
+        assert!(std::mem::size_of::<CompactPose>() <= 512);
         assert!(!compact.is_tracked());
         let back = compact.pose();
         assert!((back.local[3] - stamped.pose.local[3]).amax() < 1e-6);
         assert!((back.root_rotation - stamped.pose.root_rotation).amax() < 1e-12);
         assert_eq!(back.root_position, stamped.pose.root_position);
+        assert!((compact.deviations().unwrap()[5] - 0.01).abs() < 1e-9);
     }
 }

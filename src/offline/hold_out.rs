@@ -165,13 +165,36 @@ pub fn distances(
     detections: &Detections,
     keypoints: &[Keypoint],
 ) -> Option<Vec<f64>> {
+    let found = differences(camera, body, detections, keypoints)?;
+    Some(found.points.iter().map(|(_, difference)| difference.norm()).collect())
+}
+
+/// The performer's detections in a frame beside the body's points.
+pub struct Differences {
+    /// The performer's height in the image, pixels.
+    pub height_px: f64,
+    /// The way from each confident point to the body's, pixels.
+    pub points: Vec<(Keypoint, Vector2<f64>)>,
+}
+
+/// [`distances`] by keypoint and axis.
+pub fn differences(
+    camera: &Camera,
+    body: &impl Located,
+    detections: &Detections,
+    keypoints: &[Keypoint],
+) -> Option<Differences> {
     let project = |keypoint: Keypoint| camera.project(&body.keypoint(keypoint)?);
     let seen = body.extent().filter_map(|point| camera.project(&point));
-    let gate = GATE * height(seen)?;
+    let height_px = height(seen)?;
     let to = |person, points: &[Keypoint]| to_person(&project, person, detections.format, points);
-    let candidates = detections.people.iter().filter_map(|p| Some((median(&to(p, &COMPARED))?, p)));
+    let candidates = detections.people.iter().filter_map(|person| {
+        let limbs: Vec<f64> = to(person, &COMPARED).iter().map(|(_, way)| way.norm()).collect();
+        Some((median(&limbs)?, person))
+    });
     let (nearest, performer) = candidates.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    (nearest <= gate).then(|| to(performer, keypoints))
+    let is_near = nearest <= GATE * height_px;
+    is_near.then(|| Differences { height_px, points: to(performer, keypoints) })
 }
 
 fn to_person(
@@ -179,13 +202,13 @@ fn to_person(
     person: &Person,
     format: KeypointFormat,
     keypoints: &[Keypoint],
-) -> Vec<f64> {
-    let distances = keypoints.iter().filter_map(|&keypoint| {
+) -> Vec<(Keypoint, Vector2<f64>)> {
+    let differences = keypoints.iter().filter_map(|&keypoint| {
         let detection = (*person.points.get(format.index_of(keypoint)?)?)?;
         let confident = detection.confidence > CONFIDENT;
-        confident.then_some(project(keypoint)? - detection.pixel.coords)
+        confident.then_some((keypoint, project(keypoint)? - detection.pixel.coords))
     });
-    distances.map(|difference| difference.norm()).collect()
+    differences.collect()
 }
 
 /// The longer side of the bounding box of the pixels.

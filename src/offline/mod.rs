@@ -40,7 +40,7 @@ pub use error::Error;
 pub use first_pass::{
     CameraCorrection, CameraOffset, CheckedCameras, check_cameras, first_pass_settings,
 };
-pub use hold_out::{HeldOut, HoldOut, Located, distances, pose_at};
+pub use hold_out::{HeldOut, HoldOut, Located, differences, distances, pose_at};
 pub use options::{Observer, Options};
 pub use recording::Recording;
 pub use reference::{FrameClock, Reference, ReferenceComparison};

@@ -10,7 +10,7 @@ use super::Error;
 use super::collected::Collected;
 use super::compact_pose::CompactPose;
 use super::poses::{BENT, Poses};
-use super::series::Series;
+use super::series::{Mean, Series};
 use super::summary::{Group, Summary};
 use super::windows::{WindowSummary, Windows};
 use crate::core::body::{Posture, Skeleton};
@@ -22,8 +22,8 @@ use crate::diagnose::{CameraCheck, Check, Finding};
 use crate::io::new_file;
 use crate::io::recording::{Provenance, Writer};
 use crate::io::report::{
-    AngleTrack, CameraErrors, Picture, Player, ReportData, StickFigures, Table, Track, WindowRow,
-    stick_figures, write_report,
+    self, AngleTrack, CameraErrors, Picture, Player, Plot, ReportData, StickFigures, Table, Track,
+    WindowRow, stick_figures, write_report,
 };
 use crate::io::timecode::House;
 use crate::io::wire::{self, Topics};
@@ -247,6 +247,7 @@ pub(super) fn page(
         }),
         cameras: camera_errors(windows, rig, start),
         angles: angles(poses, start),
+        plots: deviations(poses, start).into_iter().collect(),
         windows: windows.series.bins().iter().map(|window| row(window, start)).collect(),
         ..ReportData::default()
     }
@@ -338,6 +339,24 @@ fn angles(poses: &Poses, start: Timestamp) -> Vec<AngleTrack> {
         AngleTrack { joint, degrees: degrees.collect() }
     });
     tracks.collect()
+}
+
+/// The standard deviations of the joint centres over time.
+fn deviations(poses: &Poses, start: Timestamp) -> Option<Plot> {
+    let curve = |name: &str, index: usize| {
+        let of =
+            |bin: &Mean<Timestamp, 2>| (bin.at.seconds_since(start), 1e3 * bin.values()[index]);
+        let points = poses.deviations.bins().iter().map(of).collect();
+        report::Series { name: name.into(), points, colour: index, ..Default::default() }
+    };
+    (!poses.deviations.bins().is_empty()).then(|| Plot {
+        title: "How certain the joint centres are".into(),
+        note: "Standard deviation along each axis.".into(),
+        x_label: "time (s)".into(),
+        y_label: "mm".into(),
+        series: vec![curve("mean of the joints", 0), curve("least certain joint", 1)],
+        ..Plot::default()
+    })
 }
 
 fn row(window: &WindowSummary, start: Timestamp) -> WindowRow {

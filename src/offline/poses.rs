@@ -10,11 +10,11 @@ use super::hold_out::HeldOut;
 use super::reference::{FrameClock, ReferenceComparison};
 use super::series::{Bin, Mean, Series};
 use super::truth::TruthComparisons;
-use crate::core::body::{Joint, Skeleton};
+use crate::core::body::{JOINTS, Joint, Skeleton};
 use crate::core::time::Timestamp;
 use crate::io::report::{PlayerPose, flexion_deg};
 use crate::metrics::statistics::median;
-use crate::metrics::{Floor, FootSkate, FootSkateSums, MeanAcceleration};
+use crate::metrics::{Distribution, Floor, FootSkate, FootSkateSums, MeanAcceleration};
 
 /// Number of first poses that give the frame rate; they wait in memory until then.
 const HEAD: usize = 4096;
@@ -65,6 +65,10 @@ pub(super) struct Poses {
     pub(super) played: Series<PlayerPose>,
     /// Flexion of the joints [`BENT`], degrees.
     pub(super) angles: [Series<Mean<Timestamp, 1>>; BENT.len()],
+    /// Standard deviations of the joint centres, metres: their mean and the largest.
+    pub(super) deviations: Series<Mean<Timestamp, 2>>,
+    /// Of every joint in every pose, millimetres.
+    pub(super) deviations_mm: Distribution,
 }
 
 /// The consumers that need the frame rate.
@@ -103,6 +107,8 @@ impl Poses {
             shown: Series::default(),
             played: Series::up_to(played),
             angles: Default::default(),
+            deviations: Series::default(),
+            deviations_mm: Distribution::default(),
         }
     }
 
@@ -177,6 +183,12 @@ impl Poses {
             if let Some(degrees) = flexion_deg(&posture, joint) {
                 series.push(Mean::new(capture, [degrees]));
             }
+        }
+        if let Some(deviations) = pose.deviations() {
+            let mean = deviations.iter().sum::<f64>() / JOINTS as f64;
+            let most = deviations.iter().copied().fold(0.0, f64::max);
+            self.deviations.push(Mean::new(capture, [mean, most]));
+            deviations.iter().for_each(|metres| self.deviations_mm.add(1e3 * metres));
         }
         match pose.is_tracked() {
             true => {

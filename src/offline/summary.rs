@@ -7,12 +7,13 @@ use serde::Serialize;
 
 use super::first_pass::CameraOffset;
 use super::hold_out::HoldOut;
+use super::poses::Poses;
 use super::reference::Reference;
 use super::windows::Windows;
 use crate::core::camera::Rig;
 use crate::diagnose::Check;
 use crate::io::report::Table;
-use crate::metrics::{Episode, FootSkate, NotFollowed, PerformerScores, PoseErrors};
+use crate::metrics::{Coverage, Episode, FootSkate, NotFollowed, PerformerScores, PoseErrors};
 
 /// The measurements of a solve. Field names are part of the interface; docs/json.md documents them.
 /// [`Display`](fmt::Display) prints the table.
@@ -47,6 +48,8 @@ pub struct Summary {
     pub foot_skate: Option<FootSkate>,
     /// Median height of standing feet above y = 0, metres; `None` if they hardly stand.
     pub floor_m: Option<f64>,
+    /// Standard deviations of the joint centres; `None` where they are not known.
+    pub joint_deviation: Option<DeviationPercentiles>,
     /// Distance from the truth of a synthetic recording.
     pub truth: Option<PoseErrors>,
     pub reference: Option<Reference>,
@@ -63,6 +66,16 @@ pub struct Summary {
     /// Other notes for the user.
     #[serde(skip)]
     pub notes: Vec<String>,
+}
+
+/// How far joint centres may be from the true ones: standard deviations along each axis, over all joints and
+/// poses.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct DeviationPercentiles {
+    /// Their median, millimetres.
+    pub median_mm: f64,
+    /// Nineteen of twenty are smaller than this, millimetres.
+    pub p95_mm: f64,
 }
 
 /// The measurements of a solve of several performers: what `solve --performers --json` prints, and the
@@ -238,6 +251,10 @@ impl Summary {
         if let Some(floor) = self.floor_m {
             rows.add("floor", format!("{floor:.2} m"));
         }
+        if let Some(DeviationPercentiles { median_mm, p95_mm }) = self.joint_deviation {
+            let value = format!("{median_mm:.0} mm, p95 {p95_mm:.0} mm");
+            rows.add("joint centres, standard deviation", value);
+        }
         self.truth.iter().for_each(|truth| rows.add_truth(truth));
         self.reference.iter().for_each(|reference| rows.add_reference(reference));
         if let Some(SolveTime { p50, p99 }) = self.solve_ms {
@@ -305,6 +322,10 @@ impl Rows {
         self.add("truth: MAE", format!("{:.2}° (root {:.2}°)", truth.mae_deg, truth.root_deg));
         let (three, seven) = (truth.pck3_percent, truth.pck7_percent);
         self.add("truth: PCK 3 cm, 7 cm", format!("{three:.1} %, {seven:.1} %"));
+        if let Some(Coverage { within_1_percent, within_2_percent, .. }) = truth.coverage {
+            let value = format!("{within_1_percent:.0} %, {within_2_percent:.0} %");
+            self.add("truth: within 1, 2 standard deviations", value);
+        }
     }
 
     fn add_reference(&mut self, reference: &Reference) {
@@ -321,6 +342,13 @@ impl Reprojection {
         let cameras = rig.cameras.iter().zip(&windows.cameras);
         let cameras = cameras.map(|(camera, errors)| (camera.name.clone(), errors.all.median()));
         Self { median_px: windows.errors_px.median(), cameras: cameras.collect() }
+    }
+}
+
+impl DeviationPercentiles {
+    pub(super) fn new(poses: &Poses) -> Option<Self> {
+        let all = poses.deviations_mm.percentiles([50.0, 95.0]);
+        all.map(|[median_mm, p95_mm]| Self { median_mm, p95_mm })
     }
 }
 

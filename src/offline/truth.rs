@@ -103,7 +103,7 @@ impl TruthComparison {
         let near = self.truths.front().filter(|truth| truth.capture - pose.capture <= tolerance);
         if let (Some(truth), Some(usable)) = (near, pose.usable()) {
             let (solved, truth) = (usable.posture(skeleton), truth.pose().posture(&self.body));
-            self.sums.add(&solved, &truth);
+            self.sums.add(&solved, &truth, pose.deviations().as_ref());
             self.feet.iter_mut().for_each(|feet| feet.add(&solved, Some(&truth)));
         } else {
             self.feet.iter_mut().for_each(FootSkateSums::gap);

@@ -574,10 +574,7 @@ fn gltf_files_of_several_performers_begin_together() {
         writer.write(&topics.skeleton(), Timestamp::default(), &body).unwrap();
         for frame in start..120 {
             let capture = Timestamp::default() + Nanos::of_frames(frame, 60.0);
-            let (window, rig_version, provisional, revision) = (0, 1, false, 0);
-            let (pose, state) = (Pose::rest(), TrackingState::Tracking);
-            let stamped =
-                StampedPose { capture, pose, state, window, rig_version, provisional, revision };
+            let stamped = StampedPose::new(capture, Pose::rest(), TrackingState::Tracking);
             let pose = wire::Pose::from_core(&stamped, &skeleton, None);
             writer.write(&topics.pose(), capture, &pose).unwrap();
         }

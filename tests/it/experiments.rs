@@ -64,7 +64,7 @@ impl Method for Oracle {
         poses.iter_mut().for_each(|(_, pose)| pose.root_position.x += self.shift);
         let borders = vec![poses[30].0, poses[40].0];
         let motion = Motion::Poses(Arc::clone(&self.skeleton), poses);
-        Some(Solved { motion, borders, not_followed: None })
+        Some(Solved { motion, deviations: Vec::new(), borders, not_followed: None })
     }
 }
 
@@ -243,6 +243,22 @@ fn each_seed_of_the_protocol_is_a_pass() {
     let (_, two) = done(place.path(), &format!("{tiny} --protocol two.toml"));
     assert!(seeds(&one) > 0);
     assert_eq!(seeds(&two), 2 * seeds(&one));
+}
+
+#[test]
+fn errors_are_as_large_as_their_standard_deviations_at_every_noise_level() {
+    let place = tempfile::tempdir().unwrap();
+    let levels = ["clean", "studio", "sparse", "uniform", "systematic"];
+    let command = "methods --rig ring4 --seconds 6 --every 2 --methods default --noise";
+    let (printed, results) = done(place.path(), &format!("{command} {}", levels.join(",")));
+    assert!(printed.contains("in 1 sd %"), "{printed}");
+    for (level, name) in results["levels"].as_array().unwrap().iter().zip(levels) {
+        let mean = &level["methods"][0]["summary"]["mean"];
+        let [one, two] = ["within_1_percent", "within_2_percent"].map(|key| mean[key].as_f64());
+        let (one, two) = (one.unwrap(), two.unwrap());
+        let is_right = (60.0..=76.0).contains(&one) && (90.0..=98.0).contains(&two);
+        assert!(is_right, "{name}: {one:.1} % and {two:.1} %");
+    }
 }
 
 #[test]

@@ -65,6 +65,8 @@ pub fn stamped_pose(window: u64) -> StampedPose {
         rig_version: 3,
         provisional: true,
         revision: 2,
+        // Powers of two are not rounded.
+        deviations: Some(std::array::from_fn(|joint| (joint + 1) as f64 / 1024.0)),
     }
 }
 
@@ -189,6 +191,18 @@ fn a_pose_round_trips_and_carries_its_joints() {
     }
     assert_eq!((wire.due_time_ns, wire.declared_latency_ns), (Some(-1), 250_000_000));
     assert_eq!(wire.run_id, 0x0123_4567_89ab_cdef);
+}
+
+#[test]
+fn standard_deviations_are_all_there_or_none() {
+    let with = |deviations: Vec<f32>| Pose { joint_deviations_m: deviations, ..published_pose() };
+    assert_eq!(with(Vec::new()).to_core().unwrap().deviations, None);
+    for (wrong, why) in
+        [(vec![0.1; 21], "21"), (vec![-0.1; 22], "negative"), (vec![f32::NAN; 22], "finite")]
+    {
+        let error = with(wrong).to_core().unwrap_err().to_string();
+        assert!(error.contains("joint_deviations_m") && error.contains(why), "{error}");
+    }
 }
 
 #[test]

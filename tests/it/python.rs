@@ -411,7 +411,8 @@ def joints(pose):
 
 npz_path, csv_path, trc_path, poses_path = sys.argv[1:]
 messages = read_protobuf_messages(poses_path, topics=["mocap/stage/actor/actor/pose"])
-wanted = [joints(message.proto_msg) for message in messages]
+poses = [message.proto_msg for message in messages]
+wanted = [joints(pose) for pose in poses]
 motion = np.load(npz_path)
 assert motion["poses"].shape == (len(wanted), 156) and motion["betas"].shape == (16,)
 assert motion["gender"] == b"neutral" and abs(motion["mocap_frame_rate"] - 60) < 1e-4
@@ -421,6 +422,18 @@ lines = [line.split("\t") for line in open(trc_path).read().splitlines()]
 names = lines[3][2::3]
 assert lines[2][2:5] == [str(len(wanted)), str(len(names)), "m"]
 names_of_joints = [name[:-2] for name in rows[0] if name.endswith("_x")]
+beside = list(csv.DictReader(open(trc_path.replace(".trc", ".sd.csv"))))
+known = 0
+for frame, pose in enumerate(poses):
+    cells = [[table[frame][f"{name}_sd"] for name in names_of_joints] for table in (rows, beside)]
+    deviations = np.array(pose.joint_deviations_m)
+    if len(deviations) == 0:
+        assert not any(cells[0] + cells[1]) and np.isnan(motion["joint_sd"][frame]).all()
+        continue
+    found = np.array(cells + [motion["joint_sd"][frame]], float)
+    assert np.abs(found - deviations).max() < 1e-5 and 1e-3 < deviations.min() < deviations.max() < 0.1
+    known += 1
+assert known > 230, known
 assert len(rows) == len(wanted) and len(names_of_joints) == 22 and "RBigToe" in names
 for frame, at in enumerate(wanted):
     turns = [turn(v) for v in motion["poses"][frame][:66].reshape(22, 3)]

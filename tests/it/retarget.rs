@@ -639,15 +639,8 @@ fn recording(path: &Path, skeleton: &Skeleton, poses: &[Pose]) {
 }
 
 fn stamped(index: usize, pose: &Pose) -> StampedPose {
-    StampedPose {
-        capture: Timestamp::from_ns(index as i64 * 33_333_333),
-        pose: pose.clone(),
-        state: TrackingState::Tracking,
-        window: 0,
-        rig_version: 1,
-        provisional: false,
-        revision: 0,
-    }
+    let capture = Timestamp::from_ns(index as i64 * 33_333_333);
+    StampedPose::new(capture, pose.clone(), TrackingState::Tracking)
 }
 
 #[test]

@@ -102,6 +102,7 @@ impl Timeline {
             _ => Outcome::Tracked(Box::new(Tracked {
                 keyframes: job.keyframe_times.iter().copied().map(still).collect(),
                 poses: vec![Pose::rest(); job.pose_times.len()],
+                deviations: None,
                 newest: Pose::rest(),
                 summary: None,
                 residuals: Vec::new(),

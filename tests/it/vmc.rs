@@ -130,10 +130,7 @@ fn each_address_gets_its_performer() {
     let pose = |capture: i64, x: f64| {
         let mut pose = Pose::rest();
         pose.root_position.x = x;
-        let (window, rig_version, provisional, revision) = (0, 1, false, 0);
-        let (capture, state) = (Timestamp::from_ns(capture), TrackingState::Tracking);
-        let stamped =
-            StampedPose { capture, pose, state, window, rig_version, provisional, revision };
+        let stamped = StampedPose::new(Timestamp::from_ns(capture), pose, TrackingState::Tracking);
         encode(&wire::Pose::from_core(&stamped, &skeleton, None))
     };
     let hips = |socket: &UdpSocket| {

@@ -88,6 +88,13 @@ impl KeypointOffsets {
         Self(metres.map(|coordinate| coordinate / UNIT))
     }
 
+    /// The size of the symmetric offsets along an axis, metres; as the prior has it where none were found.
+    pub fn root_mean_square(&self) -> f64 {
+        let square: f64 = self.0[..SYMMETRIC_OFFSETS].iter().map(|offset| offset * offset).sum();
+        let square = if square == 0.0 { 1.0 } else { square / SYMMETRIC_OFFSETS as f64 };
+        UNIT * libm::sqrt(square)
+    }
+
     /// The coordinates, metres.
     pub fn metres(&self) -> [f64; OFFSETS] {
         self.0.map(|coordinate| coordinate * UNIT)

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::forward::{Posture, forward};
-use super::joints::BODY_JOINTS;
+use super::joints::{BODY_JOINTS, JOINTS};
 use super::skeleton::Skeleton;
 use crate::core::so3;
 use crate::core::time::Timestamp;
@@ -70,6 +70,10 @@ impl TrackingState {
     }
 }
 
+/// The standard deviation of the error of each joint centre, metres: of each of its three coordinates in
+/// the world.
+pub type JointDeviations = [f64; JOINTS];
+
 /// A pose at a capture time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StampedPose {
@@ -87,4 +91,14 @@ pub struct StampedPose {
     pub provisional: bool,
     /// Revision: counts up with each new pose of the same capture time.
     pub revision: u32,
+    /// How far its joint centres may be from the true ones; `None` where that is not known.
+    pub deviations: Option<JointDeviations>,
+}
+
+impl StampedPose {
+    /// A final pose of window 0 and calibration 1, without standard deviations.
+    pub fn new(capture: Timestamp, pose: Pose, state: TrackingState) -> Self {
+        let (window, rig_version, provisional, revision) = (0, 1, false, 0);
+        Self { capture, pose, state, window, rig_version, provisional, revision, deviations: None }
+    }
 }

@@ -137,6 +137,21 @@ impl<'p> Path<'p> {
         batch.tangents = Some(tangents);
     }
 
+    /// Derivatives of the joint centres by the coordinates of a keyframe.
+    pub(super) fn tangents_at<'b>(
+        &self,
+        keyframe: usize,
+        batch: &'b mut ObservationBatch,
+    ) -> Option<&'b Tangents> {
+        let place = Place { from: keyframe, to: keyframe, s: 1.0 };
+        batch.forget();
+        batch.decode(self.scene.decoder, std::iter::once(self.unknowns.keyframes[keyframe].z));
+        batch.linearise(self.scene.decoder, 0.0);
+        let posture = self.posture(place, 0, batch);
+        self.push_tangents(place, &posture, 0, batch);
+        batch.tangents.as_ref()
+    }
+
     /// The cost of a frame.
     fn cost(&self, frame: &FrameObservations, posture: &Posture) -> f64 {
         let cost = |views: &[Observation]| {

@@ -15,6 +15,7 @@ mod correction;
 mod counts;
 mod feet;
 mod frame_cost;
+mod joint_variance;
 mod marginal;
 mod observation;
 mod observation_batch;

@@ -25,13 +25,13 @@ use crate::core::time::Timestamp;
 /// body.
 #[derive(Debug)]
 pub struct PathProblem<'a> {
-    scene: Scene<'a>,
+    pub(super) scene: Scene<'a>,
     observations: &'a [FrameObservations],
     /// Used in place of `observations` if they are there.
     replaced: Option<Vec<FrameObservations>>,
-    work: &'a mut Workspace,
+    pub(super) work: &'a mut Workspace,
     pub(super) unknowns: Unknowns,
-    loss: Loss,
+    pub(super) loss: Loss,
 }
 
 /// What to compute besides the cost.

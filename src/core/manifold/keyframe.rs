@@ -102,6 +102,7 @@ impl StampedKeyframe {
             rig_version: self.rig_version,
             provisional: false,
             revision: 0,
+            deviations: None,
         }
     }
 }

@@ -49,6 +49,28 @@ impl Cholesky {
             x[j] = (x[j] - linalg::dot(&l[1..], &x[j + 1..])) / f64::from(l[0]);
         }
     }
+
+    /// A diagonal block of the inverse of A, row-major: for a Hessian, the covariance of the unknowns of
+    /// that block.
+    pub fn inverse_block(&self, block: usize) -> Vec<f32> {
+        let n = self.lower.size();
+        let (first, end) = (block * n, self.lower.dimension());
+        // L^-1 of the block's columns of the identity, row-major.
+        let mut solved = vec![0.0_f32; (end - first) * n];
+        (0..n).for_each(|i| solved[i * n + i] = 1.0);
+        for j in first..end {
+            let l = self.lower.column(j..self.lower.end(j), j);
+            let (done, below) = solved.split_at_mut((j - first + 1) * n);
+            let row = &mut done[(j - first) * n..];
+            row.iter_mut().for_each(|x| *x /= l[0]);
+            for (l, below) in l[1..].iter().zip(below.chunks_exact_mut(n)) {
+                below.iter_mut().zip(&*row).for_each(|(x, y)| *x -= l * y);
+            }
+        }
+        let mut inverse = vec![0.0; n * n];
+        linalg::gram([end - first, n], &solved, &mut inverse);
+        inverse
+    }
 }
 
 #[cfg(test)]
@@ -90,7 +112,8 @@ mod tests {
                 dense[(i, i)] += damping(i);
             }
             let b = DVector::from_fn(size * blocks, |i, _| (i as f64).cos());
-            let expected = dense.cholesky().unwrap().solve(&b);
+            let dense = dense.cholesky().unwrap();
+            let (expected, inverse) = (dense.solve(&b), dense.inverse());
             let mut factor = Cholesky::like(&banded);
             // What an earlier matrix left must not matter.
             for _ in 0..2 {
@@ -99,6 +122,12 @@ mod tests {
             let mut x = b.as_slice().to_vec();
             factor.solve(&mut x);
             assert!((DVector::from_vec(x) - expected).amax() < 1e-7);
+            for block in 0..blocks {
+                let expected = inverse.view((block * size, block * size), (size, size));
+                let found = DMatrix::from_row_slice(size, size, &factor.inverse_block(block));
+                let off = (found.cast() - expected).amax() / expected.amax();
+                assert!(off < 1e-5, "block {block}: {off:.1e}");
+            }
         }
     }
 

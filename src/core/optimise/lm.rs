@@ -33,6 +33,8 @@ struct Memory {
     equations: NormalEquations,
     /// Factor of the damped Hessian.
     factor: Cholesky,
+    /// Whether it was made for the last problem.
+    has_factor: bool,
     /// Damping of the factor.
     damping: f64,
     step: Vec<f64>,
@@ -58,14 +60,17 @@ impl Memory {
         let equations = NormalEquations::zeros(problem.layout());
         let n = equations.gradient.len();
         let factor = Cholesky::like(&equations.hessian);
-        Self { factor, damping: 0.0, equations, step: vec![0.0; n], trial: vec![0.0; n] }
+        let [step, trial] = [0; 2].map(|_| vec![0.0; n]);
+        Self { factor, has_factor: false, damping: 0.0, equations, step, trial }
     }
 
     /// Factorises the damped Hessian; `None` if it is not positive definite.
     fn factorise(&mut self, damping: f64) -> Option<()> {
         let Self { equations, factor, .. } = self;
         self.damping = damping;
-        factor.factorise(&equations.hessian, |i| damping * scale(equations, i)).map(|_| ())
+        let made = factor.factorise(&equations.hessian, |i| damping * scale(equations, i));
+        self.has_factor = made.is_some();
+        made.map(|_| ())
     }
 
     /// Solves for the step; returns the predicted decrease.
@@ -88,9 +93,16 @@ impl Optimiser for LevenbergMarquardt {
     fn minimise(&mut self, problem: &mut dyn Problem, x: &mut [f64], iterations: usize) -> Summary {
         let fits = |memory: &Memory| memory.equations.layout() == problem.layout();
         let mut memory = self.memory.take().filter(fits).unwrap_or_else(|| Memory::of(problem));
+        memory.has_factor = false;
         let summary = self.descend(problem, x, iterations, &mut memory);
         self.memory = Some(memory);
         summary
+    }
+
+    /// Of the last factor. Its damping is small after a successful step.
+    fn inverse_block(&self, block: usize) -> Option<Vec<f32>> {
+        let memory = self.memory.as_ref().filter(|memory| memory.has_factor)?;
+        Some(memory.factor.inverse_block(block))
     }
 }
 

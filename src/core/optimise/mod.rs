@@ -51,6 +51,12 @@ pub enum OptimiserKind {
 pub trait Optimiser: Send {
     /// Minimises from `x`, in place, in at most `iterations` iterations.
     fn minimise(&mut self, problem: &mut dyn Problem, x: &mut [f64], iterations: usize) -> Summary;
+
+    /// A diagonal block of the inverse of the Hessian near the last minimum, row-major; `None` if the
+    /// optimiser has no Hessian.
+    fn inverse_block(&self, _block: usize) -> Option<Vec<f32>> {
+        None
+    }
 }
 
 impl OptimiserKind {

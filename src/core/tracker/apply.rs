@@ -77,7 +77,7 @@ impl Tracker {
             self.resume();
         }
         self.publish_keyframe(at, &first, TrackingState::Tracking);
-        self.publish_final(at, pose, TrackingState::Tracking);
+        self.publish_final(at, pose, TrackingState::Tracking, None);
         self.playout.begin_path();
         self.phase = Phase::Tracking { past: vec![first], coasted: 0 };
     }
@@ -113,7 +113,7 @@ impl Tracker {
             self.noise = self.noise.with(&tracked.residuals);
             self.doubt_body();
         }
-        self.publish_poses(window, &tracked.newest, &tracked.poses, state);
+        self.publish_poses(window, &tracked, state);
         let (done, ahead): (Vec<_>, Vec<_>) =
             tracked.keyframes.into_iter().partition(|at| at.capture <= window.publish);
         let mut start = window.start;
@@ -178,21 +178,22 @@ impl Tracker {
     }
 
     /// Publishes the newest pose as a provisional one if it has none yet, and then the final poses.
-    fn publish_poses(
-        &mut self,
-        window: Window,
-        newest: &Pose,
-        poses: &[Pose],
-        state: TrackingState,
-    ) {
+    fn publish_poses(&mut self, window: Window, tracked: &Tracked, state: TrackingState) {
+        let Tracked { newest, poses, deviations, .. } = tracked;
         let is_published = self.newest >= Some(window.end);
         if state == TrackingState::Tracking && self.is_newest(window.end) && !is_published {
             self.publish_provisional(window.end, newest, state);
             self.newest = Some(window.end);
         }
+        let before = std::mem::replace(&mut self.deviations, *deviations);
         let Some(grid) = self.output_grid() else { return };
         for (capture, pose) in grid.between(window.start, window.publish).zip(poses) {
-            self.publish_final(capture, pose, state);
+            let s = capture.fraction(window.start, window.publish);
+            let deviations = deviations.map(|last| {
+                let first = before.unwrap_or(last);
+                std::array::from_fn(|j| first[j] + s * (last[j] - first[j]))
+            });
+            self.publish_final(capture, pose, state, deviations);
         }
     }
 

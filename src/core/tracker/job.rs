@@ -7,7 +7,7 @@ use super::agreement::Unfollowed;
 use super::body_estimator::BodyEstimator;
 use super::effort::Effort;
 use super::noise::{Noise, Residual};
-use crate::core::body::{Pose, Skeleton, TrackingState};
+use crate::core::body::{JointDeviations, Pose, Skeleton, TrackingState};
 use crate::core::calibration::{Correction, Seen};
 use crate::core::camera::{Camera, Rig};
 use crate::core::detections::{Detections, KeypointFormat};
@@ -196,6 +196,8 @@ pub struct Tracked {
     pub keyframes: Vec<TimedKeyframe>,
     /// Poses at the job's times.
     pub poses: Vec<Pose>,
+    /// How far the joint centres may be from the true ones at the job's `publish`.
+    pub deviations: Option<JointDeviations>,
     /// The pose at its end.
     pub newest: Pose,
     /// The result of the optimiser, if the window was solved.

@@ -82,6 +82,17 @@ impl Noise {
         self.relative
     }
 
+    /// The variance of a coordinate of a detection of confidence 1, square pixels: of errors that are
+    /// normally distributed with their median. Of `usual_px` before the first window.
+    pub(super) fn variance_px(&self, usual_px: f64) -> f64 {
+        let (square, confidence) = match self.windows > 0.0 {
+            true => (self.square, self.confidence),
+            false => (usual_px * usual_px, USUAL_CONFIDENCE),
+        };
+        // The median of a Rayleigh distribution is sqrt(2 ln 2) of its scale.
+        square * confidence / (2.0 * std::f64::consts::LN_2)
+    }
+
     /// The factor of weights that were tuned for median errors of `usual_px` and
     /// [`USUAL_CONFIDENCE`]; 1 before the first
     /// window or if `usual_px` is 0.

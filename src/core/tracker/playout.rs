@@ -16,7 +16,7 @@ use super::port::Output;
 use super::published::Published;
 use super::state_machine::{Phase, Tracker};
 use super::window::Window;
-use crate::core::body::{Pose, StampedPose, TrackingState};
+use crate::core::body::{JointDeviations, Pose, StampedPose, TrackingState};
 use crate::core::time::{Grid, Nanos, Timestamp};
 
 /// A pose is extrapolated this long before its due time, so that its message arrives in time.
@@ -162,7 +162,13 @@ fn same_time(grid: &Grid) -> Nanos {
 
 impl Tracker {
     /// Publishes a final pose. Live, only if it is not overdue and its time has no pose.
-    pub(super) fn publish_final(&mut self, capture: Timestamp, pose: &Pose, state: TrackingState) {
+    pub(super) fn publish_final(
+        &mut self,
+        capture: Timestamp,
+        pose: &Pose,
+        state: TrackingState,
+        deviations: Option<JointDeviations>,
+    ) {
         self.playout.finals.add(capture, pose);
         if self.live.is_some() {
             let Some(latency) = self.latency else { return };
@@ -175,7 +181,7 @@ impl Tracker {
                 return;
             }
         }
-        self.push_pose(capture, pose.clone(), state, false);
+        self.push_pose(capture, pose.clone(), (state, deviations), false);
     }
 
     /// The frames after a pose that it waits for, where poses come from provisional fits.
@@ -218,7 +224,7 @@ impl Tracker {
         let decay = decay / (1.0 + 0.5 * self.look_ahead().unwrap_or(0) as f64);
         for capture in self.final_times(window) {
             if let Some(pose) = self.playout.shown.continued(capture, fit, decay) {
-                self.publish_final(capture, &pose, state);
+                self.publish_final(capture, &pose, state, None);
             }
         }
     }
@@ -233,7 +239,7 @@ impl Tracker {
         if self.live.is_some_and(|live| live.provisional) {
             self.playout.provisionals.add(capture, pose);
             self.playout.provisional.insert(capture);
-            self.push_pose(capture, pose.clone(), state, true);
+            self.push_pose(capture, pose.clone(), (state, None), true);
         }
     }
 
@@ -241,7 +247,7 @@ impl Tracker {
         &mut self,
         capture: Timestamp,
         pose: Pose,
-        state: TrackingState,
+        (state, deviations): (TrackingState, Option<JointDeviations>),
         provisional: bool,
     ) {
         if !provisional {
@@ -257,6 +263,7 @@ impl Tracker {
             rig_version: self.rig.version,
             provisional,
             revision: u32::from(supersedes),
+            deviations,
         })));
     }
 
@@ -265,7 +272,7 @@ impl Tracker {
         let last = self.playout.finals.last().map(|(_, pose)| pose.clone());
         let (Some(last), Some(grid)) = (last, self.output_grid()) else { return };
         for capture in grid.between(start, end) {
-            self.publish_final(capture, &last, TrackingState::Lost);
+            self.publish_final(capture, &last, TrackingState::Lost, None);
         }
     }
 
@@ -301,7 +308,7 @@ impl Tracker {
                 let detail = "not solved when due, extrapolated".to_owned();
                 self.event(EventKind::Overdue, capture, None, detail);
             }
-            self.push_pose(capture, pose, state, false);
+            self.push_pose(capture, pose, (state, None), false);
         }
     }
 

@@ -16,7 +16,7 @@ use super::noise::Noise;
 use super::playout::{Latency, Live, MARGIN, Playout, ROUNDING};
 use super::port::{Input, Output};
 use super::window::{FALLBACK_PERIOD, Window};
-use crate::core::body::{Skeleton, TrackingState};
+use crate::core::body::{JointDeviations, Skeleton, TrackingState};
 use crate::core::calibration::{LiveOffsets, Watchdog};
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
@@ -90,6 +90,8 @@ pub struct Tracker {
     pub(super) jobs: u64,
     /// Number of the open window.
     pub(super) window: u64,
+    /// Those at the start of the open window, if it follows a tracked one.
+    pub(super) deviations: Option<JointDeviations>,
     /// Keyframes of the open window that are not final.
     pub(super) ahead: Vec<TimedKeyframe>,
     /// The time of the last provisional pose.
@@ -141,6 +143,7 @@ impl Tracker {
             is_closing: false,
             jobs: 0,
             window: 0,
+            deviations: None,
             ahead: Vec::new(),
             newest: None,
             playout: Playout::default(),

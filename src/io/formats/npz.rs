@@ -8,6 +8,7 @@
 //! | `rest_joints` | 22 x 3 | joints of the T-pose from the pelvis, metres; y up and facing +z, as SMPL's template |
 //! | `times` | frames | seconds |
 //! | `tracked` | frames | 1, or 0 where the pose is coasting or lost |
+//! | `joint_sd` | frames x 22 | standard deviation of each joint centre along each axis, metres; NaN where it is not known |
 //! | `mocap_frame_rate` | | hertz; `mocap_framerate` too |
 //! | `gender` | | `neutral` |
 
@@ -19,24 +20,14 @@ use npyz::WriterBuilder;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
-use crate::core::body::{Pose, Skeleton};
+use super::pose_table::TimedPose;
+use crate::core::body::{JOINTS, Pose, Skeleton, TrackingState};
 use crate::core::so3;
 use crate::io::formats::ExportError;
 use crate::io::new_file;
 
 /// Numbers of a frame in AMASS: 52 joints of SMPL-H.
 const NUMBERS: usize = 156;
-
-/// A pose of a file.
-#[derive(Clone, Debug)]
-pub struct TimedPose {
-    /// Seconds.
-    pub time: f64,
-    /// Whether it was fitted to detections.
-    pub tracked: bool,
-    /// The pose.
-    pub pose: Pose,
-}
 
 /// Writes evenly spaced poses.
 ///
@@ -68,16 +59,21 @@ pub fn write_npz(
     let rest: Vec<f64> = rest.iter().flat_map(|at: &Vector3<f64>| [at.x, at.y, at.z]).collect();
     let frames = poses.len();
     let times: Vec<f64> = poses.iter().map(|pose| pose.time).collect();
-    let tracked: Vec<f64> = poses.iter().map(|pose| f64::from(u8::from(pose.tracked))).collect();
+    let is_tracked = |pose: &TimedPose| pose.state == TrackingState::Tracking;
+    let tracked: Vec<f64> =
+        poses.iter().map(|pose| f64::from(u8::from(is_tracked(pose)))).collect();
+    let deviations: Vec<f64> =
+        poses.iter().flat_map(|pose| pose.deviations.unwrap_or([f64::NAN; JOINTS])).collect();
     let written = || -> io::Result<Vec<u8>> {
         let mut file = ZipWriter::new(io::Cursor::new(Vec::new()));
-        let fields: [(&str, &[usize], &[f64]); 8] = [
+        let fields: [(&str, &[usize], &[f64]); 9] = [
             ("poses", &[frames, NUMBERS], &all),
             ("trans", &[frames, 3], &trans),
             ("betas", &[16], &[0.0; 16]),
             ("rest_joints", &[rest.len() / 3, 3], &rest),
             ("times", &[frames], &times),
             ("tracked", &[frames], &tracked),
+            ("joint_sd", &[frames, JOINTS], &deviations),
             ("mocap_frame_rate", &[], &[fps]),
             ("mocap_framerate", &[], &[fps]),
         ];

@@ -1,43 +1,92 @@
-//! Writes poses as CSV.
+//! Writes poses and their standard deviations as CSV.
 
 use std::path::Path;
 
-use crate::core::body::{Joint, Pose, Skeleton, TrackingState};
+use crate::core::body::{JOINTS, Joint, JointDeviations, Pose, Skeleton, TrackingState};
 use crate::core::so3;
 use crate::io::formats::ExportError;
 use crate::io::new_file;
 
+/// A pose of a file.
+#[derive(Clone, Debug)]
+pub struct TimedPose {
+    /// Seconds.
+    pub time: f64,
+    /// Its quality.
+    pub state: TrackingState,
+    /// The pose.
+    pub pose: Pose,
+    /// The standard deviations of its joint centres, if they are known.
+    pub deviations: Option<JointDeviations>,
+}
+
 /// Writes a line for each pose: `time_s`, `state` (tracking, coasting, lost), then for each joint its place in the
-/// world (`pelvis_x`, `_y`, `_z`; metres, y up) and its rotation (`pelvis_qx`, `_qy`, `_qz`, `_qw`): of the
-/// pelvis in the world, of the others in their parents. All rotations are zero in a T-pose that faces +z.
+/// world (`pelvis_x`, `_y`, `_z`; metres, y up), its rotation (`pelvis_qx`, `_qy`, `_qz`, `_qw`): of the
+/// pelvis in the world, of the others in their parents, and the standard deviation of its place along each
+/// axis (`pelvis_sd`; metres, empty where it is not known). All rotations are zero in a T-pose that faces +z.
 ///
 /// # Errors
 /// The disk is full.
 pub fn write_csv(
     path: &Path,
     skeleton: &Skeleton,
-    poses: impl IntoIterator<Item = (f64, TrackingState, Pose)>,
+    poses: impl IntoIterator<Item = TimedPose>,
+) -> Result<(), ExportError> {
+    let of = |joint: Joint| {
+        let columns = ["x", "y", "z", "qx", "qy", "qz", "qw", "sd"];
+        columns.map(|column| format!("{}_{column}", joint.name()))
+    };
+    let header = ["time_s", "state"].map(str::to_owned);
+    let header = header.into_iter().chain(Joint::ALL.into_iter().flat_map(of)).collect();
+    let row = |TimedPose { time, state, pose, deviations }: TimedPose| {
+        let places = pose.posture(skeleton).positions;
+        let turns = std::iter::once(&pose.root_rotation).chain(&pose.local);
+        let joints = places.iter().zip(turns).zip(deviation_cells(deviations.as_ref()));
+        let joints = joints.flat_map(|((at, turn), deviation)| {
+            let [x, y, z, w] = so3::xyzw_from_rotation(turn);
+            let numbers = [at.x, at.y, at.z, x, y, z, w].map(|value| format!("{value:.7}"));
+            numbers.into_iter().chain([deviation])
+        });
+        let begin = [format!("{time:.6}"), state.name().to_owned()];
+        begin.into_iter().chain(joints).collect()
+    };
+    write_table(path, header, poses.into_iter().map(row))
+}
+
+/// Writes the standard deviations beside a file of evenly spaced frames: `frame` from 1, `time_s` from 0,
+/// then `pelvis_sd` and so on, metres; empty where they are not known.
+///
+/// # Errors
+/// The disk is full.
+pub fn write_deviations(
+    path: &Path,
+    fps: f64,
+    frames: impl IntoIterator<Item = Option<JointDeviations>>,
+) -> Result<(), ExportError> {
+    let header = ["frame", "time_s"].map(str::to_owned);
+    let of = |joint: Joint| format!("{}_sd", joint.name());
+    let header = header.into_iter().chain(Joint::ALL.map(of)).collect();
+    let row = |(frame, deviations): (usize, Option<JointDeviations>)| {
+        let begin = [(frame + 1).to_string(), format!("{:.6}", frame as f64 / fps)];
+        begin.into_iter().chain(deviation_cells(deviations.as_ref())).collect()
+    };
+    write_table(path, header, frames.into_iter().enumerate().map(row))
+}
+
+fn deviation_cells(deviations: Option<&JointDeviations>) -> [String; JOINTS] {
+    let cell =
+        |joint: usize| deviations.map_or_else(String::new, |all| format!("{:.5}", all[joint]));
+    std::array::from_fn(cell)
+}
+
+fn write_table(
+    path: &Path,
+    header: Vec<String>,
+    rows: impl Iterator<Item = Vec<String>>,
 ) -> Result<(), ExportError> {
     let mut file = csv::Writer::from_writer(Vec::new());
-    let written = || -> csv::Result<()> {
-        let of = |joint: Joint| {
-            ["x", "y", "z", "qx", "qy", "qz", "qw"].map(|axis| format!("{}_{axis}", joint.name()))
-        };
-        let begin = ["time_s", "state"].map(str::to_owned);
-        file.write_record(begin.into_iter().chain(Joint::ALL.into_iter().flat_map(of)))?;
-        for (time, state, pose) in poses {
-            let posture = pose.posture(skeleton);
-            let turns = std::iter::once(&pose.root_rotation).chain(&pose.local);
-            let joints = posture.positions.iter().zip(turns).flat_map(|(at, turn)| {
-                let [x, y, z, w] = so3::xyzw_from_rotation(turn);
-                [at.x, at.y, at.z, x, y, z, w].map(|value| format!("{value:.7}"))
-            });
-            let begin = [format!("{time:.6}"), state.name().to_owned()];
-            file.write_record(begin.into_iter().chain(joints))?;
-        }
-        Ok(())
-    };
-    let written = written().map_err(std::io::Error::other);
+    let written = std::iter::once(header).chain(rows).try_for_each(|row| file.write_record(row));
+    let written = written.map_err(std::io::Error::other);
     let bytes = written.and_then(|()| file.into_inner().map_err(std::io::Error::other));
     let written = bytes.and_then(|bytes| new_file::write(path, &bytes));
     written.map_err(ExportError::write(path))

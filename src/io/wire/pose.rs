@@ -4,7 +4,9 @@ use nalgebra::Vector3;
 
 use super::check::{Field, field};
 use super::{DecodeError, Pose, TrackingState as WireState};
-use crate::core::body::{self, BODY_JOINTS, JOINTS, Skeleton, StampedPose, TrackingState};
+use crate::core::body::{
+    self, BODY_JOINTS, JOINTS, JointDeviations, Skeleton, StampedPose, TrackingState,
+};
 use crate::core::so3;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::timecode::House;
@@ -45,6 +47,7 @@ impl Pose {
             revision: stamped.revision,
             run_id: live.map_or(0, |live| live.run_id),
             timecode: String::new(),
+            joint_deviations_m: stamped.deviations.iter().flatten().map(|&m| m as f32).collect(),
         }
     }
 
@@ -72,6 +75,7 @@ impl Pose {
             rig_version: self.rig_version,
             provisional: self.provisional,
             revision: self.revision,
+            deviations: self.joint_deviations()?,
         })
     }
 
@@ -81,6 +85,22 @@ impl Pose {
     /// Wrong length, or numbers that are not finite.
     pub fn joint_positions(&self) -> Result<[Vector3<f64>; JOINTS], DecodeError> {
         at("joint_positions_m").vectors(&self.joint_positions_m)
+    }
+
+    /// The standard deviations of the joint centres, metres, if they are known.
+    ///
+    /// # Errors
+    /// Wrong length, numbers that are negative or not finite.
+    pub fn joint_deviations(&self) -> Result<Option<JointDeviations>, DecodeError> {
+        let at = at("joint_deviations_m");
+        if self.joint_deviations_m.is_empty() {
+            return Ok(None);
+        }
+        let all: JointDeviations = at.numbers(&self.joint_deviations_m)?;
+        match all.iter().all(|sd| *sd >= 0.0) {
+            true => Ok(Some(all)),
+            false => Err(at.invalid("a number is negative")),
+        }
     }
 
     fn tracking_state(&self) -> Result<TrackingState, DecodeError> {

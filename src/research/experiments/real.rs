@@ -7,6 +7,7 @@ use std::time::Instant;
 use serde::Serialize;
 
 use super::summary::number;
+use crate::core::body::Attachment;
 use crate::core::camera::{Camera, CameraError, Rig};
 use crate::core::detections::Detections;
 use crate::core::manifold::Decoder;
@@ -14,11 +15,17 @@ use crate::core::time::Timestamp;
 use crate::io::formats::Trc;
 use crate::io::report::Table;
 use crate::metrics::statistics::median;
-use crate::metrics::{DetectorStatistics, DetectorTracks, MeanAcceleration};
+use crate::metrics::{
+    COMPARED, Coverage, CoverageSums, DetectorStatistics, DetectorTracks, MeanAcceleration,
+};
 use crate::offline::{
-    FrameClock, HeldOut, HoldOut, Reference, ReferenceComparison, distances, pose_at,
+    FrameClock, HeldOut, HoldOut, Located, Reference, ReferenceComparison, differences, distances,
+    pose_at,
 };
 use crate::research::methods::{Delay, Method, Motion, Solved, Take};
+
+/// The median of a Rayleigh distribution, by its scale.
+const RAYLEIGH_MEDIAN: f64 = 1.1774;
 
 /// The results of one method on a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -39,6 +46,9 @@ pub struct RealScore {
     pub hold_out: Vec<HoldOut>,
     /// Mean of their medians, pixels.
     pub hold_out_px: Option<f64>,
+    /// Whether the points in the held-out cameras are as far from the body as its standard deviations
+    /// and the errors of the detections say; `None` for a method without deviations.
+    pub coverage: Option<Coverage>,
     /// The distance from the reference, if there is one.
     pub reference: Option<Reference>,
     /// Mean magnitude of the joints' acceleration, m/s^2.
@@ -104,10 +114,17 @@ pub fn measure(
     let cameras = take.rig.cameras.len();
     let mut hold_out: Vec<HoldOut> =
         held_out.iter().map(|(camera, seen)| error_in(camera, seen, &solved)).collect();
+    let mut coverage = CoverageSums::default();
+    let error = relative_error(take, &solved, |_| true);
+    held_out.iter().for_each(|held_out| cover(held_out, &solved, error, &mut coverage));
     for camera in (0..cameras).filter(|_| held_out.is_empty() && cameras > 2) {
         let (rest, seen) = without_camera(take, camera)?;
-        if let Some(solved) = make().solve(&rest.with_body(decoder), decoder) {
-            hold_out.push(error_in(&take.rig.cameras[camera], &seen, &solved));
+        let rest = rest.with_body(decoder);
+        if let Some(without) = make().solve(&rest, decoder) {
+            let of_camera = relative_error(take, &solved, |other| other == camera);
+            let held_out = (take.rig.cameras[camera].clone(), seen);
+            hold_out.push(error_in(&held_out.0, &held_out.1, &without));
+            cover(&held_out, &without, of_camera, &mut coverage);
         }
         each();
     }
@@ -124,6 +141,7 @@ pub fn measure(
         cameras_px,
         hold_out_px: HoldOut::of_all(&hold_out).and_then(|all| all.median_px),
         hold_out,
+        coverage: coverage.finish(),
         reference: reference.and_then(|(trc, clock)| compare(trc, clock, &solved)),
         mean_acceleration_m_s2: acceleration(&solved, take.fps),
         ms_per_frame: ms / frames.max(1) as f64,
@@ -174,6 +192,47 @@ fn error_in(camera: &Camera, seen: &[Detections], solved: &Solved) -> HoldOut {
     held_out.finish()
 }
 
+/// The standard deviation of the detections of some cameras along an axis, as a part of the performer's
+/// height: of errors that are normally distributed with their median.
+fn relative_error(take: &Take, solved: &Solved, is_meant: impl Fn(usize) -> bool) -> Option<f64> {
+    let mut errors = Vec::new();
+    for detections in take.frames.iter().filter(|frame| is_meant(frame.camera)) {
+        let Some(body) = solved.motion.at(detections.capture) else { continue };
+        let camera = &take.rig.cameras[detections.camera];
+        let Some(found) = differences(camera, &body, detections, &COMPARED) else { continue };
+        errors.extend(found.points.iter().map(|(_, way)| way.norm() / found.height_px));
+    }
+    Some(median(&errors)? / RAYLEIGH_MEDIAN)
+}
+
+/// Adds the points of a held-out camera to a coverage: their deviation is that of the joint in the image,
+/// and of a detection with that `relative_error`.
+fn cover(
+    (camera, seen): &HeldOutCamera,
+    solved: &Solved,
+    relative_error: Option<f64>,
+    coverage: &mut CoverageSums,
+) {
+    let Some(relative_error) = relative_error else { return };
+    for frame in seen {
+        let (Some(body), Some(deviations)) =
+            (solved.motion.at(frame.capture), solved.deviations_at(frame.capture))
+        else {
+            continue;
+        };
+        let Some(found) = differences(camera, &body, frame, &COMPARED) else { continue };
+        for (keypoint, way) in &found.points {
+            let joint = Attachment::of(*keypoint).joint.index();
+            let Some(point) = body.keypoint(*keypoint) else { continue };
+            let Some((_, by_point)) = camera.project_with_jacobian(&point) else { continue };
+            // Of a point that errs alike along all axes.
+            let scale = by_point.norm() / std::f64::consts::SQRT_2;
+            let of_detection = relative_error * found.height_px;
+            coverage.add(way, (scale * deviations[joint]).hypot(of_detection));
+        }
+    }
+}
+
 /// Statistics of a recording's detector errors, with a solved body as the truth; `None` without a
 /// body.
 pub fn detectors(take: &Take, solved: &Solved) -> Option<DetectorStatistics> {
@@ -192,6 +251,7 @@ pub fn table(title: &str, scores: &[RealScore]) -> Table {
         held_out.into_iter().flatten().map(|held| held.camera.as_str()).collect();
     header.extend(cameras.iter().map(|camera| format!("without {camera} px")));
     header.push("held out px".into());
+    header.extend(["in 1 sd %", "in 2 sd %"].map(str::to_owned));
     header.extend(["reference mm", "accel. m/s²", "ms/frame"].map(str::to_owned));
     let row = |score: &RealScore| {
         let delay = score.delay_frames.map_or("all".into(), |frames| frames.to_string());
@@ -206,6 +266,9 @@ pub fn table(title: &str, scores: &[RealScore]) -> Table {
             number(held.and_then(|held| held.median_px), 2)
         }));
         cells.push(number(score.hold_out_px, 2));
+        let coverage = |of: fn(&Coverage) -> f64| number(score.coverage.as_ref().map(of), 0);
+        cells.push(coverage(|coverage| coverage.within_1_percent));
+        cells.push(coverage(|coverage| coverage.within_2_percent));
         cells.push(number(score.reference.as_ref().map(|reference| reference.mean_mm), 1));
         cells.push(number(score.mean_acceleration_m_s2, 2));
         cells.push(number(Some(score.ms_per_frame), 2));

@@ -4,10 +4,10 @@ use nalgebra::Vector3;
 use serde::Serialize;
 
 use super::case::Sequence;
-use crate::core::body::Posture;
+use crate::core::body::{JointDeviations, Posture};
 use crate::core::time::{Nanos, Timestamp};
 use crate::metrics::statistics::mean;
-use crate::metrics::{self, LIMB_JOINTS, MarkerPositions, limb_joints};
+use crate::metrics::{self, LIMB_JOINTS, MarkerPositions, PoseErrorSums, limb_joints};
 use crate::offline::{HeldOut, HoldOut};
 use crate::research::methods::{Body, Motion, Solved};
 use crate::research::synth;
@@ -100,7 +100,7 @@ pub fn score(
     let score = Score {
         limbs: metrics::limb_errors(&joints, &true_joints, fps)?,
         held_out_px: runs.held_out_px(sequence),
-        pose: metrics::pose_errors(comparable.iter().zip(truths)),
+        pose: pose_errors(comparable, truths, &runs.deviations),
         acceleration_error_m_s2: metrics::acceleration_error(comparable, truths, fps),
         foot_skate: metrics::foot_skate(comparable, truths, fps),
         velocity_jump: metrics::velocity_jump(estimates, truths, &runs.borders, fps),
@@ -135,6 +135,7 @@ struct Runs {
     /// Postures of the bodies; empty without a body.
     postures: Vec<Posture>,
     truths: Vec<Posture>,
+    deviations: Vec<Option<JointDeviations>>,
     /// Indices of frames.
     borders: Vec<usize>,
 }
@@ -147,21 +148,25 @@ impl Runs {
         entries: &[Option<usize>],
     ) -> Self {
         let found = frames.iter().filter_map(|&frame| {
-            let body = solved.motion.frame((*entries.get(frame)?)?)?;
-            Some((frame, body, sequence.truth[frame].pose.posture(&sequence.skeleton)))
+            let index = (*entries.get(frame)?)?;
+            let body = solved.motion.frame(index)?;
+            let deviations = solved.deviations.get(index).copied().flatten();
+            Some((frame, body, deviations, sequence.truth[frame].pose.posture(&sequence.skeleton)))
         });
         let found: Vec<_> = found.collect();
         let borders: Vec<usize> =
             solved.borders.iter().filter_map(|at| frame_of(sequence, *at)).collect();
-        let is_border = |(_, (frame, ..)): &(usize, &(usize, Body, Posture))| {
-            borders.binary_search(frame).is_ok()
-        };
+        let is_border =
+            |(_, (frame, ..)): &(usize, &(usize, Body, Option<JointDeviations>, Posture))| {
+                borders.binary_search(frame).is_ok()
+            };
         Self {
             borders: found.iter().enumerate().filter(is_border).map(|(index, _)| index).collect(),
-            postures: found.iter().filter_map(|(_, body, _)| body.posture().cloned()).collect(),
+            postures: found.iter().filter_map(|(_, body, ..)| body.posture().cloned()).collect(),
             frames: found.iter().map(|(frame, ..)| *frame).collect(),
             truths: found.iter().map(|(.., truth)| truth.clone()).collect(),
-            bodies: found.into_iter().map(|(_, body, _)| body).collect(),
+            deviations: found.iter().map(|(_, _, deviations, _)| *deviations).collect(),
+            bodies: found.into_iter().map(|(_, body, ..)| body).collect(),
         }
     }
 
@@ -209,6 +214,19 @@ impl Runs {
         }
         trace
     }
+}
+
+/// The errors of all joints; `None` without frames.
+fn pose_errors(
+    estimates: &[Posture],
+    truths: &[Posture],
+    deviations: &[Option<JointDeviations>],
+) -> Option<metrics::PoseErrors> {
+    let mut sums = PoseErrorSums::default();
+    for ((estimate, truth), deviations) in estimates.iter().zip(truths).zip(deviations) {
+        sums.add(estimate, truth, deviations.as_ref());
+    }
+    sums.errors()
 }
 
 fn distances<'a>(a: &'a [Vector3<f64>], b: &'a [Vector3<f64>]) -> impl Iterator<Item = f64> + 'a {

@@ -39,7 +39,7 @@ const fn metric(
 }
 
 /// The metrics, in the order of the columns.
-pub const METRICS: [Metric; 18] = [
+pub const METRICS: [Metric; 20] = [
     metric("limb_mm", "limb joints mm", 1, |s| Some(s.limbs.limb_mm)),
     metric("held_out_px", "held out px", 2, |s| s.held_out_px),
     metric("mpjpe_mm", "MPJPE mm", 1, |s| pose(s, |pose| pose.mpjpe_mm)),
@@ -60,6 +60,12 @@ pub const METRICS: [Metric; 18] = [
     metric("true_foot_skate_mm_s", "true skate mm/s", 0, |s| s.foot_skate?.truth_mm_s),
     metric("mpjpe_root_relative_mm", "root-rel. mm", 1, |s| {
         pose(s, |pose| pose.mpjpe_root_relative_mm)
+    }),
+    metric("within_1_percent", "in 1 sd %", 0, |s| {
+        Some(s.pose.as_ref()?.coverage?.within_1_percent)
+    }),
+    metric("within_2_percent", "in 2 sd %", 0, |s| {
+        Some(s.pose.as_ref()?.coverage?.within_2_percent)
     }),
     metric("not_followed_percent", "not followed %", 3, |s| Some(s.not_followed.as_ref()?.percent)),
     metric("not_followed_frames", "longest, frames", 1, |s| {

@@ -66,14 +66,15 @@ impl Method for LiveTracker {
         let mut tracker = tracker.with_body(take.body.clone());
         tracker.set_latency(self.latency(&config, take.fps));
         let mut solver = Solver::new(decoder.clone(), config);
-        let (mut poses, mut borders, mut followed) =
-            (Vec::new(), Vec::new(), FollowedSums::default());
+        let (mut poses, mut deviations, mut borders) = (Vec::new(), Vec::new(), Vec::new());
+        let mut followed = FollowedSums::default();
         let provisional = *self == Self::Provisional;
         let mut handle = |tracker: &mut Tracker, input: Input| {
             tracker.handle(input);
             while let Some(output) = tracker.poll_and_solve(|job| solver.solve(job)) {
                 match output {
                     Output::Pose(pose) if pose.provisional == provisional => {
+                        deviations.push(pose.deviations);
                         poses.push((pose.capture, pose.pose));
                     }
                     Output::Window(window) => {
@@ -99,6 +100,6 @@ impl Method for LiveTracker {
         let is_found = !poses.is_empty();
         let not_followed = followed.finish();
         let motion = Motion::Poses(skeleton, poses);
-        is_found.then_some(Solved { motion, borders, not_followed })
+        is_found.then_some(Solved { motion, deviations, borders, not_followed })
     }
 }

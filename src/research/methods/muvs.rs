@@ -104,6 +104,7 @@ impl PerFrame {
                 Arc::clone(&self.start.skeleton),
                 self.times.iter().zip(keyframes).map(pose).collect(),
             ),
+            deviations: Vec::new(),
             borders: self.times.iter().copied().step_by(segment).skip(1).collect(),
             not_followed: None,
         }

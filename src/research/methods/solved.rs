@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 
-use crate::core::body::{Pose, Posture, Skeleton};
+use crate::core::body::{JointDeviations, Pose, Posture, Skeleton};
 use crate::core::detections::Keypoint;
 use crate::core::time::Timestamp;
 use crate::metrics::{COMPARED, MarkerPositions, NotFollowed, limb_joints};
@@ -15,10 +15,21 @@ use crate::offline::{Located, pose_at};
 pub struct Solved {
     /// The performer's motion.
     pub motion: Motion,
+    /// Of its poses, how far the joint centres may be from the true ones; empty for a method that does not
+    /// tell.
+    pub deviations: Vec<Option<JointDeviations>>,
     /// Capture times of the borders between pieces that were solved separately.
     pub borders: Vec<Timestamp>,
     /// Of a tracker: what it saw and did not follow.
     pub not_followed: Option<NotFollowed>,
+}
+
+impl Solved {
+    /// The standard deviations of the joint centres at a time: those of the next frame.
+    pub fn deviations_at(&self, at: Timestamp) -> Option<&JointDeviations> {
+        let next = self.motion.times().partition_point(|capture| *capture < at);
+        self.deviations.get(next)?.as_ref()
+    }
 }
 
 /// A motion in order of capture time, one entry per nominal frame.

@@ -92,7 +92,7 @@ impl Method for Triangulation {
             }
         }
         let motion = Motion::Points(found.times.into_iter().zip(smooth).collect());
-        Some(Solved { motion, borders: Vec::new(), not_followed: None })
+        Some(Solved { motion, deviations: Vec::new(), borders: Vec::new(), not_followed: None })
     }
 }
 

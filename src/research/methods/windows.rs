@@ -140,9 +140,12 @@ impl Method for Windows {
         let mut tracker = Tracker::new(config, Arc::clone(&take.rig)).with_body(body);
         let mut solver = Solver::new(decoder.clone(), config);
         let (mut poses, mut borders, mut body) = (Vec::new(), Vec::new(), None);
-        let mut followed = FollowedSums::default();
+        let (mut followed, mut deviations) = (FollowedSums::default(), Vec::new());
         run_to_end(&mut tracker, &mut solver, take.frames.iter().cloned(), |output| match output {
-            Output::Pose(pose) => poses.push((pose.capture, pose.pose)),
+            Output::Pose(pose) => {
+                deviations.push(pose.deviations);
+                poses.push((pose.capture, pose.pose));
+            }
             Output::Window(window) => {
                 borders.push(window.end);
                 followed.add(&window);
@@ -155,6 +158,6 @@ impl Method for Windows {
         let is_found = !poses.is_empty();
         let not_followed = followed.finish();
         let motion = Motion::Poses(skeleton, poses);
-        is_found.then_some(Solved { motion, borders, not_followed })
+        is_found.then_some(Solved { motion, deviations, borders, not_followed })
     }
 }

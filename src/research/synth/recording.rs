@@ -75,15 +75,9 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
     pub fn poses(&self) -> impl Iterator<Item = StampedPose> + '_ {
         (0..self.frames).map(|frame| {
             let since_start = Nanos::of_frames(frame, self.fps);
-            StampedPose {
-                capture: self.start + since_start,
-                pose: (self.motion)(since_start.seconds()),
-                state: TrackingState::Tracking,
-                window: 0,
-                rig_version: self.rig.version,
-                provisional: false,
-                revision: 0,
-            }
+            let pose = (self.motion)(since_start.seconds());
+            let stamped = StampedPose::new(self.start + since_start, pose, TrackingState::Tracking);
+            StampedPose { rig_version: self.rig.version, ..stamped }
         })
     }
 

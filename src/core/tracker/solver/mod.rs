@@ -2,6 +2,7 @@
 
 mod acquisition;
 mod catch_up;
+mod deviations;
 mod fresh_fit;
 mod keyframes;
 mod known;

@@ -65,9 +65,12 @@ impl Solver {
         let estimator = is_estimating
             .then(|| self.estimate_body(job, points, solved, &observations, estimator))
             .flatten();
+        let deviations = matches!(verdict, Verdict::Tracked)
+            .then(|| self.deviations(job, points, solved))
+            .flatten();
         let tracked = tracked(solved, poses, Some(summary), residuals, verdict);
         let estimator = estimator.map(Arc::new);
-        Outcome::Tracked(Box::new(Tracked { estimator, unfollowed, ..tracked }))
+        Outcome::Tracked(Box::new(Tracked { estimator, unfollowed, deviations, ..tracked }))
     }
 
     /// Adds corrections beside the manifold to solved keyframes.
@@ -255,8 +258,18 @@ fn tracked(
 ) -> Tracked {
     let keyframes = solved.ahead.to_vec();
     let newest = poses.pop().unwrap_or_else(Pose::rest);
-    let unfollowed = Vec::new();
-    Tracked { newest, poses, keyframes, summary, residuals, unfollowed, verdict, estimator: None }
+    let (deviations, unfollowed, estimator) = (None, Vec::new(), None);
+    Tracked {
+        newest,
+        poses,
+        deviations,
+        keyframes,
+        summary,
+        residuals,
+        unfollowed,
+        verdict,
+        estimator,
+    }
 }
 
 /// The keyframes without their corrections.

@@ -1,0 +1,44 @@
+//! How far the joint centres of a solved window may be from the true ones.
+//!
+//! The curvature of the cost tells how well the detections determine them, if their errors are independent.
+//! They are not: a detector errs alike for a while, and a part of its errors never changes. So the
+//! deviations from the curvature are multiplied, and to their squares is added that of constant errors,
+//! which are as large as the keypoint offsets that were found say. The factors are from the levels of
+//! [`crate::research::synth::Noise`], see docs/results/solver.md.
+
+use super::Solver;
+use super::known::Known;
+use crate::core::body::{BodyPoint, JointDeviations};
+use crate::core::cost::{FreeBody, PathKeyframe, PathProblem, Scene};
+use crate::core::tracker::job::Job;
+
+/// Factor of the deviations from the curvature.
+const RANDOM: f64 = 1.75;
+/// Constant error of a joint centre, as a part of the root mean square of the keypoint offsets.
+const CONSTANT: f64 = 0.65;
+/// The error of our model, metres.
+const MODEL_M: f64 = 0.002;
+
+impl Solver {
+    /// The standard deviations of the joint centres at the end of a window's final part, whose keyframes
+    /// were the optimiser's last problem.
+    pub(super) fn deviations(
+        &mut self,
+        job: &Job,
+        points: &[BodyPoint],
+        solved: Known,
+    ) -> Option<JointDeviations> {
+        let last = solved.ahead.iter().position(|at| at.capture >= job.publish)?;
+        let covariance = self.optimiser.inverse_block(last)?;
+        let cost = self.cost(job);
+        let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
+        let path = vec![PathKeyframe::free(solved.ahead[last].clone(), 1.0)];
+        let (body, work) = (FreeBody::Fixed, &mut self.work);
+        let problem = PathProblem::new(scene, path, solved.skeleton, body, &[], work);
+        let variances = problem.joint_variances(&covariance)?;
+        let noise = job.noise.variance_px(self.config.reference_residual_px);
+        let constant = CONSTANT * solved.skeleton.keypoint_offsets().root_mean_square();
+        let rest = constant * constant + MODEL_M * MODEL_M;
+        Some(variances.map(|variance| libm::sqrt(RANDOM * RANDOM * noise * variance + rest)))
+    }
+}
