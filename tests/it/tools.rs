@@ -296,7 +296,9 @@ fn keyframes_alone_give_the_solved_poses() {
     assert!(solved.len() > 200);
     let mut different = 0;
     for (time, pose) in &solved {
-        different += usize::from(pose != &again[time]);
+        // Keyframes do not tell how certain they are.
+        let pose = wire::Pose { joint_deviations_m: Vec::new(), ..pose.clone() };
+        different += usize::from(pose != again[time]);
     }
     assert_eq!(different, 0, "of {}", solved.len());
     assert_eq!(again.len(), solved.len());
