@@ -22,7 +22,7 @@ use crate::io::wire::{self, Topic, Topics};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 A keyframe has about 40 numbers per window. This keyframe, the previous one and the weights of the
-manifold give every pose of the window exactly as solved.
+manifold give every pose of the window exactly as solved, without the standard deviations.
 
 Exit code 6: a keyframe and the poses after it are missing, or the recording is damaged.
 

@@ -10,13 +10,16 @@ use super::failure::{Exit, Failure};
 use super::overwrite::{Overwrite, is_same_file};
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
-use crate::core::body::{Attachment, Joint, Skeleton, TrackingState};
+use crate::core::body::{Attachment, Joint, Pose, Skeleton, TrackingState};
 use crate::core::detections::{Keypoint, KeypointFormat};
 use crate::core::time::Timestamp;
-use crate::io::formats::gltf::{Description, write_glb};
+use crate::io::formats::c3d::write_c3d;
+use crate::io::formats::gltf::write_glb;
 use crate::io::formats::npz::write_npz;
 use crate::io::formats::pose_table::{TimedPose, write_csv, write_deviations};
 use crate::io::formats::trc::{Markers, write_trc};
+use crate::io::formats::usd::write_usda;
+use crate::io::formats::{Description, ExportError};
 #[cfg(feature = "view")]
 use crate::io::new_file;
 use crate::io::recording::{Message, Reader};
@@ -31,16 +34,18 @@ use crate::offline::poses::frame_rate;
 #[command(after_help = "\
 The ending of each file chooses the format:
   .glb    skin, skeleton and animation, for Blender, Unreal, Unity, Godot and browsers; metres
+  .usda   the same as USD (UsdSkel), for Houdini, Omniverse, Maya, Blender and usdview; metres
   .bvh    skeleton and animation, for Blender, MotionBuilder and Maya; centimetres
   .trc    keypoints of the body and joint centres (_jc), for OpenSim and Pose2Sim; metres
+  .c3d    the same markers, for Mokka, Visual3D and other tools of biomechanics; millimetres
   .csv    places (metres) and rotations (quaternions) of the joints
   .npz    rotation vectors of SMPL's joints with AMASS's fields; metres, z up
   .svg    a picture: a row of stick figures
   .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
-In all but .npz y is up; with all rotations zero the body is a T-pose that faces +z. In .glb and
-.csv times are since the first pose of any performer. In .bvh, .trc and .npz frames are evenly
-spaced, from the performer's own first pose on. In a gap .bvh and .npz repeat the last pose, for at
-most ten minutes in all; .trc is empty there, and where the performer is lost.
+In all but .npz y is up; with all rotations zero the body is a T-pose that faces +z. In .glb,
+.usda and .csv times are since the first pose of any performer. In .bvh, .trc, .c3d and .npz frames are
+evenly spaced, from the performer's own first pose on. In a gap .bvh and .npz repeat the last pose,
+for at most ten minutes in all; .trc and .c3d are empty there, and where the performer is lost.
 
 Examples:
   bundlemocap export out/poses.mcap --out take1.glb
@@ -79,10 +84,14 @@ pub(super) struct Arguments {
 enum Format {
     /// glTF.
     Glb,
+    /// USD as text.
+    Usda,
     /// BVH.
     Bvh,
     /// Markers for OpenSim.
     Trc,
+    /// Markers for tools of biomechanics.
+    C3d,
     /// A table of joints.
     Csv,
     /// numpy arrays with AMASS's fields.
@@ -115,8 +124,10 @@ impl Format {
     fn of_one(self) -> Option<WriteOne> {
         match self {
             Self::Glb => Some(glb),
+            Self::Usda => Some(usda),
             Self::Bvh => Some(bvh),
             Self::Trc => Some(trc),
+            Self::C3d => Some(c3d),
             Self::Csv => Some(csv),
             Self::Npz => Some(npz),
             Self::Svg => Some(svg),
@@ -164,8 +175,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             {
                 arguments.overwrite.check(&beside)?;
             }
-            if *format == Format::Trc {
-                paths.extend(deviations_beside(&path, one));
+            if matches!(format, Format::Trc | Format::C3d) {
+                // Two files of markers may share it.
+                paths
+                    .extend(deviations_beside(&path, one).filter(|beside| !paths.contains(beside)));
             }
             paths.push(path.clone());
             files.push((path, one, write));
@@ -222,14 +235,27 @@ fn rate(one: &Performer) -> f64 {
     frame_rate(&one.poses).unwrap_or(60.0)
 }
 
-fn glb(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
-    let fps = rate(one);
+/// What a file with a skin and an animation says of its content, and the poses with their times.
+fn animated<'a>(
+    one: &'a Performer,
+    export: &'a Export,
+) -> (Description<'a>, impl Iterator<Item = (f64, Pose)>) {
     let timecode = export.times.timecode_at(Some(export.start));
-    let about = Description { name: &one.actor, fps, timecode };
     let seconds = |pose: &CompactPose| pose.capture.seconds_since(export.start);
-    let poses = one.poses.iter().map(|pose| (seconds(pose), pose.pose()));
+    let poses = one.poses.iter().map(move |pose| (seconds(pose), pose.pose()));
+    (Description { name: &one.actor, fps: rate(one), timecode }, poses)
+}
+
+fn glb(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    let (about, poses) = animated(one, export);
     let keys = write_glb(path, &about, &one.skeleton, poses)?;
-    Ok(format!("{keys} keys at {fps:.2} Hz"))
+    Ok(format!("{keys} keys at {:.2} Hz", about.fps))
+}
+
+fn usda(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    let (about, poses) = animated(one, export);
+    let keys = write_usda(path, &about, &one.skeleton, poses)?;
+    Ok(format!("{keys} keys at {:.2} Hz", about.fps))
 }
 
 fn bvh(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
@@ -255,6 +281,19 @@ fn evenly<'a>(path: &Path, one: &'a Performer, fps: f64) -> Vec<Option<&'a Compa
 }
 
 fn trc(path: &Path, one: &Performer, _: &Export) -> Result<String, Failure> {
+    markers(path, one, write_trc)
+}
+
+fn c3d(path: &Path, one: &Performer, _: &Export) -> Result<String, Failure> {
+    markers(path, one, write_c3d)
+}
+
+/// Writes the keypoints of the body and the joint centres, and the standard deviations beside them.
+fn markers(
+    path: &Path,
+    one: &Performer,
+    write: fn(&Path, &Markers) -> Result<(), ExportError>,
+) -> Result<String, Failure> {
     let (fps, body) = (rate(one), &one.skeleton);
     let mut points: Vec<Keypoint> = Vec::new();
     for point in KeypointFormat::ALL.iter().flat_map(|format| format.keypoints()) {
@@ -279,7 +318,7 @@ fn trc(path: &Path, one: &Performer, _: &Export) -> Result<String, Failure> {
     let frames: Vec<_> = (poses.iter())
         .map(|pose| pose.filter(is_known).map_or_else(|| vec![None; names.len()], places))
         .collect();
-    write_trc(path, &Markers { fps, names: &names, frames: &frames })?;
+    write(path, &Markers { fps, names: &names, frames: &frames })?;
     let mut about = format!("{} frames at {fps:.2} Hz, {} markers", frames.len(), names.len());
     if let Some(beside) = deviations_beside(path, one) {
         write_deviations(
@@ -292,7 +331,7 @@ fn trc(path: &Path, one: &Performer, _: &Export) -> Result<String, Failure> {
     Ok(about)
 }
 
-/// The file beside a TRC file that has the standard deviations of the joint centres, if any are known.
+/// The file beside one of markers that has the standard deviations of the joint centres, if any are known.
 fn deviations_beside(path: &Path, one: &Performer) -> Option<PathBuf> {
     let is_known = one.poses.iter().any(|pose| pose.deviations().is_some());
     is_known.then(|| path.with_extension("sd.csv"))

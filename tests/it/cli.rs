@@ -546,7 +546,7 @@ fn files_are_not_replaced_without_being_asked() {
     for (command, why) in [
         ("export out/poses.mcap --out new.glb --out mine --format bvh", "mine exists"),
         ("export out/poses.mcap --out new.glb --out new.glb", "new.glb would be written twice"),
-        ("export out/poses.mcap --out new.glb --out new", "unknown ending; use .glb, .bvh"),
+        ("export out/poses.mcap --out new.glb --out new", "unknown ending; use .glb, .usda, .bvh"),
         ("export --out new.glb --out ./out/poses.mcap --overwrite out/poses.mcap", "is the input"),
         ("export out/poses.mcap --out new.mcap --actor p1", "leave out --actor"),
         ("export out/poses.mcap --out new.glb --start 900", "no poses from --start to --end"),

@@ -4,8 +4,9 @@ use std::path::Path;
 use std::process::Command;
 
 use bundlemocap::core::body::{JOINTS, Joint, Pose, Posture, Shape, Skeleton};
+use bundlemocap::io::formats::Description;
 use bundlemocap::io::formats::bvh::write_bvh;
-use bundlemocap::io::formats::gltf::{Description, write_glb};
+use bundlemocap::io::formats::gltf::write_glb;
 use bundlemocap::io::report::{
     AngleTrack, CameraErrors, Picture, ReportData, StickFigures, Table, WindowRow, flexion_deg,
     stick_figures, write_report,

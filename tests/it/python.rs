@@ -95,6 +95,114 @@ fn messages_of_a_camera_in_python_are_received() {
     }
 }
 
+/// Writes a video of 45 images of 320 x 240 at 30 a second.
+const VIDEO: &str = r#"
+import sys
+import cv2, numpy as np
+
+video = cv2.VideoWriter(sys.argv[1], cv2.VideoWriter_fourcc(*"MJPG"), 30, (320, 240))
+for number in range(45):
+    video.write(np.full((240, 320, 3), 5 * number, np.uint8))
+"#;
+
+/// A camera that is not there, comes, goes away, comes back and goes, and a model that is slower than the camera.
+const AWAY: &str = r#"
+import time
+import numpy as np
+import camera_rtmpose
+from camera_rtmpose import Source, run
+
+camera_rtmpose.FIRST_WAIT = 0.01
+class Capture:
+    def __init__(self, images):
+        self.left = images
+    def get(self, _):
+        return 0
+    def grab(self):
+        time.sleep(0.002)
+        self.left -= 1
+        return self.left >= 0
+    def retrieve(self):
+        return True, np.zeros((48, 64, 3), np.uint8)
+    def release(self):
+        pass
+
+captures = iter([None, Capture(5), None, None, Capture(40)])
+said, seen = [], []
+
+def open_capture(_):
+    capture = next(captures, "end")
+    if capture == "end":
+        source.stop()
+        return None
+    return capture
+
+source = Source("rtsp://camera", open_capture, delay_ns=50_000_000, say=said.append)
+
+def detect(number, image):
+    if number >= 5:
+        time.sleep(0.01)
+    return [[(1.0, 2.0, 0.9)]]
+
+begin = time.time_ns()
+run(source, detect, lambda *all: seen.append(all), 1e9, said.append)
+numbers = [number for _, _, number, _ in seen]
+assert source.images == 45 and numbers == sorted(set(numbers)) and len(seen) + source.dropped == 45, numbers
+assert source.dropped > 5 and source.times_away == 3, (source.dropped, source.times_away)
+times = [at for _, at, _, _ in seen]
+assert times == sorted(times) and begin - 50_000_000 <= times[0] < time.time_ns() - 50_000_000
+assert seen[0][3] == (64, 48)
+assert [line.split(": ")[1].split(" ")[0] for line in said[:-1]] == ["gives", "back"] * 2 + ["gives"], said
+assert said[-1].startswith(f"45 images, {len(seen)} published, {source.dropped} dropped"), said
+"#;
+
+#[test]
+fn a_video_is_published_as_a_camera_and_a_camera_that_goes_away_is_opened_again() {
+    let Some(generated) = generated() else { return };
+    let import = Command::new("python3").args(["-c", "import cv2, numpy"]).output();
+    if !import.is_ok_and(|output| output.status.success()) {
+        return crate::support::skipped("pip install opencv-python-headless first");
+    }
+    let video = generated.path().join("cam01.avi");
+    check(&Command::new("python3").args(["-c", VIDEO]).arg(&video).output().unwrap());
+    let (node, at) = node();
+    let (sender, samples) = channel::<Sample>();
+    let sink = Box::new(move |sample| sender.send(sample).unwrap());
+    let guard = node.subscribe("mocap/take/**", sink).unwrap();
+    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
+    let output = python(generated.path(), "camera_rtmpose.py")
+        .arg("--video")
+        .arg(&video)
+        .arg("--stored")
+        .arg(&recording)
+        .args(["--camera", "cam01", "--connect", &at, "--stage", "take"])
+        .output()
+        .unwrap();
+    check(&output);
+    drop(guard);
+    let frames: Vec<KeypointFrame> =
+        samples.try_iter().map(|sample| wire::decode(&sample.payload).unwrap()).collect();
+    let said = String::from_utf8(output.stdout).unwrap();
+    let line = said.lines().last().unwrap();
+    assert!(line.starts_with("cam01: 45 images, ") && line.ends_with("people: 1"), "{said}");
+    // On a busy computer a few images may be dropped.
+    assert!(frames.len() > 20 && frames.len() <= 45, "{}", frames.len());
+    let first = frames[0].capture_time_ns - (frames[0].frame as i64 * 100_000_000) / 3;
+    for frame in &frames {
+        assert_eq!((frame.image_width, frame.image_height), (320, 240));
+        assert_eq!((&*frame.camera, &*frame.format, frame.people.len()), ("cam01", "body_25", 1));
+        let since = frame.capture_time_ns - first - (frame.frame as i64 * 100_000_000) / 3;
+        assert!(since.abs() < 1_000_000, "image {} is off by {since} ns", frame.frame);
+    }
+    let script = scripts();
+    let away = Command::new("python3")
+        .args(["-c", AWAY])
+        .env("PYTHONPATH", std::env::join_paths([generated.path(), &script]).unwrap())
+        .env("PYTHONDONTWRITEBYTECODE", "1")
+        .output();
+    check(&away.unwrap());
+}
+
 /// Ended on drop.
 struct Ended(Child);
 
@@ -389,9 +497,55 @@ assert len(times) == frame and np.abs(times - np.arange(frame) / float(sys.argv[
 print(frame)
 "#;
 
+/// Compares a USD file with the poses, frame by frame; at rest it is a T-pose.
+const USD: &str = r#"
+import sys
+import numpy as np
+from mcap_protobuf.reader import read_protobuf_messages
+from pxr import Usd, UsdGeom, UsdSkel, UsdValidation, Vt
+
+stage = Usd.Stage.Open(sys.argv[1])
+validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+errors = UsdValidation.ValidationContext(validators).Validate(stage)
+assert len(validators) > 5 and not errors, [error.GetMessage() for error in errors]
+assert UsdGeom.GetStageUpAxis(stage) == "Y" and UsdGeom.GetStageMetersPerUnit(stage) == 1
+root = UsdSkel.Root(stage.GetDefaultPrim())
+cache = UsdSkel.Cache()
+assert cache.Populate(root, Usd.PrimDefaultPredicate)
+prim = lambda name: stage.GetPrimAtPath(root.GetPath().AppendChild(name))
+skeleton = cache.GetSkelQuery(UsdSkel.Skeleton(prim("Skeleton")))
+skin = cache.GetSkinningQuery(prim("Skin"))
+names = [path.split("/")[-1] for path in skeleton.GetJointOrder()]
+places = lambda transforms: np.array(transforms)[:, 3, :3]
+rest = dict(zip(names, places(skeleton.ComputeJointSkelTransforms(Usd.TimeCode.Default(), True))))
+assert abs(rest["l_wrist"][1] - rest["l_shoulder"][1]) < 0.02 and rest["l_wrist"][0] > 0.6, rest
+points = UsdGeom.Mesh(prim("Skin")).GetPointsAttr().Get()
+assert abs(np.array(points)[:, 1].min()) < 1e-6
+
+def skinned(time):
+    moved = Vt.Vec3fArray(points)
+    assert skin.ComputeSkinnedPoints(skeleton.ComputeSkinningTransforms(time), moved, time)
+    return np.array(moved)
+
+frame = 0
+for message in read_protobuf_messages(sys.argv[2], topics=["mocap/stage/actor/actor/pose"]):
+    wanted = np.array(message.proto_msg.joint_positions_m).reshape(-1, 3)
+    found = places(skeleton.ComputeJointSkelTransforms(Usd.TimeCode(frame)))
+    assert np.abs(found - wanted).max() < 1e-5, (frame, np.abs(found - wanted).max())
+    if frame % 80 == 0:
+        body = skinned(Usd.TimeCode(frame))
+        far = max(np.linalg.norm(body - joint, axis=1).min() for joint in wanted)
+        assert far < 0.15, far
+    frame += 1
+assert stage.GetEndTimeCode() == frame - 1
+assert abs(stage.GetTimeCodesPerSecond() - float(sys.argv[3])) < 1e-4
+print(frame)
+"#;
+
 /// Compares the tables of a solve with its poses, frame by frame.
 const TABLES: &str = r#"
 import csv, sys
+import ezc3d
 import numpy as np
 from mcap_protobuf.reader import read_protobuf_messages
 
@@ -409,7 +563,7 @@ def turn(v):
 def joints(pose):
     return np.array(pose.joint_positions_m).reshape(-1, 3)
 
-npz_path, csv_path, trc_path, poses_path = sys.argv[1:]
+npz_path, csv_path, trc_path, c3d_path, poses_path = sys.argv[1:]
 messages = read_protobuf_messages(poses_path, topics=["mocap/stage/actor/actor/pose"])
 poses = [message.proto_msg for message in messages]
 wanted = [joints(pose) for pose in poses]
@@ -454,14 +608,24 @@ for frame, at in enumerate(wanted):
     worst = max(worst, np.abs(found - at).max())
     # A heel is near its foot.
     assert np.linalg.norm(of("RHeel") - of("RAnkle")) < 0.15
+c3d = ezc3d.c3d(c3d_path)
+places = c3d["data"]["points"]
+assert places.shape == (4, len(names), len(wanted)) and c3d["parameters"]["POINT"]["LABELS"]["value"] == names
+assert c3d["parameters"]["POINT"]["UNITS"]["value"] == ["mm"] and abs(c3d["header"]["points"]["frame_rate"] - 60) < 1e-4
+assert c3d["header"]["points"]["last_frame"] - c3d["header"]["points"]["first_frame"] + 1 == len(wanted)
+columns = [names.index(f"{name}_jc") for name in names_of_joints]
+worst = max(worst, np.abs(places[:3, columns].transpose(2, 1, 0) / 1e3 - np.array(wanted)).max())
 print(len(wanted), worst < 1e-5)
 "#;
 
 #[test]
 fn exported_files_have_the_poses_on_a_true_rest_pose() {
-    let import = Command::new("python3").args(["-c", "import mcap_protobuf, numpy"]).output();
+    let import =
+        Command::new("python3").args(["-c", "import ezc3d, mcap_protobuf, numpy, pxr"]).output();
     if !import.is_ok_and(|output| output.status.success()) {
-        return crate::support::skipped("pip install mcap-protobuf-support numpy first");
+        return crate::support::skipped(
+            "pip install ezc3d mcap-protobuf-support numpy usd-core first",
+        );
     }
     let folder = tempfile::tempdir().unwrap();
     let file = |ending: &str| folder.path().join(format!("walk.{ending}"));
@@ -476,7 +640,14 @@ fn exported_files_have_the_poses_on_a_true_rest_pose() {
     check(&read);
     assert_eq!(String::from_utf8_lossy(&read.stdout), "240\n");
 
-    let tables = ["npz", "csv", "trc"].map(file);
+    let usd = file("usda");
+    check(&program().arg("export").arg(&poses).arg("--out").arg(&usd).output().unwrap());
+    let read = Command::new("python3").args(["-c", USD]).args([&usd, &poses]).arg("60").output();
+    let read = read.unwrap();
+    check(&read);
+    assert_eq!(String::from_utf8_lossy(&read.stdout), "240\n");
+
+    let tables = ["npz", "csv", "trc", "c3d"].map(file);
     let mut export = program();
     export.arg("export").arg(&poses);
     for path in &tables {

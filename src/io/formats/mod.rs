@@ -1,13 +1,15 @@
 //! Files of other tools.
 //!
-//! - [`bvh`], [`gltf`], [`npz`] and [`pose_table`] (CSV): motions.
-//! - Markers: [`trc`].
+//! - [`bvh`], [`gltf`], [`usd`], [`npz`] and [`pose_table`] (CSV): motions.
+//! - Markers: [`trc`], [`c3d`].
 //! - [`read_calibration`]: calibrations of many programs, to a
 //!   [`Rig`](crate::core::camera::Rig) in our world (metres, y up).
 //! - [`DetectionFolder`]: the detections of many programs, as a stream of
 //!   [`Detections`](crate::core::detections::Detections) in capture-time order.
 
+mod animation;
 pub mod bvh;
+pub mod c3d;
 mod calibration;
 mod detections;
 pub mod gltf;
@@ -15,6 +17,7 @@ pub mod npz;
 mod point_names;
 pub mod pose_table;
 pub mod trc;
+pub mod usd;
 
 use std::path::{Path, PathBuf};
 
@@ -22,6 +25,7 @@ pub use self::calibration::{
     Auto, Calibration, Convention, Unit, Up, calibration_files, read_calibration,
     write_calibration, write_opencv,
 };
+pub use animation::Description;
 pub use detections::{
     CameraReport, DetectionFolder, DetectionOptions, FolderMatch, MatchedBy, PointOrder,
 };
