@@ -28,21 +28,22 @@ class CameraNode:
     keypoint format: body_25, body_25b, coco_17, halpe_26 or coco_wholebody_133."""
 
     def __init__(self, session, name, size, format, stage="stage"):
-        self._name, self._size, self._format, self._frame = name, size, format, 0
+        self._name, self.size, self._format, self._frame = name, size, format, 0
         self._stream = mocap.Stream(session, f"mocap/{stage}/camera/{name}/keypoints")
 
-    def publish(self, people, capture_time_ns):
+    def publish(self, people, capture_time_ns, number=None):
         """`people` contains the points of each person in the order of the format: x and y in pixels
         and a confidence, 0 for a missing point. `capture_time_ns` is the middle of the exposure on a
         clock that all cameras share (PTP, or `time.time_ns()` of one computer when the image arrives,
         less exposure and transfer), not the time of detection. A millisecond of error is 0.8 mm at a
-        walking hand. The best clock is the node's own: poses are due on it."""
+        walking hand. The best clock is the node's own: poses are due on it. `number` counts the images,
+        also those that were skipped; without it, those that are published."""
         frame = KeypointFrame(
             camera=self._name,
-            frame=self._frame,
+            frame=self._frame if number is None else number,
             capture_time_ns=capture_time_ns,
-            image_width=self._size[0],
-            image_height=self._size[1],
+            image_width=self.size[0],
+            image_height=self.size[1],
             format=self._format,
         )
         for points in people:

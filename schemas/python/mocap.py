@@ -29,7 +29,10 @@ def open_session(connect="tcp/127.0.0.1:7447"):
     # Wait up to 20 ms for a full queue before a message is dropped.
     queue = "transport/link/tx/queue"
     config.insert_json5(f"{queue}/congestion_control/drop/wait_before_drop", "20000")
-    return zenoh.open(config)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise SystemExit(f"no node is at {connect}: start one with `bundlemocap run`, or give its address ({error})")
 
 
 class Stream:

@@ -13,6 +13,8 @@ mod camera;
 mod check;
 #[cfg(feature = "cli")]
 mod cli;
+#[cfg(feature = "cli")]
+mod cluster;
 #[cfg(all(feature = "cli", feature = "zenoh", feature = "iceoryx2"))]
 mod doctor;
 #[cfg(feature = "cli")]

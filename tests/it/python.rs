@@ -95,6 +95,114 @@ fn messages_of_a_camera_in_python_are_received() {
     }
 }
 
+/// Writes a video of 45 images of 320 x 240 at 30 a second.
+const VIDEO: &str = r#"
+import sys
+import cv2, numpy as np
+
+video = cv2.VideoWriter(sys.argv[1], cv2.VideoWriter_fourcc(*"MJPG"), 30, (320, 240))
+for number in range(45):
+    video.write(np.full((240, 320, 3), 5 * number, np.uint8))
+"#;
+
+/// A camera that is not there, comes, goes away, comes back and goes, and a model that is slower than the camera.
+const AWAY: &str = r#"
+import time
+import numpy as np
+import camera_rtmpose
+from camera_rtmpose import Source, run
+
+camera_rtmpose.FIRST_WAIT = 0.01
+class Capture:
+    def __init__(self, images):
+        self.left = images
+    def get(self, _):
+        return 0
+    def grab(self):
+        time.sleep(0.002)
+        self.left -= 1
+        return self.left >= 0
+    def retrieve(self):
+        return True, np.zeros((48, 64, 3), np.uint8)
+    def release(self):
+        pass
+
+captures = iter([None, Capture(5), None, None, Capture(40)])
+said, seen = [], []
+
+def open_capture(_):
+    capture = next(captures, "end")
+    if capture == "end":
+        source.stop()
+        return None
+    return capture
+
+source = Source("rtsp://camera", open_capture, delay_ns=50_000_000, say=said.append)
+
+def detect(number, image):
+    if number >= 5:
+        time.sleep(0.01)
+    return [[(1.0, 2.0, 0.9)]]
+
+begin = time.time_ns()
+run(source, detect, lambda *all: seen.append(all), 1e9, said.append)
+numbers = [number for _, _, number, _ in seen]
+assert source.images == 45 and numbers == sorted(set(numbers)) and len(seen) + source.dropped == 45, numbers
+assert source.dropped > 5 and source.times_away == 3, (source.dropped, source.times_away)
+times = [at for _, at, _, _ in seen]
+assert times == sorted(times) and begin - 50_000_000 <= times[0] < time.time_ns() - 50_000_000
+assert seen[0][3] == (64, 48)
+assert [line.split(": ")[1].split(" ")[0] for line in said[:-1]] == ["gives", "back"] * 2 + ["gives"], said
+assert said[-1].startswith(f"45 images, {len(seen)} published, {source.dropped} dropped"), said
+"#;
+
+#[test]
+fn a_video_is_published_as_a_camera_and_a_camera_that_goes_away_is_opened_again() {
+    let Some(generated) = generated() else { return };
+    let import = Command::new("python3").args(["-c", "import cv2, numpy"]).output();
+    if !import.is_ok_and(|output| output.status.success()) {
+        return crate::support::skipped("pip install opencv-python-headless first");
+    }
+    let video = generated.path().join("cam01.avi");
+    check(&Command::new("python3").args(["-c", VIDEO]).arg(&video).output().unwrap());
+    let (node, at) = node();
+    let (sender, samples) = channel::<Sample>();
+    let sink = Box::new(move |sample| sender.send(sample).unwrap());
+    let guard = node.subscribe("mocap/take/**", sink).unwrap();
+    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
+    let output = python(generated.path(), "camera_rtmpose.py")
+        .arg("--video")
+        .arg(&video)
+        .arg("--stored")
+        .arg(&recording)
+        .args(["--camera", "cam01", "--connect", &at, "--stage", "take"])
+        .output()
+        .unwrap();
+    check(&output);
+    drop(guard);
+    let frames: Vec<KeypointFrame> =
+        samples.try_iter().map(|sample| wire::decode(&sample.payload).unwrap()).collect();
+    let said = String::from_utf8(output.stdout).unwrap();
+    let line = said.lines().last().unwrap();
+    assert!(line.starts_with("cam01: 45 images, ") && line.ends_with("people: 1"), "{said}");
+    // On a busy computer a few images may be dropped.
+    assert!(frames.len() > 20 && frames.len() <= 45, "{}", frames.len());
+    let first = frames[0].capture_time_ns - (frames[0].frame as i64 * 100_000_000) / 3;
+    for frame in &frames {
+        assert_eq!((frame.image_width, frame.image_height), (320, 240));
+        assert_eq!((&*frame.camera, &*frame.format, frame.people.len()), ("cam01", "body_25", 1));
+        let since = frame.capture_time_ns - first - (frame.frame as i64 * 100_000_000) / 3;
+        assert!(since.abs() < 1_000_000, "image {} is off by {since} ns", frame.frame);
+    }
+    let script = scripts();
+    let away = Command::new("python3")
+        .args(["-c", AWAY])
+        .env("PYTHONPATH", std::env::join_paths([generated.path(), &script]).unwrap())
+        .env("PYTHONDONTWRITEBYTECODE", "1")
+        .output();
+    check(&away.unwrap());
+}
+
 /// Ended on drop.
 struct Ended(Child);
 
