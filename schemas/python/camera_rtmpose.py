@@ -7,8 +7,8 @@
     python camera_rtmpose.py --video rtsp://10.0.0.7/live --camera cam_2 --delay 120
     python camera_rtmpose.py --video cam3.mp4 --camera cam_3 --start 1800000000  # a file, in real time
 
-Run one for each camera. Give all files of a take the same --start. The calibration comes from the node's `rig` setting
-or from another program. Without a model, `--stored take.mcap` takes the keypoints of a recording instead.
+Run one for each camera. Give all files of a take the same --start. The node needs the calibration: set `rig` in its
+settings. `--stored take.mcap` publishes the keypoints of a recording instead of those of a model.
 """
 
 import argparse
@@ -26,8 +26,8 @@ FIRST_WAIT, LONGEST_WAIT = 0.5, 8.0
 
 
 class Source:
-    """The images of a camera. A thread reads them; who asks gets the newest one, and older ones that nobody took are
-    counted as dropped. A camera that goes away is opened again and again; a file ends."""
+    """The images of a camera, read by a thread. The iterator gives the newest image; older ones that were not taken are
+    dropped and counted. A camera that gives no images is opened again until it does; a file ends."""
 
     def __init__(self, video, open_capture, start_ns=None, delay_ns=0, say=print):
         self.is_file = os.path.isfile(video)

@@ -38,14 +38,15 @@ The ending of each file chooses the format:
   .bvh    skeleton and animation, for Blender, MotionBuilder and Maya; centimetres
   .trc    keypoints of the body and joint centres (_jc), for OpenSim and Pose2Sim; metres
   .c3d    the same markers, for Mokka, Visual3D and other tools of biomechanics; millimetres
-  .csv    places (metres) and rotations (quaternions) of the joints
+  .csv    places and their standard deviations (metres), rotations (quaternions) of the joints
   .npz    rotation vectors of SMPL's joints with AMASS's fields; metres, z up
   .svg    a picture: a row of stick figures
   .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
 In all but .npz y is up; with all rotations zero the body is a T-pose that faces +z. In .glb,
-.usda and .csv times are since the first pose of any performer. In .bvh, .trc, .c3d and .npz frames are
-evenly spaced, from the performer's own first pose on. In a gap .bvh and .npz repeat the last pose,
-for at most ten minutes in all; .trc and .c3d are empty there, and where the performer is lost.
+.usda and .csv times are since the first pose of any performer. In .bvh, .trc, .c3d and .npz frames
+are evenly spaced, from the performer's own first pose on. In a gap .bvh and .npz repeat the last
+pose, for at most ten minutes in all; .trc and .c3d are empty there, and where the performer is
+lost. Beside .trc and .c3d a .sd.csv has the standard deviations of the joint centres.
 
 Examples:
   bundlemocap export out/poses.mcap --out take1.glb
@@ -235,7 +236,7 @@ fn rate(one: &Performer) -> f64 {
     frame_rate(&one.poses).unwrap_or(60.0)
 }
 
-/// What a file with a skin and an animation says of its content, and the poses with their times.
+/// The description of a file with a skin and an animation, and its poses with their times, seconds.
 fn animated<'a>(
     one: &'a Performer,
     export: &'a Export,
@@ -331,7 +332,7 @@ fn markers(
     Ok(about)
 }
 
-/// The file beside one of markers that has the standard deviations of the joint centres, if any are known.
+/// The file of the standard deviations beside a file of markers, if any are known.
 fn deviations_beside(path: &Path, one: &Performer) -> Option<PathBuf> {
     let is_known = one.poses.iter().any(|pose| pose.deviations().is_some());
     is_known.then(|| path.with_extension("sd.csv"))

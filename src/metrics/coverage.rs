@@ -22,7 +22,7 @@ pub struct CoverageSums {
 }
 
 impl CoverageSums {
-    /// Adds the errors of the coordinates of a point, and their standard deviation.
+    /// Adds the errors of a point along each axis, and their standard deviation, in the same unit.
     pub fn add<'e>(&mut self, errors: impl IntoIterator<Item = &'e f64>, deviation: f64) {
         for error in errors {
             self.all += 1;

@@ -68,13 +68,12 @@ pub struct Summary {
     pub notes: Vec<String>,
 }
 
-/// How far joint centres may be from the true ones: standard deviations along each axis, over all joints and
-/// poses.
+/// Percentiles of the standard deviations of the joint centres along an axis, over all joints and poses.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct DeviationPercentiles {
     /// Their median, millimetres.
     pub median_mm: f64,
-    /// Nineteen of twenty are smaller than this, millimetres.
+    /// Their 95th percentile, millimetres.
     pub p95_mm: f64,
 }
 

@@ -88,7 +88,7 @@ impl KeypointOffsets {
         Self(metres.map(|coordinate| coordinate / UNIT))
     }
 
-    /// The size of the symmetric offsets along an axis, metres; as the prior has it where none were found.
+    /// Root mean square of the symmetric coordinates, metres; 12 mm, the scale of the prior, if all are 0.
     pub fn root_mean_square(&self) -> f64 {
         let square: f64 = self.0[..SYMMETRIC_OFFSETS].iter().map(|offset| offset * offset).sum();
         let square = if square == 0.0 { 1.0 } else { square / SYMMETRIC_OFFSETS as f64 };

@@ -70,8 +70,7 @@ impl TrackingState {
     }
 }
 
-/// The standard deviation of the error of each joint centre, metres: of each of its three coordinates in
-/// the world.
+/// The standard deviation of the error of each joint centre along each axis of the world, metres.
 pub type JointDeviations = [f64; JOINTS];
 
 /// A pose at a capture time.
@@ -91,7 +90,7 @@ pub struct StampedPose {
     pub provisional: bool,
     /// Revision: counts up with each new pose of the same capture time.
     pub revision: u32,
-    /// How far its joint centres may be from the true ones; `None` where that is not known.
+    /// The standard deviations of its joint centres; `None` where they are not known.
     pub deviations: Option<JointDeviations>,
 }
 

@@ -33,7 +33,7 @@ struct Memory {
     equations: NormalEquations,
     /// Factor of the damped Hessian.
     factor: Cholesky,
-    /// Whether it was made for the last problem.
+    /// Whether the factor is of the last problem.
     has_factor: bool,
     /// Damping of the factor.
     damping: f64,
@@ -99,7 +99,7 @@ impl Optimiser for LevenbergMarquardt {
         summary
     }
 
-    /// Of the last factor. Its damping is small after a successful step.
+    /// From the last factor, whose damping is small after a successful step.
     fn inverse_block(&self, block: usize) -> Option<Vec<f32>> {
         let memory = self.memory.as_ref().filter(|memory| memory.has_factor)?;
         Some(memory.factor.inverse_block(block))

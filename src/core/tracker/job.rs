@@ -196,7 +196,7 @@ pub struct Tracked {
     pub keyframes: Vec<TimedKeyframe>,
     /// Poses at the job's times.
     pub poses: Vec<Pose>,
-    /// How far the joint centres may be from the true ones at the job's `publish`.
+    /// The standard deviations of the joint centres at the job's `publish`.
     pub deviations: Option<JointDeviations>,
     /// The pose at its end.
     pub newest: Pose,

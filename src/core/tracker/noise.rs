@@ -82,8 +82,8 @@ impl Noise {
         self.relative
     }
 
-    /// The variance of a coordinate of a detection of confidence 1, square pixels: of errors that are
-    /// normally distributed with their median. Of `usual_px` before the first window.
+    /// The variance along an axis of a detection of confidence 1, square pixels, for normally distributed
+    /// errors with the measured median; before the first window the median is `usual_px`.
     pub(super) fn variance_px(&self, usual_px: f64) -> f64 {
         let (square, confidence) = match self.windows > 0.0 {
             true => (self.square, self.confidence),

@@ -90,7 +90,7 @@ pub struct Tracker {
     pub(super) jobs: u64,
     /// Number of the open window.
     pub(super) window: u64,
-    /// Those at the start of the open window, if it follows a tracked one.
+    /// Standard deviations of the joint centres at the start of the open window, if it follows a tracked one.
     pub(super) deviations: Option<JointDeviations>,
     /// Keyframes of the open window that are not final.
     pub(super) ahead: Vec<TimedKeyframe>,

@@ -1,5 +1,4 @@
-//! What files with a skin and an animation share: the skin of a body that stands on the floor, and the keys of its
-//! joints.
+//! The skin and the keys of an animation, for glTF and USD.
 
 use nalgebra::Vector3;
 

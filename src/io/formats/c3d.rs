@@ -1,7 +1,9 @@
 //! Writes C3D files of markers: millimetres, y up.
 //!
-//! A file has a header of one block of 512 bytes, blocks of parameters in groups, and frames of x, y, z and a fourth number
-//! for each marker: 0, or -1 where it is not known. All numbers are little endian.
+//! A file has a header of 512 bytes, then parameters in groups, then the frames. A frame has four numbers for each
+//! marker: x, y, z, and 0, or -1 if its place is not known. All numbers are little endian.
+//!
+//! Source: the C3D file format user guide, c3d.org.
 
 use std::io::Write;
 use std::path::Path;
@@ -13,13 +15,13 @@ use crate::io::new_file::NewFile;
 const BLOCK: usize = 512;
 /// The parameters begin in the second block.
 const PARAMETERS: u8 = 2;
-/// What the header begins with.
+/// The second byte of the header and of the parameters.
 const MAGIC: u8 = 0x50;
-/// Little endian.
+/// The number of processors that are little endian.
 const INTEL: u8 = 84;
-/// The scale of floating point frames.
+/// A negative scale says that frames have floating point numbers.
 const SCALE: f32 = -1.0;
-/// Most bytes of a text: a length has one byte.
+/// Most bytes of a text.
 const LONGEST: usize = 127;
 
 /// Writes markers over time. Frames count from 1.
@@ -37,7 +39,7 @@ pub fn write_c3d(path: &Path, markers: &Markers) -> Result<(), ExportError> {
     }
     let written = || {
         let count = u8::try_from(names.len()).map_err(std::io::Error::other)?;
-        // Their size does not depend on where the frames begin.
+        // The size of the parameters does not depend on the block of the first frame.
         let blocks = parameters(markers, count, 0).len() / BLOCK;
         let first = u16::from(PARAMETERS) + blocks as u16;
         let mut new = NewFile::create(path)?;
@@ -62,7 +64,7 @@ pub fn write_c3d(path: &Path, markers: &Markers) -> Result<(), ExportError> {
     written().map_err(ExportError::write(path))
 }
 
-/// Frames as the header has them: it cannot count further than 65,535; the parameters can.
+/// The number of frames in the header, at most 65,535; the group TRIAL has the whole number.
 fn last_frame(markers: &Markers) -> u16 {
     u16::try_from(markers.frames.len()).unwrap_or(u16::MAX)
 }

@@ -62,17 +62,21 @@ fn path_of(joint: Joint) -> String {
     }
 }
 
-fn list<T: Display>(items: impl IntoIterator<Item = T>) -> String {
-    let mut text = String::from("[");
+/// The items with commas between them.
+fn joined<T: Display>(items: impl IntoIterator<Item = T>) -> String {
+    let mut text = String::new();
     for (index, item) in items.into_iter().enumerate() {
         let _ = write!(text, "{}{item}", if index > 0 { ", " } else { "" });
     }
-    text + "]"
+    text
+}
+
+fn list<T: Display>(items: impl IntoIterator<Item = T>) -> String {
+    format!("[{}]", joined(items))
 }
 
 fn tuple<T: Display>(items: impl IntoIterator<Item = T>) -> String {
-    let list = list(items);
-    format!("({})", &list[1..list.len() - 1])
+    format!("({})", joined(items))
 }
 
 fn point(point: &Vector3<f64>) -> String {
@@ -95,10 +99,10 @@ fn header(Description { name, fps, timecode }: &Description, keys: &Keys) -> Str
     )
 }
 
-/// The skeleton, still open for its animation.
+/// The skeleton; its animation and its closing brace follow.
 fn bones(skeleton: &Skeleton, skin: &Skin) -> String {
     let moved = |by: &Vector3<f64>| {
-        format!("((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), ({}, 1))", tuple_inside(by))
+        format!("((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), ({}, 1))", joined(by.iter()))
     };
     let rest = |joint: Joint| match joint {
         Joint::Pelvis => moved(&skin.joints[0]),
@@ -114,16 +118,11 @@ fn bones(skeleton: &Skeleton, skin: &Skin) -> String {
     )
 }
 
-fn tuple_inside(at: &Vector3<f64>) -> String {
-    let [x, y, z] = [at.x, at.y, at.z];
-    format!("{x}, {y}, {z}")
-}
-
 fn joints() -> String {
     list(Joint::ALL.map(|joint| format!("\"{}\"", path_of(joint))))
 }
 
-/// Writes the animation inside the skeleton: of each joint its place in its parent, and its rotation.
+/// Writes the animation inside the skeleton: for each joint its place in its parent and its rotation.
 fn animation(
     file: &mut impl std::io::Write,
     skeleton: &Skeleton,
@@ -136,7 +135,7 @@ fn animation(
     writeln!(file, "            uniform token[] joints = {joints}")?;
     writeln!(file, "            half3[] scales = {ones}")?;
     // Only the pelvis moves in its parent.
-    let others = list(Joint::ALL[1..].iter().map(|&joint| point(skeleton.offset(joint))));
+    let others = joined(Joint::ALL[1..].iter().map(|&joint| point(skeleton.offset(joint))));
     let frame = |[seconds]: [f32; 1]| {
         // Times are rounded to f32; frames are whole where the poses are evenly spaced.
         let frame = f64::from(seconds) * fps;
@@ -145,7 +144,7 @@ fn animation(
     writeln!(file, "            float3[] translations.timeSamples = {{")?;
     for (time, position) in keys.times.iter().zip(&keys.positions) {
         let (at, pelvis) = (frame(*time), tuple(position));
-        writeln!(file, "                {at}: [{pelvis}, {}],", &others[1..others.len() - 1])?;
+        writeln!(file, "                {at}: [{pelvis}, {others}],")?;
     }
     writeln!(file, "            }}\n            quatf[] rotations.timeSamples = {{")?;
     for (key, time) in keys.times.iter().enumerate() {

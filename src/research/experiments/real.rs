@@ -46,8 +46,8 @@ pub struct RealScore {
     pub hold_out: Vec<HoldOut>,
     /// Mean of their medians, pixels.
     pub hold_out_px: Option<f64>,
-    /// Whether the points in the held-out cameras are as far from the body as its standard deviations
-    /// and the errors of the detections say; `None` for a method without deviations.
+    /// Share of the points in the held-out cameras within the standard deviations of body and detections;
+    /// `None` for a method without deviations.
     pub coverage: Option<Coverage>,
     /// The distance from the reference, if there is one.
     pub reference: Option<Reference>,
@@ -192,8 +192,8 @@ fn error_in(camera: &Camera, seen: &[Detections], solved: &Solved) -> HoldOut {
     held_out.finish()
 }
 
-/// The standard deviation of the detections of some cameras along an axis, as a part of the performer's
-/// height: of errors that are normally distributed with their median.
+/// The standard deviation along an axis of the detections of some cameras, relative to the performer's
+/// height, for normally distributed errors with the measured median.
 fn relative_error(take: &Take, solved: &Solved, is_meant: impl Fn(usize) -> bool) -> Option<f64> {
     let mut errors = Vec::new();
     for detections in take.frames.iter().filter(|frame| is_meant(frame.camera)) {
@@ -205,8 +205,8 @@ fn relative_error(take: &Take, solved: &Solved, is_meant: impl Fn(usize) -> bool
     Some(median(&errors)? / RAYLEIGH_MEDIAN)
 }
 
-/// Adds the points of a held-out camera to a coverage: their deviation is that of the joint in the image,
-/// and of a detection with that `relative_error`.
+/// Adds the points of a held-out camera to a coverage. The deviation of a point is that of its joint in the
+/// image plus that of a detection, `relative_error`.
 fn cover(
     (camera, seen): &HeldOutCamera,
     solved: &Solved,
@@ -225,7 +225,7 @@ fn cover(
             let joint = Attachment::of(*keypoint).joint.index();
             let Some(point) = body.keypoint(*keypoint) else { continue };
             let Some((_, by_point)) = camera.project_with_jacobian(&point) else { continue };
-            // Of a point that errs alike along all axes.
+            // The error is alike along all axes.
             let scale = by_point.norm() / std::f64::consts::SQRT_2;
             let of_detection = relative_error * found.height_px;
             coverage.add(way, (scale * deviations[joint]).hypot(of_detection));

@@ -15,8 +15,7 @@ use crate::offline::{Located, pose_at};
 pub struct Solved {
     /// The performer's motion.
     pub motion: Motion,
-    /// Of its poses, how far the joint centres may be from the true ones; empty for a method that does not
-    /// tell.
+    /// Standard deviations of the joint centres in each pose; empty for a method without them.
     pub deviations: Vec<Option<JointDeviations>>,
     /// Capture times of the borders between pieces that were solved separately.
     pub borders: Vec<Timestamp>,

@@ -1,10 +1,10 @@
 //! How far the joint centres of a solved window may be from the true ones.
 //!
-//! The curvature of the cost tells how well the detections determine them, if their errors are independent.
-//! They are not: a detector errs alike for a while, and a part of its errors never changes. So the
-//! deviations from the curvature are multiplied, and to their squares is added that of constant errors,
-//! which are as large as the keypoint offsets that were found say. The factors are from the levels of
-//! [`crate::research::synth::Noise`], see docs/results/solver.md.
+//! The curvature of the cost gives standard deviations for errors that are independent from frame to frame.
+//! A detector's errors are not: they change slowly, and a part of them is constant. So the deviations from
+//! the curvature are multiplied by a factor, and a constant error is added. Its size follows from the size
+//! of the keypoint offsets. The factors were chosen at the noise levels of the evaluation, see
+//! docs/results/solver.md.
 
 use super::Solver;
 use super::known::Known;
@@ -14,14 +14,14 @@ use crate::core::tracker::job::Job;
 
 /// Factor of the deviations from the curvature.
 const RANDOM: f64 = 1.75;
-/// Constant error of a joint centre, as a part of the root mean square of the keypoint offsets.
+/// Constant error of a joint centre, relative to the root mean square of the keypoint offsets.
 const CONSTANT: f64 = 0.65;
 /// The error of our model, metres.
 const MODEL_M: f64 = 0.002;
 
 impl Solver {
-    /// The standard deviations of the joint centres at the end of a window's final part, whose keyframes
-    /// were the optimiser's last problem.
+    /// The standard deviations of the joint centres at the end of a window's final part. The window must be
+    /// the last problem of the optimiser.
     pub(super) fn deviations(
         &mut self,
         job: &Job,
