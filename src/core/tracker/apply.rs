@@ -79,6 +79,8 @@ impl Tracker {
         self.publish_keyframe(at, &first, TrackingState::Tracking);
         self.publish_final(at, pose, TrackingState::Tracking, None);
         self.playout.begin_path();
+        // Those of the path before say nothing of this one.
+        self.deviations = None;
         self.phase = Phase::Tracking { past: vec![first], coasted: 0 };
     }
 
