@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use prost_build::Config;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    println!("cargo:rerun-if-changed=schemas");
     println!("cargo:rerun-if-changed=build.rs");
     let out = PathBuf::from(std::env::var("OUT_DIR")?);
     let mut protos: Vec<PathBuf> = std::fs::read_dir("schemas")?
@@ -14,6 +13,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         .collect::<Result<_, std::io::Error>>()?;
     protos.retain(|path| path.extension().is_some_and(|extension| extension == "proto"));
     protos.sort();
+    // Not the folder: it has Python too. For a new schema, touch this file.
+    protos.iter().for_each(|proto| println!("cargo:rerun-if-changed={}", proto.display()));
     for proto in &protos {
         write_descriptor(proto, &out)?;
     }

@@ -14,8 +14,6 @@ use super::retarget_file::{TargetFile, Written};
 use super::retarget_live::{Live, Retargeted};
 use super::terminal::{complain, note, say};
 use crate::core::body::Skeleton;
-use crate::offline::compact_pose::CompactPose;
-use crate::offline::poses::frame_rate;
 use crate::retarget::{Convention, Map, Retarget, RetargetError, Target};
 
 /// Retarget poses to another skeleton, live or from a recording.
@@ -104,8 +102,8 @@ fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Pa
     for Performer { actor, .. } in &performers {
         arguments.overwrite.check(&path_of(out, several.then_some(actor)))?;
     }
-    for Performer { actor, skeleton, poses } in &performers {
-        write(retarget, skeleton, poses, &path_of(out, several.then_some(actor)))?;
+    for one in &performers {
+        write(retarget, one, &path_of(out, several.then_some(&one.actor)))?;
     }
     if damage.is_empty() {
         return Ok(Exit::Done);
@@ -115,13 +113,9 @@ fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Pa
 }
 
 /// Writes the retargeted poses, sorted by capture time.
-fn write(
-    retarget: &mut Retarget,
-    skeleton: &Skeleton,
-    poses: &[CompactPose],
-    out: &Path,
-) -> Result<(), Failure> {
-    let mut file = TargetFile::new(out, Some(frame_rate(poses).unwrap_or(60.0)));
+fn write(retarget: &mut Retarget, one: &Performer, out: &Path) -> Result<(), Failure> {
+    let Performer { skeleton, poses, fps, .. } = one;
+    let mut file = TargetFile::new(out, Some(*fps));
     for pose in poses {
         let figure = retarget.apply(&pose.pose(), skeleton)?;
         file.add(pose.capture, &figure, retarget)?;

@@ -7,7 +7,7 @@ use clap::Args;
 use super::failure::{Exit, Failure};
 use crate::config::{Config, TimecodeConfig};
 use crate::core::time::{Nanos, Timestamp};
-use crate::io::recording::{METADATA, RawEntry, Reader};
+use crate::io::recording::{METADATA, RawEntry, Reader, TAKE};
 use crate::io::timecode::House;
 use crate::io::wire::journal_entry::Input;
 use crate::io::wire::{Journal, KeypointFrame, Pose, Schema, decode};
@@ -56,8 +56,10 @@ impl SpanArguments {
 
 /// The times of a recording.
 pub(super) struct Times {
-    /// Capture time of the first frame or pose.
-    first: Timestamp,
+    /// Capture time of the first frame of the take.
+    pub(super) first: Timestamp,
+    /// Frames per second, where frames can be counted.
+    pub(super) rate: Option<f64>,
     /// The timecode of the settings, or else of those of the recording or its node.
     pub(super) house: Option<House>,
     /// The settings of that timecode.
@@ -72,6 +74,9 @@ impl Times {
         let of = |config: &Config| config.timecode.clone();
         let given = config.map(of).filter(|timecode| timecode.house().is_ok_and(|h| h.is_some()));
         let mut timecode = given.or_else(|| theirs.as_ref().map(of)).unwrap_or_default();
+        // The first pose of a solve may be later than the first frame.
+        let start = reader.metadata().get(TAKE).and_then(|take| take.get("first_capture_time_ns"));
+        let start = start.and_then(|ns| Some(Timestamp::from_ns(ns.parse().ok()?)));
         let mut first = None::<RawEntry>;
         let mut house = timecode.house()?;
         while let Some(entry) = reader.next_raw().transpose()? {
@@ -88,22 +93,31 @@ impl Times {
                 _ => {}
             }
         }
-        Ok(Self { first: first.as_ref().and_then(captured).unwrap_or_default(), house, timecode })
+        let first = start.or_else(|| first.as_ref().and_then(captured)).unwrap_or_default();
+        Ok(Self { first, rate: None, house, timecode })
     }
 
-    /// The capture time of a number of seconds since the first frame, or of a timecode.
+    /// The capture time of a number of seconds or frames since the first frame, or of a timecode.
     fn time(&self, text: &str) -> Result<Timestamp, String> {
         if text.contains(':') {
             let house =
                 self.house.ok_or("give [timecode] in --config, as in config/default.toml")?;
             return house.capture(text, self.first).map_err(|error| error.to_string());
         }
-        match text.parse::<f64>() {
-            Ok(seconds) if (0.0..1e9).contains(&seconds) => {
+        let (number, unit) = match text.strip_suffix('f') {
+            Some(frames) => {
+                let rate =
+                    self.rate.ok_or("give seconds or a timecode; only `export` counts frames")?;
+                (frames.parse::<u32>().map(f64::from).ok(), 1.0 / rate)
+            }
+            None => (text.parse::<f64>().ok(), 1.0),
+        };
+        match number.map(|number| number * unit) {
+            Some(seconds) if (0.0..1e9).contains(&seconds) => {
                 Ok(self.first + Nanos::rounded((seconds * 1e9).round()))
             }
             _ => {
-                Err("give seconds since the first frame, or a timecode such as 01:00:00:00".into())
+                Err("give seconds since the first frame, frames such as 120f, or a timecode such as 01:00:00:00".into())
             }
         }
     }
@@ -155,13 +169,16 @@ mod tests {
     fn times_are_seconds_or_timecodes() {
         let first = Timestamp::from_ns(1_795_252_800_000_000_000);
         let house = House::new("25", "10:00:00:00 at 1795252790.0").ok();
-        let times = Times { first, house, timecode: TimecodeConfig::default() };
+        let (rate, timecode) = (Some(50.0), TimecodeConfig::default());
+        let times = Times { first, rate, house, timecode };
         let after = |text: &str| times.time(text).map(|at| (at - first).ns());
         assert_eq!(after("1.5"), Ok(1_500_000_000));
         assert_eq!(after("10:00:11:05"), Ok(1_200_000_000));
+        assert_eq!(after("75f"), after("1.5"));
         assert!(after("10:00:00:25").is_err() && after("-1").is_err() && after("x").is_err());
+        assert!(after("1.5f").is_err());
         assert!(
-            Times { first, house: None, timecode: TimecodeConfig::default() }
+            Times { house: None, rate: None, ..times }
                 .time("10:00:00:00")
                 .unwrap_err()
                 .contains("[timecode]")

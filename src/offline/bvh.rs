@@ -7,6 +7,7 @@ use super::Error;
 use super::compact_pose::CompactPose;
 use crate::core::body::Skeleton;
 use crate::core::time::{Nanos, Timestamp};
+use crate::io::formats::Style;
 use crate::io::formats::bvh::BvhWriter;
 
 /// Longest total time that is filled in a file, seconds.
@@ -81,13 +82,14 @@ impl BvhFile {
         skeleton: &Skeleton,
         fps: f64,
         start: Option<Timestamp>,
+        style: &Style,
     ) -> Result<Self, Error> {
         let fill = Fill::new(fps);
         let fill = match start {
             Some(start) => fill.from(start),
             None => fill,
         };
-        let writer = BvhWriter::create(path, skeleton, fps)?;
+        let writer = BvhWriter::create(path, skeleton, fps, style)?;
         Ok(Self { writer, fill, last: None, states: States::default() })
     }
 
@@ -113,7 +115,7 @@ impl BvhFile {
 }
 
 /// A frame that repeats another pose.
-const HELD: &str = "held";
+pub(crate) const HELD: &str = "held";
 
 /// The frames of a BVH file as runs with the same state.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -123,7 +125,7 @@ pub(crate) struct States {
 }
 
 impl States {
-    fn add(&mut self, frames: usize, state: &'static str) {
+    pub(crate) fn add(&mut self, frames: usize, state: &'static str) {
         match self.runs.last_mut() {
             _ if frames == 0 => {}
             Some((count, last)) if *last == state => *count += frames,
@@ -190,7 +192,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("gap.bvh");
         let start = Some(Timestamp::default());
-        let mut file = BvhFile::create(&path, &Skeleton::default(), 50.0, start).unwrap();
+        let mut file =
+            BvhFile::create(&path, &Skeleton::default(), 50.0, start, &Style::default()).unwrap();
         let poses = [(3, Tracking), (4, Tracking), (8, Coasting), (9, Lost), (10, Tracking)];
         for (frame, state) in poses {
             file.write(&in_state(frame * 20_000_000, frame as f64, state)).unwrap();

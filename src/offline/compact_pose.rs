@@ -12,7 +12,7 @@ pub(crate) struct CompactPose {
     pub(crate) capture: Timestamp,
     pub(crate) state: TrackingState,
     root_rotation: [f64; 4],
-    root_position: Vector3<f64>,
+    pub(crate) root_position: Vector3<f64>,
     local: [[f32; 4]; BODY_JOINTS],
     deviations: Option<[f32; JOINTS]>,
 }
@@ -20,6 +20,12 @@ pub(crate) struct CompactPose {
 impl CompactPose {
     pub(crate) fn is_tracked(&self) -> bool {
         self.state == TrackingState::Tracking
+    }
+
+    /// The same pose at another time.
+    #[cfg(feature = "cli")]
+    pub(crate) fn at(&self, capture: Timestamp) -> Self {
+        Self { capture, ..self.clone() }
     }
 
     /// The pose, if it was fitted to detections; else `None`.

@@ -3,6 +3,7 @@
 //!
 //! Each is written to a temporary file and renamed, so that a failure leaves no partial file.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -20,7 +21,7 @@ use crate::core::time::Timestamp;
 use crate::core::tracker::Output;
 use crate::diagnose::{CameraCheck, Check, Finding};
 use crate::io::new_file;
-use crate::io::recording::{Provenance, Writer};
+use crate::io::recording::{Provenance, TAKE, Writer};
 use crate::io::report::{
     self, AngleTrack, CameraErrors, Picture, Player, Plot, ReportData, StickFigures, Table, Track,
     WindowRow, stick_figures, write_report,
@@ -164,8 +165,12 @@ impl PoseFile {
         Ok(())
     }
 
-    /// Moves the file to its place.
-    pub(crate) fn finish(self) -> Result<(), Error> {
+    /// Moves the file to its place. `start`: the capture time of the take's first frame.
+    pub(crate) fn finish(mut self, start: Option<Timestamp>) -> Result<(), Error> {
+        if let Some(start) = start {
+            let entry = ("first_capture_time_ns".to_owned(), start.ns().to_string());
+            self.writer.metadata(TAKE, BTreeMap::from([entry]))?;
+        }
         Ok(self.writer.finish()?)
     }
 }

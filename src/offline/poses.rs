@@ -12,6 +12,7 @@ use super::series::{Bin, Mean, Series};
 use super::truth::TruthComparisons;
 use crate::core::body::{JOINTS, Joint, Skeleton};
 use crate::core::time::Timestamp;
+use crate::io::formats::Style;
 use crate::io::report::{PlayerPose, flexion_deg};
 use crate::metrics::statistics::median;
 use crate::metrics::{Distribution, Floor, FootSkate, FootSkateSums, MeanAcceleration};
@@ -161,7 +162,8 @@ impl Poses {
     ) -> Result<(), Error> {
         let head = std::mem::take(&mut self.head);
         let fps = frame_rate(&head).unwrap_or(FALLBACK_FPS);
-        let create = |path: &PathBuf| BvhFile::create(path, skeleton, fps, self.start);
+        let style = Style::default();
+        let create = |path: &PathBuf| BvhFile::create(path, skeleton, fps, self.start, &style);
         let bvh = self.bvh_path.as_ref().map(create).transpose()?;
         let (acceleration, feet) = (MeanAcceleration::new(fps), FootSkateSums::new(fps));
         self.body = Some(Stream { fps, acceleration, feet, floor: Floor::default(), bvh });

@@ -23,6 +23,7 @@ use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
 use crate::core::manifold::Decoder;
 use crate::core::stage::{Input, Performers, Stage};
+use crate::core::time::Timestamp;
 use crate::core::tracker::{FramePeriod, Output, Solver, Tracker};
 use crate::diagnose::Evidence;
 use crate::io::recording::{Provenance, Report};
@@ -140,7 +141,8 @@ pub fn solve_group(
     }
     if let Some(outputs) = outputs {
         output::report(&outputs.folder.file("report.html"), pages, &group, options.performers)?;
-        outputs.file.finish()?;
+        let starts = group.performers.iter().filter_map(|one| one.summary.first_capture_time_ns);
+        outputs.file.finish(starts.min().map(Timestamp::from_ns))?;
     }
     Ok(group)
 }

@@ -7,6 +7,8 @@ use std::process::{Command, Output};
 use bundlemocap::core::body::{Joint, Pose, Shape, Skeleton, StampedPose, TrackingState};
 use bundlemocap::core::random::Draws;
 use bundlemocap::core::time::{Nanos, Timestamp};
+use bundlemocap::io::formats::Trc;
+use bundlemocap::io::formats::bvh::Bvh;
 use bundlemocap::io::recording::{Message, Provenance, Reader, Writer};
 use bundlemocap::io::wire::{self, Topics};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
@@ -44,6 +46,10 @@ impl Place {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(&path, text).unwrap();
         path
+    }
+
+    fn lines(&self, name: &str) -> Vec<String> {
+        fs::read_to_string(self.path(name)).unwrap().lines().map(str::to_owned).collect()
     }
 
     fn run(&self, command: &str) -> Output {
@@ -680,6 +686,82 @@ fn who_enters_late_is_no_failure() {
     let figures: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert!(figures["windows_without_performer"].as_u64().unwrap() > 0, "{figures}");
     assert_eq!(figures["lost"], 0, "{figures}");
+
+    // Frame n of a file is frame n of the video.
+    let first = 240 - figures["frames"].as_u64().unwrap() as usize;
+    assert!((55..=60).contains(&first), "{first}");
+    place.done("export out/poses.mcap --out a.trc --out a.csv --out a.bvh");
+    let trc = Trc::read(&place.path("a.trc")).unwrap();
+    let empty = trc.rows.iter().take_while(|row| row.points.iter().all(Option::is_none)).count();
+    assert_eq!((trc.rows.len(), empty), (240, first));
+    let line = &place.lines("a.csv")[1];
+    assert!(line.starts_with(&format!("{:.6},", first as f64 / 60.0)), "{line}");
+    let bvh = Bvh::parse(&fs::read_to_string(place.path("a.bvh")).unwrap()).unwrap();
+    assert_eq!(bvh.frames(), 240);
+}
+
+#[test]
+fn poses_are_exported_at_another_rate_in_place_and_in_part() {
+    let place = Place::new();
+    walk(&place.path("walk.mcap"), 150, |detections| {
+        if (60..90).contains(&detections.frame) {
+            detections.people.clear();
+        }
+        true
+    });
+    place.done("solve walk.mcap --out solved");
+    let export = |options: &str| {
+        place.done(&format!("export solved/poses.mcap --overwrite {options}"));
+    };
+    let rows = || -> Vec<(f64, String, Vec<f64>)> {
+        let row = |line: &String| {
+            let mut cells = line.split(',');
+            let time = cells.next().unwrap().parse().unwrap();
+            let state = cells.next().unwrap().to_owned();
+            (time, state, cells.take(3).map(|cell| cell.parse().unwrap()).collect())
+        };
+        place.lines("a.csv")[1..].iter().map(row).collect()
+    };
+    export("--out a.csv");
+    let all = rows();
+    let is_lost = |row: &&(f64, String, Vec<f64>)| row.1 == "lost";
+    let lost = all.iter().filter(is_lost).count();
+    assert!(all.len() == 150 && lost > 5, "{} poses, {lost} lost", all.len());
+    export("--out a.csv --start 20f --end 39f --fps 30 --in-place");
+    let part = rows();
+    assert_eq!(part.len(), 10);
+    for (k, (time, _, pelvis)) in part.iter().enumerate() {
+        let whole = &all[20 + 2 * k].2;
+        assert!((time - k as f64 / 30.0).abs() < 2e-6 && pelvis[..] == [0.0, whole[1], 0.0], "{k}");
+    }
+    export("--out a.csv --lost skip");
+    assert_eq!(rows().len(), all.len() - lost);
+    export("--out a.glb --lost mark");
+    let states = place.lines("a.states.csv");
+    let marked = states.iter().filter_map(|line| line.strip_suffix(",lost"));
+    let frames = |run: &str| {
+        let (first, last) = run.split_once(',').unwrap();
+        last.parse::<usize>().unwrap() - first.parse::<usize>().unwrap() + 1
+    };
+    assert_eq!(marked.map(frames).sum::<usize>(), lost);
+    for (options, reason) in [
+        ("--out b.glb --up z", ".glb: --up is for .bvh, .trc, .c3d, .csv"),
+        ("--out b.npz --rest a", ".npz: --rest is for .glb, .usda, .bvh, .csv"),
+        ("--out b.mcap --in-place", "a .mcap holds the whole recording"),
+        ("--out b.csv --start 900f", "no poses are left"),
+        ("--out b.csv --start 1.5f", "frames such as 120f"),
+    ] {
+        place.fails(USAGE, &format!("export solved/poses.mcap {options}"), &[reason]);
+    }
+    // Names that others give to joints are those that retargeting knows.
+    for (names, known) in [("mixamo", "Mixamo"), ("unreal", "Unreal")] {
+        export(&format!("--out named.bvh --rest a --names {names}"));
+        let told = place
+            .run("retarget --skeleton named.bvh --from solved/poses.mcap --out b.bvh --overwrite");
+        let told = String::from_utf8_lossy(&told.stdout).into_owned()
+            + &String::from_utf8_lossy(&told.stderr);
+        assert!(told.contains(&format!("{known} names, 22 joints")), "{told}");
+    }
 }
 
 #[test]

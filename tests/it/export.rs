@@ -4,9 +4,9 @@ use std::path::Path;
 use std::process::Command;
 
 use bundlemocap::core::body::{JOINTS, Joint, Pose, Posture, Shape, Skeleton};
-use bundlemocap::io::formats::Description;
-use bundlemocap::io::formats::bvh::write_bvh;
+use bundlemocap::io::formats::bvh::{BvhWriter, write_bvh};
 use bundlemocap::io::formats::gltf::write_glb;
+use bundlemocap::io::formats::{Description, JointNames, RestPose, Style, Unit, Up};
 use bundlemocap::io::report::{
     AngleTrack, CameraErrors, Picture, ReportData, StickFigures, Table, WindowRow, flexion_deg,
     stick_figures, write_report,
@@ -101,6 +101,41 @@ fn another_parser_finds_the_same_joint_positions() {
     assert!(worst * 10.0 < 1.0, "{} mm", worst * 10.0);
 }
 
+/// An A-pose with z up, in metres, with Unreal's names.
+#[test]
+fn another_parser_finds_the_same_places_in_another_style() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("styled.bvh");
+    let skeleton = Skeleton::default();
+    let mut style = Style::new(RestPose::A, Up::Z);
+    (style.names, style.unit) = (JointNames::Unreal, Some(Unit::M));
+    let poses = [&[RestPose::A.pose()][..], &motion(&skeleton)].concat();
+    let mut writer = BvhWriter::create(&path, &skeleton, 20.0, &style).unwrap();
+    poses.iter().for_each(|pose| writer.write(pose).unwrap());
+    writer.finish().unwrap();
+    let Some(lines) = read_elsewhere(&path) else {
+        crate::support::skipped("python3 with the package bvh (pip install bvh) is not there");
+        return;
+    };
+    let names: Vec<&str> = lines[0].split(' ').skip(2).collect();
+    for (line, pose) in lines[1..].iter().zip(&poses) {
+        let values: Vec<f64> = line.split(' ').map(|value| value.parse().unwrap()).collect();
+        let places = pose.posture(&skeleton).positions;
+        for (name, at) in names.iter().zip(values.chunks_exact(3)) {
+            let joint = Joint::ALL.into_iter().find(|joint| style.names.of(*joint) == *name);
+            // (x, y, z) of ours is (y, z, x) of the file.
+            let truth = places[joint.unwrap().index()];
+            let far = nalgebra::Vector3::new(at[1], at[2], at[0]) - truth;
+            assert!(far.norm() < 1e-4, "{name}: {far}");
+        }
+    }
+    // All rotations of the first frame are zero.
+    let text = std::fs::read_to_string(&path).unwrap();
+    let first = text.lines().skip_while(|line| !line.starts_with("Frame Time")).nth(1).unwrap();
+    let mut numbers = first.split(' ').skip(3).map(|value| value.parse::<f64>().unwrap());
+    assert!(numbers.all(|degrees| degrees.abs() < 1e-4), "{first}");
+}
+
 #[test]
 fn bvh_angles_have_no_jumps() {
     let folder = tempfile::tempdir().unwrap();
@@ -139,7 +174,8 @@ fn a_file_is_written_completely_or_not_at_all() {
     assert!(error.contains("frame rate 0 is not valid"), "{error}");
 
     let glb = folder.path().join("a \"b\".glb");
-    let mut about = Description { name: "a \"b\"", fps: 60.0, timecode: None };
+    let style = Style::default();
+    let mut about = Description { name: "a \"b\"", fps: 60.0, timecode: None, style: &style };
     let timed = poses.map(|pose| (0.0, pose));
     let error = write_glb(&glb, &about, &Skeleton::default(), timed).unwrap_err().to_string();
     assert!(error.contains("pose 1") && !glb.exists(), "{error}");

@@ -466,7 +466,8 @@ assert not any("rotation" in node for node in nodes)
 # A T-pose that faces +z and stands on y = 0.
 for side, sign in (("l", 1), ("r", -1)):
     shoulder, wrist, ankle, foot = (rest[f"{side}_{part}"] for part in ("shoulder", "wrist", "ankle", "foot"))
-    assert abs(wrist[1] - shoulder[1]) < 0.02 and sign * (wrist[0] - shoulder[0]) > 0.4, (shoulder, wrist)
+    arm, slope = wrist - shoulder, {"t": 0, "a": 1}[sys.argv[4]]
+    assert abs(arm[1] + slope * abs(arm[0])) < 0.03 and sign * arm[0] > 0.3, arm
     assert foot[2] - ankle[2] > 0.08 and 0.02 < ankle[1] < 0.15, (ankle, foot)
 
 skin, primitive = gltf["skins"][0], gltf["meshes"][0]["primitives"][0]
@@ -518,7 +519,8 @@ skin = cache.GetSkinningQuery(prim("Skin"))
 names = [path.split("/")[-1] for path in skeleton.GetJointOrder()]
 places = lambda transforms: np.array(transforms)[:, 3, :3]
 rest = dict(zip(names, places(skeleton.ComputeJointSkelTransforms(Usd.TimeCode.Default(), True))))
-assert abs(rest["l_wrist"][1] - rest["l_shoulder"][1]) < 0.02 and rest["l_wrist"][0] > 0.6, rest
+arm, slope = rest["l_wrist"] - rest["l_shoulder"], {"t": 0, "a": 1}[sys.argv[4]]
+assert abs(arm[1] + slope * arm[0]) < 0.03 and arm[0] > 0.3, rest
 points = UsdGeom.Mesh(prim("Skin")).GetPointsAttr().Get()
 assert abs(np.array(points)[:, 1].min()) < 1e-6
 
@@ -629,23 +631,23 @@ fn exported_files_have_the_poses_on_a_true_rest_pose() {
     }
     let folder = tempfile::tempdir().unwrap();
     let file = |ending: &str| folder.path().join(format!("walk.{ending}"));
-    let (out, glb) = (folder.path().join("out"), file("glb"));
+    let (out, glb, usd) = (folder.path().join("out"), file("glb"), file("usda"));
     let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
     let program = || Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
     check(&program().arg("solve").arg(&walk).arg("--out").arg(&out).output().unwrap());
     let poses = out.join("poses.mcap");
-    check(&program().arg("export").arg(&poses).arg("--out").arg(&glb).output().unwrap());
-    let read = Command::new("python3").args(["-c", GLTF]).args([&glb, &poses]).arg("60").output();
-    let read = read.unwrap();
-    check(&read);
-    assert_eq!(String::from_utf8_lossy(&read.stdout), "240\n");
-
-    let usd = file("usda");
-    check(&program().arg("export").arg(&poses).arg("--out").arg(&usd).output().unwrap());
-    let read = Command::new("python3").args(["-c", USD]).args([&usd, &poses]).arg("60").output();
-    let read = read.unwrap();
-    check(&read);
-    assert_eq!(String::from_utf8_lossy(&read.stdout), "240\n");
+    for (rest, (script, path)) in
+        ["t", "a"].into_iter().flat_map(|rest| [(rest, (GLTF, &glb)), (rest, (USD, &usd))])
+    {
+        let mut export = program();
+        export.arg("export").arg(&poses).arg("--out").arg(path);
+        check(&export.args(["--rest", rest, "--overwrite"]).output().unwrap());
+        let mut read = Command::new("python3");
+        let read = read.args(["-c", script]).args([path, &poses]).args(["60", rest]).output();
+        let read = read.unwrap();
+        check(&read);
+        assert_eq!(String::from_utf8_lossy(&read.stdout), "240\n");
+    }
 
     let tables = ["npz", "csv", "trc", "c3d"].map(file);
     let mut export = program();

@@ -2,7 +2,8 @@
 
 use nalgebra::Vector3;
 
-use crate::core::body::{JOINTS, Mesh, Pose, Skeleton};
+use super::style::Style;
+use crate::core::body::{JOINTS, Joint, Mesh, Pose, Skeleton};
 use crate::core::so3;
 
 /// Most joints that move a vertex.
@@ -21,22 +22,31 @@ pub struct Description<'a> {
     pub fps: f64,
     /// Timecode and its rate at 0 seconds, such as `01:00:00:00 25`.
     pub timecode: Option<String>,
+    /// Its rest pose and the names of its joints; its axes and unit are those of the format.
+    pub style: &'a Style,
 }
 
-/// The skin of a body that stands on y = 0.
+/// The skin of a body in the rest pose of a file; it stands on y = 0.
 pub(super) struct Skin {
     pub(super) vertices: Vec<Vector3<f64>>,
     pub(super) joints: [Vector3<f64>; JOINTS],
 }
 
 impl Skin {
-    pub(super) fn of(skeleton: &Skeleton) -> Self {
-        let mut vertices = Mesh::template().rest(skeleton);
+    pub(super) fn of(skeleton: &Skeleton, style: &Style) -> Self {
+        let (mesh, rest) = (Mesh::template(), style.rest());
+        let mut vertices = mesh.posed(&mesh.rest(skeleton), skeleton, &rest);
         let lowest = vertices.iter().map(|vertex| vertex.y).fold(0.0, f64::min);
         let up = Vector3::new(0.0, -lowest, 0.0);
         vertices.iter_mut().for_each(|vertex| *vertex += up);
-        let joints = Pose::rest().posture(skeleton).positions.map(|joint| joint + up);
+        let joints = rest.posture(skeleton).positions.map(|joint| joint + up);
         Self { vertices, joints }
+    }
+
+    /// The place of a joint from its parent; that of the pelvis is in the world.
+    pub(super) fn offset(&self, joint: Joint) -> Vector3<f64> {
+        let parent = joint.parent().map(|parent| self.joints[parent.index()]);
+        self.joints[joint.index()] - parent.unwrap_or_default()
     }
 
     pub(super) fn normals(&self) -> Vec<Vector3<f64>> {
@@ -85,10 +95,11 @@ impl Keys {
     pub(super) fn of(
         poses: impl IntoIterator<Item = (f64, Pose)>,
         period: f64,
+        style: &Style,
     ) -> Result<Self, usize> {
         let mut keys = Self::default();
         for (frame, (seconds, pose)) in poses.into_iter().enumerate() {
-            let time = seconds as f32;
+            let (time, pose) = (seconds as f32, style.pose(&pose));
             let position: [f32; 3] = pose.root_position.map(|metres| metres as f32).into();
             let turns = std::iter::once(&pose.root_rotation).chain(&pose.local);
             let turns = turns.map(|turn| so3::xyzw_from_rotation(turn).map(|number| number as f32));
@@ -138,7 +149,8 @@ mod tests {
     #[test]
     fn keys_turn_the_short_way_and_hold_before_a_gap() {
         let turns = (0..72).map(|k| (f64::from(k) * 0.1, turned(10.0 * f64::from(k))));
-        let keys = Keys::of(turns, 0.1).unwrap();
+        let style = Style::default();
+        let keys = Keys::of(turns, 0.1, &style).unwrap();
         assert_eq!(keys.times.len(), 72);
         for pair in keys.rotations[0].windows(2) {
             let dot: f32 = pair[0].iter().zip(&pair[1]).map(|(a, b)| a * b).sum();
@@ -146,12 +158,14 @@ mod tests {
         }
         // A gap, a pose that comes twice, and one that goes back.
         let at = [0.0, 0.1, 0.5, 0.5, 0.3, 0.6];
-        let keys = Keys::of(at.map(|seconds| (seconds, turned(100.0 * seconds))), 0.1).unwrap();
+        let turns = at.map(|seconds| (seconds, turned(100.0 * seconds)));
+        let keys = Keys::of(turns, 0.1, &style).unwrap();
         let times: Vec<f32> = keys.times.iter().map(|[time]| *time).collect();
         assert_eq!(times, [0.0, 0.1, 0.4, 0.5, 0.6]);
         assert_eq!(keys.rotations[0][1], keys.rotations[0][2]);
         let far = Pose { root_position: Vector3::repeat(1e39), ..Pose::rest() };
-        assert_eq!(Keys::of([(0.0, Pose::rest()), (0.1, far)], 0.1).err(), Some(1));
+        let far = Keys::of([(0.0, Pose::rest()), (0.1, far)], 0.1, &style);
+        assert_eq!(far.err(), Some(1));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Writes C3D files of markers: millimetres, y up.
+//! Writes C3D files of markers.
 //!
 //! A file has a header of 512 bytes, then parameters in groups, then the frames. A frame has four numbers for each
 //! marker: x, y, z, and 0, or -1 if its place is not known. All numbers are little endian.
@@ -8,7 +8,10 @@
 use std::io::Write;
 use std::path::Path;
 
+use nalgebra::{Vector3, Vector4};
+
 use super::ExportError;
+use super::Up;
 use super::trc::Markers;
 use crate::io::new_file::NewFile;
 
@@ -29,11 +32,11 @@ const LONGEST: usize = 127;
 /// # Errors
 /// The disk is full, the rate is not above 0, a place is not finite, or there are more than 255 markers.
 pub fn write_c3d(path: &Path, markers: &Markers) -> Result<(), ExportError> {
-    let Markers { fps, names, frames } = markers;
+    let Markers { fps, unit, names, frames, .. } = markers;
     if !(fps.is_finite() && *fps > 0.0) {
         return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
     }
-    let is_finite = |at: &nalgebra::Vector3<f64>| at.iter().all(|metres| metres.is_finite());
+    let is_finite = |at: &Vector3<f64>| at.iter().all(|metres| metres.is_finite());
     if let Some(frame) = frames.iter().position(|row| !row.iter().flatten().all(is_finite)) {
         return Err(ExportError::NotFinite { path: path.into(), frame });
     }
@@ -48,12 +51,12 @@ pub fn write_c3d(path: &Path, markers: &Markers) -> Result<(), ExportError> {
         file.write_all(&parameters(markers, count, first))?;
         for places in *frames {
             for place in places {
-                let [x, y, z, known] = match place {
-                    Some(at) => [at.x, at.y, at.z, 0.0],
-                    None => [0.0, 0.0, 0.0, -1e-3],
+                let numbers = match place {
+                    Some(at) => (at / unit.metres()).push(0.0),
+                    None => Vector4::new(0.0, 0.0, 0.0, -1.0),
                 };
-                for number in [x, y, z, known] {
-                    file.write_all(&((1e3 * number) as f32).to_le_bytes())?;
+                for number in &numbers {
+                    file.write_all(&(*number as f32).to_le_bytes())?;
                 }
             }
         }
@@ -83,7 +86,7 @@ fn header(markers: &Markers, count: u8, first_block: u16) -> [u8; BLOCK] {
 }
 
 fn parameters(markers: &Markers, count: u8, first_block: u16) -> Vec<u8> {
-    let Markers { fps, names, frames } = markers;
+    let Markers { fps, unit, up, names, frames } = markers;
     let (fps, all) = (*fps as f32, frames.len() as u32);
     let mut group = Groups::default();
     group.begin("POINT");
@@ -94,9 +97,10 @@ fn parameters(markers: &Markers, count: u8, first_block: u16) -> Vec<u8> {
     group.integer("FRAMES", last_frame(markers));
     group.texts("LABELS", names);
     group.texts("DESCRIPTIONS", &vec![String::new(); names.len()]);
-    group.text("UNITS", "mm");
-    group.text("X_SCREEN", "+X");
-    group.text("Y_SCREEN", "+Y");
+    group.text("UNITS", &unit.to_string());
+    // The axis to the right, seen from the front, and the one that is up.
+    group.text("X_SCREEN", if *up == Up::Z { "+Y" } else { "+X" });
+    group.text("Y_SCREEN", &format!("+{}", up.to_string().to_uppercase()));
     group.begin("ANALOG");
     group.integer("USED", 0);
     group.begin("FORCE_PLATFORM");

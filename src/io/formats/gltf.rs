@@ -1,6 +1,7 @@
-//! Writes glTF 2.0 binary files (.glb): metres, y up, +z forward, T-pose at zero rotation with the feet on y = 0.
+//! Writes glTF 2.0 binary files (.glb): metres, y up, +z forward; at zero rotation the body stands with its
+//! feet on y = 0, in a T-pose or an A-pose.
 //!
-//! Each holds the skin of the body, its skeleton with the names of our joints, and one animation with a key for each
+//! Each holds the skin of the body, its skeleton, and one animation with a key for each
 //! pose.
 
 use std::io::{Error, Write};
@@ -11,6 +12,7 @@ use serde_json::{Value, json};
 
 use super::ExportError;
 use super::animation::{Description, Keys, Skin, joint_weights};
+use super::style::JointNames;
 use crate::core::body::{JOINTS, Joint, Mesh, Pose, Skeleton};
 use crate::io::new_file::NewFile;
 
@@ -36,16 +38,17 @@ pub fn write_glb(
     skeleton: &Skeleton,
     poses: impl IntoIterator<Item = (f64, Pose)>,
 ) -> Result<usize, ExportError> {
-    let Description { name, fps, timecode } = about;
+    let Description { name, fps, timecode, style } = about;
     if !(fps.is_finite() && *fps > 0.0) {
         return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
     }
-    let keys = Keys::of(poses, 1.0 / fps)
+    let keys = Keys::of(poses, 1.0 / fps, style)
         .map_err(|frame| ExportError::NotFinite { path: path.into(), frame })?;
-    let (count, mut buffer, skin) = (keys.times.len(), Buffer::default(), Skin::of(skeleton));
+    let (count, mut buffer, skin) =
+        (keys.times.len(), Buffer::default(), Skin::of(skeleton, style));
     let primitive = primitive(&skin, &mut buffer);
     let binds = buffer.floats("MAT4", &inverse_binds(&skin), None);
-    let mut nodes = bones(skeleton, &skin);
+    let mut nodes = bones(&skin, style.names);
     nodes.push(json!({ "name": name, "mesh": 0, "skin": 0 }));
     let mut json = json!({
         "asset": {
@@ -71,13 +74,10 @@ pub fn write_glb(
 }
 
 /// The nodes of the joints.
-fn bones(skeleton: &Skeleton, skin: &Skin) -> Vec<Value> {
+fn bones(skin: &Skin, names: JointNames) -> Vec<Value> {
     let bone = |joint: Joint| {
-        let place = match joint {
-            Joint::Pelvis => &skin.joints[0],
-            _ => skeleton.offset(joint),
-        };
-        let mut node = json!({ "name": joint.name(), "translation": place.as_slice() });
+        let place = skin.offset(joint);
+        let mut node = json!({ "name": names.of(joint), "translation": place.as_slice() });
         let children = Joint::ALL.into_iter().filter(|child| child.parent() == Some(joint));
         let children: Vec<usize> = children.map(Joint::index).collect();
         if !children.is_empty() {

@@ -16,6 +16,7 @@ pub mod gltf;
 pub mod npz;
 mod point_names;
 pub mod pose_table;
+mod style;
 pub mod trc;
 pub mod usd;
 
@@ -29,6 +30,7 @@ pub use animation::Description;
 pub use detections::{
     CameraReport, DetectionFolder, DetectionOptions, FolderMatch, MatchedBy, PointOrder,
 };
+pub use style::{JointNames, RestPose, Style};
 pub use trc::{Trc, TrcError};
 
 use crate::core::camera::CameraError;

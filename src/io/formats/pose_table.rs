@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::core::body::{JOINTS, Joint, JointDeviations, Pose, Skeleton, TrackingState};
 use crate::core::so3;
-use crate::io::formats::ExportError;
+use crate::io::formats::{ExportError, Style};
 use crate::io::new_file;
 
 /// A pose of a file.
@@ -21,25 +21,29 @@ pub struct TimedPose {
 }
 
 /// Writes a line for each pose: `time_s`, `state` (tracking, coasting, lost), then for each joint its place in the
-/// world (`pelvis_x`, `_y`, `_z`; metres, y up), its rotation (`pelvis_qx`, `_qy`, `_qz`, `_qw`): of the
+/// world (`pelvis_x`, `_y`, `_z`; metres), its rotation (`pelvis_qx`, `_qy`, `_qz`, `_qw`): of the
 /// pelvis in the world, of the others in their parents, and the standard deviation of its place along each
-/// axis (`pelvis_sd`; metres, empty where it is not known). All rotations are zero in a T-pose that faces +z.
+/// axis (`pelvis_sd`; metres, empty where it is not known). The axes, the names of the joints and the pose in
+/// which all rotations are zero are those of the style.
 ///
 /// # Errors
 /// The disk is full.
 pub fn write_csv(
     path: &Path,
     skeleton: &Skeleton,
+    style: &Style,
     poses: impl IntoIterator<Item = TimedPose>,
 ) -> Result<(), ExportError> {
+    let skeleton = style.skeleton(skeleton);
     let of = |joint: Joint| {
         let columns = ["x", "y", "z", "qx", "qy", "qz", "qw", "sd"];
-        columns.map(|column| format!("{}_{column}", joint.name()))
+        columns.map(|column| format!("{}_{column}", style.names.of(joint)))
     };
     let header = ["time_s", "state"].map(str::to_owned);
     let header = header.into_iter().chain(Joint::ALL.into_iter().flat_map(of)).collect();
     let row = |TimedPose { time, state, pose, deviations }: TimedPose| {
-        let places = pose.posture(skeleton).positions;
+        let pose = style.pose(&pose);
+        let places = pose.posture(&skeleton).positions;
         let turns = std::iter::once(&pose.root_rotation).chain(&pose.local);
         let joints = places.iter().zip(turns).zip(deviation_cells(deviations.as_ref()));
         let joints = joints.flat_map(|((at, turn), deviation)| {

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector3;
 use thiserror::Error;
 
-use super::ExportError;
 use super::point_names::keypoint_of;
+use super::{ExportError, Unit, Up};
 use crate::core::detections::Keypoint;
 use crate::io::new_file;
 
@@ -159,18 +159,22 @@ fn row(line: usize, text: &str, markers: usize, metres: f64) -> Result<TrcRow, T
 pub struct Markers<'a> {
     /// Frame rate, hertz.
     pub fps: f64,
+    /// The unit of the file.
+    pub unit: Unit,
+    /// The axis of the places that points up.
+    pub up: Up,
     /// Names without tabs.
     pub names: &'a [String],
-    /// Frames, evenly spaced: each marker's place in metres, y up; `None` where it is not known.
+    /// Frames, evenly spaced: each marker's place in metres; `None` where it is not known.
     pub frames: &'a [Vec<Option<Vector3<f64>>>],
 }
 
-/// Writes a TRC file in metres. Frames count from 1, times from 0.
+/// Writes a TRC file. Frames count from 1, times from 0.
 ///
 /// # Errors
 /// The disk is full, the rate is not above 0, or a place is not finite.
 pub fn write_trc(path: &Path, markers: &Markers) -> Result<(), ExportError> {
-    let Markers { fps, names, frames } = markers;
+    let Markers { fps, unit, names, frames, .. } = markers;
     if !(fps.is_finite() && *fps > 0.0) {
         return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
     }
@@ -179,7 +183,7 @@ pub fn write_trc(path: &Path, markers: &Markers) -> Result<(), ExportError> {
     let mut text = format!(
         "PathFileType\t4\t(X/Y/Z)\t{file}\n\
          DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n\
-         {rate}\t{rate}\t{count}\t{of_names}\tm\t{rate}\t1\t{count}\nFrame#\tTime\t{}\n\t",
+         {rate}\t{rate}\t{count}\t{of_names}\t{unit}\t{rate}\t1\t{count}\nFrame#\tTime\t{}\n\t",
         names.join("\t\t\t")
     );
     for marker in 1..=of_names {
@@ -191,6 +195,7 @@ pub fn write_trc(path: &Path, markers: &Markers) -> Result<(), ExportError> {
         for place in places {
             match place {
                 Some(at) if at.iter().all(|value| value.is_finite()) => {
+                    let at = at / unit.metres();
                     text += &format!("\t{:.6}\t{:.6}\t{:.6}", at.x, at.y, at.z);
                 }
                 Some(_) => return Err(ExportError::NotFinite { path: path.into(), frame }),

@@ -1,4 +1,5 @@
-//! Writes USD as text (.usda): metres, y up, +z forward, T-pose at zero rotation with the feet on y = 0.
+//! Writes USD as text (.usda): metres, y up, +z forward; at zero rotation the body stands with its
+//! feet on y = 0, in a T-pose or an A-pose.
 //!
 //! Each file holds one `SkelRoot` with the skin, the skeleton and the animation of a performer. A time code is a frame.
 
@@ -10,6 +11,7 @@ use nalgebra::Vector3;
 
 use super::ExportError;
 use super::animation::{Description, INFLUENCES, Keys, Skin, joint_weights};
+use super::style::JointNames;
 use crate::core::body::{Joint, Mesh, Pose, Skeleton};
 use crate::io::new_file::NewFile;
 
@@ -25,19 +27,19 @@ pub fn write_usda(
     skeleton: &Skeleton,
     poses: impl IntoIterator<Item = (f64, Pose)>,
 ) -> Result<usize, ExportError> {
-    let Description { name, fps, .. } = about;
+    let Description { name, fps, style, .. } = about;
     if !(fps.is_finite() && *fps > 0.0) {
         return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
     }
-    let keys = Keys::of(poses, 1.0 / fps)
+    let keys = Keys::of(poses, 1.0 / fps, style)
         .map_err(|frame| ExportError::NotFinite { path: path.into(), frame })?;
     let written = || {
         let mut new = NewFile::create(path)?;
         let mut file = std::io::BufWriter::new(new.file());
-        let skin = Skin::of(skeleton);
+        let (skin, joints) = (Skin::of(skeleton, style), joints(style.names));
         write!(file, "{}", header(about, &keys))?;
-        write!(file, "{}", bones(skeleton, &skin))?;
-        animation(&mut file, skeleton, &keys, *fps)?;
+        write!(file, "{}", bones(&skin, &joints))?;
+        animation(&mut file, &skin, &joints, &keys, *fps)?;
         writeln!(file, "    }}\n{}}}", surface(&skin, &identifier(name)))?;
         file.flush()?;
         drop(file);
@@ -55,10 +57,11 @@ fn identifier(name: &str) -> String {
 }
 
 /// The path of a joint from the pelvis.
-fn path_of(joint: Joint) -> String {
+fn path_of(joint: Joint, names: JointNames) -> String {
+    let name = identifier(names.of(joint));
     match joint.parent() {
-        None => joint.name().to_owned(),
-        Some(parent) => format!("{}/{}", path_of(parent), joint.name()),
+        None => name,
+        Some(parent) => format!("{}/{name}", path_of(parent, names)),
     }
 }
 
@@ -83,7 +86,7 @@ fn point(point: &Vector3<f64>) -> String {
     tuple(point.iter().map(|&metres| metres as f32))
 }
 
-fn header(Description { name, fps, timecode }: &Description, keys: &Keys) -> String {
+fn header(Description { name, fps, timecode, .. }: &Description, keys: &Keys) -> String {
     let last = keys.times.last().map_or(0.0, |[seconds]| f64::from(*seconds) * fps);
     let timecode = timecode.as_ref().map_or_else(String::new, |timecode| {
         format!("    customLayerData = {{\n        string timecode = {timecode:?}\n    }}\n")
@@ -100,42 +103,37 @@ fn header(Description { name, fps, timecode }: &Description, keys: &Keys) -> Str
 }
 
 /// The skeleton; its animation and its closing brace follow.
-fn bones(skeleton: &Skeleton, skin: &Skin) -> String {
+fn bones(skin: &Skin, joints: &str) -> String {
     let moved = |by: &Vector3<f64>| {
         format!("((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), ({}, 1))", joined(by.iter()))
     };
-    let rest = |joint: Joint| match joint {
-        Joint::Pelvis => moved(&skin.joints[0]),
-        _ => moved(skeleton.offset(joint)),
-    };
     format!(
         "    def Skeleton \"Skeleton\" (\n        prepend apiSchemas = [\"SkelBindingAPI\"]\n    )\n    {{\n        \
-         uniform matrix4d[] bindTransforms = {}\n        uniform token[] joints = {}\n        \
+         uniform matrix4d[] bindTransforms = {}\n        uniform token[] joints = {joints}\n        \
          uniform matrix4d[] restTransforms = {}\n        rel skel:animationSource = <Animation>\n",
         list(skin.joints.iter().map(moved)),
-        joints(),
-        list(Joint::ALL.map(rest))
+        list(Joint::ALL.map(|joint| moved(&skin.offset(joint))))
     )
 }
 
-fn joints() -> String {
-    list(Joint::ALL.map(|joint| format!("\"{}\"", path_of(joint))))
+fn joints(names: JointNames) -> String {
+    list(Joint::ALL.map(|joint| format!("\"{}\"", path_of(joint, names))))
 }
 
 /// Writes the animation inside the skeleton: for each joint its place in its parent and its rotation.
 fn animation(
     file: &mut impl std::io::Write,
-    skeleton: &Skeleton,
+    skin: &Skin,
+    joints: &str,
     keys: &Keys,
     fps: f64,
 ) -> std::io::Result<()> {
-    let joints = joints();
     let ones = list(Joint::ALL.map(|_| "(1, 1, 1)"));
     writeln!(file, "\n        def SkelAnimation \"Animation\"\n        {{")?;
     writeln!(file, "            uniform token[] joints = {joints}")?;
     writeln!(file, "            half3[] scales = {ones}")?;
     // Only the pelvis moves in its parent.
-    let others = joined(Joint::ALL[1..].iter().map(|&joint| point(skeleton.offset(joint))));
+    let others = joined(Joint::ALL[1..].iter().map(|&joint| point(&skin.offset(joint))));
     let frame = |[seconds]: [f32; 1]| {
         // Times are rounded to f32; frames are whole where the poses are evenly spaced.
         let frame = f64::from(seconds) * fps;

@@ -35,5 +35,8 @@ pub use writer::{Provenance, Writer};
 
 /// Name of our metadata record.
 pub const METADATA: &str = "bundlemocap";
+/// Name of the metadata record of a solve that has the capture time of the take's first frame as
+/// `first_capture_time_ns`: the first pose may be later.
+pub const TAKE: &str = "bundlemocap.take";
 /// Longest record, packed or unpacked, that is read into memory, bytes.
 const RECORD_LIMIT: usize = 64 << 20;

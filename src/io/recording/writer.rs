@@ -305,6 +305,19 @@ impl Writer {
         self.mcap.flush().map_err(|error| write_error(&self.path, error))
     }
 
+    /// Writes another metadata record.
+    ///
+    /// # Errors
+    /// As [`Writer::write`].
+    pub fn metadata(
+        &mut self,
+        name: &str,
+        metadata: BTreeMap<String, String>,
+    ) -> Result<(), RecordError> {
+        let record = Metadata { name: name.into(), metadata };
+        self.mcap.write_metadata(&record).map_err(|error| write_error(&self.path, error))
+    }
+
     /// Completes the recording and moves it to its path.
     ///
     /// # Errors

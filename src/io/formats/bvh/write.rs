@@ -1,6 +1,6 @@
-//! Writes BVH: centimetres, y up, +z forward, T-pose at zero rotation.
+//! Writes BVH: by default centimetres, y up, +z forward, T-pose at zero rotation.
 //!
-//! The format stores neither unit nor axes; these are what importers assume. The order of rotation
+//! The format stores neither unit nor axes; the defaults are what importers assume. The order of rotation
 //! channels is Z, X, Y: the local rotation is Rz(a) Rx(b) Ry(c).
 
 use std::fmt::Write as _;
@@ -12,19 +12,20 @@ use super::motion_file::MotionFile;
 use crate::core::body::{Attachment, JOINTS, Joint, Pose, Skeleton};
 use crate::core::detections::Keypoint;
 use crate::core::so3;
-use crate::io::formats::ExportError;
+use crate::io::formats::{ExportError, Style, Unit};
 
-const CENTIMETRES: f64 = 100.0;
 /// Length from wrist to knuckles, divided by the length of the forearm.
 const HAND: f64 = 0.33;
 /// Axes of the rotation channels.
 const ZXY: [usize; 3] = [2, 0, 1];
+
 /// Writes poses of one skeleton, one by one, at a constant frame rate.
 ///
 /// The file appears at its path when [`BvhWriter::finish`] succeeds, and not before.
 #[derive(Debug)]
 pub struct BvhWriter {
     file: MotionFile,
+    style: Style,
     /// The last written angles by joint, so that the next ones continue without jumps of 360
     /// degrees.
     last: [[f64; 3]; JOINTS],
@@ -35,9 +36,14 @@ impl BvhWriter {
     ///
     /// # Errors
     /// The folder is not writable, or `fps` is not above 0.
-    pub fn create(path: &Path, skeleton: &Skeleton, fps: f64) -> Result<Self, ExportError> {
-        let file = MotionFile::create(path, &hierarchy(skeleton), fps)?;
-        Ok(Self { file, last: [[0.0; 3]; JOINTS] })
+    pub fn create(
+        path: &Path,
+        skeleton: &Skeleton,
+        fps: f64,
+        style: &Style,
+    ) -> Result<Self, ExportError> {
+        let file = MotionFile::create(path, &hierarchy(skeleton, style), fps)?;
+        Ok(Self { file, style: style.clone(), last: [[0.0; 3]; JOINTS] })
     }
 
     /// Adds a frame.
@@ -45,12 +51,13 @@ impl BvhWriter {
     /// # Errors
     /// The disk is full, or the pose has a value that is not finite.
     pub fn write(&mut self, pose: &Pose) -> Result<(), ExportError> {
-        let position = pose.root_position * CENTIMETRES;
+        let pose = self.style.pose(pose);
+        let position = pose.root_position / unit(&self.style);
         let mut line = format!("{:.4} {:.4} {:.4}", position.x, position.y, position.z);
         let mut finite = position.iter().all(|c| c.is_finite());
         for &joint in &hierarchy_order() {
             let angles = &mut self.last[joint.index()];
-            *angles = so3::angles(local(pose, joint), ZXY, *angles);
+            *angles = so3::angles(local(&pose, joint), ZXY, *angles);
             finite &= angles.iter().all(|a| a.is_finite());
             for angle in angles {
                 // Writing into a string cannot fail.
@@ -69,7 +76,7 @@ impl BvhWriter {
     }
 }
 
-/// Writes all poses to `path`; see [`BvhWriter`].
+/// Writes all poses to `path`, in the default style; see [`BvhWriter`].
 ///
 /// # Errors
 /// See [`BvhWriter`].
@@ -79,7 +86,7 @@ pub fn write_bvh<'a>(
     fps: f64,
     poses: impl IntoIterator<Item = &'a Pose>,
 ) -> Result<(), ExportError> {
-    let mut writer = BvhWriter::create(path, skeleton, fps)?;
+    let mut writer = BvhWriter::create(path, skeleton, fps, &Style::default())?;
     for pose in poses {
         writer.write(pose)?;
     }
@@ -111,33 +118,39 @@ fn children(of: Joint) -> impl Iterator<Item = Joint> {
     Joint::ALL.into_iter().filter(move |joint| joint.parent() == Some(of))
 }
 
-fn hierarchy(skeleton: &Skeleton) -> String {
+/// Metres.
+fn unit(style: &Style) -> f64 {
+    style.unit.unwrap_or(Unit::CM).metres()
+}
+
+fn hierarchy(skeleton: &Skeleton, style: &Style) -> String {
     let mut text = String::from("HIERARCHY\n");
-    add_joint(&mut text, skeleton, Joint::Pelvis, 0);
+    add_joint(&mut text, skeleton, style, Joint::Pelvis, 0);
     text
 }
 
-fn add_joint(text: &mut String, skeleton: &Skeleton, joint: Joint, depth: usize) {
+fn add_joint(text: &mut String, skeleton: &Skeleton, style: &Style, joint: Joint, depth: usize) {
     let tabs = "\t".repeat(depth);
     let (kind, channels) = match joint {
         Joint::Pelvis => ("ROOT", "6 Xposition Yposition Zposition"),
         _ => ("JOINT", "3"),
     };
-    *text += &format!("{tabs}{kind} {}\n{tabs}{{\n", joint.name());
-    *text += &format!("{tabs}\t{}\n", offset_line(skeleton.offset(joint)));
+    *text += &format!("{tabs}{kind} {}\n{tabs}{{\n", style.names.of(joint));
+    let line = |of: Joint, at: &Vector3<f64>| offset_line(&(style.offset(of, at) / unit(style)));
+    let offset = line(joint.parent().unwrap_or(joint), skeleton.offset(joint));
+    *text += &format!("{tabs}\t{offset}\n");
     *text += &format!("{tabs}\tCHANNELS {channels} Zrotation Xrotation Yrotation\n");
     for child in children(joint) {
-        add_joint(text, skeleton, child, depth + 1);
+        add_joint(text, skeleton, style, child, depth + 1);
     }
     if let Some(end) = end_site(skeleton, joint) {
         *text += &format!("{tabs}\tEnd Site\n{tabs}\t{{\n");
-        *text += &format!("{tabs}\t\t{}\n{tabs}\t}}\n", offset_line(&end));
+        *text += &format!("{tabs}\t\t{}\n{tabs}\t}}\n", line(joint, &end));
     }
     *text += &format!("{tabs}}}\n");
 }
 
-fn offset_line(metres: &Vector3<f64>) -> String {
-    let at = metres * CENTIMETRES;
+fn offset_line(at: &Vector3<f64>) -> String {
     format!("OFFSET {:.5} {:.5} {:.5}", at.x, at.y, at.z)
 }
 
@@ -166,7 +179,7 @@ mod tests {
         );
         order.sort();
         assert_eq!(order, Joint::ALL);
-        let text = hierarchy(&Skeleton::default());
+        let text = hierarchy(&Skeleton::default(), &Style::default());
         assert_eq!((text.matches("JOINT").count(), text.matches("End Site").count()), (21, 5));
     }
 }

@@ -1,33 +1,35 @@
 //! `bundlemocap export`
 
+mod files;
+mod options;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
+use self::options::{Lost, Options};
 use super::Ended;
 use super::failure::{Exit, Failure};
 use super::overwrite::{Overwrite, is_same_file};
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
-use crate::core::body::{Attachment, Joint, Pose, Skeleton, TrackingState};
-use crate::core::detections::{Keypoint, KeypointFormat};
-use crate::core::time::Timestamp;
-use crate::io::formats::c3d::write_c3d;
-use crate::io::formats::gltf::write_glb;
-use crate::io::formats::npz::write_npz;
-use crate::io::formats::pose_table::{TimedPose, write_csv, write_deviations};
-use crate::io::formats::trc::{Markers, write_trc};
-use crate::io::formats::usd::write_usda;
-use crate::io::formats::{Description, ExportError};
+use crate::core::body::Skeleton;
+use crate::core::time::{Nanos, Timestamp};
+use crate::io::formats::Style;
 #[cfg(feature = "view")]
 use crate::io::new_file;
 use crate::io::recording::{Message, Reader};
 use crate::io::wire::Topic;
-use crate::offline::bvh::{BvhFile, Fill};
 use crate::offline::compact_pose::CompactPose;
-use crate::offline::output::{strip, text};
 use crate::offline::poses::frame_rate;
+
+/// Files begin at the take's first frame if it is at most this long before the first pose, seconds.
+const LONGEST_LEAD_S: f64 = 600.0;
+/// A time this near to a frame is that of the frame, periods.
+const ON_FRAME: f64 = 0.01;
+/// Frame rate of a single pose, hertz.
+const FALLBACK_FPS: f64 = 60.0;
 
 /// Write the poses of a solved recording for other tools.
 #[derive(Debug, Args)]
@@ -42,16 +44,19 @@ The ending of each file chooses the format:
   .npz    rotation vectors of SMPL's joints with AMASS's fields; metres, z up
   .svg    a picture: a row of stick figures
   .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
-In all but .npz y is up; with all rotations zero the body is a T-pose that faces +z. In .glb,
-.usda and .csv times are since the first pose of any performer. In .bvh, .trc, .c3d and .npz frames
-are evenly spaced, from the performer's own first pose on. In a gap .bvh and .npz repeat the last
-pose, for at most ten minutes in all; .trc and .c3d are empty there, and where the performer is
-lost. Beside .trc and .c3d a .sd.csv has the standard deviations of the joint centres.
+In all but .npz y is up, if --up does not say z. With all rotations zero the body is a T-pose that
+faces +z. Frames and times count from the first frame of the take, or from --start: frame n of
+.bvh, .trc, .c3d, .npz and .usda is frame n of the video, if the cameras run at the rate of the
+poses. Before a performer's first pose and in a gap .bvh and .npz repeat a pose, for at most ten
+minutes in all; .trc and .c3d are empty there, and where the performer is lost. Beside .trc and
+.c3d a .sd.csv has the standard deviations of the joint centres, metres.
 
 Examples:
   bundlemocap export out/poses.mcap --out take1.glb
   bundlemocap export out/poses.mcap --out take1.glb --out take1.bvh --out take1.svg
   bundlemocap export out/poses.mcap --out cut.bvh --start 01:00:10:00 --end 01:00:20:00
+  bundlemocap export out/poses.mcap --out cut.bvh --start 240f --end 479f --fps 30 --in-place
+  bundlemocap export out/poses.mcap --out ue.glb --rest a --names unreal
   bundlemocap export both/poses.mcap --out take1.glb             take1.p1.glb, take1.p2.glb
   bundlemocap export both/poses.mcap --out take1.glb --actor p2  take1.glb
   bundlemocap export take.mcap --out take.foxglove.mcap          its keypoints and cameras")]
@@ -75,6 +80,8 @@ pub(super) struct Arguments {
     actor: Option<String>,
     #[command(flatten)]
     overwrite: Overwrite,
+    #[command(flatten)]
+    options: Options,
     /// Export the true poses of a synthetic recording instead.
     #[arg(long)]
     truth: bool,
@@ -103,16 +110,13 @@ enum Format {
     Mcap,
 }
 
-/// Writes a file of one performer; returns what it holds.
-type WriteOne = fn(&Path, &Performer, &Export) -> Result<String, Failure>;
-
 impl Format {
     /// The format that a file's ending names.
     fn of(path: &Path) -> Result<Self, Failure> {
         let ending = path.extension().unwrap_or_default().to_string_lossy();
         Self::from_str(&ending, true).map_err(|_| {
-            let all = Self::value_variants().iter().filter_map(ValueEnum::to_possible_value);
-            let all: Vec<String> = all.map(|value| format!(".{}", value.get_name())).collect();
+            let all = Self::value_variants().iter().map(|format| format!(".{}", format.name()));
+            let all: Vec<String> = all.collect();
             let (path, all) = (path.display(), all.join(", "));
             Failure::new(
                 Exit::Usage,
@@ -121,27 +125,19 @@ impl Format {
         })
     }
 
-    /// `None`: a file holds the whole recording.
-    fn of_one(self) -> Option<WriteOne> {
-        match self {
-            Self::Glb => Some(glb),
-            Self::Usda => Some(usda),
-            Self::Bvh => Some(bvh),
-            Self::Trc => Some(trc),
-            Self::C3d => Some(c3d),
-            Self::Csv => Some(csv),
-            Self::Npz => Some(npz),
-            Self::Svg => Some(svg),
-            Self::Mcap => None,
-        }
+    /// Its name, which is also the ending of its files.
+    fn name(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
     }
 }
 
 /// What the files of all performers share.
 struct Export {
     times: Times,
-    /// The first pose of any performer.
+    /// The time of the first frame.
     start: Timestamp,
+    style: Style,
+    lost: Lost,
     /// Stick figures in a picture.
     figures: usize,
 }
@@ -150,36 +146,38 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let (mut of_one, mut whole) = (Vec::new(), Vec::new());
     for path in &arguments.out {
         let format = arguments.format.map_or_else(|| Format::of(path), Ok)?;
+        arguments.options.check(format)?;
         match format.of_one() {
             Some(write) => of_one.push((path, format, write)),
             None => whole.push(path.clone()),
         }
     }
-    let is_in_part = arguments.truth || arguments.actor.is_some() || arguments.span.is_given();
+    let is_in_part = arguments.truth
+        || arguments.actor.is_some()
+        || arguments.span.is_given()
+        || arguments.options.changes_poses();
     if !whole.is_empty() && is_in_part {
-        let message =
-            "a .mcap holds the whole recording; leave out --actor, --truth, --start and --end";
+        let message = "a .mcap holds the whole recording; leave out --actor, --truth, --start, --end, \
+                       --fps, --in-place and --lost skip";
         return Err(Failure::new(Exit::Usage, message));
     }
-    let times = Times::of(&arguments.file, None)?;
     let mut solved = Solved { performers: Vec::new(), damage: Vec::new() };
+    let (mut times, mut start) = (Times::of(&arguments.file, None)?, Timestamp::default());
     if !of_one.is_empty() {
-        solved = performers(arguments, &times)?;
+        (solved, start) = performers(arguments, &mut times)?;
     }
+    let (style, lost, figures) =
+        (arguments.options.style(), arguments.options.lost, arguments.figures.into());
+    let export = Export { times, start, style, lost, figures };
     let several = solved.performers.len() > 1;
     let (mut files, mut paths) = (Vec::new(), whole.clone());
     for one in &solved.performers {
         for (path, format, write) in &of_one {
             let path = path_of(path, several.then_some(&one.actor));
-            if *format == Format::Bvh
-                && let Some(beside) = times.sidecar(&path)
-            {
-                arguments.overwrite.check(&beside)?;
-            }
-            if matches!(format, Format::Trc | Format::C3d) {
-                // Two files of markers may share it.
-                paths
-                    .extend(deviations_beside(&path, one).filter(|beside| !paths.contains(beside)));
+            for beside in format.beside(&path, one, &export) {
+                if !paths.contains(&beside) {
+                    paths.push(beside);
+                }
             }
             paths.push(path.clone());
             files.push((path, one, write));
@@ -189,28 +187,44 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     for path in whole {
         solved.damage = write_foxglove(&arguments.file, &path)?;
     }
-    let firsts = solved.performers.iter().filter_map(|one| Some(one.poses.first()?.capture));
-    let (start, figures) = (firsts.min().unwrap_or_default(), arguments.figures.into());
-    let export = Export { times, start, figures };
     for (path, one, write) in files {
         say(&format!("{}: {}", path.display(), write(&path, one, &export)?));
     }
     Ok(exit_of(&arguments.file, &solved.damage))
 }
 
-/// The performers who are exported, with the poses that are.
-fn performers(arguments: &Arguments, times: &Times) -> Result<Solved, Failure> {
+/// The performers who are exported, with the poses that are, and the time of the files' first frame: that of
+/// --start or of the take's first frame, on the grid of the poses.
+fn performers(arguments: &Arguments, times: &mut Times) -> Result<(Solved, Timestamp), Failure> {
     let mut solved = read(&arguments.file, arguments.truth, arguments.actor.as_deref())?;
-    if let Some([start, end]) = arguments.span.within(times)? {
+    let poses = |one: &Performer| Some((one.poses.first()?.capture, one.fps));
+    let Some((first, fps)) = solved.performers.iter().filter_map(poses).min_by_key(|one| one.0)
+    else {
+        return Ok((solved, Timestamp::default()));
+    };
+    times.rate = Some(fps);
+    let lead = |start: Timestamp| start.seconds_since(first);
+    let take = Some(times.first).filter(|start| (-LONGEST_LEAD_S..0.0).contains(&lead(*start)));
+    let mut wanted = take.unwrap_or(first);
+    if let Some([from, to]) = arguments.span.within(times)? {
+        let slack = Nanos::rounded(ON_FRAME / fps * 1e9);
         for one in &mut solved.performers {
-            one.poses.retain(|pose| (start..=end).contains(&pose.capture));
+            let is_in = |at: Timestamp| at + slack >= from && at - slack <= to;
+            one.poses.retain(|pose| is_in(pose.capture));
         }
-        solved.performers.retain(|one| !one.poses.is_empty());
-        if solved.performers.is_empty() {
-            return Err(Failure::new(Exit::Usage, "no poses from --start to --end"));
-        }
+        wanted = wanted.max(from);
     }
-    Ok(solved)
+    let frames = (lead(wanted) * fps - ON_FRAME).ceil();
+    let start = first + Nanos::rounded(frames / fps * 1e9);
+    for one in &mut solved.performers {
+        let poses = std::mem::take(&mut one.poses);
+        (one.poses, one.fps) = arguments.options.apply(poses, start, one.fps);
+    }
+    solved.performers.retain(|one| !one.poses.is_empty());
+    if solved.performers.is_empty() {
+        return Err(Failure::new(Exit::Usage, "no poses are left from --start to --end"));
+    }
+    Ok((solved, start))
 }
 
 /// Checks all files before the first is written.
@@ -229,145 +243,6 @@ fn check(paths: &[PathBuf], arguments: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Exit::Usage, message));
     }
     Ok(())
-}
-
-/// Hertz.
-fn rate(one: &Performer) -> f64 {
-    frame_rate(&one.poses).unwrap_or(60.0)
-}
-
-/// The description of a file with a skin and an animation, and its poses with their times, seconds.
-fn animated<'a>(
-    one: &'a Performer,
-    export: &'a Export,
-) -> (Description<'a>, impl Iterator<Item = (f64, Pose)>) {
-    let timecode = export.times.timecode_at(Some(export.start));
-    let seconds = |pose: &CompactPose| pose.capture.seconds_since(export.start);
-    let poses = one.poses.iter().map(move |pose| (seconds(pose), pose.pose()));
-    (Description { name: &one.actor, fps: rate(one), timecode }, poses)
-}
-
-fn glb(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
-    let (about, poses) = animated(one, export);
-    let keys = write_glb(path, &about, &one.skeleton, poses)?;
-    Ok(format!("{keys} keys at {:.2} Hz", about.fps))
-}
-
-fn usda(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
-    let (about, poses) = animated(one, export);
-    let keys = write_usda(path, &about, &one.skeleton, poses)?;
-    Ok(format!("{keys} keys at {:.2} Hz", about.fps))
-}
-
-fn bvh(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
-    let fps = rate(one);
-    let mut file = BvhFile::create(path, &one.skeleton, fps, None)?;
-    one.poses.iter().try_for_each(|pose| file.write(pose))?;
-    let (states, unfilled) = file.finish(path)?;
-    unfilled.into_iter().for_each(|text| complain("note", &text));
-    export.times.beside(path, one.poses.first().map(|pose| pose.capture))?;
-    Ok(format!("{} frames at {fps:.2} Hz", states.frames()))
-}
-
-/// The poses at evenly spaced times; `None` in gaps. Says which gaps are not filled.
-fn evenly<'a>(path: &Path, one: &'a Performer, fps: f64) -> Vec<Option<&'a CompactPose>> {
-    let mut fill = Fill::new(fps);
-    let mut frames = Vec::new();
-    for pose in &one.poses {
-        frames.resize(frames.len() + fill.gap_before(pose.capture), None);
-        frames.push(Some(pose));
-    }
-    fill.note(path).into_iter().for_each(|text| complain("note", &text));
-    frames
-}
-
-fn trc(path: &Path, one: &Performer, _: &Export) -> Result<String, Failure> {
-    markers(path, one, write_trc)
-}
-
-fn c3d(path: &Path, one: &Performer, _: &Export) -> Result<String, Failure> {
-    markers(path, one, write_c3d)
-}
-
-/// Writes the keypoints of the body and the joint centres, and the standard deviations beside them.
-fn markers(
-    path: &Path,
-    one: &Performer,
-    write: fn(&Path, &Markers) -> Result<(), ExportError>,
-) -> Result<String, Failure> {
-    let (fps, body) = (rate(one), &one.skeleton);
-    let mut points: Vec<Keypoint> = Vec::new();
-    for point in KeypointFormat::ALL.iter().flat_map(|format| format.keypoints()) {
-        if !points.contains(point) {
-            points.push(*point);
-        }
-    }
-    let of_point = |point: &Keypoint| match point {
-        Keypoint::HeadTop => "Head".to_owned(),
-        Keypoint::MidHip => "Hip".to_owned(),
-        point => format!("{point:?}"),
-    };
-    let of_joints = Joint::ALL.into_iter().map(|joint| format!("{}_jc", joint.name()));
-    let names: Vec<String> = points.iter().map(of_point).chain(of_joints).collect();
-    let places = |pose: &CompactPose| {
-        let posture = pose.pose().posture(body);
-        let of_points = points.iter().map(|point| Attachment::of(*point).position(&posture, body));
-        of_points.chain(posture.positions).map(Some).collect::<Vec<_>>()
-    };
-    let is_known = |pose: &&CompactPose| pose.state != TrackingState::Lost;
-    let poses = evenly(path, one, fps);
-    let frames: Vec<_> = (poses.iter())
-        .map(|pose| pose.filter(is_known).map_or_else(|| vec![None; names.len()], places))
-        .collect();
-    write(path, &Markers { fps, names: &names, frames: &frames })?;
-    let mut about = format!("{} frames at {fps:.2} Hz, {} markers", frames.len(), names.len());
-    if let Some(beside) = deviations_beside(path, one) {
-        write_deviations(
-            &beside,
-            fps,
-            poses.iter().map(|pose| pose.and_then(CompactPose::deviations)),
-        )?;
-        about += &format!("; standard deviations in {}", beside.display());
-    }
-    Ok(about)
-}
-
-/// The file of the standard deviations beside a file of markers, if any are known.
-fn deviations_beside(path: &Path, one: &Performer) -> Option<PathBuf> {
-    let is_known = one.poses.iter().any(|pose| pose.deviations().is_some());
-    is_known.then(|| path.with_extension("sd.csv"))
-}
-
-/// A pose as files have it.
-fn timed(time: f64, pose: &CompactPose) -> TimedPose {
-    TimedPose { time, state: pose.state, pose: pose.pose(), deviations: pose.deviations() }
-}
-
-fn csv(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
-    let seconds = |pose: &CompactPose| pose.capture.seconds_since(export.start);
-    let poses = one.poses.iter().map(|pose| timed(seconds(pose), pose));
-    write_csv(path, &one.skeleton, poses)?;
-    Ok(format!("{} poses", one.poses.len()))
-}
-
-fn npz(path: &Path, one: &Performer, _: &Export) -> Result<String, Failure> {
-    let fps = rate(one);
-    let mut poses: Vec<TimedPose> = Vec::new();
-    for (frame, pose) in evenly(path, one, fps).into_iter().enumerate() {
-        let time = frame as f64 / fps;
-        let repeated = || {
-            let last = poses.last().cloned()?;
-            Some(TimedPose { time, state: TrackingState::Lost, deviations: None, ..last })
-        };
-        poses.extend(pose.map(|pose| timed(time, pose)).or_else(repeated));
-    }
-    write_npz(path, fps, &one.skeleton, &poses)?;
-    Ok(format!("{} frames at {fps:.2} Hz", poses.len()))
-}
-
-fn svg(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
-    text(path, &strip(&one.poses, &one.skeleton, export.figures))?;
-    Ok(format!("{} stick figures", export.figures))
 }
 
 /// `take1.p1.bvh` for `take1.bvh` of the performer p1; the path itself if there is only one performer.
@@ -435,6 +310,8 @@ pub(super) struct Performer {
     pub(super) skeleton: Skeleton,
     /// Sorted by capture time, one per time.
     pub(super) poses: Vec<CompactPose>,
+    /// Frames per second.
+    pub(super) fps: f64,
 }
 
 /// The poses of a solved recording, or the true ones of a synthetic recording; of one performer, if one
@@ -462,7 +339,8 @@ pub(super) fn read(file: &Path, truth: bool, actor: Option<&str>) -> Result<Solv
     }
     let whole = |(actor, (skeleton, mut poses)): (String, (Option<_>, Vec<_>))| {
         in_order(&mut poses);
-        (!poses.is_empty()).then_some(Performer { actor, skeleton: skeleton?, poses })
+        let fps = frame_rate(&poses).unwrap_or(FALLBACK_FPS);
+        (!poses.is_empty()).then_some(Performer { actor, skeleton: skeleton?, poses, fps })
     };
     let mut performers: Vec<Performer> = found.into_iter().filter_map(whole).collect();
     if performers.is_empty() {

@@ -1,0 +1,209 @@
+//! Writes the poses of one performer in each format.
+
+use std::path::{Path, PathBuf};
+
+use super::options::Lost;
+use super::{Export, Format, Performer};
+use crate::cli::failure::Failure;
+use crate::cli::terminal::complain;
+use crate::core::body::{Attachment, Joint, Pose, TrackingState};
+use crate::core::detections::{Keypoint, KeypointFormat};
+use crate::io::formats::c3d::write_c3d;
+use crate::io::formats::gltf::write_glb;
+use crate::io::formats::npz::write_npz;
+use crate::io::formats::pose_table::{TimedPose, write_csv, write_deviations};
+use crate::io::formats::trc::{Markers, write_trc};
+use crate::io::formats::usd::write_usda;
+use crate::io::formats::{Description, ExportError, Unit};
+use crate::offline::bvh::{BvhFile, Fill, HELD, States};
+use crate::offline::compact_pose::CompactPose;
+use crate::offline::output::{strip, text};
+
+/// Writes a file of one performer; returns what it holds.
+pub(super) type WriteOne = fn(&Path, &Performer, &Export) -> Result<String, Failure>;
+
+impl Format {
+    /// `None`: a file holds the whole recording.
+    pub(super) fn of_one(self) -> Option<WriteOne> {
+        match self {
+            Self::Glb => Some(glb),
+            Self::Usda => Some(usda),
+            Self::Bvh => Some(bvh),
+            Self::Trc => Some(trc),
+            Self::C3d => Some(c3d),
+            Self::Csv => Some(csv),
+            Self::Npz => Some(npz),
+            Self::Svg => Some(svg),
+            Self::Mcap => None,
+        }
+    }
+
+    /// The files that come beside a file of this format. Two files may share them.
+    pub(super) fn beside(self, path: &Path, one: &Performer, export: &Export) -> Vec<PathBuf> {
+        let is_animation = matches!(self, Self::Bvh | Self::Glb | Self::Usda);
+        let is_marked = is_animation && export.lost == Lost::Mark;
+        let has_deviations = matches!(self, Self::Trc | Self::C3d) && has_deviations(one);
+        let timecode = (self == Self::Bvh).then(|| export.times.sidecar(path)).flatten();
+        let states = is_marked.then(|| path.with_extension(STATES));
+        let deviations = has_deviations.then(|| path.with_extension(DEVIATIONS));
+        timecode.into_iter().chain(states).chain(deviations).collect()
+    }
+}
+
+/// Endings of the files beside others.
+const STATES: &str = "states.csv";
+const DEVIATIONS: &str = "sd.csv";
+
+/// The description of a file with a skin and an animation, and its poses with their times, seconds.
+fn animated<'a>(
+    one: &'a Performer,
+    export: &'a Export,
+) -> (Description<'a>, impl Iterator<Item = (f64, Pose)>) {
+    let timecode = export.times.timecode_at(Some(export.start));
+    let seconds = |pose: &CompactPose| pose.capture.seconds_since(export.start);
+    let poses = one.poses.iter().map(move |pose| (seconds(pose), pose.pose()));
+    let (name, fps, style) = (&*one.actor, one.fps, &export.style);
+    (Description { name, fps, timecode, style }, poses)
+}
+
+fn glb(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    let (about, poses) = animated(one, export);
+    let keys = write_glb(path, &about, &one.skeleton, poses)?;
+    mark(path, one, export)?;
+    Ok(format!("{keys} keys at {:.2} Hz", about.fps))
+}
+
+fn usda(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    let (about, poses) = animated(one, export);
+    let keys = write_usda(path, &about, &one.skeleton, poses)?;
+    mark(path, one, export)?;
+    Ok(format!("{keys} keys at {:.2} Hz", about.fps))
+}
+
+fn bvh(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    let (fps, start) = (one.fps, Some(export.start));
+    let mut file = BvhFile::create(path, &one.skeleton, fps, start, &export.style)?;
+    one.poses.iter().try_for_each(|pose| file.write(pose))?;
+    let (states, unfilled) = file.finish(path)?;
+    unfilled.into_iter().for_each(|text| complain("note", &text));
+    export.times.beside(path, start)?;
+    mark(path, one, export)?;
+    Ok(format!("{} frames at {fps:.2} Hz", states.frames()))
+}
+
+/// Writes beside an animation which of its frames are lost, if that is asked for.
+fn mark(path: &Path, one: &Performer, export: &Export) -> Result<(), Failure> {
+    if export.lost == Lost::Mark {
+        let mut states = States::default();
+        for pose in evenly(path, one, export) {
+            states.add(1, pose.map_or(HELD, |pose| pose.state.name()));
+        }
+        text(&path.with_extension(STATES), &states.csv())?;
+    }
+    Ok(())
+}
+
+/// The poses at evenly spaced times from the start; `None` in gaps. Says which gaps are not filled.
+fn evenly<'a>(path: &Path, one: &'a Performer, export: &Export) -> Vec<Option<&'a CompactPose>> {
+    let mut fill = Fill::new(one.fps).from(export.start);
+    let mut frames = Vec::new();
+    for pose in &one.poses {
+        frames.resize(frames.len() + fill.gap_before(pose.capture), None);
+        frames.push(Some(pose));
+    }
+    fill.note(path).into_iter().for_each(|text| complain("note", &text));
+    frames
+}
+
+fn trc(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    markers(path, one, export, Unit::M, write_trc)
+}
+
+fn c3d(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    markers(path, one, export, Unit::MM, write_c3d)
+}
+
+/// Writes the keypoints of the body and the joint centres, and the standard deviations beside them.
+fn markers(
+    path: &Path,
+    one: &Performer,
+    export: &Export,
+    usual: Unit,
+    write: fn(&Path, &Markers) -> Result<(), ExportError>,
+) -> Result<String, Failure> {
+    let (fps, body, style) = (one.fps, &one.skeleton, &export.style);
+    let mut points: Vec<Keypoint> = Vec::new();
+    for point in KeypointFormat::ALL.iter().flat_map(|format| format.keypoints()) {
+        if !points.contains(point) {
+            points.push(*point);
+        }
+    }
+    let of_point = |point: &Keypoint| match point {
+        Keypoint::HeadTop => "Head".to_owned(),
+        Keypoint::MidHip => "Hip".to_owned(),
+        point => format!("{point:?}"),
+    };
+    let of_joints = Joint::ALL.into_iter().map(|joint| format!("{}_jc", joint.name()));
+    let names: Vec<String> = points.iter().map(of_point).chain(of_joints).collect();
+    let places = |pose: &CompactPose| {
+        let posture = pose.pose().posture(body);
+        let of_points = points.iter().map(|point| Attachment::of(*point).position(&posture, body));
+        let all = of_points.chain(posture.positions);
+        all.map(|place| Some(style.place(&place))).collect::<Vec<_>>()
+    };
+    let is_known = |pose: &&CompactPose| pose.state != TrackingState::Lost;
+    let poses = evenly(path, one, export);
+    let frames: Vec<_> = (poses.iter())
+        .map(|pose| pose.filter(is_known).map_or_else(|| vec![None; names.len()], places))
+        .collect();
+    let (up, unit) = (style.up, style.unit.unwrap_or(usual));
+    write(path, &Markers { fps, unit, up, names: &names, frames: &frames })?;
+    let mut about = format!("{} frames at {fps:.2} Hz, {} markers", frames.len(), names.len());
+    if has_deviations(one) {
+        let beside = path.with_extension(DEVIATIONS);
+        write_deviations(
+            &beside,
+            fps,
+            poses.iter().map(|pose| pose.and_then(CompactPose::deviations)),
+        )?;
+        about += &format!("; standard deviations in {}", beside.display());
+    }
+    Ok(about)
+}
+
+fn has_deviations(one: &Performer) -> bool {
+    one.poses.iter().any(|pose| pose.deviations().is_some())
+}
+
+/// A pose as files have it.
+fn timed(time: f64, pose: &CompactPose) -> TimedPose {
+    TimedPose { time, state: pose.state, pose: pose.pose(), deviations: pose.deviations() }
+}
+
+fn csv(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    let seconds = |pose: &CompactPose| pose.capture.seconds_since(export.start);
+    let poses = one.poses.iter().map(|pose| timed(seconds(pose), pose));
+    write_csv(path, &one.skeleton, &export.style, poses)?;
+    Ok(format!("{} poses", one.poses.len()))
+}
+
+fn npz(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    let fps = one.fps;
+    let mut poses: Vec<TimedPose> = Vec::new();
+    for (frame, pose) in evenly(path, one, export).into_iter().enumerate() {
+        let time = frame as f64 / fps;
+        let repeated = || {
+            let first = || Some(timed(time, one.poses.first()?));
+            let last = poses.last().cloned().or_else(first)?;
+            Some(TimedPose { time, state: TrackingState::Lost, deviations: None, ..last })
+        };
+        poses.extend(pose.map(|pose| timed(time, pose)).or_else(repeated));
+    }
+    write_npz(path, fps, &one.skeleton, &poses)?;
+    Ok(format!("{} frames at {fps:.2} Hz", poses.len()))
+}
+
+fn svg(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+    text(path, &strip(&one.poses, &one.skeleton, export.figures))?;
+    Ok(format!("{} stick figures", export.figures))
+}
