@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
+use super::WORDS;
 use super::failure::{Exit, Failure};
 use crate::config::Config;
 use crate::io::bus::{self, Bus, Kind};
@@ -87,7 +88,8 @@ impl BusArguments {
 
 /// How others see this program: its name and the command.
 pub(super) fn program() -> String {
-    let words = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned());
+    let words = WORDS.get().into_iter().flatten().skip(1);
+    let words = words.map(|word| word.to_string_lossy().into_owned());
     let command = words.into_iter().find(|word| !word.starts_with('-'));
     format!("{} {}", env!("CARGO_PKG_NAME"), command.unwrap_or_default())
 }

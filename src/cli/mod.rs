@@ -40,7 +40,10 @@ mod train;
 mod view;
 mod wire;
 
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::OnceLock;
 
 use clap::{Parser, Subcommand};
 
@@ -83,9 +86,18 @@ enum Command {
     Completions(completions::Arguments),
 }
 
-/// Parses the arguments, runs the command and returns its exit code.
+/// Runs the command of this process and returns its exit code.
 pub fn main() -> ExitCode {
-    let result = match Arguments::parse().command {
+    ExitCode::from(run_with(std::env::args_os().collect()))
+}
+
+/// The words of the command line: the program, then its arguments.
+static WORDS: OnceLock<Vec<OsString>> = OnceLock::new();
+
+/// Parses the words of a command line, the program first, runs the command and returns its exit code.
+pub fn run_with(words: Vec<OsString>) -> u8 {
+    let words = WORDS.get_or_init(|| words);
+    let result = match Arguments::parse_from(words).command {
         Command::Run(arguments) => run::run(&arguments),
         Command::Doctor(arguments) => doctor::run(&arguments),
         Command::Play(arguments) => play::run(&arguments),
@@ -116,7 +128,14 @@ pub fn main() -> ExitCode {
         terminal::complain("error", &failure.line());
         failure.exit
     });
-    ExitCode::from(exit as u8)
+    exit as u8
+}
+
+/// The path of this program. Where Python runs it, that of its script.
+fn own_path() -> std::io::Result<PathBuf> {
+    let word = WORDS.get().and_then(|words| words.first()).map(Path::new);
+    let script = word.filter(|path| path.is_absolute() && path.is_file());
+    script.map_or_else(std::env::current_exe, |path| Ok(path.to_owned()))
 }
 
 /// The exit code of a command, or why it failed.

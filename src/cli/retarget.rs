@@ -7,13 +7,14 @@ use clap::Args;
 use super::Ended;
 use super::bus::{BusArguments, check_name, open};
 use super::clock::Stop;
-use super::export::{Performer, Solved, path_of, read};
+use super::export::{Solved, path_of, read};
 use super::failure::{Exit, Failure};
 use super::overwrite::{Overwrite, is_same_file};
 use super::retarget_file::{TargetFile, Written};
 use super::retarget_live::{Live, Retargeted};
 use super::terminal::{complain, note, say};
 use crate::core::body::Skeleton;
+use crate::offline::Motion;
 use crate::retarget::{Convention, Map, Retarget, RetargetError, Target};
 
 /// Retarget poses to another skeleton, live or from a recording.
@@ -99,7 +100,7 @@ fn summary(path: &Path, retarget: &Retarget) -> String {
 fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Path) -> Ended {
     let Solved { performers, damage } = read(from, false, arguments.bus.actor())?;
     let several = performers.len() > 1;
-    for Performer { actor, .. } in &performers {
+    for Motion { actor, .. } in &performers {
         arguments.overwrite.check(&path_of(out, several.then_some(actor)))?;
     }
     for one in &performers {
@@ -113,8 +114,8 @@ fn offline(retarget: &mut Retarget, from: &Path, arguments: &Arguments, out: &Pa
 }
 
 /// Writes the retargeted poses, sorted by capture time.
-fn write(retarget: &mut Retarget, one: &Performer, out: &Path) -> Result<(), Failure> {
-    let Performer { skeleton, poses, fps, .. } = one;
+fn write(retarget: &mut Retarget, one: &Motion, out: &Path) -> Result<(), Failure> {
+    let Motion { skeleton, poses, fps, .. } = one;
     let mut file = TargetFile::new(out, Some(*fps));
     for pose in poses {
         let figure = retarget.apply(&pose.pose(), skeleton)?;

@@ -239,7 +239,7 @@ fn people(path: &Path) -> Vec<Drawn> {
         return Vec::new();
     }
     let Ok(solved) = super::export::read(path, false, None) else { return Vec::new() };
-    let drawn = |one: super::export::Performer| {
+    let drawn = |one: crate::offline::Motion| {
         let every = one.poses.len().div_ceil(MAX_PATH);
         let pelvis = |posture: crate::core::body::Posture| posture.positions[Joint::Pelvis.index()];
         let path = one.poses.iter().step_by(every);

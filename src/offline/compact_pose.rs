@@ -33,6 +33,12 @@ impl CompactPose {
         self.is_tracked().then(|| self.pose())
     }
 
+    /// The pose with its time, without its window.
+    pub(crate) fn stamped(&self) -> StampedPose {
+        let stamped = StampedPose::new(self.capture, self.pose(), self.state);
+        StampedPose { deviations: self.deviations(), ..stamped }
+    }
+
     /// The standard deviations of the joint centres, where they are known.
     pub(crate) fn deviations(&self) -> Option<JointDeviations> {
         self.deviations.map(|all| all.map(f64::from))

@@ -23,6 +23,7 @@ mod driver;
 mod error;
 mod first_pass;
 mod hold_out;
+mod motion;
 mod options;
 pub(crate) mod output;
 pub(crate) mod poses;
@@ -41,6 +42,7 @@ pub use first_pass::{
     CameraCorrection, CameraOffset, CheckedCameras, check_cameras, first_pass_settings,
 };
 pub use hold_out::{HeldOut, HoldOut, Located, differences, distances, pose_at};
+pub use motion::{Motion, read_motions};
 pub use options::{Observer, Options};
 pub use recording::Recording;
 pub use reference::{FrameClock, Reference, ReferenceComparison};

@@ -33,10 +33,12 @@ fn table(lib: &str) -> Table {
     all.into_iter().enumerate().map(|(place, name)| (name, place)).collect()
 }
 
+/// The sources of a folder without those of crates of their own.
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let mut found: Vec<_> = fs::read_dir(folder)
         .unwrap()
         .map(|entry| entry.unwrap().path())
+        .filter(|path| !path.join("Cargo.toml").exists())
         .flat_map(|path| if path.is_dir() { sources(&path) } else { vec![path] })
         .filter(|path| path.extension().is_some_and(|extension| extension == "rs"))
         .collect();

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::cli::failure::{Exit, Failure};
+use crate::cli::own_path;
 use crate::config::Config;
 use crate::io::bus::{Bus, open_client};
 use crate::live::{Usage, log};
@@ -50,8 +51,7 @@ impl NodeProcess {
         fs::write(&settings, config.to_toml()).map_err(|error| failed("write settings", error))?;
         let log = File::create(log_path(folder.path()))
             .map_err(|error| failed("write the node's log", error))?;
-        let program =
-            std::env::current_exe().map_err(|error| failed("find this program", error))?;
+        let program = own_path().map_err(|error| failed("find this program", error))?;
         let mut command = Command::new(program);
         if std::env::var_os(log::VARIABLE).is_none() {
             command.env(log::VARIABLE, "warn");

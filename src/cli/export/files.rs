@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::options::Lost;
-use super::{Export, Format, Performer};
+use super::{Export, Format};
 use crate::cli::failure::Failure;
 use crate::cli::terminal::complain;
 use crate::core::body::{Attachment, Joint, Pose, TrackingState};
@@ -15,12 +15,13 @@ use crate::io::formats::pose_table::{TimedPose, write_csv, write_deviations};
 use crate::io::formats::trc::{Markers, write_trc};
 use crate::io::formats::usd::write_usda;
 use crate::io::formats::{Description, ExportError, Unit};
+use crate::offline::Motion;
 use crate::offline::bvh::{BvhFile, Fill, HELD, States};
 use crate::offline::compact_pose::CompactPose;
 use crate::offline::output::{strip, text};
 
 /// Writes a file of one performer; returns what it holds.
-pub(super) type WriteOne = fn(&Path, &Performer, &Export) -> Result<String, Failure>;
+pub(super) type WriteOne = fn(&Path, &Motion, &Export) -> Result<String, Failure>;
 
 impl Format {
     /// `None`: a file holds the whole recording.
@@ -39,7 +40,7 @@ impl Format {
     }
 
     /// The files that come beside a file of this format. Two files may share them.
-    pub(super) fn beside(self, path: &Path, one: &Performer, export: &Export) -> Vec<PathBuf> {
+    pub(super) fn beside(self, path: &Path, one: &Motion, export: &Export) -> Vec<PathBuf> {
         let is_animation = matches!(self, Self::Bvh | Self::Glb | Self::Usda);
         let is_marked = is_animation && export.lost == Lost::Mark;
         let has_deviations = matches!(self, Self::Trc | Self::C3d) && has_deviations(one);
@@ -56,7 +57,7 @@ const DEVIATIONS: &str = "sd.csv";
 
 /// The description of a file with a skin and an animation, and its poses with their times, seconds.
 fn animated<'a>(
-    one: &'a Performer,
+    one: &'a Motion,
     export: &'a Export,
 ) -> (Description<'a>, impl Iterator<Item = (f64, Pose)>) {
     let timecode = export.times.timecode_at(Some(export.start));
@@ -66,21 +67,21 @@ fn animated<'a>(
     (Description { name, fps, timecode, style }, poses)
 }
 
-fn glb(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+fn glb(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     let (about, poses) = animated(one, export);
     let keys = write_glb(path, &about, &one.skeleton, poses)?;
     mark(path, one, export)?;
     Ok(format!("{keys} keys at {:.2} Hz", about.fps))
 }
 
-fn usda(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+fn usda(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     let (about, poses) = animated(one, export);
     let keys = write_usda(path, &about, &one.skeleton, poses)?;
     mark(path, one, export)?;
     Ok(format!("{keys} keys at {:.2} Hz", about.fps))
 }
 
-fn bvh(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+fn bvh(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     let (fps, start) = (one.fps, Some(export.start));
     let mut file = BvhFile::create(path, &one.skeleton, fps, start, &export.style)?;
     one.poses.iter().try_for_each(|pose| file.write(pose))?;
@@ -92,7 +93,7 @@ fn bvh(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure>
 }
 
 /// Writes beside an animation which of its frames are lost, if that is asked for.
-fn mark(path: &Path, one: &Performer, export: &Export) -> Result<(), Failure> {
+fn mark(path: &Path, one: &Motion, export: &Export) -> Result<(), Failure> {
     if export.lost == Lost::Mark {
         let mut states = States::default();
         for pose in evenly(path, one, export) {
@@ -104,7 +105,7 @@ fn mark(path: &Path, one: &Performer, export: &Export) -> Result<(), Failure> {
 }
 
 /// The poses at evenly spaced times from the start; `None` in gaps. Says which gaps are not filled.
-fn evenly<'a>(path: &Path, one: &'a Performer, export: &Export) -> Vec<Option<&'a CompactPose>> {
+fn evenly<'a>(path: &Path, one: &'a Motion, export: &Export) -> Vec<Option<&'a CompactPose>> {
     let mut fill = Fill::new(one.fps).from(export.start);
     let mut frames = Vec::new();
     for pose in &one.poses {
@@ -115,18 +116,18 @@ fn evenly<'a>(path: &Path, one: &'a Performer, export: &Export) -> Vec<Option<&'
     frames
 }
 
-fn trc(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+fn trc(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     markers(path, one, export, Unit::M, write_trc)
 }
 
-fn c3d(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+fn c3d(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     markers(path, one, export, Unit::MM, write_c3d)
 }
 
 /// Writes the keypoints of the body and the joint centres, and the standard deviations beside them.
 fn markers(
     path: &Path,
-    one: &Performer,
+    one: &Motion,
     export: &Export,
     usual: Unit,
     write: fn(&Path, &Markers) -> Result<(), ExportError>,
@@ -171,7 +172,7 @@ fn markers(
     Ok(about)
 }
 
-fn has_deviations(one: &Performer) -> bool {
+fn has_deviations(one: &Motion) -> bool {
     one.poses.iter().any(|pose| pose.deviations().is_some())
 }
 
@@ -180,14 +181,14 @@ fn timed(time: f64, pose: &CompactPose) -> TimedPose {
     TimedPose { time, state: pose.state, pose: pose.pose(), deviations: pose.deviations() }
 }
 
-fn csv(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+fn csv(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     let seconds = |pose: &CompactPose| pose.capture.seconds_since(export.start);
     let poses = one.poses.iter().map(|pose| timed(seconds(pose), pose));
     write_csv(path, &one.skeleton, &export.style, poses)?;
     Ok(format!("{} poses", one.poses.len()))
 }
 
-fn npz(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+fn npz(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     let fps = one.fps;
     let mut poses: Vec<TimedPose> = Vec::new();
     for (frame, pose) in evenly(path, one, export).into_iter().enumerate() {
@@ -203,7 +204,7 @@ fn npz(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure>
     Ok(format!("{} frames at {fps:.2} Hz", poses.len()))
 }
 
-fn svg(path: &Path, one: &Performer, export: &Export) -> Result<String, Failure> {
+fn svg(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     text(path, &strip(&one.poses, &one.skeleton, export.figures))?;
     Ok(format!("{} stick figures", export.figures))
 }

@@ -3,7 +3,7 @@
 mod files;
 mod options;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
@@ -14,22 +14,18 @@ use super::failure::{Exit, Failure};
 use super::overwrite::{Overwrite, is_same_file};
 use super::span::{SpanArguments, Times};
 use super::terminal::{complain, say};
-use crate::core::body::Skeleton;
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::formats::Style;
 #[cfg(feature = "view")]
 use crate::io::new_file;
-use crate::io::recording::{Message, Reader};
-use crate::io::wire::Topic;
-use crate::offline::compact_pose::CompactPose;
-use crate::offline::poses::frame_rate;
+#[cfg(feature = "view")]
+use crate::io::recording::Reader;
+use crate::offline::{Motion, read_motions};
 
 /// Files begin at the take's first frame if it is at most this long before the first pose, seconds.
 const LONGEST_LEAD_S: f64 = 600.0;
 /// A time this near to a frame is that of the frame, periods.
 const ON_FRAME: f64 = 0.01;
-/// Frame rate of a single pose, hertz.
-const FALLBACK_FPS: f64 = 60.0;
 
 /// Write the poses of a solved recording for other tools.
 #[derive(Debug, Args)]
@@ -197,7 +193,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 /// --start or of the take's first frame, on the grid of the poses.
 fn performers(arguments: &Arguments, times: &mut Times) -> Result<(Solved, Timestamp), Failure> {
     let mut solved = read(&arguments.file, arguments.truth, arguments.actor.as_deref())?;
-    let poses = |one: &Performer| Some((one.poses.first()?.capture, one.fps));
+    let poses = |one: &Motion| Some((one.poses.first()?.capture, one.fps));
     let Some((first, fps)) = solved.performers.iter().filter_map(poses).min_by_key(|one| one.0)
     else {
         return Ok((solved, Timestamp::default()));
@@ -299,50 +295,15 @@ fn exit_of(file: &Path, damage: &[String]) -> Exit {
 /// The content of a solved recording.
 pub(super) struct Solved {
     /// By name; at least one.
-    pub(super) performers: Vec<Performer>,
+    pub(super) performers: Vec<Motion>,
     /// Losses of a damaged file.
     pub(super) damage: Vec<String>,
-}
-
-/// The poses of a performer.
-pub(super) struct Performer {
-    pub(super) actor: String,
-    pub(super) skeleton: Skeleton,
-    /// Sorted by capture time, one per time.
-    pub(super) poses: Vec<CompactPose>,
-    /// Frames per second.
-    pub(super) fps: f64,
 }
 
 /// The poses of a solved recording, or the true ones of a synthetic recording; of one performer, if one
 /// is named.
 pub(super) fn read(file: &Path, truth: bool, actor: Option<&str>) -> Result<Solved, Failure> {
-    let mut reader = Reader::open(file)?;
-    let mut found = BTreeMap::<String, (Option<Skeleton>, Vec<CompactPose>)>::new();
-    while let Some(entry) = reader.next() {
-        let entry = entry?;
-        let name = Topic::actor(&entry.topic);
-        let result = match (entry.message, truth) {
-            (Message::Skeleton(wire), false) | (Message::TruthSkeleton(wire), true) => {
-                wire.to_core().map(|body| found.entry(name).or_default().0 = Some(body))
-            }
-            // Final poses replace provisional ones.
-            (Message::Pose(wire), false) if wire.provisional => Ok(()),
-            (Message::Pose(wire), false) | (Message::TruthPose(wire), true) => {
-                wire.to_core().map(|pose| found.entry(name).or_default().1.push((&pose).into()))
-            }
-            _ => Ok(()),
-        };
-        if let Err(error) = result {
-            reader.reject(&entry.topic, &error);
-        }
-    }
-    let whole = |(actor, (skeleton, mut poses)): (String, (Option<_>, Vec<_>))| {
-        in_order(&mut poses);
-        let fps = frame_rate(&poses).unwrap_or(FALLBACK_FPS);
-        (!poses.is_empty()).then_some(Performer { actor, skeleton: skeleton?, poses, fps })
-    };
-    let mut performers: Vec<Performer> = found.into_iter().filter_map(whole).collect();
+    let (mut performers, report) = read_motions(file, truth)?;
     if performers.is_empty() {
         let fix = if truth {
             "only recordings of `bundlemocap synth` have true poses"
@@ -361,33 +322,5 @@ pub(super) fn read(file: &Path, truth: bool, actor: Option<&str>) -> Result<Solv
             return Err(Failure::new(Exit::Usage, message));
         }
     }
-    Ok(Solved { performers, damage: reader.report().losses() })
-}
-
-/// Sorts by capture time and keeps the last of several poses of one time.
-fn in_order(poses: &mut Vec<CompactPose>) {
-    poses.sort_by_key(|pose| pose.capture);
-    poses.dedup_by(|later, kept| {
-        let anew = later.capture == kept.capture;
-        if anew {
-            std::mem::swap(later, kept);
-        }
-        anew
-    });
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::offline::compact_pose::tests::tracked;
-
-    #[test]
-    fn poses_are_put_in_order_and_the_newest_of_a_time_stays() {
-        let mut poses: Vec<CompactPose> = [(30, 1.0), (10, 2.0), (20, 3.0), (10, 4.0), (10, 5.0)]
-            .map(|(ns, x)| tracked(ns, x))
-            .into();
-        in_order(&mut poses);
-        let left = poses.iter().map(|pose| (pose.capture.ns(), pose.pose().root_position.x));
-        assert_eq!(left.collect::<Vec<_>>(), [(10, 5.0), (20, 3.0), (30, 1.0)]);
-    }
+    Ok(Solved { performers, damage: report.losses() })
 }

@@ -1,0 +1,222 @@
+"""2D keypoints of calibrated cameras in, smooth 3D poses out.
+
+The world is right-handed, in metres, y up. Joints are in the order of `JOINTS`. Times are nanoseconds.
+Errors are raised as `Error`, with the file, the field and the fix.
+"""
+
+import os
+from typing import Any, Literal, Self, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "__version__",
+    "Error",
+    "JOINTS",
+    "PARENTS",
+    "FORMATS",
+    "Camera",
+    "Rig",
+    "Keypoints",
+    "Recording",
+    "Motion",
+    "Solved",
+    "Tracker",
+    "Pose",
+    "read_motions",
+    "solve",
+    "main",
+]
+__version__: str
+
+#: Names of the 22 joints.
+JOINTS: list[str]
+#: By joint: the index of its parent; -1 for the pelvis.
+PARENTS: list[int]
+#: By name of a format: the names of its points, in order. Of coco_wholebody_133 the first 23.
+FORMATS: dict[str, list[str]]
+
+_Path = str | os.PathLike[str]
+_Format = Literal["body_25", "body_25b", "coco_17", "halpe_26", "coco_wholebody_133"]
+_State = Literal["tracking", "coasting", "lost"]
+
+class Error(Exception):
+    """Why something cannot be done, and the fix."""
+
+@final
+class Camera:
+    """A calibrated camera. `matrix`: 3 x 3, pixels. `rotation` (3 x 3) and `translation` (3, metres): from the
+    world to the camera, as in OpenCV. `distortion`: OpenCV's 4, 5 or 8 numbers, or 4 of a fisheye."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def size(self) -> tuple[int, int]: ...
+    @property
+    def matrix(self) -> NDArray[np.float64]: ...
+    @property
+    def rotation(self) -> NDArray[np.float64]: ...
+    @property
+    def translation(self) -> NDArray[np.float64]: ...
+    @property
+    def distortion(self) -> NDArray[np.float64]: ...
+    @property
+    def is_fisheye(self) -> bool: ...
+
+    def __new__(
+        cls,
+        name: str,
+        size: tuple[int, int],
+        matrix: NDArray[np.float64],
+        rotation: NDArray[np.float64],
+        translation: NDArray[np.float64],
+        distortion: list[float] | None = None,
+        fisheye: bool = False,
+    ) -> Self: ...
+    def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixels (n x 2) of places (n x 3, metres); NaN where the camera cannot see one."""
+
+@final
+class Rig:
+    """The cameras of a calibration: at least two, with different names."""
+
+    @property
+    def cameras(self) -> list[Camera]: ...
+
+    def __new__(cls, cameras: list[Camera]) -> Self: ...
+    @staticmethod
+    def read(path: _Path, up: str = "auto", unit: str = "auto") -> Rig:
+        """Reads a calibration of any kind that `bundlemocap rig --help` lists. `up`: the axis of its world that
+        points up (x, y, z, -x, -y, -z); `unit`: m, cm, mm, in, ft."""
+    def write(self, path: _Path, up: str = "z") -> None:
+        """Writes TOML in metres, as Pose2Sim has it."""
+
+@final
+class Keypoints:
+    """The detections of one camera. `points`: frames x people x points x 3 numbers, x and y in pixels and the
+    confidence; confidence 0 or NaN: not seen. Where nobody is double, the axis of people may be left out."""
+
+    @property
+    def format(self) -> _Format: ...
+    @property
+    def times_ns(self) -> NDArray[np.int64]: ...
+    @property
+    def points(self) -> NDArray[np.float64]: ...
+
+    def __new__(
+        cls, times_ns: NDArray[np.int64], points: NDArray[np.float64], format: _Format
+    ) -> Self: ...
+
+@final
+class Recording:
+    """The calibration and the detections of a take; `keypoints` by name of the camera."""
+
+    @property
+    def rig(self) -> Rig: ...
+    @property
+    def keypoints(self) -> dict[str, Keypoints]: ...
+
+    def __new__(cls, rig: Rig, keypoints: dict[str, Keypoints]) -> Self: ...
+    @staticmethod
+    def read(path: _Path) -> Recording:
+        """Reads a recording (.mcap)."""
+    def write(self, path: _Path) -> None:
+        """Writes a recording; a file that is there is replaced."""
+
+@final
+class Motion:
+    """The poses of a performer, sorted by time.
+
+    `positions`: n x 22 x 3, joint centres in the world, metres. `rotations`: n x 22 x 4, quaternions x, y, z, w:
+    of the pelvis in the world, of the others in their parents; zero in a T-pose that faces +z. `deviations`:
+    n x 22, the standard deviation of each position along each axis, metres; NaN where it is not known.
+    `rest_positions`: 22 x 3, the T-pose with the pelvis at the origin."""
+
+    @property
+    def actor(self) -> str: ...
+    @property
+    def fps(self) -> float: ...
+    @property
+    def times_ns(self) -> NDArray[np.int64]: ...
+    @property
+    def positions(self) -> NDArray[np.float64]: ...
+    @property
+    def rotations(self) -> NDArray[np.float64]: ...
+    @property
+    def deviations(self) -> NDArray[np.float64]: ...
+    @property
+    def rest_positions(self) -> NDArray[np.float64]: ...
+    @property
+    def states(self) -> list[_State]: ...
+
+    def __len__(self) -> int: ...
+
+@final
+class Solved:
+    """`motions` by name of the performer; `summary`: the figures of `bundlemocap solve --json`."""
+
+    @property
+    def motions(self) -> dict[str, Motion]: ...
+    @property
+    def summary(self) -> dict[str, Any]: ...
+
+def solve(
+    recording: _Path | Recording,
+    *,
+    performers: int | Literal["auto"] | None = None,
+    cameras: list[str] = ...,
+    hold_out: list[str] = ...,
+    config: _Path | None = None,
+    out: _Path | None = None,
+    overwrite: bool = False,
+) -> Solved:
+    """Solves a recording. `cameras`: use only these; `hold_out`: measure the error in these; `config`: a
+    settings file; `out`: a folder for the files of `bundlemocap solve` (default: no files are left)."""
+
+def read_motions(path: _Path) -> dict[str, Motion]:
+    """The poses of a solved recording (poses.mcap), by name of the performer."""
+
+@final
+class Pose:
+    """A pose of a performer at a time; arrays as those of `Motion`. A provisional pose is followed by a final
+    one of the same time."""
+
+    @property
+    def performer(self) -> str: ...
+    @property
+    def time_ns(self) -> int: ...
+    @property
+    def state(self) -> _State: ...
+    @property
+    def provisional(self) -> bool: ...
+    @property
+    def positions(self) -> NDArray[np.float64]: ...
+    @property
+    def rotations(self) -> NDArray[np.float64]: ...
+    @property
+    def deviations(self) -> NDArray[np.float64]: ...
+
+@final
+class Tracker:
+    """Solves frame by frame, with windows of ten frames. Several threads may share it: they wait for one
+    another."""
+
+    def __new__(
+        cls,
+        rig: Rig,
+        format: _Format,
+        *,
+        performers: int | Literal["auto"] | None = None,
+        config: _Path | None = None,
+    ) -> Self: ...
+    def add(self, camera: str, time_ns: int, points: NDArray[np.float64]) -> list[Pose]:
+        """Adds what a camera detected: (people x) points x 3 numbers, as in `Keypoints`; returns the poses that
+        are new. Frames of a camera come in order of time."""
+    def end(self) -> list[Pose]:
+        """The last poses; nothing may be added after it."""
+    def take_events(self) -> list[str]:
+        """What happened since the last call, such as a performer who was lost."""
+
+def main() -> None:
+    """Runs the program with `sys.argv`, and ends the process."""

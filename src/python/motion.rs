@@ -1,0 +1,217 @@
+//! Solving, and poses as arrays.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use bundlemocap::config::Config;
+use bundlemocap::core::body::{JOINTS, Pose as CorePose, Skeleton};
+use bundlemocap::core::so3;
+use bundlemocap::offline::{self, Options, solve_group};
+use bundlemocap::{Performers, StampedPose};
+use numpy::ndarray::{Array, Dim, Dimension, IntoDimension};
+use numpy::{PyArray, PyArray1, PyArray2, PyArray3, ToPyArray};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::error;
+use crate::recording::Recording;
+
+/// An array of a shape.
+pub(crate) fn array<'py, const N: usize>(
+    py: Python<'py>,
+    numbers: Vec<f64>,
+    shape: [usize; N],
+) -> PyResult<Bound<'py, PyArray<f64, Dim<[usize; N]>>>>
+where
+    [usize; N]: IntoDimension<Dim = Dim<[usize; N]>>,
+    Dim<[usize; N]>: Dimension,
+{
+    let array = Array::from_shape_vec(shape, numbers).map_err(error)?;
+    Ok(array.to_pyarray(py))
+}
+
+/// The joint centres in the world.
+pub(crate) fn positions(pose: &CorePose, skeleton: &Skeleton) -> impl Iterator<Item = f64> {
+    pose.posture(skeleton).positions.into_iter().flat_map(|at| [at.x, at.y, at.z])
+}
+
+/// x, y, z, w of the pelvis in the world, then of each joint in its parent.
+pub(crate) fn rotations(pose: &CorePose) -> impl Iterator<Item = f64> {
+    std::iter::once(&pose.root_rotation).chain(&pose.local).flat_map(so3::xyzw_from_rotation)
+}
+
+/// The standard deviations of the joint centres; NaN if they are not known.
+pub(crate) fn deviations(pose: &StampedPose) -> impl Iterator<Item = f64> {
+    pose.deviations.unwrap_or([f64::NAN; JOINTS]).into_iter()
+}
+
+/// The poses of a performer.
+#[pyclass(frozen, module = "bundlemocap")]
+pub(crate) struct Motion {
+    motion: offline::Motion,
+    poses: Vec<StampedPose>,
+}
+
+impl From<offline::Motion> for Motion {
+    fn from(motion: offline::Motion) -> Self {
+        let poses = motion.poses().collect();
+        Self { motion, poses }
+    }
+}
+
+#[pymethods]
+impl Motion {
+    #[getter]
+    fn actor(&self) -> &str {
+        &self.motion.actor
+    }
+
+    #[getter]
+    fn fps(&self) -> f64 {
+        self.motion.fps
+    }
+
+    #[getter]
+    fn times_ns<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
+        self.poses.iter().map(|pose| pose.capture.ns()).collect::<Vec<_>>().to_pyarray(py)
+    }
+
+    #[getter]
+    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let of =
+            |pose: &StampedPose| positions(&pose.pose, &self.motion.skeleton).collect::<Vec<_>>();
+        array(py, self.poses.iter().flat_map(of).collect(), [self.poses.len(), JOINTS, 3])
+    }
+
+    #[getter]
+    fn rotations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let all = self.poses.iter().flat_map(|pose| rotations(&pose.pose)).collect();
+        array(py, all, [self.poses.len(), JOINTS, 4])
+    }
+
+    #[getter]
+    fn deviations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let all = self.poses.iter().flat_map(deviations).collect();
+        array(py, all, [self.poses.len(), JOINTS])
+    }
+
+    #[getter]
+    fn states(&self) -> Vec<&'static str> {
+        self.poses.iter().map(|pose| pose.state.name()).collect()
+    }
+
+    #[getter]
+    fn rest_positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let all = positions(&CorePose::rest(), &self.motion.skeleton).collect();
+        array(py, all, [JOINTS, 3])
+    }
+
+    fn __len__(&self) -> usize {
+        self.poses.len()
+    }
+
+    fn __repr__(&self) -> String {
+        let Self { motion, poses } = self;
+        format!("Motion of {}: {} poses at {:.2} Hz", motion.actor, poses.len(), motion.fps)
+    }
+}
+
+/// What a solve found.
+#[pyclass(frozen, module = "bundlemocap", get_all)]
+pub(crate) struct Solved {
+    motions: BTreeMap<String, Py<Motion>>,
+    summary: Py<PyDict>,
+}
+
+fn motions(py: Python, path: &std::path::Path) -> PyResult<BTreeMap<String, Py<Motion>>> {
+    let (found, _) = py.detach(|| offline::read_motions(path, false)).map_err(error)?;
+    let of =
+        |motion: offline::Motion| Ok((motion.actor.clone(), Py::new(py, Motion::from(motion))?));
+    found.into_iter().map(of).collect()
+}
+
+/// The poses of a solved recording (poses.mcap), by name of the performer.
+#[pyfunction]
+pub(crate) fn read_motions(py: Python, path: PathBuf) -> PyResult<BTreeMap<String, Py<Motion>>> {
+    motions(py, &path)
+}
+
+/// A take: the path of a recording, or its arrays.
+#[derive(FromPyObject)]
+pub(crate) enum Take {
+    Arrays(Py<Recording>),
+    Path(PathBuf),
+}
+
+/// A number of performers, or `auto`.
+#[derive(FromPyObject)]
+pub(crate) enum Count {
+    Number(usize),
+    Text(String),
+}
+
+/// The given number of performers, or that of the settings.
+pub(crate) fn performers_of(given: Option<Count>, config: &Config) -> PyResult<Performers> {
+    let text = match given {
+        None => return Ok(config.stage.performers),
+        Some(Count::Number(number)) => number.to_string(),
+        Some(Count::Text(text)) => text,
+    };
+    text.parse().map_err(|what| error(format!("performers: {what}")))
+}
+
+/// The settings of a file, or the defaults.
+pub(crate) fn settings(path: Option<PathBuf>) -> PyResult<Config> {
+    path.map_or(Ok(Config::default()), |path| Config::load(&path)).map_err(error)
+}
+
+/// Solves a recording: a path, or a Recording.
+#[pyfunction]
+#[pyo3(signature = (
+    recording, *, performers=None, cameras=vec![], hold_out=vec![], config=None, out=None, overwrite=false
+))]
+#[allow(clippy::too_many_arguments)] // Keywords in Python.
+pub(crate) fn solve(
+    py: Python,
+    recording: Take,
+    performers: Option<Count>,
+    cameras: Vec<String>,
+    hold_out: Vec<String>,
+    config: Option<PathBuf>,
+    out: Option<PathBuf>,
+    overwrite: bool,
+) -> PyResult<Solved> {
+    let folder = tempfile::tempdir()?;
+    let path = match recording {
+        Take::Path(path) => path,
+        Take::Arrays(arrays) => {
+            let path = folder.path().join("arrays.mcap");
+            arrays.get().write(path.clone())?;
+            path
+        }
+    };
+    let config = settings(config)?;
+    let performers = performers_of(performers, &config)?;
+    let out = out.unwrap_or_else(|| folder.path().join("out"));
+    let options = Options {
+        config: config.tracker,
+        cameras,
+        hold_out,
+        performers,
+        out: Some(out.clone()),
+        overwrite,
+        config_toml: Some(config.to_toml()),
+        ..Options::default()
+    };
+    let group = py.detach(|| {
+        let mut recording = offline::Recording::open(&path)?;
+        solve_group(&mut recording, &options, &mut ())
+    });
+    let json = serde_json::to_string(&group.map_err(error)?).map_err(error)?;
+    let summary = py.import("json")?.call_method1("loads", (json,))?.cast_into::<PyDict>()?;
+    Ok(Solved { motions: motions(py, &out.join("poses.mcap"))?, summary: summary.unbind() })
+}
+
+/// A body that is shared.
+pub(crate) type Body = Arc<Skeleton>;

@@ -1,0 +1,213 @@
+//! Recordings as arrays.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use bundlemocap::io::recording::{Message, Provenance, Reader, Writer};
+use bundlemocap::io::wire::Topics;
+use bundlemocap::nalgebra::Point2;
+use bundlemocap::{Detection, Detections, KeypointFormat, Person, Timestamp};
+use numpy::{PyArray1, PyArray4, PyReadonlyArray1, PyReadonlyArrayDyn, ToPyArray};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::camera::Rig;
+use crate::error;
+
+/// The detections of one camera over time.
+#[pyclass(frozen, module = "bundlemocap")]
+pub(crate) struct Keypoints {
+    format: KeypointFormat,
+    /// Sorted by capture time.
+    frames: Vec<(Timestamp, Vec<Person>)>,
+}
+
+/// A format by name.
+pub(crate) fn format_of(name: &str) -> PyResult<KeypointFormat> {
+    KeypointFormat::from_name(name).ok_or_else(|| {
+        let all = KeypointFormat::ALL.map(KeypointFormat::name).join(", ");
+        error(format!("format {name:?} is not known; use {all}"))
+    })
+}
+
+/// People from points x 3 numbers each: x, y (pixels) and confidence. A point is not seen if one of them is not
+/// finite, or if the confidence is not above 0.
+pub(crate) fn people(format: KeypointFormat, points: &[[f64; 3]]) -> Vec<Person> {
+    let detection = |&[x, y, confidence]: &[f64; 3]| {
+        let is_seen = x.is_finite() && y.is_finite() && confidence.is_finite() && confidence > 0.0;
+        let pixel = Point2::new(x, y);
+        is_seen.then(|| Detection { pixel, confidence: confidence.min(1.0) })
+    };
+    let person =
+        |points: &[[f64; 3]]| Person { id: None, points: points.iter().map(detection).collect() };
+    let people = points.chunks_exact(format.len()).map(person);
+    people.filter(|person| person.points.iter().any(Option::is_some)).collect()
+}
+
+/// The numbers of an array whose last two axes are points and x, y, confidence.
+pub(crate) fn numbers(
+    format: KeypointFormat,
+    array: &PyReadonlyArrayDyn<f64>,
+    axes: &str,
+) -> PyResult<Vec<[f64; 3]>> {
+    let array = array.as_array();
+    let (shape, points) = (array.shape(), format.len());
+    if !shape.ends_with(&[points, 3]) {
+        let name = format.name();
+        return Err(error(format!(
+            "points: {name} needs an array of {axes} x {points} x 3 numbers (x, y, confidence), not {shape:?}"
+        )));
+    }
+    let all: Vec<f64> = array.iter().copied().collect();
+    Ok(all.as_chunks().0.to_vec())
+}
+
+#[pymethods]
+impl Keypoints {
+    #[new]
+    fn new(
+        times_ns: PyReadonlyArray1<i64>,
+        points: PyReadonlyArrayDyn<f64>,
+        format: &str,
+    ) -> PyResult<Self> {
+        let format = format_of(format)?;
+        let times = times_ns.as_array();
+        let shape = points.as_array().shape().to_vec();
+        if !(3..=4).contains(&shape.len()) || shape[0] != times.len() {
+            return Err(error(format!(
+                "points: give frames (x people) x points x 3 numbers, with as many frames as times_ns ({}), not {shape:?}",
+                times.len()
+            )));
+        }
+        let all = numbers(format, &points, "frames (x people)")?;
+        let of_frame = all.len().checked_div(times.len()).unwrap_or(0).max(1);
+        let people = all.chunks(of_frame).map(|points| people(format, points));
+        let people = people.chain(std::iter::repeat(Vec::new()));
+        let times = times.iter().map(|ns| Timestamp::from_ns(*ns));
+        let mut frames: Vec<_> = times.zip(people).collect();
+        frames.sort_by_key(|frame| frame.0);
+        Ok(Self { format, frames })
+    }
+
+    #[getter]
+    fn format(&self) -> &'static str {
+        self.format.name()
+    }
+
+    #[getter]
+    fn times_ns<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
+        self.frames.iter().map(|frame| frame.0.ns()).collect::<Vec<_>>().to_pyarray(py)
+    }
+
+    #[getter]
+    fn points<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<f64>>> {
+        let most = self.frames.iter().map(|frame| frame.1.len()).max().unwrap_or(0);
+        let points = self.format.len();
+        let mut all = Vec::with_capacity(self.frames.len() * most * points * 3);
+        for (_, people) in &self.frames {
+            for person in 0..most {
+                for point in 0..points {
+                    let found = people.get(person).and_then(|person| person.points[point]);
+                    let numbers = found.map(|at| [at.pixel.x, at.pixel.y, at.confidence]);
+                    all.extend(numbers.unwrap_or([f64::NAN, f64::NAN, 0.0]));
+                }
+            }
+        }
+        crate::motion::array(py, all, [self.frames.len(), most, points, 3])
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Keypoints({}, {} frames)", self.format.name(), self.frames.len())
+    }
+}
+
+/// The calibration and the detections of a take.
+#[pyclass(frozen, module = "bundlemocap")]
+pub(crate) struct Recording {
+    rig: Rig,
+    /// By camera.
+    keypoints: BTreeMap<String, Py<Keypoints>>,
+}
+
+#[pymethods]
+impl Recording {
+    #[new]
+    fn new(rig: Rig, keypoints: BTreeMap<String, Py<Keypoints>>) -> PyResult<Self> {
+        keypoints.keys().try_for_each(|name| rig.index_of(name).map(drop))?;
+        Ok(Self { rig, keypoints })
+    }
+
+    /// Reads a recording (.mcap).
+    #[staticmethod]
+    fn read(py: Python, path: PathBuf) -> PyResult<Self> {
+        let (rig, found) = py.detach(|| read(&path))?;
+        let keypoints =
+            found.into_iter().map(|(name, keypoints)| Ok((name, Py::new(py, keypoints)?)));
+        Ok(Self { rig, keypoints: keypoints.collect::<PyResult<_>>()? })
+    }
+
+    /// Writes a recording; a file that is there is replaced.
+    pub(crate) fn write(&self, path: PathBuf) -> PyResult<()> {
+        let provenance = Provenance::default();
+        let mut writer = Writer::create(path, Topics::default(), &provenance).map_err(error)?;
+        let mut all = Vec::new();
+        for (name, keypoints) in &self.keypoints {
+            let (camera, Keypoints { format, frames }) =
+                (self.rig.index_of(name)?, keypoints.get());
+            for (frame, (capture, people)) in (0..).zip(frames) {
+                let (capture, format, people) = (*capture, *format, people.clone());
+                all.push(Detections { camera, frame, capture, format, people });
+            }
+        }
+        all.sort_by_key(|detections| (detections.capture, detections.camera));
+        let first = all.first().map_or_else(Timestamp::default, |first| first.capture);
+        writer.rig(&self.rig.0, first).map_err(error)?;
+        for detections in &all {
+            let camera = &self.rig.0.cameras[detections.camera];
+            let size = [camera.width, camera.height];
+            writer.keypoints(detections, &camera.name, size).map_err(error)?;
+        }
+        writer.finish().map_err(error)
+    }
+
+    #[getter]
+    fn rig(&self) -> Rig {
+        self.rig.clone()
+    }
+
+    #[getter]
+    fn keypoints<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let all = PyDict::new(py);
+        for (name, keypoints) in &self.keypoints {
+            all.set_item(name, keypoints.bind(py))?;
+        }
+        Ok(all)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Recording of {} cameras", self.keypoints.len())
+    }
+}
+
+/// The rig and the keypoints of a file.
+fn read(path: &std::path::Path) -> PyResult<(Rig, BTreeMap<String, Keypoints>)> {
+    let mut rig = None;
+    let mut found = BTreeMap::<String, Keypoints>::new();
+    for entry in Reader::open(path).map_err(error)? {
+        match entry.map_err(error)?.message {
+            Message::Rig(wire) => rig = Some(wire.to_core().map_err(error)?),
+            Message::Keypoints(frame) => {
+                let detections = frame.to_core(|_| Some(0)).map_err(error)?;
+                let format = detections.format;
+                let new = || Keypoints { format, frames: Vec::new() };
+                let camera = found.entry(frame.camera).or_insert_with(new);
+                camera.frames.push((detections.capture, detections.people));
+            }
+            _ => {}
+        }
+    }
+    let none = || error(format!("{} holds no calibrated rig", path.display()));
+    let rig = Rig(std::sync::Arc::new(rig.ok_or_else(none)?));
+    found.values_mut().for_each(|camera| camera.frames.sort_by_key(|frame| frame.0));
+    Ok((rig, found))
+}

@@ -1,0 +1,174 @@
+//! The tracker's loop.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use bundlemocap::core::body::JOINTS;
+use bundlemocap::core::stage::{Input, Output, Stage};
+use bundlemocap::core::tracker;
+use bundlemocap::{
+    Decoder, Detections, KeypointFormat, PerformerId, Solver, StampedPose, Timestamp,
+};
+use numpy::{PyArray1, PyArray2, PyReadonlyArrayDyn, ToPyArray};
+use pyo3::prelude::*;
+
+use crate::camera::Rig;
+use crate::error;
+use crate::motion::{
+    Body, Count, array, deviations, performers_of, positions, rotations, settings,
+};
+use crate::recording::{format_of, numbers, people};
+
+/// A pose of a performer.
+#[pyclass(frozen, module = "bundlemocap")]
+pub(crate) struct Pose {
+    #[pyo3(get)]
+    performer: String,
+    pose: StampedPose,
+    body: Body,
+}
+
+#[pymethods]
+impl Pose {
+    #[getter]
+    fn time_ns(&self) -> i64 {
+        self.pose.capture.ns()
+    }
+
+    #[getter]
+    fn state(&self) -> &'static str {
+        self.pose.state.name()
+    }
+
+    #[getter]
+    fn provisional(&self) -> bool {
+        self.pose.provisional
+    }
+
+    #[getter]
+    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        array(py, positions(&self.pose.pose, &self.body).collect(), [JOINTS, 3])
+    }
+
+    #[getter]
+    fn rotations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        array(py, rotations(&self.pose.pose).collect(), [JOINTS, 4])
+    }
+
+    #[getter]
+    fn deviations<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        deviations(&self.pose).collect::<Vec<_>>().to_pyarray(py)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Pose of {} at {} ns, {}", self.performer, self.time_ns(), self.state())
+    }
+}
+
+/// Solves frame by frame.
+#[pyclass(frozen, module = "bundlemocap")]
+pub(crate) struct Tracker {
+    rig: Rig,
+    format: KeypointFormat,
+    stage: Mutex<Staged>,
+}
+
+/// The stage with what it is fed with and what came out.
+struct Staged {
+    stage: Stage,
+    solver: Solver,
+    /// The newest body of each performer.
+    bodies: BTreeMap<PerformerId, Body>,
+    /// Frames of each camera so far.
+    frames: Vec<u64>,
+    events: Vec<String>,
+}
+
+impl Staged {
+    /// Passes in an input; returns the poses.
+    fn feed(&mut self, input: Input) -> Vec<Pose> {
+        let mut poses = Vec::new();
+        self.stage.handle(input);
+        while let Some(output) = self.stage.poll_and_solve(|job| self.solver.solve(job)) {
+            match output {
+                Output::Performer(performer, tracker::Output::Skeleton(body)) => {
+                    self.bodies.insert(performer, body);
+                }
+                Output::Performer(performer, tracker::Output::Pose(pose)) => {
+                    let Some(body) = self.bodies.get(&performer).cloned() else { continue };
+                    poses.push(Pose { performer: performer.to_string(), pose: *pose, body });
+                }
+                Output::Performer(performer, tracker::Output::Event(event)) => {
+                    let (kind, detail) = (event.kind.name(), &event.detail);
+                    self.events.push(format!("{performer}: {kind}: {detail}"));
+                }
+                Output::Event(event) => {
+                    self.events.push(format!("{}: {}", event.kind.name(), event.detail));
+                }
+                _ => {}
+            }
+        }
+        poses
+    }
+}
+
+impl Tracker {
+    fn stage(&self) -> MutexGuard<'_, Staged> {
+        self.stage.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl Tracker {
+    #[new]
+    #[pyo3(signature = (rig, format, *, performers=None, config=None))]
+    fn new(
+        rig: Rig,
+        format: &str,
+        performers: Option<Count>,
+        config: Option<PathBuf>,
+    ) -> PyResult<Self> {
+        let config = settings(config)?;
+        let performers = performers_of(performers, &config)?;
+        let decoder = Decoder::embedded().map_err(error)?;
+        let tracker = bundlemocap::Tracker::new(config.tracker, rig.0.clone());
+        let stage = Staged {
+            stage: Stage::new(tracker, performers, None),
+            solver: Solver::new(decoder, config.tracker),
+            bodies: BTreeMap::new(),
+            frames: vec![0; rig.0.cameras.len()],
+            events: Vec::new(),
+        };
+        Ok(Self { rig, format: format_of(format)?, stage: Mutex::new(stage) })
+    }
+
+    /// Adds what a camera detected; returns the poses that are new.
+    fn add(
+        &self,
+        py: Python,
+        camera: &str,
+        time_ns: i64,
+        points: PyReadonlyArrayDyn<f64>,
+    ) -> PyResult<Vec<Pose>> {
+        let (camera, capture) = (self.rig.index_of(camera)?, Timestamp::from_ns(time_ns));
+        let format = self.format;
+        let people = people(format, &numbers(format, &points, "(people)")?);
+        Ok(py.detach(|| {
+            let mut stage = self.stage();
+            let frame = stage.frames[camera];
+            stage.frames[camera] += 1;
+            stage.feed(Input::Detections(Detections { camera, frame, capture, format, people }))
+        }))
+    }
+
+    /// The last poses; nothing may be added after it.
+    fn end(&self, py: Python) -> Vec<Pose> {
+        py.detach(|| self.stage().feed(Input::End))
+    }
+
+    /// What happened since the last call.
+    fn take_events(&self) -> Vec<String> {
+        std::mem::take(&mut self.stage().events)
+    }
+}

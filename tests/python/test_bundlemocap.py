@@ -1,0 +1,168 @@
+"""The module of the wheel: `pip install . pytest`, then `pytest tests/python`."""
+
+import subprocess
+from pathlib import Path
+
+import bundlemocap as bm
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+WALK = ROOT / "recordings/walk.mcap"
+
+
+@pytest.fixture(scope="module")
+def recording() -> bm.Recording:
+    return bm.Recording.read(WALK)
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory) -> tuple[bm.Solved, Path]:
+    out = tmp_path_factory.mktemp("solved") / "out"
+    return bm.solve(WALK, out=out), out
+
+
+def chain(motion: bm.Motion) -> np.ndarray:
+    """The joint centres from the rotations: forward kinematics with the rest pose."""
+    x, y, z, w = np.moveaxis(motion.rotations, 2, 0)
+    turns = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]).transpose(2, 3, 0, 1)
+    world, places = [turns[:, 0]], [motion.positions[:, 0]]
+    for joint, parent in list(enumerate(bm.PARENTS))[1:]:
+        bone = motion.rest_positions[joint] - motion.rest_positions[parent]
+        places.append(places[parent] + world[parent] @ bone)
+        world.append(world[parent] @ turns[:, joint])
+    return np.stack(places, 1)
+
+
+def test_a_recording_is_read_and_written(recording: bm.Recording, tmp_path: Path) -> None:
+    path = tmp_path / "again.mcap"
+    recording.write(path)
+    again = bm.Recording.read(path)
+    assert list(again.keypoints) == ["cam01", "cam02", "cam03", "cam04"]
+    for name, keypoints in recording.keypoints.items():
+        assert keypoints.points.shape[0] == 240 and keypoints.points.shape[2:] == (25, 3)
+        assert len(bm.FORMATS[keypoints.format]) == 25
+        np.testing.assert_array_equal(again.keypoints[name].points, keypoints.points)
+        np.testing.assert_array_equal(again.keypoints[name].times_ns, keypoints.times_ns)
+
+
+def test_solve_gives_the_poses_of_its_files(solved: tuple[bm.Solved, Path]) -> None:
+    found, out = solved
+    motion = found.motions["actor"]
+    assert (len(motion), motion.positions.shape) == (240, (240, 22, 3))
+    assert motion.fps == pytest.approx(60, rel=1e-4)
+    assert set(motion.states) == {"tracking"} and len(bm.JOINTS) == 22
+    assert found.summary["performers"][0]["frames"] == 240
+    again = bm.read_motions(out / "poses.mcap")["actor"]
+    np.testing.assert_array_equal(again.rotations, motion.rotations)
+    assert np.abs(chain(motion) - motion.positions).max() < 1e-5
+    known = motion.deviations[np.isfinite(motion.deviations).all(1)]
+    assert len(known) > 230 and 1e-3 < known.min() < known.max() < 0.1
+
+
+def test_arrays_are_solved_like_their_recording(
+    recording: bm.Recording, solved: tuple[bm.Solved, Path]
+) -> None:
+    keypoints = {
+        name: bm.Keypoints(one.times_ns, one.points, one.format)
+        for name, one in recording.keypoints.items()
+    }
+    cameras = [
+        bm.Camera(one.name, one.size, one.matrix, one.rotation, one.translation, list(one.distortion))
+        for one in recording.rig.cameras
+    ]
+    found = bm.solve(bm.Recording(bm.Rig(cameras), keypoints), performers=1)
+    wanted = solved[0].motions["actor"].positions
+    assert np.abs(found.motions["actor"].positions - wanted).max() < 1e-4
+
+
+def test_the_tracker_solves_frame_by_frame(
+    recording: bm.Recording, solved: tuple[bm.Solved, Path]
+) -> None:
+    points = {name: one.points for name, one in recording.keypoints.items()}
+    frames = sorted(
+        (int(time), name, frame)
+        for name, one in recording.keypoints.items()
+        for frame, time in enumerate(one.times_ns)
+    )
+    tracker = bm.Tracker(recording.rig, "body_25")
+    poses = [pose for time, name, frame in frames for pose in tracker.add(name, time, points[name][frame])]
+    assert len(poses) > 200, "poses come while frames are added"
+    poses += tracker.end()
+    final = [pose for pose in poses if not pose.provisional]
+    motion = solved[0].motions["actor"]
+    assert [pose.time_ns for pose in final] == motion.times_ns.tolist()
+    assert {pose.performer for pose in final} == {"p1"}
+    assert any("acquired" in event for event in tracker.take_events()) and not tracker.take_events()
+    positions = np.array([pose.positions for pose in final])
+    far = np.linalg.norm(positions - motion.positions, axis=2)
+    assert np.median(far) < 0.01 and far[20:].max() < 0.1
+
+
+def test_a_camera_projects_as_the_pinhole_says(recording: bm.Recording, tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    recording.rig.write(path)
+    for camera, again in zip(recording.rig.cameras, bm.Rig.read(path).cameras, strict=True):
+        places = np.array([[0.0, 1.0, 0.0], [0.3, 1.5, -0.2]])
+        ideal = bm.Camera("c", camera.size, camera.matrix, camera.rotation, camera.translation)
+        seen = camera.matrix @ (camera.rotation @ places.T + camera.translation[:, None])
+        assert np.abs(ideal.project(places) - (seen[:2] / seen[2]).T).max() < 1e-6
+        assert np.abs(again.project(places) - camera.project(places)).max() < 1e-6
+        behind = -camera.rotation.T @ camera.translation - 5 * camera.rotation[2]
+        assert np.isnan(ideal.project(behind[None])).all()
+
+
+def test_errors_say_what_is_wrong(recording: bm.Recording, tmp_path: Path) -> None:
+    rig, format = recording.rig, "body_25"
+    with pytest.raises(bm.Error, match="nowhere.mcap"):
+        bm.solve(tmp_path / "nowhere.mcap")
+    with pytest.raises(bm.Error, match="no camera \"cam9\"; it has cam01"):
+        bm.Recording(rig, {"cam9": recording.keypoints["cam01"]})
+    with pytest.raises(bm.Error, match="25 x 3"):
+        bm.Keypoints(np.arange(3), np.zeros((3, 24, 3)), format)
+    with pytest.raises(bm.Error, match=r"as many frames as times_ns \(4\)"):
+        bm.Keypoints(np.arange(4), np.zeros((3, 25, 3)), format)
+    with pytest.raises(bm.Error, match="halpe_26"):
+        bm.Tracker(rig, "halpe_27")  # type: ignore[arg-type]
+    with pytest.raises(bm.Error, match="performers"):
+        bm.solve(WALK, performers=0)
+    with pytest.raises(bm.Error, match="matrix: give an array of 3 x 3"):
+        bm.Camera("c", (640, 480), np.eye(4), np.eye(3), np.zeros(3))
+    out = tmp_path / "out"
+    bm.solve(WALK, out=out)
+    with pytest.raises(bm.Error, match="exists"):
+        bm.solve(WALK, out=out)
+    bm.solve(WALK, out=out, overwrite=True)
+
+
+def test_the_program_is_there(tmp_path: Path) -> None:
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(["bundlemocap", *words], capture_output=True, text=True, cwd=tmp_path)
+
+    assert run("--version").stdout == f"bundlemocap {bm.__version__}\n"
+    missing = run("info", "nowhere.mcap")
+    assert missing.returncode == 3 and "nowhere.mcap" in missing.stderr
+
+
+def test_the_type_hints_are_those_of_the_module() -> None:
+    checked = subprocess.run(
+        ["python", "-m", "mypy.stubtest", "bundlemocap"], capture_output=True, text=True
+    )
+    assert checked.returncode == 0, checked.stdout
+
+
+def test_the_notebook_runs(tmp_path: Path) -> None:
+    nbformat, client = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    notebook = nbformat.read(ROOT / "docs/python.ipynb", 4)
+    client.NotebookClient(notebook, resources={"metadata": {"path": ROOT / "docs"}}).execute()
+    plots = [
+        output
+        for cell in notebook.cells
+        for output in cell.get("outputs", [])
+        if "image/png" in output.get("data", {})
+    ]
+    assert len(plots) == 3
