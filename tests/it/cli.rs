@@ -748,7 +748,7 @@ fn poses_are_exported_at_another_rate_in_place_and_in_part() {
         ("--out b.glb --up z", ".glb: --up is for .bvh, .trc, .c3d, .csv"),
         ("--out b.npz --rest a", ".npz: --rest is for .glb, .usda, .bvh, .csv"),
         ("--out b.mcap --in-place", "a .mcap holds the whole recording"),
-        ("--out b.csv --start 900f", "no poses are left"),
+        ("--out b.csv --start 900f", "no poses from --start"),
         ("--out b.csv --start 1.5f", "frames such as 120f"),
     ] {
         place.fails(USAGE, &format!("export solved/poses.mcap {options}"), &[reason]);

@@ -218,7 +218,7 @@ fn performers(arguments: &Arguments, times: &mut Times) -> Result<(Solved, Times
     }
     solved.performers.retain(|one| !one.poses.is_empty());
     if solved.performers.is_empty() {
-        return Err(Failure::new(Exit::Usage, "no poses are left from --start to --end"));
+        return Err(Failure::new(Exit::Usage, "no poses from --start to --end"));
     }
     Ok((solved, start))
 }
