@@ -11,7 +11,7 @@ use super::failure::{Exit, Failure};
 use super::terminal::{complain, say};
 use crate::cli::tools::inbox::Inbox;
 use crate::core::time::Timestamp;
-use crate::io::bus::Bus;
+use crate::io::bus::{Bus, Publisher};
 use crate::io::wire::{Schema, Take, TakeAnswer, Topics, decode, encode, media_type};
 use crate::live::WallClock;
 
@@ -128,7 +128,6 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     }
     let config = arguments.bus.settings()?;
     let bus = open(&config)?;
-    let id = WallClock::start().now().ns().unsigned_abs();
     if arguments.action == Action::Note && arguments.note.is_empty() && arguments.mark.is_none() {
         return Err(Failure::new(Exit::Usage, "note needs --note, --mark, or both"));
     }
@@ -138,8 +137,10 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         return Err(Failure::new(Exit::Usage, "--display-name and --colour are for label"));
     }
     let action = arguments.action.name().into();
-    let take = Take { id, action, name, note, mark, display_name, colour };
-    let answers = command(&*bus, &topics(&config), &take, arguments.action.roles(), LEAD)?;
+    let take = Take { id: 0, action, name, note, mark, display_name, colour };
+    let slate = Slate::open(&*bus, &topics(&config))?;
+    std::thread::sleep(LEAD);
+    let answers = answered(&slate, take, arguments.action.roles())?;
     for TakeAnswer { role, text, refused, .. } in &answers {
         match refused {
             true => complain("warning", &format!("{role}: {text}")),
@@ -160,22 +161,12 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 }
 
 /// Publishes a command and collects the answers.
-fn command(
-    bus: &dyn Bus,
-    topics: &Topics,
-    take: &Take,
-    roles: &[&str],
-    lead: Duration,
-) -> Result<Vec<TakeAnswer>, Failure> {
-    let inbox = Inbox::open(bus, &topics.take_answers())?;
-    let publisher = bus.publisher(&topics.take())?;
-    std::thread::sleep(lead);
-    publisher.put(Timestamp::default(), &media_type(Take::FULL_NAME), &encode(take))?;
+fn answered(slate: &Slate, take: Take, roles: &[&str]) -> Result<Vec<TakeAnswer>, Failure> {
+    let take = slate.send(take)?;
     let (begin, mut all) = (Instant::now(), Vec::<TakeAnswer>::new());
     let mut until = PATIENCE;
     while begin.elapsed() < until {
-        let Some(received) = inbox.next(ATTENTION) else { continue };
-        let answer = decode::<TakeAnswer>(&received.sample.payload).ok();
+        let answer = slate.answer_within(ATTENTION);
         let Some(answer) = answer.filter(|answer| answer.id == take.id) else { continue };
         all.push(answer);
         if roles.iter().all(|role| all.iter().any(|answer| answer.role == *role)) {
@@ -183,4 +174,34 @@ fn command(
         }
     }
     Ok(all)
+}
+
+/// Publishes commands and hears the answers.
+pub(super) struct Slate {
+    inbox: Inbox,
+    publisher: Box<dyn Publisher>,
+}
+
+impl Slate {
+    pub(super) fn open(bus: &dyn Bus, topics: &Topics) -> Result<Self, Failure> {
+        let inbox = Inbox::open(bus, &topics.take_answers())?;
+        Ok(Self { inbox, publisher: bus.publisher(&topics.take())? })
+    }
+
+    /// Publishes a command under a new id; returns it with this id.
+    pub(super) fn send(&self, take: Take) -> Result<Take, Failure> {
+        let take = Take { id: WallClock::start().now().ns().unsigned_abs(), ..take };
+        let kind = media_type(Take::FULL_NAME);
+        self.publisher.put(Timestamp::default(), &kind, &encode(&take))?;
+        Ok(take)
+    }
+
+    /// The next answer, to whatever command, if one has come.
+    pub(super) fn answer(&self) -> Option<TakeAnswer> {
+        self.answer_within(Duration::ZERO)
+    }
+
+    fn answer_within(&self, wait: Duration) -> Option<TakeAnswer> {
+        decode(&self.inbox.next(wait)?.sample.payload).ok()
+    }
 }

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use bundlemocap::Lens;
 use bundlemocap::io::formats::{Auto, Convention, Up, read_calibration, write_calibration};
 use bundlemocap::nalgebra::{Matrix3, Vector3};
-use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2, ToPyArray};
 use pyo3::prelude::*;
 
+use crate::arrays::{Array, array};
 use crate::error;
 
 /// A calibrated camera.
@@ -16,21 +16,12 @@ use crate::error;
 #[derive(Clone)]
 pub(crate) struct Camera(pub(crate) bundlemocap::Camera);
 
-/// A matrix of 3 x 3 numbers.
-fn matrix(array: &PyReadonlyArray2<f64>, name: &str) -> PyResult<Matrix3<f64>> {
-    let array = array.as_array();
-    if array.dim() != (3, 3) {
-        return Err(error(format!(
-            "{name}: give an array of 3 x 3 numbers, not {:?}",
-            array.dim()
-        )));
-    }
-    Ok(Matrix3::from_fn(|row, column| array[(row, column)]))
+fn matrix(array: Array<f64>, name: &str) -> PyResult<Matrix3<f64>> {
+    Ok(Matrix3::from_row_slice(&array.of_shape(name, &[3, 3])?))
 }
 
-fn rows<'py>(py: Python<'py>, matrix: &Matrix3<f64>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let rows: Vec<Vec<f64>> = (0..3).map(|row| matrix.row(row).iter().copied().collect()).collect();
-    Ok(PyArray2::from_vec2(py, &rows)?)
+fn rows<'py>(py: Python<'py>, matrix: &Matrix3<f64>) -> PyResult<Bound<'py, PyAny>> {
+    array(py, matrix.transpose().iter().copied(), [3, 3])
 }
 
 #[pymethods]
@@ -40,22 +31,17 @@ impl Camera {
     fn new(
         name: String,
         size: [u32; 2],
-        matrix: PyReadonlyArray2<f64>,
-        rotation: PyReadonlyArray2<f64>,
-        translation: PyReadonlyArray1<f64>,
+        matrix: Array<f64>,
+        rotation: Array<f64>,
+        translation: Array<f64>,
         distortion: Option<Vec<f64>>,
         fisheye: bool,
     ) -> PyResult<Self> {
         let of = if fisheye { Lens::fisheye } else { Lens::brown_conrady };
         let lens = distortion.map_or(Ok(Lens::IDEAL), |numbers| of(&numbers)).map_err(error)?;
-        let [x, y, z] = translation
-            .as_array()
-            .to_vec()
-            .try_into()
-            .map_err(|_| error("translation: give 3 numbers, metres"))?;
+        let translation = Vector3::from_vec(translation.of_shape("translation", &[3])?);
         let (matrix, rotation) =
-            (self::matrix(&matrix, "matrix")?, self::matrix(&rotation, "rotation")?);
-        let translation = Vector3::new(x, y, z);
+            (self::matrix(matrix, "matrix")?, self::matrix(rotation, "rotation")?);
         let camera = bundlemocap::Camera::new(name, size, &matrix, lens, rotation, translation);
         Ok(Self(camera.map_err(error)?))
     }
@@ -71,23 +57,24 @@ impl Camera {
     }
 
     #[getter]
-    fn matrix<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn matrix<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         rows(py, &self.0.matrix())
     }
 
     #[getter]
-    fn rotation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn rotation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         rows(py, &self.0.rotation)
     }
 
     #[getter]
-    fn translation<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.0.translation.as_slice().to_pyarray(py)
+    fn translation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        array(py, self.0.translation.iter().copied(), [3])
     }
 
     #[getter]
-    fn distortion<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.0.lens().coefficients().to_pyarray(py)
+    fn distortion<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let numbers = self.0.lens().coefficients();
+        array(py, numbers.iter().copied(), [numbers.len()])
     }
 
     #[getter]
@@ -96,21 +83,14 @@ impl Camera {
     }
 
     /// Pixels (n x 2) of places (n x 3, metres); NaN where the camera cannot see one.
-    fn project<'py>(
-        &self,
-        py: Python<'py>,
-        points: PyReadonlyArray2<f64>,
-    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let points = points.as_array();
-        if points.ncols() != 3 {
-            return Err(error("points: give an array of n x 3 numbers, metres"));
-        }
-        let pixels = points.rows().into_iter().map(|at| {
-            let pixel = self.0.project(&Vector3::new(at[0], at[1], at[2]));
-            pixel.map_or(vec![f64::NAN; 2], |pixel| vec![pixel.x, pixel.y])
+    fn project<'py>(&self, py: Python<'py>, points: Array<f64>) -> PyResult<Bound<'py, PyAny>> {
+        let count = points.shape.first().copied().unwrap_or(0);
+        let numbers = points.of_shape("points", &[count, 3])?;
+        let pixels = numbers.chunks_exact(3).flat_map(|at| {
+            let pixel = self.0.project(&Vector3::from_row_slice(at));
+            pixel.map_or([f64::NAN; 2], Into::into)
         });
-        let pixels: Vec<f64> = pixels.flatten().collect();
-        crate::motion::array(py, pixels, [points.nrows(), 2])
+        array(py, pixels, [count, 2])
     }
 
     fn __repr__(&self) -> String {

@@ -1,5 +1,6 @@
 //! bundlemocap for Python: arrays in, arrays out. `bundlemocap/bundlemocap.pyi` describes the functions to users.
 
+mod arrays;
 mod camera;
 mod motion;
 mod recording;

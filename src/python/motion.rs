@@ -9,27 +9,12 @@ use bundlemocap::core::body::{JOINTS, Pose as CorePose, Skeleton};
 use bundlemocap::core::so3;
 use bundlemocap::offline::{self, Options, solve_group};
 use bundlemocap::{Performers, StampedPose};
-use numpy::ndarray::{Array, Dim, Dimension, IntoDimension};
-use numpy::{PyArray, PyArray1, PyArray2, PyArray3, ToPyArray};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use crate::arrays::array;
 use crate::error;
 use crate::recording::Recording;
-
-/// An array of a shape.
-pub(crate) fn array<'py, const N: usize>(
-    py: Python<'py>,
-    numbers: Vec<f64>,
-    shape: [usize; N],
-) -> PyResult<Bound<'py, PyArray<f64, Dim<[usize; N]>>>>
-where
-    [usize; N]: IntoDimension<Dim = Dim<[usize; N]>>,
-    Dim<[usize; N]>: Dimension,
-{
-    let array = Array::from_shape_vec(shape, numbers).map_err(error)?;
-    Ok(array.to_pyarray(py))
-}
 
 /// The joint centres in the world.
 pub(crate) fn positions(pose: &CorePose, skeleton: &Skeleton) -> impl Iterator<Item = f64> {
@@ -73,26 +58,25 @@ impl Motion {
     }
 
     #[getter]
-    fn times_ns<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        self.poses.iter().map(|pose| pose.capture.ns()).collect::<Vec<_>>().to_pyarray(py)
+    fn times_ns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        array(py, self.poses.iter().map(|pose| pose.capture.ns()), [self.poses.len()])
     }
 
     #[getter]
-    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let of =
-            |pose: &StampedPose| positions(&pose.pose, &self.motion.skeleton).collect::<Vec<_>>();
-        array(py, self.poses.iter().flat_map(of).collect(), [self.poses.len(), JOINTS, 3])
+    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let all = self.poses.iter().flat_map(|pose| positions(&pose.pose, &self.motion.skeleton));
+        array(py, all, [self.poses.len(), JOINTS, 3])
     }
 
     #[getter]
-    fn rotations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        let all = self.poses.iter().flat_map(|pose| rotations(&pose.pose)).collect();
+    fn rotations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let all = self.poses.iter().flat_map(|pose| rotations(&pose.pose));
         array(py, all, [self.poses.len(), JOINTS, 4])
     }
 
     #[getter]
-    fn deviations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let all = self.poses.iter().flat_map(deviations).collect();
+    fn deviations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let all = self.poses.iter().flat_map(deviations);
         array(py, all, [self.poses.len(), JOINTS])
     }
 
@@ -102,8 +86,9 @@ impl Motion {
     }
 
     #[getter]
-    fn rest_positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let all = positions(&CorePose::rest(), &self.motion.skeleton).collect();
+    fn rest_positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let rest = CorePose::rest();
+        let all = positions(&rest, &self.motion.skeleton);
         array(py, all, [JOINTS, 3])
     }
 

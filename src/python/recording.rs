@@ -7,10 +7,10 @@ use bundlemocap::io::recording::{Message, Provenance, Reader, Writer};
 use bundlemocap::io::wire::Topics;
 use bundlemocap::nalgebra::Point2;
 use bundlemocap::{Detection, Detections, KeypointFormat, Person, Timestamp};
-use numpy::{PyArray1, PyArray4, PyReadonlyArray1, PyReadonlyArrayDyn, ToPyArray};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use crate::arrays::{Array, array};
 use crate::camera::Rig;
 use crate::error;
 
@@ -47,32 +47,25 @@ pub(crate) fn people(format: KeypointFormat, points: &[[f64; 3]]) -> Vec<Person>
 /// The numbers of an array whose last two axes are points and x, y, confidence.
 pub(crate) fn numbers(
     format: KeypointFormat,
-    array: &PyReadonlyArrayDyn<f64>,
+    array: &Array<f64>,
     axes: &str,
 ) -> PyResult<Vec<[f64; 3]>> {
-    let array = array.as_array();
-    let (shape, points) = (array.shape(), format.len());
+    let (shape, points) = (&array.shape, format.len());
     if !shape.ends_with(&[points, 3]) {
         let name = format.name();
         return Err(error(format!(
             "points: {name} needs an array of {axes} x {points} x 3 numbers (x, y, confidence), not {shape:?}"
         )));
     }
-    let all: Vec<f64> = array.iter().copied().collect();
-    Ok(all.as_chunks().0.to_vec())
+    Ok(array.numbers.as_chunks().0.to_vec())
 }
 
 #[pymethods]
 impl Keypoints {
     #[new]
-    fn new(
-        times_ns: PyReadonlyArray1<i64>,
-        points: PyReadonlyArrayDyn<f64>,
-        format: &str,
-    ) -> PyResult<Self> {
+    fn new(times_ns: Array<i64>, points: Array<f64>, format: &str) -> PyResult<Self> {
         let format = format_of(format)?;
-        let times = times_ns.as_array();
-        let shape = points.as_array().shape().to_vec();
+        let (times, shape) = (times_ns.numbers, &points.shape);
         if !(3..=4).contains(&shape.len()) || shape[0] != times.len() {
             return Err(error(format!(
                 "points: give frames (x people) x points x 3 numbers, with as many frames as times_ns ({}), not {shape:?}",
@@ -83,7 +76,7 @@ impl Keypoints {
         let of_frame = all.len().checked_div(times.len()).unwrap_or(0).max(1);
         let people = all.chunks(of_frame).map(|points| people(format, points));
         let people = people.chain(std::iter::repeat(Vec::new()));
-        let times = times.iter().map(|ns| Timestamp::from_ns(*ns));
+        let times = times.into_iter().map(Timestamp::from_ns);
         let mut frames: Vec<_> = times.zip(people).collect();
         frames.sort_by_key(|frame| frame.0);
         Ok(Self { format, frames })
@@ -95,12 +88,12 @@ impl Keypoints {
     }
 
     #[getter]
-    fn times_ns<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<i64>> {
-        self.frames.iter().map(|frame| frame.0.ns()).collect::<Vec<_>>().to_pyarray(py)
+    fn times_ns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        array(py, self.frames.iter().map(|frame| frame.0.ns()), [self.frames.len()])
     }
 
     #[getter]
-    fn points<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<f64>>> {
+    fn points<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let most = self.frames.iter().map(|frame| frame.1.len()).max().unwrap_or(0);
         let points = self.format.len();
         let mut all = Vec::with_capacity(self.frames.len() * most * points * 3);
@@ -113,7 +106,7 @@ impl Keypoints {
                 }
             }
         }
-        crate::motion::array(py, all, [self.frames.len(), most, points, 3])
+        array(py, all, [self.frames.len(), most, points, 3])
     }
 
     fn __repr__(&self) -> String {

@@ -10,14 +10,12 @@ use bundlemocap::core::tracker;
 use bundlemocap::{
     Decoder, Detections, KeypointFormat, PerformerId, Solver, StampedPose, Timestamp,
 };
-use numpy::{PyArray1, PyArray2, PyReadonlyArrayDyn, ToPyArray};
 use pyo3::prelude::*;
 
+use crate::arrays::{Array, array};
 use crate::camera::Rig;
 use crate::error;
-use crate::motion::{
-    Body, Count, array, deviations, performers_of, positions, rotations, settings,
-};
+use crate::motion::{Body, Count, deviations, performers_of, positions, rotations, settings};
 use crate::recording::{format_of, numbers, people};
 
 /// A pose of a performer.
@@ -47,18 +45,18 @@ impl Pose {
     }
 
     #[getter]
-    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        array(py, positions(&self.pose.pose, &self.body).collect(), [JOINTS, 3])
+    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        array(py, positions(&self.pose.pose, &self.body), [JOINTS, 3])
     }
 
     #[getter]
-    fn rotations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        array(py, rotations(&self.pose.pose).collect(), [JOINTS, 4])
+    fn rotations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        array(py, rotations(&self.pose.pose), [JOINTS, 4])
     }
 
     #[getter]
-    fn deviations<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        deviations(&self.pose).collect::<Vec<_>>().to_pyarray(py)
+    fn deviations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        array(py, deviations(&self.pose), [JOINTS])
     }
 
     fn __repr__(&self) -> String {
@@ -149,7 +147,7 @@ impl Tracker {
         py: Python,
         camera: &str,
         time_ns: i64,
-        points: PyReadonlyArrayDyn<f64>,
+        points: Array<f64>,
     ) -> PyResult<Vec<Pose>> {
         let (camera, capture) = (self.rig.index_of(camera)?, Timestamp::from_ns(time_ns));
         let format = self.format;

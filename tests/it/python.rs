@@ -620,13 +620,39 @@ worst = max(worst, np.abs(places[:3, columns].transpose(2, 1, 0) / 1e3 - np.arra
 print(len(wanted), worst < 1e-5)
 "#;
 
+/// Reads joint angles and markers with OpenSim; compares them with the poses.
+const OPENSIM: &str = r#"
+import sys
+import numpy as np
+import opensim
+from mcap_protobuf.reader import read_protobuf_messages
+
+mot, trc, poses = sys.argv[1:]
+wanted = [np.array(message.proto_msg.joint_positions_m).reshape(-1, 3)
+          for message in read_protobuf_messages(poses, topics=["mocap/stage/actor/actor/pose"])]
+angles = opensim.TimeSeriesTable(mot)
+assert angles.getTableMetaDataString("inDegrees") == "yes"
+# Joints are named as coordinates of the model.
+model = dict(zip(angles.getColumnLabels(), angles.getRowAtIndex(100).to_numpy()))
+pelvis = np.array([model[f"pelvis_t{axis}"] for axis in "xyz"])
+assert np.abs(pelvis - wanted[100][0] @ [[0, 0, -1], [0, 1, 0], [1, 0, 0]]).max() < 1e-5
+markers = opensim.TimeSeriesTableVec3(trc)
+assert markers.getNumRows() == len(wanted) and markers.getNumColumns() == 49
+for joint, name in [(0, "pelvis_jc"), (20, "l_wrist_jc"), (11, "r_foot_jc")]:
+    column = markers.getDependentColumn(name)
+    found = [[column[frame][axis] for axis in range(3)] for frame in range(len(wanted))]
+    assert np.abs(np.array(found) - [pose[joint] for pose in wanted]).max() < 1e-5, name
+print(angles.getNumRows(), len(angles.getColumnLabels()))
+"#;
+
 #[test]
 fn exported_files_have_the_poses_on_a_true_rest_pose() {
-    let import =
-        Command::new("python3").args(["-c", "import ezc3d, mcap_protobuf, numpy, pxr"]).output();
+    let import = Command::new("python3")
+        .args(["-c", "import ezc3d, mcap_protobuf, numpy, opensim, pxr"])
+        .output();
     if !import.is_ok_and(|output| output.status.success()) {
         return crate::support::skipped(
-            "pip install ezc3d mcap-protobuf-support numpy usd-core first",
+            "pip install ezc3d mcap-protobuf-support numpy opensim usd-core first",
         );
     }
     let folder = tempfile::tempdir().unwrap();
@@ -660,4 +686,11 @@ fn exported_files_have_the_poses_on_a_true_rest_pose() {
     let read = read.unwrap();
     check(&read);
     assert_eq!(String::from_utf8_lossy(&read.stdout), "240 True\n");
+
+    let angles = file("mot");
+    check(&program().arg("export").arg(&poses).arg("--out").arg(&angles).output().unwrap());
+    let mut read = Command::new("python3");
+    let read = read.args(["-c", OPENSIM]).args([&angles, &file("trc"), &poses]).output().unwrap();
+    check(&read);
+    assert_eq!(String::from_utf8_lossy(&read.stdout), "240 27\n");
 }

@@ -2,6 +2,7 @@
 //! bus. The recording is then replayed and compared byte for byte.
 
 use std::collections::BTreeMap;
+use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
@@ -233,4 +234,55 @@ fn the_disturbed_take_is_replayed_to_its_golden_bytes() {
     for kind in ["late", "missing", "duplicate", "out_of_order", "acquired"] {
         assert!(kinds.contains_key(kind), "{kind}: {kinds:?}");
     }
+}
+
+/// A phone or Unreal: somebody else's messages, and what they get back.
+#[test]
+fn takes_are_begun_rated_and_ended_by_osc() {
+    use vmc::rosc::{OscMessage, OscPacket, OscType, decoder, encoder};
+    let studio = Studio::over_zenoh("");
+    let mut recorder = Program::start(&mut studio.command("record takes/"));
+    assert!(recorder.has_said("recording takes of "));
+    let client = UdpSocket::bind("127.0.0.1:0").unwrap();
+    client.set_read_timeout(Some(PATIENCE)).unwrap();
+    let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let mut bridge = Program::start(&mut studio.command(&format!("bridge osc --listen {port}")));
+    assert!(bridge.has_said(&format!("takes commands on {port}")));
+    let send = |addr: &str, args: &[OscType]| {
+        let message = OscMessage { addr: addr.into(), args: args.to_vec() };
+        let packet = encoder::encode(&OscPacket::Message(message)).unwrap();
+        client.send_to(&packet, port).unwrap();
+    };
+    // The answers of these roles, in any order.
+    let answered = |roles: &[&str]| {
+        let mut texts = BTreeMap::new();
+        while !roles.iter().all(|role| texts.contains_key(*role)) {
+            let mut bytes = [0; 1024];
+            let length = client.recv(&mut bytes).unwrap();
+            let (_, packet) = decoder::decode_udp(&bytes[..length]).unwrap();
+            let OscPacket::Message(message) = packet else { panic!("{packet:?}") };
+            let [OscType::String(role), OscType::String(text), OscType::Int(1)] = &message.args[..]
+            else {
+                panic!("{message:?}")
+            };
+            assert_eq!(message.addr, "/take/answer");
+            texts.insert(role.clone(), text.clone());
+        }
+        texts
+    };
+    client.send_to(b"no OSC", port).unwrap();
+    send("/RecordStart", &[OscType::String("walk 01".into()), OscType::Int(2)]);
+    assert!(answered(&["node", "recorder"])["node"].contains("take walk_01_2 begins"));
+    send("/take/mark", &[OscType::String("good".into())]);
+    answered(&["recorder"]);
+    send("/take/stop", &[]);
+    assert!(answered(&["node", "recorder"])["node"].contains("take walk_01_2 ended"));
+    assert!(studio.folder.path().join("takes/walk_01_2.mcap").exists());
+    let rated = std::fs::read_to_string(studio.folder.path().join("takes/takes.csv")).unwrap();
+    assert!(rated.contains("walk_01_2") && rated.contains("good"), "{rated}");
+    bridge.signal("INT");
+    let ended = bridge.ended();
+    assert_eq!(ended.code, Some(0), "{}", ended.errors);
+    let last = ended.said.lines().last().unwrap_or_default();
+    assert_eq!(last, "3 commands, 5 answers, 1 messages that are no command");
 }

@@ -116,6 +116,14 @@ def test_a_camera_projects_as_the_pinhole_says(recording: bm.Recording, tmp_path
         assert np.isnan(ideal.project(behind[None])).all()
 
 
+def test_other_numbers_are_taken() -> None:
+    points = np.full((2, 17, 3), 0.5, np.float32)
+    keypoints = bm.Keypoints([0, 1], points[:, ::-1], "coco_17")  # type: ignore[arg-type]
+    assert (keypoints.points == 0.5).all() and keypoints.points.shape == (2, 1, 17, 3)
+    keypoints.points[0] = 0  # A copy.
+    assert (keypoints.points == 0.5).all() and keypoints.times_ns.tolist() == [0, 1]
+
+
 def test_errors_say_what_is_wrong(recording: bm.Recording, tmp_path: Path) -> None:
     rig, format = recording.rig, "body_25"
     with pytest.raises(bm.Error, match="nowhere.mcap"):

@@ -10,6 +10,7 @@ use crate::core::body::{Attachment, Joint, Pose, TrackingState};
 use crate::core::detections::{Keypoint, KeypointFormat};
 use crate::io::formats::c3d::write_c3d;
 use crate::io::formats::gltf::write_glb;
+use crate::io::formats::joint_angles::{write_angles, write_mot};
 use crate::io::formats::npz::write_npz;
 use crate::io::formats::pose_table::{TimedPose, write_csv, write_deviations};
 use crate::io::formats::trc::{Markers, write_trc};
@@ -33,6 +34,8 @@ impl Format {
             Self::Trc => Some(trc),
             Self::C3d => Some(c3d),
             Self::Csv => Some(csv),
+            Self::Mot => Some(mot),
+            Self::Angles => Some(angles),
             Self::Npz => Some(npz),
             Self::Svg => Some(svg),
             Self::Mcap => None,
@@ -188,7 +191,21 @@ fn csv(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
     Ok(format!("{} poses", one.poses.len()))
 }
 
-fn npz(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
+fn angles(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
+    let seconds = |pose: &CompactPose| pose.capture.seconds_since(export.start);
+    write_angles(path, one.poses.iter().map(|pose| timed(seconds(pose), pose)))?;
+    Ok(format!("{} poses", one.poses.len()))
+}
+
+fn mot(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
+    let (fps, poses) = (one.fps, filled(path, one, export));
+    let frames = poses.len();
+    write_mot(path, fps, poses.into_iter().map(|pose| pose.pose))?;
+    Ok(format!("{frames} frames at {fps:.2} Hz"))
+}
+
+/// The poses at evenly spaced times from the start; in gaps the last one again, as lost.
+fn filled(path: &Path, one: &Motion, export: &Export) -> Vec<TimedPose> {
     let fps = one.fps;
     let mut poses: Vec<TimedPose> = Vec::new();
     for (frame, pose) in evenly(path, one, export).into_iter().enumerate() {
@@ -200,6 +217,11 @@ fn npz(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
         };
         poses.extend(pose.map(|pose| timed(time, pose)).or_else(repeated));
     }
+    poses
+}
+
+fn npz(path: &Path, one: &Motion, export: &Export) -> Result<String, Failure> {
+    let (fps, poses) = (one.fps, filled(path, one, export));
     write_npz(path, fps, &one.skeleton, &poses)?;
     Ok(format!("{} frames at {fps:.2} Hz", poses.len()))
 }

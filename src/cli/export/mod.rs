@@ -37,15 +37,17 @@ The ending of each file chooses the format:
   .trc    keypoints of the body and joint centres (_jc), for OpenSim and Pose2Sim; metres
   .c3d    the same markers, for Mokka, Visual3D and other tools of biomechanics; millimetres
   .csv    places and their standard deviations (metres), rotations (quaternions) of the joints
+  .mot    joint angles as OpenSim's Rajagopal models have them; degrees, metres
+  .angles.csv  the same as a table
   .npz    rotation vectors of SMPL's joints with AMASS's fields; metres, z up
   .svg    a picture: a row of stick figures
   .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
 In all but .npz y is up, if --up does not say z. With all rotations zero the body is a T-pose that
 faces +z. Frames and times count from the first frame of the take, or from --start: frame n of
-.bvh, .trc, .c3d, .npz and .usda is frame n of the video, if the cameras run at the rate of the
-poses. Before a performer's first pose and in a gap .bvh and .npz repeat a pose, for at most ten
-minutes in all; .trc and .c3d are empty there, and where the performer is lost. Beside .trc and
-.c3d a .sd.csv has the standard deviations of the joint centres, metres.
+.bvh, .trc, .c3d, .mot, .npz and .usda is frame n of the video, if the cameras run at the rate of
+the poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at
+most ten minutes in all; .trc and .c3d are empty there, and where the performer is lost. Beside
+.trc and .c3d a .sd.csv has the standard deviations of the joint centres, metres.
 
 Examples:
   bundlemocap export out/poses.mcap --out take1.glb
@@ -98,6 +100,11 @@ enum Format {
     C3d,
     /// A table of joints.
     Csv,
+    /// Joint angles for OpenSim.
+    Mot,
+    /// A table of joint angles.
+    #[value(name = "angles.csv")]
+    Angles,
     /// numpy arrays with AMASS's fields.
     Npz,
     /// A row of stick figures.
@@ -109,8 +116,11 @@ enum Format {
 impl Format {
     /// The format that a file's ending names.
     fn of(path: &Path) -> Result<Self, Failure> {
-        let ending = path.extension().unwrap_or_default().to_string_lossy();
-        Self::from_str(&ending, true).map_err(|_| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+        let is_of = |format: &Self| name.ends_with(&format!(".{}", format.name()));
+        // The longest ending counts: .angles.csv before .csv.
+        let all = Self::value_variants().iter().copied().filter(is_of);
+        all.max_by_key(|format| format.name().len()).ok_or_else(|| {
             let all = Self::value_variants().iter().map(|format| format!(".{}", format.name()));
             let all: Vec<String> = all.collect();
             let (path, all) = (path.display(), all.join(", "));

@@ -22,10 +22,10 @@ pub(super) struct Options {
     /// Frames per second: poses are interpolated; default: those of the recording.
     #[arg(long, value_name = "HZ", value_parser = rate)]
     fps: Option<f64>,
-    /// The pose in which all rotations are zero: T, or A with the arms 45 degrees lower (.glb .usda
-    /// .bvh .csv).
+    /// The pose in which all rotations are zero: T, A with the arms 45 degrees lower, or N with hanging
+    /// arms (.glb .usda .bvh .csv).
     #[arg(long, value_name = "POSE", default_value = "t", value_parser =
-        PossibleValuesParser::new(["t", "a"]).map(|name| rest(&name)))]
+        PossibleValuesParser::new(["t", "a", "n"]).map(|name| rest(&name)))]
     rest: RestPose,
     /// Names of the joints (.glb .usda .bvh .csv).
     #[arg(long, value_name = "WHOSE", default_value = "ours", value_parser =
@@ -66,7 +66,11 @@ fn rate(text: &str) -> Result<f64, String> {
 }
 
 fn rest(name: &str) -> RestPose {
-    if name == "a" { RestPose::A } else { RestPose::T }
+    match name {
+        "a" => RestPose::A,
+        "n" => RestPose::N,
+        _ => RestPose::T,
+    }
 }
 
 fn names(name: &str) -> JointNames {

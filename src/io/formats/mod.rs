@@ -1,7 +1,7 @@
 //! Files of other tools.
 //!
 //! - [`bvh`], [`gltf`], [`usd`], [`npz`] and [`pose_table`] (CSV): motions.
-//! - Markers: [`trc`], [`c3d`].
+//! - Markers: [`trc`], [`c3d`]; [`joint_angles`] (.mot, CSV).
 //! - [`read_calibration`]: calibrations of many programs, to a
 //!   [`Rig`](crate::core::camera::Rig) in our world (metres, y up).
 //! - [`DetectionFolder`]: the detections of many programs, as a stream of
@@ -13,6 +13,7 @@ pub mod c3d;
 mod calibration;
 mod detections;
 pub mod gltf;
+pub mod joint_angles;
 pub mod npz;
 mod point_names;
 pub mod pose_table;

@@ -83,7 +83,7 @@ fn deviation_cells(deviations: Option<&JointDeviations>) -> [String; JOINTS] {
     std::array::from_fn(cell)
 }
 
-fn write_table(
+pub(super) fn write_table(
     path: &Path,
     header: Vec<String>,
     rows: impl Iterator<Item = Vec<String>>,

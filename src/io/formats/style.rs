@@ -6,9 +6,6 @@ use super::{Unit, Up};
 use crate::core::body::{JOINTS, Joint, Pose, Skeleton};
 use crate::core::so3;
 
-/// How far below the horizon the arms of an A-pose point.
-const ARM_DEGREES: f64 = 45.0;
-
 /// The pose in which all rotations of a file are zero. It stands upright.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RestPose {
@@ -17,17 +14,22 @@ pub enum RestPose {
     T,
     /// The arms point down by 45 degrees.
     A,
+    /// The arms hang: a neutral pose.
+    N,
 }
 
 impl RestPose {
     /// The pose, with the rotations that it has where a T-pose has none.
     pub fn pose(self) -> Pose {
         let mut pose = Pose::rest();
-        if self == Self::A {
-            for shoulder in [Joint::LShoulder, Joint::RShoulder] {
-                let angle = -shoulder.side() * ARM_DEGREES.to_radians();
-                pose.local[shoulder.index() - 1] = so3::exp(&(Vector3::z() * angle));
-            }
+        let lowered: f64 = match self {
+            Self::T => 0.0,
+            Self::A => 45.0,
+            Self::N => 90.0,
+        };
+        for shoulder in [Joint::LShoulder, Joint::RShoulder] {
+            let angle = -shoulder.side() * lowered.to_radians();
+            pose.local[shoulder.index() - 1] = so3::exp(&(Vector3::z() * angle));
         }
         pose
     }
@@ -194,7 +196,7 @@ mod tests {
     fn every_style_has_the_same_places() {
         let (body, pose) = (Skeleton::default(), bent());
         let wanted = pose.posture(&body).positions;
-        for rest in [RestPose::T, RestPose::A] {
+        for rest in [RestPose::T, RestPose::A, RestPose::N] {
             for up in [Up::Y, Up::Z] {
                 let style = Style::new(rest, up);
                 let found = style.pose(&pose).posture(&style.skeleton(&body)).positions;

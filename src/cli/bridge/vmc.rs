@@ -1,17 +1,17 @@
-//! `bundlemocap bridge`
+//! `bundlemocap bridge vmc`
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Display};
 use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
 use std::time::{Duration, Instant};
 
-use clap::{Args, Subcommand};
+use clap::Args;
 
-use super::Ended;
-use super::bus::{BusArguments, check_name, open};
-use super::clock::{ATTENTION, Stop};
-use super::failure::{Exit, Failure};
-use super::terminal::{complain, note, say};
+use crate::cli::Ended;
+use crate::cli::bus::{BusArguments, check_name, open};
+use crate::cli::clock::{ATTENTION, Stop};
+use crate::cli::failure::{Exit, Failure};
+use crate::cli::terminal::{complain, note, say};
 use crate::cli::tools::inbox::{Inbox, Received, Unusable};
 use crate::core::body::{Skeleton, StampedPose, TrackingState};
 use crate::core::time::Timestamp;
@@ -21,19 +21,6 @@ use crate::io::wire::Topic;
 
 /// A performer without poses for this long is lost.
 const GONE: Duration = Duration::from_secs(2);
-
-/// Send live poses to other programs.
-#[derive(Debug, Args)]
-#[command(after_help = "Example:\n  bundlemocap bridge vmc --to 192.168.1.30:39539")]
-pub(super) struct Arguments {
-    #[command(subcommand)]
-    protocol: Protocol,
-}
-
-#[derive(Debug, Subcommand)]
-enum Protocol {
-    Vmc(Vmc),
-}
 
 /// Send poses in the VMC protocol, for Unity, Unreal, Warudo, VSeeFace and other avatar programs.
 #[derive(Debug, Args)]
@@ -49,7 +36,7 @@ Examples:
   bundlemocap bridge vmc
   bundlemocap bridge vmc --to 192.168.1.30:39539 --provisional
   bundlemocap bridge vmc --to p1=127.0.0.1:39539 --to p2=127.0.0.1:39549")]
-struct Vmc {
+pub(super) struct Arguments {
     /// Address of the receiving program. With NAME= before it, it gets that performer. May be repeated.
     #[arg(long, value_name = "[NAME=]HOST:PORT", default_value = "127.0.0.1:39539")]
     to: Vec<String>,
@@ -61,7 +48,6 @@ struct Vmc {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
-    let Protocol::Vmc(arguments) = &arguments.protocol;
     let stop = Stop::on_signals()?;
     let config = arguments.bus.settings()?;
     let topics = arguments.bus.topics(&config);

@@ -1,0 +1,247 @@
+//! Joint angles, with the names and definitions of OpenSim's Rajagopal models.
+//!
+//! All are 0 where the body stands upright and faces forward (x of OpenSim) with hanging arms. Rotations are about z
+//! (to the right), then x, then y (up). Positive are: flexion of hip, knee, elbow and arm, dorsiflexion, extension of
+//! the back, adduction, and for both sides rotation inwards. Rotations that a joint of those models does not have are
+//! left out: knees, elbows and ankles bend about one axis. The upper arm is turned about its own axis so that the elbow
+//! bends where the forearm is. The pelvis is our joint of that name, not the origin of the
+//! models' pelvis.
+//!
+//! Source: Rajagopal et al., Full-body musculoskeletal model for muscle-driven simulation of human gait, 2016; the
+//! joints of `Rajagopal2016.osim`.
+
+use std::f64::consts::PI;
+use std::fmt::Write as _;
+use std::path::Path;
+
+use libm::{atan2, hypot};
+use nalgebra::Matrix3;
+
+use super::pose_table::{TimedPose, write_table};
+use super::style::{RestPose, Style};
+use super::{ExportError, Up};
+use crate::core::body::{Joint, Pose};
+use crate::core::so3;
+use crate::io::new_file;
+
+/// The turn of an upper arm is known where the forearm leaves its line by this part of its length.
+const SURE_SIDE: f64 = 0.3;
+/// Number of coordinates of a pose.
+const COORDINATES: usize = 27;
+
+/// Their names; the pelvis' place is in metres, all others are in degrees.
+const NAMES: [&str; COORDINATES] = [
+    "pelvis_tilt",
+    "pelvis_list",
+    "pelvis_rotation",
+    "pelvis_tx",
+    "pelvis_ty",
+    "pelvis_tz",
+    "hip_flexion_r",
+    "hip_adduction_r",
+    "hip_rotation_r",
+    "knee_angle_r",
+    "ankle_angle_r",
+    "hip_flexion_l",
+    "hip_adduction_l",
+    "hip_rotation_l",
+    "knee_angle_l",
+    "ankle_angle_l",
+    "lumbar_extension",
+    "lumbar_bending",
+    "lumbar_rotation",
+    "arm_flex_r",
+    "arm_add_r",
+    "arm_rot_r",
+    "elbow_flex_r",
+    "arm_flex_l",
+    "arm_add_l",
+    "arm_rot_l",
+    "elbow_flex_l",
+];
+
+/// Joints whose angles are computed, and whether all three are used; in the order of [`NAMES`].
+const JOINTS: [(&[Joint], bool); 12] = [
+    (&[], true),
+    (&[Joint::RHip], true),
+    (&[Joint::RKnee], false),
+    (&[Joint::RAnkle], false),
+    (&[Joint::LHip], true),
+    (&[Joint::LKnee], false),
+    (&[Joint::LAnkle], false),
+    (&[Joint::Spine1, Joint::Spine2, Joint::Spine3], true),
+    (&[Joint::RCollar, Joint::RShoulder], true),
+    (&[Joint::RElbow], false),
+    (&[Joint::LCollar, Joint::LShoulder], true),
+    (&[Joint::LElbow], false),
+];
+
+/// Computes the angles of poses in order.
+struct Angles {
+    style: Style,
+    /// The last angles, radians, so that the next ones go on without jumps of a turn.
+    last: [[f64; 3]; JOINTS.len()],
+    /// By side, the last turn of the upper arm about its axis, radians.
+    last_turn: [f64; 2],
+}
+
+impl Angles {
+    fn new() -> Self {
+        Self {
+            style: Style::new(RestPose::N, Up::Y),
+            last: Default::default(),
+            last_turn: [0.0; 2],
+        }
+    }
+
+    fn of(&mut self, pose: &Pose) -> [f64; COORDINATES] {
+        // x of OpenSim is our z, its z is our -x.
+        let axes = Matrix3::new(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0);
+        let mut pose = self.style.pose(pose);
+        let arms = [(Joint::LShoulder, Joint::LElbow), (Joint::RShoulder, Joint::RElbow)];
+        for ((shoulder, elbow), last) in arms.into_iter().zip(&mut self.last_turn) {
+            let (shoulder, elbow) = (shoulder.index() - 1, elbow.index() - 1);
+            let (turn, bent) = hinged(&(axes * pose.local[elbow] * axes.transpose()), last);
+            pose.local[shoulder] *= axes.transpose() * turn * axes;
+            pose.local[elbow] = axes.transpose() * bent * axes;
+        }
+        let mut all = Vec::with_capacity(COORDINATES);
+        for ((joints, is_whole), last) in JOINTS.iter().zip(&mut self.last) {
+            let turn = match joints {
+                [] => pose.root_rotation,
+                joints => joints.iter().map(|joint| pose.local[joint.index() - 1]).product(),
+            };
+            *last = so3::angles(&(axes * turn * axes.transpose()), [2, 0, 1], *last);
+            let [z, x, y] = last.map(f64::to_degrees);
+            let first = joints.last();
+            // The models mirror the left side.
+            let side = if first.is_some_and(|joint| joint.side() > 0.0) { -1.0 } else { 1.0 };
+            let bends_back = matches!(first, Some(Joint::LKnee | Joint::RKnee));
+            all.push(if bends_back { -z } else { z });
+            if *is_whole {
+                all.extend([side * x, side * y]);
+            }
+            if joints.is_empty() {
+                all.extend((axes * pose.root_position).iter());
+            }
+        }
+        std::array::from_fn(|at| all[at])
+    }
+}
+
+/// An elbow that only bends, about z, and the turn of the upper arm about its axis, y, with which the forearm points
+/// where it did. The straighter the arm, the less is known of the turn.
+fn hinged(elbow: &Matrix3<f64>, last: &mut f64) -> (Matrix3<f64>, Matrix3<f64>) {
+    let forearm = -elbow.column(1);
+    let side = hypot(forearm.x, forearm.z);
+    let bent = atan2(side, -forearm.y);
+    let turn = so3::nearest_turns([atan2(-forearm.z, forearm.x)], [*last])[0];
+    // Bent the other way, after half a turn, the forearm points there too.
+    let other = so3::nearest_turns([turn + PI], [*last])[0];
+    let is_other = (other - *last).abs() < (turn - *last).abs();
+    let (turn, bent) = if is_other { (other, -bent) } else { (turn, bent) };
+    *last = turn * (side / SURE_SIDE).min(1.0);
+    (so3::about(1, *last), so3::about(2, bent))
+}
+
+/// Writes a .mot file of evenly spaced poses from 0 s.
+///
+/// # Errors
+/// The disk is full, the rate is not above 0, or a pose has a value that is not finite.
+pub fn write_mot(
+    path: &Path,
+    fps: f64,
+    poses: impl IntoIterator<Item = Pose>,
+) -> Result<(), ExportError> {
+    if !(fps.is_finite() && fps > 0.0) {
+        return Err(ExportError::FrameRate { path: path.into(), fps });
+    }
+    let (mut rows, mut frames, mut angles) = (String::new(), 0, Angles::new());
+    for pose in poses {
+        let numbers = angles.of(&pose);
+        if !numbers.iter().all(|number| number.is_finite()) {
+            return Err(ExportError::NotFinite { path: path.into(), frame: frames });
+        }
+        // Writing into a string cannot fail.
+        let _ = write!(rows, "{:.6}", frames as f64 / fps);
+        numbers.iter().for_each(|number| rows += &format!("\t{number:.6}"));
+        rows.push('\n');
+        frames += 1;
+    }
+    let (columns, names) = (COORDINATES + 1, NAMES.join("\t"));
+    let text = format!(
+        "Coordinates\nversion=1\nnRows={frames}\nnColumns={columns}\ninDegrees=yes\nendheader\n\
+         time\t{names}\n{rows}"
+    );
+    new_file::write(path, text.as_bytes()).map_err(ExportError::write(path))
+}
+
+/// Writes a line for each pose: `time_s`, `state`, then the coordinates: degrees, and metres for the pelvis' place.
+///
+/// # Errors
+/// The disk is full.
+pub fn write_angles(
+    path: &Path,
+    poses: impl IntoIterator<Item = TimedPose>,
+) -> Result<(), ExportError> {
+    let mut angles = Angles::new();
+    let header = ["time_s", "state"].into_iter().chain(NAMES).map(str::to_owned).collect();
+    let row = |TimedPose { time, state, pose, .. }: TimedPose| {
+        let begin = [format!("{time:.6}"), state.name().to_owned()];
+        let numbers = angles.of(&pose).map(|number| format!("{number:.6}"));
+        begin.into_iter().chain(numbers).collect()
+    };
+    write_table(path, header, poses.into_iter().map(row))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+
+    /// The named coordinates of a pose whose joints are turned about our axes, degrees.
+    fn found(turns: &[(Joint, [f64; 3])], names: &[&str]) -> Vec<f64> {
+        let mut pose = RestPose::N.pose();
+        for (joint, degrees) in turns {
+            let turn = so3::exp(&Vector3::from(degrees.map(f64::to_radians)));
+            match joint.index().checked_sub(1) {
+                Some(j) => pose.local[j] = turn * pose.local[j],
+                None => pose.root_rotation = turn,
+            }
+        }
+        let all = Angles::new().of(&pose);
+        let at = |name: &&str| all[NAMES.iter().position(|own| own == name).unwrap()];
+        names.iter().map(at).map(|number| (number * 1e6).round() / 1e6).collect()
+    }
+
+    #[test]
+    fn angles_have_the_signs_of_the_models() {
+        assert!(found(&[], &NAMES).iter().all(|number| *number == 0.0));
+        // Ours: x to the left, y up, z forward. A leg is raised forward by a turn about -x.
+        let bent = [(Joint::LHip, [-30.0, 0.0, 0.0]), (Joint::LKnee, [50.0, 0.0, 0.0])];
+        assert_eq!(
+            found(&bent, &["hip_flexion_l", "knee_angle_l", "knee_angle_r"]),
+            [30.0, 50.0, 0.0]
+        );
+        let inwards = [(Joint::LHip, [0.0, 0.0, -10.0]), (Joint::RHip, [0.0, 0.0, 10.0])];
+        assert_eq!(found(&inwards, &["hip_adduction_l", "hip_adduction_r"]), [10.0, 10.0]);
+        let inwards = [(Joint::LHip, [0.0, -10.0, 0.0]), (Joint::RHip, [0.0, 10.0, 0.0])];
+        assert_eq!(found(&inwards, &["hip_rotation_l", "hip_rotation_r"]), [10.0, 10.0]);
+        let back = [(Joint::Spine1, [-10.0, 0.0, 0.0]), (Joint::Spine3, [-10.0, 0.0, 0.0])];
+        assert_eq!(found(&back, &["lumbar_extension"]), [20.0]);
+        let raised = [(Joint::RShoulder, [-40.0, 0.0, 0.0]), (Joint::RElbow, [-90.0, 0.0, 0.0])];
+        let raised = found(&raised, &["arm_flex_r", "arm_add_r", "arm_flex_l"]);
+        assert_eq!(raised, [40.0, 0.0, 0.0]);
+        // An elbow that bends to the side turns the upper arm.
+        let aside = [(Joint::RElbow, [0.0, 0.0, -60.0])];
+        let aside = found(&aside, &["elbow_flex_r", "arm_rot_r", "arm_flex_r"]);
+        assert!((aside[0].abs() - 60.0).abs() < 1e-6 && (aside[1].abs() - 90.0).abs() < 1e-6);
+        assert_eq!(aside[2], 0.0);
+        assert_eq!(found(&[(Joint::Pelvis, [0.0, 20.0, 0.0])], &["pelvis_rotation"]), [20.0]);
+        // In a T-pose the arms are led away from the body.
+        let level = Angles::new().of(&Pose::rest());
+        let arm = NAMES.iter().position(|name| *name == "arm_add_r").unwrap();
+        assert!((level[arm] + 90.0).abs() < 1e-6, "{}", level[arm]);
+    }
+}
