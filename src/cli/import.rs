@@ -29,7 +29,7 @@ FOLDER holds a subfolder or a file for each camera, found by content:
   AlphaPose, COCO        a JSON file for all frames
   Ultralytics YOLO       a JSON file or a text file (labels) for each frame
   MediaPipe              a JSON file for each frame or one for all: lists of x, y, visibility
-  DeepLabCut             a CSV for all frames (h5: deeplabcut.analyze_videos_converth5_to_csv)
+  DeepLabCut             a CSV or h5 for all frames
   FreeMoCap              its recording folder, or the .npy with the 2D data of all cameras
   others                 a CSV with frame, NAME_x, NAME_y, NAME_c ..., perhaps camera and person
 Also a trial's folder that holds these in `pose`. Capture time is the frame number, in the file

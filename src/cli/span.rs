@@ -19,8 +19,8 @@ const SEARCHED: Nanos = Nanos::from_ms(5000);
 /// The part of a recording that is used.
 #[derive(Debug, Args)]
 pub(super) struct SpanArguments {
-    /// Begin here: seconds since the recording's first frame, or a timecode such as 01:00:00:00, with
-    /// [timecode] in the settings or in those of the recording.
+    /// Begin here: seconds since the recording's first frame, frames such as 240f (`export` alone), or a
+    /// timecode such as 01:00:00:00, with [timecode] in the settings or in those of the recording.
     #[arg(long, value_name = "TIME")]
     start: Option<String>,
     /// End here, inclusive; as --start.

@@ -18,7 +18,7 @@ use crate::live::WallClock;
 /// Time from opening the bus to the command, for nodes and recorders to connect.
 const LEAD: Duration = Duration::from_millis(500);
 /// Longest wait for answers: a recorder ends a file a second after the command.
-const PATIENCE: Duration = Duration::from_secs(4);
+pub(super) const PATIENCE: Duration = Duration::from_secs(4);
 /// Wait for further answers once a node and a recorder have answered.
 const GRACE: Duration = Duration::from_millis(300);
 
@@ -118,6 +118,11 @@ impl Action {
             _ => &["node"],
         }
     }
+}
+
+/// Who must answer a command.
+pub(super) fn roles(action: &str) -> &'static [&'static str] {
+    Action::from_str(action, false).map_or(&[], Action::roles)
 }
 
 pub(super) fn run(arguments: &Arguments) -> Ended {

@@ -1,7 +1,7 @@
 //! Arrays of numpy. They are copied through bytes: this needs no crate and takes what `numpy.asarray` takes.
 
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
+use pyo3::types::{PyBytes, PyDict};
 
 use crate::error;
 
@@ -9,6 +9,8 @@ use crate::error;
 pub(crate) trait Number: Copy {
     /// Numpy's name of the type.
     const TYPE: &'static str;
+    /// Whether it is a whole number.
+    const IS_WHOLE: bool;
 
     fn from_bytes(bytes: [u8; 8]) -> Self;
     fn into_bytes(self) -> [u8; 8];
@@ -16,6 +18,7 @@ pub(crate) trait Number: Copy {
 
 impl Number for f64 {
     const TYPE: &'static str = "<f8";
+    const IS_WHOLE: bool = false;
 
     fn from_bytes(bytes: [u8; 8]) -> Self {
         Self::from_le_bytes(bytes)
@@ -28,6 +31,7 @@ impl Number for f64 {
 
 impl Number for i64 {
     const TYPE: &'static str = "<i8";
+    const IS_WHOLE: bool = true;
 
     fn from_bytes(bytes: [u8; 8]) -> Self {
         Self::from_le_bytes(bytes)
@@ -60,7 +64,14 @@ impl<'a, 'py, T: Number> FromPyObject<'a, 'py> for Array<T> {
     type Error = PyErr;
 
     fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
-        let array = object.py().import("numpy")?.call_method1("asarray", (object, T::TYPE))?;
+        let array = object.py().import("numpy")?.call_method1("asarray", (object,))?;
+        // Nothing is rounded.
+        let casting = PyDict::new(object.py());
+        casting.set_item("casting", if T::IS_WHOLE { "safe" } else { "same_kind" })?;
+        let array = array.call_method("astype", (T::TYPE,), Some(&casting)).map_err(|wrong| {
+            let what = if T::IS_WHOLE { "whole numbers" } else { "numbers" };
+            error(format!("give an array of {what} ({wrong})"))
+        })?;
         let bytes = array.call_method0("tobytes")?.cast_into::<PyBytes>()?;
         let numbers = bytes.as_bytes().as_chunks().0.iter().map(|bytes| T::from_bytes(*bytes));
         Ok(Self { shape: array.getattr("shape")?.extract()?, numbers: numbers.collect() })

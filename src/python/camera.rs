@@ -34,11 +34,12 @@ impl Camera {
         matrix: Array<f64>,
         rotation: Array<f64>,
         translation: Array<f64>,
-        distortion: Option<Vec<f64>>,
+        distortion: Option<Array<f64>>,
         fisheye: bool,
     ) -> PyResult<Self> {
+        let numbers = distortion.map_or(vec![0.0; 4], |array| array.numbers);
         let of = if fisheye { Lens::fisheye } else { Lens::brown_conrady };
-        let lens = distortion.map_or(Ok(Lens::IDEAL), |numbers| of(&numbers)).map_err(error)?;
+        let lens = of(&numbers).map_err(error)?;
         let translation = Vector3::from_vec(translation.of_shape("translation", &[3])?);
         let (matrix, rotation) =
             (self::matrix(matrix, "matrix")?, self::matrix(rotation, "rotation")?);

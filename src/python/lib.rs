@@ -7,7 +7,9 @@ mod recording;
 mod tracker;
 
 use std::ffi::OsString;
+use std::path::Path;
 
+use bundlemocap::io::recording::Report;
 use bundlemocap::{Joint, KeypointFormat};
 use pyo3::create_exception;
 use pyo3::exceptions::PyException;
@@ -19,6 +21,16 @@ create_exception!(bundlemocap, Error, PyException, "Why something cannot be done
 /// The error for Python.
 fn error(error: impl std::fmt::Display) -> PyErr {
     Error::new_err(error.to_string())
+}
+
+/// Warns of what a damaged recording lost.
+fn warn_of(py: Python, path: &Path, report: &Report) -> PyResult<()> {
+    let losses = report.losses();
+    if losses.is_empty() {
+        return Ok(());
+    }
+    let text = format!("{}: {}", path.display(), losses.join("; "));
+    py.import("warnings")?.call_method1("warn", (text,)).map(drop)
 }
 
 /// Runs the command of this process, as `bundlemocap` without Python does, and ends it.

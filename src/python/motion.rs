@@ -13,8 +13,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::array;
-use crate::error;
 use crate::recording::Recording;
+use crate::{error, warn_of};
 
 /// The joint centres in the world.
 pub(crate) fn positions(pose: &CorePose, skeleton: &Skeleton) -> impl Iterator<Item = f64> {
@@ -110,7 +110,12 @@ pub(crate) struct Solved {
 }
 
 fn motions(py: Python, path: &std::path::Path) -> PyResult<BTreeMap<String, Py<Motion>>> {
-    let (found, _) = py.detach(|| offline::read_motions(path, false)).map_err(error)?;
+    let (found, report) = py.detach(|| offline::read_motions(path, false)).map_err(error)?;
+    warn_of(py, path, &report)?;
+    if found.is_empty() {
+        let fix = "solve it first, then use its poses.mcap";
+        return Err(error(format!("{} holds no poses; {fix}", path.display())));
+    }
     let of =
         |motion: offline::Motion| Ok((motion.actor.clone(), Py::new(py, Motion::from(motion))?));
     found.into_iter().map(of).collect()
@@ -132,7 +137,7 @@ pub(crate) enum Take {
 /// A number of performers, or `auto`.
 #[derive(FromPyObject)]
 pub(crate) enum Count {
-    Number(usize),
+    Number(i64),
     Text(String),
 }
 

@@ -1,10 +1,10 @@
 //! Recordings as arrays.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use bundlemocap::io::recording::{Message, Provenance, Reader, Writer};
-use bundlemocap::io::wire::Topics;
+use bundlemocap::io::recording::{Message, Provenance, Reader, Report, Writer};
+use bundlemocap::io::wire::{TIMES_NS, Topics};
 use bundlemocap::nalgebra::Point2;
 use bundlemocap::{Detection, Detections, KeypointFormat, Person, Timestamp};
 use pyo3::prelude::*;
@@ -12,7 +12,7 @@ use pyo3::types::PyDict;
 
 use crate::arrays::{Array, array};
 use crate::camera::Rig;
-use crate::error;
+use crate::{error, warn_of};
 
 /// The detections of one camera over time.
 #[pyclass(frozen, module = "bundlemocap")]
@@ -44,6 +44,14 @@ pub(crate) fn people(format: KeypointFormat, points: &[[f64; 3]]) -> Vec<Person>
     people.filter(|person| person.points.iter().any(Option::is_some)).collect()
 }
 
+/// A capture time.
+pub(crate) fn capture(ns: i64) -> PyResult<Timestamp> {
+    let is_valid = TIMES_NS.contains(&ns);
+    is_valid.then(|| Timestamp::from_ns(ns)).ok_or_else(|| {
+        error(format!("time {ns} ns is not of the years 1684 to 2255; give nanoseconds since 1970"))
+    })
+}
+
 /// The numbers of an array whose last two axes are points and x, y, confidence.
 pub(crate) fn numbers(
     format: KeypointFormat,
@@ -66,6 +74,10 @@ impl Keypoints {
     fn new(times_ns: Array<i64>, points: Array<f64>, format: &str) -> PyResult<Self> {
         let format = format_of(format)?;
         let (times, shape) = (times_ns.numbers, &points.shape);
+        times.iter().try_for_each(|ns| capture(*ns).map(drop))?;
+        if times_ns.shape.len() != 1 {
+            return Err(error("times_ns: give an array of one axis"));
+        }
         if !(3..=4).contains(&shape.len()) || shape[0] != times.len() {
             return Err(error(format!(
                 "points: give frames (x people) x points x 3 numbers, with as many frames as times_ns ({}), not {shape:?}",
@@ -133,7 +145,8 @@ impl Recording {
     /// Reads a recording (.mcap).
     #[staticmethod]
     fn read(py: Python, path: PathBuf) -> PyResult<Self> {
-        let (rig, found) = py.detach(|| read(&path))?;
+        let (rig, found, report) = py.detach(|| read(&path))?;
+        warn_of(py, &path, &report)?;
         let keypoints =
             found.into_iter().map(|(name, keypoints)| Ok((name, Py::new(py, keypoints)?)));
         Ok(Self { rig, keypoints: keypoints.collect::<PyResult<_>>()? })
@@ -183,17 +196,27 @@ impl Recording {
 }
 
 /// The rig and the keypoints of a file.
-fn read(path: &std::path::Path) -> PyResult<(Rig, BTreeMap<String, Keypoints>)> {
+fn read(path: &Path) -> PyResult<(Rig, BTreeMap<String, Keypoints>, Report)> {
     let mut rig = None;
     let mut found = BTreeMap::<String, Keypoints>::new();
-    for entry in Reader::open(path).map_err(error)? {
+    let mut reader = Reader::open(path).map_err(error)?;
+    for entry in reader.by_ref() {
         match entry.map_err(error)?.message {
-            Message::Rig(wire) => rig = Some(wire.to_core().map_err(error)?),
+            Message::Rig(wire) => {
+                let new = wire.to_core().map_err(error)?;
+                if rig.as_ref().is_some_and(|rig| *rig != new) {
+                    return Err(several(path, "calibrations"));
+                }
+                rig = Some(new);
+            }
             Message::Keypoints(frame) => {
                 let detections = frame.to_core(|_| Some(0)).map_err(error)?;
                 let format = detections.format;
                 let new = || Keypoints { format, frames: Vec::new() };
                 let camera = found.entry(frame.camera).or_insert_with(new);
+                if camera.format != format {
+                    return Err(several(path, "keypoint formats of one camera"));
+                }
                 camera.frames.push((detections.capture, detections.people));
             }
             _ => {}
@@ -202,5 +225,9 @@ fn read(path: &std::path::Path) -> PyResult<(Rig, BTreeMap<String, Keypoints>)> 
     let none = || error(format!("{} holds no calibrated rig", path.display()));
     let rig = Rig(std::sync::Arc::new(rig.ok_or_else(none)?));
     found.values_mut().for_each(|camera| camera.frames.sort_by_key(|frame| frame.0));
-    Ok((rig, found))
+    Ok((rig, found, reader.report().clone()))
+}
+
+fn several(path: &Path, what: &str) -> PyErr {
+    error(format!("{} holds several {what}; give its path to `solve`", path.display()))
 }

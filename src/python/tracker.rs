@@ -8,7 +8,7 @@ use bundlemocap::core::body::JOINTS;
 use bundlemocap::core::stage::{Input, Output, Stage};
 use bundlemocap::core::tracker;
 use bundlemocap::{
-    Decoder, Detections, KeypointFormat, PerformerId, Solver, StampedPose, Timestamp,
+    Decoder, Detections, KeypointFormat, Nanos, PerformerId, Solver, StampedPose, Timestamp,
 };
 use pyo3::prelude::*;
 
@@ -16,7 +16,12 @@ use crate::arrays::{Array, array};
 use crate::camera::Rig;
 use crate::error;
 use crate::motion::{Body, Count, deviations, performers_of, positions, rotations, settings};
-use crate::recording::{format_of, numbers, people};
+use crate::recording::{capture, format_of, numbers, people};
+
+/// Between two frames of a camera: 10 kHz.
+const SHORTEST: Nanos = Nanos::new(100_000);
+/// The tracker would look for everybody in each frame of a longer gap.
+const LONGEST: Nanos = Nanos::from_ms(86_400_000);
 
 /// A pose of a performer.
 #[pyclass(frozen, module = "bundlemocap")]
@@ -80,6 +85,10 @@ struct Staged {
     bodies: BTreeMap<PerformerId, Body>,
     /// Frames of each camera so far.
     frames: Vec<u64>,
+    /// By camera, the time of the newest frame.
+    last: Vec<Option<Timestamp>>,
+    /// The newest of all cameras.
+    newest: Option<Timestamp>,
     events: Vec<String>,
 }
 
@@ -136,6 +145,8 @@ impl Tracker {
             solver: Solver::new(decoder, config.tracker),
             bodies: BTreeMap::new(),
             frames: vec![0; rig.0.cameras.len()],
+            last: vec![None; rig.0.cameras.len()],
+            newest: None,
             events: Vec::new(),
         };
         Ok(Self { rig, format: format_of(format)?, stage: Mutex::new(stage) })
@@ -149,15 +160,27 @@ impl Tracker {
         time_ns: i64,
         points: Array<f64>,
     ) -> PyResult<Vec<Pose>> {
-        let (camera, capture) = (self.rig.index_of(camera)?, Timestamp::from_ns(time_ns));
+        let (camera, capture) = (self.rig.index_of(camera)?, capture(time_ns)?);
         let format = self.format;
         let people = people(format, &numbers(format, &points, "(people)")?);
-        Ok(py.detach(|| {
+        py.detach(|| {
             let mut stage = self.stage();
+            let last = stage.last[camera].replace(capture);
+            let newest = stage.newest.unwrap_or(capture);
+            let apart = last.map_or(LONGEST, |last| capture - last);
+            if !(SHORTEST..=LONGEST).contains(&apart) || (capture - newest).abs() > LONGEST {
+                let apart = (capture - last.unwrap_or(newest)).ns();
+                stage.last[camera] = last;
+                return Err(error(format!(
+                    "time_ns: {apart} ns after the frame before; give nanoseconds, for each camera frame by frame in \
+                     order, and begin a new Tracker after a day"
+                )));
+            }
+            stage.newest = Some(newest.max(capture));
             let frame = stage.frames[camera];
             stage.frames[camera] += 1;
-            stage.feed(Input::Detections(Detections { camera, frame, capture, format, people }))
-        }))
+            Ok(stage.feed(Input::Detections(Detections { camera, frame, capture, format, people })))
+        })
     }
 
     /// The last poses; nothing may be added after it.

@@ -587,6 +587,17 @@ fn gltf_files_of_several_performers_begin_together() {
     }
     writer.finish().unwrap();
     place.done("export two.mcap --out two.glb");
+    // Each has its own files beside, whatever the names.
+    place.done("export two.mcap --format bvh --lost mark --out two");
+    for actor in ["p1", "p2"] {
+        assert!(place.path(&format!("two.{actor}.states.csv")).exists());
+    }
+    for outputs in ["--out a.states.csv --out a.bvh", "--out a.bvh --out ./a.bvh"] {
+        let export = format!("export two.mcap --lost mark --actor p1 {outputs}");
+        place.fails(USAGE, &export, &["would be written twice"]);
+    }
+    let told = place.done("export two.mcap --out one.glb --start 0 --end 0.5");
+    assert!(place.path("one.p1.glb").exists(), "{told}");
     for (actor, start, count) in [("p1", 0.0, 120), ("p2", 1.0, 60)] {
         let bytes = fs::read(place.path(&format!("two.{actor}.glb"))).unwrap();
         let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;

@@ -789,6 +789,46 @@ fn tables_of_deeplabcut_are_read_by_the_names_of_their_points() {
     assert!(at(&read[0], Keypoint::RKnee).is_some() && at(&read[2], Keypoint::RKnee).is_none());
     assert!(folder.notes()[0].contains("points left out: tail"), "{:?}", folder.notes());
 
+    // The same tables as pandas writes them to h5.
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
+    let again = TempDir::new().unwrap();
+    for name in ["cam1DLC_resnet50_take.h5", "cam-2_take.h5"] {
+        fs::copy(golden.join("deeplabcut.h5"), again.path().join(name)).unwrap();
+    }
+    let given_h5 = [("cam1DLC_resnet50_take.h5", "cam1"), ("cam-2_take.h5", "cam2")];
+    let of_h5 = DetectionFolder::open(again.path(), &rig, options(&given_h5)).unwrap();
+    let of_h5: Vec<Detections> = of_h5.map(Result::unwrap).collect();
+    assert_eq!(of_h5.len(), 4);
+    let of_camera = |all: &[Detections]| {
+        all.iter().filter(|frame| frame.camera == 0).cloned().collect::<Vec<_>>()
+    };
+    assert_eq!(of_camera(&of_h5), of_camera(&read));
+    // Beside its CSV a table is not read twice.
+    let cam1 = "cam1DLC_resnet50_take";
+    let csv = format!("{cam1}.csv");
+    fs::copy(root.path().join(&csv), again.path().join(&csv)).unwrap();
+    let folder = DetectionFolder::open(again.path(), &rig, options(&[])).unwrap();
+    let both: Vec<Detections> = folder.map(Result::unwrap).collect();
+    assert_eq!((both.len(), of_camera(&both)), (4, of_camera(&read)));
+    // Two individuals are two people.
+    let two = TempDir::new().unwrap();
+    for name in ["cam1.h5", "cam2.h5"] {
+        fs::copy(golden.join("deeplabcut_two.h5"), two.path().join(name)).unwrap();
+    }
+    let folder = DetectionFolder::open(two.path(), &rig, options(&[])).unwrap();
+    let people: Vec<usize> = folder.map(|frame| frame.unwrap().people.len()).collect();
+    assert_eq!(people, [2, 2]);
+    // Broken ones are refused with the reason.
+    let bytes = fs::read(golden.join("deeplabcut.h5")).unwrap();
+    for cut in [0, 7, 100, 5_000, 60_000] {
+        fs::write(again.path().join("cam-2_take.h5"), &bytes[..cut]).unwrap();
+        let said = match DetectionFolder::open(again.path(), &rig, options(&[])) {
+            Ok(folder) => format!("{:?}", folder.filter_map(Result::err).collect::<Vec<_>>()),
+            Err(error) => error.to_string(),
+        };
+        assert!(said.contains("cam-2_take.h5"), "{cut}: {said}");
+    }
+
     // A mapping file by the detector's names.
     let mapping =
         write(root.path(), "points.toml", "[points]\nnose = \"tail\"\nleft_knee = \"RightKnee\"\n");

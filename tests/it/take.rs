@@ -271,6 +271,7 @@ fn takes_are_begun_rated_and_ended_by_osc() {
         texts
     };
     client.send_to(b"no OSC", port).unwrap();
+    send("/take/stop", &[OscType::Bool(false)]);
     send("/RecordStart", &[OscType::String("walk 01".into()), OscType::Int(2)]);
     assert!(answered(&["node", "recorder"])["node"].contains("take walk_01_2 begins"));
     send("/take/mark", &[OscType::String("good".into())]);

@@ -108,6 +108,8 @@ def test_a_camera_projects_as_the_pinhole_says(recording: bm.Recording, tmp_path
     recording.rig.write(path)
     for camera, again in zip(recording.rig.cameras, bm.Rig.read(path).cameras, strict=True):
         places = np.array([[0.0, 1.0, 0.0], [0.3, 1.5, -0.2]])
+        wide = bm.Camera("c", camera.size, camera.matrix, camera.rotation, camera.translation, fisheye=True)
+        assert wide.is_fisheye
         ideal = bm.Camera("c", camera.size, camera.matrix, camera.rotation, camera.translation)
         seen = camera.matrix @ (camera.rotation @ places.T + camera.translation[:, None])
         assert np.abs(ideal.project(places) - (seen[:2] / seen[2]).T).max() < 1e-6
@@ -136,8 +138,22 @@ def test_errors_say_what_is_wrong(recording: bm.Recording, tmp_path: Path) -> No
         bm.Keypoints(np.arange(4), np.zeros((3, 25, 3)), format)
     with pytest.raises(bm.Error, match="halpe_26"):
         bm.Tracker(rig, "halpe_27")  # type: ignore[arg-type]
-    with pytest.raises(bm.Error, match="performers"):
-        bm.solve(WALK, performers=0)
+    for count in [0, -1]:
+        with pytest.raises(bm.Error, match="performers"):
+            bm.solve(WALK, performers=count)
+    with pytest.raises(bm.Error, match="whole numbers"):
+        bm.Keypoints(np.array([0.5]), np.zeros((1, 25, 3)), format)
+    with pytest.raises(bm.Error, match="years 1684 to 2255"):
+        bm.Keypoints([2**63 - 1], np.zeros((1, 25, 3)), format)  # type: ignore[arg-type]
+    tracker = bm.Tracker(rig, format)
+    nobody = np.zeros((25, 3))
+    tracker.add("cam01", 0, nobody)
+    for camera, time in [("cam01", 1), ("cam01", -20_000_000), ("cam02", 8 * 10**18)]:
+        with pytest.raises(bm.Error, match="give nanoseconds"):
+            tracker.add(camera, time, nobody)
+    tracker.add("cam01", 20_000_000, nobody)
+    with pytest.raises(bm.Error, match="holds no poses"):
+        bm.read_motions(WALK)
     with pytest.raises(bm.Error, match="matrix: give an array of 3 x 3"):
         bm.Camera("c", (640, 480), np.eye(4), np.eye(3), np.zeros(3))
     out = tmp_path / "out"
@@ -145,6 +161,17 @@ def test_errors_say_what_is_wrong(recording: bm.Recording, tmp_path: Path) -> No
     with pytest.raises(bm.Error, match="exists"):
         bm.solve(WALK, out=out)
     bm.solve(WALK, out=out, overwrite=True)
+
+
+def test_what_a_damaged_file_lost_is_said(
+    solved: tuple[bm.Solved, Path], tmp_path: Path
+) -> None:
+    for source, read in [(WALK, bm.Recording.read), (solved[1] / "poses.mcap", bm.read_motions)]:
+        cut = tmp_path / "cut.mcap"
+        whole = source.read_bytes()
+        cut.write_bytes(whole[: len(whole) // 2])
+        with pytest.warns(UserWarning, match="cut.mcap"):
+            read(cut)
 
 
 def test_the_program_is_there(tmp_path: Path) -> None:

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 use std::io::ErrorKind;
-use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
-use std::time::SystemTime;
+use std::net::{SocketAddr, UdpSocket};
+use std::time::{Instant, SystemTime};
 
 use clap::Args;
 use rosc::{OscMessage, OscPacket, OscType, decoder, encoder};
@@ -13,7 +13,7 @@ use crate::cli::Ended;
 use crate::cli::bus::{BusArguments, open};
 use crate::cli::clock::{ATTENTION, Stop};
 use crate::cli::failure::{Exit, Failure};
-use crate::cli::take::Slate;
+use crate::cli::take::{PATIENCE, Slate, roles};
 use crate::cli::terminal::{complain, note, say};
 use crate::io::wire::{Take, TakeAnswer, valid_name};
 
@@ -32,10 +32,11 @@ const PACKET: usize = 65_536;
   /take/mark good|bad          rates it
   /take/reset                  somebody else comes: nodes forget the performers' bodies
   /RecordStart SLATE NUMBER    as Unreal starts the face capture of a phone; with /RecordStop
-  /OSCSetSendTarget HOST PORT  answers go there; without it, to where the command came from
+  /OSCSetSendTarget IP PORT    answers go there; without it, to where the command came from
 
-Answers: /take/answer ROLE TEXT DONE, once from each node and recorder; DONE is 1, or 0 if it refused.
-A character that a name cannot have becomes `_`. OSC has no passwords: who reaches the port can begin
+A button that sends whether it is pressed, as a number or true and false, starts, stops or resets when
+it is pressed. Answers: /take/answer ROLE TEXT DONE, once from each node and recorder; DONE is 1, or 0 if
+it refused or nobody of that role is there. A character that a name cannot have becomes `_`. OSC has no passwords: who reaches the port can begin
 and end takes. The default is this computer alone.
 
 Examples:
@@ -83,11 +84,20 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 struct Bridge {
     socket: UdpSocket,
     slate: Slate,
-    /// The newest commands, with the address that their answers go to.
-    asked: VecDeque<(u64, SocketAddr)>,
+    /// The newest commands.
+    asked: VecDeque<Asked>,
     /// Where all answers go, if a client has said it.
     target: Option<SocketAddr>,
     count: Count,
+}
+
+/// A command.
+struct Asked {
+    id: u64,
+    from: SocketAddr,
+    at: Instant,
+    /// Who has not answered.
+    missing: Vec<&'static str>,
 }
 
 #[derive(Default)]
@@ -134,18 +144,20 @@ impl Bridge {
             OscPacket::Message(message) if message.addr == "/OSCSetSendTarget" => {
                 match target(&message.args) {
                     Some(target) => self.target = Some(target),
-                    None => self.reject(from, "/OSCSetSendTarget needs a host and a port"),
+                    None => self.reject(from, "/OSCSetSendTarget needs an IP address and a port"),
                 }
                 Ok(())
             }
             OscPacket::Message(message) => match command(&message) {
-                Ok(take) => {
+                Ok(None) => Ok(()),
+                Ok(Some(take)) => {
                     let take = self.slate.send(take)?;
                     let name = [" ", &take.name].concat();
                     say(&format!("{from}: {}{}", take.action, name.trim_end()));
                     self.count.commands += 1;
+                    let missing = roles(&take.action).to_vec();
                     self.asked.truncate(OPEN - 1);
-                    self.asked.push_front((take.id, from));
+                    self.asked.push_front(Asked { id: take.id, from, at: Instant::now(), missing });
                     Ok(())
                 }
                 Err(reason) => {
@@ -163,46 +175,58 @@ impl Bridge {
         let reason = if is_new && self.count.unusable.len() >= OPEN { "others" } else { reason };
         let count = self.count.unusable.entry(reason.to_owned()).or_default();
         if *count == 0 {
-            complain("warning", &format!("{from}: {reason}"));
+            complain("warning", &format!("{from}: {}", reason.escape_debug()));
         }
         *count += 1;
     }
 
-    /// Sends on the answers that have come.
+    /// Sends on the answers that have come, and says who has not answered in time.
     fn send_answers(&mut self) {
-        while let Some(answer) = self.slate.answer() {
-            let asked = self.asked.iter().find(|(id, _)| *id == answer.id);
-            let Some(&(_, from)) = asked else { continue };
-            let TakeAnswer { role, text, refused, .. } = answer;
-            say(&format!("{role}: {text}"));
-            let args = vec![
-                OscType::String(role),
-                OscType::String(text),
-                OscType::Int(i32::from(!refused)),
-            ];
-            let message = OscMessage { addr: "/take/answer".into(), args };
-            let packet = encoder::encode(&OscPacket::Message(message));
-            let sent = packet.map_err(|error| error.to_string()).and_then(|packet| {
-                let to = self.target.unwrap_or(from);
-                self.socket.send_to(&packet, to).map_err(|error| format!("{to}: {error}"))
-            });
-            match sent {
-                Ok(_) => self.count.answers += 1,
-                Err(error) => {
-                    if self.count.unsent == 0 {
-                        complain("warning", &format!("an answer is not sent: {error}"));
-                    }
-                    self.count.unsent += 1;
+        while let Some(TakeAnswer { id, role, text, refused, .. }) = self.slate.answer() {
+            let Some(asked) = self.asked.iter_mut().find(|asked| asked.id == id) else { continue };
+            asked.missing.retain(|missing| *missing != role);
+            let from = asked.from;
+            self.answer(from, &role, &text, !refused);
+        }
+        let mut late = Vec::new();
+        for asked in self.asked.iter_mut().filter(|asked| asked.at.elapsed() > PATIENCE) {
+            late.extend(asked.missing.drain(..).map(|role| (asked.from, role)));
+        }
+        for (from, role) in late {
+            complain("warning", &format!("no {role} answered"));
+            self.answer(from, role, "no answer", false);
+        }
+    }
+
+    fn answer(&mut self, from: SocketAddr, role: &str, text: &str, is_done: bool) {
+        say(&format!("{role}: {text}"));
+        let args = vec![
+            OscType::String(role.to_owned()),
+            OscType::String(text.to_owned()),
+            OscType::Int(i32::from(is_done)),
+        ];
+        let message = OscMessage { addr: "/take/answer".into(), args };
+        let packet = encoder::encode(&OscPacket::Message(message));
+        let sent = packet.map_err(|error| error.to_string()).and_then(|packet| {
+            let to = self.target.unwrap_or(from);
+            self.socket.send_to(&packet, to).map_err(|error| format!("{to}: {error}"))
+        });
+        match sent {
+            Ok(_) => self.count.answers += 1,
+            Err(error) => {
+                if self.count.unsent == 0 {
+                    complain("warning", &format!("an answer is not sent: {error}"));
                 }
+                self.count.unsent += 1;
             }
         }
     }
 }
 
-/// A host and a port; phones send the port as a number, others as text.
+/// An IP address and a port; phones send the port as a number, others as text.
 fn target(args: &[OscType]) -> Option<SocketAddr> {
     let [OscType::String(host), port] = args else { return None };
-    format!("{host}:{}", word(port)?).to_socket_addrs().ok()?.next()
+    Some(SocketAddr::new(host.parse().ok()?, word(port)?.parse().ok()?))
 }
 
 /// An argument as text.
@@ -217,24 +241,33 @@ fn word(arg: &OscType) -> Option<String> {
     }
 }
 
-/// The command of a message, or why it is none.
-fn command(OscMessage { addr, args }: &OscMessage) -> Result<Take, String> {
-    let words: Option<Vec<String>> = args.iter().map(word).collect();
-    let words = words.ok_or_else(|| format!("{addr}: give texts and numbers"))?;
-    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+/// The command of a message, or why it is none; `None`: a button was let go.
+fn command(OscMessage { addr, args }: &OscMessage) -> Result<Option<Take>, String> {
     let action = match addr.as_str() {
         "/RecordStart" => "start",
         "/RecordStop" => "stop",
         addr => addr.strip_prefix("/take/").unwrap_or_default(),
     };
+    let is_button = matches!(action, "start" | "stop" | "reset");
+    let (args, is_pressed) = match &args[..] {
+        [one] if is_button => {
+            pressed(one).map_or((&args[..], true), |is_pressed| (&[], is_pressed))
+        }
+        all => (all, true),
+    };
+    if !is_pressed {
+        return Ok(None);
+    }
+    let words: Option<Vec<String>> = args.iter().map(word).collect();
+    let words = words.ok_or_else(|| format!("{addr}: give texts and numbers"))?;
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let take = Take { action: action.to_owned(), ..Take::default() };
-    match (action, &words[..]) {
+    let take = match (action, &words[..]) {
         ("start", []) => Ok(Take { name: named_after(SystemTime::now()), ..take }),
         ("start", [name]) if !name.is_empty() => Ok(Take { name: valid(name), ..take }),
         ("start", [slate, number]) => {
             Ok(Take { name: valid(&format!("{slate}_{number}")), ..take })
         }
-        // Buttons of phones send whether they are pressed.
         ("stop" | "reset", _) => Ok(take),
         ("note", [text]) if !text.is_empty() => Ok(Take { note: (*text).to_owned(), ..take }),
         ("mark", [mark @ ("good" | "bad")]) => {
@@ -244,6 +277,19 @@ fn command(OscMessage { addr, args }: &OscMessage) -> Result<Take, String> {
         ("note", _) => Err(format!("{addr}: give a text")),
         ("mark", _) => Err(format!("{addr}: give good or bad")),
         _ => Err(format!("{addr} is no command; `bundlemocap bridge osc --help` lists them")),
+    };
+    take.map(Some)
+}
+
+/// Whether a button is pressed, if the argument is of one.
+fn pressed(arg: &OscType) -> Option<bool> {
+    match arg {
+        OscType::Bool(is_pressed) => Some(*is_pressed),
+        OscType::Int(number) => Some(*number != 0),
+        OscType::Float(number) => Some(*number != 0.0),
+        OscType::Double(number) => Some(*number != 0.0),
+        OscType::Nil | OscType::Inf => Some(true),
+        _ => None,
     }
 }
 
@@ -266,6 +312,7 @@ mod tests {
 
     fn said(addr: &str, args: &[OscType]) -> Result<(String, String, String, String), String> {
         let take = command(&OscMessage { addr: addr.into(), args: args.to_vec() })?;
+        let take = take.ok_or("a button that is let go")?;
         Ok((take.action, take.name, take.note, take.mark))
     }
 
@@ -293,6 +340,12 @@ mod tests {
         is(said("/take/note", &[text("left hand")]), "note", "", "left hand", "");
         is(said("/take/mark", &[text("good")]), "note", "", "", "good");
         is(said("/take/reset", &[]), "reset", "", "", "");
+        for pressed in [OscType::Bool(true), OscType::Float(1.0), OscType::Inf] {
+            assert!(said("/take/start", &[pressed]).unwrap().1.starts_with("take_20"));
+        }
+        for released in [OscType::Bool(false), OscType::Float(0.0), OscType::Int(0)] {
+            assert!(said("/take/stop", &[released]).unwrap_err().contains("let go"));
+        }
         let named = said("/take/start", &[]).unwrap().1;
         assert!(valid_name(&named).is_ok() && named.starts_with("take_20"), "{named}");
         let time = SystemTime::UNIX_EPOCH + Duration::from_secs(1_795_252_800);

@@ -42,14 +42,14 @@ impl Format {
         }
     }
 
-    /// The files that come beside a file of this format. Two files may share them.
+    /// The files that come beside a file of this format. Two files of a performer may share them.
     pub(super) fn beside(self, path: &Path, one: &Motion, export: &Export) -> Vec<PathBuf> {
         let is_animation = matches!(self, Self::Bvh | Self::Glb | Self::Usda);
         let is_marked = is_animation && export.lost == Lost::Mark;
         let has_deviations = matches!(self, Self::Trc | Self::C3d) && has_deviations(one);
         let timecode = (self == Self::Bvh).then(|| export.times.sidecar(path)).flatten();
-        let states = is_marked.then(|| path.with_extension(STATES));
-        let deviations = has_deviations.then(|| path.with_extension(DEVIATIONS));
+        let states = is_marked.then(|| side(path, STATES));
+        let deviations = has_deviations.then(|| side(path, DEVIATIONS));
         timecode.into_iter().chain(states).chain(deviations).collect()
     }
 }
@@ -57,6 +57,14 @@ impl Format {
 /// Endings of the files beside others.
 const STATES: &str = "states.csv";
 const DEVIATIONS: &str = "sd.csv";
+
+/// The file beside another: with that ending in place of its own.
+fn side(path: &Path, ending: &str) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let own = Format::of(path).map_or(0, |format| format.name().len() + 1);
+    let stem = name.get(..name.len() - own).unwrap_or(&name);
+    path.with_file_name(format!("{stem}.{ending}"))
+}
 
 /// The description of a file with a skin and an animation, and its poses with their times, seconds.
 fn animated<'a>(
@@ -102,7 +110,7 @@ fn mark(path: &Path, one: &Motion, export: &Export) -> Result<(), Failure> {
         for pose in evenly(path, one, export) {
             states.add(1, pose.map_or(HELD, |pose| pose.state.name()));
         }
-        text(&path.with_extension(STATES), &states.csv())?;
+        text(&side(path, STATES), &states.csv())?;
     }
     Ok(())
 }
@@ -164,7 +172,7 @@ fn markers(
     write(path, &Markers { fps, unit, up, names: &names, frames: &frames })?;
     let mut about = format!("{} frames at {fps:.2} Hz, {} markers", frames.len(), names.len());
     if has_deviations(one) {
-        let beside = path.with_extension(DEVIATIONS);
+        let beside = side(path, DEVIATIONS);
         write_deviations(
             &beside,
             fps,

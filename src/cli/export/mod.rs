@@ -4,7 +4,7 @@ mod files;
 mod options;
 
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 
@@ -42,8 +42,9 @@ The ending of each file chooses the format:
   .npz    rotation vectors of SMPL's joints with AMASS's fields; metres, z up
   .svg    a picture: a row of stick figures
   .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
-In all but .npz y is up, if --up does not say z. With all rotations zero the body is a T-pose that
-faces +z. Frames and times count from the first frame of the take, or from --start: frame n of
+In all but .npz y is up, if --up does not say z. With all rotations zero the body is a T-pose (or
+what --rest says) that faces +z, in .mot it stands with hanging arms. In .usda a `:` of a joint's name
+is `_`. Frames and times count from the first frame of the take, or from --start: frame n of
 .bvh, .trc, .c3d, .mot, .npz and .usda is frame n of the video, if the cameras run at the rate of
 the poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at
 most ten minutes in all; .trc and .c3d are empty there, and where the performer is lost. Beside
@@ -168,26 +169,30 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         return Err(Failure::new(Exit::Usage, message));
     }
     let mut solved = Solved { performers: Vec::new(), damage: Vec::new() };
+    let mut several = false;
     let (mut times, mut start) = (Times::of(&arguments.file, None)?, Timestamp::default());
     if !of_one.is_empty() {
-        (solved, start) = performers(arguments, &mut times)?;
+        solved = read(&arguments.file, arguments.truth, arguments.actor.as_deref())?;
+        several = solved.performers.len() > 1;
+        start = cut(&mut solved.performers, arguments, &mut times)?;
     }
     let (style, lost, figures) =
         (arguments.options.style(), arguments.options.lost, arguments.figures.into());
     let export = Export { times, start, style, lost, figures };
-    let several = solved.performers.len() > 1;
     let (mut files, mut paths) = (Vec::new(), whole.clone());
     for one in &solved.performers {
+        let mut besides = Vec::new();
         for (path, format, write) in &of_one {
             let path = path_of(path, several.then_some(&one.actor));
             for beside in format.beside(&path, one, &export) {
-                if !paths.contains(&beside) {
-                    paths.push(beside);
+                if !besides.contains(&beside) {
+                    besides.push(beside);
                 }
             }
             paths.push(path.clone());
             files.push((path, one, write));
         }
+        paths.extend(besides);
     }
     check(&paths, arguments)?;
     for path in whole {
@@ -199,14 +204,16 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     Ok(exit_of(&arguments.file, &solved.damage))
 }
 
-/// The performers who are exported, with the poses that are, and the time of the files' first frame: that of
-/// --start or of the take's first frame, on the grid of the poses.
-fn performers(arguments: &Arguments, times: &mut Times) -> Result<(Solved, Timestamp), Failure> {
-    let mut solved = read(&arguments.file, arguments.truth, arguments.actor.as_deref())?;
+/// Leaves what is exported of the performers; returns the time of the files' first frame: that of --start or of
+/// the take's first frame, on the grid of the poses.
+fn cut(
+    performers: &mut Vec<Motion>,
+    arguments: &Arguments,
+    times: &mut Times,
+) -> Result<Timestamp, Failure> {
     let poses = |one: &Motion| Some((one.poses.first()?.capture, one.fps));
-    let Some((first, fps)) = solved.performers.iter().filter_map(poses).min_by_key(|one| one.0)
-    else {
-        return Ok((solved, Timestamp::default()));
+    let Some((first, fps)) = performers.iter().filter_map(poses).min_by_key(|one| one.0) else {
+        return Ok(Timestamp::default());
     };
     times.rate = Some(fps);
     let lead = |start: Timestamp| start.seconds_since(first);
@@ -214,7 +221,7 @@ fn performers(arguments: &Arguments, times: &mut Times) -> Result<(Solved, Times
     let mut wanted = take.unwrap_or(first);
     if let Some([from, to]) = arguments.span.within(times)? {
         let slack = Nanos::rounded(ON_FRAME / fps * 1e9);
-        for one in &mut solved.performers {
+        for one in performers.iter_mut() {
             let is_in = |at: Timestamp| at + slack >= from && at - slack <= to;
             one.poses.retain(|pose| is_in(pose.capture));
         }
@@ -222,15 +229,21 @@ fn performers(arguments: &Arguments, times: &mut Times) -> Result<(Solved, Times
     }
     let frames = (lead(wanted) * fps - ON_FRAME).ceil();
     let start = first + Nanos::rounded(frames / fps * 1e9);
-    for one in &mut solved.performers {
+    for one in performers.iter_mut() {
         let poses = std::mem::take(&mut one.poses);
         (one.poses, one.fps) = arguments.options.apply(poses, start, one.fps);
     }
-    solved.performers.retain(|one| !one.poses.is_empty());
-    if solved.performers.is_empty() {
-        return Err(Failure::new(Exit::Usage, "no poses from --start to --end"));
+    let (left, gone): (Vec<Motion>, Vec<Motion>) =
+        performers.drain(..).partition(|one| !one.poses.is_empty());
+    *performers = left;
+    if performers.is_empty() {
+        let but = if arguments.options.lost == Lost::Skip { " but lost ones" } else { "" };
+        return Err(Failure::new(Exit::Usage, format!("no poses from --start to --end{but}")));
     }
-    Ok((solved, start))
+    for one in gone {
+        complain("note", &format!("{} has no poses there, and no file", one.actor));
+    }
+    Ok(start)
 }
 
 /// Checks all files before the first is written.
@@ -239,7 +252,7 @@ fn check(paths: &[PathBuf], arguments: &Arguments) -> Result<(), Failure> {
     for path in paths {
         let wrong = if is_same_file(&arguments.file, path) {
             "is the input"
-        } else if !seen.insert(path) {
+        } else if !seen.insert(plain(path)) {
             "would be written twice"
         } else {
             arguments.overwrite.check(path)?;
@@ -249,6 +262,11 @@ fn check(paths: &[PathBuf], arguments: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(Exit::Usage, message));
     }
     Ok(())
+}
+
+/// A path without `.` in it.
+fn plain(path: &Path) -> PathBuf {
+    path.components().filter(|part| *part != Component::CurDir).collect()
 }
 
 /// `take1.p1.bvh` for `take1.bvh` of the performer p1; the path itself if there is only one performer.

@@ -50,9 +50,9 @@ pub(super) struct Options {
 /// What becomes of poses that are lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Lost {
-    /// Written like others; .csv, .npz, .trc and .c3d say which they are.
+    /// Written like others; .csv and .npz say which they are. In .trc and .c3d they are empty.
     Keep,
-    /// The same, and beside .bvh, .glb and .usda a .states.csv says which they are.
+    /// The same, and beside each .bvh, .glb and .usda a .states.csv says which they are.
     Mark,
     /// Left out, as if nothing had been solved there.
     Skip,
@@ -95,13 +95,14 @@ impl Options {
 
     /// Fails if an option has no meaning for a format.
     pub(super) fn check(&self, format: Format) -> Result<(), Failure> {
-        use Format::{Bvh, C3d, Csv, Glb, Trc, Usda};
+        use Format::{Angles, Bvh, C3d, Csv, Glb, Npz, Trc, Usda};
         let [animations, markers]: [&[Format]; 2] = [&[Glb, Usda, Bvh, Csv], &[Bvh, Trc, C3d]];
-        let options: [(&str, bool, &[Format]); 4] = [
+        let options: [(&str, bool, &[Format]); 5] = [
             ("--rest", self.rest != RestPose::T, animations),
             ("--names", self.names != JointNames::Ours, animations),
             ("--up", self.up != Up::Y, &[Bvh, Trc, C3d, Csv]),
             ("--unit", self.unit.is_some(), markers),
+            ("--lost mark", self.lost == Lost::Mark, &[Bvh, Glb, Usda, Csv, Angles, Npz, Trc, C3d]),
         ];
         let wrong = options.iter().find(|(_, given, of)| *given && !of.contains(&format));
         wrong.map_or(Ok(()), |(option, _, of)| {

@@ -130,17 +130,18 @@ impl Angles {
 }
 
 /// An elbow that only bends, about z, and the turn of the upper arm about its axis, y, with which the forearm points
-/// where it did. The straighter the arm, the less is known of the turn.
+/// where it did. The straighter the arm, the less is known of the turn, and the less it turns.
 fn hinged(elbow: &Matrix3<f64>, last: &mut f64) -> (Matrix3<f64>, Matrix3<f64>) {
     let forearm = -elbow.column(1);
     let side = hypot(forearm.x, forearm.z);
     let bent = atan2(side, -forearm.y);
     let turn = so3::nearest_turns([atan2(-forearm.z, forearm.x)], [*last])[0];
-    // Bent the other way, after half a turn, the forearm points there too.
+    // Bent a little the other way, after half a turn, the forearm points there too.
     let other = so3::nearest_turns([turn + PI], [*last])[0];
-    let is_other = (other - *last).abs() < (turn - *last).abs();
+    let is_nearly_straight = forearm.y < 0.0 && side < SURE_SIDE;
+    let is_other = is_nearly_straight && (other - *last).abs() < (turn - *last).abs();
     let (turn, bent) = if is_other { (other, -bent) } else { (turn, bent) };
-    *last = turn * (side / SURE_SIDE).min(1.0);
+    *last = if is_nearly_straight { turn * side / SURE_SIDE } else { turn };
     (so3::about(1, *last), so3::about(2, bent))
 }
 
@@ -233,11 +234,13 @@ mod tests {
         let raised = [(Joint::RShoulder, [-40.0, 0.0, 0.0]), (Joint::RElbow, [-90.0, 0.0, 0.0])];
         let raised = found(&raised, &["arm_flex_r", "arm_add_r", "arm_flex_l"]);
         assert_eq!(raised, [40.0, 0.0, 0.0]);
-        // An elbow that bends to the side turns the upper arm.
+        // A forearm that points outwards turns the upper arm outwards.
         let aside = [(Joint::RElbow, [0.0, 0.0, -60.0])];
         let aside = found(&aside, &["elbow_flex_r", "arm_rot_r", "arm_flex_r"]);
-        assert!((aside[0].abs() - 60.0).abs() < 1e-6 && (aside[1].abs() - 90.0).abs() < 1e-6);
-        assert_eq!(aside[2], 0.0);
+        assert_eq!(aside, [60.0, -90.0, 0.0]);
+        // A nearly straight one may bend back a little; no other does.
+        let back = found(&[(Joint::LElbow, [5.0, 0.0, 0.0])], &["elbow_flex_l", "arm_rot_l"]);
+        assert_eq!(back, [-5.0, 0.0]);
         assert_eq!(found(&[(Joint::Pelvis, [0.0, 20.0, 0.0])], &["pelvis_rotation"]), [20.0]);
         // In a T-pose the arms are led away from the body.
         let level = Angles::new().of(&Pose::rest());

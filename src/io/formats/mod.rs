@@ -15,6 +15,7 @@ mod detections;
 pub mod gltf;
 pub mod joint_angles;
 pub mod npz;
+mod pickle;
 mod point_names;
 pub mod pose_table;
 mod style;

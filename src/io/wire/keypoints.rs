@@ -12,7 +12,7 @@ use crate::core::time::Timestamp;
 const POINTS: Field = field("KeypointFrame", "people.points");
 const CAPTURE: Field = field("KeypointFrame", "capture_time_ns");
 /// Valid times: the years 1684 to 2255 by the Unix epoch.
-const TIMES_NS: RangeInclusive<i64> = -9_000_000_000_000_000_000..=9_000_000_000_000_000_000;
+pub const TIMES_NS: RangeInclusive<i64> = -9_000_000_000_000_000_000..=9_000_000_000_000_000_000;
 
 impl KeypointFrame {
     /// The detections of `camera` (its name) in an image of `image_size` pixels, width and height.

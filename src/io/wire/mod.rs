@@ -18,6 +18,7 @@ mod skeleton;
 mod topic;
 
 pub use generated::*;
+pub use keypoints::TIMES_NS;
 pub use pose::LiveStamp;
 pub use schema::{
     ENCODING, SCHEMA_ENCODING, Schema, decode, descriptor, encode, media_type, schema_of,

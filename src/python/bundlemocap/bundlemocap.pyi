@@ -71,7 +71,7 @@ class Camera:
         matrix: NDArray[np.float64],
         rotation: NDArray[np.float64],
         translation: NDArray[np.float64],
-        distortion: list[float] | None = None,
+        distortion: NDArray[np.float64] | list[float] | None = None,
         fisheye: bool = False,
     ) -> Self: ...
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -154,7 +154,8 @@ class Motion:
 
 @final
 class Solved:
-    """`motions` by name of the performer; `summary`: the figures of `bundlemocap solve --json`."""
+    """`motions` by name of the performer; `summary`: the figures of `bundlemocap solve --json` with
+    several performers."""
 
     @property
     def motions(self) -> dict[str, Motion]: ...
@@ -172,7 +173,7 @@ def solve(
     overwrite: bool = False,
 ) -> Solved:
     """Solves a recording. `cameras`: use only these; `hold_out`: measure the error in these; `config`: a
-    settings file; `out`: a folder for the files of `bundlemocap solve` (default: no files are left)."""
+    settings file; `out`: a folder for the files of `bundlemocap solve` (default: no files are left). An interrupt is raised when the solve has ended."""
 
 def read_motions(path: _Path) -> dict[str, Motion]:
     """The poses of a solved recording (poses.mcap), by name of the performer."""

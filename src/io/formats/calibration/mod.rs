@@ -8,7 +8,6 @@ use roxmltree::Document;
 mod colmap;
 mod convention;
 mod optitrack;
-mod pickle;
 mod qualisys;
 mod table;
 mod tree;

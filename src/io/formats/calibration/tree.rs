@@ -3,7 +3,8 @@
 use roxmltree::{Document, Node};
 use serde_json::{Map, Value};
 
-use super::{Fault, pickle};
+use super::super::pickle;
+use super::Fault;
 
 /// A file's content and what kind it is.
 pub(super) enum Content {

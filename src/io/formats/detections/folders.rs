@@ -143,7 +143,7 @@ fn given_cameras(
 /// one.
 fn by_name(folder: &Path, rig: &Rig) -> Option<usize> {
     let whole = file_name(folder);
-    let endings = [".json", ".csv", ".npy"];
+    let endings = [".json", ".csv", ".npy", ".h5"];
     let stem = endings.iter().find_map(|ending| whole.strip_suffix(ending)).unwrap_or(&whole);
     // DeepLabCut adds the name of its network.
     let stem = stem.split("DLC_").next().unwrap_or(stem);

@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 mod folders;
+mod h5;
 mod json;
 mod order;
 mod table;
@@ -442,8 +443,8 @@ fn whole_file(
             _ => Err("it holds several cameras, and is not the only file".into()),
         };
     }
-    if ending(path) == "csv" {
-        let mut table = table::csv(bytes)?;
+    if let kind @ ("csv" | "h5") = &*ending(path) {
+        let mut table = if kind == "h5" { table::h5(bytes) } else { table::csv(bytes) }?;
         let (_, only) = table.cameras.pop_first().ok_or("no frames")?;
         if !table.cameras.is_empty() {
             return Err("it holds several cameras, and is not the only file".into());
@@ -611,6 +612,8 @@ fn is_frame(path: &Path) -> bool {
     let is_label = || frame_number(&file_name(path)).is_some();
     match &*ending(path) {
         "json" | "csv" | "npy" => !path.is_dir(),
+        // DeepLabCut may have written the same as CSV.
+        "h5" => !path.is_dir() && !path.with_extension("csv").exists(),
         "txt" => !path.is_dir() && is_label(),
         _ => false,
     }
@@ -619,7 +622,7 @@ fn is_frame(path: &Path) -> bool {
 /// Whether a file holds all frames of a camera; `broken`: what is said of one that cannot be parsed.
 fn holds_all(path: &Path, broken: bool) -> bool {
     match &*ending(path) {
-        "csv" | "npy" => true,
+        "csv" | "npy" | "h5" => true,
         "json" => fs::read(path).is_ok_and(|bytes| {
             json::parse(&bytes).map_or(broken, |file| json::frames(&file).is_some())
         }),

@@ -1,8 +1,8 @@
-//! Tables of points: CSV of DeepLabCut and others, numpy arrays of FreeMoCap, text labels of YOLO.
+//! Tables of points: CSV and h5 of DeepLabCut, CSV of others, numpy arrays of FreeMoCap, text labels of YOLO.
 
 use std::collections::BTreeMap;
 
-use super::{CameraReport, RawPerson};
+use super::{CameraReport, RawPerson, h5};
 use crate::core::detections::Detection;
 
 /// The people of each frame of a camera.
@@ -27,10 +27,19 @@ type Column = (String, usize, usize);
 /// A line that has not the header's length, or a cell that is no number.
 pub(super) fn csv(bytes: &[u8]) -> Result<Table, String> {
     let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(bytes);
-    let mut lines = Vec::new();
-    for line in reader.records() {
-        lines.push(line.map_err(|error| format!("not CSV ({error})"))?);
-    }
+    let lines = reader.records().collect::<Result<Vec<_>, _>>();
+    of_lines(&lines.map_err(|error| format!("not CSV ({error})"))?)
+}
+
+/// Reads an h5 of DeepLabCut.
+///
+/// # Errors
+/// It is another file.
+pub(super) fn h5(bytes: &[u8]) -> Result<Table, String> {
+    of_lines(&h5::lines(bytes)?)
+}
+
+fn of_lines(lines: &[csv::StringRecord]) -> Result<Table, String> {
     let at_top = lines.iter().take_while(|line| TOP.contains(&line.get(0).unwrap_or_default()));
     let at_top = at_top.count();
     let (mut names, mut columns, mut fields) = (Vec::new(), Vec::new(), BTreeMap::new());

@@ -32,7 +32,7 @@ fn shared<T>(all: Vec<T>) -> Shared<T> {
 }
 
 /// Lists, dicts and objects of a pickle, at most.
-const MAX_CONTAINERS: usize = 2_000;
+const MAX_CONTAINERS: usize = 20_000;
 /// Values of the tree, at most.
 const MAX_VALUES: usize = 200_000;
 
@@ -124,7 +124,9 @@ impl Machine<'_> {
                 let from = self.stack.len().checked_sub(usize::from(code - 0x84));
                 List(shared(self.stack.split_off(from.ok_or("the stack is empty")?)))
             }
-            b't' => List(shared(self.marked()?)),
+            b't' | b'l' => List(shared(self.marked()?)),
+            // Protocol 0 has lines of text.
+            b'V' => Plain(self.line()?.into()),
             b'a' | b'e' => {
                 let more = if code == b'a' { vec![self.pop()?] } else { self.marked()? };
                 let Some(List(list)) = self.stack.last() else { return Err("no list".into()) };
@@ -144,17 +146,22 @@ impl Machine<'_> {
                     .extend(more.chunks_exact(2).map(|two| (two[0].clone(), two[1].clone())));
                 return Ok(());
             }
-            b'q' | b'r' | 0x94 => {
+            b'q' | b'r' | b'p' | 0x94 => {
                 let place = match code {
                     b'q' => self.integer(1)?,
                     b'r' => self.integer(4)?,
+                    b'p' => self.place()?,
                     _ => self.memo.len(),
                 };
                 self.memo.insert(place, self.stack.last().ok_or("the stack is empty")?.clone());
                 return Ok(());
             }
-            b'h' | b'j' => {
-                let place = self.integer(if code == b'h' { 1 } else { 4 })?;
+            b'h' | b'j' | b'g' => {
+                let place = match code {
+                    b'h' => self.integer(1)?,
+                    b'j' => self.integer(4)?,
+                    _ => self.place()?,
+                };
                 self.memo.get(&place).ok_or("it names a value that is not there")?.clone()
             }
             b'c' => {
@@ -190,7 +197,7 @@ impl Machine<'_> {
         if matches!(item, List(_) | Dict(_) | Object(_)) {
             self.containers += 1;
             if self.containers > MAX_CONTAINERS {
-                return Err("it holds too many lists and objects for a calibration".into());
+                return Err("it holds too many lists and objects".into());
             }
         }
         self.stack.push(item);
@@ -211,6 +218,11 @@ impl Machine<'_> {
     /// An unsigned number of so many bytes.
     fn integer(&mut self, size: usize) -> Result<usize, String> {
         Ok(self.take(size)?.iter().rev().fold(0, |sum, byte| (sum << 8) | usize::from(*byte)))
+    }
+
+    /// The number of a value in a line.
+    fn place(&mut self) -> Result<usize, String> {
+        self.line()?.parse().map_err(|_| "it names a value without a number".into())
     }
 
     fn line(&mut self) -> Result<String, String> {
@@ -241,7 +253,7 @@ const MAX_DEPTH: usize = 32;
 fn plain(item: &Item, depth: usize, count: &mut usize) -> Result<Value, String> {
     *count += 1;
     if depth > MAX_DEPTH || *count > MAX_VALUES {
-        return Err("pickle: it holds too much for a calibration".into());
+        return Err("pickle: it holds too much".into());
     }
     let mut of = |item: &Item| plain(item, depth + 1, count);
     match item {
