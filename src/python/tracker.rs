@@ -20,7 +20,7 @@ use crate::recording::{capture, format_of, numbers, people};
 
 /// Between two frames of a camera: 10 kHz.
 const SHORTEST: Nanos = Nanos::new(100_000);
-/// The tracker would look for everybody in each frame of a longer gap.
+/// Longest time between frames: in a gap the tracker still has a pose for each frame.
 const LONGEST: Nanos = Nanos::from_ms(86_400_000);
 
 /// A pose of a performer.
@@ -172,8 +172,8 @@ impl Tracker {
                 let apart = (capture - last.unwrap_or(newest)).ns();
                 stage.last[camera] = last;
                 return Err(error(format!(
-                    "time_ns: {apart} ns after the frame before; give nanoseconds, for each camera frame by frame in \
-                     order, and begin a new Tracker after a day"
+                    "time_ns is {apart} ns after the frame before: give nanoseconds; the next frame of a camera is \
+                     0.1 ms to a day later"
                 )));
             }
             stage.newest = Some(newest.max(capture));

@@ -34,10 +34,13 @@ const PACKET: usize = 65_536;
   /RecordStart SLATE NUMBER    as Unreal starts the face capture of a phone; with /RecordStop
   /OSCSetSendTarget IP PORT    answers go there; without it, to where the command came from
 
-A button that sends whether it is pressed, as a number or true and false, starts, stops or resets when
-it is pressed. Answers: /take/answer ROLE TEXT DONE, once from each node and recorder; DONE is 1, or 0 if
-it refused or nobody of that role is there. A character that a name cannot have becomes `_`. OSC has no passwords: who reaches the port can begin
-and end takes. The default is this computer alone.
+Some buttons send a number, or true and false, when they are pressed and when they are let go. The
+command is done when the button is pressed.
+
+Each node and each recorder answers with /take/answer ROLE TEXT DONE. DONE is 1. It is 0 if the command
+was refused, or if nobody of that role is there. A name gets `_` for each character that it cannot
+have. OSC has no passwords: anybody who reaches the port can begin and end takes. The default is this
+computer alone.
 
 Examples:
   bundlemocap bridge osc

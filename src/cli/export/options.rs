@@ -31,7 +31,7 @@ pub(super) struct Options {
     #[arg(long, value_name = "WHOSE", default_value = "ours", value_parser =
         PossibleValuesParser::new(["ours", "mixamo", "unreal"]).map(|name| names(&name)))]
     names: JointNames,
-    /// Axis that points up (.bvh .trc .c3d .csv); z comes from y, and forward from z becomes x.
+    /// Axis that points up (.bvh .trc .c3d .csv); with z, (x, y, z) becomes (z, x, y).
     #[arg(long, value_name = "AXIS", default_value = "y", value_parser =
         PossibleValuesParser::new(["y", "z"]).try_map(|name| Up::from_str(&name)))]
     up: Up,
@@ -39,7 +39,7 @@ pub(super) struct Options {
     #[arg(long, value_parser =
         PossibleValuesParser::new(["m", "cm", "mm"]).try_map(|name| Unit::from_str(&name)))]
     unit: Option<Unit>,
-    /// Leave out the way over the floor: the pelvis stays above the origin.
+    /// Leave out the movement over the floor: the pelvis stays above the origin.
     #[arg(long)]
     in_place: bool,
     /// What becomes of poses that are lost: too little was seen, or they did not fit.

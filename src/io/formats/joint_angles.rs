@@ -3,9 +3,9 @@
 //! All are 0 where the body stands upright and faces forward (x of OpenSim) with hanging arms. Rotations are about z
 //! (to the right), then x, then y (up). Positive are: flexion of hip, knee, elbow and arm, dorsiflexion, extension of
 //! the back, adduction, and for both sides rotation inwards. Rotations that a joint of those models does not have are
-//! left out: knees, elbows and ankles bend about one axis. The upper arm is turned about its own axis so that the elbow
-//! bends where the forearm is. The pelvis is our joint of that name, not the origin of the
-//! models' pelvis.
+//! left out: knees, elbows and ankles bend about one axis. The upper arm turns about its own axis until the elbow's one
+//! axis brings the forearm where it is. The pelvis' place is that of our joint, not of the origin of the models' pelvis.
+//! With a level arm two of its angles are not unique (Euler's singularity) and may change fast.
 //!
 //! Source: Rajagopal et al., Full-body musculoskeletal model for muscle-driven simulation of human gait, 2016; the
 //! joints of `Rajagopal2016.osim`.
@@ -60,8 +60,9 @@ const NAMES: [&str; COORDINATES] = [
     "elbow_flex_l",
 ];
 
-/// Joints whose angles are computed, and whether all three are used; in the order of [`NAMES`].
-const JOINTS: [(&[Joint], bool); 12] = [
+/// The chains of joints whose angles are computed, from the parent on, and whether all three angles are used; in the
+/// order of [`NAMES`]. Empty: the pelvis.
+const CHAINS: [(&[Joint], bool); 12] = [
     (&[], true),
     (&[Joint::RHip], true),
     (&[Joint::RKnee], false),
@@ -80,7 +81,7 @@ const JOINTS: [(&[Joint], bool); 12] = [
 struct Angles {
     style: Style,
     /// The last angles, radians, so that the next ones go on without jumps of a turn.
-    last: [[f64; 3]; JOINTS.len()],
+    last: [[f64; 3]; CHAINS.len()],
     /// By side, the last turn of the upper arm about its axis, radians.
     last_turn: [f64; 2],
 }
@@ -94,7 +95,8 @@ impl Angles {
         }
     }
 
-    fn of(&mut self, pose: &Pose) -> [f64; COORDINATES] {
+    /// The coordinates of the next pose, in the order of [`NAMES`].
+    fn of(&mut self, pose: &Pose) -> Vec<f64> {
         // x of OpenSim is our z, its z is our -x.
         let axes = Matrix3::new(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0);
         let mut pose = self.style.pose(pose);
@@ -106,17 +108,17 @@ impl Angles {
             pose.local[elbow] = axes.transpose() * bent * axes;
         }
         let mut all = Vec::with_capacity(COORDINATES);
-        for ((joints, is_whole), last) in JOINTS.iter().zip(&mut self.last) {
+        for ((joints, is_whole), last) in CHAINS.iter().zip(&mut self.last) {
             let turn = match joints {
                 [] => pose.root_rotation,
                 joints => joints.iter().map(|joint| pose.local[joint.index() - 1]).product(),
             };
             *last = so3::angles(&(axes * turn * axes.transpose()), [2, 0, 1], *last);
             let [z, x, y] = last.map(f64::to_degrees);
-            let first = joints.last();
+            let end = joints.last();
             // The models mirror the left side.
-            let side = if first.is_some_and(|joint| joint.side() > 0.0) { -1.0 } else { 1.0 };
-            let bends_back = matches!(first, Some(Joint::LKnee | Joint::RKnee));
+            let side = if end.is_some_and(|joint| joint.side() > 0.0) { -1.0 } else { 1.0 };
+            let bends_back = matches!(end, Some(Joint::LKnee | Joint::RKnee));
             all.push(if bends_back { -z } else { z });
             if *is_whole {
                 all.extend([side * x, side * y]);
@@ -125,7 +127,7 @@ impl Angles {
                 all.extend((axes * pose.root_position).iter());
             }
         }
-        std::array::from_fn(|at| all[at])
+        all
     }
 }
 
@@ -189,7 +191,7 @@ pub fn write_angles(
     let header = ["time_s", "state"].into_iter().chain(NAMES).map(str::to_owned).collect();
     let row = |TimedPose { time, state, pose, .. }: TimedPose| {
         let begin = [format!("{time:.6}"), state.name().to_owned()];
-        let numbers = angles.of(&pose).map(|number| format!("{number:.6}"));
+        let numbers = angles.of(&pose).into_iter().map(|number| format!("{number:.6}"));
         begin.into_iter().chain(numbers).collect()
     };
     write_table(path, header, poses.into_iter().map(row))
@@ -238,6 +240,9 @@ mod tests {
         let aside = [(Joint::RElbow, [0.0, 0.0, -60.0])];
         let aside = found(&aside, &["elbow_flex_r", "arm_rot_r", "arm_flex_r"]);
         assert_eq!(aside, [60.0, -90.0, 0.0]);
+        // A nearly straight elbow may bend back a little.
+        let back = found(&[(Joint::LElbow, [0.0, 5.0, 0.0])], &["elbow_flex_l", "arm_rot_l"]);
+        assert_eq!(back, [-5.0, 0.0]);
         assert_eq!(found(&[(Joint::Pelvis, [0.0, 20.0, 0.0])], &["pelvis_rotation"]), [20.0]);
         // In a T-pose the arms are led away from the body.
         let level = Angles::new().of(&Pose::rest());

@@ -95,7 +95,7 @@ class Rig:
 @final
 class Keypoints:
     """The detections of one camera. `points`: frames x people x points x 3 numbers, x and y in pixels and the
-    confidence; confidence 0 or NaN: not seen. Where nobody is double, the axis of people may be left out."""
+    confidence. A point with confidence 0 or NaN was not seen. With one person the axis of people may be left out."""
 
     @property
     def format(self) -> _Format: ...
