@@ -10,7 +10,8 @@ Use `CameraNode` with your own detector:
 As a program it replaces detectors: it publishes the keypoints and the calibration of a recording in
 real time, with new capture times:
 
-    pip install eclipse-zenoh protobuf grpcio-tools mcap zstandard lz4
+    pip install eclipse-zenoh protobuf grpcio-tools
+    pip install ../..                                  # bundlemocap itself, for the recording
     python generate.py
     python camera_node.py ../../recordings/walk.mcap
 """
@@ -58,17 +59,16 @@ def triples(numbers):
 
 def recorded(path):
     """The calibration of a recording, or None, and its keypoint frames in order of capture time."""
-    from mcap.reader import make_reader
+    import bundlemocap
 
     rig, frames = None, []
-    with open(path, "rb") as file:
-        for schema, channel, message in make_reader(file).iter_messages():
-            if "truth" in channel.topic:
-                continue
-            if schema.name == "bundlemocap.v1.Rig":
-                rig = Rig.FromString(message.data)
-            elif schema.name == "bundlemocap.v1.KeypointFrame":
-                frames.append(KeypointFrame.FromString(message.data))
+    for topic, _, kind, payload in bundlemocap.read_messages(path):
+        if "truth" in topic:
+            continue
+        if kind == "bundlemocap.v1.Rig":
+            rig = Rig.FromString(payload)
+        elif kind == "bundlemocap.v1.KeypointFrame":
+            frames.append(KeypointFrame.FromString(payload))
     return rig, sorted(frames, key=lambda frame: frame.capture_time_ns)
 
 

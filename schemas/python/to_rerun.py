@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Shows recordings, or a running node, in Rerun: performers, cameras, keypoints, events.
 
-    pip install rerun-sdk protobuf grpcio-tools mcap zstandard lz4
+    pip install rerun-sdk protobuf grpcio-tools
+    pip install ../..                                        # bundlemocap itself, for recordings
     python generate.py
     python to_rerun.py out/poses.mcap take.mcap              # opens the viewer
     python to_rerun.py out/poses.mcap --save take.rrd        # for `rerun take.rrd`
@@ -108,16 +109,15 @@ def matrix(quaternion):
 
 def show(paths):
     """Shows recordings of one take."""
-    from mcap.reader import make_reader
+    import bundlemocap
 
     scene, count = Scene(), 0
     for path in paths:
-        with open(path, "rb") as file:
-            for schema, channel, message in make_reader(file).iter_messages():
-                kind = TYPES.get(schema.name if schema else "")
-                if kind is not None:
-                    scene.log(channel.topic, kind.FromString(message.data))
-                    count += 1
+        for topic, _, name, payload in bundlemocap.read_messages(path):
+            kind = TYPES.get(name)
+            if kind is not None:
+                scene.log(topic, kind.FromString(payload))
+                count += 1
     return count
 
 

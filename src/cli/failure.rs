@@ -185,7 +185,7 @@ impl From<offline::Error> for Failure {
             E::NobodyFound { .. } => Exit::NobodyFound,
             E::Weights(_) => Exit::Weights,
             E::Exists { .. } => Exit::Usage,
-            E::Write { .. } => Exit::Unexpected,
+            E::Write { .. } | E::Stopped { .. } => Exit::Unexpected,
         };
         Self::new(exit, error.to_string())
     }

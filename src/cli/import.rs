@@ -13,8 +13,10 @@ use super::solve::Progress;
 use super::terminal::{complain, progress, say, table};
 use crate::core::camera::Rig;
 use crate::core::time::Timestamp;
+use crate::diagnose::Check;
 use crate::io::formats::{
-    CameraReport, DetectionFolder, DetectionOptions, ImportError, MatchedBy, PointOrder,
+    CameraReport, DetectionFolder, DetectionOptions, FolderMatch, ImportError, MatchedBy,
+    PointOrder,
 };
 use crate::io::recording::{Provenance, Writer};
 use crate::io::wire::Topics;
@@ -41,9 +43,10 @@ gives any. This is a file for --points, with indices from 0 or the detector's na
   nose = 0
   left_shoulder = \"shoulder_L\"
 
-Files are given to cameras by name; where names do not tell, by order if as many cameras are left,
-with a warning; or by --camera. At the end the recording is checked as `bundlemocap check` does. A
-broken file of a frame is a missing frame, counted and named.
+Files are given to cameras by name, or by --camera. Where names do not tell and as many cameras are
+left, files are tried by order, and exchanged if the performer is then where all cameras see them; it
+is said which. At the end the recording is checked as `bundlemocap check` does. A broken file of a
+frame is a missing frame, counted and named.
 
 Examples:
   bundlemocap import demo/pose --calibration demo/Calib.toml --fps 60 --out demo.mcap
@@ -126,27 +129,25 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     frame_rate_option(arguments.fps)?;
     let calibration = arguments.convention.read(&arguments.calibration)?;
     let rig = &calibration.rig;
-    let mut best = Imported::of(arguments, path, &arguments.out, rig, order)?;
+    let mut best = Imported::of(arguments, path, &arguments.out, rig, order, &arguments.camera)?;
     // Several orders have as many points: the one with which the cameras agree.
     for other in best.folder.others().to_vec() {
-        if best.warnings.is_empty() {
-            break;
+        let [one, another] = [&best.folder.order().name, &other.name].map(Clone::clone);
+        let again =
+            |out: &Path| Imported::of(arguments, path, out, rig, Some(other), &arguments.camera);
+        if best.replaced_by_better(&arguments.out, again)? {
+            complain("note", &format!("the points fit better as {another} than as {one}"));
         }
-        let beside = arguments.out.with_extension("other.mcap");
-        let again = Imported::of(arguments, path, &beside, rig, Some(other))?;
-        if again.warnings.len() >= best.warnings.len() {
-            let _ = std::fs::remove_file(&beside);
-            continue;
-        }
-        std::fs::rename(&beside, &arguments.out).map_err(|error| {
-            Failure::new(Exit::Unexpected, format!("{}: {error}", arguments.out.display()))
-        })?;
-        let [one, other] = [&best, &again].map(|imported| &imported.folder.order().name);
-        complain("note", &format!("the points fit better as {other} than as {one}"));
-        best = again;
+    }
+    // So with files without a camera's name: the cameras with which they agree.
+    if let Some(mut cameras) = best.exchanged(rig) {
+        cameras.extend_from_slice(&arguments.camera);
+        let order = Some(best.folder.order().clone());
+        let again = |out: &Path| Imported::of(arguments, path, out, rig, order, &cameras);
+        best.replaced_by_better(&arguments.out, again)?;
     }
     tell(&arguments.calibration, &calibration);
-    best.tell(rig);
+    best.tell(rig, &arguments.camera);
     say(&format!("{}: {} frames", arguments.out.display(), best.folder.frame_count()));
     Ok(Exit::Done)
 }
@@ -154,8 +155,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 /// A recording that was written.
 struct Imported {
     folder: DetectionFolder,
-    /// What is wrong with the cameras.
-    warnings: Vec<String>,
+    /// The judgement of the cameras, or why there is none.
+    check: Result<Check, String>,
 }
 
 impl Imported {
@@ -165,12 +166,13 @@ impl Imported {
         out: &Path,
         rig: &Rig,
         order: Option<PointOrder>,
+        cameras: &[(String, String)],
     ) -> Result<Self, Failure> {
         let options = DetectionOptions {
             fps: arguments.fps,
             order,
             mapping: arguments.points.clone(),
-            cameras: arguments.camera.clone(),
+            cameras: cameras.to_vec(),
             strict: arguments.strict,
         };
         let mut folder = DetectionFolder::open(path, rig, options)?;
@@ -193,17 +195,88 @@ impl Imported {
         }
         writer.finish()?;
         bar.finish_and_clear();
-        Ok(Self { folder, warnings: warnings(out) })
+        Ok(Self { folder, check: check(out) })
+    }
+
+    /// What is wrong with the cameras.
+    fn warnings(&self) -> Vec<String> {
+        match &self.check {
+            Ok(check) => check.warnings().collect(),
+            Err(error) => vec![format!("the cameras cannot be checked: {error}")],
+        }
+    }
+
+    /// Imports in another way, if something is wrong with the cameras; keeps that if less is wrong then.
+    fn replaced_by_better(
+        &mut self,
+        out: &Path,
+        again: impl FnOnce(&Path) -> Result<Self, Failure>,
+    ) -> Result<bool, Failure> {
+        let now = self.warnings().len();
+        if now == 0 {
+            return Ok(false);
+        }
+        let beside = out.with_extension("other.mcap");
+        let again = again(&beside)?;
+        let is_better = again.warnings().len() < now;
+        if is_better {
+            *self = again;
+            std::fs::rename(&beside, out).map_err(|error| {
+                Failure::new(Exit::Unexpected, format!("{}: {error}", out.display()))
+            })?;
+        } else {
+            let _ = std::fs::remove_file(&beside);
+        }
+        Ok(is_better)
+    }
+
+    /// The files that have no camera's name.
+    fn by_order(&self) -> impl Iterator<Item = &FolderMatch> {
+        self.folder.matches().iter().filter(|pair| pair.by == MatchedBy::Order)
+    }
+
+    /// The files without a camera's name, with the cameras whose images they have; `None` if these are what they
+    /// have been given.
+    fn exchanged(&self, rig: &Rig) -> Option<Vec<(String, String)>> {
+        let own: Vec<usize> = self.by_order().map(|pair| pair.camera).collect();
+        let mut cameras = self.check.as_ref().ok()?.exchanged(rig);
+        // Of two cameras nothing tells which one is wrong.
+        if let ([a, b], None, 2) = (&own[..], &cameras, self.folder.matches().len()) {
+            let mut all: Vec<usize> = (0..rig.cameras.len()).collect();
+            all.swap(*a, *b);
+            cameras = Some(all);
+        }
+        let cameras = cameras?;
+        // A file with a camera's name keeps it.
+        if !own.iter().all(|camera| own.contains(&cameras[*camera])) {
+            return None;
+        }
+        let pair = |pair: &FolderMatch| {
+            let file = pair.folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            (file, rig.cameras[cameras[pair.camera]].name.clone())
+        };
+        Some(self.by_order().map(pair).collect()).filter(|pairs: &Vec<_>| !pairs.is_empty())
     }
 
     /// Says which files are whose, what was found, guessed and left out, and what is wrong.
-    fn tell(&self, rig: &Rig) {
-        let Self { folder, warnings } = self;
-        say(&table(&matches(folder, rig)));
-        let by_order = folder.matches().iter().filter(|pair| pair.by == MatchedBy::Order).count();
+    fn tell(&self, rig: &Rig, given: &[(String, String)]) {
+        let Self { folder, check } = self;
+        say(&table(&matches(folder, rig, given)));
+        let warnings = self.warnings();
+        let by_order = self.by_order().count();
         if by_order > 0 {
-            let text = "files have no camera's name; they were matched by order, which may be wrong; use --camera";
-            complain("warning", &format!("{by_order} of {} {text}", folder.matches().len()));
+            let is_judged = |pair: &FolderMatch| {
+                let of = |check: &Check| check.cameras[pair.camera].agreeing_percent.is_some();
+                check.as_ref().is_ok_and(of)
+            };
+            let text = format!(
+                "{by_order} of {} files have no camera's name; they were matched by order",
+                folder.matches().len()
+            );
+            match warnings.is_empty() && self.by_order().all(is_judged) {
+                true => complain("note", &format!("{text}, and the cameras agree")),
+                false => complain("warning", &format!("{text}, which may be wrong; use --camera")),
+            }
         }
         for (pair, report) in folder.matches().iter().zip(folder.reports()) {
             say(&format!("{}: {}", rig.cameras[pair.camera].name, found(report)));
@@ -214,32 +287,37 @@ impl Imported {
         for note in folder.notes() {
             complain("note", note);
         }
-        for warning in warnings {
+        for warning in &warnings {
             complain("warning", warning);
         }
     }
 }
 
-/// What is wrong with the cameras of a recording, if they can be judged.
-fn warnings(path: &Path) -> Vec<String> {
+/// Judges the cameras of a recording.
+fn check(path: &Path) -> Result<Check, String> {
     let checked = Recording::open(path).and_then(|mut recording| {
         let mut bar = Progress(progress(recording.messages(), "messages"));
         let check = offline::check(&mut recording, &mut bar);
         bar.0.finish_and_clear();
         check
     });
-    match checked {
-        Ok(check) => check.warnings().collect(),
-        Err(error) => vec![format!("the cameras cannot be checked: {error}")],
-    }
+    checked.map_err(|error| error.to_string())
 }
 
-fn matches(folder: &DetectionFolder, rig: &Rig) -> Vec<(String, String)> {
+/// The files and their cameras. `given`: by the user.
+fn matches(
+    folder: &DetectionFolder,
+    rig: &Rig,
+    given: &[(String, String)],
+) -> Vec<(String, String)> {
     let rows = folder.matches().iter().map(|pair| {
         let name = pair.folder.file_name().unwrap_or_default().to_string_lossy();
         let by = match pair.by {
-            MatchedBy::Name => "by name",
+            MatchedBy::Given if given.iter().all(|(file, _)| *file != name) => {
+                "as the cameras agree"
+            }
             MatchedBy::Given => "as given",
+            MatchedBy::Name => "by name",
             MatchedBy::Order => "by order",
         };
         (name.into_owned(), format!("-> {} ({by})", rig.cameras[pair.camera].name))

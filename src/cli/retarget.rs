@@ -76,9 +76,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let message = format!("--out {} is the --skeleton; choose another name", out.display());
         return Err(Failure::new(Exit::Usage, message));
     }
-    let map = arguments.map.as_deref().map(Map::read).transpose()?.unwrap_or_default();
-    let target = Target::read(&arguments.skeleton, &map)?;
-    let mut retarget = Retarget::new(target, &map)?;
+    let mut retarget = character(&arguments.skeleton, arguments.map.as_deref())?;
     match (&arguments.from, &arguments.out) {
         (Some(from), Some(out)) => {
             note(&summary(&arguments.skeleton, &retarget));
@@ -88,8 +86,14 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     }
 }
 
+/// The skeleton of a BVH file, with its joint map.
+pub(super) fn character(skeleton: &Path, map: Option<&Path>) -> Result<Retarget, Failure> {
+    let map = map.map(Map::read).transpose()?.unwrap_or_default();
+    Ok(Retarget::new(Target::read(skeleton, &map)?, &map)?)
+}
+
 /// One line about the skeleton and its joint map.
-fn summary(path: &Path, retarget: &Retarget) -> String {
+pub(super) fn summary(path: &Path, retarget: &Retarget) -> String {
     let target = retarget.target();
     let convention = target.convention().map_or("unknown", Convention::name);
     let (joints, unit) = (target.joints().len(), target.unit());

@@ -1,6 +1,7 @@
 //! `bundlemocap solve`
 
 use std::collections::BTreeSet;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -68,6 +69,9 @@ pub(super) struct Arguments {
     /// own, too.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
     pub(super) jobs: Option<u8>,
+    /// Threads of each solve, 1 or 2, with the same result; default: that of the settings, 1.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=2))]
+    threads: Option<u8>,
     /// Replace the files of an earlier solve.
     #[arg(long)]
     pub(super) overwrite: bool,
@@ -138,8 +142,9 @@ enum OptimiserName {
 pub(super) struct Progress(pub(super) ProgressBar);
 
 impl Observer for Progress {
-    fn message(&mut self) {
+    fn message(&mut self) -> ControlFlow<()> {
         self.0.inc(1);
+        ControlFlow::Continue(())
     }
 }
 
@@ -301,6 +306,7 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     if let Some(fps) = arguments.fps {
         config.tracker.frame_rate_hz = frame_rate_option(fps)?;
     }
+    config.tracker.threads = arguments.threads.map_or(config.tracker.threads, usize::from);
     config.stage.performers = arguments.performers.unwrap_or(config.stage.performers);
     match arguments.interpolation {
         Some(InterpolationName::Slerp) => config.tracker.cost.interpolation = Interpolation::Slerp,

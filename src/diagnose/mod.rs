@@ -87,6 +87,20 @@ impl Check {
         let others = self.findings.iter().map(|Finding { what, fix, .. }| format!("{what}; {fix}"));
         of_cameras.chain(others)
     }
+
+    /// By camera of the rig, the camera whose images it has; `None` if they are not exchanged.
+    pub fn exchanged(&self, rig: &Rig) -> Option<Vec<usize>> {
+        let is_of = |camera: usize, found: &Finding| {
+            hypotheses::is_another(&rig.cameras[camera].name) == *found
+        };
+        let of = |own: usize| {
+            let findings = &self.cameras.get(own)?.findings;
+            (0..rig.cameras.len()).find(|other| findings.iter().any(|one| is_of(*other, one)))
+        };
+        let all: Vec<usize> = (0..rig.cameras.len()).map(|own| of(own).unwrap_or(own)).collect();
+        let is_exchange = (0..all.len()).all(|camera| all.contains(&camera));
+        (is_exchange && !all.is_sorted()).then_some(all)
+    }
 }
 
 /// A line for each camera, then one for the performer and one for each other finding.

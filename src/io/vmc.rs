@@ -39,14 +39,26 @@ const BONES: [&str; JOINTS] = [
 /// Bones in a packet: it stays below 1,400 bytes, so that no network divides it.
 const TOGETHER: usize = 11;
 
+/// A bone: where it is in its parent, metres, and how it is turned there, without rotation in the T-pose. The first
+/// bone is in the world.
+pub type Bone = (Joint, Vector3<f64>, Matrix3<f64>);
+
+/// The bones of our body.
+pub fn bones(skeleton: &Skeleton, pose: &Pose) -> Vec<Bone> {
+    let bone = |joint: Joint| match joint.index().checked_sub(1) {
+        None => (joint, pose.root_position, pose.root_rotation),
+        Some(j) => (joint, *skeleton.offset(joint), pose.local[j]),
+    };
+    Joint::ALL.map(bone).into()
+}
+
 /// The packets of a pose: first that a body is loaded and tracked, the time and the root, then the bones. A lost
 /// pose has no bones. `seconds`: since any moment.
 ///
 /// # Errors
 /// None that a pose can cause.
 pub fn packets(
-    skeleton: &Skeleton,
-    pose: &Pose,
+    bones: &[Bone],
     state: TrackingState,
     seconds: f64,
 ) -> Result<Vec<Vec<u8>>, rosc::OscError> {
@@ -59,11 +71,7 @@ pub fn packets(
         placed("/VMC/Ext/Root/Pos", "root", &Vector3::zeros(), &Matrix3::identity()),
     ];
     if state != TrackingState::Lost {
-        all.extend(Joint::ALL.map(|joint| {
-            let (position, turn) = match joint.index().checked_sub(1) {
-                None => (&pose.root_position, &pose.root_rotation),
-                Some(j) => (skeleton.offset(joint), &pose.local[j]),
-            };
+        all.extend(bones.iter().map(|(joint, position, turn)| {
             placed("/VMC/Ext/Bone/Pos", BONES[joint.index()], position, turn)
         }));
     }

@@ -67,4 +67,7 @@ pub enum Error {
     Write { path: PathBuf, source: std::io::Error },
     #[error(transparent)]
     Export(#[from] ExportError),
+    /// The observer ended it.
+    #[error("{} is not solved: it was stopped", path.display())]
+    Stopped { path: PathBuf },
 }

@@ -1,5 +1,6 @@
 //! What a solve is told, and who watches it.
 
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -58,8 +59,10 @@ impl Options {
 /// Observer of a solve; `()` ignores everything.
 pub trait Observer {
     /// A message of the recording was read. This happens [`Options::passes`] times for each,
-    /// or once more.
-    fn message(&mut self) {}
+    /// or once more. A break ends the solve with [`Error::Stopped`](super::Error::Stopped).
+    fn message(&mut self) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
 
     /// A final pose with its body. Poses are in order of capture time.
     fn pose(&mut self, _pose: &StampedPose, _skeleton: &Skeleton) {}

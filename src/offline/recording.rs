@@ -1,6 +1,7 @@
 //! A recording to solve: its cameras, its detections, its truth.
 
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -206,13 +207,15 @@ impl Recording {
         &mut self,
         rig: &Rig,
         held_out: &[Camera],
-        mut each_message: impl FnMut(),
+        mut each_message: impl FnMut() -> ControlFlow<()>,
         mut take: impl FnMut(Item) -> Result<(), Error>,
     ) -> Result<Report, Error> {
         self.reader.rewind()?;
         while let Some(entry) = self.reader.next() {
             let entry = entry?;
-            each_message();
+            if each_message().is_break() {
+                return Err(Error::Stopped { path: self.path().to_owned() });
+            }
             let captured = match &entry.message {
                 Message::Keypoints(frame) => Some(frame.capture_time_ns),
                 Message::TruthPose(pose) => Some(pose.capture_time_ns),

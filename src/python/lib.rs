@@ -65,10 +65,12 @@ fn bundlemocap_module(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_class::<camera::Rig>()?;
     module.add_class::<recording::Keypoints>()?;
     module.add_class::<recording::Recording>()?;
+    module.add_class::<recording::Messages>()?;
     module.add_class::<motion::Motion>()?;
     module.add_class::<motion::Solved>()?;
     module.add_class::<tracker::Tracker>()?;
     module.add_class::<tracker::Pose>()?;
+    module.add_function(wrap_pyfunction!(recording::read_messages, module)?)?;
     module.add_function(wrap_pyfunction!(motion::read_motions, module)?)?;
     module.add_function(wrap_pyfunction!(motion::solve, module)?)?;
     module.add_function(wrap_pyfunction!(main, module)?)?;

@@ -1,13 +1,14 @@
 //! Solving, and poses as arrays.
 
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use bundlemocap::config::Config;
 use bundlemocap::core::body::{JOINTS, Pose as CorePose, Skeleton};
 use bundlemocap::core::so3;
-use bundlemocap::offline::{self, Options, solve_group};
+use bundlemocap::offline::{self, Observer, Options, solve_group};
 use bundlemocap::{Performers, StampedPose};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -194,13 +195,40 @@ pub(crate) fn solve(
         config_toml: Some(config.to_toml()),
         ..Options::default()
     };
+    let mut interrupts = Interrupts::default();
     let group = py.detach(|| {
         let mut recording = offline::Recording::open(&path)?;
-        solve_group(&mut recording, &options, &mut ())
+        solve_group(&mut recording, &options, &mut interrupts)
     });
+    if let Some(interrupt) = interrupts.interrupt {
+        return Err(interrupt);
+    }
     let json = serde_json::to_string(&group.map_err(error)?).map_err(error)?;
     let summary = py.import("json")?.call_method1("loads", (json,))?.cast_into::<PyDict>()?;
     Ok(Solved { motions: motions(py, &out.join("poses.mcap"))?, summary: summary.unbind() })
+}
+
+/// Ends a solve when Python is interrupted.
+#[derive(Default)]
+struct Interrupts {
+    messages: u64,
+    interrupt: Option<PyErr>,
+}
+
+/// Messages between two looks at Python.
+const ATTENTION: u64 = 64;
+
+impl Observer for Interrupts {
+    fn message(&mut self) -> ControlFlow<()> {
+        self.messages += 1;
+        if self.messages.is_multiple_of(ATTENTION) {
+            self.interrupt = Python::attach(|py| py.check_signals().err());
+        }
+        match self.interrupt {
+            Some(_) => ControlFlow::Break(()),
+            None => ControlFlow::Continue(()),
+        }
+    }
 }
 
 /// A body that is shared.

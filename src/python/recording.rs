@@ -8,7 +8,7 @@ use bundlemocap::io::wire::{TIMES_NS, Topics};
 use bundlemocap::nalgebra::Point2;
 use bundlemocap::{Detection, Detections, KeypointFormat, Person, Timestamp};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 
 use crate::arrays::{Array, array};
 use crate::camera::Rig;
@@ -193,6 +193,36 @@ impl Recording {
     fn __repr__(&self) -> String {
         format!("Recording of {} cameras", self.keypoints.len())
     }
+}
+
+/// The messages of a recording, in the order of the file.
+#[pyclass(module = "bundlemocap")]
+pub(crate) struct Messages(Reader);
+
+#[pymethods]
+impl Messages {
+    fn __iter__(this: PyRef<Self>) -> PyRef<Self> {
+        this
+    }
+
+    fn __next__<'py>(
+        &mut self,
+        py: Python<'py>,
+    ) -> PyResult<Option<(String, i64, String, Bound<'py, PyBytes>)>> {
+        let Some(entry) = py.detach(|| self.0.next_raw()) else {
+            return warn_of(py, self.0.path(), self.0.report()).map(|()| None);
+        };
+        let entry = entry.map_err(error)?;
+        let payload = PyBytes::new(py, &entry.payload);
+        let (topic, schema) = (entry.topic.to_string(), entry.schema.to_string());
+        Ok(Some((topic, entry.publish_time.ns(), schema, payload)))
+    }
+}
+
+/// The messages of a recording (.mcap): topic, capture time, type and payload of each.
+#[pyfunction]
+pub(crate) fn read_messages(path: PathBuf) -> PyResult<Messages> {
+    Ok(Messages(Reader::open(path).map_err(error)?))
 }
 
 /// The rig and the keypoints of a file.

@@ -6,8 +6,9 @@ use super::align::alignments;
 use super::channels::reachable;
 use super::mapping::Follow;
 use super::{Map, Mapping, RetargetError, Target, Up};
-use crate::core::body::{Joint, Pose, Posture, Skeleton};
+use crate::core::body::{JOINTS, Joint, Pose, Posture, Skeleton};
 use crate::core::so3;
+use crate::io::vmc::Bone;
 use crate::io::wire::{self, RetargetedPose};
 
 /// Retargets poses to a target skeleton.
@@ -50,6 +51,9 @@ pub struct Figure {
     pub positions: Vec<Vector3<f64>>,
     /// Index of the joint that corresponds to our pelvis.
     pub hips: usize,
+    /// Of each of our joints that the target has: its centre, and its `world_from_joint` rotation as ours: none in
+    /// the T-pose.
+    ours: [Option<(Vector3<f64>, Matrix3<f64>)>; JOINTS],
 }
 
 impl Retarget {
@@ -148,6 +152,7 @@ impl Retarget {
             rotations: Vec::with_capacity(count),
             positions: Vec::with_capacity(count),
             hips: self.hips,
+            ours: [None; JOINTS],
         };
         let hips = self.hips_position(fitted, posture);
         for (index, joint) in self.target.joints().iter().enumerate() {
@@ -167,6 +172,11 @@ impl Retarget {
             figure.rotations.push(rotation);
             figure.positions.push(self.position(index, &figure, &hips));
         }
+        figure.ours = Joint::ALL.map(|joint| {
+            let index = self.mapping.joint(joint)?;
+            let turn = figure.rotations[index] * fitted.align[index].transpose();
+            Some((figure.positions[index], turn))
+        });
         figure
     }
 
@@ -211,6 +221,19 @@ fn leg_length(skeleton: &Skeleton) -> f64 {
 }
 
 impl Figure {
+    /// The bones that have a counterpart in ours. A bone's parent is the nearest of them above it.
+    pub fn bones(&self) -> Vec<Bone> {
+        let bone = |joint: Joint| {
+            let (position, turn) = self.ours[joint.index()]?;
+            let above = std::iter::successors(joint.parent(), |joint| joint.parent());
+            let parent = above.filter_map(|joint| self.ours[joint.index()]).next();
+            let (origin, outer) = parent.unwrap_or((Vector3::zeros(), Matrix3::identity()));
+            let inner = outer.transpose();
+            Some((joint, inner * (position - origin), inner * turn))
+        };
+        Joint::ALL.into_iter().filter_map(bone).collect()
+    }
+
     /// The figure as a message; times and state are copied from its source `pose`.
     pub fn message(&self, pose: &wire::Pose, target: &Target) -> RetargetedPose {
         let xyzw = |rotation| so3::xyzw_from_rotation(rotation).map(|component| component as f32);

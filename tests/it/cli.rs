@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use bundlemocap::core::body::{Joint, Pose, Shape, Skeleton, StampedPose, TrackingState};
+use bundlemocap::core::detections::Person;
 use bundlemocap::core::random::Draws;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::formats::Trc;
@@ -12,7 +13,7 @@ use bundlemocap::io::formats::bvh::Bvh;
 use bundlemocap::io::recording::{Message, Provenance, Reader, Writer};
 use bundlemocap::io::wire::{self, Topics};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
-use serde_json::Value;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::support::{data, pinned};
@@ -180,6 +181,78 @@ fn save<M: Fn(f64) -> Pose>(
         }
     }
     writer.finish().unwrap();
+}
+
+/// Writes a folder of OpenPose's for each camera of the synthetic walk, by the names of [`ring_rig`]'s cameras.
+fn walk_in_folders(place: &Place, folders: [&str; 4]) {
+    walk(&place.path("walk.mcap"), 60, |detections| {
+        let folder = folders[detections.camera];
+        let person = |person: &Person| {
+            let points = person.points.iter().map(|point| match point {
+                Some(at) => [at.pixel.x, at.pixel.y, at.confidence],
+                None => [0.0; 3],
+            });
+            json!({ "pose_keypoints_2d": points.flatten().collect::<Vec<_>>() })
+        };
+        let people: Vec<Value> = detections.people.iter().map(person).collect();
+        let name = format!("pose/{folder}/{folder}.{:04}.json", detections.frame);
+        place.write(&name, json!({ "people": people }).to_string());
+        true
+    });
+    place.done("rig convert walk.mcap --out calib.toml");
+}
+
+#[test]
+fn files_without_a_cameras_name_are_given_to_the_cameras_that_agree() {
+    let import = format!("{IMPORT} --format body_25");
+    let said = |place: &Place, command: &str| {
+        let output = place.run(command);
+        let errors = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{errors}");
+        (String::from_utf8(output.stdout).unwrap(), errors)
+    };
+    // In order: all is well.
+    let place = Place::new();
+    walk_in_folders(&place, ["back", "front", "left", "right"]);
+    let (found, errors) = said(&place, &import);
+    assert!(found.contains("back   -> cam01 (by order)"), "{found}");
+    assert!(errors.contains("4 of 4 files have no camera's name"), "{errors}");
+    assert!(
+        errors.contains("by order, and the cameras agree") && !errors.contains("warning"),
+        "{errors}"
+    );
+    let right = fs::read(place.path("out.mcap")).unwrap();
+    // In another order; one has a name.
+    let place = Place::new();
+    walk_in_folders(&place, ["right", "cam02", "left", "back"]);
+    let (found, errors) = said(&place, &import);
+    for (folder, camera) in [("right ", "cam01"), ("left  ", "cam03"), ("back  ", "cam04")] {
+        assert!(found.contains(&format!("{folder} -> {camera} (as the cameras agree)")), "{found}");
+    }
+    assert!(
+        found.contains("cam02  -> cam02 (by name)") && !errors.contains("warning"),
+        "{found}{errors}"
+    );
+    assert_eq!(fs::read(place.path("out.mcap")).unwrap(), right);
+    assert!(!place.path("out.other.mcap").exists());
+    // What the user says is not changed, but it is said.
+    let given = "--camera right=cam04 --camera back=cam01 --camera left=cam03 --overwrite";
+    let (found, errors) = said(&place, &format!("{import} {given}"));
+    assert!(found.contains("right  -> cam04 (as given)"), "{found}");
+    assert!(errors.contains("its images are those of camera cam01"), "{errors}");
+}
+
+#[test]
+fn of_two_files_without_a_cameras_name_the_order_is_found() {
+    let place = Place::new();
+    walk_in_folders(&place, ["two", "unused", "one", "unused"]);
+    fs::remove_dir_all(place.path("pose/unused")).unwrap();
+    let all = fs::read_to_string(place.path("calib.toml")).unwrap();
+    let cameras =
+        all.split("\n\n").filter(|part| !part.contains("cam02") && !part.contains("cam04"));
+    place.write("calib.toml", cameras.collect::<Vec<_>>().join("\n\n"));
+    let found = place.done(&format!("{IMPORT} --format body_25"));
+    assert!(found.contains("one  -> cam03 (as the cameras agree)"), "{found}");
 }
 
 #[test]

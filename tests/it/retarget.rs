@@ -15,6 +15,7 @@ use bundlemocap::io::formats::bvh::Bvh;
 use bundlemocap::io::formats::bvh::{HierarchyWriter, write_bvh};
 use bundlemocap::io::recording::{Provenance, Writer};
 use bundlemocap::io::report::{StickFigures, stick_figures};
+use bundlemocap::io::vmc::packets;
 use bundlemocap::io::wire::{self, Topics, encode};
 use bundlemocap::research::synth::{Motion, MotionStyle};
 use bundlemocap::research::train::read_folder;
@@ -23,6 +24,7 @@ use expect_test::expect;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::support::data;
+use crate::vmc::{bones, read};
 
 const ZYX: &str = "Zrotation Yrotation Xrotation";
 
@@ -320,6 +322,40 @@ fn a_written_file_holds_the_poses_and_the_same_hierarchy() {
         let jump = jumps.fold(0.0, f64::max);
         // Near gimbal lock of an arm's channels angles change fast, but they do not wrap.
         assert!(jump < 170.0, "{jump} degrees between frames");
+    }
+}
+
+#[test]
+fn the_bones_for_avatars_are_where_the_targets_joints_are_and_not_turned_in_the_t_pose() {
+    let skeleton = shaped();
+    let without_toes = mixamo().into_iter().filter(|row| !row.1.contains("Toe")).collect();
+    for (name, rows) in [("Mixamo", mixamo()), ("Unity", unity()), ("no toes", without_toes)] {
+        let mut retarget = retarget(&bvh_text(&rows, ZYX), "");
+        for (_, _, turn) in retarget.apply(&Pose::rest(), &skeleton).unwrap().bones() {
+            assert!((turn - Matrix3::identity()).amax() < 1e-9, "{name}: {turn}");
+        }
+        let joints = [
+            (Joint::Pelvis, "Hips"),
+            (Joint::Spine3, "UpperChest"),
+            (Joint::Head, "Head"),
+            (Joint::LWrist, "LeftHand"),
+            (Joint::RElbow, "RightLowerArm"),
+            (Joint::LAnkle, "LeftFoot"),
+            (Joint::RFoot, "RightToes"),
+        ];
+        for pose in poses(&skeleton).iter().step_by(30) {
+            let figure = retarget.apply(pose, &skeleton).unwrap();
+            let packets = packets(&figure.bones(), TrackingState::Tracking, 0.0).unwrap();
+            let messages: Vec<_> = packets.iter().flat_map(|packet| read(packet)).collect();
+            let bones = bones(&messages);
+            for (joint, bone) in joints {
+                let theirs = at(&retarget, &figure, joint);
+                assert_eq!(theirs.is_some(), bones.contains_key(bone), "{name}: {bone}");
+                let Some(theirs) = theirs else { continue };
+                let mirrored = Vector3::new(-theirs.x, theirs.y, theirs.z).cast::<f32>();
+                assert!((bones[bone] - mirrored).norm() < 1e-5, "{name}: {bone}");
+            }
+        }
     }
 }
 

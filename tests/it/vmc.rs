@@ -5,25 +5,26 @@ use std::net::UdpSocket;
 use std::process::Command;
 use std::time::Duration;
 
+use ::vmc::{Message, TrackingState as Quality, rosc::decoder::decode_udp};
 use bundlemocap::core::body::{JOINTS, Joint, Pose, Skeleton, StampedPose, TrackingState};
 use bundlemocap::core::time::Timestamp;
 use bundlemocap::io::bus::{Bus, Zenoh, ZenohConfig};
-use bundlemocap::io::vmc::packets;
+use bundlemocap::io::formats::bvh::write_bvh;
+use bundlemocap::io::vmc::{bones as bones_of_body, packets};
 use bundlemocap::io::wire::{self, Topics, encode};
 use bundlemocap::research::synth::{Motion, MotionStyle};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use vmc::{Message, TrackingState as Quality, rosc::decoder::decode_udp};
 
 use crate::program::{PATIENCE, Program};
 
-fn read(packet: &[u8]) -> Vec<Message> {
+pub(crate) fn read(packet: &[u8]) -> Vec<Message> {
     let (rest, packet) = decode_udp(packet).unwrap();
     assert!(rest.is_empty());
-    vmc::parse(packet).unwrap()
+    ::vmc::parse(packet).unwrap()
 }
 
 /// Places of the bones as Unity sees them, by name.
-fn bones(messages: &[Message]) -> BTreeMap<String, Vector3<f32>> {
+pub(crate) fn bones(messages: &[Message]) -> BTreeMap<String, Vector3<f32>> {
     let mut local = BTreeMap::new();
     for message in messages {
         if let Message::BoneTransform(bone) = message {
@@ -64,7 +65,8 @@ fn bones_are_where_the_joints_are_in_the_axes_of_unity() {
     let skeleton = Skeleton::default();
     let motion = Motion::new(&skeleton, MotionStyle::default());
     for pose in [Pose::rest(), motion.pose(1.3), motion.pose(4.1)] {
-        let packets = packets(&skeleton, &pose, TrackingState::Tracking, 2.5).unwrap();
+        let of_body = bones_of_body(&skeleton, &pose);
+        let packets = packets(&of_body, TrackingState::Tracking, 2.5).unwrap();
         assert!(packets.iter().all(|packet| packet.len() < 1400));
         let messages: Vec<Message> = packets.iter().flat_map(|packet| read(packet)).collect();
         let Message::State(state) = &messages[0] else { panic!("{:?}", messages[0]) };
@@ -92,7 +94,8 @@ fn bones_are_where_the_joints_are_in_the_axes_of_unity() {
         }
     }
     // What is lost has no bones.
-    let lost = packets(&skeleton, &Pose::rest(), TrackingState::Lost, 0.0).unwrap();
+    let rest = bones_of_body(&skeleton, &Pose::rest());
+    let lost = packets(&rest, TrackingState::Lost, 0.0).unwrap();
     let messages: Vec<Message> = lost.iter().flat_map(|packet| read(packet)).collect();
     assert!(matches!(&messages[0], Message::State(s) if s.tracking_state == Some(Quality::Poor)));
     assert!(bones_of(&messages) == 0 && messages.len() == 3);
@@ -104,6 +107,19 @@ fn bones_of(messages: &[Message]) -> usize {
 
 #[test]
 fn each_address_gets_its_performer() {
+    sends_to_each_address(&[]);
+}
+
+#[test]
+fn an_address_gets_the_poses_on_a_characters_skeleton() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("character.bvh");
+    // Hips at the height of ours: the character is as large.
+    write_bvh(&path, &Skeleton::default(), 60.0, []).unwrap();
+    sends_to_each_address(&["--skeleton", path.to_str().unwrap()]);
+}
+
+fn sends_to_each_address(options: &[&str]) {
     let listen = vec!["tcp/127.0.0.1:0".into()];
     let bus = Zenoh::open_node(&ZenohConfig { listen, ..ZenohConfig::default() }).unwrap();
     let [first, second] = [(); 2].map(|()| {
@@ -113,6 +129,7 @@ fn each_address_gets_its_performer() {
     });
     let mut command = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
     command.args(["bridge", "vmc", "--connect", &bus.listens_on()[0]]);
+    command.args(options);
     command.args(["--to", &first.local_addr().unwrap().to_string()]);
     command.args(["--to", &format!("p2={}", second.local_addr().unwrap())]);
     let mut bridge = Program::start(&mut command);

@@ -1,6 +1,10 @@
 """The module of the wheel: `pip install . pytest`, then `pytest tests/python`."""
 
+import os
+import signal
 import subprocess
+import threading
+import time
 from pathlib import Path
 
 import bundlemocap as bm
@@ -48,6 +52,33 @@ def test_a_recording_is_read_and_written(recording: bm.Recording, tmp_path: Path
         assert len(bm.FORMATS[keypoints.format]) == 25
         np.testing.assert_array_equal(again.keypoints[name].points, keypoints.points)
         np.testing.assert_array_equal(again.keypoints[name].times_ns, keypoints.times_ns)
+
+
+def test_the_messages_of_a_recording_are_read(tmp_path: Path) -> None:
+    found = [(topic, kind) for topic, _, kind, _ in bm.read_messages(WALK)]
+    assert ("mocap/stage/camera/cam02/keypoints", "bundlemocap.v1.KeypointFrame") in found
+    times = [time for topic, time, _, _ in bm.read_messages(WALK) if topic.endswith("cam02/keypoints")]
+    assert len(times) == 240 and times == sorted(times)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(WALK.read_bytes()[: WALK.stat().st_size * 2 // 3])
+    with pytest.warns(UserWarning, match="cut.mcap"):
+        assert 0 < len(list(bm.read_messages(cut))) < len(found)
+    with pytest.raises(bm.Error, match="not there"):
+        bm.read_messages(tmp_path / "not there")
+
+
+def test_an_interrupt_ends_a_solve(recording: bm.Recording, tmp_path: Path) -> None:
+    def longer(one: bm.Keypoints) -> bm.Keypoints:
+        turns = np.arange(20) * 4_000_000_000
+        times = (one.times_ns[None] + turns[:, None]).reshape(-1)
+        return bm.Keypoints(times, np.tile(one.points, (len(turns), 1, 1, 1)), one.format)
+
+    long = bm.Recording(recording.rig, {name: longer(one) for name, one in recording.keypoints.items()})
+    threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        bm.solve(long, out=tmp_path / "out")
+        time.sleep(10)
+    assert not (tmp_path / "out").exists()
 
 
 def test_solve_gives_the_poses_of_its_files(solved: tuple[bm.Solved, Path]) -> None:

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt::{self, Display};
 use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -11,6 +12,7 @@ use crate::cli::Ended;
 use crate::cli::bus::{BusArguments, check_name, open};
 use crate::cli::clock::{ATTENTION, Stop};
 use crate::cli::failure::{Exit, Failure};
+use crate::cli::retarget::{character, summary};
 use crate::cli::terminal::{complain, note, say};
 use crate::cli::tools::inbox::{Inbox, Received, Unusable};
 use crate::core::body::{Skeleton, StampedPose, TrackingState};
@@ -18,6 +20,7 @@ use crate::core::time::Timestamp;
 use crate::io::recording::Message;
 use crate::io::vmc;
 use crate::io::wire::Topic;
+use crate::retarget::Retarget;
 
 /// A performer without poses for this long is lost.
 const GONE: Duration = Duration::from_secs(2);
@@ -25,6 +28,9 @@ const GONE: Duration = Duration::from_secs(2);
 /// Send poses in the VMC protocol, for Unity, Unreal, Warudo, VSeeFace and other avatar programs.
 #[derive(Debug, Args)]
 #[command(after_help = "\
+With --skeleton the poses are retargeted to that BVH file's skeleton first, as `bundlemocap retarget`
+does: the sizes of the bones and the height of the hips are the character's.
+
 The protocol has no names of performers: each performer needs an address of its own. An address
 without a name is for --actor, or else for the first performer who comes; when this one leaves, for
 the next.
@@ -35,7 +41,8 @@ as not tracked, without bones. The other program may start later.
 Examples:
   bundlemocap bridge vmc
   bundlemocap bridge vmc --to 192.168.1.30:39539 --provisional
-  bundlemocap bridge vmc --to p1=127.0.0.1:39539 --to p2=127.0.0.1:39549")]
+  bundlemocap bridge vmc --to p1=127.0.0.1:39539 --to p2=127.0.0.1:39549
+  bundlemocap bridge vmc --skeleton robot.bvh --map robot.toml")]
 pub(super) struct Arguments {
     /// Address of the receiving program. With NAME= before it, it gets that performer. May be repeated.
     #[arg(long, value_name = "[NAME=]HOST:PORT", default_value = "127.0.0.1:39539")]
@@ -43,6 +50,12 @@ pub(super) struct Arguments {
     /// Send provisional poses: earlier, less exact, and fewer when the node is overloaded.
     #[arg(long)]
     provisional: bool,
+    /// BVH file with the skeleton of a character.
+    #[arg(long, value_name = "BVH")]
+    skeleton: Option<PathBuf>,
+    /// Joint map of that file, TOML; `bundlemocap retarget --help` shows one.
+    #[arg(long, value_name = "TOML", requires = "skeleton")]
+    map: Option<PathBuf>,
     #[command(flatten)]
     bus: BusArguments,
 }
@@ -52,11 +65,18 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let config = arguments.bus.settings()?;
     let topics = arguments.bus.topics(&config);
     let only = (topics.actor != "*").then_some(&*topics.actor);
-    let mut bridge = Bridge::new(&arguments.to, only, arguments.provisional)?;
+    let character = match &arguments.skeleton {
+        Some(path) => Some(character(path, arguments.map.as_deref())?),
+        None => None,
+    };
+    let mut bridge = Bridge::new(&arguments.to, only, arguments.provisional, character)?;
     let bus = open(&config)?;
     let mut patterns = vec![topics.skeleton(), topics.pose()];
     patterns.extend(arguments.provisional.then(|| topics.provisional()));
     let inbox = Inbox::open_all(&*bus, &patterns)?;
+    if let (Some(path), Some(character)) = (&arguments.skeleton, &bridge.character) {
+        note(&summary(path, character));
+    }
     note(&format!("sending poses to {}; Ctrl-C ends it", arguments.to.join(", ")));
     while !stop.is_set() {
         if let Some(received) = inbox.next(ATTENTION) {
@@ -74,6 +94,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 struct Bridge {
     targets: Vec<Target>,
     is_provisional: bool,
+    /// The skeleton that gets the poses, if it is not the performer's.
+    character: Option<Retarget>,
     bodies: BTreeMap<String, Skeleton>,
     first: Option<Timestamp>,
     count: Count,
@@ -86,6 +108,7 @@ struct Target {
     /// Without a name it is for whoever comes.
     is_named: bool,
     performer: Option<String>,
+    character: Option<Retarget>,
     /// The last pose and when it was sent, until the performer is silent.
     last: Option<(StampedPose, Instant)>,
     sent: u64,
@@ -129,6 +152,7 @@ impl Bridge {
         addresses: &[String],
         only: Option<&str>,
         is_provisional: bool,
+        character: Option<Retarget>,
     ) -> Result<Self, Failure> {
         let mut targets = Vec::<Target>::new();
         for text in addresses {
@@ -162,12 +186,13 @@ impl Bridge {
                 socket: socket_for(address).map_err(|error| wrong(&error))?,
                 is_named: name.is_some(),
                 performer: name.map(str::to_owned),
+                character: character.clone(),
                 last: None,
                 sent: 0,
             });
         }
         let (first, bodies, count) = (None, BTreeMap::new(), Count::default());
-        Ok(Self { targets, is_provisional, bodies, first, count })
+        Ok(Self { targets, is_provisional, character, bodies, first, count })
     }
 
     fn handle(&mut self, received: &Received) {
@@ -253,8 +278,14 @@ impl Target {
         first: Timestamp,
     ) -> std::io::Result<()> {
         let seconds = pose.capture.seconds_since(first);
-        let packets = vmc::packets(body, &pose.pose, pose.state, seconds)
-            .map_err(|error| std::io::Error::other(error.to_string()))?;
+        let other = |error: &dyn Display| std::io::Error::other(error.to_string());
+        let bones = match &mut self.character {
+            Some(character) => {
+                character.apply(&pose.pose, body).map_err(|error| other(&error))?.bones()
+            }
+            None => vmc::bones(body, &pose.pose),
+        };
+        let packets = vmc::packets(&bones, pose.state, seconds).map_err(|error| other(&error))?;
         for packet in packets {
             self.socket.send_to(&packet, self.address)?;
         }
@@ -300,7 +331,7 @@ mod tests {
     #[test]
     fn an_address_without_a_name_is_free_when_its_performer_is_silent() {
         let addresses = ["p2=127.0.0.1:9", "127.0.0.1:10"].map(str::to_owned);
-        let mut bridge = Bridge::new(&addresses, None, false).unwrap();
+        let mut bridge = Bridge::new(&addresses, None, false, None).unwrap();
         let address = |bridge: &mut Bridge, actor: &str| {
             target_of(&mut bridge.targets, actor).map(|target| target.address.port())
         };

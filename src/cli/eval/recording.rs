@@ -1,5 +1,6 @@
 //! Methods compared on a real recording.
 
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -39,7 +40,7 @@ impl Loaded {
         recording.stream(
             &rig,
             &cameras,
-            || {},
+            || ControlFlow::Continue(()),
             |item| {
                 match item {
                     Item::Detections(detections, _) => {

@@ -20,10 +20,12 @@ __all__ = [
     "Rig",
     "Keypoints",
     "Recording",
+    "Messages",
     "Motion",
     "Solved",
     "Tracker",
     "Pose",
+    "read_messages",
     "read_motions",
     "solve",
     "main",
@@ -122,7 +124,20 @@ class Recording:
     def read(path: _Path) -> Recording:
         """Reads a recording (.mcap)."""
     def write(self, path: _Path) -> None:
-        """Writes a recording; a file that is there is replaced."""
+        """Writes a recording; a file that is there is replaced. It holds the rig and the keypoints: other messages
+        and the metadata (settings, timecode) of a file that was read are not kept."""
+
+@final
+class Messages:
+    """The messages of a recording, in the order of the file."""
+
+    def __iter__(self) -> Self: ...
+    def __next__(self) -> tuple[str, int, str, bytes]:
+        """Topic, capture time (nanoseconds), full name of the type (bundlemocap.v1.Pose), and the message itself,
+        encoded as protobuf."""
+
+def read_messages(path: _Path) -> Messages:
+    """The messages of a recording (.mcap), also of a damaged one; a warning at the end says what it lost."""
 
 @final
 class Motion:
@@ -173,7 +188,8 @@ def solve(
     overwrite: bool = False,
 ) -> Solved:
     """Solves a recording. `cameras`: use only these; `hold_out`: measure the error in these; `config`: a
-    settings file; `out`: a folder for the files of `bundlemocap solve` (default: no files are left). An interrupt is raised when the solve has ended."""
+    settings file; `out`: a folder for the files of `bundlemocap solve` (default: no files are left). An
+    interrupt ends it, and no file is written then."""
 
 def read_motions(path: _Path) -> dict[str, Motion]:
     """The poses of a solved recording (poses.mcap), by name of the performer."""
