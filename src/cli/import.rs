@@ -18,6 +18,7 @@ use crate::io::formats::{
     CameraReport, DetectionFolder, DetectionOptions, FolderMatch, ImportError, MatchedBy,
     PointOrder,
 };
+use crate::io::new_file::temporary;
 use crate::io::recording::{Provenance, Writer};
 use crate::io::wire::Topics;
 use crate::offline::{self, Recording};
@@ -44,8 +45,7 @@ gives any. This is a file for --points, with indices from 0 or the detector's na
   left_shoulder = \"shoulder_L\"
 
 Files are given to cameras by name, or by --camera. Where names do not tell and as many cameras are
-left, files are tried by order, and exchanged if the performer is then where all cameras see them; it
-is said which. At the end the recording is checked as `bundlemocap check` does. A broken file of a
+left, files are tried by order, and exchanged if the cameras agree better then; it is said which. At the end the recording is checked as `bundlemocap check` does. A broken file of a
 frame is a missing frame, counted and named.
 
 Examples:
@@ -129,22 +129,17 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     frame_rate_option(arguments.fps)?;
     let calibration = arguments.convention.read(&arguments.calibration)?;
     let rig = &calibration.rig;
-    let mut best = Imported::of(arguments, path, &arguments.out, rig, order, &arguments.camera)?;
+    let attempt = Attempt { order, cameras: arguments.camera.clone() };
+    let mut best = Imported::of(arguments, path, &arguments.out, rig, attempt)?;
+    best.exchange(arguments, path, rig)?;
     // Several orders have as many points: the one with which the cameras agree.
     for other in best.folder.others().to_vec() {
         let [one, another] = [&best.folder.order().name, &other.name].map(Clone::clone);
-        let again =
-            |out: &Path| Imported::of(arguments, path, out, rig, Some(other), &arguments.camera);
-        if best.replaced_by_better(&arguments.out, again)? {
+        let attempt = Attempt { order: Some(other), ..best.attempt.clone() };
+        if best.replaced_by_better(arguments, path, rig, attempt)? {
             complain("note", &format!("the points fit better as {another} than as {one}"));
+            best.exchange(arguments, path, rig)?;
         }
-    }
-    // So with files without a camera's name: the cameras with which they agree.
-    if let Some(mut cameras) = best.exchanged(rig) {
-        cameras.extend_from_slice(&arguments.camera);
-        let order = Some(best.folder.order().clone());
-        let again = |out: &Path| Imported::of(arguments, path, out, rig, order, &cameras);
-        best.replaced_by_better(&arguments.out, again)?;
     }
     tell(&arguments.calibration, &calibration);
     best.tell(rig, &arguments.camera);
@@ -152,9 +147,19 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     Ok(Exit::Done)
 }
 
+/// What is not known until the cameras agree.
+#[derive(Clone)]
+struct Attempt {
+    /// Order of the points; `None`: as their names or number tell.
+    order: Option<PointOrder>,
+    /// Files and their cameras, beside those by name.
+    cameras: Vec<(String, String)>,
+}
+
 /// A recording that was written.
 struct Imported {
     folder: DetectionFolder,
+    attempt: Attempt,
     /// The judgement of the cameras, or why there is none.
     check: Result<Check, String>,
 }
@@ -165,14 +170,13 @@ impl Imported {
         path: &Path,
         out: &Path,
         rig: &Rig,
-        order: Option<PointOrder>,
-        cameras: &[(String, String)],
+        attempt: Attempt,
     ) -> Result<Self, Failure> {
         let options = DetectionOptions {
             fps: arguments.fps,
-            order,
+            order: attempt.order.clone(),
             mapping: arguments.points.clone(),
-            cameras: cameras.to_vec(),
+            cameras: attempt.cameras.clone(),
             strict: arguments.strict,
         };
         let mut folder = DetectionFolder::open(path, rig, options)?;
@@ -195,7 +199,7 @@ impl Imported {
         }
         writer.finish()?;
         bar.finish_and_clear();
-        Ok(Self { folder, check: check(out) })
+        Ok(Self { folder, attempt, check: check(out) })
     }
 
     /// What is wrong with the cameras.
@@ -206,76 +210,91 @@ impl Imported {
         }
     }
 
-    /// Imports in another way, if something is wrong with the cameras; keeps that if less is wrong then.
+    /// Imports in another way, if something is wrong with the cameras; keeps that if they agree and less is wrong.
     fn replaced_by_better(
         &mut self,
-        out: &Path,
-        again: impl FnOnce(&Path) -> Result<Self, Failure>,
+        arguments: &Arguments,
+        path: &Path,
+        rig: &Rig,
+        attempt: Attempt,
     ) -> Result<bool, Failure> {
         let now = self.warnings().len();
         if now == 0 {
             return Ok(false);
         }
-        let beside = out.with_extension("other.mcap");
-        let again = again(&beside)?;
-        let is_better = again.warnings().len() < now;
+        let unwritable = |error: std::io::Error| {
+            Failure::new(Exit::Unexpected, format!("{}: {error}", arguments.out.display()))
+        };
+        let beside = temporary(&arguments.out).map_err(unwritable)?.into_temp_path();
+        let again = Self::of(arguments, path, &beside, rig, attempt)?;
+        let agrees = again.check.as_ref().is_ok_and(Check::agrees);
+        let is_better = agrees && again.warnings().len() < now;
         if is_better {
+            beside.persist(&arguments.out).map_err(|error| unwritable(error.error))?;
             *self = again;
-            std::fs::rename(&beside, out).map_err(|error| {
-                Failure::new(Exit::Unexpected, format!("{}: {error}", out.display()))
-            })?;
-        } else {
-            let _ = std::fs::remove_file(&beside);
         }
         Ok(is_better)
     }
 
+    /// Gives the files without a camera's name to the cameras with which they agree.
+    fn exchange(&mut self, arguments: &Arguments, path: &Path, rig: &Rig) -> Result<(), Failure> {
+        while let Some(exchanged) = self.exchanged(rig, &arguments.camera) {
+            let cameras = arguments.camera.iter().cloned().chain(exchanged).collect();
+            let order = Some(self.folder.order().clone());
+            if !self.replaced_by_better(arguments, path, rig, Attempt { order, cameras })? {
+                break;
+            }
+        }
+        Ok(())
+    }
+
     /// The files that have no camera's name.
-    fn by_order(&self) -> impl Iterator<Item = &FolderMatch> {
-        self.folder.matches().iter().filter(|pair| pair.by == MatchedBy::Order)
+    fn unnamed<'a>(
+        &'a self,
+        given: &'a [(String, String)],
+    ) -> impl Iterator<Item = &'a FolderMatch> {
+        self.folder.matches().iter().filter(|pair| is_unnamed(pair, given))
     }
 
     /// The files without a camera's name, with the cameras whose images they have; `None` if these are what they
     /// have been given.
-    fn exchanged(&self, rig: &Rig) -> Option<Vec<(String, String)>> {
-        let own: Vec<usize> = self.by_order().map(|pair| pair.camera).collect();
-        let mut cameras = self.check.as_ref().ok()?.exchanged(rig);
-        // Of two cameras nothing tells which one is wrong.
-        if let ([a, b], None, 2) = (&own[..], &cameras, self.folder.matches().len()) {
-            let mut all: Vec<usize> = (0..rig.cameras.len()).collect();
-            all.swap(*a, *b);
-            cameras = Some(all);
-        }
-        let cameras = cameras?;
+    fn exchanged(&self, rig: &Rig, given: &[(String, String)]) -> Option<Vec<(String, String)>> {
+        let own: Vec<usize> = self.unnamed(given).map(|pair| pair.camera).collect();
+        let check = self.check.as_ref().ok()?;
+        let cameras = match (&own[..], self.folder.matches().len()) {
+            ([], _) => return None,
+            // Of two cameras nothing tells which one is wrong.
+            ([a, b], 2) if !check.agrees() => {
+                let mut all: Vec<usize> = (0..rig.cameras.len()).collect();
+                all.swap(*a, *b);
+                all
+            }
+            _ => check.exchanged(rig)?,
+        };
         // A file with a camera's name keeps it.
         if !own.iter().all(|camera| own.contains(&cameras[*camera])) {
             return None;
         }
-        let pair = |pair: &FolderMatch| {
-            let file = pair.folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            (file, rig.cameras[cameras[pair.camera]].name.clone())
-        };
-        Some(self.by_order().map(pair).collect()).filter(|pairs: &Vec<_>| !pairs.is_empty())
+        let pair =
+            |pair: &FolderMatch| (file_of(pair), rig.cameras[cameras[pair.camera]].name.clone());
+        Some(self.unnamed(given).map(pair).collect())
     }
 
     /// Says which files are whose, what was found, guessed and left out, and what is wrong.
     fn tell(&self, rig: &Rig, given: &[(String, String)]) {
-        let Self { folder, check } = self;
+        let Self { folder, check, .. } = self;
         say(&table(&matches(folder, rig, given)));
         let warnings = self.warnings();
-        let by_order = self.by_order().count();
-        if by_order > 0 {
-            let is_judged = |pair: &FolderMatch| {
-                let of = |check: &Check| check.cameras[pair.camera].agreeing_percent.is_some();
-                check.as_ref().is_ok_and(of)
+        let unnamed = self.unnamed(given).count();
+        if unnamed > 0 {
+            let fits = |pair: &FolderMatch| {
+                check.as_ref().is_ok_and(|check| check.cameras[pair.camera].fits())
             };
-            let text = format!(
-                "{by_order} of {} files have no camera's name; they were matched by order",
-                folder.matches().len()
-            );
-            match warnings.is_empty() && self.by_order().all(is_judged) {
-                true => complain("note", &format!("{text}, and the cameras agree")),
-                false => complain("warning", &format!("{text}, which may be wrong; use --camera")),
+            let text =
+                format!("{unnamed} of {} files have no camera's name", folder.matches().len());
+            match warnings.is_empty() && self.unnamed(given).all(fits) {
+                true => complain("note", &format!("{text}; the cameras agree")),
+                false => complain("warning", &format!("{text}: theirs may be wrong; use --camera")),
             }
         }
         for (pair, report) in folder.matches().iter().zip(folder.reports()) {
@@ -304,23 +323,35 @@ fn check(path: &Path) -> Result<Check, String> {
     checked.map_err(|error| error.to_string())
 }
 
-/// The files and their cameras. `given`: by the user.
+/// The name of a camera's folder or file.
+fn file_of(pair: &FolderMatch) -> String {
+    pair.folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Whether neither the name nor the user says of which camera a file is.
+fn is_unnamed(pair: &FolderMatch, given: &[(String, String)]) -> bool {
+    let is_given = || given.iter().any(|(file, _)| *file == file_of(pair));
+    match pair.by {
+        MatchedBy::Name => false,
+        MatchedBy::Order => true,
+        MatchedBy::Given => !is_given(),
+    }
+}
+
+/// The files and their cameras.
 fn matches(
     folder: &DetectionFolder,
     rig: &Rig,
     given: &[(String, String)],
 ) -> Vec<(String, String)> {
     let rows = folder.matches().iter().map(|pair| {
-        let name = pair.folder.file_name().unwrap_or_default().to_string_lossy();
         let by = match pair.by {
-            MatchedBy::Given if given.iter().all(|(file, _)| *file != name) => {
-                "as the cameras agree"
-            }
+            MatchedBy::Given if is_unnamed(pair, given) => "exchanged",
             MatchedBy::Given => "as given",
             MatchedBy::Name => "by name",
             MatchedBy::Order => "by order",
         };
-        (name.into_owned(), format!("-> {} ({by})", rig.cameras[pair.camera].name))
+        (file_of(pair), format!("-> {} ({by})", rig.cameras[pair.camera].name))
     });
     rows.collect()
 }

@@ -69,7 +69,8 @@ pub(super) struct Arguments {
     /// own, too.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
     pub(super) jobs: Option<u8>,
-    /// Threads of each solve, 1 or 2, with the same result; default: that of the settings, 1.
+    /// Threads of each solve, 1 or 2, with the same result; two are rarely faster. Default: that of the
+    /// settings, 1.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=2))]
     threads: Option<u8>,
     /// Replace the files of an earlier solve.
@@ -246,8 +247,11 @@ impl Prepared {
 
     /// All that changes a solve beside its files.
     pub(super) fn settings(&self, arguments: &Arguments) -> serde_json::Value {
+        // The threads do not change the result.
+        let mut config = self.config.clone();
+        config.tracker.threads = Config::default().tracker.threads;
         serde_json::json!({
-            "config": self.config.to_toml(),
+            "config": config.to_toml(),
             "weights": format!("{:016x}", self.decoder.fingerprint()),
             "cameras": arguments.cameras,
             "hold_out": arguments.hold_out,

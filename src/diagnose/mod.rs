@@ -97,9 +97,23 @@ impl Check {
             let findings = &self.cameras.get(own)?.findings;
             (0..rig.cameras.len()).find(|other| findings.iter().any(|one| is_of(*other, one)))
         };
-        let all: Vec<usize> = (0..rig.cameras.len()).map(|own| of(own).unwrap_or(own)).collect();
-        let is_exchange = (0..all.len()).all(|camera| all.contains(&camera));
-        (is_exchange && !all.is_sorted()).then_some(all)
+        let named: Vec<Option<usize>> = (0..rig.cameras.len()).map(of).collect();
+        let keeps = |own: usize| (!named.contains(&Some(own))).then_some(own);
+        let mut all: Vec<Option<usize>> =
+            named.iter().enumerate().map(|(own, of)| of.or_else(|| keeps(own))).collect();
+        // What is left over belongs together, if it is one camera.
+        let free = (0..all.len()).find(|camera| !all.contains(&Some(*camera)));
+        if let Some(alone) = all.iter_mut().find(|of| of.is_none()) {
+            *alone = free;
+        }
+        let is_exchange = (0..all.len()).all(|camera| all.contains(&Some(camera)));
+        (is_exchange && !all.is_sorted()).then(|| all.into_iter().flatten().collect())
+    }
+
+    /// Whether the cameras agree on somebody.
+    pub fn agrees(&self) -> bool {
+        let disagree = ["disagree", "no_agreement"];
+        self.findings.iter().all(|finding| !disagree.contains(&finding.cause))
     }
 }
 
@@ -129,6 +143,12 @@ impl fmt::Display for Check {
 }
 
 impl CameraCheck {
+    /// Whether it was judged and nothing is wrong.
+    pub fn fits(&self) -> bool {
+        self.findings.is_empty()
+            && self.agreeing_percent.is_some_and(|percent| percent >= LOOSELY_PERCENT)
+    }
+
     /// The verdict in words.
     pub fn verdict(&self) -> String {
         if self.findings.is_empty() {

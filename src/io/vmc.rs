@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Vector3};
 use rosc::{OscBundle, OscMessage, OscPacket, OscTime, OscType, encoder};
 
-use crate::core::body::{JOINTS, Joint, Pose, Skeleton, TrackingState};
+use crate::core::body::{Bone, JOINTS, Joint, Pose, Skeleton, TrackingState};
 use crate::core::so3;
 
 /// By joint, the bone of Unity's humanoid.
@@ -38,10 +38,6 @@ const BONES: [&str; JOINTS] = [
 
 /// Bones in a packet: it stays below 1,400 bytes, so that no network divides it.
 const TOGETHER: usize = 11;
-
-/// A bone: where it is in its parent, metres, and how it is turned there, without rotation in the T-pose. The first
-/// bone is in the world.
-pub type Bone = (Joint, Vector3<f64>, Matrix3<f64>);
 
 /// The bones of our body.
 pub fn bones(skeleton: &Skeleton, pose: &Pose) -> Vec<Bone> {

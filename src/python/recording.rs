@@ -195,6 +195,9 @@ impl Recording {
     }
 }
 
+/// A message: topic, capture time, type and payload.
+type Sent<'py> = (String, i64, String, Bound<'py, PyBytes>);
+
 /// The messages of a recording, in the order of the file.
 #[pyclass(module = "bundlemocap")]
 pub(crate) struct Messages(Reader);
@@ -205,10 +208,7 @@ impl Messages {
         this
     }
 
-    fn __next__<'py>(
-        &mut self,
-        py: Python<'py>,
-    ) -> PyResult<Option<(String, i64, String, Bound<'py, PyBytes>)>> {
+    fn __next__<'py>(&mut self, py: Python<'py>) -> PyResult<Option<Sent<'py>>> {
         let Some(entry) = py.detach(|| self.0.next_raw()) else {
             return warn_of(py, self.0.path(), self.0.report()).map(|()| None);
         };

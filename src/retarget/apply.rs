@@ -6,9 +6,8 @@ use super::align::alignments;
 use super::channels::reachable;
 use super::mapping::Follow;
 use super::{Map, Mapping, RetargetError, Target, Up};
-use crate::core::body::{JOINTS, Joint, Pose, Posture, Skeleton};
+use crate::core::body::{Bone, JOINTS, Joint, Pose, Posture, Skeleton};
 use crate::core::so3;
-use crate::io::vmc::Bone;
 use crate::io::wire::{self, RetargetedPose};
 
 /// Retargets poses to a target skeleton.
@@ -51,8 +50,8 @@ pub struct Figure {
     pub positions: Vec<Vector3<f64>>,
     /// Index of the joint that corresponds to our pelvis.
     pub hips: usize,
-    /// Of each of our joints that the target has: its centre, and its `world_from_joint` rotation as ours: none in
-    /// the T-pose.
+    /// Of each joint of Unity's humanoid, by our names, that the target has: its centre, and its `world_from_joint`
+    /// rotation as ours: none in the T-pose.
     ours: [Option<(Vector3<f64>, Matrix3<f64>)>; JOINTS],
 }
 
@@ -173,7 +172,7 @@ impl Retarget {
             figure.positions.push(self.position(index, &figure, &hips));
         }
         figure.ours = Joint::ALL.map(|joint| {
-            let index = self.mapping.joint(joint)?;
+            let index = self.mapping.humanoid(&self.target, joint)?;
             let turn = figure.rotations[index] * fitted.align[index].transpose();
             Some((figure.positions[index], turn))
         });
@@ -221,7 +220,7 @@ fn leg_length(skeleton: &Skeleton) -> f64 {
 }
 
 impl Figure {
-    /// The bones that have a counterpart in ours. A bone's parent is the nearest of them above it.
+    /// The bones of Unity's humanoid, by our names. A bone's parent is the nearest of them above it.
     pub fn bones(&self) -> Vec<Bone> {
         let bone = |joint: Joint| {
             let (position, turn) = self.ours[joint.index()]?;

@@ -88,6 +88,18 @@ impl Mapping {
         self.joints[ours.index()]
     }
 
+    /// The target's joint for a bone of Unity's humanoid, by our name. A trunk of one or two joints is named from
+    /// below: spine, chest.
+    pub(super) fn humanoid(&self, target: &Target, ours: Joint) -> Option<usize> {
+        let trunk = [Joint::Spine1, Joint::Spine2, Joint::Spine3];
+        let place = trunk.iter().position(|joint| *joint == ours);
+        let (Some(place), Some(hips)) = (place, self.joint(Joint::Pelvis)) else {
+            return self.joint(ours);
+        };
+        let whole = chain(target, hips, self.joint(Joint::Spine3)?);
+        if whole.len() > trunk.len() { self.joint(ours) } else { whole.get(place + 1).copied() }
+    }
+
     /// A text for people: pairs of mapped joints, our joints without a counterpart, and joints of
     /// the target that do not follow ours.
     pub fn summary(&self, target: &Target) -> String {

@@ -204,7 +204,6 @@ fn walk_in_folders(place: &Place, folders: [&str; 4]) {
 
 #[test]
 fn files_without_a_cameras_name_are_given_to_the_cameras_that_agree() {
-    let import = format!("{IMPORT} --format body_25");
     let said = |place: &Place, command: &str| {
         let output = place.run(command);
         let errors = String::from_utf8(output.stderr).unwrap();
@@ -214,30 +213,31 @@ fn files_without_a_cameras_name_are_given_to_the_cameras_that_agree() {
     // In order: all is well.
     let place = Place::new();
     walk_in_folders(&place, ["back", "front", "left", "right"]);
-    let (found, errors) = said(&place, &import);
+    let (found, errors) = said(&place, IMPORT);
     assert!(found.contains("back   -> cam01 (by order)"), "{found}");
     assert!(errors.contains("4 of 4 files have no camera's name"), "{errors}");
     assert!(
-        errors.contains("by order, and the cameras agree") && !errors.contains("warning"),
+        errors.contains("camera's name; the cameras agree") && !errors.contains("warning"),
         "{errors}"
     );
     let right = fs::read(place.path("out.mcap")).unwrap();
     // In another order; one has a name.
     let place = Place::new();
     walk_in_folders(&place, ["right", "cam02", "left", "back"]);
-    let (found, errors) = said(&place, &import);
+    let (found, errors) = said(&place, IMPORT);
     for (folder, camera) in [("right ", "cam01"), ("left  ", "cam03"), ("back  ", "cam04")] {
-        assert!(found.contains(&format!("{folder} -> {camera} (as the cameras agree)")), "{found}");
+        assert!(found.contains(&format!("{folder} -> {camera} (exchanged)")), "{found}");
     }
     assert!(
         found.contains("cam02  -> cam02 (by name)") && !errors.contains("warning"),
         "{found}{errors}"
     );
     assert_eq!(fs::read(place.path("out.mcap")).unwrap(), right);
-    assert!(!place.path("out.other.mcap").exists());
+    let left = fs::read_dir(place.path(".")).unwrap().map(|entry| entry.unwrap().file_name());
+    assert!(left.into_iter().all(|name| !name.to_string_lossy().starts_with('.')));
     // What the user says is not changed, but it is said.
     let given = "--camera right=cam04 --camera back=cam01 --camera left=cam03 --overwrite";
-    let (found, errors) = said(&place, &format!("{import} {given}"));
+    let (found, errors) = said(&place, &format!("{IMPORT} {given}"));
     assert!(found.contains("right  -> cam04 (as given)"), "{found}");
     assert!(errors.contains("its images are those of camera cam01"), "{errors}");
 }
@@ -251,8 +251,12 @@ fn of_two_files_without_a_cameras_name_the_order_is_found() {
     let cameras =
         all.split("\n\n").filter(|part| !part.contains("cam02") && !part.contains("cam04"));
     place.write("calib.toml", cameras.collect::<Vec<_>>().join("\n\n"));
-    let found = place.done(&format!("{IMPORT} --format body_25"));
-    assert!(found.contains("one  -> cam03 (as the cameras agree)"), "{found}");
+    let found = place.done(IMPORT);
+    assert!(found.contains("one  -> cam03 (exchanged)"), "{found}");
+    // In the right order nothing is exchanged, whatever else is wrong.
+    fs::rename(place.path("pose/two"), place.path("pose/a")).unwrap();
+    let found = place.done(&format!("{IMPORT} --overwrite --unit ft --up y"));
+    assert!(found.contains("one  -> cam03 (by order)"), "{found}");
 }
 
 #[test]

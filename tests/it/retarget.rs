@@ -170,6 +170,22 @@ fn unity() -> Vec<Row> {
     rows.into_iter().map(half_turn).collect()
 }
 
+/// The skeleton without these joints of the trunk.
+fn without(rows: Vec<Row>, names: &[&str]) -> Vec<Row> {
+    let (mut above, mut all) = (Vec::<(usize, Vector3<f64>)>::new(), Vec::new());
+    for (depth, name, at) in rows {
+        above.retain(|(gone, _)| *gone < depth);
+        if names.contains(&&*name) {
+            above.push((depth, at));
+            continue;
+        }
+        let is_child = above.last().is_some_and(|(gone, _)| gone + 1 == depth);
+        let moved: Vector3<f64> = above.iter().filter(|_| is_child).map(|(_, at)| at).sum();
+        all.push((depth - above.len(), name, at + moved));
+    }
+    all
+}
+
 fn degrees(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     a.angle(b).to_degrees()
 }
@@ -329,14 +345,24 @@ fn a_written_file_holds_the_poses_and_the_same_hierarchy() {
 fn the_bones_for_avatars_are_where_the_targets_joints_are_and_not_turned_in_the_t_pose() {
     let skeleton = shaped();
     let without_toes = mixamo().into_iter().filter(|row| !row.1.contains("Toe")).collect();
-    for (name, rows) in [("Mixamo", mixamo()), ("Unity", unity()), ("no toes", without_toes)] {
+    // Trunks with fewer joints are named from below.
+    let with_chest = without(unity(), &["UpperChest"]);
+    let with_spine = without(unity(), &["UpperChest", "Chest"]);
+    let cases = [
+        ("Mixamo", mixamo(), &["Spine", "Chest", "UpperChest"][..]),
+        ("Unity", unity(), &["Spine", "Chest", "UpperChest"]),
+        ("no toes", without_toes, &["Spine", "Chest", "UpperChest"]),
+        ("trunk of two", with_chest, &["Spine", "Chest"]),
+        ("trunk of one", with_spine, &["Spine"]),
+    ];
+    for (name, rows, trunk) in cases {
         let mut retarget = retarget(&bvh_text(&rows, ZYX), "");
         for (_, _, turn) in retarget.apply(&Pose::rest(), &skeleton).unwrap().bones() {
             assert!((turn - Matrix3::identity()).amax() < 1e-9, "{name}: {turn}");
         }
         let joints = [
             (Joint::Pelvis, "Hips"),
-            (Joint::Spine3, "UpperChest"),
+            (Joint::Spine3, trunk[trunk.len() - 1]),
             (Joint::Head, "Head"),
             (Joint::LWrist, "LeftHand"),
             (Joint::RElbow, "RightLowerArm"),
@@ -348,6 +374,9 @@ fn the_bones_for_avatars_are_where_the_targets_joints_are_and_not_turned_in_the_
             let packets = packets(&figure.bones(), TrackingState::Tracking, 0.0).unwrap();
             let messages: Vec<_> = packets.iter().flat_map(|packet| read(packet)).collect();
             let bones = bones(&messages);
+            for bone in ["Spine", "Chest", "UpperChest"] {
+                assert_eq!(bones.contains_key(bone), trunk.contains(&bone), "{name}: {bone}");
+            }
             for (joint, bone) in joints {
                 let theirs = at(&retarget, &figure, joint);
                 assert_eq!(theirs.is_some(), bones.contains_key(bone), "{name}: {bone}");

@@ -6,13 +6,14 @@ use std::process::Command;
 use std::time::Duration;
 
 use ::vmc::{Message, TrackingState as Quality, rosc::decoder::decode_udp};
-use bundlemocap::core::body::{JOINTS, Joint, Pose, Skeleton, StampedPose, TrackingState};
+use bundlemocap::core::body::{JOINTS, Joint, Pose, Shape, Skeleton, StampedPose, TrackingState};
 use bundlemocap::core::time::Timestamp;
 use bundlemocap::io::bus::{Bus, Zenoh, ZenohConfig};
 use bundlemocap::io::formats::bvh::write_bvh;
 use bundlemocap::io::vmc::{bones as bones_of_body, packets};
 use bundlemocap::io::wire::{self, Topics, encode};
 use bundlemocap::research::synth::{Motion, MotionStyle};
+use bundlemocap::retarget::{Map, Retarget, Target};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::program::{PATIENCE, Program};
@@ -33,6 +34,7 @@ pub(crate) fn bones(messages: &[Message]) -> BTreeMap<String, Vector3<f32>> {
             local.insert(bone.bone.clone(), (Vector3::new(p.x, p.y, p.z), turn));
         }
     }
+    // A bone whose parent is not there is in the next one above.
     let parents = [
         ("Spine", "Hips"),
         ("Chest", "Spine"),
@@ -53,7 +55,8 @@ pub(crate) fn bones(messages: &[Message]) -> BTreeMap<String, Vector3<f32>> {
         for side in ["", "Left", "Right"] {
             let (child, own) = (format!("{side}{child}"), format!("{side}{parent}"));
             let Some((position, turn)) = local.get(&child) else { continue };
-            let (at, above) = world.get(&own).copied().unwrap_or_else(|| world[parent]);
+            let mut above = [own.as_str(), parent, "Chest", "Spine"].into_iter();
+            let (at, above) = above.find_map(|name| world.get(name)).copied().unwrap();
             world.insert(child, (at + above * position, above * turn));
         }
     }
@@ -107,19 +110,28 @@ fn bones_of(messages: &[Message]) -> usize {
 
 #[test]
 fn each_address_gets_its_performer() {
-    sends_to_each_address(&[]);
+    sends_to_each_address(&[], [-1.0, -2.0]);
 }
 
 #[test]
 fn an_address_gets_the_poses_on_a_characters_skeleton() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("character.bvh");
-    // Hips at the height of ours: the character is as large.
-    write_bvh(&path, &Skeleton::default(), 60.0, []).unwrap();
-    sends_to_each_address(&["--skeleton", path.to_str().unwrap()]);
+    write_bvh(&path, &Skeleton::new(Shape::symmetric([2.0; 10])), 60.0, []).unwrap();
+    let map = Map::default();
+    let mut retarget = Retarget::new(Target::read(&path, &map).unwrap(), &map).unwrap();
+    let hips = [1.0, 2.0].map(|x| {
+        let mut pose = Pose::rest();
+        pose.root_position.x = x;
+        let figure = retarget.apply(&pose, &Skeleton::default()).unwrap();
+        -figure.positions[figure.hips].x as f32
+    });
+    assert!(hips[0] != -1.0, "{hips:?}");
+    sends_to_each_address(&["--skeleton", path.to_str().unwrap()], hips);
 }
 
-fn sends_to_each_address(options: &[&str]) {
+/// `wanted`: x of the hips where they are at 1 and 2 m.
+fn sends_to_each_address(options: &[&str], wanted: [f32; 2]) {
     let listen = vec!["tcp/127.0.0.1:0".into()];
     let bus = Zenoh::open_node(&ZenohConfig { listen, ..ZenohConfig::default() }).unwrap();
     let [first, second] = [(); 2].map(|()| {
@@ -177,7 +189,7 @@ fn sends_to_each_address(options: &[&str]) {
             break;
         }
     }
-    assert_eq!(found, [Some(-1.0), Some(-2.0)]);
+    assert_eq!(found, wanted.map(Some));
     for _ in 0..50 {
         actors[0][1].put(Timestamp::default(), "", b"not a pose").unwrap();
         actors[2][1].put(Timestamp::default(), "", &pose(0, 3.0)).unwrap();

@@ -66,7 +66,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FILE", required = true)]
     out: Vec<PathBuf>,
     /// Format of all files, whatever their endings.
-    #[arg(long, value_enum)]
+    #[arg(long, visible_alias = "to", value_enum)]
     format: Option<Format>,
     /// Number of stick figures in a picture.
     #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(1..))]

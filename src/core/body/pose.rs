@@ -3,10 +3,14 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::forward::{Posture, forward};
-use super::joints::{BODY_JOINTS, JOINTS};
+use super::joints::{BODY_JOINTS, JOINTS, Joint};
 use super::skeleton::Skeleton;
 use crate::core::so3;
 use crate::core::time::Timestamp;
+
+/// A bone: where it is in its parent, metres, and how it is turned there, without rotation in the T-pose. The first
+/// bone is in the world.
+pub type Bone = (Joint, Vector3<f64>, Matrix3<f64>);
 
 /// The root and the 21 local rotations.
 #[derive(Clone, Debug, PartialEq)]

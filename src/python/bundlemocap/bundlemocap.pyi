@@ -133,8 +133,8 @@ class Messages:
 
     def __iter__(self) -> Self: ...
     def __next__(self) -> tuple[str, int, str, bytes]:
-        """Topic, capture time (nanoseconds), full name of the type (bundlemocap.v1.Pose), and the message itself,
-        encoded as protobuf."""
+        """Topic, capture time (nanoseconds), full name of the type (bundlemocap.v1.Pose) and the message, encoded as
+        protobuf. Messages of others have their own encodings and perhaps no type."""
 
 def read_messages(path: _Path) -> Messages:
     """The messages of a recording (.mcap), also of a damaged one; a warning at the end says what it lost."""
@@ -189,7 +189,7 @@ def solve(
 ) -> Solved:
     """Solves a recording. `cameras`: use only these; `hold_out`: measure the error in these; `config`: a
     settings file; `out`: a folder for the files of `bundlemocap solve` (default: no files are left). An
-    interrupt ends it, and no file is written then."""
+    interrupt ends it while it solves, and no file is written then."""
 
 def read_motions(path: _Path) -> dict[str, Motion]:
     """The poses of a solved recording (poses.mcap), by name of the performer."""
