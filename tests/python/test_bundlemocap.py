@@ -74,10 +74,15 @@ def test_an_interrupt_ends_a_solve(recording: bm.Recording, tmp_path: Path) -> N
         return bm.Keypoints(times, np.tile(one.points, (len(turns), 1, 1, 1)), one.format)
 
     long = bm.Recording(recording.rig, {name: longer(one) for name, one in recording.keypoints.items()})
-    threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
-    with pytest.raises(KeyboardInterrupt):
-        bm.solve(long, out=tmp_path / "out")
-        time.sleep(10)
+    # It is ignored in a process that runs in the background.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+        with pytest.raises(KeyboardInterrupt):
+            bm.solve(long, out=tmp_path / "out")
+            time.sleep(10)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert not (tmp_path / "out").exists()
 
 

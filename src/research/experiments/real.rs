@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::summary::number;
 use crate::core::body::Attachment;
 use crate::core::camera::{Camera, CameraError, Rig};
-use crate::core::detections::Detections;
+use crate::core::detections::{Detections, Keypoint};
 use crate::core::manifold::Decoder;
 use crate::core::time::Timestamp;
 use crate::io::formats::Trc;
@@ -115,16 +115,16 @@ pub fn measure(
     let mut hold_out: Vec<HoldOut> =
         held_out.iter().map(|(camera, seen)| error_in(camera, seen, &solved)).collect();
     let mut coverage = CoverageSums::default();
-    let error = relative_error(take, &solved, |_| true);
-    held_out.iter().for_each(|held_out| cover(held_out, &solved, error, &mut coverage));
+    let errors = relative_errors(take, &solved, |_| true);
+    held_out.iter().for_each(|held_out| cover(held_out, &solved, &errors, &mut coverage));
     for camera in (0..cameras).filter(|_| held_out.is_empty() && cameras > 2) {
         let (rest, seen) = without_camera(take, camera)?;
         let rest = rest.with_body(decoder);
         if let Some(without) = make().solve(&rest, decoder) {
-            let of_camera = relative_error(take, &solved, |other| other == camera);
+            let of_camera = relative_errors(take, &solved, |other| other == camera);
             let held_out = (take.rig.cameras[camera].clone(), seen);
             hold_out.push(error_in(&held_out.0, &held_out.1, &without));
-            cover(&held_out, &without, of_camera, &mut coverage);
+            cover(&held_out, &without, &of_camera, &mut coverage);
         }
         each();
     }
@@ -193,27 +193,35 @@ fn error_in(camera: &Camera, seen: &[Detections], solved: &Solved) -> HoldOut {
 }
 
 /// The standard deviation along an axis of the detections of some cameras, relative to the performer's
-/// height, for normally distributed errors with the measured median.
-fn relative_error(take: &Take, solved: &Solved, is_meant: impl Fn(usize) -> bool) -> Option<f64> {
-    let mut errors = Vec::new();
+/// height, for normally distributed errors with the measured median; by keypoint.
+fn relative_errors(
+    take: &Take,
+    solved: &Solved,
+    is_meant: impl Fn(usize) -> bool,
+) -> BTreeMap<Keypoint, f64> {
+    let mut errors = BTreeMap::<Keypoint, Vec<f64>>::new();
     for detections in take.frames.iter().filter(|frame| is_meant(frame.camera)) {
         let Some(body) = solved.motion.at(detections.capture) else { continue };
         let camera = &take.rig.cameras[detections.camera];
         let Some(found) = differences(camera, &body, detections, &COMPARED) else { continue };
-        errors.extend(found.points.iter().map(|(_, way)| way.norm() / found.height_px));
+        for (keypoint, way) in found.points {
+            errors.entry(keypoint).or_default().push(way.norm() / found.height_px);
+        }
     }
-    Some(median(&errors)? / RAYLEIGH_MEDIAN)
+    let deviation = |(keypoint, errors): (Keypoint, Vec<f64>)| {
+        Some((keypoint, median(&errors)? / RAYLEIGH_MEDIAN))
+    };
+    errors.into_iter().filter_map(deviation).collect()
 }
 
 /// Adds the points of a held-out camera to a coverage. The deviation of a point is that of its joint in the
-/// image plus that of a detection, `relative_error`.
+/// image plus that of a detection.
 fn cover(
     (camera, seen): &HeldOutCamera,
     solved: &Solved,
-    relative_error: Option<f64>,
+    relative_errors: &BTreeMap<Keypoint, f64>,
     coverage: &mut CoverageSums,
 ) {
-    let Some(relative_error) = relative_error else { return };
     for frame in seen {
         let (Some(body), Some(deviations)) =
             (solved.motion.at(frame.capture), solved.deviations_at(frame.capture))
@@ -227,6 +235,7 @@ fn cover(
             let Some((_, by_point)) = camera.project_with_jacobian(&point) else { continue };
             // The error is alike along all axes.
             let scale = by_point.norm() / std::f64::consts::SQRT_2;
+            let Some(relative_error) = relative_errors.get(keypoint) else { continue };
             let of_detection = relative_error * found.height_px;
             coverage.add(way, (scale * deviations[joint]).hypot(of_detection));
         }
