@@ -144,7 +144,11 @@ impl Config {
         }
         let house = config.timecode.house();
         house.map_err(|source| ConfigError::Timecode { path: path.into(), source })?;
-        let checked = [("tracker", config.tracker.validate()), ("node", config.node.validate())];
+        let checked = [
+            ("stage", config.stage.validate()),
+            ("tracker", config.tracker.validate()),
+            ("node", config.node.validate()),
+        ];
         for (table, result) in checked {
             result.map_err(|error| ConfigError::OutOfRange {
                 path: path.into(),
@@ -157,6 +161,9 @@ impl Config {
             }
             true if !config.node.body.is_empty() => {
                 "[node] body is of one performer; leave it out, or set [stage] performers = 1"
+            }
+            false if config.stage.choice() != stage::Choice::default() => {
+                "[stage] region and min_height_px choose among several people; set [stage] performers = \"auto\""
             }
             false if !config.stage.solve => {
                 "[stage] solve = false needs several performers; set [stage] performers"
@@ -173,7 +180,7 @@ impl Config {
     pub fn core_settings(&self, decoder: &Decoder) -> Result<live::Settings, TimecodeError> {
         Ok(live::Settings {
             tracker: self.tracker,
-            stage: self.stage,
+            stage: self.stage.clone(),
             node: self.node.clone(),
             toml: self.to_toml(),
             weights: format!("{:016x}", decoder.fingerprint()),
@@ -263,6 +270,11 @@ mod tests {
             ("[stage]\nperformers = 2\n[node]\nassociated = true\n", "performers = 1"),
             ("[stage]\nperformers = \"auto\"\n[node]\nbody = \"a.mcap\"\n", "of one performer"),
             ("[stage]\nsolve = false\n", "needs several performers"),
+            ("[stage]\nmin_height_px = 100\n", "choose among several people"),
+            (
+                "[stage]\nregion = [[0, 0], [1, 0]]\n",
+                "stage.region is 2, but must be no or 3 corners",
+            ),
         ] {
             let error = parse(text).unwrap_err();
             assert!(error.starts_with("my.toml: ") && error.contains(part), "{error}");

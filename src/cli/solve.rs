@@ -287,6 +287,7 @@ impl Prepared {
             hold_out: arguments.hold_out.clone(),
             references: self.references.clone(),
             performers,
+            choice: self.config.stage.choice(),
             body: self.body.clone(),
             out: Some(out.to_owned()),
             overwrite,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::core::body::{Skeleton, StampedPose};
 use crate::core::manifold::{Decoder, WeightsError};
-use crate::core::stage::Performers;
+use crate::core::stage::{Choice, Performers};
 use crate::core::tracker;
 use crate::io::formats::Trc;
 use crate::io::timecode::House;
@@ -28,6 +28,8 @@ pub struct Options {
     pub references: Vec<Trc>,
     /// How many performers [`solve_group`](super::solve_group) solves.
     pub performers: Performers,
+    /// Who may become a performer, if there are several.
+    pub choice: Choice,
     /// The folder for poses.mcap, poses.bvh, poses.states.csv and report.html; created if missing. With
     /// several performers, poses.NAME.bvh and poses.NAME.states.csv for each. `None` writes nothing.
     pub out: Option<PathBuf>,

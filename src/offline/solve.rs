@@ -72,6 +72,7 @@ pub fn solve_group(
     let solver = Solver::new(decoder, options.config);
     let tracker = Tracker::new(options.config, Arc::clone(&rig));
     let stage = Stage::new(tracker, options.performers, period).with_bodies(bodies);
+    let stage = stage.choosing(options.choice.clone());
     let bvh = |name: &String| {
         let folder = &outputs.as_ref()?.folder;
         Some(folder.file(&output::of_performer(name, options.performers, "bvh")))

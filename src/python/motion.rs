@@ -190,6 +190,7 @@ pub(crate) fn solve(
         cameras,
         hold_out,
         performers,
+        choice: config.stage.choice(),
         out: Some(out.clone()),
         overwrite,
         config_toml: Some(config.to_toml()),

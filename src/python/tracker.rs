@@ -141,7 +141,7 @@ impl Tracker {
         let decoder = Decoder::embedded().map_err(error)?;
         let tracker = bundlemocap::Tracker::new(config.tracker, rig.0.clone());
         let stage = Staged {
-            stage: Stage::new(tracker, performers, None),
+            stage: Stage::new(tracker, performers, None).choosing(config.stage.choice()),
             solver: Solver::new(decoder, config.tracker),
             bodies: BTreeMap::new(),
             frames: vec![0; rig.0.cameras.len()],

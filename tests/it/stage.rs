@@ -5,7 +5,7 @@ use std::sync::Arc;
 use bundlemocap::core::body::{Pose, Shape, Skeleton};
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::detections::Detections;
-use bundlemocap::core::stage::{self, PerformerId, Performers, Stage};
+use bundlemocap::core::stage::{self, Choice, PerformerId, Performers, Stage};
 use bundlemocap::core::time::Nanos;
 use bundlemocap::core::tracker::EventKind;
 use bundlemocap::research::synth::{
@@ -72,11 +72,20 @@ impl Result {
 }
 
 fn run(rig: &Rig, frames: impl Iterator<Item = Detections>, performers: &str) -> Result {
+    run_choosing(rig, frames, performers, Choice::default())
+}
+
+fn run_choosing(
+    rig: &Rig,
+    frames: impl Iterator<Item = Detections>,
+    performers: &str,
+    choice: Choice,
+) -> Result {
     let config = TrackerConfig::default();
     let mut solver = Solver::new(Decoder::embedded().unwrap(), config);
     let tracker = Tracker::new(config, Arc::new(rig.clone()));
     let performers: Performers = performers.parse().unwrap();
-    let mut stage = Stage::new(tracker, performers, None);
+    let mut stage = Stage::new(tracker, performers, None).choosing(choice);
     let mut result = Result::default();
     for input in frames.map(stage::Input::Detections).chain([stage::Input::End]) {
         stage.handle(input);
@@ -158,6 +167,39 @@ fn people_who_cross_and_meet_keep_their_numbers() {
         .collect();
     actors.sort_unstable();
     assert_eq!(actors, [0, 1, 2]);
+}
+
+/// One is in the region, one comes in after 3.6 s and goes out again, one stays outside.
+#[test]
+fn who_enters_the_region_becomes_a_performer_and_stays_one() {
+    let at = |person: usize, seconds: f64| match person {
+        0 => Vector3::new(-0.9, 0.0, 0.0),
+        1 => {
+            let inwards = (seconds - 3.0).clamp(0.0, 1.5) - (seconds - 6.0).clamp(0.0, 1.5);
+            Vector3::new(1.8 - inwards, 0.0, 0.5)
+        }
+        _ => Vector3::new(-1.6, 0.0, 1.6),
+    };
+    let crowd = people(&[0.3, -1.0, 1.6], 10.0, at);
+    let rig = &crowd.people()[0].rig;
+    let region = vec![[-1.2, -1.2], [1.2, -1.2], [1.2, 1.2], [-1.2, 1.2]];
+    let choice = Choice { region, ..Choice::default() };
+    let result = run_choosing(rig, zero(&crowd), "auto", choice);
+    assert_eq!(result.events(EventKind::Entered), [0, 1]);
+    assert_eq!((result.others, result.events(EventKind::Merged).len()), (2, 0));
+    for performer in 0..2 {
+        let own = result.poses.iter().filter(|(number, _)| *number == performer);
+        let times: Vec<f64> = own.map(|(_, pose)| pose.capture.ns() as f64 * 1e-9).collect();
+        let begin = [0.0, 3.6][performer];
+        assert!((begin..begin + 0.4).contains(&times[0]), "{performer}: {}", times[0]);
+        assert!(*times.last().unwrap() > 9.8, "{performer}: {times:?}");
+        let off = result.off(performer, begin + 0.4, |seconds| at(performer, seconds));
+        assert!(off < 0.12, "{performer}: {off} m");
+    }
+    // All are smaller in the images.
+    let choice = Choice { min_height_px: 5e3, ..Choice::default() };
+    let result = run_choosing(rig, zero(&crowd), "auto", choice);
+    assert_eq!((result.events(EventKind::Entered).len(), result.others), (0, 3));
 }
 
 /// The second person leaves for ten seconds and comes back elsewhere; then a taller one comes.

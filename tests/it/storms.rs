@@ -138,7 +138,7 @@ impl Node {
         config.node.provisional = false;
         let mut core = Core::new(Settings {
             tracker: config.tracker,
-            stage: config.stage,
+            stage: config.stage.clone(),
             node: config.node.clone(),
             toml: config.to_toml(),
             weights: String::new(),

@@ -5,15 +5,22 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::core::limits::{Limit, OutOfRange, check};
+
 /// Most performers of a stage.
 const MOST: u8 = 32;
 
 /// Settings of the stage.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// How many people are performers.
     pub performers: Performers,
+    /// Corners of the part of the floor where people become performers: x and z in the world, metres. Everywhere
+    /// if there are none.
+    pub region: Vec<[f64; 2]>,
+    /// A smaller person does not become a performer: least height in at least one image, pixels.
+    pub min_height_px: f64,
     /// Whether a live node of several performers also solves them. Otherwise it only publishes the
     /// detections of each, for other nodes.
     pub solve: bool,
@@ -21,7 +28,8 @@ pub struct Config {
 
 impl Default for Config {
     fn default() -> Self {
-        Self { performers: Performers::default(), solve: true }
+        let performers = Performers::default();
+        Self { performers, region: Vec::new(), min_height_px: 0.0, solve: true }
     }
 }
 
@@ -29,6 +37,66 @@ impl Config {
     /// Whether people are told from each other before they are tracked.
     pub fn several(&self) -> bool {
         self.performers.limit() > 1
+    }
+
+    /// Who may become a performer.
+    pub fn choice(&self) -> Choice {
+        Choice { region: self.region.clone(), min_height_px: self.min_height_px }
+    }
+
+    /// Checks the ranges of all numbers.
+    ///
+    /// # Errors
+    /// The first number that is out of range.
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        let corners = self.region.len();
+        let is_shape = corners == 0 || corners >= 3;
+        let far = self.region.iter().flatten().map(|at| at.abs()).max_by(f64::total_cmp);
+        check([
+            Limit::from_0("min_height_px", self.min_height_px),
+            Limit(
+                "region",
+                far.unwrap_or_default(),
+                0.0..=FARTHEST_M,
+                "coordinates of at most 10000 m",
+            ),
+        ])?;
+        let few = OutOfRange {
+            key: "region".into(),
+            value: corners as f64,
+            allowed: "no or 3 corners or more",
+        };
+        if is_shape { Ok(()) } else { Err(few) }
+    }
+}
+
+/// Corners of a region are not farther from the origin, metres.
+const FARTHEST_M: f64 = 1e4;
+
+/// Who may become a performer. The default: everybody.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Choice {
+    /// See [`Config::region`].
+    pub region: Vec<[f64; 2]>,
+    /// See [`Config::min_height_px`].
+    pub min_height_px: f64,
+}
+
+impl Choice {
+    /// Whether somebody who stands there, x and z, and is so high in an image may become a performer.
+    pub(super) fn takes(&self, place: Option<[f64; 2]>, height_px: f64) -> bool {
+        let is_there = self.region.is_empty() || place.is_some_and(|place| self.is_inside(place));
+        is_there && height_px >= self.min_height_px
+    }
+
+    /// Whether a ray from there to +x crosses the border an odd number of times.
+    fn is_inside(&self, [x, z]: [f64; 2]) -> bool {
+        let from = self.region.iter().cycle().skip(self.region.len().saturating_sub(1));
+        let sides = from.zip(&self.region);
+        let crossed = sides.filter(|([x0, z0], [x1, z1])| {
+            (*z0 > z) != (*z1 > z) && x < x0 + (z - z0) / (z1 - z0) * (x1 - x0)
+        });
+        crossed.count() % 2 == 1
     }
 }
 
@@ -109,5 +177,35 @@ impl From<Performers> for Number {
             Performers::Number(number) => Self::Of(number),
             Performers::Auto => Self::Word(performers.to_string()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_region_is_a_polygon_of_any_direction() {
+        // An L: the corner at (2, 2) is outside.
+        let mut region =
+            vec![[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [1.0, 1.0], [1.0, 3.0], [0.0, 3.0]];
+        for _ in 0..2 {
+            let choice = Choice { region: region.clone(), min_height_px: 50.0 };
+            let inside = |x, z| choice.takes(Some([x, z]), 60.0);
+            assert!(inside(0.5, 0.5) && inside(2.5, 0.5) && inside(0.5, 2.5));
+            assert!(
+                !inside(2.0, 2.0) && !inside(-0.5, 0.5) && !inside(0.5, 3.5) && !inside(4.0, 0.5)
+            );
+            assert!(!choice.takes(Some([0.5, 0.5]), 40.0) && !choice.takes(None, 60.0));
+            region.reverse();
+        }
+        assert!(Choice::default().takes(None, 0.0));
+    }
+
+    #[test]
+    fn a_region_of_two_corners_is_refused() {
+        let of = |region: Vec<[f64; 2]>| Config { region, ..Config::default() }.validate();
+        assert!(of(vec![[0.0, 0.0], [1.0, 0.0]]).is_err() && of(vec![[f64::NAN, 0.0]; 3]).is_err());
+        assert!(of(vec![[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]).is_ok() && of(Vec::new()).is_ok());
     }
 }

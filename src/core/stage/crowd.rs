@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::config::Performers;
+use super::config::{Choice, Performers};
 use super::people::{Change, FrameSet, Known, People};
 use super::sets::{Complete, Sets};
 use crate::core::association::Gates;
@@ -38,6 +38,11 @@ impl Crowd {
         let sets = Sets::new(rig.cameras.len(), config, period);
         let people = People::new(performers.limit(), gates);
         Self { rig, sets, people, left_out: Vec::new() }
+    }
+
+    /// Only these become performers.
+    pub(super) fn choose(&mut self, choice: Choice) {
+        self.people.choice = choice;
     }
 
     /// Adds a frame.

@@ -9,7 +9,8 @@
 //!   and triangulation (`people`, `person`): this depends on the detections alone, and so do the
 //!   numbers of the performers. It needs no solved pose, which is some frames late.
 //! - A newcomer is a performer after five sets, and its tracker gets the frames from the first one on.
-//!   Above the limit it is a bystander: followed, so that its detections are nobody else's.
+//!   Above the limit, and outside the [region](Config::region), it is a bystander: followed, so that its
+//!   detections are nobody else's. Who enters the region becomes a performer if there is room.
 //! - A performer who is not seen for a second is lost: its tracker gets no frames. Who comes back is
 //!   recognised by the lengths of the body (`lengths`) and keeps the number.
 //! - Two tracks closer than 0.15 m for 0.3 s are merged; the older one stays.
@@ -37,7 +38,7 @@ use super::time::{Nanos, Timestamp};
 use super::tracker::{
     self, Effort, Event, EventKind, FramePeriod, Job, Latency, Solution, Tracker,
 };
-pub use config::{Config, Performers, PerformersError};
+pub use config::{Choice, Config, Performers, PerformersError};
 pub use crowd::Crowd;
 pub use people::{Change, Claimed, FrameSet, Known, Owner};
 pub use performer_id::PerformerId;
@@ -120,6 +121,15 @@ impl Stage {
             lead: 0,
             next: VecDeque::new(),
         }
+    }
+
+    /// Several performers: only these people become some.
+    #[must_use]
+    pub fn choosing(mut self, choice: Choice) -> Self {
+        if let Some(crowd) = &mut self.crowd {
+            crowd.choose(choice);
+        }
+        self
     }
 
     /// Several performers: those who were seen before, in an earlier take. Their bodies are checked in

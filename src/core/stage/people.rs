@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::config::Choice;
 use super::lengths::{BONES, Lengths};
 use super::performer_id::PerformerId;
 use super::person::{Person, Sight, apart};
@@ -120,6 +121,7 @@ pub(super) struct People {
     gates: Gates,
     /// Most performers.
     limit: usize,
+    pub(super) choice: Choice,
     members: Vec<Member>,
     /// Performers who are lost.
     absent: Vec<(usize, Person)>,
@@ -135,6 +137,7 @@ impl People {
         Self {
             gates,
             limit,
+            choice: Choice::default(),
             members: Vec::new(),
             absent: Vec::new(),
             known: 0,
@@ -309,11 +312,17 @@ impl People {
 
     /// Candidates become performers, the largest first, or bystanders.
     fn confirm(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
-        let is_ready = |member: &Member| {
-            matches!(member.life, Life::Candidate(_)) && member.person.sets >= CONFIRMED
+        let is_open = self.known < self.limit && self.choice != Choice::default();
+        let is_ready = |index: &usize| {
+            let Member { person, life, .. } = &self.members[*index];
+            match life {
+                Life::Candidate(_) => person.sets >= CONFIRMED,
+                // Who comes to the region later.
+                Life::Bystander => is_open && person.seen == at && self.is_chosen(*index),
+                Life::Performer(_) => false,
+            }
         };
-        let mut ready: Vec<usize> =
-            (0..self.members.len()).filter(|&index| is_ready(&self.members[index])).collect();
+        let mut ready: Vec<usize> = (0..self.members.len()).filter(is_ready).collect();
         let size = |index: &usize| self.members[*index].person.size();
         ready.sort_by(|a, b| size(b).total_cmp(&size(a)).then(a.cmp(b)));
         let mut gone = Vec::new();
@@ -331,7 +340,7 @@ impl People {
             let returned = self.recognise(index, at);
             let performer = match returned {
                 Some(place) => self.absent.remove(place).0,
-                None if self.known < self.limit => {
+                None if self.known < self.limit && self.is_chosen(index) => {
                     self.known += 1;
                     self.known - 1
                 }
@@ -353,6 +362,12 @@ impl People {
         for index in gone.into_iter().rev() {
             self.members.remove(index);
         }
+    }
+
+    /// Whether a member may become a performer.
+    fn is_chosen(&self, index: usize) -> bool {
+        let person = &self.members[index].person;
+        self.choice.takes(person.place(), person.height_px)
     }
 
     /// The performer who is expected in a place where it is not, and may be this candidate.

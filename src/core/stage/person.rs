@@ -44,6 +44,8 @@ pub(super) struct Person {
     pub(super) lengths: Lengths,
     /// Sum over the sets of the extents in all views, pixels.
     extents: f64,
+    /// The largest extent in a view when the person was last seen, pixels.
+    pub(super) height_px: f64,
 }
 
 impl Person {
@@ -60,6 +62,7 @@ impl Person {
             last: vec![None; cameras],
             lengths: Lengths::default(),
             extents: 0.0,
+            height_px: 0.0,
         }
     }
 
@@ -71,6 +74,14 @@ impl Person {
     /// Where the person was last.
     pub(super) fn points(&self) -> &Points {
         &self.points
+    }
+
+    /// Where the person stands: the middle of the trunk, x and z.
+    pub(super) fn place(&self) -> Option<[f64; 2]> {
+        let trunk: Vec<Vector3<f64>> =
+            TRUNK.iter().filter_map(|&keypoint| self.points[keypoint as usize]).collect();
+        let middle = trunk.iter().sum::<Vector3<f64>>() / trunk.len() as f64;
+        (!trunk.is_empty()).then_some([middle.x, middle.z])
     }
 
     /// Time since the person was last seen.
@@ -144,6 +155,7 @@ impl Person {
             self.seen = at;
             self.sets += 1;
             self.extents += extents.iter().sum::<f64>();
+            self.height_px = extents.iter().copied().fold(0.0, f64::max);
             self.lengths.add(&found);
         }
         for (index, found) in found.into_iter().enumerate() {

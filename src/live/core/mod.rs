@@ -228,7 +228,7 @@ impl Core {
         let tracker = Tracker::new(*config, rig).live(live);
         let tracker = tracker.with_time_corrections(&carried.time_offsets);
         let tracker = tracker.with_body_to_check(self.body());
-        let stage = Stage::new(tracker, of_stage.performers, None);
+        let stage = Stage::new(tracker, of_stage.performers, None).choosing(of_stage.choice());
         let stage = stage.with_known(&carried.performers).with_left_out(&carried.left_out);
         self.stage = Some(if of_stage.solve { stage } else { stage.without_solving() });
         if !self.is_several() {
