@@ -180,7 +180,7 @@ impl Imported {
             strict: arguments.strict,
         };
         let mut folder = DetectionFolder::open(path, rig, options)?;
-        let provenance = provenance(arguments, path);
+        let provenance = provenance(arguments, path, &attempt.cameras);
         let mut writer = Writer::create(out, Topics::default(), &provenance)?;
         let bar = progress(folder.frame_count(), "frames");
         let mut has_rig = false;
@@ -271,12 +271,18 @@ impl Imported {
             }
             _ => check.exchanged(rig)?,
         };
-        // A file with a camera's name keeps it.
-        if !own.iter().all(|camera| own.contains(&cameras[*camera])) {
+        // A file with a camera's name keeps it, and with it all who are exchanged in its circle.
+        let is_free = |camera: usize| {
+            let mut circle = std::iter::successors(Some(camera), |at| {
+                Some(cameras[*at]).filter(|next| *next != camera)
+            });
+            circle.all(|one| own.contains(&one))
+        };
+        let of = |camera: usize| if is_free(camera) { cameras[camera] } else { camera };
+        if own.iter().all(|camera| of(*camera) == *camera) {
             return None;
         }
-        let pair =
-            |pair: &FolderMatch| (file_of(pair), rig.cameras[cameras[pair.camera]].name.clone());
+        let pair = |pair: &FolderMatch| (file_of(pair), rig.cameras[of(pair.camera)].name.clone());
         Some(self.unnamed(given).map(pair).collect())
     }
 
@@ -381,7 +387,7 @@ fn found(report: &CameraReport) -> String {
 }
 
 /// The command, without the folders of its files.
-fn provenance(arguments: &Arguments, folder: &Path) -> Provenance {
+fn provenance(arguments: &Arguments, folder: &Path, cameras: &[(String, String)]) -> Provenance {
     let last = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut command = format!(
         "bundlemocap import {} --calibration {} --fps {}",
@@ -394,6 +400,13 @@ fn provenance(arguments: &Arguments, folder: &Path) -> Provenance {
     }
     if let Some(points) = &arguments.points {
         command += &format!(" --points {}", last(points));
+    }
+    for (file, camera) in cameras {
+        command += &format!(" --camera {file}={camera}");
+    }
+    command += &arguments.convention.words();
+    if arguments.strict {
+        command += " --strict";
     }
     Provenance { more: BTreeMap::from([("command".to_owned(), command)]), ..Provenance::default() }
 }

@@ -141,6 +141,15 @@ impl ConventionArguments {
         let convention = Convention { up, unit, set, file_first: false };
         Ok(read_calibration(path, &convention)?)
     }
+
+    /// As words of a command, each with a space before it; empty if nothing was given.
+    pub(super) fn words(&self) -> String {
+        let Self { up, unit, set } = self;
+        let up = (*up != Auto::default()).then(|| format!(" --up {up}"));
+        let unit = (*unit != Auto::default()).then(|| format!(" --unit {unit}"));
+        let set = set.as_ref().map(|set| format!(" --set {set}"));
+        up.into_iter().chain(unit).chain(set).collect()
+    }
 }
 
 /// Says what kind of calibration it is, and what may be wrong.

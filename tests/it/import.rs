@@ -4,14 +4,19 @@ use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use bundlemocap::core::body::{Skeleton, StampedPose};
 use bundlemocap::core::camera::{Camera, Lens, Rig, View, triangulate_robust};
 use bundlemocap::core::detections::{Detections, Keypoint, KeypointFormat, Person};
 use bundlemocap::core::so3;
+use bundlemocap::core::time::Timestamp;
 use bundlemocap::io::formats::trc::Trc;
 use bundlemocap::io::formats::{
     DetectionFolder, DetectionOptions, ImportError, MatchedBy, PointOrder, Up, keypoint_format,
     read_calibration,
 };
+use bundlemocap::io::recording::{Provenance, Writer};
+use bundlemocap::io::wire::Topics;
+use bundlemocap::offline::{Observer, Options, Recording, solve};
 use nalgebra::{Vector2, Vector3};
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -977,16 +982,22 @@ fn what_is_guessed_or_missing_is_said() {
     write(root.path(), "cam1/0.json", &of(25));
     write(root.path(), "cam2/0.json", &of(25));
     write(root.path(), "cam2/1.json", "{\"people\": [{\"pose_keyp");
+    write(root.path(), "cam2/2.json", &of(24));
     let rig = small_rig(&["cam1", "cam2", "cam3"]);
     let options = || DetectionOptions { fps: 50.0, ..DetectionOptions::default() };
     let mut folder = DetectionFolder::open(root.path(), &rig, options()).unwrap();
     assert_eq!(folder.by_ref().map(Result::unwrap).count(), 2);
     let notes = folder.notes().join("\n");
-    for says in ["no detections of camera cam3", "read as body_25; body_25b has as many", "1.json"]
-    {
+    for says in [
+        "no detections of camera cam3",
+        "read as body_25; body_25b has as many",
+        "1.json",
+        "2.json",
+    ] {
         assert!(notes.contains(says), "{notes}");
     }
-    assert_eq!(folder.reports()[1].broken_files, 1);
+    assert_eq!(folder.reports()[1].broken_files, 2);
+    fs::remove_file(root.path().join("cam2/2.json")).unwrap();
     assert!(folder.reports()[0].left_out);
     let refused = |text: &str, says: &str| {
         write(root.path(), "cam1/0.json", text);
@@ -1002,16 +1013,37 @@ fn what_is_guessed_or_missing_is_said() {
     refused("", "no calibration for left, right");
 }
 
+/// Collects the poses of a solve.
+#[derive(Default)]
+struct Poses(Vec<StampedPose>);
+
+impl Observer for Poses {
+    fn pose(&mut self, pose: &StampedPose, _: &Skeleton) {
+        self.0.push(pose.clone());
+    }
+}
+
 #[test]
 fn the_real_take_is_the_same_in_the_form_of_another_detector() {
     let Some(set) = real_set() else { return };
     let rig = toml_rig(&set);
     let take = set.join("balancing/pose");
-    let root = TempDir::new().unwrap();
+    let (root, openpose) = (TempDir::new().unwrap(), TempDir::new().unwrap());
     for camera in fs::read_dir(&take).unwrap().map(|entry| entry.unwrap().path()) {
         let mut files: Vec<PathBuf> =
             fs::read_dir(&camera).unwrap().map(|entry| entry.unwrap().path()).collect();
         files.sort();
+        // OpenPose's own names of files, and its other fields.
+        let name = camera.file_name().unwrap().to_string_lossy().into_owned();
+        for (i, file) in files.iter().enumerate() {
+            let mut frame: Value = serde_json::from_slice(&fs::read(file).unwrap()).unwrap();
+            for person in frame["people"].as_array_mut().unwrap() {
+                person["face_keypoints_2d"] = json!([]);
+                person["hand_left_keypoints_2d"] = json!([]);
+            }
+            let file = format!("{name}/{name}_{i:012}_keypoints.json");
+            write(openpose.path(), &file, &frame.to_string());
+        }
         let frame = |(i, file): (usize, &PathBuf)| {
             let frame: Value = serde_json::from_slice(&fs::read(file).unwrap()).unwrap();
             let person = |person: &Value| {
@@ -1031,7 +1063,28 @@ fn the_real_take_is_the_same_in_the_form_of_another_detector() {
         let folder = opened(folder, &rig, KeypointFormat::Body25b, 60.0).unwrap();
         folder.map(Result::unwrap).collect()
     };
-    let (openpose, mmpose) = (read(&take), read(root.path()));
-    assert_eq!(openpose.len(), 400);
-    assert_eq!(openpose, mmpose);
+    let (pose2sim, mmpose) = (read(&take), read(root.path()));
+    assert_eq!(pose2sim.len(), 400);
+    assert_eq!(pose2sim, mmpose);
+    assert_eq!(pose2sim, read(openpose.path()));
+    // So the poses are the same to the last bit.
+    let solved = |folder: &Path| {
+        let place = TempDir::new().unwrap();
+        let path = place.path().join("take.mcap");
+        let mut writer = Writer::create(&path, Topics::default(), &Provenance::default()).unwrap();
+        writer.rig(&rig, Timestamp::default()).unwrap();
+        for detections in read(folder) {
+            let camera = &rig.cameras[detections.camera];
+            writer.keypoints(&detections, &camera.name, [camera.width, camera.height]).unwrap();
+        }
+        writer.finish().unwrap();
+        let mut poses = Poses::default();
+        let mut recording = Recording::open(&path).unwrap();
+        solve(&mut recording, &Options::default(), &mut poses).unwrap();
+        poses.0
+    };
+    let poses = solved(&take);
+    assert!(poses.len() > 90, "{}", poses.len());
+    assert_eq!(poses, solved(root.path()));
+    assert_eq!(poses, solved(openpose.path()));
 }

@@ -256,30 +256,33 @@ impl DetectionFolder {
                 (path, people_of_file(path, *size, report)?)
             }
         };
+        let raw = raw.map_err(|what| ImportError::NotDetections { path: path.clone(), what });
+        let raw = raw.and_then(|raw| {
+            let counts = raw.iter().map(|person| person.points.len()).enumerate();
+            let mut others = counts.filter(|(_, count)| *count > 0 && !self.order.takes(*count));
+            match others.next() {
+                None => Ok(raw),
+                Some((person, found)) => {
+                    let (path, order) = (path.clone(), Box::new(self.order.clone()));
+                    Err(ImportError::PointCount { path, person, found, order })
+                }
+            }
+        });
         let raw = match raw {
             Ok(raw) => raw,
-            Err(what) => {
-                let error = ImportError::NotDetections { path: path.clone(), what };
-                if self.strict {
-                    return Err(error);
-                }
-                if report.broken_files == 0 {
+            // Another number of points in the first frame is another detector's.
+            Err(error @ ImportError::PointCount { .. }) if report.people == 0 => return Err(error),
+            Err(error) if self.strict => return Err(error),
+            Err(error) => {
+                report.broken_files += 1;
+                if report.broken_files <= NAMED {
                     self.notes.push(format!("the frame is missing: {error}"));
                 }
-                report.broken_files += 1;
                 return Ok(None);
             }
         };
         let mut people = Vec::with_capacity(raw.len());
-        for (index, RawPerson { id, points }) in raw.into_iter().enumerate() {
-            if !points.is_empty() && !self.order.takes(points.len()) {
-                return Err(ImportError::PointCount {
-                    path: path.clone(),
-                    person: index,
-                    found: points.len(),
-                    order: Box::new(self.order.clone()),
-                });
-            }
+        for RawPerson { id, points } in raw {
             let points = self.order.put(&points);
             if points.iter().all(Option::is_none) {
                 report.people_without_points += 1;
@@ -326,6 +329,9 @@ impl Iterator for DetectionFolder {
         None
     }
 }
+
+/// So many broken files of a camera are named.
+const NAMED: u64 = 10;
 
 /// The order of the points by their names, or by the number of the first person's; and others with that number.
 fn found_order(
