@@ -273,7 +273,7 @@ mod tests {
             ("[stage]\nmin_height_px = 100\n", "choose among several people"),
             (
                 "[stage]\nregion = [[0, 0], [1, 0]]\n",
-                "stage.region is 2, but must be no or 3 corners",
+                "stage.region is 2, but must be no corners, or 3 or more",
             ),
         ] {
             let error = parse(text).unwrap_err();

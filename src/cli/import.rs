@@ -44,9 +44,12 @@ gives any. This is a file for --points, with indices from 0 or the detector's na
   nose = 0
   left_shoulder = \"shoulder_L\"
 
-Files are given to cameras by name, or by --camera. Where names do not tell and as many cameras are
-left, files are tried by order, and exchanged if the cameras agree better then; it is said which. At the end the recording is checked as `bundlemocap check` does. A broken file of a
-frame is a missing frame, counted and named.
+The camera of a file is found by its name, or given by --camera. Files without a camera's name are
+given to the other cameras by order; there must be as many. If the images show that two of them belong
+to one another's cameras, they are exchanged, and the list says so.
+
+At the end the recording is checked as `bundlemocap check` does. A broken file is a missing frame. It
+is counted, and the first ten of each camera are named.
 
 Examples:
   bundlemocap import demo/pose --calibration demo/Calib.toml --fps 60 --out demo.mcap
@@ -210,7 +213,8 @@ impl Imported {
         }
     }
 
-    /// Imports in another way, if something is wrong with the cameras; keeps that if they agree and less is wrong.
+    /// If something is wrong with the cameras: imports in another way, and keeps it if the cameras agree and less
+    /// is wrong.
     fn replaced_by_better(
         &mut self,
         arguments: &Arguments,
@@ -256,8 +260,8 @@ impl Imported {
         self.folder.matches().iter().filter(|pair| is_unnamed(pair, given))
     }
 
-    /// The files without a camera's name, with the cameras whose images they have; `None` if these are what they
-    /// have been given.
+    /// The files without a camera's name, and the cameras whose images they have. `None`: they have these cameras
+    /// already.
     fn exchanged(&self, rig: &Rig, given: &[(String, String)]) -> Option<Vec<(String, String)>> {
         let own: Vec<usize> = self.unnamed(given).map(|pair| pair.camera).collect();
         let check = self.check.as_ref().ok()?;
@@ -271,7 +275,7 @@ impl Imported {
             }
             _ => check.exchanged(rig)?,
         };
-        // A file with a camera's name keeps it, and with it all who are exchanged in its circle.
+        // A file with a camera's name keeps its camera. So do all files that would be exchanged with it.
         let is_free = |camera: usize| {
             let mut circle = std::iter::successors(Some(camera), |at| {
                 Some(cameras[*at]).filter(|next| *next != camera)
@@ -300,7 +304,10 @@ impl Imported {
                 format!("{unnamed} of {} files have no camera's name", folder.matches().len());
             match warnings.is_empty() && self.unnamed(given).all(fits) {
                 true => complain("note", &format!("{text}; the cameras agree")),
-                false => complain("warning", &format!("{text}: theirs may be wrong; use --camera")),
+                false => complain(
+                    "warning",
+                    &format!("{text}, and may be of other cameras; use --camera"),
+                ),
             }
         }
         for (pair, report) in folder.matches().iter().zip(folder.reports()) {

@@ -195,7 +195,7 @@ impl Recording {
     }
 }
 
-/// A message: topic, capture time, type and payload.
+/// A message: topic, capture time (ns), full name of the type, payload.
 type Sent<'py> = (String, i64, String, Bound<'py, PyBytes>);
 
 /// The messages of a recording, in the order of the file.

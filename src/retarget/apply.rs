@@ -50,8 +50,8 @@ pub struct Figure {
     pub positions: Vec<Vector3<f64>>,
     /// Index of the joint that corresponds to our pelvis.
     pub hips: usize,
-    /// Of each joint of Unity's humanoid, by our names, that the target has: its centre, and its `world_from_joint`
-    /// rotation as ours: none in the T-pose.
+    /// The bones of Unity's humanoid that the target has, by our joints: the joint centre in the world, and the
+    /// `world_from_joint` rotation, which is zero in the T-pose.
     ours: [Option<(Vector3<f64>, Matrix3<f64>)>; JOINTS],
 }
 
@@ -220,7 +220,8 @@ fn leg_length(skeleton: &Skeleton) -> f64 {
 }
 
 impl Figure {
-    /// The bones of Unity's humanoid, by our names. A bone's parent is the nearest of them above it.
+    /// The bones of Unity's humanoid that the target has, by our joints. The parent of a bone is the nearest bone
+    /// above it that is there.
     pub fn bones(&self) -> Vec<Bone> {
         let bone = |joint: Joint| {
             let (position, turn) = self.ours[joint.index()]?;

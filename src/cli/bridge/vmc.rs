@@ -66,7 +66,11 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let topics = arguments.bus.topics(&config);
     let only = (topics.actor != "*").then_some(&*topics.actor);
     let character = match &arguments.skeleton {
-        Some(path) => Some(character(path, arguments.map.as_deref())?),
+        Some(path) => {
+            let character = character(path, arguments.map.as_deref())?;
+            note(&summary(path, &character));
+            Some(character)
+        }
         None => None,
     };
     let mut bridge = Bridge::new(&arguments.to, only, arguments.provisional, character)?;
@@ -74,9 +78,6 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let mut patterns = vec![topics.skeleton(), topics.pose()];
     patterns.extend(arguments.provisional.then(|| topics.provisional()));
     let inbox = Inbox::open_all(&*bus, &patterns)?;
-    if let (Some(path), Some(character)) = (&arguments.skeleton, &bridge.character) {
-        note(&summary(path, character));
-    }
     note(&format!("sending poses to {}; Ctrl-C ends it", arguments.to.join(", ")));
     while !stop.is_set() {
         if let Some(received) = inbox.next(ATTENTION) {
@@ -94,8 +95,6 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 struct Bridge {
     targets: Vec<Target>,
     is_provisional: bool,
-    /// The skeleton that gets the poses, if it is not the performer's.
-    character: Option<Retarget>,
     bodies: BTreeMap<String, Skeleton>,
     first: Option<Timestamp>,
     count: Count,
@@ -108,6 +107,7 @@ struct Target {
     /// Without a name it is for whoever comes.
     is_named: bool,
     performer: Option<String>,
+    /// The skeleton that gets the poses, if it is not the performer's.
     character: Option<Retarget>,
     /// The last pose and when it was sent, until the performer is silent.
     last: Option<(StampedPose, Instant)>,
@@ -192,7 +192,7 @@ impl Bridge {
             });
         }
         let (first, bodies, count) = (None, BTreeMap::new(), Count::default());
-        Ok(Self { targets, is_provisional, character, bodies, first, count })
+        Ok(Self { targets, is_provisional, bodies, first, count })
     }
 
     fn handle(&mut self, received: &Received) {

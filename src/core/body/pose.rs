@@ -8,8 +8,8 @@ use super::skeleton::Skeleton;
 use crate::core::so3;
 use crate::core::time::Timestamp;
 
-/// A bone: where it is in its parent, metres, and how it is turned there, without rotation in the T-pose. The first
-/// bone is in the world.
+/// A bone: its joint; the joint centre in the parent's frame, metres; `parent_from_joint`, which is zero in the
+/// T-pose. The parent of the pelvis is the world.
 pub type Bone = (Joint, Vector3<f64>, Matrix3<f64>);
 
 /// The root and the 21 local rotations.

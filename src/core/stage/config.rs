@@ -64,7 +64,7 @@ impl Config {
         let few = OutOfRange {
             key: "region".into(),
             value: corners as f64,
-            allowed: "no or 3 corners or more",
+            allowed: "no corners, or 3 or more",
         };
         if is_shape { Ok(()) } else { Err(few) }
     }
@@ -83,7 +83,8 @@ pub struct Choice {
 }
 
 impl Choice {
-    /// Whether somebody who stands there, x and z, and is so high in an image may become a performer.
+    /// Whether a person may become a performer. `place`: x and z in the world, metres; `None`: not known.
+    /// `height_px`: the largest height in an image, pixels.
     pub(super) fn takes(&self, place: Option<[f64; 2]>, height_px: f64) -> bool {
         let is_there = self.region.is_empty() || place.is_some_and(|place| self.is_inside(place));
         is_there && height_px >= self.min_height_px

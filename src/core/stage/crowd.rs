@@ -40,7 +40,7 @@ impl Crowd {
         Self { rig, sets, people, left_out: Vec::new() }
     }
 
-    /// Only these become performers.
+    /// Only the people of this choice become performers.
     pub(super) fn choose(&mut self, choice: Choice) {
         self.people.choice = choice;
     }

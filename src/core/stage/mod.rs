@@ -9,8 +9,8 @@
 //!   and triangulation (`people`, `person`): this depends on the detections alone, and so do the
 //!   numbers of the performers. It needs no solved pose, which is some frames late.
 //! - A newcomer is a performer after five sets, and its tracker gets the frames from the first one on.
-//!   Above the limit, and outside the [region](Config::region), it is a bystander: followed, so that its
-//!   detections are nobody else's. Who enters the region becomes a performer if there is room.
+//!   Above the limit, or outside the [region](Config::region), it is a bystander: it is followed, so that its
+//!   detections are nobody else's. A bystander who enters the region becomes a performer, up to the limit.
 //! - A performer who is not seen for a second is lost: its tracker gets no frames. Who comes back is
 //!   recognised by the lengths of the body (`lengths`) and keeps the number.
 //! - Two tracks closer than 0.15 m for 0.3 s are merged; the older one stays.
@@ -123,7 +123,7 @@ impl Stage {
         }
     }
 
-    /// Several performers: only these people become some.
+    /// Several performers: only the people of this choice become performers.
     #[must_use]
     pub fn choosing(mut self, choice: Choice) -> Self {
         if let Some(crowd) = &mut self.crowd {

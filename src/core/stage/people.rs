@@ -312,7 +312,7 @@ impl People {
 
     /// Candidates become performers, the largest first, or bystanders.
     fn confirm(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
-        let is_open = self.known < self.limit && self.choice != Choice::default();
+        let is_open = self.known < self.limit;
         let is_ready = |index: &usize| {
             let Member { person, life, .. } = &self.members[*index];
             match life {
