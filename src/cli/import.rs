@@ -4,19 +4,20 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use nalgebra::Vector3;
 
 use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
 use super::overwrite::Overwrite;
 use super::rig::{ConventionArguments, tell};
 use super::solve::Progress;
-use super::terminal::{complain, progress, say, table};
+use super::terminal::{complain, note, progress, say, table};
 use crate::core::camera::Rig;
 use crate::core::time::Timestamp;
 use crate::diagnose::Check;
 use crate::io::formats::{
-    CameraReport, DetectionFolder, DetectionOptions, FolderMatch, ImportError, MatchedBy,
-    PointOrder,
+    Auto, Calibration, CameraReport, DetectionFolder, DetectionOptions, FolderMatch, ImportError,
+    MatchedBy, PointOrder, Up, frame_rate_beside,
 };
 use crate::io::new_file::temporary;
 use crate::io::recording::{Provenance, Writer};
@@ -36,7 +37,7 @@ FOLDER holds a subfolder or a file for each camera, found by content:
   FreeMoCap              its recording folder, or the .npy with the 2D data of all cameras
   others                 a CSV with frame, NAME_x, NAME_y, NAME_c ..., perhaps camera and person
 Also a trial's folder that holds these in `pose`. Capture time is the frame number, in the file
-or its name, divided by --fps.
+or its name, divided by the frame rate.
 
 The order of the points is found by their names or number; --format chooses another, and --points
 gives any. This is a file for --points, with indices from 0 or the detector's names:
@@ -45,13 +46,15 @@ gives any. This is a file for --points, with indices from 0 or the detector's na
   left_shoulder = \"shoulder_L\"
 
 The camera of a file is found by its name, or given by --camera. Files without a camera's name are
-given to the other cameras by order; there must be as many. If the images show that two of them belong
-to one another's cameras, they are exchanged, and the list says so.
+given to the other cameras by order. If the images show that they belong to others of these cameras,
+they are exchanged, and the list says so. Without --unit, the performer's height tells feet from
+metres; without --up, the performer tells the up axis where the cameras do not.
 
-At the end the recording is checked as `bundlemocap check` does. A broken file is a missing frame. It
-is counted, and the first ten of each camera are named.
+At the end the recording is checked as `bundlemocap check` does. A broken, cut or empty file is a
+missing frame. It is counted, and the first ten of each camera are named.
 
 Examples:
+  bundlemocap import Trial_1 --calibration Calib.toml --out trial.mcap
   bundlemocap import demo/pose --calibration demo/Calib.toml --fps 60 --out demo.mcap
   bundlemocap import Trial_1 --calibration Calib.qca.txt --fps 60 --format body_25b --out t.mcap
   bundlemocap import json --calibration intri.yml --fps 60000/1001 --out take.mcap \\
@@ -63,9 +66,10 @@ pub(super) struct Arguments {
     /// Calibration; `bundlemocap rig --help` lists what is read.
     #[arg(long)]
     calibration: PathBuf,
-    /// Frame rate of the cameras, 1 to 1000 Hz; a number, or a ratio such as 60000/1001.
+    /// Frame rate of the cameras, 1 to 1000 Hz; a number, or a ratio such as 60000/1001. Without it, by
+    /// Pose2Sim's Config.toml, or by the MP4 videos beside the detections.
     #[arg(long, value_parser = ratio, allow_negative_numbers = true)]
-    fps: f64,
+    fps: Option<f64>,
     /// Order of the points: body_25, body_25b, coco_17, halpe_26, coco_wholebody_133, mediapipe_33,
     /// openpose_18 or halpe_136. Without it, by their names or number.
     #[arg(long, conflicts_with = "points")]
@@ -107,7 +111,10 @@ impl From<ImportError> for Failure {
             | E::UnknownFormat { .. }
             | E::UnknownCount { .. }
             | E::Mapping { .. } => Exit::KeypointFormat,
-            E::FrameRate { .. } | E::UnknownName { .. } | E::GivenTwice { .. } => Exit::Usage,
+            E::FrameRate { .. }
+            | E::FrameRates { .. }
+            | E::UnknownName { .. }
+            | E::GivenTwice { .. } => Exit::Usage,
             _ => Exit::Malformed,
         };
         Self::new(exit, error.to_string())
@@ -129,38 +136,58 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let path = arguments.folder()?;
     arguments.overwrite.check(&arguments.out)?;
     let order = arguments.format.as_deref().map(PointOrder::named).transpose()?;
-    frame_rate_option(arguments.fps)?;
-    let calibration = arguments.convention.read(&arguments.calibration)?;
-    let rig = &calibration.rig;
-    let attempt = Attempt { order, cameras: arguments.camera.clone() };
-    let mut best = Imported::of(arguments, path, &arguments.out, rig, attempt)?;
-    best.exchange(arguments, path, rig)?;
+    let fps = frame_rate(arguments.fps, path)?;
+    let (cameras, convention) = (arguments.camera.clone(), arguments.convention.clone());
+    let attempt = Attempt { fps, order, cameras, convention };
+    let mut best = Imported::of(arguments, path, &arguments.out, attempt)?;
+    best.exchange(arguments, path)?;
     // Several orders have as many points: the one with which the cameras agree.
     for other in best.folder.others().to_vec() {
         let [one, another] = [&best.folder.order().name, &other.name].map(Clone::clone);
         let attempt = Attempt { order: Some(other), ..best.attempt.clone() };
-        if best.replaced_by_better(arguments, path, rig, attempt)? {
+        if best.replaced_by_better(arguments, path, attempt)? {
             complain("note", &format!("the points fit better as {another} than as {one}"));
-            best.exchange(arguments, path, rig)?;
+            best.exchange(arguments, path)?;
         }
     }
-    tell(&arguments.calibration, &calibration);
-    best.tell(rig, &arguments.camera);
+    best.measure(arguments, path)?;
+    tell(&arguments.calibration, &best.calibration);
+    best.tell(&arguments.camera);
     say(&format!("{}: {} frames", arguments.out.display(), best.folder.frame_count()));
     Ok(Exit::Done)
+}
+
+/// The given frame rate, or that of the files beside the detections.
+fn frame_rate(given: Option<f64>, folder: &Path) -> Result<f64, Failure> {
+    if let Some(fps) = given {
+        return frame_rate_option(fps);
+    }
+    let Some((fps, file)) = frame_rate_beside(folder)? else {
+        let message = format!(
+            "{}: no Config.toml and no MP4 video beside it tells the frame rate; give --fps, such as --fps 60",
+            folder.display()
+        );
+        return Err(Failure::new(Exit::Usage, message));
+    };
+    note(&format!("{fps:.3} frames a second, as {} has it (--fps)", file.display()));
+    frame_rate_option(fps)
 }
 
 /// What is not known until the cameras agree.
 #[derive(Clone)]
 struct Attempt {
+    fps: f64,
     /// Order of the points; `None`: as their names or number tell.
     order: Option<PointOrder>,
     /// Files and their cameras, beside those by name.
     cameras: Vec<(String, String)>,
+    /// Unit and up axis of the calibration.
+    convention: ConventionArguments,
 }
 
 /// A recording that was written.
 struct Imported {
+    calibration: Calibration,
     folder: DetectionFolder,
     attempt: Attempt,
     /// The judgement of the cameras, or why there is none.
@@ -172,18 +199,19 @@ impl Imported {
         arguments: &Arguments,
         path: &Path,
         out: &Path,
-        rig: &Rig,
         attempt: Attempt,
     ) -> Result<Self, Failure> {
+        let calibration = attempt.convention.read(&arguments.calibration)?;
+        let rig = &calibration.rig;
         let options = DetectionOptions {
-            fps: arguments.fps,
+            fps: attempt.fps,
             order: attempt.order.clone(),
             mapping: arguments.points.clone(),
             cameras: attempt.cameras.clone(),
             strict: arguments.strict,
         };
         let mut folder = DetectionFolder::open(path, rig, options)?;
-        let provenance = provenance(arguments, path, &attempt.cameras);
+        let provenance = provenance(arguments, path, &attempt);
         let mut writer = Writer::create(out, Topics::default(), &provenance)?;
         let bar = progress(folder.frame_count(), "frames");
         let mut has_rig = false;
@@ -202,7 +230,16 @@ impl Imported {
         }
         writer.finish()?;
         bar.finish_and_clear();
-        Ok(Self { folder, attempt, check: check(out) })
+        let check = check(out).map(|mut check| {
+            // It is said once which cameras have no files.
+            for (index, camera) in check.cameras.iter_mut().enumerate() {
+                if folder.matches().iter().all(|pair| pair.camera != index) {
+                    camera.findings.retain(|finding| finding.cause != "no_frames");
+                }
+            }
+            check
+        });
+        Ok(Self { calibration, folder, attempt, check })
     }
 
     /// What is wrong with the cameras.
@@ -219,7 +256,6 @@ impl Imported {
         &mut self,
         arguments: &Arguments,
         path: &Path,
-        rig: &Rig,
         attempt: Attempt,
     ) -> Result<bool, Failure> {
         let now = self.warnings().len();
@@ -230,7 +266,7 @@ impl Imported {
             Failure::new(Exit::Unexpected, format!("{}: {error}", arguments.out.display()))
         };
         let beside = temporary(&arguments.out).map_err(unwritable)?.into_temp_path();
-        let again = Self::of(arguments, path, &beside, rig, attempt)?;
+        let again = Self::of(arguments, path, &beside, attempt)?;
         let agrees = again.check.as_ref().is_ok_and(Check::agrees);
         let is_better = agrees && again.warnings().len() < now;
         if is_better {
@@ -241,13 +277,47 @@ impl Imported {
     }
 
     /// Gives the files without a camera's name to the cameras with which they agree.
-    fn exchange(&mut self, arguments: &Arguments, path: &Path, rig: &Rig) -> Result<(), Failure> {
-        while let Some(exchanged) = self.exchanged(rig, &arguments.camera) {
+    fn exchange(&mut self, arguments: &Arguments, path: &Path) -> Result<(), Failure> {
+        while let Some(exchanged) = self.exchanged(&arguments.camera) {
             let cameras = arguments.camera.iter().cloned().chain(exchanged).collect();
             let order = Some(self.folder.order().clone());
-            if !self.replaced_by_better(arguments, path, rig, Attempt { order, cameras })? {
+            let attempt = Attempt { order, cameras, ..self.attempt.clone() };
+            if !self.replaced_by_better(arguments, path, attempt)? {
                 break;
             }
+        }
+        Ok(())
+    }
+
+    /// Takes the unit of the calibration by the performer's height, and the up axis by the performer if nothing else
+    /// tells it.
+    fn measure(&mut self, arguments: &Arguments, path: &Path) -> Result<(), Failure> {
+        let Ok(check) = &self.check else { return Ok(()) };
+        let Calibration { unit, up, up_is_guessed, .. } = self.calibration;
+        let is_open = arguments.convention.unit == Auto::default();
+        let metres = check.unit().filter(|_| is_open);
+        let upright = check.performer_up.filter(|_| up_is_guessed);
+        let towards = |upright| Up::along(&(up.calibration_from_world() * Vector3::from(upright)));
+        let turned = upright.and_then(towards).filter(|found| *found != up);
+        if metres.is_none() && turned.is_none() {
+            return Ok(());
+        }
+        let mut attempt = self.attempt.clone();
+        let height = check.performer_height_m.unwrap_or_default();
+        let mut notes = Vec::new();
+        if let Some(metres) = metres {
+            let found = unit.times(metres);
+            attempt.convention.unit = Auto(Some(found));
+            notes.push(format!(
+                "the performer would be {height:.2} m high in {unit}: the unit is {found} (--unit)"
+            ));
+        }
+        if let Some(found) = turned {
+            attempt.convention.up = Auto(Some(found));
+            notes.push(format!("{found} points from hips to shoulders: it is up (--up)"));
+        }
+        if self.replaced_by_better(arguments, path, attempt)? {
+            notes.iter().for_each(|note| complain("note", note));
         }
         Ok(())
     }
@@ -262,13 +332,14 @@ impl Imported {
 
     /// The files without a camera's name, and the cameras whose images they have. `None`: they have these cameras
     /// already.
-    fn exchanged(&self, rig: &Rig, given: &[(String, String)]) -> Option<Vec<(String, String)>> {
+    fn exchanged(&self, given: &[(String, String)]) -> Option<Vec<(String, String)>> {
+        let rig = &self.calibration.rig;
         let own: Vec<usize> = self.unnamed(given).map(|pair| pair.camera).collect();
         let check = self.check.as_ref().ok()?;
         let cameras = match (&own[..], self.folder.matches().len()) {
             ([], _) => return None,
             // Of two cameras nothing tells which one is wrong.
-            ([a, b], 2) if !check.agrees() => {
+            ([a, b], 2) if rig.cameras.len() == 2 && !check.agrees() => {
                 let mut all: Vec<usize> = (0..rig.cameras.len()).collect();
                 all.swap(*a, *b);
                 all
@@ -276,11 +347,12 @@ impl Imported {
             _ => check.exchanged(rig)?,
         };
         // A file with a camera's name keeps its camera. So do all files that would be exchanged with it.
+        let has_file = |camera: usize| self.folder.matches().iter().any(|one| one.camera == camera);
         let is_free = |camera: usize| {
             let mut circle = std::iter::successors(Some(camera), |at| {
                 Some(cameras[*at]).filter(|next| *next != camera)
             });
-            circle.all(|one| own.contains(&one))
+            circle.all(|one| own.contains(&one) || !has_file(one))
         };
         let of = |camera: usize| if is_free(camera) { cameras[camera] } else { camera };
         if own.iter().all(|camera| of(*camera) == *camera) {
@@ -291,8 +363,8 @@ impl Imported {
     }
 
     /// Says which files are whose, what was found, guessed and left out, and what is wrong.
-    fn tell(&self, rig: &Rig, given: &[(String, String)]) {
-        let Self { folder, check, .. } = self;
+    fn tell(&self, given: &[(String, String)]) {
+        let Self { calibration: Calibration { rig, .. }, folder, check, .. } = self;
         say(&table(&matches(folder, rig, given)));
         let warnings = self.warnings();
         let unnamed = self.unnamed(given).count();
@@ -377,7 +449,6 @@ fn found(report: &CameraReport) -> String {
     );
     let oddities = [
         (report.gaps, "frame numbers without a frame"),
-        (report.empty_files, "empty files"),
         (report.broken_files, "broken files"),
         (report.frames_without_people, "frames without people"),
         (report.people_without_points, "skipped people without points"),
@@ -394,13 +465,13 @@ fn found(report: &CameraReport) -> String {
 }
 
 /// The command, without the folders of its files.
-fn provenance(arguments: &Arguments, folder: &Path, cameras: &[(String, String)]) -> Provenance {
+fn provenance(arguments: &Arguments, folder: &Path, attempt: &Attempt) -> Provenance {
     let last = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut command = format!(
         "bundlemocap import {} --calibration {} --fps {}",
         last(folder),
         last(&arguments.calibration),
-        arguments.fps,
+        attempt.fps,
     );
     if let Some(format) = &arguments.format {
         command += &format!(" --format {format}");
@@ -408,10 +479,10 @@ fn provenance(arguments: &Arguments, folder: &Path, cameras: &[(String, String)]
     if let Some(points) = &arguments.points {
         command += &format!(" --points {}", last(points));
     }
-    for (file, camera) in cameras {
+    for (file, camera) in &attempt.cameras {
         command += &format!(" --camera {file}={camera}");
     }
-    command += &arguments.convention.words();
+    command += &attempt.convention.words();
     if arguments.strict {
         command += " --strict";
     }

@@ -125,11 +125,11 @@ impl Format {
 pub(super) struct ConventionArguments {
     /// Axis of the calibration's world that points up: x, y, z, -x, -y or -z; auto: by the cameras' images.
     #[arg(long, default_value_t, allow_hyphen_values = true)]
-    up: Auto<Up>,
+    pub(super) up: Auto<Up>,
     /// The calibration's unit of length: m, cm, mm, in, ft, or metres; auto: by the kind of file, or by the
     /// cameras' distances.
     #[arg(long, default_value_t)]
-    unit: Auto<Unit>,
+    pub(super) unit: Auto<Unit>,
     /// Of several poses of the cameras in the calibration, those under this name, such as a subject's.
     #[arg(long, value_name = "NAME")]
     set: Option<String>,

@@ -51,6 +51,8 @@ const LOOSE: f64 = 0.15;
 pub struct Check {
     /// The performer's height by trunk and legs, metres.
     pub performer_height_m: Option<f64>,
+    /// Median direction from hips to shoulders, in the world.
+    pub performer_up: Option<[f64; 3]>,
     /// In the rig's order.
     pub cameras: Vec<CameraCheck>,
     /// What is wrong with all cameras or the whole recording.
@@ -88,6 +90,12 @@ impl Check {
         of_cameras.chain(others)
     }
 
+    /// The unit of the calibration, metres, if the performer's height shows that it is not the metre.
+    pub fn unit(&self) -> Option<f64> {
+        let metres = performer::unit(self.performer_height_m?)?.0;
+        self.findings.iter().any(|finding| finding.cause == "scale").then_some(metres)
+    }
+
     /// By camera of the rig, the camera whose images it has; `None` if they are not exchanged.
     pub fn exchanged(&self, rig: &Rig) -> Option<Vec<usize>> {
         let is_of = |camera: usize, found: &Finding| {
@@ -101,10 +109,14 @@ impl Check {
         let keeps = |own: usize| (!named.contains(&Some(own))).then_some(own);
         let mut all: Vec<Option<usize>> =
             named.iter().enumerate().map(|(own, of)| of.or_else(|| keeps(own))).collect();
-        // What is left over belongs together, if it is one camera.
-        let free = (0..all.len()).find(|camera| !all.contains(&Some(*camera)));
-        if let Some(alone) = all.iter_mut().find(|of| of.is_none()) {
-            *alone = free;
+        // What is left over belongs together, if it is one camera; cameras without images may be any.
+        let is_seen = |own: &usize| self.cameras[*own].agreeing_percent.is_some();
+        let mut alone: Vec<usize> = (0..all.len()).filter(|own| all[*own].is_none()).collect();
+        if alone.iter().filter(|own| is_seen(own)).count() <= 1 {
+            alone.sort_by_key(|own| !is_seen(own));
+            for own in alone {
+                all[own] = (0..all.len()).find(|camera| !all.contains(&Some(*camera)));
+            }
         }
         let is_exchange = (0..all.len()).all(|camera| all.contains(&Some(camera)));
         (is_exchange && !all.is_sorted()).then(|| all.into_iter().flatten().collect())
@@ -185,7 +197,8 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
             "no two cameras agree on a person, whatever is tried",
             "is it the calibration of this take, and do the cameras share a clock?",
         );
-        return Check { performer_height_m: None, cameras, findings: vec![finding] };
+        let findings = vec![finding];
+        return Check { performer_height_m: None, performer_up: None, cameras, findings };
     };
     let Judged { scene: fixed, consensus, findings, general } = &judged;
     for (camera, row) in cameras.iter_mut().enumerate() {
@@ -213,7 +226,8 @@ fn check(frames: &Footage, alone: &Footage, footage: &Footage, rig: &Rig) -> Che
     if let Some(finding) = wrong_format(fixed, consensus, &points) {
         general = vec![finding];
     }
-    Check { performer_height_m: performer::height_m(&points), cameras, findings: general }
+    let (performer_height_m, performer_up) = (performer::height_m(&points), performer::up(&points));
+    Check { performer_height_m, performer_up, cameras, findings: general }
 }
 
 /// The keypoints of all cameras in the order of another format with as many points.

@@ -18,6 +18,18 @@ const TRUNK_AND_LEG: f64 = 0.779;
 const HEIGHTS_M: std::ops::RangeInclusive<f64> = 1.2..=2.3;
 /// The trunk points along an axis if its direction has this component on it.
 const ALONG: f64 = 0.85;
+/// Units that a calibration may be in, metres.
+const UNITS: [(f64, &str); 5] = [
+    (0.001, "millimetres"),
+    (0.01, "centimetres"),
+    (0.0254, "inches"),
+    (0.3048, "feet"),
+    (1000.0, "kilometres"),
+];
+/// Height of a person, metres.
+const USUAL_M: f64 = 1.72;
+/// Largest logarithm of the factor between that and a person's height.
+const OTHERS: f64 = 0.3;
 
 fn at(points: &Points, point: Keypoint) -> Option<Vector3<f64>> {
     points[POINTS.iter().position(|other| *other == point)?]
@@ -54,7 +66,7 @@ pub(super) fn findings(frames: &[Points], cameras: usize) -> Vec<Finding> {
     let height = height_m(frames);
     // Two opposite cameras hardly tell where the feet point.
     let sides = if cameras > 2 { sides(frames) } else { None };
-    let all = [height.and_then(scale), upright(frames), sides];
+    let all = [height.and_then(scale), up(frames).and_then(upright), sides];
     all.into_iter().flatten().collect()
 }
 
@@ -62,19 +74,10 @@ fn scale(height: f64) -> Option<Finding> {
     if HEIGHTS_M.contains(&height) {
         return None;
     }
-    let units = [
-        (1000.0, "millimetres"),
-        (100.0, "centimetres"),
-        (1.0 / 0.0254, "inches"),
-        (1.0 / 0.3048, "feet"),
-        (0.001, "kilometres"),
-    ];
-    let off = |factor: f64| libm::log(height / factor / 1.72).abs();
-    let nearest = units.into_iter().min_by(|a, b| off(a.0).total_cmp(&off(b.0)));
-    let (is, factor) = match nearest.filter(|(factor, _)| off(*factor) < 0.3) {
-        Some((factor, unit)) => (format!("the calibration is in {unit}"), factor),
+    let (is, factor) = match unit(height) {
+        Some((metres, unit)) => (format!("the calibration is in {unit}"), 1.0 / metres),
         None => {
-            let factor = height / 1.72;
+            let factor = height / USUAL_M;
             (format!("the calibration has {factor:.2} times the right scale"), factor)
         }
     };
@@ -83,10 +86,21 @@ fn scale(height: f64) -> Option<Finding> {
     Some(Finding::new("scale", what, fix))
 }
 
-/// The trunk points along another axis than y.
-fn upright(frames: &[Points]) -> Option<Finding> {
+/// The unit, metres, in which a performer of such a height has a human size, if it is not the metre.
+pub(super) fn unit(height: f64) -> Option<(f64, &'static str)> {
+    let off = |metres: f64| libm::log(height * metres / USUAL_M).abs();
+    let nearest = UNITS.into_iter().min_by(|a, b| off(a.0).total_cmp(&off(b.0)));
+    nearest.filter(|(metres, _)| !HEIGHTS_M.contains(&height) && off(*metres) < OTHERS)
+}
+
+/// The direction from hips to shoulders.
+pub(super) fn up(frames: &[Points]) -> Option<[f64; 3]> {
     let along = |axis: usize| medians(frames, |p| Some(trunk(p)?.try_normalize(1e-9)?[axis]));
-    let up = [along(0)?, along(1)?, along(2)?];
+    Some([along(0)?, along(1)?, along(2)?])
+}
+
+/// The trunk points along another axis than y.
+fn upright(up: [f64; 3]) -> Option<Finding> {
     let axis = (0..3).find(|axis| up[*axis].abs() > ALONG)?;
     let (sign, name) = (if up[axis] < 0.0 { "-" } else { "" }, ["x", "y", "z"][axis]);
     // A calibration with y up read as one with z up has its y along x, the reverse its z along z.

@@ -5,14 +5,16 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use bundlemocap::core::body::{Joint, Pose, Shape, Skeleton, StampedPose, TrackingState};
+use bundlemocap::core::camera::Rig;
 use bundlemocap::core::detections::Person;
 use bundlemocap::core::random::Draws;
 use bundlemocap::core::time::{Nanos, Timestamp};
-use bundlemocap::io::formats::Trc;
 use bundlemocap::io::formats::bvh::Bvh;
+use bundlemocap::io::formats::{Trc, Up, write_calibration};
 use bundlemocap::io::recording::{Message, Provenance, Reader, Writer};
 use bundlemocap::io::wire::{self, Topics};
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
+use nalgebra::Matrix3;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -158,7 +160,17 @@ fn synthetic(
     noise: Noise,
     keep: impl FnMut(&mut bundlemocap::core::detections::Detections) -> bool,
 ) {
-    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    before(ring_rig(4, 4.0, 1.6).unwrap(), path, frames, noise, keep);
+}
+
+/// The same before other cameras.
+fn before(
+    rig: Rig,
+    path: &Path,
+    frames: u64,
+    noise: Noise,
+    keep: impl FnMut(&mut bundlemocap::core::detections::Detections) -> bool,
+) {
     let skeleton = Skeleton::default();
     let motion = Motion::new(&skeleton, MotionStyle::default());
     let mut recording = Recording::new(rig, skeleton, |seconds| motion.pose(seconds));
@@ -185,7 +197,11 @@ fn save<M: Fn(f64) -> Pose>(
 
 /// Writes a folder of OpenPose's for each camera of the synthetic walk, by the names of [`ring_rig`]'s cameras.
 fn walk_in_folders(place: &Place, folders: [&str; 4]) {
-    walk(&place.path("walk.mcap"), 60, |detections| {
+    in_folders(place, folders, ring_rig(4, 4.0, 1.6).unwrap());
+}
+
+fn in_folders(place: &Place, folders: [&str; 4], rig: Rig) {
+    before(rig, &place.path("walk.mcap"), 60, Noise::jitter_only(), |detections| {
         let folder = folders[detections.camera];
         let person = |person: &Person| {
             let points = person.points.iter().map(|point| match point {
@@ -264,6 +280,92 @@ fn of_two_files_without_a_cameras_name_the_order_is_found() {
     fs::rename(place.path("pose/two"), place.path("pose/a")).unwrap();
     let found = place.done(&format!("{IMPORT} --overwrite --unit ft --up y"));
     assert!(found.contains("one  -> cam03 (by order)"), "{found}");
+}
+
+#[test]
+fn files_without_a_cameras_name_may_be_fewer_than_the_cameras() {
+    let place = Place::new();
+    let mut rig = ring_rig(4, 4.0, 1.6).unwrap();
+    // Turned, a ring of cameras fits as well; so each has a distance of its own.
+    for (index, camera) in rig.cameras.iter_mut().enumerate() {
+        camera.translation.z += 0.4 * index as f64;
+    }
+    in_folders(&place, ["c", "a", "unused", "b"], rig);
+    fs::remove_dir_all(place.path("pose/unused")).unwrap();
+    let output = place.run(IMPORT);
+    let [found, said] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    for (folder, camera) in [("c", "cam01"), ("a", "cam02"), ("b", "cam04")] {
+        assert!(found.contains(&format!("{folder}  -> {camera} (exchanged)")), "{found}{said}");
+    }
+    assert!(said.contains("3 of 3 files have no camera's name; the cameras agree"), "{said}");
+    assert!(said.contains("no detections of camera cam03") && !said.contains("warning"), "{said}");
+    assert_eq!(place.run(&format!("{IMPORT} --overwrite --strict")).status.code(), Some(8));
+}
+
+#[test]
+fn pose2sims_settings_tell_the_frame_rate() {
+    let place = Place::new();
+    walk_in_folders(&place, ["cam01", "cam02", "cam03", "cam04"]);
+    let import = "import pose --calibration calib.toml --out out.mcap";
+    place.fails(USAGE, import, &["pose: no Config.toml", "--fps 60"]);
+    place.write("Config.toml", "[project]\nframe_rate = 'auto'");
+    place.fails(USAGE, import, &["pose: no Config.toml", "--fps 60"]);
+    place.write("Config.toml", "[project]\nframe_rate = 60");
+    let output = place.run(import);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("60.000 frames a second, as ") && said.contains("Config.toml"), "{said}");
+    let from_settings = fs::read(place.path("out.mcap")).unwrap();
+    place.done(&format!("{IMPORT} --overwrite"));
+    assert!(from_settings == fs::read(place.path("out.mcap")).unwrap());
+}
+
+#[test]
+fn the_performers_height_tells_the_unit_of_a_calibration() {
+    let place = Place::new();
+    walk_in_folders(&place, ["cam01", "cam02", "cam03", "cam04"]);
+    place.done(IMPORT);
+    let right = place.done("check out.mcap --json");
+    let calibration = fs::read_to_string(place.path("calib.toml")).unwrap();
+    let (cameras, _) = calibration.split_once("[metadata]").unwrap();
+    let in_feet = |line: &str| {
+        let Some(numbers) = line.strip_prefix("translation = ") else { return line.to_owned() };
+        let metres: Vec<f64> = serde_json::from_str(numbers).unwrap();
+        let feet: Vec<f64> = metres.iter().map(|metres| metres / 0.3048).collect();
+        format!("translation = {feet:?}")
+    };
+    let feet: Vec<String> = cameras.lines().map(in_feet).collect();
+    place.write("calib.toml", feet.join("\n"));
+    let output = place.run(&format!("{IMPORT} --overwrite"));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("m high in m: the unit is ft (--unit)"), "{said}");
+    assert!(said.contains("unit ft, z up") && !said.contains("warning"), "{said}");
+    assert!(place.done("info out.mcap").contains("--unit ft"));
+    assert_eq!(place.done("check out.mcap --json"), right);
+    // What the user says is not changed, but it is said.
+    let output = place.run(&format!("{IMPORT} --overwrite --unit m"));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("the calibration is in feet; divide all translations by"), "{said}");
+}
+
+#[test]
+fn the_performer_tells_the_up_axis_where_the_images_do_not() {
+    let mut rig = ring_rig(4, 4.0, 1.6).unwrap();
+    // Every second camera hangs upside down.
+    for camera in rig.cameras.iter_mut().step_by(2) {
+        let half_turn = Matrix3::from_diagonal(&[-1.0, -1.0, 1.0].into());
+        (camera.rotation, camera.translation) =
+            (half_turn * camera.rotation, half_turn * camera.translation);
+    }
+    let place = Place::new();
+    in_folders(&place, ["cam01", "cam02", "cam03", "cam04"], rig.clone());
+    write_calibration(&place.path("calib.toml"), &rig, Up::Y).unwrap();
+    let calibration = fs::read_to_string(place.path("calib.toml")).unwrap();
+    place.write("calib.toml", calibration.split_once("[metadata]").unwrap().0);
+    let output = place.run(IMPORT);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("y points from hips to shoulders: it is up (--up)"), "{said}");
+    assert!(said.contains("unit m, y up") && !said.contains("warning"), "{said}");
+    assert!(place.done("info out.mcap").contains("--up y"));
 }
 
 #[test]

@@ -13,8 +13,8 @@ use bundlemocap::io::report::{
 };
 use bundlemocap::research::synth::{Motion, MotionStyle};
 
-/// Reads a BVH file with the PyPI package `bvh` and prints, for each frame, the positions of all
-/// joints by a forward kinematics that multiplies in channel order. Exits with 3 without the
+/// Reads a BVH file with the PyPI package `bvh` and prints, for each frame, the positions and rotations
+/// of all joints by a forward kinematics that multiplies in channel order. Exits with 3 without the
 /// package.
 const READER: &str = r#"
 import math, sys
@@ -53,7 +53,7 @@ for frame in range(mocap.nframes):
         outer, at = rotations[parent.name], positions[parent.name]
         rotations[name] = multiply(outer, rotation)
         positions[name] = [at[i] + sum(outer[i][k] * offset[k] for k in range(3)) for i in range(3)]
-    print(*(c for name in names for c in positions[name]))
+    print(*(c for name in names for c in positions[name] + sum(rotations[name], [])))
 "#;
 
 fn motion(skeleton: &Skeleton) -> Vec<Pose> {
@@ -86,19 +86,23 @@ fn another_parser_finds_the_same_joint_positions() {
     };
     let head: Vec<&str> = lines[0].split(' ').collect();
     assert_eq!((head[0], head[1], head.len() - 2), ("260", "0.05", JOINTS));
-    let mut worst = 0.0f64;
+    let (mut worst, mut angle) = (0.0f64, 0.0f64);
     for (line, pose) in lines[1..].iter().zip(&poses) {
         let values: Vec<f64> = line.split(' ').map(|v| v.parse().unwrap()).collect();
         let posture = pose.posture(&skeleton);
-        for (name, at) in head[2..].iter().zip(values.chunks_exact(3)) {
+        for (name, at) in head[2..].iter().zip(values.chunks_exact(12)) {
             let joint = Joint::ALL.into_iter().find(|joint| joint.name() == *name).unwrap();
             let truth = posture.positions[joint.index()] * 100.0;
-            worst = worst.max((truth - nalgebra::Vector3::from_row_slice(at)).norm());
+            worst = worst.max((truth - nalgebra::Vector3::from_row_slice(&at[..3])).norm());
+            let turn = nalgebra::Matrix3::from_row_slice(&at[3..]);
+            let apart = (turn - posture.rotations[joint.index()]).norm();
+            angle = angle.max((2.0 * (apart / 8f64.sqrt()).asin()).to_degrees());
         }
     }
-    println!("largest distance {:.5} mm", worst * 10.0);
+    println!("largest distance {:.5} mm, largest angle {angle:.5} degrees", worst * 10.0);
     assert_eq!(lines.len(), 261);
-    assert!(worst * 10.0 < 1.0, "{} mm", worst * 10.0);
+    assert!(worst * 10.0 < 0.1, "{} mm", worst * 10.0);
+    assert!(angle < 0.1, "{angle} degrees");
 }
 
 /// An A-pose with z up, in metres, with Unreal's names.
@@ -121,7 +125,7 @@ fn another_parser_finds_the_same_places_in_another_style() {
     for (line, pose) in lines[1..].iter().zip(&poses) {
         let values: Vec<f64> = line.split(' ').map(|value| value.parse().unwrap()).collect();
         let places = pose.posture(&skeleton).positions;
-        for (name, at) in names.iter().zip(values.chunks_exact(3)) {
+        for (name, at) in names.iter().zip(values.chunks_exact(12)) {
             let joint = Joint::ALL.into_iter().find(|joint| style.names.of(*joint) == *name);
             // (x, y, z) of ours is (y, z, x) of the file.
             let truth = places[joint.unwrap().index()];

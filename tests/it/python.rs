@@ -414,6 +414,33 @@ fn recordings_have_the_schemas_of_foxglove() {
     assert!(said.contains("/camera/cam04/keypoints=240"), "{said}");
 }
 
+/// The rotations of poses; before the other scripts.
+const ROTATIONS: &str = r#"
+import numpy as np
+
+PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19]
+
+def rotation(turn):
+    """Quaternion to matrix."""
+    x, y, z, w = np.float64(turn)
+    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                     [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                     [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
+
+def worlds(turns):
+    """Matrices of the joints in the world, from those in their parents."""
+    found = []
+    for parent, turn in zip(PARENTS, turns):
+        found.append(turn if parent < 0 else found[parent] @ turn)
+    return np.array(found)
+
+def degrees(found, pose):
+    """Largest angle between rotations of the joints in the world and those of a pose."""
+    turns = [pose.root_rotation, *np.array(pose.local_rotations).reshape(-1, 4)]
+    apart = np.linalg.norm(found - worlds([rotation(turn) for turn in turns]), axis=(1, 2))
+    return np.degrees(2 * np.arcsin(apart.max() / 8 ** 0.5))
+"#;
+
 /// Follows the nodes of a glTF file to the joints, and compares them with those of the poses.
 const GLTF: &str = r#"
 import json, struct, sys
@@ -434,12 +461,8 @@ def values(index):
     return np.frombuffer(numbers, kind, one["count"] * width, view["byteOffset"]).reshape(-1, width)
 
 def matrix(position, turn):
-    x, y, z, w = np.float64(turn)
     rows = np.eye(4)
-    rows[:3, 3] = position
-    rows[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]
+    rows[:3, :3], rows[:3, 3] = rotation(turn), position
     return rows
 
 keys = {}
@@ -460,7 +483,17 @@ def place(frame=None):
     return worlds
 
 rest = {nodes[node]["name"]: world[:3, 3] for node, world in place().items()}
-assert not any("rotation" in node for node in nodes)
+# The axes of the joints are those of the world, or have y along the bone.
+bones = {"hip": "knee", "knee": "ankle", "ankle": "foot", "collar": "shoulder", "shoulder": "elbow", "elbow": "wrist"}
+bones = {f"{side}_{a}": f"{side}_{b}" for side in "lr" for a, b in bones.items()}
+bones |= {"pelvis": "spine1", "spine1": "spine2", "spine2": "spine3", "spine3": "neck", "neck": "head"}
+axes = {nodes[node]["name"]: world[:3, :3] for node, world in place().items()}
+if sys.argv[5] == "world":
+    assert not any("rotation" in node for node in nodes)
+else:
+    along = {joint: rest[end] - rest[joint] for joint, end in bones.items()}
+    assert all(axes[joint][:, 1] @ bone > 0.99999 * np.linalg.norm(bone) for joint, bone in along.items())
+    assert all(axes[joint][2, 2] > 0.7 for joint in bones if "ankle" not in joint and "collar" not in joint), axes
 # A T-pose that faces +z and stands on y = 0.
 for side, sign in (("l", 1), ("r", -1)):
     shoulder, wrist, ankle, foot = (rest[f"{side}_{part}"] for part in ("shoulder", "wrist", "ankle", "foot"))
@@ -484,8 +517,12 @@ assert np.abs(skinned() - points).max() < 1e-5
 frame = 0
 for message in read_protobuf_messages(sys.argv[2], topics=["mocap/stage/actor/actor/pose"]):
     wanted = np.array(message.proto_msg.joint_positions_m).reshape(-1, 3)
-    found = np.array([place(frame)[joint][:3, 3] for joint in skin["joints"]])
+    worlds = place(frame)
+    found = np.array([worlds[joint][:3, 3] for joint in skin["joints"]])
     assert np.abs(found - wanted).max() < 1e-5, (frame, np.abs(found - wanted).max())
+    if sys.argv[4] == "t":
+        turns = [worlds[joint][:3, :3] @ axes[nodes[joint]["name"]].T for joint in skin["joints"]]
+        assert degrees(turns, message.proto_msg) < 0.1, frame
     # Each joint is inside the body.
     if frame % 80 == 0:
         far = max(np.linalg.norm(skinned(frame) - joint, axis=1).min() for joint in wanted)
@@ -516,7 +553,12 @@ skeleton = cache.GetSkelQuery(UsdSkel.Skeleton(prim("Skeleton")))
 skin = cache.GetSkinningQuery(prim("Skin"))
 names = [path.split("/")[-1] for path in skeleton.GetJointOrder()]
 places = lambda transforms: np.array(transforms)[:, 3, :3]
-rest = dict(zip(names, places(skeleton.ComputeJointSkelTransforms(Usd.TimeCode.Default(), True))))
+at_rest = skeleton.ComputeJointSkelTransforms(Usd.TimeCode.Default(), True)
+rest = dict(zip(names, places(at_rest)))
+axes = np.array(at_rest)[:, :3, :3]
+thigh = rest["l_knee"] - rest["l_hip"]
+along = [[0, 1, 0], thigh / np.linalg.norm(thigh)][sys.argv[5] == "bone"]
+assert np.abs(axes[names.index("l_hip")][1] - along).max() < 1e-5, axes
 arm, slope = rest["l_wrist"] - rest["l_shoulder"], {"t": 0, "a": 1}[sys.argv[4]]
 assert abs(arm[1] + slope * arm[0]) < 0.03 and arm[0] > 0.3, rest
 points = UsdGeom.Mesh(prim("Skin")).GetPointsAttr().Get()
@@ -530,8 +572,12 @@ def skinned(time):
 frame = 0
 for message in read_protobuf_messages(sys.argv[2], topics=["mocap/stage/actor/actor/pose"]):
     wanted = np.array(message.proto_msg.joint_positions_m).reshape(-1, 3)
-    found = places(skeleton.ComputeJointSkelTransforms(Usd.TimeCode(frame)))
+    transforms = skeleton.ComputeJointSkelTransforms(Usd.TimeCode(frame))
+    found = places(transforms)
     assert np.abs(found - wanted).max() < 1e-5, (frame, np.abs(found - wanted).max())
+    if sys.argv[4] == "t":
+        turns = np.array(transforms)[:, :3, :3].transpose(0, 2, 1) @ axes
+        assert degrees(turns, message.proto_msg) < 0.1, frame
     if frame % 80 == 0:
         body = skinned(Usd.TimeCode(frame))
         far = max(np.linalg.norm(body - joint, axis=1).min() for joint in wanted)
@@ -548,8 +594,6 @@ import csv, sys
 import ezc3d
 import numpy as np
 from mcap_protobuf.reader import read_protobuf_messages
-
-PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19]
 
 def turn(v):
     """Rotation vector to matrix."""
@@ -570,7 +614,7 @@ wanted = [joints(pose) for pose in poses]
 motion = np.load(npz_path)
 assert motion["poses"].shape == (len(wanted), 156) and motion["betas"].shape == (16,)
 assert motion["gender"] == b"neutral" and abs(motion["mocap_frame_rate"] - 60) < 1e-4
-rest, worst = motion["rest_joints"], 0
+rest, worst, angle = motion["rest_joints"], 0, 0
 rows = list(csv.DictReader(open(csv_path)))
 lines = [line.split("\t") for line in open(trc_path).read().splitlines()]
 names = lines[3][2::3]
@@ -590,15 +634,17 @@ for frame, pose in enumerate(poses):
 assert known > 230, known
 assert len(rows) == len(wanted) and len(names_of_joints) == 22 and "RBigToe" in names
 for frame, at in enumerate(wanted):
-    turns = [turn(v) for v in motion["poses"][frame][:66].reshape(22, 3)]
-    world, place = [turns[0]], [motion["trans"][frame]]
+    world = worlds([turn(v) for v in motion["poses"][frame][:66].reshape(22, 3)])
+    place = [motion["trans"][frame]]
     for joint in range(1, 22):
         parent = PARENTS[joint]
         place.append(place[parent] + world[parent] @ (rest[joint] - rest[parent]))
-        world.append(world[parent] @ turns[joint])
     # z, x, y of ours are x, y, z of the file.
     worst = max(worst, np.abs(np.array(place)[:, [1, 2, 0]] - at).max())
+    ours = world[:, [1, 2, 0]][:, :, [1, 2, 0]]
     row = rows[frame]
+    turns = [rotation([row[f"{name}_q{axis}"] for axis in "xyzw"]) for name in names_of_joints]
+    angle = max(angle, degrees(ours, poses[frame]), degrees(worlds(turns), poses[frame]))
     found = np.array([[float(row[f"{name}_{axis}"]) for axis in "xyz"] for name in names_of_joints])
     worst = max(worst, np.abs(found - at).max())
     cells = lines[6 + frame]
@@ -615,7 +661,7 @@ assert c3d["parameters"]["POINT"]["UNITS"]["value"] == ["mm"] and abs(c3d["heade
 assert c3d["header"]["points"]["last_frame"] - c3d["header"]["points"]["first_frame"] + 1 == len(wanted)
 columns = [names.index(f"{name}_jc") for name in names_of_joints]
 worst = max(worst, np.abs(places[:3, columns].transpose(2, 1, 0) / 1e3 - np.array(wanted)).max())
-print(len(wanted), worst < 1e-5)
+print(len(wanted), worst < 1e-5, angle < 0.1)
 "#;
 
 /// Reads joint angles and markers with OpenSim; compares them with the poses.
@@ -660,15 +706,21 @@ fn exported_files_have_the_poses_on_a_true_rest_pose() {
     let program = || Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
     check(&program().arg("solve").arg(&walk).arg("--out").arg(&out).output().unwrap());
     let poses = out.join("poses.mcap");
-    for (rest, (script, path)) in
-        ["t", "a"].into_iter().flat_map(|rest| [(rest, (GLTF, &glb)), (rest, (USD, &usd))])
+    let scripts = [GLTF, USD, TABLES].map(|script| format!("{ROTATIONS}{script}"));
+    for (rest, axes, (script, path)) in
+        [("t", "bone"), ("a", "bone"), ("t", "world")].into_iter().flat_map(|(rest, axes)| {
+            [&glb, &usd]
+                .into_iter()
+                .zip(&scripts)
+                .map(move |(path, script)| (rest, axes, (script, path)))
+        })
     {
         let mut export = program();
         export.arg("export").arg(&poses).arg("--out").arg(path);
-        check(&export.args(["--rest", rest, "--overwrite"]).output().unwrap());
+        check(&export.args(["--rest", rest, "--axes", axes, "--overwrite"]).output().unwrap());
         let mut read = Command::new("python3");
-        let read = read.args(["-c", script]).args([path, &poses]).args(["60", rest]).output();
-        let read = read.unwrap();
+        read.args(["-c", script]).args([path, &poses]).args(["60", rest, axes]);
+        let read = read.output().unwrap();
         check(&read);
         assert_eq!(String::from_utf8_lossy(&read.stdout), "240\n");
     }
@@ -680,10 +732,10 @@ fn exported_files_have_the_poses_on_a_true_rest_pose() {
         export.arg("--out").arg(path);
     }
     check(&export.output().unwrap());
-    let read = Command::new("python3").args(["-c", TABLES]).args(&tables).arg(&poses).output();
+    let read = Command::new("python3").args(["-c", &scripts[2]]).args(&tables).arg(&poses).output();
     let read = read.unwrap();
     check(&read);
-    assert_eq!(String::from_utf8_lossy(&read.stdout), "240 True\n");
+    assert_eq!(String::from_utf8_lossy(&read.stdout), "240 True True\n");
 
     let angles = file("mot");
     check(&program().arg("export").arg(&poses).arg("--out").arg(&angles).output().unwrap());

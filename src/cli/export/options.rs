@@ -9,7 +9,7 @@ use super::{Format, ON_FRAME};
 use crate::cli::failure::{Exit, Failure};
 use crate::core::body::{JointDeviations, StampedPose, TrackingState};
 use crate::core::time::{Nanos, Timestamp};
-use crate::io::formats::{JointNames, RestPose, Style, Unit, Up};
+use crate::io::formats::{JointAxes, JointNames, RestPose, Style, Unit, Up};
 use crate::offline::compact_pose::CompactPose;
 
 /// Poses further apart than this are on two sides of a gap, periods.
@@ -31,6 +31,10 @@ pub(super) struct Options {
     #[arg(long, value_name = "WHOSE", default_value = "ours", value_parser =
         PossibleValuesParser::new(["ours", "mixamo", "unreal"]).map(|name| names(&name)))]
     names: JointNames,
+    /// Axes of the joints in that pose: y along the bone, or those of the world (.glb .usda).
+    #[arg(long, value_name = "AXES", default_value = "bone", value_parser =
+        PossibleValuesParser::new(["bone", "world"]).map(|name| axes(&name)))]
+    axes: JointAxes,
     /// Axis that points up (.bvh .trc .c3d .csv); with z, (x, y, z) becomes (z, x, y).
     #[arg(long, value_name = "AXIS", default_value = "y", value_parser =
         PossibleValuesParser::new(["y", "z"]).try_map(|name| Up::from_str(&name)))]
@@ -81,10 +85,17 @@ fn names(name: &str) -> JointNames {
     }
 }
 
+fn axes(name: &str) -> JointAxes {
+    match name {
+        "world" => JointAxes::World,
+        _ => JointAxes::Bone,
+    }
+}
+
 impl Options {
     pub(super) fn style(&self) -> Style {
         let mut style = Style::new(self.rest, self.up);
-        (style.names, style.unit) = (self.names, self.unit);
+        (style.names, style.unit, style.joint_axes) = (self.names, self.unit, self.axes);
         style
     }
 
@@ -97,7 +108,8 @@ impl Options {
     pub(super) fn check(&self, format: Format) -> Result<(), Failure> {
         use Format::{Angles, Bvh, C3d, Csv, Glb, Npz, Trc, Usda};
         let [animations, markers]: [&[Format]; 2] = [&[Glb, Usda, Bvh, Csv], &[Bvh, Trc, C3d]];
-        let options: [(&str, bool, &[Format]); 5] = [
+        let options: [(&str, bool, &[Format]); 6] = [
+            ("--axes", self.axes != JointAxes::Bone, &[Glb, Usda]),
             ("--rest", self.rest != RestPose::T, animations),
             ("--names", self.names != JointNames::Ours, animations),
             ("--up", self.up != Up::Y, &[Bvh, Trc, C3d, Csv]),

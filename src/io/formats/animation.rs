@@ -1,6 +1,6 @@
 //! The skin and the keys of an animation, for glTF and USD.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::style::Style;
 use crate::core::body::{JOINTS, Joint, Mesh, Pose, Skeleton};
@@ -30,6 +30,8 @@ pub struct Description<'a> {
 pub(super) struct Skin {
     pub(super) vertices: Vec<Vector3<f64>>,
     pub(super) joints: [Vector3<f64>; JOINTS],
+    /// The axes of the joints, as columns.
+    pub(super) axes: [Matrix3<f64>; JOINTS],
 }
 
 impl Skin {
@@ -40,13 +42,15 @@ impl Skin {
         let up = Vector3::new(0.0, -lowest, 0.0);
         vertices.iter_mut().for_each(|vertex| *vertex += up);
         let joints = rest.posture(skeleton).positions.map(|joint| joint + up);
-        Self { vertices, joints }
+        Self { vertices, joints, axes: style.joint_axes.of(&rest, skeleton) }
     }
 
-    /// The place of a joint from its parent; that of the pelvis is in the world.
-    pub(super) fn offset(&self, joint: Joint) -> Vector3<f64> {
-        let parent = joint.parent().map(|parent| self.joints[parent.index()]);
-        self.joints[joint.index()] - parent.unwrap_or_default()
+    /// The rotation and the place of a joint in its parent; those of the pelvis are in the world.
+    pub(super) fn in_parent(&self, joint: Joint) -> (Matrix3<f64>, Vector3<f64>) {
+        let (axes, place) = (self.axes[joint.index()], self.joints[joint.index()]);
+        let Some(parent) = joint.parent().map(Joint::index) else { return (axes, place) };
+        let back = self.axes[parent].transpose();
+        (back * axes, back * (place - self.joints[parent]))
     }
 
     pub(super) fn normals(&self) -> Vec<Vector3<f64>> {
@@ -96,7 +100,9 @@ impl Keys {
         poses: impl IntoIterator<Item = (f64, Pose)>,
         period: f64,
         style: &Style,
+        skin: &Skin,
     ) -> Result<Self, usize> {
+        let style = style.clone().with_axes(&skin.axes);
         let mut keys = Self::default();
         for (frame, (seconds, pose)) in poses.into_iter().enumerate() {
             let (time, pose) = (seconds as f32, style.pose(&pose));
@@ -150,7 +156,8 @@ mod tests {
     fn keys_turn_the_short_way_and_hold_before_a_gap() {
         let turns = (0..72).map(|k| (f64::from(k) * 0.1, turned(10.0 * f64::from(k))));
         let style = Style::default();
-        let keys = Keys::of(turns, 0.1, &style).unwrap();
+        let skin = Skin::of(&Skeleton::default(), &style);
+        let keys = Keys::of(turns, 0.1, &style, &skin).unwrap();
         assert_eq!(keys.times.len(), 72);
         for pair in keys.rotations[0].windows(2) {
             let dot: f32 = pair[0].iter().zip(&pair[1]).map(|(a, b)| a * b).sum();
@@ -159,12 +166,12 @@ mod tests {
         // A gap, a pose that comes twice, and one that goes back.
         let at = [0.0, 0.1, 0.5, 0.5, 0.3, 0.6];
         let turns = at.map(|seconds| (seconds, turned(100.0 * seconds)));
-        let keys = Keys::of(turns, 0.1, &style).unwrap();
+        let keys = Keys::of(turns, 0.1, &style, &skin).unwrap();
         let times: Vec<f32> = keys.times.iter().map(|[time]| *time).collect();
         assert_eq!(times, [0.0, 0.1, 0.4, 0.5, 0.6]);
         assert_eq!(keys.rotations[0][1], keys.rotations[0][2]);
         let far = Pose { root_position: Vector3::repeat(1e39), ..Pose::rest() };
-        let far = Keys::of([(0.0, Pose::rest()), (0.1, far)], 0.1, &style);
+        let far = Keys::of([(0.0, Pose::rest()), (0.1, far)], 0.1, &style, &skin);
         assert_eq!(far.err(), Some(1));
     }
 

@@ -27,7 +27,11 @@ const SCALE: f32 = -1.0;
 /// Most bytes of a text.
 const LONGEST: usize = 127;
 
-/// Writes markers over time. Frames count from 1.
+/// Most values of a parameter along a dimension.
+const MOST: usize = 255;
+
+/// Writes markers over time. Frames count from 1. Events `Lost` and `Tracked` stand where all markers disappear and come
+/// back, at most 255.
 ///
 /// # Errors
 /// The disk is full, the rate is not above 0, a place is not finite, or there are more than 255 markers.
@@ -105,6 +109,18 @@ fn parameters(markers: &Markers, count: u8, first_block: u16) -> Vec<u8> {
     group.integer("USED", 0);
     group.begin("FORCE_PLATFORM");
     group.integer("USED", 0);
+    let events = events(frames);
+    if !events.is_empty() {
+        let seconds = |event: &(usize, &str)| [0.0, event.0 as f32 / fps];
+        let labels: Vec<&str> = events.iter().map(|event| event.1).collect();
+        group.begin("EVENT");
+        group.integer("USED", events.len() as u16);
+        group.texts("CONTEXTS", &vec!["General"; events.len()]);
+        group.texts("LABELS", &labels);
+        group.texts("DESCRIPTIONS", &vec![""; events.len()]);
+        // Minutes and seconds.
+        group.pairs("TIMES", &events.iter().map(seconds).collect::<Vec<_>>());
+    }
     group.begin("TRIAL");
     // Numbers of 32 bits, the lower half first.
     group.integers("ACTUAL_START_FIELD", &[1, 0]);
@@ -114,6 +130,13 @@ fn parameters(markers: &Markers, count: u8, first_block: u16) -> Vec<u8> {
     group.text("COMPANY", "bundlemocap");
     group.text("SOFTWARE", concat!("bundlemocap ", env!("CARGO_PKG_VERSION")));
     group.finish()
+}
+
+/// The frames from which all markers are missing or there again.
+fn events(frames: &[Vec<Option<Vector3<f64>>>]) -> Vec<(usize, &'static str)> {
+    let is_lost = |frame: usize| frames[frame].iter().all(Option::is_none);
+    let changes = (1..frames.len()).filter(|frame| is_lost(*frame) != is_lost(*frame - 1));
+    changes.map(|at| (at, if is_lost(at) { "Lost" } else { "Tracked" })).take(MOST).collect()
 }
 
 /// The parameters in their groups.
@@ -160,6 +183,11 @@ impl Groups {
 
     fn float(&mut self, name: &str, value: f32) {
         self.parameter(name, 4, &[], &value.to_le_bytes());
+    }
+
+    fn pairs(&mut self, name: &str, values: &[[f32; 2]]) {
+        let bytes: Vec<u8> = values.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+        self.parameter(name, 4, &[2, values.len() as u8], &bytes);
     }
 
     fn text(&mut self, name: &str, text: &str) {

@@ -7,13 +7,14 @@
 use std::io::{Error, Write};
 use std::path::Path;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use serde_json::{Value, json};
 
 use super::ExportError;
 use super::animation::{Description, Keys, Skin, joint_weights};
 use super::style::JointNames;
 use crate::core::body::{JOINTS, Joint, Mesh, Pose, Skeleton};
+use crate::core::so3;
 use crate::io::new_file::NewFile;
 
 // The format's numbers for types of components and uses of buffers.
@@ -42,10 +43,10 @@ pub fn write_glb(
     if !(fps.is_finite() && *fps > 0.0) {
         return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
     }
-    let keys = Keys::of(poses, 1.0 / fps, style)
+    let skin = Skin::of(skeleton, style);
+    let keys = Keys::of(poses, 1.0 / fps, style, &skin)
         .map_err(|frame| ExportError::NotFinite { path: path.into(), frame })?;
-    let (count, mut buffer, skin) =
-        (keys.times.len(), Buffer::default(), Skin::of(skeleton, style));
+    let (count, mut buffer) = (keys.times.len(), Buffer::default());
     let primitive = primitive(&skin, &mut buffer);
     let binds = buffer.floats("MAT4", &inverse_binds(&skin), None);
     let mut nodes = bones(&skin, style.names);
@@ -76,8 +77,11 @@ pub fn write_glb(
 /// The nodes of the joints.
 fn bones(skin: &Skin, names: JointNames) -> Vec<Value> {
     let bone = |joint: Joint| {
-        let place = skin.offset(joint);
+        let (turn, place) = skin.in_parent(joint);
         let mut node = json!({ "name": names.of(joint), "translation": place.as_slice() });
+        if turn != Matrix3::identity() {
+            node["rotation"] = json!(so3::xyzw_from_rotation(&turn));
+        }
         let children = Joint::ALL.into_iter().filter(|child| child.parent() == Some(joint));
         let children: Vec<usize> = children.map(Joint::index).collect();
         if !children.is_empty() {
@@ -183,9 +187,11 @@ fn primitive(skin: &Skin, buffer: &mut Buffer) -> Value {
 
 /// Column by column, the way back from each joint.
 fn inverse_binds(skin: &Skin) -> [[f32; 16]; JOINTS] {
-    skin.joints.map(|joint| {
-        let [x, y, z] = joint.map(|metres| -metres as f32).into();
-        [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, x, y, z, 1.0]
+    std::array::from_fn(|joint| {
+        let back = skin.axes[joint].transpose();
+        let mut bind = back.to_homogeneous();
+        bind.fixed_view_mut::<3, 1>(0, 3).copy_from(&(back * -skin.joints[joint]));
+        std::array::from_fn(|number| bind[number] as f32)
     })
 }
 

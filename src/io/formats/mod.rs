@@ -12,6 +12,7 @@ pub mod bvh;
 pub mod c3d;
 mod calibration;
 mod detections;
+mod frame_rate;
 pub mod gltf;
 pub mod joint_angles;
 pub mod npz;
@@ -32,7 +33,8 @@ pub use animation::Description;
 pub use detections::{
     CameraReport, DetectionFolder, DetectionOptions, FolderMatch, MatchedBy, PointOrder,
 };
-pub use style::{JointNames, RestPose, Style};
+pub use frame_rate::{FrameRate, frame_rate_beside};
+pub use style::{JointAxes, JointNames, RestPose, Style};
 pub use trc::{Trc, TrcError};
 
 use crate::core::camera::CameraError;
@@ -221,6 +223,21 @@ pub enum ImportError {
         name: String,
         /// The known names.
         known: String,
+    },
+    /// The videos of the cameras have different frame rates, hertz.
+    #[error(
+        "{} has {hz:.3} frames a second, {} has {other:.3}; give the detections' frame rate (--fps)",
+        path.display(), second.display()
+    )]
+    FrameRates {
+        /// A video.
+        path: PathBuf,
+        /// Its frame rate.
+        hz: f64,
+        /// Another video.
+        second: PathBuf,
+        /// Its frame rate.
+        other: f64,
     },
     /// A frame rate that is not positive and finite.
     #[error("frame rate {fps} is not valid; give the cameras' rate, such as 60")]

@@ -3,8 +3,12 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Unit, Up};
-use crate::core::body::{JOINTS, Joint, Pose, Skeleton};
+use crate::core::body::{Attachment, JOINTS, Joint, Pose, Skeleton};
+use crate::core::detections::Keypoint;
 use crate::core::so3;
+
+/// Length from wrist to knuckles, divided by the length of the forearm.
+const HAND: f64 = 0.33;
 
 /// The pose in which all rotations of a file are zero. It stands upright.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -108,6 +112,56 @@ const UNREAL: [&str; JOINTS] = [
     "hand_r",
 ];
 
+/// The axes of a joint in the rest pose of a file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum JointAxes {
+    /// y along the bone and z to the front, of feet up: as Blender draws bones.
+    #[default]
+    Bone,
+    /// Those of the world.
+    World,
+}
+
+impl JointAxes {
+    /// The axes of each joint in the world of a rest pose, as columns.
+    pub(super) fn of(self, rest: &Pose, skeleton: &Skeleton) -> [Matrix3<f64>; JOINTS] {
+        let rotations = rest.posture(skeleton).rotations;
+        Joint::ALL.map(|joint| match self {
+            Self::Bone => along(&(rotations[joint.index()] * bone(skeleton, joint))),
+            Self::World => Matrix3::identity(),
+        })
+    }
+}
+
+/// Axes with y along a bone.
+fn along(bone: &Vector3<f64>) -> Matrix3<f64> {
+    let Some(y) = bone.try_normalize(1e-9) else { return Matrix3::identity() };
+    let front = if y.z.abs() > 0.7 { Vector3::y() } else { Vector3::z() };
+    let x = y.cross(&front).normalize();
+    Matrix3::from_columns(&[x, y, x.cross(&y)])
+}
+
+/// A joint's bone in the joint's frame, metres: to the next joint towards head, hand or toes.
+fn bone(skeleton: &Skeleton, joint: Joint) -> Vector3<f64> {
+    let mut next = Joint::ALL.into_iter().filter(|next| next.parent() == Some(joint));
+    let first = next.next();
+    let next = next.find(|next| next.side() == 0.0).or(first);
+    let end = next.map(|next| *skeleton.offset(next)).or_else(|| end_site(skeleton, joint));
+    end.unwrap_or_default()
+}
+
+/// End of the bone of a last joint, metres from the joint.
+pub(super) fn end_site(skeleton: &Skeleton, joint: Joint) -> Option<Vector3<f64>> {
+    let point = |keypoint| Some(Attachment::of(keypoint).offset(skeleton));
+    match joint {
+        Joint::Head => point(Keypoint::HeadTop),
+        Joint::LFoot => point(Keypoint::LBigToe),
+        Joint::RFoot => point(Keypoint::RBigToe),
+        Joint::LWrist | Joint::RWrist => Some(skeleton.offset(joint) * HAND),
+        _ => None,
+    }
+}
+
 /// How a file turns, names and measures the joints of a body.
 #[derive(Clone, Debug)]
 pub struct Style {
@@ -123,6 +177,8 @@ pub struct Style {
     pub names: JointNames,
     /// The unit of length, where the format leaves it open.
     pub unit: Option<Unit>,
+    /// The axes of the joints, where a file's rest pose may have rotations.
+    pub joint_axes: JointAxes,
 }
 
 impl Default for Style {
@@ -137,7 +193,16 @@ impl Style {
     pub fn new(rest: RestPose, up: Up) -> Self {
         let turns = rest.pose().posture(&Skeleton::default()).rotations;
         let axes = up.calibration_from_world();
-        Self { rest, turns, axes, up, names: JointNames::Ours, unit: None }
+        let (names, joint_axes) = (JointNames::Ours, JointAxes::Bone);
+        Self { rest, turns, axes, up, names, unit: None, joint_axes }
+    }
+
+    /// The same with these axes of the joints in the rest pose.
+    pub(super) fn with_axes(mut self, axes: &[Matrix3<f64>; JOINTS]) -> Self {
+        for (turn, axes) in self.turns.iter_mut().zip(axes) {
+            *turn = axes.transpose() * *turn;
+        }
+        self
     }
 
     /// The pose in which all rotations are zero.

@@ -7,7 +7,7 @@ use std::fmt::{Display, Write as _};
 use std::io::Write as _;
 use std::path::Path;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::ExportError;
 use super::animation::{Description, INFLUENCES, Keys, Skin, joint_weights};
@@ -31,12 +31,13 @@ pub fn write_usda(
     if !(fps.is_finite() && *fps > 0.0) {
         return Err(ExportError::FrameRate { path: path.into(), fps: *fps });
     }
-    let keys = Keys::of(poses, 1.0 / fps, style)
+    let skin = Skin::of(skeleton, style);
+    let keys = Keys::of(poses, 1.0 / fps, style, &skin)
         .map_err(|frame| ExportError::NotFinite { path: path.into(), frame })?;
     let written = || {
         let mut new = NewFile::create(path)?;
         let mut file = std::io::BufWriter::new(new.file());
-        let (skin, joints) = (Skin::of(skeleton, style), joints(style.names));
+        let joints = joints(style.names);
         write!(file, "{}", header(about, &keys))?;
         write!(file, "{}", bones(&skin, &joints))?;
         animation(&mut file, &skin, &joints, &keys, *fps)?;
@@ -104,15 +105,17 @@ fn header(Description { name, fps, timecode, .. }: &Description, keys: &Keys) ->
 
 /// The skeleton; its animation and its closing brace follow.
 fn bones(skin: &Skin, joints: &str) -> String {
-    let moved = |by: &Vector3<f64>| {
-        format!("((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), ({}, 1))", joined(by.iter()))
+    // Rows are multiplied from the left.
+    let moved = |(turn, by): (Matrix3<f64>, Vector3<f64>)| {
+        let rows = turn.column_iter().map(|column| format!("({}, 0)", joined(column.iter())));
+        format!("({}, ({}, 1))", joined(rows), joined(by.iter()))
     };
     format!(
         "    def Skeleton \"Skeleton\" (\n        prepend apiSchemas = [\"SkelBindingAPI\"]\n    )\n    {{\n        \
          uniform matrix4d[] bindTransforms = {}\n        uniform token[] joints = {joints}\n        \
          uniform matrix4d[] restTransforms = {}\n        rel skel:animationSource = <Animation>\n",
-        list(skin.joints.iter().map(moved)),
-        list(Joint::ALL.map(|joint| moved(&skin.offset(joint))))
+        list(skin.axes.into_iter().zip(skin.joints).map(moved)),
+        list(Joint::ALL.map(|joint| moved(skin.in_parent(joint))))
     )
 }
 
@@ -133,7 +136,7 @@ fn animation(
     writeln!(file, "            uniform token[] joints = {joints}")?;
     writeln!(file, "            half3[] scales = {ones}")?;
     // Only the pelvis moves in its parent.
-    let others = joined(Joint::ALL[1..].iter().map(|&joint| point(&skin.offset(joint))));
+    let others = joined(Joint::ALL[1..].iter().map(|&joint| point(&skin.in_parent(joint).1)));
     let frame = |[seconds]: [f32; 1]| {
         // Times are rounded to f32; frames are whole where the poses are evenly spaced.
         let frame = f64::from(seconds) * fps;

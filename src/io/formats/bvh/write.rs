@@ -9,13 +9,11 @@ use std::path::Path;
 use nalgebra::{Matrix3, Vector3};
 
 use super::motion_file::MotionFile;
-use crate::core::body::{Attachment, JOINTS, Joint, Pose, Skeleton};
-use crate::core::detections::Keypoint;
+use crate::core::body::{JOINTS, Joint, Pose, Skeleton};
 use crate::core::so3;
+use crate::io::formats::style::end_site;
 use crate::io::formats::{ExportError, Style, Unit};
 
-/// Length from wrist to knuckles, divided by the length of the forearm.
-const HAND: f64 = 0.33;
 /// Axes of the rotation channels.
 const ZXY: [usize; 3] = [2, 0, 1];
 
@@ -152,18 +150,6 @@ fn add_joint(text: &mut String, skeleton: &Skeleton, style: &Style, joint: Joint
 
 fn offset_line(at: &Vector3<f64>) -> String {
     format!("OFFSET {:.5} {:.5} {:.5}", at.x, at.y, at.z)
-}
-
-/// End of the bone of a last joint, metres from the joint.
-fn end_site(skeleton: &Skeleton, joint: Joint) -> Option<Vector3<f64>> {
-    let point = |keypoint| Some(Attachment::of(keypoint).offset(skeleton));
-    match joint {
-        Joint::Head => point(Keypoint::HeadTop),
-        Joint::LFoot => point(Keypoint::LBigToe),
-        Joint::RFoot => point(Keypoint::RBigToe),
-        Joint::LWrist | Joint::RWrist => Some(skeleton.offset(joint) * HAND),
-        _ => None,
-    }
 }
 
 #[cfg(test)]

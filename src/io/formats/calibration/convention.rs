@@ -60,14 +60,19 @@ impl Up {
         }
     }
 
+    /// The axis next to a direction, if one clearly is.
+    pub fn along(direction: &Vector3<f64>) -> Option<Self> {
+        let axis = direction.iamax();
+        let is_clear = direction[axis].abs() > MIN_ALONG * direction.norm();
+        let signed = [[Self::MinusX, Self::X], [Self::MinusY, Self::Y], [Self::MinusZ, Self::Z]];
+        is_clear.then(|| signed[axis][usize::from(direction[axis] > 0.0)])
+    }
+
     /// The axis that is up for the cameras, if one clearly is: people seldom turn cameras over.
     fn of(cameras: &[Calibrated]) -> Option<Self> {
         let up = |camera: &Calibrated| -camera.rotation.row(1).transpose();
         let mean = cameras.iter().map(up).sum::<Vector3<f64>>() / cameras.len().max(1) as f64;
-        let axis = mean.iamax();
-        let is_clear = mean.norm() > MIN_UPRIGHT && mean[axis].abs() > MIN_ALONG * mean.norm();
-        let signed = [[Self::MinusX, Self::X], [Self::MinusY, Self::Y], [Self::MinusZ, Self::Z]];
-        is_clear.then(|| signed[axis][usize::from(mean[axis] > 0.0)])
+        Self::along(&mean).filter(|_| mean.norm() > MIN_UPRIGHT)
     }
 }
 
@@ -98,10 +103,19 @@ impl Unit {
     pub const CM: Self = Self(1e-2);
     /// A millimetre.
     pub const MM: Self = Self(1e-3);
+    /// An inch.
+    pub const IN: Self = Self(0.0254);
+    /// A foot.
+    pub const FT: Self = Self(0.3048);
 
     /// Its length in metres.
     pub fn metres(self) -> f64 {
         self.0
+    }
+
+    /// A unit that is so many times as long.
+    pub fn times(self, factor: f64) -> Self {
+        Self(self.0 * factor)
     }
 
     /// The unit in which cameras at this distance from what they look at are in a room.
@@ -120,6 +134,8 @@ impl fmt::Display for Unit {
             Self::M => to.write_str("m"),
             Self::CM => to.write_str("cm"),
             Self::MM => to.write_str("mm"),
+            Self::IN => to.write_str("in"),
+            Self::FT => to.write_str("ft"),
             Self(metres) => write!(to, "{metres}"),
         }
     }
@@ -133,8 +149,8 @@ impl FromStr for Unit {
             "m" => Ok(Self::M),
             "cm" => Ok(Self::CM),
             "mm" => Ok(Self::MM),
-            "in" => Ok(Self(0.0254)),
-            "ft" => Ok(Self(0.3048)),
+            "in" => Ok(Self::IN),
+            "ft" => Ok(Self::FT),
             other => match other.parse() {
                 Ok(metres) if metres > 0.0 && f64::is_finite(metres) => Ok(Self(metres)),
                 _ => Err("use m, cm, mm, in, ft, or its length in metres".to_owned()),
@@ -241,6 +257,8 @@ pub(super) fn opengl() -> Matrix3<f64> {
 /// What was found out about a calibration.
 pub(super) struct Found {
     pub up: Up,
+    /// Whether nothing says that this axis points up.
+    pub up_is_guessed: bool,
     pub unit: Unit,
     pub notes: Vec<String>,
 }
@@ -272,16 +290,17 @@ pub(super) fn settle(cameras: &mut [Calibrated], unit: Option<Unit>, given: &Con
             unit.metres()
         ));
     }
-    let up = given.up.0.or_else(|| Up::of(cameras)).unwrap_or_else(|| {
+    let found = given.up.0.or_else(|| Up::of(cameras));
+    let (up, up_is_guessed) = (found.unwrap_or(Up::Z), found.is_none());
+    if up_is_guessed {
         let text = "the up axis cannot be found from the images; z is used (--up)";
         notes.push(text.to_owned());
-        Up::Z
-    });
+    }
     if given.up.0.is_none() && lies_on_its_side(cameras, up) {
         let text = "the cameras differ most in height";
         notes.push(format!("{text}; is {up} really the up axis? (--up)"));
     }
-    Found { up, unit, notes }
+    Found { up, up_is_guessed, unit, notes }
 }
 
 /// Whether the cameras differ more in height than in any direction over the floor.

@@ -56,6 +56,8 @@ pub struct Calibration {
     pub format: &'static str,
     /// The axis of the file's world that points up.
     pub up: Up,
+    /// Whether neither the file, nor the cameras' images, nor the user says so.
+    pub up_is_guessed: bool,
     /// The file's unit of length.
     pub unit: Unit,
     /// What was guessed or left out, and may be wrong.
@@ -223,7 +225,8 @@ impl Parts {
             false => (given.up.0.or(up), given.unit.0.or(unit)),
         };
         let given = Convention { up: Auto(of_both.0), unit: Auto(of_both.1), ..given.clone() };
-        let Found { up, unit, notes: more } = settle(&mut cameras, prescribed, &given);
+        let found = settle(&mut cameras, prescribed, &given);
+        let Found { up, up_is_guessed, unit, notes: more } = found;
         notes.extend(more);
         let camera = |c: Calibrated| {
             let rotation = c.rotation * up.calibration_from_world();
@@ -234,7 +237,8 @@ impl Parts {
         };
         let cameras = cameras.into_iter().map(camera).collect::<Result<_, _>>();
         let rig = cameras.and_then(|cameras| Rig::new(1, cameras)).map_err(Fault::Camera)?;
-        Ok(Calibration { rig, format: self.format.unwrap_or("TOML"), up, unit, notes })
+        let format = self.format.unwrap_or("TOML");
+        Ok(Calibration { rig, format, up, up_is_guessed, unit, notes })
     }
 }
 

@@ -62,10 +62,10 @@ fn plain_name(name: &str) -> String {
 }
 
 /// Pairs every folder or file with a camera: as `given` (folder and camera), by name if it has one, then the
-/// rest by order if there are as many folders as cameras left.
+/// rest by order.
 ///
 /// # Errors
-/// A given name is not there or is given twice; folders are left over, or cannot be told apart.
+/// A given name is not there or is given twice; or folders are left over.
 pub(super) fn match_folders(
     root: &Path,
     folders: Vec<(PathBuf, bool)>,
@@ -86,7 +86,7 @@ pub(super) fn match_folders(
         (0..rig.cameras.len()).filter(|i| !camera_of.contains(&Some(*i))).collect();
     free.sort_by_cached_key(|&i| natural_key(&rig.cameras[i].name));
     let left: Vec<usize> = (0..folders.len()).filter(|&i| camera_of[i].is_none()).collect();
-    if !left.is_empty() && left.len() != free.len() {
+    if left.len() > free.len() {
         let names = |of: &mut dyn Iterator<Item = String>| of.collect::<Vec<_>>().join(", ");
         return Err(ImportError::CameraWithoutCalibration {
             path: root.to_owned(),

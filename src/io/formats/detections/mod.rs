@@ -33,9 +33,7 @@ pub struct CameraReport {
     pub last_frame: u64,
     /// Frame numbers without a frame between the first and the last.
     pub gaps: u64,
-    /// Empty files; they count as frames without people.
-    pub empty_files: u64,
-    /// Files that are broken or cut; their frames are missing.
+    /// Files that are broken, cut or empty; their frames are missing.
     pub broken_files: u64,
     /// Frames without people.
     pub frames_without_people: u64,
@@ -389,13 +387,13 @@ fn people_of_file(
 ) -> Result<Result<Vec<RawPerson>, String>, ImportError> {
     let bytes = fs::read(path).map_err(|error| ImportError::read(path, error))?;
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes).trim_ascii();
-    if bytes.is_empty() {
-        report.empty_files += 1;
-        return Ok(Ok(Vec::new()));
-    }
+    // An empty text is a frame without people.
     if ending(path) == "txt" {
         let text = String::from_utf8_lossy(bytes);
         return Ok(table::yolo(&text, size, report));
+    }
+    if bytes.is_empty() {
+        return Ok(Err("the file is empty".to_owned()));
     }
     Ok(json::parse(bytes).and_then(|frame| json::people(&frame, size, report)))
 }

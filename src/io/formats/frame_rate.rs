@@ -1,0 +1,77 @@
+//! The frame rate of cameras, as the videos and settings beside their detections tell it.
+
+use std::fs::{self, File};
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use re_mp4::{Mp4, TrackKind};
+
+use super::ImportError;
+
+/// Frame rates are alike if they differ by less than this part.
+const ALIKE: f64 = 0.002;
+
+/// A frame rate, hertz, and the file that tells it.
+pub type FrameRate = (f64, PathBuf);
+
+/// The frame rate of the cameras whose detections are in a folder or file, if a file tells it: Pose2Sim's `Config.toml`
+/// in the folder or the two above, or MP4 videos in it or in `videos` or `synchronized_videos`, there or beside it.
+///
+/// # Errors
+/// The videos have different frame rates.
+pub fn frame_rate_beside(detections: &Path) -> Result<Option<FrameRate>, ImportError> {
+    let whole = detections.canonicalize().map_err(|e| ImportError::read(detections, e))?;
+    let folders = whole.ancestors().skip(usize::from(!whole.is_dir()));
+    for (above, folder) in folders.take(3).enumerate() {
+        let config = folder.join("Config.toml");
+        if let Some(hz) = of_config(&config) {
+            return Ok(Some((hz, config)));
+        }
+        let places = [folder.to_owned(), folder.join("videos"), folder.join("synchronized_videos")];
+        let [from, to] = [[0, 3], [1, 3], [3, 3]][above];
+        let all = places[from..to].iter().flat_map(|place| videos(place));
+        let rates: Vec<FrameRate> = all.filter_map(|path| Some((of_video(&path)?, path))).collect();
+        if let Some((hz, path)) = rates.first() {
+            return match rates.iter().find(|other| (other.0 / hz - 1.0).abs() > ALIKE) {
+                None => Ok(rates.into_iter().next()),
+                Some((other, second)) => Err(ImportError::FrameRates {
+                    path: path.clone(),
+                    hz: *hz,
+                    second: second.clone(),
+                    other: *other,
+                }),
+            };
+        }
+    }
+    Ok(None)
+}
+
+/// The number in Pose2Sim's settings; `auto` is none.
+fn of_config(path: &Path) -> Option<f64> {
+    let config: toml::Table = toml::from_str(&fs::read_to_string(path).ok()?).ok()?;
+    let rate = config.get("project")?.get("frame_rate")?;
+    rate.as_float().or_else(|| rate.as_integer().map(|hz| hz as f64)).filter(|hz| *hz > 0.0)
+}
+
+/// The MP4 videos of a folder, by name.
+fn videos(folder: &Path) -> Vec<PathBuf> {
+    let is_video = |path: &PathBuf| {
+        let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
+        ["mp4", "mov", "m4v"].iter().any(|one| ending == *one)
+    };
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut found: Vec<PathBuf> = entries.map(|entry| entry.path()).filter(is_video).collect();
+    found.sort();
+    found
+}
+
+/// The mean frame rate of a video, hertz.
+fn of_video(path: &Path) -> Option<f64> {
+    let file = File::open(path).ok()?;
+    let size = file.metadata().ok()?.len();
+    let video = Mp4::read(BufReader::new(file), size).ok()?;
+    let track = video.tracks().values().find(|track| track.kind == Some(TrackKind::Video))?;
+    let ticks: u64 = track.samples.iter().map(|sample| sample.duration).sum();
+    let seconds = ticks as f64 / track.timescale as f64;
+    (seconds > 0.0).then(|| track.samples.len() as f64 / seconds)
+}
