@@ -266,7 +266,8 @@ impl Imported {
             Failure::new(Exit::Unexpected, format!("{}: {error}", arguments.out.display()))
         };
         let beside = temporary(&arguments.out).map_err(unwritable)?.into_temp_path();
-        let again = Self::of(arguments, path, &beside, attempt)?;
+        // If that fails, the first recording stays.
+        let Ok(again) = Self::of(arguments, path, &beside, attempt) else { return Ok(false) };
         let agrees = again.check.as_ref().is_ok_and(Check::agrees);
         let is_better = agrees && again.warnings().len() < now;
         if is_better {

@@ -6,6 +6,7 @@ use std::sync::mpsc::channel;
 
 use bundlemocap::core::time::Timestamp;
 use bundlemocap::io::bus::{Bus, Sample, Zenoh, ZenohConfig};
+use bundlemocap::io::formats::frame_rate_beside;
 use bundlemocap::io::wire::{self, KeypointFrame, Pose, Rig, Skeleton, TrackingState};
 
 use crate::program::{Program, listening_node};
@@ -153,6 +154,44 @@ assert seen[0][3] == (64, 48)
 assert [line.split(": ")[1].split(" ")[0] for line in said[:-1]] == ["gives", "back"] * 2 + ["gives"], said
 assert said[-1].startswith(f"45 images, {len(seen)} published, {source.dropped} dropped"), said
 "#;
+
+/// Writes a video of 60000/1001 frames a second, and one of 25.
+const VIDEOS: &str = r#"
+import cv2, sys, numpy as np
+for path, rate in zip(sys.argv[1:], [60000 / 1001, 25]):
+    video = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"mp4v"), rate, (64, 48))
+    assert video.isOpened()
+    for frame in range(20):
+        video.write(np.full((48, 64, 3), frame, np.uint8))
+    video.release()
+"#;
+
+#[test]
+fn the_videos_beside_detections_tell_their_frame_rate() {
+    let import = Command::new("python3").args(["-c", "import cv2, numpy"]).output();
+    if !import.is_ok_and(|output| output.status.success()) {
+        return crate::support::skipped("pip install opencv-python-headless first");
+    }
+    let trial = tempfile::tempdir().unwrap();
+    let [pose, videos] = ["pose", "videos"].map(|name| trial.path().join(name));
+    std::fs::create_dir(&pose).unwrap();
+    assert!(frame_rate_beside(&pose).unwrap().is_none());
+    std::fs::create_dir(&videos).unwrap();
+    let [cam01, cam02] = ["cam01.mp4", "cam02.MP4"].map(|name| videos.join(name));
+    check(&Command::new("python3").args(["-c", VIDEOS]).arg(&cam01).output().unwrap());
+    std::fs::copy(&cam01, &cam02).unwrap();
+    std::fs::write(videos.join("cut.mp4"), "no video").unwrap();
+    for folder in [trial.path(), &pose] {
+        let (hz, of) = frame_rate_beside(folder).unwrap().unwrap();
+        assert!((hz - 60000.0 / 1001.0).abs() < 1e-3 && of.ends_with("videos/cam01.mp4"), "{hz}");
+    }
+    let second = videos.join("slow.mp4");
+    let mut write = Command::new("python3");
+    check(&write.args(["-c", VIDEOS]).args([&cam01, &second]).output().unwrap());
+    let error = frame_rate_beside(&pose).err().unwrap().to_string();
+    assert!(error.contains("cam01.mp4 has 59.940 frames a second"), "{error}");
+    assert!(error.contains("slow.mp4 has 25.000; give"), "{error}");
+}
 
 #[test]
 fn a_video_is_published_as_a_camera_and_a_camera_that_goes_away_is_opened_again() {
