@@ -17,7 +17,7 @@ use crate::core::time::Timestamp;
 use crate::diagnose::Check;
 use crate::io::formats::{
     Auto, Calibration, CameraReport, DetectionFolder, DetectionOptions, FolderMatch, ImportError,
-    MatchedBy, PointOrder, Up, frame_rate_beside,
+    MatchedBy, PointOrder, UP_IS_GUESSED, Unit, Up, frame_rate_beside,
 };
 use crate::io::new_file::temporary;
 use crate::io::recording::{Provenance, Writer};
@@ -47,8 +47,8 @@ gives any. This is a file for --points, with indices from 0 or the detector's na
 
 The camera of a file is found by its name, or given by --camera. Files without a camera's name are
 given to the other cameras by order. If the images show that they belong to others of these cameras,
-they are exchanged, and the list says so. Without --unit, the performer's height tells feet from
-metres; without --up, the performer tells the up axis where the cameras do not.
+they are exchanged, and the list says so. Without --unit, the performer's height corrects the unit;
+without --up, the performer tells the up axis where nothing else does.
 
 At the end the recording is checked as `bundlemocap check` does. A broken, cut or empty file is a
 missing frame. It is counted, and the first ten of each camera are named.
@@ -141,16 +141,17 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let attempt = Attempt { fps, order, cameras, convention };
     let mut best = Imported::of(arguments, path, &arguments.out, attempt)?;
     best.exchange(arguments, path)?;
+    best.measure(arguments, path)?;
     // Several orders have as many points: the one with which the cameras agree.
     for other in best.folder.others().to_vec() {
         let [one, another] = [&best.folder.order().name, &other.name].map(Clone::clone);
         let attempt = Attempt { order: Some(other), ..best.attempt.clone() };
-        if best.replaced_by_better(arguments, path, attempt)? {
+        if best.replaced_by_better(arguments, path, attempt, |check| check.faults() as f64)? {
             complain("note", &format!("the points fit better as {another} than as {one}"));
             best.exchange(arguments, path)?;
+            best.measure(arguments, path)?;
         }
     }
-    best.measure(arguments, path)?;
     tell(&arguments.calibration, &best.calibration);
     best.tell(&arguments.camera);
     say(&format!("{}: {} frames", arguments.out.display(), best.folder.frame_count()));
@@ -170,7 +171,13 @@ fn frame_rate(given: Option<f64>, folder: &Path) -> Result<f64, Failure> {
         return Err(Failure::new(Exit::Usage, message));
     };
     note(&format!("{fps:.3} frames a second, as {} has it (--fps)", file.display()));
-    frame_rate_option(fps)
+    frame_rate_option(fps).map_err(|_| {
+        let message = format!(
+            "{}: {fps:.3} frames a second is no rate of cameras; give --fps",
+            file.display()
+        );
+        Failure::new(Exit::Usage, message)
+    })
 }
 
 /// What is not known until the cameras agree.
@@ -250,16 +257,17 @@ impl Imported {
         }
     }
 
-    /// If something is wrong with the cameras: imports in another way, and keeps it if the cameras agree and less
-    /// is wrong.
+    /// Imports in another way, and keeps it if the cameras agree and less is wrong.
     fn replaced_by_better(
         &mut self,
         arguments: &Arguments,
         path: &Path,
         attempt: Attempt,
+        wrong: fn(&Check) -> f64,
     ) -> Result<bool, Failure> {
-        let now = self.warnings().len();
-        if now == 0 {
+        let of = |one: &Self| one.check.as_ref().map_or(f64::INFINITY, wrong);
+        let now = of(self);
+        if now == 0.0 {
             return Ok(false);
         }
         let unwritable = |error: std::io::Error| {
@@ -269,7 +277,7 @@ impl Imported {
         // If that fails, the first recording stays.
         let Ok(again) = Self::of(arguments, path, &beside, attempt) else { return Ok(false) };
         let agrees = again.check.as_ref().is_ok_and(Check::agrees);
-        let is_better = agrees && again.warnings().len() < now;
+        let is_better = agrees && of(&again) < now;
         if is_better {
             beside.persist(&arguments.out).map_err(|error| unwritable(error.error))?;
             *self = again;
@@ -283,42 +291,63 @@ impl Imported {
             let cameras = arguments.camera.iter().cloned().chain(exchanged).collect();
             let order = Some(self.folder.order().clone());
             let attempt = Attempt { order, cameras, ..self.attempt.clone() };
-            if !self.replaced_by_better(arguments, path, attempt)? {
+            let wrong = |check: &Check| check.warnings().count() as f64;
+            if !self.replaced_by_better(arguments, path, attempt, wrong)? {
                 break;
             }
         }
         Ok(())
     }
 
-    /// Takes the unit of the calibration by the performer's height, and the up axis by the performer if nothing else
-    /// tells it.
+    /// Corrects what the performer shows to be wrong with the calibration, where the user says nothing: the
+    /// direction of all poses, the unit by the height, and the up axis if nothing else tells it.
     fn measure(&mut self, arguments: &Arguments, path: &Path) -> Result<(), Failure> {
-        let Ok(check) = &self.check else { return Ok(()) };
-        let Calibration { unit, up, up_is_guessed, .. } = self.calibration;
-        let is_open = arguments.convention.unit == Auto::default();
-        let metres = check.unit().filter(|_| is_open);
-        let upright = check.performer_up.filter(|_| up_is_guessed);
+        let given = &arguments.convention;
+        let inverse = self.calibration.poses.inverse();
+        let is_inverted = |check: &Check| f64::from(u8::from(check.finds("pose_inverted")));
+        if given.poses == Auto::default() {
+            let mut attempt = self.attempt.clone();
+            attempt.convention.poses = Auto(Some(inverse));
+            if self.replaced_by_better(arguments, path, attempt, is_inverted)? {
+                complain(
+                    "note",
+                    &format!("the cameras agree if the poses are {inverse} (--poses)"),
+                );
+            }
+        }
+        let Calibration { unit, format, .. } = self.calibration;
+        // COLMAP has no unit.
+        let is_open = given.unit == Auto::default() && format != "COLMAP";
+        let check = self.check.as_ref().ok().filter(|_| is_open);
+        if let Some(found) = check.and_then(|check| check.unit(unit.metres())) {
+            let height = check.and_then(|check| check.performer_height_m).unwrap_or_default();
+            let mut attempt = self.attempt.clone();
+            attempt.convention.unit = Auto(Some(Unit::of_metres(found)));
+            if self.replaced_by_better(arguments, path, attempt, Check::odd_height)? {
+                let (height, found) = (height / unit.metres(), self.calibration.unit);
+                complain(
+                    "note",
+                    &format!(
+                        "the performer is {height:.1} units high: the unit is {found}, not {unit} (--unit)"
+                    ),
+                );
+            }
+        }
+        let Calibration { up, up_is_guessed, .. } = self.calibration;
+        let upright = self.check.as_ref().ok().and_then(|check| check.performer_up);
+        let upright = upright.filter(|_| up_is_guessed);
         let towards = |upright| Up::along(&(up.calibration_from_world() * Vector3::from(upright)));
-        let turned = upright.and_then(towards).filter(|found| *found != up);
-        if metres.is_none() && turned.is_none() {
-            return Ok(());
-        }
+        let Some(found) = upright.and_then(towards) else { return Ok(()) };
         let mut attempt = self.attempt.clone();
-        let height = check.performer_height_m.unwrap_or_default();
-        let mut notes = Vec::new();
-        if let Some(metres) = metres {
-            let found = unit.times(metres);
-            attempt.convention.unit = Auto(Some(found));
-            notes.push(format!(
-                "the performer would be {height:.2} m high in {unit}: the unit is {found} (--unit)"
-            ));
-        }
-        if let Some(found) = turned {
-            attempt.convention.up = Auto(Some(found));
-            notes.push(format!("{found} points from hips to shoulders: it is up (--up)"));
-        }
-        if self.replaced_by_better(arguments, path, attempt)? {
-            notes.iter().for_each(|note| complain("note", note));
+        attempt.convention.up = Auto(Some(found));
+        let is_lying = |check: &Check| f64::from(u8::from(check.finds("up_axis")));
+        if found == up {
+            self.calibration.notes.retain(|note| note != UP_IS_GUESSED);
+        } else if self.replaced_by_better(arguments, path, attempt, is_lying)? {
+            complain(
+                "warning",
+                &format!("{found} is taken as up, for it points from hips to shoulders (--up)"),
+            );
         }
         Ok(())
     }
@@ -375,7 +404,9 @@ impl Imported {
             };
             let text =
                 format!("{unnamed} of {} files have no camera's name", folder.matches().len());
-            match warnings.is_empty() && self.unnamed(given).all(fits) {
+            // Of more cameras than files others may fit as well.
+            let has_all = folder.matches().len() == rig.cameras.len();
+            match has_all && warnings.is_empty() && self.unnamed(given).all(fits) {
                 true => complain("note", &format!("{text}; the cameras agree")),
                 false => complain(
                     "warning",

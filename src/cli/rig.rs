@@ -11,7 +11,8 @@ use super::terminal::{complain, note, say, table};
 use crate::core::body::Joint;
 use crate::core::camera::{Camera, Rig};
 use crate::io::formats::{
-    Auto, Calibration, Convention, Unit, Up, read_calibration, write_calibration, write_opencv,
+    Auto, Calibration, Convention, Poses, Unit, Up, read_calibration, write_calibration,
+    write_opencv,
 };
 use crate::io::recording::summary;
 use crate::io::report::{Drawn, draw_rig};
@@ -130,6 +131,10 @@ pub(super) struct ConventionArguments {
     /// cameras' distances.
     #[arg(long, default_value_t)]
     pub(super) unit: Auto<Unit>,
+    /// What the calibration's poses are: camera-from-world, as in OpenCV, or world-from-camera; auto: by where
+    /// the cameras look.
+    #[arg(long, default_value_t)]
+    pub(super) poses: Auto<Poses>,
     /// Of several poses of the cameras in the calibration, those under this name, such as a subject's.
     #[arg(long, value_name = "NAME")]
     set: Option<String>,
@@ -137,18 +142,19 @@ pub(super) struct ConventionArguments {
 
 impl ConventionArguments {
     pub(super) fn read(&self, path: &Path) -> Result<Calibration, Failure> {
-        let (up, unit, set) = (self.up, self.unit, self.set.clone());
-        let convention = Convention { up, unit, set, file_first: false };
+        let Self { up, unit, poses, set } = self.clone();
+        let convention = Convention { up, unit, poses, set, file_first: false };
         Ok(read_calibration(path, &convention)?)
     }
 
     /// As words of a command, each with a space before it; empty if nothing was given.
     pub(super) fn words(&self) -> String {
-        let Self { up, unit, set } = self;
+        let Self { up, unit, poses, set } = self;
         let up = (*up != Auto::default()).then(|| format!(" --up {up}"));
         let unit = (*unit != Auto::default()).then(|| format!(" --unit {unit}"));
         let set = set.as_ref().map(|set| format!(" --set {set}"));
-        up.into_iter().chain(unit).chain(set).collect()
+        let poses = (*poses != Auto::default()).then(|| format!(" --poses {poses}"));
+        up.into_iter().chain(unit).chain(poses).chain(set).collect()
     }
 }
 

@@ -67,7 +67,10 @@ pub(super) fn judge<'a>(scene: &Scene<'a>, cameras: &[Camera]) -> Option<Judged<
         return pair(scene, cameras);
     }
     let starts = scene.consensuses(STARTS);
-    let secure = starts.last().is_some_and(|best| best.count() >= 3 && 2 * best.count() > n);
+    // Images may be those of a camera that seems to have none.
+    let has_all = (0..n).all(|camera| scene.views.iter().any(|at| !at[camera].is_empty()));
+    let secure =
+        has_all && starts.last().is_some_and(|best| best.count() >= 3 && 2 * best.count() > n);
     let mut found: Vec<Judged> = Vec::new();
     if !secure {
         found.extend(exchanged(scene, cameras));

@@ -90,10 +90,28 @@ impl Check {
         of_cameras.chain(others)
     }
 
-    /// The unit of the calibration, metres, if the performer's height shows that it is not the metre.
-    pub fn unit(&self) -> Option<f64> {
-        let metres = performer::unit(self.performer_height_m?)?.0;
-        self.findings.iter().any(|finding| finding.cause == "scale").then_some(metres)
+    /// Whether this is wrong with all cameras or the whole recording.
+    pub fn finds(&self, cause: &str) -> bool {
+        self.findings.iter().any(|finding| finding.cause == cause)
+    }
+
+    /// The unit of the calibration, metres, in which the performer is an adult, if the performer is not as high as
+    /// people are. `read`: the unit as which it was read.
+    pub fn unit(&self, read: f64) -> Option<f64> {
+        let metres = performer::unit(self.performer_height_m? / read)?.0;
+        self.finds("scale").then_some(metres)
+    }
+
+    /// How far the performer's height is from that of a person, the logarithm of their factor.
+    pub fn odd_height(&self) -> f64 {
+        self.performer_height_m.map_or(f64::INFINITY, performer::oddness)
+    }
+
+    /// Number of cameras with something wrong, and of other findings but those of the calibration's unit and axis.
+    pub fn faults(&self) -> usize {
+        let of_world = ["scale", "up_axis"];
+        let others = self.findings.iter().filter(|finding| !of_world.contains(&finding.cause));
+        others.count() + self.cameras.iter().filter(|camera| !camera.findings.is_empty()).count()
     }
 
     /// By camera of the rig, the camera whose images it has; `None` if they are not exchanged.
@@ -124,8 +142,7 @@ impl Check {
 
     /// Whether the cameras agree on somebody.
     pub fn agrees(&self) -> bool {
-        let disagree = ["disagree", "no_agreement"];
-        self.findings.iter().all(|finding| !disagree.contains(&finding.cause))
+        !self.finds("disagree") && !self.finds("no_agreement")
     }
 }
 

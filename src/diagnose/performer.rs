@@ -19,7 +19,8 @@ const HEIGHTS_M: std::ops::RangeInclusive<f64> = 1.2..=2.3;
 /// The trunk points along an axis if its direction has this component on it.
 const ALONG: f64 = 0.85;
 /// Units that a calibration may be in, metres.
-const UNITS: [(f64, &str); 5] = [
+const UNITS: [(f64, &str); 6] = [
+    (1.0, "metres"),
     (0.001, "millimetres"),
     (0.01, "centimetres"),
     (0.0254, "inches"),
@@ -28,8 +29,8 @@ const UNITS: [(f64, &str); 5] = [
 ];
 /// Height of a person, metres.
 const USUAL_M: f64 = 1.72;
-/// Largest logarithm of the factor between that and a person's height.
-const OTHERS: f64 = 0.3;
+/// Largest logarithm of the factor between that and an adult's height: 1.45 to 2.04 m.
+const ADULTS: f64 = 0.17;
 
 fn at(points: &Points, point: Keypoint) -> Option<Vector3<f64>> {
     points[POINTS.iter().position(|other| *other == point)?]
@@ -50,6 +51,11 @@ fn medians(frames: &[Points], value: impl Fn(&Points) -> Option<f64>) -> Option<
 
 fn length(frames: &[Points], a: Keypoint, b: Keypoint) -> Option<f64> {
     medians(frames, |points| Some((at(points, a)? - at(points, b)?).norm()))
+}
+
+/// How far a height is from that of a person: the logarithm of their factor.
+pub(super) fn oddness(height: f64) -> f64 {
+    libm::log(height / USUAL_M).abs()
 }
 
 /// The performer's height by the median lengths of trunk, thigh and shank, metres.
@@ -75,8 +81,10 @@ fn scale(height: f64) -> Option<Finding> {
         return None;
     }
     let (is, factor) = match unit(height) {
-        Some((metres, unit)) => (format!("the calibration is in {unit}"), 1.0 / metres),
-        None => {
+        Some((metres, unit)) if metres != 1.0 => {
+            (format!("the calibration is in {unit}"), 1.0 / metres)
+        }
+        _ => {
             let factor = height / USUAL_M;
             (format!("the calibration has {factor:.2} times the right scale"), factor)
         }
@@ -86,11 +94,11 @@ fn scale(height: f64) -> Option<Finding> {
     Some(Finding::new("scale", what, fix))
 }
 
-/// The unit, metres, in which a performer of such a height has a human size, if it is not the metre.
+/// The unit, metres, in which a performer of such a height is an adult.
 pub(super) fn unit(height: f64) -> Option<(f64, &'static str)> {
-    let off = |metres: f64| libm::log(height * metres / USUAL_M).abs();
+    let off = |metres: f64| oddness(height * metres);
     let nearest = UNITS.into_iter().min_by(|a, b| off(a.0).total_cmp(&off(b.0)));
-    nearest.filter(|(metres, _)| !HEIGHTS_M.contains(&height) && off(*metres) < OTHERS)
+    nearest.filter(|(metres, _)| off(*metres) < ADULTS)
 }
 
 /// The direction from hips to shoulders.

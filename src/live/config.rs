@@ -75,7 +75,8 @@ impl Default for Config {
 impl Config {
     /// How the calibration file is read. A corrected one is ours and says its unit and axis.
     pub fn convention(&self) -> Convention {
-        Convention { up: self.rig_up, unit: self.rig_unit, set: None, file_first: true }
+        let (up, unit) = (self.rig_up, self.rig_unit);
+        Convention { up, unit, file_first: true, ..Convention::default() }
     }
 
     /// The topic of the keypoints of a camera that the node reads.

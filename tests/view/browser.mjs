@@ -1,10 +1,10 @@
 // The page in a real browser, for the tests beside. Needs Chromium (the environment variable CHROMIUM, else
 // /usr/bin/chromium) and the program (BUNDLEMOCAP, else target/release/bundlemocap). Pictures go to the folder
-// PICTURES, if it is set.
+// PICTURES, if it is set. With SOURCES=1 the page's files are those of src, not those in the program.
 
 import assert from "node:assert/strict";
 import { spawn, spawnSync } from "node:child_process";
-import { mkdtempSync, readFileSync, rmSync } from "node:fs";
+import { mkdtempSync, readFileSync, readdirSync, rmSync } from "node:fs";
 import { request } from "node:http";
 import { createRequire } from "node:module";
 import { createServer } from "node:net";
@@ -85,6 +85,11 @@ export async function open(url, options = {}) {
     if (["error", "warning"].includes(message.type())) said.push(message.text());
   });
   page.on("pageerror", (error) => said.push(error.message));
+  for (const place of process.env.SOURCES ? ["src/view/assets", "src/io/report/scene"] : []) {
+    for (const name of readdirSync(join(root, place))) {
+      await page.route(`**/${name}`, (route) => route.fulfill({ path: join(root, place, name) }));
+    }
+  }
   await page.goto(url);
   return { page, said };
 }

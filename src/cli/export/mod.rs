@@ -43,8 +43,8 @@ The ending of each file chooses the format:
   .svg    a picture: a row of stick figures
   .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
 In all but .npz y is up, if --up does not say z. At rest the body is a T-pose (or what --rest says)
-that faces +z, in .mot it stands with hanging arms. There all rotations are zero; in .glb and .usda
-the joints have y along their bones, or with --axes world no rotation either. In .usda a `:` of a joint's name
+that faces +z, in .mot it stands with hanging arms. There all rotations are zero; but in .glb and
+.usda, without --axes world, the joints have y along their bones. In .usda a `:` of a joint's name
 is `_`. Frames and times count from the first frame of the take, or from --start: frame n of
 .bvh, .trc, .c3d, .mot, .npz and .usda is frame n of the video, if the cameras run at the rate of
 the poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at

@@ -1,15 +1,17 @@
 //! The frame rate of cameras, as the videos and settings beside their detections tell it.
 
 use std::fs::{self, File};
-use std::io::BufReader;
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use re_mp4::{Mp4, TrackKind};
+use mp4parse::{TrackType, read_mp4};
 
 use super::ImportError;
 
 /// Frame rates are alike if they differ by less than this part.
 const ALIKE: f64 = 0.002;
+/// Most bytes of a video's tables; ten hours of one have fewer.
+const MOST_BYTES: u64 = 1 << 26;
 
 /// A frame rate, hertz, and the file that tells it.
 pub type FrameRate = (f64, PathBuf);
@@ -20,7 +22,7 @@ pub type FrameRate = (f64, PathBuf);
 /// # Errors
 /// The videos have different frame rates.
 pub fn frame_rate_beside(detections: &Path) -> Result<Option<FrameRate>, ImportError> {
-    let whole = detections.canonicalize().map_err(|e| ImportError::read(detections, e))?;
+    let whole = std::path::absolute(detections).map_err(|e| ImportError::read(detections, e))?;
     let folders = whole.ancestors().skip(usize::from(!whole.is_dir()));
     for (above, folder) in folders.take(3).enumerate() {
         let config = folder.join("Config.toml");
@@ -28,7 +30,7 @@ pub fn frame_rate_beside(detections: &Path) -> Result<Option<FrameRate>, ImportE
             return Ok(Some((hz, config)));
         }
         let places = [folder.to_owned(), folder.join("videos"), folder.join("synchronized_videos")];
-        let [from, to] = [[0, 3], [1, 3], [3, 3]][above];
+        let [from, to] = [[0, 3], [1, 3], [2, 3]][above];
         let all = places[from..to].iter().flat_map(|place| videos(place));
         let rates: Vec<FrameRate> = all.filter_map(|path| Some((of_video(&path)?, path))).collect();
         if let Some((hz, path)) = rates.first() {
@@ -67,11 +69,39 @@ fn videos(folder: &Path) -> Vec<PathBuf> {
 
 /// The mean frame rate of a video, hertz.
 fn of_video(path: &Path) -> Option<f64> {
-    let file = File::open(path).ok()?;
-    let size = file.metadata().ok()?.len();
-    let video = Mp4::read(BufReader::new(file), size).ok()?;
-    let track = video.tracks().values().find(|track| track.kind == Some(TrackKind::Video))?;
-    let ticks: u64 = track.samples.iter().map(|sample| sample.duration).sum();
-    let seconds = ticks as f64 / track.timescale as f64;
-    (seconds > 0.0).then(|| track.samples.len() as f64 / seconds)
+    let video = read_mp4(&mut &*tables(path).ok()?).ok()?;
+    let track = video.tracks.iter().find(|track| track.track_type == TrackType::Video)?;
+    let runs = || track.stts.iter().flat_map(|times| times.samples.iter());
+    let frames: u64 = runs().map(|run| u64::from(run.sample_count)).sum();
+    let ticks: f64 =
+        runs().map(|run| f64::from(run.sample_count) * f64::from(run.sample_delta)).sum();
+    let seconds = ticks / track.timescale?.0 as f64;
+    (seconds > 0.0).then(|| frames as f64 / seconds)
+}
+
+/// The boxes `ftyp` and `moov` of a video: without its images, which may be gigabytes.
+fn tables(path: &Path) -> std::io::Result<Vec<u8>> {
+    let mut file = File::open(path)?;
+    let end = file.metadata()?.len();
+    let (mut at, mut kept) = (0, Vec::new());
+    while at + 16 <= end {
+        file.seek(SeekFrom::Start(at))?;
+        let mut head = [0; 16];
+        file.read_exact(&mut head)?;
+        let [size, kind, large @ ..] = head.as_chunks::<4>().0 else { break };
+        let size = match u32::from_be_bytes(*size) {
+            0 => end - at,
+            1 => large.iter().flatten().fold(0, |sum, byte| sum << 8 | u64::from(*byte)),
+            size => u64::from(size),
+        };
+        if size < 8 || size > end - at {
+            break;
+        }
+        if [b"ftyp", b"moov"].contains(&kind) {
+            file.seek(SeekFrom::Start(at))?;
+            (&mut file).take(size.min(MOST_BYTES)).read_to_end(&mut kept)?;
+        }
+        at += size;
+    }
+    Ok(kept)
 }

@@ -1,5 +1,5 @@
-//! Writes glTF 2.0 binary files (.glb): metres, y up, +z forward; at zero rotation the body stands with its
-//! feet on y = 0, in the rest pose of the file's style.
+//! Writes glTF 2.0 binary files (.glb): metres, y up, +z forward; at rest the body stands with its feet on
+//! y = 0, in the rest pose and with the axes of the joints of the file's style.
 //!
 //! Each holds the skin of the body, its skeleton, and one animation with a key for each
 //! pose.

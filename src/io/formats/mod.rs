@@ -26,8 +26,8 @@ pub mod usd;
 use std::path::{Path, PathBuf};
 
 pub use self::calibration::{
-    Auto, Calibration, Convention, Unit, Up, calibration_files, read_calibration,
-    write_calibration, write_opencv,
+    Auto, Calibration, Convention, Poses, UP_IS_GUESSED, Unit, Up, calibration_files,
+    read_calibration, write_calibration, write_opencv,
 };
 pub use animation::Description;
 pub use detections::{

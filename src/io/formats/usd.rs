@@ -1,5 +1,5 @@
-//! Writes USD as text (.usda): metres, y up, +z forward; at zero rotation the body stands with its
-//! feet on y = 0, in the rest pose of the file's style.
+//! Writes USD as text (.usda): metres, y up, +z forward; at rest the body stands with its feet on y = 0,
+//! in the rest pose and with the axes of the joints of the file's style.
 //!
 //! Each file holds one `SkelRoot` with the skin, the skeleton and the animation of a performer. A time code is a frame.
 

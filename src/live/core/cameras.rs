@@ -6,6 +6,10 @@ use crate::io::wire::CameraCounters;
 
 /// This many conflicts in a second between frame numbers and capture times mean two publishers.
 const CONFLICTS: u32 = 3;
+/// A residual this many times the usual one says nothing of what is usual.
+const UNUSUAL: f64 = 1.7;
+/// Part of a second's residual in the usual one.
+const SECOND: f64 = 0.05;
 
 /// State and counters of one camera.
 #[derive(Clone, Debug, Default)]
@@ -89,10 +93,25 @@ impl Camera {
         (self.counters.residual_px, self.counters.near) = (pixels, near);
     }
 
-    /// Updates the rate; called once a second.
+    /// Sets its usual residual, pixels; 0: not known.
+    pub(super) fn expect(&mut self, usual_px: f64) {
+        self.counters.usual_px = usual_px;
+    }
+
+    pub(super) fn usual_px(&self) -> f64 {
+        self.counters.usual_px
+    }
+
+    /// Updates the rate and the usual residual; called once a second.
     pub(super) fn second(&mut self, passed: Nanos) {
         self.rate = self.recent as f64 * 1e9 / passed.ns().max(1) as f64;
         (self.recent, self.odd) = (0, 0);
+        let (px, usual) = (self.counters.residual_px, &mut self.counters.usual_px);
+        if *usual == 0.0 {
+            *usual = px;
+        } else if px < UNUSUAL * *usual {
+            *usual += SECOND * (px - *usual);
+        }
     }
 
     /// The counters, completed with values from the tracker and the clock.
@@ -120,6 +139,20 @@ impl Camera {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_residual_is_usual_for_a_camera_after_a_while() {
+        let mut camera = Camera::new("left");
+        let mut usual = |px: f64, seconds: usize| {
+            camera.residual(px, 1.0);
+            (0..seconds).for_each(|_| camera.second(Nanos::SECOND));
+            camera.usual_px()
+        };
+        assert_eq!(usual(4.0, 1), 4.0);
+        assert!((usual(5.0, 100) - 5.0).abs() < 0.01);
+        // A camera that was moved does not become usual.
+        assert!((usual(12.0, 1000) - 5.0).abs() < 0.01);
+    }
 
     #[test]
     fn two_publishers_are_distinguished_from_disorder() {

@@ -144,5 +144,6 @@ pub(super) fn start(settings: &Settings, rig: Option<&[u8]>, run_id: u64) -> Jou
         performers: settings.carried.performers.iter().map(wire_known).collect(),
         left_out: settings.carried.left_out.iter().map(|camera| *camera as u32).collect(),
         labels: settings.carried.labels.clone(),
+        usual_px: settings.carried.usual_px.clone(),
     }
 }

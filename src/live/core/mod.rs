@@ -86,6 +86,8 @@ pub struct Core {
     held: Vec<(PerformerId, Solution, Nanos)>,
     /// Name of the take that runs, or empty.
     running: String,
+    /// The first message of this run.
+    began: Timestamp,
     /// Id of this run, set at the first message; 0 before.
     run_id: u64,
     next_second: Option<Timestamp>,
@@ -130,6 +132,7 @@ impl Core {
             others: 0,
             starting: None,
             held: Vec::new(),
+            began: Timestamp::default(),
             run_id: 0,
             next_second: None,
             wake: None,
@@ -224,6 +227,9 @@ impl Core {
         };
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
         self.performers.clear();
+        for (camera, usual) in self.cameras.iter_mut().zip(&self.settings.carried.usual_px) {
+            camera.expect(*usual);
+        }
         let Settings { tracker: config, stage: of_stage, carried, .. } = &self.settings;
         let tracker = Tracker::new(*config, rig).live(live);
         let tracker = tracker.with_time_corrections(&carried.time_offsets);
@@ -254,7 +260,7 @@ impl Core {
         let (journal, run_id) = (std::mem::take(&mut self.journal), self.run_id);
         let rig = self.rig_at_start.take();
         self.reset(self.settings.clone(), rig);
-        (self.journal, self.run_id) = (journal, run_id);
+        (self.journal, self.run_id, self.began) = (journal, run_id, self.now);
         self.next_second = Some(self.now + Nanos::SECOND);
         let Some(rig) = self.rig_at_start.clone() else { return };
         let outputs = self.outputs.len();
@@ -417,6 +423,8 @@ impl Core {
             clock: self.clock.kind().to_owned(),
             clock_offset_s: self.clock.base().seconds(),
             label: self.label_of(0).filter(|_| !self.is_several()).cloned(),
+            take: self.running.clone(),
+            take_since_ns: if self.running.is_empty() { 0 } else { self.began.ns() },
         }
     }
 

@@ -128,6 +128,8 @@ pub struct Carried {
     pub left_out: Vec<usize>,
     /// How the performers are shown, by number.
     pub labels: Vec<PerformerLabel>,
+    /// The usual residual of each camera, pixels, in the order of the rig; 0: not known.
+    pub usual_px: Vec<f64>,
 }
 
 impl Carried {
@@ -141,6 +143,7 @@ impl Carried {
             performers: start.performers.iter().map(known).collect(),
             left_out: start.left_out.iter().map(|camera| *camera as usize).collect(),
             labels: start.labels.clone(),
+            usual_px: start.usual_px.clone(),
         }
     }
 }

@@ -6,6 +6,7 @@
 //! replay of the take needs nothing of the time before.
 
 use super::Core;
+use super::cameras::Camera;
 use super::port::{Carried, Settings};
 use super::publication::Content;
 use crate::core::stage::{PerformerId, Stage};
@@ -192,6 +193,7 @@ impl Core {
                 performers: stage.map_or_else(Vec::new, Stage::known),
                 left_out: stage.map_or_else(Vec::new, Stage::left_out),
                 labels: self.labels_of_known(),
+                usual_px: self.cameras.iter().map(Camera::usual_px).collect(),
             },
             ..self.settings.clone()
         };

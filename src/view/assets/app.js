@@ -88,10 +88,12 @@ const toScreen = [];
 let lastDue = 0;
 /** The clocks are one only on the node's computer. */
 const IS_HERE = isLive && ["localhost", "127.0.0.1", "[::1]"].includes(location.hostname);
+/** The clocks of two computers, as that of the page's server and of a node elsewhere, differ by more, ms, or it does not matter. */
+const SAME_CLOCK = 20;
 
 function measureScreen(people) {
   const due = Math.max(...people.map(({ due = 0 }) => due));
-  if (!IS_HERE || !chosen.playing || due <= lastDue) return;
+  if (!IS_HERE || store.apart > SAME_CLOCK || !chosen.playing || due <= lastDue) return;
   lastDue = due;
   toScreen.push(performance.timeOrigin + performance.now() - due);
   if (toScreen.length > 120) toScreen.shift();
@@ -153,22 +155,27 @@ function showNode(people) {
   const status = store.historyAt(isLive ? Infinity : chosen.time).at(-1)?.status;
   const { level, words } = isLive ? nodeLight(store, source.connected) : recordingLight();
   $("node").className = `light ${level}`;
-  setText($("node"), `${isLive ? "node" : "recording"} ${level}${words.length > 0 ? `: ${words.join("; ")}` : ""}`);
+  setText($("node"), `${isLive ? "node" : "file"} ${level}${words.length > 0 ? `: ${words.join("; ")}` : ""}`);
   figures.set("tracking", `${people.filter(({ state }) => state === "tracking").length} of ${present().length}`);
   if (status) {
     if (status.declared_latency_ns) figures.set("latency", `${(Number(status.declared_latency_ns) / 1e6).toFixed(0)} ms`);
     const { playout, windows } = status;
-    const late = (share) => playout && quantile(playout.deviation_bins_us, playout.deviation_counts, share);
-    if (late(0.5) !== undefined) figures.set("publishing p50, p99", `${inMs(late(0.5))}, ${inMs(late(0.99))}`);
-    const fast = playout && quantile(playout.provisional_bins_us, playout.provisional_counts, 0.5);
-    if (fast !== undefined) figures.set("provisional p50", inMs(fast));
+    for (const [what, kind] of [["publishing", "deviation"], ["provisional", "provisional"]]) {
+      const counts = lastMinute(`${kind}_counts`);
+      const [p50, p99] = [0.5, 0.99].map((share) => quantile(playout?.[`${kind}_bins_us`], counts, share));
+      if (p50 !== undefined) figures.set(`${what} p50, p99`, `${inMs(p50)}, ${inMs(p99)}`);
+    }
     if (windows?.solve_p50_ms) {
       figures.set("solve p50, p99", `${windows.solve_p50_ms.toFixed(1)}, ${(windows.solve_p99_ms ?? 0).toFixed(1)} ms`);
     }
   }
-  const late = isLive && people.map((one) => one.late).filter((ms) => ms !== undefined).sort((a, b) => a - b);
-  if (late && late.length > 0) figures.set("network", `${late[late.length >> 1].toFixed(1)} ms`);
-  if (toScreen.length > 0) figures.set("to the screen p50", `${[...toScreen].sort((a, b) => a - b)[toScreen.length >> 1].toFixed(0)} ms`);
+  const arrived = [...store.performers.values()].flatMap(({ poses }) => poses.items.map(({ late }) => late));
+  const late = isLive ? arrived.filter((ms) => ms !== undefined) : [];
+  for (const [what, all] of [["network", late], ["to the screen", [...toScreen]]]) {
+    all.sort((a, b) => a - b);
+    const [p50, p99] = [0.5, 0.99].map((share) => all[Math.floor(share * all.length)]?.toFixed(1));
+    if (p50 !== undefined) figures.set(`${what} p50, p99`, `${p50}, ${p99} ms`);
+  }
   if (store.unreadable > 0) figures.set("not readable", `${store.unreadable} messages`);
   if (store.dropped > 0) figures.set("not shown", `${store.dropped} messages: this page is too slow`);
   if (people[0]?.timecode) figures.set("timecode", people[0].timecode);
@@ -181,7 +188,9 @@ function showNode(people) {
   $("node").title = words.join("\n");
   Object.assign(document.body.dataset, view.figures);
   document.body.dataset.people = people.length;
+  document.body.dataset.view = view.camera.position.toArray().map((metres) => metres.toFixed(2)).join(" ");
   document.body.dataset.time = chosen.time.toFixed(3);
+  document.body.dataset.pelvis = Array.from(people[0]?.joints.subarray(0, 3) ?? [], (metres) => metres.toFixed(3)).join(" ");
 }
 
 function recordingLight() {
@@ -190,9 +199,17 @@ function recordingLight() {
   return { level: source.error ? "bad" : damage.length > 0 ? "warn" : "ok", words };
 }
 
+/** The counts of a histogram of poses in the minute before the shown time. */
+function lastMinute(name) {
+  const history = store.historyAt(isLive ? Infinity : chosen.time);
+  const { at, status } = history.at(-1);
+  const before = history.find((one) => at - one.at <= 60 && one.status.run_id === status.run_id);
+  const [counts, old] = [status, before.status].map(({ playout }) => (playout?.[name] ?? []).map(Number));
+  return before === history.at(-1) ? counts : counts.map((count, bin) => count - (old[bin] ?? 0));
+}
+
 /** The value below which a share of a histogram lies: the upper edge of its bin. */
-function quantile(edges, counts, share) {
-  const all = counts.map(Number);
+function quantile(edges, all, share) {
   const total = all.reduce((sum, count) => sum + count, 0);
   if (total === 0) return undefined;
   let seen = 0;

@@ -1,6 +1,6 @@
 // A light for each camera and for the node: ok, warn or bad, and why in words.
 
-import { CLEARLY, median } from "./store.js";
+import { median } from "./store.js";
 
 /** Higher is worse. */
 export const RANK = { unknown: -1, ok: 0, warn: 1, bad: 2 };
@@ -8,6 +8,8 @@ export const RANK = { unknown: -1, ok: 0, warn: 1, bad: 2 };
 const OLD = 4;
 /** For how long an event keeps a light on, seconds. */
 const KEPT = 30;
+/** A residual this many times the usual one is not usual any more. */
+const CLEARLY = 1.7;
 const BAD = ["camera_moved", "conflict", "dropped", "lost", "overdue", "rig_refused", "silent", "unusable"];
 let expected = [];
 
@@ -24,6 +26,14 @@ export function levelOf({ kind, detail }) {
   if (expected.includes(kind) || USED_AGAIN.some((words) => detail.startsWith(words))) return "ok";
   return BAD.includes(kind) ? "bad" : "warn";
 }
+
+/** Events of the node that its light tells of, in words. */
+const OF_NODE = {
+  second_node: "another node publishes on the same topics",
+  rig_refused: "a calibration from the bus was refused",
+  clock_jump: "the cameras' clock jumped",
+  overdue: "windows were not solved in time",
+};
 
 class Light {
   constructor(level) {
@@ -47,12 +57,14 @@ function recent(history, read) {
   return counts[1] - counts[0];
 }
 
-/** The events of a camera that still count: those of the last time, and a move until it fits again. */
+/** The events of a camera that still count: those of the last time, silence until it is back, a move until it fits again. */
 function eventsOf(store, name, time) {
   const now = time === Infinity ? (store.historyAt(time).at(-1)?.seconds ?? store.newest) : time;
   const mine = store.events.filter(({ camera, at }) => camera === name && at <= time);
-  const moved = mine.findLast(({ kind }) => kind === "camera_moved");
-  return mine.filter((event) => event === moved || (event.kind !== "camera_moved" && now - event.at < KEPT));
+  const last = (wanted) => mine.findLast(({ kind }) => kind === wanted);
+  const [moved, returned] = [last("camera_moved"), last("returned")?.at ?? -Infinity];
+  const isOver = ({ kind, at }) => kind === "camera_moved" || (kind === "silent" && at <= returned) || now - at >= KEPT;
+  return mine.filter((event) => event === moved || !isOver(event));
 }
 
 /** The rate that most cameras have, Hz. */
@@ -97,8 +109,8 @@ export function cameraLight(store, name, now, advice) {
         light.add(level, `${counted(count, "frame")} ${kind} in 5 s`, advice[kind]);
       }
     }
-    const [usual, px] = [store.usual.get(name), counters.residual_px ?? 0];
-    if (px > CLEARLY * usual) {
+    const [usual, px] = [counters.usual_px ?? 0, counters.residual_px ?? 0];
+    if (usual > 0 && px > CLEARLY * usual) {
       light.add(px > 3 * usual ? "bad" : "warn", `residual ${px.toFixed(1)} px, usually ${usual.toFixed(1)}`);
     }
   }
@@ -130,6 +142,10 @@ export function nodeLight(store, connected) {
     if (effort > 0) light.add("warn", `overload: effort lowered to level ${effort}`);
     const full = recent(history, (status) => status.queue_dropped);
     if (full > 0) light.add("bad", `${full} messages dropped: the queue is full`);
+    for (const [kind, words] of Object.entries(OF_NODE)) {
+      const count = recent(history, ({ events }) => events.find((one) => one.kind === kind)?.count);
+      if (count > 0) light.add(levelOf({ kind, detail: "" }), words);
+    }
   }
   return light;
 }

@@ -75,7 +75,7 @@ export class Panes {
       const { context } = pane;
       const scale = wide / width;
       context.clearRect(0, 0, wide, high);
-      const usual = store.usual.get(name);
+      const usual = store.usualOf(name, time);
       const errors = [];
       if (lens) for (const one of people) drawBody(context, lens, one, scale);
       for (const person of frame?.people ?? []) drawPoints(context, person, scale);

@@ -1,5 +1,7 @@
 // What came so far: the newest of what stays, and the last seconds of what streams.
 
+import { numberOf } from "./colours.js";
+
 /** The middle value, which is sorted to its place; `undefined` of none. */
 export const median = (values) => values.sort((a, b) => a - b)[values.length >> 1];
 
@@ -58,8 +60,6 @@ export class Series {
 
 /** A step back of a clock, seconds, after which older items count no more. */
 const JUMP = 30;
-/** A residual this many times the usual one is not usual any more. */
-export const CLEARLY = 1.7;
 const STATES = ["", "tracking", "coasting", "lost"];
 
 export class Store {
@@ -76,14 +76,14 @@ export class Store {
     this.statuses = new Series();
     this.statusOf = new Map();
     this.statusCame = undefined;
-    /** The usual residual of each camera, pixels. */
-    this.usual = new Map();
+    /** Least difference of the page's clock and the node's, ms. */
+    this.apart = Infinity;
     this.unreadable = 0;
     this.states = new Map();
     this.dropped = 0;
     this.otherStages = new Set();
-    /** The last command to nodes and recorders, by whomever, and the answers to it. */
-    this.slate = undefined;
+    /** Name of the last take that was begun or ended, by whomever; and the answers to commands. */
+    this.lastTake = undefined;
     this.answers = [];
   }
 
@@ -97,7 +97,7 @@ export class Store {
     let one = this.performers.get(name);
     if (!one) {
       const [poses, provisional, points] = [new Series(), new Series(), new Series()];
-      one = { name, number: this.performers.size, poses, provisional, points };
+      one = { name, number: numberOf(name, this.performers.size), poses, provisional, points };
       this.performers.set(name, one);
     }
     return one;
@@ -143,14 +143,12 @@ export class Store {
     return true;
   }
 
-  /** The take that runs is the last one that was begun and not ended. */
   takeSlate(take) {
-    if (["start", "stop"].includes(take.action)) this.slate = { ...take, came: Date.now() };
+    if (["start", "stop"].includes(take.action) && take.name) this.lastTake = take.name;
   }
 
   takeAnswer(answer) {
     this.answers.push(answer);
-    if (answer.refused && answer.role === "recorder" && answer.id === this.slate?.id) this.slate = undefined;
   }
 
   takeKeypoints(frame, arrival) {
@@ -191,12 +189,17 @@ export class Store {
     this.statusOf.set(name, status);
     if (status.cameras.length === 0 || (this.node !== undefined && name !== this.node)) return;
     this.statusCame = performance.now();
-    for (const { camera, residual_px: px = 0 } of status.cameras) {
-      const usual = this.usual.get(camera) ?? px;
-      if (px > 0 && px < CLEARLY * (usual || px)) this.usual.set(camera, usual + 0.05 * (px - usual));
-    }
+    this.apart = Math.min(this.apart, Math.abs(Date.now() - Number(status.node_time_ns ?? 0n) / 1e6));
     const seconds = this.seconds(status.capture_time_ns ?? 0n);
     this.statuses.add(this.clock(arrival), { at: Number(arrival) / 1e9, seconds, status });
+  }
+
+  /** The take that runs, by the node's newest status, and for how many seconds; `undefined`: none. */
+  get runningTake() {
+    const { take: name, take_since_ns: since = 0n, node_time_ns: now = 0n } = this.statuses.items.at(-1)?.status ?? {};
+    if (!name) return undefined;
+    const seconds = since > 0n ? Number(now - since) / 1e9 + (performance.now() - this.statusCame) / 1000 : 0;
+    return { name, seconds };
   }
 
   /** How a performer is shown; empty: by default. */
@@ -209,6 +212,12 @@ export class Store {
   clock(arrival) {
     this.firstArrival ??= arrival;
     return Number(arrival - this.firstArrival) / 1e9;
+  }
+
+  /** The usual residual of a camera at a time, pixels; 0: not known. */
+  usualOf(name, time) {
+    const newest = this.node === undefined ? this.historyAt(time).at(-1) : this.statuses.items.at(-1);
+    return newest?.status.cameras.find(({ camera }) => camera === name)?.usual_px ?? 0;
   }
 
   /** The node's states up to a capture time, the newest last; those of two minutes. */

@@ -3,6 +3,8 @@
 const $ = (id) => document.getElementById(id);
 /** How long nodes and recorders have for an answer, ms. */
 const PATIENCE = 5000;
+/** For how long a command of this page counts before the node's status tells what became of it, ms. */
+const PENDING = 2500;
 /** Who answers a command, if not nodes alone. */
 const ANSWERERS = { start: ["node", "recorder"], stop: ["node", "recorder"], note: ["recorder"] };
 
@@ -14,25 +16,25 @@ export function takes(store, source, lookOf) {
   let [sent, answers] = [undefined, []];
   const commands = (...all) => {
     const ids = all.map(([action, name, more]) => BigInt(source.command(action, name, more)));
-    sent = { ids, action: all[0][0], at: performance.now() };
+    sent = { ids, action: all[0][0], name: all[0][1], at: performance.now() };
     answers = [];
   };
   const command = (...one) => commands(one);
-  // A page that is loaded again knows the take that it began.
-  const kept = sessionStorage.getItem("take");
-  if (kept) store.slate = JSON.parse(kept, (key, value) => (key === "id" ? BigInt(value) : value));
-  const running = () => (store.slate?.action === "start" ? store.slate : undefined);
+  const running = () => {
+    const age = performance.now() - (sent?.at ?? -Infinity);
+    const isPending = age < PENDING && answers.every(({ role, refused }) => role !== "node" || !refused);
+    if (isPending && sent.action === "start") return { name: sent.name, seconds: age / 1000 };
+    return isPending && sent.action === "stop" ? undefined : store.runningTake;
+  };
   $("take").hidden = false;
   $("take").addEventListener("submit", (event) => {
     event.preventDefault();
-    if (running()) {
-      command("stop", running().name);
-      $("take-name").value = next(running().name);
-    } else command("start", $("take-name").value);
+    if (running()) command("stop", running().name);
+    else command("start", $("take-name").value);
   });
   $("reset").addEventListener("click", () => command("reset"));
-  // Name of the take that runs, or of the last one.
-  let noteTake;
+  // Name of the take that runs, or of the last one; and of the one after which the field is named.
+  let [noteTake, followed] = [undefined, undefined];
   const sendNote = (mark) => {
     command("note", noteTake, { mark, note: $("note").value });
     $("note").value = "";
@@ -70,26 +72,29 @@ export function takes(store, source, lookOf) {
   });
   return () => {
     const take = running();
-    if (take) {
-      noteTake = take.name;
+    noteTake = take?.name || store.lastTake || noteTake;
+    if (noteTake) {
       $("notes").hidden = false;
       set($("noted"), noteTake);
     }
-    const text = take && JSON.stringify(take, (key, value) => (key === "id" ? String(value) : value));
-    if (text) sessionStorage.setItem("take", text);
-    else sessionStorage.removeItem("take");
+    if (!take && noteTake !== followed) {
+      followed = noteTake;
+      $("take-name").value = next(noteTake);
+    }
     $("record").setAttribute("aria-pressed", String(take !== undefined));
-    const seconds = take && Math.floor((Date.now() - take.came) / 1000);
+    const seconds = take && Math.floor(take.seconds);
     const clock = take && `${String(Math.floor(seconds / 60)).padStart(2, "0")}:${String(seconds % 60).padStart(2, "0")}`;
     set($("record"), take ? `● ${take.name} ${clock} Stop` : "Record");
     $("take-name").disabled = take !== undefined;
-    if (!sent) return;
-    answers.push(...store.answers.splice(0).filter(({ id }) => sent.ids.includes(id)));
+    answers.push(...store.answers.splice(0).filter(({ id }) => sent?.ids.includes(id)));
+    const isRecorded = source.receivers?.some(({ program }) => program.startsWith("bundlemocap record")) ?? true;
+    $("answers").classList.toggle("bad", take !== undefined && !isRecorded);
     const lines = answers.map(({ role, text = "", refused }) => `${role}${refused ? " refuses" : ""}: ${text}`);
-    const wanted = ANSWERERS[sent.action] ?? ["node"];
-    const isOver = performance.now() - sent.at > PATIENCE;
+    if (take && !isRecorded) lines.unshift("no recorder is known: start `bundlemocap record takes/`");
+    const wanted = ANSWERERS[sent?.action] ?? ["node"];
+    const isOver = sent && performance.now() - sent.at > PATIENCE;
     for (const role of isOver ? wanted.filter((one) => answers.every((answer) => answer.role !== one)) : []) {
-      lines.push(role === "recorder" ? "no recorder answered: start `bundlemocap record takes/`" : "no node answered");
+      lines.push(`no ${role} answered`);
     }
     set($("answers"), lines.join("; "));
     $("answers").title = lines.join("\n");

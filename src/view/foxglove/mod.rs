@@ -56,7 +56,7 @@ struct CameraChannels {
 
 /// What is known of a performer.
 struct Performer {
-    /// Number in the order of arrival; it chooses the colour.
+    /// It chooses the colour: by a name such as `p7`, or else in the order of arrival.
     number: usize,
     body: Skeleton,
     label: PerformerLabel,
@@ -87,7 +87,10 @@ impl Channels {
             }
             Message::Skeleton(body) => {
                 if let Ok(body) = body.to_core() {
-                    let (number, label) = (self.performers.len(), PerformerLabel::default());
+                    let own = name.strip_prefix('p').and_then(|n| n.parse::<usize>().ok());
+                    let number =
+                        own.and_then(|n| n.checked_sub(1)).unwrap_or(self.performers.len());
+                    let label = PerformerLabel::default();
                     let new = Performer { number, body: body.clone(), label };
                     self.performers.entry(name).or_insert(new).body = body;
                 }

@@ -26,9 +26,9 @@ const HEAD: f64 = 0.2;
 const POINT: f64 = 3.0;
 /// How long a pose is shown if no newer one comes, nanoseconds.
 const KEPT_NS: u32 = 500_000_000;
-/// The colours of performers \[Okabe 2008\], as on the page.
-const COLOURS: [&str; 8] =
-    ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#8a8f98"];
+/// The colours of performers \[Okabe 2008\], as on the page; after these paler ones, then darker ones.
+const COLOURS: [&str; 7] =
+    ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442"];
 /// The colour of a pose that is not tracked.
 const GREY: &str = "#8a8f98";
 
@@ -71,11 +71,20 @@ pub(super) fn bones(
         Point3 { x: p.x, y: p.y, z: p.z }
     };
     let both = |joint: Joint| joint.parent().map(|parent| [point(parent), point(joint)]);
-    let own = match &*label.colour {
-        "" => COLOURS[number % COLOURS.len()],
-        own => own,
+    let of_number = || {
+        let own = colour(COLOURS[number % COLOURS.len()], 1.0)?;
+        let towards = match (number / COLOURS.len()) % 3 {
+            0 => return Some(own),
+            1 => 1.0,
+            _ => 0.0,
+        };
+        let half = |value: f64| (value + towards) / 2.0;
+        Some(Color { r: half(own.r), g: half(own.g), b: half(own.b), a: 1.0 })
     };
-    let color = colour(if *state == TrackingState::Tracking { own } else { GREY }, 1.0);
+    let color = match *state {
+        TrackingState::Tracking => colour(&label.colour, 1.0).or_else(of_number),
+        _ => colour(GREY, 1.0),
+    };
     let placed = |position: &Vector3<f64>| {
         let orientation = quaternion(&Matrix3::identity());
         Some(messages::Pose { position: vector(position), orientation })

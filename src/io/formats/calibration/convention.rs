@@ -68,11 +68,16 @@ impl Up {
         is_clear.then(|| signed[axis][usize::from(direction[axis] > 0.0)])
     }
 
-    /// The axis that is up for the cameras, if one clearly is: people seldom turn cameras over.
+    /// The axis that is up for the cameras, if one clearly is: people seldom turn cameras over, and if they hang them
+    /// under a ceiling, the cameras look down.
     fn of(cameras: &[Calibrated]) -> Option<Self> {
-        let up = |camera: &Calibrated| -camera.rotation.row(1).transpose();
-        let mean = cameras.iter().map(up).sum::<Vector3<f64>>() / cameras.len().max(1) as f64;
-        Self::along(&mean).filter(|_| mean.norm() > MIN_UPRIGHT)
+        let mean = |row: usize| {
+            let backwards = |camera: &Calibrated| -camera.rotation.row(row).transpose();
+            cameras.iter().map(backwards).sum::<Vector3<f64>>() / cameras.len().max(1) as f64
+        };
+        let [up, back] =
+            [mean(1), mean(2)].map(|mean| Self::along(&mean).filter(|_| mean.norm() > MIN_UPRIGHT));
+        up.or(back)
     }
 }
 
@@ -113,9 +118,9 @@ impl Unit {
         self.0
     }
 
-    /// A unit that is so many times as long.
-    pub fn times(self, factor: f64) -> Self {
-        Self(self.0 * factor)
+    /// A unit of so many metres.
+    pub fn of_metres(metres: f64) -> Self {
+        Self(metres)
     }
 
     /// The unit in which cameras at this distance from what they look at are in a room.
@@ -156,6 +161,45 @@ impl FromStr for Unit {
                 _ => Err("use m, cm, mm, in, ft, or its length in metres".to_owned()),
             },
         }
+    }
+}
+
+/// What the poses of a calibration are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Poses {
+    /// They take the world to the camera, as in OpenCV.
+    #[default]
+    CameraFromWorld,
+    /// They are those of the cameras in the world.
+    WorldFromCamera,
+}
+
+impl Poses {
+    /// The other ones.
+    pub fn inverse(self) -> Self {
+        match self {
+            Self::CameraFromWorld => Self::WorldFromCamera,
+            Self::WorldFromCamera => Self::CameraFromWorld,
+        }
+    }
+}
+
+impl fmt::Display for Poses {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        to.write_str(match self {
+            Self::CameraFromWorld => "camera-from-world",
+            Self::WorldFromCamera => "world-from-camera",
+        })
+    }
+}
+
+impl FromStr for Poses {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        let all = [Self::CameraFromWorld, Self::WorldFromCamera];
+        let found = all.into_iter().find(|one| one.to_string() == name);
+        found.ok_or_else(|| "use camera-from-world or world-from-camera".to_owned())
     }
 }
 
@@ -208,6 +252,8 @@ pub struct Convention {
     pub up: Auto<Up>,
     /// The unit of length.
     pub unit: Auto<Unit>,
+    /// What the poses are.
+    pub poses: Auto<Poses>,
     /// Of several poses of the cameras in the file, those under this name, such as a subject's.
     pub set: Option<String>,
     /// Whether the unit and axis that a file of ours says come before the given ones.
@@ -220,7 +266,7 @@ impl From<Up> for Convention {
     }
 }
 
-/// Mean of the cameras' unit vectors that point up in their images; shorter, nothing is known of up.
+/// Mean of the cameras' unit vectors that point up in their images, or backwards; shorter, it tells nothing of up.
 const MIN_UPRIGHT: f64 = 0.5;
 /// Share of that mean that must be along one axis: 37 degrees off it, at most.
 const MIN_ALONG: f64 = 0.8;
@@ -255,10 +301,14 @@ pub(super) fn opengl() -> Matrix3<f64> {
 }
 
 /// What was found out about a calibration.
+/// Of a calibration of which nothing tells the up axis.
+pub const UP_IS_GUESSED: &str = "the up axis cannot be found from the images; z is used (--up)";
+
 pub(super) struct Found {
     pub up: Up,
     /// Whether nothing says that this axis points up.
     pub up_is_guessed: bool,
+    pub poses: Poses,
     pub unit: Unit,
     pub notes: Vec<String>,
 }
@@ -267,16 +317,24 @@ pub(super) struct Found {
 /// `unit`: the one that the format prescribes. A format that does so prescribes the poses too.
 pub(super) fn settle(cameras: &mut [Calibrated], unit: Option<Unit>, given: &Convention) -> Found {
     let mut notes = Vec::new();
-    if unit.is_none()
-        && let Some((what, reading)) = misread(cameras)
-    {
+    let other = match given.poses.0 {
+        Some(Poses::CameraFromWorld) => None,
+        Some(Poses::WorldFromCamera) => Some(READINGS[0]),
+        None => misread(cameras).filter(|_| unit.is_none()),
+    };
+    if let Some((what, reading)) = other {
         for camera in cameras.iter_mut() {
             (camera.rotation, camera.translation) = reading(&camera.rotation, &camera.translation);
         }
-        notes.push(format!(
-            "the file is read as {what}: only then all cameras look at one place; `bundlemocap check` tests this with detections"
-        ));
+        if given.poses.0.is_none() {
+            notes.push(format!(
+                "the file is read as {what}: only then all cameras look at one place; \
+                 `bundlemocap check` tests this with detections (--poses)"
+            ));
+        }
     }
+    let is_inverse = other.is_some_and(|(what, _)| what == READINGS[0].0);
+    let poses = if is_inverse { Poses::WorldFromCamera } else { Poses::CameraFromWorld };
     let distance = distance(cameras);
     let unit = given.unit.0.or(unit).unwrap_or_else(|| distance.map_or(Unit::M, Unit::of));
     for camera in cameras.iter_mut() {
@@ -293,14 +351,13 @@ pub(super) fn settle(cameras: &mut [Calibrated], unit: Option<Unit>, given: &Con
     let found = given.up.0.or_else(|| Up::of(cameras));
     let (up, up_is_guessed) = (found.unwrap_or(Up::Z), found.is_none());
     if up_is_guessed {
-        let text = "the up axis cannot be found from the images; z is used (--up)";
-        notes.push(text.to_owned());
+        notes.push(UP_IS_GUESSED.to_owned());
     }
     if given.up.0.is_none() && lies_on_its_side(cameras, up) {
         let text = "the cameras differ most in height";
         notes.push(format!("{text}; is {up} really the up axis? (--up)"));
     }
-    Found { up, up_is_guessed, unit, notes }
+    Found { up, up_is_guessed, poses, unit, notes }
 }
 
 /// Whether the cameras differ more in height than in any direction over the floor.

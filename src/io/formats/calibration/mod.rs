@@ -15,7 +15,7 @@ mod vicon;
 mod write;
 mod xml;
 
-pub use convention::{Auto, Convention, Unit, Up};
+pub use convention::{Auto, Convention, Poses, UP_IS_GUESSED, Unit, Up};
 pub use write::{write_calibration, write_opencv};
 
 use super::ImportError;
@@ -58,6 +58,8 @@ pub struct Calibration {
     pub up: Up,
     /// Whether neither the file, nor the cameras' images, nor the user says so.
     pub up_is_guessed: bool,
+    /// What the file's poses are.
+    pub poses: Poses,
     /// The file's unit of length.
     pub unit: Unit,
     /// What was guessed or left out, and may be wrong.
@@ -226,7 +228,7 @@ impl Parts {
         };
         let given = Convention { up: Auto(of_both.0), unit: Auto(of_both.1), ..given.clone() };
         let found = settle(&mut cameras, prescribed, &given);
-        let Found { up, up_is_guessed, unit, notes: more } = found;
+        let Found { up, up_is_guessed, poses, unit, notes: more } = found;
         notes.extend(more);
         let camera = |c: Calibrated| {
             let rotation = c.rotation * up.calibration_from_world();
@@ -238,7 +240,7 @@ impl Parts {
         let cameras = cameras.into_iter().map(camera).collect::<Result<_, _>>();
         let rig = cameras.and_then(|cameras| Rig::new(1, cameras)).map_err(Fault::Camera)?;
         let format = self.format.unwrap_or("TOML");
-        Ok(Calibration { rig, format, up, up_is_guessed, unit, notes })
+        Ok(Calibration { rig, format, up, up_is_guessed, poses, unit, notes })
     }
 }
 

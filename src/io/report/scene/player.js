@@ -1,7 +1,7 @@
 // Plays the take of a report in 3D.
 
 import { Template, metres, numbers } from "./body.js";
-import { colour } from "./colours.js";
+import { colour, numberOf } from "./colours.js";
 import { View } from "./scene.js";
 import { Quaternion } from "./three.js";
 
@@ -12,13 +12,18 @@ const { parents } = template;
 
 const performers = take.performers.map((one, number) => ({
   name: one.name,
-  tint: colour(number),
+  tint: colour(numberOf(one.name, number)),
   seconds: numbers(one.seconds, Float32Array),
   states: numbers(one.states, Uint8Array),
   roots: numbers(one.root_mm, Int16Array),
   rotations: Float32Array.from(numbers(one.rotations, Int16Array), (x) => x / 32767),
   skin: { rest: metres(numbers(one.rest, Int16Array)), offsets: one.offsets },
 }));
+for (const one of performers) {
+  const steps = Array.from(one.seconds.subarray(1), (at, k) => at - one.seconds[k]).sort((a, b) => a - b);
+  // Farther apart than this, seconds, are the poses beside a gap. Long takes have fewer poses.
+  one.gap = Math.max(0.5, 2.5 * (steps[steps.length >> 1] ?? 0));
+}
 const end = Math.max(...performers.map(({ seconds }) => seconds.at(-1) ?? 0));
 const view = new View($("canvas"), $("labels"));
 for (const camera of take.rig.cameras) camera.lens = camera.lens === "fisheye" ? 2 : 1;
@@ -49,8 +54,8 @@ function peopleAt(at) {
     }
     const next = Math.min(low + 1, seconds.length - 1);
     const gap = seconds[next] - seconds[low];
-    if (at < seconds[low] - 0.1 || at > seconds[low] + 1) return [];
-    const share = gap > 0 && gap < 0.5 ? Math.min(1, Math.max(0, (at - seconds[low]) / gap)) : 0;
+    if (at < seconds[low] - 0.1 || at > seconds[low] + Math.max(1, one.gap)) return [];
+    const share = gap > 0 && gap < one.gap ? Math.min(1, Math.max(0, (at - seconds[low]) / gap)) : 0;
     const root = [0, 1, 2].map((k) => ((1 - share) * roots[3 * low + k] + share * roots[3 * next + k]) / 1000);
     const rotations = rotationsAt(one, low, next, share);
     const joints = template.forward(skin.offsets, root, rotations);
