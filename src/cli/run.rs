@@ -129,6 +129,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 
     // Before the bus starts its threads, so that they do not use this core.
     let is_one = !config.stage.several();
+    config.stage.without_effect().into_iter().for_each(|text| tracing::warn!("{text}"));
     let is_alone = is_one && config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);

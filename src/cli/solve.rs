@@ -106,7 +106,7 @@ pub(super) struct Arguments {
     /// files, that of each performer to the nearest.
     #[arg(long, value_name = "TRC", value_delimiter = ',')]
     reference: Vec<PathBuf>,
-    /// How many people are solved: 1 to 32, or auto for all; default: that of the settings, 1.
+    /// How many people are solved at a time: 1 to 32, or auto for all; default: that of the settings, 1.
     #[arg(long, value_name = "N")]
     performers: Option<Performers>,
     /// Use the capture times as they are; default: correct those of cameras that are shifted.
@@ -228,6 +228,7 @@ impl Arguments {
 impl Prepared {
     pub(super) fn of(arguments: &Arguments) -> Result<Self, Failure> {
         let config = settings(arguments)?;
+        config.stage.without_effect().into_iter().for_each(|text| complain("warning", text));
         let decoder = decoder(arguments.weights.as_deref())?;
         let actor = arguments.body_actor.as_deref();
         let body = arguments.body.as_deref().map(|path| last_body(path, actor)).transpose()?;

@@ -38,7 +38,7 @@ Examples:
   bundlemocap view --connect tcp/192.168.1.10:7447
   bundlemocap view out/poses.mcap
   bundlemocap view out/poses.mcap take.mcap                the poses over the keypoints that they are from
-  bundlemocap view a/poses.mcap b/poses.mcap               two solves of a take beside each other
+  bundlemocap view a/poses.mcap b/poses.mcap               two solves of a take over each other
   bundlemocap view take_03.mcap --listen 0.0.0.0:8765")]
 pub(super) struct Arguments {
     /// Recordings of one take to show, such as its poses and its keypoints; without one, what is on the bus.

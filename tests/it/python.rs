@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::mpsc::channel;
 
+use bundlemocap::core::body;
 use bundlemocap::core::time::Timestamp;
 use bundlemocap::io::bus::{Bus, Sample, Zenoh, ZenohConfig};
 use bundlemocap::io::formats::frame_rate_beside;
-use bundlemocap::io::wire::{self, KeypointFrame, Pose, Rig, Skeleton, TrackingState};
+use bundlemocap::io::recording::{Provenance, Writer};
+use bundlemocap::io::wire::{self, KeypointFrame, Pose, Rig, Skeleton, Topics, TrackingState};
 
 use crate::program::{Program, listening_node};
 
@@ -458,6 +460,8 @@ const ROTATIONS: &str = r#"
 import numpy as np
 
 PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19]
+NAMES = ("pelvis l_hip r_hip spine1 l_knee r_knee spine2 l_ankle r_ankle spine3 l_foot r_foot neck l_collar r_collar "
+         "head l_shoulder r_shoulder l_elbow r_elbow l_wrist r_wrist").split()
 
 def rotation(turn):
     """Quaternion to matrix."""
@@ -521,12 +525,13 @@ def place(frame=None):
     visit(0, np.eye(4))
     return worlds
 
-rest = {nodes[node]["name"]: world[:3, 3] for node, world in place().items()}
+rest = {NAMES[node]: world[:3, 3] for node, world in place().items()}
+assert nodes[4]["name"] == sys.argv[6], nodes[4]
 # The axes of the joints are those of the world, or have y along the bone.
 bones = {"hip": "knee", "knee": "ankle", "ankle": "foot", "collar": "shoulder", "shoulder": "elbow", "elbow": "wrist"}
 bones = {f"{side}_{a}": f"{side}_{b}" for side in "lr" for a, b in bones.items()}
 bones |= {"pelvis": "spine1", "spine1": "spine2", "spine2": "spine3", "spine3": "neck", "neck": "head"}
-axes = {nodes[node]["name"]: world[:3, :3] for node, world in place().items()}
+axes = {NAMES[node]: world[:3, :3] for node, world in place().items()}
 if sys.argv[5] == "world":
     assert not any("rotation" in node for node in nodes)
 else:
@@ -547,8 +552,8 @@ joints = values(primitive["attributes"]["JOINTS_0"])
 assert abs(points[:, 1].min()) < 1e-6 and np.abs(weights.sum(1) - 1).max() < 1e-5
 
 def skinned(frame=None):
-    worlds = place(frame)
-    bones = np.array([worlds[joint] for joint in skin["joints"]]) @ binds
+    placed = place(frame)
+    bones = np.array([placed[joint] for joint in skin["joints"]]) @ binds
     whole = np.c_[points, np.ones(len(points))]
     return np.einsum("vi,vijk,vk->vj", weights, bones[joints], whole)[:, :3]
 
@@ -556,11 +561,11 @@ assert np.abs(skinned() - points).max() < 1e-5
 frame = 0
 for message in read_protobuf_messages(sys.argv[2], topics=["mocap/stage/actor/actor/pose"]):
     wanted = np.array(message.proto_msg.joint_positions_m).reshape(-1, 3)
-    worlds = place(frame)
-    found = np.array([worlds[joint][:3, 3] for joint in skin["joints"]])
+    placed = place(frame)
+    found = np.array([placed[joint][:3, 3] for joint in skin["joints"]])
     assert np.abs(found - wanted).max() < 1e-5, (frame, np.abs(found - wanted).max())
     if sys.argv[4] == "t":
-        turns = [worlds[joint][:3, :3] @ axes[nodes[joint]["name"]].T for joint in skin["joints"]]
+        turns = [placed[joint][:3, :3] @ axes[NAMES[joint]].T for joint in skin["joints"]]
         assert degrees(turns, message.proto_msg) < 0.1, frame
     # Each joint is inside the body.
     if frame % 80 == 0:
@@ -590,7 +595,8 @@ assert cache.Populate(root, Usd.PrimDefaultPredicate)
 prim = lambda name: stage.GetPrimAtPath(root.GetPath().AppendChild(name))
 skeleton = cache.GetSkelQuery(UsdSkel.Skeleton(prim("Skeleton")))
 skin = cache.GetSkinningQuery(prim("Skin"))
-names = [path.split("/")[-1] for path in skeleton.GetJointOrder()]
+names = NAMES
+assert skeleton.GetJointOrder()[4].split("/")[-1] == sys.argv[6].replace(":", "_"), skeleton.GetJointOrder()
 places = lambda transforms: np.array(transforms)[:, 3, :3]
 at_rest = skeleton.ComputeJointSkelTransforms(Usd.TimeCode.Default(), True)
 rest = dict(zip(names, places(at_rest)))
@@ -680,7 +686,7 @@ for frame, at in enumerate(wanted):
         place.append(place[parent] + world[parent] @ (rest[joint] - rest[parent]))
     # z, x, y of ours are x, y, z of the file.
     worst = max(worst, np.abs(np.array(place)[:, [1, 2, 0]] - at).max())
-    ours = world[:, [1, 2, 0]][:, :, [1, 2, 0]]
+    ours = world[:, [1, 2, 0]]
     row = rows[frame]
     turns = [rotation([row[f"{name}_q{axis}"] for axis in "xyzw"]) for name in names_of_joints]
     angle = max(angle, degrees(ours, poses[frame]), degrees(worlds(turns), poses[frame]))
@@ -728,6 +734,47 @@ for joint, name in [(0, "pelvis_jc"), (20, "l_wrist_jc"), (11, "r_foot_jc")]:
 print(angles.getNumRows(), len(angles.getColumnLabels()))
 "#;
 
+/// Prints the events of a C3D file, the frame of each, and the frames without points.
+const EVENTS: &str = r#"
+import sys
+import ezc3d, numpy as np
+file = ezc3d.c3d(sys.argv[1])
+events, rate = file["parameters"]["EVENT"], file["parameters"]["POINT"]["RATE"]["value"][0]
+minutes, seconds = events["TIMES"]["value"]
+frames = np.rint((60 * minutes + seconds) * rate).astype(int)
+assert events["USED"]["value"] == [len(frames)] and set(events["CONTEXTS"]["value"]) == {"General"}
+lost = np.isnan(file["data"]["points"][:3]).all(axis=(0, 1))
+changes = [frame for frame in range(1, len(lost)) if lost[frame] != lost[frame - 1]]
+assert changes == list(frames), (changes, frames)
+print(*events["LABELS"]["value"], len(lost))
+"#;
+
+#[test]
+fn c3d_has_events_where_the_performer_is_lost() {
+    let import = Command::new("python3").args(["-c", "import ezc3d, numpy"]).output();
+    if !import.is_ok_and(|output| output.status.success()) {
+        return crate::support::skipped("pip install ezc3d numpy first");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let [solved, c3d] = ["poses.mcap", "lost.c3d"].map(|name| folder.path().join(name));
+    let mut writer = Writer::create(&solved, Topics::default(), &Provenance::default()).unwrap();
+    let skeleton = body::Skeleton::default();
+    writer.skeleton(&skeleton, Timestamp::default()).unwrap();
+    for frame in 0..90 {
+        let is_lost = (30..60).contains(&frame);
+        let state =
+            [body::TrackingState::Tracking, body::TrackingState::Lost][usize::from(is_lost)];
+        let at = Timestamp::of_frame(frame, 60.0);
+        writer.pose(&body::StampedPose::new(at, body::Pose::rest(), state), &skeleton).unwrap();
+    }
+    writer.finish().unwrap();
+    let mut export = Command::new(env!("CARGO_BIN_EXE_bundlemocap"));
+    check(&export.arg("export").arg(&solved).arg("--out").arg(&c3d).output().unwrap());
+    let read = Command::new("python3").args(["-c", EVENTS]).arg(&c3d).output().unwrap();
+    check(&read);
+    assert_eq!(String::from_utf8_lossy(&read.stdout), "Lost Tracked 90\n");
+}
+
 #[test]
 fn exported_files_have_the_poses_on_a_true_rest_pose() {
     let import = Command::new("python3")
@@ -746,19 +793,20 @@ fn exported_files_have_the_poses_on_a_true_rest_pose() {
     check(&program().arg("solve").arg(&walk).arg("--out").arg(&out).output().unwrap());
     let poses = out.join("poses.mcap");
     let scripts = [GLTF, USD, TABLES].map(|script| format!("{ROTATIONS}{script}"));
-    for (rest, axes, (script, path)) in
-        [("t", "bone"), ("a", "bone"), ("t", "world")].into_iter().flat_map(|(rest, axes)| {
-            [&glb, &usd]
-                .into_iter()
-                .zip(&scripts)
-                .map(move |(path, script)| (rest, axes, (script, path)))
-        })
+    let styles = [
+        ("t", "bone", "ours", "l_knee"),
+        ("a", "bone", "unreal", "calf_l"),
+        ("t", "world", "mixamo", "mixamorig:LeftLeg"),
+    ];
+    for ((rest, axes, names, knee), (path, script)) in styles
+        .into_iter()
+        .flat_map(|style| [(style, (&glb, &scripts[0])), (style, (&usd, &scripts[1]))])
     {
         let mut export = program();
-        export.arg("export").arg(&poses).arg("--out").arg(path);
-        check(&export.args(["--rest", rest, "--axes", axes, "--overwrite"]).output().unwrap());
+        export.arg("export").arg(&poses).arg("--out").arg(path).args(["--rest", rest]);
+        check(&export.args(["--axes", axes, "--names", names, "--overwrite"]).output().unwrap());
         let mut read = Command::new("python3");
-        read.args(["-c", script]).args([path, &poses]).args(["60", rest, axes]);
+        read.args(["-c", script]).args([path, &poses]).args(["60", rest, axes, knee]);
         let read = read.output().unwrap();
         check(&read);
         assert_eq!(String::from_utf8_lossy(&read.stdout), "240\n");

@@ -245,6 +245,55 @@ fn who_comes_back_has_the_old_number_and_somebody_else_has_a_new_one() {
     assert_eq!(gone.count(), 0);
 }
 
+/// The second one leaves after three seconds; a third one comes after five.
+#[test]
+fn a_place_is_somebody_elses_when_a_performer_has_left() {
+    let at = |person: usize, _: f64| Vector3::new(0.9 * (person as f64 - 1.0), 0.0, 0.5);
+    let crowd = people(&[0.3, -1.0, 1.6], 10.0, at);
+    let entered = |left_after_s: f64| {
+        let start = crowd.people()[0].start;
+        let frames = crowd.detections().map(|(mut frame, owners)| {
+            frame.capture = bundlemocap::Timestamp::default() + (frame.capture - start);
+            let seconds = frame.capture.ns() as f64 * 1e-9;
+            let is_there = |owner: usize| match owner {
+                0 => true,
+                1 => seconds < 3.0,
+                _ => seconds > 5.0,
+            };
+            let mut owners = owners.into_iter();
+            frame.people.retain(|_| owners.next().is_some_and(is_there));
+            frame
+        });
+        let choice = Choice { left_after_s, ..Choice::default() };
+        let result = run_choosing(&crowd.people()[0].rig, frames, "2", choice);
+        let first = result.poses.iter().filter(|(number, _)| *number == 2);
+        let first = first.map(|(_, pose)| pose.capture.ns() as f64 * 1e-9).reduce(f64::min);
+        (result.events(EventKind::Entered), result.events(EventKind::Vacated), first)
+    };
+    let (numbers, left, first) = entered(4.0);
+    assert_eq!((numbers, left), (vec![0, 1, 2], vec![1]));
+    assert!((7.0..8.0).contains(&first.unwrap()), "{first:?}");
+    // Nobody has left yet.
+    let (numbers, left, _) = entered(30.0);
+    assert_eq!((numbers, left), (vec![0, 1], vec![]));
+}
+
+/// The second one walks into the place of the first one, and after a second out again.
+#[test]
+fn two_who_were_taken_for_one_are_two_when_they_part() {
+    let at = |person: usize, seconds: f64| {
+        let off = ((seconds - 4.0).abs() - 0.5).clamp(0.0, 1.2);
+        Vector3::new(if person == 0 { 0.0 } else { off }, 0.0, 0.3)
+    };
+    let crowd = people(&[0.5, -0.5], 9.0, at);
+    let result = run(&crowd.people()[0].rig, zero(&crowd), "2");
+    assert_eq!(result.events(EventKind::Entered), [0, 1]);
+    assert_eq!(result.events(EventKind::Merged), [1]);
+    assert_eq!(result.events(EventKind::Reentered), [1]);
+    let off = result.off(1, 7.0, |seconds| at(1, seconds));
+    assert!(off < 0.15, "{off} m");
+}
+
 #[test]
 fn people_above_the_limit_are_counted_and_are_nobodys() {
     let at = |person: usize, seconds: f64| {

@@ -190,6 +190,15 @@ fn sends_to_each_address(options: &[&str], wanted: [f32; 2]) {
         }
     }
     assert_eq!(found, wanted.map(Some));
+    // A receiver that goes away does not stop the others.
+    drop(second);
+    let gone = std::time::Instant::now();
+    while hips(&first).is_none_or(|x| x.abs() < 4.0) {
+        assert!(gone.elapsed() < PATIENCE, "the first gets nothing more");
+        for (k, x) in [(1, 2.0), (0, 5.0)] {
+            actors[k][1].put(Timestamp::default(), "", &pose(20_000_000_000, x)).unwrap();
+        }
+    }
     for _ in 0..50 {
         actors[0][1].put(Timestamp::default(), "", b"not a pose").unwrap();
         actors[2][1].put(Timestamp::default(), "", &pose(0, 3.0)).unwrap();

@@ -87,6 +87,11 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
     return [color, backgroundColor].map((text) => Number(/\d+/.exec(text)[0]));
   });
   assert.ok(colours[0] > 180 && colours[1] < 60, `${colours}`);
+  for (const count of ["0", "1"]) {
+    await dark.page.locator("#bodies").tap();
+    await until(dark.page, (wanted) => document.body.dataset.skins === wanted, count);
+  }
+  await dark.page.locator("#all").tap();
   await dark.page.locator('[data-follow="actor"]').tap();
   await until(dark.page, () => document.querySelector('[data-follow="actor"]').getAttribute("aria-pressed") === "true");
   await isSound(dark.page);

@@ -6,6 +6,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::core::limits::{Limit, OutOfRange, check};
+use crate::core::time::Nanos;
 
 /// Most performers of a stage.
 const MOST: u8 = 32;
@@ -14,13 +15,15 @@ const MOST: u8 = 32;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// How many people are performers.
+    /// How many people are performers at a time.
     pub performers: Performers,
     /// Corners of the part of the floor where people become performers: x and z in the world, metres. Everywhere
     /// if there are none.
     pub region: Vec<[f64; 2]>,
     /// A smaller person does not become a performer: least height in at least one image, pixels.
     pub min_height_px: f64,
+    /// A performer who is not seen for so long has left, and somebody else may have the place; seconds.
+    pub left_after_s: f64,
     /// Whether a live node of several performers also solves them. Otherwise it only publishes the
     /// detections of each, for other nodes.
     pub solve: bool,
@@ -28,8 +31,8 @@ pub struct Config {
 
 impl Default for Config {
     fn default() -> Self {
-        let performers = Performers::default();
-        Self { performers, region: Vec::new(), min_height_px: 0.0, solve: true }
+        let (performers, Choice { region, min_height_px, left_after_s }) = Default::default();
+        Self { performers, region, min_height_px, left_after_s, solve: true }
     }
 }
 
@@ -39,9 +42,19 @@ impl Config {
         self.performers.limit() > 1
     }
 
+    /// What is set but has no effect, for the user.
+    pub fn without_effect(&self) -> Option<&'static str> {
+        let is_set = self.choice() != Choice::default();
+        (is_set && !self.several()).then_some(
+            "[stage] region, min_height_px and left_after_s are for several performers; \
+             with performers = 1 the largest person is the performer",
+        )
+    }
+
     /// Who may become a performer.
     pub fn choice(&self) -> Choice {
-        Choice { region: self.region.clone(), min_height_px: self.min_height_px }
+        let Self { region, min_height_px, left_after_s, .. } = self.clone();
+        Choice { region, min_height_px, left_after_s }
     }
 
     /// Checks the ranges of all numbers.
@@ -54,6 +67,7 @@ impl Config {
         let far = self.region.iter().flatten().map(|at| at.abs()).max_by(f64::total_cmp);
         check([
             Limit::from_0("min_height_px", self.min_height_px),
+            Limit("left_after_s", self.left_after_s, 1.0..=LONGEST_S, "1 to 1000000"),
             Limit(
                 "region",
                 far.unwrap_or_default(),
@@ -70,19 +84,33 @@ impl Config {
     }
 }
 
+/// Somebody has left after this time at the latest, seconds.
+const LONGEST_S: f64 = 1e6;
 /// Corners of a region are not farther from the origin, metres.
 const FARTHEST_M: f64 = 1e4;
 
-/// Who may become a performer. The default: everybody.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// Who may become a performer, and when. The default: everybody.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Choice {
     /// See [`Config::region`].
     pub region: Vec<[f64; 2]>,
     /// See [`Config::min_height_px`].
     pub min_height_px: f64,
+    /// See [`Config::left_after_s`].
+    pub left_after_s: f64,
+}
+
+impl Default for Choice {
+    fn default() -> Self {
+        Self { region: Vec::new(), min_height_px: 0.0, left_after_s: 30.0 }
+    }
 }
 
 impl Choice {
+    pub(super) fn left_after(&self) -> Nanos {
+        Nanos::rounded(self.left_after_s * 1e9)
+    }
+
     /// Whether a person may become a performer. `place`: x and z in the world, metres; `None`: not known.
     /// `height_px`: the largest height in an image, pixels.
     pub(super) fn takes(&self, place: Option<[f64; 2]>, height_px: f64) -> bool {
@@ -191,7 +219,8 @@ mod tests {
         let mut region =
             vec![[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [1.0, 1.0], [1.0, 3.0], [0.0, 3.0]];
         for _ in 0..2 {
-            let choice = Choice { region: region.clone(), min_height_px: 50.0 };
+            let min_height_px = 50.0;
+            let choice = Choice { region: region.clone(), min_height_px, ..Choice::default() };
             let inside = |x, z| choice.takes(Some([x, z]), 60.0);
             assert!(inside(0.5, 0.5) && inside(2.5, 0.5) && inside(0.5, 2.5));
             assert!(

@@ -12,8 +12,10 @@
 //!   Above the limit, or outside the [region](Config::region), it is a bystander: it is followed, so that its
 //!   detections are nobody else's. A bystander who enters the region becomes a performer, up to the limit.
 //! - A performer who is not seen for a second is lost: its tracker gets no frames. Who comes back is
-//!   recognised by the lengths of the body (`lengths`) and keeps the number.
-//! - Two tracks closer than 0.15 m for 0.3 s are merged; the older one stays.
+//!   recognised by the lengths of the body (`lengths`) and keeps the number. Who is not seen for
+//!   [longer](Config::left_after_s) has left: somebody else may have the place.
+//! - Two tracks closer than 0.15 m for 0.3 s are merged; the older one stays. If they were two people, the other
+//!   one is recognised when they part.
 //!
 //! What belongs to the cameras is owned by the stage: their clock, latency and effort are the same for
 //! all performers, and windows close when the stage's sets are complete. Live, time offsets and moved
@@ -384,6 +386,9 @@ impl Stage {
             Change::Returned(performer) => {
                 self.next.push_back(Next::Tracker(performer, tracker::Input::Restart));
                 (performer, EventKind::Reentered, "the performer is back".to_owned())
+            }
+            Change::Left(performer) => {
+                (performer, EventKind::Vacated, "somebody else may have the place".to_owned())
             }
             Change::Merged(performer, into) => {
                 (performer, EventKind::Merged, format!("is {}", PerformerId(into)))

@@ -37,6 +37,8 @@ const SAME_TIME: Nanos = Nanos::from_ms(300);
 const STAYED: Nanos = Nanos::from_ms(500);
 /// Most people who are followed.
 const MOST: usize = 64;
+/// Most performers one after the other.
+const NUMBERS: usize = 256;
 
 /// What a person is to us.
 #[derive(Clone, Debug)]
@@ -56,6 +58,17 @@ struct Member {
     close_since: Option<Timestamp>,
 }
 
+/// A performer who is not followed.
+#[derive(Clone, Debug)]
+struct Absent {
+    performer: usize,
+    person: Person,
+    /// The performer as whom this one was taken. They may be two after all.
+    merged: Option<usize>,
+    /// Whether somebody else may have the place.
+    has_left: bool,
+}
+
 /// What happened to a performer, by number from 0.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
@@ -63,6 +76,8 @@ pub enum Change {
     Entered(usize),
     /// A performer who was lost is there again.
     Returned(usize),
+    /// A performer was not seen for so long that somebody else may have the place.
+    Left(usize),
     /// The first one was the second one, who goes on.
     Merged(usize, usize),
     /// A frame with the performer alone, or with nobody.
@@ -119,12 +134,11 @@ pub enum Owner {
 #[derive(Clone, Debug)]
 pub(super) struct People {
     gates: Gates,
-    /// Most performers.
+    /// Most performers at a time.
     limit: usize,
     pub(super) choice: Choice,
     members: Vec<Member>,
-    /// Performers who are lost.
-    absent: Vec<(usize, Person)>,
+    absent: Vec<Absent>,
     /// Number of performers so far.
     known: usize,
     /// Most bystanders at a time.
@@ -148,7 +162,8 @@ impl People {
 
     /// The performers so far, without their bodies.
     pub(super) fn known(&self) -> Vec<Known> {
-        let absent = self.absent.iter().map(|(performer, person)| (*performer, person));
+        let absent = self.absent.iter().filter(|one| one.merged.is_none());
+        let absent = absent.map(|one| (one.performer, &one.person));
         let present = self.members.iter().filter_map(|member| match member.life {
             Life::Performer(performer) => Some((performer, &member.person)),
             _ => None,
@@ -170,7 +185,7 @@ impl People {
         for one in known {
             let mut person = Person::new(one.points, one.seen, cameras);
             person.lengths = Lengths::of(one.lengths);
-            self.absent.push((one.performer.0, person));
+            self.absent.push(Absent::new(one.performer.0, person));
             self.known = self.known.max(one.performer.0 + 1);
         }
     }
@@ -179,7 +194,7 @@ impl People {
     pub(super) fn restart(&mut self) {
         for member in std::mem::take(&mut self.members) {
             if let Life::Performer(performer) = member.life {
-                self.absent.push((performer, member.person));
+                self.absent.push(Absent::new(performer, member.person));
             }
         }
     }
@@ -217,7 +232,7 @@ impl People {
             }
         }
         self.drop_doubles(at, &mut changes);
-        self.lose(at);
+        self.lose(at, &mut changes);
         self.confirm(at, &mut changes);
         let stays = |member: &&Member| {
             matches!(member.life, Life::Bystander) && at - member.person.first > STAYED
@@ -283,19 +298,23 @@ impl People {
                 continue;
             };
             if at - *member.close_since.get_or_insert(at) > SAME_TIME {
-                dropped.push(index);
+                dropped.push((index, ranks[older].0));
                 if let Life::Performer(performer) = member.life {
                     changes.push(Change::Merged(performer, ranks[older].0));
                 }
             }
         }
-        for index in dropped.into_iter().rev() {
-            self.members.remove(index);
+        for (index, older) in dropped.into_iter().rev() {
+            let member = self.members.remove(index);
+            if let Life::Performer(performer) = member.life {
+                let absent = Absent::new(performer, member.person);
+                self.absent.push(Absent { merged: Some(older), ..absent });
+            }
         }
     }
 
-    /// Members who were not seen for too long go.
-    fn lose(&mut self, at: Timestamp) {
+    /// Members who were not seen for too long go; performers who were not seen for much longer have left.
+    fn lose(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
         let is_gone = |member: &mut Member| {
             let longest = match member.life {
                 Life::Candidate(_) => DOUBTFUL,
@@ -305,14 +324,39 @@ impl People {
         };
         for member in self.members.extract_if(.., is_gone) {
             if let Life::Performer(performer) = member.life {
-                self.absent.push((performer, member.person));
+                self.absent.push(Absent::new(performer, member.person));
+            }
+        }
+        let left_after = self.choice.left_after();
+        for one in self.absent.iter_mut().filter(|one| !one.has_left) {
+            one.has_left = one.person.unseen(at) > left_after;
+            // Of those of an earlier take nobody waits for.
+            if one.has_left && one.merged.is_none() && one.person.sets > 0 {
+                changes.push(Change::Left(one.performer));
             }
         }
     }
 
+    /// Whether somebody may become a performer: those who are lost keep their places until they have left.
+    fn has_place(&self) -> bool {
+        let present =
+            self.members.iter().filter(|member| matches!(member.life, Life::Performer(_)));
+        let lost = self.absent.iter().filter(|one| !one.has_left && one.merged.is_none());
+        present.count() + lost.count() < self.limit
+    }
+
+    /// Whether a performer may be somebody who comes.
+    fn may_return(&self, one: &Absent) -> bool {
+        let is_there = |performer: usize| {
+            self.members.iter().any(|m| matches!(m.life, Life::Performer(own) if own == performer))
+        };
+        let has_own_place = !one.has_left && one.merged.is_none();
+        one.merged.is_none_or(is_there) && (has_own_place || self.has_place())
+    }
+
     /// Candidates become performers, the largest first, or bystanders.
     fn confirm(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
-        let is_open = self.known < self.limit;
+        let is_open = self.known < NUMBERS && self.has_place();
         let is_ready = |index: &usize| {
             let Member { person, life, .. } = &self.members[*index];
             match life {
@@ -333,14 +377,14 @@ impl People {
                 gone.push(index);
                 continue;
             }
-            let may_return = !self.absent.is_empty();
+            let may_return = self.absent.iter().any(|one| self.may_return(one));
             if may_return && self.members[index].person.sets < RECOGNISED {
                 continue;
             }
             let returned = self.recognise(index, at);
             let performer = match returned {
-                Some(place) => self.absent.remove(place).0,
-                None if self.known < self.limit && self.is_chosen(index) => {
+                Some(place) => self.absent.remove(place).performer,
+                None if self.known < NUMBERS && self.has_place() && self.is_chosen(index) => {
                     self.known += 1;
                     self.known - 1
                 }
@@ -389,13 +433,22 @@ impl People {
     /// The place in `absent` of the performer whom a candidate is.
     fn recognise(&self, candidate: usize, at: Timestamp) -> Option<usize> {
         let candidate = &self.members[candidate].person;
-        let gate = if self.known < self.limit { SAME_BODY } else { ALIKE_BODY };
-        let differences = self.absent.iter().enumerate().filter_map(|(place, (_, person))| {
-            let difference = person.lengths.difference(&candidate.lengths)?;
-            let is_possible = difference < gate && may_be_there(person, candidate, at);
+        let gate = if self.has_place() { SAME_BODY } else { ALIKE_BODY };
+        let differences = self.absent.iter().enumerate().filter_map(|(place, one)| {
+            let difference = one.person.lengths.difference(&candidate.lengths)?;
+            let is_possible = difference < gate
+                && may_be_there(&one.person, candidate, at)
+                && self.may_return(one);
             is_possible.then_some((place, difference))
         });
         differences.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(place, _)| place)
+    }
+}
+
+impl Absent {
+    /// A performer who is lost.
+    fn new(performer: usize, person: Person) -> Self {
+        Self { performer, person, merged: None, has_left: false }
     }
 }
 

@@ -81,11 +81,13 @@ pub enum EventKind {
     Reentered,
     /// Two performers were one person.
     Merged,
+    /// A performer was not seen for so long that somebody else may have the place.
+    Vacated,
 }
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 36] = [
+    pub const ALL: [Self; 37] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -122,6 +124,7 @@ impl EventKind {
         Self::Entered,
         Self::Reentered,
         Self::Merged,
+        Self::Vacated,
     ];
 
     /// A lower-case name, as used on the wire.
@@ -163,6 +166,7 @@ impl EventKind {
             Self::Entered => "entered",
             Self::Reentered => "reentered",
             Self::Merged => "merged",
+            Self::Vacated => "vacated",
         }
     }
 }

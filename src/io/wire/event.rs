@@ -59,6 +59,7 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Entered
         | EventKind::Reentered
         | EventKind::Merged
+        | EventKind::Vacated
         | EventKind::SecondNode => true,
         EventKind::Late
         | EventKind::Duplicate

@@ -7,7 +7,7 @@ pub(crate) fn goes_on(kind: &str) -> bool {
 
 /// Whether events of that kind belong to a good run. Of the kind `clock` only those without a difference do.
 pub(crate) fn is_expected(kind: &str) -> bool {
-    let of_performers = ["acquired", "left", "entered", "reentered"];
+    let of_performers = ["acquired", "left", "entered", "reentered", "vacated"];
     let of_cameras = ["returned", "calibrated", "rig_changed", "clock"];
     let of_node = ["latency", "idle", "take"];
     [&of_performers[..], &of_cameras, &of_node].concat().contains(&kind)

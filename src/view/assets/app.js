@@ -230,6 +230,10 @@ function showCameras() {
     item.dataset.level = level;
     const row = element("div", "", "row");
     row.append(element("span", level === "unknown" ? name : `${name} ${level}`, `light ${level}`));
+    // Its colour in the charts.
+    const index = store.rig?.cameras.findIndex((camera) => camera.name === name) ?? -1;
+    if (index >= 0) row.append(element("span", "", "swatch"));
+    if (index >= 0) row.lastChild.style.background = colour(index);
     if (counters) row.append(element("span", `${(counters.rate_hz ?? 0).toFixed(1)} Hz`));
     if (counters?.residual_px > 0) row.append(element("span", `${counters.residual_px.toFixed(1)} px`));
     if (counters?.near > 0) row.append(element("span", `${Math.round(100 * counters.near)} %`));
@@ -418,7 +422,7 @@ function emptyState(people) {
   }
   if (!store.rig) return `Keypoints of ${store.keypoints.size} cameras.\nWaiting for a calibration: publish it, or start the node with --rig.`;
   if (store.statusCame === undefined) return "Keypoints and a calibration are here, but no node answers.\nStart `bundlemocap run`.";
-  return "Nobody is tracked. Two cameras must see a person; then the node finds them within a second.";
+  return "Nobody is tracked. Two cameras must see a person, and the settings may ask for a place and a size; then the node finds them within a second.";
 }
 
 function element(tag, text, className) {
@@ -477,6 +481,20 @@ function setSpeed(speed) {
   $("speed").value = String(speed);
 }
 
+/** Bodies, or bones. */
+function showBodies(on) {
+  view.showSkins = on;
+  $("bodies").setAttribute("aria-pressed", String(on));
+}
+
+function showProvisional(on) {
+  chosen.provisional = on;
+  $("provisional").setAttribute("aria-pressed", String(on));
+  ask();
+}
+
+const showAll = () => view.frameAll(peopleAt(chosen.time, "poses"));
+
 function loop() {
   if (isLive) return;
   chosen.loop = chosen.loop ? undefined : [Math.max(0, chosen.time - 1), chosen.time + 1];
@@ -499,6 +517,10 @@ $("back").addEventListener("click", () => step(-1));
 $("forward").addEventListener("click", () => step(1));
 $("speed").addEventListener("change", ({ target }) => setSpeed(Number(target.value)));
 $("loop").addEventListener("click", loop);
+$("all").addEventListener("click", showAll);
+$("bodies").addEventListener("click", () => showBodies(!view.showSkins));
+$("provisional").addEventListener("click", () => showProvisional(!chosen.provisional));
+$("provisional").setAttribute("aria-pressed", String(chosen.provisional));
 $("keys").addEventListener("click", () => $("help").showModal());
 $("loop").hidden = isLive;
 addEventListener("hashchange", goToHash);
@@ -525,12 +547,9 @@ const KEYS = {
   ArrowRight: () => step(1),
   "[": () => setSpeed(SPEEDS[Math.max(0, SPEEDS.indexOf(chosen.speed) - 1)]),
   "]": () => setSpeed(SPEEDS[Math.min(SPEEDS.length - 1, SPEEDS.indexOf(chosen.speed) + 1)]),
-  f: () => view.frameAll(peopleAt(chosen.time, "poses")),
-  m: () => (view.showSkins = !view.showSkins),
-  p: () => {
-    chosen.provisional = !chosen.provisional;
-    ask();
-  },
+  f: showAll,
+  m: () => showBodies(!view.showSkins),
+  p: () => showProvisional(!chosen.provisional),
   l: loop,
   "?": () => $("help").showModal(),
 };
