@@ -26,6 +26,13 @@ fn rig() -> Rig {
     rig
 }
 
+/// The same with a fisheye, for formats that have them.
+fn rig_with_fisheye() -> Rig {
+    let mut rig = rig();
+    rig.cameras[1] = with_lens(&rig.cameras[1], Lens::Fisheye([0.01, -0.002, 0.0003, 0.0001]));
+    rig
+}
+
 fn with_lens(of: &Camera, lens: Lens) -> Camera {
     let size = [of.width, of.height];
     let (rotation, translation) = (of.rotation, of.translation);
@@ -38,6 +45,7 @@ struct InFile {
     size: [u32; 2],
     k: [[f64; 3]; 3],
     lens: Vec<f64>,
+    is_fisheye: bool,
     r: Matrix3<f64>,
     t: Vector3<f64>,
 }
@@ -48,7 +56,8 @@ impl InFile {
             name: camera.name.clone(),
             size: [camera.width, camera.height],
             k: rows(&camera.matrix()),
-            lens: camera.lens().coefficients()[..5].to_vec(),
+            lens: camera.lens().coefficients().iter().copied().take(5).collect(),
+            is_fisheye: matches!(camera.lens(), Lens::Fisheye(_)),
             r: camera.rotation * up.calibration_from_world().transpose(),
             t: camera.translation / unit,
         };
@@ -123,11 +132,11 @@ const WORLDS: [(Up, [&str; 2], f64); 4] = [
 fn pose2sim(cameras: &[InFile]) -> String {
     let mut text = String::new();
     for camera in cameras {
-        let InFile { name, size, k, lens, .. } = camera;
+        let InFile { name, size, k, lens, is_fisheye, .. } = camera;
         let _ = writeln!(
             text,
             "[{name}]\nname = \"{name}\"\nsize = {:?}\nmatrix = {k:?}\ndistortions = {lens:?}\n\
-             rotation = {:?}\ntranslation = {:?}\nfisheye = false\n",
+             rotation = {:?}\ntranslation = {:?}\nfisheye = {is_fisheye}\n",
             size.map(f64::from),
             camera.rotation_vector(),
             camera.t()
@@ -138,7 +147,7 @@ fn pose2sim(cameras: &[InFile]) -> String {
 
 #[test]
 fn toml_of_pose2sim_and_freemocap_is_read_in_any_unit_and_axes() {
-    let rig = rig();
+    let rig = rig_with_fisheye();
     for (up, said, unit) in WORLDS {
         let (_folder, path) = file("Calib.toml", pose2sim(&InFile::all(&rig, up, unit)));
         let found = is_read(&path, &rig, "TOML", said);
@@ -264,16 +273,17 @@ fn yaml_of_easymocap_is_read_from_both_files() {
 
 #[test]
 fn yaml_of_kalibr_is_read_in_the_first_cameras_axes() {
-    let rig = rig();
+    let rig = rig_with_fisheye();
     let (mut text, mut before) = (String::new(), (Matrix3::identity(), Vector3::zeros()));
     for (i, camera) in InFile::all(&rig, Up::Y, 1.0).iter().enumerate() {
         let InFile { name, size, k, lens, .. } = camera;
         let [[fx, _, cx], [_, fy, cy], _] = k;
+        let model = if camera.is_fisheye { "equidistant" } else { "radtan" };
         let (by, along) = (camera.r * before.0, camera.t - camera.r * before.0 * before.1);
         let _ = writeln!(
             text,
             "{name}:\n  camera_model: pinhole\n  intrinsics: [{fx}, {fy}, {cx}, {cy}]\n  \
-             distortion_model: radtan\n  distortion_coeffs: {lens:?}\n  resolution: {size:?}\n  \
+             distortion_model: {model}\n  distortion_coeffs: {lens:?}\n  resolution: {size:?}\n  \
              rostopic: /{name}/image_raw\n  cam_overlaps: []"
         );
         if i > 0 {
@@ -294,8 +304,7 @@ fn yaml_of_kalibr_is_read_in_the_first_cameras_axes() {
 
 #[test]
 fn opencv_yaml_of_ours_is_read_back_and_by_opencv_itself() {
-    let mut rig = rig();
-    rig.cameras[1] = with_lens(&rig.cameras[1], Lens::Fisheye([0.01, -0.002, 0.0003, 0.0001]));
+    let rig = rig_with_fisheye();
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("opencv.yml");
     write_opencv(&path, &rig, Up::Z).unwrap();
@@ -474,23 +483,17 @@ fn xml_of_optitrack_is_read_from_utf_16() {
 
 #[test]
 fn text_of_colmap_is_read() {
-    let rig = rig();
+    let rig = rig_with_fisheye();
     let (mut cameras, mut images) = ("# Camera list\n".to_owned(), "# Image list\n\n".to_owned());
     for (i, camera) in InFile::all(&rig, Up::MinusY, 1.0).iter().enumerate() {
         let ([width, height], k, lens) = (camera.size, camera.k, &camera.lens);
-        let _ = writeln!(
-            cameras,
-            "{i} FULL_OPENCV {width} {height} {} {} {} {} {} {} {} {} {} 0 0 0",
-            k[0][0],
-            k[1][1],
-            k[0][2] + 0.5,
-            k[1][2] + 0.5,
-            lens[0],
-            lens[1],
-            lens[2],
-            lens[3],
-            lens[4]
-        );
+        let (model, more) = match camera.is_fisheye {
+            true => ("OPENCV_FISHEYE", ""),
+            false => ("FULL_OPENCV", "0 0 0"),
+        };
+        let lens = lens.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+        let (fx, fy, cx, cy) = (k[0][0], k[1][1], k[0][2] + 0.5, k[1][2] + 0.5);
+        let _ = writeln!(cameras, "{i} {model} {width} {height} {fx} {fy} {cx} {cy} {lens} {more}");
         let ([x, y, z, w], [tx, ty, tz]) = (so3::xyzw_from_rotation(&camera.r), camera.t());
         let points = if i == 0 { "" } else { "10.5 20.5 7 30.5 40.5 -1 50.5 60.5 9 1" };
         let _ = writeln!(
