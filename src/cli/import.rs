@@ -165,7 +165,7 @@ fn frame_rate(given: Option<f64>, folder: &Path) -> Result<f64, Failure> {
     }
     let Some((fps, file)) = frame_rate_beside(folder)? else {
         let message = format!(
-            "{}: no Config.toml and no MP4 video beside it tells the frame rate; give --fps, such as --fps 60",
+            "{}: the frame rate is not known: no Config.toml, no MP4 video; give --fps, such as --fps 60",
             folder.display()
         );
         return Err(Failure::new(Exit::Usage, message));
@@ -183,17 +183,19 @@ fn frame_rate(given: Option<f64>, folder: &Path) -> Result<f64, Failure> {
 /// What is not known until the cameras agree.
 #[derive(Clone)]
 struct Attempt {
+    /// Frame rate, hertz.
     fps: f64,
     /// Order of the points; `None`: as their names or number tell.
     order: Option<PointOrder>,
     /// Files and their cameras, beside those by name.
     cameras: Vec<(String, String)>,
-    /// Unit and up axis of the calibration.
+    /// How the calibration is read.
     convention: ConventionArguments,
 }
 
 /// A recording that was written.
 struct Imported {
+    /// Its cameras.
     calibration: Calibration,
     folder: DetectionFolder,
     attempt: Attempt,
@@ -238,7 +240,7 @@ impl Imported {
         writer.finish()?;
         bar.finish_and_clear();
         let check = check(out).map(|mut check| {
-            // It is said once which cameras have no files.
+            // The folder's notes say which cameras have no files.
             for (index, camera) in check.cameras.iter_mut().enumerate() {
                 if folder.matches().iter().all(|pair| pair.camera != index) {
                     camera.findings.retain(|finding| finding.cause != "no_frames");
@@ -299,55 +301,70 @@ impl Imported {
         Ok(())
     }
 
-    /// Corrects what the performer shows to be wrong with the calibration, where the user says nothing: the
-    /// direction of all poses, the unit by the height, and the up axis if nothing else tells it.
+    /// Imports with the calibration read in another way, and keeps that if less is wrong.
+    fn read_again(
+        &mut self,
+        arguments: &Arguments,
+        path: &Path,
+        change: impl FnOnce(&mut ConventionArguments),
+        wrong: fn(&Check) -> f64,
+    ) -> Result<bool, Failure> {
+        let mut attempt = self.attempt.clone();
+        change(&mut attempt.convention);
+        self.replaced_by_better(arguments, path, attempt, wrong)
+    }
+
+    /// Corrects what the performer shows to be wrong with the calibration, where the user says nothing.
     fn measure(&mut self, arguments: &Arguments, path: &Path) -> Result<(), Failure> {
-        let given = &arguments.convention;
-        let inverse = self.calibration.poses.inverse();
-        let is_inverted = |check: &Check| f64::from(u8::from(check.finds("pose_inverted")));
-        if given.poses == Auto::default() {
-            let mut attempt = self.attempt.clone();
-            attempt.convention.poses = Auto(Some(inverse));
-            if self.replaced_by_better(arguments, path, attempt, is_inverted)? {
-                complain(
-                    "note",
-                    &format!("the cameras agree if the poses are {inverse} (--poses)"),
-                );
-            }
+        self.turn_poses(arguments, path)?;
+        self.find_unit(arguments, path)?;
+        self.find_up(arguments, path)
+    }
+
+    /// Turns all poses round if the cameras agree only then.
+    fn turn_poses(&mut self, arguments: &Arguments, path: &Path) -> Result<(), Failure> {
+        let inverse = Auto(Some(self.calibration.poses.inverse()));
+        let is_inverted = |check: &Check| f64::from(check.finds("pose_inverted"));
+        let is_open = arguments.convention.poses == Auto::default();
+        if is_open && self.read_again(arguments, path, |how| how.poses = inverse, is_inverted)? {
+            complain("note", &format!("the cameras agree if the poses are {inverse} (--poses)"));
         }
+        Ok(())
+    }
+
+    /// Takes the unit in which the performer is an adult, if the performer is not as high as people are.
+    fn find_unit(&mut self, arguments: &Arguments, path: &Path) -> Result<(), Failure> {
         let Calibration { unit, format, .. } = self.calibration;
         // COLMAP has no unit.
-        let is_open = given.unit == Auto::default() && format != "COLMAP";
-        let check = self.check.as_ref().ok().filter(|_| is_open);
-        if let Some(found) = check.and_then(|check| check.unit(unit.metres())) {
-            let height = check.and_then(|check| check.performer_height_m).unwrap_or_default();
-            let mut attempt = self.attempt.clone();
-            attempt.convention.unit = Auto(Some(Unit::of_metres(found)));
-            if self.replaced_by_better(arguments, path, attempt, Check::odd_height)? {
-                let (height, found) = (height / unit.metres(), self.calibration.unit);
-                complain(
-                    "note",
-                    &format!(
-                        "the performer is {height:.1} units high: the unit is {found}, not {unit} (--unit)"
-                    ),
-                );
-            }
-        }
-        let Calibration { up, up_is_guessed, .. } = self.calibration;
-        let upright = self.check.as_ref().ok().and_then(|check| check.performer_up);
-        let upright = upright.filter(|_| up_is_guessed);
-        let towards = |upright| Up::along(&(up.calibration_from_world() * Vector3::from(upright)));
-        let Some(found) = upright.and_then(towards) else { return Ok(()) };
-        let mut attempt = self.attempt.clone();
-        attempt.convention.up = Auto(Some(found));
-        let is_lying = |check: &Check| f64::from(u8::from(check.finds("up_axis")));
-        if found == up {
-            self.calibration.notes.retain(|note| note != UP_IS_GUESSED);
-        } else if self.replaced_by_better(arguments, path, attempt, is_lying)? {
-            complain(
-                "warning",
-                &format!("{found} is taken as up, for it points from hips to shoulders (--up)"),
+        let is_open = arguments.convention.unit == Auto::default() && format != "COLMAP";
+        let Some(check) = self.check.as_ref().ok().filter(|_| is_open) else { return Ok(()) };
+        let Some(metres) = check.unit(unit.metres()) else { return Ok(()) };
+        let height = check.performer_height_m.unwrap_or_default() / unit.metres();
+        let found = Unit::of_metres(metres);
+        let change = |how: &mut ConventionArguments| how.unit = Auto(Some(found));
+        if self.read_again(arguments, path, change, Check::odd_height)? {
+            let text = format!(
+                "the performer is {height:.1} units high: the unit is {found}, not {unit} (--unit)"
             );
+            complain("note", &text);
+        }
+        Ok(())
+    }
+
+    /// Takes the performer's own up axis, if nothing else tells which axis is up.
+    fn find_up(&mut self, arguments: &Arguments, path: &Path) -> Result<(), Failure> {
+        let Calibration { up, up_is_guessed, .. } = self.calibration;
+        let Some(check) = self.check.as_ref().ok().filter(|_| up_is_guessed) else { return Ok(()) };
+        let upright = check.performer_up.map(Vector3::from);
+        let found = upright.and_then(|upright| Up::along(&(up.calibration_from_world() * upright)));
+        let is_lying = |check: &Check| f64::from(check.finds("up_axis"));
+        if found == Some(up) {
+            self.calibration.notes.retain(|note| note != UP_IS_GUESSED);
+        } else if let Some(found) = found
+            && self.read_again(arguments, path, |how| how.up = Auto(Some(found)), is_lying)?
+        {
+            let text = format!("{found} is taken as up: it points from hips to shoulders (--up)");
+            complain("warning", &text);
         }
         Ok(())
     }
@@ -404,7 +421,7 @@ impl Imported {
             };
             let text =
                 format!("{unnamed} of {} files have no camera's name", folder.matches().len());
-            // Of more cameras than files others may fit as well.
+            // If there are more cameras than files, other cameras may fit as well.
             let has_all = folder.matches().len() == rig.cameras.len();
             match has_all && warnings.is_empty() && self.unnamed(given).all(fits) {
                 true => complain("note", &format!("{text}; the cameras agree")),

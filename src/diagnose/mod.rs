@@ -90,24 +90,24 @@ impl Check {
         of_cameras.chain(others)
     }
 
-    /// Whether this is wrong with all cameras or the whole recording.
+    /// Whether a fault with this name concerns all cameras or the whole recording.
     pub fn finds(&self, cause: &str) -> bool {
         self.findings.iter().any(|finding| finding.cause == cause)
     }
 
-    /// The unit of the calibration, metres, in which the performer is an adult, if the performer is not as high as
-    /// people are. `read`: the unit as which it was read.
+    /// The unit of length of the calibration, metres, that would make the performer an adult. `None` if the
+    /// performer is as high as people are, or no usual unit does. `read`: the unit with which it was read, metres.
     pub fn unit(&self, read: f64) -> Option<f64> {
         let metres = performer::unit(self.performer_height_m? / read)?.0;
         self.finds("scale").then_some(metres)
     }
 
-    /// How far the performer's height is from that of a person, the logarithm of their factor.
+    /// How far the performer's height is from the mean of adults: |ln(height / mean)|; infinite if it is not known.
     pub fn odd_height(&self) -> f64 {
         self.performer_height_m.map_or(f64::INFINITY, performer::oddness)
     }
 
-    /// Number of cameras with something wrong, and of other findings but those of the calibration's unit and axis.
+    /// Number of cameras with a fault, and of faults of all cameras, without those of the calibration's unit and axis.
     pub fn faults(&self) -> usize {
         let of_world = ["scale", "up_axis"];
         let others = self.findings.iter().filter(|finding| !of_world.contains(&finding.cause));

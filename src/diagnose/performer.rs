@@ -27,9 +27,9 @@ const UNITS: [(f64, &str); 6] = [
     (0.3048, "feet"),
     (1000.0, "kilometres"),
 ];
-/// Height of a person, metres.
+/// Mean height of adults, metres.
 const USUAL_M: f64 = 1.72;
-/// Largest logarithm of the factor between that and an adult's height: 1.45 to 2.04 m.
+/// Largest |ln(height / mean)| of an adult: 1.45 to 2.04 m.
 const ADULTS: f64 = 0.17;
 
 fn at(points: &Points, point: Keypoint) -> Option<Vector3<f64>> {
@@ -53,7 +53,7 @@ fn length(frames: &[Points], a: Keypoint, b: Keypoint) -> Option<f64> {
     medians(frames, |points| Some((at(points, a)? - at(points, b)?).norm()))
 }
 
-/// How far a height is from that of a person: the logarithm of their factor.
+/// How far a height, metres, is from the mean of adults: |ln(height / mean)|.
 pub(super) fn oddness(height: f64) -> f64 {
     libm::log(height / USUAL_M).abs()
 }

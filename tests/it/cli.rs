@@ -308,9 +308,9 @@ fn pose2sims_settings_tell_the_frame_rate() {
     let place = Place::new();
     walk_in_folders(&place, ["cam01", "cam02", "cam03", "cam04"]);
     let import = "import pose --calibration calib.toml --out out.mcap";
-    place.fails(USAGE, import, &["pose: no Config.toml", "--fps 60"]);
+    place.fails(USAGE, import, &["pose: the frame rate is not known", "--fps 60"]);
     place.write("Config.toml", "[project]\nframe_rate = 'auto'");
-    place.fails(USAGE, import, &["pose: no Config.toml", "--fps 60"]);
+    place.fails(USAGE, import, &["pose: the frame rate is not known", "--fps 60"]);
     place.write("Config.toml", "[project]\nframe_rate = 60");
     let output = place.run(import);
     let said = String::from_utf8(output.stderr).unwrap();
@@ -364,7 +364,7 @@ fn the_performer_tells_the_up_axis_where_the_images_do_not() {
     place.write("calib.toml", calibration.split_once("[metadata]").unwrap().0);
     let output = place.run(IMPORT);
     let said = String::from_utf8(output.stderr).unwrap();
-    assert!(said.contains("warning: y is taken as up, for it points from hips"), "{said}");
+    assert!(said.contains("warning: y is taken as up: it points from hips"), "{said}");
     assert!(said.contains("unit m, y up") && said.matches("warning").count() == 1, "{said}");
     assert!(place.done("info out.mcap").contains("--up y"));
 }

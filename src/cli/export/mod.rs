@@ -43,14 +43,13 @@ The ending of each file chooses the format:
   .svg    a picture: a row of stick figures
   .mcap   performers and cameras in 3D, joint frames and keypoints, for Foxglove and Lichtblick
 In all but .npz y is up, if --up does not say z. At rest the body is a T-pose (or what --rest says)
-that faces +z, in .mot it stands with hanging arms. There all rotations are zero; but in .glb and
-.usda, without --axes world, the joints have y along their bones. In .usda a `:` of a joint's name
-is `_`. Frames and times count from the first frame of the take, or from --start: frame n of
+that faces +z; in .mot it stands with hanging arms. All rotations are zero then. In .glb and .usda
+they are zero with --axes world only; else the joints have y along their bones. In .usda a `:` of a
+joint's name is `_`. Frames and times count from the first frame of the take, or from --start: frame n of
 .bvh, .trc, .c3d, .mot, .npz and .usda is frame n of the video, if the cameras run at the rate of
 the poses. Before a performer's first pose and in a gap .bvh, .mot and .npz repeat a pose, for at
-most ten minutes in all; .trc and .c3d are empty there, and where the performer is lost; .c3d has
-events there. Beside
-.trc and .c3d a .sd.csv has the standard deviations of the joint centres, metres.
+most ten minutes in all. .trc and .c3d are empty there, and where the performer is lost; .c3d has
+events there. Beside .trc and .c3d a .sd.csv has the standard deviations of the joint centres, metres.
 
 Examples:
   bundlemocap export out/poses.mcap --out take1.glb

@@ -387,7 +387,7 @@ impl Stage {
                 self.next.push_back(Next::Tracker(performer, tracker::Input::Restart));
                 (performer, EventKind::Reentered, "the performer is back".to_owned())
             }
-            Change::Left(performer) => {
+            Change::Vacated(performer) => {
                 (performer, EventKind::Vacated, "somebody else may have the place".to_owned())
             }
             Change::Merged(performer, into) => {

@@ -37,7 +37,7 @@ const SAME_TIME: Nanos = Nanos::from_ms(300);
 const STAYED: Nanos = Nanos::from_ms(500);
 /// Most people who are followed.
 const MOST: usize = 64;
-/// Most performers one after the other.
+/// Most numbers of performers in a run.
 const NUMBERS: usize = 256;
 
 /// What a person is to us.
@@ -63,7 +63,7 @@ struct Member {
 struct Absent {
     performer: usize,
     person: Person,
-    /// The performer as whom this one was taken. They may be two after all.
+    /// The performer with whom this one was merged. They may be two people after all.
     merged: Option<usize>,
     /// Whether somebody else may have the place.
     has_left: bool,
@@ -77,7 +77,7 @@ pub enum Change {
     /// A performer who was lost is there again.
     Returned(usize),
     /// A performer was not seen for so long that somebody else may have the place.
-    Left(usize),
+    Vacated(usize),
     /// The first one was the second one, who goes on.
     Merged(usize, usize),
     /// A frame with the performer alone, or with nobody.
@@ -330,9 +330,9 @@ impl People {
         let left_after = self.choice.left_after();
         for one in self.absent.iter_mut().filter(|one| !one.has_left) {
             one.has_left = one.person.unseen(at) > left_after;
-            // Of those of an earlier take nobody waits for.
+            // Those of an earlier take may not be here today.
             if one.has_left && one.merged.is_none() && one.person.sets > 0 {
-                changes.push(Change::Left(one.performer));
+                changes.push(Change::Vacated(one.performer));
             }
         }
     }
@@ -345,7 +345,7 @@ impl People {
         present.count() + lost.count() < self.limit
     }
 
-    /// Whether a performer may be somebody who comes.
+    /// Whether a performer who is absent may be a person who comes now.
     fn may_return(&self, one: &Absent) -> bool {
         let is_there = |performer: usize| {
             self.members.iter().any(|m| matches!(m.life, Life::Performer(own) if own == performer))

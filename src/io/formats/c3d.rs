@@ -30,8 +30,8 @@ const LONGEST: usize = 127;
 /// Most values of a parameter along a dimension.
 const MOST: usize = 255;
 
-/// Writes markers over time. Frames count from 1. Events `Lost` and `Tracked` stand where all markers disappear and come
-/// back, at most 255.
+/// Writes markers over time. Frames count from 1. An event `Lost` is where all markers disappear, an event `Tracked`
+/// where they come back; at most 255 events.
 ///
 /// # Errors
 /// The disk is full, the rate is not above 0, a place is not finite, or there are more than 255 markers.

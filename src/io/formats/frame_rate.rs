@@ -30,8 +30,8 @@ pub fn frame_rate_beside(detections: &Path) -> Result<Option<FrameRate>, ImportE
             return Ok(Some((hz, config)));
         }
         let places = [folder.to_owned(), folder.join("videos"), folder.join("synchronized_videos")];
-        let [from, to] = [[0, 3], [1, 3], [2, 3]][above];
-        let all = places[from..to].iter().flat_map(|place| videos(place));
+        // Above, other videos lie too.
+        let all = places.iter().skip(above).flat_map(|place| videos(place));
         let rates: Vec<FrameRate> = all.filter_map(|path| Some((of_video(&path)?, path))).collect();
         if let Some((hz, path)) = rates.first() {
             return match rates.iter().find(|other| (other.0 / hz - 1.0).abs() > ALIKE) {

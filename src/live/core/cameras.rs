@@ -94,7 +94,7 @@ impl Camera {
     }
 
     /// Sets its usual residual, pixels; 0: not known.
-    pub(super) fn expect(&mut self, usual_px: f64) {
+    pub(super) fn set_usual_px(&mut self, usual_px: f64) {
         self.counters.usual_px = usual_px;
     }
 

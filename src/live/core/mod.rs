@@ -86,7 +86,7 @@ pub struct Core {
     held: Vec<(PerformerId, Solution, Nanos)>,
     /// Name of the take that runs, or empty.
     running: String,
-    /// The first message of this run.
+    /// Time of the first message of this run, node's clock.
     began: Timestamp,
     /// Id of this run, set at the first message; 0 before.
     run_id: u64,
@@ -228,7 +228,7 @@ impl Core {
         let detail = format!("calibration {} of {} cameras", rig.version, rig.cameras.len());
         self.performers.clear();
         for (camera, usual) in self.cameras.iter_mut().zip(&self.settings.carried.usual_px) {
-            camera.expect(*usual);
+            camera.set_usual_px(*usual);
         }
         let Settings { tracker: config, stage: of_stage, carried, .. } = &self.settings;
         let tracker = Tracker::new(*config, rig).live(live);

@@ -93,7 +93,7 @@ impl Core {
             let before = before.and_then(|rig| rig.cameras.get(rig.index_of(&new.name)?));
             if !before.is_some_and(|before| before.has_pose_of(new)) {
                 camera.placed = None;
-                camera.expect(0.0);
+                camera.set_usual_px(0.0);
             }
         }
         self.known_rigs.extend(self.has_rig_file().then(|| fnv1a(bytes)));

@@ -88,7 +88,7 @@ const toScreen = [];
 let lastDue = 0;
 /** The clocks are one only on the node's computer. */
 const IS_HERE = isLive && ["localhost", "127.0.0.1", "[::1]"].includes(location.hostname);
-/** The clocks of two computers, as that of the page's server and of a node elsewhere, differ by more, ms, or it does not matter. */
+/** If the page's clock and the node's are farther apart, ms, they are those of two computers. */
 const SAME_CLOCK = 20;
 
 function measureScreen(people) {
@@ -422,7 +422,7 @@ function emptyState(people) {
   }
   if (!store.rig) return `Keypoints of ${store.keypoints.size} cameras.\nWaiting for a calibration: publish it, or start the node with --rig.`;
   if (store.statusCame === undefined) return "Keypoints and a calibration are here, but no node answers.\nStart `bundlemocap run`.";
-  return "Nobody is tracked. Two cameras must see a person, and the settings may ask for a place and a size; then the node finds them within a second.";
+  return "Nobody is tracked. The node finds a person within a second if two cameras see the person. The settings may limit the place and the size.";
 }
 
 function element(tag, text, className) {

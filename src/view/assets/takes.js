@@ -33,7 +33,7 @@ export function takes(store, source, lookOf) {
     else command("start", $("take-name").value);
   });
   $("reset").addEventListener("click", () => command("reset"));
-  // Name of the take that runs, or of the last one; and of the one after which the field is named.
+  // Name of the take that runs, or of the last one; and the take whose next name is in the field.
   let [noteTake, followed] = [undefined, undefined];
   const sendNote = (mark) => {
     command("note", noteTake, { mark, note: $("note").value });

@@ -60,7 +60,7 @@ impl Up {
         }
     }
 
-    /// The axis next to a direction, if one clearly is.
+    /// The axis nearest to a direction of the calibration's world; `None` if that is between axes.
     pub fn along(direction: &Vector3<f64>) -> Option<Self> {
         let axis = direction.iamax();
         let is_clear = direction[axis].abs() > MIN_ALONG * direction.norm();
@@ -68,8 +68,8 @@ impl Up {
         is_clear.then(|| signed[axis][usize::from(direction[axis] > 0.0)])
     }
 
-    /// The axis that is up for the cameras, if one clearly is: people seldom turn cameras over, and if they hang them
-    /// under a ceiling, the cameras look down.
+    /// The axis that is up for the cameras, if one clearly is. People seldom turn cameras over. Where they do, under a
+    /// ceiling, the cameras look down.
     fn of(cameras: &[Calibrated]) -> Option<Self> {
         let mean = |row: usize| {
             let backwards = |camera: &Calibrated| -camera.rotation.row(row).transpose();
@@ -164,13 +164,13 @@ impl FromStr for Unit {
     }
 }
 
-/// What the poses of a calibration are.
+/// The direction of the poses of a calibration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Poses {
     /// They take the world to the camera, as in OpenCV.
     #[default]
     CameraFromWorld,
-    /// They are those of the cameras in the world.
+    /// They take the camera to the world.
     WorldFromCamera,
 }
 
@@ -266,7 +266,7 @@ impl From<Up> for Convention {
     }
 }
 
-/// Mean of the cameras' unit vectors that point up in their images, or backwards; shorter, it tells nothing of up.
+/// The mean of the cameras' unit vectors, those up in the images or those backwards, tells the up axis if it is longer.
 const MIN_UPRIGHT: f64 = 0.5;
 /// Share of that mean that must be along one axis: 37 degrees off it, at most.
 const MIN_ALONG: f64 = 0.8;
@@ -300,10 +300,10 @@ pub(super) fn opengl() -> Matrix3<f64> {
     Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0))
 }
 
-/// What was found out about a calibration.
-/// Of a calibration of which nothing tells the up axis.
+/// The note on a calibration whose up axis is guessed.
 pub const UP_IS_GUESSED: &str = "the up axis cannot be found from the images; z is used (--up)";
 
+/// What was found out about a calibration.
 pub(super) struct Found {
     pub up: Up,
     /// Whether nothing says that this axis points up.
