@@ -230,10 +230,6 @@ function showCameras() {
     item.dataset.level = level;
     const row = element("div", "", "row");
     row.append(element("span", level === "unknown" ? name : `${name} ${level}`, `light ${level}`));
-    // Its colour in the charts.
-    const index = store.rig?.cameras.findIndex((camera) => camera.name === name) ?? -1;
-    if (index >= 0) row.append(element("span", "", "swatch"));
-    if (index >= 0) row.lastChild.style.background = colour(index);
     if (counters) row.append(element("span", `${(counters.rate_hz ?? 0).toFixed(1)} Hz`));
     if (counters?.residual_px > 0) row.append(element("span", `${counters.residual_px.toFixed(1)} px`));
     if (counters?.near > 0) row.append(element("span", `${Math.round(100 * counters.near)} %`));

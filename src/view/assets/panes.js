@@ -1,5 +1,6 @@
 // The camera images: detected keypoints, and the solved bodies over them.
 
+import { colour } from "./colours.js";
 import { lensOf, project } from "./lens.js";
 import { median } from "./store.js";
 
@@ -45,6 +46,10 @@ export class Panes {
       const canvas = button.appendChild(document.createElement("canvas"));
       const caption = button.appendChild(document.createElement("span"));
       caption.className = "caption";
+      const swatch = caption.appendChild(document.createElement("span"));
+      swatch.className = "swatch";
+      // Its colour in the charts.
+      swatch.style.background = colour(names.indexOf(name));
       const light = caption.appendChild(document.createElement("span"));
       const count = caption.appendChild(document.createElement("span"));
       light.className = "light";
