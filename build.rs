@@ -58,6 +58,7 @@ fn with_json(config: &mut Config) -> &mut Config {
                 "Keyframe.run_id",
                 "RetargetedPose.run_id",
                 "Status.run_id",
+                "StageStatus.run_id",
                 "Event.run_id",
                 "Skeleton.run_id",
                 "Take.id",

@@ -1,5 +1,6 @@
 //! The configuration file: every module's `Config` in one tree.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -7,9 +8,10 @@ use thiserror::Error;
 
 use crate::core::limits::OutOfRange;
 use crate::core::manifold::Decoder;
-use crate::core::stage;
+use crate::core::stage::{self, Known, PerformerId};
 use crate::core::tracker;
 use crate::io::bus;
+use crate::io::recording::{RecordError, known_people};
 use crate::io::timecode::{House, TimecodeError};
 use crate::io::wire::{NameError, valid_name};
 use crate::live;
@@ -134,8 +136,9 @@ impl Config {
             let reason = error.message().replace('\n', " ");
             ConfigError::Malformed { path: path.into(), line, reason }
         })?;
-        for (key, name) in [("node.stage", &config.node.stage), ("node.actor", &config.node.actor)]
-        {
+        let names = config.stage.names.iter().map(|name| ("stage.names", name));
+        let node = [("node.stage", &config.node.stage), ("node.actor", &config.node.actor)];
+        for (key, name) in node.into_iter().chain(names) {
             valid_name(name).map_err(|source| ConfigError::Name {
                 path: path.into(),
                 key,
@@ -155,6 +158,9 @@ impl Config {
                 error: error.in_table(table),
             })?;
         }
+        if let Some(reason) = config.wrong_people() {
+            return Err(ConfigError::Together { path: path.into(), reason });
+        }
         let reason = match config.stage.several() {
             true if config.node.associated => {
                 "[node] associated reads one performer; set [stage] performers = 1"
@@ -162,8 +168,9 @@ impl Config {
             true if !config.node.body.is_empty() => {
                 "[node] body is of one performer; leave it out, or set [stage] performers = 1"
             }
-            false if config.stage.choice() != stage::Choice::default() => {
-                "[stage] region and min_height_px choose among several people; set [stage] performers = \"auto\""
+            false if config.stage.chooses() => {
+                "[stage] names, bodies, only, region, min_height_px and left_after_s are for several people; \
+                 set [stage] performers = \"auto\""
             }
             false if !config.stage.solve => {
                 "[stage] solve = false needs several performers; set [stage] performers"
@@ -171,6 +178,20 @@ impl Config {
             _ => return Ok(config),
         };
         Err(ConfigError::Together { path: path.into(), reason })
+    }
+
+    /// What is wrong with the names of people, and how to correct it.
+    pub fn wrong_people(&self) -> Option<&'static str> {
+        let stage::Config { names, bodies, only, .. } = &self.stage;
+        let mut others = BTreeSet::from([&self.node.actor]);
+        if !names.iter().all(|name| others.insert(name) && !PerformerId::is_name(name)) {
+            return Some(
+                "[stage] names must differ from each other, from [node] actor, and from p1, p2, ...",
+            );
+        }
+        let is_anybody = !only.is_empty() && bodies.is_empty();
+        is_anybody
+            .then_some("[stage] only needs [stage] bodies, by which these people are recognised")
     }
 
     /// The settings of a new node's core, without a known body.
@@ -188,6 +209,17 @@ impl Config {
             carried: live::Carried::default(),
             timecode: self.timecode.house()?,
         })
+    }
+
+    /// The people whose bodies are known: those of `[stage] bodies`.
+    ///
+    /// # Errors
+    /// As [`known_people`], which must know everybody of `[stage] only`.
+    pub fn known_people(&self) -> Result<Vec<Known>, RecordError> {
+        match self.stage.bodies.as_str() {
+            "" => Ok(Vec::new()),
+            folder => known_people(Path::new(folder), &self.node.actor, &self.stage.only),
+        }
     }
 
     /// The settings as TOML, without comments.
@@ -270,7 +302,11 @@ mod tests {
             ("[stage]\nperformers = 2\n[node]\nassociated = true\n", "performers = 1"),
             ("[stage]\nperformers = \"auto\"\n[node]\nbody = \"a.mcap\"\n", "of one performer"),
             ("[stage]\nsolve = false\n", "needs several performers"),
-            ("[stage]\nmin_height_px = 100\n", "choose among several people"),
+            ("[stage]\nmin_height_px = 100\n", "are for several people"),
+            ("[stage]\nnames = [\"a\"]\n", "are for several people"),
+            ("[stage]\nperformers = 2\nnames = [\"a\", \"a\"]\n", "names must differ"),
+            ("[stage]\nperformers = 2\nnames = [\"p4\"]\n", "names must differ"),
+            ("[stage]\nperformers = 2\nonly = [\"a\"]\n", "needs [stage] bodies"),
             (
                 "[stage]\nregion = [[0, 0], [1, 0]]\n",
                 "stage.region is 2, but must be no corners, or 3 or more",

@@ -32,6 +32,7 @@ Examples:
   bundlemocap echo poses
   bundlemocap echo poses --actor p2
   bundlemocap echo status --count 1
+  bundlemocap echo stage
   bundlemocap echo all --hz
   bundlemocap echo keyframes --json | jq .message.z
   bundlemocap echo keypoints --connect tcp/192.168.1.10:7447")]
@@ -62,6 +63,8 @@ enum What {
     Keypoints,
     /// The node's counters.
     Status,
+    /// Who is on the stage: performers, and how many more people are seen.
+    Stage,
     /// Events of the stage and of the performer.
     Events,
     /// Solved keyframes.
@@ -83,6 +86,7 @@ impl What {
             Self::Provisional => topics.provisional(),
             Self::Keypoints => topics.keypoints("*"),
             Self::Status => topics.status(),
+            Self::Stage => topics.stage_status(),
             Self::Events => return vec![topics.stage_events(), topics.actor_events()],
             Self::Keyframes => topics.keyframe(),
             Self::Rig => topics.rig(),

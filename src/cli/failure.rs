@@ -114,8 +114,13 @@ impl From<RecordError> for Failure {
         let exit = match &error {
             RecordError::Read { .. } => Exit::Unreadable,
             RecordError::NotMcap { .. } => Exit::Malformed,
-            RecordError::NoChannels { .. } | RecordError::NoBody { .. } => Exit::NotOurs,
-            RecordError::NoBodyOf { .. } | RecordError::SeveralBodies { .. } => Exit::Usage,
+            RecordError::NoChannels { .. }
+            | RecordError::NoBody { .. }
+            | RecordError::NoLengths { .. } => Exit::NotOurs,
+            RecordError::NoBodyOf { .. }
+            | RecordError::NoName { .. }
+            | RecordError::ManyBodies { .. }
+            | RecordError::SeveralBodies { .. } => Exit::Usage,
             RecordError::Write { .. }
             | RecordError::LeftOver { .. }
             | RecordError::TooManyTopics { .. } => Exit::Unexpected,

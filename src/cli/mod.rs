@@ -30,6 +30,7 @@ mod rig;
 mod run;
 mod solve;
 mod span;
+mod stage;
 mod synth;
 mod take;
 mod takes;

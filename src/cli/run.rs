@@ -14,6 +14,7 @@ use super::clock::{ATTENTION, Stop};
 use super::failure::{Exit, Failure};
 use super::lookout::look;
 use super::solve::decoder;
+use super::stage::StageArguments;
 use crate::config::Config;
 use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind};
@@ -37,6 +38,8 @@ Examples:
   bundlemocap run
   bundlemocap run studio.toml --rig Calib_qualisys.toml --prometheus 127.0.0.1:9464
   bundlemocap run studio.toml --body take1/poses.mcap
+  bundlemocap run studio.toml --performers auto --names lead,double --bodies bodies/
+  bundlemocap run studio.toml --performers auto --bodies bodies/ --only lead,double
   bundlemocap run --listen tcp/0.0.0.0:7447 --latency 50
   bundlemocap run studio.toml --view 127.0.0.1:8765       and open the page in a browser
   bundlemocap run studio.toml --foxglove 127.0.0.1:8766   and open ws://127.0.0.1:8766 in Lichtblick
@@ -58,6 +61,8 @@ pub(super) struct Arguments {
     /// The performer of that recording, if it has several.
     #[arg(long, value_name = "NAME")]
     body_actor: Option<String>,
+    #[command(flatten)]
+    stage: StageArguments,
     /// Manifold weights of `bundlemocap train`; default: the embedded weights.
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
@@ -116,6 +121,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             Some(encode(&wire::Skeleton::from_core(&body)))
         }
     };
+    // A wrong file is said at once; while this node stood by, another may have written more.
+    config.known_people()?;
     let _log = log::start()?;
     // Before anything is opened, so that a signal always ends in a clean stop.
     let stop = Stop::on_signals()?;
@@ -129,14 +136,15 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
 
     // Before the bus starts its threads, so that they do not use this core.
     let is_one = !config.stage.several();
-    config.stage.without_effect().into_iter().for_each(|text| tracing::warn!("{text}"));
     let is_alone = is_one && config.node.solver_core && config.tracker.threads == 1;
     let solver_core = is_alone.then(SolverCore::reserve).flatten();
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
     let now = WallClock::start().now();
     let presence = Presence::announce(Arc::clone(&bus), topics(&config), now)?;
     let Some(presence) = alone(presence, arguments.standby, &stop)? else { return Ok(Exit::Done) };
-    let core = Core::new(Settings { body, ..config.core_settings(&decoder)? });
+    let mut settings = Settings { body, ..config.core_settings(&decoder)? };
+    settings.carried.performers = config.known_people()?;
+    let core = Core::new(settings);
     // Several performers share as many solvers as there are processors.
     let processors = std::thread::available_parallelism().map_or(1, usize::from);
     let count = if is_one { 1 } else { processors.min(MOST_SOLVERS) };
@@ -214,6 +222,7 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     if let Some(body) = &arguments.body {
         config.node.body = body.display().to_string();
     }
+    arguments.stage.apply(&mut config.stage)?;
     if let Some(latency) = arguments.latency {
         config.node.latency_ms = latency;
     }

@@ -12,6 +12,7 @@ use super::Ended;
 use super::failure::{Exit, Failure, frame_rate_option, ratio};
 use super::rig::ConventionArguments;
 use super::span::{SpanArguments, Times};
+use super::stage::StageArguments;
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
 use crate::core::body::Skeleton;
@@ -20,7 +21,8 @@ use crate::core::manifold::{Decoder, Interpolation};
 use crate::core::optimise::OptimiserKind;
 use crate::core::stage::Performers;
 use crate::io::formats::{Trc, calibration_files};
-use crate::io::recording::last_body;
+use crate::io::recording::{body_file, last_body, write_body};
+use crate::io::wire;
 use crate::offline::output::{files, of_performer};
 use crate::offline::{Group, Observer, Options, PerformerSummary, Recording, Summary, solve_group};
 
@@ -106,9 +108,8 @@ pub(super) struct Arguments {
     /// files, that of each performer to the nearest.
     #[arg(long, value_name = "TRC", value_delimiter = ',')]
     reference: Vec<PathBuf>,
-    /// How many people are solved at a time: 1 to 32, or auto for all; default: that of the settings, 1.
-    #[arg(long, value_name = "N")]
-    performers: Option<Performers>,
+    #[command(flatten)]
+    stage: StageArguments,
     /// Use the capture times as they are; default: correct those of cameras that are shifted.
     #[arg(long)]
     no_sync: bool,
@@ -228,7 +229,6 @@ impl Arguments {
 impl Prepared {
     pub(super) fn of(arguments: &Arguments) -> Result<Self, Failure> {
         let config = settings(arguments)?;
-        config.stage.without_effect().into_iter().for_each(|text| complain("warning", text));
         let decoder = decoder(arguments.weights.as_deref())?;
         let actor = arguments.body_actor.as_deref();
         let body = arguments.body.as_deref().map(|path| last_body(path, actor)).transpose()?;
@@ -243,7 +243,24 @@ impl Prepared {
         let rig = arguments.rig.as_deref();
         let rig = rig.map(|rig| arguments.convention.read(rig)).transpose()?;
         let rig = rig.map(|read| read.rig);
+        config.known_people()?;
         Ok(Self { config, decoder, body: body.map(Arc::new), references, rig })
+    }
+
+    /// Writes the bodies of performers with a name to the folder of known bodies, if they have none there.
+    fn keep_bodies(&self, group: &Group) -> Result<(), Failure> {
+        let folder = Path::new(&self.config.stage.bodies);
+        if self.config.stage.bodies.is_empty() {
+            return Ok(());
+        }
+        for known in group.known.iter().filter(|known| !known.name.is_empty()) {
+            let file = body_file(folder, &known.name);
+            if let Some(body) = wire::Skeleton::of_known(known).filter(|_| !file.exists()) {
+                write_body(folder, &known.name, &body)?;
+                say(&format!("the body of {} is written to {}", known.name, file.display()));
+            }
+        }
+        Ok(())
     }
 
     /// All that changes a solve beside its files.
@@ -289,6 +306,9 @@ impl Prepared {
             references: self.references.clone(),
             performers,
             choice: self.config.stage.choice(),
+            names: self.config.stage.names.clone(),
+            // An earlier take may have brought more.
+            known: self.config.known_people()?,
             body: self.body.clone(),
             out: Some(out.to_owned()),
             overwrite,
@@ -299,6 +319,7 @@ impl Prepared {
         let mut progress = Progress(bar(options.passes() * recording.messages()));
         let group = solve_group(&mut recording, &options, &mut progress)?;
         progress.0.finish_and_clear();
+        self.keep_bodies(&group)?;
         for one in &group.performers {
             let bvh = out.join(of_performer(&one.performer, performers, "bvh"));
             times.beside(&bvh, span.map(|[start, _]| start))?;
@@ -313,7 +334,7 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
         config.tracker.frame_rate_hz = frame_rate_option(fps)?;
     }
     config.tracker.threads = arguments.threads.map_or(config.tracker.threads, usize::from);
-    config.stage.performers = arguments.performers.unwrap_or(config.stage.performers);
+    arguments.stage.apply(&mut config.stage)?;
     match arguments.interpolation {
         Some(InterpolationName::Slerp) => config.tracker.cost.interpolation = Interpolation::Slerp,
         Some(InterpolationName::Lerp) => config.tracker.cost.interpolation = Interpolation::Lerp,
@@ -323,6 +344,14 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
         Some(OptimiserName::Lm) => config.tracker.optimiser = OptimiserKind::LevenbergMarquardt,
         Some(OptimiserName::Lbfgs) => config.tracker.optimiser = OptimiserKind::Lbfgs,
         None => {}
+    }
+    if let Some(why) = config.wrong_people() {
+        return Err(Failure::new(Exit::Usage, why));
+    }
+    if config.stage.chooses() && !config.stage.several() {
+        let what =
+            "[stage] names, bodies, only, region, min_height_px and left_after_s have no effect";
+        complain("warning", &format!("{what} with performers = 1: the largest person is solved"));
     }
     Ok(config)
 }

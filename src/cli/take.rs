@@ -22,14 +22,18 @@ pub(super) const PATIENCE: Duration = Duration::from_secs(4);
 /// Wait for further answers once a node and a recorder have answered.
 const GRACE: Duration = Duration::from_millis(300);
 
-/// Begin or end a take, write a note about it, forget the body, label a performer, or mend a moved camera.
+/// Begin or end a take, write a note about it; name, choose, label or reset performers; mend a moved camera.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own for the take, so that
        `replay` can verify it alone: they keep calibration, body, latency and time offsets, search the
        performer anew, and publish no poses for some tenths of a second.
 stop   Recorders end the file, one second later. Nodes go on.
-reset  Nodes forget the performer's body: somebody else comes.
+reset  Nodes forget the performers' bodies, or that of performer NAME: somebody else comes.
+name   Performer NAME is called NEW_NAME from now on, also in the topics. Who had this name, and is not
+       here any more, loses it.
+follow The person at X,Z (metres, on the floor) becomes a performer, also outside of [stage] region.
+drop   Performer NAME is nobody from now on, until somebody follows that person.
 label  Sets the name and the colour that programs show for performer NAME, until the node ends. An
        option that is not given is set to its default.
 lock   Keeps the body of performer NAME at a reset.
@@ -46,6 +50,9 @@ Examples:
   bundlemocap take start walk_01
   bundlemocap take stop
   bundlemocap take note --mark good --note \"left hand is best\"
+  bundlemocap take name p3 lead
+  bundlemocap take follow 1.2,-0.5
+  bundlemocap take drop p2
   bundlemocap take label p3 --display-name \"the lead\" --colour '#d55e00'
   bundlemocap take mend cam03
   bundlemocap take reset --connect tcp/192.168.1.10:7447")]
@@ -54,12 +61,16 @@ pub(super) struct Arguments {
     #[arg(value_enum)]
     action: Action,
     /// Name of the take: letters, digits, `-`, `_` and `.`. Without it: the running take; for
-    /// note, else the last one. For mend: the name of the camera. For label, lock and unlock: the performer,
-    /// such as p3.
-    #[arg(required_if_eq_any([
+    /// note, else the last one. For mend: the name of the camera. For name, drop, label, lock and unlock: the
+    /// performer, such as p3; for reset: all without one. For follow: X,Z.
+    #[arg(allow_hyphen_values = true, required_if_eq_any([
         ("action", "start"), ("action", "mend"), ("action", "label"), ("action", "lock"), ("action", "unlock"),
+        ("action", "name"), ("action", "drop"), ("action", "follow"),
     ]))]
     name: Option<String>,
+    /// For name: the new name: letters, digits, `-`, `_` and `.`.
+    #[arg(required_if_eq("action", "name"))]
+    new_name: Option<String>,
     /// Text of the note.
     #[arg(long, default_value = "", hide_default_value = true)]
     note: String,
@@ -82,8 +93,14 @@ enum Action {
     Start,
     /// End the take.
     Stop,
-    /// Forget the performer's body.
+    /// Forget the performers' bodies.
     Reset,
+    /// Give another name to a performer.
+    Name,
+    /// Make the person at a place a performer.
+    Follow,
+    /// Make a performer nobody.
+    Drop,
     /// Give a performer a name and a colour to show.
     Label,
     /// Keep a performer's body when the others are forgotten.
@@ -102,6 +119,9 @@ impl Action {
             Self::Start => "start",
             Self::Stop => "stop",
             Self::Reset => "reset",
+            Self::Name => "name",
+            Self::Follow => "follow",
+            Self::Drop => "drop",
             Self::Label => "label",
             Self::Lock => "lock",
             Self::Unlock => "unlock",
@@ -127,9 +147,24 @@ pub(super) fn roles(action: &str) -> &'static [&'static str] {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     let name = arguments.name.clone().unwrap_or_default();
-    // Cameras may have any name.
-    if !name.is_empty() && arguments.action != Action::Mend {
-        check_name("NAME", &name)?;
+    let place_m = match arguments.action {
+        Action::Follow => place(&name)?,
+        // Cameras may have any name.
+        Action::Mend => Vec::new(),
+        _ if name.is_empty() => Vec::new(),
+        // An option that there is not.
+        _ if name.starts_with('-') => {
+            let why = format!("NAME is {name:?}: an option that `take` does not have, or no name");
+            return Err(Failure::new(Exit::Usage, why));
+        }
+        _ => check_name("NAME", &name).map(|()| Vec::new())?,
+    };
+    let new_name = arguments.new_name.clone().unwrap_or_default();
+    if !new_name.is_empty() {
+        check_name("NEW_NAME", &new_name)?;
+        if arguments.action != Action::Name {
+            return Err(Failure::new(Exit::Usage, "NEW_NAME is for name"));
+        }
     }
     let config = arguments.bus.settings()?;
     let bus = open(&config)?;
@@ -142,7 +177,7 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         return Err(Failure::new(Exit::Usage, "--display-name and --colour are for label"));
     }
     let action = arguments.action.name().into();
-    let take = Take { id: 0, action, name, note, mark, display_name, colour };
+    let take = Take { id: 0, action, name, note, mark, display_name, colour, new_name, place_m };
     let slate = Slate::open(&*bus, &topics(&config))?;
     std::thread::sleep(LEAD);
     let answers = answered(&slate, take, arguments.action.roles())?;
@@ -163,6 +198,17 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     }
     let is_done = missing.is_empty() && answers.iter().all(|answer| !answer.refused);
     Ok(if is_done { Exit::Done } else { Exit::InPart })
+}
+
+/// The place of a text such as `1.2,-0.5`.
+fn place(text: &str) -> Result<Vec<f64>, Failure> {
+    let numbers = text.split(',').map(|number| number.trim().parse::<f64>());
+    let place: Option<Vec<f64>> =
+        numbers.map(|number| number.ok().filter(|n| n.is_finite())).collect();
+    place.filter(|place| place.len() == 2).ok_or_else(|| {
+        let fix = "write X,Z in metres, such as 1.2,-0.5";
+        Failure::new(Exit::Usage, format!("follow needs a place, not {text:?}: {fix}"))
+    })
 }
 
 /// Publishes a command and collects the answers.

@@ -5,7 +5,7 @@ use crate::io::recording::Message;
 use crate::io::wire::journal_entry::Input;
 use crate::io::wire::{
     CameraCounters, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, RetargetedPose,
-    Status, Take, TakeAnswer, TrackingState,
+    StagePerformer, StageStatus, Status, Take, TakeAnswer, TrackingState,
 };
 
 /// The main fields of a message; `None` for an unknown schema. `arrival` is the time of arrival.
@@ -23,6 +23,7 @@ pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {
         }
         Message::Event(event) => self::event(event),
         Message::Status(status) => self::status(status),
+        Message::StageStatus(status) => stage(status),
         Message::Journal(journal) => self::journal(journal),
         Message::Retargeted(pose) => retargeted(pose, arrival),
         Message::Take(Take { action, name, .. }) => format!("take {action} {name}"),
@@ -140,6 +141,33 @@ fn status(status: &Status) -> String {
         status.queue_dropped,
         cameras.join("; ")
     )
+}
+
+fn stage(stage: &StageStatus) -> String {
+    let one = |one: &StagePerformer| {
+        let shown = one.label.as_ref().map_or("", |label| &label.display_name);
+        let shown = if shown.is_empty() { String::new() } else { format!(" ({shown})") };
+        let place = match *one.place_m {
+            [x, z] => format!(" at {x:.2}, {z:.2} m"),
+            _ => String::new(),
+        };
+        let seen = match one.life.as_str() {
+            "confirmed" => format!(", {:.1} px", one.residual_px),
+            _ => format!(", not seen for {:.1} s", one.unseen_s),
+        };
+        let solver = match (&*one.solver, &*one.tracker_state) {
+            ("", _) => ", not solved here".to_owned(),
+            (node, state) => format!(", {state} by {node}"),
+        };
+        format!("{}{shown} {}{place}{seen}{solver}", one.name, one.life)
+    };
+    let mut all: Vec<String> = stage.performers.iter().map(one).collect();
+    if all.is_empty() {
+        all.push("nobody".to_owned());
+    }
+    let more = [(stage.tentative, "just seen"), (stage.others, "seen, not solved")];
+    all.extend(more.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} more {what}")));
+    all.join("; ")
 }
 
 /// The cameras' clock, with its difference from the node's.

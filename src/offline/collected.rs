@@ -106,7 +106,20 @@ impl Collected<'_> {
 }
 
 /// The error if no performer was found.
-pub(super) fn nobody(all: &[Collected], recording: &Recording, rig: &Rig, check: &Check) -> Error {
+pub(super) fn nobody(
+    all: &[Collected],
+    recording: &Recording,
+    rig: &Rig,
+    check: &Check,
+    others: usize,
+) -> Error {
+    if others > 0 {
+        let evidence = format!(
+            "people were seen, up to {others} at a time, but none of them may be a performer: check [stage] only, \
+             region and min_height_px"
+        );
+        return Error::NobodyFound { path: recording.path().to_owned(), evidence };
+    }
     let count = |kind| all.iter().map(|one| one.count(kind)).sum::<u64>();
     let lost = all.iter().map(|one| one.windows.lost as u64).sum::<u64>();
     let unusable = match count(EventKind::Unusable) {

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::Error;
 use crate::core::body::Skeleton;
-use crate::core::stage::{Input, Output as Of, Stage};
+use crate::core::stage::{Input, Known, Output as Of, Stage};
 use crate::core::tracker::{Output, Solver, Task, Tracker};
 
 /// The stage and its solver.
@@ -34,6 +34,11 @@ impl Driver {
     /// Nominal frame period of a performer's poses, ns.
     pub(crate) fn frame_period(&self, performer: usize) -> Option<f64> {
         self.stage.trackers().get(performer).map(Tracker::frame_period)
+    }
+
+    /// With several performers, what is known of them.
+    pub(crate) fn known(&self) -> Vec<Known> {
+        self.stage.known()
     }
 
     /// The most people at a time who were seen for a while and not solved.

@@ -133,7 +133,7 @@ impl FirstPass {
         let tracker = Tracker::new(config, Arc::new(rig.clone()));
         let tracker = tracker.with_body_to_check(options.body.clone());
         let stage = Stage::new(tracker, options.performers, period);
-        let stage = stage.choosing(options.choice.clone());
+        let stage = stage.choosing(options.choice.clone()).with_known(&options.known);
         let cameras: Vec<Camera> = rig.cameras.iter().chain(held_out).cloned().collect();
         let all = Arc::new(Rig { cameras: cameras.clone(), ..rig.clone() });
         Ok(Self {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::core::body::{Skeleton, StampedPose};
 use crate::core::manifold::{Decoder, WeightsError};
-use crate::core::stage::{Choice, Performers};
+use crate::core::stage::{Choice, Known, Performers};
 use crate::core::tracker;
 use crate::io::formats::Trc;
 use crate::io::timecode::House;
@@ -30,6 +30,10 @@ pub struct Options {
     pub performers: Performers,
     /// Who may become a performer, if there are several.
     pub choice: Choice,
+    /// Names for them, in the order of entering; others are p1, p2, ... by number.
+    pub names: Vec<String>,
+    /// People whose bodies are known: they are recognised, if there are several performers.
+    pub known: Vec<Known>,
     /// The folder for poses.mcap, poses.bvh, poses.states.csv and report.html; created if missing. With
     /// several performers, poses.NAME.bvh and poses.NAME.states.csv for each. `None` writes nothing.
     pub out: Option<PathBuf>,

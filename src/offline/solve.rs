@@ -22,7 +22,7 @@ use crate::core::body::Skeleton;
 use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
 use crate::core::manifold::Decoder;
-use crate::core::stage::{Input, Performers, Stage};
+use crate::core::stage::{Input, Names, PerformerId, Performers, Stage};
 use crate::core::time::Timestamp;
 use crate::core::tracker::{FramePeriod, Output, Solver, Tracker};
 use crate::diagnose::Evidence;
@@ -59,7 +59,7 @@ pub fn solve_group(
     let begin = Instant::now();
     let Prepared { rig, period, held_out, bodies, count, offsets, is_body_wrong, evidence } =
         prepare(recording, options, observer)?;
-    let names = names(options.performers, count);
+    let names = names(options, count);
     let judged =
         Rig { cameras: rig.cameras.iter().chain(&held_out).cloned().collect(), ..Rig::clone(&rig) };
     let is_first = evidence.is_none();
@@ -72,7 +72,8 @@ pub fn solve_group(
     let solver = Solver::new(decoder, options.config);
     let tracker = Tracker::new(options.config, Arc::clone(&rig));
     let stage = Stage::new(tracker, options.performers, period).with_bodies(bodies);
-    let stage = stage.choosing(options.choice.clone());
+    let stage = stage.choosing(options.choice.clone()).naming(Names::new(options.names.clone()));
+    let stage = stage.with_known(&options.known);
     let bvh = |name: &String| {
         let folder = &outputs.as_ref()?.folder;
         Some(folder.file(&output::of_performer(name, options.performers, "bvh")))
@@ -103,7 +104,7 @@ pub fn solve_group(
     };
     let skeletons: Vec<_> = collected.iter().enumerate().map(|(i, one)| found(i, one)).collect();
     if skeletons.iter().all(Option::is_none) {
-        return Err(nobody(&collected, recording, &rig, &check));
+        return Err(nobody(&collected, recording, &rig, &check, driver.others()));
     }
     let mut summaries = Vec::new();
     for (one, skeleton) in collected.iter_mut().zip(&skeletons) {
@@ -114,11 +115,13 @@ pub fn solve_group(
     let solved =
         collected.into_iter().zip(&skeletons).filter_map(|(one, s)| Some((one, s.as_ref()?)));
     let followed = driver.skeletons().len();
-    let unsolved = skeletons.iter().take(followed).filter(|body| body.is_none()).count();
+    let new = skeletons.iter().take(followed).skip(options.known.len());
+    let unsolved = new.filter(|body| body.is_none()).count();
     let mut group = Group {
         performers: Vec::new(),
         others: driver.others() + unsolved,
         scores: tracking.and_then(Tracking::finish),
+        known: driver.known(),
     };
     let mut pages = Vec::new();
     for ((one, skeleton), poses) in solved.zip(summaries) {
@@ -149,11 +152,16 @@ pub fn solve_group(
 }
 
 /// The performers' names: with one performer, that of the topics.
-fn names(performers: Performers, count: usize) -> Vec<String> {
-    match performers.limit() {
-        1 => vec![Topics::default().actor],
-        _ => (1..=count).map(|number| format!("p{number}")).collect(),
+fn names(options: &Options, count: usize) -> Vec<String> {
+    if options.performers.limit() == 1 {
+        return vec![Topics::default().actor];
     }
+    // As the stage gives them.
+    let mut names = Names::new(options.names.clone());
+    names.know(options.known.iter().map(|one| (one.performer, &*one.name)));
+    let numbers = (0..count).map(PerformerId);
+    numbers.clone().skip(options.known.len()).for_each(|number| names.enter(number));
+    numbers.map(|number| names.of(number)).collect()
 }
 
 /// A note for the user.
@@ -162,7 +170,7 @@ const BODY_IS_WRONG: &str =
 
 fn output_folder(path: &Path, options: &Options) -> Result<OutputFolder, Error> {
     if !options.overwrite {
-        let first = names(options.performers, 1);
+        let first = names(options, 1);
         OutputFolder::refuse_existing(path, &output::files(&first, options.performers))?;
     }
     OutputFolder::make(path)
@@ -195,7 +203,7 @@ fn prepare(
     let period = recording.frame_period(&rig)?;
     let (mut bodies, mut offsets, mut is_body_wrong) =
         (vec![options.body.clone()], Vec::new(), false);
-    let (mut count, mut evidence) = (options.performers.limit(), None);
+    let (mut count, mut evidence) = (options.performers.limit() + options.known.len(), None);
     if options.passes() > 1 {
         let first = FirstPass::run(recording, options, &mut rig, period, &mut held_out, observer)?;
         is_body_wrong = first.is_body_wrong && options.body.is_some();

@@ -11,6 +11,7 @@ use super::poses::Poses;
 use super::reference::Reference;
 use super::windows::Windows;
 use crate::core::camera::Rig;
+use crate::core::stage::Known;
 use crate::diagnose::Check;
 use crate::io::report::Table;
 use crate::metrics::{Coverage, Episode, FootSkate, NotFollowed, PerformerScores, PoseErrors};
@@ -88,6 +89,9 @@ pub struct Group {
     pub others: usize,
     /// Who is who, beside the truth of a synthetic recording.
     pub scores: Option<PerformerScores>,
+    /// What is known of the performers, for another day.
+    #[serde(skip)]
+    pub known: Vec<Known>,
 }
 
 /// A performer of a group.

@@ -191,6 +191,8 @@ pub(crate) fn solve(
         hold_out,
         performers,
         choice: config.stage.choice(),
+        names: config.stage.names.clone(),
+        known: config.known_people().map_err(error)?,
         out: Some(out.clone()),
         overwrite,
         config_toml: Some(config.to_toml()),

@@ -88,20 +88,28 @@ struct Slate {
     display_name: String,
     #[serde(default)]
     colour: String,
+    #[serde(default)]
+    new_name: String,
+    #[serde(default)]
+    place_m: Vec<f64>,
 }
 
 impl Slate {
     /// The command, unless the page has not checked what the user entered.
     fn take(self) -> Option<Take> {
-        let Self { id, action, name, note, mark, display_name, colour } = self;
+        let Self { id, action, name, note, mark, display_name, colour, new_name, place_m } = self;
         let is_sound = match &*action {
-            "start" | "label" | "lock" | "unlock" => valid_name(&name).is_ok(),
+            "start" | "label" | "lock" | "unlock" | "drop" => valid_name(&name).is_ok(),
+            "name" => valid_name(&name).is_ok() && valid_name(&new_name).is_ok(),
+            "follow" => place_m.len() == 2,
             // Cameras may have any name.
             "mend" => !name.is_empty(),
             "stop" | "reset" | "note" => name.is_empty() || valid_name(&name).is_ok(),
             _ => false,
         };
-        is_sound.then_some(Take { id: id.into(), action, name, note, mark, display_name, colour })
+        let id = id.into();
+        let take = Take { id, action, name, note, mark, display_name, colour, new_name, place_m };
+        is_sound.then_some(take)
     }
 }
 

@@ -10,7 +10,7 @@ use bundlemocap::core::camera::Rig;
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::manifold::Decoder;
 use bundlemocap::core::random::Draws;
-use bundlemocap::core::stage::PerformerId;
+use bundlemocap::core::stage::{Known, PerformerId};
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::core::tracker::{Job, Outcome, Solution, Solver, Task, solve_aside};
 use bundlemocap::io::wire::journal_entry::Input as JournalInput;
@@ -85,6 +85,8 @@ pub struct World {
     /// The simulated solve time of a job.
     took: Box<dyn Fn(&Job) -> Nanos>,
     pub heard: Heard,
+    /// The newest body for the folder of known bodies, by name.
+    pub bodies: BTreeMap<String, wire::Skeleton>,
 }
 
 pub fn settings(config: &Config, decoder: &Decoder) -> Settings {
@@ -93,9 +95,16 @@ pub fn settings(config: &Config, decoder: &Decoder) -> Settings {
 
 impl World {
     pub fn new(config: &Config) -> Self {
+        Self::knowing(config, Vec::new())
+    }
+
+    /// A node that knows these people.
+    pub fn knowing(config: &Config, known: Vec<Known>) -> Self {
         let decoder = Decoder::embedded().unwrap();
+        let mut settings = settings(config, &decoder);
+        settings.carried.performers = known;
         Self {
-            core: Core::new(settings(config, &decoder)),
+            core: Core::new(settings),
             solver: Solver::new(decoder, config.tracker),
             now: START - SECOND,
             wake: None,
@@ -108,6 +117,7 @@ impl World {
                 Task::Mend { .. } => MS * 200,
             }),
             heard: Heard::default(),
+            bodies: BTreeMap::new(),
         }
     }
 
@@ -159,6 +169,7 @@ impl World {
                     self.answers.push((*free, performer, self.solver.solve(&job), took));
                 }
                 Output::Mended { .. } => {}
+                Output::Body { name, body } => drop(self.bodies.insert(name, body)),
                 Output::Publish(publication) => self.heard.messages.push(Recorded {
                     time: publication.due.map_or(self.now, |due| due.max(self.now)),
                     capture: publication.capture,

@@ -7,15 +7,25 @@ use bundlemocap::core::body::Pose as CorePose;
 use bundlemocap::core::detections::Detections;
 use bundlemocap::core::stage::PerformerId;
 use bundlemocap::core::time::{Nanos, Timestamp};
-use bundlemocap::io::wire::{self, Event, KeypointFrame, Pose, TakeAnswer, Topics, encode};
+use bundlemocap::io::recording::{known_people, write_body};
+use bundlemocap::io::wire::{
+    self, Event, KeypointFrame, Pose, TakeAnswer, Topics, TrackingState, encode,
+};
 use bundlemocap::research::synth::{Crowd, Meeting, Noise, Recording};
+use nalgebra::Vector3;
 
 use crate::live::{START, Sent, Studio, World, at};
 use crate::slate::{assert_agrees, from, recorded, replayed, slate};
 
+/// Of the bodies and steps.
+const SEED: u64 = 5;
+
 /// Cameras around people who cross and meet.
 pub struct Stage {
     pub studio: Studio,
+    /// By frame and person in it, whose detections they are.
+    owners: Vec<Vec<usize>>,
+    meeting: Meeting,
     pub config: Config,
 }
 
@@ -24,17 +34,17 @@ impl Stage {
         let meeting = Meeting { people, distance: Some(0.7) };
         let rig = meeting.rig(cameras).unwrap();
         let one = |person| {
-            let (skeleton, motion) = meeting.person(person, 5);
+            let (skeleton, motion) = meeting.person(person, SEED);
             let motion = Box::new(motion) as Box<dyn Fn(f64) -> CorePose>;
             let mut one = Recording::new(rig.clone(), skeleton, motion);
             (one.frames, one.noise, one.start) = (60 * seconds, Noise::clean(), START);
             one
         };
         let crowd = Crowd::new((0..people).map(one).collect());
-        let frames = crowd.detections().map(|(frame, _)| frame).collect();
+        let (frames, owners) = crowd.detections().unzip();
         let mut config = Config::default();
         config.stage.performers = if people == 1 { "1" } else { "auto" }.parse().unwrap();
-        Self { studio: Studio { rig, frames }, config }
+        Self { studio: Studio { rig, frames }, owners, meeting, config }
     }
 
     /// The messages of all frames for which there is one.
@@ -293,4 +303,244 @@ fn a_clock_that_steps_back_stops_nobody() {
         let count = late.count();
         assert!(count > 100, "p{}: {count} poses in the last 2 s", performer + 1);
     }
+}
+
+/// A command with what only some of them need.
+fn order(take: wire::Take, seconds: f64) -> Sent {
+    let payload = encode(&take);
+    Sent { arrival: at(seconds), topic: Topics::default().take(), payload }
+}
+
+fn name(from: &str, to: &str, seconds: f64) -> Sent {
+    let (action, name, new_name) = ("name".into(), from.into(), to.into());
+    order(wire::Take { action, name, new_name, ..wire::Take::default() }, seconds)
+}
+
+fn follow(place_m: Vec<f64>, seconds: f64) -> Sent {
+    order(wire::Take { action: "follow".into(), place_m, ..wire::Take::default() }, seconds)
+}
+
+/// The poses of a name, from the first time to the second, seconds.
+fn poses_of(world: &World, name: &str, [from, to]: [f64; 2]) -> Vec<Pose> {
+    let topics = Topics { actor: name.to_owned(), ..Topics::default() };
+    let poses = world.heard.of::<Pose>(&topics.pose()).into_iter().map(|(_, pose)| pose);
+    let span = at(from).ns()..at(to).ns();
+    poses.filter(|pose| span.contains(&pose.capture_time_ns)).collect()
+}
+
+/// The last status of the stage up to a time, seconds.
+fn status_of_stage(world: &World, until: f64) -> wire::StageStatus {
+    let all = world.heard.of::<wire::StageStatus>(&Topics::default().stage_status());
+    all.into_iter().rfind(|(time, _)| *time <= at(until)).unwrap().1
+}
+
+/// Name and life of everybody.
+fn lives(status: &wire::StageStatus) -> Vec<(&str, &str)> {
+    status.performers.iter().map(|one| (one.name.as_str(), one.life.as_str())).collect()
+}
+
+fn answers(world: &World) -> Vec<(bool, String)> {
+    let answers = world.heard.of::<TakeAnswer>(&Topics::default().take_answers());
+    answers.into_iter().map(|(_, answer)| (answer.refused, answer.text)).collect()
+}
+
+/// Names by the settings and by commands; one is dropped, and followed again after a take has begun.
+#[test]
+fn performers_are_named_dropped_and_followed() {
+    let mut stage = Stage::new(3, 4, 11);
+    stage.config.stage.names = vec!["lead".into()];
+    // Where the third one is when somebody points at it.
+    let before = stage.play(stage.all(), 9.0);
+    let pose = poses_of(&before, "p3", [8.0, 8.02]).remove(0);
+    let place = vec![pose.root_position_m[0], pose.root_position_m[2]];
+
+    let mut messages = stage.all();
+    messages.extend([
+        name("p2", "double", 2.0),
+        name("p3", "lead", 2.1),
+        name("p3", "p1", 2.2),
+        name("p7", "extra", 2.3),
+        slate("drop", "p3", 3.0),
+        slate("start", "fight", 5.0),
+        follow(vec![40.0, 0.0], 7.9),
+        follow(place.clone(), 8.0),
+        follow(place, 9.5),
+        slate("reset", "double", 9.6),
+    ]);
+    let (world, recorded) = recorded(World::new(&stage.config), messages, 11.0);
+    let answers = answers(&world);
+    let refused: Vec<bool> = answers.iter().map(|answer| answer.0).collect();
+    let expected = [false, true, true, true, false, false, true, false, true, false];
+    assert_eq!(refused, expected, "{answers:?}");
+    for (at, what) in [(1, "lead"), (3, "lead, double, p3"), (6, "nobody"), (8, "p3")] {
+        assert!(answers[at].1.contains(what), "{what} is not in {:?}", answers[at]);
+    }
+
+    let first = status_of_stage(&world, 1.9);
+    let all = [("lead", "confirmed"), ("p2", "confirmed"), ("p3", "confirmed")];
+    assert_eq!((lives(&first), first.others, first.places), (all.to_vec(), 0, 32));
+    let one = &first.performers[0];
+    assert_eq!(
+        (one.tracker_state.as_str(), one.solver.as_str(), one.views),
+        ("tracking", "actor", 4)
+    );
+    assert!(one.residual_px > 0.0 && one.unseen_s < 0.2 && one.place_m.len() == 2, "{one:?}");
+    let dropped = status_of_stage(&world, 7.5);
+    let all = [("lead", "confirmed"), ("double", "confirmed"), ("p3", "left")];
+    assert_eq!((lives(&dropped), dropped.others), (all.to_vec(), 1));
+    let followed = status_of_stage(&world, 11.0);
+    let all = [("lead", "confirmed"), ("double", "confirmed"), ("p3", "confirmed")];
+    assert_eq!((lives(&followed), followed.others), (all.to_vec(), 0));
+
+    let count = |name: &str, span: [f64; 2]| poses_of(&world, name, span).len();
+    assert!(count("p2", [1.0, 2.0]) > 30 && count("p2", [2.1, 11.0]) == 0);
+    assert!(count("double", [2.1, 5.0]) > 160 && count("double", [6.0, 9.4]) > 190);
+    assert!(count("p3", [2.0, 2.9]) > 50 && count("p3", [3.1, 8.0]) == 0);
+    assert!(count("p3", [8.6, 10.5]) > 110, "{}", count("p3", [8.6, 10.5]));
+    // Who is called something else keeps the body, on the topic of the new name.
+    let double = Topics { actor: "double".into(), ..Topics::default() };
+    let bodies = world.heard.of::<wire::Skeleton>(&double.skeleton());
+    assert!(bodies[0].0 <= at(2.01), "{:?}", bodies[0].0);
+
+    let take = replayed(&from(&recorded, 5.0), Some("fight")).unwrap();
+    assert_agrees(&take);
+    let known: Vec<(&str, bool)> =
+        take.start.performers.iter().map(|one| (one.name.as_str(), one.dropped)).collect();
+    assert_eq!(known, [("lead", false), ("double", false), ("", true)]);
+    assert!(take.topics[&Topics::default().stage_status()].equal > 5);
+}
+
+/// The second one leaves; a third one comes, and has its number if it had no name.
+#[test]
+fn a_number_is_somebody_elses_when_a_performer_without_a_name_has_left() {
+    for has_name in [false, true] {
+        let mut stage = Stage::new(3, 4, 10);
+        stage.config.stage.performers = "2".parse().unwrap();
+        stage.config.stage.left_after_s = 1.0;
+        for (frame, owners) in stage.studio.frames.iter_mut().zip(&stage.owners) {
+            let away = if frame.capture < at(4.0) { 2 } else { 1 };
+            let mut owners = owners.iter();
+            frame.people.retain(|_| owners.next() != Some(&away));
+        }
+        let mut messages = stage.all();
+        let mut label = slate("lock", "p2", 2.0);
+        if has_name {
+            label = name("p2", "double", 2.0);
+        }
+        messages.push(label);
+        let world = stage.play(messages, 10.0);
+        let kinds = ["entered", "vacated", "reentered"].map(|kind| count(&world, kind));
+        assert_eq!(kinds, [3, 1, 0]);
+        let new = if has_name { "p3" } else { "p2" };
+        let mut poses = poses_of(&world, new, [4.1, 10.0]);
+        poses.retain(|pose| pose.state() == TrackingState::Tracking);
+        let begin = Timestamp::from_ns(poses[0].capture_time_ns).seconds_since(START);
+        assert!(
+            (5.0..6.0).contains(&begin) && poses.len() > 220,
+            "{new}: {begin}, {}",
+            poses.len()
+        );
+        // It is at the place of the third one, with a body of its own.
+        let status = status_of_stage(&world, 10.0);
+        let expected = if has_name { vec!["p1", "double", "p3"] } else { vec!["p1", "p2"] };
+        let names: Vec<&str> = status.performers.iter().map(|one| one.name.as_str()).collect();
+        assert_eq!((names, status.performers[0].life.as_str()), (expected, "confirmed"));
+        let topics = Topics { actor: new.to_owned(), ..Topics::default() };
+        let of_new = world.heard.of::<wire::Skeleton>(&topics.skeleton());
+        let shape = |from: f64, to: f64| {
+            let within = of_new.iter().filter(|(time, _)| (at(from)..at(to)).contains(time));
+            within.last().map(|(_, body)| body.shape[0])
+        };
+        let (first, last) = (shape(0.0, 4.0), shape(4.0, 11.0).unwrap());
+        assert!(first.is_none_or(|first| (first - last).abs() > 0.3), "{first:?}, {last}");
+        let label = status.performers.last().unwrap().label.clone().unwrap_or_default();
+        assert!(!label.locked, "the label was of who has left");
+    }
+}
+
+/// The person who is where a name has its poses, a few seconds in, and how far they are from one another, metres.
+fn person_of(world: &World, stage: &Stage, name: &str) -> (usize, f64) {
+    let poses = poses_of(world, name, [3.0, 5.0]);
+    assert!(poses.len() > 100, "{name}: {} poses", poses.len());
+    let off = |person: usize| {
+        let motion = stage.meeting.person(person, SEED).1;
+        let off = poses.iter().map(|pose| {
+            let seconds = Timestamp::from_ns(pose.capture_time_ns).seconds_since(START);
+            let root = Vector3::from_column_slice(&pose.root_position_m);
+            (root - motion(seconds).root_position).norm()
+        });
+        off.fold(0.0, f64::max)
+    };
+    let all = (0..stage.meeting.people).map(|person| (person, off(person)));
+    all.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap()
+}
+
+/// Three people have names. Another day they are there with a fourth one.
+#[test]
+fn people_are_known_again_by_their_bodies() {
+    let mut first = Stage::new(3, 4, 12);
+    first.config.stage.names = ["lead", "double", "extra"].map(String::from).to_vec();
+    first.config.stage.bodies = "bodies".into();
+    let mut world = first.play(first.all(), 12.0);
+    world.end();
+    let names: Vec<&String> = world.bodies.keys().collect();
+    assert_eq!(names, ["double", "extra", "lead"]);
+    let person = |name: &str| person_of(&world, &first, name).0;
+    let people = ["double", "extra", "lead"].map(person);
+
+    let folder = tempfile::tempdir().unwrap();
+    for (name, body) in &world.bodies {
+        write_body(folder.path(), name, body).unwrap();
+    }
+    let known = known_people(folder.path(), "actor", &["lead".into()]).unwrap();
+    assert_eq!(known.iter().map(|one| &one.name).collect::<Vec<_>>(), names);
+    let error = known_people(folder.path(), "actor", &["ghost".into()]).unwrap_err().to_string();
+    assert!(error.contains("ghost") && error.contains("double, extra, lead"), "{error}");
+
+    let second = Stage::new(4, 4, 6);
+    let (world, heard) = recorded(World::knowing(&second.config, known.clone()), second.all(), 6.0);
+    let replay = replayed(&heard, None).unwrap();
+    assert_agrees(&replay);
+    assert!(replay.is_whole && replay.start.performers.len() == 3);
+    for (name, person) in ["double", "extra", "lead"].into_iter().zip(people) {
+        let (found, off) = person_of(&world, &second, name);
+        assert!(found == person && off < 0.1, "{name}: {found} is not {person}, {off} m");
+        let begin = poses_of(&world, name, [0.0, 6.0])[0].capture_time_ns;
+        assert!(begin < at(0.5).ns(), "{name}: {begin}");
+    }
+    assert_eq!(person_of(&world, &second, "p4").0, 3);
+
+    // Only two of them are to be performers; a take begins, somebody points at the stranger, and nobody is in view for
+    // a while.
+    let place = second.meeting.person(3, SEED).1(4.0).root_position;
+    let mut only = Stage::new(4, 4, 10);
+    only.config.stage.only = vec!["double".into(), "lead".into()];
+    only.config.stage.bodies = "bodies".into();
+    let away = |frame: &&mut Detections| (at(6.0)..at(7.5)).contains(&frame.capture);
+    only.studio.frames.iter_mut().filter(away).for_each(|frame| frame.people.clear());
+    let mut messages = only.all();
+    messages.extend([slate("start", "fight", 2.0), follow(vec![place.x, place.z], 4.0)]);
+    let mut world = World::knowing(&only.config, known);
+    world.play(messages, at(10.0));
+    let [before, take, end] = [1.9, 3.9, 9.9].map(|seconds| status_of_stage(&world, seconds));
+    for status in [before, take] {
+        assert_eq!(lives(&status), [("double", "confirmed"), ("lead", "confirmed")]);
+        assert_eq!(status.others, 2);
+    }
+    let all = [("double", "confirmed"), ("lead", "confirmed"), ("p4", "confirmed")];
+    assert_eq!((lives(&end), end.others), (all.to_vec(), 1));
+}
+
+/// The node of one performer, which reads what the node of the stage publishes, says nothing about the stage.
+#[test]
+fn one_node_tells_who_is_on_the_stage() {
+    let mut stage = Stage::new(1, 4, 3);
+    stage.config.node.associated = true;
+    let world = stage.play(stage.all(), 3.0);
+    let all = world.heard.of::<wire::StageStatus>(&Topics::default().stage_status());
+    assert_eq!(all.len(), 0);
+    stage.config.node.associated = false;
+    let world = stage.play(stage.all(), 3.0);
+    let status = status_of_stage(&world, 3.0);
+    assert_eq!((lives(&status), status.places), (vec![("actor", "confirmed")], 1));
 }

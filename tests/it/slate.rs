@@ -130,7 +130,7 @@ fn commands_that_cannot_be_followed_are_refused() {
         slate("start", "../walk", 1.1),
         slate("start", "walk", 1.2),
         slate("stop", "run", 1.4),
-        slate("reset", "walk", 1.5),
+        slate("reset", "actor", 1.5),
         slate("pause", "", 1.6),
     ];
     let (world, recorded) = session(2, slates);

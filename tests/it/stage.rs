@@ -5,7 +5,8 @@ use std::sync::Arc;
 use bundlemocap::core::body::{Pose, Shape, Skeleton};
 use bundlemocap::core::camera::Rig;
 use bundlemocap::core::detections::Detections;
-use bundlemocap::core::stage::{self, Choice, PerformerId, Performers, Stage};
+use bundlemocap::core::random::Draws;
+use bundlemocap::core::stage::{self, Change, Choice, Known, PerformerId, Performers, Stage};
 use bundlemocap::core::time::Nanos;
 use bundlemocap::core::tracker::EventKind;
 use bundlemocap::research::synth::{
@@ -333,4 +334,81 @@ fn two_in_one_place_are_one() {
     assert_eq!(result.events(EventKind::Merged), [1]);
     let last = result.poses.iter().filter(|(number, _)| *number == 1);
     assert!(last.map(|(_, pose)| pose.capture.ns()).max() < Some(Nanos::from_ms(3_500).ns()));
+}
+
+/// Bodies that were seen on another day tell people apart: each of 16 people comes in front of the cameras when four
+/// bodies are known, with the own one among them, and without it.
+#[test]
+fn known_bodies_tell_people_apart() {
+    let take = |day: u64, person: u64, seconds: f64| {
+        let draws = Draws { seed: 9, stream: person };
+        let normals = (0..5).flat_map(|pair| draws.normals(0, pair));
+        let mut shape = Shape::default();
+        shape
+            .0
+            .iter_mut()
+            .zip(normals)
+            .for_each(|(value, normal)| *value = normal.clamp(-2.5, 2.5));
+        let skeleton = Skeleton::new(shape);
+        let step_time = 0.5 + 0.1 * day as f64;
+        let motion = Motion::new(&skeleton, MotionStyle { step_time, ..MotionStyle::default() });
+        let rig = ring_rig(4, 4.0 + day as f64, 2.0).unwrap();
+        let pose = move |seconds: f64| motion.pose(seconds + 3.3 * day as f64);
+        let mut recording = Recording::new(rig, skeleton, Box::new(pose) as AnyMotion);
+        (recording.fps, recording.frames) = (60.0, (seconds * 60.0) as u64);
+        (recording.noise, recording.seed) = (Noise::clean(), 5 + person);
+        recording
+    };
+    let crowd = |recording: &Recording<AnyMotion>| {
+        let rig = Arc::new(recording.rig.clone());
+        stage::Crowd::new(rig, TrackerConfig::default(), Performers::Auto, None)
+    };
+    // What happens, by the time, seconds.
+    let run = |crowd: &mut stage::Crowd, recording: &Recording<AnyMotion>| {
+        let mut all = Vec::new();
+        for frame in recording.detections() {
+            crowd.add(frame);
+            while let Some((at, changes)) = crowd.next(false) {
+                let at = at.seconds_since(recording.start);
+                all.extend(changes.into_iter().map(|change| (at, change)));
+            }
+        }
+        all
+    };
+    let first = |person: u64| {
+        let recording = take(0, person, 4.0);
+        let mut crowd = crowd(&recording);
+        run(&mut crowd, &recording);
+        crowd.known().remove(0)
+    };
+    let people = 16;
+    let bodies: Vec<Known> = (0..people).map(first).collect();
+    let [mut right, mut wrong] = [0, 0];
+    for person in 0..people {
+        for is_stranger in [false, true] {
+            let known = |number: usize| Known {
+                performer: PerformerId(number),
+                lengths: bodies[(person as usize + number + usize::from(is_stranger)) % 16].lengths,
+                ..Known::default()
+            };
+            let recording = take(1, person, 1.0);
+            let mut crowd = crowd(&recording);
+            crowd.know(&[0, 1, 2, 3].map(known));
+            let changes = run(&mut crowd, &recording);
+            let who = changes.iter().find_map(|(at, change)| match change {
+                Change::Returned(number) => Some((*at, Some(*number))),
+                Change::Entered(_) => Some((*at, None)),
+                _ => None,
+            });
+            let (at, number) = who.unwrap();
+            assert!(at < 0.5, "{person}: {at} s");
+            let own = if is_stranger { None } else { Some(0) };
+            right += u32::from(number == own);
+            wrong += u32::from(number != own && number.is_some());
+        }
+    }
+    assert!(
+        right >= 30 && wrong <= 2,
+        "{right} of 32 right, {wrong} have the name of somebody else"
+    );
 }

@@ -298,6 +298,17 @@ test("four performers live: each is shown, and one gets a name, a colour and a l
   await page.locator("#reset").click();
   await until(page, () => document.getElementById("answers").textContent.includes("locked: p2"));
   assert.equal(await page.locator('[data-follow="p2"]').textContent(), "the lead");
+  // One gets a name on the bus, and one is dropped.
+  await page.locator('[data-label="p3"]').click();
+  await page.locator("#named").fill("double");
+  await page.locator('#label [value="save"]').click();
+  await until(page, () => document.querySelector('[data-follow="double"]'));
+  await page.locator('[data-label="p4"]').click();
+  await page.locator("#dropped").check();
+  await isSound(page);
+  await page.locator('#label [value="save"]').click();
+  await until(page, () => document.getElementById("others").textContent === "1 more is seen, and not solved");
+  await people(page, 3);
   await picture(page, "four-live");
   await isSound(page);
   assert.deepEqual(said, []);

@@ -17,6 +17,14 @@ const MOST: u8 = 32;
 pub struct Config {
     /// How many people are performers at a time.
     pub performers: Performers,
+    /// Several performers: names for those who enter, in this order. Others are p1, p2, ... by number.
+    pub names: Vec<String>,
+    /// Several performers: folder of known bodies, `NAME.mcap` each. People are recognised by them and have these
+    /// names; bodies of performers with a name are written to it. Empty: none.
+    pub bodies: String,
+    /// Several performers: only those with these names become performers. They are recognised by their bodies. Empty:
+    /// everybody.
+    pub only: Vec<String>,
     /// Corners of the part of the floor where people become performers: x and z in the world, metres. Everywhere
     /// if there are none.
     pub region: Vec<[f64; 2]>,
@@ -31,8 +39,10 @@ pub struct Config {
 
 impl Default for Config {
     fn default() -> Self {
-        let (performers, Choice { region, min_height_px, left_after_s }) = Default::default();
-        Self { performers, region, min_height_px, left_after_s, solve: true }
+        let (performers, names, bodies) = Default::default();
+        let Choice { only, region, min_height_px, left_after_s } = Choice::default();
+        let solve = true;
+        Self { performers, names, bodies, only, region, min_height_px, left_after_s, solve }
     }
 }
 
@@ -42,19 +52,16 @@ impl Config {
         self.performers.limit() > 1
     }
 
-    /// What is set but has no effect, for the user.
-    pub fn without_effect(&self) -> Option<&'static str> {
-        let is_set = self.choice() != Choice::default();
-        (is_set && !self.several()).then_some(
-            "[stage] region, min_height_px and left_after_s are for several performers; \
-             with performers = 1 the largest person is the performer",
-        )
+    /// Whether something is set that needs several performers: with one, the largest person is it.
+    pub fn chooses(&self) -> bool {
+        let is_named = !self.names.is_empty() || !self.bodies.is_empty();
+        is_named || self.choice() != Choice::default()
     }
 
     /// Who may become a performer.
     pub fn choice(&self) -> Choice {
-        let Self { region, min_height_px, left_after_s, .. } = self.clone();
-        Choice { region, min_height_px, left_after_s }
+        let Self { only, region, min_height_px, left_after_s, .. } = self.clone();
+        Choice { only, region, min_height_px, left_after_s }
     }
 
     /// Checks the ranges of all numbers.
@@ -92,6 +99,8 @@ const FARTHEST_M: f64 = 1e4;
 /// Who may become a performer, and when. The default: everybody.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Choice {
+    /// See [`Config::only`].
+    pub only: Vec<String>,
     /// See [`Config::region`].
     pub region: Vec<[f64; 2]>,
     /// See [`Config::min_height_px`].
@@ -102,7 +111,7 @@ pub struct Choice {
 
 impl Default for Choice {
     fn default() -> Self {
-        Self { region: Vec::new(), min_height_px: 0.0, left_after_s: 30.0 }
+        Self { only: Vec::new(), region: Vec::new(), min_height_px: 0.0, left_after_s: 30.0 }
     }
 }
 

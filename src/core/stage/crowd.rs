@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::config::{Choice, Performers};
+use super::config::Performers;
 use super::people::{Change, FrameSet, Known, People};
 use super::sets::{Complete, Sets};
 use crate::core::association::Gates;
@@ -40,9 +40,13 @@ impl Crowd {
         Self { rig, sets, people, left_out: Vec::new() }
     }
 
-    /// Only the people of this choice become performers.
-    pub(super) fn choose(&mut self, choice: Choice) {
-        self.people.choice = choice;
+    /// Who is here.
+    pub(super) fn people(&self) -> &People {
+        &self.people
+    }
+
+    pub(super) fn people_mut(&mut self) -> &mut People {
+        &mut self.people
     }
 
     /// Adds a frame.

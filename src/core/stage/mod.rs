@@ -13,7 +13,9 @@
 //!   detections are nobody else's. A bystander who enters the region becomes a performer, up to the limit.
 //! - A performer who is not seen for a second is lost: its tracker gets no frames. Who comes back is
 //!   recognised by the lengths of the body (`lengths`) and keeps the number. Who is not seen for
-//!   [longer](Config::left_after_s) has left: somebody else may have the place.
+//!   [longer](Config::left_after_s) has left: somebody else may have the place. Live, the next newcomer also gets
+//!   the number of who has left, unless a name was given to it ([`Names`]).
+//! - A performer can be dropped, and a person at a place followed, whatever the choice of people is.
 //! - Two tracks closer than 0.15 m for 0.3 s are merged; the older one stays. If they were two people, the other
 //!   one is recognised when they part.
 //!
@@ -24,6 +26,7 @@
 mod config;
 mod crowd;
 mod lengths;
+mod names;
 mod people;
 mod performer_id;
 mod person;
@@ -42,7 +45,11 @@ use super::tracker::{
 };
 pub use config::{Choice, Config, Performers, PerformersError};
 pub use crowd::Crowd;
-pub use people::{Change, Claimed, FrameSet, Known, Owner};
+pub(crate) use lengths::BONES;
+pub use names::{Names, NumberName};
+pub use people::{
+    Attendance, Change, Claimed, FollowError, FrameSet, Known, Life, Owner, Presence,
+};
 pub use performer_id::PerformerId;
 
 /// A camera keeps its place if a new calibration moves and turns it by less, metres and radians.
@@ -92,6 +99,8 @@ pub struct Stage {
     template: Tracker,
     /// Known bodies, by performer.
     bodies: Vec<Option<Arc<Skeleton>>>,
+    /// Bodies of another day, by performer, of those who have not come yet.
+    saved: Vec<Option<Arc<Skeleton>>>,
     trackers: Vec<Tracker>,
     /// With several performers.
     crowd: Option<Crowd>,
@@ -111,12 +120,17 @@ impl Stage {
         let template = template.with_frame_period(period);
         let (rig, config) = (template.rig(), template.config());
         let new = || Crowd::new(Arc::clone(rig), config, performers, period);
-        let crowd = (performers.limit() > 1).then(new);
+        let mut crowd = (performers.limit() > 1).then(new);
+        if let Some(crowd) = &mut crowd {
+            // In a recording that is read as a whole, a number is one person.
+            crowd.people_mut().reuses_numbers = template.live_settings().is_some();
+        }
         let trackers = if crowd.is_none() { vec![template.clone()] } else { Vec::new() };
         Self {
             corrections: template.time_corrections().to_vec(),
             template,
             bodies: Vec::new(),
+            saved: Vec::new(),
             trackers,
             crowd,
             is_solving: true,
@@ -129,9 +143,55 @@ impl Stage {
     #[must_use]
     pub fn choosing(mut self, choice: Choice) -> Self {
         if let Some(crowd) = &mut self.crowd {
-            crowd.choose(choice);
+            crowd.people_mut().choice = choice;
         }
         self
+    }
+
+    /// Several performers: what they are called.
+    #[must_use]
+    pub fn naming(mut self, names: Names) -> Self {
+        if let Some(crowd) = &mut self.crowd {
+            crowd.people_mut().names = names;
+        }
+        self
+    }
+
+    /// Several performers: what they are called.
+    pub fn names(&self) -> Option<&Names> {
+        self.crowd.as_ref().map(|crowd| &crowd.people().names)
+    }
+
+    /// Several performers: gives a name to one, see [`Names::give`].
+    ///
+    /// # Errors
+    /// The name of another number.
+    pub fn name(&mut self, performer: PerformerId, name: &str) -> Result<(), NumberName> {
+        self.crowd.as_mut().map_or(Ok(()), |crowd| crowd.people_mut().name(performer, name))
+    }
+
+    /// Several performers: everybody who is or was here.
+    pub fn attendance(&self) -> Attendance {
+        self.crowd.as_ref().map(|crowd| crowd.people().attendance()).unwrap_or_default()
+    }
+
+    /// Several performers: the person at a place on the floor, x and z in the world, metres, becomes a performer,
+    /// wherever the [region](Config::region) is.
+    ///
+    /// # Errors
+    /// Nobody is there, or a performer, or all places are taken.
+    pub fn follow_at(&mut self, place: [f64; 2]) -> Result<(), FollowError> {
+        let crowd = self.crowd.as_mut().ok_or(FollowError::Nobody)?;
+        crowd.people_mut().follow_at(place)
+    }
+
+    /// Several performers: this one is a performer no more until somebody [follows](Self::follow_at) it. Returns
+    /// whether it was one.
+    pub fn drop_performer(&mut self, performer: PerformerId) -> bool {
+        let Some(crowd) = &mut self.crowd else { return false };
+        // It has no poses from here on, not even extrapolated ones.
+        self.next.push_back(Next::Tracker(performer.0, tracker::Input::Restart));
+        crowd.people_mut().drop_performer(performer.0)
     }
 
     /// Several performers: those who were seen before, in an earlier take. Their bodies are checked in
@@ -142,11 +202,20 @@ impl Stage {
         crowd.know(known);
         let count = known.iter().map(|one| one.performer.0 + 1).max().unwrap_or(0);
         self.trackers.resize(count, self.template.clone());
+        self.saved.resize(count, None);
         for (number, tracker) in self.trackers.iter_mut().enumerate() {
-            let body = known.iter().find(|one| one.performer.0 == number);
-            let body = body.and_then(|one| one.body.clone());
-            let new = self.template.clone().with_body_to_check(body).fed(number);
-            *tracker = new;
+            let new = self.template.clone();
+            let new = match self.bodies.get(number).cloned().flatten() {
+                Some(body) => new.with_body(Some(body)),
+                None => match known.iter().find(|one| one.performer.0 == number) {
+                    Some(one) if one.points.iter().all(Option::is_none) => {
+                        self.saved[number].clone_from(&one.body);
+                        new
+                    }
+                    one => new.with_body_to_check(one.and_then(|one| one.body.clone())),
+                },
+            };
+            *tracker = new.fed(number);
         }
         self.begin_to_watch(0);
         self
@@ -157,7 +226,8 @@ impl Stage {
         let known = self.crowd.as_ref().map_or_else(Vec::new, Crowd::known);
         let with_body = |one: Known| {
             let tracker = self.trackers.get(one.performer.0);
-            Known { body: tracker.and_then(Tracker::known_body).cloned(), ..one }
+            let saved = self.saved.get(one.performer.0).and_then(Option::as_ref);
+            Known { body: tracker.and_then(Tracker::known_body).or(saved).cloned(), ..one }
         };
         known.into_iter().map(with_body).collect()
     }
@@ -201,8 +271,13 @@ impl Stage {
 
     /// Tracks nobody: puts out the frames of each performer.
     #[must_use]
-    pub fn without_solving(self) -> Self {
-        Self { is_solving: false, ..self }
+    pub fn without_solving(mut self) -> Self {
+        self.is_solving = false;
+        if let Some(crowd) = &mut self.crowd {
+            // Another node has the body of who has left.
+            crowd.people_mut().reuses_numbers = false;
+        }
+        self
     }
 
     /// The trackers, by performer.
@@ -255,9 +330,9 @@ impl Stage {
         self.trackers.iter_mut().chain([&mut self.template])
     }
 
-    /// Forgets the bodies, see [`tracker::Input::Forget`], except those of some performers.
-    pub fn forget(&mut self, keep: &[PerformerId]) {
-        let forgetting = (0..self.trackers.len()).filter(|one| !keep.contains(&PerformerId(*one)));
+    /// Forgets the bodies of some performers, see [`tracker::Input::Forget`].
+    pub fn forget(&mut self, whose: impl Fn(PerformerId) -> bool) {
+        let forgetting = (0..self.trackers.len()).filter(|one| whose(PerformerId(*one)));
         if self.crowd.is_none() {
             return forgetting.for_each(|one| self.trackers[one].handle(tracker::Input::Forget));
         }
@@ -376,7 +451,10 @@ impl Stage {
                 return self.next.push_back(Next::Tracker(performer, complete));
             }
             Change::Entered(performer) => {
-                if self.is_solving {
+                if self.is_solving && performer < self.trackers.len() {
+                    // The number was somebody else's.
+                    self.next.push_back(Next::Tracker(performer, tracker::Input::Forget));
+                } else if self.is_solving {
                     let body = self.bodies.get(performer).cloned().flatten();
                     self.trackers.push(self.template.clone().with_body(body).fed(performer));
                     self.begin_to_watch(performer);
@@ -384,7 +462,16 @@ impl Stage {
                 (performer, EventKind::Entered, "a new performer".to_owned())
             }
             Change::Returned(performer) => {
-                self.next.push_back(Next::Tracker(performer, tracker::Input::Restart));
+                match self.saved.get_mut(performer).and_then(Option::take) {
+                    Some(body) => {
+                        let new = self.template.clone().with_body_to_check(Some(body));
+                        self.trackers[performer] = new.fed(performer);
+                        self.begin_to_watch(performer);
+                    }
+                    None => {
+                        self.next.push_back(Next::Tracker(performer, tracker::Input::Restart));
+                    }
+                }
                 (performer, EventKind::Reentered, "the performer is back".to_owned())
             }
             Change::Vacated(performer) => {

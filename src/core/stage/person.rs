@@ -40,6 +40,8 @@ pub(super) struct Person {
     pub(super) first: Timestamp,
     /// Number of sets in which the person was.
     pub(super) sets: u32,
+    /// Number of views in the last of them.
+    pub(super) views: usize,
     last: Vec<Option<LastSeen>>,
     pub(super) lengths: Lengths,
     /// Sum over the sets of the extents in all views, pixels.
@@ -59,6 +61,7 @@ impl Person {
             seen: at,
             first: at,
             sets: 0,
+            views: 0,
             last: vec![None; cameras],
             lengths: Lengths::default(),
             extents: 0.0,
@@ -69,6 +72,11 @@ impl Person {
     /// How large the person is in the images, pixels.
     pub(super) fn size(&self) -> f64 {
         self.extents / f64::from(self.sets.max(1))
+    }
+
+    /// Whether it is known where the person was last.
+    pub(super) fn was_here(&self) -> bool {
+        self.points.iter().any(Option::is_some)
     }
 
     /// Where the person was last.
@@ -154,6 +162,7 @@ impl Person {
             }
             self.seen = at;
             self.sets += 1;
+            self.views = views.len();
             self.extents += extents.iter().sum::<f64>();
             self.height_px = extents.iter().copied().fold(0.0, f64::max);
             self.lengths.add(&found);

@@ -1,13 +1,94 @@
-//! A performer's body in a recording.
+//! Performers' bodies in recordings.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::error::RecordError;
 use super::message::Message;
 use super::reader::Reader;
+use super::writer::{Provenance, Writer};
 use crate::core::body::Skeleton;
-use crate::io::wire::Topic;
+use crate::core::stage::{Known, PerformerId};
+use crate::core::time::Timestamp;
+use crate::io::wire::{self, Topic, Topics, valid_name};
+
+/// Most known bodies of a folder: the others who enter need numbers too.
+const MOST_KNOWN: usize = 128;
+
+/// Where a folder of known bodies has that of somebody.
+pub fn body_file(folder: &Path, name: &str) -> PathBuf {
+    folder.join(format!("{name}.mcap"))
+}
+
+/// Writes somebody's body and its measured lengths to a folder of known bodies, which is made if it is missing.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn write_body(folder: &Path, name: &str, body: &wire::Skeleton) -> Result<(), RecordError> {
+    let path = body_file(folder, name);
+    std::fs::create_dir_all(folder).map_err(RecordError::write(&path))?;
+    let topics = Topics { actor: name.to_owned(), ..Topics::default() };
+    let topic = topics.skeleton();
+    let mut writer = Writer::create(&path, topics, &Provenance::default())?;
+    writer.write(&topic, Timestamp::default(), body)?;
+    writer.finish()
+}
+
+/// The people of a folder of known bodies, `NAME.mcap` each, in the order of their names. Nobody if there is no such
+/// folder.
+///
+/// # Errors
+/// The folder or a file cannot be read, or there are more than 128; a file has no measured lengths, or a name that
+/// nobody can have, such as `node`; there is none of somebody in `needed`.
+pub fn known_people(
+    folder: &Path,
+    node: &str,
+    needed: &[String],
+) -> Result<Vec<Known>, RecordError> {
+    let mut paths = Vec::new();
+    match std::fs::read_dir(folder) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+        entries => {
+            for entry in entries.map_err(RecordError::read(folder))? {
+                paths.push(entry.map_err(RecordError::read(folder))?.path());
+            }
+        }
+    }
+    paths.retain(|path| path.extension().is_some_and(|ending| ending == "mcap"));
+    paths.sort();
+    if paths.len() > MOST_KNOWN {
+        return Err(RecordError::ManyBodies { path: folder.to_owned(), count: paths.len() });
+    }
+    let person = |(number, path): (usize, PathBuf)| person(PerformerId(number), &path, node);
+    let people: Vec<Known> = paths.into_iter().enumerate().map(person).collect::<Result<_, _>>()?;
+    let names: Vec<&str> = people.iter().map(|known| known.name.as_str()).collect();
+    match needed.iter().find(|name| !names.contains(&name.as_str())) {
+        Some(actor) => Err(RecordError::NoBodyOf {
+            path: folder.to_owned(),
+            actor: actor.clone(),
+            names: if names.is_empty() { "nobody".to_owned() } else { names.join(", ") },
+        }),
+        None => Ok(people),
+    }
+}
+
+fn person(performer: PerformerId, path: &Path, node: &str) -> Result<Known, RecordError> {
+    let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    if valid_name(&name).is_err() || PerformerId::is_name(&name) || name == node {
+        return Err(RecordError::NoName { path: path.to_owned() });
+    }
+    let mut known = None;
+    for entry in Reader::open(path)? {
+        if let Message::Skeleton(body) = entry?.message {
+            let lengths = body.lengths();
+            let body = body.to_core().ok().map(Arc::new);
+            known = lengths.map(|lengths| (body, lengths));
+        }
+    }
+    let (body, lengths) = known.ok_or_else(|| RecordError::NoLengths { path: path.to_owned() })?;
+    Ok(Known { performer, name, body, lengths, ..Known::default() })
+}
 
 /// The last solved body of an actor in a recording, or else the true one of a synthetic recording.
 /// `None` is the only actor of the recording.

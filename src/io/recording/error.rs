@@ -61,6 +61,32 @@ pub enum RecordError {
         /// Path of the file.
         path: PathBuf,
     },
+    /// A file in a folder of known bodies that was not written by us.
+    #[error(
+        "{} holds no measured lengths of a body; files of known bodies are written by `run` and `solve` \
+         with --bodies", path.display()
+    )]
+    NoLengths {
+        /// Path of the file.
+        path: PathBuf,
+    },
+    /// A folder with too many known bodies.
+    #[error("{}: {count} known bodies, at most 128; move those of people who do not come", path.display())]
+    ManyBodies {
+        /// Path of the folder.
+        path: PathBuf,
+        /// Number of files.
+        count: usize,
+    },
+    /// A file in a folder of known bodies whose name nobody can have.
+    #[error(
+        "{}: a known body is called by its file: letters, digits, `-`, `_` and `.`, not p1, p2, ..., \
+         and not like [node] actor; rename it", path.display()
+    )]
+    NoName {
+        /// Path of the file.
+        path: PathBuf,
+    },
     /// An unfinished live recording exists where a new one would be written.
     #[error(
         "{} exists, from a recording that was not finished; `bundlemocap info` reads it; rename \

@@ -8,7 +8,7 @@ use serde::{Serialize, Serializer};
 use crate::core::time::Timestamp;
 use crate::io::wire::{
     DecodeError, ENCODING, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig,
-    Skeleton, Status, Take, TakeAnswer, Topic, decode, is_truth,
+    Skeleton, StageStatus, Status, Take, TakeAnswer, Topic, decode, is_truth,
 };
 
 /// A message of a recording.
@@ -61,6 +61,8 @@ pub enum Message {
     Event(Event),
     /// Counters.
     Status(Box<Status>),
+    /// Who is on the stage.
+    StageStatus(StageStatus),
     /// Inputs of a node.
     Journal(Journal),
     /// A pose on another skeleton.
@@ -97,6 +99,7 @@ pub(super) enum Kind {
     Skeleton,
     Event,
     Status,
+    StageStatus,
     Journal,
     Retargeted,
     Take,
@@ -113,6 +116,7 @@ impl Kind {
             Skeleton::NAME => Self::Skeleton,
             Event::NAME => Self::Event,
             Status::NAME => Self::Status,
+            StageStatus::NAME => Self::StageStatus,
             Journal::NAME => Self::Journal,
             RetargetedPose::NAME => Self::Retargeted,
             Take::NAME => Self::Take,
@@ -195,6 +199,7 @@ impl Message {
             }
             Kind::Event => Self::Event(decode::<Event>(data)?.validated()?),
             Kind::Status => Self::Status(Box::new(decode(data)?)),
+            Kind::StageStatus => Self::StageStatus(decode(data)?),
             Kind::Journal => Self::Journal(decode(data)?),
             Kind::Retargeted => Self::Retargeted(decode::<RetargetedPose>(data)?.validated()?),
             Kind::Take => Self::Take(decode(data)?),

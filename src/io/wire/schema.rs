@@ -4,7 +4,7 @@ use prost::{Message, Name};
 
 use super::{
     DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Skeleton,
-    Status, Take, TakeAnswer, Topic,
+    StageStatus, Status, Take, TakeAnswer, Topic,
 };
 
 /// Encoding of payloads, by its name in MCAP.
@@ -46,6 +46,7 @@ schemas! {
     RetargetedPose: "retargeted_pose",
     Take: "take",
     TakeAnswer: "take_answer",
+    StageStatus: "stage_status",
 }
 
 /// Prefix of a payload's encoding on the bus; the name of the schema follows.
@@ -108,6 +109,7 @@ mod tests {
             RetargetedPose::full_name(),
             Take::full_name(),
             TakeAnswer::full_name(),
+            StageStatus::full_name(),
         ];
         assert_eq!(names.collect::<Vec<_>>(), ours);
         assert_eq!(descriptor(&Pose::full_name()), Some(Pose::DESCRIPTOR));

@@ -3,6 +3,7 @@
 use super::check::{Field, field};
 use super::{DecodeError, Skeleton};
 use crate::core::body::{self, JOINTS, Joint, KeypointOffsets, SYMMETRIC_SHAPE, Shape};
+use crate::core::stage::{BONES, Known};
 
 /// Largest distance of rest offsets from those that the shape gives, metres.
 const OFFSET_TOLERANCE: f64 = 1e-6;
@@ -27,7 +28,22 @@ impl Skeleton {
             shape: skeleton.shape().0.to_vec(),
             keypoint_offsets_m: skeleton.keypoint_offsets().metres().to_vec(),
             run_id: 0,
+            lengths_m: Vec::new(),
         }
+    }
+
+    /// The body of somebody who is known, with the measured lengths; `None` before the body is estimated.
+    pub fn of_known(known: &Known) -> Option<Self> {
+        let lengths_m = known.lengths.as_flattened().to_vec();
+        Some(Self { lengths_m, ..Self::from_core(known.body.as_deref()?) })
+    }
+
+    /// The measured lengths, if there are any.
+    pub fn lengths(&self) -> Option<[[f64; 2]; BONES]> {
+        let (pairs, rest) = self.lengths_m.as_chunks::<2>();
+        let is_sound =
+            rest.is_empty() && pairs.iter().flatten().all(|x| x.is_finite() && *x >= 0.0);
+        pairs.try_into().ok().filter(|_| is_sound)
     }
 
     /// The body with that shape and those keypoint offsets.

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `mocap/{stage}/rig` | `Rig` |
 //! | `mocap/{stage}/events` | `Event` that concerns no performer |
+//! | `mocap/{stage}/status` | `StageStatus` |
 //! | `mocap/{stage}/camera/{camera}/keypoints` | `KeypointFrame` |
 //! | `mocap/{stage}/take` | `Take` |
 //! | `mocap/{stage}/take/answers` | `TakeAnswer` |
@@ -22,8 +23,8 @@
 use std::fmt;
 
 use super::{
-    Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Schema, Skeleton, Status,
-    Take, TakeAnswer,
+    Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Schema, Skeleton,
+    StageStatus, Status, Take, TakeAnswer,
 };
 use crate::core::tracker::EventKind;
 
@@ -58,6 +59,8 @@ pub enum StageChannel<'a> {
     Rig,
     /// Events that concern no performer: of cameras, clocks and queues.
     Events,
+    /// Who is there.
+    Status,
     /// The 2D keypoints of one camera.
     Keypoints {
         /// Name of the camera.
@@ -148,7 +151,7 @@ impl<'a> Topic<'a> {
     pub fn history(&self) -> Option<usize> {
         match self {
             Self::Stage { channel, .. } => match channel {
-                StageChannel::Rig => Some(1),
+                StageChannel::Rig | StageChannel::Status => Some(1),
                 StageChannel::Events => Some(64),
                 StageChannel::Take => Some(1),
                 StageChannel::TakeAnswers => Some(8),
@@ -198,6 +201,7 @@ impl<'a> StageChannel<'a> {
         Some(match text {
             "rig" => Self::Rig,
             "events" => Self::Events,
+            "status" => Self::Status,
             "take" => Self::Take,
             "take/answers" => Self::TakeAnswers,
             _ => {
@@ -211,6 +215,7 @@ impl<'a> StageChannel<'a> {
         match self {
             Self::Rig => Rig::FULL_NAME,
             Self::Events => Event::FULL_NAME,
+            Self::Status => StageStatus::FULL_NAME,
             Self::Keypoints { .. } => KeypointFrame::FULL_NAME,
             Self::Take => Take::FULL_NAME,
             Self::TakeAnswers => TakeAnswer::FULL_NAME,
@@ -271,6 +276,7 @@ impl fmt::Display for StageChannel<'_> {
         match self {
             Self::Rig => to.write_str("rig"),
             Self::Events => to.write_str("events"),
+            Self::Status => to.write_str("status"),
             Self::Keypoints { camera } => write!(to, "camera/{camera}/keypoints"),
             Self::Take => to.write_str("take"),
             Self::TakeAnswers => to.write_str("take/answers"),
@@ -381,6 +387,11 @@ impl Topics {
         self.of_stage(StageChannel::Events)
     }
 
+    /// Topic of [`StageStatus`]: who is there.
+    pub fn stage_status(&self) -> String {
+        self.of_stage(StageChannel::Status)
+    }
+
     /// Topic of each [`Event`] that concerns the performer.
     pub fn actor_events(&self) -> String {
         self.of_actor(ActorChannel::Events)
@@ -440,7 +451,7 @@ impl Topics {
     }
 
     /// All topics that a node publishes; not the rig, which is also an input.
-    pub fn outputs(&self) -> [String; 8] {
+    pub fn outputs(&self) -> [String; 9] {
         [
             self.pose(),
             self.provisional(),
@@ -448,6 +459,7 @@ impl Topics {
             self.skeleton(),
             self.actor_events(),
             self.stage_events(),
+            self.stage_status(),
             self.status(),
             self.journal(),
         ]
@@ -484,6 +496,7 @@ mod tests {
             of_stage("mocap/s/events", StageChannel::Events),
             of_stage("mocap/s/camera/c/keypoints", StageChannel::Keypoints { camera: "c" }),
             of_stage("mocap/s/take", StageChannel::Take),
+            of_stage("mocap/s/status", StageChannel::Status),
             of_stage("mocap/s/take/answers", StageChannel::TakeAnswers),
             of_actor("mocap/s/actor/a/keypoints/c", ActorChannel::Keypoints { camera: "c" }),
             of_actor("mocap/s/actor/a/skeleton", ActorChannel::Skeleton),
@@ -522,7 +535,7 @@ mod tests {
             "mocap/s",
             "mocap//rig",
             "mocap/s/rig/",
-            "mocap/s/status",
+            "mocap/s/status/",
             "mocap/s/skeleton",
             "mocap/s/camera/c",
             "mocap/s/camera//keypoints",

@@ -1,12 +1,13 @@
 //! Passes solutions to the tracker and turns its outputs into publications.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use super::Core;
 use super::port::Output;
 use super::publication::{Content, Publication};
 use super::status::quantile;
-use crate::core::body::StampedPose;
+use crate::core::body::{Skeleton, StampedPose, TrackingState};
 use crate::core::detections::Detections;
 use crate::core::manifold::StampedKeyframe;
 use crate::core::stage::{self, PerformerId, Stage};
@@ -71,8 +72,7 @@ impl Core {
         }
         // What waited while nothing came is no measure of the solver.
         let trouble = self.trouble.take().filter(|_| !is_resuming);
-        let tracked = self.trackers().iter().filter(|tracker| !tracker.is_idle()).count();
-        self.governor.performers = tracked as u32;
+        self.governor.performers = self.count_followed() as u32;
         let Some(why) = self.governor.solved(took, available, trouble) else { return };
         self.set_effort(&why);
     }
@@ -81,7 +81,7 @@ impl Core {
     /// second than there are performers.
     fn late(&mut self, count: u64, why: &'static str) {
         self.overdue += count;
-        if !self.is_several() || self.overdue > self.performers.len() as u64 {
+        if !self.is_several() || self.overdue > self.count_followed() as u64 {
             self.trouble = Some(why);
         }
     }
@@ -155,15 +155,7 @@ impl Core {
                 let deadline = self.deadline(&job);
                 self.outputs.push_back(Output::Solve { performer, job, deadline });
             }
-            tracker::Output::Skeleton(skeleton) => {
-                let message = wire::Skeleton::from_core(&skeleton);
-                let message = wire::Skeleton { run_id: self.run_id, ..message };
-                let now = self.clock.capture_time(self.now);
-                let performer = self.performer(performer);
-                performer.skeleton = Some(skeleton);
-                let topic = performer.topics.skeleton();
-                self.publish(topic, now, Content::Skeleton(message));
-            }
+            tracker::Output::Skeleton(skeleton) => self.skeleton(performer, skeleton),
             tracker::Output::Pose(pose) if pose.provisional => self.provisional(performer, &pose),
             tracker::Output::Pose(pose) => self.pose(performer, &pose),
             tracker::Output::Keyframe(keyframe) => self.keyframe(performer, &keyframe),
@@ -200,6 +192,16 @@ impl Core {
         self.publish(topic, capture, Content::Keypoints(message));
     }
 
+    pub(super) fn skeleton(&mut self, performer: PerformerId, skeleton: Arc<Skeleton>) {
+        let message = wire::Skeleton::from_core(&skeleton);
+        let message = wire::Skeleton { run_id: self.run_id, ..message };
+        let now = self.clock.capture_time(self.now);
+        let performer = self.performer(performer);
+        performer.skeleton = Some(skeleton);
+        let topic = performer.topics.skeleton();
+        self.publish(topic, now, Content::Skeleton(message));
+    }
+
     fn pose(&mut self, performer: PerformerId, pose: &StampedPose) {
         let Some(latency) = self.latency.declared() else { return };
         let due = pose.capture + latency;
@@ -209,6 +211,10 @@ impl Core {
         let held = if (Nanos::ZERO..MOST_HELD).contains(&ahead) { ahead } else { Nanos::ZERO };
         let Some(message) = self.pose_message(performer, pose, Some(due + held)) else { return };
         let performer = self.performer(performer);
+        if pose.state == TrackingState::Tracking {
+            let root = pose.pose.root_position;
+            performer.tracked = Some(([root.x, root.z], pose.capture));
+        }
         performer.poses.published += 1;
         performer.leaves = leaves + held;
         let due = Some(performer.leaves);
@@ -264,6 +270,7 @@ impl Core {
             errors.entry(residual.camera).or_default().push(residual.error_px);
         }
         let usual = quantile(&mut errors.values().flatten().copied().collect::<Vec<f64>>(), 0.5);
+        self.performer(performer).residual_px = usual;
         for (camera, mut errors) in errors {
             if let Some(camera) = self.cameras.get_mut(camera) {
                 let near = errors.iter().filter(|error| **error <= NEAR * usual).count();
@@ -282,8 +289,14 @@ impl Core {
             {
                 self.late(event.count, "a pose was not solved when due");
             }
+            EventKind::Entered => self.entered(performer),
+            EventKind::Vacated => self.put_out_bodies(),
             _ => {}
         }
+        self.is_changed |= matches!(
+            event.kind,
+            EventKind::Entered | EventKind::Reentered | EventKind::Vacated | EventKind::Merged
+        );
         self.performer(performer);
         self.emit_of(event, self.one_of_several(performer));
     }

@@ -1,6 +1,7 @@
 //! The node without its threads. Inputs: messages, solutions and time. Outputs: jobs and messages.
 
 mod answers;
+mod attendance;
 mod cameras;
 mod events;
 mod governor;
@@ -22,7 +23,7 @@ use std::sync::Arc;
 
 use crate::core::body::Skeleton;
 use crate::core::camera::Rig;
-use crate::core::stage::{self, PerformerId, Stage};
+use crate::core::stage::{self, Names, PerformerId, Stage};
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, EventKind, Live, Solution, Tracker};
 use crate::io::wire::{self, Topics};
@@ -77,6 +78,8 @@ pub struct Core {
     is_flushed: bool,
     /// Most people at a time who are not performers.
     others: usize,
+    /// Whether somebody entered, returned, left or got a name since the last status of the stage.
+    is_changed: bool,
     /// Number of jobs that are out.
     jobs: usize,
     /// The take that begins as soon as no job is out.
@@ -128,6 +131,7 @@ impl Core {
             took: Nanos::ZERO,
             journal: Journal::default(),
             is_flushed: false,
+            is_changed: false,
             jobs: 0,
             others: 0,
             starting: None,
@@ -179,6 +183,7 @@ impl Core {
                     self.solved(performer, solution, took);
                     self.drain();
                 }
+                self.put_out_bodies();
                 self.give(stage::Input::End);
             }
         }
@@ -189,6 +194,9 @@ impl Core {
             self.begin_take(take);
         }
         self.seconds(is_last);
+        if std::mem::take(&mut self.is_changed) {
+            self.publish_stage_status(&self.progress());
+        }
         let is_flushed = std::mem::take(&mut self.is_flushed);
         self.write_journal(is_last || is_flushed);
         self.wake();
@@ -235,6 +243,7 @@ impl Core {
         let tracker = tracker.with_time_corrections(&carried.time_offsets);
         let tracker = tracker.with_body_to_check(self.body());
         let stage = Stage::new(tracker, of_stage.performers, None).choosing(of_stage.choice());
+        let stage = stage.naming(Names::new(of_stage.names.clone()));
         let stage = stage.with_known(&carried.performers).with_left_out(&carried.left_out);
         self.stage = Some(if of_stage.solve { stage } else { stage.without_solving() });
         if !self.is_several() {
@@ -370,6 +379,8 @@ impl Core {
     /// Publishes the status of the node and, with several performers, of each.
     fn publish_status(&mut self) {
         let all = self.progress();
+        self.publish_stage_status(&all);
+        self.is_changed = false;
         let of_node = Progress {
             state: state_of_all(&all),
             windows: windows_of_all(&all),
@@ -378,7 +389,12 @@ impl Core {
         let status = self.status(of_node);
         let capture = self.clock.capture_time(self.now);
         let performers = if self.is_several() { all } else { Vec::new() };
+        let here = self.stage.as_ref().map(Stage::attendance).unwrap_or_default().performers;
         for (number, Progress { state, windows, playout }) in performers.into_iter().enumerate() {
+            // Those of another day have not come yet.
+            if here.iter().all(|one| one.performer.0 != number) {
+                continue;
+            }
             let topic = self.performers[number].topics.status();
             let status = wire::Status {
                 tracker_state: state.to_owned(),

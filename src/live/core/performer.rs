@@ -15,6 +15,10 @@ pub(super) struct Performer {
     pub(super) skeleton: Option<Arc<Skeleton>>,
     pub(super) windows: Windows,
     pub(super) poses: Poses,
+    /// Median distance of the detections from the body in the last window, pixels.
+    pub(super) residual_px: f64,
+    /// Place on the floor (x and z) and capture time of the last tracked pose.
+    pub(super) tracked: Option<([f64; 2], Timestamp)>,
     /// When the job that is out was sent.
     pub(super) sent: Option<Timestamp>,
     /// When the last pose leaves.
@@ -28,6 +32,8 @@ impl Performer {
             skeleton: None,
             windows: Windows::default(),
             poses: Poses::default(),
+            residual_px: 0.0,
+            tracked: None,
             sent: None,
             leaves: Timestamp::default(),
         }

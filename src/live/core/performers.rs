@@ -2,9 +2,9 @@
 
 use super::Core;
 use super::performer::{Performer, Progress, tracker_state};
-use crate::core::stage::{PerformerId, Stage};
+use crate::core::stage::{Names, PerformerId, Stage};
 use crate::core::tracker::Tracker;
-use crate::io::wire::{Topic, Topics};
+use crate::io::wire::{PerformerLabel, Topic, Topics};
 
 impl Core {
     /// Whether people are told from each other.
@@ -20,11 +20,38 @@ impl Core {
         }
     }
 
+    /// The folder of known bodies; empty: none.
+    pub(crate) fn bodies_folder(&self) -> &str {
+        &self.settings.stage.bodies
+    }
+
     /// The name of a performer in its topics: the node's if there is only one.
     pub(super) fn name_of(&self, number: usize) -> String {
+        let names = self.stage.as_ref().and_then(Stage::names);
         match self.is_several() {
-            true => PerformerId(number).to_string(),
+            true => names.unwrap_or(&Names::default()).of(PerformerId(number)),
             false => self.topics.actor.clone(),
+        }
+    }
+
+    /// Somebody new has a number. It may have been somebody else's.
+    pub(super) fn entered(&mut self, performer: PerformerId) {
+        if let Some(label) = self.settings.carried.labels.get_mut(performer.0) {
+            *label = PerformerLabel::default();
+        }
+        self.performer(performer).skeleton = None;
+        self.use_name(performer);
+    }
+
+    /// From here on the performer's topics have its name.
+    pub(super) fn use_name(&mut self, id: PerformerId) {
+        let actor = self.name_of(id.0);
+        let performer = self.performer(id);
+        if performer.topics.actor != actor {
+            performer.topics.actor = actor;
+            if let Some(skeleton) = performer.skeleton.clone() {
+                self.skeleton(id, skeleton);
+            }
         }
     }
 
@@ -40,6 +67,11 @@ impl Core {
     /// The performer, if it is one of several.
     pub(super) fn one_of_several(&self, id: PerformerId) -> Option<PerformerId> {
         self.is_several().then_some(id)
+    }
+
+    /// Number of performers who are followed.
+    pub(super) fn count_followed(&self) -> usize {
+        if self.is_several() { self.followed().len() } else { 1 }
     }
 
     pub(super) fn trackers(&self) -> &[Tracker] {

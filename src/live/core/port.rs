@@ -87,6 +87,13 @@ pub enum Output {
         /// Version of the one before.
         instead_of: u64,
     },
+    /// The body of a performer with a name, for the folder of known bodies.
+    Body {
+        /// The name.
+        name: String,
+        /// The body, with the measured lengths.
+        body: wire::Skeleton,
+    },
     /// Asks for an [`Input::Tick`] at this time of the node's clock, unless another input comes
     /// later than that. Replaces the time asked for before.
     Wake(Timestamp),
@@ -153,6 +160,8 @@ fn known(wire: &JournalPerformer) -> Known {
     let body = wire.body.as_deref().and_then(|body| wire::decode::<wire::Skeleton>(body).ok());
     let mut known = Known {
         performer: PerformerId(wire.number as usize),
+        name: wire.name.clone(),
+        dropped: wire.dropped,
         body: body.and_then(|body| body.to_core().ok()).map(Arc::new),
         seen: Timestamp::from_ns(wire.seen_ns),
         ..Known::default()
@@ -172,6 +181,8 @@ pub(super) fn wire_known(known: &Known) -> JournalPerformer {
     };
     JournalPerformer {
         number: known.performer.0 as u32,
+        name: known.name.clone(),
+        dropped: known.dropped,
         body: known.body.as_deref().map(|body| wire::encode(&wire::Skeleton::from_core(body))),
         seen_ns: known.seen.ns(),
         points_m: known.points.iter().flat_map(point).collect(),

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use crate::core::time::Timestamp;
 use crate::io::wire::{
-    Event, Journal, Keyframe, KeypointFrame, Pose, Rig, Schema, Skeleton, Status, TakeAnswer,
-    encode,
+    Event, Journal, Keyframe, KeypointFrame, Pose, Rig, Schema, Skeleton, StageStatus, Status,
+    TakeAnswer, encode,
 };
 
 /// A message to publish.
@@ -28,6 +28,8 @@ pub enum Content {
     Event(Event),
     /// Counters.
     Status(Box<Status>),
+    /// Who is there.
+    StageStatus(StageStatus),
     /// The calibration from a file.
     Rig(Rig),
     /// The body.
@@ -50,6 +52,7 @@ impl Content {
         match self {
             Self::Event(_) => Event::FULL_NAME,
             Self::Status(_) => Status::FULL_NAME,
+            Self::StageStatus(_) => StageStatus::FULL_NAME,
             Self::Rig(_) => Rig::FULL_NAME,
             Self::Skeleton(_) => Skeleton::FULL_NAME,
             Self::Pose(_) => Pose::FULL_NAME,
@@ -65,6 +68,7 @@ impl Content {
         match self {
             Self::Event(message) => encode(message),
             Self::Status(message) => encode(&**message),
+            Self::StageStatus(message) => encode(message),
             Self::Rig(message) => encode(message),
             Self::Skeleton(message) => encode(message),
             Self::Pose(message) => encode(message),

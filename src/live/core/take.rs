@@ -1,5 +1,5 @@
-//! Slates: a take begins, ends, the performer's body is forgotten, a performer is labelled, or a camera
-//! is mended.
+//! Slates: a take begins or ends, a body is forgotten, a performer is labelled, named, followed or dropped, or a
+//! camera is mended.
 //!
 //! A take is a run of its own: at its start the node begins anew with the calibration, the body, the
 //! latency and the time offsets that are known, and the head of the take's journal holds them. So a
@@ -11,7 +11,7 @@ use super::port::{Carried, Settings};
 use super::publication::Content;
 use crate::core::stage::{PerformerId, Stage};
 use crate::core::time::Timestamp;
-use crate::core::tracker::EventKind;
+use crate::core::tracker::{Event, EventKind};
 use crate::io::wire::{self, PerformerLabel, Take, TakeAnswer, encode, valid_name};
 
 /// Most characters of a name that is shown.
@@ -56,12 +56,17 @@ impl Core {
         let is_other = !take.name.is_empty() && take.name != self.running;
         match take.action.as_str() {
             "stop" if self.running.is_empty() => Err("no take runs".to_owned()),
-            "stop" | "reset" if is_other => Err(format!("take {} does not run", take.name)),
+            "stop" if is_other => Err(format!("take {} does not run", take.name)),
             "stop" => {
                 self.is_flushed = true;
+                self.put_out_bodies();
                 Ok(format!("take {} ended", std::mem::take(&mut self.running)))
             }
-            "reset" => self.forget_bodies(),
+            "reset" if take.name.is_empty() => self.forget_bodies(),
+            "reset" => self.forget_body(&take.name),
+            "name" => self.rename(take),
+            "follow" => self.follow_at(&take.place_m),
+            "drop" => self.drop_performer(&take.name),
             "label" => self.label(take),
             "lock" => self.lock(&take.name, true),
             "unlock" => self.lock(&take.name, false),
@@ -81,10 +86,79 @@ impl Core {
             return Err(format!("all performers are locked ({names}): unlock one, then reset"));
         }
         if let Some(stage) = &mut self.stage {
-            stage.forget(&keep.into_iter().map(PerformerId).collect::<Vec<_>>());
+            stage.forget(|performer| !keep.contains(&performer.0));
         }
         let but = if names.is_empty() { String::new() } else { format!("; locked: {names}") };
         Ok(format!("the body is forgotten and estimated anew{but}"))
+    }
+
+    /// Forgets the body of one performer.
+    fn forget_body(&mut self, name: &str) -> Result<String, String> {
+        let number = self.number_of(name)?;
+        if self.label_of(number).is_some_and(|label| label.locked) {
+            return Err(format!("{name} is locked: unlock it, then reset"));
+        }
+        if let Some(stage) = &mut self.stage {
+            stage.forget(|performer| performer.0 == number);
+        }
+        Ok(format!("the body of {name} is forgotten and estimated anew"))
+    }
+
+    /// The stage of several performers.
+    fn stage_of_several(&mut self, action: &str) -> Result<&mut Stage, String> {
+        if !self.is_several() {
+            return Err(format!("{action} needs several performers: set [stage] performers"));
+        }
+        self.stage.as_mut().ok_or_else(|| "no calibration yet".to_owned())
+    }
+
+    /// Gives another name to a performer.
+    fn rename(&mut self, take: &Take) -> Result<String, String> {
+        let Take { name, new_name, .. } = take;
+        let number = self.number_of(name)?;
+        valid_name(new_name).map_err(|error| error.to_string())?;
+        if *new_name == self.topics.actor {
+            return Err(format!("{new_name} is the name of the node; choose another one"));
+        }
+        let is_here = self.followed().into_iter().any(|one| self.name_of(one.0) == *new_name);
+        if new_name != name && is_here {
+            return Err(format!("{new_name} is somebody else who is here; name that one first"));
+        }
+        let stage = self.stage_of_several("name")?;
+        let before = stage.names().and_then(|names| names.owner(new_name));
+        stage.name(PerformerId(number), new_name).map_err(|error| error.to_string())?;
+        before.into_iter().chain([PerformerId(number)]).for_each(|one| self.use_name(one));
+        self.is_changed = true;
+        self.put_out_bodies();
+        Ok(format!("{name} is {new_name} from now on"))
+    }
+
+    /// The person at a place becomes a performer.
+    fn follow_at(&mut self, place: &[f64]) -> Result<String, String> {
+        let stage = self.stage_of_several("follow")?;
+        let place = <[f64; 2]>::try_from(place).ok().filter(|at| at.iter().all(|c| c.is_finite()));
+        let place = place.ok_or("follow needs a place: x and z, metres")?;
+        stage.follow_at(place).map_err(|error| error.to_string())?;
+        Ok(format!("the person at {:.2}, {:.2} m becomes a performer", place[0], place[1]))
+    }
+
+    /// A performer is one no more.
+    fn drop_performer(&mut self, name: &str) -> Result<String, String> {
+        let performer = PerformerId(self.number_of(name)?);
+        if !self.stage_of_several("drop")?.drop_performer(performer) {
+            return Err(format!("{name} is not here"));
+        }
+        let event = Event {
+            kind: EventKind::Vacated,
+            capture: self.clock.capture_time(self.now),
+            camera: None,
+            window: None,
+            count: 1,
+            detail: "dropped: nobody, until somebody follows this person".to_owned(),
+        };
+        self.emit(&event, Some(performer), None);
+        self.is_changed = true;
+        Ok(format!("{name} is dropped: not solved until somebody follows this person"))
     }
 
     /// How a performer is shown.
@@ -99,15 +173,19 @@ impl Core {
         self.performers.len().max(known.unwrap_or(0)).max(usize::from(!self.is_several()))
     }
 
-    /// The label of the performer with that name in its topics.
-    fn label_by_name(&mut self, name: &str) -> Result<&mut PerformerLabel, String> {
+    /// The number of the performer with that name in its topics.
+    fn number_of(&self, name: &str) -> Result<usize, String> {
         let names: Vec<String> =
             (0..self.known_count()).map(|number| self.name_of(number)).collect();
-        let number =
-            names.iter().position(|one| one == name).ok_or_else(|| match &*names.join(", ") {
-                "" => format!("no performer {name:?}: no performer was seen yet"),
-                names => format!("no performer {name:?}; known: {names}"),
-            })?;
+        names.iter().position(|one| one == name).ok_or_else(|| match &*names.join(", ") {
+            "" => format!("no performer {name:?}: no performer was seen yet"),
+            names => format!("no performer {name:?}; known: {names}"),
+        })
+    }
+
+    /// The label of the performer with that name in its topics.
+    fn label_by_name(&mut self, name: &str) -> Result<&mut PerformerLabel, String> {
+        let number = self.number_of(name)?;
         let labels = &mut self.settings.carried.labels;
         if labels.len() <= number {
             labels.resize_with(number + 1, PerformerLabel::default);
@@ -176,6 +254,7 @@ impl Core {
         let text = format!("take {} begins", take.name);
         self.event(EventKind::Take, None, text.clone());
         self.write_journal(true);
+        self.put_out_bodies();
         let stage = self.stage.as_ref();
         let body = |stage: &Stage| stage.lead().known_body().map(|b| wire::Skeleton::from_core(b));
         let is_several = self.is_several();
@@ -190,7 +269,8 @@ impl Core {
                 latency: self.latency.declared().or(self.settings.carried.latency),
                 time_offsets: stage
                     .map_or_else(Vec::new, |stage| stage.time_corrections().to_vec()),
-                performers: stage.map_or_else(Vec::new, Stage::known),
+                performers: stage
+                    .map_or_else(|| self.settings.carried.performers.clone(), Stage::known),
                 left_out: stage.map_or_else(Vec::new, Stage::left_out),
                 labels: self.labels_of_known(),
                 usual_px: self.cameras.iter().map(Camera::usual_px).collect(),

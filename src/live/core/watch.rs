@@ -50,8 +50,12 @@ impl Core {
     pub(super) fn watch_crowd(&mut self) {
         let others = self.stage.as_ref().map_or(0, stage::Stage::others);
         if others > std::mem::replace(&mut self.others, others) {
-            let detail = format!("{others} more people were seen, not solved");
-            self.event(EventKind::Crowd, None, detail + "; raise [stage] performers");
+            let fix = match self.count_followed() < self.settings.stage.performers.limit() {
+                true => "`bundlemocap take follow X,Z` makes one a performer",
+                false => "raise [stage] performers",
+            };
+            let detail = format!("{others} more people were seen, not solved; {fix}");
+            self.event(EventKind::Crowd, None, detail);
         }
     }
 

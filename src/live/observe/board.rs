@@ -4,12 +4,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::io::bus::Sample;
-use crate::io::wire::Status;
+use crate::io::wire::{StageStatus, Status};
 
 /// State that the node's threads share.
 #[derive(Default)]
 pub(crate) struct Board {
     status: Mutex<Option<Status>>,
+    stage: Mutex<Option<StageStatus>>,
     rig: Mutex<Option<Sample>>,
     failures: Arc<AtomicU64>,
 }
@@ -23,6 +24,16 @@ impl Board {
     /// Stores a new status.
     pub(crate) fn set_status(&self, status: Status) {
         *self.status.lock().unwrap_or_else(PoisonError::into_inner) = Some(status);
+    }
+
+    /// Who is there, if that is known.
+    pub(crate) fn stage(&self) -> Option<StageStatus> {
+        self.stage.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Stores who is there.
+    pub(crate) fn set_stage(&self, stage: StageStatus) {
+        *self.stage.lock().unwrap_or_else(PoisonError::into_inner) = Some(stage);
     }
 
     /// The current rig, if there is one.

@@ -88,8 +88,13 @@ fn answer(mut stream: TcpStream, board: &Board) -> io::Result<()> {
     let path = target.split('?').next().unwrap_or_default();
     let (status, kind, text) = match (method, path) {
         ("GET" | "HEAD", "/metrics") => {
-            let (status, failures) = (board.status(), board.publish_failures());
-            match (Snapshot { status, failures, usage: Usage::of(None) }).render() {
+            let snapshot = Snapshot {
+                status: board.status(),
+                stage: board.stage(),
+                failures: board.publish_failures(),
+                usage: Usage::of(None),
+            };
+            match snapshot.render() {
                 Ok(text) => ("200 OK", TYPE, text),
                 Err(error) => ("500 Internal Server Error", "text/plain", error.to_string()),
             }

@@ -24,6 +24,11 @@
 //! | `bundlemocap_events_total` | `kind` | events |
 //! | `bundlemocap_queue_dropped_total` | | messages dropped by the full queue |
 //! | `bundlemocap_publish_failures_total` | | messages that could not be published |
+//! | `bundlemocap_performer_life` | `performer`, `life`: confirmed, coasting, lost, left | 1 for the current one |
+//! | `bundlemocap_performer_unseen_seconds` | `performer` | time since the performer was seen |
+//! | `bundlemocap_performer_views` | `performer` | cameras that saw the performer then |
+//! | `bundlemocap_performer_residual_pixels` | `performer` | median residual of the last window |
+//! | `bundlemocap_people` | `role`: tentative, other | people who are seen and are not performers |
 //! | `process_cpu_seconds_total` | | user and system time |
 //! | `process_resident_memory_bytes` | | resident memory |
 //!
@@ -37,13 +42,18 @@ use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::Registry;
 
 use super::process::Usage;
-use crate::io::wire::{CameraCounters, EffortStatus, PlayoutCounters, Status, WindowCounters};
+use crate::io::wire::{
+    CameraCounters, EffortStatus, PlayoutCounters, StagePerformer, StageStatus, Status,
+    WindowCounters,
+};
 
 /// Input of one page of metrics.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
     /// The last status of the core, if there is one.
     pub status: Option<Status>,
+    /// Who is there, if that is known.
+    pub stage: Option<StageStatus>,
     /// Messages that could not be published.
     pub failures: u64,
     /// Resources of this process, if the system reports them.
@@ -80,7 +90,8 @@ impl Collector for Snapshot {
             let bytes = usage.resident_bytes as f64;
             sheet.gauge("process_resident_memory_bytes", "Resident memory", bytes)?;
         }
-        self.status.as_ref().map_or(Ok(()), |status| sheet.status(status))
+        self.status.as_ref().map_or(Ok(()), |status| sheet.status(status))?;
+        self.stage.as_ref().map_or(Ok(()), |stage| sheet.stage(stage))
     }
 }
 
@@ -143,6 +154,34 @@ impl Sheet<'_> {
         each("bundlemocap_camera_waited_for", "1 if windows wait for it", |c| {
             f64::from(u8::from(c.waited_for))
         })
+    }
+
+    fn stage(&mut self, stage: &StageStatus) -> fmt::Result {
+        let all = &stage.performers;
+        let life = |one| {
+            let StagePerformer { name, life, .. }: &StagePerformer = one;
+            (vec![("performer", name.as_str()), ("life", life.as_str())], 1.0)
+        };
+        let lives: Vec<_> = all.iter().map(life).collect();
+        self.gauges("bundlemocap_performer_life", "How far the performer is here", &lives)?;
+        let mut each = |name: &str, help: &str, value: fn(&StagePerformer) -> f64| {
+            let rows: Vec<_> = all
+                .iter()
+                .map(|one| (vec![("performer", one.name.as_str())], value(one)))
+                .collect();
+            self.gauges(name, help, &rows)
+        };
+        each("bundlemocap_performer_unseen_seconds", "Time since the performer was seen", |one| {
+            one.unseen_s
+        })?;
+        each("bundlemocap_performer_views", "Cameras that saw the performer then", |one| {
+            f64::from(one.views)
+        })?;
+        let help = "Median residual of the last window";
+        each("bundlemocap_performer_residual_pixels", help, |one| one.residual_px)?;
+        let people = [("tentative", stage.tentative), ("other", stage.others)];
+        let rows = people.map(|(role, count)| (vec![("role", role)], f64::from(count)));
+        self.gauges("bundlemocap_people", "People who are seen and are not performers", &rows)
     }
 
     fn windows(&mut self, windows: &WindowCounters) -> fmt::Result {
@@ -282,11 +321,22 @@ mod tests {
         }
     }
 
+    fn text() -> String {
+        let usage = Some(Usage { cpu_s: 1.5, resident_bytes: 4096 });
+        let one = StagePerformer {
+            name: "lead".into(),
+            life: "coasting".into(),
+            unseen_s: 0.5,
+            ..StagePerformer::default()
+        };
+        let stage = StageStatus { performers: vec![one], others: 3, ..StageStatus::default() };
+        let snapshot = Snapshot { status: Some(status()), stage: Some(stage), failures: 2, usage };
+        snapshot.render().unwrap()
+    }
+
     #[test]
     fn the_text_holds_every_figure() {
-        let usage = Usage { cpu_s: 1.5, resident_bytes: 4096 };
-        let snapshot = Snapshot { status: Some(status()), failures: 2, usage: Some(usage) };
-        let text = snapshot.render().unwrap();
+        let text = text();
         let expected = [
             "bundlemocap_tracker_state{state=\"tracking\"} 1.0",
             "bundlemocap_camera_frames_total{camera=\"cam \\\"01\\\"\\n\",outcome=\"late\"} 3.0",
@@ -300,6 +350,9 @@ mod tests {
             "bundlemocap_publish_deviation_seconds_bucket{le=\"+Inf\"} 8",
             "bundlemocap_events_total{kind=\"late\"} 3.0",
             "bundlemocap_publish_failures_total 2.0",
+            "bundlemocap_performer_life{performer=\"lead\",life=\"coasting\"} 1.0",
+            "bundlemocap_performer_unseen_seconds{performer=\"lead\"} 0.5",
+            "bundlemocap_people{role=\"other\"} 3.0",
             "process_cpu_seconds_total 1.5",
             "process_resident_memory_bytes 4096.0",
         ];
@@ -311,9 +364,7 @@ mod tests {
 
     #[test]
     fn every_metric_is_in_the_table_and_the_other_way_round() {
-        let usage = Usage { cpu_s: 1.5, resident_bytes: 4096 };
-        let snapshot = Snapshot { status: Some(status()), failures: 2, usage: Some(usage) };
-        let text = snapshot.render().unwrap();
+        let text = text();
         let mut given: Vec<String> = (text.lines())
             .filter_map(|line| line.strip_prefix("# TYPE ")?.rsplit_once(' '))
             .map(|(name, kind)| match kind {

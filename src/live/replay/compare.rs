@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
 use crate::io::wire::{
-    Event, Journal, Keyframe, Pose, Schema, Skeleton, Status, Topic, Topics, decode,
+    Event, Journal, Keyframe, Pose, Schema, Skeleton, StageStatus, Status, Topic, Topics, decode,
 };
 
 /// A message of a recording.
@@ -83,11 +83,15 @@ impl At {
     /// Whether a message belongs to the run. Events of older recordings name no run.
     fn holds(&self, message: &Recorded) -> bool {
         match run_of(message) {
-            Some(0) if *message.schema == *Status::FULL_NAME || is_of_no_run(message) => false,
+            Some(0) if is_status(message) || is_of_no_run(message) => false,
             None | Some(0) => message.time >= self.begin,
             Some(run) => run == self.run,
         }
     }
+}
+
+fn is_status(message: &Recorded) -> bool {
+    [Status::FULL_NAME, StageStatus::FULL_NAME].contains(&&*message.schema)
 }
 
 /// Whether it is an event that is no output of a node's core.
@@ -116,6 +120,7 @@ fn run_of(message: &Recorded) -> Option<u64> {
         Skeleton::FULL_NAME => of(message, |skeleton: Skeleton| skeleton.run_id),
         Event::FULL_NAME => of(message, |event: Event| event.run_id),
         Status::FULL_NAME => of(message, |status: Status| status.run_id),
+        StageStatus::FULL_NAME => of(message, |status: StageStatus| status.run_id),
         Journal::FULL_NAME => of(message, |journal: Journal| journal.run_id),
         _ => None,
     }

@@ -348,7 +348,7 @@ impl<'a> Run<'a> {
                     schema: publication.content.schema().into(),
                     payload: publication.content.encode(),
                 }),
-                Output::Wake(_) | Output::Mended { .. } => {}
+                Output::Wake(_) | Output::Mended { .. } | Output::Body { .. } => {}
             }
         }
     }

@@ -1,5 +1,6 @@
 //! The threads around the core: queues, solvers, playout, and the node that starts and stops them.
 
+mod bodies_folder;
 pub(super) mod cpu_affinity;
 pub(super) mod node_loop;
 pub(super) mod outlet;

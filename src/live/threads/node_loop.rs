@@ -12,7 +12,7 @@ use super::queue::{Intake, Message};
 use super::solvers::{Answer, Solvers};
 use crate::core::time::Timestamp;
 use crate::io::bus::Sample;
-use crate::io::wire::{Rig, Schema, Topic, media_type};
+use crate::io::wire::{Rig, Schema, Skeleton, Topic, media_type};
 use crate::live::clock::wall::WallClock;
 use crate::live::core::Core;
 use crate::live::core::port::{Input, Output};
@@ -46,6 +46,8 @@ pub(crate) struct NodeLoop {
     pub(crate) rig_topic: String,
     /// Calibrations with a mended camera, each with the version of the one before; for the file.
     pub(crate) mended: Sender<(Rig, u64)>,
+    /// Names and bodies, for the folder of known bodies.
+    pub(crate) bodies: Sender<(String, Skeleton)>,
     pub(crate) progress: Progress,
 }
 
@@ -190,6 +192,11 @@ impl NodeLoop {
                 Output::Mended { rig, instead_of } => {
                     let _ = self.mended.try_send((rig, instead_of));
                 }
+                Output::Body { name, body } => {
+                    if self.bodies.try_send((name, body)).is_err() {
+                        tracing::warn!("a body is not written: too many wait to be written");
+                    }
+                }
             }
         }
         self.progress.events.end_seconds(now);
@@ -214,6 +221,7 @@ impl NodeLoop {
                 self.progress.events.tell(now, &event, actor.as_deref());
             }
             Content::Status(status) if is_node => self.board.set_status(*status),
+            Content::StageStatus(status) => self.board.set_stage(status),
             Content::Status(_) => {}
             Content::Rig(_) => self.offer_rig(),
             Content::Skeleton(_)

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bounded, never};
 
+use super::bodies_folder::BodiesFolder;
 use super::cpu_affinity::SolverCore;
 use super::node_loop::{Inbox, NodeLoop, Progress};
 use super::outlet::Outlet;
@@ -18,7 +19,7 @@ use super::solvers::Solvers;
 use crate::core::tracker::{Job, Solver};
 use crate::io::bus::{Bus, Guard};
 use crate::io::wire::{
-    Event, Journal, Keyframe, Pose, Rig, Schema, Skeleton, Status, TakeAnswer, Topics,
+    Event, Journal, Keyframe, Pose, Rig, Schema, Skeleton, StageStatus, Status, TakeAnswer, Topics,
 };
 use crate::live::clock::wall::WallClock;
 use crate::live::config::Config;
@@ -33,6 +34,9 @@ const LOOK: Duration = Duration::from_millis(500);
 const BATCHES: usize = 64;
 /// Most calibrations that wait to be written.
 const MENDED: usize = 64;
+
+/// Most bodies that wait to be written.
+const BODIES: usize = 64;
 
 /// A live node.
 pub struct Node;
@@ -98,6 +102,12 @@ impl Node {
             "" => never(),
             path => watch_rig(path.into(), config, (looking, to_write), &mut threads)?,
         };
+        let (bodies, to_keep) = bounded::<(String, Skeleton)>(BODIES);
+        if !core.bodies_folder().is_empty() {
+            let mut folder = BodiesFolder::new(core.bodies_folder().into());
+            let work = move || to_keep.iter().for_each(|(name, body)| folder.keep(&name, &body));
+            threads.push(("bodies", thread("bodies").spawn(work).map_err(NodeError::Thread)?));
+        }
         let playout = Arc::<Playout>::default();
         let played = start_playout(&bus, &topics, clock, &playout, &board, &mut threads)?;
         let solve = |mut solver: Solver| move |job: &Job| solver.solve(job);
@@ -115,6 +125,7 @@ impl Node {
             board: Arc::clone(&board),
             rig_topic: topics.rig(),
             mended,
+            bodies,
             progress: Progress::default(),
         };
         let (alive, over) = bounded(0);
@@ -238,6 +249,7 @@ fn loop_outlet(bus: &Arc<dyn Bus>, topics: &Topics, board: &Board) -> Result<Out
         (topics.skeleton(), Skeleton::FULL_NAME),
         (topics.actor_events(), Event::FULL_NAME),
         (topics.stage_events(), Event::FULL_NAME),
+        (topics.stage_status(), StageStatus::FULL_NAME),
         (topics.status(), Status::FULL_NAME),
         (topics.journal(), Journal::FULL_NAME),
         (topics.take_answers(), TakeAnswer::FULL_NAME),

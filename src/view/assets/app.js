@@ -138,6 +138,7 @@ function tick() {
   showNode(people);
   showCameras();
   showPerformers(people);
+  showOthers();
   showReceivers();
   showEvents();
   showTimeline();
@@ -284,8 +285,9 @@ function showPerformers(people) {
     if (!rows.has(name)) rows.set(name, performerRow(name));
     const row = rows.get(name);
     if (!row.item.isConnected) $("performers").append(row.item);
+    const life = ["lost", "left"].find((life) => isLive && store.lifeOf(name) === life);
     const live = isLive ? store.statusOf.get(name)?.tracker_state : undefined;
-    setText(row.state, people.find((shownNow) => shownNow.name === name)?.state ?? live ?? "no pose");
+    setText(row.state, life ?? people.find((shownNow) => shownNow.name === name)?.state ?? live ?? "no pose");
     setText(row.shown, shown);
     setText(row.hide, hidden.has(name) ? "show" : "hide");
     row.who.title = shown === name ? `follow ${name}` : `follow ${shown}, ${name} on the bus`;
@@ -294,6 +296,13 @@ function showPerformers(people) {
     row.swatch.style.background = tint;
     row.words.hidden = !locked;
   }
+}
+
+/** How many more people the node sees. */
+function showOthers() {
+  const others = isLive ? (store.stage?.others ?? 0) : 0;
+  $("others").hidden = others === 0;
+  setText($("others"), `${others} more ${others === 1 ? "is" : "are"} seen, and not solved`);
 }
 
 /** What the topics of a performer are called. */

@@ -49,7 +49,7 @@ export class Live {
   /** Asks for what is shown: of the cameras, those given, or else all. */
   want(provisional, cameras = ["*"]) {
     const own = `mocap/${this.stage}`;
-    const topics = ["rig", "events", "take", "take/answers", ...cameras.map((name) => `camera/${name}/keypoints`)];
+    const topics = ["rig", "events", "status", "take", "take/answers", ...cameras.map((name) => `camera/${name}/keypoints`)];
     topics.push("actor/*/skeleton", "actor/*/status", "actor/*/events", "actor/*/pose");
     if (provisional) topics.push("actor/*/pose/provisional");
     this.topics = topics.map((topic) => `${own}/${topic}`);

@@ -75,6 +75,8 @@ export class Store {
     this.events = [];
     this.statuses = new Series();
     this.statusOf = new Map();
+    /** Who is there, by the node; `undefined`: not known. */
+    this.stage = undefined;
     this.statusCame = undefined;
     /** Least difference of the page's clock and the node's, ms. */
     this.apart = Infinity;
@@ -129,6 +131,7 @@ export class Store {
     if (parts[2] === "rig") this.rig = readNew("Rig", this.rig);
     else if (parts[2] === "camera") this.takeKeypoints(read("KeypointFrame"), arrival);
     else if (parts[2] === "events") this.takeEvent(read("Event"));
+    else if (parts[2] === "status") this.takeStage(read("StageStatus"));
     else if (parts[2] === "take" && parts[3] === "answers") this.takeAnswer(read("TakeAnswer"));
     else if (parts[2] === "take") this.takeSlate(read("Take"));
     else if (parts[2] === "actor" && parts[4] === "points") this.takePoints(parts[3], capture, payload);
@@ -145,6 +148,10 @@ export class Store {
 
   takeSlate(take) {
     if (["start", "stop"].includes(take.action) && take.name) this.lastTake = take.name;
+  }
+
+  takeStage(stage) {
+    if (this.node === undefined || stage.node === this.node) this.stage = stage;
   }
 
   takeAnswer(answer) {
@@ -206,6 +213,11 @@ export class Store {
   labelOf(name) {
     const { display_name = "", colour = "", locked = false } = this.statusOf.get(name)?.label ?? {};
     return { display_name, colour, locked };
+  }
+
+  /** How a performer of several is there: confirmed, coasting, lost or left; `undefined`: not known. */
+  lifeOf(name) {
+    return this.stage?.performers.find((one) => one.name === name)?.life;
   }
 
   /** The time of an arrival among the capture times: seconds since the first arrival. */

@@ -55,6 +55,9 @@ export function takes(store, source, lookOf) {
     edited = { name: one.name, ...store.labelOf(one.name) };
     $("labelled").textContent = one.name;
     [$("shown").value, $("locked").checked] = [edited.display_name, edited.locked];
+    [$("named").value, $("dropped").checked] = [one.name, false];
+    // The only performer is called as the settings say.
+    for (const part of document.querySelectorAll("#label .several")) part.hidden = one.name === store.node;
     $("usual").checked = edited.colour === "";
     $("colour").value = lookOf(one).tint;
     $("label").returnValue = "";
@@ -68,6 +71,9 @@ export function takes(store, source, lookOf) {
     const all = [];
     if ($("locked").checked !== locked) all.push([locked ? "unlock" : "lock", name]);
     if (wanted.display_name !== display_name || wanted.colour !== colour) all.push(["label", name, wanted]);
+    if ($("dropped").checked) all.push(["drop", name]);
+    // The last: then this name is no more.
+    if ($("named").value !== name && $("named").value) all.push(["name", name, { new_name: $("named").value }]);
     if (all.length > 0) commands(...all);
   });
   return () => {

@@ -1,0 +1,49 @@
+//! Who is solved: arguments of `run` and `solve`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::bus::check_name;
+use super::failure::{Exit, Failure};
+use crate::core::stage::{Config, Performers};
+
+#[derive(Debug, Args)]
+pub(super) struct StageArguments {
+    /// How many people are solved at a time: 1 to 32, or auto for all; default: that of the settings, 1.
+    #[arg(long, value_name = "N")]
+    performers: Option<Performers>,
+    /// With several performers, names for those who enter, in this order; others are p1, p2, ...
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    names: Vec<String>,
+    /// With several performers, folder of known bodies, NAME.mcap each: people are recognised by them and have
+    /// these names. Bodies of performers with a name who have none there yet are written to it.
+    #[arg(long, value_name = "DIR")]
+    bodies: Option<PathBuf>,
+    /// Only the people with these names become performers; --bodies tells who they are.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    only: Vec<String>,
+}
+
+impl StageArguments {
+    /// Replaces the settings that are given.
+    pub(super) fn apply(&self, config: &mut Config) -> Result<(), Failure> {
+        self.names.iter().try_for_each(|name| check_name("--names", name))?;
+        config.performers = self.performers.unwrap_or(config.performers);
+        if !self.names.is_empty() {
+            config.names.clone_from(&self.names);
+        }
+        if let Some(bodies) = &self.bodies {
+            config.bodies = bodies.display().to_string();
+        }
+        if !self.only.is_empty() {
+            config.only.clone_from(&self.only);
+        }
+        let is_given = !self.names.is_empty() || self.bodies.is_some() || !self.only.is_empty();
+        if is_given && !config.several() {
+            let fix = "--names, --bodies and --only are for several people: add --performers auto";
+            return Err(Failure::new(Exit::Usage, fix));
+        }
+        Ok(())
+    }
+}

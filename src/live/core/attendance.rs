@@ -1,0 +1,93 @@
+//! Who is on the stage, for its status message.
+
+use super::Core;
+use super::performer::Progress;
+use super::port::Output;
+use super::publication::Content;
+use crate::core::stage::{Attendance, Known, Life, PerformerId, Presence, Stage};
+use crate::io::wire::{self, StagePerformer, StageStatus};
+
+impl Core {
+    /// Publishes who is there.
+    pub(super) fn publish_stage_status(&mut self, progress: &[Progress]) {
+        // The node of the stage tells it.
+        if self.settings.node.associated {
+            return;
+        }
+        let attendance = match &self.stage {
+            Some(stage) if self.is_several() => stage.attendance(),
+            _ => self.one_present(progress),
+        };
+        let capture = self.clock.capture_time(self.now);
+        let performers = attendance.performers.iter();
+        let status = StageStatus {
+            capture_time_ns: capture.ns(),
+            node_time_ns: self.now.ns(),
+            run_id: self.run_id,
+            node: self.topics.actor.clone(),
+            performers: performers.map(|one| self.stage_performer(one, progress)).collect(),
+            tentative: attendance.tentative as u32,
+            others: attendance.others as u32,
+            places: self.settings.stage.performers.limit() as u32,
+        };
+        self.publish(self.topics.stage_status(), capture, Content::StageStatus(status));
+    }
+
+    /// The only performer, as the tracker knows it.
+    fn one_present(&self, progress: &[Progress]) -> Attendance {
+        let life = match progress.first().map(|one| one.state) {
+            Some("tracking") => Life::Confirmed,
+            Some("coasting") => Life::Coasting,
+            _ => Life::Lost,
+        };
+        let present = |&(place, seen): &_| Presence {
+            performer: PerformerId(0),
+            life,
+            place: Some(place),
+            seen,
+            views: 0,
+        };
+        let last = self.performers.first().and_then(|performer| performer.tracked.as_ref());
+        Attendance { performers: last.map(present).into_iter().collect(), ..Attendance::default() }
+    }
+
+    fn stage_performer(&self, present: &Presence, progress: &[Progress]) -> StagePerformer {
+        let &Presence { performer, life, place, seen, views } = present;
+        let own = self.performers.get(performer.0);
+        let is_solved = self.settings.stage.solve;
+        let state = progress.get(performer.0).filter(|_| is_solved).map(|one| one.state);
+        let unseen = self.clock.capture_time(self.now) - seen;
+        StagePerformer {
+            name: self.name_of(performer.0),
+            life: life.name().to_owned(),
+            tracker_state: state.unwrap_or_default().to_owned(),
+            solver: if is_solved { self.topics.actor.clone() } else { String::new() },
+            place_m: place.map_or_else(Vec::new, Vec::from),
+            unseen_s: unseen.seconds().max(0.0),
+            views: views as u32,
+            residual_px: own.map_or(0.0, |own| own.residual_px),
+            label: self.label_of(performer.0).cloned(),
+        }
+    }
+
+    /// Puts out the bodies of the performers with names, for the folder of known bodies.
+    pub(super) fn put_out_bodies(&mut self) {
+        if self.settings.stage.bodies.is_empty() {
+            return;
+        }
+        let known = self.stage.as_ref().map_or_else(Vec::new, Stage::known);
+        let was_here = |one: &&Known| one.points.iter().any(Option::is_some);
+        for known in known.iter().filter(was_here).filter(|one| !one.name.is_empty()) {
+            if let Some(body) = wire::Skeleton::of_known(known) {
+                self.outputs.push_back(Output::Body { name: known.name.clone(), body });
+            }
+        }
+    }
+
+    /// Several performers: those who are followed.
+    pub(super) fn followed(&self) -> Vec<PerformerId> {
+        let all = self.stage.as_ref().map(Stage::attendance).unwrap_or_default();
+        let here = all.performers.into_iter().filter(|one| one.life.is_here());
+        here.map(|one| one.performer).collect()
+    }
+}
