@@ -448,8 +448,8 @@ fn a_number_is_somebody_elses_when_a_performer_without_a_name_has_left() {
         let topics = Topics { actor: new.to_owned(), ..Topics::default() };
         let of_new = world.heard.of::<wire::Skeleton>(&topics.skeleton());
         let shape = |from: f64, to: f64| {
-            let within = of_new.iter().filter(|(time, _)| (at(from)..at(to)).contains(time));
-            within.last().map(|(_, body)| body.shape[0])
+            let mut within = of_new.iter().filter(|(time, _)| (at(from)..at(to)).contains(time));
+            within.next_back().map(|(_, body)| body.shape[0])
         };
         let (first, last) = (shape(0.0, 4.0), shape(4.0, 11.0).unwrap());
         assert!(first.is_none_or(|first| (first - last).abs() > 0.3), "{first:?}, {last}");
