@@ -21,6 +21,7 @@
 //!
 //! Means over several recordings have the intervals of [`mean_interval`].
 
+mod camera_state;
 mod coverage;
 mod detector_statistics;
 mod distribution;
@@ -36,6 +37,7 @@ mod reprojection;
 pub mod statistics;
 mod trend;
 
+pub(crate) use camera_state::{CameraState, set_residuals};
 pub use coverage::{Coverage, CoverageSums};
 pub use detector_statistics::{
     ConfidenceBin, DetectorStatistics, DetectorTracks, PointTrack, Seen,

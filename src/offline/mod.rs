@@ -16,6 +16,7 @@
 //! report average over time beyond 4096 values.
 
 pub(crate) mod bvh;
+mod camera_states;
 mod check;
 mod collected;
 pub(crate) mod compact_pose;

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::Error;
+use super::camera_states::CameraStates;
 use super::collected::Collected;
 use super::compact_pose::CompactPose;
 use super::poses::{BENT, Poses};
@@ -16,6 +17,7 @@ use super::summary::{Group, Summary};
 use super::windows::{WindowSummary, Windows};
 use crate::core::body::{Posture, Skeleton};
 use crate::core::camera::Rig;
+use crate::core::detections::Detections;
 use crate::core::stage::Performers;
 use crate::core::time::Timestamp;
 use crate::core::tracker::Output;
@@ -90,6 +92,7 @@ pub(crate) struct PoseFile {
     rig: Arc<Rig>,
     cameras: Vec<String>,
     performers: Vec<Performer>,
+    states: CameraStates,
     has_rig: bool,
     weights: String,
     timecode: Option<House>,
@@ -123,14 +126,22 @@ impl PoseFile {
             rig: Arc::clone(rig),
             cameras: solved.cameras.iter().map(|camera| camera.name.clone()).collect(),
             performers: performers.iter().map(performer).collect(),
+            states: CameraStates::new(solved),
             has_rig: false,
             timecode,
         })
     }
 
+    /// Takes a frame, and writes the state of the cameras once a second.
+    pub(crate) fn frame(&mut self, frame: &Detections) -> Result<(), Error> {
+        let Some(status) = self.states.frame(frame) else { return Ok(()) };
+        let at = Timestamp::from_ns(status.capture_time_ns);
+        Ok(self.writer.write(&Topics::default().status(), at, &status)?)
+    }
+
     /// Writes one output of a performer.
     pub(crate) fn write(&mut self, performer: usize, output: &Output) -> Result<(), Error> {
-        let Self { writer, rig, cameras, performers, has_rig, weights, timecode } = self;
+        let Self { writer, rig, cameras, performers, states, has_rig, weights, timecode } = self;
         let Some(Performer { topics, skeleton, has_skeleton }) = performers.get_mut(performer)
         else {
             return Ok(());
@@ -156,11 +167,13 @@ impl PoseFile {
                 writer.write(&topics.keyframe(), keyframe.capture, &message)?;
             }
             Output::Event(event) => {
+                states.event(event);
                 let camera = event.camera.and_then(|camera| cameras.get(camera));
                 let message = wire::Event::from_core(event, camera.map(String::as_str));
                 writer.write(&topics.events(event.kind), event.capture, &message)?;
             }
-            Output::Window(_) | Output::Solve(_) | Output::Placed { .. } => {}
+            Output::Window(report) => states.window(report),
+            Output::Solve(_) | Output::Placed { .. } => {}
         }
         Ok(())
     }

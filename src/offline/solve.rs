@@ -314,6 +314,9 @@ impl Run<'_, '_> {
                 if self.is_first {
                     self.evidence.add(&detections, percent);
                 }
+                if let Some(file) = &mut self.file {
+                    file.frame(&detections)?;
+                }
                 return self.feed(Input::Detections(detections), observer);
             }
             (Item::HeldOut(frame, percent), _) if self.is_first => {

@@ -403,6 +403,20 @@ fn a_synthetic_walk_is_solved_and_exported() {
     for row in ["hold-out cam03, median", "frames without the performer"] {
         assert!(table.contains(row), "{table}");
     }
+    // The cameras are judged once a second.
+    let mut reader = Reader::open(place.path("out/poses.mcap")).unwrap();
+    let status = reader.by_ref().find_map(|entry| match entry.unwrap().message {
+        Message::Status(status) => Some(status),
+        _ => None,
+    });
+    let status = status.unwrap();
+    let names: Vec<&str> = status.cameras.iter().map(|one| one.camera.as_str()).collect();
+    assert_eq!((names, status.windows.unwrap().lost), (vec!["cam01", "cam02", "cam04"], 0));
+    for camera in &status.cameras {
+        assert_eq!((camera.rate_hz.round(), camera.used >= 60), (60.0, true), "{camera:?}");
+        assert!(camera.near > 0.8 && (1.0..8.0).contains(&camera.residual_px), "{camera:?}");
+        assert!(camera.usual_px == camera.residual_px && camera.age_s < 0.1, "{camera:?}");
+    }
 
     place.done("export out/poses.mcap --out again.bvh --out strip.svg");
     let again = fs::read_to_string(place.path("again.bvh")).unwrap();
@@ -1527,6 +1541,28 @@ fn several_performers_are_solved_into_one_recording_and_a_file_each() {
         assert!(evidence.iter().all(|part| errors.contains(part)), "{errors}");
     }
     place.done("solve walk.mcap --out one --body out/poses.mcap --body-actor p2");
+
+    place
+        .done("solve crowd.mcap --out named --performers auto --names lead,double --bodies bodies");
+    assert!(
+        place.path("named/poses.double.bvh").exists() && place.path("named/poses.p3.bvh").exists()
+    );
+    let known = "solve crowd.mcap --out known --performers auto --bodies bodies --only lead --json";
+    let known: Value = serde_json::from_str(&place.done(known)).unwrap();
+    let names: Vec<&Value> =
+        known["performers"].as_array().unwrap().iter().map(|one| &one["performer"]).collect();
+    assert_eq!((names, &known["others"]), (vec![&Value::from("lead")], &2.into()));
+    for (options, evidence) in [
+        ("--performers auto --bodies bodies --only ghost", "no body of ghost, but of double, lead"),
+        ("--performers auto --only lead", "[stage] only needs [stage] bodies"),
+        ("--names lead", "--names, --bodies and --only are for several people"),
+        ("--performers auto --names p1", "names must differ"),
+    ] {
+        let refused = place.run(&format!("solve crowd.mcap --out no {options}"));
+        let errors = String::from_utf8_lossy(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(USAGE), "{errors}");
+        assert!(errors.contains(evidence), "{errors}");
+    }
 
     let again = place.run("solve crowd.mcap --out out --performers auto");
     assert_eq!(again.status.code(), Some(USAGE));

@@ -26,6 +26,8 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   assert.match(page.url(), /#t=1\.52$/);
   await page.keyboard.press("ArrowLeft");
   await until(page, () => document.body.dataset.time === "1.500");
+  // What `solve` found out about the cameras.
+  await until(page, () => document.querySelectorAll('#cameras [data-level="ok"]').length === 4);
   await picture(page, "recording");
 
   const bar = await page.locator("#timeline").boundingBox();
@@ -148,6 +150,19 @@ test("the report of a solve plays the take, without a server", async () => {
   const link = page.locator(".moments a").first();
   await link.click();
   await until(page, (text) => `${document.body.dataset.time} s` === text, await link.textContent());
+  // The keys of the live page: a frame on, twice the speed, and two seconds again and again.
+  await page.evaluate(() => (location.hash = "#t=1.00"));
+  await until(page, () => document.body.dataset.time === "1.00");
+  await page.keyboard.press("ArrowRight");
+  await until(page, () => document.body.dataset.time === "1.02");
+  await page.keyboard.press("]");
+  assert.equal(await page.locator("#speed").inputValue(), "2");
+  await page.keyboard.press("l");
+  assert.equal(await page.locator("#loop").getAttribute("aria-pressed"), "true");
+  await page.keyboard.press(" ");
+  await until(page, () => Number(document.body.dataset.time) > 1.9);
+  await until(page, () => Number(document.body.dataset.time) < 0.5);
+  await page.keyboard.press(" ");
   await picture(page, "report");
   await isSound(page);
   assert.deepEqual(said, []);

@@ -115,7 +115,12 @@ impl Player {
                         aria-label=\"The performers in 3D\"></canvas><div id=\"labels\"></div></div>\n\
                         <div class=\"transport\"><button id=\"play\" type=\"button\">Play</button>\
                         <input id=\"time\" type=\"range\" step=\"any\" aria-label=\"Time\">\
-                        <output id=\"clock\"></output></div>\n"
+                        <output id=\"clock\"></output> <label>Speed <select id=\"speed\">\
+                        <option>0.25</option><option>0.5</option><option selected>1</option>\
+                        <option>2</option><option>4</option></select></label> \
+                        <button id=\"loop\" type=\"button\" aria-pressed=\"false\" \
+                        title=\"Repeat 2 s around here\">Loop</button></div>\n\
+                        <p class=\"keys\">Keys: space plays, ← → one frame, [ ] speed, L loop.</p>\n"
             .to_owned();
         if !self.moments.is_empty() {
             page += "<h3>Worst moments</h3><ol class=\"moments\">";

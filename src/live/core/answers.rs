@@ -1,12 +1,10 @@
 //! Passes solutions to the tracker and turns its outputs into publications.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::Core;
 use super::port::Output;
 use super::publication::{Content, Publication};
-use super::status::quantile;
 use crate::core::body::{Skeleton, StampedPose, TrackingState};
 use crate::core::detections::Detections;
 use crate::core::manifold::StampedKeyframe;
@@ -17,14 +15,13 @@ use crate::core::tracker::{
     WindowReport,
 };
 use crate::io::wire::{self, KeypointFrame, LiveStamp};
+use crate::metrics::set_residuals;
 
 /// How long each kind of job may take, from being sent: provisional fits, windows whose poses are overdue,
 /// searches.
 const PROVISIONAL: Nanos = Nanos::from_ms(8);
 const OVERDUE: Nanos = Nanos::from_ms(60);
 const SEARCH: Nanos = Nanos::from_ms(250);
-/// A point is near the body within this many times the median distance.
-const NEAR: f64 = 3.0;
 
 /// The latency never falls by more. If the last pose leaves later than this, its due time is of another
 /// clock.
@@ -265,19 +262,8 @@ impl Core {
     fn window(&mut self, performer: PerformerId, report: &WindowReport) {
         let took = self.took;
         self.performer(performer).windows.solved(report, took);
-        let mut errors: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
-        for residual in report.residuals.iter().filter(|residual| residual.error_px.is_finite()) {
-            errors.entry(residual.camera).or_default().push(residual.error_px);
-        }
-        let usual = quantile(&mut errors.values().flatten().copied().collect::<Vec<f64>>(), 0.5);
-        self.performer(performer).residual_px = usual;
-        for (camera, mut errors) in errors {
-            if let Some(camera) = self.cameras.get_mut(camera) {
-                let near = errors.iter().filter(|error| **error <= NEAR * usual).count();
-                let share = near as f64 / errors.len() as f64;
-                camera.residual(quantile(&mut errors, 0.5), share);
-            }
-        }
+        let residual_px = set_residuals(&mut self.cameras, report);
+        self.performer(performer).residual_px = residual_px;
     }
 
     fn performer_event(&mut self, performer: PerformerId, event: &Event) {

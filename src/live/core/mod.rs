@@ -2,7 +2,6 @@
 
 mod answers;
 mod attendance;
-mod cameras;
 mod events;
 mod governor;
 pub(super) mod journal;
@@ -28,7 +27,7 @@ use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, EventKind, Live, Solution, Tracker};
 use crate::io::wire::{self, Topics};
 use crate::live::clock::Clock;
-use cameras::Camera;
+use crate::metrics::CameraState;
 use events::Events;
 use governor::Governor;
 use journal::Journal;
@@ -58,7 +57,7 @@ pub struct Core {
     stage: Option<Stage>,
     /// By number.
     performers: Vec<Performer>,
-    cameras: Vec<Camera>,
+    cameras: Vec<CameraState>,
     clock: Clock,
     latency: Finder,
     governor: Governor,

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use super::cameras::Camera;
 use super::port::Input;
 use super::publication::Content;
 use super::{Calibration, Core};
@@ -12,6 +11,7 @@ use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
 use crate::io::wire;
 use crate::live::clock::Clock;
+use crate::metrics::CameraState;
 
 /// Most cameras of a rig.
 const MOST_CAMERAS: usize = 256;
@@ -84,8 +84,8 @@ impl Core {
             }
         };
         let names: Vec<&str> = rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
-        if !names.iter().copied().eq(self.cameras.iter().map(Camera::name)) {
-            self.cameras = names.into_iter().map(Camera::new).collect();
+        if !names.iter().copied().eq(self.cameras.iter().map(CameraState::name)) {
+            self.cameras = names.into_iter().map(CameraState::new).collect();
             self.clock = Clock::new(self.cameras.len());
         }
         for (camera, new) in self.cameras.iter_mut().zip(&rig.cameras) {

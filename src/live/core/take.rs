@@ -6,13 +6,13 @@
 //! replay of the take needs nothing of the time before.
 
 use super::Core;
-use super::cameras::Camera;
 use super::port::{Carried, Settings};
 use super::publication::Content;
 use crate::core::stage::{PerformerId, Stage};
 use crate::core::time::Timestamp;
 use crate::core::tracker::{Event, EventKind};
 use crate::io::wire::{self, PerformerLabel, Take, TakeAnswer, encode, valid_name};
+use crate::metrics::CameraState;
 
 /// Most characters of a name that is shown.
 const MOST_SHOWN: usize = 60;
@@ -273,7 +273,7 @@ impl Core {
                     .map_or_else(|| self.settings.carried.performers.clone(), Stage::known),
                 left_out: stage.map_or_else(Vec::new, Stage::left_out),
                 labels: self.labels_of_known(),
-                usual_px: self.cameras.iter().map(Camera::usual_px).collect(),
+                usual_px: self.cameras.iter().map(CameraState::usual_px).collect(),
             },
             ..self.settings.clone()
         };

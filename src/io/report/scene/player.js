@@ -21,9 +21,11 @@ const performers = take.performers.map((one, number) => ({
 }));
 for (const one of performers) {
   const steps = Array.from(one.seconds.subarray(1), (at, k) => at - one.seconds[k]).sort((a, b) => a - b);
+  one.step = steps[steps.length >> 1] ?? 0;
   // Farther apart than this, seconds, are the poses beside a gap. Long takes have fewer poses.
-  one.gap = Math.max(0.5, 2.5 * (steps[steps.length >> 1] ?? 0));
+  one.gap = Math.max(0.5, 2.5 * one.step);
 }
+const step = Math.min(...performers.map((one) => one.step).filter((seconds) => seconds > 0), 1);
 const end = Math.max(...performers.map(({ seconds }) => seconds.at(-1) ?? 0));
 const view = new View($("canvas"), $("labels"));
 for (const camera of take.rig.cameras) camera.lens = camera.lens === "fisheye" ? 2 : 1;
@@ -31,6 +33,9 @@ view.setRig(take.rig);
 view.setTemplate(template);
 
 let [time, playing, last, framed] = [0, false, performance.now(), false];
+/** The two seconds that are repeated, if any are. */
+let loop;
+const speed = $("speed");
 $("time").max = end;
 
 /** The quaternions of a pose, between pose `low`, 0, and pose `next`, 1. */
@@ -64,8 +69,9 @@ function peopleAt(at) {
 }
 
 function show(now) {
-  if (playing) time += Math.min(0.2, (now - last) / 1000);
+  if (playing) time += Math.min(0.2, (now - last) / 1000) * Number(speed.value);
   last = now;
+  if (playing && loop && (time < loop[0] || time > loop[1])) [time] = loop;
   if (time >= end) [time, playing] = [end, false];
   const people = peopleAt(time);
   if (!framed && people.length > 0) {
@@ -86,11 +92,44 @@ function goToHash() {
   if (Number.isFinite(at)) [time, playing] = [at, false];
 }
 
-$("play").addEventListener("click", () => {
+function play() {
   playing = !playing;
   if (playing && time >= end) time = 0;
+}
+
+function go(to) {
+  [time, playing] = [Math.min(end, Math.max(0, to)), false];
+}
+
+function repeat() {
+  loop = loop ? undefined : [Math.max(0, time - 1), Math.min(end, time + 1)];
+  $("loop").setAttribute("aria-pressed", String(loop !== undefined));
+}
+
+function faster(by) {
+  speed.selectedIndex = Math.min(speed.options.length - 1, Math.max(0, speed.selectedIndex + by));
+}
+
+/** The keys of the live page. */
+const KEYS = {
+  " ": play,
+  ArrowLeft: () => go(time - step),
+  ArrowRight: () => go(time + step),
+  "[": () => faster(-1),
+  "]": () => faster(1),
+  l: repeat,
+};
+addEventListener("keydown", (event) => {
+  const { key, target, ctrlKey, metaKey, altKey } = event;
+  if (ctrlKey || metaKey || altKey || target.closest("input, select") || (key === " " && target.closest("button"))) return;
+  const action = KEYS[key.length === 1 ? key.toLowerCase() : key];
+  if (!action) return;
+  event.preventDefault();
+  action();
 });
-$("time").addEventListener("input", ({ target }) => ([time, playing] = [Number(target.value), false]));
+$("play").addEventListener("click", play);
+$("loop").addEventListener("click", repeat);
+$("time").addEventListener("input", ({ target }) => go(Number(target.value)));
 addEventListener("hashchange", goToHash);
 goToHash();
 requestAnimationFrame(show);

@@ -1,7 +1,10 @@
-//! Per camera: counters, frame rate, and signs of a second publisher.
+//! Per camera: counters, frame rate, residuals, and signs of a second publisher.
 
+use std::collections::BTreeMap;
+
+use crate::core::points::median;
 use crate::core::time::{Nanos, Timestamp};
-use crate::core::tracker::{EventKind, Placed, UnitCheck};
+use crate::core::tracker::{EventKind, Placed, WindowReport};
 use crate::io::wire::CameraCounters;
 
 /// This many conflicts in a second between frame numbers and capture times mean two publishers.
@@ -10,10 +13,30 @@ const CONFLICTS: u32 = 3;
 const UNUSUAL: f64 = 1.7;
 /// Part of a second's residual in the usual one.
 const SECOND: f64 = 0.05;
+/// A point is near the body within this many times the median distance.
+const NEAR: f64 = 3.0;
+
+/// Sets the residuals of the cameras from those of a window. Returns the median of all, pixels.
+pub(crate) fn set_residuals(cameras: &mut [CameraState], report: &WindowReport) -> f64 {
+    let mut errors: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
+    for residual in report.residuals.iter().filter(|residual| residual.error_px.is_finite()) {
+        errors.entry(residual.camera).or_default().push(residual.error_px);
+    }
+    let mut all: Vec<f64> = errors.values().flatten().copied().collect();
+    let usual = median(&mut all).unwrap_or(0.0);
+    for (camera, mut errors) in errors {
+        if let Some(camera) = cameras.get_mut(camera) {
+            let near = errors.iter().filter(|error| **error <= NEAR * usual).count();
+            camera.counters.near = near as f64 / errors.len() as f64;
+            camera.counters.residual_px = median(&mut errors).unwrap_or(0.0);
+        }
+    }
+    usual
+}
 
 /// State and counters of one camera.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Camera {
+pub(crate) struct CameraState {
     name: String,
     counters: CameraCounters,
     /// Number, capture time and arrival time of its last frame.
@@ -23,34 +46,26 @@ pub(super) struct Camera {
     odd: u32,
     /// Frames a second over the last second.
     rate: f64,
-    units: UnitCheck,
+    #[cfg(feature = "live")]
+    units: crate::core::tracker::UnitCheck,
     /// Whether its capture times are not in nanoseconds.
+    #[cfg(feature = "live")]
     has_other_unit: bool,
     /// Whether its clock has been reported as off.
-    pub(super) is_off: bool,
+    #[cfg(feature = "live")]
+    pub(crate) is_off: bool,
     /// Where it is, if it was moved and that is known.
-    pub(super) placed: Option<Placed>,
+    pub(crate) placed: Option<Placed>,
 }
 
-impl Camera {
-    pub(super) fn new(name: &str) -> Self {
+impl CameraState {
+    pub(crate) fn new(name: &str) -> Self {
         Self { name: name.to_owned(), ..Self::default() }
-    }
-
-    pub(super) fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// Whether its capture times are in nanoseconds; and a warning if they no longer are.
-    pub(super) fn check_unit(&mut self, capture: Timestamp) -> (bool, Option<String>) {
-        let fault = self.units.add(capture);
-        let had_other_unit = std::mem::replace(&mut self.has_other_unit, fault.is_some());
-        (fault.is_none(), fault.filter(|_| !had_other_unit))
     }
 
     /// Counts a frame. Returns a warning if two publishers seem to use the camera's name: frame
     /// number and capture time of one publisher change in the same direction.
-    pub(super) fn frame(
+    pub(crate) fn frame(
         &mut self,
         now: Timestamp,
         number: u64,
@@ -68,13 +83,8 @@ impl Camera {
         })
     }
 
-    /// Counts a frame with a time that cannot be used.
-    pub(super) fn refused(&mut self) {
-        self.counters.unusable += 1;
-    }
-
     /// Counts an event of this camera.
-    pub(super) fn event(&mut self, kind: EventKind, count: u64) {
+    pub(crate) fn event(&mut self, kind: EventKind, count: u64) {
         let counter = match kind {
             EventKind::Late => &mut self.counters.late,
             EventKind::Duplicate => &mut self.counters.duplicate,
@@ -87,23 +97,8 @@ impl Camera {
         *counter += count;
     }
 
-    /// Sets the median distance of its detections from the body in a window, pixels, and the share of
-    /// those that are near it.
-    pub(super) fn residual(&mut self, pixels: f64, near: f64) {
-        (self.counters.residual_px, self.counters.near) = (pixels, near);
-    }
-
-    /// Sets its usual residual, pixels; 0: not known.
-    pub(super) fn set_usual_px(&mut self, usual_px: f64) {
-        self.counters.usual_px = usual_px;
-    }
-
-    pub(super) fn usual_px(&self) -> f64 {
-        self.counters.usual_px
-    }
-
     /// Updates the rate and the usual residual; called once a second.
-    pub(super) fn second(&mut self, passed: Nanos) {
+    pub(crate) fn second(&mut self, passed: Nanos) {
         self.rate = self.recent as f64 * 1e9 / passed.ns().max(1) as f64;
         (self.recent, self.odd) = (0, 0);
         let (px, usual) = (self.counters.residual_px, &mut self.counters.usual_px);
@@ -115,7 +110,7 @@ impl Camera {
     }
 
     /// The counters, completed with values from the tracker and the clock.
-    pub(super) fn counters(
+    pub(crate) fn counters(
         &self,
         now: Timestamp,
         used: u64,
@@ -136,17 +131,46 @@ impl Camera {
     }
 }
 
+/// What only a live node needs.
+#[cfg(feature = "live")]
+impl CameraState {
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Whether its capture times are in nanoseconds; and a warning if they no longer are.
+    pub(crate) fn check_unit(&mut self, capture: Timestamp) -> (bool, Option<String>) {
+        let fault = self.units.add(capture);
+        let had_other_unit = std::mem::replace(&mut self.has_other_unit, fault.is_some());
+        (fault.is_none(), fault.filter(|_| !had_other_unit))
+    }
+
+    /// Counts a frame with a time that cannot be used.
+    pub(crate) fn refused(&mut self) {
+        self.counters.unusable += 1;
+    }
+
+    /// Sets its usual residual, pixels; 0: not known.
+    pub(crate) fn set_usual_px(&mut self, usual_px: f64) {
+        self.counters.usual_px = usual_px;
+    }
+
+    pub(crate) fn usual_px(&self) -> f64 {
+        self.counters.usual_px
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn a_residual_is_usual_for_a_camera_after_a_while() {
-        let mut camera = Camera::new("left");
+        let mut camera = CameraState::new("left");
         let mut usual = |px: f64, seconds: usize| {
-            camera.residual(px, 1.0);
+            camera.counters.residual_px = px;
             (0..seconds).for_each(|_| camera.second(Nanos::SECOND));
-            camera.usual_px()
+            camera.counters.usual_px
         };
         assert_eq!(usual(4.0, 1), 4.0);
         assert!((usual(5.0, 100) - 5.0).abs() < 0.01);
@@ -157,7 +181,7 @@ mod tests {
     #[test]
     fn two_publishers_are_distinguished_from_disorder() {
         let at = |ms: i64| Timestamp::from_ns(ms * 1_000_000);
-        let mut camera = Camera::new("left");
+        let mut camera = CameraState::new("left");
         let mut said = 0;
         for i in 0..10_u64 {
             // One counts from 0, the other from 1000; both at 50 Hz.
@@ -166,7 +190,7 @@ mod tests {
             said += usize::from(camera.frame(at(capture), 1000 + i, at(capture + 7)).is_some());
         }
         assert_eq!(said, 1);
-        let mut camera = Camera::new("left");
+        let mut camera = CameraState::new("left");
         for i in [0, 2, 1, 4, 3, 5, 5, 6] {
             let capture = 20 * i as i64;
             assert!(camera.frame(at(capture), i, at(capture)).is_none());

@@ -1,0 +1,68 @@
+//! The state of the cameras, once a second of the take, as a live node publishes it: programs that show poses.mcap
+//! judge the cameras by it.
+
+use crate::core::camera::Rig;
+use crate::core::detections::Detections;
+use crate::core::time::{Nanos, Timestamp};
+use crate::core::tracker::{Event, Verdict, WindowReport};
+use crate::io::wire::{Status, WindowCounters};
+use crate::metrics::{CameraState, set_residuals};
+
+pub(super) struct CameraStates {
+    cameras: Vec<CameraState>,
+    /// Frames of each that were used.
+    used: Vec<u64>,
+    windows: WindowCounters,
+    /// Begin of the current second, capture time.
+    since: Option<Timestamp>,
+}
+
+impl CameraStates {
+    pub(super) fn new(rig: &Rig) -> Self {
+        let cameras: Vec<_> =
+            rig.cameras.iter().map(|camera| CameraState::new(&camera.name)).collect();
+        let used = vec![0; cameras.len()];
+        Self { cameras, used, windows: WindowCounters::default(), since: None }
+    }
+
+    /// Counts a frame. Returns the status of the second before, if it begins another one.
+    pub(super) fn frame(&mut self, frame: &Detections) -> Option<Status> {
+        let now = frame.capture;
+        let passed = now - *self.since.get_or_insert(now);
+        let status = (passed >= Nanos::SECOND).then(|| self.second(now, passed));
+        let camera = self.cameras.get_mut(frame.camera)?;
+        camera.frame(now, frame.frame, now);
+        self.used[frame.camera] += 1;
+        status
+    }
+
+    fn second(&mut self, now: Timestamp, passed: Nanos) -> Status {
+        self.since = Some(now);
+        self.cameras.iter_mut().for_each(|camera| camera.second(passed));
+        let all = self.cameras.iter().zip(&self.used);
+        Status {
+            capture_time_ns: now.ns(),
+            cameras: all.map(|(one, used)| one.counters(now, *used, true, (0.0, 0.0))).collect(),
+            windows: Some(self.windows.clone()),
+            ..Status::default()
+        }
+    }
+
+    /// Takes the residuals of a window.
+    pub(super) fn window(&mut self, report: &WindowReport) {
+        let count = match report.verdict {
+            Verdict::Tracked => &mut self.windows.tracked,
+            Verdict::Coasted(_) => &mut self.windows.coasted,
+            Verdict::Lost(_) => &mut self.windows.lost,
+        };
+        *count += 1;
+        set_residuals(&mut self.cameras, report);
+    }
+
+    /// Counts an event of a camera.
+    pub(super) fn event(&mut self, event: &Event) {
+        if let Some(camera) = event.camera.and_then(|camera| self.cameras.get_mut(camera)) {
+            camera.event(event.kind, event.count);
+        }
+    }
+}
