@@ -290,7 +290,10 @@ test("four performers live: each is shown, and one gets a name, a colour and a l
   const config = join(folder, "four.toml");
   writeFileSync(config, '[stage]\nperformers = "auto"\n');
   const node = await start(["run", config, "--listen", `tcp/127.0.0.1:${bus}`, "--view", `127.0.0.1:${http}`], /the page is on (\S+)/);
-  await start(["play", join(folder, "four.mcap"), "--loop", "--connect", `tcp/127.0.0.1:${bus}`]);
+  // Not a loop, in which people jump to other places and get new names.
+  const take = join(folder, "four-long.mcap");
+  run("synth", "--performers", "4", "--cameras", "4", "--seconds", "120", "--out", take);
+  await start(["play", take, "--connect", `tcp/127.0.0.1:${bus}`]);
   const { page, said } = await open(node.match[1]);
   await people(page, 4);
   await until(page, () => document.body.dataset.skins === "4");
