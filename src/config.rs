@@ -216,10 +216,15 @@ impl Config {
     /// # Errors
     /// As [`known_people`], which must know everybody of `[stage] only`.
     pub fn known_people(&self) -> Result<Vec<Known>, RecordError> {
-        match self.stage.bodies.as_str() {
-            "" => Ok(Vec::new()),
-            folder => known_people(Path::new(folder), &self.node.actor, &self.stage.only),
+        match self.bodies_folder() {
+            Some(folder) => known_people(folder, &self.node.actor, &self.stage.only),
+            None => Ok(Vec::new()),
         }
+    }
+
+    /// The folder of known bodies, if there is one.
+    pub fn bodies_folder(&self) -> Option<&Path> {
+        Some(self.stage.bodies.as_str()).filter(|folder| !folder.is_empty()).map(Path::new)
     }
 
     /// The settings as TOML, without comments.

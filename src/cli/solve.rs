@@ -21,8 +21,7 @@ use crate::core::manifold::{Decoder, Interpolation};
 use crate::core::optimise::OptimiserKind;
 use crate::core::stage::Performers;
 use crate::io::formats::{Trc, calibration_files};
-use crate::io::recording::{body_file, last_body, write_body};
-use crate::io::wire;
+use crate::io::recording::last_body;
 use crate::offline::output::{files, of_performer};
 use crate::offline::{Group, Observer, Options, PerformerSummary, Recording, Summary, solve_group};
 
@@ -243,24 +242,9 @@ impl Prepared {
         let rig = arguments.rig.as_deref();
         let rig = rig.map(|rig| arguments.convention.read(rig)).transpose()?;
         let rig = rig.map(|read| read.rig);
+        // A wrong file is said before the first take is solved.
         config.known_people()?;
         Ok(Self { config, decoder, body: body.map(Arc::new), references, rig })
-    }
-
-    /// Writes the bodies of performers with a name to the folder of known bodies, if they have none there.
-    fn keep_bodies(&self, group: &Group) -> Result<(), Failure> {
-        let folder = Path::new(&self.config.stage.bodies);
-        if self.config.stage.bodies.is_empty() {
-            return Ok(());
-        }
-        for known in group.known.iter().filter(|known| !known.name.is_empty()) {
-            let file = body_file(folder, &known.name);
-            if let Some(body) = wire::Skeleton::of_known(known).filter(|_| !file.exists()) {
-                write_body(folder, &known.name, &body)?;
-                say(&format!("the body of {} is written to {}", known.name, file.display()));
-            }
-        }
-        Ok(())
     }
 
     /// All that changes a solve beside its files.
@@ -319,7 +303,11 @@ impl Prepared {
         let mut progress = Progress(bar(options.passes() * recording.messages()));
         let group = solve_group(&mut recording, &options, &mut progress)?;
         progress.0.finish_and_clear();
-        self.keep_bodies(&group)?;
+        if let Some(folder) = self.config.bodies_folder() {
+            for (name, file) in group.write_bodies(folder)? {
+                say(&format!("the body of {name} is written to {}", file.display()));
+            }
+        }
         for one in &group.performers {
             let bvh = out.join(of_performer(&one.performer, performers, "bvh"));
             times.beside(&bvh, span.map(|[start, _]| start))?;

@@ -8,6 +8,7 @@ use super::bus::check_name;
 use super::failure::{Exit, Failure};
 use crate::core::stage::{Config, Performers};
 
+/// Which people are solved.
 #[derive(Debug, Args)]
 pub(super) struct StageArguments {
     /// How many people are solved at a time: 1 to 32, or auto for all; default: that of the settings, 1.
@@ -16,11 +17,11 @@ pub(super) struct StageArguments {
     /// With several performers, names for those who enter, in this order; others are p1, p2, ...
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     names: Vec<String>,
-    /// With several performers, folder of known bodies, NAME.mcap each: people are recognised by them and have
-    /// these names. Bodies of performers with a name who have none there yet are written to it.
+    /// With several performers, folder of known bodies, NAME.mcap each. People are recognised by them and have
+    /// these names. The body of a performer with a name is written to it, unless it is there.
     #[arg(long, value_name = "DIR")]
     bodies: Option<PathBuf>,
-    /// Only the people with these names become performers; --bodies tells who they are.
+    /// Only people with these names become performers. They are recognised by --bodies.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
 }

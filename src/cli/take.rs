@@ -22,7 +22,7 @@ pub(super) const PATIENCE: Duration = Duration::from_secs(4);
 /// Wait for further answers once a node and a recorder have answered.
 const GRACE: Duration = Duration::from_millis(300);
 
-/// Begin or end a take, write a note about it; name, choose, label or reset performers; mend a moved camera.
+/// Begin or end a take, or write a note about it; name, choose, label or reset performers; mend a camera.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own for the take, so that
@@ -30,10 +30,10 @@ start  Recorders begin NAME.mcap in their folder. Nodes begin a run of their own
        performer anew, and publish no poses for some tenths of a second.
 stop   Recorders end the file, one second later. Nodes go on.
 reset  Nodes forget the performers' bodies, or that of performer NAME: somebody else comes.
-name   Performer NAME is called NEW_NAME from now on, also in the topics. Who had this name, and is not
-       here any more, loses it.
+name   Performer NAME is called NEW_NAME from now on, also in the topics. A performer who had this name
+       and is not here any more loses it.
 follow The person at X,Z (metres, on the floor) becomes a performer, also outside of [stage] region.
-drop   Performer NAME is nobody from now on, until somebody follows that person.
+drop   Performer NAME is not solved any more, until somebody follows this person.
 label  Sets the name and the colour that programs show for performer NAME, until the node ends. An
        option that is not given is set to its default.
 lock   Keeps the body of performer NAME at a reset.
@@ -99,7 +99,7 @@ enum Action {
     Name,
     /// Make the person at a place a performer.
     Follow,
-    /// Make a performer nobody.
+    /// Stop solving a performer.
     Drop,
     /// Give a performer a name and a colour to show.
     Label,
@@ -154,7 +154,8 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         _ if name.is_empty() => Vec::new(),
         // An option that there is not.
         _ if name.starts_with('-') => {
-            let why = format!("NAME is {name:?}: an option that `take` does not have, or no name");
+            let why =
+                format!("{name:?} is not an option of `take`, and a NAME does not begin with `-`");
             return Err(Failure::new(Exit::Usage, why));
         }
         _ => check_name("NAME", &name).map(|()| Vec::new())?,

@@ -105,7 +105,7 @@ impl Collected<'_> {
     }
 }
 
-/// The error if no performer was found.
+/// The error if no performer was found. `others`: most people at a time who were seen and are not performers.
 pub(super) fn nobody(
     all: &[Collected],
     recording: &Recording,
@@ -113,14 +113,15 @@ pub(super) fn nobody(
     check: &Check,
     others: usize,
 ) -> Error {
-    if others > 0 {
-        let evidence = format!(
-            "people were seen, up to {others} at a time, but none of them may be a performer: check [stage] only, \
-             region and min_height_px"
-        );
-        return Error::NobodyFound { path: recording.path().to_owned(), evidence };
-    }
     let count = |kind| all.iter().map(|one| one.count(kind)).sum::<u64>();
+    let path = recording.path().to_owned();
+    if others > 0 && count(EventKind::Entered) + count(EventKind::Reentered) == 0 {
+        let evidence = format!(
+            "people were seen, at most {others} at a time, but [stage] only, region or min_height_px excludes \
+             all of them; change these settings"
+        );
+        return Error::NobodyFound { path, evidence };
+    }
     let lost = all.iter().map(|one| one.windows.lost as u64).sum::<u64>();
     let unusable = match count(EventKind::Unusable) {
         0 => String::new(),
@@ -136,7 +137,7 @@ pub(super) fn nobody(
     );
     let found = check.warnings().map(|warning| format!("; {warning}"));
     let evidence = found.fold(evidence, |all, warning| all + &warning);
-    Error::NobodyFound { path: recording.path().to_owned(), evidence }
+    Error::NobodyFound { path, evidence }
 }
 
 /// A note on the frames of a recording that is not sorted by capture time.

@@ -158,7 +158,7 @@ fn names(options: &Options, count: usize) -> Vec<String> {
     }
     // As the stage gives them.
     let mut names = Names::new(options.names.clone());
-    names.know(options.known.iter().map(|one| (one.performer, &*one.name)));
+    names.know(&options.known);
     let numbers = (0..count).map(PerformerId);
     numbers.clone().skip(options.known.len()).for_each(|number| names.enter(number));
     numbers.map(|number| names.of(number)).collect()

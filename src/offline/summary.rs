@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -13,7 +14,9 @@ use super::windows::Windows;
 use crate::core::camera::Rig;
 use crate::core::stage::Known;
 use crate::diagnose::Check;
+use crate::io::recording::{RecordError, write_body};
 use crate::io::report::Table;
+use crate::io::wire;
 use crate::metrics::{Coverage, Episode, FootSkate, NotFollowed, PerformerScores, PoseErrors};
 
 /// The measurements of a solve. Field names are part of the interface; docs/json.md documents them.
@@ -105,6 +108,21 @@ pub struct PerformerSummary {
 }
 
 impl Group {
+    /// Writes the bodies of performers with a name to a folder of known bodies, unless they have one there. Returns
+    /// their names and files.
+    ///
+    /// # Errors
+    /// A file cannot be written.
+    pub fn write_bodies(&self, folder: &Path) -> Result<Vec<(String, PathBuf)>, RecordError> {
+        let mut written = Vec::new();
+        for known in self.known.iter().filter(|known| !known.name.is_empty()) {
+            let Some(body) = wire::Skeleton::of_known(known) else { continue };
+            let file = write_body(folder, &known.name, &body, false)?;
+            written.extend(file.map(|file| (known.name.clone(), file)));
+        }
+        Ok(written)
+    }
+
     /// A row for each performer.
     pub(crate) fn table(&self) -> Table {
         let row = |PerformerSummary { performer, summary }: &PerformerSummary| {

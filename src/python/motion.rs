@@ -206,7 +206,11 @@ pub(crate) fn solve(
     if let Some(interrupt) = interrupts.interrupt {
         return Err(interrupt);
     }
-    let json = serde_json::to_string(&group.map_err(error)?).map_err(error)?;
+    let group = group.map_err(error)?;
+    if let Some(folder) = config.bodies_folder() {
+        group.write_bodies(folder).map_err(error)?;
+    }
+    let json = serde_json::to_string(&group).map_err(error)?;
     let summary = py.import("json")?.call_method1("loads", (json,))?.cast_into::<PyDict>()?;
     Ok(Solved { motions: motions(py, &out.join("poses.mcap"))?, summary: summary.unbind() })
 }

@@ -1552,6 +1552,11 @@ fn several_performers_are_solved_into_one_recording_and_a_file_each() {
     let names: Vec<&Value> =
         known["performers"].as_array().unwrap().iter().map(|one| &one["performer"]).collect();
     assert_eq!((names, &known["others"]), (vec![&Value::from("lead")], &2.into()));
+    place.write("small.toml", "[stage]\nperformers = \"auto\"\nmin_height_px = 5000\n");
+    let nobody = place.run("solve crowd.mcap --out no --config small.toml");
+    let errors = String::from_utf8_lossy(&nobody.stderr);
+    let evidence = "at most 3 at a time, but [stage] only, region or min_height_px excludes all";
+    assert!(nobody.status.code() == Some(5) && errors.contains(evidence), "{errors}");
     for (options, evidence) in [
         ("--performers auto --bodies bodies --only ghost", "no body of ghost, but of double, lead"),
         ("--performers auto --only lead", "[stage] only needs [stage] bodies"),

@@ -8,14 +8,12 @@ use bundlemocap::core::detections::Detections;
 use bundlemocap::core::stage::PerformerId;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::recording::{known_people, write_body};
-use bundlemocap::io::wire::{
-    self, Event, KeypointFrame, Pose, TakeAnswer, Topics, TrackingState, encode,
-};
+use bundlemocap::io::wire::{self, Event, KeypointFrame, Pose, Topics, TrackingState, encode};
 use bundlemocap::research::synth::{Crowd, Meeting, Noise, Recording};
 use nalgebra::Vector3;
 
 use crate::live::{START, Sent, Studio, World, at};
-use crate::slate::{assert_agrees, from, recorded, replayed, slate};
+use crate::slate::{answers, assert_agrees, from, recorded, replayed, slate};
 
 /// Of the bodies and steps.
 const SEED: u64 = 5;
@@ -187,8 +185,8 @@ fn a_take_of_several_replays_to_the_same_bytes() {
     let slates = [slate("start", "fight", 3.0), slate("stop", "", 8.0)];
     let messages: Vec<Sent> = messages.chain([stage.studio.rig()]).chain(slates).collect();
     let (world, recorded) = recorded(World::new(&stage.config), messages, 9.0);
-    let answers: Vec<(Timestamp, TakeAnswer)> = world.heard.of(&Topics::default().take_answers());
-    let refused = answers.iter().filter(|(_, answer)| answer.refused).count();
+    let answers = answers(&world);
+    let refused = answers.iter().filter(|(refused, _)| *refused).count();
     assert_eq!((answers.len(), refused), (2, 0), "{answers:?}");
 
     let take = replayed(&from(&recorded, 3.0), Some("fight")).unwrap();
@@ -339,11 +337,6 @@ fn lives(status: &wire::StageStatus) -> Vec<(&str, &str)> {
     status.performers.iter().map(|one| (one.name.as_str(), one.life.as_str())).collect()
 }
 
-fn answers(world: &World) -> Vec<(bool, String)> {
-    let answers = world.heard.of::<TakeAnswer>(&Topics::default().take_answers());
-    answers.into_iter().map(|(_, answer)| (answer.refused, answer.text)).collect()
-}
-
 /// Names by the settings and by commands; one is dropped, and followed again after a take has begun.
 #[test]
 fn performers_are_named_dropped_and_followed() {
@@ -490,7 +483,7 @@ fn people_are_known_again_by_their_bodies() {
 
     let folder = tempfile::tempdir().unwrap();
     for (name, body) in &world.bodies {
-        write_body(folder.path(), name, body).unwrap();
+        write_body(folder.path(), name, body, false).unwrap();
     }
     let known = known_people(folder.path(), "actor", &["lead".into()]).unwrap();
     assert_eq!(known.iter().map(|one| &one.name).collect::<Vec<_>>(), names);

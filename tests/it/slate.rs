@@ -28,6 +28,12 @@ fn session(seconds: u64, slates: Vec<Sent>) -> (World, Vec<Recorded>) {
     recorded(World::new(&Config::default()), messages, seconds as f64)
 }
 
+/// What was answered to the commands: whether they were refused, and why or what was done.
+pub fn answers(world: &World) -> Vec<(bool, String)> {
+    let answers = world.heard.of::<TakeAnswer>(&Topics::default().take_answers());
+    answers.into_iter().map(|(_, answer)| (answer.refused, answer.text)).collect()
+}
+
 /// The world after these messages and its end, and what a recorder has.
 pub fn recorded(mut world: World, messages: Vec<Sent>, seconds: f64) -> (World, Vec<Recorded>) {
     world.play(messages.clone(), at(seconds));
@@ -70,8 +76,8 @@ fn each_take_has_a_journal_that_needs_nothing_of_the_time_before() {
     let slates =
         vec![slate("start", "walk", 3.0), slate("stop", "", 5.0), slate("start", "run", 6.0)];
     let (world, recorded) = session(8, slates);
-    let answers = world.heard.of::<TakeAnswer>(&Topics::default().take_answers());
-    let texts: Vec<&str> = answers.iter().map(|(_, answer)| answer.text.as_str()).collect();
+    let answers = answers(&world);
+    let texts: Vec<&str> = answers.iter().map(|(_, text)| text.as_str()).collect();
     assert_eq!(
         texts,
         ["actor: take walk begins", "actor: take walk ended", "actor: take run begins"]
@@ -134,8 +140,7 @@ fn commands_that_cannot_be_followed_are_refused() {
         slate("pause", "", 1.6),
     ];
     let (world, recorded) = session(2, slates);
-    let answers = world.heard.of::<TakeAnswer>(&Topics::default().take_answers());
-    let refused: Vec<bool> = answers.iter().map(|(_, answer)| answer.refused).collect();
+    let refused: Vec<bool> = answers(&world).iter().map(|(refused, _)| *refused).collect();
     assert_eq!(refused, [true, true, false, true, false, true]);
     assert_agrees(&replayed(&from(&recorded, 1.2), None).unwrap());
 }
@@ -157,14 +162,10 @@ fn a_start_is_answered_even_if_it_never_begins() {
     let during_a_job = Studio::new(4, 120).frames[4 * 60].capture.seconds_since(at(0.0)) + 0.006;
     let slates = vec![slate("start", "a", during_a_job), slate("start", "b", during_a_job)];
     let (world, recorded) = session(2, slates);
-    let answers = |world: &World| -> Vec<(String, bool)> {
-        let answers = world.heard.of::<TakeAnswer>(&Topics::default().take_answers());
-        answers.into_iter().map(|(_, answer)| (answer.text, answer.refused)).collect()
-    };
     let said = answers(&world);
     assert_eq!(said.len(), 2, "{said:?}");
-    assert_eq!(said[0], ("actor: take b begins instead".to_owned(), true));
-    assert_eq!(said[1], ("actor: take b begins".to_owned(), false));
+    assert_eq!(said[0], (true, "actor: take b begins instead".to_owned()));
+    assert_eq!(said[1], (false, "actor: take b begins".to_owned()));
     assert_agrees(&replayed(&recorded, Some("b")).unwrap());
 
     let mut world = World::new(&Config::default());
@@ -172,7 +173,7 @@ fn a_start_is_answered_even_if_it_never_begins() {
     messages.push(slate("start", "a", during_a_job));
     world.play(messages, at(during_a_job));
     world.end();
-    assert_eq!(answers(&world), [("actor: the node ends".to_owned(), true)]);
+    assert_eq!(answers(&world), [(true, "actor: the node ends".to_owned())]);
 }
 
 #[test]
@@ -246,14 +247,11 @@ fn a_label_and_a_lock_stay_until_they_are_changed() {
             slate("reset", "", 4.7),
         ],
     );
-    let answers = world.heard.of::<TakeAnswer>(&Topics::default().take_answers());
-    let refused: Vec<bool> = answers.iter().map(|(_, answer)| answer.refused).collect();
+    let answers = answers(&world);
+    let refused: Vec<bool> = answers.iter().map(|(refused, _)| *refused).collect();
     assert_eq!(refused, [false, true, false, true, true, true, false, false, false], "{answers:?}");
-    assert_eq!(
-        answers[1].1.text,
-        "actor: all performers are locked (actor): unlock one, then reset"
-    );
-    assert_eq!(answers[2].1.text, "actor: actor is shown as \"the lead\", #d55e00");
+    assert_eq!(answers[1].1, "actor: all performers are locked (actor): unlock one, then reset");
+    assert_eq!(answers[2].1, "actor: actor is shown as \"the lead\", #d55e00");
     let statuses = world.heard.of::<Status>(&Topics::default().status());
     let label_at = |seconds| {
         let (_, status) = statuses.iter().rfind(|(time, _)| *time < at(seconds)).unwrap();

@@ -20,10 +20,9 @@ pub struct Config {
     /// Several performers: names for those who enter, in this order. Others are p1, p2, ... by number.
     pub names: Vec<String>,
     /// Several performers: folder of known bodies, `NAME.mcap` each. People are recognised by them and have these
-    /// names; bodies of performers with a name are written to it. Empty: none.
+    /// names. Bodies of performers with a name are written to it. Empty: none.
     pub bodies: String,
-    /// Several performers: only those with these names become performers. They are recognised by their bodies. Empty:
-    /// everybody.
+    /// Several performers: only people with these names become performers, recognised by their bodies. Empty: everybody.
     pub only: Vec<String>,
     /// Corners of the part of the floor where people become performers: x and z in the world, metres. Everywhere
     /// if there are none.
@@ -52,7 +51,7 @@ impl Config {
         self.performers.limit() > 1
     }
 
-    /// Whether something is set that needs several performers: with one, the largest person is it.
+    /// Whether something is set that needs several performers. With one, it is the largest person.
     pub fn chooses(&self) -> bool {
         let is_named = !self.names.is_empty() || !self.bodies.is_empty();
         is_named || self.choice() != Choice::default()

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use super::config::Performers;
-use super::people::{Change, FrameSet, Known, People};
+use super::known::Known;
+use super::people::{Change, FrameSet, People};
 use super::sets::{Complete, Sets};
 use crate::core::association::Gates;
 use crate::core::camera::Rig;

@@ -25,11 +25,13 @@
 
 mod config;
 mod crowd;
+mod known;
 mod lengths;
 mod names;
 mod people;
 mod performer_id;
 mod person;
+mod presence;
 mod sets;
 
 use std::collections::VecDeque;
@@ -45,12 +47,12 @@ use super::tracker::{
 };
 pub use config::{Choice, Config, Performers, PerformersError};
 pub use crowd::Crowd;
-pub(crate) use lengths::BONES;
+pub use known::Known;
+pub(crate) use lengths::LENGTHS;
 pub use names::{Names, NumberName};
-pub use people::{
-    Attendance, Change, Claimed, FollowError, FrameSet, Known, Life, Owner, Presence,
-};
+pub use people::{Change, Claimed, FollowError, FrameSet, Owner};
 pub use performer_id::PerformerId;
+pub use presence::{Attendance, Life, Presence};
 
 /// A camera keeps its place if a new calibration moves and turns it by less, metres and radians.
 const SAME_PLACE_M: f64 = 0.1;
@@ -157,17 +159,25 @@ impl Stage {
         self
     }
 
-    /// Several performers: what they are called.
-    pub fn names(&self) -> Option<&Names> {
-        self.crowd.as_ref().map(|crowd| &crowd.people().names)
+    /// Several performers: the name of one, see [`Names::of`].
+    pub fn name_of(&self, performer: PerformerId) -> String {
+        match &self.crowd {
+            Some(crowd) => crowd.people().names.of(performer),
+            None => performer.to_string(),
+        }
     }
 
-    /// Several performers: gives a name to one, see [`Names::give`].
+    /// Several performers: gives a name to one, see [`Names::give`]. Who had it and is not followed is forgotten: it is
+    /// this one. Returns who had it.
     ///
     /// # Errors
     /// The name of another number.
-    pub fn name(&mut self, performer: PerformerId, name: &str) -> Result<(), NumberName> {
-        self.crowd.as_mut().map_or(Ok(()), |crowd| crowd.people_mut().name(performer, name))
+    pub fn give_name(
+        &mut self,
+        performer: PerformerId,
+        name: &str,
+    ) -> Result<Option<PerformerId>, NumberName> {
+        self.crowd.as_mut().map_or(Ok(None), |crowd| crowd.people_mut().give_name(performer, name))
     }
 
     /// Several performers: everybody who is or was here.
@@ -189,9 +199,12 @@ impl Stage {
     /// whether it was one.
     pub fn drop_performer(&mut self, performer: PerformerId) -> bool {
         let Some(crowd) = &mut self.crowd else { return false };
+        let Some(at) = crowd.people_mut().drop_performer(performer.0) else { return false };
         // It has no poses from here on, not even extrapolated ones.
         self.next.push_back(Next::Tracker(performer.0, tracker::Input::Restart));
-        crowd.people_mut().drop_performer(performer.0)
+        let detail = "dropped: not solved until somebody follows this person";
+        self.tell(performer.0, at, EventKind::Vacated, detail.to_owned());
+        true
     }
 
     /// Several performers: those who were seen before, in an earlier take. Their bodies are checked in
@@ -205,15 +218,14 @@ impl Stage {
         self.saved.resize(count, None);
         for (number, tracker) in self.trackers.iter_mut().enumerate() {
             let new = self.template.clone();
-            let new = match self.bodies.get(number).cloned().flatten() {
-                Some(body) => new.with_body(Some(body)),
-                None => match known.iter().find(|one| one.performer.0 == number) {
-                    Some(one) if one.points.iter().all(Option::is_none) => {
-                        self.saved[number].clone_from(&one.body);
-                        new
-                    }
-                    one => new.with_body_to_check(one.and_then(|one| one.body.clone())),
-                },
+            let own = known.iter().find(|one| one.performer.0 == number);
+            let new = match (self.bodies.get(number).cloned().flatten(), own) {
+                (Some(body), _) => new.with_body(Some(body)),
+                (None, Some(one)) if one.was_here() => new.with_body_to_check(one.body.clone()),
+                (None, one) => {
+                    self.saved[number] = one.and_then(|one| one.body.clone());
+                    new
+                }
             };
             *tracker = new.fed(number);
         }
@@ -481,6 +493,10 @@ impl Stage {
                 (performer, EventKind::Merged, format!("is {}", PerformerId(into)))
             }
         };
+        self.tell(performer, at, kind, detail);
+    }
+
+    fn tell(&mut self, performer: usize, at: Timestamp, kind: EventKind, detail: String) {
         let event = Event { capture: at, kind, camera: None, window: None, count: 1, detail };
         let output = Output::Performer(PerformerId(performer), tracker::Output::Event(event));
         self.next.push_back(Next::Output(output));

@@ -1,8 +1,9 @@
 //! What the performers are called.
 
+use super::known::Known;
 use super::performer_id::PerformerId;
 
-/// The names of the performers: given ones, or p1, p2, ... by number.
+/// The names of the performers: the given ones, or else p1, p2, ... by number.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Names {
     /// By number; empty: none was given.
@@ -11,13 +12,13 @@ pub struct Names {
     waiting: Vec<String>,
 }
 
-/// A name that a performer cannot have.
+/// A name that a performer cannot have: p1, p2, ... are of numbers.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is the name of a number; choose another one")]
 pub struct NumberName(String);
 
 impl Names {
-    /// Names for those who enter, in this order.
+    /// No names are given yet; these wait for those who enter, in this order.
     pub fn new(waiting: Vec<String>) -> Self {
         Self { given: Vec::new(), waiting }
     }
@@ -32,12 +33,13 @@ impl Names {
         self.given.get(performer.0).map(String::as_str).filter(|name| !name.is_empty())
     }
 
-    /// Whose name was given.
+    /// The performer to whom this name was given, if there is one.
     pub fn owner(&self, name: &str) -> Option<PerformerId> {
         self.given.iter().position(|given| given == name && !name.is_empty()).map(PerformerId)
     }
 
-    /// Gives a name; empty, or that of the performer's number: none. Whoever had it has that of the number.
+    /// Gives a name to a performer. Who had it before is called by the number again. An empty name, or that of the
+    /// performer's own number, takes the given name away.
     ///
     /// # Errors
     /// The name of another number.
@@ -55,15 +57,15 @@ impl Names {
         Ok(())
     }
 
-    /// These have the names of before.
-    pub(crate) fn know<'a>(&mut self, names: impl Iterator<Item = (PerformerId, &'a str)>) {
-        for (performer, name) in names.filter(|(_, name)| !name.is_empty()) {
+    /// Gives the names that these performers had before.
+    pub(crate) fn know(&mut self, known: &[Known]) {
+        for one in known.iter().filter(|one| !one.name.is_empty()) {
             // They were names before.
-            let _ = self.give(performer, name);
+            let _ = self.give(one.performer, &one.name);
         }
     }
 
-    /// A new performer has entered, and gets the next name that nobody has.
+    /// A new performer gets the next waiting name that nobody has.
     pub(crate) fn enter(&mut self, performer: PerformerId) {
         let next = self.waiting.iter().find(|name| self.owner(name).is_none()).cloned();
         if let Some(name) = next {

@@ -81,7 +81,7 @@ pub enum EventKind {
     Reentered,
     /// Two performers were one person.
     Merged,
-    /// A performer was not seen for so long that somebody else may have the place.
+    /// A performer was not seen for so long that somebody else may have the place, or was dropped.
     Vacated,
 }
 

@@ -16,23 +16,29 @@ use crate::io::wire::{self, Topic, Topics, valid_name};
 /// Most known bodies of a folder: the others who enter need numbers too.
 const MOST_KNOWN: usize = 128;
 
-/// Where a folder of known bodies has that of somebody.
-pub fn body_file(folder: &Path, name: &str) -> PathBuf {
-    folder.join(format!("{name}.mcap"))
-}
-
-/// Writes somebody's body and its measured lengths to a folder of known bodies, which is made if it is missing.
+/// Writes a person's body to a folder of known bodies, as `NAME.mcap`. The folder is made if it is missing. `body` has
+/// the measured lengths, see [`wire::Skeleton::of_known`]. A file that is there is only replaced if told so: it may be
+/// of another person with this name. Returns the path of the file if it was written.
 ///
 /// # Errors
 /// The file cannot be written.
-pub fn write_body(folder: &Path, name: &str, body: &wire::Skeleton) -> Result<(), RecordError> {
-    let path = body_file(folder, name);
+pub fn write_body(
+    folder: &Path,
+    name: &str,
+    body: &wire::Skeleton,
+    replace: bool,
+) -> Result<Option<PathBuf>, RecordError> {
+    let path = folder.join(format!("{name}.mcap"));
+    if !replace && path.exists() {
+        return Ok(None);
+    }
     std::fs::create_dir_all(folder).map_err(RecordError::write(&path))?;
     let topics = Topics { actor: name.to_owned(), ..Topics::default() };
     let topic = topics.skeleton();
     let mut writer = Writer::create(&path, topics, &Provenance::default())?;
     writer.write(&topic, Timestamp::default(), body)?;
-    writer.finish()
+    writer.finish()?;
+    Ok(Some(path))
 }
 
 /// The people of a folder of known bodies, `NAME.mcap` each, in the order of their names. Nobody if there is no such

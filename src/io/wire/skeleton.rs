@@ -3,7 +3,7 @@
 use super::check::{Field, field};
 use super::{DecodeError, Skeleton};
 use crate::core::body::{self, JOINTS, Joint, KeypointOffsets, SYMMETRIC_SHAPE, Shape};
-use crate::core::stage::{BONES, Known};
+use crate::core::stage::{Known, LENGTHS};
 
 /// Largest distance of rest offsets from those that the shape gives, metres.
 const OFFSET_TOLERANCE: f64 = 1e-6;
@@ -39,7 +39,7 @@ impl Skeleton {
     }
 
     /// The measured lengths, if there are any.
-    pub fn lengths(&self) -> Option<[[f64; 2]; BONES]> {
+    pub fn lengths(&self) -> Option<[[f64; 2]; LENGTHS]> {
         let (pairs, rest) = self.lengths_m.as_chunks::<2>();
         let is_sound =
             rest.is_empty() && pairs.iter().flatten().all(|x| x.is_finite() && *x >= 0.0);

@@ -4,7 +4,7 @@ use super::Core;
 use super::performer::Progress;
 use super::port::Output;
 use super::publication::Content;
-use crate::core::stage::{Attendance, Known, Life, PerformerId, Presence, Stage};
+use crate::core::stage::{Attendance, Life, PerformerId, Presence, Stage};
 use crate::io::wire::{self, StagePerformer, StageStatus};
 
 impl Core {
@@ -76,8 +76,7 @@ impl Core {
             return;
         }
         let known = self.stage.as_ref().map_or_else(Vec::new, Stage::known);
-        let was_here = |one: &&Known| one.points.iter().any(Option::is_some);
-        for known in known.iter().filter(was_here).filter(|one| !one.name.is_empty()) {
+        for known in known.iter().filter(|one| one.was_here() && !one.name.is_empty()) {
             if let Some(body) = wire::Skeleton::of_known(known) {
                 self.outputs.push_back(Output::Body { name: known.name.clone(), body });
             }

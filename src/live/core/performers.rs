@@ -2,7 +2,7 @@
 
 use super::Core;
 use super::performer::{Performer, Progress, tracker_state};
-use crate::core::stage::{Names, PerformerId, Stage};
+use crate::core::stage::{PerformerId, Stage};
 use crate::core::tracker::Tracker;
 use crate::io::wire::{PerformerLabel, Topic, Topics};
 
@@ -27,10 +27,10 @@ impl Core {
 
     /// The name of a performer in its topics: the node's if there is only one.
     pub(super) fn name_of(&self, number: usize) -> String {
-        let names = self.stage.as_ref().and_then(Stage::names);
-        match self.is_several() {
-            true => names.unwrap_or(&Names::default()).of(PerformerId(number)),
-            false => self.topics.actor.clone(),
+        match (&self.stage, PerformerId(number)) {
+            _ if !self.is_several() => self.topics.actor.clone(),
+            (Some(stage), performer) => stage.name_of(performer),
+            (None, performer) => performer.to_string(),
         }
     }
 

@@ -10,7 +10,7 @@ use super::port::{Carried, Settings};
 use super::publication::Content;
 use crate::core::stage::{PerformerId, Stage};
 use crate::core::time::Timestamp;
-use crate::core::tracker::{Event, EventKind};
+use crate::core::tracker::EventKind;
 use crate::io::wire::{self, PerformerLabel, Take, TakeAnswer, encode, valid_name};
 use crate::metrics::CameraState;
 
@@ -122,11 +122,13 @@ impl Core {
         }
         let is_here = self.followed().into_iter().any(|one| self.name_of(one.0) == *new_name);
         if new_name != name && is_here {
-            return Err(format!("{new_name} is somebody else who is here; name that one first"));
+            return Err(format!(
+                "another performer here is called {new_name}; rename that one first"
+            ));
         }
         let stage = self.stage_of_several("name")?;
-        let before = stage.names().and_then(|names| names.owner(new_name));
-        stage.name(PerformerId(number), new_name).map_err(|error| error.to_string())?;
+        let before = stage.give_name(PerformerId(number), new_name);
+        let before = before.map_err(|error| error.to_string())?;
         before.into_iter().chain([PerformerId(number)]).for_each(|one| self.use_name(one));
         self.is_changed = true;
         self.put_out_bodies();
@@ -148,16 +150,6 @@ impl Core {
         if !self.stage_of_several("drop")?.drop_performer(performer) {
             return Err(format!("{name} is not here"));
         }
-        let event = Event {
-            kind: EventKind::Vacated,
-            capture: self.clock.capture_time(self.now),
-            camera: None,
-            window: None,
-            count: 1,
-            detail: "dropped: nobody, until somebody follows this person".to_owned(),
-        };
-        self.emit(&event, Some(performer), None);
-        self.is_changed = true;
         Ok(format!("{name} is dropped: not solved until somebody follows this person"))
     }
 

@@ -3,13 +3,13 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use crate::io::recording::{body_file, write_body};
+use crate::io::recording::write_body;
 use crate::io::wire::Skeleton;
 
-/// A folder of known bodies. What was there before stays as it is: a body of today may be somebody else's.
+/// A folder of known bodies. Only files of this run are replaced.
 pub(super) struct BodiesFolder {
     path: PathBuf,
-    /// Whose files are of this run.
+    /// The names of those.
     own: BTreeSet<String>,
 }
 
@@ -18,17 +18,13 @@ impl BodiesFolder {
         Self { path, own: BTreeSet::new() }
     }
 
-    /// Writes the body of that name, unless there is one of before.
+    /// Writes the body of that name, unless there is one of an earlier run.
     pub(super) fn keep(&mut self, name: &str, body: &Skeleton) {
-        let file = body_file(&self.path, name);
-        if !self.own.contains(name) && file.exists() {
-            return;
-        }
-        match write_body(&self.path, name, body) {
-            Ok(()) if self.own.insert(name.to_owned()) => {
+        match write_body(&self.path, name, body, self.own.contains(name)) {
+            Ok(Some(file)) if self.own.insert(name.to_owned()) => {
                 tracing::info!("the body of {name} is written to {}", file.display());
             }
-            Ok(()) => {}
+            Ok(_) => {}
             Err(error) => tracing::warn!("the body of {name} is not written: {error}"),
         }
     }

@@ -194,7 +194,7 @@ impl NodeLoop {
                 }
                 Output::Body { name, body } => {
                     if self.bodies.try_send((name, body)).is_err() {
-                        tracing::warn!("a body is not written: too many wait to be written");
+                        tracing::warn!("a body is not written: the disk is too slow");
                     }
                 }
             }

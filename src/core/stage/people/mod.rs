@@ -1,0 +1,382 @@
+//! Who is there: people are found, followed, lost and found again.
+
+mod attendance;
+mod choosing;
+mod recognition;
+
+use super::config::Choice;
+use super::known::Known;
+use super::lengths::Lengths;
+use super::names::Names;
+use super::performer_id::PerformerId;
+use super::person::{Person, Sight, apart};
+use crate::core::association::{
+    Assigned, Association, Gates, Newcomer, Part, associate, pixels_of,
+};
+use crate::core::camera::Rig;
+use crate::core::detections::Detections;
+use crate::core::time::{Nanos, Timestamp};
+pub use choosing::FollowError;
+
+/// A newcomer who is not seen for this long was none.
+const DOUBTFUL: Nanos = Nanos::from_ms(120);
+/// A performer who is not seen for this long is lost, and a bystander is forgotten.
+const LOST: Nanos = Nanos::from_ms(1000);
+/// A performer who is not seen for this long may be where a newcomer is.
+const ELSEWHERE: Nanos = Nanos::from_ms(150);
+/// People who are this near each other on average, metres, for this long are one.
+const SAME_M: f64 = 0.15;
+const SAME_TIME: Nanos = Nanos::from_ms(300);
+/// A bystander counts after this time.
+const STAYED: Nanos = Nanos::from_ms(500);
+/// Most people who are followed.
+const MOST: usize = 64;
+
+/// What a person is to us.
+#[derive(Clone, Debug)]
+enum Role {
+    /// Not confirmed; with the frames so far.
+    Candidate(Vec<Detections>),
+    Performer(usize),
+    /// Followed, so that its detections are nobody else's.
+    Bystander,
+}
+
+/// Whether somebody wants a person to be a performer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Wish {
+    /// Nobody said: the choice decides.
+    #[default]
+    Open,
+    Wanted,
+    Unwanted,
+}
+
+#[derive(Clone, Debug)]
+struct Member {
+    person: Person,
+    role: Role,
+    wish: Wish,
+    /// The number that this person had as a performer, if it is one no more.
+    was: Option<usize>,
+    /// Since when the member is in the place of an older one.
+    close_since: Option<Timestamp>,
+}
+
+/// A performer who is not followed.
+#[derive(Clone, Debug)]
+struct Absent {
+    performer: usize,
+    person: Person,
+    /// The performer with whom this one was merged. They may be two people after all.
+    merged: Option<usize>,
+    /// Whether somebody else may have the place.
+    has_left: bool,
+    /// Whether this one is to be a bystander on return.
+    is_unwanted: bool,
+}
+
+/// What happened to a performer, by number from 0.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Change {
+    /// A new performer.
+    Entered(usize),
+    /// A performer who was lost is there again.
+    Returned(usize),
+    /// A performer was not seen for so long that somebody else may have the place, or is dropped.
+    Vacated(usize),
+    /// The first one was the second one, who goes on.
+    Merged(usize, usize),
+    /// A frame with the performer alone, or with nobody.
+    Frame(usize, Detections),
+    /// All frames of the performer up to this time were given.
+    Complete(usize, Timestamp),
+}
+
+/// The frames of one time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FrameSet {
+    /// In order of capture time, at most one of each camera.
+    pub frames: Vec<Claimed>,
+    /// The performers who are followed, by number from 0.
+    pub performers: Vec<usize>,
+}
+
+/// A frame, and whose its people are.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Claimed {
+    /// The frame, with everybody in it.
+    pub frame: Detections,
+    /// By person.
+    pub owners: Vec<Owner>,
+}
+
+/// Whose a detection is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Owner {
+    /// A performer's, by number from 0.
+    Performer(usize),
+    /// That of somebody who is not a performer.
+    Other,
+    /// Nobody's.
+    Nobody,
+}
+
+/// All people in view.
+#[derive(Clone, Debug)]
+pub(super) struct People {
+    gates: Gates,
+    /// Most performers at a time.
+    limit: usize,
+    pub(super) choice: Choice,
+    members: Vec<Member>,
+    absent: Vec<Absent>,
+    /// Number of performers so far.
+    known: usize,
+    pub(super) names: Names,
+    /// Whether a newcomer gets the number of a performer without a name who has left.
+    pub(super) reuses_numbers: bool,
+    /// The time of the last set.
+    at: Timestamp,
+    /// Most bystanders at a time.
+    pub(super) others: usize,
+    pub(super) last: FrameSet,
+}
+
+impl People {
+    pub(super) fn new(limit: usize, gates: Gates) -> Self {
+        Self {
+            gates,
+            limit,
+            choice: Choice::default(),
+            members: Vec::new(),
+            absent: Vec::new(),
+            known: 0,
+            names: Names::default(),
+            reuses_numbers: false,
+            at: Timestamp::default(),
+            others: 0,
+            last: FrameSet::default(),
+        }
+    }
+
+    /// The performers so far, without their bodies.
+    pub(super) fn known(&self) -> Vec<Known> {
+        let is_named = |one: &Absent| self.names.given(PerformerId(one.performer)).is_some();
+        let absent = self.absent.iter().filter(|one| one.merged.is_none() || is_named(one));
+        let absent = absent.map(|one| (one.performer, one.is_unwanted, &one.person));
+        let present = self.members.iter().filter_map(|member| match member.role {
+            Role::Performer(performer) => Some((performer, false, &member.person)),
+            _ => None,
+        });
+        let known = |(performer, dropped, person): (usize, bool, &Person)| Known {
+            performer: PerformerId(performer),
+            name: self.names.given(PerformerId(performer)).unwrap_or_default().to_owned(),
+            dropped,
+            body: None,
+            seen: person.seen,
+            points: *person.points(),
+            lengths: person.lengths.sums(),
+        };
+        let mut all: Vec<Known> = absent.chain(present).map(known).collect();
+        all.sort_by_key(|one| one.performer);
+        all
+    }
+
+    /// These performers were seen before.
+    pub(super) fn know(&mut self, known: &[Known], cameras: usize) {
+        for one in known {
+            let mut person = Person::new(one.points, one.seen, cameras);
+            person.lengths = Lengths::of(one.lengths);
+            let has_left = one.dropped || !one.was_here();
+            let absent = Absent::new(one.performer.0, person);
+            self.absent.push(Absent { has_left, is_unwanted: one.dropped, ..absent });
+            self.known = self.known.max(one.performer.0 + 1);
+        }
+        self.names.know(known);
+    }
+
+    /// Nobody is in view any more.
+    pub(super) fn restart(&mut self) {
+        for member in std::mem::take(&mut self.members) {
+            if let Role::Performer(performer) = member.role {
+                self.absent.push(Absent::new(performer, member.person));
+            }
+        }
+    }
+
+    /// Finds all people in `frames`, which have one time. Frames `aside` (of moved cameras) are not searched.
+    /// All frames up to `complete` have arrived.
+    pub(super) fn process(
+        &mut self,
+        at: Timestamp,
+        (frames, aside): (Vec<Detections>, Vec<Detections>),
+        complete: Timestamp,
+        rig: &Rig,
+    ) -> Vec<Change> {
+        self.at = at;
+        let seen: Vec<&Detections> = frames.iter().collect();
+        let expected: Vec<_> = self.members.iter().map(|m| m.person.expected(at)).collect();
+        let found = associate(rig, &seen, &expected, &self.gates);
+        let owners = self.owners(&frames, &found);
+        let mut changes = Vec::new();
+        for (member, assigned) in self.members.iter_mut().zip(&found.performers) {
+            let alone = member.person.follow(at, &frames, assigned, rig, &self.gates);
+            match &mut member.role {
+                Role::Candidate(earlier) => earlier.extend(alone),
+                Role::Performer(performer) => {
+                    changes.extend(alone.map(|frame| Change::Frame(*performer, frame)));
+                }
+                Role::Bystander => {}
+            }
+        }
+        for Newcomer { points, views, .. } in found.newcomers {
+            if self.members.len() < MOST {
+                let mut person = Person::new(points, at, rig.cameras.len());
+                let alone = person.follow(at, &frames, &views, rig, &self.gates);
+                let role = Role::Candidate(alone.collect());
+                let (wish, was) = (Wish::Open, None);
+                self.members.push(Member { person, role, wish, was, close_since: None });
+            }
+        }
+        self.drop_doubles(at, &mut changes);
+        self.lose(at, &mut changes);
+        self.confirm(at, &mut changes);
+        let stays = |member: &&Member| {
+            matches!(member.role, Role::Bystander) && at - member.person.first > STAYED
+        };
+        self.others = self.others.max(self.members.iter().filter(stays).count());
+        let performers = self.members.iter().filter_map(|member| match member.role {
+            Role::Performer(performer) => Some(performer),
+            _ => None,
+        });
+        let performers: Vec<usize> = performers.collect();
+        changes.extend(performers.iter().map(|&one| Change::Complete(one, complete)));
+        let claimed = |(frame, owners)| Claimed { frame, owners };
+        let nobodys = aside.into_iter().map(|frame| {
+            let owners = vec![Owner::Nobody; frame.people.len()];
+            Claimed { frame, owners }
+        });
+        let frames = frames.into_iter().zip(owners).map(claimed).chain(nobodys).collect();
+        self.last = FrameSet { frames, performers };
+        changes
+    }
+
+    /// By frame and person, whose the detections are.
+    fn owners(&self, frames: &[Detections], found: &Association) -> Vec<Vec<Owner>> {
+        let mut owners: Vec<Vec<Owner>> =
+            frames.iter().map(|frame| vec![Owner::Nobody; frame.people.len()]).collect();
+        let of_member = |member: &Member| match member.role {
+            Role::Performer(performer) => Owner::Performer(performer),
+            _ => Owner::Other,
+        };
+        let members = self.members.iter().map(of_member).zip(&found.performers);
+        let newcomers = found.newcomers.iter().map(|newcomer| (Owner::Other, &newcomer.views));
+        for (owner, views) in newcomers.chain(members) {
+            for (owners, assigned) in owners.iter_mut().zip(views) {
+                // A limb that a detector gave to somebody else does not make it the performer's.
+                let person = assigned.parts[Part::Upper as usize];
+                let person = person.or(assigned.parts.iter().flatten().next().copied());
+                if let Some(person) = person {
+                    owners[person] = owner;
+                }
+            }
+        }
+        owners
+    }
+
+    /// Two members in one place are one person: the older one stays.
+    fn drop_doubles(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
+        let places: Vec<_> = self.members.iter().map(|m| m.person.predicted(at)).collect();
+        let rank = |member: &Member| match member.role {
+            Role::Performer(performer) => performer,
+            Role::Bystander => usize::MAX - 1,
+            Role::Candidate(_) => usize::MAX,
+        };
+        let ranks: Vec<(usize, Timestamp)> =
+            self.members.iter().map(|m| (rank(m), m.person.first)).collect();
+        let mut dropped = Vec::new();
+        for (index, member) in self.members.iter_mut().enumerate() {
+            let is_double = |other: &usize| {
+                (ranks[*other], *other) < (ranks[index], index)
+                    && apart(&places[*other], &places[index]).is_some_and(|off| off < SAME_M)
+            };
+            let Some(older) = (0..places.len()).find(is_double) else {
+                member.close_since = None;
+                continue;
+            };
+            if at - *member.close_since.get_or_insert(at) > SAME_TIME {
+                dropped.push((index, ranks[older].0));
+                if let Role::Performer(performer) = member.role {
+                    changes.push(Change::Merged(performer, ranks[older].0));
+                }
+            }
+        }
+        for (index, older) in dropped.into_iter().rev() {
+            let member = self.members.remove(index);
+            if let Role::Performer(performer) = member.role {
+                let absent = Absent::new(performer, member.person);
+                self.absent.push(Absent { merged: Some(older), ..absent });
+            }
+        }
+    }
+
+    /// Members who were not seen for too long go; performers who were not seen for much longer have left.
+    fn lose(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
+        let is_gone = |member: &mut Member| {
+            let longest = match member.role {
+                Role::Candidate(_) => DOUBTFUL,
+                Role::Performer(_) | Role::Bystander => LOST,
+            };
+            member.person.unseen(at) > longest
+        };
+        for member in self.members.extract_if(.., is_gone) {
+            if let Role::Performer(performer) = member.role {
+                self.absent.push(Absent::new(performer, member.person));
+            }
+        }
+        let left_after = self.choice.left_after();
+        for one in self.absent.iter_mut().filter(|one| !one.has_left) {
+            one.has_left = one.person.unseen(at) > left_after;
+            // Those of an earlier take may not be here today.
+            if one.has_left && one.merged.is_none() && one.person.sets > 0 {
+                changes.push(Change::Vacated(one.performer));
+            }
+        }
+    }
+}
+
+impl Absent {
+    /// A performer who is lost.
+    fn new(performer: usize, person: Person) -> Self {
+        Self { performer, person, merged: None, has_left: false, is_unwanted: false }
+    }
+
+    fn make_unwanted(&mut self) {
+        (self.has_left, self.is_unwanted) = (true, true);
+    }
+}
+
+impl Person {
+    /// Takes what is the person's in the frames of a time; returns each frame with the person alone.
+    fn follow<'a>(
+        &mut self,
+        at: Timestamp,
+        frames: &'a [Detections],
+        assigned: &'a [Assigned],
+        rig: &Rig,
+        gates: &Gates,
+    ) -> impl Iterator<Item = Detections> + use<'a> {
+        let own = |(frame, assigned): (&Detections, &Assigned)| {
+            let person = assigned.person(frame)?;
+            let sight: Sight = (frame.camera, pixels_of(frame, &person, gates.min_confidence));
+            Some((sight, (frame.camera, person.id)))
+        };
+        let (views, ids): (Vec<_>, Vec<_>) = frames.iter().zip(assigned).filter_map(own).unzip();
+        self.update(at, &views, &ids, rig, gates);
+        frames.iter().zip(assigned).map(|(frame, assigned)| {
+            let people = assigned.person(frame).into_iter().collect();
+            Detections { people, ..*frame }
+        })
+    }
+}

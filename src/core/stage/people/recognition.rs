@@ -1,0 +1,221 @@
+//! Candidates become performers: new ones, or those of before.
+
+use super::{Absent, Change, ELSEWHERE, Member, People, Role, Wish};
+use crate::core::stage::performer_id::PerformerId;
+use crate::core::stage::person::{Person, apart};
+use crate::core::time::Timestamp;
+
+/// A newcomer is a person after so many frame sets; after so many if it may be a performer of before; and after so
+/// many if it is still not clear which one.
+const CONFIRMED: u32 = 5;
+const RECOGNISED: u32 = 15;
+const UNDECIDED: u32 = 30;
+/// How far people get while they are not seen, metres and m/s.
+const AWAY_M: f64 = 0.6;
+const AWAY_M_S: f64 = 3.0;
+/// Bodies that differ by less (`Lengths::difference`) are one person's.
+const SAME_BODY: f64 = 1.7;
+/// The same where a performer is expected: one is missed near there, or all who may come are known.
+const EXPECTED_BODY: f64 = 2.5;
+/// Up to this difference, more is to be measured.
+const DOUBTFUL_BODY: f64 = 3.0;
+/// Most numbers of performers in a run.
+const NUMBERS: usize = 256;
+
+/// Who a member is.
+enum Verdict {
+    /// Not known yet.
+    Unsure,
+    /// The performer at this place in `absent`.
+    Known(usize),
+    /// Nobody of before.
+    New,
+}
+
+impl People {
+    /// Whether somebody may become a performer: those who are lost keep their places until they have left.
+    pub(super) fn has_place(&self) -> bool {
+        let present =
+            self.members.iter().filter(|member| matches!(member.role, Role::Performer(_)));
+        let lost = self.absent.iter().filter(|one| !one.has_left && one.merged.is_none());
+        present.count() + lost.count() < self.limit
+    }
+
+    /// Whether a performer who is absent may be a person who comes now.
+    fn may_return(&self, one: &Absent) -> bool {
+        let is_there = |performer: usize| {
+            self.members.iter().any(|m| matches!(m.role, Role::Performer(own) if own == performer))
+        };
+        let has_own_place = !one.has_left && one.merged.is_none();
+        one.is_unwanted || one.merged.is_none_or(is_there) && (has_own_place || self.has_place())
+    }
+
+    /// Candidates become performers or bystanders: who is known best first, then the largest.
+    pub(super) fn confirm(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
+        let is_open = self.has_place();
+        let is_ready = |&index: &usize| {
+            let Member { person, role, wish, .. } = &self.members[index];
+            let is_known = || matches!(self.judge(index, at), Verdict::Known(_));
+            match role {
+                Role::Candidate(_) => person.sets >= CONFIRMED,
+                // Who comes to the region later, or is recognised later.
+                Role::Bystander if !is_open || person.seen < at => false,
+                Role::Bystander => self.is_chosen(index) || *wish == Wish::Open && is_known(),
+                Role::Performer(_) => false,
+            }
+        };
+        let ready = (0..self.members.len()).filter(is_ready);
+        // Who is known best comes first: the others are somebody else.
+        let rank = |index: usize| {
+            let known =
+                self.most_alike(index, at).map_or(f64::INFINITY, |(_, difference)| difference);
+            (known, -self.members[index].person.size())
+        };
+        let mut ready: Vec<_> = ready.map(|index| (rank(index), index)).collect();
+        ready.sort_by(|(a, _), (b, _)| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let mut gone = Vec::new();
+        for (_, index) in ready {
+            if let Some(other) = self.elsewhere(index, at) {
+                // The performer goes on here; its tracker has had frames without it meanwhile.
+                self.members[other].person = self.members[index].person.clone();
+                gone.push(index);
+                continue;
+            }
+            let performer = match self.judge(index, at) {
+                Verdict::Unsure => continue,
+                Verdict::Known(place) if self.is_unwanted(index, place) => {
+                    self.make_bystander(index, place);
+                    continue;
+                }
+                Verdict::Known(place) => {
+                    let performer = self.absent.remove(place).performer;
+                    changes.push(Change::Returned(performer));
+                    performer
+                }
+                Verdict::New => {
+                    let Some(performer) = self.new_performer(index) else {
+                        self.members[index].role = Role::Bystander;
+                        continue;
+                    };
+                    changes.push(Change::Entered(performer));
+                    performer
+                }
+            };
+            self.members[index].was = None;
+            let role = std::mem::replace(&mut self.members[index].role, Role::Performer(performer));
+            if let Role::Candidate(frames) = role {
+                changes.extend(frames.into_iter().map(|frame| Change::Frame(performer, frame)));
+            }
+        }
+        gone.sort_unstable();
+        for index in gone.into_iter().rev() {
+            self.members.remove(index);
+        }
+    }
+
+    /// Who a member is.
+    fn judge(&self, index: usize, at: Timestamp) -> Verdict {
+        let sets = self.members[index].person.sets;
+        let may_return = self.absent.iter().any(|one| self.may_return(one));
+        if may_return && sets < RECOGNISED {
+            return Verdict::Unsure;
+        }
+        let gate = if self.has_place() { SAME_BODY } else { EXPECTED_BODY };
+        match self.most_alike(index, at) {
+            Some((place, difference)) if difference < gate => Verdict::Known(place),
+            Some(_) if sets < UNDECIDED => Verdict::Unsure,
+            _ => Verdict::New,
+        }
+    }
+
+    /// Whether a member who is a performer of before is to be nobody.
+    fn is_unwanted(&self, index: usize, place: usize) -> bool {
+        let (one, only) = (&self.absent[place], &self.choice.only);
+        let name = self.names.of(PerformerId(one.performer));
+        let is_other = !one.person.was_here() && !only.is_empty() && !only.contains(&name);
+        let is_wanted = self.members[index].wish == Wish::Wanted && self.has_place();
+        (one.is_unwanted || is_other) && !is_wanted
+    }
+
+    /// Whether a member whom we do not know may become a performer.
+    fn is_chosen(&self, index: usize) -> bool {
+        let Member { person, wish, .. } = &self.members[index];
+        match wish {
+            Wish::Open if !self.choice.only.is_empty() => false,
+            Wish::Open => self.choice.takes(person.place(), person.height_px),
+            Wish::Wanted => true,
+            Wish::Unwanted => false,
+        }
+    }
+
+    /// The number of a member who becomes a performer: that of one who has left, or else the next one. `None` if it
+    /// may not become one.
+    fn new_performer(&mut self, index: usize) -> Option<usize> {
+        if !self.has_place() || !self.is_chosen(index) {
+            return None;
+        }
+        let is_free = |one: &Absent| {
+            let is_named = self.names.given(PerformerId(one.performer)).is_some();
+            self.reuses_numbers && one.has_left && !one.is_unwanted && !is_named
+        };
+        let free = self.absent.iter().enumerate().filter(|(_, one)| is_free(one));
+        let free = free.min_by_key(|(_, one)| one.performer).map(|(place, _)| place);
+        let number = match free {
+            Some(place) => {
+                let number = self.absent.remove(place).performer;
+                let into = self.absent.iter_mut().filter(|one| one.merged == Some(number));
+                into.for_each(|one| one.merged = None);
+                number
+            }
+            None if self.known < NUMBERS => {
+                self.known += 1;
+                self.known - 1
+            }
+            None => return None,
+        };
+        self.names.enter(PerformerId(number));
+        Some(number)
+    }
+
+    /// The performer who is expected in a place where it is not, and may be this candidate.
+    fn elsewhere(&self, candidate: usize, at: Timestamp) -> Option<usize> {
+        let candidate = &self.members[candidate].person;
+        let missed = (0..self.members.len()).filter(|&index| {
+            let Member { person, role, .. } = &self.members[index];
+            matches!(role, Role::Performer(_))
+                && person.unseen(at) > ELSEWHERE
+                && may_be_there(person, candidate, at)
+        });
+        let differences = missed.filter_map(|index| {
+            let difference = self.members[index].person.lengths.difference(&candidate.lengths)?;
+            (difference < EXPECTED_BODY).then_some((index, difference))
+        });
+        differences.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(index, _)| index)
+    }
+
+    /// The place in `absent` of the performer who may be a candidate and is most alike, if any is, and how much they
+    /// differ.
+    fn most_alike(&self, candidate: usize, at: Timestamp) -> Option<(usize, f64)> {
+        let Member { person: candidate, was, .. } = &self.members[candidate];
+        let is_somebody = |one: &Absent| self.members.iter().any(|m| m.was == Some(one.performer));
+        let differences = self.absent.iter().enumerate().filter_map(|(place, one)| {
+            if *was == Some(one.performer) {
+                return Some((place, 0.0));
+            }
+            let difference = one.person.lengths.difference(&candidate.lengths)?;
+            let is_possible = !is_somebody(one)
+                && (!one.person.was_here() || may_be_there(&one.person, candidate, at))
+                && self.may_return(one);
+            is_possible.then_some((place, difference))
+        });
+        let alike = differences.filter(|(_, difference)| *difference < DOUBTFUL_BODY);
+        alike.min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+}
+
+/// Whether a person who was not seen for a while can have got to where the candidate is.
+fn may_be_there(person: &Person, candidate: &Person, at: Timestamp) -> bool {
+    // The cameras' clock may have been set back.
+    let reach = AWAY_M + AWAY_M_S * person.unseen(at).seconds().max(0.0);
+    apart(person.points(), candidate.points()).is_some_and(|off| off < reach)
+}
