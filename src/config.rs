@@ -162,8 +162,16 @@ impl Config {
             return Err(ConfigError::Together { path: path.into(), reason });
         }
         let reason = match config.stage.several() {
-            true if config.node.associated => {
-                "[node] associated reads one performer; set [stage] performers = 1"
+            false if config.node.solver => {
+                "[node] solver solves several performers; set [stage] performers = \"auto\""
+            }
+            true if config.node.solver && (!config.stage.solve || config.stage.chooses()) => {
+                "[node] solver solves the performers of another node: [stage] solve = false, names, bodies, only, region, \
+                 min_height_px and left_after_s are for that one"
+            }
+            true if config.node.solver && config.node.latency_ms == 0.0 => {
+                "[node] solver needs the same latency on all nodes, since performers change the node; set [node] latency_ms, \
+                 such as 300"
             }
             true if !config.node.body.is_empty() => {
                 "[node] body is of one performer; leave it out, or set [stage] performers = 1"
@@ -304,7 +312,9 @@ mod tests {
     #[test]
     fn settings_that_do_not_fit_each_other_are_refused() {
         for (text, part) in [
-            ("[stage]\nperformers = 2\n[node]\nassociated = true\n", "performers = 1"),
+            ("[node]\nsolver = true\n", "several performers"),
+            ("[stage]\nperformers = 2\n[node]\nsolver = true\n", "latency_ms"),
+            ("[stage]\nperformers = 2\nsolve = false\n[node]\nsolver = true\n", "another node"),
             ("[stage]\nperformers = \"auto\"\n[node]\nbody = \"a.mcap\"\n", "of one performer"),
             ("[stage]\nsolve = false\n", "needs several performers"),
             ("[stage]\nmin_height_px = 100\n", "are for several people"),

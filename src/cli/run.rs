@@ -20,7 +20,9 @@ use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind};
 use crate::io::recording::last_body;
 use crate::io::wire::{self, Status, encode};
-use crate::live::{Core, Node, NodeError, Presence, Running, Settings, SolverCore, WallClock, log};
+use crate::live::{
+    self, Core, Node, NodeError, Presence, Running, Settings, SolverCore, WallClock, log,
+};
 
 /// How often a standby node looks whether it is alone.
 const LOOK: Duration = Duration::from_millis(200);
@@ -155,8 +157,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     say_hello(&config, running.prometheus());
     let (node, over) = (running.monitor(), AtomicBool::new(false));
     let why = std::thread::scope(|scope| {
+        // A solver does not get the cameras' keypoints.
         scope.spawn(|| {
-            let is_over = || over.load(Ordering::Relaxed);
+            let is_over = || over.load(Ordering::Relaxed) || config.node.solver;
             if let Err(error) = look(&*bus, &topics(&config), &node, is_over) {
                 tracing::warn!("cannot look after the cameras: {error}");
             }
@@ -232,6 +235,9 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
     if let Some(prometheus) = &arguments.prometheus {
         config.node.prometheus.clone_from(prometheus);
     }
+    if config.node.solver && config.node.actor == live::Config::default().actor {
+        config.node.actor = own_name();
+    }
     // The arguments get the same checks as a file.
     Config::parse(&config.to_toml(), Path::new("the settings")).map_err(|error| {
         let message = error.to_string();
@@ -240,6 +246,14 @@ fn settings(arguments: &Arguments) -> Result<Config, Failure> {
             _ => error.into(),
         }
     })
+}
+
+/// The name of a solver that nobody gave a name.
+fn own_name() -> String {
+    let computer = rustix::system::uname().nodename().to_string_lossy().into_owned();
+    let tame = |c: char| if c.is_ascii_alphanumeric() { c } else { '-' };
+    let computer: String = computer.chars().map(tame).collect();
+    format!("{computer}-{}", std::process::id())
 }
 
 fn run_time(seconds: Option<f64>) -> Result<Option<Duration>, Failure> {

@@ -4,14 +4,16 @@ use crate::core::time::{Nanos, Timestamp};
 use crate::io::recording::Message;
 use crate::io::wire::journal_entry::Input;
 use crate::io::wire::{
-    CameraCounters, Event, Journal, JournalEntry, Keyframe, KeypointFrame, Pose, RetargetedPose,
-    StagePerformer, StageStatus, Status, Take, TakeAnswer, TrackingState,
+    CameraCounters, Event, HandOver, Journal, JournalEntry, Keyframe, KeypointFrame, KeypointSet,
+    Pose, RetargetedPose, StagePerformer, StageStatus, Status, Take, TakeAnswer, TrackingState,
 };
 
 /// The main fields of a message; `None` for an unknown schema. `arrival` is the time of arrival.
 pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {
     Some(match message {
-        Message::Keypoints(frame) | Message::ActorKeypoints(frame) => keypoints(frame, arrival),
+        Message::Keypoints(frame) => keypoints(frame, arrival),
+        Message::KeypointSet(set) => keypoint_set(set, arrival),
+        Message::HandOver(state) => hand_over(state),
         Message::Rig(rig) => {
             let names: Vec<&str> = rig.cameras.iter().map(|camera| camera.name.as_str()).collect();
             format!("version {}, {} cameras: {}", rig.version, names.len(), names.join(", "))
@@ -48,6 +50,27 @@ fn state(wire: i32) -> &'static str {
         Ok(TrackingState::Lost) => "lost",
         Ok(TrackingState::Unspecified) | Err(_) => "no state",
     }
+}
+
+fn keypoint_set(set: &KeypointSet, arrival: Timestamp) -> String {
+    let seen = set.frames.iter().filter(|frame| !frame.people.is_empty()).count();
+    let begins = if set.begins { ", begins" } else { "" };
+    let latency = latency(set.complete_ns, arrival);
+    format!(
+        "number {}, seen by {seen} of {} cameras{begins}, {latency}",
+        set.performer,
+        set.frames.len()
+    )
+}
+
+fn hand_over(state: &HandOver) -> String {
+    let HandOver { performer, solver, window, .. } = state;
+    let does = if state.released { "released by" } else { "solved by" };
+    let what = match state.past.is_empty() {
+        true => "searched".to_owned(),
+        false => format!("{} keyframes", state.past.len() + state.ahead.len()),
+    };
+    format!("number {performer}, {does} {solver}, next window {window}, {what}")
 }
 
 fn keypoints(frame: &KeypointFrame, arrival: Timestamp) -> String {
@@ -194,6 +217,7 @@ fn input_name(entry: &JournalEntry) -> &'static str {
         Some(Input::Start(_)) => "start",
         Some(Input::Message(_)) => "message",
         Some(Input::Solved(_)) => "solved",
+        Some(Input::Solvers(_)) => "solvers",
         Some(Input::Tick(_)) => "tick",
         Some(Input::Dropped(_)) => "dropped",
         Some(Input::Played(_)) => "played",

@@ -15,9 +15,9 @@ pub struct Config {
     pub stage: String,
     /// Name of the performer, part of all topics that belong to the performer.
     pub actor: String,
-    /// Whether the node reads the keypoints of its performer alone, which an associating node publishes,
-    /// in place of the cameras'.
-    pub associated: bool,
+    /// Whether the node solves performers whose keypoints another node publishes, which tells people from each other.
+    /// It shares them with others of this kind; `actor` is its name among them.
+    pub solver: bool,
     /// Calibration file, read at the start and at each change. Empty: calibration from the bus.
     pub rig: String,
     /// The axis of that file's world that points up.
@@ -54,7 +54,7 @@ impl Default for Config {
         Self {
             stage: "stage".into(),
             actor: "actor".into(),
-            associated: false,
+            solver: false,
             rig: String::new(),
             rig_up: Auto::default(),
             rig_unit: Auto::default(),
@@ -79,11 +79,13 @@ impl Config {
         Convention { up, unit, file_first: true, ..Convention::default() }
     }
 
-    /// The topic of the keypoints of a camera that the node reads.
-    pub fn keypoints(&self, topics: &Topics, camera: &str) -> String {
-        match self.associated {
-            true => topics.actor_keypoints(camera),
-            false => topics.keypoints(camera),
+    /// The topics that the node reads beside rigs and slates. `is_front`: others solve its performers.
+    pub(super) fn inputs(&self, is_front: bool) -> Vec<String> {
+        let topics = |actor: &str| Topics { stage: self.stage.clone(), actor: actor.to_owned() };
+        match self.solver {
+            true => vec![topics("*").actor_keypoints(), topics("*").hand_over()],
+            false if is_front => vec![topics("").keypoints("*"), topics("*").hand_over()],
+            false => vec![topics("").keypoints("*")],
         }
     }
 

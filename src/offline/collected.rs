@@ -47,6 +47,7 @@ impl Collected<'_> {
             Output::Skeleton(_)
             | Output::Keyframe(_)
             | Output::Solve(_)
+            | Output::HandOver(_)
             | Output::Placed { .. } => {}
         }
         Ok(())

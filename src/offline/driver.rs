@@ -66,7 +66,7 @@ impl Driver {
                 Of::Performer(performer, output) => take(self, performer.0, &output)?,
                 // What concerns the cameras is counted with the first performer.
                 Of::Event(event) => take(self, 0, &Output::Event(event))?,
-                Of::Frame(..) => {}
+                Of::Frames(..) => {}
             }
         }
         Ok(())

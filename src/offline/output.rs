@@ -173,7 +173,7 @@ impl PoseFile {
                 writer.write(&topics.events(event.kind), event.capture, &message)?;
             }
             Output::Window(report) => states.window(report),
-            Output::Solve(_) | Output::Placed { .. } => {}
+            Output::Solve(_) | Output::HandOver(_) | Output::Placed { .. } => {}
         }
         Ok(())
     }

@@ -145,7 +145,8 @@ impl World {
         self.now = until;
     }
 
-    fn tell(&mut self, input: Input) {
+    /// Gives an input to the core, and handles the outputs.
+    pub fn tell(&mut self, input: Input) {
         self.core.handle(self.now, input);
         while let Some(output) = self.core.poll() {
             match output {

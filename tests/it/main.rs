@@ -33,6 +33,7 @@ mod jacobians;
 mod layers;
 #[cfg(feature = "cli")]
 mod live;
+mod machines;
 mod manifold;
 #[cfg(feature = "cli")]
 mod mend;
@@ -50,6 +51,7 @@ mod recording;
 mod retarget;
 #[cfg(feature = "cli")]
 mod several;
+mod sharing;
 #[cfg(feature = "research")]
 mod slahmr;
 #[cfg(feature = "cli")]

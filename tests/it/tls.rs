@@ -42,7 +42,7 @@ fn only_allowed_certificates_publish() {
     }
     let folder = tempfile::tempdir().unwrap();
     let (ours, theirs) = (folder.path().join("ours"), folder.path().join("theirs"));
-    certificates(&ours, &["node", "cam01", "cam02", "operator", "viewer"]);
+    certificates(&ours, &["node", "cam01", "cam02", "operator", "viewer", "solver"]);
     certificates(&theirs, &["cam01"]);
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/config/studio-secure");
     let secure = Config::load(format!("{file}.toml").as_ref()).unwrap().bus.zenoh;
@@ -102,6 +102,18 @@ fn only_allowed_certificates_publish() {
         seen.recv_timeout(LONG / 200).is_ok_and(|sample| *sample.payload == b"pose"[..])
     });
     assert!(arrives, "the viewer sees no poses");
+    let solver = client(tls(&ours, "solver")).unwrap();
+    let _tokens = [(&viewer, "viewer"), (&solver, "solver")]
+        .map(|(bus, name)| bus.announce(&format!("mocap/stage/solver/{name}")).unwrap());
+    let arrives = (0..200).any(|_| {
+        put(&viewer, "mocap/stage/actor/p1/hand_over", b"forbidden");
+        put(&solver, "mocap/stage/actor/p1/hand_over", b"allowed");
+        heard.recv_timeout(LONG / 200).is_ok_and(|sample| sample.topic.ends_with("/hand_over"))
+    });
+    assert!(arrives, "the solver's state does not arrive");
+    assert!(heard.try_iter().all(|sample| *sample.payload != b"forbidden"[..]));
+    let solvers = node.announced("mocap/stage/solver/*").unwrap();
+    assert_eq!(solvers, ["mocap/stage/solver/solver"]);
     let (_, _guard) = listen(&operator, "mocap/stage/actor/*/status");
     let is_seen = (0..200).any(|_| {
         std::thread::sleep(LONG / 200);

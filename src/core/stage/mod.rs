@@ -34,7 +34,7 @@ mod person;
 mod presence;
 mod sets;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use super::body::{Skeleton, TrackingState};
@@ -43,7 +43,7 @@ use super::detections::Detections;
 use super::so3;
 use super::time::{Nanos, Timestamp};
 use super::tracker::{
-    self, Effort, Event, EventKind, FramePeriod, Job, Latency, Solution, Tracker,
+    self, Effort, Event, EventKind, FramePeriod, HandOver, Job, Latency, Solution, Tracker,
 };
 pub use config::{Choice, Config, Performers, PerformersError};
 pub use crowd::Crowd;
@@ -82,9 +82,19 @@ pub enum Output {
     Performer(PerformerId, tracker::Output),
     /// An event of the cameras, which concerns everybody.
     Event(Event),
-    /// A frame with one performer alone, on the cameras' common clock, if the performers are not solved
-    /// here.
-    Frame(PerformerId, Detections),
+    /// The frames of one performer, if the performers are not solved here.
+    Frames(PerformerId, PerformerFrames),
+}
+
+/// The frames of one performer at one time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PerformerFrames {
+    /// The frame of each camera, with the performer alone or with nobody, on the cameras' common clock.
+    pub frames: Vec<Detections>,
+    /// All frames of the performer up to this time were given.
+    pub complete: Timestamp,
+    /// Whether the performer enters or returns with them.
+    pub begins: bool,
 }
 
 /// What a tracker gets next.
@@ -108,6 +118,10 @@ pub struct Stage {
     crowd: Option<Crowd>,
     /// Whether performers are tracked; otherwise only their frames are put out.
     is_solving: bool,
+    /// Whether the frames come from such a stage.
+    is_associated: bool,
+    /// Not solving: the frames of each performer that are not complete.
+    incomplete: BTreeMap<usize, PerformerFrames>,
     /// The performer from whom time offsets and moved cameras are found.
     lead: usize,
     /// With several performers: the lead's corrections of time offsets that are in use.
@@ -136,9 +150,42 @@ impl Stage {
             trackers,
             crowd,
             is_solving: true,
+            is_associated: false,
+            incomplete: BTreeMap::new(),
             lead: 0,
             next: VecDeque::new(),
         }
+    }
+
+    /// Performers whose frames come from a stage that does not solve them: see [`Stage::associated`].
+    pub fn of_associated(template: Tracker) -> Self {
+        let stage = Self::new(template.handing_over(), Performers::default(), None);
+        Self { trackers: Vec::new(), is_associated: true, ..stage }
+    }
+
+    /// The next frames of a performer. If they begin with its return, tracking begins anew.
+    pub fn associated(&mut self, performer: PerformerId, frames: PerformerFrames) {
+        let PerformerFrames { frames, complete, begins } = frames;
+        let is_known = self.trackers.get(performer.0).is_some_and(Tracker::has_frames);
+        let begin = (begins && is_known).then_some(tracker::Input::Restart);
+        let frames = frames.into_iter().map(tracker::Input::Detections);
+        let inputs = begin.into_iter().chain(frames).chain([tracker::Input::Complete(complete)]);
+        self.next.extend(inputs.map(|input| Next::Tracker(performer.0, input)));
+    }
+
+    /// Tracks another performer of an associating stage from here on, or goes on where another stage was.
+    pub fn take_over(&mut self, performer: PerformerId, state: Option<HandOver>) {
+        while self.trackers.len() <= performer.0 {
+            self.trackers.push(self.template.clone().fed(self.trackers.len()));
+        }
+        if let Some(state) = state {
+            self.trackers[performer.0].take_over(state);
+        }
+    }
+
+    /// Tracks a performer no more.
+    pub fn release(&mut self, performer: PerformerId) {
+        self.next.push_back(Next::Tracker(performer.0, tracker::Input::Forget));
     }
 
     /// Several performers: only the people of this choice become performers.
@@ -211,6 +258,12 @@ impl Stage {
     /// the first windows, and estimated anew if they do not fit.
     #[must_use]
     pub fn with_known(mut self, known: &[Known]) -> Self {
+        let associated = if self.is_associated { known } else { &[] };
+        for one in associated {
+            self.take_over(one.performer, None);
+            let new = self.template.clone().fed(one.performer.0);
+            self.trackers[one.performer.0] = new.with_body_to_check(one.body.clone());
+        }
         let Some(crowd) = &mut self.crowd else { return self };
         crowd.know(known);
         let count = known.iter().map(|one| one.performer.0 + 1).max().unwrap_or(0);
@@ -235,7 +288,10 @@ impl Stage {
 
     /// Several performers: what is known of those so far, for the next take.
     pub fn known(&self) -> Vec<Known> {
-        let known = self.crowd.as_ref().map_or_else(Vec::new, Crowd::known);
+        let ours = self.trackers.iter().enumerate().filter(|_| self.is_associated);
+        let ours = ours.filter(|(_, tracker)| tracker.known_body().is_some());
+        let ours = ours.map(|(one, _)| Known { performer: PerformerId(one), ..Known::default() });
+        let known = self.crowd.as_ref().map_or_else(|| ours.collect(), Crowd::known);
         let with_body = |one: Known| {
             let tracker = self.trackers.get(one.performer.0);
             let saved = self.saved.get(one.performer.0).and_then(Option::as_ref);
@@ -300,7 +356,11 @@ impl Stage {
     /// The tracker whose times hold for all: that of the performer who is tracked longest, or that of
     /// the next performer.
     pub fn lead(&self) -> &Tracker {
-        self.trackers.get(self.lead).unwrap_or(&self.template)
+        let lead = match self.is_associated {
+            true => self.trackers.iter().find(|tracker| is_tracked(tracker)),
+            false => self.trackers.get(self.lead),
+        };
+        lead.unwrap_or(&self.template)
     }
 
     /// The most people at a time who were seen for a while and are not tracked.
@@ -383,7 +443,9 @@ impl Stage {
     pub fn handle(&mut self, input: Input) {
         let Some(mut crowd) = self.crowd.take() else {
             let input = of_tracker(input);
-            return self.trackers.iter_mut().for_each(|tracker| tracker.handle(input.clone()));
+            let template = self.is_associated.then_some(&mut self.template);
+            let all = self.trackers.iter_mut().chain(template);
+            return all.for_each(|tracker| tracker.handle(input.clone()));
         };
         crowd.set_wait(self.lead().delay(), self.lead().longest_wait());
         let is_end = matches!(input, Input::End);
@@ -451,18 +513,25 @@ impl Stage {
 
     fn apply(&mut self, at: Timestamp, change: Change) {
         let (performer, kind, detail) = match change {
+            Change::Frame(performer, frame) if !self.is_solving => {
+                return self.incomplete.entry(performer).or_default().frames.push(frame);
+            }
             Change::Frame(performer, frame) => {
-                let next = match self.is_solving {
-                    true => Next::Tracker(performer, tracker::Input::Detections(frame)),
-                    false => Next::Output(Output::Frame(PerformerId(performer), frame)),
-                };
+                let next = Next::Tracker(performer, tracker::Input::Detections(frame));
                 return self.next.push_back(next);
+            }
+            Change::Complete(performer, complete) if !self.is_solving => {
+                let Some(frames) = self.incomplete.remove(&performer) else { return };
+                let frames = PerformerFrames { complete, ..frames };
+                let output = Output::Frames(PerformerId(performer), frames);
+                return self.next.push_back(Next::Output(output));
             }
             Change::Complete(performer, until) => {
                 let complete = tracker::Input::Complete(until);
                 return self.next.push_back(Next::Tracker(performer, complete));
             }
             Change::Entered(performer) => {
+                self.begin_frames(performer);
                 if self.is_solving && performer < self.trackers.len() {
                     // The number was somebody else's.
                     self.next.push_back(Next::Tracker(performer, tracker::Input::Forget));
@@ -474,7 +543,14 @@ impl Stage {
                 (performer, EventKind::Entered, "a new performer".to_owned())
             }
             Change::Returned(performer) => {
+                self.begin_frames(performer);
                 match self.saved.get_mut(performer).and_then(Option::take) {
+                    Some(body) if !self.is_solving => {
+                        let state = Box::new(HandOver::of_body(body, at));
+                        let state = tracker::Output::HandOver(state);
+                        let output = Output::Performer(PerformerId(performer), state);
+                        self.next.push_back(Next::Output(output));
+                    }
                     Some(body) => {
                         let new = self.template.clone().with_body_to_check(Some(body));
                         self.trackers[performer] = new.fed(performer);
@@ -494,6 +570,22 @@ impl Stage {
             }
         };
         self.tell(performer, at, kind, detail);
+    }
+
+    /// Not solving: the body of a performer, who is solved elsewhere.
+    pub fn know_body(&mut self, performer: PerformerId, body: Arc<Skeleton>) {
+        if self.saved.len() <= performer.0 {
+            self.saved.resize(performer.0 + 1, None);
+        }
+        self.saved[performer.0] = Some(body);
+    }
+
+    /// Not solving: the performer enters or returns with the next frames.
+    fn begin_frames(&mut self, performer: usize) {
+        if !self.is_solving {
+            let begins = PerformerFrames { begins: true, ..PerformerFrames::default() };
+            self.incomplete.insert(performer, begins);
+        }
     }
 
     fn tell(&mut self, performer: usize, at: Timestamp, kind: EventKind, detail: String) {
@@ -538,9 +630,6 @@ impl Stage {
         let Some(live) = self.template.live_settings().filter(|_| self.crowd.is_some()) else {
             return;
         };
-        let is_tracked = |tracker: &Tracker| {
-            tracker.state() == Some(TrackingState::Tracking) && !tracker.is_idle()
-        };
         if !self.trackers.get(self.lead).is_some_and(is_tracked)
             && let Some(next) = self.trackers.iter().position(is_tracked)
             && let Ok([before, after]) = self.trackers.get_disjoint_mut([self.lead, next])
@@ -584,6 +673,10 @@ impl Stage {
             }
         }
     }
+}
+
+fn is_tracked(tracker: &Tracker) -> bool {
+    tracker.state() == Some(TrackingState::Tracking) && !tracker.is_idle()
 }
 
 /// Whether most cameras keep their place. Then the places of tracked people hold too.

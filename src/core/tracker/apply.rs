@@ -115,6 +115,7 @@ impl Tracker {
             self.noise = self.noise.with(&tracked.residuals);
             self.doubt_body();
         }
+        let before = self.outputs.len();
         self.publish_poses(window, &tracked, state);
         let (done, ahead): (Vec<_>, Vec<_>) =
             tracked.keyframes.into_iter().partition(|at| at.capture <= window.publish);
@@ -149,6 +150,7 @@ impl Tracker {
         self.start = Some(window.publish);
         self.follow_rate(window.publish);
         self.window += 1;
+        self.put_out_state(before);
     }
 
     /// Checks a complete body again if the detections fit it worse than at first.

@@ -16,6 +16,8 @@ use crate::core::body::{
 };
 use crate::core::cost::Marginal;
 
+/// Numbers in the upper triangle of the information.
+const TRIANGLE: usize = BODY_COEFFICIENTS * (BODY_COEFFICIENTS + 1) / 2;
 /// Weight of a window; below 1, because the errors of neighbouring frames are correlated.
 const SHARE: f64 = 0.8;
 /// Number of windows that are used.
@@ -52,6 +54,21 @@ pub struct BodyEstimator {
     coefficients: Vec<f64>,
 }
 
+/// A [`BodyEstimator`] as numbers.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct EstimateNumbers {
+    /// Number of windows in it.
+    pub windows: usize,
+    /// Whether a known body is checked.
+    pub is_check: bool,
+    /// Shape and keypoint offsets; none before the first window.
+    pub coefficients: Vec<f64>,
+    /// The upper triangle of the information, row by row; none if the estimate is complete.
+    pub information: Vec<f64>,
+    /// Information times estimate, without priors.
+    pub pull: Vec<f64>,
+}
+
 impl Default for BodyEstimator {
     fn default() -> Self {
         Self {
@@ -78,6 +95,44 @@ impl BodyEstimator {
     /// Whether the body may still change a lot.
     pub(super) fn is_early(&self) -> bool {
         !self.is_check && self.windows <= EARLY_WINDOWS
+    }
+
+    /// The estimate as numbers, for other nodes.
+    pub fn numbers(&self) -> EstimateNumbers {
+        let rows = (0..BODY_COEFFICIENTS).flat_map(|i| (i..BODY_COEFFICIENTS).map(move |j| (i, j)));
+        let is_used = self.windows > 0 && !self.is_complete();
+        EstimateNumbers {
+            windows: self.windows,
+            is_check: self.is_check,
+            coefficients: self.coefficients.clone(),
+            information: rows.filter(|_| is_used).map(|at| self.information[at]).collect(),
+            pull: self.pull.iter().filter(|_| is_used).copied().collect(),
+        }
+    }
+
+    /// The estimate of such numbers; `None` if there are not as many as there must be.
+    pub fn of_numbers(numbers: &EstimateNumbers) -> Option<Self> {
+        let EstimateNumbers { windows, is_check, coefficients, information, pull } = numbers;
+        let empty = Self::default();
+        let (coefficients, is_check) = (coefficients.clone(), *is_check);
+        let mut estimate = Self { windows: *windows, is_check, coefficients, ..empty };
+        let is_used = *windows > 0 && !estimate.is_complete();
+        let is_sound = [0, BODY_COEFFICIENTS].contains(&estimate.coefficients.len());
+        let lengths = match is_used {
+            true => (TRIANGLE, BODY_COEFFICIENTS),
+            false => (0, 0),
+        };
+        if !is_sound || (information.len(), pull.len()) != lengths {
+            return None;
+        }
+        let mut rest = information.iter();
+        for i in (0..BODY_COEFFICIENTS).filter(|_| is_used) {
+            for (j, value) in (i..BODY_COEFFICIENTS).zip(&mut rest) {
+                (estimate.information[(i, j)], estimate.information[(j, i)]) = (*value, *value);
+            }
+            estimate.pull[i] = pull[i];
+        }
+        Some(estimate)
     }
 
     /// The estimator when a performer is found again: a complete body is checked, else the estimate

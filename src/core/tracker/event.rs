@@ -83,11 +83,13 @@ pub enum EventKind {
     Merged,
     /// A performer was not seen for so long that somebody else may have the place, or was dropped.
     Vacated,
+    /// Another node solves a performer from here on, or solvers came or left.
+    Solver,
 }
 
 impl EventKind {
     /// Every kind.
-    pub const ALL: [Self; 37] = [
+    pub const ALL: [Self; 38] = [
         Self::Late,
         Self::Duplicate,
         Self::OutOfOrder,
@@ -125,6 +127,7 @@ impl EventKind {
         Self::Reentered,
         Self::Merged,
         Self::Vacated,
+        Self::Solver,
     ];
 
     /// A lower-case name, as used on the wire.
@@ -167,6 +170,7 @@ impl EventKind {
             Self::Reentered => "reentered",
             Self::Merged => "merged",
             Self::Vacated => "vacated",
+            Self::Solver => "solver",
         }
     }
 }

@@ -38,6 +38,7 @@ mod config;
 mod effort;
 mod event;
 mod frame_rate;
+mod hand_over;
 mod idle;
 pub(super) mod intake;
 mod job;
@@ -58,12 +59,13 @@ pub use agreement::Unfollowed;
 #[doc(hidden)]
 pub use association::follow;
 #[doc(hidden)]
-pub use body_estimator::{BodyEstimator, WINDOWS as BODY_WINDOWS};
+pub use body_estimator::{BodyEstimator, EstimateNumbers, WINDOWS as BODY_WINDOWS};
 pub use config::{Config, Gate};
 pub use effort::Effort;
 pub use event::{Event, EventKind};
 #[doc(hidden)]
 pub use frame_rate::{FramePeriod, FrameRate, KEPT as RATE_FRAMES, UnitCheck};
+pub use hand_over::{HandOver, Motion};
 pub use job::{Job, Outcome, Placed, PoseAt, ProvisionalFit, Solution, Task, Tracked, Verdict};
 pub use noise::{Noise, Residual};
 pub use playout::{Latency, Live};

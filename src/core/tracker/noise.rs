@@ -48,6 +48,16 @@ pub struct Noise {
 }
 
 impl Noise {
+    /// As numbers: mean of the squared errors, square pixels; mean relative error; mean confidence; number of windows.
+    pub fn numbers(&self) -> [f64; 4] {
+        [self.square, self.relative, self.confidence, self.windows]
+    }
+
+    /// The estimate of such numbers.
+    pub fn of_numbers([square, relative, confidence, windows]: [f64; 4]) -> Self {
+        Self { square, relative, confidence, windows }
+    }
+
     /// The estimate after the residuals of one more solved window.
     pub(super) fn with(self, residuals: &[Residual]) -> Self {
         if residuals.is_empty() {

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::agreement::Unfollowed;
 use super::event::Event;
+use super::hand_over::HandOver;
 use super::job::{Job, Placed, Solution, Verdict};
 use super::noise::Residual;
 use crate::core::body::{Skeleton, StampedPose};
@@ -48,6 +49,9 @@ pub enum Output {
     Solve(Box<Job>),
     /// The body, after each solve of its shape.
     Skeleton(Arc<Skeleton>),
+    /// What another tracker needs to go on after this window, before its poses; for one of several performers who are
+    /// shared among nodes.
+    HandOver(Box<HandOver>),
     /// A pose, in order of capture time.
     Pose(Box<StampedPose>),
     /// A final keyframe.

@@ -59,6 +59,8 @@ pub struct Tracker {
     /// and windows close when the stage says that their frames are complete, up to `complete`.
     pub(super) is_fed: bool,
     pub(super) complete: Option<Timestamp>,
+    /// Whether it puts out its state after each window.
+    pub(super) hands_over: bool,
     /// Nominal frames by which its windows end earlier than others'.
     pub(super) stagger: usize,
     pub(super) idle: Idle,
@@ -123,6 +125,7 @@ impl Tracker {
             intake: Intake::new(cameras, config.grace_windows),
             is_fed: false,
             complete: None,
+            hands_over: false,
             stagger: 0,
             idle: Idle::default(),
             phase: Phase::Searching,
@@ -373,6 +376,11 @@ impl Tracker {
         self.intake.shows_somebody()
     }
 
+    /// Of one of several performers: whether frames were given since it began.
+    pub(in crate::core) fn has_frames(&self) -> bool {
+        self.complete.is_some()
+    }
+
     pub(in crate::core) fn config(&self) -> Config {
         self.config
     }
@@ -467,11 +475,11 @@ impl Tracker {
 
     /// Forgets everything except the body, the numbers of windows and jobs, and the values of the
     /// setters.
-    fn restart(&mut self) {
+    pub(super) fn restart(&mut self) {
         let fresh = Self::new(self.config, Arc::clone(&self.rig));
         let old = std::mem::replace(self, fresh);
         (self.live, self.idle) = (old.live, old.idle);
-        (self.is_fed, self.stagger) = (old.is_fed, old.stagger);
+        (self.is_fed, self.stagger, self.hands_over) = (old.is_fed, old.stagger, old.hands_over);
         (self.offsets, self.watchdog, self.mending) = (old.offsets, old.watchdog, old.mending);
         self.mending.iter_mut().for_each(Mending::begin_anew);
         self.left_out = old.left_out;

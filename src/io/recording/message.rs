@@ -7,8 +7,8 @@ use serde::{Serialize, Serializer};
 
 use crate::core::time::Timestamp;
 use crate::io::wire::{
-    DecodeError, ENCODING, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig,
-    Skeleton, StageStatus, Status, Take, TakeAnswer, Topic, decode, is_truth,
+    DecodeError, ENCODING, Event, HandOver, Journal, Keyframe, KeypointFrame, KeypointSet, Pose,
+    RetargetedPose, Rig, Skeleton, StageStatus, Status, Take, TakeAnswer, decode, is_truth,
 };
 
 /// A message of a recording.
@@ -47,8 +47,10 @@ pub struct RawEntry {
 pub enum Message {
     /// 2D keypoints of one image.
     Keypoints(KeypointFrame),
-    /// Keypoints of a camera with one performer alone.
-    ActorKeypoints(KeypointFrame),
+    /// Keypoints of all cameras with one performer alone.
+    KeypointSet(KeypointSet),
+    /// What another node needs to go on with a performer.
+    HandOver(Box<HandOver>),
     /// Calibrated cameras.
     Rig(Rig),
     /// A solved pose.
@@ -104,6 +106,8 @@ pub(super) enum Kind {
     Retargeted,
     Take,
     TakeAnswer,
+    KeypointSet,
+    HandOver,
 }
 
 impl Kind {
@@ -121,6 +125,8 @@ impl Kind {
             RetargetedPose::NAME => Self::Retargeted,
             Take::NAME => Self::Take,
             TakeAnswer::NAME => Self::TakeAnswer,
+            KeypointSet::NAME => Self::KeypointSet,
+            HandOver::NAME => Self::HandOver,
             _ => return None,
         })
     }
@@ -176,11 +182,15 @@ impl Message {
         Ok(match kind {
             Kind::Keypoints => {
                 let check = |frame: &KeypointFrame| frame.to_core(|_| Some(0)).map(drop);
-                let frame = checked(data, check)?;
-                match Topic::parse(topic) {
-                    Ok(Topic::Actor { .. }) => Self::ActorKeypoints(frame),
-                    _ => Self::Keypoints(frame),
-                }
+                Self::Keypoints(checked(data, check)?)
+            }
+            Kind::KeypointSet => {
+                let check = |set: &KeypointSet| set.to_core(|_| Some(0)).map(drop);
+                Self::KeypointSet(checked(data, check)?)
+            }
+            Kind::HandOver => {
+                let state = checked(data, |state: &HandOver| state.to_core().map(drop))?;
+                Self::HandOver(Box::new(state))
             }
             Kind::Rig => Self::Rig(checked(data, |rig: &Rig| rig.to_core().map(drop))?),
             Kind::Pose => {

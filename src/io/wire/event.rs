@@ -60,6 +60,7 @@ pub(super) const fn concerns_performer(kind: EventKind) -> bool {
         | EventKind::Reentered
         | EventKind::Merged
         | EventKind::Vacated
+        | EventKind::Solver
         | EventKind::SecondNode => true,
         EventKind::Late
         | EventKind::Duplicate

@@ -5,10 +5,14 @@ use nalgebra::Point2;
 use std::ops::RangeInclusive;
 
 use super::check::{Field, field};
-use super::{DecodeError, DetectedPerson, KeypointFrame};
+use super::{DecodeError, DetectedPerson, KeypointFrame, KeypointSet};
 use crate::core::detections::{Detection, Detections, KeypointFormat, Person};
+use crate::core::stage::PerformerFrames;
 use crate::core::time::Timestamp;
 
+/// Most performers that are told from each other.
+const MOST_PERFORMERS: u32 = 4096;
+const PERFORMER: Field = field("KeypointSet", "performer");
 const POINTS: Field = field("KeypointFrame", "people.points");
 const CAPTURE: Field = field("KeypointFrame", "capture_time_ns");
 /// Valid times: the years 1684 to 2255 by the Unix epoch.
@@ -63,6 +67,28 @@ impl KeypointFrame {
     pub fn keypoint_format(&self) -> Result<KeypointFormat, DecodeError> {
         KeypointFormat::from_name(&self.format)
             .ok_or_else(|| DecodeError::UnknownFormat { name: self.format.clone() })
+    }
+}
+
+impl KeypointSet {
+    /// The number of the performer, from 0, and the frames. The arguments are those of [`KeypointFrame::to_core`].
+    ///
+    /// # Errors
+    /// As [`KeypointFrame::to_core`]; more performers than there can be.
+    pub fn to_core(
+        &self,
+        index_of: impl Fn(&str) -> Option<usize>,
+    ) -> Result<(usize, PerformerFrames), DecodeError> {
+        if self.performer >= MOST_PERFORMERS {
+            return Err(PERFORMER.invalid(format!("{} is too large", self.performer)));
+        }
+        let frames = self.frames.iter().map(|frame| frame.to_core(&index_of));
+        let frames = PerformerFrames {
+            frames: frames.collect::<Result<_, _>>()?,
+            complete: Timestamp::from_ns(self.complete_ns),
+            begins: self.begins,
+        };
+        Ok((self.performer as usize, frames))
     }
 }
 

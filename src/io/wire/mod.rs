@@ -7,6 +7,7 @@
 mod check;
 mod event;
 mod generated;
+mod hand_over;
 mod json;
 mod keyframe;
 mod keypoints;

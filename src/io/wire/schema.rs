@@ -3,8 +3,8 @@
 use prost::{Message, Name};
 
 use super::{
-    DecodeError, Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Skeleton,
-    StageStatus, Status, Take, TakeAnswer, Topic,
+    DecodeError, Event, HandOver, Journal, Keyframe, KeypointFrame, KeypointSet, Pose,
+    RetargetedPose, Rig, Skeleton, StageStatus, Status, Take, TakeAnswer, Topic,
 };
 
 /// Encoding of payloads, by its name in MCAP.
@@ -47,6 +47,8 @@ schemas! {
     Take: "take",
     TakeAnswer: "take_answer",
     StageStatus: "stage_status",
+    KeypointSet: "keypoint_set",
+    HandOver: "hand_over",
 }
 
 /// Prefix of a payload's encoding on the bus; the name of the schema follows.

@@ -8,7 +8,8 @@
 //! | `mocap/{stage}/camera/{camera}/keypoints` | `KeypointFrame` |
 //! | `mocap/{stage}/take` | `Take` |
 //! | `mocap/{stage}/take/answers` | `TakeAnswer` |
-//! | `mocap/{stage}/actor/{actor}/keypoints/{camera}` | `KeypointFrame` with the performer alone |
+//! | `mocap/{stage}/actor/{actor}/keypoints` | `KeypointSet` with the performer alone |
+//! | `mocap/{stage}/actor/{actor}/hand_over` | `HandOver` |
 //! | `mocap/{stage}/actor/{actor}/skeleton` | `Skeleton` |
 //! | `mocap/{stage}/actor/{actor}/status` | `Status` |
 //! | `mocap/{stage}/actor/{actor}/events` | `Event` that concerns the performer |
@@ -23,8 +24,8 @@
 use std::fmt;
 
 use super::{
-    Event, Journal, Keyframe, KeypointFrame, Pose, RetargetedPose, Rig, Schema, Skeleton,
-    StageStatus, Status, Take, TakeAnswer,
+    Event, HandOver, Journal, Keyframe, KeypointFrame, KeypointSet, Pose, RetargetedPose, Rig,
+    Schema, Skeleton, StageStatus, Status, Take, TakeAnswer,
 };
 use crate::core::tracker::EventKind;
 
@@ -75,11 +76,10 @@ pub enum StageChannel<'a> {
 /// Kinds of topics that belong to one performer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ActorChannel<'a> {
-    /// The performer's 2D keypoints in one camera.
-    Keypoints {
-        /// Name of the camera.
-        camera: &'a str,
-    },
+    /// The performer's 2D keypoints in all cameras.
+    Keypoints,
+    /// What another node needs to go on with the performer.
+    HandOver,
     /// The body.
     Skeleton,
     /// Counters of the node.
@@ -158,14 +158,14 @@ impl<'a> Topic<'a> {
                 StageChannel::Keypoints { .. } => None,
             },
             Self::Actor { channel, .. } => match channel {
-                ActorChannel::Skeleton | ActorChannel::Status => Some(1),
+                ActorChannel::Skeleton | ActorChannel::Status | ActorChannel::HandOver => Some(1),
                 ActorChannel::Keyframe => Some(8),
                 ActorChannel::Events => Some(64),
                 ActorChannel::Journal => Some(256),
                 ActorChannel::Pose
                 | ActorChannel::Provisional
                 | ActorChannel::Retargeted { .. }
-                | ActorChannel::Keypoints { .. }
+                | ActorChannel::Keypoints
                 | ActorChannel::Truth
                 | ActorChannel::TruthSkeleton => None,
             },
@@ -226,6 +226,8 @@ impl<'a> StageChannel<'a> {
 impl<'a> ActorChannel<'a> {
     fn parse(text: &'a str) -> Option<Self> {
         Some(match text {
+            "keypoints" => Self::Keypoints,
+            "hand_over" => Self::HandOver,
             "skeleton" => Self::Skeleton,
             "status" => Self::Status,
             "events" => Self::Events,
@@ -236,19 +238,16 @@ impl<'a> ActorChannel<'a> {
             "truth" => Self::Truth,
             "truth/skeleton" => Self::TruthSkeleton,
             _ => {
-                let (kind, name) = text.split_once('/').filter(|(_, name)| !name.contains('/'))?;
-                return match kind {
-                    "retargeted" => Some(Self::Retargeted { name }),
-                    "keypoints" => Some(Self::Keypoints { camera: name }),
-                    _ => None,
-                };
+                let name = text.strip_prefix("retargeted/")?;
+                return (!name.contains('/')).then_some(Self::Retargeted { name });
             }
         })
     }
 
     fn schema(&self) -> &'static str {
         match self {
-            Self::Keypoints { .. } => KeypointFrame::FULL_NAME,
+            Self::Keypoints => KeypointSet::FULL_NAME,
+            Self::HandOver => HandOver::FULL_NAME,
             Self::Skeleton | Self::TruthSkeleton => Skeleton::FULL_NAME,
             Self::Status => Status::FULL_NAME,
             Self::Events => Event::FULL_NAME,
@@ -295,7 +294,8 @@ impl fmt::Display for ActorChannel<'_> {
             Self::Provisional => "pose/provisional",
             Self::Journal => "journal",
             Self::Retargeted { name } => return write!(to, "retargeted/{name}"),
-            Self::Keypoints { camera } => return write!(to, "keypoints/{camera}"),
+            Self::Keypoints => "keypoints",
+            Self::HandOver => "hand_over",
             Self::Truth => "truth",
             Self::TruthSkeleton => "truth/skeleton",
         })
@@ -362,9 +362,20 @@ impl Topics {
         self.of_stage(StageChannel::Keypoints { camera })
     }
 
-    /// Topic of [`KeypointFrame`] with the performer alone, one per camera.
-    pub fn actor_keypoints(&self, camera: &str) -> String {
-        self.of_actor(ActorChannel::Keypoints { camera })
+    /// Topic of [`KeypointSet`], with the performer alone.
+    pub fn actor_keypoints(&self) -> String {
+        self.of_actor(ActorChannel::Keypoints)
+    }
+
+    /// Topic of [`HandOver`].
+    pub fn hand_over(&self) -> String {
+        self.of_actor(ActorChannel::HandOver)
+    }
+
+    /// The name under which the solver that is called like this actor announces itself to those that share the
+    /// performers of the stage.
+    pub fn solver(&self) -> String {
+        format!("{ROOT}/{}/solver/{}", self.stage, self.actor)
     }
 
     /// Topic of [`Rig`].
@@ -498,7 +509,7 @@ mod tests {
             of_stage("mocap/s/take", StageChannel::Take),
             of_stage("mocap/s/status", StageChannel::Status),
             of_stage("mocap/s/take/answers", StageChannel::TakeAnswers),
-            of_actor("mocap/s/actor/a/keypoints/c", ActorChannel::Keypoints { camera: "c" }),
+            of_actor("mocap/s/actor/a/keypoints", ActorChannel::Keypoints),
             of_actor("mocap/s/actor/a/skeleton", ActorChannel::Skeleton),
             of_actor("mocap/s/actor/a/status", ActorChannel::Status),
             of_actor("mocap/s/actor/a/events", ActorChannel::Events),
@@ -546,8 +557,7 @@ mod tests {
             "mocap/s/actor/a/retargeted/",
             "mocap/s/actor/a/retargeted/r/t",
             "mocap/s/actor/a/pose/final",
-            "mocap/s/actor/a/keypoints",
-            "mocap/s/actor/a/keypoints/c/d",
+            "mocap/s/actor/a/keypoints/c",
             "other/s/rig",
         ] {
             let error = Topic::parse(text).unwrap_err();

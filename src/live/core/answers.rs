@@ -8,13 +8,13 @@ use super::publication::{Content, Publication};
 use crate::core::body::{Skeleton, StampedPose, TrackingState};
 use crate::core::detections::Detections;
 use crate::core::manifold::StampedKeyframe;
-use crate::core::stage::{self, PerformerId, Stage};
+use crate::core::stage::{self, PerformerFrames, PerformerId, Stage};
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{
     self, Effort, Event, EventKind, Job, Latency, Outcome, Solution, Task, Tracker, Verdict,
     WindowReport,
 };
-use crate::io::wire::{self, KeypointFrame, LiveStamp};
+use crate::io::wire::{self, KeypointFrame, KeypointSet, LiveStamp};
 use crate::metrics::set_residuals;
 
 /// How long each kind of job may take, from being sent: provisional fits, windows whose poses are overdue,
@@ -137,7 +137,7 @@ impl Core {
             match output {
                 stage::Output::Performer(performer, output) => self.of_performer(performer, output),
                 stage::Output::Event(event) => self.camera_event(&event),
-                stage::Output::Frame(performer, frame) => self.frame_of(performer, frame),
+                stage::Output::Frames(performer, frames) => self.frames_of(performer, &frames),
             }
         }
     }
@@ -153,6 +153,7 @@ impl Core {
                 self.outputs.push_back(Output::Solve { performer, job, deadline });
             }
             tracker::Output::Skeleton(skeleton) => self.skeleton(performer, skeleton),
+            tracker::Output::HandOver(state) => self.handed_over(performer, &state),
             tracker::Output::Pose(pose) if pose.provisional => self.provisional(performer, &pose),
             tracker::Output::Pose(pose) => self.pose(performer, &pose),
             tracker::Output::Keyframe(keyframe) => self.keyframe(performer, &keyframe),
@@ -178,15 +179,22 @@ impl Core {
     }
 
     /// Publishes a performer's detections, for other nodes.
-    fn frame_of(&mut self, performer: PerformerId, frame: Detections) {
-        let rig = self.stage.as_ref().map(Stage::rig);
-        let Some(camera) = rig.and_then(|rig| rig.cameras.get(frame.camera)) else { return };
-        let capture = frame.capture - camera.time_offset;
-        let frame = Detections { capture, ..frame };
-        let size = [camera.width, camera.height];
-        let message = KeypointFrame::from_core(&frame, &camera.name, size);
-        let topic = self.performer(performer).topics.actor_keypoints(&message.camera);
-        self.publish(topic, capture, Content::Keypoints(message));
+    fn frames_of(&mut self, performer: PerformerId, frames: &PerformerFrames) {
+        let Some(calibration) = &self.calibration else { return };
+        let frame = |frame: &Detections| {
+            let camera = calibration.rig.cameras.get(frame.camera)?;
+            let size = [camera.width, camera.height];
+            Some(KeypointFrame::from_core(frame, &camera.name, size))
+        };
+        let message = KeypointSet {
+            performer: performer.0 as u32,
+            frames: frames.frames.iter().filter_map(frame).collect(),
+            complete_ns: frames.complete.ns(),
+            begins: frames.begins,
+            run_id: self.run_id,
+        };
+        let topic = self.performer(performer).topics.actor_keypoints();
+        self.publish(topic, frames.complete, Content::Keypoints(message));
     }
 
     pub(super) fn skeleton(&mut self, performer: PerformerId, skeleton: Arc<Skeleton>) {

@@ -4,6 +4,7 @@ use super::Core;
 use super::performer::Progress;
 use super::port::Output;
 use super::publication::Content;
+use super::sharing::solver_of;
 use crate::core::stage::{Attendance, Life, PerformerId, Presence, Stage};
 use crate::io::wire::{self, StagePerformer, StageStatus};
 
@@ -11,7 +12,7 @@ impl Core {
     /// Publishes who is there.
     pub(super) fn publish_stage_status(&mut self, progress: &[Progress]) {
         // The node of the stage tells it.
-        if self.settings.node.associated {
+        if self.is_solver() {
             return;
         }
         let attendance = match &self.stage {
@@ -61,7 +62,12 @@ impl Core {
             name: self.name_of(performer.0),
             life: life.name().to_owned(),
             tracker_state: state.unwrap_or_default().to_owned(),
-            solver: if is_solved { self.topics.actor.clone() } else { String::new() },
+            solver: match is_solved {
+                true => self.topics.actor.clone(),
+                false => solver_of(&self.settings.carried.solvers, performer.0)
+                    .unwrap_or_default()
+                    .to_owned(),
+            },
             place_m: place.map_or_else(Vec::new, Vec::from),
             unseen_s: unseen.seconds().max(0.0),
             views: views as u32,
@@ -83,8 +89,22 @@ impl Core {
         }
     }
 
+    /// Several performers: those whom this node solves or has solved; not those of another day who have not come yet.
+    pub(super) fn solved_here(&self) -> Vec<PerformerId> {
+        match &self.stage {
+            _ if self.is_solver() => self.sharing.ours(),
+            Some(stage) if self.is_several() && self.settings.stage.solve => {
+                stage.attendance().performers.iter().map(|one| one.performer).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
     /// Several performers: those who are followed.
     pub(super) fn followed(&self) -> Vec<PerformerId> {
+        if self.is_solver() {
+            return self.sharing.ours();
+        }
         let all = self.stage.as_ref().map(Stage::attendance).unwrap_or_default();
         let here = all.performers.into_iter().filter(|one| one.life.is_here());
         here.map(|one| one.performer).collect()

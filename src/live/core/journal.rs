@@ -6,7 +6,7 @@ use crate::core::time::{Nanos, Timestamp};
 use crate::io::wire::journal_entry::Input as Entry;
 use crate::io::wire::{
     Journal as Message, JournalDropped, JournalEntry, JournalLoss, JournalMessage, JournalPlayed,
-    JournalSolved, JournalStart, StageChannel, Topic,
+    JournalSolved, JournalSolvers, JournalStart, StageChannel, Topic,
 };
 
 /// This many entries, or kept bytes, are written at once, at any time. With the largest rig more, a
@@ -73,6 +73,7 @@ impl Journal {
                 job: solution.number,
                 took_ns: took.ns().unsigned_abs(),
             }),
+            Input::Solvers(names) => Entry::Solvers(JournalSolvers { names: names.clone() }),
             Input::Tick => Entry::Tick(true),
             Input::Dropped(losses) => {
                 Entry::Dropped(JournalDropped { losses: losses.iter().map(loss).collect() })
@@ -145,5 +146,6 @@ pub(super) fn start(settings: &Settings, rig: Option<&[u8]>, run_id: u64) -> Jou
         left_out: settings.carried.left_out.iter().map(|camera| *camera as u32).collect(),
         labels: settings.carried.labels.clone(),
         usual_px: settings.carried.usual_px.clone(),
+        solvers: settings.carried.solvers.clone(),
     }
 }

@@ -7,6 +7,7 @@ use super::port::{MOST_BYTES, MOST_ORDER_BYTES};
 use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::stage::{self, Stage};
+use crate::core::time::Nanos;
 use crate::core::tracker::EventKind;
 use crate::io::wire::{self, ActorChannel, DecodeError, KeypointFrame, StageChannel, Topic};
 use crate::live::clock::Arrival;
@@ -30,28 +31,27 @@ impl Core {
                 false => self.slate(payload),
             };
         }
-        if let Some(camera) = self.camera_of(topic) {
-            let camera: String = camera.chars().take(MOST_NAME).collect();
-            self.keypoints(&camera, payload);
+        match Topic::parse(topic) {
+            Ok(topic) if *topic.stage() != *self.topics.stage => {}
+            Ok(Topic::Stage { channel: StageChannel::Keypoints { camera }, .. })
+                if !self.is_solver() =>
+            {
+                let camera: String = camera.chars().take(MOST_NAME).collect();
+                self.keypoints(&camera, payload);
+            }
+            Ok(Topic::Actor { channel: ActorChannel::HandOver, .. }) if self.is_front() => {
+                self.body_of(payload);
+            }
+            Ok(Topic::Actor { actor, channel, .. }) if self.is_solver() => match channel {
+                ActorChannel::Keypoints => self.keypoint_set(actor, payload),
+                ActorChannel::HandOver => self.hand_over(actor, payload),
+                _ => {}
+            },
+            _ => {}
         }
     }
 
-    /// The camera of a topic with keypoints that this node reads.
-    fn camera_of<'a>(&self, topic: &'a str) -> Option<&'a str> {
-        let (is_associated, own) = (self.settings.node.associated, &self.topics);
-        match Topic::parse(topic).ok()? {
-            Topic::Stage { stage, channel: StageChannel::Keypoints { camera } } => {
-                (!is_associated && *stage == *own.stage).then_some(camera)
-            }
-            Topic::Actor { stage, actor, channel: ActorChannel::Keypoints { camera } } => {
-                let is_own = *stage == *own.stage && *actor == *own.actor;
-                (is_associated && is_own).then_some(camera)
-            }
-            _ => None,
-        }
-    }
-
-    fn too_large(&mut self, camera: Option<&str>, payload: &[u8], most: usize) {
+    pub(super) fn too_large(&mut self, camera: Option<&str>, payload: &[u8], most: usize) {
         let detail = format!("a message of {} bytes, at most {most}", payload.len());
         self.event(EventKind::Unusable, camera, detail);
     }
@@ -127,7 +127,7 @@ impl Core {
     }
 
     fn detections(&mut self, frame: Detections) {
-        let (now, index, capture) = (self.now, frame.camera, frame.capture);
+        let (index, capture) = (frame.camera, frame.capture);
         let Some(camera) = self.cameras.get_mut(index) else { return };
         let name = camera.name().to_owned();
         let (is_usable, warning) = camera.check_unit(capture);
@@ -141,7 +141,18 @@ impl Core {
         // The time that the tracker uses: the calibration or the motion may say that the clock is off.
         let rig = self.stage.as_ref().map(Stage::rig);
         let known = rig.and_then(|rig| rig.cameras.get(index)).map(|camera| camera.time_offset);
-        let arrival = self.clock.arrive(index, now, capture + known.unwrap_or_default());
+        if self.arrive(&frame, known.unwrap_or_default()) {
+            self.give(stage::Input::Detections(frame));
+        }
+    }
+
+    /// Compares the arrival of a frame with that of the cameras' clock. `offset` is added to its capture time.
+    /// Returns whether the frame can be used.
+    pub(super) fn arrive(&mut self, frame: &Detections, offset: Nanos) -> bool {
+        let (now, index, capture) = (self.now, frame.camera, frame.capture);
+        let Some(camera) = self.cameras.get_mut(index) else { return false };
+        let name = camera.name().to_owned();
+        let arrival = self.clock.arrive(index, now, capture + offset);
         self.report_strays();
         match arrival {
             Arrival::Used => {}
@@ -152,11 +163,11 @@ impl Core {
                 if let Some(stage) = self.stage.as_mut().filter(|_| self.clock.is_left_out(index)) {
                     stage.leave_out(index);
                 }
-                return;
+                return false;
             }
             Arrival::NewClock(by) => self.new_clock(by),
         }
-        let Some(camera) = self.cameras.get_mut(index) else { return };
+        let Some(camera) = self.cameras.get_mut(index) else { return false };
         if let Some(detail) = camera.frame(now, frame.frame, capture) {
             self.event(EventKind::Conflict, Some(&name), detail);
         }
@@ -165,6 +176,6 @@ impl Core {
             self.arrivals.pop_front();
         }
         self.review_delays();
-        self.give(stage::Input::Detections(frame));
+        true
     }
 }

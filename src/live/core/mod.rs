@@ -13,6 +13,7 @@ mod performers;
 pub(super) mod port;
 pub(super) mod publication;
 mod rigs;
+mod sharing;
 mod status;
 pub(super) mod take;
 mod watch;
@@ -35,6 +36,7 @@ use latency::Finder;
 use performer::{Performer, Progress, coasted_and_missed, state_of_all, windows_of_all};
 use port::{Input, Loss, MOST_BYTES, MOST_ORDER_BYTES, Output, Settings};
 use publication::{Content, Publication};
+use sharing::Sharing;
 use status::Published;
 
 /// The current calibration and its bytes.
@@ -79,6 +81,8 @@ pub struct Core {
     others: usize,
     /// Whether somebody entered, returned, left or got a name since the last status of the stage.
     is_changed: bool,
+    /// Of a solver: the performers of the stage.
+    sharing: Sharing,
     /// Number of jobs that are out.
     jobs: usize,
     /// The take that begins as soon as no job is out.
@@ -131,6 +135,7 @@ impl Core {
             journal: Journal::default(),
             is_flushed: false,
             is_changed: false,
+            sharing: Sharing::default(),
             jobs: 0,
             others: 0,
             starting: None,
@@ -174,10 +179,12 @@ impl Core {
                 }
             }
             Input::Tick => {}
+            Input::Solvers(names) => self.solvers(names),
             Input::Dropped(losses) => self.dropped(losses),
             Input::Played(deviations_us) => self.published.played(&deviations_us),
             Input::End => {
                 self.give_up_start();
+                self.release_all();
                 for (performer, solution, took) in std::mem::take(&mut self.held) {
                     self.solved(performer, solution, took);
                     self.drain();
@@ -241,8 +248,11 @@ impl Core {
         let tracker = Tracker::new(*config, rig).live(live);
         let tracker = tracker.with_time_corrections(&carried.time_offsets);
         let tracker = tracker.with_body_to_check(self.body());
-        let stage = Stage::new(tracker, of_stage.performers, None).choosing(of_stage.choice());
-        let stage = stage.naming(Names::new(of_stage.names.clone()));
+        let stage = match self.settings.node.solver {
+            true => Stage::of_associated(tracker),
+            false => Stage::new(tracker, of_stage.performers, None),
+        };
+        let stage = stage.choosing(of_stage.choice()).naming(Names::new(of_stage.names.clone()));
         let stage = stage.with_known(&carried.performers).with_left_out(&carried.left_out);
         self.stage = Some(if of_stage.solve { stage } else { stage.without_solving() });
         if !self.is_several() {
@@ -387,11 +397,9 @@ impl Core {
         };
         let status = self.status(of_node);
         let capture = self.clock.capture_time(self.now);
-        let performers = if self.is_several() { all } else { Vec::new() };
-        let here = self.stage.as_ref().map(Stage::attendance).unwrap_or_default().performers;
-        for (number, Progress { state, windows, playout }) in performers.into_iter().enumerate() {
-            // Those of another day have not come yet.
-            if here.iter().all(|one| one.performer.0 != number) {
+        let known = self.solved_here();
+        for (number, Progress { state, windows, playout }) in all.into_iter().enumerate() {
+            if !known.contains(&PerformerId(number)) {
                 continue;
             }
             let topic = self.performers[number].topics.status();

@@ -20,6 +20,11 @@ impl Core {
         }
     }
 
+    /// Whether it tells people from each other for nodes that solve them.
+    pub(crate) fn is_front(&self) -> bool {
+        !self.settings.stage.solve
+    }
+
     /// The folder of known bodies; empty: none.
     pub(crate) fn bodies_folder(&self) -> &str {
         &self.settings.stage.bodies
@@ -29,6 +34,10 @@ impl Core {
     pub(super) fn name_of(&self, number: usize) -> String {
         match (&self.stage, PerformerId(number)) {
             _ if !self.is_several() => self.topics.actor.clone(),
+            _ if self.is_solver() => {
+                let name = self.sharing.name_of(number);
+                name.map_or_else(|| PerformerId(number).to_string(), str::to_owned)
+            }
             (Some(stage), performer) => stage.name_of(performer),
             (None, performer) => performer.to_string(),
         }

@@ -53,6 +53,8 @@ pub enum Input {
         /// How long the solver took, nanoseconds.
         took: Nanos,
     },
+    /// The solvers that share the performers of the stage, by name and in this order.
+    Solvers(Vec<String>),
     /// Time has passed.
     Tick,
     /// Messages that were not read.
@@ -137,6 +139,8 @@ pub struct Carried {
     pub labels: Vec<PerformerLabel>,
     /// The usual residual of each camera, pixels, in the order of the rig; 0: not known.
     pub usual_px: Vec<f64>,
+    /// The solvers that share the performers of the stage, in the order of their names.
+    pub solvers: Vec<String>,
 }
 
 impl Carried {
@@ -151,6 +155,7 @@ impl Carried {
             left_out: start.left_out.iter().map(|camera| *camera as usize).collect(),
             labels: start.labels.clone(),
             usual_px: start.usual_px.clone(),
+            solvers: start.solvers.clone(),
         }
     }
 }

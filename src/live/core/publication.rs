@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use crate::core::time::Timestamp;
 use crate::io::wire::{
-    Event, Journal, Keyframe, KeypointFrame, Pose, Rig, Schema, Skeleton, StageStatus, Status,
-    TakeAnswer, encode,
+    Event, HandOver, Journal, Keyframe, KeypointSet, Pose, Rig, Schema, Skeleton, StageStatus,
+    Status, TakeAnswer, encode,
 };
 
 /// A message to publish.
@@ -43,7 +43,9 @@ pub enum Content {
     /// The answer to a slate.
     Answer(TakeAnswer),
     /// The detections of one performer.
-    Keypoints(KeypointFrame),
+    Keypoints(KeypointSet),
+    /// What another node needs to go on with a performer.
+    HandOver(Box<HandOver>),
 }
 
 impl Content {
@@ -59,7 +61,8 @@ impl Content {
             Self::Keyframe(_) => Keyframe::FULL_NAME,
             Self::Journal(_) => Journal::FULL_NAME,
             Self::Answer(_) => TakeAnswer::FULL_NAME,
-            Self::Keypoints(_) => KeypointFrame::FULL_NAME,
+            Self::Keypoints(_) => KeypointSet::FULL_NAME,
+            Self::HandOver(_) => HandOver::FULL_NAME,
         }
     }
 
@@ -76,6 +79,7 @@ impl Content {
             Self::Journal(message) => encode(message),
             Self::Answer(message) => encode(message),
             Self::Keypoints(message) => encode(message),
+            Self::HandOver(message) => encode(&**message),
         }
     }
 }

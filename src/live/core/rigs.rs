@@ -119,8 +119,9 @@ impl Core {
 
     /// Topics and names of the cameras.
     pub(crate) fn camera_topics(&self) -> Vec<(String, String)> {
-        let names = self.cameras.iter().map(|camera| camera.name().to_owned());
-        let topic = |camera: &str| self.settings.node.keypoints(&self.topics, camera);
+        let read = self.cameras.iter().filter(|_| !self.is_solver());
+        let names = read.map(|camera| camera.name().to_owned());
+        let topic = |camera: &str| self.topics.keypoints(camera);
         names.map(|name| (topic(&name), name)).collect()
     }
 }

@@ -266,6 +266,7 @@ impl Core {
                 left_out: stage.map_or_else(Vec::new, Stage::left_out),
                 labels: self.labels_of_known(),
                 usual_px: self.cameras.iter().map(CameraState::usual_px).collect(),
+                solvers: self.settings.carried.solvers.clone(),
             },
             ..self.settings.clone()
         };

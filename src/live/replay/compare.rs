@@ -6,7 +6,8 @@ use std::sync::Arc;
 use crate::core::time::Timestamp;
 use crate::core::tracker::EventKind;
 use crate::io::wire::{
-    Event, Journal, Keyframe, Pose, Schema, Skeleton, StageStatus, Status, Topic, Topics, decode,
+    Event, HandOver, Journal, Keyframe, KeypointSet, Pose, Schema, Skeleton, StageStatus, Status,
+    Topic, Topics, decode,
 };
 
 /// A message of a recording.
@@ -120,6 +121,8 @@ fn run_of(message: &Recorded) -> Option<u64> {
         Skeleton::FULL_NAME => of(message, |skeleton: Skeleton| skeleton.run_id),
         Event::FULL_NAME => of(message, |event: Event| event.run_id),
         Status::FULL_NAME => of(message, |status: Status| status.run_id),
+        KeypointSet::FULL_NAME => of(message, |set: KeypointSet| set.run_id),
+        HandOver::FULL_NAME => of(message, |state: HandOver| state.run_id),
         StageStatus::FULL_NAME => of(message, |status: StageStatus| status.run_id),
         Journal::FULL_NAME => of(message, |journal: Journal| journal.run_id),
         _ => None,

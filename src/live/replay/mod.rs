@@ -306,6 +306,7 @@ impl<'a> Run<'a> {
                     took: Nanos::new(i64::try_from(solved.took_ns).unwrap_or(i64::MAX)),
                 }
             }
+            Some(Entry::Solvers(solvers)) => Input::Solvers(solvers.names),
             Some(Entry::Tick(_)) => Input::Tick,
             Some(Entry::Dropped(dropped)) => Input::Dropped(journal::losses(dropped)),
             Some(Entry::Played(played)) => Input::Played(played.deviation_us),

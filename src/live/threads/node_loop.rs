@@ -11,7 +11,7 @@ use super::playout::Playout;
 use super::queue::{Intake, Message};
 use super::solvers::{Answer, Solvers};
 use crate::core::time::Timestamp;
-use crate::io::bus::Sample;
+use crate::io::bus::{Guard, Sample};
 use crate::io::wire::{Rig, Schema, Skeleton, Topic, media_type};
 use crate::live::clock::wall::WallClock;
 use crate::live::core::Core;
@@ -30,6 +30,8 @@ pub(crate) struct Inbox {
     pub(crate) answers: Receiver<Answer>,
     pub(crate) played: Receiver<Vec<i32>>,
     pub(crate) rigs: Receiver<Vec<u8>>,
+    /// The solvers of the stage, at each change.
+    pub(crate) others: Receiver<Vec<String>>,
     /// Stops the loop when asked to, or when all senders are gone.
     pub(crate) stop: Receiver<()>,
 }
@@ -39,6 +41,8 @@ pub(crate) struct NodeLoop {
     pub(crate) core: Core,
     pub(crate) clock: WallClock,
     pub(crate) inbox: Inbox,
+    /// Of a solver: its announcement. It ends when the performers are released.
+    pub(crate) token: Option<Box<dyn Guard>>,
     pub(crate) jobs: Solvers,
     pub(crate) playout: Arc<Playout>,
     pub(crate) outlet: Outlet,
@@ -127,6 +131,10 @@ impl NodeLoop {
                 Ok(rig) => Ok(Turn::Input(Input::RigFile(rig))),
                 Err(_) => Err(NodeError::Fault { thread: "rig file" }),
             },
+            recv(inbox.others) -> names => return match names {
+                Ok(names) => Ok(Turn::Input(Input::Solvers(names))),
+                Err(_) => Err(NodeError::Fault { thread: "solvers" }),
+            },
             recv(inbox.intake.signal()) -> _ => {}
             default(pause) => {}
         }
@@ -149,8 +157,10 @@ impl NodeLoop {
         }
         self.inbox.stop = never();
         self.inbox.rigs = never();
+        self.inbox.others = never();
         self.progress.ended = true;
         self.feed(Input::End);
+        self.token = None;
     }
 
     fn take_in(&mut self, message: Message) {
@@ -229,7 +239,8 @@ impl NodeLoop {
             | Content::Keyframe(_)
             | Content::Journal(_)
             | Content::Answer(_)
-            | Content::Keypoints(_) => {}
+            | Content::Keypoints(_)
+            | Content::HandOver(_) => {}
         }
     }
 }

@@ -17,7 +17,9 @@ use crate::live::core::port::{Loss, MOST_BYTES, MOST_ORDER_BYTES};
 const MOST_WAITING_BYTES: usize = 64 << 20;
 /// Most messages of a camera that are taken in a second: twice the highest frame rate. It bounds the
 /// work and the journal.
-const MOST_A_SECOND: u64 = 2000;
+pub const MOST_A_SECOND: u64 = 2000;
+/// The same of all performers of a solver, which have one queue.
+pub const MOST_OF_ALL: u64 = 32 * MOST_A_SECOND;
 /// Most rigs, and most slates, that are taken in a second.
 const MOST_ORDERS_A_SECOND: u64 = 16;
 /// Losses are reported this often.
@@ -42,9 +44,10 @@ pub struct Intake {
 
 impl Intake {
     /// Queues for that many messages together and 64 MiB. The cameras are not known yet. Messages of
-    /// the topics of `orders` come first, in this order.
-    pub fn new(messages: usize, orders: &[String]) -> Self {
-        let lanes = Lanes::new(messages, orders);
+    /// the topics of `orders` come first, in this order. Of all other topics together, `most_of_others` messages are
+    /// taken in a second.
+    pub fn new(messages: usize, orders: &[String], most_of_others: u64) -> Self {
+        let lanes = Lanes::new(messages, orders, most_of_others);
         Self { lanes: Arc::new(Mutex::new(lanes)), start: Instant::now(), signal: bounded(1) }
     }
 
@@ -108,9 +111,8 @@ impl Lane {
         Self { most_a_second, most_bytes, ..Self::default() }
     }
 
-    fn keypoints(camera: Option<String>) -> Self {
-        let (most_a_second, most_bytes) = (MOST_A_SECOND, MOST_BYTES);
-        Self { camera, most_a_second, most_bytes, ..Self::default() }
+    fn keypoints(camera: Option<String>, most_a_second: u64) -> Self {
+        Self { camera, most_a_second, most_bytes: MOST_BYTES, ..Self::default() }
     }
 }
 
@@ -121,6 +123,7 @@ struct Lanes {
     by_topic: HashMap<String, usize>,
     cameras: Vec<(String, String)>,
     orders: Vec<String>,
+    most_of_others: u64,
     /// The lane whose turn it is.
     next: usize,
     waiting: usize,
@@ -132,12 +135,13 @@ struct Lanes {
 }
 
 impl Lanes {
-    fn new(most: usize, orders: &[String]) -> Self {
+    fn new(most: usize, orders: &[String], most_of_others: u64) -> Self {
         let mut lanes = Self {
             lanes: Vec::new(),
             by_topic: HashMap::new(),
             cameras: Vec::new(),
             orders: orders.to_vec(),
+            most_of_others,
             next: 0,
             waiting: 0,
             bytes: 0,
@@ -154,7 +158,8 @@ impl Lanes {
     fn build(&mut self) {
         let names = self.cameras.iter().map(|(_, name)| Some(name.clone()));
         self.lanes = self.orders.iter().map(|_| Lane::orders()).collect();
-        self.lanes.extend([None].into_iter().chain(names).map(Lane::keypoints));
+        self.lanes.push(Lane::keypoints(None, self.most_of_others));
+        self.lanes.extend(names.map(|name| Lane::keypoints(name, MOST_A_SECOND)));
         let topics = self.cameras.iter().map(|(topic, _)| topic.clone());
         self.by_topic = topics.zip(self.others() + 1..).collect();
         self.by_topic.extend(self.orders.iter().cloned().zip(0..));
@@ -270,7 +275,7 @@ mod tests {
     }
 
     fn lanes(most: usize, cameras: &[&str]) -> Lanes {
-        let mut lanes = Lanes::new(most, &["take", "rig"].map(String::from));
+        let mut lanes = Lanes::new(most, &["take", "rig"].map(String::from), MOST_A_SECOND);
         let cameras: Vec<_> = cameras.iter().map(|&c| (c.to_owned(), c.to_owned())).collect();
         lanes.set_cameras(&cameras);
         lanes
@@ -378,7 +383,7 @@ mod tests {
 
     #[test]
     fn messages_that_wait_stay_when_cameras_become_known() {
-        let mut lanes = Lanes::new(100, &["rig".to_owned()]);
+        let mut lanes = Lanes::new(100, &["rig".to_owned()], MOST_A_SECOND);
         for topic in ["a", "a", "b", "x", "a"] {
             lanes.push(message(topic, 1), NOW);
         }
@@ -389,7 +394,7 @@ mod tests {
 
     #[test]
     fn nothing_is_lost_or_counted_twice_with_many_at_once() {
-        let intake = Intake::new(8, &["rig".to_owned()]);
+        let intake = Intake::new(8, &["rig".to_owned()], MOST_A_SECOND);
         intake.set_cameras(&[0, 1].map(|name| (name.to_string(), name.to_string())));
         let taken = std::thread::scope(|scope| {
             let push = |n: u32| intake.push(message(&(n % 3).to_string(), 7));

@@ -1,5 +1,6 @@
 //! The node with its threads, from start to stop.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread::{Builder, JoinHandle};
@@ -13,7 +14,7 @@ use super::node_loop::{Inbox, NodeLoop, Progress};
 use super::outlet::Outlet;
 use super::playout::Playout;
 use super::presence::Presence;
-use super::queue::{Intake, Message};
+use super::queue::{Intake, MOST_A_SECOND, MOST_OF_ALL, Message};
 use super::rig_file::RigFile;
 use super::solvers::Solvers;
 use crate::core::tracker::{Job, Solver};
@@ -28,6 +29,8 @@ use crate::live::error::{Elder, NodeError};
 use crate::live::observe::board::Board;
 use crate::live::observe::endpoint::Endpoint;
 
+/// How often a node looks which solvers are there.
+const LOOK_FOR_SOLVERS: Duration = Duration::from_millis(50);
 /// How often the calibration file is checked for changes.
 const LOOK: Duration = Duration::from_millis(500);
 /// Most batches of deviations that wait for the node loop; there is one per second.
@@ -89,7 +92,10 @@ impl Node {
     ) -> Result<Running, NodeError> {
         let topics = Topics { stage: config.stage.clone(), actor: config.actor.clone() };
         let (clock, board) = (WallClock::start(), Arc::<Board>::default());
-        let intake = Intake::new(config.queue, &[topics.take(), topics.rig()]);
+        // All performers of a solver have one queue.
+        let most_of_others = if config.solver { MOST_OF_ALL } else { MOST_A_SECOND };
+        let orders = [topics.take(), topics.rig()];
+        let intake = Intake::new(config.queue, &orders, most_of_others);
         let endpoint = match config.prometheus.as_str() {
             "" => None,
             address => Some(Endpoint::start(address, Arc::clone(&board))?),
@@ -98,6 +104,11 @@ impl Node {
         let (stop_looking, looking) = bounded(0);
         let mut threads = Vec::new();
         let (mended, to_write) = bounded(MENDED);
+        let core_is_front = core.is_front();
+        let others = match config.solver || core_is_front {
+            true => watch_solvers(&bus, &topics, looking.clone(), &mut threads)?,
+            false => never(),
+        };
         let rigs = match config.rig.as_str() {
             "" => never(),
             path => watch_rig(path.into(), config, (looking, to_write), &mut threads)?,
@@ -118,7 +129,8 @@ impl Node {
         let node_loop = NodeLoop {
             core,
             clock,
-            inbox: Inbox { intake: intake.clone(), answers, played, rigs, stop: stopped },
+            inbox: Inbox { intake: intake.clone(), answers, played, rigs, others, stop: stopped },
+            token: config.solver.then(|| bus.announce(&topics.solver())).transpose()?,
             jobs,
             playout: Arc::clone(&playout),
             outlet: loop_outlet(&bus, &topics, &board)?,
@@ -147,7 +159,8 @@ impl Node {
             board,
             presence,
         };
-        let inputs = [topics.rig(), config.keypoints(&topics, "*"), topics.take()];
+        let mut inputs = vec![topics.rig(), topics.take()];
+        inputs.extend(config.inputs(core_is_front));
         running.listen(&*bus, inputs, &intake)?;
         Ok(running)
     }
@@ -158,7 +171,7 @@ impl Running {
     fn listen(
         &mut self,
         bus: &dyn Bus,
-        patterns: [String; 3],
+        patterns: Vec<String>,
         intake: &Intake,
     ) -> Result<(), NodeError> {
         let board = Arc::clone(&self.board);
@@ -276,6 +289,40 @@ fn start_playout(
     let work = move || playout.run(clock, outlet, &sender);
     threads.push(("playout", thread("playout").spawn(work).map_err(NodeError::Thread)?));
     Ok(played)
+}
+
+/// Starts the thread that looks which solvers are there, until `looking` closes. It puts out their names at first and
+/// at each change.
+fn watch_solvers(
+    bus: &Arc<dyn Bus>,
+    topics: &Topics,
+    looking: Receiver<()>,
+    threads: &mut Vec<(&'static str, JoinHandle<()>)>,
+) -> Result<Receiver<Vec<String>>, NodeError> {
+    let root = Topics { actor: String::new(), ..topics.clone() }.solver();
+    let (bus, (sender, others)) = (Arc::clone(bus), bounded(1));
+    let work = move || {
+        let mut before = None;
+        while looking.recv_timeout(LOOK_FOR_SOLVERS) == Err(RecvTimeoutError::Timeout) {
+            let names = match bus.announced(&format!("{root}*")) {
+                Ok(names) => names,
+                Err(error) => {
+                    tracing::debug!("cannot look for solvers: {error}");
+                    continue;
+                }
+            };
+            let names = names.iter().filter_map(|name| name.strip_prefix(&root));
+            let names: BTreeSet<String> = names.map(str::to_owned).collect();
+            if before.as_ref() != Some(&names) {
+                let all = names.iter().cloned().collect();
+                if sender.try_send(all).is_ok() {
+                    before = Some(names);
+                }
+            }
+        }
+    };
+    threads.push(("solvers", thread("solvers").spawn(work).map_err(NodeError::Thread)?));
+    Ok(others)
 }
 
 /// Writes calibrations with a mended camera, each in place of the one of that version.

@@ -1,0 +1,141 @@
+//! Converts `HandOver` to and from [`tracker::HandOver`].
+
+use std::sync::Arc;
+
+use super::check::{Field, field};
+use super::{BodyEstimate, DecodeError, HandOver, Keyframe};
+use crate::core::body::{BODY_COEFFICIENTS, Skeleton, TrackingState};
+use crate::core::manifold::{Interpolation, StampedKeyframe, TimedKeyframe};
+use crate::core::time::{Grid, Timestamp};
+use crate::core::tracker::{self, BodyEstimator, EstimateNumbers, Motion, Noise};
+
+const fn at(name: &'static str) -> Field {
+    field("HandOver", name)
+}
+
+impl HandOver {
+    /// The state of a performer, by number from 0, whom `solver` solves. `weights` is the fingerprint of the decoder's
+    /// weights.
+    pub fn from_core(
+        performer: usize,
+        solver: &str,
+        state: &tracker::HandOver,
+        weights: &str,
+    ) -> Self {
+        let numbers = state.estimate.numbers();
+        let mut message = Self {
+            performer: performer as u32,
+            solver: solver.to_owned(),
+            until_ns: state.until.ns(),
+            window: state.window,
+            body: state.skeleton.iter().flat_map(|body| body.coefficients()).collect(),
+            body_estimate: Some(BodyEstimate {
+                windows: numbers.windows as u32,
+                is_check: numbers.is_check,
+                is_proven: state.is_proven,
+                coefficients: numbers.coefficients,
+                information: numbers.information,
+                pull: numbers.pull,
+            }),
+            ..Self::default()
+        };
+        let (Some(motion), Some(skeleton)) = (&state.motion, &state.skeleton) else {
+            return message;
+        };
+        let keyframe = |timed: &TimedKeyframe| {
+            let stamped = StampedKeyframe {
+                capture: timed.capture,
+                start: timed.capture,
+                window: state.window,
+                keyframe: timed.keyframe.clone(),
+                shape: *skeleton.shape(),
+                interpolation: Interpolation::default(),
+                grid: motion.frames,
+                state: TrackingState::Tracking,
+                rig_version: 0,
+            };
+            Keyframe::from_core(&stamped, weights)
+        };
+        message.past = motion.past.iter().map(keyframe).collect();
+        message.ahead = motion.ahead.iter().map(keyframe).collect();
+        message.coasted = motion.coasted as u32;
+        message.first_pose_ns = motion.first_pose.ns();
+        message.noise = motion.noise.numbers().to_vec();
+        message.first_fit = motion.first_fit.unwrap_or_default();
+        message.deviations_m = motion.deviations.map_or_else(Vec::new, Vec::from);
+        message
+    }
+
+    /// The state. Without a body estimate, the estimate begins anew.
+    ///
+    /// # Errors
+    /// What [`Keyframe::to_core`] refuses; wrong lengths, numbers that are not finite.
+    pub fn to_core(&self) -> Result<tracker::HandOver, DecodeError> {
+        let body = match self.body.is_empty() {
+            true => None,
+            false => Some(at("body").numbers::<BODY_COEFFICIENTS, f64>(&self.body)?),
+        };
+        let skeleton = body.map(|body| Skeleton::default().with_coefficients(&body));
+        let estimate = self.body_estimate.as_ref();
+        let (estimate, is_proven) = match estimate {
+            Some(estimate) => (estimate.to_core()?, estimate.is_proven),
+            None => (BodyEstimator::default(), false),
+        };
+        Ok(tracker::HandOver {
+            until: Timestamp::from_ns(self.until_ns),
+            window: self.window,
+            skeleton: skeleton.map(Arc::new),
+            estimate: Arc::new(estimate),
+            is_proven,
+            motion: self.motion()?,
+        })
+    }
+
+    fn motion(&self) -> Result<Option<Motion>, DecodeError> {
+        let Some(first) = self.past.first() else { return Ok(None) };
+        let Grid { origin, period_ns } = first.to_core()?.grid;
+        let timed = |keyframe: &Keyframe| {
+            let stamped = keyframe.to_core()?;
+            Ok(TimedKeyframe::new(stamped.capture, stamped.keyframe))
+        };
+        let all = |some: &[Keyframe]| some.iter().map(timed).collect::<Result<Vec<_>, _>>();
+        let (past, ahead) = (all(&self.past)?, all(&self.ahead)?);
+        let times = past.iter().chain(&ahead).map(|timed| timed.capture);
+        if !times.is_sorted() || past.last().map(|last| last.capture.ns()) != Some(self.until_ns) {
+            return Err(at("past").invalid("the keyframes do not end at until_ns"));
+        }
+        let first_fit = at("first_fit").numbers::<1, f64>(&[self.first_fit])?[0];
+        let deviations = at("deviations_m");
+        Ok(Some(Motion {
+            past,
+            ahead,
+            coasted: self.coasted as usize,
+            frames: Grid { origin, period_ns },
+            first_pose: Timestamp::from_ns(self.first_pose_ns),
+            noise: Noise::of_numbers(at("noise").numbers(&self.noise)?),
+            first_fit: Some(first_fit).filter(|fit| *fit > 0.0),
+            deviations: match self.deviations_m.is_empty() {
+                true => None,
+                false => Some(deviations.numbers(&self.deviations_m)?),
+            },
+        }))
+    }
+}
+
+impl BodyEstimate {
+    fn to_core(&self) -> Result<BodyEstimator, DecodeError> {
+        let at = |name| field("BodyEstimate", name);
+        at("coefficients").finite(&self.coefficients)?;
+        at("information").finite(&self.information)?;
+        at("pull").finite(&self.pull)?;
+        let numbers = EstimateNumbers {
+            windows: self.windows as usize,
+            is_check: self.is_check,
+            coefficients: self.coefficients.clone(),
+            information: self.information.clone(),
+            pull: self.pull.clone(),
+        };
+        BodyEstimator::of_numbers(&numbers)
+            .ok_or_else(|| at("information").invalid("does not fit the number of windows"))
+    }
+}

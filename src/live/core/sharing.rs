@@ -1,0 +1,352 @@
+//! Solvers share the performers of a stage that does not solve them: any number of nodes, on any computer.
+//!
+//! Nobody distributes the performers. Every solver knows which ones are there, by their announcements, and the
+//! performer belongs to the one with the largest number of a hash of both names (rendezvous hashing). So if one of n
+//! solvers comes or leaves, 1/n of the performers move.
+//!
+//! Every solver gets everybody's frames and keeps the newest of those that it does not solve. After each window the
+//! solver of a performer publishes a [`HandOver`]. The next one goes on from there: at once if the other one says that it
+//! has released the performer, or is gone. A new solver first waits for what the others say, and gets performers when it has
+//! frames of the last half second.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use super::Core;
+use super::port::MOST_BYTES;
+use super::publication::Content;
+use crate::core::detections::Detections;
+use crate::core::fnv::fnv1a;
+use crate::core::random::Draws;
+use crate::core::stage::{PerformerFrames, PerformerId};
+use crate::core::time::{Nanos, Timestamp};
+use crate::core::tracker::{self, EventKind};
+use crate::io::wire::{self, HandOver, KeypointSet, Topics};
+
+/// The newest frames of performers who are solved elsewhere are kept for this long.
+const KEPT: Nanos = Nanos::from_ms(1500);
+/// A new solver waits this long before it takes performers of whom the others say nothing.
+const SETTLING: Nanos = Nanos::from_ms(500);
+/// Capture times go back by at least this if the cameras' clock does.
+const BACK: Nanos = Nanos::SECOND;
+/// Most performers that a solver knows.
+const MOST: usize = 4096;
+
+/// A performer of the stage.
+#[derive(Default)]
+struct Shared {
+    /// The name in the topics.
+    name: String,
+    is_ours: bool,
+    /// The last state, of whoever solves the performer.
+    state: Option<HandOver>,
+    /// Solved elsewhere: the newest frames.
+    recent: VecDeque<PerformerFrames>,
+}
+
+/// What a solver knows of the performers of the stage.
+#[derive(Default)]
+pub(super) struct Sharing {
+    performers: BTreeMap<usize, Shared>,
+    /// When the solvers came that came in this run.
+    since: BTreeMap<String, Timestamp>,
+    /// By camera, the newest capture time.
+    newest: BTreeMap<usize, Timestamp>,
+}
+
+impl Sharing {
+    /// The name of a performer, by number.
+    pub(super) fn name_of(&self, performer: usize) -> Option<&str> {
+        self.performers.get(&performer).map(|shared| shared.name.as_str())
+    }
+
+    /// The performers that this node solves.
+    pub(super) fn ours(&self) -> Vec<PerformerId> {
+        let ours = self.performers.iter().filter(|(_, shared)| shared.is_ours);
+        ours.map(|(number, _)| PerformerId(*number)).collect()
+    }
+}
+
+/// The solver of a performer, by number.
+pub(super) fn solver_of(solvers: &[String], performer: usize) -> Option<&str> {
+    let weight = |name: &str| {
+        let draws = Draws { seed: fnv1a(name.as_bytes()), stream: 0 };
+        draws.uniform(0, performer as u64)
+    };
+    let weighed = solvers.iter().map(|name| (weight(name), name.as_str()));
+    weighed.max_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(b.1))).map(|(_, name)| name)
+}
+
+impl Core {
+    /// Whether this node solves performers of another one.
+    pub(super) fn is_solver(&self) -> bool {
+        self.settings.node.solver
+    }
+
+    /// The solvers that are there, in order of their names.
+    pub(super) fn solvers(&mut self, names: Vec<String>) {
+        let before = std::mem::replace(&mut self.settings.carried.solvers, names);
+        let all = self.settings.carried.solvers.join(", ");
+        if !self.is_solver() {
+            let detail = match all.is_empty() {
+                true => "no solver is there: start `bundlemocap run config/solver.toml`".to_owned(),
+                false => format!("the performers are solved by {all}"),
+            };
+            self.is_changed = true;
+            return self.event(EventKind::Solver, None, detail);
+        }
+        let solvers = &self.settings.carried.solvers;
+        let new: Vec<&String> = solvers.iter().filter(|name| !before.contains(name)).collect();
+        let is_new = !new.is_empty();
+        self.sharing.since.retain(|name, _| solvers.contains(name));
+        self.sharing.since.extend(new.into_iter().map(|name| (name.clone(), self.now)));
+        let all: Vec<usize> = self.sharing.performers.keys().copied().collect();
+        for performer in all {
+            let shared = self.sharing.performers.get(&performer);
+            // Who comes has not got the estimate of the body, which is not in every message.
+            let state = shared.filter(|shared| is_new && shared.is_ours);
+            if let Some(state) = state.and_then(|shared| shared.state.clone()) {
+                self.publish_state(state);
+            }
+            self.review(performer);
+        }
+    }
+
+    /// A solver got the frames of a performer.
+    pub(super) fn keypoint_set(&mut self, actor: &str, payload: &[u8]) {
+        if payload.len() > MOST_BYTES {
+            return self.too_large(None, payload, MOST_BYTES);
+        }
+        let Some(calibration) = &self.calibration else { return };
+        let rig = Arc::clone(&calibration.rig);
+        let set = wire::decode::<KeypointSet>(payload);
+        let (performer, set) = match set.and_then(|set| set.to_core(|name| rig.index_of(name))) {
+            Ok(set) => set,
+            Err(error) => return self.event(EventKind::Unusable, None, error.to_string()),
+        };
+        self.note_arrivals(&set.frames);
+        let Some(shared) = self.shared(performer, actor) else { return };
+        if !shared.is_ours {
+            shared.recent.push_back(set);
+            while shared.recent.front().is_some_and(|old| set_is_old(old, &shared.recent)) {
+                shared.recent.pop_front();
+            }
+            return self.review(performer);
+        }
+        if let Some(stage) = &mut self.stage {
+            stage.associated(PerformerId(performer), set);
+        }
+        self.review(performer);
+    }
+
+    /// The performer with that number, who is called like that now.
+    fn shared(&mut self, performer: usize, actor: &str) -> Option<&mut Shared> {
+        let all = &mut self.sharing.performers;
+        if all.len() >= MOST && !all.contains_key(&performer) {
+            return None;
+        }
+        let shared = all.entry(performer).or_default();
+        if shared.name != actor {
+            actor.clone_into(&mut shared.name);
+            if shared.is_ours {
+                self.use_name(PerformerId(performer));
+            }
+        }
+        self.sharing.performers.get_mut(&performer)
+    }
+
+    /// Compares the cameras' clock with the node's: each frame comes with the sets of several performers.
+    fn note_arrivals(&mut self, frames: &[Detections]) {
+        for frame in frames {
+            let newest = self.sharing.newest.entry(frame.camera).or_insert(frame.capture);
+            let is_back = *newest - frame.capture > BACK;
+            if frame.capture > *newest || is_back {
+                *newest = frame.capture;
+                self.arrive(frame, Nanos::ZERO);
+            }
+        }
+    }
+
+    /// Another solver tells what it knows of a performer.
+    pub(super) fn hand_over(&mut self, actor: &str, payload: &[u8]) {
+        let message = wire::decode::<HandOver>(payload);
+        let mut message = match message.and_then(|message| message.to_core().map(|_| message)) {
+            Ok(message) => message,
+            Err(error) => return self.event(EventKind::Unusable, None, error.to_string()),
+        };
+        let performer = message.performer as usize;
+        if message.solver == self.topics.actor {
+            return;
+        }
+        let is_winner = self.is_winner(performer);
+        let Some(shared) = self.shared(performer, actor) else { return };
+        let before = shared.state.as_ref();
+        if message.body_estimate.is_none() {
+            message.body_estimate = before.and_then(|before| before.body_estimate.clone());
+        }
+        if shared.is_ours {
+            // Both solved the performer: the network between them was cut.
+            let is_later = before.is_none_or(|before| message.until_ns > before.until_ns);
+            if is_winner && !(message.released && is_later) {
+                return;
+            }
+            shared.is_ours = false;
+            self.release_here(performer);
+        }
+        if let Some(shared) = self.sharing.performers.get_mut(&performer) {
+            shared.state = Some(message);
+        }
+        self.review(performer);
+    }
+
+    fn is_winner(&self, performer: usize) -> bool {
+        let solver = solver_of(&self.settings.carried.solvers, performer);
+        solver == Some(self.topics.actor.as_str())
+    }
+
+    /// Takes or releases a performer, if it is time to.
+    fn review(&mut self, performer: usize) {
+        let solvers = &self.settings.carried.solvers;
+        let Some(winner) = solver_of(solvers, performer) else { return };
+        let is_winner = *winner == *self.topics.actor;
+        // Who came just now has no frames of the time before.
+        let since = self.sharing.since.get(winner);
+        let is_ready = since.is_none_or(|since| self.now - *since >= SETTLING);
+        // At the begin of a take everybody begins anew.
+        let is_settled =
+            self.now - self.began >= SETTLING || !self.settings.carried.take.is_empty();
+        let Some(shared) = self.sharing.performers.get(&performer) else { return };
+        let is_free = match &shared.state {
+            Some(state) => state.released || !solvers.contains(&state.solver),
+            None => is_settled,
+        };
+        match shared.is_ours {
+            _ if self.ended => {}
+            false if is_winner && is_free && !shared.recent.is_empty() => self.take_over(performer),
+            true if !is_winner && is_ready => self.release(performer),
+            _ => {}
+        }
+    }
+
+    fn take_over(&mut self, performer: usize) {
+        let (Some(shared), Some(stage)) =
+            (self.sharing.performers.get_mut(&performer), &mut self.stage)
+        else {
+            return;
+        };
+        shared.is_ours = true;
+        let mut recent = std::mem::take(&mut shared.recent);
+        let from = shared.state.as_ref().map(|state| state.solver.clone());
+        let mut state = shared.state.as_ref().and_then(|state| state.to_core().ok());
+        // Keyframes of other weights are other poses.
+        let weights = &self.settings.weights;
+        let has_weights = |state: &HandOver| state.past.iter().all(|k| k.weights == *weights);
+        let goes_on = shared.state.as_ref().is_none_or(has_weights);
+        let begin = recent.iter().rposition(|set| set.begins);
+        if let Some(state) = state.as_mut().filter(|_| begin.is_some() || !goes_on) {
+            state.motion = None;
+        }
+        let id = PerformerId(performer);
+        stage.take_over(id, state);
+        for set in recent.drain(begin.unwrap_or(0)..) {
+            stage.associated(id, set);
+        }
+        self.use_name(id);
+        let detail = match from.filter(|from| *from != self.topics.actor) {
+            Some(from) => format!("solved here from now on, by {from} before"),
+            None => "solved here".to_owned(),
+        };
+        self.tell_of(id, detail);
+    }
+
+    /// Another solver is to go on with a performer.
+    fn release(&mut self, performer: usize) {
+        let (solver, number) = (self.topics.actor.clone(), performer as u32);
+        let Some(shared) = self.sharing.performers.get_mut(&performer) else { return };
+        shared.is_ours = false;
+        let new = || HandOver { performer: number, solver, ..HandOver::default() };
+        let state = HandOver { released: true, ..shared.state.clone().unwrap_or_else(new) };
+        shared.state = Some(state.clone());
+        self.publish_state(state);
+        self.release_here(performer);
+        let others =
+            self.settings.carried.solvers.iter().filter(|name| **name != self.topics.actor);
+        let others: Vec<String> = others.cloned().collect();
+        let next = solver_of(&others, performer).unwrap_or("nobody");
+        self.tell_of(PerformerId(performer), format!("released, {next} goes on"));
+    }
+
+    /// Releases all performers: the node ends.
+    pub(super) fn release_all(&mut self) {
+        for PerformerId(performer) in self.sharing.ours() {
+            self.release(performer);
+        }
+    }
+
+    fn release_here(&mut self, performer: usize) {
+        if let Some(stage) = &mut self.stage {
+            stage.release(PerformerId(performer));
+        }
+    }
+
+    fn tell_of(&mut self, performer: PerformerId, detail: String) {
+        let capture = self.clock.capture_time(self.now);
+        let kind = EventKind::Solver;
+        let event = tracker::Event { capture, kind, camera: None, window: None, count: 1, detail };
+        self.emit(&event, Some(performer), None);
+    }
+
+    /// The node of the stage hears how somebody is built, for the folder of known bodies.
+    pub(super) fn body_of(&mut self, payload: &[u8]) {
+        let message = wire::decode::<HandOver>(payload);
+        let state = message.and_then(|message| Ok((message.to_core()?, message.performer)));
+        match (state, &mut self.stage) {
+            (Ok((state, performer)), Some(stage))
+                if (performer as usize) < self.performers.len() =>
+            {
+                if let Some(body) = state.known_body() {
+                    stage.know_body(PerformerId(performer as usize), Arc::clone(body));
+                }
+            }
+            (Ok(_), _) => {}
+            (Err(error), _) => self.event(EventKind::Unusable, None, error.to_string()),
+        }
+    }
+
+    /// The state of a performer after a window; or the node of the stage has recognised somebody.
+    pub(super) fn handed_over(&mut self, performer: PerformerId, state: &tracker::HandOver) {
+        if self.is_front() {
+            let message = HandOver::from_core(performer.0, "", state, &self.settings.weights);
+            let topics = self.performer(performer).topics.clone();
+            return self.publish_hand_over(&topics, HandOver { released: true, ..message });
+        }
+        let (solver, weights) = (&self.topics.actor, &self.settings.weights);
+        let mut message = HandOver::from_core(performer.0, solver, state, weights);
+        let Some(shared) = self.sharing.performers.get_mut(&performer.0) else { return };
+        if !shared.is_ours {
+            return;
+        }
+        let before = shared.state.replace(message.clone());
+        if before.is_some_and(|before| before.body_estimate == message.body_estimate) {
+            message.body_estimate = None;
+        }
+        self.publish_state(message);
+    }
+
+    fn publish_state(&mut self, message: HandOver) {
+        let name = self.sharing.name_of(message.performer as usize).unwrap_or_default();
+        let topics = Topics { actor: name.to_owned(), ..self.topics.clone() };
+        self.publish_hand_over(&topics, message);
+    }
+
+    fn publish_hand_over(&mut self, topics: &Topics, message: HandOver) {
+        let capture = Timestamp::from_ns(message.until_ns);
+        let message = HandOver { run_id: self.run_id, ..message };
+        self.publish(topics.hand_over(), capture, Content::HandOver(Box::new(message)));
+    }
+}
+
+/// Whether a set is much older than the newest one.
+fn set_is_old(set: &PerformerFrames, all: &VecDeque<PerformerFrames>) -> bool {
+    all.back().is_some_and(|newest| newest.complete - set.complete > KEPT)
+}

@@ -1,0 +1,122 @@
+//! A front and its solvers as programs, over zenoh on this computer.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use bundlemocap::io::recording::Reader;
+use bundlemocap::io::wire::{ActorChannel, HandOver, Pose, Topic, decode};
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_bundlemocap");
+const PATIENCE: Duration = Duration::from_secs(60);
+const PEOPLE: usize = 4;
+
+/// A program that ends with the test.
+struct Running(Child);
+
+impl Running {
+    fn start(folder: &Path, line: &str) -> Self {
+        let mut command = Command::new(PROGRAM);
+        command.args(line.split_whitespace()).current_dir(folder);
+        Self(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
+    }
+
+    fn ends(&mut self) {
+        let begin = Instant::now();
+        while self.0.try_wait().unwrap().is_none() {
+            assert!(begin.elapsed() < PATIENCE, "it does not end");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    fn interrupt(mut self) {
+        let pid = self.0.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+        self.ends();
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A file of `config/` with another address and name of the node.
+fn config(folder: &Path, file: &str, address: &str, actor: &str) {
+    let path = format!("{}/config/{file}.toml", env!("CARGO_MANIFEST_DIR"));
+    let text = std::fs::read_to_string(path).unwrap();
+    let text = text.replace("tcp/0.0.0.0:7447", address).replace("tcp/127.0.0.1:7447", address);
+    let text = match text.contains("[node]") {
+        true => text.replace("[node]", &format!("[node]\nactor = {actor:?}")),
+        false => format!("{text}\n[node]\nactor = {actor:?}\n"),
+    };
+    std::fs::write(folder.join(format!("{actor}.toml")), text).unwrap();
+}
+
+/// All messages of a recording on one kind of topic of performers: topic, and payload.
+fn messages(path: &Path, kind: ActorChannel) -> Vec<(String, Vec<u8>)> {
+    let mut reader = Reader::open(path).unwrap();
+    let entries = std::iter::from_fn(|| reader.next_raw()).map(Result::unwrap);
+    let is_of_kind = |topic: &str| matches!(Topic::parse(topic), Ok(Topic::Actor { channel, .. }) if channel == kind);
+    let of_kind = entries.filter(|entry| is_of_kind(&entry.topic));
+    of_kind.map(|entry| (entry.topic.to_string(), entry.payload)).collect()
+}
+
+/// One solver comes, one is killed, one ends, and the last one has everybody.
+#[test]
+fn performers_move_between_programs() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let address = format!("tcp/127.0.0.1:{port}");
+    config(folder, "front", &address, "front");
+    ["a", "b", "d"].iter().for_each(|name| config(folder, "solver", &address, name));
+    let start = |line: &str| Running::start(folder, line);
+    start(&format!(
+        "synth --out crowd.mcap --performers {PEOPLE} --cameras 4 --seconds 14 --noise clean"
+    ))
+    .ends();
+    let front = start("run front.toml");
+    let begin = Instant::now();
+    while TcpStream::connect(("127.0.0.1", port)).is_err() {
+        assert!(begin.elapsed() < PATIENCE, "the front does not listen");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let (mut a, b) = (start("run a.toml"), start("run b.toml"));
+    let recorder = start(&format!("record take.mcap --connect {address}"));
+    std::thread::sleep(Duration::from_secs(1));
+    let mut play = start(&format!("play crowd.mcap --connect {address}"));
+    std::thread::sleep(Duration::from_secs(4));
+    let d = start("run d.toml");
+    std::thread::sleep(Duration::from_secs(3));
+    a.0.kill().unwrap();
+    std::thread::sleep(Duration::from_secs(2));
+    b.interrupt();
+    play.ends();
+    std::thread::sleep(Duration::from_secs(1));
+    [d, front, recorder].into_iter().for_each(Running::interrupt);
+
+    let take = folder.join("take.mcap");
+    let mut poses: BTreeMap<String, BTreeSet<i64>> = BTreeMap::new();
+    let mut runs: BTreeMap<u64, BTreeSet<String>> = BTreeMap::new();
+    for (topic, payload) in messages(&take, ActorChannel::Pose) {
+        let pose: Pose = decode(&payload).unwrap();
+        runs.entry(pose.run_id).or_default().insert(topic.clone());
+        assert!(poses.entry(topic).or_default().insert(pose.capture_time_ns), "a pose comes twice");
+    }
+    assert_eq!(poses.len(), PEOPLE);
+    assert_eq!(runs.len(), 3, "each solver has solved somebody: {runs:?}");
+    let last = poses.values().map(|times| *times.last().unwrap());
+    let (first, last) = (last.clone().min().unwrap(), last.max().unwrap());
+    assert!(last - first < 200_000_000, "all are solved to the end");
+    let solvers: Vec<String> = messages(&take, ActorChannel::HandOver)
+        .iter()
+        .map(|(_, payload)| decode::<HandOver>(payload).unwrap().solver)
+        .collect();
+    assert_eq!(BTreeSet::from_iter(&solvers).len(), 3);
+    assert!(solvers[solvers.len() - 8..].iter().all(|name| name == "d"), "{solvers:?}");
+}

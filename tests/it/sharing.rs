@@ -1,0 +1,292 @@
+//! Solvers that share the performers of a stage, in simulated time: the node of the stage, the solvers, and the network
+//! between them.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use bundlemocap::core::stage::{self, Known};
+use bundlemocap::core::time::{Nanos, Timestamp};
+use bundlemocap::io::recording::{known_people, write_body};
+use bundlemocap::io::wire::{self, ActorChannel, Event, Pose, Topic, Topics, decode};
+use bundlemocap::live::{Input, Recorded};
+
+use crate::live::{Sent, World, at};
+use crate::several::Stage;
+
+/// Time of a message from node to node, and until the others know that a solver came or is gone.
+const NETWORK: Nanos = Nanos::from_ms(2);
+const NOTICED: Nanos = Nanos::from_ms(60);
+const PEOPLE: usize = 5;
+const SECONDS: f64 = 6.0;
+
+/// What happens to a solver.
+#[derive(Clone, Copy)]
+enum Happens {
+    Starts,
+    Leaves,
+    IsKilled,
+}
+use Happens::{IsKilled, Leaves, Starts};
+
+/// A node and the number of its messages that are on their way.
+struct Node {
+    world: World,
+    sent: usize,
+    /// It hears and says nothing from here on.
+    killed: Option<Timestamp>,
+}
+
+impl Node {
+    fn new(stage: &Stage, known: &[Known]) -> Self {
+        let world = World::knowing(&stage.config, known.to_vec());
+        Self { world, sent: 0, killed: None }
+    }
+
+    /// The messages since the last call, as the others get them.
+    fn says(&mut self) -> Vec<Sent> {
+        let all = &self.world.heard.messages[self.sent..];
+        self.sent += all.len();
+        let is_for_solvers = |message: &&Recorded| {
+            let topic = Topic::parse(&message.topic).unwrap();
+            let Topic::Actor { channel, .. } = topic else { return false };
+            matches!(channel, ActorChannel::Keypoints | ActorChannel::HandOver)
+        };
+        let sent = all.iter().filter(is_for_solvers).map(|message| Sent {
+            arrival: message.time + NETWORK,
+            topic: message.topic.to_string(),
+            payload: message.payload.clone(),
+        });
+        sent.collect()
+    }
+
+    /// What it published in time.
+    fn heard(&self) -> impl Iterator<Item = &Recorded> {
+        let all = self.world.heard.messages.iter();
+        all.filter(|message| self.killed.is_none_or(|killed| message.time < killed))
+    }
+}
+
+/// A stage; the settings are those of one node that does everything.
+fn stage_of(people: usize, seconds: f64) -> Stage {
+    let mut stage = Stage::new(people, 4, seconds as u64);
+    let node = &mut stage.config.node;
+    (node.latency_ms, node.provisional) = (300.0, false);
+    (node.time_offsets, node.watch_cameras) = (false, false);
+    stage
+}
+
+/// The stage of most tests.
+fn stage() -> Stage {
+    stage_of(PEOPLE, SECONDS)
+}
+
+/// All nodes, after the script: what happens to which solver, and when.
+fn play(
+    (mut stage, seconds): (Stage, f64),
+    known: &[Known],
+    script: &[(f64, &str, Happens)],
+) -> BTreeMap<String, Node> {
+    let (mut cameras, rig) = (stage.all(), stage.studio.rig());
+    cameras.sort_by_key(|message| message.arrival);
+    let mut cameras = cameras.into_iter().peekable();
+    stage.config.stage.solve = false;
+    let mut nodes = BTreeMap::from([("front".to_owned(), Node::new(&stage, known))]);
+    stage.config.stage =
+        stage::Config { performers: stage.config.stage.performers, ..stage::Config::default() };
+    stage.config.node.solver = true;
+    let mut transit: BTreeMap<String, Vec<Sent>> = BTreeMap::new();
+    let (mut solvers, mut notices) = (BTreeSet::new(), Vec::new());
+    let mut script = script.iter().peekable();
+    let mut now = at(-0.8);
+    while now < at(seconds) {
+        now = now + Nanos::from_ms(2);
+        while let Some((_, name, happens)) = script.next_if(|(when, ..)| at(*when) <= now) {
+            match happens {
+                Starts => {
+                    stage.config.node.actor = (*name).to_owned();
+                    nodes.insert((*name).to_owned(), Node::new(&stage, &[]));
+                    let begin = Sent { arrival: now + NETWORK, ..rig.clone() };
+                    transit.entry((*name).to_owned()).or_default().push(begin);
+                    solvers.insert((*name).to_owned());
+                }
+                Leaves | IsKilled => {
+                    solvers.remove(*name);
+                    let node = nodes.get_mut(*name).unwrap();
+                    match happens {
+                        Leaves => node.world.end(),
+                        _ => node.killed = Some(now),
+                    }
+                }
+            }
+            notices.push((now + NOTICED, Vec::from_iter(solvers.clone())));
+        }
+        let mut said = Vec::new();
+        for (name, node) in nodes.iter_mut().filter(|(_, node)| node.killed.is_none()) {
+            for (_, names) in notices.iter().filter(|(at, _)| *at <= now) {
+                node.world.tell(Input::Solvers(names.clone()));
+            }
+            let waiting = transit.entry(name.clone()).or_default();
+            let mut messages: Vec<Sent> =
+                waiting.extract_if(.., |message| message.arrival <= now).collect();
+            if name == "front" {
+                messages.extend(std::iter::from_fn(|| cameras.next_if(|m| m.arrival <= now)));
+            }
+            node.world.play(messages, now);
+            said.extend(node.says());
+        }
+        notices.retain(|(at, _)| *at > now);
+        transit.values_mut().for_each(|messages| messages.extend(said.iter().cloned()));
+    }
+    nodes
+}
+
+/// All final poses by topic and capture time, without the run; each once.
+fn poses<'a>(heard: impl Iterator<Item = &'a Recorded>) -> BTreeMap<(String, i64), Pose> {
+    let mut all = BTreeMap::new();
+    for message in heard {
+        let topic = Topic::parse(&message.topic).unwrap();
+        if matches!(topic, Topic::Actor { channel: ActorChannel::Pose, .. }) {
+            let pose = Pose { run_id: 0, ..decode(&message.payload).unwrap() };
+            assert!(pose.capture_time_ns + 300_000_000 == message.time.ns(), "at one latency");
+            let key = (message.topic.to_string(), pose.capture_time_ns);
+            assert!(all.insert(key, pose).is_none(), "a pose comes twice");
+        }
+    }
+    all.retain(|(_, capture), _| *capture > at(1.5).ns());
+    all
+}
+
+fn poses_of(nodes: &BTreeMap<String, Node>) -> BTreeMap<(String, i64), Pose> {
+    poses(nodes.values().flat_map(Node::heard))
+}
+
+/// The poses of one node that does everything.
+fn poses_of_one() -> BTreeMap<(String, i64), Pose> {
+    let stage = stage();
+    let mut world = World::new(&stage.config);
+    world.play(stage.all(), at(SECONDS));
+    poses(world.heard.messages.iter())
+}
+
+/// Which solver published poses of which performers.
+fn who(nodes: &BTreeMap<String, Node>, range: [f64; 2]) -> BTreeMap<String, BTreeSet<String>> {
+    let mut all: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    for (name, node) in nodes {
+        for (topic, capture) in poses(node.heard()).into_keys() {
+            if (at(range[0]).ns()..at(range[1]).ns()).contains(&capture) {
+                all.entry(name.clone()).or_default().insert(Topic::actor(&topic));
+            }
+        }
+    }
+    all
+}
+
+/// The largest distance of a joint, millimetres.
+fn apart_mm(a: &Pose, b: &Pose) -> f64 {
+    let pairs = a.joint_positions().unwrap().into_iter().zip(b.joint_positions().unwrap());
+    pairs.map(|(a, b)| (a - b).norm() * 1e3).fold(0.0, f64::max)
+}
+
+fn start_three(script: &[(f64, &'static str, Happens)]) -> Vec<(f64, &'static str, Happens)> {
+    let three = ["a", "b", "c"].map(|name| (-0.8, name, Starts));
+    three.into_iter().chain(script.iter().copied()).collect()
+}
+
+#[test]
+fn solvers_give_the_poses_of_one_node() {
+    let one = poses_of_one();
+    assert!(one.len() > PEOPLE * 230, "{}", one.len());
+    let nodes = play((stage(), SECONDS), &[], &start_three(&[]));
+    let who = who(&nodes, [0.0, SECONDS]);
+    assert!(who.len() > 1 && !who.contains_key("front"), "{who:?}");
+    assert_eq!(who.values().map(BTreeSet::len).sum::<usize>(), PEOPLE, "{who:?}");
+    assert!(poses_of(&nodes) == one);
+    // The stage tells who solves whom.
+    let status =
+        nodes["front"].world.heard.of::<wire::StageStatus>(&Topics::default().stage_status());
+    for performer in &status.last().unwrap().1.performers {
+        assert!(who[&performer.solver].contains(&performer.name), "{performer:?}");
+    }
+}
+
+#[test]
+fn a_solver_that_comes_or_leaves_is_not_noticed() {
+    let one = poses_of_one();
+    let nodes =
+        play((stage(), SECONDS), &[], &start_three(&[(3.0, "d", Starts), (4.5, "b", Leaves)]));
+    let [before, with, after] =
+        [[0.0, 2.5], [3.5, 4.0], [5.0, SECONDS]].map(|range| who(&nodes, range));
+    assert!(!before.contains_key("d") && with.contains_key("d"), "{before:?} {with:?}");
+    assert!(with.contains_key("b") && !after.contains_key("b"), "{with:?} {after:?}");
+    let moved = with["d"].len();
+    assert!(moved < PEOPLE - 1, "only some performers move: {with:?}");
+    let all = poses_of(&nodes);
+    assert!(all.keys().eq(one.keys()), "{} of {} poses", all.len(), one.len());
+    let others = all.iter().filter(|(key, pose)| **pose != one[*key]);
+    let others: Vec<_> = others
+        .map(|(key, pose)| {
+            (
+                key.0.clone(),
+                (key.1 - at(0.0).ns()) / 1_000_000,
+                apart_mm(pose, &one[key]),
+                pose.window,
+                one[key].window,
+            )
+        })
+        .collect();
+    assert_eq!(others.len(), 0, "{:#?}", others.iter().step_by(10).collect::<Vec<_>>());
+    // It is said for each of those who moved.
+    let of_d = nodes["d"].world.heard.messages.iter().filter(|message| {
+        decode::<Event>(&message.payload).is_ok_and(|event| event.kind == "solver")
+    });
+    assert!(of_d.count() >= moved);
+}
+
+#[test]
+fn a_killed_solver_is_replaced_without_a_jump() {
+    let one = poses_of_one();
+    let nodes = play((stage(), SECONDS), &[], &start_three(&[(4.0, "b", IsKilled)]));
+    let [before, after] = [[0.0, 3.5], [4.5, SECONDS]].map(|range| who(&nodes, range));
+    assert!(before.contains_key("b") && !after.contains_key("b"), "{before:?} {after:?}");
+    let all = poses_of(&nodes);
+    let missing: Vec<_> = one.keys().filter(|key| !all.contains_key(key)).collect();
+    let moved = before["b"].len();
+    assert!(!missing.is_empty() && missing.len() < moved * 30, "{}", missing.len());
+    let late = at(4.0).ns() - 300_000_000..at(4.5).ns();
+    assert!(missing.iter().all(|(_, capture)| late.contains(capture)), "{missing:?}");
+    let apart = all.iter().map(|(key, pose)| apart_mm(pose, &one[key])).fold(0.0, f64::max);
+    assert!(apart < 10.0, "{apart} mm");
+}
+
+/// The front writes the bodies that the solvers find, and tells them of people whom it knows.
+#[test]
+fn known_bodies_are_those_of_the_front() {
+    let two = || {
+        let mut stage = stage_of(2, 10.0);
+        stage.config.stage.names = vec!["lead".into(), "double".into()];
+        stage.config.stage.bodies = "bodies".into();
+        stage
+    };
+    let start = [(-0.8, "a", Starts), (-0.8, "b", Starts)];
+    let mut nodes = play((two(), 10.0), &[], &start);
+    let front = &mut nodes.get_mut("front").unwrap().world;
+    front.end();
+    let folder = tempfile::tempdir().unwrap();
+    for (name, body) in &front.bodies {
+        write_body(folder.path(), name, body, false).unwrap();
+    }
+    let known = known_people(folder.path(), "actor", &[]).unwrap();
+    assert_eq!(known.iter().map(|one| &*one.name).collect::<Vec<_>>(), ["double", "lead"]);
+
+    let nodes = play((two(), 2.0), &known, &start);
+    for one in &known {
+        let topics = Topics { actor: one.name.clone(), ..Topics::default() };
+        let all = nodes
+            .values()
+            .flat_map(|node| node.world.heard.of::<wire::Skeleton>(&topics.skeleton()));
+        let bodies: Vec<_> = all.map(|(_, body)| body.to_core().unwrap()).collect();
+        assert!(bodies.iter().all(|body| Some(body) == one.body.as_deref()), "{}", one.name);
+        let poses = nodes.values().flat_map(|node| node.world.heard.of::<Pose>(&topics.pose()));
+        let first = poses.map(|(time, _)| time).min().unwrap();
+        assert!(first < at(0.9), "{} is published {first:?}", one.name);
+    }
+}
