@@ -157,13 +157,16 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     say_hello(&config, running.prometheus());
     let (node, over) = (running.monitor(), AtomicBool::new(false));
     let why = std::thread::scope(|scope| {
-        // A solver does not get the cameras' keypoints.
-        scope.spawn(|| {
-            let is_over = || over.load(Ordering::Relaxed) || config.node.solver;
+        let look_after_cameras = || {
+            let is_over = || over.load(Ordering::Relaxed);
             if let Err(error) = look(&*bus, &topics(&config), &node, is_over) {
                 tracing::warn!("cannot look after the cameras: {error}");
             }
-        });
+        };
+        // A solver does not get their keypoints.
+        if !config.node.solver {
+            scope.spawn(look_after_cameras);
+        }
         let why = wait(&stop, &running, seconds);
         over.store(true, Ordering::Relaxed);
         why

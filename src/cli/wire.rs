@@ -175,11 +175,13 @@ fn stage(stage: &StageStatus) -> String {
             _ => String::new(),
         };
         let seen = match one.life.as_str() {
-            "confirmed" => format!(", {:.1} px", one.residual_px),
+            "confirmed" if one.residual_px > 0.0 => format!(", {:.1} px", one.residual_px),
+            "confirmed" => String::new(),
             _ => format!(", not seen for {:.1} s", one.unseen_s),
         };
         let solver = match (&*one.solver, &*one.tracker_state) {
-            ("", _) => ", not solved here".to_owned(),
+            ("", _) => ", not solved".to_owned(),
+            (node, "") => format!(", by {node}"),
             (node, state) => format!(", {state} by {node}"),
         };
         format!("{}{shown} {}{place}{seen}{solver}", one.name, one.life)

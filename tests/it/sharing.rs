@@ -180,12 +180,6 @@ fn who(nodes: &BTreeMap<String, Node>, range: [f64; 2]) -> BTreeMap<String, BTre
     all
 }
 
-/// The largest distance of a joint, millimetres.
-fn apart_mm(a: &Pose, b: &Pose) -> f64 {
-    let pairs = a.joint_positions().unwrap().into_iter().zip(b.joint_positions().unwrap());
-    pairs.map(|(a, b)| (a - b).norm() * 1e3).fold(0.0, f64::max)
-}
-
 fn start_three(script: &[(f64, &'static str, Happens)]) -> Vec<(f64, &'static str, Happens)> {
     let three = ["a", "b", "c"].map(|name| (-0.8, name, Starts));
     three.into_iter().chain(script.iter().copied()).collect()
@@ -221,28 +215,17 @@ fn a_solver_that_comes_or_leaves_is_not_noticed() {
     assert!(moved < PEOPLE - 1, "only some performers move: {with:?}");
     let all = poses_of(&nodes);
     assert!(all.keys().eq(one.keys()), "{} of {} poses", all.len(), one.len());
-    let others = all.iter().filter(|(key, pose)| **pose != one[*key]);
-    let others: Vec<_> = others
-        .map(|(key, pose)| {
-            (
-                key.0.clone(),
-                (key.1 - at(0.0).ns()) / 1_000_000,
-                apart_mm(pose, &one[key]),
-                pose.window,
-                one[key].window,
-            )
-        })
-        .collect();
-    assert_eq!(others.len(), 0, "{:#?}", others.iter().step_by(10).collect::<Vec<_>>());
+    assert!(all == one);
     // It is said for each of those who moved.
     let of_d = nodes["d"].world.heard.messages.iter().filter(|message| {
-        decode::<Event>(&message.payload).is_ok_and(|event| event.kind == "solver")
+        message.topic.ends_with("/events")
+            && decode::<Event>(&message.payload).unwrap().kind == "solver"
     });
     assert!(of_d.count() >= moved);
 }
 
 #[test]
-fn a_killed_solver_is_replaced_without_a_jump() {
+fn a_killed_solver_is_replaced() {
     let one = poses_of_one();
     let nodes = play((stage(), SECONDS), &[], &start_three(&[(4.0, "b", IsKilled)]));
     let [before, after] = [[0.0, 3.5], [4.5, SECONDS]].map(|range| who(&nodes, range));
@@ -253,8 +236,7 @@ fn a_killed_solver_is_replaced_without_a_jump() {
     assert!(!missing.is_empty() && missing.len() < moved * 30, "{}", missing.len());
     let late = at(4.0).ns() - 300_000_000..at(4.5).ns();
     assert!(missing.iter().all(|(_, capture)| late.contains(capture)), "{missing:?}");
-    let apart = all.iter().map(|(key, pose)| apart_mm(pose, &one[key])).fold(0.0, f64::max);
-    assert!(apart < 10.0, "{apart} mm");
+    assert!(all.iter().all(|(key, pose)| *pose == one[key]), "the others are those of one node");
 }
 
 /// The front writes the bodies that the solvers find, and tells them of people whom it knows.

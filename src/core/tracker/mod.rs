@@ -51,6 +51,7 @@ mod send;
 mod solver;
 mod spin_pool;
 mod state_machine;
+mod take_over;
 mod verdict;
 pub(super) mod waiting;
 mod window;

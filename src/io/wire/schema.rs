@@ -112,6 +112,8 @@ mod tests {
             Take::full_name(),
             TakeAnswer::full_name(),
             StageStatus::full_name(),
+            KeypointSet::full_name(),
+            HandOver::full_name(),
         ];
         assert_eq!(names.collect::<Vec<_>>(), ours);
         assert_eq!(descriptor(&Pose::full_name()), Some(Pose::DESCRIPTOR));

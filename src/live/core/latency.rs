@@ -67,7 +67,11 @@ impl Finder {
     /// or, if no pose waits for it, half of a frame `period`.
     pub(super) fn solve_time(&self, period: Nanos) -> Option<Nanos> {
         let latency = self.found?;
-        Some(latency.look_ahead.map_or(latency.reserve - PUBLISH, |_| period / 2))
+        let [wait, _, delay] = self.parts;
+        // A configured latency may leave more than is reserved.
+        let left = self.given.map_or(Nanos::ZERO, |declared| declared - wait - delay);
+        let solve = latency.reserve.max(left) - PUBLISH;
+        Some(latency.look_ahead.map_or(solve, |_| period / 2))
     }
 
     /// Adds a window that was solved in `took`; `wait` is the time from its first pose to its end,
