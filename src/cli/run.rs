@@ -1,8 +1,8 @@
 //! `bundlemocap run`
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -19,9 +19,9 @@ use crate::config::Config;
 use crate::core::tracker::Solver;
 use crate::io::bus::{self, Kind};
 use crate::io::recording::last_body;
-use crate::io::wire::{self, Status, encode};
+use crate::io::wire::{self, StageStatus, Status, decode, encode};
 use crate::live::{
-    self, Core, Node, NodeError, Presence, Running, Settings, SolverCore, WallClock, log,
+    self, Core, Node, NodeError, Presence, Running, Settings, SolverCore, WallClock, log, people_of,
 };
 
 /// How often a standby node looks whether it is alone.
@@ -143,9 +143,16 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
     let bus: Arc<dyn bus::Bus> = Arc::from(bus::open_node(&config.bus)?);
     let now = WallClock::start().now();
     let presence = Presence::announce(Arc::clone(&bus), topics(&config), now)?;
+    let heard = Arc::<Mutex<Option<StageStatus>>>::default();
+    let listening = arguments.standby.then(|| listen(&*bus, &config, &heard)).transpose()?;
     let Some(presence) = alone(presence, arguments.standby, &stop)? else { return Ok(Exit::Done) };
+    drop(listening);
     let mut settings = Settings { body, ..config.core_settings(&decoder)? };
-    settings.carried.performers = config.known_people()?;
+    let before = heard.lock().unwrap_or_else(PoisonError::into_inner).take();
+    settings.carried.performers = match before.as_ref().map_or_else(Vec::new, people_of) {
+        people if people.is_empty() => config.known_people()?,
+        people => people,
+    };
     let core = Core::new(settings);
     // Several performers share as many solvers as there are processors.
     let processors = std::thread::available_parallelism().map_or(1, usize::from);
@@ -192,6 +199,23 @@ fn foxglove(address: &str, config: &Config) -> Result<crate::view::Bridge, Failu
     let bridge = crate::view::bridge(address, super::view::stage(config.clone(), "Foxglove"))?;
     tracing::info!("Foxglove and Lichtblick connect to {}", bridge.url());
     Ok(bridge)
+}
+
+/// Keeps what the node tells for which this one stands by.
+fn listen(
+    bus: &dyn bus::Bus,
+    config: &Config,
+    heard: &Arc<Mutex<Option<StageStatus>>>,
+) -> Result<Box<dyn bus::Guard>, Failure> {
+    let (heard, actor) = (Arc::clone(heard), config.node.actor.clone());
+    let sink = move |sample: bus::Sample| {
+        if let Ok(status) = decode::<StageStatus>(&sample.payload)
+            && status.node == actor
+        {
+            *heard.lock().unwrap_or_else(PoisonError::into_inner) = Some(status);
+        }
+    };
+    Ok(bus.subscribe(&topics(config).stage_status(), Box::new(sink))?)
 }
 
 /// The announcement as soon as no other node publishes this performer; `None` if stopped before.

@@ -54,7 +54,11 @@ fn state(wire: i32) -> &'static str {
 
 fn keypoint_set(set: &KeypointSet, arrival: Timestamp) -> String {
     let seen = set.frames.iter().filter(|frame| !frame.people.is_empty()).count();
-    let begins = if set.begins { ", begins" } else { "" };
+    let begins = match (set.enters, set.returns) {
+        (true, _) => ", enters",
+        (_, true) => ", returns",
+        _ => "",
+    };
     let latency = latency(set.complete_ns, arrival);
     format!(
         "number {}, seen by {seen} of {} cameras{begins}, {latency}",

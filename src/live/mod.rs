@@ -17,7 +17,9 @@ pub use clock::wall::WallClock;
 pub use config::Config;
 pub use core::Core;
 pub use core::journal::platform;
-pub use core::port::{Carried, Input, Loss, MOST_BYTES, MOST_ORDER_BYTES, Output, Settings};
+pub use core::port::{
+    Carried, Input, Loss, MOST_BYTES, MOST_ORDER_BYTES, Output, Settings, people_of,
+};
 pub use core::publication::{Content, Publication};
 pub use error::{Elder, NodeError};
 #[cfg(feature = "view")]

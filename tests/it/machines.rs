@@ -6,8 +6,9 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use bundlemocap::io::bus::{Zenoh, ZenohConfig};
 use bundlemocap::io::recording::Reader;
-use bundlemocap::io::wire::{ActorChannel, HandOver, Pose, Topic, decode};
+use bundlemocap::io::wire::{ActorChannel, HandOver, KeypointSet, Pose, Topic, decode};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_bundlemocap");
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -57,6 +58,13 @@ fn config(folder: &Path, file: &str, address: &str, actor: &str) {
     std::fs::write(folder.join(format!("{actor}.toml")), text).unwrap();
 }
 
+/// The command that makes the recording of so many seconds.
+fn crowd(seconds: u32) -> String {
+    format!(
+        "synth --out crowd.mcap --performers {PEOPLE} --cameras 4 --seconds {seconds} --noise clean"
+    )
+}
+
 /// All messages of a recording on one kind of topic of performers: topic, and payload.
 fn messages(path: &Path, kind: ActorChannel) -> Vec<(String, Vec<u8>)> {
     let mut reader = Reader::open(path).unwrap();
@@ -76,10 +84,7 @@ fn performers_move_between_programs() {
     config(folder, "front", &address, "front");
     ["a", "b", "d"].iter().for_each(|name| config(folder, "solver", &address, name));
     let start = |line: &str| Running::start(folder, line);
-    start(&format!(
-        "synth --out crowd.mcap --performers {PEOPLE} --cameras 4 --seconds 14 --noise clean"
-    ))
-    .ends();
+    start(&crowd(14)).ends();
     let front = start("run front.toml");
     let begin = Instant::now();
     while TcpStream::connect(("127.0.0.1", port)).is_err() {
@@ -119,4 +124,47 @@ fn performers_move_between_programs() {
         .collect();
     assert_eq!(BTreeSet::from_iter(&solvers).len(), 3);
     assert!(solvers[solvers.len() - 8..].iter().all(|name| name == "d"), "{solvers:?}");
+}
+
+/// The front is killed, and the one that stands by goes on with the same people. The router is none of them.
+#[test]
+fn a_standby_of_the_front_knows_the_people() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let listen = vec!["tcp/127.0.0.1:0".into()];
+    let router = Zenoh::open_node(&ZenohConfig { listen, ..ZenohConfig::default() }).unwrap();
+    let address = &router.listens_on()[0];
+    config(folder, "front", address, "front");
+    config(folder, "solver", address, "a");
+    let front = folder.join("front.toml");
+    let text = std::fs::read_to_string(&front).unwrap();
+    std::fs::write(&front, text.replace("listen", "mode = \"client\"\nconnect")).unwrap();
+    let start = |line: &str| Running::start(folder, line);
+    start(&crowd(12)).ends();
+    let (mut first, solver) = (start("run front.toml"), start("run a.toml"));
+    let recorder = start(&format!("record take.mcap --connect {address}"));
+    std::thread::sleep(Duration::from_secs(1));
+    let second = start("run front.toml --standby");
+    let mut play = start(&format!("play crowd.mcap --connect {address}"));
+    std::thread::sleep(Duration::from_secs(7));
+    first.0.kill().unwrap();
+    play.ends();
+    std::thread::sleep(Duration::from_secs(1));
+    [second, solver, recorder].into_iter().for_each(Running::interrupt);
+
+    let mut poses: BTreeMap<String, BTreeSet<i64>> = BTreeMap::new();
+    let take = folder.join("take.mcap");
+    for (topic, payload) in messages(&take, ActorChannel::Pose) {
+        let pose: Pose = decode(&payload).unwrap();
+        poses.entry(topic).or_default().insert(pose.capture_time_ns);
+    }
+    assert_eq!(poses.len(), PEOPLE, "{:?}", poses.keys());
+    let runs: BTreeSet<u64> = messages(&take, ActorChannel::Keypoints)
+        .iter()
+        .map(|(_, payload)| decode::<KeypointSet>(payload).unwrap().run_id)
+        .collect();
+    assert_eq!(runs.len(), 2, "both fronts have told people from each other");
+    let last = poses.values().map(|times| *times.last().unwrap());
+    let (first, last) = (last.clone().min().unwrap(), last.max().unwrap());
+    assert!(last - first < 200_000_000, "all are solved to the end");
 }

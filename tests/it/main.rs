@@ -33,6 +33,7 @@ mod jacobians;
 mod layers;
 #[cfg(feature = "cli")]
 mod live;
+#[cfg(all(feature = "cli", feature = "zenoh"))]
 mod machines;
 mod manifold;
 #[cfg(feature = "cli")]
@@ -51,6 +52,7 @@ mod recording;
 mod retarget;
 #[cfg(feature = "cli")]
 mod several;
+#[cfg(feature = "cli")]
 mod sharing;
 #[cfg(feature = "research")]
 mod slahmr;

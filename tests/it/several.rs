@@ -9,6 +9,7 @@ use bundlemocap::core::stage::PerformerId;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::recording::{known_people, write_body};
 use bundlemocap::io::wire::{self, Event, KeypointFrame, Pose, Topics, TrackingState, encode};
+use bundlemocap::live::people_of;
 use bundlemocap::research::synth::{Crowd, Meeting, Noise, Recording};
 use nalgebra::Vector3;
 
@@ -453,7 +454,7 @@ fn a_number_is_somebody_elses_when_a_performer_without_a_name_has_left() {
 
 /// The person who is where a name has its poses, a few seconds in, and how far they are from one another, metres.
 fn person_of(world: &World, stage: &Stage, name: &str) -> (usize, f64) {
-    let poses = poses_of(world, name, [3.0, 5.0]);
+    let poses = poses_of(world, name, [0.0, 9.0]);
     assert!(poses.len() > 100, "{name}: {} poses", poses.len());
     let off = |person: usize| {
         let motion = stage.meeting.person(person, SEED).1;
@@ -530,4 +531,27 @@ fn one_node_tells_who_is_on_the_stage() {
     let world = stage.play(stage.all(), 3.0);
     let status = status_of_stage(&world, 3.0);
     assert_eq!((lives(&status), status.places), (vec![("actor", "confirmed")], 1));
+}
+
+/// Another node knows the performers from the last status: by their bodies and places, with their names.
+#[test]
+fn a_standby_goes_on_with_the_performers() {
+    let mut stage = Stage::new(4, 4, 8);
+    stage.config.stage.names = vec!["lead".into()];
+    let (first, mut second): (Vec<_>, Vec<_>) =
+        stage.all().into_iter().partition(|message| message.arrival < at(4.0));
+    second.retain(|message| message.arrival > at(4.7));
+    second.push(Sent { arrival: at(4.6), ..stage.studio.rig() });
+    let one = stage.play(first, 4.0);
+    let mut other = World::knowing(&stage.config, people_of(&status_of_stage(&one, 4.0)));
+    other.play(second, at(8.0));
+    let all = ["lead", "p2", "p3", "p4"];
+    assert_eq!(lives(&status_of_stage(&other, 8.0)), all.map(|name| (name, "confirmed")));
+    for name in all {
+        let [before, after] = [&one, &other].map(|world| person_of(world, &stage, name).0);
+        assert_eq!(before, after, "{name}");
+        let topics = Topics { actor: name.to_owned(), ..Topics::default() };
+        let first = other.heard.of::<Pose>(&topics.pose())[0].0;
+        assert!(first < at(5.7), "{name}: {first:?}");
+    }
 }

@@ -24,8 +24,11 @@ enum Happens {
     Starts,
     Leaves,
     IsKilled,
+    /// Its messages are lost, and those to it. The others do not notice it.
+    IsCutOff,
+    IsBack,
 }
-use Happens::{IsKilled, Leaves, Starts};
+use Happens::{IsBack, IsCutOff, IsKilled, Leaves, Starts};
 
 /// A node and the number of its messages that are on their way.
 struct Node {
@@ -33,12 +36,13 @@ struct Node {
     sent: usize,
     /// It hears and says nothing from here on.
     killed: Option<Timestamp>,
+    is_cut_off: bool,
 }
 
 impl Node {
     fn new(stage: &Stage, known: &[Known]) -> Self {
         let world = World::knowing(&stage.config, known.to_vec());
-        Self { world, sent: 0, killed: None }
+        Self { world, sent: 0, killed: None, is_cut_off: false }
     }
 
     /// The messages since the last call, as the others get them.
@@ -66,8 +70,8 @@ impl Node {
 }
 
 /// A stage; the settings are those of one node that does everything.
-fn stage_of(people: usize, seconds: f64) -> Stage {
-    let mut stage = Stage::new(people, 4, seconds as u64);
+fn stage_of(people: usize, cameras: usize, seconds: f64) -> Stage {
+    let mut stage = Stage::new(people, cameras, seconds as u64);
     let node = &mut stage.config.node;
     (node.latency_ms, node.provisional) = (300.0, false);
     (node.time_offsets, node.watch_cameras) = (false, false);
@@ -76,7 +80,7 @@ fn stage_of(people: usize, seconds: f64) -> Stage {
 
 /// The stage of most tests.
 fn stage() -> Stage {
-    stage_of(PEOPLE, SECONDS)
+    stage_of(PEOPLE, 4, SECONDS)
 }
 
 /// All nodes, after the script: what happens to which solver, and when.
@@ -108,13 +112,15 @@ fn play(
                     transit.entry((*name).to_owned()).or_default().push(begin);
                     solvers.insert((*name).to_owned());
                 }
-                Leaves | IsKilled => {
+                IsCutOff => nodes.get_mut(*name).unwrap().is_cut_off = true,
+                IsBack => nodes.get_mut(*name).unwrap().is_cut_off = false,
+                Leaves => {
                     solvers.remove(*name);
-                    let node = nodes.get_mut(*name).unwrap();
-                    match happens {
-                        Leaves => node.world.end(),
-                        _ => node.killed = Some(now),
-                    }
+                    nodes.get_mut(*name).unwrap().world.end();
+                }
+                IsKilled => {
+                    solvers.remove(*name);
+                    nodes.get_mut(*name).unwrap().killed = Some(now);
                 }
             }
             notices.push((now + NOTICED, Vec::from_iter(solvers.clone())));
@@ -130,8 +136,12 @@ fn play(
             if name == "front" {
                 messages.extend(std::iter::from_fn(|| cameras.next_if(|m| m.arrival <= now)));
             }
+            if node.is_cut_off {
+                messages.clear();
+            }
             node.world.play(messages, now);
-            said.extend(node.says());
+            let says = node.says();
+            said.extend(says.into_iter().filter(|_| !node.is_cut_off));
         }
         notices.retain(|(at, _)| *at > now);
         transit.values_mut().for_each(|messages| messages.extend(said.iter().cloned()));
@@ -239,11 +249,38 @@ fn a_killed_solver_is_replaced() {
     assert!(all.iter().all(|(key, pose)| *pose == one[key]), "the others are those of one node");
 }
 
+#[test]
+fn a_solver_that_was_cut_off_goes_on() {
+    let script = start_three(&[(2.5, "a", IsCutOff), (4.5, "a", IsBack)]);
+    let nodes = play((stage(), SECONDS), &[], &script);
+    let [before, after] = [[0.0, 2.0], [5.2, SECONDS]].map(|range| who(&nodes, range));
+    assert!(before.contains_key("a"));
+    assert_eq!(before, after);
+    let (all, one) = (poses_of(&nodes), poses_of_one());
+    let late: Vec<_> = one.keys().filter(|(_, capture)| *capture > at(5.2).ns()).collect();
+    assert!(late.len() > 100 && late.iter().all(|key| all.contains_key(key)));
+}
+
+/// Twenty-four people before eight cameras.
+#[test]
+fn a_crowd_is_shared() {
+    const CROWD: usize = 24;
+    let nodes = play((stage_of(CROWD, 8, 4.0), 4.0), &[], &start_three(&[]));
+    let who = who(&nodes, [2.0, 4.0]);
+    assert_eq!(who.len(), 3, "{who:?}");
+    assert_eq!(who.values().map(BTreeSet::len).sum::<usize>(), CROWD, "{who:?}");
+    assert!(who.values().all(|some| some.len() >= CROWD / 6), "{who:?}");
+    let poses = poses_of(&nodes);
+    let after_2_s = poses.keys().filter(|(_, capture)| *capture > at(2.0).ns()).count();
+    let each = after_2_s as f64 / CROWD as f64;
+    assert!(each > 90.0, "{each} poses of each in 1.7 s");
+}
+
 /// The front writes the bodies that the solvers find, and tells them of people whom it knows.
 #[test]
 fn known_bodies_are_those_of_the_front() {
     let two = || {
-        let mut stage = stage_of(2, 10.0);
+        let mut stage = stage_of(2, 4, 10.0);
         stage.config.stage.names = vec!["lead".into(), "double".into()];
         stage.config.stage.bodies = "bodies".into();
         stage

@@ -93,8 +93,10 @@ pub struct PerformerFrames {
     pub frames: Vec<Detections>,
     /// All frames of the performer up to this time were given.
     pub complete: Timestamp,
-    /// Whether the performer enters or returns with them.
-    pub begins: bool,
+    /// Whether the performer returns with them.
+    pub returns: bool,
+    /// Whether the performer enters with them: the number may have been somebody else's.
+    pub enters: bool,
 }
 
 /// What a tracker gets next.
@@ -163,11 +165,15 @@ impl Stage {
         Self { trackers: Vec::new(), is_associated: true, ..stage }
     }
 
-    /// The next frames of a performer. If they begin with its return, tracking begins anew.
+    /// The next frames of a performer. If it returns or enters with them, tracking begins anew.
     pub fn associated(&mut self, performer: PerformerId, frames: PerformerFrames) {
-        let PerformerFrames { frames, complete, begins } = frames;
-        let is_known = self.trackers.get(performer.0).is_some_and(Tracker::has_frames);
-        let begin = (begins && is_known).then_some(tracker::Input::Restart);
+        let PerformerFrames { frames, complete, returns, enters } = frames;
+        let is_new = self.trackers.get(performer.0).is_none_or(Tracker::is_new);
+        let begin = match is_new {
+            false if enters => Some(tracker::Input::Forget),
+            false if returns => Some(tracker::Input::Restart),
+            _ => None,
+        };
         let frames = frames.into_iter().map(tracker::Input::Detections);
         let inputs = begin.into_iter().chain(frames).chain([tracker::Input::Complete(complete)]);
         self.next.extend(inputs.map(|input| Next::Tracker(performer.0, input)));
@@ -341,10 +347,6 @@ impl Stage {
     #[must_use]
     pub fn without_solving(mut self) -> Self {
         self.is_solving = false;
-        if let Some(crowd) = &mut self.crowd {
-            // Another node has the body of who has left.
-            crowd.people_mut().reuses_numbers = false;
-        }
         self
     }
 
@@ -531,7 +533,8 @@ impl Stage {
                 return self.next.push_back(Next::Tracker(performer, complete));
             }
             Change::Entered(performer) => {
-                self.begin_frames(performer);
+                let enters = PerformerFrames { enters: true, ..PerformerFrames::default() };
+                self.begin_frames(performer, enters);
                 if self.is_solving && performer < self.trackers.len() {
                     // The number was somebody else's.
                     self.next.push_back(Next::Tracker(performer, tracker::Input::Forget));
@@ -543,7 +546,8 @@ impl Stage {
                 (performer, EventKind::Entered, "a new performer".to_owned())
             }
             Change::Returned(performer) => {
-                self.begin_frames(performer);
+                let returns = PerformerFrames { returns: true, ..PerformerFrames::default() };
+                self.begin_frames(performer, returns);
                 match self.saved.get_mut(performer).and_then(Option::take) {
                     Some(body) if !self.is_solving => {
                         let state = Box::new(HandOver::of_body(body, at));
@@ -581,10 +585,9 @@ impl Stage {
     }
 
     /// Not solving: the performer enters or returns with the next frames.
-    fn begin_frames(&mut self, performer: usize) {
+    fn begin_frames(&mut self, performer: usize, frames: PerformerFrames) {
         if !self.is_solving {
-            let begins = PerformerFrames { begins: true, ..PerformerFrames::default() };
-            self.incomplete.insert(performer, begins);
+            self.incomplete.insert(performer, frames);
         }
     }
 

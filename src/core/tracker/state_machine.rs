@@ -376,9 +376,9 @@ impl Tracker {
         self.intake.shows_somebody()
     }
 
-    /// Of one of several performers: whether frames were given since it began.
-    pub(in crate::core) fn has_frames(&self) -> bool {
-        self.complete.is_some()
+    /// Of one of several performers: whether nothing is known of it.
+    pub(in crate::core) fn is_new(&self) -> bool {
+        self.complete.is_none() && self.skeleton.is_none()
     }
 
     pub(in crate::core) fn config(&self) -> Config {

@@ -11,7 +11,7 @@ use crate::core::stage::PerformerFrames;
 use crate::core::time::Timestamp;
 
 /// Most performers that are told from each other.
-const MOST_PERFORMERS: u32 = 4096;
+const MOST_PERFORMERS: u32 = 1024;
 const PERFORMER: Field = field("KeypointSet", "performer");
 const POINTS: Field = field("KeypointFrame", "people.points");
 const CAPTURE: Field = field("KeypointFrame", "capture_time_ns");
@@ -86,7 +86,8 @@ impl KeypointSet {
         let frames = PerformerFrames {
             frames: frames.collect::<Result<_, _>>()?,
             complete: Timestamp::from_ns(self.complete_ns),
-            begins: self.begins,
+            returns: self.returns,
+            enters: self.enters,
         };
         Ok((self.performer as usize, frames))
     }

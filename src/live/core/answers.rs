@@ -190,7 +190,8 @@ impl Core {
             performer: performer.0 as u32,
             frames: frames.frames.iter().filter_map(frame).collect(),
             complete_ns: frames.complete.ns(),
-            begins: frames.begins,
+            returns: frames.returns,
+            enters: frames.enters,
             run_id: self.run_id,
         };
         let topic = self.performer(performer).topics.actor_keypoints();

@@ -2,7 +2,7 @@
 
 use super::Core;
 use super::performer::Progress;
-use super::port::Output;
+use super::port::{Output, wire_known};
 use super::publication::Content;
 use super::sharing::solver_of;
 use crate::core::stage::{Attendance, Life, PerformerId, Presence, Stage};
@@ -21,6 +21,7 @@ impl Core {
         };
         let capture = self.clock.capture_time(self.now);
         let performers = attendance.performers.iter();
+        let known = self.stage.as_ref().map_or_else(Vec::new, Stage::known);
         let status = StageStatus {
             capture_time_ns: capture.ns(),
             node_time_ns: self.now.ns(),
@@ -30,6 +31,7 @@ impl Core {
             tentative: attendance.tentative as u32,
             others: attendance.others as u32,
             places: self.settings.stage.performers.limit() as u32,
+            known: known.iter().map(wire_known).collect(),
         };
         self.publish(self.topics.stage_status(), capture, Content::StageStatus(status));
     }

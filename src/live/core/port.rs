@@ -9,7 +9,7 @@ use crate::core::stage::{self, Known, PerformerId};
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{self, Job, Solution};
 use crate::io::timecode::House;
-use crate::io::wire::{self, JournalPerformer, JournalStart, PerformerLabel};
+use crate::io::wire::{self, JournalPerformer, JournalStart, PerformerLabel, StageStatus};
 use crate::live::config::Config;
 
 /// Larger messages are rejected, bytes.
@@ -158,6 +158,11 @@ impl Carried {
             solvers: start.solvers.clone(),
         }
     }
+}
+
+/// The performers of another node, from its status.
+pub fn people_of(status: &StageStatus) -> Vec<Known> {
+    status.known.iter().map(known).collect()
 }
 
 /// A performer of the run before, from the head of a journal.

@@ -29,8 +29,6 @@ const KEPT: Nanos = Nanos::from_ms(1500);
 const SETTLING: Nanos = Nanos::from_ms(500);
 /// Capture times go back by at least this if the cameras' clock does.
 const BACK: Nanos = Nanos::SECOND;
-/// Most performers that a solver knows.
-const MOST: usize = 4096;
 
 /// A performer of the stage.
 #[derive(Default)]
@@ -58,6 +56,12 @@ impl Sharing {
     /// The name of a performer, by number.
     pub(super) fn name_of(&self, performer: usize) -> Option<&str> {
         self.performers.get(&performer).map(|shared| shared.name.as_str())
+    }
+
+    /// The number of the performer with that name.
+    pub(super) fn number_of(&self, name: &str) -> Option<usize> {
+        let number = self.performers.iter().find(|(_, shared)| shared.name == name);
+        number.map(|(number, _)| *number)
     }
 
     /// The performers that this node solves.
@@ -125,7 +129,7 @@ impl Core {
             Err(error) => return self.event(EventKind::Unusable, None, error.to_string()),
         };
         self.note_arrivals(&set.frames);
-        let Some(shared) = self.shared(performer, actor) else { return };
+        let shared = self.shared(performer, actor);
         if !shared.is_ours {
             shared.recent.push_back(set);
             while shared.recent.front().is_some_and(|old| set_is_old(old, &shared.recent)) {
@@ -140,19 +144,15 @@ impl Core {
     }
 
     /// The performer with that number, who is called like that now.
-    fn shared(&mut self, performer: usize, actor: &str) -> Option<&mut Shared> {
-        let all = &mut self.sharing.performers;
-        if all.len() >= MOST && !all.contains_key(&performer) {
-            return None;
-        }
-        let shared = all.entry(performer).or_default();
+    fn shared(&mut self, performer: usize, actor: &str) -> &mut Shared {
+        let shared = self.sharing.performers.entry(performer).or_default();
         if shared.name != actor {
             actor.clone_into(&mut shared.name);
             if shared.is_ours {
                 self.use_name(PerformerId(performer));
             }
         }
-        self.sharing.performers.get_mut(&performer)
+        self.sharing.performers.entry(performer).or_default()
     }
 
     /// Compares the cameras' clock with the node's: each frame comes with the sets of several performers.
@@ -179,7 +179,7 @@ impl Core {
             return;
         }
         let is_winner = self.is_winner(performer);
-        let Some(shared) = self.shared(performer, actor) else { return };
+        let shared = self.shared(performer, actor);
         let before = shared.state.as_ref();
         if message.body_estimate.is_none() {
             message.body_estimate = before.and_then(|before| before.body_estimate.clone());
@@ -242,9 +242,13 @@ impl Core {
         let weights = &self.settings.weights;
         let has_weights = |state: &HandOver| state.past.iter().all(|k| k.weights == *weights);
         let goes_on = shared.state.as_ref().is_none_or(has_weights);
-        let begin = recent.iter().rposition(|set| set.begins);
+        let begin = recent.iter().rposition(|set| set.returns || set.enters);
         if let Some(state) = state.as_mut().filter(|_| begin.is_some() || !goes_on) {
             state.motion = None;
+        }
+        // The state may be somebody else's.
+        if begin.is_some_and(|begin| recent[begin].enters) {
+            state = None;
         }
         let id = PerformerId(performer);
         stage.take_over(id, state);

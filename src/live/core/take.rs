@@ -44,7 +44,15 @@ impl Core {
             }
             return;
         }
+        // The node of the stage answers for those that solve its performers.
+        let is_answered = !self.is_solver() || matches!(&*take.action, "start" | "stop");
+        if !is_answered && !matches!(&*take.action, "reset" | "label" | "lock" | "unlock") {
+            return;
+        }
         let done = self.follow(&take);
+        if !is_answered {
+            return;
+        }
         if let Ok(text) = &done {
             self.event(EventKind::Take, None, text.clone());
         }
@@ -167,6 +175,9 @@ impl Core {
 
     /// The number of the performer with that name in its topics.
     fn number_of(&self, name: &str) -> Result<usize, String> {
+        if self.is_solver() {
+            return self.sharing.number_of(name).ok_or_else(String::new);
+        }
         let names: Vec<String> =
             (0..self.known_count()).map(|number| self.name_of(number)).collect();
         names.iter().position(|one| one == name).ok_or_else(|| match &*names.join(", ") {

@@ -232,7 +232,12 @@ fn spoken(kind: &str) -> String {
 
 /// Expected kinds are logged as information, all others as warnings.
 fn line(kind: &str, actor: Option<&str>, camera: Option<&str>, window: Option<u64>, text: &str) {
-    if is_expected(kind) && (kind != "clock" || text.contains("the cameras use")) {
+    let is_fine = match kind {
+        "clock" => text.contains("the cameras use"),
+        "solver" => !text.contains("no solver is there"),
+        kind => is_expected(kind),
+    };
+    if is_fine {
         tracing::info!(actor, camera, window, "{text}");
     } else {
         tracing::warn!(actor, camera, window, "{text}");
