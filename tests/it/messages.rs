@@ -9,8 +9,8 @@ use bundlemocap::core::manifold;
 use bundlemocap::core::so3;
 use bundlemocap::core::time::{Grid, Nanos, Timestamp};
 use bundlemocap::io::wire::{
-    CameraCounters, DecodeError, Event, Keyframe, KeypointFrame, LiveStamp, Pose, RetargetedPose,
-    Rig, Schema, Skeleton, Status, WindowCounters, decode, encode,
+    CameraCounters, DecodeError, Event, HandOver, Keyframe, KeypointFrame, KeypointSet, LiveStamp,
+    Pose, RetargetedPose, Rig, Schema, Skeleton, Status, WindowCounters, decode, encode,
 };
 use expect_test::{expect, expect_file};
 use nalgebra::{Matrix3, Point2, Vector3};
@@ -278,6 +278,20 @@ fn fields_of_a_later_version_are_skipped() {
     check(&retargeted());
 }
 
+/// The state of a tracker in the middle of a motion.
+fn hand_over() -> HandOver {
+    let past = Keyframe::from_core(&keyframe(), WEIGHTS);
+    let state = HandOver {
+        until_ns: past.capture_time_ns,
+        body: body::Skeleton::default().coefficients().collect(),
+        past: vec![past],
+        noise: vec![49.0, 0.01, 0.6, 20.0],
+        ..HandOver::default()
+    };
+    assert!(state.to_core().unwrap().motion.is_some());
+    state
+}
+
 /// Decodes `bytes` as every message; returns how many conversions succeeded.
 fn decode_as_everything(bytes: &[u8]) -> usize {
     let mut sound = 0;
@@ -291,6 +305,8 @@ fn decode_as_everything(bytes: &[u8]) -> usize {
     sound += usize::from(decode(bytes).is_ok_and(|m: Skeleton| m.to_core().is_ok()));
     sound += usize::from(decode(bytes).is_ok_and(|m: Event| m.validated().is_ok()));
     sound += usize::from(decode(bytes).is_ok_and(|m: RetargetedPose| m.validated().is_ok()));
+    sound += usize::from(decode(bytes).is_ok_and(|m: HandOver| m.to_core().is_ok()));
+    sound += usize::from(decode(bytes).is_ok_and(|m: KeypointSet| m.to_core(|_| Some(0)).is_ok()));
     sound + usize::from(decode::<Status>(bytes).is_ok())
 }
 
@@ -306,6 +322,8 @@ fn no_bytes_panic() {
         encode(&event()),
         encode(&status()),
         encode(&retargeted()),
+        encode(&KeypointSet { frames: vec![keypoints()], ..KeypointSet::default() }),
+        encode(&hand_over()),
     ];
     let (mut accepted, mut refused) = (0, 0);
     for round in 0..4000 {

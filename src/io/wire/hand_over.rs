@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::check::{Field, field};
-use super::{BodyEstimate, DecodeError, HandOver, Keyframe};
+use super::{BodyEstimate, DecodeError, HandOver, Keyframe, TIMES_NS};
 use crate::core::body::{BODY_COEFFICIENTS, Skeleton, TrackingState};
 use crate::core::manifold::{Interpolation, StampedKeyframe, TimedKeyframe};
 use crate::core::time::{Grid, Timestamp};
@@ -11,6 +11,14 @@ use crate::core::tracker::{self, BodyEstimator, EstimateNumbers, Motion, Noise};
 
 const fn at(name: &'static str) -> Field {
     field("HandOver", name)
+}
+
+/// Most windows of a run.
+const MOST_WINDOWS: u64 = 1 << 53;
+
+fn time(name: &'static str, ns: i64) -> Result<Timestamp, DecodeError> {
+    let is_time = TIMES_NS.contains(&ns);
+    is_time.then(|| Timestamp::from_ns(ns)).ok_or_else(|| at(name).invalid("is no capture time"))
 }
 
 impl HandOver {
@@ -81,8 +89,11 @@ impl HandOver {
             Some(estimate) => (estimate.to_core()?, estimate.is_proven),
             None => (BodyEstimator::default(), false),
         };
+        if self.window > MOST_WINDOWS {
+            return Err(at("window").invalid(format!("{} is too large", self.window)));
+        }
         Ok(tracker::HandOver {
-            until: Timestamp::from_ns(self.until_ns),
+            until: time("until_ns", self.until_ns)?,
             window: self.window,
             skeleton: skeleton.map(Arc::new),
             estimate: Arc::new(estimate),
@@ -101,6 +112,9 @@ impl HandOver {
         let all = |some: &[Keyframe]| some.iter().map(timed).collect::<Result<Vec<_>, _>>();
         let (past, ahead) = (all(&self.past)?, all(&self.ahead)?);
         let times = past.iter().chain(&ahead).map(|timed| timed.capture);
+        for at in times.clone().chain([origin]) {
+            time("past", at.ns())?;
+        }
         if !times.is_sorted() || past.last().map(|last| last.capture.ns()) != Some(self.until_ns) {
             return Err(at("past").invalid("the keyframes do not end at until_ns"));
         }
@@ -111,7 +125,7 @@ impl HandOver {
             ahead,
             coasted: self.coasted as usize,
             frames: Grid { origin, period_ns },
-            first_pose: Timestamp::from_ns(self.first_pose_ns),
+            first_pose: time("first_pose_ns", self.first_pose_ns)?,
             noise: Noise::of_numbers(at("noise").numbers(&self.noise)?),
             first_fit: Some(first_fit).filter(|fit| *fit > 0.0),
             deviations: match self.deviations_m.is_empty() {
@@ -137,5 +151,29 @@ impl BodyEstimate {
         };
         BodyEstimator::of_numbers(&numbers)
             .ok_or_else(|| at("information").invalid("does not fit the number of windows"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn states_that_no_tracker_has_are_refused() {
+        let good = HandOver { body: vec![0.0; BODY_COEFFICIENTS], ..HandOver::default() };
+        assert!(good.to_core().is_ok());
+        let estimate = BodyEstimate { windows: 3, ..BodyEstimate::default() };
+        let past = Keyframe { capture_time_ns: 5, ..Keyframe::default() };
+        for (bad, field) in [
+            (HandOver { body: vec![0.0; 3], ..good.clone() }, "body"),
+            (HandOver { body: vec![f64::NAN; BODY_COEFFICIENTS], ..good.clone() }, "body"),
+            (HandOver { until_ns: i64::MAX, ..good.clone() }, "until_ns"),
+            (HandOver { window: u64::MAX, ..good.clone() }, "window"),
+            (HandOver { body_estimate: Some(estimate), ..good.clone() }, "information"),
+            (HandOver { past: vec![past], ..good.clone() }, "Keyframe"),
+        ] {
+            let error = bad.to_core().unwrap_err().to_string();
+            assert!(error.contains(field), "{field}: {error}");
+        }
     }
 }

@@ -12,6 +12,7 @@ use crate::core::time::Timestamp;
 
 /// Most performers that are told from each other.
 const MOST_PERFORMERS: u32 = 1024;
+const COMPLETE: Field = field("KeypointSet", "complete_ns");
 const PERFORMER: Field = field("KeypointSet", "performer");
 const POINTS: Field = field("KeypointFrame", "people.points");
 const CAPTURE: Field = field("KeypointFrame", "capture_time_ns");
@@ -81,6 +82,9 @@ impl KeypointSet {
     ) -> Result<(usize, PerformerFrames), DecodeError> {
         if self.performer >= MOST_PERFORMERS {
             return Err(PERFORMER.invalid(format!("{} is too large", self.performer)));
+        }
+        if !TIMES_NS.contains(&self.complete_ns) {
+            return Err(COMPLETE.invalid(format!("{} is no capture time", self.complete_ns)));
         }
         let frames = self.frames.iter().map(|frame| frame.to_core(&index_of));
         let frames = PerformerFrames {

@@ -25,6 +25,8 @@ use crate::io::wire::{self, HandOver, KeypointSet, Topics};
 
 /// The newest frames of performers who are solved elsewhere are kept for this long.
 const KEPT: Nanos = Nanos::from_ms(1500);
+/// And at most so many of each.
+const MOST_KEPT: usize = 1024;
 /// A new solver waits this long before it takes performers of whom the others say nothing.
 const SETTLING: Nanos = Nanos::from_ms(500);
 /// Capture times go back by at least this if the cameras' clock does.
@@ -121,7 +123,10 @@ impl Core {
         if payload.len() > MOST_BYTES {
             return self.too_large(None, payload, MOST_BYTES);
         }
-        let Some(calibration) = &self.calibration else { return };
+        let Some(calibration) = &self.calibration else {
+            let detail = "keypoints before a calibration: is the front up?".to_owned();
+            return self.event(EventKind::Unusable, None, detail);
+        };
         let rig = Arc::clone(&calibration.rig);
         let set = wire::decode::<KeypointSet>(payload);
         let (performer, set) = match set.and_then(|set| set.to_core(|name| rig.index_of(name))) {
@@ -132,7 +137,9 @@ impl Core {
         let shared = self.shared(performer, actor);
         if !shared.is_ours {
             shared.recent.push_back(set);
-            while shared.recent.front().is_some_and(|old| set_is_old(old, &shared.recent)) {
+            let oldest = shared.recent.back().map(|newest| newest.complete - KEPT);
+            shared.recent.retain(|set| Some(set.complete) >= oldest);
+            if shared.recent.len() > MOST_KEPT {
                 shared.recent.pop_front();
             }
             return self.review(performer);
@@ -179,7 +186,11 @@ impl Core {
             return;
         }
         let is_winner = self.is_winner(performer);
-        let shared = self.shared(performer, actor);
+        let shared = self.sharing.performers.entry(performer).or_default();
+        // The last state under an earlier name.
+        if !shared.name.is_empty() && shared.name != actor {
+            return;
+        }
         let before = shared.state.as_ref();
         if message.body_estimate.is_none() {
             message.body_estimate = before.and_then(|before| before.body_estimate.clone());
@@ -242,8 +253,13 @@ impl Core {
         let weights = &self.settings.weights;
         let has_weights = |state: &HandOver| state.past.iter().all(|k| k.weights == *weights);
         let goes_on = shared.state.as_ref().is_none_or(has_weights);
+        // Nor can the motion go on after the performer returned, or the cameras' clock went back.
         let begin = recent.iter().rposition(|set| set.returns || set.enters);
-        if let Some(state) = state.as_mut().filter(|_| begin.is_some() || !goes_on) {
+        let newest = recent.back().map(|set| set.complete);
+        let is_past = |state: &tracker::HandOver| Some(state.until) <= newest;
+        if let Some(state) = &mut state
+            && (begin.is_some() || !goes_on || !is_past(state))
+        {
             state.motion = None;
         }
         // The state may be somebody else's.
@@ -256,7 +272,7 @@ impl Core {
             stage.associated(id, set);
         }
         self.use_name(id);
-        let detail = match from.filter(|from| *from != self.topics.actor) {
+        let detail = match from.filter(|from| !from.is_empty() && *from != self.topics.actor) {
             Some(from) => format!("solved here from now on, by {from} before"),
             None => "solved here".to_owned(),
         };
@@ -348,9 +364,4 @@ impl Core {
         let message = HandOver { run_id: self.run_id, ..message };
         self.publish(topics.hand_over(), capture, Content::HandOver(Box::new(message)));
     }
-}
-
-/// Whether a set is much older than the newest one.
-fn set_is_old(set: &PerformerFrames, all: &VecDeque<PerformerFrames>) -> bool {
-    all.back().is_some_and(|newest| newest.complete - set.complete > KEPT)
 }
