@@ -273,8 +273,14 @@ impl Stage {
         let Some(crowd) = &mut self.crowd else { return self };
         crowd.know(known);
         let count = known.iter().map(|one| one.performer.0 + 1).max().unwrap_or(0);
-        self.trackers.resize(count, self.template.clone());
         self.saved.resize(count, None);
+        if !self.is_solving {
+            for one in known {
+                self.saved[one.performer.0].clone_from(&one.body);
+            }
+            return self;
+        }
+        self.trackers.resize(count, self.template.clone());
         for (number, tracker) in self.trackers.iter_mut().enumerate() {
             let new = self.template.clone();
             let own = known.iter().find(|one| one.performer.0 == number);
@@ -406,6 +412,8 @@ impl Stage {
 
     /// Forgets the bodies of some performers, see [`tracker::Input::Forget`].
     pub fn forget(&mut self, whose: impl Fn(PerformerId) -> bool) {
+        let saved = self.saved.iter_mut().enumerate().filter(|_| !self.is_solving);
+        saved.filter(|(one, _)| whose(PerformerId(*one))).for_each(|(_, body)| *body = None);
         let forgetting = (0..self.trackers.len()).filter(|one| whose(PerformerId(*one)));
         if self.crowd.is_none() {
             return forgetting.for_each(|one| self.trackers[one].handle(tracker::Input::Forget));
@@ -533,6 +541,10 @@ impl Stage {
                 return self.next.push_back(Next::Tracker(performer, complete));
             }
             Change::Entered(performer) => {
+                if let Some(saved) = self.saved.get_mut(performer) {
+                    // The number was somebody else's.
+                    *saved = None;
+                }
                 let enters = PerformerFrames { enters: true, ..PerformerFrames::default() };
                 self.begin_frames(performer, enters);
                 if self.is_solving && performer < self.trackers.len() {

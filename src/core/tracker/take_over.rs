@@ -53,6 +53,7 @@ impl Tracker {
         let Some(skeleton) = skeleton else { return };
         self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
         (self.skeleton, self.is_proven, self.window) = (Some(skeleton), is_proven, window);
+        self.intake.refuse(until);
         let Some(motion) = motion else {
             self.estimator = Arc::new(estimate.after_a_break());
             return;

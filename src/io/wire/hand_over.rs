@@ -1,8 +1,10 @@
 //! Converts `HandOver` to and from [`tracker::HandOver`].
 
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use super::check::{Field, field};
+use super::keypoints::MOST_PERFORMERS;
 use super::{BodyEstimate, DecodeError, HandOver, Keyframe, TIMES_NS};
 use crate::core::body::{BODY_COEFFICIENTS, Skeleton, TrackingState};
 use crate::core::manifold::{Interpolation, StampedKeyframe, TimedKeyframe};
@@ -13,6 +15,10 @@ const fn at(name: &'static str) -> Field {
     field("HandOver", name)
 }
 
+/// Most keyframes that are not final.
+const MOST_AHEAD: usize = 1000;
+/// Frame periods: of 1000 to 1 frame a second, nanoseconds.
+const PERIODS_NS: RangeInclusive<f64> = 1e6..=1e9;
 /// Most windows of a run.
 const MOST_WINDOWS: u64 = 1 << 53;
 
@@ -89,6 +95,9 @@ impl HandOver {
             Some(estimate) => (estimate.to_core()?, estimate.is_proven),
             None => (BodyEstimator::default(), false),
         };
+        if self.performer >= MOST_PERFORMERS {
+            return Err(at("performer").invalid(format!("{} is too large", self.performer)));
+        }
         if self.window > MOST_WINDOWS {
             return Err(at("window").invalid(format!("{} is too large", self.window)));
         }
@@ -105,6 +114,9 @@ impl HandOver {
     fn motion(&self) -> Result<Option<Motion>, DecodeError> {
         let Some(first) = self.past.first() else { return Ok(None) };
         let Grid { origin, period_ns } = first.to_core()?.grid;
+        if !PERIODS_NS.contains(&period_ns) {
+            return Err(at("past").invalid(format!("a frame period of {period_ns} ns")));
+        }
         let timed = |keyframe: &Keyframe| {
             let stamped = keyframe.to_core()?;
             Ok(TimedKeyframe::new(stamped.capture, stamped.keyframe))
@@ -115,8 +127,17 @@ impl HandOver {
         for at in times.clone().chain([origin]) {
             time("past", at.ns())?;
         }
-        if !times.is_sorted() || past.last().map(|last| last.capture.ns()) != Some(self.until_ns) {
-            return Err(at("past").invalid("the keyframes do not end at until_ns"));
+        let is_rising = times.clone().zip(times.skip(1)).all(|(a, b)| a < b);
+        if !is_rising
+            || past.len() > 2
+            || ahead.len() > MOST_AHEAD
+            || past.last().map(|last| last.capture.ns()) != Some(self.until_ns)
+        {
+            return Err(at("past").invalid("not one or two keyframes up to until_ns"));
+        }
+        let noise = at("noise").numbers::<4, f64>(&self.noise)?;
+        if noise.iter().any(|number| *number < 0.0) {
+            return Err(at("noise").invalid("is negative"));
         }
         let first_fit = at("first_fit").numbers::<1, f64>(&[self.first_fit])?[0];
         let deviations = at("deviations_m");
@@ -126,7 +147,7 @@ impl HandOver {
             coasted: self.coasted as usize,
             frames: Grid { origin, period_ns },
             first_pose: time("first_pose_ns", self.first_pose_ns)?,
-            noise: Noise::of_numbers(at("noise").numbers(&self.noise)?),
+            noise: Noise::of_numbers(noise),
             first_fit: Some(first_fit).filter(|fit| *fit > 0.0),
             deviations: match self.deviations_m.is_empty() {
                 true => None,

@@ -8,10 +8,12 @@ use super::check::{Field, field};
 use super::{DecodeError, DetectedPerson, KeypointFrame, KeypointSet};
 use crate::core::detections::{Detection, Detections, KeypointFormat, Person};
 use crate::core::stage::PerformerFrames;
-use crate::core::time::Timestamp;
+use crate::core::time::{Nanos, Timestamp};
 
 /// Most performers that are told from each other.
-const MOST_PERFORMERS: u32 = 1024;
+pub(super) const MOST_PERFORMERS: u32 = 256;
+/// Frames are not complete further than this after the last one.
+const AHEAD: Nanos = Nanos::SECOND;
 const COMPLETE: Field = field("KeypointSet", "complete_ns");
 const PERFORMER: Field = field("KeypointSet", "performer");
 const POINTS: Field = field("KeypointFrame", "people.points");
@@ -87,8 +89,13 @@ impl KeypointSet {
             return Err(COMPLETE.invalid(format!("{} is no capture time", self.complete_ns)));
         }
         let frames = self.frames.iter().map(|frame| frame.to_core(&index_of));
+        let frames: Vec<Detections> = frames.collect::<Result<_, _>>()?;
+        let last = frames.iter().map(|frame| frame.capture).max().unwrap_or_default();
+        if Timestamp::from_ns(self.complete_ns) - last > AHEAD {
+            return Err(COMPLETE.invalid("is long after the last frame"));
+        }
         let frames = PerformerFrames {
-            frames: frames.collect::<Result<_, _>>()?,
+            frames,
             complete: Timestamp::from_ns(self.complete_ns),
             returns: self.returns,
             enters: self.enters,

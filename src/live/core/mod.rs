@@ -184,11 +184,11 @@ impl Core {
             Input::Played(deviations_us) => self.published.played(&deviations_us),
             Input::End => {
                 self.give_up_start();
-                self.release_all();
                 for (performer, solution, took) in std::mem::take(&mut self.held) {
                     self.solved(performer, solution, took);
                     self.drain();
                 }
+                self.release_all();
                 self.put_out_bodies();
                 self.give(stage::Input::End);
             }
@@ -253,8 +253,9 @@ impl Core {
             false => Stage::new(tracker, of_stage.performers, None),
         };
         let stage = stage.choosing(of_stage.choice()).naming(Names::new(of_stage.names.clone()));
+        let stage = if of_stage.solve { stage } else { stage.without_solving() };
         let stage = stage.with_known(&carried.performers).with_left_out(&carried.left_out);
-        self.stage = Some(if of_stage.solve { stage } else { stage.without_solving() });
+        self.stage = Some(stage);
         if !self.is_several() {
             self.performer(PerformerId(0));
         }

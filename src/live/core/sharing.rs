@@ -30,7 +30,13 @@ const MOST_KEPT: usize = 1024;
 /// A new solver waits this long before it takes performers of whom the others say nothing.
 const SETTLING: Nanos = Nanos::from_ms(500);
 /// Capture times go back by at least this if the cameras' clock does.
-const BACK: Nanos = Nanos::SECOND;
+const BACK: Nanos = Nanos::from_ms(50);
+/// Another solver that says nothing of a performer for this long does not solve it.
+const SILENT: Nanos = Nanos::SECOND;
+/// States are not later than this.
+const MOST_LATE: Nanos = Nanos::from_ms(60_000);
+/// The motion goes on if there are frames from this long after its end on.
+const HOLE: Nanos = Nanos::from_ms(100);
 
 /// A performer of the stage.
 #[derive(Default)]
@@ -38,8 +44,9 @@ struct Shared {
     /// The name in the topics.
     name: String,
     is_ours: bool,
-    /// The last state, of whoever solves the performer.
+    /// The last state, of whoever solves the performer, and when it came.
     state: Option<HandOver>,
+    heard: Timestamp,
     /// Solved elsewhere: the newest frames.
     recent: VecDeque<PerformerFrames>,
 }
@@ -135,6 +142,10 @@ impl Core {
         };
         self.note_arrivals(&set.frames);
         let shared = self.shared(performer, actor);
+        if set.enters {
+            // It is somebody else's.
+            shared.state = None;
+        }
         if !shared.is_ours {
             shared.recent.push_back(set);
             let oldest = shared.recent.back().map(|newest| newest.complete - KEPT);
@@ -164,7 +175,13 @@ impl Core {
 
     /// Compares the cameras' clock with the node's: each frame comes with the sets of several performers.
     fn note_arrivals(&mut self, frames: &[Detections]) {
-        for frame in frames {
+        // Who enters brings frames of some time before.
+        let is_newest = |frame: &&Detections| {
+            frames
+                .iter()
+                .all(|other| other.camera != frame.camera || other.capture <= frame.capture)
+        };
+        for frame in frames.iter().filter(is_newest) {
             let newest = self.sharing.newest.entry(frame.camera).or_insert(frame.capture);
             let is_back = *newest - frame.capture > BACK;
             if frame.capture > *newest || is_back {
@@ -176,6 +193,10 @@ impl Core {
 
     /// Another solver tells what it knows of a performer.
     pub(super) fn hand_over(&mut self, actor: &str, payload: &[u8]) {
+        if payload.len() > MOST_BYTES {
+            return self.too_large(None, payload, MOST_BYTES);
+        }
+        let now = self.now;
         let message = wire::decode::<HandOver>(payload);
         let mut message = match message.and_then(|message| message.to_core().map(|_| message)) {
             Ok(message) => message,
@@ -187,11 +208,16 @@ impl Core {
         }
         let is_winner = self.is_winner(performer);
         let shared = self.sharing.performers.entry(performer).or_default();
-        // The last state under an earlier name.
+        // The last state under an earlier name is of no use.
         if !shared.name.is_empty() && shared.name != actor {
             return;
         }
         let before = shared.state.as_ref();
+        // So is an earlier state, such as the last one of a solver of before. If the clock went back, it is none.
+        let by = before.map_or(0, |before| before.until_ns.saturating_sub(message.until_ns));
+        if (1..=MOST_LATE.ns()).contains(&by) {
+            return;
+        }
         if message.body_estimate.is_none() {
             message.body_estimate = before.and_then(|before| before.body_estimate.clone());
         }
@@ -205,7 +231,7 @@ impl Core {
             self.release_here(performer);
         }
         if let Some(shared) = self.sharing.performers.get_mut(&performer) {
-            shared.state = Some(message);
+            (shared.state, shared.heard) = (Some(message), now);
         }
         self.review(performer);
     }
@@ -228,7 +254,10 @@ impl Core {
             self.now - self.began >= SETTLING || !self.settings.carried.take.is_empty();
         let Some(shared) = self.sharing.performers.get(&performer) else { return };
         let is_free = match &shared.state {
-            Some(state) => state.released || !solvers.contains(&state.solver),
+            Some(state) => {
+                let is_silent = self.now - shared.heard > SILENT;
+                state.released || is_silent || !solvers.contains(&state.solver)
+            }
             None => is_settled,
         };
         match shared.is_ours {
@@ -255,12 +284,17 @@ impl Core {
         let goes_on = shared.state.as_ref().is_none_or(has_weights);
         // Nor can the motion go on after the performer returned, or the cameras' clock went back.
         let begin = recent.iter().rposition(|set| set.returns || set.enters);
-        let newest = recent.back().map(|set| set.complete);
-        let is_past = |state: &tracker::HandOver| Some(state.until) <= newest;
-        if let Some(state) = &mut state
-            && (begin.is_some() || !goes_on || !is_past(state))
+        if let (Some(state), Some(oldest), Some(newest)) =
+            (&mut state, recent.front(), recent.back())
         {
-            state.motion = None;
+            let is_past = state.until <= newest.complete;
+            let has_frames = oldest.complete <= state.until + HOLE;
+            if begin.is_some() || !goes_on || !is_past || !has_frames {
+                state.motion = None;
+            }
+            if !is_past {
+                state.until = Timestamp::default();
+            }
         }
         // The state may be somebody else's.
         if begin.is_some_and(|begin| recent[begin].enters) {

@@ -285,7 +285,9 @@ impl Core {
         let rig_at_start = rig.clone().or(self.rig_at_start.take());
         self.reset(settings, rig_at_start);
         // Recorders that came later have no calibration yet.
-        if let Some(Ok(rig)) = rig.map(|rig| wire::decode::<wire::Rig>(&rig)) {
+        if let Some(Ok(rig)) = rig.map(|rig| wire::decode::<wire::Rig>(&rig))
+            && !self.is_solver()
+        {
             self.publish(self.topics.rig(), Timestamp::default(), Content::Rig(rig));
         }
         self.answer(take.id, Ok(text));

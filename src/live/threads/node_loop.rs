@@ -1,7 +1,7 @@
 //! The thread of the node loop: waits for the next input, stamps it, passes it to the core, and
 //! handles the outputs. It never waits for anything else.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender, never, select_biased};
@@ -24,6 +24,9 @@ use crate::live::observe::log::EventLog;
 /// Longest sleep when the core asks for no tick.
 const IDLE: Duration = Duration::from_secs(1);
 
+/// The announcement of a solver.
+pub(crate) type Token = Arc<Mutex<Option<Box<dyn Guard>>>>;
+
 /// All sources that can wake the node loop.
 pub(crate) struct Inbox {
     pub(crate) intake: Intake,
@@ -42,7 +45,7 @@ pub(crate) struct NodeLoop {
     pub(crate) clock: WallClock,
     pub(crate) inbox: Inbox,
     /// Of a solver: its announcement. It ends when the performers are released.
-    pub(crate) token: Option<Box<dyn Guard>>,
+    pub(crate) token: Token,
     pub(crate) jobs: Solvers,
     pub(crate) playout: Arc<Playout>,
     pub(crate) outlet: Outlet,
@@ -160,7 +163,7 @@ impl NodeLoop {
         self.inbox.others = never();
         self.progress.ended = true;
         self.feed(Input::End);
-        self.token = None;
+        drop(self.token.lock().unwrap_or_else(PoisonError::into_inner).take());
     }
 
     fn take_in(&mut self, message: Message) {

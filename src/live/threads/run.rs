@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 use std::thread::{Builder, JoinHandle};
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bo
 
 use super::bodies_folder::BodiesFolder;
 use super::cpu_affinity::SolverCore;
-use super::node_loop::{Inbox, NodeLoop, Progress};
+use super::node_loop::{Inbox, NodeLoop, Progress, Token};
 use super::outlet::Outlet;
 use super::playout::Playout;
 use super::presence::Presence;
@@ -125,12 +125,13 @@ impl Node {
         let solvers = solvers.into_iter().map(solve).collect();
         let (jobs, answers) = Solvers::start(solvers, solver_core, &mut threads)?;
 
+        let token = Token::default();
         let (stop, stopped) = bounded(1);
         let node_loop = NodeLoop {
             core,
             clock,
             inbox: Inbox { intake: intake.clone(), answers, played, rigs, others, stop: stopped },
-            token: config.solver.then(|| bus.announce(&topics.solver())).transpose()?,
+            token: Arc::clone(&token),
             jobs,
             playout: Arc::clone(&playout),
             outlet: loop_outlet(&bus, &topics, &board)?,
@@ -162,6 +163,11 @@ impl Node {
         let mut inputs = vec![topics.rig(), topics.take()];
         inputs.extend(config.inputs(core_is_front));
         running.listen(&*bus, inputs, &intake)?;
+        if config.solver {
+            // It gets performers from here on.
+            let announced = bus.announce(&topics.solver())?;
+            *token.lock().unwrap_or_else(PoisonError::into_inner) = Some(announced);
+        }
         Ok(running)
     }
 }
