@@ -5,7 +5,6 @@ use serde::{Deserialize, Serialize};
 use crate::core::limits::{Limit, OutOfRange, check};
 use crate::core::tracker::Latency;
 use crate::io::formats::{Auto, Convention, Unit, Up};
-use crate::io::wire::Topics;
 
 /// Settings of the live node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -77,16 +76,6 @@ impl Config {
     pub fn convention(&self) -> Convention {
         let (up, unit) = (self.rig_up, self.rig_unit);
         Convention { up, unit, file_first: true, ..Convention::default() }
-    }
-
-    /// The topics that the node reads beside rigs and slates. `is_front`: others solve its performers.
-    pub(super) fn inputs(&self, is_front: bool) -> Vec<String> {
-        let topics = |actor: &str| Topics { stage: self.stage.clone(), actor: actor.to_owned() };
-        match self.solver {
-            true => vec![topics("*").actor_keypoints(), topics("*").hand_over()],
-            false if is_front => vec![topics("").keypoints("*"), topics("*").hand_over()],
-            false => vec![topics("").keypoints("*")],
-        }
     }
 
     /// Checks the ranges of all numbers.

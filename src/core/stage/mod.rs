@@ -23,6 +23,7 @@
 //! all performers, and windows close when the stage's sets are complete. Live, time offsets and moved
 //! cameras are found from the performer who is tracked longest, and hold for all.
 
+mod associated;
 mod config;
 mod crowd;
 mod known;
@@ -45,6 +46,7 @@ use super::time::{Nanos, Timestamp};
 use super::tracker::{
     self, Effort, Event, EventKind, FramePeriod, HandOver, Job, Latency, Solution, Tracker,
 };
+pub use associated::PerformerFrames;
 pub use config::{Choice, Config, Performers, PerformersError};
 pub use crowd::Crowd;
 pub use known::Known;
@@ -84,19 +86,6 @@ pub enum Output {
     Event(Event),
     /// The frames of one performer, if the performers are not solved here.
     Frames(PerformerId, PerformerFrames),
-}
-
-/// The frames of one performer at one time.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PerformerFrames {
-    /// The frame of each camera, with the performer alone or with nobody, on the cameras' common clock.
-    pub frames: Vec<Detections>,
-    /// All frames of the performer up to this time were given.
-    pub complete: Timestamp,
-    /// Whether the performer returns with them.
-    pub returns: bool,
-    /// Whether the performer enters with them: the number may have been somebody else's.
-    pub enters: bool,
 }
 
 /// What a tracker gets next.
@@ -157,41 +146,6 @@ impl Stage {
             lead: 0,
             next: VecDeque::new(),
         }
-    }
-
-    /// Performers whose frames come from a stage that does not solve them: see [`Stage::associated`].
-    pub fn of_associated(template: Tracker) -> Self {
-        let stage = Self::new(template.handing_over(), Performers::default(), None);
-        Self { trackers: Vec::new(), is_associated: true, ..stage }
-    }
-
-    /// The next frames of a performer. If it returns or enters with them, tracking begins anew.
-    pub fn associated(&mut self, performer: PerformerId, frames: PerformerFrames) {
-        let PerformerFrames { frames, complete, returns, enters } = frames;
-        let is_new = self.trackers.get(performer.0).is_none_or(Tracker::is_new);
-        let begin = match is_new {
-            false if enters => Some(tracker::Input::Forget),
-            false if returns => Some(tracker::Input::Restart),
-            _ => None,
-        };
-        let frames = frames.into_iter().map(tracker::Input::Detections);
-        let inputs = begin.into_iter().chain(frames).chain([tracker::Input::Complete(complete)]);
-        self.next.extend(inputs.map(|input| Next::Tracker(performer.0, input)));
-    }
-
-    /// Tracks another performer of an associating stage from here on, or goes on where another stage was.
-    pub fn take_over(&mut self, performer: PerformerId, state: Option<HandOver>) {
-        while self.trackers.len() <= performer.0 {
-            self.trackers.push(self.template.clone().fed(self.trackers.len()));
-        }
-        if let Some(state) = state {
-            self.trackers[performer.0].take_over(state);
-        }
-    }
-
-    /// Tracks a performer no more.
-    pub fn release(&mut self, performer: PerformerId) {
-        self.next.push_back(Next::Tracker(performer.0, tracker::Input::Forget));
     }
 
     /// Several performers: only the people of this choice become performers.
@@ -347,13 +301,6 @@ impl Stage {
             self.trackers = self.trackers.into_iter().map(|t| t.with_body(known.clone())).collect();
         }
         Self { bodies, ..self }
-    }
-
-    /// Tracks nobody: puts out the frames of each performer.
-    #[must_use]
-    pub fn without_solving(mut self) -> Self {
-        self.is_solving = false;
-        self
     }
 
     /// The trackers, by performer.
@@ -586,21 +533,6 @@ impl Stage {
             }
         };
         self.tell(performer, at, kind, detail);
-    }
-
-    /// Not solving: the body of a performer, who is solved elsewhere.
-    pub fn know_body(&mut self, performer: PerformerId, body: Arc<Skeleton>) {
-        if self.saved.len() <= performer.0 {
-            self.saved.resize(performer.0 + 1, None);
-        }
-        self.saved[performer.0] = Some(body);
-    }
-
-    /// Not solving: the performer enters or returns with the next frames.
-    fn begin_frames(&mut self, performer: usize, frames: PerformerFrames) {
-        if !self.is_solving {
-            self.incomplete.insert(performer, frames);
-        }
     }
 
     fn tell(&mut self, performer: usize, at: Timestamp, kind: EventKind, detail: String) {

@@ -7,6 +7,9 @@ use std::fmt;
 pub struct PerformerId(pub usize);
 
 impl PerformerId {
+    /// Numbers are below this.
+    pub const MOST: usize = 256;
+
     /// Whether a text is what some number is called.
     pub fn is_name(text: &str) -> bool {
         text.strip_prefix('p')

@@ -16,12 +16,10 @@ pub struct HandOver {
     pub until: Timestamp,
     /// Number of the next window.
     pub window: u64,
-    /// The body, if it is known, and what else is known of it.
+    /// The body, if any window was tracked with it, and what else is known of it.
     pub skeleton: Option<Arc<Skeleton>>,
     /// See `skeleton`.
     pub estimate: Arc<BodyEstimator>,
-    /// Whether any window was tracked with this body.
-    pub is_proven: bool,
     /// The motion; `None`: the performer is searched.
     pub motion: Option<Motion>,
 }
@@ -34,7 +32,6 @@ impl HandOver {
             window: 0,
             skeleton: Some(body),
             estimate: Arc::new(BodyEstimator::check()),
-            is_proven: true,
             motion: None,
         }
     }
@@ -42,7 +39,7 @@ impl HandOver {
     /// The body once its estimate is complete, or if it was given.
     pub fn known_body(&self) -> Option<&Arc<Skeleton>> {
         let is_known = self.estimate.is_check() || self.estimate.is_complete();
-        self.skeleton.as_ref().filter(|_| self.is_proven && is_known)
+        self.skeleton.as_ref().filter(|_| is_known)
     }
 }
 

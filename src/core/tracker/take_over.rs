@@ -41,7 +41,6 @@ impl Tracker {
             window: self.window,
             skeleton: self.skeleton.clone().filter(|_| self.is_proven),
             estimate: Arc::clone(&self.estimator),
-            is_proven: self.is_proven,
             motion,
         }
     }
@@ -49,10 +48,10 @@ impl Tracker {
     /// Goes on where another tracker was. Give it the frames after that; earlier ones are not used.
     pub(in crate::core) fn take_over(&mut self, state: HandOver) {
         self.restart();
-        let HandOver { until, window, skeleton, estimate, is_proven, motion } = state;
+        let HandOver { until, window, skeleton, estimate, motion } = state;
         let Some(skeleton) = skeleton else { return };
         self.outputs.push_back(Output::Skeleton(Arc::clone(&skeleton)));
-        (self.skeleton, self.is_proven, self.window) = (Some(skeleton), is_proven, window);
+        (self.skeleton, self.is_proven, self.window) = (Some(skeleton), true, window);
         self.intake.refuse(until);
         let Some(motion) = motion else {
             self.estimator = Arc::new(estimate.after_a_break());

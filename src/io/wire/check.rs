@@ -4,6 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::DecodeError;
 use crate::core::so3;
+use crate::core::stage::PerformerId;
 
 /// A field of a schema, named in errors.
 #[derive(Clone, Copy)]
@@ -21,6 +22,13 @@ impl Field {
     pub(super) fn invalid(self, reason: impl Into<String>) -> DecodeError {
         let Self { message, field } = self;
         DecodeError::Invalid { message, field, reason: reason.into() }
+    }
+
+    /// The performer with that number, from 0.
+    pub(super) fn performer(self, number: u32) -> Result<PerformerId, DecodeError> {
+        let performer = PerformerId(number as usize);
+        let is_one = performer.0 < PerformerId::MOST;
+        is_one.then_some(performer).ok_or_else(|| self.invalid(format!("{number} is too large")))
     }
 
     /// Fails unless there are `expected` entries.

@@ -4,7 +4,6 @@ use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use super::check::{Field, field};
-use super::keypoints::MOST_PERFORMERS;
 use super::{BodyEstimate, DecodeError, HandOver, Keyframe, TIMES_NS};
 use crate::core::body::{BODY_COEFFICIENTS, Skeleton, TrackingState};
 use crate::core::manifold::{Interpolation, StampedKeyframe, TimedKeyframe};
@@ -46,7 +45,6 @@ impl HandOver {
             body_estimate: Some(BodyEstimate {
                 windows: numbers.windows as u32,
                 is_check: numbers.is_check,
-                is_proven: state.is_proven,
                 coefficients: numbers.coefficients,
                 information: numbers.information,
                 pull: numbers.pull,
@@ -90,14 +88,8 @@ impl HandOver {
             false => Some(at("body").numbers::<BODY_COEFFICIENTS, f64>(&self.body)?),
         };
         let skeleton = body.map(|body| Skeleton::default().with_coefficients(&body));
-        let estimate = self.body_estimate.as_ref();
-        let (estimate, is_proven) = match estimate {
-            Some(estimate) => (estimate.to_core()?, estimate.is_proven),
-            None => (BodyEstimator::default(), false),
-        };
-        if self.performer >= MOST_PERFORMERS {
-            return Err(at("performer").invalid(format!("{} is too large", self.performer)));
-        }
+        let estimate = self.body_estimate.as_ref().map(BodyEstimate::to_core).transpose()?;
+        at("performer").performer(self.performer)?;
         if self.window > MOST_WINDOWS {
             return Err(at("window").invalid(format!("{} is too large", self.window)));
         }
@@ -105,8 +97,7 @@ impl HandOver {
             until: time("until_ns", self.until_ns)?,
             window: self.window,
             skeleton: skeleton.map(Arc::new),
-            estimate: Arc::new(estimate),
-            is_proven,
+            estimate: Arc::new(estimate.unwrap_or_default()),
             motion: self.motion()?,
         })
     }

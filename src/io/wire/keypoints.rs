@@ -7,11 +7,9 @@ use std::ops::RangeInclusive;
 use super::check::{Field, field};
 use super::{DecodeError, DetectedPerson, KeypointFrame, KeypointSet};
 use crate::core::detections::{Detection, Detections, KeypointFormat, Person};
-use crate::core::stage::PerformerFrames;
+use crate::core::stage::{PerformerFrames, PerformerId};
 use crate::core::time::{Nanos, Timestamp};
 
-/// Most performers that are told from each other.
-pub(super) const MOST_PERFORMERS: u32 = 256;
 /// Frames are not complete further than this after the last one.
 const AHEAD: Nanos = Nanos::SECOND;
 const COMPLETE: Field = field("KeypointSet", "complete_ns");
@@ -74,17 +72,15 @@ impl KeypointFrame {
 }
 
 impl KeypointSet {
-    /// The number of the performer, from 0, and the frames. The arguments are those of [`KeypointFrame::to_core`].
+    /// The performer and the frames. The arguments are those of [`KeypointFrame::to_core`].
     ///
     /// # Errors
     /// As [`KeypointFrame::to_core`]; more performers than there can be.
     pub fn to_core(
         &self,
         index_of: impl Fn(&str) -> Option<usize>,
-    ) -> Result<(usize, PerformerFrames), DecodeError> {
-        if self.performer >= MOST_PERFORMERS {
-            return Err(PERFORMER.invalid(format!("{} is too large", self.performer)));
-        }
+    ) -> Result<(PerformerId, PerformerFrames), DecodeError> {
+        let performer = PERFORMER.performer(self.performer)?;
         if !TIMES_NS.contains(&self.complete_ns) {
             return Err(COMPLETE.invalid(format!("{} is no capture time", self.complete_ns)));
         }
@@ -100,7 +96,7 @@ impl KeypointSet {
             returns: self.returns,
             enters: self.enters,
         };
-        Ok((self.performer as usize, frames))
+        Ok((performer, frames))
     }
 }
 

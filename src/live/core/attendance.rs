@@ -66,7 +66,7 @@ impl Core {
             tracker_state: state.unwrap_or_default().to_owned(),
             solver: match is_solved {
                 true => self.topics.actor.clone(),
-                false => solver_of(&self.settings.carried.solvers, performer.0)
+                false => solver_of(&self.settings.carried.solvers, performer)
                     .unwrap_or_default()
                     .to_owned(),
             },

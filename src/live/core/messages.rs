@@ -9,7 +9,9 @@ use crate::core::detections::Detections;
 use crate::core::stage::{self, Stage};
 use crate::core::time::Nanos;
 use crate::core::tracker::EventKind;
-use crate::io::wire::{self, ActorChannel, DecodeError, KeypointFrame, StageChannel, Topic};
+use crate::io::wire::{
+    self, ActorChannel, DecodeError, KeypointFrame, StageChannel, Topic, Topics,
+};
 use crate::live::clock::Arrival;
 
 /// Points further than this many image sizes outside the image are not used.
@@ -22,6 +24,15 @@ const MOST_ARRIVALS: usize = 256;
 const MOST_NAME: usize = 64;
 
 impl Core {
+    /// The patterns of the topics that it reads, those of rigs and of slates first.
+    pub(crate) fn inputs(&self) -> Vec<String> {
+        let all = Topics { actor: "*".to_owned(), ..self.topics.clone() };
+        let mut inputs = vec![all.rig(), all.take()];
+        inputs.push(if self.is_solver() { all.actor_keypoints() } else { all.keypoints("*") });
+        inputs.extend(self.looks_for_solvers().then(|| all.hand_over()));
+        inputs
+    }
+
     pub(super) fn message(&mut self, topic: &str, payload: &[u8]) {
         let is_rig = topic == self.topics.rig();
         if is_rig || topic == self.topics.take() {
@@ -39,19 +50,19 @@ impl Core {
                 let camera: String = camera.chars().take(MOST_NAME).collect();
                 self.keypoints(&camera, payload);
             }
-            Ok(Topic::Actor { channel: ActorChannel::HandOver, .. }) if self.is_front() => {
-                self.body_of(payload);
+            Ok(Topic::Actor { .. }) if payload.len() > MOST_BYTES => {
+                self.too_large(None, payload, MOST_BYTES);
             }
-            Ok(Topic::Actor { actor, channel, .. }) if self.is_solver() => match channel {
-                ActorChannel::Keypoints => self.keypoint_set(actor, payload),
+            Ok(Topic::Actor { actor, channel, .. }) => match channel {
+                ActorChannel::Keypoints if self.is_solver() => self.keypoint_set(actor, payload),
                 ActorChannel::HandOver => self.hand_over(actor, payload),
                 _ => {}
             },
-            _ => {}
+            Ok(Topic::Stage { .. }) | Err(_) => {}
         }
     }
 
-    pub(super) fn too_large(&mut self, camera: Option<&str>, payload: &[u8], most: usize) {
+    fn too_large(&mut self, camera: Option<&str>, payload: &[u8], most: usize) {
         let detail = format!("a message of {} bytes, at most {most}", payload.len());
         self.event(EventKind::Unusable, camera, detail);
     }

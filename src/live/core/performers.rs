@@ -20,9 +20,14 @@ impl Core {
         }
     }
 
-    /// Whether it tells people from each other for nodes that solve them.
-    pub(crate) fn is_front(&self) -> bool {
+    /// Whether it tells people from each other for solvers.
+    pub(super) fn is_front(&self) -> bool {
         !self.settings.stage.solve
+    }
+
+    /// Whether it is to be told which solvers are there.
+    pub(crate) fn looks_for_solvers(&self) -> bool {
+        self.is_front() || self.is_solver()
     }
 
     /// The folder of known bodies; empty: none.
@@ -35,7 +40,7 @@ impl Core {
         match (&self.stage, PerformerId(number)) {
             _ if !self.is_several() => self.topics.actor.clone(),
             _ if self.is_solver() => {
-                let name = self.sharing.name_of(number);
+                let name = self.sharing.name_of(PerformerId(number));
                 name.map_or_else(|| PerformerId(number).to_string(), str::to_owned)
             }
             (Some(stage), performer) => stage.name_of(performer),

@@ -18,9 +18,6 @@ pub const MOST_BYTES: usize = 1 << 20;
 /// Larger rigs and slates are rejected, bytes: the journal keeps them whole.
 pub const MOST_ORDER_BYTES: usize = 256 << 10;
 
-/// Numbers of performers are below this.
-const MOST_PERFORMERS: u32 = 256;
-
 /// Messages of one camera that were not read.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Loss {
@@ -166,7 +163,8 @@ impl Carried {
 /// The performers of another node, from its status.
 pub fn people_of(status: &StageStatus) -> Vec<Known> {
     let is_sound = |one: &&JournalPerformer| {
-        one.number < MOST_PERFORMERS && one.lengths_m.iter().all(|length| length.is_finite())
+        (one.number as usize) < PerformerId::MOST
+            && one.lengths_m.iter().all(|length| length.is_finite())
     };
     status.known.iter().filter(is_sound).map(known).collect()
 }

@@ -1,19 +1,18 @@
 //! Solvers share the performers of a stage that does not solve them: any number of nodes, on any computer.
 //!
-//! Nobody distributes the performers. Every solver knows which ones are there, by their announcements, and the
-//! performer belongs to the one with the largest number of a hash of both names (rendezvous hashing). So if one of n
+//! Nobody distributes the performers. Every solver knows which ones are there, by their announcements. A performer
+//! belongs to the solver with the largest hash of its name and the performer's number (rendezvous hashing). So if one of n
 //! solvers comes or leaves, 1/n of the performers move.
 //!
-//! Every solver gets everybody's frames and keeps the newest of those that it does not solve. After each window the
-//! solver of a performer publishes a [`HandOver`]. The next one goes on from there: at once if the other one says that it
-//! has released the performer, or is gone. A new solver first waits for what the others say, and gets performers when it has
-//! frames of the last half second.
+//! Every solver gets everybody's frames, and keeps the newest ones of those whom it does not solve. After each window the
+//! solver of a performer publishes a [`HandOver`]. The next solver goes on from there: at once if the one before has
+//! released the performer, is gone, or says nothing. A new solver gets performers after half a second, when it has frames
+//! of that time.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use super::Core;
-use super::port::MOST_BYTES;
 use super::publication::Content;
 use crate::core::detections::Detections;
 use crate::core::fnv::fnv1a;
@@ -25,17 +24,17 @@ use crate::io::wire::{self, HandOver, KeypointSet, Topics};
 
 /// The newest frames of performers who are solved elsewhere are kept for this long.
 const KEPT: Nanos = Nanos::from_ms(1500);
-/// And at most so many of each.
+/// At most so many sets of frames of each are kept.
 const MOST_KEPT: usize = 1024;
-/// A new solver waits this long before it takes performers of whom the others say nothing.
+/// A new solver gets performers after this time.
 const SETTLING: Nanos = Nanos::from_ms(500);
 /// Capture times go back by at least this if the cameras' clock does.
 const BACK: Nanos = Nanos::from_ms(50);
 /// Another solver that says nothing of a performer for this long does not solve it.
 const SILENT: Nanos = Nanos::SECOND;
-/// States are not later than this.
+/// A state that is older than the known one by up to this is not used. By more, the cameras' clock went back.
 const MOST_LATE: Nanos = Nanos::from_ms(60_000);
-/// The motion goes on if there are frames from this long after its end on.
+/// The motion goes on if the frames begin at most this long after its end.
 const HOLE: Nanos = Nanos::from_ms(100);
 
 /// A performer of the stage.
@@ -54,7 +53,7 @@ struct Shared {
 /// What a solver knows of the performers of the stage.
 #[derive(Default)]
 pub(super) struct Sharing {
-    performers: BTreeMap<usize, Shared>,
+    performers: BTreeMap<PerformerId, Shared>,
     /// When the solvers came that came in this run.
     since: BTreeMap<String, Timestamp>,
     /// By camera, the newest capture time.
@@ -62,29 +61,29 @@ pub(super) struct Sharing {
 }
 
 impl Sharing {
-    /// The name of a performer, by number.
-    pub(super) fn name_of(&self, performer: usize) -> Option<&str> {
+    /// The name of a performer.
+    pub(super) fn name_of(&self, performer: PerformerId) -> Option<&str> {
         self.performers.get(&performer).map(|shared| shared.name.as_str())
     }
 
     /// The number of the performer with that name.
     pub(super) fn number_of(&self, name: &str) -> Option<usize> {
         let number = self.performers.iter().find(|(_, shared)| shared.name == name);
-        number.map(|(number, _)| *number)
+        number.map(|(number, _)| number.0)
     }
 
     /// The performers that this node solves.
     pub(super) fn ours(&self) -> Vec<PerformerId> {
         let ours = self.performers.iter().filter(|(_, shared)| shared.is_ours);
-        ours.map(|(number, _)| PerformerId(*number)).collect()
+        ours.map(|(number, _)| *number).collect()
     }
 }
 
-/// The solver of a performer, by number.
-pub(super) fn solver_of(solvers: &[String], performer: usize) -> Option<&str> {
+/// The solver of a performer.
+pub(super) fn solver_of(solvers: &[String], performer: PerformerId) -> Option<&str> {
     let weight = |name: &str| {
         let draws = Draws { seed: fnv1a(name.as_bytes()), stream: 0 };
-        draws.uniform(0, performer as u64)
+        draws.uniform(0, performer.0 as u64)
     };
     let weighed = solvers.iter().map(|name| (weight(name), name.as_str()));
     weighed.max_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(b.1))).map(|(_, name)| name)
@@ -113,7 +112,7 @@ impl Core {
         let is_new = !new.is_empty();
         self.sharing.since.retain(|name, _| solvers.contains(name));
         self.sharing.since.extend(new.into_iter().map(|name| (name.clone(), self.now)));
-        let all: Vec<usize> = self.sharing.performers.keys().copied().collect();
+        let all: Vec<PerformerId> = self.sharing.performers.keys().copied().collect();
         for performer in all {
             let shared = self.sharing.performers.get(&performer);
             // Who comes has not got the estimate of the body, which is not in every message.
@@ -127,11 +126,8 @@ impl Core {
 
     /// A solver got the frames of a performer.
     pub(super) fn keypoint_set(&mut self, actor: &str, payload: &[u8]) {
-        if payload.len() > MOST_BYTES {
-            return self.too_large(None, payload, MOST_BYTES);
-        }
         let Some(calibration) = &self.calibration else {
-            let detail = "keypoints before a calibration: is the front up?".to_owned();
+            let detail = "keypoints before a calibration; give it to the front".to_owned();
             return self.event(EventKind::Unusable, None, detail);
         };
         let rig = Arc::clone(&calibration.rig);
@@ -141,36 +137,27 @@ impl Core {
             Err(error) => return self.event(EventKind::Unusable, None, error.to_string()),
         };
         self.note_arrivals(&set.frames);
-        let shared = self.shared(performer, actor);
+        let shared = self.sharing.performers.entry(performer).or_default();
+        let is_renamed = shared.name != actor;
+        actor.clone_into(&mut shared.name);
         if set.enters {
             // It is somebody else's.
             shared.state = None;
         }
         if !shared.is_ours {
+            let oldest = set.complete - KEPT;
             shared.recent.push_back(set);
-            let oldest = shared.recent.back().map(|newest| newest.complete - KEPT);
-            shared.recent.retain(|set| Some(set.complete) >= oldest);
+            shared.recent.retain(|set| set.complete >= oldest);
             if shared.recent.len() > MOST_KEPT {
                 shared.recent.pop_front();
             }
-            return self.review(performer);
-        }
-        if let Some(stage) = &mut self.stage {
-            stage.associated(PerformerId(performer), set);
-        }
-        self.review(performer);
-    }
-
-    /// The performer with that number, who is called like that now.
-    fn shared(&mut self, performer: usize, actor: &str) -> &mut Shared {
-        let shared = self.sharing.performers.entry(performer).or_default();
-        if shared.name != actor {
-            actor.clone_into(&mut shared.name);
-            if shared.is_ours {
-                self.use_name(PerformerId(performer));
+        } else if let Some(stage) = &mut self.stage {
+            stage.associated(performer, set);
+            if is_renamed {
+                self.use_name(performer);
             }
         }
-        self.sharing.performers.entry(performer).or_default()
+        self.review(performer);
     }
 
     /// Compares the cameras' clock with the node's: each frame comes with the sets of several performers.
@@ -191,29 +178,38 @@ impl Core {
         }
     }
 
-    /// Another solver tells what it knows of a performer.
+    /// A node tells what it knows of a performer.
     pub(super) fn hand_over(&mut self, actor: &str, payload: &[u8]) {
-        if payload.len() > MOST_BYTES {
-            return self.too_large(None, payload, MOST_BYTES);
-        }
-        let now = self.now;
         let message = wire::decode::<HandOver>(payload);
-        let mut message = match message.and_then(|message| message.to_core().map(|_| message)) {
-            Ok(message) => message,
-            Err(error) => return self.event(EventKind::Unusable, None, error.to_string()),
-        };
-        let performer = message.performer as usize;
-        if message.solver == self.topics.actor {
-            return;
+        match message.and_then(|message| Ok((message.to_core()?, message))) {
+            Ok((state, message)) if self.is_front() => self.know_body(&state, &message),
+            Ok((_, message)) if message.solver == self.topics.actor => {}
+            Ok((_, message)) => self.state_of_other(actor, message),
+            Err(error) => self.event(EventKind::Unusable, None, error.to_string()),
         }
+    }
+
+    /// The node of the stage hears how somebody is built, for the folder of known bodies.
+    fn know_body(&mut self, state: &tracker::HandOver, message: &HandOver) {
+        let performer = PerformerId(message.performer as usize);
+        if let (Some(body), Some(stage)) = (state.known_body(), &mut self.stage)
+            && performer.0 < self.performers.len()
+        {
+            stage.know_body(performer, Arc::clone(body));
+        }
+    }
+
+    /// Another solver tells what it knows of a performer.
+    fn state_of_other(&mut self, actor: &str, mut message: HandOver) {
+        let (performer, now) = (PerformerId(message.performer as usize), self.now);
         let is_winner = self.is_winner(performer);
         let shared = self.sharing.performers.entry(performer).or_default();
-        // The last state under an earlier name is of no use.
+        // The last state under a former name is of no use.
         if !shared.name.is_empty() && shared.name != actor {
             return;
         }
         let before = shared.state.as_ref();
-        // So is an earlier state, such as the last one of a solver of before. If the clock went back, it is none.
+        // So is an earlier state, such as the last one of a former solver.
         let by = before.map_or(0, |before| before.until_ns.saturating_sub(message.until_ns));
         if (1..=MOST_LATE.ns()).contains(&by) {
             return;
@@ -236,13 +232,13 @@ impl Core {
         self.review(performer);
     }
 
-    fn is_winner(&self, performer: usize) -> bool {
+    fn is_winner(&self, performer: PerformerId) -> bool {
         let solver = solver_of(&self.settings.carried.solvers, performer);
         solver == Some(self.topics.actor.as_str())
     }
 
     /// Takes or releases a performer, if it is time to.
-    fn review(&mut self, performer: usize) {
+    fn review(&mut self, performer: PerformerId) {
         let solvers = &self.settings.carried.solvers;
         let Some(winner) = solver_of(solvers, performer) else { return };
         let is_winner = *winner == *self.topics.actor;
@@ -264,11 +260,11 @@ impl Core {
             _ if self.ended => {}
             false if is_winner && is_free && !shared.recent.is_empty() => self.take_over(performer),
             true if !is_winner && is_ready => self.release(performer),
-            _ => {}
+            true | false => {}
         }
     }
 
-    fn take_over(&mut self, performer: usize) {
+    fn take_over(&mut self, performer: PerformerId) {
         let (Some(shared), Some(stage)) =
             (self.sharing.performers.get_mut(&performer), &mut self.stage)
         else {
@@ -300,22 +296,21 @@ impl Core {
         if begin.is_some_and(|begin| recent[begin].enters) {
             state = None;
         }
-        let id = PerformerId(performer);
-        stage.take_over(id, state);
+        stage.take_over(performer, state);
         for set in recent.drain(begin.unwrap_or(0)..) {
-            stage.associated(id, set);
+            stage.associated(performer, set);
         }
-        self.use_name(id);
+        self.use_name(performer);
         let detail = match from.filter(|from| !from.is_empty() && *from != self.topics.actor) {
-            Some(from) => format!("solved here from now on, by {from} before"),
+            Some(from) => format!("solved here from now on; {from} did it before"),
             None => "solved here".to_owned(),
         };
-        self.tell_of(id, detail);
+        self.tell_of(performer, detail);
     }
 
     /// Another solver is to go on with a performer.
-    fn release(&mut self, performer: usize) {
-        let (solver, number) = (self.topics.actor.clone(), performer as u32);
+    fn release(&mut self, performer: PerformerId) {
+        let (solver, number) = (self.topics.actor.clone(), performer.0 as u32);
         let Some(shared) = self.sharing.performers.get_mut(&performer) else { return };
         shared.is_ours = false;
         let new = || HandOver { performer: number, solver, ..HandOver::default() };
@@ -327,19 +322,19 @@ impl Core {
             self.settings.carried.solvers.iter().filter(|name| **name != self.topics.actor);
         let others: Vec<String> = others.cloned().collect();
         let next = solver_of(&others, performer).unwrap_or("nobody");
-        self.tell_of(PerformerId(performer), format!("released, {next} goes on"));
+        self.tell_of(performer, format!("not solved here any more; {next} goes on"));
     }
 
     /// Releases all performers: the node ends.
     pub(super) fn release_all(&mut self) {
-        for PerformerId(performer) in self.sharing.ours() {
+        for performer in self.sharing.ours() {
             self.release(performer);
         }
     }
 
-    fn release_here(&mut self, performer: usize) {
+    fn release_here(&mut self, performer: PerformerId) {
         if let Some(stage) = &mut self.stage {
-            stage.release(PerformerId(performer));
+            stage.release(performer);
         }
     }
 
@@ -348,23 +343,6 @@ impl Core {
         let kind = EventKind::Solver;
         let event = tracker::Event { capture, kind, camera: None, window: None, count: 1, detail };
         self.emit(&event, Some(performer), None);
-    }
-
-    /// The node of the stage hears how somebody is built, for the folder of known bodies.
-    pub(super) fn body_of(&mut self, payload: &[u8]) {
-        let message = wire::decode::<HandOver>(payload);
-        let state = message.and_then(|message| Ok((message.to_core()?, message.performer)));
-        match (state, &mut self.stage) {
-            (Ok((state, performer)), Some(stage))
-                if (performer as usize) < self.performers.len() =>
-            {
-                if let Some(body) = state.known_body() {
-                    stage.know_body(PerformerId(performer as usize), Arc::clone(body));
-                }
-            }
-            (Ok(_), _) => {}
-            (Err(error), _) => self.event(EventKind::Unusable, None, error.to_string()),
-        }
     }
 
     /// The state of a performer after a window; or the node of the stage has recognised somebody.
@@ -376,7 +354,7 @@ impl Core {
         }
         let (solver, weights) = (&self.topics.actor, &self.settings.weights);
         let mut message = HandOver::from_core(performer.0, solver, state, weights);
-        let Some(shared) = self.sharing.performers.get_mut(&performer.0) else { return };
+        let Some(shared) = self.sharing.performers.get_mut(&performer) else { return };
         if !shared.is_ours {
             return;
         }
@@ -388,7 +366,8 @@ impl Core {
     }
 
     fn publish_state(&mut self, message: HandOver) {
-        let name = self.sharing.name_of(message.performer as usize).unwrap_or_default();
+        let name =
+            self.sharing.name_of(PerformerId(message.performer as usize)).unwrap_or_default();
         let topics = Topics { actor: name.to_owned(), ..self.topics.clone() };
         self.publish_hand_over(&topics, message);
     }

@@ -44,15 +44,17 @@ impl Core {
             }
             return;
         }
-        // The node of the stage answers for those that solve its performers.
-        let is_answered = !self.is_solver() || matches!(&*take.action, "start" | "stop");
-        if !is_answered && !matches!(&*take.action, "reset" | "label" | "lock" | "unlock") {
-            return;
+        // The front answers for solvers.
+        match &*take.action {
+            "start" | "stop" => {}
+            "reset" | "label" | "lock" | "unlock" if self.is_solver() => {
+                let _ = self.follow(&take);
+                return;
+            }
+            _ if self.is_solver() => return,
+            _ => {}
         }
         let done = self.follow(&take);
-        if !is_answered {
-            return;
-        }
         if let Ok(text) = &done {
             self.event(EventKind::Take, None, text.clone());
         }

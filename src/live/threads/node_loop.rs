@@ -34,7 +34,7 @@ pub(crate) struct Inbox {
     pub(crate) played: Receiver<Vec<i32>>,
     pub(crate) rigs: Receiver<Vec<u8>>,
     /// The solvers of the stage, at each change.
-    pub(crate) others: Receiver<Vec<String>>,
+    pub(crate) solver_names: Receiver<Vec<String>>,
     /// Stops the loop when asked to, or when all senders are gone.
     pub(crate) stop: Receiver<()>,
 }
@@ -134,9 +134,9 @@ impl NodeLoop {
                 Ok(rig) => Ok(Turn::Input(Input::RigFile(rig))),
                 Err(_) => Err(NodeError::Fault { thread: "rig file" }),
             },
-            recv(inbox.others) -> names => return match names {
+            recv(inbox.solver_names) -> names => return match names {
                 Ok(names) => Ok(Turn::Input(Input::Solvers(names))),
-                Err(_) => Err(NodeError::Fault { thread: "solvers" }),
+                Err(_) => Err(NodeError::Fault { thread: "solver names" }),
             },
             recv(inbox.intake.signal()) -> _ => {}
             default(pause) => {}
@@ -160,7 +160,7 @@ impl NodeLoop {
         }
         self.inbox.stop = never();
         self.inbox.rigs = never();
-        self.inbox.others = never();
+        self.inbox.solver_names = never();
         self.progress.ended = true;
         self.feed(Input::End);
         drop(self.token.lock().unwrap_or_else(PoisonError::into_inner).take());

@@ -104,8 +104,7 @@ impl Node {
         let (stop_looking, looking) = bounded(0);
         let mut threads = Vec::new();
         let (mended, to_write) = bounded(MENDED);
-        let core_is_front = core.is_front();
-        let others = match config.solver || core_is_front {
+        let solver_names = match core.looks_for_solvers() {
             true => watch_solvers(&bus, &topics, looking.clone(), &mut threads)?,
             false => never(),
         };
@@ -125,12 +124,19 @@ impl Node {
         let solvers = solvers.into_iter().map(solve).collect();
         let (jobs, answers) = Solvers::start(solvers, solver_core, &mut threads)?;
 
-        let token = Token::default();
+        let (patterns, token) = (core.inputs(), Token::default());
         let (stop, stopped) = bounded(1);
         let node_loop = NodeLoop {
             core,
             clock,
-            inbox: Inbox { intake: intake.clone(), answers, played, rigs, others, stop: stopped },
+            inbox: Inbox {
+                intake: intake.clone(),
+                answers,
+                played,
+                rigs,
+                solver_names,
+                stop: stopped,
+            },
             token: Arc::clone(&token),
             jobs,
             playout: Arc::clone(&playout),
@@ -160,9 +166,7 @@ impl Node {
             board,
             presence,
         };
-        let mut inputs = vec![topics.rig(), topics.take()];
-        inputs.extend(config.inputs(core_is_front));
-        running.listen(&*bus, inputs, &intake)?;
+        running.listen(&*bus, patterns, &intake)?;
         if config.solver {
             // It gets performers from here on.
             let announced = bus.announce(&topics.solver())?;
@@ -306,7 +310,7 @@ fn watch_solvers(
     threads: &mut Vec<(&'static str, JoinHandle<()>)>,
 ) -> Result<Receiver<Vec<String>>, NodeError> {
     let root = Topics { actor: String::new(), ..topics.clone() }.solver();
-    let (bus, (sender, others)) = (Arc::clone(bus), bounded(1));
+    let (bus, (sender, names)) = (Arc::clone(bus), bounded(1));
     let work = move || {
         let mut before = None;
         while looking.recv_timeout(LOOK_FOR_SOLVERS) == Err(RecvTimeoutError::Timeout) {
@@ -327,8 +331,8 @@ fn watch_solvers(
             }
         }
     };
-    threads.push(("solvers", thread("solvers").spawn(work).map_err(NodeError::Thread)?));
-    Ok(others)
+    threads.push(("solver names", thread("solver-names").spawn(work).map_err(NodeError::Thread)?));
+    Ok(names)
 }
 
 /// Writes calibrations with a mended camera, each in place of the one of that version.

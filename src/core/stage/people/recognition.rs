@@ -19,8 +19,6 @@ const SAME_BODY: f64 = 1.7;
 const EXPECTED_BODY: f64 = 2.5;
 /// Up to this difference, more is to be measured.
 const DOUBTFUL_BODY: f64 = 3.0;
-/// Most numbers of performers in a run.
-const NUMBERS: usize = 256;
 
 /// Who a member is.
 enum Verdict {
@@ -167,7 +165,7 @@ impl People {
                 into.for_each(|one| one.merged = None);
                 number
             }
-            None if self.known < NUMBERS => {
+            None if self.known < PerformerId::MOST => {
                 self.known += 1;
                 self.known - 1
             }
