@@ -17,7 +17,7 @@ use super::solve::decoder;
 use super::stage::StageArguments;
 use crate::config::Config;
 use crate::core::tracker::Solver;
-use crate::io::bus::{self, Kind};
+use crate::io::bus::{self, Kind, ZenohMode};
 use crate::io::recording::last_body;
 use crate::io::wire::{self, StageStatus, Status, decode, encode};
 use crate::live::{
@@ -325,7 +325,9 @@ fn say_hello(config: &Config, prometheus: Option<&str>) {
                 [] => String::new(),
                 list => format!(", {what} {}", list.join(" ")),
             };
-            format!("zenoh {mode}{}{}", to("on", &zenoh.listen), to("to", &zenoh.connect))
+            // A client does not listen.
+            let listen = if zenoh.mode == ZenohMode::Client { &[][..] } else { &zenoh.listen };
+            format!("zenoh {mode}{}{}", to("on", listen), to("to", &zenoh.connect))
         }
         Kind::Iceoryx2 => format!("iceoryx2, prefix {:?}", config.bus.iceoryx2.prefix),
     };
