@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use serde::Serialize;
 
+use super::limbs::LIMB_JOINTS;
 use crate::core::association::{Edge, matching};
 use crate::core::body::{JOINTS, Joint};
 
@@ -15,7 +16,7 @@ pub type JointPositions = [Vector3<f64>; JOINTS];
 const GATE_M: f64 = 0.5;
 /// A limb is right if the mean error of its ends is below this share of its length.
 const PCP: f64 = 0.5;
-/// The limbs of PCP: arms, legs, trunk and head.
+/// The limbs of PCP: arms, legs, head and trunk.
 const LIMBS: [(Joint, Joint); 10] = [
     (Joint::LShoulder, Joint::LElbow),
     (Joint::LElbow, Joint::LWrist),
@@ -25,11 +26,14 @@ const LIMBS: [(Joint, Joint); 10] = [
     (Joint::LKnee, Joint::LAnkle),
     (Joint::RHip, Joint::RKnee),
     (Joint::RKnee, Joint::RAnkle),
-    (Joint::Pelvis, Joint::Neck),
     (Joint::Neck, Joint::Head),
+    (Joint::Pelvis, Joint::Neck),
 ];
+/// Those that XRMoCap counts: all but the trunk.
+const WITHOUT_TRUNK: &[(Joint, Joint)] = LIMBS.split_at(9).0;
 
-/// Scores of several performers over all times. A true person and an estimate match if their mean joint
+/// Scores of several performers over all times. Joint distances are those of the
+/// [limb joints](LIMB_JOINTS), which every body has. A true person and an estimate match if the mean
 /// distance is below 0.5 m; a match of the time before is kept, the others are those with the least
 /// distances in sum \[Bernardin 2008\].
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -50,6 +54,9 @@ pub struct PerformerScores {
     pub precision_percent: f64,
     /// Share of the limbs of all true people that are right, %; those of a miss are wrong.
     pub pcp_percent: f64,
+    /// PCP as XRMoCap counts it, %: the limbs without the trunk, against the nearest estimate, whoever it is;
+    /// times without an estimate do not count; the mean over the people.
+    pub pcp_nearest_percent: f64,
     /// Mean joint distance of the matches, millimetres.
     pub mpjpe_mm: f64,
     /// By true person.
@@ -82,6 +89,8 @@ pub struct PerformerSums {
 struct TruthSums {
     times: u64,
     matches: u64,
+    /// Times at which there is an estimate, and the right limbs of the nearest one.
+    nearest: [u64; 2],
     /// Sum over the matches of their mean joint distance, millimetres.
     error_mm: f64,
     matched: Vec<String>,
@@ -120,6 +129,12 @@ impl PerformerSums {
         for ((name, truth), pair) in truths.iter().zip(pairs) {
             let sums = self.truths.entry((*name).clone()).or_default();
             sums.times += 1;
+            let by_distance =
+                estimates.iter().map(|(_, estimate)| (mean_distance(truth, estimate), estimate));
+            if let Some((_, nearest)) = by_distance.min_by(|a, b| a.0.total_cmp(&b.0)) {
+                sums.nearest[0] += 1;
+                sums.nearest[1] += right(WITHOUT_TRUNK, truth, nearest);
+            }
             let Some((other, estimate)) = pair.map(|pair| estimates[pair]) else {
                 self.misses += 1;
                 continue;
@@ -130,8 +145,7 @@ impl PerformerSums {
             }
             sums.matches += 1;
             sums.error_mm += 1e3 * mean_distance(truth, estimate);
-            self.right_limbs +=
-                LIMBS.iter().filter(|limb| is_right(limb, truth, estimate)).count() as u64;
+            self.right_limbs += right(&LIMBS, truth, estimate);
         }
     }
 
@@ -143,6 +157,9 @@ impl PerformerSums {
         let mean = |sum: f64, count: u64| (count > 0).then(|| sum / count as f64);
         let percent = |part: u64, all: u64| 100.0 * part as f64 / all.max(1) as f64;
         let wrong = self.misses + self.false_positives + self.switches;
+        let nearest: Vec<f64> = (self.truths.values().filter(|sums| sums.nearest[0] > 0))
+            .map(|sums| percent(sums.nearest[1], sums.nearest[0] * WITHOUT_TRUNK.len() as u64))
+            .collect();
         let score = |(name, sums): (&String, &TruthSums)| {
             let score = PerformerScore {
                 matched: sums.matched.clone(),
@@ -160,25 +177,27 @@ impl PerformerSums {
             recall_percent: percent(matches, people),
             precision_percent: percent(self.estimates - self.false_positives, self.estimates),
             pcp_percent: percent(self.right_limbs, people * LIMBS.len() as u64),
+            pcp_nearest_percent: nearest.iter().sum::<f64>() / nearest.len().max(1) as f64,
             mpjpe_mm: mean(error_mm, matches)?,
             performers: self.truths.iter().map(score).collect(),
         })
     }
 }
 
-/// Mean distance of the joints, metres.
+/// Mean distance of the limb joints, metres.
 fn mean_distance(a: &JointPositions, b: &JointPositions) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).norm()).sum::<f64>() / JOINTS as f64
+    let distance = |joint: Joint| (a[joint.index()] - b[joint.index()]).norm();
+    LIMB_JOINTS.map(distance).iter().sum::<f64>() / LIMB_JOINTS.len() as f64
 }
 
-fn is_right(
-    (from, to): &(Joint, Joint),
-    truth: &JointPositions,
-    estimate: &JointPositions,
-) -> bool {
+/// Number of the limbs that are right.
+fn right(limbs: &[(Joint, Joint)], truth: &JointPositions, estimate: &JointPositions) -> u64 {
     let error = |joint: &Joint| (truth[joint.index()] - estimate[joint.index()]).norm();
-    let length = (truth[from.index()] - truth[to.index()]).norm();
-    (error(from) + error(to)) / 2.0 <= PCP * length
+    let is_right = |(from, to): &&(Joint, Joint)| {
+        let length = (truth[from.index()] - truth[to.index()]).norm();
+        (error(from) + error(to)) / 2.0 <= PCP * length
+    };
+    limbs.iter().filter(is_right).count() as u64
 }
 
 #[cfg(test)]
@@ -249,5 +268,15 @@ mod tests {
         let shortest = legs.map(|joint| body.offset(joint).norm()).into_iter().fold(9.0, f64::min);
         // The legs, the trunk, and no arm.
         assert_eq!((of(0.01), of(0.499 * shortest)), (100.0, 50.0), "{shortest}");
+    }
+
+    #[test]
+    fn the_nearest_counts_whoever_it_is() {
+        let truth: &[(&str, f64)] = &[("anna", 0.0), ("ben", 0.1)];
+        // Ben is missed, but Anna's estimate is near enough for his long limbs; nobody is found.
+        let scores = scores(&[(&[("p1", 0.0)], truth), (&[], truth)]);
+        assert_eq!((scores.recall_percent, scores.pcp_percent), (25.0, 25.0));
+        let ben = 2.0 * scores.pcp_nearest_percent - 100.0;
+        assert!((60.0..100.0).contains(&ben), "{ben}");
     }
 }

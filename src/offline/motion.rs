@@ -44,7 +44,8 @@ pub fn read_motions(file: &Path, truth: bool) -> Result<(Vec<Motion>, Report), R
         let name = Topic::actor(&entry.topic);
         let result = match (entry.message, truth) {
             (Message::Skeleton(wire), false) | (Message::TruthSkeleton(wire), true) => {
-                wire.to_core().map(|body| found.entry(name).or_default().0 = Some(body))
+                let body = if truth { wire.to_truth() } else { wire.to_core() };
+                body.map(|body| found.entry(name).or_default().0 = Some(body))
             }
             // Final poses replace provisional ones.
             (Message::Pose(wire), false) if wire.provisional => Ok(()),

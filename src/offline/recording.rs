@@ -243,7 +243,7 @@ impl Recording {
                 }
                 Message::TruthSkeleton(body) => {
                     let actor = Topic::actor(&entry.topic);
-                    body.to_core().map(|body| Item::TrueBody(actor, Box::new(body)))
+                    body.to_truth().map(|body| Item::TrueBody(actor, Box::new(body)))
                 }
                 Message::TruthPose(pose) => {
                     let actor = Topic::actor(&entry.topic);

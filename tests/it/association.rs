@@ -120,7 +120,10 @@ impl Crowd {
     /// The points of each person some frames ago.
     fn expected(&self, frame: usize) -> Vec<Expectation> {
         let points = |person: &Vec<Points>| person[frame.saturating_sub(3)];
-        self.truth.iter().map(|p| Expectation { points: points(p), last: Vec::new() }).collect()
+        self.truth
+            .iter()
+            .map(|p| Expectation { points: points(p), last: Vec::new(), is_hidden: false })
+            .collect()
     }
 
     fn associate(&self, frame: usize, expected: &[Expectation]) -> Association {
@@ -482,7 +485,7 @@ fn strange_input_is_nobodys() {
         assert_eq!(found.nobody[frame].len(), seen[frame].people.len());
     }
     assert!(found.performers.iter().all(|views| views[0].parts[0].is_some()));
-    let nothing = Expectation { points: [None; KEYPOINTS], last: Vec::new() };
+    let nothing = Expectation { points: [None; KEYPOINTS], last: Vec::new(), is_hidden: false };
     let found = associate(&crowd.rig, &frames, &[nothing], &Gates::default());
     assert_eq!(found.performers[0], vec![Assigned::default(); 4]);
     assert_eq!(associate(&crowd.rig, &[], &[], &Gates::default()), Association::default());

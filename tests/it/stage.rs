@@ -108,9 +108,22 @@ fn run_choosing(
 }
 
 fn zero(crowd: &Crowd<AnyMotion>) -> impl Iterator<Item = Detections> + '_ {
+    seen(crowd, |_, _, _| true)
+}
+
+/// The frames from the time 0, with the people of whom `is_seen(person, camera, seconds)` is true.
+fn seen(
+    crowd: &Crowd<AnyMotion>,
+    is_seen: impl Fn(usize, usize, f64) -> bool,
+) -> impl Iterator<Item = Detections> {
     let start = crowd.people()[0].start;
-    crowd.detections().map(move |(mut frame, _)| {
+    crowd.detections().map(move |(mut frame, owners)| {
         frame.capture = bundlemocap::Timestamp::default() + (frame.capture - start);
+        let seconds = frame.capture.ns() as f64 * 1e-9;
+        let mut owners = owners.into_iter();
+        frame
+            .people
+            .retain(|_| owners.next().is_some_and(|owner| is_seen(owner, frame.camera, seconds)));
         frame
     })
 }
@@ -219,15 +232,7 @@ fn who_comes_back_has_the_old_number_and_somebody_else_has_a_new_one() {
         1 => seconds < 3.0 || (13.0..15.0).contains(&seconds),
         _ => seconds > 16.5,
     };
-    let start = crowd.people()[0].start;
-    let frames = crowd.detections().map(|(mut frame, owners)| {
-        frame.capture = bundlemocap::Timestamp::default() + (frame.capture - start);
-        let seconds = frame.capture.ns() as f64 * 1e-9;
-        let mut owners = owners.into_iter();
-        frame.people.retain(|_| owners.next().is_some_and(|owner| is_there(owner, seconds)));
-        frame
-    });
-    let result = run(rig, frames, "auto");
+    let result = run(rig, seen(&crowd, |owner, _, seconds| is_there(owner, seconds)), "auto");
     assert_eq!(result.events(EventKind::Entered), [0, 1, 2]);
     assert_eq!(result.events(EventKind::Reentered), [1]);
     assert!(result.off(0, 0.0, |s| at(0, s)) < 0.1 && result.off(2, 0.0, |s| at(2, s)) < 0.1);
@@ -411,4 +416,62 @@ fn known_bodies_tell_people_apart() {
         right >= 30 && wrong <= 2,
         "{right} of 32 right, {wrong} have the name of somebody else"
     );
+}
+
+/// Half of the cameras see one of two people who touch, half the other; then they part, and all see both.
+#[test]
+fn two_on_one_track_are_two_when_they_part() {
+    let at = |person: usize, seconds: f64| {
+        let side = [-1.0, 1.0][person];
+        Vector3::new(side * (0.17 + 0.8 * (seconds - 3.0).clamp(0.0, 1.5)), 0.0, 0.0)
+    };
+    let crowd = people(&[0.3, -1.0], 8.0, at);
+    let rig = &crowd.people()[0].rig;
+    let is_seen =
+        |person: usize, camera: usize, seconds: f64| seconds > 3.0 || camera % 2 == person;
+    let result = run(rig, seen(&crowd, is_seen), "auto");
+    assert_eq!(result.events(EventKind::Entered), [0, 1]);
+    let off = |performer: usize, actor: usize| result.off(performer, 4.0, |s| at(actor, s));
+    let first = usize::from(off(0, 0) > 0.1);
+    assert!(off(0, first) < 0.1 && off(1, 1 - first) < 0.1, "{:?}", result.events);
+}
+
+/// The first performer is hidden from 3 to 9 s. The other one, seen from `from` on, is in its place at `cross`.
+#[test]
+fn a_hidden_performers_place_is_not_somebody_elses() {
+    let cases = [
+        // After it is lost; bodies that differ much and little.
+        (-1.0, 4.0, 6.0),
+        (1.2, 4.0, 6.0),
+        (-0.3, 4.0, 6.0),
+        // While it coasts, by somebody new.
+        (-1.0, 3.0, 3.6),
+        (-1.0, 3.2, 4.0),
+        // In its place, when it is seen first.
+        (-1.0, 3.0, 3.3),
+        (1.2, 3.5, 3.5),
+        (-1.0, 3.8, 3.8),
+    ];
+    for (other, from, cross) in cases {
+        let at = move |person: usize, seconds: f64| match person {
+            0 => Vector3::zeros(),
+            _ => Vector3::new(1.2 * (seconds - cross).clamp(-1.3, 1.3), 0.0, 0.1),
+        };
+        let crowd = people(&[0.3, other], 12.0, at);
+        let rig = &crowd.people()[0].rig;
+        let is_seen = |person: usize, _: usize, seconds: f64| match person {
+            0 => !(3.0..9.0).contains(&seconds),
+            _ => seconds > from,
+        };
+        let result = run(rig, seen(&crowd, is_seen), "auto");
+        let case = format!("{other} {from} {cross}: {:?}", result.events);
+        assert_eq!(result.events(EventKind::Entered), [0, 1], "{case}");
+        assert_eq!(result.events(EventKind::Reentered).last(), Some(&0), "{case}");
+        for performer in 0..2 {
+            let own = result.poses.iter().filter(|(number, _)| *number == performer);
+            let last = own.map(|(_, pose)| pose.capture.ns() as f64 * 1e-9).fold(0.0, f64::max);
+            let off = result.off(performer, cross + 1.5, |seconds| at(performer, seconds));
+            assert!(last > 11.8 && off < 0.1, "{performer} until {last} s, {off} m off; {case}");
+        }
+    }
 }

@@ -308,3 +308,83 @@ fn the_nearer_person_hides_the_other() {
     assert!((0.02..0.2).contains(&share), "{hidden} of {} points are hidden", seen + hidden);
     assert_eq!(crowd.detections().collect::<Vec<_>>(), crowd.detections().collect::<Vec<_>>());
 }
+
+#[test]
+fn a_detector_mixes_people_who_overlap() {
+    let frames = |distance: f64, mixed: f64| {
+        let meeting = Meeting { people: 2, distance: Some(distance) };
+        let rig = meeting.rig(4).unwrap();
+        let person = |person| {
+            let (skeleton, motion) = meeting.person(person, 1);
+            let motion = move |seconds: f64| motion(seconds + 8.0);
+            let mut recording = Recording::new(rig.clone(), skeleton, motion);
+            (recording.noise, recording.frames) = (Noise { mixed, ..Noise::none() }, 180);
+            recording
+        };
+        Crowd::new(vec![person(0), person(1)]).detections().collect::<Vec<_>>()
+    };
+    let changed = |distance: f64| {
+        let (clear, mixed) = (frames(distance, 0.0), frames(distance, 0.4));
+        let (mut exchanged, mut copied) = (0, 0);
+        for ((clear, _), (mixed, _)) in clear.iter().zip(&mixed) {
+            let points = |frame: &Detections| -> Vec<_> {
+                frame.people.iter().map(|person| person.points.clone()).collect()
+            };
+            let (clear, mixed) = (points(clear), points(mixed));
+            if mixed.len() == 2 && mixed[0] == mixed[1] {
+                copied += 1;
+                assert!(clear.contains(&mixed[0]));
+            } else if mixed != clear {
+                exchanged += 1;
+                for (index, (a, b)) in mixed[0].iter().zip(&mixed[1]).enumerate() {
+                    let before = [clear[0][index], clear[1][index]];
+                    assert!([[*a, *b], [*b, *a]].contains(&before));
+                }
+            }
+        }
+        (exchanged, copied)
+    };
+    let (exchanged, copied) = changed(0.3);
+    assert!(exchanged > 10 && copied > 3, "{exchanged} exchanged, {copied} copied of 720");
+    let apart = changed(1.5);
+    assert!(apart.0 + apart.1 < exchanged, "{apart:?}");
+}
+
+#[test]
+fn people_are_led_through_the_crowd_while_they_move_on_their_own() {
+    let meeting = Meeting { people: 4, distance: Some(0.7) };
+    let motion = Motion::new(&Skeleton::default(), MotionStyle::default());
+    let poses: Vec<Pose> = (0..900).map(|frame| motion.pose(f64::from(frame) / 60.0)).collect();
+    let led = meeting.lead(1, poses.clone(), 60.0);
+    let walker = meeting.person(1, 1).1;
+    for (frame, (led, own)) in led.iter().zip(&poses).enumerate() {
+        let path = walker(frame as f64 / 60.0);
+        let off = (led.root_position - path.root_position).xz().norm();
+        assert!(off < 0.3, "{off:.2} m from the path in frame {frame}");
+        let [ahead, facing] = [&path, led].map(|pose| pose.root_rotation * Vector3::z());
+        assert!(ahead.dot(&facing) > 0.7, "frame {frame}");
+        assert_eq!((&led.local, led.root_position.y), (&own.local, own.root_position.y));
+    }
+}
+
+#[test]
+fn bystanders_sit_and_walk_beyond_the_edge_of_the_floor() {
+    let meeting = Meeting { people: 3, distance: None };
+    for index in 0..4 {
+        let (skeleton, motion) = meeting.bystander(index, 1);
+        let (mut way, mut last) = (0.0, motion(0.0).root_position);
+        for frame in 0..600 {
+            let pose = motion(f64::from(frame) / 60.0);
+            let at = pose.root_position;
+            assert!(at.xz().norm() > meeting.radius() + 0.8);
+            way += (at - last).norm();
+            last = at;
+            let positions = pose.posture(&skeleton).positions;
+            let lowest = positions.iter().map(|joint| joint.y).fold(f64::MAX, f64::min);
+            assert!((-0.02..0.12).contains(&lowest), "bystander {index}: {lowest:.2} m");
+            let [hip, knee] = [Joint::LHip, Joint::LKnee].map(|joint| positions[joint.index()].y);
+            assert_eq!(hip - knee < 0.1, index % 2 == 0, "bystander {index} at {frame}");
+        }
+        assert_eq!(way > 10.0, index % 2 == 1, "bystander {index} walked {way:.1} m");
+    }
+}

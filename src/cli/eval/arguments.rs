@@ -26,6 +26,7 @@ Examples:
   bundlemocap eval drift 10 --motions motions/
   bundlemocap eval latencies 20,35,50,75,100,150,200 --motions motions/ --every 3
   bundlemocap eval performers 2,4,6 --rig ring4 --noise studio --seconds 60
+  bundlemocap eval performers 6 --rig ring8 --motions motions/ --body foreign --bystanders 4
   bundlemocap eval ablation window,cameras --motions motions/ --every 4
   bundlemocap eval tune default --motions motions/ --every 12")]
 pub(in crate::cli) struct Arguments {
@@ -80,7 +81,8 @@ pub(super) struct Recording {
     pub(super) output: Output,
 }
 
-/// Solve crowds who cross and meet, with bodies of their own, and each of their people alone.
+/// Solve crowds who cross and meet, with bodies of their own, and each of their people alone. They walk, or
+/// with --motions move as in the clips on the way. A rig gives the number of cameras.
 #[derive(Debug, Args)]
 pub(super) struct Performers {
     /// Numbers of people, 2 to 32.
@@ -94,8 +96,11 @@ pub(super) struct Performers {
     /// Distance of the pelvises in the crowds' meetings, metres: 0.7 is arm's length, 0.3 an embrace.
     #[arg(long, value_name = "METRES", default_value_t = 0.7, allow_negative_numbers = true)]
     pub(super) meet: f64,
+    /// People who sit at the edge of the floor, or walk around it; they are no performers.
+    #[arg(long, value_name = "NUMBER", default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=16))]
+    pub(super) bystanders: u8,
     #[command(flatten)]
-    pub(super) views: Views,
+    pub(super) motions: Motions,
 }
 
 /// Measure how the error changes over a long motion.
@@ -200,9 +205,9 @@ pub(super) struct Views {
     /// uniform, systematic).
     #[arg(long, value_name = "LEVELS", value_delimiter = ',', default_values = ["studio", "sparse"])]
     pub(super) noise: Vec<String>,
-    /// Seed of all random draws; replaces the seeds of the protocol, [1].
-    #[arg(long)]
-    pub(super) seed: Option<u64>,
+    /// Seeds of all random draws; they replace those of the protocol, [1].
+    #[arg(long, value_name = "SEEDS", value_delimiter = ',')]
+    pub(super) seed: Vec<u64>,
     #[command(flatten)]
     pub(super) output: Output,
 }
@@ -224,8 +229,8 @@ impl What {
     pub(super) fn output(&self) -> &Output {
         match self {
             Self::Recording(recording) => &recording.output,
-            Self::Performers(performers) => &performers.views.output,
             Self::Methods(Methods { motions, .. })
+            | Self::Performers(Performers { motions, .. })
             | Self::Drift(Drift { motions, .. })
             | Self::Latencies(Latencies { motions, .. })
             | Self::Ablation(Ablation { motions, .. })

@@ -1,5 +1,6 @@
 //! Several performers who cross and meet, together and each alone.
 
+use std::f64::consts::TAU;
 use std::path::Path;
 
 use serde_json::{Value, json};
@@ -9,44 +10,63 @@ use super::output::write;
 use super::setup::{Setup, within};
 use crate::cli::failure::{Exit, Failure};
 use crate::cli::terminal::progress;
-use crate::core::body::Pose;
-use crate::core::stage::Performers;
+use crate::core::body::{Pose, Skeleton};
+use crate::core::stage::{Choice, Performers};
 use crate::io::recording::Provenance;
 use crate::io::report::{ReportData, Table};
 use crate::metrics::PerformerScores;
 use crate::metrics::statistics::mean;
-use crate::offline::{Group, Options, Recording, solve, solve_group};
-use crate::research::experiments::View;
-use crate::research::synth::{self, Crowd, Meeting};
+use crate::offline::{Group, Options, Recording, solve_group};
+use crate::research::experiments::{View, endless, in_parallel};
+use crate::research::synth::{self, Body, Crowd, Meeting, Protocol, through};
+use crate::research::train;
 
 type AnyMotion = Box<dyn Fn(f64) -> Pose>;
+type Person = synth::Recording<AnyMotion>;
+
+/// Performers may begin this far beyond the edge of the floor, metres; bystanders are beyond that.
+const MARGIN: f64 = 0.5;
+/// Corners of the region.
+const CORNERS: usize = 24;
 
 /// Solves crowds of these numbers of people at each noise level.
 pub(super) fn run(asked: &arguments::Performers) -> Result<(), Failure> {
     let distance = within("--meet", asked.meet, 0.2, 1.5)?;
-    let setup = Setup::without_clips(&asked.views)?;
+    let setup = Setup::new(&asked.motions)?;
     let folder = tempfile::tempdir().map_err(|error| {
         Failure::new(Exit::Unexpected, format!("cannot make a folder: {error}"))
     })?;
+    let has_clips = asked.motions.motions.is_some();
+    let motion = if has_clips { setup.subtitle() } else { "walking".to_owned() };
     let mut report = ReportData {
         title: "Performers who cross and meet".into(),
-        subtitle: format!("{}; {distance} m apart when they meet", setup.subtitle()),
+        subtitle: format!(
+            "{motion}; {distance} m apart when they meet; {} bystanders",
+            asked.bystanders
+        ),
         ..ReportData::default()
     };
+    let crowds =
+        asked.numbers.iter().flat_map(|&n| setup.protocol.seeds.iter().map(move |&s| (n, s)));
+    let crowds: Vec<(u8, u64)> = crowds.collect();
+    let noises = &asked.motions.views.noise;
+    let bar = progress((noises.len() * crowds.len()) as u64, "crowds");
     let mut levels = Vec::new();
-    for level in &asked.views.noise {
-        let (mut rows, mut results) = (Vec::new(), Vec::new());
-        for (&number, &seed) in asked
-            .numbers
-            .iter()
-            .flat_map(|n| setup.protocol.seeds.iter().map(move |seed| (n, seed)))
-        {
-            let meeting = Meeting { people: number.into(), distance: Some(distance) };
-            let view = View { seed, ..setup.view(level)? };
-            let solved = Solved::new(meeting, &view, &setup, folder.path())?;
-            rows.push(solved.row(number, seed));
-            results.push(solved.json(number, seed));
-        }
+    for level in noises {
+        let view = setup.view(level)?;
+        let solved = in_parallel(&crowds, setup.jobs, |&(number, seed)| {
+            let scene = Scene {
+                meeting: Meeting { people: number.into(), distance: Some(distance) },
+                bystanders: asked.bystanders.into(),
+                view: View { seed, ..view.clone() },
+                setup: &setup,
+                has_clips,
+            };
+            let solved = scene.solve(&folder.path().join(format!("{number} {seed}.mcap")));
+            bar.inc(1);
+            solved
+        });
+        let solved: Vec<Solved> = solved.into_iter().collect::<Result<_, _>>()?;
         let header = [
             "performers",
             "seed",
@@ -56,21 +76,124 @@ pub(super) fn run(asked: &arguments::Performers) -> Result<(), Failure> {
             "ID switches",
             "MOTA %",
             "PCP %",
+            "PCP of the nearest %",
             "MPJPE mm",
             "each alone mm",
             "worst ratio",
         ];
-        let header = header.map(str::to_owned).into();
-        report.leading.push(Table { title: format!("Noise: {level}"), header, rows });
-        levels.push(json!({ "level": level, "crowds": results }));
+        let of_crowds = || crowds.iter().zip(&solved);
+        report.leading.push(Table {
+            title: format!("Noise: {level}"),
+            header: header.map(str::to_owned).into(),
+            rows: of_crowds().map(|(&(number, seed), one)| one.row(number, seed)).collect(),
+        });
+        let results = of_crowds().map(|(&(number, seed), one)| one.json(number, seed));
+        levels.push(json!({ "level": level, "crowds": results.collect::<Vec<_>>() }));
     }
+    bar.finish_and_clear();
     let results = json!({
         "version": env!("CARGO_PKG_VERSION"),
         "meet_m": distance,
+        "bystanders": asked.bystanders,
         "protocol": setup.protocol,
         "levels": levels,
     });
-    write(&asked.views.output.out, &report, &results)
+    write(&asked.motions.views.output.out, &report, &results)
+}
+
+/// A crowd and how it is seen.
+struct Scene<'a> {
+    meeting: Meeting,
+    bystanders: usize,
+    view: View,
+    setup: &'a Setup,
+    /// Whether they move as in clips.
+    has_clips: bool,
+}
+
+impl Scene<'_> {
+    /// The crowd and each of its people, solved. `path` is that of a recording for the time.
+    fn solve(&self, path: &Path) -> Result<Solved, Failure> {
+        let Self { meeting, bystanders, view, .. } = self;
+        let mut people = Vec::new();
+        for person in 0..meeting.people {
+            people.push(self.person(person)?);
+        }
+        for bystander in 0..*bystanders {
+            let (skeleton, motion) = meeting.bystander(bystander, view.seed);
+            people.push(self.recording(skeleton, Body::Own, Box::new(motion))?);
+        }
+        let mut crowd = Crowd::new(people);
+        crowd.bystanders = *bystanders;
+        let group = self.solve_one(&crowd, path)?;
+        let scores = group.scores.clone().ok_or_else(|| {
+            Failure::new(Exit::NobodyFound, "nobody was found; use a lower --noise")
+        })?;
+        let mut alone_mm = Vec::new();
+        for number in 0..meeting.people {
+            // The same draws as in the crowd.
+            let mut one = self.person(number)?;
+            one.seed = view.seed.wrapping_add((number as u64) << 32);
+            let alone = self.solve_one(&Crowd::alone(one), path)?;
+            alone_mm.push(alone.scores.map(|scores| scores.mpjpe_mm));
+        }
+        Ok(Solved { group, scores, alone_mm })
+    }
+
+    fn solve_one(&self, crowd: &Crowd<AnyMotion>, path: &Path) -> Result<Group, Failure> {
+        crowd.write(path, &Provenance::default(), || {})?;
+        let away = self.meeting.radius() + MARGIN;
+        let corner = |corner: usize| {
+            let (sin, cos) = (TAU * corner as f64 / CORNERS as f64).sin_cos();
+            [away * sin, away * cos]
+        };
+        let options = Options {
+            decoder: Some(self.setup.decoder.clone()),
+            performers: Performers::Auto,
+            choice: Choice { region: (0..CORNERS).map(corner).collect(), ..Choice::default() },
+            ..Options::default()
+        };
+        Ok(solve_group(&mut Recording::open(path)?, &options, &mut ())?)
+    }
+
+    fn person(&self, person: usize) -> Result<Person, Failure> {
+        let Self { meeting, view, setup, .. } = self;
+        if !self.has_clips {
+            let (skeleton, motion) = meeting.person(person, view.seed);
+            return self.recording(skeleton, Body::Own, Box::new(motion));
+        }
+        // Everybody has the clips of one subject, and begins with another one.
+        let choice = &view.choice;
+        let subjects = &setup.protocol.subjects;
+        let whose = &subjects[person % subjects.len()];
+        let own = setup.subjects.iter().filter(|clip| clip.subject == *whose);
+        let own: Vec<_> = own.collect();
+        let first = person / subjects.len() % own.len().max(1);
+        let clips = own.iter().cycle().skip(first).take(own.len()).copied();
+        let seed = Protocol::seed_of(view.seed, &person.to_string());
+        let (skeleton, poses) = endless(clips, choice, seed, choice.seconds).ok_or_else(|| {
+            let message = format!("no clip of {whose} is long enough; leave it out of --subjects");
+            Failure::new(Exit::NoDetections, message)
+        })?;
+        let poses = meeting.lead(person, poses, train::FPS);
+        self.recording(skeleton, choice.body, Box::new(through(poses, train::FPS)))
+    }
+
+    fn recording(
+        &self,
+        skeleton: Skeleton,
+        body: Body,
+        motion: AnyMotion,
+    ) -> Result<Person, Failure> {
+        let Self { meeting, view, .. } = self;
+        let rig = meeting.rig(view.rig.cameras.len())?;
+        let mut one = synth::Recording::new(rig, skeleton, motion);
+        one.body = body;
+        (one.fps, one.frames) = (view.choice.fps, (view.choice.seconds * view.choice.fps) as u64);
+        (one.format, one.noise, one.seed) = (view.format, view.noise.clone(), view.seed);
+        one.noise.strangers = 0.0;
+        Ok(one)
+    }
 }
 
 /// A crowd, solved together and one by one.
@@ -82,45 +205,6 @@ struct Solved {
 }
 
 impl Solved {
-    fn new(meeting: Meeting, view: &View, setup: &Setup, folder: &Path) -> Result<Self, Failure> {
-        let seconds = setup.protocol.sequence.seconds;
-        let rig = meeting.rig(view.rig.cameras.len())?;
-        let person = |person: usize| {
-            let (skeleton, motion) = meeting.person(person, view.seed);
-            let motion: AnyMotion = Box::new(motion);
-            let mut one = synth::Recording::new(rig.clone(), skeleton, motion);
-            (one.fps, one.frames) = (view.choice.fps, (seconds * view.choice.fps) as u64);
-            (one.format, one.noise, one.seed) = (view.format, view.noise.clone(), view.seed);
-            one.noise.strangers = 0.0;
-            one
-        };
-        let path = folder.join("crowd.mcap");
-        let bar = progress(2 * meeting.people as u64, "solves");
-        Crowd::new((0..meeting.people).map(person).collect()).write(
-            &path,
-            &Provenance::default(),
-            || {},
-        )?;
-        let alone = Options { decoder: Some(setup.decoder.clone()), ..Options::default() };
-        let options = Options { performers: Performers::Auto, ..alone.clone() };
-        let group = solve_group(&mut Recording::open(&path)?, &options, &mut ())?;
-        let mut alone_mm = Vec::new();
-        for number in 0..meeting.people {
-            bar.inc(1);
-            // The same draws as in the crowd.
-            let mut one = person(number);
-            one.seed = view.seed.wrapping_add((number as u64) << 32);
-            Crowd::alone(one).write(&path, &Provenance::default(), || {})?;
-            let alone = solve(&mut Recording::open(&path)?, &alone, &mut ())?;
-            alone_mm.push(alone.truth.map(|truth| truth.mpjpe_mm));
-        }
-        bar.finish_and_clear();
-        let scores = group.scores.clone().ok_or_else(|| {
-            Failure::new(Exit::NobodyFound, "nobody was found; use a lower --noise")
-        })?;
-        Ok(Self { group, scores, alone_mm })
-    }
-
     /// The MPJPE of each person in the crowd over that when alone.
     fn ratios(&self) -> Vec<f64> {
         let people = (1..).zip(&self.alone_mm).filter_map(|(number, alone)| {
@@ -143,6 +227,7 @@ impl Solved {
             scores.id_switches.to_string(),
             format!("{:.2}", scores.mota_percent),
             format!("{:.2}", scores.pcp_percent),
+            format!("{:.2}", scores.pcp_nearest_percent),
             format!("{:.1}", scores.mpjpe_mm),
             mean(&alone).map_or("none".to_owned(), |mm| format!("{mm:.1}")),
             format!("{worst:.2}"),

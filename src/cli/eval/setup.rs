@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::arguments::{Motions, Views};
+use super::arguments::Motions;
 use crate::cli::failure::{Exit, Failure, frame_rate_option};
 use crate::cli::solve::decoder;
 use crate::cli::terminal::progress;
@@ -28,42 +28,35 @@ pub(super) struct Setup {
     /// Used in turn.
     rigs: Vec<Arc<Rig>>,
     format: KeypointFormat,
-    jobs: usize,
+    pub(super) jobs: usize,
 }
 
 impl Setup {
     /// Reads protocol, weights, rigs and motions.
     pub(super) fn new(motions: &Motions) -> Result<Self, Failure> {
-        Self::of(&motions.views, Some(motions), false)
+        Self::of(motions, false)
     }
 
     /// The same with the clips of all subjects that are not named.
     pub(super) fn of_others(motions: &Motions) -> Result<Self, Failure> {
-        Self::of(&motions.views, Some(motions), true)
+        Self::of(motions, true)
     }
 
-    /// Reads protocol, weights and rigs; the motions are procedural.
-    pub(super) fn without_clips(views: &Views) -> Result<Self, Failure> {
-        Self::of(views, None, false)
-    }
-
-    fn of(views: &Views, motions: Option<&Motions>, others: bool) -> Result<Self, Failure> {
-        let protocol = protocol(views, motions)?;
+    fn of(motions: &Motions, others: bool) -> Result<Self, Failure> {
+        let Motions { views, every, jobs, .. } = motions;
+        let protocol = protocol(motions)?;
         let seconds = protocol.sequence.seconds;
         let format = KeypointFormat::from_name(&protocol.format).ok_or_else(|| {
             let message = format!("format {:?} of the protocol is unknown", protocol.format);
             Failure::new(Exit::KeypointFormat, format!("{message}; use body_25 or halpe_26"))
         })?;
-        let folder = motions.and_then(|motions| motions.motions.as_deref());
+        let folder = motions.motions.as_deref();
         if protocol.sequence.body == Body::Foreign && folder.is_none() {
-            let message = match motions {
-                Some(_) => "foreign bodies are the skeletons of clips; give clips with --motions",
-                None => "foreign bodies need clips, and this command uses none; set body = \"own\"",
-            };
+            let message = "foreign bodies are the skeletons of clips; give clips with --motions";
             return Err(Failure::new(Exit::Usage, message));
         }
         let of_name = |name: &String| rig(name, views.h36m.as_deref()).map(Arc::new);
-        let (every, jobs) = motions.map_or((1, 1), |motions| (motions.every.max(1), motions.jobs));
+        let (every, jobs) = ((*every).max(1), *jobs);
         within("--jobs", jobs as f64, 1.0, 64.0)?;
         let subjects = match folder {
             Some(folder) => subjects(&clips(folder, &protocol.subjects, others, every)?),
@@ -167,19 +160,19 @@ impl Setup {
     }
 }
 
-fn protocol(views: &Views, motions: Option<&Motions>) -> Result<Protocol, Failure> {
+fn protocol(motions: &Motions) -> Result<Protocol, Failure> {
+    let Motions { views, subjects, body, .. } = motions;
     let mut protocol = match &views.protocol {
         Some(path) => read_protocol(path)?,
         None => Protocol { rigs: vec!["h36m".to_owned()], ..Protocol::default() },
     };
-    if let Some(subjects) = motions.map(|motions| &motions.subjects).filter(|all| !all.is_empty()) {
+    if !subjects.is_empty() {
         protocol.subjects.clone_from(subjects);
     }
     if !views.rig.is_empty() {
         protocol.rigs.clone_from(&views.rig);
     }
-    let body = motions.and_then(|motions| motions.body.as_deref());
-    if let Some(body) = Body::ALL.into_iter().find(|known| body == Some(known.name())) {
+    if let Some(body) = Body::ALL.into_iter().find(|known| body.as_deref() == Some(known.name())) {
         protocol.sequence.body = body;
     }
     if let Some(fps) = views.fps {
@@ -190,8 +183,8 @@ fn protocol(views: &Views, motions: Option<&Motions>) -> Result<Protocol, Failur
         let least = &mut protocol.sequence.least_seconds;
         *least = least.min(seconds);
     }
-    if let Some(seed) = views.seed {
-        protocol.seeds = vec![seed];
+    if !views.seed.is_empty() {
+        protocol.seeds.clone_from(&views.seed);
     }
     Ok(protocol)
 }

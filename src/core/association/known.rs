@@ -16,6 +16,8 @@ const FAR_LIMB: f64 = 0.15;
 const AGREED: f64 = 0.06;
 /// Gain of a detection with the id of the last one.
 const SAME_ID: f64 = 0.03;
+/// The gain of a hidden performer is this part of that of the others.
+const HIDDEN: f64 = 0.2;
 /// A part within this distance is in its place.
 const IN_PLACE: f64 = 0.08;
 /// A part of another detection is taken within this distance, and must be nearer by the second than
@@ -32,11 +34,12 @@ struct Outline {
     /// Of the whole body, pixels.
     size: f64,
     id: Option<i64>,
+    is_hidden: bool,
 }
 
 impl Outline {
     /// `None` if nothing of the performer lies before the camera.
-    fn of(view: &View, points: &Points, last: Option<&LastSeen>) -> Option<Self> {
+    fn of(view: &View, points: &Points, last: Option<&LastSeen>, is_hidden: bool) -> Option<Self> {
         let mut pixels = view.project(points);
         if let Some(last) = last {
             for at in (0..KEYPOINTS).filter(|&at| points[at].is_none()) {
@@ -45,7 +48,7 @@ impl Outline {
         }
         let bounds = Bounds::of(&pixels)?;
         let size = bounds.extent().max(1.0);
-        Some(Self { pixels, bounds, size, id: last.and_then(|last| last.id) })
+        Some(Self { pixels, bounds, size, id: last.and_then(|last| last.id), is_hidden })
     }
 
     /// The mean distance of a part's points from `place` as a fraction of the size. `None` if no point
@@ -124,7 +127,7 @@ fn outline(
     let of_view = |view: &View| {
         let all = performers.iter().zip(places).map(|(performer, points)| {
             let last = performer.last.get(view.index).and_then(Option::as_ref);
-            Outline::of(view, points, last)
+            Outline::of(view, points, last, performer.is_hidden)
         });
         all.collect()
     };
@@ -142,7 +145,8 @@ fn whole(view: &View, outlines: &[Option<Outline>], accepted: &[f64]) -> Vec<Opt
             }
             let Some((cost, share)) = outline.cost(sight) else { continue };
             let hint = if sight.id.is_some() && sight.id == outline.id { SAME_ID } else { 0.0 };
-            let gain = (accepted - cost + hint) * share;
+            let trust = if outline.is_hidden { HIDDEN } else { 1.0 };
+            let gain = (accepted - cost + hint) * share * trust;
             if cost < *accepted && gain > 0.0 {
                 edges.push(Edge { row, column, gain });
             }
@@ -208,7 +212,7 @@ fn parts(view: &View, outlines: &[Option<Outline>], owned: &[Option<usize>]) -> 
 
 /// Marks detections that lie on a known performer as not free.
 pub(super) fn exclude_copies(view: &View, place: &Points, free: &mut [bool]) {
-    let Some(outline) = Outline::of(view, place, None) else { return };
+    let Some(outline) = Outline::of(view, place, None, false) else { return };
     for (sight, free) in view.sights.iter().zip(free) {
         let is_near = || outline.bounds.is_near(&sight.bounds, 0.0);
         if *free && is_near() && outline.cost(sight).is_some_and(|(cost, _)| cost < COPY) {

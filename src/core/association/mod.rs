@@ -59,6 +59,8 @@ pub struct Expectation {
     pub points: Points,
     /// By camera of the rig: the last detection that was the performer's. May be shorter.
     pub last: Vec<Option<LastSeen>>,
+    /// Whether no view has shown the performer lately. A detection that another one expects is not its own.
+    pub is_hidden: bool,
 }
 
 /// A performer in one view, some time ago.

@@ -37,7 +37,7 @@ const FAR_M: f64 = 0.25;
 const MIN_PARALLAX: f64 = 0.00274;
 /// Lengths of people, metres, with room for errors of two views.
 const BONES: [(K, K, Range<f64>); 10] = [
-    (K::LShoulder, K::RShoulder, 0.12..0.60),
+    (K::LShoulder, K::RShoulder, 0.10..0.60),
     (K::LHip, K::RHip, 0.06..0.50),
     (K::LShoulder, K::LElbow, 0.12..0.50),
     (K::RShoulder, K::RElbow, 0.12..0.50),
@@ -48,7 +48,9 @@ const BONES: [(K, K, Range<f64>); 10] = [
     (K::LKnee, K::LAnkle, 0.20..0.65),
     (K::RKnee, K::RAnkle, 0.20..0.65),
 ];
-/// Of the bones that are seen, so many have a human length.
+/// The first of them, of the trunk; each that is seen has a human length.
+const WIDTHS: usize = 1;
+/// Of the others that are seen, so many have.
 const HUMAN: f64 = 0.7;
 /// Scale of the loss of a triangulation, metres, and its iterations.
 const SCALE_M: f64 = 0.06;
@@ -116,7 +118,7 @@ pub(super) fn meeting(a: &Node, b: &Node) -> Option<(f64, Points)> {
     (enough && gap < GAP_M && is_human(&points)).then_some((gap, points))
 }
 
-/// Whether a side of the trunk is seen, and it and most bones are as long as a person's.
+/// Whether a side of the trunk is seen, and it, the trunk's width and most limbs are as long as a person's.
 pub(super) fn is_human(points: &Points) -> bool {
     let at = |keypoint: K| points[keypoint as usize];
     let side = |shoulder: K, hip: K| Some((at(shoulder)? - at(hip)?).norm());
@@ -125,14 +127,13 @@ pub(super) fn is_human(points: &Points) -> bool {
     if !TRUNK_LENGTH.contains(&(sides.iter().flatten().sum::<f64>() / seen)) {
         return false;
     }
-    let (mut human, mut all) = (0.0, 0.0);
-    for (a, b, lengths) in &BONES {
-        if let Some((a, b)) = at(*a).zip(at(*b)) {
-            all += 1.0;
-            human += f64::from(u8::from(lengths.contains(&(a - b).norm())));
-        }
-    }
-    human >= HUMAN * all
+    let is_long_enough =
+        |(a, b, lengths): &(K, K, Range<f64>)| Some(lengths.contains(&(at(*a)? - at(*b)?).norm()));
+    let (widths, limbs) = BONES.split_at(WIDTHS);
+    let limbs: Vec<bool> = limbs.iter().filter_map(is_long_enough).collect();
+    let human = limbs.iter().filter(|is_human| **is_human).count();
+    widths.iter().filter_map(is_long_enough).all(|is_human| is_human)
+        && human as f64 >= HUMAN * limbs.len() as f64
 }
 
 /// The points that are nearest to the rays of all nodes, by the Geman-McClure loss: at least two rays

@@ -67,6 +67,13 @@ impl Lengths {
         }
     }
 
+    /// Adds the measurements of the same person.
+    pub(super) fn join(&mut self, other: &Self) {
+        for ((sum, count), other) in self.sums.iter_mut().zip(other.sums) {
+            (*sum, *count) = (*sum + other.0, *count + other.1);
+        }
+    }
+
     /// How much two bodies differ, no unit: the root mean square of the lengths' differences, each divided by its usual
     /// difference between two takes of one person. `None` if too few lengths are known.
     pub(super) fn difference(&self, other: &Self) -> Option<f64> {

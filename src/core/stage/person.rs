@@ -20,6 +20,9 @@ const REACH_M_S: f64 = 4.0;
 /// Time constants of the measured velocity and of its decay while a person is not seen, seconds.
 const MEASURED_S: f64 = 0.12;
 const DECAY_S: f64 = 0.4;
+/// Who was in no view for this long, or is this far from where it was expected, metres, may be somebody else.
+const HIDDEN: Nanos = Nanos::from_ms(100);
+const LEAP_M: f64 = 0.25;
 /// No person is faster, m/s.
 const FASTEST_M_S: f64 = 6.0;
 
@@ -48,6 +51,20 @@ pub(super) struct Person {
     extents: f64,
     /// The largest extent in a view when the person was last seen, pixels.
     pub(super) height_px: f64,
+    /// When a view showed the person last.
+    in_view: Timestamp,
+    doubt: Option<Box<Doubt>>,
+}
+
+/// A person who was hidden and is followed again may be somebody else.
+#[derive(Clone, Debug)]
+struct Doubt {
+    /// The person before it was hidden.
+    before: Person,
+    /// The lengths since then; they are not the person's yet.
+    lengths: Lengths,
+    /// When they began.
+    first: Timestamp,
 }
 
 impl Person {
@@ -66,6 +83,8 @@ impl Person {
             lengths: Lengths::default(),
             extents: 0.0,
             height_px: 0.0,
+            in_view: at,
+            doubt: None,
         }
     }
 
@@ -77,6 +96,26 @@ impl Person {
     /// Whether it is known where the person was last.
     pub(super) fn was_here(&self) -> bool {
         self.points.iter().any(Option::is_some)
+    }
+
+    /// After `sets` frame sets with a person who was hidden: who is followed now, if it is somebody else, whose
+    /// lengths differ by more than `most`. This person is then as it was before.
+    pub(super) fn settle(&mut self, sets: u32, most: f64) -> Option<Self> {
+        let is_measured = |doubt: &mut Box<Doubt>| self.sets - doubt.before.sets >= sets;
+        let Doubt { mut before, lengths, first } = *self.doubt.take_if(is_measured)?;
+        if before.lengths.difference(&lengths).is_some_and(|difference| difference > most) {
+            let sets = self.sets - before.sets;
+            std::mem::swap(self, &mut before);
+            return Some(Self {
+                first,
+                sets,
+                lengths,
+                extents: before.extents - self.extents,
+                ..before
+            });
+        }
+        self.lengths.join(&lengths);
+        None
     }
 
     /// Where the person was last.
@@ -97,9 +136,15 @@ impl Person {
         now - self.seen
     }
 
+    /// Whether no view has shown the person lately.
+    pub(super) fn is_hidden(&self, at: Timestamp) -> bool {
+        at - self.in_view > HIDDEN
+    }
+
     /// What the person is expected to look like.
     pub(super) fn expected(&self, at: Timestamp) -> Expectation {
-        Expectation { points: self.predicted(at), last: self.last.clone() }
+        let (points, last) = (self.predicted(at), self.last.clone());
+        Expectation { points, last, is_hidden: self.is_hidden(at) }
     }
 
     /// The points at another time.
@@ -154,6 +199,19 @@ impl Person {
         let mut shift = Vector3::zeros();
         if is_seen {
             shift = of_trunk.iter().sum::<Vector3<f64>>() / of_trunk.len() as f64;
+        }
+        // A limb alone may be somebody else's.
+        let has_trunk = |(_, pixels): &Sight| {
+            TRUNK.iter().filter(|&&k| pixels[k as usize].is_some()).count() >= LEAST_TRUNK
+        };
+        if views.iter().any(has_trunk) {
+            if self.doubt.is_none() && (self.is_hidden(at) || shift.norm() > LEAP_M) {
+                let doubt = Doubt { before: self.clone(), lengths: Lengths::default(), first: at };
+                self.doubt = Some(Box::new(doubt));
+            }
+            self.in_view = at;
+        }
+        if is_seen {
             if seconds > 0.0 {
                 let share = 1.0 - libm::exp(-seconds / MEASURED_S);
                 self.velocity += shift / seconds * share;
@@ -165,7 +223,10 @@ impl Person {
             self.views = views.len();
             self.extents += extents.iter().sum::<f64>();
             self.height_px = extents.iter().copied().fold(0.0, f64::max);
-            self.lengths.add(&found);
+            match &mut self.doubt {
+                Some(doubt) => doubt.lengths.add(&found),
+                None => self.lengths.add(&found),
+            }
         }
         for (index, found) in found.into_iter().enumerate() {
             if found.is_some() {

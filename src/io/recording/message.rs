@@ -204,7 +204,8 @@ impl Message {
                 Self::Keyframe(checked(data, |keyframe: &Keyframe| keyframe.to_core().map(drop))?)
             }
             Kind::Skeleton => {
-                let skeleton = checked(data, |skeleton: &Skeleton| skeleton.to_core().map(drop))?;
+                let of = if truth { Skeleton::to_truth } else { Skeleton::to_core };
+                let skeleton = checked(data, |skeleton: &Skeleton| of(skeleton).map(drop))?;
                 if truth { Self::TruthSkeleton(skeleton) } else { Self::Skeleton(skeleton) }
             }
             Kind::Event => Self::Event(decode::<Event>(data)?.validated()?),

@@ -72,6 +72,18 @@ impl Skeleton {
         Ok(skeleton.with_keypoint_offsets(KeypointOffsets::of_metres(offsets)))
     }
 
+    /// A true body, of any build: with the joints of the message where they are not those of its shape.
+    ///
+    /// # Errors
+    /// As [`Self::to_core`], but for offsets that do not fit.
+    pub fn to_truth(&self) -> Result<body::Skeleton, DecodeError> {
+        self.to_core().or_else(|_| {
+            self.check_joints()?;
+            let offsets = at("rest_offsets_m").vectors::<JOINTS, _>(&self.rest_offsets_m)?;
+            Ok(body::Skeleton::with_joint_offsets(offsets))
+        })
+    }
+
     fn check_joints(&self) -> Result<(), DecodeError> {
         at("joint_names").length(self.joint_names.len(), JOINTS)?;
         at("parents").length(self.parents.len(), JOINTS)?;

@@ -125,11 +125,8 @@ impl Case {
     /// where the one before ended, with a blend of half a second. `None` if no subject fits.
     pub fn endless(subjects: &[Subject], view: &View, seconds: f64) -> Option<Self> {
         let seed = Protocol::seed_of(view.seed, "");
-        let part = |subject: &Subject| subject.section_of_seed(&view.choice, seed);
-        let parts: Vec<_> = subjects.iter().filter_map(part).collect();
-        let skeleton = parts.first()?.skeleton.clone();
-        let poses = joined(parts.iter().map(|part| &part.poses[..]), seconds);
-        let name = format!("{} motions in turn", parts.len());
+        let (skeleton, poses) = endless(subjects, &view.choice, seed, seconds)?;
+        let name = format!("{} motions in turn", subjects.len());
         Some(Self {
             name: CaseName { subject: name.clone(), sequence: name, seed },
             view: view.clone(),
@@ -207,6 +204,20 @@ pub fn procedural(count: usize, seconds: f64) -> Vec<Subject> {
         Subject { subject: name.clone(), name, skeleton: None, poses: Arc::new(poses) }
     };
     (1..=count).map(subject).collect()
+}
+
+/// A body, and poses of `seconds` at [`train::FPS`]: the subjects' sections in turn, repeated as needed, each
+/// blended into the next within half a second. `None` if no subject fits.
+pub fn endless<'a>(
+    subjects: impl IntoIterator<Item = &'a Subject>,
+    choice: &SequenceChoice,
+    seed: u64,
+    seconds: f64,
+) -> Option<(Skeleton, Vec<Pose>)> {
+    let part = |subject: &Subject| subject.section_of_seed(choice, seed);
+    let parts: Vec<_> = subjects.into_iter().filter_map(part).collect();
+    let skeleton = parts.first()?.skeleton.clone();
+    Some((skeleton, joined(parts.iter().map(|part| &part.poses[..]), seconds)))
 }
 
 /// Repeats the parts in turn, with a blend between them, until there are enough frames.

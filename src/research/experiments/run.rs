@@ -44,42 +44,55 @@ pub fn run(
     jobs: usize,
     each: &(dyn Fn() + Sync),
 ) -> Run {
-    let next = AtomicUsize::new(0);
-    let results = Mutex::new(vec![Vec::new(); cases.len()]);
-    let work = || {
-        while let Some((index, case)) = {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            cases.get(index).map(|case| (index, case))
-        } {
-            let mut sequence = case.make();
-            sequence.take = sequence.take.with_body(decoder);
-            let solve = |mut method: Box<dyn Method>| {
-                let begin = Instant::now();
-                let solved = method.solve(&sequence.take, decoder);
-                let ms = begin.elapsed().as_secs_f64() * 1e3;
-                each();
-                solved.map(|solved| (solved, ms / sequence.truth.len().max(1) as f64))
-            };
-            let solved: Vec<_> = methods().into_iter().map(solve).collect();
-            let of_case = scores(&sequence, &solved);
-            if let Ok(mut results) = results.lock() {
-                results[index] = of_case;
-            }
-        }
-    };
-    std::thread::scope(|scope| {
-        for _ in 1..jobs.clamp(1, cases.len().max(1)) {
-            scope.spawn(work);
-        }
-        work();
+    let of_cases = in_parallel(cases, jobs, |case| {
+        let mut sequence = case.make();
+        sequence.take = sequence.take.with_body(decoder);
+        let solve = |mut method: Box<dyn Method>| {
+            let begin = Instant::now();
+            let solved = method.solve(&sequence.take, decoder);
+            let ms = begin.elapsed().as_secs_f64() * 1e3;
+            each();
+            solved.map(|solved| (solved, ms / sequence.truth.len().max(1) as f64))
+        };
+        let solved: Vec<_> = methods().into_iter().map(solve).collect();
+        scores(&sequence, &solved)
     });
     let mut rows: Vec<Row> = methods().iter().map(|method| Row::of(method.as_ref())).collect();
-    for of_case in results.into_inner().unwrap_or_default() {
+    for of_case in of_cases {
         for (row, result) in rows.iter_mut().zip(of_case) {
             row.results.push(result);
         }
     }
     Run { cases: cases.iter().map(|case| case.name().clone()).collect(), rows }
+}
+
+/// The result of each item, in their order, computed on `jobs` threads.
+pub fn in_parallel<T: Sync, R: Send>(
+    items: &[T],
+    jobs: usize,
+    each: impl Fn(&T) -> R + Sync,
+) -> Vec<R> {
+    let (next, results) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let work = || {
+        while let Some((index, item)) = {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            items.get(index).map(|item| (index, item))
+        } {
+            let result = each(item);
+            if let Ok(mut results) = results.lock() {
+                results.push((index, result));
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 1..jobs.clamp(1, items.len().max(1)) {
+            scope.spawn(work);
+        }
+        work();
+    });
+    let mut results = results.into_inner().unwrap_or_default();
+    results.sort_by_key(|(index, _)| *index);
+    results.into_iter().map(|(_, result)| result).collect()
 }
 
 /// The scores of each result, with its milliseconds per frame, in the frames that all of them have.

@@ -2,9 +2,11 @@
 
 use nalgebra::{Vector2, Vector3};
 
+use super::points::limb_of;
 use super::recording::Recording;
 use crate::core::body::{Joint, Pose, Posture};
 use crate::core::detections::{Detection, Detections, Person};
+use crate::core::points::extent;
 use crate::core::random::Draws;
 
 /// Parts of a body that hide what is behind them: the joints at the ends, and the radius, metres.
@@ -26,15 +28,23 @@ const CAPSULES: [(Joint, Joint, f64); 12] = [
 const FEWEST: usize = 5;
 /// Longest time in which a detector gives points of a hidden person to the nearer one, seconds.
 const MIXED_S: f64 = 0.3;
+/// People overlap in the image if their middles are nearer than this share of the smaller one's size.
+const OVERLAP: f64 = 0.35;
+/// Of the mixtures, so many exchange a limb; in the others the nearer person is seen twice.
+const EXCHANGES: f64 = 0.7;
 /// Separates these draws from others with the same seed.
 const STREAM: u64 = 0x6372_6f77_6400;
+/// Key of the draws of mixtures; those of the two people are added.
+const MIXTURE: u64 = 1 << 32;
 
-/// People who move in front of the same cameras, without bystanders. Points behind another person are
-/// missing, or guessed, or those of the nearer person, as far as the noise has such errors.
+/// People who move in front of the same cameras. Points behind another person are missing, or guessed, or
+/// those of the nearer person, and people who overlap are mixed, as far as the noise has such errors.
 #[derive(Clone, Debug)]
 pub struct Crowd<M> {
     /// One for each person, with the same cameras and times.
     people: Vec<Recording<M>>,
+    /// So many of them, the last ones, are no performers: they have no truth.
+    pub bystanders: usize,
 }
 
 impl<M: Fn(f64) -> Pose> Crowd<M> {
@@ -51,12 +61,12 @@ impl<M: Fn(f64) -> Pose> Crowd<M> {
                 other.seed = first.seed.wrapping_add(person << 32);
             }
         }
-        Self { people }
+        Self { people, bystanders: 0 }
     }
 
-    /// One person, with bystanders.
+    /// One person, with the strangers of the noise.
     pub fn alone(person: Recording<M>) -> Self {
-        Self { people: vec![person] }
+        Self { people: vec![person], bystanders: 0 }
     }
 
     /// A recording for each person, alone.
@@ -101,6 +111,10 @@ impl<M: Fn(f64) -> Pose> Crowd<M> {
             }
         }
         found.retain(|(_, person)| person.points.iter().flatten().count() >= FEWEST);
+        let eye = self.people[0].rig.cameras[frame.camera].centre_in_world();
+        let away = |owner: usize| (postures[owner].positions[0] - eye).norm();
+        found.sort_by(|a, b| away(a.0).total_cmp(&away(b.0)));
+        self.mix(&frame, seconds, &mut found);
         let draws = self.draws(frame.camera);
         let order = |(owner, _): &(usize, Person)| draws.uniform(*owner as u64, frame.frame);
         found.sort_by(|a, b| order(a).total_cmp(&order(b)));
@@ -147,9 +161,47 @@ impl<M: Fn(f64) -> Pose> Crowd<M> {
         Some(Detection { pixel: point.pixel + error, confidence: 0.5 * point.confidence })
     }
 
+    /// Mixes people who overlap, as a detector does; the nearest is the first.
+    fn mix(&self, frame: &Detections, seconds: f64, found: &mut [(usize, Person)]) {
+        let (noise, draws) = (&self.people[0].noise, self.draws(frame.camera));
+        for far in 1..found.len() {
+            let (nearer, rest) = found.split_at_mut(far);
+            let (of_far, far) = &mut rest[0];
+            for (of_near, near) in nearer {
+                let pair = [*of_near.min(of_far), *of_near.max(of_far)];
+                let key = MIXTURE + 1000 * pair[0] as u64 + pair[1] as u64;
+                let event = draws.occurrence(key, seconds, noise.mixed, noise.mixed_s);
+                let Some(kind) = event.filter(|_| do_overlap(near, far)) else { continue };
+                if kind >= EXCHANGES {
+                    far.points.clone_from(&near.points);
+                    continue;
+                }
+                let limb = (4.0 * kind / EXCHANGES) as usize;
+                for (index, &keypoint) in frame.format.keypoints().iter().enumerate() {
+                    if limb_of(keypoint)
+                        .is_some_and(|(pair, side)| 2 * pair as usize + side == limb)
+                    {
+                        std::mem::swap(&mut near.points[index], &mut far.points[index]);
+                    }
+                }
+            }
+        }
+    }
+
     fn draws(&self, camera: usize) -> Draws {
         Draws { seed: self.people[0].seed, stream: STREAM + camera as u64 }
     }
+}
+
+/// Whether two people are in one place of the image.
+fn do_overlap(a: &Person, b: &Person) -> bool {
+    let pixels = |person: &Person| -> Vec<Vector2<f64>> {
+        person.points.iter().flatten().map(|seen| seen.pixel.coords).collect()
+    };
+    let [a, b] = [a, b].map(pixels);
+    let middle = |all: &[Vector2<f64>]| all.iter().sum::<Vector2<f64>>() / all.len().max(1) as f64;
+    let size = [&a, &b].map(|all| extent(all.iter().copied()));
+    (middle(&a) - middle(&b)).norm() < OVERLAP * size[0].min(size[1])
 }
 
 /// Distance from the eye at which a body hides a point, metres. `None`: it does not.

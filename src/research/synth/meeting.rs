@@ -6,9 +6,10 @@ use std::f64::consts::{PI, TAU};
 use nalgebra::{Matrix3, Rotation2, Vector2, Vector3};
 
 use super::curves::{plateau, smoothstep};
+use super::leg::{about_x, set};
 use super::motion::{Motion, MotionStyle, about_y};
 use super::ring::ring_around;
-use crate::core::body::{Pose, Shape, Skeleton};
+use crate::core::body::{Joint, Pose, Shape, Skeleton};
 use crate::core::camera::{CameraError, Rig};
 use crate::core::random::Draws;
 
@@ -25,6 +26,13 @@ const APART: f64 = 0.65;
 const WALKING: f64 = 0.5;
 /// Samples of the path that tell how far a person has walked.
 const SAMPLES: usize = 2000;
+/// Travel and turns of a motion are those of its mean over this time, seconds; the rest is its own.
+const OWN_S: f64 = 1.0;
+/// Distance from the edge of the floor to bystanders who sit, and to those who walk around it, metres.
+const SEATS: f64 = 0.9;
+const PASSAGE: f64 = 1.4;
+/// Speed of those who walk, m/s.
+const PASSING: f64 = 1.2;
 /// Separates these draws from others with the same seed.
 const STREAM: u64 = 0x6d65_6574_0000;
 
@@ -53,19 +61,78 @@ impl Meeting {
         ring_around(cameras, self.radius() + 3.0, 2.2, self.radius() + 0.3)
     }
 
-    /// The body of a person, and its motion by seconds from the start.
+    /// The body of a person who walks, and its motion by seconds from the start.
     pub fn person(self, person: usize, seed: u64) -> (Skeleton, impl Fn(f64) -> Pose) {
-        let draws = Draws { seed, stream: STREAM + person as u64 };
-        let [[a, b], [c, d]] = [0, 1].map(|item| draws.normals(0, item));
-        let mut shape = Shape::default();
-        shape.0[..4].copy_from_slice(&[a, b, c, d].map(|normal| normal.clamp(-2.0, 2.0)));
-        let skeleton = Skeleton::new(shape);
-        let step_time = 0.5 + 0.1 * draws.uniform(1, 0);
-        let style = MotionStyle { step_time, ..MotionStyle::default() };
-        let motion = self.motion(person, Motion::new(&skeleton, style));
+        let (skeleton, gait) = walker(person, seed);
+        let motion = self.motion(person, gait);
         (skeleton, motion)
     }
 
+    /// Takes a person along while it moves as in `poses`, which are `1 / fps` apart: their travel and turns
+    /// are replaced.
+    pub fn lead(self, person: usize, mut poses: Vec<Pose>, fps: f64) -> Vec<Pose> {
+        let floor = |at: Vector3<f64>| Vector3::new(at.x, 0.0, at.z);
+        let reach = (0.5 * OWN_S * fps) as usize;
+        let travel: Vec<_> = poses.iter().map(|pose| floor(pose.root_position)).collect();
+        // Where the left side is, for the front may point to the floor.
+        let left: Vec<_> =
+            poses.iter().map(|pose| floor(pose.root_rotation * Vector3::x())).collect();
+        for (index, pose) in poses.iter_mut().enumerate() {
+            let around = index.saturating_sub(reach)..(index + reach + 1).min(travel.len());
+            let mean = travel[around.clone()].iter().sum::<Vector3<f64>>() / around.len() as f64;
+            let left: Vector3<f64> = left[around].iter().sum();
+            let (at, forward) = self.place(person, index as f64 / fps);
+            let turn = about_y(forward.x.atan2(forward.y)) * about_y(left.z.atan2(left.x));
+            let height = Vector3::y() * pose.root_position.y;
+            let sway = turn * (floor(pose.root_position) - mean);
+            pose.root_position = Vector3::new(at.x, 0.0, at.y) + sway + height;
+            pose.root_rotation = turn * pose.root_rotation;
+        }
+        poses
+    }
+
+    /// Somebody who is no performer: every second one sits at the edge of the floor, the others walk around
+    /// it.
+    pub fn bystander(self, index: usize, seed: u64) -> (Skeleton, impl Fn(f64) -> Pose) {
+        let (skeleton, gait) = walker(self.people + index, seed);
+        let thigh = skeleton.offset(Joint::LKnee).norm();
+        let turn = TAU * (0.1 + 0.37 * index as f64);
+        let sits = index.is_multiple_of(2);
+        let away = self.radius() + if sits { SEATS } else { PASSAGE };
+        let motion = move |seconds: f64| {
+            // At the angle 0 one is at +z, and walks to +x or looks to -z.
+            let (walked, facing) = if sits { (0.0, PI) } else { (PASSING * seconds, 0.5 * PI) };
+            let angle = turn + walked / away;
+            let mut pose = gait.walk(walked, seconds, if sits { 0.0 } else { 1.0 });
+            if sits {
+                for (joint, bend) in [(Joint::LHip, -0.5 * PI), (Joint::LKnee, 0.5 * PI)] {
+                    set(&mut pose.local, joint, about_x(bend));
+                    set(&mut pose.local, joint.mirrored(), about_x(bend));
+                }
+                pose.root_position.y -= thigh;
+            }
+            pose.root_position = about_y(angle) * Vector3::new(0.0, pose.root_position.y, away);
+            pose.root_rotation = about_y(angle + facing) * pose.root_rotation;
+            pose
+        };
+        (skeleton, motion)
+    }
+}
+
+/// The body and the gait of a person.
+fn walker(person: usize, seed: u64) -> (Skeleton, Motion) {
+    let draws = Draws { seed, stream: STREAM + person as u64 };
+    let [[a, b], [c, d]] = [0, 1].map(|item| draws.normals(0, item));
+    let mut shape = Shape::default();
+    shape.0[..4].copy_from_slice(&[a, b, c, d].map(|normal| normal.clamp(-2.0, 2.0)));
+    let skeleton = Skeleton::new(shape);
+    let step_time = 0.5 + 0.1 * draws.uniform(1, 0);
+    let style = MotionStyle { step_time, ..MotionStyle::default() };
+    let gait = Motion::new(&skeleton, style);
+    (skeleton, gait)
+}
+
+impl Meeting {
     fn motion(self, person: usize, gait: Motion) -> impl Fn(f64) -> Pose {
         let walked = self.walked(person);
         move |seconds| {

@@ -64,6 +64,11 @@ pub struct Noise {
     pub splits: f64,
     /// Longest split, seconds.
     pub split_s: f64,
+    /// Rate at which two people who overlap in the image are mixed: each has a limb of the other, or the
+    /// nearer one is seen twice.
+    pub mixed: f64,
+    /// Longest mixture, seconds.
+    pub mixed_s: f64,
     /// Rate at which nobody is detected.
     pub blanks: f64,
     /// Longest time without a detection, seconds.
@@ -104,6 +109,8 @@ impl Noise {
             stranger_s: 1.5,
             splits: 0.0,
             split_s: 0.2,
+            mixed: 0.0,
+            mixed_s: 0.3,
             blanks: 0.0,
             blank_s: 0.1,
         }
@@ -153,6 +160,8 @@ impl Noise {
             stranger_s: 1.5,
             splits: 0.02,
             split_s: 0.2,
+            mixed: 0.1,
+            mixed_s: 0.3,
             blanks: 0.02,
             blank_s: 0.1,
         }

@@ -9,8 +9,8 @@ use crate::io::recording::{Provenance, RecordError, Writer};
 use crate::io::wire::{self, Topics};
 
 impl<M: Fn(f64) -> Pose> Crowd<M> {
-    /// Writes the detections and the truth of everybody: of one person under the usual name, of several
-    /// under `actor/p1`, `actor/p2` ... Calls `each_frame` once a frame.
+    /// Writes the detections of everybody and the truth of all but the bystanders: of one person under the
+    /// usual name, of several under `actor/p1`, `actor/p2` ... Calls `each_frame` once a frame.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -21,6 +21,7 @@ impl<M: Fn(f64) -> Pose> Crowd<M> {
         mut each_frame: impl FnMut(),
     ) -> Result<(), RecordError> {
         let people = self.people();
+        let performers = &people[..people.len().saturating_sub(self.bystanders).max(1)];
         let (rig, start) = (&people[0].rig, people[0].start);
         let actor = |person: usize| match people.len() {
             1 => Topics::default(),
@@ -28,11 +29,11 @@ impl<M: Fn(f64) -> Pose> Crowd<M> {
         };
         let mut writer = Writer::create(path, Topics::default(), provenance)?;
         writer.rig(rig, start)?;
-        for (person, one) in people.iter().enumerate() {
+        for (person, one) in performers.iter().enumerate() {
             let body = wire::Skeleton::from_core(&one.skeleton);
             writer.write(&actor(person).truth_skeleton(), start, &body)?;
         }
-        let mut truth: Vec<_> = people.iter().map(Recording::poses).collect();
+        let mut truth: Vec<_> = performers.iter().map(Recording::poses).collect();
         for (index, (detections, _)) in self.detections().enumerate() {
             if index % rig.cameras.len() == 0 {
                 for (person, truth) in truth.iter_mut().enumerate() {

@@ -17,6 +17,7 @@ use crate::core::camera::Rig;
 use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
 pub use choosing::FollowError;
+use recognition::{OTHER_BODY, UNDECIDED};
 
 /// A newcomer who is not seen for this long was none.
 const DOUBTFUL: Nanos = Nanos::from_ms(120);
@@ -239,6 +240,7 @@ impl People {
                 self.members.push(Member { person, role, wish, was, close_since: None });
             }
         }
+        self.tell_from_hidden();
         self.drop_doubles(at, &mut changes);
         self.lose(at, &mut changes);
         self.confirm(at, &mut changes);
@@ -285,9 +287,26 @@ impl People {
         owners
     }
 
-    /// Two members in one place are one person: the older one stays.
+    /// A performer who was hidden is lost if it turns out that somebody else is followed in its place.
+    fn tell_from_hidden(&mut self) {
+        for member in &mut self.members {
+            let Some(other) = member.person.settle(UNDECIDED, OTHER_BODY) else { continue };
+            let before = std::mem::replace(&mut member.person, other);
+            if let Role::Performer(performer) = member.role {
+                // Who was merged with it meanwhile may be the one who is followed.
+                let merged = self.absent.iter_mut().filter(|one| one.merged == Some(performer));
+                merged.for_each(|one| one.merged = None);
+                self.absent.push(Absent::new(performer, before));
+                member.role = Role::Candidate(Vec::new());
+                (member.wish, member.was) = (Wish::Open, None);
+            }
+        }
+    }
+
+    /// Two members who are seen in one place are one person: the older one stays.
     fn drop_doubles(&mut self, at: Timestamp, changes: &mut Vec<Change>) {
         let places: Vec<_> = self.members.iter().map(|m| m.person.predicted(at)).collect();
+        let is_hidden: Vec<_> = self.members.iter().map(|m| m.person.is_hidden(at)).collect();
         let rank = |member: &Member| match member.role {
             Role::Performer(performer) => performer,
             Role::Bystander => usize::MAX - 1,
@@ -299,6 +318,7 @@ impl People {
         for (index, member) in self.members.iter_mut().enumerate() {
             let is_double = |other: &usize| {
                 (ranks[*other], *other) < (ranks[index], index)
+                    && !is_hidden[*other]
                     && apart(&places[*other], &places[index]).is_some_and(|off| off < SAME_M)
             };
             let Some(older) = (0..places.len()).find(is_double) else {

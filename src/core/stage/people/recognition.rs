@@ -9,7 +9,7 @@ use crate::core::time::Timestamp;
 /// many if it is still not clear which one.
 const CONFIRMED: u32 = 5;
 const RECOGNISED: u32 = 15;
-const UNDECIDED: u32 = 30;
+pub(super) const UNDECIDED: u32 = 30;
 /// How far people get while they are not seen, metres and m/s.
 const AWAY_M: f64 = 0.6;
 const AWAY_M_S: f64 = 3.0;
@@ -19,6 +19,8 @@ const SAME_BODY: f64 = 1.7;
 const EXPECTED_BODY: f64 = 2.5;
 /// Up to this difference, more is to be measured.
 const DOUBTFUL_BODY: f64 = 3.0;
+/// Above this difference, the one who is followed is somebody else.
+pub(super) const OTHER_BODY: f64 = 4.0;
 
 /// Who a member is.
 enum Verdict {
