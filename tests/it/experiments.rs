@@ -309,6 +309,25 @@ fn provisional_poses_are_nearly_as_smooth_as_final_ones() {
 }
 
 #[test]
+fn a_crowd_is_scored_beside_its_bystanders() {
+    let place = tempfile::tempdir().unwrap();
+    let command = "performers 2 --bystanders 2 --rig ring3 --noise clean --seconds 2 --seed 1,2";
+    let (printed, results) = done(place.path(), &format!("{command} --jobs 2"));
+    assert!(printed.contains("PCP of the nearest"), "{printed}");
+    let crowds = results["levels"][0]["crowds"].as_array().unwrap();
+    assert_eq!(crowds.iter().map(|one| &one["seed"]).collect::<Vec<_>>(), [1, 2]);
+    for crowd in crowds {
+        let scores = &crowd["scores"];
+        // Two people at 50 Hz; the bystanders are neither missed nor wrong.
+        assert_eq!(scores["people"], 200, "{scores}");
+        assert_eq!(scores["precision_percent"], 100.0, "{scores}");
+        assert!(scores["recall_percent"].as_f64().unwrap() > 99.0, "{scores}");
+        assert!(scores["pcp_nearest_percent"].as_f64().unwrap() > 99.0, "{scores}");
+    }
+    assert_eq!(done(place.path(), command).1["levels"], results["levels"]);
+}
+
+#[test]
 fn every_factor_of_an_ablation_is_in_its_help() {
     let place = tempfile::tempdir().unwrap();
     let help = eval(place.path(), "ablation all --help");
@@ -331,7 +350,8 @@ fn wrong_arguments_give_a_one_line_error_with_a_fix() {
     told("methods --methods guess", 2, "use all, ladder, triangulation");
     told("methods --rig ring3 --body foreign", 2, "--motions");
     told("methods --rig ring3 --hold-out cam01", 2, "--hold-out");
-    told("performers 2 --motions none/", 2, "--motions");
+    told("performers 2 --rig ring3 --body foreign", 2, "--motions");
+    told("performers 2 --rig ring3 --motions none/", 3, "none");
     told("drift 0.1 --rig ring3", 2, "minutes is 0.1");
     told("methods --rig ring3 --noise loud", 2, "sparse");
     told("methods --rig round", 2, "ring2");

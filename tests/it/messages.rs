@@ -1,7 +1,7 @@
 //! Wire types: round trips, byte goldens, unknown fields, hostile bytes.
 
 use bundlemocap::core::body::{
-    self, BODY_JOINTS, KeypointOffsets, SYMMETRIC_SHAPE, Shape, StampedPose, TrackingState,
+    self, BODY_JOINTS, Joint, KeypointOffsets, SYMMETRIC_SHAPE, Shape, StampedPose, TrackingState,
 };
 use bundlemocap::core::camera::{self, Camera, Lens};
 use bundlemocap::core::detections::{Detection, Detections, KeypointFormat, Person};
@@ -437,4 +437,16 @@ fn missing_points_are_ignored_and_scores_above_one_are_clamped() {
     assert_eq!(people[0].points[1].unwrap().confidence, 1.0);
     let unknown = frame.to_core(|_| None).unwrap_err();
     assert_eq!(unknown, DecodeError::UnknownCamera { name: "right".into() });
+}
+
+#[test]
+fn a_true_body_may_be_of_any_build() {
+    let mut offsets = Joint::ALL.map(|joint| *body::Skeleton::default().offset(joint));
+    offsets[Joint::LKnee.index()] *= 1.3;
+    let mut wire = Skeleton::from_core(&body::Skeleton::with_joint_offsets(offsets));
+    assert!(wire.to_core().is_err());
+    let truth = wire.to_truth().unwrap();
+    assert_eq!(Joint::ALL.map(|joint| *truth.offset(joint)), offsets);
+    wire.rest_offsets_m[0] = f64::NAN;
+    assert!(wire.to_truth().is_err());
 }

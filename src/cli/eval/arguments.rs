@@ -81,8 +81,8 @@ pub(super) struct Recording {
     pub(super) output: Output,
 }
 
-/// Solve crowds who cross and meet, with bodies of their own, and each of their people alone. They walk, or
-/// with --motions move as in the clips on the way. A rig gives the number of cameras.
+/// Solve crowds who cross and meet, with bodies of their own, and each of their people alone. With --motions
+/// people move as in the clips, without it they walk. Of --rig, only the number of cameras counts.
 #[derive(Debug, Args)]
 pub(super) struct Performers {
     /// Numbers of people, 2 to 32.
@@ -96,7 +96,7 @@ pub(super) struct Performers {
     /// Distance of the pelvises in the crowds' meetings, metres: 0.7 is arm's length, 0.3 an embrace.
     #[arg(long, value_name = "METRES", default_value_t = 0.7, allow_negative_numbers = true)]
     pub(super) meet: f64,
-    /// People who sit at the edge of the floor, or walk around it; they are no performers.
+    /// Number of people who sit beyond the edge of the floor, or walk around it. They are not performers.
     #[arg(long, value_name = "NUMBER", default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=16))]
     pub(super) bystanders: u8,
     #[command(flatten)]

@@ -17,16 +17,16 @@ use crate::io::report::{ReportData, Table};
 use crate::metrics::PerformerScores;
 use crate::metrics::statistics::mean;
 use crate::offline::{Group, Options, Recording, solve_group};
-use crate::research::experiments::{View, endless, in_parallel};
+use crate::research::experiments::{View, in_parallel, in_turn};
 use crate::research::synth::{self, Body, Crowd, Meeting, Protocol, through};
 use crate::research::train;
 
 type AnyMotion = Box<dyn Fn(f64) -> Pose>;
 type Person = synth::Recording<AnyMotion>;
 
-/// Performers may begin this far beyond the edge of the floor, metres; bystanders are beyond that.
+/// Who is within this distance of the floor's edge becomes a performer, metres; bystanders are farther away.
 const MARGIN: f64 = 0.5;
-/// Corners of the region.
+/// Corners of the region in which people become performers.
 const CORNERS: usize = 24;
 
 /// Solves crowds of these numbers of people at each noise level.
@@ -37,7 +37,7 @@ pub(super) fn run(asked: &arguments::Performers) -> Result<(), Failure> {
         Failure::new(Exit::Unexpected, format!("cannot make a folder: {error}"))
     })?;
     let has_clips = asked.motions.motions.is_some();
-    let motion = if has_clips { setup.subtitle() } else { "walking".to_owned() };
+    let motion = if has_clips { setup.subtitle() } else { format!("walking, {}", setup.views()) };
     let mut report = ReportData {
         title: "Performers who cross and meet".into(),
         subtitle: format!(
@@ -112,7 +112,7 @@ struct Scene<'a> {
 }
 
 impl Scene<'_> {
-    /// The crowd and each of its people, solved. `path` is that of a recording for the time.
+    /// The crowd and each of its people, solved; the file `path` holds one recording after the other.
     fn solve(&self, path: &Path) -> Result<Solved, Failure> {
         let Self { meeting, bystanders, view, .. } = self;
         let mut people = Vec::new();
@@ -171,7 +171,7 @@ impl Scene<'_> {
         let first = person / subjects.len() % own.len().max(1);
         let clips = own.iter().cycle().skip(first).take(own.len()).copied();
         let seed = Protocol::seed_of(view.seed, &person.to_string());
-        let (skeleton, poses) = endless(clips, choice, seed, choice.seconds).ok_or_else(|| {
+        let (skeleton, poses) = in_turn(clips, choice, seed, choice.seconds).ok_or_else(|| {
             let message = format!("no clip of {whose} is long enough; leave it out of --subjects");
             Failure::new(Exit::NoDetections, message)
         })?;

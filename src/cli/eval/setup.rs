@@ -144,14 +144,18 @@ impl Setup {
         Ok(run)
     }
 
-    /// One line for reports.
+    /// One line for reports: motions and views.
     pub(super) fn subtitle(&self) -> String {
+        let body = self.protocol.sequence.body.name();
+        format!("{} motions of {body} bodies, {}", self.subjects.len(), self.views())
+    }
+
+    /// How long and how the motions are seen.
+    pub(super) fn views(&self) -> String {
         let Protocol { sequence, rigs, seeds, .. } = &self.protocol;
         let seeds: Vec<String> = seeds.iter().map(u64::to_string).collect();
         format!(
-            "{} motions of {} bodies, up to {} s at {} fps, cameras {}, seed {}",
-            self.subjects.len(),
-            sequence.body.name(),
+            "up to {} s at {} fps, cameras {}, seed {}",
             sequence.seconds,
             sequence.fps,
             rigs.join(" and "),

@@ -16,7 +16,7 @@ const FAR_LIMB: f64 = 0.15;
 const AGREED: f64 = 0.06;
 /// Gain of a detection with the id of the last one.
 const SAME_ID: f64 = 0.03;
-/// The gain of a hidden performer is this part of that of the others.
+/// Factor on the gain of a hidden performer.
 const HIDDEN: f64 = 0.2;
 /// A part within this distance is in its place.
 const IN_PLACE: f64 = 0.08;
@@ -34,12 +34,11 @@ struct Outline {
     /// Of the whole body, pixels.
     size: f64,
     id: Option<i64>,
-    is_hidden: bool,
 }
 
 impl Outline {
     /// `None` if nothing of the performer lies before the camera.
-    fn of(view: &View, points: &Points, last: Option<&LastSeen>, is_hidden: bool) -> Option<Self> {
+    fn of(view: &View, points: &Points, last: Option<&LastSeen>) -> Option<Self> {
         let mut pixels = view.project(points);
         if let Some(last) = last {
             for at in (0..KEYPOINTS).filter(|&at| points[at].is_none()) {
@@ -48,7 +47,7 @@ impl Outline {
         }
         let bounds = Bounds::of(&pixels)?;
         let size = bounds.extent().max(1.0);
-        Some(Self { pixels, bounds, size, id: last.and_then(|last| last.id), is_hidden })
+        Some(Self { pixels, bounds, size, id: last.and_then(|last| last.id) })
     }
 
     /// The mean distance of a part's points from `place` as a fraction of the size. `None` if no point
@@ -88,10 +87,12 @@ pub(super) fn assign(
 ) -> (Vec<Vec<Assigned>>, Vec<Points>) {
     let mut places: Vec<Points> = performers.iter().map(|performer| performer.points).collect();
     let mut accepted = vec![gates.follow; performers.len()];
+    let trust = performers.iter().map(|one| if one.is_hidden { HIDDEN } else { 1.0 });
+    let trust: Vec<f64> = trust.collect();
     let (mut outlines, mut owned) = (Vec::new(), Vec::new());
     for round in 0..ROUNDS {
         outlines = outline(views, performers, &places);
-        let of_view = |(view, outlines): (&View, &Vec<_>)| whole(view, outlines, &accepted);
+        let of_view = |(view, outlines): (&View, &Vec<_>)| whole(view, outlines, &accepted, &trust);
         let again: Vec<Vec<Option<usize>>> = views.iter().zip(&outlines).map(of_view).collect();
         let is_settled = again == owned;
         owned = again;
@@ -127,17 +128,24 @@ fn outline(
     let of_view = |view: &View| {
         let all = performers.iter().zip(places).map(|(performer, points)| {
             let last = performer.last.get(view.index).and_then(Option::as_ref);
-            Outline::of(view, points, last, performer.is_hidden)
+            Outline::of(view, points, last)
         });
         all.collect()
     };
     views.iter().map(of_view).collect()
 }
 
-/// The detection of each performer in a view, as a whole.
-fn whole(view: &View, outlines: &[Option<Outline>], accepted: &[f64]) -> Vec<Option<usize>> {
+/// The detection of each performer in a view, as a whole; `accepted` is the largest cost, and `trust` the
+/// factor on the gain, of each.
+fn whole(
+    view: &View,
+    outlines: &[Option<Outline>],
+    accepted: &[f64],
+    trust: &[f64],
+) -> Vec<Option<usize>> {
     let mut edges = Vec::new();
-    for (row, (outline, accepted)) in outlines.iter().zip(accepted).enumerate() {
+    for (row, ((outline, accepted), trust)) in outlines.iter().zip(accepted).zip(trust).enumerate()
+    {
         let Some(outline) = outline else { continue };
         for (column, sight) in view.sights.iter().enumerate() {
             if !outline.bounds.is_near(&sight.bounds, accepted * outline.size) {
@@ -145,7 +153,6 @@ fn whole(view: &View, outlines: &[Option<Outline>], accepted: &[f64]) -> Vec<Opt
             }
             let Some((cost, share)) = outline.cost(sight) else { continue };
             let hint = if sight.id.is_some() && sight.id == outline.id { SAME_ID } else { 0.0 };
-            let trust = if outline.is_hidden { HIDDEN } else { 1.0 };
             let gain = (accepted - cost + hint) * share * trust;
             if cost < *accepted && gain > 0.0 {
                 edges.push(Edge { row, column, gain });
@@ -212,7 +219,7 @@ fn parts(view: &View, outlines: &[Option<Outline>], owned: &[Option<usize>]) -> 
 
 /// Marks detections that lie on a known performer as not free.
 pub(super) fn exclude_copies(view: &View, place: &Points, free: &mut [bool]) {
-    let Some(outline) = Outline::of(view, place, None, false) else { return };
+    let Some(outline) = Outline::of(view, place, None) else { return };
     for (sight, free) in view.sights.iter().zip(free) {
         let is_near = || outline.bounds.is_near(&sight.bounds, 0.0);
         if *free && is_near() && outline.cost(sight).is_some_and(|(cost, _)| cost < COPY) {

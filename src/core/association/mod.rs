@@ -59,7 +59,7 @@ pub struct Expectation {
     pub points: Points,
     /// By camera of the rig: the last detection that was the performer's. May be shorter.
     pub last: Vec<Option<LastSeen>>,
-    /// Whether no view has shown the performer lately. A detection that another one expects is not its own.
+    /// Whether no view has shown the performer lately. Another one who expects the same detection gets it.
     pub is_hidden: bool,
 }
 

@@ -48,9 +48,8 @@ const BONES: [(K, K, Range<f64>); 10] = [
     (K::LKnee, K::LAnkle, 0.20..0.65),
     (K::RKnee, K::RAnkle, 0.20..0.65),
 ];
-/// The first of them, of the trunk; each that is seen has a human length.
-const WIDTHS: usize = 1;
-/// Of the others that are seen, so many have.
+/// The shoulders, which are the first, have a human width if they are seen. Of the other bones that are seen,
+/// this share has a human length.
 const HUMAN: f64 = 0.7;
 /// Scale of the loss of a triangulation, metres, and its iterations.
 const SCALE_M: f64 = 0.06;
@@ -118,7 +117,7 @@ pub(super) fn meeting(a: &Node, b: &Node) -> Option<(f64, Points)> {
     (enough && gap < GAP_M && is_human(&points)).then_some((gap, points))
 }
 
-/// Whether a side of the trunk is seen, and it, the trunk's width and most limbs are as long as a person's.
+/// Whether a side of the trunk is seen, and it, the shoulders and most other bones are as long as a person's.
 pub(super) fn is_human(points: &Points) -> bool {
     let at = |keypoint: K| points[keypoint as usize];
     let side = |shoulder: K, hip: K| Some((at(shoulder)? - at(hip)?).norm());
@@ -127,13 +126,12 @@ pub(super) fn is_human(points: &Points) -> bool {
     if !TRUNK_LENGTH.contains(&(sides.iter().flatten().sum::<f64>() / seen)) {
         return false;
     }
-    let is_long_enough =
+    let has_human_length =
         |(a, b, lengths): &(K, K, Range<f64>)| Some(lengths.contains(&(at(*a)? - at(*b)?).norm()));
-    let (widths, limbs) = BONES.split_at(WIDTHS);
-    let limbs: Vec<bool> = limbs.iter().filter_map(is_long_enough).collect();
-    let human = limbs.iter().filter(|is_human| **is_human).count();
-    widths.iter().filter_map(is_long_enough).all(|is_human| is_human)
-        && human as f64 >= HUMAN * limbs.len() as f64
+    let [shoulders, others @ ..] = &BONES;
+    let others: Vec<bool> = others.iter().filter_map(has_human_length).collect();
+    let human = others.iter().filter(|is_human| **is_human).count();
+    has_human_length(shoulders).unwrap_or(true) && human as f64 >= HUMAN * others.len() as f64
 }
 
 /// The points that are nearest to the rays of all nodes, by the Geman-McClure loss: at least two rays

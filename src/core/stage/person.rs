@@ -51,15 +51,15 @@ pub(super) struct Person {
     extents: f64,
     /// The largest extent in a view when the person was last seen, pixels.
     pub(super) height_px: f64,
-    /// When a view showed the person last.
+    /// When a view showed the trunk last.
     in_view: Timestamp,
     doubt: Option<Box<Doubt>>,
 }
 
-/// A person who was hidden and is followed again may be somebody else.
+/// A person who was hidden, or leapt, may be somebody else.
 #[derive(Clone, Debug)]
 struct Doubt {
-    /// The person before it was hidden.
+    /// The person as it was before.
     before: Person,
     /// The lengths since then; they are not the person's yet.
     lengths: Lengths,
@@ -98,24 +98,19 @@ impl Person {
         self.points.iter().any(Option::is_some)
     }
 
-    /// After `sets` frame sets with a person who was hidden: who is followed now, if it is somebody else, whose
-    /// lengths differ by more than `most`. This person is then as it was before.
+    /// After `sets` frame sets since the person was hidden: the person as it was before, if its lengths differ from
+    /// those since by more than `most` (no unit, see [`Lengths::difference`]). Then this is somebody else.
     pub(super) fn settle(&mut self, sets: u32, most: f64) -> Option<Self> {
         let is_measured = |doubt: &mut Box<Doubt>| self.sets - doubt.before.sets >= sets;
-        let Doubt { mut before, lengths, first } = *self.doubt.take_if(is_measured)?;
-        if before.lengths.difference(&lengths).is_some_and(|difference| difference > most) {
-            let sets = self.sets - before.sets;
-            std::mem::swap(self, &mut before);
-            return Some(Self {
-                first,
-                sets,
-                lengths,
-                extents: before.extents - self.extents,
-                ..before
-            });
+        let Doubt { before, lengths, first } = *self.doubt.take_if(is_measured)?;
+        if before.lengths.difference(&lengths).is_none_or(|difference| difference <= most) {
+            self.lengths.join(&lengths);
+            return None;
         }
-        self.lengths.join(&lengths);
-        None
+        (self.first, self.lengths) = (first, lengths);
+        self.sets -= before.sets;
+        self.extents -= before.extents;
+        Some(before)
     }
 
     /// Where the person was last.

@@ -72,7 +72,7 @@ impl Skeleton {
         Ok(skeleton.with_keypoint_offsets(KeypointOffsets::of_metres(offsets)))
     }
 
-    /// A true body, of any build: with the joints of the message where they are not those of its shape.
+    /// The true body of a synthetic recording. Its joints need not fit the shape: foreign bodies have none.
     ///
     /// # Errors
     /// As [`Self::to_core`], but for offsets that do not fit.

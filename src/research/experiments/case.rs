@@ -125,7 +125,7 @@ impl Case {
     /// where the one before ended, with a blend of half a second. `None` if no subject fits.
     pub fn endless(subjects: &[Subject], view: &View, seconds: f64) -> Option<Self> {
         let seed = Protocol::seed_of(view.seed, "");
-        let (skeleton, poses) = endless(subjects, &view.choice, seed, seconds)?;
+        let (skeleton, poses) = in_turn(subjects, &view.choice, seed, seconds)?;
         let name = format!("{} motions in turn", subjects.len());
         Some(Self {
             name: CaseName { subject: name.clone(), sequence: name, seed },
@@ -208,7 +208,7 @@ pub fn procedural(count: usize, seconds: f64) -> Vec<Subject> {
 
 /// A body, and poses of `seconds` at [`train::FPS`]: the subjects' sections in turn, repeated as needed, each
 /// blended into the next within half a second. `None` if no subject fits.
-pub fn endless<'a>(
+pub fn in_turn<'a>(
     subjects: impl IntoIterator<Item = &'a Subject>,
     choice: &SequenceChoice,
     seed: u64,

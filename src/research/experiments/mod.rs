@@ -17,7 +17,7 @@ mod score;
 pub mod summary;
 pub mod sweep;
 
-pub use case::{Case, CaseName, Sequence, Subject, View, endless, procedural, subjects};
+pub use case::{Case, CaseName, Sequence, Subject, View, in_turn, procedural, subjects};
 pub use named::Named;
 pub use run::{Methods, Row, Run, in_parallel, run};
 pub use score::{REACH, Score, Trace, score, true_heights};

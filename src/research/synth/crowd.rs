@@ -30,7 +30,7 @@ const FEWEST: usize = 5;
 const MIXED_S: f64 = 0.3;
 /// People overlap in the image if their middles are nearer than this share of the smaller one's size.
 const OVERLAP: f64 = 0.35;
-/// Of the mixtures, so many exchange a limb; in the others the nearer person is seen twice.
+/// Share of the mixtures in which two people exchange a limb. In the others the nearer one is seen twice.
 const EXCHANGES: f64 = 0.7;
 /// Separates these draws from others with the same seed.
 const STREAM: u64 = 0x6372_6f77_6400;
@@ -43,7 +43,7 @@ const MIXTURE: u64 = 1 << 32;
 pub struct Crowd<M> {
     /// One for each person, with the same cameras and times.
     people: Vec<Recording<M>>,
-    /// So many of them, the last ones, are no performers: they have no truth.
+    /// Number of the people who are not performers, the last ones; their truth is not written.
     pub bystanders: usize,
 }
 
@@ -193,7 +193,7 @@ impl<M: Fn(f64) -> Pose> Crowd<M> {
     }
 }
 
-/// Whether two people are in one place of the image.
+/// Whether two people are near each other in the image.
 fn do_overlap(a: &Person, b: &Person) -> bool {
     let pixels = |person: &Person| -> Vec<Vector2<f64>> {
         person.points.iter().flatten().map(|seen| seen.pixel.coords).collect()

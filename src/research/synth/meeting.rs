@@ -26,8 +26,8 @@ const APART: f64 = 0.65;
 const WALKING: f64 = 0.5;
 /// Samples of the path that tell how far a person has walked.
 const SAMPLES: usize = 2000;
-/// Travel and turns of a motion are those of its mean over this time, seconds; the rest is its own.
-const OWN_S: f64 = 1.0;
+/// The travel and the heading of a motion are means over this time, seconds.
+const MEAN_S: f64 = 1.0;
 /// Distance from the edge of the floor to bystanders who sit, and to those who walk around it, metres.
 const SEATS: f64 = 0.9;
 const PASSAGE: f64 = 1.4;
@@ -68,11 +68,11 @@ impl Meeting {
         (skeleton, motion)
     }
 
-    /// Takes a person along while it moves as in `poses`, which are `1 / fps` apart: their travel and turns
-    /// are replaced.
+    /// A motion on the way of a person. `poses` are `1 / fps` seconds apart. They keep their heights and joints,
+    /// and what they sway and turn within a second; their travel and heading become those of the way.
     pub fn lead(self, person: usize, mut poses: Vec<Pose>, fps: f64) -> Vec<Pose> {
         let floor = |at: Vector3<f64>| Vector3::new(at.x, 0.0, at.z);
-        let reach = (0.5 * OWN_S * fps) as usize;
+        let reach = (0.5 * MEAN_S * fps) as usize;
         let travel: Vec<_> = poses.iter().map(|pose| floor(pose.root_position)).collect();
         // Where the left side is, for the front may point to the floor.
         let left: Vec<_> =
@@ -91,8 +91,8 @@ impl Meeting {
         poses
     }
 
-    /// Somebody who is no performer: every second one sits at the edge of the floor, the others walk around
-    /// it.
+    /// The body of somebody who is not a performer, and its motion by seconds from the start. Every second one
+    /// sits beyond the edge of the floor, the others walk around it.
     pub fn bystander(self, index: usize, seed: u64) -> (Skeleton, impl Fn(f64) -> Pose) {
         let (skeleton, gait) = walker(self.people + index, seed);
         let thigh = skeleton.offset(Joint::LKnee).norm();
@@ -117,22 +117,7 @@ impl Meeting {
         };
         (skeleton, motion)
     }
-}
 
-/// The body and the gait of a person.
-fn walker(person: usize, seed: u64) -> (Skeleton, Motion) {
-    let draws = Draws { seed, stream: STREAM + person as u64 };
-    let [[a, b], [c, d]] = [0, 1].map(|item| draws.normals(0, item));
-    let mut shape = Shape::default();
-    shape.0[..4].copy_from_slice(&[a, b, c, d].map(|normal| normal.clamp(-2.0, 2.0)));
-    let skeleton = Skeleton::new(shape);
-    let step_time = 0.5 + 0.1 * draws.uniform(1, 0);
-    let style = MotionStyle { step_time, ..MotionStyle::default() };
-    let gait = Motion::new(&skeleton, style);
-    (skeleton, gait)
-}
-
-impl Meeting {
     fn motion(self, person: usize, gait: Motion) -> impl Fn(f64) -> Pose {
         let walked = self.walked(person);
         move |seconds| {
@@ -221,4 +206,17 @@ impl Meeting {
         let partner = person ^ 1;
         (partner < self.people).then_some(partner)
     }
+}
+
+/// The body and the gait of a person.
+fn walker(person: usize, seed: u64) -> (Skeleton, Motion) {
+    let draws = Draws { seed, stream: STREAM + person as u64 };
+    let [[a, b], [c, d]] = [0, 1].map(|item| draws.normals(0, item));
+    let mut shape = Shape::default();
+    shape.0[..4].copy_from_slice(&[a, b, c, d].map(|normal| normal.clamp(-2.0, 2.0)));
+    let skeleton = Skeleton::new(shape);
+    let step_time = 0.5 + 0.1 * draws.uniform(1, 0);
+    let style = MotionStyle { step_time, ..MotionStyle::default() };
+    let gait = Motion::new(&skeleton, style);
+    (skeleton, gait)
 }

@@ -290,8 +290,7 @@ impl People {
     /// A performer who was hidden is lost if it turns out that somebody else is followed in its place.
     fn tell_from_hidden(&mut self) {
         for member in &mut self.members {
-            let Some(other) = member.person.settle(UNDECIDED, OTHER_BODY) else { continue };
-            let before = std::mem::replace(&mut member.person, other);
+            let Some(before) = member.person.settle(UNDECIDED, OTHER_BODY) else { continue };
             if let Role::Performer(performer) = member.role {
                 // Who was merged with it meanwhile may be the one who is followed.
                 let merged = self.absent.iter_mut().filter(|one| one.merged == Some(performer));
