@@ -1,5 +1,6 @@
 //! Errors of the twelve limb joints, which every result has, with or without a body.
 
+use nalgebra::Vector3;
 use serde::Serialize;
 
 use super::markers::MarkerPositions;
@@ -35,6 +36,14 @@ pub struct LimbErrors {
     /// Mean of |P'' - P*''|, P'' = (P(t+1) - 2 P(t) + P(t-1)) fps^2, m/s^2.
     pub limb_acceleration_error_m_s2: Option<f64>,
 }
+
+/// Segments of the limbs, each of the left and of the right, as pairs of [`LIMB_JOINTS`].
+pub const SEGMENTS: [(&str, [[usize; 2]; 2]); 4] = [
+    ("thigh", [[6, 8], [7, 9]]),
+    ("shank", [[8, 10], [9, 11]]),
+    ("upper arm", [[0, 2], [1, 3]]),
+    ("forearm", [[2, 4], [3, 5]]),
+];
 
 /// Centres of the limb joints, world, metres.
 pub fn limb_joints(posture: &Posture) -> MarkerPositions {
@@ -74,11 +83,88 @@ pub fn limb_errors(
     })
 }
 
+/// Mean of |d - mean of d| over frames and limb joints, millimetres: d = R*^T (P - P*) of one joint, in
+/// the frame of the true joint. Where a joint's centre is is partly a definition, and this leaves the
+/// constant part of the difference out. `None` without a joint.
+pub fn limb_errors_less_offset(estimate: &[MarkerPositions], truth: &[Posture]) -> Option<f64> {
+    let mut all = Vec::new();
+    for (index, joint) in LIMB_JOINTS.iter().map(|joint| joint.index()).enumerate() {
+        let frames = estimate.iter().zip(truth);
+        let apart = frames.filter_map(|(points, truth)| {
+            Some(truth.rotations[joint].transpose() * (points[index]? - truth.positions[joint]))
+        });
+        let apart: Vec<Vector3<f64>> = apart.collect();
+        let mean = apart.iter().sum::<Vector3<f64>>() / apart.len().max(1) as f64;
+        all.extend(apart.iter().map(|d| 1e3 * (d - mean).norm()));
+    }
+    mean(&all)
+}
+
+/// Mean length of each of the [`SEGMENTS`] over frames and sides, less the true one, millimetres.
+/// `None` if one is never seen.
+pub fn segment_errors(
+    estimate: &[MarkerPositions],
+    truth: &[MarkerPositions],
+) -> Option<[f64; SEGMENTS.len()]> {
+    let mut errors = [0.0; SEGMENTS.len()];
+    for (error, (_, sides)) in errors.iter_mut().zip(SEGMENTS) {
+        let length =
+            |points: &MarkerPositions, [a, b]: [usize; 2]| Some((points[a]? - points[b]?).norm());
+        let longer = sides.iter().flat_map(|&side| {
+            let frames = estimate.iter().zip(truth);
+            frames.filter_map(move |(points, truth)| {
+                Some(length(points, side)? - length(truth, side)?)
+            })
+        });
+        *error = 1e3 * mean(&longer.collect::<Vec<f64>>())?;
+    }
+    Some(errors)
+}
+
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
-
     use super::*;
+    use crate::core::body::{Pose, Skeleton};
+    use crate::core::so3;
+
+    #[test]
+    fn what_a_joint_has_in_its_own_frame_is_no_error_and_the_length_of_a_segment_is() {
+        let postures: Vec<Posture> = (0..4)
+            .map(|frame| {
+                let mut pose = Pose::rest();
+                pose.root_rotation = so3::exp(&(Vector3::y() * f64::from(frame)));
+                pose.posture(&Skeleton::default())
+            })
+            .collect();
+        let truth: Vec<MarkerPositions> = postures.iter().map(limb_joints).collect();
+        // Both knees are 10 mm to the front of the body, at rest and turned.
+        let mut seen = truth.clone();
+        for (points, posture) in seen.iter_mut().zip(&postures) {
+            for (index, joint) in [(8, Joint::LKnee), (9, Joint::RKnee)] {
+                let front = posture.rotations[joint.index()] * Vector3::z() * 0.01;
+                points[index] = points[index].map(|point| point + front);
+            }
+        }
+        assert!(limb_errors_less_offset(&seen, &postures).unwrap() < 1e-9);
+        // One of them also goes to and fro by 6 mm.
+        for (frame, points) in seen.iter_mut().enumerate() {
+            let away = if frame % 2 == 0 { 0.006 } else { -0.006 };
+            points[8] = points[8].map(|point| point + Vector3::y() * away);
+        }
+        let less_offset = limb_errors_less_offset(&seen, &postures).unwrap();
+        assert!((less_offset - 0.5).abs() < 1e-9, "{less_offset}");
+        // Shanks that are 1 % longer.
+        let mut seen = truth.clone();
+        for points in &mut seen {
+            for (knee, ankle) in [(8, 10), (9, 11)] {
+                let (knee, ankle_was) = (points[knee].unwrap(), points[ankle].unwrap());
+                points[ankle] = Some(knee + (ankle_was - knee) * 1.01);
+            }
+        }
+        let [thigh, shank, ..] = segment_errors(&seen, &truth).unwrap();
+        let true_shank = 1e3 * Skeleton::default().offset(Joint::LAnkle).norm();
+        assert!((shank - 0.01 * true_shank).abs() < 1e-9 && thigh == 0.0, "{thigh} {shank}");
+    }
 
     #[test]
     fn errors_are_of_the_joints_that_are_known_and_by_speed() {

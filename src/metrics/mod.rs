@@ -46,7 +46,10 @@ pub use distribution::Distribution;
 pub use feet::{FootSkate, FootSkateSums, foot_skate};
 pub use floor::Floor;
 pub use followed::{Episode, FollowedSums, NotFollowed};
-pub use limbs::{LIMB_JOINTS, LimbErrors, SPEEDS_M_S, limb_errors, limb_joints};
+pub use limbs::{
+    LIMB_JOINTS, LimbErrors, SEGMENTS, SPEEDS_M_S, limb_errors, limb_errors_less_offset,
+    limb_joints, segment_errors,
+};
 pub use markers::{COMPARED, MarkerDistance, MarkerDistances, MarkerPositions};
 pub use motion::{VelocityJump, velocity_jump, velocity_jumps};
 pub use performers::{JointPositions, PerformerScore, PerformerScores, PerformerSums};

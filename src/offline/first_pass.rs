@@ -131,7 +131,7 @@ impl FirstPass {
         let config = first_pass_settings(options.config, frames as usize);
         let solver = Solver::new(options.decoder()?, config);
         let tracker = Tracker::new(config, Arc::new(rig.clone()));
-        let tracker = tracker.with_body_to_check(options.body.clone());
+        let tracker = tracker.with_body_of_another_take(options.body.clone());
         let stage = Stage::new(tracker, options.performers, period);
         let stage = stage.choosing(options.choice.clone()).with_known(&options.known);
         let cameras: Vec<Camera> = rig.cameras.iter().chain(held_out).cloned().collect();

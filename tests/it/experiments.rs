@@ -328,6 +328,24 @@ fn a_crowd_is_scored_beside_its_bystanders() {
 }
 
 #[test]
+fn bones_of_bodies_with_a_skin_are_compared_by_body() {
+    let place = tempfile::tempdir().unwrap();
+    let command =
+        "methods --body skinned --rig ring4 --noise none --seconds 3 --every 3 --methods default";
+    let (printed, results) = done(place.path(), command);
+    assert!(printed.contains("Bones by body, less the true ones"), "{printed}");
+    let method = &results["levels"][0]["methods"][0];
+    for sequence in method["sequences"].as_array().unwrap() {
+        let body = sequence["body"].as_str().unwrap();
+        assert!(printed.lines().any(|line| line.starts_with(body)), "{body}: {printed}");
+        // Limb joints are where the definitions of both bodies differ, and go there with the body.
+        let score = |key: &str| sequence["score"][key].as_f64().unwrap();
+        assert!(score("limb_less_offset_mm") < 0.5 * score("limb_mm"), "{sequence}");
+        assert!(score("limb_less_offset_mm") < 12.0, "{sequence}");
+    }
+}
+
+#[test]
 fn every_factor_of_an_ablation_is_in_its_help() {
     let place = tempfile::tempdir().unwrap();
     let help = eval(place.path(), "ablation all --help");

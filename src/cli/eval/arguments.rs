@@ -21,6 +21,7 @@ Examples:
   bundlemocap eval methods --motions motions/ --methods paper,default --every 3 --rig ring4
   bundlemocap eval methods --rig ring4 --methods default --seconds 5
   bundlemocap eval methods --motions motions/ --body foreign --noise uniform
+  bundlemocap eval methods --motions motions/ --body skinned --noise none,clean
   bundlemocap eval recording balancing.mcap --reference pose2sim.trc
   bundlemocap eval recording walk.mcap --hold-out c4,c5 --methods all
   bundlemocap eval drift 10 --motions motions/
@@ -170,8 +171,9 @@ pub(super) struct Motions {
     /// Subjects whose clips are used [protocol: 07,10].
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) subjects: Vec<String>,
-    /// Bodies of the performers: own, shapes of our body model, or foreign, each clip's own skeleton
-    /// with keypoints at its joints [protocol: own].
+    /// Bodies of the performers: own, shapes of our body model; foreign, each clip's own skeleton
+    /// with keypoints at its joints; or skinned, bodies by others with keypoints on their skin
+    /// [protocol: own].
     #[arg(long, value_name = "KIND", value_parser = Body::ALL.map(Body::name))]
     pub(super) body: Option<String>,
     /// Use every Nth clip.

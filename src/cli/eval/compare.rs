@@ -12,7 +12,7 @@ use crate::io::report::{Bars, ReportData, Table};
 use crate::metrics::DetectorStatistics;
 use crate::research::experiments::real::detectors;
 use crate::research::experiments::summary::{
-    Summary, differences, number, summaries, table, to_json,
+    Summary, differences, number, segments, summaries, table, to_json,
 };
 use crate::research::experiments::{Case, Run, View, methods, plots, true_heights};
 use crate::research::methods::{Method, Take, Windows};
@@ -41,6 +41,9 @@ pub(super) fn compare(asked: &Methods, names: &[String]) -> Result<(), Failure> 
     let ours = Windows::default_settings().name();
     for Level { view, run, summaries, .. } in &levels {
         report.leading.push(table(&format!("Noise: {}", view.name), summaries));
+        let title =
+            format!("Noise: {}. Bones by body, less the true ones: mean and spread", view.name);
+        report.leading.extend(segments(&title, run));
         if run.rows.len() > 1 && run.row(&ours).is_some() {
             let mut table = differences(&ours, summaries);
             table.title = format!("Noise: {}. {}", view.name, table.title);

@@ -18,7 +18,7 @@ use crate::metrics::PerformerScores;
 use crate::metrics::statistics::mean;
 use crate::offline::{Group, Options, Recording, solve_group};
 use crate::research::experiments::{View, in_parallel, in_turn};
-use crate::research::synth::{self, Body, Crowd, Meeting, Protocol, through};
+use crate::research::synth::{self, Crowd, Meeting, Places, Protocol, through};
 use crate::research::train;
 
 type AnyMotion = Box<dyn Fn(f64) -> Pose>;
@@ -121,7 +121,7 @@ impl Scene<'_> {
         }
         for bystander in 0..*bystanders {
             let (skeleton, motion) = meeting.bystander(bystander, view.seed);
-            people.push(self.recording(skeleton, Body::Own, Box::new(motion))?);
+            people.push(self.recording(skeleton, Places::Own, Box::new(motion))?);
         }
         let mut crowd = Crowd::new(people);
         crowd.bystanders = *bystanders;
@@ -160,7 +160,7 @@ impl Scene<'_> {
         let Self { meeting, view, setup, .. } = self;
         if !self.has_clips {
             let (skeleton, motion) = meeting.person(person, view.seed);
-            return self.recording(skeleton, Body::Own, Box::new(motion));
+            return self.recording(skeleton, Places::Own, Box::new(motion));
         }
         // Everybody has the clips of one subject, and begins with another one.
         let choice = &view.choice;
@@ -171,24 +171,26 @@ impl Scene<'_> {
         let first = person / subjects.len() % own.len().max(1);
         let clips = own.iter().cycle().skip(first).take(own.len()).copied();
         let seed = Protocol::seed_of(view.seed, &person.to_string());
-        let (skeleton, poses) = in_turn(clips, choice, seed, choice.seconds).ok_or_else(|| {
-            let message = format!("no clip of {whose} is long enough; leave it out of --subjects");
-            Failure::new(Exit::NoDetections, message)
-        })?;
+        let (skeleton, places, poses) =
+            in_turn(clips, choice, seed, choice.seconds).ok_or_else(|| {
+                let message =
+                    format!("no clip of {whose} is long enough; leave it out of --subjects");
+                Failure::new(Exit::NoDetections, message)
+            })?;
         let poses = meeting.lead(person, poses, train::FPS);
-        self.recording(skeleton, choice.body, Box::new(through(poses, train::FPS)))
+        self.recording(skeleton, places, Box::new(through(poses, train::FPS)))
     }
 
     fn recording(
         &self,
         skeleton: Skeleton,
-        body: Body,
+        places: Places,
         motion: AnyMotion,
     ) -> Result<Person, Failure> {
         let Self { meeting, view, .. } = self;
         let rig = meeting.rig(view.rig.cameras.len())?;
         let mut one = synth::Recording::new(rig, skeleton, motion);
-        one.body = body;
+        one.places = places;
         (one.fps, one.frames) = (view.choice.fps, (view.choice.seconds * view.choice.fps) as u64);
         (one.format, one.noise, one.seed) = (view.format, view.noise.clone(), view.seed);
         one.noise.strangers = 0.0;

@@ -37,6 +37,23 @@ pub fn forward(
     posture
 }
 
+/// The way from a joint's centre to a keypoint, world frame, metres: one part turns with the joint, the
+/// other, if there is one, with its parent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Arms {
+    pub(super) joint: Joint,
+    pub(super) own: Vector3<f64>,
+    pub(super) of_parent: Option<(Joint, Vector3<f64>)>,
+}
+
+impl Arms {
+    /// Position of the keypoint.
+    pub fn position(&self, posture: &Posture) -> Vector3<f64> {
+        let of_parent = self.of_parent.map_or_else(Vector3::zeros, |(_, arm)| arm);
+        posture.positions[self.joint.index()] + self.own + of_parent
+    }
+}
+
 /// Tangents of a posture by `columns` parameters. They are f32, since they only set the direction
 /// of a step. Row-major, `3 * JOINTS` rows each.
 #[derive(Clone, Debug)]
@@ -60,19 +77,17 @@ impl Tangents {
         self.columns
     }
 
-    /// Motion along `direction` of a point of `joint` at `arm` = G_j offset (world frame) from its
-    /// centre, by each parameter: d . (dP_j + w_j x arm) = d . dP_j + (arm x d) . w_j, written to
-    /// `out`.
-    pub fn along(
-        &self,
-        joint: Joint,
-        arm: &Vector3<f64>,
-        direction: &Vector3<f64>,
-        out: &mut [f32],
-    ) {
-        let rows = joint.index() * 3 * self.columns..(joint.index() + 1) * 3 * self.columns;
-        let (rotation, position) = (&self.rotation[rows.clone()], &self.position[rows]);
-        contract(rotation, &arm.cross(direction).cast(), position, &direction.cast(), out);
+    /// Motion along `direction` of a point by each parameter, written to `out`:
+    /// d . (dP_j + w_j x a_j + w_p x a_p) = d . dP_j + (a_j x d) . w_j + (a_p x d) . w_p.
+    pub fn along(&self, arms: &Arms, direction: &Vector3<f64>, out: &mut [f32]) {
+        let rows =
+            |joint: Joint| joint.index() * 3 * self.columns..(joint.index() + 1) * 3 * self.columns;
+        let (rotation, position) =
+            (&self.rotation[rows(arms.joint)], &self.position[rows(arms.joint)]);
+        contract(rotation, &arms.own.cross(direction).cast(), position, &direction.cast(), out);
+        if let Some((parent, arm)) = arms.of_parent {
+            add_turned(&self.rotation[rows(parent)], &arm.cross(direction).cast(), out);
+        }
     }
 
     /// The derivative of the centre of `joint`, 3 x columns, row-major.
@@ -105,6 +120,19 @@ crate::core::linalg::wide! {
         for (c, out) in out.iter_mut().enumerate() {
             let turned = torque.x * tx[c] + torque.y * ty[c] + torque.z * tz[c];
             *out = turned + force.x * sx[c] + force.y * sy[c] + force.z * sz[c];
+        }
+    }
+}
+
+crate::core::linalg::wide! {
+    /// out += torque^T rotation, for a 3 x n block.
+    fn add_turned(rotation: &[f32], torque: &Vector3<f32>, out: &mut [f32]) {
+        let n = rotation.len() / 3;
+        let (out, (tx, rest)) = (&mut out[..n], rotation.split_at(n));
+        let (ty, tz) = rest.split_at(n);
+        let tz = &tz[..n];
+        for (c, out) in out.iter_mut().enumerate() {
+            *out += torque.x * tx[c] + torque.y * ty[c] + torque.z * tz[c];
         }
     }
 }
@@ -229,10 +257,13 @@ impl Wrenches {
         Self { force: [Vector3::zeros(); JOINTS], torque: [Vector3::zeros(); JOINTS] }
     }
 
-    /// Adds the gradient by the position of a point of `joint`, `arm` from its centre (world frame).
-    pub fn add(&mut self, joint: Joint, arm: &Vector3<f64>, gradient: &Vector3<f64>) {
-        self.force[joint.index()] += gradient;
-        self.torque[joint.index()] += arm.cross(gradient);
+    /// Adds the gradient by the position of a point.
+    pub fn add(&mut self, arms: &Arms, gradient: &Vector3<f64>) {
+        self.force[arms.joint.index()] += gradient;
+        self.torque[arms.joint.index()] += arms.own.cross(gradient);
+        if let Some((parent, arm)) = arms.of_parent {
+            self.torque[parent.index()] += arm.cross(gradient);
+        }
     }
 
     /// Adds to each joint the forces on its children, from the tips to the pelvis.

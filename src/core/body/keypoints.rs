@@ -3,13 +3,13 @@
 //! Each keypoint is an offset in the frame of one joint, scaled by the shape like its part of the
 //! body. Detectors do not find joint centres: their hips lie higher and wider than the hip joints,
 //! and their necks differ between data sets. Such keypoints have an offset and a smaller weight
-//! \[Pavlakos 2019, sec. 3.2\]. A detected knee moves with the thigh when the knee bends, not with
-//! the shank. The offsets of nose, head top, toes and heels were adjusted by up
+//! \[Pavlakos 2019, sec. 3.2\]. A detected knee moves more with the thigh than with the shank when the
+//! knee bends, and a hip with pelvis and thigh alike: their offsets turn with a mean of both. The offsets of nose, head top, toes and heels were adjusted by up
 //! to 2 cm to OpenPose BODY_25B on one performer.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
-use super::forward::Posture;
+use super::forward::{Arms, Posture};
 use super::joints::Joint;
 use super::keypoint_offsets::Slot;
 use super::skeleton::{BODY_COEFFICIENTS, Part, SHAPE_COEFFICIENTS, ShapeCoefficient, Skeleton};
@@ -18,8 +18,10 @@ use crate::core::detections::{Keypoint, KeypointFormat};
 /// The position of a keypoint on the body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Attachment {
-    /// The joint that carries the keypoint.
+    /// The joint from whose centre the offset leads.
     pub joint: Joint,
+    /// Share of the parent's rotation in the frame that turns the offset; the rest is the joint's own.
+    pub of_parent: f64,
     /// Weight of the keypoint in the fit; 0 if it is not fitted.
     pub weight: f64,
     template: Vector3<f64>,
@@ -35,6 +37,7 @@ impl Attachment {
         let (joint, template, part, weight) = table(keypoint);
         Self {
             joint,
+            of_parent: of_parent(keypoint),
             weight,
             template: Vector3::from(template),
             part,
@@ -43,7 +46,7 @@ impl Attachment {
         }
     }
 
-    /// Offset from the joint's centre in the joint's frame, with the body's keypoint offsets, metres.
+    /// Offset from the joint's centre, with the body's keypoint offsets, metres.
     pub fn offset(&self, body: &Skeleton) -> Vector3<f64> {
         let offset = self
             .offset_slot
@@ -53,8 +56,29 @@ impl Attachment {
 
     /// The keypoint in the world, metres.
     pub fn position(&self, posture: &Posture, body: &Skeleton) -> Vector3<f64> {
-        let joint = self.joint.index();
-        posture.positions[joint] + posture.rotations[joint] * self.offset(body)
+        posture.positions[self.joint.index()] + self.frame(posture) * self.offset(body)
+    }
+
+    /// What turns the offset: G_j + s (G_parent - G_j).
+    pub fn frame(&self, posture: &Posture) -> Matrix3<f64> {
+        let own = posture.rotations[self.joint.index()];
+        match self.joint.parent() {
+            Some(parent) if self.of_parent != 0.0 => {
+                own + (posture.rotations[parent.index()] - own) * self.of_parent
+            }
+            _ => own,
+        }
+    }
+
+    /// The arms of an offset of this keypoint.
+    pub fn arms(&self, posture: &Posture, offset: &Vector3<f64>) -> Arms {
+        let arm = |joint: Joint, share: f64| posture.rotations[joint.index()] * offset * share;
+        let parent = self.joint.parent().filter(|_| self.of_parent != 0.0);
+        Arms {
+            joint: self.joint,
+            own: arm(self.joint, 1.0 - self.of_parent),
+            of_parent: parent.map(|parent| (parent, arm(parent, self.of_parent))),
+        }
     }
 
     /// Derivative of [`Attachment::offset`] by each body coefficient.
@@ -111,8 +135,8 @@ fn table(keypoint: Keypoint) -> (Joint, [f64; 3], Part, f64) {
         K::LShoulder | K::RShoulder => (Joint::LShoulder, [0.0, 0.0, 0.0], Part::UpperArm, 1.0),
         K::LElbow | K::RElbow => (Joint::LElbow, [0.0, 0.0, 0.0], Part::UpperArm, 1.0),
         K::LWrist | K::RWrist => (Joint::LWrist, [0.0, 0.0, 0.0], Part::Forearm, 1.0),
-        K::LHip | K::RHip => (Joint::Pelvis, [0.100, -0.062, 0.012], Part::Hip, 0.6),
-        K::LKnee | K::RKnee => (Joint::LHip, [0.0, -0.409, 0.015], Part::Thigh, 1.0),
+        K::LHip | K::RHip => (Joint::LHip, [0.014, 0.018, 0.012], Part::Hip, 0.6),
+        K::LKnee | K::RKnee => (Joint::LKnee, [0.0, 0.0, 0.010], Part::Thigh, 1.0),
         K::LAnkle | K::RAnkle => (Joint::LAnkle, [0.0, 0.0, 0.0], Part::Shank, 1.0),
         K::LBigToe | K::RBigToe => (Joint::LFoot, [-0.004, -0.011, 0.061], Part::Foot, 1.0),
         K::LSmallToe | K::RSmallToe => (Joint::LFoot, [0.034, -0.016, 0.018], Part::Foot, 1.0),
@@ -124,10 +148,21 @@ fn table(keypoint: Keypoint) -> (Joint, [f64; 3], Part, f64) {
     }
 }
 
+/// Share of a joint's parent in what turns a keypoint's offset.
+fn of_parent(keypoint: Keypoint) -> f64 {
+    match keypoint {
+        Keypoint::LHip | Keypoint::RHip => 0.5,
+        Keypoint::LKnee | Keypoint::RKnee => 0.7,
+        _ => 0.0,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::keypoint_offsets::{KeypointOffsets, SYMMETRIC_OFFSETS};
     use super::*;
+    use crate::core::body::Pose;
+    use crate::core::so3;
 
     #[test]
     fn every_format_has_both_sides_of_each_limb() {
@@ -170,11 +205,16 @@ mod tests {
     }
 
     #[test]
-    fn an_offset_of_the_knee_turns_with_the_thigh() {
-        let body = Skeleton::default();
+    fn a_knee_turns_more_with_the_thigh_than_with_the_shank() {
+        let (body, mut pose) = (Skeleton::default(), Pose::rest());
+        // A bent knee turns the shank's front, where the point is, downwards.
+        pose.local[Joint::LKnee.index() - 1] =
+            so3::exp(&(Vector3::x() * std::f64::consts::FRAC_PI_2));
+        let posture = pose.posture(&body);
         let knee = Attachment::of(Keypoint::LKnee);
-        assert_eq!(knee.joint, Joint::LHip);
-        let from_joint = knee.offset(&body) - body.offset(Joint::LKnee);
-        assert!((from_joint - Vector3::new(0.0, 0.0, 0.010)).norm() < 1e-12, "{from_joint}");
+        let away = knee.position(&posture, &body) - posture.positions[Joint::LKnee.index()];
+        assert!((away - Vector3::new(0.0, -0.003, 0.007)).norm() < 1e-12, "{away}");
+        let arms = knee.arms(&posture, &knee.offset(&body));
+        assert!((arms.position(&posture) - knee.position(&posture, &body)).norm() < 1e-12);
     }
 }

@@ -12,7 +12,7 @@ mod skeleton;
 
 pub use forward::Posture;
 #[doc(hidden)]
-pub use forward::{Tangents, Wrenches, forward, push_forward};
+pub use forward::{Arms, Tangents, Wrenches, forward, push_forward};
 pub use joints::{BODY_JOINTS, FASTEST, FEET, JOINTS, Joint};
 #[doc(hidden)]
 pub use keypoint_offsets::{KeypointOffsets, OFFSETS, OffsetPrior, SYMMETRIC_OFFSETS};

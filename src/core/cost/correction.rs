@@ -185,17 +185,17 @@ impl<'a> CorrectionProblem<'a> {
         let (mut cost, mut wrenches) = (0.0, Wrenches::zeros());
         for views in self.observations[m].by_point() {
             let attachment = &self.scene.points[views[0].point].attachment;
-            let (joint, weight) = (attachment.joint, attachment.weight);
-            let arm = posture.rotations[joint.index()] * self.offsets[views[0].point];
-            let position = posture.positions[joint.index()] + arm;
+            let weight = attachment.weight;
+            let arms = attachment.arms(&posture, &self.offsets[views[0].point]);
+            let position = arms.position(&posture);
             let (value, force, curvature) = self.reprojection.terms(views, &position);
             cost += weight * value;
-            wrenches.add(joint, &arm, &(force * weight));
+            wrenches.add(&arms, &(force * weight));
             let root = semidefinite_cholesky(&(curvature * weight));
             for direction in root.column_iter().map(|column| column.into_owned()) {
                 let first = rows.len();
                 rows.resize(first + CORRECTION, 0.0);
-                tangents.along(joint, &arm, &direction, &mut rows[first..]);
+                tangents.along(&arms, &direction, &mut rows[first..]);
             }
         }
         wrenches.gather(&posture);

@@ -13,7 +13,9 @@ use super::observation_batch::{LOCAL_ROWS, ObservationBatch};
 use super::reprojection::Reprojection;
 use super::scene::Scene;
 use super::unknowns::{KEYFRAME, Place, Unknowns};
-use crate::core::body::{BodyPoint, Joint, Posture, Tangents, Wrenches, forward, push_forward};
+use crate::core::body::{
+    Arms, BodyPoint, Joint, Posture, Tangents, Wrenches, forward, push_forward,
+};
 use crate::core::linalg;
 use crate::core::manifold::{LATENT, Latent};
 use crate::core::so3;
@@ -176,19 +178,19 @@ impl<'p> Path<'p> {
         batch.rows.clear();
         batch.gradients[m * n..(m + 1) * n].fill(0.0);
         for views in frame.by_point() {
-            let (point, arm, position) = self.point(views, posture);
-            let (joint, weight) = (point.attachment.joint, point.attachment.weight);
+            let (point, arms, position) = self.point(views, posture);
+            let weight = point.attachment.weight;
             let (value, gradient, curvature) = self.reprojection.terms(views, &position);
             let (gradient, curvature) = (gradient * weight, curvature * weight);
             cost += weight * value;
-            wrenches.add(joint, &arm, &gradient);
-            let rotation = &posture.rotations[joint.index()];
+            wrenches.add(&arms, &gradient);
+            let frame = &point.attachment.frame(posture);
             if wanted == Wanted::Hessians {
-                self.add_rows(point, &arm, rotation, &curvature, batch);
+                self.add_rows(point, &arms, frame, &curvature, batch);
             }
             if self.unknowns.body > 0 {
                 let out = &mut batch.gradients[m * n + KEYFRAME..(m + 1) * n];
-                add_by_body(&point.attachment.offset_by_body(), rotation, &gradient, out);
+                add_by_body(&point.attachment.offset_by_body(), frame, &gradient, out);
             }
         }
         wrenches.gather(posture);
@@ -196,24 +198,23 @@ impl<'p> Path<'p> {
         cost
     }
 
-    /// The observed point, its offset from its joint's centre, and its position (world frame, metres).
+    /// The observed point, its arms, and its position (world frame, metres).
     fn point(
         &self,
         views: &[Observation],
         posture: &Posture,
-    ) -> (&'p BodyPoint, Vector3<f64>, Vector3<f64>) {
+    ) -> (&'p BodyPoint, Arms, Vector3<f64>) {
         let point = &self.scene.points[views[0].point];
-        let joint = point.attachment.joint.index();
-        let arm = posture.rotations[joint] * self.offsets[views[0].point];
-        (point, arm, posture.positions[joint] + arm)
+        let arms = point.attachment.arms(posture, &self.offsets[views[0].point]);
+        (point, arms, arms.position(posture))
     }
 
     /// Adds three rows L^T J: L L^T is the curvature, J the point's Jacobian.
     fn add_rows(
         &self,
         point: &BodyPoint,
-        arm: &Vector3<f64>,
-        rotation: &Matrix3<f64>,
+        arms: &Arms,
+        frame: &Matrix3<f64>,
         curvature: &Matrix3<f64>,
         batch: &mut ObservationBatch,
     ) {
@@ -224,10 +225,10 @@ impl<'p> Path<'p> {
             let first = batch.rows.len();
             batch.rows.resize(first + n, 0.0);
             let row = &mut batch.rows[first..];
-            tangents.along(point.attachment.joint, arm, &direction, row);
+            tangents.along(arms, &direction, row);
             if self.unknowns.body > 0 {
                 let by_body = point.attachment.offset_by_body();
-                let local = rotation.tr_mul(&direction);
+                let local = frame.tr_mul(&direction);
                 let out = row[KEYFRAME..].iter_mut().zip(&by_body);
                 out.for_each(|(out, offset)| *out += local.dot(offset) as f32);
             }

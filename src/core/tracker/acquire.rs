@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::association::usable;
 use super::config::Config;
-use crate::core::body::{Attachment, BodyPoint, Pose, Skeleton};
+use crate::core::body::{Attachment, BodyPoint, Joint, Pose, Skeleton};
 use crate::core::camera::{Rig, triangulate_robust};
 use crate::core::cost::{
     self, FrameObservations, FreeBody, Observation, PathKeyframe, PathProblem, Scene, Workspace,
@@ -221,7 +221,7 @@ impl Torso {
         let y = self.up.try_normalize(1e-6)?;
         let x = (self.left - y * y.dot(&self.left)).try_normalize(1e-6)?;
         let rotation = Matrix3::from_columns(&[x, y, x.cross(&y)]);
-        let mut hip = Attachment::of(Keypoint::LHip).offset(body);
+        let mut hip = body.offset(Joint::LHip) + Attachment::of(Keypoint::LHip).offset(body);
         hip.x = 0.0;
         Some((rotation, self.mid_hip - rotation * hip))
     }

@@ -38,8 +38,7 @@ impl HandOver {
 
     /// The body once its estimate is complete, or if it was given.
     pub fn known_body(&self) -> Option<&Arc<Skeleton>> {
-        let is_known = self.estimate.is_check() || self.estimate.is_complete();
-        self.skeleton.as_ref().filter(|_| is_known)
+        self.skeleton.as_ref().filter(|_| self.estimate.has_known_body())
     }
 }
 

@@ -246,8 +246,8 @@ impl Tracker {
         Self { config, estimator: Arc::new(BodyEstimator::complete()), ..tracker }
     }
 
-    /// Tracks a performer whose body is known, if there is one. It is checked in the first windows, and
-    /// estimated anew if it does not fit.
+    /// Tracks a performer whose body is known from this take, if there is one. It is checked in the first
+    /// windows, and estimated anew if it does not fit.
     #[must_use]
     pub fn with_body_to_check(mut self, body: impl Into<Option<Arc<Skeleton>>>) -> Self {
         let Some(body) = body.into() else { return self };
@@ -255,6 +255,15 @@ impl Tracker {
         (self.skeleton, self.is_proven) = (Some(body), true);
         self.estimator = Arc::new(BodyEstimator::check());
         self
+    }
+
+    /// Tracks a performer whose body is known from another take, if there is one. Its bones are kept, its
+    /// keypoint offsets are estimated; both are estimated anew if it does not fit.
+    #[must_use]
+    pub fn with_body_of_another_take(self, body: impl Into<Option<Arc<Skeleton>>>) -> Self {
+        let Some(body) = body.into() else { return self };
+        let estimator = Arc::new(BodyEstimator::of_known(&body));
+        Self { estimator, ..self.with_body_to_check(body) }
     }
 
     /// Begins with a frame period that was measured before, if there is one. It counts while the cameras
@@ -280,7 +289,7 @@ impl Tracker {
 
     /// The performer's body once its estimate is complete, or if it was given.
     pub fn known_body(&self) -> Option<&Arc<Skeleton>> {
-        let is_known = self.estimator.is_check() || self.estimator.is_complete();
+        let is_known = self.estimator.has_known_body();
         self.skeleton.as_ref().filter(|_| self.is_proven && is_known)
     }
 

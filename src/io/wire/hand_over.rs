@@ -48,6 +48,7 @@ impl HandOver {
                 coefficients: numbers.coefficients,
                 information: numbers.information,
                 pull: numbers.pull,
+                known: numbers.known,
             }),
             ..Self::default()
         };
@@ -154,9 +155,11 @@ impl BodyEstimate {
         at("coefficients").finite(&self.coefficients)?;
         at("information").finite(&self.information)?;
         at("pull").finite(&self.pull)?;
+        at("known").finite(&self.known)?;
         let numbers = EstimateNumbers {
             windows: self.windows as usize,
             is_check: self.is_check,
+            known: self.known.clone(),
             coefficients: self.coefficients.clone(),
             information: self.information.clone(),
             pull: self.pull.clone(),

@@ -9,7 +9,7 @@ use crate::core::camera::{Camera, Rig};
 use crate::core::detections::{Detections, KeypointFormat};
 use crate::research::methods::Take;
 use crate::research::synth::{
-    self, Body, Motion, MotionStyle, Noise, Protocol, Recording, SequenceChoice, ring_rig,
+    self, Body, Motion, MotionStyle, Noise, Places, Protocol, Recording, SequenceChoice, ring_rig,
     sequence, through,
 };
 use crate::research::train;
@@ -58,11 +58,7 @@ impl Subject {
     }
 
     fn section_of_seed(&self, choice: &SequenceChoice, seed: u64) -> Option<synth::Sequence> {
-        let foreign = match choice.body {
-            Body::Own => None,
-            Body::Foreign => Some(self.skeleton.as_ref()?),
-        };
-        sequence(&self.poses, train::FPS, choice, seed, foreign)
+        sequence(&self.poses, train::FPS, choice, seed, self.skeleton.as_ref())
     }
 }
 
@@ -72,6 +68,7 @@ pub struct Case {
     name: CaseName,
     view: View,
     skeleton: Skeleton,
+    places: Places,
     poses: Arc<Vec<Pose>>,
     frames: u64,
 }
@@ -85,7 +82,7 @@ pub struct Sequence {
     pub truth: Vec<StampedPose>,
     /// The true body.
     pub skeleton: Skeleton,
-    /// Its kind. Only the limb joints of a foreign body are compared.
+    /// Its kind. Only the limb joints of bodies of other origins are compared.
     pub body: Body,
     /// Cameras that no method sees, with the detector's places of the points, without its random
     /// errors.
@@ -99,6 +96,8 @@ pub struct CaseName {
     pub sequence: String,
     /// Whose motion it is.
     pub subject: String,
+    /// Name of the true body, if it is a skinned one.
+    pub body: Option<String>,
     /// Seed of its body, heading and noise.
     pub seed: u64,
 }
@@ -112,10 +111,12 @@ impl Case {
             name: CaseName {
                 sequence: subject.name.clone(),
                 subject: subject.subject.clone(),
+                body: made.places.name(),
                 seed,
             },
             view: view.clone(),
             skeleton: made.skeleton,
+            places: made.places,
             poses: Arc::new(made.poses),
             frames: made.frames,
         })
@@ -125,12 +126,13 @@ impl Case {
     /// where the one before ended, with a blend of half a second. `None` if no subject fits.
     pub fn endless(subjects: &[Subject], view: &View, seconds: f64) -> Option<Self> {
         let seed = Protocol::seed_of(view.seed, "");
-        let (skeleton, poses) = in_turn(subjects, &view.choice, seed, seconds)?;
+        let (skeleton, places, poses) = in_turn(subjects, &view.choice, seed, seconds)?;
         let name = format!("{} motions in turn", subjects.len());
         Some(Self {
-            name: CaseName { subject: name.clone(), sequence: name, seed },
+            name: CaseName { subject: name.clone(), sequence: name, body: places.name(), seed },
             view: view.clone(),
             skeleton,
+            places,
             frames: (poses.len() as f64 / train::FPS * view.choice.fps).floor() as u64,
             poses: Arc::new(poses),
         })
@@ -146,7 +148,7 @@ impl Case {
         let View { rig, noise, choice, format, .. } = &self.view;
         let motion = through(Vec::clone(&self.poses), train::FPS);
         let mut recording = Recording::new(Rig::clone(rig), self.skeleton.clone(), motion);
-        recording.body = choice.body;
+        recording.places = self.places;
         recording.fps = choice.fps;
         recording.frames = self.frames;
         recording.seed = self.name.seed;
@@ -213,11 +215,12 @@ pub fn in_turn<'a>(
     choice: &SequenceChoice,
     seed: u64,
     seconds: f64,
-) -> Option<(Skeleton, Vec<Pose>)> {
+) -> Option<(Skeleton, Places, Vec<Pose>)> {
     let part = |subject: &Subject| subject.section_of_seed(choice, seed);
     let parts: Vec<_> = subjects.into_iter().filter_map(part).collect();
-    let skeleton = parts.first()?.skeleton.clone();
-    Some((skeleton, joined(parts.iter().map(|part| &part.poses[..]), seconds)))
+    let first = parts.first()?;
+    let (skeleton, places) = (first.skeleton.clone(), first.places);
+    Some((skeleton, places, joined(parts.iter().map(|part| &part.poses[..]), seconds)))
 }
 
 /// Repeats the parts in turn, with a blend between them, until there are enough frames.

@@ -23,6 +23,10 @@ pub struct Score {
     /// detector's points from the joint centres, so they include the detector's systematic offsets.
     #[serde(flatten)]
     pub limbs: metrics::LimbErrors,
+    /// The same without each joint's constant offset, see [`metrics::limb_errors_less_offset`].
+    pub limb_less_offset_mm: Option<f64>,
+    /// Mean lengths of the [`metrics::SEGMENTS`] less the true ones, millimetres.
+    pub segments_mm: Option<[f64; metrics::SEGMENTS.len()]>,
     /// Mean over the cameras that no method sees of the median distance of the limb keypoints from
     /// the detector's places of them, without its random errors, pixels.
     pub held_out_px: Option<f64>,
@@ -99,6 +103,8 @@ pub fn score(
     let covered = entries.iter().flatten().count();
     let score = Score {
         limbs: metrics::limb_errors(&joints, &true_joints, fps)?,
+        limb_less_offset_mm: metrics::limb_errors_less_offset(&joints, truths),
+        segments_mm: metrics::segment_errors(&joints, &true_joints),
         held_out_px: runs.held_out_px(sequence),
         pose: pose_errors(comparable, truths, &runs.deviations),
         acceleration_error_m_s2: metrics::acceleration_error(comparable, truths, fps),

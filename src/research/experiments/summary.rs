@@ -1,6 +1,6 @@
 //! Means over sequences, and the significance of differences between methods.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -9,7 +9,7 @@ use super::run::{Row, Run, Scored};
 use super::score::Score;
 use crate::io::report::Table;
 use crate::metrics::statistics::mean;
-use crate::metrics::{Interval, PoseErrors, mean_interval};
+use crate::metrics::{Interval, PoseErrors, SEGMENTS, mean_interval};
 use crate::research::methods::Delay;
 
 /// A column of the table.
@@ -39,7 +39,7 @@ const fn metric(
 }
 
 /// The metrics, in the order of the columns.
-pub const METRICS: [Metric; 20] = [
+pub const METRICS: [Metric; 22] = [
     metric("limb_mm", "limb joints mm", 1, |s| Some(s.limbs.limb_mm)),
     metric("held_out_px", "held out px", 2, |s| s.held_out_px),
     metric("mpjpe_mm", "MPJPE mm", 1, |s| pose(s, |pose| pose.mpjpe_mm)),
@@ -70,6 +70,11 @@ pub const METRICS: [Metric; 20] = [
     metric("not_followed_percent", "not followed %", 3, |s| Some(s.not_followed.as_ref()?.percent)),
     metric("not_followed_frames", "longest, frames", 1, |s| {
         Some(s.not_followed.as_ref()?.longest_frames as f64)
+    }),
+    metric("limb_less_offset_mm", "limbs less offset mm", 1, |s| s.limb_less_offset_mm),
+    metric("segments_mm", "bones mm", 1, |s| {
+        let lengths = s.segments_mm?;
+        mean(&lengths.map(f64::abs))
     }),
     metric("ms_per_frame", "ms/frame", 2, |s| Some(s.ms_per_frame)),
 ];
@@ -157,6 +162,34 @@ pub fn table(title: &str, summaries: &[Summary]) -> Table {
     Table { title: title.into(), header, rows: summaries.iter().map(row).collect() }
 }
 
+/// Lengths of bones of each true body that has a name, less the true ones: mean over the body's cases,
+/// and half of the range. `None` without such a body.
+pub fn segments(title: &str, run: &Run) -> Option<Table> {
+    let bodies: BTreeSet<&String> =
+        run.cases.iter().filter_map(|case| case.body.as_ref()).collect();
+    let mut header = vec!["body".to_owned(), "cases".to_owned(), "method".to_owned()];
+    header.extend(SEGMENTS.map(|(segment, _)| format!("{segment} mm")));
+    let mut rows = Vec::new();
+    for body in &bodies {
+        for row in &run.rows {
+            let cases = run.cases.iter().zip(&row.results);
+            let of_body = cases.filter(|(case, _)| case.body.as_ref() == Some(body));
+            let errors = of_body.filter_map(|(_, result)| result.as_ref()?.0.segments_mm);
+            let errors: Vec<[f64; SEGMENTS.len()]> = errors.collect();
+            let mut cells = vec![body.to_string(), errors.len().to_string(), row.method.clone()];
+            cells.extend((0..SEGMENTS.len()).map(|segment| {
+                let errors: Vec<f64> = errors.iter().map(|errors| errors[segment]).collect();
+                let low = errors.iter().copied().fold(f64::MAX, f64::min);
+                let high = errors.iter().copied().fold(f64::MIN, f64::max);
+                mean(&errors)
+                    .map_or("–".into(), |mean| format!("{mean:+.0} ± {:.0}", (high - low) / 2.0))
+            }));
+            rows.push(cells);
+        }
+    }
+    (!rows.is_empty()).then(|| Table { title: title.into(), header, rows })
+}
+
 /// The table of differences from one method.
 pub fn differences(against: &str, summaries: &[Summary]) -> Table {
     let shown = &METRICS[..COMPARED];
@@ -202,6 +235,7 @@ pub fn to_json(run: &Run, summaries: &[Summary]) -> Value {
                 json!({
                     "sequence": case.sequence,
                     "subject": case.subject,
+                    "body": case.body,
                     "seed": case.seed,
                     "score": result.as_ref().map(|(score, _)| score),
                 })
@@ -251,6 +285,8 @@ mod tests {
         Score {
             not_followed: None,
             limbs: LimbErrors::default(),
+            limb_less_offset_mm: None,
+            segments_mm: None,
             held_out_px: None,
             pose: Some(PoseErrors { frames: 10, mpjpe_mm, ..PoseErrors::default() }),
             compared_frames: 10,
@@ -276,6 +312,7 @@ mod tests {
         // The difference of a subject with two sequences counts once.
         let case = |index: u64| CaseName {
             sequence: index.to_string(),
+            body: None,
             subject: ["x", "y", "y", "y"][index as usize].into(),
             seed: index,
         };

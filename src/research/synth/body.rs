@@ -1,8 +1,9 @@
-//! The two kinds of performers: bodies of our model, and bodies that our model does not know.
+//! The kinds of performers: bodies of our model, and bodies that our model does not know.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use super::skinned::Skinned;
 use crate::core::body::{Attachment, Joint, Posture, Skeleton};
 use crate::core::detections::Keypoint;
 
@@ -18,17 +19,43 @@ pub enum Body {
     /// systematic offsets is the same on both sides, mirrored; the rest is each side's own. No joint
     /// but the limbs' has a counterpart in our model.
     Foreign,
+    /// One of the bodies with a skin that others made, see [`Skinned`], and keypoints on the skin, which
+    /// shift with the pose. Otherwise like `Foreign`.
+    Skinned,
 }
 
 impl Body {
     /// Every kind.
-    pub const ALL: [Self; 2] = [Self::Own, Self::Foreign];
+    pub const ALL: [Self; 3] = [Self::Own, Self::Foreign, Self::Skinned];
 
     /// The name in settings.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Own => "own",
             Self::Foreign => "foreign",
+            Self::Skinned => "skinned",
+        }
+    }
+}
+
+/// Where detectors see the keypoints of a body.
+#[derive(Clone, Copy, Debug, Default)]
+pub enum Places {
+    /// Where our body model has them.
+    #[default]
+    Own,
+    /// At the joints.
+    Foreign,
+    /// On the skin.
+    Skinned(&'static Skinned),
+}
+
+impl Places {
+    /// Name of a body with a skin.
+    pub fn name(self) -> Option<String> {
+        match self {
+            Self::Skinned(body) => Some(body.name.clone()),
+            Self::Own | Self::Foreign => None,
         }
     }
 
@@ -36,30 +63,30 @@ impl Body {
     pub(super) const fn asymmetry(self) -> f64 {
         match self {
             Self::Own => 0.0,
-            Self::Foreign => 0.5,
+            Self::Foreign | Self::Skinned(_) => 0.5,
         }
     }
 
-    /// The joint that carries a keypoint, and the keypoint's offset in the joint's frame, metres.
-    pub(super) fn place(self, keypoint: Keypoint, skeleton: &Skeleton) -> (Joint, Vector3<f64>) {
-        match self {
-            Self::Own => {
-                let attachment = Attachment::of(keypoint);
-                (attachment.joint, attachment.offset(skeleton))
-            }
-            Self::Foreign => foreign(keypoint),
-        }
-    }
-
-    /// Position of a keypoint: P_j + G_j offset, world frame, metres.
-    pub(super) fn position(
+    /// Position of a keypoint in the world, metres, and the rotation of the joint that carries it.
+    pub(super) fn of(
         self,
         keypoint: Keypoint,
         skeleton: &Skeleton,
         posture: &Posture,
-    ) -> Vector3<f64> {
-        let (joint, offset) = self.place(keypoint, skeleton);
-        posture.positions[joint.index()] + posture.rotations[joint.index()] * offset
+    ) -> (Vector3<f64>, Matrix3<f64>) {
+        let (joint, offset) = match self {
+            Self::Own => {
+                let attachment = Attachment::of(keypoint);
+                return (attachment.position(posture, skeleton), attachment.frame(posture));
+            }
+            Self::Foreign => foreign(keypoint),
+            Self::Skinned(body) => {
+                let position = body.position(keypoint, posture);
+                return (position, posture.rotations[body.carrier(keypoint)]);
+            }
+        };
+        let rotation = posture.rotations[joint.index()];
+        (posture.positions[joint.index()] + rotation * offset, rotation)
     }
 }
 

@@ -133,7 +133,7 @@ impl<M: Fn(f64) -> Pose> Crowd<M> {
             depths.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(other, _)| other)
         };
         let points = frame.format.keypoints().iter();
-        points.map(|&k| hider(one.body.position(k, &one.skeleton, &postures[owner]))).collect()
+        points.map(|&k| hider(one.places.of(k, &one.skeleton, &postures[owner]).0)).collect()
     }
 
     /// What a detector makes of a hidden point.

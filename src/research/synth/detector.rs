@@ -2,7 +2,7 @@
 
 use nalgebra::{Point2, Vector2, Vector3};
 
-use super::body::Body;
+use super::body::Places;
 use super::motion::{Motion, MotionStyle};
 use super::noise::Noise;
 use super::points::{Region, along, difficulty, limb_of, mirrored};
@@ -45,7 +45,7 @@ pub(super) struct Detector<'a> {
     index: usize,
     format: KeypointFormat,
     noise: &'a Noise,
-    body: Body,
+    places: Places,
     /// Standard deviation of the slow shifts of this view.
     wander: f64,
     draws: Draws,
@@ -60,17 +60,18 @@ impl<'a> Detector<'a> {
         index: usize,
         format: KeypointFormat,
         noise: &'a Noise,
-        body: Body,
+        places: Places,
         seed: u64,
     ) -> Self {
         // Draws that all cameras share.
         let shared = Draws { seed, stream: u64::MAX };
         let points = format.keypoints().iter();
-        let biases = points.map(|&keypoint| bias(keypoint, body, &shared) * noise.bias_m).collect();
+        let biases =
+            points.map(|&keypoint| bias(keypoint, places, &shared) * noise.bias_m).collect();
         let stranger = stranger(shared);
         let draws = Draws { seed, stream: index as u64 };
         let wander = noise.wander * (noise.view_spread * draws.normals(topic::VIEW, 0)[0]).exp();
-        Self { camera, index, format, noise, body, wander, draws, biases, stranger }
+        Self { camera, index, format, noise, places, wander, draws, biases, stranger }
     }
 
     /// The detections of the body in one frame, captured at `seconds`.
@@ -139,10 +140,9 @@ impl<'a> Detector<'a> {
 
     /// Where the detector places a point, world frame, metres: the true point plus its bias.
     fn believed(&self, keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
-        let (joint, offset) = self.body.place(keypoint, skeleton);
+        let (position, rotation) = self.places.of(keypoint, skeleton, posture);
         let bias = self.format.index_of(keypoint).map_or(Vector3::zeros(), |i| self.biases[i]);
-        let rotation = posture.rotations[joint.index()];
-        posture.positions[joint.index()] + rotation * offset + rotation * bias
+        position + rotation * bias
     }
 
     /// The detection of one point, given its pixel without random errors.
@@ -231,19 +231,19 @@ struct At {
 
 /// Position of a keypoint on a body of our model, world frame, metres.
 pub fn position(keypoint: Keypoint, skeleton: &Skeleton, posture: &Posture) -> Vector3<f64> {
-    Body::Own.position(keypoint, skeleton, posture)
+    Places::Own.of(keypoint, skeleton, posture).0
 }
 
-/// A standard normal offset for a point; left and right mirror each other, as far as those of `body`
+/// A standard normal offset for a point; left and right mirror each other, as far as those of `places`
 /// do.
-fn bias(keypoint: Keypoint, body: Body, draws: &Draws) -> Vector3<f64> {
+fn bias(keypoint: Keypoint, places: Places, draws: &Draws) -> Vector3<f64> {
     let (left, side) = keypoint.of_left();
     let normals = |topic: u64, key: Keypoint| {
         let [x, y] = draws.normals(topic, key as u64);
         Vector3::new(x, y, draws.normals(topic + 1, key as u64)[0])
     };
     let (both, own) = (normals(topic::BIAS, left), normals(topic::SIDE, keypoint));
-    let drawn = both * (1.0 - body.asymmetry()).sqrt() + own * body.asymmetry().sqrt();
+    let drawn = both * (1.0 - places.asymmetry()).sqrt() + own * places.asymmetry().sqrt();
     // Points on the midline have no sideways offset.
     let middle = matches!(left, Keypoint::Nose | Keypoint::HeadTop | Keypoint::MidHip)
         || matches!(left, Keypoint::Neck | Keypoint::UpperNeck);

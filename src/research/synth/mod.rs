@@ -33,9 +33,10 @@ mod recording;
 mod rigs;
 mod ring;
 mod sequence;
+mod skinned;
 mod write;
 
-pub use body::Body;
+pub use body::{Body, Places};
 pub use crowd::Crowd;
 pub use detector::position;
 pub use h36m::{H36mError, h36m_rig};
@@ -47,3 +48,4 @@ pub use recording::{Recording, bumped, through};
 pub use rigs::{RigError, rig_named, tdhp_like_rig};
 pub use ring::{ring_around, ring_rig};
 pub use sequence::{Sequence, sequence};
+pub use skinned::Skinned;

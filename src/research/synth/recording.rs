@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::body::Body;
+use super::body::Places;
 use super::detector::Detector;
 use super::noise::Noise;
 use crate::core::body::{Pose, Skeleton, StampedPose, TrackingState};
@@ -18,8 +18,8 @@ pub struct Recording<M> {
     pub rig: Rig,
     /// The performer's true body.
     pub skeleton: Skeleton,
-    /// Its kind, which tells where detectors see its keypoints.
-    pub body: Body,
+    /// Where detectors see its keypoints.
+    pub places: Places,
     /// The true motion.
     pub motion: M,
     /// Frame rate of every camera, Hz.
@@ -58,7 +58,7 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
         Self {
             rig,
             skeleton,
-            body: Body::Own,
+            places: Places::Own,
             motion,
             fps: 60.0,
             frames: 300,
@@ -84,7 +84,7 @@ impl<M: Fn(f64) -> Pose> Recording<M> {
     /// The detections, ordered by capture time, then by camera.
     pub fn detections(&self) -> impl Iterator<Item = Detections> + '_ {
         let detector = |(index, camera): (usize, Camera)| {
-            Detector::new(camera, index, self.format, &self.noise, self.body, self.seed)
+            Detector::new(camera, index, self.format, &self.noise, self.places, self.seed)
         };
         let all = &self.rig.cameras;
         let detectors: Vec<Detector> = all.iter().cloned().enumerate().map(detector).collect();

@@ -2,9 +2,10 @@
 
 use nalgebra::Vector3;
 
-use super::body::Body;
+use super::body::{Body, Places};
 use super::motion::about_y;
 use super::protocol::SequenceChoice;
+use super::skinned::Skinned;
 use crate::core::body::{
     FASTEST, JOINTS, Joint, Pose, SHAPE_COEFFICIENTS, SYMMETRIC_SHAPE, Shape, Skeleton,
 };
@@ -17,6 +18,7 @@ const STREAM: u64 = 0x7365_7175_656e_6365;
 mod topic {
     pub(super) const SHAPE: u64 = 0;
     pub(super) const HEADING: u64 = 1;
+    pub(super) const SKINNED: u64 = 2;
 }
 
 /// Largest plausible mean acceleration of the pelvis, m/s^2: 4 times free fall, twice that of a
@@ -38,6 +40,8 @@ const SOLE: [Keypoint; 6] = [
 pub struct Sequence {
     /// The body.
     pub skeleton: Skeleton,
+    /// Where detectors see its keypoints.
+    pub places: Places,
     /// Poses at the motion's own frame rate, around the origin.
     pub poses: Vec<Pose>,
     /// Index of the first pose in the motion.
@@ -49,8 +53,8 @@ pub struct Sequence {
 
 /// A test sequence from poses at `source_fps` (y up, metres, on the mean body).
 ///
-/// - Body: ten random shape coefficients, normal and clipped; or the motion's own skeleton,
-///   `foreign`. The motion of the pelvis is scaled by the length of the legs. The lower foot stands
+/// - Body, by its kind: ten random shape coefficients, normal and clipped; the motion's own skeleton,
+///   `foreign`; or one of the bodies with a skin, at random. The motion of the pelvis is scaled by the length of the legs. The lower foot stands
 ///   on the floor: the lowest tenth of the soles' lower ends is below y = 0, on the mean body and on
 ///   this one.
 /// - Section: at most `choice.seconds` long, within `choice.radius_m` of its own middle, nearest to
@@ -59,7 +63,8 @@ pub struct Sequence {
 ///   that the capture is broken.
 /// - Placement: the middle of the section is the origin, with a random heading.
 ///
-/// The same seed gives the same sequence. `None` if no section of `choice.least_seconds` is left.
+/// The same seed gives the same sequence. `None` if no section of `choice.least_seconds` is left, or if
+/// a foreign body is asked for and there is none.
 pub fn sequence(
     poses: &[Pose],
     source_fps: f64,
@@ -69,16 +74,21 @@ pub fn sequence(
 ) -> Option<Sequence> {
     let draws = Draws { seed, stream: STREAM };
     let mean = Skeleton::default();
-    let (skeleton, scale) = match foreign {
-        Some(skeleton) => (skeleton.clone(), leg(skeleton) / leg(&mean)),
-        None => {
-            let skeleton = Skeleton::new(shape(&draws, choice));
-            let scale = standing_height(&skeleton) / standing_height(&mean);
-            (skeleton, scale)
+    let (skeleton, places) = match choice.body {
+        Body::Own => (Skeleton::new(shape(&draws, choice)), Places::Own),
+        Body::Foreign => (foreign?.clone(), Places::Foreign),
+        Body::Skinned => {
+            let all = Skinned::all();
+            let body = all.get((all.len() as f64 * draws.uniform(topic::SKINNED, 0)) as usize)?;
+            (body.skeleton.clone(), Places::Skinned(body))
         }
     };
+    let scale = match choice.body {
+        Body::Own => standing_height(&skeleton) / standing_height(&mean),
+        Body::Foreign | Body::Skinned => leg(&skeleton) / leg(&mean),
+    };
     let mut scaled: Vec<Pose> = poses.to_vec();
-    let floor = floor(&scaled, &mean, Body::Own)?;
+    let floor = floor(&scaled, &mean, Places::Own)?;
     for pose in &mut scaled {
         pose.root_position.y -= floor;
         pose.root_position *= scale;
@@ -88,15 +98,14 @@ pub fn sequence(
     let mut poses = scaled.split_off(first);
     poses.truncate(count);
 
-    let body = if foreign.is_some() { Body::Foreign } else { Body::Own };
-    let lift = self::floor(&poses, &skeleton, body)?;
+    let lift = self::floor(&poses, &skeleton, places)?;
     let turn = about_y(std::f64::consts::TAU * draws.uniform(topic::HEADING, 0));
     for pose in &mut poses {
         pose.root_position = turn * (pose.root_position - middle - Vector3::y() * lift);
         pose.root_rotation = turn * pose.root_rotation;
     }
     let frames = ((count - 1) as f64 / source_fps * choice.fps + 1e-6).floor() as u64 + 1;
-    Some(Sequence { skeleton, poses, first, frames })
+    Some(Sequence { skeleton, places, poses, first, frames })
 }
 
 fn shape(draws: &Draws, choice: &SequenceChoice) -> Shape {
@@ -120,13 +129,11 @@ fn leg(skeleton: &Skeleton) -> f64 {
 }
 
 /// Height of the floor: the lowest tenth of the soles' lowest points is below it.
-fn floor(poses: &[Pose], skeleton: &Skeleton, body: Body) -> Option<f64> {
+fn floor(poses: &[Pose], skeleton: &Skeleton, places: Places) -> Option<f64> {
     let mut lowest: Vec<f64> = (poses.iter())
         .map(|pose| {
             let posture = pose.posture(skeleton);
-            SOLE.map(|k| body.position(k, skeleton, &posture).y)
-                .into_iter()
-                .fold(f64::MAX, f64::min)
+            SOLE.map(|k| places.of(k, skeleton, &posture).0.y).into_iter().fold(f64::MAX, f64::min)
         })
         .collect();
     lowest.sort_by(f64::total_cmp);
