@@ -84,8 +84,8 @@ pub fn limb_errors(
 }
 
 /// Mean of |d - mean of d| over frames and limb joints, millimetres: d = R*^T (P - P*) of one joint, in
-/// the frame of the true joint. Where a joint's centre is is partly a definition, and this leaves the
-/// constant part of the difference out. `None` without a joint.
+/// the frame of the true joint. The place of a joint's centre is partly a definition, so this excludes the
+/// constant part of the difference. `None` without a joint.
 pub fn limb_errors_less_offset(estimate: &[MarkerPositions], truth: &[Posture]) -> Option<f64> {
     let mut all = Vec::new();
     for (index, joint) in LIMB_JOINTS.iter().map(|joint| joint.index()).enumerate() {

@@ -6,6 +6,8 @@
 //! |---|---|---|
 //! | MPJPE | mean of e | mm |
 //! | limb joints | mean of e over shoulders, elbows, wrists, hips, knees and ankles; see [`LimbErrors`] | mm |
+//! | limbs less offset | the same without the constant part in each joint's frame, see [`limb_errors_less_offset`] | mm |
+//! | bones | mean over thigh, shank, upper arm and forearm of \|length less the true one\|, see [`segment_errors`] | mm |
 //! | root-relative MPJPE | mean of e after aligning the pelvis with the true one | mm |
 //! | RMSE | sqrt(mean of e^2) | mm |
 //! | MAE | mean angle between local rotations of joints 1 to 21 and the true ones | deg |

@@ -108,21 +108,32 @@ impl FirstPass {
         held_out: &mut [Camera],
         observer: &mut dyn Observer,
     ) -> Result<Self, Error> {
-        let mut pass = Self::new(options, recording.frames(), rig, period, held_out)?;
+        let frames = recording.frames();
+        let mut body = options.body.as_ref();
+        let mut pass = Self::new(options, body, frames, rig, period, held_out)?;
         pass.stream(recording, rig, held_out, observer)?;
+        let mut is_body_wrong = pass.is_body_wrong;
+        if is_body_wrong && body.is_some() {
+            // A body that is estimated from the whole recording is better than one since it was found wrong.
+            body = None;
+            pass = Self::new(options, body, frames, rig, period, held_out)?;
+            pass.stream(recording, rig, held_out, observer)?;
+        }
         if options.no_sync {
-            return Ok(pass);
+            return Ok(Self { is_body_wrong, ..pass });
         }
         let offsets = pass.apply_time_offsets(rig, held_out);
         if offsets.iter().take(rig.cameras.len()).any(|offset| offset.applied) {
-            pass = Self::new(options, recording.frames(), rig, period, held_out)?;
+            pass = Self::new(options, body, frames, rig, period, held_out)?;
             pass.stream(recording, rig, held_out, observer)?;
+            is_body_wrong |= pass.is_body_wrong;
         }
-        Ok(Self { offsets, ..pass })
+        Ok(Self { offsets, is_body_wrong, ..pass })
     }
 
     fn new(
         options: &Options,
+        body: Option<&Arc<Skeleton>>,
         frames: u64,
         rig: &Rig,
         period: Option<FramePeriod>,
@@ -131,7 +142,7 @@ impl FirstPass {
         let config = first_pass_settings(options.config, frames as usize);
         let solver = Solver::new(options.decoder()?, config);
         let tracker = Tracker::new(config, Arc::new(rig.clone()));
-        let tracker = tracker.with_body_of_another_take(options.body.clone());
+        let tracker = tracker.with_body_of_another_take(body.cloned());
         let stage = Stage::new(tracker, options.performers, period);
         let stage = stage.choosing(options.choice.clone()).with_known(&options.known);
         let cameras: Vec<Camera> = rig.cameras.iter().chain(held_out).cloned().collect();

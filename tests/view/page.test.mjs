@@ -269,8 +269,11 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   await picture(page, "dead-camera");
   await isSound(page);
   await play("cam04");
-  const back = '#cameras [data-camera="cam04"]:is([data-level="ok"], [data-level="warn"])';
-  await until(page, (light) => document.querySelector(light), back, 15_000);
+  // It plays from the beginning, while the others are elsewhere in their loop: it may be red for what it sees.
+  await until(page, () => {
+    const light = document.querySelector('#cameras [data-camera="cam04"]');
+    return /60\.\d Hz/.test(light?.textContent) && !/no frame/.test(light.textContent);
+  });
   assert.deepEqual(said, []);
 
   await stop(first.child);

@@ -41,8 +41,10 @@ pub(super) fn compare(asked: &Methods, names: &[String]) -> Result<(), Failure> 
     let ours = Windows::default_settings().name();
     for Level { view, run, summaries, .. } in &levels {
         report.leading.push(table(&format!("Noise: {}", view.name), summaries));
-        let title =
-            format!("Noise: {}. Bones by body, less the true ones: mean and spread", view.name);
+        let title = format!(
+            "Noise: {}. Bones by body, less the true ones: mean ± half of the range",
+            view.name
+        );
         report.leading.extend(segments(&title, run));
         if run.rows.len() > 1 && run.row(&ours).is_some() {
             let mut table = differences(&ours, summaries);

@@ -18,7 +18,7 @@ use crate::metrics::PerformerScores;
 use crate::metrics::statistics::mean;
 use crate::offline::{Group, Options, Recording, solve_group};
 use crate::research::experiments::{View, in_parallel, in_turn};
-use crate::research::synth::{self, Crowd, Meeting, Places, Protocol, through};
+use crate::research::synth::{self, Body, Crowd, Meeting, Places, Protocol, through};
 use crate::research::train;
 
 type AnyMotion = Box<dyn Fn(f64) -> Pose>;
@@ -159,6 +159,10 @@ impl Scene<'_> {
     fn person(&self, person: usize) -> Result<Person, Failure> {
         let Self { meeting, view, setup, .. } = self;
         if !self.has_clips {
+            if setup.protocol.sequence.body == Body::Skinned {
+                let message = "bodies with a skin need motions; give clips with --motions";
+                return Err(Failure::new(Exit::Usage, message));
+            }
             let (skeleton, motion) = meeting.person(person, view.seed);
             return self.recording(skeleton, Places::Own, Box::new(motion));
         }

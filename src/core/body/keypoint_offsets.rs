@@ -1,7 +1,7 @@
 //! Keypoint offsets: the difference between a keypoint of the detector and that of our body.
 //!
-//! Detectors have systematic errors: knees a little to the front, hips too high. An offset is a vector in
-//! the joint's frame, the same in every view and at all times. Left and right offsets nearly mirror each
+//! Detectors have systematic errors: knees a little to the front, hips too high. An offset is a vector
+//! that turns like the keypoint's place, the same in every view and at all times. Left and right offsets nearly mirror each
 //! other, since detectors are trained on mirrored images: left = s + d, right = the mirror image of
 //! s - d, with a strong prior on d.
 
@@ -125,7 +125,7 @@ impl Slot {
         Some(Self { first: 3 * number, side, difference: keypoint.side() })
     }
 
-    /// The offset in the joint's frame, metres.
+    /// The offset, metres.
     pub(super) fn offset(self, offsets: &KeypointOffsets) -> Vector3<f64> {
         let [x, y, z] = [0, 1, 2].map(|axis| {
             let at = self.first + axis;

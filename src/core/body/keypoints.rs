@@ -1,11 +1,12 @@
 //! The positions of detector keypoints on the body, and their weights in the fit.
 //!
-//! Each keypoint is an offset in the frame of one joint, scaled by the shape like its part of the
-//! body. Detectors do not find joint centres: their hips lie higher and wider than the hip joints,
-//! and their necks differ between data sets. Such keypoints have an offset and a smaller weight
-//! \[Pavlakos 2019, sec. 3.2\]. A detected knee moves more with the thigh than with the shank when the
-//! knee bends, and a hip with pelvis and thigh alike: their offsets turn with a mean of both. The offsets of nose, head top, toes and heels were adjusted by up
-//! to 2 cm to OpenPose BODY_25B on one performer.
+//! Each keypoint is an offset from one joint, scaled by the shape like its part of the body. The offset
+//! turns with the joint, or with a mean of the joint and its parent. Detectors do not find joint centres:
+//! their hips lie higher and wider than the hip joints, and their necks differ between data sets. Such
+//! keypoints have an offset and a smaller weight \[Pavlakos 2019, sec. 3.2\]. A detected knee moves more
+//! with the thigh than with the shank when the knee bends. A detected hip moves with pelvis and thigh
+//! equally. The offsets of nose, head top, toes and heels were adjusted by up to 2 cm to OpenPose
+//! BODY_25B on one performer.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -20,8 +21,8 @@ use crate::core::detections::{Keypoint, KeypointFormat};
 pub struct Attachment {
     /// The joint from whose centre the offset leads.
     pub joint: Joint,
-    /// Share of the parent's rotation in the frame that turns the offset; the rest is the joint's own.
-    pub of_parent: f64,
+    /// Share of the parent's rotation in what turns the offset; the rest is the joint's own.
+    pub parent_share: f64,
     /// Weight of the keypoint in the fit; 0 if it is not fitted.
     pub weight: f64,
     template: Vector3<f64>,
@@ -37,7 +38,7 @@ impl Attachment {
         let (joint, template, part, weight) = table(keypoint);
         Self {
             joint,
-            of_parent: of_parent(keypoint),
+            parent_share: parent_share(keypoint),
             weight,
             template: Vector3::from(template),
             part,
@@ -56,15 +57,15 @@ impl Attachment {
 
     /// The keypoint in the world, metres.
     pub fn position(&self, posture: &Posture, body: &Skeleton) -> Vector3<f64> {
-        posture.positions[self.joint.index()] + self.frame(posture) * self.offset(body)
+        self.arms(posture, &self.offset(body)).position(posture)
     }
 
     /// What turns the offset: G_j + s (G_parent - G_j).
     pub fn frame(&self, posture: &Posture) -> Matrix3<f64> {
         let own = posture.rotations[self.joint.index()];
         match self.joint.parent() {
-            Some(parent) if self.of_parent != 0.0 => {
-                own + (posture.rotations[parent.index()] - own) * self.of_parent
+            Some(parent) if self.parent_share != 0.0 => {
+                own + (posture.rotations[parent.index()] - own) * self.parent_share
             }
             _ => own,
         }
@@ -73,11 +74,11 @@ impl Attachment {
     /// The arms of an offset of this keypoint.
     pub fn arms(&self, posture: &Posture, offset: &Vector3<f64>) -> Arms {
         let arm = |joint: Joint, share: f64| posture.rotations[joint.index()] * offset * share;
-        let parent = self.joint.parent().filter(|_| self.of_parent != 0.0);
+        let parent = self.joint.parent().filter(|_| self.parent_share != 0.0);
         Arms {
             joint: self.joint,
-            own: arm(self.joint, 1.0 - self.of_parent),
-            of_parent: parent.map(|parent| (parent, arm(parent, self.of_parent))),
+            own: arm(self.joint, 1.0 - self.parent_share),
+            of_parent: parent.map(|parent| (parent, arm(parent, self.parent_share))),
         }
     }
 
@@ -149,7 +150,7 @@ fn table(keypoint: Keypoint) -> (Joint, [f64; 3], Part, f64) {
 }
 
 /// Share of a joint's parent in what turns a keypoint's offset.
-fn of_parent(keypoint: Keypoint) -> f64 {
+fn parent_share(keypoint: Keypoint) -> f64 {
     match keypoint {
         Keypoint::LHip | Keypoint::RHip => 0.5,
         Keypoint::LKnee | Keypoint::RKnee => 0.7,

@@ -34,7 +34,7 @@ pub struct CorrectionProblem<'a> {
     /// Number of fixed keyframes.
     fixed: usize,
     skeleton: &'a Skeleton,
-    /// The points' offsets in their joints' frames.
+    /// The points' offsets, see `Attachment::offset`.
     offsets: Vec<Vector3<f64>>,
     observations: &'a [FrameObservations],
     /// The pose on the manifold at each frame, without correction.

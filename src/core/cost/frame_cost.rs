@@ -35,7 +35,7 @@ pub(super) struct Path<'p> {
     pub(super) scene: Scene<'p>,
     pub(super) unknowns: &'p Unknowns,
     pub(super) reprojection: Reprojection<'p>,
-    /// The points' offsets in their joints' frames.
+    /// The points' offsets, see `Attachment::offset`.
     pub(super) offsets: &'p [Vector3<f64>],
 }
 
@@ -184,13 +184,13 @@ impl<'p> Path<'p> {
             let (gradient, curvature) = (gradient * weight, curvature * weight);
             cost += weight * value;
             wrenches.add(&arms, &gradient);
-            let frame = &point.attachment.frame(posture);
+            let turn = &point.attachment.frame(posture);
             if wanted == Wanted::Hessians {
-                self.add_rows(point, &arms, frame, &curvature, batch);
+                self.add_rows(point, &arms, turn, &curvature, batch);
             }
             if self.unknowns.body > 0 {
                 let out = &mut batch.gradients[m * n + KEYFRAME..(m + 1) * n];
-                add_by_body(&point.attachment.offset_by_body(), frame, &gradient, out);
+                add_by_body(&point.attachment.offset_by_body(), turn, &gradient, out);
             }
         }
         wrenches.gather(posture);
@@ -214,7 +214,7 @@ impl<'p> Path<'p> {
         &self,
         point: &BodyPoint,
         arms: &Arms,
-        frame: &Matrix3<f64>,
+        turn: &Matrix3<f64>,
         curvature: &Matrix3<f64>,
         batch: &mut ObservationBatch,
     ) {
@@ -228,7 +228,7 @@ impl<'p> Path<'p> {
             tangents.along(arms, &direction, row);
             if self.unknowns.body > 0 {
                 let by_body = point.attachment.offset_by_body();
-                let local = frame.tr_mul(&direction);
+                let local = turn.tr_mul(&direction);
                 let out = row[KEYFRAME..].iter_mut().zip(&by_body);
                 out.for_each(|(out, offset)| *out += local.dot(offset) as f32);
             }

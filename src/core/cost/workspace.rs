@@ -13,7 +13,7 @@ pub struct Workspace {
     pub(super) batches: [ObservationBatch; 2],
     /// Whether the batches are computed in parallel.
     in_parallel: bool,
-    /// The points' offsets in their joints' frames, for the present shape.
+    /// The points' offsets, see `Attachment::offset`, for the present shape.
     pub(super) offsets: Vec<Vector3<f64>>,
     /// Memory of the chain rule of a block.
     pub(super) half: Vec<f64>,

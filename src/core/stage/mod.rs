@@ -515,7 +515,7 @@ impl Stage {
                         self.next.push_back(Next::Output(output));
                     }
                     Some(body) => {
-                        let new = self.template.clone().with_body_to_check(Some(body));
+                        let new = self.template.clone().with_body_of_another_take(Some(body));
                         self.trackers[performer] = new.fed(performer);
                         self.begin_to_watch(performer);
                     }

@@ -16,7 +16,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::core::body::{
-    BODY_COEFFICIENTS, OffsetPrior, SHAPE_COEFFICIENTS, SYMMETRIC_OFFSETS, Skeleton,
+    BODY_COEFFICIENTS, Joint, OffsetPrior, SHAPE_COEFFICIENTS, SYMMETRIC_OFFSETS, Skeleton,
 };
 use crate::core::cost::Marginal;
 
@@ -35,8 +35,8 @@ const NOISE: f64 = 50.0;
 /// Precision of the shape's prior. Adults have 1; it is higher because the errors of different
 /// windows are correlated.
 const SHAPE_PRECISION: f64 = 6.0;
-/// Precision of the bones of a known body.
-const KNOWN_PRECISION: f64 = 1e4;
+/// Precision of the bones of a body of another take: they are fixed.
+const FIXED: f64 = 1e8;
 /// Number of windows that check a body of the same take.
 const CHECKS: usize = 8;
 /// A body of the same take is wrong if another one fits the windows better by this much a window: the
@@ -44,9 +44,9 @@ const CHECKS: usize = 8;
 /// body of the same take or the true one, 130 to 1,300 for other performers; 86 for a synthetic
 /// performer with limbs 1.4 cm shorter.
 const WRONG: f64 = 80.0;
-/// The same for a body of another take. Measured: 71 to 245 for the same performer, where the detector
-/// errs otherwise.
-const WRONG_ELSEWHERE: f64 = 400.0;
+/// A body of another take is wrong if the limbs of a body that is not known are longer or shorter by this
+/// part; in a short take this tells it before the evidence does. Measured: 1 % for the same performer.
+const OTHER_SIZE: f64 = 0.08;
 /// A body of another take is wrong too if its [`Estimate::evidence`] exceeds that of a body that is not
 /// known by this much a window, as the errors of our model add up. Measured on two real takes of one
 /// performer, with bodies of both takes by two, four and nine cameras: -62 at most after 2 windows, -43
@@ -211,13 +211,16 @@ impl BodyEstimator {
         let mut found = sums.estimate(prior, weight, None)?;
         let change = &found.body - &at;
         let distance = change.dot(&(&information * &change)) / sums.noise;
-        let is_far = |most: f64| windows > 1 && distance > most * windows as f64;
-        let is_check = self.is_check && !is_far(WRONG);
+        let is_wrong = windows > 1 && distance > WRONG * windows as f64;
+        let is_check = self.is_check && !is_wrong;
         let mut known = None;
-        if let Some(before) = self.known.as_ref().filter(|_| !is_far(WRONG_ELSEWHERE)) {
+        if let Some(before) = &self.known {
             let kept = sums.estimate(prior, weight, Some(before))?;
             let worse = kept.evidence - found.evidence;
-            if windows == 1 || worse <= LESS_EVIDENT * windows as f64 {
+            let is_other_size =
+                (limbs(found.body.as_slice()) / limbs(before) - 1.0).abs() > OTHER_SIZE;
+            let is_wrong = is_other_size || worse > LESS_EVIDENT * windows as f64;
+            if windows == 1 || !is_wrong {
                 (found, known) = (kept, Some(before.clone()));
             }
         }
@@ -226,6 +229,13 @@ impl BodyEstimator {
         coefficients.iter_mut().zip(bones).for_each(|(out, bone)| *out = *bone);
         Some(Self { information, pull, windows, is_check, known, coefficients })
     }
+}
+
+/// Length of the limbs of a body with these coefficients, metres.
+fn limbs(coefficients: &[f64]) -> f64 {
+    let body = Skeleton::default().with_coefficients(coefficients);
+    let ends = [Joint::LKnee, Joint::LAnkle, Joint::LElbow, Joint::LWrist];
+    ends.iter().map(|joint| body.offset(*joint).norm()).sum()
 }
 
 /// What the windows tell of the body.
@@ -252,7 +262,7 @@ impl Sums<'_> {
         weight: f64,
         known: Option<&Vec<f64>>,
     ) -> Option<Estimate> {
-        let of_bones = if known.is_some() { KNOWN_PRECISION } else { SHAPE_PRECISION };
+        let of_bones = if known.is_some() { FIXED } else { SHAPE_PRECISION };
         let bones = [self.noise * of_bones; SHAPE_COEFFICIENTS];
         let means = match known {
             Some(known) => DVector::from_column_slice(known),
@@ -370,21 +380,38 @@ mod tests {
         assert!(others.into_iter().all(|i| found[i].abs() < 1e-9), "{found:?}");
     }
 
-    #[test]
-    fn of_a_known_body_the_bones_are_kept_unless_the_windows_agree_on_others() {
-        let known = body(|i| (i as f64).sin());
-        let estimates = |wanted: &Skeleton| {
-            let of_window = |estimator: &mut BodyEstimator, _| {
-                let window = window(wanted, &known, 1000.0);
-                *estimator = estimator.with(&window, &known, 1.0, (&prior(), 300.0)).unwrap();
-                Some(estimator.clone())
-            };
-            (1..=WINDOWS).scan(BodyEstimator::of_known(&known), of_window).collect::<Vec<_>>()
+    /// The estimates after each window; the windows agree on `wanted`.
+    fn estimates(first: BodyEstimator, at: &Skeleton, wanted: &Skeleton) -> Vec<BodyEstimator> {
+        let of_window = |estimator: &mut BodyEstimator, _| {
+            let window = window(wanted, at, 1000.0);
+            *estimator = estimator.with(&window, at, 1.0, (&prior(), 300.0)).unwrap();
+            Some(estimator.clone())
         };
+        (1..=WINDOWS).scan(first, of_window).collect()
+    }
+
+    #[test]
+    fn a_body_of_the_same_take_is_replaced_if_windows_agree_on_another() {
+        let known = body(|i| (i as f64).sin());
+        let right = estimates(BodyEstimator::check(), &known, &known);
+        assert!(right[..CHECKS].iter().all(|one| one.new_body(&known).is_none()));
+        assert!(right[CHECKS - 1].is_complete() && !right[CHECKS - 2].is_complete());
+        let other = body(|i| 4.0 * (i as f64).cos());
+        let wrong = estimates(BodyEstimator::check(), &known, &other);
+        assert_eq!(wrong[0].new_body(&known), None, "one window is not enough");
+        let found = wrong[1].new_body(&known).unwrap();
+        assert!(!wrong[1].is_of_known());
+        assert!(distance(&found, &other) < 0.3 * distance(&known, &other));
+    }
+
+    #[test]
+    fn of_a_body_of_another_take_the_bones_are_kept_unless_the_windows_agree_on_others() {
+        let known = body(|i| (i as f64).sin());
+        let first = || BodyEstimator::of_known(&known);
         // A detector that sees another place of the nose.
-        let other_detector =
-            body(|i| (i as f64).sin() + if i == SHAPE_COEFFICIENTS { 1.0 } else { 0.0 });
-        let found = estimates(&other_detector);
+        let nose = |i: usize| if i == SHAPE_COEFFICIENTS { 1.0 } else { 0.0 };
+        let other_detector = body(|i| (i as f64).sin() + nose(i));
+        let found = estimates(first(), &known, &other_detector);
         assert!(found.iter().all(|one| one.is_of_known() && one.has_known_body()));
         assert!(found[WINDOWS - 1].is_complete() && !found[WINDOWS - 2].is_complete());
         let found = found[WINDOWS - 1].new_body(&known).unwrap();
@@ -392,11 +419,19 @@ mod tests {
         assert!(distance(&found, &other_detector) < 0.3 * distance(&known, &other_detector));
 
         let other = body(|i| 4.0 * (i as f64).cos());
-        let wrong = estimates(&other);
+        let wrong = estimates(first(), &known, &other);
         assert!(wrong[0].is_of_known(), "one window is not enough");
         assert!(!wrong[1].is_of_known());
         let found = wrong[1].new_body(&known).unwrap();
         assert!(distance(&found, &other) < 0.3 * distance(&known, &other));
+
+        // Not of quite another size: the evidence tells it.
+        let unlike = body(|i| (i as f64).sin() + if i < 4 { 0.9 } else { 0.0 });
+        let wrong = estimates(first(), &known, &unlike);
+        let last = wrong.iter().position(|one| !one.is_of_known()).unwrap();
+        assert!((1..WINDOWS - 1).contains(&last), "{last}");
+        let sizes = [&unlike, &known].map(|body| limbs(&body.coefficients().collect::<Vec<_>>()));
+        assert!((sizes[0] / sizes[1] - 1.0).abs() < OTHER_SIZE, "{sizes:?}");
     }
 
     #[test]

@@ -25,13 +25,13 @@ pub struct HandOver {
 }
 
 impl HandOver {
-    /// The state of a performer of whom only the body is known, from a time on. It is checked in the first windows.
+    /// The state of a performer of whom only the body is known, from another take, from a time on.
     pub(in crate::core) fn of_body(body: Arc<Skeleton>, until: Timestamp) -> Self {
         Self {
             until,
             window: 0,
+            estimate: Arc::new(BodyEstimator::of_known(&body)),
             skeleton: Some(body),
-            estimate: Arc::new(BodyEstimator::check()),
             motion: None,
         }
     }

@@ -154,6 +154,9 @@ impl BodyEstimate {
         let at = |name| field("BodyEstimate", name);
         at("coefficients").finite(&self.coefficients)?;
         at("information").finite(&self.information)?;
+        if ![0, BODY_COEFFICIENTS].contains(&self.known.len()) {
+            return Err(at("known").invalid("is not a body"));
+        }
         at("pull").finite(&self.pull)?;
         at("known").finite(&self.known)?;
         let numbers = EstimateNumbers {
@@ -178,6 +181,7 @@ mod tests {
         let good = HandOver { body: vec![0.0; BODY_COEFFICIENTS], ..HandOver::default() };
         assert!(good.to_core().is_ok());
         let estimate = BodyEstimate { windows: 3, ..BodyEstimate::default() };
+        let known = BodyEstimate { known: vec![0.0; 3], ..BodyEstimate::default() };
         let past = Keyframe { capture_time_ns: 5, ..Keyframe::default() };
         for (bad, field) in [
             (HandOver { body: vec![0.0; 3], ..good.clone() }, "body"),
@@ -185,6 +189,7 @@ mod tests {
             (HandOver { until_ns: i64::MAX, ..good.clone() }, "until_ns"),
             (HandOver { window: u64::MAX, ..good.clone() }, "window"),
             (HandOver { body_estimate: Some(estimate), ..good.clone() }, "information"),
+            (HandOver { body_estimate: Some(known), ..good.clone() }, "known"),
             (HandOver { past: vec![past], ..good.clone() }, "Keyframe"),
         ] {
             let error = bad.to_core().unwrap_err().to_string();

@@ -72,7 +72,7 @@ pub const METRICS: [Metric; 22] = [
         Some(s.not_followed.as_ref()?.longest_frames as f64)
     }),
     metric("limb_less_offset_mm", "limbs less offset mm", 1, |s| s.limb_less_offset_mm),
-    metric("segments_mm", "bones mm", 1, |s| {
+    metric("segment_error_mm", "bones mm", 1, |s| {
         let lengths = s.segments_mm?;
         mean(&lengths.map(f64::abs))
     }),

