@@ -96,8 +96,8 @@ pub(super) struct Arguments {
     /// Solve without these cameras and report their reprojection errors.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     hold_out: Vec<String>,
-    /// Recording that holds the performer's body, such as an earlier poses.mcap; its bones are kept,
-    /// unless they do not fit; default: the body is estimated.
+    /// Recording that holds the performer's body, such as an earlier poses.mcap. Its bones are kept
+    /// if they fit. Default: the body is estimated.
     #[arg(long, value_name = "FILE")]
     body: Option<PathBuf>,
     /// The performer of --body, if that recording has several.

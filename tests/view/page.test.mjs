@@ -269,7 +269,7 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   await picture(page, "dead-camera");
   await isSound(page);
   await play("cam04");
-  // It plays from the beginning, while the others are elsewhere in their loop: it may be red for what it sees.
+  // It plays from the beginning, while the others are in the middle of their loop. So it may be red.
   await until(page, () => {
     const light = document.querySelector('#cameras [data-camera="cam04"]');
     return /60\.\d Hz/.test(light?.textContent) && !/no frame/.test(light.textContent);

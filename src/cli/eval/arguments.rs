@@ -172,7 +172,7 @@ pub(super) struct Motions {
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) subjects: Vec<String>,
     /// Bodies of the performers: own, shapes of our body model; foreign, each clip's own skeleton
-    /// with keypoints at its joints; or skinned, bodies by others with keypoints on their skin
+    /// with keypoints at its joints; or skinned, eight bodies of Anny with keypoints on their skin
     /// [protocol: own].
     #[arg(long, value_name = "KIND", value_parser = Body::ALL.map(Body::name))]
     pub(super) body: Option<String>,

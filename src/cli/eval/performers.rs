@@ -37,6 +37,11 @@ pub(super) fn run(asked: &arguments::Performers) -> Result<(), Failure> {
         Failure::new(Exit::Unexpected, format!("cannot make a folder: {error}"))
     })?;
     let has_clips = asked.motions.motions.is_some();
+    if setup.protocol.sequence.body == Body::Skinned && !has_clips {
+        let message =
+            "without clips, performers have bodies of our model; give clips with --motions";
+        return Err(Failure::new(Exit::Usage, message));
+    }
     let motion = if has_clips { setup.subtitle() } else { format!("walking, {}", setup.views()) };
     let mut report = ReportData {
         title: "Performers who cross and meet".into(),
@@ -159,10 +164,6 @@ impl Scene<'_> {
     fn person(&self, person: usize) -> Result<Person, Failure> {
         let Self { meeting, view, setup, .. } = self;
         if !self.has_clips {
-            if setup.protocol.sequence.body == Body::Skinned {
-                let message = "bodies with a skin need motions; give clips with --motions";
-                return Err(Failure::new(Exit::Usage, message));
-            }
             let (skeleton, motion) = meeting.person(person, view.seed);
             return self.recording(skeleton, Places::Own, Box::new(motion));
         }

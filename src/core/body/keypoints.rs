@@ -61,7 +61,7 @@ impl Attachment {
     }
 
     /// What turns the offset: G_j + s (G_parent - G_j).
-    pub fn frame(&self, posture: &Posture) -> Matrix3<f64> {
+    pub fn turn(&self, posture: &Posture) -> Matrix3<f64> {
         let own = posture.rotations[self.joint.index()];
         match self.joint.parent() {
             Some(parent) if self.parent_share != 0.0 => {

@@ -184,11 +184,11 @@ impl<'p> Path<'p> {
             let (gradient, curvature) = (gradient * weight, curvature * weight);
             cost += weight * value;
             wrenches.add(&arms, &gradient);
-            let turn = &point.attachment.frame(posture);
+            let turn = (self.unknowns.body > 0).then(|| point.attachment.turn(posture));
             if wanted == Wanted::Hessians {
-                self.add_rows(point, &arms, turn, &curvature, batch);
+                self.add_rows(point, &arms, turn.as_ref(), &curvature, batch);
             }
-            if self.unknowns.body > 0 {
+            if let Some(turn) = &turn {
                 let out = &mut batch.gradients[m * n + KEYFRAME..(m + 1) * n];
                 add_by_body(&point.attachment.offset_by_body(), turn, &gradient, out);
             }
@@ -214,7 +214,7 @@ impl<'p> Path<'p> {
         &self,
         point: &BodyPoint,
         arms: &Arms,
-        turn: &Matrix3<f64>,
+        turn: Option<&Matrix3<f64>>,
         curvature: &Matrix3<f64>,
         batch: &mut ObservationBatch,
     ) {
@@ -226,7 +226,7 @@ impl<'p> Path<'p> {
             batch.rows.resize(first + n, 0.0);
             let row = &mut batch.rows[first..];
             tangents.along(arms, &direction, row);
-            if self.unknowns.body > 0 {
+            if let Some(turn) = turn {
                 let by_body = point.attachment.offset_by_body();
                 let local = turn.tr_mul(&direction);
                 let out = row[KEYFRAME..].iter_mut().zip(&by_body);

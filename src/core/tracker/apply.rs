@@ -168,7 +168,7 @@ impl Tracker {
 
     /// Uses the estimator's body from the next window on, if it has a new one.
     fn improve_body(&mut self, at: Timestamp, estimator: Arc<BodyEstimator>) {
-        if self.estimator.is_of_known() && !estimator.is_of_known() {
+        if self.estimator.is_given() && !estimator.is_given() {
             let detail = "another body fits clearly better; it is estimated anew".to_owned();
             self.event(EventKind::Body, at, None, detail);
             // From a wrong body the estimate converges to a wrong one, so it begins with a search.

@@ -8,10 +8,11 @@
 //! agrees with our body. After [`WINDOWS`] windows the body is fixed: later updates would follow
 //! errors of our model and drift.
 //!
-//! A known body of the same take is checked: if some windows agree on another one, the estimate begins
-//! anew. Of a body of another take, the bones are kept and the offsets are estimated from where they were:
-//! what a detector does with the pose shifts its points, and so its offsets, from take to take. There
-//! too the estimate begins anew if another body fits clearly better.
+//! A body that was given is treated by where it comes from:
+//! - The same take: it is checked. If some windows agree on another body, the estimate begins anew.
+//! - Another take: its bones are kept, and its offsets are the prior means of the new ones. A detector's
+//!   errors depend on the pose, so its mean offsets differ from take to take. If another body fits
+//!   clearly better, the estimate begins anew.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -44,17 +45,29 @@ const CHECKS: usize = 8;
 /// body of the same take or the true one, 130 to 1,300 for other performers; 86 for a synthetic
 /// performer with limbs 1.4 cm shorter.
 const WRONG: f64 = 80.0;
-/// A body of another take is wrong if the limbs of a body that is not known are longer or shorter by this
-/// part; in a short take this tells it before the evidence does. Measured: 1 % for the same performer.
+/// A body of another take is wrong if its limbs differ by this part from those of a free estimate. In a
+/// short take this shows before the deviance does. Measured: 1 % for the same performer.
 const OTHER_SIZE: f64 = 0.08;
-/// A body of another take is wrong too if its [`Estimate::evidence`] exceeds that of a body that is not
-/// known by this much a window, as the errors of our model add up. Measured on two real takes of one
-/// performer, with bodies of both takes by two, four and nine cameras: -62 at most after 2 windows, -43
-/// after 8, 42 after 25. With bodies of other performers by other detectors: walking 198 to 381 after
-/// 25; sitting or balancing, which tells less, -49 to 189.
-const LESS_EVIDENT: f64 = 2.0;
+/// A body of another take is wrong too if its [`Estimate::deviance`] exceeds that of a free estimate by
+/// this much a window. The limit grows with the windows, because the errors of our model add up.
+/// Measured on two real takes of one performer, with bodies of both takes by two, four and nine cameras:
+/// -62 at most after 2 windows, -43 after 8, 42 after 25. With bodies of other performers by other
+/// detectors, after 25: walking 198 to 381; sitting or balancing, which shows less, -49 to 189.
+const MORE_DEVIANCE: f64 = 2.0;
 /// Rounds that estimate the body and the prior of the offsets in turn.
 const ROUNDS: usize = 5;
+
+/// The body that was given before the first window.
+#[derive(Clone, Debug, Default, PartialEq)]
+enum Given {
+    /// None, or one that was wrong.
+    #[default]
+    Nothing,
+    /// One of the same take.
+    SameTake,
+    /// The coefficients of one of another take.
+    OtherTake(Vec<f64>),
+}
 
 /// The estimate of the body.
 #[derive(Clone, Debug, PartialEq)]
@@ -62,10 +75,7 @@ pub struct BodyEstimator {
     information: DMatrix<f64>,
     pull: DVector<f64>,
     windows: usize,
-    /// Whether a body of the same take is checked.
-    is_check: bool,
-    /// The coefficients of a body of another take.
-    known: Option<Vec<f64>>,
+    given: Given,
     /// Shape and keypoint offsets, see [`Skeleton::coefficients`].
     coefficients: Vec<f64>,
 }
@@ -77,8 +87,8 @@ pub struct EstimateNumbers {
     pub windows: usize,
     /// Whether a body of the same take is checked.
     pub is_check: bool,
-    /// The coefficients of a body of another take; none if there was none.
-    pub known: Vec<f64>,
+    /// The coefficients of a body that was given from another take; none if there was none.
+    pub other_take: Vec<f64>,
     /// Shape and keypoint offsets; none before the first window.
     pub coefficients: Vec<f64>,
     /// The upper triangle of the information, row by row; none if the estimate is complete.
@@ -93,8 +103,7 @@ impl Default for BodyEstimator {
             information: DMatrix::zeros(BODY_COEFFICIENTS, BODY_COEFFICIENTS),
             pull: DVector::zeros(BODY_COEFFICIENTS),
             windows: 0,
-            is_check: false,
-            known: None,
+            given: Given::Nothing,
             coefficients: Vec::new(),
         }
     }
@@ -103,12 +112,13 @@ impl Default for BodyEstimator {
 impl BodyEstimator {
     /// Checks a body of the same take.
     pub(super) fn check() -> Self {
-        Self { is_check: true, ..Self::default() }
+        Self { given: Given::SameTake, ..Self::default() }
     }
 
-    /// Keeps the bones of a body of another take, unless others fit clearly better, and estimates its offsets.
-    pub(super) fn of_known(body: &Skeleton) -> Self {
-        Self { known: Some(body.coefficients().collect()), ..Self::default() }
+    /// Keeps the bones of a body of another take, unless others fit clearly better, and estimates its
+    /// offsets.
+    pub(super) fn of_another_take(body: &Skeleton) -> Self {
+        Self { given: Given::OtherTake(body.coefficients().collect()), ..Self::default() }
     }
 
     /// Neither estimates nor checks.
@@ -118,7 +128,7 @@ impl BodyEstimator {
 
     /// Whether the body may still change a lot.
     pub(super) fn is_early(&self) -> bool {
-        !self.is_of_known() && self.windows <= EARLY_WINDOWS
+        !self.is_given() && self.windows <= EARLY_WINDOWS
     }
 
     /// The estimate as numbers, for other nodes.
@@ -127,8 +137,11 @@ impl BodyEstimator {
         let is_used = self.windows > 0 && !self.is_complete();
         EstimateNumbers {
             windows: self.windows,
-            is_check: self.is_check,
-            known: self.known.clone().unwrap_or_default(),
+            is_check: self.is_check(),
+            other_take: match &self.given {
+                Given::OtherTake(body) => body.clone(),
+                Given::Nothing | Given::SameTake => Vec::new(),
+            },
             coefficients: self.coefficients.clone(),
             information: rows.filter(|_| is_used).map(|at| self.information[at]).collect(),
             pull: self.pull.iter().filter(|_| is_used).copied().collect(),
@@ -137,14 +150,18 @@ impl BodyEstimator {
 
     /// The estimate of such numbers; `None` if there are not as many as there must be.
     pub fn of_numbers(numbers: &EstimateNumbers) -> Option<Self> {
-        let EstimateNumbers { windows, is_check, known, coefficients, information, pull } = numbers;
-        let empty = Self::default();
-        let is_sound =
-            [known, coefficients].iter().all(|all| [0, BODY_COEFFICIENTS].contains(&all.len()));
-        let known = Some(known.clone()).filter(|known| !known.is_empty());
-        let (windows, is_check, coefficients) = (*windows, *is_check, coefficients.clone());
-        let mut estimate = Self { windows, is_check, known, coefficients, ..empty };
+        let EstimateNumbers { windows, is_check, other_take, coefficients, information, pull } =
+            numbers;
+        let given = match (is_check, other_take.len()) {
+            (true, 0) => Given::SameTake,
+            (false, 0) => Given::Nothing,
+            (false, BODY_COEFFICIENTS) => Given::OtherTake(other_take.clone()),
+            _ => return None,
+        };
+        let (windows, coefficients) = (*windows, coefficients.clone());
+        let mut estimate = Self { windows, given, coefficients, ..Self::default() };
         let is_used = windows > 0 && !estimate.is_complete();
+        let is_sound = [0, BODY_COEFFICIENTS].contains(&estimate.coefficients.len());
         let lengths = match is_used {
             true => (TRIANGLE, BODY_COEFFICIENTS),
             false => (0, 0),
@@ -165,37 +182,40 @@ impl BodyEstimator {
     /// The estimator when a performer is found again: a complete body is checked, else the estimate
     /// begins anew.
     pub(super) fn after_a_break(&self) -> Self {
-        if self.is_check || self.is_complete() {
-            Self::check()
-        } else {
-            Self { known: self.known.clone(), ..Self::default() }
+        match self.is_complete() {
+            true => Self::check(),
+            false => Self { given: self.given.clone(), ..Self::default() },
         }
     }
 
     /// Whether the body is fixed from here on.
     pub fn is_complete(&self) -> bool {
-        self.windows >= if self.is_check { CHECKS } else { WINDOWS }
+        self.windows >= if self.is_check() { CHECKS } else { WINDOWS }
     }
 
-    /// Whether the bones are those of a body that was known before.
-    pub fn is_of_known(&self) -> bool {
-        self.is_check || self.known.is_some()
+    fn is_check(&self) -> bool {
+        self.given == Given::SameTake
     }
 
-    /// Whether the bones are known: from before, or since the estimate is complete.
-    pub fn has_known_body(&self) -> bool {
-        self.is_of_known() || self.is_complete()
+    /// Whether the bones are those of a body that was given.
+    pub fn is_given(&self) -> bool {
+        self.given != Given::Nothing
+    }
+
+    /// Whether the bones are known: they were given, or the estimate is complete.
+    pub fn is_known(&self) -> bool {
+        self.is_given() || self.is_complete()
     }
 
     /// The new body, if it is time for one.
     pub(super) fn new_body(&self, body: &Skeleton) -> Option<Skeleton> {
         let is_due = self.is_early() || self.windows.is_multiple_of(INTERVAL) || self.is_complete();
-        (is_due && !self.is_check).then(|| body.with_coefficients(&self.coefficients))
+        (is_due && !self.is_check()).then(|| body.with_coefficients(&self.coefficients))
     }
 
     /// The estimate after one more window, which was solved with the body `at`. `noise` is the
-    /// variance of the detections' errors relative to the reference level, times the confidence; `weight` is the first
-    /// weight of the prior of the offsets. `None` if the sum has no minimum.
+    /// variance of the detections' errors relative to the reference level, times the confidence;
+    /// `weight` is the first weight of the prior of the offsets. `None` if the sum has no minimum.
     pub fn with(
         &self,
         marginal: &Marginal,
@@ -208,26 +228,34 @@ impl BodyEstimator {
         let information = &self.information + &marginal.hessian * SHARE;
         let sums = Sums { information: &information, pull: &pull, noise: NOISE * noise };
         let windows = self.windows + 1;
-        let mut found = sums.estimate(prior, weight, None)?;
-        let change = &found.body - &at;
-        let distance = change.dot(&(&information * &change)) / sums.noise;
-        let is_wrong = windows > 1 && distance > WRONG * windows as f64;
-        let is_check = self.is_check && !is_wrong;
-        let mut known = None;
-        if let Some(before) = &self.known {
-            let kept = sums.estimate(prior, weight, Some(before))?;
-            let worse = kept.evidence - found.evidence;
-            let is_other_size =
-                (limbs(found.body.as_slice()) / limbs(before) - 1.0).abs() > OTHER_SIZE;
-            let is_wrong = is_other_size || worse > LESS_EVIDENT * windows as f64;
-            if windows == 1 || !is_wrong {
-                (found, known) = (kept, Some(before.clone()));
+        let mut body = sums.estimate(prior, weight, None)?;
+        let mut given = self.given.clone();
+        // One window is not enough to call a body wrong.
+        match &self.given {
+            Given::OtherTake(bones) => {
+                let kept = sums.estimate(prior, weight, Some(bones))?;
+                let size = limbs(body.coefficients.as_slice()) / limbs(bones);
+                let is_wrong = (size - 1.0).abs() > OTHER_SIZE
+                    || kept.deviance - body.deviance > MORE_DEVIANCE * windows as f64;
+                match windows > 1 && is_wrong {
+                    true => given = Given::Nothing,
+                    false => body = kept,
+                }
             }
+            Given::SameTake => {
+                let change = &body.coefficients - &at;
+                let distance = change.dot(&(&information * &change)) / sums.noise;
+                if windows > 1 && distance > WRONG * windows as f64 {
+                    given = Given::Nothing;
+                }
+            }
+            Given::Nothing => {}
         }
-        let mut coefficients: Vec<f64> = found.body.iter().copied().collect();
-        let bones = known.iter().flat_map(|known| &known[..SHAPE_COEFFICIENTS]);
-        coefficients.iter_mut().zip(bones).for_each(|(out, bone)| *out = *bone);
-        Some(Self { information, pull, windows, is_check, known, coefficients })
+        let mut coefficients: Vec<f64> = body.coefficients.iter().copied().collect();
+        if let Given::OtherTake(bones) = &given {
+            coefficients[..SHAPE_COEFFICIENTS].copy_from_slice(&bones[..SHAPE_COEFFICIENTS]);
+        }
+        Some(Self { information, pull, windows, given, coefficients })
     }
 }
 
@@ -245,27 +273,28 @@ struct Sums<'a> {
     noise: f64,
 }
 
-/// A body, and how well its prior fits the windows.
+/// A body, and how badly its prior fits the windows.
 struct Estimate {
-    body: DVector<f64>,
-    /// -2 ln of the probability of the windows under the prior, but for a constant.
-    evidence: f64,
+    coefficients: DVector<f64>,
+    /// -2 ln of the marginal likelihood of the windows under the prior, up to a constant.
+    deviance: f64,
 }
 
 impl Sums<'_> {
     /// The body b = (shape, offsets) that minimises
     /// 1/2 b^T information b - pull^T b + 1/2 sum of precision (b - mean)^2, with an estimate of the
-    /// weight of all precisions of offsets. Of a known body, its coefficients are the means.
+    /// weight of all precisions of offsets. The means are the coefficients of the body of `other_take`,
+    /// if there is one, and its bones are fixed.
     fn estimate(
         &self,
         prior: &OffsetPrior,
         weight: f64,
-        known: Option<&Vec<f64>>,
+        other_take: Option<&Vec<f64>>,
     ) -> Option<Estimate> {
-        let of_bones = if known.is_some() { FIXED } else { SHAPE_PRECISION };
+        let of_bones = if other_take.is_some() { FIXED } else { SHAPE_PRECISION };
         let bones = [self.noise * of_bones; SHAPE_COEFFICIENTS];
-        let means = match known {
-            Some(known) => DVector::from_column_slice(known),
+        let means = match other_take {
+            Some(body) => DVector::from_column_slice(body),
             None => {
                 let means = [0.0; SHAPE_COEFFICIENTS].into_iter().chain(prior.means);
                 DVector::from_iterator(BODY_COEFFICIENTS, means)
@@ -291,7 +320,8 @@ impl Sums<'_> {
             let square = both_sides(&(&body - &means)).norm_squared();
             weight = self.noise * SYMMETRIC_OFFSETS as f64
                 / (square + self.noise * both_sides(&variances).sum());
-            found = Some(Estimate { body, evidence: by_mean / self.noise + determinants });
+            let deviance = by_mean / self.noise + determinants;
+            found = Some(Estimate { coefficients: body, deviance });
         }
         found
     }
@@ -400,19 +430,19 @@ mod tests {
         let wrong = estimates(BodyEstimator::check(), &known, &other);
         assert_eq!(wrong[0].new_body(&known), None, "one window is not enough");
         let found = wrong[1].new_body(&known).unwrap();
-        assert!(!wrong[1].is_of_known());
+        assert!(!wrong[1].is_given());
         assert!(distance(&found, &other) < 0.3 * distance(&known, &other));
     }
 
     #[test]
     fn of_a_body_of_another_take_the_bones_are_kept_unless_the_windows_agree_on_others() {
         let known = body(|i| (i as f64).sin());
-        let first = || BodyEstimator::of_known(&known);
+        let first = || BodyEstimator::of_another_take(&known);
         // A detector that sees another place of the nose.
         let nose = |i: usize| if i == SHAPE_COEFFICIENTS { 1.0 } else { 0.0 };
         let other_detector = body(|i| (i as f64).sin() + nose(i));
         let found = estimates(first(), &known, &other_detector);
-        assert!(found.iter().all(|one| one.is_of_known() && one.has_known_body()));
+        assert!(found.iter().all(|one| one.is_given() && one.is_known()));
         assert!(found[WINDOWS - 1].is_complete() && !found[WINDOWS - 2].is_complete());
         let found = found[WINDOWS - 1].new_body(&known).unwrap();
         assert_eq!(found.shape(), known.shape());
@@ -420,15 +450,15 @@ mod tests {
 
         let other = body(|i| 4.0 * (i as f64).cos());
         let wrong = estimates(first(), &known, &other);
-        assert!(wrong[0].is_of_known(), "one window is not enough");
-        assert!(!wrong[1].is_of_known());
+        assert!(wrong[0].is_given(), "one window is not enough");
+        assert!(!wrong[1].is_given());
         let found = wrong[1].new_body(&known).unwrap();
         assert!(distance(&found, &other) < 0.3 * distance(&known, &other));
 
-        // Not of quite another size: the evidence tells it.
+        // Of nearly the same size: the deviance shows it.
         let unlike = body(|i| (i as f64).sin() + if i < 4 { 0.9 } else { 0.0 });
         let wrong = estimates(first(), &known, &unlike);
-        let last = wrong.iter().position(|one| !one.is_of_known()).unwrap();
+        let last = wrong.iter().position(|one| !one.is_given()).unwrap();
         assert!((1..WINDOWS - 1).contains(&last), "{last}");
         let sizes = [&unlike, &known].map(|body| limbs(&body.coefficients().collect::<Vec<_>>()));
         assert!((sizes[0] / sizes[1] - 1.0).abs() < OTHER_SIZE, "{sizes:?}");

@@ -30,7 +30,7 @@ impl HandOver {
         Self {
             until,
             window: 0,
-            estimate: Arc::new(BodyEstimator::of_known(&body)),
+            estimate: Arc::new(BodyEstimator::of_another_take(&body)),
             skeleton: Some(body),
             motion: None,
         }
@@ -38,7 +38,7 @@ impl HandOver {
 
     /// The body once its estimate is complete, or if it was given.
     pub fn known_body(&self) -> Option<&Arc<Skeleton>> {
-        self.skeleton.as_ref().filter(|_| self.estimate.has_known_body())
+        self.skeleton.as_ref().filter(|_| self.estimate.is_known())
     }
 }
 

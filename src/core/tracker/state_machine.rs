@@ -262,7 +262,7 @@ impl Tracker {
     #[must_use]
     pub fn with_body_of_another_take(self, body: impl Into<Option<Arc<Skeleton>>>) -> Self {
         let Some(body) = body.into() else { return self };
-        let estimator = Arc::new(BodyEstimator::of_known(&body));
+        let estimator = Arc::new(BodyEstimator::of_another_take(&body));
         Self { estimator, ..self.with_body_to_check(body) }
     }
 
@@ -289,7 +289,7 @@ impl Tracker {
 
     /// The performer's body once its estimate is complete, or if it was given.
     pub fn known_body(&self) -> Option<&Arc<Skeleton>> {
-        let is_known = self.estimator.has_known_body();
+        let is_known = self.estimator.is_known();
         self.skeleton.as_ref().filter(|_| self.is_proven && is_known)
     }
 

@@ -48,7 +48,7 @@ impl HandOver {
                 coefficients: numbers.coefficients,
                 information: numbers.information,
                 pull: numbers.pull,
-                known: numbers.known,
+                other_take: numbers.other_take,
             }),
             ..Self::default()
         };
@@ -154,15 +154,15 @@ impl BodyEstimate {
         let at = |name| field("BodyEstimate", name);
         at("coefficients").finite(&self.coefficients)?;
         at("information").finite(&self.information)?;
-        if ![0, BODY_COEFFICIENTS].contains(&self.known.len()) {
-            return Err(at("known").invalid("is not a body"));
-        }
         at("pull").finite(&self.pull)?;
-        at("known").finite(&self.known)?;
+        at("other_take").finite(&self.other_take)?;
+        if ![0, BODY_COEFFICIENTS].contains(&self.other_take.len()) {
+            return Err(at("other_take").invalid("is not a body"));
+        }
         let numbers = EstimateNumbers {
             windows: self.windows as usize,
             is_check: self.is_check,
-            known: self.known.clone(),
+            other_take: self.other_take.clone(),
             coefficients: self.coefficients.clone(),
             information: self.information.clone(),
             pull: self.pull.clone(),
@@ -181,7 +181,7 @@ mod tests {
         let good = HandOver { body: vec![0.0; BODY_COEFFICIENTS], ..HandOver::default() };
         assert!(good.to_core().is_ok());
         let estimate = BodyEstimate { windows: 3, ..BodyEstimate::default() };
-        let known = BodyEstimate { known: vec![0.0; 3], ..BodyEstimate::default() };
+        let other_take = BodyEstimate { other_take: vec![0.0; 3], ..BodyEstimate::default() };
         let past = Keyframe { capture_time_ns: 5, ..Keyframe::default() };
         for (bad, field) in [
             (HandOver { body: vec![0.0; 3], ..good.clone() }, "body"),
@@ -189,7 +189,7 @@ mod tests {
             (HandOver { until_ns: i64::MAX, ..good.clone() }, "until_ns"),
             (HandOver { window: u64::MAX, ..good.clone() }, "window"),
             (HandOver { body_estimate: Some(estimate), ..good.clone() }, "information"),
-            (HandOver { body_estimate: Some(known), ..good.clone() }, "known"),
+            (HandOver { body_estimate: Some(other_take), ..good.clone() }, "other_take"),
             (HandOver { past: vec![past], ..good.clone() }, "Keyframe"),
         ] {
             let error = bad.to_core().unwrap_err().to_string();

