@@ -190,7 +190,7 @@ impl From<offline::Error> for Failure {
             E::NobodyFound { .. } => Exit::NobodyFound,
             E::Weights(_) => Exit::Weights,
             E::Exists { .. } => Exit::Usage,
-            E::Write { .. } | E::Stopped { .. } => Exit::Unexpected,
+            E::Write { .. } | E::Stopped { .. } | E::NoSharedBody => Exit::Unexpected,
         };
         Self::new(exit, error.to_string())
     }

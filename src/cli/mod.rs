@@ -4,6 +4,7 @@
 //! standard error, `error: ...`, and an exit code (see `--help`).
 
 mod bench;
+mod body;
 mod bridge;
 mod bus;
 mod calibrate;
@@ -74,6 +75,7 @@ enum Command {
     Eval(Box<eval::Arguments>),
     Solve(solve::Arguments),
     Summary(takes::SummaryArguments),
+    Body(body::Arguments),
     Check(check::Arguments),
     Calibrate(calibrate::Arguments),
     Import(import::Arguments),
@@ -113,6 +115,7 @@ pub fn run_with(words: Vec<OsString>) -> u8 {
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Solve(arguments) => takes::run(&arguments),
         Command::Summary(arguments) => takes::summary(&arguments),
+        Command::Body(arguments) => body::run(&arguments),
         Command::Check(arguments) => check::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Import(arguments) => import::run(&arguments),

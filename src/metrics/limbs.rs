@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::markers::MarkerPositions;
 use super::statistics::mean;
-use crate::core::body::{Joint, Posture};
+use crate::core::body::{Joint, Posture, Skeleton};
 
 /// The limb joints, in the order of [`COMPARED`](super::COMPARED).
 pub const LIMB_JOINTS: [Joint; 12] = [
@@ -100,6 +100,14 @@ pub fn limb_errors_less_offset(estimate: &[MarkerPositions], truth: &[Posture]) 
     mean(&all)
 }
 
+/// Lengths of the [`SEGMENTS`] of a body, mean of both sides, metres.
+pub fn segment_lengths(body: &Skeleton) -> [f64; SEGMENTS.len()] {
+    // Each ends in a joint whose parent it begins in.
+    SEGMENTS.map(|(_, sides)| {
+        sides.map(|[_, end]| body.offset(LIMB_JOINTS[end]).norm()).iter().sum::<f64>() / 2.0
+    })
+}
+
 /// Mean length of each of the [`SEGMENTS`] over frames and sides, less the true one, millimetres.
 /// `None` if one is never seen.
 pub fn segment_errors(
@@ -124,7 +132,7 @@ pub fn segment_errors(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::core::body::{Pose, Skeleton};
+    use crate::core::body::Pose;
     use crate::core::so3;
 
     #[test]

@@ -50,7 +50,7 @@ pub use floor::Floor;
 pub use followed::{Episode, FollowedSums, NotFollowed};
 pub use limbs::{
     LIMB_JOINTS, LimbErrors, SEGMENTS, SPEEDS_M_S, limb_errors, limb_errors_less_offset,
-    limb_joints, segment_errors,
+    limb_joints, segment_errors, segment_lengths,
 };
 pub use markers::{COMPARED, MarkerDistance, MarkerDistances, MarkerPositions};
 pub use motion::{VelocityJump, velocity_jump, velocity_jumps};

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use super::Error;
 use crate::core::body::Skeleton;
 use crate::core::stage::{Input, Known, Output as Of, Stage};
-use crate::core::tracker::{Output, Solver, Task, Tracker};
+use crate::core::tracker::{BodyEstimator, Output, Solver, Task, Tracker};
 
 /// The stage and its solver.
 pub(crate) struct Driver {
@@ -24,6 +24,11 @@ impl Driver {
     /// A performer's body with the newest keypoint offsets.
     pub(crate) fn skeleton(&self, performer: usize) -> Option<Arc<Skeleton>> {
         self.stage.trackers().get(performer)?.skeleton().cloned()
+    }
+
+    /// The estimate of a performer's body.
+    pub(crate) fn body_estimate(&self, performer: usize) -> Option<&Arc<BodyEstimator>> {
+        self.stage.trackers().get(performer).map(Tracker::body_estimate)
     }
 
     /// The bodies of all performers so far.

@@ -56,6 +56,8 @@ pub enum Error {
     TimeUnit { path: PathBuf, camera: String, reason: String },
     #[error("{}: nobody was found: {evidence}", path.display())]
     NobodyFound { path: PathBuf, evidence: String },
+    #[error("no body fits the takes together; are they all of one person?")]
+    NoSharedBody,
     #[error("the embedded weights: {0}")]
     Weights(#[from] WeightsError),
     #[error("{} exists; choose another folder, or replace it with --overwrite", path.display())]

@@ -17,7 +17,7 @@ use crate::core::cost;
 use crate::core::detections::Detections;
 use crate::core::stage::{Input, Stage};
 use crate::core::time::Nanos;
-use crate::core::tracker::{self, EventKind, FramePeriod, Output, Solver, Tracker};
+use crate::core::tracker::{self, BodyEstimator, EventKind, FramePeriod, Output, Solver, Tracker};
 use crate::diagnose::Evidence;
 
 /// Most frames that wait for their poses.
@@ -86,6 +86,8 @@ pub(super) struct FirstPass {
     pub(super) offsets: Vec<CameraOffset>,
     /// Whether the known body did not fit and was estimated anew.
     pub(super) is_body_wrong: bool,
+    /// The estimate of the first performer's body that has most windows.
+    pub(super) estimate: Arc<BodyEstimator>,
 }
 
 /// A performer in the views of the rig's cameras, then of the held-out ones.
@@ -157,6 +159,7 @@ impl FirstPass {
             passed: 0,
             offsets: Vec::new(),
             is_body_wrong: false,
+            estimate: Arc::default(),
         })
     }
 
@@ -197,10 +200,15 @@ impl FirstPass {
 
     /// Passes in an input; the frames up to each pose show the performer in about that pose.
     fn feed(&mut self, input: Input) -> Result<(), Error> {
-        let Self { driver, followed, cameras, waiting, passed, is_body_wrong, .. } = self;
+        let Self { driver, followed, cameras, waiting, passed, is_body_wrong, estimate, .. } = self;
         driver.feed(input, |driver, performer, output| {
             if let Output::Event(event) = output {
                 *is_body_wrong |= event.kind == EventKind::Body;
+            }
+            if let Some(newer) = driver.body_estimate(0)
+                && newer.windows() > estimate.windows()
+            {
+                *estimate = Arc::clone(newer);
             }
             let (Output::Pose(pose), Some(body)) = (output, driver.skeleton(performer)) else {
                 return Ok(());
@@ -230,6 +238,15 @@ impl FirstPass {
     /// The performers' bodies; `None` of those who were not found.
     pub(super) fn bodies(&self) -> Vec<Option<Arc<Skeleton>>> {
         self.driver.skeletons()
+    }
+
+    /// The body of the first performer who was found.
+    pub(super) fn lead(&self, recording: &Recording) -> Result<Arc<Skeleton>, Error> {
+        let evidence =
+            || "no performer is seen by two cameras at once; check the calibration".to_owned();
+        let nobody =
+            || Error::NobodyFound { path: recording.path().to_owned(), evidence: evidence() };
+        self.bodies().into_iter().flatten().next().ok_or_else(nobody)
     }
 
     /// The performer who was tracked longest, and their views.
@@ -309,11 +326,7 @@ pub fn check_cameras(
     let mut rig = recording.chosen(&options.cameras, &[])?;
     let period = recording.frame_period(&rig)?;
     let pass = FirstPass::run(recording, options, &mut rig, period, &mut [], observer)?;
-    if pass.bodies().iter().all(Option::is_none) {
-        let evidence =
-            "no performer is seen by two cameras at once; check the calibration".to_owned();
-        return Err(Error::NobodyFound { path: recording.path().to_owned(), evidence });
-    }
+    pass.lead(recording)?;
     let mut corrections = Vec::new();
     if refine {
         let found;

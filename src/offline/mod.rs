@@ -15,6 +15,7 @@
 //! errors are counted in [`Distribution`](crate::metrics::Distribution)s, and the plots of the
 //! report average over time beyond 4096 values.
 
+mod body;
 pub(crate) mod bvh;
 mod camera_states;
 mod check;
@@ -37,6 +38,7 @@ mod tracking;
 mod truth;
 mod windows;
 
+pub use body::{TakeBody, estimate_body};
 pub use check::check;
 pub use error::Error;
 pub use first_pass::{

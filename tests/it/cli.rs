@@ -11,8 +11,9 @@ use bundlemocap::core::random::Draws;
 use bundlemocap::core::time::{Nanos, Timestamp};
 use bundlemocap::io::formats::bvh::Bvh;
 use bundlemocap::io::formats::{Trc, Up, write_calibration};
-use bundlemocap::io::recording::{Message, Provenance, Reader, Writer};
+use bundlemocap::io::recording::{Message, Provenance, Reader, Writer, last_body};
 use bundlemocap::io::wire::{self, Topics};
+use bundlemocap::metrics::segment_lengths;
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 use nalgebra::Matrix3;
 use serde_json::{Value, json};
@@ -522,6 +523,51 @@ fn the_body_of_a_performer_is_right_and_the_same_in_two_takes() {
         assert!((one - other).abs() < 8.0, "{}: {one} and {other} mm", joint.name());
         assert!((one - truth).abs() < 12.0, "{}: {one}, truth {truth} mm", joint.name());
     }
+}
+
+#[test]
+fn the_body_of_several_takes_is_that_of_each_of_them() {
+    let place = Place::new();
+    let save = |name: &str, shape: [f64; 10], liveliness: f64| {
+        let body = Skeleton::new(Shape::symmetric(shape));
+        let style = MotionStyle { liveliness, step_length: 0.5, ..MotionStyle::default() };
+        let motion = Motion::new(&body, style);
+        let rig = ring_rig(4, 4.0, 1.6).unwrap();
+        let mut take = Recording::new(rig, body.clone(), |seconds| motion.pose(seconds));
+        take.frames = 480;
+        take.noise = Noise { bias_m: 0.01, ..Noise::jitter_only() };
+        save(&place.path(name), &take, |_| true);
+        body
+    };
+    let lead = [1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, -1.0, -1.0, 0.0];
+    let truth = segment_lengths(&save("one.mcap", lead, 1.0));
+    save("two.mcap", lead, 0.4);
+    save("tall.mcap", [2.5; 10], 1.0);
+
+    let said = place.done("body one.mcap two.mcap --out lead.mcap");
+    assert!(said.contains("one.mcap") && said.contains("all together  thigh"), "{said}");
+    let found = place.done("body one.mcap two.mcap --out again.mcap --json --strict");
+    let found: Value = serde_json::from_str(&found).unwrap();
+    for (index, truth) in truth.iter().enumerate() {
+        let millimetres = number(&found, &format!("/body_mm/{index}"));
+        assert!((millimetres - 1e3 * truth).abs() < 10.0, "{found}, truth {truth} m");
+    }
+    let bones = last_body(&place.path("lead.mcap"), None).unwrap();
+    for take in ["one", "two"] {
+        let output = place.run(&format!("solve {take}.mcap --out {take} --body lead.mcap"));
+        assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
+        let body = last_body(&place.path(&format!("{take}/poses.mcap")), None).unwrap();
+        assert_eq!(body.shape(), bones.shape(), "{take}");
+        assert_ne!(body, bones, "{take}: its detector's places are its own");
+    }
+
+    place.fails(USAGE, "body one.mcap --out lead.mcap", &["lead.mcap", "--overwrite"]);
+    let mixed = "body one.mcap two.mcap tall.mcap --out mixed.mcap --strict";
+    let output = place.run(mixed);
+    let why = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(15), "{why}");
+    assert!(why.contains("tall.mcap: other bones fit it clearly better"), "{why}");
+    assert!(!place.path("mixed.mcap").exists());
 }
 
 #[test]

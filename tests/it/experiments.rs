@@ -276,6 +276,24 @@ fn drift_and_ablation_print_their_tables() {
 }
 
 #[test]
+fn a_factor_of_the_view_has_a_curve_for_each_method() {
+    let place = tempfile::tempdir().unwrap();
+    let asked = "ablation noise,new_share,fps --rig ring3 --seconds 1.5 --every 4 \
+                 --methods triangulation,muvs";
+    let (printed, results) = done(place.path(), asked);
+    assert!(printed.contains("Size of the errors by that of the level: 0.25"), "{printed}");
+    let mean = |factor: usize, value: usize| {
+        let methods = &results["factors"][factor]["values"][value]["methods"];
+        methods[0]["summary"]["mean"]["limb_mm"].as_f64().unwrap()
+    };
+    // Triangulation is worse with larger errors, and a filter is for errors that are new in each frame.
+    assert!(mean(0, 0) < mean(0, 3) && mean(0, 3) < mean(0, 6), "{results}");
+    assert!(mean(1, 4) < mean(1, 0), "{results}");
+    let report = std::fs::read_to_string(place.path().join("eval/report.html")).unwrap();
+    assert_eq!(report.matches("Error in held-out cameras by ").count(), 2 * 3, "{report}");
+}
+
+#[test]
 fn latencies_print_their_table_and_plots() {
     let place = tempfile::tempdir().unwrap();
     let tiny = "latencies 20,50 --rig ring3 --seconds 2 --noise clean --every 4";

@@ -9,7 +9,7 @@ use bundlemocap::io::wire::{
     Event, PerformerLabel, Skeleton, Status, Take, TakeAnswer, Topics, encode,
 };
 use bundlemocap::live::{
-    Carried, MOST_BYTES, MOST_ORDER_BYTES, Recorded, ReplayError, Replayed, Settings, replay,
+    Carried, Core, MOST_BYTES, MOST_ORDER_BYTES, Recorded, ReplayError, Replayed, Settings, replay,
 };
 use bundlemocap::research::synth::{Motion, MotionStyle, Noise, Recording, ring_rig};
 
@@ -219,6 +219,43 @@ fn a_take_keeps_the_body_unless_it_is_reset() {
     let bodies = body(vec![slate("reset", "", 14.0)]);
     let anew = bodies.iter().filter(|(time, _)| *time > at(14.0) + Nanos::from_ms(100));
     assert!(anew.count() >= 4, "{bodies:?}");
+}
+
+#[test]
+fn a_given_body_of_another_day_keeps_its_bones() {
+    // The bones are right. Its offsets are none, this detector has some.
+    let given =
+        body::Skeleton::new(Shape::symmetric([1.0, -0.5, 1.0, 0.5, 0.0, 0.0, 0.5, -1.0, 0.0, 0.0]));
+    let motion = Motion::new(&given, MotionStyle::default());
+    let rig = ring_rig(4, 4.0, 1.6).unwrap();
+    let mut recording = Recording::new(rig, given.clone(), |seconds| motion.pose(seconds));
+    recording.noise = Noise { bias_m: 0.01, ..Noise::jitter_only() };
+    (recording.frames, recording.start) = (60 * 16, at(0.0));
+    let studio = Studio { frames: recording.detections().collect(), rig: recording.rig };
+    let decoder = Decoder::embedded().unwrap();
+    let settings = Settings {
+        body: Some(encode(&Skeleton::from_core(&given))),
+        ..settings(&Config::default(), &decoder)
+    };
+    let mut world = World::new(&Config::default());
+    world.core = Core::new(settings);
+    let mut messages = studio.messages();
+    // The second take begins before the places are known, the third after that.
+    messages.extend([slate("start", "one", 2.0), slate("start", "two", 14.0)]);
+    let (world, recorded) = recorded(world, messages, 16.0);
+    let events = world.heard.of::<Event>(&Topics::default().actor_events());
+    assert!(events.iter().all(|(_, event)| event.kind != "body"), "{events:?}");
+    let bodies = world.heard.of::<Skeleton>(&Topics::default().skeleton());
+    let bodies: Vec<_> = bodies.iter().map(|(_, body)| body.to_core().unwrap()).collect();
+    assert!(bodies.iter().all(|body| body.shape() == given.shape()));
+    let offsets = bodies.last().unwrap().keypoint_offsets();
+    assert!(offsets.0.iter().any(|offset| offset.abs() > 0.3), "{offsets:?}");
+    let start = |take: &str, seconds| {
+        let replayed = replayed(&from(&recorded, seconds), Some(take)).unwrap();
+        assert_agrees(&replayed);
+        replayed.start.body_is_complete
+    };
+    assert_eq!((start("one", 2.0), start("two", 14.0)), (false, true));
 }
 
 #[test]

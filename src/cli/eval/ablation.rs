@@ -1,18 +1,19 @@
 //! Ablation: our settings varied one at a time.
 
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::arguments::Ablation;
 use super::output::write;
 use super::setup::Setup;
 use crate::cli::failure::{Exit, Failure};
 use crate::io::report::ReportData;
-use crate::research::experiments::ablation::{FACTORS, Factor, Seen, both, factor, methods, seen};
-use crate::research::experiments::summary::{Summary, summaries, table, to_json};
-use crate::research::experiments::{Run, View};
+use crate::research::experiments::ablation::{FACTORS, Factor, Seen, factor, methods};
+use crate::research::experiments::methods::named;
+use crate::research::experiments::plots;
+use crate::research::experiments::summary::{summaries, table, to_json};
 
 /// One table per factor, at the first noise level.
-pub(super) fn run(asked: &Ablation) -> Result<(), Failure> {
+pub(super) fn run(asked: &Ablation, names: &[String]) -> Result<(), Failure> {
     let factors = factors(&asked.factors)?;
     let setup = Setup::new(&asked.motions)?;
     let level = asked.motions.views.noise.first().map_or("studio", String::as_str);
@@ -22,11 +23,36 @@ pub(super) fn run(asked: &Ablation) -> Result<(), Failure> {
         subtitle: format!("{}, noise {level}", setup.subtitle()),
         ..ReportData::default()
     };
+    let make = || names.iter().filter_map(|name| named(name)).collect();
     let mut results = Vec::new();
     for (name, factor) in factors {
-        let (rows, json) = measure(&setup, &view, name, &factor)?;
-        report.leading.push(table(&title(name), &rows));
-        results.push(json!({ "factor": name, "rows": json }));
+        let json = match factor {
+            Factor::Settings(settings) => {
+                let run = setup.solve(name, &setup.cases(&view), &|| methods(&settings))?;
+                let rows = summaries(&run, 0);
+                report.leading.push(table(&title(name), &rows));
+                json!({ "factor": name, "rows": to_json(&run, &rows) })
+            }
+            Factor::Views(seen, values) => {
+                let (mut points, mut json) = (Vec::new(), Vec::new());
+                for value in values {
+                    let varied = seen.set(&view, value)?;
+                    let cases = match seen {
+                        Seen::Cameras => setup.cases_of_rig(&varied),
+                        _ => setup.cases(&varied),
+                    };
+                    let run = setup.solve(&format!("{name} {value}"), &cases, &make)?;
+                    let rows = summaries(&run, 0);
+                    let title = format!("{}: {value}", title(seen.label()));
+                    report.leading.push(table(&title, &rows));
+                    json.push(json!({ "value": value, "methods": to_json(&run, &rows) }));
+                    points.push((value, rows));
+                }
+                report.plots.extend(plots::over(seen.label(), &points));
+                json!({ "factor": name, "values": json })
+            }
+        };
+        results.push(json);
     }
     let results = json!({
         "version": env!("CARGO_PKG_VERSION"),
@@ -57,42 +83,4 @@ fn factors(names: &[String]) -> Result<Vec<(&str, Factor)>, Failure> {
 fn title(name: &str) -> String {
     let (first, rest) = name.split_at(1);
     format!("{}{rest}", first.to_uppercase())
-}
-
-fn measure(
-    setup: &Setup,
-    view: &View,
-    name: &str,
-    factor: &Factor,
-) -> Result<(Vec<Summary>, Value), Failure> {
-    match factor {
-        Factor::Settings(settings) => {
-            let run = setup.solve(name, &setup.cases(view), &|| methods(settings))?;
-            let rows = summaries(&run, 0);
-            let json = to_json(&run, &rows);
-            Ok((rows, json))
-        }
-        Factor::Views(views) => {
-            let (mut rows, mut json) = (Vec::new(), Vec::new());
-            for (label, how) in views {
-                let run = seen_so(setup, view, label, how)?;
-                let summaries = summaries(&run, 1);
-                json.push(to_json(&run, &summaries));
-                rows.extend(summaries);
-            }
-            Ok((rows, json.into()))
-        }
-    }
-}
-
-fn seen_so(setup: &Setup, view: &View, label: &str, how: &Seen) -> Result<Run, Failure> {
-    let varied = match how {
-        Seen::Noise(level) => setup.view(level)?,
-        _ => seen(view, how)?,
-    };
-    let cases = match how {
-        Seen::Cameras(_) => setup.cases_of_rig(&varied),
-        _ => setup.cases(&varied),
-    };
-    setup.solve(label, &cases, &|| both(label))
 }

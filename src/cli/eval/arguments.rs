@@ -29,6 +29,7 @@ Examples:
   bundlemocap eval performers 2,4,6 --rig ring4 --noise studio --seconds 60
   bundlemocap eval performers 6 --rig ring8 --motions motions/ --body foreign --bystanders 4
   bundlemocap eval ablation window,cameras --motions motions/ --every 4
+  bundlemocap eval ablation noise,fps --motions motions/ --methods muvs,paper-body
   bundlemocap eval tune default --motions motions/ --every 12")]
 pub(in crate::cli) struct Arguments {
     #[command(subcommand)]
@@ -75,6 +76,12 @@ pub(super) struct Recording {
     /// Solve without these cameras and report the error in them; default: without each camera in turn.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) hold_out: Vec<String>,
+    /// Use every Nth frame of each camera.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(super) every: usize,
+    /// Add normally distributed errors to the keypoints, pixels along each axis, new in each frame.
+    #[arg(long, value_name = "PX", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub(super) jitter: f64,
     /// Report the distance to these marker positions (y up, frames as in the recording).
     #[arg(long, value_name = "TRC")]
     pub(super) reference: Option<PathBuf>,
@@ -135,9 +142,12 @@ pub(super) struct Latencies {
 #[derive(Debug, Args)]
 pub(super) struct Ablation {
     /// All, or some of window, publish, keyframe, interpolation, stiffness, robust_scale, optimiser,
-    /// stop, scale, prior, prior_dof, errors, foot_contact, foot_contact_speed, cameras, noise, fps.
+    /// stop, scale, prior, prior_dof, errors, foot_contact, foot_contact_speed, paper_prior; and for the
+    /// methods of --methods: cameras, noise, new_share, fps.
     #[arg(required = true, value_name = "FACTORS", value_delimiter = ',')]
     pub(super) factors: Vec<String>,
+    #[command(flatten)]
+    pub(super) named: Named,
     #[command(flatten)]
     pub(super) motions: Motions,
 }
@@ -155,7 +165,8 @@ pub(super) struct Tune {
 #[derive(Debug, Args)]
 pub(super) struct Named {
     /// Methods by name, all compared ones, or ladder: the steps from the paper's path to the default.
-    /// By default all for motions; triangulation, paper-body and default for a recording; live for drift.
+    /// By default all for motions; triangulation, paper-body and default for a recording; live for drift;
+    /// paper and default for ablation.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) methods: Vec<String>,
 }

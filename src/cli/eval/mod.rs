@@ -32,7 +32,9 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         What::Performers(asked) => performers::run(asked),
         What::Drift(asked) => drift::run(asked, &method_names(&asked.named, &["live"])?),
         What::Latencies(asked) => latency::run(asked),
-        What::Ablation(asked) => ablation::run(asked),
+        What::Ablation(asked) => {
+            ablation::run(asked, &method_names(&asked.named, &["paper", "default"])?)
+        }
         What::Tune(asked) => tune::run(asked),
     }?;
     Ok(Exit::Done)

@@ -8,6 +8,7 @@ use serde_json::json;
 
 use super::arguments;
 use super::output::write;
+use super::setup::within;
 use crate::cli::failure::{Exit, Failure};
 use crate::cli::solve::decoder;
 use crate::cli::terminal::{complain, progress};
@@ -17,7 +18,9 @@ use crate::io::report::{Bars, ReportData};
 use crate::offline::recording::Item;
 use crate::offline::{FrameClock, Recording, Reference};
 use crate::research::experiments::methods;
-use crate::research::experiments::real::{HeldOutCamera, RealScore, frame_rate, measure, table};
+use crate::research::experiments::real::{
+    HeldOutCamera, RealScore, degraded, frame_rate, measure, table,
+};
 use crate::research::methods::{Take, Windows};
 
 /// A recording in memory.
@@ -75,7 +78,8 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
     let decoder = decoder(asked.output.weights.as_deref())?;
     let trc = asked.reference.as_deref().map(Trc::read).transpose()?;
     let Loaded { take, held_out, clock } = Loaded::read(path, &asked.cameras, &asked.hold_out)?;
-    let take = take.with_body(&decoder);
+    let jitter_px = within("--jitter", asked.jitter, 0.0, 1000.0)?;
+    let take = degraded(take, asked.every.max(1), jitter_px).with_body(&decoder);
     let cameras = take.rig.cameras.len();
     let solves = if held_out.is_empty() { cameras + 1 } else { 1 };
     let bar = progress((names.len() * solves) as u64, "solves");
@@ -114,6 +118,7 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
         "recording": path,
         "reference": asked.reference,
         "frame_rate_hz": take.fps,
+        "jitter_px": jitter_px,
         "methods": scores,
     });
     write(&asked.output.out, &report, &results)

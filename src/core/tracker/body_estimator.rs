@@ -20,6 +20,7 @@ use crate::core::body::{
     BODY_COEFFICIENTS, Joint, OffsetPrior, SHAPE_COEFFICIENTS, SYMMETRIC_OFFSETS, Skeleton,
 };
 use crate::core::cost::Marginal;
+use crate::core::detections::KeypointFormat;
 
 /// Numbers in the upper triangle of the information.
 const TRIANGLE: usize = BODY_COEFFICIENTS * (BODY_COEFFICIENTS + 1) / 2;
@@ -75,6 +76,10 @@ pub struct BodyEstimator {
     information: DMatrix<f64>,
     pull: DVector<f64>,
     windows: usize,
+    /// Variance of the detections' errors in the last window, square pixels.
+    noise: f64,
+    /// The prior of the offsets there, and its weight.
+    prior: (OffsetPrior, f64),
     given: Given,
     /// Shape and keypoint offsets, see [`Skeleton::coefficients`].
     coefficients: Vec<f64>,
@@ -103,6 +108,8 @@ impl Default for BodyEstimator {
             information: DMatrix::zeros(BODY_COEFFICIENTS, BODY_COEFFICIENTS),
             pull: DVector::zeros(BODY_COEFFICIENTS),
             windows: 0,
+            noise: NOISE,
+            prior: (OffsetPrior::of(KeypointFormat::Body25), 1.0),
             given: Given::Nothing,
             coefficients: Vec::new(),
         }
@@ -207,6 +214,11 @@ impl BodyEstimator {
         self.is_given() || self.is_complete()
     }
 
+    /// Number of windows in it.
+    pub fn windows(&self) -> usize {
+        self.windows
+    }
+
     /// The new body, if it is time for one.
     pub(super) fn new_body(&self, body: &Skeleton) -> Option<Skeleton> {
         let is_due = self.is_early() || self.windows.is_multiple_of(INTERVAL) || self.is_complete();
@@ -226,18 +238,15 @@ impl BodyEstimator {
         let at = DVector::from_iterator(BODY_COEFFICIENTS, at.coefficients());
         let pull = &self.pull + (&marginal.hessian * &at - &marginal.gradient) * SHARE;
         let information = &self.information + &marginal.hessian * SHARE;
-        let sums = Sums { information: &information, pull: &pull, noise: NOISE * noise };
-        let windows = self.windows + 1;
+        let (windows, noise) = (self.windows + 1, NOISE * noise);
+        let sums = Sums { information: &information, pull: &pull, noise };
         let mut body = sums.estimate(prior, weight, None)?;
         let mut given = self.given.clone();
         // One window is not enough to call a body wrong.
         match &self.given {
             Given::OtherTake(bones) => {
                 let kept = sums.estimate(prior, weight, Some(bones))?;
-                let size = limbs(body.coefficients.as_slice()) / limbs(bones);
-                let is_wrong = (size - 1.0).abs() > OTHER_SIZE
-                    || kept.deviance - body.deviance > MORE_DEVIANCE * windows as f64;
-                match windows > 1 && is_wrong {
+                match windows > 1 && kept.is_of_another_person(&body, windows) {
                     true => given = Given::Nothing,
                     false => body = kept,
                 }
@@ -255,8 +264,42 @@ impl BodyEstimator {
         if let Given::OtherTake(bones) = &given {
             coefficients[..SHAPE_COEFFICIENTS].copy_from_slice(&bones[..SHAPE_COEFFICIENTS]);
         }
-        Some(Self { information, pull, windows, given, coefficients })
+        let prior = (prior.clone(), body.weight);
+        Some(Self { information, pull, windows, noise, prior, given, coefficients })
     }
+
+    fn sums(&self) -> Sums<'_> {
+        Sums { information: &self.information, pull: &self.pull, noise: self.noise }
+    }
+}
+
+/// The body of a person that fits several takes together, and for each take whether other bones fit it
+/// clearly better: it may show another person. The bones are the same in all takes; each take has its
+/// own offsets, and the body has their means. `None` if the sum has no minimum.
+pub fn shared_body(takes: &[&BodyEstimator]) -> Option<(Skeleton, Vec<bool>)> {
+    const SIZE: usize = SHAPE_COEFFICIENTS;
+    let mut information = DMatrix::identity(SIZE, SIZE) * SHAPE_PRECISION;
+    let (mut pull, mut free) = (DVector::zeros(SIZE), Vec::new());
+    for take in takes {
+        let (prior, weight) = &take.prior;
+        let alone = take.sums().estimate(prior, *weight, None)?;
+        let (more, pulled) = take.sums().bones(prior, alone.weight)?;
+        information += more;
+        pull += pulled;
+        free.push(alone);
+    }
+    let bones = information.cholesky()?.solve(&pull);
+    let mut mean = DVector::zeros(BODY_COEFFICIENTS);
+    let mut others = Vec::new();
+    for (take, free) in takes.iter().zip(&free) {
+        let (prior, weight) = &take.prior;
+        let means = bones.iter().copied().chain(prior.means).collect();
+        let kept = take.sums().estimate(prior, *weight, Some(&means))?;
+        others.push(kept.is_of_another_person(free, take.windows));
+        mean += kept.coefficients / takes.len() as f64;
+    }
+    mean.rows_mut(0, SIZE).copy_from(&bones);
+    Some((Skeleton::default().with_coefficients(mean.as_slice()), others))
 }
 
 /// Length of the limbs of a body with these coefficients, metres.
@@ -278,9 +321,39 @@ struct Estimate {
     coefficients: DVector<f64>,
     /// -2 ln of the marginal likelihood of the windows under the prior, up to a constant.
     deviance: f64,
+    /// The weight of the prior of the offsets.
+    weight: f64,
+}
+
+impl Estimate {
+    /// Whether the `free` estimate fits so many windows so much better than this one, with other bones,
+    /// that the bones are somebody else's.
+    fn is_of_another_person(&self, free: &Self, windows: usize) -> bool {
+        let [kept, found] = [self, free].map(|one| limbs(one.coefficients.as_slice()));
+        (found / kept - 1.0).abs() > OTHER_SIZE
+            || self.deviance - free.deviance > MORE_DEVIANCE * windows as f64
+    }
 }
 
 impl Sums<'_> {
+    /// What they tell of the bones if the offsets follow these, under a prior of that weight: information
+    /// and pull, in variances of the detections.
+    fn bones(&self, prior: &OffsetPrior, weight: f64) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        let (bones, offsets) = (SHAPE_COEFFICIENTS, BODY_COEFFICIENTS - SHAPE_COEFFICIENTS);
+        let precisions = DVector::from_iterator(offsets, prior.precisions) * weight;
+        let means = DVector::from_iterator(offsets, prior.means);
+        let block = |i, j, rows, columns| self.information.view((i, j), (rows, columns));
+        let of_offsets =
+            block(bones, bones, offsets, offsets) + DMatrix::from_diagonal(&precisions);
+        let pull = self.pull.rows(bones, offsets) + precisions.component_mul(&means);
+        let across = block(bones, 0, offsets, bones);
+        let factor = of_offsets.cholesky()?;
+        let information =
+            block(0, 0, bones, bones) - across.transpose() * factor.solve(&across.into_owned());
+        let pull = self.pull.rows(0, bones) - across.transpose() * factor.solve(&pull);
+        Some((information / self.noise, pull / self.noise))
+    }
+
     /// The body b = (shape, offsets) that minimises
     /// 1/2 b^T information b - pull^T b + 1/2 sum of precision (b - mean)^2, with an estimate of the
     /// weight of all precisions of offsets. The means are the coefficients of the body of `other_take`,
@@ -321,7 +394,7 @@ impl Sums<'_> {
             weight = self.noise * SYMMETRIC_OFFSETS as f64
                 / (square + self.noise * both_sides(&variances).sum());
             let deviance = by_mean / self.noise + determinants;
-            found = Some(Estimate { coefficients: body, deviance });
+            found = Some(Estimate { coefficients: body, deviance, weight });
         }
         found
     }
@@ -331,7 +404,7 @@ impl Sums<'_> {
 mod tests {
     use super::*;
     use crate::core::body::{Attachment, SYMMETRIC_SHAPE};
-    use crate::core::detections::{Keypoint, KeypointFormat};
+    use crate::core::detections::Keypoint;
 
     /// A body with all coefficients that change both sides alike of that function of their index.
     fn body(of: impl Fn(usize) -> f64) -> Skeleton {
@@ -462,6 +535,29 @@ mod tests {
         assert!((1..WINDOWS - 1).contains(&last), "{last}");
         let sizes = [&unlike, &known].map(|body| limbs(&body.coefficients().collect::<Vec<_>>()));
         assert!((sizes[0] / sizes[1] - 1.0).abs() < OTHER_SIZE, "{sizes:?}");
+    }
+
+    #[test]
+    fn takes_of_a_person_share_the_bones_and_another_person_is_noticed() {
+        let bones = |i: usize| (i as f64).sin();
+        let offset = |i: usize| if i < SHAPE_COEFFICIENTS { 0.0 } else { 1.0 };
+        let template = Skeleton::default();
+        let take = |wanted: &Skeleton| estimates(BodyEstimator::default(), &template, wanted);
+        let last = |mut takes: Vec<BodyEstimator>| takes.swap_remove(WINDOWS - 1);
+        // The bones of both takes seem a little wrong, and differ, as their detectors differ.
+        let one = last(take(&body(|i| bones(i) + 0.1 + offset(i))));
+        let two = last(take(&body(|i| bones(i) - 0.1 - offset(i))));
+        let (shared, others) = shared_body(&[&one, &two]).unwrap();
+        assert_eq!(others, [false, false]);
+        assert!(distance(&shared, &body(bones)) < 0.1, "{shared:?}");
+        let alone = shared_body(&[&one]).unwrap().0;
+        let wanted = body(|i| bones(i) + 0.1 + offset(i));
+        assert!(distance(&alone, &wanted) < 0.3, "{alone:?}");
+
+        let other = last(take(&body(|i| 4.0 * (i as f64).cos())));
+        let (_, others) = shared_body(&[&one, &two, &other]).unwrap();
+        assert!(others[2], "{others:?}");
+        assert_eq!(shared_body(&[]).unwrap().0, template);
     }
 
     #[test]

@@ -293,6 +293,11 @@ impl Tracker {
         self.skeleton.as_ref().filter(|_| self.is_proven && is_known)
     }
 
+    /// The estimate of the body.
+    pub fn body_estimate(&self) -> &Arc<BodyEstimator> {
+        &self.estimator
+    }
+
     /// Usual time from the capture of a frame to its arrival.
     pub(in crate::core) fn delay(&self) -> Nanos {
         self.delay

@@ -33,12 +33,20 @@ pub fn write_body(
         return Ok(None);
     }
     std::fs::create_dir_all(folder).map_err(RecordError::write(&path))?;
-    let topics = Topics { actor: name.to_owned(), ..Topics::default() };
-    let topic = topics.skeleton();
-    let mut writer = Writer::create(&path, topics, &Provenance::default())?;
-    writer.write(&topic, Timestamp::default(), body)?;
-    writer.finish()?;
+    write_body_of(&path, name, body)?;
     Ok(Some(path))
+}
+
+/// Writes a recording that holds the body of an actor and nothing else.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn write_body_of(path: &Path, actor: &str, body: &wire::Skeleton) -> Result<(), RecordError> {
+    let topics = Topics { actor: actor.to_owned(), ..Topics::default() };
+    let topic = topics.skeleton();
+    let mut writer = Writer::create(path, topics, &Provenance::default())?;
+    writer.write(&topic, Timestamp::default(), body)?;
+    writer.finish()
 }
 
 /// The people of a folder of known bodies, `NAME.mcap` each, in the order of their names. Nobody if there is no such

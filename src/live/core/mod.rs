@@ -247,7 +247,10 @@ impl Core {
         let Settings { tracker: config, stage: of_stage, carried, .. } = &self.settings;
         let tracker = Tracker::new(*config, rig).live(live);
         let tracker = tracker.with_time_corrections(&carried.time_offsets);
-        let tracker = tracker.with_body_to_check(self.body());
+        let tracker = match carried.body_is_complete {
+            true => tracker.with_body_to_check(self.body()),
+            false => tracker.with_body_of_another_take(self.body()),
+        };
         let stage = match self.settings.node.solver {
             true => Stage::of_associated(tracker),
             false => Stage::new(tracker, of_stage.performers, None),

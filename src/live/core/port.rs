@@ -141,6 +141,9 @@ pub struct Carried {
     pub usual_px: Vec<f64>,
     /// The solvers that share the performers of the stage, in the order of their names.
     pub solvers: Vec<String>,
+    /// Whether the estimate of [`Settings::body`] was complete. If not, only its bones are known: it was given,
+    /// and may be of another day.
+    pub body_is_complete: bool,
 }
 
 impl Carried {
@@ -156,6 +159,7 @@ impl Carried {
             labels: start.labels.clone(),
             usual_px: start.usual_px.clone(),
             solvers: start.solvers.clone(),
+            body_is_complete: start.body_is_complete,
         }
     }
 }

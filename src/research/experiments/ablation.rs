@@ -1,23 +1,54 @@
 //! Varies one of our settings at a time.
 
+use std::sync::Arc;
+
 use crate::core::camera::CameraError;
 use crate::core::manifold::Interpolation;
 use crate::core::optimise;
 use crate::core::tracker::Config;
 use crate::research::methods::{Method, Windows};
+use crate::research::synth::ring_rig;
 
 use super::case::View;
-use super::named::Named;
 
 /// A varied property of a view.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Seen {
     /// Number of cameras on a ring.
-    Cameras(usize),
-    /// Noise level.
-    Noise(&'static str),
+    Cameras,
+    /// Size of the detector's errors, by that of the level.
+    Noise,
+    /// Share of the errors' variance that is new in each frame.
+    NewShare,
     /// Frames per second.
-    Fps(f64),
+    Fps,
+}
+
+impl Seen {
+    /// What the values are, for tables and plots.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Cameras => "cameras",
+            Self::Noise => "size of the errors by that of the level",
+            Self::NewShare => "share of the errors that is new in each frame",
+            Self::Fps => "frames/s",
+        }
+    }
+
+    /// The view with another value.
+    ///
+    /// # Errors
+    /// None with the values of [`factor`].
+    pub fn set(self, view: &View, value: f64) -> Result<View, CameraError> {
+        let mut view = view.clone();
+        match self {
+            Self::Cameras => view.rig = Arc::new(ring_rig(value as usize, 4.5, 1.6)?),
+            Self::Noise => view.noise = view.noise.times(value),
+            Self::NewShare => view.noise = view.noise.with_new_share(value),
+            Self::Fps => view.choice.fps = value,
+        }
+        Ok(view)
+    }
 }
 
 /// A name and the settings it stands for.
@@ -28,12 +59,12 @@ type Setting = (String, Config);
 pub enum Factor {
     /// One of our settings: the rows of one table.
     Settings(Vec<Setting>),
-    /// The view of the motion: rows with the paper's settings and with ours.
-    Views(Vec<(String, Seen)>),
+    /// How the motion is seen: rows of some methods at each value.
+    Views(Seen, Vec<f64>),
 }
 
 /// The names that [`factor`] knows.
-pub const FACTORS: [&str; 17] = [
+pub const FACTORS: [&str; 19] = [
     "window",
     "publish",
     "keyframe",
@@ -48,8 +79,10 @@ pub const FACTORS: [&str; 17] = [
     "errors",
     "foot_contact",
     "foot_contact_speed",
+    "paper_prior",
     "cameras",
     "noise",
+    "new_share",
     "fps",
 ];
 
@@ -121,22 +154,35 @@ pub fn factor(name: &str) -> Option<Factor> {
                 (config.keyframe_frames, config.cost.interpolation) = (5, Interpolation::Lerp);
             }),
         ]),
-        "cameras" => views((2..=8).map(|n| (format!("{n} cameras"), Seen::Cameras(n)))),
-        "noise" => views(
-            ["none", "clean", "studio", "sparse"]
-                .map(|level| (format!("noise {level}"), Seen::Noise(level)))
-                .into_iter(),
-        ),
-        "fps" => views([30.0, 60.0, 120.0].map(|f| (format!("{f} fps"), Seen::Fps(f))).into_iter()),
+        "paper_prior" => {
+            let paper = Windows::paper_with_body().config();
+            numbers_of(
+                &paper,
+                "paper's prior x",
+                &[0.3, 1.0, 3.0, 10.0, 30.0, 100.0],
+                |config, f| {
+                    config.cost.prior *= f;
+                },
+            )
+        }
+        "cameras" => Factor::Views(Seen::Cameras, (2..=8).map(f64::from).collect()),
+        "noise" => Factor::Views(Seen::Noise, vec![0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 4.0]),
+        "new_share" => Factor::Views(Seen::NewShare, vec![0.0, 0.25, 0.5, 0.75, 1.0]),
+        "fps" => Factor::Views(Seen::Fps, vec![15.0, 25.0, 30.0, 50.0, 60.0, 100.0, 120.0]),
         _ => return None,
     })
 }
 
 fn numbers(name: &str, values: &[f64], set: fn(&mut Config, f64)) -> Factor {
+    numbers_of(&Config::default(), name, values, set)
+}
+
+/// The same with other settings in place of the default.
+fn numbers_of(base: &Config, name: &str, values: &[f64], set: fn(&mut Config, f64)) -> Factor {
     let of = |&value: &f64| {
-        let mut config = Config::default();
+        let mut config = *base;
         set(&mut config, value);
-        let mark = if config == Config::default() { " (default)" } else { "" };
+        let mark = if config == *base { " (default)" } else { "" };
         (format!("{name} {value}{mark}"), config)
     };
     Factor::Settings(values.iter().map(of).collect())
@@ -155,40 +201,10 @@ fn named(settings: &[Change]) -> Factor {
     Factor::Settings(settings.iter().map(of).collect())
 }
 
-fn views(views: impl Iterator<Item = (String, Seen)>) -> Factor {
-    Factor::Views(views.collect())
-}
-
 /// The methods of a table of settings.
 pub fn methods(settings: &[Setting]) -> Vec<Box<dyn Method>> {
     let row = |(name, config): &Setting| Box::new(Windows::new(name, *config)) as Box<dyn Method>;
     settings.iter().map(row).collect()
-}
-
-/// The paper's settings and ours, labelled with the varied property.
-pub fn both(name: &str) -> Vec<Box<dyn Method>> {
-    let of = |method: Windows| {
-        let label = format!("{name}: {}", method.name());
-        Named::boxed(label, Box::new(method))
-    };
-    vec![of(Windows::paper()), of(Windows::default_settings())]
-}
-
-/// The view with another number of cameras or frame rate; the protocol of the caller sets the
-/// noise.
-///
-/// # Errors
-/// None with the numbers of [`factor`].
-pub fn seen(view: &View, how: &Seen) -> Result<View, CameraError> {
-    let mut view = view.clone();
-    match how {
-        Seen::Cameras(count) => {
-            view.rig = std::sync::Arc::new(crate::research::synth::ring_rig(*count, 4.5, 1.6)?);
-        }
-        Seen::Fps(fps) => view.choice.fps = *fps,
-        Seen::Noise(_) => {}
-    }
-    Ok(view)
 }
 
 #[cfg(test)]
@@ -201,10 +217,11 @@ mod tests {
             match factor(name).unwrap() {
                 Factor::Settings(rows) => {
                     assert!(rows.len() > 1, "{name}");
-                    let default = rows.iter().filter(|(_, c)| *c == Config::default()).count();
+                    let default =
+                        rows.iter().filter(|(row, _)| row.ends_with(" (default)")).count();
                     assert_eq!(default, 1, "{name}");
                 }
-                Factor::Views(rows) => assert!(rows.len() > 1, "{name}"),
+                Factor::Views(_, values) => assert!(values.len() > 1, "{name}"),
             }
         }
         assert_eq!(factor("shoes"), None);

@@ -196,6 +196,29 @@ pub fn long_errors(run: &Run, fps: f64) -> Plot {
     }
 }
 
+/// Means of every method over a value that is varied: the limb joints, and held-out cameras.
+pub fn over(x_label: &str, points: &[(f64, Vec<Summary>)]) -> Vec<Plot> {
+    let Some((_, methods)) = points.first() else { return Vec::new() };
+    let plot = |title: &str, y_label: &str, key: &str| Plot {
+        title: format!("{title} by {x_label}"),
+        note: "Mean over the sequences.".into(),
+        x_label: x_label.into(),
+        y_label: y_label.into(),
+        series: (methods.iter().enumerate())
+            .map(|(index, summary)| {
+                let mean = |rows: &[Summary]| rows[index].mean.get(key).copied();
+                let point = |(x, rows): &(f64, Vec<Summary>)| (*x, mean(rows).unwrap_or(f64::NAN));
+                curve(&summary.method, index, points.iter().map(point).collect())
+            })
+            .collect(),
+        ..Plot::default()
+    };
+    vec![
+        plot("Error of the limb joints", "error (mm)", "limb_mm"),
+        plot("Error in held-out cameras", "error (px)", "held_out_px"),
+    ]
+}
+
 fn mean_point(group: &[(f64, f64)]) -> (f64, f64) {
     let n = group.len() as f64;
     let sum = group.iter().fold((0.0, 0.0), |sum, point| (sum.0 + point.0, sum.1 + point.1));

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
+use nalgebra::Vector2;
 use serde::Serialize;
 
 use super::summary::number;
@@ -11,6 +12,7 @@ use crate::core::body::Attachment;
 use crate::core::camera::{Camera, CameraError, Rig};
 use crate::core::detections::{Detections, Keypoint};
 use crate::core::manifold::Decoder;
+use crate::core::random::Draws;
 use crate::core::time::Timestamp;
 use crate::io::formats::Trc;
 use crate::io::report::Table;
@@ -78,6 +80,28 @@ pub fn without_camera(take: &Take, camera: usize) -> Result<(Take, Vec<Detection
         }
     }
     Ok((Take { rig, frames, ..take.clone() }, seen))
+}
+
+/// The take in every Nth frame of each camera, with normally distributed errors added to its points,
+/// pixels along each axis. They are new in each frame.
+pub fn degraded(mut take: Take, every: usize, jitter_px: f64) -> Take {
+    let mut seen = vec![0; take.rig.cameras.len()];
+    take.frames.retain(|frame| {
+        seen[frame.camera] += 1;
+        (seen[frame.camera] - 1_usize).is_multiple_of(every)
+    });
+    take.fps /= every as f64;
+    for frame in take.frames.iter_mut().filter(|_| jitter_px > 0.0) {
+        let draws = Draws { seed: frame.capture.ns() as u64, stream: frame.camera as u64 };
+        for (person, found) in frame.people.iter_mut().enumerate() {
+            for (point, seen) in found.points.iter_mut().enumerate() {
+                let Some(seen) = seen else { continue };
+                let [x, y] = draws.normals(person as u64, point as u64);
+                seen.pixel += jitter_px * Vector2::new(x, y);
+            }
+        }
+    }
+    take
 }
 
 /// Frames per second of the first camera, from the median interval; `None` for fewer than two

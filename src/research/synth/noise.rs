@@ -116,6 +116,23 @@ impl Noise {
         }
     }
 
+    /// The same with errors of another size; gaps, swaps and gross errors stay as frequent.
+    pub fn times(&self, factor: f64) -> Self {
+        Self {
+            jitter: factor * self.jitter,
+            wander: factor * self.wander,
+            bias_m: factor * self.bias_m,
+            hallucination: factor * self.hallucination,
+            ..self.clone()
+        }
+    }
+
+    /// The same with jitter in place of the slow shifts, of the same variance together. A share of it is
+    /// new in each frame.
+    pub fn with_new_share(&self, new_share: f64) -> Self {
+        Self { jitter: self.jitter.hypot(self.wander), wander: 0.0, new_share, ..self.clone() }
+    }
+
     /// Only jitter.
     pub fn jitter_only() -> Self {
         Self { jitter: 0.006, doubt: 0.10, ..Self::none() }

@@ -1,0 +1,118 @@
+//! `bundlemocap body`
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde_json::json;
+
+use super::Ended;
+use super::failure::{Exit, Failure};
+use super::overwrite::Overwrite;
+use super::solve::{Progress, decoder};
+use super::terminal::{complain, progress, say, table};
+use crate::config::Config;
+use crate::io::recording::write_body_of;
+use crate::io::wire::{Skeleton, Topics};
+use crate::metrics::{SEGMENTS, segment_lengths};
+use crate::offline::{Options, Recording, TakeBody, estimate_body};
+
+/// Estimate the body of a person from several takes, for `solve --body` and `run --body`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+All takes must show the same person, the largest one in the images. The bones are those that fit all
+takes together. With --body, each solve keeps these bones and estimates where its own detector places
+the keypoints, so that the person has one skeleton in all takes.
+
+Prints the lengths of the bones, mean of left and right, as each take alone gives them, and those of
+the body. A take that may show another person is named.
+
+Exit code 15: with --strict, a take may show another person.
+
+Examples:
+  bundlemocap body takes/lead-*.mcap --out lead.mcap
+  bundlemocap solve takes/lead-*.mcap --out out --body lead.mcap")]
+pub(super) struct Arguments {
+    /// MCAP recordings with keypoints and a calibrated rig.
+    #[arg(required = true, value_name = "RECORDING")]
+    files: Vec<PathBuf>,
+    /// The recording that holds the body afterwards.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Settings file; config/default.toml lists every setting.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Manifold weights of `bundlemocap train`; default: the embedded weights.
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+    /// Use only these cameras.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    cameras: Vec<String>,
+    /// Use the capture times as they are; default: correct those of cameras that are shifted.
+    #[arg(long)]
+    no_sync: bool,
+    /// Write no body and fail if a take may show another person.
+    #[arg(long)]
+    strict: bool,
+    /// Print one JSON object instead of the table.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Ended {
+    arguments.overwrite.check(&arguments.out)?;
+    let config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
+    let options = Options {
+        config: config.tracker,
+        choice: config.stage.choice(),
+        decoder: Some(decoder(arguments.weights.as_deref())?),
+        cameras: arguments.cameras.clone(),
+        no_sync: arguments.no_sync,
+        ..Options::default()
+    };
+    let opened = arguments.files.iter().map(Recording::open);
+    let mut recordings = opened.collect::<Result<Vec<_>, _>>()?;
+    let messages = recordings.iter().map(Recording::messages).sum();
+    let mut bar = Progress(progress(messages, "messages"));
+    let (body, takes) = estimate_body(&mut recordings, &options, &mut bar)?;
+    bar.0.finish_and_clear();
+    let body_mm = segment_lengths(&body).map(|length| 1e3 * length);
+    if arguments.json {
+        let text = serde_json::to_string_pretty(&json!({ "body_mm": body_mm, "takes": takes }));
+        say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
+    } else {
+        let alone =
+            |take: &TakeBody| (take.recording.display().to_string(), lengths(&take.alone_mm));
+        let mut rows: Vec<_> = takes.iter().map(alone).collect();
+        rows.push(("all together".to_owned(), lengths(&body_mm)));
+        say(&table(&rows));
+    }
+    for take in &takes {
+        let path = take.recording.display();
+        match take.windows {
+            0 => complain("warning", &format!("{path}: too short to tell of the bones")),
+            _ if take.may_be_another_person => {
+                let text =
+                    format!("{path}: other bones fit it clearly better: is it another person?");
+                complain("warning", &text);
+            }
+            _ => {}
+        }
+    }
+    let is_doubtful = takes.iter().any(|take| take.may_be_another_person);
+    if is_doubtful && arguments.strict {
+        return Ok(Exit::Suspicious);
+    }
+    write_body_of(&arguments.out, &Topics::default().actor, &Skeleton::from_core(&body))?;
+    if !arguments.json {
+        say(&format!("the body is written to {}", arguments.out.display()));
+    }
+    Ok(Exit::Done)
+}
+
+/// As `thigh 343 mm, shank 378 mm, ...`.
+fn lengths(mm: &[f64; SEGMENTS.len()]) -> String {
+    let of = |((name, _), mm): (&(&str, _), &f64)| format!("{name} {mm:.0} mm");
+    SEGMENTS.iter().zip(mm).map(of).collect::<Vec<_>>().join(", ")
+}
