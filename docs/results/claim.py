@@ -1,8 +1,8 @@
-"""Draws claim.svg: the paper's path against MuVS, from the folders of `bundlemocap eval`.
+"""Draws claim.svg: the paper's path relative to MuVS, from the folders of `bundlemocap eval`.
 
 The folder given has the results of the commands in solver.md, "Where the published result holds":
 studio and sparse of `eval ablation`; walking-X and sitting-X of `eval recording`, where X is the number
-of cameras (c2), of frames per frame used (e2), or the added errors in pixels (j10).
+of cameras (c2), N of every Nth frame (e2), or the added errors in pixels (j10).
 """
 
 import json
@@ -12,7 +12,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 ROWS = {"BundleMoCap (paper, converged, body)": ":", "+ tuned weights": "-"}
-RIGHT = "MuVS"
+REFERENCE = "MuVS"
 TAKES = {"walking": "#009e73", "sitting": "#cc79a7"}
 LEVELS = {"studio": "#0072b2", "sparse": "#d55e00"}
 folder = Path(sys.argv[1])
@@ -21,7 +21,7 @@ folder = Path(sys.argv[1])
 def ratios(methods, error):
     """The error of each row in cameras that are left out, by that of MuVS."""
     errors = {name: error(method) for name, method in methods.items()}
-    return [errors[row] / errors[RIGHT] for row in ROWS]
+    return [errors[row] / errors[REFERENCE] for row in ROWS]
 
 
 def by_name(rows):
@@ -53,8 +53,8 @@ def draw(axis, points, colour):
         axis.plot([x for x, _ in points], [y[row] for _, y in points], style, color=colour, marker=".")
 
 
-PANELS = [("noise", "size of the errors, by that of the level", None, None),
-          ("new_share", "share of the errors that is new in each frame", None, None),
+PANELS = [("noise", "error scale (1: the level)", None, None),
+          ("new_share", "share of errors new in each frame", None, None),
           (None, "real takes: errors added in each frame (px)", "j", None),
           ("cameras", "cameras", "c", None),
           ("fps", "frames/s", "e", lambda every: 60 / every)]
@@ -69,7 +69,7 @@ for axis, (factor, label, letter, turn) in zip(axes.flat, PANELS):
     axis.set_yticks([], minor=True)
     axis.set_yticklabels(["0.5", "0.7", "1", "1.4", "2"])
 for axis in axes[:, 0]:
-    axis.set_ylabel("held-out error by that of MuVS")
+    axis.set_ylabel("held-out error relative to MuVS")
 legend = axes.flat[-1]
 legend.axis("off")
 for name, colour in {**LEVELS, **TAKES}.items():

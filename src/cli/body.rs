@@ -7,11 +7,11 @@ use serde_json::json;
 
 use super::Ended;
 use super::failure::{Exit, Failure};
-use super::overwrite::Overwrite;
+use super::overwrite::{Overwrite, is_same_file};
 use super::solve::{Progress, decoder};
 use super::terminal::{complain, progress, say, table};
 use crate::config::Config;
-use crate::io::recording::write_body_of;
+use crate::io::recording::write_body_file;
 use crate::io::wire::{Skeleton, Topics};
 use crate::metrics::{SEGMENTS, segment_lengths};
 use crate::offline::{Options, Recording, TakeBody, estimate_body};
@@ -24,7 +24,9 @@ takes together. With --body, each solve keeps these bones and estimates where it
 the keypoints, so that the person has one skeleton in all takes.
 
 Prints the lengths of the bones, mean of left and right, as each take alone gives them, and those of
-the body. A take that may show another person is named.
+the body. Each take is compared with the others: one that may show another person is left out, and named.
+
+The file is for --body. People are recognised by other files, see [stage] bodies.
 
 Exit code 15: with --strict, a take may show another person.
 
@@ -62,6 +64,10 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Ended {
     arguments.overwrite.check(&arguments.out)?;
+    if let Some(take) = arguments.files.iter().find(|take| is_same_file(take, &arguments.out)) {
+        let message = format!("{} is one of the takes; choose another --out", take.display());
+        return Err(Failure::new(Exit::Usage, message));
+    }
     let config = arguments.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
     let options = Options {
         config: config.tracker,
@@ -82,29 +88,26 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         let text = serde_json::to_string_pretty(&json!({ "body_mm": body_mm, "takes": takes }));
         say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
     } else {
-        let alone =
-            |take: &TakeBody| (take.recording.display().to_string(), lengths(&take.alone_mm));
+        let alone = |take: &TakeBody| {
+            let alone = take.alone_mm.map_or("too short to tell".to_owned(), |mm| lengths(&mm));
+            (take.recording.display().to_string(), alone)
+        };
         let mut rows: Vec<_> = takes.iter().map(alone).collect();
         rows.push(("all together".to_owned(), lengths(&body_mm)));
         say(&table(&rows));
     }
-    for take in &takes {
-        let path = take.recording.display();
-        match take.windows {
-            0 => complain("warning", &format!("{path}: too short to tell of the bones")),
-            _ if take.may_be_another_person => {
-                let text =
-                    format!("{path}: other bones fit it clearly better: is it another person?");
-                complain("warning", &text);
-            }
-            _ => {}
-        }
+    let doubtful = takes.iter().filter(|take| take.may_be_another_person);
+    let mut is_doubtful = false;
+    for take in doubtful {
+        is_doubtful = true;
+        let text = "fits other bones clearly better and is left out: is it another person?";
+        complain("warning", &format!("{} {text}", take.recording.display()));
     }
-    let is_doubtful = takes.iter().any(|take| take.may_be_another_person);
     if is_doubtful && arguments.strict {
+        complain("note", "no body is written");
         return Ok(Exit::Suspicious);
     }
-    write_body_of(&arguments.out, &Topics::default().actor, &Skeleton::from_core(&body))?;
+    write_body_file(&arguments.out, &Topics::default().actor, &Skeleton::from_core(&body))?;
     if !arguments.json {
         say(&format!("the body is written to {}", arguments.out.display()));
     }

@@ -353,7 +353,8 @@ fn camera(name: &str, seen: &Seen, rig: Option<&Rig>, findings: &mut Findings) {
 fn latency(config: &Config, rate: Option<f64>, delay_s: Option<f64>, findings: &mut Findings) {
     let Some(rate) = rate else { return };
     let delay = 1e3 * delay_s.unwrap_or(0.0).max(0.0);
-    let window = 1e3 * (config.tracker.window_frames as f64 - 1.0) / rate;
+    let frames = config.tracker.at_period(1e9 / rate).window();
+    let window = 1e3 * (frames as f64 - 1.0) / rate;
     let needed = window + SOLVE_MS + delay;
     let parts = format!(
         "window {window:.0}, solve and publish {SOLVE_MS:.0}, cameras and network {delay:.0}"

@@ -59,7 +59,7 @@ Exit codes:
   12  a recording without the required topics
   13  the bus cannot be opened or reached, or nobody answered `take`
   14  the replay differs from the recording
-  15  `check --strict` found something wrong
+  15  `check --strict` or `body --strict` found something wrong
   16  another node publishes this performer
   17  `doctor` found something wrong";
 
@@ -187,10 +187,10 @@ impl From<offline::Error> for Failure {
                 Exit::CameraMismatch
             }
             E::TimeUnit { .. } => Exit::Malformed,
-            E::NobodyFound { .. } => Exit::NobodyFound,
+            E::NobodyFound { .. } | E::NoSharedBody => Exit::NobodyFound,
             E::Weights(_) => Exit::Weights,
             E::Exists { .. } => Exit::Usage,
-            E::Write { .. } | E::Stopped { .. } | E::NoSharedBody => Exit::Unexpected,
+            E::Write { .. } | E::Stopped { .. } => Exit::Unexpected,
         };
         Self::new(exit, error.to_string())
     }

@@ -56,8 +56,8 @@ pub(super) struct Arguments {
     /// Calibration file; overrides the settings. Without one, the calibration comes from the bus.
     #[arg(long, value_name = "FILE")]
     rig: Option<PathBuf>,
-    /// Recording that holds the performer's body; overrides the settings. Without one, the body is
-    /// estimated.
+    /// Recording that holds the performer's body; overrides the settings. Its bones are kept if they fit.
+    /// Without one, the body is estimated.
     #[arg(long, value_name = "FILE")]
     body: Option<PathBuf>,
     /// The performer of that recording, if it has several.

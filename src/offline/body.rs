@@ -9,7 +9,7 @@ use super::first_pass::FirstPass;
 use super::options::{Observer, Options};
 use super::recording::Recording;
 use crate::core::body::Skeleton;
-use crate::core::tracker::{BodyEstimator, shared_body};
+use crate::core::tracker::shared_body;
 use crate::metrics::{SEGMENTS, segment_lengths};
 
 /// A take's part in the body of a person.
@@ -17,20 +17,21 @@ use crate::metrics::{SEGMENTS, segment_lengths};
 pub struct TakeBody {
     /// The recording.
     pub recording: PathBuf,
-    /// Number of windows that tell of the body; 0: the take is too short.
+    /// Number of windows that tell of the body.
     pub windows: usize,
     /// Lengths of the [`SEGMENTS`] of the body that this take alone gives, mean of both sides, millimetres.
-    pub alone_mm: [f64; SEGMENTS.len()],
-    /// Whether other bones fit this take clearly better: it may show another person.
+    /// `None` of a take that is too short to tell.
+    pub alone_mm: Option<[f64; SEGMENTS.len()]>,
+    /// Whether its own bones fit it clearly better than those of the other takes do (then it is left out).
     pub may_be_another_person: bool,
 }
 
-/// The body of a person that fits several takes together: their largest performer's. The bones are the same
-/// in all of them, the keypoint offsets are the means of those of the takes. Each recording is read once or
-/// twice. The body of `options`, the cameras that are held out and all outputs are ignored.
+/// The body of a person that fits several takes together: that of their largest performer. The bones are the
+/// same in all of them, the keypoint offsets are the means of those of the takes. Each recording is read once
+/// or twice. The body of `options`, the cameras that are held out and all outputs are ignored.
 ///
 /// # Errors
-/// As [`solve`](super::solve), for instance a recording without a performer.
+/// As [`solve`](super::solve), for instance a recording without a performer; all takes are too short.
 pub fn estimate_body(
     recordings: &mut [Recording],
     options: &Options,
@@ -42,19 +43,20 @@ pub fn estimate_body(
         let mut rig = recording.chosen(&options.cameras, &[])?;
         let period = recording.frame_period(&rig)?;
         let pass = FirstPass::run(recording, &options, &mut rig, period, &mut [], observer)?;
-        let alone = pass.lead(recording)?;
+        pass.lead(recording)?;
         takes.push(TakeBody {
             recording: recording.path().to_owned(),
             windows: pass.estimate.windows(),
-            alone_mm: segment_lengths(&alone).map(|length| 1e3 * length),
+            alone_mm: None,
             may_be_another_person: false,
         });
         estimates.push(pass.estimate);
     }
-    let estimates: Vec<&BodyEstimator> = estimates.iter().map(|estimate| &**estimate).collect();
-    let (body, others) = shared_body(&estimates).ok_or(Error::NoSharedBody)?;
-    for (take, is_other) in takes.iter_mut().zip(others) {
-        take.may_be_another_person = is_other;
+    let told: Vec<_> = estimates.iter().map(|one| &**one).filter(|one| one.windows() > 0).collect();
+    let (body, parts) = shared_body(&told).ok_or(Error::NoSharedBody)?;
+    for (take, part) in takes.iter_mut().filter(|take| take.windows > 0).zip(parts) {
+        take.alone_mm = Some(segment_lengths(&part.alone).map(|length| 1e3 * length));
+        take.may_be_another_person = part.is_other;
     }
     Ok((body, takes))
 }

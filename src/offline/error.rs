@@ -56,7 +56,7 @@ pub enum Error {
     TimeUnit { path: PathBuf, camera: String, reason: String },
     #[error("{}: nobody was found: {evidence}", path.display())]
     NobodyFound { path: PathBuf, evidence: String },
-    #[error("no body fits the takes together; are they all of one person?")]
+    #[error("no take is long enough to tell of the body; give longer ones")]
     NoSharedBody,
     #[error("the embedded weights: {0}")]
     Weights(#[from] WeightsError),

@@ -26,10 +26,14 @@ const WAITING: usize = 8192;
 /// An optimiser of the first pass stops if a step lowers the cost by less than this fraction.
 const COARSE_CHANGE: f64 = 0.03;
 
-/// The settings of a first pass over `frames` frames: the body is estimated from windows of the whole
-/// recording. It needs no corrections, and no exact poses.
-pub fn first_pass_settings(config: tracker::Config, frames: usize) -> tracker::Config {
-    let windows = frames / config.publish_frames.max(1);
+/// The settings of a first pass over `frames` frames of that period, ns (0: not known): the body is
+/// estimated from windows of the whole recording. It needs no corrections, and no exact poses.
+pub fn first_pass_settings(
+    config: tracker::Config,
+    frames: usize,
+    period_ns: f64,
+) -> tracker::Config {
+    let windows = frames / config.at_period(period_ns).publish();
     let body_windows = (windows / tracker::BODY_WINDOWS).max(1);
     let cost = cost::Config { correction_prior: 0.0, ..config.cost };
     let change_threshold = config.change_threshold.max(COARSE_CHANGE);
@@ -142,7 +146,8 @@ impl FirstPass {
         period: Option<FramePeriod>,
         held_out: &[Camera],
     ) -> Result<Self, Error> {
-        let config = first_pass_settings(options.config, frames as usize);
+        let period_ns = period.map_or(0.0, |period| period.ns);
+        let config = first_pass_settings(options.config, frames as usize, period_ns);
         let solver = Solver::new(options.decoder()?, config);
         let tracker = Tracker::new(config, Arc::new(rig.clone()));
         let tracker = tracker.with_body_of_another_take(body.cloned());
@@ -240,13 +245,12 @@ impl FirstPass {
         self.driver.skeletons()
     }
 
-    /// The body of the first performer who was found.
+    /// The body of the first of the performers who were found.
     pub(super) fn lead(&self, recording: &Recording) -> Result<Arc<Skeleton>, Error> {
-        let evidence =
-            || "no performer is seen by two cameras at once; check the calibration".to_owned();
-        let nobody =
-            || Error::NobodyFound { path: recording.path().to_owned(), evidence: evidence() };
-        self.bodies().into_iter().flatten().next().ok_or_else(nobody)
+        self.bodies().into_iter().flatten().next().ok_or_else(|| Error::NobodyFound {
+            path: recording.path().to_owned(),
+            evidence: "no performer is seen by two cameras at once; check the calibration".into(),
+        })
     }
 
     /// The performer who was tracked longest, and their views.

@@ -566,8 +566,10 @@ fn the_body_of_several_takes_is_that_of_each_of_them() {
     let output = place.run(mixed);
     let why = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(15), "{why}");
-    assert!(why.contains("tall.mcap: other bones fit it clearly better"), "{why}");
+    assert!(why.contains("tall.mcap fits other bones clearly better and is left out"), "{why}");
+    assert!(!why.contains("one.mcap") && !why.contains("two.mcap"), "{why}");
     assert!(!place.path("mixed.mcap").exists());
+    place.fails(USAGE, "body one.mcap two.mcap --out two.mcap --overwrite", &["one of the takes"]);
 }
 
 #[test]

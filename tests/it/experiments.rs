@@ -23,12 +23,17 @@ fn cases(noise: Noise) -> Vec<Case> {
 
 /// Two motions of some seconds before the cameras of a rig.
 fn cases_of(rig: &str, seconds: f64, noise: Noise) -> Vec<Case> {
+    cases_at(SequenceChoice::default().fps, rig, seconds, noise)
+}
+
+/// The same at a frame rate.
+fn cases_at(fps: f64, rig: &str, seconds: f64, noise: Noise) -> Vec<Case> {
     let view = View {
         name: "tiny".into(),
         rig: Arc::new(rig_named(rig, None).unwrap()),
         format: KeypointFormat::Body25,
         noise,
-        choice: SequenceChoice { seconds, least_seconds: 0.5, ..SequenceChoice::default() },
+        choice: SequenceChoice { fps, seconds, least_seconds: 0.5, ..SequenceChoice::default() },
         seed: 3,
     };
     procedural(2, seconds).iter().filter_map(|subject| Case::new(subject, &view)).collect()
@@ -281,10 +286,12 @@ fn a_factor_of_the_view_has_a_curve_for_each_method() {
     let asked = "ablation noise,new_share,fps --rig ring3 --seconds 1.5 --every 4 \
                  --methods triangulation,muvs";
     let (printed, results) = done(place.path(), asked);
-    assert!(printed.contains("Size of the errors by that of the level: 0.25"), "{printed}");
+    assert!(printed.contains("Error scale (1: the level): 0.25"), "{printed}");
     let mean = |factor: usize, value: usize| {
-        let methods = &results["factors"][factor]["values"][value]["methods"];
-        methods[0]["summary"]["mean"]["limb_mm"].as_f64().unwrap()
+        let methods = results["factors"][factor]["values"][value]["methods"].as_array().unwrap();
+        let means = methods.iter().map(|m| m["summary"]["mean"]["limb_mm"].as_f64().unwrap());
+        let [triangulation, _muvs] = means.collect::<Vec<_>>()[..] else { panic!("{methods:?}") };
+        triangulation
     };
     // Triangulation is worse with larger errors, and a filter is for errors that are new in each frame.
     assert!(mean(0, 0) < mean(0, 3) && mean(0, 3) < mean(0, 6), "{results}");
@@ -302,6 +309,20 @@ fn latencies_print_their_table_and_plots() {
     assert_eq!(results["levels"][0]["methods"].as_array().map(Vec::len), Some(3));
     let report = std::fs::read_to_string(place.path().join("eval/report.html")).unwrap();
     assert!(report.contains("Acceleration error by latency"));
+}
+
+#[test]
+fn faster_cameras_are_no_worse() {
+    let error = |fps: f64| {
+        let cases = cases_at(fps, "ring3", 6.0, Noise::sparse());
+        let methods = || -> Vec<Box<dyn Method>> { vec![Box::new(Windows::default_settings())] };
+        let run = run(&cases, &methods, &Decoder::embedded().unwrap(), 1, &|| {});
+        let scores = run.rows[0].results.iter().map(|result| &result.as_ref().unwrap().0);
+        scores.map(|score| score.limbs.limb_mm).sum::<f64>() / run.cases.len() as f64
+    };
+    let [usual, fast, fastest] = [60.0, 120.0, 240.0].map(error);
+    println!("60, 120 and 240 frames/s: {usual:.1}, {fast:.1} and {fastest:.1} mm");
+    assert!(fast < 1.04 * usual && fastest < 1.10 * usual, "{usual} {fast} {fastest}");
 }
 
 #[test]

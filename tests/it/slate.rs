@@ -253,7 +253,7 @@ fn a_given_body_of_another_day_keeps_its_bones() {
     let start = |take: &str, seconds| {
         let replayed = replayed(&from(&recorded, seconds), Some(take)).unwrap();
         assert_agrees(&replayed);
-        replayed.start.body_is_complete
+        replayed.start.offsets_are_known
     };
     assert_eq!((start("one", 2.0), start("two", 14.0)), (false, true));
 }

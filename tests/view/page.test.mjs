@@ -247,6 +247,7 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   await until(later.page, () => document.getElementById("noted").textContent === "take_01");
   await later.page.locator("#record").click();
   await until(later.page, () => document.getElementById("take-name").value === "take_02");
+  await until(later.page, () => /take_01\.mcap: \d+ messages/.test(document.getElementById("answers").textContent));
   assert.deepEqual(later.said, []);
   await later.page.close();
   await until(page, () => document.getElementById("record").textContent === "Record");

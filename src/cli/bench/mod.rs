@@ -155,7 +155,7 @@ fn measure(arguments: &Latency) -> Result<Report, Failure> {
         jitter_ms: arguments.jitter_ms,
         seconds,
         message_bytes: cameras.mean_bytes(),
-        window_span_ms: 1e3 * config.tracker.window_frames as f64 / fps,
+        window_span_ms: 1e3 * config.tracker.at_period(1e9 / fps).window() as f64 / fps,
     };
     Ok(report(load, &heard, &sent.take(), &usage))
 }

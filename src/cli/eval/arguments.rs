@@ -76,11 +76,14 @@ pub(super) struct Recording {
     /// Solve without these cameras and report the error in them; default: without each camera in turn.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub(super) hold_out: Vec<String>,
-    /// Use every Nth frame of each camera.
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub(super) every: usize,
-    /// Add normally distributed errors to the keypoints, pixels along each axis, new in each frame.
+    /// Solve with every Nth frame of each camera; the cameras of --hold-out keep theirs.
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "hold_out")]
+    #[arg(value_parser = clap::value_parser!(u16).range(1..))]
+    pub(super) every: u16,
+    /// Add normally distributed errors to the keypoints, pixels along each axis, new in each frame; those of
+    /// --hold-out stay as they are.
     #[arg(long, value_name = "PX", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(requires = "hold_out")]
     pub(super) jitter: f64,
     /// Report the distance to these marker positions (y up, frames as in the recording).
     #[arg(long, value_name = "TRC")]

@@ -79,7 +79,7 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
     let trc = asked.reference.as_deref().map(Trc::read).transpose()?;
     let Loaded { take, held_out, clock } = Loaded::read(path, &asked.cameras, &asked.hold_out)?;
     let jitter_px = within("--jitter", asked.jitter, 0.0, 1000.0)?;
-    let take = degraded(take, asked.every.max(1), jitter_px).with_body(&decoder);
+    let take = degraded(take, asked.every.into(), jitter_px).with_body(&decoder);
     let cameras = take.rig.cameras.len();
     let solves = if held_out.is_empty() { cameras + 1 } else { 1 };
     let bar = progress((names.len() * solves) as u64, "solves");
@@ -118,6 +118,7 @@ pub(super) fn run(asked: &arguments::Recording, names: &[String]) -> Result<(), 
         "recording": path,
         "reference": asked.reference,
         "frame_rate_hz": take.fps,
+        "every": asked.every,
         "jitter_px": jitter_px,
         "methods": scores,
     });

@@ -19,6 +19,8 @@ pub struct Known {
     pub dropped: bool,
     /// The body, once its estimate is complete.
     pub body: Option<Arc<Skeleton>>,
+    /// Whether its keypoint offsets are those of this detector. If not, only its bones are known.
+    pub offsets_are_known: bool,
     /// When the performer was seen last.
     pub seen: Timestamp,
     /// Where its points were then, metres. None: in another place, on another day.

@@ -222,7 +222,8 @@ impl Stage {
         for one in associated {
             self.take_over(one.performer, None);
             let new = self.template.clone().fed(one.performer.0);
-            self.trackers[one.performer.0] = new.with_body_to_check(one.body.clone());
+            self.trackers[one.performer.0] =
+                new.with_known_body(one.body.clone(), one.offsets_are_known);
         }
         let Some(crowd) = &mut self.crowd else { return self };
         crowd.know(known);
@@ -240,7 +241,9 @@ impl Stage {
             let own = known.iter().find(|one| one.performer.0 == number);
             let new = match (self.bodies.get(number).cloned().flatten(), own) {
                 (Some(body), _) => new.with_body(Some(body)),
-                (None, Some(one)) if one.was_here() => new.with_body_to_check(one.body.clone()),
+                (None, Some(one)) if one.was_here() => {
+                    new.with_known_body(one.body.clone(), one.offsets_are_known)
+                }
                 (None, one) => {
                     self.saved[number] = one.and_then(|one| one.body.clone());
                     new
@@ -259,9 +262,13 @@ impl Stage {
         let ours = ours.map(|(one, _)| Known { performer: PerformerId(one), ..Known::default() });
         let known = self.crowd.as_ref().map_or_else(|| ours.collect(), Crowd::known);
         let with_body = |one: Known| {
-            let tracker = self.trackers.get(one.performer.0);
+            let tracker = self.trackers.get(one.performer.0).filter(|t| t.known_body().is_some());
             let saved = self.saved.get(one.performer.0).and_then(Option::as_ref);
-            Known { body: tracker.and_then(Tracker::known_body).or(saved).cloned(), ..one }
+            Known {
+                body: tracker.and_then(Tracker::known_body).or(saved).cloned(),
+                offsets_are_known: tracker.is_some_and(|t| t.body_estimate().knows_offsets()),
+                ..one
+            }
         };
         known.into_iter().map(with_body).collect()
     }

@@ -76,9 +76,10 @@ pub struct BodyEstimator {
     information: DMatrix<f64>,
     pull: DVector<f64>,
     windows: usize,
-    /// Variance of the detections' errors in the last window, square pixels.
+    /// Variance of the detections' errors in the last window, square pixels. Only [`shared_body`] needs it and
+    /// the prior: they are not among the numbers.
     noise: f64,
-    /// The prior of the offsets there, and its weight.
+    /// The prior of the offsets in that window, and its weight.
     prior: (OffsetPrior, f64),
     given: Given,
     /// Shape and keypoint offsets, see [`Skeleton::coefficients`].
@@ -214,6 +215,11 @@ impl BodyEstimator {
         self.is_given() || self.is_complete()
     }
 
+    /// Whether the keypoint offsets are those of this detector: they were estimated here, or are checked.
+    pub fn knows_offsets(&self) -> bool {
+        self.is_complete() || !matches!(self.given, Given::OtherTake(_))
+    }
+
     /// Number of windows in it.
     pub fn windows(&self) -> usize {
         self.windows
@@ -242,11 +248,10 @@ impl BodyEstimator {
         let sums = Sums { information: &information, pull: &pull, noise };
         let mut body = sums.estimate(prior, weight, None)?;
         let mut given = self.given.clone();
-        // One window is not enough to call a body wrong.
         match &self.given {
             Given::OtherTake(bones) => {
                 let kept = sums.estimate(prior, weight, Some(bones))?;
-                match windows > 1 && kept.is_of_another_person(&body, windows) {
+                match kept.misfit(&body, windows) > 1.0 {
                     true => given = Given::Nothing,
                     false => body = kept,
                 }
@@ -254,6 +259,7 @@ impl BodyEstimator {
             Given::SameTake => {
                 let change = &body.coefficients - &at;
                 let distance = change.dot(&(&information * &change)) / sums.noise;
+                // One window is not enough to call a body wrong.
                 if windows > 1 && distance > WRONG * windows as f64 {
                     given = Given::Nothing;
                 }
@@ -273,33 +279,66 @@ impl BodyEstimator {
     }
 }
 
-/// The body of a person that fits several takes together, and for each take whether other bones fit it
-/// clearly better: it may show another person. The bones are the same in all takes; each take has its
-/// own offsets, and the body has their means. `None` if the sum has no minimum.
-pub fn shared_body(takes: &[&BodyEstimator]) -> Option<(Skeleton, Vec<bool>)> {
+/// A take's part in [`shared_body`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct PartOfTake {
+    /// The body that this take alone gives.
+    pub alone: Skeleton,
+    /// Whether it fits this take clearly better than the bones of the other takes do: it may be another
+    /// person's, and is left out.
+    pub is_other: bool,
+}
+
+/// The body of a person that fits several takes together. The bones are the same in all of them; each take
+/// has its own offsets, and the body has their means. While a take contradicts the others, the one that
+/// does so most is left out. The estimates were made in this process. `None` without a take; each must have
+/// windows.
+pub fn shared_body(takes: &[&BodyEstimator]) -> Option<(Skeleton, Vec<PartOfTake>)> {
     const SIZE: usize = SHAPE_COEFFICIENTS;
-    let mut information = DMatrix::identity(SIZE, SIZE) * SHAPE_PRECISION;
-    let (mut pull, mut free) = (DVector::zeros(SIZE), Vec::new());
+    let (mut bones, mut alone) = (Vec::new(), Vec::new());
     for take in takes {
         let (prior, weight) = &take.prior;
-        let alone = take.sums().estimate(prior, *weight, None)?;
-        let (more, pulled) = take.sums().bones(prior, alone.weight)?;
-        information += more;
-        pull += pulled;
-        free.push(alone);
+        let estimate = take.sums().estimate(prior, *weight, None)?;
+        bones.push(take.sums().bones(prior, estimate.weight)?);
+        alone.push(estimate);
     }
-    let bones = information.cholesky()?.solve(&pull);
-    let mut mean = DVector::zeros(BODY_COEFFICIENTS);
-    let mut others = Vec::new();
-    for (take, free) in takes.iter().zip(&free) {
+    // A take's estimate with the bones of some takes.
+    let kept = |take: &BodyEstimator, of: &[usize]| {
+        let mut sum = (DMatrix::identity(SIZE, SIZE) * SHAPE_PRECISION, DVector::zeros(SIZE));
+        for (information, pull) in of.iter().map(|other| &bones[*other]) {
+            sum = (sum.0 + information, sum.1 + pull);
+        }
         let (prior, weight) = &take.prior;
-        let means = bones.iter().copied().chain(prior.means).collect();
-        let kept = take.sums().estimate(prior, *weight, Some(&means))?;
-        others.push(kept.is_of_another_person(free, take.windows));
-        mean += kept.coefficients / takes.len() as f64;
+        let shape = sum.0.cholesky()?.solve(&sum.1);
+        let means = shape.iter().copied().chain(prior.means).collect();
+        let mut kept = take.sums().estimate(prior, *weight, Some(&means))?;
+        kept.coefficients.rows_mut(0, SIZE).copy_from(&shape);
+        Some(kept)
+    };
+    let mut used: Vec<usize> = (0..takes.len()).collect();
+    while used.len() > 1 {
+        let misfit = |&take: &usize| {
+            let others: Vec<usize> = used.iter().copied().filter(|other| *other != take).collect();
+            let by_others = kept(takes[take], &others)?;
+            Some((by_others.misfit(&alone[take], takes[take].windows), take))
+        };
+        let misfits = used.iter().map(misfit).collect::<Option<Vec<_>>>()?;
+        let worst = misfits.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+        match worst {
+            Some((misfit, take)) if misfit > 1.0 => used.retain(|other| *other != take),
+            _ => break,
+        }
     }
-    mean.rows_mut(0, SIZE).copy_from(&bones);
-    Some((Skeleton::default().with_coefficients(mean.as_slice()), others))
+    let part = |(take, alone): (usize, Estimate)| PartOfTake {
+        alone: Skeleton::default().with_coefficients(alone.coefficients.as_slice()),
+        is_other: !used.contains(&take),
+    };
+    let mut mean = DVector::zeros(BODY_COEFFICIENTS);
+    for take in &used {
+        mean += kept(takes[*take], &used)?.coefficients / used.len() as f64;
+    }
+    let body = Skeleton::default().with_coefficients(mean.as_slice());
+    (!used.is_empty()).then(|| (body, alone.into_iter().enumerate().map(part).collect()))
 }
 
 /// Length of the limbs of a body with these coefficients, metres.
@@ -326,12 +365,16 @@ struct Estimate {
 }
 
 impl Estimate {
-    /// Whether the `free` estimate fits so many windows so much better than this one, with other bones,
-    /// that the bones are somebody else's.
-    fn is_of_another_person(&self, free: &Self, windows: usize) -> bool {
+    /// How much better the `free` estimate fits so many windows than this one, with other bones: above 1 they
+    /// are somebody else's.
+    fn misfit(&self, free: &Self, windows: usize) -> f64 {
+        if windows < 2 {
+            // One window is not enough.
+            return 0.0;
+        }
         let [kept, found] = [self, free].map(|one| limbs(one.coefficients.as_slice()));
-        (found / kept - 1.0).abs() > OTHER_SIZE
-            || self.deviance - free.deviance > MORE_DEVIANCE * windows as f64
+        let by_size = (found / kept - 1.0).abs() / OTHER_SIZE;
+        by_size.max((self.deviance - free.deviance) / (MORE_DEVIANCE * windows as f64))
     }
 }
 
@@ -545,19 +588,35 @@ mod tests {
         let take = |wanted: &Skeleton| estimates(BodyEstimator::default(), &template, wanted);
         let last = |mut takes: Vec<BodyEstimator>| takes.swap_remove(WINDOWS - 1);
         // The bones of both takes seem a little wrong, and differ, as their detectors differ.
-        let one = last(take(&body(|i| bones(i) + 0.1 + offset(i))));
-        let two = last(take(&body(|i| bones(i) - 0.1 - offset(i))));
-        let (shared, others) = shared_body(&[&one, &two]).unwrap();
-        assert_eq!(others, [false, false]);
+        let one = last(take(&body(|i| bones(i) + 0.05 + offset(i))));
+        let two = last(take(&body(|i| bones(i) - 0.05 - offset(i))));
+        let others = |parts: Vec<PartOfTake>| parts.iter().map(|p| p.is_other).collect::<Vec<_>>();
+        let (shared, parts) = shared_body(&[&one, &two]).unwrap();
+        assert!(distance(&parts[0].alone, &body(|i| bones(i) + 0.05 + offset(i))) < 0.3);
+        assert_eq!(others(parts), [false, false]);
         assert!(distance(&shared, &body(bones)) < 0.1, "{shared:?}");
-        let alone = shared_body(&[&one]).unwrap().0;
-        let wanted = body(|i| bones(i) + 0.1 + offset(i));
-        assert!(distance(&alone, &wanted) < 0.3, "{alone:?}");
 
         let other = last(take(&body(|i| 4.0 * (i as f64).cos())));
-        let (_, others) = shared_body(&[&one, &two, &other]).unwrap();
-        assert!(others[2], "{others:?}");
-        assert_eq!(shared_body(&[]).unwrap().0, template);
+        let (_, parts) = shared_body(&[&one, &two, &other]).unwrap();
+        assert_eq!(others(parts), [false, false, true]);
+        assert_eq!(shared_body(&[]), None);
+    }
+
+    /// As in the estimate of one take: with offsets that follow the bones.
+    #[test]
+    fn the_bones_of_one_take_are_those_of_its_estimate() {
+        let template = Skeleton::default();
+        let (shape, offset) = (2, SHAPE_COEFFICIENTS + 5);
+        let mut told = window(&body(|i| (i as f64).sin()), &template, 1e3);
+        for (i, j) in [(shape, shape), (shape, offset), (offset, shape), (offset, offset)] {
+            told.hessian[(i, j)] += 1e5;
+        }
+        (told.gradient[shape], told.gradient[offset]) = (-1e5, -1e5);
+        let estimate = BodyEstimator::default().with(&told, &template, 1.0, (&prior(), 300.0));
+        let (shared, parts) = shared_body(&[&estimate.unwrap()]).unwrap();
+        let apart = shared.shape().0.iter().zip(parts[0].alone.shape().0);
+        assert!(apart.into_iter().all(|(a, b)| (a - b).abs() < 1e-3), "{shared:?} {parts:?}");
+        assert!(shared.shape().0[shape].abs() > 0.1, "{shared:?}");
     }
 
     #[test]

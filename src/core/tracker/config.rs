@@ -19,6 +19,9 @@ pub struct Config {
     /// Nominal frames of a window, from its start, that are final. The next window starts after
     /// them; the rest is look-ahead. A multiple of `keyframe_frames`, at most a window.
     pub publish_frames: usize,
+    /// The frame rate for which these three numbers are meant, Hz. For clearly faster cameras they are
+    /// multiplied by the ratio, a whole number; 0: never. Differs: the paper never does.
+    pub reference_rate_hz: f64,
     /// Nominal frames that a window waits for a late camera.
     pub deadline_frames: usize,
     /// Windows that are collected before the first solve; they determine the shape.
@@ -91,6 +94,7 @@ impl Default for Config {
             window_frames: 10,
             keyframe_frames: 1,
             publish_frames: 5,
+            reference_rate_hz: 60.0,
             deadline_frames: 5,
             shape_windows: 3,
             iterations: 6,
@@ -120,6 +124,7 @@ impl Config {
         Self {
             keyframe_frames: 10,
             publish_frames: 10,
+            reference_rate_hz: 0.0,
             iterations: 30,
             change_threshold: 1e-9,
             optimiser: OptimiserKind::Lbfgs,
@@ -155,6 +160,7 @@ impl Config {
             Limit::one_to_1000("window_frames", self.window_frames),
             Limit::one_to_1000("keyframe_frames", self.keyframe_frames),
             Limit::one_to_1000("publish_frames", self.publish_frames),
+            Limit::rate_or_0("reference_rate_hz", self.reference_rate_hz, "0 (never) or 1 to 1000"),
             Limit::up_to_1000("deadline_frames", self.deadline_frames),
             Limit("shape_windows", self.shape_windows as f64, 1.0..=1e2, "1 to 100"),
             Limit::one_to_1000("iterations", self.iterations),
@@ -184,6 +190,18 @@ impl Config {
     /// The body coefficients that the first windows solve.
     pub(super) fn free_body(&self) -> FreeBody {
         if self.body_windows > 0 { FreeBody::ShapeAndOffsets } else { FreeBody::Shape }
+    }
+
+    /// The settings for cameras of that frame period, ns; see [`Config::reference_rate_hz`]. 0: not known.
+    #[must_use]
+    pub fn at_period(mut self, period_ns: f64) -> Self {
+        // 1.5 times the rate is not clearly faster.
+        let ratio = 1e9 / (period_ns * self.reference_rate_hz) + 0.4;
+        let ratio = if ratio.is_finite() { (ratio as usize).max(1) } else { 1 };
+        self.window_frames *= ratio;
+        self.keyframe_frames *= ratio;
+        self.publish_frames *= ratio;
+        self
     }
 
     /// Nominal frames of a window.
@@ -231,5 +249,28 @@ impl Default for Gate {
             lost_latent: 20.0,
             lost_observations: 12.0,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_of_fast_cameras_are_as_long_in_time() {
+        let frames = |config: Config, fps: f64| {
+            let config = config.at_period(1e9 / fps);
+            assert_eq!(config.validate(), Ok(()), "{fps}");
+            (config.window(), config.keyframe(), config.publish())
+        };
+        for fps in [15.0, 50.0, 60.0, 75.0, 90.0] {
+            assert_eq!(frames(Config::default(), fps), (10, 1, 5), "{fps}");
+        }
+        for (fps, ratio) in [(100.0, 2), (119.88, 2), (144.0, 2), (180.0, 3), (240.0, 4)] {
+            let expected = (10 * ratio, ratio, 5 * ratio);
+            assert_eq!(frames(Config::default(), fps), expected, "{fps}");
+        }
+        assert_eq!(frames(Config::paper(), 240.0), (10, 10, 10));
+        assert_eq!(Config::default().at_period(0.0), Config::default());
     }
 }

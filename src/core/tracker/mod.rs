@@ -60,7 +60,9 @@ pub use agreement::Unfollowed;
 #[doc(hidden)]
 pub use association::follow;
 #[doc(hidden)]
-pub use body_estimator::{BodyEstimator, EstimateNumbers, WINDOWS as BODY_WINDOWS, shared_body};
+pub use body_estimator::{
+    BodyEstimator, EstimateNumbers, PartOfTake, WINDOWS as BODY_WINDOWS, shared_body,
+};
 pub use config::{Config, Gate};
 pub use effort::Effort;
 pub use event::{Event, EventKind};

@@ -76,6 +76,7 @@ impl Latency {
         }
         let reserve = (declared - delay).clamp(Self::LEAST, Self::FIT_RESERVE);
         let frames = (declared - delay - reserve).ns() / period.ns().max(1);
+        let config = config.at_period(period.ns() as f64);
         let most = config.window() - config.publish();
         Self { declared, reserve, look_ahead: Some((frames.max(0) as usize).min(most)) }
     }
@@ -314,7 +315,7 @@ impl Tracker {
 
     /// How long a performer may be hidden.
     fn coast(&self) -> Nanos {
-        let frames = self.config.coast_windows * self.config.publish();
+        let frames = self.config.coast_windows * self.at_rate().publish();
         Nanos::rounded(frames as f64 * self.frame_period())
     }
 

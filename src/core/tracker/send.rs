@@ -116,8 +116,9 @@ impl Tracker {
     /// The times of the window's keyframes.
     fn keyframe_times(&self, window: Window) -> Vec<Timestamp> {
         let Some(grid) = self.frames else { return vec![window.end] };
-        let first = grid.nearest(window.start) + self.config.keyframe() as i64;
-        let on_grid = (first..).step_by(self.config.keyframe()).map(|k| grid.time(k));
+        let frames = self.at_rate().keyframe();
+        let first = grid.nearest(window.start) + frames as i64;
+        let on_grid = (first..).step_by(frames).map(|k| grid.time(k));
         let mut times: Vec<Timestamp> = on_grid.take_while(|time| *time < window.end).collect();
         times.push(window.end);
         times

@@ -266,6 +266,20 @@ impl Tracker {
         Self { estimator, ..self.with_body_to_check(body) }
     }
 
+    /// Tracks a performer whose body is known, if there is one: with the keypoint offsets of this detector,
+    /// or the bones alone.
+    #[must_use]
+    pub fn with_known_body(
+        self,
+        body: impl Into<Option<Arc<Skeleton>>>,
+        offsets_are_known: bool,
+    ) -> Self {
+        match offsets_are_known {
+            true => self.with_body_to_check(body),
+            false => self.with_body_of_another_take(body),
+        }
+    }
+
     /// Begins with a frame period that was measured before, if there is one. It counts while the cameras
     /// agree with it.
     #[must_use]
@@ -411,7 +425,12 @@ impl Tracker {
 
     /// Length of a window; at 60 frames per second until the cameras' rate is known.
     pub fn span(&self) -> Nanos {
-        Nanos::rounded(self.config.window() as f64 * self.frame_period())
+        Nanos::rounded(self.at_rate().window() as f64 * self.frame_period())
+    }
+
+    /// The settings at the cameras' frame rate.
+    pub(super) fn at_rate(&self) -> Config {
+        self.config.at_period(self.frame_period())
     }
 
     /// Nominal frame period, ns; of 60 frames per second until the cameras' rate is known.

@@ -74,7 +74,7 @@ impl Tracker {
     pub(super) fn open_frames(&self) -> usize {
         let is_first = matches!(self.phase, Phase::Searching) && self.skeleton.is_none();
         let windows = if is_first { self.config.shape_windows.max(1) } else { 1 };
-        self.config.window() * windows
+        self.at_rate().window() * windows
     }
 
     /// Adopts the cameras' frame rate. While somebody is tracked, only at the start of a window, and
@@ -139,7 +139,8 @@ impl Tracker {
     /// Nominal frames that are final of the window that begins at that frame of the grid: fewer in the
     /// first window if windows are staggered, so that they end at other frames than others' do.
     fn final_frames(&self, first: i64) -> i64 {
-        let (publish, keyframe) = (self.config.publish() as i64, self.config.keyframe() as i64);
+        let config = self.at_rate();
+        let (publish, keyframe) = (config.publish() as i64, config.keyframe() as i64);
         let stagger = self.stagger as i64 % publish;
         let early = if stagger > 0 { (first + stagger).rem_euclid(publish) } else { 0 };
         publish - (early - early % keyframe)

@@ -33,7 +33,7 @@ pub fn write_body(
         return Ok(None);
     }
     std::fs::create_dir_all(folder).map_err(RecordError::write(&path))?;
-    write_body_of(&path, name, body)?;
+    write_body_file(&path, name, body)?;
     Ok(Some(path))
 }
 
@@ -41,7 +41,7 @@ pub fn write_body(
 ///
 /// # Errors
 /// The file cannot be written.
-pub fn write_body_of(path: &Path, actor: &str, body: &wire::Skeleton) -> Result<(), RecordError> {
+pub fn write_body_file(path: &Path, actor: &str, body: &wire::Skeleton) -> Result<(), RecordError> {
     let topics = Topics { actor: actor.to_owned(), ..Topics::default() };
     let topic = topics.skeleton();
     let mut writer = Writer::create(path, topics, &Provenance::default())?;

@@ -147,6 +147,6 @@ pub(super) fn start(settings: &Settings, rig: Option<&[u8]>, run_id: u64) -> Jou
         labels: settings.carried.labels.clone(),
         usual_px: settings.carried.usual_px.clone(),
         solvers: settings.carried.solvers.clone(),
-        body_is_complete: settings.carried.body_is_complete,
+        offsets_are_known: settings.carried.offsets_are_known,
     }
 }

@@ -247,10 +247,7 @@ impl Core {
         let Settings { tracker: config, stage: of_stage, carried, .. } = &self.settings;
         let tracker = Tracker::new(*config, rig).live(live);
         let tracker = tracker.with_time_corrections(&carried.time_offsets);
-        let tracker = match carried.body_is_complete {
-            true => tracker.with_body_to_check(self.body()),
-            false => tracker.with_body_of_another_take(self.body()),
-        };
+        let tracker = tracker.with_known_body(self.body(), carried.offsets_are_known);
         let stage = match self.settings.node.solver {
             true => Stage::of_associated(tracker),
             false => Stage::new(tracker, of_stage.performers, None),

@@ -141,9 +141,9 @@ pub struct Carried {
     pub usual_px: Vec<f64>,
     /// The solvers that share the performers of the stage, in the order of their names.
     pub solvers: Vec<String>,
-    /// Whether the estimate of [`Settings::body`] was complete. If not, only its bones are known: it was given,
-    /// and may be of another day.
-    pub body_is_complete: bool,
+    /// Whether the keypoint offsets of [`Settings::body`] are those of this detector. If not, only its bones are
+    /// known: it may be of another day.
+    pub offsets_are_known: bool,
 }
 
 impl Carried {
@@ -159,7 +159,7 @@ impl Carried {
             labels: start.labels.clone(),
             usual_px: start.usual_px.clone(),
             solvers: start.solvers.clone(),
-            body_is_complete: start.body_is_complete,
+            offsets_are_known: start.offsets_are_known,
         }
     }
 }
@@ -181,6 +181,7 @@ fn known(wire: &JournalPerformer) -> Known {
         name: wire.name.clone(),
         dropped: wire.dropped,
         body: body.and_then(|body| body.to_core().ok()).map(Arc::new),
+        offsets_are_known: wire.offsets_are_known,
         seen: Timestamp::from_ns(wire.seen_ns),
         ..Known::default()
     };
@@ -202,6 +203,7 @@ pub(super) fn wire_known(known: &Known) -> JournalPerformer {
         name: known.name.clone(),
         dropped: known.dropped,
         body: known.body.as_deref().map(|body| wire::encode(&wire::Skeleton::from_core(body))),
+        offsets_are_known: known.offsets_are_known,
         seen_ns: known.seen.ns(),
         points_m: known.points.iter().flat_map(point).collect(),
         lengths_m: known.lengths.as_flattened().to_vec(),

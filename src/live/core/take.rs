@@ -280,9 +280,9 @@ impl Core {
                 labels: self.labels_of_known(),
                 usual_px: self.cameras.iter().map(CameraState::usual_px).collect(),
                 solvers: self.settings.carried.solvers.clone(),
-                body_is_complete: match stage {
-                    Some(stage) => stage.lead().body_estimate().is_complete(),
-                    None => self.settings.carried.body_is_complete,
+                offsets_are_known: match stage {
+                    Some(stage) => stage.lead().body_estimate().knows_offsets(),
+                    None => self.settings.carried.offsets_are_known,
                 },
             },
             ..self.settings.clone()

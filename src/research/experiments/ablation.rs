@@ -16,7 +16,7 @@ use super::case::View;
 pub enum Seen {
     /// Number of cameras on a ring.
     Cameras,
-    /// Size of the detector's errors, by that of the level.
+    /// Scale of the detector's errors; 1: as the level has them.
     Noise,
     /// Share of the errors' variance that is new in each frame.
     NewShare,
@@ -29,8 +29,8 @@ impl Seen {
     pub fn label(self) -> &'static str {
         match self {
             Self::Cameras => "cameras",
-            Self::Noise => "size of the errors by that of the level",
-            Self::NewShare => "share of the errors that is new in each frame",
+            Self::Noise => "error scale (1: the level)",
+            Self::NewShare => "share of errors new in each frame",
             Self::Fps => "frames/s",
         }
     }

@@ -29,7 +29,7 @@ impl LiveTracker {
 
     fn latency(self, config: &Config, fps: f64) -> Latency {
         let period = Nanos::of_frames(1, fps);
-        let wait = period * (config.window() as i64 - 1);
+        let wait = period * (config.at_period(1e9 / fps).window() as i64 - 1);
         let declared = match self {
             Self::Final(declared) => declared,
             Self::Provisional => wait * 2,

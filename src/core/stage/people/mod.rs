@@ -174,10 +174,10 @@ impl People {
             performer: PerformerId(performer),
             name: self.names.given(PerformerId(performer)).unwrap_or_default().to_owned(),
             dropped,
-            body: None,
             seen: person.seen,
             points: *person.points(),
             lengths: person.lengths.sums(),
+            ..Known::default()
         };
         let mut all: Vec<Known> = absent.chain(present).map(known).collect();
         all.sort_by_key(|one| one.performer);

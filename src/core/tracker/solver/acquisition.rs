@@ -63,8 +63,9 @@ impl Solver {
         first: TimedKeyframe,
         rough: &Skeleton,
     ) -> (Keyframe, Skeleton) {
-        let frames = self.config.window() * self.config.shape_windows.max(1);
-        let spacing = frames.div_ceil(SHAPE_KEYFRAMES).max(self.config.keyframe());
+        let config = self.at_rate(job);
+        let frames = config.window() * config.shape_windows.max(1);
+        let spacing = frames.div_ceil(SHAPE_KEYFRAMES).max(config.keyframe());
         let steps = frames.div_ceil(spacing) as i64;
         let step = ((job.end - job.start) / steps).max(Nanos::new(1));
         let frames = spacing as f64;

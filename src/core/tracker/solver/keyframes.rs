@@ -116,6 +116,11 @@ impl Solver {
         path.split_off(known.past.len())
     }
 
+    /// The settings at the cameras' frame rate.
+    pub(super) fn at_rate(&self, job: &Job) -> Config {
+        self.config.at_period(job.frame_period.ns() as f64)
+    }
+
     /// The cost's weights, with priors and stiffness scaled by the variance of the detections, and the
     /// loss by their median error.
     pub(super) fn cost(&self, job: &Job) -> cost::Config {

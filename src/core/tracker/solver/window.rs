@@ -95,7 +95,7 @@ impl Solver {
         let standing = all.iter().filter(|_| stands).map(|at| at.capture);
         let mut poses = self.poses_at(solved, times.chain(standing));
         let standing = poses.split_off(seen.len());
-        let frames = self.config.keyframe() as f64;
+        let frames = self.at_rate(job).keyframe() as f64;
         let free = keyframes.into_iter().map(|at| PathKeyframe::free(at, frames));
         let path = known.fixed().chain(free).collect();
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
@@ -140,7 +140,7 @@ impl Solver {
         // The estimator has the priors of the body.
         let cost = cost::Config { prior, offset_prior: 0.0, shape_prior: 0.0, ..cost };
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
-        let frames = self.config.keyframe() as f64;
+        let frames = self.at_rate(job).keyframe() as f64;
         let ahead = solved.ahead.iter().cloned().map(|at| PathKeyframe::free(at, frames));
         let path = solved.fixed().chain(ahead).collect();
         let (free, work) = (self.config.free_body(), &mut self.work);
