@@ -24,7 +24,8 @@ takes together. With --body, each solve keeps these bones and estimates where it
 the keypoints, so that the person has one skeleton in all takes.
 
 Prints the lengths of the bones, mean of left and right, as each take alone gives them, and those of
-the body. Each take is compared with the others: one that may show another person is left out, and named.
+the body. Each take is compared with the others: one that may show another person is named, and left out if
+the others agree.
 
 The file is for --body. People are recognised by other files, see [stage] bodies.
 
@@ -93,14 +94,14 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
             (take.recording.display().to_string(), alone)
         };
         let mut rows: Vec<_> = takes.iter().map(alone).collect();
-        rows.push(("all together".to_owned(), lengths(&body_mm)));
+        rows.push(("the body".to_owned(), lengths(&body_mm)));
         say(&table(&rows));
     }
     let doubtful = takes.iter().filter(|take| take.may_be_another_person);
     let mut is_doubtful = false;
     for take in doubtful {
         is_doubtful = true;
-        let text = "fits other bones clearly better and is left out: is it another person?";
+        let text = "fits other bones clearly better: is it another person?";
         complain("warning", &format!("{} {text}", take.recording.display()));
     }
     if is_doubtful && arguments.strict {

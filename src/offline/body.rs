@@ -22,7 +22,8 @@ pub struct TakeBody {
     /// Lengths of the [`SEGMENTS`] of the body that this take alone gives, mean of both sides, millimetres.
     /// `None` of a take that is too short to tell.
     pub alone_mm: Option<[f64; SEGMENTS.len()]>,
-    /// Whether its own bones fit it clearly better than those of the other takes do (then it is left out).
+    /// Whether its own bones fit it clearly better than those of the other takes do. Then it is
+    /// left out, if others agree.
     pub may_be_another_person: bool,
 }
 

@@ -285,13 +285,13 @@ pub struct PartOfTake {
     /// The body that this take alone gives.
     pub alone: Skeleton,
     /// Whether it fits this take clearly better than the bones of the other takes do: it may be another
-    /// person's, and is left out.
+    /// person's. It is left out, unless no others agree: of two that differ, both are named and used.
     pub is_other: bool,
 }
 
 /// The body of a person that fits several takes together. The bones are the same in all of them; each take
-/// has its own offsets, and the body has their means. While a take contradicts the others, the one that
-/// does so most is left out. The estimates were made in this process. `None` without a take; each must have
+/// has its own offsets, and the body has their means. While takes contradict the others, the one that does so
+/// most is left out. The estimates were made in this process. `None` without a take; each must have
 /// windows.
 pub fn shared_body(takes: &[&BodyEstimator]) -> Option<(Skeleton, Vec<PartOfTake>)> {
     const SIZE: usize = SHAPE_COEFFICIENTS;
@@ -315,30 +315,37 @@ pub fn shared_body(takes: &[&BodyEstimator]) -> Option<(Skeleton, Vec<PartOfTake
         kept.coefficients.rows_mut(0, SIZE).copy_from(&shape);
         Some(kept)
     };
-    let mut used: Vec<usize> = (0..takes.len()).collect();
-    while used.len() > 1 {
-        let misfit = |&take: &usize| {
-            let others: Vec<usize> = used.iter().copied().filter(|other| *other != take).collect();
-            let by_others = kept(takes[take], &others)?;
-            Some((by_others.misfit(&alone[take], takes[take].windows), take))
-        };
-        let misfits = used.iter().map(misfit).collect::<Option<Vec<_>>>()?;
-        let worst = misfits.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
-        match worst {
-            Some((misfit, take)) if misfit > 1.0 => used.retain(|other| *other != take),
+    let misfit = |take: usize, of: &[usize]| {
+        let others: Vec<usize> = of.iter().copied().filter(|other| *other != take).collect();
+        if others.is_empty() {
+            return Some(0.0);
+        }
+        Some(kept(takes[take], &others)?.misfit(&alone[take], takes[take].windows))
+    };
+    let mut core: Vec<usize> = (0..takes.len()).collect();
+    while core.len() > 2 {
+        let misfits = core.iter().map(|take| Some((misfit(*take, &core)?, *take)));
+        let misfits = misfits.collect::<Option<Vec<_>>>()?;
+        match misfits.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((most, take)) if most > 1.0 => core.retain(|other| *other != take),
             _ => break,
         }
     }
-    let part = |(take, alone): (usize, Estimate)| PartOfTake {
+    // One that went first may fit the rest.
+    let misfits = (0..takes.len()).map(|take| misfit(take, &core)).collect::<Option<Vec<_>>>()?;
+    let fitting: Vec<usize> = (0..takes.len()).filter(|take| misfits[*take] <= 1.0).collect();
+    let used = if fitting.is_empty() { core } else { fitting };
+    let part = |(alone, misfit): (&Estimate, f64)| PartOfTake {
         alone: Skeleton::default().with_coefficients(alone.coefficients.as_slice()),
-        is_other: !used.contains(&take),
+        is_other: misfit > 1.0,
     };
+    let parts = alone.iter().zip(misfits).map(part).collect();
     let mut mean = DVector::zeros(BODY_COEFFICIENTS);
     for take in &used {
         mean += kept(takes[*take], &used)?.coefficients / used.len() as f64;
     }
     let body = Skeleton::default().with_coefficients(mean.as_slice());
-    (!used.is_empty()).then(|| (body, alone.into_iter().enumerate().map(part).collect()))
+    (!used.is_empty()).then_some((body, parts))
 }
 
 /// Length of the limbs of a body with these coefficients, metres.
@@ -597,8 +604,9 @@ mod tests {
         assert!(distance(&shared, &body(bones)) < 0.1, "{shared:?}");
 
         let other = last(take(&body(|i| 4.0 * (i as f64).cos())));
-        let (_, parts) = shared_body(&[&one, &two, &other]).unwrap();
-        assert_eq!(others(parts), [false, false, true]);
+        let (without, parts) = shared_body(&[&one, &two, &other]).unwrap();
+        assert_eq!((without, others(parts)), (shared, vec![false, false, true]));
+        assert_eq!(others(shared_body(&[&one, &other]).unwrap().1), [true, true]);
         assert_eq!(shared_body(&[]), None);
     }
 

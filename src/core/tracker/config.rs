@@ -6,6 +6,10 @@ use crate::core::cost::{self, FreeBody, LossKind, Stiffness};
 use crate::core::limits::{Limit, OutOfRange, check};
 use crate::core::optimise::OptimiserKind;
 
+/// What is added to the ratio of a frame rate to the reference rate before it is rounded down: 95 frames/s are
+/// clearly more than 60, 90 are not.
+const CLEARLY_FASTER: f64 = 0.42;
+
 /// Settings of tracker and solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -19,7 +23,7 @@ pub struct Config {
     /// Nominal frames of a window, from its start, that are final. The next window starts after
     /// them; the rest is look-ahead. A multiple of `keyframe_frames`, at most a window.
     pub publish_frames: usize,
-    /// The frame rate for which these three numbers are meant, Hz. For clearly faster cameras they are
+    /// The frame rate for which these three numbers are meant, Hz. From 1.58 times this rate on they are
     /// multiplied by the ratio, a whole number; 0: never. Differs: the paper never does.
     pub reference_rate_hz: f64,
     /// Nominal frames that a window waits for a late camera.
@@ -195,8 +199,7 @@ impl Config {
     /// The settings for cameras of that frame period, ns; see [`Config::reference_rate_hz`]. 0: not known.
     #[must_use]
     pub fn at_period(mut self, period_ns: f64) -> Self {
-        // 1.5 times the rate is not clearly faster.
-        let ratio = 1e9 / (period_ns * self.reference_rate_hz) + 0.4;
+        let ratio = 1e9 / (period_ns * self.reference_rate_hz) + CLEARLY_FASTER;
         let ratio = if ratio.is_finite() { (ratio as usize).max(1) } else { 1 };
         self.window_frames *= ratio;
         self.keyframe_frames *= ratio;
@@ -266,7 +269,9 @@ mod tests {
         for fps in [15.0, 50.0, 60.0, 75.0, 90.0] {
             assert_eq!(frames(Config::default(), fps), (10, 1, 5), "{fps}");
         }
-        for (fps, ratio) in [(100.0, 2), (119.88, 2), (144.0, 2), (180.0, 3), (240.0, 4)] {
+        for (fps, ratio) in
+            [(95.904, 2), (96.0, 2), (100.0, 2), (119.88, 2), (144.0, 2), (180.0, 3), (240.0, 4)]
+        {
             let expected = (10 * ratio, ratio, 5 * ratio);
             assert_eq!(frames(Config::default(), fps), expected, "{fps}");
         }

@@ -6,7 +6,8 @@
 //! [`Input::Solved`]. The same inputs in the same order give the same outputs, byte for byte. On
 //! one thread, [`Tracker::poll_and_solve`] does both, and [`run_to_end`] runs a whole recording.
 //!
-//! A window is `window_frames` nominal frame periods long. After its solve, its first
+//! A window is `window_frames` nominal frame periods long, times a whole number for cameras that are faster
+//! than `reference_rate_hz`. After its solve, its first
 //! `publish_frames` are final, and the next window starts after them. A window closes when every
 //! camera has sent a frame at its end or later, or when its deadline passes: `deadline_frames`
 //! after its end, measured on the newest capture time or, live, on the clock of [`Input::Tick`].

@@ -69,7 +69,8 @@ impl Tracker {
         if end <= last || from_start % stride as i64 != 0 {
             return false;
         }
-        let again = SOLVED_AGAIN + self.look_ahead().unwrap_or(0);
+        let look_ahead = self.look_ahead().unwrap_or(0).div_ceil(self.at_rate().keyframe());
+        let again = SOLVED_AGAIN + look_ahead;
         let (past, ahead) = (past.clone(), self.ahead.clone());
         let task = Task::Provisional { past, ahead, skeleton, again };
         self.send(Window { end, publish: end, ..window }, task)

@@ -141,7 +141,7 @@ impl Tracker {
     fn final_frames(&self, first: i64) -> i64 {
         let config = self.at_rate();
         let (publish, keyframe) = (config.publish() as i64, config.keyframe() as i64);
-        let stagger = self.stagger as i64 % publish;
+        let stagger = self.stagger as i64 * keyframe % publish;
         let early = if stagger > 0 { (first + stagger).rem_euclid(publish) } else { 0 };
         publish - (early - early % keyframe)
     }

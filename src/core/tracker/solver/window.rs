@@ -95,8 +95,13 @@ impl Solver {
         let standing = all.iter().filter(|_| stands).map(|at| at.capture);
         let mut poses = self.poses_at(solved, times.chain(standing));
         let standing = poses.split_off(seen.len());
-        let frames = self.at_rate(job).keyframe() as f64;
-        let free = keyframes.into_iter().map(|at| PathKeyframe::free(at, frames));
+        let mut before = start;
+        let free = keyframes.into_iter().map(|at| {
+            let period = job.frame_period.ns().max(1) as f64;
+            let frames = libm::round((at.capture - before).ns() as f64 / period).max(1.0);
+            before = at.capture;
+            PathKeyframe::free(at, frames)
+        });
         let path = known.fixed().chain(free).collect();
         let scene = Scene { decoder: &self.decoder, rig: &job.rig, points, config: &cost };
         CorrectionProblem::new(scene, path, known.skeleton, seen, poses, standing).solve()
