@@ -302,25 +302,32 @@ pub fn shared_body(takes: &[&BodyEstimator]) -> Option<(Skeleton, Vec<PartOfTake
         bones.push(take.sums().bones(prior, estimate.weight)?);
         alone.push(estimate);
     }
-    // A take's estimate with the bones of some takes.
-    let kept = |take: &BodyEstimator, of: &[usize]| {
+    // The body of some takes: their bones, and the means of their offsets.
+    let body_of = |of: &[usize]| {
         let mut sum = (DMatrix::identity(SIZE, SIZE) * SHAPE_PRECISION, DVector::zeros(SIZE));
-        for (information, pull) in of.iter().map(|other| &bones[*other]) {
+        for (information, pull) in of.iter().map(|take| &bones[*take]) {
             sum = (sum.0 + information, sum.1 + pull);
         }
-        let (prior, weight) = &take.prior;
         let shape = sum.0.cholesky()?.solve(&sum.1);
-        let means = shape.iter().copied().chain(prior.means).collect();
-        let mut kept = take.sums().estimate(prior, *weight, Some(&means))?;
-        kept.coefficients.rows_mut(0, SIZE).copy_from(&shape);
-        Some(kept)
+        let mut mean = DVector::zeros(BODY_COEFFICIENTS);
+        for take in of.iter().map(|take| takes[*take]) {
+            let (prior, weight) = &take.prior;
+            let means = shape.iter().copied().chain(prior.means).collect();
+            let kept = take.sums().estimate(prior, *weight, Some(&means))?;
+            mean += kept.coefficients / of.len() as f64;
+        }
+        mean.rows_mut(0, SIZE).copy_from(&shape);
+        Some(mean.iter().copied().collect::<Vec<f64>>())
     };
+    // As of a body of another take that is given.
     let misfit = |take: usize, of: &[usize]| {
         let others: Vec<usize> = of.iter().copied().filter(|other| *other != take).collect();
         if others.is_empty() {
             return Some(0.0);
         }
-        Some(kept(takes[take], &others)?.misfit(&alone[take], takes[take].windows))
+        let (prior, weight) = &takes[take].prior;
+        let kept = takes[take].sums().estimate(prior, *weight, Some(&body_of(&others)?))?;
+        Some(kept.misfit(&alone[take], takes[take].windows))
     };
     let mut core: Vec<usize> = (0..takes.len()).collect();
     while core.len() > 2 {
@@ -340,11 +347,7 @@ pub fn shared_body(takes: &[&BodyEstimator]) -> Option<(Skeleton, Vec<PartOfTake
         is_other: misfit > 1.0,
     };
     let parts = alone.iter().zip(misfits).map(part).collect();
-    let mut mean = DVector::zeros(BODY_COEFFICIENTS);
-    for take in &used {
-        mean += kept(takes[*take], &used)?.coefficients / used.len() as f64;
-    }
-    let body = Skeleton::default().with_coefficients(mean.as_slice());
+    let body = Skeleton::default().with_coefficients(&body_of(&used)?);
     (!used.is_empty()).then_some((body, parts))
 }
 
