@@ -19,15 +19,16 @@ use crate::offline::{Options, Recording, TakeBody, estimate_body};
 /// Estimate the body of a person from several takes, for `solve --body` and `run --body`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-All takes must show the same person, the largest one in the images. The bones are those that fit all
-takes together. With --body, each solve keeps these bones and estimates where its own detector places
-the keypoints, so that the person has one skeleton in all takes.
+All takes must show the same person. This person must be the largest one in the images. The bones
+fit all takes together. A solve with --body keeps them, and estimates again where its detector marks
+the keypoints. So the person has the same bones in all takes.
 
-Prints the lengths of the bones, mean of left and right, as each take alone gives them, and those of
-the body. Each take is compared with the others: one that may show another person is named, and left out if
-the others agree.
+Prints the lengths of the bones (mean of left and right) that each take alone gives, and those of the
+body. A take whose limbs are more than 8 % longer or shorter than in most of the other takes may show
+another person. It is named, and left out if two takes or more agree. Another person of about the
+same size is not noticed.
 
-The file is for --body. People are recognised by other files, see [stage] bodies.
+The file is only for --body. To recognise people, the node needs other files: see [stage] bodies.
 
 Exit code 15: with --strict, a take may show another person.
 
@@ -90,21 +91,18 @@ pub(super) fn run(arguments: &Arguments) -> Ended {
         say(&text.map_err(|error| Failure::new(Exit::Unexpected, error.to_string()))?);
     } else {
         let alone = |take: &TakeBody| {
-            let alone = take.alone_mm.map_or("too short to tell".to_owned(), |mm| lengths(&mm));
+            let alone = take.alone_mm.map_or("too short".to_owned(), |mm| lengths(&mm));
             (take.recording.display().to_string(), alone)
         };
         let mut rows: Vec<_> = takes.iter().map(alone).collect();
         rows.push(("the body".to_owned(), lengths(&body_mm)));
         say(&table(&rows));
     }
-    let doubtful = takes.iter().filter(|take| take.may_be_another_person);
-    let mut is_doubtful = false;
-    for take in doubtful {
-        is_doubtful = true;
-        let text = "fits other bones clearly better: is it another person?";
+    for take in takes.iter().filter(|take| take.may_be_another_person) {
+        let text = "has limbs of another length than the other takes: is it another person?";
         complain("warning", &format!("{} {text}", take.recording.display()));
     }
-    if is_doubtful && arguments.strict {
+    if arguments.strict && takes.iter().any(|take| take.may_be_another_person) {
         complain("note", "no body is written");
         return Ok(Exit::Suspicious);
     }

@@ -187,7 +187,7 @@ impl From<offline::Error> for Failure {
                 Exit::CameraMismatch
             }
             E::TimeUnit { .. } => Exit::Malformed,
-            E::NobodyFound { .. } | E::NoSharedBody => Exit::NobodyFound,
+            E::NobodyFound { .. } | E::ShortTakes => Exit::NobodyFound,
             E::Weights(_) => Exit::Weights,
             E::Exists { .. } => Exit::Usage,
             E::Write { .. } | E::Stopped { .. } => Exit::Unexpected,

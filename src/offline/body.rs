@@ -9,7 +9,8 @@ use super::first_pass::FirstPass;
 use super::options::{Observer, Options};
 use super::recording::Recording;
 use crate::core::body::Skeleton;
-use crate::core::tracker::shared_body;
+use crate::core::stage::Performers;
+use crate::core::tracker::{OTHER_SIZE, shared_body};
 use crate::metrics::{SEGMENTS, segment_lengths};
 
 /// A take's part in the body of a person.
@@ -17,13 +18,13 @@ use crate::metrics::{SEGMENTS, segment_lengths};
 pub struct TakeBody {
     /// The recording.
     pub recording: PathBuf,
-    /// Number of windows that tell of the body.
+    /// Number of windows from which the body is estimated; 0: the take is too short.
     pub windows: usize,
     /// Lengths of the [`SEGMENTS`] of the body that this take alone gives, mean of both sides, millimetres.
-    /// `None` of a take that is too short to tell.
+    /// `None` of a take that is too short.
     pub alone_mm: Option<[f64; SEGMENTS.len()]>,
-    /// Whether its own bones fit it clearly better than those of the other takes do. Then it is
-    /// left out, if others agree.
+    /// Whether its limbs are more than 8 % longer or shorter than in most of the other takes. It is left out if
+    /// two takes or more agree.
     pub may_be_another_person: bool,
 }
 
@@ -38,26 +39,38 @@ pub fn estimate_body(
     options: &Options,
     observer: &mut dyn Observer,
 ) -> Result<(Skeleton, Vec<TakeBody>), Error> {
-    let options = Options { body: None, performers: Default::default(), ..options.clone() };
+    let options = Options { body: None, performers: Performers::default(), ..options.clone() };
     let (mut takes, mut estimates) = (Vec::new(), Vec::new());
-    for recording in recordings.iter_mut() {
+    for (index, recording) in recordings.iter_mut().enumerate() {
         let mut rig = recording.chosen(&options.cameras, &[])?;
         let period = recording.frame_period(&rig)?;
         let pass = FirstPass::run(recording, &options, &mut rig, period, &mut [], observer)?;
         pass.lead(recording)?;
+        let windows = pass.estimate.windows();
+        let alone = shared_body(&[&pass.estimate]).filter(|_| windows > 0);
         takes.push(TakeBody {
             recording: recording.path().to_owned(),
-            windows: pass.estimate.windows(),
-            alone_mm: None,
+            windows,
+            alone_mm: alone.map(|body| segment_lengths(&body).map(|length| 1e3 * length)),
             may_be_another_person: false,
         });
-        estimates.push(pass.estimate);
+        estimates.extend((windows > 0).then_some((index, pass.estimate)));
     }
-    let told: Vec<_> = estimates.iter().map(|one| &**one).filter(|one| one.windows() > 0).collect();
-    let (body, parts) = shared_body(&told).ok_or(Error::NoSharedBody)?;
-    for (take, part) in takes.iter_mut().filter(|take| take.windows > 0).zip(parts) {
-        take.alone_mm = Some(segment_lengths(&part.alone).map(|length| 1e3 * length));
-        take.may_be_another_person = part.is_other;
+    let sizes: Vec<Option<f64>> =
+        takes.iter().map(|take| Some(take.alone_mm?.iter().sum())).collect();
+    for (take, size) in
+        takes.iter_mut().zip(&sizes).filter_map(|(take, size)| Some((take, (*size)?)))
+    {
+        let differs = |other: &&f64| size.max(**other) / size.min(**other) > 1.0 + OTHER_SIZE;
+        let differing = sizes.iter().flatten().filter(differs).count();
+        take.may_be_another_person = 2 * differing > estimates.len() - 1;
     }
-    Ok((body, takes))
+    let shared = |is_used: &dyn Fn(usize) -> bool| {
+        let used = estimates.iter().filter(|(take, _)| is_used(*take));
+        shared_body(&used.map(|(_, estimate)| &**estimate).collect::<Vec<_>>())
+    };
+    let agrees = |take: usize| !takes[take].may_be_another_person;
+    let agreeing = estimates.iter().filter(|(take, _)| agrees(*take)).count();
+    let body = if agreeing > 1 { shared(&agrees) } else { shared(&|_| true) };
+    Ok((body.ok_or(Error::ShortTakes)?, takes))
 }

@@ -56,8 +56,8 @@ pub enum Error {
     TimeUnit { path: PathBuf, camera: String, reason: String },
     #[error("{}: nobody was found: {evidence}", path.display())]
     NobodyFound { path: PathBuf, evidence: String },
-    #[error("no take is long enough to tell of the body; give longer ones")]
-    NoSharedBody,
+    #[error("all takes are too short to estimate a body; give longer ones")]
+    ShortTakes,
     #[error("the embedded weights: {0}")]
     Weights(#[from] WeightsError),
     #[error("{} exists; choose another folder, or replace it with --overwrite", path.display())]

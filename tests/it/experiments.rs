@@ -59,7 +59,7 @@ impl Method for Oracle {
         format!("oracle {}", self.shift)
     }
 
-    fn delay(&self) -> Delay {
+    fn delay(&self, _: f64) -> Delay {
         Delay::Recording
     }
 
@@ -81,7 +81,7 @@ impl Method for Blind {
         "blind".into()
     }
 
-    fn delay(&self) -> Delay {
+    fn delay(&self, _: f64) -> Delay {
         Delay::Frames(0)
     }
 

@@ -289,7 +289,7 @@ fn a_frame_with_too_few_detections_keeps_the_previous_pose() {
         |capture: bundlemocap::core::time::Timestamp| (capture.ns() as f64 * 6e-8).round();
     take.frames.retain(|seen| seen.camera == 0 || !is_hidden(&(frame_of(seen.capture) as u64)));
     let mut method = MuVs::default();
-    assert_eq!(method.delay(), Delay::Frames(0));
+    assert_eq!(method.delay(take.fps), Delay::Frames(0));
     let solved = method.solve(&take, &Decoder::embedded().unwrap()).unwrap();
     let Solution::Poses(_, poses) = solved.motion else { panic!("no poses") };
     for pair in poses.windows(2) {

@@ -48,7 +48,7 @@ const CHECKS: usize = 8;
 const WRONG: f64 = 80.0;
 /// A body of another take is wrong if its limbs differ by this part from those of a free estimate. In a
 /// short take this shows before the deviance does. Measured: 1 % for the same performer.
-const OTHER_SIZE: f64 = 0.08;
+pub const OTHER_SIZE: f64 = 0.08;
 /// A body of another take is wrong too if its [`Estimate::deviance`] exceeds that of a free estimate by
 /// this much a window. The limit grows with the windows, because the errors of our model add up.
 /// Measured on two real takes of one performer, with bodies of both takes by two, four and nine cameras:
@@ -248,10 +248,14 @@ impl BodyEstimator {
         let sums = Sums { information: &information, pull: &pull, noise };
         let mut body = sums.estimate(prior, weight, None)?;
         let mut given = self.given.clone();
+        // One window is not enough to call a body wrong.
         match &self.given {
             Given::OtherTake(bones) => {
                 let kept = sums.estimate(prior, weight, Some(bones))?;
-                match kept.misfit(&body, windows) > 1.0 {
+                let size = limbs(body.coefficients.as_slice()) / limbs(bones);
+                let is_wrong = (size - 1.0).abs() > OTHER_SIZE
+                    || kept.deviance - body.deviance > MORE_DEVIANCE * windows as f64;
+                match windows > 1 && is_wrong {
                     true => given = Given::Nothing,
                     false => body = kept,
                 }
@@ -259,7 +263,6 @@ impl BodyEstimator {
             Given::SameTake => {
                 let change = &body.coefficients - &at;
                 let distance = change.dot(&(&information * &change)) / sums.noise;
-                // One window is not enough to call a body wrong.
                 if windows > 1 && distance > WRONG * windows as f64 {
                     given = Given::Nothing;
                 }
@@ -279,76 +282,29 @@ impl BodyEstimator {
     }
 }
 
-/// A take's part in [`shared_body`].
-#[derive(Clone, Debug, PartialEq)]
-pub struct PartOfTake {
-    /// The body that this take alone gives.
-    pub alone: Skeleton,
-    /// Whether it fits this take clearly better than the bones of the other takes do: it may be another
-    /// person's. It is left out, unless no others agree: of two that differ, both are named and used.
-    pub is_other: bool,
-}
-
-/// The body of a person that fits several takes together. The bones are the same in all of them; each take
-/// has its own offsets, and the body has their means. While takes contradict the others, the one that does so
-/// most is left out. The estimates were made in this process. `None` without a take; each must have
-/// windows.
-pub fn shared_body(takes: &[&BodyEstimator]) -> Option<(Skeleton, Vec<PartOfTake>)> {
+/// The body of a person that fits several takes together. The bones are the same in all of them. Each take
+/// has its own offsets, and the body has their means. The estimates were made in this process, and each has
+/// windows. `None` without a take, or if the sum has no minimum.
+pub fn shared_body(takes: &[&BodyEstimator]) -> Option<Skeleton> {
     const SIZE: usize = SHAPE_COEFFICIENTS;
-    let (mut bones, mut alone) = (Vec::new(), Vec::new());
+    let mut information = DMatrix::identity(SIZE, SIZE) * SHAPE_PRECISION;
+    let mut pull = DVector::zeros(SIZE);
     for take in takes {
         let (prior, weight) = &take.prior;
-        let estimate = take.sums().estimate(prior, *weight, None)?;
-        bones.push(take.sums().bones(prior, estimate.weight)?);
-        alone.push(estimate);
+        let alone = take.sums().estimate(prior, *weight, None)?;
+        let told = take.sums().bones(prior, alone.weight)?;
+        (information, pull) = (information + told.0, pull + told.1);
     }
-    // The body of some takes: their bones, and the means of their offsets.
-    let body_of = |of: &[usize]| {
-        let mut sum = (DMatrix::identity(SIZE, SIZE) * SHAPE_PRECISION, DVector::zeros(SIZE));
-        for (information, pull) in of.iter().map(|take| &bones[*take]) {
-            sum = (sum.0 + information, sum.1 + pull);
-        }
-        let shape = sum.0.cholesky()?.solve(&sum.1);
-        let mut mean = DVector::zeros(BODY_COEFFICIENTS);
-        for take in of.iter().map(|take| takes[*take]) {
-            let (prior, weight) = &take.prior;
-            let means = shape.iter().copied().chain(prior.means).collect();
-            let kept = take.sums().estimate(prior, *weight, Some(&means))?;
-            mean += kept.coefficients / of.len() as f64;
-        }
-        mean.rows_mut(0, SIZE).copy_from(&shape);
-        Some(mean.iter().copied().collect::<Vec<f64>>())
-    };
-    // As of a body of another take that is given.
-    let misfit = |take: usize, of: &[usize]| {
-        let others: Vec<usize> = of.iter().copied().filter(|other| *other != take).collect();
-        if others.is_empty() {
-            return Some(0.0);
-        }
-        let (prior, weight) = &takes[take].prior;
-        let kept = takes[take].sums().estimate(prior, *weight, Some(&body_of(&others)?))?;
-        Some(kept.misfit(&alone[take], takes[take].windows))
-    };
-    let mut core: Vec<usize> = (0..takes.len()).collect();
-    while core.len() > 2 {
-        let misfits = core.iter().map(|take| Some((misfit(*take, &core)?, *take)));
-        let misfits = misfits.collect::<Option<Vec<_>>>()?;
-        match misfits.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)) {
-            Some((most, take)) if most > 1.0 => core.retain(|other| *other != take),
-            _ => break,
-        }
+    let bones = information.cholesky()?.solve(&pull);
+    let mut mean = DVector::zeros(BODY_COEFFICIENTS);
+    for take in takes {
+        let (prior, weight) = &take.prior;
+        let means = bones.iter().copied().chain(prior.means).collect();
+        let kept = take.sums().estimate(prior, *weight, Some(&means))?;
+        mean += kept.coefficients / takes.len() as f64;
     }
-    // One that went first may fit the rest.
-    let misfits = (0..takes.len()).map(|take| misfit(take, &core)).collect::<Option<Vec<_>>>()?;
-    let fitting: Vec<usize> = (0..takes.len()).filter(|take| misfits[*take] <= 1.0).collect();
-    let used = if fitting.is_empty() { core } else { fitting };
-    let part = |(alone, misfit): (&Estimate, f64)| PartOfTake {
-        alone: Skeleton::default().with_coefficients(alone.coefficients.as_slice()),
-        is_other: misfit > 1.0,
-    };
-    let parts = alone.iter().zip(misfits).map(part).collect();
-    let body = Skeleton::default().with_coefficients(&body_of(&used)?);
-    (!used.is_empty()).then_some((body, parts))
+    mean.rows_mut(0, SIZE).copy_from(&bones);
+    (!takes.is_empty()).then(|| Skeleton::default().with_coefficients(mean.as_slice()))
 }
 
 /// Length of the limbs of a body with these coefficients, metres.
@@ -372,20 +328,6 @@ struct Estimate {
     deviance: f64,
     /// The weight of the prior of the offsets.
     weight: f64,
-}
-
-impl Estimate {
-    /// How much better the `free` estimate fits so many windows than this one, with other bones: above 1 they
-    /// are somebody else's.
-    fn misfit(&self, free: &Self, windows: usize) -> f64 {
-        if windows < 2 {
-            // One window is not enough.
-            return 0.0;
-        }
-        let [kept, found] = [self, free].map(|one| limbs(one.coefficients.as_slice()));
-        let by_size = (found / kept - 1.0).abs() / OTHER_SIZE;
-        by_size.max((self.deviance - free.deviance) / (MORE_DEVIANCE * windows as f64))
-    }
 }
 
 impl Sums<'_> {
@@ -591,25 +533,18 @@ mod tests {
     }
 
     #[test]
-    fn takes_of_a_person_share_the_bones_and_another_person_is_noticed() {
+    fn takes_of_a_person_share_the_bones() {
         let bones = |i: usize| (i as f64).sin();
         let offset = |i: usize| if i < SHAPE_COEFFICIENTS { 0.0 } else { 1.0 };
         let template = Skeleton::default();
-        let take = |wanted: &Skeleton| estimates(BodyEstimator::default(), &template, wanted);
-        let last = |mut takes: Vec<BodyEstimator>| takes.swap_remove(WINDOWS - 1);
+        let take = |wanted: &Skeleton| {
+            estimates(BodyEstimator::default(), &template, wanted).swap_remove(WINDOWS - 1)
+        };
         // The bones of both takes seem a little wrong, and differ, as their detectors differ.
-        let one = last(take(&body(|i| bones(i) + 0.05 + offset(i))));
-        let two = last(take(&body(|i| bones(i) - 0.05 - offset(i))));
-        let others = |parts: Vec<PartOfTake>| parts.iter().map(|p| p.is_other).collect::<Vec<_>>();
-        let (shared, parts) = shared_body(&[&one, &two]).unwrap();
-        assert!(distance(&parts[0].alone, &body(|i| bones(i) + 0.05 + offset(i))) < 0.3);
-        assert_eq!(others(parts), [false, false]);
+        let one = take(&body(|i| bones(i) + 0.1 + offset(i)));
+        let two = take(&body(|i| bones(i) - 0.1 - offset(i)));
+        let shared = shared_body(&[&one, &two]).unwrap();
         assert!(distance(&shared, &body(bones)) < 0.1, "{shared:?}");
-
-        let other = last(take(&body(|i| 4.0 * (i as f64).cos())));
-        let (without, parts) = shared_body(&[&one, &two, &other]).unwrap();
-        assert_eq!((without, others(parts)), (shared, vec![false, false, true]));
-        assert_eq!(others(shared_body(&[&one, &other]).unwrap().1), [true, true]);
         assert_eq!(shared_body(&[]), None);
     }
 
@@ -624,9 +559,10 @@ mod tests {
         }
         (told.gradient[shape], told.gradient[offset]) = (-1e5, -1e5);
         let estimate = BodyEstimator::default().with(&told, &template, 1.0, (&prior(), 300.0));
-        let (shared, parts) = shared_body(&[&estimate.unwrap()]).unwrap();
-        let apart = shared.shape().0.iter().zip(parts[0].alone.shape().0);
-        assert!(apart.into_iter().all(|(a, b)| (a - b).abs() < 1e-3), "{shared:?} {parts:?}");
+        let estimate = estimate.unwrap();
+        let shared = shared_body(&[&estimate]).unwrap();
+        let apart = shared.shape().0.iter().zip(&estimate.coefficients);
+        assert!(apart.into_iter().all(|(a, b)| (a - b).abs() < 1e-3), "{shared:?} {estimate:?}");
         assert!(shared.shape().0[shape].abs() > 0.1, "{shared:?}");
     }
 

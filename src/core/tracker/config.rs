@@ -23,8 +23,8 @@ pub struct Config {
     /// Nominal frames of a window, from its start, that are final. The next window starts after
     /// them; the rest is look-ahead. A multiple of `keyframe_frames`, at most a window.
     pub publish_frames: usize,
-    /// The frame rate for which these three numbers are meant, Hz. From 1.58 times this rate on they are
-    /// multiplied by the ratio, a whole number; 0: never. Differs: the paper never does.
+    /// The frame rate for which the three numbers above are meant, Hz. For cameras that are 1.58 times as fast or
+    /// faster, they are multiplied by the ratio, a whole number; 0: never. Differs: the paper never does.
     pub reference_rate_hz: f64,
     /// Nominal frames that a window waits for a late camera.
     pub deadline_frames: usize,

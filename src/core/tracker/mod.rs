@@ -62,7 +62,7 @@ pub use agreement::Unfollowed;
 pub use association::follow;
 #[doc(hidden)]
 pub use body_estimator::{
-    BodyEstimator, EstimateNumbers, PartOfTake, WINDOWS as BODY_WINDOWS, shared_body,
+    BodyEstimator, EstimateNumbers, OTHER_SIZE, WINDOWS as BODY_WINDOWS, shared_body,
 };
 pub use config::{Config, Gate};
 pub use effort::Effort;

@@ -143,6 +143,11 @@ impl Case {
         &self.name
     }
 
+    /// Frame rate of its cameras, Hz.
+    pub fn fps(&self) -> f64 {
+        self.view.choice.fps
+    }
+
     /// Makes the sequence.
     pub fn make(&self) -> Sequence {
         let View { rig, noise, choice, format, .. } = &self.view;

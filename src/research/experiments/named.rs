@@ -21,8 +21,8 @@ impl Method for Named {
         self.name.clone()
     }
 
-    fn delay(&self) -> Delay {
-        self.method.delay()
+    fn delay(&self, fps: f64) -> Delay {
+        self.method.delay(fps)
     }
 
     fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {

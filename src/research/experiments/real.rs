@@ -156,7 +156,7 @@ pub fn measure(
     let frames = solved.motion.times().len();
     Ok(Some(RealScore {
         method: method.name(),
-        delay_frames: match method.delay() {
+        delay_frames: match method.delay(take.fps) {
             Delay::Frames(frames) => Some(frames),
             Delay::Recording => None,
         },

@@ -57,7 +57,8 @@ pub fn run(
         let solved: Vec<_> = methods().into_iter().map(solve).collect();
         scores(&sequence, &solved)
     });
-    let mut rows: Vec<Row> = methods().iter().map(|method| Row::of(method.as_ref())).collect();
+    let fps = cases.first().map_or(0.0, Case::fps);
+    let mut rows: Vec<Row> = methods().iter().map(|method| Row::of(method.as_ref(), fps)).collect();
     for of_case in of_cases {
         for (row, result) in rows.iter_mut().zip(of_case) {
             row.results.push(result);
@@ -109,8 +110,8 @@ fn scores(sequence: &Sequence, solved: &[Option<(Solved, f64)>]) -> Vec<Option<(
 }
 
 impl Row {
-    fn of(method: &dyn Method) -> Self {
-        Self { method: method.name(), delay: method.delay(), results: Vec::new() }
+    fn of(method: &dyn Method, fps: f64) -> Self {
+        Self { method: method.name(), delay: method.delay(fps), results: Vec::new() }
     }
 
     /// Number of cases without a performer found.

@@ -67,7 +67,7 @@ impl Method for Dct {
         "DCT".to_owned()
     }
 
-    fn delay(&self) -> Delay {
+    fn delay(&self, _: f64) -> Delay {
         Delay::Frames(self.weights.segment)
     }
 

@@ -94,7 +94,7 @@ impl Method for Dmmr {
         "DMMR".to_owned()
     }
 
-    fn delay(&self) -> Delay {
+    fn delay(&self, _: f64) -> Delay {
         Delay::Frames(self.weights.segment)
     }
 

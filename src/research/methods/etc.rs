@@ -55,7 +55,7 @@ impl Method for Etc {
         "ETC".to_owned()
     }
 
-    fn delay(&self) -> Delay {
+    fn delay(&self, _: f64) -> Delay {
         Delay::Recording
     }
 

@@ -47,9 +47,9 @@ impl Method for LiveTracker {
     }
 
     /// Of a final pose at most a window, whatever the latency.
-    fn delay(&self) -> Delay {
+    fn delay(&self, fps: f64) -> Delay {
         match self {
-            Self::Final(_) => Delay::Frames(Config::default().window_frames),
+            Self::Final(_) => Delay::Frames(Config::default().at_period(1e9 / fps).window()),
             Self::Provisional => Delay::Frames(0),
         }
     }

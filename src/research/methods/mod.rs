@@ -106,8 +106,8 @@ pub trait Method {
     /// The name in tables.
     fn name(&self) -> String;
 
-    /// How long a pose waits for later frames.
-    fn delay(&self) -> Delay;
+    /// How long a pose waits for later frames, of cameras of that frame rate, Hz.
+    fn delay(&self, fps: f64) -> Delay;
 
     /// Solves a take; `None` if no performer is found.
     fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved>;

@@ -171,7 +171,7 @@ impl Method for MuVs {
         "MuVS".to_owned()
     }
 
-    fn delay(&self) -> Delay {
+    fn delay(&self, _: f64) -> Delay {
         Delay::Frames(0)
     }
 

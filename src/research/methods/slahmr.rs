@@ -116,7 +116,7 @@ impl Method for Slahmr {
         "SLAHMR-like".to_owned()
     }
 
-    fn delay(&self) -> Delay {
+    fn delay(&self, _: f64) -> Delay {
         Delay::Recording
     }
 

@@ -64,7 +64,7 @@ impl Method for Triangulation {
         format!("triangulation, {}", self.filter.name())
     }
 
-    fn delay(&self) -> Delay {
+    fn delay(&self, _: f64) -> Delay {
         Delay::Recording
     }
 

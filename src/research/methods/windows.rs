@@ -130,8 +130,8 @@ impl Method for Windows {
         self.name.clone()
     }
 
-    fn delay(&self) -> Delay {
-        Delay::Frames(self.config.window_frames)
+    fn delay(&self, fps: f64) -> Delay {
+        Delay::Frames(self.config.at_period(1e9 / fps).window())
     }
 
     fn solve(&mut self, take: &Take, decoder: &Decoder) -> Option<Solved> {
