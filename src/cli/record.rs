@@ -27,6 +27,8 @@ use crate::live::WallClock;
 
 /// How often the files are flushed.
 const FLUSH: Duration = Duration::from_secs(1);
+/// How often recorders tell how much room they have.
+const ROOM: Duration = Duration::from_secs(10);
 /// How long a node may take to answer with its calibration.
 const QUERY: Duration = Duration::from_millis(300);
 
@@ -35,7 +37,8 @@ const QUERY: Duration = Duration::from_millis(300);
 #[command(after_help = "\
 Payloads are kept byte for byte. The log time of a message is its arrival time here, the publish time
 is its capture time. Until Ctrl-C or SIGTERM the recording is at FILE.part; if this program dies, that
-file is readable up to its last second. Recording stops before the disk is full.
+file is readable up to its last second. Recording stops before the disk is full. Each ten seconds the
+recorder publishes how much room it has; that is not recorded.
 
 `bundlemocap take start NAME` begins NAME.mcap beside FILE, with a journal of its own, and `take stop`
 ends it. If there is a NAME.mcap, it is NAME_2.mcap and so on. If FILE is a folder, or ends with /, only
@@ -133,15 +136,22 @@ impl Answers {
                     let refused = done.is_err();
                     let text = done.unwrap_or_else(|why| why);
                     note(&text);
-                    let answer = TakeAnswer { id, role: "recorder".into(), text, refused };
-                    let encoding = media_type(TakeAnswer::FULL_NAME);
-                    if let Err(error) =
-                        self.0.put(Timestamp::default(), &encoding, &encode(&answer))
-                    {
-                        complain("warning", &format!("cannot answer: {error}"));
-                    }
+                    self.put(TakeAnswer { id, text, refused, ..TakeAnswer::default() });
                 }
             }
+        }
+    }
+
+    /// Tells how many bytes are free.
+    fn tell_room(&self, free_bytes: u64) {
+        self.put(TakeAnswer { free_bytes, ..TakeAnswer::default() });
+    }
+
+    fn put(&self, answer: TakeAnswer) {
+        let answer = TakeAnswer { role: "recorder".into(), ..answer };
+        let encoding = media_type(TakeAnswer::FULL_NAME);
+        if let Err(error) = self.0.put(Timestamp::default(), &encoding, &encode(&answer)) {
+            complain("warning", &format!("cannot answer: {error}"));
         }
     }
 }
@@ -158,6 +168,7 @@ fn record(
     mut each_second: impl FnMut(&Recorded),
 ) -> Result<(Recorded, bool), RecordError> {
     let (mut flushed, clock) = (Instant::now(), WallClock::start());
+    let mut told: Option<Instant> = None;
     let mut is_full = false;
     loop {
         if stop.is_set() || is_full {
@@ -166,6 +177,9 @@ fn record(
         match inbox.next(ATTENTION) {
             Some(_) if is_full => {}
             Some(received) => {
+                if tells_room(&received) {
+                    continue;
+                }
                 let arrival = received.arrival;
                 let slate = slate(&received);
                 if let Some(take) = slate {
@@ -179,7 +193,12 @@ fn record(
         answers.say(recorder.tick(clock.now())?);
         if flushed.elapsed() >= FLUSH {
             flushed = Instant::now();
-            let (said, goes_on) = recorder.second(clock.now(), room())?;
+            let free = room();
+            if let Some(free) = free.filter(|_| told.is_none_or(|told| told.elapsed() >= ROOM)) {
+                told = Some(Instant::now());
+                answers.tell_room(free);
+            }
+            let (said, goes_on) = recorder.second(clock.now(), free)?;
             answers.say(said);
             is_full = !goes_on;
             each_second(&Recorded { dropped: inbox.dropped(), ..recorder.recorded() });
@@ -198,6 +217,14 @@ fn slate(received: &Received) -> Option<Take> {
         }
         _ => None,
     }
+}
+
+/// Whether it is from a recorder, of its disk. Those are not recorded.
+fn tells_room(received: &Received) -> bool {
+    let topic = Topic::parse(&received.sample.topic);
+    matches!(topic, Ok(Topic::Stage { channel: StageChannel::TakeAnswers, .. }))
+        && decode::<TakeAnswer>(&received.sample.payload)
+            .is_ok_and(|answer| answer.id == 0 && answer.free_bytes > 0)
 }
 
 /// The recorded entry of a message.
@@ -293,6 +320,28 @@ mod tests {
         assert_eq!(messages[..2], [1, 2].map(|count| Message::Event(event(count))));
         assert_eq!(reader.report().undecodable[&topics.stage_events()].count, 1);
         assert!(!folder.path().join("take.mcap.part").exists());
+    }
+
+    #[test]
+    fn the_room_on_the_disk_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let (bus, topics) = (Memory::new(), Topics::default());
+        let told = Inbox::open(&bus, &topics.take_answers()).unwrap();
+        let inbox = Inbox::open(&bus, &topics.take()).unwrap();
+        let answers = Answers::open(&bus, &topics).unwrap();
+        let recorder = Recorder::start(None, folder.path(), topics, Provenance::default()).unwrap();
+        let stop = Stop::default();
+        let room = || {
+            stop.stop();
+            Some(97_000_000_000)
+        };
+        record(inbox, recorder, &answers, &stop, room, |_| {}).unwrap();
+        let sample = told.next(Duration::ZERO).unwrap().sample;
+        let answer: TakeAnswer = decode(&sample.payload).unwrap();
+        let role = "recorder".into();
+        let wanted = TakeAnswer { role, free_bytes: 97_000_000_000, ..TakeAnswer::default() };
+        assert_eq!(answer, wanted);
+        assert!(told.next(Duration::ZERO).is_none());
     }
 
     #[test]

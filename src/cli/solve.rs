@@ -23,7 +23,9 @@ use crate::core::stage::Performers;
 use crate::io::formats::{Trc, calibration_files};
 use crate::io::recording::last_body;
 use crate::offline::output::{files, of_performer};
-use crate::offline::{Group, Observer, Options, PerformerSummary, Recording, Summary, solve_group};
+use crate::offline::{
+    Group, NewCompanion, Observer, Options, PerformerSummary, Recording, Summary, solve_group,
+};
 
 /// Solve a recording: 2D keypoints in, smooth 3D poses out.
 #[derive(Debug, Args)]
@@ -122,9 +124,27 @@ pub(super) struct Arguments {
     /// The optimiser of the windows.
     #[arg(long, value_enum)]
     optimiser: Option<OptimiserName>,
+    /// Write the poses to poses.mcap also as Foxglove and Lichtblick show them in 3D; it is then about
+    /// twice as large.
+    #[cfg(feature = "view")]
+    #[arg(long)]
+    foxglove: bool,
     /// Print one JSON object instead of the table.
     #[arg(long)]
     pub(super) json: bool,
+}
+
+impl Arguments {
+    #[cfg(feature = "view")]
+    fn companion(&self) -> Option<NewCompanion> {
+        self.foxglove.then_some(|| Box::new(crate::view::Beside::default()))
+    }
+
+    #[cfg(not(feature = "view"))]
+    #[allow(clippy::unused_self)]
+    fn companion(&self) -> Option<NewCompanion> {
+        None
+    }
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -260,6 +280,7 @@ impl Prepared {
             "no_sync": arguments.no_sync,
             "body_actor": arguments.body_actor,
             "span": format!("{:?}", arguments.span),
+            "foxglove": arguments.companion().is_some(),
             "convention": format!("{:?}", arguments.convention),
         })
     }
@@ -298,6 +319,7 @@ impl Prepared {
             overwrite,
             no_sync: arguments.no_sync,
             timecode: times.house,
+            companion: arguments.companion(),
             config_toml: Some(Config { timecode, ..self.config.clone() }.to_toml()),
         };
         let mut progress = Progress(bar(options.passes() * recording.messages()));

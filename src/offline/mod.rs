@@ -46,7 +46,7 @@ pub use first_pass::{
 };
 pub use hold_out::{HeldOut, HoldOut, Located, differences, distances, pose_at};
 pub use motion::{Motion, read_motions};
-pub use options::{Observer, Options};
+pub use options::{NewCompanion, Observer, Options};
 pub use recording::Recording;
 pub use reference::{FrameClock, Reference, ReferenceComparison};
 pub use solve::{solve, solve_group};

@@ -9,7 +9,11 @@ use crate::core::manifold::{Decoder, WeightsError};
 use crate::core::stage::{Choice, Known, Performers};
 use crate::core::tracker;
 use crate::io::formats::Trc;
+use crate::io::recording::Companion;
 use crate::io::timecode::House;
+
+/// Makes a companion of a file.
+pub type NewCompanion = fn() -> Box<dyn Companion>;
 
 /// Options of a solve. The defaults use all cameras, the embedded weights and the settings of
 /// `config/default.toml`, and write nothing.
@@ -46,6 +50,8 @@ pub struct Options {
     pub no_sync: bool,
     /// The timecode of the house, for the poses of poses.mcap.
     pub timecode: Option<House>,
+    /// Writes for other programs beside our messages in poses.mcap.
+    pub companion: Option<NewCompanion>,
     /// All settings as TOML, for the metadata of poses.mcap; `None`: those of `config`.
     pub config_toml: Option<String>,
 }

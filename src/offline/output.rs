@@ -11,6 +11,7 @@ use super::Error;
 use super::camera_states::CameraStates;
 use super::collected::Collected;
 use super::compact_pose::CompactPose;
+use super::options::Options;
 use super::poses::{BENT, Poses};
 use super::series::{Mean, Series};
 use super::summary::{Group, Summary};
@@ -25,14 +26,14 @@ use crate::diagnose::{CameraCheck, Check, Finding};
 use crate::io::new_file;
 use crate::io::recording::{Provenance, TAKE, Writer};
 use crate::io::report::{
-    self, AngleTrack, CameraErrors, Picture, Player, Plot, ReportData, StickFigures, Table, Track,
-    WindowRow, stick_figures, write_report,
+    self, AngleTrack, CameraErrors, Moment, MomentKind, Picture, Player, Plot, ReportData,
+    StickFigures, Table, Track, WindowRow, stick_figures, write_report,
 };
 use crate::io::timecode::House;
 use crate::io::wire::{self, Topics};
 use crate::metrics::Episode;
 
-/// Most of the worst moments of a performer in the report.
+/// Most of the worst moments in the report.
 const MOMENTS: usize = 10;
 /// Number of stick figures in the report.
 const STICK_FIGURES: usize = 9;
@@ -113,7 +114,7 @@ impl PoseFile {
         solved: &Rig,
         provenance: &Provenance,
         performers: &[String],
-        timecode: Option<House>,
+        Options { timecode, companion, .. }: &Options,
     ) -> Result<Self, Error> {
         let performer = |name: &String| Performer {
             topics: Topics { actor: name.clone(), ..Topics::default() },
@@ -122,13 +123,14 @@ impl PoseFile {
         };
         Ok(Self {
             weights: provenance.weights.clone(),
-            writer: Writer::create(path, Topics::default(), provenance)?,
+            writer: Writer::create(path, Topics::default(), provenance)?
+                .with_companion(companion.map(|new| new())),
             rig: Arc::clone(rig),
             cameras: solved.cameras.iter().map(|camera| camera.name.clone()).collect(),
             performers: performers.iter().map(performer).collect(),
             states: CameraStates::new(solved),
             has_rig: false,
-            timecode,
+            timecode: *timecode,
         })
     }
 
@@ -218,7 +220,7 @@ pub(super) fn report(
             (Some(all), Some(Player { start, tracks, moments, .. })) => {
                 all.start = all.start.min(start);
                 all.tracks.extend(tracks);
-                all.moments.extend(moments);
+                all.moments = worst([std::mem::take(&mut all.moments), moments].concat());
             }
             (all, first) => *all = first,
         }
@@ -271,25 +273,24 @@ pub(super) fn page(
     }
 }
 
-/// The worst moments: points that were not followed, the longest lost stretches, and the windows of the highest
+/// The bad moments of a performer: points that were not followed, lost stretches, and the windows of the highest
 /// cost, at least a second apart.
-fn moments(windows: &Windows, summary: &Summary, name: &str) -> Vec<(Timestamp, String)> {
+fn moments(windows: &Windows, summary: &Summary, name: &str) -> Vec<Moment> {
+    let moment =
+        |at, kind, size, what: String| Moment { at, what: format!("{name}: {what}"), kind, size };
     let followed = summary.not_followed.iter().flat_map(|found| &found.longest).map(|episode| {
         let Episode { keypoint, capture_time_ns, frames, distance_m } = episode;
         let (at, cm) = (Timestamp::from_ns(*capture_time_ns), 100.0 * distance_m);
-        (
-            at,
-            format!("{name}: {keypoint} {cm:.0} cm from where the cameras see it, {frames} frames"),
-        )
+        let what = format!("{keypoint} {cm:.0} cm from where the cameras see it, {frames} frames");
+        moment(at, MomentKind::NotFollowed, *frames as f64, what)
     });
     let all = windows.series.bins();
     let runs = all.chunk_by(|a, b| a.lost == b.lost).filter(|run| run[0].lost);
-    let mut lost: Vec<(f64, Timestamp)> = runs
-        .map(|run| (run[run.len() - 1].end.seconds_since(run[0].start), run[0].start))
-        .collect();
-    lost.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let lost = lost.into_iter();
-    let lost = lost.map(|(s, at)| (at, format!("{name}: lost or extrapolated for {s:.2} s")));
+    let lost = runs.map(|run| {
+        let seconds = run[run.len() - 1].end.seconds_since(run[0].start);
+        let what = format!("lost or extrapolated for {seconds:.2} s");
+        moment(run[0].start, MomentKind::Lost, seconds, what)
+    });
     let mut costly: Vec<_> = all.iter().filter(|window| window.cost.is_finite()).collect();
     costly.sort_by(|a, b| b.cost.total_cmp(&a.cost));
     let mut apart: Vec<&WindowSummary> = Vec::new();
@@ -300,9 +301,19 @@ fn moments(windows: &Windows, summary: &Summary, name: &str) -> Vec<(Timestamp, 
         }
     }
     let costly = apart.into_iter().map(|window| {
-        (window.start, format!("{name}: window cost {:.0}, among the highest", window.cost))
+        let what = format!("window cost {:.0}, among the highest", window.cost);
+        moment(window.start, MomentKind::Costly, window.cost, what)
     });
-    followed.take(MOMENTS / 2).chain(lost.take(MOMENTS / 4)).chain(costly).take(MOMENTS).collect()
+    worst(followed.chain(lost).chain(costly).collect())
+}
+
+/// The worst of these moments: those of each kind, the worst first.
+fn worst(mut moments: Vec<Moment>) -> Vec<Moment> {
+    moments.sort_by(|a, b| a.kind.cmp(&b.kind).then(b.size.total_cmp(&a.size)));
+    let of = |kind| moments.iter().filter(move |moment| moment.kind == kind);
+    let followed = of(MomentKind::NotFollowed).take(MOMENTS / 2);
+    let lost = of(MomentKind::Lost).take(MOMENTS / 4);
+    followed.chain(lost).chain(of(MomentKind::Costly)).take(MOMENTS).cloned().collect()
 }
 
 /// The cameras judged, and what is wrong with all of them.
@@ -386,5 +397,51 @@ fn row(window: &WindowSummary, start: Timestamp) -> WindowRow {
         cost: window.cost,
         solve_ms: window.solve_ms,
         lost: window.lost,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::body::{Pose, TrackingState};
+    use crate::io::report::PlayerPose;
+    use crate::offline::poses::PLAYED;
+
+    #[test]
+    fn the_worst_moments_of_all_performers_are_the_worst_first() {
+        let moment = |kind, size: usize| Moment {
+            at: Timestamp::default(),
+            what: format!("{size}"),
+            kind,
+            size: size as f64,
+        };
+        let of = |first: usize| {
+            let costly = (0..MOMENTS).map(move |k| moment(MomentKind::Costly, first + 2 * k));
+            costly.chain([moment(MomentKind::Lost, first), moment(MomentKind::NotFollowed, first)])
+        };
+        let found = worst(of(0).chain(of(1)).collect());
+        let words: Vec<&str> = found.iter().map(|moment| &*moment.what).collect();
+        assert_eq!(words, ["1", "0", "1", "0", "19", "18", "17", "16", "15", "14"]);
+    }
+
+    #[test]
+    fn the_report_of_the_longest_take_is_below_50_mb() {
+        const PERFORMERS: usize = 10;
+        let track = |number: usize| {
+            let pose = |k: usize| {
+                let capture = Timestamp::from_ns(16_666_667 * k as i64);
+                PlayerPose::new(capture, TrackingState::Tracking, &Pose::rest())
+            };
+            let poses = (0..PLAYED / PERFORMERS).map(pose).collect();
+            Track { name: format!("p{number}"), body: Skeleton::default(), poses }
+        };
+        let tracks = (0..PERFORMERS).map(track).collect();
+        let rig = Rig { version: 1, cameras: Vec::new() };
+        let player = Player { rig, start: Timestamp::default(), tracks, moments: Vec::new() };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("report.html");
+        write_report(&path, &ReportData { player: Some(player), ..ReportData::default() }).unwrap();
+        let bytes = std::fs::metadata(path).unwrap().len();
+        assert!((1_000_000..50_000_000).contains(&bytes), "{bytes} bytes");
     }
 }

@@ -246,7 +246,7 @@ impl Outputs {
             ..Provenance::default()
         };
         let path = folder.file("poses.mcap");
-        let file = PoseFile::create(&path, all, rig, &provenance, performers, options.timecode)?;
+        let file = PoseFile::create(&path, all, rig, &provenance, performers, options)?;
         Ok(Self { folder, file })
     }
 }

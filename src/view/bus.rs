@@ -119,8 +119,9 @@ enum Outgoing {
     Open,
     /// A message and its time of arrival.
     Sample(Sample, Timestamp),
-    /// Who receives topics of performers.
-    Receivers(Vec<Receiver>),
+    /// Who receives topics of performers, of those who announce it; and whether anybody receives poses, if that is
+    /// known.
+    Receivers(Vec<Receiver>, Option<bool>),
     /// The bus cannot be used.
     Error(String),
 }
@@ -188,7 +189,9 @@ fn messages(
     for outgoing in batch {
         match outgoing {
             Outgoing::Open => texts.push(json!({ "open": true })),
-            Outgoing::Receivers(all) => texts.push(json!({ "receivers": all })),
+            Outgoing::Receivers(all, received) => {
+                texts.push(json!({ "receivers": all, "received": received }));
+            }
             Outgoing::Error(error) => texts.push(json!({ "error": error })),
             Outgoing::Sample(Sample { topic, capture, payload, .. }, arrival) => {
                 frame::write(&mut frames, &topic, capture, arrival, &payload);
@@ -234,6 +237,7 @@ fn try_orders(
     let mut guards: Vec<(String, Box<dyn Guard>)> = Vec::new();
     drop(out.blocking_send(Outgoing::Open));
     let below = format!("mocap/{}/actor", live.topics.stage);
+    let watch = bus.watch(&format!("{below}/*/pose"))?;
     let mut next = Instant::now() + RECEIVERS;
     loop {
         let order = orders.recv_timeout(next.saturating_duration_since(Instant::now()));
@@ -241,7 +245,10 @@ fn try_orders(
             Err(mpsc::RecvTimeoutError::Disconnected) => return Ok(()),
             Err(mpsc::RecvTimeoutError::Timeout) => {
                 match bus.receivers(&below) {
-                    Ok(receivers) => drop(out.try_send(Outgoing::Receivers(receivers))),
+                    Ok(receivers) => {
+                        let received = watch.as_ref().map(|watch| watch.is_received());
+                        drop(out.try_send(Outgoing::Receivers(receivers, received)));
+                    }
                     Err(error) => tracing::debug!("who receives is not known: {error}"),
                 }
                 next = Instant::now() + RECEIVERS;

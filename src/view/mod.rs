@@ -12,7 +12,7 @@
 //! | `/body.json` | what the skins of all bodies share: faces, bones and weights |
 //! | `/rest?offsets=X,Y,Z,...` | the skin of a body in the rest pose, from the 66 numbers of its skeleton's offsets: x, y, z of each vertex, tenths of millimetres (`i16`) |
 //! | `/overview.json` | of a recording: span, performers, events |
-//! | `/messages?from=NS&to=NS&kinds=pose,keypoints,status` | of a recording: the rig and the skeletons up to `to`, and the frames of these kinds in a span of capture time |
+//! | `/messages?from=NS&to=NS&kinds=pose,provisional,keypoints,status` | of a recording: the rig and the skeletons up to `to`, and the frames of these kinds in a span of capture time |
 //!
 //! A frame is a message: length of the topic (`u32`), topic, capture time and time of arrival (`i64`,
 //! nanoseconds), length of the payload (`u32`), payload; all numbers little-endian. Beside the messages of the
@@ -33,7 +33,7 @@ mod recorded;
 mod server;
 
 pub use bus::Live;
-pub use foxglove::{Bridge, FoxgloveFile, bridge};
+pub use foxglove::{Beside, Bridge, FoxgloveFile, bridge};
 pub use overview::Overview;
 pub use recorded::Recorded;
 pub use server::{Running, Source, ViewError, start};

@@ -2,12 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use nalgebra::Vector3;
 use serde::Serialize;
+use serde_json::{Value, json};
 
-use crate::core::body::TrackingState;
+use crate::core::body::{Joint, TrackingState};
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::recording::{Entry, Message, Reader, RecordError};
-use crate::io::wire::{Event, Topic};
+use crate::io::wire::{CameraCounters, Event, Pose, Status, Topic};
 
 /// A capture time is wrong if its log time comes this much earlier or later than it usually does.
 const FAR: Nanos = Nanos::from_ms(10_000);
@@ -23,6 +25,13 @@ pub struct Overview {
     pub performers: BTreeMap<String, Vec<Run>>,
     /// Events, in the order of the file.
     pub events: Vec<OverviewEvent>,
+    /// The performer or node whose statuses are about the cameras.
+    pub node: Option<String>,
+    /// For the charts: what the nodes said of themselves, at most 600.
+    pub statuses: Vec<OverviewStatus>,
+    /// For the charts: time and angles (degrees) of left knee, right knee, left elbow and right elbow, by performer,
+    /// at most 600 each; 180 is straight.
+    pub angles: BTreeMap<String, Vec<[f32; 5]>>,
     /// Number of keypoint frames by camera.
     pub cameras: BTreeMap<String, u64>,
     /// The losses of a damaged file.
@@ -53,15 +62,45 @@ pub struct OverviewEvent {
     pub detail: String,
 }
 
+/// A part of a status.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OverviewStatus {
+    /// The capture time.
+    pub seconds: f64,
+    /// What the charts show of it, with the names of `schemas/status.proto`.
+    pub status: Value,
+}
+
+/// Most points of a curve.
+const MOST: usize = 600;
+
+/// Joints whose angle is charted, each between two others.
+const HINGES: [[Joint; 3]; 4] = [
+    [Joint::LHip, Joint::LKnee, Joint::LAnkle],
+    [Joint::RHip, Joint::RKnee, Joint::RAnkle],
+    [Joint::LShoulder, Joint::LElbow, Joint::LWrist],
+    [Joint::RShoulder, Joint::RElbow, Joint::RWrist],
+];
+
 /// A pose, for runs: capture time and state.
 type Stamp = (Timestamp, TrackingState);
+
+/// Of a performer.
+#[derive(Default)]
+struct Performer {
+    runs: Vec<[Stamp; 2]>,
+    /// The angles of the [`HINGES`], degrees.
+    angles: Vec<(Timestamp, [f32; 4])>,
+}
 
 /// What was read so far.
 #[derive(Default)]
 pub(super) struct Gathered {
-    performers: BTreeMap<String, Vec<[Stamp; 2]>>,
+    performers: BTreeMap<String, Performer>,
     /// Events, each with its performer, if it concerns one.
     events: Vec<(Option<String>, Event)>,
+    /// Statuses with cameras, by whose they are.
+    statuses: BTreeMap<String, Vec<(Timestamp, Value)>>,
     cameras: BTreeMap<String, u64>,
     /// Capture times of the first and the last pose or keypoints.
     span: Option<[Timestamp; 2]>,
@@ -87,12 +126,12 @@ impl Gathered {
         let delays = self.add_times(times);
         self.damage.extend(reader.report().losses());
         let mut renamed = BTreeMap::new();
-        for (name, runs) in std::mem::replace(&mut self.performers, earlier) {
+        for (name, performer) in std::mem::replace(&mut self.performers, earlier) {
             let new = match self.performers.contains_key(&name) {
                 true => format!("{name} ({number})"),
                 false => name.clone(),
             };
-            self.performers.insert(new.clone(), runs);
+            self.performers.insert(new.clone(), performer);
             renamed.insert(name, new);
         }
         for actor in self.events[events..].iter_mut().filter_map(|(actor, _)| actor.as_mut()) {
@@ -127,9 +166,11 @@ impl Gathered {
     fn add(&mut self, topic: &str, message: Message) -> Option<Timestamp> {
         match message {
             Message::Pose(pose) if !pose.provisional => {
+                let angles = angles(&pose);
                 let pose = pose.to_core().ok()?;
-                let runs = self.performers.entry(Topic::actor(topic)).or_default();
-                extend(runs, (pose.capture, pose.state));
+                let performer = self.performers.entry(Topic::actor(topic)).or_default();
+                extend(&mut performer.runs, (pose.capture, pose.state));
+                performer.angles.extend(angles.map(|angles| (pose.capture, angles)));
                 Some(pose.capture)
             }
             Message::Keypoints(frame) => {
@@ -140,6 +181,12 @@ impl Gathered {
             Message::Event(event) => {
                 let of = Topic::parse(topic).ok().and_then(|topic| topic.topics());
                 self.events.push((of.map(|topics| topics.actor), event));
+                None
+            }
+            Message::Status(status) if !status.cameras.is_empty() => {
+                let at = Timestamp::from_ns(status.capture_time_ns);
+                let of_one = self.statuses.entry(Topic::actor(topic)).or_default();
+                of_one.push((at, charted(&status)));
                 None
             }
             _ => None,
@@ -154,7 +201,21 @@ impl Gathered {
             to: since(last.0),
             state: first.1.name(),
         };
-        let runs = |runs: Vec<[Stamp; 2]>| runs.into_iter().map(run).collect();
+        let of_time =
+            |(at, [a, b, c, d]): &(Timestamp, [f32; 4])| [since(*at) as f32, *a, *b, *c, *d];
+        // With several performers each has a status; that of the node is of nobody who has poses.
+        let is_node = |name: &&String| !self.performers.contains_key(*name);
+        let node = self.statuses.keys().find(is_node).or(self.statuses.keys().next()).cloned();
+        let statuses = node.as_ref().and_then(|name| self.statuses.get(name));
+        let (mut runs, mut angles) = (BTreeMap::new(), BTreeMap::new());
+        for (name, performer) in self.performers {
+            angles.insert(name.clone(), thin(&performer.angles).map(of_time).collect());
+            runs.insert(name, performer.runs.into_iter().map(run).collect());
+        }
+        let status = |(at, status): &(Timestamp, Value)| OverviewStatus {
+            seconds: since(*at),
+            status: status.clone(),
+        };
         let event = |(actor, event): (Option<String>, Event)| OverviewEvent {
             at: since(Timestamp::from_ns(event.capture_time_ns)),
             kind: event.kind,
@@ -166,7 +227,10 @@ impl Gathered {
         Overview {
             start_ns: start.ns().to_string(),
             seconds: since(end),
-            performers: self.performers.into_iter().map(|(name, of)| (name, runs(of))).collect(),
+            performers: runs,
+            statuses: thin(statuses.map_or(&[], Vec::as_slice)).map(status).collect(),
+            node,
+            angles,
             events: self.events.into_iter().map(event).collect(),
             cameras: self.cameras,
             damage: self.damage,
@@ -179,5 +243,73 @@ fn extend(runs: &mut Vec<[Stamp; 2]>, at: Stamp) {
     match runs.last_mut() {
         Some([first, last]) if first.1 == at.1 => *last = at,
         _ => runs.push([at; 2]),
+    }
+}
+
+/// At most [`MOST`] of them, evenly spread.
+fn thin<T>(all: &[T]) -> impl Iterator<Item = &T> {
+    all.iter().step_by(all.len().div_ceil(MOST).max(1))
+}
+
+fn angles(pose: &Pose) -> Option<[f32; 4]> {
+    let at = |joint: Joint| {
+        let place = pose.joint_positions_m.get(3 * joint.index()..3 * joint.index() + 3)?;
+        Some(Vector3::from_column_slice(place))
+    };
+    let mut angles = [0.0; 4];
+    for (angle, [a, b, c]) in angles.iter_mut().zip(HINGES) {
+        *angle = (at(a)? - at(b)?).angle(&(at(c)? - at(b)?)).to_degrees();
+    }
+    Some(angles)
+}
+
+fn charted(status: &Status) -> Value {
+    let windows = status.windows.clone().unwrap_or_default();
+    let residual = |camera: &CameraCounters| json!({ "camera": camera.camera, "residual_px": camera.residual_px });
+    json!({
+        "declared_latency_ns": status.declared_latency_ns,
+        "cameras": status.cameras.iter().map(residual).collect::<Vec<_>>(),
+        "windows": {
+            "cost_p50": windows.cost_p50,
+            "closed_p50_ms": windows.closed_p50_ms,
+            "closed_p99_ms": windows.closed_p99_ms,
+            "solve_p50_ms": windows.solve_p50_ms,
+            "solve_p99_ms": windows.solve_p99_ms,
+        },
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core::body::{self, Skeleton, StampedPose};
+    use crate::io::wire::Topics;
+
+    #[test]
+    fn the_charts_have_the_nodes_states_and_the_performers_angles() {
+        let mut all = Gathered::default();
+        let of = |actor: &str| Topics { actor: actor.into(), ..Topics::default() };
+        let at = |second: i64| Timestamp::from_ns(second * 1_000_000_000);
+        for second in 0..2000 {
+            let pose = StampedPose::new(at(second), body::Pose::rest(), TrackingState::Tracking);
+            let pose = Pose::from_core(&pose, &Skeleton::default(), None);
+            assert_eq!(all.add(&of("p1").pose(), Message::Pose(pose)), Some(at(second)));
+            for (actor, residual_px) in [("node", 4.0), ("p1", 9.0)] {
+                let camera = CameraCounters { residual_px, ..CameraCounters::default() };
+                let capture_time_ns = at(second).ns();
+                let status = Status { capture_time_ns, cameras: vec![camera], ..Status::default() };
+                all.add(&of(actor).status(), Message::Status(Box::new(status)));
+            }
+        }
+        all.span = Some([at(0), at(1999)]);
+        let overview = all.finish();
+        assert_eq!(overview.node.as_deref(), Some("node"));
+        assert_eq!(overview.statuses.len(), 500);
+        let last = &overview.statuses[499];
+        assert!((last.seconds - 1996.0).abs() < 1e-6, "{last:?}");
+        assert_eq!(last.status["cameras"][0]["residual_px"], 4.0);
+        assert_eq!(overview.angles["p1"].len(), 500);
+        let [seconds, knee, ..] = overview.angles["p1"][499];
+        assert!(seconds == 1996.0 && knee > 175.0, "{knee} degrees in the rest pose");
     }
 }

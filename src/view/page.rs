@@ -24,6 +24,8 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/bodies.js", SCRIPT, include_str!("assets/bodies.js")),
     ("/lens.js", SCRIPT, include_str!("../io/report/scene/lens.js")),
     ("/scene.js", SCRIPT, include_str!("../io/report/scene/scene.js")),
+    ("/loop.js", SCRIPT, include_str!("../io/report/scene/loop.js")),
+    ("/through.js", SCRIPT, include_str!("assets/through.js")),
     ("/panes.js", SCRIPT, include_str!("assets/panes.js")),
     ("/charts.js", SCRIPT, include_str!("assets/charts.js")),
     ("/sources.js", SCRIPT, include_str!("assets/sources.js")),

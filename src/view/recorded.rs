@@ -112,6 +112,7 @@ fn kind(topic: &str) -> Option<&'static str> {
         Topic::Actor { channel, .. } => match channel {
             ActorChannel::Skeleton => "state",
             ActorChannel::Pose => "pose",
+            ActorChannel::Provisional => "provisional",
             ActorChannel::Status => "status",
             _ => return None,
         },

@@ -521,6 +521,24 @@ fn receivers_are_known_with_what_they_take(pair: &dyn Pair) {
     assert!(pair.near().receivers("mocap/*").is_err());
 }
 
+fn anybody_who_receives_is_known(pair: &dyn Pair) {
+    let Some(watch) = pair.near().watch("mocap/t/actor/*/pose").unwrap() else { return };
+    let is = |wanted: bool| {
+        (0..1000).any(|_| {
+            std::thread::sleep(Duration::from_millis(5));
+            watch.is_received() == wanted
+        })
+    };
+    let own = pair.near().subscribe("mocap/t/actor/p1/pose", Box::new(|_| {})).unwrap();
+    let other = pair.far().subscribe("mocap/t/rig", Box::new(|_| {})).unwrap();
+    assert!(is(false));
+    let guard = pair.far().subscribe("mocap/t/actor/p1/pose", Box::new(|_| {})).unwrap();
+    assert!(is(true), "never known");
+    drop((guard, own, other));
+    assert!(is(false), "known after its end");
+    assert!(pair.near().watch("mocap//t").is_err());
+}
+
 macro_rules! conformance {
     ($bus:ident, $pair:expr) => {
         conformance!($bus, $pair,
@@ -528,7 +546,7 @@ macro_rules! conformance {
             patterns_choose_topics a_dropped_guard_gets_nothing_more
             late_joiners_get_the_history_of_states_only several_publish_on_one_topic
             bad_names_are_refused queries_are_answered announced_names_are_seen_until_they_end
-            receivers_are_known_with_what_they_take);
+            receivers_are_known_with_what_they_take anybody_who_receives_is_known);
     };
     ($bus:ident, $pair:expr, $($check:ident)*) => {
         mod $bus {

@@ -876,6 +876,12 @@ fn a_camera_whose_clock_is_off_raises_an_alarm() {
     let events = world.heard.details("clock_offset");
     assert_eq!(events.len(), 1, "{events:?}");
     assert!(events[0].starts_with("+6.0 ms off from the other cameras, limit 4.2"), "{events:?}");
+    // A window waits for the latest camera; what remains of the latency is for the solve.
+    let windows = world.heard.status().windows.clone().unwrap();
+    let declared = world.heard.status().declared_latency_ns as f64 * 1e-6;
+    let [p50, p99] = [windows.closed_p50_ms, windows.closed_p99_ms];
+    assert!(p50 > 150.0 && p99 >= p50 && p99 < declared, "{p50}, {p99} of {declared} ms");
+    assert!(windows.cost_p50 > 0.0);
     let status = world.heard.status();
     assert!((status.cameras[1].offset_s - 0.009).abs() < 1e-4, "{}", status.cameras[1].offset_s);
     assert!((status.cameras[0].rate_hz - 60.0).abs() < 2.0, "{}", status.cameras[0].rate_hz);

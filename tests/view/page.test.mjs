@@ -5,7 +5,12 @@ import { readFileSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { join } from "node:path";
 import { test } from "node:test";
+import { McapIndexedReader } from "@mcap/core";
+import { decompress as zstd } from "fzstd";
+import protobuf from "protobufjs";
+import descriptor from "protobufjs/ext/descriptor/index.js";
 import { Template, metres } from "../../src/io/report/scene/body.js";
+import { lensOf, project, ray } from "../../src/io/report/scene/lens.js";
 import { folder, freePort, isSound, open, people, picture, root, run, shown, start, status, stop, until } from "./browser.mjs";
 
 test("a recording plays, is scrubbed, and keeps its place in the address", async () => {
@@ -50,13 +55,13 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   // It ends by itself.
   await until(page, () => document.getElementById("play").textContent === "Play");
 
-  const camera = () => page.evaluate(() => document.body.dataset.view);
-  const free = await camera();
+  const free = (await shown(page)).view;
   await page.keyboard.press("1");
-  await until(page, (before) => document.body.dataset.view !== before, free);
+  await until(page, () => document.body.dataset.through === "cam01");
+  await page.locator("#over").waitFor();
   await picture(page, "through");
   await page.keyboard.press("0");
-  await until(page, (before) => document.body.dataset.view === before, free);
+  await until(page, () => document.body.dataset.through === "");
   // The wheel goes nearer, F shows everything again.
   const scene = await page.locator("#canvas").boundingBox();
   await page.mouse.move(scene.x + scene.width / 2, scene.y + scene.height / 2);
@@ -64,11 +69,24 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   await until(page, (before) => document.body.dataset.view !== before, free);
   await page.keyboard.press("f");
   await until(page, (before) => document.body.dataset.view === before, free);
-  // L loops two seconds around here.
+  // L loops from one place to another.
+  const isLooping = () => page.locator("#loop").getAttribute("aria-pressed");
+  const goTo = async (share) => {
+    await page.mouse.click(bar.x + bar.width * share, bar.y + bar.height / 2);
+    await until(page, (at) => Math.abs(Number(document.body.dataset.time) - at) < 0.03, 4 * share);
+  };
+  await goTo(0.75);
   await page.keyboard.press("l");
-  assert.equal(await page.locator("#loop").getAttribute("aria-pressed"), "true");
+  assert.equal(await isLooping(), "false");
+  await goTo(0.5);
   await page.keyboard.press("l");
-  assert.equal(await page.locator("#loop").getAttribute("aria-pressed"), "false");
+  assert.equal(await isLooping(), "true");
+  await page.keyboard.press(" ");
+  await until(page, () => Number(document.body.dataset.time) > 2.8);
+  await until(page, () => Number(document.body.dataset.time) < 2.5);
+  await page.keyboard.press(" ");
+  await page.keyboard.press("l");
+  assert.equal(await isLooping(), "false");
   const event = page.locator("#events button").first();
   await event.click();
   const at = parseFloat(await event.textContent());
@@ -141,6 +159,21 @@ test("the skin of the page is the skin of the library", async () => {
   }
 });
 
+test("a lens has a ray for each pixel", () => {
+  const plain = { width: 1920, height: 1080, focal_px: [1100, 1120], centre_px: [1000, 500], skew_px: 1.5,
+    camera_from_world_rotation: [0, 0, 0, 1], camera_from_world_translation_m: [0, 0, 0], lens: 1 };
+  const lenses = [
+    {}, { lens_coefficients: [-0.28, 0.09, 0.001, -0.002, -0.01] }, { lens: 2, lens_coefficients: [0.03, -0.01, 0.002, 0] },
+  ];
+  for (const lens of lenses.map((one) => lensOf({ ...plain, ...one }))) {
+    for (const [u, v] of [[1, 1], [1919, 1079], [1000, 500], [300, 900], [1700, 20]]) {
+      const [x, y] = ray(lens, u, v);
+      const [back, below] = project(lens, 3 * x, 3 * y, 3);
+      assert.ok(Math.hypot(back - u, below - v) < 2e-3, `${lens.lens}: ${u}, ${v} gives ${back}, ${below}`);
+    }
+  }
+});
+
 test("the report of a solve plays the take, without a server", async () => {
   const { page, said } = await open(`file://${join(folder, "walk/report.html")}#t=1.00`);
   await people(page, 1);
@@ -157,6 +190,7 @@ test("the report of a solve plays the take, without a server", async () => {
   await until(page, () => document.body.dataset.time === "1.02");
   await page.keyboard.press("]");
   assert.equal(await page.locator("#speed").inputValue(), "2");
+  await page.keyboard.press("l");
   await page.keyboard.press("l");
   assert.equal(await page.locator("#loop").getAttribute("aria-pressed"), "true");
   await page.keyboard.press(" ");
@@ -227,7 +261,7 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   await page.keyboard.press(" ");
   await until(page, () => document.getElementById("clock").textContent === "live");
 
-  await until(page, () => document.getElementById("receivers").textContent === "no other program is known");
+  await until(page, () => document.getElementById("receivers").textContent === "nobody receives poses");
 
   // A take is recorded, and the next name is ready.
   const takes = join(folder, "takes");
@@ -337,18 +371,27 @@ test("four performers live: each is shown, and one gets a name, a colour and a l
   await page.close();
 });
 
-test("Foxglove and Lichtblick get the performers and the cameras of a live stage", async () => {
+/** Reads a message of Protobuf's encoding by a schema that came with it, base64 both. */
+function decoded(name, schema, payload) {
+  const types = protobuf.Root.fromDescriptor(descriptor.FileDescriptorSet.decode(Buffer.from(schema, "base64")));
+  return types.lookupType(name).decode(Buffer.from(payload, "base64"));
+}
+
+test("Foxglove and Lichtblick get the performers and the cameras of a live stage, beside our own messages", async () => {
   const [bus, socket] = [await freePort(), await freePort()];
   await start(["run", "--listen", `tcp/127.0.0.1:${bus}`, "--foxglove", `127.0.0.1:${socket}`], /connect to ws:/);
   await start(["play", join(root, "recordings/walk.mcap"), "--loop", "--connect", `tcp/127.0.0.1:${bus}`]);
   // A page of another program on this computer; Chromium lets no other connect.
   const other = await anotherSite();
   const { page, said } = await open(other.url);
-  await page.evaluate(async (url) => {
+  const got = await page.evaluate(async (url) => {
     const client = new WebSocket(url, ["foxglove.sdk.v1"]);
     client.binaryType = "arraybuffer";
-    const [topics, counts] = [new Map(), {}];
-    const wanted = { "/performers": 20, "/tf": 20, "/camera/cam01/calibration": 1, "/camera/cam04/keypoints": 20 };
+    const [topics, counts, last] = [new Map(), {}, {}];
+    const wanted = {
+      "/performers": 20, "/tf": 20, "/camera/cam01/calibration": 1, "/camera/cam04/keypoints": 20,
+      "mocap/stage/actor/actor/pose": 20, "mocap/stage/rig": 1,
+    };
     const isEnough = () => Object.entries(wanted).every(([topic, least]) => counts[topic] >= least);
     await new Promise((resolve, reject) => {
       setTimeout(() => reject(new Error(JSON.stringify(counts))), 60_000);
@@ -356,23 +399,57 @@ test("Foxglove and Lichtblick get the performers and the cameras of a live stage
       client.onmessage = ({ data }) => {
         if (typeof data !== "string") {
           const view = new DataView(data);
-          const topic = view.getUint8(0) === 1 && topics.get(view.getUint32(1, true));
-          if (topic) counts[topic] = (counts[topic] ?? 0) + 1;
+          const of = view.getUint8(0) === 1 && topics.get(view.getUint32(1, true));
+          if (of) {
+            counts[of.topic] = (counts[of.topic] ?? 0) + 1;
+            last[of.topic] = { ...of, payload: btoa(String.fromCharCode(...new Uint8Array(data, 13))) };
+          }
           if (isEnough()) resolve();
           return;
         }
         const { op, channels = [], message } = JSON.parse(data);
         if (op === "status") reject(new Error(message));
         if (op !== "advertise") return;
-        for (const { id, topic } of channels) topics.set(id, topic);
+        for (const { id, topic, schemaName, schema } of channels) topics.set(id, { topic, schemaName, schema });
         client.send(JSON.stringify({ op: "subscribe", subscriptions: channels.map(({ id }) => ({ id, channelId: id })) }));
       };
     });
     client.close();
+    return last;
   }, `ws://127.0.0.1:${socket}`);
+  const message = (topic) => decoded(got[topic].schemaName, got[topic].schema, got[topic].payload);
+  const [{ lines, spheres }] = message("/performers").entities;
+  assert.ok(lines.length > 0 && lines[0].points.length > 20 && spheres.length === 1);
+  assert.equal(message("mocap/stage/rig").cameras.length, 4);
+  const { joint_positions_m: joints } = message("mocap/stage/actor/actor/pose");
+  assert.ok(joints.length === 66 && joints[1] > 0.5 && joints[1] < 1.5, `the pelvis is at ${joints[1]} m`);
   assert.deepEqual(said, []);
   await page.close();
   other.close();
+});
+
+test("Foxglove and Lichtblick open what a solve writes, with the poses that it has", async () => {
+  run("solve", join(root, "recordings/walk.mcap"), "--out", join(folder, "both"), "--foxglove");
+  const file = readFileSync(join(folder, "both/poses.mcap"));
+  const readable = { size: async () => BigInt(file.length), read: async (at, length) => file.subarray(Number(at), Number(at + length)) };
+  const reader = await McapIndexedReader.Initialize({ readable, decompressHandlers: { zstd: (bytes) => zstd(bytes) } });
+  const found = {};
+  for await (const { channelId, logTime, data } of reader.readMessages()) {
+    const { topic, schemaId } = reader.channelsById.get(channelId);
+    const schema = reader.schemasById.get(schemaId);
+    (found[topic] ??= []).push({ logTime, schema, data });
+  }
+  const ours = found["mocap/stage/actor/actor/pose"];
+  assert.equal(found["/performers"].length, ours.length);
+  const read = ({ schema, data }) => decoded(schema.name, Buffer.from(schema.data).toString("base64"), Buffer.from(data).toString("base64"));
+  for (const at of [0, ours.length - 1]) {
+    assert.equal(found["/performers"][at].logTime, ours[at].logTime);
+    const joints = read(ours[at]).joint_positions_m;
+    const transform = found["/tf"].map(read).flatMap(({ transforms }) => transforms)
+      .filter(({ child_frame_id }) => child_frame_id.endsWith("/pelvis"))[at].translation;
+    ["x", "y", "z"].forEach((axis, k) => assert.ok(Math.abs(transform[axis] - joints[k]) < 1e-5, `${axis} of pose ${at}`));
+  }
+  run("info", join(folder, "both/poses.mcap"), "--check");
 });
 
 /** A site of another program on this computer. */

@@ -150,6 +150,21 @@ pub trait Bus: Send + Sync {
         let _ = below;
         Ok(Vec::new())
     }
+
+    /// Watches whether other sessions, announced or not, receive any topic that matches a pattern. `None` if the
+    /// transport does not know it.
+    ///
+    /// # Errors
+    /// The pattern is not one, or the transport refuses it.
+    fn watch(&self, pattern: &str) -> Result<Option<Box<dyn Watch>>, BusError> {
+        check_pattern(pattern).map(|()| None)
+    }
+}
+
+/// Watches whether topics are received.
+pub trait Watch: Send {
+    /// Whether another session receives any of them.
+    fn is_received(&self) -> bool;
 }
 
 /// Publishes on one topic.

@@ -24,6 +24,7 @@ use zenoh::bytes::Encoding;
 use zenoh::key_expr::{KeyExpr, OwnedKeyExpr};
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, Query, QueryTarget};
+use zenoh::sample::Locality;
 use zenoh::{Session, Wait};
 use zenoh_ext::{
     AdvancedPublisher, AdvancedPublisherBuilderExt, AdvancedSubscriberBuilderExt, CacheConfig,
@@ -33,7 +34,7 @@ use zenoh_ext::{
 use super::receivers::Announcer;
 use super::zenoh_settings::{check_endpoints, settings, why_not_open, without_places};
 use super::{
-    Answer, Bus, BusError, Delivery, Guard, Publisher, Receiver, Sample, Sink, ZenohConfig,
+    Answer, Bus, BusError, Delivery, Guard, Publisher, Receiver, Sample, Sink, Watch, ZenohConfig,
     ZenohMode, check_pattern, check_topic, delivery,
 };
 use crate::core::time::Timestamp;
@@ -208,6 +209,15 @@ impl Bus for Zenoh {
         self.announcer.others(self, below)
     }
 
+    fn watch(&self, pattern: &str) -> Result<Option<Box<dyn Watch>>, BusError> {
+        check_pattern(pattern)?;
+        let builder = self.session.declare_publisher(canonical(pattern)?);
+        // Nothing is put.
+        let publisher = builder.allowed_destination(Locality::Remote).wait();
+        let publisher = publisher.map_err(|e| self.error(format!("cannot watch {pattern}"), e))?;
+        Ok(Some(Box::new(Matching(publisher))))
+    }
+
     fn query(&self, pattern: &str, within: Duration) -> Result<Vec<Sample>, BusError> {
         check_pattern(pattern)?;
         let replies = self
@@ -219,6 +229,15 @@ impl Bus for Zenoh {
             .wait()
             .map_err(|e| self.error(format!("cannot ask for {pattern}"), e))?;
         Ok(replies.iter().filter_map(|r| r.into_result().ok()).map(|s| from_zenoh(&s)).collect())
+    }
+}
+
+/// A publisher whose matching status is asked for.
+struct Matching(zenoh::pubsub::Publisher<'static>);
+
+impl Watch for Matching {
+    fn is_received(&self) -> bool {
+        self.0.matching_status().wait().is_ok_and(|status| status.matching())
     }
 }
 

@@ -31,7 +31,7 @@ pub use info::{CameraInfo, Info, TopicInfo, scan, summarise, summary};
 pub use message::{Entry, Message, RawEntry};
 pub use reader::Reader;
 pub use span::Spans;
-pub use writer::{Provenance, Writer};
+pub use writer::{Companion, Foreign, Provenance, Writer};
 
 /// Name of our metadata record.
 pub const METADATA: &str = "bundlemocap";

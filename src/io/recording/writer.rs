@@ -1,5 +1,6 @@
 //! Writes a recording.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
@@ -9,7 +10,7 @@ use mcap::{Compression, McapError, WriteOptions};
 
 use super::METADATA;
 use super::error::RecordError;
-use super::message::RawEntry;
+use super::message::{Message, RawEntry};
 use super::target::{Target, part_of};
 use crate::core::body::{self, StampedPose};
 use crate::core::camera;
@@ -47,6 +48,28 @@ impl Provenance {
     }
 }
 
+/// A message with a schema that is not ours, in Protobuf's encoding.
+pub struct Foreign {
+    /// The topic; none of ours.
+    pub topic: String,
+    /// Full name of the schema, and its descriptor.
+    pub schema: String,
+    /// A `FileDescriptorSet`.
+    pub descriptor: Cow<'static, [u8]>,
+    /// Encoding of the payload, by its name in MCAP.
+    pub encoding: String,
+    /// The capture time.
+    pub at: Timestamp,
+    /// The message.
+    pub payload: Vec<u8>,
+}
+
+/// Makes messages for other programs from ours.
+pub trait Companion: Send {
+    /// What follows a message of ours.
+    fn follow(&mut self, topic: &str, message: &Message) -> Vec<Foreign>;
+}
+
 struct OpenChannel {
     id: u16,
     sequence: u32,
@@ -63,6 +86,7 @@ pub struct Writer {
     channels: BTreeMap<String, Vec<OpenChannel>>,
     /// Number of channels.
     opened: usize,
+    companion: Option<Box<dyn Companion>>,
     mcap: mcap::Writer<BufWriter<Target>>,
 }
 
@@ -116,7 +140,15 @@ impl Writer {
             Ok(mcap)
         };
         let mcap = start().map_err(|error| write_error(path, error))?;
-        Ok(Self { path: path.to_owned(), topics, channels: BTreeMap::new(), opened: 0, mcap })
+        let (path, channels) = (path.to_owned(), BTreeMap::new());
+        Ok(Self { path, topics, channels, opened: 0, companion: None, mcap })
+    }
+
+    /// Writes what a companion makes of our messages beside them, from now on.
+    #[must_use]
+    pub fn with_companion(mut self, companion: Option<Box<dyn Companion>>) -> Self {
+        self.companion = companion;
+        self
     }
 
     /// Writes the calibration, valid from `at`.
@@ -234,7 +266,15 @@ impl Writer {
         at: Timestamp,
         message: &T,
     ) -> Result<(), RecordError> {
-        self.log(topic, &T::full_name(), ENCODING, [at; 2], &encode(message))
+        let payload = encode(message);
+        self.log(topic, (&T::full_name(), Some(T::DESCRIPTOR)), ENCODING, [at; 2], &payload)?;
+        let Some(companion) = &mut self.companion else { return Ok(()) };
+        let decoded = Message::decode(topic, &T::full_name(), ENCODING, &payload);
+        let foreign = decoded.map_or_else(|_| Vec::new(), |ours| companion.follow(topic, &ours));
+        for Foreign { topic, schema, descriptor, encoding, at, payload } in foreign {
+            self.log(&topic, (&schema, Some(&descriptor)), &encoding, [at; 2], &payload)?;
+        }
+        Ok(())
     }
 
     /// Writes an undecoded message: with the schema's descriptor if it is ours, otherwise without
@@ -244,14 +284,15 @@ impl Writer {
     /// The disk is full or fails, or the topic is above [`Writer::MOST_TOPICS`].
     pub fn write_raw(&mut self, entry: &RawEntry) -> Result<(), RecordError> {
         let times = [entry.log_time, entry.publish_time];
-        self.log(&entry.topic, &entry.schema, &entry.encoding, times, &entry.payload)
+        let schema = (&*entry.schema, descriptor(&entry.schema));
+        self.log(&entry.topic, schema, &entry.encoding, times, &entry.payload)
     }
 
-    /// `times`: log and publish time.
+    /// `schema`: its full name, and its descriptor if that is known. `times`: log and publish time.
     fn log(
         &mut self,
         topic: &str,
-        schema: &str,
+        (schema, descriptor): (&str, Option<&[u8]>),
         encoding: &str,
         times: [Timestamp; 2],
         payload: &[u8],
@@ -269,7 +310,7 @@ impl Writer {
                 return Err(RecordError::TooManyTopics { topic, most });
             }
             None => {
-                let id = self.open_channel(topic, schema, encoding);
+                let id = self.open_channel(topic, (schema, descriptor), encoding);
                 (id.map_err(|error| write_error(&self.path, error))?, 0)
             }
         };
@@ -282,10 +323,10 @@ impl Writer {
     fn open_channel(
         &mut self,
         topic: &str,
-        schema: &str,
+        (schema, descriptor): (&str, Option<&[u8]>),
         encoding: &str,
     ) -> Result<u16, McapError> {
-        let schema_id = match descriptor(schema) {
+        let schema_id = match descriptor {
             Some(descriptor) => self.mcap.add_schema(schema, SCHEMA_ENCODING, descriptor)?,
             None => 0,
         };

@@ -12,7 +12,7 @@ pub use bars::Bars;
 pub use page::{
     AngleTrack, CameraErrors, Picture, ReportData, Table, WindowRow, flexion_deg, write_report,
 };
-pub use player::{Player, PlayerPose, Track};
+pub use player::{Moment, MomentKind, Player, PlayerPose, Track};
 pub use plot::{Plot, Series};
 pub use rig::{Drawn, draw_rig};
 pub use stick_figure::{StickFigures, stick_figures};

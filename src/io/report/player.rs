@@ -15,12 +15,13 @@ use crate::core::time::Timestamp;
 use crate::io::wire;
 
 /// The modules of the page that draw the scene, each after those that it imports, and the player.
-const MODULES: [(&str, &str); 6] = [
+const MODULES: [(&str, &str); 7] = [
     ("three.js", include_str!("scene/three.js")),
     ("colours.js", include_str!("scene/colours.js")),
     ("lens.js", include_str!("scene/lens.js")),
     ("body.js", include_str!("scene/body.js")),
     ("scene.js", include_str!("scene/scene.js")),
+    ("loop.js", include_str!("scene/loop.js")),
     ("player.js", include_str!("scene/player.js")),
 ];
 /// Gives each module an address, as the modules import each other by name, and starts the player.
@@ -41,8 +42,32 @@ pub struct Player {
     pub start: Timestamp,
     /// The performers.
     pub tracks: Vec<Track>,
-    /// Capture times, and what was there.
-    pub moments: Vec<(Timestamp, String)>,
+    /// The worst moments.
+    pub moments: Vec<Moment>,
+}
+
+/// A bad moment of a performer.
+#[derive(Clone, Debug)]
+pub struct Moment {
+    /// The capture time.
+    pub at: Timestamp,
+    /// What was there, in words.
+    pub what: String,
+    /// What kind it is.
+    pub kind: MomentKind,
+    /// How bad it is among those of its kind.
+    pub size: f64,
+}
+
+/// Kinds of bad moments, the worst first.
+#[derive(Clone, Copy, Debug, Eq, Ord, PartialEq, PartialOrd)]
+pub enum MomentKind {
+    /// The body is not where the cameras agree that a point is; the size is for how many frames.
+    NotFollowed,
+    /// The performer was lost; the size is for how long.
+    Lost,
+    /// A window of high cost; the size is the cost.
+    Costly,
 }
 
 /// A performer of a player.
@@ -118,13 +143,12 @@ impl Player {
                         <output id=\"clock\"></output> <label>Speed <select id=\"speed\">\
                         <option>0.25</option><option>0.5</option><option selected>1</option>\
                         <option>2</option><option>4</option></select></label> \
-                        <button id=\"loop\" type=\"button\" aria-pressed=\"false\" \
-                        title=\"Repeat 2 s around here\">Loop</button></div>\n\
+                        <button id=\"loop\" type=\"button\" aria-pressed=\"false\">Loop from here</button></div>\n\
                         <p class=\"keys\">Keys: space plays, ← → one frame, [ ] speed, L loop.</p>\n"
             .to_owned();
         if !self.moments.is_empty() {
             page += "<h3>Worst moments</h3><ol class=\"moments\">";
-            for (at, what) in &self.moments {
+            for Moment { at, what, .. } in &self.moments {
                 let (at, what) = (at.seconds_since(self.start), escape(what));
                 let _ = write!(page, "<li><a href=\"#t={at:.2}\">{at:.2} s</a> {what}</li>");
             }

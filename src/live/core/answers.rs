@@ -149,6 +149,16 @@ impl Core {
                 if !job.is_aside() {
                     self.performer(performer).sent = Some(self.now);
                 }
+                // The first windows wait for the first fit.
+                let is_punctual = self.latency.declared().is_some();
+                if let (Task::Track { .. }, true) = (&job.task, is_punctual) {
+                    let tracker = self.trackers().get(performer.0);
+                    let output = tracker.and_then(Tracker::output_grid);
+                    let first =
+                        job.start + Nanos::new(output.map_or(0, |grid| grid.period_ns as i64));
+                    let age = self.now - self.clock.node_time(first);
+                    self.performer(performer).windows.closed(age);
+                }
                 let deadline = self.deadline(&job);
                 self.outputs.push_back(Output::Solve { performer, job, deadline });
             }

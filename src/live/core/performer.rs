@@ -54,7 +54,7 @@ pub(super) fn state_of_all(all: &[Progress]) -> &'static str {
     best.unwrap_or("searching")
 }
 
-/// The counters of all performers together; solve times and iterations are the largest.
+/// The counters of all performers together; times, iterations and costs are the largest.
 pub(super) fn windows_of_all(all: &[Progress]) -> WindowCounters {
     let mut sum = WindowCounters::default();
     for Progress { windows, .. } in all {
@@ -65,6 +65,9 @@ pub(super) fn windows_of_all(all: &[Progress]) -> WindowCounters {
         sum.iterations = sum.iterations.max(windows.iterations);
         sum.solve_p50_ms = sum.solve_p50_ms.max(windows.solve_p50_ms);
         sum.solve_p99_ms = sum.solve_p99_ms.max(windows.solve_p99_ms);
+        sum.closed_p50_ms = sum.closed_p50_ms.max(windows.closed_p50_ms);
+        sum.cost_p50 = sum.cost_p50.max(windows.cost_p50);
+        sum.closed_p99_ms = sum.closed_p99_ms.max(windows.closed_p99_ms);
         sum.termination.clone_from(&windows.termination);
     }
     sum

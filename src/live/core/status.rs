@@ -17,8 +17,10 @@ const LIVE_BINS_US: [u32; 9] = [1000, 2000, 3000, 5000, 7500, 10_000, 20_000, 50
 #[derive(Clone, Debug, Default)]
 pub(super) struct Windows {
     counters: WindowCounters,
-    /// Solve time in milliseconds and iterations of the recent windows.
-    recent: VecDeque<(f64, f64)>,
+    /// Solve time in milliseconds, iterations and cost of the recent windows.
+    recent: VecDeque<[f64; 3]>,
+    /// Age of the first pose of recent windows when they closed, milliseconds.
+    closed: VecDeque<f64>,
 }
 
 impl Windows {
@@ -32,10 +34,12 @@ impl Windows {
         *counter += 1;
         let Some(summary) = report.summary else { return };
         self.counters.termination = summary.termination.name().to_owned();
-        self.recent.push_back((took.ms(), summary.iterations as f64));
-        while self.recent.len() > RECENT {
-            self.recent.pop_front();
-        }
+        push(&mut self.recent, [took.ms(), summary.iterations as f64, summary.final_cost]);
+    }
+
+    /// Counts a window that is complete, at that age of its first pose.
+    pub(super) fn closed(&mut self, age: Nanos) {
+        push(&mut self.closed, age.ms());
     }
 
     /// Counts a window that closed without a camera.
@@ -44,14 +48,25 @@ impl Windows {
     }
 
     pub(super) fn counters(&self) -> WindowCounters {
-        let mut times: Vec<f64> = self.recent.iter().map(|(ms, _)| *ms).collect();
-        let mut iterations: Vec<f64> = self.recent.iter().map(|(_, count)| *count).collect();
+        let recent = |index: usize| self.recent.iter().map(|one| one[index]).collect();
+        let [mut times, mut iterations, mut costs]: [Vec<f64>; 3] = [0, 1, 2].map(recent);
+        let mut closed: Vec<f64> = self.closed.iter().copied().collect();
         WindowCounters {
             iterations: quantile(&mut iterations, 0.5),
             solve_p50_ms: quantile(&mut times, 0.5),
             solve_p99_ms: quantile(&mut times, 0.99),
+            closed_p50_ms: quantile(&mut closed, 0.5),
+            closed_p99_ms: quantile(&mut closed, 0.99),
+            cost_p50: quantile(&mut costs, 0.5),
             ..self.counters.clone()
         }
+    }
+}
+
+fn push<T>(recent: &mut VecDeque<T>, newest: T) {
+    recent.push_back(newest);
+    while recent.len() > RECENT {
+        recent.pop_front();
     }
 }
 

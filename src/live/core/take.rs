@@ -250,7 +250,7 @@ impl Core {
         let refused = done.is_err();
         let text = done.unwrap_or_else(|why| why);
         let text = format!("{}: {text}", self.topics.actor);
-        let answer = TakeAnswer { id, role: "node".into(), text, refused };
+        let answer = TakeAnswer { id, role: "node".into(), text, refused, ..TakeAnswer::default() };
         self.publish(self.topics.take_answers(), Timestamp::default(), Content::Answer(answer));
     }
 

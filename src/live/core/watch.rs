@@ -89,8 +89,11 @@ impl Core {
                 continue;
             }
             known.is_off = !known.is_off;
-            let (name, off_ms, limit_ms) = (known.name().to_owned(), off * 1e3, limit * 1e3);
-            let detail = format!("{off_ms:+.1} ms off from the other cameras, limit {limit_ms:.1}");
+            let (off_ms, limit_ms) = (off * 1e3, limit * 1e3);
+            let again = if known.is_off { "" } else { "in time again: " };
+            let name = known.name().to_owned();
+            let detail =
+                format!("{again}{off_ms:+.1} ms off from the other cameras, limit {limit_ms:.1}");
             self.event(EventKind::ClockOffset, Some(&name), detail);
         }
     }

@@ -10,11 +10,16 @@
 //! | `bundlemocap_camera_offset_seconds` | `camera` | offset of its clock from the node's, including the delay |
 //! | `bundlemocap_camera_drift_ppm` | `camera` | drift of that offset |
 //! | `bundlemocap_camera_residual_pixels` | `camera` | median residual of the last window |
+//! | `bundlemocap_camera_usual_pixels` | `camera` | what is usual of that, by its own past |
+//! | `bundlemocap_camera_near_ratio` | `camera` | share of its points that are near the body |
+//! | `bundlemocap_camera_moved` | `camera` | 1 if it was moved, and can be mended |
 //! | `bundlemocap_camera_waited_for` | `camera` | 1 if windows wait for it |
 //! | `bundlemocap_windows_total` | `outcome`: tracked, coasted, lost | windows |
 //! | `bundlemocap_windows_incomplete_total` | | windows closed by their deadline |
 //! | `bundlemocap_window_iterations` | | median iterations of the last windows |
 //! | `bundlemocap_window_solve_seconds` | `quantile`: 0.5, 0.99 | solve time of the last windows |
+//! | `bundlemocap_window_closed_seconds` | `quantile`: 0.5, 0.99 | age of a window's first pose when its solve begins |
+//! | `bundlemocap_window_cost` | | median cost of the last windows |
 //! | `bundlemocap_declared_latency_seconds` | | declared latency; 0 before it is known |
 //! | `bundlemocap_poses_total` | `outcome`: published, coasted (part of published), missed, live | poses; `live` are provisional |
 //! | `bundlemocap_publish_deviation_seconds` | | histogram of publish time minus due time |
@@ -148,6 +153,11 @@ impl Sheet<'_> {
             c.offset_s
         })?;
         each("bundlemocap_camera_drift_ppm", "Drift of the offset", |c| c.drift_ppm)?;
+        each("bundlemocap_camera_usual_pixels", "Usual residual", |c| c.usual_px)?;
+        let help = "Share of points near the body";
+        each("bundlemocap_camera_near_ratio", help, |c| c.near)?;
+        let help = "1 if the camera was moved";
+        each("bundlemocap_camera_moved", help, |c| f64::from(u8::from(!c.moved.is_empty())))?;
         each("bundlemocap_camera_residual_pixels", "Median residual of the last window", |c| {
             c.residual_px
         })?;
@@ -195,7 +205,12 @@ impl Sheet<'_> {
         self.gauge("bundlemocap_window_iterations", help, windows.iterations)?;
         let quantiles = [("0.5", windows.solve_p50_ms), ("0.99", windows.solve_p99_ms)];
         let rows = quantiles.map(|(quantile, ms)| (vec![("quantile", quantile)], ms / 1e3));
-        self.gauges("bundlemocap_window_solve_seconds", "Solve time of the last windows", &rows)
+        self.gauges("bundlemocap_window_solve_seconds", "Solve time of the last windows", &rows)?;
+        let quantiles = [("0.5", windows.closed_p50_ms), ("0.99", windows.closed_p99_ms)];
+        let rows = quantiles.map(|(quantile, ms)| (vec![("quantile", quantile)], ms / 1e3));
+        let help = "Age of the first pose of the last windows when their solve began";
+        self.gauges("bundlemocap_window_closed_seconds", help, &rows)?;
+        self.gauge("bundlemocap_window_cost", "Median cost of the last windows", windows.cost_p50)
     }
 
     fn playout(&mut self, playout: &PlayoutCounters) -> fmt::Result {

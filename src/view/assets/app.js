@@ -4,26 +4,25 @@ import { fetchSkins } from "./bodies.js";
 import { Template } from "./body.js";
 import { Charts } from "./charts.js";
 import { colour } from "./colours.js";
-import { RANK, cameraLight, levelOf, nodeLight, setExpected } from "./lights.js";
+import { RANK, cameraLight, levelOf, nodeLight, setExpected, timeOfDay } from "./lights.js";
+import { NEXT, inLoop, press } from "./loop.js";
 import { Decoder } from "./messages.js";
-import { Panes } from "./panes.js";
+import { AGE, Panes, drawOver } from "./panes.js";
 import { View } from "./scene.js";
 import { Live, Recording } from "./sources.js";
 import { Store } from "./store.js";
+import { Through } from "./through.js";
 
 const $ = (id) => document.getElementById(id);
 const PARENTS = [-1];
-/** The last pose is shown for this long, seconds; cameras of 5 Hz do not flicker. */
-const AGE = 0.21;
 const SPEEDS = [...$("speed").options].map(({ value }) => Number(value));
 
 const { about, messages } = await (await fetch("about.json")).json();
 setExpected(about.expected);
 const isLive = about.shows === "live";
-const store = new Store(new Decoder(messages), about.node ?? undefined);
-const source = isLive
-  ? new Live(store, about.name)
-  : new Recording(store, await (await fetch("overview.json")).json());
+const overview = isLive ? undefined : await (await fetch("overview.json")).json();
+const store = new Store(new Decoder(messages), about.node ?? undefined, overview?.node);
+const source = isLive ? new Live(store, about.name) : new Recording(store, overview);
 const view = new View($("canvas"), $("labels"));
 /** Performers are bones until the template is here. */
 async function fetchTemplate() {
@@ -34,10 +33,12 @@ async function fetchTemplate() {
   }
 }
 fetchTemplate();
-const panes = new Panes($("panes"), (name) => {
-  const index = store.rig?.cameras.findIndex((camera) => camera.name === name);
-  view.lookThrough(view.through === index ? undefined : index);
-});
+const panes = new Panes($("panes"), (name) => lookThrough(view.through?.lens.name === name ? undefined : name));
+/** The scene as a camera sees it, or free again. */
+function lookThrough(name) {
+  const lens = view.lenses?.find((one) => one.name === name);
+  view.lookThrough(lens && new Through(lens));
+}
 const charts = new Charts($("charts"));
 
 /** What the user chose. */
@@ -46,14 +47,17 @@ $("name").textContent = about.name;
 document.title = `${about.name} · bundlemocap`;
 $("speed").parentElement.hidden = isLive;
 /** Asks for what is seen: with a calibration, only for the cameras whose panes are in sight. */
-const ask = () => source.want(chosen.provisional, store.rig ? [...panes.inSight] : undefined);
+function ask() {
+  for (const name of store.came.keys()) if (!panes.inSight.has(name)) store.came.delete(name);
+  source.want(chosen.provisional, store.rig ? [...panes.inSight] : undefined);
+}
 panes.sightChanged = ask;
 ask();
 
 let [shownRig, framed, lastPicture, opened] = [undefined, false, performance.now(), performance.now()];
 goToHash();
 
-if (isLive) await import("./takes.js").then(({ takes }) => setInterval(takes(store, source, lookOf), 250));
+if (isLive) await import("./takes.js").then(({ takes }) => setInterval(takes(store, source, lookOf, (x, y) => view.floorAt(x, y)), 250));
 
 /** The performers who are there; live, who left is not. */
 const present = () => [...store.performers.values()].filter(({ poses }) => !isLive || poses.times.length > 0);
@@ -99,35 +103,46 @@ function measureScreen(people) {
   if (toScreen.length > 120) toScreen.shift();
 }
 
+/** Pictures that were drawn, and how long the script ran for each of the last ones, ms. */
+let pictures = 0;
+const scripts = [];
+
 function frame(now) {
   requestAnimationFrame(frame);
+  const begin = performance.now();
   const passed = Math.min(0.2, (now - lastPicture) / 1000);
   lastPicture = now;
   const [start, end] = source.span;
   if (chosen.playing && isLive) chosen.time = end;
   else if (chosen.playing && source.isReady(chosen.time)) {
     chosen.time += passed * chosen.speed;
-    if (chosen.loop && (chosen.time > chosen.loop[1] || chosen.time < chosen.loop[0])) [chosen.time] = chosen.loop;
-    if (chosen.time >= end) play(chosen.loop !== undefined, end);
+    chosen.time = inLoop(chosen.loop, chosen.time);
+    if (chosen.time >= end) play(chosen.loop?.length === 2, end);
   }
   chosen.time = Math.min(Math.max(chosen.time, start), end);
   source.prepare(chosen.time);
   if (store.rig !== shownRig) {
     shownRig = store.rig;
     view.setRig(shownRig);
+    lookThrough(view.through?.lens.name);
     panes.setRig(shownRig);
   } else if (!shownRig) panes.setCameras([...store.keypoints.keys()].sort());
   const people = peopleAt(chosen.time, "poses");
-  const isAhead = isLive && chosen.playing && chosen.provisional;
-  const newest = isAhead ? Math.max(...[...store.performers.values()].map((one) => one.provisional.last ?? 0)) : 0;
-  const ghosts = isAhead ? peopleAt(newest, "provisional") : [];
+  // Live they are ahead; what is looked at again is beside the final pose of the same time.
+  const isAhead = isLive && chosen.playing;
+  const newest = isAhead ? Math.max(...[...store.performers.values()].map((one) => one.provisional.last ?? 0)) : chosen.time;
+  const ghosts = chosen.provisional ? peopleAt(newest, "provisional") : [];
   if (!framed && shownRig && (people.length > 0 || now - opened > 3000)) {
     framed = true;
     view.frameAll(people);
   }
   view.draw(people, ghosts);
+  drawOver($("over"), view.through, store, chosen.time, people);
   panes.draw(store, chosen.time, people);
   measureScreen(people);
+  pictures++;
+  scripts.push(performance.now() - begin);
+  if (scripts.length > 120) scripts.shift();
 }
 
 /** What changes slowly: lists, lights, charts, the timeline. */
@@ -143,16 +158,14 @@ function tick() {
   showEvents();
   showTimeline();
   const [start, end] = source.span;
-  const around = [Math.max(start, chosen.time - 8), Math.min(end, chosen.time + 8)];
-  const span = isLive ? [start, end] : around;
   const first = store.performers.get(view.followed ?? people[0]?.name);
-  charts.draw(store, span, chosen.time, first);
+  charts.draw(store, source, chosen.time, first);
   $("empty").textContent = emptyState(people);
   $("play").textContent = chosen.playing ? "Pause" : isLive ? "Resume" : "Play";
 }
 
 function showNode(people) {
-  const figures = new Map();
+  const figures = { all: [], set: (...row) => figures.all.push(row) };
   const status = store.historyAt(isLive ? Infinity : chosen.time).at(-1)?.status;
   const { level, words } = isLive ? nodeLight(store, source.connected) : recordingLight();
   $("node").className = `light ${level}`;
@@ -161,13 +174,19 @@ function showNode(people) {
   if (status) {
     if (status.declared_latency_ns) figures.set("latency", `${(Number(status.declared_latency_ns) / 1e6).toFixed(0)} ms`);
     const { playout, windows } = status;
+    const rate = perSecond();
+    if (rate > 0) figures.set("poses", `${rate.toFixed(1)} Hz`);
     for (const [what, kind] of [["publishing", "deviation"], ["provisional", "provisional"]]) {
       const counts = lastMinute(`${kind}_counts`);
-      const [p50, p99] = [0.5, 0.99].map((share) => quantile(playout?.[`${kind}_bins_us`], counts, share));
-      if (p50 !== undefined) figures.set(`${what} p50, p99`, `${inMs(p50)}, ${inMs(p99)}`);
+      const shares = [0.5, 0.99, 0.999].map((share) => quantile(playout?.[`${kind}_bins_us`], counts, share));
+      if (shares[0] !== undefined) figures.set(what, `${shares.map(inMs).join(" / ")} ms`, shares[1] > LONG[kind]);
+    }
+    if (windows?.closed_p50_ms) {
+      figures.set("window", `${windows.closed_p50_ms.toFixed(0)} / ${(windows.closed_p99_ms ?? 0).toFixed(0)} ms`);
     }
     if (windows?.solve_p50_ms) {
-      figures.set("solve p50, p99", `${windows.solve_p50_ms.toFixed(1)}, ${(windows.solve_p99_ms ?? 0).toFixed(1)} ms`);
+      const [p50, p99] = [windows.solve_p50_ms, windows.solve_p99_ms ?? 0];
+      figures.set("solve", `${p50.toFixed(1)} / ${p99.toFixed(1)} ms`, p99 > LONG.solve);
     }
   }
   const arrived = [...store.performers.values()].flatMap(({ poses }) => poses.items.map(({ late }) => late));
@@ -175,23 +194,55 @@ function showNode(people) {
   for (const [what, all] of [["network", late], ["to the screen", [...toScreen]]]) {
     all.sort((a, b) => a - b);
     const [p50, p99] = [0.5, 0.99].map((share) => all[Math.floor(share * all.length)]?.toFixed(1));
-    if (p50 !== undefined) figures.set(`${what} p50, p99`, `${p50}, ${p99} ms`);
+    if (p50 !== undefined) figures.set(what, `${p50} / ${p99} ms`, p99 > LONG[what]);
   }
-  if (store.unreadable > 0) figures.set("not readable", `${store.unreadable} messages`);
-  if (store.dropped > 0) figures.set("not shown", `${store.dropped} messages: this page is too slow`);
+  if (store.unreadable > 0) figures.set("not readable", `${store.unreadable} messages`, true);
+  if (store.dropped > 0) figures.set("not shown", `${store.dropped} messages: this page is too slow`, true);
+  const ns = store.base === undefined ? 0n : store.base + BigInt(Math.round(chosen.time * 1e9));
+  const captured = timeOfDay(ns, { fractionalSecondDigits: 2, hour: "2-digit", minute: "2-digit", second: "2-digit" });
   if (people[0]?.timecode) figures.set("timecode", people[0].timecode);
-  const rows = [...figures].map(([name, value]) => {
+  else if (captured) figures.set("captured", captured);
+  const rows = figures.all.map(([name, value, isLong]) => {
     const row = document.createElement("div");
-    row.append(element("dt", name), element("dd", value));
+    row.append(element("dt", name), element("dd", value, isLong ? "light warn" : undefined));
+    row.title = MEANINGS[name] ?? "";
     return row;
   });
   $("figures").replaceChildren(...rows);
   $("node").title = words.join("\n");
   Object.assign(document.body.dataset, view.figures);
+  const script = [...scripts].sort((a, b) => a - b);
+  const [p50, p99] = [0.5, 0.99].map((share) => script[Math.floor(share * script.length)]?.toFixed(1));
+  Object.assign(document.body.dataset, { pictures, script: `${p50}, ${p99}`, bytes: source.bytes });
   document.body.dataset.people = people.length;
+  document.body.dataset.through = view.through?.lens.name ?? "";
   document.body.dataset.view = view.camera.position.toArray().map((metres) => metres.toFixed(2)).join(" ");
   document.body.dataset.time = chosen.time.toFixed(3);
   document.body.dataset.pelvis = Array.from(people[0]?.joints.subarray(0, 3) ?? [], (metres) => metres.toFixed(3)).join(" ");
+}
+
+/** What is longer than that is not as it should be: microseconds of deviation from the due time, and ms of others. */
+const LONG = { deviation: 5000, provisional: 50_000, solve: 22, network: 50, "to the screen": 100 };
+
+/** What the figures are, in words. */
+const SHARES = "median / 99th / 99.9th percentile of the last minute";
+const MEANINGS = {
+  latency: "declared: from capture to publication, of every pose",
+  window: "age of a window's first pose when its solve begins: median / 99th percentile",
+  solve: "solve of a window: median / 99th percentile",
+  publishing: `deviation of a pose from its due time: ${SHARES}`,
+  provisional: `from the last frame of a set to its provisional pose: ${SHARES}`,
+  network: "from the due time until a pose is here: median / 99th percentile",
+  "to the screen": "from the due time until a pose is on the screen: median / 99th percentile",
+};
+
+/** Final poses of a performer in a second, of the last ten seconds. */
+function perSecond() {
+  const history = store.historyAt(isLive ? Infinity : chosen.time);
+  const last = history.at(-1);
+  const first = history.find(({ at, status }) => last.at - at <= 10 && status.run_id === last.status.run_id);
+  const [before, now] = [first, last].map(({ status }) => Number(status.playout?.published ?? 0n));
+  return (now - before) / Math.max(last.at - first.at, 1e-3) / Math.max(present().length, 1);
 }
 
 function recordingLight() {
@@ -218,11 +269,11 @@ function quantile(edges, all, share) {
   return bin < edges.length ? edges[bin] : Infinity;
 }
 
-const inMs = (us) => (us === Infinity ? "above all bins" : `≤ ${(us / 1000).toFixed(1)} ms`);
+const inMs = (us) => (us === Infinity ? "above all bins" : `≤${us / 1000}`);
 
 function showCameras() {
   const names = new Set([...(store.rig?.cameras.map(({ name }) => name) ?? []), ...store.keypoints.keys()]);
-  const lights = [...names].map((name) => ({ name, ...cameraLight(store, name, isLive ? Infinity : chosen.time, about.advice) }));
+  const lights = [...names].map((name) => ({ name, ...cameraLight(store, name, isLive ? Infinity : chosen.time, about.advice, isLive && panes.inSight.has(name)) }));
   lights.sort((a, b) => RANK[b.level] - RANK[a.level]);
   const items = lights.map(({ name, level, words, advice, counters }) => {
     panes.setLight(name, level, words.join("\n"));
@@ -288,6 +339,7 @@ function showPerformers(people) {
     const life = ["lost", "left"].find((life) => isLive && store.lifeOf(name) === life);
     const live = isLive ? store.statusOf.get(name)?.tracker_state : undefined;
     setText(row.state, life ?? people.find((shownNow) => shownNow.name === name)?.state ?? live ?? "no pose");
+    row.state.className = `light ${LEVELS[row.state.textContent] ?? "unknown"}`;
     setText(row.shown, shown);
     setText(row.hide, hidden.has(name) ? "show" : "hide");
     row.who.title = shown === name ? `follow ${name}` : `follow ${shown}, ${name} on the bus`;
@@ -298,10 +350,14 @@ function showPerformers(people) {
   }
 }
 
+/** How good the states of performers are. */
+const LEVELS = { tracking: "ok", coasting: "warn", lost: "bad" };
+
 /** How many more people the node sees. */
 function showOthers() {
   const others = isLive ? (store.stage?.others ?? 0) : 0;
   $("others").hidden = others === 0;
+  $("choose").hidden = !isLive || (store.stage?.performers.some(({ name }) => name === store.node) ?? true);
   setText($("others"), `${others} more ${others === 1 ? "is" : "are"} seen, and not solved`);
 }
 
@@ -332,13 +388,20 @@ function showReceivers() {
     item.title = [`process ${session.split(".")[0]}`, ...patterns].join("\n");
     return item;
   });
-  replace($("receivers"), items.length > 0 ? items : [element("li", "no other program is known")]);
+  const { received } = source;
+  const isKnown = receivers.some(({ patterns }) => patterns.some((pattern) => /\/pose$|\*\*$/.test(pattern)));
+  if (received && !isKnown) items.push(element("li", "poses: a program that does not say its name"));
+  const nobody = received === false ? "nobody receives poses" : "no other program is known";
+  replace($("receivers"), items.length > 0 ? items : [element("li", nobody)]);
 }
+
+/** The event whose tick was pressed last. */
+let told;
 
 function showEvents() {
   const past = isLive ? store.events : store.events.filter(({ at }) => at <= chosen.time + 1);
   const list = (store.events.length <= 60 ? store.events : past).slice(-60).reverse();
-  const key = `${store.events.length} ${past.length} ${list[0]?.at}`;
+  const key = `${store.events.length} ${past.length} ${list[0]?.at} ${told?.at}`;
   if ($("events").dataset.key === key) return;
   $("events").dataset.key = key;
   $("events").replaceChildren(...list.map((event) => {
@@ -349,9 +412,11 @@ function showEvents() {
     const button = element("button", `${at.toFixed(2)} s  ${kind.replaceAll("_", " ")}${times}${where ? ` (${where})` : ""}  ${detail}`, `light ${levelOf(event)}`);
     button.type = "button";
     button.addEventListener("click", () => goTo(at));
+    if (event === told) button.setAttribute("aria-current", "true");
     item.append(button);
     return item;
   }));
+  $("events").querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
 }
 
 const SHADES = { tracking: 1, coasting: 0.45, lost: 0.12 };
@@ -389,6 +454,11 @@ function drawRuns(canvas, place) {
   if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
   const context = canvas.getContext("2d");
   context.clearRect(0, 0, width, height);
+  if (chosen.loop) {
+    const [left, right] = [chosen.loop[0], chosen.loop[1] ?? chosen.time].map((time) => (place(time) / 100) * width);
+    context.fillStyle = "#8a8f9866";
+    context.fillRect(Math.min(left, right), 0, Math.max(1, Math.abs(right - left)), height);
+  }
   const all = [...store.performers.values()];
   const line = Math.min(6, (height - 8) / Math.max(all.length, 1));
   all.forEach((one, row) => {
@@ -422,7 +492,9 @@ function emptyState(people) {
   if (store.keypoints.size === 0) {
     source.lookAround();
     const others = [...store.otherStages];
-    const seen = others.length > 0 ? ` Seen: ${others.map((name) => `mocap/${name}`).join(", ")}.` : "";
+    const cameras = (count) => `${count} camera${count === 1 ? "" : "s"}`;
+    const words = others.map(([name, all]) => `mocap/${name}, ${cameras(all.size)}`);
+    const seen = words.length > 0 ? ` Seen: ${words.join("; ")}.` : "";
     return `No keypoints on mocap/${about.name}.${seen}\nStart the detectors, or check the stage and the address in their settings.`;
   }
   if (!store.rig) return `Keypoints of ${store.keypoints.size} cameras.\nWaiting for a calibration: publish it, or start the node with --rig.`;
@@ -502,8 +574,9 @@ const showAll = () => view.frameAll(peopleAt(chosen.time, "poses"));
 
 function loop() {
   if (isLive) return;
-  chosen.loop = chosen.loop ? undefined : [Math.max(0, chosen.time - 1), chosen.time + 1];
-  $("loop").setAttribute("aria-pressed", String(chosen.loop !== undefined));
+  chosen.loop = press(chosen.loop, chosen.time, source.span[1]);
+  setText($("loop"), NEXT[chosen.loop?.length ?? 0]);
+  $("loop").setAttribute("aria-pressed", String(chosen.loop?.length === 2));
 }
 
 /** Follows a performer, or nobody. */
@@ -535,7 +608,14 @@ function scrub({ clientX, buttons, type }) {
   if (type === "pointermove" && buttons === 0) return;
   const { left, width } = bar.getBoundingClientRect();
   const [start, end] = source.span;
-  goTo(start + Math.min(1, Math.max(0, (clientX - left) / width)) * (end - start));
+  const timeAt = (x) => start + Math.min(1, Math.max(0, (x - left) / width)) * (end - start);
+  const time = timeAt(clientX);
+  const far = ({ at }) => Math.abs(at - time);
+  const nearest = store.events.reduce((best, event) => (best && far(best) <= far(event) ? best : event), undefined);
+  // Its words are shown in the list, for there is no tooltip under a finger.
+  const isPressed = type === "pointerdown" && nearest && far(nearest) < timeAt(clientX + 5) - timeAt(clientX - 5);
+  told = isPressed ? nearest : undefined;
+  goTo(told?.at ?? time);
 }
 bar.addEventListener("pointerdown", (event) => {
   bar.setPointerCapture(event.pointerId);
@@ -561,7 +641,7 @@ const KEYS = {
 addEventListener("keydown", (event) => {
   const { key, target, ctrlKey, metaKey, altKey } = event;
   if (ctrlKey || metaKey || altKey || target.closest("input, select, dialog") || (key === " " && target.closest("button"))) return;
-  const act = /^[0-9]$/.test(key) ? () => view.lookThrough(key === "0" ? undefined : Number(key) - 1) : KEYS[key.length === 1 ? key.toLowerCase() : key];
+  const act = /^[0-9]$/.test(key) ? () => lookThrough(store.rig?.cameras[Number(key) - 1]?.name) : KEYS[key.length === 1 ? key.toLowerCase() : key];
   if (!act) return;
   event.preventDefault();
   act();

@@ -1,4 +1,4 @@
-// Curves over time: residuals of the cameras, solve times, knees and elbows.
+// Curves over time: residuals of the cameras, latencies, solve times, knees and elbows.
 
 import { colour } from "./colours.js";
 
@@ -15,14 +15,42 @@ function angle(joints, [a, b, c]) {
   return (Math.acos(Math.max(-1, Math.min(1, dot / (Math.hypot(...u) * Math.hypot(...v))))) * 180) / Math.PI;
 }
 
+/** Angles of a live performer: time, seconds, and one for each of ANGLES; at most 600. */
+export function anglesOf(performer) {
+  const names = performer?.skeleton?.joint_names;
+  if (!names) return [];
+  const of = ANGLES.map(([, ...joints]) => joints.map((joint) => names.indexOf(joint)));
+  const { times, items } = performer.poses;
+  const every = Math.max(1, Math.ceil(times.length / 600));
+  const chosen = times.filter((_, k) => k % every === 0);
+  return chosen.map((time, k) => [time, ...of.map((joints) => angle(items[k * every].joints, joints))]);
+}
+
+/** Name, place among the colours, and what it is of a status. */
+const LATENCIES = [
+  ["declared", 0, ({ declared_latency_ns }) => Number(declared_latency_ns ?? 0) / 1e6],
+  ["window p50", 2, ({ windows }) => windows?.closed_p50_ms],
+  ["p99", 5, ({ windows }) => windows?.closed_p99_ms],
+];
+const COSTS = [["p50", 0, ({ windows }) => windows?.cost_p50]];
+const SOLVES = [
+  ["p50", 0, ({ windows }) => windows?.solve_p50_ms],
+  ["p99", 5, ({ windows }) => windows?.solve_p99_ms],
+];
+
+function curve(name, index, statuses, read) {
+  const points = statuses.map(({ seconds, status }) => [seconds, read(status) ?? 0]);
+  return { name, colour: colour(index), gap: 3, points: points.filter(([, y]) => y > 0) };
+}
+
 export class Charts {
   constructor(canvas) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
   }
 
-  /** Draws the span `[from, to]` with a cursor at `time`. `angles`: of this performer. */
-  draw(store, [from, to], time, performer) {
+  /** Draws the span of the source with a cursor at `time`. `performer`: whose angles. */
+  draw(store, source, time, performer) {
     const ratio = Math.min(devicePixelRatio, 2);
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
     if (this.canvas.width !== Math.round(width * ratio) || this.canvas.height !== Math.round(height * ratio)) {
@@ -31,50 +59,26 @@ export class Charts {
     const { context } = this;
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, width, height);
-    const style = getComputedStyle(this.canvas);
-    this.ink = style.color;
+    this.ink = getComputedStyle(this.canvas).color;
     context.font = "11px system-ui, sans-serif";
-    const third = Math.floor((width - 32) / 3);
+    const { statuses, angles } = source.curves(performer);
+    const cameras = store.rig?.cameras.map(({ name }) => name) ?? [];
+    const residual = (name) => (status) => status.cameras.find(({ camera }) => camera === name)?.residual_px;
     const plots = [
-      ["residual, px", this.residuals(store)],
-      ["solve of a window, ms", this.solves(store)],
-      ["knees, elbows, degrees", this.angles(performer)],
+      ["residual, px", cameras.map((name, index) => curve(name, index, statuses, residual(name)))],
+      ["latency, ms", LATENCIES.map(([name, index, read]) => curve(name, index, statuses, read))],
+      ["solve of a window, ms", SOLVES.map(([name, index, read]) => curve(name, index, statuses, read))],
+      ["window cost", COSTS.map(([name, index, read]) => curve(name, index, statuses, read))],
+      ["knees, elbows, degrees", ANGLES.map(([name], k) => {
+        return { name, colour: colour(k), gap: 0.2, points: angles.map((at) => [at[0], at[k + 1]]) };
+      })],
     ];
-    plots.forEach(([title, curves], place) => {
-      this.plot([place * (third + 16), 0, third, height], [from, to], time, title, curves);
-    });
-  }
-
-  residuals(store) {
-    const names = store.rig?.cameras.map(({ name }) => name) ?? [];
-    return names.map((name, index) => {
-      const points = [];
-      for (const { seconds, status } of store.statuses.items) {
-        const px = status.cameras.find(({ camera }) => camera === name)?.residual_px;
-        if (px > 0) points.push([seconds, px]);
-      }
-      return { name, colour: colour(index), points };
-    });
-  }
-
-  solves(store) {
-    const curve = (name, index, read) => {
-      const points = store.statuses.items.map(({ seconds, status }) => [seconds, read(status.windows ?? {}) ?? 0]);
-      return { name, colour: colour(index), points: points.filter(([, ms]) => ms > 0) };
-    };
-    return [curve("p50", 0, ({ solve_p50_ms }) => solve_p50_ms), curve("p99", 5, ({ solve_p99_ms }) => solve_p99_ms)];
-  }
-
-  angles(performer) {
-    const names = performer?.skeleton?.joint_names;
-    if (!names) return [];
-    const { times, items } = performer.poses;
-    const every = Math.max(1, Math.ceil(times.length / 600));
-    return ANGLES.map(([name, ...joints], index) => {
-      const of = joints.map((joint) => names.indexOf(joint));
-      const points = [];
-      for (let k = 0; k < times.length; k += every) points.push([times[k], angle(items[k].joints, of)]);
-      return { name, colour: colour(index), points };
+    // The files of `solve` have no times.
+    const seen = plots.filter(([, curves]) => curves.some(({ points }) => points.length > 0));
+    const shown = seen.length > 0 ? seen : plots;
+    const wide = Math.floor((width - 16 * (shown.length - 1)) / shown.length);
+    shown.forEach(([title, curves], place) => {
+      this.plot([place * (wide + 16), 0, wide, height], source.span, time, title, curves);
     });
   }
 
@@ -82,13 +86,13 @@ export class Charts {
     const { context } = this;
     context.fillStyle = this.ink;
     context.globalAlpha = 0.75;
-    context.fillText(title, left, top + 10);
+    context.fillText(title, left, top + 9);
     context.globalAlpha = 1;
     const seen = curves.flatMap(({ points }) => points.filter(([t]) => t >= from && t <= to).map(([, y]) => y));
-    const [bottom, room] = [top + height - 2, height - 18];
+    const [bottom, room] = [top + height - 2, height - 32];
     if (seen.length === 0) {
       context.globalAlpha = 0.6;
-      context.fillText("nothing here", left, top + 30);
+      context.fillText("nothing here", left, top + 40);
       context.globalAlpha = 1;
       return;
     }
@@ -96,22 +100,24 @@ export class Charts {
     const reach = Math.max(high - low, 1e-3);
     const x = (t) => left + 34 + ((t - from) / Math.max(to - from, 1e-6)) * (width - 34);
     const y = (value) => bottom - 2 - ((value - low) / reach) * (room - 6);
-    context.fillText(high.toFixed(high < 20 ? 1 : 0), left, top + 24);
+    context.fillText(high.toFixed(high < 20 ? 1 : 0), left, top + 38);
     context.fillText(low.toFixed(high < 20 ? 1 : 0), left, bottom);
-    let at = left + context.measureText(title).width + 12;
-    for (const { name, colour: tint, points } of curves) {
+    let at = left;
+    for (const { name, colour: tint, gap, points } of curves) {
+      // Long recordings have fewer points.
+      const usual = points.length > 1 ? (points.at(-1)[0] - points[0][0]) / (points.length - 1) : 0;
       context.fillStyle = context.strokeStyle = tint;
       if (at + context.measureText(name).width + 12 < left + width) {
-        context.fillRect(at, top + 3, 8, 8);
+        context.fillRect(at, top + 15, 8, 8);
         context.fillStyle = this.ink;
-        context.fillText(name, at + 11, top + 10);
+        context.fillText(name, at + 11, top + 23);
         at += context.measureText(name).width + 22;
       }
       context.beginPath();
       let last;
       for (const [t, value] of points) {
         if (t < from || t > to) continue;
-        if (last !== undefined && t - last < 3) context.lineTo(x(t), y(value));
+        if (last !== undefined && t - last < Math.max(gap, 3 * usual)) context.lineTo(x(t), y(value));
         else context.moveTo(x(t), y(value));
         last = t;
       }
@@ -119,7 +125,7 @@ export class Charts {
     }
     context.strokeStyle = this.ink;
     context.beginPath();
-    context.moveTo(x(time), top + 16);
+    context.moveTo(x(time), top + 30);
     context.lineTo(x(time), bottom);
     context.stroke();
   }

@@ -8,8 +8,17 @@ export const RANK = { unknown: -1, ok: 0, warn: 1, bad: 2 };
 const OLD = 4;
 /** For how long an event keeps a light on, seconds. */
 const KEPT = 30;
+/** With a smaller share of its points near the body a camera tells little. */
+const FEW = 0.5;
 /** A residual this many times the usual one is not usual any more. */
 const CLEARLY = 1.7;
+/** A clock of the cameras with which poses cannot be timed as they should, in words. */
+const OF_CLOCK = {
+  drifting: "the cameras' clock drifts",
+  ahead: "the cameras' clock is ahead",
+  behind: "the cameras' clock is behind",
+  foreign: "the cameras' clock has another epoch",
+};
 const BAD = ["camera_moved", "conflict", "dropped", "lost", "overdue", "rig_refused", "silent", "unusable"];
 let expected = [];
 
@@ -18,11 +27,16 @@ export function setExpected(kinds) {
   expected = kinds;
 }
 
-/** How the node's words begin when a moved camera is used again. */
-const USED_AGAIN = ["fits again", "mended"];
+/** How the node's words begin when a camera that was moved or out of time is used again. */
+const USED_AGAIN = ["fits again", "mended", "in time again", "its frames agree"];
+/** Kinds of events that hold until one of these comes, however long that is. */
+const LASTING = ["camera_moved", "clock_offset"];
 
 /** How bad an event is. */
 export function levelOf({ kind, detail }) {
+  // Of these kinds not all belong to a good run.
+  if (kind === "clock" && !detail.includes("the cameras use")) return "warn";
+  if (kind === "solver" && detail.includes("no solver is there")) return "warn";
   if (expected.includes(kind) || USED_AGAIN.some((words) => detail.startsWith(words))) return "ok";
   return BAD.includes(kind) ? "bad" : "warn";
 }
@@ -57,14 +71,14 @@ function recent(history, read) {
   return counts[1] - counts[0];
 }
 
-/** The events of a camera that still count: those of the last time, silence until it is back, a move until it fits again. */
+/** The events of a camera that still count: those of the last time, silence until it is back, and the last of each lasting kind. */
 function eventsOf(store, name, time) {
   const now = time === Infinity ? (store.historyAt(time).at(-1)?.seconds ?? store.newest) : time;
   const mine = store.events.filter(({ camera, at }) => camera === name && at <= time);
   const last = (wanted) => mine.findLast(({ kind }) => kind === wanted);
-  const [moved, returned] = [last("camera_moved"), last("returned")?.at ?? -Infinity];
-  const isOver = ({ kind, at }) => kind === "camera_moved" || (kind === "silent" && at <= returned) || now - at >= KEPT;
-  return mine.filter((event) => event === moved || !isOver(event));
+  const [lasting, returned] = [LASTING.map(last), last("returned")?.at ?? -Infinity];
+  const isOver = ({ kind, at }) => LASTING.includes(kind) || (kind === "silent" && at <= returned) || now - at >= KEPT;
+  return mine.filter((event) => lasting.includes(event) || !isOver(event));
 }
 
 /** The rate that most cameras have, Hz. */
@@ -80,8 +94,22 @@ function wrongSize(store, name) {
   return `its images are ${width} x ${height}, the calibration's ${camera.width} x ${camera.height}`;
 }
 
-/** The light of a camera at a time: of its counters in the status, of its own past, and of its events. */
-export function cameraLight(store, name, now, advice) {
+/** For how long a camera is silent, ms, before it is red; the status, once a second, would tell it later. */
+const SILENT = 700;
+
+/** How long a camera of which the page gets the frames has sent nothing, ms, if others do; else 0. */
+function silence(store, name, rate) {
+  const last = store.came.get(name);
+  const age = performance.now() - last;
+  const others = [...store.came.values()].some((at) => performance.now() - at < SILENT / 2);
+  return last !== undefined && others && age > Math.max(SILENT, 3000 / rate) ? age : 0;
+}
+
+/**
+ * The light of a camera at a time: of its counters in the status, of its own past, and of its events. `isAsked`: the page
+ * gets its frames.
+ */
+export function cameraLight(store, name, now, advice, isAsked) {
   const history = store.historyAt(now);
   const newest = history.at(-1);
   const isOld = now === Infinity ? performance.now() - store.statusCame > OLD * 1000 : now - newest?.seconds > OLD;
@@ -97,7 +125,9 @@ export function cameraLight(store, name, now, advice) {
   if (counters) {
     const rate = counters.rate_hz ?? 0;
     const age = counters.age_s ?? 0;
+    const silent = isAsked ? silence(store, name, rate) : 0;
     if (age > 1 || rate === 0) light.add("bad", age > 0 ? `no frame for ${age.toFixed(0)} s` : "no frame yet");
+    else if (silent > 0) light.add("bad", `no frame for ${(silent / 1000).toFixed(1)} s`);
     else if (rate < 0.8 * usualRate(cameras)) {
       light.add("warn", `${rate.toFixed(1)} of ${usualRate(cameras).toFixed(0)} frames a second`);
     }
@@ -109,6 +139,8 @@ export function cameraLight(store, name, now, advice) {
         light.add(level, `${counted(count, "frame")} ${kind} in 5 s`, advice[kind]);
       }
     }
+    const near = counters.near ?? 0;
+    if (near > 0 && near < FEW) light.add("warn", `only ${Math.round(100 * near)} % of its points are near the body`);
     const [usual, px] = [counters.usual_px ?? 0, counters.residual_px ?? 0];
     if (usual > 0 && px > CLEARLY * usual) {
       light.add(px > 3 * usual ? "bad" : "warn", `residual ${px.toFixed(1)} px, usually ${usual.toFixed(1)}`);
@@ -117,7 +149,10 @@ export function cameraLight(store, name, now, advice) {
   const events = eventsOf(store, name, now).filter((event) => levelOf(event) !== "ok");
   events.sort((a, b) => RANK[levelOf(b)] - RANK[levelOf(a)] || b.at - a.at);
   for (const event of events.slice(0, 1)) {
-    light.add(levelOf(event), event.detail || event.kind.replaceAll("_", " "));
+    const since = LASTING.includes(event.kind) ? timeOfDay(event.ns) : "";
+    const kind = event.kind.replaceAll("_", " ");
+    const words = event.detail.startsWith("of ") ? `${kind} ${event.detail}` : event.detail || kind;
+    light.add(levelOf(event), words + (since && `, since ${since}`));
   }
   return { ...light, counters };
 }
@@ -138,8 +173,12 @@ export function nodeLight(store, connected) {
     if (missed > 0) light.add("bad", `${counted(missed, "pose")} too late in 5 s`);
     const lost = recent(history, (status) => status.windows?.lost);
     if (lost > 0) light.add("warn", `${counted(lost, "window")} fitted badly in 5 s`);
+    const coasted = recent(history, (status) => status.playout?.coasted);
+    if (coasted > 0 && missed <= 0) light.add("warn", `${counted(coasted, "pose")} extrapolated in 5 s`);
     const effort = history.at(-1).status.effort?.level ?? 0;
     if (effort > 0) light.add("warn", `overload: effort lowered to level ${effort}`);
+    const clock = OF_CLOCK[history.at(-1).status.clock];
+    if (clock) light.add("warn", clock);
     const full = recent(history, (status) => status.queue_dropped);
     if (full > 0) light.add("bad", `${full} messages dropped: the queue is full`);
     for (const [kind, words] of Object.entries(OF_NODE)) {
@@ -148,6 +187,12 @@ export function nodeLight(store, connected) {
     }
   }
   return light;
+}
+
+/** The time of day of a capture time, hours and minutes; empty if the cameras' clock is not that of a day. */
+export function timeOfDay(ns, options = { hour: "2-digit", minute: "2-digit" }) {
+  const ms = Number(ns ?? 0n) / 1e6;
+  return ms > Date.UTC(2001) ? new Date(ms).toLocaleTimeString("en-GB", options) : "";
 }
 
 function counted(count, what) {

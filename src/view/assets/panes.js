@@ -4,6 +4,8 @@ import { colour } from "./colours.js";
 import { lensOf, project } from "./lens.js";
 import { median } from "./store.js";
 
+/** A frame is shown for this long, seconds; cameras of 5 Hz do not flicker. */
+export const AGE = 0.21;
 /** A detected person farther from a body than this part of the image's diagonal, in the median, is somebody else. */
 const NEAR = 0.04;
 
@@ -72,7 +74,7 @@ export class Panes {
   draw(store, time, people) {
     for (const [name, pane] of this.panes) {
       const lens = this.lenses?.get(name);
-      const frame = store.keypoints.get(name)?.at(time, 0.21);
+      const frame = store.keypoints.get(name)?.at(time, AGE);
       const [width, height] = lens ? [lens.width, lens.height] : (frame?.size ?? [16, 9]);
       const wide = Math.round(pane.canvas.clientWidth * Math.min(devicePixelRatio, 2)) || 200;
       const high = Math.round((wide * height) / Math.max(width, 1));
@@ -80,15 +82,36 @@ export class Panes {
       const { context } = pane;
       const scale = wide / width;
       context.clearRect(0, 0, wide, high);
-      const usual = store.usualOf(name, time);
-      const errors = [];
       if (lens) for (const one of people) drawBody(context, lens, one, scale);
-      for (const person of frame?.people ?? []) drawPoints(context, person, scale);
-      if (lens) for (const one of people) errors.push(...drawErrors(context, lens, one, frame?.people ?? [], usual, scale));
+      const errors = drawKeypoints(context, lens, frame, people, store.usualOf(name, time), scale);
       const text = !frame ? (store.keypoints.size > 0 ? "no frame" : "") : errors.length > 0 ? `${median(errors).toFixed(1)} px` : "";
       if (pane.count.textContent !== text) pane.count.textContent = text;
     }
   }
+}
+
+/** Draws the keypoints of a camera over the scene that is seen through it. */
+export function drawOver(canvas, through, store, time, people) {
+  canvas.hidden = through === undefined;
+  if (!through) return;
+  const ratio = Math.min(devicePixelRatio, 2);
+  const size = [canvas.clientWidth, canvas.clientHeight].map((pixels) => Math.round(pixels * ratio));
+  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
+  const [{ lens, scale, corner }, context] = [through, canvas.getContext("2d")];
+  context.setTransform(1, 0, 0, 1, 0, 0);
+  context.clearRect(0, 0, ...size);
+  context.setTransform(ratio, 0, 0, ratio, ratio * corner[0], ratio * corner[1]);
+  context.strokeStyle = "#8a8f98";
+  context.strokeRect(0, 0, lens.width * scale, lens.height * scale);
+  const frame = store.keypoints.get(lens.name)?.at(time, AGE);
+  drawKeypoints(context, lens, frame, people, store.usualOf(lens.name, time), scale);
+}
+
+/** Detected and solved keypoints; returns the distances between them, pixels. */
+function drawKeypoints(context, lens, frame, people, usual, scale) {
+  const detected = frame?.people ?? [];
+  for (const person of detected) drawPoints(context, person, scale);
+  return lens ? people.flatMap((one) => drawErrors(context, lens, one, detected, usual, scale)) : [];
 }
 
 /**
@@ -115,6 +138,7 @@ function drawErrors(context, lens, { points, tint, state }, people, usual, scale
   }
   // Somebody else, where this performer is not detected.
   if (!best || best.error > NEAR * Math.hypot(lens.width, lens.height)) return [];
+  context.lineWidth = 1.5;
   for (const [x, y, u, v, distance] of best.errors) {
     context.strokeStyle = usual > 0 && distance > 3 * usual ? "#ff5349" : tint;
     context.beginPath();
@@ -127,12 +151,13 @@ function drawErrors(context, lens, { points, tint, state }, people, usual, scale
 }
 
 function drawPoints(context, points, scale) {
-  context.fillStyle = "#fff";
+  [context.fillStyle, context.strokeStyle, context.lineWidth] = ["#fff", "#0c0e10", 0.5];
   for (let k = 0; k + 2 < points.length; k += 3) {
     const confidence = points[k + 2];
     if (!(confidence > 0)) continue;
     context.globalAlpha = Math.min(1, 0.2 + confidence);
     context.fillRect(points[k] * scale - 1.5, points[k + 1] * scale - 1.5, 3, 3);
+    context.strokeRect(points[k] * scale - 2, points[k + 1] * scale - 2, 4, 4);
   }
   context.globalAlpha = 1;
 }

@@ -1,11 +1,12 @@
 // Where messages come from: the bus, or a recording.
 
+import { anglesOf } from "./charts.js";
 import { frames } from "./messages.js";
 
 /** Where cameras of any stage send. */
 const EVERYWHERE = "mocap/*/camera/*/keypoints";
-/** Live: what is kept for looking back, seconds. */
-const KEPT = 30;
+/** Live: for how long poses and keypoints are kept, seconds: for the curves, and for looking back. */
+const [KEPT, KEPT_POINTS] = [60, 30];
 
 /** A live stage. A lost connection is opened again. */
 export class Live {
@@ -15,8 +16,12 @@ export class Live {
     this.connected = false;
     this.error = "";
     this.wait = 250;
+    /** Bytes of messages that came. */
+    this.bytes = 0;
     /** Who receives topics of performers; undefined if it is not known yet. */
     this.receivers = undefined;
+    /** Whether anybody else receives poses, announced or not; undefined if it is not known. */
+    this.received = undefined;
     this.open();
   }
 
@@ -26,6 +31,7 @@ export class Live {
     socket.binaryType = "arraybuffer";
     socket.onmessage = ({ data }) => {
       if (typeof data === "string") return this.said(JSON.parse(data));
+      this.bytes += data.byteLength;
       for (const frame of frames(data)) this.store.take(frame, this.stage);
     };
     socket.onclose = () => {
@@ -36,14 +42,14 @@ export class Live {
   }
 
   /** What the server says of the bus. */
-  said({ open, error, dropped, receivers }) {
+  said({ open, error, dropped, receivers, received }) {
     if (open) {
       [this.connected, this.error, this.wait] = [true, "", 250];
       this.send();
     }
     if (error !== undefined) this.error = error;
     if (dropped !== undefined) this.store.dropped = dropped;
-    if (receivers !== undefined) this.receivers = receivers;
+    if (receivers !== undefined) [this.receivers, this.received] = [receivers, received ?? undefined];
   }
 
   /** Asks for what is shown: of the cameras, those given, or else all. */
@@ -76,11 +82,16 @@ export class Live {
 
   /** Called for each picture, and a few times a second where nothing is drawn. */
   prepare() {
-    this.store.keepLast(KEPT);
+    this.store.keepLast(KEPT, KEPT_POINTS);
     if (this.store.keypoints.size > 0 && this.topics?.includes(EVERYWHERE)) {
       this.topics = this.topics.filter((topic) => topic !== EVERYWHERE);
       this.send();
     }
+  }
+
+  /** What the charts show: residuals, latencies and solve times by second, and angles of a performer. */
+  curves(performer) {
+    return { statuses: this.store.statuses.items, angles: anglesOf(performer) };
   }
 
   get span() {
@@ -115,6 +126,12 @@ export class Recording {
     return [0, this.overview.seconds];
   }
 
+  /** Those of the whole recording. */
+  curves(performer) {
+    const { statuses, angles } = this.overview;
+    return { statuses, angles: angles[performer?.name] ?? [] };
+  }
+
   /** A recording gives all that it holds. */
   want() {}
 
@@ -143,7 +160,7 @@ export class Recording {
       if (part < 0 || part * PART > this.overview.seconds || this.parts.has(part)) continue;
       if (this.reading >= (this.connected ? MOST : 1)) break;
       this.parts.set(part, false);
-      this.read(part, "pose,keypoints,status");
+      this.read(part, "pose,provisional,keypoints,status");
     }
     for (const part of this.parts.keys()) if (Math.abs(part - now) > 4) this.parts.delete(part);
     this.store.keep((now - 4) * PART, (now + 5) * PART);

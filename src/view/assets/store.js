@@ -63,15 +63,18 @@ const JUMP = 30;
 const STATES = ["", "tracking", "coasting", "lost"];
 
 export class Store {
-  /** `node`: the name whose status is that of the node; `undefined` of a recording, where any may be. */
-  constructor(decoder, node) {
+  /** `node`: the name whose status is that of the live node. `recorded`: that of a recording, if there is one. */
+  constructor(decoder, node, recorded) {
     this.decoder = decoder;
     this.node = node;
+    this.nodes = node ?? recorded;
     this.jump = node === undefined ? Infinity : JUMP;
     this.base = undefined;
     this.rig = undefined;
     this.performers = new Map();
     this.keypoints = new Map();
+    /** When the last frame of each camera came (page's clock, ms). */
+    this.came = new Map();
     this.events = [];
     this.statuses = new Series();
     this.statusOf = new Map();
@@ -83,10 +86,13 @@ export class Store {
     this.unreadable = 0;
     this.states = new Map();
     this.dropped = 0;
-    this.otherStages = new Set();
+    /** The cameras that other stages have, by stage. */
+    this.otherStages = new Map();
     /** Name of the last take that was begun or ended, by whomever; and the answers to commands. */
     this.lastTake = undefined;
     this.answers = [];
+    /** What recorders said of their disks: when (page's clock, ms), and bytes that are free. */
+    this.rooms = [];
   }
 
   /** Seconds since the first message, of a capture time in nanoseconds. */
@@ -123,7 +129,8 @@ export class Store {
   sort({ topic, capture, arrival, payload }, stage) {
     const parts = topic.split("/");
     if (stage !== undefined && parts[1] !== stage) {
-      this.otherStages.add(parts[1]);
+      if (!this.otherStages.has(parts[1])) this.otherStages.set(parts[1], new Set());
+      this.otherStages.get(parts[1]).add(parts[3]);
       return;
     }
     const read = (name) => this.decoder.decode(name, payload);
@@ -155,12 +162,15 @@ export class Store {
   }
 
   takeAnswer(answer) {
-    this.answers.push(answer);
+    const { id, role, free_bytes } = answer;
+    if ((id ?? 0n) !== 0n) this.answers.push(answer);
+    else if (role === "recorder") this.rooms = [...this.rooms.slice(-20), { at: performance.now(), bytes: Number(free_bytes ?? 0n) }];
   }
 
   takeKeypoints(frame, arrival) {
     const people = frame.people.map((person) => person.points);
     const size = [frame.image_width ?? 0, frame.image_height ?? 0];
+    this.came.set(frame.camera, performance.now());
     this.camera(frame.camera).add(this.seconds(frame.capture_time_ns ?? 0n), { people, size, arrival }, this.jump);
   }
 
@@ -194,7 +204,7 @@ export class Store {
   /** The state of a performer, or of the node, which has the cameras. */
   takeStatus(name, status, arrival) {
     this.statusOf.set(name, status);
-    if (status.cameras.length === 0 || (this.node !== undefined && name !== this.node)) return;
+    if (status.cameras.length === 0 || name !== this.nodes) return;
     this.statusCame = performance.now();
     this.apart = Math.min(this.apart, Math.abs(Date.now() - Number(status.node_time_ns ?? 0n) / 1e6));
     const seconds = this.seconds(status.capture_time_ns ?? 0n);
@@ -207,6 +217,12 @@ export class Store {
     if (!name) return undefined;
     const seconds = since > 0n ? Number(now - since) / 1e9 + (performance.now() - this.statusCame) / 1000 : 0;
     return { name, seconds };
+  }
+
+  /** The least room that a recorder has, bytes; `undefined`: none told it in the last 25 s. */
+  get room() {
+    const told = this.rooms.filter(({ at }) => performance.now() - at < 25_000);
+    return told.length > 0 ? Math.min(...told.map(({ bytes }) => bytes)) : undefined;
   }
 
   /** How a performer is shown; empty: by default. */
@@ -241,7 +257,7 @@ export class Store {
   takeEvent(event, actor) {
     const { kind = "", camera, detail = "", count = 1n } = event;
     const at = this.seconds(event.capture_time_ns ?? 0n);
-    this.addEvent({ at, kind, camera, detail, count: Number(count), actor });
+    this.addEvent({ at, ns: event.capture_time_ns, kind, camera, detail, count: Number(count), actor });
   }
 
   addEvent(event) {
@@ -258,12 +274,14 @@ export class Store {
     return keypoints - poses > 2 ? keypoints : poses;
   }
 
-  /** Forgets what is older than some seconds before the newest of its kind, and poses of who left. */
-  keepLast(seconds) {
+  /** Forgets what is older than so many seconds before the newest of its kind, and poses of who left. */
+  keepLast(seconds, secondsOfPoints) {
     const { newest } = this;
-    const of = [...this.performers.values()].flatMap((one) => [one.poses, one.provisional, one.points]);
-    for (const series of of) series.keep(newest - seconds, Infinity);
-    for (const series of this.keypoints.values()) series.keep(series.last - seconds, Infinity);
+    for (const { poses, provisional, points } of this.performers.values()) {
+      poses.keep(newest - seconds, Infinity);
+      for (const series of [provisional, points]) series.keep(newest - secondsOfPoints, Infinity);
+    }
+    for (const series of this.keypoints.values()) series.keep(series.last - secondsOfPoints, Infinity);
     this.statuses.keep(this.statuses.last - 300, Infinity);
   }
 

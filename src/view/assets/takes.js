@@ -5,14 +5,16 @@ const $ = (id) => document.getElementById(id);
 const PATIENCE = 5000;
 /** For how long a command of this page counts before the node's status tells what became of it, ms. */
 const PENDING = 2500;
+/** A disk with less room, bytes, is nearly full. */
+const LEAST_ROOM = 2e9;
 /** Who answers a command, if not nodes alone. */
 const ANSWERERS = { start: ["node", "recorder"], stop: ["node", "recorder"], note: ["recorder"] };
 
 /**
- * Connects the forms with a live stage; `lookOf` says how a performer is shown. Call the result a few times a second:
- * it shows the state of the take.
+ * Connects the forms with a live stage; `lookOf` says how a performer is shown, `floorAt` which place on the floor is at
+ * a place of the window. Call the result a few times a second: it shows the state of the take.
  */
-export function takes(store, source, lookOf) {
+export function takes(store, source, lookOf, floorAt) {
   let [sent, answers] = [undefined, []];
   const commands = (...all) => {
     const ids = all.map(([action, name, more]) => BigInt(source.command(action, name, more)));
@@ -46,6 +48,14 @@ export function takes(store, source, lookOf) {
   });
   $("moved").addEventListener("click", ({ target }) => {
     if (target.dataset.mend) command("mend", target.dataset.mend);
+  });
+  const arm = (on) => $("choose").setAttribute("aria-pressed", String(on));
+  $("choose").addEventListener("click", () => arm($("choose").getAttribute("aria-pressed") !== "true"));
+  $("canvas").addEventListener("click", ({ clientX, clientY }) => {
+    if ($("choose").getAttribute("aria-pressed") !== "true") return;
+    arm(false);
+    const place = floorAt(clientX, clientY);
+    if (place) command("follow", "", { place_m: place });
   });
   // The performer in the form, as it was opened.
   let edited;
@@ -102,6 +112,10 @@ export function takes(store, source, lookOf) {
     for (const role of isOver ? wanted.filter((one) => answers.every((answer) => answer.role !== one)) : []) {
       lines.push(`no ${role} answered`);
     }
+    const { room } = store;
+    $("room").hidden = room === undefined;
+    $("room").classList.toggle("bad", room < LEAST_ROOM);
+    if (room !== undefined) set($("room"), `${(room / 1e9).toFixed(1)} GB free`);
     set($("answers"), lines.join("; "));
     $("answers").title = lines.join("\n");
   };

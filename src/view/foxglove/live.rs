@@ -8,23 +8,30 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use foxglove::websocket::ServerListener;
-use foxglove::{Context, FoxgloveError, WebSocketServer};
+use foxglove::{Context, FoxgloveError, Schema, WebSocketServer};
 use tokio::runtime::Runtime;
 use tokio::sync::mpsc::channel;
 use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 
-use super::Channels;
+use super::{Channels, Stage};
 use crate::io::bus::{BusError, Sample};
 use crate::io::recording::Message;
-use crate::io::wire::{ENCODING, schema_of};
+use crate::io::wire::{ENCODING, SCHEMA_ENCODING, descriptor, schema_of};
 use crate::live::MOST_BYTES;
 use crate::view::bus::Live;
 use crate::view::server::{ViewError, give_way, reachable};
 
-/// What is shown, below the stage.
-const PATTERNS: [&str; 5] =
-    ["rig", "camera/*/keypoints", "actor/*/skeleton", "actor/*/status", "actor/*/pose"];
+/// What is passed on, below the stage.
+const PATTERNS: [&str; 7] = [
+    "rig",
+    "events",
+    "camera/*/keypoints",
+    "actor/*/skeleton",
+    "actor/*/status",
+    "actor/*/events",
+    "actor/*/pose",
+];
 /// Most messages in the queue. When it is full, new messages are dropped; so are those larger than [`MOST_BYTES`].
 const WAITING: usize = 4096;
 /// How often the number of clients is read, and the pause before a bus that failed is opened again.
@@ -136,7 +143,8 @@ fn pass_on(
     let bus = live.open()?;
     let (out, mut samples) = channel::<Sample>(WAITING);
     let stage = &live.topics.stage;
-    let mut guards = Vec::new();
+    let (mut guards, mut shown) = (Vec::new(), Stage::default());
+    let mut rig: Option<(&str, Sample)> = None;
     let dropped = Arc::new(AtomicUsize::new(0));
     for pattern in PATTERNS {
         let (out, dropped) = (out.clone(), Arc::clone(&dropped));
@@ -155,8 +163,24 @@ fn pass_on(
         });
         let Ok(Some(sample)) = next else { continue };
         let Some(schema) = schema_of(&sample.topic, &sample.encoding) else { continue };
-        if let Ok(message) = Message::decode(&sample.topic, schema, ENCODING, &sample.payload) {
-            channels.handle(&sample.topic, &message);
+        let topic = &sample.topic;
+        let Ok(message) = Message::decode(topic, schema, ENCODING, &sample.payload) else {
+            continue;
+        };
+        let cameras = shown.next;
+        shown.handle(topic, &message, channels);
+        let mut pass = |schema: &str, Sample { topic, payload, .. }: &Sample| {
+            let ours = || Some(Schema::new(schema, SCHEMA_ENCODING, descriptor(schema)?));
+            let bytes = |bytes: &mut Vec<u8>| bytes.extend_from_slice(payload);
+            channels.send(topic, (ENCODING, ours), sample.capture, bytes);
+        };
+        pass(schema, &sample);
+        // Each time the cameras are, for clients that came later.
+        if let Some((schema, rig)) = rig.as_ref().filter(|_| shown.next != cameras) {
+            pass(schema, rig);
+        }
+        if let Message::Rig(_) = message {
+            rig = Some((schema, sample));
         }
     }
     let dropped = dropped.load(Ordering::Relaxed);

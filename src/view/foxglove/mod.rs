@@ -1,5 +1,5 @@
-//! Our messages with Foxglove's schemas, for Foxglove and Lichtblick: live over a WebSocket, or as an
-//! MCAP file.
+//! Our messages with Foxglove's schemas, for Foxglove and Lichtblick: live over a WebSocket, beside ours; as an MCAP
+//! file; or beside our own messages in a recording.
 //!
 //! | topic | schema | holds |
 //! |---|---|---|
@@ -18,13 +18,12 @@ use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 use std::sync::Arc;
 
-use foxglove::messages::{CameraCalibration, FrameTransforms, ImageAnnotations, SceneUpdate};
-use foxglove::{Channel, Context, FoxgloveError};
+use foxglove::{Context, Encode, FoxgloveError, PartialMetadata, RawChannel, Schema};
 
 use crate::core::body::Skeleton;
 use crate::core::camera::Rig;
 use crate::core::time::{Nanos, Timestamp};
-use crate::io::recording::Message;
+use crate::io::recording::{Companion, Foreign, Message};
 use crate::io::wire::{PerformerLabel, Topic};
 
 pub use live::{Bridge, bridge};
@@ -34,24 +33,20 @@ const AGAIN: Nanos = Nanos::SECOND;
 /// A recording begins again if times go back by more.
 const LOOP: Nanos = Nanos::from_ms(10_000);
 
-/// The channels to Foxglove, and what is known of the stage.
-struct Channels {
-    context: Arc<Context>,
-    scene: Channel<SceneUpdate>,
-    transforms: Channel<FrameTransforms>,
-    /// Of the cameras of the rig.
-    cameras: BTreeMap<String, CameraChannels>,
+/// Where messages with Foxglove's schemas go.
+trait Sheet {
+    /// Takes the message of a topic at a capture time, if anybody wants it.
+    fn put<T: Encode>(&mut self, topic: &str, at: Timestamp, message: impl FnOnce() -> T);
+}
+
+/// What is known of the stage.
+#[derive(Default)]
+struct Stage {
     rig: Option<Rig>,
     /// By name, from the first skeleton on.
     performers: BTreeMap<String, Performer>,
     /// When the cameras are published again.
     next: Option<Timestamp>,
-}
-
-/// The channels of a camera.
-struct CameraChannels {
-    calibration: Channel<CameraCalibration>,
-    keypoints: Channel<ImageAnnotations>,
 }
 
 /// What is known of a performer.
@@ -62,27 +57,15 @@ struct Performer {
     label: PerformerLabel,
 }
 
-impl Channels {
-    fn new(context: Arc<Context>) -> Self {
-        Self {
-            scene: context.channel_builder("/performers").build(),
-            transforms: context.channel_builder("/tf").build(),
-            cameras: BTreeMap::new(),
-            rig: None,
-            performers: BTreeMap::new(),
-            next: None,
-            context,
-        }
-    }
-
-    /// Publishes a message in Foxglove's schemas. Returns whether it was a pose or keypoints.
-    fn handle(&mut self, topic: &str, message: &Message) -> bool {
+impl Stage {
+    /// Puts a message on the sheet. Returns whether it was a pose or keypoints.
+    fn handle(&mut self, topic: &str, message: &Message, sheet: &mut impl Sheet) -> bool {
         let name = Topic::actor(topic);
         match message {
             // Decoded messages are valid: the conversions do not fail.
             Message::Rig(rig) => {
                 if let Ok(rig) = rig.to_core() {
-                    self.set_rig(rig);
+                    (self.rig, self.next) = (Some(rig), None);
                 }
             }
             Message::Skeleton(body) => {
@@ -103,25 +86,19 @@ impl Channels {
             Message::Pose(pose) if !pose.provisional => {
                 let Ok(pose) = pose.to_core() else { return false };
                 let Some(one) = self.performers.get(&name) else { return false };
-                let at = shown::nanoseconds(pose.capture);
-                if self.scene.has_sinks() {
-                    self.scene.log_with_time(&shown::bones(&name, one, &pose), at);
-                }
-                if self.transforms.has_sinks() {
-                    self.transforms.log_with_time(&shown::joints(&name, &one.body, &pose), at);
-                }
-                self.publish_cameras(pose.capture);
+                sheet.put("/performers", pose.capture, || shown::bones(&name, one, &pose));
+                sheet.put("/tf", pose.capture, || shown::joints(&name, &one.body, &pose));
+                self.publish_cameras(pose.capture, sheet);
                 return true;
             }
             Message::Keypoints(frame) => {
-                let at = Timestamp::from_ns(frame.capture_time_ns);
-                let Some(camera) = self.cameras.get(&frame.camera) else { return false };
-                if camera.keypoints.has_sinks() {
-                    camera
-                        .keypoints
-                        .log_with_time(&shown::keypoints(frame), shown::nanoseconds(at));
+                let is_camera = |rig: &Rig| rig.index_of(&frame.camera).is_some();
+                if !self.rig.as_ref().is_some_and(is_camera) {
+                    return false;
                 }
-                self.publish_cameras(at);
+                let at = Timestamp::from_ns(frame.capture_time_ns);
+                sheet.put(&of_camera(&frame.camera, "keypoints"), at, || shown::keypoints(frame));
+                self.publish_cameras(at, sheet);
                 return true;
             }
             _ => {}
@@ -129,35 +106,69 @@ impl Channels {
         false
     }
 
-    fn set_rig(&mut self, rig: Rig) {
-        for camera in &rig.cameras {
-            let topic = |what| format!("/camera/{}/{what}", camera.name);
-            self.cameras.entry(camera.name.clone()).or_insert_with(|| CameraChannels {
-                calibration: self.context.channel_builder(topic("calibration")).build(),
-                keypoints: self.context.channel_builder(topic("keypoints")).build(),
-            });
-        }
-        (self.rig, self.next) = (Some(rig), None);
-    }
-
     /// Publishes the cameras once a second of capture time. Times may go back: by the latency, since keypoints
     /// come before the poses of their time; by more, a recording begins again.
-    fn publish_cameras(&mut self, at: Timestamp) {
+    fn publish_cameras(&mut self, at: Timestamp, sheet: &mut impl Sheet) {
         let is_early = self.next.is_some_and(|next| (next - LOOP..next).contains(&at));
         let Some(rig) = self.rig.as_ref().filter(|_| !is_early) else { return };
         self.next = Some(at + AGAIN);
-        let ns = shown::nanoseconds(at);
         for camera in &rig.cameras {
-            if let Some(channels) = self.cameras.get(&camera.name) {
-                channels.calibration.log_with_time(&shown::calibration(camera, at), ns);
+            let topic = of_camera(&camera.name, "calibration");
+            sheet.put(&topic, at, || shown::calibration(camera, at));
+        }
+        sheet.put("/tf", at, || shown::cameras(rig, at));
+    }
+}
+
+fn of_camera(name: &str, what: &str) -> String {
+    format!("/camera/{name}/{what}")
+}
+
+/// The channels of a server or of a file.
+struct Channels {
+    context: Arc<Context>,
+    channels: BTreeMap<String, Arc<RawChannel>>,
+}
+
+impl Channels {
+    fn new(context: Arc<Context>) -> Self {
+        Self { context, channels: BTreeMap::new() }
+    }
+
+    /// Sends a message on a topic, if anybody wants it. Foxglove's topics and ours have no name in common.
+    fn send(
+        &mut self,
+        topic: &str,
+        (encoding, schema): (&str, impl FnOnce() -> Option<Schema>),
+        at: Timestamp,
+        message: impl FnOnce(&mut Vec<u8>),
+    ) {
+        if !self.channels.contains_key(topic) {
+            let builder = self.context.channel_builder(topic).message_encoding(encoding);
+            match builder.schema(schema()).build_raw() {
+                Ok(channel) => drop(self.channels.insert(topic.to_owned(), channel)),
+                Err(error) => tracing::debug!("{topic} is not shown: {error}"),
             }
         }
-        self.transforms.log_with_time(&shown::cameras(rig, at), ns);
+        let Some(channel) = self.channels.get(topic).filter(|one| one.has_sinks()) else { return };
+        let mut bytes = Vec::new();
+        message(&mut bytes);
+        channel.log_with_meta(&bytes, PartialMetadata::with_log_time(shown::nanoseconds(at)));
+    }
+}
+
+impl Sheet for Channels {
+    fn put<T: Encode>(&mut self, topic: &str, at: Timestamp, message: impl FnOnce() -> T) {
+        let encoding = T::get_message_encoding();
+        // Encoding into memory does not fail.
+        let encoded = |bytes: &mut Vec<u8>| drop(message().encode(bytes));
+        self.send(topic, (&encoding, T::get_schema), at, encoded);
     }
 }
 
 /// Writes messages as an MCAP file with Foxglove's schemas.
 pub struct FoxgloveFile<W: Write + Seek + Send + 'static> {
+    stage: Stage,
     channels: Channels,
     file: foxglove::McapWriterHandle<W>,
 }
@@ -170,12 +181,12 @@ impl<W: Write + Seek + Send + 'static> FoxgloveFile<W> {
     pub fn new(to: W) -> Result<Self, FoxgloveError> {
         let context = Context::new();
         let file = context.mcap_writer().create(to)?;
-        Ok(Self { channels: Channels::new(context), file })
+        Ok(Self { stage: Stage::default(), channels: Channels::new(context), file })
     }
 
     /// Adds a message. Returns whether it was a pose or keypoints.
     pub fn add(&mut self, topic: &str, message: &Message) -> bool {
-        self.channels.handle(topic, message)
+        self.stage.handle(topic, message, &mut self.channels)
     }
 
     /// Ends the file.
@@ -184,5 +195,30 @@ impl<W: Write + Seek + Send + 'static> FoxgloveFile<W> {
     /// The file cannot be written.
     pub fn finish(self) -> Result<W, FoxgloveError> {
         self.file.close()
+    }
+}
+
+/// Foxglove's messages beside ours in a recording.
+#[derive(Default)]
+pub struct Beside(Stage);
+
+impl Companion for Beside {
+    fn follow(&mut self, topic: &str, message: &Message) -> Vec<Foreign> {
+        let mut gathered = Gathered(Vec::new());
+        self.0.handle(topic, message, &mut gathered);
+        gathered.0
+    }
+}
+
+struct Gathered(Vec<Foreign>);
+
+impl Sheet for Gathered {
+    fn put<T: Encode>(&mut self, topic: &str, at: Timestamp, message: impl FnOnce() -> T) {
+        let (mut payload, encoding) = (Vec::new(), T::get_message_encoding());
+        let Some(Schema { name, data, .. }) = T::get_schema() else { return };
+        if message().encode(&mut payload).is_ok() {
+            let topic = topic.to_owned();
+            self.0.push(Foreign { topic, schema: name, descriptor: data, encoding, at, payload });
+        }
     }
 }

@@ -2,6 +2,7 @@
 
 import { Template, metres, numbers } from "./body.js";
 import { colour, numberOf } from "./colours.js";
+import { NEXT, inLoop, press } from "./loop.js";
 import { View } from "./scene.js";
 import { Quaternion } from "./three.js";
 
@@ -33,7 +34,7 @@ view.setRig(take.rig);
 view.setTemplate(template);
 
 let [time, playing, last, framed] = [0, false, performance.now(), false];
-/** The two seconds that are repeated, if any are. */
+/** The ends of the stretch that is repeated, as far as they are set. */
 let loop;
 const speed = $("speed");
 $("time").max = end;
@@ -71,7 +72,7 @@ function peopleAt(at) {
 function show(now) {
   if (playing) time += Math.min(0.2, (now - last) / 1000) * Number(speed.value);
   last = now;
-  if (playing && loop && (time < loop[0] || time > loop[1])) [time] = loop;
+  if (playing) time = inLoop(loop, time);
   if (time >= end) [time, playing] = [end, false];
   const people = peopleAt(time);
   if (!framed && people.length > 0) {
@@ -102,8 +103,9 @@ function go(to) {
 }
 
 function repeat() {
-  loop = loop ? undefined : [Math.max(0, time - 1), Math.min(end, time + 1)];
-  $("loop").setAttribute("aria-pressed", String(loop !== undefined));
+  loop = press(loop, time, end);
+  $("loop").textContent = NEXT[loop?.length ?? 0];
+  $("loop").setAttribute("aria-pressed", String(loop?.length === 2));
 }
 
 function faster(by) {

@@ -106,6 +106,7 @@ export class View {
     this.frusta = undefined;
     this.tags = new Map();
     this.followed = undefined;
+    /** The camera to look through; undefined: free. */
     this.through = undefined;
     this.point = new three.Vector3();
   }
@@ -146,28 +147,11 @@ export class View {
     return [0, 1, 2].map((k) => lens.centre[k] + r[k] * x + r[3 + k] * y + r[6 + k] * z);
   }
 
-  /** The scene from the place of a camera, or free again. */
-  lookThrough(index) {
-    const lens = this.lenses?.[index];
-    this.through = lens && index;
-    if (!lens) {
-      this.controls.enabled = true;
-      if (this.before) {
-        this.camera.position.copy(this.before.at);
-        this.controls.target.copy(this.before.target);
-        [this.camera.fov, this.before] = [45, undefined];
-        this.camera.up.copy(UP);
-      }
-      return;
-    }
-    this.before ??= { at: this.camera.position.clone(), target: this.controls.target.clone() };
-    this.controls.enabled = false;
-    this.camera.position.fromArray(lens.centre);
-    const ahead = this.inWorld(lens, [0, 0, 3]);
-    const down = lens.rotation.slice(3, 6);
-    this.camera.up.set(-down[0], -down[1], -down[2]);
-    this.camera.lookAt(...ahead);
-    this.camera.fov = (2 * Math.atan(lens.height / 2 / lens.focal_px[1]) * 180) / Math.PI;
+  /** The scene as a camera sees it, or free again. */
+  lookThrough(through) {
+    this.through?.dispose();
+    this.through = through;
+    this.controls.enabled = through === undefined;
   }
 
   /** Everything in view. */
@@ -183,19 +167,35 @@ export class View {
     this.camera.position.set(middle[0] + 0.9 * reach, reach, middle[2] + 1.35 * reach);
   }
 
+  /** The place on the floor, x and z in metres, that is seen at a place of the window; undefined above the horizon. */
+  floorAt(x, y) {
+    if (this.through) return undefined;
+    const box = this.canvas.getBoundingClientRect();
+    this.point.set((2 * (x - box.left)) / box.width - 1, 1 - (2 * (y - box.top)) / box.height, 0.5).unproject(this.camera);
+    const from = this.camera.position;
+    const share = from.y / (from.y - this.point.y);
+    return share > 0 ? [from.x + share * (this.point.x - from.x), from.z + share * (this.point.z - from.z)] : undefined;
+  }
+
   /** The performer at a place of the canvas, or undefined. */
   pick(x, y, people) {
     const box = this.canvas.getBoundingClientRect();
     let [best, nearest] = [undefined, 40];
     for (const one of people) {
       for (let j = 0; j < JOINTS; j++) {
-        this.point.fromArray(one.joints, 3 * j).project(this.camera);
-        const at = [((this.point.x + 1) / 2) * box.width, ((1 - this.point.y) / 2) * box.height];
-        const distance = Math.hypot(at[0] - (x - box.left), at[1] - (y - box.top));
+        const at = this.place(one.joints.subarray(3 * j, 3 * j + 3), box.width, box.height);
+        const distance = at ? Math.hypot(at[0] - (x - box.left), at[1] - (y - box.top)) : Infinity;
         if (distance < nearest) [best, nearest] = [one.name, distance];
       }
     }
     return best;
+  }
+
+  /** Where a point in the world is on the canvas; undefined behind the camera. */
+  place(at, width, height) {
+    if (this.through) return this.through.place(at);
+    const { x, y, z } = this.point.fromArray(at).project(this.camera);
+    return z > 1 ? undefined : [((x + 1) / 2) * width, ((1 - y) / 2) * height];
   }
 
   draw(people, ghosts) {
@@ -214,8 +214,10 @@ export class View {
       this.controls.target.add(this.point);
       this.camera.position.add(this.point);
     }
+    if (this.frusta) this.frusta.visible = this.through === undefined;
     if (this.controls.enabled) this.controls.update();
-    this.renderer.render(this.scene, this.camera);
+    if (this.through) this.through.draw(this.renderer, this.scene, width, height);
+    else this.renderer.render(this.scene, this.camera);
     this.label(people, width, height);
   }
 
@@ -240,9 +242,9 @@ export class View {
         this.tags.set(key, tag);
       }
       if (tag.textContent !== text) tag.textContent = text;
-      this.point.fromArray(at).project(this.camera);
-      tag.hidden = this.point.z > 1;
-      const [x, y] = [((this.point.x + 1) / 2) * width, ((1 - this.point.y) / 2) * height];
+      const place = this.place(at, width, height);
+      tag.hidden = place === undefined;
+      const [x, y] = place ?? [0, 0];
       tag.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, -50%)`;
     }
   }
