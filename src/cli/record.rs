@@ -27,8 +27,8 @@ use crate::live::WallClock;
 
 /// How often the files are flushed.
 const FLUSH: Duration = Duration::from_secs(1);
-/// How often recorders tell how much room they have.
-const ROOM: Duration = Duration::from_secs(10);
+/// How often recorders publish the free space of their disk.
+const FREE_SPACE: Duration = Duration::from_secs(10);
 /// How long a node may take to answer with its calibration.
 const QUERY: Duration = Duration::from_millis(300);
 
@@ -38,7 +38,7 @@ const QUERY: Duration = Duration::from_millis(300);
 Payloads are kept byte for byte. The log time of a message is its arrival time here, the publish time
 is its capture time. Until Ctrl-C or SIGTERM the recording is at FILE.part; if this program dies, that
 file is readable up to its last second. Recording stops before the disk is full. Each ten seconds the
-recorder publishes how much room it has; that is not recorded.
+recorder publishes the free space of its disk; that is not recorded.
 
 `bundlemocap take start NAME` begins NAME.mcap beside FILE, with a journal of its own, and `take stop`
 ends it. If there is a NAME.mcap, it is NAME_2.mcap and so on. If FILE is a folder, or ends with /, only
@@ -142,8 +142,8 @@ impl Answers {
         }
     }
 
-    /// Tells how many bytes are free.
-    fn tell_room(&self, free_bytes: u64) {
+    /// Publishes how many bytes are free.
+    fn send_free_space(&self, free_bytes: u64) {
         self.put(TakeAnswer { free_bytes, ..TakeAnswer::default() });
     }
 
@@ -168,7 +168,7 @@ fn record(
     mut each_second: impl FnMut(&Recorded),
 ) -> Result<(Recorded, bool), RecordError> {
     let (mut flushed, clock) = (Instant::now(), WallClock::start());
-    let mut told: Option<Instant> = None;
+    let mut sent: Option<Instant> = None;
     let mut is_full = false;
     loop {
         if stop.is_set() || is_full {
@@ -177,7 +177,7 @@ fn record(
         match inbox.next(ATTENTION) {
             Some(_) if is_full => {}
             Some(received) => {
-                if tells_room(&received) {
+                if is_free_space(&received) {
                     continue;
                 }
                 let arrival = received.arrival;
@@ -194,9 +194,11 @@ fn record(
         if flushed.elapsed() >= FLUSH {
             flushed = Instant::now();
             let free = room();
-            if let Some(free) = free.filter(|_| told.is_none_or(|told| told.elapsed() >= ROOM)) {
-                told = Some(Instant::now());
-                answers.tell_room(free);
+            if let Some(free) =
+                free.filter(|_| sent.is_none_or(|sent| sent.elapsed() >= FREE_SPACE))
+            {
+                sent = Some(Instant::now());
+                answers.send_free_space(free);
             }
             let (said, goes_on) = recorder.second(clock.now(), free)?;
             answers.say(said);
@@ -219,12 +221,11 @@ fn slate(received: &Received) -> Option<Take> {
     }
 }
 
-/// Whether it is from a recorder, of its disk. Those are not recorded.
-fn tells_room(received: &Received) -> bool {
+/// Whether it is about the free space of a recorder. Those are not recorded.
+fn is_free_space(received: &Received) -> bool {
     let topic = Topic::parse(&received.sample.topic);
     matches!(topic, Ok(Topic::Stage { channel: StageChannel::TakeAnswers, .. }))
-        && decode::<TakeAnswer>(&received.sample.payload)
-            .is_ok_and(|answer| answer.id == 0 && answer.free_bytes > 0)
+        && decode::<TakeAnswer>(&received.sample.payload).is_ok_and(|answer| answer.free_bytes > 0)
 }
 
 /// The recorded entry of a message.
@@ -323,25 +324,26 @@ mod tests {
     }
 
     #[test]
-    fn the_room_on_the_disk_is_told() {
+    fn the_free_space_is_published_and_not_recorded() {
         let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("take.mcap");
         let (bus, topics) = (Memory::new(), Topics::default());
-        let told = Inbox::open(&bus, &topics.take_answers()).unwrap();
-        let inbox = Inbox::open(&bus, &topics.take()).unwrap();
+        let published = Inbox::open(&bus, &topics.take_answers()).unwrap();
+        let inbox = Inbox::open(&bus, &topics.all()).unwrap();
         let answers = Answers::open(&bus, &topics).unwrap();
-        let recorder = Recorder::start(None, folder.path(), topics, Provenance::default()).unwrap();
+        let recorder =
+            Recorder::start(Some(&path), folder.path(), topics, Provenance::default()).unwrap();
         let stop = Stop::default();
         let room = || {
             stop.stop();
             Some(97_000_000_000)
         };
-        record(inbox, recorder, &answers, &stop, room, |_| {}).unwrap();
-        let sample = told.next(Duration::ZERO).unwrap().sample;
+        let (recorded, _) = record(inbox, recorder, &answers, &stop, room, |_| {}).unwrap();
+        let sample = published.next(Duration::ZERO).unwrap().sample;
         let answer: TakeAnswer = decode(&sample.payload).unwrap();
         let role = "recorder".into();
         let wanted = TakeAnswer { role, free_bytes: 97_000_000_000, ..TakeAnswer::default() };
-        assert_eq!(answer, wanted);
-        assert!(told.next(Duration::ZERO).is_none());
+        assert_eq!((answer, recorded.messages), (wanted, 0));
     }
 
     #[test]

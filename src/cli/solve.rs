@@ -124,8 +124,8 @@ pub(super) struct Arguments {
     /// The optimiser of the windows.
     #[arg(long, value_enum)]
     optimiser: Option<OptimiserName>,
-    /// Write the poses to poses.mcap also as Foxglove and Lichtblick show them in 3D; it is then about
-    /// twice as large.
+    /// Add messages for the 3D view of Foxglove and Lichtblick to poses.mcap; it is then about twice as
+    /// large.
     #[cfg(feature = "view")]
     #[arg(long)]
     foxglove: bool,
@@ -272,7 +272,7 @@ impl Prepared {
         // The threads do not change the result.
         let mut config = self.config.clone();
         config.tracker.threads = Config::default().tracker.threads;
-        serde_json::json!({
+        let mut settings = serde_json::json!({
             "config": config.to_toml(),
             "weights": format!("{:016x}", self.decoder.fingerprint()),
             "cameras": arguments.cameras,
@@ -280,9 +280,12 @@ impl Prepared {
             "no_sync": arguments.no_sync,
             "body_actor": arguments.body_actor,
             "span": format!("{:?}", arguments.span),
-            "foxglove": arguments.companion().is_some(),
             "convention": format!("{:?}", arguments.convention),
-        })
+        });
+        if arguments.companion().is_some() {
+            settings["foxglove"] = true.into();
+        }
+        settings
     }
 
     /// Solves a recording into a folder. `bar`: shows the progress in that many messages.

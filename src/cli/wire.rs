@@ -29,8 +29,8 @@ pub(super) fn text(message: &Message, arrival: Timestamp) -> Option<String> {
         Message::Journal(journal) => self::journal(journal),
         Message::Retargeted(pose) => retargeted(pose, arrival),
         Message::Take(Take { action, name, .. }) => format!("take {action} {name}"),
-        Message::TakeAnswer(TakeAnswer { id: 0, role, free_bytes, .. }) => {
-            format!("{role}: {:.1} GB free", *free_bytes as f64 / 1e9)
+        Message::TakeAnswer(TakeAnswer { role, free_bytes: free @ 1.., .. }) => {
+            format!("{role}: {:.1} GB free", *free as f64 / 1e9)
         }
         Message::TakeAnswer(TakeAnswer { role, text, .. }) => format!("{role}: {text}"),
         Message::Other { .. } => return None,

@@ -1,28 +1,38 @@
 //! The state of the cameras, once a second of the take, as a live node publishes it: programs that show poses.mcap
 //! judge the cameras by it.
 
-use crate::core::camera::Rig;
+use crate::core::camera::{Camera, Rig};
 use crate::core::detections::Detections;
 use crate::core::time::{Nanos, Timestamp};
 use crate::core::tracker::{Event, Verdict, WindowReport};
-use crate::io::wire::{Status, WindowCounters};
+use crate::diagnose::{CameraCheck, Check};
+use crate::io::wire::{CameraCounters, Status, WindowCounters};
 use crate::metrics::{CameraState, set_residuals};
 
 pub(super) struct CameraStates {
     cameras: Vec<CameraState>,
     /// Frames of each that were used.
     used: Vec<u64>,
+    /// What is wrong with each.
+    verdicts: Vec<String>,
     windows: WindowCounters,
     /// Begin of the current second, capture time.
     since: Option<Timestamp>,
 }
 
 impl CameraStates {
-    pub(super) fn new(rig: &Rig) -> Self {
+    /// `check`: what is wrong with the cameras, if that is known.
+    pub(super) fn new(rig: &Rig, check: Option<&Check>) -> Self {
         let cameras: Vec<_> =
             rig.cameras.iter().map(|camera| CameraState::new(&camera.name)).collect();
         let used = vec![0; cameras.len()];
-        Self { cameras, used, windows: WindowCounters::default(), since: None }
+        let judged = |name: &str| check?.cameras.iter().find(|camera| camera.camera == name);
+        let verdict = |camera: &Camera| {
+            let camera = judged(&camera.name).filter(|camera| !camera.findings.is_empty());
+            camera.map_or_else(String::new, CameraCheck::verdict)
+        };
+        let verdicts = rig.cameras.iter().map(verdict).collect();
+        Self { cameras, used, verdicts, windows: WindowCounters::default(), since: None }
     }
 
     /// Counts a frame. Returns the status of the second before, if it begins another one.
@@ -39,10 +49,14 @@ impl CameraStates {
     fn second(&mut self, now: Timestamp, passed: Nanos) -> Status {
         self.since = Some(now);
         self.cameras.iter_mut().for_each(|camera| camera.second(passed));
-        let all = self.cameras.iter().zip(&self.used);
+        let all = self.cameras.iter().zip(&self.used).zip(&self.verdicts);
+        let counters = |((one, used), verdict): ((&CameraState, &u64), &String)| CameraCounters {
+            verdict: verdict.clone(),
+            ..one.counters(now, *used, true, (0.0, 0.0))
+        };
         Status {
             capture_time_ns: now.ns(),
-            cameras: all.map(|(one, used)| one.counters(now, *used, true, (0.0, 0.0))).collect(),
+            cameras: all.map(counters).collect(),
             windows: Some(self.windows.clone()),
             ..Status::default()
         }

@@ -12,7 +12,7 @@ use super::camera_states::CameraStates;
 use super::collected::Collected;
 use super::compact_pose::CompactPose;
 use super::options::Options;
-use super::poses::{BENT, Poses};
+use super::poses::Poses;
 use super::series::{Mean, Series};
 use super::summary::{Group, Summary};
 use super::windows::{WindowSummary, Windows};
@@ -26,7 +26,7 @@ use crate::diagnose::{CameraCheck, Check, Finding};
 use crate::io::new_file;
 use crate::io::recording::{Provenance, TAKE, Writer};
 use crate::io::report::{
-    self, AngleTrack, CameraErrors, Moment, MomentKind, Picture, Player, Plot, ReportData,
+    self, AngleTrack, BENT, CameraErrors, Moment, MomentKind, Picture, Player, Plot, ReportData,
     StickFigures, Table, Track, WindowRow, stick_figures, write_report,
 };
 use crate::io::timecode::House;
@@ -107,11 +107,11 @@ struct Performer {
 }
 
 impl PoseFile {
-    /// `rig` is that of the recording, `solved` that of the trackers.
+    /// `rig` is that of the recording, `solved` that of the trackers; `check` judges its cameras.
     pub(crate) fn create(
         path: &Path,
         rig: &Arc<Rig>,
-        solved: &Rig,
+        (solved, check): (&Rig, Option<&Check>),
         provenance: &Provenance,
         performers: &[String],
         Options { timecode, companion, .. }: &Options,
@@ -128,7 +128,7 @@ impl PoseFile {
             rig: Arc::clone(rig),
             cameras: solved.cameras.iter().map(|camera| camera.name.clone()).collect(),
             performers: performers.iter().map(performer).collect(),
-            states: CameraStates::new(solved),
+            states: CameraStates::new(solved, check),
             has_rig: false,
             timecode: *timecode,
         })

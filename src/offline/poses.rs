@@ -10,10 +10,10 @@ use super::hold_out::HeldOut;
 use super::reference::{FrameClock, ReferenceComparison};
 use super::series::{Bin, Mean, Series};
 use super::truth::TruthComparisons;
-use crate::core::body::{JOINTS, Joint, Skeleton};
+use crate::core::body::{JOINTS, Skeleton};
 use crate::core::time::Timestamp;
 use crate::io::formats::Style;
-use crate::io::report::{PlayerPose, flexion_deg};
+use crate::io::report::{BENT, PlayerPose, flexion_deg};
 use crate::metrics::statistics::median;
 use crate::metrics::{Distribution, Floor, FootSkate, FootSkateSums, MeanAcceleration};
 
@@ -24,8 +24,6 @@ const FALLBACK_FPS: f64 = 60.0;
 /// Most poses of all performers that play in the report: 18 minutes of one at 60 Hz, fewer a second of a longer
 /// take.
 pub(super) const PLAYED: usize = 1 << 16;
-/// Joints with angles in the report.
-pub(crate) const BENT: [Joint; 4] = [Joint::LKnee, Joint::RKnee, Joint::LElbow, Joint::RElbow];
 
 impl Bin for CompactPose {
     /// The first pose is kept.
@@ -182,7 +180,7 @@ impl Poses {
         let (capture, full) = (pose.capture, pose.pose());
         let posture = full.posture(skeleton);
         for (joint, series) in BENT.into_iter().zip(&mut self.angles) {
-            if let Some(degrees) = flexion_deg(&posture, joint) {
+            if let Some(degrees) = flexion_deg(&posture.positions, joint) {
                 series.push(Mean::new(capture, [degrees]));
             }
         }

@@ -25,7 +25,7 @@ use crate::core::manifold::Decoder;
 use crate::core::stage::{Input, Names, PerformerId, Performers, Stage};
 use crate::core::time::Timestamp;
 use crate::core::tracker::{FramePeriod, Output, Solver, Tracker};
-use crate::diagnose::Evidence;
+use crate::diagnose::{Check, Evidence};
 use crate::io::recording::{Provenance, Report};
 use crate::io::wire::Topics;
 
@@ -62,12 +62,13 @@ pub fn solve_group(
     let names = names(options, count);
     let judged =
         Rig { cameras: rig.cameras.iter().chain(&held_out).cloned().collect(), ..Rig::clone(&rig) };
-    let is_first = evidence.is_none();
     let judge = || Evidence::new(Arc::new(judged.clone()), options.config, period);
-    let evidence = evidence.unwrap_or_else(judge);
+    let check = evidence.map(|evidence| evidence.check(&judged));
+    let evidence = check.is_none().then(judge);
     let all = Arc::new(with_solved(recording.rig(), &rig.cameras, &held_out));
-    let outputs =
-        folder.map(|folder| Outputs::create(folder, &all, options, &rig, &decoder, &names));
+    let outputs = folder.map(|folder| {
+        Outputs::create(folder, &all, options, (&rig, check.as_ref()), &decoder, &names)
+    });
     let mut outputs = outputs.transpose()?;
     let solver = Solver::new(decoder, options.config);
     let tracker = Tracker::new(options.config, Arc::clone(&rig));
@@ -94,11 +95,10 @@ pub fn solve_group(
     let file = outputs.as_mut().map(|outputs| &mut outputs.file);
     let tracking = (options.performers.limit() > 1).then(Tracking::default);
     let driver = Driver::new(stage, solver);
-    let mut run =
-        Run { driver, collected, tracking, file, evidence, is_first, solved: rig.cameras.len() };
+    let mut run = Run { driver, collected, tracking, file, evidence, solved: rig.cameras.len() };
     let report = run.stream(recording, &rig, &held_out, observer)?;
     let Run { driver, mut collected, tracking, evidence, .. } = run;
-    let check = evidence.check(&judged);
+    let check = check.unwrap_or_else(|| evidence.unwrap_or_else(judge).check(&judged));
     let found = |performer: usize, one: &Collected| {
         driver.skeleton(performer).filter(|_| one.poses.found_somebody())
     };
@@ -235,7 +235,7 @@ impl Outputs {
         folder: OutputFolder,
         all: &Arc<Rig>,
         options: &Options,
-        rig: &Rig,
+        judged: (&Rig, Option<&Check>),
         decoder: &Decoder,
         performers: &[String],
     ) -> Result<Self, Error> {
@@ -246,7 +246,7 @@ impl Outputs {
             ..Provenance::default()
         };
         let path = folder.file("poses.mcap");
-        let file = PoseFile::create(&path, all, rig, &provenance, performers, options)?;
+        let file = PoseFile::create(&path, all, judged, &provenance, performers, options)?;
         Ok(Self { folder, file })
     }
 }
@@ -259,9 +259,8 @@ struct Run<'reference, 'file> {
     /// With several performers.
     tracking: Option<Tracking>,
     file: Option<&'file mut PoseFile>,
-    evidence: Evidence,
-    /// Whether there was no pass before, so that the evidence is gathered in this one.
-    is_first: bool,
+    /// Gathered here if there was no pass before.
+    evidence: Option<Evidence>,
     /// Number of the cameras that are solved; the held-out ones follow.
     solved: usize,
 }
@@ -311,17 +310,19 @@ impl Run<'_, '_> {
         }
         match (item, &mut self.tracking) {
             (Item::Detections(detections, percent), _) => {
-                if self.is_first {
-                    self.evidence.add(&detections, percent);
+                if let Some(evidence) = &mut self.evidence {
+                    evidence.add(&detections, percent);
                 }
                 if let Some(file) = &mut self.file {
                     file.frame(&detections)?;
                 }
                 return self.feed(Input::Detections(detections), observer);
             }
-            (Item::HeldOut(frame, percent), _) if self.is_first => {
+            (Item::HeldOut(frame, percent), _) => {
                 let camera = self.solved + frame.camera;
-                self.evidence.add(&Detections { camera, ..frame }, percent);
+                if let Some(evidence) = &mut self.evidence {
+                    evidence.add(&Detections { camera, ..frame }, percent);
+                }
             }
             (Item::TrueBody(actor, body), Some(tracking)) => tracking.set_body(&actor, *body),
             (Item::TruePose(actor, pose), Some(tracking)) => tracking.add_truth(&actor, &pose),

@@ -246,7 +246,7 @@ fn try_orders(
             Err(mpsc::RecvTimeoutError::Timeout) => {
                 match bus.receivers(&below) {
                     Ok(receivers) => {
-                        let received = watch.as_ref().map(|watch| watch.is_received());
+                        let received = watch.as_ref().map(|is_received| is_received());
                         drop(out.try_send(Outgoing::Receivers(receivers, received)));
                     }
                     Err(error) => tracing::debug!("who receives is not known: {error}"),

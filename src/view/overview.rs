@@ -6,10 +6,11 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::core::body::{Joint, TrackingState};
+use crate::core::body::{JOINTS, TrackingState};
 use crate::core::time::{Nanos, Timestamp};
 use crate::io::recording::{Entry, Message, Reader, RecordError};
-use crate::io::wire::{CameraCounters, Event, Pose, Status, Topic};
+use crate::io::report::{BENT, flexion_deg};
+use crate::io::wire::{CameraCounters, Event, Pose, Status, Topic, WindowCounters};
 
 /// A capture time is wrong if its log time comes this much earlier or later than it usually does.
 const FAR: Nanos = Nanos::from_ms(10_000);
@@ -29,8 +30,8 @@ pub struct Overview {
     pub node: Option<String>,
     /// For the charts: what the nodes said of themselves, at most 600.
     pub statuses: Vec<OverviewStatus>,
-    /// For the charts: time and angles (degrees) of left knee, right knee, left elbow and right elbow, by performer,
-    /// at most 600 each; 180 is straight.
+    /// For the charts: time and flexions (degrees) of left knee, right knee, left elbow and right elbow, by
+    /// performer, at most 600 each; 0 is straight.
     pub angles: BTreeMap<String, Vec<[f32; 5]>>,
     /// Number of keypoint frames by camera.
     pub cameras: BTreeMap<String, u64>,
@@ -74,33 +75,33 @@ pub struct OverviewStatus {
 /// Most points of a curve.
 const MOST: usize = 600;
 
-/// Joints whose angle is charted, each between two others.
-const HINGES: [[Joint; 3]; 4] = [
-    [Joint::LHip, Joint::LKnee, Joint::LAnkle],
-    [Joint::RHip, Joint::RKnee, Joint::RAnkle],
-    [Joint::LShoulder, Joint::LElbow, Joint::LWrist],
-    [Joint::RShoulder, Joint::RElbow, Joint::RWrist],
-];
-
 /// A pose, for runs: capture time and state.
 type Stamp = (Timestamp, TrackingState);
 
-/// Of a performer.
+/// Of a performer or a node.
 #[derive(Default)]
-struct Performer {
+struct Actor {
     runs: Vec<[Stamp; 2]>,
-    /// The angles of the [`HINGES`], degrees.
-    angles: Vec<(Timestamp, [f32; 4])>,
+    /// Flexions of the joints [`BENT`], degrees.
+    angles: Vec<(Timestamp, [f32; BENT.len()])>,
+    /// Statuses with cameras.
+    statuses: Vec<(Timestamp, Charted)>,
+}
+
+/// What the charts show of a status.
+struct Charted {
+    declared_latency_ns: u64,
+    /// Median distance of each camera's points from the body, pixels.
+    residuals: Vec<(String, f64)>,
+    windows: WindowCounters,
 }
 
 /// What was read so far.
 #[derive(Default)]
 pub(super) struct Gathered {
-    performers: BTreeMap<String, Performer>,
+    actors: BTreeMap<String, Actor>,
     /// Events, each with its performer, if it concerns one.
     events: Vec<(Option<String>, Event)>,
-    /// Statuses with cameras, by whose they are.
-    statuses: BTreeMap<String, Vec<(Timestamp, Value)>>,
     cameras: BTreeMap<String, u64>,
     /// Capture times of the first and the last pose or keypoints.
     span: Option<[Timestamp; 2]>,
@@ -116,7 +117,7 @@ impl Gathered {
         number: usize,
         mut progress: impl FnMut(),
     ) -> Result<([Nanos; 2], BTreeMap<String, String>), RecordError> {
-        let (earlier, events) = (std::mem::take(&mut self.performers), self.events.len());
+        let (earlier, events) = (std::mem::take(&mut self.actors), self.events.len());
         let mut times = Vec::new();
         for entry in reader.by_ref() {
             let Entry { topic, log_time, message } = entry?;
@@ -126,12 +127,12 @@ impl Gathered {
         let delays = self.add_times(times);
         self.damage.extend(reader.report().losses());
         let mut renamed = BTreeMap::new();
-        for (name, performer) in std::mem::replace(&mut self.performers, earlier) {
-            let new = match self.performers.contains_key(&name) {
+        for (name, actor) in std::mem::replace(&mut self.actors, earlier) {
+            let new = match self.actors.contains_key(&name) {
                 true => format!("{name} ({number})"),
                 false => name.clone(),
             };
-            self.performers.insert(new.clone(), performer);
+            self.actors.insert(new.clone(), actor);
             renamed.insert(name, new);
         }
         for actor in self.events[events..].iter_mut().filter_map(|(actor, _)| actor.as_mut()) {
@@ -168,9 +169,9 @@ impl Gathered {
             Message::Pose(pose) if !pose.provisional => {
                 let angles = angles(&pose);
                 let pose = pose.to_core().ok()?;
-                let performer = self.performers.entry(Topic::actor(topic)).or_default();
-                extend(&mut performer.runs, (pose.capture, pose.state));
-                performer.angles.extend(angles.map(|angles| (pose.capture, angles)));
+                let actor = self.actors.entry(Topic::actor(topic)).or_default();
+                extend(&mut actor.runs, (pose.capture, pose.state));
+                actor.angles.extend(angles.map(|angles| (pose.capture, angles)));
                 Some(pose.capture)
             }
             Message::Keypoints(frame) => {
@@ -185,8 +186,8 @@ impl Gathered {
             }
             Message::Status(status) if !status.cameras.is_empty() => {
                 let at = Timestamp::from_ns(status.capture_time_ns);
-                let of_one = self.statuses.entry(Topic::actor(topic)).or_default();
-                of_one.push((at, charted(&status)));
+                let actor = self.actors.entry(Topic::actor(topic)).or_default();
+                actor.statuses.push((at, Charted::of(*status)));
                 None
             }
             _ => None,
@@ -201,21 +202,24 @@ impl Gathered {
             to: since(last.0),
             state: first.1.name(),
         };
+        // With several performers each has statuses, too; the node has no poses then.
+        let with_statuses = || self.actors.iter().filter(|(_, actor)| !actor.statuses.is_empty());
+        let node = with_statuses().find(|(_, actor)| actor.runs.is_empty());
+        let node = node.or_else(|| with_statuses().next());
+        let status = |(at, charted): &(Timestamp, Charted)| OverviewStatus {
+            seconds: since(*at),
+            status: charted.json(),
+        };
+        let statuses = node.map(|(_, actor)| thin(&actor.statuses).map(status).collect());
+        let node = node.map(|(name, _)| name.clone());
+        let performers = self.actors.into_iter().filter(|(_, actor)| !actor.runs.is_empty());
         let of_time =
             |(at, [a, b, c, d]): &(Timestamp, [f32; 4])| [since(*at) as f32, *a, *b, *c, *d];
-        // With several performers each has a status; that of the node is of nobody who has poses.
-        let is_node = |name: &&String| !self.performers.contains_key(*name);
-        let node = self.statuses.keys().find(is_node).or(self.statuses.keys().next()).cloned();
-        let statuses = node.as_ref().and_then(|name| self.statuses.get(name));
         let (mut runs, mut angles) = (BTreeMap::new(), BTreeMap::new());
-        for (name, performer) in self.performers {
-            angles.insert(name.clone(), thin(&performer.angles).map(of_time).collect());
-            runs.insert(name, performer.runs.into_iter().map(run).collect());
+        for (name, actor) in performers {
+            angles.insert(name.clone(), thin(&actor.angles).map(of_time).collect());
+            runs.insert(name, actor.runs.into_iter().map(run).collect());
         }
-        let status = |(at, status): &(Timestamp, Value)| OverviewStatus {
-            seconds: since(*at),
-            status: status.clone(),
-        };
         let event = |(actor, event): (Option<String>, Event)| OverviewEvent {
             at: since(Timestamp::from_ns(event.capture_time_ns)),
             kind: event.kind,
@@ -228,7 +232,7 @@ impl Gathered {
             start_ns: start.ns().to_string(),
             seconds: since(end),
             performers: runs,
-            statuses: thin(statuses.map_or(&[], Vec::as_slice)).map(status).collect(),
+            statuses: statuses.unwrap_or_default(),
             node,
             angles,
             events: self.events.into_iter().map(event).collect(),
@@ -251,32 +255,33 @@ fn thin<T>(all: &[T]) -> impl Iterator<Item = &T> {
     all.iter().step_by(all.len().div_ceil(MOST).max(1))
 }
 
-fn angles(pose: &Pose) -> Option<[f32; 4]> {
-    let at = |joint: Joint| {
-        let place = pose.joint_positions_m.get(3 * joint.index()..3 * joint.index() + 3)?;
-        Some(Vector3::from_column_slice(place))
-    };
-    let mut angles = [0.0; 4];
-    for (angle, [a, b, c]) in angles.iter_mut().zip(HINGES) {
-        *angle = (at(a)? - at(b)?).angle(&(at(c)? - at(b)?)).to_degrees();
+fn angles(pose: &Pose) -> Option<[f32; BENT.len()]> {
+    let places = pose.joint_positions_m.chunks_exact(3);
+    let places: Vec<_> = places.map(|at| Vector3::from_column_slice(at).cast()).collect();
+    let places: &[Vector3<f64>; JOINTS] = places.as_slice().try_into().ok()?;
+    let mut angles = [0.0; BENT.len()];
+    for (angle, joint) in angles.iter_mut().zip(BENT) {
+        *angle = flexion_deg(places, joint)? as f32;
     }
     Some(angles)
 }
 
-fn charted(status: &Status) -> Value {
-    let windows = status.windows.clone().unwrap_or_default();
-    let residual = |camera: &CameraCounters| json!({ "camera": camera.camera, "residual_px": camera.residual_px });
-    json!({
-        "declared_latency_ns": status.declared_latency_ns,
-        "cameras": status.cameras.iter().map(residual).collect::<Vec<_>>(),
-        "windows": {
-            "cost_p50": windows.cost_p50,
-            "closed_p50_ms": windows.closed_p50_ms,
-            "closed_p99_ms": windows.closed_p99_ms,
-            "solve_p50_ms": windows.solve_p50_ms,
-            "solve_p99_ms": windows.solve_p99_ms,
-        },
-    })
+impl Charted {
+    fn of(status: Status) -> Self {
+        let residual = |camera: CameraCounters| (camera.camera, camera.residual_px);
+        Self {
+            declared_latency_ns: status.declared_latency_ns,
+            residuals: status.cameras.into_iter().map(residual).collect(),
+            windows: status.windows.unwrap_or_default(),
+        }
+    }
+
+    fn json(&self) -> Value {
+        let Self { declared_latency_ns, residuals, windows } = self;
+        let camera = |(camera, residual_px): &(String, f64)| json!({ "camera": camera, "residual_px": residual_px });
+        let cameras: Vec<_> = residuals.iter().map(camera).collect();
+        json!({ "declared_latency_ns": declared_latency_ns, "cameras": cameras, "windows": windows })
+    }
 }
 
 #[cfg(test)]
@@ -310,6 +315,6 @@ mod tests {
         assert_eq!(last.status["cameras"][0]["residual_px"], 4.0);
         assert_eq!(overview.angles["p1"].len(), 500);
         let [seconds, knee, ..] = overview.angles["p1"][499];
-        assert!(seconds == 1996.0 && knee > 175.0, "{knee} degrees in the rest pose");
+        assert!(seconds == 1996.0 && knee < 5.0, "{knee} degrees in the rest pose");
     }
 }

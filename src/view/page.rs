@@ -18,6 +18,7 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/messages.js", SCRIPT, include_str!("assets/messages.js")),
     ("/store.js", SCRIPT, include_str!("assets/store.js")),
     ("/takes.js", SCRIPT, include_str!("assets/takes.js")),
+    ("/figures.js", SCRIPT, include_str!("assets/figures.js")),
     ("/lights.js", SCRIPT, include_str!("assets/lights.js")),
     ("/colours.js", SCRIPT, include_str!("../io/report/scene/colours.js")),
     ("/body.js", SCRIPT, include_str!("../io/report/scene/body.js")),

@@ -59,7 +59,7 @@ const POSES: [(&str, Turns); 4] = [
         ],
     ),
 ];
-/// Bodies, by stature, trunk, thighs, shanks, feet, shoulders and hips, in standard deviations.
+/// Bodies, by their symmetric shape coefficients, in standard deviations.
 const BODIES: [(&str, [f64; 10]); 3] = [
     ("mean", [0.0; 10]),
     ("tall", [2.0, 0.5, 0.5, 0.5, 0.0, 1.5, 0.0, 0.0, 0.0, 0.0]),

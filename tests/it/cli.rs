@@ -427,6 +427,22 @@ fn a_synthetic_walk_is_solved_and_exported() {
 }
 
 #[test]
+fn what_is_wrong_with_a_camera_is_in_the_poses() {
+    let place = Place::new();
+    place.done("synth --seconds 8 --noise clean --bump 0 --out bumped.mcap");
+    place.run("solve bumped.mcap --out out");
+    let status = Reader::open(place.path("out/poses.mcap")).unwrap().find_map(|entry| {
+        let Message::Status(status) = entry.unwrap().message else { return None };
+        Some(status)
+    });
+    let verdicts: Vec<_> =
+        status.unwrap().cameras.into_iter().map(|camera| (camera.camera, camera.verdict)).collect();
+    let [fine @ .., (name, verdict)] = &verdicts[..] else { panic!("{verdicts:?}") };
+    assert!(name == "cam04" && verdict.contains("turned by"), "{verdicts:?}");
+    assert!(fine.len() == 3 && fine.iter().all(|(_, verdict)| verdict.is_empty()), "{verdicts:?}");
+}
+
+#[test]
 fn feet_of_a_walk_stand() {
     let walk = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/walk.mcap");
     let place = Place::new();

@@ -211,7 +211,9 @@ fn report() -> ReportData {
             .collect(),
     });
     let angles = [Joint::LKnee, Joint::RKnee, Joint::LElbow, Joint::RElbow].map(|joint| {
-        let of = |(frame, posture)| (seconds(frame), flexion_deg(posture, joint).unwrap());
+        let of = |(frame, posture): (usize, &Posture)| {
+            (seconds(frame), flexion_deg(&posture.positions, joint).unwrap())
+        };
         AngleTrack { joint, degrees: postures.iter().enumerate().map(of).collect() }
     });
     let windows = (0..78).map(|index| WindowRow {

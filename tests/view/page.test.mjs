@@ -59,6 +59,9 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   await page.keyboard.press("1");
   await until(page, () => document.body.dataset.through === "cam01");
   await page.locator("#over").waitFor();
+  // A blank picture has less than a tenth of that.
+  const seen = await page.screenshot({ clip: await page.locator("#scene").boundingBox() });
+  assert.ok(seen.length > 15_000, `a picture of ${seen.length} bytes`);
   await picture(page, "through");
   await page.keyboard.press("0");
   await until(page, () => document.body.dataset.through === "");
@@ -70,23 +73,23 @@ test("a recording plays, is scrubbed, and keeps its place in the address", async
   await page.keyboard.press("f");
   await until(page, (before) => document.body.dataset.view === before, free);
   // L loops from one place to another.
-  const isLooping = () => page.locator("#loop").getAttribute("aria-pressed");
+  const loopText = () => page.locator("#loop").textContent();
   const goTo = async (share) => {
     await page.mouse.click(bar.x + bar.width * share, bar.y + bar.height / 2);
     await until(page, (at) => Math.abs(Number(document.body.dataset.time) - at) < 0.03, 4 * share);
   };
   await goTo(0.75);
   await page.keyboard.press("l");
-  assert.equal(await isLooping(), "false");
+  assert.equal(await loopText(), "Loop to here");
   await goTo(0.5);
   await page.keyboard.press("l");
-  assert.equal(await isLooping(), "true");
+  assert.equal(await loopText(), "End loop");
   await page.keyboard.press(" ");
   await until(page, () => Number(document.body.dataset.time) > 2.8);
   await until(page, () => Number(document.body.dataset.time) < 2.5);
   await page.keyboard.press(" ");
   await page.keyboard.press("l");
-  assert.equal(await isLooping(), "false");
+  assert.equal(await loopText(), "Loop from here");
   const event = page.locator("#events button").first();
   await event.click();
   const at = parseFloat(await event.textContent());
@@ -129,6 +132,17 @@ test("a recording of a stage shows each camera's state, and README's picture is 
   await until(page, () => /warn|bad/.test(document.getElementById("cameras").textContent));
   await picture(page, "view");
   await isSound(page);
+  // A tick is pressed: its words are in the list.
+  const tick = await page.locator("#ticks i").nth(20).boundingBox();
+  await page.mouse.click(tick.x + 1, tick.y + 3);
+  await until(page, () => {
+    const event = document.querySelector('#events [aria-current="true"]');
+    return Math.abs(parseFloat(event?.textContent) - Number(document.body.dataset.time)) < 0.006;
+  });
+  // Provisional poses of a recording are read when they are wanted.
+  assert.equal((await shown(page)).ghosts, "0");
+  await page.keyboard.press("p");
+  await until(page, () => document.body.dataset.ghosts === "1");
   assert.deepEqual(said, []);
 });
 
@@ -159,12 +173,61 @@ test("the skin of the page is the skin of the library", async () => {
   }
 });
 
+test("a light says what is wrong with a camera, and no longer than that", async () => {
+  const { match } = await start(["view", join(folder, "walk/poses.mcap"), "--listen", "127.0.0.1:0"], /open (\S+)/);
+  const { page, said } = await open(match[1]);
+  const found = await page.evaluate(async () => {
+    const { cameraLight } = await import("./lights.js");
+    const events = [];
+    const counters = { camera: "cam01", rate_hz: 60, age_s: 0, waited_for: true, residual_px: 5, usual_px: 5, near: 0.9 };
+    const statuses = [{ at: 0, seconds: 0, status: { run_id: 7n, cameras: [counters], events: [] } }];
+    const store = {
+      events, rig: { cameras: [{ name: "cam01" }] }, keypoints: new Map(), came: new Map(), statusCame: performance.now(),
+      newest: 0, historyAt: () => statuses, nanoseconds: (at) => 1_800_000_000_000_000_000n + BigInt(at) * 1_000_000_000n,
+    };
+    const light = (isAsked = true) => {
+      const { level, words } = cameraLight(store, "cam01", Infinity, {}, isAsked);
+      return [level, ...words];
+    };
+    const found = { fine: light() };
+    counters.near = 0;
+    found.far = light();
+    counters.near = 0.9;
+    counters.verdict = "turned by 3 degrees";
+    found.judged = light();
+    counters.verdict = "";
+    const off = (detail, run) => events.push({ kind: "clock_offset", camera: "cam01", detail, run, at: -100 });
+    off("+6.0 ms off from the other cameras, limit 4.2", 7n);
+    found.off = light();
+    off("in time again: +1.0 ms off from the other cameras, limit 4.2", 7n);
+    found.again = light();
+    off("+6.0 ms off from the other cameras, limit 4.2", 6n);
+    found.ofEarlierRun = light();
+    store.came.set("cam01", performance.now() - 900).set("cam02", performance.now());
+    found.silent = light();
+    found.notAsked = light(false);
+    return found;
+  });
+  for (const name of ["fine", "again", "ofEarlierRun", "notAsked"]) assert.equal(found[name][0], "ok", `${name}: ${found[name]}`);
+  assert.match(found.far.join(" "), /^warn only 0 % of its points/);
+  assert.deepEqual(found.judged, ["bad", "turned by 3 degrees"]);
+  assert.match(found.off.join(" "), /^warn \+6\.0 ms off .*, since \d\d:\d\d$/);
+  assert.match(found.silent.join(" "), /^bad no frame for 0\.9 s$/);
+  assert.deepEqual(said, []);
+});
+
 test("a lens has a ray for each pixel", () => {
   const plain = { width: 1920, height: 1080, focal_px: [1100, 1120], centre_px: [1000, 500], skew_px: 1.5,
     camera_from_world_rotation: [0, 0, 0, 1], camera_from_world_translation_m: [0, 0, 0], lens: 1 };
   const lenses = [
     {}, { lens_coefficients: [-0.28, 0.09, 0.001, -0.002, -0.01] }, { lens: 2, lens_coefficients: [0.03, -0.01, 0.002, 0] },
   ];
+  // This one folds: its corners show nothing, and what is far aside does not come back into the image.
+  const folding = lensOf({ ...plain, skew_px: 0, lens_coefficients: [-0.2] });
+  assert.equal(ray(folding, 1, 1), undefined);
+  assert.ok(ray(folding, 300, 540)[0] < -0.6);
+  assert.equal(project(folding, 6, 0, 3), undefined);
+  assert.ok(project(folding, 1, 0, 3)[0] > 1300);
   for (const lens of lenses.map((one) => lensOf({ ...plain, ...one }))) {
     for (const [u, v] of [[1, 1], [1919, 1079], [1000, 500], [300, 900], [1700, 20]]) {
       const [x, y] = ray(lens, u, v);
@@ -192,7 +255,7 @@ test("the report of a solve plays the take, without a server", async () => {
   assert.equal(await page.locator("#speed").inputValue(), "2");
   await page.keyboard.press("l");
   await page.keyboard.press("l");
-  assert.equal(await page.locator("#loop").getAttribute("aria-pressed"), "true");
+  assert.equal(await page.locator("#loop").textContent(), "End loop");
   await page.keyboard.press(" ");
   await until(page, () => Number(document.body.dataset.time) > 1.9);
   await until(page, () => Number(document.body.dataset.time) < 0.5);
@@ -267,6 +330,7 @@ test("a live stage: a pose moves, a dead camera is red, a node that restarts is 
   const takes = join(folder, "takes");
   await start(["record", `${takes}/`, "--connect", `tcp/127.0.0.1:${bus}`], /recording takes/);
   await until(page, () => document.getElementById("receivers").textContent.match(/^bundlemocap record on \S+everything$/));
+  await until(page, () => /^\d+\.\d GB free$/.test(document.getElementById("free").textContent));
   await page.locator("#take-name").fill("");
   await page.keyboard.type("flip f 1".replaceAll(" ", "_"));
   assert.equal(await page.locator("#take-name").inputValue(), "flip_f_1");
@@ -365,6 +429,17 @@ test("four performers live: each is shown, and one gets a name, a colour and a l
   await page.locator('#label [value="save"]').click();
   await until(page, () => document.getElementById("others").textContent === "1 more is seen, and not solved");
   await people(page, 3);
+  // The floor is pressed where nobody may be; the node says what it finds there.
+  await page.locator("#choose").click();
+  const scene = await page.locator("#canvas").boundingBox();
+  await page.mouse.move(scene.x + 30, scene.y + scene.height - 60);
+  await page.mouse.down();
+  await page.mouse.move(scene.x + 90, scene.y + scene.height - 60, { steps: 4 });
+  await page.mouse.up();
+  assert.equal(await page.locator("#choose").getAttribute("aria-pressed"), "true", "a drag turns the view");
+  await page.mouse.click(scene.x + scene.width / 2, scene.y + scene.height - 40);
+  await until(page, () => /node/.test(document.getElementById("answers").textContent));
+  assert.equal(await page.locator("#choose").getAttribute("aria-pressed"), "false");
   await picture(page, "four-live");
   await isSound(page);
   assert.deepEqual(said, []);

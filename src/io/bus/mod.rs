@@ -156,16 +156,13 @@ pub trait Bus: Send + Sync {
     ///
     /// # Errors
     /// The pattern is not one, or the transport refuses it.
-    fn watch(&self, pattern: &str) -> Result<Option<Box<dyn Watch>>, BusError> {
+    fn watch(&self, pattern: &str) -> Result<Option<Watch>, BusError> {
         check_pattern(pattern).map(|()| None)
     }
 }
 
-/// Watches whether topics are received.
-pub trait Watch: Send {
-    /// Whether another session receives any of them.
-    fn is_received(&self) -> bool;
-}
+/// Whether another session receives any of the topics that are watched.
+pub type Watch = Box<dyn Fn() -> bool + Send>;
 
 /// Publishes on one topic.
 pub trait Publisher: Send + Sync {

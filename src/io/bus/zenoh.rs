@@ -209,13 +209,15 @@ impl Bus for Zenoh {
         self.announcer.others(self, below)
     }
 
-    fn watch(&self, pattern: &str) -> Result<Option<Box<dyn Watch>>, BusError> {
+    fn watch(&self, pattern: &str) -> Result<Option<Watch>, BusError> {
         check_pattern(pattern)?;
         let builder = self.session.declare_publisher(canonical(pattern)?);
         // Nothing is put.
         let publisher = builder.allowed_destination(Locality::Remote).wait();
         let publisher = publisher.map_err(|e| self.error(format!("cannot watch {pattern}"), e))?;
-        Ok(Some(Box::new(Matching(publisher))))
+        let is_received =
+            move || publisher.matching_status().wait().is_ok_and(|status| status.matching());
+        Ok(Some(Box::new(is_received)))
     }
 
     fn query(&self, pattern: &str, within: Duration) -> Result<Vec<Sample>, BusError> {
@@ -229,15 +231,6 @@ impl Bus for Zenoh {
             .wait()
             .map_err(|e| self.error(format!("cannot ask for {pattern}"), e))?;
         Ok(replies.iter().filter_map(|r| r.into_result().ok()).map(|s| from_zenoh(&s)).collect())
-    }
-}
-
-/// A publisher whose matching status is asked for.
-struct Matching(zenoh::pubsub::Publisher<'static>);
-
-impl Watch for Matching {
-    fn is_received(&self) -> bool {
-        self.0.matching_status().wait().is_ok_and(|status| status.matching())
     }
 }
 

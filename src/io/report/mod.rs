@@ -10,7 +10,8 @@ mod stick_figure;
 
 pub use bars::Bars;
 pub use page::{
-    AngleTrack, CameraErrors, Picture, ReportData, Table, WindowRow, flexion_deg, write_report,
+    AngleTrack, BENT, CameraErrors, Picture, ReportData, Table, WindowRow, flexion_deg,
+    write_report,
 };
 pub use player::{Moment, MomentKind, Player, PlayerPose, Track};
 pub use plot::{Plot, Series};

@@ -5,7 +5,9 @@ use std::path::Path;
 
 use super::bars::Bars;
 use super::plot::{Plot, Series, escape};
-use crate::core::body::{Joint, Posture};
+use nalgebra::Vector3;
+
+use crate::core::body::{JOINTS, Joint};
 use crate::io::formats::ExportError;
 use crate::io::new_file;
 
@@ -98,12 +100,15 @@ pub struct WindowRow {
     pub lost: bool,
 }
 
+/// The joints whose flexion is shown.
+pub const BENT: [Joint; 4] = [Joint::LKnee, Joint::RKnee, Joint::LElbow, Joint::RElbow];
+
 /// Flexion of a joint: the angle between the bone that ends in it and the bone that starts from it,
-/// degrees; 0 is straight. `None` at the pelvis and at joints without a next bone.
-pub fn flexion_deg(posture: &Posture, joint: Joint) -> Option<f64> {
+/// degrees; 0 is straight. `positions`: those of all joints. `None` at the pelvis and at joints without a next bone.
+pub fn flexion_deg(positions: &[Vector3<f64>; JOINTS], joint: Joint) -> Option<f64> {
     let parent = joint.parent()?;
     let child = Joint::ALL.into_iter().find(|child| child.parent() == Some(joint))?;
-    let at = |joint: Joint| posture.positions[joint.index()];
+    let at = |joint: Joint| positions[joint.index()];
     Some((at(joint) - at(parent)).angle(&(at(child) - at(joint))).to_degrees())
 }
 
@@ -329,11 +334,13 @@ mod tests {
     #[test]
     fn flexion_is_the_angle_between_bones() {
         let mut pose = Pose::rest();
-        let straight = flexion_deg(&pose.posture(&Skeleton::default()), Joint::LElbow).unwrap();
+        let straight =
+            flexion_deg(&pose.posture(&Skeleton::default()).positions, Joint::LElbow).unwrap();
         pose.local[Joint::LElbow.index() - 1] = so3::exp(&Vector3::new(0.0, -1.2, 0.0));
-        let bent = flexion_deg(&pose.posture(&Skeleton::default()), Joint::LElbow).unwrap();
+        let bent =
+            flexion_deg(&pose.posture(&Skeleton::default()).positions, Joint::LElbow).unwrap();
         assert!(straight < 3.0 && (bent - 1.2f64.to_degrees()).abs() < 3.0, "{straight} {bent}");
-        assert_eq!(flexion_deg(&pose.posture(&Skeleton::default()), Joint::LWrist), None);
+        assert_eq!(flexion_deg(&pose.posture(&Skeleton::default()).positions, Joint::LWrist), None);
     }
 
     #[test]

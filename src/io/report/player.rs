@@ -143,7 +143,7 @@ impl Player {
                         <output id=\"clock\"></output> <label>Speed <select id=\"speed\">\
                         <option>0.25</option><option>0.5</option><option selected>1</option>\
                         <option>2</option><option>4</option></select></label> \
-                        <button id=\"loop\" type=\"button\" aria-pressed=\"false\">Loop from here</button></div>\n\
+                        <button id=\"loop\" type=\"button\">Loop from here</button></div>\n\
                         <p class=\"keys\">Keys: space plays, ← → one frame, [ ] speed, L loop.</p>\n"
             .to_owned();
         if !self.moments.is_empty() {

@@ -149,14 +149,13 @@ impl Core {
                 if !job.is_aside() {
                     self.performer(performer).sent = Some(self.now);
                 }
-                // The first windows wait for the first fit.
-                let is_punctual = self.latency.declared().is_some();
-                if let (Task::Track { .. }, true) = (&job.task, is_punctual) {
-                    let tracker = self.trackers().get(performer.0);
-                    let output = tracker.and_then(Tracker::output_grid);
-                    let first =
-                        job.start + Nanos::new(output.map_or(0, |grid| grid.period_ns as i64));
-                    let age = self.now - self.clock.node_time(first);
+                let first = job.pose_times.first().map(|first| self.clock.node_time(*first));
+                // Windows from before the performer was found catch up.
+                let found = self.performer(performer).found;
+                if let (Task::Track { .. }, Some(first)) =
+                    (&job.task, first.filter(|at| *at > found))
+                {
+                    let age = self.now - first;
                     self.performer(performer).windows.closed(age);
                 }
                 let deadline = self.deadline(&job);
@@ -294,6 +293,7 @@ impl Core {
             {
                 self.late(event.count, "a pose was not solved when due");
             }
+            EventKind::Acquired => self.performer(performer).found = self.now,
             EventKind::Entered => self.entered(performer),
             EventKind::Vacated => self.put_out_bodies(),
             _ => {}

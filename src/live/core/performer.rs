@@ -19,6 +19,8 @@ pub(super) struct Performer {
     pub(super) residual_px: f64,
     /// Place on the floor (x and z) and capture time of the last tracked pose.
     pub(super) tracked: Option<([f64; 2], Timestamp)>,
+    /// When the performer was found, at last.
+    pub(super) found: Timestamp,
     /// When the job that is out was sent.
     pub(super) sent: Option<Timestamp>,
     /// When the last pose leaves.
@@ -34,6 +36,7 @@ impl Performer {
             poses: Poses::default(),
             residual_px: 0.0,
             tracked: None,
+            found: Timestamp::default(),
             sent: None,
             leaves: Timestamp::default(),
         }

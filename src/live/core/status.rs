@@ -19,7 +19,7 @@ pub(super) struct Windows {
     counters: WindowCounters,
     /// Solve time in milliseconds, iterations and cost of the recent windows.
     recent: VecDeque<[f64; 3]>,
-    /// Age of the first pose of recent windows when they closed, milliseconds.
+    /// Age of the first pose of recent windows when they were given to the solvers, milliseconds.
     closed: VecDeque<f64>,
 }
 
@@ -37,7 +37,7 @@ impl Windows {
         push(&mut self.recent, [took.ms(), summary.iterations as f64, summary.final_cost]);
     }
 
-    /// Counts a window that is complete, at that age of its first pose.
+    /// Counts a window that is given to the solvers, at that age of its first pose.
     pub(super) fn closed(&mut self, age: Nanos) {
         push(&mut self.closed, age.ms());
     }

@@ -4,7 +4,8 @@ import { fetchSkins } from "./bodies.js";
 import { Template } from "./body.js";
 import { Charts } from "./charts.js";
 import { colour } from "./colours.js";
-import { RANK, cameraLight, levelOf, nodeLight, setExpected, timeOfDay } from "./lights.js";
+import { Figures } from "./figures.js";
+import { RANK, cameraLight, levelOf, nodeLight, setExpected } from "./lights.js";
 import { NEXT, inLoop, press } from "./loop.js";
 import { Decoder } from "./messages.js";
 import { AGE, Panes, drawOver } from "./panes.js";
@@ -38,18 +39,22 @@ const panes = new Panes($("panes"), (name) => lookThrough(view.through?.lens.nam
 function lookThrough(name) {
   const lens = view.lenses?.find((one) => one.name === name);
   view.lookThrough(lens && new Through(lens));
+  panes.setThrough(lens?.name);
+  ask();
 }
 const charts = new Charts($("charts"));
+const figures = new Figures($("figures"));
 
 /** What the user chose. */
 const chosen = { playing: true, time: 0, speed: 1, loop: undefined, provisional: isLive };
 $("name").textContent = about.name;
 document.title = `${about.name} · bundlemocap`;
 $("speed").parentElement.hidden = isLive;
-/** Asks for what is seen: with a calibration, only for the cameras whose panes are in sight. */
+/** Asks for what is seen: with a calibration, only for the cameras whose panes are in sight, and the one to look through. */
 function ask() {
-  for (const name of store.came.keys()) if (!panes.inSight.has(name)) store.came.delete(name);
-  source.want(chosen.provisional, store.rig ? [...panes.inSight] : undefined);
+  const cameras = new Set([...panes.inSight, ...(view.through ? [view.through.lens.name] : [])]);
+  for (const name of store.came.keys()) if (!cameras.has(name)) store.came.delete(name);
+  source.want(chosen.provisional, store.rig ? [...cameras] : undefined);
 }
 panes.sightChanged = ask;
 ask();
@@ -147,6 +152,7 @@ function frame(now) {
 
 /** What changes slowly: lists, lights, charts, the timeline. */
 function tick() {
+  const begin = performance.now();
   source.prepare(chosen.time);
   fetchSkins(store);
   const people = peopleAt(chosen.time, "poses");
@@ -162,53 +168,16 @@ function tick() {
   charts.draw(store, source, chosen.time, first);
   $("empty").textContent = emptyState(people);
   $("play").textContent = chosen.playing ? "Pause" : isLive ? "Resume" : "Play";
+  document.body.dataset.tick = (performance.now() - begin).toFixed(1);
 }
 
 function showNode(people) {
-  const figures = { all: [], set: (...row) => figures.all.push(row) };
-  const status = store.historyAt(isLive ? Infinity : chosen.time).at(-1)?.status;
   const { level, words } = isLive ? nodeLight(store, source.connected) : recordingLight();
   $("node").className = `light ${level}`;
   setText($("node"), `${isLive ? "node" : "file"} ${level}${words.length > 0 ? `: ${words.join("; ")}` : ""}`);
-  figures.set("tracking", `${people.filter(({ state }) => state === "tracking").length} of ${present().length}`);
-  if (status) {
-    if (status.declared_latency_ns) figures.set("latency", `${(Number(status.declared_latency_ns) / 1e6).toFixed(0)} ms`);
-    const { playout, windows } = status;
-    const rate = perSecond();
-    if (rate > 0) figures.set("poses", `${rate.toFixed(1)} Hz`);
-    for (const [what, kind] of [["publishing", "deviation"], ["provisional", "provisional"]]) {
-      const counts = lastMinute(`${kind}_counts`);
-      const shares = [0.5, 0.99, 0.999].map((share) => quantile(playout?.[`${kind}_bins_us`], counts, share));
-      if (shares[0] !== undefined) figures.set(what, `${shares.map(inMs).join(" / ")} ms`, shares[1] > LONG[kind]);
-    }
-    if (windows?.closed_p50_ms) {
-      figures.set("window", `${windows.closed_p50_ms.toFixed(0)} / ${(windows.closed_p99_ms ?? 0).toFixed(0)} ms`);
-    }
-    if (windows?.solve_p50_ms) {
-      const [p50, p99] = [windows.solve_p50_ms, windows.solve_p99_ms ?? 0];
-      figures.set("solve", `${p50.toFixed(1)} / ${p99.toFixed(1)} ms`, p99 > LONG.solve);
-    }
-  }
-  const arrived = [...store.performers.values()].flatMap(({ poses }) => poses.items.map(({ late }) => late));
-  const late = isLive ? arrived.filter((ms) => ms !== undefined) : [];
-  for (const [what, all] of [["network", late], ["to the screen", [...toScreen]]]) {
-    all.sort((a, b) => a - b);
-    const [p50, p99] = [0.5, 0.99].map((share) => all[Math.floor(share * all.length)]?.toFixed(1));
-    if (p50 !== undefined) figures.set(what, `${p50} / ${p99} ms`, p99 > LONG[what]);
-  }
-  if (store.unreadable > 0) figures.set("not readable", `${store.unreadable} messages`, true);
-  if (store.dropped > 0) figures.set("not shown", `${store.dropped} messages: this page is too slow`, true);
-  const ns = store.base === undefined ? 0n : store.base + BigInt(Math.round(chosen.time * 1e9));
-  const captured = timeOfDay(ns, { fractionalSecondDigits: 2, hour: "2-digit", minute: "2-digit", second: "2-digit" });
-  if (people[0]?.timecode) figures.set("timecode", people[0].timecode);
-  else if (captured) figures.set("captured", captured);
-  const rows = figures.all.map(([name, value, isLong]) => {
-    const row = document.createElement("div");
-    row.append(element("dt", name), element("dd", value, isLong ? "light warn" : undefined));
-    row.title = MEANINGS[name] ?? "";
-    return row;
+  figures.show(store, source, {
+    time: isLive ? Infinity : chosen.time, shown: chosen.time, isLive, people, present: present().length, toScreen,
   });
-  $("figures").replaceChildren(...rows);
   $("node").title = words.join("\n");
   Object.assign(document.body.dataset, view.figures);
   const script = [...scripts].sort((a, b) => a - b);
@@ -221,55 +190,11 @@ function showNode(people) {
   document.body.dataset.pelvis = Array.from(people[0]?.joints.subarray(0, 3) ?? [], (metres) => metres.toFixed(3)).join(" ");
 }
 
-/** What is longer than that is not as it should be: microseconds of deviation from the due time, and ms of others. */
-const LONG = { deviation: 5000, provisional: 50_000, solve: 22, network: 50, "to the screen": 100 };
-
-/** What the figures are, in words. */
-const SHARES = "median / 99th / 99.9th percentile of the last minute";
-const MEANINGS = {
-  latency: "declared: from capture to publication, of every pose",
-  window: "age of a window's first pose when its solve begins: median / 99th percentile",
-  solve: "solve of a window: median / 99th percentile",
-  publishing: `deviation of a pose from its due time: ${SHARES}`,
-  provisional: `from the last frame of a set to its provisional pose: ${SHARES}`,
-  network: "from the due time until a pose is here: median / 99th percentile",
-  "to the screen": "from the due time until a pose is on the screen: median / 99th percentile",
-};
-
-/** Final poses of a performer in a second, of the last ten seconds. */
-function perSecond() {
-  const history = store.historyAt(isLive ? Infinity : chosen.time);
-  const last = history.at(-1);
-  const first = history.find(({ at, status }) => last.at - at <= 10 && status.run_id === last.status.run_id);
-  const [before, now] = [first, last].map(({ status }) => Number(status.playout?.published ?? 0n));
-  return (now - before) / Math.max(last.at - first.at, 1e-3) / Math.max(present().length, 1);
-}
-
 function recordingLight() {
   const damage = source.overview.damage;
   const words = source.error ? [source.error] : damage;
   return { level: source.error ? "bad" : damage.length > 0 ? "warn" : "ok", words };
 }
-
-/** The counts of a histogram of poses in the minute before the shown time. */
-function lastMinute(name) {
-  const history = store.historyAt(isLive ? Infinity : chosen.time);
-  const { at, status } = history.at(-1);
-  const before = history.find((one) => at - one.at <= 60 && one.status.run_id === status.run_id);
-  const [counts, old] = [status, before.status].map(({ playout }) => (playout?.[name] ?? []).map(Number));
-  return before === history.at(-1) ? counts : counts.map((count, bin) => count - (old[bin] ?? 0));
-}
-
-/** The value below which a share of a histogram lies: the upper edge of its bin. */
-function quantile(edges, all, share) {
-  const total = all.reduce((sum, count) => sum + count, 0);
-  if (total === 0) return undefined;
-  let seen = 0;
-  const bin = all.findIndex((count) => (seen += count) >= share * total);
-  return bin < edges.length ? edges[bin] : Infinity;
-}
-
-const inMs = (us) => (us === Infinity ? "above all bins" : `≤${us / 1000}`);
 
 function showCameras() {
   const names = new Set([...(store.rig?.cameras.map(({ name }) => name) ?? []), ...store.keypoints.keys()]);
@@ -284,7 +209,7 @@ function showCameras() {
     row.append(element("span", level === "unknown" ? name : `${name} ${level}`, `light ${level}`));
     if (counters) row.append(element("span", `${(counters.rate_hz ?? 0).toFixed(1)} Hz`));
     if (counters?.residual_px > 0) row.append(element("span", `${counters.residual_px.toFixed(1)} px`));
-    if (counters?.near > 0) row.append(element("span", `${Math.round(100 * counters.near)} %`));
+    if (counters?.residual_px > 0) row.append(element("span", `${Math.round(100 * (counters.near ?? 0))} %`));
     item.append(row);
     if (words.length > 0) item.append(element("div", words.slice(0, 3).join("; "), "words"));
     item.title = [...words, ...advice].join("\n");
@@ -389,17 +314,17 @@ function showReceivers() {
     return item;
   });
   const { received } = source;
-  const isKnown = receivers.some(({ patterns }) => patterns.some((pattern) => /\/pose$|\*\*$/.test(pattern)));
-  if (received && !isKnown) items.push(element("li", "poses: a program that does not say its name"));
+  const isKnown = receivers.some(({ patterns }) => patterns.some((pattern) => /\/(pose|\*\*?)$/.test(pattern)));
+  if (received && !isKnown) items.push(element("li", "an unknown program: poses"));
   const nobody = received === false ? "nobody receives poses" : "no other program is known";
   replace($("receivers"), items.length > 0 ? items : [element("li", nobody)]);
 }
 
-/** The event whose tick was pressed last. */
-let told;
+/** The event whose tick was pressed last, and that of the list. */
+let [told, lastTold] = [undefined, undefined];
 
 function showEvents() {
-  const past = isLive ? store.events : store.events.filter(({ at }) => at <= chosen.time + 1);
+  const past = isLive && !told ? store.events : store.events.filter(({ at }) => at <= chosen.time + 1);
   const list = (store.events.length <= 60 ? store.events : past).slice(-60).reverse();
   const key = `${store.events.length} ${past.length} ${list[0]?.at} ${told?.at}`;
   if ($("events").dataset.key === key) return;
@@ -416,7 +341,8 @@ function showEvents() {
     item.append(button);
     return item;
   }));
-  $("events").querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
+  if (told !== lastTold) $("events").querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
+  lastTold = told;
 }
 
 const SHADES = { tracking: 1, coasting: 0.45, lost: 0.12 };
@@ -576,7 +502,6 @@ function loop() {
   if (isLive) return;
   chosen.loop = press(chosen.loop, chosen.time, source.span[1]);
   setText($("loop"), NEXT[chosen.loop?.length ?? 0]);
-  $("loop").setAttribute("aria-pressed", String(chosen.loop?.length === 2));
 }
 
 /** Follows a performer, or nobody. */
@@ -604,8 +529,10 @@ $("loop").hidden = isLive;
 addEventListener("hashchange", goToHash);
 
 const bar = $("timeline");
+let pressedAt = 0;
 function scrub({ clientX, buttons, type }) {
-  if (type === "pointermove" && buttons === 0) return;
+  if (type === "pointerdown") pressedAt = clientX;
+  else if (buttons === 0 || (told && Math.abs(clientX - pressedAt) < 5)) return;
   const { left, width } = bar.getBoundingClientRect();
   const [start, end] = source.span;
   const timeAt = (x) => start + Math.min(1, Math.max(0, (x - left) / width)) * (end - start);

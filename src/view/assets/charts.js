@@ -7,15 +7,15 @@ const ANGLES = [
   ["left elbow", "l_shoulder", "l_elbow", "l_wrist"], ["right elbow", "r_shoulder", "r_elbow", "r_wrist"],
 ];
 
-/** The angle at `b` between `a` and `c`, degrees; 180 is straight. */
-function angle(joints, [a, b, c]) {
-  const part = (p, q) => [0, 1, 2].map((k) => joints[3 * p + k] - joints[3 * q + k]);
-  const [u, v] = [part(a, b), part(c, b)];
+/** The flexion at `b` between `a` and `c`, degrees; 0 is straight. */
+function flexion(joints, [a, b, c]) {
+  const part = (p, q) => [0, 1, 2].map((k) => joints[3 * q + k] - joints[3 * p + k]);
+  const [u, v] = [part(a, b), part(b, c)];
   const dot = u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
   return (Math.acos(Math.max(-1, Math.min(1, dot / (Math.hypot(...u) * Math.hypot(...v))))) * 180) / Math.PI;
 }
 
-/** Angles of a live performer: time, seconds, and one for each of ANGLES; at most 600. */
+/** Flexions of a live performer: time, seconds, and one for each of ANGLES; at most 600. */
 export function anglesOf(performer) {
   const names = performer?.skeleton?.joint_names;
   if (!names) return [];
@@ -23,7 +23,7 @@ export function anglesOf(performer) {
   const { times, items } = performer.poses;
   const every = Math.max(1, Math.ceil(times.length / 600));
   const chosen = times.filter((_, k) => k % every === 0);
-  return chosen.map((time, k) => [time, ...of.map((joints) => angle(items[k * every].joints, joints))]);
+  return chosen.map((time, k) => [time, ...of.map((joints) => flexion(items[k * every].joints, joints))]);
 }
 
 /** Name, place among the colours, and what it is of a status. */
@@ -117,7 +117,7 @@ export class Charts {
       let last;
       for (const [t, value] of points) {
         if (t < from || t > to) continue;
-        if (last !== undefined && t - last < Math.max(gap, 3 * usual)) context.lineTo(x(t), y(value));
+        if (last !== undefined && t >= last && t - last < Math.max(gap, 3 * usual)) context.lineTo(x(t), y(value));
         else context.moveTo(x(t), y(value));
         last = t;
       }

@@ -76,7 +76,10 @@ function eventsOf(store, name, time) {
   const now = time === Infinity ? (store.historyAt(time).at(-1)?.seconds ?? store.newest) : time;
   const mine = store.events.filter(({ camera, at }) => camera === name && at <= time);
   const last = (wanted) => mine.findLast(({ kind }) => kind === wanted);
-  const [lasting, returned] = [LASTING.map(last), last("returned")?.at ?? -Infinity];
+  // A node that starts anew judges the clocks anew.
+  const run = store.historyAt(now).at(-1)?.status.run_id;
+  const isOfRun = (event) => event && (event.kind === "camera_moved" || event.run === undefined || event.run === run);
+  const [lasting, returned] = [LASTING.map(last).filter(isOfRun), last("returned")?.at ?? -Infinity];
   const isOver = ({ kind, at }) => LASTING.includes(kind) || (kind === "silent" && at <= returned) || now - at >= KEPT;
   return mine.filter((event) => lasting.includes(event) || !isOver(event));
 }
@@ -139,8 +142,9 @@ export function cameraLight(store, name, now, advice, isAsked) {
         light.add(level, `${counted(count, "frame")} ${kind} in 5 s`, advice[kind]);
       }
     }
+    if (counters.verdict) light.add("bad", counters.verdict);
     const near = counters.near ?? 0;
-    if (near > 0 && near < FEW) light.add("warn", `only ${Math.round(100 * near)} % of its points are near the body`);
+    if (counters.residual_px > 0 && near < FEW) light.add("warn", `only ${Math.round(100 * near)} % of its points are near the body`);
     const [usual, px] = [counters.usual_px ?? 0, counters.residual_px ?? 0];
     if (usual > 0 && px > CLEARLY * usual) {
       light.add(px > 3 * usual ? "bad" : "warn", `residual ${px.toFixed(1)} px, usually ${usual.toFixed(1)}`);
@@ -149,7 +153,7 @@ export function cameraLight(store, name, now, advice, isAsked) {
   const events = eventsOf(store, name, now).filter((event) => levelOf(event) !== "ok");
   events.sort((a, b) => RANK[levelOf(b)] - RANK[levelOf(a)] || b.at - a.at);
   for (const event of events.slice(0, 1)) {
-    const since = LASTING.includes(event.kind) ? timeOfDay(event.ns) : "";
+    const since = LASTING.includes(event.kind) ? timeOfDay(store.nanoseconds(event.at)) : "";
     const kind = event.kind.replaceAll("_", " ");
     const words = event.detail.startsWith("of ") ? `${kind} ${event.detail}` : event.detail || kind;
     light.add(levelOf(event), words + (since && `, since ${since}`));
@@ -191,7 +195,7 @@ export function nodeLight(store, connected) {
 
 /** The time of day of a capture time, hours and minutes; empty if the cameras' clock is not that of a day. */
 export function timeOfDay(ns, options = { hour: "2-digit", minute: "2-digit" }) {
-  const ms = Number(ns ?? 0n) / 1e6;
+  const ms = Number(ns) / 1e6;
   return ms > Date.UTC(2001) ? new Date(ms).toLocaleTimeString("en-GB", options) : "";
 }
 

@@ -63,6 +63,11 @@ export class Panes {
     }
   }
 
+  /** The camera to look through, if there is one. */
+  setThrough(name) {
+    for (const [of, { button }] of this.panes) button.setAttribute("aria-pressed", String(of === name));
+  }
+
   setLight(name, level, words) {
     const pane = this.panes.get(name);
     if (!pane) return;
@@ -125,10 +130,14 @@ function drawErrors(context, lens, { points, tint, state }, people, usual, scale
     const at = project(lens, points[k + 1], points[k + 2], points[k + 3]);
     if (at) seen.push([points[k], at]);
   }
-  const errorsOf = (person) => seen.flatMap(([index, [u, v]]) => {
-    const [x, y, confidence] = person.slice(3 * index, 3 * index + 3);
-    return confidence > 0 ? [[x, y, u, v, Math.hypot(x - u, y - v)]] : [];
-  });
+  const errorsOf = (person) => {
+    const errors = [];
+    for (const [index, [u, v]] of seen) {
+      const [x, y] = [person[3 * index], person[3 * index + 1]];
+      if (person[3 * index + 2] > 0) errors.push([x, y, u, v, Math.hypot(x - u, y - v)]);
+    }
+    return errors;
+  };
   let best;
   for (const person of people) {
     const errors = errorsOf(person);

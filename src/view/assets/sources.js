@@ -115,6 +115,7 @@ export class Recording {
     this.store.base = BigInt(overview.start_ns);
     /** Whether each part is there, or still being read. */
     this.parts = new Map();
+    this.provisional = false;
     /** Number of parts that are being read. */
     this.reading = 0;
     for (const event of overview.events) store.addEvent(event);
@@ -132,8 +133,12 @@ export class Recording {
     return { statuses, angles: angles[performer?.name] ?? [] };
   }
 
-  /** A recording gives all that it holds. */
-  want() {}
+  /** A recording gives all that it holds; provisional poses only if they are wanted. */
+  want(provisional) {
+    if (this.provisional === provisional) return;
+    this.provisional = provisional;
+    this.parts.clear();
+  }
 
   async read(part, kinds) {
     const at = (seconds) => this.store.base + BigInt(Math.round(seconds * 1e9));
@@ -160,7 +165,7 @@ export class Recording {
       if (part < 0 || part * PART > this.overview.seconds || this.parts.has(part)) continue;
       if (this.reading >= (this.connected ? MOST : 1)) break;
       this.parts.set(part, false);
-      this.read(part, "pose,provisional,keypoints,status");
+      this.read(part, `pose,keypoints,status${this.provisional ? ",provisional" : ""}`);
     }
     for (const part of this.parts.keys()) if (Math.abs(part - now) > 4) this.parts.delete(part);
     this.store.keep((now - 4) * PART, (now + 5) * PART);

@@ -63,11 +63,11 @@ const JUMP = 30;
 const STATES = ["", "tracking", "coasting", "lost"];
 
 export class Store {
-  /** `node`: the name whose status is that of the live node. `recorded`: that of a recording, if there is one. */
+  /** `node`: the name whose status is that of the live node. `recorded`: that of a recording. Other statuses repeat the cameras. */
   constructor(decoder, node, recorded) {
     this.decoder = decoder;
     this.node = node;
-    this.nodes = node ?? recorded;
+    this.judged = node ?? recorded;
     this.jump = node === undefined ? Infinity : JUMP;
     this.base = undefined;
     this.rig = undefined;
@@ -92,13 +92,18 @@ export class Store {
     this.lastTake = undefined;
     this.answers = [];
     /** What recorders said of their disks: when (page's clock, ms), and bytes that are free. */
-    this.rooms = [];
+    this.disks = [];
   }
 
   /** Seconds since the first message, of a capture time in nanoseconds. */
   seconds(ns) {
     this.base ??= ns;
     return Number(ns - this.base) / 1e9;
+  }
+
+  /** The capture time, nanoseconds, of seconds since the first message. */
+  nanoseconds(seconds) {
+    return (this.base ?? 0n) + BigInt(Math.round(seconds * 1e9));
   }
 
   performer(name) {
@@ -162,9 +167,9 @@ export class Store {
   }
 
   takeAnswer(answer) {
-    const { id, role, free_bytes } = answer;
-    if ((id ?? 0n) !== 0n) this.answers.push(answer);
-    else if (role === "recorder") this.rooms = [...this.rooms.slice(-20), { at: performance.now(), bytes: Number(free_bytes ?? 0n) }];
+    const bytes = Number(answer.free_bytes ?? 0n);
+    if (bytes === 0) this.answers.push(answer);
+    else this.disks = [...this.disks.slice(-20), { at: performance.now(), bytes }];
   }
 
   takeKeypoints(frame, arrival) {
@@ -204,7 +209,7 @@ export class Store {
   /** The state of a performer, or of the node, which has the cameras. */
   takeStatus(name, status, arrival) {
     this.statusOf.set(name, status);
-    if (status.cameras.length === 0 || name !== this.nodes) return;
+    if (status.cameras.length === 0 || name !== this.judged) return;
     this.statusCame = performance.now();
     this.apart = Math.min(this.apart, Math.abs(Date.now() - Number(status.node_time_ns ?? 0n) / 1e6));
     const seconds = this.seconds(status.capture_time_ns ?? 0n);
@@ -219,10 +224,10 @@ export class Store {
     return { name, seconds };
   }
 
-  /** The least room that a recorder has, bytes; `undefined`: none told it in the last 25 s. */
-  get room() {
-    const told = this.rooms.filter(({ at }) => performance.now() - at < 25_000);
-    return told.length > 0 ? Math.min(...told.map(({ bytes }) => bytes)) : undefined;
+  /** The least free space on a recorder's disk, bytes; `undefined`: none said it in the last 25 s. */
+  get freeSpace() {
+    const said = this.disks.filter(({ at }) => performance.now() - at < 25_000);
+    return said.length > 0 ? Math.min(...said.map(({ bytes }) => bytes)) : undefined;
   }
 
   /** How a performer is shown; empty: by default. */
@@ -257,7 +262,7 @@ export class Store {
   takeEvent(event, actor) {
     const { kind = "", camera, detail = "", count = 1n } = event;
     const at = this.seconds(event.capture_time_ns ?? 0n);
-    this.addEvent({ at, ns: event.capture_time_ns, kind, camera, detail, count: Number(count), actor });
+    this.addEvent({ at, kind, camera, detail, count: Number(count), actor, run: event.run_id });
   }
 
   addEvent(event) {

@@ -5,8 +5,8 @@ const $ = (id) => document.getElementById(id);
 const PATIENCE = 5000;
 /** For how long a command of this page counts before the node's status tells what became of it, ms. */
 const PENDING = 2500;
-/** A disk with less room, bytes, is nearly full. */
-const LEAST_ROOM = 2e9;
+/** A disk with less free space, bytes, is nearly full. */
+const LEAST_FREE = 2e9;
 /** Who answers a command, if not nodes alone. */
 const ANSWERERS = { start: ["node", "recorder"], stop: ["node", "recorder"], note: ["recorder"] };
 
@@ -51,11 +51,16 @@ export function takes(store, source, lookOf, floorAt) {
   });
   const arm = (on) => $("choose").setAttribute("aria-pressed", String(on));
   $("choose").addEventListener("click", () => arm($("choose").getAttribute("aria-pressed") !== "true"));
+  // A drag turns the view.
+  let pressed = [0, 0];
+  $("canvas").addEventListener("pointerdown", ({ clientX, clientY }) => (pressed = [clientX, clientY]));
   $("canvas").addEventListener("click", ({ clientX, clientY }) => {
-    if ($("choose").getAttribute("aria-pressed") !== "true") return;
+    const isArmed = $("choose").getAttribute("aria-pressed") === "true" && !$("choose").hidden;
+    const isDrag = Math.hypot(clientX - pressed[0], clientY - pressed[1]) > 5;
+    const place = isArmed && !isDrag ? floorAt(clientX, clientY) : undefined;
+    if (!place) return;
     arm(false);
-    const place = floorAt(clientX, clientY);
-    if (place) command("follow", "", { place_m: place });
+    command("follow", "", { place_m: place });
   });
   // The performer in the form, as it was opened.
   let edited;
@@ -112,10 +117,10 @@ export function takes(store, source, lookOf, floorAt) {
     for (const role of isOver ? wanted.filter((one) => answers.every((answer) => answer.role !== one)) : []) {
       lines.push(`no ${role} answered`);
     }
-    const { room } = store;
-    $("room").hidden = room === undefined;
-    $("room").classList.toggle("bad", room < LEAST_ROOM);
-    if (room !== undefined) set($("room"), `${(room / 1e9).toFixed(1)} GB free`);
+    const free = store.freeSpace;
+    $("free").hidden = free === undefined;
+    $("free").classList.toggle("bad", free < LEAST_FREE);
+    if (free !== undefined) set($("free"), `${(free / 1e9).toFixed(1)} GB free`);
     set($("answers"), lines.join("; "));
     $("answers").title = lines.join("\n");
   };

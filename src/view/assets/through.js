@@ -6,6 +6,8 @@ import { project, ray } from "./lens.js";
 /** Places of the image at which the lens is computed: columns and rows; between them it is taken as flat. */
 const [COLUMNS, ROWS] = [40, 30];
 const NEAR = 0.05;
+/** Most pixels of the picture without the lens, each way. */
+const MOST = 2048;
 
 /**
  * A camera to look through. The scene is drawn without the lens, wide enough for the whole image, and this picture is
@@ -22,17 +24,17 @@ export class Through {
       r[0], -r[3], -r[6], 0, r[1], -r[4], -r[7], 0, r[2], -r[5], -r[8], 0, 0, 0, 0, 1,
     ));
     this.target = new three.WebGLRenderTarget(1, 1, { samples: 4, type: three.HalfFloatType });
-    this.sheet = new three.Mesh(new three.BufferGeometry(), new three.MeshBasicMaterial({
+    this.image = new three.Mesh(new three.BufferGeometry(), new three.MeshBasicMaterial({
       map: this.target.texture, side: three.DoubleSide, blending: three.NoBlending, toneMapped: false,
     }));
-    this.flat = new three.Scene();
-    this.flat.add(this.sheet);
-    this.paper = new three.OrthographicCamera(0, 1, 0, 1, -1, 1);
-    this.ground = new three.Color();
+    this.imageScene = new three.Scene();
+    this.imageScene.add(this.image);
+    this.imageCamera = new three.OrthographicCamera(0, 1, 0, 1, -1, 1);
+    this.background = new three.Color();
     this.bend();
   }
 
-  /** The sheet: places in the image, and where they are in the picture without the lens. */
+  /** The image: places in it, and where they are in the picture without the lens. */
   bend() {
     const { lens } = this;
     const nodes = [];
@@ -61,7 +63,7 @@ export class Through {
         if (four.every((node) => nodes[node].at)) faces.push(four[0], four[2], four[1], four[1], four[2], four[3]);
       }
     }
-    const { geometry } = this.sheet;
+    const { geometry } = this.image;
     geometry.setAttribute("position", new three.BufferAttribute(new Float32Array(places), 3));
     geometry.setAttribute("uv", new three.BufferAttribute(new Float32Array(picture), 2));
     geometry.setIndex(faces);
@@ -69,25 +71,25 @@ export class Through {
 
   /** The image fills a canvas of this size in one direction; draws the scene there. */
   draw(renderer, scene, width, height) {
-    const { lens, paper, target } = this;
+    const { lens, imageCamera, target } = this;
     this.scale = Math.min(width / lens.width, height / lens.height);
     this.corner = [(width - this.scale * lens.width) / 2, (height - this.scale * lens.height) / 2];
     const [left, top] = this.corner.map((pixels) => -pixels / this.scale);
-    [paper.left, paper.right] = [left, left + width / this.scale];
-    [paper.top, paper.bottom] = [top, top + height / this.scale];
-    paper.updateProjectionMatrix();
+    [imageCamera.left, imageCamera.right] = [left, left + width / this.scale];
+    [imageCamera.top, imageCamera.bottom] = [top, top + height / this.scale];
+    imageCamera.updateProjectionMatrix();
     const focal = lens.focal_px.map((pixels) => pixels * this.scale * renderer.getPixelRatio());
-    const size = this.span.map((span, axis) => Math.min(4096, Math.max(1, Math.round(span * focal[axis]))));
+    const size = this.span.map((span, axis) => Math.min(MOST, Math.max(1, Math.round(span * focal[axis]))));
     if (target.width !== size[0] || target.height !== size[1]) target.setSize(...size);
-    // What is half transparent would become lighter on a transparent ground.
-    renderer.setClearColor(this.ground.set(getComputedStyle(document.body).backgroundColor), 1);
+    // What is half transparent would become lighter on a transparent background.
+    renderer.setClearColor(this.background.set(getComputedStyle(document.body).backgroundColor), 1);
     renderer.setRenderTarget(target);
     renderer.render(scene, this.eye);
-    renderer.setClearColor(this.ground, 0);
+    renderer.setClearColor(this.background, 0);
     const { calls, triangles } = renderer.info.render;
     renderer.setRenderTarget(null);
-    renderer.render(this.flat, paper);
-    // What the scene costs, not the sheet.
+    renderer.render(this.imageScene, imageCamera);
+    // What the scene costs, not the image.
     Object.assign(renderer.info.render, { calls: calls + 1, triangles });
   }
 
@@ -96,7 +98,16 @@ export class Through {
     return project(this.lens, x, y, z)?.map((pixels, axis) => this.corner[axis] + pixels * this.scale);
   }
 
+  /** The place on the floor, x and z, at a place of the canvas; undefined above the horizon. */
+  floorAt(x, y) {
+    const { lens, corner, scale } = this;
+    const at = ray(lens, (x - corner[0]) / scale, (y - corner[1]) / scale);
+    const ahead = at && [0, 1, 2].map((k) => lens.rotation[k] * at[0] + lens.rotation[3 + k] * at[1] + lens.rotation[6 + k]);
+    const share = ahead ? -lens.centre[1] / ahead[1] : 0;
+    return share > 0 ? [0, 2].map((k) => lens.centre[k] + share * ahead[k]) : undefined;
+  }
+
   dispose() {
-    for (const one of [this.target, this.sheet.geometry, this.sheet.material]) one.dispose();
+    for (const one of [this.target, this.image.geometry, this.image.material]) one.dispose();
   }
 }

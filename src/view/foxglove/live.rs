@@ -14,7 +14,7 @@ use tokio::sync::mpsc::channel;
 use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 
-use super::{Channels, Stage};
+use super::{Channels, Scene};
 use crate::io::bus::{BusError, Sample};
 use crate::io::recording::Message;
 use crate::io::wire::{ENCODING, SCHEMA_ENCODING, descriptor, schema_of};
@@ -143,7 +143,7 @@ fn pass_on(
     let bus = live.open()?;
     let (out, mut samples) = channel::<Sample>(WAITING);
     let stage = &live.topics.stage;
-    let (mut guards, mut shown) = (Vec::new(), Stage::default());
+    let (mut guards, mut shown) = (Vec::new(), Scene::default());
     let mut rig: Option<(&str, Sample)> = None;
     let dropped = Arc::new(AtomicUsize::new(0));
     for pattern in PATTERNS {
@@ -176,11 +176,10 @@ fn pass_on(
         };
         pass(schema, &sample);
         // Each time the cameras are, for clients that came later.
-        if let Some((schema, rig)) = rig.as_ref().filter(|_| shown.next != cameras) {
-            pass(schema, rig);
-        }
         if let Message::Rig(_) = message {
             rig = Some((schema, sample));
+        } else if let Some((schema, rig)) = rig.as_ref().filter(|_| shown.next != cameras) {
+            pass(schema, rig);
         }
     }
     let dropped = dropped.load(Ordering::Relaxed);

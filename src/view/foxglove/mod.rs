@@ -34,14 +34,14 @@ const AGAIN: Nanos = Nanos::SECOND;
 const LOOP: Nanos = Nanos::from_ms(10_000);
 
 /// Where messages with Foxglove's schemas go.
-trait Sheet {
+trait Sink {
     /// Takes the message of a topic at a capture time, if anybody wants it.
     fn put<T: Encode>(&mut self, topic: &str, at: Timestamp, message: impl FnOnce() -> T);
 }
 
-/// What is known of the stage.
+/// What is known of a stage.
 #[derive(Default)]
-struct Stage {
+struct Scene {
     rig: Option<Rig>,
     /// By name, from the first skeleton on.
     performers: BTreeMap<String, Performer>,
@@ -57,9 +57,9 @@ struct Performer {
     label: PerformerLabel,
 }
 
-impl Stage {
-    /// Puts a message on the sheet. Returns whether it was a pose or keypoints.
-    fn handle(&mut self, topic: &str, message: &Message, sheet: &mut impl Sheet) -> bool {
+impl Scene {
+    /// Gives the sink what a message becomes. Returns whether it was a pose or keypoints.
+    fn handle(&mut self, topic: &str, message: &Message, sink: &mut impl Sink) -> bool {
         let name = Topic::actor(topic);
         match message {
             // Decoded messages are valid: the conversions do not fail.
@@ -86,9 +86,9 @@ impl Stage {
             Message::Pose(pose) if !pose.provisional => {
                 let Ok(pose) = pose.to_core() else { return false };
                 let Some(one) = self.performers.get(&name) else { return false };
-                sheet.put("/performers", pose.capture, || shown::bones(&name, one, &pose));
-                sheet.put("/tf", pose.capture, || shown::joints(&name, &one.body, &pose));
-                self.publish_cameras(pose.capture, sheet);
+                sink.put("/performers", pose.capture, || shown::bones(&name, one, &pose));
+                sink.put("/tf", pose.capture, || shown::joints(&name, &one.body, &pose));
+                self.publish_cameras(pose.capture, sink);
                 return true;
             }
             Message::Keypoints(frame) => {
@@ -97,8 +97,8 @@ impl Stage {
                     return false;
                 }
                 let at = Timestamp::from_ns(frame.capture_time_ns);
-                sheet.put(&of_camera(&frame.camera, "keypoints"), at, || shown::keypoints(frame));
-                self.publish_cameras(at, sheet);
+                sink.put(&of_camera(&frame.camera, "keypoints"), at, || shown::keypoints(frame));
+                self.publish_cameras(at, sink);
                 return true;
             }
             _ => {}
@@ -108,15 +108,15 @@ impl Stage {
 
     /// Publishes the cameras once a second of capture time. Times may go back: by the latency, since keypoints
     /// come before the poses of their time; by more, a recording begins again.
-    fn publish_cameras(&mut self, at: Timestamp, sheet: &mut impl Sheet) {
+    fn publish_cameras(&mut self, at: Timestamp, sink: &mut impl Sink) {
         let is_early = self.next.is_some_and(|next| (next - LOOP..next).contains(&at));
         let Some(rig) = self.rig.as_ref().filter(|_| !is_early) else { return };
         self.next = Some(at + AGAIN);
         for camera in &rig.cameras {
             let topic = of_camera(&camera.name, "calibration");
-            sheet.put(&topic, at, || shown::calibration(camera, at));
+            sink.put(&topic, at, || shown::calibration(camera, at));
         }
-        sheet.put("/tf", at, || shown::cameras(rig, at));
+        sink.put("/tf", at, || shown::cameras(rig, at));
     }
 }
 
@@ -157,7 +157,7 @@ impl Channels {
     }
 }
 
-impl Sheet for Channels {
+impl Sink for Channels {
     fn put<T: Encode>(&mut self, topic: &str, at: Timestamp, message: impl FnOnce() -> T) {
         let encoding = T::get_message_encoding();
         // Encoding into memory does not fail.
@@ -168,7 +168,7 @@ impl Sheet for Channels {
 
 /// Writes messages as an MCAP file with Foxglove's schemas.
 pub struct FoxgloveFile<W: Write + Seek + Send + 'static> {
-    stage: Stage,
+    scene: Scene,
     channels: Channels,
     file: foxglove::McapWriterHandle<W>,
 }
@@ -181,12 +181,12 @@ impl<W: Write + Seek + Send + 'static> FoxgloveFile<W> {
     pub fn new(to: W) -> Result<Self, FoxgloveError> {
         let context = Context::new();
         let file = context.mcap_writer().create(to)?;
-        Ok(Self { stage: Stage::default(), channels: Channels::new(context), file })
+        Ok(Self { scene: Scene::default(), channels: Channels::new(context), file })
     }
 
     /// Adds a message. Returns whether it was a pose or keypoints.
     pub fn add(&mut self, topic: &str, message: &Message) -> bool {
-        self.stage.handle(topic, message, &mut self.channels)
+        self.scene.handle(topic, message, &mut self.channels)
     }
 
     /// Ends the file.
@@ -200,19 +200,19 @@ impl<W: Write + Seek + Send + 'static> FoxgloveFile<W> {
 
 /// Foxglove's messages beside ours in a recording.
 #[derive(Default)]
-pub struct Beside(Stage);
+pub struct Beside(Scene);
 
 impl Companion for Beside {
     fn follow(&mut self, topic: &str, message: &Message) -> Vec<Foreign> {
-        let mut gathered = Gathered(Vec::new());
-        self.0.handle(topic, message, &mut gathered);
-        gathered.0
+        let mut collected = Collected(Vec::new());
+        self.0.handle(topic, message, &mut collected);
+        collected.0
     }
 }
 
-struct Gathered(Vec<Foreign>);
+struct Collected(Vec<Foreign>);
 
-impl Sheet for Gathered {
+impl Sink for Collected {
     fn put<T: Encode>(&mut self, topic: &str, at: Timestamp, message: impl FnOnce() -> T) {
         let (mut payload, encoding) = (Vec::new(), T::get_message_encoding());
         let Some(Schema { name, data, .. }) = T::get_schema() else { return };

@@ -10,45 +10,72 @@ export function lensOf(camera) {
   ];
   const move = camera.camera_from_world_translation_m;
   const centre = [0, 1, 2].map((k) => -(rotation[k] * move[0] + rotation[3 + k] * move[1] + rotation[6 + k] * move[2]));
-  return { ...camera, rotation, move, centre, coefficients: camera.lens_coefficients ?? [], skew: camera.skew_px ?? 0 };
+  const lens = { ...camera, rotation, move, centre, coefficients: camera.lens_coefficients ?? [], skew: camera.skew_px ?? 0 };
+  return { ...lens, limit: limitOf(lens) };
 }
 
-/** The pixel of a point in the world (metres); undefined behind the camera. */
+/** The pixel of a point in the world (metres); undefined if the camera cannot see it. */
 export function project(lens, px, py, pz) {
   const { rotation: r, move: t } = lens;
   const x = r[0] * px + r[1] * py + r[2] * pz + t[0];
   const y = r[3] * px + r[4] * py + r[5] * pz + t[1];
   const z = r[6] * px + r[7] * py + r[8] * pz + t[2];
-  return z < 0.05 ? undefined : pixel(lens, x / z, y / z);
+  return z < 0.05 || Math.hypot(x, y) > lens.limit * z ? undefined : pixel(lens, x / z, y / z);
+}
+
+/** Where the lens moves a ray. */
+function bent(lens, x, y) {
+  return lens.lens === 2 ? fisheye(x, y, lens.coefficients) : brown(x, y, lens.coefficients);
 }
 
 /** The pixel of a ray; x and y where it meets the plane at depth 1. */
 function pixel(lens, x, y) {
-  const [u, v] = lens.lens === 2 ? fisheye(x, y, lens.coefficients) : brown(x, y, lens.coefficients);
+  const [u, v] = bent(lens, x, y);
   const [fx, fy] = lens.focal_px;
   const [cx, cy] = lens.centre_px;
   return [fx * u + lens.skew * v + cx, fy * v + cy];
 }
 
-/** Rays that are farther from the axis than this, as x and y at depth 1, are not looked for. */
-const WIDEST = 5;
-
-/** The ray of a pixel; undefined if the lens has none there. */
+/** The ray of a pixel, as x and y at depth 1; undefined if the lens has none there. */
 export function ray(lens, u, v) {
-  const [fx, fy] = lens.focal_px;
-  let [x, y] = [(u - lens.centre_px[0]) / fx, (v - lens.centre_px[1]) / fy];
-  const step = 1e-5;
-  for (let round = 0; round < 30; round++) {
-    const [at, right, below] = [pixel(lens, x, y), pixel(lens, x + step, y), pixel(lens, x, y + step)];
-    const [du, dv] = [u - at[0], v - at[1]];
-    if (Math.hypot(du, dv) < 1e-3) return Math.hypot(x, y) < WIDEST ? [x, y] : undefined;
-    const [a, c] = [0, 1].map((k) => (right[k] - at[k]) / step);
-    const [b, d] = [0, 1].map((k) => (below[k] - at[k]) / step);
+  const miss = (x, y) => {
+    const [a, b] = pixel(lens, x, y);
+    return [u - a, v - b];
+  };
+  let [x, y] = [(u - lens.centre_px[0]) / lens.focal_px[0], (v - lens.centre_px[1]) / lens.focal_px[1]];
+  const limit = Math.min(lens.limit, WIDEST);
+  const inside = Math.min(1, (0.9 * limit) / Math.hypot(x, y));
+  [x, y] = [x * inside, y * inside];
+  const little = 1e-6;
+  for (let round = 0; round < 50; round++) {
+    const error = miss(x, y);
+    if (Math.hypot(...error) < 1e-3) return [x, y];
+    const [right, below] = [miss(x + little, y), miss(x, y + little)];
+    const [a, c] = [0, 1].map((k) => (error[k] - right[k]) / little);
+    const [b, d] = [0, 1].map((k) => (error[k] - below[k]) / little);
     const determinant = a * d - b * c;
-    x += (d * du - b * dv) / determinant;
-    y += (a * dv - c * du) / determinant;
+    const step = [(d * error[0] - b * error[1]) / determinant, (a * error[1] - c * error[0]) / determinant];
+    const isBetter = (x, y) => Math.hypot(x, y) <= limit && Math.hypot(...miss(x, y)) < Math.hypot(...error);
+    let part = 1;
+    while (part > 1e-6 && !isBetter(x + part * step[0], y + part * step[1])) part /= 2;
+    if (part <= 1e-6) return undefined;
+    [x, y] = [x + part * step[0], y + part * step[1]];
   }
   return undefined;
+}
+
+/** Rays farther from the axis than this, at depth 1, are not looked for: 79 degrees. */
+const WIDEST = 5;
+
+/** The distance from the axis, at depth 1, at which a lens folds: beyond it, rays come back into the image. */
+function limitOf(lens) {
+  const radius = (r, turn) => Math.hypot(...bent(lens, r * Math.cos(turn), r * Math.sin(turn)));
+  const turns = Array.from({ length: 16 }, (_, k) => (k * Math.PI) / 8);
+  const step = WIDEST / 1000;
+  for (let r = step; r < WIDEST; r += step) {
+    if (turns.some((turn) => !(radius(r, turn) > radius(r - step, turn)))) return r - step;
+  }
+  return Infinity;
 }
 
 function brown(x, y, [k1 = 0, k2 = 0, p1 = 0, p2 = 0, k3 = 0, k4 = 0, k5 = 0, k6 = 0]) {

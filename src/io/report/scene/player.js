@@ -105,7 +105,6 @@ function go(to) {
 function repeat() {
   loop = press(loop, time, end);
   $("loop").textContent = NEXT[loop?.length ?? 0];
-  $("loop").setAttribute("aria-pressed", String(loop?.length === 2));
 }
 
 function faster(by) {

@@ -108,7 +108,7 @@ export class View {
     this.followed = undefined;
     /** The camera to look through; undefined: free. */
     this.through = undefined;
-    this.point = new three.Vector3();
+    [this.point, this.drawn] = [new three.Vector3(), new three.Vector2()];
   }
 
   /** What all bodies share, see body.js; without it performers are bones. */
@@ -169,8 +169,8 @@ export class View {
 
   /** The place on the floor, x and z in metres, that is seen at a place of the window; undefined above the horizon. */
   floorAt(x, y) {
-    if (this.through) return undefined;
     const box = this.canvas.getBoundingClientRect();
+    if (this.through) return this.through.floorAt(x - box.left, y - box.top);
     this.point.set((2 * (x - box.left)) / box.width - 1, 1 - (2 * (y - box.top)) / box.height, 0.5).unproject(this.camera);
     const from = this.camera.position;
     const share = from.y / (from.y - this.point.y);
@@ -200,7 +200,7 @@ export class View {
 
   draw(people, ghosts) {
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    const size = this.renderer.getSize(new three.Vector2());
+    const size = this.renderer.getSize(this.drawn);
     if (size.x !== width || size.y !== height) this.renderer.setSize(width, height, false);
     this.camera.aspect = width / Math.max(height, 1);
     this.camera.updateProjectionMatrix();
@@ -252,6 +252,6 @@ export class View {
   get figures() {
     const { render } = this.renderer.info;
     const skins = [...(this.skins?.all.values() ?? [])].filter(({ mesh }) => mesh.visible).length;
-    return { calls: render.calls, triangles: render.triangles, skins };
+    return { calls: render.calls, triangles: render.triangles, skins, ghosts: this.ghosts.joints.count / JOINTS };
   }
 }

@@ -1,0 +1,116 @@
+// The figures at the top: what the node does, and how long things take.
+
+import { timeOfDay } from "./lights.js";
+
+/** What is longer than that is not as it should be: publishing and provisional, microseconds; others, ms. */
+const LONG = { publishing: 5000, provisional: 50_000, network: 50, "to the screen": 100 };
+
+const LAST = "median / 99th / 99.9th percentile of the last minute";
+const RECENT = "median / 99th percentile";
+/** What the figures are, in words. */
+const MEANINGS = {
+  tracking: "performers who are tracked, of those who are there",
+  latency: "declared: from the capture to the publication of every pose",
+  poses: "final poses of a performer in a second",
+  publishing: `deviation of a pose from its due time: ${LAST}`,
+  provisional: `from the last frame of a set to its provisional pose: ${LAST}`,
+  window: `age of a window's first pose when the window is given to the solvers: ${RECENT}`,
+  solve: `solve of a window: ${RECENT}`,
+  network: `from the due time until a pose is here: ${RECENT}`,
+  "to the screen": `from the due time until a pose is on the screen: ${RECENT}`,
+  captured: "time of day of the shown pose",
+};
+
+export class Figures {
+  constructor(list) {
+    this.list = list;
+    /** The rows stay: a tooltip would go away with its row. */
+    this.rows = new Map();
+  }
+
+  /**
+   * Shows the figures of a time (Infinity: the newest). `shown`: the time of the picture; `present`: how many performers
+   * there are; `toScreen`: times from due times to pictures, ms.
+   */
+  show(store, source, { time, shown, isLive, people, present, toScreen }) {
+    const all = new Map();
+    const set = (name, value, isLong = false) => all.set(name, { value, isLong });
+    set("tracking", `${people.filter(({ state }) => state === "tracking").length} of ${present}`);
+    const status = store.historyAt(time).at(-1)?.status;
+    if (status) this.ofStatus(store, source, status, { time, shown, set });
+    const arrived = [...store.performers.values()].flatMap(({ poses }) => poses.items.map(({ late }) => late));
+    const late = isLive ? arrived.filter((ms) => ms !== undefined) : [];
+    for (const [what, times] of [["network", late], ["to the screen", [...toScreen]]]) {
+      times.sort((a, b) => a - b);
+      const [p50, p99] = [0.5, 0.99].map((share) => times[Math.floor(share * times.length)]?.toFixed(1));
+      if (p50 !== undefined) set(what, `${p50} / ${p99} ms`, p99 > LONG[what]);
+    }
+    if (store.unreadable > 0) set("not readable", `${store.unreadable} messages`, true);
+    if (store.dropped > 0) set("not shown", `${store.dropped} messages: this page is too slow`, true);
+    const clock = { fractionalSecondDigits: 2, hour: "2-digit", minute: "2-digit", second: "2-digit" };
+    const captured = timeOfDay(store.nanoseconds(shown), clock);
+    if (people[0]?.timecode) set("timecode", people[0].timecode);
+    else if (captured) set("captured", captured);
+    this.put(all);
+  }
+
+  ofStatus(store, source, { playout, windows, declared_latency_ns }, { time, shown, set }) {
+    const declared = Number(declared_latency_ns ?? 0n) / 1e6;
+    if (declared > 0) set("latency", `${declared.toFixed(0)} ms`);
+    // Of the performer with the most, in the last two seconds.
+    const counts = [...store.performers.values()].map(({ poses }) => poses.after(shown) - poses.after(shown - 2));
+    const rate = Math.max(0, ...counts) / Math.max(1e-3, Math.min(2, shown - source.span[0]));
+    if (rate > 0) set("poses", `${rate.toFixed(1)} Hz`);
+    for (const [what, kind] of [["publishing", "deviation"], ["provisional", "provisional"]]) {
+      const all = lastMinute(store, time, `${kind}_counts`);
+      const shares = [0.5, 0.99, 0.999].map((share) => quantile(playout?.[`${kind}_bins_us`], all, share));
+      if (shares[0] !== undefined) set(what, `${shares.map(inMs).join(" / ")} ms`, shares[1] > LONG[what]);
+    }
+    const { closed_p50_ms = 0, closed_p99_ms = 0, solve_p50_ms = 0, solve_p99_ms = 0 } = windows ?? {};
+    if (closed_p50_ms > 0) set("window", `${closed_p50_ms.toFixed(0)} / ${closed_p99_ms.toFixed(0)} ms`);
+    const isLong = declared > 0 && closed_p99_ms + solve_p99_ms > declared;
+    if (solve_p50_ms > 0) set("solve", `${solve_p50_ms.toFixed(1)} / ${solve_p99_ms.toFixed(1)} ms`, isLong);
+  }
+
+  put(all) {
+    for (const [name, row] of this.rows) {
+      if (all.has(name)) continue;
+      row.remove();
+      this.rows.delete(name);
+    }
+    for (const [name, { value, isLong }] of all) {
+      let row = this.rows.get(name);
+      if (!row) {
+        row = document.createElement("div");
+        row.append(document.createElement("dt"), document.createElement("dd"));
+        row.firstChild.textContent = name;
+        row.title = MEANINGS[name] ?? "";
+        this.rows.set(name, row);
+        this.list.append(row);
+      }
+      const figure = row.lastChild;
+      if (figure.textContent !== value) figure.textContent = value;
+      figure.className = isLong ? "light warn" : "";
+    }
+  }
+}
+
+/** The counts of a histogram of poses in the minute before a time. */
+function lastMinute(store, time, name) {
+  const history = store.historyAt(time);
+  const { at, status } = history.at(-1);
+  const before = history.find((one) => at - one.at <= 60 && one.status.run_id === status.run_id);
+  const [counts, old] = [status, before.status].map(({ playout }) => (playout?.[name] ?? []).map(Number));
+  return before === history.at(-1) ? counts : counts.map((count, bin) => count - (old[bin] ?? 0));
+}
+
+/** The value below which a share of a histogram lies: the upper edge of its bin. */
+function quantile(edges, all, share) {
+  const total = all.reduce((sum, count) => sum + count, 0);
+  if (total === 0) return undefined;
+  let seen = 0;
+  const bin = all.findIndex((count) => (seen += count) >= share * total);
+  return bin < edges.length ? edges[bin] : Infinity;
+}
+
+const inMs = (us) => (us === Infinity ? "above all bins" : `≤${us / 1000}`);
