@@ -78,20 +78,23 @@ export class Figures {
       row.remove();
       this.rows.delete(name);
     }
+    const isNew = [...all.keys()].some((name) => !this.rows.has(name));
     for (const [name, { value, isLong }] of all) {
-      let row = this.rows.get(name);
-      if (!row) {
-        row = document.createElement("div");
-        row.append(document.createElement("dt"), document.createElement("dd"));
-        row.firstChild.textContent = name;
-        row.title = MEANINGS[name] ?? "";
-        this.rows.set(name, row);
-        this.list.append(row);
-      }
+      const row = this.rows.get(name) ?? this.make(name);
+      if (isNew) this.list.append(row);
       const figure = row.lastChild;
       if (figure.textContent !== value) figure.textContent = value;
       figure.className = isLong ? "light warn" : "";
     }
+  }
+
+  make(name) {
+    const row = document.createElement("div");
+    row.append(document.createElement("dt"), document.createElement("dd"));
+    row.firstChild.textContent = name;
+    row.title = MEANINGS[name] ?? "";
+    this.rows.set(name, row);
+    return row;
   }
 }
 
